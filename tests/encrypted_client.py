@@ -1,8 +1,8 @@
 """Encrypted WebSocket client for tests, which reads and writes in one event loop.
 
 The synchronous client of the ``websockets`` library reads in one thread and writes in another. OpenSSL does not allow
-both at once, and Python 3.11 does not prevent it: in about one of a hundred connections a TLS 1.3 session ticket that
-the server sends after the handshake collides with the request, and the client reports the end of the connection.
+both at once, and Python 3.11 does not prevent it. In about one of a hundred connections a TLS 1.3 session ticket, which
+the server sends after the handshake, collides with the request, and the client reports the end of the connection.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class EncryptedSocket:
     Parameters
     ----------
     loop
-        Event loop of the connection, which runs in a thread of its own.
+        Event loop of the connection, which runs in a separate thread.
     connection
         Asynchronous connection of the library.
     """
@@ -35,17 +35,11 @@ class EncryptedSocket:
         self._connection = connection
 
     def send(self, message: str | bytes) -> None:
-        """Send one message."""
+        """Send one message over the connection."""
         _await(self._loop, self._connection.send(message))
 
     def ping(self, data: bytes, num: int) -> None:
-        """Send control frames as fast as possible, without waiting for the answers.
-
-        Raises
-        ------
-        ConnectionClosed
-            If the other side has ended the connection.
-        """
+        """Send ``num`` control frames as fast as possible, without waiting for the answers."""
         _await(self._loop, self._ping(data, num))
 
     async def _ping(self, data: bytes, num: int) -> None:
@@ -53,7 +47,7 @@ class EncryptedSocket:
             await self._connection.ping(data + n.to_bytes(4, "big"))
 
     def recv(self, timeout: float | None = None) -> str | bytes:
-        """Return the next message.
+        """Return the next message that arrives on the connection.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Disk that stalls, fails or loses its power on command: a preloaded library (``faulty_disk.c``) below the program."""
+"""Disk that stalls, fails or loses power on request of a test: the preloaded library ``faulty_disk.c``."""
 
 from __future__ import annotations
 
@@ -87,31 +87,31 @@ class FaultyDisk:
         self.heal()
         self._control.folder = str(folder).encode()
         self._control.fault = fault
-        self._control.waiting = 0  # A killed process may have left a positive count.
+        self._control.waiting = 0  # A killed process may have left a count above 0.
         self._control.at = self._control.count + after
 
     def heal(self) -> None:
-        """End the fault and let stalled operations continue."""
+        """End the fault, and let stalled operations continue."""
         self._control.at = NEVER
         self._control.active = 0
 
     @property
     def is_faulty(self) -> bool:
-        """Whether the fault has begun."""
+        """Whether the fault of the disk has begun."""
         return bool(self._control.active)
 
     @property
     def is_stalled(self) -> bool:
-        """Whether a thread waits for the disk."""
+        """Whether a thread is waiting for the disk."""
         return self._control.waiting > 0
 
     @property
     def count(self) -> int:
-        """Number of changes so far."""
+        """Number of changes of files since the start."""
         return int(self._control.count)
 
     def record(self, folder: Path) -> Durable:
-        """Record all changes below a folder from now on; the present content counts as written to the disk."""
+        """Record all changes below a folder from now on; its present content counts as written to the disk."""
         self._log.write_bytes(b"")
         self._control.folder = str(folder).encode()
         self._control.logs = 1
@@ -126,7 +126,7 @@ class _File:
     synced: bytes = b""
     content: bytearray = field(default_factory=bytearray)
     since: list[tuple[int, bytes]] = field(default_factory=list)
-    """Writes (offset, data) and truncations (-1 - new length, no data) since the last fsync."""
+    """Writes (offset, data) and truncations (-1 - new length, no data) of the file since its last fsync."""
 
 
 class Durable:
@@ -138,10 +138,13 @@ class Durable:
     def __init__(self, folder: Path, log: Path) -> None:
         self._folder, self._log = folder, log
         self._names: dict[str, _File | None] = {}
-        """Files as programs see them, by path; None is a folder."""
+        """Files by path, as programs see them; None is a folder."""
         self._before: dict[str, _File | None] = {}
         self._moves: list[tuple[bool, list[tuple[str, _File | bool | None]]]] = []
-        """Changes of names in order: whether each is on the disk, and its new entries; False is a deleted name."""
+        """Changes of names in order: whether the change is on the disk, and its new entries.
+
+        False is a deleted name.
+        """
 
     @classmethod
     def of(cls, folder: Path, log: Path) -> Durable:
@@ -153,10 +156,10 @@ class Durable:
         return made
 
     def read(self) -> None:
-        """Apply the recorded changes."""
+        """Read the log of the library, and apply the recorded changes of files."""
         for op, path, other, offset, data in _entries(self._log.read_bytes()):
             if path.endswith("-shm"):
-                continue  # Shared memory, which SQLite creates again.
+                continue  # The file is shared memory, which SQLite creates again.
             self._do(op, path, other, offset, data)
 
     def _do(self, op: int, path: str, other: str, offset: int, data: bytes) -> None:
@@ -188,7 +191,7 @@ class Durable:
         self._moves.append((False, move))
 
     def restore(self, rng: random.Random | None = None) -> None:
-        """Restore the folder to a state after the power cut.
+        """Restore the folder to a state that it may have after the power cut.
 
         Without ``rng`` every change that was not synchronised is lost; with ``rng`` a random part of these changes
         survives.

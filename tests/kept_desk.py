@@ -14,7 +14,7 @@ from small_case import Background, Clock, SmallRenderer, small_parts
 
 
 class Wall:
-    """Clock of the time of day, in seconds since 1970."""
+    """Clock with the time of day, in seconds since 1970, that a test sets."""
 
     def __init__(self) -> None:
         self.now_s = 1_800_000_000.0
@@ -24,14 +24,14 @@ class Wall:
 
 
 def put_text(path: Path, text: str, placement: Any) -> None:
-    """Write a draft and move it to its place, as a case file does."""
+    """Write a text to a draft and move the draft to its path, as a case file does."""
     draft = path.with_name(path.name + ".draft")
     draft.write_text(text)
     (placement or Path.replace)(draft, path)
 
 
 class MemoryFile:
-    """Case file that is stored in memory, by its path."""
+    """Case file that is stored in memory under its path."""
 
     kept: dict[str, tuple[str, Any]] = {}  # noqa: RUF012 - one disk
 
@@ -86,7 +86,7 @@ class Desk:
         self.digest = "one CT"
         self.files: list[MemoryFile] = []
         self.written: dict[str, Any] = {}
-        """States of cases that were written as whole files, without a live file, by path."""
+        """Contents of cases that were written as whole files without a live file, by path."""
         self.store: Any = None
 
     def start(self) -> Session:
@@ -117,7 +117,7 @@ class Desk:
         return self.session
 
     def kept_files(self, files: KeptFiles) -> KeptFiles:
-        """Return the factories of case files; subclasses replace them."""
+        """Return the functions that open case files; subclasses replace them."""
         return files
 
     def open(self, path: str = "case") -> None:
@@ -128,7 +128,7 @@ class Desk:
         assert self.session._saving.write_now()
 
     def kill(self) -> None:
-        """Simulate a kill: nothing more is written, and the locks are released as the operating system would do."""
+        """Simulate a kill: nothing more is written, and the locks are released as by the operating system."""
         kept = self.session._saving._kept
         assert kept is not None
         if kept.held is not None:

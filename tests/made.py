@@ -35,14 +35,15 @@ from run_cleanup import run_name
 
 ROOT = Path(__file__).resolve().parents[1]
 SEARCH = carina.find_airways
-"""The real search. Tests replace ``carina.find_airways`` by the cache; the cache must not call itself."""
+"""The real search; tests replace ``carina.find_airways`` by the cache, and the cache must not call itself."""
 CACHE = ROOT / ".pytest_cache" / "d" / "made"
 """Folder of the cache, beside the caches of pytest's plugins; ``pytest --cache-clear`` empties it."""
 
 
-# Options of chests that several test files use: all generations, fine enough for named segments.
 MASKED_CHEST: dict[str, Any] = {"seed": 1, "spacing_mm": 1.1, "noise_hu": 25.0}
+"""Options of a chest for several test files: all generations, and fine enough for named segments."""
 OTHER_CHEST: dict[str, Any] = {"seed": 2, "spacing_mm": 1.1}
+"""Options of a second chest, with other anatomy and less noise."""
 # Options of a chest with the central airways only.
 SMALL_CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
 
@@ -70,9 +71,9 @@ def _phantom(options: str) -> Phantom:
         with alone(name):
             if not folder.exists():
                 keep(phantom.generate_phantom(**json.loads(options)), folder)
-    except OSError:  # A checkout that cannot be written: the phantom is generated each time.
+    except OSError:  # The checkout cannot be written, so the phantom is generated each time.
         return phantom.generate_phantom(**json.loads(options))
-    # Memory-mapped, so that the workers share the memory.
+    # The arrays are memory-mapped, so that workers share the memory.
     values, lumen = (np.asarray(np.load(folder / f"{part}.npy", mmap_mode="r")) for part in ("ct", "lumen"))
     with (folder / "rest.pickle").open("rb") as file:
         rest = pickle.load(file)
@@ -122,13 +123,13 @@ def made_value(name: str, make: Callable[[], Any]) -> Any:
                 draft.write_bytes(pickle.dumps(make()))
                 draft.rename(path)
             return pickle.loads(path.read_bytes())
-    except OSError:  # A checkout that cannot be written: the value is computed each time.
+    except OSError:  # The checkout cannot be written, so the value is computed each time.
         return make()
 
 
 @contextlib.contextmanager
 def alone(name: str) -> Iterator[None]:
-    """Allow one process at a time in the block of this name; without file locks all processes enter."""
+    """Let only one process at a time execute the block ``name``; without file locks all processes enter."""
     CACHE.mkdir(parents=True, exist_ok=True)
     try:
         import fcntl
@@ -150,7 +151,7 @@ def kept_airways(name: str, volume: Volume) -> Airways:
     def search() -> tuple[dict[str, Any], Any]:
         found = SEARCH(volume)
         searched.append(found)
-        # The tracker and the evidence hold locks and compiled objects; the other fields are values.
+        # The tracker and the evidence contain locks and compiled objects; the other fields are plain values.
         told = {one.name: getattr(found, one.name) for one in dataclasses.fields(found)}
         del told["tracker"], told["evidence"]
         told["tree"] = (found.tree.branches, found.tree.notes)
@@ -181,7 +182,7 @@ _FOUND: dict[str, Airways] = {}
 
 
 def found_airways(volume: Volume) -> Airways:
-    """Return the airways of a volume: the same object for all volumes with equal voxels and geometry."""
+    """Return the airways of a volume; all volumes with equal voxels and geometry have the same object."""
     place = hashlib.sha256(volume.lps_from_ijk.tobytes() + repr((volume.shape_zyx, volume.is_hu)).encode()).hexdigest()
     name = f"airways of {ct_digest(volume)[:16]}-{place[:8]}"
     if name not in _FOUND:

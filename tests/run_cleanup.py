@@ -2,7 +2,7 @@
 
 The process that the user started gives the run a temporary folder. All its child processes inherit the folder as
 ``TMPDIR``, and the name of the folder marks them (``CARINA_TEST_RUN``). At the end the run kills every marked process,
-then deletes the folder. pytest's own ``tmp_path`` folders, which pytest keeps for three runs, are deleted only after an
+then deletes the folder. The ``tmp_path`` folders of pytest, which are stored for three runs, are deleted only after an
 interrupt.
 
 Processes are found in ``/proc``; on systems other than Linux only the folder is deleted.
@@ -25,11 +25,11 @@ import pytest
 
 MARK = "CARINA_TEST_RUN"
 WITHIN_S = 10.0
-"""Time for killed processes to disappear, in seconds."""
+"""Longest time until killed processes have disappeared, seconds."""
 
 
 def marked_processes(folder: str) -> dict[int, str]:
-    """Return process ID and command line of the other processes of a run."""
+    """Return the process ID and the command line of each other process of a run."""
     mark, found = f"{MARK}={folder}\0".encode(), {}
     for process in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
@@ -40,7 +40,7 @@ def marked_processes(folder: str) -> dict[int, str]:
 
 
 def kill_marked(folder: str) -> list[str]:
-    """Kill every other process of a run, and return the command lines; wait until all have ended."""
+    """Kill every other process of a run, wait until all have ended, and return their command lines."""
     killed: dict[int, str] = {}
     end = time.monotonic() + WITHIN_S
     while (left := marked_processes(folder)) and time.monotonic() < end:
@@ -63,19 +63,19 @@ def remove_kept_folder(kept: Path) -> None:
 
 
 def run_name() -> str:
-    """Return the name of this run, which marks drafts outside its temporary folder."""
+    """Return the name of this run, which marks its drafts outside its temporary folder."""
     return Path(os.environ.get(MARK, "no-run")).name
 
 
 def remove_drafts(cache: Path, run: str) -> None:
-    """Delete the unfinished files and folders of a run in the cache of phantoms."""
+    """Delete the unfinished files and folders of a run in the cache of test data."""
     for draft in list(cache.glob(f"*/*draft-{run}*")):
         shutil.rmtree(draft, ignore_errors=True)
         draft.unlink(missing_ok=True)
 
 
 class Interrupts:
-    """Counter of SIGINT; pytest does not call its own hook if the user interrupts twice."""
+    """Counter of SIGINT; pytest does not call its interrupt hook if the user interrupts twice."""
 
     def __init__(self) -> None:
         self.num = 0
@@ -89,7 +89,7 @@ class Interrupts:
         signal.default_int_handler(number, frame)
 
     def ignore(self) -> None:
-        """Ignore further interrupts, so that none stops the cleanup."""
+        """Ignore further interrupts of the user, so that none stops the cleanup."""
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 
@@ -116,7 +116,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if hasattr(config, "workerinput"):
         return
     os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", tempfile.gettempdir())
-    # A short name: Ray creates sockets below the folder, and the address of a socket has at most 107 bytes.
+    # The name is short, because Ray creates sockets below the folder, and the path of a socket has at most 107 bytes.
     folder = tempfile.mkdtemp(prefix="ct-")
     os.environ["TMPDIR"] = os.environ[MARK] = folder
     tempfile.tempdir = None

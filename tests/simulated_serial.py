@@ -26,14 +26,14 @@ class PseudoPort:
         os.write(self.master, data)
 
     def heard(self) -> bytes:
-        """Return the bytes that the host has sent so far."""
+        """Return the bytes that the host program has sent to the device so far."""
         os.set_blocking(self.master, False)
         with contextlib.suppress(BlockingIOError, OSError):
             return os.read(self.master, 4096)
         return b""
 
     def unplug(self) -> None:
-        """Close the device end, so that reads of the host fail."""
+        """Close the device's end of the pseudo-terminal, so that reads of the host program fail."""
         for end in (self.master, self._slave):
             with contextlib.suppress(OSError):
                 os.close(end)
@@ -41,7 +41,7 @@ class PseudoPort:
 
 @contextlib.contextmanager
 def sending(records: Callable[[int], bytes], port: PseudoPort, *, rate_hz: float = 120.0) -> Iterator[None]:
-    """Send record after record until the block ends."""
+    """Send ``records(n)`` for n = 0, 1, ... at ``rate_hz`` until the block ends."""
     ended = threading.Event()
 
     def run() -> None:

@@ -1,4 +1,4 @@
-"""Simulation of renderer, hand and client in simulated time, for tests of the scheduler of the frame pump."""
+"""Simulation of a renderer, a hand and a client in simulated time, for tests of the frame pump's scheduler."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ ALL_VIEWS = {
 
 @dataclass
 class Machine:
-    """Cost model of a renderer: fixed costs per picture, per ray and per sample; unknown to the scheduler."""
+    """Cost model of a renderer: costs per picture, per ray and per sample, which the scheduler does not know."""
 
     full_s: float
     """Time of a full airway picture of 800 x 640 pixels, in seconds."""
     each_s: float = 0.001
     samples: float = 0.5
-    """Fraction of the time of a full picture that is proportional to the number of samples."""
+    """Fraction of the time of a full picture that is proportional to its number of samples."""
     slices_s: float = 0.002
     """Time of a slice of 300 x 250 pixels, in seconds."""
     slowed: Callable[[float], float] = lambda _now_s: 1.0
     waits_s: Callable[[], float] = lambda: 0.0
-    """Function that returns the wait for a core before a picture, in seconds."""
+    """Function that returns the time for which a picture waits for a core, seconds."""
     shared: Callable[[float], float] = lambda _now_s: 1.0
-    """Function that returns the factor by which other programs on the cores slow everything down at a given time."""
+    """Function that returns the factor by which other programs slow the machine down at a time."""
     counts: bool = True
-    """Whether the renderer reports the processor time of its rays, as on Linux."""
+    """Whether the renderer reports the CPU time of its rays, as on Linux."""
 
     def cost(self, order: RenderOrder, now_s: float) -> tuple[float, float | None]:
         """Return the time of a picture, and the processor time of its rays or None, in seconds."""
@@ -47,7 +47,7 @@ class Machine:
         return seconds, rays_s if self.counts else None
 
     def seconds(self, order: RenderOrder, now_s: float) -> float:
-        """Return the time of a picture in seconds."""
+        """Return the time that the machine needs for a picture, seconds."""
         return self.cost(order, now_s)[0]
 
     def _rays_s(self, order: RenderOrder) -> float:
@@ -81,7 +81,7 @@ class Simulation:
         self._frame_id = 0
 
     def fly(self, seconds: float, *, moves: bool = True) -> list[tuple[float, RenderOrder]]:
-        """Return the pictures that were sent during this time, while the hand moved or rested."""
+        """Return the pictures that were sent during ``seconds``, while the hand moved (``moves``) or rested."""
         first, end_s = len(self.sent), self.now_s + seconds
         start_s, start_pose = self.now_s, self.pose
         while self.now_s < end_s:
@@ -106,7 +106,7 @@ class Simulation:
         return self.sent[first:]
 
     def rest(self, seconds: float) -> list[tuple[float, RenderOrder]]:
-        """Return the pictures that were sent while the hand rested."""
+        """Return the pictures that were sent during ``seconds``, while the hand rested."""
         return self.fly(seconds, moves=False)
 
     def _render(self, order: RenderOrder) -> None:
@@ -134,12 +134,12 @@ def rate_hz(sent: list[tuple[float, RenderOrder]]) -> float:
 
 
 def num_changes(sent: list[tuple[float, RenderOrder]]) -> int:
-    """Return how often the level changed."""
+    """Return how often the level of resolution changed."""
     levels = [order.level for _, order in airway(sent)]
     return sum(a != b for a, b in itertools.pairwise(levels))
 
 
 def num_coarser(sent: list[tuple[float, RenderOrder]]) -> int:
-    """Return how often the level changed to a coarser one."""
+    """Return how often the level of resolution changed to a coarser one."""
     levels = [order.level for _, order in airway(sent)]
     return sum(a < b for a, b in itertools.pairwise(levels))

@@ -1,4 +1,4 @@
-"""Small case for tests of the session and the server: real volume and navigation, stand-ins for all slow parts.
+"""Small case for tests of the session and the server: real volume and navigation, replacements of all slow parts.
 
 The grid is anisotropic and oblique. The airways are a trachea that divides into a right branch with two generations and
 a left branch.
@@ -24,7 +24,7 @@ SHAPE_ZYX = (40, 28, 32)
 
 
 def oblique_matrix() -> np.ndarray:
-    """Return a matrix whose voxel steps are rotated by 7 degrees about z and 4 degrees about x."""
+    """Return ``lps_from_ijk`` of a grid that is rotated by 7 degrees about z and by 4 degrees about x."""
     a, b = np.deg2rad(7.0), np.deg2rad(4.0)
     about_z = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
     about_x = np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
@@ -109,7 +109,7 @@ def small_tree(matrix: np.ndarray) -> AirwayTree:
 
 @dataclass
 class SmallTracker:
-    """Tracker whose paths end at the tip of the nearest branch, within the snapping distance."""
+    """Tracker whose paths end at the tip of the nearest branch, within the distance up to which targets are moved."""
 
     tree: AirwayTree
 
@@ -169,7 +169,7 @@ class SmallTracker:
 
 
 def small_airways(volume: Volume, *, root_lps: Any = None, note: str = "three branches") -> Any:
-    """Return the airways of :func:`small_volume`."""
+    """Return the airways of :func:`small_volume`, without a search."""
     tree = small_tree(volume.lps_from_ijk)
     return SimpleNamespace(
         lumen_zyx=small_lumen(),
@@ -196,11 +196,11 @@ class SmallRenderer:
     prepared: int = 0
     on_render: Callable[[Any], None] = lambda _view: None
     hit: Any = None
-    """Result of a pick."""
+    """Wall point that a pick returns; None if the pick finds none."""
     grey: int = 90
-    """Grey level of the pictures."""
+    """Grey level of all pixels of the pictures, 0 to 255."""
     rays_s: float | None = None
-    """Reported processor time of the rays of a picture, in seconds, or None."""
+    """CPU time of a picture's rays that the renderer reports, seconds, or None."""
     picks: list[Any] = field(default_factory=list)
     on_prepare: Callable[[], None] = lambda: None
 
@@ -240,7 +240,7 @@ class SmallRenderer:
 
 
 class Background:
-    """Queue of submitted work that a test runs explicitly, in the test's own thread."""
+    """Queue of submitted work that a test runs in its thread."""
 
     def __init__(self) -> None:
         self.waiting: list[Callable[[], None]] = []
@@ -257,7 +257,7 @@ class Background:
 
 
 class Clock:
-    """Clock that a test advances, in seconds."""
+    """Clock in seconds that only the test advances."""
 
     def __init__(self) -> None:
         self.now_s = 100.0
@@ -270,12 +270,15 @@ class Clock:
 
 
 def small_transfer(name: str = "endoscopic", unit: str = "HU") -> Any:
-    """Return a stand-in for a transfer function."""
+    """Return a replacement of a transfer function with a name and a unit of values."""
     return SimpleNamespace(name=name, unit=unit, to_json=lambda: {"format": "carina-transfer", "version": 1})
 
 
 def small_parts(**replaced: Any) -> Parts:
-    """Return stand-ins that answer at once; the path ``bad`` is refused, ``other`` has another title."""
+    """Return replacements of all slow parts, which answer at once.
+
+    Paths that end in ``bad`` are refused, ``other`` gives another title, and ``raw`` values that are not HU.
+    """
     transfers = {name: small_transfer(name) for name in ("endoscopic", "ct-grey")}
 
     def open_volume(path: str, progress: Any, cancel: Any) -> Volume:
@@ -309,7 +312,7 @@ def small_parts(**replaced: Any) -> Parts:
 
 @dataclass
 class Bench:
-    """A session with its manually driven background and clock, and all its events."""
+    """Session with a background and a clock that the test controls, and all events of the session."""
 
     session: Session
     background: Background
@@ -326,7 +329,7 @@ class Bench:
 
 
 def small_bench(*, store: Any = None, **replaced: Any) -> Bench:
-    """Return a bench with a session over the small parts."""
+    """Return a session over the replacements of the slow parts, with its background and clock."""
     background, clock = Background(), Clock()
     renderers: list[SmallRenderer] = []
 

@@ -8,9 +8,9 @@ from carina.volume.model import Volume
 
 
 def made_vessel():
-    """Return a bright vessel with a bend of 90 degrees in noisy, darker tissue, as in MR.
+    """Return a bright vessel with a bend of 90 degrees in darker tissue with noise, as in MR.
 
-    The result contains values, geometry and the end points (LPS).
+    The results are the volume, the voxels of the vessel, and the vessel's start, corner and end (LPS mm).
     """
     rng = np.random.default_rng(5)
     k, j, i = np.indices((26, 44, 38))

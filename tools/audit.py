@@ -1,9 +1,11 @@
 """Check the licences of all dependencies against an allow list, and search databases for known advisories.
 
 Licences are always read from this machine: Rust by ``cargo metadata``, npm by the lock file, Python from the installed
-packages of the lock files. Advisories need ``cargo audit``, ``pip-audit`` and ``npm audit``, and the network. A check
-that could not run, or not on all packages, fails, unless ``tools/audit.toml`` accepts the gap (``[[gaps]]``). That file
-also lists the accepted advisories. Each entry needs a reason and a last day; after that day the audit fails.
+packages of the lock files. Advisories need ``cargo audit``, ``pip-audit`` and ``npm audit``, and the network.
+
+A check that could not run, or that did not cover all packages, has a gap. The audit fails at a gap, unless
+``tools/audit.toml`` accepts it (``[[gaps]]``). That file also lists the accepted advisories. Each entry of the file
+needs a reason and a last day; after that day the audit fails.
 
 Run: ``python tools/audit.py`` (part of ``make check``).
 """
@@ -26,8 +28,9 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 WITHIN_S = 15.0
-"""Timeout for one database in seconds, so that a network without responses does not delay the checks."""
+"""Timeout in seconds for each database, so that a network without responses does not delay the checks."""
 LOCKS = ("requirements.lock", "requirements-cluster.lock")
+"""Lock files of the Python packages that are checked."""
 
 CHECKS = (
     "licences, Rust",
@@ -37,8 +40,9 @@ CHECKS = (
     "advisories, npm",
     "advisories, Python",
 )
+"""Names of the checks, as ``audit.toml`` uses them."""
 TOOLS = {"cargo-audit": "cargo install cargo-audit --locked", "pip-audit": "uv tool install pip-audit"}
-"""Commands that install the programs which read advisories."""
+"""Command that installs each missing program that reads advisories, by the program's name."""
 
 CLASSIFIERS = {
     "Apache Software License": "Apache-2.0",
@@ -51,22 +55,23 @@ CLASSIFIERS = {
     "The Unlicense (Unlicense)": "Unlicense",
     "zlib/libpng License": "Zlib",
 }
+"""SPDX expression by the licence classifier of a Python package."""
 
 
 @dataclass(slots=True)
 class Result:
-    """Result of the check of one kind of dependencies."""
+    """Result of one check of :data:`CHECKS`."""
 
     what: str
     num_seen: int = 0
     bad: list[str] = field(default_factory=list)
     unseen: list[str] = field(default_factory=list)
-    """Checks that could not run, with the reason: one line each."""
+    """Reasons why the check could not run, or not on all packages, one line each."""
     accepted: list[str] = field(default_factory=list)
     """Gaps that ``audit.toml`` accepts: description, last day and reason, one line each."""
 
     def lines(self) -> list[str]:
-        """Return the lines to print: failures, checks that did not run, and successes."""
+        """Return the lines to print about a check: failures, gaps, accepted gaps, and number of packages."""
         told = [f"{self.what}: {words}" for words in self.bad]
         told += [f"{self.what}: NOT looked at: {words}" for words in self.unseen]
         told += [f"{self.what}: NOT looked at, accepted {words}" for words in self.accepted]
@@ -78,7 +83,7 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Accepted gap: one check may be incomplete until a day."""
+    """Gap of one check that ``audit.toml`` accepts until a last day."""
 
     reason: str
     until: datetime.date
@@ -86,7 +91,7 @@ class Gap:
 
 @dataclass(frozen=True, slots=True)
 class Allowed:
-    """Content of ``audit.toml``."""
+    """Content of ``audit.toml``: allowed licences, accepted advisories and accepted gaps."""
 
     licences: frozenset[str]
     known: dict[str, str]
@@ -96,7 +101,7 @@ class Allowed:
 
 
 def read_allowed(path: Path) -> Allowed:
-    """Read the allow list; raise an error for an entry without a reason or a last day."""
+    """Read ``audit.toml``; raise an error for an entry without a reason or a last day."""
     document = tomllib.loads(path.read_text(encoding="utf-8"))
     licences = document.get("licences", {})
     known, advisories = {}, {}
@@ -120,7 +125,10 @@ def read_allowed(path: Path) -> Allowed:
 
 
 def judge_gaps(results: Iterable[Result], allowed: Allowed, today: datetime.date) -> None:
-    """Make each gap an accepted one, or an error if ``audit.toml`` does not accept it (any more)."""
+    """Mark each gap that ``audit.toml`` accepts as accepted; report every other gap as an error.
+
+    A gap whose last day has passed is not accepted.
+    """
     for result in results:
         gap = allowed.gaps.get(result.what)
         unseen, result.unseen = result.unseen, []
@@ -133,7 +141,7 @@ def judge_gaps(results: Iterable[Result], allowed: Allowed, today: datetime.date
                 result.accepted.append(f"until {gap.until}: {words} ({gap.reason})")
 
 
-# ---------------------------------------------------------------- licences
+# ---------------------------------------------------------------- check of the licences
 
 
 def licence_allowed(expression: str, allowed: Iterable[str]) -> bool:
@@ -151,7 +159,7 @@ def licence_allowed(expression: str, allowed: Iterable[str]) -> bool:
         value = both()
         while at < len(words) and words[at].upper() == "OR":
             at += 1
-            # Not `value or both()`: both() must consume its words in any case.
+            # Do not write `value or both()`: both() must consume its words in any case.
             right = both()
             value = value or right
         return value
@@ -200,7 +208,7 @@ def _judge(result: Result, name: str, licence: str | None, allowed: Allowed) -> 
 
 
 def rust_licences(root: Path, allowed: Allowed, run: Callable[..., Any] = subprocess.run) -> Result:
-    """Check all crates of the lock file whose sources are on this machine."""
+    """Return the check of the licences of all crates in the lock file whose sources are on this machine."""
     result = Result("licences, Rust")
     if shutil.which("cargo") is None:
         result.unseen.append("all crates: cargo is not installed")
@@ -224,7 +232,7 @@ def rust_licences(root: Path, allowed: Allowed, run: Callable[..., Any] = subpro
 
 
 def npm_licences(root: Path, allowed: Allowed) -> Result:
-    """Check all packages of the npm lock file, which contains their licences."""
+    """Return the check of the licences of all packages in the npm lock file, which contains the licences."""
     result = Result("licences, npm")
     lock = json.loads((root / "web" / "package-lock.json").read_text(encoding="utf-8"))
     for place, package in sorted(lock["packages"].items()):
@@ -235,7 +243,7 @@ def npm_licences(root: Path, allowed: Allowed) -> Result:
 
 
 def locked_python(root: Path) -> dict[str, str]:
-    """Return name and version of each Python package of the lock files."""
+    """Return the version of each Python package in the lock files, by its name."""
     found = {}
     for lock in LOCKS:
         for line in (root / lock).read_text(encoding="utf-8").splitlines():
@@ -246,7 +254,10 @@ def locked_python(root: Path) -> dict[str, str]:
 
 
 def python_licence(about: Any) -> str | None:
-    """Return the SPDX expression of a package's metadata, or that of its classifiers."""
+    """Return the SPDX expression of the licence in a package's metadata, or that of its classifiers.
+
+    None if there is none.
+    """
     expression = about.get("License-Expression")
     if expression:
         return str(expression)
@@ -259,7 +270,7 @@ def python_licence(about: Any) -> str | None:
 
 
 def python_licences(root: Path, allowed: Allowed, about: Callable[[str], Any] = metadata.metadata) -> Result:
-    """Check all packages of the lock files that are installed here."""
+    """Return the check of the licences of all Python packages in the lock files that are installed on this machine."""
     result = Result("licences, Python")
     missing = []
     for name in sorted(locked_python(root)):
@@ -275,13 +286,13 @@ def python_licences(root: Path, allowed: Allowed, about: Callable[[str], Any] = 
     return result
 
 
-# ---------------------------------------------------------------- advisories
+# ---------------------------------------------------------------- check of the advisories
 
 
 def judge_advisories(
     result: Result, found: Iterable[tuple[str, str, str]], allowed: Allowed, today: datetime.date
 ) -> None:
-    """Add the advisories (ID, package, text) that are not accepted, or whose last day has passed, to the result."""
+    """Add to the result each advisory (ID, package, text) that is not accepted, or not any more."""
     for number, package, words in sorted(set(found)):
         until = allowed.advisories.get(number.upper())
         if until is None:
@@ -291,7 +302,7 @@ def judge_advisories(
 
 
 def _asked(result: Result, command: list[str], cwd: Path, run: Callable[..., Any]) -> Any:
-    """Return the JSON output of a tool; None if the tool failed, with the reason added to the result."""
+    """Return the JSON output of a program; None if the program failed, with the reason added to the result."""
     tool = command[0] if command[0] != "cargo" else "cargo-audit"
     if shutil.which(tool) is None:
         remedy = f" (install it with: {TOOLS[tool]})" if tool in TOOLS else ""
@@ -313,7 +324,7 @@ def _asked(result: Result, command: list[str], cwd: Path, run: Callable[..., Any
 def rust_advisories(
     root: Path, allowed: Allowed, today: datetime.date, run: Callable[..., Any] = subprocess.run
 ) -> Result:
-    """Check Rust advisories by ``cargo audit`` and RustSec's database."""
+    """Return the check of the Rust advisories by ``cargo audit`` and RustSec's database."""
     result = Result("advisories, Rust")
     report = _asked(result, ["cargo", "audit", "--json"], root, run)
     if report is None:
@@ -332,9 +343,9 @@ def rust_advisories(
 def python_advisories(
     root: Path, allowed: Allowed, today: datetime.date, run: Callable[..., Any] = subprocess.run
 ) -> Result:
-    """Check Python advisories by ``pip-audit``.
+    """Return the check of the Python advisories by ``pip-audit``.
 
-    ``pip-audit`` lists packages that it could not check as "skipped" and exits with 0; they count as not checked.
+    ``pip-audit`` lists packages that it could not check as "skipped" and exits with 0; here they are a gap.
     """
     result = Result("advisories, Python")
     command = ["pip-audit", "--format", "json", "--progress-spinner", "off", "--no-deps", "--disable-pip"]
@@ -360,7 +371,7 @@ def python_advisories(
 def npm_advisories(
     root: Path, allowed: Allowed, today: datetime.date, run: Callable[..., Any] = subprocess.run
 ) -> Result:
-    """Check npm advisories by ``npm audit`` and the registry."""
+    """Return the check of the npm advisories by ``npm audit`` and the registry."""
     result = Result("advisories, npm")
     report = _asked(result, ["npm", "audit", "--json", "--package-lock-only", "--fetch-retries=0"], root / "web", run)
     if report is None:
@@ -373,7 +384,7 @@ def npm_advisories(
     found = []
     for name, entry in report["vulnerabilities"].items():
         for via in entry.get("via", []):
-            # A text instead of a dictionary names another package of the report, through which this one is affected.
+            # A text instead of a dictionary names another package of the report, through which the package is affected.
             if isinstance(via, dict):
                 number = str(via.get("url", "")).rpartition("/")[2] or str(via.get("source"))
                 found.append((number, name, str(via.get("title", ""))))
@@ -382,7 +393,7 @@ def npm_advisories(
 
 
 def main() -> int:
-    """Print the results; return 1 for a bad licence or advisory, or a check that did not run and is not accepted."""
+    """Run all checks and print the results; return 1 for a bad licence, an advisory, or a gap that is not accepted."""
     allowed = read_allowed(ROOT / "tools" / "audit.toml")
     today = datetime.datetime.now(tz=datetime.UTC).date()
     with ThreadPoolExecutor() as pool:

@@ -3,8 +3,8 @@
 #
 #   tools/check_build_tools.sh [INSTALLED...]
 #
-# INSTALLED are files that exist after a build; if one of them exists, only what is missing is printed. A tool chain is
-# downloaded after a question alone. Without a terminal there is no question: the script names the command and fails.
+# INSTALLED are files that exist after a build; if one of them exists, the script prints only the missing tools. A tool
+# chain is downloaded only after the user has agreed. Without a terminal the script prints the command and fails.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -52,7 +52,7 @@ for name in python3 python3.14 python3.13 python3.12 python3.11; do
 done
 rust=$(version cargo --version)
 rustc=$(version rustc --version)
-# Debian names both packages by hand; a compiler older than its cargo counts.
+# Debian installs rustc and cargo as separate packages, so the older of the two versions counts.
 if [ -n "$rust" ] && { [ -z "$rustc" ] || ! at_least "$rustc" "$rust"; }; then rust=$rustc; fi
 
 tool Python "$python_needed" "$python" "install python3 (Debian: apt install python3 python3-venv)"
@@ -104,7 +104,7 @@ fi
 
 if [ -z "$installed" ]; then
     cores=$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 1)
-    # 145 s of one core: a fresh clone of 2026-11, Rust 1.95, x86-64.
+    # Estimated from a build of a fresh clone: 145 s of one core (2026-11, Rust 1.95, x86-64).
     minutes=$(((145 + 60 * cores - 1) / (60 * cores)))
     echo "Downloads: Python packages (about 110 MB) and libraries of the web UI (about 20 MB), into this folder."
     echo "Compiles: Rust crates and the web UI, about $minutes to $((2 * minutes)) min on $cores cores. Disk: about 0.7 GB."

@@ -15,14 +15,17 @@ from collections import Counter
 from pathlib import Path
 
 MODULE = Path(__file__).parents[1] / "python" / "carina" / "_core.abi3.so"
+"""Path of the compiled module that is disassembled."""
 FUNCTION = re.compile(r"^[0-9a-f]+ <(?P<name>.*)>:$")
+"""Pattern of the first line of a function in the disassembly."""
 OPERATION = re.compile(r"\bcall\b.*<core::core_arch::")
-# Functions that detect the processor's features, once.
+"""Pattern of a call of a vector operation."""
 ALLOWED = ("compiler_builtins::", "std_detect::", "blake3::")
+"""Name prefixes of functions that detect the processor's features once, and so may call vector operations."""
 
 
 def lost_kernels(disassembly: str) -> Counter[str]:
-    """Return the functions that call vector operations, with the number of calls in each."""
+    """Return the number of calls of vector operations in each function of the disassembly that contains such calls."""
     lost: Counter[str] = Counter()
     function = ""
     for line in disassembly.splitlines():
@@ -34,7 +37,7 @@ def lost_kernels(disassembly: str) -> Counter[str]:
 
 
 def main() -> int:
-    """Print the kernels found; return 1 if there are any."""
+    """Print the kernels that have lost their instruction set; return 1 if there are any."""
     if platform.system() != "Linux" or platform.machine() != "x86_64":
         print("kernels: looked at on Linux with x86-64 alone")
         return 0

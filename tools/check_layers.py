@@ -1,7 +1,7 @@
-"""Reject imports against the architecture, import cycles between files, and classes and views beyond their limits.
+"""Check the architecture: reject forbidden imports, import cycles, and classes and views beyond their limits.
 
-The import rules are the blocks in ARCHITECTURE.md, so that text and check cannot differ. The limits are constants.
-Run: ``python tools/check_layers.py`` (part of ``make check``).
+The import rules are the ``layers`` blocks in ARCHITECTURE.md, so that text and check cannot differ. The limits are
+constants of this file. Run: ``python tools/check_layers.py`` (part of ``make check``).
 """
 
 from __future__ import annotations
@@ -18,29 +18,32 @@ from pathlib import Path
 from file_graph import Import, all_imports, circles, in_words, without_tests
 
 ROOT = Path(__file__).resolve().parent.parent
-# Includes clocks: the state receives the time as an argument.
 BROWSER = re.compile(
     r"\b(?:(?:document|window|WebSocket|HTMLElement|CanvasRenderingContext2D|localStorage)\b[.(]|(?:performance|Date)\.now\b)"
 )
+"""Pattern of uses of the browser. Clocks are included, because the pure state receives the time as an argument."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """Allowed imports, by name of the part."""
+    """Allowed imports, by the name of the importing part."""
 
     rust: dict[str, frozenset[str]]
     python: dict[str, frozenset[str]]
     web: dict[str, frozenset[str]]
     compiled: frozenset[str]
-    """Python parts that may import the compiled module."""
+    """Python parts that may import the compiled module ``_core``."""
     everywhere: frozenset[str]
-    """Python parts that every part may import."""
+    """Python parts that every Python part may import."""
     folders: dict[str, dict[str, frozenset[str]]]
-    """Allowed imports between the folders of a Python part, for each part that has such rules."""
+    """Allowed imports between the folders of a Python part, by part and by importing folder."""
 
 
 def read_rules(text: str) -> Rules:
-    """Read the fenced ``layers`` blocks of ARCHITECTURE.md: one per language, and one per part with ordered folders."""
+    """Read the import rules, the fenced ``layers`` blocks of ARCHITECTURE.md.
+
+    There is one block for each language, and one for each part whose folders are ordered.
+    """
     blocks = dict(re.findall(r"```layers (\w+)\n(.*?)```", text, flags=re.DOTALL))
     missing = {"rust", "python", "web"} - blocks.keys()
     if missing:
@@ -65,7 +68,7 @@ def read_rules(text: str) -> Rules:
 
 
 def check_rust(rules: dict[str, frozenset[str]]) -> list[str]:
-    """Return the crate dependencies that break the rules."""
+    """Return the dependencies between crates that break the rules."""
     found = []
     for manifest in sorted([*ROOT.glob("crates/*/Cargo.toml"), *ROOT.glob("packages/*/crates/*/Cargo.toml")]):
         part, where = manifest.parent.name, manifest.parent.relative_to(ROOT)
@@ -83,7 +86,7 @@ def check_rust(rules: dict[str, frozenset[str]]) -> list[str]:
 
 
 PACKAGES = {"carina_bench": "benchmarks", "carina_haptics": "carina_haptics", "carina_haptics_bench": "benchmarks"}
-"""Part of each Python package other than ``carina``."""
+"""Part to which each Python package other than ``carina`` belongs."""
 
 
 def _part_of(module: str) -> str | None:
@@ -94,7 +97,7 @@ def _part_of(module: str) -> str | None:
 
 
 def _part_of_file(path: Path) -> str:
-    """Return the part of a Python file: its package, or its first folder or file in ``carina``."""
+    """Return the part of a Python file: its package, or its first folder (or the file itself) in ``carina``."""
     package = ROOT / "python" / "carina"
     if path.is_relative_to(package):
         return path.relative_to(package).parts[0].removesuffix(".py")
@@ -117,13 +120,13 @@ def _imported_parts(tree: ast.AST) -> list[tuple[int, str]]:
 
 
 def check_python(rules: Rules) -> list[str]:
-    """Return the imports between the parts of the Python package that break the rules."""
+    """Return the imports between Python parts that break the rules."""
     found = []
     files = [*(ROOT / "python" / "carina").rglob("*.py"), *(ROOT / "benchmarks").rglob("*.py")]
     files += [*ROOT.glob("packages/*/python/**/*.py"), *ROOT.glob("packages/*/benchmarks/**/*.py")]
     for path in sorted(files):
         own = _part_of_file(path)
-        # The public interface exports every part except the command line; other packages are not part of it.
+        # The public interface exports names of every part except the command line; other packages are not part of it.
         allowed = rules.python.keys() - {"cli", *PACKAGES.values()} if own == "__init__" else rules.python.get(own)
         if allowed is None and own not in rules.everywhere:
             found.append(f"{path.relative_to(ROOT)}: part {own!r} is not in ARCHITECTURE.md; add its row")
@@ -141,7 +144,7 @@ def check_python(rules: Rules) -> list[str]:
 
 
 def check_folders(parts: dict[str, dict[str, frozenset[str]]], imports: list[Import]) -> list[str]:
-    """Return imports between the folders and single files of a Python part that break the rules of the part."""
+    """Return the imports between the folders and single files of a Python part that break the rules of this part."""
     found = []
     for part, rules in parts.items():
         try:
@@ -157,7 +160,7 @@ def check_folders(parts: dict[str, dict[str, frozenset[str]]], imports: list[Imp
             if not (one.source.is_relative_to(folder) and one.target.is_relative_to(folder)):
                 continue
             own, used = (path.relative_to(folder).parts[0].removesuffix(".py") for path in (one.source, one.target))
-            # The package's own file re-exports the contents of every folder.
+            # The `__init__` file of a package re-exports the contents of every folder.
             if own in {used, "__init__", "__main__"} or used in rules.get(own, frozenset()):
                 continue
             where = f"{one.source.relative_to(ROOT)}:{one.line}"
@@ -167,7 +170,7 @@ def check_folders(parts: dict[str, dict[str, frozenset[str]]], imports: list[Imp
 
 
 def check_web(rules: dict[str, frozenset[str]]) -> list[str]:
-    """Return forbidden imports between the folders of web/src, and uses of the DOM in the pure state."""
+    """Return the forbidden imports between the folders of web/src, and the uses of the DOM in the pure state."""
     found = []
     source = ROOT / "web" / "src"
     pattern = re.compile(r"""(?:from|import)\s*\(?\s*["'](\.[^"']+)["']""")
@@ -176,7 +179,7 @@ def check_web(rules: dict[str, frozenset[str]]) -> list[str]:
         if len(inside.parts) == 1:
             continue
         part = inside.parts[0]
-        # A test may connect parts; the product may not.
+        # A test may import any parts; files of the product may not.
         if ".test." in path.name:
             continue
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
@@ -188,37 +191,49 @@ def check_web(rules: dict[str, frozenset[str]]) -> list[str]:
                 if used != part and used not in rules.get(part, frozenset()):
                     allowed = sorted(rules.get(part, ()))
                     found.append(f"web/src/{inside}:{number}: {part} imports {used}; it may import {allowed or 'none'}")
-            # State is tested without a browser and replayed without a screen, so the DOM and clocks are forbidden in
-            # it.
+            # The state is tested without a browser and replayed without a screen, so it must not use the DOM or clocks.
             if part == "state" and (dom := BROWSER.search(line)):
                 found.append(f"web/src/{inside}:{number}: state is pure and may not use {dom.group()}")
     return found
 
 
-# ---------------------------------------------------------------- limits
+# ---------------------------------------------------------------- limits of classes and views
 
 VIEWS = frozenset(
     {"airway", "cut-plane", "tri-plane", "xray-axial", "xray-coronal", "xray-sagittal"}
     | {"drr", "axial", "coronal", "sagittal", "straightened", "curved"}
 )
-"""Views whose name has no other meaning in the code (unlike "tree")."""
+"""Names of views that have no other meaning in the code (unlike "tree")."""
 MOST_FILES_PER_VIEW = 4
-"""Limit of files that name a view: a view is one row of a table in each language (docs/decisions/0102)."""
+"""Largest number of files that may name one view.
+
+A view is one row of a table in each language (docs/decisions/0102).
+"""
 REPEATED_SHARE = 0.6
+"""Share of the fields of a record class which, if another class also has them, makes the class repeating."""
 MOST_REPEATING = 5
-"""Limit of record classes of two or more fields of which REPEATED_SHARE is also in another class."""
+"""Largest number of repeating classes.
+
+A repeating class is a record class of two or more fields of which a share of REPEATED_SHARE is also in another class.
+"""
 MOST_METHODS = {"Session": 15, "Case": 15}
+"""Largest number of public methods and properties by class."""
 MOST_ATTRIBUTES = {"OpenCase": 22}
+"""Largest number of attributes of the named classes."""
 
 QUOTED = re.compile(r"""(["'`])([a-z][a-z-]*)\1""")
+"""Pattern of a name in quotation marks in a TypeScript or Rust file."""
 OBJECT_KEY = re.compile(r"^\s*([a-z]+):\s", re.MULTILINE)
+"""Pattern of a key at the start of a line of a TypeScript object."""
 TEST_FILE = re.compile(r"\.test\.tsx?$|(^|_)tests\.rs$")
+"""Pattern of the names of TypeScript and Rust test files."""
 GENERATED = re.compile(r"generated (from|by)|do not edit", re.IGNORECASE)
+"""Pattern of the notice at the top of a generated file."""
 Fields = frozenset[tuple[str, str]]
 
 
 def product_files() -> dict[str, str]:
-    """Return the text of each source file of the product, without tests and generated files."""
+    """Return the text of each source file of the product by its path, without tests and generated files."""
     found = {}
     for folder in (ROOT / "python" / "carina", ROOT / "web" / "src", *sorted(ROOT.glob("crates/*/src"))):
         for path in sorted(folder.rglob("*")):
@@ -231,7 +246,7 @@ def product_files() -> dict[str, str]:
 
 
 def files_naming_views(files: Mapping[str, str], trees: Mapping[str, ast.Module]) -> dict[str, list[str]]:
-    """Return, for each view, the files that contain its name as a string or key (or the first of several names)."""
+    """Return for each view the files that contain its name as a string or as a key."""
     naming: dict[str, list[str]] = {view: [] for view in sorted(VIEWS)}
     for path, text in files.items():
         if path in trees:
@@ -258,14 +273,17 @@ def _fields_of(node: ast.ClassDef) -> Fields:
     for statement in node.body:
         if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name):
             kind = ast.unparse(statement.annotation)
-            # The tag field that distinguishes the classes of a union does not count as shared.
+            # The tag that distinguishes the classes of a union is no shared field.
             if "ClassVar" not in kind and not re.fullmatch(r"""Literal\[['"][^,]*['"]\]""", kind):
                 fields.add((statement.target.id, kind))
     return frozenset(fields)
 
 
 def record_classes(classes: Iterable[tuple[str, ast.ClassDef]]) -> dict[str, Fields]:
-    """Return the fields (name, type) of dataclasses, msgspec structs, named tuples and their subclasses."""
+    """Return the fields (name, type) of each record class, by class name.
+
+    Record classes are dataclasses, msgspec structs, named tuples and their subclasses.
+    """
     classes = list(classes)
     by_name = {node.name: node for _, node in classes}
 
@@ -282,7 +300,7 @@ def record_classes(classes: Iterable[tuple[str, ast.ClassDef]]) -> dict[str, Fie
 
 
 def repeating(classes: Mapping[str, Fields]) -> dict[str, str]:
-    """Return each class of two or more fields that repeats most fields of another class, with that other class."""
+    """Return each repeating class, with the name of the class of which it repeats most fields."""
     found = {}
     records = {name: fields for name, fields in classes.items() if len(fields) > 1}
     for name, fields in records.items():
@@ -294,7 +312,7 @@ def repeating(classes: Mapping[str, Fields]) -> dict[str, str]:
 
 
 def _lineage(classes: Mapping[str, ast.ClassDef], name: str, seen: tuple[str, ...] = ()) -> list[ast.ClassDef]:
-    """Return a class and the classes of the product that it inherits from."""
+    """Return a class and the classes that it inherits from, if they are in the product."""
     if name not in classes or name in seen:
         return []
     above = (_lineage(classes, base, (*seen, name)) for base in _bases(classes[name]))
@@ -331,7 +349,7 @@ def attributes(lineage: Iterable[ast.ClassDef]) -> dict[str, str]:
 
 
 def check_limits(files: Mapping[str, str]) -> list[str]:
-    """Return each view, class or group of classes that exceeds its limit."""
+    """Return a line for each view, class or group of classes that exceeds its limit."""
     trees = {path: ast.parse(text) for path, text in files.items() if path.endswith(".py")}
     classes = [(path, node) for path, tree in trees.items() for node in tree.body if isinstance(node, ast.ClassDef)]
     by_name = {node.name: node for _, node in classes}
@@ -362,7 +380,7 @@ def check_limits(files: Mapping[str, str]) -> list[str]:
 
 
 def main() -> int:
-    """Print every violation; return 1 if there is one."""
+    """Print every violation of the rules of ARCHITECTURE.md and of the limits; return 1 if there is one."""
     rules = read_rules((ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8"))
     imports = all_imports()
     found = [

@@ -12,26 +12,32 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 MAX_BYTES = 2 * 1024 * 1024
-BIG_FILES = {"python/carina/_cases/"}  # The bundled CC BY case.
+"""Largest size of a file in the repository, bytes."""
+BIG_FILES = {"python/carina/_cases/"}  # The bundled patient case (CC BY) may be larger.
 NAMED_PATH = re.compile(
     r"`((?:crates|packages|python|web|tests|tools|docs|examples|benchmarks|protocol|build_backend)/[\w./*-]*)`"
 )
+"""Pattern of a path in backticks in a document; its existence is checked."""
 ELSEWHERE = re.compile(r"\b(?:DESIGN|STYLE)(?:\.md| section| \d|:)|\bissue \d+|\breference/\w+\.md")
-"""Pattern of citations of papers that are not in the repository; docs/ contains their content."""
+"""Pattern of citations of papers that are not in the repository; their content is in docs/."""
 CITED_DECISION = re.compile(r"\bdecisions?[ /](\d{4})\b", re.IGNORECASE)
+"""Pattern of the citation of a decision; group 1 is the number of the decision."""
 GENERATED = ("benchmarks/results", "tests/out", "python/carina/_web")
+"""Start of the paths of generated files; a document may name such a file although it does not exist."""
 HOME_PATH = re.compile(rb"(?<![\w.])/(?:home|root|Users)/[A-Za-z0-9._-]+/")
+"""Pattern of a path in the home folder of a user, which must not be in a file of the repository."""
 TEXT = {".py", ".rs", ".ts", ".tsx", ".md", ".toml", ".json", ".html", ".css", ".lock", ".txt", ".yml", ".sh", ""}
+"""Suffixes of the text files whose characters are checked."""
 
 
 def tracked_files() -> list[str]:
-    """Return the files in git's index."""
+    """Return the paths of the files in the index of git."""
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True)
     return [name for name in listed.stdout.decode().split("\0") if name]
 
 
 def dead_paths(name: str) -> list[str]:
-    """Return the paths in a document that do not exist."""
+    """Return a finding for each path in a document that does not exist."""
     text = (ROOT / name).read_text(encoding="utf-8")
     found = []
     for path in sorted(set(NAMED_PATH.findall(text))):
@@ -41,7 +47,7 @@ def dead_paths(name: str) -> list[str]:
 
 
 def dead_decisions(name: str, text: str) -> list[str]:
-    """Return a finding for each decision that a file cites by a number that no decision has."""
+    """Return a finding for each cited decision number of a file that no decision has."""
     cited = sorted(set(CITED_DECISION.findall(text)))
     return [
         f"{name}: cites decision {number}, which does not exist; docs/decisions/index.md maps former numbers"
@@ -51,7 +57,7 @@ def dead_decisions(name: str, text: str) -> list[str]:
 
 
 def main() -> int:
-    """Print every finding; return 1 if there is one."""
+    """Print every finding of the checks of the repository; return 1 if there is one."""
     if not (ROOT / ".git").exists():
         print("repository: not a git checkout, nothing to check")
         return 0

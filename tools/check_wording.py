@@ -1,9 +1,9 @@
-"""Reject wrong phrases in text for users, wherever the code contains the text.
+"""Check text for users in all parts of the code, and reject wrong phrases.
 
-``python tools/check_wording.py`` (in ``make check``) reads the sentences of the window, the phone page, the command
+``python tools/check_wording.py`` (in ``make check``) collects the sentences of the window, the phone page, the command
 line and the messages from the syntax trees and compares each with the rules of ``tools/wrong_words.toml``. ``--list
 window`` prints the sentences of one surface, and ``--draw 100 --seed 13`` prints a random sample for a reader who has
-not seen the code. The sentences are not stored: docs/decisions/0101 gives the reason.
+not seen the code. The sentences are not stored; docs/decisions/0101 gives the reason.
 """
 
 from __future__ import annotations
@@ -25,11 +25,13 @@ SURFACES = {
     "cli": "The command line",
     "messages": "Errors, notes and names that Python and Rust pass to every surface",
 }
+"""Surfaces on which users read text, with their titles."""
 PROSE = re.compile(r"[A-Za-z\u00c0-\u024f)}\]][,.;:]? +[(\u201c\"{\[]?[A-Za-z\u00c0-\u024f{]")
+"""Pattern of two consecutive words, by which text for users is recognised."""
 UNREAD_CALLS = {"compile", "sub", "match", "search", "fullmatch", "TypeVar", "getenv", "TypeAdapter", "debug"}
-"""Functions whose string arguments are not text for users."""
+"""Names of functions whose string arguments are not text for users."""
 PROGRAMS = {"python/carina/server/wire/generate.py"}
-"""Programs that generate TypeScript, whose strings are code."""
+"""Files of programs that generate TypeScript; their strings are code."""
 MARKUP = re.compile(
     r"<[A-Za-z!?/][^>]*=|<Piece |\bxmlns=|;base64,|[a-z-]+: [^ {]+; "
     r"|[{.][\w-]+ \{|'none';|px \{FONT\}|system-ui|_core\b"
@@ -37,7 +39,7 @@ MARKUP = re.compile(
     r"|^(INSERT|UPDATE|SELECT|DELETE|CREATE|PRAGMA|ATTACH|WITH) "
     r"|^(comment|property|element|format|NRRD0004|attachment|// |/\*\* |export )"
 )
-"""Pattern of strings that look like text but are markup, headers of files or types."""
+"""Pattern of strings that contain two words but are markup, headers of files or types."""
 TOKENS = {
     "python/carina/case/rescue.py": r"(n|id), .*",
     "python/carina/case/schema.py": r"id INTEGER .*",
@@ -53,15 +55,17 @@ TOKENS = {
         r"((un)?signed )?(char|short|int|long( long)?)( int)?|space (directions|origin|units)|(data|line|byte|old) \w+"
     ),
 }
-"""Strings by file that look like text for users: terms of a file format or a library, and sources of figures."""
+"""Pattern by file of strings that contain two words but are no text for users: terms of a file format, sources."""
 NEVER = ROOT / "tools" / "wrong_words.toml"
+"""File of the words that must not occur in texts for users."""
 RUST_ERROR = re.compile(r'#\[error\(\s*"((?:[^"\\]|\\.)*)"', re.DOTALL)
+"""Pattern of the message of an error type in Rust."""
 
 Found = dict[str, list[str]]
 
 
 def is_prose(text: str) -> bool:
-    """Return whether a string is text for users: at least two words."""
+    """Return whether a string is a text for users: it contains two words and is neither markup nor a type."""
     bare = re.sub(r"\{[^}]*\}", "{x}", text)
     if re.search(r"\}[ ,;:%]* [a-z]{3,}\b|(^|\s)[a-z]{3,}[,:;]? \{", bare) and MARKUP.search(text) is None:
         return True
@@ -73,7 +77,7 @@ def is_prose(text: str) -> bool:
 
 
 def name_of(node: ast.expr) -> str:
-    """Return the placeholder name for an expression in braces: its last identifier."""
+    """Return the name of the placeholder for an expression in braces: the last identifier of the expression."""
     match node:
         case ast.Attribute(value=value, attr="__name__"):
             return "type" if isinstance(value, ast.Call) else name_of(value)
@@ -106,9 +110,9 @@ def name_of(node: ast.expr) -> str:
 
 
 Frame = tuple[list[str], list[str | int]]
-"""Parameters of a function, and its sentence: texts, and indices of the parameters between them."""
+"""Names of the parameters of a function, and the pieces of its sentence: texts, and indices of parameters."""
 FRAMER = re.compile(r"_?(damaged|lying|refused?)")
-"""Pattern of functions that build a sentence from their arguments: the calls are collected as sentences."""
+"""Pattern of functions that build a sentence from their arguments; each call of one is collected as a sentence."""
 
 
 WRAPPED: dict[str, tuple[list[str], str]] = {
@@ -123,11 +127,11 @@ WRAPPED: dict[str, tuple[list[str], str]] = {
     "_number": (["what", "value"], "{what}: expected a number {limits}, found {value}"),
     "_change_key": (["key_id", "verb"], "{verb} key frame {number}"),
 }
-"""Functions that build a sentence in several steps: positional parameters, and the final sentence."""
+"""Parameters and final sentence of functions that build the sentence in several steps, by function name."""
 
 
 def wrapped(text: str) -> Frame:
-    """Return parameters and sentence of a function of :data:`WRAPPED`."""
+    """Return the parameters and the pieces of a sentence of :data:`WRAPPED`, which has placeholders in braces."""
     params, sentence = WRAPPED[text]
     names = re.findall(r"{(\w+)}", sentence)
     params = [*params, *(name for name in names if name not in params)]
@@ -136,7 +140,7 @@ def wrapped(text: str) -> Frame:
 
 
 def assigned_in(scope: ast.AST) -> dict[str, list[ast.expr]]:
-    """Return the expressions assigned to each plain name of a function or module, in order, without inner functions."""
+    """Return the expressions that a function or module assigns to each plain name; inner functions are omitted."""
     found: dict[str, list[ast.expr]] = {}
     waiting = list(ast.iter_child_nodes(scope))
     while waiting:
@@ -149,7 +153,7 @@ def assigned_in(scope: ast.AST) -> dict[str, list[ast.expr]]:
             case ast.AnnAssign(target=ast.Name(id=name), value=ast.expr() as value):
                 found.setdefault(name, []).append(value)
             case ast.Name(id=name, ctx=ast.Store()):
-                # The name is also set by a loop or an augmented assignment.
+                # A loop or an augmented assignment sets the name, so it has several values.
                 found.setdefault(name, []).append(node)
         waiting += [
             child
@@ -160,10 +164,10 @@ def assigned_in(scope: ast.AST) -> dict[str, list[ast.expr]]:
 
 
 class Texts:
-    """Strings of one function as users read them.
+    """Strings of one function in the form that users read.
 
-    Braces contain inserted values; brackets contain text that depends on a condition. ``used`` collects the strings
-    that are part of a longer string.
+    Inserted values become placeholders in braces; text that depends on a condition is in brackets. ``used`` collects
+    the positions of the strings that are part of a longer string.
     """
 
     def __init__(self, scope: dict[str, list[ast.expr]], module: dict[str, list[ast.expr]], used: set[int]) -> None:
@@ -188,7 +192,7 @@ class Texts:
                 return None
 
     def choices(self, node: ast.IfExp) -> list[str] | None:
-        """Return the alternatives of a conditional expression; None if none of them is a literal."""
+        """Return the alternatives of a conditional expression; None if no alternative is a literal."""
         found: list[str] = []
         is_written = False
         for side in (node.body, node.orelse):
@@ -203,7 +207,7 @@ class Texts:
         return list(dict.fromkeys(filter(None, found))) if is_written else None
 
     def literals(self, *nodes: ast.expr) -> list[str] | None:
-        """Return the texts of string literals; None if one of the expressions is no literal."""
+        """Return the texts of several string literals; None if one of the expressions is no literal."""
         used = set(self.used)
         texts = [self.literal(node) for node in nodes]
         found = [text for text in texts if text is not None]
@@ -213,7 +217,7 @@ class Texts:
         return found
 
     def joined(self, node: ast.JoinedStr) -> str:
-        """Return the text of an f-string with placeholders for its inserted values."""
+        """Return the text of an f-string with placeholders in place of its values."""
         return "".join(
             self.filled(part.value)
             if isinstance(part, ast.FormattedValue)
@@ -224,7 +228,7 @@ class Texts:
         )
 
     def filled(self, node: ast.expr) -> str:
-        """Return the text that users read in place of an expression."""
+        """Return an expression's text in a sentence: a literal, alternatives in brackets, or a placeholder."""
         if isinstance(node, ast.Name):
             values = self.scope.get(node.id, [])
             if len(values) == 1 and isinstance(values[0], ast.IfExp | ast.JoinedStr | ast.Constant):
@@ -243,7 +247,10 @@ class Texts:
         return "{" + name_of(node) + "}"
 
     def given(self, node: ast.expr, line: int) -> str | None:
-        """Return the string of a call's argument: a literal, or one assigned above the call."""
+        """Return the string that an argument of a call passes: a literal, or a name assigned before the call.
+
+        Else None.
+        """
         if isinstance(node, ast.Name):
             above = [value for value in self.scope.get(node.id, []) if value.lineno < line]
             if node.id not in self.scope:
@@ -253,7 +260,7 @@ class Texts:
 
 
 def frame_of(node: ast.FunctionDef, used: set[int]) -> Frame | None:
-    """Return the sentence that a function builds from its parameters."""
+    """Return the parameters and the pieces of the sentence that a function builds; None if it builds none."""
     params = [arg.arg for arg in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
     for inner in ast.walk(node):
         if not isinstance(inner, ast.JoinedStr):
@@ -287,17 +294,20 @@ class Reader(ast.NodeVisitor):
 
     @property
     def found(self) -> list[tuple[int, int, str]]:
-        """Return the sentences with their positions, without those that are part of another sentence."""
+        """Return the sentences with line and column, without the sentences that are part of another sentence."""
         return sorted((line, column, text) for line, column, text, node in self.kept if node not in self.used)
 
     def keep(self, node: ast.stmt | ast.expr, text: str, *, whole: bool = False) -> None:
-        """Store a text with the position of its node; a ``whole`` text is never dropped as part of another."""
+        """Store a text with the position of its node.
+
+        With ``whole`` it is stored even if it is part of another text.
+        """
         tidy = " ".join(text.split()).removesuffix(";")
         if tidy:
             self.kept.append((node.lineno, node.col_offset, tidy, 0 if whole else id(node)))
 
     def visit_Expr(self, node: ast.Expr) -> None:
-        """Visit an expression statement, unless it is a docstring."""
+        """Collect the texts of an expression statement; a docstring is not collected."""
         if not isinstance(node.value, ast.Constant):
             self.generic_visit(node)
 
@@ -312,7 +322,7 @@ class Reader(ast.NodeVisitor):
         self.texts = outside
 
     def visit_Call(self, node: ast.Call) -> None:
-        """Collect the sentence that the call builds, then the texts of its arguments."""
+        """Collect the sentence that a call builds, then the texts of its arguments."""
         name = name_of(node.func) if isinstance(node.func, ast.Name | ast.Attribute) else ""
         if name in UNREAD_CALLS:
             return
@@ -325,7 +335,7 @@ class Reader(ast.NodeVisitor):
         self.generic_visit(node)
 
     def keep_framed(self, node: ast.Call, frame: Frame) -> None:
-        """Store the sentence that a call builds, if one of its parts is an argument of the call."""
+        """Store the sentence that a call builds from its arguments, if one of them is a text."""
         params, parts = frame
         given = dict(zip(params, node.args, strict=False)) | {
             keyword.arg: keyword.value for keyword in node.keywords if keyword.arg is not None
@@ -359,7 +369,7 @@ class Reader(ast.NodeVisitor):
         if is_prose(text):
             self.keep(node, text)
         else:
-            # The parts of the concatenation are collected separately.
+            # A concatenation is no f-string: its parts are collected separately.
             self.used.intersection_update(used)
         for part in node.values:
             if isinstance(part, ast.FormattedValue):
@@ -367,7 +377,7 @@ class Reader(ast.NodeVisitor):
 
 
 def verbs_of(tree: ast.Module) -> set[str]:
-    """Return the functions that typer shows: decorated with ``app.command()``, or passed to it."""
+    """Return the names of the commands: functions decorated with ``app.command()``, or passed to it."""
     verbs = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef) and any(
@@ -380,7 +390,7 @@ def verbs_of(tree: ast.Module) -> set[str]:
 
 
 def from_python() -> dict[str, Found]:
-    """Return the sentences of the Python packages by surface: the command line and the messages."""
+    """Return the sentences of the Python packages by surface: command line and messages."""
     files = sorted([*(ROOT / "python" / "carina").rglob("*.py"), *ROOT.glob("packages/*/python/**/*.py")])
     trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in files}
     in_cli = {path for path in files if "cli" in path.relative_to(ROOT).parts}
@@ -426,7 +436,7 @@ def from_python() -> dict[str, Found]:
 
 
 def from_rust() -> Found:
-    """Return the error sentences of the crates."""
+    """Return the error sentences of the Rust crates by file."""
     found = {}
     for path in sorted([*(ROOT / "crates").rglob("*.rs"), *ROOT.glob("packages/*/crates/**/*.rs")]):
         texts = [
@@ -438,7 +448,7 @@ def from_rust() -> Found:
 
 
 def from_web() -> dict[str, Found]:
-    """Return the sentences of the window and of the phone's page."""
+    """Return the sentences of the window and of the phone page, by surface."""
     source = ROOT / "web" / "src"
     files = [
         path
@@ -461,7 +471,7 @@ def from_web() -> dict[str, Found]:
 
 
 def collect() -> dict[str, Found]:
-    """Return all sentences by surface and file, in the order of the file, each once per file."""
+    """Return all sentences by surface and file, in the order of the file; a file lists each sentence once."""
     found = {**from_web(), **from_python()}
     found["messages"].update(from_rust())
     return {
@@ -471,7 +481,7 @@ def collect() -> dict[str, Found]:
 
 
 def wrong(found: dict[str, Found]) -> list[str]:
-    """Return each sentence with a forbidden phrase, and the replacement that the rule names."""
+    """Return a finding for each sentence with a forbidden phrase, with the replacement that the rule proposes."""
     rules = [
         (re.compile(rule["found"], re.IGNORECASE), rule["say"])
         for rule in tomllib.loads(NEVER.read_text(encoding="utf-8"))["never"]
@@ -487,7 +497,7 @@ def wrong(found: dict[str, Found]) -> list[str]:
 
 
 def main() -> int:
-    """Check all sentences, or print some of them; return 1 if a sentence is wrong."""
+    """Check all sentences, or print some of them if requested; return 1 if a sentence contains a forbidden phrase."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--list", choices=sorted(SURFACES), help="print the sentences of one surface, by file")
     parser.add_argument("--draw", type=int, metavar="N", help="print a random sample of N sentences")

@@ -24,22 +24,22 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @dataclass(frozen=True, slots=True)
 class Import:
-    """Import of one file by another."""
+    """Import of one file by another, with its line and kind."""
 
     source: Path
     line: int
     target: Path
     kind: str
-    """Kind: ``import``, ``function`` (inside a function) or ``types`` (only for type checkers)."""
+    """``import``, ``function`` (import inside a function) or ``types`` (import only for type checkers)."""
 
 
-# ---------------------------------------------------------------- Python
+# ---------------------------------------------------------------- imports of Python files
 
 
 def _python_modules(packages: Iterable[Path]) -> dict[str, Path]:
     modules = {}
     for package in packages:
-        # The stub represents the compiled module.
+        # The stub file represents the compiled module in the graph.
         for path in [*package.rglob("*.py"), *package.glob("_*.pyi")]:
             pieces = path.relative_to(package.parent).with_suffix("").parts
             modules[".".join(pieces[:-1] if pieces[-1] == "__init__" else pieces)] = path
@@ -68,9 +68,9 @@ def _import_nodes(node: ast.AST, kind: str = "import") -> Iterator[tuple[ast.Imp
 
 
 def python_imports(packages: Iterable[Path]) -> list[Import]:
-    """Return the imports between the files of packages.
+    """Return the imports between the files of Python packages.
 
-    ``from a import b`` refers to the file of ``a.b`` if it exists.
+    ``from a import b`` refers to the file of ``a.b`` if that file exists, else to the file of ``a``.
     """
     modules = _python_modules(packages)
     found = []
@@ -94,7 +94,7 @@ def python_imports(packages: Iterable[Path]) -> list[Import]:
     return found
 
 
-# ---------------------------------------------------------------- Rust
+# ---------------------------------------------------------------- imports of Rust files
 
 _RUST_TOKENS = re.compile(
     r"""
@@ -103,13 +103,17 @@ _RUST_TOKENS = re.compile(
     """,
     re.VERBOSE | re.DOTALL,
 )
+"""Pattern of a comment or a string literal in Rust."""
 _RUST_MODULE = re.compile(r"((?:\#\[[^\]]*\]\s*)*)(?:pub(?:\([^)]*\))?\s+)?mod\s+(\w+)\s*([;{])")
+"""Pattern of the declaration of a Rust module: its attributes, its name, and `;` (in another file) or `{` (inline)."""
 _RUST_USE = re.compile(r"\b(pub(?:\([^)]*\))?\s+)?use\s+([^;]+);")
+"""Pattern of a use declaration in Rust: its visibility and the used paths."""
 _RUST_PATH = re.compile(r"(?<![\w:])(\w+(?:::\w+)+)")
+"""Pattern of a Rust path of two or more names."""
 
 
 def _blanked(text: str) -> str:
-    """Return the text with comments and strings blanked; offsets and lines are unchanged."""
+    """Return the text with comments and strings replaced by blanks, so that offsets and lines stay."""
     return _RUST_TOKENS.sub(lambda match: re.sub(r"[^\n]", " ", match.group()), text)
 
 
@@ -128,7 +132,7 @@ def without_tests(text: str) -> str:
 
 
 def _leaves(tree: str, before: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield (path, local name) for each leaf of a ``use`` tree."""
+    """Yield the path and the local name of each item that a ``use`` tree imports."""
     tree = tree.strip()
     brace = tree.find("{")
     if brace >= 0:
@@ -156,7 +160,7 @@ class _RustFile:
     module: tuple[str, ...]
     text: str
     names: dict[str, tuple[str, ...]]
-    """Names that ``use`` imports: local name -> path as written."""
+    """Path as written of each local name that the file imports by ``use``."""
     globs: list[tuple[str, ...]]
 
 
@@ -188,7 +192,7 @@ def _read_crate(source: Path) -> dict[tuple[str, ...], _RustFile]:
 def _resolve(
     files: Mapping[tuple[str, ...], _RustFile], module: tuple[str, ...], pieces: tuple[str, ...], depth: int = 0
 ) -> Path | None:
-    """Return the file that defines the item of a path, through re-exports; None outside the crate.
+    """Return the file that defines the item of a path, also through re-exports; None if it is outside the crate.
 
     ``module`` may be a module inside a file.
     """
@@ -213,7 +217,7 @@ def _resolve(
         again = holder.names.get(rest[0])
         if again is not None:
             return _resolve(files, at, again + rest[1:], depth + 1)
-        # An item that a glob re-exports is searched in the target of the glob.
+        # The item may be re-exported by a glob, so the target of each glob is searched.
         for glob in holder.globs:
             found = _resolve(files, at, glob, depth + 1)
             if found is not None and re.search(
@@ -225,7 +229,7 @@ def _resolve(
 
 
 def _inline_modules(text: str) -> list[tuple[int, int, str]]:
-    """Return (begin, end, name) of the modules inside a file."""
+    """Return the begin, the end (offsets) and the name of each module inside a file."""
     found = []
     for match in _RUST_MODULE.finditer(text):
         if match.group(3) == "{":
@@ -238,7 +242,7 @@ def _inline_modules(text: str) -> list[tuple[int, int, str]]:
 
 
 def rust_imports(source: Path) -> list[Import]:
-    """Return the paths between the modules of one crate, in ``use`` and in code, without tests."""
+    """Return the references between the modules of one crate, in ``use`` and in code, without tests."""
     files = _read_crate(source)
     found = []
     for module, file in sorted(files.items()):
@@ -261,11 +265,12 @@ def rust_imports(source: Path) -> list[Import]:
     return found
 
 
-# ---------------------------------------------------------------- TypeScript
+# ---------------------------------------------------------------- imports of TypeScript files
 
 _TYPESCRIPT_IMPORT = re.compile(
     r"""\b(?:(import|export)\s+(type\s)?[^"';()]*?\bfrom\s*|(import)\s*\(?\s*)["'](\.[^"']+)["']"""
 )
+"""Pattern of an import or re-export of a relative path in TypeScript."""
 
 
 def is_test(path: Path) -> bool:
@@ -290,11 +295,11 @@ def typescript_imports(source: Path) -> list[Import]:
     return found
 
 
-# ---------------------------------------------------------------- cycles and layers
+# ---------------------------------------------------------------- cycles and layers of the graph
 
 
 def _components(edges: Mapping[Path, set[Path]]) -> list[list[Path]]:
-    """Return the strongly connected components (Tarjan 1972), dependencies first."""
+    """Return the strongly connected components of a graph (Tarjan 1972), dependencies first."""
     order: dict[Path, int] = {}
     low: dict[Path, int] = {}
     stack: list[Path] = []
@@ -333,7 +338,7 @@ def _edges(imports: Iterable[Import]) -> dict[Path, set[Path]]:
 
 
 def circles(imports: Iterable[Import]) -> list[list[Import]]:
-    """Return one shortest cycle of imports of each strongly connected component."""
+    """Return one shortest cycle of imports for each strongly connected component of several files."""
     imports = list(imports)
     edges = _edges(imports)
     found = []
@@ -365,7 +370,7 @@ def circles(imports: Iterable[Import]) -> list[list[Import]]:
 
 
 def floors(imports: Iterable[Import], folder: Path) -> int:
-    """Return the number of layers of a folder: the longest chain of dependencies, with a cycle as one layer."""
+    """Return the number of layers of a folder: the length of its longest chain of imports. A cycle is one layer."""
     inside = [one for one in imports if one.source.is_relative_to(folder) and one.target.is_relative_to(folder)]
     edges = _edges(inside)
     height: dict[Path, int] = {}
@@ -376,7 +381,7 @@ def floors(imports: Iterable[Import], folder: Path) -> int:
 
 
 def all_imports(root: Path = ROOT) -> list[Import]:
-    """Return every import between files of the product."""
+    """Return every import between files of the product in the three languages."""
     packages = [root / "python" / "carina", root / "benchmarks" / "carina_bench"]
     packages += [path.parent for path in sorted(root.glob("packages/*/*/*/__init__.py"))]
     found = python_imports(packages)
@@ -395,7 +400,7 @@ def in_words(circle: list[Import], root: Path = ROOT) -> str:
 
 
 def main() -> int:
-    """Print cycles and layers; return 1 if there is a cycle."""
+    """Print the cycles and the layers of the folders; return 1 if there is a cycle."""
     imports = all_imports()
     found = circles(imports)
     for circle in found:

@@ -1,4 +1,4 @@
-"""Find a Vulkan driver for the GPU tests; ``--install`` installs Debian's software driver if there is none."""
+"""Find a Vulkan driver for the GPU tests; ``--install`` installs Debian's software driver if no driver is found."""
 
 from __future__ import annotations
 
@@ -9,14 +9,19 @@ import subprocess
 import sys
 from pathlib import Path
 
-# The first package contains lavapipe; the second is the loader that finds it.
 PACKAGES = ("mesa-vulkan-drivers", "libvulkan1")
+"""Debian packages of the software driver lavapipe and of the loader that finds drivers."""
 PLACES = ("/usr/share/vulkan/icd.d", "/usr/local/share/vulkan/icd.d", "/etc/vulkan/icd.d")
+"""Folders in which manifests of drivers are searched."""
 NAMED = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES")
+"""Environment variables that name the manifest of a driver."""
 
 
 def find_driver() -> str | None:
-    """Return the path of a Vulkan driver's manifest, or the system's own API on macOS and Windows; else None."""
+    """Return the path of a Vulkan driver's manifest, or the name of the system's API on macOS and Windows.
+
+    Else None.
+    """
     if sys.platform in {"darwin", "win32"}:
         return "Metal" if sys.platform == "darwin" else "Direct3D 12"
     if ctypes.util.find_library("vulkan") is None:
@@ -27,7 +32,10 @@ def find_driver() -> str | None:
 
 
 def install_driver() -> bool:
-    """Install Debian's lavapipe if this is Debian and the user is root; else print the remedy."""
+    """Install the software driver lavapipe and return whether it succeeded.
+
+    This needs Debian and the user root; in other cases the function prints what the user can do.
+    """
     apt = shutil.which("apt-get")
     if apt is None or not hasattr(os, "geteuid") or os.geteuid() != 0:
         print(

@@ -1,4 +1,4 @@
-"""Find a Chromium or Chrome for the browser tests; ``--install`` installs Debian's if there is none."""
+"""Find a Chromium or Chrome for the browser tests; ``--install`` installs Debian's Chromium if none is found."""
 
 from __future__ import annotations
 
@@ -9,17 +9,20 @@ import sys
 from pathlib import Path
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
+"""Names under which a browser is searched on the PATH."""
 PLACES = (
     "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
     "/Applications/Chromium.app/Contents/MacOS/Chromium",
     "C:/Program Files/Google/Chrome/Application/chrome.exe",
     "C:/Program Files (x86)/Microsoft/Edge/Application/msedge.exe",
 )
+"""Paths of browsers outside the PATH."""
 PACKAGES = ("chromium", "fonts-dejavu-core")
+"""Debian packages of the browser and of a font."""
 
 
 def find_browser() -> str | None:
-    """Return the path of an installed browser: ``CARINA_BROWSER``, the PATH, the usual folders; else None."""
+    """Return the path of an installed browser: ``CARINA_BROWSER``, one on the PATH or in a usual folder; else None."""
     named = os.environ.get("CARINA_BROWSER")
     if named:
         return named
@@ -28,7 +31,10 @@ def find_browser() -> str | None:
 
 
 def install_browser() -> bool:
-    """Install Debian's chromium if this is Debian and the user is root; else print the remedy."""
+    """Install Debian's chromium and return whether it succeeded.
+
+    This needs Debian and the user root; in other cases the function prints what the user can do.
+    """
     apt = shutil.which("apt-get")
     if apt is None or not hasattr(os, "geteuid") or os.geteuid() != 0:
         print(

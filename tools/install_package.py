@@ -1,4 +1,4 @@
-"""Install Carina in place with uv, and show each compiled crate with the time since the start.
+"""Install Carina in place with uv, and print each compiled crate with the time since the start of the build.
 
 uv prints the output of a build only among its own messages (``-v``); this program selects the lines of cargo and Vite
 and writes the whole output to ``build/install.log``.
@@ -18,9 +18,13 @@ from typing import TextIO
 
 ROOT = Path(__file__).resolve().parent.parent
 LOG = ROOT / "build" / "install.log"
+"""File to which the whole output of the build is written."""
 TAIL = 40
+"""Number of lines of the output that are printed after a failure."""
 COMPILING = re.compile(r"\bCompiling ([\w-]+) v[\w.+-]+")
+"""Pattern of the line that cargo prints when it begins to compile a crate."""
 WEB = re.compile(r"\bvite v[\d.]+ building\b")
+"""Pattern of the line that Vite prints when it begins to build the web client."""
 
 
 def num_crates() -> int | None:
@@ -33,7 +37,7 @@ def num_crates() -> int | None:
 
 
 def clock(seconds: float) -> str:
-    """Return a duration as minutes and seconds.
+    """Return a duration in seconds as text with minutes and seconds.
 
     Examples
     --------
@@ -61,7 +65,7 @@ def show(
 
 
 def main(uv: str, python: str) -> int:
-    """Install Carina; on failure print the end of the output."""
+    """Install Carina and return the exit code of uv; after a failure print the end of the output."""
     command = [uv, "pip", "install", "-v", "--python", python, "--no-deps"]
     command += ["--reinstall-package", "carina", "-e", "."]
     print("Installing Carina (the whole output: build/install.log)", flush=True)

@@ -1,6 +1,6 @@
 /**
  * Print the sentences of the window and the phone page, read from the syntax trees of web/src, for tools/check_wording.py.
- * Prints JSON: {file: [text, ...]} in the order of each file. What stands in braces is filled in while it runs.
+ * The output is JSON: {file: [text, ...]} in the order of each file. Braces contain values that the program inserts.
  */
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";

@@ -19,18 +19,22 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = "requirements-docs.lock"
+"""Lock file of the packages that build the documentation."""
 RUN = "requirements-run.lock"
+"""Lock file of the packages that Carina needs to run, without the development tools."""
 LOCKS: dict[str, tuple[str, ...]] = {
     RUN: ("--no-dev",),
     "requirements.lock": (),
     "requirements-cluster.lock": ("--extra", "cluster"),
     DOCS: ("--only-group", "docs"),
 }
+"""Arguments of `uv export` by lock file."""
 MARK = "# pyproject: "
+"""Start of the line of a lock file that contains the hash of the dependency tables in pyproject.toml."""
 
 
 def _fingerprint(name: str) -> str:
-    """Return a hash of the inputs of a lock file: the dependency tables of pyproject.toml."""
+    """Return a hash of the inputs of a lock file: of the dependency tables in pyproject.toml."""
     import tomllib
 
     data = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -50,10 +54,10 @@ def _fingerprint(name: str) -> str:
 
 
 def export(uv: str, name: str) -> str:
-    """Return the text of a lock file."""
+    """Return the text that the lock file ``name`` must contain."""
     with tempfile.TemporaryDirectory() as scratch:
         out = Path(scratch) / "requirements.txt"
-        # All dependencies and platforms; the project itself is built, not locked.
+        # The lock file contains all dependencies for all platforms, but not the project, which is built.
         command = [uv, "export", "-q", "--no-emit-project", "--no-header", "--no-annotate", "-o", str(out)]
         command += LOCKS[name]
         subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
@@ -63,7 +67,7 @@ def export(uv: str, name: str) -> str:
 
 
 def main() -> int:
-    """Write or check the lock files."""
+    """Write the lock files, or check that they are current; return 1 if one is not."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="fail if the lock does not match pyproject.toml")
     parser.add_argument("--uv", default="uv", help="the uv to use")

@@ -1,4 +1,4 @@
-"""Build the documentation: ``make docs``. Every warning is an error.
+"""Build the documentation: ``make docs``. A warning makes the build fail.
 
 The Python reference imports Carina from ``.venv``; Sphinx comes from ``.venv-docs``, which contains only Sphinx and its
 dependencies.
@@ -13,6 +13,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "build" / "docs"
+"""Folder to which Sphinx writes the HTML pages."""
 
 
 def main() -> int:
@@ -22,10 +23,11 @@ def main() -> int:
     )
     if not found:
         sys.exit("Sphinx is not installed; run: make docs")
-    # -E and -a rebuild every page: after a failed run Sphinx skips unchanged pages, and so their warnings.
+    # With -E and -a Sphinx rebuilds every page. Without them it skips unchanged pages after a failed run, and so their
+    # warnings.
     options = ["-W", "--keep-going", "-q", "-E", "-a"]
     command = [sys.executable, "-m", "sphinx", *options, "-b", "html", "docs", str(OUT)]
-    # Carina's own libraries precede those of Sphinx, so that the reference describes the tested package.
+    # The path has Carina's packages before those of Sphinx, so that the reference describes the tested package.
     sources = [ROOT / "python", *sorted(ROOT.glob("packages/*/python"))]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, [*sources, found[0]]))}
     ran = subprocess.run(command, cwd=ROOT, env=environment, check=False)

@@ -32,28 +32,33 @@ from workstation import FLAGS, Workstation, open_page  # noqa: E402
 from find_browser import find_browser  # noqa: E402
 
 COMMAND = ".venv/bin/python tools/make_pictures.py"
+"""Command that makes the pictures again; it is named in the message about pictures that are out of date."""
 MAX_BYTES = 400_000
+"""Largest size of a picture of the window, bytes."""
 QUALITY = 90
+"""JPEG quality of the pictures, 0 to 100."""
 
 
 @dataclass(frozen=True)
 class Shot:
-    """A picture of the whole window."""
+    """Picture of the whole window that is made for a page."""
 
     path: str
-    """Path of the picture in the repository."""
+    """Path of the picture's file in the repository."""
     case: str
     ahead_mm: float
-    """Distance of the tip before the route's first fork, mm."""
+    """Distance of the scope's tip before the first fork of the route, mm."""
 
 
 SHOTS = (Shot("docs/pictures/workstation-patient.jpg", "patient", 25.0),)
+"""Pictures of the whole window that are made for the documentation."""
 
-# The start page shows each bundled case with the view of its carina.
 DEMOS = ("phantom", "patient")
+"""Bundled cases for which the start page shows the view of their carina."""
 DEMO_SIZE = (392, 294)
+"""Width and height of a picture of the start page, pixels."""
 DEMO_MAX_BYTES = 60_000
-# The centre of the airway view's picture, inside its round edge, scaled to the card.
+"""Largest size of a picture of the start page, bytes."""
 CARD = """([width, height]) => {
     const from = document.querySelector('canvas[data-view=airway]');
     const card = document.createElement('canvas');
@@ -65,9 +70,8 @@ CARD = """([width, height]) => {
     context.drawImage(from, (from.width - w) / 2, (from.height - h) / 2, w, h, 0, 0, width, height);
     return card.toDataURL('image/jpeg', 0.86).split(',')[1];
 }"""
+"""Script that returns the centre of the airway view, inside its round edge, scaled to a card of the start page."""
 
-# All visible elements that a user reads or presses. Isolated numbers (unlike RB10) are excluded: they are measured, and
-# their last digit may differ between processors. The status bar is excluded because it describes this machine.
 PARTS = """() => {
     const withoutNumbers = (words) => words.replace(/(?<![A-Za-z\\d+.])\\d+(\\.\\d+)?/g, '#');
     const inSight = (element) => {
@@ -105,26 +109,32 @@ PARTS = """() => {
     }
     return parts;
 }"""
-# The width of text depends on the fonts of the machine.
+"""Script that returns the position and the text of all visible elements that a user reads or presses.
+
+Numbers outside names (RB10 is a name) are replaced, because they are measured and their last digit may differ between
+processors. The status bar is excluded because it describes the machine.
+"""
 FONT = """() => {
     const context = document.createElement('canvas').getContext('2d');
     context.font = `100px ${getComputedStyle(document.body).fontFamily}`;
     return Math.round(context.measureText('Left lower lobe 0123456789').width);
 }"""
-# Tolerances: a box may be wider by a digit; a mean colour may differ by rounding.
+"""Script that returns the width of a sample text, which depends on the fonts of the machine."""
 BOX_TOLERANCE_PX = 12
+"""Largest change of a box that is no visible change, pixels: the width of one digit."""
 COLOUR_TOLERANCE = 10
+"""Largest change of a mean colour (0 to 255) that is no visible change: the effect of rounding."""
 
 
 def at_rest(station: Workstation, shot: Shot) -> None:
-    """Bring a new window of the shot's case to the state of the picture, and wait for its last picture."""
+    """Put a new window with the shot's case into the state of the picture, and wait until its views are final."""
     station.wait_ready()
     station.go_to(station.state("route.spans[0].to_mm") - shot.ahead_mm)
     wait_pictures(station)
 
 
 def wait_pictures(station: Workstation) -> None:
-    """Wait until every view is at rest, including the small ones, which follow the tip later."""
+    """Wait until the pictures of every view are final, also those of small views, which follow the tip with a delay."""
     station.wait_still()
     before = None
     while True:
@@ -138,14 +148,14 @@ def wait_pictures(station: Workstation) -> None:
 
 
 def stamp_of(station: Workstation) -> dict[str, Any]:
-    """Return the stamp of the present window: its elements, and each view's colours on a grid of 4 x 4."""
+    """Return the stamp of the present window: its elements, and the colours of each view on a grid of 4 x 4."""
     page = station.page
     colours = {view: coarse(station.pixels(view)) for view in station.shown_views()}
     return {"font": page.evaluate(FONT), "parts": page.evaluate(PARTS), "colours": colours}
 
 
 def coarse(pixels: list[int]) -> list[int]:
-    """Return the means of red, green and blue over 8 x 8 pixels of a 32 x 32 RGBA picture."""
+    """Return the mean red, green and blue of each field of 8 x 8 pixels in an RGBA picture of 32 x 32 pixels."""
     cells = [(row, column) for row in range(4) for column in range(4)]
     inner = [(y, x) for y in range(8) for x in range(8)]
     return [
@@ -156,7 +166,7 @@ def coarse(pixels: list[int]) -> list[int]:
 
 
 def changes(then: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """Return the visible changes between two stamps, one line each; empty if the picture is current."""
+    """Return a line for each visible change between two stamps; no line if the picture is current."""
     lines = []
     old, new = ([(part["what"], part["look"]) for part in stamp["parts"]] for stamp in (then, now))
     if old != new:
@@ -176,14 +186,15 @@ def changes(then: dict[str, Any], now: dict[str, Any]) -> list[str]:
     return lines
 
 
-# A JPEG starts with segments: 0xFF, a kind, a length that includes its own two bytes, data (ITU-T T.81, B.1.1.4;
-# comments B.2.4.5).
+# Kinds of two JPEG segments: start of the pixels, and comment (ITU-T T.81, B.1.1.4 and B.2.4.5).  Before the pixels a
+# JPEG consists of segments: 0xFF, a kind, a length that includes its own two bytes, and data.
 START_OF_SCAN, COMMENT = 0xDA, 0xFE
 KEYWORD = b"Carina window\0"
+"""Start of the JPEG comment that contains the stamp of a picture."""
 
 
 def segments(jpeg: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """Yield kind, position and data of each segment before the pixels."""
+    """Yield the kind, the position and the data of each segment of a JPEG before its pixels."""
     at = 2
     while jpeg[at + 1] != START_OF_SCAN:
         (size,) = struct.unpack_from(">H", jpeg, at + 2)
@@ -192,7 +203,7 @@ def segments(jpeg: bytes) -> Iterator[tuple[int, int, bytes]]:
 
 
 def with_stamp(jpeg: bytes, stamp: dict[str, Any]) -> bytes:
-    """Return the picture with its stamp as a comment after the JFIF header, which must be first."""
+    """Return a JPEG with a stamp as a comment after the JFIF header, which must be the first segment."""
     data = KEYWORD + zlib.compress(json.dumps(stamp, separators=(",", ":")).encode(), 9)
     _, at, header = next(segments(jpeg))
     end = at + 4 + len(header)
@@ -200,7 +211,7 @@ def with_stamp(jpeg: bytes, stamp: dict[str, Any]) -> bytes:
 
 
 def stamp_in(jpeg: bytes) -> dict[str, Any] | None:
-    """Return the stamp of a picture; None if it has none."""
+    """Return the stamp of a JPEG; None if it has none."""
     for kind, _, data in segments(jpeg):
         if kind == COMMENT and data.startswith(KEYWORD):
             stamp: dict[str, Any] = json.loads(zlib.decompress(data[len(KEYWORD) :]))
@@ -209,7 +220,7 @@ def stamp_in(jpeg: bytes) -> dict[str, Any] | None:
 
 
 def save(path: Path, data: bytes, max_bytes: int) -> None:
-    """Write a picture; raise an error if it is too large for a page."""
+    """Write a picture; raise an error if it has more than ``max_bytes`` bytes."""
     if len(data) > max_bytes:
         sys.exit(f"{path} would take {len(data)} bytes, more than {max_bytes}")
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -218,7 +229,7 @@ def save(path: Path, data: bytes, max_bytes: int) -> None:
 
 
 def main() -> int:
-    """Write the pictures of ``SHOTS`` and ``web/public/demo-*.jpg``."""
+    """Make the pictures of ``SHOTS`` and ``web/public/demo-*.jpg`` and write them."""
     browser_path = find_browser()
     if browser_path is None:
         sys.exit("no Chromium or Chrome found")

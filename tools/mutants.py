@@ -10,8 +10,8 @@ each mutant exists only in a copy of the package that the tests import::
     python tools/mutants.py --seed 2 --parts server
 
 The tests of a mutant are the test files that name its module, then those of the neighbouring parts; with ``--thorough``
-a surviving mutant is tested by all other tests too, including browser tests. A surviving mutant means a missing test or
-an equivalent program: a developer must decide.
+a surviving mutant is tested by all other tests too, including browser tests. A mutant survives if a test is missing or
+if the changed program is equivalent; a developer must decide which.
 """
 
 from __future__ import annotations
@@ -37,16 +37,20 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "python" / "carina"
+"""Folder of the Python package whose code is changed."""
 TESTS = ROOT / "tests"
-# Test folders for each part, the nearest first.
+"""Folder of the tests that run on the changed code."""
 NEAR = {
     "session": ("session", "server", "contract", "navigate"),
     "server": ("server", "contract", "session"),
     "track": ("track", "session", "export", "phantom"),
     "volume": ("volume",),
 }
+"""Folders of tests for each part of the package, the most relevant first."""
 QUICK = "not soak and not ray and not browser and not data and not gpu"
+"""Marker expression of the tests that run first."""
 THOROUGH = "not soak and not gpu"
+"""Marker expression of all tests that run with ``--thorough``."""
 
 COMPARISONS = {
     "<": ">=",
@@ -60,15 +64,18 @@ COMPARISONS = {
     "is": "is not",
     "is not": "is",
 }
+"""Operator by which each comparison is replaced."""
 BOUNDING = {"min", "max", "minimum", "maximum", "clip", "range"}
-# Order of the kinds of mutants; comparisons and bounds are frequent, because cases and limits depend on them.
+"""Names of functions whose number arguments are bounds."""
 TURNS = ("comparison", "bound", "comparison", "bound", "and-or", "comparison", "bound", "sign")
+"""Kinds of mutants in the order in which they are drawn; comparisons and bounds are drawn more often."""
 Position = tuple[int, int]
+"""Position in a file: line (from 1) and column (from 0)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """Change of one line of code; columns count characters from 0, lines count from 1."""
+    """Mutation of one line of code: file, position, old and new text; columns count characters from 0, lines from 1."""
 
     kind: str
     path: Path
@@ -79,11 +86,11 @@ class Mutant:
 
     @property
     def place(self) -> str:
-        """Return the position in the form that editors open."""
+        """Return the position of the change as ``path:line:column``, which editors can open."""
         return f"{self.path.relative_to(ROOT)}:{self.line}:{self.column + 1}"
 
     def text(self) -> str:
-        """Return the text of the file with the change."""
+        """Return the text of the file with the mutation."""
         lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True)
         line = lines[self.line - 1]
         assert line[self.column :].startswith(self.before), self
@@ -91,13 +98,13 @@ class Mutant:
         return "".join(lines)
 
     def told(self) -> str:
-        """Return position, change and line as text."""
+        """Return a line of text with the position, the change and the changed line of code."""
         line = self.path.read_text(encoding="utf-8").splitlines()[self.line - 1].strip()
         return f"{self.place}: {self.before!r} to {self.after!r} in: {line}"
 
 
 class Source:
-    """Tokens and syntax tree of a file, with common positions."""
+    """Tokens and syntax tree of a source file, with positions in characters for both."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -112,7 +119,7 @@ class Source:
         return line, len(self._lines[line - 1].encode()[:byte].decode())
 
     def start(self, node: ast.expr) -> Position:
-        """Return the start position of an expression."""
+        """Return the position of the first character of an expression."""
         return self._at(node.lineno, node.col_offset)
 
     def end(self, node: ast.expr) -> Position:
@@ -138,7 +145,7 @@ class Source:
 
 
 def mutants_of(path: Path) -> Iterator[Mutant]:
-    """Yield every possible mutant of a file."""
+    """Yield every possible mutant of the file at ``path``."""
     source = Source(path)
 
     def change(kind: str, at: Position, before: str, after: str) -> Mutant:
@@ -181,7 +188,7 @@ def name_of(function: ast.expr) -> str:
 
 
 def is_joined(side: ast.expr) -> bool:
-    """Return whether an operand is a text or a list, which ``+`` concatenates instead of adding."""
+    """Return whether an operand is a text or a list: ``+`` concatenates such operands and does not add them."""
     return isinstance(side, ast.JoinedStr | ast.List | ast.Tuple) or (
         isinstance(side, ast.Constant) and isinstance(side.value, str)
     )
@@ -200,7 +207,7 @@ def moved(number: str) -> str:
 
 
 def code_of(tree: ast.Module) -> Iterator[ast.AST]:
-    """Yield the nodes of code that runs: without annotations, assertions, and code for type checkers."""
+    """Yield the syntax nodes of a module that run; annotations, assertions and code for type checkers are omitted."""
     waiting: list[ast.AST] = [tree]
     while waiting:
         node = waiting.pop()
@@ -213,7 +220,7 @@ def code_of(tree: ast.Module) -> Iterator[ast.AST]:
 
 
 def draw(parts: list[str], seed: int, number: int) -> list[Mutant]:
-    """Draw ``number`` mutants from all possible ones; equal seeds and files give equal mutants."""
+    """Return ``number`` random mutants of the parts; the same seed and files give the same mutants."""
     paths = sorted(path for part in parts for path in (PACKAGE / part).rglob("*.py"))
     every = sorted((m for path in paths for m in mutants_of(path)), key=lambda m: (m.path, m.line, m.column, m.after))
     random.Random(seed).shuffle(every)
@@ -231,7 +238,7 @@ def part_of(path: Path) -> str:
 
 
 def test_steps(path: Path, *, thorough: bool) -> list[tuple[str, list[str]]]:
-    """Return the steps of the tests of a mutant in this module: markers and test files."""
+    """Return the steps in which a module's mutant is tested: marker expression and test files of each step."""
     near = [file for folder in NEAR[part_of(path)] for file in sorted((TESTS / folder).glob("test_*.py"))]
     named = re.compile(rf"\b{re.escape(path.stem)}\b") if path.stem != "__init__" else None
     words = {file: file.read_text(encoding="utf-8") for file in near}
@@ -243,7 +250,7 @@ def test_steps(path: Path, *, thorough: bool) -> list[tuple[str, list[str]]]:
 
 
 class Bench:
-    """Copy of the package that contains one mutant at a time."""
+    """Copy of the package in which one mutant at a time is tested."""
 
     def __init__(self, folder: Path, workers: int, limit_s: float) -> None:
         self._python = folder / "python"
@@ -256,7 +263,7 @@ class Bench:
                 copy.symlink_to(path)
 
     def kills(self, mutant: Mutant, *, thorough: bool) -> str | None:
-        """Return the test that a mutant fails, or None if it survives."""
+        """Return the first test that fails with the mutant; None if all tests pass, so that the mutant survives."""
         copy = self._python / mutant.path.relative_to(PACKAGE.parent)
         for text, done in ((mutant.text(), False), (mutant.path.read_text(encoding="utf-8"), True)):
             # Python's bytecode cache cannot distinguish two sources of equal size within one second.
@@ -279,7 +286,7 @@ class Bench:
         return None
 
     def run(self, marks: str, files: list[str]) -> str | None:
-        """Return the first failure of these tests, or None."""
+        """Return the first test that fails among these markers and files; None if all pass."""
         command = [sys.executable, "-m", "pytest", "-q", "-x", "--no-header", "--tb=no", "-p", "no:cacheprovider"]
         command += ["-m", marks, "-n", str(self._workers), "--dist", "loadscope", "--no-loadscope-reorder", *files]
         environment = {**os.environ, "PYTHONPATH": str(self._python)}
@@ -290,7 +297,8 @@ class Bench:
             try:
                 code = process.wait(self._limit_s)
             except BaseException as trouble:
-                # The process group includes the workers and their children, which a hanging mutant would keep alive.
+                # The process group includes the workers and their children, which would continue to run if the mutant
+                # hangs.
                 os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
                 if isinstance(trouble, subprocess.TimeoutExpired):
@@ -305,7 +313,7 @@ class Bench:
 
 
 def main() -> int:
-    """Test the mutants and print the result of each; return 1 if one survives."""
+    """Test the mutants and print a result for each; return 1 if one survives."""
     words = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     words.add_argument("--seed", type=int, default=1)
     words.add_argument("--number", type=int, default=40, help="how many are drawn")

@@ -2,9 +2,9 @@
 
     python tools/run_notebook.py examples/04_notebook/from_ct_to_film.ipynb -o page.html
 
-Cells run in order in one namespace, in a folder of their own. As in a notebook, the last line of a cell is shown if it
-is an expression: by ``_repr_html_``, ``_repr_png_`` or ``repr``. Magics and widgets are not supported on purpose: an
-example should not need them. The notebook in the repository contains no outputs.
+Cells run in order in one namespace, in a new folder. As in a notebook, the last line of a cell is shown if it is an
+expression: by ``_repr_html_``, ``_repr_png_`` or ``repr``. Magics and widgets are not supported on purpose: an example
+should not need them. The notebook in the repository contains no outputs.
 """
 
 from __future__ import annotations
@@ -28,21 +28,22 @@ STYLE = (
     "body{font:16px/1.5 sans-serif;max-width:960px;margin:2em auto}"
     "pre{background:#f4f5f7;padding:.7em;white-space:pre-wrap}"
 )
+"""CSS of the HTML page of a notebook."""
 
 
 @dataclass(frozen=True)
 class Shown:
-    """Cell that was run, with its output."""
+    """Cell of a notebook that was run, with its output."""
 
     kind: str
     source: str
     value: Any = None
-    """Value of the last expression; None if the cell shows none."""
+    """Value of the last line of the cell; None if this line is no expression."""
     printed: str = ""
 
 
 def run_notebook(path: Path, folder: Path) -> tuple[list[Shown], dict[str, Any]]:
-    """Run all cells with ``folder`` as the working folder; return their output and the namespace."""
+    """Run all cells with ``folder`` as the working folder; return the cells with their output, and the namespace."""
     document = json.loads(path.read_text(encoding="utf-8"))
     names: dict[str, Any] = {"__name__": "__main__"}
     cells = []
@@ -99,7 +100,7 @@ def _drawn(value: Any) -> str:
 
 
 def _markdown(text: str) -> str:
-    """Convert the Markdown that examples use to HTML: headings, paragraphs and inline code."""
+    """Return HTML for the Markdown that examples use: headings, paragraphs and inline code."""
     blocks = []
     for block in text.split("\n\n"):
         words = re.sub(r"`([^`]+)`", r"<code>\1</code>", html.escape(block))
@@ -109,7 +110,7 @@ def _markdown(text: str) -> str:
 
 
 def main() -> int:
-    """Run the notebook and write the page."""
+    """Run the notebook given on the command line, and write its HTML page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("notebook", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)

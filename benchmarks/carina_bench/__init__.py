@@ -1,6 +1,6 @@
-"""``carina bench``: benchmarks of Carina and its peers, in one run on one machine (extra ``bench``).
+"""``carina bench``: benchmarks of Carina and of the programs with which it is compared (extra ``bench``).
 
-A figure is a ratio of CPU times that were measured alternately in one process with one thread; absolute times of a
-shared machine are unreliable. Each section runs in a process of its own, because the number of threads is fixed when
-the first picture is cast.
+A figure is a ratio of two CPU times that were measured alternately, on one machine, in one process with one thread;
+absolute times of a shared machine are unreliable. Each section of a benchmark runs in a separate process, because the
+number of threads is fixed when the first picture is cast.
 """

@@ -1,4 +1,4 @@
-"""Commands of ``carina bench``."""
+"""Command-line interface of ``carina bench``: one command for each benchmark."""
 
 from __future__ import annotations
 
@@ -60,10 +60,10 @@ def bench_render(
     repeats: BenchRepeats = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare whole frames with VTK and a numba baseline, leaping with brute force; measure the first frame.
+    """Compare the times of whole frames with VTK and numba, and of leaping with brute force.
 
-    Sections: frames, small, views, first-frame, paper (the paper's setting). The last, and one real case, need
-    CARINA_DATA_DIR. A missed limit is a result and no failure: the exit code is 0.
+    Sections: frames, small, views, first-frame (time to the first frame), paper (the paper's setting). The section
+    paper and the one real case need CARINA_DATA_DIR. A missed limit is reported and is no failure: the exit code is 0.
 
     Example: carina bench render --quick --only frames --case patient
     """
@@ -81,8 +81,8 @@ def bench_isoregion(
 ) -> None:
     """Measure the IsoRegion map, projections and oblique slices of a large CT, and the server's memory.
 
-    The peers are scipy, numpy and VTK. Sections: map, prepare, projections, plane, memory. A missed limit is a result
-    and no failure: the exit code is 0.
+    Carina is compared with scipy, numpy and VTK. Sections: map, prepare, projections, plane, memory. A missed limit is
+    reported and is no failure: the exit code is 0.
 
     Example: carina bench isoregion --only map --json
     """
@@ -104,11 +104,12 @@ def bench_track(
     quick: BenchQuick = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare the path tracker with its peers, and the airway tree with the truth.
+    """Compare the path tracker with other programs, and the airway tree with the true airways.
 
-    Parts: speed, paper, quality, visible, names, measures, evidence; and, each for up to an hour or more and only if
-    --only names it, hard, shares, classes, statements, diameters. A part that this version does not have, or whose
-    peers or data are missing, is named and omitted. A missed limit is a result and no failure: the exit code is 0.
+    Parts: speed, paper, quality, visible, names, measures, evidence. The parts hard, shares, classes, statements and
+    diameters take up to an hour or more each, so they run only if --only names them. The report names each part that
+    was omitted because this version does not have it, or because its data or a program for comparison are missing. A
+    missed limit is reported and is no failure: the exit code is 0.
 
     Example: carina bench track --only speed --quick
     """
@@ -123,9 +124,9 @@ def bench_track(
 def bench_open(
     output: BenchFolder = Path("carina-bench"), quick: BenchQuick = False, as_json: JsonOption = False
 ) -> None:
-    """Measure the opening of a CT of 512x512x600 from DICOM, from NIfTI, and from the cache, in turn.
+    """Measure the time to open a CT of 512x512x600 from DICOM, from NIfTI, and from the cache, alternately.
 
-    Needs no extra. A missed limit is a result and no failure: the exit code is 0.
+    Needs no extra. A missed limit is reported and is no failure: the exit code is 0.
 
     Example: carina bench open --quick
     """
@@ -143,10 +144,10 @@ def bench_reopen(
     quick: BenchQuick = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure the time from the click on a saved case of 512x512x600 to its state and its first pictures.
+    """Measure the time from the click on a saved case of 512x512x600 until its state and its first pictures arrive.
 
-    The case is opened from the disk cache in memory, and from the disk, in a running Carina without a browser. Needs no
-    extra. A missed limit is a result and no failure: the exit code is 0.
+    The case is opened in a running Carina without a browser: from a disk cache that is in memory, and from one that
+    must be read from the disk. Needs no extra. A missed limit is reported and is no failure: the exit code is 0.
 
     Example: carina bench reopen --quick
     """
@@ -161,9 +162,10 @@ def bench_reopen(
 def bench_saving(
     output: BenchFolder = Path("carina-bench"), quick: BenchQuick = False, as_json: JsonOption = False
 ) -> None:
-    """Measure the delay of pictures in a flight at 30 pictures a second with four edits a second, saved and not saved.
+    """Measure how much saving delays the pictures of a flight at 30 pictures and four edits a second.
 
-    Needs no extra and a quiet machine. A missed limit is a result and no failure: the exit code is 0.
+    The same flight runs with and without saving. Needs no extra and a machine without other load. A missed limit is
+    reported and is no failure: the exit code is 0.
 
     Example: carina bench saving --quick
     """
@@ -181,9 +183,9 @@ def bench_stream(
     quick: BenchQuick = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure the time from a hand's movement to the changed, decoded 512x512 picture, for keys and a device.
+    """Measure the time from an input to the decoded 512x512 picture that shows it, for keys and for a device.
 
-    A missed limit is a result and no failure: the exit code is 0.
+    A missed limit is reported and is no failure: the exit code is 0.
 
     Example: carina bench stream --quick
     """
@@ -201,11 +203,11 @@ def bench_cluster(
     quick: BenchQuick = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure many machines: the paper's Tables 1 and 2, simulated and real, and the cost of Ray.
+    """Measure rendering on several machines: the paper's Tables 1 and 2, simulated and real, and the cost of Ray.
 
     Sections: network, simulation, sleeping, real, transport, kills. All but the first two need the extra `cluster`.
-    Each section is printed when it ends; a section that fails is reported at its place, and the others continue. Plots
-    of Figures 9, 10 and 11 are written to the folder.
+    Each section is printed when it ends. A section that fails is reported in its position of the output, and the other
+    sections still run. Plots like Figures 9, 10 and 11 of the paper are written to the folder.
 
     Example: carina bench cluster --only simulation
     """

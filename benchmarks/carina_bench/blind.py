@@ -1,8 +1,8 @@
-"""Blind reading of the endoscopic look: readers state the clock position of the back wall in rotated tracheas.
+"""Blind test of the endoscopic look: readers state the clock position of the back wall in rotated pictures of tracheas.
 
 ``python -m carina_bench.blind draw FOLDER CASE ...`` writes pictures, half of them without decoration, and their
-answers in ``key.json``, which readers must not see. A reader writes hours into a file, ``{"00": 4.5, ...}``: 12 for
-the top of the picture. ``python -m carina_bench.blind score FOLDER/key.json HOURS.json`` prints their errors.
+answers in ``key.json``, which readers must not see. A reader writes hours into a file, ``{"00": 4.5, ...}``: 12 for the
+top of the picture. ``python -m carina_bench.blind score FOLDER/key.json HOURS.json`` prints their errors.
 """
 
 from __future__ import annotations
@@ -27,12 +27,15 @@ from carina_bench import pictures
 __all__ = ["back_hour", "draw", "scores", "turned"]
 
 BEFORE_CARINA_MM = (70.0, 50.0, 32.0)
+"""Distances of the drawn viewpoints above the carina, along the path, mm."""
 TO_THE_BACK_LPS = (0.0, 1.0, 0.0)
+"""Unit vector from the patient's front to the back, LPS."""
 SIZE = 512
+"""Width and height of a picture shown to readers, pixels."""
 
 
 def turned(pose: Pose, roll_rad: float) -> Pose:
-    """Return the view with the scope rolled about its axis."""
+    """Return the pose rolled by ``roll_rad`` about the axis of view."""
     c, s = math.cos(roll_rad), math.sin(roll_rad)
     matrix = pose.lps_from_camera.copy()
     matrix[:3, :3] = matrix[:3, :3] @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -40,13 +43,13 @@ def turned(pose: Pose, roll_rad: float) -> Pose:
 
 
 def back_hour(pose: Pose) -> float:
-    """Return the clock position of the patient's back in the picture: 0 to 12, 0 is the top and 3 the right."""
+    """Return the clock position of the patient's back in the picture: 0 to 12, where 0 is the top and 3 the right."""
     right, down, _ = pose.lps_from_camera[:3, :3].T @ np.array(TO_THE_BACK_LPS)
     return float(np.degrees(np.arctan2(right, -down)) / 30.0 % 12.0)
 
 
 def draw(folder: Path, cases: Sequence[str], seed: int | None = None) -> int:
-    """Write pictures and their key; return the number of pictures."""
+    """Write pictures for each case and viewpoint, and their answers in ``key.json``; return the number of pictures."""
     rng = np.random.default_rng(seed)
     shown: list[tuple[Renderer, str, float, Pose, bool]] = []
     for case in cases:
@@ -70,7 +73,7 @@ def draw(folder: Path, cases: Sequence[str], seed: int | None = None) -> int:
         pose = turned(pose, rng.uniform(0.0, 2.0 * np.pi))
         scope = scope_preset("generic")
         view = AirwayView.of_scope(scope, pose, width=SIZE, height=SIZE, texture=decorated)
-        # Only the pixels are saved: a saved `Picture` would contain its pose.
+        # Only the pixels are saved, because a saved `Picture` would contain its pose and so the answer.
         pictures.save(folder, f"{n:02d}", renderer.render(view).rgb)
         key[f"{n:02d}"] = {
             "case": case,
@@ -83,12 +86,12 @@ def draw(folder: Path, cases: Sequence[str], seed: int | None = None) -> int:
 
 
 def scores(key: Mapping[str, Mapping[str, Any]], told: Mapping[str, float]) -> dict[str, dict[str, float]]:
-    """Return the errors of a reader's hours, with decoration and without.
+    """Return the errors of a reader's clock positions, once for pictures with decoration and once for those without.
 
     Raises
     ------
     UsageError
-        If a picture has no answer.
+        If the reader gave no answer for a picture.
     """
     missing = sorted(set(key) - set(told))
     if missing:
@@ -113,7 +116,7 @@ def scores(key: Mapping[str, Mapping[str, Any]], told: Mapping[str, float]) -> d
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Write the pictures, or score a reader."""
+    """Run the command line: write the pictures (``draw``), or print a reader's errors (``score``)."""
     parser = argparse.ArgumentParser(prog="python -m carina_bench.blind", description=__doc__)
     kinds = parser.add_subparsers(dest="kind", required=True)
     drawn = kinds.add_parser("draw")

@@ -1,4 +1,4 @@
-"""Volumes for the measurements, and poses in them."""
+"""Volumes on which the benchmarks measure, with camera poses in their airways."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ __all__ = ["PHANTOMS", "Case", "open_case", "open_phantom"]
 
 Progress = Callable[[str, float | None], None]
 
-# Boxes in LPS mm, chosen so that the volume's shape is exactly that of the name.
 PHANTOMS: dict[str, dict[str, Any]] = {
     "phantom-128": {"spacing_mm": 1.8, "box_lps": ((-115.2, -117.0, -120.4), (115.1, 113.3, 110.0))},
     "phantom-256": {"spacing_mm": 0.9, "box_lps": ((-115.2, -117.0, -119.6), (114.4, 112.6, 110.0))},
     "phantom-512": {"spacing_mm": 0.7, "box_lps": ((-179.2, -181.2, -169.4), (178.6, 176.6, 110.0))},
 }
+"""Phantoms by name: spacing in mm and box in LPS mm, chosen so that the volume has the number of voxels in the name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """Volume, a pose in the middle of its trachea, and a flight from there into a segmental bronchus."""
+    """Volume with a pose in the middle of its trachea and a flight from this pose into a segmental bronchus."""
 
     name: str
     volume: Volume
     trachea: Pose
     flight: tuple[Pose, ...]
     lumen_zyx: NDArray[np.uint8] | None = None
-    """Lumen of the airways that were found in a CT, or None."""
+    """Voxels (nz, ny, nx) of the lumen that was found in a CT; None for a phantom."""
     tree: AirwayTree | None = None
-    """Tree of these airways, or None."""
+    """Airway tree that was found in a CT; None for a phantom."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +84,7 @@ def open_case(name: str, *, poses: int, progress: Progress | None = None) -> Cas
 
 
 def open_phantom(name: str, progress: Progress | None = None) -> tuple[Volume, list[NDArray[np.float64]]]:
-    """Return a phantom of :data:`PHANTOMS`, and the top of its trachea and the airway tips in it (LPS mm)."""
+    """Return the phantom ``name`` of :data:`PHANTOMS`, the top of its trachea and its airway tips (points, LPS mm)."""
     volume, branches = _phantom(name, progress)
     parents = {branch.parent for branch in branches}
     trunk = next(branch for branch in branches if branch.parent is None)
@@ -95,14 +95,15 @@ def open_phantom(name: str, progress: Progress | None = None) -> tuple[Volume, l
 
 
 def _name_of(path: Path) -> str:
-    """Return a name for a path; a folder with a generic name is preceded by its parent's name."""
+    """Return a display name for a CT's path; a folder with a generic name is preceded by its parent's name."""
     return f"{path.parent.name}-{path.name}" if path.name.lower() in {"dicom", "ct", "images"} else path.name
 
 
 def _poses(branches: Sequence[_Branch], count: int) -> tuple[Pose, tuple[Pose, ...]]:
     by_id = {b.id: b for b in branches}
     root = next(b for b in branches if b.parent is None)
-    # Trachea 0, main 1, lobar 2, segmental 3 (on the right 4, because of the intermediate bronchus).
+    # Generations: trachea 0, main bronchi 1, lobar 2, segmental 3 (4 on the right, because of the intermediate
+    # bronchus).
     segmental = [b for b in branches if 3 <= b.generation <= 4] or [max(branches, key=lambda b: b.generation)]
     target = max(segmental, key=lambda b: (b.radius_mm, b.id))
     chain = [target]
@@ -110,7 +111,8 @@ def _poses(branches: Sequence[_Branch], count: int) -> tuple[Pose, tuple[Pose, .
         chain.insert(0, by_id[chain[0].parent])
     if len(chain) < 2:
         raise NoResultError("the airways of this volume have no branch to fly into", code="track.no-result")
-    # To the middle of the segmental bronchus; the first point of a child is the last point of its parent.
+    # The flight ends in the middle of the segmental bronchus; the first point of a child is the last point of its
+    # parent.
     half = target.points[: max(len(target.points) // 2, 2)]
     points = np.concatenate([chain[0].points, *(b.points[1:] for b in chain[1:-1]), half[1:]])
     path = FlightPath(points)
@@ -127,7 +129,8 @@ def _phantom(name: str, progress: Progress | None) -> tuple[Volume, list[_Branch
     if not (values_file.is_file() and truth_file.is_file()):
         made = generate_phantom(**options, progress=progress)
         folder.mkdir(parents=True, exist_ok=True)
-        # The files are written to a temporary folder and renamed, the truth last, so that no file is incomplete.
+        # The files are written to a temporary folder and then renamed, so that an interrupted run leaves no incomplete
+        # file. The file of the truth is renamed last.
         with tempfile.TemporaryDirectory(dir=folder) as scratch:
             part = Path(scratch) / "values.npy"
             np.save(part, made.volume.hu_zyx, allow_pickle=False)

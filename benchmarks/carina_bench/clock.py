@@ -1,4 +1,4 @@
-"""Alternating measurements of times, so that other load of the machine affects all functions alike."""
+"""Measurement of the times of several functions in alternation, so that other load affects all of them alike."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ __all__ = ["Times", "median_ratio", "take_turns"]
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """Times of one function in each round, ms."""
+    """CPU and wall times of one function, one for each round of a measurement, ms."""
 
     cpu_ms: tuple[float, ...]
-    """CPU time of the whole process, all threads, ms."""
+    """CPU time of the whole process with all its threads in each round, ms."""
     wall_ms: tuple[float, ...]
 
     @property
     def median_ms(self) -> float:
-        """Median CPU time, ms."""
+        """Median over the rounds of the CPU time of the function, ms."""
         return statistics.median(self.cpu_ms)
 
     @property
     def min_ms(self) -> float:
-        """Least CPU time, ms."""
+        """Least CPU time of the function in a round, ms."""
         return min(self.cpu_ms)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the times as JSON values for the report."""
+        """Return the times as JSON values for the benchmark's report."""
         return {
             "median": round(self.median_ms, 3),
             "min": round(self.min_ms, 3),
@@ -43,7 +43,7 @@ class Times:
 
 
 def take_turns(functions: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, Times]:
-    """Run the functions A B C A B C ..., after one round that does not count.
+    """Run each function once in each round and return its times; a first round is not counted.
 
     Each round starts with another function, so that no function always follows the same one.
     """
@@ -70,8 +70,9 @@ def take_turns(functions: Mapping[str, Callable[[], object]], repeats: int) -> d
 
 
 def median_ratio(slow: Times, fast: Times) -> float:
-    """Return the speed ratio: the median over the rounds of the ratio within a round.
+    """Return how many times slower ``slow`` is: the median over the rounds of the ratio of CPU times within a round.
 
-    Within a round other load affects both functions alike; the ratio of two medians could mix a quiet and a busy round.
+    Other load of the machine affects both functions of a round alike. The ratio of two medians could compare a busy
+    round with a quiet one.
     """
     return statistics.median(a / b for a, b in zip(slow.cpu_ms, fast.cpu_ms, strict=True))

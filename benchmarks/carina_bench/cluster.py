@@ -36,29 +36,41 @@ from carina_bench.plot_svg import line_plot, timeline
 __all__ = ["PAPER_TABLE_1", "PAPER_TABLE_2", "SECTIONS", "report", "serial_share"]
 
 SECTIONS = ("network", "simulation", "sleeping", "real", "transport", "kills")
+"""Sections of the benchmark, in the order in which they run."""
 WITHOUT_RAY = ("network", "simulation")
+"""Names of the sections that can run without Ray."""
 SIDE = 512
+"""Width and height of the rendered pictures, pixels."""
 GRIDS = {"head, 128x128x64": (64, 128, 128), "lung, 256x256x200": (200, 256, 256)}
+"""Shapes (nz, ny, nx) of the volumes of the paper's tables, by the name of the table's row."""
 CONCURRENCY = (1, 2, 4, 8)
+"""Numbers of equal machines for which the cluster is measured."""
 
-# Paper, Table 1: frames per second, speed-up, efficiency in per cent, response time in microseconds.
 PAPER_TABLE_1 = {
     "head, 128x128x64": {1: (1.70, 1.00, 100, 855193), 2: (3.20, 1.88, 94, 452661), 4: (4.64, 2.73, 68, 407028),
                          8: (7.68, 4.52, 56, 313438)},
     "lung, 256x256x200": {1: (1.66, 1.00, 100, 944950), 2: (2.86, 1.72, 86, 526609), 4: (4.34, 2.61, 65, 382623),
                           8: (7.48, 4.51, 56, 315812)},
 }  # fmt: skip
+"""Paper, Table 1: by volume and number of machines, frames/s, speed-up, efficiency in %, and response time in us."""
 PAPER_TABLE_2 = {"head, 128x128x64": (16.91, 9.98, 62, 396048), "lung, 256x256x200": (15.83, 9.54, 60, 338778)}
-# Paper 5.2 names 2 Suns, 2 SGIs and 12 PCs without their speeds; these are assumed, relative to the fastest.
+"""Paper, Table 2 (16 different machines): by volume, frames/s, speed-up, efficiency in %, and response time in us."""
 ASSUMED_SPEEDS = (*(0.8,) * 2, *(1.0,) * 2, *(0.7,) * 12)
-# Between machines on 1 Gbit/s, measured with the same transport (docs/decisions/0109): time of a call in both
-# directions, and its jitter; time of the console for an answer; bytes per second of its link.
+"""Assumed speeds of the paper's 16 machines relative to the fastest one: 2 Suns, 2 SGIs and 12 PCs.
+
+Paper 5.2 names these machines without their speeds.
+"""
 CALL_S, CALL_JITTER_S, CONSOLE_S, LINK_BYTES_PER_S = 0.0012, 0.0003, 0.001, 125e6
+"""Times and bandwidth of a network of 1 Gbit/s, measured with the same transport (docs/decisions/0109).
+
+In order: time of a call in both directions, s; random variation of this time, s; time in which the console handles an
+answer, s; bandwidth of the console's connection, bytes per second.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Scheme:
-    """Scheme for dividing the work."""
+    """Named way of distributing the strips of a picture: the settings of the scheduler."""
 
     name: str
     settings: ClusterSettings
@@ -71,13 +83,14 @@ SCHEMES = (
     Scheme("no balancing", ClusterSettings(in_flight=2, open_frames=3, balances=False)),
     Scheme("none of them", ClusterSettings(in_flight=1, open_frames=1, balances=False)),
 )
+"""Schemes that are compared: all features of the scheduler, each with one of them off, and none."""
 
 
 def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> int:
-    """Run the sections and print each result; write plots and ``cluster.json`` to ``folder``.
+    """Run the sections, print the results, and write plots and ``cluster.json`` to ``folder``; return the exit code.
 
-    A section that fails is reported and listed under ``failed``; the results of the others are kept. Return 1 if a
-    section failed.
+    A section that fails is reported and listed under ``failed``; the results of the other sections are reported as
+    well. The exit code is 1 if a section failed, else 0.
     """
     unknown = [name for name in only if name not in SECTIONS]
     if unknown:
@@ -101,7 +114,7 @@ def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> 
     }
     failed: dict[str, dict[str, str]] = {}
     result["failed"] = failed
-    # Measured once, by the first section that needs the costs.
+    # Costs are measured only once, when the first section needs them.
     costs = cache(lambda: {name: _measure(name, quick) for name in GRIDS})
     sections: dict[str, Callable[[list[str]], Any]] = {
         "network": _network,
@@ -135,18 +148,24 @@ def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> 
 
 
 def serial_share(speedups: Sequence[tuple[float, float]]) -> float:
-    """Fit the serial share s of Amdahl's 1 / S(n) = s + (1 - s) / n to pairs (n, S) by least squares in 1 / S."""
+    """Return the serial share s of Amdahl's law, fitted to pairs (number of machines n, speed-up S).
+
+    The law is 1 / S(n) = s + (1 - s) / n; the fit is by least squares in 1 / S.
+    """
     slopes = [(1.0 - 1.0 / n, 1.0 / speedup - 1.0 / n) for n, speedup in speedups]
     return sum(a * b for a, b in slopes) / sum(a * a for a, _ in slopes)
 
 
 def _network(lines: list[str]) -> list[dict[str, Any]]:
-    """Compare the paper's rows for 4 and 16 machines with one serial share, fitted on 2 and 8 machines."""
+    """Return the paper's values for 4 and 16 machines beside those predicted by Amdahl's law.
+
+    The serial share of the prediction is fitted on the values for 2 and 8 machines.
+    """
     rows: list[dict[str, Any]] = []
     lines.append(
         "The paper's network as one serial share (Amdahl), fitted on its 2 and 8 machines, checked on 4 and 16:"
     )
-    # 16 different machines count as this number of the fastest ones.
+    # In Amdahl's law the 16 machines of different speeds count as the sum of their relative speeds.
     counts = {2: 2.0, 4: 4.0, 8: 8.0, 16: sum(ASSUMED_SPEEDS)}
     for grid, table in PAPER_TABLE_1.items():
         fps, _, _, response_us = zip(*(table[n] for n in CONCURRENCY), strict=True)
@@ -185,15 +204,15 @@ def _network(lines: list[str]) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True, slots=True)
 class _Cost:
-    """Cost of a picture for one machine."""
+    """Time of a picture on the machine of this benchmark, and its distribution over the picture's rows."""
 
     frame_s: float
     profile: np.ndarray[Any, np.dtype[np.float64]]
-    """Relative cost of each row, 1 on average."""
+    """Cost of each row relative to the mean cost of a row."""
 
 
 def _case(name: str) -> tuple[Volume, Pose, np.ndarray[Any, np.dtype[np.uint8]]]:
-    """Return a phantom resampled to one of the paper's grids, with a pose in its trachea and its lumen."""
+    """Return a phantom resampled to the shape ``GRIDS[name]``, a pose in its trachea, and its lumen."""
     found = generate_phantom(spacing_mm=2.0)
     shape = GRIDS[name]
     volume = found.volume
@@ -212,7 +231,10 @@ def _case(name: str) -> tuple[Volume, Pose, np.ndarray[Any, np.dtype[np.uint8]]]
 
 
 def _flight_view(pose: Pose) -> Callable[[int], View]:
-    """Return the views of a slowly turning camera at a fixed position; the cost of rows changes between frames."""
+    """Return a function from the frame number to a view of a slowly turning camera.
+
+    The relative costs of the rows change between the frames.
+    """
 
     def view(number: int) -> View:
         turn = 0.12 * np.sin(number / 25)
@@ -251,7 +273,7 @@ def _measure(name: str, quick: bool) -> _Cost:
             tries.append(time.perf_counter() - began_s)
         bands.append(min(tries))
     profile = np.repeat(np.array(bands), band)
-    # The shortest time excludes other load of the machine.
+    # The shortest of several times is the one with the least other load.
     return _Cost(min(times), profile / profile.mean())
 
 
@@ -280,8 +302,8 @@ def _row(fps: float, alone_fps: float, num: int, response_s: float) -> dict[str,
 def _simulated(costs: dict[str, _Cost], quick: bool, lines: list[str]) -> dict[str, Any]:
     num = 120 if quick else 400
     skip = 40
-    # Two settings: this machine's own speed, which the network limits; and the paper's frame time, for which the
-    # schemes can be compared with its rows.
+    # Two settings: the speed of this machine, where the network is the limit; and the frame time of the paper, where
+    # the results can be compared with the paper's rows.
     found: dict[str, Any] = {"cost": {}, "table_1": [], "table_2": []}
     lines.append("Simulation of this scheduler, calibrated with measured costs of rows and calls (not a measurement):")
     for name, cost in costs.items():
@@ -291,7 +313,7 @@ def _simulated(costs: dict[str, _Cost], quick: bool, lines: list[str]) -> dict[s
             "frame_ms_paper": round(paper.frame_s * 1e3),
         }
         for machine, used in (("here", cost), ("paper", paper)):
-            # Speed-up is relative to one of the fastest machines that renders everything.
+            # The speed-up is relative to one of the fastest machines that renders whole pictures alone.
             alone = 0.0
             for scheme in SCHEMES:
                 for n in CONCURRENCY:
@@ -313,7 +335,7 @@ def _simulated(costs: dict[str, _Cost], quick: bool, lines: list[str]) -> dict[s
 
 
 def _paper_row(row: dict[str, Any]) -> tuple[float, float, int, int] | None:
-    """Return the paper's values for a row; None for another frame time or scheme."""
+    """Return the paper's values for a row of the simulation; None if the paper has no such frame time or scheme."""
     if row["machine"] == "here" or row["scheme"] != "all":
         return None
     return PAPER_TABLE_2[row["grid"]] if row["renderers"] == 16 else PAPER_TABLE_1[row["grid"]][row["renderers"]]
@@ -353,7 +375,7 @@ def _sleeping(costs: dict[str, _Cost], quick: bool, folder: Path, lines: list[st
 
 
 def _plot_tables(result: dict[str, Any], folder: Path) -> None:
-    """Plot Figures 9 and 10: the paper's rows, the simulation, and the real scheduler with sleeping machines."""
+    """Plot the paper's Figures 9 and 10 with the simulation and the real scheduler with sleeping renderers."""
     names = {"paper": "simulated", "asleep": "real Ray, asleep"}
     for file, title, value, up in (
         ("frame-rate.svg", "Frame rate (paper, Figure 9)", "fps", "fps"),
@@ -409,7 +431,7 @@ def _real(quick: bool, folder: Path, lines: list[str]) -> list[dict[str, Any]]:
                         renderer = ClusterRenderer(local, console, spread_all=True)
                         renderer.prepare()
                         wait_ready(console, n)
-                        # A single machine needs one open frame: a second would only wait.
+                        # One machine needs only one open frame, because a second frame would only wait.
                         ahead = 1 if n == 1 else 3
                         fly(renderer, console, view_of, seconds=1.5, rate_hz=None, ahead=ahead)
                         seconds = 3.0 if quick else 8.0
@@ -423,7 +445,7 @@ def _real(quick: bool, folder: Path, lines: list[str]) -> list[dict[str, Any]]:
 
 
 def _transport(quick: bool, folder: Path | None, lines: list[str]) -> list[dict[str, Any]]:
-    """Measure the transport; draw the timeline into ``folder`` unless it is None."""
+    """Return the measured times of the transport as rows; write a timeline into ``folder`` if it is not None."""
     from carina_bench.cluster_real import real_head, transport
 
     say("transport: eight renderers that sleep 4 ms a strip, 30 pictures a second")
@@ -456,14 +478,14 @@ def _kills(quick: bool, lines: list[str]) -> dict[str, Any]:
 
 
 def _timeline(flown: Any, title: str) -> str:
-    """Return Figure 11 of a real run as SVG: the last frames of a flight."""
+    """Return a timeline of six frames near the end of a real flight as SVG, like Figure 11 of the paper."""
     frames = sorted({job.frame_id for job in flown.jobs})[-12:-6]
     jobs: dict[str, list[tuple[float, float, int]]] = {}
     for job in flown.jobs:
         if job.frame_id in frames:
             name = job.lane.rpartition(" ")[2]
-            # A renderer starts its part this long before its answer arrives, and after its previous part: the varying
-            # times of the transport lie before and after the rendering.
+            # A renderer starts its strip ``seconds`` before its answer arrives, but not before its previous strip ends:
+            # the transport, whose time varies, takes place before and after the rendering.
             end_ms = job.answered_s * 1e3
             row = jobs.setdefault(name, [])
             begin_ms = max(end_ms - job.seconds * 1e3, row[-1][1] if row else -math.inf)

@@ -43,14 +43,16 @@ __all__ = [
 ]
 
 IP = "127.0.0.2"
+"""Address of the head on the loopback interface."""
 SIDE = 512
+"""Width and height of the rendered pictures, pixels."""
 ROW_S = 0.004 / (SIDE / 8)
-"""Time per row: eight equal strips of a picture take 4 ms each."""
+"""Time of a sleeping renderer for one row, s: eight equal strips of a picture take 4 ms each."""
 
 
 @contextlib.contextmanager
 def real_head(renderers: int, threads: int | None = None) -> Iterator[tuple[Node, Path]]:
-    """Start a head on loopback with this number of renderers, each with this number of threads."""
+    """Run a head on the loopback interface with ``renderers`` renderers of ``threads`` threads each."""
     folder = Path(tempfile.mkdtemp(prefix="carina-ray-"))
     with socket.socket() as probe:
         probe.bind((IP, 0))
@@ -87,7 +89,7 @@ def renderers_ready(
     settings: ClusterSettings,
     **options: Any,
 ) -> Iterator[tuple[Console, RayCluster]]:
-    """Yield a console with this number of ready renderers of a real cluster."""
+    """Yield a console with ``num`` ready renderers of a real cluster."""
     console = Console(settings, keep_jobs=True)
     cluster = RayCluster(
         console, head[0].address, head[1], ip=IP, limit=num, host_class=host_class, host_options=options, poll_s=0.2
@@ -100,7 +102,7 @@ def renderers_ready(
 
 
 def wait_ready(console: Console, num: int, timeout_s: float = 120.0) -> None:
-    """Wait until this number of renderers have loaded the displayed case."""
+    """Wait until ``num`` renderers have loaded the displayed case; raise `ClusterError` after ``timeout_s`` seconds."""
     end_s = time.monotonic() + timeout_s
     while True:
         ready = sum(m.state == "ready" and m.name != "console" for m in console.status().members)
@@ -115,12 +117,12 @@ def wait_ready(console: Console, num: int, timeout_s: float = 120.0) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """Frames of a flight, in the order of their requests."""
+    """Times of the displayed frames of a flight, in the order of their requests, and the rendered strips."""
 
     wanted_s: tuple[float, ...]
     shown_s: tuple[float, ...]
     overhead_s: tuple[float, ...]
-    """Time of each frame beyond the time of its slowest strip, s."""
+    """Time from the request to the display of each frame, less the time of its slowest strip, s."""
     jobs: tuple[Job, ...]
 
     @property
@@ -135,7 +137,7 @@ class Flown:
 
     @property
     def gaps_s(self) -> list[float]:
-        """Return the times between displayed frames, s, in the order of display."""
+        """Times between two displayed frames, s, in the order of display."""
         return [float(gap) for gap in np.diff(np.sort(self.shown_s))]
 
 
@@ -149,7 +151,10 @@ def fly(
     ahead: int = 3,
     during: Callable[[float], None] | None = None,
 ) -> Flown:
-    """Request frames at a rate, or as fast as buffers become free, and wait for all of them."""
+    """Fly and return the times of the frames after the last frame has arrived.
+
+    Frames are requested at ``rate_hz``, or as fast as ``ahead`` open frames allow if it is None.
+    """
     jobs = console.jobs
     assert jobs is not None
     jobs.clear()
@@ -180,7 +185,7 @@ def fly(
         number += 1
     for _, future in under_way:
         future.result(timeout=60.0)
-    console.status()  # The console answers in order, so all callbacks have been called before this answer.
+    console.status()  # The console answers in order, so all callbacks of the frames have run when this answer arrives.
     slowest: dict[int, float] = {}
     for job in jobs:
         if job.accepted:
@@ -195,12 +200,12 @@ def fly(
 
 
 def stand_in_view(_number: int) -> View:
-    """Return the view that sleeping renderers receive."""
+    """Return the view that is sent to sleeping renderers; all frames have the same view."""
     return AirwayView(Pose.looking((8.0, 8.0, 8.0), (0.0, 0.0, -1.0)), width=SIDE, height=SIDE)
 
 
 def small_renderer(console: Console) -> ClusterRenderer:
-    """Return a renderer of a small case, which is sent quickly."""
+    """Return a renderer of the cluster with a case so small that it is sent quickly."""
     hu = np.zeros((16, 16, 16), np.int16)
     renderer = ClusterRenderer(Renderer(Volume(hu, np.eye(4))), console, spread_all=True)
     renderer.prepare()
@@ -238,7 +243,7 @@ def transport(head: tuple[Node, Path], *, num: int, seconds: float) -> tuple[lis
 
 
 def lost_renderers(head: tuple[Node, Path], *, num: int, kills: int) -> dict[str, Any]:
-    """Measure the gaps between displayed frames while renderers are ended one after the other by kill -9."""
+    """Measure the time between displayed frames while renderers are killed one after the other (kill -9)."""
     worst = []
     with renderers_ready(head, num, SleepingRenderer, ClusterSettings(), row_seconds=ROW_S) as (console, _):
         renderer = small_renderer(console)

@@ -19,18 +19,18 @@ __all__ = ["Job", "SimulatedCluster", "SimulatedRenderer", "SimulationResult"]
 
 @dataclass(frozen=True, slots=True)
 class SimulatedRenderer:
-    """Speed of one simulated machine: time of a row, and time of a call in both directions together."""
+    """Speed of one simulated machine, and times of its connection to the console."""
 
     row_seconds: float
     call_seconds: float = 0.001
     call_jitter_seconds: float = 0.0005
     strip_seconds: float = 0.0
-    """Time of a strip in addition to its rows."""
+    """Constant time of a strip in addition to the time of its rows, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One rendered strip: renderer, frame, start and end."""
+    """Strip that a simulated machine rendered: machine, frame, start and end."""
 
     lane: int
     frame_id: int
@@ -41,27 +41,27 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class SimulationResult:
-    """Times and shares of a simulated run."""
+    """Times of the frames of a simulated run, and busy times and work shares of the machines."""
 
     seconds: float
     frame_s: tuple[float, ...]
-    """Time at which each frame was complete."""
+    """Time at which each frame was complete, s from the start of the run."""
     response_s: tuple[float, ...]
-    """Time from the start of each frame until it was complete."""
+    """Time from the start of each frame until it was complete, s."""
     busy: tuple[float, ...]
-    """Fraction of the time in which each renderer rendered, 0 to 1."""
+    """Fraction of the run in which each machine rendered, 0 to 1."""
     shares: tuple[dict[int, float], ...]
-    """Shares of the renderers after each frame."""
+    """Share of the rows that the scheduler gave to each machine, by its number, after each frame."""
     jobs: tuple[Job, ...] = field(repr=False, default=())
 
     def fps(self, skip: int = 0) -> float:
-        """Return the frames per second from the frame ``skip`` on."""
+        """Return the frames per second from frame number ``skip`` to the last frame."""
         times = self.frame_s[skip:]
         return (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 0.0
 
 
 class SimulatedCluster:
-    """Cluster of simulated machines that renders frames.
+    """Simulated cluster: the real scheduler with simulated machines and a simulated clock.
 
     Parameters
     ----------
@@ -97,11 +97,14 @@ class SimulatedCluster:
         self._order = itertools.count()
 
     def run(self, num_frames: int, num_rows: int, *, period_s: float = 0.0) -> SimulationResult:
-        """Render frames, one every ``period_s``, or as fast as buffers become free if the period is 0."""
+        """Simulate ``num_frames`` frames and return their times.
+
+        A frame starts every ``period_s`` seconds, or as soon as a buffer is free if the period is 0.
+        """
         scheduler = self._scheduler
         free_s = [0.0] * len(self._renderers)
         busy_s = [0.0] * len(self._renderers)
-        # Answers of one machine keep the order of its strips, as on one connection.
+        # The answers of a machine arrive in the order of its strips, as on one connection.
         last_answer_s = [0.0] * len(self._renderers)
         wanted: list[int] = []
         opened: dict[int, float] = {}

@@ -1,7 +1,8 @@
-"""The paper's tables on a real Ray whose renderers sleep: scheduler, processes and transport are real.
+"""Measurements of the paper's tables on a real Ray cluster whose renderers sleep instead of rendering.
 
-So a machine of two cores can run eight or sixteen renderers. Each sleeps as long as the paper's own machine took for
-its rows; the relative cost of the rows is that of a picture rendered here.
+Scheduler, processes and transport are real. Sleeping renderers need no cores, so a machine of two cores runs eight or
+sixteen of them. Each renderer sleeps as long as a machine of the paper took for the same rows; the relative cost of the
+rows is that of a picture rendered here.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ __all__ = ["SleepingRun", "sleeping_runs"]
 
 @dataclass(frozen=True, slots=True)
 class SleepingRun:
-    """Result of one flight: grid, scheme, speeds of the machines, and times."""
+    """Result of one flight: volume, scheme, speeds of the machines, and times of the frames."""
 
     grid: str
     scheme: str
@@ -48,21 +49,21 @@ def sleeping_runs(
     quick: bool,
     say: Callable[[str], None],
 ) -> Iterator[SleepingRun]:
-    """Run flights on machines that sleep.
+    """Fly with sleeping renderers and yield the result of each flight.
 
     Parameters
     ----------
     head
-        A cluster with at least the number of renderers used.
+        A cluster with at least as many renderers as the largest flight uses.
     frame_s, row_costs
-        By grid: time of a picture on the fastest machine, and cost of each of its rows as a multiple of the mean.
+        By name of the volume: time of a picture on the fastest machine, s, and cost of each row relative to the mean.
     schemes
-        Names and settings. The first is flown on every number of machines, the others on the largest number of equal
-        machines.
+        Names and settings of the scheduler. The first is flown on every number of machines, the others on the largest
+        number of equal machines.
     concurrency
         Numbers of equal machines.
     mixed_speeds
-        Speeds of different machines, relative to the fastest.
+        Speeds of the machines of a mixed cluster, relative to the fastest.
     quick
         Whether to render fewer pictures.
     say
@@ -79,7 +80,7 @@ def sleeping_runs(
                 wait_ready(console, len(speeds), 240.0)
                 for grid, seconds in frame_s.items():
                     _set_pace(console, speeds, seconds / SIDE, tuple(row_costs[grid]))
-                    # A single machine needs one open frame: a second would only wait.
+                    # One machine needs only one open frame, because a second frame would only wait.
                     ahead = 1 if len(speeds) == 1 else settings.open_frames
                     flown = _flown(renderer, console, seconds / sum(speeds), ahead, len(speeds), quick)
                     yield SleepingRun(grid, scheme, speeds, flown)
@@ -94,7 +95,7 @@ def _set_pace(console: Console, speeds: tuple[float, ...], row_s: float, row_cos
 
 
 def _flown(renderer: ClusterRenderer, console: Console, frame_s: float, ahead: int, num: int, quick: bool) -> Flown:
-    # One machine has no shares to settle; with more machines a picture is shorter.
+    # On one machine no shares need time to settle. On several machines a picture takes less time, so more are measured.
     settle_s, frames = (3 * frame_s, 10) if num == 1 else (max(6.0, 30 * frame_s), 20 if num == 2 or quick else 60)
     fly(renderer, console, stand_in_view, seconds=settle_s, rate_hz=None, ahead=ahead)
     return fly(renderer, console, stand_in_view, seconds=frames * frame_s, rate_hz=None, ahead=ahead)

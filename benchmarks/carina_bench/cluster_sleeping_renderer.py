@@ -1,6 +1,7 @@
 """Renderer that sleeps instead of rendering, and that fails on request: for tests and benchmarks of the cluster.
 
-The renderer needs no cores: scheduler and transport see eight machines although the computer has two cores.
+A sleeping renderer uses no core, so a computer of two cores can run the scheduler and the transport with eight
+renderers.
 """
 
 from __future__ import annotations
@@ -23,14 +24,17 @@ __all__ = ["SleepingRenderer", "position_pixels"]
 
 
 def position_pixels(view: View, rows: tuple[int, int] | None, content: int) -> NDArray[np.uint8]:
-    """Return pixels (rows, width, 3) that encode their row, their column and the content of the picture."""
+    """Return pixels (rows, width, 3) whose values encode their row, their column and the number ``content``."""
     first, end = rows or (0, view.height)
     return _pixels(first, end, view.width, (int(getattr(view, "fov_deg", None) or 0) + content) % 256)
 
 
 @lru_cache(maxsize=64)
 def _pixels(first: int, end: int, width: int, salt: int) -> NDArray[np.uint8]:
-    """Return the pixels of rows, cached: eight renderers that compute on two cores would wait for each other."""
+    """Return the pixels of rows ``first`` to ``end``; the cache makes repeated calls fast.
+
+    Without the cache eight renderers that compute on two cores would delay each other.
+    """
     row = (np.arange(first, end) % 256).astype(np.uint8)[:, None]
     column = (np.arange(width) % 256).astype(np.uint8)[None, :]
     made = np.empty((end - first, width, 3), np.uint8)
@@ -70,7 +74,7 @@ class SleepingRenderer(RendererHost):
         self._trouble: str | None = None
 
     def ping(self) -> dict[str, Any]:
-        """Return the facts of the real renderer with the given version and memory."""
+        """Return the facts that a real renderer reports, with the version and the memory of this object."""
         facts = super().ping()
         if self._version is not None:
             facts["version"] = self._version
@@ -79,26 +83,27 @@ class SleepingRenderer(RendererHost):
         return facts
 
     def misbehave(self, trouble: str | None = None, factor: float = 1.0) -> int:
-        """Become ``factor`` times slower, or answer with a wrong ``"size"``, ``"frame"`` or ``"rows"``.
+        """Become ``factor`` times slower, or give wrong answers from now on; return the process ID.
 
-        A wrong frame and wrong rows have pixels of their own. Returns the process ID.
+        ``trouble`` is the wrong property of the answers: ``"size"``, ``"frame"`` or ``"rows"``. The pixels of a wrong
+        frame and of wrong rows differ from the correct ones.
         """
         self._trouble, self._factor = trouble, factor
         return os.getpid()
 
     def pace(self, row_seconds: float, row_costs: tuple[float, ...]) -> None:
-        """Set the time of each row of a picture to ``row_seconds`` times the cost of the row."""
+        """Set the time of each row to ``row_seconds`` times the relative cost of the row."""
         self._row_seconds, self._row_costs = row_seconds, row_costs
 
     def strip(self, frame_id: int, content: int, view: bytes, rows: tuple[int, int] | None) -> Strip:
-        """Sleep and return pixels that encode their position."""
+        """Sleep for the time of the strip and return pixels that encode their position."""
         began_s = time.perf_counter()
         if self._content != content:
             raise ClusterError(f"the renderer has content {self._content}; expected {content}", code="cluster.lost")
         shown = pickle.loads(view)
         first_row, end_row = rows or (0, shown.height)
         if self._trouble == "rows":
-            # Another strip of the same height, like an answer to an earlier division of the frame.
+            # Answers with another strip of the same height, as if the frame had been divided differently before.
             first_row, end_row = first_row + 1, end_row + 1
         rgb = position_pixels(shown, (first_row, end_row), content)
         rows_alike = len(rgb) if self._row_costs is None else sum(self._row_costs[first_row:end_row])

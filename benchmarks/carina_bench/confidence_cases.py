@@ -1,8 +1,8 @@
 """Phantoms for the calibration of confidence: good CTs and degraded ones, with strands that look like airways.
 
 A strand is a dark tube in the lung that leaves an airway, without a wall or with a wall on one side only. It resembles
-a bulla, a fissure or emphysema, and a search may follow it. A found branch is *true* if more than half of its points
-lie within a voxel (the cube root of its volume) of a true lumen.
+a bulla, a fissure or emphysema, and a search may follow it. A branch that the search found is *true* if more than half
+of its points lie within a voxel (the cube root of its volume) of a true lumen.
 """
 
 from __future__ import annotations
@@ -22,12 +22,14 @@ __all__ = ["CtCase", "cases_of", "is_true_branch", "made_case", "true_tree"]
 
 Points = NDArray[np.float64]
 LUMEN_HU, ONE_SIDED_HU = -980.0, -450.0
+"""CT values of a strand in HU: of its inside, and least value of a wall on one side."""
 WALL_MM = 0.9
+"""Thickness of the wall on one side of a strand, mm."""
 
 
 @dataclass(frozen=True, slots=True)
 class CtCase:
-    """Parameters of a phantom's CT."""
+    """Parameters of the CT of one phantom."""
 
     seed: int
     is_good: bool
@@ -38,7 +40,11 @@ class CtCase:
 
 
 def cases_of(seeds: range, *, is_good: bool) -> Iterator[CtCase]:
-    """Return one case per seed: good is 0.8 mm with 20 to 30 HU; degraded slices are 1 to 3 mm with 20 to 60 HU."""
+    """Return one case for each seed, all good or all degraded.
+
+    Good CTs have a spacing of 0.8 mm and noise of 20 to 30 HU; degraded CTs have slices of 1 to 3 mm and noise of 20 to
+    60 HU.
+    """
     for seed in seeds:
         rng = np.random.default_rng((seed, is_good))
         generations = int(rng.integers(5, 8))
@@ -51,13 +57,13 @@ def cases_of(seeds: range, *, is_good: bool) -> Iterator[CtCase]:
 
 
 def true_tree(seed: int, generations: int = 6) -> AirwayTree:
-    """Return the exact tree of a phantom, generated with very few voxels."""
+    """Return the exact airway tree of a phantom; the phantom is generated with very few voxels."""
     box = ((-10.0, -10.0, -10.0), (10.0, 10.0, 10.0))
     return AirwayTree.from_json(generate_phantom(seed=seed, spacing_mm=5.0, box_lps=box, generations=generations).truth)
 
 
 def made_case(case: CtCase) -> Volume:
-    """Return the CT of a case, with its strands."""
+    """Return the CT of a case, with the strands added to it."""
     made = generate_phantom(
         seed=case.seed, spacing_mm=case.spacing_mm, noise_hu=case.noise_hu, generations=case.generations
     )
@@ -69,7 +75,7 @@ def made_case(case: CtCase) -> Volume:
 
 
 def _strands(made: Phantom, case: CtCase, rng: np.random.Generator) -> Iterator[tuple[Points, float, Points | None]]:
-    """Yield centreline, radius, and direction of the wall of each strand (None without a wall)."""
+    """Yield the centreline, the radius (mm), and the direction of the wall (None without a wall) of each strand."""
     branches = [b for b in made.truth["branches"] if b["generation"] >= 4]
     for number in rng.choice(len(branches), case.num_strands, replace=False):
         branch: dict[str, Any] = branches[number]
@@ -125,7 +131,7 @@ def _paint(
 
 
 def is_true_branch(case: CtCase, tree: AirwayTree) -> list[bool]:
-    """Return whether each branch of a found tree is a true airway."""
+    """Return for each branch of a tree that was found whether it is a true airway of the case."""
     voxel_mm = float(np.cbrt(np.prod(case.spacing_mm)))
     points = np.concatenate([b.points for b in tree.branches])
     near = lumen_distance_at(points, seed=case.seed, generations=case.generations) <= voxel_mm

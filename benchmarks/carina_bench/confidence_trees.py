@@ -1,4 +1,4 @@
-"""Trees for the calibration of names: true ones with noise and pruned, and trees that are no bronchial tree."""
+"""Airway trees for the calibration of names: true trees with noise and missing branches, and trees of other shapes."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ Points = NDArray[np.float64]
 
 
 def turned(tree: AirwayTree, matrix: NDArray[np.float64]) -> AirwayTree:
-    """Return the tree with every point multiplied by a matrix; determinants of 1 and -1 only."""
+    """Return the tree with every point multiplied by a 3x3 matrix of determinant 1 or -1."""
     return AirwayTree(tuple(dataclasses.replace(b, points=b.points @ matrix.T) for b in tree.branches))
 
 
 def degraded(tree: AirwayTree, rng: np.random.Generator, *, amount: float = 1.0) -> AirwayTree:
-    """Return a tree as from a poor CT: noise, fewer generations, missing tips and bronchi, additional twigs.
+    """Return the tree as the search would find it in a poor CT: with noise, missing and additional branches.
 
-    ``amount`` 0 to 1: noise of up to 2.5 mm that changes over some 10 mm, up to a third of the tips pruned, up to four
-    bronchi cut off with all branches beyond them, up to twelve twigs.
+    ``amount`` 0 to 1 scales all changes: noise of up to 2.5 mm that varies over about 10 mm, up to a third of the tips
+    removed, up to four bronchi removed with all their descendants, and up to twelve twigs added.
     """
     tree = _cut(tree, rng, amount)
     tree = _grown_over(tree, rng, round(12.0 * amount * rng.random()))
@@ -47,7 +47,7 @@ def degraded(tree: AirwayTree, rng: np.random.Generator, *, amount: float = 1.0)
 
 
 def warped(tree: AirwayTree, rng: np.random.Generator, spread_deg: float) -> AirwayTree:
-    """Return another anatomy: every bronchus, with the branches beyond it, turned about its start at random."""
+    """Return a tree of another anatomy: each bronchus is turned at random about its start, with all its descendants."""
     moves: dict[int | None, tuple[NDArray[np.float64], Points]] = {None: (np.eye(3), np.zeros(3))}
     ends: dict[int, Points] = {}
     made = []
@@ -94,7 +94,7 @@ def _cut(tree: AirwayTree, rng: np.random.Generator, amount: float) -> AirwayTre
 
 
 def _grown_over(tree: AirwayTree, rng: np.random.Generator, num: int) -> AirwayTree:
-    """Return the tree with blind tubes on the side of branches; each tube divides its branch in two."""
+    """Return the tree with ``num`` blind tubes added at the sides of branches; each tube divides its branch in two."""
     branches = {b.id: b for b in tree.branches}
     hosts = [b.id for b in tree.branches if len(b.points) > 8 and b.parent is not None]
     for host in rng.choice(hosts, min(num, len(hosts)), replace=False).tolist():
@@ -124,9 +124,9 @@ def _grown_over(tree: AirwayTree, rng: np.random.Generator, num: int) -> AirwayT
 
 
 def random_tree(rng: np.random.Generator, *, generations: int = 6, two_lungs: bool = False) -> AirwayTree:
-    """Return a tree of binary forks at random angles, calibres by the cube law.
+    """Return a tree of binary forks at random angles; the calibres follow the cube law.
 
-    With two lungs the first is a carina.
+    With ``two_lungs`` the first fork is like a carina.
     """
     made: list[tuple[int, int | None, list[int], int, Points, float]] = []
 
@@ -162,9 +162,9 @@ def random_tree(rng: np.random.Generator, *, generations: int = 6, two_lungs: bo
 
 
 def vessel_tree(tree: AirwayTree, rng: np.random.Generator, *, is_vein: bool) -> AirwayTree:
-    """Return arteries or veins that end between the tips of an airway tree.
+    """Return a tree of arteries, or of veins if ``is_vein``, whose tips are between the tips of an airway tree.
 
-    Neighbours join first, towards the heart.
+    Starting at the tips, neighbouring vessels are joined first, towards the heart.
     """
     tips = np.array([b.points[-1] for b in tree.tips()])
     ends = tips + rng.normal(size=tips.shape) * (9.0 if is_vein else 4.0)

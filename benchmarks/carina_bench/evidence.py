@@ -1,4 +1,4 @@
-"""Shares of points of lung, and of points of true airways, that a click accepts as airways."""
+"""Shares of points, in plain lung and in true airways, that a click of *Add branch* accepts as airways."""
 
 from __future__ import annotations
 
@@ -17,23 +17,36 @@ __all__ = ["lung_points", "missed_points", "removed_branches", "shows_lumen", "t
 Points = NDArray[np.float64]
 
 CLEAR_MM = 5.0
-"""Least distance of lung points from every airway, mm."""
+"""Least distance of points of plain lung from every airway, mm."""
 FARTHEST_MM = 40.0
+"""Largest distance of points of plain lung from the airway tree, mm."""
 MISSED_MM = 3.0
-"""Distance within which no lumen was found around a missed point of a true airway, mm."""
+"""Distance from a missed point of a true airway within which no lumen was found, mm."""
 SURE = 0.95
-"""Least confidence of branches that count as true airways."""
+"""Least confidence of a branch that counts as a true airway."""
 SIDES, SEEN_MM, OPEN_SHARE, SEEN_NOISE = 16, 3.0, 0.2, 3.0
+"""Condition of a visible lumen, see :func:`shows_lumen`.
+
+In order: number of sides in a plane; distance within which the values rise, mm; share of sides that need not rise;
+least rise as a multiple of the standard deviation of the noise.
+"""
 LUNG_HU, OUTSIDE_HU = -650.0, -988.0
+"""Range of the CT values of lung in HU: largest value, and largest value of air outside the patient."""
 
 
 def lung_points(volume: Volume, airways: Airways, truth_zyx: NDArray[np.uint8], num: int, seed: int) -> Points:
-    """Return (num, 3) random points of lung, LPS mm, more than 5 mm from every airway and at most 40 mm from the tree.
+    """Return (num, 3) random points of plain lung, LPS mm.
+
+    The points are more than 5 mm from every airway and at most 40 mm from the airway tree.
 
     Parameters
     ----------
     truth_zyx
-        (nz, ny, nx) not 0 in true airways; found airways count as airways too.
+        (nz, ny, nx) not 0 in true airways. Found airways are avoided as well.
+    num
+        Number of points.
+    seed
+        Seed of the random generator.
     """
     rng = np.random.default_rng(seed)
     tree = np.concatenate([b.points for b in airways.tree.branches if b.generation >= 2])
@@ -59,12 +72,12 @@ def lung_points(volume: Volume, airways: Airways, truth_zyx: NDArray[np.uint8], 
 
 
 def removed_branches(volume: Volume, airways: Airways, num: int, seed: int, *, whole: bool) -> tuple[Airways, Points]:
-    """Return airways opened from a mask without some branches, and (num, 3) points, LPS mm, in the removed branches.
+    """Return airways opened from a mask without some branches, and points (num, 3), LPS mm, in these branches.
 
     Parameters
     ----------
     whole
-        Whether to remove segmental bronchi with all their descendants; else single tips.
+        True removes segmental bronchi with all their descendants; False removes single tips.
     """
     rng = np.random.default_rng(seed)
     tree = airways.tree
@@ -95,7 +108,7 @@ def removed_branches(volume: Volume, airways: Airways, num: int, seed: int, *, w
     i, j, k = voxels[is_gone].T
     mask[k, j, i] = 0
     opened = find_airways(volume, lumen_zyx=mask, root_lps=airways.root_lps)
-    # A branch of low confidence may not be an airway.
+    # A branch of low confidence may not be an airway, so no point is drawn in it.
     branches = [b for b in gone.values() if b.confidence is None or b.confidence >= SURE]
     places = []
     for _ in range(num):
@@ -107,9 +120,10 @@ def removed_branches(volume: Volume, airways: Airways, num: int, seed: int, *, w
 
 
 def missed_points(volume: Volume, airways: Airways, truth_zyx: NDArray[np.uint8], num: int, seed: int) -> Points:
-    """Return at most (num, 3) points, LPS mm, in the middle of true airways without a found lumen within 3 mm.
+    """Return at most (num, 3) points, LPS mm, in the middle of true airways, with no lumen found within 3 mm of them.
 
-    A mask on thick slices extends beyond the edge of an oblique lumen by a slice or two: see :func:`shows_lumen`.
+    In thick slices the mask of an oblique airway extends beyond its lumen by a slice or two, so a point of the mask
+    need not be visible as a lumen: see :func:`shows_lumen`.
     """
     rng = np.random.default_rng(seed)
     truth = truth_zyx != 0
@@ -121,7 +135,8 @@ def missed_points(volume: Volume, airways: Airways, truth_zyx: NDArray[np.uint8]
         near = around[is_truth & (off_mm <= 2.0)]
         middle = near[np.argmin(np.linalg.norm(volume.to_lps(near) - volume.to_lps(near).mean(axis=0), axis=1))]
         x, y, z = (float(v) for v in volume.to_lps(middle))
-        # The part of a mask above the top of the trachea was excluded from the search, not missed.
+        # The search does not cover the part of a mask above the top of the trachea, so its points are not missed
+        # airways.
         if z < airways.root_lps[2] and airways.tracker.core.nearest((x, y, z), MISSED_MM) is None:
             found.append(np.array([x, y, z]))
         if len(found) == num:
@@ -130,7 +145,7 @@ def missed_points(volume: Volume, airways: Airways, truth_zyx: NDArray[np.uint8]
 
 
 def shows_lumen(volume: Volume, points: Points, noise_hu: float) -> NDArray[np.bool_]:
-    """Return (n,) whether the CT is darker at each (n, 3) point, LPS mm, than around it, as a visible lumen is.
+    """Return for each (n, 3) point, LPS mm, whether the CT is darker there than around it, as in a visible lumen.
 
     The condition: in one of 13 planes through the point the values rise by three times the noise within 3 mm on four
     fifths of 16 sides. Values are those of the CT, averaged over 2 mm across the plane. 2 to 3 % of random points of
@@ -139,7 +154,12 @@ def shows_lumen(volume: Volume, points: Points, noise_hu: float) -> NDArray[np.b
     Parameters
     ----------
     noise_hu
-        Standard deviation in air.
+        Standard deviation of the CT values in air, HU.
+
+    Returns
+    -------
+    NDArray[np.bool_]
+        (n,) True where a lumen is visible.
     """
     angle = 2.0 * np.pi * np.arange(SIDES) / SIDES
     found = np.full(len(points), -np.inf)
@@ -157,7 +177,13 @@ def shows_lumen(volume: Volume, points: Points, noise_hu: float) -> NDArray[np.b
 
 
 def taken(volume: Volume, airways: Airways, points: Points) -> NDArray[np.int8]:
-    """Return (n,) the result of a click at each (n, 3) point: 1 accepted, 0 questioned or refused, -1 in the tree."""
+    """Return the result of a click at each of the (n, 3) points, LPS mm.
+
+    Returns
+    -------
+    NDArray[np.int8]
+        (n,) 1 if the click is accepted, 0 if it is questioned or refused, -1 if the point is already in the tree.
+    """
     found = np.zeros(len(points), dtype=np.int8)
     for number, point in enumerate(points):
         way = branch_way(volume, airways, point)
@@ -167,7 +193,7 @@ def taken(volume: Volume, airways: Airways, points: Points) -> NDArray[np.int8]:
 
 
 def _values_at(volume: Volume, places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return trilinear values of the CT, clamped at its edges."""
+    """Return the CT in HU at points (..., 3), LPS mm, by trilinear interpolation, clamped at the volume's edges."""
     last = np.array(volume.shape_zyx[::-1]) - 1
     ijk = np.clip(volume.to_ijk(places.reshape(-1, 3)), 0, last)
     low = np.minimum(ijk.astype(np.int64), last - 1)
@@ -183,7 +209,7 @@ def _values_at(volume: Volume, places: NDArray[np.float64]) -> NDArray[np.float6
 def _round(
     volume: Volume, voxel: NDArray[np.int64], values: NDArray[Any], reach_mm: float
 ) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the values in a box around a voxel, and their distances from it in mm and indices i, j, k."""
+    """Return the values in a box around a voxel, their distances from the voxel in mm, and their indices (i, j, k)."""
     reach = np.ceil(reach_mm / np.array(volume.spacing_mm)).astype(int)
     shape = np.array(volume.shape_zyx[::-1])
     low, high = np.maximum(voxel - reach, 0), np.minimum(voxel + reach, shape - 1)

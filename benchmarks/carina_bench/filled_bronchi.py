@@ -1,4 +1,4 @@
-"""Phantoms with fluid or mucus in one of their bronchi: a fluid level, or a plug, over a known stretch."""
+"""Phantoms with fluid or mucus over a known stretch of one bronchus: a fluid level, or a plug that fills the lumen."""
 
 from __future__ import annotations
 
@@ -13,41 +13,44 @@ from carina.volume import Volume
 __all__ = ["Secretions", "with_secretions"]
 
 FLUID_HU = 15.0
+"""CT value of fluid and mucus in a bronchus, HU."""
 AIR_HU = -1000.0
+"""CT value of the air in a bronchus, HU."""
 WALL_HU = 150
-"""Voxels at the border of lumen and wall become no brighter than this."""
+"""Largest CT value to which a voxel at the border of lumen and wall may rise, HU."""
 FINE = 4
-"""Cells along each edge of a voxel: a fluid level need not lie on the border of a voxel."""
+"""Number of cells along each edge of a voxel, so that a fluid level need not be at the border of a voxel."""
 STEP_MM = 0.1
+"""Distance between two samples along the axis of the bronchus, mm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Secretions:
-    """A volume with fluid in a bronchus, and the truth about the fluid."""
+    """Volume with fluid in one bronchus, and the true position and extent of the fluid."""
 
     volume: Volume
     axis_lps: NDArray[np.float64]
-    """(n, 3) axis of the bronchus from the first to the last place with fluid, LPS mm."""
+    """(n, 3) axis of the bronchus from the first to the last section with fluid, LPS mm."""
     calibre_mm: float
-    """Diameter from inner wall to inner wall in the middle of the stretch."""
+    """Diameter of the lumen, between inner walls, in the middle of the stretch with fluid, mm."""
     air_mm: float
-    """Diameter of the circle with the area of the air above the fluid there."""
+    """Diameter in mm of the circle that has the area of the air above the fluid in the middle of the stretch."""
 
 
 def with_secretions(phantom: Phantom, name: str, *, share: float, from_mm: float, length_mm: float) -> Secretions:
-    """Fill the lowest (posterior) ``share`` of the height of each section of a named bronchus.
+    """Return the phantom with fluid in the lowest (posterior) ``share`` of the height of each section of a bronchus.
 
     Parameters
     ----------
     phantom
-        Its truth names the bronchus.
+        Phantom whose truth contains the name of the bronchus.
     name
         Name of the bronchus, such as ``RB6``.
     share
         Share of the height of a section that is filled, above 0 and at most 1; 1 is a plug.
     from_mm, length_mm
-        Start of the fluid on the axis of the bronchus, from its origin, and length of the stretch. It must end within
-        the bronchus.
+        Start of the fluid, as a distance along the axis from the origin of the bronchus, and length of the stretch. The
+        stretch must end within the bronchus.
     """
     branch = next(one for one in phantom.truth["branches"] if one["name"] == name)
     points, radius = np.array(branch["points"]), np.array(branch["radius"])
@@ -83,7 +86,8 @@ def with_secretions(phantom: Phantom, name: str, *, share: float, from_mm: float
             off = places - axis[n]
             ahead = off @ tangent[n]
             inside = (np.abs(ahead) < 0.3) & ((off * off).sum(axis=1) <= radii[n] ** 2 + ahead**2)
-            # A section across an airway that runs backwards is less high than wide along the patient's axes.
+            # In an axial plane the section of an airway that runs backwards is not a circle, so its height is
+            # corrected.
             height = (off[:, 1] - ahead * tangent[n, 1]) / max(np.sqrt(1.0 - tangent[n, 1] ** 2), 1e-3)
             wet |= inside & (height >= radii[n] * (1.0 - 2.0 * share))
         num_x, num_y = high[0] - low[0] + 1, high[1] - low[1] + 1
@@ -91,7 +95,7 @@ def with_secretions(phantom: Phantom, name: str, *, share: float, from_mm: float
         values[k, low[1] : high[1] + 1, low[0] : high[0] + 1] += part * (FLUID_HU - AIR_HU)
     brightest = np.maximum(volume.hu_zyx, WALL_HU)
     filled = Volume(np.round(np.minimum(values, brightest)).astype(np.int16), volume.lps_from_ijk)
-    # The air is the segment of a circle above its chord.
+    # The air above the fluid is the segment of a circle above a chord.
     angle = 2.0 * np.arccos(1.0 - 2.0 * (1.0 - share))
     middle = len(axis) // 2
     air_mm = 2.0 * float(radii[middle]) * float(np.sqrt((angle - np.sin(angle)) / (2.0 * np.pi)))

@@ -10,19 +10,19 @@ __all__ = ["Gate"]
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """Figure with its limit."""
+    """Figure of a benchmark with the limit that it must reach."""
 
     name: str
     figure: float
     limit: float
     better: Literal["higher", "lower"] = "higher"
     aim: bool = False
-    """Whether the limit is only reported; missing it fails nothing."""
+    """Whether the limit is only reported, so that a missed limit is not counted as a failure."""
     note: str | None = None
 
     @property
     def passed(self) -> bool:
-        """Whether the figure reaches the limit; a missing figure does not."""
+        """Whether the figure reaches the limit; False for a missing figure."""
         return self.figure >= self.limit if self.better == "higher" else self.figure <= self.limit
 
     def to_json(self) -> dict[str, Any]:
@@ -38,7 +38,7 @@ class Gate:
         }
 
     def line(self) -> str:
-        """Return the gate as a line of text."""
+        """Return the figure, its limit and whether the limit is reached, as one line of text."""
         sign = ">=" if self.better == "higher" else "<="
         word = "passed" if self.passed else "MISSED"
         kind = "aim " if self.aim else "gate"

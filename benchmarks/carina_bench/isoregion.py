@@ -1,4 +1,4 @@
-"""Measurements of ``carina bench isoregion``: maps, projections, planes, memory."""
+"""Measurements of ``carina bench isoregion``: IsoRegion maps, projections, oblique slices, memory."""
 
 from __future__ import annotations
 
@@ -25,8 +25,11 @@ __all__ = ["maps", "planes", "prepared_maps", "projections"]
 
 Request = dict[str, Any]
 WINDOW_HU = (1500.0, -600.0)
+"""Window of the pictures in HU: width and level."""
 CLEAR_BELOW_HU = -700
+"""CT value in HU below which a voxel counts as clear air."""
 BIN_HU = 16
+"""Width of a bin of CT values, HU."""
 
 
 def _case(name: str) -> Case:
@@ -34,7 +37,10 @@ def _case(name: str) -> Case:
 
 
 def _memory(kind: str) -> int | None:
-    """Return ``VmRSS`` (now) or ``VmHWM`` (peak since ``_forget_peak``) of this process in bytes, or None."""
+    """Return ``VmRSS`` (memory now) or ``VmHWM`` (peak since ``_forget_peak``) of this process in bytes.
+
+    The result is None if the system does not report the value.
+    """
     try:
         lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -43,13 +49,13 @@ def _memory(kind: str) -> int | None:
 
 
 def _forget_peak() -> None:
-    """Reset the memory peak of this process (Linux)."""
+    """Reset the peak memory that Linux records for this process."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 
 
 def _labels(hu_zyx: NDArray[np.int16]) -> NDArray[np.uint8]:
-    """Return many labels: one for clear air, and one for each 16-HU bin of the other voxels."""
+    """Return a label for each voxel: 1 for clear air, and one for each bin of 16 HU of the other voxels."""
     bins = np.clip((hu_zyx.astype(np.int32) - CLEAR_BELOW_HU) // BIN_HU, 0, 253) + 2
     return np.where(hu_zyx < CLEAR_BELOW_HU, 1, bins).astype(np.uint8)
 
@@ -65,7 +71,10 @@ def _summary(times: dict[str, Times], slow: str, fast: str) -> dict[str, Any]:
 
 
 def maps(request: Request) -> list[dict[str, Any]]:
-    """Compare the IsoRegion map of many labels with scipy's chessboard distance of two: one thread, CPU time."""
+    """Compare the IsoRegion map of many labels with scipy's chessboard distance transform of two labels.
+
+    The measurement uses one thread and CPU time.
+    """
     ndimage: Any = importlib.import_module("scipy.ndimage")
     rows = []
     for name in request["cases"]:
@@ -75,7 +84,7 @@ def maps(request: Request) -> list[dict[str, Any]]:
         _forget_peak()
         radius = build_isoregion_map(labels)
         peak = _memory("VmHWM")
-        # With two labels, and the volume's border as a wall, both results must be equal.
+        # With only two labels, and the border of the volume as a wall, Carina's and scipy's results must be equal.
         clear = labels == 1
         half = tuple(slice(n // 4, n // 4 + min(n // 2, 160)) for n in clear.shape)
         part = np.ascontiguousarray(clear[half])
@@ -100,7 +109,7 @@ def maps(request: Request) -> list[dict[str, Any]]:
                 **_summary(times, "scipy cdt, two labels", "carina, many labels"),
                 "ns_per_voxel": {key: round(1e6 * value.median_ms / voxels, 3) for key, value in times.items()},
                 "equal_to_scipy_on_two_labels": equal,
-                # Memory above the labels, including the map itself.
+                # Memory in addition to that of the labels; the map itself is included.
                 "bytes_per_voxel": None if before is None or peak is None else round((peak - before) / voxels, 2),
             }
         )
@@ -109,7 +118,10 @@ def maps(request: Request) -> list[dict[str, Any]]:
 
 
 def prepared_maps(request: Request) -> list[dict[str, Any]]:
-    """Measure the time from HU to the map for leaping, on all threads, which runs in the background after opening."""
+    """Measure the time from CT values to the map that leaping uses, on all threads.
+
+    Carina computes this map in the background after a case is opened.
+    """
     rows = []
     for name in request["cases"]:
         case = _case(name)
@@ -131,7 +143,7 @@ def prepared_maps(request: Request) -> list[dict[str, Any]]:
 
 
 def projections(request: Request) -> list[dict[str, Any]]:
-    """Compare three maximum intensity projections with numpy: one thread, CPU time."""
+    """Compare the times of three maximum intensity projections with numpy: one thread, CPU time."""
     rows = []
     for name in request["cases"]:
         case = _case(name)
@@ -150,7 +162,7 @@ def projections(request: Request) -> list[dict[str, Any]]:
 
 
 def planes(request: Request) -> list[dict[str, Any]]:
-    """Compare an oblique slice of 256 x 256 with ``vtkImageReslice``: one thread, CPU time."""
+    """Compare the time of an oblique slice of 256 x 256 with ``vtkImageReslice``: one thread, CPU time."""
     from carina_bench.vtk_peer import vtk_reslice
 
     size = 256
@@ -164,7 +176,7 @@ def planes(request: Request) -> list[dict[str, Any]]:
         assert matrix is not None
         reslice = vtk_reslice(case.volume, matrix, size, size)
         slice_of = partial(sample_plane, case.volume, matrix, width=size, height=size, window_hu=WINDOW_HU)
-        # Each function runs twice: the first call of a round may have cold caches and sleeping threads.
+        # Each function runs twice in a round, because its first run may have cold caches and sleeping threads.
         times = take_turns(
             {
                 "vtk": reslice,

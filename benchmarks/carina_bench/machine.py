@@ -1,4 +1,4 @@
-"""Properties of the machine on which the figures were measured."""
+"""Description of the machine on which figures were measured, and checks for installed programs of comparison."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ from carina.render import build_info
 __all__ = ["load_average", "machine_facts", "require_peers", "stolen_s"]
 
 PEERS = ("vtk", "numba", "scipy", "numpy", "dijkstra3d", "scikit-image")
+"""Names of the Python packages with which Carina is compared."""
 
 
 def require_peers(*names: str) -> None:
-    """Raise an error if a package for comparison is missing.
+    """Raise an error if a package with which Carina is compared is missing.
 
     Raises
     ------
     CarinaError
-        If a package is not installed, with the command that installs it; exit code 1 (a missing extra).
+        If a package is not installed (exit code 1); the message contains the command that installs it.
     """
     missing = [name for name in names if importlib.util.find_spec(name) is None]
     if missing:
@@ -45,7 +46,10 @@ def load_average() -> list[float] | None:
 
 
 def stolen_s() -> float | None:
-    """Return the seconds, summed over all cores, that a virtual machine's host did not run it; None if unknown."""
+    """Return the time in which the host did not run this virtual machine, summed over all cores, s.
+
+    The result is None if the system does not report the time.
+    """
     try:
         words = Path("/proc/stat").read_text(encoding="ascii").split("\n", 1)[0].split()
         return int(words[8]) / os.sysconf("SC_CLK_TCK")
@@ -74,7 +78,7 @@ def _version(package: str) -> str | None:
 
 
 def machine_facts() -> dict[str, Any]:
-    """Return processor, instruction sets, cores, load and versions."""
+    """Return processor, instruction sets, cores, load and versions of packages as JSON values."""
     core = build_info()
     return {
         "cpu": _cpu_model(),

@@ -1,4 +1,4 @@
-"""Peak memory of a real server with a large case, with its airways tracked and every view displayed."""
+"""Measurement of the peak memory of a real server with a large case, its airways and every view."""
 
 from __future__ import annotations
 
@@ -35,11 +35,13 @@ VIEWS = (
     "tree",
 )
 PATIENCE_S = 400.0
+"""Longest time to wait until every view has been received, s."""
 MOVES = 40
+"""Number of movements of the tip in the short flight."""
 
 
 def _peak_bytes(process_id: int) -> int | None:
-    """Return the peak memory of a process in bytes; None if the system does not report it (only Linux does)."""
+    """Return the peak memory of a process in bytes; None if the system does not report it (only Linux reports it)."""
     try:
         lines = Path(f"/proc/{process_id}/status").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -48,7 +50,7 @@ def _peak_bytes(process_id: int) -> int | None:
 
 
 def server_memory(request: dict[str, Any]) -> list[dict[str, Any]]:
-    """Open the case in a server, wait for the airways, show every view, fly a little, and read the peak memory."""
+    """Return the peak memory of a server that has opened the case, found its airways and shown every view."""
     rows = []
     for name in request["cases"]:
         volume = open_case(name, poses=2, progress=progress_printer()).volume
@@ -67,7 +69,7 @@ def server_memory(request: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _drive(file: Path, home: Path) -> dict[str, Any]:
-    # A temporary home folder, so that nothing is cached and the user's files are not touched.
+    # The server gets a temporary home folder, so that it reads no cache and changes no file of the user.
     environment = {
         **os.environ,
         **{f"XDG_{kind}_HOME": str(home / kind.lower()) for kind in ("CONFIG", "STATE", "CACHE", "DATA")},
@@ -105,7 +107,13 @@ def _drive(file: Path, home: Path) -> dict[str, Any]:
 
 
 def _look_at_everything(access: dict[str, str]) -> set[str]:
-    """Request every view until each has arrived, the airways are known, and a short flight is over."""
+    """Receive every view until the airways are found and a short flight is over; return the names of the views.
+
+    Raises
+    ------
+    CarinaError
+        If a view is missing after :data:`PATIENCE_S` seconds.
+    """
     address = access["url"].split("?")[0].rstrip("/").replace("http", "ws", 1) + "/ws"
     end = time.monotonic() + PATIENCE_S
     seen: set[str] = set()
@@ -136,7 +144,7 @@ def _look_at_everything(access: dict[str, str]) -> set[str]:
             document = json.loads(message)
             if document["type"] == "state" and document["stage"] == "ready" and not ready:
                 ready = True
-                # An unchanged picture is not sent again, so the size of every view is changed.
+                # The server does not send an unchanged picture again, so the client changes the size of every view.
                 send({"type": "layout", "views": [{**view, "width": 480} for view in views]})
             if document["type"] == "error":
                 raise CarinaError(f"the server refused the case: {document['message']}", code="machine.benchmark")

@@ -1,7 +1,8 @@
-"""Baseline: every sample of every ray in plain loops, compiled by numba; its picture must equal Carina's.
+"""Reference renderer in numba: every sample of every ray in plain loops; its picture must equal Carina's.
 
-The code follows the formulas (docs/algorithms.md) and uses none of Carina's code: index arithmetic, interpolation,
-gradient, table, light and rays are its own, in f64 except for the volume and the table.
+The renderer follows the formulas (docs/algorithms.md) and uses none of Carina's code: it contains its own index
+arithmetic, interpolation, gradient, table, light and rays. All arithmetic is in f64; the volume and the table are
+stored in smaller types.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _numba: Any = importlib.import_module("numba")
 
 @_numba.njit(cache=False)
 def _sample(values, x, y, z):
-    """Return the trilinear value at a position, with indices clamped to the edge."""
+    """Return the value at a voxel position by trilinear interpolation, with indices clamped to the volume."""
     nz, ny, nx = values.shape
     x0, y0, z0 = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
     tx, ty, tz = x - x0, y - y0, z - z0
@@ -42,9 +43,10 @@ def _sample(values, x, y, z):
 
 @_numba.njit(cache=False)
 def _cast(values, turn, origin, focal_px, size, step_mm, table, lo, light, metric, stop):
-    """Cast one picture.
+    """Cast one picture into an array (size, size, 3).
 
-    ``turn`` is ijk_from_camera without its offset. ``metric`` is ijk_from_lps, so that gradients are per mm in LPS.
+    ``turn`` is the matrix ijk_from_camera without its offset. ``metric`` is ijk_from_lps, so that gradients are per mm
+    in LPS.
     """
     rgb = np.zeros((size, size, 3), np.uint8)
     nz, ny, nx = values.shape
@@ -72,7 +74,8 @@ def _cast(values, turn, origin, focal_px, size, step_mm, table, lo, light, metri
                         break
                     continue
                 entered = True
-                # Indices are clamped to the edge: the outer half of an edge voxel has the value of its centre.
+                # Positions are clamped to the volume: in the outer half of an edge voxel the value is that of the
+                # voxel's centre.
                 x, y, z = min(max(x, 0.0), nx - 1.0), min(max(y, 0.0), ny - 1.0), min(max(z, 0.0), nz - 1.0)
                 n = int(np.floor(_sample(values, x, y, z) + 0.5)) - lo
                 n = min(max(n, 0), last)
@@ -106,7 +109,7 @@ def _cast(values, turn, origin, focal_px, size, step_mm, table, lo, light, metri
 
 
 def numba_caster(volume: Volume, transfer: TransferFunction, *, step_vox: float, size: int) -> Any:
-    """Return a function ``cast(pose) -> (size, size, 3) uint8`` with shading, for square pictures."""
+    """Return a function ``cast(pose) -> (size, size, 3) uint8`` that renders a square picture with shading."""
     step_mm = step_vox * float(min(volume.spacing_mm))
     lo, hi = int(volume.hu_zyx.min()), int(volume.hu_zyx.max())
     table = opacity_table(transfer, step_mm, lo, hi).astype(np.float64)

@@ -1,4 +1,4 @@
-"""``carina bench open``: opening of a CT from its files compared with opening from the cache."""
+"""Benchmark ``carina bench open``: times to open a CT from its files and from Carina's cache."""
 
 from __future__ import annotations
 
@@ -28,15 +28,19 @@ from carina_bench.worker import run_section
 __all__ = ["measure", "report"]
 
 BOX_LPS = ((-179.2, -181.2, -189.5), (178.6, 176.6, 110.0))
+"""Box of the generated chest: lowest and highest corner, LPS mm."""
 WHOLE_MM, QUICK_MM = (0.7, 0.7, 0.5), (1.4, 1.4, 1.0)
-"""Spacings at which the box has 512 x 512 x 600 voxels, and half as many on each axis."""
+"""Spacings in mm (x, y, z): 512 x 512 x 600 voxels in the box, and half as many along each axis."""
 CACHED, MAPPED, PLAIN = "from the cache", "mapped and touched", "read without a check"
+"""Names of three measured functions in the report."""
 FIRST_LOOK = "digest, range and quality"
+"""Name of the measurement that computes digest, value range and quality."""
 WARM_MS = 350.0
+"""Limit of the CPU time to open a CT from the cache in memory, ms."""
 
 
 def report(*, folder: Path, quick: bool, as_json: bool) -> int:
-    """Measure, print, and write ``open.json``; return 0 if the measurement was possible, even if a limit is missed."""
+    """Measure, print and write ``open.json``; return 0 if the measurement was possible, even if a limit is missed."""
     make_folder(folder, what="the measurements")
     facts = machine_facts()
     say(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']}")
@@ -61,7 +65,7 @@ def report(*, folder: Path, quick: bool, as_json: bool) -> int:
 
 
 def measure(request: dict[str, Any]) -> dict[str, Any]:
-    """Measure a synthetic chest as DICOM slices, as packed and plain NIfTI, and from the cache, in turn.
+    """Measure the opening of a generated chest from DICOM slices, from packed and plain NIfTI, and from the cache.
 
     All files are in the system's file cache and are deleted afterwards. The results of :func:`open_volume` and of the
     cache are compared voxel by voxel.
@@ -75,7 +79,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
         slices = _write_slices(volume, place / "slices")
         packed = write_grid(place / "ct.nii.gz", volume.hu_zyx, volume.lps_from_ijk, what="the CT", level=1)
         plain = write_grid(place / "ct.nii", volume.hu_zyx, volume.lps_from_ijk, what="the CT")
-        # The clock is ahead, because the cache stores no files that were modified a moment ago.
+        # The cache ignores files that were modified a moment ago, so its clock is set one minute ahead.
         cache = VolumeCache(place / "cache", max_bytes=1 << 40, clock=lambda: time.time() + 60.0)
         opened = open_volume(slices)
         source = CtSource.of(slices)
@@ -116,7 +120,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def _look(volume: Volume) -> object:
-    """Return value range, quality and digest of a volume, which the reader of files does not provide."""
+    """Compute value range, quality and digest of a volume; Carina computes them after a file has been read."""
     fresh = Volume(volume.hu_zyx, volume.lps_from_ijk)
     return fresh.value_range, quality_gate(fresh), ct_digest(fresh)
 
@@ -135,7 +139,10 @@ def _mapped(voxels: Path, shape_zyx: tuple[int, int, int]) -> np.ndarray[Any, np
 
 
 def _cold_ms(voxels: Path, from_cache: Callable[[], Volume]) -> float | None:
-    """Return the time of opening from a file that the system dropped from memory; None if it cannot drop files."""
+    """Return the wall time of opening a volume from the cache after the system dropped its file from memory, ms.
+
+    The result is None if the system cannot drop files.
+    """
     if not hasattr(os, "posix_fadvise"):
         return None
     with voxels.open("rb") as file:
@@ -146,7 +153,7 @@ def _cold_ms(voxels: Path, from_cache: Callable[[], Volume]) -> float | None:
 
 
 def _write_slices(volume: Volume, folder: Path) -> Path:
-    """Write a series like a scanner: one uncompressed file per slice."""
+    """Write a DICOM series with one uncompressed file per slice, as a scanner does; return its folder."""
     folder.mkdir()
     series_uid, study_uid, frame_uid = generate_uid(), generate_uid(), generate_uid()
     step, spacing = volume.lps_from_ijk, volume.spacing_mm
@@ -178,7 +185,7 @@ def _gates(row: dict[str, Any]) -> list[Gate]:
     note = f"by the clock {taken['wall_median']:.0f}, least {taken['wall_min']:.0f}, at load {row['load_average']}"
     return [
         Gate("the cache gives the same voxels (1 is yes)", float(row["equal"]), 1.0),
-        # CPU time of one core without other load; on a busy machine wall time is several times as long.
+        # The limit applies to the CPU time of one core; on a busy machine wall time is several times as long.
         Gate("a CT from the cache, in memory (CPU time, ms)", taken["median"], WARM_MS, "lower", note=note),
         Gate("the cache over DICOM slices, CPU time", row["ratio"]["DICOM slices"], 5.0, aim=True),
     ]

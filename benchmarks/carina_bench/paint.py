@@ -1,8 +1,8 @@
-"""Painter of chest CTs from tubes: every lumen is continuous and known to a fraction of a voxel.
+"""Painter of chest CTs from tubes; the true lumen of every airway is continuous and known to a fraction of a voxel.
 
-A scene is the anatomy (tissue values on a grid, tubes over it); painting simulates the scanner. The image is linear in
-the scene, so the grid is blurred as a whole, and only the changes by tubes are painted in cells of at most 0.15 mm, in
-tiles near a tube.
+A scene is the anatomy: CT values of tissue on a grid, and tubes over it. Painting simulates the scanner. The image
+depends linearly on the scene, so the grid is blurred as a whole. Only the changes by tubes are painted in cells of at
+most 0.15 mm, in tiles near a tube.
 """
 
 from __future__ import annotations
@@ -29,15 +29,19 @@ KERNELS = {
     "sharp": Kernel(sigma_mm=0.28, overshoot=0.18, surround_mm=0.65),
     "rimmed-medium": Kernel(sigma_mm=0.40, overshoot=0.027, surround_mm=0.65),
 }
-"""Kernels by name: 50 % of the transfer at 3.4 and 4.7 line pairs per cm, and an edge-enhancing lung kernel.
+"""Kernels by name.
 
-The first two are body and lung standard kernels.
+The soft and the medium one correspond to a body and a lung standard kernel, with 50 % of the transfer at 3.4 and 4.7
+line pairs per cm; the sharp one is an edge-enhancing lung kernel.
 """
 
 FINE_MM = 0.15
-"""Largest width of the cells of tubes: half a sigma of the sharpest kernel. With 0.2 thin lumens are 12 HU off."""
+"""Largest width of the fine cells in which tubes are painted, mm: half a sigma of the sharpest kernel.
+
+With 0.2 mm the values of thin lumens would be wrong by 12 HU.
+"""
 TILE_CELLS = 64
-"""Approximate number of fine cells along each side of a tile."""
+"""Approximate number of fine cells along each edge of a tile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,19 +49,19 @@ class PaintOptions:
     """All inputs of a painted CT except the masks; the defaults are fixed, so that figures stay comparable."""
 
     seed: int = 1
-    # Settings of the scanner.
+    # Settings of the scanner:
     kernel: str = "medium"
     noise_hu: float = 25.0
     slice_mm: float | None = None
-    """Slice thickness and distance; None uses those of the masks."""
+    """Slice thickness and distance of slices, mm; None uses the spacing of the masks."""
     slice_sigma_mm: float = 0.3
-    """Sigma of a blur along z, in addition to the slice thickness."""
+    """Standard deviation of a Gaussian blur along z, in addition to the slice thickness, mm."""
     breathing_mm: float = 0.0
-    """Largest difference of a slice's true position from its stated position, by breathing along z."""
+    """Largest difference by breathing between a slice's true and its stated position along z, mm."""
     breathing_period_mm: float = 60.0
     motion_blur_mm: float = 0.0
-    """Sigma of a blur along z by movement within a slice; half of it from front to back."""
-    # Values of tissue.
+    """Standard deviation in mm of a blur along z by movement within a slice; from front to back it is half."""
+    # CT values of tissue:
     air_hu: float = -1000.0
     wall_hu: float = 20.0
     vessel_hu: float = 40.0
@@ -67,85 +71,85 @@ class PaintOptions:
     mucus_hu: float = 15.0
     parenchyma_hu: float = -860.0
     gravity_hu: float = 50.0
-    """Difference between the lung at the back and at the front, by gravity."""
+    """Difference in HU between lung at the back and lung at the front of the chest, caused by gravity."""
     lobule_hu: float = 14.0
-    """Standard deviation of texture of about 6 mm."""
+    """Standard deviation of a lung texture with details of about 6 mm, HU."""
     grain_hu: float = 26.0
-    """Standard deviation of texture of about 2 mm."""
-    # Additions to the masks.
+    """Standard deviation of a lung texture with details of about 2 mm, HU."""
+    # Structures that are added to the masks:
     emphysema_share: float = 0.0
-    """Fraction of the lung's volume that consists of holes of 2 to 9 mm diameter."""
+    """Fraction of the lung's volume, 0 to 1, in holes of 2 to 9 mm diameter."""
     emphysema_hu: float = -975.0
     vessels_beside: bool = True
-    """Whether an artery is added beside each airway along which the masks have none."""
+    """Whether an artery is added beside each airway without a vessel of the masks."""
     twigs_per_tip: int = 0
     twig_diameter_mm: tuple[float, float] = (1.0, 1.5)
     twig_length_mm: tuple[float, float] = (8.0, 25.0)
     plugs: int = 0
-    """Number of airways that mucus closes over 5 to 10 mm."""
+    """Number of airways that a plug of mucus closes over 5 to 10 mm."""
     half_filled: int = 0
     """Number of airways along which fluid fills the lower half of the lumen."""
     terminal_share_per_mm2: float = 0.0
-    """Growth of terminal airways: share of the possible ones, per mm2 of the square of their lumen's radius.
+    """Share of the possible terminal airways that grow, for each mm2 of the square of their lumen's radius.
 
-    They grow beyond the tips of the masks (:mod:`carina_bench.paint_terminal`).
+    Terminal airways grow beyond the tips of the masks' airways (:mod:`carina_bench.paint_terminal`).
     """
     fine_vessels_per_ml: float = 0.0
     """Number of vessels of 0.3 to 0.6 mm radius per millilitre of lung (:mod:`carina_bench.paint_fine_vessels`)."""
 
     def scanner(self) -> Kernel:
-        """Kernel with the name in ``kernel``."""
+        """Kernel of :data:`KERNELS` with the name ``kernel``."""
         return KERNELS[self.kernel]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """Anatomy to be scanned."""
+    """Anatomy that the simulated scanner images: CT values of tissue, and tubes."""
 
     hu_zyx: NDArray[np.int16]
-    """(nz, ny, nx) tissue values of whole cells on a grid, without the airways."""
+    """(nz, ny, nx) CT values of the cells of a grid, HU, without the airways."""
     lps_from_ijk: Floats
-    """4x4 matrix of that grid, whose axes are perpendicular."""
+    """4x4 matrix from indices of the grid ``hu_zyx`` to LPS mm; the axes of the grid are perpendicular."""
     tubes: tuple[Tube, ...]
-    """Tubes, LPS mm."""
+    """Airways and arteries, LPS mm."""
     fine_vessels: tuple[FineVessel, ...] = ()
-    """Fine vessels, LPS mm; they are thinner than the blur, so only the areas of their sections matter."""
+    """Fine vessels, LPS mm. They are thinner than the blur, so only the areas of their cross-sections matter."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Painted:
-    """Painted CT and its truth."""
+    """Painted CT with its true airways and its true lumen."""
 
     volume: Volume
     airways: tuple[Tube, ...]
-    """True centrelines and radii at their positions in the image: LPS mm, breathing included, without arteries."""
+    """True centrelines and radii of the airways, without arteries, at their positions in the image; LPS mm."""
     cover_zyx: NDArray[np.uint8]
-    """Share of each voxel that is lumen (inside the wall, fluid included); 255 is the whole voxel."""
+    """(nz, ny, nx) share of each voxel in the lumen (inside the wall, fluid included), 0 to 255 (whole voxel)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scanned:
-    """Scene blurred by the scanner, without the kernel's overshoot and without noise."""
+    """Image of a scene with the blur of the scanner, but without the kernel's overshoot and without noise."""
 
     values_zyx: NDArray[np.float32]
-    """Values, HU."""
+    """(nz, ny, nx) CT values, HU."""
     lps_from_ijk: Floats
     airways: tuple[Tube, ...]
-    """True airways, as in :attr:`Painted.airways`."""
+    """True centrelines and radii of the airways, see :attr:`Painted.airways`."""
     cover_zyx: NDArray[np.uint8]
-    """Share of lumen, as in :attr:`Painted.cover_zyx`."""
+    """(nz, ny, nx) share of each voxel that is lumen, see :attr:`Painted.cover_zyx`."""
 
 
 @dataclass(slots=True)
 class _Axis:
-    """Source cells and output voxels along one axis, in mm from the first source cell's centre."""
+    """Cells of the scene and voxels of the image along one axis, in mm from the centre of the first cell."""
 
     cell_mm: float
     num_cells: int
     voxel_mm: float
     sigma_mm: float
     at_mm: Floats = field(default_factory=lambda: np.empty(0))
-    """Position of each output voxel."""
+    """Position of the centre of each voxel of the image, mm."""
 
     @property
     def fine(self) -> int:
@@ -153,38 +157,37 @@ class _Axis:
 
     @property
     def tile(self) -> int:
-        """Number of source cells of a tile."""
+        """Number of cells of the scene along the edge of a tile on this axis."""
         return max(round(TILE_CELLS / self.fine), 4)
 
     @property
     def pad(self) -> int:
-        """Number of source cells beyond the grid that contribute to its voxels."""
+        """Number of cells beyond each end of the scene's grid that contribute to voxels of the image."""
         return math.ceil(reach_mm(self.voxel_mm, self.sigma_mm) / self.cell_mm) + 1
 
     def voxels_near(self, low_mm: float, high_mm: float) -> slice:
-        """Return the output voxels to which the interval between two positions contributes."""
+        """Return the voxels of the image to which the scene between two positions contributes."""
         reach = reach_mm(self.voxel_mm, self.sigma_mm)
         first = int(np.searchsorted(self.at_mm, low_mm - reach))
         return slice(first, int(np.searchsorted(self.at_mm, high_mm + reach)))
 
 
 def paint(scene: Scene, options: PaintOptions, say: Callable[[str], None] | None = None) -> Painted:
-    """Return the CT of a scene.
+    """Return the painted CT of a scene; the same scene and options give the same voxels.
 
     Parameters
     ----------
     scene
         Tissue and tubes; ``scene_of_masks`` has already applied the tissue and additions of ``options``.
     options
-        Kernel, noise, slices, movement; values of air, wall, vessels and mucus.
+        Kernel, noise, slices, movement; CT values of air, wall, vessels and mucus.
     say
         Function that receives a message at each step.
 
     Returns
     -------
     Painted
-        The volume, the airways at their positions in the image, and the lumen's share of each voxel. The same scene and
-        options give the same voxels.
+        Volume, airways at their positions in the image, and share of lumen in each voxel.
     """
     tell = say or (lambda _words: None)
     kernel = options.scanner()
@@ -203,7 +206,7 @@ def paint(scene: Scene, options: PaintOptions, say: Callable[[str], None] | None
 
 
 def scanned(scene: Scene, options: PaintOptions, say: Callable[[str], None]) -> Scanned:
-    """Return a scene blurred by the kernel's Gaussian and the slice profile; see :func:`paint`."""
+    """Return the image of a scene blurred by the kernel's Gaussian and the slice profile; see :func:`paint`."""
     spacing = np.linalg.norm(scene.lps_from_ijk[:3, :3], axis=0)
     axes = _axes(scene, options, spacing)
     frame = scene.lps_from_ijk.copy()
@@ -235,7 +238,7 @@ def _first_mm(axis: _Axis) -> float:
 
 
 def _axes(scene: Scene, options: PaintOptions, spacing: Floats) -> tuple[_Axis, _Axis, _Axis]:
-    """Return the axes x, y and z."""
+    """Return the axes x, y and z of the scene and of the image."""
     sigma = options.scanner().sigma_mm
     sigmas = (
         sigma,
@@ -255,9 +258,9 @@ def _axes(scene: Scene, options: PaintOptions, spacing: Floats) -> tuple[_Axis, 
 
 
 def _breath(z_mm: Floats, options: PaintOptions) -> Floats:
-    """Return the displacement of slices by breathing, mm.
+    """Return the displacement by breathing of the slices at positions ``z_mm``, mm.
 
-    Between neighbouring slices it changes by less than a fifth of their distance.
+    The displacements of two neighbouring slices differ by less than a fifth of the distance between the slices.
     """
     wave = 2.0 * math.pi / options.breathing_period_mm
     result: Floats = options.breathing_mm * np.sin(wave * z_mm + options.seed)
@@ -265,7 +268,7 @@ def _breath(z_mm: Floats, options: PaintOptions) -> Floats:
 
 
 def _where_shown(points: Floats, z: _Axis, options: PaintOptions) -> Floats:
-    """Return points of the scene moved to their positions in the image."""
+    """Return points of the scene at the positions where breathing shows them in the image."""
     if options.breathing_mm == 0.0:
         return points
     told = np.arange(-20.0, z.cell_mm * z.num_cells + 20.0, 0.1)
@@ -275,7 +278,7 @@ def _where_shown(points: Floats, z: _Axis, options: PaintOptions) -> Floats:
 
 
 def _blurred_tissue(hu_zyx: NDArray[np.int16], axes: tuple[_Axis, _Axis, _Axis]) -> NDArray[np.float32]:
-    """Return the grid's cells as blurred voxels; beyond the grid its last cells continue."""
+    """Return the blurred tissue at the voxels of the image; beyond the grid the values of its last cells continue."""
     matrices = []
     for axis in axes:
         cells = np.arange(-axis.pad, axis.num_cells + axis.pad)
@@ -305,7 +308,7 @@ def _add_tubes(
     options: PaintOptions,
     down: Floats,
 ) -> None:
-    """Add the change by tubes to the blurred tissue, and the lumen's share to the cover."""
+    """Add to ``values`` the change of the blurred tissue by tubes, and to ``cover`` the share of lumen."""
     fine_mm = [axis.cell_mm / axis.fine for axis in axes]
     segments = segments_of(tubes, float(np.cbrt(np.prod(fine_mm))))
     for tile, near in _tiles(segments, axes).items():
@@ -345,9 +348,9 @@ def _add_tubes(
 
 
 def _tiles(segments: list[Segment], axes: tuple[_Axis, _Axis, _Axis]) -> dict[tuple[int, int, int], list[int]]:
-    """Return the segments that contribute to each tile (x, y, z).
+    """Return the indices of the segments that contribute to each tile, by the tile's position (x, y, z).
 
-    Tiles beyond the grid are included as far as they contribute to voxels of the grid.
+    Tiles beyond the grid are included if they contribute to voxels of the image.
     """
     tiles: dict[tuple[int, int, int], list[int]] = {}
     for place, segment in enumerate(segments):

@@ -1,7 +1,8 @@
-"""Vessels thinner than those of the masks: their courses beside and between airways, and their share of voxels.
+"""Fine vessels, thinner than those of the masks: their courses beside and between airways, and their effect on voxels.
 
-A vessel of 0.3 to 0.6 mm radius is thinner than the blur of any kernel, so an image shows only the area of its section.
-Each piece of its axis is added to the image as a Gaussian of the kernel's width, without a grid of fine cells.
+A vessel of 0.3 to 0.6 mm radius is thinner than the blur of any kernel, so an image depends only on the area of its
+cross-section. Each piece of its axis is added to the image as a Gaussian of the kernel's width, without a grid of fine
+cells.
 """
 
 from __future__ import annotations
@@ -23,37 +24,45 @@ __all__ = ["FineVessel", "add_fine_vessels", "fine_vessels"]
 Floats = NDArray[np.float64]
 
 RADII_MM = (0.3, 0.6)
+"""Least and largest radius of a vessel, mm."""
 RADIUS_POWER = -2.9
-"""Exponent of the density of vessels by radius.
+"""Exponent of the density of vessels as a power of the radius.
 
-Singhal 1973: 5,861, 2,290 and 675 arteries of 0.26, 0.43 and 0.67 mm.
+Source: numbers of arteries by radius, Singhal 1973.
 """
 LENGTH_RADII = (7.0, 14.0)
-"""Length of a vessel between two forks, in radii: least and greatest."""
+"""Least and largest length of a vessel between two forks, in radii of the vessel."""
 STEP_MM = 0.5
+"""Distance between two points of a vessel's course, mm."""
 SAMPLE_MM = 0.25
+"""Largest distance between two points at which a vessel is added to the image, mm."""
 REACH_SIGMAS = 3.2
+"""Distance from a point within which it contributes to voxels, in standard deviations of the blur."""
 LUNG_MM = 1.5
+"""Least distance of a vessel from the lung's border, mm."""
 CLEAR_MM = 0.15
-"""Least gap between a vessel and the wall of an airway, mm."""
+"""Least distance between a vessel's surface and the outside of an airway's wall, mm."""
 BESIDE_SHARE = 0.25
-"""Share of vessels that run along an airway, at most :data:`BESIDE_MM` from its wall."""
+"""Share of the vessels that run along an airway, at most :data:`BESIDE_MM` from its wall."""
 BESIDE_MM = 1.2
+"""Largest distance between an airway's wall and a vessel that runs along the airway, mm."""
 LEAST_POINTS = 4
+"""Least number of points of a vessel; shorter vessels are omitted."""
 NUM_AT_ONCE = 4000
+"""Number of points that are added to the image in one step, which limits the memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FineVessel:
-    """Vessel thinner than the blur."""
+    """Course and radius of a vessel that is thinner than the blur."""
 
     points: Floats
-    """Centreline (n, 3), mm."""
+    """Centreline (n, 3), LPS mm."""
     radius_mm: float
 
 
 class Axis(Protocol):
-    """Source cells and voxels of the image along one axis."""
+    """Cells of the scene and voxels of the image along one axis (see ``carina_bench.paint``)."""
 
     at_mm: Floats
     voxel_mm: float
@@ -66,27 +75,31 @@ class Space(Protocol):
     """Masks of a patient that can be tested at points."""
 
     def in_lung(self, points: Floats, margin_mm: float, *, num: int = 26) -> NDArray[np.bool_]:
-        """Return whether the lung surrounds each point as far as the margin."""
+        """Return for each point whether it is in the lung with a margin of ``margin_mm`` in ``num`` directions."""
         ...
 
     def at_vessel(self, points: Floats, reach_mm: float) -> NDArray[np.bool_]:
-        """Return whether a vessel of the masks is within this distance of each point."""
+        """Return for each point whether a vessel of the masks is within ``reach_mm``."""
         ...
 
 
 def fine_vessels(
     tubes: Sequence[Tube], space: Space, lung_lps: Floats, num: int, rng: np.random.Generator
 ) -> tuple[FineVessel, ...]:
-    """Return vessels between and beside airways, from a random generator.
+    """Return random vessels between and beside airways.
 
     Parameters
     ----------
     tubes
         Airways and arteries, LPS mm. No vessel enters one.
+    space
+        Masks in which the vessels grow.
     lung_lps
         (n, 3) points in the lung, LPS mm; vessels that do not run beside an airway start at one of them.
     num
-        Number of vessels to try; vessels that would leave the lung or meet an airway at once are omitted.
+        Number of vessels to try. A vessel is omitted if it would leave the lung or meet an airway near its start.
+    rng
+        Random generator.
     """
     spatial: Any = importlib.import_module("scipy.spatial")
     low, high = (radius ** (RADIUS_POWER + 1.0) for radius in RADII_MM)
@@ -107,8 +120,8 @@ def fine_vessels(
     clear = space.in_lung(flat, LUNG_MM, num=6)
     there = np.concatenate([tube.points for tube in tubes])
     outer = np.concatenate([tube.outer_mm() for tube in tubes])
-    # Points of a tube are half a millimetre apart, so the distance to the nearest point exceeds that to the tube by
-    # less than 0.1 mm.
+    # Points of a tube are 0.5 mm apart, so the distance to its nearest point exceeds the distance to its axis by less
+    # than 0.1 mm.
     tree = spatial.cKDTree(there)
     gap, nearest = tree.query(flat, k=4, distance_upper_bound=float(outer.max()) + 2.0 * RADII_MM[1])
     nearest = np.minimum(nearest, len(there) - 1)
@@ -121,7 +134,10 @@ def fine_vessels(
 def _begin_beside(
     tubes: Sequence[Tube], start: Floats, heading: Floats, radius: Floats, rng: np.random.Generator
 ) -> int:
-    """Move the first vessels beside small airways, parallel to them; return their number."""
+    """Move the starts of the first vessels beside small airways, and turn the vessels parallel to these airways.
+
+    Return the number of vessels that were moved; ``start`` and ``heading`` are changed in place.
+    """
     small = [tube for tube in tubes if not tube.is_artery and tube.generation >= 3 and len(tube.points) > 2]
     num = round(BESIDE_SHARE * len(start)) if small else 0
     places = np.concatenate([tube.points[:-1] for tube in small]) if small else np.empty((0, 3))
@@ -151,9 +167,9 @@ def add_fine_vessels(
     axes: tuple[Axis, Axis, Axis],
     vessel_hu: float,
 ) -> None:
-    """Add vessels (mm from the first source cell's centre) to a blurred image ``values`` (nz, ny, nx).
+    """Add vessels (mm from the centre of the first cell) to the blurred image ``values`` (nz, ny, nx), in place.
 
-    The blood replaces the tissue of the source cell, so nothing is added inside a vessel of the masks.
+    Blood replaces the tissue of a cell, so a vessel that is inside a vessel of the masks adds nothing.
     """
     places, masses, radii = _samples(vessels)
     cells = [
@@ -183,7 +199,7 @@ def add_fine_vessels(
 
 
 def _samples(vessels: Iterable[FineVessel]) -> tuple[Floats, Floats, Floats]:
-    """Return points along all vessels from the lowest slice up, the volume in mm3 at each, and the radius."""
+    """Return points along all vessels, from the lowest slice up, with the volume (mm3) and the radius at each."""
     places, masses, radii = [], [], []
     for vessel in vessels:
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(vessel.points, axis=0), axis=1))])
@@ -197,8 +213,8 @@ def _samples(vessels: Iterable[FineVessel]) -> tuple[Floats, Floats, Floats]:
 
 
 def _weights(places: Floats, radii: Floats, axis: Axis) -> tuple[NDArray[np.int64], Floats]:
-    """Return the voxels (n, m) along an axis to which each point contributes, and the contribution of 1 mm3 per mm."""
-    # The variance of a disc along a line across it is a quarter of the square of its radius.
+    """Return the voxels (n, m) along an axis to which each point contributes, and the contribution per mm of 1 mm3."""
+    # The projection of a disc onto a line has a variance of a quarter of the square of the disc's radius.
     sigma = np.sqrt(axis.sigma_mm**2 + 0.25 * radii**2)
     reach = math.ceil((0.5 * axis.voxel_mm + REACH_SIGMAS * float(sigma.max())) / axis.voxel_mm)
     middle = np.searchsorted(axis.at_mm, places - 0.5 * axis.voxel_mm)

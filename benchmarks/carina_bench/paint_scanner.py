@@ -1,8 +1,8 @@
-"""Scanner of painted CTs: from a scene to voxels by exact weights, then the kernel's overshoot and noise.
+"""Scanner of painted CTs: computes voxels from a scene by exact weights, then adds the kernel's overshoot and noise.
 
 Along each axis a voxel is the scene's mean over the voxel's width, blurred by the kernel. The weights of one axis are a
 small matrix, so a volume is three matrix products. A sharp kernel is a narrow blur whose edges are enhanced in plane by
-a difference of Gaussians. Noise has the spectrum of filtered back-projection: frequency times the square of the
+a difference of Gaussians. The noise has the spectrum of filtered back-projection: frequency times the square of the
 kernel's transfer.
 """
 
@@ -18,30 +18,32 @@ __all__ = ["Kernel", "noise_of_slice", "normal_share", "reach_mm", "sampled_weig
 
 Floats = NDArray[np.float64]
 
-# Step of the table of the normal distribution, for an interpolation error below 1e-6.
+# Step of the table in standard deviations: errors of linear interpolation stay below 1e-6.
 _STEP = 0.0025
 _AT = np.arange(-8.0, 8.0 + _STEP, _STEP)
 _NORMAL = np.array([0.5 * math.erfc(-x / math.sqrt(2.0)) for x in _AT])
 REACH_SIGMAS = 4.5
+"""Distance within which a cell contributes to a blurred voxel, in standard deviations of the blur."""
 EDGE_PAD = 12
+"""Number of pixels by which a slice is extended at its edges before it is sharpened."""
 
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
-    """Reconstruction kernel, described by its effect on an edge."""
+    """Reconstruction kernel of a scanner, described by its effect on an edge."""
 
     sigma_mm: float
-    """Sigma of the Gaussian in plane, in addition to the voxel's width."""
+    """Standard deviation of the kernel's Gaussian blur in plane, mm, in addition to the voxel's width."""
     overshoot: float = 0.0
-    """Overshoot of an edge in plane, as a fraction of its height; 0 is a plain Gaussian."""
+    """Overshoot at an edge in plane, as a fraction of the edge's height; 0 is a plain Gaussian blur."""
     surround_mm: float = 0.65
-    """Sigma of the second blur, which is subtracted for the overshoot.
+    """Standard deviation of the second blur, which is subtracted for the overshoot, mm.
 
-    It determines the width of the seam at an edge.
+    It determines the width of the dark seam that the overshoot makes at an edge.
     """
 
     def gain(self, pixel_mm: float) -> float:
-        """Return the weight of the difference of Gaussians that gives :attr:`overshoot` in pixels of this width."""
+        """Return the weight of the difference of Gaussians that causes :attr:`overshoot` in pixels of this width."""
         if self.overshoot <= 0.0:
             return 0.0
         x = np.linspace(0.0, 4.0 * (self.sigma_mm + self.surround_mm) + pixel_mm, 4001)
@@ -55,25 +57,25 @@ class Kernel:
         return 0.5 * (low + high)
 
     def raised(self, frequency: Floats, pixel_mm: float) -> Floats:
-        """Return the factor of the overshoot for a frequency (1/mm, in plane)."""
+        """Return the factor by which the overshoot raises the transfer at each frequency (1/mm, in plane)."""
         surround = np.exp(-2.0 * (math.pi * self.surround_mm * frequency) ** 2)
         result: Floats = 1.0 + self.gain(pixel_mm) * (1.0 - surround)
         return result
 
     def transfer(self, frequency: Floats, pixel_mm: float) -> Floats:
-        """Return the kernel's transfer at a frequency (1/mm, in plane), without the voxel's width."""
+        """Return the kernel's transfer at each frequency (1/mm, in plane), without the effect of the pixel's width."""
         result: Floats = np.exp(-2.0 * (math.pi * self.sigma_mm * frequency) ** 2) * self.raised(frequency, pixel_mm)
         return result
 
 
 def normal_share(x: Floats) -> Floats:
-    """Return the share of the standard normal distribution below each x."""
+    """Return the cumulative distribution of the standard normal distribution at each x."""
     result: Floats = np.interp(x, _AT, _NORMAL)
     return result
 
 
 def _ramp(x: Floats, sigma_mm: float) -> Floats:
-    """Return the integral of a blurred step up to x."""
+    """Return the integral from minus infinity to x of a unit step at 0 that is blurred by ``sigma_mm``."""
     if sigma_mm <= 0.0:
         return np.maximum(x, 0.0)
     s = x / sigma_mm
@@ -82,18 +84,18 @@ def _ramp(x: Floats, sigma_mm: float) -> Floats:
 
 
 def _edge(x: Floats, box_mm: float, sigma_mm: float) -> Floats:
-    """Return a unit step at 0 as voxels of this width show it at x."""
+    """Return the values at x of a unit step at 0 that is blurred by ``sigma_mm`` and averaged over ``box_mm``."""
     result: Floats = (_ramp(x + 0.5 * box_mm, sigma_mm) - _ramp(x - 0.5 * box_mm, sigma_mm)) / box_mm
     return result
 
 
 def reach_mm(box_mm: float, sigma_mm: float) -> float:
-    """Return the distance from a voxel's centre within which the scene contributes to the voxel, mm."""
+    """Return the largest distance from a voxel's centre at which the scene contributes to the voxel, mm."""
     return 0.5 * box_mm + REACH_SIGMAS * sigma_mm
 
 
 def step_weights(at_mm: Floats, cells_mm: Floats, cell_mm: float, box_mm: float, sigma_mm: float) -> Floats:
-    """Return exact weights (m, n) of n cells of constant value, ``cell_mm`` wide, in m voxels ``box_mm`` wide."""
+    """Return exact weights (m, n) of n cells of constant value, ``cell_mm`` wide, for m voxels ``box_mm`` wide."""
     u = at_mm[:, None] - cells_mm[None, :]
     half = 0.5 * cell_mm
     weights: Floats = _edge(u + half, box_mm, sigma_mm) - _edge(u - half, box_mm, sigma_mm)
@@ -101,9 +103,9 @@ def step_weights(at_mm: Floats, cells_mm: Floats, cell_mm: float, box_mm: float,
 
 
 def sampled_weights(at_mm: Floats, cells_mm: Floats, cell_mm: float, box_mm: float, sigma_mm: float) -> Floats:
-    """Return weights (m, n) of n samples ``cell_mm`` apart, without their own blur, in m voxels.
+    """Return weights (m, n) of n point samples, ``cell_mm`` apart, for m voxels ``box_mm`` wide.
 
-    The weights are accurate for cells smaller than sigma.
+    The weights are accurate if ``cell_mm`` is smaller than ``sigma_mm``.
     """
     u = (at_mm[:, None] - cells_mm[None, :]) / sigma_mm
     half = 0.5 * box_mm / sigma_mm
@@ -119,7 +121,7 @@ def _frequencies(shape_yx: tuple[int, int], spacing_yx: tuple[float, float]) -> 
 
 
 def sharpened_slice(values: NDArray[np.float32], kernel: Kernel, pixel_mm: float) -> NDArray[np.float32]:
-    """Return a slice (ny, nx), blurred by the kernel's Gaussian, with the kernel's overshoot added."""
+    """Return a slice (ny, nx) with the kernel's overshoot; ``values`` are already blurred by the kernel's Gaussian."""
     if kernel.overshoot <= 0.0:
         return values
     padded = np.pad(values, EDGE_PAD, mode="edge")
@@ -133,7 +135,7 @@ def sharpened_slice(values: NDArray[np.float32], kernel: Kernel, pixel_mm: float
 def noise_of_slice(
     shape_yx: tuple[int, int], kernel: Kernel, pixel_mm: float, noise_hu: float, seed: tuple[int, ...]
 ) -> NDArray[np.float32]:
-    """Return noise (ny, nx) of this standard deviation with the kernel's spectrum; its mean over the slice is 0."""
+    """Return noise (ny, nx) of mean 0 and standard deviation ``noise_hu`` with the kernel's spectrum."""
     white = np.random.default_rng(seed).standard_normal(shape_yx, dtype=np.float32)
     frequency = _frequencies(shape_yx, (pixel_mm, pixel_mm))
     amplitude = np.sqrt(frequency) * kernel.transfer(frequency, pixel_mm)

@@ -1,4 +1,4 @@
-"""Scene from a patient's masks: airways as smooth tubes, lungs with texture, vessels, and additional structures."""
+"""Scenes of painted CTs, made from a patient's masks: smooth tubes, lung texture, vessels, added structures."""
 
 from __future__ import annotations
 
@@ -27,18 +27,23 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SMOOTH_CENTRE_MM = 1.5
+"""Standard deviation of the smoothing of centrelines along an airway, mm."""
 SMOOTH_RADIUS_MM = 2.5
+"""Standard deviation of the smoothing of radii along an airway, mm."""
 STEP_MM = 0.5
-"""Distance of two points of a tube, mm."""
+"""Distance between two points of a tube, mm."""
 
 AIRWAY_FILES = ("bronchialTree.nii.gz", "BronchialTree.nii.gz", "BronchialTree.gz")
+"""Names that the file of the airway mask may have in a patient's folder."""
 LUNG_FILES = ("pleuralBoundary.nii.gz",)
+"""Names that the file of the lung mask may have."""
 LOBE_FILES = ("LLL.nii.gz", "LUL.nii.gz", "RLL.nii.gz", "RML.nii.gz", "RUL.nii.gz")
+"""Names of the files of the five lobes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Masks:
-    """Masks of a patient, all (nz, ny, nx) on one grid; None for a missing mask."""
+    """Masks of a patient, all (nz, ny, nx) on one grid; None for a structure without a mask."""
 
     lps_from_ijk: Floats
     airways: Mask
@@ -49,7 +54,7 @@ class Masks:
 
 
 def mask_folders(data: Path) -> dict[str, Path]:
-    """Return the folders of patients with airway and lung masks, by a short name."""
+    """Return the folders below ``data`` with an airway and a lung mask of a patient, by a short name."""
     found = {}
     for kind, letter in (("thin_slice_airways", ""), ("thin_slice_lobes", "lobes-")):
         for folder in sorted((data / "masks" / kind).glob("Patient*")):
@@ -59,7 +64,7 @@ def mask_folders(data: Path) -> dict[str, Path]:
 
 
 def masks_of(folder: Path) -> Masks:
-    """Read the masks of a folder; the lungs are a mask of their own or the five lobes."""
+    """Read the masks of a patient's folder; the lungs are read from a lung mask or are the union of the five lobes."""
     airways = next(volume for name in AIRWAY_FILES if (volume := opened(folder / name)) is not None)
 
     def mask(name: str) -> Mask | None:
@@ -93,23 +98,24 @@ def masks_of(folder: Path) -> Masks:
 
 
 def opened(path: Path) -> Volume | None:
-    """Open a mask as a volume, so that all masks are converted from their files' axes in the same way."""
+    """Open the file of a mask as a volume, so that all masks are converted from their files' axes in the same way."""
     if not path.is_file():
         return None
     if path.name.endswith(".nii.gz"):
         return carina.open_volume(path)
-    with tempfile.TemporaryDirectory() as folder:  # A NIfTI file without the usual suffix.
+    # The file is a NIfTI without the usual suffix, so it is copied under another name.
+    with tempfile.TemporaryDirectory() as folder:
         named = Path(folder) / "mask.nii.gz"
         shutil.copyfile(path, named)
         return carina.open_volume(named)
 
 
 def tubes_of_mask(mask_zyx: Mask, lps_from_ijk: Floats) -> tuple[Tube, ...]:
-    """Return the airways of a mask as tubes with smoothed skeletons and the radii of circles of their sections' areas.
+    """Return the airways of a mask as tubes with smoothed centrelines and radii.
 
     A skeleton is exact to a voxel only, and the distance to the mask's edge is less than the radius by up to half a
-    voxel. The volume of the mask's voxels along a branch is more exact; at forks, where two branches share voxels, the
-    distance to the edge limits the radius.
+    voxel. The volume of the mask's voxels along a branch gives a more exact radius, that of a circle with the mean area
+    of its sections. At forks, where two branches share voxels, the distance to the edge limits the radius.
     """
     grid = Volume(np.zeros(mask_zyx.shape, np.int16), lps_from_ijk)
     truth = truth_of_mask(mask_zyx, grid)
@@ -121,7 +127,8 @@ def tubes_of_mask(mask_zyx: Mask, lps_from_ijk: Floats) -> tuple[Tube, ...]:
     voxels = grid.to_lps(np.argwhere(mask_zyx)[:, ::-1].astype(np.float64))
     away, nearest = spatial.cKDTree(points).query(voxels)
     edge = np.concatenate([branch.radius_mm for branch in truth.branches])
-    own = away <= 1.5 * edge[nearest] + 2.0 * voxel_mm  # Excludes voxels of removed spurs.
+    # The condition excludes voxels of spurs, which were removed from the skeleton.
+    own = away <= 1.5 * edge[nearest] + 2.0 * voxel_mm
     volume = np.bincount(nearest[own], minlength=len(points)) * voxel_mm3
     tubes = []
     first = 0
@@ -142,16 +149,17 @@ def tubes_of_mask(mask_zyx: Mask, lps_from_ijk: Floats) -> tuple[Tube, ...]:
 
 
 def _shares(points: Floats) -> Floats:
-    """Return the length of the line that each of its points represents, mm."""
+    """Return for each point of a line the length of the line that is nearest to this point, mm."""
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     result: Floats = 0.5 * (np.append(step, 0.0) + np.insert(step, 0, 0.0))
     return result
 
 
 def _smooth(values: Floats, step: float, sigma_mm: float, *, pinned: bool = False) -> Floats:
-    """Smooth values along a line of even steps by a Gaussian.
+    """Return values along a line of even steps, smoothed by a Gaussian.
 
-    Values are mirrored at the ends; with ``pinned`` they are point-reflected, so that the ends stay.
+    The values are mirrored at both ends of the line; with ``pinned`` they are point-reflected, so that the values of
+    the ends stay.
     """
     sigma = min(sigma_mm / step, 0.25 * len(values))
     reach = min(math.ceil(3.0 * sigma), len(values) - 1)
@@ -166,7 +174,7 @@ def _smooth(values: Floats, step: float, sigma_mm: float, *, pinned: bool = Fals
 
 
 def scene_of_masks(masks: Masks, options: PaintOptions) -> Scene:
-    """Return tissue and tubes of a patient; the additions of the options are random with the options' seed."""
+    """Return the scene of a patient; structures that ``options`` adds are random with the seed of ``options``."""
     grid = Volume(np.zeros((1, 1, 1), np.int16), masks.lps_from_ijk)
     rng = np.random.default_rng((options.seed, 1))
     tubes = list(tubes_of_mask(masks.airways, masks.lps_from_ijk))
@@ -190,7 +198,7 @@ def scene_of_masks(masks: Masks, options: PaintOptions) -> Scene:
 
 
 def _places_in(mask: Mask, grid: Volume, rng: np.random.Generator, num: int = 50_000) -> Floats:
-    """Return random points (n, 3), evenly distributed in a mask, LPS mm."""
+    """Return ``num`` random points (n, 3), LPS mm, evenly distributed in a mask."""
     voxels = np.flatnonzero(mask)
     chosen = np.stack(np.unravel_index(voxels[rng.integers(len(voxels), size=num)], mask.shape)[::-1], axis=1)
     result: Floats = grid.to_lps(chosen + rng.uniform(-0.5, 0.5, chosen.shape))
@@ -214,14 +222,14 @@ class _Space:
         return result
 
     def in_lung(self, points: Floats, margin_mm: float, *, num: int = 26) -> Mask:
-        """Return whether the lung surrounds each point as far as the margin, tested in ``num`` directions."""
+        """Return for each point whether it is in the lung with a margin of ``margin_mm`` in ``num`` directions."""
         sphere = self._sphere if num == len(self._sphere) else _sphere(num)
         around = points[:, None, :] + margin_mm * sphere[None]
         inside = self._ask(self._masks.lungs, around.reshape(-1, 3)).reshape(len(points), -1)
         return np.asarray(inside.all(axis=1), np.bool_)
 
     def at_vessel(self, points: Floats, reach_mm: float) -> Mask:
-        """Return whether a vessel of the masks is within this distance of each point."""
+        """Return for each point whether a vessel of the masks is within ``reach_mm``."""
         if self._masks.vessels is None:
             return np.zeros(len(points), np.bool_)
         shells = np.concatenate([reach_mm * share * self._sphere for share in (1.0, 0.75, 0.5, 0.25)])
@@ -246,7 +254,10 @@ def _across(direction: Floats, rng: np.random.Generator) -> Floats:
 
 
 def _twigs(tubes: list[Tube], space: _Space, options: PaintOptions, rng: np.random.Generator) -> list[Tube]:
-    """Return airways of the requested width that leave the tips, in lung only, clear of vessels and other airways."""
+    """Return airways (twigs) that are added at the tips of tubes.
+
+    Each twig stays in the lung and clear of vessels and other airways.
+    """
     spatial: Any = importlib.import_module("scipy.spatial")
     parents = {tube.parent for tube in tubes}
     found: list[Tube] = []
@@ -273,7 +284,7 @@ def _twigs(tubes: list[Tube], space: _Space, options: PaintOptions, rng: np.rand
                 clear = space.in_lung(points, outer + 2.0) & ~space.at_vessel(points, outer + 0.3)
                 gap, nearest = tree.query(points)
                 clear &= gap > outer + reach[nearest] + 0.5
-                # Twigs of one tip overlap at first.
+                # The twigs of one tip overlap near the tip, so no distance between them is required there.
                 clear |= along < tip.radius_mm[-1] + 3.0
                 end = len(points) if clear.all() else int(np.argmin(clear))
                 if along[end - 1] >= options.twig_length_mm[0]:
@@ -293,7 +304,7 @@ def _twigs(tubes: list[Tube], space: _Space, options: PaintOptions, rng: np.rand
 
 
 def _wandering(start: Floats, heading: Floats, length_mm: float, rng: np.random.Generator) -> Floats:
-    """Return a line that bends slightly and evenly."""
+    """Return a line (n, 3) from ``start`` that bends slightly and evenly, with points :data:`STEP_MM` apart."""
     num = max(math.ceil(length_mm / STEP_MM), 2) + 1
     bend = _across(heading, rng) * rng.uniform(0.0, 0.02)
     points = [start]
@@ -305,7 +316,7 @@ def _wandering(start: Floats, heading: Floats, length_mm: float, rng: np.random.
 
 
 def _filled(tubes: list[Tube], options: PaintOptions, rng: np.random.Generator) -> list[Tube]:
-    """Add mucus to some airways of segmental size and below that have child branches."""
+    """Return the tubes with mucus in some airways that are segmental or smaller and have child branches."""
     parents = {tube.parent for tube in tubes}
     fit = [
         n
@@ -330,7 +341,10 @@ def _filled(tubes: list[Tube], options: PaintOptions, rng: np.random.Generator) 
 
 
 def _arteries(tubes: list[Tube], space: _Space, rng: np.random.Generator) -> list[Tube]:
-    """Return an artery beside each small airway without a vessel in the masks, as wide as the airway with its wall."""
+    """Return an artery beside each small airway that has no vessel of the masks beside it.
+
+    The artery is as wide as the airway with its wall.
+    """
     found: list[Tube] = []
     for tube in tubes:
         outer = tube.outer_mm()
@@ -348,7 +362,8 @@ def _arteries(tubes: list[Tube], space: _Space, rng: np.random.Generator) -> lis
             side = side / np.linalg.norm(side)
             beside.append(point + away * side)
         points = np.array(beside)
-        # Not at the fork, where the artery would lie in the parent, and only in lung.
+        # An artery starts beyond the fork, because at the fork it would be inside the parent airway; all its points
+        # must be in the lung.
         usable = space.in_lung(points, 1.0) & (STEP_MM * np.arange(len(points)) >= 2.0)
         if usable.sum() >= 5:
             run = np.flatnonzero(usable)
@@ -358,12 +373,12 @@ def _arteries(tubes: list[Tube], space: _Space, rng: np.random.Generator) -> lis
 
 
 def _tissue(masks: Masks, grid: Volume, options: PaintOptions) -> NDArray[np.int16]:
-    """Return HU of body, lungs, vessels and nodule on the masks' grid, without the airways."""
+    """Return the CT values (HU) of body, lungs, vessels and nodule on the masks' grid, without the airways."""
     shape = masks.airways.shape
     spacing = np.array(grid.spacing_mm)
     lungs = _with_holes_closed(masks, spacing)
     hu = np.where(_body(masks, spacing), np.int16(options.tissue_hu), np.int16(-1000))
-    # Lung is denser at the back, which is the lowest part of a supine patient.
+    # Lung is denser at the back, which is the lowest part of a patient who lies on the back.
     back = grid.lps_from_ijk[1, :3]
     ijk_mm = [np.arange(n) * back[axis] for axis, n in enumerate(shape[::-1])]
     low, high = (sum(float(f(part)) for part in ijk_mm) for f in (np.min, np.max))
@@ -390,7 +405,7 @@ def _tissue(masks: Masks, grid: Volume, options: PaintOptions) -> NDArray[np.int
 
 
 class _Texture:
-    """Smooth random field of variance 1, drawn on a coarse grid, slice by slice."""
+    """Smooth random field of variance 1: random values on a coarse grid, interpolated slice by slice."""
 
     def __init__(self, shape: tuple[int, ...], spacing_xyz: Floats, size_mm: float, rng: np.random.Generator) -> None:
         knot_mm = 0.5 * size_mm
@@ -410,7 +425,10 @@ class _Texture:
 
 
 def _spline(at: Floats, num: int) -> Floats:
-    """Return weights (m, num) of a cubic B-spline's knots, scaled so that white knots give variance 1."""
+    """Return the weights (m, num) of the knots of a cubic B-spline at m positions.
+
+    The weights are scaled so that random knots of variance 1 give values of variance 1.
+    """
     base = np.floor(at).astype(int)
     t = at - base
     parts = ((1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3)
@@ -422,7 +440,7 @@ def _spline(at: Floats, num: int) -> Floats:
 
 
 def _with_holes_closed(masks: Masks, spacing: Floats) -> Mask:
-    """Return the lungs including the airways (which are painted again) and vessels that their mask excludes."""
+    """Return the lung mask with its holes closed, which are the airways (painted again) and the vessels."""
     sitk: Any = importlib.import_module("SimpleITK")
     coarse = masks.lungs[::2, ::2, ::2]
     image = sitk.GetImageFromArray(coarse.astype(np.uint8))
@@ -435,7 +453,7 @@ def _with_holes_closed(masks: Masks, spacing: Floats) -> Mask:
 
 
 def _near_tubes(masks: Masks) -> Mask:
-    """Return the airways and vessels, dilated by two voxels in plane."""
+    """Return the voxels of airways and vessels, dilated by two voxels in plane."""
     inside = masks.airways if masks.vessels is None else masks.airways | masks.vessels
     for axis in (1, 2):
         grown = inside.copy()
@@ -454,7 +472,7 @@ def _repeated(mask: Mask, shape: tuple[int, ...], factor: int) -> Mask:
 
 
 def _body(masks: Masks, spacing: Floats) -> Mask:
-    """Return the body: within 18 mm of the lungs, the region between them, and a neck around the trachea above them."""
+    """Return the mask of the body: 18 mm around the lungs, the region between them, and a neck around the trachea."""
     sitk: Any = importlib.import_module("SimpleITK")
     factor = 4
     coarse = masks.lungs[::factor, ::factor, ::factor] | masks.airways[::factor, ::factor, ::factor]
@@ -471,7 +489,7 @@ def _body(masks: Masks, spacing: Floats) -> Mask:
 
 
 def _emphysema(lungs: Mask, spacing: Floats, options: PaintOptions) -> NDArray[np.float32]:
-    """Return the shares of cells occupied by round holes with soft edges."""
+    """Return for each cell the share (0 to 1) that is occupied by round holes with soft edges."""
     rng = np.random.default_rng((options.seed, 3))
     result = np.zeros(lungs.shape, np.float32)
     places = np.argwhere(lungs[::3, ::3, ::3]) * 3

@@ -1,4 +1,4 @@
-"""Slices from an image of thin slices: means over the slice thickness, or interpolation between thin slices."""
+"""Thick slices computed from an image of thin slices: means over a slice thickness, or linear interpolation."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ __all__ = ["Slices", "noisy_slices", "slice_weights", "sliced"]
 Floats = NDArray[np.float64]
 
 SAME_MM = 0.15
-"""Difference of thickness up to which slices are the thin slices themselves, mm."""
+"""Largest difference between two thicknesses, or two distances of slices, that count as equal, mm."""
 
 
 @dataclass(frozen=True, slots=True)
 class Slices:
-    """Thickness and distance of the slices of an image."""
+    """Thickness and distance of the slices of a CT."""
 
     thickness_mm: float
     increment_mm: float | None = None
-    """Distance of two slices; slices overlap if the distance is less than the thickness. None: the thickness."""
+    """Distance between two slices, mm; None means that it equals the thickness. Slices overlap if it is less."""
     is_resampled: bool = False
-    """Whether the thin slices are interpolated linearly at the distance, without averaging."""
+    """Whether slices are interpolated linearly between thin slices, without averaging over their thickness."""
 
     @property
     def distance_mm(self) -> float:
-        """Distance of two slices, mm."""
+        """Distance between two slices, mm."""
         return self.thickness_mm if self.increment_mm is None else self.increment_mm
 
     def are_thin(self, thin_mm: float) -> bool:
-        """Return whether thin slices of this thickness can be used as these slices."""
+        """Return whether slices of ``thin_mm`` thickness and distance can be used unchanged as these slices."""
         return abs(self.distance_mm - thin_mm) <= SAME_MM and self.thickness_mm <= thin_mm + SAME_MM
 
 
 def slice_weights(num_thin: int, thin_mm: float, slices: Slices) -> tuple[Floats, float, float]:
-    """Return the weights (m, n) of n thin slices, the first slice's position and the distance of slices, both in mm.
+    """Return the weights (m, n) of n thin slices for m slices, the first slice's position and the slice distance.
 
-    Positions are measured from the centre of the first thin slice. Slices that are means over their thickness, of
-    slices that are means over ``thin_mm``, have a trapezoidal profile.
+    Position and distance are in mm; the position is measured from the centre of the first thin slice. A mean over a
+    slice thickness of thin slices, which are means over ``thin_mm``, has a trapezoidal profile.
     """
     if slices.are_thin(thin_mm):
         return np.eye(num_thin), 0.0, thin_mm
@@ -59,7 +59,7 @@ def slice_weights(num_thin: int, thin_mm: float, slices: Slices) -> tuple[Floats
 
 
 def sliced(thin_zyx: NDArray[np.float32], weights: Floats) -> NDArray[np.float32]:
-    """Return slices (m, ny, nx) of n thin slices by their weights (m, n)."""
+    """Return slices (m, ny, nx), the sums of n thin slices with the weights (m, n)."""
     result = np.zeros((len(weights), *thin_zyx.shape[1:]), np.float32)
     for k, row in enumerate(weights):
         for n in np.flatnonzero(row):
@@ -77,11 +77,12 @@ def noisy_slices(
     *,
     is_resampled: bool = False,
 ) -> NDArray[np.int16]:
-    """Return HU of slices with the kernel's overshoot and noise.
+    """Return the CT values in HU of slices with the kernel's overshoot and noise.
 
-    The noise is drawn for the thin slices and averaged like them, so overlapping slices share a part of their noise.
-    The dose is chosen so that each reconstructed slice has the standard deviation ``noise_hu``; slices that are
-    interpolated between thin slices have the thin slices' noise, reduced by the interpolation.
+    The noise is drawn for the thin slices and averaged together with them, so overlapping slices share a part of their
+    noise. The noise of the thin slices is chosen so that the averaged slices have the standard deviation ``noise_hu``.
+    If the slices are interpolated between thin slices (``is_resampled``), the thin slices have the noise ``noise_hu``,
+    which the interpolation reduces.
     """
     shape: tuple[int, int] = (values_zyx.shape[1], values_zyx.shape[2])
     result = np.empty(values_zyx.shape, np.int16)

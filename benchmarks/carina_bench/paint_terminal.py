@@ -1,8 +1,8 @@
-"""Terminal airways: forks beyond the tips of a mask's airways, down to lumens of 0.45 mm radius.
+"""Terminal airways of painted CTs: forks beyond the tips of a mask's airways, down to lumens of 0.45 mm radius.
 
-Each fork divides the flow of its parent in two shares. The lumens follow Murray's rule with an exponent of 2.8, the
-narrower airway turns farther from the parent's direction than the wider one, and the plane of a fork is perpendicular
-to that of the previous fork.
+Each fork divides the flow of its parent in two shares. The lumens follow Murray's rule with an exponent of 2.8. The
+narrower airway of a fork turns farther from the parent's direction than the wider one. The plane of a fork is
+perpendicular to the plane of the previous fork.
 """
 
 from __future__ import annotations
@@ -22,42 +22,54 @@ __all__ = ["LEAST_RADIUS_MM", "terminal_airways"]
 Floats = NDArray[np.float64]
 
 LEAST_RADIUS_MM = 0.45
+"""Least radius of the lumen of a terminal airway, mm."""
 FLOW_EXPONENT = 2.8
+"""Exponent of Murray's rule: the flow through an airway is proportional to this power of the radius."""
 LEAST_FLOW = 0.3
+"""Least share of the parent's flow in the narrower airway of a fork."""
 LENGTH_RADII = (9.0, 16.0)
-"""Length of an airway between two forks, in radii of its lumen: least and greatest."""
+"""Least and largest length of an airway between two forks, in radii of its lumen."""
 TURN_DEG = 70.0
-"""Sum of the angles of both airways of a fork with the parent's direction."""
+"""Sum of the angles between the parent's direction and the directions of both airways of a fork, degrees."""
 WALL_MM = (0.2, 0.3)
+"""Least and largest wall thickness of an airway up to 0.8 mm radius, mm; the wall of a wider airway is thicker."""
 STEP_MM = 0.5
+"""Distance between two points of a centreline, mm."""
 FREE_MM = 0.35
-"""Least gap between the walls of two airways that do not share a fork, mm."""
+"""Least distance between the walls of two airways that do not share a fork, mm."""
 LUNG_MM = 1.5
+"""Least distance of an airway from the lung's border, mm."""
 TRIALS = 8
+"""Number of directions that are tried for each airway."""
 MOST_GENERATIONS = 8
+"""Largest number of forks between a mask's tip and a terminal airway."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _End:
-    """End of an airway, from which a fork may grow."""
+    """Free end of an airway, from which a fork may grow."""
 
     tube: Tube
     towards: Floats
     plane: Floats
-    """Unit vector in the plane of the previous fork, perpendicular to the airway."""
+    """Unit vector (3,) in the plane of the previous fork, perpendicular to the airway."""
     num_forks: int
 
 
 def terminal_airways(tubes: Sequence[Tube], space: Space, share_per_mm2: float, rng: np.random.Generator) -> list[Tube]:
-    """Return airways beyond the tips of ``tubes``; each avoids the lung's border and other airways.
+    """Return the airways that grow beyond the tips of ``tubes``; each stays in the lung and clear of other airways.
 
     Parameters
     ----------
     tubes
         Airways of the masks, LPS mm; the ID of each is its index.
+    space
+        Masks in which the airways grow.
     share_per_mm2
-        Share of the possible airways that grow, per mm2 of the square of their lumen's radius; none below
-        :data:`LEAST_RADIUS_MM`.
+        Share of the possible airways that grow, for each mm2 of the square of their lumen's radius. No airway below
+        :data:`LEAST_RADIUS_MM` grows.
+    rng
+        Random generator.
     """
     parents = {tube.parent for tube in tubes}
     ends = [_end_of(tube, rng) for tube in tubes if tube.id not in parents]
@@ -100,7 +112,7 @@ def _fork(
     share_per_mm2: float,
     rng: np.random.Generator,
 ) -> list[tuple[Tube, Floats]]:
-    """Return up to two airways from an end, each with the direction perpendicular to the fork's plane."""
+    """Return up to two airways that grow from an end, each with the direction perpendicular to their fork's plane."""
     start = end.tube.points[-1]
     before = float(end.tube.radius_mm[-1])
     flow = rng.uniform(LEAST_FLOW, 0.5)
@@ -125,7 +137,8 @@ def _fork(
             gap = (np.linalg.norm(points[:, None] - there, axis=2) - outer).min(axis=1)
             clear = gap > radius + thickness + FREE_MM
             clear &= space.in_lung(points, LUNG_MM) & ~space.at_vessel(points, radius + thickness + 0.2)
-            # Near the fork an airway lies in its parent, which already avoids the neighbours.
+            # Near the fork a new airway is inside its parent, which already has the required distance from its
+            # neighbours.
             clear |= along < before + 0.5
             if clear.all():
                 tube = Tube(
@@ -144,7 +157,7 @@ def _fork(
 
 
 def _line(start: Floats, heading: Floats, length_mm: float, rng: np.random.Generator) -> Floats:
-    """Return a line (n, 3) that bends evenly, with points :data:`STEP_MM` apart."""
+    """Return a line (n, 3) from ``start`` that bends evenly, with points :data:`STEP_MM` apart."""
     num = max(round(length_mm / STEP_MM), 4)
     bend = _across(heading, rng) * rng.uniform(0.0, 0.06)
     points = [start]

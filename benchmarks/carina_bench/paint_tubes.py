@@ -1,4 +1,4 @@
-"""Tubes of continuous centreline and radius, and the share of each small cell of space that they cover."""
+"""Tubes (airways and arteries) of painted CTs, and the share of each small cell of space that the tubes cover."""
 
 from __future__ import annotations
 
@@ -15,19 +15,25 @@ Cells = NDArray[np.float32]
 Box = tuple[slice, slice, slice]
 
 WALL_FACTOR = 0.6
-"""Wall thickness in mm at a lumen of 1 mm radius; it grows with the square root of the radius."""
+"""Thickness of an airway's wall at a lumen of 1 mm radius, mm.
+
+The thickness grows with the square root of the radius.
+"""
 MERGE_SHARE = 0.35
-"""Distance from a fork's edge within which the union of two lumens is rounded, as a share of the thinner radius."""
+"""Width of the rounding of the edge where the lumens of two airways of a fork meet.
+
+The width is a share of the radius of the thinner airway.
+"""
 FAR_MM = np.float32(50.0)
+"""Distance that is stored for cells far from every tube, mm."""
 FULL_LEVEL = 0.99
-"""Level of fluid (radii above the axis) from which it fills the lumen."""
+"""Level of fluid, in radii above the axis, from which the fluid fills the lumen."""
 
 
 def wall_mm(radius_mm: Floats) -> Floats:
-    """Return the thickness of an airway's wall for its lumen's radius, mm.
+    """Return the thickness of the wall of an airway with this radius of the lumen, mm.
 
-    Trachea (9 mm) 1.8, main and lobar (4.3 to 6.1) 1.2 to 1.5, segmental (2.8 to 3.5) 1.0 to 1.1, generations 5 and 6
-    (1.4 to 1.75) 0.7 to 0.8, a twig of 1 mm diameter 0.4.
+    For example the trachea (radius 9 mm) has 1.8 mm, a segmental bronchus (3 mm) 1.0 mm, and a twig of 0.5 mm 0.4 mm.
     """
     result: Floats = WALL_FACTOR * np.sqrt(np.maximum(radius_mm, 0.0))
     return result
@@ -35,58 +41,58 @@ def wall_mm(radius_mm: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tube:
-    """Airway, or artery beside an airway."""
+    """Airway, or artery beside an airway, as a centreline with radii."""
 
     points: Floats
-    """Centreline (n, 3), mm; LPS in a scene."""
+    """Centreline (n, 3), mm; in a scene LPS."""
     radius_mm: Floats
-    """Radius (n,) of the lumen; of the outside for an artery."""
+    """Radius (n,) of an airway's lumen, or of an artery's outside, mm."""
     id: int = 0
     parent: int | None = None
     generation: int = 0
     is_artery: bool = False
     filled_from: Floats | None = None
-    """Level (n,) of fluid in radii above the axis: 1 fills the lumen, 0 half of it, -1 leaves it empty."""
+    """Level (n,) of fluid in radii above the axis: 1 fills the lumen, 0 fills half of it, -1 leaves it empty."""
     true_from: int = 0
-    """Index of the first point outside the parent's lumen; the points before it are not part of the true centreline."""
+    """Index of the first point outside the parent's lumen; earlier points are no part of the true centreline."""
     thickness_mm: float | None = None
-    """Thickness of the wall; None computes it from the radius of the lumen (:func:`wall_mm`)."""
+    """Thickness of the wall, mm; None computes the thickness from the radius of the lumen (:func:`wall_mm`)."""
 
     def outer_mm(self) -> Floats:
-        """Return the radius (n,) of the outside: of the wall, or of an artery."""
+        """Return the radius (n,) of the outside of an airway's wall or of an artery, mm."""
         if self.is_artery:
             return self.radius_mm
         return self.radius_mm + (wall_mm(self.radius_mm) if self.thickness_mm is None else self.thickness_mm)
 
     def moved(self, points: Floats) -> Tube:
-        """Return the same tube with other points."""
+        """Return a copy of the tube with other centreline points."""
         return replace(self, points=points)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segment:
-    """Straight piece of a tube whose radii change linearly."""
+    """Straight piece of a tube whose radii change linearly from its start to its end."""
 
     start: Floats
     axis: Floats
-    """Unit vector (3,)."""
+    """Unit vector (3,) from the start to the end."""
     length: float
     lumen: tuple[float, float]
     outer: tuple[float, float]
     merge: float
     tube: int
-    """Index of its tube."""
+    """Index of the tube to which the segment belongs."""
     level: tuple[float, float] | None
     low: Floats
-    """Lowest corner (3,) of the box of cells to which the segment can contribute."""
+    """Lowest corner (3,) of the box of cells to which the segment can contribute, mm."""
     high: Floats
 
 
 def segments_of(tubes: Sequence[Tube], cell_mm: float) -> list[Segment]:
-    """Divide tubes (mm of any frame) into pieces short enough to count as straight, for cells of this width.
+    """Divide tubes (mm of any frame) into pieces that are short enough to count as straight, for cells of ``cell_mm``.
 
-    The rim of the covered area is a ramp one cell wide, which adds pi h^2 / 12 to a disc's area; the radii are reduced
-    accordingly.
+    In the cells the edge of the covered area is a ramp one cell wide, which adds pi h^2 / 12 to the area of a disc,
+    with h the width of a cell. The radii are reduced by this amount.
     """
     found = []
     for place, tube in enumerate(tubes):
@@ -119,7 +125,10 @@ def segments_of(tubes: Sequence[Tube], cell_mm: float) -> list[Segment]:
 
 
 def _cut(tube: Tube) -> tuple[Floats, Floats, Floats | None]:
-    """Return positions along a tube a third of its radius apart, 0.4 to 2.5 mm, with their radii and fluid levels."""
+    """Return positions along a tube, and its radii and fluid levels there.
+
+    The distance between two positions is a third of the radius, but 0.4 to 2.5 mm. The levels are None without fluid.
+    """
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tube.points, axis=0), axis=1))])
     at = [0.0]
     while at[-1] < along[-1]:
@@ -132,14 +141,14 @@ def _cut(tube: Tube) -> tuple[Floats, Floats, Floats | None]:
 
 @dataclass(slots=True, eq=False)
 class Covers:
-    """Covered shares of cells ``[z, y, x]``, 0 to 1."""
+    """Shares of cells ``[z, y, x]``, 0 to 1, that are covered by airways, arteries and fluid."""
 
     lumen: Cells
     airway: Cells
-    """Share of lumen and wall."""
+    """Share of each cell that is lumen or wall."""
     artery: Cells
     fluid: Cells
-    """Share of fluid in the lumen, not in the cell."""
+    """Share of the lumen in each cell that is filled with fluid."""
 
 
 def covers_of(
@@ -149,10 +158,10 @@ def covers_of(
     cell_mm: float,
     down: Floats,
 ) -> Covers:
-    """Return the shares of cells that segments cover; fluid sinks in the direction ``down``.
+    """Return the shares of cells that segments cover.
 
-    The centres of the cells are at ``axes_xyz`` (mm, even steps on each axis). The union of the lumens of an airway and
-    its children is rounded; every other union is plain.
+    The centres of the cells are at ``axes_xyz`` (mm, even steps on each axis); fluid sinks in the direction ``down``.
+    The union of the lumens of an airway and its children is rounded at its edges; every other union is not.
     """
     shape = (len(axes_xyz[2]), len(axes_xyz[1]), len(axes_xyz[0]))
     lumen, airway, artery = (np.full(shape, FAR_MM, np.float32) for _ in range(3))
@@ -175,7 +184,7 @@ def covers_of(
             np.minimum(airway[at], outer, out=airway[at])
             if segment.level is not None:
                 level = _between(segment.level, along)
-                # A full lumen has its level far above the top, so that no film of air remains.
+                # The level of a full lumen is set far above the lumen's top, so that no film of air remains.
                 level = np.where(level >= FULL_LEVEL, np.float32(10.0), level)
                 wet = np.clip(0.5 + (height + level * radius) / np.float32(cell_mm), 0.0, 1.0) * (inner < cell_mm)
                 np.maximum(fluid[at], wet, out=fluid[at])
@@ -194,7 +203,7 @@ def _by_tube(segments: Sequence[Segment]) -> dict[int, list[Segment]]:
 
 
 def _box_of(segment: Segment, axes_xyz: tuple[Floats, Floats, Floats]) -> Box | None:
-    """Return the cells ``[z, y, x]`` to which a segment can contribute."""
+    """Return the box of cells ``[z, y, x]`` to which a segment can contribute; None if it is empty."""
     slices = []
     for axis, (low, high) in enumerate(zip(segment.low, segment.high, strict=True)):
         first, last = np.searchsorted(axes_xyz[axis], [low, high])
@@ -217,7 +226,7 @@ def _between(ends: tuple[float, float], along: Cells) -> Cells:
 def _distance(
     segment: Segment, axes_xyz: tuple[Floats, Floats, Floats], box: Box, down: Floats
 ) -> tuple[Cells, Cells, Cells]:
-    """Return for the cells of a box: distance to the axis, position along the axis (0..1), and depth below the axis."""
+    """Return each cell's distance from the axis, position along the axis (0 to 1), and depth below the axis."""
     z, y, x = box
     off = [
         (axes_xyz[0][x] - segment.start[0])[None, None, :],
@@ -245,7 +254,7 @@ def _cover(distance: Cells, cell_mm: float) -> Cells:
 
 
 def _merged(one: Cells, other: Cells, merge_mm: float) -> Cells:
-    """Return the smaller of two distances, rounded over ``merge_mm`` where they are similar."""
+    """Return the smaller of two distances; where they differ by less than about ``merge_mm``, the result is rounded."""
     least = np.minimum(one, other)
     if merge_mm <= 0.0:
         return least

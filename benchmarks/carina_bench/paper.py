@@ -1,4 +1,4 @@
-"""Measurements in the paper's setting (4.3): nearest voxel, one voxel a step, no shading, leaps over equal values."""
+"""Measurements in the paper's setting (4.3): nearest voxel, one step per voxel, no shading, leaps in equal values."""
 
 from __future__ import annotations
 
@@ -21,9 +21,11 @@ from carina_bench.render import Request
 __all__ = ["FILES", "paper_mode"]
 
 FOLDER = "ct/head_and_lidc2_8bit"
+"""Folder of the volumes below CARINA_DATA_DIR."""
 FILES = {"LIDC2": "LIDC2_256x256x133_uint8.mha", "headsq, 8 bit": "headsq_64x64x93_int16.mha"}
+"""Files of the volumes, by the name in the report."""
 SIZE = 256
-"""Size of the paper's pictures in pixels (3.1)."""
+"""Width and height of the paper's pictures in pixels (3.1)."""
 
 
 def _eight_bit(volume: Volume) -> Volume:
@@ -35,9 +37,9 @@ def _eight_bit(volume: Volume) -> Volume:
 
 
 def _transfers() -> dict[str, TransferFunction]:
-    """Return two transfer functions; the paper prints none.
+    """Return two transfer functions by name, chosen here because the paper prints none.
 
-    *skin* is opaque from a quarter of the range; *veil* shows tissue as a thin fog in front of bone.
+    *skin* is opaque from a quarter of the range of values; *veil* shows tissue as a thin fog in front of bone.
     """
     skin = [[48.0, 0.9, 0.6, 0.5, 0.0], [96.0, 0.9, 0.6, 0.5, 0.7], [255.0, 1.0, 0.95, 0.9, 0.98]]
     veil = [
@@ -60,14 +62,14 @@ def _poses(volume: Volume) -> dict[str, Pose]:
         name: Pose.looking(centre + 0.9 * size_mm * out / np.linalg.norm(out), -out)
         for name, out in (("front", front), ("side", side), ("above", above))
     }
-    # In the largest dark region, where the paper's user flies.
+    # The second pose is in the largest dark region, where the users of the paper fly.
     poses["inside, down"] = Pose.looking(_hollow(volume), (0.0, 0.0, -1.0))
     poses["inside, across"] = Pose.looking(_hollow(volume), (0.0, 1.0, 0.2))
     return poses
 
 
 def _hollow(volume: Volume) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return the darkest point of the volume's inner half, smoothed over 8^3 voxels, LPS mm."""
+    """Return the darkest point of the inner half of a volume that is smoothed over 8^3 voxels, LPS mm."""
     values = volume.hu_zyx
     nz, ny, nx = (n // 8 for n in values.shape)
     coarse = values[: 8 * nz, : 8 * ny, : 8 * nx].reshape(nz, 8, ny, 8, nx, 8).mean(axis=(1, 3, 5))
@@ -78,7 +80,7 @@ def _hollow(volume: Volume) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def paper_mode(request: Request) -> list[dict[str, Any]]:
-    """Measure the speed-up of leaping over brute force, in time and in steps, and the difference of the pictures."""
+    """Measure how leaping differs from brute force: ratios of times and of steps, and difference of the pictures."""
     rows = []
     for name, file in FILES.items():
         volume = _eight_bit(carina.open_volume(Path(request["data_dir"]) / FOLDER / file))
@@ -97,8 +99,8 @@ def paper_mode(request: Request) -> list[dict[str, Any]]:
                     "always": partial(renderer.render, always),
                 }
                 times = take_turns(turns, request["repeats"])
-                # Steps and pictures are those of forced leaps; the time is also measured with the default method, which
-                # does not leap where leaping is slower.
+                # Steps and pictures are compared for forced leaping. The time is also measured with the default method,
+                # which does not leap where leaping is slower.
                 a, b = renderer.render(brute), renderer.render(always)
                 steps_leap = b.stats.num_leaps + b.stats.num_samples
                 rows.append(

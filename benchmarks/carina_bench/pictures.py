@@ -1,4 +1,4 @@
-"""Pictures of a run, and differences between two pictures."""
+"""PNG files of the pictures of a run, and measures of the difference between two pictures."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ __all__ = ["difference", "save"]
 
 
 def save(folder: str | Path, name: str, rgb: NDArray[np.uint8]) -> str:
-    """Write a PNG and return its name; a grey picture has two axes."""
+    """Write a picture (height, width, 3), or a grey one (height, width), as PNG and return the name of the file."""
     colours = np.repeat(rgb[..., None], 3, axis=2) if rgb.ndim == 2 else rgb
     content = png_bytes(np.ascontiguousarray(colours))
     return write_whole(Path(folder) / f"{name}.png", content, what="the image").name
 
 
 def difference(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> dict[str, Any]:
-    """Return the largest and mean difference in grey levels of 255, and the share of pixels that differ at all."""
+    """Return the largest and mean difference in grey levels (0 to 255), and the share of unequal pixels."""
     apart = np.abs(a.astype(np.int16) - b.astype(np.int16))
     pixels = apart.max(axis=-1) if apart.ndim == 3 else apart
     return {

@@ -1,9 +1,9 @@
-"""Structures around targets compared with truth: vessels, fissures and lobes on phantoms and on painted CTs.
+"""Comparison of vessels, fissures and lobes around targets with the truth, in phantoms and painted CTs.
 
-``python -m carina_bench.plan_around vessels|lungs|fissures|lobes [CASE ...]`` prints a line of JSON per case: vessels
-around needle lines (*vessels*) or of whole lungs (*lungs*). Painting needs scipy and scikit-image; painted CTs are
-stored in the folder of ``--keep``. Cases: ``phantom-SEED``, ``Patient1`` to 3 (painted), ``lobes-Patient1`` to 3 (masks
-of lobes).
+``python -m carina_bench.plan_around vessels|lungs|fissures|lobes [CASE ...]`` prints a line of JSON per case. *vessels*
+compares the vessels around needle lines, *lungs* the vessels of whole lungs. Painting needs scipy and scikit-image;
+painted CTs are stored in the folder ``--keep``. Cases: ``phantom-SEED``, ``Patient1`` to ``Patient3`` (painted), and
+``lobes-Patient1`` to ``lobes-Patient3`` (masks of lobes).
 """
 
 from __future__ import annotations
@@ -43,28 +43,31 @@ Points = NDArray[np.float64]
 Row = dict[str, Any]
 
 NUM_LINES = 60
+"""Number of needle lines or random boxes of a case."""
 ROOM_MM = 14.0
-"""Margin around target and tip, mm; equal to that of `carina.plan.routes.plan_route`."""
+"""Margin around the target and the scope's tip, mm; equal to the margin in `carina.plan.routes.plan_route`."""
 FINE_MM = 0.5
+"""Spacing of the fine volume of a phantom that holds the true vessels, mm."""
 PHANTOM_SPACING = (0.7, 0.7, 0.8)
+"""Spacing of a phantom's CT (x, y, z), mm."""
 CLASSES_MM = ((0.0, 1.0), (1.0, 1.5), (1.5, 2.5), (2.5, 4.0), (4.0, 20.0))
-"""Classes of vessel diameter, mm."""
+"""Classes of vessel diameter (lower and upper limit), mm."""
 NEAR_MM = 1.0
-"""Distance between a found and a true voxel up to which they agree, mm."""
+"""Largest distance between a found and a true vessel voxel that count as the same vessel, mm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
-    """CT and its truth."""
+    """CT of a case, the airways found in it, and its true vessels, lungs and fissures."""
 
     name: str
     volume: Volume
     tree: AirwayTree
     wall: WallField
     tissue: Callable[[Points, float], tuple[Volume, Mask, Mask]]
-    """Function that returns the truth in a box around a point: grid, mask of vessels, mask of judged voxels.
+    """Function that returns the true vessels in a box around a point (LPS mm) with a margin in mm.
 
-    Judged voxels are lung.
+    The results are a grid, the mask of vessels, and the mask of the voxels that are judged, which are lung.
     """
     in_lung: Callable[[Points], Mask]
     fissures: Mask | None = None
@@ -72,7 +75,10 @@ class Known:
 
 
 def vessel_row(known: Known, num: int = NUM_LINES) -> Row:
-    """Return recall by diameter, precision, and the distance of needle lines to the nearest vessel."""
+    """Return the recall of vessels by diameter, the precision of vessels, and the distances of needle lines.
+
+    The distance of a needle line is that to the nearest vessel.
+    """
     rng = np.random.default_rng(5)
     tips = np.concatenate([b.points[b.radius > 0.8] for b in known.tree.branches if b.generation >= 2])
     found_of = dict.fromkeys(CLASSES_MM, 0)
@@ -131,18 +137,21 @@ def vessel_row(known: Known, num: int = NUM_LINES) -> Row:
 
 
 def _middle_lines(grid: Volume, vessels: Mask, judged: Mask) -> tuple[Points, NDArray[np.float32]]:
-    """Return points on the centrelines of true vessels, and their diameters there."""
+    """Return the points (LPS mm) of the centrelines of true vessels, and the diameter of the vessel at each, mm."""
     depth = ball_distance(vessels, float(min(grid.spacing_mm)))
     widest = depth
     for _ in range(4):
         widest = _dilated(widest)
-    # Excludes irregularities at the edge of wide vessels, which would count as thin vessels.
+    # The last condition excludes bumps on wide vessels, which would count as thin vessels.
     ridge = vessels & judged & (depth >= _dilated(depth) - 1e-6) & (depth >= 0.6 * widest)
     return grid.to_lps(np.argwhere(ridge)[:, ::-1].astype(np.float64)), 2.0 * depth[ridge]
 
 
 def lungs_row(known: Known, num: int = NUM_LINES) -> Row:
-    """Return recall and precision of the vessels of whole lungs, as in the window, in random boxes."""
+    """Return the recall and the precision of the vessels of whole lungs, measured in random boxes.
+
+    The vessels are those that the window shows.
+    """
     made: list[LungMap] = []
 
     def stop(lungs: LungMap) -> None:
@@ -151,7 +160,7 @@ def lungs_row(known: Known, num: int = NUM_LINES) -> Row:
 
     begun = time.perf_counter()
     with contextlib.suppress(CancelledError):
-        # Only the tree of the airways is used.
+        # Of the airways, `map_lungs` uses only the tree.
         map_lungs(known.volume, cast(Airways, SimpleNamespace(tree=known.tree)), known.wall, found=stop)
     seconds = time.perf_counter() - begun
     mask = made[0].vessels
@@ -191,7 +200,7 @@ def lungs_row(known: Known, num: int = NUM_LINES) -> Row:
 
 
 def lobes_row(name: str) -> Row:
-    """Return Dice of lobes that are computed from airways alone, and the reliability of their certainty."""
+    """Return the Dice coefficients of lobes computed from airways alone, and the reliability of their certainty."""
     from carina_bench.paint_scene import AIRWAY_FILES, mask_folders, opened
 
     data = load_settings().data_dir
@@ -215,7 +224,7 @@ def lobes_row(name: str) -> Row:
     k, j, i = np.indices(num).reshape(3, -1)
     points = np.stack([i, j, k], axis=1) * STEP_MM + low
     true = np.where(_holds(volume, points), _read(truth, volume, points), 0).reshape(num)
-    # The masks exclude airways and vessels.
+    # The lobe masks exclude airways and vessels, so these holes are closed.
     lungs = ball_distance(ball_distance(~(true > 0), STEP_MM) <= 6.0, STEP_MM) >= 5.0
     begun = time.process_time()
     found = nearest_lobe(lungs | (true > 0), matrix, tree)
@@ -244,7 +253,7 @@ def lobes_row(name: str) -> Row:
 
 
 def fissures_row(known: Known) -> Row:
-    """Return the precision and recall of found fissures, and their effect on the lobes' borders."""
+    """Return the precision and the recall of fissures, and how much the fissures improve the borders of lobes."""
     assert known.fissures is not None
     begun = time.process_time()
     found = lobes(known.volume, known.tree)
@@ -283,7 +292,7 @@ def _away_mm(mask: Mask, step_mm: float) -> NDArray[np.float32]:
 
 
 def _away(mask: Mask, grid: Volume) -> NDArray[np.float32]:
-    """Return the distance to the mask's edge in mm, 0 inside, on a grid whose axes are assumed perpendicular."""
+    """Return the distance of each voxel from a mask, mm, 0 inside it; the axes of the grid must be perpendicular."""
     if not mask.any():
         return np.full(mask.shape, 99.0, np.float32)
     image = sitk.GetImageFromArray(mask.astype(np.uint8))
@@ -318,7 +327,7 @@ def _read(values: NDArray[Any], grid: Volume, points: Points) -> NDArray[Any]:
 
 
 def known_case(name: str, keep: Path) -> Known:
-    """Return a case by its name."""
+    """Return the case ``name``; painted CTs are stored in the folder ``keep``."""
     path = keep / f"around-{name}.pickle"
     if path.is_file():
         saved = pickle.loads(path.read_bytes())
@@ -360,9 +369,9 @@ def _phantom(seed: int) -> Row:
 
 
 def _known_phantom(name: str, saved: Row, volume: Volume, tree: AirwayTree, wall: WallField) -> Known:
-    """Return a phantom with the truth of its vessels: dense voxels of a fine volume without noise.
+    """Return a phantom as a case whose true vessels are the dense voxels of a fine volume without noise.
 
-    Mediastinum and airway walls are excluded.
+    Mediastinum and airway walls are excluded from these voxels.
     """
     branches = saved["truth"]["branches"]
     spatial: Any = importlib.import_module("scipy.spatial")
@@ -397,7 +406,7 @@ def _known_phantom(name: str, saved: Row, volume: Volume, tree: AirwayTree, wall
 
 
 def _lung_of(volume: Volume) -> Mask:
-    """Return the air of the chest that is not outside, with small dense parts closed."""
+    """Return the mask of the air inside the chest, with small dense parts in it closed."""
     image = sitk.GetImageFromArray((volume.hu_zyx < -500).astype(np.uint8))
     pieces = sitk.RelabelComponent(sitk.ConnectedComponent(image))
     labels = sitk.GetArrayFromImage(pieces)
@@ -410,7 +419,7 @@ def _lung_of(volume: Volume) -> Mask:
 
 
 def _painted(name: str) -> Row:
-    """Return a painted patient with its vessels: those of the masks and added arteries, without airways."""
+    """Return a painted patient with the true vessels: those of the masks and the added arteries, no airways."""
     from carina_bench.paint import PaintOptions, paint
     from carina_bench.paint_scene import masks_of, scene_of_masks
     from carina_bench.paint_tubes import wall_mm
@@ -453,7 +462,7 @@ def _depth(mask: Mask, spacing: Points) -> NDArray[np.float32]:
 
 
 def _draw(mask: Mask, grid: Volume, points: Points, radius: Points) -> None:
-    """Draw balls along a line into a mask."""
+    """Set the voxels of ``mask`` in balls around points with these radii."""
     spacing = np.array(grid.spacing_mm)
     for point, r in zip(grid.to_ijk(points), radius, strict=True):
         reach = np.ceil(r / spacing).astype(int) + 1
@@ -467,7 +476,7 @@ def _draw(mask: Mask, grid: Volume, points: Points, radius: Points) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure and print."""
+    """Run the command line: measure each case and print its row."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=["vessels", "lungs", "fissures", "lobes"])
     parser.add_argument("cases", nargs="*")

@@ -1,15 +1,17 @@
-"""Comparison of the first planned route with the best of an exhaustive search, on phantoms with nodules and stenoses.
+"""Comparison of the score of the first planned route with the best score of an exhaustive search.
 
-``python -m carina_bench.plan_best FOLDER`` reads the cases that ``plan_truth`` stores there, or makes them.
+The cases are phantoms with nodules and stenoses. ``python -m carina_bench.plan_best FOLDER`` reads those that
+``plan_truth`` has stored in FOLDER, or generates them.
 
 The search shares no code with the plan, only its inputs: the tree, the lumen's width along each branch, the nodule's
 voxels, the wall's distances, the vessels of the box, the weights. It tests centreline points 0.35 mm apart (the plan:
-0.7), walks each needle in steps of 0.1 mm (the plan: 0.25), simulates random needles (the plan: quadrature), and
+0.7), follows each needle in steps of 0.1 mm (the plan: 0.25), simulates random needles (the plan: quadrature), and
 follows each path from the trachea for its narrowest point and its sharpest bend. Points that cannot be the best even
 without misses of the needle are not simulated.
 
-Tolerance of a score: 0.25 x 0.02 for the needles, 0.15 x (0.35 mm + 0.25 mm) / 15 mm for the way, 0.15 x 2 degrees /
-90 for the angle, 0.15 x 0.5 mm / 8 mm for the length in the target, and 0.1 x 0.5 mm / 3 mm for a vessel: 0.04 at most.
+The scores may differ by these tolerances: 0.25 x 0.02 for the needles, 0.15 x (0.35 mm + 0.25 mm) / 15 mm for the way,
+0.15 x 2 degrees / 90 for the angle, 0.15 x 0.5 mm / 8 mm for the length in the target, and 0.1 x 0.5 mm / 3 mm for a
+vessel: 0.04 at most.
 """
 
 from __future__ import annotations
@@ -39,18 +41,25 @@ Row = dict[str, Any]
 Floats = NDArray[np.float64]
 
 SCOPES = ("thin", "ultrathin")
+"""Names of the scopes for which routes are compared."""
 NUM_TARGETS = 2
-"""Number of targets with a route that are compared in each phantom."""
+"""Number of targets of each phantom for which routes are compared."""
 PLACES_MM, WALK_MM, FINE_MM = 0.35, 0.1, 0.5
+"""Distance between two tested points of a centreline, step along a needle, and step of simulated needles, mm."""
 NUM_NEEDLES = 6000
+"""Number of needles that are simulated at each tested point."""
 SIGMA_ANGLE_DEG, SIGMA_TIP_MM = 4.0, 0.7
+"""Standard deviations of the needle's direction, degrees, and of the scope's tip, mm."""
 TOLERANCE = 0.04
+"""Largest difference by which the best score may exceed the first route's score."""
 LEAST_SHOWN = 0.003
+"""Least contribution to a difference of scores that the report lists."""
 RANKS = ("reaches", "may reach", "does not reach")
+"""Outlook of a route for each rank: index 0 is the best rank."""
 
 
 def best_of_all(case: PlanCase, plan: Plan, around: Surroundings, rng: np.random.Generator) -> tuple[float, str, Row]:
-    """Return score, outlook and description of the best of all standing points."""
+    """Return the score, the outlook and the description of the best of all possible positions of the scope."""
     assert case.airways is not None and case.wall is not None
     nodule, reach_mm = plan.nodule, plan.tool.reach_mm
     centre = np.array(nodule.centre_lps)
@@ -62,7 +71,7 @@ def best_of_all(case: PlanCase, plan: Plan, around: Surroundings, rng: np.random
             walked = _walked(case, plan, around, place)
             if walked is not None:
                 found.append(place | walked)
-    # Best first, with the score without misses of the needle as an upper bound.
+    # The best points come first; the score without misses of the needle is an upper bound of the score.
     found.sort(key=lambda one: (one["rank"], -_worth(plan, one, one["lost"])))
     best: tuple[int, float, Row] | None = None
     for one in found:
@@ -78,12 +87,15 @@ def best_of_all(case: PlanCase, plan: Plan, around: Surroundings, rng: np.random
 
 
 def _worth(plan: Plan, place: Row, lost: float) -> float:
-    """Return the score; for an outlook of *may reach*, times its probability."""
+    """Return the score of a point that loses ``lost``; for the outlook *may reach*, times the probability."""
     return _score(plan, lost) * (place["chance"] if place["rank"] == 1 else 1.0)
 
 
 def _apart(plan: Plan, first: PlannedRoute, place: Row) -> str:
-    """Return the contributions of each part of the score, and of the chance, to the difference, if large enough."""
+    """Return a text with the contributions of the parts of the score to the difference between two routes.
+
+    The probability (chance) counts as a part. Contributions below :data:`LEAST_SHOWN` are omitted.
+    """
     weights = plan.weights.to_json()
     total = sum(weights.values())
     off = {name: weights[name] * (first.parts[name] - part) / total for name, part in place["parts"].items()}
@@ -110,7 +122,7 @@ def _places(
     rooms: dict[int, Floats],
     near: Callable[[Floats], bool],
 ) -> Iterator[Row]:
-    """Yield the points of a branch near the target, 0.35 mm apart, with direction, width and bend of the path there."""
+    """Yield the points of a branch near the target, with direction, width and bend of the path to each point."""
     lineage: list[Branch] = []
     one: Branch | None = branch
     while one is not None:
@@ -138,7 +150,7 @@ def _places(
     own_along = along[first : first + len(branch.points)]
     for mm in np.arange(along[first], along[-1] + 1e-6, PLACES_MM):
         point = np.array([np.interp(mm, along, points[:, axis]) for axis in range(3)])
-        # Skipped before the path's width and bend are computed, which is slow.
+        # Points far from the target are skipped before the path's width and bend are computed, which is slow.
         if not near(point):
             continue
         ahead = np.array([np.interp(mm, own_along, at_branch[:, axis]) for axis in range(3)])
@@ -172,10 +184,10 @@ def _bend(points: Floats, along: Floats, mm: float, scope: ScopePreset) -> float
 
 
 def _outlook(scope: ScopePreset, width_mm: float, bend_deg: float, spacing_mm: float, trust: float) -> Row:
-    """Return the rank of the outlook and its probability.
+    """Return the rank of the outlook of a path, and its probability, from the width and the bend of the path.
 
-    The rank is 0 if width and bend suffice with a probability of 90 %, 2 if one fails with 90 %, else 1; it is at least
-    1 if the trust is below 1.
+    The rank is 0 (reaches) if both suffice with a probability of 90 %, 2 (does not reach) if one fails with 90 %, else
+    1. It is at least 1 if ``trust`` is below 1.
     """
     sigma = math.hypot(0.2 * spacing_mm, 0.15)
     spare = [(width_mm - max(scope.tip_mm + 0.4, scope.tube_mm or 0.0)) / sigma]
@@ -187,7 +199,7 @@ def _outlook(scope: ScopePreset, width_mm: float, bend_deg: float, spacing_mm: f
 
 
 def _walked(case: PlanCase, plan: Plan, around: Surroundings, place: Row) -> Row | None:
-    """Return the loss of score on the needle's path except for its misses.
+    """Return the parts of the score of a point except for the needle's misses, and the score that they lose.
 
     The result is None if the needle does not reach the nodule.
     """
@@ -230,7 +242,7 @@ def _walked(case: PlanCase, plan: Plan, around: Surroundings, place: Row) -> Row
 
 
 def _drawn(nodule: Nodule, tip: Floats, aim: Floats, reach_mm: float, rng: np.random.Generator) -> float:
-    """Return the share of simulated needles that pass through the nodule."""
+    """Return the share of simulated needles from ``tip`` towards ``aim`` that pass through the nodule."""
     along = aim - tip
     distance = float(np.linalg.norm(along))
     if distance < 1e-6:
@@ -248,7 +260,7 @@ def _drawn(nodule: Nodule, tip: Floats, aim: Floats, reach_mm: float, rng: np.ra
 
 
 def run(quick: bool, say: Say, folder: Path | None = None) -> list[Row]:
-    """Compare the first route's score with the best score, over all phantoms."""
+    """Compare the first route's score with the best score in all phantoms; return the rows of the report."""
     off, other_rank = [], 0
     for seed in PHANTOM_SEEDS[:2] if quick else PHANTOM_SEEDS:
         make = partial(phantom_case, seed, num=NUM_PER_PHANTOM)
@@ -292,7 +304,7 @@ def run(quick: bool, say: Say, folder: Path | None = None) -> list[Row]:
 
 
 def main() -> None:
-    """Measure and print."""
+    """Run the command line: compare the scores in all phantoms and print the rows."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="Where the CTs with their airways are kept.")
     parser.add_argument("--quick", action="store_true", help="Two phantoms.")

@@ -1,4 +1,4 @@
-"""Chests with random nodules whose airways and nodules are known, for measurements of planned routes.
+"""Chests with random nodules whose airways and nodules are known, on which planned routes are measured.
 
 Patients are painted from their masks (``track_painted``): the nodules are in the scene before it is scanned. In
 phantoms the nodules are added to the finished CT, with their own blur and noise. If a folder is given, the slow results
@@ -28,32 +28,37 @@ Floats = NDArray[np.float64]
 Say = Callable[[str], None]
 
 RADII_MM = (4.0, 9.0)
+"""Least and largest radius of a generated nodule, mm."""
 APART_MM = 5.0
-"""Least distance between two nodules, so that each can be segmented alone."""
+"""Least distance between the surfaces of two nodules, so that each can be segmented alone, mm."""
 NODULE_HU = 30.0
+"""CT value of a generated nodule, HU."""
 SIGMA_MM = 0.6
+"""Standard deviation of the blur of a nodule's edge in a phantom, mm."""
 STEP_MM = 0.3
-"""Distance between two points of a true centreline."""
+"""Distance between two points of a true centreline, mm."""
 WIDE_MM = 2.5
-"""Largest radius of a lumen that a nodule may surround."""
+"""Largest radius of a lumen that may be inside a nodule, mm."""
 LUNG_HU = (-990.0, -600.0)
+"""Least and largest CT value of lung in which a nodule is placed, HU."""
 NEAR_SHARE, NEAR_MM, NEAR_RADIUS_MM = 0.75, 18.0, (1.2, 3.5)
-"""Share of the nodules near airways, largest distance of their edge, and radii of these airways.
+"""Share of the nodules that are near airways; distance of their surface from an airway; radii of these airways.
 
-These nodules may be within reach of a scope; the others are anywhere in the lung, mostly out of reach.
+The distance is the largest one in mm, the radii are the least and the largest one in mm. A scope may reach these
+nodules; the other nodules are anywhere in the lung, mostly out of reach.
 """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueTree:
-    """True centrelines, with the points of all branches in one array; parents precede children."""
+    """True centrelines of a case; the points of all branches are in one array, parents before children."""
 
     points: Floats
-    """Points (n, 3), LPS mm."""
+    """Points (n, 3) of all branches, LPS mm."""
     forward: Floats
     radius_mm: Floats
     narrowest_mm: Floats
-    """Diameter (n,) of the largest ball that can reach each point from the trachea, mm."""
+    """Diameter (n,) of the largest ball that passes from the trachea to each point, mm."""
     branch: NDArray[np.int64]
     """Index (n,) of the branch of each point."""
     parents: tuple[int, ...]
@@ -61,7 +66,7 @@ class TrueTree:
 
     @classmethod
     def of(cls, branches: list[tuple[Floats, Floats, int]]) -> TrueTree:
-        """Create a tree from points, radii and parent of each branch, the parents first."""
+        """Return the tree of branches, each given by points, radii and the parent's index; parents come first."""
         points, forward, radii, narrowest, numbers = [], [], [], [], []
         room: list[float] = []
         with_children = {parent for _, _, parent in branches}
@@ -71,7 +76,8 @@ class TrueTree:
             wide = 2.0 * np.minimum.accumulate(own) if parent >= 0 else np.full(len(own), 2.0 * float(np.median(own)))
             is_stub = number in with_children and STEP_MM * len(own) < 2.0 * float(np.median(own))
             if parent >= 0:
-                # A piece between two forks that is shorter than wide lies in the lumens of its neighbours.
+                # A branch that is shorter than wide is inside the lumens of its neighbours, so it does not narrow the
+                # path.
                 wide = np.minimum(np.inf if is_stub else wide, np.full(len(own), room[parent]))
             room.append(float(wide[-1]))
             points.append(even)
@@ -89,7 +95,7 @@ class TrueTree:
         )
 
     def lineage(self, branch: int) -> tuple[int, ...]:
-        """Return the branches from the trachea to a branch, both included."""
+        """Return the indices of the branches from the trachea to ``branch``, both included."""
         found = [branch]
         while self.parents[found[-1]] >= 0:
             found.append(self.parents[found[-1]])
@@ -98,7 +104,7 @@ class TrueTree:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Round nodule."""
+    """Round nodule of a case, the target of a planned route: centre and radius."""
 
     centre_lps: tuple[float, float, float]
     radius_mm: float
@@ -106,7 +112,7 @@ class Target:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanCase:
-    """CT, its truth, and the airways found in it."""
+    """CT with its true airways and nodules, and the airways that were found in it."""
 
     name: str
     volume: Volume
@@ -117,7 +123,7 @@ class PlanCase:
 
 
 def found_case(folder: Path | None, name: str, make: Callable[[], PlanCase], say: Say) -> PlanCase:
-    """Return a case with its airways and their wall, from the folder if it is stored there."""
+    """Return the case ``name`` with its found airways and their wall, from ``folder`` if they are stored there."""
     kept = None if folder is None else folder / f"{name}.pickle"
     if kept is not None and kept.exists():
         found, vertices, triangles = pickle.loads(kept.read_bytes())
@@ -137,7 +143,7 @@ def found_case(folder: Path | None, name: str, make: Callable[[], PlanCase], say
 
 
 def _as_kept(case: PlanCase) -> PlanCase:
-    """Return the case without the tracker and its data, which plans do not use and files do not store."""
+    """Return the case without the path tracker and its data, which plans do not use and files do not store."""
     found: Any = case.airways
     bare: Any = {"tracker": None, "evidence": None}
     tree = replace(found.tree, _smooth=None)
@@ -145,7 +151,10 @@ def _as_kept(case: PlanCase) -> PlanCase:
 
 
 def phantom_case(seed: int, *, num: int, spacing_mm: float = 1.1, generations: int = 6) -> PlanCase:
-    """Generate a chest with nodules in its lungs; chests of even seeds also have a stenosis of a main airway."""
+    """Return a generated chest with ``num`` nodules in its lungs.
+
+    Chests of even seeds also have a stenosis of a main airway.
+    """
     made = generate_phantom(
         seed=seed, spacing_mm=spacing_mm, generations=generations, noise_hu=25.0, stenosis=seed % 2 == 0
     )
@@ -159,9 +168,9 @@ def phantom_case(seed: int, *, num: int, spacing_mm: float = 1.1, generations: i
 def patient_cases(
     data: Path, patients: list[str], condition: str, num: int, say: Say
 ) -> Iterator[tuple[str, Callable[[], PlanCase]]]:
-    """Yield the name of each patient and a function that paints it with nodules.
+    """Yield the name of each patient, and a function that paints the patient's CT with ``num`` nodules.
 
-    Report and skip patients without masks.
+    Patients without masks are reported and skipped.
     """
     from carina_bench.paint_scene import mask_folders
 
@@ -215,7 +224,10 @@ def _even(line: Floats, radius: Floats) -> tuple[Floats, Floats]:
 
 
 def _places(volume: Volume, truth: TrueTree, num: int, rng: np.random.Generator) -> tuple[Target, ...]:
-    """Return random balls in the lung: surface inside the lung, no wide airway inside, no contact with another ball."""
+    """Return ``num`` random balls in the lung.
+
+    The surface of each ball is inside the lung, and no wide airway is inside a ball. The balls do not touch each other.
+    """
     shape = np.array(volume.shape_zyx[::-1])
     n = np.arange(60) + 0.5
     turn, z = np.pi * (1.0 + np.sqrt(5.0)) * n, 1.0 - 2.0 * n / 60
@@ -254,7 +266,10 @@ def _is_lung(volume: Volume, points: Floats) -> NDArray[np.bool_]:
 
 
 def _covers(volume: Volume, targets: tuple[Target, ...], *, sigma_mm: float) -> Iterator[tuple[Any, Floats]]:
-    """Yield the array index of each nodule, and its share of the voxels there, with an edge blurred by ``sigma_mm``."""
+    """Yield the array index of each nodule's box, and the nodule's share of each voxel in the box.
+
+    The edge of the nodule is blurred by ``sigma_mm``.
+    """
     spacing = np.array(volume.spacing_mm)
     width = np.hypot(2.5 * sigma_mm, float(np.cbrt(np.prod(spacing))))
     shape = np.array(volume.shape_zyx[::-1])

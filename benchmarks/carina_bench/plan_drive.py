@@ -1,8 +1,8 @@
-"""Comparison of verdicts with simulated drives: stated and passed shares in tubes, and replays in phantoms.
+"""Comparison of the stated chance of a drive with the share of simulated drives that pass.
 
-``python -m carina_bench.plan_drive tubes`` draws measured values and their errors at random, judges by the measured
-values and drives in the true tube. ``python -m carina_bench.plan_drive phantoms`` searches drives to tips of generated
-airways and repeats the moves with a new scope.
+``python -m carina_bench.plan_drive tubes`` draws measured values of tubes and their errors at random, judges by the
+measured values, and drives in the true tube. ``python -m carina_bench.plan_drive phantoms`` searches drives to tips of
+generated airways and repeats the moves of each drive with a new scope.
 """
 
 from __future__ import annotations
@@ -32,18 +32,20 @@ __all__ = ["TubeDrive", "calibration_table", "drive_in_a_tube", "phantom_drives"
 Points = NDArray[np.float64]
 
 SPACING_MM = 0.8
-"""Spacing of the CT from which the widths are measured."""
+"""Spacing of the simulated CT from which widths are measured, mm."""
 ROOM_SHARE = 0.2
-"""Standard deviation of a route's narrowest diameter, as a share of the spacing."""
+"""Standard deviation of a route's narrowest diameter, as a share of the CT's spacing."""
 WIDE_MM, NARROW_FROM_MM, LENGTH_MM = 4.2, 55.0, 110.0
+"""Radius of the wide part of a tube, distance at which the narrow part begins, and length of the tube, mm."""
 STEP_MM = 0.4
-"""Spacing of the wall's samples, equal to that of `carina.wall_field`."""
+"""Distance between two samples of the wall field, mm; equal to that in `carina.wall_field`."""
 TUBE_EFFORT, PHANTOM_EFFORT = 4000.0, 200_000.0
+"""Largest efforts of a search for a drive, in a tube and in a phantom."""
 
 
 @dataclass(frozen=True, slots=True)
 class TubeDrive:
-    """Result of one drive in one tube."""
+    """Stated chance of a drive through one tube, and whether the drive passed."""
 
     told: float
     passed: bool
@@ -52,9 +54,11 @@ class TubeDrive:
 def _tube(
     radius_mm: float, bend_deg: float, bend_radius_mm: float, *, forks: bool = False
 ) -> tuple[AirwayTree, WallField, Points]:
-    """Return a tube: straight down, wide, then narrow, from there along a circle, and straight again.
+    """Return a tube as a tree, a wall field and a centreline.
 
-    With ``forks`` another tube of the same width continues straight where the tube narrows.
+    The tube leads straight down, becomes narrower, follows a circle, and is straight again.
+
+    With ``forks`` another tube of the narrow width continues straight from the point where the tube narrows.
     """
     at = np.arange(0.0, LENGTH_MM + 0.25, 0.5)
     turned = np.clip((at - NARROW_FROM_MM) / bend_radius_mm, 0.0, math.radians(bend_deg))
@@ -85,7 +89,7 @@ def _tube(
 
 
 def _line(turned: Points) -> Points:
-    """Return a line that starts downwards and has this angle at each half millimetre."""
+    """Return a line that starts downwards; ``turned`` is its angle from this direction every 0.5 mm, radians."""
     steps = 0.5 * np.stack([np.sin(turned), np.zeros_like(turned), -np.cos(turned)], axis=1)
     points: Points = np.cumsum(steps, axis=0) - steps[0]
     return points
@@ -99,9 +103,9 @@ def _route(branch_id: int, tip: Points, along_mm: float) -> PlannedRoute:
 
 
 def drive_in_a_tube(rng: np.random.Generator, kind: str) -> TubeDrive:
-    """Judge by measured values, then drive in a tube with random errors.
+    """Judge a drive by measured values of a tube, then drive in the true tube, which differs by random errors.
 
-    ``kind`` is ``diameter``, ``bend`` or ``fork``.
+    ``kind`` is the value that has the error: ``diameter``, ``bend`` or ``fork``.
     """
     scope = scope_preset("ultrathin")
     sigma = math.hypot(ROOM_SHARE * SPACING_MM, EXCESS_SIGMA_MM)
@@ -122,7 +126,7 @@ def drive_in_a_tube(rng: np.random.Generator, kind: str) -> TubeDrive:
         true_room_mm = room_mm + rng.normal(0.0, ROOM_SHARE * SPACING_MM)
         driven = replace(scope, tip_mm=scope.tip_mm + FIT_MARGIN_MM + rng.normal(0.0, EXCESS_SIGMA_MM))
         radius_mm = 0.5 * true_room_mm
-        # Between samples the field reads the axis of a narrow tube up to 0.4 mm too narrow, so the tube is widened
+        # The field gives the axis of a narrow tube up to 0.4 mm too narrow between its samples, so the tube is widened
         # until the field has the drawn width.
         for _ in range(3):
             _, field, _ = _tube(radius_mm, bend_deg, bend_radius_mm)
@@ -139,7 +143,7 @@ def drive_in_a_tube(rng: np.random.Generator, kind: str) -> TubeDrive:
 
 
 def calibration_table(drives: list[TubeDrive], edges: tuple[float, ...] = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)) -> str:
-    """Return a table of the stated share and the share that passed, by bins."""
+    """Return a table of the stated chances, in bins with these edges, and the share of the drives that passed."""
     rows = ["told          drives  told mean  passed"]
     for low, high in itertools.pairwise(edges):
         inside = [one for one in drives if low <= one.told < high or (high == 1.0 and one.told == 1.0)]
@@ -151,12 +155,15 @@ def calibration_table(drives: list[TubeDrive], edges: tuple[float, ...] = (0.0, 
 
 
 def phantom_drives(seed: int, scope: ScopePreset, num_tips: int, spare_mm: float = 0.5) -> list[tuple[bool, bool, int]]:
-    """Search drives to some tips, as far as the lumen is wider than the scope with its margin by ``spare_mm``.
+    """Search drives to some tips of a phantom, each up to the point where the lumen becomes too narrow.
+
+    The lumen must be wider than the scope and its margin by ``spare_mm``.
 
     Returns
     -------
     list[tuple[bool, bool, int]]
-        Whether a drive arrives, whether its moves alone lead a new scope into the same branch, number of moves.
+        For each tip: whether a drive arrives, whether its moves alone lead a new scope into the same branch, and the
+        number of moves.
     """
     made = carina.generate_phantom(seed=seed, spacing_mm=1.1)
     airways = carina.find_airways(made.volume)
@@ -182,7 +189,7 @@ def phantom_drives(seed: int, scope: ScopePreset, num_tips: int, spare_mm: float
 
 
 def main() -> None:
-    """Print the tables."""
+    """Run the command line: print the table of the tubes or the results of the phantoms."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", choices=("tubes", "phantoms"))
     parser.add_argument("--drives", type=int, default=200)

@@ -1,8 +1,8 @@
 """``python -m carina_bench.plan_nodule``: volumes of nodules segmented from one click, compared with exact shapes.
 
-Two kinds of truth: pieces of lung painted from exact shapes (``tests/plan/painted_nodules.py``: random blur, noise,
-slices, vessels and chest wall), and the nodules of whole phantoms, whose vessels and airways lie as in a lung. *Held*
-is the share of stated intervals that contain the true volume; they claim 90 %.
+The exact shapes are of two kinds: pieces of lung painted from shapes (``tests/plan/painted_nodules.py``: random blur,
+noise, slices, vessels and chest wall), and the nodules of whole phantoms, whose vessels and airways are arranged as in
+a lung. *Held* is the share of stated intervals that contain the true volume; the intervals are intended to hold 90 %.
 """
 
 from __future__ import annotations
@@ -26,32 +26,39 @@ from carina.volume import Volume
 __all__ = ["Figures", "painted_figures", "phantom_figures"]
 
 PAINTED = ("solid", "vessel", "pleura", "ground-glass", "part-solid", "2 mm", "3 mm")
+"""Kinds of nodules that are painted from exact shapes."""
 LIMITS = {"solid": 0.05, "phantom, no vessel": 0.05}
+"""Largest relative error of the volume by kind of nodule."""
 OTHER_LIMIT = 0.15
+"""Largest relative error of the volume of every other kind."""
 SCENES, QUICK_SCENES = 24, 4
+"""Number of painted nodules of each kind, in a full and in a quick run."""
 FIRST_SCENE = 1000
+"""Seed of the first painted nodule."""
 PHANTOMS, QUICK_PHANTOMS = range(30), range(4)
+"""Seeds of the phantoms, in a full and in a quick run."""
 SPACING_MM, NOISE_HU, HALF_MM, THICK = 0.8, 25.0, 40.0, 3
+"""Spacing (mm) and noise (HU) of the phantoms, half side of the box around a nodule (mm), slices per thick slice."""
 
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Figures for nodules of one kind; errors as a share of the true volume."""
+    """Results of nodules of one kind; errors are shares of the true volume."""
 
     kind: str
     num: int
     refused: int
     limit: float
     within: float
-    """Share of nodules whose error is at most ``limit``."""
+    """Share of the nodules whose volume has an error of at most ``limit``."""
     median_off: float
     p90_off: float
     worst_off: float
     told: float
-    """Median half-width of the stated interval."""
+    """Median half-width of the stated interval of the volume, as a share of the volume."""
     held: float
     seconds: float
-    """Median time of a click, s."""
+    """Median time from a click to the segmented nodule, s."""
 
 
 class _Tally:
@@ -83,7 +90,7 @@ class _Tally:
             num=num,
             refused=self.refused,
             limit=limit,
-            # A refused nodule has no volume, so it is not within the limit.
+            # A nodule that was refused has no volume, so it does not count as within the limit.
             within=float((off <= limit).sum()) / max(num, 1),
             median_off=float(np.median(off)) if off.size else float("nan"),
             p90_off=float(np.percentile(off, 90.0)) if off.size else float("nan"),
@@ -95,7 +102,7 @@ class _Tally:
 
 
 def painted_figures(num: int, say: Callable[[str], None]) -> Iterator[Figures]:
-    """Yield the figures of nodules painted from exact shapes, ``num`` of each kind; clicks are off the centre."""
+    """Yield the results of each kind of painted nodules, ``num`` nodules of each; clicks are beside the centre."""
     folder = Path(__file__).resolve().parents[2] / "tests" / "plan"
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
@@ -116,7 +123,7 @@ def painted_figures(num: int, say: Callable[[str], None]) -> Iterator[Figures]:
 
 
 def phantom_figures(seeds: range, say: Callable[[str], None]) -> Iterator[Figures]:
-    """Yield the figures of phantoms' nodules at 0.8 mm and at slices of 2.4 mm; separately if they touch a vessel."""
+    """Yield the results of phantoms' nodules in slices of 0.8 and 2.4 mm, separately for those that touch a vessel."""
     free, touched, thick = _Tally("phantom, no vessel"), _Tally("phantom, vessel"), _Tally("phantom, 2.4 mm")
     for seed in seeds:
         say(f"phantom {seed}")
@@ -140,7 +147,7 @@ def phantom_figures(seeds: range, say: Callable[[str], None]) -> Iterator[Figure
 
 
 def _thicker(volume: Volume) -> Volume:
-    """Return the CT with the means of three slices each."""
+    """Return the CT with slices that are means of three slices each."""
     num = volume.shape_zyx[0] // THICK
     values = volume.hu_zyx[: num * THICK].reshape(num, THICK, *volume.shape_zyx[1:]).mean(axis=1)
     matrix = volume.lps_from_ijk.copy()
@@ -150,7 +157,7 @@ def _thicker(volume: Volume) -> Volume:
 
 
 def main() -> None:
-    """Print a line for each kind, and write the figures as JSON on request."""
+    """Run the command line: print a line for each kind, and write the results as JSON if requested."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a few of each")
     parser.add_argument("--json", type=Path, help="write the figures there")

@@ -1,16 +1,19 @@
-"""Planned routes compared with the truth: chests with random nodules whose airways are known and segmented again.
+"""Comparison of planned routes with the truth, in chests with random nodules whose airways are known.
 
-``python -m carina_bench.plan_truth FOLDER`` stores the slow results in FOLDER, the CTs with the airways found in them,
-so that a second run only plans; and the rows of each finished case, so that an interrupted run continues. Rows are
-judged again if the code of the plan or of the judging has changed. Phantoms come first.
+The airways are found again in the CTs. ``python -m carina_bench.plan_truth FOLDER`` stores the slow results in FOLDER:
+the CTs with the airways found in them, so that a second run only plans; and the rows of each finished case, so that an
+interrupted run continues. Rows are judged again if the code of the plan or of the judgement has changed. Phantoms are
+measured first.
 
-A target is *reachable* if some point of the true centrelines suffices: the scope fits along the whole path to it (true
-diameter at least ``fit_mm``), and the needle, aimed at the nodule's true centre at no more than 100 degrees from the
-airway, meets its true edge within its reach; and the path bends no more than the scope. The first route *arrives* if in
-the truth the scope fits along the whole path to its parking point, all of the found path lies in true lumen (within
-half a voxel), along the true branches that lead there or with the scope's width of true lumen around it (overlapping
-branches are one lumen), and along no branch that was drawn by hand, and the needle, aimed as planned, meets the true
-nodule within its reach. A route is *told reachable* if its outlook says so.
+A target is *reachable* if some point of the true centrelines satisfies three conditions. The scope fits along the whole
+path to the point (true diameter at least ``fit_mm``). The path bends no more than the scope. The needle, aimed at the
+nodule's true centre at no more than 100 degrees from the airway, meets the nodule's true edge within its reach.
+
+The first route *arrives* if in the truth the scope fits along the whole path to its parking point, and the needle,
+aimed as planned, meets the true nodule within its reach. All of the found path must lie in true lumen (within half a
+voxel): along the true branches that lead to its end, or with the scope's width of true lumen around it (overlapping
+branches are one lumen). No part of it may be a branch that was drawn by hand. A route is *told reachable* if its
+outlook states that the scope reaches the target.
 """
 
 from __future__ import annotations
@@ -46,17 +49,23 @@ Row = dict[str, Any]
 Floats = NDArray[np.float64]
 
 SCOPE, TOOL = "ultrathin", "needle-21g"
+"""Names of the scope and of the tool for which routes are planned."""
 PATIENTS = ("Patient1", "Patient2", "Patient3", "lobes-Patient1", "lobes-Patient2")
+"""Names of the patients whose CTs are painted with nodules."""
 CONDITION = "medium-25"
+"""Condition (kernel and noise) under which they are painted."""
 NUM_PER_PATIENT, NUM_PER_PHANTOM = 36, 6
+"""Number of nodules in a painted patient and in a phantom."""
 PHANTOM_SEEDS = range(1, 21)
+"""Seeds of the phantoms with nodules."""
 LEAST_ARRIVE, MOST_WRONG = 0.94, 0.01
+"""Least share of reachable targets at which the route arrives; largest share of wrong statements "reachable"."""
 EDGE_MM = 0.05
-"""Step along the needle, mm."""
+"""Distance between two tested points along the needle, mm."""
 AT_ALL_MM = 3.0
-"""Length below which the path need not follow the centreline of a true branch, mm."""
+"""Length of a true branch below which the found path need not follow its centreline, mm."""
 PASSED = 0.6
-"""Share of a true branch's length that the found path must follow."""
+"""Least share of the length of a true branch that the found path must follow."""
 
 
 def _code() -> str:
@@ -67,12 +76,12 @@ def _code() -> str:
 
 
 CODE = _code()
-"""Hash of the code that plans and judges, at the start of this run."""
+"""Hash of the source code that plans and judges, computed at the start of this run."""
 
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """Result of a first route in the truth."""
+    """Whether the first route of a plan arrives in the true airways."""
 
     arrives: bool
     why: str
@@ -80,7 +89,7 @@ class Flight:
 
 
 def is_reachable(truth: TrueTree, target: Target, scope: ScopePreset, reach_mm: float) -> bool:
-    """Return whether a target is reachable, by an exhaustive search over the true centrelines."""
+    """Return whether a target is reachable with this scope and reach, by a search over all true centreline points."""
     off = np.array(target.centre_lps) - truth.points
     distance = np.linalg.norm(off, axis=1)
     cosine = (off * truth.forward).sum(axis=1) / np.maximum(distance, 1e-9)
@@ -91,14 +100,14 @@ def is_reachable(truth: TrueTree, target: Target, scope: ScopePreset, reach_mm: 
 
 
 def flown(case: PlanCase, target: Target, route: PlannedRoute, scope: ScopePreset, reach_mm: float) -> Flight:
-    """Judge whether a route arrives in the truth."""
+    """Return whether a route arrives in the true airways, and the reason if it does not."""
     assert case.airways is not None
     truth, tree = case.truth, case.airways.tree
     way = _way(tree, route)
     tip = np.array(route.leg.tip_lps)
     slack_mm = 0.5 * max(case.volume.spacing_mm)
     outside = np.array([float((np.linalg.norm(truth.points - p, axis=1) - truth.radius_mm).min()) for p in way])
-    # The section of the trachea is not a circle, so the trachea is not tested.
+    # The trachea is not tested, because its cross-section is not a circle.
     in_trachea = np.arange(len(way)) < len(tree.root.points)
     if any(branch.kind == "manual" for branch in tree.lineage(route.branch_id)):
         return Flight(False, "drawn by hand")
@@ -122,7 +131,7 @@ def flown(case: PlanCase, target: Target, route: PlannedRoute, scope: ScopePrese
 
 
 def _way(tree: AirwayTree, route: PlannedRoute) -> Floats:
-    """Return the points of the path to the scope's parking point, which may lie between two centreline points."""
+    """Return the points of a route to the scope's parking point, which may be between two centreline points."""
     points = np.concatenate([branch.points for branch in tree.lineage(route.branch_id)])
     tip = np.array(route.leg.tip_lps)
     last = int(np.argmin(np.linalg.norm(points - tip, axis=1)))
@@ -130,9 +139,9 @@ def _way(tree: AirwayTree, route: PlannedRoute) -> Floats:
 
 
 def _room_mm(truth: TrueTree, way: Floats) -> float:
-    """Return the least width of true lumen around a path, in whichever true branches.
+    """Return the least width of true lumen around a path, mm; the lumen may be that of any of the true branches.
 
-    The width is at most the lumen's diameter.
+    The width of a point is at most the diameter of the true lumen there.
     """
     between = [way[:-1] + part * (way[1:] - way[:-1]) for part in np.linspace(0.0, 1.0, 6)]
     room = [float((truth.radius_mm - np.linalg.norm(truth.points - p, axis=1)).max()) for p in np.concatenate(between)]
@@ -140,17 +149,20 @@ def _room_mm(truth: TrueTree, way: Floats) -> float:
 
 
 def _true_place(truth: TrueTree, way: Floats) -> int:
-    """Return the index of the true centreline point at the path's end; at a fork, that of the widest path."""
+    """Return the index of the true centreline point nearest to the end of a path; at a fork, of the widest path."""
     inside = np.linalg.norm(truth.points - way[-1], axis=1) - truth.radius_mm
     near = np.flatnonzero(inside <= max(float(inside.min()) + 0.3, 0.0))
     off = np.linalg.norm(truth.points[near] - way[-1], axis=1)
-    # The nearest point of each branch.
+    # The dictionary contains the nearest point of each true branch.
     best = {int(truth.branch[n]): int(n) for _, n in sorted(zip(-off, near, strict=True))}
     return max(best.values(), key=lambda n: (float(truth.narrowest_mm[n]), -n))
 
 
 def _strayed(truth: TrueTree, way: Floats, at: int) -> str | None:
-    """Return where the path does not follow the true branches that lead to its end; None if it follows them."""
+    """Return a text with the first true branch that the path to the point ``at`` does not follow.
+
+    The result is None if the path follows all true branches that lead to this point.
+    """
     own = int(truth.branch[at])
     for branch in truth.lineage(own)[1:]:
         part = truth.branch == branch
@@ -167,7 +179,7 @@ def _strayed(truth: TrueTree, way: Floats, at: int) -> str | None:
 
 
 def judged(case: PlanCase, say: Say) -> Iterator[Row]:
-    """Yield a row for each target: whether it is reachable, its stated outlook, and the result of the first route."""
+    """Yield a row for each target: whether it is reachable, the stated outlook, and whether the first route arrives."""
     scope = scope_preset(SCOPE)
     assert case.airways is not None
     for number, target in enumerate(case.targets):
@@ -195,7 +207,7 @@ def judged(case: PlanCase, say: Say) -> Iterator[Row]:
 
 
 def kept_rows(folder: Path | None, name: str, make: Callable[[], PlanCase], say: Say) -> list[Row]:
-    """Return the rows of a case, stored by the same code before, or judged and stored now."""
+    """Return the rows of the case ``name`` that the same code has stored in ``folder``; else judge and store them."""
     kept = None if folder is None else folder / "rows" / f"{name}.json"
     if kept is not None and kept.exists():
         found = json.loads(kept.read_text())
@@ -235,7 +247,7 @@ def _told(plan: Plan) -> Row:
 
 
 def summary(rows: Sequence[Row], what: str) -> list[Row]:
-    """Return the summary figures."""
+    """Return the summary rows over the rows of all targets; ``what`` names the cases."""
     reachable = [row for row in rows if row["reachable"]]
     told = [row for row in rows if row["told"] == "reaches"]
     wrong = [row for row in told if not row["arrives"]]
@@ -261,7 +273,7 @@ def summary(rows: Sequence[Row], what: str) -> list[Row]:
 
 
 def run(quick: bool, say: Say, folder: Path | None = None) -> list[Row]:
-    """Return the rows of painted patients, of phantoms, and of both."""
+    """Return the summary rows of painted patients, of phantoms, and of both together."""
     data = load_settings().data_dir
     phantoms: list[Row] = []
     for seed in PHANTOM_SEEDS[:2] if quick else PHANTOM_SEEDS:
@@ -280,7 +292,7 @@ def run(quick: bool, say: Say, folder: Path | None = None) -> list[Row]:
 
 
 def main() -> None:
-    """Measure and print."""
+    """Run the command line: judge the routes of all cases and print the rows."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="Where the CTs with their airways are kept.")
     parser.add_argument("--quick", action="store_true", help="One patient and two phantoms.")

@@ -1,17 +1,19 @@
-"""``python -m carina_bench.plan_widths``: narrowest diameters of routes compared with painted airways.
+"""``python -m carina_bench.plan_widths``: narrowest diameters of routes compared with those of painted airways.
 
-A route leads from the trachea to the end of a branch that was found. Its true narrowest diameter is the largest ball
-that passes in the painted lumens (:mod:`carina_bench.true_passage`), at least that of the widest tube at each point.
-Routes that leave the true lumen are omitted. Compared with it, by kernel and slices:
+A route leads from the trachea to the end of a branch that was found. Its true narrowest diameter is the diameter of the
+largest ball that passes through the painted lumens (:mod:`carina_bench.true_passage`), at least that of the widest tube
+at each point. Routes that leave the true lumen are omitted. By kernel and slices, four diameters are compared with the
+true one:
 
-- *sections*: the narrowest diameter that a plan states (:mod:`carina.plan.routes.route_width`), if all of it was
-  measured;
-- *partly ball*: the same if it depends on a stretch without sections;
-- *single sections*: as *sections* without the median over neighbouring ones: the least of many noisy values;
-- *ball*: the largest ball in the lumen found, with the error that plans stated before decision 0130.
+- *sections*: the narrowest diameter that a plan states (:mod:`carina.plan.routes.route_width`), if sections were
+  measured along the whole route;
+- *partly ball*: the narrowest diameter that a plan states, if a stretch without sections is part of the route;
+- *single sections*: the least diameter of single sections, without the median over neighbouring ones, which removes
+  noise;
+- *ball*: the diameter of the largest ball in the found lumen, with the error that plans stated before decision 0130.
 
 *Bias* is the median relative error, *coverage* the share of routes whose true diameter lies within the stated error,
-*too wide* the share whose true diameter lies below it.
+*too wide* the share of routes whose true diameter lies below the stated range.
 """
 
 from __future__ import annotations
@@ -43,22 +45,27 @@ Say = Callable[[str], None]
 Floats = NDArray[np.float64]
 
 SEEDS = range(101, 105)
+"""Seeds of the painted phantoms whose routes are compared."""
 PATIENTS = ("Patient1", "Patient2", "Patient3", "lobes-Patient1", "lobes-Patient2")
+"""Names of the patients whose painted CTs are compared."""
 KERNELS = ("medium", "sharp")
+"""Names of the kernels with which the CTs are painted."""
 SLICES = ("0.7mm", "1.5mm", "3mm")
+"""Names of the slice thicknesses with which the CTs are painted."""
 MOST_OUTSIDE = 0.1
-"""Largest share of a route's points beyond the trachea that may lie outside the true lumen."""
+"""Largest share of a route's points, without those in the trachea, that may be outside the true lumen."""
 FORMER_SHARE, FORMER_SIGMA_MM = 0.2, 0.15
-"""Standard deviations in plans before decision 0130.
+"""Standard deviations that plans used before decision 0130.
 
-The first is that of the ball, as a share of the coarsest spacing; the second is that of a scope's size, mm.
+The first is that of the largest ball, as a share of the coarsest spacing; the second is that of a scope's size, mm.
 """
 LEAST_COVERAGE, MOST_COVERAGE, MOST_BIAS = 0.85, 0.95, 3.0
+"""Limits of the coverage, as shares, and of the bias, in %."""
 
 
 @dataclass(frozen=True, slots=True)
 class ComparedRoute:
-    """True and stated narrowest diameter of a route, mm."""
+    """True narrowest diameter of one route, and the diameters that are compared with it, mm."""
 
     subject: str
     condition: str
@@ -74,7 +81,7 @@ class ComparedRoute:
 def compared_routes(
     case: DiameterCase, tree: AirwayTree, measures: TreeMeasures, wall_of_lumen: Any
 ) -> list[ComparedRoute]:
-    """Return the routes to the ends of all branches of a tree that stay in the true lumen."""
+    """Return the routes from the trachea to the ends of all branches, if they stay in the true lumen."""
     spacing = float(max(case.volume.spacing_mm))
     widths = widths_on_the_way(tree, wall_of_lumen, measures, spacing)
     with patch.object(diameter, "NARROW_REACH_DIAMETERS", 0.0):
@@ -113,7 +120,7 @@ def compared_routes(
 
 
 def rows_of(subjects: str, routes: Sequence[ComparedRoute]) -> list[Row]:
-    """Return bias, coverage and the share of too wide diameters of a condition's routes, for each measure."""
+    """Return bias, coverage and the share of too wide diameters of routes, one row for each measure and condition."""
     true = np.array([one.true_mm for one in routes])
     stated = np.array([one.stated_mm for one in routes])
     error = np.array([one.error_mm for one in routes])
@@ -154,7 +161,7 @@ def run(
     kernels: Sequence[str] = KERNELS,
     slices: Sequence[str] = SLICES,
 ) -> list[Row]:
-    """Return the rows of painted phantoms, and of painted patients whose masks are available."""
+    """Return the rows of painted phantoms, and those of painted patients whose masks are available."""
     rows: list[Row] = []
     groups: list[tuple[str, Iterator[DiameterCase]]] = []
     if seeds:
@@ -177,7 +184,7 @@ def run(
 
 
 def main() -> None:
-    """Measure and print."""
+    """Run the command line: compare the routes of all cases and print the rows."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="One phantom, one kernel.")
     parser.add_argument("--patients", action="store_true", help="Painted patients, too (CARINA_DATA_DIR).")

@@ -1,4 +1,4 @@
-"""Small plots as SVG, readable on light and dark pages: lines over a few positions, and timelines."""
+"""Small plots as SVG that are readable on light and dark pages: lines, timelines and reliability diagrams."""
 
 from __future__ import annotations
 
@@ -9,9 +9,13 @@ from xml.sax.saxutils import escape
 __all__ = ["line_plot", "reliability_plot", "timeline"]
 
 COLOURS = ("#3b82c4", "#d97a2b", "#4a9b5c", "#b0509a", "#8a7a2f", "#2aa5a5", "#c23b5e", "#777777")
+"""Colours of lines and boxes, in the order of their use."""
 INK = "#777777"
+"""Colour of axes and texts of a plot."""
 WIDTH, HEIGHT = 640, 400
+"""Width and height of a plot, pixels."""
 LEFT, RIGHT, TOP, BOTTOM = 64, 168, 40, 48
+"""Margins around the area of the plot, pixels."""
 
 
 def _text(x: float, y: float, words: str, *, anchor: str = "start", colour: str = INK) -> str:
@@ -46,13 +50,13 @@ def line_plot(
     Parameters
     ----------
     title
-        Title above the plot.
+        Title of the plot.
     places
-        Positions of the marks, increasing.
+        Positions of the marks on the horizontal axis, increasing.
     lines
-        Values at the positions, by name.
+        Values of each line at the positions, by the line's name.
     across, up
-        Labels of the axes, with units.
+        Labels of the horizontal and the vertical axis, with units.
     """
     top = max(max(values) for values in lines.values()) * 1.05 or 1.0
     step = next(s for s in (b * 10**e for e in range(-3, 7) for b in (1, 2, 5)) if top / s <= 6)
@@ -80,7 +84,10 @@ def line_plot(
 
 
 def timeline(title: str, jobs: Mapping[str, Sequence[tuple[float, float, int]]]) -> str:
-    """Return a timeline: for each name a row of boxes (start, end in ms; number), coloured by number."""
+    """Return a timeline: a row of boxes for each name.
+
+    A box is (start in ms, end in ms, number); boxes of one number have one colour.
+    """
     begin = min(job[0] for row in jobs.values() for job in row)
     end = max(job[1] for row in jobs.values() for job in row)
     height = TOP + 30 * len(jobs) + BOTTOM
@@ -113,14 +120,16 @@ def timeline(title: str, jobs: Mapping[str, Sequence[tuple[float, float, int]]])
 def reliability_plot(
     title: str, judged: Mapping[str, Sequence[tuple[float, bool]]], *, num_bins: int = 10, least: int = 5
 ) -> str:
-    """Return a reliability diagram: the share of true cases over the stated confidence, by bins.
+    """Return a reliability diagram: the share of true cases over the stated confidence, in bins.
 
-    On the diagonal, confidence is a probability.
+    Points on the diagonal show that the confidence is a probability.
 
     Parameters
     ----------
+    title
+        Title of the plot.
     judged
-        (confidence, is true), by name.
+        (confidence, is true) of each case, by the name of a line.
     num_bins
         Number of bins.
     least

@@ -1,4 +1,4 @@
-"""Measurements of ``carina bench render``; each function runs in a process of its own and returns rows."""
+"""Measurements of ``carina bench render``; each function runs in a separate process and returns rows of the report."""
 
 from __future__ import annotations
 
@@ -29,15 +29,17 @@ __all__ = ["first_frame", "frames", "small_frames"]
 
 Request = dict[str, Any]
 SIZE = 512
+"""Width and height of a picture, pixels."""
 METHODS: tuple[Literal["brute"], Literal["leap"]] = ("brute", "leap")
-# Poses are compared one by one; each takes 2 to 3 s on the largest case.
+"""Methods of casting rays that are compared."""
 BASELINE_REPEATS = 3
-# Ratios for which a larger value is worse.
+"""Number of pictures of the numba baseline for each pose; one takes 2 to 3 s in the largest case."""
 WORST = {"decorated_over_shipped": max}
+"""Function that selects the worst of several ratios, by the ratio's name; for all other ratios it is `min`."""
 
 
 def instruction_sets() -> list[str]:
-    """Return ``avx2`` and the fastest instruction set of this machine; one if they are equal or AVX2 is missing."""
+    """Return ``avx2`` and the machine's fastest instruction set; only one if equal or if AVX2 is missing."""
     best = str(build_info()["simd"])
     if best != "avx512":
         return [best]
@@ -51,16 +53,16 @@ def _view(pose: Pose, method: Literal["leap", "brute"], size: int, *, stop: floa
 
 
 def _shown(pose: Pose, method: Literal["leap", "brute"]) -> AirwayView:
-    """Return the airway view as a window shows it: with the usual instrument's lens and Carina's stop limit."""
+    """Return the airway view as the window shows it: with the default instrument's lens and Carina's stop limit."""
     scope = scope_preset(DEFAULT_SCOPE)
     return AirwayView.of_scope(scope, pose, width=SIZE, height=SIZE, step_vox=STEP_VOX, method=method)
 
 
 def shipped(case: Case, simd: str | None = None) -> tuple[Renderer, Renderer]:
-    """Return two renderers with the default look of the case, with the found wall and tree.
+    """Return two renderers of a case with Carina's default look, one plain and one decorated.
 
-    The first renderer draws no decoration from the tree, no droplets, and no second rays on silhouettes: these have
-    their own gate.
+    Both use the wall and the tree that were found. The plain renderer draws no decoration from the tree, no droplets,
+    and no second rays on silhouettes: these have a separate gate.
     """
     lumen, tree = case.lumen_zyx, case.tree
     if lumen is None or tree is None:
@@ -80,20 +82,20 @@ def shipped(case: Case, simd: str | None = None) -> tuple[Renderer, Renderer]:
 
 
 def num_loads(picture: Picture) -> int:
-    """Return the number of loads of volume and maps by the scalar algorithm (deterministic)."""
+    """Return the number of loads from the volume and the maps by the scalar algorithm, which is deterministic."""
     stats = picture.stats
     return stats.num_loads
 
 
 def prepared(volume: Volume, transfer: TransferFunction, simd: str | None = None) -> Renderer:
-    """Return a renderer whose maps are built, without a cache."""
+    """Return a renderer whose maps are built but not stored in a cache."""
     renderer = Renderer(volume, transfer=transfer, simd=simd)
     renderer.prepare()
     return renderer
 
 
 def frames(request: Request) -> list[dict[str, Any]]:
-    """Compare whole frames of 512 x 512 with VTK and the numba baseline: one thread, CPU time, in turn.
+    """Compare the CPU times of frames of 512 x 512 with VTK and the numba baseline, alternately on one thread.
 
     Carina renders the benchmark's scene and the default look of the window. VTK has no such look, so VTK renders the
     benchmark's scene in both comparisons.
@@ -136,7 +138,7 @@ def _frame_at(
     vtk: Any,
     baseline: Callable[[Pose], NDArray[np.uint8]],
 ) -> dict[str, Any]:
-    """Measure one pose: times in turn, ratios within rounds, pictures saved and compared."""
+    """Measure the times of one pose alternately, with ratios within rounds; save and compare the pictures."""
     renderers, looks = both
     vtk.look(pose)
     functions: dict[str, Callable[[], object]] = {"vtk": vtk.cast}
@@ -145,7 +147,7 @@ def _frame_at(
             view = _view(pose, method, SIZE, stop=VTK_STOP_TRANSPARENCY)
             functions[f"{method}-{simd}"] = partial(renderer.render, view)
     best = next(reversed(renderers))
-    # For the comparison with VTK rays stop where VTK's do; this picture uses Carina's own limit.
+    # For the comparison with VTK rays stop at VTK's limit of transparency; this picture uses Carina's limit.
     functions["leap-own-stop"] = partial(renderers[best].render, _view(pose, "leap", SIZE))
     for simd, (bare, decorated) in looks.items():
         for method in METHODS:
@@ -174,7 +176,8 @@ def _frame_at(
     row["instruction_sets_agree"] = all(np.array_equal(rgb, leap.rgb) for rgb in others.values()) and all(
         np.array_equal(leaped, shown[best][1]) for _, leaped in shown.values()
     )
-    # The baseline and VTK's window are slow: one picture each, and times only for the pose in the trachea.
+    # The baseline and VTK's window are slow, so they render one picture each; their times are measured only in the
+    # trachea.
     expected = baseline(pose)
     row["brute_minus_baseline"] = difference(brute.rgb, expected)
     peer = vtk.picture()
@@ -200,7 +203,7 @@ def _frame_at(
 
 
 def _ratios(times: dict[str, Times], best: str) -> dict[str, Any]:
-    """Return two values of each ratio: the median over rounds, and the ratio of the least times."""
+    """Return two values of each ratio: its median over the rounds, and the ratio of the least times."""
 
     def both(slow: str, fast: str) -> dict[str, float]:
         return {
@@ -227,7 +230,7 @@ def _ratios(times: dict[str, Times], best: str) -> dict[str, Any]:
 
 
 def _over_poses(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Summarise a flight: medians over its poses, and the worst pose."""
+    """Return a summary of a flight: the medians over its poses, and the worst pose."""
     ratio = {
         key: {
             "median": round(statistics.median(row["ratio"][key]["median"] for row in rows), 3),
@@ -264,7 +267,7 @@ def _over_poses(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def small_frames(request: Request) -> list[dict[str, Any]]:
-    """Measure 256 x 256 on two threads along a flight, wall time: the benchmark's scene, and the default look."""
+    """Measure the wall time of frames of 256 x 256 along a flight on two threads, for two looks."""
     rows = []
     for name in request["cases"]:
         case = open_case(name, poses=request["poses"], progress=progress_printer())
@@ -295,7 +298,7 @@ def _pace(renderer: Renderer, views: list[AirwayView], rounds: int) -> dict[str,
         "wall_ms": {"median": round(1000 * statistics.median(wall), 3), "min": round(1000 * min(wall), 3)},
         "cpu_ms": {"median": round(1000 * statistics.median(cpu), 3), "min": round(1000 * min(cpu), 3)},
         "frames_per_s": round(1 / statistics.median(wall), 1),
-        # With other load on the cores wall time is too long; this value follows from the CPU time.
+        # Other load on the cores makes the wall time longer, so this value is computed from the CPU time.
         "frames_per_s_on_two_free_cores": round(2 / statistics.median(cpu), 1),
         "cores": os.cpu_count(),
         "load_average": load_average(),
@@ -303,7 +306,10 @@ def _pace(renderer: Renderer, views: list[AirwayView], rounds: int) -> dict[str,
 
 
 def first_frame(request: Request) -> list[dict[str, Any]]:
-    """Measure the time from a volume in memory to its first leaped picture: all structures are built, all threads."""
+    """Measure the time from a volume in memory to its first leaped picture, on all threads.
+
+    The time includes that of building all structures.
+    """
     rows = []
     for name in request["cases"]:
         case = open_case(name, poses=2, progress=progress_printer())
@@ -311,7 +317,7 @@ def first_frame(request: Request) -> list[dict[str, Any]]:
         int(case.volume.hu_zyx.sum(dtype=np.int64))
         parts: dict[str, list[float]] = {"look_at_values": [], "prepare": [], "picture": [], "whole": [], "cpu": []}
         for _ in range(request["repeats"]):
-            # A new volume as from a reader, because a volume caches its range of values.
+            # The volume is new, as from a file, because a volume caches its range of values.
             volume = Volume(case.volume.hu_zyx, case.volume.lps_from_ijk)
             marks, cpu = [time.perf_counter()], time.process_time()
             renderer = Renderer(volume, transfer=TRANSFER)

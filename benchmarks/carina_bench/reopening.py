@@ -1,4 +1,4 @@
-"""``carina bench reopen``: time from the click on a saved case, in a running Carina, to its state and first picture."""
+"""``carina bench reopen``: time from the click on a saved case to its state and pictures, in a running Carina."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from carina_bench.worker import run_section
 __all__ = ["measure", "report"]
 
 LAYOUT = {LEAD_VIEW: (960, 720), "axial": (480, 360), "coronal": (480, 360), "sagittal": (480, 360)}
+"""Views of the measured window with width and height in pixels."""
 WARM_MS = 1000.0
+"""Limit of the wall time until the first airway picture, ms."""
 STAGES = ("state", "first airway picture", "all views", "final airway picture")
+"""Stages of opening a saved case until which times are measured."""
 
 
 def report(*, folder: Path, ct: str | None, quick: bool, as_json: bool) -> int:
-    """Measure, print, and write ``reopen.json``.
-
-    Return 0 if the measurement was possible, even if a limit is missed.
-    """
+    """Measure, print, and write ``reopen.json``; return the exit code."""
     make_folder(folder, what="the measurements")
     facts = machine_facts()
     row = run_section(
@@ -72,7 +72,7 @@ def report(*, folder: Path, ct: str | None, quick: bool, as_json: bool) -> int:
 
 
 def measure(request: dict[str, Any]) -> dict[str, Any]:
-    """Measure a synthetic chest, or a CT, opened once with its airways found and measured, and then several times."""
+    """Return the times to open a saved case several times: a generated chest, or a CT, with its airways known."""
     with tempfile.TemporaryDirectory(prefix="carina-bench-") as scratch:
         place = Path(scratch)
         path = request["ct"]
@@ -80,7 +80,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
             volume = generate_phantom(spacing_mm=request["spacing_mm"], box_lps=BOX_LPS, progress=progress_printer())
             path = write_grid(place / "ct.nii", volume.volume.hu_zyx, volume.volume.lps_from_ijk, what="the CT")
             del volume
-        # The clock is ahead, because the cache stores no files that were modified a moment ago.
+        # The cache ignores files that were modified a moment ago, so its clock is set one minute ahead.
         cache = VolumeCache(place / "cache", max_bytes=1 << 40, clock=lambda: time.time() + 60.0)
         records = CaseRecords(place / "cases", time.time)
         session = Session(
@@ -117,7 +117,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
 
 
 class _Watched:
-    """Session whose pictures are received only to record their times."""
+    """Session and a receiver of its pictures that records their times of arrival."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -133,7 +133,7 @@ class _Watched:
         self._thread.start()
 
     def reopened(self, recent_id: str) -> dict[str, tuple[float, float]]:
-        """Return wall time and CPU time of all threads in seconds until each stage."""
+        """Open a recent case; return the wall time and the CPU time of all threads, s, until each of :data:`STAGES`."""
         self._seen, self._views = {}, set()
         self._all_seen.clear()
         self._case_number = self._session.snapshot().case_number
@@ -144,7 +144,7 @@ class _Watched:
         return dict(self._seen)
 
     def close(self) -> None:
-        """Stop receiving pictures."""
+        """Stop receiving the pictures of the session."""
         self._pump.stop()
         self._thread.join()
 
@@ -173,7 +173,7 @@ class _Watched:
 
 
 def _forget_pages(folder: Path) -> bool:
-    """Request the system to drop the files of a folder from memory; return False if it cannot."""
+    """Request the system to drop the files of a folder from its file cache; return False if the system cannot."""
     ask: Callable[..., None] | None = getattr(os, "posix_fadvise", None)
     if ask is None:
         return False

@@ -1,4 +1,4 @@
-"""``carina bench saving``: pictures of a flight whose edits are saved, compared with the flight without saving."""
+"""``carina bench saving``: times of the pictures of a flight with edits, with and without saving the case."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from carina_bench.worker import run_section
 __all__ = ["measure", "report"]
 
 RATE_HZ = 30
+"""Number of pictures of the flight per second."""
 LATE_MS = 50.0
+"""Limit of the delay of the latest picture while edits are saved, ms."""
 EDIT_EVERY = 8
-"""Number of pictures between two edits: about four edits a second."""
+"""Number of pictures between two edits; at 30 pictures a second this is about four edits a second."""
 LAYOUT: dict[str, tuple[int, int]] = {LEAD_VIEW: (480, 360)}
+"""Views of the measured window with width and height in pixels."""
 
 
 def report(*, folder: Path, quick: bool, as_json: bool) -> int:
-    """Measure, print, and write ``saving.json``.
-
-    Return 0 if the measurement was possible, even if a limit is missed.
-    """
+    """Measure, print, and write ``saving.json``; return the exit code."""
     make_folder(folder, what="the measurements")
     facts = machine_facts()
     row = run_section(
@@ -72,7 +72,7 @@ def report(*, folder: Path, quick: bool, as_json: bool) -> int:
 
 
 def measure(request: dict[str, Any]) -> dict[str, Any]:
-    """Measure the same flight with the same edits, saved and not saved, in turn."""
+    """Measure the same flight with the same edits, alternately with and without saving."""
     volume = generate_phantom(spacing_mm=request["spacing_mm"]).volume
     late: dict[str, list[float]] = {"not saved": [], "saved": []}
     edits = dict.fromkeys(late, 0)
@@ -101,7 +101,10 @@ _WHICH = (("p50", 50), ("p95", 95), ("max", 100))
 
 
 def _flown(volume: Volume, records: CaseRecords | None, seconds: float) -> tuple[list[float], int]:
-    """Return the time of arrival of each picture, and the number of edits."""
+    """Return the times of arrival of the pictures of a flight, s, and the number of edits.
+
+    The case is not saved if ``records`` is None.
+    """
     session = Session(
         lambda shown, transfer: Renderer(shown, transfer=transfer),
         records=records,

@@ -1,4 +1,4 @@
-"""Time from a hand's movement to the changed picture, over loopback: a separate server, and a client that measures."""
+"""Measurement of the time from a hand's movement to the changed picture, with a client and a server on one machine."""
 
 from __future__ import annotations
 
@@ -26,14 +26,17 @@ from carina_bench.machine import machine_facts
 __all__ = ["report"]
 
 SIZE_PX = 512
+"""Width and height of the picture at rest, pixels."""
 LIMIT_MS = 50.0
+"""Limit of the 95th percentile of the time, ms."""
 READY_S = 300.0
-# A hand at 60 samples a second, the rate of a gamepad or a screen.
+"""Longest time to wait until the airways are found, s."""
 PERIOD_S = 1.0 / 60.0
+"""Time between two inputs, s: 60 a second, the rate of a gamepad or a screen."""
 
 
 def report(*, folder: Path, case: str, quick: bool, as_json: bool) -> int:
-    """Measure, print, and write ``stream.json``."""
+    """Measure, print, and write ``stream.json``; return the exit code."""
     seconds = 4.0 if quick else 20.0
     with _server(case) as (host, token, pid):
         say("waiting for the airways")
@@ -74,7 +77,7 @@ def report(*, folder: Path, case: str, quick: bool, as_json: bool) -> int:
 
 @contextmanager
 def _server(case: str) -> Iterator[tuple[str, str, int]]:
-    """Start a server; yield its address, its token and its process ID."""
+    """Run a server; yield its address, its access token and its process ID."""
     arguments = ["demo", case] if case in {"phantom", "patient"} else ["open", case]
     command = [sys.executable, "-m", "carina.cli", *arguments, "--no-browser", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
@@ -93,17 +96,17 @@ def _server(case: str) -> Iterator[tuple[str, str, int]]:
 
 
 def _used_s(pid: int) -> float | None:
-    """Return the processor time of a process in seconds; None if the system does not report it in /proc."""
+    """Return the CPU time of a process, s; None if the system does not report the time in /proc."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
     except OSError:
         return None
-    # Fields after the name: the 12th and 13th are user and system time (proc(5): utime, stime).
+    # Of the fields after the process's name, the 12th and 13th are user and system time (proc(5): utime, stime).
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 class _Client:
-    """Client that uses the protocol of the window and decodes the pictures."""
+    """Client of a server that uses the protocol of the window and decodes the pictures."""
 
     def __init__(self, socket: Any) -> None:
         self._socket = socket
@@ -126,7 +129,10 @@ class _Client:
         return message
 
     def open(self) -> None:
-        """Wait until the airways are found and the maps are built, so that pictures have their full rate."""
+        """Open the connection and wait until the airways are found and the maps are built.
+
+        Only then pictures have their full rate.
+        """
         self._send(wire.ClientHello(wire.WIRE_VERSION))
         view = wire.ViewSize("airway", SIZE_PX, SIZE_PX)
         self._send(wire.Layout((view,)))
@@ -148,10 +154,10 @@ class _Client:
         raise CarinaError("the server was not ready in time", code="machine")
 
     def measure(self, seconds: float, *, device: bool) -> dict[str, Any]:
-        """Fly back and forth, and measure the time from each input to the first picture that shows it.
+        """Fly back and forth for ``seconds``; return the times from each input to the first picture that shows it.
 
-        Each input is sent at its own time, before the picture of the previous input if that is late, as by a hand. So
-        several inputs may wait for one late picture.
+        Each input is sent at its scheduled time, even if the picture of the previous input has not arrived, as by a
+        hand. So several inputs may wait for one late picture.
         """
         sent: list[tuple[float, int]] = []
         latencies_ms: list[float] = []
@@ -178,7 +184,7 @@ class _Client:
                 self._send(wire.Steer(0.4 * forward, 0.0, 0.0, 0.0))
             sent.append((time.monotonic(), self._pose_id))
             n += 1
-            # A delayed client reads all pending messages and skips missed inputs.
+            # If the client is late, it reads all pending messages and skips the inputs that are overdue.
             due_s = max(due_s + PERIOD_S, time.monotonic())
             while True:
                 try:
@@ -186,12 +192,12 @@ class _Client:
                 except TimeoutError:
                     break
                 if isinstance(message, wire.PictureHeader) and message.view == "airway":
-                    # Side of a square view with the picture's area.
+                    # The value is the side of a square with the area of the picture.
                     sizes_px.append(round(math.sqrt(message.width * message.height)))
                     num_older += message.pose_id < newest_id
                     newest_id = max(newest_id, message.pose_id)
                     arrived_s = time.monotonic()
-                    # A picture shows an input if its pose is newer than the latest pose at the time of the input.
+                    # A picture shows an input if the pose in it is newer than the latest pose at the time of the input.
                     shown = [at for at, pose_id in sent if message.pose_id > pose_id]
                     latencies_ms += [1000.0 * (arrived_s - at) for at in shown]
                     sent = [(at, pose_id) for at, pose_id in sent if message.pose_id <= pose_id]

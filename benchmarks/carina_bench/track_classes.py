@@ -1,8 +1,9 @@
-"""``carina bench track --only classes``: calibration of confidence by class of noise, kernel and slices.
+"""``carina bench track --only classes``: calibration of the confidence of branches by noise, kernel and slices.
 
-Painted CTs of ``--only hard`` and phantoms get white or correlated noise. Each branch that is found has a confidence,
-and is true if at least half of its points are within a voxel of a true lumen. For each class the rows are the
-difference between the mean confidence and the share of true branches, and the expected calibration error over ten bins.
+Painted CTs of ``--only hard`` and phantoms get white or correlated noise. Each branch that the search finds has a
+confidence. A branch is true if at least half of its points are within a voxel of a true lumen. The rows of each class
+are the difference between the mean confidence and the share of true branches, and the expected calibration error over
+ten bins.
 """
 
 from __future__ import annotations
@@ -39,29 +40,35 @@ NOISES: dict[str, tuple[float, float]] = {
     "100 HU white": (100.0, 0.0),
     "100 HU correlated": (100.0, 0.7),
 }
-"""Noise by name: standard deviation in HU, and sigma in mm over which it is correlated (0: white)."""
+"""Noise by name: standard deviation in HU, and sigma of its correlation in mm (0: white noise)."""
 SLICES = ("0.7mm", "1.5mm", "2mm", "3mm")
+"""Names of the slices of CTs with the least noise, 25 HU."""
 FEWER_SLICES = ("0.7mm", "2mm")
-"""Slices for the soft and the sharp kernel with noise above 25 HU."""
+"""Slices of CTs with more noise than 25 HU: for the soft and for the sharp kernel."""
 PHANTOM_SEEDS = (1, 11)
+"""Seeds of the phantoms on which the confidence is compared."""
 PHANTOM_PIXEL_MM = 0.8
+"""Spacing of the phantoms in the plane of the slices, mm."""
 PHANTOM_SLICES_MM = (0.8, 1.5, 2.0, 3.0)
+"""Distances between slices of the phantoms, mm."""
 MOST_ERROR = 0.05
+"""Largest difference, and largest calibration error, that a class may have."""
 CASES = (*PATIENTS, "phantoms")
+"""Values that ``--case`` accepts: painted patients, or all phantoms."""
 
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """Branch that was found, with its confidence and whether it is true."""
+    """Branch that the search found in one CT: its confidence, and whether it is a true airway."""
 
     confidence: float
     is_true: bool
     classes: tuple[str, ...]
-    """Classes of its CT: noise, kernel and slices."""
+    """Names of the classes of the CT in which the branch was found: noise, kernel and slices."""
 
 
 def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
-    """Return two rows for each class."""
+    """Return two rows for each class: difference of means, and calibration error (see ``carina_bench.track``)."""
     judged: list[Judged] = []
     for name, classes, volume, truth in _cases(quick, say, cases):
         try:
@@ -80,7 +87,10 @@ def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
 
 
 def are_true(volume: Volume, truth: Truth, tree: AirwayTree) -> list[bool]:
-    """Return whether each branch is a true airway: half of its points are within a voxel of a true lumen."""
+    """Return for each branch of a tree whether it is a true airway.
+
+    At least half of the points of a true airway are within a voxel of a true lumen.
+    """
     spatial: Any = import_module("scipy.spatial")
     points = np.concatenate([branch.points for branch in truth.branches])
     radius: NDArray[np.float64] = np.concatenate([branch.radius_mm for branch in truth.branches])

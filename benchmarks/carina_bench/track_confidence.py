@@ -1,8 +1,8 @@
-"""Calibration of the confidence of branches (a true airway) and of names (the right segment), on held-out phantoms.
+"""Calibration of two confidences on held-out phantoms: that a branch is an airway, and that a segment's name is right.
 
 The rows are part of ``carina bench track --only names``. ``python -m carina_bench.track_confidence FOLDER`` collects
-the data from which Carina's two confidence maps are fitted and by which they are judged (FOLDER stores the data, so an
-interrupted run continues), prints the two maps, and writes the reliability diagram.
+the data from which Carina's two confidence maps are fitted and by which they are judged. The data are stored in FOLDER,
+so an interrupted run continues. Then the command prints both maps and writes the reliability diagram.
 """
 
 from __future__ import annotations
@@ -31,22 +31,27 @@ __all__ = ["calibration_error", "fitted_airways", "fitted_names", "run"]
 Row = dict[str, Any]
 Say = Callable[[str], None]
 Shares = NDArray[np.float64]
-# (confidence, is true, kind of case)
+# The items are the confidence, whether the branch or name is true, and the kind of the case.
 Judged = tuple[float, bool, str]
 
 FIRST_SEED = {"fit": 101, "held": 201}
+"""First seed of the phantoms for the fit, and of those held out for the judgement."""
 NUM_GOOD, NUM_POOR, NUM_TREES = 8, 14, 24
+"""Number of good CTs, of poor CTs and of trees for the names."""
 QUICK_CTS, QUICK_TREES = 1, 6
+"""Number of good and of poor CTs, and of trees, in a quick run."""
 NUM_BINS = 10
+"""Number of bins of confidence from which the calibration error is computed."""
 MOST_ERROR, SURE, SURE_SHARE = 0.05, 0.9, 0.7
-# Bins of the score of the wall; most branches have a score near 1.
+"""Largest calibration error; confidence that counts as sure; least share of right names that are sure."""
 EDGES = (0.0, 0.5, 0.75, 0.85, 0.9, 0.925, 0.95, 0.97, 0.98, 0.99, 0.995, 0.999, 1.001)
+"""Edges of the bins of a branch's score (how well its wall is visible); most branches have a score near 1."""
 
 
 def calibration_error(shares: Shares, hits: Shares) -> float:
-    """Return the expected calibration error over ten bins.
+    """Return the expected calibration error over ten bins of the confidence ``shares``.
 
-    The error of a bin is the difference between its mean confidence and its share of true cases.
+    The error of a bin is the difference between its mean confidence and its share of true cases (``hits``).
     """
     bins = np.minimum((shares * NUM_BINS).astype(int), NUM_BINS - 1)
     within = [bins == k for k in range(NUM_BINS)]
@@ -54,7 +59,7 @@ def calibration_error(shares: Shares, hits: Shares) -> float:
 
 
 def run(quick: bool, say: Say) -> list[Row]:
-    """Return rows on held-out seeds (see ``carina_bench.track``)."""
+    """Return the rows of phantoms with held-out seeds (see ``carina_bench.track``)."""
     airways, names = [], []
     num_good, num_poor, num_trees = (QUICK_CTS, QUICK_CTS, QUICK_TREES) if quick else (NUM_GOOD, NUM_POOR, NUM_TREES)
     for case, tree, true in _found_trees("held", num_good, num_poor, say):
@@ -90,7 +95,7 @@ def _rows(judged: Sequence[Judged], what: str) -> Iterator[Row]:
 
 
 def _unlike_row(num: int) -> Row:
-    """Return the row of trees outside the model: random forks and vessels."""
+    """Return the row of ``num`` trees that are no airway trees: random forks, and vessels."""
     trees = [random_tree(np.random.default_rng(seed), two_lungs=seed % 2 == 1) for seed in range(num)]
     for seed in range(max(num // 4, 1)):
         trees += [vessel_tree(true_tree(seed), np.random.default_rng(seed), is_vein=vein) for vein in (True, False)]
@@ -103,7 +108,7 @@ def _unlike_row(num: int) -> Row:
     }
 
 
-# Data that are judged.
+# Trees and names whose confidence is judged:
 
 
 def _found_trees(part: str, num_good: int, num_poor: int, say: Say) -> Iterator[tuple[CtCase, AirwayTree, list[bool]]]:
@@ -120,7 +125,7 @@ def _kind(case: CtCase) -> str:
 
 
 def _made_trees(part: str, num: int) -> Iterator[tuple[str, AirwayTree, AirwayTree]]:
-    """Yield degraded true trees, and degraded trees of other anatomies, each with its truth."""
+    """Yield the kind, a degraded tree and its truth: of true trees, and of trees with another anatomy."""
     for seed in range(FIRST_SEED[part], FIRST_SEED[part] + num):
         rng = np.random.default_rng((seed, 3))
         tree = true_tree(seed, int(rng.integers(5, 8)))
@@ -130,7 +135,7 @@ def _made_trees(part: str, num: int) -> Iterator[tuple[str, AirwayTree, AirwayTr
 
 
 def _judged_names(tree: AirwayTree, truth: AirwayTree, kind: str) -> list[Judged]:
-    """Return the names of a tree with their calibrated confidence; none if the tree is classified as not human."""
+    """Return the names of a tree with their confidence and truth; none if the tree is classified as not human."""
     fit, readings = _judged_readings(tree, truth)
     if fit is not None and fit < POOR_FIT:
         return []
@@ -138,7 +143,10 @@ def _judged_names(tree: AirwayTree, truth: AirwayTree, kind: str) -> list[Judged
 
 
 def _judged_readings(tree: AirwayTree, truth: AirwayTree) -> tuple[float | None, list[tuple[float, bool]]]:
-    """Return the fit of a tree and, for each segment that was read, its share and whether the name is right."""
+    """Return the fit of a tree, and the share of each segment that was named, with whether the name is right.
+
+    The fit is None if the tree has none.
+    """
     true: dict[int, str] = {}
     for branch in truth.branches:
         words = None if branch.name is None else name_words(branch.name)
@@ -161,11 +169,11 @@ def _judged_readings(tree: AirwayTree, truth: AirwayTree) -> tuple[float | None,
     return fit, judged
 
 
-# Fitting.
+# Fit of the confidence maps:
 
 
 def fitted_airways(scores: Shares, hits: Shares) -> list[tuple[float, float]]:
-    """Fit the share of true airways as a function of the score: isotonic, over bins."""
+    """Return the map from a branch's score to its confidence, by isotonic regression over bins of the score."""
     blocks: list[list[float]] = []
     middles = []
     for low, high in itertools.pairwise(EDGES):
@@ -183,9 +191,9 @@ def fitted_airways(scores: Shares, hits: Shares) -> list[tuple[float, float]]:
 
 
 def fitted_names(shares: Shares, fits: Shares, hits: Shares) -> tuple[float, float, float]:
-    """Fit the log odds of a right name, see ``carina.track.names.tree_fit.NAME_ODDS``.
+    """Return the coefficients of the log odds of a right name, see ``carina.track.names.tree_fit.NAME_ODDS``.
 
-    Fits are at most ``GOOD_FIT``.
+    ``fits`` are limited to ``GOOD_FIT``.
     """
     parts = np.clip(shares, 0.01, SUREST)
     x = np.stack([np.ones(len(parts)), np.log(parts / (1.0 - parts)), np.minimum(fits, GOOD_FIT) - GOOD_FIT], axis=1)
@@ -197,11 +205,14 @@ def fitted_names(shares: Shares, fits: Shares, hits: Shares) -> tuple[float, flo
     return float(odds[0]), float(odds[1]), float(odds[2])
 
 
-# Collection of data from the command line.
+# Collection of the data on the command line:
 
 
 def _collected(folder: Path, part: str, say: Say) -> tuple[list[list[Any]], list[list[Any]]]:
-    """Return [score, is true, kind] of branches and [share, fit, is right, kind] of names, stored case by case."""
+    """Return the data of branches and names for ``part``, stored case by case in ``folder``.
+
+    A branch is [score, is true, kind]; a name is [share, fit, is right, kind].
+    """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{part}.jsonl"
     known = {} if not path.exists() else {row["label"]: row for row in map(json.loads, path.read_text().splitlines())}
@@ -219,7 +230,7 @@ def _collected(folder: Path, part: str, say: Say) -> tuple[list[list[Any]], list
             if label not in known:
                 say(label)
                 tree = find_airways(made_case(case), progress=False).tree
-                # The inverse of the map from scores to confidence: the stored confidence gives the score.
+                # The stored value is the score, so the map from score to confidence is inverted.
                 scored = np.interp([b.confidence or 0.0 for b in tree.branches], shares, scores)
                 fit, names = _judged_readings(tree, true_tree(case.seed, case.generations))
                 keep(label, zip(scored.tolist(), is_true_branch(case, tree), strict=True), fit, names)
@@ -236,7 +247,7 @@ def _collected(folder: Path, part: str, say: Say) -> tuple[list[list[Any]], list
 
 
 def main() -> None:
-    """Fit on some seeds, judge on others, and write the diagram."""
+    """Run the command line: fit the maps on some seeds, judge them on others, and write the diagram."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="Where what was collected is kept.")
     parser.add_argument("--svg", type=Path, help="Where the reliability diagram goes (default: none).")

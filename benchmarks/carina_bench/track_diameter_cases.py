@@ -1,7 +1,7 @@
-"""CTs with exactly known diameters: phantoms and patients, painted with kernels and slice thicknesses.
+"""Painted CTs with exactly known diameters: phantoms and patients with several kernels and slice thicknesses.
 
-The generator of phantoms blurs an airway's wall as if the wall were flat, so a thin lumen is wider in its image than in
-a scanner's. Here the generator gives only the anatomy, and the painter makes the image (:mod:`carina_bench.paint`).
+The generator of phantoms blurs the wall of an airway as if the wall were flat, so its image of a thin lumen is wider
+than a scanner's. Here the generator gives only the anatomy; the painter makes the image (:mod:`carina_bench.paint`).
 """
 
 from __future__ import annotations
@@ -28,20 +28,23 @@ __all__ = ["KERNEL_NAMES", "SLICE_NAMES", "DiameterCase", "painted_patients", "p
 Say = Callable[[str], None]
 
 KERNEL_NAMES = tuple(KERNELS)
+"""Names of the kernels with which CTs are painted."""
 SLICE_NAMES = ("0.7mm", "1mm", "1.5mm", "2mm", "2.5mm", "3mm")
+"""Names of the slice thicknesses with which CTs are painted."""
 SPACING_MM = 0.7
+"""Spacing of the painted phantoms, mm."""
 BESIDE_MM = 8.0
-"""Width of the tissue around the airways that is painted, mm."""
+"""Width of the tissue around the airways of a phantom that is painted, mm."""
 BEYOND_WALL_MM = 1.1
-"""Distance from its wall up to which the generator's image shows an airway, mm."""
+"""Distance from an airway's wall up to which the generator's image shows the airway, mm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiameterCase:
-    """Painted CT with the true radii of its airways."""
+    """Painted CT with the true centrelines and radii of its airways."""
 
     subject: str
-    """Subject: ``phantom N`` or the name of a patient."""
+    """Subject of the CT: ``phantom N`` or the name of a patient."""
     kernel: str
     slices: str
     volume: Volume
@@ -49,14 +52,14 @@ class DiameterCase:
 
     @property
     def condition(self) -> str:
-        """Kernel and slices, as text."""
+        """Kernel and slice thickness of the CT, as text for the report."""
         return f"{self.kernel} {self.slices}"
 
 
 def painted_phantoms(
     seeds: Sequence[int], kernels: Sequence[str], slices: Sequence[str], say: Say
 ) -> Iterator[DiameterCase]:
-    """Yield the cases of phantoms by seed."""
+    """Yield the painted phantoms of each seed, kernel and slice thickness."""
     for seed in seeds:
         made: list[Scene] = []
         for kernel in kernels:
@@ -77,13 +80,13 @@ def painted_phantoms(
 def painted_patients(
     data: Path, patients: Sequence[str], kernels: Sequence[str], slices: Sequence[str], say: Say
 ) -> Iterator[DiameterCase]:
-    """Yield the cases of patients whose masks are in a folder."""
+    """Yield the painted patients whose masks are in ``data``, with each kernel and slice thickness."""
     for case in hard_cases(data, patients, kernels, slices, say):
         yield DiameterCase(case.patient, case.kernel, case.slices, case.volume, case.truth)
 
 
 def _key(seed: int, options: PaintOptions) -> str:
-    """Return a key of all inputs of a painted phantom."""
+    """Return a key of all inputs of a painted phantom, under which it is cached."""
     digest = hashlib.sha256(repr((seed, options, SPACING_MM)).encode())
     for path in (*sorted(Path(__file__).parent.glob("paint*.py")), Path(__file__)):
         digest.update(path.read_bytes())
@@ -91,7 +94,7 @@ def _key(seed: int, options: PaintOptions) -> str:
 
 
 def _scene(seed: int) -> Scene:
-    """Return the tissue of a phantom without its airways, and its airways as tubes."""
+    """Return the scene of a phantom: its tissue without airways, and its airways as tubes."""
     phantom = generate_phantom(seed=seed, spacing_mm=SPACING_MM, noise_hu=0.0, with_distance=True)
     assert phantom.lumen_distance_mm is not None
     tubes = [
@@ -123,7 +126,7 @@ def _without_airways(
     lps_from_ijk: NDArray[np.float64],
     tubes: Sequence[Tube],
 ) -> NDArray[np.int16]:
-    """Return the tissue with each voxel of an airway replaced by the nearest voxel outside the airways."""
+    """Return the tissue in which each voxel of an airway has the value of the nearest voxel outside the airways."""
     ndimage: Any = import_module("scipy.ndimage")
     spatial: Any = import_module("scipy.spatial")
     near = np.argwhere(distance_zyx < 4.5)

@@ -1,9 +1,10 @@
-"""``carina bench track --only diameters``: diameters of branches and routes compared with exactly known ones.
+"""``carina bench track --only diameters``: measured diameters of branches and routes compared with the true ones.
 
-Each branch that is found is compared with the nearest true axis. Its figures are the median of the true diameters at
-its usable sections, the reported diameter, the reported error, and the diameter of the found lumen (``Branch.radius``).
-*Bias* is the median relative error; *coverage* the share of branches whose true diameter lies within the reported
-error. A route is the path to a tip; its true narrowest diameter is the least true diameter at its usable sections.
+Each branch that was found is compared with the nearest true axis. Its figures are the median of the true diameters at
+its usable sections, the measured diameter, the stated error, and the diameter of the found lumen (``Branch.radius``).
+*Bias* is the median relative error; *coverage* is the share of branches whose true diameter lies within the stated
+error. A route is the path from the trachea to a tip; its true narrowest diameter is the least true diameter at its
+usable sections.
 """
 
 from __future__ import annotations
@@ -35,28 +36,40 @@ Say = Callable[[str], None]
 Floats = NDArray[np.float64]
 
 SEEDS = range(101, 121)
+"""Seeds of the painted phantoms whose diameters are compared."""
 QUICK_SEEDS = range(101, 102)
+"""Seeds of the painted phantoms in a quick run."""
 PATIENTS = ("Patient1", "Patient2", "lobes-Patient1", "lobes-Patient2")
+"""Names of the patients whose painted CTs are compared."""
 SIZES_MM = (0.0, 1.6, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 30.0)
+"""Limits of the classes of true diameter in the report, mm."""
 SIZES_VOX = (0.0, 3.0, 4.0, 6.0, 10.0, 99.0)
+"""Limits of the classes of true diameter, voxels."""
 LEAST_IN_CLASS = 8
+"""Least number of branches or routes of a class in the report."""
 LEAST_SECTIONS = 3
+"""Least number of usable sections of a branch that is compared."""
 MOST_BIAS = 3.0
+"""Largest bias of a class of diameters, %."""
 LEAST_COVERAGE, MOST_COVERAGE = 0.85, 0.95
+"""Least and largest coverage of a class of diameters, as shares."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Compared:
-    """Diameters of a case in mm, one row each: true, reported, error, and diameter of the found lumen."""
+    """Diameters of the branches and routes of one case, mm.
+
+    The columns are the true diameter, the measured diameter, the stated error, and the diameter of the found lumen.
+    """
 
     branches: Floats
-    """(n, 4) diameters of the branches."""
+    """(n, 4) diameters of the branches, mm."""
     routes: Floats
-    """(m, 4) narrowest diameters of the routes to each tip."""
+    """(m, 4) narrowest diameters of the routes to the tips, mm."""
 
 
 def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
-    """Return bias and coverage by kernel, slices and size; ``cases`` as in ``carina_bench.track``."""
+    """Return bias and coverage by kernel, slices and size; ``cases`` selects cases (see ``carina_bench.track``)."""
     kernels = [name for name in KERNEL_NAMES if name in cases] or list(KERNEL_NAMES[1:2] if quick else KERNEL_NAMES)
     slices = [name for name in SLICE_NAMES if name in cases] or list(SLICE_NAMES[:1] if quick else SLICE_NAMES)
     patients = [name for name in PATIENTS if name in cases]
@@ -73,7 +86,7 @@ def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
 
 
 def compared_diameters(case: DiameterCase, tree: AirwayTree, measures: TreeMeasures) -> Compared:
-    """Return the diameters of the branches and routes of a tree with the true ones."""
+    """Return the measured diameters of the branches and routes of a tree beside the true ones."""
     points = np.concatenate([branch.points for branch in case.truth.branches])
     radius = np.concatenate([branch.radius_mm for branch in case.truth.branches])
     course = np.concatenate([np.gradient(branch.points, axis=0) for branch in case.truth.branches])

@@ -1,7 +1,7 @@
-"""CTs with metal, a breathing step, correlated noise or streaks, derived from a CT without them.
+"""CTs with metal, a breathing step, correlated noise or streaks, derived from an undisturbed CT.
 
-Each function returns a new volume on the same grid. The airways stay in place, except for a breathing step, which moves
-all anatomy in a part of the slices; :func:`stepped_points` moves the true airways accordingly.
+Each function returns a new volume on the same grid. The airways keep their positions, except with a breathing step,
+which moves all anatomy in a part of the slices; :func:`stepped_points` moves the true airways accordingly.
 """
 
 from __future__ import annotations
@@ -20,23 +20,25 @@ Points = NDArray[np.float64]
 Floats = NDArray[np.float64]
 
 CLIP_HU = 3000.0
+"""CT value of a clip and of other metal, HU."""
 CLIP_SIZE_MM = (1.5, 1.5, 5.0)
-"""Size of a surgical clip along x, y and z, mm."""
+"""Size of a surgical clip along the patient's x, y and z axes, mm."""
 STREAK_HU = 900.0
-"""Largest amplitude of the streaks, at the clip."""
+"""Largest amplitude of the streaks, which they have at the clip, HU."""
 HALF_STREAK_MM = 25.0
-"""Distance from the clip at which the amplitude is half of the largest."""
+"""Distance from a clip at which the amplitude of its streaks is half of the largest, mm."""
 NUM_BANDS = 72
-"""Number of directions in the plane for which an amplitude is drawn, for each piece of metal."""
+"""Number of directions in a slice for which the amplitude of a clip's streaks is drawn at random."""
 SAME_STREAKS = 0.9
-"""Correlation of the streaks of one piece of metal between neighbouring slices."""
+"""Correlation of the streaks of one piece of metal between two neighbouring slices."""
 LEAST_HU, MOST_HU = -1024, 3071
+"""Least and largest CT value of a volume, HU."""
 
 
 def with_clips(
     volume: Volume, centre_lps: Sequence[float], *, seed: int, num: int = 7, spread_mm: float = 12.0
 ) -> Volume:
-    """Return the CT with surgical clips around a point, and their streaks in the slices that contain the clips."""
+    """Return the CT with ``num`` surgical clips around a point (LPS mm), and streaks in the slices of the clips."""
     rng = np.random.default_rng((seed, 11))
     places = np.asarray(centre_lps, np.float64) + spread_mm * np.clip(rng.standard_normal((num, 3)), -1.5, 1.5)
     sizes = np.array([rng.permutation(CLIP_SIZE_MM) for _ in range(num)])
@@ -57,7 +59,11 @@ def with_metal(
     Parameters
     ----------
     places_lps, sizes_mm
-        (n, 3) centres, LPS mm, and sizes along the axes of the grid, mm.
+        (n, 3) centres of the blocks, LPS mm, and their sizes along the axes of the grid, mm.
+    streak_hu
+        Largest amplitude of the streaks, HU.
+    half_mm
+        Distance from the metal at which the amplitude is half of the largest, mm.
     """
     rng = np.random.default_rng((seed, 12))
     nz, ny, nx = volume.shape_zyx
@@ -76,7 +82,7 @@ def with_metal(
         fading = streak_hu / (1.0 + away_mm / half_mm)
         knots = rng.standard_normal(NUM_BANDS // 2)
         for k in np.flatnonzero(covers[2] > 0.0):
-            # The streaks of neighbouring slices are similar, because the metal is the same.
+            # Neighbouring slices contain the same piece of metal, so their streaks are correlated.
             knots = SAME_STREAKS * knots + np.sqrt(1.0 - SAME_STREAKS**2) * rng.standard_normal(len(knots))
             values[k] += (covers[2][k] * fading * _bands(angle, knots)).astype(np.float32)
             metal[k] = np.maximum(metal[k], (covers[2][k] * covers[1][:, None] * covers[0][None, :]).astype(np.float32))
@@ -85,7 +91,10 @@ def with_metal(
 
 
 def _bands(angle: Floats, knots: Floats) -> Floats:
-    """Return values of -1 to 1 that depend only on the direction; opposite directions are equal, as for rays."""
+    """Return the amplitude (-1 to 1) at each angle, interpolated between knots.
+
+    Opposite directions have one amplitude.
+    """
     knots = np.clip(knots / 1.5, -1.0, 1.0)
     knots = knots - knots.mean()
     at = np.mod(angle, np.pi) * (len(knots) / np.pi)
@@ -97,19 +106,19 @@ def _bands(angle: Floats, knots: Floats) -> Floats:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Step:
-    """Breathing step between two slices: the anatomy above a level is shifted in the scan."""
+    """Breathing step between two slices: in the scan the anatomy above a level is shifted against that below it."""
 
     above_lps_z: float
-    """Level of the first shifted slice, LPS mm."""
+    """Position of the first shifted slice, LPS z in mm."""
     shift_mm: tuple[float, float, float] = (0.0, 3.0, 6.0)
-    """Shift of the chest above the level, LPS mm.
+    """Shift of the anatomy above the level, LPS mm.
 
-    Positive z: a part of the chest is missing in the scan; negative z: a part is duplicated.
+    With a positive z a part of the chest is missing in the scan; with a negative z a part appears twice.
     """
 
 
 def stepped(volume: Volume, step: Step) -> Volume:
-    """Return the CT with a breathing step; the axes of the grid must be those of the patient."""
+    """Return the CT with a breathing step; the axes of its grid must be parallel to those of the patient."""
     spacing = np.diag(volume.lps_from_ijk)[:3]
     by_i, by_j, by_k = (round(mm / size) for mm, size in zip(step.shift_mm, spacing, strict=True))
     nz = volume.shape_zyx[0]
@@ -122,9 +131,9 @@ def stepped(volume: Volume, step: Step) -> Volume:
 
 
 def stepped_points(points_lps: Points, step: Step, volume: Volume) -> tuple[Points, NDArray[np.bool_]]:
-    """Return the positions of points of the chest after a breathing step, and whether each of them is still visible.
+    """Return the positions (n, 3) of points after a breathing step, and for each whether the scan still shows it.
 
-    Duplicated points are returned at their position above the level.
+    The position of a point that appears twice is the one above the level.
     """
     spacing = np.diag(volume.lps_from_ijk)[:3]
     shift = np.rint(np.array(step.shift_mm) / spacing) * spacing
@@ -135,9 +144,9 @@ def stepped_points(points_lps: Points, step: Step, volume: Volume) -> tuple[Poin
 
 
 def noisy(volume: Volume, noise_hu: float, *, seed: int, sigma_mm: float = 0.0) -> Volume:
-    """Return the CT with additional noise of this standard deviation.
+    """Return the CT with additional noise of the standard deviation ``noise_hu``.
 
-    The noise is correlated by a Gaussian, or white if sigma is 0.
+    The noise is correlated by a Gaussian of ``sigma_mm``; it is white if ``sigma_mm`` is 0.
     """
     rng = np.random.default_rng((seed, 13))
     noise = rng.standard_normal(volume.shape_zyx).astype(np.float32)
@@ -149,7 +158,7 @@ def noisy(volume: Volume, noise_hu: float, *, seed: int, sigma_mm: float = 0.0) 
 
 
 def _blurred(values: NDArray[np.float32], sigma: float, axis: int) -> NDArray[np.float32]:
-    """Blur values along an axis, with periodic ends."""
+    """Return the values blurred along one axis by a Gaussian; ``sigma`` is in voxels and the ends are periodic."""
     reach = int(np.ceil(3.0 * sigma))
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     result = np.zeros_like(values)
@@ -159,14 +168,16 @@ def _blurred(values: NDArray[np.float32], sigma: float, axis: int) -> NDArray[np
 
 
 def streaked(volume: Volume, streak_hu: float, *, seed: int, from_lps_z: float, width_mm: float = 1.5) -> Volume:
-    """Return the CT with lateral streaks in the slices above a level, as from shoulders.
+    """Return the CT with lateral streaks in the slices above a level, as the shoulders cause them.
 
     Parameters
     ----------
     streak_hu
-        Standard deviation between rows.
+        Standard deviation of the streaks between rows, HU.
+    from_lps_z
+        Level, LPS z in mm.
     width_mm
-        Sigma of a streak across its direction.
+        Sigma of a streak perpendicular to its direction, mm.
     """
     rng = np.random.default_rng((seed, 14))
     spacing = np.diag(volume.lps_from_ijk)[:3]

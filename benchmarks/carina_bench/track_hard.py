@@ -1,9 +1,9 @@
-"""``carina bench track --only hard``: the automatic airways in painted CTs that are hard to search.
+"""``carina bench track --only hard``: the automatically found airways in painted CTs that are hard to search.
 
-Tree length detected (TD) and branches detected (BD) are those of ``--only quality``. Precision within a voxel is the
-share of the found voxels that contain lumen or touch a voxel that does. The contrast-to-noise ratio of the missed
-lumens is the median over points along them; the contrast is the difference between the weakest quarter of the
-surrounding wall (the lower quartile of a ring, the brightest of several rings) and the axis, in the same CT without
+Tree length detected (TD) and branches detected (BD) are defined as in ``--only quality``. Precision within a voxel is
+the share of the found voxels that contain lumen or touch a voxel that contains lumen. The contrast-to-noise ratio of
+the missed lumens is the median over points along them. The contrast is the difference between the weakest quarter of
+the surrounding wall (the lower quartile of a ring, the brightest of several rings) and the axis, in the same CT without
 noise.
 """
 
@@ -39,12 +39,15 @@ Say = Callable[[str], None]
 Row = dict[str, Any]
 
 CALIBRES_MM = (0.45, 0.6, 0.8, 1.0, 1.5)
-"""Lower limits of the classes of true radius of the calibre curve; the last class has no upper limit."""
+"""Lower limits of the classes of true radius, mm; the last class has no upper limit."""
 WITHOUT_SOFTENING = "without-softening"
+"""Name of the variant in which the search does not compensate kernels."""
 CASES = (*PATIENTS, *KERNELS, *SLICES, WITHOUT_SOFTENING)
-"""Values that ``--case`` accepts: patients, kernels and slices (default all), and the variant of the search."""
+"""Values that ``--case`` accepts.
 
-# Least TD and BD, mean of the patients; by slice thickness, and for thin slices by kernel.
+They are patients, kernels and slices (all if none of the kind is given), and the variant of the search.
+"""
+
 AIMS: dict[tuple[str, str], tuple[float, float]] = {
     **{(kernel, mm): (0.975, 0.95) for kernel in ("soft", "medium") for mm in ("0.7mm", "1mm")},
     **{("sharp", mm): (0.94, 0.88) for mm in ("0.7mm", "1mm")},
@@ -53,12 +56,17 @@ AIMS: dict[tuple[str, str], tuple[float, float]] = {
     **{(kernel, "2.5mm"): (0.82, 0.70) for kernel in KERNELS},
     **{(kernel, "3mm"): (0.75, 0.62) for kernel in KERNELS},
 }
+"""Least TD and BD, as means of the patients, by kernel and slice thickness."""
 LEAST_PRECISION = 0.98
+"""Limit of the precision within a voxel, as a share."""
 MOST_FALSE_MEDIAN, MOST_FALSE = 1, 3
+"""Largest number of false branches of a case: median over the cases, and of any case."""
 RING_MM = (0.1, 0.3, 0.5, 0.7, 0.9)
-"""Distances of the rings from the true wall of the lumen, mm."""
+"""Distances of the rings from the true wall of a missed lumen, mm."""
 NUM_MISSED = 600
+"""Approximate number of missed points at which the contrast is measured."""
 NUM_DIRECTIONS = 12
+"""Number of points of a ring around a missed lumen."""
 
 
 def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
@@ -67,7 +75,7 @@ def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
     Parameters
     ----------
     cases
-        Cases to measure, of :data:`CASES`; default all patients, kernels or slices if none of the kind is named.
+        Cases to measure, of :data:`CASES`. If no patient, no kernel or no slices are named, all of them are measured.
     """
     data = load_settings().data_dir
     if data is None or not data.is_dir():
@@ -89,7 +97,10 @@ def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
 
 @contextmanager
 def _softening(is_on: bool) -> Iterator[None]:
-    """Disable the kernel compensation (softening of medium and sharp kernels) in this context."""
+    """Disable the kernel compensation of the search in this context, unless ``is_on``.
+
+    The compensation softens images of medium and sharp kernels.
+    """
     with patch.object(growth, "SOFT_HU", SOFT_HU if is_on else 1e9):
         yield
 
@@ -132,7 +143,7 @@ def _note(row: Row) -> str:
 
 
 def within_a_voxel(found_zyx: NDArray[np.bool_], touched_zyx: NDArray[np.bool_] | None) -> float:
-    """Return the share of found voxels that contain lumen or are one of the 26 neighbours of such a voxel."""
+    """Return the share of the found voxels that contain lumen or are among the 26 neighbours of such a voxel."""
     assert touched_zyx is not None
     near = touched_zyx.copy()
     for axis in range(3):
@@ -145,29 +156,29 @@ def within_a_voxel(found_zyx: NDArray[np.bool_], touched_zyx: NDArray[np.bool_] 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Missed:
-    """Points of a true branch outside the found lumen."""
+    """Points of a true branch that the found lumen does not contain."""
 
     points: NDArray[np.float64]
-    """(n, 3) LPS mm."""
+    """Points (n, 3) outside the found lumen, LPS mm."""
     radius_mm: NDArray[np.float64]
     course: NDArray[np.float64]
-    """(n, 3) direction along the branch."""
+    """Unit vectors (n, 3) along the branch at the points, LPS."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detected:
-    """Shares of the true airways inside the found lumen."""
+    """Shares of the true airways that the found lumen contains, and the missed points."""
 
     td: float
     bd: float
     by_radius_mm: dict[str, float]
-    """Calibre curve: share of the length found, by class of true radius."""
+    """Share of the true length that was found, by class of true radius (the calibre curve)."""
     missed: tuple[Missed, ...]
-    """Missed points, one entry for each true branch."""
+    """Missed points of each true branch."""
 
 
 def detected_airways(volume: Volume, truth: Truth, found_zyx: NDArray[np.bool_]) -> Detected:
-    """Return the share of the true airways that was found, by the rules of ``--only quality``."""
+    """Return the share of the true airways that was found, with the definitions of ``--only quality``."""
     length = np.zeros((2, len(CALIBRES_MM)))
     num_found = 0
     missed = []
@@ -189,7 +200,10 @@ def detected_airways(volume: Volume, truth: Truth, found_zyx: NDArray[np.bool_])
 
 
 def _contrast_to_noise(case: HardCase, missed: Sequence[Missed]) -> float | None:
-    """Return the median over missed points of (wall - axis) / noise, each in HU; None if nothing is missed."""
+    """Return the median of (wall - axis) / noise over missed points, with all values in HU.
+
+    The result is None if no point is missed.
+    """
     if not missed:
         return None
     every = max(sum(len(one.points) for one in missed) // NUM_MISSED, 1)
@@ -215,7 +229,7 @@ def _contrast_to_noise(case: HardCase, missed: Sequence[Missed]) -> float | None
 
 
 def _values(case: HardCase, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return HU without noise at points (n, 3), LPS mm, by linear interpolation."""
+    """Return the CT values without noise at points (n, 3), LPS mm, by linear interpolation, HU."""
     ijk = case.volume.to_ijk(points)
     last = np.array(case.clean_zyx.shape[::-1]) - 1
     ijk = np.clip(ijk, 0.0, last - 1e-6)
@@ -230,7 +244,7 @@ def _values(case: HardCase, points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _means(rows: Sequence[Row]) -> list[Row]:
-    """Return the means of the patients by condition, with the aims."""
+    """Return the means over the patients of each condition, with their aims."""
     result: list[Row] = []
     for condition in dict.fromkeys(row["condition"] for row in rows):
         own = [row for row in rows if row["condition"] == condition]

@@ -1,7 +1,7 @@
-"""Painted CTs with airways and vessels that are hard to see: terminal airways, fine vessels, overshooting kernels.
+"""Painted CTs with structures that are hard to see: terminal airways, fine vessels, kernels with overshoot.
 
 Each patient is cropped around the carina, painted once for each kernel in slices as thin as those of the masks, and
-stored in a temporary folder. All slice thicknesses are computed from these thin slices.
+stored in a temporary folder. CTs of all slice thicknesses are computed from these thin slices.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ __all__ = ["KERNELS", "QUICK", "SLICES", "HardCase", "around_carina", "cached", 
 Say = Callable[[str], None]
 
 OPTIONS = PaintOptions(terminal_share_per_mm2=0.3, fine_vessels_per_ml=2.4)
+"""Additions to the scenes: terminal airways and fine vessels."""
 KERNELS = {"soft": "soft", "medium": "rimmed-medium", "sharp": "sharp"}
-"""Kernels of :data:`carina_bench.paint.KERNELS` by their names in the cases."""
+"""Kernels of :data:`carina_bench.paint.KERNELS`, by their names in the cases."""
 SLICES: dict[str, Slices] = {
     "0.7mm": Slices(0.7),
     "1mm": Slices(1.0),
@@ -45,19 +46,24 @@ SLICES: dict[str, Slices] = {
     "5mm-every-2.5mm": Slices(5.0, 2.5),
     **{f"{mm:g}mm-resampled": Slices(mm, is_resampled=True) for mm in (1.0, 1.5, 2.0, 2.5, 3.0, 5.0)},
 }
+"""Slice thicknesses and distances, by their names in the cases."""
 ABOVE_MM, BELOW_MM = 30.0, 55.0
-"""Extent of the painted part above and below the carina, mm."""
+"""Lengths above and below the carina that are painted, mm."""
 QUICK_MM = (25.0, 25.0)
+"""Lengths above and below the carina that are painted in a quick run, mm."""
 QUICK = ("medium", "0.7mm")
+"""Kernel and slices of a quick run."""
 BESIDE_MM = 8.0
+"""Margin around the lungs that is painted, mm."""
 HU_STEPS = 16.0
-"""Number of stored steps per HU: stored values are multiples of 1/16 HU."""
+"""Number of steps per HU of stored values, which are multiples of 1/16 HU."""
 LEAST_BRONCHUS_MM2 = 25.0
+"""Least area of a main bronchus in a slice, mm2."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HardCase:
-    """Painted CT, its truth, and the same CT without noise."""
+    """Painted CT with its truth and the same CT without noise."""
 
     patient: str
     kernel: str
@@ -68,7 +74,7 @@ class HardCase:
 
     @property
     def name(self) -> str:
-        """Name: patient, kernel and slices."""
+        """Name of the case: patient, kernel and slices."""
         return f"{self.patient} {self.kernel} {self.slices}"
 
 
@@ -82,7 +88,7 @@ def hard_cases(
     is_quick: bool = False,
     options: PaintOptions = OPTIONS,
 ) -> Iterator[HardCase]:
-    """Yield the cases of each patient, kernel and slice thickness; report patients without masks and skip them."""
+    """Yield the cases of each patient, kernel and slice thickness; patients without masks are reported and skipped."""
     folders = mask_folders(data)
     extent = QUICK_MM if is_quick else (ABOVE_MM, BELOW_MM)
     for patient in patients:
@@ -105,7 +111,7 @@ def hard_cases(
 
 
 def imaged(thin: Scanned, options: PaintOptions, slices: Slices) -> tuple[Volume, Truth, NDArray[np.int16]]:
-    """Return the CT of thin slices, its truth, and its HU (nz, ny, nx) without noise."""
+    """Return the CT of slices of the given thickness, its truth, and its CT values (nz, ny, nx) without noise, HU."""
     spacing = np.linalg.norm(thin.lps_from_ijk[:3, :3], axis=0)
     weights, first_mm, step_mm = slice_weights(len(thin.values_zyx), float(spacing[2]), slices)
     kernel, pixel_mm = options.scanner(), float(spacing[0])
@@ -132,7 +138,7 @@ def imaged(thin: Scanned, options: PaintOptions, slices: Slices) -> tuple[Volume
 
 
 def around_carina(masks: Masks, above_mm: float, below_mm: float) -> Masks:
-    """Return the masks cropped from above to below the carina, and in plane to the lungs."""
+    """Return the masks cropped to ``above_mm`` above and ``below_mm`` below the carina, and in plane to the lungs."""
     up = float(masks.lps_from_ijk[2, 2])
     spacing = np.linalg.norm(masks.lps_from_ijk[:3, :3], axis=0)
     at = _carina_slice(masks.airways, float(spacing[0] * spacing[1]), is_upwards=up > 0.0)
@@ -163,7 +169,7 @@ def around_carina(masks: Masks, above_mm: float, below_mm: float) -> Masks:
 
 
 def _carina_slice(airways: NDArray[np.bool_], pixel_mm2: float, *, is_upwards: bool) -> int:
-    """Return the highest slice in which the airways are two main bronchi."""
+    """Return the index of the highest slice in which the airways are two main bronchi."""
     ndimage: Any = import_module("scipy.ndimage")
     used = np.flatnonzero(airways.any(axis=(1, 2)))
     for k in used[::-1] if is_upwards else used:
@@ -176,7 +182,7 @@ def _carina_slice(airways: NDArray[np.bool_], pixel_mm2: float, *, is_upwards: b
 
 
 def _key(folder: Path, options: PaintOptions, extent: tuple[float, float]) -> str:
-    """Return a key of all inputs of a painted volume: masks, options, extent and the painter's code."""
+    """Return a key of all inputs of a painted volume: masks, options, extent, and the painter's source code."""
     digest = hashlib.sha256(repr((options, extent)).encode())
     for path in sorted(folder.iterdir()):
         status = path.stat()
@@ -188,7 +194,7 @@ def _key(folder: Path, options: PaintOptions, extent: tuple[float, float]) -> st
 
 
 def cached(key: str, paint_thin: Callable[[], Scanned], folder: Path | None = None) -> Scanned:
-    """Return the volume stored under a key in a folder (default: a temporary one), or paint and store it."""
+    """Return the volume stored under ``key`` in ``folder`` (default: a temporary folder), or paint and store it."""
     folder = Path(tempfile.gettempdir()) / "carina-bench-hard" if folder is None else folder
     path = folder / f"{key}.npz"
     if not path.is_file():

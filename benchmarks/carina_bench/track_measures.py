@@ -1,8 +1,8 @@
-"""``carina bench track --only measures``: sections, forks and stenosis compared with the phantoms' exact truth.
+"""``carina bench track --only measures``: measured sections, forks and stenosis compared with phantoms' exact values.
 
-Diameters are compared section by section with the true diameter at the nearest point of a true axis; lengths and angles
-branch by branch, angles by the same definition on the true tree. *Coverage* is the share of sections whose true value
-lies within the reported error, which claims 95 %.
+The diameter of a section is compared with the true diameter at the nearest point of a true axis. Lengths and angles are
+compared branch by branch; angles have the same definition on the true tree. *Coverage* is the share of sections whose
+true value lies within the stated error, which is intended to hold for 95 %.
 """
 
 from __future__ import annotations
@@ -26,16 +26,20 @@ Row = dict[str, Any]
 Floats = NDArray[np.float64]
 
 SEEDS = range(1, 5)
+"""Seeds of the phantoms that are measured."""
 QUICK_SEEDS = range(1, 2)
+"""Seeds of the phantoms in a quick run."""
 SPACING_MM, NOISE_HU = 0.7, 25.0
+"""Spacing (mm) and standard deviation of the noise (HU) of the phantoms."""
 QUICK_SPACING_MM = 1.2
+"""Spacing of the phantoms in a quick run, mm."""
 SIZES_VOX = ((3, 4), (4, 6), (6, 10), (10, 99))
-"""Classes of lumen diameter, in voxels."""
+"""Classes of lumen diameter (lower and upper limit), voxels."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """True axes of a phantom as one list of points, 0.25 mm apart."""
+    """True axes of a phantom's airways as one array of points, 0.25 mm apart."""
 
     tree: AirwayTree
     points: Floats
@@ -45,7 +49,7 @@ class Truth:
 
     @classmethod
     def of(cls, phantom: Phantom) -> Truth:
-        """Return the truth of a phantom."""
+        """Return the true axes of a phantom."""
         tree = AirwayTree.from_json(phantom.truth)
         walls = {row["id"]: float(row["wall_mm"]) for row in phantom.truth["branches"]}
         columns: list[list[Floats]] = [[], [], [], []]
@@ -60,7 +64,7 @@ class Truth:
         return cls(tree, points, radius, wall, branch_of.astype(np.int64))
 
     def nearest(self, points: Floats) -> tuple[Floats, NDArray[np.int64]]:
-        """Return the distances (n,) of points from the true axes, and the indices of the nearest true points."""
+        """Return each point's distance (n,) from the true axes, and the index (n,) of the nearest point of an axis."""
         away, which = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
         for begin in range(0, len(points), 256):
             part = points[begin : begin + 256]
@@ -70,14 +74,17 @@ class Truth:
         return away, which
 
     def branch_along(self, branch: Branch) -> int | None:
-        """Return the true branch along which most of the middle half of a found branch lies."""
+        """Return the index of the true branch along which most of the middle half of a found branch runs.
+
+        The result is None if there is no such branch.
+        """
         count = len(branch.points)
         _, which = self.nearest(branch.points[count // 4 : max(count // 4 + 1, 3 * count // 4 + 1)])
         return Counter(self.branch[which].tolist()).most_common(1)[0][0] if count else None
 
 
 def run(quick: bool, say: Callable[[str], None]) -> list[Row]:
-    """Return the rows of this part (see ``carina_bench.track``)."""
+    """Return the rows of measured diameters, lengths, angles and stenosis (see ``carina_bench.track``)."""
     seeds, spacing = (QUICK_SEEDS, QUICK_SPACING_MM) if quick else (SEEDS, SPACING_MM)
     found: dict[str, list[Floats]] = {}
     seconds, edits, num_sections = [], [], 0
@@ -114,7 +121,7 @@ def run(quick: bool, say: Callable[[str], None]) -> list[Row]:
 
 
 def compared(phantom: Phantom, tree: AirwayTree, measures: TreeMeasures) -> dict[str, Floats]:
-    """Return found and true values in arrays by name; lengths in mm, angles in degrees."""
+    """Return measured and true values of sections and branches as arrays by name; lengths in mm, angles in degrees."""
     truth = Truth.of(phantom)
     along: dict[int, int | None] = {branch.id: truth.branch_along(branch) for branch in tree.branches}
     times = Counter(along.values())

@@ -1,8 +1,8 @@
-"""``carina bench track --only names``: names of bronchi compared with phantoms' truth, lobes with masks of patients.
+"""``carina bench track --only names``: names of bronchi compared with phantoms' truth, and lobes with patients' masks.
 
-A true segment is *right* if the tree's branch along it has its name; *wrong* if that branch has the name of another
-segment or of a stem; otherwise it has no name. Subsegments have no truth in the phantoms: their letters on the found
-tree are compared with those on the true tree, which the same rule assigned. ``track_confidence`` measures whether
+A true segment is *right* if the found branch along it has the segment's name. It is *wrong* if that branch has the name
+of another segment or of a stem. Otherwise it has no name. Phantoms have no true subsegments: the letters on the found
+tree are compared with those on the true tree, which the same rule assigned. ``track_confidence`` measures whether the
 confidence is a probability.
 """
 
@@ -27,20 +27,33 @@ __all__ = ["along", "lobe_lengths", "run", "tally"]
 
 Row = dict[str, Any]
 SEEDS = range(1, 21)
+"""Seeds of the phantoms whose bronchi are named."""
 QUICK_SEEDS = range(1, 3)
+"""Seeds of the phantoms in a quick run."""
 SPACING_MM, NOISE_HU = 0.7, 25.0
+"""Spacing (mm) and standard deviation of the noise (HU) of the phantoms."""
 LOBES = ("RUL", "RML", "RLL", "LUL", "LLL")
+"""Names of the five lobes of the lungs."""
 LOBE_FOLDER = "masks/thin_slice_lobes"
+"""Folder of the patients below CARINA_DATA_DIR."""
 LOBE_CASES = {"thin-slice patient 1": "Patient1", "thin-slice patient 2": "Patient2"}
-# At 1.8 mm the lobes of this patient extend beyond the roots of the bronchi of middle lobe and lingula: no limit.
+"""Patients whose lobes are compared under a limit: folder by name in the report."""
 OTHER_LOBE_CASES = {"patient 3, 1.8 mm": "Patient3"}
-# The segment mask excludes airways and vessels, so the lobe of a point is the majority in a ball around it.
+"""Patient whose lobes are compared without a limit: folder by name in the report.
+
+At 1.8 mm the lobes of this patient's masks extend beyond the roots of the bronchi of middle lobe and lingula.
+"""
 ROUND_MM = (0.0, 2.0, 4.0, 6.0, 8.0)
+"""Radii of the balls around a point in which the lobe's voxels are counted, mm.
+
+The masks exclude airways and vessels, so the lobe of a point is the majority in a ball.
+"""
 CLEAR_SHARE = 0.75
+"""Least share of a lobe among the labelled voxels of a ball that counts as a clear majority."""
 
 
 def run(quick: bool, say: Callable[[str], None]) -> list[Row]:
-    """Return the rows of this part (see ``carina_bench.track``)."""
+    """Return the rows of named segments, subsegments and lobes (see ``carina_bench.track``)."""
     seeds = QUICK_SEEDS if quick else SEEDS
     exact: Counter[str] = Counter()
     found: Counter[str] = Counter()
@@ -80,7 +93,7 @@ def run(quick: bool, say: Callable[[str], None]) -> list[Row]:
 
 
 def _true_tree(seed: int) -> AirwayTree:
-    # A small box, because only the truth is needed, which is always complete.
+    # The box is small, because only the truth is used, which is complete in every box.
     box = ((-10.0, -10.0, -10.0), (10.0, 10.0, 10.0))
     return AirwayTree.from_json(generate_phantom(seed=seed, spacing_mm=5.0, box_lps=box).truth)
 
@@ -91,12 +104,12 @@ def _is_segment(name: str | None) -> bool:
 
 
 def _variants(truth: AirwayTree) -> list[str]:
-    """Return the uncommon stems of a true tree."""
+    """Return the uncommon stems (anatomical variants) of a true tree."""
     return [stem for stem in ("RB1+2", "RB2+3", "RB9+10", "LB9+10") if stem in truth.names] or ["none"]
 
 
 def along(tree: AirwayTree, points: NDArray[np.float64]) -> int:
-    """Return the ID of the branch along which most of the points lie."""
+    """Return the ID of the branch along which most of the points (n, 3) are."""
     stacked = np.concatenate([branch.points for branch in tree.branches])
     owner = np.concatenate([np.full(len(branch.points), branch.id) for branch in tree.branches])
     nearest = [owner[int(np.argmin(((stacked - point) ** 2).sum(axis=1)))] for point in points]
@@ -104,7 +117,7 @@ def along(tree: AirwayTree, points: NDArray[np.float64]) -> int:
 
 
 def tally(truth: AirwayTree, named: AirwayTree) -> Counter[str]:
-    """Count right, wrong and missing names by kind of branch; for segments also by variant and by confidence."""
+    """Count right, wrong and missing names by kind of branch, and for segments by variant and by confidence as well."""
     counts: Counter[str] = Counter()
     labelled = name_tree(truth)
     for branch in truth.branches:
@@ -114,7 +127,7 @@ def tally(truth: AirwayTree, named: AirwayTree) -> Counter[str]:
         is_named = branch.name is not None
         if not is_named and (letters is None or not _is_segment(letters)):
             continue
-        # Only the middle of the branch: its ends lie in the lumens of its neighbours.
+        # Only the middle of a branch is compared, because its ends are inside the lumens of its neighbours.
         middle = branch.points[len(branch.points) // 3 : -max(len(branch.points) // 4, 1)]
         there = named.branch(along(named, middle))
         if not is_named:
@@ -186,9 +199,12 @@ def _lobe_row(case: str, data_dir: Path | None, folder: str) -> Row:
 
 
 def lobe_lengths(home: Path) -> Counter[str]:
-    """Return the length (mm) of the tree of the named airway mask, by whether its lobe agrees with the lobe masks."""
+    """Return the length of the airways in a patient's mask, mm, by agreement of their lobes.
+
+    The lobe of an airway's name is compared with the lobe masks.
+    """
     airway = next(p for p in (home / "BronchialTree.nii.gz", home / "BronchialTree.gz") if p.exists())
-    # Carina's own reader accepts a NIfTI that is named .gz, as one of these files is.
+    # One of the files is a NIfTI with the suffix .gz alone, which Carina's reader accepts.
     image = open_volume(airway)
     mask = image.hu_zyx > 0
     matrix = image.lps_from_ijk
@@ -218,7 +234,10 @@ def lobe_lengths(home: Path) -> Counter[str]:
 
 
 def _lobes_at(labels: NDArray[np.uint8], inverse: NDArray[np.float64], points: NDArray[np.float64]) -> list[str | None]:
-    """Return the lobe around each point: the first ball in which one lobe has a clear majority."""
+    """Return the lobe around each point (n, 3), or None.
+
+    The lobe is that of the smallest ball in which one lobe has a clear majority.
+    """
     rng = np.random.default_rng(0)
     ways = rng.normal(size=(40, 3))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""CTs painted from patients' masks, one patient after the other, each under the same table of conditions."""
+"""CTs painted from patients' masks; each patient is painted under each condition of one table."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ __all__ = ["CONDITIONS", "PATIENTS", "QUICK_CONDITIONS", "Condition", "painted_c
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """Scan parameters of a painted CT, and the kind of aims by which its result is judged."""
+    """Scan parameters of a painted CT, and the kind of limits by which its result is judged."""
 
     kind: str
-    """Key of its row in ``track_quality.AIMS``."""
+    """Key of the limits in ``track_quality.AIMS``."""
     options: PaintOptions
 
 
@@ -36,9 +36,11 @@ CONDITIONS: dict[str, Condition] = {
     "medium-3mm": Condition("painted 3 mm", PaintOptions(kernel="medium", slice_mm=3.0)),
     "medium-twigs": Condition("painted twigs", PaintOptions(kernel="medium", twigs_per_tip=2)),
 }
+"""Conditions (kernel, noise, movement, additions) by name."""
 QUICK_CONDITIONS = ("medium-25", "sharp-25")
+"""Names of the conditions in a quick run."""
 PATIENTS = ("Patient1", "Patient2", "Patient3", "lobes-Patient1", "lobes-Patient2")
-"""Patients whose masks are fine enough (0.46 to 0.70 mm) for airways of a millimetre."""
+"""Patients whose masks (0.46 to 0.70 mm) are fine enough to show airways of 1 mm diameter."""
 
 
 def painted_cases(
@@ -46,7 +48,7 @@ def painted_cases(
 ) -> Iterator[tuple[str, str, Volume, Truth]]:
     """Yield name, kind, CT and truth of each patient under each condition; report and skip patients without masks.
 
-    The scene is built once per patient; each condition only scans it with another kernel.
+    The scene of a patient is built once; each condition scans it with other parameters.
     """
     folders = mask_folders(data)
     for patient in patients:
@@ -67,7 +69,7 @@ def painted_cases(
 
 
 def truth_of_painted(made: Painted) -> Truth:
-    """Return the painted tubes, at their positions in the image, as truth."""
+    """Return the painted airways, at their positions in the image, as the truth of a case."""
     branches = []
     for tube in made.airways:
         points, radius = sampled(tube.points[tube.true_from :], tube.radius_mm[tube.true_from :])

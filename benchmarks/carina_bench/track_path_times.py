@@ -1,4 +1,4 @@
-"""Times of paths to nodes, measured inside the compiled module without the cost of Python calls."""
+"""Times of path requests, measured inside the compiled module without the cost of Python calls."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["time_paths", "unsolved_tracker"]
 
 
 def unsolved_tracker(airways: Airways) -> LumenTracker:
-    """Return a tracker over the lumen of airways, with their root and no settled node."""
+    """Return a tracker over the lumen of airways, with their root, in which no path has been computed."""
     return LumenTracker(
         airways.tracker.volume.hu_zyx,
         airways.tracker.grid.lps_from_ijk,
@@ -29,6 +29,9 @@ def unsolved_tracker(airways: Airways) -> LumenTracker:
 def time_paths(
     tracker: PathTracker | LumenTracker, nodes: Sequence[int] | NDArray[np.integer]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the time (ns) and the number of voxels of the path to each node; 0 voxels for an unsettled node."""
+    """Return the time in ns and the number of voxels of the path to each node.
+
+    The number is 0 for a node to which no path has been computed.
+    """
     core = tracker.core if isinstance(tracker, PathTracker) else tracker
     return time_lumen_paths(core, np.asarray(nodes, dtype=np.uint32))

@@ -1,9 +1,9 @@
 """``carina bench track --only shares``: share of airways that the search finds, by slice thickness and diameter.
 
-The calibrated shares of :mod:`carina.track.tree.thick_slices` are the least, mean and greatest shares of the length
+The calibrated shares of :mod:`carina.track.tree.thick_slices` are the least, mean and largest shares of the length
 found in the painted CTs of ``--only hard`` (five patients, three kernels) and in phantoms. One held-out patient and one
-held-out phantom validate them. Real CTs show the shares of patients (airways that readers list, by their listed
-calibre).
+held-out phantom validate them. Of real CTs, the rows give the found share of the airways that readers list, by the
+calibre that the readers measured.
 """
 
 from __future__ import annotations
@@ -33,19 +33,27 @@ Row = dict[str, Any]
 Lengths = NDArray[np.float64]
 
 CALIBRES = tuple(SHARES)
+"""Classes of airway diameter (calibres), mm."""
 HELD_PATIENT = "lobes-Patient3"
+"""Patient that is held out for the validation."""
 PHANTOMS = {"fit": (1, 2), "held": (11,)}
+"""Seeds of the phantoms for the fit, and of those held out."""
 PHANTOM_SLICES_MM = (1.5, 2.0, 2.5, 3.0, 5.0)
+"""Slice thicknesses of the phantoms, mm."""
 PIXEL_MM, NOISE_HU = 0.7, 25.0
+"""Spacing in plane (mm) and standard deviation of the noise (HU) of the phantoms."""
 OVERLAPPING = ("3mm-every-2mm", "5mm-every-2.5mm")
+"""Names of overlapping slices: thickness and distance."""
 LEAST_LENGTH_MM = 30.0
-"""Least length of a calibre in a case, mm; a shorter one is not measured."""
+"""Least length of the true airways of a calibre in a case, mm; below it no share is measured."""
 MOST_OUTSIDE = 0.05
+"""Largest distance of a measured share from the range of calibrated shares."""
 CASES = (*PATIENTS, HELD_PATIENT, "phantoms", "real")
+"""Values that ``--case`` accepts: patients, phantoms, or real CTs."""
 
 
 def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
-    """Return a row for each calibre and slice thickness, then for each held-out case and calibre."""
+    """Return a row for each calibre and slice thickness, then one for each held-out case and calibre."""
     fitted: dict[tuple[float, int], list[float]] = {}
     held: list[Row] = []
     for name, part, slices_mm, volume, truth in _cases(quick, say, cases):
@@ -67,7 +75,7 @@ def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
 
 
 def table_of(fitted: dict[tuple[float, int], list[float]]) -> Iterator[Row]:
-    """Yield the least, mean and greatest share of each thickness and calibre in %, with the calibrated ones."""
+    """Yield the least, mean and largest share found, by thickness and calibre in %, beside the calibrated shares."""
     for (slices_mm, number), shares in sorted(fitted.items()):
         known = calibrated_shares(slices_mm)[number]
         yield {
@@ -94,7 +102,7 @@ def _held_row(name: str, number: int, slices_mm: float, share: float) -> Row:
 
 
 def _real_rows(say: Say) -> Iterator[Row]:
-    """Yield the found share of the length that readers list in each real CT, by calibre."""
+    """Yield by calibre the share of the length listed by readers that the search finds in each real CT."""
     data = load_settings().data_dir
     assert data is not None
     for ct in CTS:
@@ -125,7 +133,7 @@ def _title(number: int) -> str:
 
 
 def length_by_calibre(volume: Volume, truth: Truth, found_zyx: NDArray[np.bool_]) -> tuple[Lengths, Lengths]:
-    """Return the found and the total length of true airways, mm, by the calibres of :data:`CALIBRES`."""
+    """Return the found and the total length of true airways, mm, for each of :data:`CALIBRES`."""
     lengths = np.zeros((2, len(CALIBRES)))
     for branch in truth.branches:
         inside = is_near(found_zyx, volume, branch.points, 0.5 * max(volume.spacing_mm))
@@ -139,7 +147,10 @@ def length_by_calibre(volume: Volume, truth: Truth, found_zyx: NDArray[np.bool_]
 
 
 def _cases(quick: bool, say: Say, cases: Sequence[str]) -> Iterator[tuple[str, str, float, Volume, Truth]]:
-    """Yield name, part, effective thickness of the slices, CT and truth; overlapping slices validate the thickness."""
+    """Yield name, part (fit or held), effective slice thickness, CT and truth of each case.
+
+    Overlapping slices test the effective thickness.
+    """
     data = load_settings().data_dir
     if data is None or not data.is_dir():
         raise NoResultError("no masks to paint CTs from: CARINA_DATA_DIR names no folder")

@@ -1,11 +1,11 @@
-"""``carina bench track --only statements``: the truth of statements about disease, tubes and the larynx.
+"""``carina bench track --only statements``: whether statements about disease, tubes and the larynx are true.
 
 A *statement* is an uncertain place or an absence that names a disease (a stump, a blocked or a filled bronchus), or a
-badge that names a tube or the larynx. A statement is true if the case was generated with this finding there. In real
-CTs the truth is what readers list: a disease in an airway that a reader can follow beyond the place is false; any other
-statement of a real CT is printed for review and not counted.
+badge that names a tube or the larynx. A statement is true if the case was generated with such a finding near the stated
+place. In a real CT a stated disease is false if readers list an airway that continues beyond the stated place; any
+other statement of a real CT is printed for review and not counted.
 
-A segment that the search did not name must be in the list of absences, itself or with its lobe.
+Each segment that the search did not name must be in the list of absences, or its lobe must be.
 """
 
 from __future__ import annotations
@@ -36,44 +36,53 @@ Row = dict[str, Any]
 Points = NDArray[np.float64]
 
 DISEASES = {"resected": "stump", "stump": "stump", "blocked": "filled", "filled": "filled"}
-"""Kinds of absences and of uncertain places that state a disease, and the kind of finding that makes them true.
+"""Kind of finding that makes a statement true, by the kind of absence or uncertain place that states a disease.
 
 The text of a stump is *it was resected, or a tumour or mucus fills it*, so a filled bronchus makes it true as well.
 """
 BADGES = {"track.tube": "tube", "track.larynx": "larynx"}
+"""Kind of finding that makes a badge true, by the badge."""
 REACH_MM = 10.0
-"""A statement is about a finding at most this far away."""
+"""Largest distance between the place of a statement and a finding that makes it true, mm."""
 PASSED_MM = 5.0
-"""In a real CT a disease is false if a listed airway passes its place and continues for this length."""
+"""Length by which a listed airway continues beyond the place of a stated disease that is therefore false, mm."""
 BLUNT_END_MM = 5.0
-"""A place of a stump is at a blunt end of the phantom's airways if it is at most this far from the end."""
+"""Largest distance between the place of a stump and a blunt end of a phantom's airways that explains it, mm."""
 
 THIN_MM, THICK_MM = 1.0, 3.0
+"""Slice thicknesses of the phantoms, mm."""
 NUM_PEOPLE = 20
+"""Number of healthy phantoms that are searched."""
 NUM_PATIENTS_OF_A_FINDING = 4
+"""Number of phantoms that are searched with each kind of finding."""
 FILLED = ("RB6", "LB10", "RML", "LB6", "RB10")
+"""Bronchi that are filled in phantoms."""
 FLUID = ((1.0, 4.0, 9.0), (0.8, 4.0, 9.0))
-"""Share of the height, start and length in mm of the secretions."""
+"""Secretions: filled share of a section's height, and start and length along the bronchus, mm."""
 PAINTED = (("medium", "0.7mm"), ("medium", "2mm"), ("medium", "3mm"), ("sharp", "0.7mm"))
+"""Kernels and slices of painted patients."""
 LEAST_TRUE = 0.95
+"""Least share of statements that are true."""
 LEAST_NAMED = 0.9
+"""Least share of missed segments that are in the list of absences."""
 CASES = (*PATIENTS, "healthy", "resected", "filled", "tubes", "necks", "crops", "real")
+"""Values that ``--case`` accepts: painted patients, and kinds of phantoms or real CTs."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """A finding that a case was generated with."""
+    """Finding with which a case was generated."""
 
     kind: str
-    """``stump``, ``filled``, ``tube`` or ``larynx``."""
+    """Kind of finding: ``stump``, ``filled``, ``tube`` or ``larynx``."""
     points_lps: Points | None = None
-    """(n, 3) places of the finding; None where its kind is enough."""
+    """Places (n, 3) of the finding, LPS mm; None if a statement needs no place to be true."""
     lobe: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Statement:
-    """A statement of the search about the patient."""
+    """Statement of the search about the patient: kind, name and place."""
 
     kind: str
     lps: Points | None
@@ -83,33 +92,33 @@ class Statement:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A volume and what is true of its patient."""
+    """CT with the findings that its patient has."""
 
     name: str
     part: str
     volume: Volume
     facts: tuple[Fact, ...] = ()
     segments: tuple[str, ...] = ()
-    """Segments that are in the scan, where they are known."""
+    """Segments inside the scan; empty if they are not known."""
     listed: tuple[Points, ...] = ()
-    """Airways that readers list in a real CT."""
+    """Centrelines of the airways that readers list in a real CT, LPS mm."""
     blunt_ends: Points | None = None
-    """(n, 3) ends of a phantom's airways.
+    """Ends (n, 3) of a phantom's airways, LPS mm; None for other cases.
 
-    The airways of the last generation end in a closed wall, the widest at 6 mm: the place of a stump there is true, but
-    no finding that must be stated.
+    The airways of the last generation end in a closed wall, the widest with a diameter of 6 mm. A stump stated there is
+    true, but it is no finding that must be stated.
     """
 
 
 @dataclass(slots=True)
 class Counts:
-    """Sums over cases."""
+    """Sums of statements, findings and missed segments over cases."""
 
     num_true: int = 0
     num_false: int = 0
     num_unknown: int = 0
     num_at_blunt_ends: int = 0
-    """True places of a stump that are at a blunt end of a phantom's airways."""
+    """Number of true stumps whose place is at a blunt end of a phantom's airways."""
     named: Counter[str] = field(default_factory=Counter)
     facts: Counter[str] = field(default_factory=Counter)
     num_unreported: int = 0
@@ -117,7 +126,7 @@ class Counts:
 
 
 def statements_of(airways: Airways) -> list[Statement]:
-    """Return the statements about disease, tubes and the larynx of a result."""
+    """Return the statements of a search result about disease, tubes and the larynx."""
     found = [
         Statement(DISEASES[place.kind], np.array(place.lps), place.reason)
         for place in airways.uncertain
@@ -135,7 +144,7 @@ def statements_of(airways: Airways) -> list[Statement]:
 
 
 def fact_of(statement: Statement, facts: Sequence[Fact]) -> Fact | None:
-    """Return the finding that makes a statement true, None if there is none."""
+    """Return the finding of a case that makes a statement true; None if there is none."""
     for fact in facts:
         is_kind = fact.kind == statement.kind or {fact.kind, statement.kind} == {"filled", "stump"}
         if not is_kind:
@@ -150,7 +159,7 @@ def fact_of(statement: Statement, facts: Sequence[Fact]) -> Fact | None:
 
 
 def is_passed(statement: Statement, listed: Sequence[Points]) -> bool:
-    """Return whether a listed airway passes the place of a statement and continues beyond it."""
+    """Return whether a listed airway passes the place of a statement and continues beyond it by :data:`PASSED_MM`."""
     if statement.lps is None:
         return False
     for points in listed:
@@ -163,14 +172,17 @@ def is_passed(statement: Statement, listed: Sequence[Points]) -> bool:
 
 
 def is_at_blunt_end(statement: Statement, blunt_ends: Points | None) -> bool:
-    """Return whether the place of a stump, not the absence of a lobe, is at a blunt end of a phantom's airways."""
+    """Return whether a statement is a stump at a blunt end of a phantom's airways.
+
+    The absence of a lobe is never one.
+    """
     if blunt_ends is None or statement.lps is None or statement.lobe is not None or statement.kind != "stump":
         return False
     return bool(np.linalg.norm(blunt_ends - statement.lps, axis=1).min() <= BLUNT_END_MM)
 
 
 def judge(case: Case, airways: Airways, counts: Counts, say: Say) -> None:
-    """Add the statements, findings and missed segments of a case to the sums, and print what is false or missing."""
+    """Add the counts of a case to the sums, and print the false statements and the missing findings."""
     named: set[int] = set()
     for statement in statements_of(airways):
         fact = fact_of(statement, case.facts)
@@ -203,20 +215,20 @@ def judge(case: Case, airways: Airways, counts: Counts, say: Say) -> None:
 
 
 def _covers(name: str, segment: str) -> bool:
-    """Return whether a name such as RB1+3 holds the segment RB3."""
+    """Return whether the name of a stem such as RB1+3 contains the segment, such as RB3."""
     side, _, numbers = name.partition("B")
     own_side, _, own = segment.partition("B")
     return side == own_side and set(own.split("+")) <= set(numbers.split("+"))
 
 
 def _lobe(segment: str) -> str:
-    """Return the lobe of a segment such as RB3 or LB1+2."""
+    """Return the name of the lobe to which a segment such as RB3 or LB1+2 belongs."""
     first = segment.split("+", maxsplit=1)[0]
     return next(lobe for lobe, segments in LOBES.items() if first in segments)
 
 
 def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
-    """Return the shares of true statements, of findings that are stated, and of missed segments that are reported."""
+    """Return the shares of true statements, of stated findings, and of missed segments that are reported as absent."""
     counts: dict[str, Counts] = {}
     for case in _cases(quick, say, cases):
         try:
@@ -352,7 +364,7 @@ def _crops(num: int) -> Iterator[Case]:
         made = generate_phantom(seed=seed, spacing_mm=THIN_MM, noise_hu=25.0)
         carina = made.volume.to_ijk(np.zeros(3))
         i, _, k = (int(value) for value in np.rint(carina))
-        # The right lung lies at low i; the main bronchi of both sides stay in the scan by 25 mm.
+        # The right lung is at low i; the scan contains the first 25 mm of both main bronchi.
         parts = {
             "right lung": (slice(None), slice(None), slice(0, i + 25)),
             "left lung": (slice(None), slice(None), slice(i - 25, None)),
@@ -370,7 +382,7 @@ def _cut(volume: Volume, box: tuple[slice, slice, slice]) -> Volume:
 
 
 def _blunt_ends(made: Phantom) -> Points:
-    """Return (n, 3) ends of the airways of a phantom."""
+    """Return the ends (n, 3) of a phantom's airways, LPS mm."""
     return np.array([one["points"][-1] for one in made.truth["branches"] if not one["children"]])
 
 

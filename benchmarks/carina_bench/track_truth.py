@@ -1,4 +1,4 @@
-"""True airways for comparison with a found lumen: a phantom's axes, or the skeleton of a mask."""
+"""True airways with which a found lumen is compared: the axes of a phantom, or the skeleton of a mask."""
 
 from __future__ import annotations
 
@@ -17,18 +17,19 @@ __all__ = ["SPUR_MM", "TrueBranch", "Truth", "sampled", "truth_of_mask", "truth_
 Points = NDArray[np.float64]
 
 SPUR_MM = 5.0
-"""Length below which a side branch of a skeleton counts as a spur, an irregularity of the mask's surface."""
+"""Length below which a side branch of a skeleton counts as a spur (an artefact of the mask's surface), mm."""
 SAMPLE_MM = 0.25
+"""Largest distance between two points of a true centreline, mm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueBranch:
-    """Piece of true centreline between two forks, or a fork and a tip."""
+    """True centreline between two forks, or between a fork and a tip."""
 
     points: Points
     """Points (n, 3), LPS mm, at most 0.25 mm apart."""
     radius_mm: NDArray[np.float64]
-    """Radius (n,) of the true lumen at each point."""
+    """Radius (n,) of the true lumen at each point, mm."""
     generation: int
     parent: int | None = None
     """Index of the parent branch in the skeleton; None for the first branches and for a phantom's."""
@@ -36,18 +37,18 @@ class TrueBranch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """True airways of a case."""
+    """True airways of a case: branches, and voxels of the lumen."""
 
     lumen_zyx: NDArray[np.bool_]
     branches: tuple[TrueBranch, ...]
     knows_radius: bool
-    """Whether the radii are exact instead of measured in a mask."""
+    """Whether the radii are exact; otherwise they are measured in a mask."""
     touched_zyx: NDArray[np.bool_] | None = None
-    """Voxels that contain any lumen, if known; found voxels among them are not false."""
+    """Voxels (nz, ny, nx) that contain any lumen; None if unknown. A found voxel among them is not false."""
 
 
 def sampled(points: Points, radius_mm: NDArray[np.float64]) -> tuple[Points, NDArray[np.float64]]:
-    """Resample a line and its radii at even steps of at most 0.25 mm."""
+    """Return a line and its radii, resampled at even steps of at most 0.25 mm."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     at = np.linspace(0.0, along[-1], max(int(np.ceil(along[-1] / SAMPLE_MM)) + 1, 2))
     even = np.stack([np.interp(at, along, points[:, axis]) for axis in range(3)], axis=1)
@@ -55,7 +56,7 @@ def sampled(points: Points, radius_mm: NDArray[np.float64]) -> tuple[Points, NDA
 
 
 def truth_of_phantom(truth: dict[str, Any], lumen_zyx: NDArray[np.uint8], volume: Volume) -> Truth:
-    """Return the axes of a generated chest, inside the volume."""
+    """Return the parts of a phantom's axes inside the volume as the truth of a case."""
     branches = []
     for row in truth["branches"]:
         points, radius = sampled(np.array(row["points"]), np.array(row["radius"]))
@@ -66,9 +67,10 @@ def truth_of_phantom(truth: dict[str, Any], lumen_zyx: NDArray[np.uint8], volume
 
 
 def truth_of_mask(mask_zyx: NDArray[np.bool_], volume: Volume) -> Truth:
-    """Return the skeleton of the largest component of a mask (scikit-image), as a tree from its top, without spurs.
+    """Return the skeleton of the largest component of a mask (scikit-image), as a tree from its top without spurs.
 
-    Loops of the skeleton (a tube with a hole in its mask) are cut at the longest way round.
+    A tube with a hole in its mask gives a loop of the skeleton; a loop is cut where the two ways from the top are
+    longest.
     """
     measure: Any = importlib.import_module("skimage.measure")
     morphology: Any = importlib.import_module("skimage.morphology")
@@ -83,7 +85,7 @@ def truth_of_mask(mask_zyx: NDArray[np.bool_], volume: Volume) -> Truth:
     voxels = np.argwhere(morphology.skeletonize(part))
     sampling = np.array(volume.spacing_mm)[::-1]
     depth = ndimage.distance_transform_edt(part, sampling=sampling)
-    # Half a voxel less: the lumen ends between the last voxel inside and the first outside.
+    # Half a voxel is subtracted, because the lumen ends between the last voxel inside and the first voxel outside.
     radius = depth[tuple(voxels.T)] - 0.5 * float(np.cbrt(np.prod(sampling)))
     points = volume.to_lps((voxels[:, ::-1] + first_ijk).astype(np.float64))
     parents, order = _tree(voxels, points)
@@ -92,7 +94,10 @@ def truth_of_mask(mask_zyx: NDArray[np.bool_], volume: Volume) -> Truth:
 
 
 def _tree(voxels: NDArray[np.int64], points: Points) -> tuple[NDArray[np.int64], list[int]]:
-    """Return the predecessor of each skeleton voxel on the path from the top (-1: none), and a parents-first order."""
+    """Return the predecessor of each skeleton voxel on the path from the top, and the voxels with parents first.
+
+    The predecessor is -1 if there is none.
+    """
     sparse: Any = importlib.import_module("scipy.sparse")
     graphs: Any = importlib.import_module("scipy.sparse.csgraph")
     shape = voxels.max(axis=0) + 2
@@ -119,7 +124,10 @@ def _tree(voxels: NDArray[np.int64], points: Points) -> tuple[NDArray[np.int64],
 
 
 def _without_spurs(parents: NDArray[np.int64], order: Sequence[int], points: Points) -> NDArray[np.bool_]:
-    """Return which voxels remain when ends shorter than :data:`SPUR_MM` are removed, the shortest first."""
+    """Return for each voxel whether it remains after spurs are removed.
+
+    Ends shorter than :data:`SPUR_MM` are removed, the shortest first.
+    """
     kept = np.zeros(len(parents), dtype=np.bool_)
     kept[list(order)] = True
     children = np.zeros(len(parents), dtype=np.int64)

@@ -1,8 +1,8 @@
-"""Largest ball that passes through painted airways: the true narrowest diameter of a route.
+"""True narrowest diameter of a route through painted airways: that of the largest ball that passes.
 
 Painted lumens are tubes whose unions are rounded (:mod:`carina_bench.paint_tubes`). The wall is sampled as points on
-the tubes that no other tube covers. The ball at a point of a centreline is moved across the airway to the position
-where it is largest.
+the tubes that no other tube covers. The ball at a point of a centreline is moved perpendicular to the airway to the
+position where it is largest.
 """
 
 from __future__ import annotations
@@ -20,20 +20,25 @@ __all__ = ["largest_balls_mm", "lumen_wall", "widest_tubes_mm"]
 Floats = NDArray[np.float64]
 
 NUM_ROUND, NUM_CAP = 48, 9
+"""Number of points around a tube, and number of rings of points on a round end."""
 INSIDE_MM = 0.03
-"""Depth of a point of one tube inside another beyond which the point is not on the wall, mm."""
+"""Depth inside another tube beyond which a point of a tube's surface is not on the wall, mm."""
 MERGED_MM = 0.05
+"""Depth inside the rounded union of lumens beyond which a point is not on the wall, mm."""
 SHIFTS_MM = (0.5, 0.5, 0.5, 0.25, 0.12, 0.06, 0.03, 0.015)
+"""Shifts of the ball perpendicular to the airway, in the order in which they are tried, mm."""
 TRIES = 3
-"""Number of repetitions of each shift of the ball while the ball grows."""
+"""Largest number of repetitions of each shift; a shift is repeated as long as the ball grows."""
 AROUND_MM = 12.0
+"""Half side of the box around a point in which wall points limit the ball, mm."""
 CONTAINS = 0.9
-"""Fraction of a tube's radius: a point nearer to the axis than this counts as inside the tube."""
+"""Share of a tube's radius; a point nearer to the tube's axis than this share counts as inside the tube."""
 PART = 2000
+"""Number of points that are processed in one step, which limits the memory."""
 
 
 def lumen_wall(branches: Sequence[TrueBranch]) -> Floats:
-    """Return points (n, 3) of the wall of painted airways, LPS mm."""
+    """Return points (n, 3) on the wall of painted airways, LPS mm."""
     tubes = [one for one in branches if len(one.points) >= 2]
     low = [(one.points - one.radius_mm[:, None]).min(axis=0) for one in tubes]
     high = [(one.points + one.radius_mm[:, None]).max(axis=0) for one in tubes]
@@ -56,7 +61,7 @@ def lumen_wall(branches: Sequence[TrueBranch]) -> Floats:
 
 
 def largest_balls_mm(points: Floats, wall: Floats) -> Floats:
-    """Return the diameters (n,) of the largest balls across a line at each of its points, mm."""
+    """Return the diameter (n,) of the largest ball near each point of a centreline, mm."""
     ahead = np.gradient(points, axis=0) if len(points) > 2 else np.broadcast_to(points[-1] - points[0], points.shape)
     ahead = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
     near = wall[((wall > points.min(axis=0) - AROUND_MM) & (wall < points.max(axis=0) + AROUND_MM)).all(axis=1)]
@@ -84,7 +89,7 @@ def largest_balls_mm(points: Floats, wall: Floats) -> Floats:
 
 
 def widest_tubes_mm(points: Floats, branches: Sequence[TrueBranch]) -> Floats:
-    """Return the diameter (n,) of the widest tube that contains each point; NaN for points outside all tubes."""
+    """Return the diameter (n,) of the widest tube that contains each point, mm; NaN for a point outside all tubes."""
     axis = np.concatenate([one.points for one in branches])
     radius = np.concatenate([one.radius_mm for one in branches])
     own = np.concatenate([np.full(len(one.points), n) for n, one in enumerate(branches)])
@@ -99,7 +104,7 @@ def widest_tubes_mm(points: Floats, branches: Sequence[TrueBranch]) -> Floats:
 
 
 def _axes_across(forward: Floats) -> tuple[Floats, Floats]:
-    """Return two unit vectors (..., 3) perpendicular to directions (..., 3)."""
+    """Return two perpendicular unit vectors (..., 3) for each direction (..., 3), both perpendicular to it."""
     helper = np.where(np.abs(forward[..., :1]) < 0.8, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
     across = np.cross(forward, helper)
     across /= np.linalg.norm(across, axis=-1, keepdims=True)
@@ -127,7 +132,7 @@ def _surface(tube: TrueBranch) -> tuple[Floats, Floats]:
 
 
 def _outside_mm(tube: TrueBranch, points: Floats) -> Floats:
-    """Return the distance of points (n, 3) outside a tube, mm; below 0 inside it."""
+    """Return the distance (n,) of each point from the surface of a tube, mm; negative inside the tube."""
     found = np.empty(len(points))
     for begin in range(0, len(points), PART):
         part = points[begin : begin + PART]
@@ -137,7 +142,10 @@ def _outside_mm(tube: TrueBranch, points: Floats) -> Floats:
 
 
 def _merged(wall: Floats, outwards: Floats, tubes: Sequence[TrueBranch]) -> Floats:
-    """Return the wall at unions of lumens: moved outwards to the painter's surface, without covered points."""
+    """Return the wall with the points near unions of lumens moved outwards to the painter's rounded surface.
+
+    Points that another tube covers are removed.
+    """
     moved = wall.copy()
     within = np.flatnonzero(_merged_mm(moved, tubes) < -0.01)
     for _ in range(2):
@@ -147,7 +155,7 @@ def _merged(wall: Floats, outwards: Floats, tubes: Sequence[TrueBranch]) -> Floa
 
 
 def _merged_mm(points: Floats, tubes: Sequence[TrueBranch]) -> Floats:
-    """Return the distance of points outside the union of lumens as the painter computes it, mm."""
+    """Return the distance (n,) of each point from the rounded union of lumens, as the painter computes it, mm."""
     least = np.full(len(points), 50.0)
     for tube in tubes:
         other = _outside_mm(tube, points)

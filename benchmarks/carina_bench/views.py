@@ -1,4 +1,4 @@
-"""Measurements of ``carina bench render`` that compare leaping with brute force in several views."""
+"""Measurements of ``carina bench render`` that compare leaping with brute force in different views."""
 
 from __future__ import annotations
 
@@ -23,24 +23,26 @@ from carina_bench.scene import STEP_VOX, TRANSFER
 __all__ = ["never_slower"]
 
 PAIRS = 30
+"""Number of pairs of pictures (leaping, brute force) that are measured of each view."""
 SIZE = 256
+"""Width and height of a picture, pixels."""
 
 
 def _noisy(volume: Volume) -> Volume:
-    """Return the same chest with noise of 300 HU, in which the lumen is no uniform class."""
+    """Return the chest with added noise of 300 HU, so that the values of the lumen are in many classes."""
     noise = np.random.default_rng(7).normal(0.0, 300.0, volume.shape_zyx)
     values = np.clip(volume.hu_zyx + noise, -1024, 3000).astype(np.int16)
     return replace(volume, hu_zyx=values)
 
 
 def _static(volume: Volume) -> Volume:
-    """Return a volume of random values, in which neighbouring voxels have different classes."""
+    """Return a volume of random values, so that neighbouring voxels are in different classes."""
     values = np.random.default_rng(7).integers(-1000, -400, volume.shape_zyx).astype(np.int16)
     return replace(volume, hu_zyx=values)
 
 
 def _scenes(case: Case) -> Iterator[tuple[str, Renderer, AirwayView]]:
-    """Yield names, renderers and views: inside, in the wall, outside, dense, noisy, nearly clear."""
+    """Yield name, renderer and view of each scene: inside, in the wall, outside, dense, noisy, nearly clear."""
 
     def view(pose: Pose, **options: Any) -> AirwayView:
         return AirwayView(pose, **{"width": SIZE, "height": SIZE, "step_vox": STEP_VOX, **options})
@@ -64,7 +66,7 @@ def _scenes(case: Case) -> Iterator[tuple[str, Renderer, AirwayView]]:
     through = prepared(case.volume, transfer_preset("see-through"))
     yield "see-through wall", through, view(case.trachea)
     yield "see-through, from in front", through, view(front, fov_deg=40.0)
-    # Every value has a low opacity: nothing can be leaped, and no ray ends early.
+    # Every value has a low opacity, so nothing can be leaped and no ray ends early.
     fog_points = np.array([[-2000.0, 0.6, 0.6, 0.7, 0.004], [3000.0, 0.9, 0.8, 0.7, 0.01]])
     fog = prepared(case.volume, TransferFunction(points=fog_points, name="fog"))
     yield "dense: nothing is clear", fog, view(case.trachea)
@@ -78,7 +80,7 @@ def _scenes(case: Case) -> Iterator[tuple[str, Renderer, AirwayView]]:
 
 
 def never_slower(request: Request) -> list[dict[str, Any]]:
-    """Measure loads and time of leaping over brute force for each view (30 pairs in turn, one thread)."""
+    """Measure loads and times of leaping and of brute force for each view, in 30 alternating pairs on one thread."""
     rows = []
     for name in request["cases"]:
         case = open_case(name, poses=2, progress=progress_printer())

@@ -1,4 +1,4 @@
-"""VTK's CPU ray cast mapper and reslice, applied to Carina's scene."""
+"""VTK's CPU ray cast mapper and reslice filter, applied to Carina's scene for comparison."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["VtkCaster", "vtk_reslice"]
 
 def _modules() -> tuple[Any, Any]:
     vtk, support = importlib.import_module("vtk"), importlib.import_module("vtkmodules.util.numpy_support")
-    # One thread in both of VTK's thread pools.
+    # Both thread pools of VTK get one thread.
     vtk.vtkMultiThreader.SetGlobalMaximumNumberOfThreads(1)
     vtk.vtkSMPTools.SetBackend("Sequential")
     vtk.vtkSMPTools.Initialize(1)
@@ -27,13 +27,13 @@ def _modules() -> tuple[Any, Any]:
 
 
 def _grid_frame(volume: Volume) -> tuple[NDArray[np.int16], NDArray[np.float64]]:
-    """Return the values on a right-handed grid and ``lps_from_grid``.
+    """Return the values of a volume on a right-handed grid, and the matrix ``lps_from_grid``.
 
-    VTK's box stays axis-aligned, the camera moves.
+    VTK's box stays parallel to the axes, so the camera is moved instead.
     """
     values, matrix = volume.hu_zyx, volume.lps_from_ijk.copy()
     if np.linalg.det(matrix[:3, :3]) < 0:
-        # A mirrored grid would need a mirrored camera, so the order of its slices is reversed.
+        # A mirrored grid would need a mirrored camera, so the order of its slices is reversed instead.
         values = np.ascontiguousarray(values[::-1])
         matrix[:3, 3] += matrix[:3, 2] * (volume.shape_zyx[0] - 1)
         matrix[:3, 2] *= -1
@@ -42,11 +42,11 @@ def _grid_frame(volume: Volume) -> tuple[NDArray[np.int16], NDArray[np.float64]]
 
 
 class VtkCaster:
-    """Caster with ``vtkFixedPointVolumeRayCastMapper``: one thread, every pixel, given sample distance, shading on.
+    """Renderer that uses ``vtkFixedPointVolumeRayCastMapper``: one thread, every pixel, shading on.
 
-    ``cast`` measures casting without drawing the picture in a window, which VTK does by OpenGL; ``cast_and_show``
-    includes it. The constructor renders the first picture, which computes gradients for every voxel, outside the
-    measurement.
+    ``cast`` only casts the rays; ``cast_and_show`` also draws the picture in a window, which VTK does by OpenGL. The
+    constructor renders a first picture, which computes the gradients of all voxels, so that they are not measured
+    later.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class VtkCaster:
         image = vtk.vtkImageData()
         image.SetDimensions(nx, ny, nz)
         image.SetSpacing(*volume.spacing_mm)
-        # HU are int16; values shifted to uint16 save the mapper a multiplication per sample.
+        # CT values are int16; shifted to uint16 they save the mapper a multiplication per sample.
         offset = int(values.min()) if unsigned else 0
         kind = vtk.VTK_UNSIGNED_SHORT if unsigned else vtk.VTK_SHORT
         moved = np.subtract(values, offset, dtype=np.int32).astype(np.uint16) if unsigned else values
@@ -110,11 +110,11 @@ class VtkCaster:
         self._window.SetMultiSamples(0)
         self._window.SetSize(size, size)
         self._window.AddRenderer(self._renderer)
-        # VTK reads this memory without owning it, so a reference is necessary.
+        # VTK reads this memory without owning it, so this object must hold a reference.
         self._keep = (image, moved, scalars)
 
     def look(self, pose: Pose) -> None:
-        """Set the camera and render one picture without measurement."""
+        """Set the camera and render one picture, which is not measured."""
         grid_from_camera = self._grid_from_lps @ pose.lps_from_camera
         position, forward, down = (grid_from_camera[:3, column] for column in (3, 2, 1))
         camera = self._renderer.GetActiveCamera()
@@ -126,7 +126,7 @@ class VtkCaster:
         self._window.Render()
 
     def cast(self) -> None:
-        """Cast one frame: the mapper's own ``Render`` without the drawing of its picture."""
+        """Cast one picture without drawing it in a window."""
         nothing, box = [0.0, 0.0, 0.0], [0, 0, 0, 0, 0, 0]
         self._mapper.PerImageInitialization(self._renderer, self._actor, 0, nothing, nothing, box)
         self._mapper.PerVolumeInitialization(self._renderer, self._actor)
@@ -134,11 +134,11 @@ class VtkCaster:
         self._mapper.RenderSubVolume()
 
     def cast_and_show(self) -> None:
-        """Render one frame in an offscreen window."""
+        """Cast one picture and draw it in an offscreen window."""
         self._window.Render()
 
     def picture(self) -> NDArray[np.uint8]:
-        """Return the content of the window, (size, size, 3) uint8."""
+        """Return the picture in the window, (size, size, 3) uint8."""
         grab = self._vtk.vtkWindowToImageFilter()
         grab.SetInput(self._window)
         grab.ReadFrontBufferOff()
@@ -151,7 +151,7 @@ class VtkCaster:
         return np.ascontiguousarray(rgb[::-1])
 
     def close(self) -> None:
-        """Release VTK's memory."""
+        """Release the memory that VTK holds."""
         self._window.Finalize()
         self._renderer.RemoveVolume(self._actor)
 
@@ -159,7 +159,10 @@ class VtkCaster:
 def vtk_reslice(
     volume: Volume, lps_from_pixel: NDArray[np.float64], width: int, height: int
 ) -> Callable[[], NDArray[np.int16]]:
-    """Return a function that samples a plane with ``vtkImageReslice``, linear, one thread: (height, width) int16."""
+    """Return a function that samples a plane of a volume with ``vtkImageReslice``: linear, one thread.
+
+    The function returns values (height, width) int16.
+    """
     vtk, support = _modules()
     values, lps_from_grid = _grid_frame(volume)
     nz, ny, nx = volume.shape_zyx
@@ -183,7 +186,7 @@ def vtk_reslice(
     reslice.SetInterpolationModeToLinear()
     reslice.SetBackgroundLevel(-1000)
     reslice.SetOutputSpacing(float(steps[0]), float(steps[1]), 1.0)
-    # Position of the pixel centre: the matrix maps pixel corners.
+    # ``lps_from_pixel`` maps pixel corners, VTK samples at pixel centres.
     reslice.SetOutputOrigin(0.5 * float(steps[0]), 0.5 * float(steps[1]), 0.0)
     reslice.SetOutputExtent(0, width - 1, 0, height - 1, 0, 0)
     reslice.SetNumberOfThreads(1)

@@ -1,4 +1,4 @@
-"""Rows of a benchmark as lines of text."""
+"""Texts of the reports of ``carina bench render`` and ``isoregion``: rows of a section as lines of text."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ Rows = list[dict[str, Any]]
 
 
 def frames(rows: Rows) -> list[str]:
-    """Return the lines of whole frames, ratios first, because ratios are comparable between machines."""
+    """Return the lines of the section of whole frames.
+
+    Ratios come first, because machines can be compared by ratios.
+    """
     lines = [
         "  512x512, step 0.5 voxel, shaded, one thread; all stop at VTK's 1/128 (leap/VTK also at Carina's 1/512)",
         "  CPU time, median over rounds (least); VTK without its window",
@@ -38,7 +41,7 @@ def frames(rows: Rows) -> list[str]:
 
 
 def small_frames(rows: Rows) -> list[str]:
-    """Return the lines of frames of 256 x 256."""
+    """Return the lines of the section of frames of 256 x 256."""
     return [
         f"  {row['case'][:14]:14} {row['look']:10} 256x256, two threads: {row['frames_per_s']:.0f} frames/s; "
         f"{row['frames_per_s_on_two_free_cores']:.0f} by CPU time; load {row['load_average']} (the paper: 10)"
@@ -47,14 +50,14 @@ def small_frames(rows: Rows) -> list[str]:
 
 
 def views(rows: Rows) -> list[str]:
-    """Return the lines of leaping over brute force."""
+    """Return the lines of the section that compares leaping with brute force in several views."""
     lines = [f"  {'view':36} {'loads':>7} {'time':>7}  leap over brute force"]
     lines += [f"  {row['view'][:36]:36} {row['loads_ratio']:7.3f} {row['time_ratio']:7.3f}" for row in rows]
     return lines
 
 
 def first_frame(rows: Rows) -> list[str]:
-    """Return the lines of the time from a volume in memory to the first picture."""
+    """Return the lines of the section that measures the time from a volume in memory to the first picture."""
     lines = []
     for row in rows:
         wall = row["wall_ms"]
@@ -69,7 +72,7 @@ def first_frame(rows: Rows) -> list[str]:
 
 
 def paper(rows: Rows) -> list[str]:
-    """Return the lines of leaping over brute force in the paper's setting."""
+    """Return the lines of the section that compares leaping with brute force in the paper's setting."""
     lines = [
         "  speed-up of leaping (always: also where it does not pay); the paper: 1.7 to 3.0, error 0.0 %",
         f"  {'volume':14} {'transfer':8} {'view':15} {'time':>6} {'always':>6} {'steps':>6}  difference",
@@ -83,7 +86,7 @@ def paper(rows: Rows) -> list[str]:
 
 
 def beside(rows: Rows) -> list[str]:
-    """Return the lines of the comparison of one function with its peer."""
+    """Return the lines of a section that compares one function of Carina with that of another program."""
     lines = []
     for row in rows:
         times = ", ".join(f"{key} {value['median']:.4g} ms" for key, value in row["cpu_ms"].items())
@@ -97,7 +100,7 @@ def beside(rows: Rows) -> list[str]:
 
 
 def prepared(rows: Rows) -> list[str]:
-    """Return the lines of the time from HU to the map, all threads."""
+    """Return the lines of the section that measures the time from CT values to the map, on all threads."""
     return [
         f"  {row['case'][:14]:14} {row['wall_ms']['median']:.0f} ms (least {row['wall_ms']['min']:.0f}); "
         f"CPU time {row['cpu_ms']['median']:.0f}"
@@ -106,7 +109,7 @@ def prepared(rows: Rows) -> list[str]:
 
 
 def memory(rows: Rows) -> list[str]:
-    """Return the lines of the server's peak memory."""
+    """Return the lines of the section that measures the server's peak memory."""
     return [
         f"  {row['case'][:14]:14} peak {row['peak_bytes'] / 2**20:.0f} MiB, {row['times_volume']:.2f} times the volume "
         f"({row['volume_bytes'] / 2**20:.0f} MiB); {row['peak_bytes_at_start'] / 2**20:.0f} MiB before a case"

@@ -1,4 +1,4 @@
-"""Runner of one section of a benchmark in a process of its own: ``python -m carina_bench.worker REQUEST``."""
+"""Worker process that runs one section of a benchmark: ``python -m carina_bench.worker REQUEST``."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["child_environment", "run_section"]
 
 
 def child_environment() -> dict[str, str]:
-    """Return the environment of a process that imports this package, which is not installed."""
+    """Return environment variables with which a child process can import this package, which is not installed."""
     found = str(Path(__file__).resolve().parent.parent)
     others = os.environ.get("PYTHONPATH")
     return {**os.environ, "PYTHONPATH": os.pathsep.join([found, others] if others else [found])}
@@ -32,14 +32,14 @@ def run_section(function: str, request: dict[str, Any], *, threads: int | None =
     function
         Function in this package, such as ``render:frames``.
     request
-        JSON values.
+        Argument of the function, as JSON values.
     threads
         Number of threads of the compiled module; default: all cores.
 
     Raises
     ------
     CarinaError
-        The section's own error (code, message and exit code), or an error if the process died.
+        The error of the section (code, message and exit code), or an error that states that the process died.
     """
     with tempfile.TemporaryDirectory(prefix="carina-bench-") as scratch:
         result = Path(scratch) / "result.json"
@@ -48,7 +48,7 @@ def run_section(function: str, request: dict[str, Any], *, threads: int | None =
         if threads is not None:
             environment["RAYON_NUM_THREADS"] = str(threads)
         command = [sys.executable, "-m", "carina_bench.worker", message]
-        # The output of libraries goes to stderr, because stdout is for the report.
+        # The output of libraries goes to stderr, because stdout contains only the report.
         done = subprocess.run(command, env=environment, stdout=sys.stderr, check=False)
         if done.returncode == CANCELLED:
             raise KeyboardInterrupt
@@ -63,6 +63,7 @@ def run_section(function: str, request: dict[str, Any], *, threads: int | None =
 
 
 CANCELLED = 130
+"""Exit code of a process that was cancelled."""
 
 
 def _main() -> int:

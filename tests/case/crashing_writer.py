@@ -17,7 +17,7 @@ ACTS = ("key", "look", "gaze", "rename", "undo", "redo", "key", "look")
 
 
 def acts_of(seed):
-    """Yield the names of random actions, each with a number generator; equal seeds yield equal actions."""
+    """Yield the names of random actions, each with a random number generator; equal seeds yield equal actions."""
     rng = np.random.default_rng(seed)
     while True:
         yield ACTS[rng.integers(len(ACTS))], lambda n: int(rng.integers(n))

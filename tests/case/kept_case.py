@@ -39,7 +39,7 @@ def source_of(case: EditCase) -> SourceFacts:
 
 
 class Doing:
-    """Simulated user that edits a case without a session."""
+    """Simulated user who edits a case without a session."""
 
     def __init__(self, case: EditCase | None = None) -> None:
         self.case = case or edit_case()
@@ -60,7 +60,7 @@ class Doing:
 
     @classmethod
     def of(cls, moment: Moment, case: EditCase) -> Doing:
-        """Return a simulated user that continues from a saved moment."""
+        """Return a simulated user who continues from the saved content of a case."""
         made = cls.__new__(cls)
         made.case, made.history, made.sight = case, moment.history(), moment.sight
         made.numbers, made.at_s = dict(moment.numbers), 100.0
@@ -125,7 +125,7 @@ class Doing:
             )
 
     def measure(self) -> None:
-        """Measure the shown airways, starting from the measures of the previous step as a session does."""
+        """Measure the shown airways, starting from the measures of the previous step, as a session does."""
         if self.measured.of(self.airways) is not None:
             return
         before = self.history.documents()[max(self.history.position - 1, 0)].airways
@@ -210,7 +210,7 @@ ACTS = (
 
 
 def act(doing: Doing, name: str, number: Any) -> None:
-    """Perform one action by its name."""
+    """Let the simulated user perform the action ``name``; ``number(n)`` chooses one of n values."""
     if name in {"undo", "redo", "fold", "measure"}:
         getattr(doing, name)()
     elif name in {"target", "key", "look", "gaze"}:
@@ -274,7 +274,7 @@ def assert_same_airways(found: Airways, expected: Airways) -> None:
 
 
 def kept_file(path: Any) -> None:
-    """Write a case with all kinds of content, from which the permanent files in ``kept`` are made."""
+    """Write a case with all kinds of content; the permanent files in the folder ``kept`` are made by this function."""
     doing = Doing()
     rng = np.random.default_rng(7)
     acts = "measure target key cut measure look rename paint measure key undo redo add measure target gaze undo"
@@ -289,7 +289,7 @@ def kept_file(path: Any) -> None:
 
 
 def _read_again(command: Any) -> Any:
-    """Return the command as the file stores it: None for a brush narrower than 0.1 mm, which no window can send."""
+    """Return a command as it is read from the file; None for a brush that no window can send (below 0.1 mm)."""
     edit = getattr(command, "edit", None)
     return None if isinstance(edit, PaintLumen) and edit.radius_mm < 0.1 else command
 
@@ -326,7 +326,7 @@ def _measures(moment: Moment) -> list[Any]:
 
 
 def assert_same_moment(found: Moment | None, expected: Moment, case: EditCase, *, deep: bool = True) -> None:
-    """Assert that two moments are equal bit for bit; with ``deep`` false, compare the shown document only."""
+    """Assert that the contents of two cases are equal bit for bit; with ``deep`` false, only their shown documents."""
     assert found is not None
     for name in ("position", "sight", "tip", "scope", "search_status", "search_words", "person_moved", "numbers"):
         assert getattr(found, name) == getattr(expected, name), name

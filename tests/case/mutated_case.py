@@ -1,4 +1,4 @@
-"""Mutations of a case file with recomputed digests, so that only the checks of values can detect them."""
+"""Mutations of a case file whose digests are recomputed, so that only the checks of values can detect them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TEXT = (
 )  # fmt: skip
 BLOBS = (b"", b"\x00" * 40, deflated(b"\xff" * 512), deflated(b""))
 RAW = ("1e999", "-1e999", "NaN", "Infinity", "1e308", "-1e308", "1" * 400)
-"""Valid and invalid numbers in JSON notation."""
+"""Texts of numbers, valid and invalid in JSON, that replace a number of a case file."""
 VALUES = (
     -1, 0, 0.5, 2**63, 2**31, -1e9 - 1, 1e6 + 1, 1e300, True, None, "", "x" * 30_000, "\x1b[2J", "word", [], {}, [1, 2],
     {"a": 1},

@@ -1,4 +1,4 @@
-"""Content of a case file besides the saved moment: copies, recordings, plans, reports and the packed scan."""
+"""Tests of the content of a case file beside its history: copies, recordings, plans, reports and the packed scan."""
 
 from __future__ import annotations
 
@@ -37,14 +37,15 @@ def file(doing, tmp_path):
         yield file
 
 
-# Copies
+# Copies of a case file
 
 
 def test_copy_is_one_file_with_equal_content(file, doing, tmp_path):
     target = tmp_path / "named.carina"
     file.write_copy(target, ct_place="../ct")
     assert sorted(p.name for p in tmp_path.iterdir() if "named" in p.name) == ["named.carina"]
-    assert target.read_bytes()[18:20] == b"\x01\x01"  # the file format version says that no WAL journal is used
+    # This version of the file format states that no WAL journal is used.
+    assert target.read_bytes()[18:20] == b"\x01\x01"
     with CaseFile.open(target, read_only=True) as copy:
         assert_same_moment(copy.load(doing.case.volume), doing.moment(), doing.case)
         assert copy.source.path == "../ct"
@@ -61,7 +62,7 @@ def test_copy_contains_no_deleted_steps(tmp_path, doing):
     with CaseFile.create(tmp_path / "one.carina", source_of(doing.case)) as file:
         other = some_case(8, seed=9)
         file.save(other.moment())
-        # Replace the steps; the values that only the first moment used become unreachable.
+        # The steps are replaced, so that the values used only by the first content become unreachable.
         file.save(doing.moment())
         file.write_copy(tmp_path / "copy.carina")
     with CaseFile.create(tmp_path / "fresh.carina", source_of(doing.case)) as fresh:
@@ -89,7 +90,7 @@ def test_failed_copy_leaves_the_existing_file_unchanged(file, tmp_path):
     assert target.read_bytes() == before
 
 
-def test_new_case_file_is_private_and_never_replaces_a_file(file):
+def test_new_case_file_is_private_and_does_not_replace_a_file(file):
     assert stat.S_IMODE(file.path.stat().st_mode) == 0o600
     with pytest.raises(DiskError, match="already exists"):
         CaseFile.create(file.path, file.source)
@@ -100,7 +101,7 @@ def test_private_copy_is_readable_by_its_owner_only(file, tmp_path):
     assert stat.S_IMODE((tmp_path / "live.carina").stat().st_mode) == 0o600
 
 
-def test_scan_path_is_relative(file, doing):
+def test_path_of_the_scan_is_stored_relative_to_the_case_file(file, doing):
     for absolute in ("/data/ct", "C:\\data\\ct", "\\\\share\\ct"):
         with pytest.raises(UsageError, match="relative"):
             SourceFacts.of(doing.case.volume, "00", path=absolute)
@@ -113,7 +114,7 @@ def test_scan_path_is_relative(file, doing):
 
 
 def flown(file, doing, *, num_seconds=5, closes=True):
-    """Record a flight with ten moves per second."""
+    """Record a flight with ten moves per second in the case file; ``closes`` ends the recording."""
     pilot = Pilot(Navigator(Pose.looking((0.0, 0.0, 0.0), (0.0, 0.0, -1.0)), volume=doing.case.volume))
     sink = file.record("first flight", begun_s=12.0)
     recorder = Recorder(pilot, sink, case={"digest": "00"}, carina="1", now_s=100.0, view={"shading": True})
@@ -142,7 +143,7 @@ def test_recording_is_stored_in_pieces_of_a_second_and_can_be_replayed(file, doi
     connection.close()
 
 
-def test_interrupted_recording_is_kept_up_to_its_last_piece(file, doing):
+def test_interrupted_recording_contains_all_moves_up_to_its_last_stored_piece(file, doing):
     flown(file, doing, closes=False)
     (facts,) = file.recordings()
     assert not facts.complete
@@ -176,7 +177,7 @@ def test_recordings_can_be_renamed_ordered_and_deleted(file, doing):
 # Plans and reports
 
 
-def test_plans_and_reports_are_stored(file):
+def test_plans_and_reports_are_read_back_from_the_case_file(file):
     assert file.extra("report") == ()
     file.set_extra("report", ({"words": "größer"}, [1.5, None]))
     file.set_extra("plan", ("one",))
@@ -185,11 +186,11 @@ def test_plans_and_reports_are_stored(file):
     assert (file.extra("report"), file.extra("plan")) == ((), ("one",))
 
 
-# Another order of the axes
+# Scans with another order of the axes
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1), (1, 0, 2)])
-def test_same_scan_with_permuted_axes_shows_the_same_airways(file, doing, order):
+def test_case_opened_with_permuted_axes_of_its_scan_has_equal_airways(file, doing, order):
     volume = doing.case.volume
     # The axes i, j, k of the new volume are permuted axes of the old one; the first is reversed.
     shape = volume.shape_zyx[::-1]
@@ -213,11 +214,11 @@ def test_same_scan_with_permuted_axes_shows_the_same_airways(file, doing, order)
     tip = expected.airways.tree.tips()[0].points[-1]
     ways = [a.tracker.path_to(tip) for a in (one, other)]
     np.testing.assert_allclose(ways[0].voxel_path_lps[[0, -1]], ways[1].voxel_path_lps[[0, -1]], atol=1e-6)
-    # Of nearly equal paths through neighbouring voxels, the search may choose another one.
+    # Of nearly equal paths through neighbouring voxels the search may choose another one.
     assert ways[0].length_mm == pytest.approx(ways[1].length_mm, rel=0.02)
 
 
-def test_another_scan_is_refused(file, doing):
+def test_case_opened_with_another_scan_is_refused(file, doing):
     volume = doing.case.volume
     moved = volume.lps_from_ijk.copy()
     moved[0, 3] += 0.5
@@ -244,7 +245,7 @@ def packed(doing, folder, volume):
 def test_packed_scan_is_restored_voxel_by_voxel(doing, tmp_path, monkeypatch):
     monkeypatch.setattr("carina.case.packed_ct.CHUNK_BYTES", 5000)
     values = doing.case.volume.hu_zyx.copy()
-    values[0, 0, :4] = (-32768, 32767, -32768, 32767)  # differences that exceed 16 bits
+    values[0, 0, :4] = (-32768, 32767, -32768, 32767)  # The differences of these values exceed 16 bits.
     volume = Volume(values, doing.case.volume.lps_from_ijk)
     with CaseFile.open(packed(doing, tmp_path, volume), read_only=True) as file:
         found = file.packed_volume()

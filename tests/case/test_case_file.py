@@ -1,4 +1,4 @@
-"""Saving and opening a case: the content is equal bit for bit, and further edits have equal results."""
+"""Tests of saving and opening a case: the content is equal bit for bit, and further edits have equal results."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ sequences = st.lists(st.tuples(st.sampled_from(ACTS), st.integers(0, 2**32 - 1))
 
 
 def worked_on(acts, path, case=None):
-    """Perform actions on a case in memory and on one that is saved and reopened before each action; compare both."""
+    """Perform actions on two equal cases and compare them after each action.
+
+    One is only in memory, the other is saved and reopened before each action.
+    """
     doing = again = Doing(case)
     with CaseFile.create(path, source_of(doing.case)) as file:
         file.save(doing.moment())
@@ -32,7 +35,7 @@ def worked_on(acts, path, case=None):
                 act(one, name, lambda n, rng=rng: int(rng.integers(n)))
             file.save(again.moment())
             if place % 3 == 0:
-                file.save(again.moment())  # a second save without a change
+                file.save(again.moment())  # The second save has no change.
     assert_same_moment(again.moment(), doing.moment(), doing.case)
     with CaseFile.open(path, read_only=True) as file:
         assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
@@ -60,7 +63,7 @@ def test_reopening_before_each_action_does_not_change_the_case(acts, tmp_path_fa
     worked_on(acts, tmp_path_factory.mktemp("case") / "one.carina")
 
 
-def test_folded_branch_that_was_only_renamed_keeps_its_paths(tmp_path):
+def test_compressed_tree_with_a_renamed_branch_keeps_its_paths(tmp_path):
     worked_on([("rename", 3401), ("add", 1974794), ("root", 0), ("fold", 0)], tmp_path / "one.carina")
 
 

@@ -1,4 +1,4 @@
-"""Case files after a killed process, a full disk or a power failure: all saved content is present."""
+"""Tests of case files after a killed process, a full disk or a power failure: all saved content is present."""
 
 from __future__ import annotations
 
@@ -52,9 +52,10 @@ class Killing:
         )
 
     def kill_once(self, seed, last):
-        """Kill the writer at the output line ``last``.
+        """Kill the writer after it has written the output line ``last``.
 
-        Return the moment before its start, the number of the last saved action and of the last action whose save began.
+        Return the content before the writer's start, the number of the last action that was saved, and the number of
+        the last action whose save began.
         """
         with CaseFile.open(self.path, read_only=True) as file:
             before = file.load(self.doing.case.volume)
@@ -77,7 +78,7 @@ class Killing:
         return before, saved, saving
 
     def check(self, before, seed, saved, saving):
-        """Assert that the file has each confirmed save, no action that was not done, and is writable."""
+        """Assert that the file contains each confirmed save and no other action, and that it is writable."""
         with CaseFile.open(self.path) as file:
             found = file.load(self.doing.case.volume)
             done = found.numbers.get("acts", 0)
@@ -143,7 +144,7 @@ def test_power_failure_at_any_byte_of_the_journal_leaves_a_saved_moment(doing, b
     taken = tmp_path / "taken.carina"
     for cut in [0, 31, *rng.integers(0, len(journal), 20), *lengths]:
         taken.write_bytes(whole)
-        # The part of the journal that was not flushed may contain any bytes.
+        # The part of the journal that was not written to the disk may contain any bytes.
         rest = bytes(rng.integers(0, 256, 5000, dtype=np.uint8))
         taken.with_name("taken.carina-wal").write_bytes(journal[:cut] + rest)
         with CaseFile.open(taken) as file:
@@ -183,7 +184,7 @@ def test_full_disk_is_reported_and_the_last_save_remains(doing, begun, tmp_path)
         assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
 
 
-def test_read_only_file_is_reported(doing, begun):
+def test_save_to_a_read_only_case_file_is_reported(doing, begun):
     begun.chmod(0o400)
     with CaseFile.open(begun, read_only=True) as file:
         file.load(doing.case.volume)

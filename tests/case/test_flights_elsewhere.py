@@ -1,4 +1,4 @@
-"""Saving the recorded flights to another file while the disk of the case fails."""
+"""Tests of saving recorded flights to another file while the disk of the case fails."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WITHIN_S = 60.0
 
 
 class Refusing:
-    """Case file on a disk that accepts no writes; reads wait for ``may_read``."""
+    """Case file on a disk that refuses all writes; reads wait for the event ``may_read``."""
 
     def __init__(self, file):
         self._file = file
@@ -81,7 +81,7 @@ def test_stored_and_buffered_flights_are_written_to_another_file(file, doing, tm
             assert copy.recording(number).complete
 
 
-def test_unresponsive_disk_is_not_awaited_and_its_flights_are_counted(file, doing):
+def test_save_does_not_wait_for_an_unresponsive_disk_and_counts_its_flights(file, doing):
     flown(file, doing)
     (kept,) = file.recordings()
     waiting = RecordingWriter("waiting", 30.0, number=2)
@@ -111,7 +111,7 @@ def test_pieces_written_by_the_disk_meanwhile_are_not_duplicated(file, doing):
     assert num_missing == 0
 
 
-def test_unreadable_flight_does_not_affect_the_others(file, doing):
+def test_readable_flights_are_written_despite_an_unreadable_flight(file, doing):
     class Damaged(Refusing):
         def recording_text(self, recording_id):
             raise DiskError("cannot read the case", code="disk.error")

@@ -1,4 +1,7 @@
-"""Reading the live file of another process: each moment equals the saved one, and unchanged parts are not reread."""
+"""Tests of reading another process's live file: the content equals the saved one.
+
+Unchanged parts are not read again.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,7 @@ def labels(moment):
     return [step.label for step in moment.steps[: moment.position]]
 
 
-def test_each_moment_equals_the_saved_one_and_shares_unchanged_parts(live):
+def test_each_read_content_equals_the_saved_one_and_shares_unchanged_parts(live):
     volume, session, file = live
     follower = CaseFollower(file.path, volume)
     with pytest.raises(CaseFileError) as empty:
@@ -65,7 +68,7 @@ def test_each_moment_equals_the_saved_one_and_shares_unchanged_parts(live):
     back = follower.newest()
     assert labels(back) == []
     assert back.history().current.airways is found.airways
-    # Airways that are no longer shown are stored compressed.
+    # Airways of earlier steps are stored compressed.
     assert all(isinstance(step.document.airways, FoldedAirways) for step in back.steps)
 
     do_and_wait(session, c.Redo())
@@ -83,7 +86,7 @@ def test_file_whose_unused_rows_were_deleted_is_reread(live):
     do_and_wait(session, c.SetFov(110.0))
     saved(session, file)
     assert follower.newest().history().current.look.fov_deg == 110.0
-    # Undone and replaced steps leave rows behind, which are deleted when the file is closed.
+    # Undone and replaced steps leave rows that are no longer used; they are deleted when the file is closed.
     do_and_wait(session, c.Undo())
     do_and_wait(session, c.SetOutline("none"))
     saved(session, file)
@@ -97,7 +100,7 @@ def test_file_whose_unused_rows_were_deleted_is_reread(live):
     assert labels(newest) == labels(session.ask(c.MomentToKeep()))
 
 
-def test_another_scan_and_another_schema_are_refused(live):
+def test_follower_refuses_a_file_of_another_scan_or_schema(live):
     volume, session, file = live
     do_and_wait(session, c.OpenVolume(volume))
     saved(session, file)

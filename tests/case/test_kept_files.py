@@ -1,4 +1,4 @@
-"""Permanent case files of each schema: they open with all their content in every later version."""
+"""Tests of permanent case files of each schema: they open with all their content in every later version."""
 
 from __future__ import annotations
 
@@ -81,13 +81,13 @@ def _in_numbers(kept):
 
 
 def _stored_summary(summary):
-    """Return the figures of a branch as stored, including a stenosis that is not reported."""
+    """Return the figures of a branch as the file stores them, including a stenosis that is not reported."""
     stored = summary.measured_stenosis
     shown = {name: value for name, value in summary.to_json().items() if name != "min_error_mm"}
     return {**shown, "stenosis": None if stored is None else stored.to_json()}
 
 
-def test_there_is_a_permanent_file_of_each_schema():
+def test_each_schema_has_a_permanent_case_file():
     assert NAMES == ["schema-1", "schema-2"]
 
 
@@ -130,5 +130,5 @@ def test_stored_stenosis_within_its_error_is_neither_shown_nor_exported():
         assert (detail.measures.stenosis_percent is None) == (own.branch_id in within)
         assert (own.summary.stenosis is None) == (own.branch_id in within)
         assert "stenosis" not in repr(own.summary)
-        # The facts for a second save contain the stenosis as measured.
+        # The values for a second save contain the stenosis as it was measured.
         assert branch_facts(own, None).summary.stenosis is not None

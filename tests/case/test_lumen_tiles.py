@@ -1,4 +1,4 @@
-"""Conversion of a lumen mask to stored tiles and back."""
+"""Tests of the conversion of a lumen mask to stored tiles and back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Case files with one mutation and correct digests: each opens with its content, or is refused as damaged.
+"""Tests of case files with one mutation and correct digests: each opens with its content, or is refused as damaged.
 
 After each mutation, the start page opens and lists the case or shows a message.
 """
@@ -79,7 +79,7 @@ def mutated(made, path, seed):
 
 
 def opened(path, doing, again):
-    """Assert that a case file can be read completely, and that saving and reopening gives the same content."""
+    """Assert that a case file can be read completely, and that its content is equal after saving and reopening."""
     volume = doing.case.volume
     with CaseFile.open(path, read_only=True) as file:
         history, recordings = file.history(), file.recordings()
@@ -115,7 +115,7 @@ def opened(path, doing, again):
 
 
 def lesions(moment):
-    """Return the boundaries of the shown targets, as values that can be compared."""
+    """Return the boundaries of the targets of a case's shown document, as values that can be compared."""
     return [one.lesion and one.lesion.target.to_record() for one in moment.history().current.targets]
 
 
@@ -153,7 +153,7 @@ def where(trouble):
 
 
 def run(made, folder, seeds):
-    """Count the cases that open, are refused (by code) and are listed; also return a list of all other errors."""
+    """Return the numbers of cases that open, are refused (by code) and are listed, and a list of all other errors."""
     found, wrong = Counter(), []
     for seed in seeds:
         place = folder / str(seed)
@@ -181,7 +181,7 @@ def run(made, folder, seeds):
     return found, wrong
 
 
-def test_case_without_a_mutation_opens(made, tmp_path):
+def test_case_without_a_mutation_opens_and_is_listed(made, tmp_path):
     opened(made[1], made[0], tmp_path / "again.carina")
     assert start_page(made[1], tmp_path) == 1
 
@@ -189,7 +189,7 @@ def test_case_without_a_mutation_opens(made, tmp_path):
 def test_mutated_case_opens_or_is_refused_and_the_start_page_opens(made, tmp_path):
     found, wrong = run(made, tmp_path, range(NUM_MUTATIONS))
     assert wrong == [], "\n".join(wrong)
-    # The mutations must be neither all harmless nor all fatal.
+    # Some mutations must be harmless and some must be fatal.
     assert found["opened"] >= 5
     assert found["case.damaged"] >= 20
 

@@ -1,4 +1,4 @@
-"""A session with a real case file: edits, compressed steps, crashes, and undo after reopening."""
+"""Tests of a session with a real case file: edits, compressed steps, crashes, and undo after reopening."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from carina.track import CutBranch, PaintLumen, RenameBranch, edit_airways, meas
 from small_case import Background, Clock, SmallRenderer, small_parts
 
 EVENTS = []
-"""Lists of events, one list for each session in the order of their start."""
+"""Lists of received events, one list for each session, in the order in which the sessions started."""
 
 
 def started(folder, measure=None):
@@ -87,7 +87,7 @@ def document(session):
 
 
 @pytest.mark.parametrize("is_killed", [False, True])
-def test_undo_after_reopening_gives_the_same_steps_as_without_reopening(tmp_path, is_killed):
+def test_undo_steps_after_reopening_equal_those_without_reopening(tmp_path, is_killed):
     session, background = started(tmp_path)
     worked(session, background)
     assert session._saving.write_now()
@@ -125,7 +125,7 @@ def test_undo_after_reopening_gives_the_same_steps_as_without_reopening(tmp_path
     again.close()
 
 
-# Measures
+# Measures of the airways
 
 
 class Measuring:
@@ -237,7 +237,7 @@ def test_live_case_of_an_older_version_is_migrated_and_the_original_is_retained(
 
 
 def flown(session, clock, seconds):
-    """Record a flight with ten moves per second."""
+    """Record a flight of ``seconds`` with ten moves per second in the session."""
     for _ in range(10 * seconds):
         clock.now_s += 0.1
         session.do(Steer(0.5, 0.01, 0.02, 0.0))
@@ -320,7 +320,7 @@ def refused(*_arguments, **_options):
     raise DiskError("the disk is full", code="disk.full")
 
 
-def test_recording_refused_by_the_disk_stays_in_memory(tmp_path, monkeypatch):
+def test_recording_that_the_disk_does_not_store_stays_in_memory(tmp_path, monkeypatch):
     session, _ = started(tmp_path)
     session.do(RecordFlight())
     flown(session, session._core.clock, 2)

@@ -1,4 +1,4 @@
-"""SQLite journals beside a case file: they are checked before a copy or a replay."""
+"""Tests of SQLite journals beside a case file: they are checked before a copy or a replay."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ def closed(made, tmp_path):
 
 @pytest.fixture
 def killed(made, tmp_path):
-    """Return the path of a case with its journal."""
+    """Return the path of a case file with the journal that a killed writer has left."""
     shutil.copy(made[1] / "killed.carina-wal", tmp_path / "x.carina-wal")
     return Path(shutil.copy(made[1] / "killed.carina", tmp_path / "x.carina"))
 
 
 @pytest.fixture(autouse=True)
 def ends():
-    """Limit the time of a test, because a call that blocks on a pipe would never return."""
+    """Limit the time of a test, because a call that blocks on a pipe never returns."""
     if os.name != "posix":
         yield
         return
@@ -74,7 +74,7 @@ def openings(path):
 
 
 def refusals(path):
-    """Return the error of each way to open a case, and assert that all files are unchanged."""
+    """Return the error of each way to open a case file, and assert that all files are unchanged."""
     before = {one.name: one.stat() for one in path.parent.iterdir()}
     found = []
     for how, opens in openings(path).items():
@@ -133,7 +133,7 @@ def test_invalid_journal_is_not_replayed_and_is_renamed(made, closed, tail, cont
 
 @pytest.mark.parametrize("tail", ["-wal", "-journal"])
 @pytest.mark.parametrize("size", [0, 512, 5000])
-def test_empty_journal_or_journal_of_zeros_loses_nothing(made, closed, tail, size):
+def test_case_with_an_empty_journal_or_one_of_zeros_opens_completely(made, closed, tail, size):
     closed.with_name(closed.name + tail).write_bytes(bytes(size))
     for read_only in (True, False):
         with CaseFile.open(closed, read_only=read_only) as file:
@@ -141,7 +141,7 @@ def test_empty_journal_or_journal_of_zeros_loses_nothing(made, closed, tail, siz
 
 
 def test_journal_that_names_a_file_of_another_database_is_refused(closed, tmp_path):
-    # After the replay, SQLite deletes the file whose name is at the end of a rollback journal.
+    # After a replay SQLite deletes the file whose name is at the end of a rollback journal.
     victim = tmp_path / "work.txt"
     victim.write_text("years of work")
     pages = closed.stat().st_size // 4096

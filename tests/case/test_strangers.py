@@ -1,4 +1,4 @@
-"""Case files from untrusted sources: refusal of unknown tables and damaged content, migration, and rescue."""
+"""Tests of case files from untrusted sources: refusal of unknown tables and damage, migration, and rescue."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def changed(path, *statements):
 
 
 def looked_through(path, doing):
-    """Read everything that opening a case, loading it and undo can read."""
+    """Read everything that the opening of a case, loading it and undo read."""
     with CaseFile.open(path, read_only=True) as file:
         file.history()
         moment = file.load(doing.case.volume)
@@ -66,7 +66,7 @@ def looked_through(path, doing):
             file.recording(facts.recording_id)
 
 
-# Tables
+# Tables that the schema does not contain
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_tables_unlike_the_schema_are_refused(stranger, statement, read_only):
     assert stranger.read_bytes() == before
 
 
-def test_file_that_is_not_a_case_is_refused(tmp_path):
+def test_file_that_is_not_a_case_file_is_refused(tmp_path):
     for name, content in (("empty", b""), ("text", b"a letter" * 100), ("header", b"SQLite format 3\x00" + bytes(84))):
         path = tmp_path / f"{name}.carina"
         path.write_bytes(content)
@@ -198,7 +198,7 @@ def test_live_case_of_an_older_version_is_migrated_beside_its_original(made, str
     assert kept == before or ("cut, in the journal" in labels and has_journal)
 
 
-# Journals
+# Journals beside the case file
 
 
 def test_journal_of_a_case_opened_read_only_is_replayed_in_a_copy(made, tmp_path):
@@ -239,7 +239,7 @@ def test_damaged_journal_loses_only_its_own_changes(made, tmp_path):
         assert file.extra("plan") == ()
 
 
-# Content
+# Damaged content
 
 
 @pytest.mark.parametrize(
@@ -337,28 +337,28 @@ def spoil(made, tmp_path_factory, draw):
 
 @settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(draw=spoils)
-def test_flipped_bits_and_truncated_files_give_messages(made, tmp_path_factory, draw):
+def test_case_files_with_flipped_bits_or_truncation_are_refused_or_whole(made, tmp_path_factory, draw):
     spoil(made, tmp_path_factory, draw)
 
 
 @pytest.mark.soak
 @settings(max_examples=2000, deadline=None, suppress_health_check=list(HealthCheck))
 @given(draw=spoils)
-def test_flipped_bits_and_truncated_files_give_messages_thousands_of_times(made, tmp_path_factory, draw):
+def test_2000_case_files_with_flipped_bits_or_truncation_are_refused_or_whole(made, tmp_path_factory, draw):
     spoil(made, tmp_path_factory, draw)
 
 
-# Rescue
+# Rescue of a case file
 
 
-def test_undamaged_case_is_rescued_completely(made, stranger, tmp_path):
+def test_rescue_of_an_undamaged_case_restores_all_content(made, stranger, tmp_path):
     assert rescued(stranger, tmp_path / "rescued.carina") == ()
     with CaseFile.open(tmp_path / "rescued.carina") as file:
         assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
         assert file.recordings()[0].name == "flight"
 
 
-def test_rescue_lists_lost_parts_and_restores_the_others(made, stranger, tmp_path):
+def test_rescue_of_a_damaged_case_lists_lost_parts_and_restores_the_rest(made, stranger, tmp_path):
     doing = made[0]
     changed(
         stranger,

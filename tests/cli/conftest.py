@@ -16,14 +16,14 @@ from own_folders import own_folders
 
 @dataclass
 class Ended:
-    """Exit code and outputs of a command."""
+    """Exit code, standard output and standard error of a finished command."""
 
     code: int
     out: str
     err: str
 
     def json(self):
-        """Return the single JSON object on stdout; any other output on stdout is a failure."""
+        """Return the single JSON object on stdout; fail if stdout contains other text."""
         value = json.loads(self.out, parse_constant=lambda name: pytest.fail(f"{name} in JSON"))
         assert isinstance(value, dict)
         return value
@@ -50,7 +50,7 @@ def carina(monkeypatch, capfd, tmp_path):
 
 @pytest.fixture(scope="session")
 def phantom_folder(tmp_path_factory):
-    """Return the folder of a phantom with 2.5 mm voxels: small enough for every test, with the main airways."""
+    """Return the folder of a phantom with voxels of 2.5 mm, which every test can search, with the main airways."""
     folder = tmp_path_factory.mktemp("phantom")
     write_phantom(made_phantom(spacing_mm=2.5, generations=4), folder)
     return folder
@@ -58,5 +58,5 @@ def phantom_folder(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def ct(phantom_folder):
-    """Return the path of the phantom's CT."""
+    """Return the path of the phantom's CT file."""
     return phantom_folder / "ct.nii.gz"

@@ -1,7 +1,7 @@
-"""Run ``carina info``, ``airways``, ``export`` and ``plan`` on many files, and list outcomes outside the contract.
+"""Run ``carina info``, ``airways``, ``export`` and ``plan`` on many files, and list outcomes that violate the contract.
 
-Usage: ``python tests/cli/odd_files.py [--no-slices] FOLDER...`` prints one line for each wrong outcome. A child process
-runs the commands of a batch of files: after a crash of the child, the next one goes on with the next file.
+Usage: ``python tests/cli/odd_files.py [--no-slices] FOLDER...`` prints one line for each such outcome. A child process
+runs the commands of a batch of files. If it crashes, a new child process continues with the next file.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import Any
 EXIT_CODES = {0, 1, 2, 3, 4}
 """Exit codes that docs/contracts.md allows for a command that is not interrupted."""
 MACHINE = {"machine.", "disk."}
-"""Prefixes of the error codes that may end with exit code 1; every other refusal of a file has exit code 3."""
+"""Prefixes of the error codes with which a command may end with exit code 1; every other refusal has exit code 3."""
 MAX_MESSAGE = 2000
 LIMIT_S = 120.0
 BATCH = 12
@@ -34,8 +34,8 @@ POINT = "0,0,0"
 def inputs_in(folder: Path, *, slices: bool = True) -> list[Path]:
     """Return every file below a folder, and every folder with at least two files.
 
-    Without ``slices``, a folder with more than three files of one suffix counts as a series: of these files only the
-    first is returned.
+    Without ``slices``, a folder with more than three files of one suffix counts as a series, and only the first of
+    these files is returned.
     """
     found: list[Path] = []
     for root, _, names in os.walk(folder):
@@ -52,7 +52,7 @@ def inputs_in(folder: Path, *, slices: bool = True) -> list[Path]:
 
 
 def commands_for(path: Path, work: Path) -> list[list[str]]:
-    """Return the four commands that read a path as a CT, in the order of their run time."""
+    """Return the four commands that read ``path`` as a CT, those with the shortest run time first."""
     name = os.fspath(path)
     return [
         ["info", name, "--json"],
@@ -63,7 +63,7 @@ def commands_for(path: Path, work: Path) -> list[list[str]]:
 
 
 def as_target(path: Path, scan: Path, work: Path) -> list[list[str]]:
-    """Return the commands that read a path as a mask, a tree or a target of a scan."""
+    """Return the commands that read ``path`` as a mask, a tree or a target of the scan."""
     name = os.fspath(path)
     return [
         ["airways", str(scan), "--from-mask", name, "--json"],
@@ -99,7 +99,10 @@ def run_command(arguments: list[str]) -> tuple[int, str, str]:
 
 
 def outcome_problem(code: int, out: str, err: str) -> str | None:
-    """Return what is wrong with the outcome of a command with ``--json``; None if it obeys the contract."""
+    """Return a description of how the outcome of a command with ``--json`` violates the contract.
+
+    None if it does not.
+    """
     if "Traceback" in err or "internal error" in err + out:
         return f"exit {code}: {err.strip()[-300:]}"
     if code not in EXIT_CODES:
@@ -123,7 +126,7 @@ def outcome_problem(code: int, out: str, err: str) -> str | None:
 
 
 def run_batch(paths: list[Path], scan: Path | None, home: str, results: Any) -> None:
-    """Run all commands on some files and send (file, command, problem) for each."""
+    """Run all commands on the files ``paths``, and send (file, command, problem) for each to ``results``."""
     for kind in ("CACHE", "CONFIG", "DATA", "STATE"):
         os.environ[f"XDG_{kind}_HOME"] = f"{home}/{kind.lower()}"
     os.environ["CARINA_CACHE_GB"] = "0"
@@ -144,7 +147,7 @@ def run_batch(paths: list[Path], scan: Path | None, home: str, results: Any) -> 
 
 
 def problems(paths: list[Path], scan: Path | None = None) -> Iterator[str]:
-    """Run all commands on all files in child processes and yield a line for each wrong outcome."""
+    """Run all commands on all files in child processes; yield a line for each outcome that violates the contract."""
     context = multiprocessing.get_context("spawn")
     with tempfile.TemporaryDirectory() as home:
         waiting = [paths[n : n + BATCH] for n in range(0, len(paths), BATCH)]

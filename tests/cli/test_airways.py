@@ -1,4 +1,4 @@
-"""The commands ``carina airways`` and ``carina export``."""
+"""Tests of the commands ``carina airways`` and ``carina export``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def case(tmp_path_factory):
     return folder
 
 
-def test_airways_states_the_calibrated_shares_of_thick_slices(carina, tmp_path):
+def test_airways_of_thick_slices_states_the_calibrated_shares(carina, tmp_path):
     chest = made_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=4)
     write_phantom(chest, tmp_path)
     found = carina("airways", tmp_path / "ct.nii.gz", "--json")
@@ -59,13 +59,13 @@ def test_airways_reports_its_result_and_writes_tree_and_lumen(carina, case, tmp_
     words = carina("airways", case / "ct.nii.gz")
     assert "Trachea" in words.out
     assert "mm wide" in words.out
-    # A bronchus that its side branches divide into pieces is one row.
+    # A bronchus that is divided by its side branches is one row.
     heads = {row["row"] for row in report["branches"]}
     assert sum("mm long" in line for line in words.out.splitlines()) == len(heads)
     assert all(report["branches"][0].keys() == row.keys() for row in report["branches"])
 
 
-def test_lumen_of_another_tool_replaces_the_automatic_one(carina, case, tmp_path):
+def test_airways_uses_the_mask_of_another_tool_instead_of_a_search(carina, case, tmp_path):
     written = tmp_path / "lumen.nrrd"
     found = carina("airways", case / "ct.nii.gz", "--from-mask", case / "lumen.nii.gz", "--mask", written, "--json")
     assert found.code == 0
@@ -94,14 +94,14 @@ def test_ct_without_airways_exits_4_with_reason_and_remedy(carina, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["a.json", "a.vtp", "a.swc", "a.mrk.json", "a.nii.gz", "a.stl", "a.glb"])
-def test_export_writes_every_format(carina, case, tmp_path, name):
+def test_export_writes_a_file_in_each_tree_format(carina, case, tmp_path, name):
     ended = carina("export", case / "ct.nii.gz", "-o", tmp_path / name, "--json")
     assert ended.code == 0
     assert ended.json()["output"] == str(tmp_path / name)
     assert (tmp_path / name).stat().st_size > 500
 
 
-def test_export_of_a_given_tree_does_not_search(carina, case, tmp_path):
+def test_export_of_a_given_tree_runs_no_search(carina, case, tmp_path):
     truth = case / "truth.json"
     ended = carina("export", case / "ct.nii.gz", "--tree", truth, "-o", tmp_path / "t.swc", "--json")
     assert ended.code == 0
@@ -115,7 +115,7 @@ def test_export_of_a_given_tree_does_not_search(carina, case, tmp_path):
     assert "another patient" in ended.json()["error"]["message"]
 
 
-def test_unknown_suffix_is_refused_with_the_known_ones(carina, case, tmp_path):
+def test_export_with_an_unknown_suffix_is_refused_with_the_known_suffixes(carina, case, tmp_path):
     ended = carina("export", case / "ct.nii.gz", "-o", tmp_path / "a.txt", "--json")
     assert ended.code == 2
     assert ".glb" in ended.json()["error"]["message"]
@@ -141,7 +141,7 @@ def point(lps):
     return ",".join(f"{v:.3f}" for v in lps)
 
 
-def test_branch_without_evidence_exits_4_and_the_others_are_written(carina, lung_case, tmp_path):
+def test_added_branch_without_evidence_exits_4_and_other_branches_are_written(carina, lung_case, tmp_path):
     tree = tmp_path / "t.json"
     ended = carina(*lung_case, "--add-branch", point(in_plain_lung()), "-o", tree, "--json")
     assert ended.code == 4
@@ -157,7 +157,7 @@ def test_branch_without_evidence_exits_4_and_the_others_are_written(carina, lung
     assert report["drawn_mm"] == 0.0
 
 
-def test_diameters_are_the_measured_ones_with_their_errors(carina, lung_case):
+def test_airways_lists_measured_diameters_with_their_errors(carina, lung_case):
     volume = open_volume(lung_case[1])
     root = np.array([float(part) for part in lung_case[-1].split(",")])
     airways = find_airways(volume, root_lps=root, lumen_zyx=edit_case().airways.lumen_zyx)
@@ -190,7 +190,7 @@ def test_branch_added_without_evidence_is_labelled_in_every_output(carina, lung_
     header = sitk.ReadImage(str(lumen))
     assert any("drawn by hand" in header.GetMetaData(key) for key in header.GetMetaDataKeys())
     assert "drawn by hand: the CT shows no airway here" in carina(*arguments).out
-    # Other commands that read this tree report the branch too.
+    # Other commands that read the tree also report the branch that was drawn by hand.
     exported = carina("export", lung_case[1], "--tree", tree, "-o", lines)
     assert exported.code == 0
     assert "drawn by hand" in lines.read_text()

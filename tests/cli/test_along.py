@@ -1,4 +1,4 @@
-"""The command ``carina render`` for views along a route, X-ray views and thick slices."""
+"""Tests of the command ``carina render`` for views along a route, X-ray views and thick slices."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def picture(path):
 
 
 @pytest.mark.parametrize("view", ["straightened", "curved"])
-def test_view_along_the_route_to_a_branch_or_a_point(carina, ct, tree, tmp_path, view):
+def test_view_along_the_route_to_a_branch_or_a_point_is_written(carina, ct, tree, tmp_path, view):
     branches = json.loads(tree.read_text())["branches"]
     deepest = max(branches, key=lambda b: b["generation"])
     for to in (branches[1]["name"] or "1", str(deepest["id"]), RMB):
@@ -46,14 +46,14 @@ def test_view_along_the_route_to_a_branch_or_a_point(carina, ct, tree, tmp_path,
             assert np.median(rgb[100:300, 148:152]) < 110
 
 
-def test_airways_are_searched_for_if_no_tree_is_given(carina, ct, tmp_path):
+def test_view_along_the_route_searches_for_airways_if_no_tree_is_given(carina, ct, tmp_path):
     output = tmp_path / "x.png"
     ended = carina("render", ct, "--view", "straightened", f"--to={RMB}", "--turn", "90", "-o", output)
     assert ended.code == 0, ended.err
     assert picture(output).std() > 20
 
 
-def test_unreachable_target_is_reported(carina, ct, tree, tmp_path):
+def test_view_along_a_route_to_an_unreachable_target_is_refused(carina, ct, tree, tmp_path):
     output = tmp_path / "x.png"
     for more in ([], ["--tree", tree]):
         ended = carina("render", ct, "--view", "straightened", *more, f"--to={FAR}", "-o", output)
@@ -69,7 +69,7 @@ def test_unreachable_target_is_reported(carina, ct, tree, tmp_path):
     assert not output.exists()
 
 
-def test_c_arm_radiograph_has_orientation_letters(carina, ct, tmp_path):
+def test_radiographs_from_two_c_arm_directions_differ(carina, ct, tmp_path):
     frontal, lateral = tmp_path / "a.png", tmp_path / "b.png"
     assert carina("render", ct, "--view", "drr", "--size", "200x200", "-o", frontal).code == 0
     turned = ["--carm-primary", "-90", "--carm-secondary", "10", "--tone", "fluoroscopy"]

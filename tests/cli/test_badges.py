@@ -1,4 +1,4 @@
-"""Badges of a doubtful scan or tree: every command reports them and stores them in its output files."""
+"""Tests of the badges of a doubtful scan or tree: every command reports them and stores them in its output files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FOUND_CODES = [*CODES, "track.thick-slices"]
 
 @pytest.fixture(scope="module")
 def doubted(phantom_folder, tmp_path_factory):
-    """Return the phantom as floats with three NaN voxels, which causes a badge on import."""
+    """Return a file of the phantom with three NaN voxels, which causes a badge on import."""
     image = sitk.ReadImage(str(phantom_folder / "ct.nii.gz"))
     values = sitk.GetArrayFromImage(image).astype(np.float32)
     values[0, 0, :3] = np.nan
@@ -31,7 +31,7 @@ def doubted(phantom_folder, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def tree(phantom_folder, tmp_path_factory):
-    """Return the phantom's exact tree, written with a badge of its own."""
+    """Return a file of the phantom's exact tree with a badge of the tree."""
     truth = json.loads((phantom_folder / "truth.json").read_text())
     badge = {"code": "track.search-stopped", "words": "the search was stopped"}
     file = tmp_path_factory.mktemp("tree") / "tree.json"
@@ -62,7 +62,7 @@ def test_info_reports_the_badge_and_strict_exits_with_3(carina, doubted, ct):
     assert "import.not-numbers" in strict.err
 
 
-def test_airways_and_export_repeat_the_badge_and_strict_refuses(carina, doubted, tmp_path):
+def test_airways_and_export_report_the_badge_and_with_strict_exit_with_3(carina, doubted, tmp_path):
     file = tmp_path / "t.json"
     told(carina("airways", doubted, "-o", file, "--mask", tmp_path / "m.nrrd", "--json"), FOUND_CODES)
     assert [note.code for note in read_badges(file)] == FOUND_CODES
@@ -83,7 +83,7 @@ def test_badge_of_a_tree_is_copied_to_its_exports(carina, ct, doubted, tree, tmp
     assert [note.code for note in read_badges(tmp_path / "t.json")] == [*CODES, "track.search-stopped"]
 
 
-def test_picture_and_tracked_path_repeat_the_badges(carina, doubted, phantom_folder, tmp_path):
+def test_picture_and_tracked_path_contain_the_badges(carina, doubted, phantom_folder, tmp_path):
     picture = tmp_path / "a.png"
     told(carina("render", doubted, "--view", "axial", "--at", "0,0,0", "--size", "64x48", "-o", picture, "--json"))
     assert [note.code for note in read_png_badges(picture)] == CODES
@@ -98,7 +98,7 @@ def test_picture_and_tracked_path_repeat_the_badges(carina, doubted, phantom_fol
     assert [note.code for note in read_badges(file)] == FOUND_CODES
 
 
-def test_video_repeats_the_badges(carina, doubted, tree, tmp_path):
+def test_video_contains_the_badges(carina, doubted, tree, tmp_path):
     pytest.importorskip("av", reason="PyAV is not installed")
     ended = carina(
         "fly", doubted, "--tree", tree, "--to", "1", "-o", tmp_path / "a.mp4", "--size", "32x32", "--rate", "4",

@@ -1,4 +1,4 @@
-"""Parts of the benchmarks that need no other program: refusals, timing, limits and the compared scene."""
+"""Tests of the benchmarks without other programs: refusals, timing, limits and the compared scene."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_missing_extra_exits_1_with_the_installation_command(carina, monkeypatch
     assert not (tmp_path / "out").exists()
 
 
-def test_unknown_section_exits_2_and_lists_the_known_ones(carina, tmp_path):
+def test_unknown_benchmark_section_exits_2_and_lists_the_known_sections(carina, tmp_path):
     ended = carina("bench", "render", "--only", "everything", "--json", "-o", tmp_path / "out")
     assert ended.code == 2
     assert "frames" in ended.json()["error"]["message"]
@@ -49,7 +49,8 @@ def test_bench_from_a_wheel_states_where_the_benchmarks_are(carina, monkeypatch,
 
 
 def test_bench_in_a_checkout_runs_from_any_folder(tmp_path):
-    # Run a separate process, because the import path of the test process already has the folder.
+    # The test uses a separate process, because the import path of the test process contains the folder of the
+    # benchmarks.
     command = [sys.executable, "-m", "carina.cli", "bench", "isoregion", "--only", "nothing", "--json"]
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     ended = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
@@ -57,7 +58,7 @@ def test_bench_in_a_checkout_runs_from_any_folder(tmp_path):
     assert "map" in json.loads(ended.stdout)["error"]["message"]
 
 
-def test_functions_alternate_and_the_first_round_is_not_counted():
+def test_measured_functions_alternate_and_the_first_round_is_not_counted():
     calls = []
     times = take_turns({name: lambda n=name: calls.append(n) for name in "abc"}, 3)
     assert calls[:3] == ["a", "b", "c"]
@@ -65,7 +66,7 @@ def test_functions_alternate_and_the_first_round_is_not_counted():
     assert all(len(t.cpu_ms) == 3 for t in times.values())
 
 
-def test_ratios_are_taken_within_a_round():
+def test_speed_ratio_is_the_median_of_ratios_within_a_round():
     slow, fast = Times((10.0, 100.0, 20.0), (0.0,) * 3), Times((5.0, 50.0, 4.0), (0.0,) * 3)
     assert median_ratio(slow, fast) == 2.0
 
@@ -73,13 +74,13 @@ def test_ratios_are_taken_within_a_round():
 @pytest.mark.parametrize(
     ("figure", "better", "passed"), [(9.0, "higher", True), (8.99, "higher", False), (9.1, "lower", False)]
 )
-def test_gate_is_passed_at_its_limit(figure, better, passed):
+def test_figure_equal_to_its_limit_passes_the_gate(figure, better, passed):
     gate = Gate("frame", figure, 9.0, better)
     assert gate.passed is passed
     assert ("MISSED" in gate.line()) is not passed
 
 
-def test_pictures_are_compared_per_pixel(tmp_path):
+def test_difference_of_two_pictures_is_measured_per_pixel(tmp_path):
     a = np.zeros((2, 2, 3), np.uint8)
     b = a.copy()
     b[0, 0, 1], b[1, 1] = 3, 1
@@ -88,7 +89,7 @@ def test_pictures_are_compared_per_pixel(tmp_path):
 
 
 def test_opacity_table_of_the_baseline_equals_that_of_the_core():
-    # The two implementations are independent; they may differ by the rounding of float32.
+    # The two implementations are independent and may differ by the rounding of float32.
     from carina import _core
 
     step_mm = STEP_VOX * 0.7
@@ -98,7 +99,7 @@ def test_opacity_table_of_the_baseline_equals_that_of_the_core():
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7)
 
 
-def test_failed_section_ends_with_its_own_error(tmp_path):
+def test_failed_section_raises_the_error_of_its_process(tmp_path):
     request = {"cases": [str(tmp_path / "no-such-ct")], "poses": 2, "repeats": 1, "folder": str(tmp_path)}
     with pytest.raises(CarinaError, match="no-such-ct") as caught:
         run_section("render:small_frames", request, threads=1)
@@ -112,7 +113,7 @@ def test_section_runs_in_a_separate_process(tmp_path):
     assert rows[0]["frames_per_s"] > 0
 
 
-def test_projections_are_measured_compared_with_limits_and_reported(tmp_path):
+def test_section_projections_is_measured_and_reported_with_its_limits(tmp_path):
     request = {"cases": ["patient"], "repeats": 2, "folder": str(tmp_path)}
     rows = run_section("isoregion:projections", request, threads=1)
     section = SECTIONS["isoregion"]["projections"]

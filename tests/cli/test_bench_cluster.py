@@ -1,6 +1,6 @@
-"""The command ``carina bench cluster``: tables beside the paper's rows, and plots.
+"""Tests of the command ``carina bench cluster``: tables beside the paper's rows, and plots.
 
-The cost of each row is given by the tests and not measured.
+The cost of each row is set by the tests, not measured.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from carina_bench import cluster
 
 @pytest.fixture
 def measured(monkeypatch):
-    """Replace the measurement by a picture of 100 ms whose middle rows cost twice as much."""
+    """Replace the measured cost by that of a picture of 100 ms whose middle rows cost twice as much as the others."""
     profile = np.ones(cluster.SIDE)
     profile[128:384] = 2.0
     monkeypatch.setattr(cluster, "_measure", lambda *_: cluster._Cost(0.1, profile / profile.mean()))
@@ -39,7 +39,7 @@ def test_simulation_prints_and_draws_its_tables_beside_those_of_the_paper(carina
     }
     assert [row["renderers"] for row in found["table_2"]] == [16] * 4
     rates = {row["scheme"]: row["fps"] for row in found["table_1"] if (row["renderers"], row["machine"]) == (8, "here")}
-    # Rows differ in cost and the network takes 1 ms, so each measure of the paper increases the rate.
+    # Rows have different costs and the network takes 1 ms, so each feature of the paper's scheduler increases the rate.
     assert all(rates["all"] > rates[name] for name in schemes - {"all"})
     assert rates["none of them"] < 0.8 * rates["all"]
     for name in ("frame-rate.svg", "speed-up.svg"):
@@ -47,7 +47,7 @@ def test_simulation_prints_and_draws_its_tables_beside_those_of_the_paper(carina
         assert "head, paper" in words and "lung, simulated" in words
 
 
-def test_unknown_section_is_refused(carina, tmp_path):
+def test_unknown_section_of_the_cluster_benchmark_is_refused(carina, tmp_path):
     ended = carina("bench", "cluster", "--only", "magic", "-o", tmp_path)
     assert ended.code == 2 and "sleeping" in ended.err
 
@@ -58,7 +58,7 @@ def test_network_model_is_fitted_on_2_and_8_machines_and_checked_on_4_and_16(car
     assert ended.out.count("4 (checked)") == ended.out.count("16 (checked)") == 4
     rows = json.loads((tmp_path / "cluster.json").read_text())["network"]
     assert {row["renderers"] for row in rows if row["fitted"]} == {2, 8}
-    # The fit recovers an exact law; one row of each grid deviates strongly and must be reported.
+    # The fit recovers the parameter of an exact law. One row of each grid deviates strongly and must be reported.
     assert cluster.serial_share([(2, 1 / 0.55), (8, 1 / 0.2125)]) == pytest.approx(0.1)
     head = {row["renderers"]: row for row in rows if (row["grid"][:4], row["of"]) == ("head", "speed-up")}
     assert head[2]["serial_share"] == pytest.approx(0.098, abs=0.001)
@@ -66,7 +66,7 @@ def test_network_model_is_fitted_on_2_and_8_machines_and_checked_on_4_and_16(car
     assert head[16]["off_percent"] < -40.0
 
 
-def test_failed_section_does_not_affect_the_others(carina, tmp_path, measured, monkeypatch):
+def test_other_sections_run_after_a_failed_section(carina, tmp_path, measured, monkeypatch):
     def broken(*_):
         raise RuntimeError("no head answered")
 
@@ -81,7 +81,7 @@ def test_failed_section_does_not_affect_the_others(carina, tmp_path, measured, m
     assert "network" in found and "simulation" not in found
 
 
-def test_each_section_is_printed_and_written_when_it_ends(monkeypatch, tmp_path, capsys):
+def test_cluster_benchmark_prints_and_writes_each_section_at_its_end(monkeypatch, tmp_path, capsys):
     seen = []
 
     def second(*_):

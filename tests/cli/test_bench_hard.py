@@ -1,4 +1,4 @@
-"""The hard cases of ``carina bench track``: kernels, slices, terminal airways, fine vessels and their figures."""
+"""Tests of the hard cases of ``carina bench track``: kernels, slices, terminal airways, fine vessels, figures."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ QUIET = PaintOptions(noise_hu=0.0, kernel="rimmed-medium")
 
 
 class Lung:
-    """Scene of lung without a border and without vessels."""
+    """Scene of unlimited lung without vessels."""
 
     def in_lung(self, points: np.ndarray, margin_mm: float, *, num: int = 26) -> np.ndarray:
         return np.ones(len(points), np.bool_)
@@ -73,10 +73,10 @@ def test_each_kernel_adds_an_edge_of_its_depth_beside_vessels(name, least, most,
 @pytest.mark.parametrize(
     "slices", [Slices(1.0), Slices(1.5), Slices(3.0), Slices(5.0), Slices(3.0, 2.0), Slices(2.0, is_resampled=True)]
 )
-def test_slices_preserve_a_constant_and_a_linear_slope(slices):
+def test_thick_slices_preserve_a_constant_and_a_linear_slope(slices):
     weights, first_mm, step_mm = slice_weights(100, 0.7, slices)
     np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-12)
-    # A slope along z has its exact value at the middle of each slice.
+    # The value of a linear slope along z at the middle of a slice is exact.
     at_mm = first_mm + step_mm * np.arange(len(weights))
     np.testing.assert_allclose(weights @ (0.7 * np.arange(100)), at_mm, atol=0.18)
     assert step_mm == slices.distance_mm
@@ -122,7 +122,7 @@ def test_fine_vessel_has_the_profile_of_a_tube_of_its_radius(direction):
     said: list[str] = []
     as_tube = scanned(empty(size, tube), QUIET, said.append).values_zyx
     as_line = scanned(replace(empty(size), fine_vessels=(FineVessel(points, radius),)), QUIET, said.append).values_zyx
-    # The ends of a tube are hemispheres, which add half a ball at each end.
+    # The ends of a tube are hemispheres, which add half a ball each.
     rise = as_tube.max() - LUNG
     assert rise > 200.0
     middle = size // 2
@@ -158,7 +158,7 @@ def test_fine_vessels_do_not_touch_airways_and_some_are_close_to_them():
     assert sum(gap < 1.5 for gap in gaps) >= 5
 
 
-def test_terminal_airways_taper_by_the_rule_and_do_not_touch_each_other():
+def test_terminal_airways_taper_by_murrays_rule_without_touching():
     found = grown(5)
     every = {tube.id: tube for tube in (a_tip(), *found)}
     assert len(found) >= 8 and len(every) == len(found) + 1
@@ -196,14 +196,14 @@ def test_share_of_growing_airways_depends_on_their_radius():
 
 def test_terminal_airway_centres_are_dark_and_their_walls_are_brighter():
     tubes = [a_tip(), *grown(5)]
-    # The blur of the medium kernel or of wider voxels hides lumens of 0.45 mm even without noise.
+    # The blur of the medium kernel, or of wider voxels, hides lumens of 0.45 mm even without noise.
     scene = Scene(np.full((134,) * 3, LUNG, np.int16), np.diag([0.3, 0.3, 0.3, 1.0]), tuple(tubes))
     made = paint(scene, replace(QUIET, kernel="sharp", slice_sigma_mm=0.2))
     num_compared = 0
     for tube in made.airways[1:]:
         middle = len(tube.points) // 2 + tube.true_from // 2
         if tube.points[middle].min() < 2.0 or tube.points[middle].max() > 38.0:
-            continue  # outside the scene
+            continue  # The voxel is outside the scene.
         num_compared += 1
         at, course = tube.points[middle], direction(tube.points[middle - 1 : middle + 2])
         side = np.cross(course, [0.3, 0.8, 0.5])
@@ -227,7 +227,7 @@ def hu_at(volume, points: np.ndarray) -> np.ndarray:
 
 
 def test_true_radii_equal_those_of_the_painted_lumen():
-    """The lumen's partial volumes sum to the true area along a terminal airway."""
+    """Check that the partial volumes of the lumen along a terminal airway sum to the true area."""
     for radius in (0.45, 0.7):
         points = np.array([[9.1, 9.3, -3.0], [9.1, 9.3, 21.0]])
         tube = Tube(points, np.full(2, radius), thickness_mm=0.25)
@@ -236,7 +236,7 @@ def test_true_radii_equal_those_of_the_painted_lumen():
         np.testing.assert_allclose(area, math.pi * radius**2, rtol=0.03)
 
 
-def test_equal_seeds_give_equal_volumes_and_other_seeds_do_not():
+def test_equal_seeds_give_equal_hard_cases_and_different_seeds_different_ones():
     one, again, other = grown(5), grown(5), grown(6)
     assert len(one) == len(again)
     assert all(np.array_equal(a.points, b.points) for a, b in zip(one, again, strict=True))
@@ -262,7 +262,7 @@ def test_painted_volume_is_stored_and_read_again(tmp_path):
     np.testing.assert_array_equal(first.lps_from_ijk, exact.lps_from_ijk)
 
 
-def test_slice_positions_match_the_truth():
+def test_positions_of_thick_slices_match_the_truth():
     tip = a_tip(2.0)
     points = np.array([[3.0, 12.0, 8.0], [30.0, 12.0, 16.0]])
     thin = scanned(empty(60, replace(tip, points=points, radius_mm=np.full(2, 2.0))), OPTIONS, lambda _step: None)
@@ -301,11 +301,11 @@ def test_precision_accepts_a_voxel_adjacent_to_the_lumen():
     assert track_hard.within_a_voxel(found, touched) == pytest.approx(2 / 3)
 
 
-def test_cases_of_the_part_can_be_painted():
+def test_every_case_name_of_the_hard_part_has_parameters_for_painting():
     assert track.PARTS["hard"].cases == track_hard.CASES
 
 
-def test_hard_part_runs_only_if_it_is_named(carina, monkeypatch, tmp_path):
+def test_hard_part_of_the_benchmark_runs_only_if_only_names_it(carina, monkeypatch, tmp_path):
     monkeypatch.setattr(track, "built_parts", lambda: ["speed", "hard"])
     monkeypatch.setattr(track, "run_section", lambda _function, request, threads: [])
     all_parts = carina("bench", "track", "--json", "-o", tmp_path / "all").json()["parts"]
@@ -314,7 +314,7 @@ def test_hard_part_runs_only_if_it_is_named(carina, monkeypatch, tmp_path):
     assert list(named.json()["parts"]) == ["hard"]
 
 
-def test_means_over_patients_are_compared_with_the_aims():
+def test_report_compares_means_over_patients_with_the_aims():
     rows = [
         {"condition": "medium 0.7mm", "td": td, "bd": 0.96, "precision": 0.99, "false_branches": num}
         for td, num in ((0.99, 0), (0.95, 4))

@@ -1,4 +1,4 @@
-"""The benchmark of opening, on a small chest: its measurements and limits."""
+"""Test of the benchmark of opening, on a small chest."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from carina_bench import opening
 
 def test_small_chest_is_opened_from_slices_and_from_the_cache_with_equal_results(monkeypatch, capsys, tmp_path):
     small = {"spacing_mm": [6.0, 7.0, 5.0], "repeats": 1}
-    # Run in this process with a small chest; the durations are not checked here.
+    # The measurement runs in this process on a small chest; the times are not checked.
     monkeypatch.setattr(opening, "run_section", lambda _name, _request: opening.measure(small))
     assert opening.report(folder=tmp_path, quick=True, as_json=False) == 0
     document = json.loads((tmp_path / "open.json").read_text())

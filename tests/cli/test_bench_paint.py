@@ -1,4 +1,4 @@
-"""The painter of ``carina bench track``: contrast of thin lumens, continuity, noise, kernels and slices."""
+"""Tests of the painter of ``carina bench track``: contrast of thin lumens, continuity, noise, kernels and slices."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from carina_bench.paint_tubes import Tube, wall_mm
 VOXEL = 0.55
 LUNG = -860
 QUIET = PaintOptions(noise_hu=0.0)
-# Equal blur in all directions, so that one formula is valid for all directions.
+# The blur is equal in all directions, so that one formula is valid for all directions.
 EVEN = replace(QUIET, slice_sigma_mm=KERNELS["medium"].sigma_mm)
 
 
 def share_of_disc(radius: float, off: np.ndarray | float, sigma: float) -> np.ndarray:
-    """Return the share of a long round tube after a Gaussian blur, at the distance ``off`` from its axis.
+    """Return the share of a long round tube after a Gaussian blur, at the distance ``off`` (mm) from its axis.
 
     On the axis the share is 1 - exp(-r^2 / 2 s^2).
     """
@@ -34,9 +34,9 @@ def scaled_bessel(x: np.ndarray) -> np.ndarray:
 
 
 def predicted(radius: float, off: np.ndarray | float, sigma: float) -> np.ndarray:
-    """Return the expected HU of lumen, wall and lung at the distance ``off`` from the axis.
+    """Return the expected HU of lumen, wall and lung at the distance ``off`` from the axis of an airway, mm.
 
-    A voxel of width h adds a blur variance of h^2 / 12.
+    A voxel of width h adds the variance h^2 / 12 to the blur.
     """
     wide = math.sqrt(sigma**2 + VOXEL**2 / 12.0)
     lumen, outer = (share_of_disc(r, off, wide) for r in (radius, radius + float(wall_mm(np.array(radius)))))
@@ -57,7 +57,7 @@ def empty(size: int, *tubes: Tube) -> Scene:
 
 
 def from_axis(painted, middle: np.ndarray, along: np.ndarray, reach_mm: float = 4.5):
-    """Return the distances (n,) from the axis, HU (n,) and positions along the axis of the voxels near the middle."""
+    """Return the distance (n,) from the axis, the HU and the position along the axis of voxels near the middle."""
     places = painted.volume.to_lps(np.argwhere(painted.volume.hu_zyx > -9999)[:, ::-1].astype(float)) - middle
     at = places @ along
     off = np.linalg.norm(places - at[:, None] * along, axis=1)
@@ -65,7 +65,7 @@ def from_axis(painted, middle: np.ndarray, along: np.ndarray, reach_mm: float = 
     return off[near], painted.volume.hu_zyx.ravel()[near].astype(float), at[near]
 
 
-def test_formula_of_the_blurred_disc_equals_the_integral():
+def test_formula_of_the_blurred_disc_equals_a_numerical_integral():
     for radius in (0.2, 0.55, 1.3):
         assert share_of_disc(radius, 0.0, 0.43)[0] == pytest.approx(
             1 - math.exp(-(radius**2) / (2 * 0.43**2)), abs=1e-4
@@ -102,14 +102,14 @@ def test_each_kernel_shows_a_lumen_along_z_as_its_formula_predicts(kernel):
     told = predicted(VOXEL, off, one.sigma_mm)
     gain = one.gain(VOXEL)
     told = told + gain * (told - predicted(VOXEL, off, math.hypot(one.sigma_mm, one.surround_mm)))
-    # Edge enhancement increases the formula's own error, including that of a box approximated by a Gaussian.
+    # Edge enhancement increases the error of the formula, which approximates a box by a Gaussian.
     assert np.abs(hu - told).max() <= (15.0 if kernel == "sharp" else 10.0)
 
 
-def test_tube_one_voxel_wide_has_no_beads():
-    """On the axis of a bent tube, values vary by the effect of the voxel distance plus at most 25 HU.
+def test_values_along_a_tube_one_voxel_wide_vary_by_at_most_25_hu():
+    """Check that the values on the axis of a bent tube vary by at most 25 HU plus the effect of the voxel distance.
 
-    A lumen that is painted voxel by voxel varies by hundreds of HU.
+    In a CT that is painted voxel by voxel they vary by hundreds of HU.
     """
     turn = np.linspace(0.0, 1.6, 200)
     points = np.stack([9.0 + 7.0 * np.cos(turn), 2.0 + 7.0 * np.sin(turn), 3.0 + 8.0 * turn], axis=1)
@@ -145,7 +145,7 @@ def test_wall_in_the_image_has_the_requested_thickness():
         (1.45, 0.5, 0.8),
     ],
 )
-def test_wall_thickness_follows_anatomy(radius_mm, thinnest, thickest):
+def test_wall_thickness_is_in_the_anatomical_range_of_its_radius(radius_mm, thinnest, thickest):
     assert thinnest <= float(wall_mm(np.array(radius_mm))) <= thickest
 
 
@@ -175,7 +175,7 @@ def test_noise_of_a_sharper_kernel_is_finer():
 
 @pytest.mark.parametrize("voxel", [0.3, 0.55, 0.7])
 def test_edge_overshoots_by_the_requested_share(voxel):
-    """An edge oblique to the grid samples all positions between voxels: the side of a tube far wider than the image."""
+    """Use the side of a wide tube oblique to the grid, whose edge samples all positions between voxels."""
     size, radius = 32, 400.0
     middle = np.array([0.5 * (size - 1) * voxel - radius * 0.9, 0.5 * (size - 1) * voxel - radius * 0.4359, 0.0])
     points = middle + np.array([[0.0, 0.0, -4.0], [0.0, 0.0, 6.0]])
@@ -193,7 +193,7 @@ def test_edge_overshoots_by_the_requested_share(voxel):
 @pytest.mark.parametrize("slice_mm", [0.5, 1.5, 3.0, 5.0])
 def test_slices_have_the_requested_thickness_and_distance(slice_mm):
     hu = np.full((60, 8, 8), LUNG, np.int16)
-    hu[29] += 1000  # 0.5 mm of tissue
+    hu[29] += 1000  # The thickness of the tissue is 0.5 mm.
     scene = Scene(hu, np.diag([VOXEL, VOXEL, 0.5, 1.0]), ())
     made = paint(scene, replace(QUIET, slice_mm=slice_mm, slice_sigma_mm=1e-4)).volume
     assert made.spacing_mm[2] == pytest.approx(slice_mm)
@@ -203,7 +203,7 @@ def test_slices_have_the_requested_thickness_and_distance(slice_mm):
     assert abs(seen - 29 * 0.5) <= 0.5 * slice_mm + 1e-6
 
 
-def test_equal_seeds_give_equal_volumes_and_other_seeds_do_not():
+def test_equal_seeds_give_equal_painted_cts_and_different_seeds_different_ones():
     scene, *_ = straight(1.5, (0.3, 0.1, 0.0), (1, 2, 3))
     one, again, other = (paint(scene, PaintOptions(seed=seed)).volume.hu_zyx for seed in (4, 4, 5))
     assert np.array_equal(one, again)
@@ -233,7 +233,8 @@ def test_breathing_moves_truth_and_image_together():
     ijk = np.rint(made.volume.to_ijk(points)).astype(int)
     i, j, k = ijk[((ijk >= 3) & (ijk < 23)).all(axis=1)].T
     assert len(k) > 5
-    assert made.volume.hu_zyx[k, j, i].max() < -780  # -1000 HU after the blur of a lumen 3 voxels wide
+    # The expected value is -1000 HU after the blur of a lumen 3 voxels wide.
+    assert made.volume.hu_zyx[k, j, i].max() < -780
     assert (made.cover_zyx[k, j, i] > 200).all()
 
 
@@ -252,7 +253,7 @@ def test_fluid_is_in_the_lower_half_and_a_plug_closes_the_lumen():
     assert seen(1.0) == pytest.approx([15, 15], abs=8)
 
 
-def test_mask_becomes_tubes_of_equal_width():
+def test_tubes_made_from_a_mask_have_its_radii():
     pytest.importorskip("skimage")
     pytest.importorskip("scipy")
     from carina_bench.paint_scene import tubes_of_mask
@@ -270,5 +271,6 @@ def test_mask_becomes_tubes_of_equal_width():
     assert len(tubes) == 3 and [tube.parent for tube in tubes] == [None, 0, 0]
     assert float(np.median(tubes[0].radius_mm)) == pytest.approx(radii[0], abs=0.25 * VOXEL)
     for tube in tubes[1:]:
-        # Perpendicular to z the oblique tubes are round; perpendicular to their own axis they are slightly narrower.
+        # Sections perpendicular to z of the oblique tubes are round; perpendicular to the tubes' axes they are slightly
+        # narrower.
         assert float(np.median(tube.radius_mm)) == pytest.approx(radii[1] * 0.93, abs=0.3 * VOXEL)

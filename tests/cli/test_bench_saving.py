@@ -1,4 +1,4 @@
-"""The benchmark of saving: the flights with and without saving have pictures, and one of them is saved."""
+"""Test of the benchmark of saving: flights with and without saving have pictures, and one of them is saved."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 from carina_bench import saving
 
 
-def test_short_flight_is_measured_with_and_without_saving(monkeypatch, capsys, tmp_path):
+def test_benchmark_of_saving_measures_a_short_flight_with_and_without_saving(monkeypatch, capsys, tmp_path):
     small = {"spacing_mm": 3.0, "seconds": 1.0, "turns": 1}
     monkeypatch.setattr(saving, "run_section", lambda _name, _request: saving.measure(small))
     assert saving.report(folder=tmp_path, quick=True, as_json=False) == 0

@@ -1,4 +1,4 @@
-"""Judgement of statements about disease by ``carina bench track --only statements``."""
+"""Tests of how ``carina bench track --only statements`` judges statements about disease."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from carina_bench.track_statements import (
 
 FAR = 30.0
 LINE = np.stack([np.zeros(41), np.zeros(41), -np.arange(41.0)], axis=1)
-"""(41, 3) airway of 40 mm that leads down from the origin, LPS mm."""
+"""Centreline (41, 3) of an airway of 40 mm that leads down from the origin, LPS mm."""
 
 
 def statement(kind: str, *lps: float, lobe: str | None = None) -> Statement:
@@ -29,7 +29,7 @@ def statement(kind: str, *lps: float, lobe: str | None = None) -> Statement:
 
 
 def result(*, uncertain=(), absent=(), badges=(), names=()) -> SimpleNamespace:
-    """Return what ``judge`` reads of the result of a search."""
+    """Return a replacement of a search result with the attributes that ``judge`` reads."""
     tree = SimpleNamespace(branches=[SimpleNamespace(name=name) for name in names])
     return SimpleNamespace(uncertain=uncertain, absent=absent, badges=badges, tree=tree)
 
@@ -56,7 +56,7 @@ def absence(name: str, kind: str, lps: tuple[float, float, float] | None = None)
         (statement("stump", lobe="RLL"), Fact("stump", LINE, "RML"), False),
     ],
 )
-def test_statement_is_true_if_a_finding_of_its_kind_is_at_its_place_or_in_its_lobe(stated, fact, is_true):
+def test_statement_is_true_with_a_finding_of_its_kind_at_its_place_or_in_its_lobe(stated, fact, is_true):
     assert (fact_of(stated, [fact]) is fact) is is_true
 
 
@@ -102,7 +102,7 @@ def test_statement_about_a_real_ct_is_for_review_unless_a_listed_airway_contradi
     assert (counts.num_true, counts.num_false, counts.num_unknown) == (0, 1, 1)
 
 
-def test_missed_segment_is_reported_if_the_list_of_absences_holds_it_or_its_lobe():
+def test_missed_segment_counts_as_reported_if_it_or_its_lobe_is_listed_as_absent():
     said: list[str] = []
     counts = Counts()
     case = Case("case", "part", None, segments=("RB1", "RB3", "RB4", "RB6", "LB1+2"))

@@ -1,4 +1,4 @@
-"""Structure of ``carina bench track``: available and missing parts, limits and the report."""
+"""Tests of the structure of ``carina bench track``: available and missing parts, limits and the report."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_missing_figure_counts_as_missed_and_is_reported():
     assert "not measured" in track.line_of(row) and "MISSED" in track.line_of(row) and "no data" in track.line_of(row)
 
 
-def test_quality_cases_are_those_that_it_paints():
+def test_cases_of_the_quality_part_are_those_that_it_paints():
     assert track.PARTS["quality"].cases == track_quality.CASES
 
 
@@ -43,7 +43,7 @@ def test_help_names_every_part_and_which_ones_run_only_if_named(carina):
     assert set(if_named.partition("names it, ")[2].split(", ")) == {n for n, p in track.PARTS.items() if p.needs_name}
 
 
-def test_unknown_case_exits_2_and_lists_the_known_ones(carina, tmp_path):
+def test_unknown_case_of_a_part_exits_2_and_lists_the_known_cases(carina, tmp_path):
     ended = carina("bench", "track", "--only", "quality", "--case", "sharper", "--json", "-o", tmp_path / "out")
     assert ended.code == 2
     assert "sharp-25" in ended.json()["error"]["message"]
@@ -56,7 +56,7 @@ def test_found_branch_outside_every_true_lumen_is_false():
     airways = find_airways(phantom.volume, progress=False)
     whole = track_quality.figures(phantom.volume, truth, airways)
     assert whole["false_branches"] == 0 and whole["precision"] > 0.99
-    # Without the last generation in the truth, branches found there are false.
+    # Without the last generation in the truth, branches that the search found there count as false.
     deepest = max(branch.generation for branch in truth.branches)
     short = replace(truth, branches=tuple(b for b in truth.branches if b.generation < deepest))
     lumen = phantom.lumen_zyx != 0
@@ -69,14 +69,14 @@ def test_found_branch_outside_every_true_lumen_is_false():
     assert less["false_branches"] >= 1 and less["precision"] < whole["precision"]
 
 
-def test_unknown_part_exits_2_and_lists_the_known_ones(carina, tmp_path):
+def test_unknown_part_of_the_track_benchmark_exits_2_and_lists_the_known_parts(carina, tmp_path):
     ended = carina("bench", "track", "--only", "everything", "--json", "-o", tmp_path / "out")
     assert ended.code == 2
     assert "speed" in ended.json()["error"]["message"]
     assert not (tmp_path / "out").exists()
 
 
-def test_missing_part_is_skipped_with_a_message(carina, monkeypatch, tmp_path):
+def test_part_without_its_module_is_omitted_with_a_message(carina, monkeypatch, tmp_path):
     monkeypatch.setattr(track, "built_parts", lambda: ["speed"])
     monkeypatch.setattr(track, "run_section", lambda _function, request, threads: [{**ROW, "what": request["part"]}])
     ended = carina("bench", "track", "--json", "-o", tmp_path / "out")
@@ -92,7 +92,7 @@ def test_missing_part_is_skipped_with_a_message(carina, monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("named", [False, True])
-def test_part_without_its_other_program_is_skipped_unless_requested(carina, monkeypatch, tmp_path, named):
+def test_part_without_its_program_for_comparison_is_omitted_unless_named(carina, monkeypatch, tmp_path, named):
     def refuse(*_arguments, **_options):
         error = CarinaError("dijkstra3d is not installed", code="machine.extra")
         raise error
@@ -137,7 +137,7 @@ def test_lobes_are_compared_with_masks_including_a_nifti_with_suffix_gz(tmp_path
     assert lengths["right"] > 500
     assert lengths["wrong"] < 0.05 * lengths["right"]
 
-    # With exchanged masks of the two sides, correct lobes count as wrong.
+    # If the masks of both sides are exchanged, correct lobes count as wrong.
     for lobe, other in (("RUL", "LUL"), ("RLL", "LLL")):
         write(lobe, near == other)
         write(other, near == lobe)

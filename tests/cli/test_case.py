@@ -1,4 +1,4 @@
-"""Case files on the command line: their content, and commands that continue from the edited tree."""
+"""Tests of case files on the command line: their content, and commands that use the edited tree."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from own_folders import own_folders
 
 @pytest.fixture(scope="session")
 def made_case(tmp_path_factory):
-    """Return a folder with a CT and a case, and its tree.
+    """Return a folder with a CT and its case, and the tree of the case.
 
     The case has a renamed and a removed branch, a target, two key frames and view settings.
     """
@@ -90,7 +90,7 @@ def test_info_lists_the_content_of_a_case_without_its_scan(carina, case, made_ca
     assert "6 changes, 1 undone" in said
 
 
-def test_history_lists_labels_and_times(carina, case):
+def test_case_history_lists_the_label_and_time_of_each_step(carina, case):
     steps = carina("case", "history", case, "--json").json()["steps"]
     assert [step["holds"] for step in steps] == [True] * 6 + [False]
     assert steps[0]["label"].startswith("rename")
@@ -99,7 +99,7 @@ def test_history_lists_labels_and_times(carina, case):
     assert "(undone)" in carina("case", "history", case).out
 
 
-def test_edited_tree_is_reported_exported_and_used_for_tracking(carina, case, made_case, tmp_path):
+def test_commands_report_export_and_track_in_the_edited_tree_of_a_case(carina, case, made_case, tmp_path):
     tree = made_case[1]
     found = carina("airways", case, "-o", tmp_path / "tree.json", "--json").json()
     assert found["num_branches"] == len(tree)
@@ -144,10 +144,10 @@ def test_info_of_a_case_includes_its_scan(carina, case):
     assert told["shape_zyx"] == told["case"]["source"]["shape_zyx"]
 
 
-# Scan of a case
+# Scan of a case file
 
 
-def test_moved_scan_is_reported_and_its_new_path_accepted(carina, case, tmp_path):
+def test_case_with_a_moved_scan_is_refused_until_the_new_path_is_given(carina, case, tmp_path):
     (case.parent / "scans").rename(tmp_path / "elsewhere")
     gone = carina("airways", case, "--json")
     assert gone.code == 3
@@ -156,7 +156,7 @@ def test_moved_scan_is_reported_and_its_new_path_accepted(carina, case, tmp_path
     assert carina("airways", case, "--ct", tmp_path / "elsewhere" / "ct.nii.gz").code == 0
 
 
-def test_another_scan_is_refused_at_any_path(carina, case, tmp_path):
+def test_case_with_another_scan_is_refused_at_any_path(carina, case, tmp_path):
     write_phantom(made_phantom(seed=3, spacing_mm=3.0, generations=3), tmp_path / "other")
     given = carina("airways", case, "--ct", tmp_path / "other" / "ct.nii.gz")
     assert given.code == 3
@@ -165,7 +165,7 @@ def test_another_scan_is_refused_at_any_path(carina, case, tmp_path):
     assert "a different CT" in carina("airways", case).err
 
 
-def test_missing_scan_is_read_from_the_cache_or_from_the_case(carina, case, tmp_path):
+def test_missing_scan_of_a_case_is_read_from_the_cache_or_from_the_case(carina, case, tmp_path):
     from carina.config import load_settings
 
     scan = case.parent / "scans" / "ct.nii.gz"
@@ -193,7 +193,7 @@ def test_missing_scan_is_read_from_the_cache_or_from_the_case(carina, case, tmp_
         ["case", "forget", ""],
     ],
 )
-def test_inconsistent_arguments_are_refused_before_the_work(carina, case, ct, tmp_path, arguments):
+def test_inconsistent_arguments_of_case_commands_are_refused_before_the_work(carina, case, ct, tmp_path, arguments):
     names = {"CT": ct, "CASE": case}
     given = [names.get(one, tmp_path / one if one.startswith("OUT") else one) for one in arguments]
     ended = carina(*given)
@@ -210,7 +210,7 @@ def test_file_that_is_not_a_case_is_refused(carina, tmp_path):
         assert "words.carina" in ended.err
 
 
-def test_undamaged_case_is_migrated_and_rescued_into_new_files(carina, case, tmp_path):
+def test_migrate_and_rescue_of_an_undamaged_case_write_new_files(carina, case, tmp_path):
     before = case.read_bytes()
     assert carina("case", "migrate", case, "-o", tmp_path / "new.carina").code == 0
     assert carina("case", "rescue", case, "-o", tmp_path / "whole.carina", "--json").json()["lost"] == []
@@ -219,7 +219,7 @@ def test_undamaged_case_is_migrated_and_rescued_into_new_files(carina, case, tmp
     assert case.read_bytes() == before
 
 
-# Cases stored on this computer
+# Cases that are stored on this computer
 
 
 def test_stored_cases_are_listed_and_deleted(carina, tmp_path):

@@ -1,4 +1,4 @@
-"""Case IDs that ``carina case list`` prints, accepted by every command that reads a case."""
+"""Tests of the case IDs that ``carina case list`` prints, which every command that reads a case accepts."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ID = "abcd1234ef567890"
 
 @pytest.fixture(scope="session")
 def worked(tmp_path_factory):
-    """Return a folder with a scan, its volume, and a moment with a target and a key frame."""
+    """Return a folder with a scan, its volume, and the content of a case with a target and a key frame."""
     folder = tmp_path_factory.mktemp("worked")
     write_phantom(made_phantom(spacing_mm=3.0, generations=3), folder)
     with package.Case.open(folder / "ct.nii.gz") as case:
@@ -42,7 +42,7 @@ def worked(tmp_path_factory):
 
 @pytest.fixture
 def stored(carina, worked):
-    """Return the case records of this computer, with one case."""
+    """Return the case records of this computer, which contain one case."""
     folder, volume, moment = worked
     records = CaseRecords(load_settings().cases_dir, lambda: 1.7e9)
     with pytest.MonkeyPatch.context() as patch:
@@ -96,7 +96,7 @@ def test_commands_read_a_stored_case_by_its_id(carina, stored, tmp_path):
 
 
 def test_every_command_with_a_case_argument_accepts_an_id():
-    """The list of commands is read from the parser, so that it includes new commands."""
+    """Read the list of commands from the parser, so that it includes new commands."""
     root = get_command(app)
     paths = {}
     for group in (root, root.commands["case"]):
@@ -125,7 +125,7 @@ def test_case_open_in_another_window_is_read_and_not_changed(carina, stored):
     held.release()
 
 
-def test_file_or_folder_of_that_name_has_precedence(carina, stored, tmp_path, monkeypatch):
+def test_file_or_folder_with_the_name_of_an_id_has_precedence(carina, stored, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / ID).mkdir()
     assert path_or_case(Path(ID)) == Path(ID)
@@ -139,7 +139,7 @@ def test_file_or_folder_of_that_name_has_precedence(carina, stored, tmp_path, mo
     assert path_or_case(Path(ID)) == Path(ID)
 
 
-def test_unknown_id_is_refused_with_its_reason(carina, stored):
+def test_unknown_case_id_is_refused_with_a_reason(carina, stored):
     ended = carina("case", "info", "deadbeef", "--json")
     assert (ended.code, ended.json()["error"]["code"]) == (2, "case.unknown")
     assert "neither a file or folder nor the id of a case on this machine" in ended.err
@@ -150,7 +150,7 @@ def test_unknown_id_is_refused_with_its_reason(carina, stored):
     assert carina("info", ID[: MIN_ID_CHARS - 1]).code == 3
 
 
-def test_ambiguous_beginning_of_an_id_is_refused_and_a_whole_id_is_not(stored, monkeypatch):
+def test_ambiguous_beginning_of_a_case_id_is_refused_and_a_whole_id_accepted(stored, monkeypatch):
     volume = made_phantom(spacing_mm=3.0, generations=3).volume
     for other in ("abcd1234ffffffff", ID[:12]):
         held = stored.begin("cd" * 32, None, case_id=other)
@@ -164,7 +164,7 @@ def test_ambiguous_beginning_of_an_id_is_refused_and_a_whole_id_is_not(stored, m
     assert stored_case(Path(ID[:12])).case_id == ID[:12]
 
 
-def test_open_continues_the_stored_case(carina, stored, monkeypatch):
+def test_open_with_a_case_id_continues_the_stored_case(carina, stored, monkeypatch):
     asked = {}
     monkeypatch.setattr("carina.server.serve", lambda path, **options: asked.update(path=path, **options) or 0)
     assert carina("open", ID[:6], "--no-browser").code == 0

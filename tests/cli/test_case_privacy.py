@@ -1,4 +1,4 @@
-"""Privacy of exported cases: no name, number, date or text of the CT, with or without the packed scan."""
+"""Tests of privacy of exported cases: no name, number, date or text of the CT, with or without the packed scan."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ ENCODINGS = ("utf-8", "latin-1", "utf-16-le", "utf-16-be")
 
 
 def write_ct(folder: Path, chest) -> None:
-    """Write slices with patient data in every tag that can contain text."""
+    """Write a DICOM series with patient data in every tag that can contain text."""
     folder.mkdir(parents=True)
     volume = chest.volume
     matrix = volume.lps_from_ijk
@@ -82,7 +82,7 @@ def write_ct(folder: Path, chest) -> None:
 
 
 def contents_of(path: Path):
-    """Return all bytes of a file, the inflated content of its blobs, and its decoded texts."""
+    """Return all bytes of a file, the uncompressed content of its blobs, and its decoded texts."""
     yield path.read_bytes()
     with contextlib.closing(sqlite3.connect(path)) as case:
         for (table,) in case.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall():

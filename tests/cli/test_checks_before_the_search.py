@@ -1,4 +1,4 @@
-"""Output files that cannot be written: the command refuses them before it searches for airways."""
+"""Tests of output files that cannot be written: the command refuses them before it searches for airways."""
 
 from __future__ import annotations
 

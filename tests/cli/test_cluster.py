@@ -1,4 +1,4 @@
-"""The commands ``carina cluster`` and ``carina open --cluster``."""
+"""Tests of the commands ``carina cluster`` and ``carina open --cluster``."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_invalid_cluster_arguments_are_refused_before_anything_starts(carina, ar
 
 
 class StubNode:
-    """Stand-in for a cluster node; each new instance follows the next line of a script."""
+    """Replacement of a cluster node; each new instance follows the next line of a script."""
 
     address, ip = "10.0.0.1:6379", "10.0.0.2"
 
@@ -90,7 +90,7 @@ class StubNode:
 
 
 def _join(monkeypatch, tmp_path, *script: str) -> tuple[list[StubNode], list[float]]:
-    """Run ``carina cluster join`` with stub nodes; return the nodes and the pauses between attempts in s."""
+    """Run ``carina cluster join`` with these nodes; return the nodes and the pauses between attempts, s."""
     made: list[StubNode] = []
     pauses_s: list[float] = []
     monkeypatch.setattr(cluster, "check_available", lambda: None)
@@ -146,7 +146,7 @@ def test_local_cluster_warns_about_its_open_ports_before_it_opens_them(monkeypat
 @needs_ray
 @pytest.mark.ray
 @pytest.mark.slow
-def test_cluster_is_started_inspected_used_and_stopped_without_remains(tmp_path):
+def test_cluster_can_be_started_used_and_stopped_without_remaining_processes(tmp_path):
     with socket.socket() as probe:
         probe.bind(("127.0.0.2", 0))
         port = probe.getsockname()[1]

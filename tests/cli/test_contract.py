@@ -1,4 +1,4 @@
-"""The contract with scripts (docs/contracts.md): exit codes, one JSON object, no partial files."""
+"""Tests of the contract with scripts (docs/contracts.md): exit codes, one JSON object, no partial files."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def store(path, values, spacing=(1.0, 1.0, 1.0)):
     return path
 
 
-# Arguments
+# Invalid arguments
 
 
 @pytest.mark.parametrize(
@@ -166,7 +166,7 @@ def test_help_of_every_command_has_an_example_and_exits_0(carina):
     assert carina("--version").out.startswith("carina ")
 
 
-# Input files
+# Invalid input files
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,7 @@ def test_help_of_every_command_has_an_example_and_exits_0(carina):
         ("folder", "folder"),
     ],
 )
-def test_invalid_file_exits_3_and_is_named(carina, tmp_path, name, content):
+def test_invalid_file_exits_3_with_its_name_in_the_message(carina, tmp_path, name, content):
     path = tmp_path / name
     if content == "folder":
         path.mkdir()
@@ -259,7 +259,7 @@ def test_invalid_calibration_exits_3_before_the_ct_is_read(carina, tmp_path, con
     assert "lens.yml" in ended.json()["error"]["message"]
 
 
-def test_picture_through_a_scope_and_with_a_calibration(carina, ct, tmp_path):
+def test_picture_has_the_optics_of_a_scope_or_a_calibration(carina, ct, tmp_path):
     seen = {}
     lens = tmp_path / "lens.json"
     lens.write_text('{"image_size": [96, 72], "K": [[60, 0, 47.5], [0, 60, 35.5], [0, 0, 1]], "D": [-0.1, 0, 0, 0]}')
@@ -272,14 +272,14 @@ def test_picture_through_a_scope_and_with_a_calibration(carina, ct, tmp_path):
         assert ended.code == 0, ended.err
         seen[name] = ended.json()
     assert seen["scope"]["fov_deg"] == 80.0
-    # The camera of a forward-oblique scope is tilted 35 degrees up, to anterior, from the direction of its shaft.
+    # The camera of a forward-oblique scope looks 35 degrees up, to anterior, from the direction of its shaft.
     forward = [row[2] for row in seen["scope"]["lps_from_camera"][:3]]
     assert forward == pytest.approx([0.0, -0.5736, -0.8192], abs=1e-4)
-    # 72 pixels at a focal length of 60 pixels, with barrel distortion.
+    # The field of view is that of 72 pixels at a focal length of 60 pixels, with barrel distortion.
     assert 62.0 < seen["calibration"]["fov_deg"] < 66.0
 
 
-# Results
+# Results of commands
 
 
 def test_info_and_doctor_print_one_json_object(carina, ct):
@@ -302,7 +302,7 @@ def test_target_with_a_leading_minus_sign_is_tracked_and_the_tree_written(carina
     assert tree == ended.json()["tree"]
 
 
-def test_one_target_without_a_path_exits_4_and_the_others_are_written(carina, ct, tmp_path):
+def test_target_without_a_path_exits_4_and_paths_of_other_targets_are_written(carina, ct, tmp_path):
     arguments = ["track", ct, "--target", RMB, "--target", FAR, "-o", tmp_path / "tree.json", "--json"]
     ended = carina(*arguments)
     assert ended.code == 4
@@ -312,7 +312,7 @@ def test_one_target_without_a_path_exits_4_and_the_others_are_written(carina, ct
     assert json.loads((tmp_path / "tree.json").read_text(encoding="utf-8"))["branches"]
 
 
-def test_target_outside_the_volume_does_not_affect_the_others(carina, ct, tmp_path):
+def test_other_targets_are_tracked_beside_a_target_outside_the_volume(carina, ct, tmp_path):
     ended = carina("track", ct, "--target", "9999,0,0", "--target", RMB, "-o", tmp_path / "tree.json", "--json")
     assert ended.code in {2, 4}, ended.err
     if ended.code == 4:
@@ -360,9 +360,9 @@ def test_surface_of_an_airway_view_is_written_beside_the_picture(carina, ct, tmp
         assert 0 < np.nanmin(archive["depth_mm"]) < 20
 
 
-def test_automatic_pose_in_a_volume_without_airways_exits_4(carina, tmp_path):
+def test_picture_from_the_automatic_pose_without_airways_exits_4(carina, tmp_path):
     values = np.full((20, 20, 20), 40, np.int16)
-    values[5:9] = 900  # a bone
+    values[5:9] = 900  # a part of a bone
     head = store(tmp_path / "tissue.nii.gz", values)
     for view in ("airway", "axial", "tree"):
         ended = carina("render", head, "--view", view, "-o", tmp_path / "x.png", "--json")
@@ -371,7 +371,7 @@ def test_automatic_pose_in_a_volume_without_airways_exits_4(carina, tmp_path):
     assert carina("render", head, "--view", "xray-axial", "--size", "8x8", "-o", tmp_path / "x.png").code == 0
 
 
-def test_camera_outside_the_volume_is_reported(carina, ct, tmp_path):
+def test_picture_from_a_camera_outside_the_volume_reports_it(carina, ct, tmp_path):
     ended = carina(
         "render", ct, "--at", "0,-400,0", "--look", "0,1,0", "--size", "16x16", "-o", tmp_path / "x.png", "--json"
     )
@@ -379,7 +379,7 @@ def test_camera_outside_the_volume_is_reported(carina, ct, tmp_path):
     assert "outside the volume" in ended.err
 
 
-def test_full_disk_exits_1_with_a_message_and_keeps_the_old_files(carina, ct, tmp_path, monkeypatch):
+def test_command_on_a_full_disk_exits_1_and_leaves_the_old_files(carina, ct, tmp_path, monkeypatch):
     def full(*_arguments, **_options):
         raise OSError(28, "No space left on device")
 
@@ -417,7 +417,7 @@ def test_read_only_cache_folder_does_not_prevent_a_command(carina, ct, tmp_path,
     assert carina("render", ct, "--size", "16x16", "-o", tmp_path / "x.png").code == 0
 
 
-# Unusual volumes
+# Volumes of unusual size or content
 
 
 UNLUCKY = {

@@ -1,4 +1,4 @@
-"""The command ``carina devices``."""
+"""Tests of the command ``carina devices``."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_silent_device_exits_with_an_error_and_its_reason(capsys, address, words
     assert words in said["words"] and "Errno" not in said["words"]
 
 
-def test_unchanged_value_is_printed_once(capsys):
+def test_unchanged_value_of_a_device_is_printed_once(capsys):
     assert report(["handle:/dev/there-is-none"], seconds=0.9, as_json=False) == 4
     lines = capsys.readouterr().err.splitlines()
     assert lines and len(set(lines)) == len(lines)

@@ -1,4 +1,4 @@
-"""Output of commands on a full, read-only or missing disk: one message, and the former file is unchanged."""
+"""Tests of the output of commands on a full, read-only or missing disk: one message, and an unchanged former file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FLIGHT = ("--to", "0", "--tree", "TREE", "--size", "32x32", "--rate", "2", "--sp
 
 
 class Full:
-    """File on a disk that accepts a limited number of bytes."""
+    """File on a disk that accepts only a limited number of bytes."""
 
     def __init__(self, file, room: int) -> None:
         self._file, self._room = file, room
@@ -39,7 +39,7 @@ class Full:
 
 @pytest.fixture(scope="module")
 def tree(ct, tmp_path_factory):
-    """Return the tree of the phantom, found once."""
+    """Return the path of the phantom's tree, which is found once for all tests."""
     import carina
 
     volume = carina.open_volume(ct)
@@ -90,7 +90,7 @@ def check(ended, code):
 
 
 @pytest.mark.parametrize("verb", VERBS, ids=label)
-def test_disk_that_becomes_full_is_reported_and_the_former_file_stays(run, tmp_path, monkeypatch, verb):
+def test_command_whose_disk_becomes_full_reports_it_and_leaves_the_old_file(run, tmp_path, monkeypatch, verb):
     if verb[0] == "fly":
         pytest.importorskip("av", reason="PyAV is not installed")
     folder = tmp_path / "results"
@@ -119,7 +119,7 @@ def test_disk_that_becomes_full_is_reported_and_the_former_file_stays(run, tmp_p
 @pytest.mark.parametrize(
     ("number", "code"), [(errno.EROFS, "disk.denied"), (errno.EACCES, "disk.denied"), (errno.EIO, "disk.failed")]
 )
-def test_read_only_disk_is_reported(run, tmp_path, monkeypatch, number, code):
+def test_command_on_a_read_only_disk_exits_with_its_error_code(run, tmp_path, monkeypatch, number, code):
     def begin(_folder, _mode):
         raise OSError(number, os.strerror(number))
 
@@ -145,7 +145,7 @@ def test_phantom_on_a_full_disk_leaves_the_former_three_files(carina, tmp_path, 
     assert sorted(p.name for p in folder.iterdir()) == sorted(names)
 
 
-def test_folder_as_output_and_missing_folder_are_refused_before_the_work(carina, ct, tmp_path):
+def test_output_to_a_folder_or_a_missing_folder_is_refused_before_the_work(carina, ct, tmp_path):
     (tmp_path / "a.png").mkdir()
     for place in (tmp_path / "a.png", tmp_path / "nowhere" / "a.png"):
         ended = carina("render", ct, "--view", "axial", "--size", "16x16", "-o", place, "--json")

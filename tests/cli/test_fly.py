@@ -1,4 +1,4 @@
-"""The command ``carina fly``: size, length and number of frames of the video, and its pictures."""
+"""Tests of the command ``carina fly``: size, length and number of frames of the video, and its pictures."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def differs(a, b):
 
 
 def still(carina, ct, pose, size, output, *, scope=DEFAULT_SCOPE):
-    """Return the picture that ``carina render`` makes from this pose."""
+    """Return the picture that ``carina render`` makes from ``pose``."""
     look, up = pose.lps_from_camera[:3, 2], -pose.lps_from_camera[:3, 1]
     ended = carina(
         "render", ct, *(f"--{name}=" + ",".join(repr(float(v)) for v in value)
@@ -87,22 +87,22 @@ def test_flight_along_a_route_has_its_length_size_and_number_of_frames(carina, c
     assert said["size"] == list(even)
     assert pixel_format(output) == "yuv420p"
     assert (f"the video has {even[0]} x {even[1]} pixels instead of" in ended.err) == (even != size)
-    # The picture has the colours of an airway and changes during the flight.
+    # The picture has the contrast of an airway, and the pictures of the flight differ.
     assert frames[0].std() > 10
     assert frames[0][..., 0].mean() > frames[0][..., 2].mean()
     assert differs(frames[0], frames[len(frames) // 2]) > 1
     source = Opened(api.open_volume(ct), Badges())
     first = way_to(source, "1", tree_file=tree, progress=lambda *_: None).path.pose_at(0.0)
-    # The first frame shows the start of the route; the remaining difference is caused by the codec.
+    # The first frame shows the start of the route; the codec causes the remaining difference.
     assert differs(frames[0], frames[-1]) > 8
     assert differs(frames[0], still(carina, ct, first, even, tmp_path / "s.png")) < 4
 
 
-def test_flight_follows_key_frames(carina, ct, tree, tmp_path):
+def test_video_of_key_frames_shows_their_poses(carina, ct, tree, tmp_path):
     root = json.loads(tree.read_text())["branches"][0]["points"]
     flight = AutoFlight(api.FlightPath(root), speed_mm_s=50.0, pause_s=0.0)
     poses = {t: flight.pose_at(t).lps_from_camera.copy() for t in (0.0, 0.3, 0.5)}
-    # The key frame between the others looks at the wall.
+    # The key frame at 0.3 looks at the wall.
     poses[0.3][:3, :3] @= rotation_from_vector(np.array([0.0, 1.2, 0.0]))
     keys = [{"time_s": t, "lps_from_camera": matrix.tolist()} for t, matrix in poses.items()]
     document = tmp_path / "keys.json"
@@ -143,7 +143,7 @@ def test_key_frames_of_the_window_keep_their_speed_and_view_settings(carina, ct,
     renderer.set_lumen(airways.lumen_zyx, airways.tree)
     first = AirwayView(poses[0], fov_deg=70.0, field=ImageField("none"), width=64, height=64, step_vox=1.0)
     assert differs(pictures[0], renderer.render(first).rgb) < 4
-    # An instrument in the command replaces the field of view of the key frames.
+    # An instrument that is given on the command line replaces the field of view of the key frames.
     ended = carina("fly", ct, "--keys", document, "-o", output, *how, "--scope", DEFAULT_SCOPE)
     assert ended.code == 0, ended.err
     assert differs(read_video(output)[0][0], still(carina, ct, poses[0], (64, 64), tmp_path / "s.png")) < 4
@@ -167,7 +167,7 @@ def test_recording_of_another_case_is_refused_and_writes_nothing(carina, ct, tmp
     assert not list(tmp_path.glob("*.mp4"))
 
 
-def test_recording_of_this_case_gives_a_video_of_its_length(carina, ct, tmp_path):
+def test_video_of_a_recording_has_the_length_of_the_recording(carina, ct, tmp_path):
     bench = small_bench()
     volume = api.open_volume(ct)
     bench.session.do(OpenVolume(volume))
@@ -197,7 +197,7 @@ def test_recording_of_this_case_gives_a_video_of_its_length(carina, ct, tmp_path
     assert differs(frames[0], still(carina, ct, began, (72, 72), tmp_path / "s.png")) < 4
 
 
-def test_frame_shows_the_newest_moment_that_is_not_later():
+def test_frame_of_a_video_shows_the_newest_recorded_pose_that_is_not_later():
     moments = [ReplayedPose(t, api.Pose(np.eye(4)), {"n": n}) for n, t in enumerate((0.0, 0.1, 0.1, 0.3, 0.5))]
     times = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.49, 0.5, 9.0])
     assert [moment.view["n"] for moment in sampled(moments, times)] == [0, 0, 2, 2, 3, 3, 4, 4]
@@ -205,7 +205,7 @@ def test_frame_shows_the_newest_moment_that_is_not_later():
     assert sampled(moments[3:], np.array([0.0])) == [moments[3]]
 
 
-def test_recording_with_wall_contact_is_replayed_with_its_wall(carina, ct, tmp_path):
+def test_video_of_a_recording_with_wall_contact_uses_the_wall_of_the_recording(carina, ct, tmp_path):
     def find_airways(volume, *, root_lps, lumen_threshold, progress, cancel):
         return api.find_airways(volume, root_lps=root_lps, progress=progress, cancel=cancel)
 
@@ -247,7 +247,7 @@ def test_recording_with_wall_contact_is_replayed_with_its_wall(carina, ct, tmp_p
     [["-o", "x.gif", "--to", "1"], ["-o", "x.mp4"], ["-o", "x.mp4", "--to", "1", "--keys", "k.json"],
      ["-o", "x.mp4", "--to", "1", "--speed", "0"], ["-o", "x.mp4", "--to", "1", "--rate", "1000"]],
 )  # fmt: skip
-def test_inconsistent_arguments_are_refused_before_the_work(carina, ct, tmp_path, monkeypatch, arguments):
+def test_inconsistent_arguments_of_fly_are_refused_before_the_work(carina, ct, tmp_path, monkeypatch, arguments):
     monkeypatch.chdir(tmp_path)
     assert carina("fly", ct, *arguments).code == 2
     assert not list(tmp_path.glob("x.*"))

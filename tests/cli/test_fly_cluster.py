@@ -1,6 +1,6 @@
-"""The command ``carina fly`` on several machines and after an interruption.
+"""Tests of the command ``carina fly`` on several machines and after an interruption.
 
-The video is the same, and each picture is rendered once and in order.
+The video must equal that of one machine, and each picture is rendered once and in order.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def keys(phantom_folder, tmp_path_factory):
 
 
 def read_video(path):
-    """Return the pictures of a video."""
+    """Return the pictures of a video file as arrays."""
     with av.open(str(path)) as container:
         return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
 
@@ -60,7 +60,7 @@ def film(carina, ct, keys):
 
 @pytest.fixture
 def whole(film, tmp_path):
-    """Return the video that one machine makes without an interruption."""
+    """Return the video that one machine renders without an interruption."""
     ended = film(tmp_path / "whole.mp4", *HOW)
     assert ended.code == 0, ended.err
     frames = read_video(tmp_path / "whole.mp4")
@@ -69,7 +69,7 @@ def whole(film, tmp_path):
 
 
 class DyingLane(LocalLane):
-    """Lane of a machine that answers some strips and then stops answering."""
+    """Connection to a machine that answers some strips and then no further ones."""
 
     def __init__(self, name: str, lives: int = 10_000) -> None:
         self.lives = lives
@@ -92,7 +92,7 @@ class DyingLane(LocalLane):
 
 @pytest.fixture
 def machines(monkeypatch):
-    """Replace the cluster by three machines, one of which dies, and return the list of those that rendered."""
+    """Replace the cluster by three machines, of which one dies; return the list of the machines that rendered."""
     lanes = [DyingLane("a"), DyingLane("b", lives=2), DyingLane("c")]
 
     @contextlib.contextmanager
@@ -142,7 +142,7 @@ def test_interrupted_flight_resumes_after_its_last_picture(film, tmp_path, whole
         keep(self, number, picture)
 
     monkeypatch.setattr(KeptFrames, "keep", noted)
-    # The pictures are equal with and without other machines.
+    # The pictures are equal with and without the cluster.
     ended = film(*arguments)
     assert ended.code == 0, ended.err
     assert ended.json()["num_kept"] == 5

@@ -1,4 +1,4 @@
-"""Airway wall of a recording: reconstruction from the stored search settings and edits, or a refusal."""
+"""Tests of the airway wall of a recording: reconstruction from the stored search settings and edits, or a refusal."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def searches(monkeypatch):
     return seen
 
 
-def test_edits_are_repeated_on_airways_found_with_the_stored_settings(searches):
+def test_wall_is_that_of_airways_found_with_the_stored_settings_and_edits(searches):
     edit = CutBranch(3)
     kept = {"digest": f"found [1.0, 2.0, 3.0] -800.0, {edit}", "root_lps": [1.0, 2.0, 3.0], "lumen_threshold": -800.0}
     kept["edits"] = edits_to_json([edit])
     wall = fly._walls(None, None)
     assert wall(kept).of == kept["digest"]
     assert searches == [(None, None), (None, -800.0), ([1.0, 2.0, 3.0], -800.0)]
-    # The same wall is made only once.
+    # The wall is computed only once for the same recording.
     assert wall(kept) is wall(kept)
     assert len(searches) == 3
 
@@ -67,7 +67,7 @@ def test_failed_automatic_search_does_not_prevent_a_search_from_the_root(searche
         fly._walls(None, None)({})
 
 
-def test_different_airways_are_refused_with_a_message(searches):
+def test_recording_whose_airways_differ_is_refused_with_a_message(searches):
     with pytest.raises(
         VolumeImportError, match=("the airways that guided the scope in this recording differ")
     ) as refused:

@@ -1,4 +1,4 @@
-"""Ctrl-C in each long stage of a real process: exit code 130, a message, and no partial files."""
+"""Tests of Ctrl-C in each long stage of a real process: exit code 130, a message, and no partial files."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from carina.cli.console import interruptible
 from own_folders import environment_in
 
 WAIT_S = 120.0
-"""Time limit of every wait in s.
+"""Time limit of every wait, seconds.
 
-One picture below takes minutes, so only an interrupted command ends within the limit.
+A picture of these tests takes minutes, so only an interrupted command ends within the limit.
 """
 
 
@@ -54,7 +54,8 @@ def test_ctrl_c_exits_130_and_leaves_no_file(stage, ct, tmp_path):
     assert not list(tmp_path.glob("*.png"))
 
 
-# A shell that starts the tests in the background makes its children ignore Ctrl-C, unlike a terminal.
+# Program that restores the handling of Ctrl-C: a shell that starts the tests in the background makes its children
+# ignore it, unlike a terminal.
 STARTED = """
 import signal
 import sys
@@ -74,7 +75,7 @@ main()
 """
 
 
-def test_background_work_returns_its_result_or_raises_its_error():
+def test_work_in_a_thread_returns_its_result_or_raises_its_error():
     assert interruptible(lambda: 7) == 7
     with pytest.raises(ZeroDivisionError):
         interruptible(lambda: 1 // 0)

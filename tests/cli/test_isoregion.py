@@ -1,4 +1,4 @@
-"""The command ``carina isoregion``, which writes the IsoRegion map of a scan to a file (paper 4.2)."""
+"""Tests of the command ``carina isoregion``, which writes the IsoRegion map of a scan to a file (paper 4.2)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from carina.render import build_isoregion_map, isoregion_map, transfer_preset
 
 @pytest.mark.parametrize("name", ["map.nrrd", "map.nii.gz"])
 @pytest.mark.parametrize("transfer", [None, "endoscopic"])
-def test_file_contains_the_map_on_the_grid_of_the_scan(carina, ct, tmp_path, name, transfer):
+def test_isoregion_file_contains_the_map_on_the_grid_of_the_scan(carina, ct, tmp_path, name, transfer):
     output = tmp_path / name
     options = [] if transfer is None else ["--transfer", transfer]
     ended = carina("isoregion", ct, "-o", output, *options, "--json")
@@ -29,10 +29,10 @@ def test_file_contains_the_map_on_the_grid_of_the_scan(carina, ct, tmp_path, nam
     assert said["share_with_equal_neighbours"] == pytest.approx((radii > 0).mean())
 
 
-def test_bins_of_the_paper_join_values_within_16_hu(ct):
+def test_isoregion_labels_are_bins_of_16_hu(ct):
     volume = product.open_volume(ct)
     bins = (volume.hu_zyx.astype(np.int32) + 32768) // 16
-    # Each bin has a label; a CT has at most 255 bins, and more would not fit into 8 bits.
+    # Each bin has a label; a CT has at most 255 bins, because more labels would not fit into 8 bits.
     labels = np.unique(bins, return_inverse=True)[1].reshape(bins.shape)
     assert labels.max() < 255
     assert np.array_equal(isoregion_map(volume), build_isoregion_map((labels + 1).astype(np.uint8)))

@@ -1,4 +1,4 @@
-"""Commands on unusual files of the test data: each file is read or refused with a message, without a crash."""
+"""Tests of commands on unusual files: each file is read, or refused with a message, without a crash."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from odd_files import inputs_in, outcome_problem, problems
 
 CASES = os.environ.get("CARINA_CASES_DIR", "")
-"""Folder with the outputs of the case generators."""
+"""Folder with the files that the case generators wrote; empty if not set."""
 
 
 @pytest.mark.data
@@ -40,7 +40,7 @@ def test_commands_obey_the_contract_on_every_generated_case() -> None:
         (0, "{}", "a\x1b[31mb", "a control character"),
     ],
 )
-def test_outcome_outside_the_contract_is_reported(code: int, out: str, err: str, expected: str | None) -> None:
+def test_outcome_that_violates_the_contract_is_described(code: int, out: str, err: str, expected: str | None) -> None:
     found = outcome_problem(code, out, err)
     assert found is None if expected is None else expected in str(found)
 

@@ -1,4 +1,4 @@
-"""The command ``carina plan``: its plan equals the plan in Python, in the terminal and in files."""
+"""Tests of the command ``carina plan``: its plan equals the plan in Python, in the terminal and in files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from made import found_airways, made_phantom
 
 @pytest.fixture(scope="module")
 def chest(tmp_path_factory):
-    """Return a chest with a nodule as a file, and a point in the nodule."""
+    """Return the file of a chest with a nodule, and a point in the nodule as an argument."""
     made = made_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
     folder = tmp_path_factory.mktemp("chest")
     carina.write_phantom(made, folder)
@@ -68,7 +68,7 @@ def test_plan_is_printed_and_written_and_equals_that_of_python(chest, tmp_path) 
 
 @pytest.fixture(scope="module")
 def mirrored_chest(chest, tmp_path_factory):
-    """Return the chest with left and right exchanged as a file, and the point in its nodule."""
+    """Return the file of the chest with left and right exchanged, and the point in its nodule as an argument."""
     volume = carina.open_volume(chest[0])
     place = volume.lps_from_ijk.copy()
     place[0] *= -1.0
@@ -99,7 +99,7 @@ def test_airways_reports_a_mirrored_chest_in_the_terminal_and_as_a_badge(mirrore
 
 @pytest.fixture(scope="module")
 def thick_chest(tmp_path_factory):
-    """Return a chest with a nodule in slices of 3 mm as a file, and a point in the nodule."""
+    """Return the file of a chest with a nodule in slices of 3 mm, and a point in the nodule as an argument."""
     made = made_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=5, nodule=True)
     folder = tmp_path_factory.mktemp("thick")
     carina.write_phantom(made, folder)
@@ -123,7 +123,7 @@ def test_plan_in_thick_slices_states_the_calibrated_shares_in_every_output(thick
     assert all(f"{100 * one['most']:.0f} %" in sentence for one in shares["shares"])
 
 
-def test_no_route_exits_4_with_the_reason(chest, found_once, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_plan_without_a_route_exits_4_with_the_reason(chest, found_once, monkeypatch: pytest.MonkeyPatch) -> None:
     path, place = chest
     from carina.plan.routes import plan_route
 
@@ -143,19 +143,21 @@ def test_no_route_exits_4_with_the_reason(chest, found_once, monkeypatch: pytest
         (["--paper", "A3", "-o", "plan.pdf"], 2, "expected A4 or Letter"),
     ],
 )
-def test_invalid_requests_are_refused_with_a_message(chest, found_once, more: list[str], code: int, words: str) -> None:
+def test_plan_with_invalid_options_is_refused_with_a_message(
+    chest, found_once, more: list[str], code: int, words: str
+) -> None:
     path, place = chest
     result = run(path, place, *more)
     assert result.exit_code == code and words in result.stderr
 
 
-def test_position_without_a_nodule_is_refused(chest) -> None:
+def test_plan_for_a_position_without_a_nodule_is_refused(chest) -> None:
     path, place = chest
     result = run(path, [place[0], place[1], place[2] + 45.0])
     assert result.exit_code in {2, 4} and "nodule" in result.stderr
 
 
-def test_all_scopes_are_judged_on_request(chest, found_once, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_plan_with_all_scopes_lists_a_verdict_for_each(chest, found_once, monkeypatch: pytest.MonkeyPatch) -> None:
     path, place = chest
     # The results of the drive searches are tested elsewhere, so their effort is small here.
     monkeypatch.setattr("carina.cli.plan.judge_scopes", partial(judge_scopes, effort=2000.0))
@@ -166,7 +168,7 @@ def test_all_scopes_are_judged_on_request(chest, found_once, monkeypatch: pytest
     assert all(one["outcome"] in {"reaches", "may reach", "does not reach", "cannot say"} for one in verdicts)
 
 
-def test_mask_is_a_target_and_the_plan_opens_in_slicer_and_prints(chest, found_once, tmp_path) -> None:
+def test_plan_for_a_mask_is_written_for_slicer_and_as_a_report(chest, found_once, tmp_path) -> None:
     path, place = chest
     volume = carina.open_volume(path)
     nodule = carina.grow_nodule(volume, place)
@@ -192,7 +194,7 @@ def test_mask_is_a_target_and_the_plan_opens_in_slicer_and_prints(chest, found_o
     ("more", "words"),
     [(["--send", "nowhere"], "expected HOST:PORT"), (["--send", "127.0.0.1:1"], "nothing listens there")],
 )
-def test_invalid_receiver_address_is_reported(chest, found_once, more: list[str], words: str) -> None:
+def test_plan_with_an_invalid_receiver_address_is_refused(chest, found_once, more: list[str], words: str) -> None:
     path, place = chest
     result = run(path, place, *more)
     assert result.exit_code != 0 and words in result.stderr

@@ -1,4 +1,4 @@
-"""The command ``carina track`` in a volume without airways: its path, and the figures that are unknown."""
+"""Tests of the command ``carina track`` in a volume without airways: its path, and the figures that are unknown."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_path_through_a_vessel_is_written_with_its_unknown_figures(carina, vesse
     assert "generation" not in said
 
 
-def test_missing_start_is_reported(carina, vessel):
+def test_track_without_airways_and_without_a_start_is_refused(carina, vessel):
     scan, _, end = vessel
     ended = carina("track", scan, "--cost", "walls", f"--target={end}")
     assert ended.code == 4
@@ -58,7 +58,7 @@ def test_case_without_airways_needs_a_start_for_tracking(carina, vessel, tmp_pat
     assert "--root" in ended.err
 
 
-def test_target_outside_the_volume_is_refused(carina, vessel):
+def test_track_without_airways_to_a_target_outside_the_volume_is_refused(carina, vessel):
     scan, root, _ = vessel
     ended = carina("track", scan, "--cost", "paper", f"--root={root}", "--target=900,0,0")
     assert ended.code == 2

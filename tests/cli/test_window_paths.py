@@ -1,4 +1,4 @@
-"""Path names that ``carina open`` cannot pass to the window: the command ends with a message."""
+"""Test of path names that ``carina open`` cannot pass to the window: the command ends with a message."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 @pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="file names are Unicode there")
 @pytest.mark.parametrize("name", [b"l\xe9.nii", b"a\nb.nii"], ids=repr)
-def test_open_refuses_a_name_that_the_window_cannot_receive(carina, tmp_path, name):
+def test_open_refuses_a_path_that_is_no_valid_unicode(carina, tmp_path, name):
     path = tmp_path / os.fsdecode(name)
     path.write_bytes(b"")
     ended = carina("open", path, "--no-browser", "--json")

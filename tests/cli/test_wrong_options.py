@@ -1,4 +1,4 @@
-"""Invalid values of every option of every command: they are refused before the work.
+"""Tests of invalid values of every option of every command: they are refused before the command begins its work.
 
 Options without effect are refused as well.
 """
@@ -19,13 +19,13 @@ NEVER = (
     "nan", "inf", "-inf", "1e300", "-1e300", "99999999999999999999", "", " ", "no-such-thing", "1,2", "nan,nan,nan",
     "x" * 5000,
 )  # fmt: skip
-"""Values outside every numeric range that are not names of output files either."""
+"""Values outside every numeric range; no value is the name of an output file."""
 WORDS = (*NEVER, "-1", "0")
 FEW_WORDS = ("nan", "99999999999999999999", "")
-"""Values that ``make test`` tries; the soak test tries all of them."""
+"""Values of :data:`NEVER` that ``make test`` tries; the soak test tries all of them."""
 NUMBER_TYPES = {str(kind) for kind in (int, float, int | None, float | None)}
 SUFFIXED = {"airways", "export", "track", "plan", "render", "isoregion", "fly", "case recording"}
-"""Commands whose output selects its format by its suffix."""
+"""Commands that select the format of their output by its suffix."""
 POINT = "-20.2,3.0,-26.6"
 GOOD: dict[str, list[str]] = {
     "airways": ["CT"],
@@ -54,11 +54,11 @@ GOOD: dict[str, list[str]] = {
     "render": ["CT", "-o", "picture.png"],
     "track": ["CT", "--target", POINT],
 }
-"""Valid arguments with which each command begins its work."""
+"""Valid arguments of each command, with which it begins its work."""
 
 
 class WorkBeganError(CarinaError):
-    """Error that shows that the arguments were accepted and the work would begin."""
+    """Error that is raised in place of the work of a command whose arguments were accepted."""
 
     code = "test.work"
     exit_code = 3
@@ -76,16 +76,16 @@ def all_commands() -> dict[str, Any]:
 
 COMMANDS = all_commands()
 UNATTENDED = sorted(set(COMMANDS) - {"bench", "cluster join", "cluster start", "cluster status", "devices", "doctor"})
-"""Commands without a network, a device or a cluster."""
+"""Commands that need no network, no device and no cluster."""
 
 
-def test_every_command_has_valid_arguments() -> None:
+def test_table_of_valid_arguments_contains_every_command() -> None:
     assert sorted(COMMANDS) == sorted(GOOD)
 
 
 @pytest.fixture
 def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Stop every command where its work begins."""
+    """Stop every command at the beginning of its work."""
 
     def begin(*_arguments: object, **_options: object) -> None:
         raise WorkBeganError("the work began")
@@ -98,7 +98,10 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def wrong_calls(name: str, words: tuple[str, ...]) -> list[tuple[str, list[str], bool]]:
-    """Return a description, the arguments and whether they must be refused, for each wrong value of each parameter."""
+    """Return the calls with one wrong value for each value and each parameter of a command.
+
+    A call is a description, the arguments, and whether the command must refuse them.
+    """
     found = []
     for parameter in COMMANDS[name].params:
         is_option = isinstance(parameter, TyperOption)

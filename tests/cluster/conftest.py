@@ -1,4 +1,4 @@
-"""Fixtures of the cluster tests: a small noisy airway, consoles, and lanes that fail on demand."""
+"""Fixtures of the cluster tests: a small noisy airway, consoles, and connections (lanes) that fail on demand."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class SmallCase:
 
 @pytest.fixture(scope="session")
 def case() -> SmallCase:
-    """Return the case, equal in every run."""
+    """Return the bent tube with its lumen and camera; it is equal in every run."""
     shape = (40, 34, 36)
     z, y, x = np.meshgrid(*(np.arange(n, dtype=float) for n in shape), indexing="ij")
     off = np.hypot((x - 17 - 3 * np.sin(z / 9)) * 0.9, (y - 16) * 1.1)
@@ -68,7 +68,7 @@ def consoles() -> Iterator[Callable[..., Console]]:
 
 @dataclass
 class Trouble:
-    """Faults of a lane's replies, which a test can change while the lane runs."""
+    """Faults in the replies of a lane, which a test can change while the lane runs."""
 
     drops: bool = False
     raises: BaseException | None = None
@@ -84,7 +84,7 @@ class Trouble:
 
 
 class FaultyLane(LocalLane):
-    """Lane with the faults of its ``trouble``."""
+    """Connection to a renderer (lane) whose replies have the faults of its ``trouble``."""
 
     def __init__(self, renderer: Renderer, *, name: str) -> None:
         self.trouble = Trouble()
@@ -92,7 +92,7 @@ class FaultyLane(LocalLane):
         super().__init__(renderer, name=name)
 
     def submit(self, order, done):
-        """Render a strip and reply as the current faults demand."""
+        """Render a strip and reply with the present faults."""
         trouble = self.trouble
         trouble.num_orders += 1
         if trouble.refuses:
@@ -111,7 +111,7 @@ class FaultyLane(LocalLane):
             elif trouble.old_frame:
                 done(replace(answer, frame_id=answer.frame_id - 1, rgb=answer.rgb * 0))
             elif trouble.other_rows:
-                # The frame and the height are correct, but the rows are shifted by one.
+                # The frame number and the height are correct, but the rows are shifted by one.
                 shift = 1 if answer.first_row == 0 else -1
                 done(replace(answer, first_row=answer.first_row + shift, rgb=np.roll(answer.rgb, shift, axis=0)))
             elif trouble.holds:
@@ -123,7 +123,7 @@ class FaultyLane(LocalLane):
         super().submit(order, answered)
 
     def release(self) -> None:
-        """Send all delayed replies."""
+        """Send all replies that a fault has delayed."""
         self.trouble.holds = False
         with self._guard:
             held, self.trouble.held = self.trouble.held, []
@@ -133,7 +133,7 @@ class FaultyLane(LocalLane):
 
 @dataclass
 class Cluster:
-    """Console with faulty lanes of one case, and ``truth``, a renderer outside the cluster."""
+    """Console with lanes that can fail, one case, and a renderer outside the cluster (``truth``)."""
 
     console: Console
     renderer: ClusterRenderer

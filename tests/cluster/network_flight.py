@@ -31,12 +31,12 @@ OWN_FOLDERS = (
 
 
 def own_folders(folder: Path) -> list[str]:
-    """Return the beginning of a command that gives a machine its own shared memory and Ray folder."""
+    """Return the beginning of a command line that gives a machine a separate shared memory and Ray folder."""
     return ["unshare", "-m", "env", f"RAY_FOLDER={folder / 'ray'}", "sh", "-c", OWN_FOLDERS, "machine"]
 
 
 def link(prefix: str, host: int, state: str) -> None:
-    """Set a machine's port of the network switch ``up`` or ``down``."""
+    """Set the port of a machine on the network switch to ``up`` or ``down``."""
     subprocess.run(["ip", "-n", f"{prefix}s", "link", "set", f"p{host}", state], check=True, timeout=20)
 
 
@@ -53,7 +53,7 @@ def join(folder: Path, prefix: str, host: int) -> subprocess.Popen[bytes]:
 
 
 def fly(flight, seconds: float, until=lambda: False) -> list[float]:
-    """Request at most 25 pictures a second, check each one, and return the times at which they were shown in s."""
+    """Request at most 25 pictures a second and check each one; return the times at which they were shown, s."""
     began_s = time.monotonic()
     shown = [began_s]
     while time.monotonic() < began_s + seconds and not until():
@@ -70,14 +70,14 @@ def longest_ms(shown: list[float]) -> float:
 
 
 def renders(flight, name: str) -> bool:
-    """Return whether current pictures contain strips of a machine."""
+    """Return whether new pictures contain strips of the machine ``name``."""
     before = len(flight.console.jobs)
     fly(flight, 0.5)
     return name in {job.lane for job in flight.console.jobs[before:] if job.accepted}
 
 
 def main(folder: Path, prefix: str) -> dict[str, object]:
-    """Run the whole flight and return its figures."""
+    """Run the flight with all interruptions of links, and return its figures."""
     token = make_token(folder / "token")
     node = Node(
         token, head=True, ip=ADDRESSES[0], port=PORT, dedicated=True, temp_dir=folder / "ray", log=folder / "head.log",
@@ -104,7 +104,7 @@ def main(folder: Path, prefix: str) -> dict[str, object]:
                 link(prefix, host, "up")
                 fly(flight, 60.0, until=lambda: len(flight.ready()) == 3)
                 fly(flight, 1.0)
-            # The interruption is so long that Ray removes the machine, which must then rejoin by itself.
+            # The interruption is so long that Ray removes the machine, which must join again without help.
             link(prefix, 2, "down")
             gone = f"the machine {ADDRESSES[2]} has left the cluster"
             fly(flight, 60.0, until=lambda: gone in flight.console.status().notices)

@@ -1,4 +1,4 @@
-"""Real Ray cluster on loopback for tests: one head and sleeping renderers, without processes left at the end."""
+"""Real Ray cluster on loopback for tests: one head and sleeping renderers, which leave no processes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ needs_ray = pytest.mark.skipif(
     not sys.platform.startswith("linux") or importlib.util.find_spec("ray") is None,
     reason="needs Linux and Ray (make setup-tests)",
 )
-IP = "127.0.0.2"  # Ray replaces 127.0.0.1 by the machine's address on the network
+IP = "127.0.0.2"  # Ray replaces 127.0.0.1 by the address of the machine on the network.
 VIEW = AirwayView(Pose.looking((8.0, 8.0, 8.0), (0.0, 0.0, -1.0)), width=512, height=512)
 
 
@@ -38,7 +38,7 @@ def import_path() -> dict[str, str]:
 
 
 def free_port() -> int:
-    """Return a port on which no program listens."""
+    """Return a network port on which no program listens."""
     with socket.socket() as probe:
         probe.bind((IP, 0))
         return int(probe.getsockname()[1])
@@ -46,19 +46,19 @@ def free_port() -> int:
 
 @dataclass
 class Head:
-    """Running head of a Ray cluster, and its token."""
+    """Running head of a Ray cluster, with its token."""
 
     node: Node
     token: Path
     folder: Path
     """Folder of the head's files and logs."""
     seen: dict[int, str] = field(default_factory=dict)
-    """Processes that the head has started, as found by ``look``."""
+    """Processes that the head has started, by process ID, as ``look`` found them."""
     left: list[str] = field(default_factory=list)
-    """Processes of ``seen`` that were still alive after the head was stopped, which is a failure."""
+    """Processes of ``seen`` that still ran after the head was stopped; a test fails if there is one."""
 
     def look(self) -> None:
-        """Store the current child processes, because processes whose parent has died cannot be found later."""
+        """Store the present child processes, because a process whose parent has ended cannot be found later."""
         self.seen |= descendants(self.node.process.pid)
 
 
@@ -76,11 +76,11 @@ def alive(tree: dict[int, str]) -> list[str]:
 
 @contextlib.contextmanager
 def running_head(renderers: int) -> Iterator[Head]:
-    """Start a head with renderers and stop it with all its processes.
+    """Run a head with ``renderers`` renderers, and stop it with all its processes at the end.
 
     Afterwards, ``left`` lists the processes that did not end by themselves.
     """
-    # Ray puts sockets in this folder, whose paths must be short; the folder of pytest is too long.
+    # Ray puts sockets into this folder, and their paths must be short; pytest's folder would be too long.
     folder = Path(tempfile.mkdtemp(prefix="ray-"))
     token = make_token(folder / "token")
     node = Node(
@@ -111,7 +111,7 @@ def running_head(renderers: int) -> Iterator[Head]:
 
 
 def small_volume(size: int = 16) -> Volume:
-    """Return a cubic volume of noise."""
+    """Return a cubic volume of noise with ``size`` voxels on each edge."""
     hu = np.random.default_rng(5).integers(-1000, 200, (size, size, size)).astype(np.int16)
     return Volume(hu, np.eye(4))
 
@@ -121,7 +121,10 @@ _flights: list[Flight] = []
 
 
 def wait_for(what, timeout_s: float = 240.0):
-    """Wait until a function returns a true value and return it; on a timeout, fail with the state of the cluster."""
+    """Wait until the function returns a true value, and return it.
+
+    After the timeout fail with the state of the cluster.
+    """
     end_s = time.monotonic() + timeout_s
     while not (found := what()):
         assert time.monotonic() < end_s, how_it_is()
@@ -167,7 +170,7 @@ def how_it_is() -> str:
 
 @dataclass
 class Flight:
-    """Console with renderers on a Ray cluster, and a renderer that requests pictures from it."""
+    """Console with renderers on a Ray cluster, and a renderer that requests pictures from the console."""
 
     console: Console
     renderer: ClusterRenderer
@@ -180,9 +183,9 @@ class Flight:
         return [m.name for m in members if m.state == "ready" and m.name != "console"]
 
     def check(self, picture: Picture) -> float:
-        """Check that each row comes from a sleeping renderer or, if none was in time, from the console.
+        """Check that each row comes from a sleeping renderer, or from the console if no renderer was in time.
 
-        Returns the fraction that comes from sleeping renderers, 0 to 1.
+        Return the fraction of rows from sleeping renderers, 0 to 1.
         """
         assert picture.rgb.shape == (VIEW.height, VIEW.width, 3)
         if self._truth is None or self._truth[0] != self.content:
@@ -195,12 +198,12 @@ class Flight:
         return float(theirs.mean())
 
     def lane(self, name: str):
-        """Return the lane of a renderer."""
+        """Return the connection (lane) of the renderer ``name``."""
         return self.console._members[name].lane
 
     @property
     def content(self) -> int:
-        """Content number of the scene that is shown."""
+        """Number of the content (scene) that is shown."""
         return self.renderer._sent[1]
 
 
@@ -216,9 +219,9 @@ def flying(
     limit: int | None = None,
     **options,
 ) -> Iterator[Flight]:
-    """Start a console and wait for ``num`` ready renderers, of at most ``limit``.
+    """Run a console with ``num`` ready renderers; ``limit`` is the largest number of renderers.
 
-    Each renderer is a process that takes seconds to start.
+    Each renderer is a process, which takes seconds to start.
     """
     from carina.cluster.ray_backend import RayCluster
 

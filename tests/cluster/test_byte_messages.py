@@ -1,4 +1,4 @@
-"""Encoding of strip orders and replies as bytes, and refusal of invalid replies."""
+"""Tests of the encoding of strip orders and replies as bytes, and of the refusal of invalid replies."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BIG = st.integers(0, 2**62)
 
 
 @given(BIG, BIG, st.binary(max_size=50), st.one_of(st.none(), st.tuples(st.integers(0, 9000), st.integers(1, 9000))))
-def test_order_is_restored_from_its_bytes(frame_id, content, view, rows):
+def test_order_of_a_strip_is_restored_from_its_bytes(frame_id, content, view, rows):
     assert open_order(pack_order(frame_id, content, view, rows)) == (frame_id, content, view, rows)
 
 
@@ -29,7 +29,7 @@ def _picture() -> Picture:
 
 
 @pytest.mark.parametrize("first_row", [0, 5])
-def test_reply_is_restored_from_its_bytes(first_row):
+def test_reply_with_a_strip_is_restored_from_its_bytes(first_row):
     rgb = np.random.default_rng(1).integers(0, 256, (3, 8, 3)).astype(np.uint8)
     picture = _picture() if first_row == 0 else None
     strip = (2**40, 7, first_row, 3, 0.125, "leap", COUNTS, picture, rgb)
@@ -48,7 +48,7 @@ def test_reply_with_noncontiguous_rows_is_restored():
 
 
 def test_largest_strip_is_below_the_limit_of_direct_transport():
-    """Replies above 1 MiB go through shared memory, which takes 9 ms instead of 1."""
+    """Check that replies stay below 1 MiB, above which they go through shared memory: 9 ms instead of 1 ms."""
     rows = ClusterSettings().max_strip_bytes // (3 * 512)
     strip = (1, 1, 0, rows, 0.0, "leap", COUNTS, _picture(), np.zeros((rows, 512, 3), np.uint8))
     assert len(pack_answer(strip)) < 1_048_576 - 8_192
@@ -80,7 +80,7 @@ def test_picture_that_cannot_be_unpickled_is_an_invalid_strip(pickled):
         open_answer(whole.replace(bare, pickled.ljust(len(bare), b"\0")))
 
 
-def test_other_object_in_place_of_a_picture_is_an_invalid_strip():
+def test_reply_with_another_object_than_a_picture_is_an_invalid_strip():
     other = {"view": "airway"}
     with pytest.raises(ClusterError, match="expected an image, found a dict"):
         open_answer(pack_answer((1, 1, 0, 3, 0.0, "leap", COUNTS, other, np.zeros((3, 8, 3), np.uint8))))

@@ -1,4 +1,7 @@
-"""Members of a cluster: new renderers get a lane, and departing ones release their machine; Ray is simulated."""
+"""Tests of the members of a cluster: new renderers get a lane, departing ones release their machine.
+
+Ray is simulated.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,7 @@ HELLO = {
 
 
 class Actor:
-    """Simulated Ray actor of a renderer; it occupies its machine until it is killed, and the test makes it reply."""
+    """Simulated Ray actor of a renderer: it occupies its machine until it is killed, and the test lets it reply."""
 
     def __init__(self, node: str) -> None:
         self.node = node
@@ -36,7 +39,7 @@ class Actor:
         self.ping = SimpleNamespace(options=lambda **_: call)
 
     def says(self, **changes) -> None:
-        """Reply to the first call, which shows that the renderer has started."""
+        """Reply to the first call; this shows that the renderer has started."""
         self.hello.set_result(HELLO | changes)
 
 
@@ -47,7 +50,7 @@ class PlayedRay:
     nodes_there: list[str] = field(default_factory=lambda: ["a"])
     actors: list[Actor] = field(default_factory=list)
     may_start: threading.Event = field(default_factory=threading.Event)
-    """Event for which each request for a renderer waits; set at the start."""
+    """Event for which each request for a renderer waits; it is set at the start of a test."""
     num_asked: int = 0
 
     def __post_init__(self) -> None:
@@ -112,7 +115,7 @@ def names(console) -> list[str]:
 
 
 def in_rays_thread(what) -> None:
-    """Call a function in a thread like Ray's callbacks, which must not wait for Ray."""
+    """Call a function in a thread that, like that of Ray's callbacks, must not wait for Ray."""
     thread = threading.Thread(target=what, name="ray's own")
     thread.start()
     thread.join(60.0)
@@ -136,7 +139,7 @@ def test_renderer_still_starting_on_close_releases_its_machine(ray, join, versio
     [actor] = wait_for(lambda: list(ray.actors))
     cluster.close()
     assert ray.all_given_back(), "the machine is taken as long as anybody holds the renderer"
-    # A reply after the closing is ignored.
+    # A reply after the closing of the console is ignored.
     in_rays_thread(lambda: actor.says(version=version))
     assert names(console) == []
     assert console.status().notices == ()
@@ -199,7 +202,7 @@ def test_renderer_that_cannot_start_is_reported_killed_and_requested_again(ray, 
     wait_for(lambda: names(console) == ["a"])
 
 
-def test_renderer_that_starts_slowly_is_reported_and_used_later(ray, join):
+def test_renderer_that_starts_slowly_is_reported_and_used_when_it_has_started(ray, join):
     now_s = [100.0]
     console, _ = join(clock=lambda: now_s[0])
     [actor] = wait_for(lambda: list(ray.actors))
@@ -217,7 +220,7 @@ def test_renderer_that_starts_slowly_is_reported_and_used_later(ray, join):
     wait_for(lambda: names(console) == ["a"])
 
 
-def test_console_closed_first_kills_nothing_twice_and_leaves_nothing(ray, join):
+def test_closing_the_console_before_the_cluster_releases_each_renderer_once(ray, join):
     console, cluster = join()
     wait_for(lambda: ray.actors)
     console.close()

@@ -1,4 +1,4 @@
-"""Interrupted network links between three machines in network namespaces (make soak; needs root)."""
+"""Test of interrupted network links between three machines in network namespaces (make soak; needs root)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _ip(*words: str) -> bool:
 
 @contextlib.contextmanager
 def _network(prefix: str) -> Iterator[None]:
-    """Create namespaces ``<prefix>0`` to ``2`` and a switch in another one, apart from the network of the machine."""
+    """Create namespaces ``<prefix>0`` to ``2``, and a switch in a fourth one, apart from the machine's network."""
     names = [f"{prefix}{n}" for n in range(3)]
     switch = f"{prefix}s"
     try:
@@ -56,7 +56,7 @@ def _can_have_networks() -> bool:
 @needs_ray
 @pytest.mark.skipif(not _can_have_networks(), reason="needs root, and leave to make network namespaces")
 def test_interrupted_link_delays_pictures_briefly_and_the_machine_returns():
-    # Ray puts sockets in this folder, whose paths must be short.
+    # Ray puts sockets into this folder, and their paths must be short.
     folder = Path(tempfile.mkdtemp(prefix="carina-net-"))
     prefix = f"carina{os.getpid()}n"
     flight = Path(__file__).with_name("network_flight.py")

@@ -1,4 +1,4 @@
-"""Tokens, addresses, versions and messages about missing parts of a cluster node; no Ray is started."""
+"""Tests of tokens, addresses, versions and messages of a cluster node; no Ray is started."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_token_is_created_once_and_readable_by_its_owner_only(tmp_path):
     assert text != node.make_token(tmp_path / "other").read_text()
 
 
-def test_token_readable_by_others_is_refused(tmp_path):
+def test_token_file_readable_by_other_users_is_refused(tmp_path):
     made = node.make_token(tmp_path / "token")
     made.chmod(0o644)
     with pytest.raises(ClusterError, match="chmod 600"):
@@ -53,7 +53,7 @@ def test_systems_other_than_linux_are_refused_with_a_message(monkeypatch):
         node.check_available()
 
 
-def test_environment_contains_no_token_and_disables_usage_reports(tmp_path):
+def test_environment_of_a_node_contains_no_token_and_disables_usage_reports(tmp_path):
     made = node.make_token(tmp_path / "token")
     environment = node.ray_environment(made)
     assert made.read_text() not in environment.values()
@@ -73,7 +73,10 @@ def test_kuberay_manifest_sets_the_same_environment_as_a_node(tmp_path):
     ("words", "starts", "told"), [(node.TIMED_OUT, 3, node.TIMED_OUT), ("no such option", 1, "no such option")]
 )
 def test_start_that_timed_out_is_repeated_and_a_refused_start_is_not(tmp_path, monkeypatch, words, starts, told):
-    """On a busy machine, Ray's helper processes exceed a time limit of Ray; an invalid argument never succeeds."""
+    """Use a busy machine and an invalid argument.
+
+    On a busy machine Ray's helper processes exceed a time limit; an invalid argument always fails.
+    """
     monkeypatch.setattr(node, "check_available", lambda: None)
     log, began = tmp_path / "log", tmp_path / "began"
     program = f"open({str(began)!r}, 'a').write('x'); print({words!r})"
@@ -122,7 +125,7 @@ def test_case_that_exceeds_the_memory_is_reported_with_available_and_needed_size
     ("console", "renderer", "side"),
     [("0.2.0", "0.1.9", "machine m"), ("0.2.0", "0.10.0", "this console"), ("1.0", "0.9.9", "machine m")],
 )
-def test_version_message_names_the_older_side(console, renderer, side):
+def test_message_about_different_versions_names_the_older_side(console, renderer, side):
     words = version_words(console, renderer, "m")
     assert words is not None and words.endswith(f"upgrade the {side}" if side != "this console" else f"upgrade {side}")
     assert version_words("0.2.0", "0.2.0", "m") is None

@@ -1,4 +1,4 @@
-"""Pictures assembled from strips: equal bit for bit to those of a single machine, even if renderers fail."""
+"""Tests of pictures assembled from strips: equal bit for bit to those of a single machine, even if renderers fail."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def machines(case):
 
 @pytest.fixture(scope="module")
 def truth(case):
-    """Return the whole pictures of all views."""
+    """Return the picture of each view that one renderer outside the cluster makes."""
     renderer = case.renderer()
     return {name: renderer.render(view).rgb for name, view in _views(case).items()}
 
@@ -173,7 +173,7 @@ def _wait_ready(made, num: int | None = None) -> None:
 
 
 def _wait(made, what, meanwhile=lambda: time.sleep(0.005)) -> None:
-    """Wait until a condition is true, calling ``meanwhile`` repeatedly, which may bring the condition about."""
+    """Wait until a condition is true; call ``meanwhile`` repeatedly, which may make it true."""
     end_s = time.monotonic() + WAIT_S
     while not what():
         assert time.monotonic() < end_s, made.console.status()
@@ -181,7 +181,7 @@ def _wait(made, what, meanwhile=lambda: time.sleep(0.005)) -> None:
 
 
 def _wait_loaded(made) -> None:
-    """Wait until all lanes have loaded the newest content."""
+    """Wait until all lanes have loaded the newest content (scene)."""
 
     def all_have_it() -> bool:
         newest = made.renderer._sent[1]
@@ -195,7 +195,7 @@ def _airway(case, **changes) -> AirwayView:
 
 
 WAIT_S = 120.0
-"""Time limit of every wait in s."""
+"""Time limit of every wait, seconds."""
 FAST = ClusterSettings(late_floor_s=0.03, first_answer_s=0.5)
 
 
@@ -223,7 +223,7 @@ def test_renderer_that_stops_replying_delays_one_picture_and_returns_by_itself(c
 
 
 @pytest.mark.parametrize("what", ["wrong_shape", "old_frame", "other_rows"])
-def test_wrong_replies_are_never_shown(case, cluster, what):
+def test_strip_with_a_wrong_shape_frame_or_rows_is_not_shown(case, cluster, what):
     made = cluster(settings=FAST)
     _wait_ready(made)
     expected = made.truth.render(_airway(case)).rgb
@@ -244,8 +244,8 @@ def test_wrong_replies_are_never_shown(case, cluster, what):
 
 
 @pytest.mark.parametrize("what", ["wrong_shape", "garbles", "twice", "refuses"])
-def test_no_wrong_reply_blocks_a_frame(case, cluster, monkeypatch, what):
-    """The check of replies is disabled; another renderer must still render an unusable strip."""
+def test_frame_is_completed_after_any_wrong_reply(case, cluster, monkeypatch, what):
+    """Disable the check of replies; another renderer must render a strip that cannot be used."""
     from carina.cluster import console
 
     monkeypatch.setattr(console, "what_is_wrong", lambda answer, order: None)
@@ -309,7 +309,7 @@ def test_renderer_that_fails_during_a_frame_loses_no_picture(case, cluster):
     _wait_ready(made)
 
 
-def test_renderer_that_cannot_receive_a_load_request_affects_no_other(case, cluster, monkeypatch):
+def test_other_renderers_load_the_scene_if_one_cannot_receive_the_request(case, cluster, monkeypatch):
     made = cluster(settings=FAST)
     _wait_ready(made)
     expected = made.truth.render(_airway(case)).rgb
@@ -357,7 +357,7 @@ def test_renderer_that_cannot_load_is_reported_once_and_tried_again(case, cluste
     _wait_ready(made)
 
 
-def test_console_renders_alone_if_no_renderer_is_left(case, cluster):
+def test_console_renders_pictures_if_no_renderer_is_left(case, cluster):
     made = cluster(simds=(None,), settings=FAST)
     _wait_ready(made)
     expected = made.truth.render(_airway(case)).rgb
@@ -378,7 +378,7 @@ def test_renderer_that_joins_during_a_flight_receives_strips(case, cluster, cons
     late.name = "newcomer"
     under_way, joined_at, num = [], None, 0
     end_s = time.monotonic() + WAIT_S
-    # Two frames are always in progress, so the new renderer joins while strips are being rendered.
+    # Two frames are always in progress, so the new renderer joins while strips are rendered.
     while joined_at is None or late.trouble.num_orders < 5:
         assert time.monotonic() < end_s, "it gets nothing"
         under_way.append((num % 4, made.renderer.want(views[num % 4])[1]))
@@ -425,7 +425,7 @@ def test_several_threads_may_request_pictures_concurrently(case, cluster):
             assert np.array_equal(found.rgb, picture)
 
 
-def test_picture_can_be_cancelled(case, cluster):
+def test_picture_on_the_cluster_can_be_cancelled(case, cluster):
     made = cluster(simds=(None,), settings=ClusterSettings(first_answer_s=60.0))
     _wait_ready(made)
     made.lanes[0].trouble.holds = True
@@ -450,7 +450,7 @@ def test_view_that_cannot_be_rendered_is_refused_as_on_one_machine(case, console
     assert renderer.render(_airway(case)).rgb.shape == (61, 72, 3)
 
 
-def test_picture_series_is_in_order_and_can_be_resumed(case, cluster):
+def test_series_of_pictures_is_in_order_and_can_be_resumed(case, cluster):
     made = cluster(settings=FAST)
     _wait_ready(made)
     views = [_airway(case, fov_deg=50.0 + n) for n in range(12)]
@@ -470,7 +470,7 @@ def test_picture_series_is_in_order_and_can_be_resumed(case, cluster):
     assert sum(lane.trouble.num_orders > 0 for lane in made.lanes) >= 2
 
 
-def test_parcel_contains_each_large_array_once_and_reuses_it(case):
+def test_pickled_case_contains_each_large_array_once_and_reuses_it(case):
     renderer = case.renderer()
     parcels = Parcels()
     first = parcels.pack(renderer.volume, renderer.scene)
@@ -483,7 +483,7 @@ def test_parcel_contains_each_large_array_once_and_reuses_it(case):
     assert scene.maps is not None and scene.maps.values is scene.values
 
 
-def test_parcel_contains_no_name_and_no_path_of_the_case(case):
+def test_pickled_case_contains_no_name_and_no_path(case):
     from carina.volume import Note, Volume, VolumeSource
 
     named = VolumeSource(format="dicom", title="SECRET^NAME", notes=(Note("import.lossy", "SECRET"),))
@@ -493,7 +493,7 @@ def test_parcel_contains_no_name_and_no_path_of_the_case(case):
     assert b"SECRET" not in Parcels().pack(volume, Renderer(volume).scene).skeleton
 
 
-def test_host_renders_only_the_content_that_it_has_loaded(case):
+def test_renderer_refuses_strips_of_content_that_it_has_not_loaded(case):
     renderer = case.renderer()
     parcel = Parcels().pack(renderer.volume, renderer.scene)
     host = RendererHost(simd="portable")
@@ -517,7 +517,7 @@ def test_host_renders_only_the_content_that_it_has_loaded(case):
 
 
 @pytest.mark.parametrize("name", VIEW_NAMES)
-def test_every_view_can_be_pickled(case, name):
+def test_view_restored_from_a_pickle_gives_an_equal_picture(case, name):
     view = _views(case)[name]
     there = pickle.loads(pickle.dumps(view, protocol=5))
     renderer = case.renderer()

@@ -1,4 +1,4 @@
-"""The cluster on a real Ray on loopback: pictures are correct and in time despite failing renderers."""
+"""Tests of the cluster on a real Ray on loopback: pictures are correct and in time although renderers fail."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ pytestmark = [
     # Warnings of Ray's own threads and sockets cannot be fixed in Carina.
     pytest.mark.filterwarnings("ignore"),
 ]
-# A longer limit for late strips, because machines that run tests are busy.
+# The limit for late strips is higher than in the product, because machines that run tests are busy.
 SETTINGS = ClusterSettings(late_floor_s=0.08)
 
 
 @pytest.fixture(scope="module")
 def head():
-    """Start one Ray for all tests and connect to it once."""
+    """Run one Ray for all tests, and connect to it once."""
     with running_head(renderers=4) as head:
         from carina.cluster.ray_backend import _import_ray
 
@@ -46,10 +46,10 @@ def head():
 
 @pytest.fixture(scope="module")
 def flight(head):
-    """Start a flight with four sleeping renderers that take 40 ms for a quarter of a picture.
+    """Run a flight with four sleeping renderers, which take 40 ms for a quarter of a picture.
 
-    All tests of faults share this flight, because renderers start slowly; each test must restore it. The tests with
-    their own renderers come later.
+    All tests of faults share this flight, because renderers start slowly; each test must restore it. Tests with
+    separate renderers come later.
     """
     with flying(head, SleepingRenderer, num=4, settings=SETTINGS, row_seconds=0.04 / 128) as flight:
         _fly(flight, 1.0)
@@ -58,14 +58,14 @@ def flight(head):
 
 @pytest.fixture
 def whole(flight):
-    """Return the flight after all four renderers have recovered."""
+    """Return the flight when all four renderers are ready again."""
     wait_for(lambda: len(flight.ready()) == 4)
     _fly(flight, 0.5)
     return flight
 
 
 def _fly(flight, seconds: float, until=lambda: True, rate_hz: float = 25.0) -> None:
-    """Request pictures at a rate for a time and until a condition is true, and check each one."""
+    """Request pictures at ``rate_hz`` for ``seconds`` and until a condition is true, and check each picture."""
     began_s = time.monotonic()
     while time.monotonic() < began_s + seconds or not until():
         assert time.monotonic() < began_s + 120.0, how_it_is()
@@ -76,9 +76,9 @@ def _fly(flight, seconds: float, until=lambda: True, rate_hz: float = 25.0) -> N
 
 
 def _strike(flight, name: str, what: signal.Signals, after_s: float = 0.01) -> list[int]:
-    """Send a signal to a renderer while it renders a strip, ``after_s`` after the order.
+    """Send a signal to a renderer while it renders a strip, ``after_s`` after the order of the strip.
 
-    The returned list receives the number of the frame when the signal has been sent.
+    The number of the frame is added to the returned list when the signal has been sent.
     """
     lane, struck, guard = flight.lane(name), [], threading.Lock()
     pid, submit = lane.facts.pid, lane.submit
@@ -111,9 +111,9 @@ def _made_by(flight, frame_id: int) -> set[str]:
 
 
 def _is_done_without(flight, struck: list[int], name: str) -> bool:
-    """Return whether the frame of the struck renderer and a later frame of at least two lanes were made without it.
+    """Return whether the frame of a signalled renderer and a later frame of two lanes were made without it.
 
-    If the other lanes are late too, as on a busy machine, the console renders the frame itself.
+    If the other lanes are late as well, as on a busy machine, the console renders the frame.
     """
     if not struck or not _made_by(flight, struck[0]):
         return False
@@ -142,7 +142,7 @@ def test_stopped_renderer_is_late_and_continues_after_it_wakes(whole):
     pid = flight.lane(name).facts.pid
     struck = _strike(flight, name, signal.SIGSTOP)
     try:
-        # Ray does not report a stopped process, so every picture shown meanwhile did not wait for it.
+        # Ray does not report a stopped process, so every picture shown meanwhile was complete without it.
         _fly(flight, 1.5, lambda: _is_done_without(flight, struck, name) and name not in flight.ready())
         assert sum(f"{name} is late" in n for n in flight.console.status().notices) == 1
     finally:
@@ -158,7 +158,7 @@ def test_renderer_ten_times_slower_gets_a_small_share(whole):
 
     def has_little() -> bool:
         [member] = [m for m in flight.console.status().members if m.name == name]
-        # The ideal share is 1 / 31; the transport time of 1 ms has more weight in small strips.
+        # The ideal share is 1 / 31; the transport time of 1 ms counts more in small strips.
         return member.share < 0.12
 
     _fly(flight, 4.0, has_little)
@@ -166,9 +166,9 @@ def test_renderer_ten_times_slower_gets_a_small_share(whole):
 
 
 @pytest.mark.parametrize(("trouble", "words"), [("size", "of shape"), ("frame", "of frame"), ("rows", "from row")])
-def test_wrong_replies_are_reported_and_never_shown(whole, trouble, words):
+def test_wrong_replies_of_a_renderer_are_reported_and_not_shown(whole, trouble, words):
     flight = whole
-    # Each fault uses another renderer, because five wrong replies exclude a renderer.
+    # Each fault uses a different renderer, because a renderer is excluded after five wrong replies.
     name = flight.ready()[["size", "frame", "rows"].index(trouble)]
     flight.cluster.ray.get(flight.lane(name)._handle.misbehave.remote(trouble))
     try:
@@ -182,7 +182,7 @@ def test_wrong_replies_are_reported_and_never_shown(whole, trouble, words):
         flight.cluster.ray.get(flight.lane(name)._handle.misbehave.remote())
 
 
-def test_closed_cluster_releases_its_machines(head, flight):
+def test_closed_console_releases_the_machines_of_its_renderers(head, flight):
     flight.cluster.close()
     assert flight.ready() == []
     picture = flight.renderer.render(VIEW)
@@ -247,7 +247,7 @@ except ClusterError as refused:
 """
 
 
-def test_wrong_token_is_refused(head, tmp_path):
+def test_join_with_a_wrong_token_is_refused(head, tmp_path):
     wrong = make_token(tmp_path / "token")
     command = [sys.executable, "-W", "ignore", "-c", REFUSED, head.node.address, str(wrong), IP]
     # By default Ray tries twenty times at intervals of 1 s.

@@ -1,4 +1,4 @@
-"""The strip scheduler on simulated clocks: shares, deadlines, buffers and membership."""
+"""Tests of the strip scheduler on simulated clocks: shares, deadlines, buffers and membership."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_each_row_is_in_exactly_one_strip(num_rows, shares, min_rows, max_rows):
     assert min(heights.values()) >= min(min_rows, num_rows)
 
 
-def test_strip_heights_follow_the_shares():
+def test_strip_heights_are_proportional_to_the_shares():
     pieces = cut_rows(512, {"a": 0.3, "b": 0.1, "c": 0.6}, min_rows=4)
     assert [(lane, end - first) for lane, first, end in pieces] == [("a", 154), ("b", 51), ("c", 307)]
 
@@ -51,7 +51,7 @@ def test_missing_lane_and_missing_row_are_refused():
 
 
 def _settled(power: float, num: int = 400) -> list[float]:
-    """Return the shares after many epochs in which the reported time is the cost times height ** ``power``."""
+    """Return the shares after many updates, in which the reported time is the cost times height ** ``power``."""
     shares = Shares(ClusterSettings())
     cost = {0: 3.0, 1: 1.0, 2: 1.0, 3: 1.0}
     for lane in cost:
@@ -61,9 +61,10 @@ def _settled(power: float, num: int = 400) -> list[float]:
     return [shares.all[lane] for lane in cost]
 
 
-def test_time_per_row_settles_at_the_true_shares_and_raw_time_does_not():
+def test_shares_by_time_per_row_settle_at_the_true_ones_and_by_strip_time_do_not():
     assert _settled(0.0)[0] == pytest.approx(0.1, abs=1e-6)
-    # With raw strip times, as in the printed formula, the slow lane settles at 1/sqrt(3) against three lanes of 1.
+    # With the times of whole strips, as in the paper's formula, the slow lane settles at 1/sqrt(3) beside three lanes
+    # of 1.
     assert _settled(1.0)[0] == pytest.approx(0.5774 / 3.5774, abs=1e-3)
 
 
@@ -90,7 +91,7 @@ def test_slow_renderer_of_four_gets_its_true_share_and_the_rate_is_near_ideal():
     result = SimulatedCluster(renderers, FLIGHT).run(400, 512)
     for lane, share in {0: 0.3, 1: 0.3, 2: 0.3, 3: 0.1}.items():
         assert result.shares[29][lane] == pytest.approx(share, abs=0.03)
-    # Ideal: four renderers of the speeds 1, 1, 1 and 1/3 share all rows.
+    # In the ideal case four renderers of the speeds 1, 1, 1 and 1/3 share all rows.
     ideal = 1.0 / (512 * ROW_S / (3 + 1 / 3))
     assert result.fps(skip=30) >= 0.85 * ideal
 
@@ -100,7 +101,7 @@ def test_four_equal_renderers_reach_nine_tenths_of_ideal():
     assert result.fps(skip=30) >= 0.9 / 0.005
 
 
-def test_pre_assignment_and_buffers_each_increase_the_rate():
+def test_pre_assigned_strips_and_buffers_each_increase_the_frame_rate():
     def fps(**settings):
         return SimulatedCluster([SimulatedRenderer(ROW_S)] * 4, ClusterSettings(**settings)).run(200, 512).fps(skip=20)
 
@@ -113,7 +114,8 @@ def test_pre_assignment_and_buffers_each_increase_the_rate():
 def test_long_frames_of_a_single_lane_are_not_pipelined(frame_s, most_open):
     settings = ClusterSettings(open_frames=3)
     alone = SimulatedCluster([SimulatedRenderer(frame_s / 512)], settings).run(60, 512)
-    # The frame's own time and the transport; quick frames are pipelined, because transport is a large part of them.
+    # The time is that of the frame plus transport. Short frames are pipelined, because transport is a large part of
+    # them.
     assert alone.response_s[-1] == pytest.approx(most_open * frame_s, abs=0.01 * (1 + frame_s))
     assert alone.fps(skip=5) > (0.85 if most_open == 1 else 0.98) / frame_s
     # Two lanes share the work and use the buffers.
@@ -129,7 +131,7 @@ def test_slow_renderer_limits_the_rate_without_balancing():
 
 
 def test_renderer_that_becomes_ten_times_slower_loses_its_share():
-    """Its replies arrive long after other lanes have completed the frame, but they still update its share."""
+    """Let its replies arrive long after other lanes have completed the frame; they must still update its share."""
     rig = _flying("a", "b", "c", "d", settings=ClusterSettings(open_frames=1), warm=20)
     now_s, due = 1.0, []
     free_s = dict.fromkeys("abcd", 0.0)
@@ -155,7 +157,7 @@ def test_renderer_that_becomes_ten_times_slower_loses_its_share():
 
 
 class Rig:
-    """Scheduler with the lists of strips that were issued and not yet answered, and of other actions."""
+    """Scheduler with the lists of its unanswered strips and of its other actions."""
 
     def __init__(self, settings: ClusterSettings | None = None) -> None:
         self.scheduler = StripScheduler(settings)
@@ -179,7 +181,7 @@ class Rig:
 
 
 def _flying(*lanes, settings=None, warm=3) -> Rig:
-    """Return a rig whose lanes have rendered some frames at 10 ms per strip."""
+    """Return a scheduler whose lanes have rendered ``warm`` frames at 10 ms per strip."""
     rig = Rig(settings or ClusterSettings(open_frames=1))
     for lane in lanes:
         rig.scheduler.join(lane, 0.0)
@@ -207,7 +209,7 @@ def test_late_strip_is_issued_to_another_lane_and_the_first_reply_is_used():
     assert (again.first_row, again.end_row, again.again) == (of_a.first_row, of_a.end_row, True)
     assert rig.answer(again, 0.061)
     assert rig.rest[-1] == FrameDone(1)
-    # The late reply is not used, but the lane counts as recovered.
+    # The late reply is not used, but it shows that the lane works again.
     assert not rig.answer(of_a, 0.3, seconds=0.3)
     assert rig.rest[-1] == LaneBack("a")
 
@@ -219,7 +221,7 @@ def test_deadline_of_a_new_lane_follows_the_rate_of_the_others():
     rig.take()
     for name in ("a", "b"):
         rig.answer(rig.of(name)[0], 0.01)
-    # The others take 7 ms for 33 rows; nine times 7 ms is below four times the minimum.
+    # The other lanes take 7 ms for 33 rows; nine times 7 ms is less than four times the minimum.
     assert rig.scheduler.deadline_s == pytest.approx(0.2)
     alone = Rig(ClusterSettings(open_frames=1))
     alone.scheduler.join("a", 0.0)
@@ -228,7 +230,7 @@ def test_deadline_of_a_new_lane_follows_the_rate_of_the_others():
     assert alone.scheduler.deadline_s == pytest.approx(2.0), "nobody knows what such a picture takes"
 
 
-def test_reply_is_wanted_while_its_rows_are_missing():
+def test_reply_is_accepted_only_while_its_rows_are_missing():
     rig = _flying("a", "b")
     rig.scheduler.want(1, 100, 0.0)
     rig.take()
@@ -294,7 +296,7 @@ def test_console_renders_while_no_lane_is_available_and_stops_when_one_returns()
     assert [t.lane for t in rig.issued] == ["a"]
 
 
-def test_frame_without_any_lane_waits_for_one():
+def test_frame_requested_without_a_lane_waits_for_a_lane():
     rig = Rig()
     rig.scheduler.want(1, 100, 0.0)
     assert rig.take() == []
@@ -338,7 +340,7 @@ def test_complete_frame_drops_the_older_frames_of_its_stream():
     assert not rig.answer(rig.issued[0], 0.02), "no row of a dropped frame is wanted"
 
 
-def test_dropped_frame_releases_its_buffer():
+def test_buffer_of_a_dropped_frame_is_used_by_the_next_frame():
     rig = _flying("a", settings=ClusterSettings(in_flight=4, open_frames=1))
     rig.scheduler.want(1, 10, 0.0)
     rig.scheduler.want(2, 10, 0.0)
@@ -439,7 +441,7 @@ def test_no_strip_is_missing_or_doubled_in_any_order_of_events(events, in_flight
                 del out[task.task_id]
                 scheduler.failed(task.lane, task.task_id, now_s)
         check()
-    # No lane fails any more and each content has a lane, so every requested frame must be completed.
+    # No lane fails any more and each content has a lane, so every requested frame must become complete.
     for n, shown in enumerate((0, 1)):
         scheduler.join(("rescue", n), now_s, content=shown)
     check()

@@ -1,4 +1,4 @@
-"""Soak tests of a cluster: a flight of ten minutes with a member killed every 20 s, and a lost head (make soak)."""
+"""Soak tests of a cluster: a flight of ten minutes with a member killed every 20 s, and a lost head."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _resident_bytes() -> int:
 def test_ten_minutes_of_flight_with_a_member_killed_every_20_seconds():
     with running_head(renderers=4) as head:
         with flying(head, SleepingRenderer, num=4, settings=ClusterSettings(), row_seconds=0.004 / 128) as flight:
-            # The list of jobs would grow with the flight and is not used here.
+            # The list of jobs would grow during the flight and is not used in this test.
             flight.console.jobs = None
             began_s = time.monotonic()
             killed, due, frames, resident, shown_s, gaps, stood_in, theirs = 0, 1, 0, [], time.monotonic(), [], 0, []
@@ -56,7 +56,7 @@ def test_ten_minutes_of_flight_with_a_member_killed_every_20_seconds():
         print(f"{stood_in} pictures with rows of the renderers, {sum(theirs) / frames:.4f} of all rows")
         assert killed >= SECONDS // KILL_EVERY_S - 1
         assert max(gaps) < 2
-        # The console renders strips of dead renderers, but must not have rendered most of the flight.
+        # The console renders strips of dead renderers, but at most a tenth of the flight.
         assert stood_in > 0.9 * frames
         assert sum(theirs) > 0.9 * frames
         assert max(settled) - min(settled) < 50 * 2**20
@@ -69,7 +69,7 @@ def test_ten_minutes_of_flight_with_a_member_killed_every_20_seconds():
 @needs_ray
 @pytest.mark.filterwarnings("ignore")
 def test_console_renders_alone_after_the_head_is_lost():
-    """By default, Ray ends a program 60 s after its head is lost."""
+    """Check that the program continues although Ray by default ends a program 60 s after its head is lost."""
     with running_head(renderers=2) as head, flying(head, SleepingRenderer, num=2, row_seconds=0.004 / 256) as flight:
         assert flight.check(flight.renderer.render(VIEW)) == 1.0
         head.look()

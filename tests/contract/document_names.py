@@ -1,4 +1,4 @@
-"""Resolver of names in backticks in the documents: files, Python, TypeScript and Rust names, options, commands."""
+"""Resolver of names in backticks in the documents: files, options, commands, and names in source code."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SPAN = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
 IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 SUFFIXES = ("py", "pyi", "rs", "ts", "tsx", "md", "json", "jsonl", "toml", "html", "css", "wgsl", "yml", "sh", "lock")
 FOREIGN = re.compile(r"(pip|uv|ray|ruff|git|cargo|docker|systemctl|npm|ssh|scp)\b")
-"""Commands of other programs."""
+"""Pattern of names that begin with a command of another program."""
 CODE = (".py", ".pyi", ".rs", ".ts", ".tsx", ".mjs", ".wgsl", ".c")
 
 
@@ -99,7 +99,7 @@ def source_files() -> tuple[str, ...]:
 
 @cache
 def defined() -> dict[str, frozenset[str]]:
-    """Return each identifier of the source code with the files that have it."""
+    """Return the files in which each identifier of the source code occurs, by identifier."""
     found: dict[str, set[str]] = {}
     for name in source_files():
         for word in set(IDENTIFIER.findall(code_of(name))):
@@ -134,7 +134,7 @@ def command_options() -> frozenset[str]:
 
 @cache
 def command_names() -> frozenset[str]:
-    """Return the commands of ``carina`` and the commands below ``case`` and ``cluster``, as ``case info``."""
+    """Return the commands of ``carina`` and of its groups ``case`` and ``cluster``, such as ``case info``."""
     group: Any = typer.main.get_command(app)
     found = set(group.commands)
     for name, command in group.commands.items():
@@ -144,7 +144,7 @@ def command_names() -> frozenset[str]:
 
 @cache
 def make_targets() -> frozenset[str]:
-    """Return the targets of the Makefile."""
+    """Return the names of the targets in the Makefile."""
     return frozenset(re.findall(r"^([a-z][\w-]*):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
 
 
@@ -159,7 +159,7 @@ def is_path(text: str) -> bool:
 
 
 def path_problem(text: str, document: str) -> str | None:
-    """Return what is wrong with a name that has the form of a path, or None."""
+    """Return the reason why a name in the form of a path is wrong; None if it is correct."""
     name = text.rstrip("/")
     places = {name, f"{Path(document).parent.as_posix()}/{name}".removeprefix("./")}
     if places & set(tracked_files()) or places & folders():
@@ -176,7 +176,7 @@ def path_problem(text: str, document: str) -> str | None:
 
 
 def dotted_problem(text: str) -> str | None:
-    """Return what is wrong with a dotted name such as ``carina.track.wall_field`` or ``Session.do``, or None."""
+    """Return the reason why a dotted name such as ``carina.track.wall_field`` or ``Session.do`` is wrong, or None."""
     parts = text.split(".")
     homes = [defined().get(part) for part in parts]
     missing = [part for part, files in zip(parts, homes, strict=True) if not files]
@@ -246,7 +246,7 @@ ALLOWED = {
 
 
 def problem(named: Named) -> str | None:
-    """Return why a name in backticks cannot be resolved; None if it is correct, or not a name."""
+    """Return the reason why a name in backticks cannot be resolved; None if it is correct or no name."""
     text = named.text
     if text in ALLOWED:
         return None

@@ -1,4 +1,4 @@
-"""Valid arguments for every public function, class and method, and the introspection that lists them."""
+"""Valid arguments of every public function, class and method, and the introspection that lists them."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ VALUE_CLASSES: tuple[type, ...] = (
 
 
 class Things:
-    """Small chest and the results of public functions on it, each computed on first use."""
+    """Small chest and results of public functions for it; each result is computed at its first use."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -170,7 +170,7 @@ class Things:
 
 @dataclass(frozen=True, slots=True)
 class Good:
-    """Valid call of a public function."""
+    """Valid call of a public function, class or method: its arguments."""
 
     arguments: Callable[[Things], dict[str, Any]]
     owner: Callable[[Things], Any] | None = None
@@ -417,14 +417,17 @@ def parameters_of(cls: type, method: str) -> list[inspect.Parameter]:
 
 
 def class_named(name: str) -> type:
-    """Return a public class or a value class by its name."""
+    """Return the class ``name``: a public class or a value class."""
     known = {cls.__name__: cls for cls in VALUE_CLASSES}
     found: type = known[name] if name in known else getattr(carina, name)
     return found
 
 
 def called(name: str, things: Things) -> tuple[Callable[..., Any], dict[str, Any], Callable[[], Any] | None]:
-    """Return the callable of a name of :data:`GOOD`, its arguments and the function that reads the changed state."""
+    """Return the callable ``name`` of :data:`GOOD`, its valid arguments, and a function that reads the changed state.
+
+    The last result is None if the call changes no state.
+    """
     good = GOOD[name]
     arguments = good.arguments(things)
     owner_name, _, method = name.partition(".")

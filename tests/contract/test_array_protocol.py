@@ -1,4 +1,4 @@
-"""Conversion of images and masks by ``numpy.asarray``, through ``__array__`` of numpy 2."""
+"""Tests of the conversion of images and masks by ``numpy.asarray``, through ``__array__`` of numpy 2."""
 
 from __future__ import annotations
 
@@ -63,6 +63,6 @@ def test_asarray_follows_the_requested_type_and_copy(make: Callable[[], Any], fi
         np.asarray(value, dtype=np.float32, copy=False)
 
 
-def test_numpy_functions_accept_a_volume() -> None:
+def test_numpy_functions_give_the_statistics_of_a_volume() -> None:
     assert int(np.max(volume())) == 10 * 11 * 12 - 1
     assert np.stack([volume(), volume()]).shape == (2, 10, 11, 12)

@@ -1,4 +1,4 @@
-"""Audit of dependencies: licences, advisories and checks that did not run.
+"""Tests of the audit of dependencies: licences, advisories, and checks that could not run.
 
 Each finding fails the audit unless it is accepted until a date.
 """
@@ -158,7 +158,7 @@ REPORTS = {
 
 
 @pytest.mark.parametrize("look", REPORTS)
-def test_advisory_is_a_finding_unless_it_is_excepted_and_exceptions_expire(audit, allowed, monkeypatch, look):
+def test_advisory_is_a_finding_unless_an_exception_has_not_expired(audit, allowed, monkeypatch, look):
     monkeypatch.setattr(audit.shutil, "which", lambda tool: tool)
     run = answers(json.dumps(REPORTS[look]), code=1)
     asked = getattr(audit, look)
@@ -202,7 +202,7 @@ def audit_without_tools(audit, allowed, monkeypatch, *, gap_until=None) -> int:
     return audit.main()
 
 
-def test_unread_database_fails_the_audit(audit, allowed, monkeypatch, capsys):
+def test_audit_without_a_readable_advisory_database_fails(audit, allowed, monkeypatch, capsys):
     assert audit_without_tools(audit, allowed, monkeypatch) == 1
     assert capsys.readouterr().out.count("NOT looked at: no tool; make the check possible, or accept the gap") == 3
 
@@ -216,7 +216,7 @@ def test_accepted_gap_passes_until_its_last_day_and_is_printed_with_its_reason(a
     assert capsys.readouterr().out.count(f"audit.toml accepted this gap until {yesterday}") == 3
 
 
-def test_result_with_an_accepted_gap_is_not_called_complete(audit, allowed):
+def test_result_with_an_accepted_gap_is_not_reported_as_complete(audit, allowed):
     result = audit.Result("licences, Python", num_seen=3, unseen=["1 package"])
     gap = audit.Gap("another system", TODAY)
     audit.judge_gaps([result], audit.Allowed(allowed.licences, {}, {}, {"licences, Python": gap}), TODAY)

@@ -1,4 +1,4 @@
-"""A bare ``import carina``: every part and public name is available and listed, and nothing slow is loaded."""
+"""Tests of a bare ``import carina``: every part and public name is available and listed, and nothing slow is loaded."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import carina
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = {page.stem for page in (ROOT / "docs" / "api").glob("*.md")}
-# Packages that depend on Carina are documented beside it and are not part of it.
+# Packages that depend on Carina have pages in the same documentation but are no part of Carina.
 DOCUMENTED = sorted(PAGES - {path.name for path in ROOT.glob("packages/*/python/*")})
 
 

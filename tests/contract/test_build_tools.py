@@ -1,4 +1,4 @@
-"""The target `make run`: it names missing tools, asks before a download, and installs only what Carina needs to run."""
+"""Tests of `make run`: it names missing tools, downloads only after consent, and installs only what a run needs."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ VERSIONS = {
     "cc": "cc 14.2",
 }
 WITHIN_S = 60
-"""Time limit in s for a script, which would block for ever if it waited for an answer."""
+"""Time limit of a script, seconds; a script that waits for an answer would block for ever."""
 
 
 @pytest.fixture
 def machine(tmp_path):
-    """Return a function that makes a folder of commands with versions, and the environment that finds only these."""
+    """Return a function that makes a folder of commands with versions, and an environment with only this folder."""
 
     def make(**changed: str | None) -> dict[str, str]:
         folder = tmp_path / "bin"
@@ -100,7 +100,7 @@ def test_first_build_names_the_versions_that_the_project_files_declare(machine):
     assert re.search(r"Compiles: Rust crates and the web UI, about \d+ to \d+ min", ended.stdout)
 
 
-def test_later_build_prints_nothing(machine, tmp_path):
+def test_check_of_the_tools_after_a_build_prints_nothing(machine, tmp_path):
     (tmp_path / "installed").touch()
     ended = check(machine(), tmp_path / "installed", tmp_path / "absent")
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
@@ -148,7 +148,7 @@ def test_rust_is_not_downloaded_without_consent(machine, tmp_path):
 
 
 def test_rust_is_downloaded_into_the_folder_after_consent(machine, tmp_path):
-    """Run in a copy of the files that the script reads."""
+    """Run the script in a copy of the files that it reads."""
     copy = tmp_path / "copy"
     for name in ("tools/check_build_tools.sh", "Cargo.toml", "pyproject.toml", "web/package.json"):
         (copy / name).parent.mkdir(parents=True, exist_ok=True)
@@ -166,7 +166,7 @@ def dry_run(*arguments: str) -> list[str]:
     """Return the commands that make would run in a folder without a build."""
     absent = [f"{name}=build/absent-{name}" for name in ("STAMP", "RUN_STAMP", "WEB_TOOLS", "WEB_LIBRARIES")]
     command = ["make", "-n", "UV=uv", *absent, *arguments]
-    # Without the variables of an outer make, which would change the output of this one.
+    # The variables of an outer make are removed, because they would change the output of this one.
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
     ended = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=True)
     return ended.stdout.splitlines()
@@ -204,14 +204,14 @@ def test_runtime_packages_are_locked_to_the_versions_of_the_tests():
     assert {re.split("[>=<]", one)[0].lower() for one in project["dependencies"]} <= names
 
 
-def test_maturin_and_uv_download_no_tool_chain():
+def test_makefile_disables_the_tool_downloads_of_maturin_and_uv():
     text = (ROOT / "Makefile").read_text()
     assert "export MATURIN_NO_INSTALL_RUST := 1" in text
     assert "export UV_PYTHON_DOWNLOADS := never" in text
 
 
 @pytest.mark.parametrize("document", ["README.md", "CONTRIBUTING.md", "docs/getting-started.md"])
-def test_document_names_the_needed_versions(document):
+def test_document_states_the_versions_that_a_build_needs(document):
     text = " ".join((ROOT / document).read_text(encoding="utf-8").split())
     for tool, version in needed().items():
         assert re.search(rf"{tool} {re.escape(version)}\b", text), f"{tool} {version}"

@@ -1,4 +1,4 @@
-"""Findings of ``tools/check_kernels.py`` in a disassembly."""
+"""Test of ``tools/check_kernels.py``: findings in a disassembly."""
 
 from check_kernels import lost_kernels
 

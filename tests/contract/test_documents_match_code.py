@@ -1,4 +1,4 @@
-"""Agreement of the documents with the code: versions, exit codes, messages, close codes and names."""
+"""Tests that the documents agree with the code: versions, exit codes, messages, close codes and names."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from carina.version import WIRE_VERSION
 
 CONTRACTS = (ROOT / "docs" / "contracts.md").read_text(encoding="utf-8")
 PROTOCOL = (ROOT / "protocol" / "README.md").read_text(encoding="utf-8")
-# CHANGELOG.md and the decisions are excluded, because they state versions of the past.
+# CHANGELOG.md and the decisions are excluded, because they state versions of earlier times.
 ALL_DOCUMENTS = [
     *documents(),
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "web/README.md", "benchmarks/README.md")),
@@ -26,7 +26,7 @@ ALL_DOCUMENTS = [
 
 
 def subclasses(base: type[CarinaError]) -> set[type[CarinaError]]:
-    """Return a class and all its subclasses."""
+    """Return an error class and all its direct and indirect subclasses."""
     return {base}.union(*(subclasses(one) for one in base.__subclasses__()))
 
 
@@ -111,7 +111,7 @@ def value_of(node: ast.expr | None, constants: dict[str, object]) -> object:
     return None
 
 
-def test_formats_of_the_package_are_found() -> None:
+def test_versions_are_found_for_every_json_format_of_the_package() -> None:
     found = format_versions()
     assert {"carina-tree", "carina-transfer", "carina-keys", "carina-recording", "carina-plan", "carina-pose"} <= set(
         found
@@ -173,7 +173,7 @@ def test_tests_that_a_document_names_exist(document: Path) -> None:
 
 
 @pytest.mark.parametrize("document", documents(), ids=lambda path: path.name)
-def test_names_in_a_document_exist(document: Path) -> None:
+def test_names_in_backticks_of_a_document_exist_in_the_code(document: Path) -> None:
     found = [f"{one.document}:{one.line}: `{one.text}`: {why}" for one in names_in(document) if (why := problem(one))]
     assert not found, "\n".join(found)
 
@@ -190,5 +190,5 @@ def test_names_in_a_document_exist(document: Path) -> None:
         "make nonsense",
     ],
 )
-def test_wrong_name_is_found(text: str) -> None:
+def test_wrong_name_in_backticks_is_reported(text: str) -> None:
     assert problem(Named("ARCHITECTURE.md", 1, text)) is not None

@@ -1,4 +1,4 @@
-"""Distribution of tests to workers: each file has one worker and keeps its order, and all Ray tests share one."""
+"""Tests of the distribution of tests to workers: a file has one worker and keeps its order; all Ray tests share one."""
 
 from __future__ import annotations
 

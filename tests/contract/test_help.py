@@ -1,4 +1,4 @@
-"""The page of ``help(carina)``, which names every public object."""
+"""Tests of the page of ``help(carina)``, which names every public object."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pydoc
 import carina
 
 
-def test_help_of_the_package_is_one_page() -> None:
+def test_help_of_the_package_has_the_length_of_one_page() -> None:
     assert len(pydoc.plain(pydoc.render_doc(carina)).splitlines()) < 100
 
 

@@ -1,4 +1,4 @@
-"""Installation commands in messages: they extend this installation and never request `carina` from an index."""
+"""Tests of installation commands in messages: they extend this installation and request no `carina` from an index."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def message_files() -> list[Path]:
 
 
 def test_no_message_installs_carina_from_a_package_index() -> None:
-    """The name `carina` is not registered at the index, so anybody could register it."""
+    """Check all messages: the name `carina` is not registered at the index, so anybody could register it."""
     files = message_files()
     assert len(files) > 800
     unsafe = re.compile(
@@ -68,7 +68,7 @@ def test_only_one_module_writes_installation_commands() -> None:
     assert {path.name for path in found} <= {"installation.py"}
 
 
-def test_extras_are_those_of_the_project_file() -> None:
+def test_extras_in_messages_are_those_of_the_project_file() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     declared = {
         extra: tuple(requirement.partition(";")[0] for requirement in requirements)
@@ -89,7 +89,7 @@ def test_environment_with_pip_uses_the_pip_of_its_python(monkeypatch) -> None:
     assert words == [sys.executable, "-m", "pip", "install", "segno>=1.6"]
 
 
-def test_environment_of_uv_uses_uv(monkeypatch) -> None:
+def test_environment_of_uv_without_pip_uses_uv(monkeypatch) -> None:
     without(monkeypatch, pip=False, uv="/usr/bin/uv")
     words = shlex.split(extra_command("report"))
     assert words == ["/usr/bin/uv", "pip", "install", "--python", sys.executable, "reportlab>=4.2"]
@@ -152,7 +152,7 @@ def test_carina_command_has_its_full_path_unless_the_shell_finds_it(monkeypatch,
 
 
 def test_commands_of_carina_in_messages_exist() -> None:
-    """Checks the commands of `carina`, `carina case` and `carina cluster`."""
+    """Check the commands of `carina`, `carina case` and `carina cluster`."""
     commands = typer.main.get_command(app)
     wrong = []
     for path in message_files():

@@ -1,4 +1,4 @@
-"""The checks of imports and size limits, on sources that violate them."""
+"""Tests of the checks of imports and size limits, on sources that violate them."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def limits_exceeded_by(more: int) -> list[str]:
     return check_limits(files)
 
 
-def test_limit_is_refused_only_if_it_is_exceeded():
+def test_sources_at_a_limit_are_accepted_and_above_it_refused():
     assert limits_exceeded_by(0) == []
     found = limits_exceeded_by(1)
     assert [text.split(" ")[0] for text in found] == ["5", "6", "Session", "OpenCase"]

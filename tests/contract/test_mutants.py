@@ -1,4 +1,4 @@
-"""The generator of mutants (tools/mutants.py): one change per mutant, and equal mutants for equal seeds."""
+"""Tests of the generator of mutants (tools/mutants.py): one change per mutant, and equal mutants for equal seeds."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def f(é: int, n: Literal[-1], words: list[str]) -> bool:
 '''
 
 
-def test_each_kind_of_change_is_made_in_decisions_only(tmp_path):
+def test_mutants_of_each_kind_are_made_only_in_code_that_decides(tmp_path):
     path = tmp_path / "code.py"
     path.write_text(CODE, encoding="utf-8")
     made = sorted(mutants.mutants_of(path), key=lambda mutant: (mutant.line, mutant.column))
@@ -45,7 +45,7 @@ def test_each_kind_of_change_is_made_in_decisions_only(tmp_path):
         assert len(changed) == 1, mutant
 
 
-def test_bound_changes_by_one_in_its_last_digit():
+def test_mutant_of_a_bound_changes_its_last_digit_by_one():
     numbers = ("3", "1_000", "3.0", "0.25", "1e-9", "2.5e3")
     assert [mutants.moved(number) for number in numbers] == ["4", "1001", "4.0", "0.26", "2e-9", "2.6e3"]
 

@@ -1,4 +1,4 @@
-"""Options named in messages: each one exists in the command that prints the message."""
+"""Tests that each option named in a message exists in the command that prints the message."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ PRINTED_BY: dict[str, tuple[str, ...]] = {
     "volume/mask_files.py --label": ("airways", "export"),
     "volume/mask_files.py --resample": ("airways", "export", "plan"),
 }
-"""Commands that print the messages of a module, or only its messages with one option."""
+"""Commands that print the messages of a module, or only those messages of it that contain an option."""
 
 
 @functools.cache
 def options() -> dict[str, set[str]]:
-    """Return the options of each command."""
+    """Return the options of each command of ``carina``, by the command's name."""
     found: dict[str, set[str]] = {}
 
     def walk(command, name):
@@ -74,7 +74,7 @@ def options() -> dict[str, set[str]]:
 def named() -> list[tuple[str, str, int]]:
     """Return the options in texts of the package as (module, option, line).
 
-    Docstrings and definitions of options are left out.
+    Docstrings and definitions of options are omitted.
     """
     found = []
     for path in sorted(SOURCE.rglob("*.py")):
@@ -149,5 +149,5 @@ def test_help_texts_name_options_of_their_own_command():
         ("it contains the labels 1 (lung), 2 (node)", "it contains the labels 1 (lung), 2 (node)"),
     ],
 )
-def test_window_shows_messages_without_options(message, expected):
+def test_message_for_the_window_contains_no_command_line_options(message, expected):
     assert without_options(message) == expected

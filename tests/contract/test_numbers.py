@@ -1,4 +1,4 @@
-"""Bounds of numbers from outside, on the wire and in files, which are checked before a number is used."""
+"""Tests of the bounds of numbers on the wire and in files, which are checked before a number is used."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ EVIL = [
 
 
 def numbers_of(kind: inspect.Type):
-    """Yield for each number in a field's type whether it has a finite range."""
+    """Yield for each number in the type of a field whether the number has a finite range."""
     match kind:
         case inspect.IntType() | inspect.FloatType():
             yield kind.ge is not None and kind.le is not None and np.isfinite([kind.ge, kind.le]).all()
@@ -122,7 +122,7 @@ def test_huge_integer_in_a_phone_hello_is_refused_before_its_token_is_read():
             wire.parse_phone_message(f'{{"type":"phone_hello","wire_version":{number},"token":"x"}}')
 
 
-def test_nested_document_with_excessive_depth_or_number_is_refused():
+def test_document_with_excessive_nesting_or_numbers_is_refused():
     for inside in ("[" * MAX_DEPTH + "]" * MAX_DEPTH, "9" * 400, "1e999"):
         with pytest.raises(ProtocolError):
             wire.parse_client_message(f'{{"type":"set_transfer","preset":null,"document":{{"points":{inside}}}}}')
@@ -181,6 +181,6 @@ def test_extreme_values_in_a_file_are_refused_with_a_message_or_accepted(kind, t
     for text in evil_texts(document):
         path.write_text(text, encoding="utf-8")
         if kind == "edits" and not is_json(text):
-            continue  # the reader receives only results of json.loads
+            continue  # The reader receives only values that json.loads can return.
         with contextlib.suppress(CarinaError):
             read(path)

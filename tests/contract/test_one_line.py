@@ -1,4 +1,4 @@
-"""Text of public values in notebooks and logs: ``repr`` is one short line; notebooks show pictures and tables."""
+"""Tests of public values in notebooks and logs: ``repr`` is one short line; notebooks show pictures and tables."""
 
 from __future__ import annotations
 
@@ -61,11 +61,11 @@ def is_value(cls: type) -> bool:
 
 
 def worst(cls: type) -> object:
-    """Return a value of a class whose fields are as long as possible in text form."""
+    """Return an object of a class whose fields have the longest possible text."""
     if issubclass(cls, msgspec.Struct):
         told = {field.name: largest(str(field.type)) for field in msgspec.structs.fields(cls)}
         if hasattr(cls, "__post_init__"):
-            # The class checks its fields, so a class with the same fields and the same ``__repr__`` replaces it.
+            # The class checks its fields, so it is replaced by a class with the same fields and the same ``__repr__``.
             assert cls.__repr__ is FrozenValue.__repr__
             cls = msgspec.defstruct(cls.__name__, [(name, Any) for name in told], bases=(FrozenValue,), frozen=True)
         return cls(**told)
@@ -76,7 +76,7 @@ def worst(cls: type) -> object:
 
 
 def largest(kind: str) -> object:
-    """Return a value for an annotation that is as long as possible in text form."""
+    """Return the value with the longest possible text for an annotation."""
     if re.search(r"NDArray|Points|Floats", kind):
         return np.full((900, 3), UNEVEN)
     if kind.startswith("dict"):
@@ -94,7 +94,7 @@ def largest(kind: str) -> object:
     return Note("code", LONG_WORDS) if "Literal" not in kind else "a choice"
 
 
-# Classes with a ``__repr__`` of their own, and the beginning of its text for a small phantom.
+# Classes that define ``__repr__``, and the beginning of the text for a small phantom.
 WRITTEN = {
     ".Airways": "Airways(AirwayTree(",
     ".AirwayTree": "AirwayTree(",
@@ -127,7 +127,7 @@ def test_repr_of_a_public_value_is_one_short_line_for_any_content(name: str) -> 
 
 @dataclass(frozen=True)
 class Shown:
-    """Public values on the way from a CT to a picture."""
+    """Public values that a user creates between a CT and a picture."""
 
     phantom: Phantom
     airways: carina.Airways
@@ -233,7 +233,7 @@ def test_repr_omits_defaults_shows_array_shapes_and_ends_with_an_ellipsis() -> N
     assert as_words(object()) == "<object>"
 
 
-# Notebooks
+# Display in notebooks
 
 
 def pictures_in(page: str) -> list[np.ndarray]:
@@ -249,7 +249,7 @@ def decoded(png: bytes) -> np.ndarray:
         return sitk.GetArrayFromImage(sitk.ReadImage(str(file)))
 
 
-def test_notebook_shows_a_picture(shown: Shown) -> None:
+def test_notebook_shows_a_picture_as_png(shown: Shown) -> None:
     assert np.array_equal(decoded(shown.picture._repr_png_()), shown.picture.rgb)
 
 
@@ -284,7 +284,7 @@ def test_volume_slices_show_right_and_anterior_on_the_left_and_the_head_above() 
 
 
 def _all_bright_through_the_middle(found: Volume) -> np.ndarray:
-    """Return values with a bright block that reaches beyond the middle, so that all three slices cut it."""
+    """Return values with a bright block that extends beyond the middle, so that all three slices cut it."""
     values = np.full(found.shape_zyx, -1000, dtype=np.int16)
     nz, ny, nx = values.shape
     values[nz // 2 - 1 :, : ny // 2 + 1, : nx // 2 + 1] = 400
@@ -306,7 +306,7 @@ def test_notebook_shows_three_slices_with_window_and_badges_and_no_patient_name(
     assert "scans" not in page
 
 
-def test_volume_without_hu_states_this_and_is_shown_by_its_own_values() -> None:
+def test_volume_without_hu_states_it_and_is_shown_in_its_range_of_values() -> None:
     values = np.arange(8 * 9 * 10, dtype=np.int16).reshape(8, 9, 10)
     page = Volume(values, np.eye(4), is_hu=False, not_hu_reason="8-bit data")._repr_html_()
     assert "! not HU: 8-bit data" in page

@@ -1,4 +1,4 @@
-"""The argument ``progress`` of public functions, which has one meaning: False, True or ``f(what, fraction)``."""
+"""Tests of the argument ``progress`` of public functions, which accepts False, True or ``f(what, fraction)``."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_progress_has_the_same_type_and_the_same_refusal_in_every_public_functio
     called = FUNCTIONS[name]
     parameter = inspect.signature(called).parameters["progress"]
     assert (parameter.annotation, parameter.default) == ("ProgressChoice", None)
-    # The choice is checked before the other arguments, so they need not be valid here.
+    # The argument is checked before all others, so the other arguments need not be valid.
     with pytest.raises(UsageError, match="progress: expected True, False, None or a function that takes a string and"):
         called(*([None] if "self" in inspect.signature(called).parameters else []), progress=3)
 
@@ -118,7 +118,9 @@ def outer(progress: Any = None) -> None:
 
 
 @pytest.mark.parametrize(("choice", "num"), [(None, 1), (True, 1), (False, 0), (lambda _what, _share: None, 0)])
-def test_function_called_by_another_shows_no_bar_of_its_own(choice: Any, num: int, counted: type[CountedBar]) -> None:
+def test_public_function_called_by_another_shows_no_second_bar(
+    choice: Any, num: int, counted: type[CountedBar]
+) -> None:
     outer(progress=choice)
     assert counted.made == num
     counted.made = 0
@@ -126,7 +128,7 @@ def test_function_called_by_another_shows_no_bar_of_its_own(choice: Any, num: in
     assert counted.made == num
 
 
-def test_without_bars_shows_a_bar_only_if_a_call_requests_one(counted: type[CountedBar]) -> None:
+def test_inside_without_bars_a_bar_is_shown_only_on_request_of_the_call(counted: type[CountedBar]) -> None:
     with without_bars():
         inner()
         assert counted.made == 0

@@ -1,4 +1,4 @@
-"""Projection of points through each lens: one file of random points from Python with which TypeScript must agree.
+"""Test of the projection of points through each lens: a file of random points, for Python and TypeScript.
 
 ``web/src/state/projection.test.ts`` reads the same file. Only ``make golden`` rewrites it.
 """
@@ -49,7 +49,7 @@ def make() -> list[dict[str, object]]:
         directions = rng.normal(size=(60, 3))
         directions[::2] += 2.0 * pose.forward_lps
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        # Points within one degree of the edge of a lens or of the angle at which TypeScript cuts lines are excluded.
+        # Points within one degree of the edge of a lens, or of the angle at which TypeScript cuts lines, are excluded.
         angle = np.degrees(np.arccos(directions @ pose.forward_lps))
         ends = (optics.limit_deg, 120.0, 90.0)
         directions = directions[np.all([np.abs(angle - end) > 1.0 for end in ends], axis=0)]

@@ -1,4 +1,4 @@
-"""Wrong values for every public function, constructor and method: each is refused with a Carina error."""
+"""Tests of wrong values for every public function, constructor and method: each is refused with a Carina error."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from wrong_values import NEVER_VALID, SELDOM_VALID, call_problem, must_be_refuse
 
 CALLS = list(dict.fromkeys(public_calls()))
 SLOW = {"find_airways", "plan_route", "edit_airways", "wall_field", "Case.open", "track_paths"}
-"""Functions whose accepted calls take about a second: without the soak mark, only refused values are tested."""
+"""Functions whose successful calls take about a second.
+
+Without the soak mark only values that are refused are tested.
+"""
 VALID: dict[tuple[str, str], set[str]] = {
     # A lumen that was read from a file has no threshold, so NaN is valid.
     ("Airways", "threshold"): {"nan"},
@@ -26,14 +29,14 @@ def things(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Things]:
     made.close()
 
 
-def test_every_public_function_has_valid_arguments() -> None:
+def test_table_of_valid_arguments_contains_every_public_function() -> None:
     missing = sorted(set(CALLS) - GOOD.keys())
     assert not missing, f"add arguments with which the call succeeds to tests/contract/public_arguments.py: {missing}"
     assert not sorted(GOOD.keys() - set(CALLS)), "functions in GOOD that are not public"
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_call_with_valid_arguments_succeeds(name: str, things: Things) -> None:
+def test_public_function_called_with_its_valid_arguments_succeeds(name: str, things: Things) -> None:
     call, arguments, state = called(name, things)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(things.folder)
@@ -45,7 +48,7 @@ def test_call_with_valid_arguments_succeeds(name: str, things: Things) -> None:
 
 
 def problems(name: str, things: Things, *, accepted: bool) -> Iterator[str]:
-    """Yield what is wrong with the calls of one function, each with one wrong value."""
+    """Yield a description for each wrong value of one function whose outcome is wrong."""
     call, _, _ = called(name, things)
     for parameter in inspect.signature(call).parameters.values():
         if parameter.name.startswith("_"):

@@ -1,4 +1,4 @@
-"""Unique class names in the Python reference, and the build of the documentation by `make check` and CI."""
+"""Tests of unique class names in the Python reference, and of the build of the documentation by `make check` and CI."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def documented_modules() -> list[str]:
 
 
 def test_each_documented_class_name_belongs_to_one_class() -> None:
-    """Sphinx cannot resolve an annotation whose name two documented modules define."""
+    """Check all documented modules, because Sphinx cannot resolve an annotation whose name two of them define."""
     classes: dict[str, set[type]] = defaultdict(set)
     for module in map(importlib.import_module, documented_modules()):
         for name in getattr(module, "__all__", dir(module)):

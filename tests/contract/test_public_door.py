@@ -1,4 +1,4 @@
-"""Refusal of wrong types by public functions, and the progress bar in terminals and notebooks."""
+"""Tests of public functions: wrong types are refused, and a progress bar is shown in terminals and notebooks."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_wrong_type_is_refused_with_expected_type_found_type_and_remedy(call: Ca
     assert refused.value.code in {"usage", "usage.type"}
 
 
-def test_view_of_another_type_is_refused() -> None:
+def test_render_with_a_view_of_another_type_is_refused() -> None:
     with pytest.raises(UsageError, match=r"render_view: view: expected AirwayView or .*; found Pose; or pass one of"):
         carina.render_view(CT, view=POSE)
 
@@ -95,7 +95,7 @@ def test_unknown_view_name_is_refused_with_the_names_of_all_views(options: dict[
     assert str(refused.value) == f"expected one of the views {', '.join(VIEW_NAMES)}; found 'airwy'"
 
 
-def test_view_object_gives_the_same_picture_as_its_name() -> None:
+def test_picture_of_a_view_object_equals_that_of_the_view_name() -> None:
     size = {"width": 40, "height": 32}
     for view, named in (
         (SliceView("axial", (5.5, 5.5, 5.5), **size), {"view": "axial"}),
@@ -106,7 +106,7 @@ def test_view_object_gives_the_same_picture_as_its_name() -> None:
         assert np.array_equal(found.rgb, carina.render_view(CT, pose=POSE, **named, **size).rgb)
 
 
-# Progress
+# Progress bar
 
 
 class Terminal(io.StringIO):
@@ -137,7 +137,7 @@ def test_bar_starts_after_half_a_second_is_limited_to_10_hz_and_shows_the_remain
     assert bar.closed
 
 
-def test_short_work_draws_nothing() -> None:
+def test_work_shorter_than_half_a_second_shows_no_bar() -> None:
     made = []
     told = Watched(lambda: made.append(1) or NotedBar(), lambda: 1.0)
     told("reading", 0.5)
@@ -224,7 +224,7 @@ def test_bar_is_shown_unless_it_is_switched_off_or_replaced_by_a_callback(
     assert heard == ([("working", 0.5)] if choice == "callback" else [])
 
 
-def test_bar_is_removed_if_the_work_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_bar_is_removed_if_the_work_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     bar = NotedBar()
     monkeypatch.setattr(bars, "bar_here", lambda: lambda: bar)
     monkeypatch.setattr(bars, "BEGIN_S", 0.0)
@@ -240,7 +240,7 @@ def test_bar_is_removed_if_the_work_fails(monkeypatch: pytest.MonkeyPatch) -> No
     assert bar.closed
 
 
-def test_nothing_is_drawn_without_a_terminal(capfd: pytest.CaptureFixture[str]) -> None:
+def test_demo_prints_nothing_without_a_terminal(capfd: pytest.CaptureFixture[str]) -> None:
     carina.demo_patient()
     shown = capfd.readouterr()
     assert shown.out == shown.err == ""

@@ -1,4 +1,4 @@
-"""Examples in docstrings: each one runs and prints the stated output, and every public name of ``carina`` has one."""
+"""Tests of examples in docstrings: each runs and prints the stated output, and every public name has one."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def with_examples() -> list[str]:
 @pytest.mark.parametrize("name", with_examples())
 def test_examples_print_the_stated_output(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    # Examples share phantoms and their airways: equal arguments give equal voxels.
+    # The examples share phantoms and their airways, because equal arguments give equal voxels.
     monkeypatch.setattr(carina, "generate_phantom", made_phantom, raising=False)
     monkeypatch.setattr(carina, "find_airways", found_airways, raising=False)
     failed, tried = doctest.testmod(importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)

@@ -1,4 +1,4 @@
-"""Fast imports: types load no DICOM reader and no server, and the start page loads no file reader."""
+"""Tests of fast imports: types load no DICOM reader and no server, and the start page loads no file reader."""
 
 from __future__ import annotations
 

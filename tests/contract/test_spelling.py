@@ -1,4 +1,4 @@
-"""Spelling of names in Python and keys in JSON: ``centre`` only."""
+"""Tests of the spelling of names in Python and of keys in JSON: only ``centre``."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def names_in(path: Path) -> Iterator[str]:
                 yield found
 
 
-def test_no_name_or_key_in_the_package_has_the_other_spelling() -> None:
+def test_no_name_or_key_in_the_package_has_the_american_spelling_of_centre() -> None:
     found = {
         (path.relative_to(PACKAGE).as_posix(), name)
         for path in PACKAGE.rglob("*.py")
@@ -44,7 +44,7 @@ def test_no_name_or_key_in_the_package_has_the_other_spelling() -> None:
 
 
 def keys_of(document: Any) -> Iterator[str]:
-    """Yield all keys of a document."""
+    """Yield all keys of a JSON document, at any depth."""
     if isinstance(document, dict):
         yield from document
         for value in document.values():

@@ -1,4 +1,4 @@
-"""Tables as columns, pandas and Arrow, and the message about a missing library with its installation command."""
+"""Tests of tables as columns, in pandas and Arrow, and of the message about a missing library."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_table_has_columns_of_plain_types_and_equal_length(kind: str, tables: di
         assert all(value is None or type(value) is kinds[of] for value in values), name
 
 
-def test_tables_of_a_tree_and_of_its_measures_have_the_same_branches(tables: dict[str, Tabular]) -> None:
+def test_tables_of_a_tree_and_of_its_measures_have_equal_branches(tables: dict[str, Tabular]) -> None:
     tree, measures = tables["tree"].to_columns(), tables["measures"].to_columns()
     for name in ("id", "name", "generation", "parent", "kind"):
         assert tree[name] == measures[name]
@@ -160,7 +160,7 @@ table = carina.measure_tree(volume, carina.find_airways(volume)).to_columns()
 
 
 def looked_up(code: str) -> Iterator[str]:
-    """Yield the names in code that a beginner must look up, apart from the module itself."""
+    """Return the names in code that a beginner must look up, except the module ``carina``."""
     for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.Attribute):
             yield node.attr

@@ -1,4 +1,4 @@
-"""Removal of control sequences from text of files before it is printed to a terminal."""
+"""Tests that control sequences are removed from text of files before it is printed to a terminal."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ CONTROLS = {chr(n) for n in (*range(32), *range(0x7F, 0xA0), *range(0x202A, 0x20
 
 
 @pytest.mark.parametrize("text", ATTACKS)
-def test_control_sequences_are_removed(text):
+def test_control_sequences_in_text_are_removed_before_printing(text):
     assert as_terminal_text(text) == ATTACKS[text]
     assert as_line(text) == ATTACKS[text]
 
@@ -47,12 +47,12 @@ def test_every_control_character_is_removed_from_a_line():
         line.encode()
 
 
-def test_line_breaks_are_kept_in_messages_and_removed_from_lines():
+def test_line_breaks_stay_in_messages_and_are_removed_from_lines():
     assert as_terminal_text("a\n\tb") == "a\n\tb"
     assert as_line("a\n\tb") == "a  b"
 
 
-def test_json_keeps_the_text_and_escapes_control_characters():
+def test_json_output_contains_the_text_with_escaped_control_characters():
     for text in ATTACKS:
         dumped = json.dumps({"title": text}, ensure_ascii=False, indent=2)
         escaped = escaped_json(dumped)
@@ -74,7 +74,7 @@ def test_all_print_functions_remove_control_characters(capsys, monkeypatch):
     assert not set(err.replace("\r\x1b[2K", "")) & CONTROLS
 
 
-def test_command_line_prints_only_through_these_functions():
+def test_command_line_prints_only_through_the_checked_functions():
     found = []
     for path in sorted(Path(carina.cli.__file__).parent.glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

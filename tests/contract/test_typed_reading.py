@@ -1,4 +1,4 @@
-"""Reading of typed values by one module, in which only one thread at a time prepares a type."""
+"""Tests that one module reads typed values, and that only one thread at a time prepares a type."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def reading_calls(path: Path) -> list[str]:
 
 
 def test_type_is_prepared_by_one_thread_at_a_time() -> None:
-    # With msgspec.convert instead of read_plain, the process ends with a segmentation fault.
+    # With msgspec.convert in place of read_plain the process ends with a segmentation fault.
     command = [sys.executable, "-X", "faulthandler", "-c", FIRST_USE_IN_FOUR_THREADS]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "read\n"), done.stderr[-2000:]

@@ -1,4 +1,4 @@
-"""Agreement of the table of views with the Python types, the wire and the cells of the window."""
+"""Tests that the table of views agrees with the Python types, the wire and the cells of the window."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_every_cell_has_a_view_and_a_control_for_each_of_its_views():
             assert all(row.short for row in views)
 
 
-def test_brush_needs_an_outline_and_a_plane_in_the_same_views():
+def test_views_with_a_brush_have_an_outline_and_a_plane():
     assert names(outlined={True}) == names(pick={"plane"}) == set(get_args(FlatViewName))
 
 

@@ -1,4 +1,4 @@
-"""Messages of the wire: each sample of protocol/valid is accepted, each one of protocol/invalid is refused."""
+"""Tests of the messages of the wire: each sample of protocol/valid is accepted, each of protocol/invalid is refused."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def label(path: Path) -> str:
 
 
 @pytest.mark.parametrize("path", samples("valid"), ids=label)
-def test_valid_samples_are_accepted(path):
+def test_valid_sample_messages_are_accepted(path):
     PARSERS[path.parent.name](path.read_bytes())
 
 
@@ -84,7 +84,7 @@ def test_every_message_has_a_valid_sample():
 
 
 @pytest.mark.parametrize("path", [p for p in samples("valid") if p.suffix == ".json"], ids=label)
-def test_message_is_unchanged_by_reading_and_writing(path):
+def test_message_that_is_read_and_written_again_is_unchanged(path):
     message = PARSERS[path.parent.name](path.read_bytes())
     assert json.loads(wire.encode_message(message)) == json.loads(path.read_bytes())
 
@@ -130,7 +130,7 @@ def test_deep_nesting_is_refused_and_does_not_exhaust_the_stack(depth):
         wire.parse_client_message(text)
 
 
-def test_text_over_the_limit_is_refused_before_it_is_parsed():
+def test_message_text_over_the_size_limit_is_refused_before_parsing():
     with pytest.raises(ProtocolError, match="too long") as refusal:
         wire.parse_client_message(" " * 300_000)
     assert refusal.value.code == "protocol.size"

@@ -18,7 +18,7 @@ from carina.errors import CarinaError
 from carina.track import TreeMeasures
 
 LIMIT_S = 60.0
-"""Time limit of one call in s; the slowest takes 2 s on an idle machine."""
+"""Time limit of one call, seconds; the slowest call takes 2 s on an idle machine."""
 
 NEVER_VALID: dict[str, Any] = {
     "nan": math.nan,
@@ -35,7 +35,7 @@ NEVER_VALID: dict[str, Any] = {
     "matrix of nan": np.full((4, 4), math.nan),
     "array of objects": np.array([object()]),
 }
-"""Values that no argument accepts: a call that succeeds has ignored its argument."""
+"""Values that every argument must refuse; a call that succeeds has ignored its argument."""
 
 SELDOM_VALID: dict[str, Any] = {
     "huge": 1e300,
@@ -63,10 +63,10 @@ SELDOM_VALID: dict[str, Any] = {
     "two numbers": (1.0, 2.0),
     "empty array": np.zeros((0, 0, 0), dtype=np.uint8),
 }
-"""Values that only some arguments accept: such a call is refused, or its result is finite."""
+"""Values that only some arguments accept: the call must be refused, or its result must be finite."""
 
 NUMBERS = {"huge", "negative huge", "huge whole number", "negative huge whole number"}
-"""Values outside the range of every number."""
+"""Names of the values that are outside the range of every number argument."""
 NOT_NUMBERS = {
     "True", "empty text", "blank text", "text with NUL", "text", "long text", "empty tuple", "empty list", "empty dict",
     "empty points", "ragged", "point", "huge point", "far point", "two numbers", "empty array",
@@ -125,7 +125,9 @@ def must_be_refused(parameter: inspect.Parameter, name: str) -> bool:
 
 
 def call_problem(call: Callable[[], Any], *, refuse: bool, after: Callable[[], Any] | None = None) -> str | None:
-    """Call a function and describe what is wrong with the outcome; None if it is refused, or valid where it may be.
+    """Call a function, and return a description of a wrong outcome; None if the outcome is right.
+
+    The call must be refused, or, if ``refuse`` is false, may also succeed with finite results.
 
     Parameters
     ----------
@@ -134,7 +136,7 @@ def call_problem(call: Callable[[], Any], *, refuse: bool, after: Callable[[], A
     refuse
         Whether the call must be refused.
     after
-        Reads the state of the object afterwards, which must be finite as well.
+        Function that reads the state of the object afterwards, which must be finite as well.
     """
     try:
         with time_limit():

@@ -1,4 +1,4 @@
-"""Atomic file writing: files are complete or unchanged, abandoned drafts are deleted, and disk errors have messages."""
+"""Tests of atomic file writing: files are complete or unchanged, abandoned drafts are deleted, errors have messages."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ with drafted(Path(sys.argv[1]), what="the test") as file:
 
 @pytest.fixture
 def small_files():
-    """Limit files to 4 kB during a test, which simulates a disk that becomes full in the middle of a file."""
+    """Limit the size of files to 4 kB during a test, which simulates a disk that becomes full within a file."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
     yield
@@ -59,7 +59,7 @@ def ended(process):
     process.stdout.close()
 
 
-def test_file_is_replaced_completely_and_nothing_else_remains(tmp_path):
+def test_file_is_replaced_completely_and_no_draft_remains(tmp_path):
     target = tmp_path / "a.txt"
     write_whole(target, b"old", what="the test")
     write_whole(target, b"new", what="the test")
@@ -90,7 +90,7 @@ def test_draft_in_use_by_another_process_is_never_deleted(tmp_path):
     assert (tmp_path / "a.bin").read_bytes() == b"half"
 
 
-def test_two_concurrent_writers_and_a_constant_sweep_lose_nothing(tmp_path):
+def test_two_concurrent_writers_and_a_constant_sweep_leave_complete_files(tmp_path):
     stop = threading.Event()
 
     def sweep():
@@ -195,7 +195,7 @@ def test_mask_on_a_full_disk_leaves_the_former_file_and_no_library_message(tmp_p
 def test_grid_is_written_as_itk_reads_it_in_every_format_and_direction(tmp_path, suffix, dtype, rng):
     for number in range(12):
         values = rng.integers(-1000 if dtype is np.int16 else 0, 250, (3, 4, 5)).astype(dtype)
-        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))  # includes mirrored directions
+        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))  # The matrix may mirror.
         matrix = np.eye(4)
         matrix[:3, :3] = turn * np.array([0.5, 0.75, 1.25])
         matrix[:3, 3] = rng.uniform(-300, 300, 3)
@@ -211,7 +211,7 @@ def test_grid_is_written_as_itk_reads_it_in_every_format_and_direction(tmp_path,
 
 
 def itk_nifti(values, matrix, folder, *, like):
-    """Return the NIfTI of ITK; rounding, signed zeros and names in its header are taken from ``like``."""
+    """Return the NIfTI file of ITK with rounding, signed zeros and names of the header taken from ``like``."""
     image = sitk.GetImageFromArray(values)
     spacing = np.linalg.norm(matrix[:3, :3], axis=0)
     image.SetSpacing(spacing.tolist())
@@ -252,7 +252,7 @@ def test_each_disk_error_has_a_code_and_a_message(tmp_path, number, code, words)
     assert isinstance(told, CarinaError)
 
 
-def test_missing_folder_is_named_as_the_reason(tmp_path):
+def test_write_into_a_missing_folder_is_refused_with_the_folder_s_name(tmp_path):
     error = disk_trouble(OSError(errno.ENOENT, ""), "cannot write the tree to", tmp_path / "no" / "t")
     assert error.code == "disk.missing"
     assert "there is no such folder; create it, or choose another" in str(error)
@@ -264,7 +264,7 @@ def test_message_of_a_full_disk_states_needed_and_free_space(tmp_path):
     assert "free)" in str(told)
 
 
-def test_folder_device_and_missing_folder_as_target_are_refused(tmp_path):
+def test_write_to_a_folder_device_or_missing_folder_is_refused(tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_bytes(b"")
     os.mkfifo(tmp_path / "pipe")

@@ -1,4 +1,4 @@
-"""Moves that never replace an existing file, on disks without hard links."""
+"""Tests of moves that never replace an existing file, on disks without hard links."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from carina.disk.move_files import move_to_new_name
 
 @pytest.fixture
 def files(tmp_path, monkeypatch):
-    """Provide a file and a free name on a disk without hard links."""
+    """Provide a file and an unused name on a disk without hard links."""
 
     def link(_source, _target):
         raise OSError(errno.EPERM, "Operation not permitted")
@@ -24,7 +24,7 @@ def files(tmp_path, monkeypatch):
 
 
 def failing(monkeypatch, source, do):
-    """Let the move of a file fail after another operation."""
+    """Let the move of a file run ``do`` first and then fail."""
 
     def replace(_self, target):
         do(target)
@@ -33,7 +33,7 @@ def failing(monkeypatch, source, do):
     monkeypatch.setattr(type(source), "replace", replace)
 
 
-def test_failed_move_leaves_no_reservation(files, monkeypatch):
+def test_failed_move_of_a_file_leaves_no_file_at_the_reserved_name(files, monkeypatch):
     source, target = files
     failing(monkeypatch, source, lambda _target: None)
     with pytest.raises(OSError, match="Input/output"):
@@ -42,7 +42,7 @@ def test_failed_move_leaves_no_reservation(files, monkeypatch):
     assert not target.exists()
 
 
-def test_completed_move_reported_as_failed_keeps_the_content(files, monkeypatch):
+def test_file_moved_although_the_disk_reported_a_failure_has_its_content(files, monkeypatch):
     source, target = files
     failing(monkeypatch, source, lambda place: os.rename(source, place))  # noqa: PTH104 - Path.replace is replaced
     with pytest.raises(OSError, match="Input/output"):
@@ -50,7 +50,7 @@ def test_completed_move_reported_as_failed_keeps_the_content(files, monkeypatch)
     assert target.read_text() == "new"
 
 
-def test_failed_move_keeps_the_file_of_another_program_at_the_reserved_name(files, monkeypatch):
+def test_failed_move_leaves_another_program_s_file_at_the_reserved_name(files, monkeypatch):
     source, target = files
     failing(monkeypatch, source, lambda place: place.write_text("theirs"))
     with pytest.raises(OSError, match="Input/output"):

@@ -1,4 +1,4 @@
-"""Opening of files named by the user: only regular files are opened; pipes, sockets and devices never block."""
+"""Tests of opening files that the user names: only regular files are opened; pipes, sockets and devices never block."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class BlockedError(Exception):
 
 @pytest.fixture(autouse=True)
 def ends():
-    """Limit the time of a test, because a call that blocks would never return."""
+    """Limit the time of a test, because a call that blocks never returns."""
 
     def interrupt(*_arguments):
         raise BlockedError
@@ -47,7 +47,7 @@ def ends():
 
 @pytest.fixture
 def special(tmp_path):
-    """Return one path of each kind that is not a regular file."""
+    """Return one path for each kind of special file."""
     os.mkfifo(tmp_path / "pipe")
     with socket.socket(socket.AF_UNIX) as sock:
         here = Path.cwd()
@@ -138,7 +138,7 @@ def test_every_reader_of_a_named_file_refuses_a_special_file(special, tmp_path, 
     with pytest.raises(CarinaError) as refusal:
         OPENERS[what](path)
     assert "internal" not in str(refusal.value)
-    if what != "token":  # a cluster command states the source of its token
+    if what != "token":  # A cluster command states where its token comes from.
         assert kind in str(refusal.value)
 
 

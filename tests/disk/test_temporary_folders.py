@@ -1,4 +1,4 @@
-"""Temporary folders: private, deleted even after kill -9, and never mistaken for files of other programs."""
+"""Tests of temporary folders: private, deleted even after kill -9, and never confused with those of other programs."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_upload_of_a_killed_process_is_removed_by_the_next_and_its_name_is_not_o
     assert not any("Doe" in name or "John" in name for name in names)
     assert {stat.S_IMODE(p.stat().st_mode) for p in temp.rglob("*") if p.is_dir()} == {0o700}
     assert {stat.S_IMODE(p.stat().st_mode) for p in temp.rglob("*") if p.is_file()} == {0o600}
-    # A folder that another process uses is never deleted.
+    # A folder in use by another process is not deleted.
     assert sweep_scratch(temp, now_s=1e12) == 0
     process.send_signal(signal.SIGKILL)
     ended(process)
@@ -97,7 +97,7 @@ def test_only_the_folder_of_the_living_process_remains(temp):
     assert list(temp.iterdir()) == []
 
 
-def test_two_processes_that_start_together_both_sweep_without_errors(temp):
+def test_sweeps_of_two_processes_that_start_together_have_no_error(temp):
     left = [uploading(temp) for _ in range(4)]
     for process in left:
         process.send_signal(signal.SIGKILL)

@@ -30,7 +30,7 @@ class Shared:
         self._pages: dict[tuple[str, ...], Workstation] = {}
 
     def browser(self, path: str) -> Any:
-        """Return the running browser, or start one."""
+        """Return the worker's running browser, or start the browser program at ``path``."""
         if self._browser is None:
             sync_api.expect.set_options(timeout=PICTURE_MS)
             playwright = self._open.enter_context(sync_api.sync_playwright())
@@ -39,7 +39,7 @@ class Shared:
         return self._browser
 
     def host(self, factory: pytest.TempPathFactory) -> Host:
-        """Return the running host, or start one."""
+        """Return the worker's running host of workstations, or start one."""
         if self._host is None:
             self._host = Host(factory.mktemp("host"))
             self._open.callback(self._end, self._host)
@@ -49,24 +49,25 @@ class Shared:
         assert host.end() == 0
 
     def page(self, browser: Any, scripts: tuple[str, ...]) -> Workstation:
-        """Return a page that an earlier test left unchanged, or a new page.
+        """Return an unchanged page of an earlier test, or a new page.
 
-        A new page compiles the client again, in a process of its own; that is two thirds of the time of opening a case.
+        A new page compiles the client again, in a separate process; this takes two thirds of the time of opening a
+        case.
         """
         station = self._pages.pop(scripts, None)
         return open_page(browser, scripts) if station is None else station
 
     def give_back(self, station: Workstation, scripts: tuple[str, ...]) -> None:
-        """Keep the page for the next test with the same scripts; close a page that the test changed permanently."""
+        """Store the page for the next test with the same scripts; close a page that the test changed permanently."""
         if scripts not in self._pages and station.leave():
             self._pages[scripts] = station
         else:
             station.page.context.close()
 
     def close(self) -> None:
-        """Close browser, host and pages.
+        """Close the browser, the host and the pages.
 
-        Playwright keeps an event loop in this thread, which tests of other folders need; and the host uses half a
+        Playwright runs an event loop in this thread, which would disturb tests of other folders. The host uses half a
         gigabyte of memory.
         """
         self._browser = self._host = None
@@ -79,7 +80,7 @@ SHARED = Shared()
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Any:
-    """Record for the fixtures whether their test failed."""
+    """Record whether a test failed, for its fixtures."""
     report = yield
     item.stash[FAILED] = item.stash.get(FAILED, False) or report.failed
     return report
@@ -112,7 +113,7 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> Host:
 
 @pytest.fixture
 def opens() -> dict[str, Any]:
-    """Return what the workstation opens, with options: the arguments of ``Host.open``."""
+    """Return the arguments of ``Host.open``: which case the workstation opens, and options."""
     return {"demo": "phantom"}
 
 

@@ -1,4 +1,4 @@
-"""Positions of anatomy on the page in page coordinates, and waits for the pictures that show them."""
+"""Positions of anatomy on the page, in page coordinates (CSS px), and waits for the pictures that show it."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ def place_on_tree(workstation, branch_id, part=0.5):
 
 
 def named(workstation, name):
-    """Return the id of the branch with this name."""
+    """Return the ID of the branch ``name``."""
     return workstation.page.evaluate(
         "(name) => [...window.__carina.state.tree.byId.values()].find((n) => n.branch.name === name).branch.id", name
     )
 
 
 def show_slices_at(workstation, lps):
-    """Type a point as the crosshair, and wait until the slices show it."""
+    """Type a point as the position of the crosshair, and wait until the slices show the point."""
     workstation.page.keyboard.press("n")
     workstation.page.keyboard.press("Escape")
     field = workstation.page.locator("[data-testid=coordinates] input")
     field.fill(", ".join(f"{v:.3f}" for v in lps))
     workstation.page.locator(".coordinates").get_by_role("button", name="Show").click()
-    # Each slice is a separate picture, and arrives separately.
+    # Each slice is a separate picture and arrives alone.
     workstation.wait_for(
         """(lps) => [['sagittal', 0], ['coronal', 1], ['axial', 2]].every(([view, axis]) => {
             const shown = [...document.querySelectorAll('canvas[data-view]')]
@@ -97,7 +97,7 @@ def tree_is_shown(workstation):
 
 
 def all_points(workstation):
-    """Return every point of the tree as text."""
+    """Return the points of all branches of the tree on the page, as text that tests compare."""
     points = workstation.page.evaluate(
         "() => [...window.__carina.state.tree.byId.values()].flatMap((node) => node.branch.points)"
     )
@@ -119,12 +119,12 @@ def middle_lps(workstation, view):
 
 
 def host(workstation, view):
-    """Return the rectangle in which the picture of a view takes clicks, in CSS px."""
+    """Return the rectangle of a view in which clicks count, in CSS px."""
     return workstation.page.locator(f".picture-host:has(canvas[data-view={view}])").bounding_box()
 
 
 def drag(workstation, view, start, end, button="left"):
-    """Drag between two places of a view, given as fractions of its width and height."""
+    """Drag from ``start`` to ``end`` in a view; both are fractions of its width and height."""
     box, mouse = host(workstation, view), workstation.page.mouse
     mouse.move(box["x"] + start[0] * box["width"], box["y"] + start[1] * box["height"])
     mouse.down(button=button)

@@ -25,7 +25,7 @@ class Child:
 
     def __init__(self, arguments: list[str], home: Path) -> None:
         own = own_folders(home)
-        # The cache of computed data is shared; it is not a folder of the user.
+        # The cache of computed data is common to all tests, and no folder of the user.
         del own["XDG_CACHE_HOME"]
         environment = {**os.environ, **own}
         self.process = subprocess.Popen(
@@ -67,12 +67,12 @@ class Child:
 
 @dataclass
 class Server:
-    """Running workstation."""
+    """Running workstation: process, URL and log."""
 
     child: Child
     url: str
     number: int = 0
-    """Number of the workstation in its host."""
+    """Number of the workstation among those of its host."""
     begins: int = 0
     """Index of the first log line that this workstation may have written."""
     cookies: list[dict[str, object]] = field(default_factory=list)
@@ -105,10 +105,7 @@ def stop_server(server: Server) -> int:
 
 
 class Host:
-    """Process of ``workstation_host.py``.
-
-    A new workstation in it takes a tenth of the time of a new process with its search for airways.
-    """
+    """Client of the process ``workstation_host.py``, which runs many workstations."""
 
     def __init__(self, home: Path) -> None:
         self._homes = (home / f"config-{n}" for n in itertools.count(1))
@@ -123,7 +120,7 @@ class Host:
         return answer
 
     def open(self, **options: Any) -> Server:
-        """Open a new workstation with its own settings."""
+        """Open a new workstation in the host, with default settings of its user."""
         begins = len(self._child.log)
         answer = self._ask({"open": {"home": str(next(self._homes)), "demo": None, "path": None, **options}})
         return Server(self._child, answer["url"], answer["number"], begins)

@@ -1,4 +1,4 @@
-"""List of lobes and segments that were not found, each with its reason and a button that shows the place."""
+"""Test of the list of lobes and segments that were not found: each has a reason and a button that shows the place."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ LOST = {
 
 @pytest.fixture
 def opens(tmp_path):
-    """Return a chest with mucus in its middle lobe bronchus and in a segment of the left upper lobe."""
+    """Return the opened file: a chest with mucus in the middle lobe bronchus and a segment of the left upper lobe."""
     volume, whole = made_phantom(**CHEST).volume, made_airways(**CHEST)
     for name in ("RML", "LB3"):
         volume = plugged(volume, named(whole, name), 6.0)
-    # NIfTI would round the spacing, which is enough to change the names of bronchi of the left upper lobe.
+    # NIfTI rounds the spacing, which is enough to change the names of bronchi of the left upper lobe.
     path = tmp_path / "ct.nrrd"
     write_grid(path, volume.hu_zyx, volume.lps_from_ijk, what="a chest with mucus")
     return {"path": str(path)}

@@ -1,4 +1,4 @@
-"""Tools on the airway tree in the browser: path to the cursor, branches linked in all views, edits and undo."""
+"""Tests of tools on the airway tree in the browser: path to the cursor, linked branches, edits and undo."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DRAWN = "() => [...window.__carina.state.tree.byId.values()].some((node) => node
 
 
 def lung_point(workstation):
-    """Return a point beside the tree whose path crosses places without a visible wall; the server computes the path."""
+    """Return a point of lung beside the tree; the server's path to it has parts without a visible wall."""
     return workstation.page.evaluate(
         """async () => {
             const socket = window.__socket;
@@ -66,7 +66,7 @@ def test_path_to_the_cursor_is_drawn_with_its_length_and_a_click_makes_it_a_targ
     )
     assert answer["problem"] is None
     assert answer["min_diameter_mm"] > 5.0
-    # The path ends in the left main bronchus, on the way to its end.
+    # The path ends in the left main bronchus, near the bronchus's end.
     assert max(abs(a - b) for a, b in zip(answer["points_lps"][-1], lmb, strict=True)) < 40.0
     workstation.picture("live-path")
     assert workstation.overlay("coronal") != before, "the way is drawn in the slices, too"
@@ -106,7 +106,7 @@ def test_branch_is_cut_undone_cut_again_and_added_by_a_click(server, workstation
     whole = workstation.state("tree.byId.size")
     lmb = named(workstation, "LMB")
     end = workstation.page.evaluate("(id) => window.__carina.state.tree.byId.get(id).branch.points.at(-1)", lmb)
-    # The left lung, from the middle of its main bronchus on, is amber before the click.
+    # Before the click the left lung is amber from the middle of its main bronchus on.
     workstation.page.keyboard.press("k")
     x, y = place_on_tree(workstation, lmb)
     workstation.page.mouse.move(x, y)
@@ -152,7 +152,7 @@ def test_branch_without_evidence_is_dashed_confirmed_and_added_as_drawn_by_hand(
     workstation.wait_ready()
     tree_is_shown(workstation)
     whole = workstation.state("tree.byId.size")
-    # Lung beside the end of a branch; the path to it has no visible wall.
+    # The point is in lung beside the end of a branch; the path to the point has no visible wall.
     lps = lung_point(workstation)
     show_slices_at(workstation, lps)
     workstation.page.keyboard.press("j")
@@ -172,7 +172,7 @@ def test_branch_without_evidence_is_dashed_confirmed_and_added_as_drawn_by_hand(
     assert asked["line"] == shown["lines"][0], "the question is about the way that was shown"
     assert workstation.state("messages.length") == 0, "a question is no error"
     workstation.picture("without-evidence-the-question")
-    # Esc leaves the tree unchanged and keeps the tool active.
+    # Esc leaves the tree unchanged and the tool active.
     workstation.page.keyboard.press("Escape")
     expect(question).to_have_count(0)
     assert workstation.state("ui.armed") == "add"
@@ -191,7 +191,7 @@ def test_branch_without_evidence_is_dashed_confirmed_and_added_as_drawn_by_hand(
     assert drawn["doubtful_mm"] > 0
     workstation.page.keyboard.press("Escape")
 
-    # The list, its panel and the route call the branch drawn by hand.
+    # The list, its panel and the route state that the branch was drawn by hand.
     workstation.page.get_by_role("searchbox", name="Search branches").fill("by hand")
     row = workstation.page.locator(f"[data-branch='{drawn['id']}']")
     expect(row).to_contain_text("drawn by hand")
@@ -209,7 +209,7 @@ def test_branch_without_evidence_is_dashed_confirmed_and_added_as_drawn_by_hand(
     assert workstation.faults == []
 
 
-def test_reason_is_shown_at_the_cursor_if_there_is_no_path(server, workstation):
+def test_cursor_at_a_point_without_a_path_shows_the_reason(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.keyboard.press("n")
@@ -237,7 +237,7 @@ def test_hovered_branch_is_highlighted_in_the_list_and_in_all_pictures(server, w
         )
     workstation.picture("hovered-in-the-list")
 
-    # The reverse: from the picture of the tree to the list.
+    # The link works in both directions: from the picture of the tree to the list as well.
     rmb = named(workstation, "RMB")
     x, y = place_on_tree(workstation, rmb)
     workstation.page.mouse.move(x, y)
@@ -249,7 +249,7 @@ def test_hovered_branch_is_highlighted_in_the_list_and_in_all_pictures(server, w
         return of.evaluate("(row) => getComputedStyle(row).backgroundColor")
 
     assert background(row) != background(other)
-    # A click there flies to the branch, as a click in the list does.
+    # A click in the picture flies to the branch, as a click in the list does.
     workstation.page.mouse.click(x, y)
     workstation.wait_for("(id) => window.__carina.state.route?.spans.at(-1).branch_id === id", rmb)
 
@@ -289,7 +289,7 @@ def test_branch_is_renamed_in_place_and_the_name_is_undone(server, workstation):
     )
     assert title.inner_text() != "Upper left, odd one"
 
-    # Esc keeps the old name; afterwards the keys fly again.
+    # Esc restores the old name; afterwards keys fly again.
     workstation.page.keyboard.press("F2")
     field.press("Escape")
     expect(field).to_have_count(0)
@@ -299,7 +299,7 @@ def test_branch_is_renamed_in_place_and_the_name_is_undone(server, workstation):
     assert workstation.faults == []
 
 
-def test_branch_list_is_searched(server, workstation):
+def test_search_field_filters_the_branch_list(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.keyboard.press("/")

@@ -1,4 +1,4 @@
-"""Scan without airways in the browser: start and target by click, a path by the paper's costs, and a flight."""
+"""Tests of a scan without airways in the browser: start and target by click, a path, and a flight."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FAILED_SEARCH = "window.__carina.state.session?.airways === 'failed' && window._
 
 @pytest.fixture(scope="module")
 def vessel(tmp_path_factory):
-    """Return a scan file with a bent vessel, and the places start, corner and end in it (LPS)."""
+    """Return the file of a scan with a bent vessel, and the start, the corner and the end of the vessel, LPS mm."""
     volume, inside, root, corner, end = made_vessel()
     scan = tmp_path_factory.mktemp("vessel") / "vessel.nii.gz"
     write_grid(scan, volume.hu_zyx, volume.lps_from_ijk, what="the scan")
@@ -49,7 +49,7 @@ def test_clicked_start_and_target_are_joined_by_a_path_that_can_be_flown(opened,
     _, volume, inside, root, _, end = vessel
     page = opened.page
     page.get_by_role("radio", name="Walls").click()
-    # The tool for the missing start is active at once.
+    # The tool that sets the missing start is active at once.
     assert opened.state("ui.armed") == "start"
     page.keyboard.press("Escape")
     mark(opened, "start", root)
@@ -64,7 +64,7 @@ def test_clicked_start_and_target_are_joined_by_a_path_that_can_be_flown(opened,
     points = np.array(route["points_lps"])
     i, j, k = np.rint(volume.to_ijk(points)).astype(int).T
     assert inside[k, j, i].mean() > 0.97
-    # A click is exact to half a pixel of the slice.
+    # The error of a click is at most half a pixel of the slice.
     assert np.linalg.norm(points[0] - root) < 1.5
     assert np.linalg.norm(points[-1] - end) < 1.5
     opened.picture("any-scan-target")
@@ -121,7 +121,7 @@ def test_start_and_target_are_clicked_in_the_three_dimensional_views(opened, ves
 
 @pytest.mark.data
 class TestTheHead:
-    """Path in headsq: oblique, not in HU, voxels of 3.2 mm."""
+    """Path in the CT headsq: an oblique grid with voxels of 3.2 mm, and values that are not HU."""
 
     @pytest.fixture
     def vessel(self, data_dir):
@@ -131,7 +131,7 @@ class TestTheHead:
         page = opened.page
         page.get_by_role("radio", name="Walls").click()
         page.keyboard.press("Escape")
-        # Checked by eye: the nasopharynx, and air in front of it.
+        # The points, checked by eye, are in the nasopharynx and in air in front of it.
         mark(opened, "start", [18.822, 140.192, 48.0])
         mark(opened, "target", [-6.234, 151.590, 48.0])
         opened.wait_for("window.__carina.state.route !== null")

@@ -1,4 +1,4 @@
-"""Quality warnings of a scan: a badge beside the title, and the first entry of the step Check."""
+"""Test of quality warnings of a scan: a badge beside the title, and the first entry of the step Check."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WORDS = "5 voxels are not finite (NaN or infinite)"
 
 @pytest.fixture
 def opens(tmp_path):
-    """Return the phantom as coarse floats, with five voxels that are NaN."""
+    """Return the phantom as a file of floats with coarse voxels, of which five are NaN."""
     volume = demo_phantom().volume
     values = volume.hu_zyx[::2, ::2, ::2].astype(np.float32)
     values[0, 0, :5] = np.nan
@@ -38,7 +38,7 @@ def test_quality_warning_stays_beside_the_title_and_leads_to_the_step_check(serv
     expect(badge).to_be_visible()
     badge.hover()
     expect(page.get_by_role("tooltip")).to_contain_text(WORDS)
-    # Voxels of 2.4 mm hide airways.
+    # Voxels of 2.4 mm may hide airways.
     expect(page.get_by_role("tooltip")).to_contain_text("An airway that is not in the tree may still be there")
     workstation.picture("doubt-tooltip")
     badge.click()

@@ -1,4 +1,4 @@
-"""Frame budget in the browser: a steady frame rate, and the view finder while the airway view is too slow."""
+"""Tests of the frame budget: a steady frame rate, and the cut-plane while the airway view is too slow."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ def slow_file(tmp_path) -> Path:
 
 @pytest.fixture
 def opens(slow_file):
-    """Return options for an airway view that can be slowed down."""
+    """Return the options for a workstation whose airway view can be made slow."""
     return {"demo": "phantom", "slow_file": str(slow_file)}
 
 
-def test_status_shows_rate_and_resolution_while_flying_and_the_picture_is_full_at_rest(server, workstation):
+def test_status_shows_rate_and_resolution_in_flight_and_the_picture_is_full_at_rest(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.wait_still()
@@ -44,7 +44,7 @@ def test_status_shows_rate_and_resolution_while_flying_and_the_picture_is_full_a
     workstation.picture("budget-flying")
     workstation.page.keyboard.up("w")
     rate = int(re.search(r"frames (\d+)/s", while_flying)[1])
-    # The hand's input comes 60 times a second; the rate of pictures below that depends on the machine and its load.
+    # Inputs of the hand come 60 times a second; below 60 the frame rate depends on the machine and its load.
     assert 1 <= rate <= 70
     assert re.search(r"latency \d+ ms|updating", while_flying)
     assert not frame["full"]
@@ -53,7 +53,7 @@ def test_status_shows_rate_and_resolution_while_flying_and_the_picture_is_full_a
     assert workstation.faults == []
 
 
-def test_another_rate_can_be_requested(server, workstation):
+def test_requested_frame_rate_limits_the_pictures_per_second(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.locator(".status-bar .pace button").click()
@@ -86,7 +86,7 @@ def test_labelled_cut_plane_replaces_a_slow_airway_view_until_it_recovers(server
     assert "Viewfinder: cut-plane" in label
     assert "viewfinder" in status
     assert (frame["view"], frame["stands_for"], frame["full"]) == ("cut-plane", "airway", False)
-    # The cut-plane follows the hand in every picture, which the airway view could not.
+    # Every picture of the cut-plane follows the hand, which the slow airway view could not.
     workstation.fly_until("window.__shown.filter((view) => view === 'cut-plane').length >= 8", 120.0)
 
     # At rest the airway view arrives, however long it takes, and the label disappears.
@@ -97,7 +97,7 @@ def test_labelled_cut_plane_replaces_a_slow_airway_view_until_it_recovers(server
     slow_file.unlink()
     workstation.fly_until(f"!{STANDS_IN} && window.__carina.state.frames.airway.full === false", 120.0)
     workstation.watch_stand_ins()
-    # Several airway pictures in a row, as soon as the machine is as fast as the view needs.
+    # Several consecutive airway pictures are shown as soon as the machine is fast enough.
     workstation.fly_until("window.__shown.slice(-4).join() === 'airway,airway,airway,airway'", 120.0)
     workstation.wait_still()
     assert workstation.faults == []

@@ -1,4 +1,4 @@
-"""Restoring of work in the browser: after closing, after a crash, and from a named case file."""
+"""Tests of restored work in the browser: after closing, after a crash, and from a named case file."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def work(workstation):
 
 
 def wait_saved(workstation, home):
-    """Change the slab thickness, and wait until that change, and so all earlier ones, is saved."""
+    """Change the slab thickness, and wait until this change (and so every earlier one) is saved."""
 
     def written_s():
         return max((json.loads(path.read_text())["used_s"] or 0.0 for path in home.rglob("record.json")), default=0.0)
@@ -57,7 +57,7 @@ def wait_saved(workstation, home):
     while written_s() <= since_s:
         assert time.time() < since_s + PICTURE_MS / 1e3, "the change is not on the disk"
         workstation.page.wait_for_timeout(50)
-    # A write that began before the key press may end after it; the write with the change follows within 1.5 s.
+    # A write that began before the key press may end after it; the write that contains the change follows within 1.5 s.
     last_s = 0.0
     while written_s() > last_s:
         last_s = written_s()
@@ -106,7 +106,7 @@ def test_case_is_saved_under_a_name_that_the_top_bar_shows(server, workstation, 
     workstation.page.keyboard.press("Control+s")
     workstation.page.get_by_test_id("save-path").fill(str(tmp_path / "copies" / "mine"))
     workstation.page.get_by_test_id("save-now").click()
-    # A folder that does not exist is refused with a message, and the user chooses another.
+    # For a folder that does not exist a message is shown, and the user chooses another folder.
     workstation.page.get_by_text("copies").first.wait_for()
     workstation.page.get_by_test_id("saved").click()
     workstation.page.get_by_test_id("save-path").fill(str(tmp_path / "mine"))
@@ -118,7 +118,7 @@ def test_case_is_saved_under_a_name_that_the_top_bar_shows(server, workstation, 
         assert [step.label for step in case.history()] == steps
 
 
-def test_named_file_changed_elsewhere_is_written_only_as_its_user_decides(server, workstation, tmp_path):
+def test_named_file_changed_by_another_program_is_written_only_after_a_choice(server, workstation, tmp_path):
     workstation.open(server)
     workstation.wait_ready()
     work(workstation)
@@ -141,7 +141,7 @@ def test_named_file_changed_elsewhere_is_written_only_as_its_user_decides(server
     page.get_by_test_id("save-beside").click()
     page.get_by_test_id("saved").filter(has_text="copy from").wait_for()
     assert workstation.state("session.saving.copy_name") == "team (2).carina"
-    # Another version of the case, from a copy of the file that was edited elsewhere.
+    # Another program edits a copy of the file, which replaces the file.
     with CaseFile.open(path.with_name("team (2).carina"), read_only=True) as case:
         case.write_copy(path.with_name("theirs.carina"))
     path.with_name("theirs.carina").replace(path.with_name("team (2).carina"))
@@ -221,7 +221,7 @@ def test_case_is_continued_from_the_list_restarted_deleted_and_restored(server, 
     assert listed("stored").count() == 1
     page.get_by_test_id("restore-case").click()
     page.get_by_test_id("forgotten").wait_for(state="detached")
-    # The pressed button has disappeared, and for a moment no element has the focus.
+    # The pressed button has disappeared, so for a moment no element has the focus.
     page.evaluate(
         """() => {
             document.activeElement.blur();
@@ -276,7 +276,7 @@ def test_full_disk_is_reported_flying_continues_and_the_case_is_saved_elsewhere(
     workstation.faults.clear()
 
 
-def test_case_whose_ct_has_moved_asks_for_it_refuses_another_and_continues(host, workstation, home, tmp_path):
+def test_case_whose_ct_was_moved_requests_the_ct_and_refuses_another(host, workstation, home, tmp_path):
     page = workstation.page
     chest, other = (made_phantom(spacing_mm=3.0, generations=n).volume for n in (3, 4))
     ct, moved = tmp_path / "ct.nii.gz", tmp_path / "moved.nii.gz"
@@ -310,7 +310,7 @@ def test_case_whose_ct_has_moved_asks_for_it_refuses_another_and_continues(host,
         workstation.faults.clear()
 
 
-def test_dropped_case_asks_for_its_ct_waits_for_it_and_has_no_path(host, workstation, home, tmp_path):
+def test_dropped_case_requests_its_ct_and_opens_without_a_path_when_it_is_dropped(host, workstation, home, tmp_path):
     page = workstation.page
     chest = made_phantom(spacing_mm=3.0, generations=3).volume
     ct, given = tmp_path / "ct.nii.gz", tmp_path / "given.carina"

@@ -1,4 +1,4 @@
-"""Input devices that fly, are lost and return: mocked browser devices, a serial port, a network tracker."""
+"""Tests of input devices that fly, are lost and return: simulated browser devices, a serial port, a network tracker."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from workstation import PICTURE_MS
 
 pytestmark = pytest.mark.browser
 
-# The Gamepad API with a pad that the test moves; vibrations are recorded.
+# Script that replaces the Gamepad API by a pad that the test moves; vibrations are recorded.
 MOCK = """
 window.testPad = null; window.testRumble = [];
 const pad = (axes, pressed) => ({
@@ -33,7 +33,7 @@ def hold(workstation, axes, pressed=()) -> None:
     workstation.page.evaluate("([axes, pressed]) => window.holdPad(axes, pressed)", [list(axes), list(pressed)])
 
 
-def test_gamepad_flies_shows_mode_changes_and_may_be_unplugged(server, workstation):
+def test_gamepad_flies_changes_modes_and_works_after_reconnection(server, workstation):
     workstation.page.add_init_script(MOCK)
     workstation.open(server)
     workstation.wait_ready()
@@ -52,11 +52,11 @@ def test_gamepad_flies_shows_mode_changes_and_may_be_unplugged(server, workstati
     assert workstation.frame_answers("airway", newest)
     assert workstation.pixels("airway") != pixels
 
-    # Y: the next steering mode; A: on to the next fork.
+    # Y selects the next steering mode; A flies to the next fork.
     hold(workstation, (0, 0, 0, 0), [3])
     workstation.page.wait_for_function("() => window.__carina.state.pose.mode === 'free'")
     hold(workstation, (0, 0, 0, 0))
-    # Free mode, at full speed sideways into the wall: the pad vibrates.
+    # In free mode the tip moves at full speed sideways into the wall, so the pad vibrates.
     hold(workstation, (0, -1, 1, 0))
     workstation.page.wait_for_function("() => window.testRumble.length > 0")
 
@@ -67,7 +67,7 @@ def test_gamepad_flies_shows_mode_changes_and_may_be_unplugged(server, workstati
     workstation.let_pass(300)
     assert workstation.state("pose.pose_id") == stopped
 
-    # Plugged in again: buttons that were held at that moment have no effect, and the pad flies.
+    # After the pad was connected again, buttons that were held at that moment have no effect, and the pad flies.
     hold(workstation, (0, 0, 0, 0), [3])
     workstation.let_pass(200)
     assert workstation.state("pose.mode") == "free"
@@ -77,7 +77,7 @@ def test_gamepad_flies_shows_mode_changes_and_may_be_unplugged(server, workstati
     assert workstation.faults == []
 
 
-# WebHID with two devices that the test moves, described as real ones describe themselves to a browser.
+# Script that replaces WebHID by two devices that the test moves; their descriptions are those of real devices.
 HID_MOCK = """
 class Device extends EventTarget {
   constructor(vendorId, productName, collections) {
@@ -116,7 +116,7 @@ def hid_report(workstation, name: str, report_id: int, data: bytes) -> None:
     workstation.page.evaluate("([n, id, b]) => window.testHid[n].report(id, b)", [name, report_id, list(data)])
 
 
-def test_spacemouse_and_usb_handle_fly_are_unplugged_and_return(server, workstation):
+def test_spacemouse_and_usb_handle_fly_and_work_after_reconnection(server, workstation):
     page = workstation.page
     page.add_init_script(HID_MOCK)
     workstation.open(server)
@@ -129,10 +129,11 @@ def test_spacemouse_and_usb_handle_fly_are_unplugged_and_return(server, workstat
 
     def push_the_cap() -> None:
         """Push the cap of the SpaceMouse from far along the route until the tip has moved back."""
-        # A push towards the hand pulls the tip back. At the start of the route the tip could not move.
+        # A push towards the user pulls the tip back, which needs a position beyond the start of the route.
         workstation.go_to(30.0)
         workstation.wait_still()
-        # Like a real device, it reports while it is pushed: a device that is silent for 250 ms counts as released.
+        # Like a real device the simulated one reports while it is pushed; a device silent for 250 ms counts as
+        # released.
         moved = page.evaluate(
             """async ([pushed, fromMm, limitMs]) => {
                 const end = performance.now() + limitMs;
@@ -161,18 +162,18 @@ def test_spacemouse_and_usb_handle_fly_are_unplugged_and_return(server, workstat
     clock = itertools.count(1000, 20)
 
     def push_the_handle(from_mm: float, by_mm: float) -> None:
-        """Insert the shaft, and wait until the tip has moved as far.
+        """Insert the shaft of the handle by ``by_mm``, and wait until the tip has moved by this length.
 
-        A device that is silent for 250 ms counts as released: on a busy machine the tip moves less far, never farther,
-        and the push is repeated.
+        A device that is silent for 250 ms counts as released. So on a busy machine the tip moves less far, never
+        farther, and the push is repeated.
         """
         begin_mm = workstation.state("pose.path_mm")
         for attempt in range(30):
             if attempt > 0:
                 workstation.go_to(begin_mm)
                 workstation.wait_still()
-            # The hand returns while its handle is silent and its clock continues, as with a real one. Within 250 ms of
-            # that clock the tip would move back, too.
+            # The hand returns while the handle sends no samples and its clock continues, as with a real handle. Within
+            # 250 ms of this clock the tip would move back as well.
             list(itertools.islice(clock, 50))
             before_mm = workstation.state("pose.path_mm")
             shaft = [round(100 * (from_mm + by_mm * n / 40)) for n in range(41)]
@@ -198,10 +199,10 @@ def test_spacemouse_and_usb_handle_fly_are_unplugged_and_return(server, workstat
     page.wait_for_function("() => !window.__carina.state.devices.devices.some(d => d.holds)")
     page.evaluate("() => window.plug('handle', 'connect')")
     page.wait_for_function("() => window.testHid.handle.opened")
-    # The handle was moved by 30 cm meanwhile, which does not move the tip.
+    # Meanwhile the handle was moved by 30 cm, which does not move the tip.
     push_the_handle(200.0, 10.0)
     workstation.picture("devices-hid")
-    # Half a report, and a lever beyond its end: reported once, and the handle continues to work.
+    # Half a report and a lever value beyond its range are reported once, and the handle continues to work.
     hid_report(workstation, "handle", 1, b"\x00\x01")
     hid_report(workstation, "handle", 1, struct.pack("<Iiihb", next(clock), 21000, 0, 9000, 0))
     page.get_by_text("do not match its HID descriptor").wait_for()
@@ -209,7 +210,7 @@ def test_spacemouse_and_usb_handle_fly_are_unplugged_and_return(server, workstat
     assert workstation.faults == []
 
 
-def test_network_tracker_flies_is_calibrated_lost_and_found_again(server, workstation):
+def test_network_tracker_flies_is_registered_and_works_after_a_lost_connection(server, workstation):
     from carina.navigate.devices import IgtlServer
 
     page = workstation.page
@@ -217,7 +218,7 @@ def test_network_tracker_flies_is_calibrated_lost_and_found_again(server, workst
     workstation.wait_ready()
     page.keyboard.press(";")
     page.wait_for_selector("[data-testid=device-panel]")
-    # Relative control, whatever earlier tests chose: along the path the sideways tremor moves nothing.
+    # In relative control, whatever earlier tests chose, sideways tremor moves nothing along the path.
     page.get_by_test_id("control-relative").click()
     place = np.eye(4)
     began = time.monotonic()
@@ -276,7 +277,7 @@ def test_network_tracker_flies_is_calibrated_lost_and_found_again(server, workst
     assert workstation.faults == []
 
 
-def test_locked_mouse_looks_around_and_is_released(server, workstation):
+def test_locked_mouse_turns_the_view_until_it_is_released(server, workstation):
     page = workstation.page
     workstation.open(server)
     workstation.wait_ready()
@@ -302,7 +303,7 @@ def test_locked_mouse_looks_around_and_is_released(server, workstation):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals on Windows")
-def test_scope_handle_is_connected_in_the_panel_flies_and_is_recorded(server, workstation):
+def test_scope_handle_connected_in_the_panel_flies_and_is_recorded(server, workstation):
     from carina.navigate.devices.scope_handle import format_line
     from simulated_serial import PseudoPort, sending
 

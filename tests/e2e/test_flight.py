@@ -1,4 +1,4 @@
-"""The complete product: a real server, a real browser, and a flight along a path in the phantom."""
+"""Tests of the complete product: a real server, a real browser, and a flight along a path in the phantom."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def server(tmp_path_factory) -> Iterator[Server]:
     assert running.errors() == []
 
 
-def test_flight_along_the_path_moves_every_view_and_each_picture_answers_the_newest_pose(server, workstation):
+def test_flight_along_the_path_updates_every_view_to_the_newest_pose(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.picture("flight-start")
@@ -34,7 +34,7 @@ def test_flight_along_the_path_moves_every_view_and_each_picture_answers_the_new
     before_pose = workstation.state("pose.pose_id")
     before_mm = workstation.state("pose.path_mm")
 
-    # Holding W advances along the path.
+    # While W is held, the tip advances along the path.
     workstation.hold_until("w", "(mm) => window.__carina.state.pose.path_mm > mm", before_mm + 20.0)
     workstation.wait_still()
     workstation.picture("flight-on-the-way")
@@ -46,13 +46,13 @@ def test_flight_along_the_path_moves_every_view_and_each_picture_answers_the_new
     assert workstation.faults == []
 
 
-def test_pictures_never_return_to_an_older_pose(server, workstation):
+def test_pictures_of_a_flight_never_have_an_older_pose(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.watch_pose_ids("airway")
     workstation.hold("w", 800)
     workstation.hold("s", 800)
-    # Continue until several pictures were shown.
+    # The flight continues until several pictures were shown.
     workstation.fly_until("window.__poses.length >= 10", 120.0)
     workstation.wait_still()
     shown = workstation.watched_pose_ids()
@@ -60,14 +60,14 @@ def test_pictures_never_return_to_an_older_pose(server, workstation):
     assert workstation.faults == []
 
 
-def test_one_key_leaves_the_path_and_returns_without_a_jump(server, workstation):
+def test_key_leaves_the_path_and_returns_to_it_with_an_equal_pose(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     before = workstation.state("pose.lps_from_camera")
     workstation.page.keyboard.press("m")
     workstation.page.wait_for_function("() => window.__carina.state.pose.mode === 'free'")
     after = workstation.state("pose.lps_from_camera")
-    # 1e-9: the pose is kept, not recomputed; JSON transfers doubles exactly.
+    # The tolerance is 1e-9: the pose is stored, not computed again, and JSON transfers doubles exactly.
     assert max(abs(a - b) for a, b in zip(before, after, strict=True)) < 1e-9
     workstation.page.keyboard.press("m")
     workstation.page.wait_for_function("() => window.__carina.state.pose.mode === 'path'")
@@ -89,7 +89,7 @@ def test_x_ray_and_external_views_show_the_tip(server, workstation):
     assert workstation.faults == []
 
 
-def test_keyboard_card_opens_by_its_key(server, workstation):
+def test_question_mark_opens_the_keyboard_card_and_escape_closes_it(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.keyboard.press("?")
@@ -113,7 +113,7 @@ def test_space_flies_to_the_stop_before_the_carina_and_both_branches_are_labelle
     workstation.picture("look-out-at-the-carina")
     assert fork_mm - lookout_mm > 8.0, "a trachea's width in front of the carina, not at it"
     ways = workstation.page.locator(".reading .way").all_inner_texts()
-    # Operator at the head end: the patient's left is on the picture's left.
+    # For an operator at the head end, the patient's left is on the left of the picture.
     assert ways == ["LMB, 9 o\u2019clock", "RMB, 3 o\u2019clock"]
     assert workstation.faults == []
 
@@ -146,7 +146,7 @@ def test_rehearsal_states_how_far_the_scope_fits(server, workstation):
     assert workstation.faults == []
 
 
-def test_long_refusal_can_be_scrolled_to_its_end(server, workstation):
+def test_long_error_message_can_be_scrolled_to_its_end(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page

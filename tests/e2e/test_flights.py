@@ -1,4 +1,4 @@
-"""Recorded flights in the browser: recorded, named, restored when the case is opened, downloaded and deleted."""
+"""Test of recorded flights: recorded, named, restored when the case is opened again, downloaded and deleted."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def home(tmp_path):
 
 
 def record(workstation, num, *, leaves=0):
-    """Fly forward during a recording."""
+    """Record a flight in which the tip flies forward."""
     page = workstation.page
     page.get_by_test_id("record").click()
     workstation.wait_for(f"window.__carina.state.flights.length === {num}")
@@ -65,7 +65,7 @@ def test_flights_are_recorded_named_restored_downloaded_and_deleted(host, workst
     assert taken.length_s == pytest.approx(workstation.state("flights")[0]["length_s"], abs=1e-5)
     before = workstation.state("flights")
 
-    # The replay takes the recorded time, and a movement of the user interrupts it at once.
+    # The replay takes the recorded time, and any movement by the user interrupts it at once.
     length_s = before[1]["length_s"]
     rows.nth(1).get_by_test_id("flight-play").click()
     workstation.wait_for("window.__carina.state.pose.flight?.number === 1 && window.__carina.state.replaying.atS > 0.3")

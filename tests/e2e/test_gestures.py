@@ -1,4 +1,4 @@
-"""Double clicks, tools and rows of the list: one action for each gesture, by mouse, finger and pen."""
+"""Tests of double clicks, tools and rows of the list: one action for each gesture, by mouse, finger and pen."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from workstation import open_page
 
 pytestmark = pytest.mark.browser
 
-# Actions of tools are recorded and not sent to the server: the tree stays unchanged, and every action is visible.
 KEEP_DEEDS = """
 window.__actions = [];
 window.WebSocket = class extends WebSocket {
@@ -23,6 +22,7 @@ window.WebSocket = class extends WebSocket {
   }
 };
 """
+"""Script that records the actions of tools instead of sending them, so that the tree stays unchanged."""
 TOOLS = {
     "target": "n",
     "root": "b",
@@ -35,8 +35,9 @@ TOOLS = {
     "erase": "Shift+Q",
     "reroot": "Shift+B",
 }
+"""Key that activates each tool."""
 POINT_TOOLS = ("target", "root", "add", "bridge", "reroot")
-# Each picture, and the cell that shows it.
+"""Tools that act at a point; the other tools act on a branch or a fork."""
 PICTURES = {
     "airway": "airway",
     "axial": "axial",
@@ -50,7 +51,9 @@ PICTURES = {
     "tree": "outside",
     "tri-plane": "outside",
 }
+"""Cell of the page that shows each view."""
 SWITCHED = {"straightened": "v", "curved": "v", "drr": "x", "tri-plane": "t"}
+"""Key that switches the cell of a view until the cell shows this view."""
 
 
 def prepare(workstation, server) -> None:
@@ -72,7 +75,7 @@ def scripts():
 
 @pytest.fixture
 def ready(server, workstation):
-    """Return a prepared page for one test."""
+    """Return a page with the case open and intercepted actions, for one test."""
     prepare(workstation, server)
     yield workstation
     assert workstation.faults == []
@@ -87,7 +90,7 @@ class SharedPage:
         self._first = None
 
     def at_first(self, browser, host):
-        """Return the page in its initial state."""
+        """Return the shared page in its initial state; open it if there is none."""
         if self.workstation is None or not self._is_back():
             self.close()
             server = host.open(demo="phantom")
@@ -154,7 +157,7 @@ def show(workstation, view) -> None:
 
 
 def middle_of(workstation, view) -> tuple[float, float]:
-    """Return the position of the left main bronchus if known, else the picture's middle; page coordinates."""
+    """Return the position of the left main bronchus in a view, else the middle of the picture, in CSS px."""
     if view == "tree":
         return tuple(place_on_tree(workstation, named(workstation, "LMB")))
     if view in {"axial", "coronal", "sagittal"}:
@@ -192,7 +195,7 @@ def test_double_click_without_a_tool_enlarges_the_picture_and_chooses_nothing(un
     x, y = middle_of(undone, view)
     undone.page.mouse.dblclick(x, y)
     undone.wait_for("(cell) => window.__carina.state.ui.full === cell", PICTURES[view])
-    # Longer than a click waits for a second one: no action follows later either.
+    # The wait is longer than a click waits for a second click, so no later action follows.
     undone.let_pass(400)
     undone.settle()
     assert undone.page.evaluate(CHOSEN) == before
@@ -205,7 +208,7 @@ def test_double_click_without_a_tool_enlarges_the_picture_and_chooses_nothing(un
 
 
 def does_it(view, tool) -> bool:
-    """Return whether the tool certainly finds an object where these tests click."""
+    """Return whether the tool certainly finds an object at the place where these tests click in the view."""
     if view in {"axial", "coronal", "sagittal"}:
         return tool != "fork"
     if view == "tree":
@@ -235,13 +238,13 @@ def test_double_click_with_a_tool_acts_once_and_keeps_the_picture_size(undone, v
         put_away(undone)
 
 
-def test_enter_in_a_slice_uses_the_tool_at_the_crosshair_also_on_the_branch_there(ready):
+def test_enter_in_a_slice_applies_the_tool_once_at_the_crosshair(ready):
     lmb = named(ready, "LMB")
     picture = ready.page.get_by_role("img", name="Axial")
     for tool, expected in (("cut", f'"branch_id":{lmb}'), ("bridge", '"kind":"bridge"')):
         arm(ready, tool)
         picture.focus()
-        # The key is held, so that it repeats: it still counts as one gesture.
+        # The key is held so that it repeats, which is still one gesture.
         for _ in range(3):
             ready.page.keyboard.down("Enter")
         ready.page.keyboard.up("Enter")
@@ -257,7 +260,7 @@ def test_double_tap_is_distinguished_from_two_taps_by_finger_and_pen(ready, by):
     client = ready.page.context.new_cdp_session(ready.page)
 
     def tap(x, y, at_s):
-        # The events have timestamps: between two calls a busy machine may need longer than a hand between two taps.
+        # The events have timestamps, because on a busy machine two calls may be farther apart than two taps of a hand.
         if by == "touch":
             points = [{"x": x, "y": y}]
             client.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": points, "timestamp": at_s})
@@ -268,8 +271,8 @@ def test_double_tap_is_distinguished_from_two_taps_by_finger_and_pen(ready, by):
             client.send("Input.dispatchMouseEvent", {**event, "timestamp": at_s + after_s})
 
     def tap_twice(first, second):
-        # The browser answers a touch only after the page has drawn a frame since loading. Both taps have timestamps in
-        # the past.
+        # The browser answers a touch only after the page has drawn a frame. The timestamps of both taps are in the
+        # past.
         ready.refreshes(2)
         at_s = time.time() - 0.2
         tap(*first, at_s)
@@ -281,7 +284,7 @@ def test_double_tap_is_distinguished_from_two_taps_by_finger_and_pen(ready, by):
     ready.settle()
     assert len(actions(ready)) == 1
     assert ready.state("ui.full") is None
-    # A tap at another place is another click, however soon it comes.
+    # A tap at another place is a separate click, even if it follows quickly.
     tap(x + 60, y, time.time())
     ready.settle()
     assert len(actions(ready)) == 1
@@ -295,7 +298,7 @@ def test_double_tap_is_distinguished_from_two_taps_by_finger_and_pen(ready, by):
 
 
 @pytest.mark.parametrize(("tool", "kind"), [("cut", "cut-branch"), ("smooth", "smooth-branch")])
-def test_with_a_tool_a_row_of_the_list_selects_the_branch_that_it_acts_on(ready, tool, kind):
+def test_click_on_a_list_row_with_an_active_tool_applies_the_tool_to_its_branch(ready, tool, kind):
     lmb = named(ready, "LMB")
     row = ready.page.locator(f".branch-tree [data-branch='{lmb}']")
     route = ready.state("route.spans.at(-1).branch_id")
@@ -321,7 +324,7 @@ def test_with_a_tool_a_row_of_the_list_selects_the_branch_that_it_acts_on(ready,
     assert tool != "cut" or '"at_mm":0' in done, "a row means the whole branch"
     assert ready.state("route.spans.at(-1).branch_id") == route, "it chooses no route"
 
-    # Keys work as well: Enter on the row; Esc there releases the tool.
+    # Keys work in the list: Enter on a row acts, and Esc releases the tool.
     ready.page.get_by_role("row").filter(has=ready.page.locator(f"[data-branch='{lmb}']")).focus()
     ready.page.keyboard.press("Enter")
     ready.settle()
@@ -334,7 +337,7 @@ def test_with_a_tool_a_row_of_the_list_selects_the_branch_that_it_acts_on(ready,
     assert actions(ready) == []
 
 
-def test_with_move_fork_a_row_selects_the_fork_where_its_branch_begins(ready):
+def test_click_on_a_list_row_with_move_fork_selects_the_fork_at_its_branch_start(ready):
     lmb, trachea = named(ready, "LMB"), named(ready, "Trachea")
     arm(ready, "fork")
     ready.page.locator(f".branch-tree [data-branch='{lmb}']").click()
@@ -363,7 +366,7 @@ def test_active_tool_is_shown_in_every_picture_with_its_hint(undone, tool):
         assert ("not-allowed" in cursor) == (x_ray or brush), (view, cursor)
         assert x_ray or brush or "svg" in cursor, (view, cursor)
     undone.picture(f"armed-{tool}")
-    # This holds in the full view as well, where the first Esc releases the tool.
+    # In the full view the first Esc releases the tool, too.
     page.locator("[data-cell=axial] header button").last.click()
     undone.wait_for("() => window.__carina.state.ui.full === 'axial'")
     expect(page.locator("[data-cell=axial] [data-testid=tool-tag]")).to_be_visible()
@@ -398,7 +401,7 @@ def test_tool_is_released_by_list_search_right_click_its_tag_and_another_step(re
         page.mouse.click(*middle_of(ready, view), button="right")
         assert ready.state("ui.armed") is None, view
 
-    # A drag with the right button changes window and level, and keeps the tool.
+    # A drag with the right button changes window and level, and leaves the tool active.
     arm(ready, "bridge")
     x, y = middle_of(ready, "axial")
     page.mouse.move(x, y)

@@ -1,4 +1,4 @@
-"""WebXR headset in its manufacturer's emulation (npm iwer): its controllers fly, and it shows the airway."""
+"""Tests of a WebXR headset in its manufacturer's emulation (npm iwer): it shows the airway and its controllers fly."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ INSTALL = """
 window.headset = new IWER.XRDevice(IWER.metaQuest3, {stereoEnabled: true});
 window.headset.installRuntime({forceInstall: true});
 """
-# The picture in the headset, 16x8 pixels of both eyes, read in the refresh in which it was drawn.
+# Script that returns the picture in the headset (16x8 pixels of both eyes), read in the refresh that drew it.
 SHOWN = """() => new Promise((done) => requestAnimationFrame(() => {
   const small = new OffscreenCanvas(16, 8), ink = small.getContext('2d');
   ink.drawImage(document.querySelector('[data-webxr_runtime] canvas'), 0, 0, 16, 8);
@@ -33,7 +33,10 @@ def emulated(workstation):
 
 
 def controller(workstation, *, at_mm=(0.0, 0.0, 0.0), yaw_rad=0.0, trigger=False) -> None:
-    """Move the right controller relative to 30 cm in front of the head; a yaw to the right is positive."""
+    """Move the right controller to a position relative to 30 cm in front of the head.
+
+    A yaw to the right is positive.
+    """
     workstation.page.evaluate(
         """([x, y, z, yaw, trigger]) => {
             const hand = window.headset.controllers.right;
@@ -46,9 +49,9 @@ def controller(workstation, *, at_mm=(0.0, 0.0, 0.0), yaw_rad=0.0, trigger=False
 
 
 def stroke(workstation, until: str, *, ahead_mm: float = 0.0, yaw_rad: float = 0.0) -> None:
-    """Move the held hand and return it released, repeatedly, until the condition holds.
+    """Move the hand with its trigger held and back with its trigger released, repeatedly, until a condition is true.
 
-    On a busy machine a refresh may take so long that a movement has no effect.
+    On a busy machine a refresh may take so long that one movement has no effect.
     """
     for _ in range(30):
         controller(workstation)
@@ -65,13 +68,13 @@ def stroke(workstation, until: str, *, ahead_mm: float = 0.0, yaw_rad: float = 0
 
 
 def right_and_ahead(before, after) -> tuple[float, float]:
-    """Return how far the view turned to the right and moved ahead, in its earlier axes."""
+    """Return the angle of the view's turn to the right and the movement ahead, both in the axes of the earlier view."""
     forward = [after[2], after[6], after[10]]
     right, ahead = (sum(before[4 * row + axis] * forward[row] for row in range(3)) for axis in (0, 2))
     return right, ahead
 
 
-def test_headset_shows_the_airway_and_its_controller_flies_is_lost_and_returns(server, emulated):
+def test_headset_shows_the_airway_and_its_controller_flies_also_after_a_loss(server, emulated):
     workstation, page = emulated, emulated.page
     workstation.open(server)
     workstation.wait_ready()
@@ -87,8 +90,8 @@ def test_headset_shows_the_airway_and_its_controller_flies_is_lost_and_returns(s
     )
     assert min(max(left_eye), max(right_eye)) > 30, "both eyes see the airway, not an empty room"
 
-    # With the trigger released the hand moves nothing; with the trigger held the tip follows the hand forward and to
-    # the right.
+    # With the trigger released a movement of the hand has no effect. With the trigger held the tip follows forward and
+    # to the right.
     before = workstation.state("pose.lps_from_camera")
     at_mm = workstation.state("pose.path_mm")
     controller(workstation, at_mm=(0, 0, 40))
@@ -116,7 +119,7 @@ def test_headset_shows_the_airway_and_its_controller_flies_is_lost_and_returns(s
     page.wait_for_function(f"() => window.__carina.state.pose.path_mm < {at_mm + 5}")
     page.evaluate("() => window.headset.controllers.right.updateAxes('thumbstick', 0, 0)")
 
-    # The controller loses its power: the tip stops. A new controller flies again.
+    # The controller loses its power, so the tip stops; a new controller flies.
     page.evaluate("() => { window.headset.controllers.right.connected = false; }")
     page.wait_for_function("() => !window.__carina.state.devices.devices.some((d) => d.holds)")
     page.evaluate("() => { window.headset.controllers.right.connected = true; }")

@@ -1,4 +1,4 @@
-"""Bronchoscope in the lumen, in the browser: placed on the route, bent, stopped by the wall, with contact feedback."""
+"""Test of the scope in the lumen: placed on the route, bent, stopped by the wall, with contact feedback."""
 
 from __future__ import annotations
 
@@ -7,19 +7,20 @@ from test_devices import MOCK, hold
 
 pytestmark = pytest.mark.browser
 
-# The distances to the wall are computed once for a case: about a minute on two busy cores.
 WALL_MS = 900_000
+"""Limit for computing the wall distances of a case, ms; on two busy cores this takes about a minute."""
 FLIGHT_MS = 300_000
+"""Limit for a movement of the scope, ms."""
 
 
-def test_scope_is_placed_bends_meets_the_wall_and_is_released(server, workstation):
+def test_scope_in_the_lumen_bends_is_stopped_by_the_wall_and_released(server, workstation):
     page = workstation.page
     page.add_init_script(MOCK)
     workstation.open(server)
     workstation.wait_ready()
     hold(workstation, (0, 0, 0, 0))
     page.get_by_role("radio", name="Scope").click()
-    # The wall is computed first, with shown progress; the picture stays.
+    # The wall is computed first; its progress is shown and the picture stays.
     page.get_by_text("preparing the airway wall for the scope").first.wait_for()
     workstation.picture("held-scope-waiting")
     page.wait_for_function("() => window.__carina.state.pose.mode === 'scope'", timeout=WALL_MS)
@@ -59,7 +60,7 @@ def test_scope_is_placed_bends_meets_the_wall_and_is_released(server, workstatio
     workstation.picture("held-scope-touching")
     assert page.get_by_text("wall contacts").count() >= 1
 
-    # After withdrawing, straightening and releasing, the path continues from this place without a jump.
+    # After the scope is withdrawn, straightened and released, the path continues from its position without a jump.
     hold(workstation, (0, 1, 0, 0))
     page.wait_for_function(f"() => window.__carina.state.pose.scope.insertion_mm < {start_mm + 2}", timeout=FLIGHT_MS)
     hold(workstation, (0, 0, 0, 0))
@@ -71,11 +72,11 @@ def test_scope_is_placed_bends_meets_the_wall_and_is_released(server, workstatio
     assert workstation.state("pose.lps_from_camera") == pytest.approx(before, abs=1e-9)
     workstation.picture("held-scope-let-go")
 
-    # The step Rehearse places the scope at the start again, now with the known wall; and once more.
+    # The step Rehearse places the scope at the start again, now with the known wall; then a second time.
     page.get_by_role("button", name="Rehearse", exact=True).click()
     for _ in range(2):
         page.get_by_test_id("rehearse").click()
-        # The rigid tip, some 3 mm, is in the lumen from the beginning.
+        # The rigid tip, about 3 mm long, is in the lumen from the beginning.
         page.wait_for_function("() => window.__carina.state.pose.scope?.insertion_mm < 4")
         workstation.wait_still()
         assert workstation.state("pose.mode") == "scope"

@@ -1,4 +1,4 @@
-"""Key frames in the browser: added, flown, interrupted, undone, saved to a file and opened again."""
+"""Tests of key frames in the browser: added, flown, interrupted, undone, saved to a file and opened again."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_three_key_frames_are_flown_interrupted_undone_saved_and_opened_again(se
     state = workstation.state
     right, left = workstation.deepest_tip(-1.0), workstation.deepest_tip(1.0)
 
-    # Three key frames: in the trachea by the key, at the end of a branch on either side by the button.
+    # One key frame is added in the trachea by a key, and one at the end of a branch on each side by the button.
     workstation.go_to(30.0)
     page.keyboard.press(".")
     wait_keys(page, 1)
@@ -54,7 +54,7 @@ def test_three_key_frames_are_flown_interrupted_undone_saved_and_opened_again(se
     assert state("pose.inside")
     workstation.picture("key-frames-flying")
 
-    # A movement of the user interrupts the flight at once, and the flight does not move the tip back.
+    # A movement by the user interrupts the flight at once, and the flight does not move the tip back.
     workstation.hold("s", 300)
     wait(page, "!window.__carina.state.playing.on && window.__carina.state.pose.key_frames_s === null")
     workstation.wait_still()
@@ -131,10 +131,10 @@ def test_automatic_flight_has_the_chosen_speed_and_the_display_shows_it(server, 
     wait(page, "window.__carina.state.pose.mode === 'path' && window.__carina.state.pose.path_mm < 2")
     page.get_by_test_id("auto-speed").click()
     page.get_by_role("option", name="5 mm/s").first.click()
-    # The list is closed and no longer takes the keys: the space bar flies and does not open the list again.
+    # The list is closed and receives no keys, so the space bar flies and does not open the list.
     wait(page, "document.activeElement === document.body")
     page.keyboard.press("Space")
-    # On a busy machine pictures may be late; the speed display uses the poses.
+    # The speed display uses the poses, because pictures may be late on a busy machine.
     wait(page, "Math.abs(window.__carina.state.speedMmS - 5) < 1.5")
     page.get_by_test_id("speed").wait_for()
     page.keyboard.press("Space")

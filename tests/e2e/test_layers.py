@@ -1,6 +1,6 @@
-"""Structures round a target in the browser: requested, stopped, requested again, switched off and on over the slices.
+"""Tests of structures around a target in the browser: requested, stopped, requested again, hidden and shown.
 
-The file also tests the drive of a verdict, which is stored as a flight and flown.
+The file also tests that the drive of a verdict is stored as a flight and flown.
 """
 
 from __future__ import annotations
@@ -12,20 +12,21 @@ from made import made_phantom
 
 pytestmark = pytest.mark.browser
 
-# A coarse chest: mapping all structures round a target is the longest job.
 CHEST = {"seed": 4, "spacing_mm": 1.4, "generations": 5, "nodule": True}
+"""Options of a chest that is coarse, because finding all structures around a target is the longest job."""
 LAYERS = ("vessels", "fissures", "lobes", "stations")
+"""Layers that are hidden and shown over the slices."""
 
 
 @pytest.fixture
 def opens(tmp_path):
-    """Return a chest with a nodule."""
+    """Return a chest with a nodule, as the opened file."""
     carina.write_phantom(made_phantom(**CHEST), tmp_path)
     return {"path": str(tmp_path / "ct.nii.gz")}
 
 
 def mark_the_nodule(workstation) -> None:
-    """Mark the nodule by its coordinates, as they are read from a report."""
+    """Set a target at the nodule by typing its coordinates, as a user reads them from a report."""
     x, y, z = made_phantom(**CHEST).truth["nodule"]["centre_lps"]
     page = workstation.page
     page.get_by_role("button", name="Target", exact=True).first.click()
@@ -55,7 +56,8 @@ def test_layers_round_a_target_are_stopped_requested_again_and_switched_off_and_
     workstation.wait_for("window.__carina.state.lungs.standing === 'making'")
     assert ask.is_disabled()
     job = page.get_by_role("progressbar", name="looking at what lies round the target")
-    # The message appears at once and disappears with the job: a check of the test between both may come too late.
+    # The message appears at once and disappears with the job, possibly between two checks of the test, so the page
+    # records it.
     page.evaluate(
         """() => new MutationObserver(() => {
             window.cancelling ||= document.querySelector('.jobs').textContent.includes('Cancelling');
@@ -75,7 +77,7 @@ def test_layers_round_a_target_are_stopped_requested_again_and_switched_off_and_
     assert [row.get_attribute("data-testid") for row in rows.all()] == [f"layer-{layer}" for layer in LAYERS]
     assert page.get_by_test_id("parts-lobes").locator("li").all_inner_texts() == ["RUL", "RML", "RLL", "LUL", "LLL"]
     assert "Dashed: less sure" in page.get_by_test_id("lungs-limit").inner_text()
-    # The same vessels are lines round the tree.
+    # The same vessels are drawn as lines in the view of the tree.
     assert len(workstation.state("lungs.vessels")) > 20
     bushy = workstation.overlay("tree")
     page.get_by_test_id("show-vessels").click()
@@ -88,7 +90,7 @@ def test_layers_round_a_target_are_stopped_requested_again_and_switched_off_and_
     workstation.wait_for("(plain) => document.querySelector('[data-overlay=coronal]').toDataURL() !== plain", plain)
     for layer in ("vessels", "lobes"):
         switch(workstation, layer)
-    # In this slice these structures may be absent.
+    # These structures may be absent in the slice.
     for layer in ("fissures", "stations"):
         page.get_by_test_id(f"show-{layer}").click()
     workstation.wait_for("(plain) => document.querySelector('[data-overlay=coronal]').toDataURL() === plain", plain)

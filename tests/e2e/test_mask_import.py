@@ -1,4 +1,4 @@
-"""Import of a mask of another tool in the browser: chosen or dropped, with questions, refusals and undo."""
+"""Tests of the import of another program's mask: chosen or dropped, with questions, refusals and undo."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.browser
 
 @pytest.fixture(scope="module")
 def masks(tmp_path_factory):
-    """Return mask files as other tools write them: two structures; a coarser grid; the position of another patient."""
+    """Return mask files of other programs: with two structures, on a coarser grid, and at another position."""
     made = demo_phantom()
     folder = tmp_path_factory.mktemp("masks")
     spacing = np.array(made.volume.spacing_mm)
@@ -68,7 +68,7 @@ def drop(workstation, path, place):
     link.detach()
 
 
-def test_chosen_mask_asks_which_structure_is_the_airway_and_is_undone(ready, masks):
+def test_mask_with_two_structures_needs_a_choice_and_its_import_is_undone(ready, masks):
     page = ready.page
     branches = ready.state("tree.byId.size")
     page.get_by_role("button", name="Open", exact=True).click()
@@ -99,7 +99,7 @@ def test_dropped_mask_on_another_grid_is_resampled_only_after_confirmation(ready
     page.locator("[data-testid=mask-question]").wait_for()
     ready.picture("mask-grid")
     assert ready.state("airways_from") == "search"
-    # The measurement of the airways may still run: that job has a button of this name, too.
+    # A job that measures the airways may still run, and has a button of the same name.
     page.get_by_test_id("mask-question").get_by_role("button", name="Cancel").click()
     ready.wait_for("window.__carina.state.mask_question === null")
     assert (ready.state("airways_from"), ready.state("can_undo")) == ("search", None)
@@ -127,7 +127,7 @@ def test_mask_is_not_imported_into_a_case_that_was_opened_during_the_upload(read
     image.SetDirection((made.lps_from_ijk[:3, :3] / np.array(made.spacing_mm)).ravel().tolist())
     image.SetOrigin(made.lps_from_ijk[:3, 3].tolist())
     sitk.WriteImage(image, str(tmp_path / "other.nrrd"))
-    # A file whose upload takes long.
+    # The upload of this file takes long.
     page.evaluate(
         """() => {
             const send = window.fetch;

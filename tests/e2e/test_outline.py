@@ -1,4 +1,4 @@
-"""Outline of the found lumen over the CT in the browser: on zoomed oblique slices, its key, and places to check."""
+"""Tests of the found lumen's outline over the CT in the browser: position, key, and places to check."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from made import patient
 
 pytestmark = pytest.mark.browser
 
-# The outline's own colour, which no other mark has.
+# The outline has a colour that no other mark has.
 OUTLINE_PIXELS = """(view) => {
     const canvas = document.querySelector(`[data-overlay=${view}]`);
     const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
@@ -32,7 +32,7 @@ def opens():
 
 
 def lumen_of(workstation, folder):
-    """Return the lumen up to the walls as the product exports it: (nz, ny, nx), and ``ijk_from_lps``."""
+    """Return the lumen as the product exports it, (nz, ny, nx), and the matrix ``ijk_from_lps``."""
     data = workstation.page.evaluate(
         """async () => {
             const bytes = new Uint8Array(await (await fetch('/api/airways.nrrd')).arrayBuffer());
@@ -51,7 +51,7 @@ def lumen_of(workstation, folder):
 
 
 def near_sides(lumen_zyx, ijk, reach):
-    """Return whether lumen, and whether anything else, is near voxel coordinates (n, 3): within ``reach`` (n, 3)."""
+    """Return whether lumen voxels, and whether others, are within ``reach`` (n, 3) of voxel coordinates (n, 3)."""
     nearest = np.rint(ijk).astype(int)
     found = np.zeros((2, len(ijk)), dtype=bool)
     shape = np.array(lumen_zyx.shape[::-1])
@@ -71,7 +71,7 @@ def drawn_outline(workstation, view):
     """Return the positions of the outline's pixels in picture coordinates, and the header of the picture."""
     workstation.page.mouse.move(5, 300)
     workstation.settle()
-    # The picture and its overlay are read in the same moment, so that they belong together.
+    # Picture and overlay are read in the same moment, so they belong together.
     seen = workstation.page.evaluate(f"() => [({OUTLINE_PIXELS})('{view}'), window.__carina.state.frames['{view}']]")
     drawn, header = seen
     pixels = np.array(drawn["pixels"], dtype=np.float64).reshape(-1, 2) + 0.5
@@ -88,7 +88,7 @@ def test_drawn_outline_on_a_zoomed_slice_is_within_half_a_voxel_of_the_lumen(ser
     workstation.open(server)
     workstation.wait_ready()
     length = workstation.state("route.length_mm")
-    # A place before a lobe, where the cut-plane is oblique to all axes.
+    # Before this lobe the cut-plane is oblique to all axes.
     workstation.go_to(0.7 * length)
     workstation.wait_still()
     written, ijk_from_lps = lumen_of(workstation, tmp_path)
@@ -117,7 +117,7 @@ def test_drawn_outline_on_a_zoomed_slice_is_within_half_a_voxel_of_the_lumen(ser
         assert np.abs(normal / np.linalg.norm(normal)).max() < 0.98, "the plane is oblique"
     assert len(places) > 300
 
-    # Tolerance: half a voxel, and the half width of the line with the edge of its last pixel.
+    # The tolerance is half a voxel, plus half of the width of the line and the edge of its last pixel.
     mm_per_px = float(np.linalg.norm(columns[:, 0]))
     spacing = 1.0 / np.linalg.norm(ijk_from_lps[:3, :3], axis=1)
     reach = 0.5 + 1.5 * mm_per_px / spacing
@@ -125,7 +125,7 @@ def test_drawn_outline_on_a_zoomed_slice_is_within_half_a_voxel_of_the_lumen(ser
     assert lumen_near.all()
     assert other_near.all()
 
-    # The outline is complete: wherever the mask changes between two pixels, the line passes within a voxel.
+    # The outline is complete: where the mask changes between two pixels, the line is within a voxel.
     rows = np.arange(3.0, header["height"] - 3.0, 4.0)
     spots = np.array([(c, r) for r in rows for c in np.arange(3.0, header["width"] - 3.0)])
     i, j, k = np.clip(np.rint(to_ijk(spots, header, ijk_from_lps)).astype(int), 0, np.array(lumen.shape[::-1]) - 1).T
@@ -133,7 +133,7 @@ def test_drawn_outline_on_a_zoomed_slice_is_within_half_a_voxel_of_the_lumen(ser
     changes = spots.reshape(len(rows), -1, 2)[:, 1:][inside[:, 1:] != inside[:, :-1]]
     away_px = np.sqrt(((changes[:, None] - places[None]) ** 2).sum(axis=2).min(axis=1))
     assert len(changes) > 20
-    # The mark of the tip and the dot of a centreline may cover a part of the line, so that the limit is below 1.
+    # The limit is below 1, because the mark of the tip and the dot of a centreline may cover a part of the line.
     assert np.mean(away_px * mm_per_px <= spacing.max() + 2 * mm_per_px) > 0.97
     assert workstation.faults == []
 
@@ -141,8 +141,8 @@ def test_drawn_outline_on_a_zoomed_slice_is_within_half_a_voxel_of_the_lumen(ser
 def test_outline_is_hidden_and_shown_by_a_key_and_a_button(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
-    # In the middle of the route the slice cuts the airways over a long distance; at the root only over a few
-    # millimetres.
+    # In the middle of the route the slice cuts the airways over a long distance, at the root over a few millimetres
+    # only.
     workstation.go_to(0.5 * workstation.state("route.length_mm"))
     workstation.page.mouse.move(5, 300)
     workstation.wait_for(f"({OUTLINE_PIXELS})('coronal').pixels.length > 50")
@@ -154,7 +154,7 @@ def test_outline_is_hidden_and_shown_by_a_key_and_a_button(server, workstation):
     assert workstation.faults == []
 
 
-def test_open_end_brings_the_airway_view_and_all_slices_to_its_place(server, workstation):
+def test_click_on_an_open_end_shows_it_in_the_airway_view_and_all_slices(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.locator("[data-testid=uncertain] summary").click()

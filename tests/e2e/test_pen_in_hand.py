@@ -1,4 +1,4 @@
-"""Tracked pen in the browser: the pen's own point is shown and marked; without registration the scope's tip is used."""
+"""Test of a tracked pen in the browser: its point is shown and marked; without registration the scope's tip is used."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from playwright.sync_api import expect
 
 pytestmark = pytest.mark.browser
 
-# The connection of the page, for a pen that this script moves.
+# Script that returns the page's connection, by which the test sends the samples of a pen.
 SPEAK = """
 window.WebSocket = class extends WebSocket {
   constructor(...options) { super(...options); window.__speak = (text) => super.send(text); }
@@ -47,7 +47,7 @@ class HeldPen:
         self.workstation.wait_for("() => window.__carina.state.devices?.devices.some((d) => d.registered)")
 
 
-def test_registered_pen_point_is_shown_with_its_path_and_marked_and_the_tip_is_joined(server, workstation):
+def test_point_of_a_registered_pen_is_shown_with_its_path_and_marked(server, workstation):
     page = workstation.page
     page.add_init_script(SPEAK)
     workstation.open(server)
@@ -59,7 +59,7 @@ def test_registered_pen_point_is_shown_with_its_path_and_marked_and_the_tip_is_j
     show_slices_at(workstation, middle)
     pen = HeldPen(workstation)
 
-    # Without registration the pen marks the scope's tip, and the tool states so in its panel and in the footer.
+    # Without a registration the pen marks the tip of the scope, which the tool's panel and the footer state.
     pen.hold(middle)
     page.keyboard.press("n")
     words = page.locator("[data-testid=pen-words]")
@@ -72,7 +72,7 @@ def test_registered_pen_point_is_shown_with_its_path_and_marked_and_the_tip_is_j
     expect(words).to_contain_text("pen tip")
     pen.hold(middle)
     workstation.wait_for("(x) => Math.abs(window.__carina.state.pen.lps[0] - x) < 0.01", middle[0])
-    # The path to the pen is shown, also while the mouse rests over a picture.
+    # The path to the pen is shown even while the mouse rests over a picture.
     workstation.wait_for("() => (window.__carina.state.livePath?.answer.length_mm ?? 0) > 100")
     answer = workstation.state("livePath.answer")
     assert max(abs(a - b) for a, b in zip(answer["lps"], middle, strict=True)) < 3.0
@@ -87,10 +87,10 @@ def test_registered_pen_point_is_shown_with_its_path_and_marked_and_the_tip_is_j
     workstation.wait_for("() => window.__carina.state.session.targets.length === 1")
     (target,) = workstation.state("session.targets")
     assert max(abs(a - b) for a, b in zip(target["lps"], middle, strict=True)) < 0.1
-    # After one use the tool is released, as after a click.
+    # The tool is released after one use, as after a click.
     workstation.wait_for("() => window.__carina.state.ui.armed === null")
 
-    # Absolute mode: the remaining distance is shown until it is zero, and a key joins tip and pen.
+    # In absolute mode the remaining distance is shown until it is zero, and a key joins tip and pen.
     pen.say(type="set_control", control="absolute")
     pen.hold([middle[0] + 1.0, middle[1], middle[2]])
     left = page.locator("[data-testid=pen-offset]")

@@ -1,4 +1,4 @@
-"""Phone as a controller in the browser: enabled in the window; its page turns, is disconnected and reconnects."""
+"""Tests of a phone as a controller in the browser: its page turns the tip, is disconnected and reconnects."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ pytest.importorskip("cryptography")
 
 @pytest.fixture
 def opens():
-    """Return options: the phone's page is closed at first, and listens only on this computer when it is opened."""
+    """Return the options: the phone page is closed at first, and only this computer can reach it when it is open."""
     return {"demo": "phantom", "phone_address": "127.0.0.1"}
 
 
 class Phone:
-    """Page of the size of a phone, with an orientation sensor that the test turns."""
+    """Page with the size of a phone and an orientation sensor that the test turns."""
 
     def __init__(self, context, url: str) -> None:
         self.context = context
@@ -85,7 +85,7 @@ def switch_on(workstation) -> str:
     return str(workstation.state("devices.phone.url"))
 
 
-def test_phone_turns_and_advances_the_tip_is_lost_and_returns(server, workstation, phone_of):
+def test_phone_turns_and_advances_the_tip_also_after_a_lost_connection(server, workstation, phone_of):
     workstation.open(server)
     workstation.wait_ready()
     url = switch_on(workstation)
@@ -102,13 +102,14 @@ def test_phone_turns_and_advances_the_tip_is_lost_and_returns(server, workstatio
     phone.page.wait_for_selector("#control:not([hidden])")
     workstation.page.wait_for_function("() => window.__carina.state.devices.phone.connected")
 
-    # Turned without its button: nothing moves.
+    # The phone is turned without a pressed button, so nothing moves.
     before = workstation.state("pose.lps_from_camera")
     for n in range(5):
         phone.turn(360.0 - 4.0 * n, 20.0, 0.0)
         pass_in(phone.page, 50)
     assert workstation.state("pose.lps_from_camera") == before
-    # Button held: the tip looks to the right with the phone's upper edge (alpha falls), and the picture follows.
+    # With the button held, the tip looks to the right with the phone's upper edge (alpha decreases), and the picture
+    # follows.
     pixels = workstation.pixels("airway")
     phone.press("turn")
     for n in range(12):
@@ -117,7 +118,7 @@ def test_phone_turns_and_advances_the_tip_is_lost_and_returns(server, workstatio
     workstation.page.wait_for_selector("[data-testid=device][data-holds]")
     phone.says("moves the tip")
     picture_of(phone.page, "phone-held")
-    # Direction of the movement in the earlier axes of the view.
+    # The direction of the movement is expressed in the axes of the earlier view.
     right = " + ".join(f"{before[4 * n]} * window.__carina.state.pose.lps_from_camera[{4 * n + 2}]" for n in range(3))
     workstation.page.wait_for_function(f"() => {right} > 0.2")
     workstation.settle()
@@ -139,8 +140,8 @@ def test_phone_turns_and_advances_the_tip_is_lost_and_returns(server, workstatio
     at_mm = workstation.state("pose.path_mm")
     phone.press("forward")
     workstation.page.wait_for_function(f"() => window.__carina.state.pose.path_mm > {at_mm + 8}")
-    # The connection is cut while the button is pressed: the tip stops, the page reports it and reconnects, and the
-    # button that is still held does not move the tip.
+    # The connection is cut while the button is pressed: the tip stops, and the page reports it and reconnects. The
+    # button, which is still held, does not move the tip.
     phone.lose_network()
     phone.says("Trying again")
     phone.says("Connected")
@@ -158,7 +159,7 @@ def test_phone_turns_and_advances_the_tip_is_lost_and_returns(server, workstatio
     workstation.page.wait_for_function("() => window.__carina.state.pose.mode === 'free'")
     phone.says("relative mode")
 
-    # The page is closed with its button pressed, and opened again by the same link.
+    # The page is closed with its button pressed, and opened again with the same link.
     phone.press("forward")
     pass_in(phone.page, 100)
     phone.page.close()
@@ -180,7 +181,7 @@ def test_phone_turns_and_advances_the_tip_is_lost_and_returns(server, workstatio
     assert [*phone.faults, *again.faults, *other.faults, *workstation.faults] == []
 
 
-def test_page_with_a_wrong_link_is_refused_with_a_message_and_counted(server, workstation, phone_of):
+def test_phone_page_with_a_wrong_token_is_refused_with_a_message_and_counted(server, workstation, phone_of):
     workstation.open(server)
     workstation.wait_ready()
     url = switch_on(workstation)

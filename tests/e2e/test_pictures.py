@@ -1,4 +1,4 @@
-"""Pictures in the documents: they show the present window and cite the source of the CT."""
+"""Tests of the pictures in the documents: they show the present window and state the source of the CT."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from make_pictures import COMMAND, ROOT, SHOTS, at_rest, changes, stamp_in, stam
 
 EMBEDDED = re.compile(r"!\[[^\]]*\]\((?!https?:)([^)]+)\)")
 PATIENT_DOI = "10.7937/K9/TCIA.2015.NPGZYZBZ"
-# A golden test renders the first again (tests/examples), `carina bench cluster` draws the second, and `python -m
-# carina_bench.track_confidence` the third.
+# These pictures have other checks: a golden test renders the first (tests/examples), `carina bench cluster` draws the
+# second, and `python -m carina_bench.track_confidence` the third.
 MADE_ELSEWHERE = ("docs/pictures/gallery/", "docs/pictures/cluster/", "docs/confidence.svg")
 
 

@@ -1,4 +1,4 @@
-"""From a CT to a printed plan in the browser: open, click the nodule, choose the first route, read, print."""
+"""Test of the way from a CT to a printed plan in the browser, in six clicks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MOST_CLICKS = 6
 
 @pytest.fixture
 def opens(tmp_path):
-    """Return a chest with a nodule."""
+    """Return a chest with a nodule, as the opened file."""
     carina.write_phantom(made_phantom(**CHEST), tmp_path)
     return {"path": str(tmp_path / "ct.nii.gz")}
 
@@ -56,7 +56,7 @@ def test_printed_plan_needs_six_clicks_from_the_ct(server, workstation):
     workstation.wait_ready()
     page, truth = workstation.page, made_phantom(**CHEST).truth["nodule"]
     pose = workstation.state("pose.lps_from_camera")
-    clicks = 1  # opening the CT
+    clicks = 1  # The first click opens the CT.
     page.get_by_role("button", name="Target", exact=True).first.click()
     page.get_by_test_id("arm-target").click()
     clicks += 2
@@ -67,7 +67,7 @@ def test_printed_plan_needs_six_clicks_from_the_ct(server, workstation):
     lesion.wait_for()
     workstation.wait_for("window.__carina.state.plans.targets[0].routes.length > 0")
     assert "solid nodule" in page.get_by_test_id("lesion-size").inner_text().lower()
-    # The tip does not jump: neither the new target nor the plan moved it.
+    # The tip does not jump to the new target or to the plan's route.
     assert workstation.state("pose.lps_from_camera") == pose
     workstation.picture("plan-target")
 
@@ -79,7 +79,7 @@ def test_printed_plan_needs_six_clicks_from_the_ct(server, workstation):
     routes = workstation.state("plans.targets[0].routes")
     assert page.locator(".routes thead th").count() == 1 + len(routes)
     assert workstation.state("route.needle.ends_lps[1]") == routes[0]["needle"]["ends_lps"][1]
-    # The tip is in the trachea, which is a part of every route, so that it stays.
+    # The tip is in the trachea, which is part of every route, so it stays there.
     assert workstation.state("pose.lps_from_camera")[3::4][:3] == pytest.approx(pose[3::4][:3], abs=0.5)
     workstation.picture("plan-routes")
 

@@ -1,4 +1,4 @@
-"""Views through other instruments in the browser."""
+"""Tests of the airway view through other instruments in the browser."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ pytestmark = pytest.mark.browser
 
 
 def after(workstation, act) -> None:
-    """Run an action that changes the airway picture, and wait for the next full picture."""
+    """Run ``act``, which changes the airway picture, and wait for the next full picture."""
     workstation.wait_still()
     before = workstation.frame("airway")["frame_id"]
     act()
@@ -41,7 +41,7 @@ def press(workstation, key: str) -> None:
     after(workstation, lambda: workstation.page.keyboard.press(key))
 
 
-def test_scope_is_chosen_shown_and_undone(server, workstation):
+def test_choice_of_a_scope_changes_the_airway_picture_and_is_undone(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.wait_still()
@@ -68,7 +68,7 @@ def test_scope_is_chosen_shown_and_undone(server, workstation):
     workstation.picture("scope-ebus")
     pose = workstation.state("pose.lps_from_camera")
     shown = workstation.state("frames.airway.lps_from_camera")
-    # The camera of the picture looks 35 degrees up from the tip.
+    # The camera of the picture looks 35 degrees up from the direction of the tip.
     cosine = sum(pose[4 * row + 2] * shown[4 * row + 2] for row in range(3))
     assert math.degrees(math.acos(cosine)) == pytest.approx(35.0, abs=0.01)
 
@@ -82,16 +82,16 @@ def test_scope_is_chosen_shown_and_undone(server, workstation):
         press(workstation, "Control+z")
     assert workstation.state("session.look") == first
     off = [abs(a - b) for a, b in zip(workstation.pixels("airway"), before, strict=True)]
-    # JPEGs of the same picture; the last may have the size before the canvas changed.
+    # Both are JPEGs of one picture; the last one may have the size before the canvas changed.
     assert sum(off) / len(off) < 1.0
     assert workstation.faults == []
 
 
-def test_click_through_a_wide_lens_marks_the_wall_where_it_was_clicked(server, workstation):
+def test_click_through_a_wide_lens_marks_the_clicked_wall_point(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.wait_still()
-    # Far from the middle, where the formula of a pinhole camera would be wrong by a quarter of the picture.
+    # The click is far from the middle, where the formula of a pinhole camera would err by a quarter of the picture.
     workstation.click_airway(0.8, 0.5)
     workstation.page.wait_for_function("() => window.__carina.state.picks.length > 0")
     lps = workstation.state("picks.at(-1).lps")
@@ -106,7 +106,7 @@ def test_click_through_a_wide_lens_marks_the_wall_where_it_was_clicked(server, w
     radius = header["lens"]["focal_px"][0] * (angle + k1 * angle**3)
     column = header["width"] / 2 + radius * x / math.hypot(x, y)
     row = header["height"] / 2 + radius * y / math.hypot(x, y)
-    # Fraction of the picture's width: the click is on a whole pixel of the screen.
+    # The click is on a whole pixel of the screen, so its fraction of the width is not exact.
     assert column / header["width"] == pytest.approx(0.8, abs=0.01)
     assert row / header["height"] == pytest.approx(0.5, abs=0.01)
     assert workstation.faults == []
@@ -119,7 +119,7 @@ def test_fine_texture_is_switched_off_and_on_if_the_look_has_one(server, worksta
     after(workstation, switch.click)
     workstation.page.wait_for_function("() => window.__carina.state.session.sight.texture === false")
     without = workstation.pixels("airway")
-    # A press hides the tooltip until the mouse returns.
+    # A press hides the tooltip until the mouse enters again.
     workstation.page.mouse.move(400, 500)
     switch.hover()
     workstation.page.mouse.move(*(v + 1 for v in middle(switch)))
@@ -127,7 +127,7 @@ def test_fine_texture_is_switched_off_and_on_if_the_look_has_one(server, worksta
     assert "only what is in the CT" in workstation.page.get_by_role("tooltip").inner_text()
     workstation.picture("texture-off")
 
-    # The switch is no undo step: it is switched back.
+    # The switch is not undone with the undo command, so it is pressed again.
     after(workstation, switch.click)
     workstation.page.wait_for_function("() => window.__carina.state.session.sight.texture === true")
     off = [abs(a - b) for a, b in zip(workstation.pixels("airway"), without, strict=True)]

@@ -1,4 +1,4 @@
-"""Manual edits of the tree in the browser: brush, smoothing, forks, new root, bridge, and undo of each."""
+"""Tests of manual edits of the tree in the browser: brush, smoothing, forks, root, bridge, and undo of each."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ TREE_TEXT = "() => JSON.stringify([...window.__carina.state.tree.byId.values()].
 
 
 def wait_for_edit(workstation, words, before):
-    """Wait until the edit is listed under Undo, is complete, and the tree has changed."""
+    """Wait until the edit is listed under Undo and complete, and the tree differs from ``before``."""
     workstation.wait_for("(words) => (window.__carina.state.can_undo ?? '').startsWith(words)", words)
     workstation.wait_for("() => !window.__carina.state.jobs.some((job) => job.job_id.startsWith('edit'))")
     workstation.wait_for(f"(before) => ({TREE_TEXT})() !== before", before)
 
 
 def undo_to(workstation, before):
-    """Press Ctrl+Z until the earlier tree is restored."""
+    """Press Ctrl+Z until the tree equals ``before``."""
     workstation.page.keyboard.press("Escape")
     workstation.page.keyboard.press("Control+z")
     workstation.wait_for(f"(before) => ({TREE_TEXT})() === before", before)
@@ -53,7 +53,7 @@ def points_of(workstation, branch_id):
     return workstation.page.evaluate("(id) => window.__carina.state.tree.byId.get(id).branch.points", branch_id)
 
 
-def test_lumen_is_erased_and_painted_with_the_brush(ready):
+def test_lumen_erased_with_the_brush_removes_branches_and_painting_restores_them(ready):
     before, num_before = tree_text(ready), ready.state("tree.byId.size")
     lmb = named(ready, "LMB")
     points = points_of(ready, lmb)
@@ -62,7 +62,7 @@ def test_lumen_is_erased_and_painted_with_the_brush(ready):
     ready.page.keyboard.press("Shift+Q")
     for _ in range(8):
         ready.page.keyboard.press("]")
-    # The brush is a ball: erased in this slice alone, the path would go round the gap.
+    # The brush is a ball, because a gap in one slice alone would leave a path around it.
     ready.page.locator("[data-testid=in-hand]").get_by_text("3D", exact=True).click()
     ready.page.evaluate("() => document.activeElement.blur()")
     x, y = place_in_slice(ready, "coronal", middle)
@@ -76,7 +76,7 @@ def test_lumen_is_erased_and_painted_with_the_brush(ready):
     assert len(erased) < 0.8 * len(before), "what hung on the bronchus is cut off"
     ready.picture("after-erasing")
 
-    # Painting there is a second edit, not an undo.
+    # Painting over the gap is a second edit, not an undo.
     ready.page.keyboard.press("Escape")
     ready.page.keyboard.press("q")
     ready.page.mouse.move(x, y)
@@ -93,7 +93,7 @@ def test_lumen_is_erased_and_painted_with_the_brush(ready):
     undo_to(ready, before)
 
 
-def test_branch_is_smoothed(ready):
+def test_smoothed_branch_has_a_changed_centreline_until_undo(ready):
     before = tree_text(ready)
     lmb = named(ready, "LMB")
     was = points_of(ready, lmb)
@@ -108,7 +108,7 @@ def test_branch_is_smoothed(ready):
     assert points_of(ready, lmb) == was
 
 
-def test_fork_is_moved_in_two_clicks(ready):
+def test_fork_is_moved_by_two_clicks_and_restored_by_undo(ready):
     before = tree_text(ready)
     lmb = named(ready, "LMB")
     points = points_of(ready, lmb)
@@ -120,7 +120,7 @@ def test_fork_is_moved_in_two_clicks(ready):
     ready.wait_for("() => window.__carina.state.ui.forkHeld !== null")
     assert "Now click where the fork belongs" in ready.page.locator("[data-testid=in-hand]").inner_text()
     ready.picture("fork-in-the-hand")
-    # A few millimetres back along the bronchus.
+    # The new position is a few millimetres back along the bronchus.
     x, y = place_on_tree(ready, lmb, 0.9)
     ready.page.mouse.move(x, y)
     ready.wait_for(PREVIEWED)

@@ -1,4 +1,4 @@
-"""Views beside the airway view in the browser: C-arm, views along the route, movable planes, zoomed slices."""
+"""Tests of the views beside the airway view: C-arm, views along the route, movable planes, zoomed slices."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_c_arm_turns_by_drag_and_keys_and_only_its_marker_follows_the_tip(server
     assert workstation.faults == []
 
 
-def test_click_in_the_straightened_airway_moves_the_tip_there(server, workstation):
+def test_click_in_the_straightened_airway_moves_the_tip_to_the_clicked_position(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.keyboard.press("v")
@@ -60,7 +60,7 @@ def test_click_in_the_straightened_airway_moves_the_tip_there(server, workstatio
     workstation.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     workstation.wait_for("window.__carina.state.probed?.voxel_value < -500")
     workstation.page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    # The picture shows the whole route with 8 mm at both ends: its middle is the middle of the route.
+    # The picture shows the whole route with margins of 8 mm, so its middle is the middle of the route.
     workstation.wait_for(f"Math.abs(window.__carina.state.pose.path_mm - {length / 2}) < 3")
 
     before = workstation.pixels("straightened")
@@ -119,7 +119,7 @@ def test_plane_of_the_tri_plane_view_is_dragged_and_the_background_orbits(server
     workstation.wait_for(f"window.__carina.state.session.sight.crosshair_lps[0] > {crosshair[0] + 0.5}")
     workstation.page.keyboard.press("Control+ArrowDown")
     workstation.wait_for(f"window.__carina.state.session.sight.crosshair_lps[1] < {crosshair[1] - 0.5}")
-    # The key full stop adds a key frame here as in all views, and moves no plane.
+    # The key "." adds a key frame in this view as in all others, and moves no plane.
     here = workstation.state("session.sight.crosshair_lps")
     workstation.page.keyboard.press(".")
     workstation.wait_for("window.__carina.state.keyFrames.frames.length === 1")
@@ -158,7 +158,7 @@ def test_slice_zooms_about_the_cursor_and_shows_a_thick_slab(server, workstation
     workstation.page.mouse.move(at[0] + 1, at[1])
     workstation.page.mouse.move(*at)
     workstation.wait_still()
-    # The point under the cursor stays there; a pixel of the small picture is about a millimetre.
+    # The point under the cursor stays; a pixel of the small picture is about a millimetre.
     np.testing.assert_allclose(workstation.state("ui.cursorLps"), here, atol=1.5)
     workstation.picture("views-slice-zoomed")
 
@@ -168,7 +168,7 @@ def test_slice_zooms_about_the_cursor_and_shows_a_thick_slab(server, workstation
     workstation.wait_for("window.__carina.state.session.sight.slab.thickness_mm === 10")
     workstation.wait_picture("coronal", unlike=thin)
     workstation.picture("views-slab")
-    # Three presses at once: each continues from the last request, whether the server has answered it or not.
+    # Three presses at once add up: each starts from the last request, even if the server has not answered it.
     for _ in range(3):
         workstation.page.keyboard.press("i")
     workstation.wait_for("window.__carina.state.session.sight.slab.thickness_mm === 0")
@@ -190,7 +190,7 @@ def test_picture_is_panned_by_middle_and_shift_drag_and_keys_and_is_fitted_again
     right, down = (axes / np.linalg.norm(axes, axis=0)).T
 
     def settled_at(expected):
-        """Wait for the picture in full quality round this point."""
+        """Wait for the picture in full quality around the point ``expected``."""
         text = ",".join(str(float(v)) for v in expected)
         workstation.wait_for(
             f"""((h) => h.full && Math.hypot(...[{text}].map((v, n) =>

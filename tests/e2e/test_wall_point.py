@@ -1,4 +1,4 @@
-"""Click in the airway view: it shows and marks the wall point, and moves the slices there."""
+"""Tests of clicks in the airway view: each shows and marks a wall point and moves the slices to it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ pytestmark = pytest.mark.browser
 
 
 def wall_point(workstation, num_picks):
-    """Return the newest wall point, after waiting for this number of wall points."""
+    """Wait until ``num_picks`` wall points were shown, and return the newest one."""
     workstation.page.wait_for_function("(n) => window.__carina.state.picks.length === n", arg=num_picks)
     workstation.wait_still()
     return workstation.state("picks.at(-1)")
@@ -37,7 +37,7 @@ def test_click_on_the_wall_shows_and_marks_the_point_and_a_second_click_the_dist
         reading.inner_text(),
     )
     assert workstation.overlay("airway") != unmarked
-    # The slices show the wall point, as after a click in a slice.
+    # The slices show the wall point, as a clicked point of a slice.
     assert workstation.state("session.sight.crosshair_lps") == pytest.approx(first["lps"], abs=0.01)
 
     workstation.click_airway(0.8, 0.5)
@@ -45,7 +45,7 @@ def test_click_on_the_wall_shows_and_marks_the_point_and_a_second_click_the_dist
     assert f"{math.dist(first['lps'], second['lps']):.1f}" in reading.inner_text()
     workstation.picture("wall-points")
 
-    # The mark is fixed to the wall: after a movement its place in the picture differs, and the point is the same.
+    # The mark is fixed to the wall: after a movement its position in the picture differs, but the point is the same.
     marked = workstation.overlay("airway")
     workstation.hold("w", 500)
     workstation.wait_still()
@@ -59,7 +59,7 @@ def test_click_on_the_wall_shows_and_marks_the_point_and_a_second_click_the_dist
     assert workstation.faults == []
 
 
-def test_keyboard_picks_the_middle_and_a_double_click_picks_nothing(server, workstation):
+def test_key_picks_the_wall_point_in_the_middle_and_a_double_click_picks_none(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.keyboard.press("e")
@@ -68,7 +68,7 @@ def test_keyboard_picks_the_middle_and_a_double_click_picks_nothing(server, work
     ray = [m - t for m, t in zip(middle["lps"], matrix[3::4], strict=False)]
     forward = matrix[2::4]
     along = sum(a * b for a, b in zip(ray, forward, strict=False))
-    # The pixel nearest to the middle: within the angle of a pixel.
+    # The picked pixel is the one nearest to the middle, so the ray differs by at most the angle of a pixel.
     assert along == pytest.approx(math.hypot(*ray), rel=1e-3)
     workstation.page.keyboard.press("Escape")
     workstation.page.keyboard.press("c")
@@ -81,7 +81,7 @@ def test_keyboard_picks_the_middle_and_a_double_click_picks_nothing(server, work
     assert workstation.state("session.sight.crosshair_lps") is None
     workstation.page.keyboard.press("Escape")
 
-    # A drag still turns the view, and picks nothing.
+    # A drag still turns the view, and picks no wall point.
     box = workstation.page.locator("canvas[data-view=airway]").bounding_box()
     workstation.page.mouse.move(box["x"] + 200, box["y"] + 200)
     workstation.page.mouse.down()
@@ -93,7 +93,7 @@ def test_keyboard_picks_the_middle_and_a_double_click_picks_nothing(server, work
     assert workstation.faults == []
 
 
-def test_target_can_be_marked_on_the_wall(server, workstation):
+def test_click_on_the_wall_with_the_target_tool_adds_a_target(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.keyboard.press("n")

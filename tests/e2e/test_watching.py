@@ -1,4 +1,4 @@
-"""Observer in another browser: sees the flight with its own view settings, changes nothing, and is disconnected."""
+"""Test of an observer in another browser: sees the flight, changes nothing, and is disconnected by the user."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def watcher(browser, request, has_failed):
     context.close()
 
 
-def test_observer_sees_the_flight_and_is_disconnected(server, workstation, watcher):
+def test_observer_sees_the_flight_without_control_until_sharing_ends(server, workstation, watcher):
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page
@@ -44,7 +44,7 @@ def test_observer_sees_the_flight_and_is_disconnected(server, workstation, watch
     page.get_by_test_id("watchers").scroll_into_view_if_needed()
     picture_of(page, "watching-workstation")
 
-    # The observer sees the flight, and no key of the observer moves anything.
+    # The observer sees the flight, and keys of the observer have no effect.
     workstation.hold_until("w", "() => window.__carina.state.pose.path_mm > 5")
     workstation.wait_still()
     watcher.wait_still()
@@ -61,7 +61,7 @@ def test_observer_sees_the_flight_and_is_disconnected(server, workstation, watch
     assert workstation.state("session.can_undo") is None
     assert workstation.state("session.sight.window.width_hu") != 2000
     assert workstation.state("messages") == watcher.state("messages") == []
-    # The observer receives no data of the user, such as recent cases.
+    # The observer receives no data of the user such as recent cases.
     assert watcher.state("start.recent") == []
     assert watcher.state("devices") is None
     assert watcher.page.get_by_test_id("watcher-panel").is_visible()

@@ -1,4 +1,4 @@
-"""Two windows on one workstation in the browser: common edits, and separate view settings."""
+"""Tests of two windows of one workstation in the browser: common edits, and separate view settings."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_edit_in_one_window_is_shown_and_undone_in_the_other(two):
     first.page.get_by_test_id("list-airways").click()
     first.page.get_by_role("row").nth(3).click()
     second.wait_for("window.__carina.state.session.can_undo.startsWith('route to')")
-    # The state arrives first, then the route, in each window separately.
+    # In each window the state arrives first, and then the route.
     first.wait_for("window.__carina.state.route.route_id === window.__carina.state.session.route_id")
     second.wait_for("window.__carina.state.route.route_id === window.__carina.state.session.route_id")
     assert first.state("route.route_id") == second.state("route.route_id")
@@ -52,7 +52,7 @@ def test_edit_in_one_window_is_shown_and_undone_in_the_other(two):
     assert first.state("look") == second.state("look")
 
 
-def test_flight_is_shown_in_both_windows_and_slices_belong_to_each(two):
+def test_flight_is_shown_in_both_windows_and_slice_settings_are_separate(two):
     first, second = two
     first.hold_until("w", "() => window.__carina.state.pose.path_mm > 5")
     first.wait_still()
@@ -61,7 +61,7 @@ def test_flight_is_shown_in_both_windows_and_slices_belong_to_each(two):
     pose = first.state("pose.pose_id")
     assert second.state("pose.pose_id") == pose
     assert second.frame_answers("airway", pose)
-    # A slice is scrolled and zoomed in the first window, and stays unchanged in the second one.
+    # Scrolling and zooming a slice in the first window leave the slice of the second one unchanged.
     before = second.state("sight")
     box = first.page.locator("canvas[data-view=axial]").bounding_box()
     first.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
@@ -126,7 +126,7 @@ class Notebook:
 
 
 @pytest.mark.slow
-def test_two_windows_and_a_notebook_work_on_one_case(browser, workstation, tmp_path, request, has_failed):
+def test_changes_of_two_windows_and_a_notebook_appear_in_all(browser, workstation, tmp_path, request, has_failed):
     scan = tmp_path / "scan.nii.gz"
     chest = made_phantom(spacing_mm=1.5, generations=3).volume
     write_grid(scan, chest.hu_zyx, chest.lps_from_ijk, what="the phantom")
@@ -137,14 +137,14 @@ def test_two_windows_and_a_notebook_work_on_one_case(browser, workstation, tmp_p
         for page in (workstation, second):
             page.open(running)
             page.wait_ready()
-        # A notebook can join only a case that is on the disk.
+        # A notebook can join only a saved case.
         workstation.page.keyboard.press("o")
         workstation.wait_for("window.__carina.state.session.can_undo === 'image outline'")
         workstation.wait_for("window.__carina.state.session.saving.saved_s !== null")
         notebook = Notebook(scan, tmp_path / "home")
         assert notebook("case.history()[-1]") == "image outline"
         assert notebook("case.airways.tree.branches[0].name") == "Trachea"
-        # Both windows show the change of the notebook, and the notebook sees the changes of the windows.
+        # Both windows show the change of the notebook, and the notebook has the changes of the windows.
         notebook("case.do(commands.EditKeyFrames(commands.KeyFrameAdd()))")
         for page in (workstation, second):
             page.wait_for("window.__carina.state.keyFrames.frames.length === 1")

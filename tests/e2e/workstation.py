@@ -11,12 +11,16 @@ from playwright.sync_api import Error as PlaywrightError
 from playwright.sync_api import TimeoutError as PlaywrightTimeout
 from server_process import Server
 
-# Upper limits for hanging operations, far beyond their duration on a busy machine.
 READY_MS = 600_000
+"""Limit for opening a case with its airways, ms; far above the time on a busy machine."""
 PICTURE_MS = 120_000
+"""Limit for the arrival of a picture, ms; far above the time on a busy machine."""
 SIZE = {"width": 1440, "height": 900}
+"""Width and height of the page, CSS px."""
 EMPTY = "icon.svg"
-# Background network, updates and sync would disturb tests, and the sandbox does not work for root in a container.
+"""File of the site that is opened as an empty page."""
+# Background network traffic, updates and synchronisation would disturb tests. The sandbox does not work for root in a
+# container.
 FLAGS = [
     "--no-sandbox",
     "--disable-quic",
@@ -26,9 +30,9 @@ FLAGS = [
 ]
 
 
-# Script that waits until the page is at rest. The server handles messages in order, so that the answer to a probe of
-# the script (hidden from the page) shows that all earlier messages were handled. If the pose has not changed, no
-# message is pending.
+# Script that waits until the page is at rest. The server handles messages in order, so the answer to a probe, which the
+# page ignores, shows that all earlier messages were handled. If the pose has not changed meanwhile, no message is
+# pending.
 SETTLE = """
 window.WebSocket = class extends WebSocket {
   constructor(...options) {
@@ -66,14 +70,15 @@ window.__settled = async (limitMs) => {
   }
 };
 """
-# State of the page, for the report about a page that hangs.
 STATE = """() => {
   const { stage, route, pose, session, frames, jobs, messages, ui, targets, can_undo, picks } = window.__carina.state;
   return JSON.stringify({ stage, pose, session, frames, jobs, messages, ui, targets, can_undo, picks,
     branch: route?.branch_id });
 }"""
+"""Script that returns the state of the page, for the report about a page that hangs."""
 SHOWN_VIEWS = """() => [...document.querySelectorAll('canvas[data-view]')]
     .filter((canvas) => canvas.offsetParent).map((canvas) => canvas.dataset.view)"""
+"""Script that returns the views whose canvas is visible."""
 PIXELS = """
 window.__pixels = (view) => {
   const canvas = document.querySelector(`canvas[data-view=${view}]`);
@@ -84,6 +89,7 @@ window.__pixels = (view) => {
   return [...context.getImageData(0, 0, 32, 32).data];
 };
 """
+"""Script that defines a function which returns a coarse grid of pixel values of a view."""
 
 
 HELD_OR_NO_PROGRESS = """
@@ -106,7 +112,7 @@ FUNCTION = re.compile(r"\(?[\[\w, \]]*\)? =>")
 
 
 class Workstation:
-    """One open page of the workstation."""
+    """Open page of the workstation, with the actions and observations of a user."""
 
     def __init__(self, page: Any, scripts: tuple[str, ...] = ()) -> None:
         self.page = page
@@ -121,7 +127,7 @@ class Workstation:
         page.on("pageerror", lambda error: self.faults.append(str(error)))
 
     def _said(self, message: Any) -> None:
-        # A browser requests the icon of a picture that it shows as a page; the client's page names its own icon.
+        # The browser requests an icon for a picture that it shows as a page; the client's page defines its icon.
         if message.type == "error" and not message.location["url"].endswith("/favicon.ico"):
             self.faults.append(message.text)
 
@@ -147,7 +153,7 @@ class Workstation:
         self.page.mouse.move(0, 0)
         try:
             self.page.goto(f"{self._origin}/{EMPTY}")
-        except PlaywrightError:  # the workstation has ended
+        except PlaywrightError:  # The workstation has ended, so the page cannot request anything.
             return False
         # The client stores nothing in the browser except its cookie.
         self.page.context.clear_cookies()
@@ -170,16 +176,16 @@ class Workstation:
         self.accept_notice()
 
     def accept_notice(self) -> None:
-        """Close the first-run notice if it is shown."""
+        """Close the notice of the first run if the page shows it."""
         self.page.wait_for_selector("[data-testid=notice-accept], [data-testid=start], [data-testid=workstation]")
         button = self.page.locator("[data-testid=notice-accept]")
         if button.count():
             button.first.click()
 
     def wait_ready(self) -> None:
-        """Wait until a case is open, its airways are found and the airway view shows the final picture of them.
+        """Wait until a case is open, its airways are found, and the airway view shows the final picture.
 
-        Messages arrive one by one: the pose on the new route is the last of them, and has the mode that ``state`` gave.
+        Messages arrive one by one. The last of them is the pose on the new route, whose mode is that of the state.
         """
         self.page.wait_for_function(
             """() => {
@@ -192,7 +198,7 @@ class Workstation:
         self.wait_still()
 
     def wait_for(self, condition: str, arg: Any = None) -> None:
-        """Wait until an expression of the page, or a function of ``arg``, is true.
+        """Wait until an expression of the page, or a function of ``arg``, returns true.
 
         The condition counts as false while it reads a property of a null or missing value.
         """
@@ -221,7 +227,7 @@ class Workstation:
         return {"frame_id": int(data["frameId"]), "pose_id": int(data["poseId"])}
 
     def frame_answers(self, view: str, pose_id: int) -> bool:
-        """Wait until the picture of the view answers this pose; return False if it does not in time."""
+        """Wait until the picture of the view shows the pose; return False if the picture does not arrive in time."""
         try:
             self.page.wait_for_function(
                 "([view, pose]) => Number(document.querySelector(`canvas[data-view=${view}]`).dataset.poseId) >= pose",
@@ -259,7 +265,7 @@ class Workstation:
         return self.page.evaluate("() => window.__poses")
 
     def watch_stand_ins(self) -> None:
-        """Record from now on which view is shown in place of the airway view."""
+        """From now on record which view is shown in place of the airway view while it is slow."""
         self.page.evaluate(
             """() => {
                 const canvas = document.querySelector('canvas[data-view=airway]');
@@ -274,7 +280,7 @@ class Workstation:
         return self.page.evaluate("() => window.__shown")
 
     def fly_until(self, condition: str, seconds: float) -> None:
-        """Move forwards and backwards until an expression of the page is true; fail if it is not in time."""
+        """Move forwards and backwards until an expression of the page is true; fail after ``seconds``."""
         for _ in range(int(seconds / 1.2) + 1):
             for key in ("w", "s"):
                 self.page.keyboard.down(key)
@@ -304,7 +310,7 @@ class Workstation:
         return self.page.evaluate("(view) => window.__pixels(view)", view)
 
     def once(self, condition: str, told: str) -> Any:
-        """Wait for a condition of the page, and return the value of an expression in the same moment."""
+        """Wait for a condition of the page, and return the value of the expression ``told`` at the same moment."""
         told_then = self.page.wait_for_function(f"() => ({condition}) ? [{told}] : false", timeout=PICTURE_MS)
         return told_then.json_value()[0]
 
@@ -335,7 +341,7 @@ class Workstation:
         pass_in(self.page, milliseconds)
 
     def refreshes(self, number: int) -> None:
-        """Wait until the page has drawn this number of times, so that code which runs once per refresh has run."""
+        """Wait until the page was drawn ``number`` times, so that code of a refresh has run."""
         self.page.evaluate(
             """async (number) => {
                 for (let n = 0; n < number; n += 1) await new Promise((done) => requestAnimationFrame(done));
@@ -361,7 +367,10 @@ class Workstation:
         )
 
     def deepest_tip(self, sign: float) -> dict[str, Any]:
-        """Return the tip of highest generation on one side (sign of x in LPS: the patient's right is negative)."""
+        """Return the tip of the highest generation on one side.
+
+        ``sign`` is that of x in LPS (the patient's right is negative).
+        """
         return self.page.evaluate(
             """(sign) => {
                 const branches = [...window.__carina.state.tree.byId.values()].map((node) => node.branch);
@@ -435,7 +444,7 @@ class Workstation:
         )
 
     def hold(self, key: str, milliseconds: int) -> float:
-        """Hold a key, and return how many seconds it was down by the page's clock."""
+        """Hold a key; return the seconds for which it was down by the clock of the page."""
         began_ms = self.page.evaluate("() => performance.now()")
         self.page.keyboard.down(key)
         self.let_pass(milliseconds)
@@ -457,7 +466,7 @@ class Workstation:
 
 
 def open_page(browser: Any, scripts: tuple[str, ...] = ()) -> Workstation:
-    """Open a page with the fixed size and pixel ratio, in a context of its own."""
+    """Return a page with the fixed size and pixel ratio, in a new browser context."""
     context = browser.new_context(viewport=SIZE, device_scale_factor=1)
     context.set_default_timeout(PICTURE_MS)
     return Workstation(context.new_page(), scripts)
@@ -475,6 +484,6 @@ def picture_of(page: Any, name: str) -> None:
 
 
 def save_page(page: Any, name: str) -> None:
-    """Save a screenshot in ``tests/out/e2e``."""
+    """Save a screenshot of the page in ``tests/out/e2e``."""
     OUT.mkdir(parents=True, exist_ok=True)
     page.screenshot(path=str(OUT / f"{name}.png"))

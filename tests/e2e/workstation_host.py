@@ -1,11 +1,11 @@
 """Process that opens and closes workstations by commands, one line of JSON each: ``python workstation_host.py``.
 
-Each workstation has its own session, server and port, as new as after ``carina demo``, with the real volumes, renderers
-and parts. Only results that take seconds and are always the same are kept between workstations: imports, the volume of
-the demo, the airways that are found in it on opening, and their measures.
+Each workstation has a separate session, server and port, as new as after ``carina demo``, with the real volumes,
+renderers and parts. Only results that take seconds and never differ are cached between workstations: imports, the
+volume of the demo, the airways that are found in it on opening, and their measures.
 
 ``{"open": {"demo": "phantom"}}`` is answered by ``{"number": 1, "url": URL}``, ``{"close": 1}`` by ``{"closed": 1}``,
-and an error by ``{"error": TEXT}``. The end of the input ends the process.
+and an error by ``{"error": TEXT}``. The process ends at the end of its input.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from made import found_airways, made_value
 STARTS_S = 120.0
 OPENS_S = 600.0
 PER_PIXEL_S = 0.4 / (150 * 150)
-"""Seconds per pixel of a slow airway view; the coarsest picture in a cell of 600 px then takes 0.4 s."""
+"""Rendering time of a slow airway view, seconds per pixel: 0.4 s for the coarsest picture in a cell of 600 px."""
 MOST_KEPT_BYTES = 1 << 20
 
 # The package exports a function with the name of the module.
@@ -56,7 +56,10 @@ serve_module: Any = importlib.import_module("carina.server.serve")
 
 
 class SlowRenderer(render.Renderer):
-    """Renderer that waits a fixed time for every ray of an airway view while a file exists; it can be stopped."""
+    """Renderer that waits a fixed time for every ray of an airway view while a file exists.
+
+    Rendering can be stopped.
+    """
 
     slow_file: Path
 
@@ -69,10 +72,10 @@ class SlowRenderer(render.Renderer):
 
 
 class SteadyBudget(pacing.FrameBudget):
-    """Frame budget that counts the real time of a slow airway view, and limits the counted time of a fast one.
+    """Frame budget that counts the real time of a slow airway view, but limits the counted time of a fast one.
 
-    The limit removes the influence of other programs: without it the airway view of a busy machine would return only
-    for moments.
+    The limit removes the influence of other programs. Without it a busy machine would show the airway view only for
+    moments.
     """
 
     slow_file: Path | None = None
@@ -82,8 +85,7 @@ class SteadyBudget(pacing.FrameBudget):
             return seconds
         return min(seconds, PER_PIXEL_S / 8.0 * rays)
 
-    # The budget uses elapsed time: the slow airway view here waits, which the processor time of the rays does not
-    # include.
+    # The budget uses elapsed time, because the slow airway view waits, which the CPU time of the rays does not include.
     def learn(self, level: int, pixels: int, seconds: float, rays_s: float | None = None) -> None:
         super().learn(level, pixels, self._at_most(seconds, self.levels[level].scale ** 2 * pixels))
 
@@ -92,20 +94,20 @@ class SteadyBudget(pacing.FrameBudget):
 
 
 class Kept:
-    """The real parts of a session with a cache of the results for a demo."""
+    """Parts of a real session, with a cache of the results that are computed for a demo."""
 
     def __init__(self) -> None:
         self._real = default_parts()
         self._values: dict[tuple[object, ...], Any] = {}
         self._lock = threading.Lock()
-        """Lock of the cache. Cached values are never released, so that no other object can get the id of one."""
+        """Lock of the cache. Cached values are never released, so no other object can get the ID of a cached one."""
 
     def _kept(self, key: tuple[object, ...], make: Callable[[], Any]) -> Any:
         with self._lock:
             if key in self._values:
                 return self._values[key]
-        # Computed without the lock, because another case may be opened meanwhile. Cancelled or failed computations are
-        # not cached.
+        # The value is computed without the lock, because another case may be opened meanwhile. A cancelled or failed
+        # computation is not cached.
         made = make()
         with self._lock:
             return self._values.setdefault(key, made)
@@ -146,14 +148,14 @@ class Kept:
         )
 
     def parts(self) -> Parts:
-        """Return the parts for a session."""
+        """Return the parts of a session, which use the cached results."""
         return replace(
             self._real,
             open_demo=self.open_demo,
             quality_words=self.quality_words,
             find_airways=self.find_airways,
             measure_tree=self.measure_tree,
-            # The results of the drives are tested elsewhere: here a short search is used for all instruments.
+            # Other tests check the results of the drives, so this search for all instruments is short.
             judge_scopes=partial(self._real.judge_scopes, effort=2000.0),
         )
 
@@ -182,7 +184,7 @@ class Remembered:
 
 
 class KeptMaps(isoregion_cache.MapCache):
-    """Map cache that does not read, check and unpack a file again that it has just read."""
+    """Map cache that does not read, check and unpack a file which it has just read."""
 
     maps = Remembered(4)
 
@@ -191,7 +193,7 @@ class KeptMaps(isoregion_cache.MapCache):
 
 
 def remember_scenes() -> None:
-    """Cache the walls, the tree field and the maps of the demo's airways: a second for each opening."""
+    """Cache the walls, the tree field and the maps of the demo's airways, which saves a second for each opening."""
     for name in ("with_wall", "build_tree_field"):
         made: Callable[..., Any] = getattr(scene, name)
         last = Remembered(4)
@@ -200,7 +202,7 @@ def remember_scenes() -> None:
 
 
 def remember_pieces() -> None:
-    """Cache the compressed parts of the demo's case file: a third of a second of processor time for each opening."""
+    """Cache the compressed parts of the demo's case file, which saves 0.3 s of CPU time for each opening."""
     small = lru_cache(4096)(zlib.compress)
 
     def compress(content: bytes | memoryview, level: int) -> bytes:
@@ -222,15 +224,15 @@ def make_slow(slow_file: str) -> Any:
 
 
 class Ports:
-    """Port that all workstations use in turn, if it is free: a browser caches compiled scripts by address."""
+    """Port that all workstations use in turn, if it is free, because a browser caches compiled scripts by address."""
 
     first = 0
 
     def bind(self) -> Any:
-        """Return a listening socket on loopback."""
+        """Return a listening socket on loopback: on the common port, or on another one if it is in use."""
         try:
             sock = bind("127.0.0.1", self.first)
-        except CarinaError:  # two workstations are open at once
+        except CarinaError:  # The port is in use, because two workstations are open at once.
             return bind("127.0.0.1", 0)
         self.first = sock.getsockname()[1]
         return sock
@@ -283,7 +285,7 @@ def open_workstation(kept: Kept, stack: ExitStack, home: str, demo: str | None, 
         session.do(OpenPath(path))
     elif demo is not None:
         session.do(OpenDemo(demo))
-    # A page that is opened earlier receives every picture several times, as the airways and their measures arrive.
+    # A page that is opened before the airways are measured receives every picture several times.
     opens = path is not None or demo is not None
     while opens and (session.jobs.running or session.snapshot().airways not in {"found", "failed"}):
         assert changed.wait(OPENS_S), "the case does not open"
@@ -293,7 +295,7 @@ def open_workstation(kept: Kept, stack: ExitStack, home: str, demo: str | None, 
 
 
 def main() -> None:
-    """Execute commands until the input ends."""
+    """Execute the commands of standard input until it ends."""
     remember_scenes()
     remember_pieces()
     pacing.FrameBudget = SteadyBudget  # type: ignore[misc]

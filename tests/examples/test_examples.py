@@ -1,4 +1,4 @@
-"""Examples: each one runs as its first lines state and writes the stated files."""
+"""Tests of the examples: each runs as its first lines state and writes the stated files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def load(path: Path):
     return module
 
 
-def test_every_example_is_tested_here():
+def test_every_example_folder_has_a_test_in_this_file():
     assert sorted(path.name for path in EXAMPLES.glob("*/*.*")) == [
         "first_airway.py",
         "from_ct_to_film.ipynb",
@@ -121,7 +121,7 @@ def test_golden_gallery_pictures_equal_those_of_the_docs(gallery, tmp_path):
         for folder in (IN_DOCS, tmp_path)
     )
     for name in gallery:
-        # Each picture must match only itself: not the same position with another preset or without texture.
+        # Each picture must match only itself, not the same position with another preset or without texture.
         alike = [other for other in gallery if same(shown[name], found[other])]
         assert alike == [name], f"docs/pictures/gallery/{name}.jpg is not what is rendered; `make golden` writes it"
 

@@ -1,4 +1,4 @@
-"""The notebook of the examples: it runs from a CT to a named tree, a picture and a video, and shows each of them."""
+"""Tests of the notebook of the examples: it runs from a CT to a named tree, a picture and a video, and shows each."""
 
 from __future__ import annotations
 

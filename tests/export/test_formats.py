@@ -1,4 +1,4 @@
-"""Tree, lumen and surface in the formats of other tools, read back by independent readers."""
+"""Tests of tree, lumen and surface in the formats of other programs, read back by independent readers."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_vtp_contains_every_branch_as_a_line(tree, tmp_path):
     assert bytes(int(code) for code in root.find(".//FieldData/Array[@Name='Space']").text.split()) == b"LPS\0"
 
 
-def test_swc_is_one_tree_with_single_nodes_at_bifurcations(tree, tmp_path):
+def test_swc_file_is_one_tree_with_one_node_at_each_bifurcation(tree, tmp_path):
     lines = export_tree(tmp_path / "t.swc", tree).read_text().splitlines()
     assert any("LPS" in line for line in lines if line.startswith("#"))
     nodes = [line.split() for line in lines if not line.startswith("#")]
@@ -123,7 +123,7 @@ def test_swc_is_one_tree_with_single_nodes_at_bifurcations(tree, tmp_path):
     assert places.tobytes() == expected.tobytes()
 
 
-def test_markups_are_a_curve_per_branch_in_lps(tree, tmp_path):
+def test_markups_file_has_a_curve_for_each_branch_in_lps(tree, tmp_path):
     document = json.loads(export_tree(tmp_path / "t.mrk.json", tree).read_text())
     curves = document["markups"]
     assert [curve["name"] for curve in curves] == ["Trachea", "RMB (bridge)", "branch 5"]
@@ -133,7 +133,7 @@ def test_markups_are_a_curve_per_branch_in_lps(tree, tmp_path):
         assert [p["position"] for p in curve["controlPoints"]] == branch.points.tolist()
 
 
-def test_surface_is_closed_and_as_large_as_the_lumen(case):
+def test_exported_surface_is_closed_and_has_the_volume_of_the_lumen(case):
     volume, airways = case
     mesh = lumen_mesh(volume, airways)
     edges = np.concatenate([mesh.triangles[:, [a, (a + 1) % 3]] for a in range(3)]).astype(np.int64)
@@ -193,7 +193,7 @@ def read_glb(raw):
     return points[corners], matrix
 
 
-def test_surfaces_are_read_back_from_every_format(case, tmp_path):
+def test_surface_written_in_every_format_is_read_back_equal(case, tmp_path):
     mesh = lumen_mesh(*case)
     expected = mesh.vertices_lps[mesh.triangles]
     raw = {suffix: write_mesh(tmp_path / f"s{suffix}", mesh).read_bytes() for suffix in (".stl", ".ply", ".obj")}
@@ -237,7 +237,7 @@ def test_airways_from_the_written_mask_are_at_the_same_positions(case, tmp_path)
 
 
 def leaning(degrees: float, shape=(40, 3, 40)) -> Volume:
-    """Return a volume of 1 mm voxels with sheared slices."""
+    """Return a volume of voxels of 1 mm whose slices are sheared by an angle."""
     matrix = np.eye(4)
     matrix[0, 2], matrix[2, 2] = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
     return Volume(np.zeros(shape, np.int16), matrix)
@@ -265,7 +265,7 @@ def test_grid_beyond_the_tolerance_is_refused_with_a_format_that_stores_it(tmp_p
     assert not list(tmp_path.iterdir())
 
 
-def test_nrrd_stores_any_grid_unchanged(tmp_path):
+def test_nrrd_of_an_oblique_grid_stores_its_directions_exactly(tmp_path):
     volume = leaning(20)
     path = write_mask(tmp_path / "m.nrrd", np.ones(volume.shape_zyx, np.uint8), volume)
     header = path.read_bytes().partition(b"\n\n")[0].decode()
@@ -294,7 +294,7 @@ def test_grid_that_the_format_cannot_store_is_refused_before_the_lumen_is_comput
         export_airways(tmp_path / "lumen.nii.gz", Volume(volume.hu_zyx, matrix), airways)
 
 
-def test_table_has_a_row_for_each_writer_and_uses_the_longest_suffix():
+def test_table_of_formats_has_each_writer_and_prefers_the_longest_suffix():
     assert {row.suffix for row in EXPORT_FORMATS if row.kind == "surface"} == set(MESH_SUFFIXES)
     assert {row.suffix for row in EXPORT_FORMATS if row.kind == "lumen"} == set(MASK_SUFFIXES)
     assert len(set(EXPORT_SUFFIXES)) == len(EXPORT_SUFFIXES)
@@ -302,7 +302,7 @@ def test_table_has_a_row_for_each_writer_and_uses_the_longest_suffix():
     assert [export_format(f"T{suffix.upper()}").suffix for suffix in EXPORT_SUFFIXES] == list(EXPORT_SUFFIXES)
 
 
-def test_unknown_suffixes_are_refused(tree, case, tmp_path):
+def test_export_with_an_unknown_suffix_is_refused(tree, case, tmp_path):
     with pytest.raises(UsageError, match=r"\.vtp"):
         export_tree(tmp_path / "t.txt", tree)
     with pytest.raises(UsageError, match=r"\.glb"):

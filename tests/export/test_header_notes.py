@@ -1,4 +1,4 @@
-"""Badges of a doubtful case in every file that is exported from it."""
+"""Tests of the badges of a doubtful case in every file that is exported from it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def case():
 
 
 def said(path) -> str:
-    """Return all text of a file."""
+    """Return all text of a file, which may be compressed."""
     if path.suffix == ".vtp":
         found = ET.parse(path).getroot().find(".//FieldData/Array[@Name='Badges']")
         return "" if found is None else bytes(int(code) for code in found.text.split()).decode()

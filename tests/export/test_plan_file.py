@@ -1,4 +1,4 @@
-"""Export of a plan to the format of a file suffix, and the requirements of each format."""
+"""Tests of the export of a plan to the format of a file suffix, and of the requirements of each format."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from carina.volume import open_volume
 AIM = (-1.7125, -3.0625, 22.8125)
 
 
-def test_every_format_is_written_under_its_suffix(tmp_path):
+def test_plan_is_written_in_the_format_of_each_suffix(tmp_path):
     ct = series(tmp_path / "ct")
     plan = a_plan(aim_lps=AIM)
     for suffix in PLAN_FORMATS:
@@ -28,7 +28,7 @@ def test_every_format_is_written_under_its_suffix(tmp_path):
     assert pydicom.dcmread(tmp_path / "Plan.SR.DCM").Modality == "SR"
 
 
-def test_missing_requirement_of_a_format_is_reported(tmp_path):
+def test_export_of_a_plan_without_a_requirement_of_its_format_is_refused(tmp_path):
     plans = {"A": a_plan(), "B": a_plan()}
     with pytest.raises(UsageError, match=r"\.mrk\.json, \.seg\.nrrd, \.seg\.dcm, \.sr\.dcm; found 'p\.json'"):
         export_plan(tmp_path / "p.json", a_plan(), a_tree())

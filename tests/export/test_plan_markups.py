@@ -1,4 +1,4 @@
-"""Export of a plan as 3D Slicer markups: positions, schema and badges."""
+"""Tests of the export of a plan as 3D Slicer markups: positions, schema and badges."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from carina.export.plan_content import drawn_plans
 from carina.export.plan_markups import write_plan_markups
 from carina.volume import Note
 
-# Allowed values of keys in markups-schema-v1.0.3.json.
 TEXTS = {
     "type",
     "name",
@@ -27,6 +26,7 @@ TEXTS = {
     "associatedNodeID",
     "glyphType",
 }
+"""Keys of markups-schema-v1.0.3.json whose value is a text."""
 BOOLS = {
     "locked",
     "fixedNumberOfControlPoints",
@@ -37,8 +37,11 @@ BOOLS = {
     "useGlyphScale",
     "sliceProjection",
 }
+"""Keys of the schema whose value is true or false."""
 LENGTHS = {"position": 3, "orientation": 9, "color": 3, "selectedColor": 3}
+"""Keys of the schema whose value is a list of numbers, with the length of the list."""
 NUMBERS = {"opacity", "textScale", "glyphSize", "lineThickness"}
+"""Keys of the schema whose value is a number."""
 CHOICES: dict[str, set[Any]] = {
     "type": {"Fiducial", "Line", "Angle", "Curve", "ClosedCurve", "Plane", "ROI"},
     "coordinateSystem": {"LPS", "RAS"},
@@ -46,6 +49,7 @@ CHOICES: dict[str, set[Any]] = {
     "positionStatus": {"undefined", "preview", "defined"},
     "glyphType": {"Sphere3D", "Diamond3D"},
 }
+"""Allowed values of the keys of the schema that have a fixed choice."""
 
 
 def check_schema(value: dict[str, Any]) -> None:
@@ -89,7 +93,7 @@ def places(markup: dict[str, Any]) -> np.ndarray:
     return np.array([point["position"] for point in markup["controlPoints"]])
 
 
-def test_file_follows_the_schema_of_slicer(written):
+def test_markups_file_follows_the_schema_of_slicer(written):
     assert written["@schema"].endswith("markups-schema-v1.0.3.json#")
     assert [markup["type"] for markup in written["markups"]] == [
         *("Fiducial", "Fiducial", "Fiducial", "Curve", "Line", "Curve", "Line"),
@@ -122,7 +126,7 @@ def test_route_follows_the_airways_from_the_trachea_to_the_scope_tip(written):
         whole = tree.route_to(route.branch_id).points_lps
         off = [np.linalg.norm(whole - point, axis=1).min() for point in curve]
         assert max(off) < 1e-9
-        # The curve never turns back.
+        # The curve has no step backwards.
         ahead = np.diff(curve, axis=0)
         assert ((ahead[1:] * ahead[:-1]).sum(axis=1) > 0.0).all()
 
@@ -159,7 +163,7 @@ def test_vessel_in_the_needle_path_is_reported(vessel_mm, words):
     assert words in drawn_plans(met, a_tree())[0].routes[0].words
 
 
-def test_doubts_are_in_the_name_the_colour_and_each_position(written):
+def test_doubtful_route_has_a_mark_in_its_name_colour_and_points(written):
     sure, doubtful = named(written, "Route 1: LB3"), named(written, "Route 2: branch 9 (DOUBTFUL)")
     red, green, blue = doubtful["display"]["color"]
     assert red > 3.0 * max(green, blue)
@@ -173,7 +177,7 @@ def test_doubts_are_in_the_name_the_colour_and_each_position(written):
         assert "DOUBTFUL" not in first["label"] + first["description"]
 
 
-def test_doubtful_best_route_is_red_too(tmp_path):
+def test_best_route_is_red_if_it_is_doubtful(tmp_path):
     plan = a_plan()
     turned = dataclasses.replace(plan, routes=plan.routes[::-1])
     document = json.loads(write_plan_markups(tmp_path / "p.mrk.json", turned, a_tree()).read_text())
@@ -189,7 +193,7 @@ def test_target_states_its_size_its_error_and_its_motion(written):
     assert "Not a medical device." in words
 
 
-def test_several_targets_have_different_names_and_badges_are_kept(tmp_path):
+def test_several_targets_have_different_names_and_the_file_has_all_badges(tmp_path):
     plans = {"Nodule A": a_plan(), "Nodule B": a_plan(doubts=(), aim_lps=(20.0, -3.0, -70.0))}
     badge = Note("import.lossy", "the slices were compressed with loss", badge=True)
     path = write_plan_markups(tmp_path / "p.mrk.json", plans, a_tree(), badges=[badge])
@@ -212,7 +216,7 @@ def test_plan_without_a_route_states_the_reason(tmp_path):
     assert "40 mm away" in only["controlPoints"][0]["description"]
 
 
-def test_different_tree_wrong_suffix_and_missing_target_are_refused(tmp_path):
+def test_markups_with_another_tree_a_wrong_suffix_or_no_target_are_refused(tmp_path):
     plan, tree = a_plan(), a_tree()
     moved = tuple(dataclasses.replace(b, points=b.points + np.array([0.0, 6.0, 0.0])) for b in tree.branches)
     with pytest.raises(UsageError, match=r"lies 5\.2 mm from this tree") as caught:

@@ -1,4 +1,4 @@
-"""Export of a plan by OpenIGTLink, read back by pyigtl or by the tables of the protocol."""
+"""Tests of the export of a plan by OpenIGTLink, read back by pyigtl or by the tables of the protocol."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def read_by_pyigtl(message: bytes):
 
 
 def read_polydata(message: bytes) -> np.ndarray:
-    """Return the points of a POLYDATA message with one line: ten counts, points, then cells."""
+    """Return the points of a POLYDATA message with one line; the message has ten counts, then points, then cells."""
     content = content_of(message)
     counts = struct.unpack_from(">10I", content)
     num_points, num_lines, line_bytes = counts[0], counts[3], counts[4]
@@ -76,7 +76,7 @@ def read_trajectories(message: bytes):
     return list(struct.iter_unpack(">64s32sBB4B3f3ff20s", content))
 
 
-def test_names_are_those_shown_in_slicer_and_unique(messages):
+def test_names_of_messages_are_those_shown_in_slicer_and_unique(messages):
     names = [fields_of(one)["device_name"] for one in messages]
     assert names == [
         *("CarinaTarget1", "CarinaRoute1", "CarinaNeedle1", "CarinaRoute2", "CarinaNeedle2"),
@@ -112,7 +112,7 @@ def test_target_surface_is_triangles_around_its_centre_in_ras(messages):
     assert np.abs(points.mean(axis=0) - nodule.centre_lps).max() < 0.01
 
 
-def test_pyigtl_reads_the_targets(messages):
+def test_pyigtl_reads_names_and_positions_of_the_targets(messages):
     plan = a_plan()
     found = read_by_pyigtl(by_name(messages, "CarinaTargets"))
     assert found.names == ["Target"]
@@ -139,7 +139,7 @@ def test_text_of_the_plan_includes_its_doubts(messages):
     assert "up to 15 mm off" in words
 
 
-def test_positions_in_lps_are_those_of_the_plan():
+def test_messages_in_lps_have_the_positions_of_the_plan():
     messages = plan_messages(a_plan(), a_tree(), space="LPS")
     route = a_plan().routes[0]
     needle = read_polydata(by_name(messages, "CarinaNeedle1"))
@@ -157,7 +157,7 @@ def test_numbering_continues_over_targets_and_long_or_non_ascii_names_fit():
     assert "Nodule Ö" in read_by_pyigtl(by_name(messages, "CarinaPlan")).string
 
 
-def test_plan_without_a_route_is_a_target_and_a_reason():
+def test_plan_without_a_route_is_sent_as_a_target_and_a_reason():
     plan = dataclasses.replace(a_plan(), routes=(), why="no route: the nearest airway found is LB3, 40 mm away")
     messages = plan_messages(plan, a_tree())
     assert [fields_of(one)["message_type"] for one in messages] == ["POLYDATA", "POINT", "STRING"]

@@ -1,4 +1,4 @@
-"""Measurements as a DICOM structured report and the plan's PDF as a DICOM document, read back by other libraries."""
+"""Tests of measurements as a DICOM structured report, and of the plan's PDF as a DICOM document."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_image_library_and_evidence_list_the_slices_that_show_the_target(ct, vol
     assert [one.ReferencedSOPInstanceUID for one in study.ReferencedSeriesSequence[0].ReferencedSOPSequence] == uids
 
 
-def test_group_refers_to_its_segment_and_has_the_same_tracking_identifier(ct, volume, tmp_path):
+def test_measurement_group_and_its_segment_have_one_tracking_identifier(ct, volume, tmp_path):
     other = ellipsoid([3.0, 3.0, 4.0], (3.0, -3.0, 30.0), step_mm=0.4)
     targets = {"Nodule A": nodule(), "Nodule B": other}
     seg = write_target_seg(tmp_path / "s.dcm", targets, volume, ct)
@@ -176,7 +176,7 @@ def test_ct_with_a_private_sop_class_and_unusual_identity_is_reported(tmp_path):
     assert classes == ["1.2.3.4.99", pydicom.uid.SegmentationStorage]
 
 
-def test_pdf_is_read_back_byte_for_byte(tmp_path):
+def test_pdf_in_a_dicom_document_is_read_back_byte_for_byte(tmp_path):
     for pdf in (PDF, PDF + b"\n"):
         data = pydicom.dcmread(write_plan_pdf(tmp_path / "p.dcm", pdf, names_patient=False, now=NOW))
         assert data.EncapsulatedDocument[: data.EncapsulatedDocumentLength] == pdf

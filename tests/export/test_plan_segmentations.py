@@ -1,4 +1,4 @@
-"""Export of a target as a segmentation for 3D Slicer, and as DICOM that refers to the images of an oblique CT."""
+"""Tests of a target exported as a segmentation for 3D Slicer, and as DICOM for the images of an oblique CT."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def written(ct, volume, path, **options):
 
 
 def frame_places(data) -> tuple[np.ndarray, np.ndarray]:
-    """Return the centres of set voxels (n, 3) in LPS mm, and the bits of the frames.
+    """Return the centres of set voxels (n, 3), LPS mm, and the bits of the frames.
 
     The centres follow the definition of PS3.3 C.7.6.2.1.1.
     """
@@ -78,7 +78,7 @@ def frame_places(data) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_voxel_belongs_to_the_target_if_at_least_half_of_it_is_inside(volume):
-    # Test the exact ellipsoid at many more points than the implementation uses.
+    # The exact ellipsoid is sampled at many more points than in the implementation.
     k, j, i = np.indices(volume.shape_zyx).reshape(3, -1)
     at = np.linspace(-0.5, 0.5, 15)[1::2]
     inner = np.stack(np.meshgrid(at, at, at), axis=-1).reshape(-1, 3)
@@ -120,7 +120,7 @@ def test_dicom_segmentation_has_its_position_for_every_slice_orientation(axes, t
 
     def cut(dataset, index):
         dataset.ImageOrientationPatient = [float(v) for v in (*row, *column)]
-        # The order of the file names is opposite to the normal.
+        # The files are named in the order opposite to the normal of the slices.
         dataset.ImagePositionPatient = [f"{v:.8f}" for v in FIRST_LPS - index * STEP_MM[2] * normal]
 
     ct = series(tmp_path / "ct", cut)
@@ -150,7 +150,7 @@ def centre_of(data) -> list[float]:
     raise AssertionError("no point")
 
 
-def test_cancelled_export_leaves_no_file(ct, volume, tmp_path):
+def test_cancelled_export_of_a_segmentation_leaves_no_file(ct, volume, tmp_path):
     with pytest.raises(CancelledError):
         write_target_seg(tmp_path / "t.dcm", nodule(), volume, ct, cancel=lambda: True)
     assert not list(tmp_path.iterdir())
@@ -239,7 +239,7 @@ def test_two_targets_are_two_segments_that_may_overlap(ct, volume, tmp_path):
         assert frames[np.array(numbers) == number].sum() == inside_on_grid(one, volume).sum()
 
 
-def test_lumen_can_be_a_segment_beside_the_target(tmp_path):
+def test_segmentation_contains_the_lumen_as_a_second_segment(tmp_path):
     made, airways = made_phantom(**SMALL_CHEST), made_airways(**SMALL_CHEST)
     # Write the same chest as a DICOM series.
     nz = made.volume.shape_zyx[0]
@@ -287,11 +287,11 @@ def test_simpleitk_reads_the_segmentation_at_the_position_of_the_nodule(ct, volu
     assert np.abs(found - expected).max() < 0.01
 
 
-def test_another_ct_a_newer_ct_and_a_file_that_is_not_dicom_are_refused(ct, volume, tmp_path):
+def test_segmentation_for_another_ct_or_a_file_that_is_not_dicom_is_refused(ct, volume, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     write = functools.partial(write_target_seg, out / "t.dcm", nodule(), volume)
-    # The same geometry with other pixels: a later scan, or another reconstruction.
+    # The files have the same geometry and other pixels, like a later scan or another reconstruction.
     newer = series(tmp_path / "newer", oblique, hu=chest(seed=6))
     with pytest.raises(UsageError, match="none of its series is the CT") as caught:
         write(newer)

@@ -1,4 +1,4 @@
-"""Surface of a nodule: closed, oriented outwards and at the boundary."""
+"""Tests of the surface of a nodule: closed, oriented outwards and at the boundary."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_surface_of_an_ellipsoid_is_closed_and_has_its_position_and_volume(mirro
     mesh = nodule_surface(dataclasses.replace(nodule, lps_from_ijk=place))
     assert is_closed_and_turns_one_way(mesh.triangles)
     assert mesh.volume_mm3 == pytest.approx(nodule.volume_mm3, rel=0.02)
-    # Vertices in the coordinates of the ellipsoid's axes.
+    # The vertices are converted to coordinates along the axes of the ellipsoid.
     own = (mesh.vertices_lps - place[:3, 3]) @ np.linalg.inv(place[:3, :3]).T * 0.4
     off = own - 0.4 * (np.array(nodule.inside_zyx.shape[::-1]) - 1) / 2
     radius = np.linalg.norm(off / [6.0, 4.5, 5.0], axis=1)
@@ -51,6 +51,6 @@ def test_any_set_of_voxels_has_a_closed_surface(seed, num):
     assert mesh.volume_mm3 > 0.0
 
 
-def test_empty_mask_has_no_surface():
+def test_surface_of_an_empty_mask_is_refused():
     with pytest.raises(UsageError, match="no voxel"):
         nodule_surface(dataclasses.replace(ellipsoid([2.0, 2.0, 2.0]), inside_zyx=np.zeros((3, 3, 3), bool)))

@@ -1,4 +1,4 @@
-"""Writing and reading of ``tree.json``."""
+"""Tests of the writing and reading of ``tree.json``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_tree_is_written_and_read_back_bit_for_bit(tree, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["t.json"]
 
 
-def test_failed_write_leaves_the_old_file(tree, tmp_path, monkeypatch):
+def test_failed_write_of_a_tree_leaves_the_old_file(tree, tmp_path, monkeypatch):
     path = write_tree(tmp_path / "t.json", tree)
     before = path.read_bytes()
 
@@ -42,7 +42,7 @@ def test_failed_write_leaves_the_old_file(tree, tmp_path, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["t.json"]
 
 
-def test_missing_folder_is_named(tree, tmp_path):
+def test_tree_written_to_a_missing_folder_is_refused_with_the_folder_s_name(tree, tmp_path):
     with pytest.raises(CarinaError, match="missing"):
         write_tree(tmp_path / "missing" / "t.json", tree)
 
@@ -57,7 +57,7 @@ def test_missing_folder_is_named(tree, tmp_path):
         (b'{"format": "carina-transfer", "version": 1}', "format"),
     ],
 )
-def test_file_of_another_format_is_refused_by_name(tmp_path, content, word):
+def test_tree_file_of_another_format_is_refused_with_its_name(tmp_path, content, word):
     path = tmp_path / "other.json"
     path.write_bytes(content)
     with pytest.raises(VolumeImportError, match=word) as caught:
@@ -66,6 +66,6 @@ def test_file_of_another_format_is_refused_by_name(tmp_path, content, word):
     assert caught.value.exit_code == 3
 
 
-def test_missing_file_is_refused_by_name(tmp_path):
+def test_missing_tree_file_is_refused_with_its_name(tmp_path):
     with pytest.raises(VolumeImportError, match=r"nowhere\.json"):
         read_tree(tmp_path / "nowhere.json")

@@ -1,4 +1,4 @@
-"""Writing of videos: complete or no file, file permissions, and codec settings."""
+"""Tests of the writing of videos: a complete file or none, file permissions, and codec settings."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def facts(path):
 
 
 def picture(width, height, seed):
-    """Return a smooth picture whose last row and column are not black, so that padding is visible."""
+    """Return a smooth picture whose last row and column are not black, so that a black padding would be visible."""
     y, x = np.mgrid[0:height, 0:width]
     return np.stack([100 + 80 * x / width, 100 + 80 * y / height, np.full(x.shape, 60.0 + seed)], -1).astype(np.uint8)
 
@@ -134,12 +134,12 @@ def test_sizes_that_no_player_shows_are_refused_before_a_file_is_made(tmp_path, 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_rate_above_the_highest_codec_level_is_refused():
+def test_video_with_a_rate_above_the_highest_codec_level_is_refused():
     with pytest.raises(UsageError, match="has no level for 8192 x 4352 pixels at 240 frames per second"):
         VideoWriter("a.mp4", 8192, 4352, rate_hz=240.0)
 
 
-def test_notes_state_the_written_size_and_sizes_that_few_players_show():
+def test_notes_of_a_video_state_its_size_and_whether_few_players_show_it():
     assert size_notes("a.mp4", 640, 480, rate_hz=30.0) == ()
     assert size_notes("a.mp4", 4096, 2160, rate_hz=60.0) == ()
     (note,) = size_notes("a.webm", 101, 75, rate_hz=30.0)

@@ -1,4 +1,4 @@
-"""Ctrl-C during the tests or CI, sent as a terminal sends it: no process and no file remains."""
+"""Tests of Ctrl-C during the tests or CI, sent as a terminal sends it: no process and no file remains."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="pr
 ROOT = Path(__file__).resolve().parents[2]
 WITHIN_S = 120.0
 ENDING_S = 10.0
-"""Time for killed processes to disappear, in seconds."""
+"""Longest time until killed processes have disappeared, seconds."""
 TESTS = '''
 import subprocess, sys, tempfile, time
 from pathlib import Path
@@ -46,7 +46,7 @@ def test_runs_until_it_is_interrupted(n, tmp_path):
 
 
 START = "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_DFL); os.execvp(sys.argv[1], sys.argv[1:])"
-"""Program that restores SIGINT and runs a command: a shell starts background processes with SIGINT ignored."""
+"""Program that restores SIGINT and then runs a command; a shell starts background processes with SIGINT ignored."""
 
 
 def wait_for(state: Callable[[], bool], what: str) -> None:
@@ -77,7 +77,7 @@ def test_an_interrupted_run_leaves_no_process_and_no_file(tmp_path, options, int
 
 @pytest.fixture
 def ci(tmp_path):
-    """Return a function that creates stand-in commands for CI and returns its environment, which has no apt."""
+    """Return a function that writes replacements of CI's commands and returns an environment for them without apt."""
     commands, temporary = tmp_path / "bin", tmp_path / "tmp"
     commands.mkdir()
     temporary.mkdir()
@@ -111,7 +111,7 @@ def test_an_interrupted_ci_leaves_no_process_and_no_file(ci, tmp_path):
         ("*setup-tests*) exit 2 ;;", 1, "CI failed: setup, lints or web"),
     ],
 )
-def test_ci_names_what_failed(ci, tmp_path, make, code, end):
+def test_ci_prints_the_name_of_the_failed_step(ci, tmp_path, make, code, end):
     ended = subprocess.run(
         [ROOT / ".ci" / "run"], env=ci(make), capture_output=True, text=True, check=False, timeout=WITHIN_S
     )
@@ -122,7 +122,7 @@ def test_ci_names_what_failed(ci, tmp_path, make, code, end):
 def interrupt(
     command: list[str], environment: dict[str, str], folder: Path, started: Callable[[], bool], *, times: int = 1
 ) -> None:
-    """Start a command, send SIGINT to its group when it runs, and require that none of its processes remains."""
+    """Start a command, send SIGINT to its process group, and assert that none of its processes remains."""
     output = folder / "output"
     with output.open("w") as file:
         run = subprocess.Popen(

@@ -1,6 +1,6 @@
-"""Laterality: one chest stored in many orientations gives the same result, with the same left and right.
+"""Tests of laterality: one chest stored in many orientations gives equal results, with the same left and right.
 
-A mirrored airway is a complete and plausible, but wrong picture. A phantom with a known ground truth is therefore
+A mirrored airway is a complete and plausible, but wrong picture. Therefore a phantom with a known ground truth is
 stored with its axes flipped, permuted and rotated, and read back from files. The results in patient space must be
 equal.
 """
@@ -28,7 +28,7 @@ def phantom():
 
 @pytest.fixture(scope="module")
 def image(phantom):
-    """Return the phantom as a SimpleITK image, in LPS."""
+    """Return the phantom as a SimpleITK image in LPS."""
     volume = phantom.volume
     image = sitk.GetImageFromArray(volume.hu_zyx)
     spacing = np.array(volume.spacing_mm)
@@ -44,11 +44,16 @@ def middle_of(phantom, name):
     return np.array(branch["points"][len(branch["points"]) // 2])
 
 
-# Eight flips and six permutations of the axes give 48 ways to store a grid along the patient's axes. The eleven below
-# contain every flip of one axis, the flip of all three, and every permutation, with and without a flip.
 FLIPS = {"as it is": (), "flip i": (0,), "flip j": (1,), "flip k": (2,), "flip all": (0, 1, 2)}
+"""Flipped axes of an orientation, by its name."""
 ORDERS = ["".join("ijk"[n] for n in order) for order in itertools.permutations(range(3)) if order != (0, 1, 2)]
+"""Orientations that permute the axes; the name gives the new order of i, j and k."""
 STORED = [*FLIPS, *ORDERS, "kij flip i", "oblique"]
+"""Orientations that are tested.
+
+Eight flips and six permutations of the axes give 48 ways to store a grid along the patient's axes. Those tested here
+contain every flip of one axis, the flip of all three, and every permutation, with and without a flip.
+"""
 
 
 def stored(image, how):
@@ -63,10 +68,10 @@ def stored(image, how):
 
 
 def oblique(image):
-    """Return the image resampled on a grid that is rotated by 14 degrees about an axis oblique to all three.
+    """Return the image resampled on a grid that is rotated by 14 degrees about an axis oblique to all three axes.
 
-    The grid is large enough to contain the whole image. Padding is tissue: the trachea reaches the edge of the chest,
-    and padding of air would lengthen it.
+    The grid contains the whole image. Its padding is tissue, because the trachea reaches the edge of the chest and
+    padding of air would lengthen it.
     """
     turned = sitk.VersorTransform((0.48, 0.6, 0.64), np.deg2rad(14.0))
     direction = np.array(turned.GetMatrix()).reshape(3, 3)
@@ -139,7 +144,7 @@ def distance_mm(points, others):
     return np.linalg.norm(points[:, None] - others[None], axis=2).min(axis=1)
 
 
-def test_right_main_bronchus_is_on_the_right_of_the_patient(phantom, found):
+def test_right_main_bronchus_is_at_lower_lps_x_in_every_orientation(phantom, found):
     _, seen_here = found
     tree = seen_here["airways"].tree
     by_name = {branch.name: branch for branch in tree.branches if branch.name}
@@ -150,10 +155,10 @@ def test_right_main_bronchus_is_on_the_right_of_the_patient(phantom, found):
     assert middle_of(phantom, "RMB")[0] < 0.0 < middle_of(phantom, "LMB")[0]
 
 
-def test_same_target_has_the_same_path_in_mm(found, reference):
+def test_path_to_a_target_is_equal_in_mm_in_every_orientation(found, reference):
     how, seen_here = found
-    # Tolerance: one voxel; on the rotated grid two, one for the path and one for the resampling: the trachea is 9
-    # voxels wide, and the cost is flat in its middle.
+    # The tolerance is one voxel. On the rotated grid it is two, one for the path and one for the resampling: the
+    # trachea is 9 voxels wide, and the cost is nearly constant in its middle.
     voxel_mm = float(np.linalg.norm(SPACING_MM)) * (2 if how == "oblique" else 1)
     for name, path in seen_here["paths"].items():
         same = reference["paths"][name]
@@ -168,17 +173,17 @@ def differs(picture, same):
     return float(np.abs(picture.rgb.astype(int) - same.rgb.astype(int)).mean())
 
 
-def test_same_pose_shows_the_same_picture(found, reference):
+def test_picture_from_a_pose_is_equal_in_every_orientation(found, reference):
     how, seen_here = found
-    # On the rotated and resampled grid edges blur by a voxel (2 mm here, the trachea is 18 mm wide); else only rounding
-    # differs.
+    # On the rotated and resampled grid edges are blurred by a voxel (2 mm in a trachea of 18 mm); on the others only
+    # rounding differs.
     for view in ("airway", "axial", "coronal", "sagittal"):
-        # The airway view has nearly the same brightness on the left and on the right.
+        # The limit of the airway view is lower, because its left and right have nearly the same brightness.
         blur = 8.0 if view == "airway" else 12.0
         tolerance = blur if how == "oblique" else 0.5
         picture = seen_here[view]
         assert differs(picture, reference[view]) < tolerance, view
-        # A mirrored picture must exceed the tolerance by far; otherwise the test above could not fail.
+        # A mirrored picture must exceed the tolerance by far, or the comparison could not fail.
         mirrored = np.abs(picture.rgb[:, ::-1].astype(int) - reference[view].rgb.astype(int)).mean()
         assert mirrored > 1.1 * tolerance, view
     if how != "oblique":

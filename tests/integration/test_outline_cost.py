@@ -1,4 +1,4 @@
-"""Time of the lumen outline of a slice, compared with rendering and encoding in the same run."""
+"""Test of the time of the lumen's outline in a slice, compared with rendering and encoding in the same run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ROUNDS = 40
 
 
 def least_s(work, rounds=ROUNDS):
-    """Return the least time of many calls, in seconds: the time without other load."""
+    """Return the least time of ``rounds`` calls, seconds, which is the time without other load."""
     took = []
     for _ in range(rounds):
         began = time.perf_counter()

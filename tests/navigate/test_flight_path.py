@@ -14,7 +14,7 @@ from carina.track.tree.airway_tree import Route
 
 
 def bent_path() -> np.ndarray:
-    """Return a path down the trachea and then 60 degrees to the left, unevenly spaced like a real route, LPS mm."""
+    """Return a path (LPS mm) down the trachea and then 60 degrees to the left, with uneven steps like a real route."""
     down = [[2.0, -5.0, 120.0 - z] for z in (0.0, 7.0, 20.0, 55.0, 80.0)]
     aside = np.array([np.sin(np.radians(60.0)), 0.1, -np.cos(np.radians(60.0))])
     corner = np.array(down[-1])
@@ -85,7 +85,7 @@ def test_forks_are_found_ahead_and_behind() -> None:
         ([[0, 0, 0], [0, 0, 9]], {"forks_mm": [11.0]}, "forks must lie on the path"),
     ],
 )
-def test_invalid_path_is_refused_with_the_reason(points: list, options: dict, says: str) -> None:
+def test_flight_path_with_invalid_points_is_refused_with_the_reason(points: list, options: dict, says: str) -> None:
     with pytest.raises(UsageError, match=says):
         FlightPath(points, **options)
 
@@ -114,6 +114,6 @@ def test_path_of_a_tracked_path_has_its_points() -> None:
     np.testing.assert_array_equal(FlightPath(tracked).source_lps, points)
 
 
-def test_object_without_points_is_refused() -> None:
+def test_flight_path_of_an_object_without_points_is_refused() -> None:
     with pytest.raises(UsageError, match="FlightPath: points_lps: expected finite numbers"):
         FlightPath(object())

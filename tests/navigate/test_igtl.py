@@ -1,4 +1,4 @@
-"""Tests of OpenIGTLink: the codec against the independent pyigtl, and resistance to damaged messages of a peer."""
+"""Tests of OpenIGTLink: the codec against the independent pyigtl, and damaged messages of a peer."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def wait_for(what, seconds=120.0):
 
 def same_pose(found: IgtlPose, expected: IgtlPose) -> None:
     assert found.name == expected.name
-    np.testing.assert_allclose(pose_matrix(found), pose_matrix(expected), atol=1e-4)  # float32 on the wire
+    np.testing.assert_allclose(pose_matrix(found), pose_matrix(expected), atol=1e-4)  # Numbers are float32 on the wire.
 
 
 @settings(max_examples=30, deadline=None)
@@ -60,7 +60,7 @@ def test_table_checksum_equals_bitwise_checksum_and_pyigtl(data):
     assert crc64(data) == crc64_bitwise(data) == pyigtl.messages.CRC64(data)
 
 
-def test_checksum_of_a_picture_in_lanes_is_the_same():
+def test_checksum_of_a_large_message_equals_that_of_pyigtl():
     data = np.random.default_rng(1).integers(0, 256, 100_001, dtype=np.uint8).tobytes()
     assert crc64(data) == pyigtl.messages.CRC64(data)
 
@@ -83,7 +83,7 @@ def test_all_kinds_of_poses_are_read_in_all_versions_and_fragmentations(version)
         assert (stream.num_skipped, stream.num_bad) == (1, {})
 
 
-def test_pyigtl_and_carina_read_each_other():
+def test_pyigtl_and_carina_read_each_other_s_poses():
     packed = pack_transform("Pen", pose_matrix(POSE), time_s=12.5)
     fields = pyigtl.messages.MessageBase.parse_header(packed[:58])
     theirs = pyigtl.messages.MessageBase.create_message(fields["message_type"])
@@ -125,19 +125,19 @@ def test_wrong_checksum_drops_only_its_message():
         (b"\0" * 48, "TRANSFORM"),
         (struct.pack(">12f", *[math.nan] * 12), "TRANSFORM"),
         (b"\0" * 47, "TRANSFORM"),
-        (struct.pack(">12f", 1, 0, 0, 0, 1, 0, 0, 0, -1, 0, 0, 0), "TRANSFORM"),  # a mirror
+        (struct.pack(">12f", 1, 0, 0, 0, 1, 0, 0, 0, -1, 0, 0, 0), "TRANSFORM"),  # a mirroring matrix
         (b"\0" * 13, "POSITION"),
         (b"\0" * 51, "QTDATA"),
     ],
 )
-def test_invalid_content_is_counted_and_skipped(content, kind):
+def test_message_with_invalid_content_is_counted_and_skipped(content, kind):
     stream = IgtlStream()
     found = stream.feed(pack_message(kind, "x", content) + pack_transform("Pen", np.eye(4)))
     assert [m.name for m in found] == ["Pen"]
     assert stream.num_bad == {"malformed content": 1}
 
 
-def test_length_of_four_gibibytes_takes_no_memory_and_ends_the_stream():
+def test_message_length_of_four_gibibytes_allocates_no_memory_and_ends_the_stream():
     for num_bytes in (4 << 30, (1 << 64) - 1):
         stream = IgtlStream()
         with pytest.raises(ProtocolError, match="bytes"):
@@ -153,7 +153,7 @@ def test_length_of_four_gibibytes_takes_no_memory_and_ends_the_stream():
 
 @settings(max_examples=100, deadline=None)
 @given(st.binary(max_size=400), st.integers(0, 2))
-def test_noise_is_refused_or_skipped_without_other_effects(data, version):
+def test_stream_of_random_bytes_is_refused_or_skipped_without_other_effects(data, version):
     stream = IgtlStream()
     with contextlib.suppress(ProtocolError):
         stream.feed(data)
@@ -177,7 +177,7 @@ def test_no_pose_is_lost_at_120_hz_and_the_source_reconnects():
         client.start()
         try:
             peer, _ = listening.accept()
-            # Send by the clock, because repeated sleeps give less than 120 Hz.
+            # Poses are sent by the clock, because repeated sleeps give less than 120 Hz.
             began = time.monotonic()
             for n in range(240):
                 matrix = np.eye(4)
@@ -188,7 +188,7 @@ def test_no_pose_is_lost_at_120_hz_and_the_source_reconnects():
             assert [s.position_mm[0] for _, s in heard.samples] == list(range(240))
             device = f"openigtlink:127.0.0.1:{port}/Pen"
             assert {d for d, _ in heard.samples} == {device}
-            # A header with a length of 4 GiB: the source closes the connection and opens a new one.
+            # At a header with a length of 4 GiB the source closes the connection and opens a new one.
             peer.sendall(HEADER.pack(1, b"TRANSFORM", b"x", 0, 4 << 30, 0))
             peer.close()
             again, _ = listening.accept()
@@ -267,10 +267,10 @@ def test_pyigtl_receives_the_tip_at_60_hz_and_the_picture_on_request():
         assert (first.matrix[0, 3], first.matrix[1, 3]) == (-1.0, -2.0)
         client.stop()
         wait_for(lambda: server.num_peers == 0)
-        # A plain receiver that is the only peer misses no pose.
+        # A plain receiver that is the only peer receives every pose.
         with socket.create_connection(("127.0.0.1", server.port), timeout=10.0) as plain:
             stream, until, rate_hz = IgtlStream(), time.monotonic() + 60.0, 0.0
-            # Repeat until the machine is idle enough for one second at full rate.
+            # The measurement is repeated until the machine is idle enough for one second at the full rate.
             while rate_hz <= 60.0:
                 assert time.monotonic() < until, f"{rate_hz:.0f} poses a second"
                 began, first = time.monotonic(), len(seen)
@@ -305,12 +305,12 @@ def test_server_stops_while_a_peer_is_connected(reads, monkeypatch):
     if sys.version_info < (3, 12):
 
         async def wait_closed(self):
-            # Behaves as Python 3.12 and later: waits until the last connection is closed.
+            # The handler behaves like that of Python 3.12 and later, which waits until the last connection is closed.
             while self._active_count:
                 await asyncio.sleep(0.005)
 
         monkeypatch.setattr(asyncio.base_events.Server, "wait_closed", wait_closed)
-    pixels = np.zeros((1500, 2000, 3), dtype=np.uint8)  # more than the socket buffers take
+    pixels = np.zeros((1500, 2000, 3), dtype=np.uint8)  # The picture is larger than the buffers of the socket.
     server = IgtlServer(lambda: np.eye(4), picture=lambda: pixels, port=0)
     server.start()
     with socket.create_connection(("127.0.0.1", server.port)) as peer:
@@ -320,7 +320,7 @@ def test_server_stops_while_a_peer_is_connected(reads, monkeypatch):
                 peer.sendall(pack_message("GET_IMAGE", "v", b""))
 
             def held_up() -> bool:
-                # At 60 poses per second.
+                # The server sends 60 poses per second.
                 sent = server.num_sent
                 threading.Event().wait(0.2)
                 return server.num_sent == sent
@@ -332,7 +332,7 @@ def test_server_stops_while_a_peer_is_connected(reads, monkeypatch):
         assert not ending.is_alive()
 
 
-def test_silent_connection_is_opened_again():
+def test_connection_to_a_silent_peer_is_opened_again():
     heard = Heard()
     with socket.create_server(("127.0.0.1", 0)) as listening:
         listening.settimeout(8.0)

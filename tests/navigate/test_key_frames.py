@@ -1,4 +1,4 @@
-"""Tests of flights through key frames, in space and along airways, and of key frame files."""
+"""Tests of flights through key frames, in space and along airways, and of files of key frames."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ numbers = st.floats(-60, 60)
 places = st.lists(st.tuples(numbers, numbers, numbers), min_size=2, max_size=7)
 
 
-def test_leg_has_its_speed_and_duration_is_length_by_speed_plus_ramps():
+def test_leg_has_its_speed_and_the_duration_of_its_length_and_ramps():
     frames = [
         KeyFrame(None, LINE[0]),
         KeyFrame(None, LINE[1]),
@@ -45,15 +45,15 @@ def test_leg_has_its_speed_and_duration_is_length_by_speed_plus_ramps():
     ]
     flight = KeyFrameFlight(frames, speed_mm_s=20.0)
     a, b, c, d = flight.key_times_s
-    # Reaching 20 mm/s from rest takes 0.5 s and 5 mm; from 5 mm/s it takes 0.375 s and 4.6875 mm, and the same to slow
-    # down.
+    # From rest, 20 mm/s is reached after 0.5 s and 5 mm; from 5 mm/s after 0.375 s and 4.6875 mm. Slowing down takes
+    # the same.
     assert b - a == pytest.approx(0.5 + 30.3125 / 20.0 + 0.375)
     assert c - b == pytest.approx(40.0 / 5.0)
     assert d - c == pytest.approx(b - a)
     speed = speeds_mm_s(flight)
     assert speed.max() == pytest.approx(20.0, abs=1e-6)
     assert speed[int((b + c) / 2 / 0.002)] == pytest.approx(5.0, abs=1e-6)
-    # The speed has no jump: 15 mm/s in 0.375 s are 0.08 mm/s in 2 ms.
+    # The speed has no jump: it changes by 15 mm/s in 0.375 s, which is 0.08 mm/s in 2 ms.
     assert np.abs(np.diff(speed)).max() < 0.1
 
 
@@ -75,7 +75,7 @@ def test_flight_passes_key_frames_exactly_within_its_speed(points, speed, seed):
     flown_at = [flight.pose_at(t) for t in times]
     at = np.array([one.position_lps for one in flown_at])
     step_s = times[1] - times[0]
-    # Tolerance 1e-3: the cubic between samples is 0.1 % longer than its chord at the sharpest bend passed without a
+    # The tolerance is 1e-3: between samples the cubic is 0.1 % longer than its chord at the sharpest bend without a
     # rest.
     assert np.linalg.norm(np.diff(at, axis=0), axis=1).max() <= speed * step_s * 1.02 + 1e-3
 
@@ -90,8 +90,8 @@ def test_curve_in_space_stays_near_its_chords_without_turning_back(points):
         for t in np.linspace(flight.key_times_s[n], flight.key_times_s[n + 1], 20):
             here = flight.pose_at(t).position_lps
             along = 0.0 if chord < 1e-9 else np.clip((here - start) @ (end - start) / chord**2, 0, 1)
-            # The curve is centripetal: control points are within a third of a chord plus the effect of the neighbours'
-            # bend.
+            # On a centripetal curve the control points are within a third of a chord, plus the effect of the
+            # neighbours' bend.
             assert np.linalg.norm(here - (start + along * (end - start))) <= 0.34 * chord + 1e-6
 
 
@@ -100,8 +100,8 @@ def test_velocity_is_continuous_at_a_key_frame_in_a_bend():
     flight = KeyFrameFlight([KeyFrame(None, pose(p)) for p in bend], speed_mm_s=20.0)
     _, at = flown(flight, 0.001)
     velocity = np.diff(at, axis=0) / 0.001
-    # 20 mm/s round a bend of 5 mm is 80 mm/s^2 and the ramp is 40 mm/s^2, so the velocity changes less than 0.2 mm/s in
-    # 1 ms.
+    # At 20 mm/s in a bend of 5 mm radius the acceleration is 80 mm/s^2, and that of the ramp 40 mm/s^2, so the velocity
+    # changes by less than 0.2 mm/s in 1 ms.
     assert np.abs(np.diff(velocity, axis=0)).max() < 0.2
 
 
@@ -141,7 +141,7 @@ def test_picture_stays_level_between_two_level_poses(one, other):
         np.testing.assert_allclose(-matrix[:3, 1], upright(matrix[:3, 2]), atol=1e-6)
 
 
-# Flights along airways.
+# Flights along airways
 
 
 def fork_way() -> AirwayWay:
@@ -185,7 +185,7 @@ def test_camera_looks_distally_along_airways_and_turns_at_the_fork():
     assert looks[60] @ left > 0.99
     assert looks[340] @ right > 0.99
     assert (looks[:, 2] < -0.8).all()
-    # The view does not swing: 50 degrees within 16 mm at 20 mm/s.
+    # The view turns slowly: 50 degrees within 16 mm at 20 mm/s.
     turns = np.degrees(np.arccos(np.clip((looks[1:] * looks[:-1]).sum(axis=1), -1, 1))) / (flight.duration_s / 399)
     assert turns.max() < 140.0
 
@@ -208,18 +208,18 @@ def test_key_frames_beside_one_airway_position_are_joined_by_a_straight_line():
     assert flight.leg_mm[0] == pytest.approx(math.hypot(8, 1))
 
 
-# Refused input.
+# Refused arguments
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, 501.0, math.nan, math.inf])
-def test_speeds_out_of_range_are_refused(speed):
+def test_key_frame_speeds_out_of_range_are_refused(speed):
     with pytest.raises(UsageError, match="mm/s"):
         KeyFrameFlight([KeyFrame(None, LINE[0]), KeyFrame(None, LINE[1])], speed_mm_s=speed)
     with pytest.raises(UsageError, match="mm/s"):
         KeyFrameFlight([KeyFrame(None, LINE[0]), KeyFrame(None, LINE[1], speed_mm_s=speed)])
 
 
-def test_mixed_times_and_speeds_or_a_single_key_frame_are_refused():
+def test_flight_with_times_and_speeds_mixed_or_a_single_key_frame_is_refused():
     with pytest.raises(UsageError, match="all key frames must have times"):
         KeyFrameFlight([KeyFrame(0.0, LINE[0]), KeyFrame(None, LINE[1])])
     with pytest.raises(UsageError, match="at least two"):
@@ -230,12 +230,12 @@ def test_mixed_times_and_speeds_or_a_single_key_frame_are_refused():
 
 
 @pytest.mark.parametrize("points", [[(0.0, 0, 0)], [(0.0, 0), (1.0, 0)], [(0.0, 0, math.nan), (0, 0, 1)]])
-def test_invalid_leg_paths_are_refused(points):
+def test_key_frame_with_an_invalid_path_of_its_leg_is_refused(points):
     with pytest.raises(UsageError, match="at least two points"):
         AirwayWay(np.array(points), 0)
 
 
-# Files.
+# Files of key frames
 
 
 def inside(volume, *ijk) -> Pose:
@@ -247,7 +247,7 @@ def written(path, file: KeyFrameFile):
     return path
 
 
-def test_file_gives_the_same_flight_to_the_last_bit(tmp_path):
+def test_flight_read_from_its_file_is_equal_bit_for_bit(tmp_path):
     volume = small_volume()
     way = AirwayWay(np.array([volume.to_lps(np.array((16.0, 14.0, k))) for k in (30.0, 25.0, 20.0)]), 2)
     frames = (
@@ -293,7 +293,7 @@ def test_key_frames_of_another_case_are_refused_by_name(tmp_path):
         {"view": []},
     ],
 )
-def test_files_without_key_frames_are_refused(tmp_path, change):
+def test_key_frame_files_with_invalid_fields_are_refused(tmp_path, change):
     volume = small_volume()
     frames = (KeyFrame(None, inside(volume, 16, 14, 30)), KeyFrame(None, inside(volume, 16, 14, 20)))
     document = KeyFrameFile(frames, case=case_key(volume)).to_json() | change
@@ -306,7 +306,7 @@ def test_files_without_key_frames_are_refused(tmp_path, change):
 @pytest.mark.parametrize(
     "text", ["", "{", "[]", "[" * 100_000, "\ud800".encode("utf-8", "surrogatepass").decode("latin1")]
 )
-def test_files_that_are_not_json_are_refused(tmp_path, text):
+def test_key_frame_files_that_are_not_json_are_refused(tmp_path, text):
     path = tmp_path / "k.json"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(VolumeImportError):

@@ -14,7 +14,7 @@ ROUTE = np.array([[0, 0, 100], [0, 0, 60], [0, 0, 30], [10, 2, 10], [30, 5, 0], 
 
 
 def oblique_volume() -> Volume:
-    """Return a small oblique volume that differs on every axis, so that a test with swapped axes fails."""
+    """Return a small oblique volume with different sizes and spacings, so that a test fails if axes are exchanged."""
     c, s = np.cos(0.4), np.sin(0.4)
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]) @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
     matrix = np.eye(4)
@@ -36,20 +36,21 @@ def on_path(at_mm: float = 20.0) -> Navigator:
     return tip
 
 
-# Up direction.
+# Up direction of the view
 
 
 def test_caudal_view_from_the_head_end_has_patient_right_on_the_right() -> None:
-    # docs/conventions.md: view = inferior, up = anterior, right-hand = patient right. LPS: +x left, +y posterior.
+    # In docs/conventions.md the view is inferior, up is anterior and right is the patient's right; in LPS +x is left
+    # and +y posterior.
     tip = Navigator(Pose.looking([0, 0, 0], [0, 0, -1]))
     np.testing.assert_allclose(tip.pose.right_lps, [-1, 0, 0], atol=1e-12)
     np.testing.assert_allclose(-tip.pose.down_lps, [0, -1, 0], atol=1e-12)
 
 
-def test_operator_facing_the_patient_sees_the_picture_turned_by_180_degrees() -> None:
+def test_picture_for_an_operator_facing_the_patient_is_rotated_by_180_degrees() -> None:
     tip = Navigator(Pose.looking([1, 2, 3], [0, 0, -1]))
     tip.set_operator("facing")
-    # The membranous (posterior) wall is at 12 o'clock, and the patient's right is on the left.
+    # The membranous (posterior) wall is at 12 o'clock, and the patient's right is on the left of the picture.
     np.testing.assert_allclose(-tip.pose.down_lps, [0, 1, 0], atol=1e-12)
     np.testing.assert_allclose(tip.pose.right_lps, [1, 0, 0], atol=1e-12)
     np.testing.assert_allclose(tip.pose.forward_lps, [0, 0, -1], atol=1e-12)
@@ -80,22 +81,22 @@ def test_levelling_puts_anterior_up_or_superior_in_antero_posterior_views(
     np.testing.assert_allclose(tip.pose.down_lps, wanted / np.linalg.norm(wanted), atol=1e-9)
 
 
-def test_levelling_on_a_path_stays_while_the_tip_advances() -> None:
+def test_levelled_view_on_a_path_stays_level_while_the_tip_advances() -> None:
     tip = on_path(5.0)
     tip.set_operator("facing")
     tip.steer(advance_mm=20.0)
     np.testing.assert_allclose(tip.pose.down_lps, [0, -1, 0], atol=1e-2)
 
 
-# Free movement.
+# Free movement
 
 
 def test_free_steering_turns_about_camera_axes_and_advances_along_the_view() -> None:
     tip = Navigator(Pose.looking([0, 0, 0], [0, 0, -1]))
-    tip.steer(yaw_rad=np.pi / 2)  # right is the patient's right, -x
+    tip.steer(yaw_rad=np.pi / 2)  # to the patient's right, -x
     tip.steer(advance_mm=3.0)
     np.testing.assert_allclose(tip.pose.position_lps, [-3, 0, 0], atol=1e-12)
-    tip.steer(pitch_rad=np.pi / 2)  # up is anterior, -y
+    tip.steer(pitch_rad=np.pi / 2)  # to anterior, -y
     tip.steer(advance_mm=2.0)
     np.testing.assert_allclose(tip.pose.position_lps, [-3, -2, 0], atol=1e-12)
     tip.steer(advance_mm=-2.0)
@@ -109,7 +110,7 @@ def test_pose_is_rigid_after_thousands_of_random_turns(rng: np.random.Generator,
     for advance, yaw, pitch, roll in amounts:
         tip.steer(advance, yaw, pitch, roll)
     r = tip.pose.lps_from_camera[:3, :3]
-    # Tolerance 1e-14: each step makes the matrix orthogonal again, so errors do not accumulate.
+    # The tolerance is 1e-14: each step makes the matrix orthogonal again, so errors do not accumulate.
     assert np.abs(r.T @ r - np.eye(3)).max() < 1e-14
     assert np.linalg.det(r) > 0
 
@@ -142,7 +143,7 @@ def test_tip_placed_outside_the_volume_is_moved_to_its_border_and_reported() -> 
     np.testing.assert_array_equal(tip.pose.forward_lps, [0, 0, -1])
 
 
-# Movement on a path.
+# Movement on a path
 
 
 def test_advancing_follows_the_path_and_stops_at_its_ends() -> None:
@@ -159,7 +160,7 @@ def test_advancing_follows_the_path_and_stops_at_its_ends() -> None:
     assert tip.limit == "none"
 
 
-def test_free_look_keeps_the_path_position_persists_and_can_be_reset() -> None:
+def test_free_look_on_a_path_leaves_the_position_and_lasts_until_it_is_reset() -> None:
     tip, plain = on_path(), on_path()
     tip.steer(yaw_rad=0.5)
     tip.steer(pitch_rad=0.2)
@@ -172,7 +173,7 @@ def test_free_look_keeps_the_path_position_persists_and_can_be_reset() -> None:
     np.testing.assert_array_equal(tip.pose.lps_from_camera, plain.pose.lps_from_camera)
 
 
-def test_forks_are_stops_forward_and_backward() -> None:
+def test_next_fork_stops_the_tip_at_each_fork_forward_and_backward() -> None:
     tip = on_path(0.0)
     assert [tip.next_fork() for _ in range(3)] == [40.0, 70.0, pytest.approx(tip.path.length_mm)]  # type: ignore[union-attr]
     assert [tip.previous_fork() for _ in range(3)] == [70.0, 40.0, 0.0]
@@ -186,7 +187,7 @@ def test_free_tip_goes_to_the_fork_after_its_nearest_path_position() -> None:
     assert tip.mode == "path"
 
 
-# Changes between free movement and a path.
+# Changes between free movement and a path
 
 
 def test_leaving_the_path_keeps_the_pose_exactly() -> None:
@@ -215,9 +216,10 @@ def test_entering_a_nearby_path_eases_onto_it_without_a_jump(
     before = tip.pose
     assert tip.toggle_mode() == "path"
     np.testing.assert_array_equal(tip.pose.lps_from_camera, before.lps_from_camera)
-    tip.steer()  # no movement: only rounding may differ
+    tip.steer()  # Without a movement only rounding may differ.
     np.testing.assert_allclose(tip.pose.lps_from_camera, before.lps_from_camera, atol=1e-7)
-    # Limit per 0.1 mm: 4 degrees per mm of easing plus the turning of the path (below 7 degrees per mm on this route).
+    # The limit per 0.1 mm is 4 degrees per mm of easing plus the rotation of the path, below 7 degrees per mm on this
+    # route.
     direction = 1.0 if tip.path_mm < 60.0 else -1.0  # type: ignore[operator]
     for _ in range(20):
         last = tip.pose
@@ -232,7 +234,7 @@ def test_entering_a_nearby_path_eases_onto_it_without_a_jump(
     np.testing.assert_allclose(tip.pose.forward_lps, end.forward_lps, atol=1e-6)
 
 
-def test_easing_is_independent_of_the_step_size() -> None:
+def test_easing_onto_a_path_is_independent_of_the_step_size() -> None:
     tips = [on_path(10.0), on_path(10.0)]
     for tip in tips:
         tip.toggle_mode()
@@ -242,7 +244,7 @@ def test_easing_is_independent_of_the_step_size() -> None:
     tips[0].steer(advance_mm=25.0)
     for _ in range(50):
         tips[1].steer(advance_mm=0.5)
-    # Tolerance 1e-9: rounding of 50 closed-form steps.
+    # The tolerance of 1e-9 is the rounding of 50 steps.
     np.testing.assert_allclose(tips[0].pose.lps_from_camera, tips[1].pose.lps_from_camera, atol=1e-9)
 
 
@@ -268,7 +270,7 @@ def test_new_nearby_path_is_joined_without_a_jump_and_removed_path_frees_the_tip
     np.testing.assert_array_equal(tip.pose.lps_from_camera, before.lps_from_camera)
 
 
-def test_impossible_movements_are_refused_without_effect() -> None:
+def test_movements_without_a_path_or_with_invalid_values_are_refused_without_effect() -> None:
     tip = Navigator(Pose.looking([0, 0, 0], [0, 0, -1]))
     before = tip.pose
     for wrong in (

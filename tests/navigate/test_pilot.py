@@ -1,4 +1,4 @@
-"""Tests of device control of the tip: three modes, changes between modes without jumps, and invalid device input."""
+"""Tests of the control of the tip by devices: three modes, changes between modes without jumps, and invalid input."""
 
 from __future__ import annotations
 
@@ -20,20 +20,23 @@ from carina.navigate.rotation import rotation_from_vector, wxyz_from_rotation
 from carina.scopes import Pose
 
 PLAIN = DeviceControls(filter_on=False)
-# A trachea of 60 mm, then the right main bronchus; the other path leads left.
 DOWN = [(0.0, 0.0, -float(z)) for z in range(61)]
+"""Points of a trachea of 60 mm from the origin to the feet, LPS mm."""
 RIGHT = (-math.sin(0.7), 0.0, -math.cos(0.7))
+"""Direction of the right main bronchus, LPS."""
 LEFT = (math.sin(0.7), 0.0, -math.cos(0.7))
+"""Direction of the left main bronchus, LPS."""
 PATH = m.SetPath(
     tuple(DOWN + [(RIGHT[0] * n, 0.0, -60.0 + RIGHT[2] * n) for n in range(1, 41)]),
     forks_mm=(60.0,),
     lookouts_mm=(50.0,),
     ways=(m.PathFork(60.0, (m.PathWay(1, RIGHT), m.PathWay(2, LEFT)), 1),),
 )
+"""Path down the trachea and into the right main bronchus, with the left main bronchus as the other branch."""
 
 
 class Hand:
-    """A pilot with a device that sends 100 samples per second."""
+    """Pilot with a device that sends 100 samples per second."""
 
     def __init__(self, *, path: bool = False, controls: DeviceControls = PLAIN) -> None:
         self.pilot = Pilot(Navigator(Pose.looking([0.0, 0.0, -5.0], [0.0, 0.0, -1.0])))
@@ -102,7 +105,7 @@ def test_absolute_mode_needs_a_registration_and_eases_to_the_pen():
         last = hand.pose
         hand.pen((10.0 + 0.5 * n, 0.0, 0.0))
         steps.append(moved(hand.pose, last))
-    # Half a mm of the hand, and at most half as much again of easing.
+    # The hand moves half a millimetre, and easing adds at most half as much.
     assert max(steps) < 0.76
     np.testing.assert_allclose(hand.pose.position_lps, [10.0 + 0.5 * 399, 0.0, 0.0], atol=0.1)
     pen = hand.pilot.pen_pose("pen")
@@ -110,7 +113,7 @@ def test_absolute_mode_needs_a_registration_and_eases_to_the_pen():
     np.testing.assert_allclose(hand.pose.lps_from_camera, pen.lps_from_camera, atol=0.1)
 
 
-def test_one_button_cycles_the_three_modes_without_a_jump():
+def test_mode_button_cycles_through_the_three_modes_without_a_jump():
     hand = Hand(path=True)
     hand.pilot.apply(m.Register("pen", tuple(np.eye(4).ravel())))
     hand.pen((3.0, 1.0, -4.0))
@@ -129,7 +132,7 @@ def test_one_button_cycles_the_three_modes_without_a_jump():
     assert seen == ["path", "absolute", "relative", "path", "absolute", "relative", "path"]
 
 
-def test_on_the_path_only_forward_movement_counts_and_turns_are_a_free_look():
+def test_hand_on_the_path_moves_the_tip_only_forward_and_its_turns_move_the_view():
     hand = Hand(path=True)
     hand.pilot.apply(c.SetControl("path"))
     hand.pen()
@@ -138,7 +141,7 @@ def test_on_the_path_only_forward_movement_counts_and_turns_are_a_free_look():
     assert hand.pilot.navigator.look_offset_rad[0] == pytest.approx(0.4)
 
 
-def test_stick_direction_at_a_fork_requests_that_branch():
+def test_stick_direction_at_a_fork_requests_the_branch_on_this_side():
     # The camera looks down the trachea with anterior up, so the patient's right is on the right of the picture.
     for yaw, wanted in ((1.0, None), (0.0, None), (-1.0, 2)):
         hand = Hand(path=True)
@@ -152,7 +155,7 @@ def test_stick_direction_at_a_fork_requests_that_branch():
         if wanted is not None:
             at = asked.index(wanted)
             assert at > 0, "it is asked at the fork and not before"
-    # The tip waits at the fork for the one frame in which the route may change.
+    # The tip waits one frame at the fork, in which the route may change.
     hand = Hand(path=True)
     hand.pilot.apply(c.SetControl("path"))
     hand.pilot.apply(c.GoTo(59.95))
@@ -165,7 +168,7 @@ def test_stick_direction_at_a_fork_requests_that_branch():
 def test_speed_is_independent_of_device_rate_and_frame_rate():
     def far(samples_hz: int, frames_hz: int) -> float:
         hand = Hand()
-        for n in range(samples_hz * frames_hz):  # one second in ticks that both rates divide
+        for n in range(samples_hz * frames_hz):  # One second in time steps that are multiples of both periods.
             at = n / (samples_hz * frames_hz)
             if n % frames_hz == 0:
                 hand.pilot.apply(m.DeviceSaid("stick", AxesSample(at, (1.0, 0, 0, 0, 0, 0)), at))
@@ -174,7 +177,7 @@ def test_speed_is_independent_of_device_rate_and_frame_rate():
         return float(np.linalg.norm(hand.pose.position_lps - [0, 0, -5.0]))
 
     distances = [far(20, 30), far(250, 30), far(60, 120)]
-    # 25 mm/s over one second, less the first frame, which has no frame before it.
+    # The distance is that of 25 mm/s over one second without the first frame, which has no previous frame.
     assert distances == pytest.approx([25.0] * 3, abs=1.0)
 
 
@@ -253,13 +256,13 @@ SAMPLE = st.one_of(
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(["a", "b"]), SAMPLE), max_size=40))
-def test_pose_stays_rigid_for_any_device_input(said):
+def test_pose_matrix_stays_rigid_for_any_device_input(said):
     hand = Hand(path=True, controls=DeviceControls())
     hand.pilot.apply(m.Register("a", tuple(np.eye(4).ravel())))
     for n, (device, sample) in enumerate(said):
         hand.pilot.apply(m.DeviceSaid(device, sample, n * 0.1))
         hand.pilot.apply(m.Frame(n * 0.1))
-    Pose(hand.pose.lps_from_camera)  # Pose refuses an invalid matrix
+    Pose(hand.pose.lps_from_camera)  # Pose refuses an invalid matrix.
 
 
 @settings(max_examples=30, deadline=None)
@@ -294,7 +297,7 @@ def test_moves_read_from_json_give_the_same_poses_bit_for_bit(pushes, presses):
         {"move": 7},
     ],
 )
-def test_invalid_move_is_refused(value):
+def test_move_with_invalid_json_is_refused(value):
     with pytest.raises(UsageError) as refused:
         m.move_from_json(value)
     assert refused.value.code == "navigate.recording"
@@ -310,7 +313,7 @@ def test_withdrawn_shaft_withdraws_the_tip_unless_the_device_was_silent():
         hand = Hand(path=True)
         hand.pilot.apply(c.GoTo(20.0))
         step(hand, HandleSample(1.0, 215.0, 0.0, 0.0), 1.0)
-        # A key press moves the tip elsewhere, and a frame passes before the next sample of the handle.
+        # A key press moves the tip, and a frame passes before the next sample of the handle.
         hand.pilot.apply(c.GoTo(20.0))
         hand.pilot.apply(m.Frame(1.5))
         step(hand, HandleSample(1.0 + silent_s, 210.0, 0.0, 0.0), 2.0)
@@ -329,7 +332,7 @@ def test_restarted_device_at_another_position_does_not_move_the_tip(made):
     step(hand, made(100.0, 300.0), 1.0)
     step(hand, made(100.01, 301.0), 1.01)
     at = hand.pose
-    # The clock and the origin of the device restart; the gate accepts them after half a second.
+    # Clock and origin of the device restart; the gate accepts its samples after half a second.
     for n in range(60):
         step(hand, made(0.01 * n, 0.0), 1.02 + 0.01 * n)
     assert moved(hand.pose, at) == 0.0
@@ -353,7 +356,7 @@ def test_pen_after_a_gap_does_not_move_the_tip():
         hand.now += 1.0
 
 
-def test_frames_with_a_repeated_or_late_sample_apply_it_once():
+def test_sample_that_is_repeated_or_late_is_applied_once():
     hand = Hand()
     for n in range(5):
         hand.pen((0.0, 0.0, float(n)))
@@ -362,7 +365,7 @@ def test_frames_with_a_repeated_or_late_sample_apply_it_once():
     np.testing.assert_allclose(hand.pose.position_lps, [0.0, 0.0, -9.0], atol=1e-9)
 
 
-def test_number_of_distinguished_devices_is_limited():
+def test_number_of_devices_that_the_pilot_distinguishes_is_limited():
     hand = Hand()
     hand.pilot.apply(m.Register("registered", tuple(np.eye(4).ravel())))
     sample = PoseSample(0.0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
@@ -397,7 +400,7 @@ def test_orientation_only_pen_advances_by_its_key_and_turns(path):
     assert hand.pilot.is_moving
     cosine = float(hand.pose.forward_lps @ start.forward_lps)
     assert cosine == pytest.approx(math.cos(0.49), abs=1e-6)
-    # The device is disconnected while the key is down: the tip stops after a quarter of a second.
+    # The device is disconnected while its key is down, so the tip stops after a quarter of a second.
     for _ in range(100):
         hand.now += 0.01
         hand.pilot.apply(m.Frame(hand.now))
@@ -409,7 +412,7 @@ def test_orientation_only_pen_advances_by_its_key_and_turns(path):
     assert not hand.pilot.is_moving
 
 
-# A tracker beside the patient, turned about two axes.
+# The tracker's coordinates are rotated against those of the patient about two axes.
 STANDS = np.eye(4)
 STANDS[:3, :3] = rotation_from_vector(np.array([0.4, -0.9, 0.2]))
 STANDS[:3, 3] = (120.0, -45.0, 300.0)

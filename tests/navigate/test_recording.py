@@ -1,4 +1,4 @@
-"""Tests of flight recordings: exact replay, and refusal of recordings of other cases and of damaged files."""
+"""Tests of recordings of flights: exact replay, and refusal of damaged recordings and of those of other cases."""
 
 from __future__ import annotations
 
@@ -59,7 +59,10 @@ def flown():
 
 
 def fly(session: Session, clock: Clock, *, seed: int = 1) -> None:
-    """Record a flight by pen, stick and keys with two modes, forks, a view change, NaN samples and a lost device."""
+    """Record a flight by pen, stick and keys.
+
+    It contains two modes, forks, a change of the view, NaN samples and a lost device.
+    """
     rng = random.Random(seed)
     session.do(Calibrate("pen", [(0, 0, 0), (50, 0, 0), (0, 50, 0)], [(1, 2, 3), (51, 2, 3), (1, 52, 3)]))
     turn = np.eye(3)
@@ -96,7 +99,7 @@ def fly(session: Session, clock: Clock, *, seed: int = 1) -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_replay_gives_the_recorded_poses_bit_for_bit(flown, tmp_path, seed):
     session, clock = flown
-    fly(session, clock, seed=seed + 10)  # flight before the recording, which must not affect the replay
+    fly(session, clock, seed=seed + 10)  # This flight before the recording must not affect the replay.
     session.do(RecordFlight(tmp_path / "a.jsonl"))
     fly(session, clock, seed=seed)
     before = session.pose_info().pose
@@ -114,12 +117,12 @@ def test_replay_gives_the_recorded_poses_bit_for_bit(flown, tmp_path, seed):
 
 
 RECORDINGS = Path(__file__).parent / "recordings"
-# Tolerance for recordings of another machine, which adds the products of a matrix product in another order.
+# Tolerance for recordings of another machine, which adds the products of a matrix multiplication in another order.
 ROUNDED_MM = 1e-9
 
 
 def same_flight(recording, wall=None) -> int:
-    """Assert that the replay gives every recorded pose, and return the number of poses."""
+    """Assert that the replay gives every recorded pose; return the number of poses."""
     replayed = iter([moment for moment, _ in recording.replay(VOLUME, wall=wall)][1:])
     num = 0
     for line in recording.lines:
@@ -150,7 +153,7 @@ def test_earlier_recording_with_a_scope_in_the_lumen_still_replays():
 
 
 def test_moves_of_earlier_recordings_are_written_unchanged():
-    """Assert that reading and writing a recording gives the same text. Other programs read these files."""
+    """Assert that a recording that is read and written again is the same text; other programs read these files."""
     for place in sorted(RECORDINGS.glob("*.jsonl")):
         recording = open_recording(place)
         kept = [line["move"] for line in recording.lines if "move" in line] + recording.header["begin"]
@@ -218,7 +221,7 @@ def test_broken_lines_are_refused_with_their_number(flown, tmp_path, line):
 @pytest.mark.parametrize(
     "text", ["", "hello", '{"format":"carina-recording","version":2}', '{"format":"carina-tree"}', "\xff"]
 )
-def test_file_that_is_no_recording_is_refused(tmp_path, text):
+def test_file_without_the_format_of_a_recording_is_refused(tmp_path, text):
     place = tmp_path / "x.jsonl"
     place.write_bytes(text.encode("latin-1"))
     with pytest.raises(VolumeImportError):
@@ -245,7 +248,7 @@ def test_only_one_recording_runs_at_a_time_and_ends_with_the_case(flown, tmp_pat
     assert open_recording(tmp_path / "a.jsonl").complete
 
 
-def test_recorder_stores_no_patient_data(flown, tmp_path):
+def test_recording_of_a_flight_contains_no_patient_data(flown, tmp_path):
     session, clock = flown
     session.do(RecordFlight(tmp_path / "a.jsonl"))
     fly(session, clock)
@@ -353,7 +356,7 @@ def test_recording_that_cannot_start_is_refused_and_leaves_no_file(flown, tmp_pa
     session.do(Steer(1.0, 0.0, 0.0, 0.0))
 
 
-# Automatic flights.
+# Automatic flights
 
 BENT = FlightPath(
     [[0, 0, 0], [0, 0, -40], [20, 0, -70], [20, 10, -110]], forks_mm=[40.0, 76.0], lookouts_mm=[32.0, 70.0]
@@ -372,12 +375,12 @@ def test_flight_along_a_route_keeps_its_speed_and_pauses_at_each_fork():
 
 
 @pytest.mark.parametrize("bad_value", [{"speed_mm_s": 0.0}, {"speed_mm_s": math.nan}, {"pause_s": -1.0}])
-def test_flights_without_a_speed_are_refused(bad_value):
+def test_automatic_flights_with_an_invalid_speed_are_refused(bad_value):
     with pytest.raises(UsageError):
         AutoFlight(BENT, **bad_value)
 
 
-def test_key_frames_are_passed_exactly_and_smoothly():
+def test_flight_with_times_passes_its_key_frames_exactly_and_smoothly():
     rng = np.random.default_rng(4)
     keys = []
     for n in range(6):
@@ -396,7 +399,7 @@ def test_key_frames_are_passed_exactly_and_smoothly():
     np.testing.assert_array_equal(flight.pose_at(1e9).lps_from_camera, keys[-1].pose.lps_from_camera)
 
 
-def test_slerp_turns_evenly_about_one_axis():
+def test_interpolated_rotations_turn_evenly_about_one_axis():
     a, b = np.eye(4), np.eye(4)
     b[:3, :3] = rotation_from_vector(np.array([0.0, 2.0, 0.0]))
     flight = KeyFrameFlight([KeyFrame(0.0, Pose(a)), KeyFrame(2.0, Pose(b))])
@@ -410,7 +413,7 @@ def test_key_frames_without_valid_times_are_refused(times):
         KeyFrameFlight([KeyFrame(t, Pose(np.eye(4))) for t in times])
 
 
-def test_flight_longer_than_a_day_is_refused():
+def test_automatic_flight_longer_than_a_day_is_refused():
     with pytest.raises(UsageError, match="24 hours"):
         KeyFrameFlight([KeyFrame(t, Pose(np.eye(4))) for t in (0.0, 1e12)])
     for duration_s in (1e12, math.inf, math.nan):

@@ -1,4 +1,4 @@
-"""Tests of the sample gate, which accepts device samples, of the smoothing filter, and of pen registration."""
+"""Tests of the gate that accepts device samples, of the smoothing filter, and of the registration of a pen."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def pen(time_s: float, x: float = 0.0, wxyz: tuple[float, ...] = IDENTITY, butto
         (pen(0.0001), "too many samples"),
     ],
 )
-def test_bad_sample_is_ignored_and_counted(sample, why):
+def test_invalid_sample_is_ignored_and_counted_by_its_reason(sample, why):
     gate = SampleGate()
     assert gate.admit("pen", pen(0.0), 0.0) is not None
     assert gate.admit("pen", sample, 0.01) is None
@@ -123,7 +123,7 @@ def test_number_of_devices_is_limited_and_the_message_names_three():
     gate.admit("pen", pen(0.0), 0.0)
     for n in range(10_000):
         gate.admit(f"stick {n}", AxesSample(0.0, (5.0, *REST[1:])), 0.1)
-    # Samples of all these devices are refused; devices without a valid sample are forgotten first.
+    # Samples of all these devices are refused; of the stored devices those without a valid sample are removed first.
     assert len(gate._seen) <= 64
     assert len(gate._unsaid) <= 66
     assert gate.holder == "pen"
@@ -144,7 +144,7 @@ def test_device_over_the_limit_waits_until_another_is_silent():
     assert gate.knows("stick 1")
 
 
-def test_reconnected_device_may_have_another_clock():
+def test_samples_of_a_reconnected_device_with_another_clock_are_accepted():
     gate = SampleGate()
     gate.admit("pen", pen(500.0), 0.0)
     gate.gone("pen")
@@ -155,7 +155,7 @@ def test_reconnected_device_may_have_another_clock():
 def test_filter_delay_is_at_most_ten_milliseconds_and_as_reported():
     settings = DeviceControls()
     assert filter_latency_ms(settings) <= 10.0
-    # A hand at 20 mm/s, sampled at 120 Hz: in the steady state the lag in mm gives the delay.
+    # The hand moves at 20 mm/s and is sampled at 120 Hz; in the steady state its lag in mm gives the delay.
     smooth, speed, rate = SampleFilter(settings), 20.0, 120.0
     for n in range(600):
         out = smooth.apply(pen(n / rate, speed * n / rate))
@@ -163,7 +163,7 @@ def test_filter_delay_is_at_most_ten_milliseconds_and_as_reported():
     assert out.position_mm is not None
     lag_ms = 1000.0 * (speed * 599 / rate - out.position_mm[0]) / speed
     assert lag_ms <= filter_latency_ms(settings)
-    # The lag of a ramp is the time constant at its speed; the orientation does not move and has a longer delay.
+    # At constant speed the lag is the time constant; the orientation does not change and has a longer delay.
     assert lag_ms == pytest.approx(1000.0 / (2 * math.pi * (20.0 + 0.1 * speed)), rel=1e-3)
     assert smooth.latency_ms == pytest.approx(filter_latency_ms(settings))
 
@@ -183,19 +183,19 @@ def test_filter_with_a_lower_cutoff_reduces_tremor_more():
     assert left(DeviceControls(filter_on=False)) == float(np.std(noise[200:]))
 
 
-def test_turns_are_smoothed_along_the_shortest_rotation():
+def test_filter_smooths_rotations_along_the_shortest_path():
     smooth = SampleFilter(DeviceControls(min_cutoff_hz=3.0))
     for n in range(400):
         turn = rotation_from_vector(np.array([0.0, 0.0, 0.05 * n]))
         wxyz = wxyz_from_rotation(turn)
-        flipped = tuple(-v for v in wxyz) if n % 2 else wxyz  # q and -q are the same rotation
+        flipped = tuple(-v for v in wxyz) if n % 2 else wxyz  # The quaternions q and -q are the same rotation.
         out = smooth.apply(pen(n / 60.0, wxyz=flipped))
         assert math.sqrt(sum(v * v for v in out.orientation_wxyz)) == pytest.approx(1.0, abs=1e-12)
     lag = rotation_from_wxyz(out.orientation_wxyz).T @ turn
     assert 0.0 < math.acos((np.trace(lag) - 1.0) / 2.0) < 0.3
 
 
-def test_filter_restarts_after_a_gap():
+def test_smoothing_filter_restarts_after_a_gap_in_the_samples():
     smooth = SampleFilter(DeviceControls(min_cutoff_hz=1.0, beta_per_mm=0.0))
     smooth.apply(pen(0.0))
     assert smooth.apply(pen(0.01, 10.0)).position_mm[0] < 5.0
@@ -226,7 +226,7 @@ def test_registration_finds_rotation_and_shift_and_reports_the_residual():
     assert np.linalg.det(noisy.lps_from_tracker[:3, :3]) == pytest.approx(1.0)
 
 
-def test_points_in_a_plane_are_enough_and_the_result_is_never_a_mirror():
+def test_registration_from_points_in_a_plane_is_never_mirrored():
     flat = np.array([[0.0, 0, 0], [50, 0, 0], [0, 30, 0], [40, 40, 0]])
     fit = fit_registration(flat, flat * [1, -1, 1])
     assert np.linalg.det(fit.lps_from_tracker[:3, :3]) == pytest.approx(1.0)
@@ -235,11 +235,11 @@ def test_points_in_a_plane_are_enough_and_the_result_is_never_a_mirror():
 @pytest.mark.parametrize(
     "points", [[[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [10, 0, 0], [20, 0, 0]], [[0, 0, 0], [np.nan, 0, 0], [0, 9, 0]]]
 )
-def test_too_few_collinear_or_non_finite_points_are_refused(points):
+def test_registration_with_too_few_collinear_or_non_finite_points_is_refused(points):
     with pytest.raises(UsageError) as refused:
         fit_registration(points, points)
     assert refused.value.code == "navigate.registration"
 
 
-def test_samples_are_immutable_values():
+def test_samples_of_devices_are_immutable_values():
     assert structs.replace(pen(1.0), buttons=2) == pen(1.0, buttons=2)

@@ -51,7 +51,7 @@ class Heard:
 @pytest.mark.parametrize("binary", [False, True])
 @settings(max_examples=25, deadline=None)
 @given(data=st.data())
-def test_records_are_found_in_any_fragmentation(binary, data):
+def test_fastrak_records_are_found_in_any_fragmentation(binary, data):
     record = FORMS[binary]
     stream, whole = FastrakStream(binary=binary), b"".join(record(float(n)) for n in range(8))
     cuts = sorted(data.draw(st.lists(st.integers(0, len(whole)), max_size=12)))
@@ -65,7 +65,7 @@ def test_records_are_found_in_any_fragmentation(binary, data):
 @pytest.mark.parametrize("binary", [False, True])
 @settings(max_examples=25, deadline=None)
 @given(noise=st.binary(max_size=120))
-def test_records_are_found_after_noise(binary, noise):
+def test_fastrak_records_are_found_after_noise(binary, noise):
     record = FORMS[binary]
     stream = FastrakStream(binary=binary)
     stream.feed(noise)
@@ -75,7 +75,7 @@ def test_records_are_found_after_noise(binary, noise):
 
 
 @pytest.mark.parametrize("binary", [False, True])
-def test_half_records_and_letters_for_out_of_range_drop_only_themselves(binary):
+def test_only_incomplete_and_out_of_range_fastrak_records_are_dropped(binary):
     record = FORMS[binary]
     stream = FastrakStream(binary=binary)
     letter = "Y" if not binary else b"Y"
@@ -93,7 +93,7 @@ def test_stylus_points_along_the_x_axis_of_the_receiver():
     assert np.linalg.det(pen) == pytest.approx(1.0)
 
 
-def test_non_finite_binary_numbers_are_skipped():
+def test_fastrak_records_with_non_finite_numbers_are_skipped():
     stream = FastrakStream(binary=True)
     assert stream.feed(binary_record(math.nan) + binary_record(1.0, (0.0, 0.0, 0.0, 0.0))) == []
     assert stream.num_bad["invalid position"] == 2
@@ -130,7 +130,7 @@ def test_fastrak_is_read_at_its_rate_and_reconnects_after_unplugging(binary, tmp
         assert source.status().state == "live"
         assert source.status().rate_hz > 60
         xs = [s.position_mm[0] for s in heard.samples]
-        np.testing.assert_allclose(np.diff(xs), 1.0, atol=1e-3)  # no record lost, none repeated
+        np.testing.assert_allclose(np.diff(xs), 1.0, atol=1e-3)  # No record is lost or repeated.
         assert sum(s.buttons for s in heard.samples) == 1
         assert all(isinstance(s, PoseSample) for s in heard.samples)
         port.send(record(50.0)[:11] + b"\x00\xff noise \r\n" + record(51.0) + record(52.0))
@@ -151,7 +151,7 @@ def test_fastrak_is_read_at_its_rate_and_reconnects_after_unplugging(binary, tmp
         port.unplug()
 
 
-def test_missing_port_is_reported_and_stopping_does_not_wait():
+def test_missing_serial_port_is_reported_and_the_source_stops_at_once():
     heard = Heard()
     source = FastrakSource("/dev/there-is-none", heard.listener)
     source.start()
@@ -160,20 +160,20 @@ def test_missing_port_is_reported_and_stopping_does_not_wait():
     source.stop()
 
 
-def test_handle_lines_carry_three_controls_and_two_buttons():
+def test_handle_line_gives_three_controls_and_two_buttons():
     stream = HandleStream()
     (line,) = stream.feed(format_line(7, 1500, 123.45, roll_deg=-90.0, lever=0.5, buttons=3))
     assert (line.time_s, line.insertion_mm, line.lever, line.buttons) == (1.5, 123.45, 0.5, 3)
     assert line.roll_rad == pytest.approx(-math.pi / 2)
 
 
-def test_line_in_the_documentation_is_valid():
+def test_handle_line_in_the_documentation_is_valid():
     # docs/scope-handle.md contains this line.
     (line,) = HandleStream().feed(b"S,41,20533,12345,-9000,500,1*%02X\n" % crc8(b"S,41,20533,12345,-9000,500,1"))
     assert line.insertion_mm == 123.45
 
 
-def test_damaged_and_lost_handle_lines_are_counted_and_the_clock_may_wrap():
+def test_damaged_and_lost_handle_lines_are_counted_also_after_a_clock_overflow():
     stream = HandleStream()
     lines = [format_line(n, 2**32 - 20 + 10 * n, float(n)) for n in range(6)]
     found = stream.feed(lines[0] + lines[1].replace(b"S,1", b"S,9") + b"# a word\n" + lines[3] + lines[4])
@@ -185,7 +185,7 @@ def test_damaged_and_lost_handle_lines_are_counted_and_the_clock_may_wrap():
 
 @settings(max_examples=50, deadline=None)
 @given(st.binary(max_size=300))
-def test_noise_never_stops_a_handle(noise):
+def test_handle_is_read_after_any_noise(noise):
     stream = HandleStream()
     stream.feed(noise + b"\n")
     assert len(stream.feed(format_line(0, 10, 1.0))) == 1
@@ -208,6 +208,6 @@ def test_handle_on_a_serial_port_drives_the_tip():
 
 
 @pytest.mark.parametrize("address", ["", "pen", "fastrak:", "openigtlink:host:0", "openigtlink:host:x", "usb:1"])
-def test_invalid_device_name_is_refused(address):
+def test_invalid_device_address_is_refused(address):
     with pytest.raises(UsageError, match="expected a device address such as"):
         open_source(address, Heard().listener)

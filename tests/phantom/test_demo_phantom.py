@@ -36,7 +36,7 @@ def test_demo_is_generated_once_and_then_read_from_the_cache(tmp_path: Path) -> 
 @pytest.mark.usefixtures("small_demo")
 @pytest.mark.parametrize("name", ["ct.npy", "lumen.npy", "truth.json", "sums.json"])
 @pytest.mark.parametrize("damage", ["cut", "changed", "gone"])
-def test_damaged_cache_is_generated_again(tmp_path: Path, name: str, damage: str) -> None:
+def test_demo_with_a_damaged_cache_file_is_generated_again(tmp_path: Path, name: str, damage: str) -> None:
     made = demo_phantom(cache_dir=tmp_path)
     (file,) = tmp_path.glob(f"phantom-*/{name}")
     data = file.read_bytes()
@@ -81,6 +81,6 @@ def test_demo_is_generated_when_the_cache_cannot_be_written(tmp_path: Path) -> N
 def test_generator_output_matches_the_checksum_of_its_version() -> None:
     made = generate_phantom(seed=7, spacing_mm=6.0, generations=5, stenosis=True, nodule=True)
     found = hashlib.sha256(made.volume.hu_zyx.tobytes() + made.lumen_zyx.tobytes()).hexdigest()[:16]
-    # If this assertion fails, the same options give a different chest: raise GENERATOR_VERSION, so that cached demos
-    # are generated again, and replace the checksum.
+    # If this assertion fails, the generator makes a different chest from the same options: raise GENERATOR_VERSION, so
+    # that cached demos are generated again, and replace the checksum.
     assert (GENERATOR_VERSION, found) == (2, "893589dcaaf69299")

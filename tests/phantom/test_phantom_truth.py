@@ -15,7 +15,7 @@ CENTRAL = ((-60.0, -45.0, -98.0), (70.0, 50.0, 40.0))
 
 
 def some_of(num: int) -> list[object]:
-    """Return the first ``num`` seeds as test parameters: three run in ``make test``, all in ``make soak``."""
+    """Return the first ``num`` seeds as test parameters: ``make test`` uses three of them, ``make soak`` all."""
     return [*range(3), *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(3, num))]
 
 
@@ -36,7 +36,7 @@ def branches_of(made: Phantom) -> dict[str, dict]:
 
 
 def at(values: np.ndarray, made: Phantom, points_lps: np.ndarray) -> np.ndarray:
-    """Return the values of the voxels nearest to points; points outside the grid are left out."""
+    """Return the values of the voxels nearest to points (LPS mm), without points outside the grid."""
     ijk = np.floor(made.volume.to_ijk(np.asarray(points_lps)) + 0.5).astype(int)
     shape = np.array(values.shape[::-1])
     inside = np.all((ijk >= 0) & (ijk < shape), axis=1)
@@ -45,14 +45,14 @@ def at(values: np.ndarray, made: Phantom, points_lps: np.ndarray) -> np.ndarray:
 
 
 def section_radius(made: Phantom, branch: dict, n: int) -> float:
-    """Return the radius of the circle that has the area of the lumen's cross-section at the nth point of a branch."""
+    """Return the radius (mm) of the circle with the area of the lumen's section at the nth point of a branch."""
     points = np.array(branch["points"])
     tangent = points[n + 1] - points[n - 1]
     tangent /= np.linalg.norm(tangent)
     across = np.cross(tangent, [0.3, 0.9, 0.1])
     across /= np.linalg.norm(across)
     up = np.cross(tangent, across)
-    # Sample points in the plane of the cross-section.
+    # Sample points in the plane of the section.
     step = 0.1
     reach = 1.8 * branch["radius"][n]
     s = np.arange(-reach, reach, step)
@@ -61,7 +61,7 @@ def section_radius(made: Phantom, branch: dict, n: int) -> float:
     return float(np.sqrt(area / np.pi))
 
 
-# The tree of the ground truth.
+# Tree of the ground truth
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -80,12 +80,12 @@ def test_tree_has_all_segments_and_reaches_the_generation(seed: int) -> None:
             assert branches[child]["parent"] == b["id"]
             assert branches[child]["generation"] == b["generation"] + 1
             assert branches[child]["points"][0] == b["points"][-1], "a child starts where its parent ends, bit for bit"
-            # Diameters vary by 5 %, and a common stem is hardly wider than the wider of its branches.
+            # Diameters vary by 5 %, and a common stem is hardly wider than the wider one of its branches.
             assert branches[child]["radius"][0] < 1.05 * b["radius"][0]
     assert sum(len(b["children"]) for b in branches) == len(branches) - 1
 
 
-def test_right_branches_are_right_and_upper_lobes_above_lower_lobes(chest: Phantom) -> None:
+def test_right_bronchi_are_on_the_right_and_upper_lobes_above_lower_lobes(chest: Phantom) -> None:
     names = branches_of(chest)
     for name, branch in names.items():
         x = np.array(branch["points"])[-1, 0]
@@ -101,7 +101,7 @@ def test_right_branches_are_right_and_upper_lobes_above_lower_lobes(chest: Phant
     assert tip["LB1+2"][2] > tip["LB10"][2]
 
 
-def test_more_generations_only_add_branches() -> None:
+def test_phantom_with_more_generations_contains_the_branches_of_one_with_fewer() -> None:
     few = generate_phantom(seed=1, spacing_mm=8.0, generations=4).truth["branches"]
     more = generate_phantom(seed=1, spacing_mm=8.0, generations=8).truth["branches"]
     assert max(b["generation"] for b in more) == 8
@@ -110,7 +110,7 @@ def test_more_generations_only_add_branches() -> None:
 
 
 @pytest.mark.parametrize("seed", some_of(6))
-def test_unrelated_branches_do_not_touch(seed: int) -> None:
+def test_branches_that_share_no_fork_do_not_touch(seed: int) -> None:
     branches = generate_phantom(seed=seed, spacing_mm=8.0, generations=7).truth["branches"]
     kin = {(b["id"], other) for b in branches for other in [b["parent"], *b["children"]] if other is not None}
     points = [np.array(b["points"]) for b in branches]
@@ -129,20 +129,20 @@ def test_unrelated_branches_do_not_touch(seed: int) -> None:
             assert gap.min() > 0.0, f"{a['name'] or a['id']} runs into {b['name'] or b['id']} (seed {seed})"
 
 
-# The voxels.
+# Voxels of the phantom
 
 
 def test_every_centreline_point_is_in_the_lumen(central: Phantom, chest: Phantom) -> None:
     for made, least_radius in ((central, 1.2), (chest, 2.2)):
-        # In a lumen thinner than half a voxel's diagonal the nearest voxel centre may be outside; such points are left
-        # out.
+        # In a lumen thinner than half of a voxel's diagonal the nearest voxel centre may be outside; such points are
+        # omitted.
         for b in made.truth["branches"]:
             wide = np.array(b["radius"]) > least_radius
             values = at(made.lumen_zyx, made, np.array(b["points"])[wide])
             assert values.all(), b["name"] or b["id"]
 
 
-def test_trachea_reaches_the_top_slice(chest: Phantom) -> None:
+def test_lumen_of_the_trachea_is_in_the_top_slice(chest: Phantom) -> None:
     top = np.array(chest.truth["branches"][0]["points"][0])
     assert chest.volume.to_ijk(top)[2] == pytest.approx(chest.volume.shape_zyx[0] - 1, abs=1e-9)
     assert at(chest.lumen_zyx, chest, top[None]).tolist() == [1]
@@ -155,8 +155,8 @@ def test_true_radius_equals_the_radius_of_the_lumen_cross_section(central: Phant
     inside = [n for n, p in enumerate(points) if central.volume.contains_lps(p)]
     # The middle of the branch is away from the rounded edges of its forks.
     n = inside[len(inside) // 2]
-    # Tolerance 6 % or 0.15 mm: the voxels are 0.8 to 1.1 mm, and the rounded corners of the trachea reduce its area by
-    # 1 %.
+    # The tolerance is 6 % or 0.15 mm, because voxels are 0.8 to 1.1 mm and the rounded corners of the trachea reduce
+    # its area by 1 %.
     assert section_radius(central, branch, n) == pytest.approx(branch["radius"][n], rel=0.06, abs=0.15)
 
 
@@ -167,7 +167,7 @@ def test_distance_is_negative_exactly_in_the_lumen_and_fits_the_radius(central: 
     branch = branches_of(central)["LMB"]
     n = len(branch["points"]) // 2
     value = at(distance, central, np.array([branch["points"][n]]))[0]
-    # Tolerance: half a voxel's diagonal, because the distance is that of the nearest voxel centre.
+    # The tolerance is half of a voxel's diagonal, because the distance is that of the nearest voxel centre.
     assert value == pytest.approx(-branch["radius"][n], abs=0.82)
 
 
@@ -184,18 +184,18 @@ def test_back_wall_of_the_trachea_is_flat(central: Phantom) -> None:
         right = i + np.argmax(row[i:] == 0) if row[i] else i
         own[n] = right - left
     own = own[own > 0]
-    # The cross-section is broad at the back (+y, the last rows) and narrow at the front.
+    # The section is wide at the back (+y, the last rows) and narrow at the front.
     assert own[-1] > 1.5 * own[0] or own[-2] > 1.5 * own[1]
 
 
-def test_tissues_have_their_hounsfield_values(central: Phantom, chest: Phantom) -> None:
+def test_tissues_of_the_phantom_have_their_hounsfield_values(central: Phantom, chest: Phantom) -> None:
     hu = central.volume.hu_zyx
     trachea = np.array(branches_of(central)["Trachea"]["points"])
     assert at(hu, central, trachea).max() <= -990
     deep = chest.volume.hu_zyx[at_index(chest, (-85.0, -20.0, -60.0))]
     # Parenchyma is -862 HU with texture and 20 HU of noise; the limits are 5 standard deviations away.
     assert -1010 < deep < -690
-    assert at(hu, central, np.array([[0.0, 53.0 - 0.00085 * 80**2, 14.0]]))[0] > 100  # a vertebra
+    assert at(hu, central, np.array([[0.0, 53.0 - 0.00085 * 80**2, 14.0]]))[0] > 100  # The point is in a vertebra.
     assert chest.volume.hu_zyx.min() >= -1024
     corner = chest.volume.hu_zyx[:4, :4, :4]
     assert abs(float(corner.mean()) + 1000) < 10
@@ -206,8 +206,9 @@ def at_index(made: Phantom, point: tuple[float, float, float]) -> tuple[int, ...
     return int(k), int(j), int(i)
 
 
-def test_lungs_are_denser_posteriorly(chest: Phantom) -> None:
-    # In a supine patient density rises by 0.32 HU per mm towards the back. Medians exclude the vessels.
+def test_lungs_of_the_phantom_are_denser_at_the_back_than_at_the_front(chest: Phantom) -> None:
+    # The density of a patient who lies on the back rises by 0.32 HU per mm towards the back. Medians exclude the
+    # vessels.
     def median(y: float) -> float:
         k, j, i = at_index(chest, (-80.0, y, -60.0))
         return float(np.median(chest.volume.hu_zyx[k - 6 : k + 6, j - 4 : j + 4, i - 12 : i + 12]))
@@ -215,8 +216,8 @@ def test_lungs_are_denser_posteriorly(chest: Phantom) -> None:
     assert median(40.0) - median(-50.0) == pytest.approx(0.32 * 90, abs=10)
 
 
-def test_wall_separates_lumen_and_lung(central: Phantom) -> None:
-    # Around a segmental bronchus in the lung the wall is visible on all sides, with lower HU by partial volume.
+def test_wall_of_a_segmental_bronchus_is_brighter_than_lumen_and_lung(central: Phantom) -> None:
+    # The wall of a segmental bronchus in the lung is visible on all sides, with lower HU because of partial volumes.
     branch = branches_of(central)["RB10"]
     points, radius = np.array(branch["points"]), np.array(branch["radius"])
     n = len(points) // 2
@@ -248,13 +249,13 @@ def test_thick_slice_averages_over_its_thickness() -> None:
             continue
         window = np.s_[j - 6 : j + 7, i - 6 : i + 7]
         mean = top[5 * n - 2 : 5 * n + 3][(slice(None), *window)].mean(axis=0)
-        # Tolerance 60 HU in the mean: the texture is sampled in the middle of a slice and not averaged.
+        # The tolerance is 60 HU in the mean, because the texture is sampled in the middle of a slice and not averaged.
         assert np.abs(mean - band[n][window]).mean() < 60
         checked += 1
     assert checked >= 3
 
 
-# Stenosis and nodule.
+# Stenosis and nodule
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 5])
@@ -273,7 +274,7 @@ def test_stenosis_narrows_one_bronchus_in_truth_and_voxels(seed: int) -> None:
     assert before["points"] == branch["points"]
     assert before["radius"][n] == stenosis["reference_radius_mm"]
     centre = np.array(stenosis["centre_lps"])
-    # Tolerance 8 % or 0.2 mm: voxels are 0.9 mm, and the lumen widens on both sides of the plane.
+    # The tolerance is 8 % or 0.2 mm, because voxels are 0.9 mm and the lumen widens on both sides of the plane.
     assert section_radius(ill, branch, n) == pytest.approx(stenosis["min_radius_mm"], rel=0.08, abs=0.2)
     assert section_radius(healthy, before, n) == pytest.approx(stenosis["reference_radius_mm"], rel=0.08, abs=0.2)
     assert at(ill.lumen_zyx, ill, centre[None]).tolist() == [1], "narrow, not closed"
@@ -294,10 +295,10 @@ def test_nodule_is_in_the_lung_and_clear_of_the_airways(seed: int) -> None:
     assert plain["branches"] == made.truth["branches"], "a nodule does not change the airways"
 
 
-# Repeatability, refused options, cancellation and files.
+# Repeatability, refused options, cancellation and files
 
 
-def test_same_seed_gives_the_same_chest_and_another_seed_another() -> None:
+def test_equal_seeds_give_equal_chests_and_different_seeds_different_ones() -> None:
     options = {"spacing_mm": 4.0, "generations": 5, "stenosis": True, "nodule": True}
     first, again = generate_phantom(seed=9, **options), generate_phantom(seed=9, **options)
     other = generate_phantom(seed=10, **options)
@@ -337,7 +338,7 @@ def test_generation_reports_progress_and_can_be_cancelled() -> None:
         generate_phantom(spacing_mm=2.0, cancel=lambda: True)
 
 
-def test_written_files_have_the_same_voxels_at_the_same_positions(tmp_path: Path) -> None:
+def test_files_of_the_phantom_have_equal_voxels_at_equal_positions(tmp_path: Path) -> None:
     made = generate_phantom(seed=4, spacing_mm=(3.0, 3.5, 4.0), generations=4, nodule=True)
     files = write_phantom(made, tmp_path / "case")
     assert [f.name for f in files] == ["ct.nii.gz", "lumen.nii.gz", "truth.json"]
@@ -347,7 +348,7 @@ def test_written_files_have_the_same_voxels_at_the_same_positions(tmp_path: Path
     np.testing.assert_array_equal(SimpleITK.GetArrayFromImage(SimpleITK.ReadImage(str(files[1]))), made.lumen_zyx)
     shape = made.volume.shape_zyx
     for ijk in ((0, 0, 0), (5, 7, 9), (shape[2] - 1, shape[1] - 1, shape[0] - 1)):
-        # Tolerance 1e-4 mm: NIfTI stores its matrix in float32.
+        # The tolerance is 1e-4 mm, because NIfTI stores its matrix in float32.
         np.testing.assert_allclose(
             ct.TransformContinuousIndexToPhysicalPoint([float(v) for v in ijk]),
             made.volume.to_lps(np.array(ijk, dtype=float)),

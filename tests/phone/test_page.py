@@ -1,4 +1,4 @@
-"""Page for a phone on loopback: certificate, token, refused and counted messages, and the tip that follows."""
+"""Tests of the page for a phone on loopback: certificate, token, refused and counted messages, movement of the tip."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ WAIT_S = 120.0
 
 
 def wxyz(axis: int, rad: float) -> list[float]:
-    """Return a rotation about an axis of the pen: 0 right, 1 down, 2 forward."""
+    """Return the quaternion of a rotation about an axis of the pen: 0 right, 1 down, 2 forward."""
     turned = [math.cos(rad / 2), 0.0, 0.0, 0.0]
     turned[1 + axis] = math.sin(rad / 2)
     return turned
@@ -50,14 +50,14 @@ def sample(time_s: float, orientation=(1.0, 0.0, 0.0, 0.0), *, held=True, advanc
     return wire.encode_message(wire.PhoneSample(time_s, turn, held, advance))
 
 
-# ------------------------------------------------------------------ clock, token and messages, without a network
+# ------------------------------------------------------------------ clock, token and messages without a network
 
 
 def test_phone_clock_is_mapped_by_the_message_with_the_least_delay():
     clock = ClockMap()
     delays_s = [0.080, 0.004, 0.250, 0.020]
     ours = [clock.ours(1000.0 + n / 60, 5.0 + n / 60 + delay_s) for n, delay_s in enumerate(delays_s)]
-    # From the second message on, all times are mapped as if each message had taken 4 ms.
+    # From the second message on all times are mapped as if each message had been under way for 4 ms.
     np.testing.assert_allclose(ours[1:], [5.004 + n / 60 for n in (1, 2, 3)], atol=1e-9)
     assert ours[0] <= 5.080
 
@@ -72,7 +72,7 @@ def test_clock_that_is_set_is_mapped_again_within_a_second(jump_s):
     assert max(late) <= 1e-6, "no sample is from the future"
 
 
-def test_extreme_time_spoils_the_map_for_half_a_second_only():
+def test_extreme_time_of_a_phone_affects_the_clock_map_for_half_a_second():
     clock = ClockMap()
     clock.ours(1e300, 0.0)
     late = [clock.ours(50.0 + n / 60, 1.0 + n / 60) - (1.0 + n / 60) for n in range(60)]
@@ -113,7 +113,7 @@ def test_phone_without_a_sensor_advances_and_does_not_turn():
     assert (heard[0].advance, heard[0].buttons, heard[0].position_mm) == (1.0, 1 << CLUTCH_BUTTON, None)
 
 
-def test_invalid_messages_are_counted_and_break_the_link_in_the_end():
+def test_invalid_messages_are_counted_and_after_many_the_link_is_closed():
     link, heard, acts = a_link()
     bad = ["", "{", "[]", '{"type": "steer"}', sample(1.0).replace("true", "1"), "x" * 5000, None]
     bad.append(sample(1.0).replace("1.0", "NaN", 1))
@@ -130,11 +130,11 @@ def test_invalid_messages_are_counted_and_break_the_link_in_the_end():
     assert link.is_broken
 
 
-def test_flood_is_dropped_unparsed_and_the_next_second_is_read():
+def test_messages_above_the_rate_are_dropped_unparsed_until_the_next_second():
     link, heard, _ = a_link()
     for n in range(5000):
         link.hear(sample(n / 5000), n / 5000)
-    assert 150 <= len(heard) <= 200  # 120 a second and a burst of 60
+    assert 150 <= len(heard) <= 200  # 120 messages a second, and a burst of 60
     assert link.num_bad["too many samples"] == 5000 - len(heard)
     assert not link.is_broken
     before = len(heard)
@@ -142,7 +142,7 @@ def test_flood_is_dropped_unparsed_and_the_next_second_is_read():
     assert len(heard) == before + 1
 
 
-def test_qr_code_has_three_finder_patterns_and_a_quiet_zone():
+def test_qr_code_of_the_link_has_three_finder_patterns_and_a_quiet_zone():
     rows = qr_rows("https://192.0.2.7:50443/#" + "a" * 22)
     size = len(rows)
     assert all(len(row) == size and set(row) <= {"0", "1"} for row in rows)
@@ -181,7 +181,7 @@ def test_no_code_of_the_page_is_loaded_before_the_user_opens_it():
 
 @pytest.fixture
 def web(tmp_path):
-    """Return a folder with stand-ins for the files of the built client that the phone uses."""
+    """Return a folder with replacements of the files of the built client that the phone uses."""
     folder = tmp_path / "web"
     (folder / "assets").mkdir(parents=True)
     (folder / "phone.html").write_text("<!doctype html><title>phone</title>")
@@ -193,9 +193,9 @@ def web(tmp_path):
 
 @pytest.fixture
 def unhurried(monkeypatch):
-    """Extend the deadlines to the limit of a test, so that a machine that stalls for ten seconds closes no connection.
+    """Extend the deadlines to the limit of a test, so that a stall of ten seconds closes no connection.
 
-    Tests of the deadlines set their own.
+    Tests of the deadlines set other values.
     """
     for name in (
         "carina.phone.page.HELLO_WITHIN_S",
@@ -212,7 +212,7 @@ def unhurried(monkeypatch):
 def phone(web, unhurried):
     """Return an open page over the small case, as in the workstation."""
     bench = small_bench()
-    bench.session._core.clock = time.monotonic  # The thread of the desk uses the real time.
+    bench.session._core.clock = time.monotonic  # The thread of the device manager uses the real time.
     bench.open()
     page = PhoneSwitch(bench.session, web, address="127.0.0.1")
     sent: list[object] = []
@@ -226,7 +226,7 @@ def phone(web, unhurried):
 
 
 def trusting(fingerprint: str) -> ssl.SSLContext:
-    """Return TLS settings of a user who accepted the warning; tests compare the certificate by its fingerprint."""
+    """Return the TLS settings of a user who accepted the warning; tests compare the certificate's fingerprint."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False
     context.verify_mode = ssl.CERT_NONE
@@ -270,7 +270,7 @@ def test_certificate_has_the_shown_fingerprint_and_names_the_address(phone):
         assert secure.version() in {"TLSv1.2", "TLSv1.3"}
     shown = phone.page.info().sha256
     assert hashlib.sha256(der).hexdigest() == shown.replace(":", "").lower()
-    # A client that trusts only this certificate accepts it for this address: name, dates and key usage are correct.
+    # A client that trusts only this certificate accepts it for this address, so name, dates and key usage are correct.
     strict = ssl.create_default_context(cadata=ssl.DER_cert_to_PEM_cert(der))
     assert httpx.get(phone.url, verify=strict, timeout=WAIT_S).status_code == 200
     from cryptography import x509
@@ -298,7 +298,7 @@ def test_only_the_page_and_its_files_are_served_and_none_contains_the_token(phon
         httpx.get(phone.url.replace("https", "http"), timeout=WAIT_S)
 
 
-def test_another_host_or_origin_is_refused(phone):
+def test_phone_page_with_another_host_or_origin_is_refused(phone):
     assert get(phone, "", Host="evil.example").status_code == 403
     from websockets.exceptions import InvalidStatus
 
@@ -366,7 +366,7 @@ def test_phone_turns_the_tip_while_its_button_is_held_and_advances_it(phone):
             turn = 0.01 * n
             link.send(sample(100.0 + n / 60, wxyz(1, turn)))
             time.sleep(1 / 60)
-        # In the end the tip has turned to the right as far as the phone, without the delay of the filter.
+        # At the end the tip has turned to the right by the angle of the phone, without the delay of the filter.
         clock = itertools.count(40)
 
         def has_turned() -> bool:
@@ -392,7 +392,7 @@ def test_phone_turns_the_tip_while_its_button_is_held_and_advances_it(phone):
 
         wait_for(has_advanced)
         gone_mm = phone.session.pose_info().path_mm - at_mm
-        # 25 mm/s; the first frame after a rest may count a tenth of a second as passed.
+        # The speed is 25 mm/s; the first frame after a rest may count 0.1 s as elapsed.
         assert gone_mm < 25.0 * (time.monotonic() - began_s + 0.1)
         link.send(sample(100.0 + next(clock) / 60, None, held=False))
     wait_for(lambda: not phone.page.info().connected)
@@ -403,13 +403,13 @@ def angle(a, b) -> float:
     return math.acos(max(-1.0, min(1.0, cosine)))
 
 
-def test_advance_that_is_never_released_ends_with_the_phone(phone):
+def test_advance_ends_when_the_phone_disappears_with_its_button_pressed(phone):
     began_s = time.monotonic()
     with dialled(phone) as link:
         link.send(sample(1.0, None, held=False, advance=1.0))
         wait_for(lambda: phone.session.pose_info().path_mm > 0.5)
     wait_for(lambda: not phone.page.info().connected)
-    # Without another sample no device moves the tip for longer than a quarter of a second.
+    # Without another sample a device moves the tip for at most a quarter of a second.
     end_mm = 25.0 * (time.monotonic() - began_s + 0.25 + 0.1)
     wait_for(lambda: not phone.session.devices.woken.is_set())
     rest_mm = phone.session.pose_info().path_mm
@@ -433,7 +433,8 @@ def test_invalid_times_and_numbers_are_counted_and_the_tip_stays_finite(phone):
         ignored = {}
 
         def last_is_ignored():
-            # A sample within half a millisecond of another is ignored, too, so that only the reasons are certain.
+            # A sample within half a millisecond of another one is ignored, so only the reasons are certain, not the
+            # counts.
             (device,) = phone.session.devices.info().devices
             ignored.update(device.num_ignored)
             return "timestamps that run backwards" in ignored
@@ -459,7 +460,7 @@ def test_phone_that_lost_its_network_reconnects_and_the_old_link_is_notified(pho
     wait_for(lambda: not phone.page.info().connected)
 
 
-def test_state_that_cannot_be_encoded_disconnects_the_phone(phone, monkeypatch):
+def test_phone_is_disconnected_if_the_state_cannot_be_encoded(phone, monkeypatch):
     with dialled(phone) as link:
         state(link)
         link.send(sample(1.0))
@@ -507,7 +508,7 @@ def test_many_invalid_messages_disconnect_the_phone(phone):
         assert state(link).case_open
 
 
-def test_page_is_closed_with_a_click_and_its_link_becomes_invalid(phone):
+def test_phone_page_closed_by_the_user_has_an_invalid_link(phone):
     port = int(phone.url.rstrip("/").rpartition(":")[2])
     old = phone.page.info()
     with dialled(phone) as link:
@@ -528,7 +529,7 @@ def test_page_is_closed_with_a_click_and_its_link_becomes_invalid(phone):
         assert ended(link)[0] == wire.CLOSE_CODES["protocol.not-authorised"]
 
 
-def test_last_click_decides_whether_the_page_is_open_in_any_order_of_threads(phone, monkeypatch):
+def test_phone_page_is_open_or_closed_by_the_last_click_in_any_order_of_threads(phone, monkeypatch):
     phone.desk.handle(wire.SetPhone(False))
     wait_for(lambda: phone.page.info() is None)
     waiting = []
@@ -547,10 +548,11 @@ def test_last_click_decides_whether_the_page_is_open_in_any_order_of_threads(pho
         assert (phone.page.info() is not None) == clicks[-1]
 
 
-def test_page_is_off_until_the_user_enables_it_and_a_failure_states_its_reason(web):
+def test_phone_page_is_closed_until_enabled_and_a_failure_states_its_reason(web):
     bench = small_bench()
     bench.open()
-    page = PhoneSwitch(bench.session, web, address="203.0.113.250")  # reserved for documentation: no computer has it
+    # This address is reserved for documentation, so no computer has it.
+    page = PhoneSwitch(bench.session, web, address="203.0.113.250")
     sent: list[object] = []
     desk = DeviceDesk(bench.session, sent.append, phone=page)
     assert page.info() is None

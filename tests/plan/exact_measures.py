@@ -27,13 +27,13 @@ def exact_measures(
     error_mm
         Error of the diameter of each section.
     widths_mm
-        Diameters (n,) by branch ID; other branches have the diameters of the lumen in the tree.
+        Diameters (n,) of the sections by branch ID; other branches have the diameters of the lumen in the tree.
     flat
         Ratio of the smallest width of each section to its diameter.
     missing
-        Slices of sections, by branch ID, that could not be measured.
+        Slices of section indices, by branch ID, whose sections could not be measured.
     method
-        Value of `BranchMeasures.method`.
+        Value of `BranchMeasures.method` of each branch.
     """
     widths_mm, missing = widths_mm or {}, missing or {}
     forks = [

@@ -20,7 +20,7 @@ def unit(vector: Points) -> Points:
 
 
 def bent(start: Points, first: Points, last: Points, length_mm: float, num: int = 16) -> Points:
-    """Return a polyline that turns evenly from one direction to another."""
+    """Return ``num`` points of a line of ``length_mm`` that turns evenly from the direction ``first`` to ``last``."""
     share = (np.arange(num) + 0.5)[:, None] / num
     steps = (1.0 - share) * first + share * last
     steps = length_mm / num * steps / np.linalg.norm(steps, axis=1, keepdims=True)
@@ -34,9 +34,9 @@ def random_tree(
     lengths_mm: Sequence[float] = (60.0, 25.0, 14.0, 9.0),
     curl: float = 0.15,
 ) -> AirwayTree:
-    """Return a tree: a trachea, two named main bronchi, then forks of 2 or 3 in all directions.
+    """Return a random tree: a trachea, two named main bronchi, then forks of 2 or 3 branches in all directions.
 
-    ``curl`` sets the curvature.
+    ``curl`` sets the curvature of the branches.
     """
     rng = np.random.default_rng(seed)
     branches: list[dict] = []
@@ -109,7 +109,10 @@ def moved(tree: AirwayTree, matrix: Points, shift: Points) -> AirwayTree:
 
 
 def route_in(tree: AirwayTree, branch_id: int, *, share: float = 0.6, carina: bool = True) -> PlannedRoute:
-    """Return a route that ends in a branch; its main carina is at the start of the second branch on the route."""
+    """Return a route that ends at the share ``share`` of the length of a branch.
+
+    With ``carina`` the main carina of the route is at the start of its second branch.
+    """
     lineage = tree.lineage(branch_id)
     branch = lineage[-1]
     index = max(1, int(share * (len(branch.points) - 1)))

@@ -1,4 +1,4 @@
-"""Nodules of exact shape, without a CT."""
+"""Nodules of exact shape without a CT, for tests of plans and drawings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from carina.plan import Nodule
 def ellipsoid(
     radii_mm: Sequence[float], centre_lps: Sequence[float] = (3.0, -7.0, 40.0), step_mm: float = 0.5
 ) -> Nodule:
-    """Return a solid ellipsoid nodule whose axes are the patient's axes."""
+    """Return a solid ellipsoid nodule whose axes are parallel to those of the patient."""
     radii, centre = np.array(radii_mm, dtype=float), np.array(centre_lps, dtype=float)
     half = np.ceil(radii / step_mm).astype(int) + 2
     z, y, x = (np.arange(-n, n + 1) * step_mm for n in half[::-1])

@@ -23,17 +23,17 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Scene:
-    """Description of a synthetic CT; lengths in mm, with the origin in the middle of the volume."""
+    """Description of a synthetic CT of a nodule in lung; lengths in mm, with the origin in the middle of the volume."""
 
     radii_mm: Point = (5.0, 5.0, 5.0)
     level_hu: float = 30.0
     core_mm: float = 0.0
-    """Radius of a denser core in the middle of the nodule; 0 for none."""
+    """Radius of a denser core in the middle of the nodule, mm; 0 for no core."""
     core_hu: float = 30.0
     vessels: tuple[tuple[Point, Point, float], ...] = ()
-    """For each vessel: a point on the axis, the direction, and the radius."""
+    """Point of the axis, direction and radius (mm) of each vessel."""
     pleura_mm: float | None = None
-    """Distance from the middle to the chest wall on the left."""
+    """Distance of the chest wall on the patient's left from the middle of the volume, mm; None for no wall."""
     wall_radius_mm: float = 110.0
     spacing_mm: Point = (0.7, 0.7, 0.8)
     sigma_mm: float = 0.6
@@ -43,7 +43,7 @@ class Scene:
 
 
 def cover(distance: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the fraction of a fine voxel that is inside a surface."""
+    """Return the fraction of each fine voxel inside a surface, from the voxel's signed distance to the surface."""
     return np.clip(0.5 - distance / FINE_MM, 0.0, 1.0).astype(np.float32)
 
 
@@ -56,7 +56,7 @@ def ellipsoid(x: Values, y: Values, z: Values, radii: Point) -> Values:
 
 
 def painted(scene: Scene) -> tuple[Volume, float, NDArray[np.float64]]:
-    """Return the CT, the true volume of the nodule in mm3, and its middle in LPS mm."""
+    """Return the CT of a scene, the true volume of the nodule in mm3, and the middle of the nodule, LPS mm."""
     num_fine = int(2 * HALF_MM / FINE_MM) + 1
     axis = (np.arange(num_fine) - (num_fine - 1) / 2) * FINE_MM
     z, y, x = np.meshgrid(axis, axis, axis, indexing="ij", sparse=True)
@@ -65,7 +65,7 @@ def painted(scene: Scene) -> tuple[Volume, float, NDArray[np.float64]]:
     hu = np.full(nodule.shape, LUNG_HU, np.float32)
     wall = np.zeros_like(nodule)
     if scene.pleura_mm is not None:
-        # The lung is inside a large sphere, whose middle is to the right.
+        # The lung is the inside of a large sphere, whose middle is far to the patient's right.
         far = np.sqrt((x - scene.pleura_mm + scene.wall_radius_mm) ** 2 + y**2 + z**2) - scene.wall_radius_mm
         wall = cover(-far)
     dense = wall.copy()
@@ -111,7 +111,7 @@ def painted(scene: Scene) -> tuple[Volume, float, NDArray[np.float64]]:
 
 
 def random_scene(kind: str, rng: np.random.Generator) -> Scene:
-    """Return a random scene with a nodule of a given kind and random scan parameters."""
+    """Return a random scene with a nodule of the kind ``kind`` and random scan parameters."""
     least_mm = 3.0 if kind == "solid" else 6.0 if kind == "part-solid" else 4.0
     longest_mm = rng.uniform(least_mm, 10.0)
     x, y, z = np.maximum(longest_mm * rng.uniform(0.75, 1.0, 3), least_mm)

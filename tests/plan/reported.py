@@ -1,4 +1,4 @@
-"""One plan in the phantom and the sheet of its report; one test process runs all files that use this plan."""
+"""Plan in the phantom and sheet of its report; all test files that use the plan run in one process."""
 
 from __future__ import annotations
 
@@ -70,9 +70,10 @@ def _key(one: Any) -> object:
 
 
 def once(make: Callable[..., Any]) -> Callable[..., Any]:
-    """Cache results by the identity of objects and the content of arrays.
+    """Return a function that caches the results of ``make``.
 
-    Arguments are stored, so that their ids stay unique.
+    The key consists of the identity of objects and the content of arrays. The arguments are stored, so that their ids
+    stay unique.
     """
     made: dict[tuple[object, ...], tuple[Any, Any]] = {}
 
@@ -85,8 +86,8 @@ def once(make: Callable[..., Any]) -> Callable[..., Any]:
     return same
 
 
-# Pictures of the same target in the same CT are rendered once: rendering takes about two seconds of CPU time, and about
-# thirty sheets differ only in their text.
+# Pictures of one target in one CT are rendered once: rendering takes about 2 s, and about thirty sheets differ only in
+# text.
 RENDERED = {
     name: once(getattr(sheet_module, name))
     for name in ("Renderer", "LumenOutline", "surroundings", "target_slices", "needle_slice", "place_slices")
@@ -94,7 +95,7 @@ RENDERED = {
 
 
 def sheet(**more: Any) -> PlanSheet:
-    """Return the usual sheet, or a new sheet with other options."""
+    """Return the sheet of the plan's report; ``more`` are options of the sheet."""
     if not more:
         return _usual()
     told: dict[str, Any] = {"verdicts": verdicts(), "made_on": DAY, "wall": wall()} | more
@@ -112,20 +113,23 @@ def _usual() -> PlanSheet:
 
 
 def still(turn: Turn, *, operator: Operator = "head", in_view: bool = True, shade: int = 0) -> TurnPicture:
-    """Return the picture of a turn without rendering."""
+    """Return a picture of a turn that is not rendered: all pixels have one grey level."""
     rgb = np.full((8, 12, 3), shade, np.uint8)
     picture = Picture(rgb, "airway", RenderStats("leap", 12, 8, 96, 96, 0, 0, 0, 0, 0, 0.0), lps_from_camera=np.eye(4))
     return TurnPicture(turn, operator, picture, in_view, np.zeros((8, 12), bool))
 
 
 def clip(turn: Turn, *, operator: Operator = "head") -> TurnClip:
-    """Return a clip of three frames without rendering."""
+    """Return a clip of a turn with three frames that are not rendered."""
     frames = tuple(np.full((16, 16, 3), shade, np.uint8) for shade in (0, 100, 200))
     return TurnClip(turn, operator, frames, (Pose(np.eye(4)),) * 3, 1.5)
 
 
 def with_drawn_branch() -> tuple[Airways, Plan]:
-    """Return the airways with the second last branch of the first route marked as drawn by hand, and a plan in them."""
+    """Return the airways with one branch of the first route drawn by hand, and a plan in these airways.
+
+    The branch is the second last of the route.
+    """
     found, route = airways(), plan().routes[0]
     drawn = found.tree.lineage(route.branch_id)[-2].id
     branches = tuple(

@@ -1,4 +1,4 @@
-"""DICOM SEG and RTSTRUCT files of exact structures, as other tools write them, and a CT for these files."""
+"""DICOM SEG and RTSTRUCT files of exact structures in the form that other programs write, and a CT for these files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Outlines = dict[int, list[NDArray[np.float64]]]
 
 
 def oblique() -> NDArray[np.float64]:
-    """Return an oblique voxel-to-LPS matrix whose axes are not those of a coordinate system."""
+    """Return an oblique voxel-to-LPS matrix, none of whose axes is parallel to an axis of the patient."""
     a, b = np.radians(9.0), np.radians(-6.0)
     turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1.0]])
     turn @= np.array([[1.0, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
@@ -50,7 +50,7 @@ def ball_voxels(volume: Volume, centre: NDArray[np.float64], radius_mm: float) -
 
 
 def ball_outlines(volume: Volume, centre: NDArray[np.float64], radius_mm: float) -> Outlines:
-    """Return the circles in which the slices cut a ball, LPS mm."""
+    """Return the circles in which the slices of a volume cut a ball, LPS mm."""
     normal = volume.lps_from_ijk[:3, 2] / volume.spacing_mm[2]
     across, up = (volume.lps_from_ijk[:3, n] / volume.spacing_mm[n] for n in (0, 1))
     found: Outlines = {}
@@ -96,7 +96,7 @@ def edge_outlines(volume: Volume, inside: NDArray[np.bool_]) -> Outlines:
 
 
 def centre_outlines(volume: Volume, inside: NDArray[np.bool_]) -> Outlines:
-    """Return outlines through the centres of a convex mask's outer voxels, as tools that trace pixels write them."""
+    """Return outlines through the centres of a convex mask's outer voxels, as programs that trace pixels write them."""
     found: Outlines = {}
     for k, plane in enumerate(inside):
         rows = np.flatnonzero(plane.any(axis=1))
@@ -118,7 +118,7 @@ def structure_set(
     study: str = STUDY,
     series: str = SERIES,
 ) -> Path:
-    """Return an RTSTRUCT as planning systems write it."""
+    """Write an RTSTRUCT file as planning systems write it; return its path."""
     data = Dataset()
     data.file_meta = FileMetaDataset()
     data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
@@ -159,7 +159,7 @@ def segmentation(
     study: str = STUDY,
     series: str = SERIES,
 ) -> Path:
-    """Return a SEG with one frame for each segment and each plane that is not empty."""
+    """Write a SEG file with one frame for each segment and each plane that is not empty; return its path."""
     spacing = volume.spacing_mm
     direction = volume.lps_from_ijk[:3, :3] / spacing
     data, measures, orientation, shared = Dataset(), Dataset(), Dataset(), Dataset()
@@ -202,7 +202,7 @@ def segmentation(
 
 
 def ct_files(folder: Path, volume: Volume, *, frame: str = FRAME, study: str = STUDY, series: str = SERIES) -> Path:
-    """Write the CT as a DICOM series."""
+    """Write the CT as a DICOM series into a folder; return the folder."""
     folder.mkdir(parents=True)
     spacing = volume.spacing_mm
     direction = volume.lps_from_ijk[:3, :3] / spacing

@@ -33,16 +33,16 @@ def line(off_mm: float, radius_mm: float) -> Branch:
 @pytest.mark.parametrize("off_mm", [0.0, 0.35, 0.6])
 def test_off_centre_centreline_does_not_narrow_a_round_lumen(radius_mm: float, off_mm: float) -> None:
     found = rooms_mm(line(off_mm, radius_mm), field(radius_mm, radius_mm))
-    # Tolerance: the field is exact at samples 0.4 mm apart and interpolated between them.
+    # The tolerance covers the interpolation of the field between its samples, which are exact and 0.4 mm apart.
     assert found == pytest.approx(2.0 * radius_mm, abs=0.12)
 
 
-def test_slit_passes_no_more_than_its_narrow_side() -> None:
+def test_clearance_of_a_slit_is_its_narrow_side() -> None:
     found = rooms_mm(line(0.4, 2.4), field(4.0, 1.5))
     assert (found <= 3.0 + 2.0 * INWARDS_MM + 0.05).all() and (found >= 2.9).all()
 
 
-def test_branch_gives_its_width_without_a_wall_or_outside_it() -> None:
+def test_clearance_is_the_width_of_the_branch_without_a_wall_or_outside_it() -> None:
     branch = line(0.5, 2.0)
     assert rooms_mm(branch, None) == pytest.approx(3.0)
     aside = Branch(

@@ -1,4 +1,4 @@
-"""Tests of driven routes: an independent script executes the listed moves again."""
+"""Tests of driven routes: an independent script executes the listed moves again and must arrive."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from carina.track import AirwayTree
 from made import made_airways
 
 BRANCHES = (100, 24, 139)
-"""IDs of branches without children, 4 to 6 forks from the root."""
+"""IDs of branches without children that are 4 to 6 forks from the root."""
 
 
 def thin() -> ScopePreset:
@@ -62,7 +62,7 @@ def chest_drive(branch_id: int) -> DrivenRoute:
 
 
 def carried_out(way: DriveWay, wall: WallField, told: dict[str, Any]) -> ScopeDrive:
-    """Execute the listed moves only: rotate, set the flexion, advance in steps of 1 mm."""
+    """Return a new scope after the listed moves: rotations, flexions, and advances in steps of 1 mm."""
     drive = ScopeDrive(wall, thin(), way.points)
     state = drive.place(way.points, told["start_mm"])
     roll_deg = 0.0
@@ -77,7 +77,7 @@ def carried_out(way: DriveWay, wall: WallField, told: dict[str, Any]) -> ScopeDr
 
 
 @pytest.mark.parametrize("branch_id", BRANCHES)
-def test_replay_of_the_listed_moves_ends_in_the_right_branch(branch_id: int) -> None:
+def test_replay_of_the_listed_moves_ends_in_the_planned_branch(branch_id: int) -> None:
     way, driven = chest_way(branch_id), chest_drive(branch_id)
     assert driven.arrived, driven.why
     drive = carried_out(way, chest_wall(), json.loads(json.dumps(driven.to_json(poses=False))))
@@ -87,12 +87,12 @@ def test_replay_of_the_listed_moves_ends_in_the_right_branch(branch_id: int) -> 
     tree = made_airways(**CHEST).tree
     found, _, _ = tree.nearest_branch(tip)
     assert found.id in {branch.id for branch in tree.lineage(branch_id)}
-    # The scope passed the last fork that is clearly behind its final position.
+    # The scope has passed the last fork that is more than 6 mm before its final position.
     passed = way.forks_mm[way.forks_mm < way.park_mm - 6.0]
     assert found.generation >= len(passed)
 
 
-def test_drive_in_a_chest_has_few_moves_in_steps_of_a_hand() -> None:
+def test_drive_in_a_chest_has_few_moves_in_multiples_of_the_hand_s_step() -> None:
     driven = chest_drive(BRANCHES[0])
     assert len(driven.moves) <= 80
     for move in driven.moves:
@@ -101,7 +101,7 @@ def test_drive_in_a_chest_has_few_moves_in_steps_of_a_hand() -> None:
     assert list(driven.ends_mm) == sorted(driven.ends_mm)
     assert len(driven.samples) == len(driven.lps_from_camera) == len(driven.time_s)
     assert (np.diff(driven.time_s) >= 0.0).all()
-    # Between samples of an advance the tip moves at most one millimetre, so a flight can show the drive.
+    # Between two samples of an advance the tip moves at most one millimetre, so a flight can show the drive.
     steps = np.linalg.norm(np.diff(driven.lps_from_camera[:, :3, 3], axis=0), axis=1)
     advanced = np.diff(driven.samples[:, 0]) > 0.01
     assert np.median(steps[advanced]) < 1.5
@@ -117,12 +117,12 @@ def test_condensed_drive_has_fewer_moves_and_still_arrives() -> None:
     assert np.linalg.norm(tip.position_lps - way.at(way.park_mm)) <= 2.0 + way.radius_mm(way.park_mm)
 
 
-def test_same_search_gives_the_same_drive() -> None:
+def test_repeated_search_gives_an_equal_drive() -> None:
     again = search_drive(chest_way(BRANCHES[0]), chest_wall(), thin(), effort=30_000.0)
     assert again.moves == chest_drive(BRANCHES[0]).moves
 
 
-def test_moves_between_positions_are_all_moves() -> None:
+def test_moves_listed_between_positions_are_all_moves_of_the_drive() -> None:
     driven = chest_drive(BRANCHES[0])
     last = driven.ends_mm[-1]
     cuts = [driven.start_mm, 100.0, 150.5, 180.0, last]
@@ -134,7 +134,10 @@ def test_moves_between_positions_are_all_moves() -> None:
 
 
 def zigzag() -> tuple[AirwayTree, WallField, PlannedRoute]:
-    """Return a bent tube whose centreline alternates between both sides of the middle; the smooth route is shorter."""
+    """Return a bent tube whose centreline alternates between both sides of its middle.
+
+    The smoothed route is shorter.
+    """
     straight, field, points = tube(60.0)
     beside = np.zeros_like(points)
     beside[1:-1:2, 1] = 0.15
@@ -154,7 +157,7 @@ def test_all_distances_count_along_centrelines_as_in_the_plan() -> None:
     tree, wall, planned = zigzag()
     slim = dataclasses.replace(thin(), tip_mm=2.6)
     way = DriveWay(tree, planned, wall)
-    # The smooth route and the centreline differ in length; otherwise the test would show nothing.
+    # The smoothed route and the centreline must differ in length, or the test would pass without need.
     assert planned.along_mm - way.park_mm > 3.0
     assert way.told_mm(way.park_mm) == pytest.approx(planned.along_mm)
     assert [way.told_mm(mm) for mm in way.forks_mm] == pytest.approx([tree.root.length_mm])
@@ -186,7 +189,7 @@ def test_scope_arrives_in_a_bent_tube_and_points_at_a_target_beside_it() -> None
     way = DriveWay(tree, plan.routes[0], field)
     driven = search_drive(way, field, scope)
     assert driven.arrived and driven.stopped_mm == pytest.approx(way.park_mm, abs=1.1)
-    # The needle direction is 15 degrees from the axis of the tube.
+    # The direction of the needle is 15 degrees from the axis of the tube.
     beside = way.at(way.park_mm) + 12.0 * way.direction(way.park_mm) + np.array([0.0, 3.0, 0.0])
     way.aim = beside
 
@@ -206,7 +209,7 @@ def test_scope_arrives_in_a_bent_tube_and_points_at_a_target_beside_it() -> None
 
 def test_too_thick_scope_stops_before_the_narrow_position_with_the_reason() -> None:
     tree, _, points = tube(30.0)
-    # From 60 mm on the tube is 2.4 mm wide instead of 4 mm.
+    # From 60 mm on, the tube is 2.4 mm wide instead of 4 mm.
     step = 0.5
     lo, hi = points.min(axis=0) - 4.0, points.max(axis=0) + 4.0
     z, y, x = (np.arange(lo[a], hi[a] + step, step) for a in (2, 1, 0))

@@ -24,7 +24,7 @@ def tree(seed: int = 2) -> AirwayTree:
 
 
 def changed(one: AirwayTree, *, drop: str | None = None, **names: str | None) -> AirwayTree:
-    """Return the tree with other names, and without one bronchus and everything beyond it."""
+    """Return the tree with other names of branches, and without the branch ``drop`` and its descendants."""
     gone = set()
     kept: list[Branch] = []
     for branch in one.branches:
@@ -39,7 +39,7 @@ def changed(one: AirwayTree, *, drop: str | None = None, **names: str | None) ->
 
 
 def mirrored(one: AirwayTree) -> AirwayTree:
-    """Return the mirrored tree, named by `name_tree`."""
+    """Return the mirrored tree with the names that `name_tree` gives."""
     swap = str.maketrans("RL", "LR")
     branches = []
     for branch in one.branches:
@@ -56,7 +56,7 @@ def of(one: AirwayTree, station: str) -> list[Landmark]:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_hours_and_levels_match_the_textbook(seed: int) -> None:
+def test_hours_and_levels_of_lymph_node_stations_match_the_textbook(seed: int) -> None:
     marks = {(mark.station, mark.seen_from): mark for mark in ebus_landmarks(tree(seed))}
     expected = {
         ("4R", "trachea"): (1.0, 2.0),
@@ -112,7 +112,7 @@ def test_station_is_on_its_branch_and_its_distance_is_along_the_tree() -> None:
         assert np.linalg.norm(mark.direction_lps) == pytest.approx(1.0)
 
 
-def test_mirrored_chest_has_its_stations_on_the_other_side_with_a_note() -> None:
+def test_stations_of_a_mirrored_chest_are_on_the_opposite_side_with_a_note() -> None:
     plain, other = ebus_landmarks(tree()), ebus_landmarks(mirrored(tree()))
     told = {"4R": "4L", "4L": "4R", "10R": "10L", "10L": "10R", "11Rs": "11Ls", "11Ri": "11Li", "11L": "11R"}
     by_place = {(mark.station, mark.point_lps): mark for mark in other}
@@ -150,7 +150,7 @@ def test_short_trachea_has_no_paratracheal_station() -> None:
     assert of(cut, "4L")[0].point_lps is not None
 
 
-def test_bronchus_drawn_by_hand_is_reported() -> None:
+def test_station_at_a_bronchus_drawn_by_hand_is_reported() -> None:
     drawn = AirwayTree(tuple(dataclasses.replace(b, kind="manual") if b.name == "RUL" else b for b in tree().branches))
     assert of(drawn, "11Rs")[0].doubts == ("RUL was drawn by hand",)
     assert of(drawn, "11L")[0].doubts == ()
@@ -158,7 +158,7 @@ def test_bronchus_drawn_by_hand_is_reported() -> None:
 
 @settings(deadline=None, max_examples=60)
 @given(st.floats(-3.1, 3.1), st.floats(-1.4, 1.4), st.floats(0.0, 6.28))
-def test_hours_are_the_angle_in_the_levelled_picture(turn: float, tilt: float, around: float) -> None:
+def test_hours_of_a_station_are_its_angle_in_the_levelled_picture(turn: float, tilt: float, around: float) -> None:
     forward = np.array([np.cos(tilt) * np.sin(turn), np.cos(tilt) * np.cos(turn), np.sin(tilt)])
     pose = Pose.looking(np.zeros(3), forward, upright(forward))
     axes = np.asarray(pose.lps_from_camera)[:3, :3]
@@ -170,7 +170,7 @@ def test_hours_are_the_angle_in_the_levelled_picture(turn: float, tilt: float, a
     assert (facing - head) % 12.0 == pytest.approx(6.0)
 
 
-def test_json_is_plain_and_an_argument_that_is_no_tree_is_refused() -> None:
+def test_stations_are_plain_json_and_an_argument_that_is_no_tree_is_refused() -> None:
     written = json.loads(json.dumps([mark.to_json() for mark in ebus_landmarks(tree())], allow_nan=False))
     assert written[0]["station"] == "4R"
     assert "IASLC" in written[0]["source"]

@@ -18,7 +18,7 @@ CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
 
 
 def plate(at_mm: float) -> FissureBox:
-    """Return a fissure plate across x at this position."""
+    """Return a fissure plate across x at the position ``at_mm``."""
     box = Box(np.zeros((81, 81, 81), np.float32), np.ones((81, 81, 81), dtype=bool), 1.0, np.eye(4))
     box.lps_from_ijk[:3, 3] = -40.0
     mask = np.zeros(box.known.shape, dtype=bool)
@@ -45,7 +45,7 @@ def test_fissure_on_a_needle_path_is_named_at_its_position() -> None:
     assert abs(found["fissure"] - 11.5) < 0.6
     assert found["target"] > found["fissure"]
     assert "fissure" not in crossed(None)
-    # The fissure is farther beyond the far side of the target than the needle goes.
+    # The fissure is beyond the target, and farther beyond it than the needle goes.
     assert "fissure" not in crossed(plate(-30.0))
 
 
@@ -54,7 +54,7 @@ def test_lungs_without_fissures_have_lobes_from_airways_and_almost_no_plate() ->
     found = lobes(made.volume, AirwayTree.from_json(made.truth))
     assert found.missing == ()
     assert found.fissure is not None
-    # Limit in mm3: a fissure has about 20,000.
+    # The limit is in mm3; a fissure has about 20,000 mm3.
     assert found.fissure.mask.sum() < 2000
     total = sum(found.ml(name) for name in ("RUL", "RML", "RLL", "LUL", "LLL"))
     assert 3000.0 < total < 9000.0

@@ -30,7 +30,7 @@ def tree() -> AirwayTree:
 
 @cache
 def lungs() -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Return a mask with one block for each lung, separated by the mediastinum, and its matrix."""
+    """Return a lung mask (one block for each lung, with the mediastinum between) and its matrix."""
     matrix = np.diag([STEP_MM, STEP_MM, STEP_MM, 1.0])
     matrix[:3, 3] = LOW
     inside = np.ones((100, 90, 110), dtype=bool)
@@ -40,7 +40,7 @@ def lungs() -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
 
 
 def plate(at_mm: float, seen_share: float = 1.0) -> FissureBox:
-    """Return a horizontal fissure across the right lung at this height, visible from the back over this fraction."""
+    """Return a horizontal fissure across the right lung at a height; its back ``seen_share`` is visible."""
     box = Box(np.zeros((200, 180, 110), np.float32), np.ones((200, 180, 110), dtype=bool), 1.0, np.eye(4))
     box.lps_from_ijk[:3, 3] = LOW
     mask = np.zeros(box.known.shape, dtype=bool)
@@ -101,7 +101,7 @@ def test_probability_is_lower_at_a_border_and_undefined_outside() -> None:
 
 
 def test_visible_fissure_moves_the_border_and_raises_the_probability() -> None:
-    # A line at the side of the chest, between the airways of the right upper and lower lobes.
+    # The line is at the side of the chest, between the airways of the right upper and lower lobes.
     line = np.stack([np.full(60, -70.0), np.full(60, 40.0), np.linspace(-100.0, 40.0, 60)], axis=1)
     names = [by_airways().at(p)[0] for p in line]
     assert names[0] == "RLL"
@@ -118,7 +118,7 @@ def test_visible_fissure_moves_the_border_and_raises_the_probability() -> None:
     assert by_airways().at(below)[1] < 0.9
 
 
-def test_lobe_without_a_bronchus_is_reported_and_tree_without_lobes_refused() -> None:
+def test_lobe_without_a_bronchus_is_reported_and_a_tree_without_lobes_is_refused() -> None:
     lobe_of = branch_side_and_lobe(tree())
     gone = {one.id for one in tree().branches if lobe_of[one.id] == "RML"}
     kept = tuple(
@@ -146,7 +146,7 @@ def scan(thick_mm: float, at_mm: float, noise_hu: float, tube: bool = False) -> 
 
 
 def sought(box: Box) -> FissureBox:
-    """Search for fissures in the whole scan."""
+    """Return the fissures that the search finds in a whole scan."""
     grid = np.diag([STEP_MM, STEP_MM, STEP_MM, 1.0])
     grid[:3, 3] = -20.0
     label = np.ones((52, 52, 52), np.uint8)
@@ -166,6 +166,6 @@ def test_thin_plate_is_found_at_its_position(at_mm: float) -> None:
     assert np.median(hit) == pytest.approx(32.0 + at_mm, abs=1.0)
 
 
-def test_lung_and_vessels_alone_have_no_fissure() -> None:
+def test_no_fissure_is_found_in_lung_with_vessels_only() -> None:
     assert not sought(scan(0.0, 0.0, 30.0)).mask.any()
     assert not sought(scan(0.0, 0.0, 20.0, tube=True)).mask.any()

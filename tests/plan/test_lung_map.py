@@ -14,9 +14,13 @@ from carina.plan.lungs.vessels import VesselBranch, VesselTree
 
 MATRIX = np.eye(4)
 MATRIX[:3, 3] = (-30.0, -20.0, -40.0)
-# As wide as a chest around the trachea: lung on both sides of the middle, which the closing also fills.
 SHAPE = (50, 40, 60)
+"""Shape (z, y, x) of the volume in voxels.
+
+It is as wide as a chest at the trachea: lung on both sides of the middle, which the closing also fills.
+"""
 MIDDLE = slice(22, 38)
+"""Voxels along x of the mediastinum."""
 
 
 def box(*, trachea: bool) -> Box:
@@ -44,13 +48,13 @@ def test_structures_in_mediastinum_are_no_lung_vessels_and_trachea_is_no_lung():
         z, y = 25, 20
         assert amid[z, y, 6:16].all()
         assert not amid[z, y, 24:36].any(), "between the lungs"
-        # A vessel beside the mediastinum has lung on one side.
+        # A vessel beside the mediastinum has lung on one side only.
         assert amid[z, y, 19]
-        # Between trachea and spine.
+        # The voxels of this block are between trachea and spine.
         assert not amid[z, 30, 24:36].any()
 
 
-def test_lines_along_the_edge_are_removed_and_pieces_start_at_their_trunk():
+def test_vessel_lines_along_the_lung_edge_are_removed_and_pieces_start_at_their_trunk():
     def along_z(x: float, y: float, parent: int | None) -> VesselBranch:
         z = np.arange(10.0) - 20.0
         points = np.stack([np.full_like(z, x), np.full_like(z, y), z], axis=1)
@@ -63,7 +67,7 @@ def test_lines_along_the_edge_are_removed_and_pieces_start_at_their_trunk():
 
 
 def test_visible_share_of_fissures_is_stated_by_side_along_lobe_borders():
-    # At 2 mm: right lung at low x with a flat border between two lobes, left lung with another border.
+    # At a spacing of 2 mm: the right lung at low x has a flat border between two lobes, the left lung another border.
     label = np.zeros((20, 20, 40), dtype=np.uint8)
     border = np.full(label.shape, np.inf, dtype=np.float32)
     for part, upper, lower in ((slice(0, 18), "RUL", "RLL"), (slice(22, 40), "LUL", "LLL")):
@@ -82,6 +86,6 @@ def test_visible_share_of_fissures_is_stated_by_side_along_lobe_borders():
     right, left = _seen_shares(told, fissure)
     assert 0.5 <= right <= 0.6
     assert left == 0.0
-    # A side whose lung is one lobe has no border, and no statement on fissures.
+    # If a lung is one lobe, its side has no border and no statement on fissures.
     one = SimpleNamespace(**{**vars(told), "border_mm": np.where(np.arange(40) < 20, border, np.inf)})
     assert _seen_shares(one, fissure) == (right, None)

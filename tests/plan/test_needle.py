@@ -11,7 +11,10 @@ from carina.plan import NeedleErrors, hit_share
 
 
 def drawn_share(nodule, tip, aim, reach_mm, errors, *, moved_mm, num, rng):
-    """Return the fraction of hits of random needles: lateral tip error, direction error, and movement of the nodule."""
+    """Return the share of random needles that hit a nodule.
+
+    Random are the lateral error of the tip, the error of the direction, and the movement of the nodule.
+    """
     along = (aim - tip) / np.linalg.norm(aim - tip)
     across = np.linalg.svd(along[None])[2][1:]
     tips = tip + rng.normal(0.0, errors.tip_mm, (num, 2)) @ across
@@ -53,7 +56,7 @@ def test_needle_without_errors_hits_and_too_short_needle_misses() -> None:
     assert shares == sorted(shares, reverse=True) and shares[-1] < 0.5
 
 
-def test_invalid_errors_are_refused() -> None:
+def test_needle_with_invalid_errors_is_refused() -> None:
     with pytest.raises(UsageError, match="angle_deg: expected 0 to 45; found -1"):
         NeedleErrors(-1.0)
     with pytest.raises(UsageError, match="tip_mm: expected 0 to 20; found nan"):

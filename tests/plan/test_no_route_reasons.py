@@ -1,4 +1,4 @@
-"""Tests of the reasons that prevent a plan: another CT, the end of the scan, lost airways, lobes without a bronchus."""
+"""Tests of the reasons why a plan has no route: another CT, the end of the scan, lost airways, missing bronchi."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def far_off() -> np.ndarray:
 
 
 def without(tree: AirwayTree, name: str) -> AirwayTree:
-    """Return the tree without one bronchus and everything beyond it."""
+    """Return the tree without the branch ``name`` and its descendants."""
     gone = {tree.named(name).id}
     for one in tree.branches:
         if one.parent in gone:

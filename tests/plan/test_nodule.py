@@ -39,7 +39,7 @@ def grown(kind: str, seed: int) -> tuple[Nodule, float]:
         ("3 mm", 0.15),
     ],
 )
-def test_nodule_has_the_true_volume(kind, most, seed):
+def test_painted_nodule_has_the_true_volume_within_its_limit(kind, most, seed):
     nodule, true_mm3 = grown(kind, seed)
     assert nodule.volume_mm3 == pytest.approx(true_mm3, rel=most)
     assert nodule.kind == (kind if kind in ("part-solid", "ground-glass") else "solid")
@@ -69,7 +69,7 @@ def test_volume_error_covers_the_truth_in_nine_of_ten_nodules(kind):
     found = [grown(kind, seed) for seed in range(100, 140)]
     off = np.array([abs(nodule.volume_mm3 - true) / nodule.volume_error_mm3 for nodule, true in found])
     assert (off <= 1.0).mean() >= 0.9
-    # The error must also be small enough to be useful.
+    # An error that covers the truth must also be small enough to be useful.
     assert np.median([nodule.volume_error_mm3 / true for nodule, true in found]) < 0.25
 
 
@@ -81,9 +81,9 @@ def in_phantom(seed: int) -> tuple[Nodule, float]:
     return grow_nodule(made.volume, middle + np.array([0.3, -0.2, 0.0]) * radius_mm), radius_mm
 
 
-# The vessels and airways around the nodule are those of a lung; make soak runs twenty seeds.
+# Vessels and airways around the nodule are arranged as in a lung; `make soak` tests twenty seeds.
 @pytest.mark.parametrize("seed", [1, 4, 6, *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(7, 24))])
-def test_nodule_of_a_phantom_has_its_volume_and_diameter(seed):
+def test_nodule_of_a_phantom_has_its_true_volume_and_diameter(seed):
     nodule, radius_mm = in_phantom(seed)
     true_mm3 = 4.0 / 3.0 * np.pi * radius_mm**3
     assert nodule.volume_mm3 == pytest.approx(true_mm3, rel=0.15 if "vessel" in nodule.touches else 0.05)
@@ -91,7 +91,7 @@ def test_nodule_of_a_phantom_has_its_volume_and_diameter(seed):
     assert nodule.short_mm == pytest.approx(2.0 * radius_mm, abs=1.0)
 
 
-def test_any_click_inside_gives_the_same_nodule():
+def test_clicks_at_several_points_inside_give_equal_nodules():
     volume, _, middle = painted(Scene(radii_mm=(7.0, 5.0, 5.0)))
     one = grow_nodule(volume, middle)
     for aside in ((4.0, 0.0, 0.0), (0.0, -3.5, 1.0), (-7.5, 0.0, 0.0)):
@@ -103,7 +103,7 @@ def test_any_click_inside_gives_the_same_nodule():
     assert one.short_mm == pytest.approx(10.0, abs=0.8)
 
 
-def test_axis_order_and_tilt_do_not_change_the_nodule():
+def test_ct_with_permuted_or_tilted_axes_gives_an_equal_nodule():
     volume, _, middle = painted(Scene())
     turned = volume.lps_from_ijk.copy()
     turned[:3, 0] *= -1.0
@@ -124,7 +124,7 @@ def test_distances_of_points_from_a_nodule_are_exact():
     assert off == pytest.approx([0.0, 4.0, 7.0], abs=0.5)
 
 
-def test_click_on_no_nodule_is_refused_with_a_message():
+def test_click_outside_a_nodule_is_refused_with_a_message():
     volume, _, middle = painted(Scene(pleura_mm=14.0))
     with pytest.raises(
         NoResultError, match=f"no nodule at this point.* the lung around it is {LUNG_HU / 10:.0f}"
@@ -152,7 +152,7 @@ def test_nodule_at_the_end_of_the_scan_is_reported():
     assert "edge of the CT" in grow_nodule(cut, middle).touches
 
 
-def test_click_at_the_edge_cuts_off_a_vessel_like_a_click_in_the_middle():
+def test_click_at_the_edge_excludes_a_vessel_like_a_click_in_the_middle():
     volume, true_mm3, middle = painted(Scene(radii_mm=(6.0, 6.0, 6.0), vessels=(((0, 0, 0), (1, 0.3, 0.2), 2.2),)))
     for aside in ((0.0, 0.0, 0.0), (0.0, 5.0, 0.0), (0.0, 0.0, -5.0)):
         nodule = grow_nodule(volume, middle + np.array(aside))

@@ -24,7 +24,7 @@ SLICE_MM = 1.0
 
 @functools.cache
 def grid():
-    """Return an oblique CT with unequal axes; the shapes are not in its middle."""
+    """Return an oblique CT with unequal spacings; the shapes are not in its middle."""
     turn = made.oblique()[:3, :3] / made.SPACING_MM
     matrix = np.eye(4)
     matrix[:3, :3] = turn * (0.7, 0.8, SLICE_MM)
@@ -43,7 +43,7 @@ def ellipse(height_mm, *, radii=RADII_MM, grow=1.0, shift=(0.0, 0.0), centre=CEN
 
 
 def slice_heights(*, every=1, start=0, reach=RADII_MM[2], centre=CENTRE_LPS):
-    """Return the heights (mm) above the centre of every n-th slice that cuts a shape."""
+    """Return the heights (mm) above the centre of every n-th slice that cuts a shape of half height ``reach``."""
     volume = grid()
     normal = volume.lps_from_ijk[:3, 2] / volume.spacing_mm[2]
     found = [float((volume.to_lps(np.array([0.0, 0.0, k])) - centre) @ normal) for k in range(volume.shape_zyx[0])]
@@ -51,7 +51,7 @@ def slice_heights(*, every=1, start=0, reach=RADII_MM[2], centre=CENTRE_LPS):
 
 
 def measured(contours, **options):
-    """Return the volume (mm3), centroid (LPS mm) and notes of outlines."""
+    """Return the volume (mm3), the centroid (LPS mm) and the notes of the solid built from outlines."""
     volume = grid()
     drawn, notes, _ = drawn_in(volume, contours, **options)
     k, j, i = np.indices(drawn.share_zyx.shape)
@@ -65,7 +65,8 @@ def area_mm2(height_mm, *, radii=RADII_MM):
     return np.pi * radii[0] * radii[1] * max(1.0 - (height_mm / radii[2]) ** 2, 0.0)
 
 
-# Relative error of sampling a ball at few planes: with every fifth slice, 3 or 4 planes cut a ball of 9 mm.
+# Relative error of the volume if every n-th slice has an outline: with every fifth slice, 3 or 4 planes cut a ball of 9
+# mm.
 TOLERANCE = {1: 0.01, 2: 0.02, 3: 0.03, 5: 0.08}
 
 
@@ -74,10 +75,10 @@ def test_outlines_on_every_nth_slice_have_the_volume_of_an_ellipsoid(every, star
     heights = slice_heights(every=every, start=start)
     mm3, middle, notes = measured([ellipse(h) for h in heights])
     slabs = sum(area_mm2(h) for h in heights) * every * SLICE_MM
-    # Each outline has exactly its slab; the remaining error is rasterisation.
+    # The solid is a slab for each outline; the remaining error comes from rasterisation.
     assert mm3 == pytest.approx(slabs, rel=0.005)
     assert mm3 == pytest.approx(4.0 / 3.0 * np.pi * np.prod(RADII_MM), rel=TOLERANCE[every])
-    # Planes that are not symmetric about the centre shift the centroid along the normal only.
+    # Planes that are not symmetric about the centre shift the centroid only along the normal.
     normal = grid().lps_from_ijk[:3, 2] / SLICE_MM
     off = middle - CENTRE_LPS
     along = sum(area_mm2(h) * h for h in heights) / sum(area_mm2(h) for h in heights)
@@ -119,7 +120,7 @@ def test_slab_ends_at_the_end_of_the_ct():
         ellipse(h - first, radii=(6.0, 6.0, 1e6), centre=CENTRE_LPS + first * normal) for h in (first, first + 4.0)
     ]
     mm3, _, _ = measured(contours)
-    # Slices 0 to 5 and half of slice 6; nothing before the CT.
+    # The slab covers slices 0 to 5 and half of slice 6, and nothing before the first slice of the CT.
     assert mm3 == pytest.approx(np.pi * 36.0 * 6.5, rel=0.005)
 
 
@@ -127,7 +128,7 @@ def test_slab_ends_at_the_end_of_the_ct():
     ("grow", "words"),
     [((1.0, 1.0), "identical"), ((1.0, 1.01), "mm apart"), ((1.0, 0.96, 1.02), "mm apart"), ((1.0,) * 5, "identical")],
 )
-def test_boundary_drawn_several_times_counts_once(grow, words):
+def test_boundary_drawn_several_times_is_averaged_with_a_note(grow, words):
     heights = slice_heights()
     mm3, middle, notes = measured([ellipse(h, grow=part) for h in heights for part in grow])
     expected = sum(area_mm2(h) for h in heights) * SLICE_MM * np.mean(np.square(grow))
@@ -155,14 +156,14 @@ def test_crossing_outlines_of_two_observers_are_averaged():
     assert "more than once" in notes[0]
 
 
-def test_outline_that_winds_twice_counts_once():
+def test_outline_that_winds_twice_has_the_volume_of_one_winding():
     heights = slice_heights()
     contours = [Contour(np.concatenate([one, one]), False) for one in (ellipse(h).points_lps for h in heights)]
     mm3, _, _ = measured(contours)
     assert mm3 == pytest.approx(sum(area_mm2(h) for h in heights), rel=0.005)
 
 
-def test_two_items_of_one_structure_with_equal_outlines_count_once(tmp_path):
+def test_equal_outlines_in_two_items_of_one_structure_are_counted_once(tmp_path):
     def repeat(data):
         item = Dataset()
         item.ReferencedROINumber = 1
@@ -178,7 +179,7 @@ def test_two_items_of_one_structure_with_equal_outlines_count_once(tmp_path):
 
 
 @pytest.mark.parametrize(("inner", "is_xor"), [(0.88, False), (0.87, False), (1.0, True), (0.99, True)])
-def test_outlines_that_may_be_a_boundary_or_a_wall_are_refused(inner, is_xor):
+def test_nested_outlines_that_may_be_two_boundaries_or_a_wall_are_refused(inner, is_xor):
     contours = [ellipse(h, grow=part, is_xor=is_xor) for h in slice_heights() for part in (1.0, inner)]
     with pytest.raises(OutlineError, match=r"nearly equal and cancel|drawn twice, or a thin wall") as error:
         measured(contours)
@@ -210,7 +211,7 @@ def test_parts_of_one_slice_add_up_and_an_ending_part_leaves_the_other_unchanged
     drawn, _, _ = drawn_in(grid(), long + short)
     half = drawn.share_zyx.shape[2] // 2
     voxel_mm3 = float(np.prod(grid().spacing_mm))
-    # The two parts are beside each other along the columns, and each has its own slabs.
+    # The two parts are side by side along the columns; each part has slabs for its outlines.
     for part, num in ((drawn.share_zyx[..., :half], len(heights)), (drawn.share_zyx[..., half:], 3)):
         assert float(part.sum()) * voxel_mm3 == pytest.approx(np.pi * 9.0 * 3.0 * num, rel=0.01)
 
@@ -228,12 +229,12 @@ def test_outlines_between_slices_are_placed_by_position(distance_mm, first_mm):
     assert "placed by position" in notes[0]
 
 
-def test_outlines_between_slices_need_the_ct_s_frame_of_reference(tmp_path):
+def test_outlines_between_slices_with_another_frame_of_reference_are_refused(tmp_path):
     volume, centre = made.lung_with_ball(6.0)
     folder = made.ct_files(tmp_path / "ct", volume)
     opened = carina.open_volume(folder)
     normal = volume.lps_from_ijk[:3, 2] / volume.spacing_mm[2]
-    # Planes half a millimetre from the slices cut the ball around its own centre.
+    # Planes half a millimetre from the slices cut the ball around its unshifted centre.
     lower = made.ball_outlines(volume, centre - 0.5 * normal, 6.0)
     outlines = {k: [points + 0.5 * normal for points in one] for k, one in lower.items()}
     path = made.structure_set(tmp_path / "rs.dcm", [("GTV", outlines)])
@@ -248,7 +249,7 @@ def test_outlines_between_slices_need_the_ct_s_frame_of_reference(tmp_path):
     assert error.value.code == "import.mask-grid"
 
 
-def test_two_lesions_with_sparse_outlines_stay_two(tmp_path):
+def test_two_lesions_with_sparse_outlines_stay_separate(tmp_path):
     normal = grid().lps_from_ijk[:3, 2] / SLICE_MM
     heights = slice_heights(every=3, reach=23.0)
     one, other = heights[:3], heights[-3:]
@@ -260,13 +261,13 @@ def test_two_lesions_with_sparse_outlines_stay_two(tmp_path):
     path = made.structure_set(tmp_path / "rs.dcm", [("GTV", contours)])
     with pytest.raises(NoResultError, match="2 separate parts"):
         target_from_file(path, grid())
-    # A gap of two typical distances is filled: one outline is missing.
+    # One missing outline, a gap of two typical distances, is filled.
     del contours[1]
     near = target_from_file(path, grid(), at_lps=CENTRE_LPS + other[1] * normal).nodule
     assert near.volume_mm3 == pytest.approx(sum(area_mm2(h - other[1], radii=(4, 4, 5)) for h in other) * 3.0, rel=0.01)
 
 
-def test_missing_slices_of_a_dense_structure_are_filled_without_longer_ends():
+def test_missing_outlines_of_a_dense_structure_are_filled_and_its_ends_not_extended():
     heights = slice_heights()
     kept = heights[:5] + heights[6:]
     whole, _, _ = measured([ellipse(h) for h in heights])

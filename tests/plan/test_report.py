@@ -40,7 +40,7 @@ def page(tmp_path: Path, **more) -> str:
 
 
 def words_of(block: Block) -> Iterator[str]:
-    """Return all text of a block, including the text in its drawings."""
+    """Yield the texts of a block of the report, including the texts in its drawings."""
     match block:
         case Words(text=text):
             yield text
@@ -61,13 +61,13 @@ def everything() -> list[str]:
     return [text for part in sections(sheet()) for block in part.blocks for text in words_of(block) if text]
 
 
-def test_json_has_the_plan_and_the_facts_of_the_report(tmp_path) -> None:
+def test_json_report_contains_the_plan_and_the_facts_of_the_report(tmp_path) -> None:
     told = json.loads(write_report(tmp_path / "plan.json", sheet()).read_text())
     own = told.pop("report")
     made = plan().to_json() | {
         "verdicts": [one.to_json() for one in verdicts()],
         "turns": turns(airways(), plan()).to_json(),
-        # The CT has voxels of 1.1 mm, so it has no calibrated shares.
+        # A CT with voxels of 1.1 mm has no thick slices, so there are no calibrated shares.
         "calibrated_shares": None,
     }
     assert told == json.loads(json.dumps(made, allow_nan=False))
@@ -98,7 +98,7 @@ def test_all_outputs_state_the_same_narrowest_diameter_of_a_route() -> None:
     assert (offer.fit == "fits") == stored["fits"] == (route.width.chance(plan().scope) >= 0.9)
 
 
-def test_page_loads_nothing_and_allows_only_its_own_content(tmp_path) -> None:
+def test_report_page_makes_no_request_and_allows_only_its_content(tmp_path) -> None:
     text = page(tmp_path)
     assert "http" not in text.replace("http://www.w3.org/2000/svg", "").replace("http-equiv", "")
     assert not re.search(r"<(img|iframe|object|embed|form|base)\b", text) and " style=" not in text
@@ -135,7 +135,7 @@ def test_patient_is_named_only_on_request(tmp_path) -> None:
     named = dataclasses.replace(scan, source=source)
     for suffix in (".html", ".json"):
         text = write_report(tmp_path / f"plan{suffix}", sheet(volume=named)).read_text()
-        # The bytes of a picture may contain these three letters by chance.
+        # The bytes of a picture may contain three letters of the name by chance.
         text = re.sub(r"base64,[A-Za-z0-9+/=]+", "", text)
         assert "DOE" not in text and "2026-01-02" not in text
     assert "Jane Doe" in page(tmp_path, patient="Jane Doe")
@@ -220,7 +220,7 @@ def test_route_of_many_forks_continues_on_a_second_sheet() -> None:
     assert all(f"branch {n:03}" in text for n in range(1, 20))
 
 
-def test_another_route_can_be_described_in_full() -> None:
+def test_report_of_another_route_describes_this_route_in_full() -> None:
     told = sheet(route_number=2)
     route = plan().routes[1]
     assert told.route is route and told.forks[-1].to_branch_id == route.branch_id
@@ -251,7 +251,7 @@ def test_list_of_turns_of_another_route_is_refused() -> None:
         sheet(route_number=2, turns=sheet().turns)
 
 
-def test_opening_straight_ahead_has_no_hour() -> None:
+def test_opening_straight_ahead_is_reported_without_an_hour() -> None:
     told = sheet().turns
     ahead = dataclasses.replace(told.turns[1], straight_ahead=True, clock_head=7.123)
     changed = sheet(turns=dataclasses.replace(told, turns=(told.turns[0], ahead, *told.turns[2:])))
@@ -317,7 +317,7 @@ def test_clips_of_turns_are_hidden_beside_their_pictures_and_not_printed(tmp_pat
         sheet(turns=told, turn_clips=clips)
 
 
-def test_proof_of_a_bronchus_sign_is_in_the_middle(tmp_path) -> None:
+def test_picture_of_a_bronchus_sign_has_its_position_in_the_middle(tmp_path) -> None:
     place = plan().routes[0].leg.tip_lps
     signed = dataclasses.replace(plan(), bronchus_sign="into", sign_branch="RB4a", sign_lps=place)
     told = sheet(plan=signed)
@@ -335,7 +335,7 @@ def test_score_is_stated_with_the_weights_of_the_plan() -> None:
     assert shares["needle passes that miss"] == "0 %" and shares["narrowest place"] == f"{100 / 2.25:.0f} %"
 
 
-def test_boundary_drawn_by_hand_is_reported() -> None:
+def test_report_states_that_a_boundary_was_drawn_by_hand() -> None:
     drawn = dataclasses.replace(plan().nodule, notes=(BRUSHED, "with a cavity of 0.2 ml"))
     told = sheet(plan=dataclasses.replace(plan(), nodule=drawn))
     assert told.by_hand[0] == "Target: boundary edited by hand."
@@ -358,7 +358,7 @@ def test_obstacles_of_a_route_are_red(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("change", "words"), [({"route_number": 9}, "expected 1 to"), ({"route_number": 0}, "found 0")]
 )
-def test_route_outside_the_plan_is_refused(change, words) -> None:
+def test_report_with_an_invalid_route_number_or_option_is_refused(change, words) -> None:
     with pytest.raises(UsageError, match=words):
         sheet(**change)
 
@@ -372,13 +372,13 @@ def test_route_outside_the_plan_is_refused(change, words) -> None:
         ("plan.pdf", {"paper": "A5"}, "expected A4 or Letter; found 'A5'"),
     ],
 )
-def test_file_of_another_kind_is_refused_with_a_message(tmp_path, name, choice, words) -> None:
+def test_report_file_of_an_unknown_kind_is_refused_with_a_message(tmp_path, name, choice, words) -> None:
     with pytest.raises(UsageError, match=words):
         write_report(tmp_path / name, sheet(), **choice)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_cancelled_report_leaves_no_file(tmp_path) -> None:
+def test_cancelled_writing_of_a_report_leaves_no_file(tmp_path) -> None:
     shares: list[float] = []
     with pytest.raises(CancelledError):
         make_sheet(
@@ -402,7 +402,7 @@ def test_pdf_without_its_library_is_refused_with_a_remedy(tmp_path, monkeypatch)
     assert caught.value.exit_code == 1 and list(tmp_path.iterdir()) == []
 
 
-def test_same_plan_gives_the_same_page(tmp_path) -> None:
+def test_report_of_one_plan_written_twice_is_an_identical_page(tmp_path) -> None:
     first = page(tmp_path)
     assert write_report(tmp_path / "again.html", sheet()).read_text() == first
 

@@ -1,4 +1,4 @@
-"""Tests of the report in a real browser without network: no requests, no errors, and a correctly oriented tree."""
+"""Tests of the report in a real browser without network: no requests, no errors, and a tree with correct sides."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ sync_api = pytest.importorskip("playwright.sync_api")
 pytestmark = pytest.mark.browser
 
 FLAGS = ["--no-sandbox", "--disable-quic", "--disable-background-networking", "--disable-component-update"]
-# Return the mean position of orange pixels (target, last leg) and blue pixels (route) as fractions of the canvas width.
 WHERE = """() => {
   const canvas = document.getElementById('tree'), {width, height} = canvas;
   const data = canvas.getContext('2d').getImageData(0, 0, width, height).data;
@@ -34,7 +33,12 @@ WHERE = """() => {
   const mean = (values) => values.reduce((a, b) => a + b, 0) / Math.max(values.length, 1);
   return {orange: mean(found.orange), num_orange: found.orange.length, num_blue: found.blue.length, grey: found.grey};
 }"""
+"""Script that returns the mean position of orange pixels (target, last leg) and of blue pixels (route).
+
+The positions are fractions of the canvas width.
+"""
 DRAWN = "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+"""Script that waits until the page has drawn a frame."""
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +67,10 @@ def filmed_report(folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def tab(browser) -> Iterator[Any]:
-    """Open one page without network for all tests, because a new process for each test takes most of the time."""
+    """Yield a browser page without network, which all tests of the file share.
+
+    A new process for each test would take most of the time.
+    """
     context = browser.new_context(offline=True)
     yield context.new_page()
     context.close()
@@ -83,7 +90,7 @@ def filmed(tab, tmp_path_factory) -> Iterator[Any]:
 
 @contextmanager
 def shown(page: Any, path: Path) -> Iterator[None]:
-    """Load a file, and assert that it makes no requests and causes no errors."""
+    """Load a file in the page, and assert that it makes no requests and causes no errors."""
     asked: list[str] = []
     troubles: list[str] = []
     heard = {
@@ -92,7 +99,7 @@ def shown(page: Any, path: Path) -> Iterator[None]:
         "pageerror": lambda error: troubles.append(str(error)),
     }
     page.set_viewport_size({"width": 1280, "height": 800})
-    # Reset the emulated media, because emulation also applies to printing.
+    # The emulated media are reset, because they would also apply to printing.
     page.emulate_media(media="null", reduced_motion="no-preference")
     for name, hear in heard.items():
         page.on(name, hear)
@@ -114,7 +121,7 @@ def letters(page: Any) -> dict[str, list[float]]:
 def test_tree_is_drawn_with_the_patient_right_on_the_left(opened) -> None:
     where = opened.evaluate(WHERE)
     assert where["grey"] > 2000 and where["num_blue"] > 500 and where["num_orange"] > 50
-    # The target is in the right lung: its LPS x is below that of the middle of the tree.
+    # The target is in the right lung, so its LPS x is less than that of the middle of the tree.
     points = [point for one in sheet().shape.branches for point in one.points_lps]
     middle = 0.5 * (min(p[0] for p in points) + max(p[0] for p in points))
     assert sheet().plan.nodule.centre_lps[0] < middle - 20.0
@@ -135,7 +142,7 @@ def test_tree_is_drawn_with_the_patient_right_on_the_left(opened) -> None:
         ("Below", "i", "RLAP"),
     ],
 )
-def test_letters_are_correct_from_every_side_and_nothing_is_mirrored(opened, name, key, sides) -> None:
+def test_letters_and_pixels_of_the_tree_are_correct_from_every_side(opened, name, key, sides) -> None:
     left, right, up, down = sides
     opened.get_by_role("button", name=name).click()
     opened.evaluate(DRAWN)
@@ -147,12 +154,12 @@ def test_letters_are_correct_from_every_side_and_nothing_is_mirrored(opened, nam
     opened.keyboard.press(key)
     opened.evaluate(DRAWN)
     assert letters(opened) == by_button
-    # The pixels agree with the letters: seen from behind, the target is on the other side.
+    # The pixels agree with the letters: seen from the back, the target is on the other side.
     if name == "Back":
         assert opened.evaluate(WHERE)["orange"] > 0.55
 
 
-def test_pointer_and_keys_turn_the_tree_in_the_direction_of_the_hand(opened) -> None:
+def test_pointer_and_keys_turn_the_tree_in_their_direction(opened) -> None:
     tree = opened.locator("#tree")
     tree.scroll_into_view_if_needed()
     box = tree.bounding_box()
@@ -163,7 +170,7 @@ def test_pointer_and_keys_turn_the_tree_in_the_direction_of_the_hand(opened) -> 
     opened.mouse.up()
     opened.evaluate(DRAWN)
     dragged = json.loads(tree.get_attribute("data-view"))
-    # The front of the tree follows the pointer to the right, so the camera moves to the patient's right.
+    # The front of the tree moves with the pointer to the right, so the camera moves to the patient's right.
     assert dragged["azimuth"] == pytest.approx(-30.0) and dragged["elevation"] == pytest.approx(0.0)
     seen = letters(opened)
     assert seen["A"][0] > seen["P"][0]
@@ -176,14 +183,14 @@ def test_pointer_and_keys_turn_the_tree_in_the_direction_of_the_hand(opened) -> 
 
 
 @pytest.mark.parametrize("width", [1280, 390])
-def test_nothing_is_wider_than_the_screen(opened, width) -> None:
+def test_no_element_of_the_report_is_wider_than_the_screen(opened, width) -> None:
     opened.set_viewport_size({"width": width, "height": 844})
     opened.evaluate(DRAWN)
     assert opened.evaluate("document.documentElement.scrollWidth") <= width
 
 
 @pytest.mark.parametrize("paper", ["A4", "Letter"])
-def test_every_printed_page_has_header_and_footer_and_nothing_is_cut(opened, paper) -> None:
+def test_every_printed_page_has_header_and_footer_and_no_cut_element(opened, paper) -> None:
     pypdf = pytest.importorskip("pypdf", reason="needs pypdf")
     printed = pypdf.PdfReader(io.BytesIO(opened.pdf(format=paper, print_background=True)))
     texts = [page.extract_text() for page in printed.pages]
@@ -201,7 +208,7 @@ def test_every_printed_page_has_header_and_footer_and_nothing_is_cut(opened, pap
     opened.emulate_media(media="null")
 
 
-# State of the first clip: grey level of its canvas rounded to tens (JPEG changes it a little), or None while the still
+# Script that returns the grey level of the first clip's canvas, rounded to tens because of JPEG; None while the still
 # is shown.
 SHADE = """() => {
   const canvas = document.querySelector('.picture canvas');
@@ -210,13 +217,14 @@ SHADE = """() => {
   probe.drawImage(canvas, 0, 0, 1, 1);
   return Math.round(probe.getImageData(0, 0, 1, 1).data[0] / 10) * 10;
 }"""
-# Record the state in each animation frame from now on.
+# Script that records this grey level in each animation frame.
 NOTED = f"""() => {{
   window.seen = [];
   const note = () => {{ window.seen.push(({SHADE})()); requestAnimationFrame(note); }};
   note();
 }}"""
-# The page's policy forbids evaluated text, which Playwright would need to wait for a condition.
+# Script that waits for the end of the clip. Playwright's own wait needs evaluated text, which the page's policy
+# forbids.
 PLAYED = """() => new Promise((done) => {
   const look = () => {
     if (window.seen.some((shade) => shade !== null) && window.seen.at(-1) === null) done();
@@ -235,12 +243,12 @@ def test_clip_plays_over_its_picture_on_a_click_and_stops_at_its_end(filmed) -> 
     button.click()
     filmed.evaluate(PLAYED)
     assert slider.input_value() == "3" and button.inner_text() == "Play the way there"
-    # The frames are in order; a busy machine may skip some.
+    # The frames are in order; a busy machine may omit some.
     played = [shade for shade in filmed.evaluate("window.seen") if shade is not None]
     assert played == sorted(played) and set(played) <= {0, 100, 200}
 
 
-def test_clip_can_be_moved_by_hand_and_paper_shows_the_still(filmed) -> None:
+def test_clip_can_be_moved_by_its_slider_and_print_shows_the_still(filmed) -> None:
     slider = filmed.locator(".clip").first.get_by_role("slider")
     slider.focus()
     shades = []

@@ -1,4 +1,4 @@
-"""Tests of the drawings of a report: outlines, surfaces, slices, the needle bar, the tree and the clock face."""
+"""Tests of the drawings of a report: outlines, surfaces, slices, tissues on the needle path, tree, clock."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ UNIT = st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: np.linalg.norm(v)
 
 
 def plane(normal: tuple[float, float, float], centre: np.ndarray, mm_per_px: float, size: int) -> np.ndarray:
-    """Return an oblique picture plane with this point in its middle."""
+    """Return the matrix of an oblique picture plane whose middle is ``centre``."""
     into = np.array(normal) / np.linalg.norm(normal)
     right = np.cross(into, np.eye(3)[int(np.argmin(np.abs(into)))])
     right /= np.linalg.norm(right)
@@ -47,7 +47,8 @@ def test_outline_of_an_ellipsoid_is_on_its_surface_in_any_plane(radii_mm, normal
     assert np.array_equal(line[0], line[-1])
     points = line @ matrix[:3, :2].T + matrix[:3, 3]
     scaled = (points - centre) / np.array(radii_mm)
-    # First-order distance to the surface; tolerance: half a voxel of the nodule's box and the step of the plane.
+    # The distance to the surface is approximated to first order; the tolerance is half a voxel of the nodule's box and
+    # the step of the plane.
     off = (np.linalg.norm(scaled, axis=1) - 1.0) / np.linalg.norm(scaled / np.array(radii_mm), axis=1)
     assert np.abs(off).max() < 0.45
     assert abs(float(np.median(off))) < 0.12
@@ -67,7 +68,7 @@ def test_surface_of_an_ellipsoid_is_closed_and_has_its_volume(radii_mm) -> None:
     corners = vertices[quads] - vertices.mean(axis=0)
     halves = (corners[:, [0, 1, 2]], corners[:, [0, 2, 3]])
     volume = sum(float(np.einsum("ij,ij->i", h[:, 0], np.cross(h[:, 1], h[:, 2])).sum()) for h in halves) / 6.0
-    # Coarse cells reduce the volume at the corners.
+    # Coarse cells cut corners of the surface, which reduces the volume.
     assert volume == pytest.approx(4.0 / 3.0 * np.pi * np.prod(radii_mm), rel=0.12)
 
 
@@ -122,7 +123,7 @@ TISSUES = get_args(Tissue)
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(TISSUES), st.floats(0.5, 20.0)), min_size=1, max_size=9))
-def test_bar_shows_every_tissue_to_scale_without_overlapping_names(parts) -> None:
+def test_needle_bar_shows_every_tissue_to_scale_without_overlapping_names(parts) -> None:
     at, crossed = 0.0, []
     for tissue, length in parts:
         crossed.append(Crossed(tissue, at, length))
@@ -179,7 +180,7 @@ def test_clock_face_shows_the_opening_at_its_hour() -> None:
 
 
 @given(st.lists(st.text("abc", min_size=1, max_size=12), max_size=30), st.floats(80.0, 300.0))
-def test_wrapped_lines_have_every_word_and_fit(words, width) -> None:
+def test_wrapped_lines_contain_every_word_and_fit_the_width(words, width) -> None:
     lines = lines_of(" ".join(words), 9.0, width)
     assert " ".join(lines).split() == words
     assert all(text_width(line, 9.0) <= width or " " not in line for line in lines)

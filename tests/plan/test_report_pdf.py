@@ -31,17 +31,17 @@ def pages(paper: str = "A4", kind: str = "report") -> list:
 
 
 def plain(text: str) -> str:
-    """Remove white space, because lines break at different positions."""
+    """Return a text without white space, because page and PDF break lines at different positions."""
     return re.sub(r"\s+", "", text)
 
 
-def test_pdf_has_every_word_of_the_page() -> None:
+def test_pdf_contains_every_word_of_the_html_page() -> None:
     found = plain("".join(page.extract_text() for page in pages()))
     assert [words for words in everything() if plain(words) not in found] == []
 
 
 @pytest.mark.parametrize(("paper", "size"), [("A4", (595.3, 841.9)), ("Letter", (612.0, 792.0))])
-def test_every_page_has_the_disclaimer_and_its_target(paper, size) -> None:
+def test_every_pdf_page_has_the_disclaimer_and_the_name_of_the_target(paper, size) -> None:
     read = pages(paper)
     for number, page in enumerate(read, 1):
         assert [float(v) for v in page.mediabox[2:]] == pytest.approx(size, abs=0.1)
@@ -50,7 +50,7 @@ def test_every_page_has_the_disclaimer_and_its_target(paper, size) -> None:
         assert plan().nodule.words in text and f"{number} / {len(read)}" in text
 
 
-def test_same_plan_gives_the_same_bytes(tmp_path) -> None:
+def test_pdf_of_one_plan_written_twice_has_identical_bytes(tmp_path) -> None:
     assert write_report(tmp_path / "plan.pdf", sheet()).read_bytes() == content()
 
 
@@ -66,13 +66,13 @@ def test_fonts_are_embedded_and_slices_are_under_vector_outlines() -> None:
     assert first.get_contents().get_data().count(b" l ") + first.get_contents().get_data().count(b" l\n") > 100
 
 
-def test_tracing_sheet_is_one_page() -> None:
+def test_tracing_sheet_of_the_pdf_is_one_page() -> None:
     (only,) = pages("Letter", "tracing")
     text = plain(only.extract_text())
     assert all(plain(fork.to_name) in text for fork in sheet().forks)
 
 
-def test_letters_without_a_font_are_refused_by_name(tmp_path) -> None:
+def test_letters_without_a_font_are_refused_with_their_names(tmp_path) -> None:
     with pytest.raises(UsageError, match=r"'\\u60a3' \(U\+60A3\)|'\u60a3' \(U\+60A3\)"):
         write_report(tmp_path / "plan.pdf", sheet(patient="\u60a3\u8005"))
     assert "\u60a3\u8005" in write_report(tmp_path / "plan.html", sheet(patient="\u60a3\u8005")).read_text()
@@ -89,6 +89,6 @@ def test_note_longer_than_a_page_and_long_name_are_laid_out_in_full(tmp_path) ->
     assert all(plain(name) in plain(page.extract_text()) for page in read)
 
 
-def test_target_in_the_tree_is_transparent() -> None:
+def test_target_in_the_tree_of_the_pdf_is_transparent() -> None:
     states = pages()[0]["/Resources"]["/ExtGState"].values()
     assert any(state.get_object().get("/ca") == pytest.approx(0.55) for state in states)

@@ -1,4 +1,4 @@
-"""Tests of the narrowest diameter of a route: its source, its error, and which scopes fit."""
+"""Tests of the narrowest diameter of a route: its origin in sections or a ball, its error, and which scopes fit."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_one_narrow_section_widens_the_error_and_not_the_diameter() -> None:
     assert found.mm == pytest.approx(6.0) and found.lower_mm <= 3.0
 
 
-def test_slit_passes_no_more_than_its_narrow_side() -> None:
+def test_narrowest_diameter_of_a_slit_is_its_narrow_side() -> None:
     tree = straight("tracked")
     found = end_of(tree, flat=0.5, error_mm=0.2)
     assert found.mm == pytest.approx(3.2) and found.lower_mm <= 3.0
@@ -117,7 +117,7 @@ def test_branch_not_visible_in_the_ct_uses_the_inscribed_ball_with_a_note(kind: 
     assert before.source == "sections" and before.error_mm < found.error_mm
 
 
-def test_unmeasured_last_sections_never_make_a_route_more_certain() -> None:
+def test_route_with_unmeasured_last_sections_is_not_more_certain() -> None:
     tree = straight("tracked")
     whole = end_of(tree)
     part = end_of(tree, missing={1: slice(45, 60)})
@@ -160,7 +160,7 @@ def test_scope_fits_only_where_the_interval_allows_it(
     )
     assert width.chance(thin) >= width.chance(thick)
     if width.fit(thin) == "fits":
-        # A one-sided probability of 90 % is 1.28 of the 1.645 standard deviations of the interval.
+        # A one-sided probability of 90 % corresponds to 1.28 standard deviations; the interval has 1.645.
         assert mm - 0.779 * error_mm >= thin.fit_mm - 1e-9
     if width.fit(thin) == "does not fit":
         assert mm < thin.fit_mm

@@ -1,4 +1,4 @@
-"""Tests of routes to nodules: final tip position, tissue on the needle path, and ranking of routes."""
+"""Tests of routes to nodules: the scope's final position, tissue on the needle path, and ranking of routes."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ def truth() -> dict[str, Any]:
 
 
 def slim() -> ScopePreset:
-    """Return a scope that is thin enough for all airways near the nodule."""
+    """Return a scope that fits through all airways near the nodule."""
     return dataclasses.replace(scope_preset("ultrathin"), tip_mm=1.5)
 
 
 def retreed(airways: Airways, branch_id: int, **changes: Any) -> Airways:
-    """Return the airways with one changed branch."""
+    """Return the airways with changed attributes of one branch."""
     branches = tuple(
         dataclasses.replace(one, **changes) if one.id == branch_id else one for one in airways.tree.branches
     )
@@ -62,7 +62,7 @@ def off_line_mm(line: np.ndarray, point: np.ndarray) -> float:
     return float(np.linalg.norm(start + share[:, None] * step - point, axis=1).min())
 
 
-def test_nodule_beside_an_airway_has_a_route_that_reaches_it_in_the_truth() -> None:
+def test_route_to_a_nodule_beside_an_airway_reaches_it_in_the_true_airways() -> None:
     best = plan().routes[0]
     tip, aim = np.array(best.leg.tip_lps), np.array(truth()["centre_lps"])
     to_edge = np.linalg.norm(aim - tip) - truth()["radius_mm"]
@@ -111,7 +111,7 @@ def test_no_position_on_any_branch_scores_better_than_the_first_route() -> None:
             )
             total = sum(getattr(weights, name) for name in weights.__slots__)
             best = max(best, 1.0 - lost / total)
-    # The narrowest point of the branch may be beyond the tip; this search is at least as strict.
+    # The narrowest point of a branch may be beyond the scope's tip, so the search here is at least as strict.
     assert {route.outlook for route in plan().routes} == {"does not reach"}, "the score alone ranks them"
     assert plan().routes[0].score >= best - 0.02
     assert [route.score for route in plan().routes] == sorted((route.score for route in plan().routes), reverse=True)
@@ -143,7 +143,7 @@ def test_no_position_between_points_of_the_branch_scores_better_than_the_first_r
     assert first.score * (first.chance if first.outlook == "may reach" else 1.0) >= max(scores) - 0.004
 
 
-def test_routes_are_apart_and_at_least_two_are_listed() -> None:
+def test_at_least_two_routes_are_listed_and_end_at_separate_positions() -> None:
     tips = [np.array(route.leg.tip_lps) for route in plan().routes]
     assert len(tips) >= 2
     assert min(np.linalg.norm(a - b) for n, a in enumerate(tips) for b in tips[:n]) > 4.0
@@ -189,7 +189,7 @@ def test_limits_of_the_scope_are_reported_with_their_figures() -> None:
     )
 
 
-def test_doubtful_branch_is_last_where_another_route_is_certain() -> None:
+def test_route_over_a_doubtful_branch_is_listed_after_a_certain_route() -> None:
     airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
     sure = plan_route(volume, airways, plan().nodule, wall=wall(), scope=slim()).routes
     doubted = plan_route(
@@ -260,7 +260,7 @@ def test_target_in_the_trachea_is_reached_from_the_trachea() -> None:
     assert best.from_carina_mm < 0.0 and best.from_carina_mm == pytest.approx(best.along_mm - trachea.length_mm)
 
 
-def test_plan_is_plain_json_and_a_grown_nodule_gives_the_same_plan() -> None:
+def test_plan_is_plain_json_and_equal_for_a_click_and_its_grown_nodule() -> None:
     said = plan().to_json()
     assert json.loads(json.dumps(said)) == said
     assert said["weights"] == {name: getattr(ScoreWeights(), name) for name in ScoreWeights.__slots__}
@@ -320,14 +320,14 @@ def test_bronchus_sign_distinguishes_a_bronchus_into_and_beside_a_nodule() -> No
     assert sign(far).bronchus_sign == "none"
 
 
-def test_lower_lobe_is_assumed_to_move_farther() -> None:
+def test_lower_lobe_is_assumed_to_move_farther_than_the_upper_lobe() -> None:
     airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
     for name, moved_mm in (("RLL", 20.0), ("RUL", 15.0)):
         place = airways.tree.named(name).points[-1]
         assert plan_route(volume, airways, ellipsoid((3.0, 3.0, 3.0), place), wall=wall()).moved_mm == moved_mm
 
 
-def test_bad_input_is_refused_with_a_message() -> None:
+def test_plan_with_an_invalid_argument_is_refused_with_a_message() -> None:
     airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
     with pytest.raises(UsageError, match="no tool is called 'saw'; expected one of needle-21g"):
         plan_route(volume, airways, plan().nodule, tool="saw")
@@ -365,7 +365,7 @@ def tube() -> tuple[Volume, WallField]:
     return Volume(hu.astype(np.int16), place), WallField.from_distances(3.0 - off, place)
 
 
-def test_last_leg_in_a_straight_tube_has_the_drawn_figures() -> None:
+def test_last_leg_in_a_straight_tube_has_the_drawn_distances_and_angle() -> None:
     volume, field = tube()
     nodule = ellipsoid((5.0, 5.0, 5.0), (20.0, 0.0, 0.0))
     around = surroundings(volume, np.array(nodule.centre_lps), 30.0, nodule, field)
@@ -409,7 +409,8 @@ def test_vessel_and_chest_wall_beyond_the_target_are_measured_from_its_far_edge(
     around = surroundings(volume, np.array(nodule.centre_lps), 34.0, nodule, field)
     scene = NeedleScene(nodule, field, around, tool("needle-21g"), NeedleErrors())
     leg = last_leg(scene, np.zeros(3), np.array([0.0, 0.0, 1.0]))
-    # The far edge is at 13 mm, the vessel begins at 17.5 mm, and the chest wall at 24 mm is more than 10 mm away.
+    # The far edge of the target is at 13 mm, the vessel begins at 17.5 mm, and the chest wall at 24 mm is more than 10
+    # mm away.
     assert leg.vessel_beyond_mm == pytest.approx(4.5, abs=0.9)
     assert leg.beyond_mm is None and leg.vessels == () and leg.mediastinum_mm == 0.0
     nearer = last_leg(scene, np.array([-2.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), aim_lps=np.array([12.5, 0.0, 0.0]))
@@ -429,11 +430,11 @@ def test_vessel_on_the_needle_path_is_named() -> None:
     assert leg.vessel_mm == 0.0
 
 
-def test_public_function_plan_route_is_available() -> None:
+def test_plan_route_is_exported_by_the_package() -> None:
     assert carina.plan_route is plan_route
 
 
-def test_unexamined_tissue_is_neither_lung_nor_vessel() -> None:
+def test_tissue_outside_the_examined_box_is_neither_lung_nor_vessel() -> None:
     volume, field = tube()
     nodule = ellipsoid((5.0, 5.0, 5.0), (20.0, 0.0, 0.0))
     scene = NeedleScene(
@@ -455,13 +456,13 @@ def test_unexamined_tissue_is_neither_lung_nor_vessel() -> None:
     ]
 
 
-def test_left_lower_lobe_moves_as_far_as_the_right() -> None:
+def test_left_and_right_lower_lobe_are_assumed_to_move_equally() -> None:
     airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
     place = airways.tree.named("LLL").points[-1]
     assert plan_route(volume, airways, ellipsoid((3.0, 3.0, 3.0), place), wall=wall()).moved_mm == 20.0
 
 
-def test_tool_without_size_is_refused() -> None:
+def test_plan_with_a_tool_of_unknown_diameter_is_refused() -> None:
     with pytest.raises(UsageError, match="reach_mm: expected above 0 up to 100; found inf"):
         Tool("endless", "An endless needle", 1.8, float("inf"), True, None, "k")
     with pytest.raises(UsageError, match="outer_mm: expected above 0 up to 10; found 0"):

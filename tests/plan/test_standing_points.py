@@ -1,4 +1,4 @@
-"""Tests of the width and bend that a route to a point requires of a scope, on trees with known bends and widths."""
+"""Tests of the width and the bend that a route to a point requires of a scope, on trees with known bends and widths."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SECTION_MM = 50.0
 
 
 def bent(bend_deg: float, radius_mm: float, *, straight_mm: float = 80.0) -> AirwayTree:
-    """Return a tree 6 mm wide: straight down, along a circle, then straight."""
+    """Return a tree of one tube, 6 mm wide: straight down, along a circle, then straight."""
     down = [np.array([0.0, 0.0, -z]) for z in np.arange(0.0, straight_mm, 0.5)]
     bend = math.radians(bend_deg)
     angles = np.linspace(0.0, bend, int(2.0 * bend * radius_mm) + 2)
@@ -38,20 +38,21 @@ def bent(bend_deg: float, radius_mm: float, *, straight_mm: float = 80.0) -> Air
 
 @settings(deadline=None, max_examples=30)
 @given(bend_deg=st.floats(5.0, 150.0), radius_mm=st.floats(8.0, 16.0))
-def test_bend_of_one_circle_is_its_angle(bend_deg: float, radius_mm: float) -> None:
+def test_required_bend_of_a_route_along_one_circle_is_its_angle(bend_deg: float, radius_mm: float) -> None:
     tree = bent(bend_deg, radius_mm)
     places = Places(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
     )
     asked = places.asks(len(places.points) - 1, SECTION_MM)
-    # The circle is shorter than the section, so that both ends of the section are on the straight parts.
+    # The circle is shorter than the section over which bends are measured, so both ends of a section are on straight
+    # parts.
     assert math.radians(bend_deg) * radius_mm < SECTION_MM - 8.0
     assert asked.bend_deg.value == pytest.approx(bend_deg, abs=1.0)
     assert 80.0 < asked.bend_deg.at_mm < 80.0 + math.radians(bend_deg) * radius_mm + SECTION_MM
     assert places.asks(len(tree.root.points) + 30, SECTION_MM).bend_deg.value < 1.0, "before the bend there is none"
 
 
-def test_sharper_bend_is_never_reported_as_easier_farther_on() -> None:
+def test_required_bend_does_not_decrease_along_a_route() -> None:
     tree = bent(110.0, 12.0)
     places = Places(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
@@ -68,7 +69,7 @@ def test_narrowest_point_is_where_the_lumen_is_narrow() -> None:
     tree = AirwayTree((tree.root, narrowed))
     places = Places(tree, ellipsoid((3.0, 3.0, 3.0), narrowed.points[-1]), measures=exact_measures(tree))
     asked = places.asks(len(places.points) - 1, SECTION_MM)
-    # The narrow part is shorter than a diameter and exceeds the error of a section.
+    # The narrow part is shorter than a diameter, and the narrowing is larger than the error of a section.
     assert asked.width.mm == pytest.approx(2.9) and asked.width.lower_mm < 2.8
     assert asked.width.at_mm == pytest.approx(30.0 + 0.5 * 41.5, abs=1.1)
     before = places.asks(len(tree.root.points) + 20, SECTION_MM)
@@ -77,7 +78,7 @@ def test_narrowest_point_is_where_the_lumen_is_narrow() -> None:
 
 @settings(deadline=None, max_examples=10)
 @given(at_mm=st.floats(31.0, 130.0))
-def test_points_beside_a_position_are_on_the_centreline_and_not_wider(at_mm: float) -> None:
+def test_points_near_a_position_are_on_the_centreline_and_not_wider_than_the_route(at_mm: float) -> None:
     tree = bent(70.0, 12.0)
     radius = np.interp(np.arange(len(tree.branches[1].points)), [0, 400], [3.0, 0.5])
     tree = AirwayTree((tree.root, dataclasses.replace(tree.branches[1], radius=radius)))

@@ -1,4 +1,4 @@
-"""Tests of a target as a value: its record, refused values, and its aims."""
+"""Tests of a target as a value: its record in the case file, refused values, and its aims."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_target_round_trips_through_its_record_and_a_mass_stays_small():
         (("seed_lps",), None),
     ],
 )
-def test_damaged_record_is_refused(where, value):
+def test_target_record_with_a_damaged_field_is_refused(where, value):
     record = copy.deepcopy(a_target().to_record())
     inner = record
     for key in where[:-1]:
@@ -110,7 +110,7 @@ def test_damaged_record_is_refused(where, value):
         {"seed_lps": (np.inf, 0.0, 0.0)},
     ],
 )
-def test_invalid_target_is_refused(changed):
+def test_target_with_an_invalid_field_is_refused(changed):
     with pytest.raises(UsageError):
         a_target(**changed)
 

@@ -1,4 +1,4 @@
-"""Tests of a target created by a click."""
+"""Test of a target that is created by a click in a CT."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tests of target boundaries edited by hand: the edit has its effect, is reported, and leaves a valid nodule."""
+"""Tests of target boundaries edited by hand: each edit changes the boundary, is reported, and leaves a valid nodule."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ def scene():
 
 
 @pytest.mark.parametrize("diameter_mm", [8.0, 11.0, 16.0, 20.0, 30.0])
-def test_boundary_reaches_the_requested_diameter(diameter_mm):
+def test_boundary_set_to_a_diameter_has_this_diameter(diameter_mm):
     volume, nodule = scene()
     found = resized(nodule, volume, diameter_mm)
     assert found.long_mm == diameter_mm
     by_mm = 0.5 * (diameter_mm - nodule.long_mm)
     radii = np.array([8.0, 6.0, 6.0]) + by_mm
-    # The boundary moves by the same distance everywhere, so the result is only approximately an ellipsoid.
+    # The boundary moves by the same distance everywhere, so the new boundary is only approximately an ellipsoid.
     expected = 4.0 / 3.0 * np.pi * radii.prod()
     assert found.volume_mm3 == pytest.approx(expected, abs=found.volume_error_mm3)
     assert found.volume_mm3 == pytest.approx(expected, rel=0.12)
@@ -40,7 +40,7 @@ def test_boundary_reaches_the_requested_diameter(diameter_mm):
     assert found.inside_zyx.sum() * step**3 == pytest.approx(found.volume_mm3)
 
 
-def test_larger_diameters_contain_smaller_ones():
+def test_boundary_of_a_larger_diameter_contains_that_of_a_smaller_one():
     volume, nodule = scene()
     sizes = [resized(nodule, volume, mm) for mm in (8.0, 12.0, 15.0, 18.0)]
     for small, large in pairwise(sizes):
@@ -76,7 +76,7 @@ def test_brush_adds_and_removes_its_ball(off, radius_mm):
     assert less.notes == more.notes == ("boundary edited by hand",)
 
 
-def test_edits_that_leave_no_target_are_refused():
+def test_boundary_edits_that_leave_no_target_are_refused():
     volume, nodule = scene()
     centre = np.array(nodule.centre_lps)
     with pytest.raises(UsageError, match="nothing of the target would be left") as error:
@@ -121,7 +121,7 @@ def test_part_that_a_brush_cuts_off_is_removed():
     assert less.contains([centre - np.array([5.0, 0.0, 0.0])])[0]
 
 
-def test_sphere_is_a_target_where_the_ct_shows_no_boundary():
+def test_sphere_at_a_place_without_a_visible_boundary_is_a_valid_target():
     volume, _ = scene()
     made = sphere(volume, (3.0, 4.0, 5.0), 12.0)
     assert made.volume_mm3 == pytest.approx(np.pi / 6.0 * 12.0**3, rel=0.03)
@@ -131,7 +131,7 @@ def test_sphere_is_a_target_where_the_ct_shows_no_boundary():
     assert made.diameter_error_mm > 2.0
 
 
-def test_cavity_stays_when_the_boundary_moves():
+def test_cavity_of_a_nodule_stays_when_its_boundary_is_moved():
     volume, _, middle = painted(Scene(radii_mm=(9.0, 9.0, 9.0), core_mm=5.0, core_hu=-980.0))
     nodule = grow_nodule(volume, middle)
     wider = resized(nodule, volume, nodule.long_mm + 3.0)

@@ -1,4 +1,4 @@
-"""Tests of targets from masks, segmentations and structure sets: measures as drawn, refusal of files of another CT."""
+"""Tests of targets from masks, segmentations and structure sets: measures, and refusal of files of another CT."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def nifti(path, volume, values):
     return path
 
 
-def test_mask_is_measured_as_drawn():
+def test_target_from_a_mask_has_the_volume_and_diameters_of_the_mask():
     volume, centre, inside = scene()
     nodule = nodule_from_mask(volume, inside)
     voxel_mm3 = float(np.prod(volume.spacing_mm))
@@ -71,7 +71,7 @@ def test_segmentation_structure_set_and_mask_of_one_nodule_agree(tmp_path):
             assert apart <= 0.02 * BALL_MM3
             assert off_voxels(volume, one.nodule.centre_lps, other.nodule.centre_lps) < 0.1
             assert abs(one.nodule.long_mm - other.nodule.long_mm) <= one.nodule.diameter_error_mm
-    # Exact circles are rasterised exactly; the error comes from the sum over slices.
+    # Exact circles are rasterised without an error, so the error comes from the sum over slices.
     areas = sum(np.pi * (RADIUS_MM**2 - h**2) for h in _heights(volume, centre))
     assert found["rtstruct"].nodule.volume_mm3 == pytest.approx(areas * volume.spacing_mm[2], rel=3e-3)
 
@@ -82,7 +82,7 @@ def _heights(volume, centre):
     return [h for h in heights if abs(h) < RADIUS_MM]
 
 
-def test_outlines_round_voxels_and_through_their_centres_give_the_same_mask(tmp_path):
+def test_outlines_round_voxels_and_through_voxel_centres_give_equal_masks(tmp_path):
     volume, _, inside = scene()
     expected = nodule_from_mask(volume, inside)
     for outlines, note in (
@@ -118,7 +118,7 @@ def test_nested_outline_and_keyhole_outline_are_holes(tmp_path):
         assert nodule.contains([nodule.middle_lps])[0]
 
 
-def test_one_of_several_structures_must_be_chosen(tmp_path):
+def test_file_with_several_structures_needs_the_name_of_one(tmp_path):
     volume, centre, inside = scene()
     small = made.ball_outlines(volume, centre, 3.0)
     rs = made.structure_set(
@@ -197,13 +197,13 @@ def test_slice_without_an_outline_is_filled_with_a_note(tmp_path, left_out):
     for k in sorted(outlines)[3 : 3 + left_out]:
         del outlines[k]
     nodule = target_from_file(made.structure_set(tmp_path / "b.dcm", [("GTV", outlines)]), volume).nodule
-    # The ball is wider between its circles than the interpolation.
+    # Between two circles the ball is wider than the interpolation.
     assert nodule.volume_mm3 == pytest.approx(whole.volume_mm3, rel=0.02 * left_out)
     assert nodule.volume_error_mm3 > whole.volume_error_mm3
     assert f"{left_out} slice{'s' if left_out > 1 else ''} without an outline: interpolated" in nodule.notes[1]
 
 
-def test_two_lesions_in_one_structure_need_a_point(tmp_path):
+def test_structure_with_two_lesions_needs_a_point_in_one(tmp_path):
     volume, centre, inside = scene()
     other = centre + 14.0 * volume.lps_from_ijk[:3, 2] / volume.spacing_mm[2]
     both = {**made.ball_outlines(volume, centre, 4.0), **made.ball_outlines(volume, other, 3.0)}
@@ -288,11 +288,11 @@ def test_damaged_structure_set_is_refused(tmp_path, change):
         target_from_file(path, volume)
 
 
-def test_axes_of_the_ct_may_have_any_order(tmp_path):
+def test_structure_set_on_a_ct_with_permuted_axes_gives_an_equal_target(tmp_path):
     volume, centre, _ = scene()
     path = made.structure_set(tmp_path / "rs.dcm", [("GTV", made.ball_outlines(volume, centre, RADIUS_MM))])
     expected = target_from_file(path, volume).nodule
-    # The axes i, j, k become j, k, i, and one axis is reversed.
+    # The axes i, j, k become j, k, i, and one of them is reversed.
     turned = np.ascontiguousarray(volume.hu_zyx.transpose(2, 0, 1)[:, ::-1])
     matrix = volume.lps_from_ijk[:, [1, 2, 0, 3]].copy()
     matrix[:3, 3] += matrix[:3, 1] * (volume.shape_zyx[0] - 1)
@@ -302,7 +302,7 @@ def test_axes_of_the_ct_may_have_any_order(tmp_path):
     assert found.centre_lps == pytest.approx(expected.centre_lps, abs=1e-2)
 
 
-def test_target_of_a_file_has_a_region_and_a_record():
+def test_target_from_a_file_has_a_region_and_a_record():
     volume, _, inside = scene()
     target = target_from_mask(volume, inside, target_id="a", name="from a mask")
     assert (target.where, target.source) == ("lung", "mask")

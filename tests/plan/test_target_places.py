@@ -1,4 +1,4 @@
-"""Tests of clicks in airways, airway walls, heart, chest wall and outside the body, and of the described region."""
+"""Tests of clicks in airways, walls, heart, chest wall and outside the body, and of the region that is stated."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ TRACHEA_MM, WALL_MM = 8.0, 1.5
 
 @functools.cache
 def airway(polyp_mm: float, radius_mm: float = TRACHEA_MM, around_hu: float = 20.0):
-    """Return a tube along z in tissue (a trachea) or lung (a bronchus), a ball half in its wall, and the wall field."""
+    """Return a tube of air with a ball (polyp) half in its wall, and its wall field.
+
+    The tube is along z, in tissue like the trachea or in lung like a bronchus.
+    """
     shape = (70, 84, 74)
     matrix = np.diag([*SPACING_MM, 1.0])
     matrix[:3, 3] = (-29.2, -29.0, -35.0)
@@ -41,7 +44,7 @@ def airway(polyp_mm: float, radius_mm: float = TRACHEA_MM, around_hu: float = 20
     volume = Volume(np.rint(hu).astype(np.int16), matrix)
     lumen = np.maximum(tube, -ball) if polyp_mm > 0.0 else tube
     wall = WallField.from_distances(np.clip(-lumen, -2.5, 4.5).astype(np.float32), matrix)
-    # The part of the ball inside the lumen.
+    # The points are in the part of the ball that is inside the lumen.
     rng = np.random.default_rng(4)
     centre = np.array([radius_mm - 0.5 * polyp_mm, 0.0, 0.0])
     points = centre + rng.uniform(-polyp_mm, polyp_mm, (200_000, 3))
@@ -69,13 +72,13 @@ def test_click_in_an_empty_lumen_is_refused_with_the_reason():
     with pytest.raises(NoResultError, match="lies in the lumen of an airway, and nothing stands into it") as error:
         grow_nodule(volume, (0.0, 0.0, 3.0), wall=wall)
     assert error.value.code == "plan.in-airway"
-    # Beside the wall, without a lesion: the surrounding mediastinum has no boundary.
+    # The click is beside the wall and no lesion is there, so the mediastinum around it has no boundary.
     with pytest.raises(NoResultError, match=r"lumen of an airway|no boundary"):
         grow_nodule(volume, (9.0, 0.0, 0.0), wall=wall)
 
 
 def to_axis(x, y, z, start, direction):
-    """Return the distance of points from a half line."""
+    """Return the distance of points from the half line that begins at ``start``."""
     d = np.array(direction) / np.linalg.norm(direction)
     off = np.stack([x - start[0], y - start[1], z - start[2]])
     along = np.maximum(np.tensordot(d, off, 1), 0.0)
@@ -86,8 +89,8 @@ ALONG = ((9.0, 0.0, -60.0), (0.0, 0.0, 1.0))
 FORK = (((0.0, 0.0, 11.0), (0.5, 0.0, -0.87)), ((0.0, 0.0, 11.0), (-0.5, 0.0, -0.87)))
 
 
-# Beside one bronchus, and between the two bronchi of a fork, where closing the lumen with a ball covers much of the
-# nodule.
+# The cases are a nodule beside one bronchus and one between both bronchi of a fork, where closing the lumen with a ball
+# covers much of it.
 @pytest.mark.parametrize(
     ("bronchi", "radius_mm", "lumen_mm"), [((ALONG,), 5.0, 2.0), (FORK, 3.6, 2.0), (FORK, 3.0, 2.6)]
 )
@@ -108,7 +111,7 @@ def test_nodule_beside_a_bronchus_is_not_in_its_lumen(bronchi, radius_mm, lumen_
 
 
 def chest() -> Volume:
-    """Return a body with two lungs and a heart between them, and air and a lead outside, at 2 mm."""
+    """Return a body with two lungs and a heart between them, and air and an ECG cable outside, at 2 mm."""
     shape = (40, 120, 160)
     k, j, i = np.indices(shape)
     x, y, z = (i - 79.5) * 2.0, (j - 59.5) * 2.0, (k - 19.5) * 2.0
@@ -140,7 +143,7 @@ def test_clicks_outside_nodules_are_refused_with_their_region(at, code, words):
     assert error.value.code == code
 
 
-def test_growing_can_be_cancelled_between_its_steps():
+def test_segmentation_of_a_nodule_can_be_cancelled_between_its_steps():
     told = []
 
     def stop(what, share):
@@ -153,7 +156,7 @@ def test_growing_can_be_cancelled_between_its_steps():
     assert told == 3 * [("looking for a nodule", None)]
 
 
-def test_region_of_a_target_is_described():
+def test_region_of_a_target_is_stated_with_its_lobe_or_organ():
     volume = chest()
     in_lung = grow_nodule(volume, (-60.0, 10.0, 0.0))
     assert whereabouts(volume, in_lung) == "lung"
@@ -163,7 +166,7 @@ def test_region_of_a_target_is_described():
 
 
 @pytest.mark.parametrize("hollow_mm", [4.0, 6.5])
-def test_click_in_a_cavity_or_its_wall_gives_the_same_nodule(hollow_mm):
+def test_clicks_in_a_cavity_and_in_its_wall_give_equal_nodules(hollow_mm):
     scene = Scene(radii_mm=(9.0, 9.0, 9.0), core_mm=hollow_mm, core_hu=-980.0)
     volume, true_mm3, middle = painted(scene)
     for aside in (0.0, hollow_mm, 0.5 * (9.0 + hollow_mm)):
@@ -173,7 +176,7 @@ def test_click_in_a_cavity_or_its_wall_gives_the_same_nodule(hollow_mm):
         assert nodule.kind == "solid"
         assert nodule.long_mm == pytest.approx(18.0, abs=1.0)
         assert "cavity" in nodule.notes[0]
-        # A needle finds tissue only in the wall.
+        # In a hollow nodule a needle finds tissue only in the wall.
         assert not nodule.contains([middle])[0]
         assert nodule.contains([nodule.middle_lps])[0]
         wall_mm3 = true_mm3 - 4.0 / 3.0 * np.pi * hollow_mm**3

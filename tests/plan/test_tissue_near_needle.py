@@ -1,4 +1,4 @@
-"""Tests of the vessels of whole lungs."""
+"""Tests of the vessels and CT values of whole lungs in the box around a needle."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SMALL_CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 2.0, "generations": 4}
 
 
 def nowhere() -> WallField:
-    """Return the wall field of an airway far from the chest, because walls are taken for vessels."""
+    """Return the wall field of an airway far from the chest; nearby walls would be excluded from the vessels."""
     k, j, i = np.indices((9, 9, 9)) - 4.0
     matrix = np.eye(4)
     matrix[:3, 3] = 900.0
@@ -48,7 +48,7 @@ def test_whole_lungs_have_vessels_on_both_sides_and_the_values_of_the_ct() -> No
 
 
 @pytest.mark.parametrize("turn", [np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, 1.0, -1.0])[[1, 0, 2]]])
-def test_axes_of_any_order_give_the_same_box(turn: NDArray[np.float64]) -> None:
+def test_ct_with_permuted_or_reversed_axes_gives_an_equal_box(turn: NDArray[np.float64]) -> None:
     volume = made_phantom(**SMALL_CHEST).volume
     plain = lung_box(volume)
     order = np.argmax(np.abs(turn), axis=0)
@@ -81,6 +81,6 @@ def test_ct_cut_through_the_lungs_has_vessels() -> None:
     assert 0.3 * whole.known.sum() < cut.known.sum() < 0.95 * whole.known.sum()
 
 
-def test_ct_without_lungs_is_refused() -> None:
+def test_map_of_whole_lungs_refuses_a_ct_without_lungs() -> None:
     with pytest.raises(NoResultError):
         lung_box(Volume(np.full((40, 60, 60), 40, np.int16), np.diag([2.0, 2.0, 2.0, 1.0])))

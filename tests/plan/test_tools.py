@@ -37,7 +37,7 @@ def test_each_tool_of_the_library_round_trips_through_its_file(one: Tool, tmp_pa
     assert tool_from_file(written(tmp_path, one.to_json())) == one
 
 
-def test_figures_marked_as_read_have_a_source_and_names_are_unique() -> None:
+def test_library_figures_with_the_basis_read_have_a_source_and_names_are_unique() -> None:
     assert len({one.name for one in tools()}) == len(tools())
     for one in tools():
         assert ("s" not in one.basis.replace("rest", "").split(",")[0].split()) or one.source is not None
@@ -74,7 +74,7 @@ def test_file_with_impossible_tool_figures_is_refused_with_a_message(
         tool_from_file(written(tmp_path, {**OWN, **changes}))
 
 
-def test_file_that_is_no_tool_file_is_refused(tmp_path: Path) -> None:
+def test_file_without_the_fields_of_a_tool_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"none\.json: expected a JSON file with one instrument"):
         tool_from_file(tmp_path / "none.json")
     broken = tmp_path / "broken.json"
@@ -96,7 +96,7 @@ def test_each_scope_of_the_library_round_trips_through_its_file(one: ScopePreset
     assert found.fit_mm == one.fit_mm
 
 
-def test_figures_missing_in_a_scope_file_are_unknown(tmp_path: Path) -> None:
+def test_figures_missing_in_a_scope_file_are_none(tmp_path: Path) -> None:
     few = {"format": "carina-scope", "version": 1, "name": "own", "title": "Own", "scope_class": "thin", "basis": "k"}
     found = scope_from_file(written(tmp_path, {**few, "tip_mm": 4.0}))
     assert found.channel_mm is None and found.flexion_deg is None and found.bending_mm is None
@@ -115,7 +115,9 @@ def test_figures_missing_in_a_scope_file_are_unknown(tmp_path: Path) -> None:
         ({"scope_class": "magic"}, r"scope_class: expected one of diagnostic, .*; found 'magic'"),
     ],
 )
-def test_impossible_scope_is_refused_with_a_message(changes: dict[str, Any], words: str, tmp_path: Path) -> None:
+def test_scope_file_with_impossible_figures_is_refused_with_a_message(
+    changes: dict[str, Any], words: str, tmp_path: Path
+) -> None:
     document = {**scope_to_json(scope_preset("ultrathin")), **changes}
     with pytest.raises(UsageError, match=words):
         scope_from_file(written(tmp_path, document))

@@ -49,7 +49,7 @@ def clips() -> tuple[TurnClip | None, ...]:
     return clips_of(turns())
 
 
-def test_clip_flies_from_the_previous_turn_and_ends_in_its_own_picture() -> None:
+def test_clip_flies_from_the_previous_turn_and_ends_in_the_picture_of_its_turn() -> None:
     stills = turn_pictures(
         made_phantom(**CHEST).volume,
         made_airways(**CHEST),
@@ -69,7 +69,7 @@ def test_clip_flies_from_the_previous_turn_and_ends_in_its_own_picture() -> None
             assert np.array_equal(camera.lps_from_camera, pose.lps_from_camera)
         assert 0.0 < clip.duration_s <= min(times[-1], 4.0)
         # Still and clip are rendered without mottling and relief, which do not come from the patient. The flight ends
-        # at the camera of the still, except for rounding.
+        # at the camera of the still to within rounding.
         off = np.abs(end.frames[-1].astype(int) - letter_edges(still.picture).rgb.astype(int))
         assert np.mean(off.max(axis=2) > 1) < 0.001, clip.turn
 
@@ -79,11 +79,11 @@ def test_frames_are_evenly_spaced_along_the_flight() -> None:
         assert clip is not None
         steps = np.linalg.norm(np.diff([camera.position_lps for camera in clip.cameras], axis=0), axis=1)
         assert steps.min() > 0.0
-        # The flight is eased: slow at both ends.
+        # The flight accelerates at its start and slows down at its end.
         assert steps.max() == steps[1:-1].max()
 
 
-def test_clip_for_an_operator_facing_the_patient_is_turned_by_half() -> None:
+def test_clip_for_an_operator_facing_the_patient_is_rotated_by_180_degrees() -> None:
     first = dataclasses.replace(turns(), turns=turns().turns[:2])
     for head, facing in zip(clips(), clips_of(first, operator="facing"), strict=False):
         assert head is not None and facing is not None
@@ -91,14 +91,14 @@ def test_clip_for_an_operator_facing_the_patient_is_turned_by_half() -> None:
             assert np.allclose(one.right_lps, -two.right_lps, atol=1e-5)
 
 
-def test_strip_has_all_frames_from_the_first_at_the_top() -> None:
+def test_strip_of_a_clip_has_all_frames_below_each_other_in_order() -> None:
     clip = clips()[0]
     assert clip is not None
     strip = simplejpeg.decode_jpeg(clip.strip())
     assert strip.shape == (FRAMES * SIZE, SIZE, 3)
     for n, frame in enumerate(clip.frames):
         off = strip[n * SIZE : (n + 1) * SIZE].astype(float) - frame
-        # Limit of the JPEG error; the difference to another frame is three times as large.
+        # The limit covers the error of JPEG; the difference from another frame is three times as large.
         assert np.abs(off).mean() < 8.0, n
 
 
@@ -109,7 +109,7 @@ def test_stretch_without_length_has_no_clip() -> None:
     assert made is not None and none is None
 
 
-def test_clip_with_invalid_input_is_refused() -> None:
+def test_clip_with_invalid_arguments_is_refused() -> None:
     with pytest.raises(UsageError, match="size_px: expected 64 to 512; found 10"):
         clips_of(turns(), size_px=10)
     for num in (1, 25):

@@ -1,4 +1,4 @@
-"""Tests of flights between turns: from the picture of one turn to the next, level at both ends and smooth between."""
+"""Tests of flights between turns: each flight leads from the picture of one turn to that of the next, without jumps."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def angle_deg(one: Pose, other: Pose) -> float:
 
 
 def away_mm(points: np.ndarray, line: np.ndarray) -> float:
-    """Return the largest distance of points from a polyline, mm."""
+    """Return the largest distance of the points from a polyline, mm."""
     a, b = line[:-1], line[1:]
     along = b - a
     squared = (along**2).sum(axis=1)
@@ -55,14 +55,14 @@ def test_flight_begins_and_ends_with_the_pictures_of_its_turns(seed: int, operat
         sign = 1.0 if operator == "head" else -1.0
         for pose in (poses[0], poses[-1]):
             assert np.allclose(-pose.down_lps, sign * upright(pose.forward_lps), atol=1e-6)
-        # Tolerance: the smoothing of the path plus the offset at its ends.
+        # The tolerance is the smoothing of the path plus the offset at its ends.
         assert away_mm(np.array([pose.position_lps for pose in poses]), line) < 1.1
         assert max(angle_deg(a, b) for a, b in itertools.pairwise(poses)) < 12.0
 
 
 @quick
 @given(SEEDS)
-def test_flight_facing_the_patient_is_the_same_turned_by_half(seed: int) -> None:
+def test_flight_for_an_operator_facing_the_patient_is_rotated_by_180_degrees(seed: int) -> None:
     tree = random_tree(seed)
     route = route_in(tree, tree.tips()[0].id)
     found = turn_list(tree, route)
@@ -84,7 +84,7 @@ def test_flights_of_a_route_join_without_a_jump() -> None:
         assert np.allclose(before[-1].lps_from_camera, after[0].lps_from_camera, atol=1e-6)
 
 
-def test_speed_and_frame_rate_are_as_requested() -> None:
+def test_flight_has_the_requested_speed_and_frame_rate() -> None:
     tree = random_tree(1)
     route = route_in(tree, tree.tips()[0].id)
     times, poses = turn_flight(tree, route, turn_list(tree, route), 0, speed_mm_s=10.0, rate_hz=50.0)
@@ -93,7 +93,7 @@ def test_speed_and_frame_rate_are_as_requested() -> None:
     assert max(steps) <= 10.0 * 0.02 * 1.1
 
 
-def test_impossible_flight_is_refused() -> None:
+def test_flight_with_invalid_arguments_is_refused() -> None:
     tree = random_tree(1)
     route = route_in(tree, tree.tips()[0].id)
     found = turn_list(tree, route)

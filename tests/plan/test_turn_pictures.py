@@ -1,4 +1,4 @@
-"""Tests of turn pictures: the outline shows the branch that the scope enters, where no wall covers it."""
+"""Tests of turn pictures: the outline shows the opening of the entered branch where no wall covers it."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_outlined_pixels_are_wall_of_the_entered_branch_in_the_truth() -> None:
         assert made.in_view, made.turn
         points = walls(made)[made.outline]
         points = points[np.isfinite(points).all(axis=1)][::7]
-        # The true branch at the position of the tree's branch, and the branches beyond it.
+        # The points are of the true branch along the tree's branch, and of its descendants.
         daughter = tree.branch(made.turn.to_branch_id)
         middle = daughter.points[len(daughter.points) // 2]
         own = min(range(len(lines)), key=lambda n: np.linalg.norm(lines[n][0] - middle, axis=1).min())
@@ -78,11 +78,11 @@ def test_outlined_pixels_are_wall_of_the_entered_branch_in_the_truth() -> None:
             gap = (np.linalg.norm(points[:, None] - line[None], axis=2) - radius).min(axis=1)
             side = row["id"] in ours
             gaps[side] = np.minimum(gaps[side], gap)
-        # Tolerance of a millimetre at the opening, where both branches share their wall.
+        # The tolerance is a millimetre at the opening, where both branches share their wall.
         assert np.mean(gaps[True] <= gaps[False] + 1.0) > 0.97, made.turn
 
 
-def test_outline_is_in_the_direction_of_the_hour() -> None:
+def test_outline_is_in_the_direction_of_the_stated_hour() -> None:
     rows, columns = np.mgrid[0:SIZE, 0:SIZE] + 0.5 - SIZE / 2
     for made in pictures():
         if made.turn.straight_ahead:
@@ -100,12 +100,12 @@ def test_middle_of_the_opening_is_inside_its_outline() -> None:
         assert at is not None and made.outline[int(at[1]), int(at[0])], made.turn
 
 
-def test_other_openings_are_outside_the_outline() -> None:
+def test_openings_of_other_branches_are_outside_the_outline() -> None:
     tree = made_airways(**CHEST).tree
     for made in pictures():
         for other in made.turn.others:
             branch = tree.branch(other.branch_id)
-            # A point well inside the branch, if it is visible.
+            # The point is well inside the branch; the picture may not show it.
             place = branch.points[len(branch.points) // 2]
             at = made.picture.pixel_of(place)
             if at is None or not (0 <= at[0] < SIZE and 0 <= at[1] < SIZE):
@@ -116,10 +116,11 @@ def test_other_openings_are_outside_the_outline() -> None:
                 assert not made.outline[int(at[1]), int(at[0])], (made.turn, other)
 
 
-def test_picture_for_an_operator_facing_the_patient_is_turned_by_half() -> None:
+def test_picture_for_an_operator_facing_the_patient_is_rotated_by_180_degrees() -> None:
     for head, facing in zip(pictures(), pictures_of(turns(), operator="facing"), strict=True):
         turned = facing.outline[::-1, ::-1]
-        # Rays of the turned picture sample the wall at slightly different points; the test compares every second pixel.
+        # Rays of the rotated picture sample the wall at slightly different points, so the test compares every second
+        # pixel.
         both = np.mean(turned != head.outline)
         assert both < 0.01
         assert np.allclose(facing.camera.right_lps, -head.camera.right_lps)
@@ -131,7 +132,7 @@ def test_branch_begins_where_its_axis_has_left_the_other_lumens() -> None:
         points = np.linspace(np.array(a, dtype=float), np.array(b, dtype=float), 41)
         return {"id": number, "parent": parent, "children": children, "points": points, "radius": np.full(41, radius)}
 
-    # The side branch is the widest: a ball of its width at the fork would include the opposite wall.
+    # The side branch is the widest, so a ball of its width at the fork would include the opposite wall.
     fork = [0.0, 0.0, 0.0]
     tree = made_tree([tube(0, [0, 0, 20], fork, 4.0), tube(1, fork, [0, 0, -20], 4.0), tube(2, fork, [20, 0, 0], 4.6)])
     turn = next(one for one in turn_list(tree, route_in(tree, 2, carina=False)).turns)
@@ -142,7 +143,7 @@ def test_branch_begins_where_its_axis_has_left_the_other_lumens() -> None:
 
 
 def hidden(turn: Turn) -> Turn:
-    """Return the same turn seen from the other lung, with all tissue in between."""
+    """Return the turn with its camera in the other lung, so that tissue covers the opening."""
     tree = made_airways(**CHEST).tree
     away = max(tree.tips(), key=lambda tip: float(np.linalg.norm(tip.tip_lps - np.array(turn.fork_lps))))
     eye = away.points[len(away.points) // 2]
@@ -159,7 +160,7 @@ def test_opening_behind_a_wall_is_not_outlined_and_reported_out_of_view() -> Non
     assert np.array_equal(made.rgb[middle, middle], plain[middle, middle]), "nothing is drawn where it would be"
 
 
-def test_line_has_the_colour_of_the_route_or_of_doubt() -> None:
+def test_outline_has_the_colour_of_the_route_or_of_a_doubtful_branch() -> None:
     turn = turns().turns[1]
     doubted = dataclasses.replace(turn, doubts=("it was drawn by hand",))
     for one, colour, other in ((turn, ROUTE_RGB, DOUBTFUL_RGB), (doubted, DOUBTFUL_RGB, ROUTE_RGB)):
@@ -169,7 +170,7 @@ def test_line_has_the_colour_of_the_route_or_of_doubt() -> None:
 
 
 @pytest.mark.parametrize("radius_px", [15.0, 40.0, 90.0])
-def test_line_has_one_width(radius_px: float) -> None:
+def test_outline_has_one_line_width_at_every_size(radius_px: float) -> None:
     rows, columns = np.mgrid[0:256, 0:256] + 0.5 - 128
     field = 1.0 / (1.0 + np.exp((np.hypot(rows, columns) - radius_px) / 2.0))
     rgb = np.zeros((256, 256, 3), dtype=np.uint8)
@@ -178,7 +179,7 @@ def test_line_has_one_width(radius_px: float) -> None:
     assert covered.sum() / (math.tau * radius_px) == pytest.approx(3.0, abs=0.35)
 
 
-def test_picture_states_its_camera_position(tmp_path: Any) -> None:
+def test_turn_picture_states_its_camera_position(tmp_path: Any) -> None:
     made = pictures()[1]
     path = tmp_path / "turn.png"
     path.write_bytes(made.png())
@@ -189,7 +190,7 @@ def test_picture_states_its_camera_position(tmp_path: Any) -> None:
     assert len(made.png()) > len(png_bytes(np.ascontiguousarray(made.rgb)))
 
 
-def test_mottling_is_off_and_unmarked_pictures_have_no_drawings() -> None:
+def test_turn_pictures_have_no_mottling_and_unmarked_ones_no_drawings() -> None:
     made, plain = pictures()[1], pictures_of(dataclasses.replace(turns(), turns=turns().turns[1:2]), marked=False)[0]
     view = AirwayView(
         made.camera, fov_deg=FOV_DEG, width=SIZE, height=SIZE, lens=Lens.equidistant(), method="brute", texture=False
@@ -199,7 +200,7 @@ def test_mottling_is_off_and_unmarked_pictures_have_no_drawings() -> None:
     assert np.array_equal(plain.outline, made.outline)
 
 
-def test_picture_with_invalid_input_is_refused() -> None:
+def test_turn_picture_with_invalid_arguments_is_refused() -> None:
     with pytest.raises(UsageError):
         pictures_of(turns(), size_px=10)
     blind = dataclasses.replace(turns().turns[0], seen_from_lps=None)

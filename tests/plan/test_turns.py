@@ -1,4 +1,4 @@
-"""Tests of the list of turns against geometry, for both operators: hours, sides and distances in random trees."""
+"""Tests of hours, sides and distances in the list of turns, for both operators, in random trees."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def oracle_hours(turn: Turn) -> float:
         up = np.array([0.0, 0.0, 1.0])
     of_up, of_place = unit(np.cross(sight, up)), unit(np.cross(sight, place - eye))
     angle = math.acos(float(np.clip(of_up @ of_place, -1.0, 1.0)))
-    # Seen along the line of sight, a right-handed rotation about it is clockwise.
+    # A right-handed rotation about the line of sight appears clockwise along this line.
     if float(np.cross(of_up, of_place) @ sight) < 0.0:
         angle = -angle
     return (angle / math.tau * 12.0) % 12.0
@@ -72,7 +72,7 @@ def test_hours_are_the_angle_between_two_planes_through_the_line_of_sight(seed: 
 
 @quick
 @given(SEEDS)
-def test_operator_facing_the_patient_reads_hours_in_the_picture_turned_by_half(seed: int) -> None:
+def test_hours_for_an_operator_facing_the_patient_are_rotated_by_six_hours(seed: int) -> None:
     for tree, found in lists(seed):
         for turn in found.turns:
             daughters = [tree.branch(turn.to_branch_id), *(tree.branch(one.branch_id) for one in turn.others)]
@@ -98,7 +98,7 @@ def test_distances_add_up_to_the_final_tip_position(seed: int) -> None:
         for before, turn in zip(found.turns, found.turns[1:], strict=False):
             assert turn.from_carina_mm - before.from_carina_mm == pytest.approx(turn.from_fork_mm, abs=1e-9)
             assert found.depth_mm(turn.from_carina_mm) == pytest.approx(250.0 + turn.from_carina_mm)
-        # Compare with the polyline, point by point.
+        # The distances are compared with the polyline, point by point.
         way = np.concatenate([branch.points for branch in tree.lineage(tip.id)])
         last = np.array(found.turns[-1].fork_lps)
         index = int(np.argmin(np.linalg.norm(way - last, axis=1)))
@@ -122,11 +122,11 @@ def test_mirrored_patient_has_mirrored_hours_and_sides(seed: int) -> None:
 
 @quick
 @given(SEEDS, st.floats(-math.pi, math.pi), st.floats(-200.0, 200.0))
-def test_hours_stay_when_the_patient_turns_about_the_anterior_axis(seed: int, angle: float, shift: float) -> None:
+def test_hours_are_unchanged_by_a_rotation_about_the_anterior_axis(seed: int, angle: float, shift: float) -> None:
     c, s = math.cos(angle), math.sin(angle)
     turned = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
     for tree, found in lists(seed):
-        # Where the view runs along the anterior axis, superior is up and turns with the patient.
+        # A view along the anterior axis has superior up, and this up direction turns with the patient.
         sights = [unit(np.array(t.fork_lps) - np.array(t.seen_from_lps)) for t in found.turns]
         assume(all(abs(sight[1]) < 0.98 for sight in sights))
         there = moved(tree, turned, np.array([shift, -shift, 3.0]))
@@ -148,7 +148,7 @@ def test_hours_change_by_the_roll_of_levelling_in_any_pose(seed: int, other: int
     there = moved(tree, q, np.zeros(3))
     turned = turn_list(there, route_in(there, found.turns[-1].to_branch_id))
     for one, two in zip(found.turns, turned.turns, strict=True):
-        # The original camera rotated with the patient, and the camera levelled after the rotation.
+        # One camera is rotated with the patient, the other is levelled after the rotation.
         carried, level = q @ one.camera("head").lps_from_camera[:3, :3], two.camera("head").lps_from_camera[:3, :3]
         roll = math.atan2(float(carried[:, 0] @ -level[:, 1]), float(carried[:, 0] @ level[:, 0]))
         assert hours_apart(two.clock_head, one.clock_head - roll / math.tau * 12.0) < 1e-6
@@ -157,7 +157,7 @@ def test_hours_change_by_the_roll_of_levelling_in_any_pose(seed: int, other: int
 
 @quick
 @given(SEEDS)
-def test_side_in_words_is_the_side_of_the_opening_in_the_patient(seed: int) -> None:
+def test_stated_side_is_the_side_of_the_opening_in_the_patient(seed: int) -> None:
     axis = {"right": (0, -1), "left": (0, 1), "anterior": (1, -1), "posterior": (1, 1), "inferior": (2, -1)}
     axis["superior"] = (2, 1)
     for _, found in lists(seed):
@@ -181,12 +181,12 @@ def test_camera_is_on_the_route_where_a_flight_pauses(seed: int) -> None:
     flown = route_to_branch(tree, tip.id)
     for turn, stop, fork in zip(found.turns, flown.lookouts_mm, flown.forks_mm, strict=True):
         stand = [np.interp(stop, flown.cumulative_mm, flown.points_lps[:, axis]) for axis in range(3)]
-        # In a route, the first radius of a branch is that of the previous branch, which shifts the median by half a
-        # point.
+        # The first radius of a branch in a route is the last radius of the previous branch, which shifts the median by
+        # half a point.
         assert np.linalg.norm(np.array(turn.seen_from_lps) - stand) < max(0.08 * (fork - stop), 0.3)
 
 
-def test_picture_has_the_up_direction_of_the_window() -> None:
+def test_turn_camera_has_the_up_direction_of_the_window() -> None:
     rng = np.random.default_rng(5)
     for _ in range(60):
         eye, look = rng.normal(size=3), unit(rng.normal(size=3))
@@ -199,7 +199,7 @@ def test_picture_has_the_up_direction_of_the_window() -> None:
 
 
 def from_head() -> tuple[Pose, list[Branch]]:
-    """Return the fork of the window's own test (web/src/state/route.test.ts), seen from the head end."""
+    """Return the pose and the branches of a fork seen from the head end, as in web/src/state/route.test.ts."""
     rows = [
         {"id": 0, "parent": None, "children": [1, 2], "points": np.array([[0.0, 0, 0], [0, 0, -30]])},
         {"id": 1, "parent": 0, "children": [], "points": np.array([[0.0, 0, -30], [-10, 0, -40]])},
@@ -239,7 +239,7 @@ def nearly_straight(near: float, far: float) -> dict[str, Any]:
 
 
 def golden_cases() -> list[dict[str, Any]]:
-    """Return turns of random trees for both operators, which the window must compute from the same camera."""
+    """Return turns of random trees for both operators, whose hours the window must compute from the camera."""
     made = [nearly_straight(*tangents) for tangents in ((0.11, 0.46), (0.11, 0.42), (0.13, 0.6), (0.02, 0.09))]
     for seed in range(8):
         tree = random_tree(seed, num_children=(2, 3 if seed % 2 else 2), lengths_mm=(40.0, 15.0, 12.0), curl=1.5)
@@ -271,7 +271,7 @@ def golden_cases() -> list[dict[str, Any]]:
     return made
 
 
-def test_golden_hours_equal_those_of_python() -> None:
+def test_hours_of_the_golden_file_equal_those_of_python() -> None:
     """Compare with the file that ``web/src/state/fork-hours.test.ts`` also reads.
 
     Only ``make golden`` rewrites the file.
@@ -320,7 +320,7 @@ def test_forks_two_millimetres_apart_are_one_turn_that_names_passed_branches() -
     assert turn.words("head").startswith(
         "At 40 mm past the previous fork, enter RB3 just past RUL (3 o\u2019clock, right, 4.0 mm, "
     )
-    # Forks a little farther apart are two turns.
+    # Forks that are farther apart than 2 mm are two turns.
     rows = [straight(1, 0, [3, 4], [0, 0, -40], [0, 0, -43.0], name="RUL")]
     apart = {branch.id: branch for branch in tree.branches}
     shifted = [
@@ -357,7 +357,7 @@ def test_route_that_ends_before_the_first_fork_has_no_turns() -> None:
     assert line.endswith("from the start of the route, stop")
 
 
-def test_single_continuing_branch_is_no_fork() -> None:
+def test_branch_with_one_continuing_child_is_not_listed_as_a_fork() -> None:
     tree = made_tree(
         [
             straight(0, None, [1], [0, 0, 0], [0, 0, -40]),
@@ -370,7 +370,7 @@ def test_single_continuing_branch_is_no_fork() -> None:
     assert turn.from_fork_mm == pytest.approx(60.0) and turn.from_branch == "branch 1"
 
 
-def test_doubts_and_depths_are_in_the_line() -> None:
+def test_line_of_a_turn_contains_its_doubts_and_depths() -> None:
     tree = random_tree(2)
     tip = tree.tips()[0]
     drawn = dataclasses.replace(
@@ -414,7 +414,7 @@ def test_each_move_of_a_drive_is_listed_once_and_in_order(seed: int, advances: l
     found = turn_list(tree, route, moves=moves, ends_along_mm=ends)
     told = [move for turn in found.turns for move in turn.moves or ()]
     assert [*told, *(found.park_moves or ())] == moves
-    # A move that begins before a fork is listed with that fork.
+    # A move that begins before a fork is listed with this fork.
     places = np.cumsum([turn.from_fork_mm for turn in found.turns])
     for turn, place, before in zip(found.turns, places, [-1.0, *places], strict=False):
         for move in turn.moves or ():
@@ -458,7 +458,7 @@ def test_text_of_moves_matches_their_values() -> None:
         ({"moves": [Move(0.0, 0.0, 1.0)], "ends_along_mm": [math.inf]}, "plan.moves"),
     ],
 )
-def test_invalid_input_for_a_list_is_refused(change: dict[str, Any], code: str) -> None:
+def test_list_of_turns_with_invalid_arguments_is_refused(change: dict[str, Any], code: str) -> None:
     tree = random_tree(0)
     with pytest.raises(UsageError) as refused:
         turn_list(tree, route_in(tree, tree.tips()[0].id), **change)
@@ -481,7 +481,7 @@ def test_forks_without_length_are_listed_without_an_error() -> None:
     json.dumps(found.to_json(), allow_nan=False)
 
 
-def test_main_carina_is_the_visible_ridge() -> None:
+def test_main_carina_of_a_list_of_turns_is_the_visible_ridge() -> None:
     options: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
     airways, volume = made_airways(**options), made_phantom(**options).volume
     right = airways.tree.named("RMB")
@@ -499,7 +499,7 @@ def test_main_carina_is_the_visible_ridge() -> None:
     assert main_carina_ridge_mm(volume, airways, dataclasses.replace(planned, from_carina_mm=None)) is None
 
 
-def test_camera_is_far_enough_for_a_line_of_sight() -> None:
+def test_camera_of_a_turn_is_far_enough_from_the_fork_for_a_line_of_sight() -> None:
     short = made_tree([straight(0, None, [], [0, 0, 0], [0, 0, -2])]).root
     assert stand_mm(short) == 3.0
     long = dataclasses.replace(short, points=bent(np.zeros(3), unit(np.ones(3)), unit(np.ones(3)), 60.0, 8))

@@ -30,7 +30,7 @@ STRAIGHT_MM = 70.0
 
 
 def centreline(bend_deg: float, bend_radius_mm: float) -> np.ndarray:
-    """Return points straight down for 70 mm, along a circle towards +x, then straight for 10 mm."""
+    """Return points of a centreline: straight down for 70 mm, along a circle towards +x, then straight for 10 mm."""
     down = [np.array([0.0, 0.0, -z]) for z in np.arange(0.0, STRAIGHT_MM, 0.5)]
     bend = math.radians(bend_deg)
     angles = np.linspace(0.0, bend, int(2.0 * bend * bend_radius_mm) + 2)
@@ -50,7 +50,7 @@ def tube(bend_deg: float, bend_radius_mm: float = 20.0) -> tuple[AirwayTree, Wal
     step = 0.5
     num = np.ceil((hi - lo) / step).astype(int) + 1
     axes = [lo[a] + step * np.arange(num[a]) for a in range(3)]
-    # No scope moves farther from the centreline, so one distance is enough for all samples beyond.
+    # No scope moves farther than 8 mm from the centreline, so all samples beyond have this distance.
     far = 8.0
     off = np.full(num, far, dtype=np.float32)
     at = np.arange(0.0, len(points) - 1.0, 0.25)
@@ -70,7 +70,7 @@ def tube(bend_deg: float, bend_radius_mm: float = 20.0) -> tuple[AirwayTree, Wal
 
 
 def plan_in(points: np.ndarray, park: int = -8, error_mm: float = 0.2) -> Plan:
-    """Return a plan made by hand: the nodule is straight ahead of the final tip position."""
+    """Return a plan made by hand, whose nodule is straight ahead of the scope's final position."""
     tip = points[park]
     ahead = points[-1] - points[-3]
     ahead /= np.linalg.norm(ahead)
@@ -92,7 +92,7 @@ def check(found: Verdict, name: str):
 
 
 def judged(*args: Any, **options: Any) -> Verdict:
-    """Return a verdict with one attempt at the drive, for tests that do not depend on the drive."""
+    """Return a verdict for which one drive is tried; for tests that do not depend on the drive."""
     return judge_scope(*args, **options, effort=1.0)
 
 
@@ -117,7 +117,7 @@ def test_required_bend_angle_is_within_two_degrees_of_the_circle(bend_deg: float
         assert found.answer == answer, found.words
 
 
-def test_wider_tip_stiffer_bend_and_shorter_scope_are_never_better() -> None:
+def test_verdict_of_a_wider_stiffer_or_shorter_scope_is_never_better() -> None:
     tree, field, points = tube(100.0)
     plan = plan_in(points)
 
@@ -137,7 +137,7 @@ def test_wider_tip_stiffer_bend_and_shorter_scope_are_never_better() -> None:
         assert lengths == sorted(lengths, reverse=True) and (lengths[0], lengths[-1]) == (2, 0)
 
 
-def test_uncertain_range_between_yes_and_no_is_as_wide_as_the_errors() -> None:
+def test_range_of_undecided_widths_is_as_wide_as_the_errors() -> None:
     tree, field, points = tube(30.0, 80.0)
     fits = dataclasses.replace(scope(), tip_mm=2 * RADIUS_MM - 0.4)
     coarse = judged(tree, plan_in(points, error_mm=0.7), field, fits)
@@ -170,7 +170,8 @@ def test_undecided_bend_is_settled_by_drives_with_less_flexion(monkeypatch: pyte
     assert (told.answer, told.share) == ("yes", 0.95) and found.driven is not None
     assert told.words == f"{figures.words}; with 13 degrees less flexion, the drive still arrives"
 
-    # Where flexion is needed, a drive with this fraction of the flexion arrives, and a drive with less does not.
+    # If flexion is needed, a drive with the share ``share`` of the scope's flexion arrives, and a drive with less does
+    # not.
     for needs_deg, share, words in (
         (62.0, 0.62, "5 degrees less flexion, no drive"),
         (56.5, 0.85, "5 degrees less flexion, the drive"),
@@ -222,7 +223,7 @@ def test_failed_check_is_listed_first_with_the_position_of_the_stop() -> None:
     assert [one.scope.name for one in told] == ["wide", "fits"]
     assert told[0].driven is None and told[0].words.startswith("stops at ")
     assert told[0].would == "could reach only if the airway were wider or the scope thinner"
-    # For a scope with an unknown bending section, the position of the stop is unknown.
+    # If the bending section of a scope is unknown, the position of the stop is unknown.
     unknown = dataclasses.replace(presets[1], flexion_deg=None, bending_mm=None)
     (told_of,) = judge_scopes(tree, plan_in(points), field, scopes=[unknown])
     assert told_of.outcome == "does not reach" and told_of.words.startswith("does not reach: needs ")
@@ -245,7 +246,7 @@ def test_whole_library_is_judged_in_a_chest_with_progress_and_cancellation() -> 
         judge_scopes(tree, plan, wall, cancel=lambda: True)
 
 
-def test_plan_without_a_route_and_bad_spacing_are_refused() -> None:
+def test_verdict_without_a_route_or_with_an_invalid_spacing_is_refused() -> None:
     tree, field, points = tube(60.0)
     plan = plan_in(points)
     with pytest.raises(UsageError, match="the plan has no route to judge"):

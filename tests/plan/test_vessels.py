@@ -1,4 +1,4 @@
-"""Tests of vessels around a target: thin vessels, no vessels in plates or noise, and the vessel tree."""
+"""Tests of vessels around a target: thin vessels are found, plates and noise are not, and the vessels form a tree."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from carina.volume import Volume
 HALF_MM, STEP_MM, FINE = 15.0, 0.7, 2
 LUNG_HU, BLOOD_HU = -860.0, 40.0
 Line = tuple[tuple[float, float, float], tuple[float, float, float], float]
-"""Start, end and radius of a vessel."""
+"""Start (LPS mm), end (LPS mm) and radius (mm) of a drawn vessel."""
 
 
 def nowhere() -> WallField:
@@ -72,7 +72,7 @@ def test_vessel_of_any_direction_is_found_at_its_position(
     found = seen(scan(((start, end, radius),)))
     middle = along(tuple(-8.0 * way + [aside, 0, 0]), tuple(8.0 * way + [aside, 0, 0]))
     assert (found.read(found.vessel_mm, middle) == 0.0).mean() > 0.95
-    # The distance map gives the distance to the vessel's edge for a needle that passes 4 mm from the vessel.
+    # The distance map gives the distance of a needle from the vessel's edge; the needle passes 4 mm from the vessel.
     across = np.cross(way, [0.3, 0.5, 0.8])
     beside = middle + 4.0 * across / np.linalg.norm(across)
     assert np.median(found.read(found.vessel_mm, beside)) == pytest.approx(4.0 - radius, abs=0.5)
@@ -80,10 +80,10 @@ def test_vessel_of_any_direction_is_found_at_its_position(
     assert (found.sure[~found.vessel] == 0.0).all()
 
 
-def test_lung_alone_and_a_plate_have_no_vessel() -> None:
+def test_no_vessel_is_found_in_plain_lung_and_in_a_plate() -> None:
     for noise_hu in (10.0, 40.0):
         assert seen(scan(noise_hu=noise_hu)).vessel.mean() < 1e-4
-    # A fissure: a plate of 0.3 mm.
+    # The plate of 0.3 mm simulates a fissure.
     assert seen(scan(plate_mm=0.3)).vessel.mean() < 1e-3
 
 
@@ -95,7 +95,7 @@ def forked() -> Surroundings:
 def test_tree_follows_a_vessel_that_forks() -> None:
     tree = forked().vessel_tree()
     assert tree.is_whole
-    # The tree leads from the widest point, whose position on the trunk depends on noise, to the three ends.
+    # The tree leads from its widest point to the three ends; noise changes the position of this point on the trunk.
     assert len(tree.branches) in {2, 3}
     assert [branch.parent for branch in tree.branches].count(None) == 1
     for branch in tree.branches:
@@ -113,7 +113,7 @@ def test_tree_follows_a_vessel_that_forks() -> None:
     assert tree.length_mm == pytest.approx(length, rel=0.12)
 
 
-def test_separate_vessels_are_separate_trees_and_no_vessel_is_no_tree() -> None:
+def test_separate_vessels_are_separate_trees_and_lung_without_vessels_has_no_tree() -> None:
     apart = seen(scan((((-6, 0, -14), (-6, 0, 14), 1.0), ((6, -14, 3), (6, 14, 3), 0.6)))).vessel_tree()
     assert [branch.parent for branch in apart.branches] == [None, None]
     assert seen(scan()).vessel_tree().branches == ()
@@ -122,7 +122,7 @@ def test_separate_vessels_are_separate_trees_and_no_vessel_is_no_tree() -> None:
 @settings(deadline=None, max_examples=40)
 @given(st.lists(st.floats(-100, 100, width=32), min_size=6, max_size=6))
 @example([0.0, 0.0, 1.0, 1.0, 0.0, 0.0])
-def test_eigenvalues_equal_those_of_numpy(second: list[float]) -> None:
+def test_eigenvalues_of_symmetric_matrices_equal_those_of_numpy(second: list[float]) -> None:
     zz, yy, xx, zy, zx, yx = second
     expected = np.linalg.eigvalsh([[zz, zy, zx], [zy, yy, yx], [zx, yx, xx]])
     found = eigenvalues([np.array([value]) for value in second])

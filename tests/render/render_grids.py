@@ -1,4 +1,4 @@
-"""Grid transforms for test volumes: rotated and anisotropic."""
+"""Transforms of rotated and anisotropic grids for test volumes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 def rotation(x: float, y: float, z: float) -> NDArray[np.float64]:
-    """Return the rotation about the three axes by angles in radians."""
+    """Return the 3x3 matrix of a rotation about x, y and z by these angles, radians."""
 
     def turn(axis: int, angle: float) -> NDArray[np.float64]:
         a, b = (axis + 1) % 3, (axis + 2) % 3
@@ -25,7 +25,7 @@ def place(
     middle_lps: tuple[float, float, float],
     shape_zyx: tuple[int, int, int],
 ) -> NDArray[np.float64]:
-    """Return ``lps_from_ijk`` of a grid with its middle at a point in LPS mm."""
+    """Return ``lps_from_ijk`` of a grid whose middle is at the point ``middle_lps``."""
     m = np.eye(4)
     m[:3, :3] = axes * np.array(spacing_mm)
     m[:3, 3] = np.array(middle_lps) - m[:3, :3] @ ((np.array(shape_zyx[::-1]) - 1) / 2)

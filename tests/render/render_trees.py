@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Start, end (LPS mm) and radius.
 TRACHEA = ((0.0, 0.0, 60.0), (0.0, 0.0, 0.0), 7.0)
+"""Start and end (LPS mm) and radius (mm) of the trachea."""
 RIGHT = ((0.0, 0.0, 0.0), (-22.0, 4.0, -34.0), 5.5)
+"""Start and end (LPS mm) and radius (mm) of the right main bronchus."""
 LEFT = ((0.0, 0.0, 0.0), (30.0, 6.0, -26.0), 4.0)
+"""Start and end (LPS mm) and radius (mm) of the left main bronchus."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class Tree:
 
 
 def straight(number, parent, children, name, line, **more) -> Branch:
-    """Return a straight branch of constant radius, with a point at each mm."""
+    """Return a straight branch of constant radius, with a point every mm."""
     start, end, radius = line
     steps = int(np.linalg.norm(np.subtract(end, start))) + 1
     points = np.linspace(start, end, steps)
@@ -42,7 +44,7 @@ def straight(number, parent, children, name, line, **more) -> Branch:
 
 
 def forked(**trachea) -> Tree:
-    """Return the tree of the fixture ``airway``."""
+    """Return the tree of the phantom in the fixture ``airway``; arguments change its trachea."""
     return Tree((
         straight(0, None, (1, 2), "Trachea", TRACHEA, **trachea),
         straight(1, 0, (), "RMB", RIGHT),

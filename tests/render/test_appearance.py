@@ -1,4 +1,4 @@
-"""Appearance of walls through a scope: exposure, light fall-off, cartilage, gloss, and its JSON file."""
+"""Tests of the appearance of walls through a scope: exposure, light, cartilage, gloss, and its JSON file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SIZE = {"width": 90, "height": 90}
 
 
 def tube(radius_mm: float, wall_hu: float = 40.0, ring_hu: float = 40.0) -> Volume:
-    """Return an airway along z, with rings of 4 mm in its wall every 8 mm."""
+    """Return an airway along z whose wall contains rings of 4 mm every 8 mm."""
     spacing = 0.8
     z, y, x = np.indices((110, 44, 44)) * spacing
     off = np.hypot(y - 17.2, x - 17.2)
@@ -48,7 +48,7 @@ def test_walls_are_bright_and_the_distant_lumen_is_dark_at_any_airway_width(radi
     assert np.mean(lit[:, 1] - lit[:, 2]) > 0
 
 
-def test_near_wall_lowers_the_exposure_of_the_rest():
+def test_near_wall_lowers_the_exposure_of_the_whole_picture():
     volume = tube(6.0)
     far, near = look(volume), look(volume, off_mm=4.6)
     assert np.percentile(near, 99) < 1.0
@@ -58,7 +58,7 @@ def test_near_wall_lowers_the_exposure_of_the_rest():
     assert fixed[1].mean() > fixed[0].mean()
 
 
-def test_light_comes_from_the_guides_and_falls_off():
+def test_light_comes_from_the_guides_and_decreases_with_distance():
     volume = tube(6.0)
     side = {"texture": 0.0, "gloss": 0.0, "exposure": 10.0, "ambient": 0.0}
     right = look(volume, guides_mm=((3.0, 0.0, 0.0),), **side)
@@ -94,14 +94,14 @@ def test_gloss_makes_few_small_highlights_that_the_relief_divides():
     assert (glossy >= dull - 1 / 255).all(), "gloss adds light and takes none"
 
     def edges(mask):
-        # Count edges along both axes, because the highlight of a smooth tube is a long column.
+        # Edges are counted along both axes, because the highlight of a smooth tube is a long column.
         return sum(np.abs(np.diff(mask.astype(int), axis=axis)).sum() for axis in (0, 1))
 
     matt = look(volume, direction=direction, gloss=0.0, exposure=60.0, specks=0.0)
     assert edges((broken - matt).max(axis=2) > 0.1) > 2.0 * edges(highlight)
 
 
-# In a lumen narrower than the distance of the light guides (3.8 mm), the light comes from inside the wall.
+# In a lumen narrower than the distance between the light guides (3.8 mm) the light comes from inside the wall.
 @pytest.mark.parametrize("radius_mm", [4.0, 9.0])
 def test_exposure_preserves_the_decrease_of_brightness_with_depth(radius_mm):
     picture = look(tube(radius_mm), specks=0.0, gloss=0.0, texture=0.0)
@@ -156,13 +156,13 @@ def test_fog_is_on_the_lens_and_hides_the_lumen():
     clear, thin, thick = (look(volume, exposure=60.0, fog=fog, specks=0.0) for fog in (0.0, 0.4, 1.0))
     assert thick.std() < thin.std() < clear.std()
     assert clear[44:46, 44:46].max() < 0.2 < thick[44:46, 44:46].min()
-    # Fog is on the lens, so the position of the scope has no effect on it.
+    # Fog is on the lens, so the position of the scope does not change it.
     moved = [look(volume, exposure=60.0, fog=fog, specks=0.0, off_mm=2.0) for fog in (0.0, 1.0)]
     share = [1.0 - (np.ptp(a) / np.ptp(b)) for a, b in ((thick, clear), (moved[1], moved[0]))]
     assert abs(share[0] - share[1]) < 0.1
 
 
-def test_wet_parts_without_ct_data_are_named_and_off_without_texture(airway):
+def test_droplets_secretions_and_fog_are_listed_and_off_without_texture(airway):
     assert ENDOSCOPIC.appearance.specks == 1.0 and Appearance().specks == 0.0
     every = Appearance(texture=0.0, specks=1.0, secretions=0.3, fog=0.2)
     assert every.decorations == ("specks", "secretions", "fog")
@@ -182,7 +182,7 @@ def test_vessels_are_few_and_faint_and_off_without_texture():
     assert Appearance().vessels == 0.0
     assert Appearance.from_json({"texture": 1.0}).vessels == 0.0, "a file from before they were a strength of their own"
     volume = tube(6.0)
-    # The green channel without highlights, because blood absorbs green.
+    # Only the green channel without highlights is compared, because blood absorbs green.
     plain, red = (look(volume, gloss=0.0, texture=0.0, vessels=v, exposure=30.0) for v in (0.0, 1.0))
     assert (red <= plain).all()
     darker = (plain - red)[..., 1] > 0.02
@@ -204,12 +204,12 @@ def test_picture_without_a_visible_wall_is_dark():
     picture = Renderer(volume).render(AirwayView(Pose.looking((6, 6, 6), (0, 0, 1)), **SIZE)).rgb
     assert picture.max() == 0
     solid = Volume(np.full((12, 12, 12), 40, dtype=np.int16), np.eye(4))
-    # In the middle of tissue the gradient is zero, so there is no direction for the lighting.
+    # In the middle of tissue the gradient is zero, so the light has no direction.
     picture = Renderer(solid).render(AirwayView(Pose.looking((6, 6, 6), (0, 0, 1)), **SIZE)).rgb
     assert 40 < picture[:, :, 0].mean() < 250
 
 
-def test_appearance_is_restored_from_a_file_and_absent_if_the_file_has_none():
+def test_appearance_is_read_from_a_file_and_none_if_the_file_has_none():
     changed = Appearance(guides_mm=((0.0, 1.5, 0.2),), exposure=3.0, texture=0.5, vessels=0.25, pale_hu=(-20.0, 180.0))
     transfer = dataclasses.replace(ENDOSCOPIC, appearance=changed)
     document = transfer.to_json()

@@ -1,4 +1,4 @@
-"""Refusal of invalid input of the renderer with the value found and the allowed range; unusual valid input."""
+"""Tests of invalid arguments of the renderer, which are refused with the value found, and of unusual valid ones."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def test_picture_of_excessive_size_is_refused_before_it_is_rendered(ball):
         refusal(lambda o=options: render_view(ball, view="airway", pose=pose(ball.centre_lps), **o), RenderError)
 
 
-# Unusual but valid input
+# Unusual but valid arguments
 
 
 @pytest.mark.parametrize("method", ["leap", "brute"])
@@ -160,7 +160,7 @@ def test_camera_extremely_far_away_shows_the_background_at_once(ball, method):
         assert renderer.render(towards).rgb.shape == (20, 24, 3)
 
 
-def test_camera_on_a_face_of_the_volume_sees_the_same_as_one_just_inside(ball):
+def test_picture_from_a_face_of_the_volume_equals_that_from_just_inside(ball):
     renderer = Renderer(ball)
     renderer.prepare()
     face = ball.to_lps(np.array([-0.5, 10.0, 9.0]))
@@ -170,11 +170,11 @@ def test_camera_on_a_face_of_the_volume_sees_the_same_as_one_just_inside(ball):
         for hair in (0.0, 1e-7)
     ]
     assert pictures[0].any()
-    # 1e-7 of the distance is 1e-6 voxels: at most a rounding error.
+    # A shift of 1e-7 of the distance is 1e-6 voxels, so at most a rounding error.
     assert np.abs(pictures[0] - pictures[1]).max() <= 1
 
 
-def test_rays_that_stop_earlier_take_fewer_samples_and_show_almost_the_same(ball):
+def test_rays_that_stop_earlier_take_fewer_samples_and_differ_by_at_most_4_levels(ball):
     renderer = Renderer(ball)
     renderer.prepare()
     at = Pose.looking(ball.centre_lps, (0.3, 0.2, -1.0))

@@ -1,6 +1,6 @@
-"""Golden images: small pictures of the phantom, compared exactly.
+"""Tests of golden images: small pictures of the phantom, compared exactly.
 
-Look at every image that ``make golden`` wrote before you commit it.
+Look at every image that ``make golden`` has written before you commit it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ SIZE = {"width": 96, "height": 96}
 AT = (0.5, -1.0, 26.0)
 WAY = FlightPath([(0.0, 0.0, 40.0), (0.0, 0.0, 0.0), (-22.0, 4.0, -34.0)])
 
-# Name: (view of the phantom, transfer function, what a person must see).
+# By name: view of the phantom, transfer function, and what a person must see in the image.
 CASES = {
     "airway-endoscopic": (
         lambda pose: AirwayView(pose, fov_deg=100.0, **SIZE),
@@ -101,9 +101,10 @@ CASES = {
     ),
 }
 
-# Parts that are drawn from the airway tree; DECORATED has name: (pose, parts, what a person must see).
 DOWN_THE_TRACHEA = Pose.looking((0.0, 0.5, 40.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
+"""Camera in the trachea that looks down, with anterior up."""
 AT_THE_CARINA = Pose.looking((0.0, 0.0, 12.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
+"""Camera before the carina that looks down, with anterior up."""
 DECORATED = {
     "decorated-trachea": (
         DOWN_THE_TRACHEA,
@@ -121,10 +122,11 @@ DECORATED = {
     "decorated-spurs": (AT_THE_CARINA, ("spurs",), "a pale ridge between the two bronchi, and nothing else"),
     "decorated-vessels": (DOWN_THE_TRACHEA, ("vessels",), "a few thin red lines that branch"),
 }
+"""Golden images of the decoration by name: pose, parts drawn from the airway tree, and what a person must see."""
 
 
 def compare(name: str, found: np.ndarray, seen: str) -> None:
-    """Fail unless the picture equals the golden image; store expected, actual and difference images side by side."""
+    """Fail unless the picture equals the golden image; store the expected, the actual and the difference image."""
     path = GOLDEN / f"{name}.png"
     if os.environ.get("CARINA_GOLDEN") == "rewrite":
         GOLDEN.mkdir(parents=True, exist_ok=True)
@@ -147,7 +149,7 @@ def compare(name: str, found: np.ndarray, seen: str) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(CASES))
-def test_golden_pictures_are_unchanged(name, airway):
+def test_pictures_of_the_phantom_equal_the_golden_images(name, airway):
     view, transfer, seen = CASES[name]
     renderer = Renderer(airway.volume, transfer=transfer_preset(transfer))
     renderer.set_lumen(airway.lumen_zyx)
@@ -156,7 +158,7 @@ def test_golden_pictures_are_unchanged(name, airway):
 
 
 @pytest.mark.parametrize("name", sorted(DECORATED))
-def test_golden_pictures_of_the_decoration_are_unchanged(name, airway):
+def test_pictures_of_the_decoration_equal_the_golden_images(name, airway):
     pose, parts, seen = DECORATED[name]
     preset = transfer_preset("endoscopic")
     on = {part: getattr(preset.appearance, part) for part in parts}

@@ -1,6 +1,6 @@
-"""Airway views rendered on a graphics device, compared with the CPU.
+"""Tests of airway views rendered on a graphics device, compared with the CPU.
 
-`make test-gpu` runs these tests on the wheel.
+`make test-gpu` runs these tests on the installed wheel.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from carina.volume import Volume
 pytestmark = pytest.mark.gpu
 SIZE = {"width": 96, "height": 72}
 ENDOSCOPIC = transfer_preset("endoscopic")
-# This transfer function lights every sample from the tip, instead of walls after the casting.
+# This transfer function applies the light to every sample during the casting, not to the walls after it.
 TIP_LIT = dataclasses.replace(ENDOSCOPIC, appearance=None)
 
 
@@ -54,7 +54,7 @@ def assert_same(cpu, gpu, view, *, method=None):
     expected, found = cpu.render(view), gpu.render(view)
     assert found.stats.method == (f"gpu-{expected.stats.method}" if method is None else method)
     assert part_off(expected.rgb, found.rgb) <= MAX_PART_OFF
-    # A pixel with a larger difference shows another object: a wall moved by one sample keeps its colour.
+    # A pixel with a larger difference shows another object, because a wall moved by one sample keeps its colour.
     assert np.abs(expected.rgb.astype(int) - found.rgb).max() <= 40
     assert found.stats.num_rays == expected.stats.num_rays
     for count in ("num_samples", "num_skipped", "num_shaded", "num_loads"):
@@ -111,7 +111,7 @@ def test_nearest_voxels_use_the_gpu_and_leaps_over_all_classes_use_the_cpu(airwa
     assert_same(cpu, gpu, AirwayView(airway.pose, method="brute", **SIZE), method="gpu-brute")
 
 
-def test_joined_strips_equal_the_whole_picture(airway):
+def test_joined_strips_of_the_gpu_equal_the_whole_picture(airway):
     _, gpu = both(airway.volume)
     view = AirwayView(airway.pose, **SIZE)
     strips = [gpu.render(view, rows=rows).rgb for rows in ((0, 7), (7, 8), (8, 72))]
@@ -148,7 +148,7 @@ def test_walls_cast_on_the_gpu_are_lit_as_on_the_cpu(airway):
 
 
 def test_auto_compares_pictures_with_the_transfer_function_of_the_case(airway, adapters):
-    # The software adapter is declared as a card for this test.
+    # In this test the software adapter is declared as a graphics card.
     card = dataclasses.replace(adapters[0], kind="discrete")
     renderer = Renderer(airway.volume, backend=Backend("auto", find=lambda: [card]))
     renderer.set_lumen(airway.lumen_zyx)
@@ -173,7 +173,7 @@ def test_auto_compares_pictures_with_the_transfer_function_of_the_case(airway, a
         assert part_off(picture.rgb, expected.rgb) <= MAX_PART_OFF
 
 
-def test_several_threads_receive_their_own_pictures(airway):
+def test_several_threads_receive_the_gpu_pictures_that_they_requested(airway):
     _, gpu = both(airway.volume)
     views = [AirwayView(airway.pose, fov_deg=fov, **SIZE) for fov in (60.0, 90.0, 120.0, 150.0)]
     expected = [gpu.render(view).rgb for view in views]
@@ -213,7 +213,7 @@ def test_lost_device_causes_a_fallback_to_the_cpu_and_one_message(airway, caplog
     assert len([record for record in caplog.records if record.levelno >= 30]) == 1
 
 
-def test_scene_of_another_array_is_refused(airway):
+def test_gpu_scene_of_another_array_is_refused(airway):
     gpu = _core.Gpu(0)
     scene = gpu.upload(airway.volume.hu_zyx)
     copied = Volume(airway.volume.hu_zyx.copy(), airway.volume.lps_from_ijk)

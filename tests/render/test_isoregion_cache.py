@@ -1,4 +1,4 @@
-"""Cache of IsoRegion maps on disk: reuse, checks, size limit, and storage of slow maps only."""
+"""Tests of the cache of IsoRegion maps on disk: reuse, checks, size limit, and storage only of slow maps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from carina.volume import Volume
 
 @pytest.fixture
 def slow(monkeypatch):
-    """Make every build of a map count as slow."""
+    """Make every build of an IsoRegion map count as slow, so that the map is stored."""
     monkeypatch.setattr(isoregion_cache, "SLOW_NS_PER_VOXEL", 0.0)
 
 
@@ -29,7 +29,7 @@ def test_map_that_is_quick_to_build_is_not_stored(airway, tmp_path, monkeypatch)
     renderer.prepare()
     renderer.wait_stored()
     assert not list(tmp_path.iterdir())
-    # The volume is not read to compute the name of a map that cannot be in the cache.
+    # The volume is not read for the name of a map that cannot be in the cache.
     monkeypatch.setattr(_core, "content_digest", None)
     Renderer(airway.volume, cache_dir=tmp_path).prepare()
 
@@ -67,7 +67,7 @@ def test_maps_are_read_from_disk_and_rebuilt_if_damaged(airway, tmp_path, monkey
 
 
 @pytest.mark.usefixtures("slow")
-def test_another_volume_or_other_classes_have_another_map(airway, tmp_path):
+def test_map_of_another_volume_or_of_other_classes_is_not_read_from_the_cache(airway, tmp_path):
     hu = airway.volume.hu_zyx
     turned = np.ascontiguousarray(hu.transpose(0, 2, 1))
     for volume, transfer in (
@@ -102,7 +102,7 @@ def test_cache_stays_below_its_limit_and_deletes_files_of_a_killed_process(tmp_p
 
 
 @pytest.mark.usefixtures("slow")
-def test_map_is_used_before_it_is_stored(tmp_path, monkeypatch):
+def test_map_is_used_for_pictures_before_it_is_stored(tmp_path, monkeypatch):
     go_on = threading.Event()
     digest = _core.content_digest
 
@@ -120,7 +120,7 @@ def test_map_is_used_before_it_is_stored(tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("slow")
-def test_read_only_or_deleted_cache_loses_no_picture(airway, tmp_path):
+def test_pictures_are_rendered_with_a_read_only_or_deleted_cache(airway, tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("not a folder")
     renderer = Renderer(airway.volume, cache_dir=blocked)

@@ -1,4 +1,4 @@
-"""The airway view through lenses, outlines and scopes."""
+"""Tests of the airway view through lenses, outlines and scopes."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_points_appear_at_their_projected_position(balls, name):
         around = picture.rgb[int(row) - 7 : int(row) + 8, int(column) - 7 : int(column) + 8, 0].astype(float)
         rows, columns = np.indices(around.shape) + 0.5
         at = [(around * v).sum() / around.sum() for v in (columns, rows)]
-        # Tolerance: a ball is a few pixels wide, cut by the window and stretched by the lens.
+        # The tolerance covers the few pixels of a ball, which is cut by the window and stretched by the lens.
         assert at == pytest.approx([column - int(column) + 7, row - int(row) + 7], abs=0.8)
     assert seen >= 6
 
@@ -85,11 +85,11 @@ def test_leap_brute_force_and_strips_give_one_picture_through_every_lens(airway,
         assert np.array_equal(other.render(view).rgb, whole.rgb)
 
 
-def test_pinhole_lens_and_pinhole_formula_agree(airway, renderer):
+def test_picture_through_a_pinhole_lens_equals_that_of_the_pinhole_formula(airway, renderer):
     plain = renderer.render(AirwayView(airway.pose, fov_deg=100.0, **SIZE)).rgb.astype(int)
     # A vignette of almost zero selects the code path of the lenses.
     lens = renderer.render(AirwayView(airway.pose, fov_deg=100.0, field=ImageField(vignette=1e-9), **SIZE)).rgb
-    # Directions are stored as float32: a difference of one level at few pixels.
+    # Directions are stored as float32, so few pixels differ by one level.
     off = np.abs(plain - lens)
     assert off.max() <= 2 and (off > 0).mean() < 0.01
 
@@ -114,7 +114,7 @@ def test_wide_lens_shows_the_bifurcation_larger_than_a_pinhole_of_the_same_field
     assert place["pinhole"] < place["generic"] < place["equidistant"]
 
 
-def test_forward_oblique_scope_looks_up(airway, renderer):
+def test_picture_of_a_forward_oblique_scope_looks_up_from_the_shaft(airway, renderer):
     picture = renderer.render(AirwayView.of_scope(scope_preset("ebus"), airway.pose, **SIZE))
     ahead = airway.pose.position_lps + 20.0 * airway.pose.forward_lps
     column, row = picture.pixel_of(ahead)
@@ -166,7 +166,7 @@ def test_surface_points_are_on_the_rays_of_the_lens(airway, renderer):
         {"lens": Lens.equidistant(), "fov_deg": float("nan")},
     ],
 )
-def test_incompatible_lens_is_refused_before_casting(airway, changes):
+def test_view_with_an_incompatible_lens_is_refused_before_casting(airway, changes):
     with pytest.raises(RenderError) as refusal:
         AirwayView(airway.pose, **changes, **SIZE)
     assert refusal.value.code == "render.camera" and refusal.value.exit_code == 2

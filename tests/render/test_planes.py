@@ -1,4 +1,4 @@
-"""Planes, projections and outside views: laterality, scale, and the transform between pixels and LPS."""
+"""Tests of planes, projections and outside views: laterality, scale, and the transform between pixels and LPS."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MIDDLE = (12.0, -30.0, 55.0)
 
 
 def permutations_of_axes():
-    """Return grids whose i, j, k axes are permuted or reversed patient axes, and oblique grids."""
+    """Return grids whose axes i, j, k are permuted or reversed axes of the patient, and oblique grids."""
     eye = np.eye(3)
     yield "identity", eye
     yield "flipped", np.diag([-1.0, -1.0, 1.0])
@@ -48,7 +48,7 @@ GRIDS = [pytest.param(axes, id=name) for name, axes in permutations_of_axes()]
 
 
 def volume_with_blob(axes, point_lps):
-    """Return a dark volume with one bright blob of about 3 mm at a point in LPS mm."""
+    """Return a dark volume with one bright blob of about 3 mm at the point ``point_lps``."""
     matrix = place(axes, SPACING, MIDDLE, SHAPE)
     grid = np.stack(np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij"), axis=-1)[..., ::-1].astype(float)
     lps = grid @ matrix[:3, :3].T + matrix[:3, 3]
@@ -59,7 +59,7 @@ def volume_with_blob(axes, point_lps):
 
 
 def bright_centre(rgb):
-    """Return the centre of the bright pixels as (column, row) in corner coordinates."""
+    """Return the centre (column, row) of the bright pixels in pixel corner coordinates."""
     rows, columns = np.nonzero(rgb[..., 0] > 127)
     assert len(rows) > 0
     return columns.mean() + 0.5, rows.mean() + 0.5
@@ -89,19 +89,19 @@ def test_slices_and_xrays_have_radiological_orientation(axes, plane, right, up):
             across, along = (column - middle[0]) * mm_per_px, (row - middle[1]) * mm_per_px
             expected_across = 7.0 if name == right else 0.0
             expected_along = -7.0 if name == up else 7.0 if (name, up) == ("posterior", "anterior") else 0.0
-            # The largest voxel is 2.1 mm. An X-ray of an oblique grid runs along the grid, up to some 20 degrees off
-            # the patient axis, where 7 mm of depth move the blob by 2.6 mm more.
+            # The largest voxel is 2.1 mm. The rays of an X-ray of an oblique grid are parallel to the grid, about 20
+            # degrees off the patient's axis, so a depth of 7 mm moves the blob by another 2.6 mm.
             tolerance_mm = 2.1 if np.abs(axes).max(axis=0).min() == 1.0 else 4.7
             assert abs(across - expected_across) < tolerance_mm
             assert abs(along - expected_along) < tolerance_mm
 
 
 @pytest.mark.parametrize("axes", GRIDS)
-def test_pixels_convert_to_their_points_and_back(axes):
+def test_pixels_of_every_view_convert_to_points_and_back(axes):
     point = np.add(MIDDLE, (5.0, -6.0, 4.0))
     renderer = Renderer(volume_with_blob(axes, point))
     pose = Pose.looking(point, (0.2, 0.3, -1.0))
-    # The camera is shifted in its own plane, so that the blob is not in the middle of the cut.
+    # The camera is shifted in its plane, so that the blob is not in the middle of the cut.
     pose = Pose.looking(point + 4.0 * pose.right_lps, pose.forward_lps)
     views = [
         *(SliceView(plane=p, centre_lps=tuple(point), width=100, height=90) for p in ("axial", "coronal", "sagittal")),
@@ -116,7 +116,7 @@ def test_pixels_convert_to_their_points_and_back(axes):
         mm_per_px = np.linalg.norm(picture.lps_from_pixel[:3, 0])
         # The blob consists of whole voxels, at most 2.1 mm, so its drawn centre is within a voxel of the true centre.
         assert np.hypot(found[0] - expected[0], found[1] - expected[1]) * mm_per_px < 2.1, view
-        # The transform of the pixel gives the point again, except for its depth.
+        # The transform of the pixel gives the point except for its depth.
         column, row = expected
         back = picture.lps_from_pixel @ np.array([column, row, 0.0, 1.0])
         depth = picture.lps_from_pixel[:3, 2]
@@ -125,7 +125,7 @@ def test_pixels_convert_to_their_points_and_back(axes):
         assert np.linalg.det(picture.lps_from_pixel[:3, :3]) > 0, "depth points into the screen"
 
 
-def test_planes_show_true_proportions():
+def test_planes_of_an_anisotropic_volume_have_true_proportions():
     renderer = Renderer(volume_with_blob(np.eye(3), MIDDLE))
     for view in (
         XrayView(axis="coronal", width=140, height=60),
@@ -134,7 +134,7 @@ def test_planes_show_true_proportions():
         matrix = renderer.render(view).lps_from_pixel
         across, along = np.linalg.norm(matrix[:3, 0]), np.linalg.norm(matrix[:3, 1])
         assert across == pytest.approx(along)
-    # The whole volume fits: 36 x 1.3 = 46.8 mm wide and 24 x 2.1 = 50.4 mm high, in 140 x 60 pixels.
+    # The picture shows the whole volume: 36 x 1.3 = 46.8 mm wide and 24 x 2.1 = 50.4 mm high, in 140 x 60 pixels.
     matrix = renderer.render(XrayView(axis="coronal", width=140, height=60)).lps_from_pixel
     assert np.linalg.norm(matrix[:3, 1]) == pytest.approx(50.4 / 60)
 
@@ -143,7 +143,7 @@ def test_xray_is_the_largest_value_along_the_ray():
     rng = np.random.default_rng(11)
     hu = rng.integers(-1000, 1500, SHAPE).astype(np.int16)
     volume = Volume(hu, place(np.eye(3), (1.0, 1.0, 1.0), MIDDLE, SHAPE))
-    # One pixel per voxel and a window of 2550 HU: ten HU per grey level.
+    # With one pixel per voxel and a window of 2550 HU a grey level is ten HU.
     picture = Renderer(volume).render(XrayView(axis="coronal", width=36, height=24, window_hu=(2550.0, 0.0)))
     expected = np.floor(np.clip((hu.max(axis=1)[::-1] + 1275.0) / 10.0, 0, 255) + 0.5)
     np.testing.assert_allclose(picture.rgb[..., 0], np.minimum(expected, 255), atol=1)
@@ -164,15 +164,15 @@ def test_cut_plane_has_the_requested_width_and_is_black_outside_the_volume():
     picture = Renderer(volume).render(
         CutPlaneView(Pose.looking(MIDDLE, (0, 0, -1)), width=72, height=72, extent_mm=72.0)
     )
-    # The volume covers 36 x 30 mm in the middle of 72 x 72 mm, at one pixel per mm.
+    # The volume covers the middle 36 x 30 mm of 72 x 72 mm, with one pixel per mm.
     assert (picture.rgb[..., 0] > 0).sum() == 36 * 30
     assert picture.rgb[36, 36, 0] > 0
     assert picture.rgb[0, 0, 0] == 0
-    # In a view caudally with anterior up, the patient's right is on the right: lps_from_pixel runs to -x.
+    # In a caudal view with anterior up, the patient's right is on the right, so lps_from_pixel leads to -x.
     assert picture.lps_from_pixel[0, 0] == pytest.approx(-1.0)
 
 
-def test_three_planes_meet_at_the_point_and_the_nearest_hides_the_others():
+def test_planes_of_the_tri_plane_view_meet_at_the_point_and_the_nearest_is_in_front():
     hu = np.zeros(SHAPE, dtype=np.int16)
     hu[:, :, 18:] = 400
     volume = Volume(hu, place(np.eye(3), (1.0, 1.0, 1.0), MIDDLE, SHAPE))
@@ -180,7 +180,8 @@ def test_three_planes_meet_at_the_point_and_the_nearest_hides_the_others():
     spec = TriPlaneView(MIDDLE, azimuth_deg=0.0, elevation_deg=0.0, width=81, height=81, window_hu=(1000.0, 0.0))
     picture = renderer.render(spec)
     assert picture.pixel_of(MIDDLE) == (pytest.approx(40.5), pytest.approx(40.5))
-    # The coronal plane is perpendicular to the view: dark on screen left (patient right), bright on screen right.
+    # The coronal plane is perpendicular to the view: dark on the left of the picture (patient's right), bright on the
+    # right.
     assert picture.rgb[30, 30, 0] < picture.rgb[30, 50, 0]
     side = renderer.render(TriPlaneView(MIDDLE, azimuth_deg=90.0, elevation_deg=0.0, width=81, height=81))
     assert side.lps_from_camera[0, 3] > MIDDLE[0], "azimuth 90 stands on the patient's left"
@@ -200,7 +201,7 @@ def test_tree_from_the_front_has_the_patients_left_on_the_right(airway):
         column, row = picture.pixel_of(point)
         assert drawn[int(row), int(column)], point
     assert picture.pixel_of((15.0, 3.0, -13.0))[0] > picture.pixel_of((-11.0, 2.0, -17.0))[0]
-    # The tree fits: it fills a large part of the picture and touches no edge.
+    # The tree fills a large part of the picture and touches no edge.
     assert 0.03 < drawn.mean() < 0.6
     assert not drawn[[0, -1]].any()
     assert not drawn[:, [0, -1]].any()
@@ -209,7 +210,7 @@ def test_tree_from_the_front_has_the_patients_left_on_the_right(airway):
         renderer.render(TreeView())
 
 
-def test_branch_one_voxel_thick_is_in_the_tree():
+def test_branch_one_voxel_thick_is_visible_in_the_tree_view():
     lumen = np.zeros((20, 22, 24), dtype=np.uint8)
     lumen[:, 11, 12] = 1
     volume = Volume(np.zeros(lumen.shape, dtype=np.int16), place(np.eye(3), (1.0, 1.0, 1.0), MIDDLE, lumen.shape))
@@ -260,7 +261,7 @@ def test_every_view_of_the_command_line_renders(airway):
 
 
 @pytest.mark.parametrize("axes", GRIDS)
-def test_slab_combines_values_before_and_behind_a_plane(axes):
+def test_slab_combines_values_on_both_sides_of_its_plane(axes):
     renderer = Renderer(volume_with_blob(axes, np.add(MIDDLE, (0.0, 9.0, 0.0))))
     for view in (
         SliceView("coronal", MIDDLE, width=60, height=60),

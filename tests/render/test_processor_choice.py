@@ -1,4 +1,4 @@
-"""Choice between CPU and GPU: setting, measurement and fallback, with simulated devices."""
+"""Tests of the choice between CPU and GPU: setting, measurement and fallback, with simulated devices."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ VIEW = AirwayView(Pose.looking((0.0, 0.0, 0.0), (0, 0, 1)), width=128, height=96
 
 
 class StandIn:
-    """Simulated device with both casters; it counts calls and fails on request."""
+    """Simulated device that offers both casters, counts calls and fails on request."""
 
     def __init__(self, *, gpu_ms=2.0, cpu_ms=10.0, off=0):
         self.ms = {"gpu": gpu_ms, "cpu": cpu_ms}
@@ -67,7 +67,7 @@ def a_scene(*, maps=True):
 
 
 class Rig:
-    """Caster with a simulated device; background work waits for ``run_work``."""
+    """Caster with a simulated device, whose background work waits until the test calls ``run_work``."""
 
     def __init__(self, stand_in, mode, *, adapters=(CARD, LAVAPIPE), record=None):
         self.device = stand_in
@@ -122,7 +122,7 @@ def test_faster_card_is_used_after_the_first_pictures_without_a_delay():
     assert (round(measurement.gpu_ms, 6), round(measurement.cpu_ms, 6)) == (2.0, 10.0)
 
 
-def test_slower_card_is_not_used():
+def test_card_slower_than_the_cpu_is_not_used():
     rig = Rig(StandIn(gpu_ms=9.5), "auto")
     assert set(rig.fly(a_scene())) == {"cpu"}
     assert "no faster" in rig.backend.measurements[0].why
@@ -190,7 +190,7 @@ def test_lost_device_loses_no_picture_and_logs_one_message(mode, caplog):
     assert "lost" in caplog.text
 
 
-def test_volume_too_large_for_the_device_does_not_disable_it_for_others(caplog):
+def test_device_is_used_for_other_volumes_after_a_too_large_volume(caplog):
     rig = Rig(StandIn(), "gpu", adapters=(CARD,))
     rig.device.upload_error = RenderError(
         "the volume does not fit in the memory of the graphics device", code="render.gpu-limit"
@@ -224,7 +224,7 @@ def test_measurement_is_stored_but_the_picture_is_compared_again(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"format": "carina-backend", "version": 1}', '{"format": 3}'])
-def test_damaged_record_is_measured_again(tmp_path, text):
+def test_device_with_a_damaged_record_is_measured_again(tmp_path, text):
     record = tmp_path / "backend.json"
     record.write_text(text)
     rig = Rig(StandIn(), "auto", record=record)
@@ -236,7 +236,7 @@ def test_damaged_record_is_measured_again(tmp_path, text):
     assert not Backend("auto", record=record).measurements, "another version's casters"
 
 
-def test_part_off_counts_pixels_and_not_channels():
+def test_share_of_different_pixels_counts_pixels_and_not_channels():
     a = np.full((10, 10, 3), 100, dtype=np.uint8)
     b = a.copy()
     b[0, 0] = 102
@@ -245,7 +245,7 @@ def test_part_off_counts_pixels_and_not_channels():
     assert part_off(a, b[1:]) == 1.0
 
 
-def test_build_without_gpu_support_reports_it_and_renders(airway):
+def test_build_without_gpu_support_reports_it_and_renders_on_the_cpu(airway):
     if find_adapters() is not None:
         pytest.skip("this build has GPU support")
     with pytest.raises(RenderError, match="not in this build") as caught:

@@ -1,4 +1,4 @@
-"""Radiographs: laterality at any C-arm angle, magnification, grey values, and projection of marks."""
+"""Tests of radiographs: laterality at any C-arm angle, magnification, grey values, and projection of marks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ANGLES = [(0.0, 0.0), (90.0, 0.0), (-30.0, 20.0), (45.0, -35.0), (180.0, 0.0), (
 @pytest.mark.parametrize("axes", GRIDS)
 @pytest.mark.parametrize("parallel", [False, True])
 @pytest.mark.parametrize(("primary", "secondary"), ANGLES)
-def test_point_is_marked_at_its_shadow(axes, parallel, primary, secondary):
+def test_mark_of_a_point_is_at_the_shadow_of_the_point(axes, parallel, primary, secondary):
     point = np.add(MIDDLE, (7.0, -4.0, 5.0))
     renderer = Renderer(volume_with_blob(axes, point))
     picture = renderer.render(DrrView(primary, secondary, 90, 80, parallel=parallel, window_mm=(8.0, 4.0)))
@@ -28,7 +28,7 @@ def test_point_is_marked_at_its_shadow(axes, parallel, primary, secondary):
 
 @pytest.mark.parametrize("axes", GRIDS)
 def test_fluoroscopy_has_patient_right_on_the_left_and_turns_as_dicom_defines(axes):
-    """PS3.3 C.8.7.5.1.2: LAO moves the detector over the patient's left, cranial moves it towards the head."""
+    """Check PS3.3 C.8.7.5.1.2: LAO moves the detector over the patient's left, cranial moves it towards the head."""
     left, front, head = (np.add(MIDDLE, d) for d in ((7.0, 0, 0), (0, -7.0, 0), (0, 0, 7.0)))
 
     def place_of(point, primary, secondary):
@@ -42,7 +42,7 @@ def test_fluoroscopy_has_patient_right_on_the_left_and_turns_as_dicom_defines(ax
     # Seen from the patient's left, anterior is on the left.
     assert place_of(front, 60, 0)[0] < -4
     assert place_of(front, -60, 0)[0] > 4
-    # Seen from above, anterior moves down.
+    # Seen from above, the anterior point moves down.
     assert place_of(front, 0, 50)[1] > 3
     assert place_of(front, 0, -50)[1] < -3
 
@@ -72,11 +72,11 @@ def test_objects_near_the_source_are_magnified_by_the_distances():
     centre = np.array(volume.centre_lps)
 
     def reach(depth_mm):
-        # The source is posterior to the patient, so a more posterior point is nearer to it.
+        # The source is posterior to the patient, so a more posterior point is nearer to the source.
         a, b = (picture.pixel_of(np.add(centre, (x, depth_mm, 0.0))) for x in (0.0, 10.0))
         return b[0] - a[0]
 
-    # 10 mm at the centre are 20 px of 0.5 mm; 100 mm nearer to the source they are 500 / 400 times as large.
+    # 10 mm at the centre are 20 pixels of 0.5 mm; 100 mm nearer to the source they are 500 / 400 times as large.
     assert reach(0.0) == pytest.approx(20.0)
     assert reach(100.0) == pytest.approx(25.0)
     assert reach(-100.0) == pytest.approx(20.0 * 500 / 600)
@@ -129,6 +129,6 @@ def test_air_is_black_and_values_that_are_not_hu_give_a_picture():
         {"height": 8193},
     ],
 )
-def test_settings_out_of_range_are_refused(settings):
+def test_radiograph_with_settings_out_of_range_is_refused(settings):
     with pytest.raises(RenderError):
         DrrView(**settings)

@@ -1,4 +1,4 @@
-"""Reformations along a path: distances in mm, widths, laterality, and the transform between pixels and points."""
+"""Tests of reformations along a path: distances in mm, widths, laterality, and transform between pixels and points."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BEND = 35.0
 
 
 def bent_points(num=400):
-    """Return a path in the coronal plane: 40 mm down, a quarter circle of 35 mm to the patient's left, then 30 mm."""
+    """Return a path in the coronal plane: 40 mm down, a quarter circle of 35 mm to the patient's left, 30 mm."""
     arc = BEND * np.pi / 2
     s = np.linspace(0.0, 40.0 + arc + 30.0, num)
     angle = np.clip((s - 40.0) / BEND, 0.0, np.pi / 2)
@@ -58,16 +58,17 @@ def test_bent_tube_is_straightened_with_its_true_width(bent, turn):
     picture = Renderer(volume).render(view)
     lines = picture.lines
     for row in range(60, 340, 20):
-        # Near the path only: farther away the picture leaves the volume, and planes of the bend cross each other.
+        # Only pixels near the path are compared: farther away the picture leaves the volume, and planes of the bend
+        # cross.
         near = np.abs(np.arange(120) + 0.5 - lines.path_column[row]) * lines.mm_per_px < 14.0
         dark = np.flatnonzero((picture.rgb[row, :, 0] < 128) & near)
         assert np.ptp(dark) + 1 == dark.size
-        # Half a voxel at each wall, and the flight path may leave the centre by 0.5 mm.
+        # The tolerance is half a voxel at each wall, and 0.5 mm by which the flight path may leave the centre.
         assert dark.size * lines.mm_per_px == pytest.approx(2 * RADIUS, abs=1.2)
         assert (dark.mean() + 0.5 - lines.path_column[row]) * lines.mm_per_px == pytest.approx(0.0, abs=0.8)
 
 
-def test_positions_are_mm_along_the_route_and_rows_are_evenly_spaced(bent):
+def test_rows_of_a_reformation_are_evenly_spaced_in_mm_along_the_route(bent):
     volume, path = bent
     picture = Renderer(volume).render(PathView("straightened", path.frames(), width=100, height=300))
     lines = picture.lines
@@ -80,7 +81,7 @@ def test_positions_are_mm_along_the_route_and_rows_are_evenly_spaced(bent):
 
 
 @pytest.mark.parametrize("kind", ["straightened", "curved"])
-def test_pixels_convert_to_points_and_back(bent, kind):
+def test_pixels_of_a_reformation_convert_to_points_and_back(bent, kind):
     volume, path = bent
     picture = Renderer(volume).render(PathView(kind, path.frames(), turn_deg=20.0, width=90, height=260))
     for column, row in [(45.0, 20.5), (40.3, 130.5), (52.0, 200.5), (45.0, 250.5)]:
@@ -99,7 +100,7 @@ def test_zoomed_picture_is_centred_on_its_position(bent):
 
 
 def test_lengths_on_the_unrolled_surface_are_true(bent):
-    """In a stretched CPR, the path has its true length at any rotation."""
+    """Check a stretched CPR, in which the path has its true length at any rotation."""
     volume, path = bent
     for turn in (0.0, 50.0, 90.0):
         view = PathView("curved", path.frames(), turn_deg=turn, width=300, height=300)
@@ -107,15 +108,15 @@ def test_lengths_on_the_unrolled_surface_are_true(bent):
         rows = np.flatnonzero(np.isfinite(lines.path_mm))
         steps = np.hypot(np.diff(lines.path_column[rows]), 1.0) * lines.mm_per_px
         if turn == 0.0:
-            # The last 30 mm are parallel to the sweep direction, so they are one row.
+            # The last 30 mm are parallel to the direction of the sweep, so they are one row.
             continue
         real = np.linalg.norm(np.diff(path.frames().points_lps, axis=0), axis=1).sum()
-        # Tolerance of one row at each end.
+        # The tolerance is one row at each end.
         assert steps.sum() == pytest.approx(real, abs=2.5 * lines.mm_per_px)
 
 
 @pytest.mark.parametrize("kind", ["straightened", "curved"])
-def test_picture_at_0_degrees_is_like_coronal_and_at_90_like_sagittal(bent, kind):
+def test_reformation_at_0_degrees_is_coronal_and_at_90_degrees_sagittal(bent, kind):
     volume, path = bent
 
     def letters(turn):
@@ -128,7 +129,7 @@ def test_picture_at_0_degrees_is_like_coronal_and_at_90_like_sagittal(bent, kind
 
 
 def test_patients_left_is_on_the_right_of_the_picture():
-    """A bright bead is on the patient's left of the trachea, on reversed and oblique grids."""
+    """Use reversed and oblique grids with a bright bead on the patient's left of the trachea."""
     for axes in (np.eye(3), np.diag([-1.0, -1.0, 1.0]), rotation(0.3, 0.2, -0.4)):
         shape = (60, 50, 50)
         matrix = place(axes, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), shape)
@@ -148,19 +149,19 @@ def test_patients_left_is_on_the_right_of_the_picture():
 def test_thin_minimum_slab_shows_a_lumen_outside_the_plane(bent):
     volume, path = bent
     view = PathView("curved", path.frames(), turn_deg=0.0, width=100, height=100, window_hu=WINDOW)
-    # The frames are shifted through the anterior wall of the tube, 8 mm in front of the path.
+    # The frames are shifted by 8 mm, through the anterior wall of the tube.
     away = PathFrames(path.frames().path_mm, path.frames().lps_from_frame.copy())
     away.lps_from_frame[:, 1, 3] -= 8.0
     aside = dataclasses.replace(view, path=away)
     thin = Renderer(volume).render(aside)
     thick = Renderer(volume).render(dataclasses.replace(aside, slab=Slab(10.0, "min")))
-    # The tube is some 10 mm of 91 mm wide and most of the picture's length; pixels outside the volume are black in
-    # both.
+    # The tube takes 10 mm of 91 mm in width and most of the length; pixels outside the volume are black in both
+    # pictures.
     assert ((thick.rgb < 128) & (thin.rgb > 128)).mean() > 0.04
     assert ((thick.rgb > 128) & (thin.rgb < 128)).mean() < 0.01
 
 
-def test_axis_shows_distances_names_and_the_lumen(bent):
+def test_axis_of_a_reformation_shows_distances_and_names_beside_the_lumen(bent):
     volume, path = bent
     picture = Renderer(volume).render(PathView("straightened", path.frames(), width=300, height=420))
     spans = [PathSpan("Trachea", 0.0, 60.0), PathSpan("LMB (x)", 60.0, path.length_mm)]
@@ -172,14 +173,14 @@ def test_axis_shows_distances_names_and_the_lumen(bent):
     assert changed[150:250, edge].sum() > 20
     assert changed[:, 3:60].sum() > 300
     assert changed[:, -60:].sum() > 80
-    # The lumen itself is not covered.
+    # The axis does not cover the lumen.
     middle = slice(int(lines.path_column[200]) - 3, int(lines.path_column[200]) + 3)
     assert not changed[60:-60, middle].any()
     with pytest.raises(UsageError):
         mark_path(dataclasses.replace(picture, lines=None))
 
 
-def test_path_along_the_sweep_direction_gives_a_picture():
+def test_reformation_of_a_path_along_the_sweep_direction_has_a_picture():
     volume = Volume(np.zeros((20, 20, 40), dtype=np.int16), np.eye(4))
     path = FlightPath([[5.0, 10.0, 10.0], [35.0, 10.0, 10.0]])
     picture = Renderer(volume).render(PathView("curved", path.frames(), width=80, height=40))
@@ -198,13 +199,13 @@ def test_path_along_the_sweep_direction_gives_a_picture():
         {"window_hu": (0.0, 0.0)},
     ],
 )
-def test_settings_out_of_range_are_refused(settings):
+def test_reformation_with_settings_out_of_range_is_refused(settings):
     frames = FlightPath([[0.0, 0.0, 0.0], [0.0, 0.0, -9.0]]).frames()
     with pytest.raises(RenderError):
         PathView(**{"kind": "straightened", "path": frames, **settings})
 
 
-def test_invalid_frames_are_refused():
+def test_reformation_with_invalid_frames_is_refused():
     frames = FlightPath([[0.0, 0.0, 0.0], [0.0, 0.0, -9.0]]).frames()
     for places, matrices in (
         (frames.path_mm[:1], frames.lps_from_frame[:1]),

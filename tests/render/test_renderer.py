@@ -1,4 +1,4 @@
-"""Renderer of airway views: leaping, strips, IsoRegion maps and their cache, the wall, and threads."""
+"""Tests of the renderer of airway views: leaping, strips, IsoRegion maps and their cache, the wall, and threads."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_leaping_equals_brute_force_bit_for_bit(airway):
             assert leap.rgb.max() > 60, "a black picture would agree with anything"
 
 
-def test_leap_before_prepare_gives_the_same_picture_and_reports_brute_force(airway):
+def test_leap_before_prepare_gives_the_brute_force_picture_and_reports_it(airway):
     renderer = Renderer(airway.volume)
     before = renderer.render(view(airway))
     assert before.stats.method == "brute"
@@ -55,7 +55,7 @@ def test_leaps_over_all_classes_are_within_one_grey_level(airway):
     leap = renderer.render(view(airway, shading=False))
     assert leap.stats.method == "leap-all"
     brute = renderer.render(view(airway, shading=False, method="brute"))
-    # A segment is rounded once; single samples are rounded one by one.
+    # A leaped segment is rounded once, single samples are rounded one by one.
     assert np.abs(leap.rgb.astype(int) - brute.rgb).max() <= 1
 
 
@@ -67,11 +67,12 @@ def test_paper_mode_uses_nearest_voxels_steps_of_one_and_leaps_over_all_bins(air
     assert leap.stats.method == "leap-all"
     assert np.abs(leap.rgb.astype(int) - brute.rgb).max() <= 1
     whole_steps = Renderer(airway.volume, transfer=transfer_preset("ct-grey")).render(view(airway, step_vox=1.0))
-    # The paper mode always has steps of one voxel: about as many samples as another transfer function in such steps.
+    # The paper mode always has steps of one voxel, so about as many samples as another transfer function with such
+    # steps.
     assert brute.stats.num_samples < 1.5 * whole_steps.stats.num_samples
 
 
-def test_joined_strips_equal_the_whole_picture(airway):
+def test_joined_strips_of_the_renderer_equal_the_whole_picture(airway):
     renderer = Renderer(airway.volume)
     renderer.prepare()
     whole = renderer.render(view(airway)).rgb
@@ -82,14 +83,14 @@ def test_joined_strips_equal_the_whole_picture(airway):
         renderer.render(view(airway), rows=(10, 45))
 
 
-def test_instruction_set_does_not_change_the_picture(airway):
+def test_every_instruction_set_gives_an_equal_picture(airway):
     pictures = [Renderer(airway.volume, simd=name).render(view(airway)).rgb for name in ("portable", None)]
     np.testing.assert_array_equal(*pictures)
     with pytest.raises(UsageError, match=r"simd: expected one of portable"):
         Renderer(airway.volume, simd="abacus").render(view(airway))
 
 
-def test_camera_outside_the_volume_sees_it_only_if_it_faces_it(airway):
+def test_camera_outside_the_volume_shows_it_only_if_directed_at_it(airway):
     renderer = Renderer(airway.volume)
     renderer.prepare()
     outside = airway.volume.centre_lps + np.array([0.0, -200.0, 0.0])
@@ -114,7 +115,8 @@ def test_transfer_function_of_the_same_classes_needs_no_new_map(airway, monkeypa
     renderer.prepare()
     monkeypatch.setattr(_core, "build_cell_map", None)
     renderer.set_transfer(transfer_preset("see-through"))
-    # Transparent up to -700 HU like the endoscopic preset: the same classes, so the same map.
+    # The transfer function is transparent up to -700 HU like the endoscopic preset, so the classes and the map are the
+    # same.
     assert renderer.prepared
     renderer.prepare()
     black = TransferFunction(points=np.array([[0.0, 0, 0, 0, 0.0], [1.0, 1, 1, 1, 1.0]]))
@@ -167,7 +169,7 @@ def test_map_of_a_transfer_function_replaced_during_its_build_is_not_used(airway
     np.testing.assert_array_equal(leap.rgb, brute.rgb)
 
 
-def test_cancelling_stops_and_leaves_the_renderer_usable(airway):
+def test_cancelled_preparation_stops_and_leaves_the_renderer_usable(airway):
     renderer = Renderer(airway.volume)
     with pytest.raises(CancelledError):
         renderer.prepare(cancel=lambda: True)
@@ -182,7 +184,7 @@ def test_cancelled_picture_does_not_affect_the_next_one(airway):
     renderer = Renderer(airway.volume)
     wanted = view(airway, width=96, height=80, method="brute")
     whole = renderer.render(wanted).rgb
-    # would take minutes without the cancellation
+    # Without the cancellation this picture would take minutes.
     long = view(airway, width=2000, height=2000, method="brute", step_vox=0.1)
     stop = CancelToken()
     timer = threading.Timer(0.05, stop.cancel)
@@ -200,16 +202,16 @@ def test_picture_has_ray_statistics_and_a_plane_has_none(airway):
     renderer.prepare()
     wanted = view(airway, width=96, height=80)
     while (stats := renderer.render(wanted).stats).rays_s is None:
-        pass  # a thread that still builds a map may not have reported its time yet
+        pass  # A thread that still builds a map may not have reported its time.
     assert 0.0 < stats.rays_s <= 1.1 * stats.seconds
-    # Four times as many rays, on the same busy machine: processor time without waits is compared.
+    # The machine is busy, so the CPU times without waits are compared for four times as many rays.
     more = renderer.render(view(airway, width=384, height=320)).stats
     assert more.rays_s > 4.0 * stats.rays_s
     plane = SliceView("axial", (0.0, 0.0, 0.0), width=32, height=32)
     assert renderer.render(plane).stats.rays_s is None
 
 
-def test_pictures_rendered_during_a_change_show_the_state_before_or_after(airway):
+def test_picture_rendered_during_a_change_shows_the_state_before_or_after_it(airway):
     states = [None, airway.lumen_zyx]
     expected = []
     for lumen in states:
@@ -248,7 +250,7 @@ def thin_tube():
 
 def test_endoscopic_wall_is_closed_where_the_scan_shows_none():
     volume, lumen = thin_tube()
-    # White light without loss, so that black shows a ray that met no wall.
+    # The light is white and without loss, so a black pixel shows a ray that met no wall.
     endoscopic = transfer_preset("endoscopic")
     bright = TransferFunction(points=endoscopic.points, wall=True, light=Light(ambient=1.0, diffuse=0.0))
     at = volume.to_lps(np.array([18.0, 16.0, 14.0]))
@@ -275,7 +277,7 @@ def test_added_wall_only_increases_values_and_keeps_the_lumen_clear(airway):
     np.testing.assert_array_equal(with_wall(volume.hu_zyx, np.zeros_like(lumen), levels), volume.hu_zyx)
 
 
-def test_other_transfer_functions_cast_the_volume_unchanged():
+def test_transfer_functions_without_a_closed_wall_cast_the_unchanged_volume():
     volume, lumen = thin_tube()
     spec = AirwayView(Pose.looking(volume.centre_lps, (1, 0, 0)), width=32, height=32)
     for name in ("ct-grey", "paper", "see-through"):
@@ -285,12 +287,12 @@ def test_other_transfer_functions_cast_the_volume_unchanged():
         np.testing.assert_array_equal(renderer.render(spec).rgb, before)
 
 
-def test_lumen_of_another_shape_is_refused(airway):
+def test_renderer_refuses_a_lumen_of_another_shape(airway):
     with pytest.raises(GeometryError, match="shape"):
         Renderer(airway.volume).set_lumen(airway.lumen_zyx[1:])
 
 
-def test_settings_out_of_range_are_refused(airway):
+def test_renderer_refuses_settings_out_of_range(airway):
     for changes in ({"fov_deg": 171.0}, {"width": 0}, {"step_vox": 0.0}, {"method": "magic"}):
         with pytest.raises(RenderError):
             view(airway, **changes)

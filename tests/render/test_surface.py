@@ -1,6 +1,6 @@
-"""First walls along the rays in Python: the surface of a picture, one pixel, and the file.
+"""Tests of first walls along the rays in Python: the surface of a picture, one pixel, and the file.
 
-Tests of the casters themselves are in Rust.
+Tests of the casters are in Rust.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def test_surface_points_are_at_their_depth_on_the_rays_of_their_pixels(renderer,
     assert seen.mean() > 0.9
     for row, column in np.argwhere(seen)[::97]:
         point = surface.position_lps[row, column]
-        # Directions are float32: an error of 1e-3 of a pixel.
+        # Directions are float32, which causes an error of 1e-3 of a pixel.
         assert picture.pixel_of(point) == pytest.approx((column + 0.5, row + 0.5), abs=1e-3)
         depth = np.linalg.norm(point - airway.pose.position_lps)
         assert depth == pytest.approx(surface.depth_mm[row, column], abs=1e-3)
@@ -49,11 +49,11 @@ def test_surface_is_at_the_border_of_the_lumen(renderer, airway):
     seen = np.isfinite(surface.depth_mm)
     nearest_ijk = np.rint(airway.volume.to_ijk(surface.position_lps[seen])).astype(int)
     near_lumen = grow_one_voxel(airway.lumen_zyx != 0) & grow_one_voxel(airway.lumen_zyx == 0)
-    # The other rays leave by the open top of the trachea.
+    # The other rays leave the volume through the open top of the trachea.
     assert near_lumen[tuple(nearest_ijk.T[::-1])].mean() > 0.98
 
 
-def test_surfaces_are_equal_after_prepare_and_in_strips(renderer, airway):
+def test_surface_is_equal_after_prepare_and_in_strips(renderer, airway):
     view = AirwayView(airway.pose, fov_deg=100.0, **SIZE)
     before = renderer.surface(view)
     renderer.prepare()
@@ -91,7 +91,7 @@ def test_ray_that_meets_no_wall_has_no_surface_point(airway):
     assert renderer.pick(view, 3, 4) is None
 
 
-def test_paper_mode_has_surfaces_too(airway):
+def test_picture_in_paper_mode_has_a_surface(airway):
     renderer = Renderer(airway.volume, transfer=transfer_preset("paper"))
     view = AirwayView(airway.pose, **SIZE)
     surface = renderer.surface(view)

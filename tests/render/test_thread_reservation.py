@@ -1,4 +1,4 @@
-"""Reservation of one rendering thread for other work."""
+"""Tests of the reservation of one rendering thread for other work."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_nested_reservations_take_one_thread_together() -> None:
     assert picture_threads() == before
 
 
-def test_reservation_ends_with_its_object_and_may_be_released_twice() -> None:
+def test_reservation_ends_with_its_object_and_a_second_release_has_no_effect() -> None:
     before = picture_threads()
     first, second = _core.ReservedThread(), _core.ReservedThread()
     first.release()

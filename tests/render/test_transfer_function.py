@@ -1,4 +1,4 @@
-"""Transfer functions: presets, the JSON format and histograms."""
+"""Tests of transfer functions: presets, the JSON format and histograms."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_presets_are_restored_from_their_json(name):
     np.testing.assert_array_equal(back.points, preset.points)
 
 
-def test_minimal_document_is_valid_and_unknown_keys_are_ignored():
+def test_minimal_document_of_a_transfer_function_is_valid_and_unknown_keys_are_ignored():
     points = [[0, 1, 1, 1, 0.5]]
     document = {"format": "carina-transfer", "version": 1, "unit": "HU", "reference_mm": 1, "points": points}
     transfer = TransferFunction.from_json({**document, "note": "from a friend"})
@@ -47,14 +47,14 @@ def test_minimal_document_is_valid_and_unknown_keys_are_ignored():
         {"light": {"reach_mm": "far"}},
     ],
 )
-def test_invalid_documents_are_refused(change):
+def test_invalid_documents_of_a_transfer_function_are_refused(change):
     document = {"format": "carina-transfer", "version": 1, "points": [[0, 1, 1, 1, 0.5]]}
     with pytest.raises(RenderError) as refused:
         TransferFunction.from_json({**document, **change})
     assert refused.value.exit_code == 2
 
 
-def test_text_that_is_not_a_json_object_is_refused():
+def test_transfer_function_from_text_that_is_no_json_object_is_refused():
     for text in ("{", "[1]"):
         with pytest.raises(RenderError):
             TransferFunction.from_json_text(text)
@@ -73,7 +73,7 @@ def test_histogram_puts_the_wall_between_dark_and_bright(dark, bright, noise):
     values = np.where(air, dark, bright) + rng.normal(0, noise, shape)
     volume = Volume(np.rint(values).astype(np.int16), np.eye(4), is_hu=False, not_hu_reason="test")
     transfer, threshold = transfer_from_histogram(volume)
-    # The two peaks are at least 8 standard deviations from the middle; Otsu's threshold is between them.
+    # Both peaks are at least 8 standard deviations from the middle, and Otsu's threshold is between them.
     assert dark + 3 * noise < threshold < bright - 3 * noise
     assert ((volume.hu_zyx < threshold) == air).mean() > 0.999
     assert transfer.unit == "raw"

@@ -1,4 +1,4 @@
-"""Decoration of walls by anatomy: position of rings and ridges, fading, unchanged walls, and its notes."""
+"""Tests of the decoration of walls by anatomy: position of rings and ridges, fading, unchanged walls, and notes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ALL = ("texture", "vessels", "rings", "membrane", "hue", "spurs", "specks")
 
 
 def at(decoration: Decoration, point) -> dict[str, float]:
-    """Return the channels at a point, interpolated between the eight surrounding cells."""
+    """Return the channels of the decoration at a point (LPS mm), interpolated between the eight surrounding cells."""
     place = (np.asarray(point, float) - decoration.origin_lps) / decoration.cell_mm
     low = np.floor(place).astype(int)
     part = place - low
@@ -33,7 +33,7 @@ def at(decoration: Decoration, point) -> dict[str, float]:
 
 
 def rings_along(decoration: Decoration, line) -> np.ndarray:
-    """Return the strength of the rings on the anterior wall of a branch at each mm."""
+    """Return the strength of the rings at each mm along the anterior wall of a branch."""
     start, end, radius = line
     points = np.linspace(start, end, int(np.linalg.norm(np.subtract(end, start))) + 1)
     return np.array([at(decoration, point - [0.0, radius, 0.0])["rings"] for point in points])
@@ -54,7 +54,7 @@ def test_trachea_has_the_anatomical_number_of_rings_which_continue_into_both_bro
         assert np.median(np.diff(phase)) == pytest.approx(step / (5.6 if end == (0.0, 0.0, 0.0) else 4.4), rel=0.05)
 
 
-def test_front_back_and_sides_are_those_of_the_patient():
+def test_channels_of_front_back_and_sides_are_those_of_the_patient():
     found = decoration_of(forked())
     for point in ((0.0, 0.0, 30.0), (-11.0, 2.0, -17.0)):
         radius = 7.0 if point[2] > 0 else 5.5
@@ -71,7 +71,7 @@ def test_rings_fade_where_the_radius_deviates_from_its_smooth_course():
     trachea = straight(0, None, (), "Trachea", ((0.0, 0.0, 100.0), (0.0, 0.0, 0.0), 8.0))
     narrow = trachea.radius.copy()
     narrow[45:60] = 5.0
-    # The top is at 100 mm, so the narrow part is at 55 to 40 mm.
+    # The top is at 100 mm, so the narrow part is from 55 to 40 mm.
     found = rings_along(decoration_of(Tree((dataclasses.replace(trachea, radius=narrow),))), TRACHEA_LONG)
     assert found[40:65].max() < 0.05, "in the stenosis and right before and behind it"
     assert found[5:30].min() > 0.95
@@ -138,7 +138,7 @@ def test_decoration_does_not_change_the_walls(airway):
     assert str(with_tree.pick(view, 20, 70)) == str(without.pick(view, 20, 70))
     for one, two in ((with_tree.scene.values, without.scene.values), (with_tree.scene.lumen, without.scene.lumen)):
         np.testing.assert_array_equal(one, two)
-    # Without a wall nothing is drawn: the same pixels are set with and without decoration.
+    # Nothing is drawn without a wall, so the same pixels are not black with and without decoration.
     seen = [r.render(AirwayView(airway.pose, fov_deg=100.0, **SIZE)).rgb.max(axis=2) > 0 for r in (with_tree, without)]
     np.testing.assert_array_equal(*seen)
 
@@ -192,7 +192,7 @@ def contrast(picture, base) -> np.ndarray:
 
 
 def test_anterior_wall_shows_rings_and_posterior_wall_longitudinal_folds(airway):
-    # A level view from inside the trachea: the lower half of the picture is posterior.
+    # The view from inside the trachea is level, so the lower half of the picture is posterior.
     pose = Pose.looking((0.0, 0.0, 48.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
     view = AirwayView(pose, fov_deg=110.0, width=160, height=160)
     off = dict.fromkeys(("vessels", "hue", "spurs", "texture", "specks"), 0.0)
@@ -202,13 +202,13 @@ def test_anterior_wall_shows_rings_and_posterior_wall_longitudinal_folds(airway)
     front, back = (slice(0, 60), slice(70, 90)), (slice(100, 160), slice(70, 90))
     assert np.abs(rings[front]).mean() > 4 * np.abs(rings[back]).mean()
     assert np.abs(folds[back]).mean() > 4 * np.abs(folds[front]).mean()
-    # Rings are transverse: brightness alternates along a column of the picture and is almost constant along a row.
+    # Rings are transverse: along a column of the picture the brightness alternates, along a row it is almost constant.
     column = rings[0:55, 78:82].mean(axis=1)
     assert (np.diff(np.sign(np.diff(column))) != 0).sum() >= 6
 
 
 def test_rings_fade_on_a_wall_that_differs_from_the_tree(airway):
-    """A mass narrows the airway, but the tree has the radius of the airway before the mass."""
+    """Let a mass narrow the airway, while the tree has the radius of the airway before the mass."""
     wide = forked()
     too_wide = dataclasses.replace(wide.branches[0], radius=np.full_like(wide.branches[0].radius, 7.0 / 0.55))
     off = dict.fromkeys(("membrane", "vessels", "hue", "spurs", "texture", "specks"), 0.0)
@@ -219,7 +219,7 @@ def test_rings_fade_on_a_wall_that_differs_from_the_tree(airway):
     assert np.abs(faded).mean() < 0.05
 
 
-def test_files_of_older_versions_have_no_decoration():
+def test_appearance_files_of_older_versions_have_no_decoration():
     old = Appearance.from_json({"texture": 1.0, "vessels": 0.25})
     assert old.decorations == ("texture", "vessels")
     assert old.undecorated().decorations == ()

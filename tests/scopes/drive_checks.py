@@ -1,4 +1,4 @@
-"""Checks of random scope drives: depth of tip and shaft in the wall, measured by code independent of the product."""
+"""Checks of random scope drives: depth of tip and shaft in the wall, measured independently of the product."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ class Shaft:
     radii: Floats
 
     def only(self, kept: NDArray[np.bool_]) -> Shaft:
-        """Return the shaft points that the mask ``kept`` selects."""
+        """Return the points of the shaft that the mask ``kept`` selects."""
         return Shaft(self.points[kept], self.into[kept], self.radii[kept])
 
 
 def joined(shafts: list[Shaft]) -> Shaft:
-    """Concatenate several shafts."""
+    """Return one shaft with the points of several shafts."""
     return Shaft(*(np.concatenate([getattr(s, name) for s in shafts]) for name in ("points", "into", "radii")))
 
 
 @dataclass(frozen=True)
 class Seen:
-    """Points (LPS mm) on the tip's surface and the shaft in all states of a drive that are to be checked."""
+    """Points (LPS mm) of the tip's surface and of the shaft in all states of a drive that are checked."""
 
     tips: Floats
     shaft: Shaft
@@ -61,18 +61,18 @@ class Lumen:
     """Paths from the root to each end of the tree, LPS mm."""
     cells: LumenCells
     shaft_mm: ShaftDepths
-    """Function that returns the depth (mm) of each shaft point in the wall."""
+    """Function that returns the depth of each point of a shaft in the wall, mm."""
 
 
 @dataclass
 class Worst:
-    """The largest depth in the wall among the checked points of one kind, with a description."""
+    """Largest depth in the wall among the checked points of one kind, with a description of the point."""
 
     mm: float = -np.inf
     told: str = ""
 
     def take(self, depths: Floats, points: Floats, told: str) -> None:
-        """Store the largest of these depths if it exceeds the stored depth."""
+        """Store the largest of these depths, with its point and description, if it exceeds the stored depth."""
         if len(depths) and not depths.max() <= self.mm:
             n = int(depths.argmax())
             self.mm, self.told = float(depths[n]), f"{depths[n]:.3f} mm {told} at {np.round(points[n], 2).tolist()}"
@@ -80,7 +80,7 @@ class Worst:
 
 @dataclass
 class Findings:
-    """Results of several drives."""
+    """Results of several checked drives: largest depths of tip and shaft in the wall."""
 
     tip: Worst = field(default_factory=Worst)
     shaft: Worst = field(default_factory=Worst)
@@ -91,18 +91,18 @@ class Findings:
     limits: Counter[str] = field(default_factory=Counter)
 
     def check(self) -> None:
-        """Assert the limits of `docs/decisions/0125`, and that the drives moved along walls."""
+        """Assert the limits of `docs/decisions/0125`, and that the drives led along walls."""
         print(self.told())
         assert self.tip.mm <= 0.1, self.tip.told
         assert self.shaft.mm <= 0.5, self.shaft.told
-        # Assert that the scopes came near the walls, moved, and pressed against the walls.
+        # These assertions show that the scopes moved, came near the walls and pressed against them.
         assert self.tip.mm > -1.0
         assert self.num_touched > 0.5 * self.num_drives
         assert np.median(self.travels_mm) > 5.0
         assert {"none", "wall", "narrow"} <= set(self.limits)
 
     def told(self) -> str:
-        """Return a readable summary of the results."""
+        """Return a summary of the results as text."""
         return "\n".join(
             [
                 f"{self.num_drives} drives, {self.num_looked_at} states looked at, {self.num_touched} drives touched",
@@ -113,14 +113,15 @@ class Findings:
 
 
 def check_drives(lumen: Lumen, runs: Iterable[int], *, num_samples: int, every: int) -> Findings:
-    """Drive each run, and check every ``every``-th state and the last state.
+    """Drive each run, and check every ``every``-th state and the last one.
 
-    The first checked state depends on the run.
+    The number of the first checked state depends on the run.
     """
     found = Findings()
     waiting = list(runs)
     while waiting:
-        # Points of 20 drives are measured together: the exact lumen takes a third of a second for any number of points.
+        # Points of 20 drives are measured at once, because the exact lumen takes a third of a second for any number of
+        # points.
         some, waiting = waiting[:20], waiting[20:]
         seen = [drive_and_look(lumen, run, found, num_samples=num_samples, every=every) for run in some]
         tips = lumen.cells.depths_mm(np.concatenate([s.tips for s in seen]))
@@ -138,7 +139,7 @@ def drive_and_look(lumen: Lumen, run: int, found: Findings, *, num_samples: int,
     scope, kind = scope_of(run), kind_of(run)
     drive = ScopeDrive(lumen.wall, scope, lumen.start_path)
     route = lumen.routes[rng.integers(len(lumen.routes))]
-    # Two of five drives begin as deep as the scope can be placed.
+    # Two of five drives begin at the greatest depth at which the scope can be placed.
     deep = 400.0 if rng.uniform() < 0.4 else rng.uniform(0.0, 260.0)
     told = f"{scope.name}, {kind}, run {run}"
     states = [drive.place(route, deep)]
@@ -191,7 +192,7 @@ def shaft_of(drive: ScopeDrive) -> Shaft:
     """Return the points of the shaft at intervals of 0.5 mm."""
     nodes = drive.shaft_lps()[::-1]
     if len(nodes) < 2:
-        # The scope is withdrawn to the entry, so no part of the shaft is inside.
+        # The scope is withdrawn to the entry, so no part of its shaft is inside.
         return Shaft(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     steps = np.linspace(0.0, 1.0, 4, endpoint=False)[:, None]
     points = np.concatenate([a + steps * (b - a) for a, b in itertools.pairwise(nodes)])
@@ -199,16 +200,16 @@ def shaft_of(drive: ScopeDrive) -> Shaft:
     behind = 0.5 * np.arange(len(points))
     scope = drive.scope
     radii = np.where(behind < 50.0, scope.tip_mm / 2.0, (scope.tube_mm or scope.tip_mm) / 2.0)
-    # Skip the rigid tip, which is checked as a solid. The last node is at the entry or less than one node before the
-    # entry.
+    # The rigid tip is omitted, because it is checked as a solid. The last node is at the entry or less than one node
+    # before it.
     kept = (behind >= RIGID_MM) & (np.linalg.norm(into, axis=1) > 1e-9)
     return Shaft(points[kept], into[kept] / np.linalg.norm(into[kept], axis=1)[:, None], radii[kept])
 
 
 def by_surface(cells: LumenCells) -> ShaftDepths:
-    """Return a function that measures shaft depth at 24 surface points around each axis point.
+    """Return a function that measures the depth of a shaft at 24 points of its surface around each axis point.
 
-    For walls whose distance is known only near the wall.
+    It is used for walls whose distance is known only near the wall.
     """
 
     def depths_mm(shaft: Shaft) -> Floats:
@@ -224,9 +225,9 @@ def by_surface(cells: LumenCells) -> ShaftDepths:
 
 
 def by_balls(signed_mm: SignedMm) -> ShaftDepths:
-    """Return a function that computes shaft depth from the distance of its axis.
+    """Return a function that computes the depth of a shaft from the distance between its axis and the wall.
 
-    For walls whose distance is known everywhere.
+    It is used for walls whose distance is known everywhere.
     """
     return lambda shaft: signed_mm(shaft.points) + shaft.radii
 
@@ -237,7 +238,7 @@ def _inside(drive: ScopeDrive, points: Floats) -> Floats:
     The larynx is behind that plane and not in the scan.
     """
     nodes = drive.shaft_lps()
-    # A scope that is withdrawn to the entry has a single node; its direction is then that of the camera.
+    # A scope that is withdrawn to the entry has only one node, so its direction is that of the camera.
     into = nodes[min(3, len(nodes) - 1)] - nodes[0] if len(nodes) > 1 else drive.state.pose.lps_from_camera[:3, 2]
     depth = (points - nodes[0]) @ (into / float(np.linalg.norm(into)))
     return points[depth >= 0.0]

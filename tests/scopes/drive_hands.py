@@ -10,15 +10,17 @@ import numpy as np
 
 from carina.scopes import ScopeDrive, ScopePreset, ScopeState, scope_preset, scope_presets
 
-# The last scope is too thick for all airways except the widest.
 SCOPES = (*scope_presets(), replace(scope_preset("ebus"), name="thickest", tip_mm=7.8, tube_mm=7.8))
+"""Scopes of the library, and a last one that is too thick for all airways except the widest."""
 KINDS = ("wander", "push", "fast", "retreat", "stops", "roll", "jump", "press")
+"""Kinds of random input, by the names of the generators below."""
 DT_S = 1.0 / 60.0
+"""Time between two samples of the input, s."""
 
 Hand = Generator[tuple[float, float, float], ScopeState, None]
-"""A generator that receives a scope state and yields insertion (mm), roll and flexion (radians) of the next sample.
+"""Generator that receives the state of a scope and yields the next sample.
 
-The first yielded value is ignored.
+A sample consists of insertion (mm), roll and flexion (radians). The first yielded value is ignored.
 """
 
 
@@ -45,7 +47,7 @@ def random_samples(kind: str, drive: ScopeDrive, rng: np.random.Generator, num_s
 
 
 def _wander(low: float, high: float, rng: np.random.Generator) -> Hand:
-    """Move in small random steps that advance or withdraw on average; flexion drifts back to 0."""
+    """Yield small random steps that advance or withdraw on average, with a flexion that returns slowly to 0."""
     push, sway = rng.normal(0.3, 0.6), rng.uniform(0.02, 0.2)
     roll = flexion = 0.0
     state = yield (0.0, 0.0, 0.0)
@@ -57,7 +59,7 @@ def _wander(low: float, high: float, rng: np.random.Generator) -> Hand:
 
 
 def _push(low: float, high: float, rng: np.random.Generator) -> Hand:
-    """Advance steadily, whatever is in front of the tip, with little steering."""
+    """Yield a steady advance with little steering, whatever is in front of the tip."""
     speed = rng.uniform(0.5, 3.0)
     roll, flexion = rng.uniform(-math.pi, math.pi), rng.normal(0.0, 0.4)
     state = yield (0.0, 0.0, 0.0)
@@ -68,7 +70,7 @@ def _push(low: float, high: float, rng: np.random.Generator) -> Hand:
 
 
 def _fast(low: float, high: float, rng: np.random.Generator) -> Hand:
-    """Advance and withdraw at 200 to 900 mm/s, with flexion as fast."""
+    """Yield advances and withdrawals at 200 to 900 mm/s, with an equally fast flexion."""
     state = yield (0.0, 0.0, 0.0)
     roll = flexion = 0.0
     while True:
@@ -81,7 +83,7 @@ def _fast(low: float, high: float, rng: np.random.Generator) -> Hand:
 
 
 def _retreat(low: float, high: float, rng: np.random.Generator) -> Hand:
-    """Withdraw while the tip is bent, which operators must not do."""
+    """Yield a withdrawal with a bent tip, which operators must not make."""
     speed = rng.uniform(1.0, 12.0)
     roll, flexion = rng.uniform(-1.0, 1.0), 0.0
     bend = rng.choice([low, high]) * rng.uniform(0.3, 1.0)
@@ -93,7 +95,7 @@ def _retreat(low: float, high: float, rng: np.random.Generator) -> Hand:
 
 
 def _stops(low: float, high: float, rng: np.random.Generator) -> Hand:
-    """Move the flexion from one limit to the other."""
+    """Yield a flexion that moves from one limit to the other."""
     speed, roll = rng.uniform(-0.5, 1.5), rng.uniform(-math.pi, math.pi)
     rate = rng.uniform(0.05, 0.6)
     flexion, towards = 0.0, rng.choice([low, high])
@@ -107,7 +109,7 @@ def _stops(low: float, high: float, rng: np.random.Generator) -> Hand:
 
 
 def _roll(low: float, high: float, rng: np.random.Generator) -> Hand:
-    """Rotate continuously with a bent tip while advancing."""
+    """Yield a continuous rotation with a bent tip during an advance."""
     rate, speed = rng.choice([-1.0, 1.0]) * rng.uniform(0.1, 1.5), rng.uniform(-0.3, 1.5)
     flexion = rng.uniform(low, high)
     roll = 0.0
@@ -118,7 +120,7 @@ def _roll(low: float, high: float, rng: np.random.Generator) -> Hand:
 
 
 def _jump(low: float, high: float, rng: np.random.Generator) -> Hand:
-    """Jump to any insertion, roll and flexion within one sample, then stay for a while."""
+    """Yield jumps to any insertion, roll and flexion within one sample, each followed by a pause."""
     state = yield (0.0, 0.0, 0.0)
     while True:
         far = rng.normal(0.0, 60.0)
@@ -128,7 +130,7 @@ def _jump(low: float, high: float, rng: np.random.Generator) -> Hand:
 
 
 def _press(low: float, high: float, rng: np.random.Generator) -> Hand:
-    """Bend the tip against the wall, then slide along the wall in both directions."""
+    """Yield a tip that is bent against the wall and then slides along the wall in both directions."""
     roll, bend = rng.uniform(-math.pi, math.pi), rng.choice([low, high]) * rng.uniform(0.2, 1.0)
     state = yield (0.0, 0.0, 0.0)
     flexion, n = 0.0, 0

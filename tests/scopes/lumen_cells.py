@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 SignedMm = Callable[[Floats], Floats]
 """Function that returns signed distances (mm) of (n, 3) points; positive values are outside the lumen."""
 ROOM = 8
-"""Number of cell layers from the wall that are distinguished: 4 mm, more than the radius of any scope."""
+"""Number of layers of cells between a cell and the wall that are distinguished: 4 mm, more than any scope's radius."""
 
 
 class LumenCells:
@@ -30,7 +30,8 @@ class LumenCells:
         self._is_inside = is_inside
         self._told: dict[tuple[int, ...], bool] = {}
         self._low, self._cell_mm, self._inside, self._signed_mm = low, cell_mm, inside, signed_mm
-        # Number of layers by which a cell is surrounded by inside cells, plus 1; 0 for a cell that is not inside.
+        # The value of a cell is 1 plus the number of layers of inside cells around it, or 0 for a cell that is not
+        # inside.
         self._room = inside.astype(np.uint8)
         layer = inside
         for _ in range(ROOM):
@@ -58,7 +59,7 @@ class LumenCells:
         is_wall = np.zeros(num, dtype=bool)
         for offset in itertools.product((-reach, 0.0, reach), repeat=3):
             is_wall[tuple(((places + 0.5) * 0.25 + offset).astype(int).T)] = True
-        # Grow from the seeds cell by cell. The outermost cells of the lattice are outside the mesh.
+        # The inside grows from the seeds cell by cell. The outermost cells of the lattice are outside the mesh.
         open_ = ~is_wall.ravel()
         inside = np.zeros(open_.size, dtype=bool)
         front = np.ravel_multi_index(((seeds - low) / cell).astype(int).T, num)
@@ -73,7 +74,7 @@ class LumenCells:
         return cls(low, cell, inside, wall.signed_mm, wall.is_inside)
 
     def holds_balls(self, middles: Floats, radii: Floats) -> NDArray[np.bool_]:
-        """Return which balls are certainly in the lumen."""
+        """Return for each ball whether the lattice shows that it is inside the lumen."""
         return (self._at(middles).astype(float) - 1.0) * self._cell_mm >= radii
 
     def depths_mm(self, points: Floats) -> Floats:
@@ -81,8 +82,8 @@ class LumenCells:
         asked = self._at(points) == 0
         depths = np.zeros(len(points))
         depths[asked] = self._signed_mm(points[asked])
-        # Points beyond the reach in a cell that is not connected to a seed may be in the lumen behind a narrow part, or
-        # outside.
+        # A point beyond the reach, in a cell that is not connected to a seed, may be outside, or in the lumen behind a
+        # narrow part.
         for n in np.flatnonzero(np.isinf(depths)):
             cell = tuple(int(v) for v in (points[n] - self._low) // self._cell_mm)
             if cell not in self._told:
@@ -116,7 +117,10 @@ def points_on(corners: Floats, apart_mm: float) -> Floats:
 def lattice_of(
     distance_mm: SignedMm, low: Floats, spacing: tuple[float, float, float], shape_zyx: tuple[int, int, int]
 ) -> NDArray[np.float32]:
-    """Return a distance at the samples of a lattice; blocks far from the wall get the distance of their middle."""
+    """Return the distance from the wall at the samples of a lattice.
+
+    Blocks far from the wall have that of their middle.
+    """
     block = 4
     num = [-(-n // block) for n in shape_zyx]
     at = np.stack(np.meshgrid(*map(np.arange, num), indexing="ij"), axis=-1).reshape(-1, 3) * block

@@ -19,7 +19,7 @@ CHUNK = 1_500
 
 @dataclass(frozen=True)
 class Nearest:
-    """The nearest feature of the mesh for each of n points."""
+    """Nearest feature of the mesh for each of n points, and the distance from it."""
 
     signed_mm: Floats
     """Signed distance (mm): positive outside the mesh, negative inside, infinite where no triangle is within reach."""
@@ -43,7 +43,8 @@ class MeshDistance:
         self._radii = np.linalg.norm(corners - self._centres[:, None], axis=2).max(axis=1)
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         faces = across / np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
-        # Normals per feature of a triangle: 0 is the face, 1 to 3 the edges (from corner 0, 1, 2), 4 to 6 the corners.
+        # Normals of the features of a triangle: 0 is the face, 1 to 3 the edges (from corner 0, 1, 2), 4 to 6 the
+        # corners.
         self._normals = np.zeros((len(corners), 7, 3))
         self._normals[:, 0] = faces
         count = int(triangles.max()) + 1
@@ -74,7 +75,7 @@ class MeshDistance:
         keys, members = [], []
         for offset in itertools.product(*map(range, most)):
             held = ((lows + offset) <= highs).all(axis=1)
-            # Exclude cells that are near the bounding box of the triangle but outside its bounding ball.
+            # Cells that are near the bounding box of a triangle but outside its bounding ball are excluded.
             middle = self._low + (lows[held] + offset + 0.5) * CELL_MM
             off = np.linalg.norm(middle - self._centres[held], axis=1)
             near = off <= self._radii[held] + self._reach_mm + 0.5 * np.sqrt(3.0) * CELL_MM
@@ -94,9 +95,9 @@ class MeshDistance:
         return np.concatenate([np.zeros(0), *(self._of(points[n : n + CHUNK]) for n in range(0, len(points), CHUNK))])
 
     def is_inside(self, point: Floats) -> bool:
-        """Return whether a point is inside, at any distance from the wall.
+        """Return whether a point is inside the mesh, at any distance from its surface.
 
-        The solid angle of the whole mesh decides (Van Oosterom and Strackee 1983).
+        The side is that of the solid angle of the whole mesh (Van Oosterom and Strackee 1983).
         """
         return bool(solid_angles(point[None], self._corners)[0] > 0.5)
 
@@ -117,7 +118,7 @@ class MeshDistance:
         triangle = self._members[np.arange(ends[-1]) - np.repeat(ends - num - first, num)]
         p = points[asked]
         to_centre = np.linalg.norm(p[who] - self._centres[triangle], axis=1)
-        # Skip triangles that cannot be the nearest to their point.
+        # Triangles that cannot be the nearest one to their point are omitted.
         nearest = np.minimum.reduceat(to_centre + self._radii[triangle], ends - num)
         kept = to_centre - self._radii[triangle] <= nearest[who]
         who, triangle = who[kept], triangle[kept]
@@ -173,6 +174,6 @@ def _to_triangle(p: Floats, corners: Floats) -> tuple[Floats, NDArray[np.int64]]
         whole = va + vb + vc
         v = np.select(cases, [0 * d1, 1 + 0 * d1, along_ab, 0 * d1, 0 * d1, 1 - along_bc], vb / whole)
         w = np.select(cases, [0 * d1, 0 * d1, 0 * d1, 1 + 0 * d1, along_ac, along_bc], vc / whole)
-    # For a triangle without area, the nearest point is on an edge or a corner.
+    # In a triangle without area the nearest point is on an edge or a corner.
     v, w = np.nan_to_num(v), np.nan_to_num(w)
     return ap - v[:, None] * ab - w[:, None] * ac, feature

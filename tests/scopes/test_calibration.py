@@ -1,4 +1,4 @@
-"""Tests of camera calibration files: files of OpenCV and damaged files."""
+"""Tests of camera calibration files: files of OpenCV, and damaged files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import pytest
 from carina.errors import VolumeImportError
 from carina.scopes import lens_from_file, lens_from_text
 
-# Written by cv2.FileStorage of OpenCV 4.
 YAML = """%YAML:1.0
 ---
 calibration_time: "Sat Nov 21 09:00:00 2026"
@@ -33,6 +32,7 @@ distortion_coefficients: !!opencv-matrix
        2.3839153080878486e-01 ]
 avg_reprojection_error: 3.9259109564815858e-01
 """
+"""YAML file of a calibration, as written by cv2.FileStorage of OpenCV 4."""
 XML = """<?xml version="1.0"?>
 <opencv_storage>
 <image_width>640</image_width>
@@ -54,6 +54,7 @@ XML = """<?xml version="1.0"?>
     2.3839153080878486e-01</data></distortion_coefficients>
 </opencv_storage>
 """
+"""XML file of the same calibration, as written by cv2.FileStorage."""
 JSON = """{
     "image_width": 640,
     "image_height": 480,
@@ -75,15 +76,17 @@ JSON = """{
     }
 }
 """
+"""JSON file of the same calibration."""
 FISHEYE = {
     "image_size": [1280, 720],
     "fisheye_model": 1,
     "K": [[520.0, 0.0, 640.2], [0.0, 519.0, 355.5], [0.0, 0.0, 1.0]],
     "D": [[0.03], [-0.01], [0.004], [-0.0007]],
 }
+"""Calibration of OpenCV's fisheye model as JSON values."""
 
 
-def test_three_file_forms_of_one_calibration_give_the_same_lens():
+def test_one_calibration_in_three_file_forms_gives_equal_lenses():
     lens = lens_from_text(YAML)
     assert lens == lens_from_text(XML) == lens_from_text(JSON)
     assert lens.model == "brown"
@@ -96,16 +99,17 @@ def test_three_file_forms_of_one_calibration_give_the_same_lens():
         2.3839153080878486e-01,
     )
     assert rest == [0.0, 0.0, 0.0]
-    # Offset of half a pixel: OpenCV counts from the centre of the first pixel.
+    # The offset is half a pixel, because OpenCV counts from the centre of the first pixel.
     assert lens.calibration.centre_px == (342.28315473308373 + 0.5, 235.57082909788173 + 0.5)
 
 
-def test_calibration_scales_to_the_picture_size():
+def test_calibration_is_scaled_to_the_size_of_the_picture():
     lens = lens_from_text(YAML)
     full, half = lens.optics(640, 480), lens.optics(320, 240)
     at = np.array([[10.0, 20.0], [600.0, 400.0]])
     assert np.allclose(full.directions_of(at), half.directions_of(at / 2), rtol=0, atol=1e-12)
-    # 480 pixels at a focal length of 536 pixels, enlarged a little by the barrel distortion.
+    # The field of view is that of 480 pixels at a focal length of 536 pixels, slightly larger because of barrel
+    # distortion.
     assert 48.3 < full.fov_deg < 53.0
     with pytest.raises(ValueError, match=r"640 x 480, such as 512 x 384.*found 512 x 512"):
         lens.optics(512, 512)
@@ -116,7 +120,7 @@ def test_calibration_scales_to_the_picture_size():
 def test_fisheye_calibration_is_recognised_by_its_key():
     lens = lens_from_text(json.dumps(FISHEYE))
     assert lens.model == "fisheye" and lens.coefficients == (0.03, -0.01, 0.004, -0.0007)
-    # Formula of Kannala and Brandt at 30 degrees to the right.
+    # The formula is that of Kannala and Brandt, at 30 degrees to the right.
     a = np.deg2rad(30.0)
     r = a * (1 + 0.03 * a**2 - 0.01 * a**4 + 0.004 * a**6 - 0.0007 * a**8)
     found = lens.optics(1280, 720).pixels_of([[np.sin(a), 0.0, np.cos(a)]])[0]
@@ -172,7 +176,7 @@ def test_broken_calibration_is_refused_with_the_defect(name, tmp_path):
     assert refusal.value.exit_code == 3 and refusal.value.code == "render.lens"
 
 
-def test_file_without_calibration_is_refused(tmp_path):
+def test_file_without_a_camera_calibration_is_refused(tmp_path):
     for name, data in (("binary.yml", b"\xff\xfe\x00\x81"), ("huge.yml", b"#" * 1_000_001)):
         (tmp_path / name).write_bytes(data)
         with pytest.raises(VolumeImportError):

@@ -1,4 +1,4 @@
-"""Tests of a scope driven in a lumen; an independent geometry checks that the scope stays inside."""
+"""Tests of a scope that is driven in a lumen; an independent geometry checks that the scope stays inside."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def chest() -> Phantom:
 def sampled(spacing: tuple[float, float, float]) -> WallField:
     """Return the wall field of the exact lumen on a lattice (x, y, z, mm).
 
-    Slabs limit the memory: all points at once take half a gigabyte.
+    The lattice is computed in slabs, because all points at once take half a gigabyte.
     """
     low, high = np.array([-70.0, -50.0, -90.0]), np.array([70.0, 50.0, 112.0])
     x, y, z = (np.arange(a, b, s) for a, b, s in zip(low, high, spacing, strict=True))
@@ -58,7 +58,7 @@ def path_to(chest: Phantom, branch_id: int) -> NDArray[np.float64]:
     return np.array(points)
 
 
-def test_same_samples_give_the_same_poses_bit_for_bit(chest: Phantom, field: WallField) -> None:
+def test_equal_samples_give_poses_that_are_equal_bit_for_bit(chest: Phantom, field: WallField) -> None:
     def run(kind: str) -> list[NDArray[np.float64]]:
         rng = np.random.default_rng(5)
         drive = ScopeDrive(field, "ebus", path_to(chest, 0))
@@ -101,13 +101,15 @@ def test_insertion_counts_from_the_start_of_the_path(chest: Phantom, field: Wall
     state = drive.drive(50.0, 0.0, 0.0, 0.1)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     there = [np.interp(50.0, along, path[:, a]) for a in range(3)]
-    # The trachea is curved; a stiff scope deviates from its centreline by less than its radius.
+    # The trachea is curved; a stiff scope leaves its centreline by less than the radius.
     assert float(np.linalg.norm(state.pose.position_lps - there)) < 7.0
     assert state.limit == "none"
     assert drive.drive(-5.0, 0.0, 0.0, 0.1).limit == "entry"
 
 
-def test_depth_counts_from_the_cords_and_facing_operator_has_a_turned_picture(chest: Phantom, field: WallField) -> None:
+def test_depth_counts_from_the_cords_and_a_facing_operator_has_a_rotated_picture(
+    chest: Phantom, field: WallField
+) -> None:
     path = path_to(chest, 0)
     # The vocal cords are 12 mm above the scan.
     head = ScopeDrive(field, "standard", path, cords_mm=-12.0)
@@ -115,14 +117,14 @@ def test_depth_counts_from_the_cords_and_facing_operator_has_a_turned_picture(ch
     a, b = head.drive(40.0, 0.0, 0.0, 0.1), facing.drive(40.0, 0.0, 0.0, 0.1)
     assert head.depth_from_cords_mm == pytest.approx(52.0)
     assert facing.depth_from_cords_mm is None
-    # Anterior is up for an operator at the head end and down for one who faces the patient; the tip position is the
-    # same.
+    # Anterior is up for an operator at the head end and down for one who faces the patient; the position of the tip is
+    # equal.
     assert a.pose.lps_from_camera[1, 1] > 0.9
     assert b.pose.lps_from_camera[1, 1] < -0.9
     for _ in range(3):
         assert np.array_equal(a.pose.lps_from_camera[:3, 2:], b.pose.lps_from_camera[:3, 2:])
         assert np.array_equal(a.pose.lps_from_camera[:3, :2], -b.pose.lps_from_camera[:3, :2])
-        # The same holds for a bent tip, which would swing if the instrument itself were turned.
+        # The same is true for a bent tip, which would swing to the other side if the instrument were rotated.
         a, b = (drive.drive(48.0, 0.4, 0.8, 0.1) for drive in (head, facing))
     b = facing.set_operator("head")
     assert facing.state is b
@@ -153,7 +155,7 @@ def test_tip_pressed_against_a_wall_reports_contact_and_turns_red(chest: Phantom
     assert released is None or released.depth_mm < 0.3
 
 
-def test_lever_moves_the_tip_as_on_a_real_scope() -> None:
+def test_lever_at_each_end_gives_the_flexion_limit_of_its_side() -> None:
     stops = (-math.radians(130), math.radians(180))
     assert lever_flexion(1.0, stops) == stops[1]
     assert lever_flexion(-1.0, stops) == stops[0]

@@ -1,4 +1,4 @@
-"""Tests of the geometry that checks the random drives: distances to a mesh, and cells inside a lumen."""
+"""Tests of the geometry by which random drives are checked: distances to a mesh, and cells inside a lumen."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mesh_distance import MeshDistance, solid_angles
 
 
 def tube_mesh() -> tuple[Floats, np.ndarray]:
-    """Return a closed bent tube with a ridge as a mesh with edges of some mm, counterclockwise from outside."""
+    """Return a closed bent tube with a ridge as a mesh with edges of a few mm, counterclockwise from outside."""
     rows, round_ = 40, 20
     turns = np.linspace(0.0, 2.0 * np.pi, round_, endpoint=False)
     vertices, triangles = [], []
@@ -57,7 +57,7 @@ def test_cells_of_a_mesh_are_in_the_lumen(rng: np.random.Generator) -> None:
     depths = cells.depths_mm(points)
     assert (depths[inside] <= 0.0).all()
     assert (depths[~inside] > 0.0).all()
-    # Without seeds, the side of each cell that the mesh does not touch is computed separately.
+    # Without seeds the side of each cell that the mesh does not touch is computed separately.
     alone = LumenCells.of_mesh(MeshDistance(vertices, triangles), corners, np.zeros((0, 3)))
     assert np.array_equal(alone.depths_mm(points) > 0.0, ~inside)
     radii = rng.uniform(0.0, 2.0, 800)

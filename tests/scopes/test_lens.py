@@ -20,15 +20,15 @@ LENSES = {
 
 
 @pytest.mark.parametrize("name", LENSES)
-def test_pixels_and_directions_are_inverse(name):
+def test_direction_of_a_pixel_converts_back_to_the_pixel(name):
     optics = LENSES[name].optics(320, 240, 110.0)
     rng = np.random.default_rng(5)
-    # Points inside the image circle, where every lens has a direction.
+    # The points are inside the image circle, where every lens has a direction.
     angle, distance = rng.uniform(0, 2 * np.pi, 500), 119.0 * np.sqrt(rng.uniform(0, 1, 500))
     pixels = np.column_stack([160 + distance * np.cos(angle), 120 + distance * np.sin(angle)])
     directions = optics.directions_of(pixels)
     assert np.allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=0, atol=1e-12)
-    # Tolerance 1e-8 px: double precision at several hundred pixels, and the last step of Newton's method.
+    # The tolerance of 1e-8 px is double precision at several hundred pixels, and the last step of Newton's method.
     assert np.abs(optics.pixels_of(directions * rng.uniform(0.1, 50, (500, 1))) - pixels).max() < 1e-8
 
 
@@ -40,7 +40,7 @@ def test_equidistant_lens_has_equal_angles_at_equal_distances():
 
 
 def test_opencv_formulas_match_a_point_computed_by_hand():
-    # x = 0.3, y = -0.4: r^2 = 0.25, radial 1 - 0.1 * 0.25 + 0.04 * 0.0625 = 0.9775.
+    # For x = 0.3 and y = -0.4, r^2 is 0.25 and the radial factor is 1 - 0.1 * 0.25 + 0.04 * 0.0625 = 0.9775.
     lens = Lens.brown(-0.1, 0.04, p1=0.01, p2=-0.02)
     optics = lens.optics(200, 200, 90.0)
     x = 0.3 * 0.9775 + 2 * 0.01 * 0.3 * -0.4 + -0.02 * (0.25 + 2 * 0.09)
@@ -69,7 +69,7 @@ def test_pinhole_and_fitted_lens_reach_170_degrees():
 
 
 def test_lens_that_folds_back_is_refused_with_the_angle():
-    # With k1 = -0.3 alone, a common start of fits, the image radius decreases beyond 46.5 degrees from the axis.
+    # With k1 = -0.3 alone, a common start of fits, the radius in the image decreases beyond 46.5 degrees from the axis.
     with pytest.raises(RenderError, match=r"less than 93.0 degrees.*found 120.00"):
         Lens.brown(-0.3).optics(64, 64, 120.0)
     assert Lens.brown(-0.3).optics(64, 64, 90.0).limit_deg == pytest.approx(46.51, abs=0.01)
@@ -89,31 +89,31 @@ def test_lens_that_folds_back_is_refused_with_the_angle():
         lambda: DepthOfField(3.0, math.inf),
     ],
 )
-def test_settings_out_of_range_are_refused(make):
+def test_lens_with_settings_out_of_range_is_refused(make):
     with pytest.raises(RenderError) as refusal:
         make()
     assert refusal.value.code == "render.camera"
 
 
 @pytest.mark.parametrize("make", [lambda: Lens.brown(math.nan), lambda: Lens.fisheye(math.inf)])
-def test_non_finite_coefficients_are_refused(make):
+def test_lens_with_non_finite_coefficients_is_refused(make):
     with pytest.raises(UsageError) as refusal:
         make()
     assert refusal.value.code == "usage.range"
 
 
-def test_fit_meets_the_published_figures_as_far_as_they_agree():
+def test_fitted_lens_has_the_published_figures_within_their_contradictions():
     fit = fit_generic_optics()
     relative = {residual.what: residual.relative for residual in fit.residuals}
-    # The published figures contradict each other: one pupil cannot give x9.55 at 10 mm and x40 at 3 mm, nor two
-    # distortions.
+    # The published figures contradict each other: one pupil cannot give both 9.55 times at 10 mm and 40 times at 3 mm,
+    # or two distortions.
     assert relative["magnification at 10 mm, relative to 100 mm"] == pytest.approx(0.092, abs=1e-3)
     assert relative["magnification at 3 mm, relative to 100 mm"] == pytest.approx(-0.022, abs=1e-3)
     assert relative["magnification at 15 mm, centre relative to edge"] == pytest.approx(0.014, abs=1e-3)
     assert relative["edge magnification at 3 mm, as a fraction of the distortion-free value"] == pytest.approx(
         0.014, abs=1e-3
     )
-    # The fit is a least-squares fit: no other pupil has a smaller sum of squares.
+    # The fit minimises the squares: no other pupil has a smaller sum.
     logs = [math.log(1 + r) for what, r in relative.items() if what.startswith("magnification")]
     for face_mm in (fit.face_mm - 0.05, fit.face_mm + 0.05):
         other = [math.log((100 + face_mm) / (d + face_mm) / m) for d, m in ((10, 9.55), (3, 40))]
@@ -125,7 +125,7 @@ def test_fitted_lens_has_the_magnifications_of_the_fit():
     optics = Lens.fisheye(fit.k1).optics(1000, 1000, 120.0)
 
     def size_px(distance_mm: float, at_mm: float) -> float:
-        """Return the size in pixels of 0.02 mm on a chart before the tip, tangential at an offset from the middle."""
+        """Return the size of 0.02 mm on a chart before the tip, tangential at ``at_mm`` from the middle, pixels."""
         z = distance_mm + fit.face_mm
         (x0, y0), (x1, y1) = optics.pixels_of([[at_mm, -0.01, z], [at_mm, 0.01, z]])
         return math.hypot(x1 - x0, y1 - y0)

@@ -1,4 +1,4 @@
-"""Tests of the library of bronchoscopes."""
+"""Tests of the library of bronchoscopes: each row of the table in docs with its figures."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ def test_every_row_of_the_table_is_in_the_library_with_its_basis():
         assert 2.8 <= preset.tip_mm <= 6.9 and 1.2 <= preset.channel_mm <= 2.8
         assert preset.basis and any(part in preset.basis for part in ("s", "k"))
         assert preset.fit_mm >= preset.tip_mm + 0.4
-        # Every lens gives a picture, also where the field of view is not known.
+        # Every lens gives a picture, even if the field of view of the scope is not known.
         assert preset.lens.optics(64, 64, preset.usual_fov_deg).fov_deg == preset.usual_fov_deg
         assert all(np.hypot(x, y) < preset.tip_mm / 2 for x, y, _ in preset.guides_mm)
 
 
-def test_figures_equal_those_of_the_table():
+def test_figures_of_the_library_equal_those_of_the_table():
     standard = scope_preset("standard")
     assert (standard.tip_mm, standard.channel_mm, standard.fov_deg, standard.flexion_deg) == (
         4.9,

@@ -1,7 +1,7 @@
 """Random drives of every scope of the library, checked by a geometry that is independent of the product.
 
-`make soak` runs 1,000 drives in the phantom and 1,000 in the patient; `make test` runs a few drives in the phantom.
-The checks need only numpy.
+`make soak` runs 1,000 drives in the phantom and 1,000 in the patient; `make test` runs a few drives in the phantom. The
+checks need only numpy.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ LOW, HIGH = np.array([-70.0, -50.0, -90.0]), np.array([70.0, 50.0, 112.0])
 TOP_MM = 110.0
 PHANTOM_SAMPLES, PATIENT_SAMPLES = 40, 25
 PARTS = 4
-"""Groups of the thousand drives, so that several processes can share the drives (-k)."""
+"""Number of groups of the thousand drives, so that several processes can share the drives (-k)."""
 
 
 def exact_mm(points: Floats) -> Floats:
-    """Return the distance of points to the phantom's exact wall, positive outside the lumen, mm."""
+    """Return the distance (n,) of points from the phantom's exact wall, mm; positive outside the lumen."""
     return lumen_distance_at(points, seed=SEED) if len(points) else np.zeros(0)
 
 
 def steady_mm(points: Floats) -> Floats:
-    """Return the distance of points to the phantom's wall (mm), limited where the exact distance jumps.
+    """Return the distance (n,) of points from the phantom's wall, mm, limited where the exact distance jumps.
 
     The exact distance jumps by up to 0.21 mm at forks, where another branch becomes the second nearest, and where the
-    flat back of the trachea turns; no wall is there. The result changes by at most 1.3 mm per mm: the depth of a point
-    is limited by the distances of points 0.1 mm around that point. Above the start of the trachea, the lumen continues
-    with the cross-section of the start.
+    flat back of the trachea begins; there is no wall at these places. The result changes by at most 1.3 mm per mm: the
+    depth of a point is limited by the distances of points 0.1 mm around it. Above the start of the trachea the lumen
+    continues with the section of the start.
     """
     points = np.minimum(points, [np.inf, np.inf, TOP_MM])
     found = exact_mm(points)
@@ -65,7 +65,7 @@ def chest() -> Lumen:
             at = branches[at]["parent"]
         return np.array(points)
 
-    # As fine as the wall field of a CT, anisotropic.
+    # The lattice is anisotropic and as fine as the wall field of a CT.
     spacing = (0.4, 0.35, 0.45)
     shape = tuple(int(n) for n in np.ceil((HIGH - LOW) / spacing)[::-1])
     matrix = np.diag([*spacing, 1.0])
@@ -95,7 +95,8 @@ def test_random_drives_stay_in_the_exact_lumen(chest: Lumen) -> None:
 
 @pytest.mark.slow
 def test_tip_pressed_against_the_carina_edge_does_not_sink_in(chest: Lumen) -> None:
-    # Without the skin of the tip's balls (decision 0125), the tip sank in by 0.111 and 0.119 mm in these runs.
+    # Without the skin around the balls of the tip (decision 0125) the tip sank into the wall by 0.111 and 0.119 mm in
+    # these runs.
     found = check_drives(chest, [52, 261], num_samples=PHANTOM_SAMPLES, every=1)
     assert 0.0 < found.tip.mm <= 0.1, found.tip.told
 

@@ -1,4 +1,4 @@
-"""Fixtures for the tests of the server."""
+"""Fixture for the tests of the server: a running server."""
 
 from __future__ import annotations
 
@@ -10,6 +10,6 @@ from live_server import Live, running
 
 @pytest.fixture
 def live(tmp_path) -> Iterator[Live]:
-    """Return a running server over the small case."""
+    """Return a running server with a session over the small case."""
     with running(tmp_path) as live:
         yield live

@@ -1,4 +1,4 @@
-"""Workstations in processes that a test can kill, and a client that acts as their window."""
+"""Workstations in separate processes that a test can kill, and a client that acts as their window."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Workstations:
 
 
 class Window:
-    """Client of a workstation that stores the received state, history, pose and messages."""
+    """Client of a workstation that stores the state, the history, the pose and the messages that it receives."""
 
     def __init__(self, url: str, token: str) -> None:
         self._open = contextlib.ExitStack()
@@ -90,7 +90,7 @@ class Window:
         self.told: list[str] = []
         """Texts of the received notices and errors."""
         self._num_values = 0
-        """Number of answers to probes."""
+        """Number of received answers to probes."""
         self.send(wire.encode_message(wire.ClientHello(wire.WIRE_VERSION)))
 
     def send(self, message: str | dict) -> None:
@@ -115,39 +115,42 @@ class Window:
         return True
 
     def wait_done(self) -> None:
-        """Wait until the server has done all messages that were sent: it answers a probe after earlier messages."""
+        """Wait until the server has handled all sent messages: it answers a probe after all earlier messages."""
         wanted = self._num_values + 1
         self.send({"type": "probe", "lps": [0.0, 0.0, 0.0]})
         self.until(lambda: self._num_values >= wanted)
 
     def hear_all(self) -> None:
-        """Read the messages that have arrived, for at most half a second: on a busy machine messages may never stop."""
+        """Read the messages that have arrived, for at most half a second.
+
+        On a busy machine messages may never stop.
+        """
         end_s = time.monotonic() + 0.5
         while time.monotonic() < end_s and self.hear(0.01):
             pass
 
     def until(self, condition) -> None:
-        # The total time is limited, because a running flight sends messages without end.
+        # The total time is limited, because the messages of a running flight do not end.
         end_s = time.monotonic() + WAIT_S
         while not condition():
             assert self.hear(WAIT_S) and time.monotonic() < end_s, (self.state, self.history, self.told)
 
     def wait_open(self) -> None:
-        """Wait until the case is open with its airways and is being saved."""
+        """Wait until the case is open, its airways are found and the case has been saved."""
         self.until(lambda: self.state.get("airways") == "found" and self.state["saving"]["keeps"])
 
 
 def steps_of(window: Window) -> list[tuple[str, float]]:
-    """Return label and time (seconds since 1970) of each step that was not undone."""
+    """Return the label and the time (seconds since 1970) of each step of the history that was not undone."""
     begun_s = window.state["saving"]["begun_s"]
     steps = window.history["steps"][: window.history["step"]]
     return [(one["label"], round(begun_s + one["at_s"], 2)) for one in steps]
 
 
 def lost(before: list[tuple[str, float]], found: list[tuple[str, float]], ended_s: float) -> float:
-    """Return the age of the oldest missing step at the end, in seconds.
+    """Return the age of the oldest step of ``before`` that ``found`` lacks, at the time ``ended_s``, in seconds.
 
-    The history holds at most a thousand steps, so that the oldest steps may be missing.
+    The history contains at most a thousand steps, so the oldest steps may be missing without a fault.
     """
     first_s = found[0][1] if len(found) >= 900 else float("-inf")
     missing = {step for step in before if step[1] > first_s} - set(found)

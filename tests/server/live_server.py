@@ -20,7 +20,7 @@ from carina.session import LocalStore, Session
 from small_case import SmallRenderer, small_parts
 
 WAIT_S = 120.0
-"""Upper limit of every wait, in seconds. The awaited events take milliseconds, or seconds on a busy machine."""
+"""Upper limit of every wait, seconds. The awaited events take milliseconds, or seconds on a busy machine."""
 
 
 @dataclass
@@ -57,7 +57,7 @@ class Live:
 
 
 class Window:
-    """Client with the messages and pictures that it received."""
+    """Client that stores the messages and pictures that it receives."""
 
     def __init__(self, socket, *, hello):
         self.socket = socket
@@ -82,7 +82,10 @@ class Window:
         return message
 
     def until(self, wanted, *, acknowledge=True):
-        """Return the next message that meets the condition, and acknowledge pictures before it."""
+        """Return the next message that meets the condition ``wanted``.
+
+        Acknowledge the pictures that arrive before it.
+        """
         end_s = time.monotonic() + WAIT_S
         while True:
             message = self.next()
@@ -93,9 +96,9 @@ class Window:
                 return message
 
     def had(self, wanted):
-        """Return the first message that meets the condition, among the received or the coming ones.
+        """Return the first message that meets the condition ``wanted``, among those received before or later.
 
-        The server writes a tree concurrently with answers and sends its route after it. Both may arrive before or long
+        The server writes a tree concurrently with answers and sends the route after it. Both may arrive before or long
         after a state that follows from the tree.
         """
         return next(filter(wanted, self.seen), None) or self.until(wanted)
@@ -111,7 +114,7 @@ class Window:
 
 @contextlib.contextmanager
 def serving(session, uploads, *, web=None):
-    """Run a server in a thread of its own, and return its gate."""
+    """Run a server in a separate thread, and return its gate."""
     with bind("127.0.0.1", 0) as sock:
         gate = Gate(host="127.0.0.1", port=sock.getsockname()[1])
         started = threading.Event()
@@ -129,7 +132,7 @@ def serving(session, uploads, *, web=None):
 
 @contextlib.contextmanager
 def running(tmp_path, *, web=None, **replaced):
-    """Run a server over the small case, with some parts of the session replaced."""
+    """Run a server over the small case, with some parts of the session replaced by ``replaced``."""
     opened = []
 
     def open_volume(path, progress, cancel):

@@ -1,4 +1,4 @@
-"""Workstation with a shared case, and observers who connect by its link, for the tests of this folder."""
+"""Workstation with a shared case, and observers that connect by its link, for several test files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from encrypted_client import connected
 
 
 def insecure():
-    """Return TLS settings without a certificate check, as in a browser whose user compared the fingerprint."""
+    """Return TLS settings without a certificate check, as in a browser after its user compared the fingerprint."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False
     context.verify_mode = ssl.CERT_NONE
@@ -38,10 +38,10 @@ def page_of(window, wanted=lambda page: page is not None):
 
 @contextlib.contextmanager
 def sharing(tmp_path, monkeypatch, *, path="case", **replaced):
-    """Provide a window of the user at the workstation, with a case and the page for observers open."""
-    # Observers here read the close reason, however busy the machine is.
+    """Provide the user's window of a workstation on which a case and the page for observers are open."""
+    # The time limit is long, so that observers read the close reason even on a busy machine.
     monkeypatch.setattr("carina.server.observers.page.FAREWELL_S", 60.0)
-    # Both ends are in one process: while a case is opened, the first request of a connection may be late.
+    # Server and client share one process, so a connection's first request may be late while a case is opened.
     monkeypatch.setattr("carina.server.network.request_timeouts.FIRST_REQUEST_WITHIN_S", 60.0)
     monkeypatch.setattr("carina.server.network.lan_server.HANDSHAKE_WITHIN_S", 60.0)
 

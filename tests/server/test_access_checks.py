@@ -1,4 +1,4 @@
-"""Access rules of the gate: hosts, origins, tokens, cookies and secrets."""
+"""Tests of the access rules of the gate: hosts, origins, tokens, cookies and secrets."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def gate():
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:8123", "localhost:8123", "LOCALHOST:8123", "[::1]:8123", "127.0.0.2:8123"])
-def test_loopback_names_are_allowed(host):
+def test_host_names_of_loopback_are_allowed(host):
     assert host_allowed(host, bound_host="127.0.0.1", port=8123)
 
 
@@ -32,28 +32,28 @@ def test_loopback_names_are_allowed(host):
         "127.0.0.1:8123:8123",
         "[::1:8123",
         "[::1]x:8123",
-        "127.0.0.1:８１２３",  # Full-width digits.
+        "127.0.0.1:８１２３",  # This port has full-width digits.
         "127.0.0.1:-8123",
     ],
 )
-def test_other_names_are_refused_on_loopback(host):
+def test_other_host_names_are_refused_on_loopback(host):
     assert not host_allowed(host, bound_host="127.0.0.1", port=8123)
 
 
-def test_network_address_allows_literal_addresses_and_refuses_foreign_names():
+def test_server_on_the_network_allows_literal_addresses_and_refuses_other_names():
     assert host_allowed("192.168.1.5:8123", bound_host="0.0.0.0", port=8123)
     assert host_allowed("workstation.lan:8123", bound_host="workstation.lan", port=8123)
     assert not host_allowed("evil.example:8123", bound_host="0.0.0.0", port=8123)
 
 
-def test_only_addresses_of_the_own_computer_are_loopback():
+def test_only_addresses_of_this_computer_are_loopback():
     assert is_loopback("127.0.0.1")
     assert is_loopback("::1")
     assert not is_loopback("0.0.0.0")
     assert not is_loopback("example.org")
 
 
-def test_token_works_once(gate):
+def test_start_token_is_accepted_only_once(gate):
     token = gate.new_token()
     assert not gate.redeem("wrong")
     assert gate.redeem(token)
@@ -69,7 +69,7 @@ def test_cookie_allows_access_and_its_name_contains_the_port(gate):
     assert "SameSite=Strict" in gate.set_cookie
 
 
-def test_secret_allows_programs_and_the_cookie_is_not_the_secret(gate):
+def test_secret_allows_access_for_programs_and_differs_from_the_cookie(gate):
     assert gate.authorised({"authorization": f"Bearer {gate.secret}"})
     assert not gate.authorised({"authorization": gate.secret})
     assert not gate.authorised({"authorization": "Bearer ü"})
@@ -83,7 +83,7 @@ def test_malformed_cookies_are_ignored(gate, cookie):
     assert not gate.authorised({"cookie": cookie})
 
 
-def test_reading_needs_no_origin_and_a_socket_does(gate):
+def test_get_request_needs_no_origin_and_a_socket_needs_one(gate):
     assert gate.refusal(method="GET", headers=GOOD) is None
     assert gate.refusal(method=None, headers=GOOD) is not None
     assert gate.refusal(method="POST", headers=GOOD) is not None
@@ -95,11 +95,11 @@ def test_reading_needs_no_origin_and_a_socket_does(gate):
     "origin",
     ["http://evil.example", "null", "", "https://127.0.0.1:8123", "http://127.0.0.1:8124", "http://localhost:8123"],
 )
-def test_other_origin_is_refused_with_valid_credentials(gate, method, origin):
+def test_request_from_another_origin_is_refused_despite_valid_credentials(gate, method, origin):
     headers = GOOD | {"origin": origin, "cookie": gate.set_cookie.split(";")[0]}
     assert gate.refusal(method=method, headers=headers) == "the request comes from another page"
 
 
-def test_own_origin_is_allowed(gate):
+def test_origin_of_the_server_is_allowed(gate):
     assert gate.refusal(method=None, headers=GOOD | {"origin": "http://127.0.0.1:8123"}) is None
     assert gate.refusal(method=None, headers={"host": "localhost:8123", "origin": "http://localhost:8123"}) is None

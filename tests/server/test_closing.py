@@ -1,4 +1,4 @@
-"""Closing of sockets: close codes and reasons of limited length."""
+"""Tests of closed sockets: close codes, and reasons of limited length."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from carina.server.wire import messages as wire
 
 
 class Socket:
-    """Stand-in for a socket that records close codes and reasons."""
+    """Replacement of a socket that records close codes and reasons."""
 
     def __init__(self, state=WebSocketState.CONNECTED, trouble=None) -> None:
         self.application_state = state
@@ -36,7 +36,7 @@ def test_socket_closes_with_its_code_and_reason(code):
     assert closed(code, "a sentence") == [(wire.CLOSE_CODES[code], "a sentence")]
 
 
-def test_code_without_a_close_code_counts_as_malformed():
+def test_error_without_a_close_code_closes_as_malformed():
     assert closed("session.no-case", "no") == [(wire.CLOSE_CODES["protocol.malformed"], "no")]
 
 

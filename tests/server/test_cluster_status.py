@@ -1,4 +1,4 @@
-"""Messages to the window about the computers that render."""
+"""Test of the messages to the window about the computers that render."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ STATUS = ClusterStatus(
 )
 
 
-def test_window_receives_the_other_computers_and_each_notice_once() -> None:
+def test_window_receives_the_rendering_computers_and_each_notice_once() -> None:
     told: list[wire.Cluster | wire.Notice] = []
     watch = ClusterWatch(lambda: STATUS, told.append)
     watch.look()

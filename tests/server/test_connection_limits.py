@@ -1,4 +1,4 @@
-"""Unauthenticated clients: many or slow ones do not block users; 128 file descriptors, one log line a minute."""
+"""Tests of unauthenticated clients: many or slow ones do not block users, with 128 file descriptors and a short log."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ WORDS = (
     b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03",
     b"\x00" * 100,
 )
-"""Beginnings of connections: nothing, half a request, half a body, the beginning of TLS, invalid bytes."""
+"""Possible beginnings of connections: nothing, half a request, half a body, the beginning of TLS, invalid bytes."""
 
 
 def stays_open(sock) -> bool:
@@ -55,7 +55,7 @@ def stays_open(sock) -> bool:
 
 @contextlib.contextmanager
 def small_process(tmp_path, *, reserved=64):
-    """Run the product's server without a case, with 128 file descriptors; return base address, token and error log."""
+    """Run the server without a case, with 128 file descriptors; return its base address, token and error log."""
     environment = environment_in(tmp_path)
     errors = tmp_path / "stderr.txt"
     with errors.open("w") as err:
@@ -86,7 +86,10 @@ def dial(base, words=b""):
 
 
 def besieged(base, token, *, rounds, strangers=300):
-    """Return the sorted durations (ms) of a user's requests and socket answers among unauthenticated clients."""
+    """Return the sorted durations (ms) of a user's requests and socket answers.
+
+    Meanwhile unauthenticated clients connect.
+    """
     bearer = {"Authorization": f"Bearer {token}"}
     took_ms: list[float] = []
     num_again = 0
@@ -104,7 +107,7 @@ def besieged(base, token, *, rounds, strangers=300):
             for ask in (kept.get, httpx.get):
                 began = time.perf_counter()
                 while (status := answered(ask, f"{base}/api/airways.json", bearer)) is None:
-                    # The server may close an unauthenticated connection to free its place; the user's client then
+                    # To free a descriptor the server may close an unauthenticated connection; the user's client then
                     # connects again.
                     assert ask is httpx.get
                     num_again += 1
@@ -120,7 +123,7 @@ def besieged(base, token, *, rounds, strangers=300):
 
 
 def answered(ask, url, bearer):
-    """Return the status of a response, or None if the connection was closed before it."""
+    """Return the status of a response, or None if the connection was closed before a response."""
     try:
         return ask(url, headers=bearer, timeout=WAIT_S).status_code
     except httpx.TransportError:
@@ -135,18 +138,18 @@ def test_300_unauthenticated_clients_at_128_descriptors_block_no_user_and_log_on
         took_ms = besieged(base, token, rounds=rounds)
     said = errors.read_text()
     assert "Traceback" not in said
-    # One line about the unauthenticated clients, and one for each kind of invalid bytes.
+    # One line is about the unauthenticated clients, and one about each kind of invalid bytes.
     assert len(said.splitlines()) <= 4, said
     p95_ms = took_ms[len(took_ms) * 95 // 100]
     print(f"p50 {took_ms[len(took_ms) // 2]:.1f} ms, p95 {p95_ms:.1f} ms, worst {took_ms[-1]:.0f} ms")
     if rounds >= 100:
-        # The limit applies to a machine without other load; elsewhere an answer at any time is sufficient.
+        # The limit applies to a machine without other load; on a busy machine an answer at any time is sufficient.
         assert p95_ms < 2000.0
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
-def test_process_without_a_free_descriptor_closes_idle_connections_and_serves_on(tmp_path):
+def test_server_without_a_free_descriptor_closes_idle_connections_and_answers(tmp_path):
     with small_process(tmp_path, reserved=-1000) as (base, token, errors):
         besieged(base, token, rounds=3)
     said = errors.read_text()
@@ -219,14 +222,14 @@ def request(live, method="GET", path="/", *lines):
     return "\r\n".join(head).encode()
 
 
-def test_incomplete_second_request_on_a_kept_connection_is_closed(hasty):
+def test_connection_with_an_incomplete_second_request_is_closed(hasty):
     with dial(hasty.origin, request(hasty)) as sock:
         assert sock.recv(100_000).startswith(b"HTTP/1.1 ")
         sock.sendall(b"GET / HTTP/1.1\r\n")
         assert not stays_open(sock)
 
 
-def test_stalled_body_is_closed_and_a_slow_one_is_accepted(hasty):
+def test_request_with_a_stalled_body_is_closed_and_a_slow_body_accepted(hasty):
     bearer = f"Authorization: Bearer {hasty.gate.secret}"
     upload_id = hasty.uploads.begin()
     begin = request(hasty, "PUT", f"/api/upload/{upload_id}?name=a.dcm", bearer, "Content-Length: 20")
@@ -235,11 +238,11 @@ def test_stalled_body_is_closed_and_a_slow_one_is_accepted(hasty):
     with dial(hasty.origin, begin) as sock:
         for _ in range(20):
             sock.sendall(b"x")
-            threading.Event().wait(0.05)  # Twice the time limit in total.
+            threading.Event().wait(0.05)  # The waits add up to twice the time limit.
         assert sock.recv(1000).startswith(b"HTTP/1.1 201")
 
 
-def test_unauthenticated_socket_is_closed_for_others_and_an_authenticated_one_stays(tmp_path, monkeypatch):
+def test_unauthenticated_socket_is_closed_at_the_limit_and_an_authenticated_one_stays(tmp_path, monkeypatch):
     monkeypatch.setattr("carina.server.network.connection_limits.MAX_STRANGERS", 8)
     with running(tmp_path) as live, live.window() as window, contextlib.ExitStack() as stack:
         upgrade = (

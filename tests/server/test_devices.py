@@ -1,4 +1,4 @@
-"""Devices over the wire: samples move the tip, connections start and end, and their state is sent to the windows."""
+"""Tests of devices over the wire: samples move the tip, connections start and end, and windows receive their state."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from small_case import small_bench
 if sys.platform == "win32":
     pytest.skip("there are no pseudo-terminals on Windows", allow_module_level=True)
 
-# Time that the first frame after a rest may count as passed, in seconds.
+# Time in seconds that the first frame after a rest may count as elapsed.
 FIRST_S = 0.1
 
 
@@ -54,16 +54,16 @@ def pen(time_s: float, at: tuple[float, float, float], buttons: int = 0) -> wire
 
 
 def do(made: DeviceDesk, command: Command) -> None:
-    """Execute a command as the hub does."""
+    """Execute a command on the session in the way of the server's hub."""
     made._session.do(command)
     made.done(command)
 
 
 @pytest.fixture
 def desk(tmp_path):
-    """Return a device desk over the small case, with its session and its sent messages."""
+    """Return the device manager (desk) over the small case, with its session and the messages that it sent."""
     bench = small_bench()
-    bench.session._core.clock = time.monotonic  # The thread of the desk uses the real time.
+    bench.session._core.clock = time.monotonic  # The thread of the device manager uses the real time.
     bench.open()
     sent: list[object] = []
     made = DeviceDesk(bench.session, sent.append, recordings=tmp_path / "recordings")
@@ -79,7 +79,7 @@ def test_stick_moves_the_tip_while_it_is_deflected(desk):
 
     def pushed() -> bool:
         made.handle(stick(time.monotonic(), 1.0))
-        time.sleep(0.016)  # The desk ignores some samples of a device with a higher rate.
+        time.sleep(0.016)  # Of a device with a higher rate the device manager ignores some samples.
         return bench.session.pose_info().path_mm > 8.0
 
     wait_for(pushed)
@@ -127,7 +127,7 @@ def test_invalid_samples_are_counted_and_reported_once(desk):
     wire.encode_message(message)
 
 
-def test_calibration_returns_its_residual_and_bad_pairs_are_refused(desk):
+def test_registration_returns_its_residual_and_refuses_unusable_pairs(desk):
     made, bench, _ = desk
     made.handle(pen(1.0, (0.0, 0.0, 0.0)))
     points = ((0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (0.0, 50.0, 0.0))
@@ -155,7 +155,7 @@ def test_pen_button_adds_a_target_at_the_tip(desk):
     do(made, wire.ArmPen(None))
 
 
-def test_stick_selects_the_branch_at_a_fork_and_the_route_follows(desk):
+def test_stick_selects_the_branch_at_a_fork_and_changes_the_route(desk):
     made, bench, _ = desk
     session = bench.session
     (trachea, *_) = session.snapshot().document.route.spans
@@ -164,7 +164,7 @@ def test_stick_selects_the_branch_at_a_fork_and_the_route_follows(desk):
 
     def has_turned() -> bool:
         time.sleep(0.016)
-        # The patient's left is on the left of the picture (operator at the head).
+        # For an operator at the head the patient's left is on the left of the picture.
         made.handle(stick(time.monotonic(), 1.0, 0.0, 0.0, -1.0))
         return session.snapshot().document.route.branch_id != 3
 
@@ -219,7 +219,7 @@ def test_tracker_without_a_port_is_disconnected_by_its_shown_name(desk):
 
 def test_resting_handle_that_sends_samples_makes_no_new_poses(desk):
     made, bench, _ = desk
-    made.handle(wire.WatchDevices(True))  # Frames continue five times a second.
+    made.handle(wire.WatchDevices(True))  # While a window watches the devices, frames continue five times a second.
 
     def say(n: int, insertion_mm: float) -> None:
         handle = (insertion_mm, 0.1, 0.2)
@@ -239,7 +239,7 @@ def test_resting_handle_that_sends_samples_makes_no_new_poses(desk):
 
     for n in range(100):
         say(n, 0.1 * n)
-    # The filter comes to rest.
+    # During these samples the filter comes to rest.
     for n in range(100, 180):
         say(n, 9.9)
     assert bench.session.pose_info().path_mm > 5.0
@@ -252,7 +252,7 @@ def test_resting_handle_that_sends_samples_makes_no_new_poses(desk):
 
 
 def published(port: int) -> IgtlPose:
-    """Return the first pose that a client of the port receives."""
+    """Return the first pose that a client of the port receives, in RAS."""
     stream = IgtlStream()
     with socket.create_connection(("127.0.0.1", port), timeout=WAIT_S) as peer:
         while True:
@@ -270,7 +270,7 @@ def test_tip_is_published_and_recordings_are_written(desk, tmp_path):
     port = made.message().published_port
     assert port
     tip = bench.session.pose_info().pose.lps_from_camera
-    # RAS for 3D Slicer: left and posterior change their signs. Coordinates on the wire are f32.
+    # 3D Slicer uses RAS, so left and posterior change their signs; coordinates on the wire are f32.
     np.testing.assert_allclose(pose_matrix(published(port)), np.diag([-1.0, -1.0, 1.0, 1.0]) @ tip, atol=1e-4)
     made.handle(wire.PublishTip(None))
     assert made.message().published_port is None
@@ -281,7 +281,7 @@ def test_tip_is_published_and_recordings_are_written(desk, tmp_path):
     assert len(list((tmp_path / "recordings").glob("*.jsonl"))) == 1
 
 
-def test_smoothing_changes_the_reported_delay_of_the_filter(desk):
+def test_reported_delay_of_the_filter_changes_with_its_smoothing(desk):
     made, _, _ = desk
     assert made.message().filter_latency_ms <= 10.0
     do(made, wire.SetControls(DeviceControls(min_cutoff_hz=5.0)))
@@ -289,7 +289,7 @@ def test_smoothing_changes_the_reported_delay_of_the_filter(desk):
     assert made.handle(wire.Undo()) is False
 
 
-def test_failed_frame_is_logged_once_and_later_frames_continue(desk, monkeypatch, caplog):
+def test_failed_frame_is_logged_once_and_later_frames_run(desk, monkeypatch, caplog):
     made, bench, _ = desk
     frame, num_failed = bench.session.devices.frame, 0
 

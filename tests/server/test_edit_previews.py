@@ -1,4 +1,4 @@
-"""Previews of edits over the wire: they equal the result of a click, and missing evidence needs a confirmation."""
+"""Tests of edit previews over the wire: they equal the result of a click, and missing evidence needs a confirmation."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WAIT_S = 120.0
 
 @pytest.fixture
 def pointing():
-    """Return a session with real airways and real edits, the wall points of picture 5, and the answers."""
+    """Return a session with real airways and real edits, the wall points of picture 5, and the received answers."""
     case = edit_case()
     bench = small_bench(
         open_volume=lambda _path, _progress, _cancel: open_ended_volume(),
@@ -55,7 +55,7 @@ def edit(pointing, message):
     pointing.bench.background.run_all()
 
 
-def test_points_of_a_preview_are_those_of_the_branch_in_the_next_tree(pointing):
+def test_points_of_a_preview_equal_those_of_the_added_branch(pointing):
     lps = in_plain_lung()
     preview = ask(pointing, 3, lps=lps)
     assert (preview.request_id, preview.lps, preview.problem) == (3, lps, None)
@@ -76,7 +76,7 @@ def test_points_of_a_preview_are_those_of_the_branch_in_the_next_tree(pointing):
     tree = wire.parse_server_message(wire.encode_message(tree_message(airways))).tree
     drawn = [branch for branch in tree.branches if branch.kind == "manual"]
     assert sum(branch.doubtful_mm for branch in drawn) == pytest.approx(question.doubtful_mm, abs=0.01)
-    # Every point of the preview is a point of the tree, bit for bit, in the same order up to the end that was clicked.
+    # Every point of the preview is bit for bit a point of the tree, in the same order up to the clicked end.
     points = {point for branch in tree.branches for point in branch.points}
     assert set(line.points_lps) <= points
     assert drawn[-1].points == line.points_lps[-len(drawn[-1].points) :]
@@ -106,7 +106,7 @@ def test_place_in_the_airway_picture_selects_the_lumen_in_front_of_the_wall(poin
     preview = ask(pointing, 5, frame_id=5, column=12.0, row=7.5)
     assert preview.lps is not None
     again = ask(pointing, 6, lps=preview.lps)
-    # The point that a click sends produces the edit that was previewed at the place.
+    # The point that the click sends gives an edit that equals the preview of the place in the picture.
     assert (again.lines, again.problem) == (preview.lines, preview.problem)
 
 
@@ -124,7 +124,7 @@ def test_place_without_a_possible_edit_is_answered_with_the_reason(pointing, pla
     assert (preview.lines, preview.length_mm, preview.has_evidence) == ((), None, False)
 
 
-def test_fault_in_a_preview_is_reported_and_the_next_question_is_answered(pointing, monkeypatch):
+def test_fault_in_a_preview_is_reported_and_the_next_preview_is_answered(pointing, monkeypatch):
     monkeypatch.setattr(pointing.session, "ask", lambda _question: 1 / 0)
     assert "internal error in Carina (ZeroDivisionError)" in ask(pointing, 1, lps=(0.0, 0.0, 0.0)).problem
     monkeypatch.undo()

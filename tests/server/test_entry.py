@@ -1,4 +1,4 @@
-"""Access to the server on loopback: links, cookies, hosts, origins, and the served files."""
+"""Tests of access to the server on loopback: links, cookies, hosts, origins, and the served files."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_link_is_exchanged_for_a_cookie_once(live):
         assert again.status_code == 403
         assert "set-cookie" not in again.headers
     with live.http(cookie=live.cookie) as http:
-        # A reload of the printed link in a window that already has the cookie.
+        # The printed link is loaded again in a window that already has the cookie.
         assert http.get(url).status_code == 303
 
 
@@ -41,7 +41,7 @@ def test_every_response_has_the_security_headers(live):
             assert "server" not in headers
 
 
-def test_page_reports_a_client_that_was_not_built(live):
+def test_start_page_reports_that_the_client_was_not_built(live):
     with live.http() as http:
         page = http.get("/")
     assert page.status_code == 503
@@ -74,7 +74,7 @@ def test_only_files_of_the_built_client_are_served(tmp_path):
 
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1:1"])
-def test_other_host_is_refused(live, host):
+def test_request_with_another_host_is_refused(live, host):
     with live.http(cookie=live.cookie, host=host) as http:
         assert http.get("/").status_code == 403
         assert http.post("/api/upload", headers={"origin": f"http://{host}"}).status_code == 403
@@ -139,14 +139,14 @@ def test_program_connects_with_the_secret_and_without_an_origin(live):
         "http://localhost:{port}",
     ],
 )
-def test_other_origin_is_refused_even_with_the_secret(live, origin):
+def test_socket_with_another_origin_is_refused_even_with_the_secret(live, origin):
     host = f"127.0.0.1:{live.gate.port}"
     sent = origin.format(host=host, port=live.gate.port)
     with live.http(authorization=f"Bearer {live.gate.secret}", origin=sent) as http:
         assert http.post("/api/upload").status_code == 403
 
 
-def test_port_in_use_is_reported():
+def test_server_on_a_port_in_use_is_refused_with_a_message():
 
     with bind("127.0.0.1", 0) as taken:
         port = taken.getsockname()[1]

@@ -1,4 +1,4 @@
-"""Real workstation over a faulty disk: stalled, full, failing, read-only or without power, at any change."""
+"""Tests of a real workstation on a disk that stalls, is full, fails, is read-only or loses power."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SOON_S = 0.3
 """Seconds after which a disk counts as silent and is tried again; 2.5 s in the product."""
 POINTS = int(os.environ.get("CARINA_FAULT_POINTS", "200"))
 ROUNDED_S = 0.02
-"""Times of steps are sent in milliseconds and compared in hundredths of a second."""
+"""Rounding of the times of steps, seconds: they are sent in milliseconds and compared in hundredths of a second."""
 ACTS = (
     lambda rng: {"type": "edit_key_frames", "edit": {"kind": "add"}},
     lambda rng: {"type": "set_outline", "outline": rng.choice(["round", "octagon", "none"])},
@@ -37,7 +37,7 @@ ACTS = (
 
 
 class Faults:
-    """Workstations over a faulty disk, one after the other over the same user folders."""
+    """Workstations on a faulty disk, one after the other with the same user folders."""
 
     def __init__(self, folder: Path) -> None:
         self.disk = FaultyDisk(folder)
@@ -46,7 +46,7 @@ class Faults:
             made.mkdir()
         self.stations = Workstations(self.home, self.disk.environment, SOON_S)
         self.told_s: list[float] = []
-        """Seconds from the fault to the message in the window, for each fault."""
+        """Seconds from the beginning of each fault to its message in the window."""
 
     def start(self) -> tuple[int, Window]:
         pid, window = self.stations.start()
@@ -60,7 +60,7 @@ class Faults:
             window.end()
 
     def work_until(self, window: Window, rng: random.Random, has_ended) -> None:
-        """Send changes until the condition holds; each change is done before the next is sent."""
+        """Send changes until ``has_ended`` returns True; each change is handled before the next is sent."""
         end_s = time.monotonic() + WAIT_S
         while not has_ended():
             assert time.monotonic() < end_s, "the disk is not used"
@@ -73,13 +73,13 @@ class Faults:
 
 
 def assert_holds(found: list[tuple[str, float]], must: list[tuple[str, float]]) -> None:
-    """Assert that all steps exist, except the oldest if the history has reached its limit of a thousand steps."""
+    """Assert that ``found`` contains all steps, except the oldest if the history has its limit of a thousand steps."""
     first_s = found[0][1] if len(found) >= 900 else float("-inf")
     assert {step for step in must if step[1] > first_s} <= set(found)
 
 
 def change(window: Window) -> None:
-    """Add a step, whatever the history and the outline are."""
+    """Add a step to the history in any state of history and outline."""
     for outline in ("round", "octagon"):
         window.send({"type": "set_outline", "outline": outline})
 
@@ -94,21 +94,21 @@ def goes_on(window: Window) -> None:
 
 
 def until_saved(window: Window, since_s: float) -> None:
-    """Wait until the window reports that all steps up to a time are saved."""
+    """Wait until the window reports that all steps up to the time ``since_s`` are saved."""
     end_s = time.monotonic() + WAIT_S
     change(window)
     while (window.state["saving"]["saved_s"] or 0.0) < since_s + ROUNDED_S or window.state["saving"][
         "problem"
     ] is not None:
         assert time.monotonic() < end_s, window.state["saving"]
-        # The window receives the save time at least every minute, else only with other changes of the state. The first
-        # step may have been saved within the hundredth of a second of the rounding; a further change avoids that case.
+        # The window receives the save time at least every minute, else only with other changes of the state. A further
+        # change ensures that it is sent even if the first step was saved within the rounding of the times.
         change(window)
         window.hear(0.2)
 
 
 def saved_elsewhere(faults: Faults, window: Window, name: str) -> None:
-    """Save the case to a folder on another disk during the fault, and assert that the file contains all steps."""
+    """During the fault, save the case to a folder on another disk, and assert that the file contains all steps."""
     path = faults.elsewhere / f"{name}.carina"
     steps = [(step["label"], step["at_s"]) for step in window.history["steps"]]
     window.told.clear()
@@ -120,7 +120,10 @@ def saved_elsewhere(faults: Faults, window: Window, name: str) -> None:
 
 
 def fails_at(faults: Faults, kind: str, rng: random.Random, n: int) -> None:
-    """Start a fault at a random change during work, end it, kill the program, and assert that nothing is lost."""
+    """Start a fault at a random change, end the fault, and kill the program.
+
+    Assert that the next start has all saved steps.
+    """
     disk = faults.disk
     pid, window = faults.start()
     disk.begin(FAULTS[kind], rng.randrange(1, 120), faults.home / "data")
@@ -146,7 +149,8 @@ def fails_at(faults: Faults, kind: str, rng: random.Random, n: int) -> None:
 def loses_power(faults: Faults, rng: random.Random, *, any_part: bool) -> float:
     """Cut the power at a random change, and return the age of the oldest lost step in seconds.
 
-    The cut loses every change that was not synchronised, or a random part of these changes (``any_part``).
+    The power cut loses all changes of files that were not synchronised; with ``any_part`` it loses a random part of
+    them.
     """
     disk, data = faults.disk, faults.home / "data"
     disk.heal()

@@ -1,4 +1,4 @@
-"""Uploaded and downloaded files on loopback: dropped scans and masks, exported airways, thumbnails."""
+"""Tests of uploaded and downloaded files on loopback: dropped scans and masks, exported airways, thumbnails."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_upload_to_a_disk_that_refuses_it_is_refused_with_a_message(live, monkey
     assert "the disk is full" in answer.json()["message"]
 
 
-def test_exported_airways_need_the_cookie_and_leave_no_file_on_the_server(live, tmp_path, monkeypatch):
+def test_export_of_airways_needs_the_cookie_and_leaves_no_file_on_the_server(live, tmp_path, monkeypatch):
     made = []
 
     def export(path, volume, airways):
@@ -53,7 +53,7 @@ def test_exported_airways_need_the_cookie_and_leave_no_file_on_the_server(live, 
             assert answer.text.startswith("airways.nii.gz (")
             for wrong in (".exe", ".stl/../x", "/../../etc/passwd", ""):
                 assert http.get(f"/api/airways{wrong}").status_code in {403, 404}
-            # The file is removed after its last byte; the next response of this connection may be faster.
+            # The file is removed after its last byte was sent; the next response of this connection may arrive earlier.
             (path,) = made
             gone_by = time.monotonic() + WAIT_S
             while path.parent.exists():
@@ -84,7 +84,7 @@ def test_temporary_file_is_removed_if_the_server_stops_while_writing_it(tmp_path
     def export(path, *_parts):
         begun.set()
         assert may_end.wait(WAIT_S)
-        # Like an export that writes its file at its end.
+        # The function writes its file at its end, as an export does.
         path.parent.mkdir(exist_ok=True)
         path.write_text("the anatomy of somebody")
         return path
@@ -125,7 +125,7 @@ def test_file_and_folder_of_the_same_name_are_both_stored(live):
     assert sorted(p.read_bytes() for p in live.uploads.place(upload).rglob("*") if p.is_file()) == [b"1", b"2", b"2"]
 
 
-def test_dropped_files_are_opened_and_removed(live):
+def test_uploaded_folder_is_deleted_after_it_was_opened(live):
     with live.http(cookie=live.cookie, origin=live.origin) as http, live.window() as window:
         upload_id = http.post("/api/upload").json()["upload_id"]
         for name in ("s/1.dcm", "../../2.dcm"):
@@ -133,10 +133,10 @@ def test_dropped_files_are_opened_and_removed(live):
         folder = live.uploads._uploads[upload_id].folder
         assert sorted(len(p.relative_to(folder).parts) for p in folder.rglob("*.dcm") if p.is_file()) == [1, 2]
         window.send(wire.OpenUpload(upload_id))
-        # The end of the opening is announced after the removal; jobs that the opening starts may end earlier.
+        # The end of the opening is announced after the removal; jobs that the opening starts may end before.
         window.until(lambda m: isinstance(m, wire.Done) and not folder.exists())
         assert live.opened == [str(folder)]
-        # The answer comes after the end of the job, and the removal, were handled.
+        # The answer to this message comes after the end of the job and the removal.
         window.send(wire.OpenUpload(upload_id))
         assert window.until(lambda m: isinstance(m, wire.Error)).code == "upload.gone"
         assert not folder.exists()
@@ -164,7 +164,7 @@ def test_dropped_case_file_keeps_its_suffix_and_is_opened_as_a_case(tmp_path):
 
 
 def nrrd(labels_zyx):
-    """Return labels on the grid of the small case, as another tool writes them."""
+    """Return an NRRD file of labels on the grid of the small case, as another program writes it."""
     matrix = small_volume().lps_from_ijk
     axes = " ".join(f"({x!r},{y!r},{z!r})" for x, y, z in matrix[:3, :3].T.tolist())
     origin = "({!r},{!r},{!r})".format(*matrix[:3, 3].tolist())
@@ -211,7 +211,7 @@ def test_dropped_mask_is_stored_until_its_question_is_answered_and_replaces_the_
         assert not folder.exists()
 
 
-def test_mask_without_a_case_or_without_its_upload_is_refused(live):
+def test_mask_without_an_open_case_or_without_its_upload_is_refused(live):
     with live.http(cookie=live.cookie, origin=live.origin) as http, live.window() as window:
         upload_id = http.post("/api/upload").json()["upload_id"]
         assert http.put(f"/api/upload/{upload_id}", params={"name": "m.nrrd"}, content=b"x").status_code == 201

@@ -1,4 +1,4 @@
-"""Recorded flights over the wire: the list, its changes, and download of a flight over HTTP, on loopback."""
+"""Test of recorded flights over the wire: the list, its changes, and the download of a flight over HTTP."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Inbox of a client: it combines a flood of movements without delaying other clients and without losing a movement."""
+"""Tests of a client's inbox, which adds up movements: other clients do not wait, and no movement is lost."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def steer(advance_mm=0.0, yaw_rad=0.0, pitch_rad=0.0, roll_rad=0.0):
 
 
 def done(*messages):
-    """Return the messages that are executed if they arrive faster than they can be executed."""
+    """Return the messages that are executed if all arrive before the first is executed."""
     did = []
 
     async def run():
@@ -36,12 +36,12 @@ def done(*messages):
     return did
 
 
-def test_consecutive_movements_are_added():
+def test_consecutive_movements_are_executed_as_their_sum():
     [one] = done(steer(1.0, roll_rad=0.1), steer(-0.25, 0.5), steer(pitch_rad=2.0))
     assert one == steer(0.75, 0.5, 2.0, 0.1)
 
 
-def test_movements_are_not_added_across_other_messages():
+def test_movements_before_and_after_another_message_are_not_added():
     messages = [steer(1.0), steer(1.0), wire.ToggleMode(), steer(2.0), wire.NextFork(), wire.NextFork(), steer(3.0)]
     assert done(*messages) == [steer(2.0), *messages[2:]]
 
@@ -59,13 +59,13 @@ def test_newest_setting_of_each_view_replaces_older_ones_and_no_other_message_is
     ]
 
 
-def test_sum_of_movements_respects_the_limit_of_one_message_and_loses_none():
+def test_sum_of_movements_beyond_the_limit_of_a_message_is_divided():
     did = done(*[steer(400.0)] * 10)
     assert sum(message.advance_mm for message in did) == 4000.0
     assert all(abs(message.advance_mm) <= 1000.0 for message in did)
 
 
-def test_full_inbox_reads_no_further_message():
+def test_full_inbox_does_not_read_further_messages():
     async def run():
         inbox = Inbox(lambda _message: None)
         for n in range(MAX_WAITING):
@@ -81,7 +81,7 @@ def test_full_inbox_reads_no_further_message():
     asyncio.run(run())
 
 
-def test_message_that_raises_ends_the_worker_and_does_not_block_the_reader():
+def test_error_in_a_message_ends_the_worker_without_blocking_the_reader():
     def broken(_message):
         raise SystemError
 
@@ -99,10 +99,10 @@ def test_message_that_raises_ends_the_worker_and_does_not_block_the_reader():
 
 
 def flooded(live, window, calls, *, num_sent, rate_hz=1000):
-    """Measure the delay of other clients while a script steers.
+    """Return how long other clients wait while a script steers.
 
-    The result is, for each request of another client, the number of movements that were executed before its answer;
-    sorted.
+    The result is sorted. For each request of another client it contains the number of movements that were executed
+    before the answer.
     """
     stop = threading.Event()
 
@@ -115,7 +115,7 @@ def flooded(live, window, calls, *, num_sent, rate_hz=1000):
             stop.wait(0.002)
 
     def read():
-        # The thread may wait for a message when the connection of the window closes.
+        # The thread may be waiting for a message when the window's connection closes.
         with contextlib.suppress(ConnectionClosed):
             while not stop.is_set():
                 window.next()
@@ -141,7 +141,7 @@ def test_other_clients_do_not_wait_for_a_script_that_steers_a_thousand_times_a_s
         if not isinstance(command, wire.Steer):
             return plain(self, command, **options)
         calls.append(command.roll_rad)
-        until_s = time.perf_counter() + 0.003  # As in a patient's lumen.
+        until_s = time.perf_counter() + 0.003  # A movement takes 3 ms, as in a patient's lumen.
         while time.perf_counter() < until_s:
             pass
         return plain(self, command, **options)
@@ -153,7 +153,7 @@ def test_other_clients_do_not_wait_for_a_script_that_steers_a_thousand_times_a_s
         monkeypatch.setattr(Session, "do", slow)
         before = live.session.pose_info().pose.lps_from_camera[:3, :3]
         waited = flooded(live, window, calls, num_sent=num_sent)
-        # All movements have arrived: the last of them is answered after the other messages.
+        # All movements have arrived, because the last one is answered after all other messages.
         total = num_sent * 1e-4
         deadline_s = time.monotonic() + 60.0
         while abs(sum(calls) - total) > 1e-9 and time.monotonic() < deadline_s:
@@ -165,6 +165,6 @@ def test_other_clients_do_not_wait_for_a_script_that_steers_a_thousand_times_a_s
     turned = math.acos(np.clip((np.trace(before.T @ after) - 1.0) / 2.0, -1.0, 1.0))
     assert turned == pytest.approx(math.acos(math.cos(total)), abs=1e-6)
     assert len(calls) < num_sent / 2
-    # Counted in movements of 3 ms, so that the load of the machine has no influence: more than 1000 without the inbox,
-    # 30 to 45 with it.
+    # The delay is counted in movements of 3 ms, so the load of the machine has no influence: over 1000 without the
+    # inbox, 30 to 45 with it.
     assert p95 < 150

@@ -1,4 +1,4 @@
-"""Programs that join the case of a window: shared edits, own view settings, takeover, and access control."""
+"""Tests of programs that join the case of a window: shared edits, separate view settings, takeover, access control."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ WAIT_S = 120.0
 
 @pytest.fixture(scope="module")
 def made_folder(tmp_path_factory):
-    """Return a folder with a CT and user folders in which a case of the CT was begun."""
+    """Return a folder with a CT, and with user folders in which a case of the CT was begun."""
     folder = tmp_path_factory.mktemp("join")
     volume = made_phantom(spacing_mm=3.0, generations=3).volume
     write_grid(folder / "ct.nii.gz", volume.hu_zyx, volume.lps_from_ijk, what="the phantom")
@@ -53,7 +53,7 @@ def made_folder(tmp_path_factory):
 
 
 class Window:
-    """Session of a running workstation, with the actions of its user."""
+    """Session of a running workstation, with the actions that its user can take."""
 
     def __init__(self, session, records, gate):
         self.session = session
@@ -64,7 +64,7 @@ class Window:
         self.session.do(command)
         assert self.session.jobs.wait_idle(WAIT_S)
         if self.state.case is not None:
-            # Only a case that is on the disk has connection details for programs.
+            # Only a saved case has connection details for programs.
             self.session.do(c.KeepNow())
 
     @property
@@ -91,7 +91,7 @@ def workstation():
 
 @pytest.fixture
 def ct(made_folder, tmp_path, monkeypatch):
-    """Return the path of the CT; the user folders are a copy."""
+    """Return the path of the CT; the user folders are a new copy."""
     shutil.copytree(made_folder / "home", tmp_path / "home")
     for name, place in own_folders(tmp_path / "home").items():
         monkeypatch.setenv(name, place)
@@ -106,7 +106,7 @@ def window(ct):
         yield window
 
 
-def test_notebook_and_window_see_each_others_edits(window, ct):
+def test_edits_of_notebook_and_window_appear_in_both(window, ct):
     with carina.Case.open(ct) as case:
         assert case.note is None
         tip = case.airways.tree.tips()[0]
@@ -153,7 +153,7 @@ def _file(path):
     return path
 
 
-def test_case_that_was_just_opened_is_joined_as_soon_as_possible(window, ct):
+def test_join_of_a_case_just_opened_waits_until_it_can_be_joined(window, ct):
     door = window.folder / DOOR
     held_back = door.with_suffix(".later")
     door.rename(held_back)
@@ -167,7 +167,7 @@ def test_case_that_was_just_opened_is_joined_as_soon_as_possible(window, ct):
     opening.join()
 
 
-def test_pictures_poses_and_queries_use_the_newest_state(window, ct):
+def test_pictures_poses_and_queries_of_a_notebook_use_the_newest_state(window, ct):
     with carina.Case.open(ct) as case:
         window.do(c.GoTo(30.0))
         assert np.array_equal(case.pose.lps_from_camera, window.session.pose_info().pose.lps_from_camera)
@@ -224,7 +224,7 @@ def test_each_program_receives_only_its_own_errors(window, ct):
     assert not [event for event in heard if isinstance(event, Trouble | NotEvident)]
 
 
-def test_window_shows_changes_of_a_notebook_and_the_reverse(window, ct):
+def test_window_and_notebook_show_each_other_s_changes_except_view_settings(window, ct):
     live = Live(window.gate, window.session, None, [])
     with live.window() as page, carina.Case.open(ct) as case:
         tip = case.airways.tree.tips()[0]
@@ -271,7 +271,7 @@ def test_notebook_continues_when_another_case_is_opened_in_the_window(window, ct
         with pytest.warns(UserWarning, match="has taken over"):
             case.do(c.SetFov(100.0))
         assert case.state.document.look.fov_deg == 100.0
-        # The notebook owns the case now.
+        # Now the notebook owns the case.
         window.do(c.OpenPath(str(ct)))
         assert window.state.document.look.fov_deg != 100.0
 
@@ -304,7 +304,7 @@ def test_notebook_continues_when_the_workstation_is_killed(ct, tmp_path):
         tip = case.airways.tree.tips()[0]
         case.do(c.EditTree(c.RenameBranch(tip.id, "before")))
         assert stations.kill() == -signal.SIGKILL
-        # The first call after the kill is executed once.
+        # The first call after the kill is executed, and only once.
         with pytest.warns(UserWarning, match="this program has taken over"):
             case.do(c.AddTarget(tuple(float(v) for v in tip.points[-1])))
         assert case.airways.tree.branch(tip.id).name == "before"
@@ -324,7 +324,7 @@ def test_notebook_continues_when_the_workstation_is_killed(ct, tmp_path):
 
 
 class Workstations:
-    """Real workstations, each in a process of its own, started one after the other."""
+    """Real workstations in separate processes, started one after the other."""
 
     def __init__(self, ct, home):
         self._ct, self._home = ct, home
@@ -344,7 +344,7 @@ class Workstations:
         assert self._process.stdout.readline() == "ready\n"
         records = CaseRecords(load_settings().cases_dir, time.time)
         end_s = time.monotonic() + WAIT_S
-        # The window opens while the CT is read.
+        # The window opens while the workstation reads the CT.
         while not any(records.door_of(one) for one in records.all()):
             assert time.monotonic() < end_s
             time.sleep(0.01)
@@ -386,7 +386,7 @@ def test_connection_details_are_private_and_removed_with_the_case(ct):
         ("192.0.2.7", None),
     ],
 )
-def test_programs_connect_through_loopback_only(host, url):
+def test_programs_connect_only_through_loopback(host, url):
     assert door_of(Gate(host=host, port=80)).url == url
 
 
@@ -403,7 +403,7 @@ def test_connection_details_left_by_a_crash_are_ignored(ct):
 
 
 def joined(window, *messages, token=None):
-    """Return the messages that a joining program receives."""
+    """Return the messages that a joining program receives after it has sent ``messages``."""
     door = read_door(window.folder)
     with connect(door.url, additional_headers={"Authorization": f"Bearer {token or door.token}"}) as socket:
         for message in messages:

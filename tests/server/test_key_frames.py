@@ -1,4 +1,4 @@
-"""Key frames over the wire: the list, the flight, and their file over HTTP, on loopback."""
+"""Test of key frames over the wire: the list, the flight, and their file over HTTP."""
 
 from __future__ import annotations
 

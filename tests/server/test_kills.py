@@ -1,4 +1,4 @@
-"""Kills of Carina during work over the wire: all work reported as saved exists, complete, at the next start."""
+"""Tests of kills of Carina during work: the next start has all work that was reported as saved."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from forked_workstations import Window, Workstations, lost, steps_of
 from websockets.exceptions import ConnectionClosed
 
 ROUNDED_S = 0.02
-"""Times of steps are sent in milliseconds and compared in hundredths of a second."""
+"""Rounding of the times of steps, seconds: they are sent in milliseconds and compared in hundredths of a second."""
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not hasattr(os, "fork"), reason="workstations are forked")]
 
 
 def work_until(window: Window, end_s: float, rng: random.Random) -> float:
-    """Send changes continuously, and return the time up to which the window was notified that everything is saved."""
+    """Send changes until ``end_s``; return the time up to which the window reported all changes as saved."""
     saved_s = 0.0
     while time.monotonic() < end_s:
         window.send(
@@ -39,7 +39,7 @@ def work_until(window: Window, end_s: float, rng: random.Random) -> float:
 
 
 def killed_again_and_again(folder: Path, rounds: int) -> list[float]:
-    """Kill workstations repeatedly, and return the age of the oldest lost step of each kill in seconds."""
+    """Kill ``rounds`` workstations one after the other, and return the age of the oldest lost step of each kill, s."""
     rng = random.Random(20001)
     stations, lost_s = Workstations(folder), []
     before: list[tuple[str, float]] = []
@@ -53,7 +53,7 @@ def killed_again_and_again(folder: Path, rounds: int) -> list[float]:
                 if any(at_s <= saved_s - ROUNDED_S for _, at_s in before):
                     window.until(lambda told=window: told.history["steps"])
                 found = steps_of(window)
-                # The history holds at most a thousand steps: the oldest may be missing.
+                # The history contains at most a thousand steps, so the oldest may be missing without a fault.
                 first_s = found[0][1] if found else float("-inf")
                 must = [step for step in before if first_s <= step[1] <= saved_s - ROUNDED_S]
                 assert set(must) <= set(found)
@@ -69,11 +69,11 @@ def killed_again_and_again(folder: Path, rounds: int) -> list[float]:
     return lost_s
 
 
-def test_six_kills_lose_no_work_that_was_reported_as_saved(tmp_path):
+def test_six_kills_lose_no_change_that_was_reported_as_saved(tmp_path):
     killed_again_and_again(tmp_path, 6)
 
 
 @pytest.mark.soak
-def test_two_hundred_kills_lose_no_work_that_was_reported_as_saved(tmp_path):
+def test_two_hundred_kills_lose_no_change_that_was_reported_as_saved(tmp_path):
     lost_s = killed_again_and_again(tmp_path, 200)
     print(f"lost: median {sorted(lost_s)[100]:.2f} s, at most {max(lost_s):.2f} s")

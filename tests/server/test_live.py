@@ -1,4 +1,4 @@
-"""Messages between a window and the complete server: real sockets, real threads, a small case."""
+"""Tests of messages between a window and the complete server: real sockets, real threads, a small case."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_thousands_of_movements_and_acks_of_unknown_frames_do_not_block_the_sess
     with live.window() as window:
         window.send(SHOWN)
         open_case(window)
-        # 3000 movements: three minutes of a loop of 16 ms at once. Each moves 0.001 mm.
+        # The 3000 movements of 0.001 mm are those of three minutes of a loop of 16 ms, sent at once.
         window.send(*(wire.Steer(0.001, 0.0, 0.0, 0.0) for _ in range(3000)))
         window.send(*(wire.Ack(10**9 + n) for n in range(1000)))
         window.send(wire.SetFov(77.0))
@@ -82,7 +82,7 @@ def test_first_messages_contain_all_that_the_start_page_needs(live):
         (b"\x00\x01", 4400),
     ],
 )
-def test_bad_message_closes_the_socket_with_its_code_and_a_sentence(live, text, code):
+def test_malformed_message_closes_the_socket_with_its_code_and_a_reason(live, text, code):
     with live.window() as window:
         window.socket.send(text)
         closed, reason = window.close_code()
@@ -91,14 +91,14 @@ def test_bad_message_closes_the_socket_with_its_code_and_a_sentence(live, text, 
 
 
 def test_state_that_cannot_be_encoded_closes_the_connection_of_the_window(live, monkeypatch):
-    """A window without updates would show an old state as if it were the present one."""
+    """Check that no window without updates shows an old state as if it were the present one."""
     monkeypatch.setattr(a_window, "state_message", lambda *_, **__: wire.Value((0.0, 0.0, float("nan")), None))
     with live.window(hello=False) as window:
         window.send(wire.ClientHello(wire.WIRE_VERSION))
         assert window.close_code()[0] == 1011
 
 
-def test_other_wire_version_and_missing_hello_are_refused(live):
+def test_socket_with_another_wire_version_or_without_hello_is_refused(live):
     with live.window(hello=False) as window:
         window.send(wire.ClientHello(99))
         assert window.close_code()[0] == 4402
@@ -152,7 +152,7 @@ def test_value_out_of_range_closes_the_socket_with_the_value_and_the_range(live,
         ([[0, 1, 2, 1, 0.5]], "0 to 1; found at point 0"),
     ],
 )
-def test_invalid_transfer_function_is_refused_with_a_message_and_the_old_one_stays(tmp_path, points, words):
+def test_invalid_transfer_function_is_refused_and_the_old_one_stays_in_use(tmp_path, points, words):
     with running(tmp_path, transfer_from_json=TransferFunction.from_json) as live, live.window() as window:
         before = open_case(window)
         document = {"format": "carina-transfer", "version": 1, "points": points}
@@ -208,7 +208,7 @@ def test_poses_of_a_flight_arrive_in_order(live):
         for view in ("airway", "axial"):
             poses = [p.pose_id for p in window.pictures if p.view == view]
             assert poses == sorted(poses)
-        # A picture names a pose that was sent before it or with it: pose numbers only grow.
+        # A picture contains the number of a pose that was sent before, because pose numbers only increase.
         poses = [m.pose_id for m in window.seen if isinstance(m, wire.Pose)]
         assert poses == sorted(set(poses))
 
@@ -221,7 +221,7 @@ def test_without_acks_at_most_three_airway_pictures_are_sent(live):
         for _ in range(20):
             window.send(wire.Steer(0.5, 0.0, 0.0, 0.0))
             window.until(lambda m: isinstance(m, wire.Pose), acknowledge=False)
-        # The answer to this command comes after everything before it was handled.
+        # The answer to this command comes after all earlier messages were handled.
         window.send(wire.SetFov(115.0))
         window.until(lambda m: isinstance(m, wire.State) and m.look.fov_deg == 115.0, acknowledge=False)
         while len(window.pictures) < 3:
@@ -242,7 +242,7 @@ def test_click_in_the_airway_view_is_answered_with_the_wall_point(live):
         window.send(wire.Pick(pick_id=1, frame_id=shown.frame_id, column=80.5, row=60.5))
         nothing = window.until(lambda m: isinstance(m, wire.Picked))
         assert (nothing.pick_id, nothing.lps, nothing.depth_mm, nothing.voxel_value) == (1, None, None, None)
-        # A voxel of tissue beside the trachea.
+        # The point is in a voxel of tissue beside the trachea.
         wall = lps((18.2, 14.0, 30.0))
         live.session.scene().renderer.hit = SimpleNamespace(position_lps=np.array(wall), depth_mm=7.126)
         window.send(wire.Pick(pick_id=2, frame_id=shown.frame_id, column=12.0, row=100.0))
@@ -255,7 +255,7 @@ def test_click_in_the_airway_view_is_answered_with_the_wall_point(live):
         assert window.until(lambda m: isinstance(m, wire.Error)).code == "session.pick"
 
 
-def test_requested_frame_rate_is_reported_and_can_be_changed(live):
+def test_changed_frame_rate_is_reported_to_the_window(live):
     with live.window() as window:
         assert window.until_state(lambda s: True).frame_rate_hz == 60.0
         window.send(wire.SetFrameRate(24.0))
@@ -264,7 +264,7 @@ def test_requested_frame_rate_is_reported_and_can_be_changed(live):
         assert later.until_state(lambda s: True).frame_rate_hz == 24.0
 
 
-def test_refused_file_keeps_the_session_and_sends_the_message_of_the_refusal(live):
+def test_refused_file_leaves_the_session_unchanged_and_sends_the_reason(live):
     with live.window() as window:
         before = open_case(window)
         window.send(wire.OpenPath("/scans/bad"))
@@ -275,7 +275,7 @@ def test_refused_file_keeps_the_session_and_sends_the_message_of_the_refusal(liv
         assert window.until_state(lambda s: s.look.fov_deg == 100.0).case == before.case
 
 
-def test_targets_are_undone_and_redone(live):
+def test_targets_are_undone_and_redone_over_the_wire(live):
     left = lps(BRANCHES_IJK[2][1][1])
     with live.window() as window:
         open_case(window)
@@ -290,13 +290,13 @@ def test_targets_are_undone_and_redone(live):
         assert window.until_state(lambda s: len(s.targets) == 1).targets == added.targets
 
 
-def test_change_that_keeps_tree_and_route_does_not_send_them_again(live):
+def test_change_without_a_new_tree_or_route_sends_neither_again(live):
     with live.window() as window:
         open_case(window)
 
         window.had(lambda m: isinstance(m, wire.Tree) and m.tree is not None)
         window.had(lambda m: isinstance(m, wire.Route) and m.route is not None)
-        # The other answers come in order: after this one no message of the opening is pending.
+        # Answers come in order, so after this answer no message of the opening is pending.
         window.send(wire.SetFov(95.0))
         window.until_state(lambda s: s.look.fov_deg == 95.0)
         window.seen.clear()
@@ -306,14 +306,14 @@ def test_change_that_keeps_tree_and_route_does_not_send_them_again(live):
         assert not [m for m in window.seen if isinstance(m, wire.Tree | wire.Route | wire.Pose)]
 
 
-def test_search_can_be_cancelled_and_the_pictures_stay(tmp_path):
+def test_search_can_be_cancelled_without_losing_the_pictures(tmp_path):
     reached, stopped = threading.Event(), threading.Event()
 
     def find_airways(volume, *, progress, cancel, **_options):
         progress("growing the lumen", 0.3)
         reached.set()
         while not cancel():
-            stopped.wait(0.001)  # A real search checks as often.
+            stopped.wait(0.001)  # A real search checks for cancellation as often.
         progress("growing the lumen", 0.4)
 
     with running(tmp_path, find_airways=find_airways) as live, live.window() as window:

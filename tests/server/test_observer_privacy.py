@@ -1,4 +1,4 @@
-"""Privacy towards observers: no byte of the socket and of the pages contains the file name of a CT."""
+"""Tests of privacy towards observers: no byte of their sockets and pages contains the file name of a CT."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PARTS = (b"SURNAME", b"FIRSTNAME", b"1951.nii", b"surname")
 
 
 def named_volume(path, *_arguments):
-    """Return a CT whose file, folder, notes and neighbouring files have the patient's name in their names."""
+    """Return a CT; its file, its folder, its notes and neighbouring files contain the patient's name in their names."""
     if path.endswith("refused"):
         raise VolumeImportError(f"reading {NAME}: it is damaged; copy it again", code="import.damaged")
     volume = small_volume(title=NAME)
@@ -45,7 +45,7 @@ def no_airways(*_arguments, **_options):
 
 @pytest.fixture
 def desk(tmp_path, monkeypatch):
-    """Provide a shared case without airways, of a CT with a patient's name."""
+    """Provide a shared case without airways, whose CT has a patient's name."""
     with sharing(
         tmp_path, monkeypatch, path="/scans/SURNAME/case", open_volume=named_volume, find_airways=no_airways
     ) as shared:
@@ -53,7 +53,7 @@ def desk(tmp_path, monkeypatch):
 
 
 class Recorder:
-    """Client that records all bytes of a socket."""
+    """Client that records all bytes that it receives on a socket."""
 
     def __init__(self, socket):
         self._socket = socket
@@ -77,7 +77,7 @@ def assert_nameless(received):
                 assert at < 0, text[max(0, at - 200) : at + 40]
 
 
-def test_observer_receives_no_file_name_by_opening_renaming_exporting_and_errors(desk, tmp_path):
+def test_messages_to_an_observer_contain_no_file_name_after_any_command_or_error(desk, tmp_path):
     live, window, page = desk
     own = window.had(lambda m: isinstance(m, wire.State) and m.case is not None)
     assert own.case.ct_name == NAME, "the user at this machine reads it"
@@ -92,14 +92,14 @@ def test_observer_receives_no_file_name_by_opening_renaming_exporting_and_errors
         assert words["import.lossy"] == "the slices were compressed with loss"
         assert "ask the person at the workstation" in words["import.files-unread"]
         watcher.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "axial")
-        # Errors of the user's commands, whose messages name the file.
+        # These commands of the user fail with messages that contain the file's name.
         window.send(wire.OpenPath("/scans/SURNAME/refused"))
         assert NAME in window.until(lambda m: isinstance(m, wire.Error)).message
         window.send(wire.SaveCase(str(tmp_path / "SURNAME" / "mine")))
         window.until(lambda m: isinstance(m, wire.Error))
         with live.http(cookie=live.cookie, origin=live.origin) as client:
             client.get("/api/airways.json")
-        # Errors of the observer's own commands.
+        # These commands of the observer fail.
         watcher.send(wire.Pick(1, 99_999, 1.0, 1.0), wire.OpenPath(f"/scans/{NAME}"), wire.Probe((0.0, 0.0, 0.0)))
         watcher.until(lambda m: isinstance(m, wire.Value))
         window.send(wire.SetFov(80.0))
@@ -144,7 +144,7 @@ def replace_saving(live, **values):
     return saving
 
 
-def test_window_on_another_computer_does_not_receive_the_file_name(desk, monkeypatch):
+def test_messages_to_a_window_on_another_computer_contain_no_file_name(desk, monkeypatch):
     live, _window, _page = desk
     monkeypatch.setattr("carina.server.app.comes_from_this_machine", lambda _scope: False)
     with live.window() as far:

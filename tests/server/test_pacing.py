@@ -1,4 +1,4 @@
-"""Scheduler of the frame pump, with a renderer, a hand and a client in simulated time."""
+"""Tests of the scheduler of the frame pump, with a renderer, a user's hand and a client in simulated time."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from carina.server.frames.budget import AIRWAY_LEVELS, FINDER_BELOW_PER_S
 from carina.server.frames.pacing import FULL, LONG_S, LOST_AFTER_S, STILL_AFTER_S, FrameScheduler
 from simulated_stream import AIRWAY, ALL_VIEWS, Machine, Simulation, airway, num_changes, num_coarser, rate_hz
 
-# 5 ms to 250 ms for a full picture: a factor of 50.
+# Times of a full picture from 5 ms to 250 ms, a factor of 50.
 FULL_COSTS_S = (0.005, 0.012, 0.025, 0.06, 0.12, 0.25)
 
 
 class Player:
-    """Renderer and client that a test drives: it renders the ordered pictures at a cost per ray."""
+    """Renderer and client controlled by a test: it renders the requested pictures at a cost per ray."""
 
     def __init__(self, layout, *, cost_s: float = 1e-8, acknowledges: bool = True) -> None:
         self.scheduler = FrameScheduler()
@@ -41,14 +41,14 @@ class Player:
         return order
 
     def drain(self, keys):
-        """Render until nothing is due."""
+        """Render pictures until the scheduler requests none."""
         orders = []
         while (order := self.step(keys)) is not None:
             orders.append(order)
         return orders
 
 
-# ------------------------------------------------------------ the rate
+# ------------------------------------------------------------ the frame rate
 
 
 @pytest.mark.parametrize("layout", [AIRWAY, ALL_VIEWS], ids=["airway alone", "six views"])
@@ -59,14 +59,14 @@ def test_requested_rate_is_met_at_every_cost_of_a_picture(layout, full_s, hand_h
     simulation = Simulation(Machine(full_s, counts=counts), layout=dict(layout), hand_per_s=hand_hz)
     simulation.fly(2.0)
     sent = simulation.fly(3.0)
-    # Tolerance of 10 %; a hand that moves more often than the rate gets no more than the rate.
+    # The tolerance is 10 %. A hand that moves more often than the frame rate gets no higher rate.
     assert rate_hz(sent) == pytest.approx(60.0, rel=0.1)
     assert num_changes(sent) <= 1, "nothing changes, so the level does not either, but for one step finer"
     assert num_coarser(sent) == 0
 
 
 @pytest.mark.parametrize("rate", [15.0, 30.0, 120.0])
-def test_other_rates_are_met_and_a_lower_rate_gives_finer_pictures(rate):
+def test_requested_rates_from_15_to_120_are_met_and_lower_rates_give_finer_pictures(rate):
     at_60 = Simulation(Machine(0.08))
     at_60.fly(2.0)
     simulation = Simulation(Machine(0.08), rate_hz=rate, hand_per_s=240.0)
@@ -80,14 +80,14 @@ def test_other_rates_are_met_and_a_lower_rate_gives_finer_pictures(rate):
 @pytest.mark.parametrize("full_s", FULL_COSTS_S)
 @pytest.mark.parametrize("samples", [0.1, 0.5, 0.9])
 @pytest.mark.parametrize("counts", [True, False], ids=["rays counted", "by the clock alone"])
-def test_picture_is_as_fine_as_the_time_allows(full_s, samples, counts):
+def test_moving_picture_is_as_fine_as_the_frame_rate_allows(full_s, samples, counts):
     simulation = Simulation(Machine(full_s, samples=samples, counts=counts))
     simulation.fly(6.0)
     time_s, order = simulation.sent[-1]
     took_s = simulation.machine.seconds(order, time_s)
     assert took_s < 1.05 / 60.0
-    # One level finer would not fit: a level costs 0.82 to 0.86 of the finer one, and the scheduler plans for 0.85 of
-    # the period. The error of the model's prior uses a little more of the period.
+    # A picture one level finer would take too long: a level costs 0.82 to 0.86 of the finer one, and the scheduler
+    # plans for 0.85 of the period. The error of the model's prior uses a little more of the period.
     assert order.level == 0 or took_s > 0.66 / 60.0
 
 
@@ -106,7 +106,7 @@ def test_resolution_is_reduced_before_the_step_is_increased():
 @pytest.mark.parametrize("counts", [True, False], ids=["rays counted", "by the clock alone"])
 def test_noise_and_pauses_cause_neither_flicker_nor_a_lower_rate(seed, counts):
     rng = random.Random(seed)
-    # 10 % noise, and once a second a pause by another program.
+    # The machine has 10 % noise, and once a second another program causes a pause.
     machine = Machine(
         0.06,
         slowed=lambda _now_s: math.exp(rng.gauss(0.0, 0.1)),
@@ -122,7 +122,7 @@ def test_noise_and_pauses_cause_neither_flicker_nor_a_lower_rate(seed, counts):
     assert min(widths) >= (0.83 if counts else 0.7) * max(widths)
 
 
-def test_slow_down_changes_the_level_within_a_few_pictures_and_recovers_after_it():
+def test_level_adapts_to_a_slow_machine_within_a_few_pictures_and_recovers():
     # From second 15 to 18 another process uses a core and a part of the memory bandwidth.
     simulation = Simulation(Machine(0.06, slowed=lambda now_s: 2.2 if 15.0 <= now_s < 18.0 else 1.0))
     before = simulation.fly(5.0)[-1][1].level
@@ -135,7 +135,7 @@ def test_slow_down_changes_the_level_within_a_few_pictures_and_recovers_after_it
     simulation.fly(2.0)
     recovered = airway(simulation.fly(3.0))
     assert rate_hz(recovered) == pytest.approx(60.0, rel=0.1)
-    # One level of difference is within the hysteresis.
+    # The hysteresis allows a difference of one level.
     assert recovered[-1][1].level <= before + 1
 
 
@@ -186,7 +186,7 @@ def test_cost_between_two_levels_does_not_make_the_level_oscillate():
         assert num_coarser(sent) == 0
 
 
-# ------------------------------------------------------------ rest
+# ------------------------------------------------------------ pictures at rest
 
 
 def test_unchanged_view_is_not_rendered_again():
@@ -213,15 +213,15 @@ def test_first_airway_picture_is_coarse_and_the_last_one_full():
 
 
 @pytest.mark.parametrize("full_s", [*FULL_COSTS_S, 0.6, 2.0])
-def test_rest_shows_the_full_picture_within_a_limited_time(full_s):
+def test_full_picture_is_shown_within_a_limited_time_after_a_movement(full_s):
     simulation = Simulation(Machine(full_s), layout=dict(ALL_VIEWS))
     simulation.fly(3.0)
     stopped_s = simulation.now_s
     rested = airway(simulation.rest(5.0))
     assert rested[-1][1].grade == FULL
     assert (rested[-1][1].width, rested[-1][1].step_vox) == (800, 0.5)
-    # The limit is the sum of the pause that shows that the hand rests, one picture of middle size if the full one takes
-    # long, and a little for pending pictures of the other views.
+    # The limit is the pause after which the hand counts as resting, plus one picture of middle size if the full one
+    # takes long, plus a little time for pending pictures of other views.
     middle_s = 1.3 * LONG_S if full_s > 0.8 * LONG_S else 0.0
     assert rested[-1][0] - stopped_s < STILL_AFTER_S + full_s + middle_s + 0.08
 
@@ -236,11 +236,12 @@ def test_slow_full_picture_is_preceded_by_one_of_middle_size():
     assert not simulation.sent[-2][1].full
 
 
-# ------------------------------------------------------------ the view finder
+# ------------------------------------------------------------ the cut plane in place of a slow airway view
 
 
 def test_below_five_pictures_a_second_the_cut_plane_replaces_the_airway_view_until_rest():
-    simulation = Simulation(Machine(20.0, each_s=0.002), hand_per_s=60.0)  # 0.6 s at the coarsest level.
+    # A picture at the coarsest level takes 0.6 s.
+    simulation = Simulation(Machine(20.0, each_s=0.002), hand_per_s=60.0)
     simulation.fly(4.0)
     flown = simulation.fly(4.0)
     assert {order.purpose for _, order in flown} == {"finder"}
@@ -253,7 +254,7 @@ def test_below_five_pictures_a_second_the_cut_plane_replaces_the_airway_view_unt
     assert rested[-1][1].full
 
 
-def test_airway_view_returns_when_it_is_fast_again_and_stays():
+def test_airway_view_replaces_the_cut_plane_when_it_is_fast_again():
     simulation = Simulation(Machine(20.0, each_s=0.002, slowed=lambda now_s: 1.0 if now_s < 18.0 else 0.01))
     simulation.fly(8.0)
     assert simulation.scheduler.finding
@@ -265,7 +266,7 @@ def test_airway_view_returns_when_it_is_fast_again_and_stays():
 
 
 @pytest.mark.parametrize("rate", [3.5, 4.5, 5.5, 6.5, 7.5, 9.0])
-def test_view_does_not_alternate_near_the_limit(rate):
+def test_airway_view_and_cut_plane_do_not_alternate_near_the_limit_of_the_rate(rate):
     # The coarsest level takes 1/rate seconds, with a little noise.
     rng = random.Random(3)
     last = AIRWAY_LEVELS[-1]
@@ -294,7 +295,7 @@ def test_renderer_that_is_slow_at_every_level_is_probed_rarely():
 # ------------------------------------------------------------ several views, slow clients
 
 
-def test_every_view_is_rendered_and_none_slows_the_moving_airway_view():
+def test_every_view_is_rendered_without_slowing_the_moving_airway_view():
     simulation = Simulation(Machine(0.1), layout=dict(ALL_VIEWS))
     simulation.fly(2.0)
     sent = simulation.fly(4.0)
@@ -303,7 +304,7 @@ def test_every_view_is_rendered_and_none_slows_the_moving_airway_view():
         assert sum(order.view == view for _, order in sent) >= 4 * 10, f"{view}: at least ten a second"
 
 
-def test_other_views_keep_to_their_share_if_no_picture_is_fast_enough():
+def test_other_views_use_at_most_their_share_if_no_picture_is_fast_enough():
     simulation = Simulation(Machine(1.5, slices_s=0.03), layout=dict(ALL_VIEWS))
     simulation.fly(2.0)
     spent_s = dict(simulation.spent_s)
@@ -311,13 +312,13 @@ def test_other_views_keep_to_their_share_if_no_picture_is_fast_enough():
     assert {order.view for _, order in sent} == set(ALL_VIEWS)
     took = {v: s - spent_s.get(v, 0.0) for v, s in simulation.spent_s.items()}
     others_s = sum(s for v, s in took.items() if v != "picture")
-    # A third of the airway view's time, and at most one picture more.
+    # The other views may use a third of the airway view's time, and one picture more.
     assert others_s < 0.35 * took["picture"] + 0.05
 
 
 def test_slow_picture_of_another_view_waits_until_the_flight_ends():
     layout = {**AIRWAY, "tree": (768, 768)}
-    player = Player(layout, cost_s=1e-7)  # The full tree picture: 59 ms.
+    player = Player(layout, cost_s=1e-7)  # The full picture of the tree takes 59 ms.
     player.drain({"airway": 1, "tree": 1})
     for pose in range(2, 40):
         player.now_s += 1 / 60
@@ -340,7 +341,8 @@ def test_number_of_pending_pictures_is_limited_and_an_ack_frees_a_place():
     airway_ids = [n for n, o in enumerate(player.sent, start=1) if o.view == "airway"]
     player.scheduler.acknowledge(airway_ids[0])
     order = player.step({"airway": 100, "axial": 100})
-    assert (order.view, order.key) == ("airway", 100)  # The newest pose, not the skipped ones.
+    # The picture has the newest pose; skipped poses are not rendered.
+    assert (order.view, order.key) == ("airway", 100)
     assert player.scheduler.num_in_flight("airway") == 3
 
 
@@ -357,7 +359,7 @@ class Slow:
         self.scheduler.set_layout(AIRWAY)
 
     def fly(self, seconds: float) -> tuple[int, int, float]:
-        """Return the numbers of rendered and shown pictures, and the mean age of a pose when it was shown (s)."""
+        """Fly for ``seconds``; return the number of rendered and shown pictures, and the mean age of shown poses, s."""
         now_s, end_s, frame = 10.0, 10.0 + seconds, 0
         decoding, waiting, overtaken, acks, ages_s, made_s = None, None, [], [], [], {}
         while now_s < end_s:
@@ -388,18 +390,19 @@ class Slow:
 def test_slow_client_does_not_receive_pictures_that_it_would_drop():
     rendered, shown, age_s = Slow(decode_s=0.150).fly(20.0)
     assert shown >= 0.8 * 20.0 / 0.160, "the client always has something to decode"
-    # One picture is decoded and one waits. 60 a second would be nine times as many, on cores that the client needs.
+    # The client decodes one picture while one waits. Sixty a second would be nine times as many, on cores that the
+    # client needs.
     assert rendered < 2.1 * shown
     assert age_s < 2.2 * 0.150
 
 
-def test_distant_client_gets_several_pictures_in_flight():
-    # A round trip of 45 ms without dropped pictures: three in flight, 60 a second.
+def test_client_with_a_long_round_trip_gets_several_pending_pictures():
+    # With a round trip of 45 ms, 60 pictures a second need three pending pictures.
     _, shown, _ = Slow(decode_s=0.004, travel_s=0.041).fly(10.0)
     assert shown > 0.85 * 10.0 * 50
 
 
-def test_client_that_lost_its_pictures_gets_new_ones():
+def test_client_that_does_not_acknowledge_lost_pictures_gets_new_ones():
     player = Player({"airway": (64, 64)}, acknowledges=False)
     for pose in range(5):
         player.now_s += 0.02
@@ -412,7 +415,7 @@ def test_client_that_lost_its_pictures_gets_new_ones():
     assert player.step({"airway": 9}).key == 9
 
 
-def test_view_that_is_shown_again_is_sent_completely_and_its_old_pictures_are_forgotten():
+def test_view_shown_again_is_sent_completely_without_its_earlier_pictures():
     player = Player({"airway": (64, 64)}, acknowledges=False)
     player.scheduler.observe({"airway": 1}, player.now_s)
     under_way = player.scheduler.next_order(player.now_s)
@@ -441,7 +444,7 @@ def test_view_without_content_is_not_rendered():
     assert player.scheduler.wake_s(player.now_s) is None
 
 
-def test_only_a_resized_view_is_sent_again():
+def test_new_layout_sends_only_resized_views_again():
     player = Player({"axial": (64, 64), "coronal": (64, 64)})
     keys = {"axial": 1, "coronal": 1}
     player.drain(keys)
@@ -453,7 +456,7 @@ def test_only_a_resized_view_is_sent_again():
 
 
 def under_way(player, keys):
-    """Return a player that has just begun the full airway picture."""
+    """Return a player that has just started the full airway picture."""
     player.drain(keys)
     player.now_s += STILL_AFTER_S
     player.scheduler.observe(keys, player.now_s)
@@ -462,7 +465,7 @@ def under_way(player, keys):
     return order
 
 
-def test_movement_cancels_a_full_picture_and_not_a_moving_one():
+def test_movement_cancels_a_full_picture_and_no_picture_of_a_moving_view():
     player = Player({"airway": (800, 640)})
     order = under_way(player, {"airway": 1})
     assert not player.scheduler.gives_way(order, {"airway": 1}, player.now_s)

@@ -1,4 +1,4 @@
-"""Tracked pen over the wire: its button marks the pen's own tip in every steering mode and after every mode change."""
+"""Tests of a tracked pen over the wire: its button marks the pen's tip in every steering mode."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from carina.navigate.rotation import rotation_from_vector, wxyz_from_rotation
 from carina.server.wire import messages as wire
 from small_case import small_volume
 
-# The tracker is beside the patient, rotated about two axes.
 TURN = rotation_from_vector(np.array([0.4, -0.9, 0.2]))
+"""Rotation from the coordinates of the tracker to those of the patient."""
 AWAY = np.array([120.0, -45.0, 300.0])
-# A fast movement of some 200 mm/s, far more than a filter follows at once.
+"""Origin of the tracker's coordinates, LPS mm."""
 HURRY_MM = 4.0
+"""Distance of the pen between two samples, mm: about 200 mm/s, which a filter cannot follow at once."""
 SAMPLE_S = 0.02
+"""Time between two samples of the pen, s."""
 
 
 class TrackedPen:
@@ -53,7 +55,7 @@ class TrackedPen:
         )
 
     def comes_to(self, lps, along=(1.0, 0.0, 0.0)):
-        """Move the pen to a point fast and from the side; the last sample is at the point."""
+        """Move the pen fast and from the side to a point; the last sample is at the point."""
         for n in range(5, -1, -1):
             self.hold(np.asarray(lps) + n * HURRY_MM * np.asarray(along))
 
@@ -85,7 +87,7 @@ def targets(window, num):
     return window.until_state(lambda s: len(s.targets) >= num).targets
 
 
-def test_registered_pen_button_marks_its_own_tip_in_every_mode_and_after_every_change(window, middle):
+def test_button_of_a_registered_pen_marks_the_pen_tip_in_every_mode(window, middle):
     pen = TrackedPen(window)
     pen.hold(middle)
     pen.register(corners(middle))
@@ -100,7 +102,7 @@ def test_registered_pen_button_marks_its_own_tip_in_every_mode_and_after_every_c
         marked = np.array(targets(window, n)[-1].lps)
         errors[n, control] = float(np.linalg.norm(marked - place))
     assert max(errors.values()) < 0.1, errors
-    # The same in a free flight that keys began, with the tip at another place.
+    # Repeat the test in a free flight that keys began, with the scope's tip at another position.
     window.send(wire.SetMode("free"), wire.Place(tuple(float(v) for v in middle)))
     place = middle + np.array([5.0, 5.0, 5.0])
     pen.comes_to(place)
@@ -108,7 +110,7 @@ def test_registered_pen_button_marks_its_own_tip_in_every_mode_and_after_every_c
     assert np.linalg.norm(np.array(targets(window, len(modes) + 1)[-1].lps) - place) < 0.1
 
 
-def test_registered_pen_button_sets_the_root_at_its_own_tip(window, middle):
+def test_button_of_a_registered_pen_sets_the_root_at_the_pen_tip(window, middle):
     pen = TrackedPen(window)
     pen.hold(middle)
     pen.register(corners(middle))
@@ -140,7 +142,7 @@ def test_pen_marks_start_and_target_of_a_path_without_airways(window, middle):
     assert (target.cost, target.root_lps, target.problem) == ("walls", told.lps, None)
 
 
-def test_mark_of_the_button_is_reported_before_it_is_pressed(window, middle):
+def test_place_that_the_button_would_mark_is_reported_before_it_is_pressed(window, middle):
     pen = TrackedPen(window)
     window.send(wire.ArmPen("target"))
     pen.hold(middle)
@@ -183,7 +185,7 @@ def test_distance_from_pen_to_tip_is_reported_in_absolute_mode_and_closed_by_a_c
     assert joined.off_deg == 0.0
 
 
-def test_point_outside_the_scan_is_refused_with_a_message_and_marks_nothing(window, middle):
+def test_pen_outside_the_scan_marks_nothing_and_reports_it(window, middle):
     pen = TrackedPen(window)
     pen.hold(middle)
     pen.register(corners(middle))
@@ -194,7 +196,7 @@ def test_point_outside_the_scan_is_refused_with_a_message_and_marks_nothing(wind
     assert not [s for s in window.seen if isinstance(s, wire.State) and s.targets]
 
 
-def test_other_window_is_notified_of_a_resting_pen(live, window, middle):
+def test_new_window_receives_the_position_of_a_resting_pen(live, window, middle):
     pen = TrackedPen(window)
     pen.hold(middle)
     window.until(lambda m: isinstance(m, wire.Pen) and m.device is not None)

@@ -1,4 +1,4 @@
-"""Export of a plan as DICOM from the window: only if the CT's folder is known, and without patient data by default."""
+"""Tests of the export of a plan as DICOM: only with a known folder of the CT, and without patient data by default."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from carina.server.files.plan_reports import Reports
 
 
 class SmallSession:
-    """Stand-in for a session with a plan, and a CT whose folder is known or not."""
+    """Replacement of a session: a plan, and a CT whose folder is known or unknown."""
 
     def __init__(self, folder: Path | None) -> None:
         self.folder = folder
@@ -46,7 +46,7 @@ def answered(session, suffix, **options):
 
 @pytest.fixture
 def written(monkeypatch):
-    """Record the arguments of the exports."""
+    """Return a list that records the arguments of the exports."""
     found = {}
 
     def export(path, plan, tree, **options):
@@ -83,14 +83,14 @@ def test_segmentation_and_measurements_refer_to_the_folder_of_the_ct(tmp_path, w
     assert written["identity"] == "from the CT"
 
 
-def test_report_is_wrapped_unchanged_and_does_not_name_the_patient(tmp_path, written):
+def test_dicom_report_contains_the_pdf_unchanged_and_no_patient_name(tmp_path, written):
     path = answered(SmallSession(tmp_path), ".pdf.dcm")
     assert path.name == "plan.pdf.dcm"
     assert written["pdf"].startswith(b"%PDF")
     assert (written["names_patient"], written["identity"], written["ct"]) == (False, "none", tmp_path)
 
 
-def test_export_without_the_folder_is_refused_before_any_work(written):
+def test_export_without_the_folder_of_the_ct_is_refused_before_it_starts(written):
     for suffix in (".seg.dcm", ".sr.dcm", ".pdf.dcm"):
         with pytest.raises(UsageError, match="dropped into the window"):
             answered(SmallSession(None), suffix)

@@ -1,4 +1,4 @@
-"""Messages about plans and structures of the lungs: empty without a case, and sent again only after a change."""
+"""Tests of messages about plans and lungs: empty without a case, and sent again only after a change."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def test_plans_are_absent_without_a_case_and_empty_before_a_target() -> None:
     assert (message["type"], message["targets"], message["standing"]) == ("plans", [], "unwanted")
     assert message["tools"]
     bench.session.do(CloseCase())
-    # A request while the case is being closed gets no plans, and the sender continues.
+    # A request while a case is being closed returns no plans and raises no error.
     assert texts.plans() == nothing != told
 
 
-def test_maps_of_the_lungs_are_sent_when_they_change() -> None:
+def test_maps_of_the_lungs_are_sent_only_after_a_change() -> None:
     bench = small_bench(
         wall_field=lambda *_given, **_options: object(), map_lungs=lambda *_given, **_options: LungMap()
     )
@@ -65,7 +65,7 @@ def test_vessels_are_sent_as_lines_without_short_side_branches() -> None:
         points = np.stack([np.full(num, at), np.zeros(num), np.arange(float(num))], axis=1)
         return VesselBranch(points, np.full(num, 1.2), parent, sure)
 
-    # A trunk, a short piece between it and another vessel, that vessel, and a short side branch.
+    # The tree has a trunk, a short piece between the trunk and another vessel, that vessel, and a short side branch.
     tree = VesselTree((line(40, 0.0, 1.0, None), line(4, 1.0, 1.0, 0), line(30, 2.0, 0.6, 1), line(4, 3.0, 1.0, 0)))
     bench = small_bench(
         wall_field=lambda *_given, **_options: object(), map_lungs=lambda *_given, **_options: LungMap(vessel_tree=tree)
@@ -80,15 +80,15 @@ def test_vessels_are_sent_as_lines_without_short_side_branches() -> None:
         (1.0, True, 2.4),
         (2.0, False, 2.4),
     ]
-    # Thinned, with both ends.
+    # The line is thinned and has both ends of the vessel.
     assert told[0]["points_lps"][0] == [0.0, 0.0, 0.0]
     assert told[0]["points_lps"][-1] == [0.0, 0.0, 39.0]
     assert len(told[0]["points_lps"]) == 17
 
 
-def test_every_topic_of_a_session_is_sent() -> None:
+def test_every_topic_of_a_session_has_a_message() -> None:
     outbox = Outbox()
-    # The topic ``views`` is answered by pictures.
+    # Pictures, not messages, answer the topic ``views``.
     sent = set(get_args(Topic)) - {"views"}
     outbox.mark(*get_args(Topic))
     topics, _, _ = outbox.take()

@@ -1,4 +1,4 @@
-"""Answers to the cursor: the live path and the measures along a branch; and conversion of edits from the wire."""
+"""Tests of answers to the cursor (live path, measures along a branch), and of edits converted from the wire."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def ask(pointing, request_id, **place):
     return pointing.answers.get(timeout=WAIT_S)
 
 
-def test_point_is_answered_with_the_path_to_it(pointing):
+def test_point_of_the_cursor_is_answered_with_the_path_to_it(pointing):
     point = small_lps((8.5, 13.0, 14.5))
     answer = ask(pointing, 3, lps=point)
     assert (answer.request_id, answer.lps, answer.problem) == (3, point, None)
@@ -76,7 +76,7 @@ def test_place_in_the_airway_picture_selects_the_lumen_in_front_of_the_wall(poin
     lens = np.array(small_lps((16.0, 14.0, 34.0)))
     back = np.linalg.norm(np.array(answer.lps) - wall)
     assert 0.5 < back < np.linalg.norm(lens - wall)
-    # On the ray, and inside the lumen (3 mm round the centreline in this case).
+    # The point is on the ray and inside the lumen, which is 3 mm around the centreline in this case.
     assert np.cross(np.array(answer.lps) - wall, lens - wall) == pytest.approx(np.zeros(3), abs=1e-9)
     assert pointing.session.snapshot().document.airways.tree.nearest_branch(answer.lps)[2] <= 3.0
     assert answer.problem is None
@@ -89,13 +89,13 @@ def test_place_in_the_airway_picture_selects_the_lumen_in_front_of_the_wall(poin
         ({"frame_id": 5, "column": 1.0, "row": 1.0}, "no airway wall"),
     ],
 )
-def test_place_without_content_is_answered_with_the_reason(pointing, place, words):
+def test_place_of_the_picture_without_a_wall_is_answered_with_the_reason(pointing, place, words):
     answer = ask(pointing, 6, **place)
     assert answer.lps is None
     assert words in answer.problem
 
 
-def test_without_airways_the_answer_states_the_pending_step():
+def test_answer_without_airways_states_the_pending_step():
     bench = small_bench()
     answers = queue.Queue()
     made = Pointing(bench.session, lambda _frame: None, answers.put)
@@ -109,21 +109,21 @@ def test_without_airways_the_answer_states_the_pending_step():
     made.stop()
 
 
-def test_fault_in_an_answer_is_reported_and_the_next_question_is_answered(pointing, monkeypatch):
+def test_fault_in_an_answer_is_reported_and_the_next_point_is_answered(pointing, monkeypatch):
     monkeypatch.setattr(pointing.session, "ask", lambda _question: 1 / 0)
     assert "internal error in Carina (ZeroDivisionError)" in ask(pointing, 1, lps=(0.0, 0.0, 0.0)).problem
     monkeypatch.undo()
     assert ask(pointing, 2, lps=small_lps((16.0, 14.0, 30.0))).problem is None
 
 
-def test_preparation_for_the_first_question_runs_before_it_arrives(pointing, monkeypatch):
+def test_preparation_for_live_paths_runs_before_the_first_point_arrives(pointing, monkeypatch):
     asked = queue.Queue()
     monkeypatch.setattr(pointing.session, "ask", asked.put)
     warming = Warming(pointing.session)
     warming.start()
     warming.airways_changed()
     assert asked.get(timeout=WAIT_S).lps == pytest.approx(small_lps((16.0, 14.0, 37.0)))
-    # The preparation runs once for the same airways, and sends no answer.
+    # For the same airways the preparation does not run again, and it sends no answer.
     warming.airways_changed()
     warming.stop()
     assert asked.empty()
@@ -137,7 +137,7 @@ def test_branch_without_measures_or_removed_branch_has_no_measures(pointing):
         assert (answer.measures, answer.profile) == (None, None)
 
 
-def test_only_the_newest_task_of_a_kind_is_run_and_kinds_take_turns():
+def test_only_the_newest_task_of_each_kind_runs_and_kinds_alternate():
     newest = NewestOnly("test")
     done, gate, last = [], threading.Event(), threading.Event()
     newest.start()
@@ -148,7 +148,7 @@ def test_only_the_newest_task_of_a_kind_is_run_and_kinds_take_turns():
     gate.set()
     assert last.wait(WAIT_S)
     newest.stop()
-    # If the first task had not begun when the second came, it was dropped, too.
+    # The first task is also dropped if it had not begun when the second came.
     assert done == [("a", 4), ("b", 4)]
 
 
@@ -205,5 +205,5 @@ def test_edit_of_the_wire_equals_the_edit_of_the_tree(edit):
     assert wire.parse_client_message(wire.encode_message(wire.EditTree(edit))).edit == edit
 
 
-def test_every_edit_of_the_tree_can_be_sent():
+def test_every_kind_of_edit_has_a_wire_message():
     assert set(get_args(get_type_hints(wire.EditTree)["edit"])) == set(get_args(TreeEdit))

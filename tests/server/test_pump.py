@@ -1,4 +1,4 @@
-"""Frame pump over a session: one picture per step, in the thread of the test."""
+"""Tests of the frame pump over a session, in steps of one picture in the thread of the test."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from small_case import small_bench
 
 
 class Screen:
-    """Pump with the pictures that it delivered."""
+    """Frame pump with a list of the pictures that it delivered."""
 
     def __init__(self) -> None:
         self.bench = small_bench()
@@ -30,7 +30,7 @@ class Screen:
         return [parse_picture(d)[0] for d in self.data]
 
     def steer(self, **changes):
-        """Move the tip a little, a sixtieth of a second after the last movement."""
+        """Move the tip slightly, a sixtieth of a second after the last movement."""
         self.bench.clock.advance(1 / 60)
         self.bench.session.do(Steer(changes.get("advance", 0.5), changes.get("yaw", 0.0), 0.0, 0.0))
 
@@ -48,14 +48,14 @@ def screen():
     return screen
 
 
-def test_without_a_case_there_is_no_picture():
+def test_pump_without_a_case_renders_no_picture():
     screen = Screen()
     screen.pump.set_layout({"airway": (320, 240)})
     assert not screen.pump.step()
     assert screen.pump.wait_s() is None
 
 
-def test_pictures_have_the_pose_that_they_answer_and_their_geometry(screen):
+def test_header_of_a_picture_has_its_pose_number_and_geometry(screen):
     screen.drain()
     pose = screen.bench.session.pose_info()
     airway = next(h for h in screen.headers if h.view == "airway")
@@ -74,7 +74,7 @@ def test_airway_view_without_content_is_marked_as_empty(screen):
     screen.data.clear()
     screen.steer()
     screen.drain()
-    # A black slice is not marked as empty: the tip is drawn in it.
+    # A black slice is not marked as empty, because the tip is drawn in the slice.
     assert {h.view: h.empty for h in screen.headers} == {"airway": True, "axial": False}
 
 
@@ -89,7 +89,7 @@ def test_moving_view_is_coarse_and_becomes_full_at_rest(screen):
 
 
 def final_airway(screen):
-    """Return whether the airway picture on the screen is marked as final when no more pictures are due."""
+    """Render until no picture is due; return whether the last airway picture is marked as final."""
     screen.drain()
     while (wait_s := screen.pump.wait_s()) is not None:
         screen.bench.clock.advance(wait_s)
@@ -106,7 +106,8 @@ def test_no_picture_is_final_while_another_transfer_function_is_prepared(screen,
         raise MemoryError
 
     session.do(SetTransfer(preset="ct-grey"))
-    session.do(SetFov(100.0))  # Another picture with the transfer function that the renderer still has.
+    # This command requests another picture, with the transfer function that the renderer still has.
+    session.do(SetFov(100.0))
     assert not final_airway(screen)
     assert [h.full for h in screen.headers if h.view == "axial"][-1], "a slice does not depend on it"
     if ends == "taken back":
@@ -121,13 +122,13 @@ def test_no_picture_is_final_while_another_transfer_function_is_prepared(screen,
     assert final_airway(screen)
 
 
-def test_view_never_returns_to_an_older_pose(screen):
+def test_pictures_of_a_view_never_have_an_older_pose(screen):
     screen.bench.renderers[-1].on_render = lambda _view: screen.bench.clock.advance(0.01)
     for _ in range(40):
         screen.steer(yaw=0.01)
         screen.pump.step()
         if len(screen.data) > 2:
-            # The client is two pictures behind.
+            # The client has not yet acknowledged the last two pictures.
             screen.pump.acknowledge(screen.headers[-3].frame_id)
     for view in ("airway", "axial"):
         poses = [h.pose_id for h in screen.headers if h.view == view]
@@ -175,7 +176,7 @@ class Panic(BaseException):
     """Panic of the compiled module, which is not an ``Exception``."""
 
 
-def test_panic_and_picture_that_cannot_be_encoded_do_not_end_the_thread(screen):
+def test_pump_continues_after_a_panic_and_a_picture_that_cannot_be_encoded(screen):
     renderer = screen.bench.renderers[-1]
     whole = renderer.render
 
@@ -197,7 +198,7 @@ def test_panic_and_picture_that_cannot_be_encoded_do_not_end_the_thread(screen):
     assert {h.view for h in screen.headers} >= {"airway"}
 
 
-def test_fault_in_the_renderer_does_not_end_the_pump(screen, caplog):
+def test_pump_continues_after_a_fault_in_the_renderer(screen, caplog):
     def break_down(view):
         raise ZeroDivisionError
 
@@ -225,7 +226,7 @@ def test_fault_after_rendering_is_reported_once_and_the_picture_is_not_retried(s
     monkeypatch.setattr(scheduler, "rendered", broken)
     for _ in range(3):
         screen.steer()
-        # A pump that renders without end fails here instead of hanging.
+        # A pump that renders without an end fails here instead of blocking the test.
         assert sum(screen.pump.step() for _ in range(20)) < 20
     assert len([view for view in made if isinstance(view, AirwayView)]) == 3
     told = [t for t in screen.told if isinstance(t, tuple)]
@@ -268,7 +269,7 @@ def test_full_picture_is_not_cancelled_by_changes_that_it_does_not_show(screen):
     assert (screen.headers[-1].view, screen.headers[-1].full) == ("airway", True)
 
 
-def test_change_before_the_start_of_a_full_picture_is_rendered(screen):
+def test_change_before_the_start_of_a_full_picture_is_in_the_picture(screen):
     screen.drain()
     screen.bench.clock.advance(screen.pump.wait_s())
     scene, scenes = screen.bench.session.scene, []
@@ -319,7 +320,7 @@ def test_click_uses_the_picture_that_was_on_the_screen_and_not_a_newer_one(scree
     assert (picture.width, picture.height) == (shown.width, shown.height) == (80, 60)
     renderer = screen.bench.renderers[-1]
     assert picture.wall_at(20.5, 60.0) is None
-    # A click in the coarse picture is as exact as in the full one of 320 x 240; its lower edge is the last row.
+    # A click in the coarse picture has the precision of the full one of 320 x 240; its lower edge is the last row.
     assert renderer.picks == [(picture.view, 82, 239)]
     with pytest.raises(UsageError, match="outside the image of 80 x 60"):
         picture.wall_at(80.5, 3.0)
@@ -348,7 +349,7 @@ class Network:
 
     def deliver(self, data):
         header = parse_picture(data)[0]
-        # One socket keeps the order of messages.
+        # A socket keeps the order of its messages.
         self.due_s = max(self.due_s, self.screen.bench.clock() + self.rng.exponential(0.03))
         self.line.append((self.due_s, header))
 
@@ -373,7 +374,7 @@ class Network:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_order_holds_over_an_unreliable_network_and_the_newest_pose_arrives(screen, seed):
+def test_poses_arrive_in_order_and_the_newest_arrives_over_an_unreliable_network(screen, seed):
     rng = np.random.default_rng(seed)
     network = Network(screen, rng)
     clock = screen.bench.clock
@@ -389,7 +390,7 @@ def test_order_holds_over_an_unreliable_network_and_the_newest_pose_arrives(scre
         clock.advance(float(rng.exponential(0.01)))
         screen.pump.step()
         network.arrive()
-    # The hand rests: lost pictures time out, and the full picture of the newest pose arrives.
+    # The hand rests: lost pictures time out, and then the full picture of the newest pose arrives.
     screen.bench.renderers[-1].on_render = lambda _view: clock.advance(0.01)
     for _ in range(400):
         while screen.pump.step():
@@ -410,7 +411,7 @@ def test_order_holds_over_an_unreliable_network_and_the_newest_pose_arrives(scre
     assert network.shown["airway"][0] == newest
 
 
-def test_status_reports_frames_per_second_and_age(screen):
+def test_status_reports_frames_per_second_and_age_of_the_picture(screen):
     clock = screen.bench.clock
     for _ in range(30):
         screen.steer(advance=0.2)
@@ -420,7 +421,7 @@ def test_status_reports_frames_per_second_and_age(screen):
             if screen.headers[-1].view == "airway":
                 break
     status = [s for s in screen.told if isinstance(s, Status)][-1]
-    # A hand that moves every 17 ms, and 2 ms for each picture.
+    # The hand moves every 17 ms, and a picture takes 2 ms.
     assert 45.0 < status.fps <= 60.0
     assert status.age_ms >= 2.0
     assert (status.threads, status.simd, status.method) == (2, "x", "brute")
@@ -431,7 +432,8 @@ def test_still_pictures_keep_their_colours_within_six_grey_levels():
     smooth = np.repeat(np.repeat(rng.integers(0, 255, (6, 8, 3), dtype=np.uint8), 16, axis=0), 16, axis=1)
     data, quality = encode_jpeg(smooth, full=True)
     assert quality == 95
-    # JPEG at q95 4:4:4: quantisation steps of up to 5 in the coarse coefficients, so a few grey levels at most.
+    # At q95 and 4:4:4, JPEG has quantisation steps of up to 5 in the coarse coefficients, so errors of a few grey
+    # levels.
     assert np.abs(simplejpeg.decode_jpeg(data).astype(int) - smooth).max() <= 6
 
 
@@ -446,7 +448,7 @@ def test_time_of_the_rays_is_reported_apart_from_the_elapsed_time(screen):
             screen.drain()
         return [h.width for h in screen.headers if h.view == "airway"][-1]
 
-    # Each picture takes 40 ms by the clock, either nearly all or nearly none of it for rays.
+    # Each picture takes 40 ms of elapsed time, of which nearly all or nearly none is used for rays.
     renderer.on_render = lambda _view: screen.bench.clock.advance(0.040)
     assert width_of_a_flight(0.038) < 0.5 * 320
     assert width_of_a_flight(0.001) > 0.8 * 320

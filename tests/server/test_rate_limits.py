@@ -1,4 +1,4 @@
-"""Limits of messages per client: an observer who floods the connection is disconnected, and others are served."""
+"""Tests of the limits of messages: an observer who sends too many is disconnected, and others are served."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ pytest.importorskip("cryptography")
 
 @pytest.fixture
 def desk(tmp_path, monkeypatch):
-    """Provide a workstation with a shared case; observers read the close reason however slow they are."""
+    """Provide a workstation with a shared case; slow observers also have time to read the close reason."""
     monkeypatch.setattr(rate_limits, "DISCARDS_FOR_S", 60.0)
     monkeypatch.setattr(rate_limits, "MAX_DISCARDED_BYTES", 1 << 30)
     monkeypatch.setattr(rate_limits, "QUIET_S", 1.0)
@@ -67,15 +67,19 @@ def test_rate_limit_allows_a_burst_and_then_its_rate():
     assert not limit.take(0.1)
 
 
-def test_refused_message_takes_nothing_from_the_allowance():
+def test_refused_message_does_not_reduce_the_allowance():
     limit = RateLimit(1.0, 4.0, Clock())
     assert not limit.take(5.0)
     assert limit.take(4.0)
 
 
 @pytest.mark.parametrize("num_observers", [1, 4])
-def test_observers_take_a_limited_share_of_the_time_while_the_user_is_served(num_observers):
-    """Each observer has a message of 1 ms ready at any time; the user sends one of 2 ms for each of 120 refreshes."""
+def test_messages_of_observers_use_a_limited_share_of_time_while_the_user_sends(num_observers):
+    """Simulate observers and a user.
+
+    Each observer always has a message of 1 ms ready. The user sends a message of 2 ms for each of 120 refreshes of a
+    screen.
+    """
     loop = VirtualLoop()
     done = {"user": 0, "observers": 0}
 
@@ -107,7 +111,7 @@ def test_observers_take_a_limited_share_of_the_time_while_the_user_is_served(num
     loop.run_until_complete(run())
     loop.close()
     assert done["user"] == 120
-    # Expected: 5 % of two seconds, and the messages of the first turn.
+    # The expected value is 5 % of two seconds, plus the messages of the first turn.
     assert 50 * num_observers <= done["observers"] <= 130 * num_observers
 
 
@@ -131,7 +135,7 @@ def test_dropped_messages_are_not_executed_and_the_inbox_continues():
 
 
 def flood(socket, texts):
-    """Send without reading the answers, until the server closes the connection."""
+    """Send texts without reading the answers, until the server closes the connection."""
 
     def send():
         try:
@@ -166,7 +170,7 @@ def test_observer_who_floods_is_disconnected_and_all_messages_of_the_user_are_ex
     with watching(page.url) as other, watching(page.url) as watcher:
         told = page_of(window, lambda page: page is not None and len(page.watchers) == 2)
         before = live.session.pose_info().pose_id
-        # Small messages, so that the limit of bytes is not reached.
+        # The messages are small, so that the limit of bytes is not reached.
         sending = flood(watcher.socket, [wire.encode_message(wire.Probe((0.0, 0.0, 0.0)))] * 600)
         for _ in range(100):
             window.send(wire.Steer(0.01, 0.0, 0.0, 0.0), wire.SetFov(80.0), wire.SetFov(81.0))
@@ -191,8 +195,9 @@ def test_observer_who_floods_is_disconnected_and_all_messages_of_the_user_are_ex
             assert again.close_code()[0] == wire.CLOSE_CODES["protocol.not-authorised"]
 
 
-def test_flood_of_bytes_is_closed_before_its_messages_are_parsed(desk, handled, monkeypatch):
-    # On a busy machine the flood takes a part of a second, in which the allowance grows; here the time stands still.
+def test_connection_with_a_flood_of_bytes_is_closed_before_parsing(desk, handled, monkeypatch):
+    # The allowance must not grow during the flood, which takes a part of a second on a busy machine, so its clock does
+    # not advance.
     monkeypatch.setattr(rate_limits, "RateLimit", lambda per_s, burst, _clock: RateLimit(per_s, burst, Clock()))
     live, window, page = desk
     with watching(page.url) as watcher:
@@ -206,7 +211,7 @@ def test_flood_of_bytes_is_closed_before_its_messages_are_parsed(desk, handled, 
     assert live.session.snapshot().case is not None
 
 
-def test_flood_of_control_frames_is_closed(desk):
+def test_connection_with_a_flood_of_control_frames_is_closed(desk):
     _live, _window, page = desk
     with watching(page.url) as watcher:
         watcher.until_state(lambda s: s.case is not None)

@@ -1,4 +1,4 @@
-"""Start and end of the workstation as a process."""
+"""Tests of the start and the end of the workstation as a process."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def test_unreadable_path_is_refused_before_a_server_starts(tmp_path):
     assert ready == []
 
 
-def test_connections_send_small_messages_at_once():
-    """Otherwise a picture waits for the acknowledgement of the previous message, which takes up to 40 ms."""
+def test_sockets_send_small_messages_without_delay():
+    """Check that a picture does not wait up to 40 ms for the acknowledgement of the previous message."""
 
     async def at_once() -> bool:
         found: asyncio.Future[int] = asyncio.get_running_loop().create_future()
@@ -88,7 +88,7 @@ def test_external_program_connects_repeatedly_with_the_printed_token(tmp_path):
                 with connect(f"ws{base[4:]}/ws", additional_headers=bearer, open_timeout=WAIT_S) as socket:
                     socket.send(wire.encode_message(wire.ClientHello(wire.WIRE_VERSION)))
                     assert json.loads(socket.recv(timeout=WAIT_S))["type"] == "hello"
-            # The token for programs is no start token, and the start token is no bearer token.
+            # The token for programs is not accepted as start token, and the start token not as bearer token.
             assert httpx.get(f"{base}/?token={told['token']}", timeout=WAIT_S).status_code == 403
             start = told["url"].partition("token=")[2]
             wrong = {"Authorization": f"Bearer {start}"}
@@ -100,7 +100,7 @@ def test_external_program_connects_repeatedly_with_the_printed_token(tmp_path):
     assert (process.returncode, out, err) == (0, "", "")
 
 
-def test_process_prints_its_link_answers_it_once_and_ends_cleanly(tmp_path):
+def test_process_prints_a_link_that_works_once_and_ends_without_an_error(tmp_path):
     program = (
         "from carina.server import serve\n"
         "raise SystemExit(serve(None, open_browser=False, on_ready=lambda url, token: print(url, flush=True)))"

@@ -1,4 +1,4 @@
-"""Shutdown of servers: within the grace period and without an error, whatever the clients do."""
+"""Tests of the shutdown of servers: within the grace period and without an error, whatever their clients do."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def said(caplog):
 
 @pytest.fixture
 def page(tmp_path):
-    """Return the opened encrypted page for a phone."""
+    """Return the encrypted page for phones of a running workstation."""
     (tmp_path / "phone.html").write_text("<!doctype html><title>phone</title>" + "x" * 1000)
     page = PhonePage(small_bench().session, web=tmp_path, address="127.0.0.1")
     page.start()
@@ -55,7 +55,7 @@ def place(page) -> tuple[str, int]:
 
 
 def answer(secure: ssl.SSLSocket, page) -> bytes:
-    """Send a request and return its complete response; the connection stays open."""
+    """Send a request and return the complete response; the connection stays open."""
     secure.sendall(REQUEST % "{}:{}".format(*place(page)).encode())
     got = b""
     while not got.endswith(b"x" * 1000):
@@ -75,7 +75,7 @@ def test_encrypted_page_stops_without_waiting_for_a_sleeping_browser(page, said)
     with dialled(page) as idle, dialled(page) as quiet:
         assert answer(idle, page).startswith(b"HTTP/1.1 200")
         page.stop()
-        # Neither connection has read or sent anything since.
+        # Neither connection has read or sent anything since the response.
         assert said() == []
         assert has_ended(idle)
         assert has_ended(quiet)
@@ -130,8 +130,8 @@ def test_connection_that_arrives_during_shutdown_is_refused(tmp_path, said, monk
     ends = ending.EndingServer._end_connections
 
     async def arrives(server) -> None:
-        # The system accepts the connection before the shutdown, and the server receives it after it has closed all
-        # others.
+        # The system accepts the connection before the shutdown, and the server receives the connection after it has
+        # closed all others.
         await ends(server)
         ours, theirs = socket.socketpair()
         late.append(theirs)
@@ -152,11 +152,11 @@ def test_connection_that_arrives_during_shutdown_is_refused(tmp_path, said, monk
         assert theirs.recv(1) == b""
 
 
-def test_open_connection_is_asked_once_to_close_and_is_not_aborted_if_it_does():
+def test_open_connection_is_requested_once_to_close_and_not_aborted_if_it_closes():
     told = []
 
     class Connection:
-        """Connection that closes a moment after the request, like one that still writes its response."""
+        """Connection that closes a moment after the request, like a connection that is still writing its response."""
 
         def __init__(self):
             self.transport = self
@@ -182,7 +182,7 @@ def test_open_connection_is_asked_once_to_close_and_is_not_aborted_if_it_does():
 
 
 def test_second_interrupt_ends_the_application_without_an_error(said):
-    """By itself, uvicorn would cancel the application after a second interrupt and print a traceback."""
+    """Check the second interrupt, at which uvicorn alone would cancel the application and print a traceback."""
     ended = []
 
     @contextlib.asynccontextmanager

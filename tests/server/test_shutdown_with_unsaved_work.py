@@ -1,4 +1,4 @@
-"""Shutdown of a real workstation with a full disk: question at a terminal, and exit code for lost work."""
+"""Tests of the shutdown of a real workstation with a full disk: question at a terminal, exit code for lost work."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ pytestmark = [
 
 
 class Terminal:
-    """Controlling side of a pseudo-terminal; a thread reads what the program prints."""
+    """Controlling side of a pseudo-terminal; a thread reads the output of the program."""
 
     def __init__(self):
         import pty
@@ -42,7 +42,7 @@ class Terminal:
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self):
-        with contextlib.suppress(OSError):  # EIO after the program has ended.
+        with contextlib.suppress(OSError):  # Reading fails with EIO after the program has ended.
             while data := os.read(self._own, 4096):
                 with self._news:
                     self._text += data
@@ -61,7 +61,7 @@ class Terminal:
 
 
 class Station:
-    """``carina open`` over a full disk, with saved and unsaved changes.
+    """``carina open`` on a disk that becomes full, with saved and unsaved changes.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class Station:
             return len(case.history())
 
     def ended(self):
-        """Return exit code, standard output and messages."""
+        """Wait for the end of the program; return its exit code, its standard output and its messages."""
         out, err = self.process.communicate(timeout=WAIT_S)
         return self.process.returncode, out, self.terminal.text if self.terminal else err
 
@@ -133,7 +133,8 @@ class Station:
         self.window.end()
 
 
-# A shell that starts the tests in the background passes on SIGINT as ignored; a user's terminal does not.
+# Program that restores SIGINT: a shell that runs the tests in the background ignores SIGINT for its children, a
+# terminal does not.
 STARTED = """
 import signal
 
@@ -154,7 +155,7 @@ def disk(tmp_path):
 
 @pytest.fixture
 def signals_of_a_terminal():
-    """Restore the signal handling of a terminal: a process under nohup passes its ignored SIGHUP to children."""
+    """Restore the signal handling of a terminal; a process under nohup passes an ignored SIGHUP to children."""
     former = {
         number: signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
         for number in (signal.SIGHUP, signal.SIGINT)
@@ -177,7 +178,7 @@ def station(tmp_path, disk, signals_of_a_terminal):
         one.close()
 
 
-def test_ctrl_c_on_a_full_disk_asks_at_a_terminal_and_saves_to_the_typed_path(station, disk, tmp_path):
+def test_ctrl_c_at_a_terminal_with_a_full_disk_saves_to_the_path_that_is_typed(station, disk, tmp_path):
     mine = station(terminal=True)
     live = mine.work()
     stick = tmp_path / "stick"
@@ -212,7 +213,7 @@ def test_second_signal_at_the_question_ends_with_exit_code_5(station):
     assert "5 changes" in text.strip().splitlines()[-1], "the last line says what is lost"
 
 
-def test_without_a_terminal_there_is_no_question_and_the_exit_code_is_5(station):
+def test_shutdown_with_unsaved_work_and_without_a_terminal_has_exit_code_5(station):
     mine = station(terminal=False)
     live = mine.work()
     mine.process.send_signal(signal.SIGINT)

@@ -1,4 +1,4 @@
-"""Conversion of the session's state to messages."""
+"""Tests of the conversion of the session's state to messages."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from carina.volume import Note
 from small_case import small_bench
 
 
-def test_every_instrument_states_the_lumen_that_it_needs_besides_its_nominal_tip():
+def test_message_of_every_instrument_has_the_lumen_it_needs_and_its_nominal_tip():
     told = start_message(notice_accepted=True, recent=(), patient_citation=None).scopes
     assert len(told) > 10
     for scope in told:
@@ -20,7 +20,7 @@ def test_every_instrument_states_the_lumen_that_it_needs_besides_its_nominal_tip
         assert scope.fit_mm > scope.tip_mm
 
 
-def test_badges_of_the_case_and_its_airways_are_in_the_state():
+def test_state_message_contains_the_badges_of_the_case_and_its_airways():
     bench = small_bench()
     assert state_message(bench.session.snapshot(), frame_rate_hz=60.0).badges == ()
     bench.open()

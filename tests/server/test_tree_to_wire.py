@@ -1,4 +1,4 @@
-"""Messages about the airway tree: full names, measures, open ends and airways that were not found."""
+"""Tests of messages about the airway tree: full names, measures, open ends, and airways that were not found."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from small_case import small_airways, small_volume
 
 
 def measured(branch_id, *, usable=(False, True, True, True), **summary):
-    """Return four sections, the first of them at a fork; the last could not be measured."""
+    """Return measures of four sections, of which the first is at a fork and the last could not be measured."""
     values = {
         "length_mm": 30.004,
         "angle_deg": 35.04,
@@ -45,7 +45,7 @@ def measured(branch_id, *, usable=(False, True, True, True), **summary):
     )
 
 
-def test_figures_of_a_branch_leave_out_its_junctions():
+def test_figures_of_a_branch_exclude_its_sections_at_forks():
     sent = branch_measures(measured(4))
     assert (sent.branch_id, sent.length_mm, sent.lumen_mm, sent.angle_deg) == (4, 30.0, 6.1, 35.0)
     assert (sent.max_lumen_mm, sent.max_lumen_error_mm) == (7.0, 0.2)
@@ -60,13 +60,13 @@ def test_narrowest_diameter_has_its_own_error_and_measures_of_an_earlier_method_
     assert not branch_measures(measured(4)).by_earlier_method
 
 
-def test_branch_of_junctions_only_has_no_widest_place():
+def test_branch_with_only_fork_sections_has_no_widest_place():
     nothing = {"mean_mm": None, "mean_error_mm": None, "min_mm": None, "min_at_mm": None, "stenosis": None}
     sent = branch_measures(measured(4, usable=(False, False, False, False), **nothing))
     assert (sent.lumen_mm, sent.min_lumen_mm, sent.max_lumen_mm, sent.stenosis_percent) == (None, None, None, None)
 
 
-def test_sections_without_a_figure_are_sent_as_null():
+def test_unmeasured_sections_are_sent_as_null():
     answer = branch_detail_message(wire.AskBranchDetail(7, 4), measured(4))
     assert (answer.request_id, answer.branch_id, answer.measures.branch_id) == (7, 4, 4)
     assert answer.profile.lumen_mm == (9.0, 7.0, 5.0, None)
@@ -85,7 +85,7 @@ def test_tree_is_sent_without_measures_first_and_with_them_when_they_are_ready()
 
 
 @pytest.mark.parametrize("branch_id", [3, None])
-def test_open_ends_are_sent(branch_id):
+def test_uncertain_ends_are_sent_with_or_without_a_branch(branch_id):
     airways = small_airways(small_volume())
     airways.uncertain = (
         Uncertainty(
@@ -106,7 +106,7 @@ def test_open_ends_are_sent(branch_id):
     assert wire.parse_server_message(wire.encode_message(message)) == message
 
 
-def test_airways_that_were_not_found_are_sent_with_the_reason():
+def test_absent_airways_are_sent_with_the_reason():
     airways = small_airways(small_volume())
     trunk = Branch(0, None, (1,), 0, "Trachea", "tracked", np.array([[0.0, 0, 0], [0, 0, -90]]), np.full(2, 8.0))
     right = Branch(1, 0, (), 1, "RMB", "tracked", np.array([[0.0, 0, -90], [-30, 0, -130]]), np.full(2, 6.0))

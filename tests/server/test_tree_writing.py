@@ -1,4 +1,4 @@
-"""Encoding of trees: a tree that arrives during an encoding is encoded before a route through it is sent."""
+"""Tests of the encoding of trees: each tree is encoded before a route through it is sent."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TREE_AND_ROUTE = ("tree", "route")
 
 
 class Writing:
-    """Shared texts over stand-ins for trees, with a function that runs while a tree is encoded."""
+    """Cache of encoded messages with replacements of trees, and with a function that runs while a tree is encoded."""
 
     def __init__(self, monkeypatch) -> None:
         self.newest = "first"
@@ -53,7 +53,7 @@ def test_tree_that_arrives_at_the_end_of_the_encoding_is_encoded_before_its_rout
             text = plain()
             asked.append(text)
             if len(asked) == 2:
-                # The next tree arrives only after the second check.
+                # The second tree arrives after the second check.
                 writing.newest = "second"
                 loop.call_soon_threadsafe(writing.texts.mark, outbox, *TREE_AND_ROUTE)
             return text
@@ -69,8 +69,8 @@ def test_tree_that_arrives_at_the_end_of_the_encoding_is_encoded_before_its_rout
     assert writing.written == ["first", "second"]
 
 
-def test_route_requested_before_its_tree_is_encoded_is_sent_with_it(monkeypatch):
-    """The document has a new tree that is not encoded yet: a route announced now would not be announced again."""
+def test_route_requested_before_its_tree_is_encoded_is_sent_with_the_tree(monkeypatch):
+    """Use a session with a new tree that is not encoded yet, whose route would not be announced a second time."""
     writing = Writing(monkeypatch)
     outbox = Outbox()
 

@@ -1,4 +1,4 @@
-"""Uploaded files: stored in their own folder, limited in number and size, and removed."""
+"""Tests of uploaded files: stored in separate folders, limited in number and size, and removed."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ HOSTILE = [
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_hostile_name_stays_below_the_upload(uploads, name, tmp_path):
+def test_file_name_with_path_parts_is_stored_inside_the_folder_of_the_upload(uploads, name, tmp_path):
     upload_id = uploads.begin()
     add(uploads, upload_id, name, b"x")
     place = uploads.place(upload_id)
@@ -92,12 +92,12 @@ def test_any_name_becomes_a_relative_path_without_parent_and_hidden_parts(name):
     assert all(part.isascii() and not set(part) & set('/\\:*?"<>|\0') for part in path.parts)
 
 
-def test_ordinary_names_are_kept_so_that_formats_are_recognised(uploads):
+def test_ordinary_file_names_are_unchanged_so_that_formats_are_recognised(uploads):
     assert safe_relative_path("series 3/IM-0001.dcm").as_posix() == "series 3/IM-0001.dcm"
     assert safe_relative_path("chest.nii.gz").name == "chest.nii.gz"
 
 
-def test_two_files_with_the_same_cleaned_name_both_count(uploads):
+def test_two_files_with_the_same_cleaned_name_are_both_stored(uploads):
     upload_id = uploads.begin()
     add(uploads, upload_id, "ä.dcm", b"1")
     add(uploads, upload_id, "ö.dcm", b"2")
@@ -111,7 +111,8 @@ def test_header_file_is_opened_with_its_data_beside_it(uploads):
     add(uploads, upload_id, "lung.zraw", b"123")
     place = uploads.place(upload_id)
     assert place.suffix == ".mhd"
-    # The header does not name its data: both files are stored beside each other under their original names.
+    # The header does not contain the name of its data, so both files are stored in one folder under their original
+    # names.
     assert (place.parent / "lung.zraw").read_bytes() == b"123"
 
 
@@ -119,7 +120,7 @@ def test_header_file_is_opened_with_its_data_beside_it(uploads):
     ("header", "line"),
     [("Lung, Anna.mhd", b"ElementDataFile = %s"), ("Lung, Anna.nhdr", b"data file: %s")],
 )
-def test_header_finds_its_data_under_a_neutral_name(uploads, header, line):
+def test_header_is_opened_with_its_data_under_a_neutral_name(uploads, header, line):
     upload_id = uploads.begin()
     own = header.rsplit(".", 1)[0] + ".zraw"
     add(uploads, upload_id, header, b"NDims = 3\n" + line % own.encode() + b"\n")
@@ -130,7 +131,7 @@ def test_header_finds_its_data_under_a_neutral_name(uploads, header, line):
     assert not [p for p in place.parent.iterdir() if "Anna" in p.name]
 
 
-def test_header_that_lists_files_finds_them_by_their_names(uploads):
+def test_header_that_lists_files_is_opened_with_these_files(uploads):
     upload_id = uploads.begin()
     add(uploads, upload_id, "lung.mhd", b"ElementDataFile = LIST\n1.raw\n")
     add(uploads, upload_id, "1.raw", b"123")
@@ -157,7 +158,7 @@ def test_disk_has_neutral_names_for_this_user_only_and_the_window_shows_the_orig
 
 
 @given(st.text(max_size=40), st.sampled_from(["", ".dcm", ".nii.gz"]))
-def test_any_name_is_returned_as_valid_json(stem, suffix):
+def test_any_file_name_is_returned_as_valid_json(stem, suffix):
     names = DroppedNames()
     names.begin("01234567")
     place = names.neutral("01234567", PurePosixPath("x" + suffix), stem + suffix)
@@ -167,7 +168,7 @@ def test_any_name_is_returned_as_valid_json(stem, suffix):
 
 
 def test_name_without_its_suffix_is_replaced_in_messages():
-    """Readers of a header and its data name both files by their stem."""
+    """Use messages of readers that name both files, header and data, by their common stem."""
     names = DroppedNames()
     names.begin("01234567")
     place = names.neutral("01234567", PurePosixPath("scan.nii.gz"), "scan.nii.gz")
@@ -193,7 +194,7 @@ def test_file_over_its_limit_is_refused_and_removed(uploads, chunks):
         uploads.place(upload_id)
 
 
-def test_total_limits_of_all_files_hold(uploads):
+def test_upload_beyond_the_total_limits_is_refused(uploads):
     upload_id = uploads.begin()
     add(uploads, upload_id, "a", b"x" * 60)
     with pytest.raises(UsageError, match="too large"):
@@ -209,7 +210,7 @@ def test_cancelled_or_closed_upload_is_removed_from_the_disk(uploads):
     first, second = uploads.begin(), uploads.begin()
     add(uploads, first, "a", b"1")
     folder = uploads._uploads[first].folder
-    uploads.begin()  # A third upload cancels the first one.
+    uploads.begin()  # The third upload cancels the first one.
     assert not folder.exists()
     with pytest.raises(UsageError, match="has expired"):
         uploads.place(first)

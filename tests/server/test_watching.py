@@ -1,4 +1,4 @@
-"""Observers over the network: a link that can be revoked, a window that changes nothing, and one case only."""
+"""Tests of observers over the network: a link that can be revoked, a window that changes nothing, and one case only."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ pytest.importorskip("cryptography")
 
 @pytest.fixture
 def desk(tmp_path, monkeypatch):
-    """Provide a window of the user at the workstation, with a case and the page for observers open."""
+    """Provide the user's window of a workstation on which a case and the page for observers are open."""
     with sharing(tmp_path, monkeypatch) as shared:
         yield shared
 
 
 def fields(value):
-    """Return all texts in a message."""
+    """Return all texts in a message, at any depth."""
     return wire.encode_message(value)
 
 
@@ -53,7 +53,7 @@ def test_observer_sees_the_case_and_the_flight_with_its_own_view_settings(desk):
     assert page_of(window, lambda page: page is not None and not page.watchers).url == page.url
 
 
-def test_no_picture_of_an_observer_is_larger_than_a_screen(desk):
+def test_pictures_of_an_observer_are_at_most_as_large_as_a_screen(desk):
     _live, _window, page = desk
     with watching(page.url) as watcher:
         watcher.send(wire.Layout((wire.ViewSize("axial", 4096, 2048),)))
@@ -71,7 +71,7 @@ def test_session_refuses_an_observer_every_command_except_view_settings():
         if cls.sets in Sight.__struct_fields__:
             allowed += 1
             continue
-        # The session checks the caller first: the values of the fields do not matter.
+        # The session checks the caller first, so the values of the fields do not matter.
         command = cls(**dict.fromkeys(cls.__struct_fields__))
         with pytest.raises(UsageError, match="you are watching") as told:
             bench.session.do(command, window=7)
@@ -84,7 +84,7 @@ def test_session_refuses_an_observer_every_command_except_view_settings():
     assert bench.session.snapshot().sight == before[0].sight
 
 
-def test_observer_sees_no_other_case_and_may_change_nothing_in_it():
+def test_observer_does_not_see_another_case_and_cannot_change_it():
     bench = small_bench()
     bench.open()
     end = bench.session.subscribe(lambda _event: None, window=7, watches=True)
@@ -100,7 +100,7 @@ def test_observer_sees_no_other_case_and_may_change_nothing_in_it():
         bench.session.do(commands.Steer(1.0, 0.0, 0.0, 0.0), window=7)
 
 
-def test_without_a_case_there_is_nothing_to_observe(live):
+def test_page_for_observers_needs_an_open_case(live):
     with live.window() as window:
         window.send(wire.SetWatchPage(on=True))
         assert window.until(lambda m: isinstance(m, wire.Error)).code in {"session.no-case", "watch.missing"}
@@ -160,7 +160,7 @@ def test_observer_receives_no_folder_no_other_case_and_no_link(desk):
         assert "somebody" not in said and "token" not in said and page.url.partition("#")[2] not in said
 
 
-def test_wrong_token_is_refused_and_counted(desk):
+def test_observer_with_a_wrong_token_is_refused_and_counted(desk):
     _live, window, page = desk
     with watching(page.url, token="guess", hello=False) as watcher:
         code, reason = watcher.close_code()
@@ -169,7 +169,7 @@ def test_wrong_token_is_refused_and_counted(desk):
     assert page_of(window, lambda page: page is not None and page.num_refused == 1)
 
 
-def test_plain_http_is_refused_and_the_page_has_only_the_client(desk):
+def test_page_for_observers_refuses_plain_http_and_serves_only_the_client(desk):
     _live, _window, page = desk
     origin = page.url.partition("/#")[0]
     with pytest.raises(httpx.TransportError):
@@ -182,7 +182,7 @@ def test_plain_http_is_refused_and_the_page_has_only_the_client(desk):
         assert client.get("/", headers={"host": "evil.example"}).status_code == 403
 
 
-def test_switching_sharing_off_disconnects_all_observers_and_frees_the_port(desk):
+def test_end_of_sharing_disconnects_all_observers_and_closes_the_port(desk):
     _live, window, page = desk
     with watching(page.url) as watcher:
         watcher.until_state(lambda s: s.case is not None)
@@ -216,7 +216,7 @@ def test_removed_observer_cannot_return_by_the_same_link(desk):
 
 
 @pytest.mark.parametrize("how", ["another", "closed"])
-def test_sharing_ends_when_the_case_changes_or_closes(desk, how):
+def test_sharing_ends_when_another_case_is_opened_or_the_case_is_closed(desk, how):
     _live, window, page = desk
     with watching(page.url) as watcher:
         watcher.send(SHOWN)
@@ -227,7 +227,7 @@ def test_sharing_ends_when_the_case_changes_or_closes(desk, how):
     page_of(window, lambda page: page is None)
 
 
-def test_observers_take_no_connections_of_the_user(desk):
+def test_full_observer_connections_leave_those_of_the_user_free(desk):
     live, window, page = desk
     with contextlib.ExitStack() as opened:
         for _ in range(MAX_WATCHERS):

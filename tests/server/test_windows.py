@@ -1,4 +1,4 @@
-"""Several windows on one session: common state, own view settings, and independence of each other."""
+"""Tests of several windows on one session: common state, separate view settings, and independence of each other."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ def two(live):
 
 
 def newest(window, kind):
-    """Return the newest received message of a kind, or wait for the first one."""
+    """Return the newest received message of the class ``kind``, or wait for the first one."""
     return next((m for m in reversed(window.seen) if isinstance(m, kind)), None) or window.until(
         lambda m: isinstance(m, kind)
     )
 
 
 def settle(window):
-    """Wait until all messages before are done: the answer to a query comes after them."""
+    """Wait until the server has handled all messages that the window has sent."""
     window.send(wire.Probe((0.5, 0.0, 0.0)))
     window.until(lambda m: isinstance(m, wire.Value) and m.lps == (0.5, 0.0, 0.0))
 
 
-def test_case_pose_route_and_history_are_common_to_all_windows(two):
+def test_case_pose_route_and_history_are_equal_in_all_windows(two):
     first, second = two
     first.send(wire.GoTo(20.0))
     pose = second.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == 20.0)
@@ -62,7 +62,7 @@ def test_case_pose_route_and_history_are_common_to_all_windows(two):
     assert trees[0] == trees[1]
 
 
-def test_sight_belongs_to_one_window(two, live):
+def test_sight_of_one_window_is_unchanged_by_another(two, live):
     first, second = two
     told = len(second.seen)
     first.send(wire.SetWindow(400.0, 40.0), wire.SetCrosshair(LEFT_TIP), wire.SetTexture(on=False))
@@ -95,7 +95,7 @@ def test_pictures_have_the_size_and_sight_of_their_window_and_a_hidden_view_gets
     assert (picture.width, picture.height) == (200, 150)
     assert {p.view for p in second.pictures[begun:]} == {"axial"}
     first.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "airway" and m.pose_id >= picture.pose_id)
-    # A change of the first window's sight requests no picture for the second window.
+    # A change of the first window's view settings requests no picture for the second window.
     second.send(wire.Layout(()))
     settle(second)
     begun = len(second.pictures)
@@ -123,7 +123,7 @@ def test_edits_of_two_windows_form_one_history_and_each_undoes_the_last(two):
     assert second.until_state(lambda s: s.look.fov_deg == 73.0).can_redo == "field of view"
 
 
-def test_error_and_answer_are_sent_to_the_window_that_asked(two):
+def test_error_and_answer_are_sent_only_to_the_requesting_window(two):
     first, second = two
     told = len(second.seen)
     first.send(wire.RemoveTarget("nobody"), wire.Probe(LEFT_TIP))
@@ -134,7 +134,7 @@ def test_error_and_answer_are_sent_to_the_window_that_asked(two):
     assert others == []
 
 
-def test_later_error_is_sent_to_the_window_that_asked_or_to_all_if_it_is_closed(tmp_path):
+def test_error_of_a_job_is_sent_to_the_requesting_window_or_to_all_if_it_is_closed(tmp_path):
     may_fail = threading.Event()
 
     def open_volume(path, progress, cancel):
@@ -178,7 +178,7 @@ def test_handled_message_is_sent_after_the_results_of_the_command(two):
     assert newest(first, wire.State).look.fov_deg == pytest.approx(82.9)
 
 
-def test_handled_message_is_not_sent_before_results_at_any_order_of_the_sender(live, monkeypatch):
+def test_handled_message_is_not_sent_before_results_for_any_order_of_sender_and_events(live, monkeypatch):
     do, send_text, held = Session.do, WebSocket.send_text, []
 
     async def send_when_let(self, text):
@@ -189,7 +189,7 @@ def test_handled_message_is_not_sent_before_results_at_any_order_of_the_sender(l
 
     def let_send_and_do(self, command, **options):
         if isinstance(command, wire.SetSlab):
-            # The sender runs before the events of this command.
+            # The sender runs before the events of this command are announced.
             held.pop().set_result(None)
         return do(self, command, **options)
 
@@ -208,9 +208,9 @@ def test_handled_message_is_not_sent_before_results_at_any_order_of_the_sender(l
             assert newest(window, wire.State).sight.slab.thickness_mm == thickness_mm
 
 
-def test_window_that_does_not_read_delays_no_other(two):
+def test_window_that_does_not_read_delays_no_other_window(two):
     first, second = two
-    # The second window acknowledges and reads nothing.
+    # The second window acknowledges no picture and reads no message.
     for n in range(200):
         first.send(wire.GoTo(10.0 + n / 10.0))
     pose = first.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == pytest.approx(29.9))
@@ -219,7 +219,7 @@ def test_window_that_does_not_read_delays_no_other(two):
     second.until(lambda m: isinstance(m, wire.Pose) and m.pose_id == pose.pose_id)
 
 
-def test_closed_window_leaves_the_others_unchanged(two, live):
+def test_other_windows_are_unchanged_after_one_is_closed(two, live):
     first, second = two
     first.send(wire.SetWindow(400.0, 40.0))
     first.until_state(lambda s: s.sight.window is not None and s.sight.window.width_hu == 400.0)
@@ -245,7 +245,7 @@ def test_window_over_the_limit_is_refused_and_a_freed_place_is_usable_at_once(li
         windows[1].send(wire.AskStorage())
 
 
-def test_opening_another_case_resets_all_windows(two):
+def test_opening_another_case_resets_the_sight_of_all_windows(two):
     first, second = two
     begun = newest(second, wire.State).sight
     first.send(wire.SetTexture(on=False))

@@ -1,4 +1,4 @@
-"""List of the stored cases: entries, choice, new cases, names, deletion and restoring."""
+"""Tests of the list of stored cases: entries, selection, new cases, names, deletion and restoring."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Size:
 
 
 class Cache:
-    """In-memory stand-in for the cache of CTs."""
+    """Replacement of the cache of CTs that stores volumes in memory."""
 
     def __init__(self) -> None:
         self.kept = {"one CT": 1000, "another CT": 2000}
@@ -47,7 +47,7 @@ class Cache:
 
 
 class ListDesk(Desk):
-    """Workstation with a cache of CTs, thumbnails and the list of recent places."""
+    """Workstation with a cache of CTs, thumbnails, and the list of recently opened paths."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -79,7 +79,7 @@ def desk(tmp_path):
     desk.session.close()
 
 
-def test_list_shows_what_distinguishes_a_case_from_others(desk):
+def test_list_shows_number_of_changes_time_and_thumbnail_of_each_case(desk):
     desk.open()
     desk.work(100.0, 90.0)
     desk.session.do(c.CloseCase())
@@ -107,7 +107,7 @@ def test_thumbnail_is_readable_by_its_user_only(desk, tmp_path):
     assert path.stat().st_mode & 0o777 == 0o600
 
 
-def test_recent_place_without_a_stored_case_is_listed_and_opens(desk, tmp_path):
+def test_recent_path_without_a_stored_case_is_listed_and_opens(desk, tmp_path):
     desk.store.remember(str(tmp_path / "old"), "2026-01-31")
     (old,) = desk.listed()
     assert old.num_changes is None
@@ -121,7 +121,7 @@ def test_recent_place_without_a_stored_case_is_listed_and_opens(desk, tmp_path):
     assert desk.listed() == ()
 
 
-def test_recent_place_without_a_case_is_removed_from_the_list(desk, tmp_path):
+def test_recent_path_that_no_longer_exists_is_removed_from_the_list(desk, tmp_path):
     desk.store.remember(str(tmp_path / "old"), "2026-01-31")
     desk.session.do(c.ForgetCase(desk.listed()[0].recent_id))
     assert desk.listed() == ()
@@ -147,7 +147,7 @@ def test_the_selected_case_opens_if_two_cases_have_the_same_ct(desk):
     assert (saving.continued_s, saving.continued_changes) == (old.used_s, 1)
 
 
-def test_another_ct_at_the_place_of_a_case_is_refused_and_the_open_case_stays(desk):
+def test_another_ct_at_the_path_of_a_case_is_refused_and_the_open_case_stays(desk):
     desk.open()
     desk.work(100.0)
     desk.session.do(c.CloseCase())
@@ -165,7 +165,7 @@ def test_another_ct_at_the_place_of_a_case_is_refused_and_the_open_case_stays(de
     assert [one.num_changes for one in desk.listed()] == [2, 1]
 
 
-def test_case_of_a_dropped_ct_asks_to_choose_the_ct_again(desk):
+def test_case_of_a_dropped_ct_requests_the_ct_again_when_it_is_opened(desk):
     desk.session.do(c.OpenFiles("dropped"))
     desk.background.run_all()
     desk.work(100.0)
@@ -180,7 +180,7 @@ def test_case_of_a_dropped_ct_asks_to_choose_the_ct_again(desk):
 
 
 def test_list_shows_the_scan_date_and_adds_a_missing_one(desk):
-    """Records of earlier versions have no date, and neither has a scan without one."""
+    """Use records without a scan date: of earlier versions, and of a scan that has no date."""
     desk.open()
     desk.work(100.0)
     desk.session.do(c.CloseCase())
@@ -223,7 +223,7 @@ def test_case_is_renamed_while_open_and_after_closing(desk):
         desk.session.do(c.RenameCase("nothing", "x"))
 
 
-def test_deleted_case_is_restored_unchanged(desk):
+def test_deleted_case_that_is_restored_has_all_its_content(desk):
     desk.open()
     desk.work(100.0)
     (listed,) = desk.listed()
@@ -257,7 +257,7 @@ def test_ct_stays_cached_while_another_case_uses_it(desk):
     assert "one CT" not in desk.cache.kept
 
 
-def test_start_removes_cases_deleted_a_day_ago_and_no_others(desk, tmp_path):
+def test_start_removes_only_cases_that_were_deleted_a_day_ago(desk, tmp_path):
     desk.open()
     desk.work(100.0)
     desk.session.do(c.CloseCase())
@@ -306,7 +306,7 @@ def test_cache_of_cts_is_reported_emptied_and_disabled_for_later_sessions(desk):
         desk.session.do(c.KeepCts(True))
 
 
-def test_record_that_names_another_folder_is_ignored(tmp_path):
+def test_case_record_that_names_another_folder_is_ignored(tmp_path):
     records = CaseRecords(tmp_path, lambda: 1_800_000_000.0)
     held = records.begin("one CT", None)
     held.release()

@@ -1,4 +1,4 @@
-"""Privacy of a shared case file: no name or date from the CT's tags and folders or from the file of a mask."""
+"""Tests of privacy of a shared case file: no names or dates from the CT's tags, folders, or the file of a mask."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DATES = (b"2021-05-03", b"20210503", b"3 May 2021")
 
 
 def texts_of(path):
-    """Return all content of a case file, including unpacked compressed content."""
+    """Return all content of a case file, with compressed content unpacked."""
     yield path.read_bytes()
     with sqlite3.connect(path) as case:
         for (table,) in case.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall():

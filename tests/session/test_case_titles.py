@@ -1,4 +1,4 @@
-"""Names of cases: a neutral alias unless the user gave a name, and never the file name of the CT."""
+"""Tests of the shown names of cases: a neutral alias unless the user gave a name, never the file name of the CT."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NAME = "SURNAME_FIRSTNAME_1951.nii.gz"
 
 
 def write_old_record(folder, case_id, **values):
-    """Write a record of an earlier version."""
+    """Write a case record as an earlier version wrote it, with the file name of the CT."""
     (folder / case_id).mkdir(parents=True)
     record = {
         "format": "carina-record",
@@ -42,7 +42,7 @@ def records(tmp_path):
     return CaseRecords(tmp_path / "cases", lambda: 1_800_000_000.0)
 
 
-def test_neutral_alias_has_six_legible_digits_and_depends_on_the_id_alone():
+def test_neutral_alias_has_six_legible_digits_and_depends_only_on_the_id():
     rng = random.Random(4)
     ids = [f"{rng.getrandbits(64):016x}" for _ in range(2000)]
     aliases = [neutral_alias(one) for one in ids]
@@ -52,7 +52,7 @@ def test_neutral_alias_has_six_legible_digits_and_depends_on_the_id_alone():
     assert neutral_alias("00112233aabbccdd") == neutral_alias("00112233AABBCCDD") == "Case TJM0Z7"
 
 
-def test_begin_uses_the_given_id_unless_another_case_is_shown_by_its_alias(records):
+def test_new_case_has_the_given_id_unless_its_alias_is_in_use(records):
     first = records.begin("ab" * 32, None, case_id="00112233aabbccdd")
     first.path.write_bytes(b"the case")
     assert first.record.case_id == "00112233aabbccdd"
@@ -66,7 +66,7 @@ def test_begin_uses_the_given_id_unless_another_case_is_shown_by_its_alias(recor
         held.release()
 
 
-def test_begin_uses_no_alias_of_a_deleted_case(records):
+def test_new_case_has_no_alias_of_a_deleted_case(records):
     held = records.begin("ab" * 32, None, case_id="00112233aabbccdd")
     held.path.write_bytes(b"the case")
     held.release()
@@ -100,7 +100,7 @@ def test_record_of_a_case_open_elsewhere_is_rewritten_after_it_is_closed(records
     assert records.remove_titles() == 1
 
 
-def test_unreadable_records_do_not_stop_the_rewriting(records, tmp_path):
+def test_records_after_an_unreadable_record_are_rewritten(records, tmp_path):
     write_old_record(tmp_path / "cases", "00112233aabbccdd").write_text("[" * 100_000, encoding="utf-8")
     write_old_record(tmp_path / "cases", "00112233aabbccde", used_s="never")
     path = write_old_record(tmp_path / "cases", "00112233aabbccdf")
@@ -140,7 +140,7 @@ def test_no_stored_file_contains_the_title_of_the_ct(tmp_path):
     assert not [path for path in kept if title.encode() in path.read_bytes()]
 
 
-def test_case_has_the_same_name_when_it_is_opened_again(tmp_path):
+def test_case_opened_again_has_the_name_of_its_first_opening(tmp_path):
     desk = Desk(tmp_path)
     session = desk.start()
     desk.open()

@@ -1,4 +1,4 @@
-"""Commands and queries: each has one handler, and limits apply to values that were built in Python."""
+"""Tests of commands and queries: each has one handler, and their limits also apply to values built in Python."""
 
 from __future__ import annotations
 

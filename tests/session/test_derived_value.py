@@ -1,4 +1,4 @@
-"""Derived values: computed by one background job for the newest inputs, and not retried without a request."""
+"""Tests of derived values: computed by one background job for the newest inputs, retried only on request."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from small_case import Background, Clock
 
 
 class Workshop:
-    """A derived value of strings with its manually driven background, its events and the inputs that were computed."""
+    """Derived value of strings with a background that the test runs by hand, its events, and the computed inputs."""
 
     def __init__(self, submit=None, same=None):
         self.background = Background()
@@ -45,7 +45,7 @@ A, B, C = "a", "b", "c"
 
 
 def once(act):
-    """Return a function that calls ``act`` at its first call only."""
+    """Return a function that calls ``act`` only at its first call."""
     left = [act]
     return lambda *arguments: left.pop()(*arguments) if left else None
 
@@ -83,7 +83,7 @@ def test_newer_inputs_restart_the_running_job():
     assert len({e.job_id for e in shop.told}) == 1
 
 
-def test_stale_result_is_not_returned():
+def test_result_for_stale_inputs_is_not_returned():
     shop = Workshop()
 
     def make(inputs, _attempt):
@@ -97,7 +97,7 @@ def test_stale_result_is_not_returned():
     assert (shop.value.of(A), shop.value.of(B), len(shop.settled)) == (None, "B", 1)
 
 
-def test_return_to_the_inputs_of_the_present_value_ends_the_job_and_keeps_the_value():
+def test_request_of_the_present_inputs_ends_the_job_and_keeps_the_value():
     shop = Workshop()
     shop.value.want(A)
     shop.background.run_all()
@@ -108,7 +108,7 @@ def test_return_to_the_inputs_of_the_present_value_ends_the_job_and_keeps_the_va
     assert shop.ends() == ["done", "cancelled"]
 
 
-def test_inputs_that_return_are_computed_also_if_the_maker_had_given_up():
+def test_inputs_requested_again_are_computed_after_the_function_was_cancelled():
     shop = Workshop()
 
     def gone_and_back(_inputs, attempt):
@@ -123,7 +123,7 @@ def test_inputs_that_return_are_computed_also_if_the_maker_had_given_up():
     assert (shop.made, shop.value.standing(A), shop.ends()) == ([A, A], "had", ["done"])
 
 
-def test_inputs_that_return_before_the_maker_notices_are_computed_once():
+def test_inputs_requested_again_before_the_cancellation_are_computed_once():
     shop = Workshop()
 
     def gone_and_back(*_):
@@ -144,7 +144,7 @@ def test_previous_value_is_passed_to_the_next_computation():
     assert shop.value.of(B) == "b after a after None"
 
 
-def test_want_none_stops_the_job_and_keeps_the_present_value():
+def test_request_of_none_stops_the_job_and_keeps_the_present_value():
     shop = Workshop()
     shop.value.want(A)
     shop.background.run_all()
@@ -175,7 +175,7 @@ def test_failure_states_its_reason_and_is_retried_on_request_only():
     assert (shop.value.standing(A), shop.value.error) == ("had", None)
 
 
-def test_failure_keeps_the_older_value_for_its_inputs():
+def test_older_value_is_available_for_its_inputs_after_a_failure():
     shop = Workshop()
     shop.value.want(A)
     shop.background.run_all()
@@ -185,7 +185,7 @@ def test_failure_keeps_the_older_value_for_its_inputs():
     assert (shop.value.of(A), shop.value.of(B)) == ("a after None", None)
 
 
-def test_other_inputs_and_returning_inputs_are_computed_after_a_failure():
+def test_different_inputs_and_repeated_inputs_are_computed_after_a_failure():
     shop = Workshop()
     shop.while_making = fail
     shop.value.want(A)
@@ -246,7 +246,7 @@ def test_stop_applies_to_the_newest_inputs_also_while_older_ones_are_computed():
     assert (shop.made, shop.value.standing(B), shop.ends()) == ([A], "stopped", ["cancelled"])
 
 
-def test_stop_when_the_value_is_already_finished_is_respected():
+def test_value_stopped_after_its_computation_finished_is_not_used():
     shop = Workshop()
 
     def make(inputs, _attempt):
@@ -291,7 +291,7 @@ def test_job_that_follows_a_stopped_job_can_be_stopped():
     assert (shop.made, shop.value.standing(B), shop.ends()) == ([], "stopped", ["cancelled", "cancelled"])
 
 
-def test_maker_that_checks_for_cancellation_is_cancelled():
+def test_function_that_checks_for_cancellation_is_cancelled():
     shop = Workshop()
     heard = []
 
@@ -308,7 +308,7 @@ def test_maker_that_checks_for_cancellation_is_cancelled():
     assert heard == [False, True]
 
 
-def test_maker_that_raises_cancelled_counts_as_stopped():
+def test_function_that_raises_cancelled_counts_as_stopped():
     shop = Workshop()
 
     def give_up(*_):
@@ -371,7 +371,7 @@ def test_callback_is_dropped_if_the_value_fails_or_other_inputs_are_requested():
     assert (shop.made, done) == ([A, A, C], [])
 
 
-def test_error_in_a_callback_is_reported_and_the_value_stays():
+def test_error_in_a_callback_is_reported_without_losing_the_value():
     shop = Workshop()
     shop.value.want(A, then=fail)
     shop.background.run_all()
@@ -400,7 +400,7 @@ def test_callback_may_request_the_next_value():
     assert (shop.made, shop.value.of(B), shop.ends()) == ([A, B], "b after a after None", ["done", "done"])
 
 
-def test_synchronous_background_gives_the_same_results():
+def test_synchronous_background_computes_the_value_at_the_request():
     shop = Workshop(submit=lambda work: work())
     shop.value.want(A)
     assert shop.value.of(A) == "a after None"
@@ -408,7 +408,7 @@ def test_synchronous_background_gives_the_same_results():
     assert (shop.value.of(C), shop.made) == ("c after b after a after None", [A, B, C])
 
 
-def test_custom_equality_decides_whether_inputs_are_the_same():
+def test_custom_equality_decides_whether_inputs_are_equal():
     shop = Workshop(same=lambda a, b: a[0] == b[0])
     shop.value.want("one")
     shop.background.run_all()
@@ -425,7 +425,7 @@ def test_request_while_carina_closes_is_refused():
         shop.value.want(B)
 
 
-def test_time_left_ignores_stale_attempts():
+def test_time_left_ignores_attempts_for_stale_inputs():
     shop = Workshop()
 
     def long_and_stale(_inputs, attempt):
@@ -440,7 +440,7 @@ def test_time_left_ignores_stale_attempts():
 
 
 def test_lock_is_not_held_while_a_value_is_computed():
-    """Real threads: the session requests newer inputs while a computation runs and reports its progress."""
+    """Use real threads: the session requests newer inputs while a computation runs and reports its progress."""
     with ThreadPoolExecutor(2) as pool:
         shop = Workshop(submit=pool.submit)
         begun, changed = threading.Event(), threading.Event()
@@ -463,7 +463,7 @@ def test_lock_is_not_held_while_a_value_is_computed():
     assert (shop.value.of(B), shop.ends()) == (B, ["done"])
 
 
-def test_cached_value_is_computed_once_for_the_same_objects_and_again_for_others():
+def test_cached_value_is_computed_again_only_for_other_objects():
     made = []
 
     def make(inputs):

@@ -1,4 +1,4 @@
-"""Place of the CT of a case: comparison with the file of a target, and references in DICOM files."""
+"""Tests of the path of a case's CT: comparison with the file of a target, and references in exported DICOM files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def dicom_volume(*_given):
 
 @pytest.fixture
 def taken(monkeypatch):
-    """Record the CT with which the file of a target is compared; the file is refused."""
+    """Return a list of the CTs with which the file of a target is compared; the file itself is refused."""
     found = []
 
     def refuse(path, volume, *, ct, **_options):
@@ -53,7 +53,7 @@ def test_target_file_is_compared_with_the_folder_of_the_opened_ct(tmp_path, take
     assert bench.session.ask(PlanningOf()).dicom_problem is None
 
 
-def test_description_of_a_dropped_ct_is_kept_while_it_is_open(monkeypatch, taken, tmp_path):
+def test_description_of_a_dropped_ct_is_available_while_its_case_is_open(monkeypatch, taken, tmp_path):
     read = []
 
     def references(path, volume, watch):
@@ -66,18 +66,18 @@ def test_description_of_a_dropped_ct_is_kept_while_it_is_open(monkeypatch, taken
     bench.background.run_all()
     take(bench)
     assert (read, taken) == ([tmp_path], [OURS])
-    # DICOM export needs the images themselves, and names what is missing.
+    # A DICOM export needs the images of the CT; the message names the missing ones.
     with pytest.raises(UsageError, match="open the CT by its folder"):
         bench.session.ask(CtFolder())
     assert "was dropped" in bench.session.ask(PlanningOf()).dicom_problem
-    # Another case does not use the place.
+    # Another case does not use the CT's path.
     bench.session.do(OpenPath(str(tmp_path)))
     bench.background.run_all()
     take(bench)
     assert taken[-1] == tmp_path
 
 
-def test_place_without_dicom_and_missing_place_are_reported(tmp_path, taken):
+def test_path_without_dicom_files_and_missing_path_are_reported(tmp_path, taken):
     bench = small_bench()
     bench.session.do(OpenPath(str(tmp_path)))
     bench.background.run_all()

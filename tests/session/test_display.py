@@ -1,4 +1,4 @@
-"""Preparation of the renderer after changes of the transfer function: the newest wins, and pictures do not wait."""
+"""Tests of the renderer's preparation after changes of the transfer function: one job, for the newest."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_change_after_the_user_stopped_the_preparation_is_prepared():
     bench.session.do(SetTransfer(preset="ct-grey"))
     (job,) = bench.session.jobs.running
     bench.session.do(Cancel(job.job_id))
-    # The change arrives after the job was stopped and before it has ended.
+    # The change arrives after the job was stopped, before the job has ended.
     bench.session.do(SetTransfer(document={}))
     bench.background.run_all()
     assert renderer.transfer is bench.session.snapshot().document.transfer
@@ -91,12 +91,12 @@ def test_change_after_a_failed_preparation_is_prepared():
 
 @pytest.mark.parametrize("lumen", [False, True])
 def test_pictures_of_a_new_preset_are_shown_while_its_map_is_built(monkeypatch, lumen):
-    """The real renderer under the real pump; the test decides how long the map takes."""
+    """Use the real renderer and the real pump; the test controls when the map is complete."""
     building, go_on = threading.Event(), threading.Event()
     build = _core.build_cell_map
 
     def slowly(*arguments, **options):
-        if options:  # The small map of the tree view cannot be cancelled.
+        if options:  # The small map of the tree view has no options and cannot be cancelled.
             building.set()
             assert go_on.wait(60)
         return build(*arguments, **options)

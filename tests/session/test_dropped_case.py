@@ -1,4 +1,4 @@
-"""Dropped case files: they have no path; a copy is opened, or waits in the list until its CT is opened."""
+"""Tests of dropped case files, which have no path: a copy is opened, or waits in the list until its CT is opened."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def chest():
 
 
 class Desk:
-    """Workstation of one user, started over stored cases or over none."""
+    """Workstation of one user, started with the user's stored cases or without any."""
 
     def __init__(self, folder):
         times = itertools.count(1_800_000_000)
@@ -59,7 +59,7 @@ class Desk:
 
 @pytest.fixture
 def desks(tmp_path):
-    """Return the workstations of two users."""
+    """Return two workstations, each with the stored cases of one user."""
     made = [Desk(tmp_path / name) for name in ("mine", "theirs")]
     yield made
     for desk in made:
@@ -68,7 +68,7 @@ def desks(tmp_path):
 
 @pytest.fixture
 def given(desks, chest, tmp_path):
-    """Return a case file with two steps that one user made for the other."""
+    """Return a case file with two steps, which one user made for the other."""
     mine, _ = desks
     mine.do(
         c.OpenPath(str(write_ct(tmp_path / "ct.nii.gz", chest))),
@@ -94,7 +94,7 @@ def test_dropped_case_whose_ct_is_open_opens_as_a_copy_without_a_path(desks, giv
     assert (record.copy_path, record.num_changes) == (None, 3)
 
 
-def test_dropped_case_without_its_ct_waits_in_the_list_and_asks_for_it_once(desks, given, chest, tmp_path):
+def test_dropped_case_without_its_ct_waits_in_the_list_and_requests_the_ct_once(desks, given, chest, tmp_path):
     _, desk = desks
     (tmp_path / "ct.nii.gz").unlink()
     for _ in range(2):
@@ -107,7 +107,7 @@ def test_dropped_case_without_its_ct_waits_in_the_list_and_asks_for_it_once(desk
     desk.do(c.OpenPath(str(write_ct(tmp_path / "other.nii.gz", other))))
     assert "not the CT of the case that you dropped" in desk.said()
     assert desk.steps() == []
-    # The CT is dropped, too: it has no path either.
+    # The CT is also dropped, so it has no path.
     desk.do(c.OpenFiles(str(write_ct(tmp_path / "their.nii.gz", chest))))
     assert len(desk.steps()) == 2
     desk.do(c.CloseCase())
@@ -124,7 +124,7 @@ def test_stored_case_that_continues_the_dropped_case_is_shown(desks, given):
     assert mine.session.snapshot().saving.copy_name == "given.carina", "where its person put it"
 
 
-def test_dropped_case_with_its_ct_inside_opens_and_opens_again_from_the_list(desks, given, chest, tmp_path):
+def test_dropped_case_that_contains_its_ct_opens_and_opens_again_from_the_list(desks, given, chest, tmp_path):
     _, desk = desks
     (tmp_path / "ct.nii.gz").unlink()
     with CaseFile.open(given, read_only=True) as case:

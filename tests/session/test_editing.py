@@ -1,4 +1,4 @@
-"""Edits of the airway tree in a session: undo and redo, and their effect on targets, route and messages."""
+"""Tests of edits of the airway tree in a session: undo and redo, and effects on targets, routes and messages."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def case():
 
 @pytest.fixture
 def bench(case):
-    """Return a bench with the small drawn tree, real airways and real edits."""
+    """Return a session with the small drawn tree, real airways and real edits, whose background the test runs."""
     made = small_bench(
         open_volume=lambda _path, _progress, _cancel: case.volume,
         find_airways=lambda _volume, **_options: case.airways,
@@ -129,7 +129,7 @@ def test_route_that_an_edit_does_not_touch_stays_active(bench):
     assert pose.pose is not None
 
 
-def test_edit_that_keeps_the_lumen_does_not_prepare_the_renderer_again(bench):
+def test_edit_that_leaves_the_lumen_unchanged_does_not_prepare_the_renderer(bench):
     prepared = bench.renderers[-1].prepared
     edit(bench, RenameBranch(5, "LB6"), SmoothBranch(5))
     assert bench.renderers[-1].prepared == prepared
@@ -154,7 +154,7 @@ def test_lumen_restored_after_a_stopped_preparation_is_prepared_again(bench):
     assert renderer.prepared > prepared, "the maps of before went when the renderer was given another lumen"
 
 
-def test_impossible_edits_change_nothing_and_state_the_reason(bench, case):
+def test_impossible_edits_leave_the_tree_unchanged_and_state_the_reason(bench, case):
     before = document(bench)
     with pytest.raises(UsageError, match="lies outside the scan"):
         bench.session.do(EditTree(AddBranch((900.0, 0.0, 0.0))))
@@ -178,7 +178,7 @@ def test_edit_without_airways_is_refused():
         bench.session.do(EditTree(CutBranch(1)))
 
 
-def test_stopped_edit_changes_nothing(bench):
+def test_stopped_edit_leaves_the_tree_unchanged(bench):
     before = document(bench)
     job_id = bench.session.do(EditTree(CutBranch(2)))
     bench.session.do(Cancel(job_id))
@@ -241,7 +241,7 @@ def lung_bench():
     return made
 
 
-def test_branch_without_evidence_needs_confirmation_and_changes_nothing_before(lung_bench):
+def test_branch_without_evidence_is_added_only_after_confirmation(lung_bench):
     edit(lung_bench, AddBranch(in_plain_lung()))
     (asked,) = lung_bench.of_type(NotEvident)
     assert lung_bench.of_type(Trouble) == []
@@ -284,7 +284,7 @@ def test_preview_of_an_edit_equals_the_edit(lung_bench):
         lung_bench.session.ask(PreviewOf(AddBranch(in_plain_lung())))
 
 
-def test_bridge_without_an_airway_beyond_it_is_refused_without_a_question():
+def test_bridge_without_an_airway_beyond_its_end_is_refused_without_a_question():
     doubt = NoEvidenceError(
         "the CT shows too little airway wall beyond the bridge",
         doubtful_mm=9.0,
@@ -306,7 +306,7 @@ def test_bridge_without_an_airway_beyond_it_is_refused_without_a_question():
     assert [(trouble.code, trouble.message) for trouble in bench.of_type(Trouble)] == [(doubt.code, str(doubt))]
 
 
-def test_target_at_the_new_root_keeps_its_place_and_states_why_it_has_no_path(bench, case):
+def test_target_at_the_new_root_stays_and_states_why_it_has_no_path(bench, case):
     there = MoveRoot(point(case.airways.tree.branch(5).points[-2]))
     tracker = edit_airways(case.volume, case.airways, there).tracker
     place = point(case.volume.to_lps(np.array(tracker.root_ijk, dtype=float)))

@@ -1,4 +1,4 @@
-"""Following session: it shows the state of its owner, has its own view settings, and can take the case over."""
+"""Tests of a session that follows another: it shows the owner's state and can take the case over."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_follower_shows_changes_of_the_owner_and_keeps_its_renderer_content(pair
     assert other.snapshot().redo_label == owner.snapshot().redo_label
 
 
-def test_follower_has_its_own_sight(pair):
+def test_sight_of_a_follower_is_independent_of_the_owner_s(pair):
     owner, other, follow, _ = pair
     do_and_wait(other, c.SetTexture(on=False))
     do_and_wait(owner, c.SetShading(on=False))
@@ -62,10 +62,10 @@ def test_follower_has_its_own_sight(pair):
     assert (other.snapshot().sight.texture, other.snapshot().sight.shading) == (False, True)
 
 
-def test_refused_takeover_does_not_claim_the_ct(pair):
+def test_ct_can_be_claimed_after_a_refused_takeover(pair):
     owner, other, _, case_id = pair
     kept = owner._saving._kept
-    # An owner that took over the case itself may have no claim on the CT.
+    # The claim is released, because an owner that took over the case itself may have none.
     kept._claim.release()
     with pytest.raises(UsageError):
         do_and_wait(other, c.TakeOver(case_id))

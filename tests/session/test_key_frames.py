@@ -1,4 +1,4 @@
-"""Key frames in a session: the list with undo, the flight through it, and its file."""
+"""Tests of key frames in a session: the list with undo, the flight through the key frames, and its file."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def bench():
 
 @pytest.fixture
 def three(bench):
-    """Add key frames at the top, in the left bronchus and in the right bronchus."""
+    """Add three key frames: at the top of the trachea, in the left and in the right bronchus."""
     for at in (TOP, LEFT, RIGHT):
         bench.session.do(place_pose(looking_down(at)))
         bench.session.do(EditKeyFrames(KeyFrameAdd()))
@@ -134,7 +134,7 @@ def test_flight_between_key_frames_in_airways_follows_the_airways(three):
     info = three.session.key_frames_info()
     assert [key.through_airways for key in info.frames] == [False, True, True]
     branches = {b.id: b for b in three.session.snapshot().document.airways.tree.branches}
-    # Up the left bronchus to the carina, then down both branches on the right; smoothing cuts corners.
+    # The path leads up the left bronchus to the carina, then down two branches on the right; smoothing cuts corners.
     way_mm = branches[2].length_mm + branches[1].length_mm + branches[3].length_mm
     assert info.frames[2].leg_mm == pytest.approx(way_mm, rel=0.05)
     assert info.frames[2].leg_mm > 1.2 * np.linalg.norm(LEFT - RIGHT)
@@ -144,7 +144,7 @@ def test_flight_between_key_frames_in_airways_follows_the_airways(three):
     assert straight.duration_s < info.duration_s
 
 
-def test_flight_is_through_space_without_airways_and_outside_them(bench):
+def test_flight_is_straight_without_airways_and_outside_airways(bench):
     for at in (TOP, OUTSIDE_LUMEN):
         bench.session.do(place_pose(looking_down(at)))
         bench.session.do(EditKeyFrames(KeyFrameAdd()))
@@ -182,7 +182,7 @@ def test_flying_moves_the_tip_and_reports_the_time_until_interrupted(three):
         Undo(),
     ],
 )
-def test_moving_the_tip_or_changing_the_flight_interrupts_it(three, take_over):
+def test_movement_of_the_tip_or_change_of_the_flight_interrupts_the_flight(three, take_over):
     three.session.do(SetMode("path"))
     three.session.do(FlyKeyFrames(1.0))
     three.session.do(take_over)
@@ -206,7 +206,7 @@ def test_device_interrupts_the_flight_with_a_message(three):
     assert not session.pose_info().by_device
 
 
-def test_going_to_a_key_frame_is_exact_also_if_it_is_the_only_one(bench):
+def test_tip_moved_to_a_key_frame_has_its_pose_exactly(bench):
     bench.session.do(place_pose(looking_down(LEFT)))
     key = bench.session.do(EditKeyFrames(KeyFrameAdd()))
     bench.session.do(place_pose(looking_down(RIGHT)))
@@ -271,7 +271,7 @@ def test_saved_flight_is_restored_in_one_undo_step(three, tmp_path):
     three.background.run_all()
     opened = session.key_frames_info()
     for key, old in zip(opened.frames, info.frames, strict=True):
-        # Equal bit for bit, except the ids.
+        # All values except the IDs are equal bit for bit.
         assert (key.name, key.speed_mm_s, key.time_s, key.leg_mm) == (old.name, old.speed_mm_s, old.time_s, old.leg_mm)
     assert session.snapshot().undo_label == "open key frames"
     session.undo()
@@ -314,7 +314,7 @@ def test_export_without_key_frames_and_too_many_key_frames_are_refused(bench, tm
     assert [t.message for t in bench.of_type(Trouble)] == ["the file has 201 key frames; at most 200 can be opened"]
 
 
-def test_recording_of_the_flight_replays_it(three, tmp_path):
+def test_recording_of_a_flight_replays_with_equal_poses(three, tmp_path):
     from carina.navigate import open_recording
 
     session = three.session

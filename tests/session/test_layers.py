@@ -1,4 +1,4 @@
-"""Layers of structures round the targets over slices: position at every zoom, computation, failure and progress."""
+"""Tests of layers (structures around targets, drawn over slices): position at every zoom, computation and failure."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def ball(middle_ijk: tuple[float, float, float], radius: float) -> np.ndarray:
 
 
 def axial(mm_per_px: float, column: float = 0.0, row: float = 0.0, z: float = -180.0) -> np.ndarray:
-    """Return the matrix of an axial slice: its first pixel is at the corner of the masks, moved by whole pixels."""
+    """Return the matrix of an axial slice whose first pixel is at the corner of the masks, moved by whole pixels."""
     matrix = np.diag([mm_per_px, mm_per_px, 1.0, 1.0])
     matrix[:3, 3] = (-10.0 + mm_per_px * column, 30.0 + mm_per_px * row, z)
     return matrix
@@ -53,14 +53,14 @@ def test_mask_outline_is_half_way_between_voxels_at_every_zoom(place):
     assert (lines.layer, lines.part, lines.complete) == ("lobes", "RUL", True)
     points = np.column_stack([drawn(lines), np.zeros(len(drawn(lines))), np.ones(len(drawn(lines)))]) @ place.T
     away = np.linalg.norm(points[:, :3] - (MATRIX @ (10, 12, 10, 1))[:3], axis=1)
-    # Tolerance: half a voxel's diagonal, and the rounding of the lines.
+    # The tolerance is half of a voxel's diagonal plus the rounding of the lines.
     assert away.min() > 12.0 - 1.8
     assert away.max() < 12.0 + 1.8
-    # The outline is closed, also if the picture shows only a part of it.
+    # The outline is closed even if the picture shows only a part of it.
     assert np.allclose(drawn(lines)[0], drawn(lines)[-1])
 
 
-def test_plane_beside_a_mask_has_no_lines_and_layers_switched_off_are_omitted():
+def test_plane_beside_a_mask_has_no_outline_and_hidden_layers_are_omitted():
     shown = ShownLayers(LungMap(fissures=MappedMask.placed(ball((10, 12, 10), 3.0), MATRIX)), None)
     assert shown.names == ("fissures",)
     assert shown.lines(axial(1.0, z=-100.0), ("fissures",)) == ()
@@ -138,7 +138,7 @@ def test_layers_of_other_airways_are_not_shown_and_reported_as_outdated():
     assert not session.ask(LungsOf()).outdated
 
 
-def test_failure_states_its_reason_and_can_be_retried():
+def test_failed_computation_of_layers_states_its_reason_and_can_be_retried():
     trouble = [NoResultError("no lung was found", code="plan.no_lung"), CancelledError("stopped"), None]
 
     def make(*_given, **_options):
@@ -155,7 +155,7 @@ def test_failure_states_its_reason_and_can_be_retried():
         assert (info.standing, info.problem) == (standing, problem)
 
 
-def test_reach_is_of_the_instrument_that_was_requested_last():
+def test_reach_layer_is_of_the_instrument_that_was_requested_last():
     asked = []
 
     def make(_volume, _airways, *, scope, tool, wall, progress, cancel):
@@ -210,11 +210,11 @@ def test_phantom_lungs_have_vessels_and_lobes_and_every_stage_can_be_cancelled()
     assert all(branch.parent is None or branch.parent < n for n, branch in enumerate(tree.branches))
     points = np.concatenate([branch.points_lps for branch in tree.branches])
     i, j, k = np.rint((points - vessels.first_lps) / vessels.spacing_mm).astype(int).T
-    # The lines are smoothed: a few points at a bend are beside its voxels.
+    # Lines are smoothed, so a few points at a bend are beside the voxels of their vessel.
     assert vessels.inside_zyx[k, j, i].mean() > 0.85
     shares = [share for _, share in told]
     assert shares == sorted(shares)
-    # Every stage checks for cancellation several times, so that a stop does not wait for its end.
+    # Every stage checks several times, so that a stop does not wait for the end of the stage.
     looks = Counter(what for what, _ in told)
     assert looks["looking for vessels"] >= 8
     assert looks["following the vessels"] >= 3

@@ -1,4 +1,4 @@
-"""Airway masks of other tools: import, questions to the user, refusals, and undo in one step."""
+"""Tests of airway masks from other tools: import, questions to the user, refusals, and undo in one step."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LABELS = (MaskLabel(1, "Left lung", 2100.0), MaskLabel(4, "Airway tree", 61.5), 
 
 
 class Tool:
-    """Stand-in that reads masks of another tool and records the requests; ``airways`` is the mask that Carina draws."""
+    """Replacement of the mask reader and of the airway search; it records the requests."""
 
     def __init__(self):
         self.read, self.searches = [], []
@@ -124,7 +124,7 @@ def test_mask_on_another_grid_is_reported_and_keeps_the_chosen_label_when_resamp
     assert bench.session.snapshot().undo_label == "use the segmentation for the airways"
 
 
-def test_dismissed_mask_changes_nothing(bench):
+def test_dismissed_mask_leaves_the_airways_unchanged(bench):
     before = bench.session.snapshot()
     take(bench, "/masks/other.nrrd")
     bench.session.do(DismissMask())
@@ -194,7 +194,7 @@ def test_mask_without_a_trachea_and_without_a_known_root_is_refused(tool):
     assert after.airways_words.startswith("no trachea in the mask. ")
 
 
-def test_search_that_a_newer_one_replaced_reports_nothing(tool):
+def test_search_replaced_by_a_newer_search_reports_no_result(tool):
     roots = []
 
     def find_airways(volume, *, root_lps, **options):

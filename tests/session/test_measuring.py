@@ -1,4 +1,4 @@
-"""Background measurement of the airways: for the present tree, and again after an edit."""
+"""Tests of the background measurement of the airways: for the present tree, and again after an edit."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from small_case import small_bench
 
 
 class Measures:
-    """Stand-in for the measurement that records its calls."""
+    """Replacement of the measurement that records its calls."""
 
     def __init__(self, airways, previous):
         self.airways, self.previous = airways, previous
@@ -62,7 +62,7 @@ def test_edit_reuses_earlier_measures_and_undo_shows_no_measures_of_another_tree
     bench.background.run_next()
     edited = bench.session.snapshot()
     assert edited.document.airways is not first.document.airways
-    # The measures of the earlier tree are not shown: its branches may be gone.
+    # The measures of the earlier tree are not shown, because its branches may no longer exist.
     assert edited.measures is None
     bench.background.run_all()
     edited = bench.session.snapshot()

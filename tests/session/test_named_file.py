@@ -1,4 +1,4 @@
-"""Named case files: Carina never overwrites content that the window has not read or written itself."""
+"""Tests of named case files: Carina overwrites only content that the window has read or written itself."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WAIT_S = 60.0
 
 
 def write(named, text, **options):
-    """Save a text as the case of a window."""
+    """Save the text as the content of a window's case."""
     return named.write(lambda path, _mark, placement: put_text(path, text, placement), **options)
 
 
@@ -35,7 +35,7 @@ def names(folder):
 
 @pytest.fixture(params=["locks", "no locks", "no hard links", "neither"])
 def disk(request, monkeypatch):
-    """Provide a local disk, a network share without locks, and disks without hard links."""
+    """Provide a local disk, a network share without locks, and a disk without hard links."""
     if request.param in {"no locks", "neither"}:
         monkeypatch.setattr(named_file.NamedLock, "take", staticmethod(lambda _path: None))
     if request.param in {"no hard links", "neither"}:
@@ -52,10 +52,10 @@ def path(tmp_path):
     return tmp_path / "team.carina"
 
 
-# ---------------------------------------------------------------- content
+# ---------------------------------------------------------------- changed content
 
 
-def test_window_rewrites_its_own_file(disk, path):
+def test_window_overwrites_the_file_that_it_wrote(disk, path):
     named = NamedFile(path)
     marks = []
     for text in ("one", "two", "three"):
@@ -85,7 +85,7 @@ def test_content_of_another_program_is_not_overwritten(disk, path, change):
         (path.parent / "new").replace(path)
     else:
         path.write_text({"rewritten": "ours, the other", "shortened": "ours", "emptied": ""}[change])
-    # The clock of the other program may be slow, or a copy may keep the times of its original.
+    # The times are unchanged, as with a slow clock or a copy that has the times of its original.
     os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
     content = path.read_bytes()
     assert refusal(named).kind == "not-a-case"
@@ -103,7 +103,7 @@ def test_file_of_an_earlier_version_is_foreign_unless_its_digest_is_recorded(dis
     assert path.read_text() == "ours"
 
 
-def test_replace_keeps_the_other_content_and_never_overwrites_an_earlier_copy(disk, path, monkeypatch):
+def test_replace_moves_the_other_content_aside_and_overwrites_no_earlier_copy(disk, path, monkeypatch):
     monkeypatch.setattr(named_file.time, "strftime", lambda _format: "2026-11-27 1405")
     for n in range(3):
         path.write_text(f"theirs {n}")
@@ -120,12 +120,12 @@ def test_replace_keeps_the_other_content_and_never_overwrites_an_earlier_copy(di
     ]
 
 
-def test_replace_of_a_deleted_file_keeps_nothing(disk, path):
+def test_replace_of_a_deleted_file_creates_no_copy(disk, path):
     assert write(NamedFile(path), "ours", replace=True) is None
     assert names(path.parent) == ["team.carina"]
 
 
-def test_generation_follows_the_replaced_content(disk, path):
+def test_generation_of_a_save_is_one_above_that_of_the_replaced_content(disk, path):
     named = NamedFile(path, FileMark("00" * 32, "ab" * 8, 7))
     path.write_text("theirs")
     write(named, "ours", replace=True)
@@ -143,13 +143,13 @@ def test_file_that_was_moved_away_is_not_recreated_automatically(disk, path):
     assert names(path.parent) == ["elsewhere.carina", "team.carina"]
 
 
-def test_save_that_a_crash_interrupted_is_recognised(disk, path):
+def test_file_of_a_save_interrupted_by_a_crash_is_recognised_as_own(disk, path):
     named = NamedFile(path)
     write(named, "one")
     recorded = named.mark
     noted = []
     write(named, "two", before_placing=noted.append)
-    # The record contains the digest of the interrupted save, and not yet that of the file.
+    # The record contains the digest of the interrupted save, but not yet the digest of the file.
     named.close()
     again = NamedFile(path, recorded, next_digest=noted[0].digest)
     write(again, "three")
@@ -158,7 +158,7 @@ def test_save_that_a_crash_interrupted_is_recognised(disk, path):
     refusal(NamedFile(path, recorded, next_digest="00" * 32))
 
 
-def test_symbolic_link_stays_a_link(disk, path, tmp_path):
+def test_save_through_a_symbolic_link_writes_its_target_and_leaves_the_link(disk, path, tmp_path):
     real = tmp_path / "share" / "team.carina"
     real.parent.mkdir()
     path.symlink_to(real)
@@ -183,7 +183,7 @@ def test_pipe_is_refused_without_being_read(path):
 
 
 def changed_meanwhile(path, monkeypatch, do):
-    """Run a function after the draft is complete and before the second comparison."""
+    """Run ``do`` after the draft is complete and before the content is compared the second time."""
     done = []
     found = named_file._digest_of
 
@@ -247,7 +247,7 @@ def test_without_locks_replace_keeps_every_file_created_in_between(path, monkeyp
     assert path.read_text() == "ours"
 
 
-def test_disk_that_fills_during_replace_keeps_both_contents(path, monkeypatch):
+def test_replace_on_a_disk_that_becomes_full_leaves_both_contents(path, monkeypatch):
     path.write_text("theirs")
 
     def link(_source, _target):
@@ -285,7 +285,7 @@ def test_second_window_is_warned_and_writes_nothing(path):
     assert not lock_path(path).exists()
 
 
-def test_warning_names_the_user_who_has_the_file_open(path, monkeypatch):
+def test_warning_of_an_open_file_names_its_user(path, monkeypatch):
     monkeypatch.setattr("getpass.getuser", lambda: "anna\x1b[31m")
     monkeypatch.setattr("socket.gethostname", lambda: "ward-3")
     first = NamedFile(path)
@@ -328,7 +328,7 @@ def test_file_is_closed_while_its_share_does_not_respond(path):
     assert not lock_path(path).exists()
 
 
-def test_suggested_path_beside_a_file_is_free(path):
+def test_suggested_path_beside_a_file_is_unused(path):
     assert path_beside(path).name == "team (2).carina"
     path_beside(path).touch()
     assert path_beside(path).name == "team (3).carina"
@@ -339,7 +339,7 @@ def test_suggested_path_beside_a_file_is_free(path):
 
 @pytest.mark.parametrize("tail", ["-wal", "-journal"])
 def test_changes_in_a_journal_beside_the_file_are_not_lost(disk, path, tail):
-    """A program that has the file open as a database has not yet written these changes into the file."""
+    """Use a program that has the file open as a database and has written its changes only into the journal."""
     named = NamedFile(path)
     write(named, "one")
     journal = path.with_name(path.name + tail)
@@ -348,15 +348,15 @@ def test_changes_in_a_journal_beside_the_file_are_not_lost(disk, path, tail):
     with pytest.raises(NamedFileConflictError):
         named.check()
     assert (path.read_text(), journal.read_bytes()) == ("one", b"theirs")
-    # An empty journal holds no change.
+    # An empty journal contains no change.
     journal.write_bytes(b"")
     write(named, "two")
     assert path.read_text() == "two"
 
 
 @pytest.mark.parametrize("tail", ["-wal", "-journal"])
-def test_replace_keeps_the_journal_with_the_replaced_file(disk, path, tail):
-    """A journal that stays beside the new file would be replayed on it."""
+def test_replace_moves_the_journal_together_with_the_replaced_file(disk, path, tail):
+    """Check that no journal stays beside the new file, where it would be replayed on that file."""
     path.write_text("theirs")
     journal = path.with_name(path.name + tail)
     journal.write_bytes(b"their changes")
@@ -388,7 +388,7 @@ def test_move_that_fails_during_replace_leaves_the_file_under_its_name(disk, pat
 
 
 def test_replacement_that_the_share_reports_as_failed_is_recognised(disk, path, monkeypatch):
-    """A network share may repeat a request whose answer was lost, and report the repetition."""
+    """Use a network share that repeats a request whose answer was lost, and reports the repetition as failed."""
     named = NamedFile(path)
     write(named, "one")
     for owner, name in ((named_file, "move_to_new_name"), (type(path), "replace")):
@@ -426,7 +426,7 @@ def test_moved_file_that_cannot_be_removed_does_not_fail_the_save(path, monkeypa
 
 
 @pytest.mark.parametrize("letter", ["a", "\u00e4"])
-def test_names_beside_a_file_with_a_long_name_are_not_too_long(disk, tmp_path, letter, monkeypatch):
+def test_names_of_files_beside_a_file_with_a_long_name_are_within_the_limit(disk, tmp_path, letter, monkeypatch):
     path = tmp_path / f"{letter * (240 // len(letter.encode()))}.carina"
     path.write_text("theirs")
     beside = path_beside(path)
@@ -437,8 +437,8 @@ def test_names_beside_a_file_with_a_long_name_are_not_too_long(disk, tmp_path, l
     assert (path.read_text(), kept.read_text()) == ("ours", "theirs")
 
 
-def test_hard_link_to_the_same_file_is_another_path(path):
-    """A save replaces one of the names of a file with several hard links."""
+def test_hard_link_to_a_saved_file_is_a_separate_path(path):
+    """Use a file with several hard links, of which a save replaces one name."""
     named = NamedFile(path)
     write(named, "one")
     other = path.with_name("other.carina")

@@ -1,4 +1,4 @@
-"""Windows and notebooks of two users save to one named file: no saved step is lost, and each refusal has a message."""
+"""Tests of windows and notebooks of two users that save to one named file: no saved step is lost."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FAULTS = ("locks", "no locks", "no hard links")
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """Return a CT with a case file beside it."""
+    """Return the path of a CT with a case file beside it."""
     folder = tmp_path_factory.mktemp("named")
     write_phantom(carina.generate_phantom(spacing_mm=4.0, generations=3), folder / "scan")
     with carina.Case.open(folder / "scan" / "ct.nii.gz") as case:
@@ -40,7 +40,7 @@ def made(tmp_path_factory):
 
 @dataclass
 class Author:
-    """A user with a home folder, a clock, and the steps that Carina confirmed as saved."""
+    """User with a home folder, a clock, and a list of the steps that Carina confirmed as saved."""
 
     name: str
     home: object
@@ -48,9 +48,9 @@ class Author:
     messages: list[str] = field(default_factory=list)
     saved: set[tuple[str, float]] = field(default_factory=set)
     refusals: int = 0
-    """Number of saves that were refused."""
+    """Number of saves of this user that were refused."""
     told: int = 0
-    """Number of messages about refused saves."""
+    """Number of messages about refused saves that the user received."""
 
     def now_s(self):
         return time.time() + self.clock_offset_s
@@ -95,7 +95,7 @@ class Window(Author):
         return {(step.label, step.at_s) for step in self.session.snapshot().steps}
 
     def save(self, command):
-        """Save the case. The live case stores every step at once; the named file may refuse the save."""
+        """Save the case. The user's live file stores every step at once; the named file may refuse the save."""
         before = len(self.messages)
         self.session.do(command)
         self.session.jobs.wait_idle(None)
@@ -106,7 +106,7 @@ class Window(Author):
             self.told += any("carina" in text for text in self.messages[before:]) or bool(self.keeper.info.copy_problem)
 
     def tick(self):
-        """Advance the clock by the minute after which the named file is written again."""
+        """Advance the clock by one minute, after which the named file is written again."""
         assert self.session._saving.write_now()
         self.saved |= self.steps()
         if self.keeper.named is not None and self.keeper._copy_is_behind():
@@ -131,7 +131,7 @@ class Window(Author):
 
 
 class Notebook(Author):
-    """Program with :class:`carina.Case`; its case is stored in the named file only."""
+    """Program that uses :class:`carina.Case`; its case is stored only in the named file."""
 
     case = None
 
@@ -157,7 +157,7 @@ class Notebook(Author):
             try:
                 self.case = carina.Case.open(path)
             except DiskError as error:
-                # Another program has moved the file away.
+                # Another program may have moved the file away; every other error fails the test.
                 if error.code != "disk.missing" or "there is no such file" not in str(error):
                     raise
 
@@ -194,7 +194,7 @@ class Notebook(Author):
 
 
 def change(session):
-    """Change the outline in a step whose time differs from the steps of other authors."""
+    """Change the outline in a step whose time differs from the times of other users' steps."""
     outline = session.snapshot().document.look.outline
     session.do(c.SetOutline("round" if outline == "octagon" else "octagon"))
 
@@ -208,7 +208,7 @@ def steps_in(path):
 
 
 class Ward:
-    """Two windows and two notebooks of two users over one folder."""
+    """Two windows and two notebooks of two users, with their case files in one folder."""
 
     def __init__(self, folder, made, rng):
         self.rng, self.path = rng, folder / "work" / "team.carina"
@@ -259,7 +259,7 @@ class Ward:
             author.save()
 
     def disturb(self):
-        """Change the file as other programs and shares do: move it, set old times, or overwrite it."""
+        """Change the file as other programs and network shares do: move it, set old times, or overwrite it."""
         what = self.rng.choice(["touch", "copy back", "letter", "move"])
         if not self.path.exists():
             return

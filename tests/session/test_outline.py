@@ -1,4 +1,4 @@
-"""Outline of the lumen in slices: always of the lumen that the session has at that moment, never of an older one."""
+"""Tests of the lumen's outline in slices: it is always that of the session's present lumen."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def case():
 
 @pytest.fixture
 def bench(case):
-    """Return a bench with the small drawn tree, real airways and real edits; the background runs only on request."""
+    """Return a session with the small drawn tree, real airways and real edits, whose background the test runs."""
     made = small_bench(
         open_volume=lambda _path, _progress, _cancel: case.volume,
         find_airways=lambda _volume, **_options: case.airways,
@@ -37,7 +37,7 @@ def bench(case):
 
 
 def lines_of(session, view, case):
-    """Return the outline that belongs to the present picture of the view."""
+    """Return the outline that is shown over the present picture of a view."""
     scene = session.scene()
     picture = Renderer(case.volume).render(scene.spec(view, 200, 160, 0.5))
     outline = scene.outline_of(view, picture)
@@ -79,8 +79,7 @@ def test_edit_undo_and_redo_request_slices_with_the_current_lumen(bench, case):
         outlines.append({view: lines_of(session, view, case) for view in PLANES})
 
     session.do(EditTree(painted_at_tip(session)))
-    # Only the edit runs here, not the job that updates the wall in the renderer: the outline does not wait for that
-    # job.
+    # Only the edit runs; the outline does not wait for the job that updates the wall in the renderer.
     while session.snapshot().document.airways is case.airways:
         bench.background.run_next()
     changed()
@@ -93,7 +92,7 @@ def test_edit_undo_and_redo_request_slices_with_the_current_lumen(bench, case):
     assert outlines[3] == outlines[1]
 
 
-def test_edit_that_keeps_the_lumen_requests_no_new_slices(bench, case):
+def test_edit_that_leaves_the_lumen_unchanged_requests_no_new_slices(bench, case):
     session = bench.session
     slices = ("axial", "coronal", "sagittal")
     before = {view: session.scene().key(view) for view in slices}
@@ -106,14 +105,14 @@ def test_edit_that_keeps_the_lumen_requests_no_new_slices(bench, case):
     assert {view: session.scene().key(view) for view in slices} == before
 
 
-def test_picture_has_the_outline_that_was_cut_with_its_own_matrix(bench, case):
+def test_outline_of_a_picture_is_cut_with_the_matrix_of_this_picture(bench, case):
     session = bench.session
     sent = []
     renderer = Renderer(case.volume)
     session.scene().renderer.render = lambda view, stop=None: renderer.render(view, stop=stop)
     pump = FramePump(session.scene, sent.append, lambda _told: None, clock=bench.clock)
     pump.set_layout({"axial": (120, 100), "cut-plane": (110, 90), "xray-axial": (80, 80)})
-    # Steps of a flight, with any sizes that the pump chooses during a movement.
+    # The poses are steps of a flight, and the sizes are those that the pump chooses during a movement.
     for _ in range(4):
         session.do(Steer(1.0, 0.05, 0.0, 0.1))
         bench.clock.advance(1 / 60)
@@ -149,7 +148,7 @@ def test_show_place_looks_at_the_place_from_the_lumen_in_front_of_it(bench, case
     assert float(forward @ to_place) / away > 0.999, "it looks at the place"
     i, j, k = np.rint(case.volume.to_ijk(info.pose.position_lps)).astype(int)
     assert case.airways.lumen_zyx[k, j, i], "it stands in the lumen"
-    # All slices pass through the crosshair, so that each shows the place.
+    # All slices contain the crosshair, so each of them shows the place.
     assert scene.shown_lps == place
     # If the branch no longer exists, the nearest branch is used.
     session.do(place_pose(Pose.looking(info.pose.position_lps, (0.0, 0.0, -1.0))))

@@ -1,4 +1,4 @@
-"""Paths to targets by other costs than the lumen: without airways, beside airways, and stored in a case file."""
+"""Tests of paths to targets with other costs than the lumen: without airways, beside airways, and in a case file."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_scan_without_airways_has_paths_that_are_undone_and_stored_in_a_file(ves
         case.undo()
         (target,) = targets_of(case)
         assert (target.problem, target.cost, target.root_lps) == (None, "walls", root)
-        # The target was not moved, and the path has no lumen and no calibre.
+        # The target was not moved, and its path has no lumen and no diameter.
         assert (target.used_lps, target.snapped_mm, target.outside_mm) == (end, 0.0, None)
         assert target.value_range[0] > 1100
         route = target.route
@@ -62,7 +62,7 @@ def test_scan_without_airways_has_paths_that_are_undone_and_stored_in_a_file(ves
         np.testing.assert_array_equal(found.route.points_lps, route.points_lps)
 
 
-def test_missing_start_or_target_is_reported(vessel):
+def test_path_without_a_start_or_to_an_invalid_target_is_reported(vessel):
     volume, _, root, _, end = vessel
     with carina.Case.open(volume) as case:
         with pytest.raises(UsageError, match="mark the start point") as caught:
@@ -74,7 +74,7 @@ def test_missing_start_or_target_is_reported(vessel):
             case.do(c.AddTarget(end, root_lps=root))
         with pytest.raises(UsageError, match="cost"):
             case.do(c.AddTarget(end, cost="octree", root_lps=root))
-        # The target equals the start: a path of no length is refused.
+        # A target at the start is refused, because its path has no length.
         case.do(c.AddTarget(root, cost="walls", root_lps=root))
         assert targets_of(case)[0].problem is not None
         assert targets_of(case)[0].route is None
@@ -91,7 +91,7 @@ def test_path_beside_airways_is_compared_with_them_and_stays_after_an_edit(phant
         assert target.outside_mm is not None
         assert target.route.lumen_known
         assert set(target.route.branch_ids) <= {branch.id for branch in tree.branches}
-        # The branch at the target is cut away: the path stays, and is compared with the edited airways.
+        # The branch at the target is cut; the path stays and is compared with the edited airways.
         case.do(c.EditTree(c.CutBranch(tip.id, 0.0)))
         (after,) = targets_of(case)
         np.testing.assert_array_equal(after.route.points_lps, target.route.points_lps)

@@ -1,4 +1,4 @@
-"""Targets with a boundary in a case: grown from a click, planned automatically, stored in the case file."""
+"""Tests of targets with a boundary in a case: grown from a click, planned automatically, stored in the case file."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ from small_case import small_bench, small_lps
 
 @pytest.fixture(autouse=True)
 def few_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drive two instruments instead of eighteen, with a search of milliseconds instead of seconds."""
+    """Limit the plans to two instruments of eighteen and their drives to searches of milliseconds."""
     whole = carina.plan.judge_scopes
 
     def judge(*given: object, scopes: list, **options: object):
@@ -102,7 +102,7 @@ def test_click_outside_the_airways_adds_a_planned_target_without_moving_the_tip(
     assert abs(target.lesion.nodule.mean_mm - 2.0 * truth["radius_mm"]) < 1.0
     assert case.state.document.route is route
     assert np.array_equal(case.pose.lps_from_camera, before)
-    # The plan equals the one that the Python function computes.
+    # The plan of the session equals the plan of the Python function.
     alone = carina.plan_route(chest.volume, airways, target.lesion.nodule)
     said = case.ask(PlanToTakeAway(target.target_id))
     assert json.dumps(said.plan.to_json()) == json.dumps(alone.to_json())
@@ -123,7 +123,7 @@ def test_planned_route_ends_at_the_position_of_the_scope_and_knows_the_needle(
     assert np.linalg.norm(route.points_lps[-1] - np.array(plan.routes[0].leg.tip_lps)) < 2.0
     assert route.needle.ends_lps[1] == pytest.approx(plan.routes[0].leg.aim_lps)
     assert route.drawn.drawn_mm == 0.0
-    # Verdicts follow, that of the planned instrument first.
+    # The verdicts follow the plan; the first one is that of the planned instrument.
     assert len(info.verdicts) == 2
     assert info.verdicts[0].scope.name == plan.scope.name
     case.undo()
@@ -144,7 +144,7 @@ def test_new_options_compute_a_new_plan_and_names_and_notes_are_kept(case: carin
     case.do(DescribeTarget(target_id=target.target_id, called="Nodule, right upper lobe", remark="growing", rank=2))
     (named,) = case.state.document.targets
     assert (named.name, named.note, named.priority) == ("Nodule, right upper lobe", "growing", 2)
-    # A new name changes no plan.
+    # A new name does not change the plan.
     assert case.ask(PlanningOf()).targets[0].planned.plan is second
     case.do(RemoveTarget(target.target_id))
     assert case.ask(PlanningOf()).standing == "unwanted"
@@ -184,7 +184,7 @@ def test_case_file_stores_targets_routes_and_notes(chest: Phantom, tmp_path: Pat
         assert np.array_equal(kept.lesion.nodule.inside_zyx, target.lesion.nodule.inside_zyx)
         assert kept.lesion.nodule.to_json() == target.lesion.nodule.to_json()
         assert again.state.document.route.needle == route.needle
-        # The plan is computed again, and is the same.
+        # The plan is computed again and equals the earlier one.
         again.do(SetMode("free"))
         assert json.dumps(again.ask(PlanToTakeAway(kept.target_id)).plan.to_json()) == json.dumps(said)
 
@@ -208,11 +208,11 @@ def test_drive_of_a_verdict_is_stored_as_a_flight_and_flown(chest: Phantom, tmp_
     assert (first.state, first.length_s) == ("complete", second.length_s)
     assert first.words == driven.words[0].upper() + driven.words[1:]
     assert first.length_s == pytest.approx(driven.driven.time_s[-1], abs=1e-5)
-    # The flight contains every place that the scope reached; the last place is its end.
+    # The flight contains every position that the scope reached, and ends at the last one.
     for number in (first.number, second.number):
         case.do(FlyFlight(number, first.length_s))
         assert np.allclose(case.pose.lps_from_camera, driven.driven.lps_from_camera[-1], atol=1e-9)
-        # Where nothing was turned, two samples have the same time; the later one counts.
+        # If nothing was rotated, two samples have the same time, and the later one is used.
         at_s = float(driven.driven.time_s[len(driven.driven.time_s) // 2]) + 1e-5
         middle = int(np.searchsorted(driven.driven.time_s, at_s)) - 1
         case.do(FlyFlight(number, at_s))
@@ -225,7 +225,7 @@ def test_drive_of_a_verdict_is_stored_as_a_flight_and_flown(chest: Phantom, tmp_
         replayed = list(file.recording(kept[0].recording_id).replay(chest.volume))
     assert all(same for _, same in replayed)
     assert np.allclose(replayed[-1][0].pose.lps_from_camera, driven.driven.lps_from_camera[-1], atol=1e-9)
-    # 25 pictures a second, also while the operator turns the scope.
+    # The flight has at least ten poses a second, also while the operator rotates the scope.
     assert np.diff([moment.time_s for moment, _ in replayed]).max() <= 0.1
 
 
@@ -246,7 +246,7 @@ def test_verdict_without_a_drive_cannot_be_stored_as_a_flight(
     assert case.state.flights == ()
 
 
-def test_damaged_boundary_is_refused(chest: Phantom) -> None:
+def test_case_file_with_a_damaged_boundary_is_refused(chest: Phantom) -> None:
     nodule = carina.grow_nodule(chest.volume, centre_of(chest))
     target = PlanTarget("target-1", "Target 1", nodule, centre_of(chest), "click", "lung")
     facts = lesion_facts(Lesion(target))
@@ -257,7 +257,7 @@ def test_damaged_boundary_is_refused(chest: Phantom) -> None:
             made_lesion(msgspec.structs.replace(facts, record=wrong))
 
 
-def test_drawn_surface_is_on_the_boundary_of_the_nodule(chest: Phantom) -> None:
+def test_surface_of_a_target_is_on_the_boundary_of_its_nodule(chest: Phantom) -> None:
     nodule = carina.grow_nodule(chest.volume, centre_of(chest))
     mesh = shown_surface(nodule)
     away = np.linalg.norm(mesh.vertices_lps - np.array(nodule.centre_lps), axis=1)
@@ -342,7 +342,7 @@ def test_see_turn_shows_the_camera_of_the_turn_for_both_operator_positions(case:
     case.do(ChoosePlannedRoute(target.target_id, 1))
     turns = case.ask(PlanningOf()).turns
     assert turns.turns[0].at_main_carina
-    # The turns contain the movements of the hand, from the drive of the planned scope.
+    # The turns contain the hand movements of the planned scope's drive.
     assert turns.turns[0].moves is not None
     for operator in ("head", "facing"):
         case.do(SetOperator(operator))

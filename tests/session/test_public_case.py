@@ -1,4 +1,4 @@
-"""The public class ``carina.Case``: a change is complete when the call returns, and errors are raised in the call."""
+"""Tests of the public class ``carina.Case``: a call returns after its change is complete and raises its errors."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def phantom():
     return carina.generate_phantom(spacing_mm=3.0, generations=3)
 
 
-def test_case_is_opened_changed_undone_and_rendered(phantom):
+def test_case_can_be_opened_changed_undone_and_rendered_in_python(phantom):
     with carina.Case.open(phantom.volume) as case:
         assert "found" in repr(case)
         assert case.airways.tree.tips()
@@ -71,7 +71,7 @@ def test_file_without_a_scan_is_refused_with_a_message():
 
 @pytest.fixture(scope="module")
 def made_case(phantom, tmp_path_factory):
-    """Return a case file beside its CT, with a renamed branch and a target; adding the target was undone."""
+    """Return a case file beside its CT, with a renamed branch; the addition of a target was undone."""
     folder = tmp_path_factory.mktemp("case")
     write_phantom(phantom, folder / "scan")
     with carina.Case.open(folder / "scan" / "ct.nii.gz") as case:
@@ -197,14 +197,14 @@ def test_case_that_a_window_has_open_is_readable(saved):
     carina.Case.open(saved).close()
 
 
-def test_ct_of_a_case_is_found_or_given(saved, tmp_path):
+def test_ct_of_a_case_is_found_beside_it_or_at_the_given_path(saved, tmp_path):
     (saved.parent / "scan").rename(tmp_path / "moved")
     with pytest.raises(carina.VolumeImportError, match="give its location as ct=") as refused:
         carina.Case.open(saved)
     assert refused.value.code == "case.no-scan"
     with carina.Case.open(saved, ct=tmp_path / "moved" / "ct.nii.gz") as case:
         case.do(c.SetFov(100.0))
-    # The case finds the CT there from now on.
+    # From now on the case file refers to the CT at its new path.
     carina.Case.open(saved).close()
     with pytest.raises(UsageError, match="ct: only applies"):
         carina.Case.open(tmp_path / "moved" / "ct.nii.gz", ct=tmp_path)
@@ -224,7 +224,7 @@ def test_failed_write_is_reported_and_the_file_is_unchanged(saved, tmp_path):
 
 @pytest.fixture
 def window(saved):
-    """Return a function that opens a workstation on the case and returns its session, and the case records."""
+    """Return a function that opens a workstation with the case and returns its session and its case records."""
     records = CaseRecords(load_settings().cases_dir, time.time)
     sessions = []
 
@@ -257,7 +257,7 @@ def test_window_opens_a_case_file_and_continues_its_case(saved, window, monkeypa
     assert record.place == str(saved.parent / "scan" / "ct.nii.gz")
     session.do(c.SetFov(100.0))
     session.close()
-    # The named file was updated, and the window continues the same case instead of another copy.
+    # The named file was updated, and the window continues the same case, not another copy.
     with CaseFile.open(saved, read_only=True) as file:
         assert len(file.history()) == 2
     again = opened()
@@ -285,7 +285,7 @@ def session_label(session):
     return session.snapshot().undo_label
 
 
-def test_file_that_was_changed_elsewhere_opens_as_another_case(saved, window):
+def test_case_file_changed_by_another_program_opens_as_another_case(saved, window):
     opened, records = window
     opened().close()
     with carina.Case.open(saved) as case:
@@ -307,14 +307,14 @@ def test_window_opens_a_case_whose_scan_was_moved_if_the_new_path_is_given(saved
     assert session._saving.write_now()
     (record,) = records.all()
     assert record.place == str(saved.parent / "moved" / "ct.nii.gz")
-    # Another CT is refused, and nothing of it is stored.
+    # Another CT is refused, and nothing of the CT is stored in the case.
     write_phantom(made_phantom(spacing_mm=4.0, generations=3), saved.parent / "other")
     other = opened(saved.parent / "other" / "ct.nii.gz")
     assert other.snapshot().case is None
     assert len(records.all()) == 1
 
 
-# ---------------------------------------------------------------- the live file of a stored case
+# ---------------------------------------------------------------- live file of a stored case
 
 
 def test_window_given_a_live_file_continues_the_stored_case(saved, window):
@@ -347,7 +347,8 @@ def test_live_file_that_another_window_has_open_is_not_written(saved, window):
     assert second._saving.write_now()
     assert second.snapshot().saving.copy_name is None
     second.close()
-    first.do(c.SetOutline("octagon"))  # A second field of view within a second would be joined to the first step.
+    # A second change of the field of view within a second would become part of the first step.
+    first.do(c.SetOutline("octagon"))
     first.close()
     with CaseFile.open(live, read_only=True) as file:
         assert len(file.history()) == 3

@@ -1,4 +1,4 @@
-"""Unreadable records of cases: they are moved aside with a message; they stop no start, and nothing is deleted."""
+"""Tests of unreadable case records: they are moved aside with a message, prevent no start, and are not deleted."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def records(tmp_path):
 
 @pytest.fixture
 def case_id(records):
-    """Store a case with two steps, of which one was undone, and return its id."""
+    """Store a case with two steps, of which one is undone, and return its ID."""
     held = records.begin("ab" * 32, "/scans/ct")
     document = Document(transfer=transfer_preset("endoscopic"))
     steps = (Step("one", document, None, 5.0), Step("two", document, None, 60.0))
@@ -64,7 +64,7 @@ def spoil(records, case_id, text):
 
 
 def listed(records, store=None):
-    """Return the cases on the start page, and the messages that it shows."""
+    """Return the cases that the start page lists, and the messages that it shows."""
     core = SessionCore(lambda *_: None, store=store)
     events = []
     core.subscribe(events.append)
@@ -94,7 +94,7 @@ def test_unreadable_record_is_moved_aside_and_its_case_is_listed_again(records, 
     assert events == []
 
 
-def test_record_that_is_damaged_twice_is_kept_twice(records, case_id):
+def test_record_damaged_again_is_moved_to_a_second_file(records, case_id):
     for number in (1, 2):
         path = spoil(records, case_id, f"{number}")
         repair_records(records)
@@ -112,17 +112,17 @@ def test_case_without_any_readable_file_is_moved_with_all_its_files(records, cas
     assert listed(records)[1] == []
 
 
-def test_record_whose_case_is_open_in_another_process_is_left_alone(records, case_id):
+def test_unreadable_record_of_a_case_open_in_another_process_is_unchanged(records, case_id):
     held = records.hold(records.find(case_id))
     path = spoil(records, case_id, "[]")
-    # Locks of one process on two descriptors exclude each other as the locks of two processes do.
+    # The locks of two file descriptors of one process exclude each other like those of two processes.
     assert repair_records(records) == ()
     assert path.read_text() == "[]"
     held.release()
     assert len(repair_records(records)) == 1
 
 
-def test_record_of_a_newer_carina_is_left_alone(records, case_id):
+def test_record_of_a_newer_carina_is_unchanged(records, case_id):
     text = json.dumps({"format": "carina-record", "version": VERSION + 1, "anything": [1]})
     path = spoil(records, case_id, text)
     assert repair_records(records) == ()
@@ -138,7 +138,7 @@ def test_record_with_unknown_fields_of_a_newer_carina_is_readable(records, case_
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="modes of POSIX, and not for root")
-def test_record_without_read_permission_is_left_alone(records, case_id):
+def test_record_without_read_permission_is_unchanged(records, case_id):
     path = spoil(records, case_id, "[]")
     path.chmod(0)
     assert repair_records(records) == ()
@@ -199,7 +199,7 @@ def test_recent_cases_file_with_other_content_lists_none(tmp_path, cases):
     assert LocalStore(tmp_path).recent() == ()
 
 
-def test_recent_case_with_a_long_text_is_left_out(tmp_path):
+def test_recent_case_with_a_too_long_text_is_omitted(tmp_path):
     store = LocalStore(tmp_path)
     store.remember("/scans/ct", "2026-01-31")
     plain = json.loads((tmp_path / "recent.json").read_text())
@@ -232,6 +232,6 @@ def test_command_line_lists_the_repaired_case_with_the_message(monkeypatch, tmp_
     assert "was damaged" in err
 
 
-def test_record_type_bounds_every_number_and_text():
+def test_every_number_and_text_of_a_case_record_has_a_limited_type():
     for field in msgspec.structs.fields(CaseRecord):
         assert field.type not in {int, float, str}, field.name

@@ -1,4 +1,4 @@
-"""Targets and routes of a session: tracking, choice, undo, stops at forks, and instruments that fit."""
+"""Tests of targets and routes of a session: tracking, choice, undo, stops before forks, and scopes that fit."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_new_airways_track_the_targets_again():
     assert document.route is document.targets[0].route
 
 
-def test_right_tip_is_on_the_right_of_the_patient():
+def test_tip_of_a_right_branch_has_a_lower_lps_x_than_the_carina():
     assert RIGHT_TIP[0] < LEFT_TIP[0]
 
 
@@ -127,7 +127,7 @@ def test_flight_stops_before_each_fork_in_both_directions():
     assert len(route.lookouts_mm) == len(route.forks_mm) == 2
     for stop_mm, fork_mm, span in zip(route.lookouts_mm, route.forks_mm, route.spans, strict=False):
         assert (span.from_mm + fork_mm) / 2.0 - 1e-9 <= stop_mm < fork_mm
-    # The trachea of the small case is 12 mm wide and far longer than two diameters.
+    # The trachea of the small case is 12 mm wide and much longer than two diameters.
     assert route.lookouts_mm[0] == pytest.approx(route.forks_mm[0] - 12.0)
     stops = []
     for _ in range(3):
@@ -146,7 +146,8 @@ def test_short_branch_has_its_stop_in_the_middle_and_stops_are_in_order():
         for n, (from_mm, to_mm) in enumerate([(0, 40), (40, 44), (44, 44), (44, 60)])
     )
     stops = lookouts_mm((40.0, 44.0, 44.0), spans, cumulative_mm, np.full(61, 5.0))
-    # 10 mm wide: one diameter before the first fork, half of the 4 mm branch before the second, the third at the fork.
+    # The lumen is 10 mm wide: the first stop is one diameter before its fork, the second in the middle of the 4 mm
+    # branch, the third at the fork.
     assert stops == (30.0, 42.0, 44.0)
 
 
@@ -154,7 +155,7 @@ def test_route_has_the_distance_to_the_wall_besides_the_radius_of_the_lumen():
     along = np.linspace(0.0, 40.0, 41)
     points = np.stack([0 * along, 0 * along, -along], axis=1)
     flat = np.where(np.abs(along - 20.0) < 5.0, 1.0, 3.0)
-    # A slit in the middle: its section area equals that of the other places, but nothing thick passes.
+    # The middle is a slit, whose area equals that of the other sections, but through which no thick scope passes.
     tree = AirwayTree((Branch(0, None, (), 0, "Trachea", "tracked", points, np.full(41, 3.0), wall_mm=flat),))
     route = route_to_branch(tree, 0)
     assert len(route.wall_mm) == len(route.points_lps)

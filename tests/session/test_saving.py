@@ -1,4 +1,4 @@
-"""Automatic saving of an open case: at most two seconds late, and restored unchanged when the case is opened again."""
+"""Tests of automatic saving of an open case: at most two seconds late, and restored unchanged at the next opening."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_written_work_is_restored_after_a_crash(desk):
     assert shown(again) == before
 
 
-def test_second_carina_does_not_write_into_the_same_case(desk, tmp_path):
+def test_second_workstation_does_not_write_into_an_open_case(desk, tmp_path):
     desk.start()
     desk.open()
     desk.session.do(c.SetFov(100.0))
@@ -113,7 +113,7 @@ def test_work_of_another_ct_is_neither_shown_nor_lost(desk):
     assert len(MemoryFile.kept) == 2
 
 
-def test_ct_is_recognised_at_another_path(desk):
+def test_work_on_a_ct_is_restored_if_the_ct_was_moved(desk):
     session = desk.start()
     desk.session.do(c.OpenFiles("dropped"))
     desk.background.run_all()
@@ -143,7 +143,7 @@ def test_unreadable_work_is_reported_and_left_unchanged(desk):
 
 
 def test_case_whose_file_is_unreadable_after_a_failed_opening_is_unchanged(desk, monkeypatch):
-    """The shown case continues as another case; the file and the record of the first one stay."""
+    """Check that the shown case continues as another case, and that file and record of the first case stay."""
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
@@ -241,8 +241,8 @@ def test_case_is_saved_under_a_name_and_that_file_is_updated(desk, tmp_path):
     assert copy.read_text() == "of somebody else"
 
 
-def test_saving_thread_writes_without_a_request(desk):
-    """The only test that waits for the saving thread itself."""
+def test_saving_thread_writes_a_change_without_a_request(desk):
+    """Wait for the saving thread itself; all other tests call its functions."""
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
@@ -255,7 +255,7 @@ def test_saving_thread_writes_without_a_request(desk):
     session.close()
 
 
-def test_several_steps_are_undone_at_once(desk):
+def test_undo_by_several_steps_at_once_is_saved(desk):
     session = desk.start()
     desk.open()
     for fov in (100.0, 90.0):
@@ -307,7 +307,7 @@ def test_named_file_is_not_replaced_by_one_that_lacks_a_flight(desk, tmp_path):
     session.do(c.SetFov(100.0))
     desk.saved()
     flight = RecordingFacts(1, "Flight 1", "", 0.0, 1.0, complete=True)
-    session._core.case.flights.listed = (flight,)  # The file does not return this flight.
+    session._core.case.flights.listed = (flight,)  # The file will not return this flight.
     desk.files[-1].refuses = OSError(5, "Input/output error")
     session.do(c.SetFov(90.0))
     place = tmp_path / "mine.carina"
@@ -345,7 +345,7 @@ def test_notes_in_the_record_that_cannot_be_written_do_not_block_saving(desk, mo
     session.close()
 
 
-def test_open_case_is_detected_without_locking_it(desk):
+def test_open_case_is_detected_without_a_lock_on_its_file(desk):
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
@@ -399,7 +399,7 @@ def test_window_does_not_write_a_changed_named_file_and_reports_it(desk, named):
     assert named.read_text() == "a letter"
 
 
-def test_replaced_file_is_kept_under_a_reported_name(desk, named):
+def test_replaced_named_file_is_moved_to_a_name_that_is_reported(desk, named):
     named.write_text("a letter")
     desk.session.do(c.SaveCase())
     desk.background.run_all()
@@ -412,7 +412,7 @@ def test_replaced_file_is_kept_under_a_reported_name(desk, named):
     desk.session.close()
 
 
-def test_closing_over_a_changed_named_file_keeps_the_work_and_reports_it(desk, named):
+def test_closing_with_a_changed_named_file_leaves_it_and_reports_it(desk, named):
     named.write_text("a letter")
     desk.session.do(c.CloseCase())
     assert [event.code for event in desk.events if isinstance(event, Trouble)] == ["case.changed"]
@@ -443,7 +443,7 @@ def test_named_file_is_recognised_after_two_consecutive_crashes(desk, named, mon
     def cut_off(held, **values):
         note(held, **{name: value for name, value in values.items() if "copied_s" not in values})
 
-    # The first crash occurs after the file was replaced and before the record contains its digest.
+    # The first crash occurs after the file was replaced, before the record contains the new digest.
     with monkeypatch.context() as patched:
         patched.setattr(HeldCase, "note", cut_off)
         desk.session._saving._kept.save_to(named)

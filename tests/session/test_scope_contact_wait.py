@@ -1,4 +1,4 @@
-"""Restoring a held scope when a case is opened again: only if mode, tip and airways are unchanged."""
+"""Test of the restored scope when a case is opened again: its contact needs an unchanged mode, tip and airways."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scope mode: a bronchoscope in the lumen that keys and a handle drive, wall contact, and replay bit for bit."""
+"""Tests of scope mode: keys and a handle drive a scope in the lumen, with wall contact and exact replay."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ RADIUS_MM = 5.0
 
 
 def wall_field(volume, airways, *, progress, cancel):
-    """Return a wall field of round tubes about the centrelines of the tree, computed by plain geometry."""
+    """Return a wall field of round tubes about the centrelines of the tree, computed by simple geometry."""
     progress("measuring", 0.5)
     nz, ny, nx = SHAPE_ZYX
     k, j, i = np.mgrid[0:nz, 0:ny, 0:nx]
@@ -82,7 +82,7 @@ def test_scope_starts_at_the_tip_and_keys_drive_its_three_controls(bench):
     assert session.pose_info().scope.roll_rad == pytest.approx(state.roll_rad + 0.5), "sideways is a roll"
 
 
-def test_lumen_limits_the_tip_and_contact_is_counted(bench):
+def test_tip_stays_inside_the_lumen_and_wall_contacts_are_counted(bench):
     session = bench.session
     session.do(GoTo(15.0))
     enter(bench)
@@ -95,7 +95,7 @@ def test_lumen_limits_the_tip_and_contact_is_counted(bench):
     assert info.scope.record.time_s > 0.1
     assert info.scope.contact is not None or info.scope.limit != "none"
     wall = bench.session._core.case.pilot.wall
-    # The face of the tip may be flat on the wall; its middle is then at the wall.
+    # The flat face of the tip may be on the wall, so that the middle of the tip is at the wall.
     assert wall.distance_mm([info.pose.position_lps])[0] > -0.1
 
 
@@ -125,7 +125,7 @@ def test_handle_drives_the_scope_directly_and_its_lever_reports_the_flexion(benc
     assert state.flexion_rad > 0.5
 
 
-def test_changing_scope_keeps_scope_mode_and_changing_mode_ends_it(bench):
+def test_scope_mode_stays_after_a_change_of_scope_and_ends_with_another_mode(bench):
     session = bench.session
     session.do(GoTo(20.0))
     enter(bench)
@@ -141,12 +141,12 @@ def test_changing_scope_keeps_scope_mode_and_changing_mode_ends_it(bench):
 
 
 def letters(matrix) -> tuple[str, str]:
-    """Return the orientation letters at the right and at the top of the picture."""
+    """Return the orientation letters at the right and at the top edge of the picture."""
     return letters_of(matrix[:3, 0])[0], letters_of(-matrix[:3, 1])[0]
 
 
 @pytest.mark.parametrize("scope", ["ultrathin", "ebus"])
-def test_facing_operator_turns_the_picture_and_not_the_instrument(bench, scope):
+def test_picture_for_a_facing_operator_is_rotated_and_the_instrument_is_not(bench, scope):
     session = bench.session
     session.do(SetScope(scope))
     session.do(GoTo(20.0))
@@ -163,15 +163,15 @@ def test_facing_operator_turns_the_picture_and_not_the_instrument(bench, scope):
     held, turned_held = before.scope, after.scope
     for name in ("insertion_mm", "roll_rad", "flexion_rad", "contact", "red_out", "limit", "record"):
         assert getattr(turned_held, name) == getattr(held, name), name
-    # The lens, which may look up, belongs to the instrument: it sees the same scene upside down.
+    # The lens, which may look up, is part of the instrument, so it shows the same scene upside down.
     seen = session.scene().spec("airway", 32, 32, 1.0).pose.lps_from_camera
     np.testing.assert_allclose(seen[:3, 2:], looked[:3, 2:], atol=1e-12)
     np.testing.assert_allclose(seen[:3, :2], -looked[:3, :2], atol=1e-12)
-    # Steering up moves towards the top of the picture.
+    # The scope, steered up, moves towards the top of the picture.
     session.do(Steer(0.0, 0.0, 0.2, 0.0))
     raised = session.pose_info()
     assert raised.scope.flexion_rad == pytest.approx(held.flexion_rad - 0.2)
-    # The wall takes a part of the 11 degrees.
+    # The wall prevents a part of the 11 degrees.
     assert raised.pose.forward_lps @ -turned[:3, 1] > 0.02
     session.do(Steer(0.0, 0.0, -0.2, 0.0))
     before_undo = session.pose_info().pose.lps_from_camera
@@ -195,8 +195,8 @@ def test_scope_starts_in_the_same_position_for_both_operator_positions(bench):
     np.testing.assert_array_equal(facing[:3, 2:], head[:3, 2:])
     np.testing.assert_array_equal(facing[:3, :2], -head[:3, :2])
     assert seen["facing"].scope.roll_rad == seen["head"].scope.roll_rad == 0.0
-    # For an operator at the head the patient's right is on the right and anterior is on top; for a facing operator both
-    # are reversed.
+    # For an operator at the head, the patient's right is on the right and anterior is on top; for a facing operator
+    # both are opposite.
     assert letters(head) == ("R", "A")
     assert letters(facing) == ("L", "P")
     session.do(LevelHorizon())
@@ -219,7 +219,7 @@ def test_wall_is_computed_again_when_its_airways_are_restored(bench):
     bench.background.run_all()
     assert wanted_wall(session) == "making"
     session.undo()
-    # The wall of the other airways is requested; its job replaces the first one.
+    # The wall of the other airways is requested; the job for it replaces the first job.
     assert wanted_wall(session) == "making"
     bench.background.run_all()
     assert wanted_wall(session) == "had"
@@ -231,7 +231,10 @@ def test_wall_is_computed_again_when_its_airways_are_restored(bench):
 
 @pytest.mark.parametrize("begun", [False, True])
 def test_wall_is_computed_once_if_its_airways_are_undone_and_redone_during_the_job(begun):
-    """One job follows the airways, whether it has begun or waits for a thread; a stale computation is cancelled."""
+    """One job computes the wall of the newest airways, whether it has begun or waits.
+
+    A stale computation is cancelled.
+    """
     measured, steps = [], []
 
     def measure(volume, airways, **options):
@@ -301,7 +304,7 @@ def test_recording_in_scope_mode_replays_bit_for_bit(bench, tmp_path):
     recording = open_recording(tmp_path / "s.jsonl")
     assert recording.needs_wall
     volume = session.snapshot().case.volume
-    # The wall is computed again, as for a recording that is opened on another day.
+    # The wall is computed again, as when a recording is opened on another day.
     wall = wall_field(volume, small_airways(volume), progress=lambda *_: None, cancel=lambda: False)
     replayed = list(recording.replay(volume, wall=wall))
     assert len(replayed) > 60

@@ -1,4 +1,4 @@
-"""Session: opening in stages, commands with undo, jobs, and no loss of state when a command is refused."""
+"""Tests of the session: opening in stages, commands with undo, jobs, and unchanged state after a refused command."""
 
 from __future__ import annotations
 
@@ -85,13 +85,14 @@ def test_opening_ends_at_the_start_of_a_route_to_the_deepest_tip_on_the_right():
     pose = bench.session.pose_info()
     assert pose.path_mm == 0.0
     assert pose.inside
-    # The tree was not measured, so no diameter is shown: the radius of the found lumen is not a measured diameter.
+    # The tree was not measured, so no diameter is shown; the radius of the found lumen is not a measured diameter.
     assert (pose.branch.name, pose.branch.generation, pose.lumen_mm) == ("Trachea", 0, None)
     np.testing.assert_allclose(
         pose.pose.position_lps, small_lps(BRANCHES_IJK[0][1][0]), atol=0.6
-    )  # Tolerance: half a smoothed voxel.
+    )  # The tolerance is half of a smoothed voxel.
     assert bench.renderers[-1].lumen is snapshot.document.airways.lumen_zyx
-    assert bench.renderers[-1].prepared == 2  # Once for the raw volume, and once with the wall of the lumen.
+    # The renderer was prepared for the raw volume and for the wall of the lumen.
+    assert bench.renderers[-1].prepared == 2
     assert snapshot.undo_label is None
 
 
@@ -132,7 +133,7 @@ def test_cancelled_opening_leaves_the_session_unchanged():
     assert not bench.of_type(Trouble)
 
 
-def test_second_opening_stops_the_first():
+def test_opening_a_second_case_cancels_the_first_opening():
     bench = small_bench()
     bench.session.do(OpenPath("case"))
     bench.session.do(OpenPath("other"))
@@ -225,7 +226,7 @@ def test_setting_the_root_is_undone_without_a_new_search():
     assert bench.renderers[-1].lumen is first.lumen_zyx
 
 
-def test_root_without_airways_changes_nothing_and_states_the_reason():
+def test_root_at_a_point_without_airways_leaves_the_tree_and_states_the_reason():
     bench = small_bench()
     bench.open()
     before = bench.session.snapshot()
@@ -251,7 +252,7 @@ def test_case_without_airways_is_usable_and_has_a_message():
         bench.session.do(GoTo(3.0))
 
 
-def test_threshold_without_result_is_used_with_the_next_root_and_reported_once():
+def test_threshold_without_airways_is_used_for_the_next_root_and_reported_once():
     asked = []
 
     def find_nothing(volume, *, root_lps=None, lumen_threshold=None, **_options):
@@ -347,7 +348,7 @@ def test_scope_sets_field_of_view_and_outline_and_is_undone():
     assert seen() == ("single-use-slim", 100.0, "octagon")
     bench.session.do(SetOutline("none"))
     bench.session.do(SetScope("ebus"))
-    # The user chose a full frame, which stays.
+    # The user chose a full frame, which a new scope does not change.
     assert seen() == ("ebus", 80.0, "none")
     bench.session.do(SetScope(None))
     assert seen() == (None, 90.0, "none")
@@ -377,7 +378,7 @@ def test_airway_picture_has_the_optics_of_the_scope():
     assert (plain.lens, plain.field.outline, plain.field.vignette, plain.fov_deg) == (PINHOLE, "none", 0.0, 90.0)
 
 
-def test_fine_texture_can_be_switched():
+def test_fine_texture_can_be_switched_off_and_on():
     bench = small_bench()
     bench.open()
 
@@ -420,7 +421,7 @@ def test_view_keys_depend_only_on_what_the_views_show():
     assert window == {"axial", "tri-plane", "cut-plane"}
 
 
-def test_transfer_function_reaches_the_renderer_and_the_pictures():
+def test_new_transfer_function_is_used_by_the_renderer_and_the_pictures():
     bench = small_bench()
     bench.open()
     before = bench.session.scene().key("airway")
@@ -472,7 +473,7 @@ def test_unreadable_list_of_recent_cases_is_empty(tmp_path):
     assert LocalStore(tmp_path).notice_accepted()
 
 
-def test_progress_reports_the_time_left():
+def test_progress_of_a_job_reports_the_time_left():
     bench = small_bench()
     seen = []
 
@@ -551,8 +552,8 @@ def test_panic_of_the_compiled_module_ends_its_job_with_a_message():
     assert bench.session.jobs.running == ()
 
 
-def test_settings_that_cannot_be_written_are_kept_in_memory(tmp_path):
-    # A file in place of the folder: no user can write into it, not even root.
+def test_settings_that_cannot_be_written_apply_until_the_end(tmp_path):
+    # A file at the path of the folder makes writing impossible for every user, also for root.
     (tmp_path / "config").write_text("", encoding="utf-8")
     store = LocalStore(tmp_path / "config")
     store.accept_notice()
@@ -580,7 +581,7 @@ def test_voxel_value_is_returned_inside_the_volume_only():
     bench.open()
     assert bench.session.ask(VoxelAt(LEFT_TIP)) == -980
     assert bench.session.ask(VoxelAt(OUTSIDE_LUMEN)) == 40
-    # A point on the outer face of the first voxel; plain rounding would select the voxel before it.
+    # The point is on the outer face of the first voxel, where plain rounding selects the voxel before it.
     assert bench.session.ask(VoxelAt(small_lps((-0.4999, 0.0, 0.0)))) == 40
     assert bench.session.ask(VoxelAt(small_lps((-0.6, 0.0, 0.0)))) is None
 
@@ -637,7 +638,7 @@ def test_job_that_starts_another_job_while_carina_closes_ends_without_an_error()
 
 
 def test_jobs_that_wait_for_a_thread_end_when_carina_closes():
-    """A thread that waits for a job, such as that of a joined program, must not keep the process alive."""
+    """Check that a thread that waits for a job, such as that of a joined program, does not keep the process alive."""
     session = Session(SmallRenderer, parts=small_parts())
     jobs, errand = session.jobs, Errand()
 

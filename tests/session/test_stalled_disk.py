@@ -1,4 +1,4 @@
-"""Disks that do not respond: only the saving thread waits for them, and nothing is lost."""
+"""Tests of disks that do not respond: only the saving thread waits for them, and no change is lost."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ class StalledFile(MemoryFile):
 
 
 class StallingDesk(Desk):
-    """Workstation whose case was saved once; its disk counts as silent only where a test stalls it, on any machine."""
+    """Workstation whose case was saved once; its disk is reported as silent only if a test stalls it."""
 
     def be_silent(self, has_begun, do):
-        """Run ``do`` and wait until its write reaches the stalled disk, with a short limit for slow disks."""
+        """Run ``do`` and wait until its write reaches the stalled disk; a slow disk is reported after a short time."""
         has_begun.clear()
         writer.SLOW_S = 0.01
         do()
@@ -67,7 +67,10 @@ class StallingDesk(Desk):
         return self.session._saving._kept
 
     def until(self, condition):
-        """Wait until the condition holds. The caller holds the lock of the threads: the condition must not take it."""
+        """Wait until ``condition`` returns true.
+
+        The caller holds the lock of the threads, which the condition must not acquire.
+        """
         with self.kept._wake:
             assert self.kept._wake.wait_for(condition, WAIT_S)
 
@@ -75,7 +78,7 @@ class StallingDesk(Desk):
         return self.kept.info
 
     def stall(self):
-        """Make a change whose write stalls."""
+        """Make a change whose write stalls on the disk."""
         self.file.lets_save.clear()
 
         def change():
@@ -103,7 +106,8 @@ def desk(tmp_path, monkeypatch):
 
 
 def test_silent_disk_is_reported_within_three_seconds():
-    assert writer.DECIDED_WITHIN_S + writer.SLOW_S < 3.0  # No workstation here: the real limits of the product.
+    # No workstation is started here, so these are the real limits of the product.
+    assert writer.DECIDED_WITHIN_S + writer.SLOW_S < 3.0
 
 
 def test_work_continues_on_a_silent_disk_and_is_written_when_it_responds(desk):
@@ -144,7 +148,7 @@ def test_case_is_saved_elsewhere_while_its_disk_is_silent_and_then_closed(desk, 
     assert (desk.saving().copy_name, desk.saving().problem is None) == ("mine.carina", False)
     desk.session.do(c.CloseCase())
     assert desk.session.snapshot().case is None
-    # The keeper that waits for the disk holds the claim on the case until the case is written.
+    # The writer that waits for the disk holds the claim on the case until the case is written.
     file, (keeper,) = desk.file, desk.session._saving._ending
     opener = threading.Thread(target=desk.open)
     opener.start()
@@ -156,7 +160,7 @@ def test_case_is_saved_elsewhere_while_its_disk_is_silent_and_then_closed(desk, 
     assert desk.kept.copy_path == place
 
 
-def test_silent_share_delays_only_its_own_copy(desk, tmp_path):
+def test_silent_share_delays_only_the_copy_on_it(desk, tmp_path):
     share = tmp_path / "share.carina"
     desk.session.do(c.SaveCase(str(share)))
     desk.background.run_all()
@@ -175,7 +179,7 @@ def test_silent_share_delays_only_its_own_copy(desk, tmp_path):
 
 @pytest.fixture
 def stalled_share(desk, tmp_path, monkeypatch):
-    """Provide the named file while its update waits for a share, and the event that lets the update continue."""
+    """Provide a named file whose update waits for a share, and the event that lets the update continue."""
     share, goes_on, has_begun = tmp_path / "share.carina", threading.Event(), threading.Event()
     write_copy = MemoryFile.write_copy
 
@@ -198,7 +202,7 @@ def stalled_share(desk, tmp_path, monkeypatch):
     goes_on.set()
 
 
-def test_case_saved_elsewhere_stays_there_when_its_former_share_responds(desk, stalled_share, tmp_path):
+def test_case_saved_to_another_file_keeps_this_file_when_the_former_share_responds(desk, stalled_share, tmp_path):
     share, goes_on = stalled_share
     copier, stick = desk.kept._copier, tmp_path / "stick.carina"
     desk.session.do(c.SaveCase(str(stick)))
@@ -214,7 +218,7 @@ def test_case_saved_elsewhere_stays_there_when_its_former_share_responds(desk, s
     assert lock_path(stick).exists()
 
 
-def test_case_saved_elsewhere_is_updated_there_while_its_former_share_is_silent(desk, stalled_share, tmp_path):
+def test_case_saved_to_another_file_is_updated_while_the_former_share_is_silent(desk, stalled_share, tmp_path):
     stick = tmp_path / "stick.carina"
     desk.session.do(c.SaveCase(str(stick)))
     desk.background.run_all()

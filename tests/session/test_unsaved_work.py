@@ -1,4 +1,4 @@
-"""Work that no disk has stored: its description, and the question or error when the session ends."""
+"""Tests of work that no disk has stored: its description, and the question or error when the session ends."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WAIT_S = 60.0
 
 
 class ScriptedTerminal:
-    """Terminal of a user who gives these answers; an exception among the answers is raised."""
+    """Terminal of a user whose answers are given; an exception among the answers is raised."""
 
     def __init__(self, *answers, is_interactive=True):
         self.is_interactive = is_interactive
@@ -100,7 +100,7 @@ def test_session_without_unsaved_work_ends_without_a_question(desk):
 
 
 def named_file(desk, tmp_path):
-    """Save the case to a file, and change the case again."""
+    """Save the case to a file, change the case again, and return the path of the file."""
     clear(desk)
     path = tmp_path / "share" / "team.carina"
     path.parent.mkdir()
@@ -112,7 +112,7 @@ def named_file(desk, tmp_path):
 
 
 def test_closing_carina_reports_a_named_file_that_was_changed_elsewhere(desk, tmp_path):
-    """The terminal shows the message, because no window is left."""
+    """Check the message on the terminal, because no window remains to show it."""
     path = named_file(desk, tmp_path)
     path.write_text("a letter")
     terminal = ScriptedTerminal(is_interactive=False)
@@ -171,7 +171,7 @@ def test_terminal_lists_unsaved_work_and_a_retry_saves_it(desk):
     assert len(saved_steps(desk)) == 8
 
 
-def test_saving_to_another_folder_loses_nothing(desk, tmp_path):
+def test_saving_to_another_folder_stores_all_changes(desk, tmp_path):
     stick = tmp_path / "stick"
     stick.mkdir()
     steps = desk.session.history()
@@ -185,7 +185,7 @@ def test_saving_to_another_folder_loses_nothing(desk, tmp_path):
     assert f"saved as {written}" in terminal.text
 
 
-def test_work_in_another_folder_stays_saved_after_a_change_that_no_file_stores(desk, tmp_path):
+def test_work_saved_to_another_folder_counts_as_saved_after_an_event_without_changes(desk, tmp_path):
     (work,) = desk.session.cases.unsaved()
     desk.session.cases.save_elsewhere(work.case_number, tmp_path / "elsewhere.carina")
     desk.session._core.changed("state", "jobs")
@@ -355,7 +355,7 @@ def test_messages_have_no_control_characters_and_a_limited_number_of_labels(desk
     assert hostile.shown_labels.endswith("and 397 more")
 
 
-def test_equal_states_have_no_unsaved_changes(desk):
+def test_two_equal_states_have_no_unsaved_changes(desk):
     moment = desk.session.ask(c.MomentToKeep())
     assert unsaved_labels(moment, moment) == ()
     assert unsaved_labels(None, moment) == desk.session.history()
@@ -374,7 +374,7 @@ def test_program_without_its_owner_refuses_to_close_with_unsaved_changes(desk, t
     named.check_saved(moment, kept=saved, live=tmp_path / "case.carina")
 
 
-def test_closed_console_is_not_interactive():
+def test_terminal_without_a_console_is_not_interactive():
     assert not ConsoleTerminal(is_gone=True).is_interactive
 
 

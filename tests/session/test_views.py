@@ -1,4 +1,4 @@
-"""Dependencies of the views of a session: which views are rendered again after a movement or a setting."""
+"""Tests of which views of a session are rendered again after a movement or a change of a setting."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_overviews_are_not_rendered_again_when_the_tip_moves():
     assert keys(session, OVERVIEWS) == before
 
 
-def test_projections_are_computed_once_per_volume(monkeypatch):
+def test_projections_are_rendered_once_for_each_volume(monkeypatch):
     calls = []
     real = _core.project_maximum
     monkeypatch.setattr(_core, "project_maximum", lambda hu: calls.append(1) or real(hu))
@@ -47,7 +47,7 @@ def test_projections_are_computed_once_per_volume(monkeypatch):
     assert len(calls) == 1
 
 
-def test_turned_c_arm_requests_the_radiograph_only():
+def test_rotated_c_arm_requests_only_the_radiograph():
     session = opened()
     before = keys(session, OVERVIEWS)
     session.do(SetCarm(-30.0, 15.0, 0.5, "fluoroscopy"))
@@ -59,7 +59,7 @@ def test_turned_c_arm_requests_the_radiograph_only():
     assert session.snapshot().undo_label is None
 
 
-def test_views_along_the_route_need_a_route_and_change_with_it():
+def test_views_along_the_route_exist_only_with_a_route_and_change_with_it():
     session = opened()
     before = keys(session, ("straightened", "curved"))
     session.do(ChooseRoute(branch_id=2))
@@ -89,14 +89,14 @@ def test_zoomed_slice_stays_in_place_until_the_tip_moves():
     centre = (float(tip[0]) + 9.0, float(tip[1]) - 4.0, 0.0)
     session.do(SetZoom(view="axial", mm_per_px=0.3, centre_lps=centre))
     view = session.scene().spec("axial", 60, 50, 0.5)
-    # The centre is beside the tip, at the depth that is shown.
+    # The centre of the slice is beside the tip, at the depth of the shown slice.
     assert view.centre_lps == pytest.approx((centre[0], centre[1], tip[2]))
     assert view.mm_per_px == 0.3
     session.do(GoTo(3.0))
     followed = session.scene().spec("axial", 60, 50, 0.5)
     assert followed.centre_lps == pytest.approx(tuple(session.pose_info().pose.position_lps))
     assert followed.mm_per_px == 0.3
-    # A crosshair fixes the slices while the tip moves.
+    # With a crosshair the slices stay while the tip moves.
     session.do(SetCrosshair(tuple(float(v) for v in tip)))
     session.do(SetZoom(view="axial", mm_per_px=0.3, centre_lps=centre))
     session.do(GoTo(6.0))
@@ -110,7 +110,7 @@ def test_panned_cut_plane_stays_in_its_plane_until_the_tip_moves():
     pose = session.pose_info().pose
     right, down, forward = pose.lps_from_camera[:3, :3].T
     before = session.scene().key("cut-plane")
-    # A point beside the tip, and a little off the plane.
+    # The point is beside the tip and slightly off the plane.
     aside = pose.position_lps + 3.0 * right - 2.0 * down + 1.5 * forward
     session.do(SetZoom(view="cut-plane", extent_mm=12.0, centre_lps=tuple(float(v) for v in aside)))
     scene = session.scene()
@@ -118,14 +118,14 @@ def test_panned_cut_plane_stays_in_its_plane_until_the_tip_moves():
     picture = Renderer(small_volume()).render(scene.spec("cut-plane", 60, 40, 0.5))
     middle = picture.lps_from_pixel @ (30.0, 20.0, 0.0, 1.0)
     np.testing.assert_allclose(middle[:3], pose.position_lps + 3.0 * right - 2.0 * down, atol=1e-9)
-    # The plane moves with the tip, also if a crosshair fixes the slices.
+    # The plane moves with the tip even if a crosshair fixes the slices.
     session.do(SetCrosshair(tuple(float(v) for v in pose.position_lps)))
     session.do(GoTo(6.0))
     view = session.scene().spec("cut-plane", 60, 40, 0.5)
     assert (view.centre_lps, view.extent_mm) == (None, 12.0)
 
 
-def test_slabs_change_slices_and_views_along_the_route_only():
+def test_slab_setting_changes_only_slices_and_views_along_the_route():
     session = opened()
     views = ("airway", "cut-plane", "tri-plane", "axial", "coronal", "sagittal", "tree", *OVERVIEWS)
     before = keys(session, views)
@@ -152,7 +152,7 @@ def test_curved_picture_has_the_lines_of_its_rows():
                 np.array([np.interp(row, told.row, [p[a] for p in points]) for a in range(3)])
                 for points in (told.start_lps, told.step_lps)
             )
-            # Tolerance: a tenth of a pixel, because the path bends a little between two rows with lines.
+            # The tolerance is a tenth of a pixel, because the path bends slightly between two rows with lines.
             np.testing.assert_allclose(start + column * step, lines.lps_of(column, row), atol=0.1 * lines.mm_per_px)
     assert picture_lines(None) is None
     # The lines of the tallest picture that a client may request still fit into a header.

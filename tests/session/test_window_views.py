@@ -1,4 +1,7 @@
-"""View settings (sight) of windows: each window has its own; a caller that is no window sets them for all."""
+"""Tests of the view settings (sight) of windows: each window has separate ones.
+
+Other callers set those of all windows.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ from small_case import LEFT_TIP, RIGHT_TIP, small_bench
 
 
 class Windows:
-    """A case with two windows, and the events that each window received."""
+    """Case with two windows, and the events that each window received."""
 
     def __init__(self, **replaced) -> None:
         self.bench = small_bench(**replaced)
@@ -47,7 +50,7 @@ def windows():
     return made
 
 
-def test_sight_of_one_window_does_not_change_another_and_the_latest_is_stored(windows):
+def test_sight_of_one_window_leaves_others_unchanged_and_the_latest_is_stored(windows):
     begun = windows.sight()
     windows.session.do(SetCrosshair(LEFT_TIP), window=1)
     windows.session.do(SetOrbit(view="tree", azimuth_deg=20.0, elevation_deg=5.0), window=2)
@@ -95,7 +98,7 @@ def test_show_place_moves_the_common_tip_and_the_crosshair_of_one_window(windows
     assert (windows.sight(1).crosshair_lps, windows.sight(2).crosshair_lps) == (None, LEFT_TIP)
 
 
-def test_new_window_starts_with_the_latest_sight_and_a_closed_one_is_forgotten(windows):
+def test_new_window_starts_with_the_latest_sight_and_that_of_a_closed_window_is_deleted(windows):
     windows.session.do(SetTexture(on=False), window=1)
     end = windows.session.subscribe(lambda _event: None, window=3)
     windows.session.do(SetTexture(on=True), window=1)
@@ -112,7 +115,7 @@ def test_opening_another_case_resets_the_sight_of_all_windows(windows):
     windows.session.do(SetTexture(on=False), window=1)
     windows.session.do(OpenPath("another"), window=2)
     windows.bench.background.run_all()
-    # The new case does not start with the later sight of one window.
+    # The later sight of one window is not used for the new case.
     windows.session.do(SetWindow(400.0, 40.0), window=1)
     assert windows.sight(2) == begun
     assert windows.sight(1).texture

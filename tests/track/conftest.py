@@ -1,4 +1,4 @@
-"""A synthetic chest: a trachea that divides twice, in two lungs, on an oblique grid in any storage order."""
+"""Synthetic chest for the tests: a trachea and two generations of forks in two lungs, on an oblique grid."""
 
 from __future__ import annotations
 
@@ -21,12 +21,15 @@ class DrawnChest:
     """Start, end and radius (mm) of each tube: trachea, right and left main bronchus, two right, two left."""
 
     def depth_mm(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the signed distance to the wall of the nearest tube, negative inside, mm."""
+        """Return the signed distance of each point (LPS mm) from the wall of the nearest tube, mm.
+
+        Negative inside a tube.
+        """
         return np.min([off_segment(points, a, b) - r for a, b, r in self.tubes], axis=0)
 
 
 def off_segment(points: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the distance of (..., 3) points to a segment."""
+    """Return the distance of points (..., 3) from the segment between ``a`` and ``b``."""
     along = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
     return np.linalg.norm(points - a - along[..., None] * (b - a), axis=-1)
 
@@ -38,7 +41,7 @@ def draw(
     num_tubes: int = 7,
     seed: int = 1,
 ) -> DrawnChest:
-    """Return the synthetic chest, stored with permuted and flipped axes."""
+    """Return the synthetic chest, with permuted and flipped axes of the array."""
     shape = np.array([112, 80, 96])
     spacing = np.array([1.0, 1.1, 1.6])
     t, s = 0.2, 0.12
@@ -75,7 +78,7 @@ def draw(
     noise = np.random.default_rng(seed).normal(0.0, 12.0, values.shape)
     values = np.rint(air * -1000.0 + (1.0 - air) * values + noise).astype(np.int16)
 
-    # Permute and flip the array axes; the positions of the voxels in LPS stay the same.
+    # The array axes are permuted and flipped; the positions of the voxels in LPS stay the same.
     values = values.transpose(axes)
     stored = matrix.copy()
     stored[:3, :3] = matrix[:3, list(axes)]

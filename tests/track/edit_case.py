@@ -26,9 +26,9 @@ class EditCase:
     tips: list[NDArray[np.float64]]
     """Ends of the four small tubes, LPS mm: two on the right, two on the left."""
     hidden: NDArray[np.float64]
-    """End of a tube behind a mucus plug, which the automatic search cannot reach, LPS mm."""
+    """End of a tube beyond a mucus plug, which the automatic search cannot reach, LPS mm."""
     plug: NDArray[np.float64]
-    """Middle of the plug, LPS mm."""
+    """Middle of the mucus plug, LPS mm."""
 
 
 def _off(points: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -62,7 +62,7 @@ def edit_case() -> EditCase:
         (left, tips[2], 1.8),
         (left, tips[3], 1.9),
     ]
-    # A branch of the trachea that is blocked near its start.
+    # The hidden tube is a branch of the trachea that is blocked near its start.
     hidden = (at(1, 2, 18), at(8, 8, 8), 1.9)
     depth = np.min([_off(points, a, b) - r for a, b, r in [*tubes, hidden]], axis=0)
 
@@ -93,7 +93,7 @@ def open_ended_volume() -> Volume:
 
 @cache
 def open_ended_airways() -> Airways:
-    """Return the airways of this case with a tracker in the volume with open tubes."""
+    """Return the airways of the case, with a tracker in the volume whose first two tubes are open."""
     airways, grid = edit_case().airways, PathGrid(open_ended_volume())
     told = airways.tracker
     recipe = CoreRecipe(airways.wall_levels, is_edited=False)
@@ -104,7 +104,7 @@ def open_ended_airways() -> Airways:
 
 
 def in_plain_lung() -> tuple[float, float, float]:
-    """Return a point (LPS mm) in the volume with open tubes that a path without evidence reaches."""
+    """Return a point (LPS mm) in plain lung that a path through an open tube reaches, without evidence of an airway."""
     x, y, z = (float(v) for v in edit_case().tips[0] + np.array([-3.0, 0.5, -3.0]))
     return x, y, z
 

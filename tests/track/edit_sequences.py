@@ -29,7 +29,10 @@ PLANES = ("axial", "coronal", "sagittal", "ball")
 
 
 def some_edit(kind: str, airways: Airways, number: Callable[[int], int], case: EditCase) -> TreeEdit:
-    """Return an edit of this kind; ``number(n)`` chooses among n. Most edits are valid, some are refused."""
+    """Return an edit of the kind ``kind``; ``number(n)`` chooses one of n values.
+
+    Most edits are valid, some are refused.
+    """
     branches = airways.tree.branches
     branch = branches[number(len(branches))]
     place = branch.points[number(len(branch.points))]
@@ -61,7 +64,7 @@ def some_edit(kind: str, airways: Airways, number: Callable[[int], int], case: E
 
 @dataclass
 class Editing:
-    """Airways with their undo and redo stacks."""
+    """Airways that are edited at random, with their undo and redo stacks."""
 
     case: EditCase = field(default_factory=edit_case)
     done: list[Airways] = field(default_factory=list)
@@ -94,7 +97,7 @@ class Editing:
             self.done.append(self.undone.pop())
 
     def check(self, airways: Airways) -> None:
-        """Assert that the edits one by one give the same airways as all edits from scratch."""
+        """Assert that the airways after the edits one by one equal the airways after all edits from scratch."""
         assert_same(airways, rebuild_airways(self.case.volume, self.case.airways, airways.edits))
         for branch in airways.tree.branches:
             assert airways.tracker.inside(branch.points).all(), f"branch {branch.id} leaves the lumen"

@@ -1,4 +1,4 @@
-"""Phantoms whose trachea leans, with air beside the trachea that diverges from it, and parts of such scans."""
+"""Phantoms with a neck and a leaning trachea, with air in the oesophagus beside it, and parts of such scans."""
 
 from __future__ import annotations
 
@@ -11,21 +11,25 @@ from numpy.typing import NDArray
 from carina.phantom import Phantom, generate_phantom
 from carina.volume import Volume
 
-# The chest down to the lower lobe bronchi, and the neck.
 BOX_LPS = ((-130.0, -105.0, -110.0), (130.0, 105.0, 195.0))
+"""Box that contains the neck and the chest down to the lower lobe bronchi, LPS mm."""
 GULLET_RADIUS_MM = 3.6
+"""Radius of the air in the oesophagus, mm."""
 GULLET_WALL_MM = 2.0
+"""Thickness of the wall around the air in the oesophagus, mm."""
 BESIDE_MM = 16.0
+"""Distance of the oesophagus from the top of the trachea to the side, mm."""
 BEHIND_MM = 13.0
+"""Distance of the oesophagus behind the trachea, mm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeaningNeck:
-    """A CT with a neck and a leaning trachea."""
+    """CT with a neck and a leaning trachea, and the true tree of the phantom."""
 
     made: Phantom
     volume: Volume
-    """The phantom's volume, with air in the gullet, at the patient's size."""
+    """The phantom's volume, scaled to the patient's size, with air in the oesophagus."""
     scale: float
 
     @property
@@ -33,7 +37,7 @@ class LeaningNeck:
         return self.scale * np.array(self.made.truth["cricoid_lps"])
 
     def trachea_at(self, above_carina_mm: float) -> NDArray[np.float64]:
-        """Return the point of the trachea's centreline at a height, in mm of the unscaled phantom."""
+        """Return the point of the trachea's centreline at a height above the carina, in mm of the unscaled phantom."""
         points = np.array(self.made.truth["branches"][0]["points"])
         return self.scale * points[int(np.argmin(np.abs(points[:, 2] - above_carina_mm)))]
 
@@ -45,7 +49,10 @@ class LeaningNeck:
         return self.scale * gullet_at(self.made, above_carina_mm)
 
     def cropped(self, *, above_mm: float | None = None, below_mm: float | None = None) -> Volume:
-        """Return the slices above or below a height over the carina, in mm of the unscaled phantom."""
+        """Return the slices above the height ``above_mm`` or below the height ``below_mm``.
+
+        Heights are above the carina, in mm of the unscaled phantom.
+        """
         z0, step = float(self.volume.lps_from_ijk[2, 3]), self.volume.spacing_mm[2]
         first = 0 if above_mm is None else int(np.ceil((self.scale * above_mm - z0) / step))
         stop = None if below_mm is None else int(np.floor((self.scale * below_mm - z0) / step)) + 1
@@ -55,11 +62,14 @@ class LeaningNeck:
 
 
 GULLET_MM = (45.0, 80.0)
-"""Heights above the carina between which the gullet holds air."""
+"""Heights above the carina between which the oesophagus contains air, mm of the unscaled phantom."""
 
 
 def gullet_at(made: Phantom, above_carina_mm: float) -> NDArray[np.float64]:
-    """Return the axis of the oesophagus: vertical, on the side to which the trachea leans."""
+    """Return the point of the oesophagus's axis at a height above the carina, LPS mm.
+
+    The axis is vertical, on the side to which the trachea leans.
+    """
     points = np.array(made.truth["branches"][0]["points"])
     top = points[int(np.argmin(np.abs(points[:, 2] - GULLET_MM[1])))]
     side = 1.0 if made.truth["lean_deg"][0] >= 0.0 else -1.0
@@ -99,7 +109,7 @@ def leaning_neck(
 ) -> LeaningNeck:
     """Return a CT with a leaning trachea.
 
-    ``scale`` is the patient's size relative to an adult, ``spacing_mm`` the scan's.
+    ``scale`` is the patient's size relative to an adult; ``spacing_mm`` is the spacing of the scan.
     """
     made = generate_phantom(
         seed=seed,

@@ -14,7 +14,7 @@ def named(airways, name):
 
 
 def plugged(volume, branch, length_mm):
-    """Return the CT with mucus in the first part of a branch, out to the wall."""
+    """Return the CT with mucus in the first ``length_mm`` of a branch, from its axis to its wall."""
     values = volume.hu_zyx.copy()
     steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])

@@ -12,7 +12,7 @@ from carina.volume import Volume
 
 
 def scaled(volume: Volume, scale: float) -> Volume:
-    """Return the same voxels with every distance multiplied."""
+    """Return a volume with the same voxels in which every distance is multiplied by ``scale``."""
     matrix = volume.lps_from_ijk.copy()
     matrix[:3] *= scale
     return Volume(volume.hu_zyx, matrix)
@@ -20,9 +20,9 @@ def scaled(volume: Volume, scale: float) -> Volume:
 
 @dataclass(frozen=True)
 class ScaledTruth:
-    """The branches of a tree in a scaled phantom, split by the truth.
+    """Branches of a tree found in a scaled phantom, divided into true and false ones.
 
-    A branch is true where more than half of its points are within a voxel of a true lumen.
+    A branch is true if more than half of its points are within a voxel of a true lumen.
     """
 
     true: list[Branch]
@@ -30,12 +30,18 @@ class ScaledTruth:
 
     @classmethod
     def of(cls, tree: AirwayTree, *, seed: int, scale: float, voxel_mm: float) -> ScaledTruth:
-        """Compare a tree with the phantom of this seed.
+        """Compare a tree with the truth of the phantom ``seed``.
 
         Parameters
         ----------
+        tree
+            Tree found in the scaled phantom.
+        seed
+            Seed of the phantom.
+        scale
+            Factor by which the phantom is scaled.
         voxel_mm
-            Edge of a voxel before the scaling.
+            Edge of a voxel before the scaling, mm.
         """
         points = np.concatenate([branch.points for branch in tree.branches]) / scale
         near = lumen_distance_at(points, seed=seed) <= voxel_mm
@@ -46,5 +52,5 @@ class ScaledTruth:
 
     @property
     def most_confident_false(self) -> float:
-        """Highest confidence of a false branch; 0 without one."""
+        """Highest confidence of a false branch; 0 if no branch is false."""
         return max((branch.confidence or 0.0 for branch in self.false), default=0.0)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from carina.volume import Volume
 
 SIGMA_VOX = 1.2
-"""Standard deviation of the blur in the unsharp mask."""
+"""Standard deviation of the blur of the unsharp mask, voxels."""
 
 
 def sharpened(volume: Volume, amount: float, noise_hu: float = 0.0, *, seed: int = 1) -> Volume:
@@ -41,7 +41,7 @@ def _blurred(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def grown(lumen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a lumen with all voxels that share a face with it."""
+    """Return a lumen with all voxels that share a face with one of its voxels."""
     wide = lumen.copy()
     for axis in range(3):
         a, b = np.moveaxis(wide, axis, 0), np.moveaxis(lumen, axis, 0)

@@ -1,4 +1,4 @@
-"""Tests of absent lobes and segments: each is listed with the evidence in the CT, and a missed branch is no disease."""
+"""Tests of absent lobes and segments: each has evidence in the CT, and a missed branch is no disease."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DISEASE = re.compile("blocked|filled|fills|resected|collapsed|tumour|mucus|secre
 
 
 def off_mm(points, place):
-    """Return the distance of a place from a centreline."""
+    """Return the distance of a point from the nearest point of a centreline, mm."""
     return float(np.linalg.norm(points - np.array(place), axis=1).min())
 
 
@@ -31,7 +31,7 @@ def chest():
 
 
 def without(tree, name):
-    """Return the tree without a named branch and everything beyond it."""
+    """Return the tree without a named branch and its descendants."""
     gone = {branch.id for branch in tree.branches if branch.name == name}
     for branch in tree.branches:
         if branch.parent in gone:
@@ -48,13 +48,13 @@ def test_complete_tree_has_no_absent_segment(chest):
     assert chest[1].absent == ()
 
 
-def test_tree_without_names_reports_nothing_absent(chest):
+def test_tree_without_names_has_no_absent_segments(chest):
     bare = tuple(dataclasses.replace(branch, name=None) for branch in chest[1].tree.branches)
     assert find_absent(AirwayTree(bare)) == ()
 
 
 @pytest.mark.parametrize("name", ["RB6", "LB3", "RB10", "LB1+2"])
-def test_missed_segment_is_reported_on_its_own_parent_without_a_disease(chest, name):
+def test_missed_segment_is_reported_on_its_parent_without_a_disease(chest, name):
     made, airways = chest
     tree = without(airways.tree, name)
     (absence,) = find_absent(tree, (), made.volume)
@@ -79,7 +79,7 @@ def test_missed_lobe_is_reported_once_at_its_origin_without_a_disease(chest, nam
     assert np.linalg.norm(named(airways, name).points[0] - absence.lps) < 5.0
 
 
-def test_lobe_is_not_reported_at_the_lost_end_of_another_lobe(chest):
+def test_missing_lobe_is_not_reported_at_a_lost_end_in_another_lobe(chest):
     made, airways = chest
     tree = without(without(airways.tree, "RML"), "Right basal trunk")
     lower = tree.named("RLL")
@@ -114,9 +114,9 @@ def test_unnamed_branch_at_the_position_of_a_segment_is_reported_as_unnamed(ches
 
 
 def resected(seed, lobe, stump_mm=4.0):
-    """Return a true tree and the tree after a lobectomy.
+    """Return a true tree, and the tree after the resection of a lobe.
 
-    A stump of the lobe remains, and its neighbours move towards it.
+    A stump of the lobe's bronchus remains, and the neighbouring bronchi move towards it.
     """
     box = ((-10.0, -10.0, -10.0), (10.0, 10.0, 10.0))
     made = carina.generate_phantom(seed=seed, spacing_mm=5.0, box_lps=box, generations=5)
@@ -182,7 +182,7 @@ def test_mucus_in_a_bronchus_is_reported_with_its_position(chest, name, lacking,
     for absence in airways.absent:
         assert (absence.kind, absence.carrier) == ("filled", carrier)
         assert absence.beyond_mm < 25.0
-        # Middle of the mucus, which extends up to 14 mm into the branch.
+        # The middle of the mucus, which extends up to 14 mm into the branch, is compared.
         assert np.linalg.norm(np.array(absence.lps) - branch.points[0]) < 12.0
 
 
@@ -202,7 +202,7 @@ def test_scan_that_ends_above_the_bases_reports_segments_outside(chest):
     place[:3, 3] += cut * place[:3, 2]
     airways = carina.find_airways(Volume(np.ascontiguousarray(made.volume.hu_zyx[cut:]), place))
     kinds = {absence.name: absence.kind for absence in airways.absent}
-    # For some segments only the first millimetres are in the scan, too little for a name.
+    # Of some segments only the first millimetres are in the scan, too little for a name.
     assert {"outside"} <= set(kinds.values()) <= {"outside", "unnamed"}
     assert not any(DISEASE.search(absence.words) for absence in airways.absent)
 
@@ -301,7 +301,7 @@ def test_bundled_patient_lacks_only_segments_with_unidentified_branches():
 
 
 @pytest.mark.parametrize("spacing_mm", [(1.0, 1.0, 4.0), 2.5, 3.0])
-def test_misses_in_coarse_scans_of_a_healthy_chest_are_no_disease(spacing_mm):
+def test_missed_segments_in_coarse_scans_of_a_healthy_chest_name_no_disease(spacing_mm):
     airways = carina.find_airways(made_phantom(seed=3, spacing_mm=spacing_mm, noise_hu=25.0).volume)
     assert len(airways.tree) < 120, "the search misses airways that the phantom has"
     told = [*(absence.words for absence in airways.absent), *(place.reason for place in airways.uncertain)]
@@ -309,7 +309,7 @@ def test_misses_in_coarse_scans_of_a_healthy_chest_are_no_disease(spacing_mm):
     assert [words for words in told if DISEASE.search(words)] == []
 
 
-def test_a_stump_beside_a_branch_is_not_the_end_of_this_branch():
+def test_stump_beside_a_branch_is_not_listed_as_the_end_of_the_branch():
     trunk = Branch(0, None, (1,), 0, "Trachea", "tracked", np.array([[0.0, 0, 0], [0, 0, -90]]), np.full(2, 8.0))
     right = Branch(1, 0, (), 1, "RMB", "tracked", np.array([[0.0, 0, -90], [-30, 0, -130]]), np.full(2, 6.0))
     tree = AirwayTree((trunk, right))
@@ -319,7 +319,7 @@ def test_a_stump_beside_a_branch_is_not_the_end_of_this_branch():
     assert {one.kind for one in find_absent(tree, [beside]) if one.name[0] == "R"} == {"nothing"}
 
 
-def test_a_stump_without_a_branch_of_its_own_is_listed_where_its_bronchus_ends():
+def test_stump_without_a_branch_is_listed_at_the_end_of_its_bronchus():
     made = carina.generate_phantom(seed=2, spacing_mm=(1.0, 1.0, 3.0), noise_hu=25.0, resected="RLL")
     airways = carina.find_airways(made.volume)
     (stump,) = [place for place in airways.uncertain if place.kind == "stump"]

@@ -23,7 +23,7 @@ STORED = [
 
 
 @pytest.mark.parametrize(("axes", "flips"), STORED)
-def test_sides_and_branches_are_right_on_any_grid(draw_chest, axes, flips):
+def test_branches_and_their_sides_are_correct_for_any_storage_order(draw_chest, axes, flips):
     chest = draw_chest(axes=axes, flips=flips)
     airways = find_airways(chest.volume)
     tree = airways.tree
@@ -31,10 +31,10 @@ def test_sides_and_branches_are_right_on_any_grid(draw_chest, axes, flips):
     assert sorted(branch.generation for branch in tree.branches) == [0, 1, 1, 2, 2, 2, 2]
     trachea, right, left = (tree.named(name) for name in ("Trachea", "RMB", "LMB"))
     assert trachea is tree.root
-    # The patient's right is -x in LPS, whatever the grid's axes are.
+    # In LPS the patient's right is at lower x, whatever the axes of the grid are.
     assert right.tip_lps[0] < trachea.tip_lps[0] - 5.0
     assert left.tip_lps[0] > trachea.tip_lps[0] + 5.0
-    # Tolerance 4 mm: the drawn trachea has a rounded top, of which a tilted slice meets only a part.
+    # Tolerance 4 mm: the top of the drawn trachea is rounded, and a tilted slice shows only a part of it.
     assert np.linalg.norm(airways.root_lps[:2] - chest.tubes[0][0][:2]) < 4.0
     assert airways.root_lps[2] > chest.tubes[0][1][2] + 40.0
 
@@ -71,13 +71,14 @@ def test_routes_are_smooth_and_list_their_forks(chest):
         assert (np.diff(route.generation) >= 0).all()
         assert route.branch_ids[-1] == tip.id
         assert chest.depth_mm(route.points_lps).max() < 0.0
-        # The generation changes at the forks, within the distance of one point.
+        # The generation of the route's points changes at the forks, to within one point.
         changes = route.cumulative_mm[:-1][np.diff(route.generation) > 0]
         assert np.abs(changes - route.forks_mm).max() <= np.diff(route.cumulative_mm).max()
         steps = np.diff(route.points_lps, axis=0)
         steps /= np.linalg.norm(steps, axis=1, keepdims=True)
         turns = np.degrees(np.arccos(np.clip((steps[1:] * steps[:-1]).sum(axis=1), -1.0, 1.0)))
-        # A voxel path turns by 20 to 45 degrees at every step; the drawn forks bend by 45 degrees over about 10 mm.
+        # Without smoothing, a path of voxels turns by 20 to 45 degrees at every step; the drawn forks bend by 45
+        # degrees over about 10 mm.
         assert turns.max() < 9.0
 
 
@@ -97,7 +98,7 @@ def test_root_outside_the_lumen_is_moved_within_5_mm_or_refused(chest):
 
 def test_root_in_a_crop_without_trachea_gives_a_tree(draw_chest):
     chest = draw_chest()
-    # Below the carina: only the right main bronchus and its branches.
+    # The volume contains only the right main bronchus and its branches.
     half = draw_chest(num_tubes=5)
     values = np.array(half.volume.hu_zyx)
     carina = chest.tubes[0][1]
@@ -113,9 +114,9 @@ def test_root_in_a_crop_without_trachea_gives_a_tree(draw_chest):
     assert all(branch.name is None for branch in airways.tree.branches)
 
 
-def test_root_in_the_lung_finds_no_airway(chest):
+def test_root_in_emphysematous_lung_is_refused_as_no_airway(chest):
     values = np.array(chest.volume.hu_zyx)
-    # Emphysema: lung as dark as air.
+    # The values are those of emphysema: lung as dark as air.
     values[values < -700] = -950
     volume = Volume(values, chest.volume.lps_from_ijk)
     lung = 0.5 * (chest.tubes[1][0] + chest.tubes[1][1]) + [-20.0, 10.0, -6.0]
@@ -135,12 +136,13 @@ def test_trachea_with_one_main_bronchus_is_reported_as_less_certain(draw_chest):
     assert not any("may not have been identified" in note for note in both.notes)
     one = find_airways(draw_chest(num_tubes=2).volume)
     assert any("only one main bronchus" in note for note in one.notes)
-    # The same trachea, with a tolerance of one slice.
+    # The roots of both searches agree to within one slice.
     assert np.linalg.norm(one.root_lps - both.root_lps) < 3.0
 
 
 def test_automatic_root_in_a_lower_bronchus_is_refused(chest):
-    # From a root in a segment, paths to three ends in the lung first go up, as with a wrongly detected trachea.
+    # From a root in a segmental bronchus the paths to three ends in the lung first lead up, as from a wrongly detected
+    # trachea.
     start, end, _ = chest.tubes[3]
     lower = find_airways(chest.volume, lumen_zyx=find_airways(chest.volume).lumen_zyx, root_lps=0.2 * start + 0.8 * end)
     assert lower.root_lps[2] < chest.tubes[0][1][2] - 20.0
@@ -158,7 +160,7 @@ def test_volume_of_one_value_is_refused(rng):
         find_airways(noise)
 
 
-def test_imported_mask_replaces_the_lumen(chest):
+def test_search_with_an_imported_mask_uses_its_voxels_as_the_lumen(chest):
     automatic = find_airways(chest.volume)
     given = find_airways(chest.volume, lumen_zyx=automatic.lumen_zyx * np.uint8(7))
     assert len(given.tree) == len(automatic.tree)
@@ -171,11 +173,11 @@ def test_imported_mask_replaces_the_lumen(chest):
 
 
 def test_threshold_of_an_8_bit_volume_comes_from_its_histogram(chest):
-    # The window of a lung display: -1050 to 450 HU on 0 to 255.
+    # The values of a lung window, -1050 to 450 HU, are mapped to 0 to 255.
     grey = np.clip((chest.volume.hu_zyx.astype(np.float64) + 1050.0) / 1500.0 * 255.0, 0, 255)
     volume = Volume(np.rint(grey).astype(np.int16), chest.volume.lps_from_ijk, is_hu=False, not_hu_reason="8 bit")
     threshold = lumen_threshold_from_histogram(volume)
-    # -800 HU in that window is 42.5; the histogram determines this value within 60 HU.
+    # In this window -800 HU is 42.5; the threshold from the histogram may differ by 60 HU (10 grey levels).
     assert abs(threshold - 42.5) < 10.0
     airways = find_airways(volume)
     assert airways.threshold == threshold
@@ -221,7 +223,7 @@ def test_targets_are_tracked_snapped_or_refused_one_by_one(chest):
     assert first.snapped_mm == 0.0
     assert first.problem is None
     assert list(first.path.generation[[0, -1]]) == [0, 2]
-    # Tolerance: half a voxel's diagonal.
+    # The tolerance is half of a voxel's diagonal.
     assert np.linalg.norm(first.path.points_lps[-1] - inside) < 1.1
     assert 0.0 < snapped.snapped_mm <= 5.0
     assert np.linalg.norm(snapped.used_lps - snapped.requested_lps) == pytest.approx(snapped.snapped_mm)
@@ -231,13 +233,13 @@ def test_targets_are_tracked_snapped_or_refused_one_by_one(chest):
         assert result.airways.tracker.inside(target.path.points_lps).all()
         assert result.airways.tracker.inside(target.path.voxel_path_lps).all()
         assert chest.depth_mm(target.path.points_lps).max() < 0.8
-    # The tree of both paths: trachea, both main bronchi, one branch on each side.
+    # The tree of both paths has a trachea, two main bronchi, and a branch on each side.
     assert sorted(branch.generation for branch in result.tree.branches)[:3] == [0, 1, 1]
     assert {branch.name for branch in result.tree.branches if branch.generation < 2} == {"Trachea", "RMB", "LMB"}
 
 
 def test_paths_begin_at_a_given_start_in_the_trachea_or_a_bronchus(chest):
-    """Compare with the search, which begins the tree at the top of the trachea for any start in the trachea."""
+    """Compare paths from three starts with the search, whose tree begins at the top of the trachea."""
     (top, end, _), tip = chest.tubes[0], chest.tubes[3][1]
     whole = find_airways(chest.volume)
     middle = 0.5 * (top + end)
@@ -252,9 +254,9 @@ def test_paths_begin_at_a_given_start_in_the_trachea_or_a_bronchus(chest):
     assert lengths[1] - lengths[2] > 0.4 * np.linalg.norm(end - top)
 
 
-def test_lumen_island_has_no_path(chest):
+def test_target_in_a_lumen_cut_off_from_the_root_has_no_path(chest):
     lumen = np.array(find_airways(chest.volume).lumen_zyx)
-    # Cut the left main bronchus in two.
+    # A gap cuts the left main bronchus in two.
     start, end, _ = chest.tubes[2]
     k, j, i = np.nonzero(lumen)
     points = chest.volume.to_lps(np.stack([i, j, k], axis=-1))
@@ -267,7 +269,7 @@ def test_lumen_island_has_no_path(chest):
     assert any("not connected" in note for note in result.airways.notes)
 
 
-def test_bad_arguments_are_refused(chest):
+def test_paths_with_invalid_targets_or_an_unknown_cost_are_refused(chest):
     with pytest.raises(UsageError, match="outside the volume"):
         track_paths(chest.volume, targets=[[0.0, 0.0, 9999.0]])
     with pytest.raises(UsageError, match="targets: expected 1 to 10000 entries"):

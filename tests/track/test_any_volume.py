@@ -30,22 +30,22 @@ def test_walls_cost_follows_a_vessel_round_its_bend(vessel, graph):
     assert [target.problem for target in result.targets] == [None, None]
     to_end = result.targets[0].path
     assert inside[voxels_of(volume, to_end.voxel_path_lps)].all()
-    # The path follows the bend of 15.4 and 18.9 mm instead of its chord; the tolerance allows for voxel steps.
+    # The path must follow the bend (15.4 and 18.9 mm) instead of its chord; the tolerance covers voxel steps.
     assert 0.85 * (15.4 + 18.9) < to_end.length_mm < 1.2 * (15.4 + 18.9)
-    # The paths begin and end in the given voxels; no target is moved.
+    # Paths begin and end in the voxels of the given points, so no target was moved.
     half_mm = 0.5 * float(np.linalg.norm(volume.spacing_mm))
     assert np.linalg.norm(to_end.points_lps[0] - root) <= half_mm
     assert np.linalg.norm(to_end.points_lps[-1] - end) <= half_mm
     for row in result.search.targets:
         assert (row.num_outside, row.outside_mm) == (None, None)
         assert 1100 < row.value_range[0] <= row.value_range[1] < 1300
-    # The tree of both paths carries the note that the lumen is unknown.
+    # The tree of both paths has the note that its lumen is unknown.
     assert result.tree.notes == (NO_LUMEN,)
     assert set(to_end.branch_ids) <= {branch.id for branch in result.tree.branches}
     assert not np.concatenate([branch.radius for branch in result.tree.branches]).any()
 
 
-def test_paper_cost_follows_edges_and_its_values_show_it(vessel):
+def test_path_of_the_paper_cost_follows_edges_and_reports_its_values(vessel):
     volume, _, root, _, end = vessel
     result = carina.track_paths(volume, root=root, targets=[end], cost="paper")
     assert result.targets[0].path is not None
@@ -53,7 +53,7 @@ def test_paper_cost_follows_edges_and_its_values_show_it(vessel):
     assert result.airways is None
 
 
-def test_missing_arguments_are_reported(vessel):
+def test_paths_without_a_start_or_with_points_outside_the_volume_are_refused(vessel):
     volume, _, root, _, end = vessel
     outside = np.asarray(end) + np.array([500.0, 0.0, 0.0])
     with pytest.raises(UsageError, match=r"the target .* lies outside the volume"):
@@ -85,20 +85,20 @@ def test_target_outside_the_box_has_no_path_and_a_reason(vessel):
 @pytest.mark.data
 def test_aorta_in_8_bit_data_is_followed_from_arch_to_abdomen(data_dir):
     volume = carina.open_volume(data_dir / HEAD_AND_LIDC2 / "LIDC2_256x256x133_uint8.mha")
-    # Read from four slices: the middle of the descending aorta.
+    # Points read from four slices by eye, in the middle of the descending aorta.
     root, *targets = volume.to_lps(np.array([[133.0, 93, 46], [133, 93, 66], [135, 110, 86]]))
     result = carina.track_paths(volume, root=root, targets=targets, cost="walls")
     assert result.airways is None
     assert "8 bits" in volume.not_hu_reason
-    # Contrast is 115 to 140 of 255 here, muscle below 60, lung 0: the path never leaves the vessel.
+    # Contrast medium is 115 to 140 of 255 in this CT, muscle below 60, lung 0: the path never leaves the vessel.
     assert [row.value_range[0] > 110 and row.value_range[1] < 150 for row in result.search.targets] == [True, True]
     assert [round(target.path.length_mm) for target in result.targets] == pytest.approx([67, 139], abs=3)
 
 
 @pytest.mark.data
-def test_path_that_leaves_the_air_of_the_head_shows_it_in_its_values(data_dir):
+def test_path_that_leaves_the_air_of_the_head_reports_values_of_tissue(data_dir):
     volume = carina.open_volume(data_dir / HEAD_AND_LIDC2 / "headsq_64x64x93_int16.mha")
-    # Read from the slices: nasopharynx, maxillary air in the same slice, and trachea 87 mm below.
+    # Points read from the slices by eye: nasopharynx, maxillary air in the same slice, and trachea 87 mm below.
     root, near, trachea = volume.to_lps(np.array([[27.0, 35, 32], [22, 42, 32], [30, 30, 90]]))
     result = carina.track_paths(volume, root=root, targets=[near, trachea], cost="walls")
     assert [target.problem for target in result.targets] == [None, None]

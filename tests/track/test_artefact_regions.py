@@ -1,4 +1,4 @@
-"""Tests of CTs disturbed by metal or breathing: few false airways, less confidence, and a lasting note."""
+"""Tests of CTs disturbed by metal or breathing: few false airways, lower confidence, and a lasting note."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def made(seed: int) -> Phantom:
 
 
 def slices_in(words: str) -> tuple[int, int, int]:
-    """Return the first and last number and the count of the slices in a note of streaks."""
+    """Return the first slice number, the last slice number and the number of slices that a note of streaks states."""
     first, rest = words.split("in slices ")[1].split(" to ", 1)
     last, count = rest.split(" from the feet")[0].split(" of ")
     return int(first), int(last), int(count)
@@ -50,7 +50,10 @@ def badges(airways: Airways) -> set[str]:
 
 
 def num_false(airways: Airways, seed: int, volume: Volume) -> int:
-    """Count branches with more than half of their points farther than a voxel outside every lumen."""
+    """Return the number of false branches among the airways found in a disturbed CT.
+
+    More than half of the points of a false branch lie farther than a voxel outside every lumen.
+    """
     voxel_mm = float(np.cbrt(np.prod(volume.spacing_mm)))
     return sum(
         bool((lumen_distance_at(branch.points, seed=seed) > voxel_mm).mean() > 0.5) for branch in airways.tree.branches
@@ -69,12 +72,12 @@ def test_streaks_of_clips_add_few_false_branches_and_leave_a_note(seed: int) -> 
     changed = np.abs(volume.hu_zyx - phantom.volume.hu_zyx) > 100
     streaks = np.flatnonzero(changed.mean(axis=(1, 2)) > 0.02) + 1
     first, last, _ = slices_in(note.words)
-    # The note includes slices within 2 mm of the streaks.
+    # The note also counts slices within 2 mm of the streaks.
     assert streaks[0] - 4 <= first <= streaks[0] + 1
     assert streaks[-1] - 1 <= last <= streaks[-1] + 4
 
 
-def test_no_branch_in_streaks_is_more_confident_than_the_limit() -> None:
+def test_branches_in_streaks_have_at_most_the_limit_of_confidence() -> None:
     phantom = made(2)
     volume = with_clips(phantom.volume, hilum(phantom), seed=2)
     region = find_streaks(volume, air_scale(volume))
@@ -88,8 +91,8 @@ def test_no_branch_in_streaks_is_more_confident_than_the_limit() -> None:
             assert branch.confidence <= MOST_CONFIDENCE
 
 
-def test_metal_without_streaks_and_dense_contrast_medium_change_nothing() -> None:
-    """The bundled patient has values above 2,000 HU in 69 of 97 slices."""
+def test_metal_without_streaks_and_contrast_medium_leave_the_airways_unchanged() -> None:
+    """Use the bundled patient, which has values above 2,000 HU in 69 of 97 slices."""
     volume, _ = the_patient()
     assert (volume.hu_zyx >= 2000).any(axis=(1, 2)).sum() > 60
     assert find_streaks(volume, air_scale(volume)) is None
@@ -99,7 +102,7 @@ def test_metal_without_streaks_and_dense_contrast_medium_change_nothing() -> Non
     assert find_streaks(lead, air_scale(lead)) is None
 
 
-def test_metal_disturbs_no_farther_than_its_streaks_reach() -> None:
+def test_region_disturbed_by_metal_ends_where_its_streaks_end() -> None:
     phantom = made(1)
     volume = phantom.volume
     place = hilum(phantom)
@@ -112,7 +115,7 @@ def test_metal_disturbs_no_farther_than_its_streaks_reach() -> None:
     assert not near.any(axis=(1, 2)).all()
 
 
-def test_metal_is_found_in_a_file_whose_values_are_clipped_below_metal() -> None:
+def test_metal_is_found_in_a_ct_whose_values_are_clipped_below_those_of_metal() -> None:
     phantom = made(1)
     volume = with_clips(phantom.volume, hilum(phantom), seed=1)
     clipped = dataclasses.replace(volume, hu_zyx=np.minimum(volume.hu_zyx, np.int16(1400)))
@@ -143,7 +146,10 @@ def test_a_breathing_step_leaves_a_note_with_its_slices() -> None:
 
 
 def test_search_that_leaked_at_a_breathing_step_is_repeated_with_closed_lung() -> None:
-    """Repeat the search because bronchial air on one side of a breathing step touches lung on the other side."""
+    """Use a CT in which the first search leaks at a breathing step.
+
+    Air of a bronchus on one side of the step touches lung on the other side.
+    """
     volume = made(1).volume
     values = volume.hu_zyx.copy()
     k = values.shape[0] // 2
@@ -198,7 +204,7 @@ def test_streaks_in_divided_slices_add_few_false_branches_and_leave_a_note() -> 
     assert slices_in(note.words) == (used[0], used[-1], volume.shape_zyx[0])
 
 
-def test_a_step_in_divided_slices_is_stated_with_slices_of_the_ct() -> None:
+def test_note_of_a_breathing_step_in_divided_slices_names_slices_of_the_ct() -> None:
     volume = stepped(made_phantom(**THICK, seed=1).volume, Step(-30.0))
     found = find_airways(volume)
     assert found.tracker.lumen_zyx.shape[0] == 3 * volume.shape_zyx[0]
@@ -209,14 +215,14 @@ def test_a_step_in_divided_slices_is_stated_with_slices_of_the_ct() -> None:
 
 @pytest.mark.parametrize("noise_hu", [60.0, 100.0])
 @pytest.mark.parametrize("sigma_mm", [0.0, 0.8])
-def test_noise_is_neither_breathing_step_nor_metal(noise_hu: float, sigma_mm: float) -> None:
+def test_noise_is_not_reported_as_breathing_step_or_metal(noise_hu: float, sigma_mm: float) -> None:
     volume = noisy(made(1).volume, noise_hu, seed=1, sigma_mm=sigma_mm)
     assert find_steps(volume, air_scale(volume)) == ()
     assert find_streaks(volume, air_scale(volume)) is None
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_correlated_noise_and_streaks_are_no_tube_and_no_opening(seed: int) -> None:
+def test_correlated_noise_and_streaks_are_not_reported_as_tracheal_tube(seed: int) -> None:
     volume, plain = the_patient()
     above_z = plain.tree.root.tip_lps[2] + 20.0
     changed = streaked(noisy(volume, 100.0, seed=seed, sigma_mm=0.8), 100.0, seed=seed, from_lps_z=above_z)

@@ -1,4 +1,4 @@
-"""Tests of chests that are smaller or larger than those used to calibrate confidence."""
+"""Tests of the confidence in chests that are smaller or larger than those on which confidence was calibrated."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def confidences_of(tree):
 
 @pytest.fixture(scope="module")
 def half():
-    """Return a phantom at half size, with a trachea of 9 mm, and its airways."""
+    """Return a phantom at half size, whose trachea is 9 mm wide, and its airways."""
     volume = scaled(made_phantom(**MASKED_CHEST).volume, 0.5)
     return volume, carina.find_airways(volume)
 
@@ -96,7 +96,7 @@ def test_confidence_limit_decreases_continuously_outside_the_calibrated_range(tr
 
 
 def tree_of(trachea_mm, right_mm, left_mm):
-    """Return a tree of a trachea and two main bronchi with these diameters along them."""
+    """Return a tree of a trachea and two main bronchi; each argument lists diameters along one of them, mm."""
     names = ("Trachea", "RMB", "LMB")
     top, fork = [0.0, 0.0, 100.0], [0.0, 0.0, 0.0]
     ends = [(top, fork), (fork, [-30.0, 0.0, -30.0]), (fork, [50.0, 0.0, -30.0])]
@@ -130,14 +130,14 @@ def test_wide_main_bronchi_below_a_wide_trachea_lower_all_confidences():
     assert set(confidences_of(wide)) == {0.5}
 
 
-def test_tree_without_a_named_trachea_has_no_size():
+def test_tree_without_a_named_trachea_has_no_chest_size():
     small = tree_of([9.0] * 20, [7.5] * 8, [6.2] * 8)
     assert codes_of(with_size_note(small)) == [UNCALIBRATED_SIZE]
     unnamed = AirwayTree((dataclasses.replace(small.root, name=None, name_from=None), *small.branches[1:]))
     assert with_size_note(unnamed) is unnamed
 
 
-def test_search_size_is_1_for_a_trachea_of_16_mm_or_more():
+def test_search_size_is_1_if_the_trachea_is_16_mm_wide_or_wider():
     volume = Volume(np.zeros((4, 4, 4), np.int16), np.diag([0.8, 0.8, 3.0, 1.0]))
     edge_mm = 0.5 * 0.8
     assert search_size(volume, np.full(9, 16.0 - edge_mm)) == 1.0
@@ -145,11 +145,11 @@ def test_search_size_is_1_for_a_trachea_of_16_mm_or_more():
     assert search_size(volume, np.full(9, 25.0)) == 1.0
     assert search_size(volume, np.full(9, 1.0)) == 0.25
     assert search_size(volume, np.empty(0)) == 1.0
-    # A stenosis along two thirds of the trachea.
+    # The stenosis is along two thirds of the trachea.
     assert search_size(volume, np.array([18.0] * 10 + [7.0] * 20)) == 1.0
 
 
-def test_thinnest_airways_of_small_chests_are_not_certain():
+def test_thinnest_airways_of_small_chests_have_low_confidence():
     assert thread_confidence(1.0) == 0.95
     assert 0.9 < thread_confidence(0.998) < 0.95
     assert thread_confidence(0.95) == thread_confidence(0.5) == 0.5
@@ -165,7 +165,7 @@ def test_no_phantom_at_any_scale_has_a_confident_false_branch(seed, capsys):
         try:
             tree = carina.find_airways(scaled(volume, scale)).tree
         except NoResultError:
-            # A trachea of about 7 mm may not be recognised; the search then reports this and gives no branch at all.
+            # A trachea of about 7 mm may not be recognised; the search then raises an error that states it.
             refused.append(scale)
             continue
         found = ScaledTruth.of(tree, seed=seed, scale=scale, voxel_mm=voxel_mm)

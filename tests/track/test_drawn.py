@@ -1,4 +1,4 @@
-"""Tests that airway parts not visible in the CT are counted separately and never measured."""
+"""Tests that parts drawn by hand, which the CT does not show, are counted separately and not measured."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from made import SMALL_CHEST, made_airways, made_phantom
 
 @pytest.fixture(scope="module")
 def case():
-    """Return a phantom, its airways, and a distal branch without children."""
+    """Return a phantom, its airways, and a branch of the periphery that has no children."""
     airways = made_airways(**SMALL_CHEST)
     leaf = max(airways.tree.tips(), key=lambda branch: (branch.generation, branch.length_mm))
     return made_phantom(**SMALL_CHEST).volume, airways, leaf
@@ -39,14 +39,14 @@ def test_route_counts_its_length_along_branches_not_visible_in_the_ct(case, kind
     assert route_to_branch(airways.tree, leaf.id).drawn.words is None
 
 
-def test_text_states_the_drawn_and_the_total_length():
+def test_text_of_a_route_states_its_drawn_and_total_length():
     assert DrawnPart(180.0, drawn_mm=21.0).words == "21 of 180 mm drawn by hand"
     assert DrawnPart(180.0, 21.0, 8.0).words == "21 of 180 mm drawn by hand; 8 of 180 mm bridged across an obstruction"
     assert DrawnPart(180.0).words is None
 
 
 @pytest.mark.parametrize(("places_mm", "length_mm"), [([], 0.0), ([4.0], 0.0), ([4.0, 9.0], 5.0)])
-def test_shortest_paths_are_counted_too(case, places_mm, length_mm):
+def test_drawn_length_of_a_path_of_no_or_one_step_is_its_length(case, places_mm, length_mm):
     _, airways, leaf = case
     tree = of_kind(airways, leaf.id, "manual").tree
     ids = np.full(len(places_mm), leaf.id)

@@ -68,7 +68,7 @@ def test_edits_round_trip_through_json(many):
         (lambda: RenameBranch(1, "  "), "branch name: expected 1 to 80 characters"),
     ],
 )
-def test_edit_without_meaning_is_refused_with_the_expected_value(make, words):
+def test_edit_with_an_invalid_value_is_refused_with_the_expected_value(make, words):
     with pytest.raises(UsageError, match=words):
         make()
 
@@ -83,12 +83,12 @@ def test_edit_without_meaning_is_refused_with_the_expected_value(make, words):
         ({"edits": "cut"}, "edits must be a list"),
     ],
 )
-def test_invalid_list_of_edits_is_refused_with_the_position(change, words):
+def test_invalid_list_of_edits_is_refused_with_the_position_of_the_invalid_edit(change, words):
     with pytest.raises(TrackingError, match=words):
         edits_from_json(edits_to_json([CutBranch(1)]) | change)
 
 
-def test_text_of_an_edit_uses_the_name_of_the_branch():
+def test_text_of_an_edit_contains_the_name_of_the_branch():
     trunk = Branch(0, None, (7,), 0, "Trachea", "tracked", np.array([[0.0, 0, 0], [0, 0, -9]]), np.array([8.0, 8]))
     child = Branch(7, 0, (), 1, None, "tracked", np.array([[0.0, 0, -9], [9, 0, -9]]), np.array([8.0, 8]))
     airways = SimpleNamespace(tree=AirwayTree((trunk, child)))

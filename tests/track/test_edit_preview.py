@@ -20,14 +20,17 @@ def case():
 
 @pytest.fixture(scope="module")
 def opened(case):
-    """Return the case with two open tubes, so that paths lead into the lung, and with a visible branch cut off."""
+    """Return the edit case with two open tubes and with a visible branch cut off.
+
+    Paths lead through the open tubes into the lung.
+    """
     volume = open_ended_volume()
     leaf = case.airways.tree.nearest_branch(case.tips[3])[0]
     return volume, edit_airways(volume, open_ended_airways(), CutBranch(leaf.id)), leaf
 
 
 def points_to_add(volume, case, leaf, count: int):
-    """Return points on the branch that was cut, and in the lung around the open tubes."""
+    """Return ``count`` points on the branch that was cut off, and in the lung around the open tubes, LPS mm."""
     rng = np.random.default_rng(5)
     lung = np.array(case.tips[:2])[rng.integers(2, size=count)] + rng.normal(0.0, 4.0, (count, 3))
     inside = [point for point in lung if volume.contains_lps(point)]
@@ -35,13 +38,13 @@ def points_to_add(volume, case, leaf, count: int):
 
 
 def joined(lines):
-    """Join lines, each of which begins at the end of the previous line."""
+    """Return one line from several, each of which begins at the end of the previous one."""
     for one, other in itertools.pairwise(lines):
         assert np.array_equal(one.points_lps[-1], other.points_lps[0])
     return np.concatenate([lines[0].points_lps, *(line.points_lps[1:] for line in lines[1:])])
 
 
-def test_branch_is_added_along_the_previewed_line(case, opened):
+def test_add_branch_follows_the_previewed_line_exactly(case, opened):
     volume, airways, leaf = opened
     taken = refused = 0
     for lps in points_to_add(volume, case, leaf, 30):
@@ -68,12 +71,12 @@ def test_branch_is_added_along_the_previewed_line(case, opened):
         assert doubt.value.doubtful_mm == pytest.approx(preview.doubtful_mm)
         drawn = [branch for branch in edited.tree.branches if branch.kind == "manual"]
         assert sum(branch.doubtful_mm for branch in drawn) == pytest.approx(preview.doubtful_mm)
-    # Too few accepted points would make this test meaningless.
+    # With fewer accepted points this test would compare too few branches.
     assert taken >= 2
     assert refused > 5
 
 
-def test_bridge_is_added_along_the_previewed_line(case):
+def test_bridge_follows_the_previewed_line_exactly(case):
     edit = Bridge(tuple(float(v) for v in case.hidden))
     preview = preview_edit(case.volume, case.airways, edit)
     edited = edit_airways(case.volume, case.airways, edit)
@@ -84,7 +87,7 @@ def test_bridge_is_added_along_the_previewed_line(case):
     assert [line.points_lps.tobytes() for line in preview.lines] == [line.points_lps.tobytes() for line in made]
 
 
-def test_fork_is_moved_to_the_previewed_lines(case):
+def test_moved_fork_has_the_previewed_lines_exactly(case):
     branch = next(b for b in case.airways.tree.branches if b.parent is not None and b.children)
     edit = MoveFork(branch.id, tuple(float(v) for v in branch.points[-1] + np.array([0.4, 0.2, 0.3])))
     preview = preview_edit(case.volume, case.airways, edit)
@@ -95,7 +98,7 @@ def test_fork_is_moved_to_the_previewed_lines(case):
     assert preview.doubtful_mm == 0.0
 
 
-def test_impossible_edit_gives_a_reason_and_no_lines(case):
+def test_preview_of_an_impossible_edit_gives_a_reason_and_no_lines(case):
     tree = case.airways.tree
     leaf = tree.tips()[0]
     for edit, words in (
@@ -108,7 +111,7 @@ def test_impossible_edit_gives_a_reason_and_no_lines(case):
         assert (preview.lines, preview.has_evidence, preview.length_mm) == ((), False, 0.0)
 
 
-def test_preview_changes_nothing(case):
+def test_preview_leaves_the_airways_unchanged(case):
     before = [(b.id, b.points.tobytes(), b.radius.tobytes()) for b in case.airways.tree.branches]
     lumen = case.airways.lumen_zyx.tobytes()
     for edit in (Bridge(tuple(case.hidden)), AddBranch(tuple(case.hidden))):

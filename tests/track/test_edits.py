@@ -1,4 +1,4 @@
-"""Edits of the airway tree on a small drawn tree: what a doctor asked for happens, and nothing else."""
+"""Tests of edits of the airway tree, on a small drawn tree: each edit changes what it names and nothing else."""
 
 from __future__ import annotations
 
@@ -67,10 +67,10 @@ def snapshot(airways):
 # ------------------------------------------------------------ cut and add
 
 
-def test_a_cut_takes_the_branch_with_its_lumen_and_leaves_all_others_as_they_were(case):
+def test_cut_removes_the_branch_with_its_lumen_and_no_other(case):
     gone = branch_to(case.airways, case.tips[0])
     airways = edited(case, CutBranch(gone.id))
-    # Its sibling runs on from the parent, as one branch with the parent's id.
+    # The sibling and the parent become one branch with the parent's ID.
     parent = airways.tree.branch(gone.parent)
     assert not parent.children
     assert {b.id for b in airways.tree.branches} == {0, 1, 4, 5, 6} - {
@@ -85,12 +85,12 @@ def test_a_cut_takes_the_branch_with_its_lumen_and_leaves_all_others_as_they_wer
     others = np.concatenate([b.points for b in airways.tree.branches])
     assert airways.tracker.inside(others).all()
     assert airways.lumen_zyx.sum() < case.airways.lumen_zyx.sum()
-    # What was cut attracts no path any more.
+    # The removed branch attracts no path any more.
     with pytest.raises(NoResultError, match="from the segmented lumen"):
         airways.tracker.path_to(gone.tip_lps, snap_mm=1.0)
 
 
-def test_a_branch_that_is_cut_part_of_the_way_ends_there_and_keeps_its_id(case):
+def test_branch_cut_at_a_point_ends_at_this_point_and_keeps_its_id(case):
     whole = branch_to(case.airways, case.tips[0])
     airways = edited(case, CutBranch(whole.id, 5.0))
     short = airways.tree.branch(whole.id)
@@ -99,7 +99,7 @@ def test_a_branch_that_is_cut_part_of_the_way_ends_there_and_keeps_its_id(case):
     assert not airways.tracker.inside(whole.points[-3:]).any()
 
 
-def test_a_branch_that_was_cut_comes_back_where_its_end_is_clicked_with_measured_confidence(case):
+def test_cut_branch_is_added_again_by_a_click_on_its_end_with_confidence(case):
     gone = branch_to(case.airways, case.tips[0])
     airways = edited(case, CutBranch(gone.id), AddBranch(point(case.tips[0])))
     new = branch_to(airways, case.tips[0])
@@ -107,17 +107,17 @@ def test_a_branch_that_was_cut_comes_back_where_its_end_is_clicked_with_measured
     assert new.doubtful_mm == 0.0
     assert new.confidence is not None
     assert new.confidence > 0.5
-    assert new.id >= 7  # never used before
+    assert new.id >= 7  # The ID was never used before.
     assert airways.tree.branch(new.parent).points[-1] == pytest.approx(gone.points[0], abs=6.0)
-    np.testing.assert_allclose(new.tip_lps, case.tips[0], atol=0.8)  # half a voxel's diagonal
+    np.testing.assert_allclose(new.tip_lps, case.tips[0], atol=0.8)  # The tolerance is half of a voxel's diagonal.
     off = off_line(new.points[3:], gone.points[0], case.tips[0])
-    assert off.max() < 1.5  # one voxel: the path goes through the middle of the tube
-    assert 0.6 < np.median(new.radius) < 2.5  # drawn with 1.9 mm on voxels of 1 to 1.5 mm
+    assert off.max() < 1.5  # The tolerance is one voxel: the path leads through the middle of the tube.
+    assert 0.6 < np.median(new.radius) < 2.5  # The tube was drawn with a radius of 1.9 mm on voxels of 1 to 1.5 mm.
     assert airways.tree.branch(new.parent).id == gone.parent
 
 
-def test_a_branch_inside_the_lumen_is_tracked_and_splits_the_one_that_it_leaves(case):
-    # A pocket painted beside a bronchus: lumen without a branch once the branch is not looked for.
+def test_branch_added_inside_the_lumen_splits_its_parent(case):
+    # A pocket painted beside a bronchus is lumen without a branch.
     tip = branch_to(case.airways, case.tips[3])
     shortened = edited(case, CutBranch(tip.id, 4.0))
     bridge = case.airways.tree.branch(tip.id)
@@ -129,7 +129,7 @@ def test_a_branch_inside_the_lumen_is_tracked_and_splits_the_one_that_it_leaves(
         edited(case, AddBranch(point(painted.tree.branches[0].points[3])), start=painted)
 
 
-def test_a_click_in_tissue_or_outside_the_scan_is_refused_with_what_to_do(case):
+def test_click_in_tissue_or_outside_the_scan_is_refused_with_a_remedy(case):
     with pytest.raises(NoResultError, match=r"this point is in tissue .* not in an airway; click in the dark middle"):
         edited(case, AddBranch(point(case.plug)))
     with pytest.raises(UsageError, match="lies outside the scan; click inside the scan"):
@@ -142,7 +142,7 @@ def test_a_click_in_tissue_or_outside_the_scan_is_refused_with_what_to_do(case):
         edited(case, AddBranch(point(case.airways.tree.root.points[5])))
 
 
-def test_cuts_that_mean_nothing_are_refused_in_words(case):
+def test_invalid_cuts_are_refused_with_a_reason(case):
     with pytest.raises(UsageError, match="branch 99 is not in the tree"):
         edited(case, CutBranch(99))
     with pytest.raises(UsageError, match="contains the start of the tree"):
@@ -154,28 +154,30 @@ def test_cuts_that_mean_nothing_are_refused_in_words(case):
 # ------------------------------------------------------------ bridges
 
 
-def test_a_bridge_stays_a_bridge_and_the_lumen_beyond_becomes_its_child(case):
+def test_bridge_keeps_its_kind_and_the_lumen_beyond_becomes_its_child(case):
     airways = edited(case, Bridge(point(case.hidden)))
     bridges = [b for b in airways.tree.branches if b.kind == "bridge"]
     assert len(bridges) == 1
     bridge = bridges[0]
-    assert np.linalg.norm(bridge.points - case.plug, axis=1).min() < 1.5  # through the plug, not round it
+    # The bridge leads through the plug, not around it.
+    assert np.linalg.norm(bridge.points - case.plug, axis=1).min() < 1.5
     beyond = branch_to(airways, case.hidden)
     assert beyond.kind == "tracked"
     assert airways.tree.lineage(beyond.id)[-2].kind == "bridge"
-    # The trachea forks there; the airway that runs on behind the blockage is of the same generation.
+    # The trachea forks at the start of the bridge; the airway beyond the blockage has the same generation as the
+    # bridge.
     assert (bridge.generation, beyond.generation) == (1, 1)
     path = airways.tracker.path_to(case.hidden)
     assert {bridge.id, beyond.id} <= set(path.branch_ids.tolist())
     assert airways.tracker.inside(path.points_lps).all()
     read = AirwayTree.from_json(airways.tree.to_json())
     assert read.branch(bridge.id).kind == "bridge"
-    # A branch beyond that is cut and added again does not take the mark away.
+    # The bridge is still a bridge after a branch beyond it was cut and added again.
     later = edited(case, SmoothBranch(bridge.id), RenameBranch(bridge.id, "blocked"), start=airways)
     assert later.tree.branch(bridge.id).kind == "bridge"
 
 
-def test_a_bridge_that_is_cut_takes_what_hangs_on_it_and_can_be_built_again(case):
+def test_cut_bridge_is_removed_with_its_descendants_and_can_be_added_again(case):
     airways = edited(case, Bridge(point(case.hidden)))
     bridge = next(b for b in airways.tree.branches if b.kind == "bridge")
     cut = edited(case, CutBranch(bridge.id), start=airways)
@@ -186,7 +188,7 @@ def test_a_bridge_that_is_cut_takes_what_hangs_on_it_and_can_be_built_again(case
     assert next(b.id for b in again.tree.branches if b.kind == "bridge") > bridge.id
 
 
-def test_a_bridge_that_is_erased_and_painted_again_is_a_bridge_again(case):
+def test_bridge_erased_and_painted_again_has_the_kind_bridge(case):
     airways = edited(case, Bridge(point(case.hidden)))
     bridge = next(b for b in airways.tree.branches if b.kind == "bridge")
     stroke = tuple(point(p) for p in bridge.points[2:-2])
@@ -195,12 +197,12 @@ def test_a_bridge_that_is_erased_and_painted_again_is_a_bridge_again(case):
     back = edited(case, PaintLumen(stroke, 1.5, "ball"), start=erased)
     through = branch_to(back, case.plug)
     assert through.kind == "bridge"
-    # What lies beyond is an airway as before.
+    # The branch beyond the bridge is an airway as before.
     assert branch_to(back, case.hidden).kind != "bridge"
     assert edited(case, CutBranch(through.id), start=back).bridges == ()
 
 
-def test_what_is_uncertain_follows_an_edit(case):
+def test_uncertain_places_are_updated_after_an_edit(case):
     whole = case.airways
     judged = dataclasses.replace(whole, uncertain=find_uncertain(case.volume, whole.tree, np.zeros((0, 3))))
     assert judged.uncertain
@@ -210,18 +212,18 @@ def test_what_is_uncertain_follows_an_edit(case):
     assert cut.uncertain == find_uncertain(case.volume, cut.tree, np.zeros((0, 3)))
     rebuilt = rebuild_airways(case.volume, judged, cut.edits)
     assert rebuilt.uncertain == cut.uncertain
-    # Of a mask from elsewhere nothing was judged, and nothing is.
+    # A mask from another tool has no uncertain places, and an edit adds none.
     assert edited(case, CutBranch(tip.id), start=dataclasses.replace(whole, uncertain=())).uncertain == ()
 
 
-def test_bridges_that_cannot_be_are_refused_in_words(case):
+def test_impossible_bridges_are_refused_with_a_reason(case):
     with pytest.raises(NoResultError, match=r"this point is not in air .*click in the dark middle"):
         edited(case, Bridge(point(case.plug)))
     with pytest.raises(NoResultError, match="there is nothing to bridge"):
         edited(case, Bridge(point(case.airways.tree.root.points[4])))
 
 
-def test_a_bridge_that_would_be_too_long_is_refused_with_its_length(case, monkeypatch):
+def test_too_long_bridge_is_refused_with_its_length(case, monkeypatch):
     monkeypatch.setattr("carina.track.edit.lumen.MAX_BRIDGE_MM", 2.0)
     with pytest.raises(
         NoResultError, match=r"the bridge would be (more than )?\d+ mm long, but at most 2 mm is possible"
@@ -229,10 +231,10 @@ def test_a_bridge_that_would_be_too_long_is_refused_with_its_length(case, monkey
         edited(case, Bridge(point(case.hidden)))
 
 
-# ------------------------------------------------------------ root and forks
+# ------------------------------------------------------------ edits of the root and of forks
 
 
-def test_a_root_farther_down_the_trachea_shortens_the_trunk(case):
+def test_root_moved_down_the_trachea_shortens_the_trunk(case):
     trunk = case.airways.tree.root
     airways = edited(case, MoveRoot(point(trunk.points[5])))
     np.testing.assert_array_equal(airways.tree.root.points, trunk.points[5:])
@@ -242,7 +244,7 @@ def test_a_root_farther_down_the_trachea_shortens_the_trunk(case):
     assert back.tree.root.length_mm == pytest.approx(trunk.length_mm, abs=1.5)
 
 
-def test_a_root_at_a_tip_turns_the_branches_on_the_way_round(case):
+def test_root_at_a_tip_reverses_the_branches_on_the_path_to_it(case):
     tip = branch_to(case.airways, case.tips[0])
     airways = edited(case, MoveRoot(point(tip.tip_lps)))
     tree = airways.tree
@@ -258,7 +260,7 @@ def test_a_root_at_a_tip_turns_the_branches_on_the_way_round(case):
         assert airways.tracker.inside(branch.points).all()
 
 
-def test_a_root_inside_a_branch_begins_with_a_trunk_of_one_point(case):
+def test_root_inside_a_branch_gives_a_trunk_of_one_point(case):
     branch = case.airways.tree.branch(1)
     airways = edited(case, MoveRoot(point(branch.points[len(branch.points) // 2])))
     root = airways.tree.root
@@ -274,7 +276,7 @@ def test_a_root_in_tissue_is_refused(case):
         edited(case, MoveRoot(point(case.plug + np.array([8.0, 6.0, 0.0]))))
 
 
-def test_a_fork_is_moved_with_the_ends_that_meet_there_and_stays_in_the_lumen(case):
+def test_moved_fork_moves_the_branch_ends_at_it_and_stays_in_the_lumen(case):
     branch = case.airways.tree.branch(1)
     wanted = branch.points[-1] + np.array([0.0, 0.0, 1.2])
     airways = edited(case, MoveFork(1, point(wanted)))
@@ -289,14 +291,14 @@ def test_a_fork_is_moved_with_the_ends_that_meet_there_and_stays_in_the_lumen(ca
     assert airways.lumen_zyx is case.airways.lumen_zyx
 
 
-def test_forks_that_cannot_be_moved_are_refused_in_words(case):
+def test_impossible_moves_of_forks_are_refused_with_a_reason(case):
     with pytest.raises(UsageError, match="ends without a fork"):
         edited(case, MoveFork(2, point(case.tips[0])))
     with pytest.raises(UsageError, match=r"the fork would move .* mm long; move the fork a shorter distance"):
         edited(case, MoveFork(1, point(case.airways.tree.root.points[0])))
 
 
-# ------------------------------------------------------------ lumen by hand
+# ------------------------------------------------------------ painting and erasing the lumen
 
 
 @pytest.mark.parametrize(("plane", "axis"), [("axial", 2), ("coronal", 1), ("sagittal", 0)])
@@ -308,14 +310,14 @@ def test_a_disc_is_one_voxel_thick_in_its_plane(case, plane, axis):
     off = case.volume.to_lps(voxels) - centre
     beside = np.delete(off, axis, axis=1)
     assert np.linalg.norm(beside, axis=1).max() <= 5.0
-    # On a grid turned by a few degrees the disc climbs through the layers, one voxel at each place.
+    # On a grid rotated by a few degrees the disc passes through several layers, with one voxel in each column.
     columns = {tuple(np.delete(v, axis).astype(int)) for v in voxels}
     assert len(columns) == len(voxels)
     area_mm2 = len(voxels) * np.prod(np.delete(np.array(case.volume.spacing_mm), axis))
     assert area_mm2 == pytest.approx(np.pi * 25.0, rel=0.12)
 
 
-def test_lumen_painted_past_a_tip_makes_the_tree_longer_and_erasing_it_takes_that_away(case):
+def test_lumen_painted_beyond_a_tip_extends_the_tree_until_it_is_erased(case):
     tip = branch_to(case.airways, case.tips[1])
     stroke = (point(tip.points[-1]), point(tip.points[-1] + np.array([2.0, 5.0, -1.0])))
     painted = edited(case, PaintLumen(stroke, 1.5, "ball"))
@@ -330,23 +332,23 @@ def test_lumen_painted_past_a_tip_makes_the_tree_longer_and_erasing_it_takes_tha
         assert erased.tracker.inside(branch.points).all()
 
 
-def test_lumen_erased_across_a_bronchus_cuts_what_is_beyond_and_says_so_with_its_voxels(case):
+def test_lumen_erased_across_a_bronchus_cuts_the_branches_beyond_and_reports_it(case):
     branch = case.airways.tree.branch(4)
     middle = branch.points[len(branch.points) // 2]
     airways = edited(case, PaintLumen((point(middle),), 4.0, "ball", erase=True))
     assert airways.tracker.num_settled < airways.tracker.num_nodes
     assert {5, 6}.isdisjoint(b.id for b in airways.tree.branches)
     np.testing.assert_array_equal(airways.tree.branch(2).points, case.airways.tree.branch(2).points)
-    # The lumen beyond is there, without a way to it: painting it back brings the branches back, with new ids.
+    # The lumen beyond the gap has no branch; painting the gap brings the branches back with new IDs.
     back = edited(case, PaintLumen((point(middle),), 4.0, "ball"), start=airways)
     assert len(back.tree.tips()) == len(case.airways.tree.tips())
     assert {b.kind for b in back.tree.branches} == {"tracked"}, "the search had found all of it"
 
 
-def test_paint_that_bridges_a_gap_is_a_persons_and_what_lies_beyond_is_what_was_found(case):
+def test_lumen_painted_across_a_gap_is_manual_and_beyond_it_automatic(case):
     branch = case.airways.tree.branch(4)
     middle, aside = branch.points[len(branch.points) // 2], np.array([4.5, 0.0, 0.0])
-    # Round the erased stretch, where the search found nothing.
+    # The brush covers the surroundings of the erased stretch, where the search found no lumen.
     erased = edited(case, PaintLumen((point(middle),), 4.0, "ball", erase=True))
     before, after = branch.points[len(branch.points) // 2 - 5], branch.points[len(branch.points) // 2 + 5]
     way = tuple(point(p) for p in (before, before + aside, after + aside, after))
@@ -356,7 +358,7 @@ def test_paint_that_bridges_a_gap_is_a_persons_and_what_lies_beyond_is_what_was_
     assert any(b.kind == "manual" for b in back.tree.lineage(beyond.id))
 
 
-def test_a_wider_lumen_has_a_wider_radius_there_and_nowhere_else(case):
+def test_painted_wider_lumen_increases_the_radius_only_at_the_paint(case):
     trunk = case.airways.tree.root
     airways = edited(case, PaintLumen((point(trunk.points[5]),), 4.5, "ball"))
     wider = airways.tree.root.radius[5]
@@ -373,7 +375,7 @@ def test_a_wider_lumen_has_a_wider_radius_there_and_nowhere_else(case):
         np.testing.assert_array_equal(branch.radius, radius)
 
 
-def test_strokes_that_change_nothing_are_refused_in_words(case):
+def test_brush_strokes_without_effect_are_refused_with_a_reason(case):
     inside = point(case.airways.tree.root.points[4])
     with pytest.raises(NoResultError, match="nothing to paint: everything under the brush is already lumen"):
         edited(case, PaintLumen((inside,), 0.0))
@@ -385,17 +387,17 @@ def test_strokes_that_change_nothing_are_refused_in_words(case):
         edited(case, PaintLumen(((0.0, 0.0, 4000.0),), 2.0))
 
 
-# ------------------------------------------------------------ names, smoothing, and the whole
+# ------------------------------------------------------------ names, smoothing, and lists of edits
 
 
-def test_a_persons_name_stays_through_other_edits_until_it_is_given_back(case):
+def test_name_given_by_a_person_stays_through_edits_until_it_is_reset(case):
     airways = edited(case, RenameBranch(5, "LB6"), CutBranch(2), MoveFork(0, point(case.airways.tree.root.points[-1])))
     named = airways.tree.branch(5)
     assert (named.name, named.name_from, named.name_confidence) == ("LB6", "person", None)
     assert edited(case, RenameBranch(5, None), start=airways).tree.branch(5).name_from != "person"
 
 
-def test_smoothing_keeps_the_ends_and_turns_less(case):
+def test_smoothed_branch_keeps_its_ends_and_has_smaller_angles(case):
     def turn(points):
         steps = np.diff(points, axis=0)
         steps /= np.linalg.norm(steps, axis=1)[:, None]
@@ -407,7 +409,7 @@ def test_smoothing_keeps_the_ends_and_turns_less(case):
     assert turn(smooth.points) < turn(rough.points)
 
 
-def test_the_airways_that_an_edit_is_made_to_are_not_touched(case):
+def test_edit_returns_new_airways_and_leaves_the_given_ones_unchanged(case):
     before, lumen = snapshot(case.airways), case.airways.lumen_zyx.copy()
     edited(
         case,
@@ -423,13 +425,13 @@ def test_the_airways_that_an_edit_is_made_to_are_not_touched(case):
         np.testing.assert_array_equal(old[4], new[4])
 
 
-def test_a_saved_list_of_edits_gives_the_same_airways_again(case):
+def test_list_of_edits_from_json_gives_equal_airways(case):
     airways = edited(case, Bridge(point(case.hidden)), CutBranch(2), RenameBranch(4, "LMB"), SmoothBranch(5))
     saved = edits_from_json(edits_to_json(airways.edits))
     assert_same(rebuild_airways(case.volume, case.airways, saved), airways)
 
 
-def test_a_refused_edit_of_a_list_is_named_by_its_number_in_it(case):
+def test_refused_edit_of_a_list_is_reported_with_its_number(case):
     edits = (SmoothBranch(5), CutBranch(999), CutBranch(2))
     with pytest.raises(UsageError, match=r"^edit 2 of 3: ") as refused:
         rebuild_airways(case.volume, case.airways, edits)
@@ -439,7 +441,7 @@ def test_a_refused_edit_of_a_list_is_named_by_its_number_in_it(case):
     assert refused.value.code == alone.value.code
 
 
-def test_an_edit_can_be_stopped(case):
+def test_edit_of_the_tree_can_be_cancelled(case):
     with pytest.raises(CancelledError):
         edit_airways(case.volume, case.airways, CutBranch(2), cancel=lambda: True)
     told = []
@@ -457,7 +459,7 @@ def test_airways_from_another_tools_mask_can_be_edited(case):
 
 
 class EditSequences(RuleBasedStateMachine):
-    """Edits, undo and redo in any order; the tree is the one that is built from scratch."""
+    """Random edits, undo and redo; after each step the tree equals the tree built from scratch."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -485,15 +487,15 @@ TestEditSequences.settings = settings(max_examples=80, stateful_step_count=8, de
 
 
 @pytest.mark.soak
-def test_ten_thousand_random_sequences_equal_the_trees_built_from_scratch(monkeypatch):
-    # Names are a function of the tree alone, and would take half of the time.
+def test_ten_thousand_random_edit_sequences_equal_trees_built_from_scratch(monkeypatch):
+    # Naming depends on the tree alone and would take half of the time.
     monkeypatch.setattr("carina.track.edit.edits.named_anew", lambda tree: tree)
     for seed in range(10_000):
         editing = run_sequence(seed)
         editing.check(editing.airways)
 
 
-def test_what_is_compared_would_show_a_difference(case):
+def test_comparison_of_airways_fails_for_different_airways(case):
     airways = edited(case, CutBranch(2))
     first = airways.tree.branches[0]
     shifted = dataclasses.replace(first, radius=np.nextafter(first.radius, np.inf))
@@ -502,7 +504,7 @@ def test_what_is_compared_would_show_a_difference(case):
         assert_same(dataclasses.replace(airways, tree=other), airways)
 
 
-def test_a_short_branch_keeps_its_share_of_doubt_when_it_is_cut():
+def test_short_branch_keeps_its_share_of_doubt_after_a_cut():
     points = np.linspace([0.0, 0.0, 0.0], [0.0, 0.0, -0.8], 9)
     drawn = Branch(0, None, (), 0, None, "manual", points, np.full(9, 0.5), doubtful_mm=0.6)
     tree = TreeDraft(AirwayTree((drawn,)), next_id=1)

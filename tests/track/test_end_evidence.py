@@ -1,4 +1,4 @@
-"""Tests of the evidence at the end of an airway: soft tissue inside its wall, a closed end, or no evidence."""
+"""Tests of the evidence for why an airway ends: soft tissue inside its wall, a closed end, or no evidence."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ END_Z = 30.0
 
 
 def painted(paint, spacing=(0.8, 0.8, 0.8), noise=20.0):
-    """Return a CT of 32 x 32 x 60 mm. ``paint`` takes points (n, 3) and values, sampled three times as finely."""
+    """Return a CT of 32 x 32 x 60 mm; ``paint`` changes the values at points (n, 3) of a grid three times as fine."""
     fine = 3
     shape = np.ceil(np.array([32.0, 32.0, 60.0]) / spacing).astype(int)
     axes = [(np.arange(n * fine) + 0.5) / fine * s - 0.5 * s for n, s in zip(shape, spacing, strict=True)]
@@ -38,7 +38,7 @@ def painted(paint, spacing=(0.8, 0.8, 0.8), noise=20.0):
 
 
 def tube(points, start, end, radius):
-    """Return which points lie in a tube with flat ends."""
+    """Return for each point whether it is in a tube with flat ends, given by its axis and radius (mm)."""
     a, b = np.array(start, dtype=float), np.array(end, dtype=float)
     length = np.linalg.norm(b - a)
     along = (points - a) @ (b - a) / length
@@ -139,12 +139,15 @@ def test_continuing_airway_is_neither_blocked_nor_closed(paint, spacing):
 
 
 WIDE_MM, FAINT_WALL_MM = 4.6, 1.2
-"""Radius of a wide bronchus, and a thickness of its wall that slices of 3 mm blur."""
+"""Radius of a wide bronchus, and thickness of a wall that is blurred in slices of 3 mm; both in mm."""
 WIDE_BRANCH = dataclasses.replace(BRANCH, radius=np.full(25, WIDE_MM))
 
 
 def wide_stump(lung_hu=LUNG_HU, ahead=None):
-    """Return a painter of a wide bronchus that ends in a thin wall; ``ahead`` is the radius of an airway beyond."""
+    """Return a painter of a wide bronchus that ends in a thin wall.
+
+    ``ahead`` is the radius of an airway beyond the wall, mm; None paints no such airway.
+    """
 
     def paint(points, values):
         values[:] = lung_hu
@@ -164,17 +167,17 @@ def wide_evidence(paint, spacing):
 
 
 @pytest.mark.parametrize("spacing", [THIN, THICK])
-def test_a_thin_wall_across_a_wide_end_closes_it(spacing):
+def test_wide_bronchus_with_a_thin_wall_across_its_end_is_closed(spacing):
     assert wide_evidence(wide_stump(), spacing).kind == "closed"
 
 
 @pytest.mark.parametrize("spacing", [THIN, THICK])
 @pytest.mark.parametrize("radius", [1.5, 2.5])
-def test_a_wide_end_with_an_airway_beyond_its_thin_wall_is_not_closed(radius, spacing):
+def test_wide_bronchus_with_an_airway_beyond_its_end_wall_is_not_closed(radius, spacing):
     assert wide_evidence(wide_stump(ahead=radius), spacing) is None
 
 
-def test_a_wide_end_without_a_wall_that_rises_above_dense_lung_is_not_closed():
+def test_wide_bronchus_whose_end_wall_is_as_dense_as_lung_is_not_closed():
     def no_wall(points, values):
         values[:] = -680.0
         values[tube(points, TOP, END, WIDE_MM)] = AIR_HU
@@ -184,7 +187,7 @@ def test_a_wide_end_without_a_wall_that_rises_above_dense_lung_is_not_closed():
 
 
 NARROW_MM, TURN_Z = 2.4, 33.0
-"""Radius of an airway that leaves a wide bronchus sideways, and the height at which it leaves."""
+"""Radius of an airway that leaves a wide bronchus sideways, and height at which it leaves the bronchus; both in mm."""
 ASIDE = (28.0, 16.0, 19.0)
 
 
@@ -207,7 +210,10 @@ def turned(ahead):
 
 
 def turning_branch(narrow_mm=NARROW_MM):
-    """Return the branch that a search finds there: the wide bronchus, and the narrow airway without a fork."""
+    """Return the branch that a search finds in the CT of `turned`.
+
+    It consists of the wide bronchus and the narrow airway, without a fork.
+    """
     wide = np.linspace([16.0, 16.0, 56.0], [16.0, 16.0, TURN_Z], 24)
     narrow = np.linspace([16.0, 16.0, TURN_Z], ASIDE, 19)[1:]
     radius = np.concatenate([np.full(24, WIDE_MM), np.full(18, narrow_mm)])

@@ -1,4 +1,4 @@
-"""Tests of the evidence verdict along a path, against a plain implementation of its rule and general properties."""
+"""Tests of the evidence verdict along a path, against a plain implementation of its rule."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def tube(num=40, **changes):
 
 
 def one_by_one(sections, lung, start):
-    """Apply the rule section by section in HU."""
+    """Return the gain of each section by the rule of the verdict, computed section by section in HU."""
     found = []
     radii = [
         max(radius, 3.0) if rise < lung.rise and closed > lung.far_rise and own < -930.0 else radius
@@ -109,14 +109,14 @@ def test_more_wall_never_makes_a_section_more_doubtful(seed, num, raised):
     walls = ("rise", "far_rise", "closed", "far_closed")
     fields = {name: getattr(sections, name) for name in Sections.__slots__}
     more = Sections(**{name: value + raised * (name in walls) for name, value in fields.items()})
-    # Requires the same sections to have a measurable radius; wide sections have none.
+    # The same sections must have a measurable radius in both cases; wide sections have none.
     assume(np.array_equal(verdict._radii(sections, LUNG, HU), verdict._radii(more, LUNG, HU)))
     assert (gains(more, LUNG, HU) >= gains(sections, LUNG, HU) - 1e-9).all()
     assert not (doubtful_sections(more, LUNG, HU) & ~doubtful_sections(sections, LUNG, HU)).any()
 
 
-def test_no_evidence_where_nothing_is_brighter_than_the_middle():
-    # Lung without noise: straight, even and not too wide, but without a wall.
+def test_path_without_values_brighter_than_its_middle_has_no_evidence():
+    # Lung without noise is straight, even and not too wide, but has no wall.
     plain = tube(own=-860.0, rise=0.0, far_rise=20.0, closed=0.0, far_closed=0.0, around=-860.0, radius_mm=0.35)
     assert doubtful_sections(plain, LUNG, HU).all()
 
@@ -154,7 +154,7 @@ def test_space_between_vessels_has_no_evidence_although_most_sides_are_bright(ch
     assert (gains(tube(**change), LUNG, HU, start) < usual - 2.0).all()
 
 
-def test_everything_beyond_a_crossed_wall_is_doubtful():
+def test_sections_beyond_a_crossed_wall_are_doubtful():
     own = np.full(40, -980.0)
     own[10:14] = [-800.0, -600.0, -600.0, -800.0]
     found = doubtful_sections(tube(own=own), LUNG, HU)
@@ -174,7 +174,7 @@ def test_main_bronchus_is_evident_although_its_walls_are_out_of_reach():
     assert not doubtful_sections(wide, LUNG, HU, Start(0.0, 5.5, np.array([0.0, 0.0, 1.0]))).any()
 
 
-def test_middle_as_bright_as_tissue_is_no_lumen():
+def test_path_as_bright_as_tissue_has_no_evidence():
     own = np.full(40, -900.0)
     own[20] = -440.0
     found = doubtful_sections(tube(own=own), LUNG, HU)

@@ -1,4 +1,4 @@
-"""Tests of least-cost paths through weights: equal to a heap, exact for integers; regions, walls and errors."""
+"""Tests of least-cost paths in a field of weights, against Dijkstra's algorithm with a heap."""
 
 from __future__ import annotations
 
@@ -27,7 +27,11 @@ def at(volume: Volume, i: int, j: int, k: int) -> np.ndarray:
 
 
 def heap(field: np.ndarray, root_zyx: tuple[int, int, int], spacing: tuple[float, ...] | None) -> np.ndarray:
-    """Run Dijkstra in floating point: edge costs use both ends and mm, or (without a spacing) the entered voxel."""
+    """Return the cost of each voxel by Dijkstra's algorithm with a heap, in floating point.
+
+    With a spacing the cost of an edge uses the weights of both ends and the length in mm; without a spacing it is the
+    weight of the entered voxel.
+    """
     cost = np.full(field.shape, np.inf)
     cost[root_zyx] = 0.0
     queue = [(0.0, root_zyx)]
@@ -71,7 +75,7 @@ def test_costs_equal_those_of_a_heap_within_half_a_percent(cost):
     assert paths.num_settled == np.isfinite(truth).sum()
 
 
-def test_integer_weights_are_added_exactly():
+def test_cost_of_integer_weights_is_their_exact_sum():
     rng = np.random.default_rng(6)
     volume = volume_of((7, 8, 9))
     field = rng.integers(0, 200, volume.shape_zyx).astype(np.float32)
@@ -82,10 +86,10 @@ def test_integer_weights_are_added_exactly():
         assert paths.path_to(at(volume, i, j, k)).cost == truth[k, j, i]
 
 
-def test_path_stays_in_its_region_and_mask():
+def test_path_in_a_field_stays_in_the_given_region_and_mask():
     volume = volume_of((5, 20, 20))
     field = np.full(volume.shape_zyx, 10.0, np.float32)
-    # A cheap path outside the box.
+    # A path of low cost exists outside the box.
     field[:, 15, :] = 1.0
     box = ((2, 18), (3, 12), (1, 4))
     paths = FieldPaths(volume, field, at(volume, 3, 4, 2), region_ijk=box)
@@ -104,7 +108,7 @@ def test_path_stays_in_its_region_and_mask():
         masked.path_to(at(volume, 17, 5, 2))
 
 
-def test_impossible_path_is_refused_with_a_message():
+def test_path_from_or_to_a_forbidden_voxel_is_refused_with_a_message():
     volume = volume_of((4, 5, 6))
     ones = np.ones(volume.shape_zyx, np.float32)
     root = at(volume, 1, 1, 1)
@@ -129,7 +133,7 @@ def test_impossible_path_is_refused_with_a_message():
         FieldPaths(volume, walled, root)
 
 
-def test_search_can_be_cancelled_and_resumed():
+def test_cancelled_search_settles_every_voxel_when_resumed():
     volume = Volume(np.zeros((90, 90, 90), np.int16), np.eye(4))
     field = np.random.default_rng(1).uniform(1.0, 3.0, volume.shape_zyx).astype(np.float32)
     paths = FieldPaths(volume, field, (45.0, 45.0, 45.0))
@@ -175,7 +179,7 @@ def test_cost_of_a_directed_search_equals_that_of_the_tree(cost):
     assert 0 < refused < field.size
 
 
-def test_directed_search_refuses_bad_input_with_a_message():
+def test_directed_search_refuses_invalid_arguments_with_a_message():
     volume = Volume(np.zeros((90, 90, 90), np.int16), np.eye(4))
     field = np.ones(volume.shape_zyx, np.float32)
     ends = ((1.0, 1.0, 1.0), (88.0, 88.0, 88.0))
@@ -191,7 +195,7 @@ def test_directed_search_refuses_bad_input_with_a_message():
         aimed_path(volume, field, *ends)
 
 
-def test_paths_are_timed_inside_the_compiled_module():
+def test_compiled_module_returns_the_time_of_each_path():
     volume = volume_of((10, 10, 10))
     paths = FieldPaths(volume, np.ones(volume.shape_zyx, np.float32), at(volume, 0, 0, 0))
     paths.solve_all()

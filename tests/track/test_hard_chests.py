@@ -35,7 +35,7 @@ def arms_and_table(values, made):
     outside = values < -900
     for side in (-1.0, 1.0):
         off = np.hypot(x - side * 158.0, y - 20.0) + 0.0 * z
-        # The arm, its bone with marrow, and air between arm and chest stays air.
+        # The arm contains a bone with marrow; the air between arm and chest stays air.
         values[outside & (off < 13.0)] = 50
         values[outside & (off < 7.0)] = 600
         values[outside & (off < 3.0)] = -80
@@ -67,7 +67,7 @@ def emphysema(values, made):
 
 
 def tube_in_the_trachea(values, made):
-    # A tube of plastic with air in it, from the top to 3 cm above the carina.
+    # A plastic tube with air inside, from the top of the scan to 30 mm above the carina.
     x, y, z = places(made.volume)
     trunk = made.truth["branches"][0]
     points = np.array(trunk["points"])
@@ -89,7 +89,7 @@ HARD: list[Callable] = [
 
 
 def share_found(airways, made, generations):
-    """Return the fraction of the true centreline, down to a generation, whose voxel or a neighbour was found."""
+    """Return the share of the true centreline, up to a generation, whose voxel or a neighbouring voxel was found."""
     lumen = np.pad(airways.lumen_zyx, 1)
     grown = np.zeros_like(lumen)
     for axis in range(3):
@@ -106,18 +106,18 @@ def share_found(airways, made, generations):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("harder", HARD, ids=lambda harder: harder.__name__)
-def test_a_hard_chest_keeps_its_airways_and_grows_no_others(made, harder):
+def test_chest_that_is_hard_to_search_has_its_airways_and_no_false_ones(made, harder):
     values = np.array(made.volume.hu_zyx)
     harder(values, made)
     airways = find_airways(Volume(values, made.volume.lps_from_ijk))
     found, true = airways.lumen_zyx != 0, made.lumen_zyx != 0
     top = np.array(made.truth["branches"][0]["points"][0])
-    # In the trachea's first centimetres, on its axis to within its radius.
+    # The root is in the first centimetres of the trachea, within its radius of the axis.
     assert np.linalg.norm((airways.root_lps - top)[:2]) < 9.0
     assert airways.root_lps[2] > top[2] - 25.0
     outside = found & ~true
     if harder is tube_in_the_trachea:
-        # The plastic inside the trachea is enclosed by it: part of the way, as a scope would pass.
+        # No branch ends inside the plastic tube, which the trachea encloses.
         assert not any(b.points[-1][2] > 20.0 and b.parent is not None for b in airways.tree.branches)
     assert outside.sum() <= 0.02 * found.sum()
     assert share_found(airways, made, 3) > 0.95
@@ -126,7 +126,7 @@ def test_a_hard_chest_keeps_its_airways_and_grows_no_others(made, harder):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tilt_deg", [-25.0, 25.0])
-def test_a_tilted_chest_is_the_same_chest(made, tilt_deg):
+def test_lumen_of_a_tilted_chest_overlaps_that_of_the_straight_chest(made, tilt_deg):
     t = np.radians(tilt_deg)
     turn = np.eye(4)
     turn[1:3, 1:3] = [[np.cos(t), -np.sin(t)], [np.sin(t), np.cos(t)]]
@@ -140,8 +140,8 @@ def test_a_tilted_chest_is_the_same_chest(made, tilt_deg):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("side", "tilt_deg"), [("x", -30.0), ("x", 30.0), ("y", -35.0), ("y", 35.0)])
-def test_a_tilted_neck_bends_the_trachea_and_nothing_else(made, side, tilt_deg):
-    # Above the middle of the trachea each slice lies farther aside than the one below, as where a head is bent.
+def test_tilted_neck_bends_the_trachea_and_changes_no_other_airway(made, side, tilt_deg):
+    # Above the middle of the trachea each slice is shifted farther sideways than the slice below, as in a bent neck.
     _, _, z = places(made.volume)
     from_mm, axis = 45.0, {"x": 2, "y": 1}[side]
     aside_mm = np.tan(np.radians(tilt_deg)) * np.maximum(z[:, 0, 0] - from_mm, 0.0)
@@ -156,20 +156,20 @@ def test_a_tilted_neck_bends_the_trachea_and_nothing_else(made, side, tilt_deg):
     found = airways.lumen_zyx != 0
     assert (found & ~lumen).sum() <= 0.02 * found.sum()
     height = np.arange(len(z))[z[:, 0, 0] > from_mm]
-    # The flood ends short of the wall: of the bent part it holds what it holds of the straight one.
+    # The found lumen ends before the wall, so the bent part must contain as much of it as the straight part.
     assert found[height].sum() > 0.8 * lumen[height].sum()
     assert share_found(airways, made, 3) > 0.85
     assert {"Trachea", "RMB", "LMB"} <= set(airways.tree.names)
 
 
 @pytest.mark.slow
-def test_a_part_of_the_trachea_is_enough_and_a_chest_without_airways_is_refused(made):
+def test_part_of_the_trachea_suffices_and_a_chest_without_airways_is_refused(made):
     x, _, z = places(made.volume)
     heights = z[:, 0, 0]
     low = Volume(np.ascontiguousarray(made.volume.hu_zyx[heights < 26.0]), made.volume.lps_from_ijk)
     airways = find_airways(low)
     assert abs(airways.root_lps[2] - heights[heights < 26.0].max()) < 6.0
-    # A chest without airways: lumen and walls painted over with lung and tissue.
+    # The chest without airways has lumen and walls replaced by lung and tissue.
     without = np.array(made.volume.hu_zyx)
     grown = made.lumen_zyx != 0
     for _ in range(3):
@@ -188,7 +188,7 @@ def any_made(request) -> Phantom:
 
 
 def cut_above(made: Phantom, height_mm: float) -> Volume:
-    """Return the chest below a height above the carina."""
+    """Return the chest below ``height_mm`` above the carina."""
     carina = made.truth["branches"][0]["points"][-1]
     matrix = made.volume.lps_from_ijk
     heights = places(made.volume)[2][:, 0, 0]
@@ -203,7 +203,7 @@ def test_a_chest_cropped_below_the_carina_is_refused(any_made, below_mm):
     with pytest.raises(NoResultError, match="no trachea was found") as caught:
         find_airways(cut_above(any_made, -below_mm))
     assert caught.value.exit_code == 4
-    # Why, and what to do.
+    # The message contains the reason and the remedy.
     assert "bronch" in str(caught.value)
     assert "point in the" in str(caught.value)
 
@@ -220,7 +220,7 @@ def test_a_chest_cropped_above_the_carina_keeps_its_trachea(any_made, above_mm):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("below", [20.0, 35.0])
-def test_a_crop_below_the_carina_is_tracked_from_a_root_that_is_given(any_made, below):
+def test_crop_below_the_carina_is_tracked_from_a_given_root(any_made, below):
     row = next(
         row
         for row in any_made.truth["branches"]

@@ -1,4 +1,4 @@
-"""Tests of divided slices: interpolation by cubic B-splines, compared with a plain solution of the equations."""
+"""Tests of divided slices: cubic B-splines, compared with a plain solution of their equations."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def mirrored(place, num):
 
 
 def slowly(values, parts):
-    """Solve for the coefficients of one column, and return the spline at the middle of each part."""
+    """Return the spline at the middle of each part of one column, from a plain solution of the equations."""
     num = len(values)
     matrix = np.zeros((num, num))
     for k in range(num):
@@ -38,15 +38,15 @@ def slowly(values, parts):
     parts=st.integers(2, 6),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_fast_interpolation_equals_the_plain_solution(num, parts, seed):
+def test_interpolated_column_equals_the_plain_solution(num, parts, seed):
     column = np.random.default_rng(seed).integers(-1024, 3000, num).astype(np.int16)
     found = with_divided_slices(column.reshape(num, 1, 1), parts)[:, 0, 0]
     assert np.abs(found - slowly(column, parts)).max() <= 0.6
 
 
-def test_columns_are_independent_of_each_other_and_of_the_memory_layout():
+def test_interpolated_columns_are_independent_of_each_other_and_of_memory_layout():
     stack = np.random.default_rng(1).integers(-1024, 1000, (7, 70, 5)).astype(np.int16)
-    # The result is limited to the range of the values.
+    # The second column stays in its range of values, which limits the result.
     stack[0, 41, 2], stack[1, 41, 2] = -1024, 1000
     whole = with_divided_slices(stack, 3)
     assert whole.shape == (21, 70, 5)
@@ -62,7 +62,7 @@ def test_middle_of_an_odd_number_of_parts_is_the_slice_itself(parts):
     np.testing.assert_array_equal(with_divided_slices(stack, parts)[parts // 2 :: parts], stack)
 
 
-def test_one_slice_or_one_part_stays_unchanged():
+def test_single_slice_and_division_in_one_part_stay_unchanged():
     stack = np.random.default_rng(3).integers(-1024, 1000, (5, 4, 3)).astype(np.int16)
     np.testing.assert_array_equal(with_divided_slices(stack, 1), stack)
     np.testing.assert_array_equal(with_divided_slices(stack[:1], 4), np.repeat(stack[:1], 4, axis=0))

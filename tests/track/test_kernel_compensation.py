@@ -1,4 +1,4 @@
-"""Tests of the softened copy in which CTs with sharp kernels are searched."""
+"""Tests of the softened copy in which the search looks at CTs with sharp kernels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from made import patient as the_patient
 
 
 def in_plane(volume, amount, sigma_mm, noise_hu=15.0):
-    """Apply the kernel in the slice only, as scanners do."""
+    """Return the volume with an edge-enhancing kernel applied within each slice, as by scanners."""
     slices = []
     rng = np.random.default_rng(5)
     x, y = (sigma_mm / volume.spacing_mm[axis] for axis in (0, 1))
@@ -43,7 +43,7 @@ def blurred(values, sigmas):
 
 
 @pytest.mark.parametrize("raised", [0.05, 0.4, 1.0, 2.3, 3.2])
-def test_two_gaussians_undo_what_the_kernel_does_at_every_frequency(raised):
+def test_two_gaussians_invert_the_kernel_at_every_frequency(raised):
     frequency = np.linspace(0.0, 1.5, 200)
     gaussian = np.exp(-2.0 * (np.pi * SEAM_MM * frequency) ** 2)
     inverse = 1.0 / (1.0 + raised)
@@ -52,30 +52,30 @@ def test_two_gaussians_undo_what_the_kernel_does_at_every_frequency(raised):
     exact = 1.0 / (1.0 + raised * (1.0 - gaussian))
     assert np.abs(inverse - exact).max() < 0.006
     assert inverse[0] == pytest.approx(1.0, abs=1e-12)
-    # Nothing is ever raised, noise least of all.
+    # The compensation raises no frequency, so it does not raise noise.
     assert inverse.max() <= 1.0 + 1e-9
 
 
-def test_a_ct_with_a_soft_kernel_is_searched_as_it_is():
+def test_ct_with_a_soft_kernel_is_not_softened():
     for volume in (the_patient()[0], made_phantom(**MASKED_CHEST).volume):
         found = softened(volume, air_scale(volume))
         assert found.volume is volume
         assert found.raised == 0.0
 
 
-def test_the_dark_rims_of_a_sharp_kernel_are_gone_from_the_softened_ct():
+def test_softened_ct_has_no_dark_rims():
     volume = in_plane(the_patient()[0], 1.2, 0.8)
     scale = air_scale(volume)
     assert edge_undershoot_hu(volume, scale) > 25.0
     found = softened(volume, scale)
     assert found.raised > 0.3
     assert SOFT_HU - 12.0 < edge_undershoot_hu(found.volume, scale) <= SOFT_HU + 1.0
-    # The CT itself stays as it is.
+    # The search leaves the CT unchanged.
     assert volume.hu_zyx.min() == -1024
 
 
-def test_under_the_sharpest_kernel_the_airways_are_found_that_a_soft_one_shows():
-    """Searched as it is, this CT is refused: its lumens break through their walls along the rims."""
+def test_ct_with_the_sharpest_kernel_has_the_airways_found_with_a_soft_kernel():
+    """Use a CT that a search without compensation refuses: its lumens break through their walls along the dark rims."""
     soft_volume, soft = the_patient()
     airways = carina.find_airways(in_plane(soft_volume, 1.6, 1.1, 30.0))
     found, truth = airways.lumen_zyx != 0, soft.lumen_zyx != 0
@@ -85,8 +85,11 @@ def test_under_the_sharpest_kernel_the_airways_are_found_that_a_soft_one_shows()
     assert "softened copy" in badge.words
 
 
-def test_lumens_darker_than_the_least_value_of_a_file_stay_air():
-    """An unsharp mask takes small lumens below -1024 HU, where files end; softened they would be as bright as lung."""
+def test_lumens_clipped_at_the_least_value_stay_air_in_the_softened_ct():
+    """Use an unsharp mask that lowers small lumens below -1024 HU, the least value of files.
+
+    Softened without a correction, these lumens would be as bright as lung.
+    """
     made = made_phantom(**MASKED_CHEST)
     airways = carina.find_airways(sharpened(made.volume, 1.6, 30.0))
     found, truth = airways.lumen_zyx != 0, made.lumen_zyx != 0
@@ -97,7 +100,7 @@ def test_lumens_darker_than_the_least_value_of_a_file_stay_air():
     assert grown(found)[k, j, i].mean() > 0.9
 
 
-def test_a_threshold_that_a_person_gives_is_one_of_the_cts_own_values():
+def test_given_threshold_applies_to_the_values_of_the_unsoftened_ct():
     volume = in_plane(the_patient()[0], 0.8, 0.8)
     airways = carina.find_airways(volume, lumen_threshold=-850)
     assert airways.threshold == -850

@@ -1,4 +1,4 @@
-"""The start of the tree in scans that include the neck and a leaning trachea, with and without a given start."""
+"""Tests of the start of the tree in scans with a neck and a leaning trachea, with and without a given start."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def begins_below_the_cricoid(neck: LeaningNeck, found: Airways) -> None:
 
 
 def right_side(found: Airways) -> dict[str, NDArray[np.float64]]:
-    """Return the end of each named branch of the right lung."""
+    """Return the end of each named branch of the right lung, LPS mm, by name."""
     return {
         branch.name: branch.points[-1]
         for branch in found.tree.branches
@@ -88,7 +88,7 @@ def test_trachea_whose_seeds_reach_a_main_bronchus_is_not_continued_into_it() ->
         if k < seeds[-1][2]:
             seeds.append((i, j, k))
     assert len(seeds) > len(trachea.seeds)
-    # In expiration the trachea is hardly wider than a main bronchus.
+    # In expiration the trachea is hardly wider than a main bronchus, which is simulated here.
     narrow = dataclasses.replace(trachea, seeds=seeds, diameters_mm=np.full(len(seeds), 12.0))
     again = whole_trachea(volume, scale, narrow, stage)
     assert again.seeds[-1][2] >= seeds[-1][2]
@@ -176,7 +176,7 @@ def test_ct_of_head_and_neck_is_refused_as_one_without_lungs(start: str | None) 
 
 
 def with_a_web(made: Phantom, above_carina_mm: float) -> Volume:
-    """Return the volume with a short, tight stenosis of the trachea."""
+    """Return the volume with a short, tight stenosis of the trachea at a height above the carina."""
     volume = made.volume
     matrix, values = volume.lps_from_ijk, volume.hu_zyx.copy()
     nk, nj, ni = volume.shape_zyx
@@ -223,7 +223,7 @@ def test_trees_of_leaning_tracheas_begin_below_the_cricoid_and_keep_their_names(
         assert right_side(started).keys() == right_side(found).keys()
 
 
-def test_mask_smaller_than_its_dilation_radius_keeps_its_shape() -> None:
+def test_dilated_mask_smaller_than_the_radius_keeps_its_array_shape() -> None:
     mask = np.eye(4, 3, dtype=np.bool_)
     np.testing.assert_array_equal(spread(mask, [(0, 4), (0, -4), (5, 0), (-5, 0), (-9, 9)]), mask)
     np.testing.assert_array_equal(spread(mask, [(1, 0)]), mask | np.eye(4, 3, -1, dtype=np.bool_))

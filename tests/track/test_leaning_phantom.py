@@ -30,7 +30,7 @@ def test_phantom_and_its_truth_lean_only_above_the_carina() -> None:
     np.testing.assert_allclose(
         cricoid - before, [-np.tan(np.radians(20.0)) * before[2], np.tan(np.radians(10.0)) * before[2], 0.0]
     )
-    # The lumen follows the centreline, and the true radius is that of a section across the centreline.
+    # The lumen follows the leaning centreline, and the true radius is that of a section perpendicular to it.
     trachea = leaning.truth["branches"][0]
     points, radius = np.array(trachea["points"]), np.array(trachea["radius"])
     inside, was_inside = np.argwhere(leaning.lumen_zyx > 0), np.argwhere(upright.lumen_zyx > 0)
@@ -47,6 +47,6 @@ def test_phantom_and_its_truth_lean_only_above_the_carina() -> None:
 @pytest.mark.parametrize(
     "options", [{"lean_deg": (40.0, 0.0)}, {"lean_deg": (10.0,)}, {"lean_deg": (10.0, 0.0), "nodule": True}]
 )
-def test_impossible_lean_is_refused(options: dict[str, Any]) -> None:
+def test_phantom_with_an_invalid_lean_is_refused(options: dict[str, Any]) -> None:
     with pytest.raises(UsageError, match="lean"):
         generate_phantom(spacing_mm=6.0, generations=3, **options)

@@ -1,4 +1,4 @@
-"""Tests of the limit above the carina beyond which air does not belong to the trachea."""
+"""Tests of the largest length of the trachea, beyond which connected air does not belong to the tree."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from carina.track.find.upper_airway import the_cords
 
 
 def section(height_mm: float, diameter_mm: float) -> Section:
-    """Return a round section of the trachea at a height above the carina."""
+    """Return a round section of the trachea at a height above the carina, both in mm."""
     air = np.ones((1, 1), dtype=np.bool_)
     return Section(
         k=round(height_mm),
@@ -35,7 +35,7 @@ def section(height_mm: float, diameter_mm: float) -> Section:
 
 
 def trachea(length_mm: int, diameter_mm: float = 17.3, *, bronchus_mm: int = 0) -> list[Section]:
-    """Return sections from a bronchus, or from the carina, to the top of the trachea."""
+    """Return sections from a bronchus (or from the carina if ``bronchus_mm`` is 0) to the top of the trachea."""
     below = [section(float(z), 0.5 * diameter_mm) for z in range(-bronchus_mm, 0)]
     return below + [section(float(z), diameter_mm) for z in range(length_mm + 1)]
 
@@ -48,14 +48,14 @@ def test_airway_longer_than_a_trachea_begins_at_a_usual_length():
 
 
 @pytest.mark.parametrize("bronchus_mm", [30, 69])
-def test_bronchi_below_the_carina_do_not_count_to_the_length(bronchus_mm):
+def test_bronchi_below_the_carina_do_not_count_as_length_of_the_trachea(bronchus_mm):
     assert the_cords(trachea(140, bronchus_mm=bronchus_mm), None) is None
     cords = the_cords(trachea(170, bronchus_mm=bronchus_mm), None)
     assert cords is not None
     assert cords.begins_at == bronchus_mm + 110
 
 
-def test_the_tree_begins_below_air_outside_that_was_reached_through_an_opening():
+def test_tree_begins_below_outside_air_reached_through_an_opening():
     outside = [section(float(height), 90.0) for height in range(100, 190)]
     found = the_cords([*trachea(100), *outside], None)
     assert found is not None
@@ -63,14 +63,14 @@ def test_the_tree_begins_below_air_outside_that_was_reached_through_an_opening()
     assert found.root_above_carina_mm == pytest.approx(99.0, abs=1.0)
 
 
-def test_wide_trachea_may_be_longer():
+def test_wide_trachea_may_be_longer_than_a_narrow_one():
     assert the_cords(trachea(170, 22.0), None) is None
     cords = the_cords(trachea(190, 22.0), None)
     assert cords is not None
     assert cords.begins_at == round(110 * 1.2)
 
 
-def test_large_chest_without_a_neck_has_no_larynx():
+def test_large_chest_without_a_neck_reports_no_larynx():
     phantom = generate_phantom(seed=1, spacing_mm=1.4, generations=3)
     larger = phantom.volume.lps_from_ijk.copy()
     larger[:3] *= 1.4

@@ -1,4 +1,4 @@
-"""Tests of the path under the pointer: length, width, position, confidence and time."""
+"""Tests of the path to the point under the pointer: length, width, position, confidence and time."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_path_in_a_bronchus_with_a_wall_is_certain(chest, found):
     for number in range(1, len(chest.tubes)):
         live = found.tracker.live_path(tip_of(chest, number))
         assert live.confidence > 0.7, (number, live.confidence)
-        # Radius of the narrowest tube on the path; a voxel is 1.0 to 1.6 mm.
+        # The least radius is that of the narrowest tube on the path; a voxel is 1.0 to 1.6 mm wide.
         assert live.min_radius_mm == pytest.approx(chest.tubes[number][2], abs=1.3)
 
 
@@ -46,7 +46,7 @@ def test_path_to_a_point_in_the_tree_is_new_only_beyond_its_middle(chest, found)
 
 
 def test_leak_into_lung_has_low_confidence(chest, found):
-    # A tube through lung, like a leak: lung values and no wall anywhere.
+    # The tube through lung simulates a leak: it has lung values and no wall.
     _start, end, _radius = chest.tubes[3]
     outward = end + np.linspace(-0.3, 1.0, 60)[:, None] * np.array([-12.0, 6.0, -14.0])
     lumen = found.lumen_zyx.copy()
@@ -99,7 +99,7 @@ def test_pointer_outside_the_volume_is_an_error(found):
         found.tracker.live_path((9000.0, 0.0, 0.0))
 
 
-def test_path_exists_from_every_point_in_the_lumen(chest, found):
+def test_live_path_exists_to_every_point_in_the_lumen(chest, found):
     voxels = np.argwhere(found.lumen_zyx)
     chosen = voxels[np.random.default_rng(3).integers(0, len(voxels), 200)][:, ::-1].astype(float)
     for point in chest.volume.to_lps(chosen):

@@ -1,4 +1,4 @@
-"""Tests of airway measures in the synthetic chest: sections, forks, summaries, and measures after an edit."""
+"""Tests of airway measures in the synthetic chest: sections, forks, branches, and measures after an edit."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_measured_diameters_are_within_their_errors(chest, measured):
     truth = {"Trachea": 13.0, "RMB": 10.0, "LMB": 9.2}
     for name, diameter in truth.items():
         summary = measures.of(airways.tree.named(name).id).summary
-        # Tolerance 0.5 mm: the drawn edge is a straight ramp, not a Gaussian blur.
+        # The tolerance is 0.5 mm, because the drawn edge is a linear ramp and not a Gaussian blur.
         assert abs(summary.mean_mm - diameter) < max(summary.mean_error_mm, 0.5)
     for branch in airways.tree.branches:
         own = measures.of(branch.id)
@@ -69,9 +69,9 @@ def test_carina_is_in_the_wall_between_the_main_bronchi_below_the_fork(chest, me
     assert set(fork.children) == set(airways.tree.root.children)
     assert fork.carina_lps is not None
     assert fork.carina_lps[2] < fork.fork_lps[2]
-    # The carina is on the surface of the lumen, with a tolerance of one voxel.
+    # The carina is on the surface of the lumen, to within one voxel.
     assert abs(chest.depth_mm(np.array(fork.carina_lps))) < 1.6
-    # The carina is between the drawn axes.
+    # The carina is between the drawn axes of the main bronchi.
     one, other = (end - start for start, end, _ in chest.tubes[1:3])
     drawn = np.degrees(np.arccos(one @ other / np.linalg.norm(one) / np.linalg.norm(other)))
     assert abs(fork.angle_between_deg - drawn) < 12.0
@@ -97,7 +97,7 @@ def test_only_changed_branches_are_measured_again(chest, measured, monkeypatch):
     fresh = measure_tree(chest.volume, edited, previous=measures)
     assert counts[1:] == [len(shorter.points)]
     whole = measure_tree(chest.volume, edited)
-    # The blur is that of the whole scan; that of the shorter tree differs by 0.1 %.
+    # Blur is estimated from the whole scan; the estimate for the shorter tree differs by 0.1 %.
     np.testing.assert_allclose(fresh.of(tip.id).edge_mm, whole.of(tip.id).edge_mm, atol=2e-3)
 
 
@@ -118,7 +118,7 @@ def test_measures_by_an_earlier_method_are_not_reused(chest, measured, monkeypat
     assert branches[0].to_json()["by_earlier_method"]
 
 
-def test_route_is_as_narrow_as_its_narrowest_branch_before_its_end(measured):
+def test_narrowest_diameter_of_a_route_is_that_of_its_branches_before_the_end(measured):
     airways, measures = measured
     tree = airways.tree
     tip = tree.tips()[0]
@@ -135,7 +135,7 @@ def test_route_is_as_narrow_as_its_narrowest_branch_before_its_end(measured):
     assert measures.narrowest_of_route(ids[:1]).mm >= found.mm
 
 
-def test_end_sections_count_by_their_narrow_side_and_start_sections_do_not_count():
+def test_width_of_a_route_uses_end_sections_by_their_narrow_side_and_no_start_sections():
     at = 0.7 * np.arange(40)
     equal, least, error = np.full(40, 4.0), np.full(40, 4.0), np.full(40, 0.1)
     at_junction = (at < 4.0) | (at > 24.0)
@@ -212,7 +212,7 @@ def test_one_disturbed_section_changes_neither_diameter_nor_narrowest_position()
     assert branch_diameter(*(np.zeros(0),) * 3) is None
 
 
-def test_document_is_plain_json_and_a_missing_branch_is_refused(measured):
+def test_measures_are_plain_json_and_refuse_an_unknown_branch(measured):
     airways, measures = measured
     document = json.loads(json.dumps(measures.to_json(), allow_nan=False))
     assert document["format"] == "carina-measures"
@@ -233,10 +233,10 @@ def test_measuring_can_be_cancelled_and_reports_progress(chest, measured):
         measure_tree(chest.volume, airways, cancel=lambda: next(calls) >= 1)
 
 
-def test_one_voxel_branch_and_branch_at_the_volume_edge_are_measured_partly(chest, measured):
+def test_one_voxel_branch_and_branch_at_the_volume_edge_have_flagged_sections(chest, measured):
     airways, _ = measured
     root = airways.tree.root
-    # A branch of one point in the top slice, and another at the end of the trachea.
+    # The tree has a branch of one point in the top slice, and another at the end of the trachea.
     trunk = dataclasses.replace(root, children=(1,), points=root.points, radius=root.radius)
     twig = Branch(1, 0, (), 1, None, "tracked", root.points[-1:], root.radius[-1:])
     tree = AirwayTree((trunk, twig))
@@ -245,7 +245,7 @@ def test_one_voxel_branch_and_branch_at_the_volume_edge_are_measured_partly(ches
     assert single.at_mm.tolist() == [0.0]
     assert single.summary.length_mm == 0.0
     assert single.summary.angle_deg is None
-    # A volume cut through the middle of the trachea: its sections are partial and flagged.
+    # The volume is cut through the middle of the trachea, so its sections are incomplete and flagged.
     i = int(chest.volume.to_ijk(root.points[len(root.points) // 2])[0] + 0.5)
     half = Volume(np.ascontiguousarray(chest.volume.hu_zyx[:, :, :i]), chest.volume.lps_from_ijk)
     alone = AirwayTree((dataclasses.replace(root, children=()),))
@@ -274,10 +274,10 @@ def test_branch_narrow_over_its_whole_length_is_compared_with_its_neighbours():
     at = np.arange(0.0, 8.0)
     narrow = np.full(8, 4.0) + 0.3 * np.abs(at - 4.0)
     expected = diameter_by_neighbours(12.0, [8.0], [7.0, 7.5])
-    # Murray: 12^3 - 8^3 from above, 7^3 + 7.5^3 from below.
+    # Murray's law gives 12^3 - 8^3 from the parent and sibling, and 7^3 + 7.5^3 from the children.
     above, below = 12.0**3 - 8.0**3, 7.0**3 + 7.5**3
     assert expected.mm == pytest.approx(np.sqrt(above ** (1 / 3) * below ** (1 / 3)))
-    # Subtracting the sibling's cube leaves the error of the parent's cube.
+    # The result has the error of the parent's cube.
     assert expected.error == pytest.approx(1.96 * 0.5 * np.hypot(0.15 * 12.0**3 / above, 0.15))
     found = stenosis_of(at, narrow, np.full(8, 0.1), np.ones(8, bool), expected=expected)
     assert found.reference_from == "neighbours"
@@ -288,7 +288,7 @@ def test_branch_narrow_over_its_whole_length_is_compared_with_its_neighbours():
     )
 
 
-def test_incomplete_neighbours_give_no_diameter():
+def test_incomplete_neighbours_give_no_expected_diameter():
     assert diameter_by_neighbours(None, [], []) is None
     assert diameter_by_neighbours(12.0, [8.0], []) is None, "siblings of a tip may be missing"
     assert diameter_by_neighbours(5.0, [6.0], [None]) is None
@@ -337,7 +337,7 @@ def test_narrowing_that_may_be_a_missed_fork_is_no_stenosis():
     half_closed = stenosis_of(at, np.where(at < 20.0, 5.0, 2.5), np.full(30, 0.1), **measured)
     assert half_closed.percent == pytest.approx(50.0)
     assert half_closed.at_mm >= 20.0
-    # A missed fork cannot explain an airway that is wider farther on.
+    # A missed fork cannot explain an airway that becomes wider.
     first_narrow = stenosis_of(at, one_fork[::-1], np.full(30, 0.1), **measured)
     assert first_narrow.percent == pytest.approx(100.0 * (1.0 - 2.0 ** (-1 / 3)))
     between = np.where((at > 15.0) & (at < 20.0), 4.0, 5.0)
@@ -349,7 +349,7 @@ def test_phantom_reports_its_stenosis_and_no_other_beyond_chance(seed):
     options = {"seed": seed, "spacing_mm": 1.2, "noise_hu": 25.0}
     healthy = measure_tree(made_phantom(**options).volume, made_airways(**options))
     reported = [one.branch_id for one in healthy.branches if one.summary.stenosis is not None]
-    # The error covers 97.5 % of healthy branches.
+    # The error covers 97.5 % of healthy branches, so 2.5 % may be reported.
     assert len(reported) <= 0.025 * len(healthy.branches)
 
     options["stenosis"] = True
@@ -367,7 +367,7 @@ def test_phantom_reports_its_stenosis_and_no_other_beyond_chance(seed):
     assert len(others) <= 0.025 * len(measures.branches)
 
 
-def test_angles_and_directions_are_those_of_the_lines():
+def test_angles_and_directions_of_a_fork_are_those_of_its_straight_branches():
     trunk = Branch(
         0, None, (1,), 0, None, "tracked", np.array([[0.0, 0, z] for z in range(40, -1, -1)]), np.full(41, 5.0)
     )
@@ -382,7 +382,10 @@ def test_angles_and_directions_are_those_of_the_lines():
 
 
 def test_directions_of_a_fine_branch_follow_its_bends():
-    """Directions use 2 mm: a right angle affects the direction 0.9 mm before it, and not 1.2 mm before it."""
+    """Check directions near a right angle.
+
+    Directions are computed over 2 mm, so the angle affects the direction 0.9 mm before it, but not 1.2 mm before it.
+    """
     at = np.linspace(0.0, 5.0, 51)
     points = np.concatenate(
         [np.stack([0 * at, 0 * at, -at], axis=1), np.stack([at[1:], 0 * at[1:], 0 * at[1:] - 5.0], 1)]
@@ -404,7 +407,7 @@ def test_taper_needs_five_sections_over_five_millimetres(num, length_mm, is_told
     assert summary.taper == (pytest.approx(-0.05) if is_told else None)
 
 
-def test_invalid_planes_are_refused(chest):
+def test_section_with_an_invalid_plane_is_refused(chest):
     arguments = (chest.volume.hu_zyx, chest.volume.lps_from_ijk)
     levels = {"min_contrast": 100.0, "brightest_wall": 100.0, "wall_rise": 1020.0, "noise": 10.0}
     with pytest.raises(UsageError, match="normal with length"):

@@ -38,7 +38,7 @@ def is_segment(name: str | None) -> bool:
 
 
 def moved(tree: AirwayTree, matrix: np.ndarray, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> AirwayTree:
-    """Return the tree with every point x replaced by ``matrix`` x + ``offset``, and radii scaled accordingly."""
+    """Return the tree with each point x moved to ``matrix`` x + ``offset``, and with radii scaled accordingly."""
     scale = abs(float(np.linalg.det(matrix))) ** (1 / 3)
     return AirwayTree(
         tuple(
@@ -56,7 +56,7 @@ def turned(axis: tuple[float, float, float], deg: float) -> np.ndarray:
 
 
 def rooted_at(tree: AirwayTree, name: str) -> AirwayTree:
-    """Return a branch and everything beyond it as a separate tree."""
+    """Return the branch ``name`` and its descendants as a separate tree."""
     root = tree.named(name)
     kept = {root.id}
     for b in tree.branches:
@@ -71,7 +71,7 @@ def rooted_at(tree: AirwayTree, name: str) -> AirwayTree:
 
 
 def without(tree: AirwayTree, cut: set[int]) -> AirwayTree:
-    """Return the tree without some branches and everything beyond them; IDs stay the same."""
+    """Return the tree without some branches and their descendants; the IDs of the other branches stay the same."""
     gone: set[int] = set()
     for b in tree.branches:
         if b.id in cut or b.parent in gone:
@@ -118,13 +118,16 @@ def with_twigs(tree: AirwayTree, rng: np.random.Generator, num: int) -> AirwayTr
 
 
 def score(truth: AirwayTree, named: AirwayTree) -> tuple[int, int, int]:
-    """Return the numbers of right, wrong and all segments; a segment without a name is neither right nor wrong."""
+    """Return the number of segments named right, named wrong, and in total.
+
+    An unnamed segment is neither right nor wrong.
+    """
     right = wrong = total = 0
     for b in named.branches:
         true = next((t for t in truth.branches if t.id == b.id), None)
         if true is None or not is_segment(true.name):
             continue
-        # A branch whose siblings were all removed continues its stem and has the stem's name.
+        # If all siblings of a branch were removed, the branch continues its stem and has the stem's name.
         if b.parent is not None and len(named.branch(b.parent).children) == 1:
             continue
         total += 1
@@ -151,13 +154,13 @@ def test_nine_of_ten_segments_of_true_trees_are_named_correctly():
 @pytest.mark.slow
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, -1)])
 @pytest.mark.parametrize("deg", [-25.0, 25.0])
-def test_rotated_or_tilted_patient_is_named_as_well(axis, deg):
+def test_rotated_or_tilted_patient_has_the_same_names(axis, deg):
     right, wrong = scores(lambda tree, _rng: moved(tree, turned(axis, deg), (40.0, -200.0, 900.0)), seeds=range(1, 4))
     assert right >= 0.90
     assert wrong <= 0.07
 
 
-def test_child_is_named_as_an_adult_is():
+def test_child_has_the_same_names_as_an_adult():
     for seed in (1, 2, 3):
         tree = true_tree(seed)
         adult, child = name_tree(tree), name_tree(moved(tree, 0.6 * np.eye(3)))
@@ -177,7 +180,7 @@ def test_pruned_tree_has_few_wrong_names():
 
 
 @pytest.mark.slow
-def test_tree_that_ends_at_the_segments_is_named():
+def test_tree_that_ends_at_the_segments_has_right_names():
     right, wrong = scores(
         lambda tree, _rng: without(tree, {c for b in tree.branches if is_segment(b.name) for c in b.children})
     )
@@ -228,7 +231,7 @@ def test_ordinary_chest_is_not_reported_as_mirrored():
 
 
 @pytest.mark.slow
-def test_tree_that_begins_in_the_right_main_bronchus_is_named():
+def test_tree_that_begins_in_the_right_main_bronchus_has_right_names():
     rows = [score(true_tree(seed), name_tree(rooted_at(true_tree(seed), "RMB"))) for seed in SEEDS]
     right, wrong, total = np.sum(rows, axis=0)
     assert right >= 0.85 * total
@@ -236,7 +239,7 @@ def test_tree_that_begins_in_the_right_main_bronchus_is_named():
 
 
 @pytest.mark.slow
-def test_one_lung_alone_is_named():
+def test_tree_of_one_lung_has_right_names():
     for lost, kept in (("LMB", "R"), ("RMB", "L")):
         rows = []
         for seed in SEEDS:
@@ -251,7 +254,7 @@ def test_one_lung_alone_is_named():
 
 
 @pytest.mark.slow
-def test_trachea_cut_off_just_above_the_carina_is_named():
+def test_tree_with_a_trachea_cut_off_above_the_carina_has_right_names():
     def cut(tree: AirwayTree, _rng: np.random.Generator) -> AirwayTree:
         root = dataclasses.replace(tree.root, points=tree.root.points[-6:], radius=tree.root.radius[-6:])
         return AirwayTree((root, *tree.branches[1:]))
@@ -261,7 +264,7 @@ def test_trachea_cut_off_just_above_the_carina_is_named():
     assert wrong <= 0.06
 
 
-def test_lobes_are_right_for_nearly_all_of_the_length():
+def test_lobe_is_right_for_98_percent_of_the_tree_length():
     good = length = 0.0
     for seed in SEEDS:
         tree = true_tree(seed)
@@ -318,7 +321,7 @@ def test_given_name_below_a_segment_determines_the_segment():
     assert named.branch(child).name == "RB10c"
 
 
-def test_naming_twice_gives_the_same():
+def test_naming_a_named_tree_again_gives_equal_names():
     tree = true_tree(5)
     once, twice = name_tree(tree), name_tree(name_tree(tree))
     assert [(b.name, b.name_confidence, b.variant) for b in once.branches] == [
@@ -329,7 +332,7 @@ def test_naming_twice_gives_the_same():
         assert before.points is after.points
 
 
-def test_letters_follow_the_rule():
+def test_letters_of_subsegments_follow_the_letter_rule():
     back, front = np.array([0.0, 10.0, 0.0]), np.array([0.0, -10.0, 3.0])
     assert letter_order([front, back], LetterRule.BACK_FIRST)[0] == [1, 0]
     assert letter_order([front, back], LetterRule.TOP_LATERAL_BACK)[0] == [1, 0]
@@ -348,12 +351,12 @@ def test_letters_follow_the_rule():
             assert other.named(pair[0]).points[-1][1] > other.named(pair[1]).points[-1][1] - 5.0
 
 
-def test_tube_without_forks_has_no_names():
+def test_tree_without_forks_has_no_names():
     tube = Branch(0, None, (), 0, None, "tracked", np.array([[0.0, 0, 0], [0, 1, -40]]), np.array([8.0, 8.0]))
     assert name_tree(AirwayTree((tube,))).root.name is None
 
 
-def test_variants_of_phantoms_are_named():
+def test_anatomical_variants_of_phantoms_have_right_names():
     for seed in SEEDS:
         tree, named = true_tree(seed), name_tree(true_tree(seed))
         said = " ".join(b.variant or "" for b in named.branches)
@@ -362,7 +365,7 @@ def test_variants_of_phantoms_are_named():
 
 
 def regrafted(tree: AirwayTree, name: str, host_name: str, share: float) -> tuple[AirwayTree, int]:
-    """Return the tree with a bronchus and everything beyond it moved to the side of another bronchus, and its ID."""
+    """Return the tree with a bronchus and its descendants moved to another bronchus, and the bronchus's ID."""
     branches = {b.id: b for b in tree.branches}
     sub, host = tree.named(name), tree.named(host_name)
     mid, lower = int(len(host.points) * share), max(branches) + 1
@@ -390,7 +393,7 @@ def regrafted(tree: AirwayTree, name: str, host_name: str, share: float) -> tupl
     while waiting:
         b = branches[waiting.pop(0)]
         if b.parent is not None:
-            # To the last bit.
+            # The first point must equal the parent's last point to the last bit.
             b = dataclasses.replace(b, points=np.concatenate([branches[b.parent].points[-1:], b.points[1:]]))
             branches[b.id] = b
         made.append(b)
@@ -416,7 +419,7 @@ def test_bronchus_with_an_unusually_high_origin_is_reported(name, host, share, w
     assert wrong == 0
 
 
-def test_names_have_full_texts():
+def test_every_name_has_a_full_text():
     for keys in LOBES.values():
         for key in keys:
             words = name_words(key)
@@ -431,7 +434,7 @@ def test_names_have_full_texts():
     assert name_words("") is None
 
 
-def test_bronchi_of_one_lung_are_expected_on_their_own_side():
+def test_expected_bronchi_of_one_lung_are_those_of_its_side():
     rules = grammar()
     for name in ("RMB", "BI", *LOBES, "LMB"):
         right_or_left = -1.0 if name == "BI" or name.startswith("R") else 1.0
@@ -441,7 +444,7 @@ def test_bronchi_of_one_lung_are_expected_on_their_own_side():
         assert (rules.direction[states, 0] * right_or_left > 0.2).all(), name
 
 
-def test_probabilities_of_all_divisions_sum_to_one():
+def test_probabilities_of_all_divisions_of_a_bronchus_sum_to_one():
     rules = grammar()
     division = rules.division
     for state in np.unique(division.state):
@@ -449,8 +452,8 @@ def test_probabilities_of_all_divisions_sum_to_one():
         assert total == pytest.approx(1.0, abs=0.061)
 
 
-def test_sums_over_readings_equal_plain_recursion():
-    """Enumerate every derivation of the grammar on a small tree of forks in two."""
+def test_sums_over_all_readings_of_a_tree_equal_plain_recursion():
+    """Compare with an enumeration of every derivation of the grammar, on a small tree of binary forks."""
     tree = true_tree(5)
     small = without(tree, {b.id for b in tree.branches if b.generation >= 3})
     bronchi = bronchi_of(small)
@@ -488,6 +491,6 @@ def test_sums_over_readings_equal_plain_recursion():
     root = solver.posts[0]
     assert root.sum() == pytest.approx(1.0)
     for posts in solver.posts:
-        # A bronchus has at most one reading, and none if it carries no segment or is inside one.
+        # A bronchus has at most one reading, and none if it leads to no segment or is inside a segment.
         assert posts.min() >= 0.0
         assert posts.sum() <= 1.0 + 1e-9

@@ -1,4 +1,4 @@
-"""Tests of scans that include the neck, and of tracheal tubes: the start of the tree, and the notes."""
+"""Tests of scans with a neck, and with tracheal tubes: the start of the tree, and the notes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from made import made_airways, made_phantom
 
 CHEST: dict[str, Any] = {"spacing_mm": 1.4, "generations": 4}
 WITH_NECK = {**CHEST, "neck": True}
-# The large airways, the neck, and the air in front of the neck.
+# Box that contains the large airways, the neck, and the air in front of the neck.
 FRONT_OF_NECK_LPS = ((-110.0, -130.0, -80.0), (110.0, 70.0, 190.0))
 
 
@@ -59,9 +59,9 @@ def test_tracheal_tube_is_reported_with_the_height_of_its_tip() -> None:
 
 @pytest.mark.parametrize("seed", [9, 16])
 def test_air_beside_a_tube_is_no_branch_and_the_cords_are_found_from_inside_the_tube(seed: int) -> None:
-    """In seed 9 the tube touches the tracheal wall.
+    """Use seed 9, in which the tube touches the wall of the trachea, and seed 16.
 
-    In seed 16 the followed lumen begins in the tube, 57 mm below the cords.
+    In seed 16 the lumen that is followed begins in the tube, 57 mm below the vocal cords.
     """
     begins_below_the_cricoid(*searched({**WITH_NECK, "seed": seed, "tube": "endotracheal"}))
 
@@ -73,7 +73,7 @@ def test_tracheostomy_is_reported_and_neither_leaks_nor_becomes_a_branch() -> No
 
 
 @pytest.mark.parametrize("seed", [1, 4])
-def test_the_air_of_a_tracheostomy_is_not_followed_out_of_the_neck_in_thin_slices(seed: int) -> None:
+def test_air_of_a_tracheostomy_is_not_followed_out_of_the_neck_in_thin_slices(seed: int) -> None:
     options = {**WITH_NECK, "spacing_mm": (1.6, 1.6, 0.8), "noise_hu": 25.0, "box_lps": FRONT_OF_NECK_LPS}
     made, found = searched({**options, "seed": seed, "tube": "tracheostomy"})
     begins_below_the_cricoid(made, found)
@@ -86,7 +86,8 @@ def names_the_tube(made: Phantom, found: Airways, name: str) -> None:
     assert note.words.startswith(name)
     assert note.words in found.notes
     said = float(note.words.split("its tip ")[1].split(" mm")[0])
-    # The tree's fork lies up to a few mm below the phantom's; a slice or two of the tip are blurred.
+    # The fork of the found tree is up to a few mm below the phantom's fork, and one or two slices of the tube's tip are
+    # blurred.
     assert abs(said - made.truth["tube"]["above_carina_mm"]) <= 4.0 + 1.5 * made.volume.spacing_mm[2]
 
 
@@ -96,7 +97,7 @@ def test_chest_without_larynx_and_tube_has_no_note_of_them() -> None:
     assert found.upper_airway_zyx is None
 
 
-def test_neck_is_only_above_the_cricoid() -> None:
+def test_phantom_with_a_neck_differs_only_above_the_cricoid() -> None:
     made = made_phantom(**WITH_NECK, seed=1)
     volume, upper = made.volume, made.upper_airway_zyx
     assert upper is not None
@@ -110,7 +111,7 @@ def test_neck_is_only_above_the_cricoid() -> None:
     assert float(volume.hu_zyx[upper > 0].mean()) < -850.0
 
 
-def test_tracheostomy_needs_a_neck_and_a_tube_needs_a_known_name() -> None:
+def test_phantom_refuses_a_tracheostomy_without_a_neck_and_an_unknown_tube() -> None:
     with pytest.raises(UsageError, match="tracheostomy"):
         generate_phantom(spacing_mm=6.0, generations=3, tube="tracheostomy")
     with pytest.raises(UsageError, match="endotracheal, tracheostomy"):
@@ -120,7 +121,7 @@ def test_tracheostomy_needs_a_neck_and_a_tube_needs_a_known_name() -> None:
 @pytest.mark.soak
 @pytest.mark.parametrize("tube", [None, "endotracheal", "tracheostomy"])
 @pytest.mark.parametrize("seed", range(20))
-def test_necks_of_twenty_seeds_begin_below_the_cricoid(seed: int, tube: str | None) -> None:
+def test_trees_of_twenty_phantoms_with_a_neck_begin_below_the_cricoid(seed: int, tube: str | None) -> None:
     made = generate_phantom(**WITH_NECK, seed=seed, tube=tube)
     found = find_airways(made.volume)
     begins_below_the_cricoid(made, found)
@@ -132,7 +133,7 @@ def test_necks_of_twenty_seeds_begin_below_the_cricoid(seed: int, tube: str | No
 @pytest.mark.soak
 @pytest.mark.parametrize("options", [{"noise_hu": 30.0}, {"spacing_mm": (1.0, 1.0, 3.0)}], ids=["noise", "thick"])
 @pytest.mark.parametrize("seed", range(4))
-def test_necks_in_noise_and_in_thick_slices(seed: int, options: dict[str, Any]) -> None:
+def test_trees_in_noise_and_in_thick_slices_begin_below_the_cricoid(seed: int, options: dict[str, Any]) -> None:
     made = generate_phantom(**{**WITH_NECK, **options}, seed=seed)
     begins_below_the_cricoid(made, find_airways(made.volume))
 

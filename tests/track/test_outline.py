@@ -1,4 +1,4 @@
-"""Tests of the lumen outline in a plane: against a synthetic chest, the voxels of the mask, and after edits."""
+"""Tests of the outline of the lumen in a plane: against a synthetic chest, the voxels of the mask, and after edits."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def found(chest):
 
 
 def plane(normal, middle_lps, mm_per_px, size=SIZE):
-    """Return ``lps_from_pixel`` of a square picture."""
+    """Return the matrix ``lps_from_pixel`` of a square picture in the plane of a normal and a middle."""
     normal = np.asarray(normal, dtype=np.float64) / np.linalg.norm(normal)
     right = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     right /= np.linalg.norm(right)
@@ -32,7 +32,7 @@ def plane(normal, middle_lps, mm_per_px, size=SIZE):
 
 
 def points_lps(lines, matrix):
-    """Return points along the lines, at most a fifth of a pixel apart."""
+    """Return points (n, 3) along the lines, at most a fifth of a pixel apart, LPS mm."""
     places = []
     for line in lines:
         steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
@@ -66,12 +66,12 @@ def test_outline_on_any_plane_is_within_half_a_voxel_of_the_true_wall(chest, fou
         lines = outline.lines(matrix, SIZE, SIZE)
         places = points_lps(lines, matrix) if lines else np.empty((0, 3))
         depth = chest.depth_mm(places)
-        # Direction to the wall: the gradient of the true distance.
+        # The direction to the wall is the gradient of the true distance.
         step = 1e-3
         slope = np.stack([(chest.depth_mm(places + step * e) - depth) / step for e in np.eye(3)], axis=1)
         slope /= np.linalg.norm(slope, axis=1, keepdims=True)
         ends = np.stack([np.linalg.norm(places - end, axis=1) - radius for _, end, radius in chest.tubes[3:]])
-        # Beyond the drawn ends of the tubes the lumen may end earlier, and at forks two walls are blurred into one.
+        # At the drawn ends of the tubes the found lumen may end earlier, and at forks two walls are blurred into one.
         walls = np.sort([off_tube(places, *tube) for tube in chest.tubes], axis=0)
         clear = (walls[1] > 3.0) & (ends > 6.0).all(axis=0) & inside_by(chest.volume, places, 4.0)
         offs.append((np.abs(depth) / half_voxel_mm(chest.volume, slope))[clear])
@@ -87,14 +87,14 @@ def off_tube(points, start, end, radius):
 
 
 def inside_by(volume, points, margin_mm):
-    """Return whether points are farther than this distance inside the volume."""
+    """Return for each point whether it is inside the volume by more than ``margin_mm``."""
     ijk = volume.to_ijk(points)
     margin = margin_mm / np.asarray(volume.spacing_mm)
     return ((ijk > margin) & (ijk < np.array(volume.shape_zyx[::-1]) - 1 - margin)).all(axis=1)
 
 
 def sides(lumen_zyx, ijk):
-    """Return whether lumen, and whether other voxels, are within half a voxel of voxel coordinates (n, 3)."""
+    """Return whether lumen voxels, and whether other voxels, are within half a voxel of each position (n, 3)."""
     nearest = np.rint(ijk).astype(int)
     found = np.zeros((2, len(ijk)), dtype=bool)
     shape = np.array(lumen_zyx.shape[::-1])
@@ -122,7 +122,8 @@ def test_outline_on_any_plane_separates_mask_voxels_to_half_a_voxel(chest, found
         assert sides(found.lumen_zyx, chest.volume.to_ijk(places)).all()
         if not all(np.array_equal(line[0], line[-1]) for line in lines):
             continue
-        # And it misses nothing: what is farther than that from the mask's edge lies on the side that the mask says.
+        # The outline is complete: points farther than half a voxel from the mask's edge are on the side that the mask
+        # states.
         pixels = random.uniform(0, SIZE, (400, 2))
         near = sides(found.lumen_zyx, chest.volume.to_ijk(pixels @ matrix[:3, :2].T + matrix[:3, 3]))
         sure = near[0] != near[1]
@@ -145,7 +146,7 @@ def test_painted_and_erased_voxels_are_in_the_outline(chest, found):
     start, end, _ = chest.tubes[3]
     at = tuple(float(v) for v in start + 0.6 * (end - start))
     matrix = plane((0.2, 1.0, 0.1), at, 0.1)
-    # 4.2 mm from the axis of a bronchus of 3.2 mm radius: in its wall.
+    # The point is 4.2 mm from the axis of a bronchus of 3.2 mm radius, so in its wall.
     aside = np.array([[SIZE / 2 + 42.0, SIZE / 2]])
     aside_lps = tuple(float(v) for v in aside[0] @ matrix[:3, :2].T + matrix[:3, 3])
 
@@ -160,7 +161,7 @@ def test_painted_and_erased_voxels_are_in_the_outline(chest, found):
     outline = LumenOutline(chest.volume, painted)
     erased = edit_airways(chest.volume, painted, PaintLumen((aside_lps,), 1.5, "ball", erase=True))
     assert not holds(erased)
-    # A rename keeps the lumen, so the outline keeps its object and is not computed again.
+    # A rename does not change the lumen array, so the outline is not computed again.
     assert outline.lumen_zyx is painted.lumen_zyx
 
 
@@ -177,7 +178,7 @@ def test_mask_of_another_tool_is_outlined_half_way_between_its_voxels(chest):
     np.testing.assert_allclose(ijk.max(axis=0), (36.5, 41.5), atol=1e-6)
 
 
-def test_plane_beside_the_airways_has_no_lines_and_a_flat_matrix_is_refused(chest, found):
+def test_plane_beside_the_airways_has_no_outline_and_a_singular_matrix_is_refused(chest, found):
     outline = LumenOutline(chest.volume, found)
     corner = chest.volume.to_lps(np.zeros(3))
     assert outline.lines(plane((0, 0, 1), corner, 0.01), SIZE, SIZE) == ()

@@ -1,4 +1,4 @@
-"""The paper's cost and graph through their Python face: four pairs, one contract."""
+"""Tests of the paper's costs and graphs through the Python interface, for each pair of cost and graph."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ def found(chest):
 
 @pytest.fixture(scope="module")
 def ends(chest):
-    """Points in the middle of the four lobar bronchi, 4 mm before their ends."""
+    """Return points in the middle of the four lobar bronchi, 4 mm before their ends, LPS mm."""
     return [b + 4.0 * (a - b) / np.linalg.norm(b - a) for a, b, _ in chest.tubes[3:]]
 
 
 @pytest.mark.parametrize(("cost", "graph"), PAIRS)
-def test_every_pair_finds_all_targets_and_a_tree_of_back_pointers(chest, found, ends, cost, graph):
+def test_search_with_each_cost_and_graph_finds_all_targets_and_a_tree(chest, found, ends, cost, graph):
     result = track_on_graph(chest.volume, found, ends, cost=cost, graph=graph)
     search = result.search
     assert search is not None
     assert [t.problem for t in result.targets] == [None] * 4
     tips = {branch.id for branch in result.tree.tips()}
-    # Targets in different lobes: four tips, and a branch node for every parting.
+    # The targets are in different lobes, so the tree has four tips and a fork at each division of the paths.
     assert len(tips) == 4
     parted = [branch for branch in result.tree.branches if len(branch.children) > 1]
     assert len(search.branch_nodes_lps) == len(parted)
@@ -48,14 +48,14 @@ def test_every_pair_finds_all_targets_and_a_tree_of_back_pointers(chest, found, 
         path = target.path
         assert path is not None
         assert row is not None
-        # A voxel's half diagonal: the path ends in the voxel that holds the target.
+        # The tolerance is half of a voxel's diagonal: the path ends in the voxel that contains the target.
         assert np.linalg.norm(path.points_lps[-1] - target.used_lps) <= 0.5 * np.linalg.norm(chest.volume.spacing_mm)
         assert np.linalg.norm(path.points_lps[0] - found.root_lps) <= 1.0 + np.linalg.norm(chest.volume.spacing_mm)
         assert path.cost == row.cost > 0.0
         inside = found.tracker.inside(path.voxel_path_lps)
         assert row.num_outside == int((~inside).sum())
         if cost == "walls":
-            # The guarantee of paper 6.3, on a search that knows no lumen.
+            # No path leaves the lumen, which paper 6.3 guarantees, although the search does not know the lumen.
             assert row.num_outside == 0
         if cost == "lumen":
             assert row.num_outside == 0
@@ -63,19 +63,19 @@ def test_every_pair_finds_all_targets_and_a_tree_of_back_pointers(chest, found, 
             assert found.tracker.inside(path.points_lps).all()
     assert search.num_nodes > 0
     assert search.num_edges > search.num_nodes
-    # With 12 HU of noise no cube of 27 voxels lies in one bin of 16 HU: the bins of the cost paper prune nothing.
+    # With noise of 12 HU no cube of 27 voxels is in one bin of 16 HU, so bins remove no nodes with the cost *paper*.
     assert (search.num_centres > 0) == (graph == "isoregion" and search.labels == "lumen")
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_where_walls_are_dear_paths_to_segments_stay_inside_and_with_walls_cheap_they_leave(seed):
-    """Paper 6.3: the cost "always prevents wall penetration"; 20 seeds in make soak."""
+def test_paths_to_segments_stay_in_the_lumen_only_if_walls_are_expensive(seed):
+    """Test the statement of paper 6.3 that the cost "always prevents wall penetration"; `make soak` tests 20 seeds."""
     assert_no_wall_is_penetrated(seed)
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("seed", range(1, 21))
-def test_no_wall_is_penetrated_on_the_way_to_five_segments(seed):
+def test_paths_to_five_segments_penetrate_no_wall(seed):
     assert_no_wall_is_penetrated(seed)
 
 
@@ -91,7 +91,7 @@ def assert_no_wall_is_penetrated(seed):
     assert printed.targets[0].num_outside > 0.5 * printed.targets[0].num_path_nodes
 
 
-def test_metal_in_the_volume_does_not_open_walls(chest, found, ends):
+def test_paths_in_a_volume_with_metal_penetrate_no_wall(chest, found, ends):
     values = chest.volume.hu_zyx.copy()
     values[2:4, 2:4, 2:4] = 30000
     volume = Volume(values, chest.volume.lps_from_ijk)
@@ -99,15 +99,15 @@ def test_metal_in_the_volume_does_not_open_walls(chest, found, ends):
     assert [row.num_outside for row in search.targets] == [0] * 4
 
 
-def test_the_voxel_graph_of_the_lumen_has_the_costs_of_the_tracker_that_the_tree_came_from(chest, found, ends):
+def test_voxel_graph_of_the_lumen_has_the_costs_of_the_lumen_tracker(chest, found, ends):
     result = track_on_graph(chest.volume, found, ends, cost="lumen", graph="voxel")
     for target, end in zip(result.targets, ends, strict=True):
         assert target.path is not None
-        # Equal edges; the two may round to another quantum.
+        # The edges are equal; the two trackers may round costs to different quanta.
         assert target.path.cost == pytest.approx(found.tracker.path_to(end).cost, rel=0.01)
 
 
-def test_the_pruned_lumen_has_fewer_nodes_and_never_a_cheaper_path(chest, found, ends):
+def test_pruned_graph_of_the_lumen_has_fewer_nodes_and_no_cheaper_path(chest, found, ends):
     whole = track_on_graph(chest.volume, found, ends, cost="lumen", graph="voxel").search
     for labels in ("lumen", "bins"):
         pruned = track_on_graph(chest.volume, found, ends, cost="lumen", graph="isoregion", labels=labels).search
@@ -118,14 +118,14 @@ def test_the_pruned_lumen_has_fewer_nodes_and_never_a_cheaper_path(chest, found,
     assert track_on_graph(chest.volume, found, ends, cost="lumen", graph="isoregion").search.num_nodes < whole.num_nodes
 
 
-def test_without_noise_bins_prune_tissue_and_lumen_and_targets_have_a_node_that_stands_for_them(chest, found, ends):
+def test_bins_prune_a_volume_without_noise_and_targets_have_a_representative_node(chest, found, ends):
     values = np.where(found.lumen_zyx != 0, -1000, np.where(chest.volume.hu_zyx > -400, 30, -880)).astype(np.int16)
     volume = Volume(values, chest.volume.lps_from_ijk)
     whole = track_on_graph(volume, found, ends, cost="paper", graph="voxel").search
     bins = track_on_graph(volume, found, ends, cost="paper", graph="isoregion").search
     lumen = track_on_graph(volume, found, ends, cost="paper", graph="isoregion", labels="lumen").search
     assert bins.num_nodes < 0.6 * whole.num_nodes
-    # Labels of the lumen cut away nothing outside it.
+    # The labels of the lumen remove no node outside the lumen.
     assert bins.num_nodes < lumen.num_nodes < whole.num_nodes
     for target in bins.targets:
         assert target is not None
@@ -133,7 +133,7 @@ def test_without_noise_bins_prune_tissue_and_lumen_and_targets_have_a_node_that_
     assert None not in lumen.targets
 
 
-def test_track_paths_takes_cost_and_graph(chest, found, ends):
+def test_track_paths_accepts_cost_and_graph(chest, found, ends):
     result = carina.track_paths(chest.volume, targets=ends[:1], cost="paper", graph="isoregion", airways=found)
     assert result.search is not None
     assert (result.search.cost, result.search.graph, result.search.labels) == ("paper", "isoregion", "bins")
@@ -143,12 +143,12 @@ def test_track_paths_takes_cost_and_graph(chest, found, ends):
 
 
 @pytest.mark.parametrize(("cost", "graph"), [("dijkstra", "voxel"), ("paper", "octree"), ("", "voxel")])
-def test_what_does_not_exist_is_refused(chest, found, ends, cost, graph):
+def test_search_with_an_unknown_cost_or_graph_is_refused(chest, found, ends, cost, graph):
     with pytest.raises(UsageError, match=r"expected one of .*; found"):
         carina.track_paths(chest.volume, targets=ends[:1], cost=cost, graph=graph, airways=found)
 
 
-def test_a_target_far_from_the_lumen_has_a_path_by_the_papers_cost_only(chest, found):
+def test_target_far_from_the_lumen_has_a_path_only_with_the_paper_cost(chest, found):
     tissue = chest.tubes[0][0] + np.array([20.0, 10.0, -10.0])
     by_lumen = track_on_graph(chest.volume, found, [tissue], cost="lumen", graph="isoregion")
     assert by_lumen.targets[0].path is None
@@ -157,29 +157,29 @@ def test_a_target_far_from_the_lumen_has_a_path_by_the_papers_cost_only(chest, f
     by_paper = track_on_graph(chest.volume, found, [tissue], cost="paper", graph="voxel")
     row = by_paper.search.targets[0]
     assert row.num_outside > 0
-    # It lies 15 mm outside the trachea, so at least that much of the way does.
+    # The target is 15 mm outside the trachea, so about this length of the path must be outside the lumen.
     assert row.outside_mm > 12.0
     assert by_paper.targets[0].path.radius_mm[-1] == 0.0
 
 
-def test_a_second_target_on_the_way_costs_no_search(chest, found, ends):
+def test_second_target_on_the_path_of_the_first_needs_no_search(chest, found, ends):
     root, first = found.root_lps, ends[0]
     path = track_on_graph(chest.volume, found, [first], cost="paper", graph="voxel").targets[0].path
     middle = path.voxel_path_lps[len(path.voxel_path_lps) // 2]
     again = track_on_graph(chest.volume, found, [first, middle, root], cost="paper", graph="voxel")
     assert [row.num_settled for row in again.search.targets][1:] == [0, 0]
-    # A target that is the root itself has a path of one node and no cost.
+    # The third target is the root, so its path has one node and no cost.
     assert again.search.targets[2].cost == 0.0
-    # Both lie on the way to the first, so the tree is one branch.
+    # All targets are on the path to the first one, so the tree is one branch.
     assert len(again.tree.branches) == 1
 
 
-def test_a_stop_is_answered(chest, found, ends):
+def test_search_with_the_paper_cost_can_be_cancelled(chest, found, ends):
     with pytest.raises(CancelledError):
         track_on_graph(chest.volume, found, ends, cost="paper", graph="isoregion", cancel=lambda: True)
 
 
-def test_the_box_is_the_volume_where_it_fits_and_else_round_the_targets(chest):
+def test_search_box_is_the_whole_volume_if_it_fits_else_around_the_targets(chest):
     volume = chest.volume
     points = [chest.tubes[0][0], chest.tubes[1][1]]
     shape = volume.shape_zyx[::-1]
@@ -196,7 +196,7 @@ def test_the_box_is_the_volume_where_it_fits_and_else_round_the_targets(chest):
         search_box(volume, points, max_bytes=1 << 12)
 
 
-def test_a_target_outside_a_given_box_has_no_path_and_the_others_do(chest, found, ends):
+def test_target_outside_a_given_box_has_no_path_and_other_targets_have_one(chest, found, ends):
     box = search_box(chest.volume, [found.root_lps, ends[0]], max_bytes=BYTES_PER_VOXEL["voxel"] * 400_000)
     assert box[1] != chest.volume.shape_zyx[::-1]
     last = chest.volume.to_ijk(np.array(ends)) - np.array(box[0])
@@ -210,12 +210,12 @@ def test_a_target_outside_a_given_box_has_no_path_and_the_others_do(chest, found
     assert "box" in result.search.notes[0]
 
 
-def test_the_deviation_of_two_paths_is_their_distance_both_ways():
+def test_deviation_of_two_paths_is_their_distance_in_both_directions():
     line = np.array([[0.0, 0.0, 0.0], [30.0, 0.0, 0.0]])
     assert deviation_mm(line, line[::-1]) == (0.0, 0.0)
     beside = line + np.array([0.0, 3.0, 4.0])
     assert deviation_mm(line, beside) == pytest.approx((5.0, 5.0))
-    # Half as long: one way 0, the other 0 to 15 mm.
+    # The second path is half as long: the distance is 0 in one direction and 0 to 15 mm in the other.
     half = line * 0.5
     assert deviation_mm(line, half) == pytest.approx((15.0 / 8.0, 15.0), abs=0.05)
 
@@ -227,7 +227,7 @@ def test_the_deviation_of_two_paths_is_their_distance_both_ways():
     order=st.permutations(range(6)),
     labels=st.sampled_from([None, "bins"]),
 )
-def test_targets_in_any_order_cost_what_a_search_from_scratch_finds(seed, step, order, labels):
+def test_costs_of_targets_in_any_order_equal_those_of_a_new_search(seed, step, order, labels):
     rng = np.random.default_rng(seed)
     values = (rng.integers(0, 3, (6, 7, 8)) * step - 1000).astype(np.int16)
     values[1:5, 1:6, 1:7] = -1000
@@ -258,6 +258,6 @@ def test_targets_in_any_order_cost_what_a_search_from_scratch_finds(seed, step, 
         points, nodes = resumed.path(node)
         assert nodes[0] == resumed.root
         assert nodes[-1] == node
-        # The weights lie between 1/256 and 1, so the cost does between that share of the length and all of it.
+        # The weights are between 1/256 and 1, so the cost is between 1/256 of the length and the length.
         length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
         assert length / 256 * 0.99 <= resumed.cost(node) <= length * 1.005 + 1e-9

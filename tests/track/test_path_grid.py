@@ -1,4 +1,4 @@
-"""Tests of the search grid: which slices are divided, and conversion of masks and voxels between both grids."""
+"""Tests of the path grid: which slices are divided, and conversion of masks and voxels to the CT's grid."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_only_thick_slices_of_a_fine_ct_are_divided(spacing_mm, parts):
 
 
 def test_grid_with_needlessly_thin_parts_is_refused_for_a_ct():
-    # A damaged or hostile case file must not make Carina interpolate a volume of many times the memory.
+    # A damaged or malicious case file must not make Carina interpolate a volume of many times the CT's memory.
     ct = volume((0.7, 0.7, 0.8))
     nz, ny, nx = ct.shape_zyx
     assert PathGrid.parts_of(ct, (nz, ny, nx)) == 1
@@ -74,7 +74,7 @@ def test_both_grids_cover_the_same_region(axis):
     np.testing.assert_array_equal(there, voxels)
 
 
-def test_a_turned_volume_is_interpolated_to_the_same_values():
+def test_volume_with_permuted_axes_is_interpolated_to_the_same_values():
     ct = volume((0.7, 0.7, 3.0))
     turned = ct.lps_from_ijk.copy()
     turned[:3, 3] += turned[:3, 2] * (ct.shape_zyx[0] - 1)
@@ -87,8 +87,8 @@ def test_mask_on_the_ct_has_voxels_at_least_half_set_and_each_centreline():
     ct = volume((0.7, 0.7, 3.0))
     grid = PathGrid.of(ct)
     lumen = np.zeros(grid.shape_zyx, dtype=np.uint8)
-    lumen[3:5, 8, 9] = 1  # two of three parts of slice 1
-    lumen[8, 8, 4:20] = 1  # one of three parts of slice 2
+    lumen[3:5, 8, 9] = 1  # two of the three parts of slice 1
+    lumen[8, 8, 4:20] = 1  # one of the three parts of slice 2
     np.testing.assert_array_equal(np.argwhere(grid.mask_on_ct(lumen)), [[1, 8, 9]])
     line = grid.volume.to_lps(np.array([[4.0, 8.0, 8.0], [19.0, 8.0, 8.0]]))
     branch = Branch(0, None, (), 0, None, "tracked", line, np.ones(2))
@@ -152,12 +152,12 @@ def test_brush_covers_whole_voxels_of_the_ct(thick):
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (1, 2, 0), (2, 0, 1)])
-def test_divided_slices_stored_in_another_order_give_the_same_airways(thick, order):
+def test_divided_slices_in_another_storage_order_give_equal_airways(thick, order):
     ct, airways = thick
     values = np.ascontiguousarray(ct.hu_zyx.transpose(order)[::-1])
     matrix = ct.lps_from_ijk.copy()
     matrix[:3, :3] = ct.lps_from_ijk[:3, :3][:, [2 - axis for axis in order[::-1]]]
-    # The first axis of the array runs the other way.
+    # The first axis of the array is reversed.
     matrix[:3, 3] += matrix[:3, 2] * (values.shape[0] - 1)
     matrix[:3, 2] *= -1.0
     other = Volume(values, matrix)
@@ -173,7 +173,7 @@ def test_divided_slices_stored_in_another_order_give_the_same_airways(thick, ord
     assert found.tracker.path_to(airways.tree.tips()[0].tip_lps).length_mm > 100.0
 
 
-def test_where_divided_slices_show_no_trachea_those_of_the_ct_are_searched(thick, monkeypatch):
+def test_search_uses_the_slices_of_the_ct_if_divided_slices_show_no_trachea(thick, monkeypatch):
     ct, _ = thick
 
     def grow_in_own_slices(disturbed, *arguments):
@@ -188,7 +188,7 @@ def test_where_divided_slices_show_no_trachea_those_of_the_ct_are_searched(thick
     assert len(found.tree) > 20
 
 
-def test_airways_of_another_ct_are_refused(thick):
+def test_edit_of_airways_of_another_ct_is_refused(thick):
     _, airways = thick
     other = volume((0.8, 0.8, 3.0))
     with pytest.raises(UsageError, match="belong to another CT"):
@@ -207,11 +207,11 @@ def test_divided_slices_show_airways_not_visible_in_the_ct_slices(thick, monkeyp
     axes = np.concatenate([np.array(row["points"]) for row in truth["branches"]])
     for branch in airways.tree.branches:
         off_mm = np.linalg.norm(branch.points[:, None] - axes[None], axis=2).min(axis=1)
-        # The truth has a point each few millimetres.
+        # The truth has a point every few millimetres, so the distance to the nearest point is not 0.
         assert np.median(off_mm) < 3.5
 
 
-def test_the_walls_count_for_less_than_the_odds_of_the_way():
+def test_confidence_depends_less_on_the_walls_than_on_the_probability_of_the_path():
     points = np.stack([np.zeros(12), np.zeros(12), -np.arange(12.0)], axis=1)
     branch = Branch(0, None, (), 0, None, "tracked", points, np.ones(12), confidence=0.5)
 
@@ -219,14 +219,14 @@ def test_the_walls_count_for_less_than_the_odds_of_the_way():
         judged = np.column_stack([points + off_mm, np.full(12, way)])
         return as_probable_as_its_way(dataclasses.replace(branch, confidence=walls), judged).confidence
 
-    # Walls that show nothing leave the probability of the way.
+    # Without evidence of walls the probability of the path is the confidence.
     assert confidence_of(0.5, 0.8) == 0.8
     assert 0.5 < confidence_of(0.01, 0.8) < 0.8 < confidence_of(0.99, 0.8) < 0.95
     assert confidence_of(0.0, 0.8) == confidence_of(0.01, 0.8)
     assert confidence_of(1.0, 1.0) < 1.0
-    # Certain is a branch only where both are.
+    # The confidence is high only if both values are high.
     assert confidence_of(0.999, 0.94) == confidence_of(0.94, 0.99) == 0.94
     assert confidence_of(0.97, 0.98) == 0.97
-    # Farther than 2 mm from a way, a branch keeps its own.
+    # The confidence of a branch farther than 2 mm from a path is not limited by the path.
     assert confidence_of(0.99, 0.8, off_mm=5.0) == 0.99
     assert confidence_of(None, 0.8) is None

@@ -26,7 +26,7 @@ def tracker_of(lumen: np.ndarray, root_ijk: tuple[int, int, int]) -> tuple[Lumen
 
 @settings(max_examples=25)
 @given(bits=st.lists(st.booleans(), min_size=210, max_size=210), order=st.permutations(range(12)))
-def test_targets_in_any_order_have_the_costs_of_a_whole_solve(bits, order):
+def test_costs_of_targets_in_any_order_equal_those_of_a_complete_search(bits, order):
     lumen = np.array(bits).reshape(5, 6, 7)
     lumen[0, 0, 0] = True
     whole, _ = tracker_of(lumen, (0, 0, 0))
@@ -52,14 +52,15 @@ def test_straight_corridor_costs_its_length_times_its_weight():
     points, nodes = core.path(node)
     assert len(nodes) == 16
     assert np.allclose(np.linalg.norm(np.diff(points, axis=0), axis=1), 1.0)
-    # The wall is half a voxel away: 0.75 mm along y, the nearest side; at the two ends 0.5 mm along x.
+    # The wall is half a voxel away: 0.75 mm along y, the shortest distance; at both ends of the corridor 0.5 mm along
+    # x.
     weight, end_weight = (10.0 / 0.75) ** 3, (10.0 / 0.5) ** 3
     expected = 14 * weight + end_weight
-    # 0.5 %: the integer quantum.
+    # The tolerance of 0.5 % is the rounding to integer costs.
     assert core.cost(node) == pytest.approx(expected, rel=0.005)
 
 
-def test_several_threads_may_query_while_another_solves():
+def test_threads_get_right_costs_while_another_thread_searches():
     lumen = np.ones((40, 40, 40), bool)
     lumen[0] = lumen[-1] = False
     core, _ = tracker_of(lumen, (20, 20, 20))

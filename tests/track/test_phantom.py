@@ -28,7 +28,7 @@ def same_as_its_truth(phantom, airways):
     truth = AirwayTree.from_json(phantom.truth)
     found = np.bincount([branch.generation for branch in airways.tree.branches])
     true = np.bincount([branch.generation for branch in truth.branches])
-    # Generations 0 to 3 exactly; farther out one fork more or less in twenty (a short trifurcation).
+    # Generations 0 to 3 must be equal; beyond them one fork in twenty may differ (a short trifurcation).
     assert list(found[:4]) == list(true[:4])
     assert abs(len(airways.tree) - len(truth)) <= 0.05 * len(truth)
     lumen = airways.lumen_zyx.astype(bool)

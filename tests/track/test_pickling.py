@@ -40,14 +40,14 @@ def by_pickle(value: Any) -> Any:
 
 
 def by_buffers(value: Any) -> Any:
-    """Pickle as Ray stores objects: arrays beside the pickle, mapped read-only by the other process."""
+    """Return a copy of the value pickled as Ray stores objects: arrays outside the pickle, mapped read-only."""
     buffers: list[pickle.PickleBuffer] = []
     data = pickle.dumps(value, protocol=5, buffer_callback=buffers.append)
     return pickle.loads(data, buffers=[bytes(one.raw()) for one in buffers])
 
 
 def by_mapped_files(value: Any, folder: Path) -> Any:
-    """Pass arguments as joblib does: large arrays are files that the other process maps."""
+    """Return a copy of the value passed as joblib passes arguments: large arrays are files that the receiver maps."""
 
     class Mapping(pickle.Pickler):
         num_files = 0
@@ -108,20 +108,22 @@ def assert_same_airways(made: carina.Airways, expected: carina.Airways) -> None:
 
 @pytest.mark.parametrize("way", [by_pickle, by_buffers, copy.copy, copy.deepcopy])
 @pytest.mark.parametrize("kind", KINDS)
-def test_airways_are_the_same_after_a_copy(
+def test_copied_or_pickled_airways_equal_the_original(
     kind: str, way: Callable[[Any], Any], every_kind: dict[str, carina.Airways]
 ) -> None:
     assert_same_airways(way(every_kind[kind]), every_kind[kind])
 
 
-def test_airways_are_the_same_after_a_pickle_whose_arrays_are_mapped_files(
+def test_airways_pickled_with_mapped_files_equal_the_original(
     tmp_path: Path, every_kind: dict[str, carina.Airways]
 ) -> None:
     assert_same_airways(by_mapped_files(every_kind["cut"], tmp_path), every_kind["cut"])
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_an_edit_of_a_copy_gives_the_same_airways(kind: str, every_kind: dict[str, carina.Airways]) -> None:
+def test_edit_of_copied_airways_equals_the_edit_of_the_original(
+    kind: str, every_kind: dict[str, carina.Airways]
+) -> None:
     volume, airways = edit_case().volume, every_kind[kind]
     copied_volume, copied = by_pickle((volume, airways))
     assert copied.tracker.grid.ct is copied_volume
@@ -130,7 +132,7 @@ def test_an_edit_of_a_copy_gives_the_same_airways(kind: str, every_kind: dict[st
     assert_same_airways(carina.edit_airways(copied_volume, copied, edit), expected)
 
 
-def test_another_process_gives_the_same_edits_paths_and_measures(tmp_path: Path) -> None:
+def test_edits_paths_and_measures_are_equal_in_another_process(tmp_path: Path) -> None:
     case = edit_case()
     target = tuple(float(v) for v in case.airways.tree.tips()[0].tip_lps)
     given, made = tmp_path / "given.pickle", tmp_path / "made.pickle"
@@ -143,26 +145,26 @@ def test_another_process_gives_the_same_edits_paths_and_measures(tmp_path: Path)
     assert repr(measures) == repr(measure_tree(case.volume, case.airways).to_json())
 
 
-def test_airways_of_divided_slices_are_the_same_after_a_pickle() -> None:
+def test_pickled_airways_of_divided_slices_equal_the_original() -> None:
     made = carina.generate_phantom(spacing_mm=(0.9, 0.9, 3.0), generations=3, box_lps=((-60, -60, -40), (60, 60, 120)))
     airways = carina.find_airways(made.volume)
     assert airways.tracker.grid.is_divided
     assert_same_airways(by_pickle(airways), airways)
 
 
-def test_a_pickle_of_airways_holds_the_lumen_in_few_bytes() -> None:
+def test_pickle_of_airways_stores_the_lumen_compressed() -> None:
     case = edit_case()
     without = len(pickle.dumps(case.volume))
     assert len(pickle.dumps((case.volume, case.airways))) - without < 0.5 * case.airways.lumen_zyx.nbytes
 
 
-def test_a_tracker_that_was_never_built_is_pickled_without_being_built() -> None:
+def test_pickling_does_not_build_an_unused_tracker() -> None:
     tracker: PathTracker = by_pickle(by_pickle(edit_case().airways.tracker))
     assert repr(tracker) == "PathTracker(not built yet)"
     assert tracker.num_nodes == edit_case().airways.tracker.num_nodes
 
 
-def test_a_pickled_volume_is_read_only_and_keeps_what_was_found_of_it() -> None:
+def test_pickled_volume_is_read_only_and_keeps_cached_results() -> None:
     volume = edit_case().volume
     found = volume.value_range
     copied = by_pickle(volume)
@@ -172,14 +174,14 @@ def test_a_pickled_volume_is_read_only_and_keeps_what_was_found_of_it() -> None:
 
 
 @pytest.mark.parametrize("mask", [np.zeros((3, 4, 5)), np.ones((3, 4, 5)), np.eye(4)[None], np.eye(5)[:, None] * 255])
-def test_a_packed_mask_is_the_same_mask(mask: np.ndarray) -> None:
+def test_packed_mask_equals_the_mask_after_unpacking(mask: np.ndarray) -> None:
     made = PackedMask.of(mask.astype(np.uint8)).mask_zyx()
     np.testing.assert_array_equal(made, mask != 0)
     assert made.dtype == np.uint8 and not made.flags.writeable
 
 
 @pytest.mark.parametrize("way", [by_pickle, copy.copy, copy.deepcopy])
-def test_a_flight_path_is_the_same_after_a_copy(way: Callable[[Any], Any]) -> None:
+def test_copied_flight_path_equals_the_original(way: Callable[[Any], Any]) -> None:
     route = edit_case().airways.tree.route_to(edit_case().airways.tree.tips()[0].id)
     path = carina.FlightPath(route.points_lps, forks_mm=route.forks_mm)
     copied = way(path)
@@ -188,7 +190,7 @@ def test_a_flight_path_is_the_same_after_a_copy(way: Callable[[Any], Any]) -> No
     np.testing.assert_array_equal(copied.pose_at(10.0).lps_from_camera, path.pose_at(10.0).lps_from_camera)
 
 
-def test_errors_of_every_kind_pass_from_process_to_process() -> None:
+def test_every_kind_of_error_is_equal_after_pickling() -> None:
     label = MaskLabel(3, "tumour", 1.5)
     full = DiskError("the disk is full", code="disk.full")
     full.errno = 28
@@ -207,7 +209,7 @@ def test_errors_of_every_kind_pass_from_process_to_process() -> None:
     assert by_pickle(MaskLabelError("several", labels=(label,))).labels == (label,)
 
 
-def test_process_bound_objects_are_refused_with_a_remedy() -> None:
+def test_pickling_of_process_bound_objects_is_refused_with_a_remedy() -> None:
     case = edit_case()
     wall = carina.wall_field(case.volume, case.airways)
     assert copy.copy(wall) is wall and copy.deepcopy({"wall": wall})["wall"] is wall
@@ -238,7 +240,7 @@ def test_copy_of_a_scope_moves_like_the_scope_and_independently(way: Callable[[A
 
 
 @pytest.mark.ray
-def test_airways_pass_through_the_pickler_of_ray() -> None:
+def test_airways_equal_the_original_after_the_pickler_of_ray() -> None:
     from ray import cloudpickle
 
     case = edit_case()

@@ -18,9 +18,10 @@ from made import made_airways, made_phantom
 from made import patient as the_patient
 
 VOXEL_MM = CHEST["spacing_mm"]
-# A segment of the left lower lobe and the superior segment of the right one: 7 to 12 mm of fluid or mucus.
 SEGMENTS = {"LB10": (5.0, 12.0), "RB6": (4.0, 11.0)}
+"""Segmental bronchi with start and length of the fluid, mm: of the left lower lobe and the right superior segment."""
 LEVELS = (0.4, 0.6, 0.8)
+"""Filled shares of a section's height."""
 
 
 @cache
@@ -68,7 +69,7 @@ def test_offered_bridge_restores_the_airways_beyond(name, share):
 
 @pytest.mark.parametrize("share", [0.8, 1.0])
 def test_no_calibre_is_stated_where_the_border_is_not_visible(share):
-    # The middle lobe bronchus lies in the hilum: tissue on all sides of it.
+    # The middle lobe bronchus is in the hilum, with tissue on all sides.
     _, airways = wet("RML", share)
     (place,) = filled(airways)
     assert place.calibre_mm is None
@@ -76,13 +77,13 @@ def test_no_calibre_is_stated_where_the_border_is_not_visible(share):
     assert "its calibre from wall to wall cannot be measured here" in place.reason
 
 
-def test_a_wide_bronchus_is_told_once_and_its_error_holds_the_truth():
+def test_filled_wide_bronchus_is_reported_once_with_an_error_that_covers_the_truth():
     made, airways = wet("BI", 0.8)
     (place,) = filled(airways)
     assert abs(place.calibre_mm - made.calibre_mm) <= place.calibre_error_mm
 
 
-def test_a_lobe_that_is_missing_beyond_it_has_that_reason():
+def test_missing_lobe_beyond_a_filled_bronchus_has_the_filling_as_reason():
     trunk = Branch(0, None, (1, 2), 0, "Trachea", "tracked", np.array([[0.0, 0, 0], [0, 0, -90]]), np.full(2, 8.0))
     right = Branch(1, 0, (), 1, "RMB", "tracked", np.array([[0.0, 0, -90], [-30, 0, -130]]), np.full(2, 6.0))
     left = Branch(2, 0, (), 1, "LMB", "tracked", np.array([[0.0, 0, -90], [40, 0, -110]]), np.full(2, 6.0))
@@ -110,7 +111,10 @@ def test_bundled_patient_has_no_filled_bronchus():
 
 
 def narrowed(width_mm, *, least_mm=2.5):
-    """Return the places found in a straight branch of these widths, one per mm, with material in every section."""
+    """Return the filled places found in a straight branch of these widths, one per mm.
+
+    Every section contains soft tissue.
+    """
     num = len(width_mm)
     points = np.stack([np.zeros(num), np.zeros(num), -np.arange(float(num))], axis=1)
     trunk = Branch(0, None, (1,), 0, None, "tracked", np.array([[0.0, 0, 30], [0, 0, 0]]), np.full(2, 3.0))
@@ -118,7 +122,7 @@ def narrowed(width_mm, *, least_mm=2.5):
     return find_narrowed(None, AirwayTree((trunk, branch)), 0.7, least_mm)
 
 
-def test_a_narrowing_within_the_error_of_the_calibre_is_not_stated(monkeypatch):
+def test_narrowing_within_the_error_of_the_calibre_is_not_reported(monkeypatch):
     monkeypatch.setattr("carina.track.find.partial_plugs._middle", lambda *_: np.zeros(3))
     (place,) = narrowed([2.8] * 7 + [4.0] * 15)
     assert place.calibre_mm - place.width_mm > place.calibre_error_mm
@@ -133,14 +137,14 @@ def test_a_bronchus_narrower_than_two_slices_is_not_called_filled(monkeypatch):
 
 def test_stenosis_is_reported_as_narrowed_only():
     made = made_phantom(**CHEST, stenosis=True)
-    # In the mediastinum its wall has no border to tell a thick one from what lines it.
+    # In the mediastinum the wall has no visible border, so a thick wall cannot be distinguished from mucus on the wall.
     for place in filled(carina.find_airways(made.volume)):
         assert place.beyond_lps is None
         assert place.width_mm > 5.0
         assert place.reason.startswith("narrowed or filled here over")
 
 
-def test_what_fills_a_branch_goes_when_the_branch_is_cut():
+def test_filled_place_is_removed_with_its_branch():
     made, airways = wet("LB10", 0.6)
     (place,) = filled(airways)
     cut = carina.edit_airways(made.volume, airways, carina.track.CutBranch(place.branch_id))

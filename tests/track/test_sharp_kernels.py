@@ -1,4 +1,4 @@
-"""Tests of CTs with soft to sharp kernels: a search that leaks out of the airways stops with a note."""
+"""Tests of CTs with soft to sharp kernels: a search that leaks out of the airways stops and leaves a note."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def length_mm(airways):
 
 
 def stopped(airways):
-    """Return the lasting notes but that of thick slices, which these CTs have with any kernel."""
+    """Return the lasting notes except that of thick slices, which these CTs have with any kernel."""
     assert THICK_SLICES in {note.code for note in airways.badges}
     return tuple(note for note in airways.badges if note.code != THICK_SLICES)
 
@@ -53,7 +53,7 @@ def test_a_ct_with_a_soft_kernel_has_no_lasting_note(patient):
     assert [badge["code"] for badge in airways.tree.to_json()["badges"]] == [THICK_SLICES]
 
 
-def test_a_sharp_kernel_floods_nothing_and_leaves_a_lasting_note(patient, sharp):
+def test_ct_with_a_sharp_kernel_has_no_leak_and_a_lasting_note(patient, sharp):
     soft = patient[1]
     _, airways = sharp
     (badge,) = stopped(airways)
@@ -66,14 +66,14 @@ def test_a_sharp_kernel_floods_nothing_and_leaves_a_lasting_note(patient, sharp)
     assert np.count_nonzero(found) < 1.3 * np.count_nonzero(soft.lumen_zyx)
 
 
-def test_the_rim_beside_edges_tells_how_sharp_a_kernel_is(patient, sharp):
+def test_sharpness_of_a_kernel_is_measured_from_the_rim_beside_edges(patient, sharp):
     volume = patient[0]
     depths = [edge_undershoot_hu(one, air_scale(one)) for one in (volume, sharp[0])]
     assert depths[0] < 5.0
     assert depths[1] > 40.0
 
 
-def test_long_voxels_or_few_edges_give_no_statement_on_the_kernel(patient):
+def test_long_voxels_or_few_edges_give_no_sharpness_of_the_kernel(patient):
     volume = patient[0]
     matrix = volume.lps_from_ijk.copy()
     matrix[:3, :3] *= 4.0
@@ -83,7 +83,7 @@ def test_long_voxels_or_few_edges_give_no_statement_on_the_kernel(patient):
     assert edge_undershoot_hu(small, air_scale(small)) is None
 
 
-def test_the_note_stays_with_the_tree_through_edits_undo_and_files(sharp, tmp_path):
+def test_note_of_a_sharp_kernel_stays_through_edits_undo_and_files(sharp, tmp_path):
     volume, airways = sharp
     tip = max(airways.tree.tips(), key=lambda branch: branch.id)
     edited = edit_airways(volume, airways, CutBranch(tip.id))
@@ -108,11 +108,11 @@ def test_trachea_that_divides_without_further_branches_is_reported():
     note = doubt_of_totals(branches, splits=True)
     assert (note.code, note.badge) == (CODE, True)
     assert "only 70 mm" in note.words
-    # One lung, a crop, a root that a person gave: little may be all there is.
+    # Of one lung, of a crop, or from a root given by a person, a small tree may be complete, so no doubt is stated.
     assert doubt_of_totals(branches, splits=False) is None
 
 
-def test_implausible_totals_are_reported_and_those_of_a_good_ct_are_not():
+def test_implausible_totals_of_a_tree_are_reported_and_plausible_ones_are_not():
     chest = tuple(tube(n, 10.0) for n in range(600))
     assert doubt_of_totals(chest, splits=True) is None
     lung = tuple(tube(n, 10.0) for n in range(3000))
@@ -120,13 +120,13 @@ def test_implausible_totals_are_reported_and_those_of_a_good_ct_are_not():
 
 
 def spoilt(found, truth):
-    """Return the fraction of the found lumen that is farther than a voxel from the true lumen."""
+    """Return the share of the found lumen that is farther than a voxel from the true lumen."""
     return np.count_nonzero(found & ~grown(truth)) / np.count_nonzero(found)
 
 
 @pytest.mark.slow
-def test_under_the_sharpest_kernels_most_airways_are_found_and_a_note_says_that_some_are_missing(patient):
-    """Before CTs were softened for the search (docs/decisions/0113) a stump of the trachea was left."""
+def test_sharpest_kernels_keep_most_airways_and_leave_a_note_of_missing_ones(patient):
+    """Before CTs were softened for the search (docs/decisions/0113) the result was a stump of the trachea."""
     airways = carina.find_airways(sharpened(patient[0], 2.0))
     (badge,) = stopped(airways)
     assert badge.code == CODE
@@ -136,8 +136,11 @@ def test_under_the_sharpest_kernels_most_airways_are_found_and_a_note_says_that_
 
 
 @pytest.mark.slow
-def test_where_noise_opens_the_walls_the_search_is_made_in_a_smoothed_copy(patient):
-    """Two litres of lung came out as lumen: with 180 HU of noise, air cut off at -1024 HU is as bright as lung."""
+def test_search_uses_a_smoothed_copy_if_noise_opens_the_walls(patient):
+    """Use noise of 180 HU, with which air clipped at -1024 HU is as bright as lung.
+
+    Without the smoothed copy the lumen contained two litres of lung.
+    """
     volume, soft = patient
     airways = carina.find_airways(sharpened(volume, 2.0, 60.0))
     found, truth = airways.lumen_zyx != 0, soft.lumen_zyx != 0
@@ -155,7 +158,7 @@ def test_smoothing_does_not_replace_a_threshold_given_by_a_person(patient):
 
 
 @pytest.mark.slow
-def test_a_sharpened_phantom_is_not_flooded():
+def test_lumen_of_a_sharpened_phantom_has_no_leak():
     made = made_phantom(**MASKED_CHEST)
     airways = carina.find_airways(sharpened(made.volume, 0.8, 30.0))
     found, truth = airways.lumen_zyx != 0, made.lumen_zyx != 0
@@ -166,13 +169,13 @@ def test_a_sharpened_phantom_is_not_flooded():
 @pytest.mark.soak
 @pytest.mark.parametrize("spacing_mm", [0.8, 1.0, (0.7, 0.7, 3.0)], ids=str)
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_no_kernel_from_soft_to_sharp_floods_a_phantom(seed, spacing_mm, capsys):
+def test_lumen_of_a_phantom_has_no_leak_with_any_kernel(seed, spacing_mm, capsys):
     made = generate_phantom(seed=seed, spacing_mm=spacing_mm, noise_hu=20.0)
     assert_no_kernel_floods(f"phantom {seed}, {spacing_mm} mm", made.volume, made.lumen_zyx != 0, capsys)
 
 
 @pytest.mark.soak
-def test_no_kernel_from_soft_to_sharp_floods_the_bundled_patient(patient, capsys):
+def test_lumen_of_the_bundled_patient_has_no_leak_with_any_kernel(patient, capsys):
     volume, airways = patient
     assert_no_kernel_floods("bundled patient", volume, airways.lumen_zyx != 0, capsys)
 

@@ -1,4 +1,4 @@
-"""Tests that results do not depend on the order in which a file stores the voxels."""
+"""Tests that airways do not depend on the order in which a file stores the voxels."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from made import made_phantom
 
 CHEST = {"seed": 3, "spacing_mm": (1.3, 1.2, 1.5), "noise_hu": 25.0, "generations": 6}
 ORDERS = [(axes, flips) for axes in permutations(range(3)) for flips in product((False, True), repeat=3)]
-# Each permutation, and each way of flipping but one, at least once.
+# Storage orders that contain each permutation of the axes, and all but one of the flips, at least once.
 SOME = [ORDERS[n] for n in (7, 10, 20, 27, 37, 46)]
 
 
@@ -25,7 +25,7 @@ def stored(volume, axes, flips):
     old_from_new = np.zeros((4, 4))
     old_from_new[3, 3] = 1.0
     for new, (axis, flip) in enumerate(zip(axes, flips, strict=True)):
-        # Array axes are z, y, x.
+        # Array axes have the order z, y, x.
         old_from_new[2 - axis, 2 - new] = -1.0 if flip else 1.0
         old_from_new[2 - axis, 3] = volume.shape_zyx[axis] - 1.0 if flip else 0.0
     return dataclasses.replace(volume, hu_zyx=values, lps_from_ijk=volume.lps_from_ijk @ old_from_new)
@@ -59,11 +59,11 @@ def assert_same(volume, airways, axes, flips):
 
 
 @pytest.mark.parametrize(("axes", "flips"), SOME, ids=str)
-def test_airways_are_the_same_in_six_orders_of_storage(chest, axes, flips):
+def test_airways_are_equal_in_six_storage_orders(chest, axes, flips):
     assert_same(*chest, axes, flips)
 
 
-def test_airways_found_in_another_order_are_tracked_and_edited_on_the_grid_as_it_is_stored(chest):
+def test_airways_in_another_storage_order_are_tracked_and_edited_on_the_stored_grid(chest):
     volume, airways = chest
     other, found = assert_same(volume, airways, *ORDERS[27])
     tip = max(found.tree.tips(), key=lambda branch: branch.id)
@@ -78,7 +78,7 @@ def test_airways_found_in_another_order_are_tracked_and_edited_on_the_grid_as_it
     assert edited.lumen_zyx.sum() < found.lumen_zyx.sum()
 
 
-def test_a_mask_is_tracked_the_same_in_another_order(chest):
+def test_mask_in_another_storage_order_gives_equal_airways(chest):
     volume, airways = chest
     axes, flips = ORDERS[20]
     other = stored(volume, axes, flips)
@@ -93,5 +93,5 @@ def test_a_mask_is_tracked_the_same_in_another_order(chest):
 
 @pytest.mark.soak
 @pytest.mark.parametrize(("axes", "flips"), ORDERS, ids=str)
-def test_airways_are_the_same_in_all_orders_of_storage(chest, axes, flips):
+def test_airways_are_equal_in_all_storage_orders(chest, axes, flips):
     assert_same(*chest, axes, flips)

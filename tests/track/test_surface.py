@@ -17,7 +17,7 @@ def dice(found, truth):
 
 
 @pytest.mark.parametrize("chest", [SMALL_CHEST, MASKED_CHEST], ids=["small", "masked"])
-def test_mask_ends_at_the_true_wall_of_the_lumen(chest):
+def test_exported_mask_ends_at_the_true_wall_of_the_lumen(chest):
     made, airways = made_phantom(**chest), made_airways(**chest)
     truth, found, mask = made.lumen_zyx != 0, airways.lumen_zyx != 0, lumen_mask(made.volume, airways) != 0
     assert dice(mask, truth) > 0.96
@@ -25,21 +25,21 @@ def test_mask_ends_at_the_true_wall_of_the_lumen(chest):
     assert not (found & ~mask).any()
 
 
-def test_the_mask_holds_as_much_as_the_mesh():
+def test_exported_mask_has_the_volume_of_the_mesh():
     made, airways = made_phantom(**MASKED_CHEST), made_airways(**MASKED_CHEST)
     voxel_mm3 = float(np.prod(made.volume.spacing_mm))
     mask_mm3 = np.count_nonzero(lumen_mask(made.volume, airways)) * voxel_mm3
     assert mask_mm3 == pytest.approx(lumen_mesh(made.volume, airways).volume_mm3, rel=0.03)
 
 
-def test_a_mask_from_another_tool_stays_as_it_was_drawn():
+def test_mask_from_another_tool_is_exported_unchanged():
     made = made_phantom(**SMALL_CHEST)
     airways = carina.find_airways(made.volume, lumen_zyx=made.lumen_zyx)
     assert np.array_equal(lumen_mask(made.volume, airways), airways.lumen_zyx)
 
 
 def tube(wall_hu, lung_hu):
-    """Return a tube of air along k with a wall of two voxels in uniform lung, and the lumen of its inner part."""
+    """Return a tube of air along k with a wall of two voxels in lung, and the lumen of its inner part."""
     off = np.hypot(*(np.mgrid[:24, :24] - 11.5))
     plane = np.where(off < 5.0, -1000, np.where(off < 7.0, wall_hu, lung_hu))
     return np.repeat(plane[None].astype(np.int16), 12, axis=0), np.repeat((off < 4.0)[None], 12, axis=0)
@@ -52,14 +52,14 @@ def in_tube(wall_hu, lung_hu):
     return lumen, lumen_mask(volume, dataclasses.replace(airways, lumen_zyx=lumen.astype(np.uint8))) != 0
 
 
-def test_the_last_voxels_of_air_before_a_wall_are_in_the_mask():
+def test_air_voxels_beside_a_wall_are_added_to_the_exported_mask():
     lumen, mask = in_tube(-100, -870)
     off = np.hypot(*(np.mgrid[:24, :24] - 11.5))
     assert np.count_nonzero(mask) > 1.3 * np.count_nonzero(lumen)
     assert not mask[:, off >= 5.0].any()
 
 
-def test_nothing_is_added_where_no_wall_is_visible():
-    """A closed breach: the search ended there for another reason."""
+def test_no_voxel_is_added_to_the_exported_mask_without_a_visible_wall():
+    """Use a tube whose wall is as dark as lung: the search ended inside the tube for another reason than a wall."""
     lumen, mask = in_tube(-1000, -1000)
     assert np.array_equal(mask, lumen)

@@ -1,4 +1,4 @@
-"""Thick slices: the calibrated shares of airways, the lasting note that states them, and misses that they explain."""
+"""Tests of thick slices: calibrated shares of airways, the note that states them, and explained misses."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def ct_of(slice_mm: float, *, pixel_mm: float = 0.7, thickness_mm: float | None 
 
 
 def note_of(tree: AirwayTree) -> str | None:
-    """Return the text of the note of thick slices; None for a tree without it."""
+    """Return the text of the note of thick slices; None if the tree has no such note."""
     found = [note for note in tree.notes if note.code == THICK_SLICES]
     assert all(note.badge for note in found)
     return found[0].words if found else None
@@ -57,7 +57,7 @@ def chest() -> Airways:
 
 
 @given(st.floats(0.3, 12.0), st.floats(0.0, 3.0))
-def test_no_calibre_is_found_more_often_than_a_wider_one_or_more_certainly_in_thicker_slices(slice_mm, more_mm):
+def test_calibrated_share_increases_with_calibre_and_decreases_with_slice_thickness(slice_mm, more_mm):
     shares, thicker = calibrated_shares(slice_mm), calibrated_shares(slice_mm + more_mm)
     for one, other in pairwise(shares):
         assert one.from_mm == other.to_mm
@@ -67,11 +67,11 @@ def test_no_calibre_is_found_more_often_than_a_wider_one_or_more_certainly_in_th
         assert 0.0 <= share.least <= (share.typical or share.least) <= share.most <= 1.0
         assert (share.typical is None) == (slice_mm > SLICES_MM[-1])
         if share.typical is not None and later.typical is not None:
-            # The means, not the extremes, must fall: two thicknesses had an outlier each.
+            # The means must decrease, but not the extremes: two thicknesses have an outlier each.
             assert later.typical <= share.typical + ROUNDING
 
 
-def test_the_calibrated_thicknesses_have_the_measured_shares():
+def test_shares_of_the_calibrated_thicknesses_are_the_measured_ones():
     for n, slice_mm in enumerate(SLICES_MM):
         for share in calibrated_shares(slice_mm):
             measured = SHARES[share.from_mm, share.to_mm][n]
@@ -102,7 +102,7 @@ def test_overlapping_slices_count_as_thinner_and_gaps_as_slices_of_their_distanc
     assert shares_in(ct_of(0.6, thickness_mm=1.2)) is None
 
 
-def test_the_thickest_calibrated_slices_have_the_shares_of_their_own_thickness():
+def test_thickest_calibrated_slices_have_the_shares_of_their_thickness():
     thickest = shares_in(ct_of(5.0))
     assert thickest is not None
     assert thickest.shares == calibrated_shares(5.0)
@@ -112,14 +112,14 @@ def test_the_thickest_calibrated_slices_have_the_shares_of_their_own_thickness()
     assert all(share.least == 0.0 and share.typical is None for share in thicker.shares)
 
 
-def test_an_airway_of_a_calibre_that_is_always_found_is_not_explained_by_the_slices():
+def test_missed_airway_of_a_calibre_that_is_always_found_is_not_explained_by_the_slices():
     found = shares_in(ct_of(2.0))
     assert found is not None
     assert miss_text(found, 8.0) == ""
     assert miss_text(found, 2.5) == "; in slices of 2 mm, Carina finds 70 % (45 to 90 %) of airways of this width"
 
 
-def test_pixels_wider_than_calibrated_leave_limits_alone(chest):
+def test_pixels_wider_than_calibrated_give_only_limits_of_the_shares(chest):
     coarse = shares_in(ct_of(3.0, pixel_mm=0.98))
     assert coarse is not None
     assert all(share.least == 0.0 and share.typical is None for share in coarse.shares)
@@ -142,13 +142,13 @@ def test_the_note_of_a_search_states_the_share_of_each_calibre(chest):
     ]
 
 
-def test_thin_slices_have_neither_note_nor_shares():
+def test_thin_slices_have_no_note_and_no_shares():
     thin = made_airways(seed=1, spacing_mm=1.1, noise_hu=25.0)
     assert note_of(thin.tree) is None
     assert thin.calibrated_shares is None
 
 
-def test_the_note_goes_with_the_tree_through_files_edits_and_folding(chest, tmp_path):
+def test_note_of_thick_slices_stays_through_files_edits_and_undo_storage(chest, tmp_path):
     words = note_of(chest.tree)
     assert note_of(AirwayTree.from_json(json.loads(json.dumps(chest.tree.to_json())))) == words
     path = tmp_path / "t.json"
@@ -161,14 +161,14 @@ def test_the_note_goes_with_the_tree_through_files_edits_and_folding(chest, tmp_
     assert note_of(fold_airways(edited).unfold().tree) == words
 
 
-def test_a_segmentation_from_another_tool_has_no_note(chest):
+def test_segmentation_from_another_tool_has_no_note_of_thick_slices(chest):
     volume = made_phantom(**THICK).volume
     imported = carina.find_airways(volume, lumen_zyx=chest.lumen_zyx)
     assert note_of(imported.tree) is None
     assert imported.calibrated_shares is None
 
 
-def test_the_shares_as_json_are_those_of_the_note(chest):
+def test_shares_as_json_equal_those_of_the_note(chest):
     shares = chest.calibrated_shares
     assert shares is not None
     document = json.loads(json.dumps(shares.to_json()))
@@ -177,7 +177,7 @@ def test_the_shares_as_json_are_those_of_the_note(chest):
 
 
 def without(tree: AirwayTree, name: str) -> AirwayTree:
-    """Return the tree without a named branch and all that is beyond it."""
+    """Return the tree without a named branch and its descendants."""
     gone: set[int] = set()
     for branch in tree.branches:
         if branch.name == name or branch.parent in gone:
@@ -190,7 +190,7 @@ def without(tree: AirwayTree, name: str) -> AirwayTree:
     return dataclasses.replace(tree, branches=kept)
 
 
-def test_a_miss_in_thick_slices_names_them_and_no_disease(chest):
+def test_missed_segment_in_thick_slices_names_the_slices_as_reason_and_no_disease(chest):
     volume = made_phantom(**THICK).volume
     segment = next(b.name for b in chest.tree.branches if b.name is not None and re.fullmatch("[RL]B[0-9]+", b.name))
     tree = without(chest.tree, segment)
@@ -199,14 +199,14 @@ def test_a_miss_in_thick_slices_names_them_and_no_disease(chest):
     assert not DISEASE.search(absence.words)
     lost = dataclasses.replace(absence, kind="lost", width_mm=2.5)
     assert lost.reason.endswith("; in slices of 3 mm, Carina finds 40 % (20 to 75 %) of airways of this width")
-    # Without the note, and of a tree without a CT, nothing is known of the slices.
+    # The slices are unknown if the tree has no note, or if it was not found in a CT.
     (plain,) = [one for one in find_absent(dataclasses.replace(tree, notes=()), (), volume) if one.name == segment]
     (alone,) = [one for one in find_absent(tree) if one.name == segment]
     assert "hide" not in plain.reason + alone.reason
     assert shares_of(dataclasses.replace(tree, notes=()), volume) is None
 
 
-def test_a_chest_of_another_seed_shows_the_stated_shares(chest, capsys):
+def test_search_in_an_unused_phantom_finds_the_stated_shares(chest, capsys):
     made = made_phantom(**THICK)
     truth = truth_of_phantom(made.truth, made.lumen_zyx, made.volume)
     found, whole = length_by_calibre(made.volume, truth, chest.lumen_zyx != 0)

@@ -1,4 +1,4 @@
-"""Tests of the thinnest airways, which the search finds by their blurred appearance."""
+"""Tests of the thinnest airways, which the search finds by the blurred profile of their walls."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ LIMITS = {
 
 
 def chest(has_tube: bool):
-    """Lung, an airway along x that ends at 12 mm, and a tube of 1.2 mm that leads on to 28 mm."""
+    """Return lung with an airway along x that ends at 12 mm.
+
+    With ``has_tube`` a tube of 1.2 mm diameter continues to 28 mm.
+    """
     fine = 3
     z, y, x = (
         (np.arange(n * fine, dtype=np.float32) + 0.5).reshape(shape) * (SPACING_MM / fine) - SPACING_MM / 2
@@ -57,10 +60,10 @@ def followed(has_tube: bool, limits=LIMITS):
     return found, lumen
 
 
-def test_a_tube_of_two_voxels_is_followed_to_its_end_where_the_flood_cannot_go():
+def test_tube_of_two_voxels_is_followed_to_its_end_beyond_the_flood_fill():
     hu, _ = chest(True)
     row = hu[25, :, 34:44].min(axis=0)
-    # No voxel of it is as dark as air: the flood ends before it.
+    # No voxel of the thin tube is as dark as air, so the flood fill ends before it.
     assert row.min() > -950
     found, lumen = followed(True)
     assert 22.0 < SPACING_MM * np.argwhere(lumen > 1)[:, 2].max() < 29.5
@@ -68,13 +71,13 @@ def test_a_tube_of_two_voxels_is_followed_to_its_end_where_the_flood_cannot_go()
     assert all(way["contrast"] > 1.0 for way in found["followed"])
 
 
-def test_lung_beyond_an_airway_that_ends_adds_nothing():
+def test_no_lumen_is_added_in_lung_beyond_the_end_of_an_airway():
     found, lumen = followed(False)
     assert found["followed"] == []
     assert lumen.max() == 1
 
 
-def test_a_search_that_reaches_more_of_the_lung_than_airways_can_adds_nothing():
+def test_no_lumen_is_added_if_the_search_reaches_more_lung_than_airways_can():
     hu, lumen = chest(True)
     hu, lumen = np.tile(hu, (12, 1, 1)), np.tile(lumen, (12, 1, 1))
     affine = np.diag([SPACING_MM, SPACING_MM, SPACING_MM, 1.0])
@@ -83,7 +86,7 @@ def test_a_search_that_reaches_more_of_the_lung_than_airways_can_adds_nothing():
     assert lumen.max() == 1
 
 
-def test_a_lumen_of_another_shape_is_refused():
+def test_lumen_with_another_shape_than_the_volume_is_refused():
     hu, lumen = chest(True)
     with pytest.raises(ValueError, match="lumen_zyx"):
         extend_thin_lumen(hu, np.eye(4), lumen[:-1].copy(), cancel=None, progress=None, **LIMITS)

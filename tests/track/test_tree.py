@@ -1,4 +1,4 @@
-"""Tests of the tree document: round trip, and refusal of wrong geometry."""
+"""Tests of the airway tree as a document: round trip, and refusal of invalid geometry."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_tree_round_trips_through_its_document_bit_for_bit(tree):
 
 
 def cut_in_two(**lower: object) -> AirwayTree:
-    """RB6 goes on past a side branch; ``lower`` changes its second piece."""
+    """Return a tree in which RB6 continues beyond a side branch; ``lower`` changes the part beyond it."""
 
     def piece(number, parent, children, name, radius_mm):
         start_mm = {0: 0.0, 1: 10.0, 2: 20.0, 3: 20.0, 4: 30.0}[number]
@@ -68,7 +68,7 @@ def cut_in_two(**lower: object) -> AirwayTree:
     )
 
 
-def test_a_bronchus_that_a_side_branch_cuts_in_two_is_one_row():
+def test_bronchus_divided_by_a_side_branch_is_one_row():
     tree = cut_in_two()
     rows = tree.rows()
     assert [(row.name, [b.id for b in row.branches], row.depth) for row in rows] == [
@@ -85,11 +85,11 @@ def test_a_bronchus_that_a_side_branch_cuts_in_two_is_one_row():
 
 
 @pytest.mark.parametrize("lower", [{"name_from": "person"}, {"kind": "bridge"}, {"name": "RB7"}])
-def test_branches_named_or_drawn_by_a_person_have_their_own_rows(lower):
+def test_branches_named_or_drawn_by_a_person_have_separate_rows(lower):
     assert [[b.id for b in row.branches] for row in cut_in_two(**lower).rows()][1:3] == [[1], [2]]
 
 
-def test_unknown_keys_are_ignored_and_order_does_not_matter(tree):
+def test_document_with_unknown_keys_and_another_order_gives_the_same_tree(tree):
     document = tree.to_json() | {"maker": "another tool"}
     document["branches"][1]["colour"] = "red"
     document["branches"].reverse()
@@ -148,7 +148,7 @@ def test_document_of_another_kind_is_refused(document):
         AirwayTree.from_json(document)
 
 
-def test_tree_queries_return_the_expected_branches(tree):
+def test_tips_lineage_nearest_branch_and_route_of_a_tree_are_the_expected_ones(tree):
     assert [b.id for b in tree.tips()] == [7, 5]
     assert [b.id for b in tree.lineage(5)] == [4, 5]
     branch, index, distance = tree.nearest_branch([-9.0, 1.0, -7.0])
@@ -173,7 +173,7 @@ def test_a_branch_is_found_by_its_name_and_an_unknown_name_is_refused_with_all_n
         nameless.named("RMB")
 
 
-def test_a_name_that_two_branches_share_is_listed_once_and_finds_the_first():
+def test_name_of_two_branches_is_listed_once_and_returns_the_first():
     tree = cut_in_two()
     assert tree.names.count("RB6") == 1
     assert tree.named("RB6") is next(one for one in tree.branches if one.name == "RB6")

@@ -1,4 +1,4 @@
-"""Tests of goodness of fit: a tree unlike a human airway tree is reported, and its names lose confidence."""
+"""Tests of the goodness of fit: a tree unlike a human airway tree is reported, and its names have low confidence."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def turned(tree: AirwayTree, *signs: float) -> AirwayTree:
 
 
 def random_tree(seed: int, generations: int = 6) -> AirwayTree:
-    """Return a tree with forks in two at random angles, and diameters by the cube law."""
+    """Return a tree of binary forks at random angles, with diameters by the cube law."""
     rng = np.random.default_rng(seed)
     made: dict[int, Branch] = {}
 
@@ -95,7 +95,7 @@ def test_trees_with_random_forks_have_no_certain_segment():
     assert max(surest_segment(tree) for tree in trees) <= 0.5
 
 
-def test_doubt_stays_with_the_tree_until_its_orientation_is_corrected():
+def test_note_of_a_poor_fit_stays_until_the_orientation_is_corrected():
     named = name_tree(turned(true_tree(2), 1.0, -1.0, -1.0))
     again = AirwayTree.from_json(named.to_json())
     assert is_misfit(again)

@@ -1,4 +1,4 @@
-"""Tests that a spur at the upper end of the trachea is part of the trachea and not a bronchus."""
+"""Tests that a spur at the upper end of the trachea is removed and does not become a bronchus."""
 
 from __future__ import annotations
 
@@ -28,8 +28,11 @@ def row(parent, generation, *points, radius=8.0):
     }
 
 
-# As in a real CT: the trachea leans, and its end in the top slice is longer than wide.
 TOP, FORK, CARINA = (-9.3, -183.1, 345.5), (-9.8, -179.3, 341.0), (-16.0, -159.0, 262.0)
+"""Ends of the two parts of the trachea, LPS mm.
+
+In real CTs the trachea leans, so its end in the top slice is longer than wide.
+"""
 TRUNK = [
     row(None, 0, TOP, FORK),
     row(0, 1, FORK, (-22.8, -164.3, 297.5), CARINA),
@@ -40,7 +43,7 @@ SPUR = row(0, 1, FORK, (-9.3, -188.4, 343.9), (-9.9, -193.0, 345.8), radius=7.0)
 
 
 @pytest.mark.parametrize("at", [1, 4])
-def test_the_two_parts_of_the_trachea_become_one_and_all_generations_move_up(at):
+def test_trachea_divided_by_a_spur_becomes_one_branch_of_generation_0(at):
     rows = [*TRUNK]
     rows.insert(at, SPUR)
     if at == 1:
@@ -66,12 +69,12 @@ def test_the_two_parts_of_the_trachea_become_one_and_all_generations_move_up(at)
         pytest.param(row(1, 2, CARINA, (-16.0, -165.0, 255.0), radius=6.0), id="a stump at the carina"),
     ],
 )
-def test_a_bronchus_stays(other):
+def test_real_bronchus_is_not_removed_as_a_spur(other):
     rows = [*TRUNK, other]
     assert without_twigs(rows) == rows
 
 
-def test_a_trachea_of_which_little_is_seen_keeps_both_main_bronchi():
+def test_short_trachea_keeps_both_main_bronchi():
     rows = [
         row(None, 0, (0.0, 0.0, 10.0), (0.0, 0.0, 0.0)),
         row(0, 1, (0.0, 0.0, 0.0), (-7.0, 0.0, -8.0), radius=6.0),
@@ -82,18 +85,18 @@ def test_a_trachea_of_which_little_is_seen_keeps_both_main_bronchi():
 
 
 def off_segment(points, a, b):
-    """Return the distance of (n, 3) points to a segment."""
+    """Return the distance of points (n, 3) from the segment between ``a`` and ``b``."""
     along = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
     return np.linalg.norm(points - a - along[:, None] * (b - a), axis=1)
 
 
-def test_the_search_finds_no_branch_where_the_end_of_the_trachea_is_longer_than_wide(chest):
+def test_trachea_whose_top_is_longer_than_wide_has_no_side_branch(chest):
     volume = chest.volume
     ijk = np.stack(np.meshgrid(*(np.arange(n) for n in volume.shape_zyx[::-1]), indexing="ij"), axis=-1)
     points = volume.to_lps(ijk.reshape(-1, 3).astype(np.float64))
     top, carina_lps, _ = chest.tubes[0]
     up = (top - carina_lps) / np.linalg.norm(top - carina_lps)
-    # The last part of the tube that lies in the scan.
+    # The axis is the last part of the tube that is in the scan.
     inside = carina_lps + up * np.arange(0.0, 60.0)[:, None]
     shown = np.array([volume.contains_lps(point) for point in inside])
     end = inside[shown][-1]
@@ -106,11 +109,11 @@ def test_the_search_finds_no_branch_where_the_end_of_the_trachea_is_longer_than_
     assert len(found.tree) == len(plain.tree)
     assert [b.generation for b in found.tree.branches] == [b.generation for b in plain.tree.branches]
     assert found.tree.root.length_mm == pytest.approx(plain.tree.root.length_mm, abs=8.0)
-    # Paths of the tracker know the branches of this tree.
+    # The paths of the tracker use the branches of this tree.
     assert found.tracker.path_to(found.tree.branches[-1].tip_lps).length_mm > 20.0
 
 
-def test_a_bulge_of_a_wide_airway_is_no_branch():
+def test_bulge_of_a_wide_airway_does_not_become_a_branch():
     bulge = row(1, 2, CARINA, (-19.0, -158.5, 258.5), radius=5.0)
     cleaned = without_twigs([*TRUNK, bulge])
     assert len(cleaned) == len(TRUNK)

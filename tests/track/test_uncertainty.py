@@ -15,7 +15,10 @@ from carina.volume.model import Volume
 
 
 def tree_of(ends: list[tuple[list[float], float]]) -> AirwayTree:
-    """Return a tree: a trunk from (40, 40, 70) to (40, 40, 50), and a straight child to each end with its radius."""
+    """Return a tree with a straight child for each end (position, radius), in mm.
+
+    The trunk leads from (40, 40, 70) to (40, 40, 50).
+    """
     children = tuple(range(1, len(ends) + 1))
     fork = np.array([40.0, 40.0, 50.0])
     trunk = Branch(0, None, children, 0, None, "tracked", np.linspace([40.0, 40.0, 70.0], fork, 21), np.full(21, 8.0))
@@ -29,13 +32,13 @@ def tree_of(ends: list[tuple[list[float], float]]) -> AirwayTree:
 VOLUME = Volume(np.full((80, 80, 80), -860, np.int16), np.eye(4))
 
 
-def test_each_end_that_is_too_wide_to_be_one_has_its_reason_the_widest_first():
+def test_ends_too_wide_for_a_tip_are_listed_with_a_reason_widest_first():
     tree = tree_of(
         [
-            ([20.0, 40.0, 30.0], 3.0),  # no cause nearby
-            ([60.0, 40.0, 30.0], 2.0),  # beside a leak
-            ([40.0, 40.0, 1.0], 4.0),  # at the volume's face
-            ([40.0, 60.0, 30.0], 0.9),  # thin
+            ([20.0, 40.0, 30.0], 3.0),  # an end without a cause nearby
+            ([60.0, 40.0, 30.0], 2.0),  # an end beside a leak
+            ([40.0, 40.0, 1.0], 4.0),  # an end at a face of the volume
+            ([40.0, 60.0, 30.0], 0.9),  # an end of a thin airway
         ]
     )
     found = find_uncertain(VOLUME, tree, np.array([[61.0, 43.0, 33.0]]))
@@ -46,7 +49,7 @@ def test_each_end_that_is_too_wide_to_be_one_has_its_reason_the_widest_first():
         ("fine", None),
     ]
     assert found[1].lps == (20.0, 40.0, 30.0)
-    # The grid's slices are counted from the feet: z = 30 mm is the 31st.
+    # Slices are counted from the feet, so z = 30 mm is the 31st.
     assert found[1].reason == "lost here, 6.0 mm wide (slice 31 of 80 from the feet)"
     assert found[2].reason.startswith(
         "lost here, 4.0 mm wide (slice 31 of 80 from the feet): its wall is too thin here"
@@ -55,7 +58,7 @@ def test_each_end_that_is_too_wide_to_be_one_has_its_reason_the_widest_first():
     assert "at the thinnest branch end:" in found[3].reason
 
 
-def test_a_branch_that_hardly_stands_out_is_listed_as_faint():
+def test_branch_with_a_hardly_visible_wall_is_listed_as_faint():
     tree = tree_of([([20.0, 40.0, 30.0], 0.9)])
     trunk, thin = tree.branches
     tree = AirwayTree((trunk, dataclasses.replace(thin, confidence=0.31)))
@@ -64,7 +67,7 @@ def test_a_branch_that_hardly_stands_out_is_listed_as_faint():
     assert "0.31" in found[0].reason
 
 
-def test_confidence_is_high_where_a_wall_stands_out_and_low_in_plain_lung(chest, rng):
+def test_confidence_is_high_with_a_visible_wall_and_low_in_plain_lung(chest, rng):
     airways = find_airways(chest.volume)
     sure = [branch.confidence for branch in airways.tree.branches]
     assert min(sure) > 0.7
@@ -79,7 +82,7 @@ def test_confidence_is_high_where_a_wall_stands_out_and_low_in_plain_lung(chest,
 def test_closed_ends_of_wide_bronchi_are_listed_without_a_disease(chest):
     airways = find_airways(chest.volume)
     tips = {branch.id for branch in airways.tree.tips()}
-    # Drawn tubes of 6 mm end in the middle of the lung, with a wall round their end.
+    # Drawn tubes of 6 mm end in the middle of the lung, with a wall around their end.
     ends = [entry for entry in airways.uncertain if entry.kind in ("stump", "lost")]
     assert {entry.branch_id for entry in ends} == tips
     assert any(entry.kind == "stump" for entry in ends)
@@ -97,14 +100,14 @@ def test_slices_are_counted_from_the_feet_in_any_storage_order(flips, draw_chest
     assert [p.slice_number for p in airways.uncertain if p.branch_id] == [round(v) + 1 for v in from_feet]
 
 
-def test_a_given_mask_is_not_judged_by_the_ct(chest):
+def test_mask_from_another_tool_has_no_uncertain_ends(chest):
     automatic = find_airways(chest.volume)
     given = find_airways(chest.volume, lumen_zyx=automatic.lumen_zyx)
     assert given.uncertain == ()
     assert all(branch.confidence is None for branch in given.tree.branches)
 
 
-def test_a_mask_in_pieces_keeps_the_one_with_the_root_and_says_so(chest):
+def test_mask_in_pieces_is_reduced_to_the_piece_with_the_root_and_reports_it(chest):
     lumen = np.array(find_airways(chest.volume).lumen_zyx)
     alone = find_airways(chest.volume, lumen_zyx=lumen)
     lumen[3:6, 3:6, 3:6] = 1
@@ -113,7 +116,7 @@ def test_a_mask_in_pieces_keeps_the_one_with_the_root_and_says_so(chest):
     assert any("27 lumen voxels are not connected" in note for note in found.notes)
 
 
-def test_an_empty_mask_is_refused_in_words(chest):
+def test_empty_mask_is_refused_with_a_message(chest):
     with pytest.raises(NoResultError, match="no voxel is set") as caught:
         find_airways(chest.volume, lumen_zyx=np.zeros(chest.volume.shape_zyx, np.uint8))
     assert caught.value.exit_code == 4
@@ -129,7 +132,7 @@ def walled_tube(radius_mm: float) -> tuple[Volume, AirwayTree]:
     return volume, AirwayTree((Branch(0, None, (), 0, None, "tracked", points, np.full(41, radius_mm)),))
 
 
-def test_a_thin_lumen_beside_rims_is_never_certain_and_a_wide_one_is():
+def test_thin_lumen_beside_rims_has_low_confidence_and_a_wide_lumen_high():
     for radius_mm, is_limited in ((1.5, True), (4.0, False)):
         volume, tree = walled_tube(radius_mm)
         for rims_hu in (None, 5.0, 30.0):
@@ -141,7 +144,7 @@ def test_a_thin_lumen_beside_rims_is_never_certain_and_a_wide_one_is():
                 assert confidence > MOST_BESIDE_RIMS
 
 
-def test_the_noise_of_a_wall_grows_slower_than_that_of_a_voxel():
+def test_noise_of_a_wall_increases_less_than_noise_of_a_voxel():
     assert wall_noise(10.0) == 10.0
     assert wall_noise(25.0) == pytest.approx(25.0)
     assert 25.0 < wall_noise(40.0) < 40.0

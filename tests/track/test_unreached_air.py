@@ -1,4 +1,4 @@
-"""Tests of pieces of air that do not touch the lumen: the compiled function against a plain flood fill."""
+"""Tests of pieces of air that do not touch the lumen: the compiled function equals a plain flood fill."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DARKEST = -900
 
 
 def plain_pieces(values, lumen, *, box, least_neighbours, voxels, most_air):
-    """Compute the pieces voxel by voxel."""
+    """Return the pieces of air, computed voxel by voxel."""
     (i0, j0, k0), (i1, j1, k1) = box
     inside = list(itertools.product(range(k0, k1), range(j0, j1), range(i0, i1)))
     dark = {at for at in inside if values[at] <= DARKEST}
@@ -46,7 +46,7 @@ def plain_pieces(values, lumen, *, box, least_neighbours, voxels, most_air):
 
 
 @given(st.data())
-def test_pieces_equal_those_of_a_plain_flood_fill(data):
+def test_pieces_of_air_equal_those_of_a_plain_flood_fill(data):
     shape = data.draw(st.tuples(*[st.integers(1, 7)] * 3))
     seed = data.draw(st.integers(0, 2**32 - 1))
     rng = np.random.default_rng(seed)
@@ -63,7 +63,7 @@ def test_pieces_equal_those_of_a_plain_flood_fill(data):
     assert [piece.tolist() for piece in found] == plain_pieces(values, lumen, box=box, **limits)
 
 
-def test_ends_of_a_straight_piece_are_its_two_ends():
+def test_ends_of_a_straight_piece_of_air_are_its_two_end_voxels():
     hu = np.full((40, 30, 30), -500, dtype=np.int16)
     hu[8:32, 14:17, 14:17] = -1000
     volume = Volume(hu, np.diag([1.0, 1.0, 1.0, 1.0]))
@@ -76,6 +76,6 @@ def test_ends_of_a_straight_piece_are_its_two_ends():
     assert [round(float(end.outward[2]), 3) for end in ends] == [-1.0, 1.0]
     assert all(abs(end.radius_mm - 1.69) < 0.5 for end in ends)
     assert np.allclose([end.axis_lps[:2] for end in ends], 15.0, atol=0.5)
-    # Air that shares a face with the lumen is no separate piece.
+    # Air that shares a face with the lumen is not a separate piece.
     lumen[32, 15, 15] = 1
     assert find_islands(volume, lumen, np.array([[15.0, 15.0, 5.0], [15.0, 15.0, 35.0]]), -900.0) == []

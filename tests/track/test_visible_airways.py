@@ -32,7 +32,7 @@ class FakeBranch:
 
 @dataclass
 class FakeTree:
-    """A tree of straight branches."""
+    """Tree of straight branches, with the attributes that the rule of found airways reads."""
 
     branches: list[FakeBranch] = field(default_factory=list)
 
@@ -77,7 +77,7 @@ def test_each_visible_entry_has_a_centreline_without_gaps_and_each_invisible_one
             assert np.linalg.norm(np.diff(points, axis=0), axis=1).max() <= 10.0, where
 
 
-def test_an_airway_that_both_readers_list_is_in_the_union_once(tmp_path):
+def test_airway_that_both_readers_list_is_in_the_union_once(tmp_path):
     def entry(name, points):
         return {"airway": name, "level": "segment", "visible": True, "slices": [1, 2], "points_lps": points}
 
@@ -89,7 +89,7 @@ def test_an_airway_that_both_readers_list_is_in_the_union_once(tmp_path):
     assert [(one.airway, one.reader) for one in union] == [("RB1", "A"), ("RB2", "B")]
 
 
-def test_a_listed_airway_is_found_where_a_path_runs_within_3_mm():
+def test_listed_airway_within_3_mm_of_a_path_counts_as_found():
     tree = forked((20, 0, 0))
     assert found_share(listed(line((0, 2.9, 0), (20, 2.9, 0))), tree) == 1.0
     assert found_share(listed(line((0, 3.1, 0), (20, 3.1, 0))), tree) == 0.0
@@ -97,10 +97,10 @@ def test_a_listed_airway_is_found_where_a_path_runs_within_3_mm():
     assert half == pytest.approx(23 / 40, abs=0.02)
 
 
-def test_two_branches_of_a_fork_are_not_added_up_to_one_airway():
+def test_two_branches_of_a_fork_do_not_count_as_one_found_airway():
     both = line((-20, 0, 0), (20, 0, 0))
     assert found_share(listed(both), forked((20, 0, 0), (-20, 0, 0))) == pytest.approx(23 / 40, abs=0.02)
 
 
-def test_the_cases_of_the_part_are_the_cts():
+def test_cases_of_the_visible_part_are_the_cts():
     assert track.PARTS["visible"].cases == CTS

@@ -10,13 +10,18 @@ import pytest
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian, generate_uid
 
-# The directions are oblique and every spacing differs, so a test with swapped axes or signs fails.
 ROW_LPS = np.array([0.8, 0.6, 0.0])
+"""Direction of the rows, LPS; the directions are oblique, so a test with exchanged axes or signs fails."""
 COLUMN_LPS = np.array([-0.36, 0.48, -0.8])
+"""Direction of the columns, LPS."""
 NORMAL_LPS = np.cross(ROW_LPS, COLUMN_LPS)
+"""Direction of the slices, LPS."""
 ORIGIN_LPS = np.array([-31.5, 12.25, 140.0])
-ROW_MM, COLUMN_MM, GAP_MM = 0.9, 0.7, 1.25  # distance of rows, columns and slices
+"""Position of the first pixel of the first slice, LPS mm."""
+ROW_MM, COLUMN_MM, GAP_MM = 0.9, 0.7, 1.25
+"""Distances between rows, between columns and between slices, mm; all differ, so exchanged axes are detected."""
 ROWS, COLUMNS, SLICES = 11, 13, 9
+"""Numbers of rows, columns and slices."""
 
 
 def stored_values(index: int) -> np.ndarray:
@@ -63,7 +68,7 @@ def write_series(tmp_path: Path) -> Callable[..., Path]:
             dataset.ImageType = ["ORIGINAL", "PRIMARY", "AXIAL"]
             dataset.SeriesNumber = number
             dataset.SeriesDescription = description
-            # differs from the distance of the slices on purpose: the importer must not use it
+            # The thickness differs from the distance between slices, because the importer must not use it.
             dataset.SliceThickness = 5.0
             dataset.Rows, dataset.Columns = ROWS, COLUMNS
             dataset.PixelSpacing = [ROW_MM, COLUMN_MM]

@@ -30,13 +30,13 @@ class Input:
     name: str
     """Description of the input: a cell of the page."""
     family: str
-    """Heading of the page under which the input is listed."""
+    """Heading of the page ``docs/import-answers.md`` under which the input is listed."""
     make: Callable[[Path], Path]
     """Function that writes the input into an empty folder and returns the path to open."""
     expected: str
-    """Error code of the refusal, or ``opens``."""
+    """Error code with which the input must be refused, or ``opens``."""
     notes: tuple[str, ...] = ()
-    """Codes of all notes that the importer must give; any other note is a failure."""
+    """Codes of all notes that the importer must give; any other note fails the test."""
     is_hu: bool = True
     do: str = ""
     """Remedy that the page shows, in sentences; empty if the input needs none."""
@@ -45,7 +45,7 @@ class Input:
     series: int | None = None
     """Number of series that ``carina info`` lists, for inputs that test the listing."""
     names: tuple[str, ...] = ()
-    """Words that the refusal or the notes must contain, such as names of files."""
+    """Words that the message of the refusal or the notes must contain, such as names of files."""
 
 
 def all_inputs() -> tuple[Input, ...]:

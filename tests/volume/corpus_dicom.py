@@ -30,7 +30,10 @@ SECOND = chest(seed=6)
 
 
 def _tags(change: Callable[[int], dict[str, Any]]) -> Make:
-    """Return the maker of a series whose slices have the tags of ``change(index)``; the value None removes a tag."""
+    """Return a function that writes a series whose slices have the tags of ``change(index)``.
+
+    A tag with the value None is removed.
+    """
 
     def edit(dataset: Dataset, index: int) -> None:
         for keyword, value in change(index).items():
@@ -57,7 +60,10 @@ NAMED = ("IM004", "IM009", "IM011", "3 of its 20 slices")
 
 
 def _lettered(keyword: str, text: str) -> Make:
-    """Return the maker of a series in which one slice has a text instead of a number, which pydicom does not check."""
+    """Return a function that writes a series in which one slice has a text in place of a number.
+
+    pydicom does not check this text.
+    """
 
     def edit(dataset: Dataset, index: int) -> None:
         if index == 4:
@@ -198,9 +204,9 @@ def _two(
     both: dict[str, Any] | None = None,
     keep_first: Callable[[int], bool] = lambda index: True,
 ) -> Make:
-    """Return the maker of a folder with two scans.
+    """Return a function that writes a folder with two scans.
 
-    The second scan differs in tags and is ``shift_mm`` higher (default: half of the slice distance).
+    The second scan differs in tags and is ``shift_mm`` higher (default: half of the distance between slices).
     """
 
     def make(folder: Path) -> Path:
@@ -240,7 +246,7 @@ TWO = "DICOM: several stacks in one folder"
 
 
 def _short(index: int) -> bool:
-    """Return whether a slice belongs to a second scan of 18 slices, which is smaller than the first scan of 20."""
+    """Return whether a slice belongs to the second scan, which has 18 slices; the first scan has 20."""
     return index < 18
 
 

@@ -29,7 +29,7 @@ UNREAD = {"expected": "opens", "notes": ("import.files-unread",), "do": COPY}
 
 
 def _spoil(*at: int, change: Callable[[bytes], bytes], name: Callable[[int], str] = lambda i: f"IM{i:03d}") -> Make:
-    """Return the maker of a correct series of which some files are damaged after writing."""
+    """Return a function that writes a correct series and then damages the files ``at``."""
 
     def make(folder: Path) -> Path:
         series(folder, name=name)
@@ -148,7 +148,7 @@ def _depth(frame: bytes) -> int:
 
 
 def _noise_of(folder: Path) -> Path:
-    """Write a JPEG 2000 series in which one slice contains noise, as a decoder returns it for a damaged stream."""
+    """Write a JPEG 2000 series with noise in one slice, as a decoder returns it for a damaged stream."""
 
     def edit(dataset: Dataset, index: int) -> None:
         if index == 7:
@@ -197,7 +197,7 @@ def _noisy() -> np.ndarray:
 
 
 def _flipped(frame: bytes) -> bytes:
-    """Return the frame with one changed bit near its end, which affects the finest details."""
+    """Return a compressed frame with one changed bit near its end, which affects only the finest details."""
     return frame[:-200] + bytes([frame[-200] ^ 4]) + frame[-199:]
 
 

@@ -17,7 +17,7 @@ __all__ = ["MODALITY_LUT", "OUTSIDE", "PADDING", "ringed", "with_lut"]
 Make = Callable[[Path], Path]
 _Y, _X = np.mgrid[:SIDE, :SIDE]
 OUTSIDE = (_X - 15.5) ** 2 + (_Y - 15.5) ** 2 > 17.5**2
-"""Mask of the pixels outside the reconstructed circle."""
+"""Mask (rows, columns) of the pixels outside the reconstructed circle."""
 METAL = (slice(14, 16), slice(10, 12))
 PADDED, LUT = "DICOM: padding", "DICOM: Modality LUT"
 LOOK = "Check the edge of the slices."
@@ -37,9 +37,9 @@ def ringed(
     pack: bool = False,
     **tags: Any,
 ) -> Make:
-    """Return the maker of a series with a ring of one stored value around the picture.
+    """Return a function that writes a series with a ring of the stored value ``value`` around the picture.
 
-    ``also`` is the value of every second pixel of the ring, ``metal`` a stored value within the body.
+    ``also`` is the value of every second pixel of the ring; ``metal`` is a stored value within the body.
     """
 
     def make(folder: Path) -> Path:
@@ -70,7 +70,10 @@ def ringed(
 
 
 def _air_outside(*, metal: int | None = None, slope: float = 1.0, ring: int | None = None) -> Callable[[], np.ndarray]:
-    """Return the expected values: air, the lowest value of each slice, or a given value outside the picture."""
+    """Return a function for the expected HU, in which the pixels outside the picture have another value.
+
+    The value is air, the lowest value of each slice, or ``ring``.
+    """
 
     def voxels() -> np.ndarray:
         values = np.rint(np.rint((chest() + 1024.0) / slope) * slope - 1024).astype(np.int16)
@@ -88,7 +91,7 @@ def _half_slope() -> np.ndarray:
 
 
 def _soft_tissue_marked(dataset: Dataset, index: int) -> None:
-    dataset.add_new(0x00280120, "US", 1064)  # 40 HU: muscle
+    dataset.add_new(0x00280120, "US", 1064)  # 40 HU, the value of muscle
 
 
 def _two_of_sixteen(dataset: Dataset, index: int) -> None:
@@ -120,7 +123,7 @@ PADDING = [
 def with_lut(
     *, at: Callable[[int], bool] = lambda index: True, rescale: bool, unit: str = "HU", damage: bool = False
 ) -> Make:
-    """Return the maker of a series whose stored numbers are 4095 - (HU + 1024), with a Modality LUT."""
+    """Return a function that writes a series with stored numbers 4095 - (HU + 1024) and a Modality LUT."""
 
     def edit(dataset: Dataset, index: int) -> None:
         if not at(index):

@@ -131,7 +131,7 @@ def _ras(lines: list[str]) -> None:
 
 
 def _skewed(degrees: float) -> np.ndarray:
-    """Return ``lps_from_ijk`` of the grid with the second axis turned towards the first one by an angle."""
+    """Return ``lps_from_ijk`` of the grid with its second axis rotated by an angle towards the first axis."""
     matrix = LPS_FROM_IJK.copy()
     angle = np.radians(degrees)
     first, second = (matrix[:3, axis] / np.linalg.norm(matrix[:3, axis]) for axis in (0, 1))
@@ -140,14 +140,14 @@ def _skewed(degrees: float) -> np.ndarray:
 
 
 def _pixdim(axis: int, value: float) -> Make:
-    """Return the maker of a NIfTI file with a qform and no sform, in which one number of pixdim is changed."""
+    """Return a function that writes a NIfTI file with a qform and no sform, and with one changed number of pixdim."""
     return _edited(
         lambda folder: with_qform(folder, LPS_FROM_IJK), lambda data: struct.pack_into("<f", data, 76 + 4 * axis, value)
     )
 
 
 def _packed(make: Make, pack: Callable[[bytes], bytes] = gzip.compress) -> Make:
-    """Return the maker of a file that is compressed as a whole and keeps its name without ``.gz``."""
+    """Return a function that writes a file which is compressed as a whole but has no suffix ``.gz``."""
 
     def again(folder: Path) -> Path:
         path = make(folder)

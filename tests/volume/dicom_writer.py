@@ -92,7 +92,7 @@ def series(
 
 
 def packed(dataset: Dataset, folder: Path, kind: str) -> None:
-    """Compress the pixels of a slice without loss, as ``JPEG2000`` or ``JPEG``."""
+    """Compress the pixels of a slice without loss; ``kind`` is ``JPEG2000`` or ``JPEG``."""
     words = np.frombuffer(dataset.PixelData, "<u2").reshape(1, dataset.Rows, dataset.Columns)
     path = folder / "packed.tmp.dcm"
     writer = sitk.ImageFileWriter()
@@ -110,7 +110,7 @@ def packed(dataset: Dataset, folder: Path, kind: str) -> None:
 
 
 def repack(dataset: Dataset, change: Callable[[bytes], bytes]) -> None:
-    """Change the compressed stream of a slice."""
+    """Replace the compressed stream of a slice by ``change(stream)``."""
     frame = change(next(generate_frames(dataset.PixelData, number_of_frames=1)))
     dataset.PixelData = encapsulate([frame])
     dataset["PixelData"].VR = "OB"

@@ -17,9 +17,10 @@ __all__ = ["AIR", "FORMS", "LPS_FROM_IJK", "SHAPE_ZYX", "bgzip", "chest", "metai
 SHAPE_ZYX = (12, 20, 24)
 AIR = 3
 """Number of air voxels around the body on each side of a slice."""
-# The direction is oblique and each spacing differs, so a test with swapped axes or signs fails.
 SPACING_MM = (0.7, 0.9, 1.25)
+"""Spacing along i, j and k, mm; all differ, so that a test with exchanged axes fails."""
 DIRECTIONS = np.reshape((0.8, -0.36, -0.48, 0.6, 0.48, 0.64, 0.0, -0.8, 0.6), (3, 3))
+"""Directions of the axes in columns, LPS; they are oblique, so that a test with exchanged signs fails."""
 LPS_FROM_IJK = np.eye(4)
 LPS_FROM_IJK[:3, :3] = DIRECTIONS * SPACING_MM
 LPS_FROM_IJK[:3, 3] = (-31.5, 12.25, 140.0)
@@ -85,7 +86,7 @@ def nifti_bytes(
 
 
 def nifti(folder: Path, values: np.ndarray, *, behind: bytes = b"", name: str = "ct.nii", **options: Any) -> Path:
-    """Write a NIfTI file in one piece, with zeros between header and values; ``behind`` is appended."""
+    """Write a NIfTI file in one piece, with zeros between header and values, and with ``behind`` after the values."""
     header, numbers = nifti_bytes(values, **options)
     gap = bytes(max(0, int(options.get("offset", 352)) - 348)) if np.isfinite(options.get("offset", 352)) else b""
     path = folder / name

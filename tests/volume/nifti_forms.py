@@ -23,7 +23,7 @@ def nearest_rotation(lps_from_ijk: np.ndarray) -> np.ndarray:
 
 
 def _quaternion(lps_from_ijk: np.ndarray) -> tuple[float, tuple[float, float, float]]:
-    """Return qfac and the quaternion components b, c, d; valid if the rotation is not near 180 degrees."""
+    """Return qfac and the quaternion's components b, c and d; the rotation must not be near 180 degrees."""
     ras = _RAS @ lps_from_ijk
     turn = ras[:3, :3] / np.linalg.norm(ras[:3, :3], axis=0)
     qfac = float(np.sign(np.linalg.det(turn)))
@@ -44,7 +44,7 @@ def with_qform(folder: Path, lps_from_ijk: np.ndarray, values: np.ndarray | None
 
 
 def with_both_forms(folder: Path, sform: np.ndarray, qform: np.ndarray) -> Path:
-    """Write a NIfTI file with a qform and an sform, each from its own transform of the same spacing."""
+    """Write a NIfTI file with a qform and an sform that state different transforms of the same spacing."""
     path = with_qform(folder, qform)
     data = bytearray(path.read_bytes())
     struct.pack_into("<2h", data, 252, 1, 1)

@@ -1,4 +1,4 @@
-"""Tolerance of the angles between the axes of a grid, equal for every format and for reading and writing."""
+"""Tests of the tolerance of the angles between the axes of a grid, which is equal for every format."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FORMATS = ["nifti", "nrrd", "metaimage"]
 
 
 def skewed(degrees: float, pair: tuple[int, int] = (0, 1)) -> np.ndarray:
-    """Return the grid of ``grid_writers`` with the second axis of a pair turned towards the first one."""
+    """Return the matrix of ``grid_writers`` with the second axis of a pair rotated towards the first axis."""
     matrix = grids.LPS_FROM_IJK.copy()
     directions = grids.DIRECTIONS
     angle = np.radians(degrees)
@@ -78,7 +78,7 @@ def _turn(angle: float) -> np.ndarray:
 
 @pytest.mark.parametrize("degrees", [0.02, 0.1, 0.19])
 def test_qform_from_a_sheared_sform_is_accepted(tmp_path, degrees):
-    # nibabel and dcm2niix write the nearest rotation of the sform as qform.
+    # nibabel and dcm2niix write as qform the rotation that is nearest to the sform.
     expected = skewed(degrees, (1, 2))
     path = nifti_forms.with_both_forms(tmp_path, expected, nifti_forms.nearest_rotation(expected))
     np.testing.assert_allclose(open_volume(path).lps_from_ijk, expected, rtol=0, atol=2e-5)
@@ -94,8 +94,8 @@ def test_a_qform_that_mirrors_its_sform_is_refused(tmp_path, axis):
     assert caught.value.code == "import.geometry.ambiguous"
 
 
-def test_tolerance_applies_at_each_limit():
-    # 100 voxels of 1 mm: 0.1 mm over 99 mm is 0.058 degrees, so the angle is the effective limit.
+def test_axes_open_just_below_and_are_refused_just_above_each_tolerance():
+    # With 100 voxels of 1 mm, 0.1 mm over 99 mm is 0.058 degrees, so the limit of the angle applies.
     wide = (100, 100, 100)
     for pair in itertools.combinations(range(3), 2):
         for degrees, accepted in ((0.2, True), (0.1999, True), (0.2001, False), (-0.2, True), (-0.2001, False)):
@@ -107,7 +107,7 @@ def test_tolerance_applies_at_each_limit():
             assert skew_deg(matrix) == pytest.approx(abs(degrees), abs=1e-9)
 
 
-def test_short_axis_may_deviate_by_a_tenth_of_a_millimetre():
+def test_grid_with_a_short_axis_that_deviates_by_0_1_mm_opens():
     for lean_mm, accepted in ((0.1, True), (0.0999, True), (0.1001, False)):
         matrix = np.eye(4)
         sine = lean_mm / 4  # five slices of 1 mm
@@ -122,7 +122,7 @@ def test_straightened_axes_are_orthogonal_and_keep_spacing_and_origin():
     assert skew_deg(straight) < 1e-6
     np.testing.assert_allclose(np.linalg.norm(straight[:3, :3], axis=0), np.linalg.norm(matrix[:3, :3], axis=0))
     np.testing.assert_array_equal(straight[:3, 3], matrix[:3, 3])
-    # Each of the two axes is turned by half of the angle.
+    # Each of the two axes is rotated by half of the angle.
     cosine = np.sum(straight[:3, :3] * matrix[:3, :3], axis=0) / np.sum(matrix[:3, :3] ** 2, axis=0)
     np.testing.assert_allclose(np.degrees(np.arccos(np.minimum(cosine, 1))), (0.1, 0.1, 0), atol=1e-4)
 

@@ -1,4 +1,4 @@
-"""Cache of opened CTs: equal results with and without the cache, detection of changes and damage, and limits."""
+"""Tests of the cache of opened CTs: equal results with and without it, detection of changes and damage, limits."""
 
 from __future__ import annotations
 
@@ -41,7 +41,10 @@ DAY_S = 86_400.0
 
 
 class Clock:
-    """Clock in seconds since 1970; its start is 100 s later than the real time, so all files are old enough."""
+    """Clock in seconds since 1970 that starts 100 s after the real time.
+
+    So the cache accepts all files as old enough.
+    """
 
     def __init__(self) -> None:
         self.now_s = time.time() + 100.0
@@ -57,7 +60,7 @@ def clock() -> Clock:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Return the folder of the cache."""
+    """Return the folder in which the cache stores its files."""
     return tmp_path / "cache" / "volumes"
 
 
@@ -89,7 +92,7 @@ def files(folder: Path, suffix: str = "") -> list[Path]:
 
 
 def assert_equal(found: Volume, expected: Volume) -> None:
-    """Assert that two volumes are equal in every field, including the ones that are computed on first use."""
+    """Assert that two volumes are equal in every field, including fields that are computed at their first use."""
     for field in dataclasses.fields(Volume):
         a, b = getattr(found, field.name), getattr(expected, field.name)
         if isinstance(b, np.ndarray):
@@ -374,7 +377,7 @@ def test_record_of_another_carina_version_is_replaced_and_its_voxels_are_reused(
     assert voxels.stat().st_ino == before
 
 
-def test_version_of_the_import_code_is_a_stable_digest():
+def test_version_of_the_import_code_is_equal_at_each_computation():
     assert cache._made_by() == cache._made_by()
     assert len(cache._made_by()) == 32
 
@@ -387,7 +390,7 @@ def test_least_recently_used_ct_is_removed_when_the_cache_is_full(folder, clock,
         clock.now_s += 10
         keep(kept, path)
     clock.now_s += 10
-    assert kept.get(paths[0]) is not None  # the second CT is now the least recently used one
+    assert kept.get(paths[0]) is not None  # after this use the second CT is the least recently used one
     clock.now_s += 10
     keep(kept, paths[2])
     assert [kept.find(path) is not None for path in paths] == [True, False, True]
@@ -406,7 +409,7 @@ def test_ct_larger_than_the_limit_is_not_cached_and_evicts_no_other(folder, cloc
     assert small.find(path) is not None
 
 
-def test_limit_is_a_tenth_of_the_free_space_plus_the_size_of_the_cache(folder, clock, monkeypatch):
+def test_default_limit_is_a_tenth_of_free_space_and_cache_size_together(folder, clock, monkeypatch):
     usage = shutil.disk_usage(".")
     monkeypatch.setattr(cache.shutil, "disk_usage", lambda _: usage._replace(free=900))
     assert VolumeCache(folder)._bound(100) == 100
@@ -456,7 +459,7 @@ def test_disabled_cache_stores_nothing_and_a_sweep_empties_it(kept, folder, cloc
     assert files(folder) == []
 
 
-def test_forget_removes_a_ct_and_the_records_of_all_its_sources(kept, folder, tmp_path):
+def test_forgotten_ct_is_removed_with_the_records_of_all_its_sources(kept, folder, tmp_path):
     path = chest_file(tmp_path)
     digest = keep(kept, path)
     keep(kept, Path(shutil.copy(path, tmp_path / "copy.nrrd")))
@@ -548,7 +551,7 @@ def test_sweep_removes_voxel_files_without_a_source_record_after_two_hours(kept,
     (source,) = files(folder, ".source")
     source.unlink()
     kept.sweep()
-    assert len(files(folder, SUFFIX)) == 1  # another process may be writing the source record
+    assert len(files(folder, SUFFIX)) == 1  # another process may be about to write the source record
     clock.now_s += 2 * 3600
     kept.sweep()
     assert files(folder) == []

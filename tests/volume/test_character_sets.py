@@ -1,4 +1,4 @@
-"""Character sets of DICOM texts: known ones are read as declared, UTF-8 is recognised, all others are doubtful."""
+"""Tests of the character sets of DICOM texts: declared ones are used, UTF-8 is recognised, all others are doubtful."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _set_raw(dataset, keyword: str, value: bytes, vr: str) -> None:
 
 
 def _named(folder, name: bytes, character_set: str | None, *, keyword: str = "PatientName", vr: str = "PN"):
-    """Write three slices whose patient name and other texts consist of the given bytes."""
+    """Write three slices whose patient name (and other texts) consists of the given bytes."""
 
     def edit(dataset, index):
         if character_set is not None:
@@ -118,7 +118,7 @@ def test_doubtful_name_is_not_exported(tmp_path, case):
     with pytest.raises(UsageError, match="PatientName") as caught:
         _exported(folder)
     assert caught.value.code == "plan.identity"
-    # the message contains no part of the name
+    # The message contains no part of the name.
     assert "M" not in str(caught.value).replace("SpecificCharacterSet", "").split("PatientName")[0]
     images = ct_images(folder, open_volume(folder))
     data = new_object("1.2.3", images, identity="none", modality="SEG", series_number=5, series_words="x")
@@ -186,7 +186,7 @@ def test_texts_in_sequences_use_the_character_set_of_the_file(tmp_path):
         ("KLINGON", None),
     ],
 )
-def test_names_of_character_sets(text, name):
+def test_name_of_a_character_set_is_stated_without_its_escape_codes(text, name):
     assert character_set_name(text) == name
 
 

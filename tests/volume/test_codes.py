@@ -1,4 +1,4 @@
-"""Codes of refusals and notes of the import: each is unique and listed with its meaning and remedy on the page."""
+"""Tests of the codes of refusals and notes of the import: each is unique and listed on the page with its remedy."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def raised() -> set[str]:
 
 
 def noted() -> dict[str, set[str]]:
-    """Return the codes of notes, each with the badge flags that the source states as literals."""
+    """Return the badge flags that the source states as literals for each code of a note."""
     found: dict[str, set[str]] = {}
     for node in nodes(ast.Call):
         if getattr(node.func, "id", "") not in ("Note", "Doubt") or not isinstance(node.args[0], ast.Constant):
@@ -101,7 +101,7 @@ def test_page_marks_refusals_notes_and_badges_as_the_code_does():
 
 
 @pytest.mark.parametrize("kind", ["refusal", "note"])
-def test_corpus_uses_each_code_as_its_kind(kind):
+def test_corpus_expects_refusal_codes_only_as_refusals_and_note_codes_as_notes(kind):
     kinds = {row["code"]: row["kind"] for row in rows()}
     shown = {entry.expected for entry in all_inputs()} - {"opens"}
     if kind == "note":

@@ -1,4 +1,4 @@
-"""Settings that are read from environment variables."""
+"""Tests of the settings that are read from environment variables."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from carina.config import load_settings
 from carina.errors import UsageError
 
 
-def test_settings_have_defaults():
+def test_settings_without_environment_variables_have_their_defaults():
     settings = load_settings({})
     assert settings.log_level == "WARNING"
     assert settings.data_dir is None
@@ -18,7 +18,7 @@ def test_settings_have_defaults():
     assert "carina" in settings.cache_dir.name.lower()
 
 
-def test_settings_follow_the_environment():
+def test_settings_are_read_from_environment_variables():
     settings = load_settings({"CARINA_LOG_LEVEL": " debug ", "CARINA_DATA_DIR": "some/folder", "CARINA_BACKEND": "CPU"})
     assert settings.log_level == "DEBUG"
     assert settings.data_dir == Path("some/folder")
@@ -36,11 +36,11 @@ def test_an_unknown_backend_is_refused():
 
 
 @pytest.mark.parametrize(("text", "num_bytes"), [("", None), ("0", 0), (" 2.5 ", 2_500_000_000)])
-def test_limits_of_opened_cts_follow_the_environment(text, num_bytes):
+def test_limit_of_the_cache_is_read_from_the_environment(text, num_bytes):
     assert load_settings({"CARINA_CACHE_GB": text}).volume_cache_bytes == num_bytes
 
 
 @pytest.mark.parametrize("text", ["much", "-1", "nan", "inf"])
-def test_invalid_size_is_refused(text):
+def test_invalid_limit_of_the_cache_in_the_environment_is_refused(text):
     with pytest.raises(UsageError, match="gigabytes"):
         load_settings({"CARINA_CACHE_GB": text})

@@ -1,4 +1,4 @@
-"""Answers of the importer to every input of the corpus, and the page that lists them."""
+"""Tests of the importer's answer to every input of the corpus, and of the page that lists the inputs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_each_corpus_input_gets_its_expected_answer(tmp_path, capfd, entry: Inpu
     assert capfd.readouterr().err == ""  # messages of a decoder must not reach the user's terminal
 
 
-def test_every_refusal_has_a_remedy():
+def test_every_corpus_input_that_is_refused_has_a_remedy():
     assert [entry.name for entry in INPUTS if entry.expected != "opens" and not entry.do] == []
 
 

@@ -1,4 +1,4 @@
-"""Detection of damaged compressed slices: each damaged slice is reported, and no intact slice."""
+"""Tests of damaged compressed slices: each damaged slice is reported, and no intact slice."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NUM = 6
 
 
 def _slices(num: int = NUM) -> np.ndarray:
-    """Return [z, y, x] HU: the small chest six times as wide, with added noise."""
+    """Return HU [z, y, x] of the small chest, six times as wide and with added noise."""
     rng = np.random.default_rng(11)
     wide = np.kron(chest(noise_hu=1e-9)[:num], np.ones((1, 6, 6)))
     return np.clip(wide + rng.normal(0, 12, wide.shape), -1024, 3000).astype(np.int16)
@@ -58,7 +58,8 @@ def _damaged(frame: bytes, rng: np.random.Generator, kind: str) -> bytes:
 def test_damage_above_20_hu_is_always_reported(compressed, tmp_path, rng, kind):
     """Check 15 slices of each kind of damage.
 
-    A refusal, a doubt of the first decoder or the second decoder reports each.
+    Each is reported in one of three ways: a refusal, a problem of the first decoder, or a difference of the second
+    decoder.
     """
     silent = []
     for index in range(15):
@@ -80,7 +81,7 @@ def test_damage_above_20_hu_is_always_reported(compressed, tmp_path, rng, kind):
 
 
 @needs_av
-def test_intact_slices_have_no_problem(compressed):
+def test_intact_compressed_slices_are_not_reported(compressed):
     assert [j2k_problem(_frame(path)) for path in sorted(compressed.iterdir())] == [None] * NUM
     volume = open_volume(compressed)
     assert (volume.source.notes, volume.is_hu) == ((), True)
@@ -102,7 +103,7 @@ def test_a_single_changed_bit_is_reported_with_its_slice(tmp_path):
 
 
 @needs_av
-def test_a_stream_that_the_second_decoder_does_not_support_has_no_problem(compressed, monkeypatch):
+def test_stream_that_the_second_decoder_does_not_support_is_not_reported(compressed, monkeypatch):
     import av
 
     class Unsupported:
@@ -117,7 +118,7 @@ def test_a_stream_that_the_second_decoder_does_not_support_has_no_problem(compre
 
 
 @needs_av
-def test_log_level_is_restored(compressed):
+def test_log_level_of_the_decoder_is_restored_after_the_check(compressed):
     import av.logging
 
     before = av.logging.get_level()

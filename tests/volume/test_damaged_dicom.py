@@ -1,4 +1,4 @@
-"""DICOM headers with one changed byte: the file is read or refused, and no other exception occurs."""
+"""Tests of DICOM headers with one changed byte: the file is read or refused, without any other exception."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def files(tmp_path_factory) -> dict[str, Path]:
 
 
 def _flips(whole: bytes, rng: np.random.Generator) -> Iterator[bytes]:
-    """Yield copies with one changed bit: in each letter of a VR, then at random places of the header."""
+    """Yield copies of a file with one changed bit: in each letter of a VR, then at random positions of the header."""
     letters = [at + k for at in (found.start() for found in _VR.finditer(whole)) for k in (0, 1) if at > 132]
     places = [(at, 1 << int(rng.integers(6))) for at in rng.permutation(letters)[:100]]
     places += [(int(rng.integers(132, min(len(whole), _HEADER_BYTES))), 1 << int(rng.integers(8))) for _ in range(100)]
@@ -55,7 +55,7 @@ def _read_image(path: Path) -> None:
     try:
         header, _ = read_header(path)
     except ValueError:
-        return  # the expected answer for a file that is not DICOM
+        return  # this is the expected answer for a file that is not DICOM
     if header is not None and header.problem is None and header.rows * header.columns < 1 << 20:
         from carina.volume.dicom_pixels import decode_slice
 
@@ -92,7 +92,7 @@ def test_changed_header_byte_gives_a_result_or_a_refusal(files, tmp_path, rng, k
 
 
 def test_flipped_vr_letter_of_a_segmentation_exits_with_status_3(files, tmp_path):
-    """The change of US to UQ makes the bytes of SegmentNumber text."""
+    """Use the change of the VR US to UQ, by which the bytes of SegmentNumber are read as text."""
     whole = files["SEG"].read_bytes()
     at = whole.index(b"\x62\x00\x04\x00US") + 5
     damaged = tmp_path / "seg.dcm"
@@ -104,7 +104,7 @@ def test_flipped_vr_letter_of_a_segmentation_exits_with_status_3(files, tmp_path
 
 
 def test_a_series_with_a_damaged_header_opens_or_is_refused(files, tmp_path, rng):
-    """Open the whole folder with one damaged slice by the public function."""
+    """Open a whole folder that contains one damaged slice."""
     folder = tmp_path / "ct"
     series(folder, hu=chest()[:4])
     path = folder / "IM001"
@@ -121,7 +121,7 @@ def test_a_series_with_a_damaged_header_opens_or_is_refused(files, tmp_path, rng
 
 
 def test_pixel_data_with_a_numeric_vr_is_refused(tmp_path):
-    """PixelData of VR US and two bytes is the number 65535; ``bytes(65535)`` would return 65535 zeros."""
+    """Check that PixelData of VR US, the number 65535, is not converted by ``bytes`` to 65535 zeros."""
     folder = series(tmp_path, hu=chest()[:3])
     path = folder / "IM001"
     whole = path.read_bytes()

@@ -1,4 +1,4 @@
-"""Bundled CT of a patient and its citation."""
+"""Tests of the bundled CT of a patient and its citation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Import of DICOM folders: geometry from the tags of every slice, and refusals with code and file name."""
+"""Tests of the import of DICOM folders: geometry from the tags of every slice, refusals with code and file name."""
 
 from __future__ import annotations
 
@@ -54,7 +54,9 @@ def test_oblique_anisotropic_series_has_the_positions_of_its_tags(write_series, 
 
 
 @pytest.mark.parametrize("order", ["reversed", "shuffled"])
-def test_order_of_slices_does_not_depend_on_file_names(write_series, expected_lps_from_ijk, expected_hu_zyx, order):
+def test_slices_are_ordered_by_position_with_any_file_names(
+    write_series, expected_lps_from_ijk, expected_hu_zyx, order
+):
     names = {"reversed": lambda i: f"IM{100 - i}", "shuffled": lambda i: f"{(i * 5 + 3) % SLICES}.dcm"}[order]
     volume = open_volume(write_series(name=names))
     np.testing.assert_allclose(volume.lps_from_ijk, expected_lps_from_ijk, rtol=0, atol=1e-8)
@@ -68,11 +70,11 @@ def test_path_of_one_slice_opens_its_series(write_series, expected_hu_zyx):
 
 
 @pytest.mark.parametrize("syntax", [ImplicitVRLittleEndian, DeflatedExplicitVRLittleEndian])
-def test_uncompressed_transfer_syntaxes_give_the_same_voxels(write_series, expected_hu_zyx, syntax):
+def test_every_uncompressed_transfer_syntax_gives_equal_voxels(write_series, expected_hu_zyx, syntax):
     np.testing.assert_array_equal(open_volume(write_series(syntax=syntax)).hu_zyx, expected_hu_zyx)
 
 
-def test_big_endian_pixels_are_converted(write_series, expected_hu_zyx):
+def test_big_endian_series_has_the_values_of_its_pixels(write_series, expected_hu_zyx):
     def swap(dataset, index):
         dataset.PixelData = np.frombuffer(dataset.PixelData, "<i2").astype(">i2").tobytes()
 
@@ -104,7 +106,7 @@ def test_bits_above_bits_stored_are_ignored(write_series):
         dataset.PixelData = values.tobytes()
 
     volume = open_volume(write_series(edit=twelve_bits))
-    # 0x57FF -> 0x7FF -> 2047; 0xF801 -> 0x801 -> -2047 in 12 bits; 1024 is subtracted from both.
+    # In 12 bits 0x57FF is 0x7FF = 2047 and 0xF801 is 0x801 = -2047; 1024 is subtracted from both.
     assert set(np.unique(volume.hu_zyx[0])) == {2047 - 1024}
     assert set(np.unique(volume.hu_zyx[1])) == {-2047 - 1024}
 
@@ -124,20 +126,20 @@ def test_missing_slice_is_reported_with_its_gap(write_series):
         assert words in str(error)
 
 
-def test_uneven_gaps_are_refused(write_series):
+def test_series_with_uneven_gaps_between_slices_is_refused(write_series):
     error = refusal(write_series(edit=lambda d, i: move(d, frame(d)[2] * (0.5 if i >= 6 else 0.0))))
     assert error.code == "import.geometry.irregular"
     assert "found 1.75 mm after slice 6 of 9" in str(error)
 
 
-def test_slowly_drifting_gaps_are_refused(write_series):
+def test_series_with_slowly_increasing_gaps_is_refused(write_series):
     error = refusal(write_series(edit=lambda d, i: move(d, frame(d)[2] * 0.02 * i * i)))
     assert error.code == "import.geometry.irregular"
 
 
 @pytest.mark.parametrize(("off_mm", "good"), [(0.11, True), (0.14, False)])
-def test_one_slice_may_be_a_tenth_of_the_gap_off_the_grid(write_series, off_mm, good):
-    # Tolerance: 0.1 * 1.25 mm = 0.125 mm.
+def test_series_with_a_slice_a_tenth_of_the_gap_off_the_grid_opens(write_series, off_mm, good):
+    # The tolerance is a tenth of the gap: 0.125 mm.
     folder = write_series(edit=lambda d, i: move(d, frame(d)[2] * (off_mm if i == 4 else 0.0)))
     if good:
         assert open_volume(folder).spacing_mm[2] == pytest.approx(GAP_MM)
@@ -173,7 +175,8 @@ def test_copy_of_a_slice_is_used_once_and_its_path_opens_the_series(write_series
 
 @pytest.mark.parametrize(("tilt_deg", "good"), [(0.0, True), (0.15, True), (0.6, False), (16.5, False)])
 def test_gantry_tilt_is_refused_and_near_zero_tilt_is_not(write_series, expected_lps_from_ijk, tilt_deg, good):
-    # The tolerance is 0.2 degrees, or 0.1 mm over the height; 0.6 degrees over this 10 mm stack are 0.105 mm.
+    # The tolerance is 0.2 degrees, or 0.1 mm over the height: at 0.6 degrees the shift over this stack of 10 mm is
+    # 0.105 mm.
     lean_mm = GAP_MM * np.tan(np.radians(tilt_deg))
     folder = write_series(edit=lambda d, i: move(d, frame(d)[1] * lean_mm * i))
     if not good:
@@ -181,7 +184,7 @@ def test_gantry_tilt_is_refused_and_near_zero_tilt_is_not(write_series, expected
         assert error.code == "import.geometry.tilt"
         assert f"{tilt_deg:.1f} degrees" in str(error)
         return
-    # The transform keeps the tilt, so that every slice has the position of its tag.
+    # The transform contains the tilt, so that every slice has the position of its tag.
     expected = expected_lps_from_ijk.copy()
     expected[:3, 2] += lean_mm * expected[:3, 1] / 0.9
     np.testing.assert_allclose(open_volume(folder).lps_from_ijk, expected, rtol=0, atol=1e-8)
@@ -220,14 +223,14 @@ def _other_orientation(dataset: Dataset, index: int) -> None:
         (_other_orientation, "mixed orientation"),
     ],
 )
-def test_mixed_series_are_refused(write_series, edit, words):
+def test_series_with_mixed_sizes_or_orientations_is_refused(write_series, edit, words):
     error = refusal(write_series(edit=edit))
     assert error.code == "import.geometry.mixed"
     assert words in str(error)
     assert "IM005" in str(error)
 
 
-def test_single_slice_is_refused(write_series):
+def test_series_of_a_single_slice_is_refused(write_series):
     assert refusal(write_series(num_slices=1)).code == "import.single-slice"
 
 
@@ -326,7 +329,7 @@ def test_an_unknown_compression_is_refused_by_name(write_series):
     assert refusal(write_series(edit=video, syntax=MPEG2MPML)).code == "import.not-supported"
 
 
-def test_files_that_are_not_images_are_skipped(write_series, expected_hu_zyx):
+def test_files_without_images_are_skipped_and_the_series_opens(write_series, expected_hu_zyx):
     folder = write_series()
     (folder / "report.pdf").write_bytes(b"%PDF-1.4 nothing here" * 20)
     (folder / "DIRFILE").write_bytes(b"\0" * 128 + b"DICM" + b"\x02\x00\x00\x00UL\x04\x00" + b"\xff" * 50)
@@ -345,7 +348,7 @@ def test_files_that_are_not_images_are_skipped(write_series, expected_hu_zyx):
         ("notes.txt", b"no image", "not an image volume"),
     ],
 )
-def test_other_file_types_are_refused_by_their_type(tmp_path, name, data, words):
+def test_file_of_another_type_is_refused_with_the_name_of_its_type(tmp_path, name, data, words):
     (tmp_path / name).write_bytes(data)
     error = refusal(tmp_path / name)
     assert error.code == "import.not-an-image"
@@ -399,7 +402,8 @@ def test_scan_date_is_the_acquisition_date_else_the_study_date_and_is_not_shown(
     def edit(dataset, _index):
         for keyword, value in dates.items():
             element = DataElement(keyword, dictionary_VR(keyword), None)
-            element._value = value  # as a file may contain it: pydicom checks only values that are assigned normally
+            # Set without pydicom's check of assigned values, because a file may contain this value.
+            element._value = value
             dataset.add(element)
 
     volume = open_volume(write_series(edit=edit))

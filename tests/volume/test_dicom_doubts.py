@@ -1,4 +1,4 @@
-"""DICOM import cases that are not files of the corpus: permissions, threads, intact pictures, lists and texts."""
+"""Tests of the DICOM import beside the corpus: permissions, threads, intact pictures, lists and texts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SECRETS = ("Secret", "SECRET", "1.2.3.98", "1.2.3.4.5")
 
 
 def _deny(monkeypatch, *names: str) -> None:
-    """Make opening these files fail as without permission, because root may read every file."""
+    """Simulate that the files with these names may not be read; the user root could read every file."""
     whole = Path.open
 
     def refuse(path: Path, *args, **kwargs):
@@ -156,7 +156,7 @@ def test_output_of_another_thread_during_decoding_is_not_lost(capfd):
 
 
 def test_decoder_warning_removes_the_hu_status(tmp_path, monkeypatch):
-    """A warning of the decoder is sufficient, even if the stream seems complete."""
+    """Check that a warning of the decoder is sufficient even if the stream seems complete."""
     series(tmp_path, lambda dataset, index: packed(dataset, tmp_path, "JPEG2000"))
     import carina.volume.dicom_pixels as pixels
 
@@ -175,7 +175,7 @@ def test_decoder_warning_removes_the_hu_status(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("noise_hu", [0, 5, 25, 90, 200])
 @pytest.mark.parametrize("offset", [0, 1024, 8192])
-def test_intact_pictures_of_any_noise_level_have_no_problem(rng, noise_hu, offset):
+def test_intact_slices_of_any_noise_level_are_not_reported_as_damaged(rng, noise_hu, offset):
     hu = chest(noise_hu=float(noise_hu)) if noise_hu else chest(noise_hu=1e-9)
     signed = (hu.astype(np.int32) + offset).astype(np.int16)
     assert _byte_order_doubts(signed[5].view(np.uint16), lambda some: some.view(np.int16).astype(np.int32)) == ()
@@ -187,7 +187,7 @@ def test_intact_pictures_of_any_noise_level_have_no_problem(rng, noise_hu, offse
     assert odd_slices(finer.astype(np.int16), compressed=True, slice_mm=1.0) == []
 
 
-def test_pure_noise_and_8_bit_values_are_never_reported(rng):
+def test_slices_of_pure_noise_or_8_bit_values_are_not_reported_as_damaged(rng):
     for words in (
         rng.integers(0, 1 << 16, (64, 64)).astype(np.uint16),
         rng.integers(0, 256, (64, 64)).astype(np.uint16),
@@ -201,14 +201,14 @@ def test_pure_noise_and_8_bit_values_are_never_reported(rng):
 def test_slice_of_another_scale_is_reported_only_inside_the_stack(at):
     values = chest().copy()
     values[at] += 1024
-    # An end slice has only one neighbour and may differ from it.
+    # The first and the last slice have only one neighbour and may differ from it.
     assert odd_slices(values, compressed=False, slice_mm=1.0) == ([at] if 0 < at < 19 else [])
 
 
 @pytest.mark.parametrize(("slice_mm", "odd"), [(2.0, [9]), (10.0, [])])
 def test_structure_in_one_thick_slice_is_not_reported_as_damage(slice_mm, odd):
     values = np.full((20, 128, 128), -850, dtype=np.int16)
-    values[9, 40:46, :40] = 30  # a vessel 5 mm wide that runs within the slice
+    values[9, 40:46, :40] = 30  # The values are those of a vessel of 5 mm width within the slice.
     assert odd_slices(values, compressed=True, slice_mm=slice_mm) == odd
     assert odd_slices(values, compressed=False, slice_mm=slice_mm) == []
 
@@ -216,7 +216,8 @@ def test_structure_in_one_thick_slice_is_not_reported_as_damage(slice_mm, odd):
 def test_rle_frame_must_unpack_to_the_exact_number_of_pixels():
     header = (1).to_bytes(4, "little") + (64).to_bytes(4, "little") + bytes(56)
     assert rle_problem(header + b"\x03\x01\x02\x03\x04\xfd\x09", 8) is None
-    assert rle_problem(header + b"\x03\x01\x02\x03\x04\xfd\x09\x00", 8) is None  # padded to an even length
+    # The frame is padded to an even length.
+    assert rle_problem(header + b"\x03\x01\x02\x03\x04\xfd\x09\x00", 8) is None
     for frame in (header[:60], header + b"\x03\x01\x02\x03\x04", header + b"\x03\x01\x02\x03\x04\xf0\x09", bytes(64)):
         assert rle_problem(frame, 8) is not None
     assert rle_problem(header + b"\x03\x01\x02\x03\x04\xfd\x09" + bytes(40), 8) is not None
@@ -229,7 +230,7 @@ def _outcome(path: Path) -> str:
         return error.code
 
 
-def test_random_damage_gives_a_volume_or_a_refusal(tmp_path, rng):
+def test_randomly_damaged_series_gives_a_volume_or_a_refusal(tmp_path, rng):
     series(tmp_path, lambda dataset, index: packed(dataset, tmp_path, "JPEG2000"), hu=chest()[:3])
     path = tmp_path / "IM001"
     whole = path.read_bytes()
@@ -266,5 +267,5 @@ def test_lossless_jpeg_stream_has_one_code_for_each_pixel(tmp_path):
         lossless_jpeg_problem(frame[:at] + bytes([frame[at] ^ 0x5A]) + frame[at + 1 :]) is not None
         for at in range(start, end - 20, 7)
     )
-    # A wrong byte is detected if it changes the number of codes: at about a third of all positions.
+    # A wrong byte is detected only if it changes the number of codes, as at about a third of all positions.
     assert found > 0.2 * len(range(start, end - 20, 7))

@@ -1,4 +1,4 @@
-"""Digest of a CT: equal in every file format and axis order, different for another CT, which a case refuses."""
+"""Tests of the digest of a CT: equal in every file format and axis order, different for another CT."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ORDERS = [(axes, flips) for axes in permutations(range(3)) for flips in product(
 
 
 def turned(volume: Volume, axes_ijk, flips) -> Volume:
-    """Return a volume with the same voxels at the same positions, with other order and direction of its array axes."""
+    """Return the volume with the order and direction of its array axes changed; voxels keep their positions."""
     values = volume.hu_zyx.transpose([2 - axes_ijk[2 - n] for n in range(3)])
     old_from_new = np.zeros((4, 4))
     old_from_new[3, 3] = 1.0
@@ -57,7 +57,7 @@ def about(axis: int, degrees: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def chest() -> Volume:
-    """Return the volume that all forms of a grid file contain."""
+    """Return the volume that a grid file in any form must give."""
     return Volume(grid_writers.chest(), LPS_FROM_IJK)
 
 
@@ -123,7 +123,7 @@ def test_digest_is_the_sha256_of_the_volume_in_itk_lps_orientation(chest):
     assert ct_digest(chest) == hashlib.sha256(values.astype("<i2").tobytes()).hexdigest()
 
 
-def test_canonical_volume_is_returned_unchanged():
+def test_volume_in_canonical_orientation_is_returned_unchanged():
     canonical = canonical_geometry(numbered())
     again = canonical_geometry(canonical)
     assert again.shape_zyx == canonical.shape_zyx
@@ -131,7 +131,7 @@ def test_canonical_volume_is_returned_unchanged():
 
 
 @pytest.mark.parametrize("shape_zyx", [(1, 4, 5), (3, 1, 5), (3, 4, 1), (1, 1, 5), (1, 1, 1)])
-def test_axes_of_one_voxel_may_be_anywhere_in_the_order(shape_zyx):
+def test_digest_does_not_depend_on_the_position_of_an_axis_of_one_voxel(shape_zyx):
     volume = numbered(shape_zyx)
     for axes, flips in ORDERS:
         assert ct_digest(turned(volume, axes, flips)) == ct_digest(volume)
@@ -157,7 +157,7 @@ def test_positions_are_compared_within_a_thousandth_of_a_millimetre(moved_mm, sa
     assert same_geometry(numbered(), numbered(lps_from_ijk=moved)) is same
 
 
-def test_far_corner_is_compared_too():
+def test_geometry_of_the_far_corner_is_compared_with_the_case():
     longer = LPS_FROM_IJK.copy()
     longer[:3, 2] *= 1 + 1e-5
     assert same_geometry(numbered((3, 4, 5)), numbered((3, 4, 5), longer))
@@ -177,7 +177,7 @@ def test_digest_by_slabs_equals_the_whole_and_copies_no_volume(monkeypatch):
         tracemalloc.stop()
 
 
-def test_cancelled_digest_stops():
+def test_computation_of_a_digest_can_be_cancelled():
     with pytest.raises(CancelledError):
         ct_digest(numbered(), cancel=lambda: True)
 
@@ -188,7 +188,7 @@ def case_of(volume: Volume) -> tuple[str, SimpleNamespace]:
     return ct_digest(volume), SimpleNamespace(shape_zyx=kept.shape_zyx, lps_from_ijk=kept.lps_from_ijk)
 
 
-def test_another_ct_is_refused_with_the_difference():
+def test_another_ct_is_refused_for_a_case_with_the_stated_difference():
     values = numbered().hu_zyx.copy()
     values[0, 0, 0] = 7
     with pytest.raises(VolumeImportError, match="its voxel values differ") as caught:
@@ -212,7 +212,7 @@ def test_equal_bytes_in_another_shape_have_another_digest():
         refuse_other_ct(tall, *case_of(flat))
 
 
-def test_digest_is_computed_once(monkeypatch):
+def test_digest_of_a_volume_is_computed_only_once(monkeypatch):
     volume = numbered()
     found = ct_digest(volume)
     monkeypatch.setattr(digest, "canonical_axes", None)

@@ -1,4 +1,4 @@
-"""Files whose names are not UTF-8 or contain control characters."""
+"""Tests of files whose names are not UTF-8 or contain control characters."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def name(request) -> str:
 
 
 @pytest.mark.parametrize("form", ["nifti", "nifti gzip", "nrrd", "metaimage", "nrrd detached", "nifti pair"])
-def test_grid_file_in_a_folder_with_such_a_name_opens(tmp_path, name, form):
+def test_grid_file_in_a_folder_with_an_unusual_name_opens(tmp_path, name, form):
     folder = tmp_path / name
     folder.mkdir()
     volume = open_volume(grids.FORMS[form](folder, grids.chest()))
@@ -38,7 +38,7 @@ def test_grid_file_in_a_folder_with_such_a_name_opens(tmp_path, name, form):
 
 
 @pytest.mark.parametrize("form", ["nifti", "nifti gzip", "nrrd", "metaimage"])
-def test_grid_file_with_such_a_name_opens_and_its_title_can_be_printed(tmp_path, name, form):
+def test_grid_file_with_an_unusual_name_opens_and_its_title_can_be_printed(tmp_path, name, form):
     path = grids.FORMS[form](tmp_path, grids.chest()).rename(tmp_path / name)
     volume = open_volume(path)
     np.testing.assert_array_equal(volume.hu_zyx, grids.chest())
@@ -49,12 +49,12 @@ def test_grid_file_with_such_a_name_opens_and_its_title_can_be_printed(tmp_path,
     np.testing.assert_array_equal(mask.inside_zyx, grids.chest() == 1200)
 
 
-def test_dicom_folder_with_such_a_name_opens(write_series, name, expected_hu_zyx):
+def test_dicom_folder_with_an_unusual_name_opens(write_series, name, expected_hu_zyx):
     path = write_series(name)
     np.testing.assert_array_equal(open_volume(path).hu_zyx, expected_hu_zyx)
 
 
-def test_refusal_of_a_file_with_such_a_name_can_be_printed(tmp_path, name):
+def test_refusal_of_a_file_with_an_unusual_name_can_be_printed(tmp_path, name):
     path = tmp_path / name
     path.write_bytes(b"text")
     with pytest.raises(VolumeImportError) as caught:
@@ -64,7 +64,7 @@ def test_refusal_of_a_file_with_such_a_name_can_be_printed(tmp_path, name):
 
 
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nrrd", ".mha"])
-def test_mask_is_written_to_a_file_with_such_a_name_and_read_again(tmp_path, name, suffix):
+def test_mask_is_written_to_a_file_with_an_unusual_name_and_read_again(tmp_path, name, suffix):
     volume = open_volume(grids.nifti(tmp_path, grids.chest()))
     mask = (grids.chest() == -860).astype(np.uint8)
     path = write_mask(tmp_path / f"{name}{suffix}", mask, volume)
@@ -80,7 +80,7 @@ def test_a_library_receives_a_utf8_name_of_the_same_file(tmp_path, name):
     assert path.read_bytes() == b"content"
 
 
-def test_utf8_name_is_passed_unchanged(tmp_path):
+def test_utf8_file_name_is_passed_to_a_library_unchanged(tmp_path):
     path = tmp_path / "Sättiger 患者.nii"
     with library_path(path) as given:
         assert given == str(path)
@@ -124,7 +124,7 @@ def test_every_path_for_a_cpp_library_passes_through_the_conversion():
     assert sorted(found) == ["dicom_pixels.py", "grid_files.py", "kept_frames.py"]
 
 
-def test_commands_print_such_a_name_to_a_strict_terminal(tmp_path, monkeypatch, name):
+def test_commands_print_an_unusual_file_name_to_a_strict_terminal(tmp_path, monkeypatch, name):
     output, errors = (io.TextIOWrapper(io.BytesIO(), encoding="utf-8", errors="strict") for _ in range(2))
     monkeypatch.setattr(sys, "stdout", output)
     monkeypatch.setattr(sys, "stderr", errors)
@@ -137,7 +137,7 @@ def test_commands_print_such_a_name_to_a_strict_terminal(tmp_path, monkeypatch, 
     assert b'"output"' in output.buffer.getvalue()
 
 
-def test_json_output_restores_the_file_name(capsys, name):
+def test_json_output_contains_the_exact_unusual_file_name(capsys, name):
     import json
 
     console.print_json({"output": name})

@@ -1,4 +1,4 @@
-"""Numeric limits of the geometry checks: a value just inside opens, a value just outside is refused."""
+"""Tests of the limits of the geometry checks: a value just inside opens, a value just outside is refused."""
 
 from __future__ import annotations
 
@@ -52,53 +52,59 @@ def answer(slices: list[SimpleNamespace]) -> str:
 
 
 def one_gap(expected: float, share: float) -> list[SimpleNamespace]:
-    """Return slices with twenty gaps, one of which is ``share`` times the limit for slices at one position."""
+    """Return slices with twenty gaps of ``expected`` mm, of which one is small.
+
+    The small gap is ``share`` times the limit below which two slices are at one position.
+    """
     gaps = [expected] * 20
     gaps[10] = max(0.01, 0.02 * expected) * share
     return stack(heights(*gaps))
 
 
 def longer_gap(expected: float, share: float, tolerance: float, sign: int = 1) -> list[SimpleNamespace]:
-    """Return slices of which one gap is off by twice the tolerance and the neighbouring gap compensates for it."""
+    """Return slices with one gap that is off by ``share`` times twice the tolerance.
+
+    The next gap compensates for it.
+    """
     gaps = np.full(400, expected)
     gaps[200] += sign * 2 * tolerance * share
     gaps[201] -= sign * 2 * tolerance * share
-    # Half of the difference on each side of the line, so that no slice leaves the grid by more than the tolerance.
+    # Half of the difference is on each side of the line, so no slice is off the grid by more than the tolerance.
     gaps[199] -= sign * tolerance * share
     gaps[202] += sign * tolerance * share
     return stack(heights(*gaps))
 
 
 def one_off(expected: float, off_mm: float) -> list[SimpleNamespace]:
-    """Return a stack with one slice shifted along the normal."""
+    """Return a stack with one slice shifted by ``off_mm`` along the normal."""
     positions = heights(*[expected] * 20)
     positions[10, 2] += off_mm
     return stack(positions)
 
 
 def sideways(shift_mm: float, spacing: tuple[float, float], axis: int = 0) -> list[SimpleNamespace]:
-    """Return a stack with one slice shifted perpendicular to the normal."""
+    """Return a stack with one slice shifted by ``shift_mm`` perpendicular to the normal."""
     positions = heights(*[1.0] * 20)
     positions[10, axis] += shift_mm
     return stack(positions, spacing=spacing)
 
 
 def tilted(degrees: float, num_slices: int, gap: float = 1.0, axis: int = 0) -> list[SimpleNamespace]:
-    """Return a stack that is tilted by an angle."""
+    """Return a stack whose slices are shifted sideways evenly, at an angle of ``degrees``."""
     positions = heights(*[gap] * (num_slices - 1))
     positions[:, axis] += (positions[:, 2] - ORIGIN_LPS[2]) * math.tan(math.radians(degrees))
     return stack(positions)
 
 
 def lean(lean_mm: float, height_mm: float = 4.0) -> list[SimpleNamespace]:
-    """Return five slices, the stack tilted by a distance (more than 0.2 degrees)."""
+    """Return five slices shifted sideways evenly by ``lean_mm`` in total, at more than 0.2 degrees."""
     positions = heights(*[height_mm / 4] * 4)
     positions[:, 0] += np.linspace(0, lean_mm, 5)
     return stack(positions)
 
 
 def turned(shift_mm: float, which: str) -> list[SimpleNamespace]:
-    """Return a stack whose last slice has a turned direction, so that its far corner moves by a distance."""
+    """Return a stack whose last slice has a rotated direction, so that its far corner moves by ``shift_mm``."""
     slices = stack(heights(*[1.0] * 5))
     # the far corner moves along a chord around the first corner
     angle = 2 * math.asin(shift_mm / math.hypot(512 * 0.7, 512 * 0.7) / 2)
@@ -111,7 +117,7 @@ def turned(shift_mm: float, which: str) -> list[SimpleNamespace]:
 
 
 def stretched(shift_mm: float, axis: int) -> list[SimpleNamespace]:
-    """Return a stack whose last slice has another pixel size, so that its far edge moves by a distance."""
+    """Return a stack whose last slice has another pixel size, so that its far edge moves by ``shift_mm``."""
     slices = stack(heights(*[1.0] * 5))
     spacing = [0.7, 0.7]
     spacing[axis] += shift_mm / 512
@@ -169,26 +175,26 @@ def test_a_slice_shifted_by_a_third_of_a_millimetre_is_refused_in_a_straight_sta
     assert answer(sideways(0.3, (0.7, 0.7))) == "shifted"
 
 
-def test_large_angle_alone_or_large_distance_alone_is_no_tilt():
-    assert answer(lean(0.09, height_mm=2.0)) == "opens"  # 2.6 degrees, 0.09 mm
-    assert answer(tilted(0.19, 300)) == "opens"  # 0.99 mm, 0.19 degrees
+def test_large_angle_or_large_shift_alone_is_not_refused_as_tilt():
+    assert answer(lean(0.09, height_mm=2.0)) == "opens"  # 2.6 degrees and 0.09 mm
+    assert answer(tilted(0.19, 300)) == "opens"  # 0.99 mm and 0.19 degrees
     assert answer(tilted(0.3, 300)) == "tilt"
 
 
 @pytest.mark.parametrize(
     ("rows", "columns", "expected"), [(512, 512, "opens"), (511, 512, "mixed"), (512, 513, "mixed")]
 )
-def test_one_different_side_is_another_size(rows, columns, expected):
+def test_series_with_one_slice_of_another_height_or_width_is_refused(rows, columns, expected):
     assert answer(resized(rows, columns)) == expected
 
 
 @pytest.mark.parametrize(("count", "expected"), [(1, "single-slice"), (2, "opens"), (3, "opens")])
-def test_stack_needs_two_slices(count, expected):
+def test_series_of_one_slice_is_refused_and_of_two_slices_opens(count, expected):
     assert answer(stack(heights(*[1.0] * (count - 1)))) == expected
 
 
 @pytest.mark.parametrize(("missing", "words"), [(1, "a slice may be missing"), (3, "3 slices may be missing")])
-def test_missing_slices_are_counted(missing, words):
+def test_number_of_missing_slices_is_stated(missing, words):
     gaps = [1.0] * 20
     gaps[7] = 1.0 + missing
     with pytest.raises(VolumeImportError, match=rf"found {gaps[7]:.2f} mm after slice 8 of 21 \(IM007\).*{words}"):
@@ -206,7 +212,7 @@ def test_transform_has_the_positions_of_the_slices_and_keeps_the_tilt():
     np.testing.assert_allclose(lps_from_ijk, expected, rtol=0, atol=1e-12)
 
 
-def test_gap_of_a_fractional_number_of_slices_is_not_a_missing_slice():
+def test_gap_of_a_fractional_number_of_slices_is_refused_as_irregular():
     gaps = [1.0] * 20
     gaps[7] = 2.5
     with pytest.raises(VolumeImportError, match=r"found 2\.50 mm") as caught:
@@ -215,7 +221,7 @@ def test_gap_of_a_fractional_number_of_slices_is_not_a_missing_slice():
     assert "more places" not in str(caught.value)
 
 
-def test_further_irregular_gaps_are_counted():
+def test_number_of_further_irregular_gaps_is_stated():
     gaps = [1.0] * 20
     gaps[7] = gaps[11] = 2.0
     with pytest.raises(VolumeImportError, match=r"\(and at 1 more places\)"):
@@ -223,7 +229,7 @@ def test_further_irregular_gaps_are_counted():
 
 
 def header(shape=(3, 3, 3), matrix=None, components=1) -> GridHeader:
-    """Return a header of a grid file."""
+    """Return a header of a grid file with the given shape, matrix and number of components."""
     return GridHeader(
         format="nrrd",
         shape_ijk=shape,

@@ -1,4 +1,4 @@
-"""Import of NIfTI, NRRD and MetaImage: positions, false headers, and files without a patient orientation."""
+"""Tests of the import of NIfTI, NRRD and MetaImage: positions, false headers, files without patient orientation."""
 
 from __future__ import annotations
 
@@ -191,16 +191,16 @@ def test_a_sheared_metaimage_is_refused(tmp_path):
 
 @pytest.mark.parametrize("suffix", ["nii", "nii.gz", "nrrd", "mha"])
 @pytest.mark.parametrize("compress", [False, True])
-def test_every_truncated_file_is_refused(tmp_path, suffix, compress):
+def test_grid_file_truncated_at_any_length_is_refused(tmp_path, suffix, compress):
     whole = write(tmp_path / f"whole.{suffix}", compress=compress).read_bytes()
     path = tmp_path / f"cut.{suffix}"
     for keep in (10, 200, len(whole) // 2, len(whole) - 40, len(whole) - 1):
         path.write_bytes(whole[:keep])
-        # A gzip stream without its last byte has all voxels but no complete check sum, so it counts as damaged.
+        # A gzip stream without its last byte has all voxels but an incomplete check sum, so it counts as damaged.
         assert refusal(path).code in ("import.truncated", "import.header", "import.not-an-image")
 
 
-def test_damaged_compressed_stream_is_refused(tmp_path):
+def test_grid_file_with_a_damaged_compressed_stream_is_refused(tmp_path):
     whole = bytearray(write(tmp_path / "ct.nii.gz").read_bytes())
     whole[len(whole) // 2] ^= 0xFF
     (tmp_path / "ct.nii.gz").write_bytes(bytes(whole))
@@ -210,7 +210,7 @@ def test_damaged_compressed_stream_is_refused(tmp_path):
 def test_compressed_header_that_claims_an_enormous_size_takes_no_memory(tmp_path):
     import resource
 
-    # The header claims 1 GB and the file has 200 kB of incompressible data: the ratio alone would be accepted.
+    # The header claims 1 GB and the file has 200 kB of incompressible data, whose ratio alone would be accepted.
     noise = os.urandom(1_000_000)
     path = tmp_path / "bomb.nii.gz"
     path.write_bytes(gzip.compress(nifti(shape=(800, 800, 800)) + noise))
@@ -228,7 +228,7 @@ def test_stream_that_inflates_to_more_than_the_header_claims_is_refused(tmp_path
     assert refusal(path).code == "import.truncated"
 
 
-def test_4d_and_colour_files_are_refused(tmp_path):
+def test_files_of_four_dimensions_or_colours_are_refused(tmp_path):
     four = sitk.GetImageFromArray(np.zeros((2, 9, 11, 13), dtype=np.int16), isVector=False)
     colour = sitk.GetImageFromArray(np.zeros((9, 11, 13, 3), dtype=np.uint8), isVector=True)
     for suffix in ("nii", "nrrd", "mha"):
@@ -242,7 +242,7 @@ def test_volume_of_one_value_is_refused(tmp_path):
     assert refusal(write(tmp_path / "empty.nrrd", np.zeros(SIZE_IJK[::-1], dtype=np.int16))).code == "import.values"
 
 
-def test_nonfinite_values_become_the_lowest_value_and_are_counted(tmp_path):
+def test_nonfinite_values_become_the_lowest_value_and_their_number_is_stated(tmp_path):
     values = hu_like().astype(np.float32)
     values[0, 0, :3] = np.nan
     volume = open_volume(write(tmp_path / "ct.nrrd", values))
@@ -252,7 +252,7 @@ def test_nonfinite_values_become_the_lowest_value_and_are_counted(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", ["nii.gz", "nrrd", "mha"])
-def test_cancel_stops_the_import_at_every_step(tmp_path, suffix):
+def test_import_of_a_grid_file_can_be_cancelled_at_every_step(tmp_path, suffix):
     path = write(tmp_path / f"ct.{suffix}", compress=True)
     seen: list[str] = []
     open_volume(path, progress=lambda what, fraction: seen.append(what))

@@ -1,4 +1,4 @@
-"""Voxel values of grid files: equal in every format, with one rule for values that are not finite."""
+"""Tests of the voxel values of grid files: equal in every format, with one rule for values that are not finite."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_hu_status_is_lost_above_one_percent_of_clipped_voxels():
     assert to_int16(values).notes[0].code == "import.clipped"
 
 
-def test_input_array_is_not_changed():
+def test_import_does_not_change_the_array_of_its_caller():
     values = lost(7)
     before = values.copy()
     to_int16(values)
@@ -144,7 +144,7 @@ def test_mask_with_nonfinite_values_is_refused_in_every_format(tmp_path):
         ("metaimage detached", ("CT.MHD", "head")),
     ],
 )
-def test_format_does_not_depend_on_the_file_name(tmp_path, form, names):
+def test_format_of_a_grid_file_is_recognised_with_any_file_name(tmp_path, form, names):
     for number, name in enumerate(names):
         folder = tmp_path / str(number)
         folder.mkdir()

@@ -1,4 +1,4 @@
-"""Gzip files under any name, and text headers whose values violate the format."""
+"""Tests of gzip files under any name, and of text headers whose values violate the format."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_values_that_begin_like_gzip_are_not_inflated(tmp_path):
 
 
 @pytest.mark.parametrize("form", ["nrrd gzip", "metaimage compressed", "nrrd", "metaimage"])
-def test_truncated_gzip_file_is_refused(tmp_path, form):
+def test_truncated_gzip_file_under_any_name_is_refused(tmp_path, form):
     path = grids.FORMS[form](tmp_path, grids.chest())
     packed = gzip.compress(path.read_bytes())
     path.write_bytes(packed[:-20])
@@ -87,7 +87,7 @@ def test_data_after_a_gzip_stream_are_refused_with_a_remedy(tmp_path):
         (lambda _: gzip.compress(b"text, not an image"), "not an image volume"),
     ],
 )
-def test_other_compressions_are_named_with_a_remedy(tmp_path, pack, words):
+def test_file_of_an_unsupported_compression_is_refused_with_its_name_and_a_remedy(tmp_path, pack, words):
     path = grids.nifti(tmp_path, grids.chest())
     path.write_bytes(pack(path.read_bytes()))
     error = refusal(path)
@@ -95,7 +95,7 @@ def test_other_compressions_are_named_with_a_remedy(tmp_path, pack, words):
     assert words in str(error)
 
 
-def test_compressed_archive_is_named(tmp_path):
+def test_compressed_archive_is_refused_with_its_kind(tmp_path):
     path = tmp_path / "scan.tar.gz"
     with tarfile.open(path, "w:gz") as archive:
         archive.add(grids.nifti(tmp_path, grids.chest()), "ct.nii")
@@ -133,7 +133,7 @@ def line(begin: str, new: str):
         (grids.nrrd, "type", "xtype: short", "its nrrd header has no field 'type'"),
     ],
 )  # fmt: skip
-def test_value_that_violates_the_format_is_shown(tmp_path, write, begin, new, words):
+def test_header_value_that_violates_the_format_is_shown_in_the_message(tmp_path, write, begin, new, words):
     error = refusal(write(tmp_path, grids.chest(), edit=line(begin, new)))
     assert error.code == "import.header"
     assert words in str(error)

@@ -14,7 +14,7 @@ def chest(rng: np.random.Generator) -> np.ndarray:
     return (means + rng.normal(0, 25, means.shape)).round().astype(np.int16)
 
 
-def test_chest_is_recognised_as_hu(rng):
+def test_values_of_a_noisy_chest_are_recognised_as_hu(rng):
     assert judge_values(chest(rng)).is_hu
 
 
@@ -35,7 +35,7 @@ def test_crop_without_outside_air_and_with_padding_is_hu(rng):
         ("mask", "8 bits"),
     ],
 )
-def test_other_scales_are_not_hu_and_the_reason_is_stated(rng, name, words):
+def test_values_on_another_scale_are_not_hu_with_the_stated_reason(rng, name, words):
     values = chest(rng)
     values = {
         "missing offset": np.clip(values, -1024, None) + 1024,
@@ -81,7 +81,7 @@ def test_hu_with_metal_outside_int16_is_clipped_with_a_note(rng):
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.5, 4.25), (0.0, 60_000.0)])
-def test_other_numbers_are_stretched_in_their_order(low, high):
+def test_values_that_are_not_hu_are_scaled_to_0_to_4095_in_their_order(low, high):
     values = np.linspace(low, high, 1000).reshape(10, 10, 10)
     converted = to_int16(values)
     assert converted.stretched is not None

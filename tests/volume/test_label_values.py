@@ -48,7 +48,7 @@ def test_labels_with_a_step_and_an_intercept_are_read_exactly(tmp_path, scan):
     check_labels(scaled(tmp_path, labels, "u1", intercept=-0.013), scan, labels)
 
 
-def test_negative_labels_are_read_exactly(tmp_path, scan):
+def test_negative_labels_of_a_label_map_are_read_exactly(tmp_path, scan):
     labels = np.where(label_map(5) == 5, -1, label_map(5))
     numbers = np.rint(labels / 0.0478).astype("<i2")
     path = grids.nifti(tmp_path, numbers, scale=(0.0478, 0.0), name="mask.nii")

@@ -1,4 +1,4 @@
-"""Headers whose signs programs interpret differently, so that one of the programs mirrors the patient."""
+"""Tests of headers whose signs are ambiguous: some programs would mirror the patient."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ REMEDY = "open the DICOM series that it was made from, or convert that series ag
 
 
 def patched(path, *floats: tuple[int, float]):
-    """Write float32 values at byte offsets of a NIfTI header; 76 + 4 n is pixdim[n]."""
+    """Write float32 values at byte offsets of a NIfTI header; pixdim[n] is at 76 + 4 n."""
     data = bytearray(path.read_bytes())
     for offset, value in floats:
         struct.pack_into("<f", data, offset, value)
@@ -46,13 +46,13 @@ def test_a_negative_voxel_spacing_is_refused_with_each_form(tmp_path, axis, form
 
 
 @pytest.mark.parametrize("qfac", [-2.0, -0.5, float("nan"), float("-inf")])
-def test_ambiguous_qfac_is_refused(tmp_path, qfac):
+def test_nifti_file_with_an_ambiguous_qfac_is_refused(tmp_path, qfac):
     path = nifti_forms.with_qform(tmp_path, grids.LPS_FROM_IJK)
     assert f"its pixdim[0] (qfac) is {qfac:g}, but it should be 1 or -1" in refusal(patched(path, (76, qfac)))
 
 
 @pytest.mark.parametrize("qfac", [1.0, 0.0, 2.0])
-def test_unambiguous_qfac_opens(tmp_path, qfac):
+def test_nifti_file_with_an_unambiguous_qfac_opens(tmp_path, qfac):
     path = nifti_forms.with_qform(tmp_path, grids.LPS_FROM_IJK)
     volume = open_volume(patched(path, (76, qfac)))
     np.testing.assert_allclose(volume.lps_from_ijk, grids.LPS_FROM_IJK, rtol=0, atol=2e-5)
@@ -65,7 +65,7 @@ def test_a_qfac_of_minus_one_mirrors_the_third_axis(tmp_path):
     np.testing.assert_allclose(volume.lps_from_ijk, mirrored, rtol=0, atol=2e-5)
 
 
-def test_an_sform_needs_no_qfac(tmp_path):
+def test_file_with_an_sform_opens_with_any_qfac(tmp_path):
     volume = open_volume(patched(grids.nifti(tmp_path, grids.chest()), (76, -2.0)))
     np.testing.assert_allclose(volume.lps_from_ijk, grids.LPS_FROM_IJK, rtol=0, atol=2e-5)
 

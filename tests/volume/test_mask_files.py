@@ -1,4 +1,4 @@
-"""Import of masks from files, placed in the scan by their geometry."""
+"""Tests of masks from files, which are placed in the scan by their geometry."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_mask_that_exceeds_the_scan_is_refused(volume, tmp_path):
 
 
 @pytest.mark.parametrize("change", ["spacing", "origin", "turn"])
-def test_other_grid_is_refused_with_both_grids_and_resampled_on_request(volume, inside, tmp_path, change):
+def test_mask_on_another_grid_is_refused_with_both_grids_or_resampled_on_request(volume, inside, tmp_path, change):
     other = oblique()
     if change == "spacing":
         other[:3, 0] *= 1.5
@@ -105,7 +105,7 @@ def test_other_grid_is_refused_with_both_grids_and_resampled_on_request(volume, 
             open_mask(path, volume, resample=True)
         return
     mask = open_mask(path, volume, resample=True)
-    # Each voxel of the scan has the value of the nearest voxel of the mask.
+    # Each voxel of the scan has the value of the mask's nearest voxel.
     from_volume = np.linalg.inv(other) @ oblique()
     for k, j, i in np.ndindex(SHAPE):
         x, y, z = np.floor((from_volume @ (i, j, k, 1.0))[:3] + 0.5).astype(int)
@@ -114,7 +114,7 @@ def test_other_grid_is_refused_with_both_grids_and_resampled_on_request(volume, 
     assert "nearest" in mask.notes[0]
 
 
-def test_one_of_several_labels_must_be_chosen(volume, inside, tmp_path):
+def test_mask_with_several_labels_needs_the_choice_of_one(volume, inside, tmp_path):
     labels = inside.copy()
     labels[4, 6, 8] = 7
     path = write(tmp_path / "m.nrrd", labels, oblique())
@@ -131,12 +131,12 @@ def test_one_of_several_labels_must_be_chosen(volume, inside, tmp_path):
         (np.zeros(SHAPE, np.uint8), "it is empty"),
         (np.linspace(0.0, 1.0, 480, dtype=np.float32).reshape(SHAPE), "probability map"),
         (np.arange(480 * 4, dtype=np.int16).reshape(24, 8, 10), "different values"),
-        # In 32 bits these two structures would be one, and a browser cannot represent their numbers.
+        # In 32 bits these two structures would have one number, and a browser cannot represent their numbers.
         (np.arange(480, dtype=np.float64).reshape(SHAPE) % 3 * 2.0**40, "not labels"),
         (np.arange(480, dtype=np.uint32).reshape(SHAPE) % 3 * np.uint32(2**30), "not labels"),
     ],
 )
-def test_files_that_are_not_masks_are_refused(tmp_path, values, words):
+def test_mask_files_with_other_values_than_labels_are_refused(tmp_path, values, words):
     volume = Volume(np.zeros(values.shape, dtype=np.int16), oblique())
     with pytest.raises(VolumeImportError, match=words):
         open_mask(write(tmp_path / "m.nrrd", values, oblique()), volume)
@@ -231,7 +231,7 @@ def test_a_dicom_segmentation_is_placed_frame_by_frame(volume, inside, tmp_path)
     assert np.array_equal(open_mask(path, volume).inside_zyx, inside)
 
 
-def test_segments_have_names(volume, inside, tmp_path):
+def test_names_of_segments_are_listed_for_the_choice(volume, inside, tmp_path):
     labels = inside.copy()
     labels[4, 6, 8] = 2
     path = segmentation(tmp_path / "seg.dcm", labels, oblique())
@@ -300,7 +300,7 @@ def _many(data):
         (_segment_of_none, "refer to segments"),
     ],
 )
-def test_damaged_segmentation_is_refused(volume, inside, tmp_path, change, words):
+def test_dicom_segmentation_with_a_defect_is_refused_with_the_reason(volume, inside, tmp_path, change, words):
     path = segmentation(tmp_path / "seg.dcm", inside, oblique(), shuffled=False, change=change)
     with pytest.raises(VolumeImportError, match=words):
         open_mask(path, volume)

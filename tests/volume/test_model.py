@@ -1,4 +1,4 @@
-"""Limits of the class Volume."""
+"""Tests of the least and largest voxel spacing of the class Volume."""
 
 from __future__ import annotations
 

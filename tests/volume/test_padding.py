@@ -1,4 +1,4 @@
-"""Padding around the picture: its detection, its distinction from tissue, and its replacement."""
+"""Tests of padding around the picture: its detection, its distinction from tissue, and its replacement."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_padding_tag_bits_are_read_in_the_pixel_representation(value, limit, sig
 def test_padding_tag_beyond_bits_stored_is_reduced_to_the_stored_bits():
     bits = {"bits_allocated": 16, "bits_stored": 12, "high_bit": 11}
     assert padding_ranges(63536, None, signed=False, **bits) == ((63536, 63536), (2096, 2096))
-    # A range whose two ends wrap differently cannot be represented in 12 bits.
+    # Both ends of this range are reduced differently, so the range cannot be represented in 12 bits.
     assert padding_ranges(63536, 60000, signed=False, **bits) == ((60000, 63536),)
 
 
@@ -47,7 +47,7 @@ def _plane() -> np.ndarray:
 def test_padding_value_in_the_tissue_range_counts_only_at_the_edge_of_the_slice():
     plane = _plane()
     plane[OUTSIDE] = 40
-    plane[12:17, 2:6] = 40  # 20 equal pixels of muscle that do not touch the edge
+    plane[12:17, 2:6] = 40  # The block is 20 equal pixels of muscle that do not touch the edge.
     found = find_padding(plane, plane, ((40, 40),))
     assert found is not None
     np.testing.assert_array_equal(found.inside, OUTSIDE)
@@ -89,15 +89,15 @@ def test_equal_high_values_in_all_corners_are_padding_without_a_tag(value, is_pa
     assert find_padding(plane, plane, ()) is None
 
 
-def test_padding_of_values_without_their_offset_does_not_make_them_hu(tmp_path):
-    """The values are 1024 too high and must stay recognisable: padding becomes their lowest value, not -1024."""
+def test_values_without_their_offset_are_not_hu_after_padding_is_replaced(tmp_path):
+    """Check that values which are 1024 too high stay recognisable: padding becomes their lowest value, not -1024."""
     make = ringed(63536, tag=63536, RescaleIntercept=0)
     volume = open_volume(make(tmp_path))
     assert not volume.is_hu
     assert volume.value_range[0] == 0
 
 
-def test_note_of_a_possible_tissue_value_is_a_badge(tmp_path):
+def test_padding_value_that_may_be_tissue_gives_a_badge(tmp_path):
     notes = open_volume(ringed(1024, tag=1024)(tmp_path / "tissue")).source.notes
     assert [(note.code, note.badge) for note in notes] == [("import.padding", True)]
     notes = open_volume(ringed(63536, tag=63536)(tmp_path / "impossible")).source.notes
@@ -107,7 +107,7 @@ def test_note_of_a_possible_tissue_value_is_a_badge(tmp_path):
 
 
 def test_padding_tag_of_text_or_bytes_is_read(tmp_path):
-    """Some writers give PixelPaddingValue the value representation OW or DS."""
+    """Use a PixelPaddingValue with the value representation OW or DS, as some programs write it."""
     for vr, value in (("OW", np.array([63536], "<u2").tobytes()), ("DS", "63536")):
         folder = tmp_path / vr
         make = ringed(63536)
@@ -129,7 +129,7 @@ def _marked(dataset: Dataset, index: int, vr: str, value: object) -> None:
 
 @pytest.mark.parametrize(("ring", "becomes"), [(32767, None), (3071, None), (-3024, -3024), (-2000, -2000)])
 def test_nifti_padding_is_detected_by_its_corners(tmp_path, ring, becomes):
-    """NIfTI has no padding tag: a high value in all eight corners is padding, a low value is not."""
+    """Use NIfTI, which has no padding tag: a high value in all eight corners is padding, a low value is not."""
     values = chest().copy()
     values[:, OUTSIDE] = ring
     volume = open_volume(nifti(tmp_path, values))
@@ -150,8 +150,8 @@ def test_metal_inside_a_volume_without_tags_is_unchanged():
     assert without_corner_padding(chest())[0] is chest()
 
 
-def test_simulated_radiograph_is_not_black(tmp_path):
-    """The brightest voxel along each ray is bone or metal and never padding."""
+def test_radiograph_of_a_padded_ct_is_not_black(tmp_path):
+    """Check the brightest voxel along each ray, which is bone or metal and not padding."""
     volume = open_volume(ringed(63536, tag=63536)(tmp_path))
     assert isinstance(volume, Volume)
     assert volume.hu_zyx.max() == chest()[:, ~OUTSIDE].max()

@@ -1,4 +1,4 @@
-"""Text and file names from files, converted for messages: one line, short, and valid in every encoding."""
+"""Tests of text and file names from files, converted for messages: one line, short, valid in every encoding."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Quality gate of a CT: spacing, lung volume, cut lungs and padding."""
+"""Tests of the quality gate of a CT: spacing, lung volume, cut lungs and padding."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def body(shape_zyx=(90, 110, 130), *, lungs=True, flip=False) -> Volume:
     z, y, x = ((a - (n - 1) / 2) * s for a, n, s in zip((z, y, x), shape_zyx, SPACING_MM[::-1], strict=True))
     hu = np.full(shape_zyx, -1000.0)
     hu[(x / 130) ** 2 + (y / 90) ** 2 < 1] = 40
-    hu[(y > 98) & (y < 106)] = -940  # couch foam has the density of emphysema
+    hu[(y > 98) & (y < 106)] = -940  # The foam of the couch has the density of emphysema.
     if lungs:
         for side in (-1, 1):
             hu[((x - side * 62) / 50) ** 2 + (y / 70) ** 2 + (z / 106) ** 2 < 1] = -850
@@ -42,7 +42,8 @@ def test_trusted_generation_follows_the_widest_spacing(spacing_mm, generation):
 
 def test_whole_lungs_are_found_and_not_reported_as_cut():
     quality = quality_gate(body())
-    # Two ellipsoids: 2 * 4/3 pi * 5.0 * 7.0 * 10.6 cm; the coarse grid and the opening remove a few percent.
+    # The volume of the ellipsoids is 2 * 4/3 pi * 5.0 * 7.0 * 10.6 cm3; the coarse grid and the opening remove a few
+    # per cent.
     assert quality.lung_litres == pytest.approx(3.11, rel=0.08)
     assert [finding.code for finding in quality.findings] == ["spacing"]
     assert "2.6 mm" in quality.findings[0].words
@@ -56,17 +57,17 @@ def test_cut_lungs_are_reported_by_patient_direction(flip, face):
     assert f"cut off at the {face} of" in finding.words
 
 
-def test_crop_inside_the_body_has_lungs():
+def test_lungs_are_found_in_a_crop_without_air_outside_the_body():
     whole = body()
     crop = Volume(np.ascontiguousarray(whole.hu_zyx[:, 25:85, 15:115]), whole.lps_from_ijk)
     assert quality_gate(crop).lung_litres == pytest.approx(3.11, rel=0.15)
 
 
-def test_body_without_lungs_is_no_chest():
+def test_body_without_lungs_is_reported_as_no_chest():
     assert "no-lungs" in codes(body(lungs=False))
 
 
-def test_padding_is_reported():
+def test_ct_with_padding_is_reported_by_the_quality_gate():
     volume = body()
     hu = volume.hu_zyx.copy()
     hu[:, :10, :10] = -2000
@@ -80,6 +81,6 @@ def test_thick_slices_are_reported_as_uneven_and_masks_as_no_scans():
     assert codes(mask)[:2] == ["not-hu", "mask"]
 
 
-def test_tiny_volume_is_judged_without_an_error():
+def test_quality_of_a_tiny_volume_is_judged_without_an_error():
     quality = quality_gate(Volume(np.array([[[-1000, 0]], [[40, 3]]], dtype=np.int16), np.diag([5.0, 0.5, 0.7, 1.0])))
     assert quality.to_json()["findings"]

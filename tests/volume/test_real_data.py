@@ -1,4 +1,4 @@
-"""Real scans and unusual files from public collections: each is read correctly or refused with its reason."""
+"""Tests on real scans and unusual files from public collections: each is read correctly or refused with a reason."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_patient_ct_has_the_values_of_the_reference_library(patient_dicom):
     started = time.process_time()
     volume = open_volume(patient_dicom)
     seconds = time.process_time() - started
-    assert seconds < 6  # processor time; 0.4 to 0.8 s were measured
+    assert seconds < 6  # The limit is CPU time; 0.4 to 0.8 s were measured.
     reader = sitk.ImageSeriesReader()
     reader.SetFileNames(reader.GetGDCMSeriesFileNames(str(patient_dicom)))
     image = reader.Execute()
@@ -36,7 +36,7 @@ def test_patient_ct_has_the_values_of_the_reference_library(patient_dicom):
 
 def test_bundled_patient_is_a_lossless_crop_at_the_same_position(patient_dicom):
     whole, crop = open_volume(patient_dicom), demo_patient()
-    # The corner is computed from positions alone, so a moved crop fails.
+    # The corner is computed only from positions, so a moved crop fails the test.
     corner = whole.to_ijk(crop.to_lps(np.zeros(3)))
     i, j, k = np.rint(corner).astype(int)
     np.testing.assert_allclose(corner, [i, j, k], rtol=0, atol=1e-9)
@@ -56,12 +56,13 @@ def test_bundled_patient_contains_all_airways_of_the_reference(patient_dicom):
     assert (ijk < np.array(crop.shape_zyx[::-1])).all()
 
 
-def test_second_patient_opens(data_dir, tmp_path):
+def test_ct_of_the_second_patient_opens_with_its_geometry(data_dir, tmp_path):
     import tarfile
 
     with tarfile.open(data_dir / "ct" / "QIN-LSC-0064.tar.xz") as archive:
         for member in archive:
-            # Only names of files are used: the "data" filter of tarfile is missing in early releases of Python 3.11.
+            # Files are selected by their names, because early releases of Python 3.11 lack the "data" filter of
+            # tarfile.
             if member.isfile():
                 (tmp_path / member.name.replace("/", "_")).write_bytes(archive.extractfile(member).read())
     volume = open_volume(tmp_path)
@@ -140,7 +141,7 @@ LOSSLESS = (
 
 
 @pytest.mark.parametrize("syntax", LOSSLESS.split())
-def test_every_lossless_transfer_syntax_gives_the_same_slice(data_dir, syntax):
+def test_slices_of_every_lossless_transfer_syntax_are_equal(data_dir, syntax):
     headers = read_headers(
         data_dir / "odd" / "dicom" / "cornerstone3D_transfer_syntaxes", recursive=False, watch=Watch()
     )
@@ -194,7 +195,7 @@ def test_all_48_orientations_give_equal_values_at_equal_positions(data_dir, rng)
         ("PROVENANCE.txt", "import.not-an-image"),
     ],
 )
-def test_unusual_grids_are_refused(data_dir, name, code):
+def test_public_grid_files_with_unusual_geometry_are_refused(data_dir, name, code):
     with pytest.raises(VolumeImportError) as caught:
         open_volume(data_dir / "odd" / "nifti" / name)
     assert caught.value.code == code

@@ -1,4 +1,4 @@
-"""DICOM segmentations of highdicom: every type, overlaps, omitted frames, and grids unlike the CT's grid."""
+"""Tests of DICOM segmentations of highdicom: every type, overlaps, omitted frames, grids unlike that of the CT."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from carina.volume import MaskGridError, MaskLabelError, Volume
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:highdicom", "ignore::UserWarning:pydicom")
 
 SHAPE_ZYX, SPACING_MM = (12, 19, 22), (0.8, 0.7, 1.5)
-"""Shape and spacing of the CT.
+"""Shape (z, y, x) of the CT, and its spacing in mm.
 
 Rows times columns is no multiple of eight, so frames begin inside bytes.
 """
@@ -152,7 +152,7 @@ def test_fractions_of_a_half_and_above_are_set_with_a_note(tmp_path):
     for kind, word in (("PROBABILITY", "probabilities"), ("OCCUPANCY", "occupancies")):
         path = write(tmp_path / "s.dcm", share, kind="FRACTIONAL", fractional_type=kind)
         found, notes = inside(path)
-        # Fractions have 255 steps: voxels within 0.4 % of a half may be on either side.
+        # Fractions have 255 steps, so voxels within 0.4 % of a half may be set or not.
         assert not (found ^ ball)[np.abs(share - 0.5) > 0.004].any()
         assert notes[0] == f"the segmentation: it contains {word}; voxels of 50 % or more count as inside"
     path = write(tmp_path / "s.dcm", ball.astype(np.float32), kind="FRACTIONAL", fractional_type="OCCUPANCY")
@@ -203,7 +203,7 @@ def test_planes_without_a_frame_are_empty_and_the_ct_gives_their_distance(tmp_pa
     assert np.array_equal(inside(path)[0], ball)
 
 
-def test_frames_may_be_in_any_order(tmp_path):
+def test_segmentation_with_frames_in_reverse_order_gives_an_equal_mask(tmp_path):
     _, _, ball, lung, _ = scene()
     path = write(tmp_path / "s.dcm", np.stack([lung, ball], -1), labels=("lung", "nodule"), change=reverse)
     assert np.array_equal(inside(path, label=2)[0], ball)
@@ -248,7 +248,7 @@ def test_an_empty_segment_is_named_as_empty(tmp_path):
 
 
 def coarse_slices():
-    """Return the slices of every second position, with other pixel sizes."""
+    """Return slices at every second position of the CT, with other pixel sizes."""
     found = []
     for data in scene()[1][::2]:
         other = copy.deepcopy(data)
@@ -270,7 +270,7 @@ def test_segmentation_on_a_coarser_grid_is_refused_or_resampled_on_request(tmp_p
     assert any("nearest voxel" in note for note in nodule.notes)
 
 
-def test_other_orientations_of_the_planes_are_placed_exactly(tmp_path):
+def test_segmentation_with_reversed_planes_is_placed_exactly(tmp_path):
     _, slices, ball, _, _ = scene()
     flipped = []
     for data in slices[::-1]:

@@ -1,4 +1,4 @@
-"""Folders with several series: choice of the CT, HU status, progress, cancellation and privacy."""
+"""Tests of folders with several series: choice of the CT, HU status, progress, cancellation and privacy."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_chest_in_the_description_outweighs_a_few_more_slices(write_series):
     assert open_volume(folder).source.title == "Lung 1.0"
 
 
-def test_other_series_replaces_a_refused_one_only_if_it_covers_half_of_it(write_series):
+def test_another_series_replaces_a_refused_one_only_if_half_as_long(write_series):
     def gap(dataset, index):
         if index >= 5:
             dataset.ImagePositionPatient = [-31.5 - 3.0 * index, 12.25, 140.0]
@@ -98,10 +98,11 @@ def test_inspection_gives_the_geometry_without_reading_pixels(write_series, expe
     folder = write_series(edit=lambda d, i: setattr(d, "PixelData", b""))
     found = inspect_path(folder)
     np.testing.assert_allclose(found.lps_from_ijk, expected_lps_from_ijk, rtol=0, atol=1e-8)
-    assert found.axes == "lip"  # left, inferior, posterior; all axes are more than 1 degree oblique
+    # The axes point to left, inferior and posterior; all of them are more than 1 degree oblique.
+    assert found.axes == "lip"
 
 
-def test_mr_series_are_not_hu(write_series):
+def test_values_of_an_mr_series_are_not_hu(write_series):
     volume = open_volume(write_series(edit=lambda d, i: setattr(d, "Modality", "MR")))
     assert not volume.is_hu
     assert "MR" in (volume.not_hu_reason or "")
@@ -146,7 +147,7 @@ def test_import_exposes_no_patient_data(write_series, caplog, capfd):
         assert secret not in text
 
 
-def test_progress_increases_and_cancel_stops_at_every_step(write_series):
+def test_progress_of_an_import_increases_and_it_can_be_cancelled_at_every_step(write_series):
     folder = write_series()
     seen: list[tuple[str, float | None]] = []
     open_volume(folder, progress=lambda what, fraction: seen.append((what, fraction)))
@@ -154,7 +155,7 @@ def test_progress_increases_and_cancel_stops_at_every_step(write_series):
     assert len(slices) == SLICES + 1
     assert slices == sorted(slices)
     assert slices[-1] == 1.0
-    # Cancel at each call in turn: always CancelledError, never an incomplete volume.
+    # Cancelling at each call in turn raises CancelledError and never gives an incomplete volume.
     for stop_at in range(len(seen)):
         asked = iter(range(len(seen) + 1))
         with pytest.raises(CancelledError):
@@ -162,7 +163,7 @@ def test_progress_increases_and_cancel_stops_at_every_step(write_series):
 
 
 def test_messages_are_bounded_if_every_image_is_its_own_series(tmp_path, write_series):
-    """Each image has its own study, so the folder seems to contain many series of one image."""
+    """Use images that all have different studies, so that the folder seems to contain many series of one image."""
     names = [f"{'long-name-' * 18}{index:03d}.dcm" for index in range(40)]
     folder = write_series(
         num_slices=40,

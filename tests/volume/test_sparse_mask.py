@@ -1,4 +1,4 @@
-"""Masks that occupy memory only on pages with set voxels."""
+"""Tests of masks that occupy memory only on pages with set voxels."""
 
 from __future__ import annotations
 
@@ -59,5 +59,5 @@ def test_reading_a_mask_allocates_no_unset_pages():
     mask[:, 500:504, 600:640] = 1
     copy = sparse_mask(mask)
     assert copy.sum() == mask.sum()
-    # 64 blocks of 4 rows of 1 kB: one or two pages each.
+    # Each of the 64 blocks has 4 rows of 1 kB, which is one or two pages.
     assert resident_bytes(copy) <= before + 64 * 2 * 4096
