@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from carina.phantom import Phantom, lumen_distance_at
 from carina.track import Airways, find_airways
-from carina.track.find.air_upwards import Section
+from carina.track.find.air_upwards import AirSection
 from carina.track.find.artefact_regions import LUNG_HU, METAL, MOST_CONFIDENCE, STEP, Disturbed, find_disturbed
 from carina.track.find.breathing_step import find_steps
 from carina.track.find.metal_streaks import find_streaks
@@ -227,7 +227,7 @@ def test_correlated_noise_and_streaks_are_no_tube_and_no_opening(seed: int) -> N
 def test_tube_is_found_only_if_its_plastic_is_brighter_than_noise(plastic_hu: float, is_tube: bool) -> None:
     one = np.ones((1, 1), dtype=np.bool_)
     sections = [
-        Section(
+        AirSection(
             k=k,
             corner=(0, 0),
             air=one,

@@ -31,7 +31,7 @@ from carina.case.lumen_tiles import TILE_BYTES, from_tiles, num_tiles
 from carina.case.measures import branch_from, fork_from
 from carina.case.routes import ChosenRoute, RouteSpan
 from carina.case.sized_targets import made_lesion
-from carina.case.source import Turn
+from carina.case.source import AxisPermutation
 from carina.case.stored_state import Moment
 from carina.commands.look import Look
 from carina.errors import CarinaError
@@ -131,7 +131,9 @@ class CaseReader:
         Order and direction of the case's axes relative to those of the volume.
     """
 
-    def __init__(self, rows: Rows, volume: Volume, know: Callable[[str, object, int], None], turn: Turn) -> None:
+    def __init__(
+        self, rows: Rows, volume: Volume, know: Callable[[str, object, int], None], turn: AxisPermutation
+    ) -> None:
         self._turn = turn
         self._rows = rows
         self.volume = volume

@@ -48,7 +48,7 @@ FAREWELL_S = 1.0
 
 
 @dataclass(slots=True)
-class _Open:
+class _OpenPage:
     """Server, task, tokens and observers of an open viewing page."""
 
     server: LanServer
@@ -106,7 +106,7 @@ class WatchPage:
         self._flooded = flooded
         self._web = web
         self._address = address
-        self._open: _Open | None = None
+        self._open: _OpenPage | None = None
         self._switching = asyncio.Lock()
 
     @cached_property
@@ -165,7 +165,7 @@ class WatchPage:
                 waiting.cancel()
                 sock.close()
                 raise CarinaError("the page for watchers did not start", code="watch.not-started")
-            self._open = _Open(server, serving, tokens, address, port, certificate.sha256)
+            self._open = _OpenPage(server, serving, tokens, address, port, certificate.sha256)
             self._changed()
 
     async def stop(self, words: str) -> None:

@@ -31,7 +31,7 @@ __all__ = ["Opening"]
 
 
 @dataclass(slots=True)
-class _Found:
+class _OpenedFile:
     """Results of the job that reads a case file."""
 
     file: CaseFile | None = None
@@ -123,7 +123,7 @@ class Opening(Subject):
 
         A dropped file has no path, so a copy of the file is stored; the copy waits until its CT is found.
         """
-        found = _Found()
+        found = _OpenedFile()
 
         def read(job: Job) -> Volume:
             if dropped:
@@ -187,7 +187,7 @@ class Opening(Subject):
         )
         if scans is None or records is None:
             raise no_ct
-        found = _Found()
+        found = _OpenedFile()
 
         def read(job: Job) -> Volume:
             with CaseFile.open(records.path_of(record), read_only=True) as file:
@@ -293,7 +293,7 @@ class Opening(Subject):
         anew: bool = False,
         given: Moment | None = None,
         finds: bool = True,
-        found: _Found | None = None,
+        found: _OpenedFile | None = None,
         ended: Callable[[], None] = lambda: None,
         dropped: _Dropped | None = None,
     ) -> str:

@@ -53,7 +53,7 @@ class LayerLines(OutlineLines):
     """Affine map from outline units to image columns and rows, in the order of a canvas's ``transform``."""
 
 
-class _Part:
+class _LayerMask:
     """One mask of a layer, with its surface, which is computed at the first cut by an image plane and cached."""
 
     def __init__(self, layer: LayerName, part: str, mask: MappedMask, without: tuple[Nodule, ...] = ()) -> None:
@@ -157,22 +157,22 @@ class ShownLayers:
         return tuple(one for one in found if one is not None)
 
 
-def _lung_parts(lungs: LungMap | None, nodules: tuple[Nodule, ...]) -> Iterator[_Part]:
+def _lung_parts(lungs: LungMap | None, nodules: tuple[Nodule, ...]) -> Iterator[_LayerMask]:
     if lungs is None:
         return
     for name, mask in lungs.lobes:
-        yield _Part("lobes", name, mask)
+        yield _LayerMask("lobes", name, mask)
     if lungs.fissures is not None:
-        yield _Part("fissures", "seen", lungs.fissures)
+        yield _LayerMask("fissures", "seen", lungs.fissures)
     # The outline of all vessels is drawn dashed, and the outline of the clearly visible vessels solid over it.
     if lungs.vessels is not None:
-        yield _Part("vessels", "unsure", lungs.vessels, nodules)
+        yield _LayerMask("vessels", "unsure", lungs.vessels, nodules)
     if lungs.sure_vessels is not None:
-        yield _Part("vessels", "sure", lungs.sure_vessels, nodules)
+        yield _LayerMask("vessels", "sure", lungs.sure_vessels, nodules)
 
 
-def _reach_parts(reach: ReachAtlas | None) -> Iterator[_Part]:
+def _reach_parts(reach: ReachAtlas | None) -> Iterator[_LayerMask]:
     if reach is None:
         return
-    yield _Part("reach", "unsure", MappedMask.placed(reach.reach_zyx > 0, reach.lps_from_ijk))
-    yield _Part("reach", "sure", MappedMask.placed(reach.reach_zyx > 1, reach.lps_from_ijk))
+    yield _LayerMask("reach", "unsure", MappedMask.placed(reach.reach_zyx > 0, reach.lps_from_ijk))
+    yield _LayerMask("reach", "sure", MappedMask.placed(reach.reach_zyx > 1, reach.lps_from_ijk))

@@ -123,7 +123,7 @@ def find_filled(
         Places of kind ``filled``, the widest first.
     """
     look = Across(volume)
-    search = _Search(volume, look, tree, lumen_zyx, noise, slice_mm=slice_mm)
+    search = _GapSearch(volume, look, tree, lumen_zyx, noise, slice_mm=slice_mm)
     found = list(find_narrowed(look, tree, search.voxel_mm, search.fine_mm))
     centrelines = np.concatenate([branch.points for branch in tree.branches])
     for island in find_islands(volume, lumen_zyx, centrelines, float(look.scale.level(DARKEST_HU))):
@@ -152,7 +152,7 @@ def _each_once(found: Sequence[Uncertainty]) -> tuple[Uncertainty, ...]:
     return tuple(kept)
 
 
-class _Search:
+class _GapSearch:
     """Search for the filled gaps between islands of air and the found airways."""
 
     def __init__(
