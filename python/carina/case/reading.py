@@ -6,7 +6,7 @@ import dataclasses
 import threading
 import weakref
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import msgspec
 import numpy as np
@@ -342,7 +342,9 @@ class CaseReader:
             branch_ids=rest[4],
             forks_mm=facts.forks_mm,
             lookouts_mm=facts.lookouts_mm,
-            spans=tuple(RouteSpan(s.branch_id, s.name, s.generation, s.from_mm, s.to_mm, s.kind) for s in facts.spans),
+            spans=tuple(
+                RouteSpan(s.branch_id, s.name, s.generation, s.from_mm, s.to_mm, cast(Any, s.kind)) for s in facts.spans
+            ),
             path=path,
             target_id=facts.target_id,
             branch_id=facts.branch_id,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -19,7 +19,6 @@ from carina.session import (
     ChosenRoute,
     KeyFramesInfo,
     ListedCase,
-    MaskQuestion,
     PoseInfo,
     Snapshot,
     StorageInfo,
@@ -139,7 +138,7 @@ def _case(snapshot: Snapshot, *, names_ct: bool) -> wire.CaseInfo | None:
             wire.OtherSeries(s.key, s.modality, s.description, s.num_slices, s.refused) for s in source.other_series
         ),
         citation=source.citation,
-        off=tuple(wire.FeatureOff(o.what, o.why) for o in case.off),
+        off=case.off,
         number=snapshot.case_number,
         ct_name=source.title if names_ct else None,
     )
@@ -175,23 +174,9 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float, names_ct: bool = 
         lumen_threshold=_threshold(document),
         frame_rate_hz=frame_rate_hz,
         airways_from=None if airways is None else "mask" if math.isnan(airways.threshold) else "search",
-        mask_question=_mask_question(snapshot.mask_question),
+        mask_question=snapshot.mask_question,
         badges=() if snapshot.case is None else _notes(badges_of(snapshot.case.volume, airways)),
         saving=snapshot.saving,
-    )
-
-
-def _mask_question(question: MaskQuestion | None) -> wire.MaskQuestion | None:
-    if question is None:
-        return None
-    return wire.MaskQuestion(
-        title=question.title,
-        problem=question.problem,
-        labels=tuple(wire.MaskLabel(one.number, one.name, round(one.volume_ml, 3)) for one in question.labels),
-        suggested=question.suggested,
-        expected=question.expected,
-        found=question.found,
-        share_inside=question.share_inside,
     )
 
 
@@ -241,10 +226,7 @@ def route_message(route: ChosenRoute | None) -> wire.Route:
         wall_mm=_floats(np.round(route.wall_mm, 3)),
         forks_mm=tuple(round(mm, 3) for mm in route.forks_mm),
         lookouts_mm=tuple(round(mm, 3) for mm in route.lookouts_mm),
-        spans=tuple(
-            wire.RouteSpan(s.branch_id, s.name, s.generation, s.from_mm, s.to_mm, cast(Any, s.kind))
-            for s in route.spans
-        ),
+        spans=route.spans,
         length_mm=route.length_mm,
         drawn_mm=round(route.drawn.drawn_mm, 2),
         bridge_mm=round(route.drawn.bridge_mm, 2),

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
-from carina.case.routes import NeedleLine
+from carina.case.routes import NeedleLine, RouteSpan
 from carina.commands.fields import (
     BranchId,
     Count,
@@ -30,7 +30,8 @@ from carina.scopes import ScopeHold
 from carina.server.wire.codec import ServerMessage
 from carina.server.wire.messages_of_devices import NetworkPage
 from carina.session.scene.layer_lines import LayerName
-from carina.session.state.snapshot import FlightPlace, SavingInfo
+from carina.session.state.grey_scale import FeatureOff
+from carina.session.state.snapshot import FlightPlace, MaskQuestion, SavingInfo
 from carina.track import DrawnPart
 from carina.value import FrozenValue
 from carina.volume import Citation
@@ -143,13 +144,6 @@ class CaseNote(FrozenValue, frozen=True):
     """Whether the note stays visible while the case is open."""
 
 
-class FeatureOff(FrozenValue, frozen=True):
-    """A feature that this volume does not support, and the reason."""
-
-    what: Words
-    why: Words
-
-
 class CaseInfo(FrozenValue, frozen=True):
     """The open volume and its properties."""
 
@@ -201,32 +195,6 @@ class Target(AskedPath, frozen=True):
     """Whether the target is a lesion with a boundary; the message ``plans`` contains the boundary and the routes."""
 
 
-class MaskLabel(FrozenValue, frozen=True):
-    """A structure in an imported mask."""
-
-    number: Annotated[int, Meta(ge=-(2**53), le=2**53)]
-    name: Words | None
-    volume_ml: float
-
-
-class MaskQuestion(FrozenValue, frozen=True):
-    """Question to the user about an imported mask before it can define the airways; answered by ``answer_mask``."""
-
-    title: Words
-    """Name of the file."""
-    problem: Literal["label", "grid"]
-    """``label``: the mask contains several structures. ``grid``: its grid differs from the grid of the scan."""
-    labels: tuple[MaskLabel, ...]
-    suggested: int | None
-    """Label whose name denotes the airway; null if none or several do."""
-    expected: Words | None
-    """Description of the scan's grid."""
-    found: Words | None
-    """Description of the mask's grid."""
-    share_inside: Part | None
-    """Fraction of the structure that is inside the scan, 0 to 1."""
-
-
 class State(ServerMessage, frozen=True):
     """State of the session, except for pose, tree, route and the other parts that have their own messages."""
 
@@ -259,18 +227,6 @@ class State(ServerMessage, frozen=True):
     badges: tuple[CaseNote, ...]
     """Notes on the case and its airways that stay visible while the case is open."""
     saving: SavingInfo = SavingInfo()
-
-
-class RouteSpan(FrozenValue, frozen=True):
-    """The part of a route inside one branch, given by positions in mm along the route."""
-
-    branch_id: BranchId
-    name: Words | None
-    generation: Annotated[int, Meta(ge=0, le=1000)]
-    from_mm: float
-    to_mm: float
-    kind: Literal["tracked", "bridge", "manual"]
-    """Kind of the branch; ``manual``: the user drew the branch, because the CT shows no airway there."""
 
 
 class HistoryStep(FrozenValue, frozen=True):

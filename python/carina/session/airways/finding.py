@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from msgspec import structs
+
 from carina import commands as c
 from carina.case.document import Document, Point, Target
 from carina.case.routes import ChosenRoute, default_branch_id, route_to_branch
@@ -263,7 +265,8 @@ def _question(name: str, trouble: MaskLabelError | MaskGridError) -> MaskQuestio
         return MaskQuestion(
             name, "grid", expected=trouble.expected, found=trouble.found, share_inside=trouble.share_inside
         )
-    return MaskQuestion(name, "label", labels=trouble.labels, suggested=_suggested(trouble.labels))
+    labels = tuple(structs.replace(label, volume_ml=round(label.volume_ml, 3)) for label in trouble.labels)
+    return MaskQuestion(name, "label", labels=labels, suggested=_suggested(trouble.labels))
 
 
 def _suggested(labels: tuple[MaskLabel, ...]) -> int | None:
