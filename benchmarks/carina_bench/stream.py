@@ -121,7 +121,7 @@ class _Client:
             self._send(wire.Ack(header.frame_id))
             return header
         message = wire.parse_server_message(data)
-        if isinstance(message, wire.Pose):
+        if isinstance(message, wire.PoseMessage):
             self._pose_id = message.pose_id
         return message
 
@@ -163,7 +163,7 @@ class _Client:
             forward = 1.0 if (n // 90) % 2 == 0 else -1.0
             if device:
                 self._send(
-                    wire.DeviceSample(
+                    wire.DeviceSampleMessage(
                         device="bench",
                         time_s=now_s,
                         position_mm=None,
@@ -198,7 +198,7 @@ class _Client:
             now_s = time.monotonic()
         if device:
             self._send(
-                wire.DeviceSample(
+                wire.DeviceSampleMessage(
                     device="bench",
                     time_s=now_s,
                     position_mm=None,

@@ -105,7 +105,7 @@ def opened(path, doing, again):
     pilot.apply(path_move(None if document.airways is None else document.airways.tree, document.route))
     pilot.navigator.restore(moment.tip, pilot.navigator.path)
     steps = tuple(wire.HistoryStep(step.label, round(step.at_s, 3)) for step in history)
-    json.loads(encode_message(wire.History(steps, moment.position)), parse_constant=pytest.fail)
+    json.loads(encode_message(wire.HistoryMessage(steps, moment.position)), parse_constant=pytest.fail)
     with CaseFile.create(again, source) as file:
         file.save(moment)
     with CaseFile.open(again) as file:

@@ -515,7 +515,7 @@ def test_page_is_closed_with_a_click_and_its_link_becomes_invalid(phone):
         phone.desk.handle(wire.SetPhone(False))
         ended(link)
     wait_for(lambda: phone.page.info() is None)
-    wait_for(lambda: any(isinstance(m, wire.Devices) and m.phone is None for m in phone.sent))
+    wait_for(lambda: any(isinstance(m, wire.DevicesMessage) and m.phone is None for m in phone.sent))
     with pytest.raises(OSError, match=r"refused|reset"):
         socket.create_connection(("127.0.0.1", port), timeout=WAIT_S).close()
     phone.desk.handle(wire.SetPhone(True))

@@ -27,8 +27,8 @@ if sys.platform == "win32":
 FIRST_S = 0.1
 
 
-def stick(time_s: float, *axes: float) -> wire.DeviceSample:
-    return wire.DeviceSample(
+def stick(time_s: float, *axes: float) -> wire.DeviceSampleMessage:
+    return wire.DeviceSampleMessage(
         device="stick",
         time_s=time_s,
         position_mm=None,
@@ -40,8 +40,8 @@ def stick(time_s: float, *axes: float) -> wire.DeviceSample:
     )
 
 
-def pen(time_s: float, at: tuple[float, float, float], buttons: int = 0) -> wire.DeviceSample:
-    return wire.DeviceSample(
+def pen(time_s: float, at: tuple[float, float, float], buttons: int = 0) -> wire.DeviceSampleMessage:
+    return wire.DeviceSampleMessage(
         device="pen",
         time_s=time_s,
         position_mm=at,
@@ -107,7 +107,7 @@ def test_invalid_samples_are_counted_and_reported_once(desk):
     made.handle(pen(1.0, (0.0, 0.0, 0.0)))
     for n in range(50):
         made.handle(
-            wire.DeviceSample(
+            wire.DeviceSampleMessage(
                 device="pen",
                 time_s=1.0 + n,
                 position_mm=(1e300, 0.0, 0.0),
@@ -187,7 +187,9 @@ def test_handle_is_connected_listed_and_disconnected(desk):
         with sending(lambda n: format_line(n, 10 * n, 0.2 * n), port, rate_hz=100.0):
             wait_for(lambda: bench.session.pose_info().path_mm > before + 5.0)
             wait_for(
-                lambda: any(isinstance(m, wire.Devices) and m.sources and 50 < m.sources[0].rate_hz < 200 for m in sent)
+                lambda: any(
+                    isinstance(m, wire.DevicesMessage) and m.sources and 50 < m.sources[0].rate_hz < 200 for m in sent
+                )
             )
         made.handle(wire.DisconnectDevice(address))
         assert made.message().sources == ()
@@ -224,7 +226,7 @@ def test_resting_handle_that_sends_samples_makes_no_new_poses(desk):
     def say(n: int, insertion_mm: float) -> None:
         handle = (insertion_mm, 0.1, 0.2)
         made.handle(
-            wire.DeviceSample(
+            wire.DeviceSampleMessage(
                 device="handle",
                 time_s=0.01 * n,
                 position_mm=None,

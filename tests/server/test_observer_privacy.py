@@ -109,7 +109,7 @@ def test_observer_receives_no_file_name_by_opening_renaming_exporting_and_errors
         assert code == wire.CLOSE_CODES["protocol.watching-ended"]
         recorder.received.append(reason.encode())
     kinds = {type(m) for m in watcher.seen}
-    assert {wire.State, wire.Start, wire.History, wire.Pose, wire.Value} <= kinds
+    assert {wire.State, wire.Start, wire.HistoryMessage, wire.PoseMessage, wire.Value} <= kinds
     assert_nameless(recorder.received)
 
 

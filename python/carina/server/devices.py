@@ -125,7 +125,7 @@ class DeviceDesk:
         """Handle a message of a window about devices; return False if the message is not about devices."""
         session = self._session
         match message:
-            case wire.DeviceSample():
+            case wire.DeviceSampleMessage():
                 session.devices.said(message.device, _sample(message))
                 return True
             case wire.ConnectDevice():
@@ -223,14 +223,14 @@ class DeviceDesk:
 
     # ------------------------------------------------------------ out
 
-    def message(self) -> wire.Devices | None:
+    def message(self) -> wire.DevicesMessage | None:
         """Return the device status for the wire; None without a case."""
         info = self._session.devices.info()
         if info is None:
             return None
         controls = info.controls
         recording = self._session.devices.recording_name
-        return wire.Devices(
+        return wire.DevicesMessage(
             control=info.control,
             filter_latency_ms=round(filter_latency_ms(controls), 2),
             controls=controls,
@@ -292,7 +292,7 @@ def _ports() -> tuple[tuple[str, ...], str | None]:
     return tuple(port["port"] for port in ports)[:200], trouble
 
 
-def _sample(message: wire.DeviceSample) -> PoseSample | AxesSample | HandleSample:
+def _sample(message: wire.DeviceSampleMessage) -> PoseSample | AxesSample | HandleSample:
     if message.orientation_wxyz is not None:
         w, x, y, z = message.orientation_wxyz
         at = None if message.position_mm is None else _three(message.position_mm)

@@ -18,7 +18,7 @@ from carina.server.cluster_status import ClusterWatch
 from carina.server.devices import DeviceDesk, Phone
 from carina.server.files.uploads import Uploads
 from carina.server.frames.pacing import DEFAULT_RATE_HZ
-from carina.server.observers.page import WatchPage
+from carina.server.observers.page import ObserverPageServer
 from carina.server.observers.window import WatchingWindow
 from carina.server.windows.broadcast_cache import SharedTexts
 from carina.server.windows.prefetch import Warming
@@ -86,7 +86,7 @@ class Hub:
         self._warming = Warming(session)
         self.devices = DeviceDesk(session, self._tell, recordings=recordings, phone=phone)
         self._watch = None if cluster_status is None else ClusterWatch(cluster_status, self._tell)
-        self._watch_page = WatchPage(
+        self._watch_page = ObserverPageServer(
             self._attach_watcher,
             lambda: self._mark("watching"),
             flooded=lambda: self._push(wire.Notice(FLOODED)),

@@ -17,13 +17,13 @@ from carina.session.airways.finding import AirwayFinding
 from carina.session.airways.measuring import TreeMeasuring
 from carina.session.cases.case_list import CaseList
 from carina.session.cases.observer import Following
-from carina.session.cases.opening import Opening
+from carina.session.cases.opening import CaseOpener
 from carina.session.command_registry import handlers_of
 from carina.session.core import Event, SessionCore
 from carina.session.engines import Parts, RendererFactory
-from carina.session.flights.devices import Devices
+from carina.session.flights.devices import DeviceHandlers
 from carina.session.flights.key_frames import KeyFraming
-from carina.session.flights.recorded_flights import Flights
+from carina.session.flights.recorded_flights import FlightHandlers
 from carina.session.flights.recording import FlightRecording
 from carina.session.flights.scope_contact import ScopeHolding
 from carina.session.flights.tip_commands import STRAIGHT_TO_THE_PILOT, Flying
@@ -90,11 +90,11 @@ class Session:
         measuring, keys, planning = TreeMeasuring(core), KeyFraming(core), Planning(core)
         recording = FlightRecording(core, holding)
         self._core, self._keys, self._recording = core, keys, recording
-        self._devices = Devices(core, recording, self.do)
+        self._devices = DeviceHandlers(core, recording, self.do)
         self._saving = Saving(core, records, files)
         self._cases = CaseList(core, self._saving, recording.stop)
         core.saving = lambda: self._saving.info
-        opening = Opening(core, finding, recording, holding, self._saving)
+        opening = CaseOpener(core, finding, recording, holding, self._saving)
         # Order: a recording stores its time before other updates; packed airways are unpacked before other code reads
         # them.
         core.before_document += [recording.tick, editing.unfold]
@@ -107,7 +107,7 @@ class Session:
         subjects = (
             opening, Flying(core, holding), looking, Routing(core), planning, TargetEditing(core),
             finding, editing, keys, recording,
-            Flights(core, self._saving.flight_text), KeptDrives(core),
+            FlightHandlers(core, self._saving.flight_text), KeptDrives(core),
             self._devices, holding, self._saving, self._cases, CaseQuestions(core),
             Following(core, finding, holding, self._saving),
         )  # fmt: skip
@@ -207,7 +207,7 @@ class Session:
         return self._core.scene(window)
 
     @property
-    def devices(self) -> Devices:
+    def devices(self) -> DeviceHandlers:
         """Receiver of device samples; it computes the motion of the tip from these samples."""
         return self._devices
 

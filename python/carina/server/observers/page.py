@@ -35,7 +35,7 @@ from carina.server.windows.websocket_session import converse
 from carina.server.windows.window import Window
 from carina.server.wire import messages as wire
 
-__all__ = ["MAX_WATCHERS", "WatchPage"]
+__all__ = ["MAX_WATCHERS", "ObserverPageServer"]
 
 MAX_WATCHERS = 4
 """Maximum number of observers; the windows of the workstation are not counted."""
@@ -75,7 +75,7 @@ class _OpenPage:
         )
 
 
-class WatchPage:
+class ObserverPageServer:
     """Server of the viewing page, which can be started and stopped; call its methods in the event loop.
 
     Parameters

@@ -234,7 +234,7 @@ class Window:
             case NotEvident():
                 self.outbox.push(no_evidence_message(event))
             case StartMarked():
-                self.outbox.push(wire.StartMarked(event.lps))
+                self.outbox.push(wire.StartMarkedMessage(event.lps))
             case Said():
                 self.outbox.push(wire.Notice(event.message))
             case _:

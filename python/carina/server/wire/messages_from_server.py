@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
@@ -49,8 +49,10 @@ class ServerHello(ServerMessage, frozen=True, tag="hello"):
     """Whether the client is an observer: the server refuses all commands except those for the client's own view."""
 
 
-class RecentCase(FrozenValue, frozen=True):
+class CaseListEntry(FrozenValue, frozen=True):
     """An entry of the case list: a case that was opened before, without the name of its CT file."""
+
+    wire_name: ClassVar[str] = "RecentCase"
 
     recent_id: Identifier
     date: Identifier
@@ -83,7 +85,7 @@ class Storage(FrozenValue, frozen=True):
     ct_bytes: Bytes
     keeps_cts: Literal["on", "off", "never"]
     """State of the CT cache; *never*: Carina was started without the cache."""
-    forgotten: tuple[RecentCase, ...]
+    forgotten: tuple[CaseListEntry, ...]
     """Forgotten cases, which the user can restore for one day."""
 
 
@@ -118,7 +120,7 @@ class Start(ServerMessage, frozen=True):
     """Content of the start page: cases, demonstration cases, instruments and storage."""
 
     notice_accepted: bool
-    recent: tuple[RecentCase, ...]
+    recent: tuple[CaseListEntry, ...]
     demos: tuple[Demo, ...]
     scopes: tuple[Scope, ...]
     storage: Storage | None = None
@@ -169,8 +171,10 @@ class CaseInfo(FrozenValue, frozen=True):
     """Name of the CT file or text of its series; sent only to windows on the machine that runs Carina, else null."""
 
 
-class Target(AskedPath, frozen=True):
+class TargetInfo(AskedPath, frozen=True):
     """A target with the requested point, the point that is used, and the path to that point."""
+
+    wire_name: ClassVar[str] = "Target"
 
     target_id: Identifier
     name: Words
@@ -211,7 +215,7 @@ class State(ServerMessage, frozen=True):
     """Name of the transfer function."""
     transfer_document: dict[str, Any] | None
     transfer_presets: tuple[Words, ...]
-    targets: tuple[Target, ...]
+    targets: tuple[TargetInfo, ...]
     route_id: Words | None
     can_undo: Words | None
     """Label of the change that the next undo reverts; null if there is none."""
@@ -238,7 +242,7 @@ class HistoryStep(FrozenValue, frozen=True):
     """Time in seconds since the case was begun (``saving.begun_s``)."""
 
 
-class History(ServerMessage, frozen=True):
+class HistoryMessage(ServerMessage, frozen=True):
     """Undo history, the oldest step first; sent after each change."""
 
     steps: tuple[HistoryStep, ...]
@@ -275,7 +279,7 @@ class RouteInfo(DrawnPart, frozen=True, kw_only=True):
     """Continuation of the route through the wall; null if the route ends in the airways."""
 
 
-class Route(ServerMessage, frozen=True):
+class RouteMessage(ServerMessage, frozen=True):
     """The current route; sent after each change."""
 
     route: RouteInfo | None
@@ -300,7 +304,7 @@ class HeldScope(ScopeHold, frozen=True):
     """Total time of these contacts in s."""
 
 
-class Pose(ServerMessage, frozen=True):
+class PoseMessage(ServerMessage, frozen=True):
     """The newest pose; each image names its pose by ``pose_id``."""
 
     pose_id: Count
@@ -426,11 +430,13 @@ class Cluster(ClusterState, ServerMessage, frozen=True):
     """State of the render cluster; sent once a second if there is a cluster."""
 
 
-class PictureLines(FrozenValue, frozen=True):
+class PictureLineRows(FrozenValue, frozen=True):
     """Geometry of an image of a curved surface: parallel lists over selected rows, to be interpolated linearly.
 
     Pixel (column, row) is at ``start_lps + column * step_lps``, in corner coordinates of *this* image.
     """
+
+    wire_name: ClassVar[str] = "PictureLines"
 
     row: Numbers
     """Selected rows in corner coordinates, increasing: the middle of the first row of an image is 0.5."""
@@ -510,7 +516,7 @@ class PictureHeader(FrozenValue, frozen=True):
 
     Columns and rows are corner coordinates of *this* image (the centre of a pixel is at +0.5).
     """
-    lines: PictureLines | None
+    lines: PictureLineRows | None
     """Geometry of a view along the route, else null."""
     outline: PictureOutline | None
     """Outline of the current lumen in slices and in the cut-plane (in the middle plane of a thick slice), else null."""

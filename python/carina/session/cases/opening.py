@@ -27,7 +27,7 @@ from carina.volume import Volume
 from carina.volume.dicom_references import References
 from carina.volume.progress import Watch
 
-__all__ = ["Opening"]
+__all__ = ["CaseOpener"]
 
 
 @dataclass(slots=True)
@@ -49,7 +49,7 @@ class _Dropped:
     references: References | None = None
 
 
-class Opening(Subject):
+class CaseOpener(Subject):
     """Commands that open and close a case; the present case remains on screen until the new one has been read."""
 
     def __init__(

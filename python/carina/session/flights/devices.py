@@ -19,10 +19,10 @@ from carina.session.flights.recording import FlightRecording
 from carina.session.open_case.open_case import OpenCase, as_point
 from carina.session.state.snapshot import DevicesInfo, Said, StartMarked, Trouble
 
-__all__ = ["Devices"]
+__all__ = ["DeviceHandlers"]
 
 
-class Devices(Subject):
+class DeviceHandlers(Subject):
     """Interface for programs that connect input devices: samples, motion frames, and the state to show.
 
     Parameters

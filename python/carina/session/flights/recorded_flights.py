@@ -25,10 +25,10 @@ from carina.session.state.snapshot import FlightPlace
 if TYPE_CHECKING:
     from carina.session.core import SessionCore
 
-__all__ = ["Flights", "needed_flight", "running_flight"]
+__all__ = ["FlightHandlers", "needed_flight", "running_flight"]
 
 
-class Flights(Subject):
+class FlightHandlers(Subject):
     """The list of the recorded flights of a case, and their playback.
 
     Parameters
