@@ -8,7 +8,7 @@ from typing import Any
 from carina import commands as c
 from carina.errors import CarinaError
 from carina.session import Session
-from carina.session.saving.autosave import KeptFiles
+from carina.session.saving.autosave import CaseFileFunctions
 from carina.session.store.registry import CaseRecords
 from small_case import Background, Clock, SmallRenderer, small_parts
 
@@ -110,13 +110,13 @@ class Desk:
             submit=self.background,
             clock=self.clock,
             records=CaseRecords(self.folder / "cases", self.wall),
-            files=self.kept_files(KeptFiles(create, reopen, write, lambda _volume: self.digest)),
+            files=self.kept_files(CaseFileFunctions(create, reopen, write, lambda _volume: self.digest)),
             store=self.store,
         )
         self.session.subscribe(self.events.append)
         return self.session
 
-    def kept_files(self, files: KeptFiles) -> KeptFiles:
+    def kept_files(self, files: CaseFileFunctions) -> CaseFileFunctions:
         """Return the factories of case files; subclasses replace them."""
         return files
 

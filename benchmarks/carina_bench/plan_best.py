@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import CarinaError
-from carina.plan import Nodule, Plan, PlannedRoute, Surroundings, grow_nodule, plan_route, surroundings
+from carina.plan import NearbyTissue, Nodule, Plan, PlannedRoute, grow_nodule, plan_route, surroundings
 from carina.plan.routes.clearance import rooms_mm
 from carina.scopes import ScopePreset
 from carina.track import AirwayTree, Branch
@@ -49,7 +49,7 @@ LEAST_SHOWN = 0.003
 RANKS = ("reaches", "may reach", "does not reach")
 
 
-def best_of_all(case: PlanCase, plan: Plan, around: Surroundings, rng: np.random.Generator) -> tuple[float, str, Row]:
+def best_of_all(case: PlanCase, plan: Plan, around: NearbyTissue, rng: np.random.Generator) -> tuple[float, str, Row]:
     """Return score, outlook and description of the best of all standing points."""
     assert case.airways is not None and case.wall is not None
     nodule, reach_mm = plan.nodule, plan.tool.reach_mm
@@ -186,7 +186,7 @@ def _outlook(scope: ScopePreset, width_mm: float, bend_deg: float, spacing_mm: f
     return {"rank": max([int(trust < 1.0), *ranks]), "chance": trust * math.prod(chances)}
 
 
-def _walked(case: PlanCase, plan: Plan, around: Surroundings, place: Row) -> Row | None:
+def _walked(case: PlanCase, plan: Plan, around: NearbyTissue, place: Row) -> Row | None:
     """Return the loss of score on the needle's path except for its misses.
 
     The result is None if the needle does not reach the nodule.

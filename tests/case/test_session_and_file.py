@@ -9,7 +9,7 @@ import pytest
 from edit_case import edit_case
 from kept_case import assert_same_document, assert_same_measures
 
-from carina.case import CaseFile, KeptAirways
+from carina.case import CaseFile, StoredAirways
 from carina.case.recordings import RecordingTable
 from carina.commands import (
     AddTarget,
@@ -31,7 +31,7 @@ from carina.commands import (
 from carina.errors import CarinaError, DiskError, UsageError
 from carina.navigate import open_recording
 from carina.render import transfer_preset
-from carina.session import Said, Session, Trouble
+from carina.session import Session, Trouble, UserMessage
 from carina.session.airways.editing import NUM_EDITS_WHOLE
 from carina.session.state.snapshot import FlightPlace
 from carina.session.store.disk_storage import case_files
@@ -105,7 +105,7 @@ def test_undo_after_reopening_gives_the_same_steps_as_without_reopening(tmp_path
         kept.held.release()
     again, other_background = started(tmp_path)
     assert again.history() == session.history()
-    assert any(isinstance(d.airways, KeptAirways) for d in again._core.case.history.documents())
+    assert any(isinstance(d.airways, StoredAirways) for d in again._core.case.history.documents())
     for one in (session, again):
         one.do(EditTree(RenameBranch(2, "after")))
     background.run_all()
@@ -192,7 +192,7 @@ def test_damaged_measures_are_measured_again_with_a_message(tmp_path):
     connection.close()
     again, background = started(tmp_path, measuring)
     assert len(measuring.asked) == 1
-    told = [e.message for e in EVENTS[-1] if isinstance(e, Said)]
+    told = [e.message for e in EVENTS[-1] if isinstance(e, UserMessage)]
     assert any(
         "the saved measurements of the airways cannot be read, so the airways will be measured" in words
         for words in told

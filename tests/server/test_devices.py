@@ -16,7 +16,7 @@ from carina.navigate.devices.igtl import IgtlPose, IgtlStream, pose_matrix
 from carina.navigate.devices.scope_handle import format_line
 from carina.server.devices import DeviceDesk
 from carina.server.wire import messages as wire
-from carina.session import Said
+from carina.session import UserMessage
 from simulated_serial import WAIT_S, PseudoPort, sending, wait_for
 from small_case import small_bench
 
@@ -132,7 +132,7 @@ def test_calibration_returns_its_residual_and_bad_pairs_are_refused(desk):
     made.handle(pen(1.0, (0.0, 0.0, 0.0)))
     points = ((0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (0.0, 50.0, 0.0))
     do(made, wire.Calibrate("pen", points, points))
-    assert any("0.0 mm" in said.message for said in bench.of_type(Said))
+    assert any("0.0 mm" in said.message for said in bench.of_type(UserMessage))
     do(made, wire.SetControl("absolute"))
     assert made.message().control == "absolute"
     with pytest.raises(UsageError, match="line"):

@@ -13,7 +13,7 @@ import pytest
 from carina.commands import OpenPath
 from carina.server.windows.latest_only import NewestOnly
 from carina.server.windows.pointing import Pointing, live_path_message
-from carina.server.windows.prefetch import Warming
+from carina.server.windows.prefetch import PathPrefetcher
 from carina.server.wire import messages as wire
 from carina.session.view.questions import lumen_before_wall
 from carina.track import AddBranch, CutBranch, MoveFork, PaintLumen, RenameBranch, TreeEdit
@@ -119,7 +119,7 @@ def test_fault_in_an_answer_is_reported_and_the_next_question_is_answered(pointi
 def test_preparation_for_the_first_question_runs_before_it_arrives(pointing, monkeypatch):
     asked = queue.Queue()
     monkeypatch.setattr(pointing.session, "ask", asked.put)
-    warming = Warming(pointing.session)
+    warming = PathPrefetcher(pointing.session)
     warming.start()
     warming.airways_changed()
     assert asked.get(timeout=WAIT_S).lps == pytest.approx(small_lps((16.0, 14.0, 37.0)))

@@ -18,7 +18,7 @@ from starlette.applications import Starlette
 
 from carina.phone.page import PhonePage
 from carina.server.network import shutdown as ending
-from carina.server.network.connection_limits import Strangers
+from carina.server.network.connection_limits import UnauthenticatedConnections
 from small_case import small_bench
 
 REQUEST = b"GET / HTTP/1.1\r\nHost: %s\r\n\r\n"
@@ -192,7 +192,7 @@ def test_second_interrupt_ends_the_application_without_an_error(said):
 
     app = Starlette(lifespan=lifespan)
     config = uvicorn.Config(app, lifespan="on", log_config=None, host="127.0.0.1", port=0, timeout_graceful_shutdown=3)
-    server = ending.EndingServer(config, Strangers())
+    server = ending.EndingServer(config, UnauthenticatedConnections())
     thread = threading.Thread(target=server.run)
     thread.start()
     try:

@@ -21,7 +21,7 @@ from carina.cli.arguments import check_needs, check_output_file, check_range
 from carina.cli.case import recording_in
 from carina.cli.cluster import opened_cluster
 from carina.cli.console import print_json, progress_printer, say
-from carina.cli.kept_frames import KeptFrames
+from carina.cli.kept_frames import StoredFrames
 from carina.cli.opened import Opened, check_case_options, newest_state, opened
 from carina.cluster import ClusterRenderer, render_frames
 from carina.config import load_settings
@@ -145,7 +145,7 @@ def report(
             turned = view.get("operator") == "facing"
             frames = [ReplayedPose(float(t), flight.pose_at(float(t)), view, turned) for t in times]
         shots, times_shown = _shots(frames, shown)
-        kept = None if keep is None else KeptFrames(keep, _job(volume, frames, shown, mixed))
+        kept = None if keep is None else StoredFrames(keep, _job(volume, frames, shown, mixed))
         num_kept = 0 if kept is None else min(kept.num, len(shots))
         if num_kept:
             say(f"continuing: {num_kept} of {len(shots)} frames are already in {keep}")
@@ -328,7 +328,7 @@ def _view(frame: ReplayedPose, shown: _Shown) -> AirwayView:
 
 
 def _pictures(
-    renderer: Renderer | ClusterRenderer, shots: list[_Shot], kept: KeptFrames | None, size: tuple[int, int]
+    renderer: Renderer | ClusterRenderer, shots: list[_Shot], kept: StoredFrames | None, size: tuple[int, int]
 ) -> Iterator[tuple[int, NDArray[np.uint8]]]:
     """Yield all images with their numbers, in order: first the stored images, then newly rendered images."""
     first = 0 if kept is None else min(kept.num, len(shots))

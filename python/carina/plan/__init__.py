@@ -11,7 +11,7 @@ from carina.plan.instruments.scope_file import scope_from_file, scope_to_json
 from carina.plan.instruments.tools import DEFAULT_TOOL, Tool, tool, tool_from_file, tools
 from carina.plan.lungs.fissures import FissureBox
 from carina.plan.lungs.lobes import Lobes, lobes
-from carina.plan.lungs.tissue_near_needle import Surroundings, lung_surroundings, surroundings
+from carina.plan.lungs.tissue_near_needle import NearbyTissue, lung_surroundings, surroundings
 from carina.plan.lungs.vessels import VesselBranch, VesselTree
 from carina.plan.reach_atlas import ReachAtlas, reach_atlas
 from carina.plan.report import PlanSheet, make_sheet, write_report
@@ -53,6 +53,7 @@ __all__ = [
     "Lobes",
     "Move",
     "NearVessel",
+    "NearbyTissue",
     "NearestPlace",
     "NeedleErrors",
     "NeedleScene",
@@ -67,7 +68,6 @@ __all__ = [
     "PlannedRoute",
     "ReachAtlas",
     "ScoreWeights",
-    "Surroundings",
     "TargetSource",
     "Tool",
     "Turn",

@@ -21,7 +21,7 @@ from carina.server.frames.pacing import DEFAULT_RATE_HZ
 from carina.server.observers.page import ObserverPageServer
 from carina.server.observers.window import WatchingWindow
 from carina.server.windows.broadcast_cache import SharedTexts
-from carina.server.windows.prefetch import Warming
+from carina.server.windows.prefetch import PathPrefetcher
 from carina.server.windows.window import Window
 from carina.server.wire import messages as wire
 from carina.session import Changed, Event, JobEnded, Session, log_fault
@@ -83,7 +83,7 @@ class Hub:
         self._leaving: list[threading.Thread] = []
         self._rate_hz = DEFAULT_RATE_HZ
         self.texts = SharedTexts(session, patient_citation, self._push)
-        self._warming = Warming(session)
+        self._warming = PathPrefetcher(session)
         self.devices = DeviceDesk(session, self._tell, recordings=recordings, phone=phone)
         self._watch = None if cluster_status is None else ClusterWatch(cluster_status, self._tell)
         self._watch_page = ObserverPageServer(

@@ -16,7 +16,7 @@ from carina.session.airways.editing import TreeEditing
 from carina.session.airways.finding import AirwayFinding
 from carina.session.airways.measuring import TreeMeasuring
 from carina.session.cases.case_list import CaseList
-from carina.session.cases.observer import Following
+from carina.session.cases.observer import ObserverHandlers
 from carina.session.cases.opening import CaseOpener
 from carina.session.command_registry import handlers_of
 from carina.session.core import Event, SessionCore
@@ -27,9 +27,9 @@ from carina.session.flights.recorded_flights import FlightHandlers
 from carina.session.flights.recording import FlightRecording
 from carina.session.flights.scope_contact import ScopeHolding
 from carina.session.flights.tip_commands import STRAIGHT_TO_THE_PILOT, Flying
-from carina.session.flights.verdict_drives import KeptDrives
+from carina.session.flights.verdict_drives import VerdictDriveHandlers
 from carina.session.jobs.background_jobs import JobRunner
-from carina.session.saving.autosave import CLOSING_S, KeptFiles, Saving
+from carina.session.saving.autosave import CLOSING_S, Autosave, CaseFileFunctions
 from carina.session.scene.shown_case import ShownCase
 from carina.session.state.snapshot import KeyFramesInfo, PoseInfo, Snapshot
 from carina.session.store.local_settings import LocalStore
@@ -83,7 +83,7 @@ class Session:
         clock: Callable[[], float] = time.monotonic,
         today: Callable[[], str] = lambda: time.strftime("%Y-%m-%d"),
         records: CaseRecords | None = None,
-        files: KeptFiles | None = None,
+        files: CaseFileFunctions | None = None,
     ) -> None:
         core = SessionCore(renderer_factory, parts=parts, store=store, submit=submit, clock=clock, today=today)
         holding, finding, editing = ScopeHolding(core), AirwayFinding(core), TreeEditing(core)
@@ -91,7 +91,7 @@ class Session:
         recording = FlightRecording(core, holding)
         self._core, self._keys, self._recording = core, keys, recording
         self._devices = DeviceHandlers(core, recording, self.do)
-        self._saving = Saving(core, records, files)
+        self._saving = Autosave(core, records, files)
         self._cases = CaseList(core, self._saving, recording.stop)
         core.saving = lambda: self._saving.info
         opening = CaseOpener(core, finding, recording, holding, self._saving)
@@ -107,9 +107,9 @@ class Session:
         subjects = (
             opening, Flying(core, holding), looking, Routing(core), planning, TargetEditing(core),
             finding, editing, keys, recording,
-            FlightHandlers(core, self._saving.flight_text), KeptDrives(core),
+            FlightHandlers(core, self._saving.flight_text), VerdictDriveHandlers(core),
             self._devices, holding, self._saving, self._cases, CaseQuestions(core),
-            Following(core, finding, holding, self._saving),
+            ObserverHandlers(core, finding, holding, self._saving),
         )  # fmt: skip
         self._handlers: dict[type[Any], Callable[[Any], Any]] = {
             cls: looking.set_field for cls in all_commands() if cls.sets is not None

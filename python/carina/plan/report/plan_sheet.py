@@ -14,7 +14,7 @@ import numpy as np
 from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import UsageError, check_type
-from carina.plan.lungs.tissue_near_needle import Surroundings, surroundings
+from carina.plan.lungs.tissue_near_needle import NearbyTissue, surroundings
 from carina.plan.report.slices import SlicePicture, needle_slice, place_slices, target_slices
 from carina.plan.report.tree_shape import TreeShape, tree_shape
 from carina.plan.report.uncertainty import by_hand, uncertain
@@ -351,7 +351,7 @@ def _place(volume: Volume, airways: Airways, nodule: Nodule, wall: WallField) ->
     )
 
 
-def _to_edge_mm(around: Surroundings, nodule: Nodule) -> float:
+def _to_edge_mm(around: NearbyTissue, nodule: Nodule) -> float:
     """Return the distance in mm from a nodule to the edge of the CT inside the box round the nodule.
 
     Infinite if none.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.plan.instruments.tools import Tool
-from carina.plan.lungs.tissue_near_needle import WALL_MM, Surroundings
+from carina.plan.lungs.tissue_near_needle import WALL_MM, NearbyTissue
 from carina.plan.routes.needle_hits import NeedleErrors, axes_across, hit_share
 from carina.plan.targets.grow_nodule import Nodule
 from carina.scopes import WallField
@@ -160,7 +160,7 @@ class NeedleScene:
 
     nodule: Nodule
     wall: WallField
-    around: Surroundings
+    around: NearbyTissue
     tool: Tool
     errors: NeedleErrors
     margin_mm: float = 3.0

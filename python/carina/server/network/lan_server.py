@@ -12,7 +12,7 @@ import uvicorn
 from starlette.applications import Starlette
 
 from carina.server.network.certificate import Certificate
-from carina.server.network.connection_limits import ACCEPT_AT_ONCE, Strangers
+from carina.server.network.connection_limits import ACCEPT_AT_ONCE, UnauthenticatedConnections
 from carina.server.network.request_timeouts import impatient
 from carina.server.network.shutdown import EndingServer
 from carina.server.sockets.rate_limits import bounded_websocket
@@ -51,7 +51,7 @@ class LanServer(EndingServer):
         on_started: Callable[[], None],
         max_bytes_per_s: float = float("inf"),
     ) -> None:
-        strangers = Strangers(MAX_CONNECTIONS - 1)
+        strangers = UnauthenticatedConnections(MAX_CONNECTIONS - 1)
         config = uvicorn.Config(
             app,
             http=impatient(strangers),

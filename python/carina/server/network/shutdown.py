@@ -9,7 +9,7 @@ from typing import Any
 
 import uvicorn
 
-from carina.server.network.connection_limits import Strangers
+from carina.server.network.connection_limits import UnauthenticatedConnections
 
 __all__ = ["FAREWELL_S", "EndingServer"]
 
@@ -33,7 +33,7 @@ class EndingServer(uvicorn.Server):
         Unauthenticated connections of this server; new ones are aborted during the shutdown.
     """
 
-    def __init__(self, config: uvicorn.Config, strangers: Strangers) -> None:
+    def __init__(self, config: uvicorn.Config, strangers: UnauthenticatedConnections) -> None:
         super().__init__(config)
         self._strangers = strangers
 

@@ -9,12 +9,12 @@ from carina.errors import CarinaError
 from carina.server.windows.latest_only import NewestOnly
 from carina.session import Session, log_fault
 
-__all__ = ["Warming"]
+__all__ = ["PathPrefetcher"]
 
 logger = logging.getLogger(__name__)
 
 
-class Warming:
+class PathPrefetcher:
     """Thread that requests a path in new airways, so that the session caches the noise of the scan.
 
     Parameters

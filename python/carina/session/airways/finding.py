@@ -15,7 +15,7 @@ from carina.case.document import Document, Point, Target
 from carina.case.routes import ChosenRoute, default_branch_id, route_to_branch
 from carina.errors import CarinaError, NoResultError, TrackingError, UsageError
 from carina.session.airways.editing import MAX_AIRWAYS_KEPT, airway_words, found_airways
-from carina.session.command_registry import Subject, answers, does
+from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.core import ALL_TOPICS
 from carina.session.flights.tip_commands import place_pose
 from carina.session.jobs.background_jobs import Job
@@ -31,7 +31,7 @@ SET_THE_ROOT = "Mark the trachea: click inside it on a slice."
 AIRWAY_NAMES = re.compile(r"airway|bronch|trache|lumen|luftweg|luftröhre|voies a", re.IGNORECASE)
 
 
-class AirwayFinding(Subject):
+class AirwayFinding(CommandHandlers):
     """Commands that replace the airways of the case; each runs as a job and forms one undo step."""
 
     # ------------------------------------------------------------ segmentation of the CT

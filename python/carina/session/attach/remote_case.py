@@ -32,7 +32,7 @@ from carina.session.store.find_scan import CASE_SUFFIX, CaseScans, is_case_file
 from carina.session.store.registry import CaseRecord, CaseRecords
 from carina.volume import VolumeCache
 
-__all__ = ["JoinedCase"]
+__all__ = ["RemoteCase"]
 
 OWNED_WITHIN_S = 20.0
 """Longest time, in s, for taking over a case whose former owner may hold its lock while it writes the last changes."""
@@ -52,7 +52,7 @@ class _Followed:
     moment: Moment
 
 
-class JoinedCase:
+class RemoteCase:
     """A stored case whose owner is another process at first; :meth:`join` creates one.
 
     Parameters
@@ -88,7 +88,7 @@ class JoinedCase:
     # ------------------------------------------------------------ joining
 
     @classmethod
-    def join(cls, source: str | Path, ct: str | Path | None) -> JoinedCase | None:
+    def join(cls, source: str | Path, ct: str | Path | None) -> RemoteCase | None:
         """Join the case of a file or a CT that a running Carina of this user has open.
 
         Parameters
@@ -100,7 +100,7 @@ class JoinedCase:
 
         Returns
         -------
-        JoinedCase or None
+        RemoteCase or None
             None if no running Carina has the case open.
 
         Raises
@@ -127,7 +127,7 @@ class JoinedCase:
         return None
 
     @classmethod
-    def _joined(cls, records: CaseRecords, record: CaseRecord, link: OwnerLink, ct: str | Path | None) -> JoinedCase:
+    def _joined(cls, records: CaseRecords, record: CaseRecord, link: OwnerLink, ct: str | Path | None) -> RemoteCase:
         settings = load_settings()
         # The owner replies after its running jobs, such as the airway search, have ended.
         saving = _saved(link.settle(all_jobs=True))

@@ -11,15 +11,15 @@ from carina.case import CaseFile, CaseFileError
 from carina.case.stored_state import Moment
 from carina.errors import UsageError, VolumeImportError
 from carina.session.airways.finding import AirwayFinding
-from carina.session.command_registry import Subject, does
+from carina.session.command_registry import CommandHandlers, does
 from carina.session.core import ALL_TOPICS, SessionCore
 from carina.session.derived.plans import CtOrigin
 from carina.session.flights.recording import FlightRecording
 from carina.session.flights.scope_contact import ScopeHolding
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase, new_case
-from carina.session.saving.autosave import Saving
-from carina.session.state.snapshot import Said
+from carina.session.saving.autosave import Autosave
+from carina.session.state.snapshot import UserMessage
 from carina.session.store.find_scan import CaseScans, is_case_file
 from carina.session.store.named_file import FileMark, open_marked
 from carina.session.store.registry import CaseRecord
@@ -49,7 +49,7 @@ class _Dropped:
     references: References | None = None
 
 
-class CaseOpener(Subject):
+class CaseOpener(CommandHandlers):
     """Commands that open and close a case; the present case remains on screen until the new one has been read."""
 
     def __init__(
@@ -58,7 +58,7 @@ class CaseOpener(Subject):
         finding: AirwayFinding,
         recording: FlightRecording,
         holding: ScopeHolding,
-        saving: Saving,
+        saving: Autosave,
     ) -> None:
         super().__init__(core)
         self._holding = holding
@@ -132,7 +132,7 @@ class CaseOpener(Subject):
                 found.file, found.mark = open_marked(path)
                 file = found.file
             if file.note is not None:
-                self.core.emit(Said(file.note))
+                self.core.emit(UserMessage(file.note))
             scan = self._saving.open_ct_of(file) if dropped else None
             try:
                 if scan is None:
@@ -338,7 +338,7 @@ class CaseOpener(Subject):
                     jobs=self.core.jobs,
                     lock=self.core.lock,
                     changed=self.core.changed,
-                    say=lambda words: self.core.emit(Said(words)),
+                    say=lambda words: self.core.emit(UserMessage(words)),
                     kept=kept,
                 )
                 case.planning.origin = CtOrigin(

@@ -13,16 +13,16 @@ from carina import commands as c
 from carina.case.routes import leaf_below, route_to_branch
 from carina.errors import CarinaError
 from carina.navigate import PenState, Sample, fit_registration, moves
-from carina.session.command_registry import Subject, does
+from carina.session.command_registry import CommandHandlers, does
 from carina.session.core import SessionCore
 from carina.session.flights.recording import FlightRecording
 from carina.session.open_case.open_case import OpenCase, as_point
-from carina.session.state.snapshot import DevicesInfo, Said, StartMarked, Trouble
+from carina.session.state.snapshot import DevicesInfo, StartMarked, Trouble, UserMessage
 
 __all__ = ["DeviceHandlers"]
 
 
-class DeviceHandlers(Subject):
+class DeviceHandlers(CommandHandlers):
     """Interface for programs that connect input devices: samples, motion frames, and the state to show.
 
     Parameters
@@ -76,7 +76,7 @@ class DeviceHandlers(Subject):
                 self._mark(case, pen, tool)
             words = case.pilot.take_message(now_s)
             if words is not None:
-                self.core.emit(Said(words))
+                self.core.emit(UserMessage(words))
             if case.pilot.control != before:
                 self.core.changed("state", "pose", "views")
         self.core.device_woken.set()
@@ -123,7 +123,7 @@ class DeviceHandlers(Subject):
         with self.core.lock:
             case.pilot.set_registration(device, fit)
             self.core.changed("state")
-            self.core.emit(Said(f"{device} is registered with an RMS error of {fit.rms_mm or 0.0:.1f} mm"))
+            self.core.emit(UserMessage(f"{device} is registered with an RMS error of {fit.rms_mm or 0.0:.1f} mm"))
 
     @does(c.ArmPen)
     def arm_pen(self, command: c.ArmPen) -> None:

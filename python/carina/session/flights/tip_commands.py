@@ -10,7 +10,7 @@ from carina import commands as c
 from carina.case.document import Document
 from carina.render import Sight
 from carina.scopes import Pose
-from carina.session.command_registry import Subject, does
+from carina.session.command_registry import CommandHandlers, does
 from carina.session.core import SessionCore
 from carina.session.flights.scope_contact import ScopeHolding
 from carina.session.open_case.start_pose import pose_before_place
@@ -44,7 +44,7 @@ def view_words(document: Document, sight: Sight) -> dict[str, Any]:
     }
 
 
-class Flying(Subject):
+class Flying(CommandHandlers):
     """Commands that move the tip and also need the airways, their wall or the volume of the case."""
 
     def __init__(self, core: SessionCore, holding: ScopeHolding) -> None:

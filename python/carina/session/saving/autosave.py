@@ -17,21 +17,21 @@ from carina.case.stored_state import Moment
 from carina.disk import disk_trouble
 from carina.display import one_line
 from carina.errors import CarinaError, UsageError
-from carina.session.command_registry import Subject, answers, does
+from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.core import SessionCore
 from carina.session.flights.recorded_flights import needed_flight
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase, moment_of
 from carina.session.saving.unsaved_work import UnsavedWork
-from carina.session.saving.writer import NOT_RESPONDING, Keeper
-from carina.session.state.snapshot import Changed, Said, SavingInfo, Trouble
+from carina.session.saving.writer import NOT_RESPONDING, CaseSaver
+from carina.session.state.snapshot import Changed, SavingInfo, Trouble, UserMessage
 from carina.session.store.case_names import suggested_file_name
 from carina.session.store.find_scan import CASE_SUFFIX, FoundScan
 from carina.session.store.flight_copies import flight_count
-from carina.session.store.interfaces import CtCache, KeptCt, KeptFile, KeptFiles
+from carina.session.store.interfaces import CachedCtSource, CaseFileFunctions, CtCache, StoredCaseFile
 from carina.session.store.named_file import FileMark, NamedFile, NamedFileConflictError
 from carina.session.store.named_file_lock import LockedElsewhereError, NamedLock
-from carina.session.store.registry import CaseRecord, CaseRecords, HeldCase
+from carina.session.store.registry import CaseRecord, CaseRecords, LockedCase
 from carina.volume import same_geometry
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from carina.session.store.find_scan import CaseScans
     from carina.volume import Volume
 
-__all__ = ["CtCache", "KeptCt", "KeptFile", "KeptFiles", "Reopened", "Saving"]
+__all__ = ["Autosave", "CachedCtSource", "CaseFileFunctions", "CtCache", "Reopened", "StoredCaseFile"]
 
 logger = logging.getLogger(__name__)
 
@@ -57,8 +57,8 @@ CLOSING_S = 60.0
 class Reopened:
     """A stored case that is being opened: its lock and record, its live file and its flights."""
 
-    held: HeldCase
-    file: KeptFile
+    held: LockedCase
+    file: StoredCaseFile
     flights: tuple[RecordingFacts, ...] = ()
 
     def note_ct(self, volume: Volume) -> None:
@@ -68,10 +68,10 @@ class Reopened:
             self.held.note(scanned_on=scanned_on)
 
 
-class Between:
+class ReplacementCase:
     """The stored case that replaces the open one: it is found and locked, then attached to the session or released."""
 
-    def __init__(self, saving: Saving) -> None:
+    def __init__(self, saving: Autosave) -> None:
         self._saving = saving
         self._digest: str | None = None
         self._reopened: Reopened | None = None
@@ -97,7 +97,7 @@ class Between:
             self._claim = records.claim(self._digest)
         except LockedElsewhereError:
             if is_new:
-                self._saving.core.emit(Said(OPEN_ELSEWHERE))
+                self._saving.core.emit(UserMessage(OPEN_ELSEWHERE))
 
     def take(self, digest: str | None, case_id: str | None = None) -> Reopened | None:
         """Lock and return a stored case of a CT, the given or the last used one.
@@ -206,8 +206,8 @@ class Between:
                 self._saving.remove(reopened.held)
 
 
-class Saving(Subject):
-    """The stored case of a session and the commands about it; :class:`Keeper` writes the case.
+class Autosave(CommandHandlers):
+    """The stored case of a session and the commands about it; :class:`CaseSaver` writes the case.
 
     Parameters
     ----------
@@ -219,12 +219,12 @@ class Saving(Subject):
         The storage that makes and opens case files.
     """
 
-    def __init__(self, core: SessionCore, records: CaseRecords | None, files: KeptFiles | None) -> None:
+    def __init__(self, core: SessionCore, records: CaseRecords | None, files: CaseFileFunctions | None) -> None:
         super().__init__(core)
         self.records = records
         self._files = files
-        self._kept: Keeper | None = None
-        self._ending: list[Keeper] = []
+        self._kept: CaseSaver | None = None
+        self._ending: list[CaseSaver] = []
         """Keepers whose disk did not respond when their case was closed."""
         self._awaited: str | None = None
         """Digest of the CT that the user must open to continue a dropped case; None if no case waits."""
@@ -234,18 +234,18 @@ class Saving(Subject):
     # ------------------------------------------------------------ opening and closing
 
     @contextmanager
-    def between(self) -> Iterator[Between]:
+    def between(self) -> Iterator[ReplacementCase]:
         """Release the open case while another case is opened; after a failure, store the open case again."""
         before = self._kept
         self.refuse_to_lose()
         self.let_go()
-        between = Between(self)
+        between = ReplacementCase(self)
         try:
             yield between
         except BaseException:
             between.give_back()
             if before is not None:
-                again = Between(self)
+                again = ReplacementCase(self)
                 try:
                     again.take(before.digest, None if before.held is None else before.held.record.case_id)
                 except (OSError, sqlite3.Error, CarinaError) as trouble:
@@ -269,7 +269,7 @@ class Saving(Subject):
             time.sleep(HELD_EVERY_S)
             held = self.records.hold(record)
         if held is None:
-            self.core.emit(Said(OPEN_ELSEWHERE))
+            self.core.emit(UserMessage(OPEN_ELSEWHERE))
             return None
         try:
             if held.path.exists():
@@ -286,7 +286,7 @@ class Saving(Subject):
         try:
             named.check()
         except NamedFileConflictError as conflict:
-            self.core.emit(Said(str(conflict)))
+            self.core.emit(UserMessage(str(conflict)))
         except OSError:
             pass  # The error is reported when the file is written.
         return named
@@ -328,7 +328,7 @@ class Saving(Subject):
                 return record
         if any(one.copy_path == path for one in records):
             self.core.emit(
-                Said(
+                UserMessage(
                     f"The file {case.path.name} was changed since this computer saved it last: it is opened as a new "
                     "case. The earlier case stays in the list of recent cases"
                 )
@@ -373,7 +373,7 @@ class Saving(Subject):
         )
         return Reopened(held, file, flights)
 
-    def _flights_in(self, file: KeptFile) -> tuple[RecordingFacts, ...]:
+    def _flights_in(self, file: StoredCaseFile) -> tuple[RecordingFacts, ...]:
         try:
             return file.recordings()
         except (OSError, sqlite3.Error, CarinaError) as trouble:
@@ -382,7 +382,7 @@ class Saving(Subject):
             )
             return ()
 
-    def remove(self, held: HeldCase) -> None:
+    def remove(self, held: LockedCase) -> None:
         """Remove a stored case that is not shown after all, and release its lock."""
         assert self.records is not None
         if self.records.forget(held.record):
@@ -404,7 +404,9 @@ class Saving(Subject):
         awaited, self._awaited = self._awaited, None
         if awaited is not None and digest != awaited:
             self.core.emit(
-                Said("this is not the CT of the case that you dropped; that case stays in the list of recent cases")
+                UserMessage(
+                    "this is not the CT of the case that you dropped; that case stays in the list of recent cases"
+                )
             )
 
     def open_ct_of(self, case: CaseFile) -> FoundScan | None:
@@ -415,7 +417,7 @@ class Saving(Subject):
         volume = kept.case.info.volume
         return FoundScan(volume, kept.place) if same_geometry(volume, case.source) else None
 
-    def say_unreadable(self, held: HeldCase, trouble: BaseException) -> None:
+    def say_unreadable(self, held: LockedCase, trouble: BaseException) -> None:
         """Report that a stored case is unreadable and unchanged, and that a new case was begun."""
         self.core.emit(
             Trouble(
@@ -471,7 +473,7 @@ class Saving(Subject):
                 copy_folder=None if copy is None else str(copy.parent),
                 suggested=suggested,
             )
-        kept = Keeper(
+        kept = CaseSaver(
             self.core,
             self.records,
             self._files,
@@ -574,7 +576,7 @@ class Saving(Subject):
             raise CarinaError(f"cannot save the case to {target}: {trouble}", code="case.not-saved") from trouble
         return target
 
-    def _keepers(self) -> tuple[Keeper, ...]:
+    def _keepers(self) -> tuple[CaseSaver, ...]:
         return (*self._ending, *(() if self._kept is None else (self._kept,)))
 
     def close(self, within_s: float = CLOSING_S) -> None:
@@ -716,7 +718,7 @@ class Saving(Subject):
             # The record must be on the disk before a program that opens the file looks up whether the case is open.
             kept.settle()
             was_replaced = "" if saved.replaced is None else f"; the replaced file is kept as {saved.replaced.name}"
-            self.core.emit(Said(f"saved as {path}{_without(saved.num_missing)}{was_replaced}"))
+            self.core.emit(UserMessage(f"saved as {path}{_without(saved.num_missing)}{was_replaced}"))
 
         return self.core.jobs.start("save", "saving the case", work)
 

@@ -1,7 +1,7 @@
 """Storage of one open case: a thread that writes the live file, a thread that writes the named file, and their state.
 
 No other thread waits for a disk. A change wakes the writing thread. A caller that needs all changes on the disk calls
-:meth:`Keeper.settle`, which returns after a time limit if the disk does not respond.
+:meth:`CaseSaver.settle`, which returns after a time limit if the disk does not respond.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from carina.case.stored_state import Moment
     from carina.disk import Placement
     from carina.session.core import SessionCore
-    from carina.session.store.interfaces import KeptFile, KeptFiles
+    from carina.session.store.interfaces import CaseFileFunctions, StoredCaseFile
     from carina.session.store.named_file_lock import NamedLock
-    from carina.session.store.registry import CaseRecord, CaseRecords, HeldCase
+    from carina.session.store.registry import CaseRecord, CaseRecords, LockedCase
 
-__all__ = ["NOT_RESPONDING", "Keeper", "SavedAs"]
+__all__ = ["NOT_RESPONDING", "CaseSaver", "SavedAs"]
 
 logger = logging.getLogger(__name__)
 
@@ -77,7 +77,7 @@ class _SavedElsewhere:
     """Numbers of the finished flights in the named file."""
 
 
-class Keeper:
+class CaseSaver:
     """Writer of one case to its live file and its named file, until another case replaces this case.
 
     Parameters
@@ -104,14 +104,14 @@ class Keeper:
         self,
         core: SessionCore,
         records: CaseRecords,
-        files: KeptFiles,
+        files: CaseFileFunctions,
         case: OpenCase,
         *,
         place: str | None,
         digest: str,
-        is_current: Callable[[Keeper], bool],
-        held: HeldCase | None = None,
-        file: KeptFile | None = None,
+        is_current: Callable[[CaseSaver], bool],
+        held: LockedCase | None = None,
+        file: StoredCaseFile | None = None,
         named: NamedFile | None = None,
         claim: NamedLock | None = None,
         info: SavingInfo,
@@ -178,7 +178,7 @@ class Keeper:
 
     def __repr__(self) -> str:
         """Describe the keeper by its saving info."""
-        return f"Keeper({self.info!r})"
+        return f"CaseSaver({self.info!r})"
 
     # ------------------------------------------------------------ calls from other threads
 

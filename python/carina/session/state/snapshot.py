@@ -35,13 +35,13 @@ __all__ = [
     "MaskQuestion",
     "NotEvident",
     "PoseInfo",
-    "Said",
     "SavingInfo",
     "ShownKeyFrame",
     "Snapshot",
     "Stage",
     "StartMarked",
     "Trouble",
+    "UserMessage",
     "WallPoint",
 ]
 
@@ -306,7 +306,7 @@ class StartMarked:
 
 @one_line
 @dataclass(frozen=True, slots=True)
-class Said:
+class UserMessage:
     """Report with a short message for the user."""
 
     message: str

@@ -13,7 +13,7 @@ from carina.errors import NoResultError, UsageError
 from carina.plan import tool
 from carina.plan.report import PlanMaterials
 from carina.scopes import scope_preset
-from carina.session.command_registry import Subject, answers, does
+from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.derived.lungs import LungsInfo
 from carina.session.derived.plans import PlannedTarget, PlanningInfo, chosen_number
 from carina.session.flights.tip_commands import place_pose
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["Planning"]
 
 
-class Planning(Subject):
+class Planning(CommandHandlers):
     """Commands of the steps *Target* and *Route* for targets outside the airways."""
 
     def follow(self, case: OpenCase) -> None:

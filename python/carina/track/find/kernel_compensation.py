@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import keep_cut_off_air_of, mix_with_blurs
-from carina.track.find.artefact_regions import Disturbed
+from carina.track.find.artefact_regions import ArtefactRegions
 from carina.track.find.kernel_sharpness import edge_undershoot_hu, undershoots_hu
 from carina.track.intensity_levels import AirScale
 from carina.track.paths.path_grid import DividedSlices
@@ -73,7 +73,7 @@ class Softened:
     """Whether the caller searches a softened copy if this search leaks."""
     divided: DividedSlices | None = None
     """Division of the slices of the CT that made ``volume``; None if ``volume`` has the original slices."""
-    disturbed: Disturbed | None = None
+    disturbed: ArtefactRegions | None = None
     """Parts of the CT whose values do not prove a small airway; None if they were not searched for."""
 
     def smoothed(self, sigma_mm: float) -> Softened:
