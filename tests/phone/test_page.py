@@ -27,7 +27,7 @@ from carina.navigate.pilot import CLUTCH_BUTTON
 from carina.phone import PhoneSwitch
 from carina.phone.link import MAX_BAD, ClockMap, PhoneLink
 from carina.phone.page import qr_rows
-from carina.server.devices import DeviceDesk
+from carina.server.devices import DeviceConnections
 from carina.server.network.access_checks import TokenGate
 from carina.server.network.lan_server import MAX_CONNECTIONS
 from carina.server.wire import messages as wire
@@ -216,7 +216,7 @@ def phone(web, unhurried):
     bench.open()
     page = PhoneSwitch(bench.session, web, address="127.0.0.1")
     sent: list[object] = []
-    desk = DeviceDesk(bench.session, sent.append, phone=page)
+    desk = DeviceConnections(bench.session, sent.append, phone=page)
     desk.start()
     page.start()
     url, _, token = page.info().url.partition("#")
@@ -552,7 +552,7 @@ def test_page_is_off_until_the_user_enables_it_and_a_failure_states_its_reason(w
     bench.open()
     page = PhoneSwitch(bench.session, web, address="203.0.113.250")  # reserved for documentation: no computer has it
     sent: list[object] = []
-    desk = DeviceDesk(bench.session, sent.append, phone=page)
+    desk = DeviceConnections(bench.session, sent.append, phone=page)
     assert page.info() is None
     message = desk.message()
     assert (message.phone, message.phone_problem) == (None, None)

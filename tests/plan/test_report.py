@@ -24,7 +24,7 @@ from carina.plan.report import make_sheet, write_report
 from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, ReportTable, Words
 from carina.plan.report.drawing import Label
 from carina.plan.report.sections import sections
-from carina.plan.routes.last_leg import Crossed, NearVessel
+from carina.plan.routes.last_leg import CrossedTissue, NearVessel
 from carina.plan.targets.edits import BRUSHED
 from carina.server.to_wire.plan import _route
 from carina.track import measure_tree
@@ -449,7 +449,7 @@ def test_needle_through_vessel_or_fissure_is_warned_of_to_the_far_edge_of_the_ta
     route = plan().routes[0]
     way = [("lumen", 3.0), ("lung", 2.0), (tissue if before else "lung", 1.0), ("target", 9.0), (tissue, 2.0)]
     ends = np.cumsum([length for _, length in way])
-    crossed = tuple(Crossed(t, float(end - length), length) for (t, length), end in zip(way, ends, strict=True))
+    crossed = tuple(CrossedTissue(t, float(end - length), length) for (t, length), end in zip(way, ends, strict=True))
     changed = dataclasses.replace(route, leg=dataclasses.replace(route.leg, crossed=crossed))
     told = dataclasses.replace(sheet(), plan=dataclasses.replace(plan(), routes=(changed, *plan().routes[1:])))
     (part,) = [part for part in sections(told) if part.name == "route"]

@@ -14,7 +14,7 @@ from carina.commands import Command, DeviceControls, GoTo
 from carina.errors import UsageError
 from carina.navigate.devices.igtl import IgtlPose, IgtlStream, pose_matrix
 from carina.navigate.devices.scope_handle import format_line
-from carina.server.devices import DeviceDesk
+from carina.server.devices import DeviceConnections
 from carina.server.wire import messages as wire
 from carina.session import UserMessage
 from simulated_serial import WAIT_S, PseudoPort, sending, wait_for
@@ -53,7 +53,7 @@ def pen(time_s: float, at: tuple[float, float, float], buttons: int = 0) -> wire
     )
 
 
-def do(made: DeviceDesk, command: Command) -> None:
+def do(made: DeviceConnections, command: Command) -> None:
     """Execute a command as the hub does."""
     made._session.do(command)
     made.done(command)
@@ -66,7 +66,7 @@ def desk(tmp_path):
     bench.session._core.clock = time.monotonic  # The thread of the desk uses the real time.
     bench.open()
     sent: list[object] = []
-    made = DeviceDesk(bench.session, sent.append, recordings=tmp_path / "recordings")
+    made = DeviceConnections(bench.session, sent.append, recordings=tmp_path / "recordings")
     made.start()
     yield made, bench, sent
     made.stop()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from carina.commands import OpenPath
-from carina.server.windows.latest_only import NewestOnly
+from carina.server.windows.latest_only import LatestTaskRunner
 from carina.server.windows.pointing import Pointing, live_path_message
 from carina.server.windows.prefetch import PathPrefetcher
 from carina.server.wire import messages as wire
@@ -138,7 +138,7 @@ def test_branch_without_measures_or_removed_branch_has_no_measures(pointing):
 
 
 def test_only_the_newest_task_of_a_kind_is_run_and_kinds_take_turns():
-    newest = NewestOnly("test")
+    newest = LatestTaskRunner("test")
     done, gate, last = [], threading.Event(), threading.Event()
     newest.start()
     newest.ask("a", lambda: gate.wait(WAIT_S))

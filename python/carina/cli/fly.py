@@ -22,7 +22,7 @@ from carina.cli.case import recording_in
 from carina.cli.cluster import opened_cluster
 from carina.cli.console import print_json, progress_printer, say
 from carina.cli.kept_frames import StoredFrames
-from carina.cli.opened import Opened, check_case_options, newest_state, opened
+from carina.cli.opened import OpenedInput, check_case_options, newest_state, opened
 from carina.cluster import ClusterRenderer, render_frames
 from carina.config import load_settings
 from carina.errors import NoResultError, TrackingError, UsageError, VolumeImportError
@@ -241,7 +241,7 @@ def _walls(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallFiel
     return wall
 
 
-def _own_view(source: Opened, keys: KeyFrameFile | None) -> dict[str, Any]:
+def _own_view(source: OpenedInput, keys: KeyFrameFile | None) -> dict[str, Any]:
     """Return the display settings of the key frames, or else those of the case."""
     if keys is not None:
         return keys.view
@@ -269,7 +269,7 @@ def _job(volume: Volume, frames: list[ReplayedPose], shown: _Shown, mixed: bool)
     return digest.hexdigest()
 
 
-def _renderer(source: Opened, progress: Any, make: RendererFactory | None) -> Renderer | ClusterRenderer:
+def _renderer(source: OpenedInput, progress: Any, make: RendererFactory | None) -> Renderer | ClusterRenderer:
     volume = source.volume
     renderer: Renderer | ClusterRenderer
     if make is None:

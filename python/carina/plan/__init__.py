@@ -15,7 +15,7 @@ from carina.plan.lungs.tissue_near_needle import NearbyTissue, lung_surroundings
 from carina.plan.lungs.vessels import VesselBranch, VesselTree
 from carina.plan.reach_atlas import ReachAtlas, reach_atlas
 from carina.plan.report import PlanSheet, make_sheet, write_report
-from carina.plan.routes.last_leg import Crossed, LastLeg, NearVessel, NeedleScene, last_leg
+from carina.plan.routes.last_leg import CrossedTissue, LastLeg, NearVessel, NeedleScene, last_leg
 from carina.plan.routes.needle_hits import NeedleErrors, hit_share
 from carina.plan.routes.plan_route import Plan, PlannedRoute, plan_route
 from carina.plan.routes.ranking import Outlook, ScoreWeights
@@ -45,7 +45,7 @@ __all__ = [
     "WHERE_WORDS",
     "BronchusSign",
     "Check",
-    "Crossed",
+    "CrossedTissue",
     "DrivenRoute",
     "FissureBox",
     "Landmark",

@@ -23,7 +23,7 @@ from carina.server.wire import messages as wire
 from carina.session import Session
 from carina.session.jobs.background_jobs import log_fault
 
-__all__ = ["DeviceDesk", "Phone"]
+__all__ = ["DeviceConnections", "Phone"]
 
 logger = logging.getLogger(__name__)
 
@@ -58,7 +58,7 @@ class Phone(Protocol):
         ...
 
 
-class DeviceDesk:
+class DeviceConnections:
     """Owner of the device connections and of the thread that moves the tip by their samples.
 
     Parameters

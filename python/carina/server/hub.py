@@ -15,7 +15,7 @@ from carina.commands import Command, MaskFileNeeded, OpenFiles, TakeKeyFrameFile
 from carina.errors import CarinaError, ProtocolError, UsageError
 from carina.render import ClusterStatus
 from carina.server.cluster_status import ClusterWatch
-from carina.server.devices import DeviceDesk, Phone
+from carina.server.devices import DeviceConnections, Phone
 from carina.server.files.uploads import Uploads
 from carina.server.frames.pacing import DEFAULT_RATE_HZ
 from carina.server.observers.page import ObserverPageServer
@@ -84,7 +84,7 @@ class Hub:
         self._rate_hz = DEFAULT_RATE_HZ
         self.texts = SharedTexts(session, patient_citation, self._push)
         self._warming = PathPrefetcher(session)
-        self.devices = DeviceDesk(session, self._tell, recordings=recordings, phone=phone)
+        self.devices = DeviceConnections(session, self._tell, recordings=recordings, phone=phone)
         self._watch = None if cluster_status is None else ClusterWatch(cluster_status, self._tell)
         self._watch_page = ObserverPageServer(
             self._attach_watcher,

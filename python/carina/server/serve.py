@@ -29,7 +29,7 @@ from carina.server.network.access_checks import Gate, is_loopback
 from carina.server.network.connection_limits import ACCEPT_AT_ONCE, WAITING_IN_LINE, UnauthenticatedConnections, quieten
 from carina.server.network.listening import bind
 from carina.server.network.request_timeouts import impatient
-from carina.server.network.shutdown import EndingServer
+from carina.server.network.shutdown import TimedShutdownServer
 from carina.server.unsaved_question import ConsoleTerminal, close_session
 from carina.server.wire.codec import MAX_TEXT_BYTES
 from carina.session import FORGOTTEN_FOR_S, CaseRecords, LocalStore, RendererFactory, Session, case_files, is_case_file
@@ -103,7 +103,7 @@ def start_url(gate: Gate) -> str:
     return f"http://{shown}:{gate.port}/?token={gate.new_token()}"
 
 
-class _Server(EndingServer):
+class _Server(TimedShutdownServer):
     """Uvicorn server that calls ``on_started`` when it accepts connections."""
 
     def __init__(

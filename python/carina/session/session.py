@@ -12,9 +12,9 @@ from typing import Any, TypeVar, cast
 
 from carina.commands import Command, Question, all_commands, checked
 from carina.errors import UsageError
-from carina.session.airways.editing import TreeEditing
-from carina.session.airways.finding import AirwayFinding
-from carina.session.airways.measuring import TreeMeasuring
+from carina.session.airways.editing import TreeEditHandlers
+from carina.session.airways.finding import AirwayHandlers
+from carina.session.airways.measuring import MeasurementHandlers
 from carina.session.cases.case_list import CaseList
 from carina.session.cases.observer import ObserverHandlers
 from carina.session.cases.opening import CaseOpener
@@ -22,11 +22,11 @@ from carina.session.command_registry import handlers_of
 from carina.session.core import Event, SessionCore
 from carina.session.engines import Parts, RendererFactory
 from carina.session.flights.devices import DeviceHandlers
-from carina.session.flights.key_frames import KeyFraming
+from carina.session.flights.key_frames import KeyFrameHandlers
 from carina.session.flights.recorded_flights import FlightHandlers
-from carina.session.flights.recording import FlightRecording
-from carina.session.flights.scope_contact import ScopeHolding
-from carina.session.flights.tip_commands import STRAIGHT_TO_THE_PILOT, Flying
+from carina.session.flights.recording import FlightRecorder
+from carina.session.flights.scope_contact import ScopeContactHandlers
+from carina.session.flights.tip_commands import STRAIGHT_TO_THE_PILOT, TipHandlers
 from carina.session.flights.verdict_drives import VerdictDriveHandlers
 from carina.session.jobs.background_jobs import JobRunner
 from carina.session.saving.autosave import CLOSING_S, Autosave, CaseFileFunctions
@@ -34,10 +34,10 @@ from carina.session.scene.shown_case import ShownCase
 from carina.session.state.snapshot import KeyFramesInfo, PoseInfo, Snapshot
 from carina.session.store.local_settings import LocalStore
 from carina.session.store.registry import CaseRecords
-from carina.session.targets.planning import Planning
-from carina.session.targets.routing import Routing
-from carina.session.targets.target_edits import TargetEditing
-from carina.session.view.look import Looking
+from carina.session.targets.planning import PlanHandlers
+from carina.session.targets.routing import RouteHandlers
+from carina.session.targets.target_edits import TargetHandlers
+from carina.session.view.look import LookHandlers
 from carina.session.view.questions import CaseQuestions
 
 __all__ = ["Session"]
@@ -86,9 +86,9 @@ class Session:
         files: CaseFileFunctions | None = None,
     ) -> None:
         core = SessionCore(renderer_factory, parts=parts, store=store, submit=submit, clock=clock, today=today)
-        holding, finding, editing = ScopeHolding(core), AirwayFinding(core), TreeEditing(core)
-        measuring, keys, planning = TreeMeasuring(core), KeyFraming(core), Planning(core)
-        recording = FlightRecording(core, holding)
+        holding, finding, editing = ScopeContactHandlers(core), AirwayHandlers(core), TreeEditHandlers(core)
+        measuring, keys, planning = MeasurementHandlers(core), KeyFrameHandlers(core), PlanHandlers(core)
+        recording = FlightRecorder(core, holding)
         self._core, self._keys, self._recording = core, keys, recording
         self._devices = DeviceHandlers(core, recording, self.do)
         self._saving = Autosave(core, records, files)
@@ -103,9 +103,9 @@ class Session:
             planning.follow,
         ]  # fmt: skip
         core.after_sight += [recording.note_view]
-        looking = Looking(core)
+        looking = LookHandlers(core)
         subjects = (
-            opening, Flying(core, holding), looking, Routing(core), planning, TargetEditing(core),
+            opening, TipHandlers(core, holding), looking, RouteHandlers(core), planning, TargetHandlers(core),
             finding, editing, keys, recording,
             FlightHandlers(core, self._saving.flight_text), VerdictDriveHandlers(core),
             self._devices, holding, self._saving, self._cases, CaseQuestions(core),

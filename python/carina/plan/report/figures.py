@@ -15,7 +15,7 @@ from carina.plan.report.plan_sheet import Fork
 from carina.plan.report.slices import SlicePicture
 from carina.plan.report.tree_shape import TreeShape
 from carina.plan.report.wording import text_width
-from carina.plan.routes.last_leg import Crossed, LastLeg, Tissue
+from carina.plan.routes.last_leg import CrossedTissue, LastLeg, Tissue
 
 __all__ = ["needle_bar", "slice_drawing", "tree_drawing"]
 
@@ -120,7 +120,7 @@ def needle_bar(leg: LastLeg, tool: Tool, *, width: float = 520.0) -> Drawing:
     return Drawing(width, top + bar + 31.0, tuple(shapes), f"Needle path from the tip: {said}")
 
 
-def _bar_label(one: Crossed, middle: float, base: float, left: float, width: float) -> Label:
+def _bar_label(one: CrossedTissue, middle: float, base: float, left: float, width: float) -> Label:
     text = _bar_words(one)
     half = 0.5 * text_width(text, 8.5)
     at = min(max(middle, left + half), width - half)
@@ -128,11 +128,11 @@ def _bar_label(one: Crossed, middle: float, base: float, left: float, width: flo
     return Label((at, base), text, 8.5, colour, "middle", bold=one.tissue in {"target", "vessel"})
 
 
-def _bar_words(one: Crossed) -> str:
+def _bar_words(one: CrossedTissue) -> str:
     return f"{one.tissue} {one.length_mm:.1f}"
 
 
-def _label_rows(crossed: Sequence[Crossed], scale: float) -> list[int]:
+def _label_rows(crossed: Sequence[CrossedTissue], scale: float) -> list[int]:
     """Return for each label of a needle bar the row above the bar, so that labels do not overlap."""
     ends: list[float] = []
     rows = []

@@ -11,14 +11,14 @@ import uvicorn
 
 from carina.server.network.connection_limits import UnauthenticatedConnections
 
-__all__ = ["FAREWELL_S", "EndingServer"]
+__all__ = ["FAREWELL_S", "TimedShutdownServer"]
 
 FAREWELL_S = 0.5
 """Seconds that a client has to read the remaining data and finish the closing handshake of a closed connection."""
 LOOK_EVERY_S = 0.02
 
 
-class EndingServer(uvicorn.Server):
+class TimedShutdownServer(uvicorn.Server):
     """Uvicorn server that aborts connections whose client does not finish the closing handshake in time.
 
     A busy or suspended browser can delay the closing handshake by half a minute. Uvicorn would wait for its grace

@@ -13,7 +13,7 @@ from carina.commands import LivePathTo, LumenBeforeWall, MeasuresOf, PreviewOf
 from carina.errors import CarinaError, UsageError
 from carina.server.to_wire.thin_points import thinned
 from carina.server.to_wire.tree import branch_detail_message
-from carina.server.windows.latest_only import NewestOnly
+from carina.server.windows.latest_only import LatestTaskRunner
 from carina.server.wire import messages as wire
 from carina.session import NotEvident, Session, log_fault
 from carina.track import AddBranch, Bridge, EditPreview, MoveFork
@@ -47,7 +47,7 @@ class Pointing:
         self._session = session
         self._shown = shown
         self._push = push
-        self._newest = NewestOnly("carina-pointing")
+        self._newest = LatestTaskRunner("carina-pointing")
 
     def start(self) -> None:
         """Start the thread that answers the requests."""

@@ -6,7 +6,7 @@ import logging
 
 from carina.commands import LivePathTo
 from carina.errors import CarinaError
-from carina.server.windows.latest_only import NewestOnly
+from carina.server.windows.latest_only import LatestTaskRunner
 from carina.session import Session, log_fault
 
 __all__ = ["PathPrefetcher"]
@@ -25,7 +25,7 @@ class PathPrefetcher:
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._newest = NewestOnly("carina-warming")
+        self._newest = LatestTaskRunner("carina-warming")
         self._warmed: object = None
 
     def start(self) -> None:

@@ -21,7 +21,7 @@ from carina.track import AddBranch, FoldedAirways, edit_words, fold_airways, nam
 if TYPE_CHECKING:
     from carina.track import TreeEdit
 
-__all__ = ["MAX_AIRWAYS_KEPT", "TreeEditing", "airway_words", "found_airways"]
+__all__ = ["MAX_AIRWAYS_KEPT", "TreeEditHandlers", "airway_words", "found_airways"]
 
 MAX_AIRWAYS_KEPT = 4
 """Number of segmented airways that undo can restore; a lumen and its tracker take some hundred megabytes."""
@@ -34,7 +34,7 @@ LOOK_S = 0.05
 """Interval, in s, at which an edit that waits for an earlier edit checks whether it was stopped."""
 
 
-class TreeEditing(CommandHandlers):
+class TreeEditHandlers(CommandHandlers):
     """The commands that change the airway tree."""
 
     def __init__(self, core: SessionCore) -> None:

@@ -25,13 +25,13 @@ from carina.session.state.snapshot import MaskQuestion
 from carina.session.targets.retrack import tracked_target
 from carina.volume import Mask, MaskGridError, MaskLabel, MaskLabelError
 
-__all__ = ["AirwayFinding"]
+__all__ = ["AirwayHandlers"]
 
 SET_THE_ROOT = "Mark the trachea: click inside it on a slice."
 AIRWAY_NAMES = re.compile(r"airway|bronch|trache|lumen|luftweg|luftröhre|voies a", re.IGNORECASE)
 
 
-class AirwayFinding(CommandHandlers):
+class AirwayHandlers(CommandHandlers):
     """Commands that replace the airways of the case; each runs as a job and forms one undo step."""
 
     # ------------------------------------------------------------ segmentation of the CT

@@ -18,7 +18,7 @@ from carina.commands.value import LocalCommand, checked
 from carina.config import load_settings
 from carina.errors import CarinaError, UsageError
 from carina.render import Sight
-from carina.session.attach.client import LinkLostError, OwnerLink
+from carina.session.attach.client import LinkLostError, OwnerConnection
 from carina.session.attach.messages import Settled
 from carina.session.attach.select import do_and_wait, program_session
 from carina.session.attach.working_copy import NamedCase
@@ -70,12 +70,12 @@ class RemoteCase:
     """
 
     def __init__(
-        self, records: CaseRecords, case_id: str, session: Session, link: OwnerLink, followed: _Followed
+        self, records: CaseRecords, case_id: str, session: Session, link: OwnerConnection, followed: _Followed
     ) -> None:
         self._records = records
         self._case_id = case_id
         self._session = session
-        self._link: OwnerLink | None = link
+        self._link: OwnerConnection | None = link
         self._followed = followed
         self._saving = SavingInfo()
         self._named: NamedCase | None = None
@@ -127,7 +127,9 @@ class RemoteCase:
         return None
 
     @classmethod
-    def _joined(cls, records: CaseRecords, record: CaseRecord, link: OwnerLink, ct: str | Path | None) -> RemoteCase:
+    def _joined(
+        cls, records: CaseRecords, record: CaseRecord, link: OwnerConnection, ct: str | Path | None
+    ) -> RemoteCase:
         settings = load_settings()
         # The owner replies after its running jobs, such as the airway search, have ended.
         saving = _saved(link.settle(all_jobs=True))
@@ -291,13 +293,13 @@ class RemoteCase:
 
     # ------------------------------------------------------------ the end of the owner
 
-    def _lost(self, link: OwnerLink) -> None:
+    def _lost(self, link: OwnerConnection) -> None:
         """Start a thread that takes over the case after the connection to its owner has ended."""
         with self._lock:
             if not self._closed:
                 self._go_on_without(link)
 
-    def _go_on_without(self, link: OwnerLink) -> None:
+    def _go_on_without(self, link: OwnerConnection) -> None:
         """Become the owner, or join the new owner; after both fail, work on a named file.
 
         The caller holds this object's lock.
@@ -334,7 +336,7 @@ class RemoteCase:
             time.sleep(LOOK_EVERY_S)
 
     def _join_again(self, door: Door) -> bool:
-        link = OwnerLink.connect(door, self._case_id)
+        link = OwnerConnection.connect(door, self._case_id)
         if link is None:
             return False
         try:
@@ -374,7 +376,7 @@ def _meant(records: CaseRecords, source: str | Path) -> list[CaseRecord]:
     return [one for one in records.all() if one.place == place]
 
 
-def _linked(records: CaseRecords, record: CaseRecord) -> OwnerLink | None:
+def _linked(records: CaseRecords, record: CaseRecord) -> OwnerConnection | None:
     """Return a connection to the process that has a case open; None if the program cannot join a process.
 
     The owner writes its connection details once the case is on the disk, which takes a moment after the opening.
@@ -383,7 +385,7 @@ def _linked(records: CaseRecords, record: CaseRecord) -> OwnerLink | None:
     while True:
         door = records.door_of(record)
         if door is not None:
-            return OwnerLink.connect(door, record.case_id)
+            return OwnerConnection.connect(door, record.case_id)
         if not records.is_held(record) or time.monotonic() >= end_s:
             return None
         time.sleep(LOOK_EVERY_S)

@@ -7,10 +7,10 @@ import numpy as np
 from carina import commands as c
 from carina.case.stored_state import Moment
 from carina.errors import UsageError
-from carina.session.airways.finding import AirwayFinding
+from carina.session.airways.finding import AirwayHandlers
 from carina.session.command_registry import CommandHandlers, does
 from carina.session.core import ALL_TOPICS, SessionCore
-from carina.session.flights.scope_contact import ScopeHolding
+from carina.session.flights.scope_contact import ScopeContactHandlers
 from carina.session.open_case.open_case import LastMove, OpenCase, restore
 from carina.session.saving.autosave import Autosave, ReplacementCase
 
@@ -20,7 +20,9 @@ __all__ = ["ObserverHandlers"]
 class ObserverHandlers(CommandHandlers):
     """Commands that mirror a case of another process: all but the sight of this session is copied from the owner."""
 
-    def __init__(self, core: SessionCore, finding: AirwayFinding, holding: ScopeHolding, saving: Autosave) -> None:
+    def __init__(
+        self, core: SessionCore, finding: AirwayHandlers, holding: ScopeContactHandlers, saving: Autosave
+    ) -> None:
         super().__init__(core)
         self._finding = finding
         self._holding = holding

@@ -10,12 +10,12 @@ from carina import commands as c
 from carina.case import CaseFile, CaseFileError
 from carina.case.stored_state import Moment
 from carina.errors import UsageError, VolumeImportError
-from carina.session.airways.finding import AirwayFinding
+from carina.session.airways.finding import AirwayHandlers
 from carina.session.command_registry import CommandHandlers, does
 from carina.session.core import ALL_TOPICS, SessionCore
 from carina.session.derived.plans import CtOrigin
-from carina.session.flights.recording import FlightRecording
-from carina.session.flights.scope_contact import ScopeHolding
+from carina.session.flights.recording import FlightRecorder
+from carina.session.flights.scope_contact import ScopeContactHandlers
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase, new_case
 from carina.session.saving.autosave import Autosave
@@ -55,9 +55,9 @@ class CaseOpener(CommandHandlers):
     def __init__(
         self,
         core: SessionCore,
-        finding: AirwayFinding,
-        recording: FlightRecording,
-        holding: ScopeHolding,
+        finding: AirwayHandlers,
+        recording: FlightRecorder,
+        holding: ScopeContactHandlers,
         saving: Autosave,
     ) -> None:
         super().__init__(core)

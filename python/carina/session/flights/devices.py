@@ -15,7 +15,7 @@ from carina.errors import CarinaError
 from carina.navigate import PenState, Sample, fit_registration, moves
 from carina.session.command_registry import CommandHandlers, does
 from carina.session.core import SessionCore
-from carina.session.flights.recording import FlightRecording
+from carina.session.flights.recording import FlightRecorder
 from carina.session.open_case.open_case import OpenCase, as_point
 from carina.session.state.snapshot import DevicesInfo, StartMarked, Trouble, UserMessage
 
@@ -38,7 +38,7 @@ class DeviceHandlers(CommandHandlers):
     def __init__(
         self,
         core: SessionCore,
-        recording: FlightRecording,
+        recording: FlightRecorder,
         do: Callable[[c.Command], str | None],
     ) -> None:
         super().__init__(core)

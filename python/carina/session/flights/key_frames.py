@@ -30,12 +30,12 @@ from carina.session.open_case.point_tests import in_airways
 from carina.session.state.snapshot import KeyFramesInfo, ShownKeyFrame, UserMessage
 from carina.volume import Volume
 
-__all__ = ["MAX_KEYS", "KeyFraming", "key_file"]
+__all__ = ["MAX_KEYS", "KeyFrameHandlers", "key_file"]
 
 MAX_KEYS = 200
 
 
-class KeyFraming(CommandHandlers):
+class KeyFrameHandlers(CommandHandlers):
     """Commands for key frames, which are part of the document; every change is an undo step."""
 
     # ------------------------------------------------------------ the list

@@ -15,10 +15,10 @@ from carina.session.state.snapshot import UserMessage
 if TYPE_CHECKING:
     from carina.track import Airways
 
-__all__ = ["ScopeHolding"]
+__all__ = ["ScopeContactHandlers"]
 
 
-class ScopeHolding(CommandHandlers):
+class ScopeContactHandlers(CommandHandlers):
     """Places the scope along the route, constrained by the airway wall, in mode *scope*."""
 
     def enter(self, case: OpenCase) -> None:

@@ -24,10 +24,10 @@ from carina.session.targets.retrack import needed_target
 if TYPE_CHECKING:
     from carina.track import Airways
 
-__all__ = ["Planning"]
+__all__ = ["PlanHandlers"]
 
 
-class Planning(CommandHandlers):
+class PlanHandlers(CommandHandlers):
     """Commands of the steps *Target* and *Route* for targets outside the airways."""
 
     def follow(self, case: OpenCase) -> None:

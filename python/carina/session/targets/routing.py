@@ -19,10 +19,10 @@ from carina.session.open_case.point_tests import in_lumen
 from carina.session.state.snapshot import UserMessage
 from carina.session.targets.retrack import NO_START, needed_target, searched_target, tracked_target
 
-__all__ = ["Routing"]
+__all__ = ["RouteHandlers"]
 
 
-class Routing(CommandHandlers):
+class RouteHandlers(CommandHandlers):
     """Commands that add and remove targets and choose the route."""
 
     @does(c.AddTarget)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from carina._core import flood_lumen
 from carina.track.find.air_upwards import SEPTUM_MM2, SIDES, AirSection, follow_up, spread
-from carina.track.find.kernel_compensation import Softened
+from carina.track.find.kernel_compensation import SoftenedCt
 from carina.track.find.padding import padding_near
 from carina.track.find.root_checks import SURE_TRACHEA_MM
 from carina.track.find.upper_airway import (
@@ -50,7 +50,7 @@ class TopOfTrachea:
     """Voxels (i, j, k) of the trachea, from its top down."""
     start: Point
     """Uppermost voxel of the trachea, LPS in mm."""
-    searched: Softened
+    searched: SoftenedCt
     """CT with tissue in place of air that is not trachea."""
     upper_zyx: NDArray[np.uint8] | None
     """Mask (nz, ny, nx), 1 in larynx and throat; None if the scan ends below them."""
@@ -69,7 +69,7 @@ class TopOfTrachea:
 
 
 def top_of_trachea(
-    soft: Softened, seeds: list[tuple[int, int, int]], scale: AirScale, stage: Stages
+    soft: SoftenedCt, seeds: list[tuple[int, int, int]], scale: AirScale, stage: Stages
 ) -> TopOfTrachea | None:
     """Find the upper end of the trachea and any opening to other air, or return None if the given end is correct.
 
@@ -139,7 +139,7 @@ def _below_padding(sections: list[AirSection], padding: NDArray[np.bool_]) -> li
 
 
 def _above_a_bronchus(
-    soft: Softened, seeds: list[tuple[int, int, int]], sections: list[AirSection]
+    soft: SoftenedCt, seeds: list[tuple[int, int, int]], sections: list[AirSection]
 ) -> TopOfTrachea | None:
     """Return the trachea above a bronchus that was taken for the trachea; None if the seeds are in the trachea."""
     trachea = sections[carina_of(sections) :]
