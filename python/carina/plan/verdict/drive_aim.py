@@ -59,7 +59,7 @@ def aim_drive(
 
     Returns
     -------
-    Aimed
+    AimedDrive
         The drive with the best share of hits; with equal shares, the one that points nearest to the target.
     """
     recorder = _repeated(way, wall, scope, driven.moves)
