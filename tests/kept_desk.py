@@ -129,7 +129,7 @@ class Desk:
 
     def kill(self) -> None:
         """Simulate a kill: nothing more is written, and the locks are released as the operating system would do."""
-        kept = self.session._saving._kept
+        kept = self.session._saving._saver
         assert kept is not None
         if kept.held is not None:
             kept.held.release()
@@ -137,4 +137,4 @@ class Desk:
             kept._claim.release()
         if kept.named is not None:
             kept.named.close()
-        self.session._saving._kept = None
+        self.session._saving._saver = None

@@ -93,14 +93,14 @@ def test_undo_after_reopening_gives_the_same_steps_as_without_reopening(tmp_path
     assert session._saving.write_now()
     if is_killed:
         # Simulate a kill: nothing more is written, the lock is released, and the journal stays.
-        kept = session._saving._kept
+        kept = session._saving._saver
         kept.held.release()
-        session._saving._kept = None
+        session._saving._saver = None
         kept.file._connection = None
     else:
         # Close the file; the session itself stays open for the comparison.
-        kept = session._saving._kept
-        session._saving._kept = None
+        kept = session._saving._saver
+        session._saving._saver = None
         kept.file.close()
         kept.held.release()
     again, other_background = started(tmp_path)
@@ -285,7 +285,7 @@ def test_recording_interrupted_by_a_crash_lacks_only_its_last_moments(tmp_path, 
     flown(session, session._core.clock, 4)
     assert session._saving.write_now()
     # Nothing more is written before the file is read.
-    monkeypatch.setattr(session._saving._kept, "changed", lambda _topics: None)
+    monkeypatch.setattr(session._saving._saver, "changed", lambda _topics: None)
     flown(session, session._core.clock, 1)
     with CaseFile.open(live_file(tmp_path), read_only=True) as file:
         (told,) = file.recordings()
@@ -419,9 +419,9 @@ def test_flight_interrupted_by_a_crash_is_listed_as_incomplete_and_replayed_to_i
     flown(session, session._core.clock, 2)
     assert session._saving.write_now()
     # Simulate a kill: nothing more is written, the lock is released, and the journal stays.
-    kept = session._saving._kept
+    kept = session._saving._saver
     kept.held.release()
-    session._saving._kept = None
+    session._saving._saver = None
     kept.file._connection = None
     again, _ = started(tmp_path)
     (flight,) = again.snapshot().flights

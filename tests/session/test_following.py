@@ -64,7 +64,7 @@ def test_follower_has_its_own_sight(pair):
 
 def test_refused_takeover_does_not_claim_the_ct(pair):
     owner, other, _, case_id = pair
-    kept = owner._saving._kept
+    kept = owner._saving._saver
     # An owner that took over the case itself may have no claim on the CT.
     kept._claim.release()
     with pytest.raises(UsageError):

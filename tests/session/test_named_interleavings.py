@@ -91,7 +91,7 @@ class Window(Author):
 
     @property
     def keeper(self):
-        return self.session._saving._kept
+        return self.session._saving._saver
 
     def steps(self):
         return {(step.label, step.at_s) for step in self.session.snapshot().steps}

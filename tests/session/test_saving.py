@@ -247,7 +247,7 @@ def test_saving_thread_writes_without_a_request(desk):
     desk.open()
     session.do(c.SetFov(100.0))
     desk.clock.advance(5.0)
-    kept = session._saving._kept
+    kept = session._saving._saver
     with kept._wake:
         kept._wake.notify_all()
         assert kept._wake.wait_for(lambda: kept.info.saved_s is not None, 60.0)
@@ -335,7 +335,7 @@ def test_notes_in_the_record_that_cannot_be_written_do_not_block_saving(desk, mo
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(LockedCase, "note", refuses)
-    kept = session._saving._kept
+    kept = session._saving._saver
     kept.call("a name", None)
     assert kept.settle()
     assert kept.info.problem is not None
@@ -419,7 +419,7 @@ def test_closing_over_a_changed_named_file_keeps_the_work_and_reports_it(desk, n
     assert named.read_text() == "a letter"
     desk.open()
     assert desk.session.snapshot().document.look.fov_deg == 90.0
-    kept = desk.session._saving._kept
+    kept = desk.session._saving._saver
     with kept._wake:
         assert kept._wake.wait_for(lambda: kept.info.copy_conflict == "not-a-case", 60.0), "shown at once"
     desk.session.close()
@@ -446,7 +446,7 @@ def test_named_file_is_recognised_after_two_consecutive_crashes(desk, named, mon
     # The first crash occurs after the file was replaced and before the record contains its digest.
     with monkeypatch.context() as patched:
         patched.setattr(LockedCase, "note", cut_off)
-        desk.session._saving._kept.save_to(named)
+        desk.session._saving._saver.save_to(named)
         desk.saved()
         desk.kill()
     content = named.read_text()
@@ -460,7 +460,7 @@ def test_named_file_is_recognised_after_two_consecutive_crashes(desk, named, mon
     with monkeypatch.context() as patched:
         patched.setattr(NamedFile, "_replace_locked", power_cut)
         with pytest.raises(OSError, match="Input/output"):
-            desk.session._saving._kept.save_to(named)
+            desk.session._saving._saver.save_to(named)
         desk.kill()
     assert named.read_text() == content
     desk.start()

@@ -64,7 +64,7 @@ class StallingDesk(Desk):
 
     @property
     def kept(self):
-        return self.session._saving._kept
+        return self.session._saving._saver
 
     def until(self, condition):
         """Wait until the condition holds. The caller holds the lock of the threads: the condition must not take it."""

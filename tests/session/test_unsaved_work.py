@@ -305,7 +305,7 @@ def test_failed_write_that_began_before_the_disk_recovered_is_repeated_at_once(d
                 break
         assert begun.is_set()
     clear(desk)
-    keeper = desk.session._saving._kept
+    keeper = desk.session._saving._saver
     results = []
     asking = threading.Thread(target=lambda: results.append(desk.session._saving.write_now()))
     asking.start()

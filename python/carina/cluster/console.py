@@ -97,7 +97,7 @@ class Console:
         self._later: list[tuple[float, Callable[[], None]]] = []
         self._frame_ids = itertools.count(1)
         self._notices: list[str] = []
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._meter = RateMeter()
         self._status: ClusterStatus | None = None
         self.jobs: list[StripTiming] | None = [] if keep_jobs else None
@@ -530,8 +530,8 @@ class Console:
         frame.deliver(now_s)
 
     def _tell(self, words: str) -> None:
-        if words not in self._told:
-            self._told.add(words)
+        if words not in self._reported:
+            self._reported.add(words)
             self._notices.append(words)
             del self._notices[:-50]
             logger.warning("%s", words)

@@ -110,7 +110,7 @@ class RemoteCase:
         """
         settings = load_settings()
         records = CaseRecords(settings.cases_dir, time.time)
-        for record in _meant(records, source):
+        for record in _possible_records(records, source):
             link = _linked(records, record)
             if link is None:
                 continue
@@ -368,7 +368,7 @@ class RemoteCase:
         )
 
 
-def _meant(records: CaseRecords, source: str | Path) -> list[CaseRecord]:
+def _possible_records(records: CaseRecords, source: str | Path) -> list[CaseRecord]:
     """Return the records of the cases to which a case file or a CT may belong, the case used last first."""
     place = str(Path(source).expanduser().absolute())
     if is_case_file(place):

@@ -383,7 +383,7 @@ class CaseSaver:
             # The user saved the case under another name while the update of this file waited for its disk.
             return named is before and self._named is not before
 
-        with self._news(told, unless=is_outdated):
+        with self._change_info(told, unless=is_outdated):
             former = self._named
             if not is_outdated():
                 self._notes |= {
@@ -475,7 +475,7 @@ class CaseSaver:
                 told = self._write(notes, is_changed=changed_s is not None)
             except Exception as error:  # Otherwise the thread would end and store no further change.
                 trouble = error
-            with self._news(told | {"problem": None if trouble is None else _words(trouble)}):
+            with self._change_info(told | {"problem": None if trouble is None else _words(trouble)}):
                 if trouble is None:
                     self._num_kept = self._num_begun
                     if changed_s is not None:
@@ -645,7 +645,9 @@ class CaseSaver:
         has_ended = threading.Event()
 
         def slow() -> None:
-            with self._news({"copy_problem": NOT_RESPONDING}, unless=lambda: has_ended.is_set() or is_outdated()):
+            with self._change_info(
+                {"copy_problem": NOT_RESPONDING}, unless=lambda: has_ended.is_set() or is_outdated()
+            ):
                 pass
 
         def is_outdated() -> bool:
@@ -660,14 +662,16 @@ class CaseSaver:
             else:
                 named.check()
                 has_ended.set()
-                with self._news({"copy_problem": None, "copy_conflict": None, "beside": None}, unless=is_outdated):
+                with self._change_info(
+                    {"copy_problem": None, "copy_conflict": None, "beside": None}, unless=is_outdated
+                ):
                     self._is_named_checked = self._is_named_checked or not is_outdated()
         except NamedFileConflictError as conflict:
             has_ended.set()
             self.tell_conflict(conflict)
         except Exception as trouble:
             has_ended.set()
-            with self._news({"copy_problem": _words(trouble)}, unless=is_outdated):
+            with self._change_info({"copy_problem": _words(trouble)}, unless=is_outdated):
                 self._plan_copy(COPY_RETRY_S)
         finally:
             has_ended.set()
@@ -685,7 +689,7 @@ class CaseSaver:
             "copy_conflict": conflict.kind,
             "beside": str(path_beside(conflict.path)),
         }
-        with self._news(values):
+        with self._change_info(values):
             self._is_named_checked = True
             self._plan_copy(COPY_EVERY_S)
 
@@ -697,7 +701,7 @@ class CaseSaver:
         this = object()
 
         def slow() -> None:
-            with self._news({"problem": ELSEWHERE}, unless=lambda: self._busy is not this):
+            with self._change_info({"problem": ELSEWHERE}, unless=lambda: self._busy is not this):
                 if self._busy is this:
                     self._is_slow = True
 
@@ -716,11 +720,11 @@ class CaseSaver:
                     self._wake.notify_all()
 
     def _tell(self, **values: object) -> None:
-        with self._news(values):
+        with self._change_info(values):
             pass
 
     @contextmanager
-    def _news(self, values: dict[str, Any], unless: Callable[[], bool] = lambda: False) -> Iterator[None]:
+    def _change_info(self, values: dict[str, Any], unless: Callable[[], bool] = lambda: False) -> Iterator[None]:
         """Change fields of the saving info and report the change; the block runs with both locks held."""
         with self._core.lock:
             with self._wake:

@@ -61,7 +61,7 @@ class _LayerMask:
         self._mask, self._without = mask, without
         self._lock = threading.Lock()
         self._outline: MaskOutline | None = None
-        self._kept: OrderedDict[bytes, bytes | None] = OrderedDict()
+        self._cache: OrderedDict[bytes, bytes | None] = OrderedDict()
         num = np.array(mask.inside_zyx.shape[::-1])
         ends = np.array([[i, j, k, 1] for i in (-1, num[0]) for j in (-1, num[1]) for k in (-1, num[2])], dtype=float)
         self._corners = (ends @ mask.lps_from_ijk.T)[:, :3]
@@ -90,16 +90,16 @@ class _LayerMask:
         # Rounded to 0.01 mm, far below the voxel size of any mask.
         key = np.round(lps_from_line * 100.0).tobytes()
         with self._lock:
-            if key in self._kept:
-                self._kept.move_to_end(key)
-                return self._kept[key]
+            if key in self._cache:
+                self._cache.move_to_end(key)
+                return self._cache[key]
             if self._outline is None:
                 self._outline = MaskOutline(self._inside(), self._mask.lps_from_ijk)
         data = self._outline.encoded(lps_from_line, width, height)
         with self._lock:
-            self._kept[key] = data
-            while len(self._kept) > MOST_KEPT:
-                self._kept.popitem(last=False)
+            self._cache[key] = data
+            while len(self._cache) > MOST_KEPT:
+                self._cache.popitem(last=False)
         return data
 
     def _inside(self) -> NDArray[np.bool_]:

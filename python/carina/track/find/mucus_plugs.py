@@ -184,7 +184,7 @@ class _GapSearch:
         gaps = [gap for end in island.ends for gap in self._gaps(end)]
         if not gaps or not self._lies_in_lung(island):
             return None
-        return self._told(min(gaps, key=lambda gap: (gap.score, gap.lumen_lps.tolist())))
+        return self._uncertainty(min(gaps, key=lambda gap: (gap.score, gap.lumen_lps.tolist())))
 
     def _reaches_edge(self, island: Island) -> bool:
         ijk = self._volume.to_ijk(island.points_lps)
@@ -266,7 +266,7 @@ class _GapSearch:
         fallen = outside & (rays <= self._look.lung) & (risen - rays >= 0.5 * self._rise)
         return bool(fallen.any(axis=1).mean() >= LEAST_IN_LUNG)
 
-    def _told(self, gap: _Gap) -> Uncertainty | None:
+    def _uncertainty(self, gap: _Gap) -> Uncertainty | None:
         branch, _, _ = self._tree.nearest_branch(gap.lumen_lps)
         after = self._calibre_after(gap.end)
         axis, outer = self._followed(gap, after)
