@@ -278,7 +278,7 @@ class PhonePage:
     # ------------------------------------------------------------ samples and actions
 
     def _heard(self, sample: object) -> None:
-        self._session.devices.said(DEVICE, sample)  # type: ignore[arg-type]
+        self._session.devices.receive_sample(DEVICE, sample)  # type: ignore[arg-type]
 
     def _clutch_held_moves(self) -> bool:
         devices = self._session.devices.info()

@@ -126,7 +126,7 @@ class DeviceConnections:
         session = self._session
         match message:
             case wire.DeviceSampleMessage():
-                session.devices.said(message.device, _sample(message))
+                session.devices.receive_sample(message.device, _sample(message))
                 return True
             case wire.ConnectDevice():
                 self._connect(message.address)
@@ -176,7 +176,7 @@ class DeviceConnections:
         self._session.do(commands.DeviceGone(device))
 
     def _connect(self, address: str) -> None:
-        source = open_source(address, Listener(self._session.devices.said, self._gone))
+        source = open_source(address, Listener(self._session.devices.receive_sample, self._gone))
         # The source's own address is the key: the typed address may omit a port or contain more than the address.
         if source.address in self._sources:
             raise UsageError(f"{source.address} is already connected", code="devices.address")

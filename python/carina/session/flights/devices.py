@@ -63,7 +63,7 @@ class DeviceHandlers(CommandHandlers):
         """Path of the running recording's file, or its name in the case; None without a running recording."""
         return self._recording.name
 
-    def said(self, device: str, sample: Sample) -> None:
+    def receive_sample(self, device: str, sample: Sample) -> None:
         """Accept a sample of a device, from any thread and at any rate; samples are ignored while no case is open."""
         with self.core.lock:
             case = self.core.case
