@@ -8,7 +8,7 @@ from typing import Any
 from carina import commands as c
 from carina.errors import CarinaError
 from carina.session import Session
-from carina.session.saving.autosave import KeptFiles
+from carina.session.saving.autosave import CaseFileFunctions
 from carina.session.store.registry import CaseRecords
 from small_case import Background, Clock, SmallRenderer, small_parts
 
@@ -110,13 +110,13 @@ class Desk:
             submit=self.background,
             clock=self.clock,
             records=CaseRecords(self.folder / "cases", self.wall),
-            files=self.kept_files(KeptFiles(create, reopen, write, lambda _volume: self.digest)),
+            files=self.kept_files(CaseFileFunctions(create, reopen, write, lambda _volume: self.digest)),
             store=self.store,
         )
         self.session.subscribe(self.events.append)
         return self.session
 
-    def kept_files(self, files: KeptFiles) -> KeptFiles:
+    def kept_files(self, files: CaseFileFunctions) -> CaseFileFunctions:
         """Return the functions that open case files; subclasses replace them."""
         return files
 
@@ -129,7 +129,7 @@ class Desk:
 
     def kill(self) -> None:
         """Simulate a kill: nothing more is written, and the locks are released as by the operating system."""
-        kept = self.session._saving._kept
+        kept = self.session._saving._saver
         assert kept is not None
         if kept.held is not None:
             kept.held.release()
@@ -137,4 +137,4 @@ class Desk:
             kept._claim.release()
         if kept.named is not None:
             kept.named.close()
-        self.session._saving._kept = None
+        self.session._saving._saver = None

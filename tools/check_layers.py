@@ -311,6 +311,15 @@ def repeating(classes: Mapping[str, Fields]) -> dict[str, str]:
     return found
 
 
+def defined_twice(classes: Iterable[tuple[str, ast.ClassDef]]) -> dict[str, list[str]]:
+    """Return each public class name that several files define, with these files."""
+    files: dict[str, list[str]] = {}
+    for path, node in classes:
+        if not node.name.startswith("_"):
+            files.setdefault(node.name, []).append(path)
+    return {name: paths for name, paths in files.items() if len(paths) > 1}
+
+
 def _lineage(classes: Mapping[str, ast.ClassDef], name: str, seen: tuple[str, ...] = ()) -> list[ast.ClassDef]:
     """Return a class and the classes that it inherits from, if they are in the product."""
     if name not in classes or name in seen:
@@ -362,6 +371,10 @@ def check_limits(files: Mapping[str, str]) -> list[str]:
     if len(repeated) > MOST_REPEATING:
         pairs = ", ".join(f"{name} {other}" for name, other in repeated.items())
         found.append(f"{len(repeated)} classes repeat another (at most {MOST_REPEATING}): {pairs}")
+    found += [
+        f"class {name} is defined {len(paths)} times: {', '.join(paths)}; use one class, or name what differs"
+        for name, paths in sorted(defined_twice(classes).items())
+    ]
     for name in (*MOST_METHODS, *MOST_ATTRIBUTES):
         if name not in by_name:
             found.append(f"no class {name} in python/carina: correct the limits in tools/check_layers.py")

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from carina.cluster import ClusterRenderer, ClusterSettings, Console
-from carina.cluster.console import Job
+from carina.cluster.console import StripTiming
 from carina.cluster.node import Node, make_token
 from carina.cluster.ray_backend import RayCluster
 from carina.cluster.renderer_host import RendererHost
@@ -123,7 +123,7 @@ class Flown:
     shown_s: tuple[float, ...]
     overhead_s: tuple[float, ...]
     """Time from the request to the display of each frame, less the time of its slowest strip, s."""
-    jobs: tuple[Job, ...]
+    jobs: tuple[StripTiming, ...]
 
     @property
     def response_s(self) -> float:

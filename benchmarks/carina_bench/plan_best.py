@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import CarinaError
-from carina.plan import Nodule, Plan, PlannedRoute, Surroundings, grow_nodule, plan_route, surroundings
+from carina.plan import NearbyTissue, Nodule, Plan, PlannedRoute, grow_nodule, plan_route, surroundings
 from carina.plan.routes.clearance import rooms_mm
 from carina.scopes import ScopePreset
 from carina.track import AirwayTree, Branch
@@ -58,7 +58,7 @@ RANKS = ("reaches", "may reach", "does not reach")
 """Outlook of a route for each rank: index 0 is the best rank."""
 
 
-def best_of_all(case: PlanCase, plan: Plan, around: Surroundings, rng: np.random.Generator) -> tuple[float, str, Row]:
+def best_of_all(case: PlanCase, plan: Plan, around: NearbyTissue, rng: np.random.Generator) -> tuple[float, str, Row]:
     """Return the score, the outlook and the description of the best of all possible positions of the scope."""
     assert case.airways is not None and case.wall is not None
     nodule, reach_mm = plan.nodule, plan.tool.reach_mm
@@ -198,7 +198,7 @@ def _outlook(scope: ScopePreset, width_mm: float, bend_deg: float, spacing_mm: f
     return {"rank": max([int(trust < 1.0), *ranks]), "chance": trust * math.prod(chances)}
 
 
-def _walked(case: PlanCase, plan: Plan, around: Surroundings, place: Row) -> Row | None:
+def _walked(case: PlanCase, plan: Plan, around: NearbyTissue, place: Row) -> Row | None:
     """Return the parts of the score of a point except for the needle's misses, and the score that they lose.
 
     The result is None if the needle does not reach the nodule.

@@ -124,7 +124,7 @@ class _Client:
             self._send(wire.Ack(header.frame_id))
             return header
         message = wire.parse_server_message(data)
-        if isinstance(message, wire.Pose):
+        if isinstance(message, wire.PoseMessage):
             self._pose_id = message.pose_id
         return message
 
@@ -169,7 +169,7 @@ class _Client:
             forward = 1.0 if (n // 90) % 2 == 0 else -1.0
             if device:
                 self._send(
-                    wire.DeviceSample(
+                    wire.DeviceSampleMessage(
                         device="bench",
                         time_s=now_s,
                         position_mm=None,
@@ -204,7 +204,7 @@ class _Client:
             now_s = time.monotonic()
         if device:
             self._send(
-                wire.DeviceSample(
+                wire.DeviceSampleMessage(
                     device="bench",
                     time_s=now_s,
                     position_mm=None,

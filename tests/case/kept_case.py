@@ -15,9 +15,9 @@ from carina.case import (
     ChosenKeyFrame,
     Document,
     History,
-    KeptMeasures,
     Moment,
     SourceFacts,
+    StoredMeasures,
     Target,
 )
 from carina.case.routes import ChosenRoute, default_branch_id, route_to_branch
@@ -295,7 +295,7 @@ def _read_again(command: Any) -> Any:
 
 
 def whole_measures(measures: Any) -> TreeMeasures | None:
-    found: TreeMeasures | None = measures.load() if isinstance(measures, KeptMeasures) else measures
+    found: TreeMeasures | None = measures.load() if isinstance(measures, StoredMeasures) else measures
     return found
 
 

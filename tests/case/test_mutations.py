@@ -19,7 +19,7 @@ import pytest
 from kept_case import Doing, act, assert_same_moment, source_of, whole
 from mutated_case import Mutator
 
-from carina.case import CaseFile, KeptMeasures, Target
+from carina.case import CaseFile, StoredMeasures, Target
 from carina.case.bounds import MAX_LABEL_CHARS, MAX_S
 from carina.case.document import Lesion
 from carina.case.routes import path_move
@@ -34,7 +34,7 @@ from carina.server.wire import messages_from_server as wire
 from carina.server.wire.messages import encode_message
 from carina.session.cases.case_list import CaseList
 from carina.session.core import SessionCore
-from carina.session.saving.autosave import Saving
+from carina.session.saving.autosave import Autosave
 from carina.session.store.registry import CaseRecords
 from carina.session.store.registry_repair import repair_records
 
@@ -98,14 +98,14 @@ def opened(path, doing, again):
         if route is not None:
             _ = route.frames
     for _, measures in moment.measures:
-        assert isinstance(measures, KeptMeasures)
+        assert isinstance(measures, StoredMeasures)
         measures.load()
     # Set the pose and the path as a session does.
     pilot = Pilot(Navigator(Pose.looking((0.0, 0.0, 0.0), (0.0, 0.0, -1.0)), volume=volume))
     pilot.apply(path_move(None if document.airways is None else document.airways.tree, document.route))
     pilot.navigator.restore(moment.tip, pilot.navigator.path)
     steps = tuple(wire.HistoryStep(step.label, round(step.at_s, 3)) for step in history)
-    json.loads(encode_message(wire.History(steps, moment.position)), parse_constant=pytest.fail)
+    json.loads(encode_message(wire.HistoryMessage(steps, moment.position)), parse_constant=pytest.fail)
     with CaseFile.create(again, source) as file:
         file.save(moment)
     with CaseFile.open(again) as file:
@@ -137,7 +137,7 @@ def start_page(path, folder):
     messages = repair_records(records)
     assert len(messages) == 1
     core = SessionCore(lambda *_: None)
-    listed = CaseList(core, Saving(core, records, None)).listed()
+    listed = CaseList(core, Autosave(core, records, None)).listed()
     assert len(listed) == len(records.all())
     # The case is listed, or its folder is in ``.damaged``.
     assert len(listed) + len(list((folder / "cases" / ".damaged").glob("*/case.carina"))) == 1

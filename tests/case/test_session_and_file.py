@@ -9,7 +9,7 @@ import pytest
 from edit_case import edit_case
 from kept_case import assert_same_document, assert_same_measures
 
-from carina.case import CaseFile, KeptAirways
+from carina.case import CaseFile, StoredAirways
 from carina.case.recordings import RecordingTable
 from carina.commands import (
     AddTarget,
@@ -31,7 +31,7 @@ from carina.commands import (
 from carina.errors import CarinaError, DiskError, UsageError
 from carina.navigate import open_recording
 from carina.render import transfer_preset
-from carina.session import Said, Session, Trouble
+from carina.session import Session, Trouble, UserMessage
 from carina.session.airways.editing import NUM_EDITS_WHOLE
 from carina.session.state.snapshot import FlightPlace
 from carina.session.store.disk_storage import case_files
@@ -93,19 +93,19 @@ def test_undo_steps_after_reopening_equal_those_without_reopening(tmp_path, is_k
     assert session._saving.write_now()
     if is_killed:
         # Simulate a kill: nothing more is written, the lock is released, and the journal stays.
-        kept = session._saving._kept
+        kept = session._saving._saver
         kept.held.release()
-        session._saving._kept = None
+        session._saving._saver = None
         kept.file._connection = None
     else:
         # Close the file; the session itself stays open for the comparison.
-        kept = session._saving._kept
-        session._saving._kept = None
+        kept = session._saving._saver
+        session._saving._saver = None
         kept.file.close()
         kept.held.release()
     again, other_background = started(tmp_path)
     assert again.history() == session.history()
-    assert any(isinstance(d.airways, KeptAirways) for d in again._core.case.history.documents())
+    assert any(isinstance(d.airways, StoredAirways) for d in again._core.case.history.documents())
     for one in (session, again):
         one.do(EditTree(RenameBranch(2, "after")))
     background.run_all()
@@ -192,7 +192,7 @@ def test_damaged_measures_are_measured_again_with_a_message(tmp_path):
     connection.close()
     again, background = started(tmp_path, measuring)
     assert len(measuring.asked) == 1
-    told = [e.message for e in EVENTS[-1] if isinstance(e, Said)]
+    told = [e.message for e in EVENTS[-1] if isinstance(e, UserMessage)]
     assert any(
         "the saved measurements of the airways cannot be read, so the airways will be measured" in words
         for words in told
@@ -285,7 +285,7 @@ def test_recording_interrupted_by_a_crash_lacks_only_its_last_moments(tmp_path, 
     flown(session, session._core.clock, 4)
     assert session._saving.write_now()
     # Nothing more is written before the file is read.
-    monkeypatch.setattr(session._saving._kept, "changed", lambda _topics: None)
+    monkeypatch.setattr(session._saving._saver, "changed", lambda _topics: None)
     flown(session, session._core.clock, 1)
     with CaseFile.open(live_file(tmp_path), read_only=True) as file:
         (told,) = file.recordings()
@@ -419,9 +419,9 @@ def test_flight_interrupted_by_a_crash_is_listed_as_incomplete_and_replayed_to_i
     flown(session, session._core.clock, 2)
     assert session._saving.write_now()
     # Simulate a kill: nothing more is written, the lock is released, and the journal stays.
-    kept = session._saving._kept
+    kept = session._saving._saver
     kept.held.release()
-    session._saving._kept = None
+    session._saving._saver = None
     kept.file._connection = None
     again, _ = started(tmp_path)
     (flight,) = again.snapshot().flights

@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from kept_case import Doing, act, assert_same_moment, source_of, whole
 
-from carina.case import CaseFile, CaseFileError, KeptMeasures, migrate, rescued
+from carina.case import CaseFile, CaseFileError, StoredMeasures, migrate, rescued
 from carina.case.file import migrate_live
 from carina.errors import CarinaError
 
@@ -60,7 +60,7 @@ def looked_through(path, doing):
                 if route is not None:
                     _ = route.frames
         for _, measures in moment.measures:
-            assert isinstance(measures, KeptMeasures)
+            assert isinstance(measures, StoredMeasures)
             measures.load()
         for facts in file.recordings():
             file.recording(facts.recording_id)

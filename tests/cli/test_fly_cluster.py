@@ -18,7 +18,7 @@ import pytest
 import carina as api
 from carina.cli import fly
 from carina.cli.cluster import OpenCluster
-from carina.cli.kept_frames import KeptFrames
+from carina.cli.kept_frames import StoredFrames
 from carina.cluster import ClusterRenderer, Console, LocalLane
 from carina.navigate import AutoFlight
 from carina.navigate.recording import ReplayedPose
@@ -124,7 +124,7 @@ def test_flight_on_three_machines_one_of_which_dies_equals_that_of_one_machine(f
 def test_interrupted_flight_resumes_after_its_last_picture(film, tmp_path, whole, machines, monkeypatch):
     folder, output = tmp_path / "kept", tmp_path / "v.mp4"
     arguments = [output, *HOW, "--keep", folder]
-    keep = KeptFrames.keep
+    keep = StoredFrames.keep
     made = []
 
     def stopped(self, number, picture):
@@ -133,7 +133,7 @@ def test_interrupted_flight_resumes_after_its_last_picture(film, tmp_path, whole
         made.append(number)
         keep(self, number, picture)
 
-    monkeypatch.setattr(KeptFrames, "keep", stopped)
+    monkeypatch.setattr(StoredFrames, "keep", stopped)
     assert film(*arguments, "--cluster", "10.0.0.5").code == 130
     assert not output.exists() and made == [0, 1, 2, 3, 4]
 
@@ -141,7 +141,7 @@ def test_interrupted_flight_resumes_after_its_last_picture(film, tmp_path, whole
         made.append(number)
         keep(self, number, picture)
 
-    monkeypatch.setattr(KeptFrames, "keep", noted)
+    monkeypatch.setattr(StoredFrames, "keep", noted)
     # The pictures are equal with and without the cluster.
     ended = film(*arguments)
     assert ended.code == 0, ended.err

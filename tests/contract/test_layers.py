@@ -12,6 +12,7 @@ from check_layers import (
     check_folders,
     check_limits,
     check_python,
+    defined_twice,
     files_naming_views,
     public_methods,
     read_rules,
@@ -117,6 +118,16 @@ def test_record_classes_with_equal_field_names_and_types_are_found():
         "python/carina/a.py:GoTo",
         "python/carina/b.py:Other",
     }
+
+
+def test_public_class_name_in_two_files_is_refused_and_private_one_accepted():
+    classes = classes_of(
+        {
+            "python/carina/track/one.py": "class Lung: ...\nclass _Part: ...\n",
+            "python/carina/plan/two.py": "class Lung: ...\nclass _Part: ...\nclass Nodule: ...\n",
+        }
+    )
+    assert defined_twice(classes) == {"Lung": ["python/carina/track/one.py", "python/carina/plan/two.py"]}
 
 
 def test_inherited_methods_and_attributes_set_on_self_are_counted():

@@ -71,12 +71,14 @@ def fly(session: Session, clock: Clock, *, seed: int = 1) -> None:
         clock.advance(rng.choice([0.0, 0.001, 0.004, 0.008, 0.03]))
         turn = turn @ rotation_from_vector(np.array([rng.gauss(0, 0.02) for _ in range(3)]))
         at = at + [rng.gauss(0, 0.5) for _ in range(3)]
-        session.devices.said("pen", PoseSample(clock(), tuple(at.tolist()), wxyz_from_rotation(turn), int(n % 97 == 0)))
+        session.devices.receive_sample(
+            "pen", PoseSample(clock(), tuple(at.tolist()), wxyz_from_rotation(turn), int(n % 97 == 0))
+        )
         if n % 3:
             session.devices.frame()
         if n == 50:
-            session.devices.said("pen", PoseSample(math.nan, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
-            session.devices.said("pen", PoseSample(clock() - 5.0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
+            session.devices.receive_sample("pen", PoseSample(math.nan, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
+            session.devices.receive_sample("pen", PoseSample(clock() - 5.0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
         if n == 120:
             session.do(SetControls(DeviceControls(gain_mm=2.0, min_cutoff_hz=3.0)))
         if n == 160:
@@ -90,7 +92,7 @@ def fly(session: Session, clock: Clock, *, seed: int = 1) -> None:
     session.do(SetMode("path"))
     for _ in range(300):
         clock.advance(0.02)
-        session.devices.said("stick", AxesSample(clock(), (1.0, 0.0, 0.0, rng.choice([-1.0, 1.0]), 0.0, 0.0)))
+        session.devices.receive_sample("stick", AxesSample(clock(), (1.0, 0.0, 0.0, rng.choice([-1.0, 1.0]), 0.0, 0.0)))
         session.devices.frame()
     session.do(SetOperator("facing"))
     session.do(LevelHorizon())

@@ -27,7 +27,7 @@ from carina.navigate.pilot import CLUTCH_BUTTON
 from carina.phone import PhoneSwitch
 from carina.phone.link import MAX_BAD, ClockMap, PhoneLink
 from carina.phone.page import qr_rows
-from carina.server.devices import DeviceDesk
+from carina.server.devices import DeviceConnections
 from carina.server.network.access_checks import TokenGate
 from carina.server.network.lan_server import MAX_CONNECTIONS
 from carina.server.wire import messages as wire
@@ -216,7 +216,7 @@ def phone(web, unhurried):
     bench.open()
     page = PhoneSwitch(bench.session, web, address="127.0.0.1")
     sent: list[object] = []
-    desk = DeviceDesk(bench.session, sent.append, phone=page)
+    desk = DeviceConnections(bench.session, sent.append, phone=page)
     desk.start()
     page.start()
     url, _, token = page.info().url.partition("#")
@@ -516,7 +516,7 @@ def test_phone_page_closed_by_the_user_has_an_invalid_link(phone):
         phone.desk.handle(wire.SetPhone(False))
         ended(link)
     wait_for(lambda: phone.page.info() is None)
-    wait_for(lambda: any(isinstance(m, wire.Devices) and m.phone is None for m in phone.sent))
+    wait_for(lambda: any(isinstance(m, wire.DevicesMessage) and m.phone is None for m in phone.sent))
     with pytest.raises(OSError, match=r"refused|reset"):
         socket.create_connection(("127.0.0.1", port), timeout=WAIT_S).close()
     phone.desk.handle(wire.SetPhone(True))
@@ -554,7 +554,7 @@ def test_phone_page_is_closed_until_enabled_and_a_failure_states_its_reason(web)
     # This address is reserved for documentation, so no computer has it.
     page = PhoneSwitch(bench.session, web, address="203.0.113.250")
     sent: list[object] = []
-    desk = DeviceDesk(bench.session, sent.append, phone=page)
+    desk = DeviceConnections(bench.session, sent.append, phone=page)
     assert page.info() is None
     message = desk.message()
     assert (message.phone, message.phone_problem) == (None, None)

@@ -21,10 +21,10 @@ from carina.errors import CancelledError, CarinaError, UsageError
 from carina.export.plan_content import drawn_plans
 from carina.plan import ScoreWeights
 from carina.plan.report import make_sheet, write_report
-from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Grid, Words
+from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, ReportTable, Words
 from carina.plan.report.drawing import Label
 from carina.plan.report.sections import sections
-from carina.plan.routes.last_leg import Crossed, NearVessel
+from carina.plan.routes.last_leg import CrossedTissue, NearVessel
 from carina.plan.targets.edits import BRUSHED
 from carina.server.to_wire.plan import _route
 from carina.track import measure_tree
@@ -48,7 +48,7 @@ def words_of(block: Block) -> Iterator[str]:
             yield from items
         case Facts(rows=rows):
             yield from (cell for row in rows for cell in row)
-        case Grid(head=head, rows=rows):
+        case ReportTable(head=head, rows=rows):
             yield from (cell for row in (head, *rows) for cell in row)
         case Figure(drawing=drawing, caption=caption):
             yield from (caption, *(one.text for one in drawing.shapes if isinstance(one, Label)))
@@ -255,7 +255,9 @@ def test_opening_straight_ahead_is_reported_without_an_hour() -> None:
     told = sheet().turns
     ahead = dataclasses.replace(told.turns[1], straight_ahead=True, clock_head=7.123)
     changed = sheet(turns=dataclasses.replace(told, turns=(told.turns[0], ahead, *told.turns[2:])))
-    grid = next(b for part in sections(changed) for b in part.blocks if part.name == "turns" and isinstance(b, Grid))
+    grid = next(
+        b for part in sections(changed) for b in part.blocks if part.name == "turns" and isinstance(b, ReportTable)
+    )
     assert grid.rows[1][2:4] == ("ahead", "ahead")
     (figure,) = [
         b for part in sections(changed) for b in part.blocks if part.name == "tracing" and isinstance(b, Figure)
@@ -265,7 +267,9 @@ def test_opening_straight_ahead_is_reported_without_an_hour() -> None:
 
 def test_hours_depend_on_the_position_of_the_operator(tmp_path) -> None:
     told = sheet(turns=sheet().turns, operator="facing")
-    grid = next(b for part in sections(told) for b in part.blocks if part.name == "turns" and isinstance(b, Grid))
+    grid = next(
+        b for part in sections(told) for b in part.blocks if part.name == "turns" and isinstance(b, ReportTable)
+    )
     assert grid.head[2:4] == ("Facing", "Head")
     for row, turn in zip(grid.rows, told.turns.turns, strict=False):
         assert row[2] == ("ahead" if turn.straight_ahead else str(turn.hour("facing")))
@@ -330,7 +334,7 @@ def test_picture_of_a_bronchus_sign_has_its_position_in_the_middle(tmp_path) -> 
 def test_score_is_stated_with_the_weights_of_the_plan() -> None:
     weighed = dataclasses.replace(plan(), weights=ScoreWeights(misses=0.0, way=0.0, angle=1.0, narrow=1.0))
     (part,) = [part for part in sections(sheet(plan=weighed)) if part.name == "score"]
-    (grid,) = [block for block in part.blocks if isinstance(block, Grid)]
+    (grid,) = [block for block in part.blocks if isinstance(block, ReportTable)]
     shares = {row[0]: row[2] for row in grid.rows}
     assert shares["needle passes that miss"] == "0 %" and shares["narrowest place"] == f"{100 / 2.25:.0f} %"
 
@@ -445,7 +449,7 @@ def test_needle_through_vessel_or_fissure_is_warned_of_to_the_far_edge_of_the_ta
     route = plan().routes[0]
     way = [("lumen", 3.0), ("lung", 2.0), (tissue if before else "lung", 1.0), ("target", 9.0), (tissue, 2.0)]
     ends = np.cumsum([length for _, length in way])
-    crossed = tuple(Crossed(t, float(end - length), length) for (t, length), end in zip(way, ends, strict=True))
+    crossed = tuple(CrossedTissue(t, float(end - length), length) for (t, length), end in zip(way, ends, strict=True))
     changed = dataclasses.replace(route, leg=dataclasses.replace(route.leg, crossed=crossed))
     told = dataclasses.replace(sheet(), plan=dataclasses.replace(plan(), routes=(changed, *plan().routes[1:])))
     (part,) = [part for part in sections(told) if part.name == "route"]

@@ -19,7 +19,7 @@ from carina.plan.report.figures import needle_bar, slice_drawing, tree_drawing
 from carina.plan.report.outline import boundary_in_plane, surface_of
 from carina.plan.report.tracing import tracing_drawings
 from carina.plan.report.wording import lines_of, text_width
-from carina.plan.routes.last_leg import Crossed, Tissue
+from carina.plan.routes.last_leg import CrossedTissue, Tissue
 
 radii = st.tuples(*[st.floats(3.0, 12.0)] * 3)
 UNIT = st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: np.linalg.norm(v) > 0.3)
@@ -126,7 +126,7 @@ TISSUES = get_args(Tissue)
 def test_needle_bar_shows_every_tissue_to_scale_without_overlapping_names(parts) -> None:
     at, crossed = 0.0, []
     for tissue, length in parts:
-        crossed.append(Crossed(tissue, at, length))
+        crossed.append(CrossedTissue(tissue, at, length))
         at += length
     leg = plan().routes[0].leg
     drawing = needle_bar(dataclasses.replace(leg, crossed=tuple(crossed)), tool("needle-21g"))

@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from carina.plan import Surroundings, surroundings
+from carina.plan import NearbyTissue, surroundings
 from carina.plan.cubic_box import smoothed
 from carina.plan.lungs.vessels import eigenvalues
 from carina.scopes import WallField
@@ -53,7 +53,7 @@ def scan(lines: tuple[Line, ...] = (), plate_mm: float = 0.0, noise_hu: float = 
     return Volume(np.rint(hu).astype(np.int16), matrix)
 
 
-def seen(volume: Volume) -> Surroundings:
+def seen(volume: Volume) -> NearbyTissue:
     return surroundings(volume, np.zeros(3), 13.0, None, nowhere())
 
 
@@ -88,7 +88,7 @@ def test_no_vessel_is_found_in_plain_lung_and_in_a_plate() -> None:
 
 
 @cache
-def forked() -> Surroundings:
+def forked() -> NearbyTissue:
     return seen(scan((((0, 0, -14), (0, 0, 0), 2.0), ((0, 0, 0), (8, 0, 10), 1.2), ((0, 0, 0), (-8, 2, 10), 1.0))))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from nodules import ellipsoid
 
 from carina.plan import Plan, tool
-from carina.plan.routes.last_leg import Crossed, LastLeg
+from carina.plan.routes.last_leg import CrossedTissue, LastLeg
 from carina.plan.routes.plan_route import PlannedRoute
 from carina.plan.routes.route_width import RouteWidth
 from carina.scopes import scope_preset
@@ -80,7 +80,7 @@ def _route(
         to_target_mm=far_mm - 5.0,
         outside_mm=far_mm - 7.0,
         angle_deg=35.0,
-        crossed=(Crossed("lumen", 0.0, 2.0), Crossed("airway wall", 2.0, 1.5)),
+        crossed=(CrossedTissue("lumen", 0.0, 2.0), CrossedTissue("airway wall", 2.0, 1.5)),
         in_target_mm=7.5,
         least_in_target_mm=3.0,
         vessel_mm=None,

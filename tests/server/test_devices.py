@@ -14,9 +14,9 @@ from carina.commands import Command, DeviceControls, GoTo
 from carina.errors import UsageError
 from carina.navigate.devices.igtl import IgtlPose, IgtlStream, pose_matrix
 from carina.navigate.devices.scope_handle import format_line
-from carina.server.devices import DeviceDesk
+from carina.server.devices import DeviceConnections
 from carina.server.wire import messages as wire
-from carina.session import Said
+from carina.session import UserMessage
 from simulated_serial import WAIT_S, PseudoPort, sending, wait_for
 from small_case import small_bench
 
@@ -27,8 +27,8 @@ if sys.platform == "win32":
 FIRST_S = 0.1
 
 
-def stick(time_s: float, *axes: float) -> wire.DeviceSample:
-    return wire.DeviceSample(
+def stick(time_s: float, *axes: float) -> wire.DeviceSampleMessage:
+    return wire.DeviceSampleMessage(
         device="stick",
         time_s=time_s,
         position_mm=None,
@@ -40,8 +40,8 @@ def stick(time_s: float, *axes: float) -> wire.DeviceSample:
     )
 
 
-def pen(time_s: float, at: tuple[float, float, float], buttons: int = 0) -> wire.DeviceSample:
-    return wire.DeviceSample(
+def pen(time_s: float, at: tuple[float, float, float], buttons: int = 0) -> wire.DeviceSampleMessage:
+    return wire.DeviceSampleMessage(
         device="pen",
         time_s=time_s,
         position_mm=at,
@@ -53,7 +53,7 @@ def pen(time_s: float, at: tuple[float, float, float], buttons: int = 0) -> wire
     )
 
 
-def do(made: DeviceDesk, command: Command) -> None:
+def do(made: DeviceConnections, command: Command) -> None:
     """Execute a command on the session in the way of the server's hub."""
     made._session.do(command)
     made.done(command)
@@ -66,7 +66,7 @@ def desk(tmp_path):
     bench.session._core.clock = time.monotonic  # The thread of the device manager uses the real time.
     bench.open()
     sent: list[object] = []
-    made = DeviceDesk(bench.session, sent.append, recordings=tmp_path / "recordings")
+    made = DeviceConnections(bench.session, sent.append, recordings=tmp_path / "recordings")
     made.start()
     yield made, bench, sent
     made.stop()
@@ -107,7 +107,7 @@ def test_invalid_samples_are_counted_and_reported_once(desk):
     made.handle(pen(1.0, (0.0, 0.0, 0.0)))
     for n in range(50):
         made.handle(
-            wire.DeviceSample(
+            wire.DeviceSampleMessage(
                 device="pen",
                 time_s=1.0 + n,
                 position_mm=(1e300, 0.0, 0.0),
@@ -132,7 +132,7 @@ def test_registration_returns_its_residual_and_refuses_unusable_pairs(desk):
     made.handle(pen(1.0, (0.0, 0.0, 0.0)))
     points = ((0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (0.0, 50.0, 0.0))
     do(made, wire.Calibrate("pen", points, points))
-    assert any("0.0 mm" in said.message for said in bench.of_type(Said))
+    assert any("0.0 mm" in said.message for said in bench.of_type(UserMessage))
     do(made, wire.SetControl("absolute"))
     assert made.message().control == "absolute"
     with pytest.raises(UsageError, match="line"):
@@ -187,7 +187,9 @@ def test_handle_is_connected_listed_and_disconnected(desk):
         with sending(lambda n: format_line(n, 10 * n, 0.2 * n), port, rate_hz=100.0):
             wait_for(lambda: bench.session.pose_info().path_mm > before + 5.0)
             wait_for(
-                lambda: any(isinstance(m, wire.Devices) and m.sources and 50 < m.sources[0].rate_hz < 200 for m in sent)
+                lambda: any(
+                    isinstance(m, wire.DevicesMessage) and m.sources and 50 < m.sources[0].rate_hz < 200 for m in sent
+                )
             )
         made.handle(wire.DisconnectDevice(address))
         assert made.message().sources == ()
@@ -224,7 +226,7 @@ def test_resting_handle_that_sends_samples_makes_no_new_poses(desk):
     def say(n: int, insertion_mm: float) -> None:
         handle = (insertion_mm, 0.1, 0.2)
         made.handle(
-            wire.DeviceSample(
+            wire.DeviceSampleMessage(
                 device="handle",
                 time_s=0.01 * n,
                 position_mm=None,

@@ -37,7 +37,7 @@ def live(tmp_path):
 
 
 def listed(window, wanted):
-    return window.until(lambda m: isinstance(m, wire.Flights) and wanted(m.flights)).flights
+    return window.until(lambda m: isinstance(m, wire.FlightsMessage) and wanted(m.flights)).flights
 
 
 def recorded(window, number):

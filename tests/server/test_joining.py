@@ -231,7 +231,7 @@ def test_window_and_notebook_show_each_other_s_changes_except_view_settings(wind
         case.do(c.EditTree(c.RenameBranch(tip.id, "from the notebook")))
         named = (tip.id, "from the notebook")
         page.until(lambda m: isinstance(m, wire.Tree) and named in {(one.id, one.name) for one in m.tree.branches})
-        page.had(lambda m: isinstance(m, wire.History) and len(m.steps) == 1)
+        page.had(lambda m: isinstance(m, wire.HistoryMessage) and len(m.steps) == 1)
         page.send(wire.SetOutline("none"))
         page.until_state(lambda state: state.look.outline == "none")
         assert case.state.document.look.outline == "none"

@@ -48,17 +48,17 @@ def test_poses_continue_while_a_tree_is_written_and_its_route_comes_after_it(liv
         open_case(window)
         before = len(window.seen)
         window.send(wire.Steer(1.0, 0.0, 0.0, 0.0))
-        window.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == pytest.approx(1.0))
-        assert not [m for m in window.seen[before:] if isinstance(m, wire.Tree | wire.Route)]
+        window.until(lambda m: isinstance(m, wire.PoseMessage) and m.path_mm == pytest.approx(1.0))
+        assert not [m for m in window.seen[before:] if isinstance(m, wire.Tree | wire.RouteMessage)]
         may_end.set()
-        tree = window.until(lambda m: isinstance(m, wire.Tree | wire.Route))
+        tree = window.until(lambda m: isinstance(m, wire.Tree | wire.RouteMessage))
         assert isinstance(tree, wire.Tree) and tree.tree is not None
-        assert window.until(lambda m: isinstance(m, wire.Route)).route is not None
+        assert window.until(lambda m: isinstance(m, wire.RouteMessage)).route is not None
 
     # Another window receives tree and route, although nothing changed.
     with live.window() as window:
         window.until(lambda m: isinstance(m, wire.Tree) and m.tree is not None)
-        window.until(lambda m: isinstance(m, wire.Route) and m.route is not None)
+        window.until(lambda m: isinstance(m, wire.RouteMessage) and m.route is not None)
 
 
 def test_first_messages_contain_all_that_the_start_page_needs(live):
@@ -186,11 +186,11 @@ def test_opening_a_case_sends_state_tree_route_pose_and_pictures_of_all_views(li
         window.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "tree" and m.full)
         tree = window.had(lambda m: isinstance(m, wire.Tree) and m.tree is not None).tree
         assert [b.name for b in tree.branches] == ["Trachea", "RMB", "LMB", None]
-        route = window.had(lambda m: isinstance(m, wire.Route) and m.route is not None).route
+        route = window.had(lambda m: isinstance(m, wire.RouteMessage) and m.route is not None).route
         assert route.branch_id == 3
         assert len(route.points_lps) == len(route.cumulative_mm) == len(route.generation) == len(route.radius_mm)
         assert {p.view for p in window.pictures} == {"airway", "axial", "tree"}
-        (route,) = [m.route for m in window.seen if isinstance(m, wire.Route) and m.route is not None][-1:]
+        (route,) = [m.route for m in window.seen if isinstance(m, wire.RouteMessage) and m.route is not None][-1:]
 
 
 def test_poses_of_a_flight_arrive_in_order(live):
@@ -199,7 +199,7 @@ def test_poses_of_a_flight_arrive_in_order(live):
         open_case(window)
         for n in range(1, 31):
             window.send(wire.Steer(0.5, 0.01, 0.0, 0.0))
-            last = window.until(lambda m, n=n: isinstance(m, wire.Pose) and m.path_mm == pytest.approx(0.5 * n))
+            last = window.until(lambda m, n=n: isinstance(m, wire.PoseMessage) and m.path_mm == pytest.approx(0.5 * n))
         still = window.until(
             lambda m: isinstance(m, wire.PictureHeader) and m.view == "airway" and m.full and m.pose_id >= last.pose_id
         )
@@ -209,7 +209,7 @@ def test_poses_of_a_flight_arrive_in_order(live):
             poses = [p.pose_id for p in window.pictures if p.view == view]
             assert poses == sorted(poses)
         # A picture contains the number of a pose that was sent before, because pose numbers only increase.
-        poses = [m.pose_id for m in window.seen if isinstance(m, wire.Pose)]
+        poses = [m.pose_id for m in window.seen if isinstance(m, wire.PoseMessage)]
         assert poses == sorted(set(poses))
 
 
@@ -220,7 +220,7 @@ def test_without_acks_at_most_three_airway_pictures_are_sent(live):
         window.until(lambda m: isinstance(m, wire.State) and m.airways == "found", acknowledge=False)
         for _ in range(20):
             window.send(wire.Steer(0.5, 0.0, 0.0, 0.0))
-            window.until(lambda m: isinstance(m, wire.Pose), acknowledge=False)
+            window.until(lambda m: isinstance(m, wire.PoseMessage), acknowledge=False)
         # The answer to this command comes after all earlier messages were handled.
         window.send(wire.SetFov(115.0))
         window.until(lambda m: isinstance(m, wire.State) and m.look.fov_deg == 115.0, acknowledge=False)
@@ -231,7 +231,7 @@ def test_without_acks_at_most_three_airway_pictures_are_sent(live):
         assert len(window.pictures) == 3
         window.send(*(wire.Ack(p.frame_id) for p in window.pictures))
         newest = window.until(lambda m: isinstance(m, wire.PictureHeader))
-        assert newest.pose_id == [m for m in window.seen if isinstance(m, wire.Pose)][-1].pose_id
+        assert newest.pose_id == [m for m in window.seen if isinstance(m, wire.PoseMessage)][-1].pose_id
 
 
 def test_click_in_the_airway_view_is_answered_with_the_wall_point(live):
@@ -282,7 +282,9 @@ def test_targets_are_undone_and_redone_over_the_wire(live):
         window.send(wire.AddTarget(left))
         added = window.until_state(lambda s: len(s.targets) == 1)
         assert (added.can_undo, added.route_id) == ("add Target 1", "target-1")
-        window.had(lambda m: isinstance(m, wire.Route) and m.route is not None and m.route.target_id == "target-1")
+        window.had(
+            lambda m: isinstance(m, wire.RouteMessage) and m.route is not None and m.route.target_id == "target-1"
+        )
         window.send(wire.Undo())
         undone = window.until_state(lambda s: not s.targets)
         assert (undone.can_redo, undone.route_id) == ("add Target 1", "branch-3")
@@ -295,7 +297,7 @@ def test_change_without_a_new_tree_or_route_sends_neither_again(live):
         open_case(window)
 
         window.had(lambda m: isinstance(m, wire.Tree) and m.tree is not None)
-        window.had(lambda m: isinstance(m, wire.Route) and m.route is not None)
+        window.had(lambda m: isinstance(m, wire.RouteMessage) and m.route is not None)
         # Answers come in order, so after this answer no message of the opening is pending.
         window.send(wire.SetFov(95.0))
         window.until_state(lambda s: s.look.fov_deg == 95.0)
@@ -303,7 +305,7 @@ def test_change_without_a_new_tree_or_route_sends_neither_again(live):
         for fov_deg in (100.0, 110.0, 120.0):
             window.send(wire.SetFov(fov_deg))
             window.until_state(lambda s, fov_deg=fov_deg: s.look.fov_deg == fov_deg)
-        assert not [m for m in window.seen if isinstance(m, wire.Tree | wire.Route | wire.Pose)]
+        assert not [m for m in window.seen if isinstance(m, wire.Tree | wire.RouteMessage | wire.PoseMessage)]
 
 
 def test_search_can_be_cancelled_without_losing_the_pictures(tmp_path):
@@ -326,7 +328,7 @@ def test_search_can_be_cancelled_without_losing_the_pictures(tmp_path):
         done = window.until(lambda m: isinstance(m, wire.Done) and m.job_id == job.job_id)
         assert done.outcome == "cancelled"
         window.send(wire.Steer(1.0, 0.0, 0.0, 0.0))
-        pose = window.until(lambda m: isinstance(m, wire.Pose))
+        pose = window.until(lambda m: isinstance(m, wire.PoseMessage))
         window.until(lambda m: isinstance(m, wire.PictureHeader) and m.pose_id >= pose.pose_id and m.view == "airway")
 
 
@@ -335,12 +337,12 @@ def test_reload_receives_the_whole_state_and_new_pictures(live):
         window.send(SHOWN)
         before = open_case(window)
         window.send(wire.GoTo(20.0))
-        pose = window.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == 20.0)
+        pose = window.until(lambda m: isinstance(m, wire.PoseMessage) and m.path_mm == 20.0)
     with live.window() as window:
         assert window.until_state(lambda s: True).case == before.case
         assert window.had(lambda m: isinstance(m, wire.Tree) and m.tree is not None)
-        assert window.had(lambda m: isinstance(m, wire.Route) and m.route is not None)
-        assert window.had(lambda m: isinstance(m, wire.Pose)) == pose
+        assert window.had(lambda m: isinstance(m, wire.RouteMessage) and m.route is not None)
+        assert window.had(lambda m: isinstance(m, wire.PoseMessage)) == pose
         window.send(SHOWN)
         for view in ("airway", "axial", "tree"):
             if view not in {p.view for p in window.pictures}:

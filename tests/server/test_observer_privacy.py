@@ -109,7 +109,7 @@ def test_messages_to_an_observer_contain_no_file_name_after_any_command_or_error
         assert code == wire.CLOSE_CODES["protocol.watching-ended"]
         recorder.received.append(reason.encode())
     kinds = {type(m) for m in watcher.seen}
-    assert {wire.State, wire.Start, wire.History, wire.Pose, wire.Value} <= kinds
+    assert {wire.State, wire.Start, wire.HistoryMessage, wire.PoseMessage, wire.Value} <= kinds
     assert_nameless(recorder.received)
 
 

@@ -42,7 +42,7 @@ class TrackedPen:
         wxyz = wxyz_from_rotation(TURN.T @ rotation_from_vector(np.array([0.1, 0.5, -0.3])))
         time_s = SAMPLE_S * next(self.now_s)
         self.window.send(
-            wire.DeviceSample(
+            wire.DeviceSampleMessage(
                 device=self.device,
                 time_s=time_s,
                 position_mm=self.tracker(lps),
@@ -131,7 +131,7 @@ def test_pen_marks_start_and_target_of_a_path_without_airways(window, middle):
     first = middle + np.array([4.0, -3.0, 2.0])
     pen.comes_to(first)
     pen.presses(first)
-    told = window.until(lambda m: isinstance(m, wire.StartMarked))
+    told = window.until(lambda m: isinstance(m, wire.StartMarkedMessage))
     assert np.linalg.norm(np.array(told.lps) - first) < 0.1
     window.send(wire.ArmPen("target", cost="walls", root_lps=told.lps))
     place = middle + np.array([-6.0, 5.0, -3.0])
@@ -160,7 +160,7 @@ def test_place_that_the_button_would_mark_is_reported_before_it_is_pressed(windo
 def test_without_a_registration_the_button_marks_the_tip_of_the_scope(live, window, middle):
     pen = TrackedPen(window)
     window.send(wire.GoTo(10.0), wire.ArmPen("target"))
-    window.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == pytest.approx(10.0))
+    window.until(lambda m: isinstance(m, wire.PoseMessage) and m.path_mm == pytest.approx(10.0))
     pen.hold(middle)
     pen.presses(middle)
     (target,) = targets(window, 1)

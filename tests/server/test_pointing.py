@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from carina.commands import OpenPath
-from carina.server.windows.latest_only import NewestOnly
+from carina.server.windows.latest_only import LatestTaskRunner
 from carina.server.windows.pointing import Pointing, live_path_message
-from carina.server.windows.prefetch import Warming
+from carina.server.windows.prefetch import PathPrefetcher
 from carina.server.wire import messages as wire
 from carina.session.view.questions import lumen_before_wall
 from carina.track import AddBranch, CutBranch, MoveFork, PaintLumen, RenameBranch, TreeEdit
@@ -119,7 +119,7 @@ def test_fault_in_an_answer_is_reported_and_the_next_point_is_answered(pointing,
 def test_preparation_for_live_paths_runs_before_the_first_point_arrives(pointing, monkeypatch):
     asked = queue.Queue()
     monkeypatch.setattr(pointing.session, "ask", asked.put)
-    warming = Warming(pointing.session)
+    warming = PathPrefetcher(pointing.session)
     warming.start()
     warming.airways_changed()
     assert asked.get(timeout=WAIT_S).lps == pytest.approx(small_lps((16.0, 14.0, 37.0)))
@@ -138,7 +138,7 @@ def test_branch_without_measures_or_removed_branch_has_no_measures(pointing):
 
 
 def test_only_the_newest_task_of_each_kind_runs_and_kinds_alternate():
-    newest = NewestOnly("test")
+    newest = LatestTaskRunner("test")
     done, gate, last = [], threading.Event(), threading.Event()
     newest.start()
     newest.ask("a", lambda: gate.wait(WAIT_S))

@@ -18,7 +18,7 @@ from starlette.applications import Starlette
 
 from carina.phone.page import PhonePage
 from carina.server.network import shutdown as ending
-from carina.server.network.connection_limits import Strangers
+from carina.server.network.connection_limits import UnauthenticatedConnections
 from small_case import small_bench
 
 REQUEST = b"GET / HTTP/1.1\r\nHost: %s\r\n\r\n"
@@ -102,7 +102,7 @@ def test_connection_during_the_tls_handshake_does_not_delay_the_stop_of_the_page
 
 
 def test_workstation_stops_while_a_window_does_not_read(tmp_path, said, monkeypatch):
-    ends = ending.EndingServer._end_connections
+    ends = ending.TimedShutdownServer._end_connections
     unread: list[int] = []
 
     async def with_much_on_its_way(server) -> None:
@@ -111,7 +111,7 @@ def test_workstation_stops_while_a_window_does_not_read(tmp_path, said, monkeypa
             unread.append(connection.transport.get_write_buffer_size())
         await ends(server)
 
-    monkeypatch.setattr(ending.EndingServer, "_end_connections", with_much_on_its_way)
+    monkeypatch.setattr(ending.TimedShutdownServer, "_end_connections", with_much_on_its_way)
     with socket.socket() as deaf:
         with running(tmp_path) as live:
             deaf.connect(("127.0.0.1", live.gate.port))
@@ -127,7 +127,7 @@ def test_workstation_stops_while_a_window_does_not_read(tmp_path, said, monkeypa
 
 def test_connection_that_arrives_during_shutdown_is_refused(tmp_path, said, monkeypatch):
     late: list[socket.socket] = []
-    ends = ending.EndingServer._end_connections
+    ends = ending.TimedShutdownServer._end_connections
 
     async def arrives(server) -> None:
         # The system accepts the connection before the shutdown, and the server receives the connection after it has
@@ -143,7 +143,7 @@ def test_connection_that_arrives_during_shutdown_is_refused(tmp_path, said, monk
             ours,
         )
 
-    monkeypatch.setattr(ending.EndingServer, "_end_connections", arrives)
+    monkeypatch.setattr(ending.TimedShutdownServer, "_end_connections", arrives)
     with running(tmp_path):
         pass
     assert said() == []
@@ -176,7 +176,7 @@ def test_open_connection_is_requested_once_to_close_and_not_aborted_if_it_closes
         raise AssertionError("nobody asks")
 
     strangers = SimpleNamespace(cut=lambda _transport: told.append("cut"))
-    server = ending.EndingServer(uvicorn.Config(app, timeout_graceful_shutdown=600), strangers)
+    server = ending.TimedShutdownServer(uvicorn.Config(app, timeout_graceful_shutdown=600), strangers)
     asyncio.run(asyncio.wait_for(end(), WAIT_S))
     assert told == ["asked"]
 
@@ -192,7 +192,7 @@ def test_second_interrupt_ends_the_application_without_an_error(said):
 
     app = Starlette(lifespan=lifespan)
     config = uvicorn.Config(app, lifespan="on", log_config=None, host="127.0.0.1", port=0, timeout_graceful_shutdown=3)
-    server = ending.EndingServer(config, Strangers())
+    server = ending.TimedShutdownServer(config, UnauthenticatedConnections())
     thread = threading.Thread(target=server.run)
     thread.start()
     try:

@@ -39,10 +39,10 @@ def test_observer_sees_the_case_and_the_flight_with_its_own_view_settings(desk):
     with watching(page.url) as watcher:
         watcher.send(SHOWN)
         watcher.until_state(lambda s: s.case is not None)
-        for kind in (wire.Tree, wire.Route, wire.KeyFrames, wire.Pose):
+        for kind in (wire.Tree, wire.RouteMessage, wire.KeyFramesMessage, wire.PoseMessage):
             watcher.had(lambda m, kind=kind: isinstance(m, kind))
         window.send(wire.GoTo(20.0))
-        pose = watcher.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == 20.0)
+        pose = watcher.until(lambda m: isinstance(m, wire.PoseMessage) and m.path_mm == 20.0)
         watcher.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "airway" and m.pose_id == pose.pose_id)
         before = live.session.snapshot().sight
         watcher.send(wire.SetCrosshair(LEFT_TIP), wire.SetTexture(on=False))
@@ -146,7 +146,7 @@ def test_observer_receives_no_folder_no_other_case_and_no_link(desk):
     with watching(page.url) as watcher:
         watcher.until_state(lambda s: s.case is not None)
         window.send(wire.SetPhone(on=True), wire.WatchDevices(on=True))
-        window.until(lambda m: isinstance(m, wire.Devices))
+        window.until(lambda m: isinstance(m, wire.DevicesMessage))
         window.send(wire.OpenPath("/scans/somebody/bad"), wire.SetFov(80.0))
         watcher.until_state(lambda s: s.look.fov_deg == 80.0)
         start = watcher.had(lambda m: isinstance(m, wire.Start))
@@ -155,7 +155,7 @@ def test_observer_receives_no_folder_no_other_case_and_no_link(desk):
         assert state.saving.copy_folder is None and state.saving.title is None
         assert state.case.other_series == ()
         kinds = {type(m) for m in watcher.seen}
-        assert not kinds & {wire.Devices, wire.Pen, wire.Watching, wire.Progress, wire.Notice, wire.Done}
+        assert not kinds & {wire.DevicesMessage, wire.Pen, wire.Watching, wire.Progress, wire.Notice, wire.Done}
         said = " ".join(fields(m) for m in watcher.seen)
         assert "somebody" not in said and "token" not in said and page.url.partition("#")[2] not in said
 
@@ -237,4 +237,4 @@ def test_full_observer_connections_leave_those_of_the_user_free(desk):
         with live.window() as another:
             another.until_state(lambda s: s.case is not None)
         window.send(wire.Steer(1.0, 0.0, 0.0, 0.0))
-        window.until(lambda m: isinstance(m, wire.Pose))
+        window.until(lambda m: isinstance(m, wire.PoseMessage))

@@ -45,8 +45,8 @@ def settle(window):
 def test_case_pose_route_and_history_are_equal_in_all_windows(two):
     first, second = two
     first.send(wire.GoTo(20.0))
-    pose = second.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == 20.0)
-    assert first.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == 20.0) == pose
+    pose = second.until(lambda m: isinstance(m, wire.PoseMessage) and m.path_mm == 20.0)
+    assert first.until(lambda m: isinstance(m, wire.PoseMessage) and m.path_mm == 20.0) == pose
     second.send(wire.AddTarget(LEFT_TIP))
     for window in two:
         state = window.until_state(lambda s: len(s.targets) == 1)
@@ -56,7 +56,7 @@ def test_case_pose_route_and_history_are_equal_in_all_windows(two):
         assert window.until_state(lambda s: not s.targets).can_redo is not None
     for window in two:
         settle(window)
-    histories = [newest(window, wire.History) for window in two]
+    histories = [newest(window, wire.HistoryMessage) for window in two]
     assert histories[0] == histories[1]
     trees = [window.had(lambda m: isinstance(m, wire.Tree) and m.tree is not None) for window in two]
     assert trees[0] == trees[1]
@@ -114,7 +114,7 @@ def test_edits_of_two_windows_form_one_history_and_each_undoes_the_last(two):
         second.until_state(lambda s, n=n: s.look.operator == ("facing" if n % 2 == 0 else "head"))
     for window in two:
         settle(window)
-    labels = [[step.label for step in newest(window, wire.History).steps] for window in two]
+    labels = [[step.label for step in newest(window, wire.HistoryMessage).steps] for window in two]
     assert labels[0] == labels[1]
     assert labels[0][-4:] == ["field of view", "operator position"] * 2
     second.send(wire.Undo())
@@ -213,10 +213,10 @@ def test_window_that_does_not_read_delays_no_other_window(two):
     # The second window acknowledges no picture and reads no message.
     for n in range(200):
         first.send(wire.GoTo(10.0 + n / 10.0))
-    pose = first.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == pytest.approx(29.9))
+    pose = first.until(lambda m: isinstance(m, wire.PoseMessage) and m.path_mm == pytest.approx(29.9))
     first.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "airway" and m.pose_id == pose.pose_id)
     # The second window later reads only the newest messages.
-    second.until(lambda m: isinstance(m, wire.Pose) and m.pose_id == pose.pose_id)
+    second.until(lambda m: isinstance(m, wire.PoseMessage) and m.pose_id == pose.pose_id)
 
 
 def test_other_windows_are_unchanged_after_one_is_closed(two, live):
@@ -225,7 +225,7 @@ def test_other_windows_are_unchanged_after_one_is_closed(two, live):
     first.until_state(lambda s: s.sight.window is not None and s.sight.window.width_hu == 400.0)
     first.socket.close()
     second.send(wire.Steer(1.0, 0.0, 0.0, 0.0))
-    pose = second.until(lambda m: isinstance(m, wire.Pose))
+    pose = second.until(lambda m: isinstance(m, wire.PoseMessage))
     second.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "airway" and m.pose_id >= pose.pose_id)
     second.send(wire.SetShading(on=False))
     assert second.until_state(lambda s: not s.sight.shading).sight.window.width_hu != 400.0
@@ -259,8 +259,8 @@ def test_devices_are_sent_to_all_windows_and_values_only_while_one_watches(two):
     first, second = two
     for window in two:
         window.send(wire.WatchDevices(on=True))
-        window.until(lambda m: isinstance(m, wire.Devices))
+        window.until(lambda m: isinstance(m, wire.DevicesMessage))
     first.send(wire.WatchDevices(on=False))
     settle(first)
     for _ in range(3):
-        second.until(lambda m: isinstance(m, wire.Devices))
+        second.until(lambda m: isinstance(m, wire.DevicesMessage))

@@ -9,7 +9,7 @@ import pytest
 
 from carina import commands as c
 from carina.case import CaseFile
-from carina.session import Said, Trouble, case_files
+from carina.session import Trouble, UserMessage, case_files
 from carina.session.attach.select import program_session
 from carina.session.store.case_names import neutral_alias
 from carina.session.store.registry import CaseRecords
@@ -54,7 +54,7 @@ class Desk:
         return [record for record in self.records.all() if record.num_changes]
 
     def said(self):
-        return " ".join(event.message for event in self.events if isinstance(event, Said))
+        return " ".join(event.message for event in self.events if isinstance(event, UserMessage))
 
 
 @pytest.fixture

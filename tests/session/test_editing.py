@@ -9,7 +9,7 @@ from edit_case import assert_same, edit_case, in_plain_lung, open_ended_airways,
 from carina.case.history import History
 from carina.commands import AddTarget, Cancel, ChooseRoute, CloseCase, EditTree, GoTo, OpenPath, PreviewOf, Undo
 from carina.errors import CancelledError, NoEvidenceError, NoResultError, UsageError
-from carina.session import JobEnded, NotEvident, Said, Trouble
+from carina.session import JobEnded, NotEvident, Trouble, UserMessage
 from carina.session.airways.editing import NUM_EDITS_WHOLE
 from carina.track import (
     AddBranch,
@@ -86,7 +86,7 @@ def test_opening_another_case_stops_edits_and_targets_of_the_first(bench, case):
         (edit_job, "cancelled"),
         (target_job, "cancelled"),
     ]
-    assert not bench.of_type(Said)
+    assert not bench.of_type(UserMessage)
     assert bench.session.snapshot().undo_label is None
 
 
@@ -95,7 +95,7 @@ def test_route_to_a_cut_branch_is_removed_with_a_message_and_restored_by_undo(be
     bench.session.do(ChooseRoute(branch_id=2))
     edit(bench, CutBranch(2))
     assert document(bench).route is None
-    words = [e.message for e in bench.of_type(Said)]
+    words = [e.message for e in bench.of_type(UserMessage)]
     assert words == ["the edit removed the route to branch 2, generation 2; choose another one, or undo"]
     bench.session.undo()
     assert document(bench).route.branch_id == gone.id
@@ -111,7 +111,7 @@ def test_targets_are_tracked_again_in_the_edited_tree(bench, case):
     assert lost.route is None
     assert "mm from the segmented lumen" in lost.problem
     assert kept.route is not None
-    assert any(e.message.startswith("there is no longer a path to Target 1") for e in bench.of_type(Said))
+    assert any(e.message.startswith("there is no longer a path to Target 1") for e in bench.of_type(UserMessage))
     edit(bench, AddBranch(point(case.tips[0])))
     assert all(target.route is not None for target in document(bench).targets)
 

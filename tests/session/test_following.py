@@ -64,7 +64,7 @@ def test_sight_of_a_follower_is_independent_of_the_owner_s(pair):
 
 def test_ct_can_be_claimed_after_a_refused_takeover(pair):
     owner, other, _, case_id = pair
-    kept = owner._saving._kept
+    kept = owner._saving._saver
     # The claim is released, because an owner that took over the case itself may have none.
     kept._claim.release()
     with pytest.raises(UsageError):

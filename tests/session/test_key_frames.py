@@ -195,7 +195,7 @@ def test_device_interrupts_the_flight_with_a_message(three):
 
     session = three.session
     session.do(FlyKeyFrames(1.0))
-    session.devices.said("pad", AxesSample(0.0, (1.0, 0, 0, 0, 0, 0), 0))
+    session.devices.receive_sample("pad", AxesSample(0.0, (1.0, 0, 0, 0, 0, 0), 0))
     three.clock.advance(0.02)
     session.devices.frame()
     three.clock.advance(0.02)

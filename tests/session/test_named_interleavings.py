@@ -18,7 +18,7 @@ from carina.case import CaseFile, CaseFileError
 from carina.errors import CarinaError, DiskError
 from carina.phantom import write_phantom
 from carina.render import Renderer
-from carina.session import Said, Session, Trouble, case_files
+from carina.session import Session, Trouble, UserMessage, case_files
 from carina.session.store import named_file
 from carina.session.store.named_file import path_beside
 from carina.session.store.registry import CaseRecords
@@ -74,7 +74,9 @@ class Window(Author):
             records=records,
             files=replace(case_files(None, records), picture=None),
         )
-        self.session.subscribe(lambda event: self.hear(event.message) if isinstance(event, Said | Trouble) else None)
+        self.session.subscribe(
+            lambda event: self.hear(event.message) if isinstance(event, UserMessage | Trouble) else None
+        )
         self.session.do(c.OpenPath(str(path)))
         self.session.jobs.wait_idle(None)
         if self.session.snapshot().case is None:
@@ -89,7 +91,7 @@ class Window(Author):
 
     @property
     def keeper(self):
-        return self.session._saving._kept
+        return self.session._saving._saver
 
     def steps(self):
         return {(step.label, step.at_s) for step in self.session.snapshot().steps}

@@ -16,7 +16,7 @@ from carina.render import Sight, transfer_preset
 from carina.session import LocalStore
 from carina.session.cases.case_list import CaseList
 from carina.session.core import SessionCore
-from carina.session.saving.autosave import Saving
+from carina.session.saving.autosave import Autosave
 from carina.session.state.snapshot import Trouble
 from carina.session.store.attach_endpoint import read_door
 from carina.session.store.registry import VERSION, CaseRecord, CaseRecords
@@ -68,7 +68,7 @@ def listed(records, store=None):
     core = SessionCore(lambda *_: None, store=store)
     events = []
     core.subscribe(events.append)
-    cases = CaseList(core, Saving(core, records, None))
+    cases = CaseList(core, Autosave(core, records, None))
     return cases.listed(), [event for event in events if isinstance(event, Trouble)], cases, events
 
 

@@ -8,7 +8,7 @@ import pytest
 from carina.case.routes import RouteSpan, lookouts_mm, route_to_branch
 from carina.commands import AddTarget, ChooseRoute, GoTo, NextFork, PreviousFork, RemoveTarget, SetLumenThreshold
 from carina.errors import NoResultError, UsageError
-from carina.session import Said
+from carina.session import UserMessage
 from carina.track import AirwayTree, Branch
 from small_case import (
     LEFT_TIP,
@@ -51,7 +51,7 @@ def test_target_beside_the_lumen_is_moved_into_it_with_a_message():
     (target,) = bench.session.snapshot().document.targets
     assert target.snapped_mm == pytest.approx(2.0)
     assert target.lps == beside
-    assert Said("Target 1 was moved 2.0 mm into the nearest lumen") in bench.events
+    assert UserMessage("Target 1 was moved 2.0 mm into the nearest lumen") in bench.events
 
 
 def test_target_far_from_the_lumen_is_stored_without_a_path_and_with_the_reason():

@@ -12,9 +12,9 @@ import pytest
 from carina import commands as c
 from carina.case.recordings import RecordingFacts
 from carina.errors import CarinaError, UsageError
-from carina.session import Said, Session, Trouble
+from carina.session import Session, Trouble, UserMessage
 from carina.session.store.named_file import NamedFile
-from carina.session.store.registry import CaseRecords, HeldCase
+from carina.session.store.registry import CaseRecords, LockedCase
 from kept_desk import Desk, MemoryFile
 from small_case import LEFT_TIP, Background
 
@@ -91,7 +91,7 @@ def test_second_workstation_does_not_write_into_an_open_case(desk, tmp_path):
     other.start()
     other.open()
     assert other.session.snapshot().document.look.fov_deg == 120.0
-    assert any("another window" in e.message for e in other.events if isinstance(e, Said))
+    assert any("another window" in e.message for e in other.events if isinstance(e, UserMessage))
     other.session.do(c.SetFov(80.0))
     other.saved()
     assert len(list((tmp_path / "cases").glob("*/record.json"))) == 2
@@ -247,7 +247,7 @@ def test_saving_thread_writes_a_change_without_a_request(desk):
     desk.open()
     session.do(c.SetFov(100.0))
     desk.clock.advance(5.0)
-    kept = session._saving._kept
+    kept = session._saving._saver
     with kept._wake:
         kept._wake.notify_all()
         assert kept._wake.wait_for(lambda: kept.info.saved_s is not None, 60.0)
@@ -313,7 +313,7 @@ def test_named_file_is_not_replaced_by_one_that_lacks_a_flight(desk, tmp_path):
     place = tmp_path / "mine.carina"
     session.do(c.SaveCase(str(place)))
     desk.background.run_all()
-    said = [event.message for event in desk.events if isinstance(event, Said)]
+    said = [event.message for event in desk.events if isinstance(event, UserMessage)]
     assert said[-1] == f"saved as {place}, without 1 recorded flight that could not be read from the faulty disk"
     before = place.read_text(), desk.written[str(place)]
     session.do(c.SetFov(80.0))
@@ -334,8 +334,8 @@ def test_notes_in_the_record_that_cannot_be_written_do_not_block_saving(desk, mo
     def refuses(_held, **_notes):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(HeldCase, "note", refuses)
-    kept = session._saving._kept
+    monkeypatch.setattr(LockedCase, "note", refuses)
+    kept = session._saving._saver
     kept.call("a name", None)
     assert kept.settle()
     assert kept.info.problem is not None
@@ -407,7 +407,7 @@ def test_replaced_named_file_is_moved_to_a_name_that_is_reported(desk, named):
     desk.background.run_all()
     (kept,) = named.parent.glob("team (replaced *).carina")
     assert kept.read_text() == "a letter"
-    assert any(kept.name in event.message for event in desk.events if isinstance(event, Said))
+    assert any(kept.name in event.message for event in desk.events if isinstance(event, UserMessage))
     assert saving(desk).copy_conflict is None
     desk.session.close()
 
@@ -419,7 +419,7 @@ def test_closing_with_a_changed_named_file_leaves_it_and_reports_it(desk, named)
     assert named.read_text() == "a letter"
     desk.open()
     assert desk.session.snapshot().document.look.fov_deg == 90.0
-    kept = desk.session._saving._kept
+    kept = desk.session._saving._saver
     with kept._wake:
         assert kept._wake.wait_for(lambda: kept.info.copy_conflict == "not-a-case", 60.0), "shown at once"
     desk.session.close()
@@ -438,15 +438,15 @@ def test_renamed_named_file_is_recreated_only_on_request(desk, named):
 
 
 def test_named_file_is_recognised_after_two_consecutive_crashes(desk, named, monkeypatch):
-    note = HeldCase.note
+    note = LockedCase.note
 
     def cut_off(held, **values):
         note(held, **{name: value for name, value in values.items() if "copied_s" not in values})
 
     # The first crash occurs after the file was replaced, before the record contains the new digest.
     with monkeypatch.context() as patched:
-        patched.setattr(HeldCase, "note", cut_off)
-        desk.session._saving._kept.save_to(named)
+        patched.setattr(LockedCase, "note", cut_off)
+        desk.session._saving._saver.save_to(named)
         desk.saved()
         desk.kill()
     content = named.read_text()
@@ -460,7 +460,7 @@ def test_named_file_is_recognised_after_two_consecutive_crashes(desk, named, mon
     with monkeypatch.context() as patched:
         patched.setattr(NamedFile, "_replace_locked", power_cut)
         with pytest.raises(OSError, match="Input/output"):
-            desk.session._saving._kept.save_to(named)
+            desk.session._saving._saver.save_to(named)
         desk.kill()
     assert named.read_text() == content
     desk.start()
@@ -499,13 +499,13 @@ def test_windows_that_open_one_ct_at_the_same_time_are_notified_of_each_other(de
     for one in desks:
         one.start()
         one.open()
-    told = [any("another window" in e.message for e in one.events if isinstance(e, Said)) for one in desks]
+    told = [any("another window" in e.message for e in one.events if isinstance(e, UserMessage)) for one in desks]
     assert told == [False, True, True, True]
     for one in desks:
         one.session.close()
     again = desk.start()
     desk.open()
-    assert not any("another window" in e.message for e in desk.events if isinstance(e, Said))
+    assert not any("another window" in e.message for e in desk.events if isinstance(e, UserMessage))
     again.close()
 
 

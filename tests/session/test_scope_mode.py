@@ -118,7 +118,7 @@ def test_handle_drives_the_scope_directly_and_its_lever_reports_the_flexion(benc
     insertion = session.pose_info().scope.insertion_mm
     for n in range(40):
         bench.clock.advance(0.01)
-        session.devices.said("handle", HandleSample(n * 0.01, 100.0 + 0.1 * n, 0.0, 0.25))
+        session.devices.receive_sample("handle", HandleSample(n * 0.01, 100.0 + 0.1 * n, 0.0, 0.25))
         session.devices.frame()
     state = session.pose_info().scope
     assert state.insertion_mm == pytest.approx(insertion + 3.9, abs=0.5)
@@ -294,7 +294,7 @@ def test_recording_in_scope_mode_replays_bit_for_bit(bench, tmp_path):
     for n in range(80):
         bench.clock.advance(0.02)
         session.do(Steer(float(rng.uniform(-0.3, 1.0)), 0.0, float(rng.normal(0, 0.1)), float(rng.normal(0, 0.1))))
-        session.devices.said("handle", HandleSample(0.02 * n, 0.05 * n, 0.01 * n, float(np.sin(n / 9.0))))
+        session.devices.receive_sample("handle", HandleSample(0.02 * n, 0.05 * n, 0.01 * n, float(np.sin(n / 9.0))))
         session.devices.frame()
         if n in {20, 50, 60}:
             session.do(SetOperator("facing" if n != 50 else "head"))

@@ -43,9 +43,9 @@ from carina.commands import (
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.render import GreyWindow
 from carina.scopes import PINHOLE, scope_preset
-from carina.session import Changed, JobEnded, JobProgress, LocalStore, Said, Session, Trouble
+from carina.session import Changed, JobEnded, JobProgress, LocalStore, Session, Trouble, UserMessage
 from carina.session.jobs.background_jobs import JobRunner
-from carina.session.jobs.job_groups import Errand
+from carina.session.jobs.job_groups import JobGroup
 from small_case import (
     BRANCHES_IJK,
     LEFT_TIP,
@@ -320,7 +320,7 @@ def test_operator_position_is_undone_and_poses_are_not():
     assert bench.session.pose_info().path_mm == pytest.approx(4.0)
     bench.session.undo()
     assert bench.session.pose_info().path_mm == pytest.approx(4.0)
-    assert Said("there is nothing to undo") in bench.events
+    assert UserMessage("there is nothing to undo") in bench.events
 
 
 def test_every_movement_has_a_new_pose_number():
@@ -640,7 +640,7 @@ def test_job_that_starts_another_job_while_carina_closes_ends_without_an_error()
 def test_jobs_that_wait_for_a_thread_end_when_carina_closes():
     """Check that a thread that waits for a job, such as that of a joined program, does not keep the process alive."""
     session = Session(SmallRenderer, parts=small_parts())
-    jobs, errand = session.jobs, Errand()
+    jobs, errand = session.jobs, JobGroup()
 
     def work(job):
         job._cancelled.wait(60.0)

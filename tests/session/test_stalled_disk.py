@@ -9,7 +9,7 @@ import pytest
 
 from carina import commands as c
 from carina.errors import UsageError
-from carina.session import Said, Trouble
+from carina.session import Trouble, UserMessage
 from carina.session.saving import writer
 from carina.session.store.named_file_lock import lock_path
 from kept_desk import Desk, MemoryFile
@@ -64,7 +64,7 @@ class StallingDesk(Desk):
 
     @property
     def kept(self):
-        return self.session._saving._kept
+        return self.session._saving._saver
 
     def until(self, condition):
         """Wait until ``condition`` returns true.
@@ -155,7 +155,7 @@ def test_case_is_saved_elsewhere_while_its_disk_is_silent_and_then_closed(desk, 
     file.lets_save.set()
     opener.join(WAIT_S)
     assert keeper.has_ended
-    assert not [e for e in desk.events if isinstance(e, Said) and "another window" in e.message]
+    assert not [e for e in desk.events if isinstance(e, UserMessage) and "another window" in e.message]
     assert desk.session.snapshot().document.look.fov_deg == 70.0
     assert desk.kept.copy_path == place
 

@@ -12,7 +12,7 @@ import pytest
 from carina import commands as c
 from carina.errors import CarinaError, UnsavedWorkError
 from carina.server.unsaved_question import ConsoleTerminal, close_session
-from carina.session.attach.remote_case import JoinedCase
+from carina.session.attach.remote_case import RemoteCase
 from carina.session.attach.working_copy import NamedCase
 from carina.session.saving import writer
 from carina.session.saving.unsaved_work import unsaved_labels
@@ -144,7 +144,7 @@ def test_program_that_took_over_a_case_is_warned_of_a_changed_named_file(desk, t
     path = named_file(desk, tmp_path)
     path.write_text("a letter")
     records = desk.session._saving.records
-    joined = JoinedCase(records, desk.session.cases.open_case[0], desk.session, None, None)
+    joined = RemoteCase(records, desk.session.cases.open_case[0], desk.session, None, None)
     with pytest.warns(UserWarning, match=r"team\.carina was changed elsewhere"):
         joined.close()
     assert path.read_text() == "a letter"
@@ -305,7 +305,7 @@ def test_failed_write_that_began_before_the_disk_recovered_is_repeated_at_once(d
                 break
         assert begun.is_set()
     clear(desk)
-    keeper = desk.session._saving._kept
+    keeper = desk.session._saving._saver
     results = []
     asking = threading.Thread(target=lambda: results.append(desk.session._saving.write_now()))
     asking.start()

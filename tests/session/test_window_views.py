@@ -21,7 +21,7 @@ from carina.commands import (
     Undo,
 )
 from carina.errors import VolumeImportError
-from carina.session import Changed, JobEnded, Said, Trouble
+from carina.session import Changed, JobEnded, Trouble, UserMessage
 from small_case import LEFT_TIP, RIGHT_TIP, small_bench
 
 
@@ -127,9 +127,9 @@ def test_all_windows_share_one_history(windows):
     assert isinstance(windows.session.snapshot(1).document, Document)
     assert windows.session.snapshot(1).document is windows.session.snapshot(2).document
     assert windows.session.snapshot().redo_label == "field of view"
-    assert windows.of_type(1, Said) == windows.of_type(2, Said) != []
+    assert windows.of_type(1, UserMessage) == windows.of_type(2, UserMessage) != []
     windows.session.do(Undo(), window=2)
-    assert [len(windows.of_type(n, Said)) for n in (1, 2)] == [1, 2], "nothing to undo is the matter of one"
+    assert [len(windows.of_type(n, UserMessage)) for n in (1, 2)] == [1, 2], "nothing to undo is the matter of one"
 
 
 def test_failed_job_is_reported_to_the_window_that_started_it_or_to_all_if_closed():

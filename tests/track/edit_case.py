@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.track import Airways, AirwayTree, find_airways
-from carina.track.find.per_volume_cache import KeptForVolume
+from carina.track.find.per_volume_cache import PerVolumeCache
 from carina.track.paths.path_grid import PathGrid
 from carina.track.paths.rebuilt_tracker import CoreRecipe
 from carina.track.paths.tracker import PathTracker
@@ -100,7 +100,7 @@ def open_ended_airways() -> Airways:
     tracker = PathTracker(grid, told.core, recipe=recipe, root_ijk=told.root_ijk, lumen_zyx=told.lumen_zyx)
     assert told.given_nodes is not None
     tracker.set_branches(told.branches, told.given_nodes)
-    return replace(airways, tracker=tracker, evidence=KeptForVolume())
+    return replace(airways, tracker=tracker, evidence=PerVolumeCache())
 
 
 def in_plain_lung() -> tuple[float, float, float]:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from carina.phantom import Phantom, lumen_distance_at
 from carina.track import Airways, find_airways
-from carina.track.find.air_upwards import Section
-from carina.track.find.artefact_regions import LUNG_HU, METAL, MOST_CONFIDENCE, STEP, Disturbed, find_disturbed
+from carina.track.find.air_upwards import AirSection
+from carina.track.find.artefact_regions import LUNG_HU, METAL, MOST_CONFIDENCE, STEP, ArtefactRegions, find_disturbed
 from carina.track.find.breathing_step import find_steps
 from carina.track.find.metal_streaks import find_streaks
 from carina.track.find.upper_airway import tube_in
@@ -156,7 +156,7 @@ def test_search_that_leaked_at_a_breathing_step_is_repeated_with_closed_lung() -
     values[k, 100:140, 100:140] = -1000
     values[k + 1, 100:120, 100:140] = -860
     values[k + 1, 120:140, 100:140] = -1000
-    closed = Disturbed(PathGrid(dataclasses.replace(volume, hu_zyx=values)), steps=(k,)).closed(air_scale(volume))
+    closed = ArtefactRegions(PathGrid(dataclasses.replace(volume, hu_zyx=values)), steps=(k,)).closed(air_scale(volume))
     assert (closed.hu_zyx[k : k + 2, 102:118, 102:138] == 40).all()
     assert (closed.hu_zyx[k : k + 2, 122:138, 102:138] == -1000).all()
     assert (closed.hu_zyx[k - 1] == values[k - 1]).all()
@@ -233,7 +233,7 @@ def test_correlated_noise_and_streaks_are_not_reported_as_tracheal_tube(seed: in
 def test_tube_is_found_only_if_its_plastic_is_brighter_than_noise(plastic_hu: float, is_tube: bool) -> None:
     one = np.ones((1, 1), dtype=np.bool_)
     sections = [
-        Section(
+        AirSection(
             k=k,
             corner=(0, 0),
             air=one,

@@ -8,11 +8,11 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from carina.track.edit import evidence_verdict as verdict
-from carina.track.edit.evidence_verdict import Lung, Sections, Start, doubtful_sections, gains
+from carina.track.edit.evidence_verdict import LungBaseline, PathStart, Sections, doubtful_sections, gains
 from carina.track.intensity_levels import AirScale
 
 HU = AirScale(air=-1000.0, tissue=0.0)
-LUNG = Lung(rise=40.0, far_rise=90.0, bright=-850.0)
+LUNG = LungBaseline(rise=40.0, far_rise=90.0, bright=-850.0)
 
 
 def made(seed, num):
@@ -99,7 +99,7 @@ def one_by_one(sections, lung, start):
 @given(seed=st.integers(0, 2**32 - 1), num=st.integers(2, 60), inside_mm=st.one_of(st.none(), st.floats(0.0, 20.0)))
 def test_gain_of_each_section_equals_the_plain_rule(seed, num, inside_mm):
     sections = made(seed, num)
-    start = None if inside_mm is None else Start(inside_mm, 1.3, np.array([0.0, 0.0, 1.0]))
+    start = None if inside_mm is None else PathStart(inside_mm, 1.3, np.array([0.0, 0.0, 1.0]))
     np.testing.assert_allclose(gains(sections, LUNG, HU, start), one_by_one(sections, LUNG, start), atol=1e-9)
 
 
@@ -122,7 +122,7 @@ def test_path_without_values_brighter_than_its_middle_has_no_evidence():
 
 
 def test_airway_with_a_wall_all_along_has_evidence():
-    start = Start(0.0, 1.8, np.array([0.0, 0.0, 1.0]))
+    start = PathStart(0.0, 1.8, np.array([0.0, 0.0, 1.0]))
     assert not doubtful_sections(tube(), LUNG, HU, start).any()
 
 
@@ -149,7 +149,7 @@ def test_one_bright_wall_does_not_outweigh_a_long_path_without_walls():
     ],
 )
 def test_space_between_vessels_has_no_evidence_although_most_sides_are_bright(change):
-    start = Start(0.0, 1.0, np.array([0.0, 0.0, 1.0]))
+    start = PathStart(0.0, 1.0, np.array([0.0, 0.0, 1.0]))
     usual = gains(tube(), LUNG, HU, start)
     assert (gains(tube(**change), LUNG, HU, start) < usual - 2.0).all()
 
@@ -171,7 +171,7 @@ def test_main_bronchus_is_evident_although_its_walls_are_out_of_reach():
         far_closed=850.0,
         radius_mm=noise.choice([0.0, 3.15], 40),
     )
-    assert not doubtful_sections(wide, LUNG, HU, Start(0.0, 5.5, np.array([0.0, 0.0, 1.0]))).any()
+    assert not doubtful_sections(wide, LUNG, HU, PathStart(0.0, 5.5, np.array([0.0, 0.0, 1.0]))).any()
 
 
 def test_path_as_bright_as_tissue_has_no_evidence():

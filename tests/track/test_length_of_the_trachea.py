@@ -9,14 +9,14 @@ import pytest
 
 from carina.phantom import generate_phantom
 from carina.track import find_airways
-from carina.track.find.air_upwards import Section
+from carina.track.find.air_upwards import AirSection
 from carina.track.find.upper_airway import the_cords
 
 
-def section(height_mm: float, diameter_mm: float) -> Section:
+def section(height_mm: float, diameter_mm: float) -> AirSection:
     """Return a round section of the trachea at a height above the carina, both in mm."""
     air = np.ones((1, 1), dtype=np.bool_)
-    return Section(
+    return AirSection(
         k=round(height_mm),
         corner=(0, 0),
         air=air,
@@ -34,7 +34,7 @@ def section(height_mm: float, diameter_mm: float) -> Section:
     )
 
 
-def trachea(length_mm: int, diameter_mm: float = 17.3, *, bronchus_mm: int = 0) -> list[Section]:
+def trachea(length_mm: int, diameter_mm: float = 17.3, *, bronchus_mm: int = 0) -> list[AirSection]:
     """Return sections from a bronchus (or from the carina if ``bronchus_mm`` is 0) to the top of the trachea."""
     below = [section(float(z), 0.5 * diameter_mm) for z in range(-bronchus_mm, 0)]
     return below + [section(float(z), diameter_mm) for z in range(length_mm + 1)]

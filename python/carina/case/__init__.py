@@ -5,7 +5,7 @@ from carina.case.error_texts import CaseFileError
 from carina.case.file import CaseFile, StepFacts, migrate
 from carina.case.follow_live_file import CaseFollower
 from carina.case.history import History, Step
-from carina.case.reading import KeptAirways, KeptMeasures
+from carina.case.reading import StoredAirways, StoredMeasures
 from carina.case.recordings import RecordingFacts, RecordingWriter
 from carina.case.rescue import rescued
 from carina.case.routes import ChosenRoute
@@ -20,8 +20,6 @@ __all__ = [
     "ChosenRoute",
     "Document",
     "History",
-    "KeptAirways",
-    "KeptMeasures",
     "KeyFrames",
     "Moment",
     "RecordingFacts",
@@ -29,6 +27,8 @@ __all__ = [
     "SourceFacts",
     "Step",
     "StepFacts",
+    "StoredAirways",
+    "StoredMeasures",
     "Target",
     "migrate",
     "rescued",

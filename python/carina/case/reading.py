@@ -6,7 +6,7 @@ import dataclasses
 import threading
 import weakref
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import msgspec
 import numpy as np
@@ -31,7 +31,7 @@ from carina.case.lumen_tiles import TILE_BYTES, from_tiles, num_tiles
 from carina.case.measures import branch_from, fork_from
 from carina.case.routes import ChosenRoute, RouteSpan
 from carina.case.sized_targets import made_lesion
-from carina.case.source import Turn
+from carina.case.source import AxisPermutation
 from carina.case.stored_state import Moment
 from carina.commands.look import Look
 from carina.errors import CarinaError
@@ -50,14 +50,14 @@ from carina.track import (
     edits_to_json,
 )
 from carina.track.edit.undo_storage import FoldedAirways
-from carina.track.find.per_volume_cache import KeptForVolume
+from carina.track.find.per_volume_cache import PerVolumeCache
 from carina.track.paths.path_grid import PathGrid
 from carina.track.paths.rebuilt_tracker import CoreRecipe
 from carina.track.paths.tracker import PathTracker
 from carina.track.tree.uncertainty import without_unproven_blocks
 from carina.volume import Note, Volume
 
-__all__ = ["CaseReader", "KeptAirways", "KeptMeasures", "Rows"]
+__all__ = ["CaseReader", "Rows", "StoredAirways", "StoredMeasures"]
 
 Rows = dict[str, dict[int, tuple[Any, ...]]]
 """Columns of each content row except its id, by table name and row id."""
@@ -68,7 +68,7 @@ NO_TREES: Final = 4
 """Number of airway trees that stay in memory while airways are read: those of a base and of its edits."""
 
 
-class KeptAirways(FoldedAirways):
+class StoredAirways(FoldedAirways):
     """Edited airways of a step that is not shown; they are read from the case file when :meth:`unfold` is called."""
 
     __slots__ = ("base", "reader", "row")
@@ -78,7 +78,7 @@ class KeptAirways(FoldedAirways):
 
     def __repr__(self) -> str:
         """Return the row number of the airways."""
-        return f"KeptAirways(row={self.row})"
+        return f"StoredAirways(row={self.row})"
 
     def unfold(self) -> Airways:
         """Return the saved airways; their paths are computed at first use.
@@ -92,7 +92,7 @@ class KeptAirways(FoldedAirways):
             return self.reader.airways(self.row)
 
 
-class KeptMeasures:
+class StoredMeasures:
     """Measures of airways in a case file; they are read when :meth:`load` is called."""
 
     __slots__ = ("reader", "row")
@@ -102,7 +102,7 @@ class KeptMeasures:
 
     def __repr__(self) -> str:
         """Return the row number of the measures."""
-        return f"KeptMeasures(row={self.row})"
+        return f"StoredMeasures(row={self.row})"
 
     def load(self) -> TreeMeasures:
         """Return the saved measures; nothing is measured again.
@@ -131,7 +131,9 @@ class CaseReader:
         Order and direction of the case's axes relative to those of the volume.
     """
 
-    def __init__(self, rows: Rows, volume: Volume, know: Callable[[str, object, int], None], turn: Turn) -> None:
+    def __init__(
+        self, rows: Rows, volume: Volume, know: Callable[[str, object, int], None], turn: AxisPermutation
+    ) -> None:
         self._turn = turn
         self._rows = rows
         self.volume = volume
@@ -147,7 +149,7 @@ class CaseReader:
         self._trackers: weakref.WeakValueDictionary[int, PathTracker] = weakref.WeakValueDictionary()
         self._trees: dict[int, tuple[tuple[Branch, ...], tuple[Note, ...]]] = {}
         self._whole: dict[int, Airways] = {}
-        self._folded: dict[int, KeptAirways] = {}
+        self._folded: dict[int, StoredAirways] = {}
         self._routes: dict[int, ChosenRoute] = {}
         self._values: dict[tuple[str, int], Any] = {}
         self._documents: dict[int, Document] = {}
@@ -227,7 +229,7 @@ class CaseReader:
         row: int | None = self.columns("document", document)[0]
         return row
 
-    def _all_measures(self, documents: Sequence[int]) -> tuple[tuple[Any, KeptMeasures], ...]:
+    def _all_measures(self, documents: Sequence[int]) -> tuple[tuple[Any, StoredMeasures], ...]:
         """Return the airways of documents that were measured, each with its measures."""
         measured = dict.fromkeys(self.airways_of(document) for document in documents)
         found = []
@@ -340,7 +342,9 @@ class CaseReader:
             branch_ids=rest[4],
             forks_mm=facts.forks_mm,
             lookouts_mm=facts.lookouts_mm,
-            spans=tuple(RouteSpan(s.branch_id, s.name, s.generation, s.from_mm, s.to_mm, s.kind) for s in facts.spans),
+            spans=tuple(
+                RouteSpan(s.branch_id, s.name, s.generation, s.from_mm, s.to_mm, cast(Any, s.kind)) for s in facts.spans
+            ),
             path=path,
             target_id=facts.target_id,
             branch_id=facts.branch_id,
@@ -353,7 +357,7 @@ class CaseReader:
         return made
 
     def any_airways(self, row: int) -> Any:
-        """Return the airways in a row: in full if they are unedited or shown, otherwise as :class:`KeptAirways`."""
+        """Return the airways in a row: in full if they are unedited or shown, otherwise as :class:`StoredAirways`."""
         base = self.columns("airways", row)[0]
         if base is None or row in self._whole:
             whole = self._whole.get(row)
@@ -362,7 +366,7 @@ class CaseReader:
             return whole
         known = self._folded.get(row)
         if known is None:
-            known = self._folded[row] = KeptAirways(self, row, self._base(base))
+            known = self._folded[row] = StoredAirways(self, row, self._base(base))
             self._know("airways", known, row)
         return known
 
@@ -405,7 +409,7 @@ class CaseReader:
             next_id=facts.next_id,
             uncertain=self._value("uncertain", facts.uncertain, self._decoders.uncertain, _uncertain),
             bridges=tuple(self._array(bridge, "f8", width=3) for bridge in facts.bridges),
-            evidence=KeptForVolume() if whole_base is None else whole_base.evidence,
+            evidence=PerVolumeCache() if whole_base is None else whole_base.evidence,
         )
         self._know("airways", made, row)
         return made
@@ -546,12 +550,12 @@ class CaseReader:
         self._check("tile", row, digest_of("tile", bits))
         return bits
 
-    def measures_of(self, airways: int) -> KeptMeasures | None:
+    def measures_of(self, airways: int) -> StoredMeasures | None:
         """Return the measures of a row of ``airways``; None if it was not measured."""
         row = self._measures.get(airways)
         if row is None:
             return None
-        kept = KeptMeasures(self, row)
+        kept = StoredMeasures(self, row)
         self._know("measures", kept, row)
         return kept
 

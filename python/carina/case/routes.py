@@ -5,10 +5,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
+from carina.commands.fields import BranchId
 from carina.display import one_line
 from carina.errors import NoResultError
 from carina.navigate import FlightPath
@@ -16,7 +19,7 @@ from carina.navigate.moves import PathFork, PathWay, SetPath
 from carina.scopes import PathFrames
 from carina.track import Airways, AirwayTree, Branch, DrawnPart, Route, TrackedPath, drawn_part
 from carina.track.targets.paper_tracker import along_branches
-from carina.value import FrozenValue, PointLps
+from carina.value import FrozenValue, PointLps, Words
 
 __all__ = [
     "AirwayIndex",
@@ -41,18 +44,16 @@ PARKED_MM = 2.0
 AT_THE_ROOT = "the point lies at the tracheal entry, so there is no path to fly along"
 
 
-@one_line
-@dataclass(frozen=True, slots=True)
-class RouteSpan:
-    """The part of a route that lies in one branch, from ``from_mm`` to ``to_mm`` along the route."""
+class RouteSpan(FrozenValue, frozen=True):
+    """The part of a route inside one branch, given by positions in mm along the route."""
 
-    branch_id: int
-    name: str | None
-    generation: int
+    branch_id: BranchId
+    name: Words | None
+    generation: Annotated[int, Meta(ge=0, le=1000)]
     from_mm: float
     to_mm: float
-    kind: str = "tracked"
-    """Kind of the branch, as in :class:`carina.track.Branch`; every view marks branches drawn by hand with it."""
+    kind: Literal["tracked", "bridge", "manual"] = "tracked"
+    """Kind of the branch; ``manual``: the user drew the branch, because the CT shows no airway there."""
 
 
 class NeedleLine(FrozenValue, frozen=True):
@@ -481,7 +482,7 @@ def _spans(
                 int(generation[a]),
                 float(cumulative_mm[a]),
                 float(cumulative_mm[b]),
-                "tracked" if branch is None else branch.kind,
+                "tracked" if branch is None else cast(Any, branch.kind),
             )
         )
     return tuple(found)

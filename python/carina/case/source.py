@@ -18,7 +18,7 @@ from carina.display import one_line
 from carina.errors import UsageError
 from carina.volume import Geometry, Volume
 
-__all__ = ["SourceFacts", "Turn", "grid_words", "read_source", "turn_between", "write_source"]
+__all__ = ["AxisPermutation", "SourceFacts", "grid_words", "read_source", "turn_between", "write_source"]
 
 V = TypeVar("V", np.uint8, np.int16)
 GEOMETRY_MM: Final = 1e-3
@@ -110,7 +110,7 @@ def _is_path(path: object) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
+class AxisPermutation:
     """Order and direction of the axes of a case relative to those of a volume."""
 
     axes: tuple[int, int, int]
@@ -146,7 +146,7 @@ class Turn:
         return i, j, k
 
 
-def turn_between(source: SourceFacts, volume: Volume) -> Turn | None:
+def turn_between(source: SourceFacts, volume: Volume) -> AxisPermutation | None:
     """Return the order of the axes between the grids of a case and a volume; None if their voxels do not coincide."""
     steps = np.linalg.inv(volume.lps_from_ijk[:3, :3]) @ source.lps_from_ijk[:3, :3]
     largest = np.abs(steps).argmax(axis=1)
@@ -154,7 +154,7 @@ def turn_between(source: SourceFacts, volume: Volume) -> Turn | None:
         return None
     a, b, c = (int(axis) for axis in largest)
     p, q, r = (bool(steps[row, axis] < 0.0) for row, axis in enumerate((a, b, c)))
-    turn = Turn((a, b, c), (p, q, r), source.shape_zyx)
+    turn = AxisPermutation((a, b, c), (p, q, r), source.shape_zyx)
     i, j, k = (source.shape_zyx[::-1][axis] for axis in turn.axes)
     if (k, j, i) != volume.shape_zyx:
         return None

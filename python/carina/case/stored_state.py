@@ -41,7 +41,7 @@ class Moment:
     """Pairs of the airways of steps and their measures; airways without measures are not listed.
 
     Airways are :class:`carina.track.Airways` or :class:`carina.track.FoldedAirways`. Measures are
-    :class:`carina.track.TreeMeasures`, or :class:`carina.case.KeptMeasures` that a case file contains.
+    :class:`carina.track.TreeMeasures`, or :class:`carina.case.StoredMeasures` that a case file contains.
     """
 
     def history(self) -> History[Document]:

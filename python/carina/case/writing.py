@@ -20,7 +20,7 @@ from carina.case.document import Document, KeyFrames, Target
 from carina.case.history import Step
 from carina.case.lumen_tiles import to_tiles
 from carina.case.measures import branch_facts, flags_of, sections_of
-from carina.case.reading import KeptAirways, KeptMeasures
+from carina.case.reading import StoredAirways, StoredMeasures
 from carina.case.routes import ChosenRoute
 from carina.case.schema import CONTENT
 from carina.case.sized_targets import lesion_facts
@@ -260,7 +260,7 @@ class CaseWriter:
         known = self._found("airways", airways)
         if known is not None:
             return known
-        if isinstance(airways, KeptAirways):
+        if isinstance(airways, StoredAirways):
             own = airways.reader is self.reader
             row = airways.row if own else self._whole_airways(airways.reader.airways(airways.row))
         elif isinstance(airways, PackedAirways):
@@ -397,15 +397,15 @@ class CaseWriter:
         self._weak.note("lumen", lumen_zyx, found)
         return found
 
-    def _measures(self, airways: int, measures: TreeMeasures | KeptMeasures) -> None:
+    def _measures(self, airways: int, measures: TreeMeasures | StoredMeasures) -> None:
         """Write the measures of airways in place of their former ones."""
         if self._found("measures", measures) is not None:
             return
-        if isinstance(measures, KeptMeasures) and measures.reader is self.reader:
+        if isinstance(measures, StoredMeasures) and measures.reader is self.reader:
             self._note("measures", measures, measures.row)
             return
         try:
-            whole = measures.load() if isinstance(measures, KeptMeasures) else measures
+            whole = measures.load() if isinstance(measures, StoredMeasures) else measures
             row = self._whole_measures(airways, whole)
         except CarinaError as trouble:
             # Measures can be computed again, so the user's work is saved without them.

@@ -13,7 +13,7 @@ import carina
 from carina.cli.adding import add_branches, error_json
 from carina.cli.arguments import check_needs, check_output_file, check_range
 from carina.cli.console import print_json, progress_printer, say, show
-from carina.cli.opened import Opened, check_case_options, opened
+from carina.cli.opened import OpenedInput, check_case_options, opened
 from carina.errors import UsageError
 from carina.export import (
     EXPORT_FORMATS,
@@ -198,7 +198,7 @@ def _check_mask_options(from_mask: Path | None, label: int | None, resample: boo
 
 
 def _airways(
-    source: Opened, *, seed: NDArray[np.float64] | None, from_mask: Path | None, label: int | None, resample: bool
+    source: OpenedInput, *, seed: NDArray[np.float64] | None, from_mask: Path | None, label: int | None, resample: bool
 ) -> Airways:
     progress = progress_printer()
     if source.moment is not None:

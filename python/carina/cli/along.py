@@ -8,7 +8,7 @@ from pathlib import Path
 from carina.case.routes import ChosenRoute, route_to_branch, route_to_point, route_to_target
 from carina.cli.arguments import parse_point
 from carina.cli.console import ProgressCallback, say
-from carina.cli.opened import Opened
+from carina.cli.opened import OpenedInput
 from carina.errors import NoResultError, UsageError
 from carina.export import read_tree
 from carina.track import AirwayTree
@@ -29,7 +29,7 @@ def check_destination(to: str | None, view: str) -> str:
     return to
 
 
-def way_to(source: Opened, to: str, *, tree_file: Path | None, progress: ProgressCallback) -> ChosenRoute:
+def way_to(source: OpenedInput, to: str, *, tree_file: Path | None, progress: ProgressCallback) -> ChosenRoute:
     """Return the route to a branch tip (name or ID), a point x,y,z (LPS, mm), or a named target of a case.
 
     The permanent notes of the tree are added to ``source.badges``.
@@ -60,7 +60,7 @@ def way_to(source: Opened, to: str, *, tree_file: Path | None, progress: Progres
     return route_to_branch(tree, _branch_id(tree, to))
 
 
-def _target_route(source: Opened, to: str) -> ChosenRoute | None:
+def _target_route(source: OpenedInput, to: str) -> ChosenRoute | None:
     """Return the route to a target of the case; None if no target has this name."""
     document = source.document
     target = None if document is None else next((one for one in document.targets if one.name == to), None)

@@ -100,9 +100,9 @@ class _Live:
     def __init__(self) -> None:
         self._filters: dict[str, SampleFilter] = {}
         self._newest: dict[str, Sample] = {}
-        self.listener = Listener(self._said, lambda _device: None)
+        self.listener = Listener(self._receive_sample, lambda _device: None)
 
-    def _said(self, device: str, sample: Sample) -> None:
+    def _receive_sample(self, device: str, sample: Sample) -> None:
         if device not in self._filters:
             self._filters[device] = SampleFilter(DeviceControls())
         self._newest[device] = self._filters[device].apply(sample)

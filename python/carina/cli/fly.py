@@ -21,8 +21,8 @@ from carina.cli.arguments import check_needs, check_output_file, check_range
 from carina.cli.case import recording_in
 from carina.cli.cluster import opened_cluster
 from carina.cli.console import print_json, progress_printer, say
-from carina.cli.kept_frames import KeptFrames
-from carina.cli.opened import Opened, check_case_options, newest_state, opened
+from carina.cli.kept_frames import StoredFrames
+from carina.cli.opened import OpenedInput, check_case_options, newest_state, opened
 from carina.cluster import ClusterRenderer, render_frames
 from carina.config import load_settings
 from carina.errors import NoResultError, TrackingError, UsageError, VolumeImportError
@@ -145,7 +145,7 @@ def report(
             turned = view.get("operator") == "facing"
             frames = [ReplayedPose(float(t), flight.pose_at(float(t)), view, turned) for t in times]
         shots, times_shown = _shots(frames, shown)
-        kept = None if keep is None else KeptFrames(keep, _job(volume, frames, shown, mixed))
+        kept = None if keep is None else StoredFrames(keep, _job(volume, frames, shown, mixed))
         num_kept = 0 if kept is None else min(kept.num, len(shots))
         if num_kept:
             say(f"continuing: {num_kept} of {len(shots)} frames are already in {keep}")
@@ -241,7 +241,7 @@ def _walls(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallFiel
     return wall
 
 
-def _own_view(source: Opened, keys: KeyFrameFile | None) -> dict[str, Any]:
+def _own_view(source: OpenedInput, keys: KeyFrameFile | None) -> dict[str, Any]:
     """Return the display settings of the key frames, or else those of the case."""
     if keys is not None:
         return keys.view
@@ -269,7 +269,7 @@ def _job(volume: Volume, frames: list[ReplayedPose], shown: _Shown, mixed: bool)
     return digest.hexdigest()
 
 
-def _renderer(source: Opened, progress: Any, make: RendererFactory | None) -> Renderer | ClusterRenderer:
+def _renderer(source: OpenedInput, progress: Any, make: RendererFactory | None) -> Renderer | ClusterRenderer:
     volume = source.volume
     renderer: Renderer | ClusterRenderer
     if make is None:
@@ -328,7 +328,7 @@ def _view(frame: ReplayedPose, shown: _Shown) -> AirwayView:
 
 
 def _pictures(
-    renderer: Renderer | ClusterRenderer, shots: list[_Shot], kept: KeptFrames | None, size: tuple[int, int]
+    renderer: Renderer | ClusterRenderer, shots: list[_Shot], kept: StoredFrames | None, size: tuple[int, int]
 ) -> Iterator[tuple[int, NDArray[np.uint8]]]:
     """Yield all images with their numbers, in order: first the stored images, then newly rendered images."""
     first = 0 if kept is None else min(kept.num, len(shots))

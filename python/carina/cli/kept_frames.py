@@ -13,13 +13,13 @@ from carina.disk import library_path, make_folder, read_regular_text, write_whol
 from carina.errors import UsageError, VolumeImportError
 from carina.render import Picture
 
-__all__ = ["KeptFrames"]
+__all__ = ["StoredFrames"]
 
 FORMAT = "carina-frames"
 JOB = "job.json"
 
 
-class KeptFrames:
+class StoredFrames:
     """Numbered PNG files in a folder, with a description of their job.
 
     Parameters

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from carina.case import CaseFile, Document, KeyFrames, Moment
     from carina.track import Airways
 
-__all__ = ["Badges", "Opened", "case_scans", "check_case_options", "newest_state", "opened", "opened_volume"]
+__all__ = ["Badges", "OpenedInput", "case_scans", "check_case_options", "newest_state", "opened", "opened_volume"]
 
 
 class Badges:
@@ -58,7 +58,7 @@ class Badges:
 
 
 @dataclass(slots=True)
-class Opened:
+class OpenedInput:
     """A scan, with the document of the case if the input was a case."""
 
     volume: Volume
@@ -185,7 +185,7 @@ def opened(
     progress: ProgressCallback,
     strict: bool = False,
     ct: Path | None = None,
-) -> Opened:
+) -> OpenedInput:
     """Open a scan or a case, print its notes, and create the list of its badges.
 
     Raises
@@ -199,7 +199,7 @@ def opened(
         with CaseFile.open(newest_state(path), read_only=True) as case:
             found = _of_case(case, ct, series, progress)
     else:
-        found = Opened(carina.open_volume(path, series=series, progress=progress), Badges(), place=path)
+        found = OpenedInput(carina.open_volume(path, series=series, progress=progress), Badges(), place=path)
     _say_notes(found)
     if strict and found.badges.notes:
         codes = ", ".join(note.code for note in found.badges.notes)
@@ -221,15 +221,15 @@ def opened_volume(path: Path, *, series: str | None, progress: ProgressCallback,
         return case_scans().open(case, ct=ct, series=series, progress=progress).volume
 
 
-def _of_case(case: CaseFile, ct: Path | None, series: str | None, progress: ProgressCallback) -> Opened:
+def _of_case(case: CaseFile, ct: Path | None, series: str | None, progress: ProgressCallback) -> OpenedInput:
     if case.note is not None:
         say(f"note: {case.note}")
     scan = case_scans().open(case, ct=ct, series=series, progress=progress)
     place = None if scan.place is None or scan.place.startswith("demo:") else Path(scan.place)
-    return Opened(scan.volume, Badges(), case.load(scan.volume), place)
+    return OpenedInput(scan.volume, Badges(), case.load(scan.volume), place)
 
 
-def _say_notes(found: Opened) -> None:
+def _say_notes(found: OpenedInput) -> None:
     notes: Iterable[Any] = found.volume.source.notes
     for note in notes:
         if not note.badge:

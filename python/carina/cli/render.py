@@ -14,7 +14,7 @@ from carina.case.routes import ChosenRoute
 from carina.cli.along import check_destination, say_drawn, way_to
 from carina.cli.arguments import check_needs, check_output_file, parse_point
 from carina.cli.console import interruptible, print_json, progress_printer, say
-from carina.cli.opened import Opened, check_case_options, opened
+from carina.cli.opened import OpenedInput, check_case_options, opened
 from carina.cli.optics import SeenThrough
 from carina.config import load_settings
 from carina.disk import open_regular_text
@@ -111,7 +111,7 @@ def _along(picture: Picture, way: ChosenRoute) -> Picture:
 
 
 def _own_options(
-    source: Opened,
+    source: OpenedInput,
     view: str,
     seen: SeenThrough,
     fov_deg: float | None,

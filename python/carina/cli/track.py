@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import carina
 from carina.cli.arguments import check_output_file
 from carina.cli.console import ProgressCallback, print_json, progress_printer, say
-from carina.cli.opened import Opened, check_case_options, opened
+from carina.cli.opened import OpenedInput, check_case_options, opened
 from carina.errors import NoResultError
 from carina.export import write_tree
 from carina.track import Airways, DrawnPart, drawn_part
@@ -125,7 +125,7 @@ def report(
 
 
 def _airways_of_case(
-    source: Opened, progress: ProgressCallback, cost: str, root: NDArray[np.float64] | None
+    source: OpenedInput, progress: ProgressCallback, cost: str, root: NDArray[np.float64] | None
 ) -> Airways | None:
     """Return the airways of a case; None if it has none and the cost and the given root make them unnecessary."""
     document = source.document

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from carina.cluster.frame_rate import RateMeter
-from carina.cluster.frames import Content, Frame, fail, what_is_wrong
+from carina.cluster.frames import Content, PendingFrame, fail, what_is_wrong
 from carina.cluster.lanes import Lane, LaneFacts, LocalLane, StripAnswer, StripOrder
 from carina.cluster.scene_data import Parcel, Parcels
 from carina.cluster.scheduler import FrameDone, FrameDropped, Issue, LaneBack, LaneLate, StripScheduler
@@ -22,7 +22,7 @@ from carina.cluster.settings import ClusterSettings
 from carina.errors import CancelledError, CarinaError, ClusterError
 from carina.render import CancelToken, ClusterStatus, MemberStatus, Picture, View
 
-__all__ = ["Console", "Content", "Job"]
+__all__ = ["Console", "Content", "StripTiming"]
 
 logger = logging.getLogger(__name__)
 
@@ -37,7 +37,7 @@ MAX_FAULTS = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class StripTiming:
     """One strip with its times on the console, for timelines (paper, Figure 11)."""
 
     lane: str
@@ -76,7 +76,7 @@ class Console:
     clock
         Returns the present time in seconds, monotonic.
     keep_jobs
-        Store a :class:`Job` for each strip, for timelines.
+        Store a :class:`StripTiming` for each strip, for timelines.
     """
 
     def __init__(
@@ -91,16 +91,16 @@ class Console:
         self._scheduler = StripScheduler(self._settings)
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._members: dict[str, _Member] = {}
-        self._frames: dict[int, Frame] = {}
+        self._frames: dict[int, PendingFrame] = {}
         self._tasks: dict[int, tuple[StripOrder, float]] = {}
         self._parcel: Parcel | None = None
         self._later: list[tuple[float, Callable[[], None]]] = []
         self._frame_ids = itertools.count(1)
         self._notices: list[str] = []
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._meter = RateMeter()
         self._status: ClusterStatus | None = None
-        self.jobs: list[Job] | None = [] if keep_jobs else None
+        self.jobs: list[StripTiming] | None = [] if keep_jobs else None
         self.parcels = Parcels()
         """Source of the content numbers, which stay unique when another case is shown."""
         self.address = "local"
@@ -176,7 +176,9 @@ class Console:
         """
         future: Future[Picture] = Future()
         frame_id = next(self._frame_ids)
-        frame = Frame(view, content, future, CancelToken(), self._clock(), view_bytes=pickle.dumps(view, protocol=5))
+        frame = PendingFrame(
+            view, content, future, CancelToken(), self._clock(), view_bytes=pickle.dumps(view, protocol=5)
+        )
         self._inbox.put(lambda: self._want(frame_id, frame, whole, stream))
         return frame_id, future
 
@@ -360,7 +362,7 @@ class Console:
         self._later.append((self._clock() + wait_s, lambda: self._load(name)))
         self._note_alone()
 
-    def _want(self, frame_id: int, frame: Frame, whole: bool, stream: str | None) -> None:
+    def _want(self, frame_id: int, frame: PendingFrame, whole: bool, stream: str | None) -> None:
         """Pass a requested picture to the scheduler."""
         self._frames[frame_id] = frame
         view = frame.view
@@ -467,10 +469,10 @@ class Console:
         # The present time, not the time of the answer: the scheduler's clock must not run backwards.
         accepted = self._scheduler.answered(name, order.task_id, answer.seconds, self._clock())
         if self.jobs is not None:
-            self.jobs.append(Job(name, order.frame_id, rows, issued_s, at_s, answer.seconds, accepted))
+            self.jobs.append(StripTiming(name, order.frame_id, rows, issued_s, at_s, answer.seconds, accepted))
         self._act()
 
-    def _refused(self, name: str, order: StripOrder, frame: Frame | None, trouble: BaseException) -> None:
+    def _refused(self, name: str, order: StripOrder, frame: PendingFrame | None, trouble: BaseException) -> None:
         """Handle an error of a lane: the view is invalid, the frame was cancelled, or the renderer failed."""
         now_s = self._clock()
         if isinstance(trouble, ClusterError) and trouble.code == "cluster.fault":
@@ -522,14 +524,14 @@ class Console:
         self._tell(f"the renderer {name} returned an invalid reply: {wrong}; another machine rendered its part")
         self._retry(name, ClusterError(wrong, code="cluster.fault"))
 
-    def _deliver(self, frame: Frame) -> None:
+    def _deliver(self, frame: PendingFrame) -> None:
         now_s = self._clock()
         self._meter.note(now_s, now_s - frame.wanted_s)
         frame.deliver(now_s)
 
     def _tell(self, words: str) -> None:
-        if words not in self._told:
-            self._told.add(words)
+        if words not in self._reported:
+            self._reported.add(words)
             self._notices.append(words)
             del self._notices[:-50]
             logger.warning("%s", words)

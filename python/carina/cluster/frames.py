@@ -14,7 +14,7 @@ from carina.render import AirwayView, CancelToken, Picture, Renderer, RenderStat
 from carina.render.scene import Scene
 from carina.scopes import PINHOLE
 
-__all__ = ["Content", "Frame", "fail", "what_is_wrong"]
+__all__ = ["Content", "PendingFrame", "fail", "what_is_wrong"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,7 +27,7 @@ class Content:
 
 
 @dataclass(slots=True)
-class Frame:
+class PendingFrame:
     """A requested picture that is not complete yet."""
 
     view: View

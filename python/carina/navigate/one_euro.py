@@ -59,7 +59,7 @@ class SampleFilter:
         self._last: Sample | None = None
         self._raw: NDArray[np.float64] = np.zeros(0)
         self._raw_turn = np.eye(3)
-        self._kept: NDArray[np.float64] = np.zeros(0)
+        self._filtered: NDArray[np.float64] = np.zeros(0)
         self._speed: NDArray[np.float64] = np.zeros(0)
         self._turn = np.eye(3)
         self._turning: NDArray[np.float64] = np.zeros(3)
@@ -83,10 +83,10 @@ class SampleFilter:
             return sample
         turn = rotation_from_wxyz(sample.orientation_wxyz) if isinstance(sample, PoseSample) else None
         passed_s = math.inf if last is None else sample.time_s - last.time_s
-        if not 0.0 <= passed_s <= MAX_GAP_S or len(values) != len(self._kept):
-            self._kept, self._speed, self._turning = values, np.zeros(len(values)), np.zeros(3)
+        if not 0.0 <= passed_s <= MAX_GAP_S or len(values) != len(self._filtered):
+            self._filtered, self._speed, self._turning = values, np.zeros(len(values)), np.zeros(3)
             self._turn = np.eye(3) if turn is None else turn
-            self._raw, self._raw_turn = self._kept, self._turn
+            self._raw, self._raw_turn = self._filtered, self._turn
             self._latency_s = 0.0
             return sample
         if passed_s == 0.0:
@@ -102,7 +102,7 @@ class SampleFilter:
         speed, self._raw = (values - self._raw) / passed_s, values
         self._speed = self._speed + _share(s.derivative_cutoff_hz, passed_s) * (speed - self._speed)
         cutoff_hz = s.min_cutoff_hz + s.beta_per_mm * float(np.linalg.norm(self._speed))
-        self._kept = self._kept + _share(cutoff_hz, passed_s) * (values - self._kept)
+        self._filtered = self._filtered + _share(cutoff_hz, passed_s) * (values - self._filtered)
         return _time_constant_s(cutoff_hz)
 
     def _rotate(self, turn: NDArray[np.float64], passed_s: float) -> float:
@@ -116,7 +116,7 @@ class SampleFilter:
         return _time_constant_s(cutoff_hz)
 
     def _made(self, sample: Sample) -> Sample:
-        kept = [float(v) for v in self._kept]
+        kept = [float(v) for v in self._filtered]
         match sample:
             case PoseSample():
                 self._turn = rotation_from_wxyz(wxyz_from_rotation(self._turn))

@@ -582,7 +582,7 @@ class Pilot:
             here_mm, there_mm = tip.path_mm, tip.path_mm + float(offset_mm[2])
             for fork in self._forks:
                 if here_mm < fork.path_mm <= there_mm:
-                    way = self._meant(fork, tip.pose, held)
+                    way = self._chosen_branch(fork, tip.pose, held)
                     if way != fork.taken:
                         self._wanted_way = way
                         offset_mm = np.array([0.0, 0.0, fork.path_mm - here_mm])
@@ -590,7 +590,7 @@ class Pilot:
         tip.move_by((float(offset_mm[0]), float(offset_mm[1]), float(offset_mm[2])), turn, dt_s=self._passed_s)
 
     @staticmethod
-    def _meant(fork: m.PathFork, pose: Pose, held: MM3) -> int:
+    def _chosen_branch(fork: m.PathFork, pose: Pose, held: MM3) -> int:
         aim = pose.forward_lps + pose.lps_from_camera[:3, :3] @ held
         length = float(np.linalg.norm(aim))
         if length < 1e-9:

@@ -58,7 +58,7 @@ def qr_rows(text: str) -> tuple[str, ...]:
 
 
 @dataclass(slots=True)
-class _Open:
+class _RunningPage:
     """Server, thread, tokens and wire state of a running phone page."""
 
     server: uvicorn.Server
@@ -87,7 +87,7 @@ class PhonePage:
         self._session = session
         self._web = web
         self._address = address
-        self._open: _Open | None = None
+        self._open: _RunningPage | None = None
         self._lock = threading.Lock()
         # Only the page's event loop uses these; info() reads them from other threads.
         self._link: PhoneLink | None = None
@@ -144,7 +144,7 @@ class PhonePage:
             num_refused=opened.tokens.num_refused,
         )
 
-    def _serve(self, sock: object, address: str, certificate: Certificate) -> _Open:
+    def _serve(self, sock: object, address: str, certificate: Certificate) -> _RunningPage:
         port = sock.getsockname()[1]  # type: ignore[attr-defined]
         tokens = TokenGate()
         shown = f"[{address}]" if ":" in address else address
@@ -169,7 +169,7 @@ class PhonePage:
             num_bad=0,
             bad_words="",
         )
-        return _Open(server, thread, tokens, info)
+        return _RunningPage(server, thread, tokens, info)
 
     # ------------------------------------------------------------ requests
 
@@ -278,7 +278,7 @@ class PhonePage:
     # ------------------------------------------------------------ samples and actions
 
     def _heard(self, sample: object) -> None:
-        self._session.devices.said(DEVICE, sample)  # type: ignore[arg-type]
+        self._session.devices.receive_sample(DEVICE, sample)  # type: ignore[arg-type]
 
     def _clutch_held_moves(self) -> bool:
         devices = self._session.devices.info()

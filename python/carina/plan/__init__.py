@@ -11,11 +11,11 @@ from carina.plan.instruments.scope_file import scope_from_file, scope_to_json
 from carina.plan.instruments.tools import DEFAULT_TOOL, Tool, tool, tool_from_file, tools
 from carina.plan.lungs.fissures import FissureBox
 from carina.plan.lungs.lobes import Lobes, lobes
-from carina.plan.lungs.tissue_near_needle import Surroundings, lung_surroundings, surroundings
+from carina.plan.lungs.tissue_near_needle import NearbyTissue, lung_surroundings, surroundings
 from carina.plan.lungs.vessels import VesselBranch, VesselTree
 from carina.plan.reach_atlas import ReachAtlas, reach_atlas
 from carina.plan.report import PlanSheet, make_sheet, write_report
-from carina.plan.routes.last_leg import Crossed, LastLeg, NearVessel, NeedleScene, last_leg
+from carina.plan.routes.last_leg import CrossedTissue, LastLeg, NearVessel, NeedleScene, last_leg
 from carina.plan.routes.needle_hits import NeedleErrors, hit_share
 from carina.plan.routes.plan_route import Plan, PlannedRoute, plan_route
 from carina.plan.routes.ranking import Outlook, ScoreWeights
@@ -45,7 +45,7 @@ __all__ = [
     "WHERE_WORDS",
     "BronchusSign",
     "Check",
-    "Crossed",
+    "CrossedTissue",
     "DrivenRoute",
     "FissureBox",
     "Landmark",
@@ -53,6 +53,7 @@ __all__ = [
     "Lobes",
     "Move",
     "NearVessel",
+    "NearbyTissue",
     "NearestPlace",
     "NeedleErrors",
     "NeedleScene",
@@ -67,7 +68,6 @@ __all__ = [
     "PlannedRoute",
     "ReachAtlas",
     "ScoreWeights",
-    "Surroundings",
     "TargetSource",
     "Tool",
     "Turn",

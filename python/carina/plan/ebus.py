@@ -206,7 +206,7 @@ class _Finder:
         at = self._trachea_mm - above_mm
         if at < 0.0:
             return self._absent(blank, f"less than {above_mm:.0f} mm of the trachea is in the CT")
-        return self._told(blank, pieces, at, _aside(side, turn_deg))
+        return self._landmark(blank, pieces, at, _aside(side, turn_deg))
 
     def _subcarinal(self, side: Side) -> Landmark:
         name, other = f"{side}MB", "LMB" if side == "R" else "RMB"
@@ -216,7 +216,7 @@ class _Finder:
             return self._absent(blank, f"the {_long(name if not pieces else other)} is not on the tree")
         far = min(MAIN_SHARE * _length(pieces), MAIN_SHARE * _length(across))
         towards = _place(across, far)[0] - _place(pieces, far)[0]
-        return self._told(blank, pieces, far, towards, also=across)
+        return self._landmark(blank, pieces, far, towards, also=across)
 
     def _hilar(self, side: Side) -> Landmark:
         station = f"10{side}"
@@ -225,7 +225,7 @@ class _Finder:
         pieces = self._pieces(f"{side}MB")
         if not pieces:
             return self._absent(blank, f"the {_long(f'{side}MB')} is not on the tree")
-        return self._told(blank, pieces, MAIN_SHARE * _length(pieces), _aside(side, 45.0))
+        return self._landmark(blank, pieces, MAIN_SHARE * _length(pieces), _aside(side, 45.0))
 
     def _interlobar(self, station: str, like: str, upper: str, lower: str) -> Landmark:
         """Return the landmark of a station that lies between two bronchi of one fork, seen from the lower bronchus."""
@@ -240,9 +240,9 @@ class _Finder:
         towards = 0.5 * (_place((other,), ANGLE_MM)[0] + _place(pieces, ANGLE_MM)[0]) - pieces[0].points[0]
         # The second term turns the direction to the other bronchus's side, independent of the curve of this bronchus.
         towards = towards + (_place((other,), ANGLE_MM)[0] - _place(pieces, ANGLE_MM)[0])
-        return self._told(blank, pieces, min(BEYOND_MM, 0.5 * _length(pieces)), towards, also=(other,))
+        return self._landmark(blank, pieces, min(BEYOND_MM, 0.5 * _length(pieces)), towards, also=(other,))
 
-    def _told(
+    def _landmark(
         self, blank: Landmark, pieces: tuple[Branch, ...], at_mm: float, towards: Points, also: tuple[Branch, ...] = ()
     ) -> Landmark:
         point, forward, branch = _place(pieces, at_mm)

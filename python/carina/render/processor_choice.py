@@ -121,7 +121,7 @@ class Backend:
         self._opened: dict[int, _core.Gpu] = {}
         self._unusable: dict[int, str] = {}
         self._measurements: dict[tuple[str, str, tuple[int, int, int]], AdapterMeasurement] = {}
-        self._said = False
+        self._was_logged = False
         if record is not None:
             self._measurements = {_key(v): v for v in _read(record)}
 
@@ -151,8 +151,8 @@ class Backend:
             if adapter is not None:
                 self._unusable[adapter.index] = reason
                 self._opened.pop(adapter.index, None)
-            said, self._said = self._said, True
-        if not said:
+            was_logged, self._was_logged = self._was_logged, True
+        if not was_logged:
             log.warning("rendering on the CPU from now on: %s", reason)
 
     @property

@@ -30,7 +30,7 @@ from carina.render.planes import PlaneCaster
 from carina.render.processor_choice import Backend
 from carina.render.radiograph import cast_drr
 from carina.render.reformation import cast_path_view
-from carina.render.scene import Cancel, Scene, SceneKeeper
+from carina.render.scene import Cancel, Scene, SceneBuilder
 from carina.render.surface import Hit, Surface
 from carina.render.transfer_function import TransferFunction
 from carina.render.tree import cast_tree
@@ -118,7 +118,7 @@ class Renderer:
     ) -> None:
         self._volume = volume
         self._simd = simd
-        self._scenes = SceneKeeper(volume, transfer, cache_dir)
+        self._scenes = SceneBuilder(volume, transfer, cache_dir)
         self._airway = AirwayCaster(volume, simd=simd, backend=backend)
         self._planes = PlaneCaster(volume)
 

@@ -23,7 +23,7 @@ from carina.render.wall import wall_levels, with_wall
 from carina.render.wall_texture import Decoration, DecorationTree, decoration_of
 from carina.volume import Volume
 
-__all__ = ["Cancel", "ClassMaps", "Maps", "Progress", "Scene", "SceneKeeper"]
+__all__ = ["Cancel", "ClassMaps", "Maps", "Progress", "Scene", "SceneBuilder"]
 
 Progress = Callable[[str, float | None], None]
 Cancel = Callable[[], bool]
@@ -60,7 +60,7 @@ class Scene:
     decoration: Decoration | None = None
 
 
-class SceneKeeper:
+class SceneBuilder:
     """Owner of the present scene of one volume, which builds its successors; see :class:`carina.render.Renderer`."""
 
     def __init__(self, volume: Volume, transfer: TransferFunction | None, cache_dir: Path | None) -> None:

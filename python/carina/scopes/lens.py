@@ -313,19 +313,19 @@ class _RaysInMemory:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._kept: OrderedDict[tuple[Any, ...], _core.LensRays] = OrderedDict()
+        self._cache: OrderedDict[tuple[Any, ...], _core.LensRays] = OrderedDict()
 
     def of(self, optics: Optics, field: ImageField) -> _core.LensRays:
         key = (optics.lens, *optics.size_px, optics.fov_deg, field)
         with self._lock:
-            if key in self._kept:
-                self._kept.move_to_end(key)
-                return self._kept[key]
+            if key in self._cache:
+                self._cache.move_to_end(key)
+                return self._cache[key]
         rays = optics._build_rays(field)
         with self._lock:
-            self._kept[key] = rays
-            while len(self._kept) > 1 and sum(k[1] * k[2] for k in self._kept) > RAYS_IN_MEMORY_PX:
-                self._kept.popitem(last=False)
+            self._cache[key] = rays
+            while len(self._cache) > 1 and sum(k[1] * k[2] for k in self._cache) > RAYS_IN_MEMORY_PX:
+                self._cache.popitem(last=False)
         return rays
 
 

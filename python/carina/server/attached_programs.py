@@ -18,7 +18,7 @@ from carina.server.network.access_checks import Gate, is_loopback
 from carina.server.sockets.closing import close_socket
 from carina.server.sockets.socket_io import receive_text
 from carina.server.wire import messages as wire
-from carina.session import Changed, Door, Errand, Event, Session, log_fault
+from carina.session import Changed, Door, Event, JobGroup, Session, log_fault
 
 __all__ = ["JOIN_PATH", "JoinedProgram", "door_of", "problem_of", "serve_program"]
 
@@ -61,7 +61,7 @@ class JoinedProgram:
         self._session = session
         self._case_number = case_number
         self._window = window
-        self._errand = Errand(case_number)
+        self._errand = JobGroup(case_number)
 
     def take(self, message: Command | wire.Settle) -> wire.Settled | None:
         """Execute a command and return None, or wait for the jobs of the earlier commands and return their result."""
@@ -81,7 +81,7 @@ class JoinedProgram:
         return None
 
     def _settle(self, message: wire.Settle) -> wire.Settled:
-        errand, self._errand = self._errand, Errand(self._case_number)
+        errand, self._errand = self._errand, JobGroup(self._case_number)
         problems = list(errand.wait())
         if message.all_jobs:
             self._session.jobs.wait_idle(None)

@@ -32,7 +32,7 @@ class ClusterWatch:
     def __init__(self, status: Callable[[], ClusterStatus], tell: Callable[[wire.Cluster | wire.Notice], None]) -> None:
         self._status = status
         self._tell = tell
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="carina-cluster-watch", daemon=True)
 
@@ -50,8 +50,8 @@ class ClusterWatch:
         """Read the cluster status once, and send it with its new notices to the windows."""
         status = self._status()
         for words in status.notices:
-            if words not in self._told:
-                self._told.add(words)
+            if words not in self._reported:
+                self._reported.add(words)
                 self._tell(wire.Notice(words))
         self._tell(cluster_message(status))
 

@@ -23,7 +23,7 @@ from carina.server.wire import messages as wire
 from carina.session import Session
 from carina.session.jobs.background_jobs import log_fault
 
-__all__ = ["DeviceDesk", "Phone"]
+__all__ = ["DeviceConnections", "Phone"]
 
 logger = logging.getLogger(__name__)
 
@@ -58,7 +58,7 @@ class Phone(Protocol):
         ...
 
 
-class DeviceDesk:
+class DeviceConnections:
     """Owner of the device connections and of the thread that moves the tip by their samples.
 
     Parameters
@@ -125,8 +125,8 @@ class DeviceDesk:
         """Handle a message of a window about devices; return False if the message is not about devices."""
         session = self._session
         match message:
-            case wire.DeviceSample():
-                session.devices.said(message.device, _sample(message))
+            case wire.DeviceSampleMessage():
+                session.devices.receive_sample(message.device, _sample(message))
                 return True
             case wire.ConnectDevice():
                 self._connect(message.address)
@@ -176,7 +176,7 @@ class DeviceDesk:
         self._session.do(commands.DeviceGone(device))
 
     def _connect(self, address: str) -> None:
-        source = open_source(address, Listener(self._session.devices.said, self._gone))
+        source = open_source(address, Listener(self._session.devices.receive_sample, self._gone))
         # The source's own address is the key: the typed address may omit a port or contain more than the address.
         if source.address in self._sources:
             raise UsageError(f"{source.address} is already connected", code="devices.address")
@@ -223,14 +223,14 @@ class DeviceDesk:
 
     # ------------------------------------------------------------ out
 
-    def message(self) -> wire.Devices | None:
+    def message(self) -> wire.DevicesMessage | None:
         """Return the device status for the wire; None without a case."""
         info = self._session.devices.info()
         if info is None:
             return None
         controls = info.controls
         recording = self._session.devices.recording_name
-        return wire.Devices(
+        return wire.DevicesMessage(
             control=info.control,
             filter_latency_ms=round(filter_latency_ms(controls), 2),
             controls=controls,
@@ -292,7 +292,7 @@ def _ports() -> tuple[tuple[str, ...], str | None]:
     return tuple(port["port"] for port in ports)[:200], trouble
 
 
-def _sample(message: wire.DeviceSample) -> PoseSample | AxesSample | HandleSample:
+def _sample(message: wire.DeviceSampleMessage) -> PoseSample | AxesSample | HandleSample:
     if message.orientation_wxyz is not None:
         w, x, y, z = message.orientation_wxyz
         at = None if message.position_mm is None else _three(message.position_mm)

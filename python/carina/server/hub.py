@@ -15,13 +15,13 @@ from carina.commands import Command, MaskFileNeeded, OpenFiles, TakeKeyFrameFile
 from carina.errors import CarinaError, ProtocolError, UsageError
 from carina.render import ClusterStatus
 from carina.server.cluster_status import ClusterWatch
-from carina.server.devices import DeviceDesk, Phone
+from carina.server.devices import DeviceConnections, Phone
 from carina.server.files.uploads import Uploads
 from carina.server.frames.pacing import DEFAULT_RATE_HZ
-from carina.server.observers.page import WatchPage
+from carina.server.observers.page import ObserverPageServer
 from carina.server.observers.window import WatchingWindow
 from carina.server.windows.broadcast_cache import SharedTexts
-from carina.server.windows.prefetch import Warming
+from carina.server.windows.prefetch import PathPrefetcher
 from carina.server.windows.window import Window
 from carina.server.wire import messages as wire
 from carina.session import Changed, Event, JobEnded, Session, log_fault
@@ -83,10 +83,10 @@ class Hub:
         self._leaving: list[threading.Thread] = []
         self._rate_hz = DEFAULT_RATE_HZ
         self.texts = SharedTexts(session, patient_citation, self._push)
-        self._warming = Warming(session)
-        self.devices = DeviceDesk(session, self._tell, recordings=recordings, phone=phone)
+        self._warming = PathPrefetcher(session)
+        self.devices = DeviceConnections(session, self._tell, recordings=recordings, phone=phone)
         self._watch = None if cluster_status is None else ClusterWatch(cluster_status, self._tell)
-        self._watch_page = WatchPage(
+        self._watch_page = ObserverPageServer(
             self._attach_watcher,
             lambda: self._mark("watching"),
             flooded=lambda: self._push(wire.Notice(FLOODED)),

@@ -26,10 +26,10 @@ from carina.server.devices import Phone
 from carina.server.files.uploads import Uploads
 from carina.server.hub import Hub
 from carina.server.network.access_checks import Gate, is_loopback
-from carina.server.network.connection_limits import ACCEPT_AT_ONCE, WAITING_IN_LINE, Strangers, quieten
+from carina.server.network.connection_limits import ACCEPT_AT_ONCE, WAITING_IN_LINE, UnauthenticatedConnections, quieten
 from carina.server.network.listening import bind
 from carina.server.network.request_timeouts import impatient
-from carina.server.network.shutdown import EndingServer
+from carina.server.network.shutdown import TimedShutdownServer
 from carina.server.unsaved_question import ConsoleTerminal, close_session
 from carina.server.wire.codec import MAX_TEXT_BYTES
 from carina.session import FORGOTTEN_FOR_S, CaseRecords, LocalStore, RendererFactory, Session, case_files, is_case_file
@@ -103,10 +103,12 @@ def start_url(gate: Gate) -> str:
     return f"http://{shown}:{gate.port}/?token={gate.new_token()}"
 
 
-class _Server(EndingServer):
+class _Server(TimedShutdownServer):
     """Uvicorn server that calls ``on_started`` when it accepts connections."""
 
-    def __init__(self, config: uvicorn.Config, strangers: Strangers, on_started: Callable[[], None]) -> None:
+    def __init__(
+        self, config: uvicorn.Config, strangers: UnauthenticatedConnections, on_started: Callable[[], None]
+    ) -> None:
         super().__init__(config, strangers)
         self._on_started = on_started
 
@@ -152,7 +154,7 @@ def make_server(
         watch_address=watch_address,
         closes_session=closes_session,
     )
-    strangers = Strangers()
+    strangers = UnauthenticatedConnections()
     config = uvicorn.Config(
         create_app(hub, gate, uploads, web=web),
         http=impatient(strangers, gate.authorised),

@@ -10,7 +10,7 @@ from carina.session.engines import Parts, RendererFactory, default_parts
 from carina.session.flights.key_frames import key_file
 from carina.session.flights.tip_commands import view_words
 from carina.session.jobs.background_jobs import JobEnded, JobProgress, log_fault
-from carina.session.jobs.job_groups import Errand
+from carina.session.jobs.job_groups import JobGroup
 from carina.session.scene.layer_lines import LAYERS, LayerLines, LayerName
 from carina.session.scene.shown_case import SessionRenderer, ShownCase
 from carina.session.session import Session
@@ -22,10 +22,10 @@ from carina.session.state.snapshot import (
     MaskQuestion,
     NotEvident,
     PoseInfo,
-    Said,
     Snapshot,
     StartMarked,
     Trouble,
+    UserMessage,
     WallPoint,
 )
 from carina.session.store.attach_endpoint import Door
@@ -45,12 +45,12 @@ __all__ = [
     "Changed",
     "ChosenRoute",
     "Door",
-    "Errand",
     "Event",
     "FlightInfo",
     "FlightPlace",
     "FoundScan",
     "JobEnded",
+    "JobGroup",
     "JobProgress",
     "KeyFramesInfo",
     "LayerLines",
@@ -66,7 +66,6 @@ __all__ = [
     "PoseInfo",
     "RecentCase",
     "RendererFactory",
-    "Said",
     "Session",
     "SessionRenderer",
     "ShownCase",
@@ -74,6 +73,7 @@ __all__ = [
     "StartMarked",
     "StorageInfo",
     "Trouble",
+    "UserMessage",
     "WallPoint",
     "case_files",
     "chosen_number",

@@ -12,8 +12,8 @@ from carina.argument_checks import check_arguments, file_path, flag, having, ins
 from carina.commands import Command, Question, Redo, Undo
 from carina.errors import CarinaError, NoResultError, UsageError, refuse_pickle
 from carina.render import LEAD_VIEW
-from carina.session.attach.remote_case import JoinedCase
-from carina.session.attach.select import OwnCase, ProgramCase
+from carina.session.attach.remote_case import RemoteCase
+from carina.session.attach.select import LocalCase, ProgramCase
 from carina.session.state.snapshot import Snapshot
 from carina.session.store.find_scan import is_case_file
 from carina.volume import Volume
@@ -95,10 +95,10 @@ class Case:
             raise UsageError(f"Case.open: source: expected str, Path or Volume; found {found}; give a folder or a file")
         if ct is not None and (isinstance(source, Volume) or not is_case_file(source)):
             raise UsageError("Case.open: ct: only applies to a case file (NAME.carina)")
-        joined = None if isinstance(source, Volume) else JoinedCase.join(source, ct)
+        joined = None if isinstance(source, Volume) else RemoteCase.join(source, ct)
         if joined is not None:
             return cls(joined)
-        own = OwnCase()
+        own = LocalCase()
         try:
             own.open(source, ct)
         except BaseException:
@@ -107,7 +107,7 @@ class Case:
         if own.note is not None:
             # A window may have opened the case or saved it to this file since the first attempt to join.
             with contextlib.suppress(CarinaError, OSError):
-                joined = None if isinstance(source, Volume) else JoinedCase.join(source, ct)
+                joined = None if isinstance(source, Volume) else RemoteCase.join(source, ct)
             if joined is not None:
                 own.close()
                 return cls(joined)

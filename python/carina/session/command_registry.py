@@ -11,12 +11,12 @@ from carina.commands.questions import Question
 if TYPE_CHECKING:
     from carina.session.core import SessionCore
 
-__all__ = ["Subject", "answers", "does", "handlers_of"]
+__all__ = ["CommandHandlers", "answers", "does", "handlers_of"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-class Subject:
+class CommandHandlers:
     """Handlers of related commands and questions, with the state that they share.
 
     Parameters

@@ -31,12 +31,12 @@ from carina.session.state.snapshot import (
     FlightInfo,
     NotEvident,
     PoseInfo,
-    Said,
     SavingInfo,
     Snapshot,
     StartMarked,
     Topic,
     Trouble,
+    UserMessage,
 )
 from carina.session.store.local_settings import LocalStore
 
@@ -62,7 +62,7 @@ def flight_list(case: OpenCase, saving: SavingInfo) -> tuple[FlightInfo, ...]:
     )
 
 
-Event = Changed | Trouble | NotEvident | Said | StartMarked | JobProgress | JobEnded
+Event = Changed | Trouble | NotEvident | UserMessage | StartMarked | JobProgress | JobEnded
 # Longest time between two moves, in s, that counts as contact with the wall.
 MAX_CONTACT_S = 10.0
 WATCHING = "session.watching"
@@ -264,13 +264,13 @@ class SessionCore:
         with self.lock:
             label = move(case.history)
             if label is None:
-                self.answer(Said(f"there is nothing to {'undo' if words == 'undone' else 'redo'}"))
+                self.answer(UserMessage(f"there is nothing to {'undo' if words == 'undone' else 'redo'}"))
                 return
             self._moved_in_history(case, f"{words}: {label}")
 
     def _moved_in_history(self, case: OpenCase, words: str) -> None:
         self.follow(case)
-        self.emit(Said(words))
+        self.emit(UserMessage(words))
         self.changed(*ALL_TOPICS)
 
     def change(self, case: OpenCase, label: str, document: Document, *, gesture: Hashable = None) -> None:

@@ -12,32 +12,32 @@ from typing import Any, TypeVar, cast
 
 from carina.commands import Command, Question, all_commands, checked
 from carina.errors import UsageError
-from carina.session.airways.editing import TreeEditing
-from carina.session.airways.finding import AirwayFinding
-from carina.session.airways.measuring import TreeMeasuring
+from carina.session.airways.editing import TreeEditHandlers
+from carina.session.airways.finding import AirwayHandlers
+from carina.session.airways.measuring import MeasurementHandlers
 from carina.session.cases.case_list import CaseList
-from carina.session.cases.observer import Following
-from carina.session.cases.opening import Opening
+from carina.session.cases.observer import ObserverHandlers
+from carina.session.cases.opening import CaseOpener
 from carina.session.command_registry import handlers_of
 from carina.session.core import Event, SessionCore
 from carina.session.engines import Parts, RendererFactory
-from carina.session.flights.devices import Devices
-from carina.session.flights.key_frames import KeyFraming
-from carina.session.flights.recorded_flights import Flights
-from carina.session.flights.recording import FlightRecording
-from carina.session.flights.scope_contact import ScopeHolding
-from carina.session.flights.tip_commands import STRAIGHT_TO_THE_PILOT, Flying
-from carina.session.flights.verdict_drives import KeptDrives
+from carina.session.flights.devices import DeviceHandlers
+from carina.session.flights.key_frames import KeyFrameHandlers
+from carina.session.flights.recorded_flights import FlightHandlers
+from carina.session.flights.recording import FlightRecorder
+from carina.session.flights.scope_contact import ScopeContactHandlers
+from carina.session.flights.tip_commands import STRAIGHT_TO_THE_PILOT, TipHandlers
+from carina.session.flights.verdict_drives import VerdictDriveHandlers
 from carina.session.jobs.background_jobs import JobRunner
-from carina.session.saving.autosave import CLOSING_S, KeptFiles, Saving
+from carina.session.saving.autosave import CLOSING_S, Autosave, CaseFileFunctions
 from carina.session.scene.shown_case import ShownCase
 from carina.session.state.snapshot import KeyFramesInfo, PoseInfo, Snapshot
 from carina.session.store.local_settings import LocalStore
 from carina.session.store.registry import CaseRecords
-from carina.session.targets.planning import Planning
-from carina.session.targets.routing import Routing
-from carina.session.targets.target_edits import TargetEditing
-from carina.session.view.look import Looking
+from carina.session.targets.planning import PlanHandlers
+from carina.session.targets.routing import RouteHandlers
+from carina.session.targets.target_edits import TargetHandlers
+from carina.session.view.look import LookHandlers
 from carina.session.view.questions import CaseQuestions
 
 __all__ = ["Session"]
@@ -83,18 +83,18 @@ class Session:
         clock: Callable[[], float] = time.monotonic,
         today: Callable[[], str] = lambda: time.strftime("%Y-%m-%d"),
         records: CaseRecords | None = None,
-        files: KeptFiles | None = None,
+        files: CaseFileFunctions | None = None,
     ) -> None:
         core = SessionCore(renderer_factory, parts=parts, store=store, submit=submit, clock=clock, today=today)
-        holding, finding, editing = ScopeHolding(core), AirwayFinding(core), TreeEditing(core)
-        measuring, keys, planning = TreeMeasuring(core), KeyFraming(core), Planning(core)
-        recording = FlightRecording(core, holding)
+        holding, finding, editing = ScopeContactHandlers(core), AirwayHandlers(core), TreeEditHandlers(core)
+        measuring, keys, planning = MeasurementHandlers(core), KeyFrameHandlers(core), PlanHandlers(core)
+        recording = FlightRecorder(core, holding)
         self._core, self._keys, self._recording = core, keys, recording
-        self._devices = Devices(core, recording, self.do)
-        self._saving = Saving(core, records, files)
+        self._devices = DeviceHandlers(core, recording, self.do)
+        self._saving = Autosave(core, records, files)
         self._cases = CaseList(core, self._saving, recording.stop)
         core.saving = lambda: self._saving.info
-        opening = Opening(core, finding, recording, holding, self._saving)
+        opening = CaseOpener(core, finding, recording, holding, self._saving)
         # Order: a recording stores its time before other updates; packed airways are unpacked before other code reads
         # them.
         core.before_document += [recording.tick, editing.unfold]
@@ -103,13 +103,13 @@ class Session:
             planning.follow,
         ]  # fmt: skip
         core.after_sight += [recording.note_view]
-        looking = Looking(core)
+        looking = LookHandlers(core)
         subjects = (
-            opening, Flying(core, holding), looking, Routing(core), planning, TargetEditing(core),
+            opening, TipHandlers(core, holding), looking, RouteHandlers(core), planning, TargetHandlers(core),
             finding, editing, keys, recording,
-            Flights(core, self._saving.flight_text), KeptDrives(core),
+            FlightHandlers(core, self._saving.flight_text), VerdictDriveHandlers(core),
             self._devices, holding, self._saving, self._cases, CaseQuestions(core),
-            Following(core, finding, holding, self._saving),
+            ObserverHandlers(core, finding, holding, self._saving),
         )  # fmt: skip
         self._handlers: dict[type[Any], Callable[[Any], Any]] = {
             cls: looking.set_field for cls in all_commands() if cls.sets is not None
@@ -207,7 +207,7 @@ class Session:
         return self._core.scene(window)
 
     @property
-    def devices(self) -> Devices:
+    def devices(self) -> DeviceHandlers:
         """Receiver of device samples; it computes the motion of the tip from these samples."""
         return self._devices
 

@@ -35,7 +35,7 @@ class Segmentation:
     Segments may overlap. A plane without a frame is empty (PS3.3 C.8.20.2.3.2 lets writers omit empty frames).
     """
 
-    def __init__(self, path: Path, data: Any, places: _Places, shape: tuple[int, int, int]) -> None:
+    def __init__(self, path: Path, data: Any, places: _FramePositions, shape: tuple[int, int, int]) -> None:
         self._path, self._places, self._shape = path, places, shape
         self._kind = _kind(data)
         self._pixels = _Pixels(path, data, self._kind, shape)
@@ -141,7 +141,7 @@ def _read(path: Path, data: Any, volume: Volume | None, watch: Watch) -> Segment
     if min(rows, columns, num_frames) < 1 or rows * columns * num_frames > MAX_VOXELS * max(1, num_segments):
         problem = f"it claims {num_frames} frames of {columns} x {rows} pixels, which is implausible"
         raise _refused(path, problem, "export it again")
-    places = _Places(path, data, num_frames, kind, volume)
+    places = _FramePositions(path, data, num_frames, kind, volume)
     if places.num_planes * rows * columns > MAX_VOXELS:
         raise _refused(path, f"its frames span {places.num_planes} planes, which is implausible", "export it again")
     watch.step("Unpacking the segmentation", None)
@@ -218,7 +218,7 @@ class _Pixels:
                 yield self._frames[n]
 
 
-class _Places:
+class _FramePositions:
     """Positions of the frames: a stack of parallel planes at equal distances."""
 
     def __init__(self, path: Path, data: Any, num_frames: int, kind: str, volume: Volume | None) -> None:

@@ -294,7 +294,7 @@ def _part_by_setting(group: Group) -> list[Group]:
     else:
         telling = [(word, parts) for word, parts in telling if _share_heights(list(parts.values()))]
     if not telling:
-        return [_said(group, keys)]
+        return [_with_notes_on_settings(group, keys)]
     # The setting with the fewest values is used: two kernels in three acquisitions are two series, not three.
     word, parts = min(telling, key=lambda item: len(item[1]))
     note = Note(
@@ -323,7 +323,7 @@ def _shown(value: str) -> str:
     return "".join(c for c in value if c.isprintable())[:32] or "not given"
 
 
-def _said(group: Group, keys: Sequence[tuple[str, dict[str, list[SliceHeader]]]]) -> Group:
+def _with_notes_on_settings(group: Group, keys: Sequence[tuple[str, dict[str, list[SliceHeader]]]]) -> Group:
     """Add notes on settings that change or are missing within a group."""
     # The acquisition time can separate two interleaved scans, but its change within one scan needs no note.
     keys = [(word, parts) for word, parts in keys if word != "acquisition time"]

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import DTypeLike, NDArray
 
 from carina.argument_checks import check_arguments, file_path, flag, function, instance, whole_from
 from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import VolumeImportError
+from carina.value import FrozenValue, Words
 from carina.volume.dicom_signature import looks_like_dicom
 from carina.volume.grid_files import read_grid_array
 from carina.volume.grid_headers import sniff_format
@@ -48,14 +50,12 @@ class Mask:
         return np.array(self.inside_zyx, dtype=dtype, copy=copy)
 
 
-@one_line
-@dataclass(frozen=True, slots=True)
-class MaskLabel:
-    """One structure of a mask that contains several."""
+class MaskLabel(FrozenValue, frozen=True):
+    """A structure in an imported mask."""
 
-    number: int
+    number: Annotated[int, Meta(ge=-(2**53), le=2**53)]
     """Number of the structure in the file (or of its DICOM segment)."""
-    name: str | None
+    name: Words | None
     """Name of the structure in the file; None if it has no name."""
     volume_ml: float
 

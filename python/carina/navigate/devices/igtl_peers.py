@@ -81,7 +81,7 @@ class IgtlClient(Source):
                 for message in stream.feed(data):
                     if isinstance(message, IgtlPose) and self._tool in {None, message.name}:
                         self._words = ""
-                        self._told(message)
+                        self._receive_pose(message)
         except ProtocolError:
             self.num_bad["invalid headers"] += 1
             raise
@@ -98,7 +98,7 @@ class IgtlClient(Source):
         except TimeoutError:
             raise TimeoutError(f"connected, but no data for {self._silence_s or 0.0:g} s") from None
 
-    def _told(self, pose: IgtlPose) -> None:
+    def _receive_pose(self, pose: IgtlPose) -> None:
         device = f"{self.address}/{pose.name}"
         self._devices.add(device)
         at_s = pose.time_s if pose.time_s > 0.0 else self._clock()

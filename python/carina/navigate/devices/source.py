@@ -31,9 +31,9 @@ WORDS = {
 
 @dataclass(frozen=True, slots=True)
 class Listener:
-    """Callbacks of a source, called from any thread: ``said(device, sample)`` and ``gone(device)``."""
+    """Callbacks of a source, called from any thread: ``receive_sample(device, sample)`` and ``gone(device)``."""
 
-    said: Callable[[str, Sample], None]
+    receive_sample: Callable[[str, Sample], None]
     gone: Callable[[str], None]
 
 
@@ -119,7 +119,7 @@ class Source(ABC):
     def _say(self, device: str, sample: Sample) -> None:
         self._num_samples += 1
         self._recent = [*self._recent[-255:], self._clock()]
-        self._listener.said(device, sample)
+        self._listener.receive_sample(device, sample)
 
     def _live(self, words: str = "") -> None:
         self._state, self._words = "live", words

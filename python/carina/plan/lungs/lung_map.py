@@ -15,7 +15,7 @@ from carina.errors import CancelledError, CarinaError
 from carina.plan.cubic_box import Box, ball_distance, smoothed
 from carina.plan.lungs.fissures import FissureBox
 from carina.plan.lungs.lobes import LOBE_NAMES, Lobes, lobes
-from carina.plan.lungs.tissue_near_needle import Surroundings, lung_box, lung_surroundings
+from carina.plan.lungs.tissue_near_needle import NearbyTissue, lung_box, lung_surroundings
 from carina.plan.lungs.vessels import VesselBranch, VesselTree, grow_tree
 from carina.scopes import WallField
 from carina.track import Airways, AirwayTree
@@ -193,7 +193,7 @@ def _within(known: Mask, num_voxels: int) -> Mask:
     return inner[1:-1, 1:-1, 1:-1]
 
 
-def _amid_lung(seen: Surroundings, tree: AirwayTree) -> Mask:
+def _amid_lung(seen: NearbyTissue, tree: AirwayTree) -> Mask:
     """Return the mask of the voxels of vessels that are surrounded by lung, and not by mediastinum or chest wall."""
     lung = seen.box.known & (seen.box.hu_zyx < seen.lung_hu + LUNG_HU)
     step_mm, first = seen.box.step_mm, seen.box.lps_from_ijk[:3, 3]
@@ -234,7 +234,7 @@ def _deep_lines(tree: VesselTree, box: Box) -> VesselTree:
     return replace(tree, branches=tuple(kept))
 
 
-def _standing_out(inside: Mask, seen: Surroundings) -> Mask:
+def _standing_out(inside: Mask, seen: NearbyTissue) -> Mask:
     """Return the parts of a vessel mask whose mean confidence over a stretch is high."""
     sigma = STRETCH_MM / seen.box.step_mm
     weight = smoothed(inside.astype(np.float32), sigma)

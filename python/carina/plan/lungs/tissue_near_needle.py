@@ -20,7 +20,7 @@ from carina.plan.targets.grow_nodule import Nodule
 from carina.scopes import WallField
 from carina.volume import Volume
 
-__all__ = ["Surroundings", "lung_box", "lung_surroundings", "surroundings"]
+__all__ = ["NearbyTissue", "lung_box", "lung_surroundings", "surroundings"]
 
 Mask = NDArray[np.bool_]
 
@@ -45,7 +45,7 @@ OnShare = Callable[[float], None]
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
-class Surroundings:
+class NearbyTissue:
     """Tissue in a box round a target; arteries and veins are not distinguished.
 
     Vessels thinner than about 0.7 mm are not found, and those of the mediastinum are not visible without contrast.
@@ -109,7 +109,7 @@ def surroundings(
     wall: WallField,
     *,
     fissure: FissureBox | None = None,
-) -> Surroundings:
+) -> NearbyTissue:
     """Segment the tissue in a box round a point, without the nodule and the airways' own walls.
 
     Parameters
@@ -131,7 +131,7 @@ def surroundings(
 @shows_progress
 def lung_surroundings(
     volume: Volume, wall: WallField, *, box: Box | None = None, progress: ProgressChoice = None
-) -> Surroundings:
+) -> NearbyTissue:
     """Segment the tissue of both lungs at 1 mm, for the display of vessels, not for the planning of needles.
 
     Vessels thinner than about 1 mm are incomplete.
@@ -247,7 +247,7 @@ def _ignore_share(_share: float) -> None:
     """Ignore a progress report; used where the caller wants no progress."""
 
 
-def _seen(box: Box, nodule: Nodule | None, wall: WallField, on_share: OnShare = _ignore_share) -> Surroundings:
+def _seen(box: Box, nodule: Nodule | None, wall: WallField, on_share: OnShare = _ignore_share) -> NearbyTissue:
     smooth = smoothed(box.hu_zyx, SMOOTH_MM / box.step_mm)
     lung_hu = lung_median_hu(smooth)
     on_share(0.15)
@@ -272,7 +272,7 @@ def _seen(box: Box, nodule: Nodule | None, wall: WallField, on_share: OnShare = 
     on_share(0.8)
     vessel_mm = _distance(vessel, box.step_mm)
     on_share(0.9)
-    return Surroundings(box, lung_hu, vessel, thick, vessel_mm, _distance(thick, box.step_mm), sure)
+    return NearbyTissue(box, lung_hu, vessel, thick, vessel_mm, _distance(thick, box.step_mm), sure)
 
 
 def _distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:

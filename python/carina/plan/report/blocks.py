@@ -8,7 +8,7 @@ from typing import Literal
 from carina.display import one_line
 from carina.plan.report.drawing import Drawing
 
-__all__ = ["Block", "Bullets", "Clip", "Facts", "Figure", "Figures", "Grid", "Section", "Tone", "Words"]
+__all__ = ["Block", "Bullets", "Clip", "Facts", "Figure", "Figures", "ReportTable", "Section", "Tone", "Words"]
 
 MOST_ROWS = 14
 """Largest number of rows of a table that is not divided between pages."""
@@ -44,7 +44,7 @@ class Facts:
 
 @one_line
 @dataclass(frozen=True, slots=True)
-class Grid:
+class ReportTable:
     """Table; ``shares`` are relative column widths, and the rows with an index in ``warned`` are red."""
 
     head: tuple[str, ...]
@@ -85,7 +85,7 @@ class Figures:
     columns: int
 
 
-Block = Words | Bullets | Facts | Grid | Figure | Figures
+Block = Words | Bullets | Facts | ReportTable | Figure | Figures
 
 
 @one_line
@@ -101,4 +101,4 @@ class Section:
     @property
     def is_whole(self) -> bool:
         """Whether the section is not divided between pages, because it contains no long table."""
-        return not any(isinstance(block, Grid) and len(block.rows) > MOST_ROWS for block in self.blocks)
+        return not any(isinstance(block, ReportTable) and len(block.rows) > MOST_ROWS for block in self.blocks)

@@ -10,7 +10,7 @@ from typing import Literal
 from carina.display import one_line
 from carina.display.html import escaped
 
-__all__ = ["Disc", "Drawing", "Label", "Pen", "Place", "Raster", "Shape", "Stroke", "svg"]
+__all__ = ["Disc", "Drawing", "Label", "LineStyle", "Place", "Raster", "Shape", "Stroke", "svg"]
 
 Place = tuple[float, float]
 """Type of a position in a drawing: right and down from the upper left corner, in the drawing's own unit."""
@@ -19,7 +19,7 @@ Anchor = Literal["start", "middle", "end"]
 
 @one_line
 @dataclass(frozen=True, slots=True)
-class Pen:
+class LineStyle:
     """Style of a shape; colours are ``#rrggbb``, and None omits the line or the fill."""
 
     line: str | None = "#000000"
@@ -35,7 +35,7 @@ class Stroke:
     """Polyline of a drawing, or polygon if ``closed``."""
 
     places: tuple[Place, ...]
-    pen: Pen
+    pen: LineStyle
     closed: bool = False
 
 
@@ -46,7 +46,7 @@ class Disc:
 
     middle: Place
     radius: float
-    pen: Pen
+    pen: LineStyle
 
 
 @one_line
@@ -133,7 +133,7 @@ def _points(places: Sequence[Place]) -> str:
     return " ".join(f"{x:.2f},{y:.2f}" for x, y in places)
 
 
-def _pen(pen: Pen) -> str:
+def _pen(pen: LineStyle) -> str:
     parts = [f' fill="{pen.fill or "none"}"']
     if pen.line is not None:
         parts.append(f' stroke="{pen.line}" stroke-width="{pen.width:g}" stroke-linecap="round"')

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from carina.plan.instruments.tools import Tool
 from carina.plan.report.colours import ACCENT, INK, LEG, ON_CT, PALE, QUIET, TREE, WARNING
-from carina.plan.report.drawing import Disc, Drawing, Label, Pen, Place, Raster, Shape, Stroke
+from carina.plan.report.drawing import Disc, Drawing, Label, LineStyle, Place, Raster, Shape, Stroke
 from carina.plan.report.plan_sheet import Fork
 from carina.plan.report.slices import SlicePicture
 from carina.plan.report.tree_shape import TreeShape
 from carina.plan.report.wording import text_width
-from carina.plan.routes.last_leg import Crossed, LastLeg, Tissue
+from carina.plan.routes.last_leg import CrossedTissue, LastLeg, Tissue
 
 __all__ = ["needle_bar", "slice_drawing", "tree_drawing"]
 
@@ -44,16 +44,16 @@ def slice_drawing(one: SlicePicture) -> Drawing:
     """Return a slice with the outlines of target, airways and needle, orientation letters and a scale."""
     width, height = float(one.width_px), float(one.height_px)
     shapes: list[Shape] = [Raster((0.0, 0.0), (width, height), one.png)]
-    shapes += [Stroke(line, Pen(ON_CT["lumen"], 1.4)) for line in one.lumen]
-    shapes += [Stroke(line, Pen(ON_CT["target"], 2.2), closed=True) for line in one.target]
+    shapes += [Stroke(line, LineStyle(ON_CT["lumen"], 1.4)) for line in one.lumen]
+    shapes += [Stroke(line, LineStyle(ON_CT["target"], 2.2), closed=True) for line in one.target]
     for piece, lies_in in one.needle:
-        shapes.append(Stroke(piece, Pen(ON_CT["leg"], 3.0, dash=None if lies_in else (2.0, 6.0))))
+        shapes.append(Stroke(piece, LineStyle(ON_CT["leg"], 3.0, dash=None if lies_in else (2.0, 6.0))))
     if one.tip is not None:
-        shapes.append(Disc(one.tip, 4.5, Pen("#000000", 1.2, fill=ON_CT["leg"])))
+        shapes.append(Disc(one.tip, 4.5, LineStyle("#000000", 1.2, fill=ON_CT["leg"])))
     if one.cross is not None:
         x, y = one.cross
         for a, b in (((-16, 0), (-7, 0)), ((7, 0), (16, 0)), ((0, -16), (0, -7)), ((0, 7), (0, 16))):
-            shapes.append(Stroke(((x + a[0], y + a[1]), (x + b[0], y + b[1])), Pen(ON_CT["leg"], 2.2)))
+            shapes.append(Stroke(((x + a[0], y + a[1]), (x + b[0], y + b[1])), LineStyle(ON_CT["leg"], 2.2)))
     left, right, upper, lower = one.letters
     shapes += [
         _on_ct((9.0, height / 2 + 7), left, "start"),
@@ -64,8 +64,8 @@ def slice_drawing(one: SlicePicture) -> Drawing:
     ]
     bar_px = 10.0 / one.mm_per_px
     end = width - 14.0
-    shapes.append(Stroke(((end - bar_px, height - 14), (end, height - 14)), Pen("#000000", 6.0)))
-    shapes.append(Stroke(((end - bar_px, height - 14), (end, height - 14)), Pen(ON_CT["text"], 3.0)))
+    shapes.append(Stroke(((end - bar_px, height - 14), (end, height - 14)), LineStyle("#000000", 6.0)))
+    shapes.append(Stroke(((end - bar_px, height - 14), (end, height - 14)), LineStyle(ON_CT["text"], 3.0)))
     shapes.append(_on_ct((end, height - 24), "10 mm", "end"))
     says = f"{one.title} slice, {left} on the left, {right} on the right"
     return Drawing(width, height, (*shapes, _frame(width, height)), says)
@@ -77,7 +77,7 @@ def _on_ct(at: Place, text: str, anchor: str) -> Label:
 
 
 def _frame(width: float, height: float) -> Stroke:
-    return Stroke(((0, 0), (width, 0), (width, height), (0, height)), Pen("#000000", 1.0), closed=True)
+    return Stroke(((0, 0), (width, 0), (width, height), (0, height)), LineStyle("#000000", 1.0), closed=True)
 
 
 def needle_bar(leg: LastLeg, tool: Tool, *, width: float = 520.0) -> Drawing:
@@ -100,27 +100,27 @@ def needle_bar(leg: LastLeg, tool: Tool, *, width: float = 520.0) -> Drawing:
         x0, x1 = left + one.start_mm * scale, left + one.end_mm * scale
         dash = (3.0, 2.0) if one.tissue == "not examined" else None
         box = ((x0, top), (x1, top), (x1, top + bar), (x0, top + bar))
-        shapes.append(Stroke(box, Pen(INK, 0.7, fill=FILLS[one.tissue], dash=dash), closed=True))
+        shapes.append(Stroke(box, LineStyle(INK, 0.7, fill=FILLS[one.tissue], dash=dash), closed=True))
         base = top - 6.0 - 14.0 * row
         middle = x0 + 0.5 * (x1 - x0)
         if row > 0:
-            shapes.append(Stroke(((middle, top), (middle, base + 2.0)), Pen(QUIET, 0.5)))
+            shapes.append(Stroke(((middle, top), (middle, base + 2.0)), LineStyle(QUIET, 0.5)))
         shapes.append(_bar_label(one, middle, base, left, width))
     reach = left + tool.reach_mm * scale
-    shapes.append(Stroke(((reach, top - 3), (reach, top + bar + 3)), Pen(ACCENT, 1.8)))
+    shapes.append(Stroke(((reach, top - 3), (reach, top + bar + 3)), LineStyle(ACCENT, 1.8)))
     words = f"the needle reaches {tool.reach_mm:g} mm"
     half = 0.5 * text_width(words, 8.0)
     shapes.append(Label((min(reach, width - half), top + bar + 26), words, 8.0, ACCENT, "middle"))
     step = 5 if total <= 50 else 10
     for mm in range(0, int(total) + 1, step):
         x = left + mm * scale
-        shapes.append(Stroke(((x, top + bar), (x, top + bar + 4)), Pen(INK, 0.7)))
+        shapes.append(Stroke(((x, top + bar), (x, top + bar + 4)), LineStyle(INK, 0.7)))
         shapes.append(Label((x, top + bar + 13), f"{mm}", 8.0, QUIET, "middle"))
     said = ", ".join(f"{one.tissue} {one.length_mm:.1f} mm" for one in leg.crossed)
     return Drawing(width, top + bar + 31.0, tuple(shapes), f"Needle path from the tip: {said}")
 
 
-def _bar_label(one: Crossed, middle: float, base: float, left: float, width: float) -> Label:
+def _bar_label(one: CrossedTissue, middle: float, base: float, left: float, width: float) -> Label:
     text = _bar_words(one)
     half = 0.5 * text_width(text, 8.5)
     at = min(max(middle, left + half), width - half)
@@ -128,11 +128,11 @@ def _bar_label(one: Crossed, middle: float, base: float, left: float, width: flo
     return Label((at, base), text, 8.5, colour, "middle", bold=one.tissue in {"target", "vessel"})
 
 
-def _bar_words(one: Crossed) -> str:
+def _bar_words(one: CrossedTissue) -> str:
     return f"{one.tissue} {one.length_mm:.1f}"
 
 
-def _label_rows(crossed: Sequence[Crossed], scale: float) -> list[int]:
+def _label_rows(crossed: Sequence[CrossedTissue], scale: float) -> list[int]:
     """Return for each label of a needle bar the row above the bar, so that labels do not overlap."""
     ends: list[float] = []
     rows = []
@@ -178,18 +178,20 @@ def tree_drawing(shape: TreeShape, forks: Sequence[Fork], side: str, *, width: f
     by_depth = sorted(shape.branches, key=lambda one: -float((one.points_lps @ inwards).mean()))
     for one in by_depth:
         wide = max(2.0 * float(np.median(one.radius_mm)) * scale, 0.8)
-        pen = Pen(TREE, wide) if one.is_found else Pen(WARNING, wide, dash=(3.0, 2.0))
+        pen = LineStyle(TREE, wide) if one.is_found else LineStyle(WARNING, wide, dash=(3.0, 2.0))
         shapes.append(Stroke(placed(one.points_lps), pen))
     if len(shape.route_lps):
-        shapes.append(Stroke(placed(shape.route_lps), Pen(ACCENT, 2.4)))
+        shapes.append(Stroke(placed(shape.route_lps), LineStyle(ACCENT, 2.4)))
     for one in shape.branches:
         if one.on_route and not one.is_found:
-            shapes.append(Stroke(placed(one.points_lps), Pen("#ffffff", 3.0)))
-            shapes.append(Stroke(placed(one.points_lps), Pen(WARNING, 2.4, dash=(4.0, 3.5))))
+            shapes.append(Stroke(placed(one.points_lps), LineStyle("#ffffff", 3.0)))
+            shapes.append(Stroke(placed(one.points_lps), LineStyle(WARNING, 2.4, dash=(4.0, 3.5))))
     if len(shape.vertices_lps):
-        shapes.append(Stroke(_hull(placed(shape.vertices_lps)), Pen(LEG, 1.0, fill=LEG, opacity=0.55), closed=True))
+        shapes.append(
+            Stroke(_hull(placed(shape.vertices_lps)), LineStyle(LEG, 1.0, fill=LEG, opacity=0.55), closed=True)
+        )
     if len(shape.needle_lps):
-        shapes.append(Stroke(placed(shape.needle_lps), Pen(LEG, 2.0)))
+        shapes.append(Stroke(placed(shape.needle_lps), LineStyle(LEG, 2.0)))
     taken: list[Place] = []
     for fork in forks:
         (at,) = placed(np.array([fork.place_lps]))
@@ -197,7 +199,7 @@ def tree_drawing(shape: TreeShape, forks: Sequence[Fork], side: str, *, width: f
         if any(math.dist(at, other) < 9.5 for other in taken):
             continue
         taken.append(at)
-        shapes.append(Disc(at, 4.8, Pen(ACCENT, 0.9, fill="#ffffff")))
+        shapes.append(Disc(at, 4.8, LineStyle(ACCENT, 0.9, fill="#ffffff")))
         shapes.append(Label((at[0], at[1] + 2.4), str(fork.number), 6.6, ACCENT, "middle", bold=True))
     shapes += [
         Label((3.0, height / 2), left_letter, 11.0, INK, "start", bold=True),
@@ -210,9 +212,9 @@ def tree_drawing(shape: TreeShape, forks: Sequence[Fork], side: str, *, width: f
 def _scale_bar(scale: float, width: float, height: float) -> tuple[Shape, ...]:
     end, base = width - 8.0, height - 5.0
     return (
-        Stroke(((end - 20.0 * scale, base), (end, base)), Pen(INK, 1.2)),
+        Stroke(((end - 20.0 * scale, base), (end, base)), LineStyle(INK, 1.2)),
         Label((end, base - 4.0), "20 mm", 7.5, QUIET, "end"),
-        Stroke(((0.0, 0.0), (width, 0.0), (width, height), (0.0, height)), Pen(PALE, 0.6), closed=True),
+        Stroke(((0.0, 0.0), (width, 0.0), (width, height), (0.0, height)), LineStyle(PALE, 0.6), closed=True),
     )
 
 

@@ -8,7 +8,7 @@ import json
 from importlib.resources import files
 
 from carina.display.html import escaped
-from carina.plan.report.blocks import Block, Bullets, Clip, Facts, Figure, Figures, Grid, Section, Words
+from carina.plan.report.blocks import Block, Bullets, Clip, Facts, Figure, Figures, ReportTable, Section, Words
 from carina.plan.report.drawing import svg
 from carina.plan.report.plan_sheet import PlanSheet, target_words
 from carina.plan.report.uncertainty import movement_words
@@ -117,7 +117,7 @@ def _block(block: Block) -> str:
         case Facts(rows=rows):
             inner = "".join(f"<div><dt>{escaped(k)}</dt><dd>{escaped(v)}</dd></div>" for k, v in rows)
             return f'<dl class="facts">{inner}</dl>'
-        case Grid():
+        case ReportTable():
             return _table(block)
         case Figure():
             return _figure(block)
@@ -130,7 +130,7 @@ def _tone(tone: str) -> str:
     return "" if tone == "plain" else f' class="{tone}"'
 
 
-def _table(grid: Grid) -> str:
+def _table(grid: ReportTable) -> str:
     columns = "".join(f'<col width="{100 * share:.1f}%">' for share in grid.shares)
     head = "".join(f'<th scope="col">{escaped(name)}</th>' for name in grid.head)
     rows = []

@@ -31,9 +31,9 @@ from reportlab.platypus import (  # type: ignore[import-not-found, import-untype
 
 from carina.display.html import escaped
 from carina.errors import UsageError
-from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Grid, Section, Words
+from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, ReportTable, Section, Words
 from carina.plan.report.colours import INK, PALE, QUIET, WARNING
-from carina.plan.report.drawing import Disc, Drawing, Label, Pen, Raster, Stroke
+from carina.plan.report.drawing import Disc, Drawing, Label, LineStyle, Raster, Stroke
 from carina.plan.report.plan_sheet import PlanSheet, target_words
 from carina.plan.report.uncertainty import movement_words
 from carina.plan.report.wording import NOT_A_DEVICE
@@ -148,7 +148,7 @@ class _Layout:
                 return [self._paragraph(item, 9.0, tone=tone, is_item=True) for item in items]
             case Facts(rows=rows):
                 return self._facts(rows)
-            case Grid():
+            case ReportTable():
                 return self._grid(block)
             case Figure():
                 return self._figure(block, self._width, self._height - used)
@@ -201,7 +201,7 @@ class _Layout:
         widths = [name_width, value_width, gap, name_width, value_width]
         return Table(cells, colWidths=widths, style=[*_padding(0, 2.5), _TOP, *lines])
 
-    def _grid(self, grid: Grid) -> Any:
+    def _grid(self, grid: ReportTable) -> Any:
         rows = [[self._paragraph(name, 7.5, is_bold=True) for name in grid.head]]
         for n, row in enumerate(grid.rows):
             tone = "warning" if n in grid.warned else "plain"
@@ -318,7 +318,7 @@ class _Drawn(Flowable):  # type: ignore[misc, unused-ignore]
         canvas.drawString(x, self._drawing.height - y, label.text, mode=0)
 
 
-def _take(canvas: Any, pen: Pen) -> None:
+def _take(canvas: Any, pen: LineStyle) -> None:
     if pen.line is not None:
         canvas.setStrokeColor(HexColor(pen.line))
         canvas.setLineWidth(pen.width)
@@ -388,7 +388,7 @@ def _texts_of(block: Block) -> Iterator[str]:
             yield from items
         case Facts(rows=rows):
             yield from (cell for row in rows for cell in row)
-        case Grid(head=head, rows=rows):
+        case ReportTable(head=head, rows=rows):
             yield from head
             yield from (cell for row in rows for cell in row)
         case Figure(drawing=drawing, caption=caption):

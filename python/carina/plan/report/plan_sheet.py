@@ -13,13 +13,13 @@ import numpy as np
 
 from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
-from carina.errors import CancelledError, UsageError, check_type
-from carina.plan.lungs.tissue_near_needle import Surroundings, surroundings
+from carina.errors import UsageError, check_type
+from carina.plan.lungs.tissue_near_needle import NearbyTissue, surroundings
 from carina.plan.report.slices import SlicePicture, needle_slice, place_slices, target_slices
 from carina.plan.report.tree_shape import TreeShape, tree_shape
 from carina.plan.report.uncertainty import by_hand, uncertain
 from carina.plan.routes.main_carina import SAME_PLACE_MM
-from carina.plan.routes.plan_route import Plan, PlannedRoute
+from carina.plan.routes.plan_route import CancellableProgress, Plan, PlannedRoute
 from carina.plan.routes.standing_points import branch_doubts, branch_title
 from carina.plan.targets.grow_nodule import Nodule
 from carina.plan.turns.clips import TurnClip
@@ -171,10 +171,10 @@ class PlanSheet:
 
         The origin is that of the list of turns; without a list it is that of the plan.
         """
-        told, zero = self.route, None if self.turns is None else self.turns.park_from_carina_mm
-        if zero is None or told is None or told.from_carina_mm is None or route.from_carina_mm is None:
+        shown, zero = self.route, None if self.turns is None else self.turns.park_from_carina_mm
+        if zero is None or shown is None or shown.from_carina_mm is None or route.from_carina_mm is None:
             return self.plan.past_carina_mm(route)
-        return route.from_carina_mm - (told.from_carina_mm - zero)
+        return route.from_carina_mm - (shown.from_carina_mm - zero)
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON types: the plan as ``carina plan`` writes it, and the other contents under ``report``."""
@@ -275,19 +275,20 @@ def make_sheet(
     _check_pictures(turns, turn_pictures, operator)
     _check_clips(turn_pictures, turn_clips)
     _check_turns(airways, route, turns)
-    told = _Steps(share_function(progress_function(progress), "rendering the pictures"), cancel)
-    told(0.0)
+    on_share = share_function(progress_function(progress), "rendering the pictures")
+    report = CancellableProgress(on_share, cancel, "the report was cancelled")
+    report(0.0)
     wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
-    told(0.4)
+    report(0.4)
     place = _place(volume, airways, plan.nodule, wall)
-    told(0.6)
+    report(0.6)
     renderer, outline = Renderer(volume), LumenOutline(volume, airways)
     leg = None if route is None else route.leg
     slices = target_slices(renderer, plan.nodule, leg, outline)
-    told(0.8)
+    report(0.8)
     along = None if route is None else needle_slice(renderer, plan.nodule, route.leg, route.forward, outline)
     proof = () if plan.sign_lps is None else place_slices(renderer, plan.sign_lps, plan.nodule, outline)
-    told(0.95)
+    report(0.95)
     sheet = PlanSheet(
         plan=plan,
         route_number=None if route is None else route_number,
@@ -309,24 +310,13 @@ def make_sheet(
         provenance=_provenance(volume, made_on),
         calibrated_shares=airways.calibrated_shares,
     )
-    told(1.0)
+    report(1.0)
     return sheet
 
 
 def target_words(sheet: PlanSheet) -> str:
     """Return kind, size and lobe of the target, such as *solid nodule, 12.4 x 10.1 mm, 0.74 ml, RUL*."""
     return sheet.plan.nodule.words + (f", {sheet.place.lobe}" if sheet.place.lobe else "")
-
-
-class _Steps:
-    def __init__(self, on_share: Callable[[float], None] | None, cancel: Callable[[], bool] | None) -> None:
-        self._on_share, self._cancel = on_share, cancel
-
-    def __call__(self, share: float) -> None:
-        if self._cancel is not None and self._cancel():
-            raise CancelledError("the report was cancelled")
-        if self._on_share is not None:
-            self._on_share(share)
 
 
 def _chosen(plan: Plan, number: int) -> PlannedRoute | None:
@@ -361,7 +351,7 @@ def _place(volume: Volume, airways: Airways, nodule: Nodule, wall: WallField) ->
     )
 
 
-def _to_edge_mm(around: Surroundings, nodule: Nodule) -> float:
+def _to_edge_mm(around: NearbyTissue, nodule: Nodule) -> float:
     """Return the distance in mm from a nodule to the edge of the CT inside the box round the nodule.
 
     Infinite if none.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from carina.plan.report.blocks import Block, Bullets, Clip, Facts, Figure, Figures, Grid, Section, Words
+from carina.plan.report.blocks import Block, Bullets, Clip, Facts, Figure, Figures, ReportTable, Section, Words
 from carina.plan.report.drawing import Drawing, Raster
 from carina.plan.report.figures import needle_bar, slice_drawing, tree_drawing
 from carina.plan.report.plan_sheet import PlanSheet, target_words
@@ -279,7 +279,7 @@ def _turns(sheet: PlanSheet) -> list[Section]:
     said = (
         "Clock hours as seen by an operator at the patient's head, and facing the patient. Distances along the route."
     )
-    blocks: list[Block] = [*_red(sheet), Words(said, "quiet"), Grid(head, tuple(rows), shares, tuple(warned))]
+    blocks: list[Block] = [*_red(sheet), Words(said, "quiet"), ReportTable(head, tuple(rows), shares, tuple(warned))]
     if sheet.turns.carina_depth_mm is not None:
         deep = sheet.turns.depth_mm(sheet.turns.park_from_carina_mm)
         stop = "" if deep is None else f"; the tip stops at about {deep / 10.0:.0f} cm"
@@ -349,7 +349,12 @@ def _verdicts(sheet: PlanSheet) -> list[Section]:
         "decides. The figures behind each answer, and what they rest on, are listed at the end."
     )
     return [
-        Section("instruments", "Instruments", (Words(said, "quiet"), Grid(head, tuple(rows), shares)), starts_page=True)
+        Section(
+            "instruments",
+            "Instruments",
+            (Words(said, "quiet"), ReportTable(head, tuple(rows), shares)),
+            starts_page=True,
+        )
     ]
 
 
@@ -366,7 +371,7 @@ def _others(sheet: PlanSheet) -> list[Section]:
         rows.insert(0, ("Aim", *(f"{route.aim + 1} of {len(sheet.plan.aims)}" for route in routes)))
     doubts = [f"Route {n}: {doubt}." for n, route in enumerate(routes, 1) for doubt in route.doubts]
     share = 0.76 / len(routes)
-    blocks: list[Block] = [Grid(head, tuple(rows), (0.24, *(share,) * len(routes)))]
+    blocks: list[Block] = [ReportTable(head, tuple(rows), (0.24, *(share,) * len(routes)))]
     if doubts:
         blocks.append(Bullets(tuple(doubts), "warning"))
     return [Section("routes", "Routes side by side", tuple(blocks))]
@@ -431,7 +436,7 @@ def _score(sheet: PlanSheet) -> list[Section]:
         "Each part is 0 at its best and 1 at its worst. The weights are a choice, not fitted to outcomes; they can be "
         "changed when planning."
     )
-    grid = Grid(("Part", "Value", "Weight", "Costs"), tuple(rows), (0.49, 0.17, 0.17, 0.17))
+    grid = ReportTable(("Part", "Value", "Weight", "Costs"), tuple(rows), (0.49, 0.17, 0.17, 0.17))
     return [Section("score", "How the route was scored", (Words(said, "quiet"), grid))]
 
 
@@ -447,7 +452,7 @@ def _figures_behind(sheet: PlanSheet) -> list[Section]:
             rows.append(("", "", "", one.would, ""))
     said = "Basis of a figure: s, read in a published source; k, common knowledge that was not checked with the maker."
     head = ("Instrument", "Check", "Answer", "What was found", "Rests on")
-    grid = Grid(head, tuple(rows), (0.17, 0.09, 0.09, 0.36, 0.29))
+    grid = ReportTable(head, tuple(rows), (0.17, 0.09, 0.09, 0.36, 0.29))
     return [Section("figures", "Figures behind the verdicts", (Words(said, "quiet"), grid))]
 
 

@@ -6,7 +6,7 @@ import itertools
 import math
 
 from carina.plan.report.colours import ACCENT, INK, LEG, PALE, QUIET, WARNING
-from carina.plan.report.drawing import Disc, Drawing, Label, Pen, Place, Shape, Stroke
+from carina.plan.report.drawing import Disc, Drawing, Label, LineStyle, Place, Shape, Stroke
 from carina.plan.report.plan_sheet import Fork, PlanSheet
 from carina.plan.report.wording import carina_words, lines_of
 from carina.plan.turns.texts import hour_words, joined, moves_words
@@ -47,7 +47,7 @@ def _page(sheet: PlanSheet, forks: tuple[Fork, ...], *, is_last: bool) -> Drawin
     for n, fork in enumerate(forks):
         y = TOP + (n + 0.5) * step
         if n:
-            shapes.append(Stroke(((CLOCK - 22, y - 0.5 * step), (width, y - 0.5 * step)), Pen(PALE, 0.6)))
+            shapes.append(Stroke(((CLOCK - 22, y - 0.5 * step), (width, y - 0.5 * step)), LineStyle(PALE, 0.6)))
         shapes += _clock_face(fork, sheet, y, min(16.0, 0.38 * step))
         shapes += _fork_words(fork, sheet, y, step)
     if is_last:
@@ -74,7 +74,7 @@ def _head(sheet: PlanSheet) -> list[Shape]:
         Label((width, 14), f"{plan.scope.title} + {plan.tool.title}", 9.5, INK, "end", bold=True),
         Label((width, 29), "distances along the route; zero at the main carina", 8.5, QUIET, "end"),
         Label((0, 45), f"Clock hours: {seen[sheet.operator]}", 8.5, ACCENT),
-        Stroke(((0, 52), (width, 52)), Pen(INK, 0.8)),
+        Stroke(((0, 52), (width, 52)), LineStyle(INK, 0.8)),
     ]
 
 
@@ -100,16 +100,16 @@ def _diagram(sheet: PlanSheet, forks: tuple[Fork, ...], step: float, *, is_last:
     way = tuple(places[: len(forks) + 1 + is_last] if is_last else places)
     shapes: list[Shape] = []
     for colour, extra in ((QUIET, 2.0), ("#ffffff", 0.0)):
-        shapes += [Stroke(stub, Pen(colour, 0.6 * TUBE + extra)) for stub in stubs]
-        shapes.append(Stroke(way, Pen(colour, TUBE + extra)))
+        shapes += [Stroke(stub, LineStyle(colour, 0.6 * TUBE + extra)) for stub in stubs]
+        shapes.append(Stroke(way, LineStyle(colour, TUBE + extra)))
     # From each fork the route leads into the branch that is named there, so the fork's warnings colour the next piece.
     for n, piece in enumerate(itertools.pairwise(way)):
         warned = n > 0 and bool(forks[n - 1].warnings)
-        shapes.append(Stroke(piece, Pen(WARNING, 2.2, dash=(4.0, 3.5)) if warned else Pen(ACCENT, 2.2)))
+        shapes.append(Stroke(piece, LineStyle(WARNING, 2.2, dash=(4.0, 3.5)) if warned else LineStyle(ACCENT, 2.2)))
     shapes += names
     for n, fork in enumerate(forks):
         drawn = bool(fork.warnings)
-        shapes.append(Disc(places[n + 1], 8.0, Pen(WARNING if drawn else ACCENT, 1.4, fill="#ffffff")))
+        shapes.append(Disc(places[n + 1], 8.0, LineStyle(WARNING if drawn else ACCENT, 1.4, fill="#ffffff")))
         x, y = places[n + 1]
         shapes.append(Label((x, y + 3.3), str(fork.number), 9.0, WARNING if drawn else ACCENT, "middle", bold=True))
     if is_last:
@@ -124,10 +124,10 @@ def _target(at: Place, step: float) -> list[Shape]:
     tip = (x, y - 0.22 * step)
     middle = (x + 30.0, y + 4.0)
     return [
-        Disc(middle, 13.0, Pen(LEG, 1.6, fill="#fbe3d3")),
-        Stroke((tip, middle), Pen(LEG, 2.0, dash=(4.0, 3.0))),
-        Disc(tip, 3.6, Pen(INK, 0.8, fill=ACCENT)),
-        Disc(middle, 1.8, Pen(None, fill=LEG)),
+        Disc(middle, 13.0, LineStyle(LEG, 1.6, fill="#fbe3d3")),
+        Stroke((tip, middle), LineStyle(LEG, 2.0, dash=(4.0, 3.0))),
+        Disc(tip, 3.6, LineStyle(INK, 0.8, fill=ACCENT)),
+        Disc(middle, 1.8, LineStyle(None, fill=LEG)),
     ]
 
 
@@ -144,10 +144,12 @@ def _hours(turn: Turn, sheet: PlanSheet) -> float:
 
 def _clock_face(fork: Fork, sheet: PlanSheet, y: float, radius: float) -> list[Shape]:
     """Return a clock face with the openings of a fork at their hours."""
-    shapes: list[Shape] = [Disc((CLOCK, y), radius, Pen(INK, 1.0, fill="#ffffff"))]
+    shapes: list[Shape] = [Disc((CLOCK, y), radius, LineStyle(INK, 1.0, fill="#ffffff"))]
     for hour in range(12):
         long = 0.2 if hour % 3 == 0 else 0.1
-        shapes.append(Stroke((_on_face(y, radius, hour, 1.0 - long), _on_face(y, radius, hour, 1.0)), Pen(INK, 0.6)))
+        shapes.append(
+            Stroke((_on_face(y, radius, hour, 1.0 - long), _on_face(y, radius, hour, 1.0)), LineStyle(INK, 0.6))
+        )
     turn = fork.turn
     if turn is None:
         shapes.append(Label((CLOCK, y + 3.5), "?", 10.0, QUIET, "middle"))
@@ -155,13 +157,13 @@ def _clock_face(fork: Fork, sheet: PlanSheet, y: float, radius: float) -> list[S
     for other in turn.others:
         seen = other.hour(sheet.operator)
         at = (CLOCK, y) if seen is None else _on_face(y, radius, seen, 0.55)
-        shapes.append(Disc(at, 0.24 * radius, Pen(QUIET, 0.7, fill="#ffffff")))
+        shapes.append(Disc(at, 0.24 * radius, LineStyle(QUIET, 0.7, fill="#ffffff")))
     if turn.straight_ahead:
-        shapes.append(Disc((CLOCK, y), 0.3 * radius, Pen(ACCENT, 0.8, fill=ACCENT)))
+        shapes.append(Disc((CLOCK, y), 0.3 * radius, LineStyle(ACCENT, 0.8, fill=ACCENT)))
         return shapes
     hours = _hours(turn, sheet)
-    shapes.append(Stroke((_on_face(y, radius, hours, 0.55), _on_face(y, radius, hours, 1.22)), Pen(ACCENT, 1.6)))
-    shapes.append(Disc(_on_face(y, radius, hours, 0.55), 0.3 * radius, Pen(ACCENT, 0.8, fill=ACCENT)))
+    shapes.append(Stroke((_on_face(y, radius, hours, 0.55), _on_face(y, radius, hours, 1.22)), LineStyle(ACCENT, 1.6)))
+    shapes.append(Disc(_on_face(y, radius, hours, 0.55), 0.3 * radius, LineStyle(ACCENT, 0.8, fill=ACCENT)))
     return shapes
 
 
@@ -213,7 +215,7 @@ def _end_words(sheet: PlanSheet, y: float) -> list[Shape]:
     lines = lines_of(text, SMALL, width - TEXT)
     top = y - 8.0
     shapes: list[Shape] = [
-        Stroke(((CLOCK - 22, top - 16.0), (width, top - 16.0)), Pen(PALE, 0.6)),
+        Stroke(((CLOCK - 22, top - 16.0), (width, top - 16.0)), LineStyle(PALE, 0.6)),
         Label((CLOCK, top + 4.0), "stop", 9.0, LEG, "middle", bold=True),
         Label((TEXT, top), f"Tip in {route.branch_name}", 12.5, INK, bold=True),
         Label((width, top), park, 12.5, LEG, "end", bold=True),
@@ -224,7 +226,7 @@ def _end_words(sheet: PlanSheet, y: float) -> list[Shape]:
 def _notes(sheet: PlanSheet, top: float) -> list[Shape]:
     width, height = TRACING_SIZE
     shapes: list[Shape] = [
-        Stroke(((0, top), (width, top), (width, height - 1), (0, height - 1)), Pen(INK, 0.8), closed=True),
+        Stroke(((0, top), (width, top), (width, height - 1), (0, height - 1)), LineStyle(INK, 0.8), closed=True),
         Label((6, top + 12), "Notes", 8.5, QUIET, bold=True),
     ]
     lines = [line for note in sheet.notes for line in lines_of(note, 8.5, width - 50.0)]
@@ -235,7 +237,7 @@ def _notes(sheet: PlanSheet, top: float) -> list[Shape]:
     while first < height - 14.0:
         first += 16.0
         if first < height - 6.0:
-            shapes.append(Stroke(((6, first), (width - 6, first)), Pen(PALE, 0.5)))
+            shapes.append(Stroke(((6, first), (width - 6, first)), LineStyle(PALE, 0.5)))
     return shapes
 
 

@@ -131,20 +131,20 @@ def write_report(
 
     report = progress_function(progress)
 
-    def told(share: float) -> None:
+    def report_share(share: float) -> None:
         if cancel is not None and cancel():
             raise CancelledError("writing the report was cancelled")
         if report is not None:
             report("laying out the pages", share)
 
-    told(0.0)
+    report_share(0.0)
     if suffix == ".json":
         content = (json.dumps(sheet.to_json(), indent=1) + "\n").encode()
     else:
         parts = tracing_sections(sheet) if kind == "tracing" else sections(sheet)
-        told(0.3)
+        report_share(0.3)
         content = html_page(sheet, parts).encode() if suffix != ".pdf" else pdf_pages(sheet, parts, paper=paper)
-    told(0.9)
+    report_share(0.9)
     written = write_whole(path, content, what="the report")
-    told(1.0)
+    report_share(1.0)
     return written

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.plan.instruments.tools import Tool
-from carina.plan.lungs.tissue_near_needle import WALL_MM, Surroundings
+from carina.plan.lungs.tissue_near_needle import WALL_MM, NearbyTissue
 from carina.plan.routes.needle_hits import NeedleErrors, axes_across, hit_share
 from carina.plan.targets.grow_nodule import Nodule
 from carina.scopes import WallField
 
 __all__ = [
-    "Crossed",
+    "CrossedTissue",
     "LastLeg",
     "NearVessel",
     "NeedleScene",
@@ -50,7 +50,7 @@ OPEN_MM = 0.8
 
 @one_line
 @dataclass(frozen=True, slots=True)
-class Crossed:
+class CrossedTissue:
     """Stretch of one tissue along the needle."""
 
     tissue: Tissue
@@ -92,7 +92,7 @@ class LastLeg:
     """Part of ``to_target_mm`` that lies outside the lumen, mm."""
     angle_deg: float
     """Angle in degrees between the needle and the airway's axis at the tip."""
-    crossed: tuple[Crossed, ...]
+    crossed: tuple[CrossedTissue, ...]
     """Tissues along the needle in order, to the end of its reach or 10 mm beyond the target, whichever is farther."""
     in_target_mm: float
     """Length of the needle in the target in mm, if the needle goes exactly as aimed."""
@@ -160,7 +160,7 @@ class NeedleScene:
 
     nodule: Nodule
     wall: WallField
-    around: Surroundings
+    around: NearbyTissue
     tool: Tool
     errors: NeedleErrors
     margin_mm: float = 3.0
@@ -301,8 +301,8 @@ def _near_vessels(to_vessel: Points, at: Points, points: Points, margin_mm: floa
     return tuple(found)
 
 
-def _stretches(tissue: NDArray[Any]) -> tuple[Crossed, ...]:
-    found: list[Crossed] = []
+def _stretches(tissue: NDArray[Any]) -> tuple[CrossedTissue, ...]:
+    found: list[CrossedTissue] = []
     start = 0
     for n in range(1, len(tissue) + 1):
         if n < len(tissue) and tissue[n] == tissue[start]:
@@ -312,7 +312,7 @@ def _stretches(tissue: NDArray[Any]) -> tuple[Crossed, ...]:
         if found and (length_mm < LEAST_MM or found[-1].tissue == name):
             found[-1] = replace(found[-1], length_mm=found[-1].length_mm + length_mm)
         else:
-            found.append(Crossed(name, start_mm, length_mm))
+            found.append(CrossedTissue(name, start_mm, length_mm))
     return tuple(found)
 
 

@@ -51,6 +51,7 @@ from carina.volume import Volume
 __all__ = [
     "PLANNED_SCOPE",
     "BronchusSign",
+    "CancellableProgress",
     "NearestPlace",
     "Outlook",
     "Plan",
@@ -382,7 +383,8 @@ def plan_route(
     for name, value, most in (("vessel_margin_mm", vessel_margin_mm, 50.0), ("moved_mm", moved_mm or 0.0, 60.0)):
         if not (math.isfinite(value) and 0.0 <= value <= most):
             raise UsageError(f"{name}: expected 0 to {most:g}; found {value}", code="plan.range")
-    say = _Steps(share_function(progress_function(progress), "planning the routes"), cancel)
+    on_share = share_function(progress_function(progress), "planning the routes")
+    report = CancellableProgress(on_share, cancel, "planning was cancelled")
     if not isinstance(target, PlanTarget | Nodule):
         # The wall lets `grow_nodule` recognise a lesion in an airway.
         wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
@@ -393,9 +395,9 @@ def plan_route(
     nodule = target
     check_target(volume, airways, nodule)
     meant = _aims(nodule, aims)
-    say(0.1)
+    report(0.1)
     wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
-    say(0.5)
+    report(0.5)
     if measures is None or not matches_tree(measures, airways.tree):
         measures = measure_tree(volume, airways, cancel=cancel)
     places = Places(airways.tree, nodule, wall, measures=measures, spacing_mm=max(volume.spacing_mm))
@@ -411,8 +413,8 @@ def plan_route(
         half = max(farthest, 0.5 * nodule.long_mm + BEYOND_MM) + max(vessel_margin_mm, LEAST_MARGIN_MM) + ROUND_MM
         around = surroundings(volume, np.array(nodule.centre_lps), min(half, MOST_BOX_MM), nodule, wall)
         scene = NeedleScene(nodule, wall, around, used, errors or NeedleErrors(), vessel_margin_mm)
-        search = _Search(scene, judge, meant)
-        best = {key: search.best(drafts) for key, drafts in search.drafts(places, candidates, say).items()}
+        search = _PositionSearch(scene, judge, meant)
+        best = {key: search.best(drafts) for key, drafts in search.drafts(places, candidates, report).items()}
         # Each best place is refined, because the best place of a branch may be between two evaluated places.
         for aim, aim_lps in enumerate(meant):
             finer = places.beside((one.branch_id, one.along_mm) for one in best.values() if one.aim == aim)
@@ -427,7 +429,7 @@ def plan_route(
     ridge_mm = None
     if told is not None and told.from_carina_mm is not None:
         ridge_mm = ridge_beyond_axes_mm(volume, airways, told.branch_id, told.along_mm - told.from_carina_mm)
-    say(1.0)
+    report(1.0)
     return Plan(
         nodule=nodule,
         scope=preset,
@@ -452,7 +454,7 @@ def plan_route(
 
 
 @dataclass(frozen=True, slots=True)
-class _Search:
+class _PositionSearch:
     """Search for the best scope position for each pair of branch and aim."""
 
     scene: NeedleScene
@@ -460,13 +462,13 @@ class _Search:
     aims_lps: Points
 
     def drafts(
-        self, places: Places, candidates: Sequence[tuple[Any, int]], say: Callable[[float], None] | None = None
+        self, places: Places, candidates: Sequence[tuple[Any, int]], report: Callable[[float], None] | None = None
     ) -> dict[tuple[int, int], list[PlannedRoute]]:
         """Return the routes whose needles reach the target, by branch and aim, computed without the needle's errors."""
         found: dict[tuple[int, int], list[PlannedRoute]] = {}
         for step, (n, aim) in enumerate(candidates):
-            if say is not None:
-                say(0.6 + 0.3 * step / len(candidates))
+            if report is not None:
+                report(0.6 + 0.3 * step / len(candidates))
             leg = leg_as_aimed(self.scene, places.points[n], places.forward[n], self.aims_lps[aim])
             if leg.reaches and (self.scene.tool.pierces or leg.is_open):
                 route = _route(places, int(n), aim, leg, self.judge)
@@ -549,15 +551,28 @@ def _route(places: Places, n: int, aim: int, leg: LastLeg, judge: Judge) -> Plan
     )
 
 
-class _Steps:
-    """Callable that reports progress and checks for cancellation between steps."""
+class CancellableProgress:
+    """Callable that reports the share done, and stops the computation at a request to cancel.
 
-    def __init__(self, on_share: Callable[[float], None] | None, cancel: Callable[[], bool] | None) -> None:
-        self._on_share, self._cancel = on_share, cancel
+    Parameters
+    ----------
+    on_share
+        Receives the share done, 0 to 1; None reports nothing.
+    cancel
+        Returns True to stop; None never stops.
+    stopped
+        Text of the error that stops the computation.
+    """
+
+    def __init__(
+        self, on_share: Callable[[float], None] | None, cancel: Callable[[], bool] | None, stopped: str
+    ) -> None:
+        self._on_share, self._cancel, self._stopped = on_share, cancel, stopped
 
     def __call__(self, share: float) -> None:
+        """Report the share done; raise :class:`carina.errors.CancelledError` at a request to cancel."""
         if self._cancel is not None and self._cancel():
-            raise CancelledError("planning was cancelled")
+            raise CancelledError(self._stopped)
         if self._on_share is not None:
             self._on_share(share)
 

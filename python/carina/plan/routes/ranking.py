@@ -16,7 +16,7 @@ from carina.plan.routes.route_width import RouteWidth
 from carina.plan.targets.grow_nodule import Nodule
 from carina.scopes import ScopePreset
 
-__all__ = ["Demands", "Judge", "Outlook", "ScoreWeights", "Worst"]
+__all__ = ["Demands", "Judge", "Outlook", "ScoreWeights", "WorstValue"]
 
 Outlook = Literal["reaches", "may reach", "does not reach"]
 RANK: dict[Outlook, int] = {"reaches": 0, "may reach": 1, "does not reach": 2}
@@ -70,7 +70,7 @@ class ScoreWeights:
 
 
 @dataclass(frozen=True, slots=True)
-class Worst:
+class WorstValue:
     """Worst value of a measure along a path from the root, and the place of this value."""
 
     value: float
@@ -84,7 +84,7 @@ class Demands:
 
     width: RouteWidth
     """Narrowest diameter of the path, with its error."""
-    bend_deg: Worst
+    bend_deg: WorstValue
     """Sharpest turn in degrees over the length of rigid tip and bending section, and the place where it ends."""
     doubts: tuple[str, ...]
     trust: float

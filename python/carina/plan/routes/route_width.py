@@ -158,14 +158,14 @@ def widths_on_the_way(
         if branch.parent is not None:
             before, start = found[branch.parent][-1], starts[branch.parent]
         starts[branch.id] = start + float(along[-1])
-        places = _places(branch, along, wall, measures, spacing_mm)
+        places = _known_diameters(branch, along, wall, measures, spacing_mm)
         places.at_mm += start
         found[branch.id] = _cumulated(places, along + start, before)
     return found
 
 
 @dataclass(slots=True, eq=False)
-class _Places:
+class _KnownDiameters:
     """Places along a branch at which a diameter is known, with the diameters."""
 
     at_mm: Points
@@ -176,9 +176,9 @@ class _Places:
     kind: str
 
 
-def _places(
+def _known_diameters(
     branch: Branch, along: Points, wall: WallField | None, measures: TreeMeasures | None, spacing_mm: float
-) -> _Places:
+) -> _KnownDiameters:
     title = branch.name or f"branch {branch.id}"
     if measures is None:
         at, diameter, error, unmeasured = along[:0], along[:0], along[:0], np.arange(len(along))
@@ -200,10 +200,10 @@ def _places(
         error = np.concatenate([error, ball_error_mm(room[unmeasured], spacing_mm)])
     is_ball = np.arange(len(at)) >= len(at) - len(unmeasured)
     order = np.argsort(at, kind="stable")
-    return _Places(at[order], diameter[order], error[order], is_ball[order], title, branch.kind)
+    return _KnownDiameters(at[order], diameter[order], error[order], is_ball[order], title, branch.kind)
 
 
-def _cumulated(places: _Places, along: Points, before: RouteWidth | None) -> Widths:
+def _cumulated(places: _KnownDiameters, along: Points, before: RouteWidth | None) -> Widths:
     """Return the narrowest width up to each point of a centreline, including the path before the branch.
 
     A point at which no width was measured also uses the next measured place: where a branch leaves its parent, the
@@ -219,7 +219,7 @@ def _cumulated(places: _Places, along: Points, before: RouteWidth | None) -> Wid
     return widths
 
 
-def _width(places: _Places, n: int) -> RouteWidth:
+def _width(places: _KnownDiameters, n: int) -> RouteWidth:
     mm, error, at = float(places.diameter_mm[n]), float(places.error_mm[n]), float(places.at_mm[n])
     if not places.is_ball[n]:
         return RouteWidth(mm, error, at)

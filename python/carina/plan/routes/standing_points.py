@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.plan.instruments.tools import Tool
-from carina.plan.routes.ranking import Demands, Worst
+from carina.plan.routes.ranking import Demands, WorstValue
 from carina.plan.routes.route_width import widths_on_the_way
 from carina.plan.targets.grow_nodule import Nodule
 from carina.scopes import WallField
@@ -128,14 +128,14 @@ class Ways:
         branch = self.of_branch(n)
         if branch.id not in self._doubts:
             self._doubts[branch.id] = self._doubts_of(branch)
-        bend = Worst(0.0, 0.0)
+        bend = WorstValue(0.0, 0.0)
         if section_mm is not None:
             if branch.id not in self._bends:
                 self._bends[branch.id] = _bends(self._tree.lineage(branch.id), section_mm)
             at, worst, where = self._bends[branch.id]
             row = int(np.searchsorted(at, float(self.along_mm[n]) + 1e-6, side="right")) - 1
             if row >= 0:
-                bend = Worst(float(worst[row]), float(where[row]))
+                bend = WorstValue(float(worst[row]), float(where[row]))
         return Demands(self.width[n], bend, self._doubts[branch.id], self._trust(branch))
 
     def _trust(self, branch: Branch) -> float:

@@ -140,7 +140,7 @@ class Boundary:
         self.smooth = smoothed(box.hu_zyx, SMOOTH_MM / box.step_mm)
         very = smoothed(box.hu_zyx, SEED_SMOOTH_MM / box.step_mm)
         self.lung_hu = lung_median_hu(self.smooth)
-        self.seed, level = self._meant(very, point)
+        self.seed, level = self._selected_voxel(very, point)
         self._grow(min(level, DENSEST_HU))
         glass = self._glass_hu()
         self._grow(min(level, DENSEST_HU) if glass is None else glass)
@@ -155,7 +155,7 @@ class Boundary:
         self.has_glass = glass is not None
         """Whether ground glass surrounds a denser part."""
 
-    def _meant(self, very: NDArray[np.float32], point: NDArray[np.float64]) -> tuple[tuple[int, ...], float]:
+    def _selected_voxel(self, very: NDArray[np.float32], point: NDArray[np.float64]) -> tuple[tuple[int, ...], float]:
         """Return the voxel of the nodule that a click selects, and the density of the nodule there in HU.
 
         The voxel is the nearest dense one, not the densest one, because the densest one may belong to the chest wall.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.plan.targets.mask_measures import Drawn
+from carina.plan.targets.mask_measures import DrawnStructure
 from carina.plan.targets.outline_slices import OutlineError, SliceOutline, SliceShare, runs_through_centres, slice_share
 from carina.plan.targets.outline_stack import OutlineStack
 from carina.volume import Volume
@@ -40,7 +40,7 @@ class _Plane:
 
 def drawn_in(
     volume: Volume, contours: Sequence[Contour], *, may_be_between: bool = False
-) -> tuple[Drawn, tuple[str, ...], float]:
+) -> tuple[DrawnStructure, tuple[str, ...], float]:
     """Compute the shares of a CT's voxels that the outlines of a structure enclose.
 
     An outline represents the slab half-way to its neighbours. A nested outline is a hole. Nearly equal outlines of one
@@ -112,7 +112,7 @@ def drawn_in(
     placed = np.moveaxis(share, (0, 1, 2), (2 - axis, order[0], order[1]))
     corner = [0, 0, 0]
     corner[2 - axis], corner[order[0]], corner[order[1]] = start, int(first[1]), int(first[0])
-    drawn = Drawn(np.ascontiguousarray(placed), (corner[0], corner[1], corner[2]))
+    drawn = DrawnStructure(np.ascontiguousarray(placed), (corner[0], corner[1], corner[2]))
     return drawn, tuple(notes), _off_mm(stack, share, start, slice_mm, is_between=is_between)
 
 

@@ -178,15 +178,15 @@ def _from_structures(
     """Return the nodule of a structure in a structure set, and the structure's name."""
     chosen = _chosen(file, read_structures(file, watch).structures, wanted, volume)
     if not chosen.contours:
-        problem = f"the structure {_told(chosen)} is empty"
+        problem = f"the structure {_number_and_name(chosen)} is empty"
         if chosen.num_open:
-            problem = f"the structure {_told(chosen)} holds only points or open lines, which enclose nothing"
+            problem = f"the structure {_number_and_name(chosen)} holds only points or open lines, which enclose nothing"
         raise structures_refused(file, problem, "choose another structure, or click on the nodule")
     notes = _belonging(file, chosen.references, ours)
     watch.step("Placing the outlines", None)
     closed = [contour for contour in chosen.contours if contour.area_mm2 >= LEAST_MM2]
     if not closed:
-        raise structures_refused(file, f"the structure {_told(chosen)} encloses no area", "export it again")
+        raise structures_refused(file, f"the structure {_number_and_name(chosen)} encloses no area", "export it again")
     same_frame = ours is not None and bool(chosen.references.frames & ours.frames)
     try:
         drawn, said, off_mm = drawn_in(volume, closed, may_be_between=same_frame)
@@ -241,5 +241,5 @@ def _belonging(file: Path, theirs: References, ours: References | None) -> tuple
     return (SISTER,) if theirs.frames & ours.frames else (NO_DICOM,)
 
 
-def _told(structure: Structure) -> str:
+def _number_and_name(structure: Structure) -> str:
     return f"{structure.number} ({structure.name})" if structure.name else str(structure.number)

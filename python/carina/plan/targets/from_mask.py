@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from carina.errors import NoResultError, UsageError, check_type
-from carina.plan.targets.mask_measures import Drawn, drawn_nodule
+from carina.plan.targets.mask_measures import DrawnStructure, drawn_nodule
 from carina.plan.targets.nodule import Nodule
 from carina.plan.targets.region import whereabouts
 from carina.plan.targets.target import PlanTarget, TargetSource
@@ -74,7 +74,7 @@ def nodule_from_mask(volume: Volume, mask: Mask | NDArray[np.bool_], *, at_lps: 
         low.append(int(filled[0]))
         high.append(int(filled[-1]) + 1)
     part = inside[low[0] : high[0], low[1] : high[1], low[2] : high[2]].astype(np.float32)
-    drawn, said = one_piece(volume, Drawn(part, (low[0], low[1], low[2])), at_lps)
+    drawn, said = one_piece(volume, DrawnStructure(part, (low[0], low[1], low[2])), at_lps)
     return drawn_nodule(volume, drawn, notes=(*notes, *said))
 
 
@@ -116,7 +116,9 @@ def target_of(
     )
 
 
-def one_piece(volume: Volume, drawn: Drawn, at_lps: ArrayLike | None) -> tuple[Drawn, tuple[str, ...]]:
+def one_piece(
+    volume: Volume, drawn: DrawnStructure, at_lps: ArrayLike | None
+) -> tuple[DrawnStructure, tuple[str, ...]]:
     """Return one connected part of a mask, and notes on the parts that were left out.
 
     Parameters
@@ -159,10 +161,10 @@ def one_piece(volume: Volume, drawn: Drawn, at_lps: ArrayLike | None) -> tuple[D
     left = num - 1
     share = np.where(labels == chosen, drawn.share_zyx, np.float32(0.0))
     told = f"{left} other part{'s' if left > 1 else ''} of the mask ({sizes_ml.sum() - sizes_ml[chosen - 1]:.2g} ml)"
-    return Drawn(share, drawn.first_zyx), (f"{told} left out",) if left else ()
+    return DrawnStructure(share, drawn.first_zyx), (f"{told} left out",) if left else ()
 
 
-def _piece_at(volume: Volume, drawn: Drawn, labels: NDArray[Any], at_lps: ArrayLike) -> int:
+def _piece_at(volume: Volume, drawn: DrawnStructure, labels: NDArray[Any], at_lps: ArrayLike) -> int:
     point = np.asarray(at_lps, dtype=np.float64).reshape(-1)
     if point.shape != (3,) or not np.isfinite(point).all():
         raise UsageError("target: expected a point x,y,z in LPS mm", code="plan.point")

@@ -18,7 +18,7 @@ from carina.plan.targets.boundary_measures import CORE_MM, SMALLEST_PART_MM3, cu
 from carina.plan.targets.nodule import Nodule, NoduleKind
 from carina.volume import Volume
 
-__all__ = ["Drawn", "drawn_nodule", "measured_mask"]
+__all__ = ["DrawnStructure", "drawn_nodule", "measured_mask"]
 
 Mask = NDArray[np.bool_]
 
@@ -31,7 +31,7 @@ LARGEST_MM = 200.0
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
+class DrawnStructure:
     """Structure that was drawn on a part of a CT's grid."""
 
     share_zyx: NDArray[np.float32]
@@ -40,7 +40,7 @@ class Drawn:
     """Index of the CT voxel at the first corner of the part."""
 
 
-def drawn_nodule(volume: Volume, drawn: Drawn, *, notes: tuple[str, ...] = (), off_mm: float = 0.0) -> Nodule:
+def drawn_nodule(volume: Volume, drawn: DrawnStructure, *, notes: tuple[str, ...] = (), off_mm: float = 0.0) -> Nodule:
     """Return the nodule of a structure that was drawn on the grid of a CT.
 
     Parameters
@@ -95,7 +95,7 @@ def drawn_nodule(volume: Volume, drawn: Drawn, *, notes: tuple[str, ...] = (), o
 
 
 def _on_cubes(
-    volume: Volume, drawn: Drawn, matrix: NDArray[np.float64], shape: tuple[int, int, int], volume_mm3: float
+    volume: Volume, drawn: DrawnStructure, matrix: NDArray[np.float64], shape: tuple[int, int, int], volume_mm3: float
 ) -> Mask:
     """Return the mask of the cubic voxels with the largest shares; their total volume is the structure's volume."""
     padded = np.pad(drawn.share_zyx, 1)

@@ -103,13 +103,13 @@ class PlanTarget:
 
     def to_json(self) -> dict[str, Any]:
         """Return the target as plain JSON types, without the mask."""
-        return {**self._told(), "nodule": self.nodule.to_json()}
+        return {**self._without_nodule(), "nodule": self.nodule.to_json()}
 
     def to_record(self) -> dict[str, Any]:
         """Return the whole target as plain JSON types for a file."""
-        return {"version": RECORD_VERSION, **self._told(), "nodule": self.nodule.to_record()}
+        return {"version": RECORD_VERSION, **self._without_nodule(), "nodule": self.nodule.to_record()}
 
-    def _told(self) -> dict[str, Any]:
+    def _without_nodule(self) -> dict[str, Any]:
         return {
             "target_id": self.target_id,
             "name": self.name,

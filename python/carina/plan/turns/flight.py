@@ -77,7 +77,7 @@ def turn_flight(
     for name, value, (least, most) in (("speed_mm_s", speed_mm_s, SPEEDS_MM_S), ("rate_hz", rate_hz, RATES_HZ)):
         if not least <= value <= most:
             raise UsageError(f"{name}: expected {least:g} to {most:g}; found {value}", code="plan.range")
-    way = _Way(tree, planned, turns)
+    way = _RouteLine(tree, planned, turns)
     begin_mm, ahead_mm, first = way.before(index - 1, operator)
     end_mm, beyond_mm, last = way.before(index, operator)
     if end_mm - begin_mm < SHORT_MM:
@@ -99,7 +99,7 @@ def turn_flight(
     return times, tuple(_eased(path, base, off, float(place), length_mm) for place in places)
 
 
-class _Way:
+class _RouteLine:
     """Centreline of a route, with the positions of its turns and their cameras."""
 
     def __init__(self, tree: AirwayTree, planned: PlannedRoute, turns: TurnList) -> None:

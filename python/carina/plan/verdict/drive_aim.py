@@ -15,7 +15,7 @@ from carina.plan.verdict.drive_route import DriveWay
 from carina.plan.verdict.drive_search import place_at_start
 from carina.scopes import ScopePreset, WallField
 
-__all__ = ["Aimed", "aim_drive"]
+__all__ = ["AimedDrive", "aim_drive"]
 
 Points = NDArray[np.float64]
 HitShare = Callable[[Points, Points], float]
@@ -35,7 +35,7 @@ BEST_HOLDS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Aimed:
+class AimedDrive:
     """Drive that ends with the tip pointed at the target as well as possible."""
 
     driven: DrivenRoute
@@ -45,7 +45,9 @@ class Aimed:
     """Angle in degrees between the tip's direction and the direction to the middle of the target."""
 
 
-def aim_drive(way: DriveWay, wall: WallField, scope: ScopePreset, driven: DrivenRoute, hit_share: HitShare) -> Aimed:
+def aim_drive(
+    way: DriveWay, wall: WallField, scope: ScopePreset, driven: DrivenRoute, hit_share: HitShare
+) -> AimedDrive:
     """Add moves to a drive that point the tip at the target.
 
     Parameters
@@ -57,7 +59,7 @@ def aim_drive(way: DriveWay, wall: WallField, scope: ScopePreset, driven: Driven
 
     Returns
     -------
-    Aimed
+    AimedDrive
         The drive with the best share of hits; with equal shares, the one that points nearest to the target.
     """
     recorder = _repeated(way, wall, scope, driven.moves)
@@ -76,7 +78,7 @@ def aim_drive(way: DriveWay, wall: WallField, scope: ScopePreset, driven: Driven
             found.append((*_judged(recorder, way.aim, hit_share), tuple(recorder.moves)))
     share, off_deg, moves = max(found, key=_worth)
     aimed = _repeated(way, wall, scope, moves).driven(way, stopped_mm=way.park_mm, why=None)
-    return Aimed(replace(aimed, stopped_mm=driven.stopped_mm), share, off_deg)
+    return AimedDrive(replace(aimed, stopped_mm=driven.stopped_mm), share, off_deg)
 
 
 def _worth(one: tuple[float, float, tuple[Move, ...]]) -> tuple[float, float]:

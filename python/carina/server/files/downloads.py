@@ -14,7 +14,7 @@ from starlette.responses import JSONResponse, Response
 from carina.commands import AirwaysToTakeAway, FlightToTakeAway, KeyFramesToTakeAway
 from carina.errors import CarinaError
 from carina.export import EXPORT_SUFFIXES, export_airways
-from carina.server.files.one_shot_file import FileForOnce, new_folder
+from carina.server.files.one_shot_file import OneShotFileResponse, new_folder
 from carina.session import Session
 
 __all__ = ["FILE_STEM", "Downloads"]
@@ -66,7 +66,7 @@ class Downloads:
                 given_up.set()
                 rmtree(folder, ignore_errors=True)
                 raise
-        return FileForOnce(path, filename=path.name, headers={"cache-control": "no-store"})
+        return OneShotFileResponse(path, filename=path.name, headers={"cache-control": "no-store"})
 
     async def key_frames(self) -> Response:
         """Return a response with the key frames of the open case, in the format that ``carina fly`` reads.

@@ -10,10 +10,10 @@ from starlette.types import Receive, Scope, Send
 
 from carina.disk import ScratchFolder, disk_trouble
 
-__all__ = ["FileForOnce", "new_folder"]
+__all__ = ["OneShotFileResponse", "new_folder"]
 
 
-class FileForOnce(FileResponse):
+class OneShotFileResponse(FileResponse):
     """Response with a file from its own temporary folder; both are deleted after the response.
 
     The folder is also deleted if the requested range is invalid or the client disconnects.

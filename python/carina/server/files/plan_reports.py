@@ -16,7 +16,7 @@ from carina.commands import CtFolder, PlanningOf, PlanToTakeAway
 from carina.errors import CancelledError, CarinaError
 from carina.export import export_plan
 from carina.plan.report import PlanMaterials, ReportKind, whole_sheet, write_report
-from carina.server.files.one_shot_file import FileForOnce, new_folder
+from carina.server.files.one_shot_file import OneShotFileResponse, new_folder
 from carina.session import Session
 from carina.session.jobs.background_jobs import Job
 
@@ -76,8 +76,8 @@ class Reports:
         headers = {"cache-control": "no-store"}
         if suffix == ".html":
             # Without a file name in the headers, the browser displays the report, so that the user can print it.
-            return FileForOnce(path, headers=headers | {"content-security-policy": SANDBOX})
-        return FileForOnce(path, filename=path.name, headers=headers)
+            return OneShotFileResponse(path, headers=headers | {"content-security-policy": SANDBOX})
+        return OneShotFileResponse(path, filename=path.name, headers=headers)
 
     def _begin(
         self, materials: PlanMaterials, target_id: str, path: Path, kind: ReportKind, archive: _Archive | None

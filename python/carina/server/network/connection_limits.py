@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
 
-__all__ = ["ACCEPT_AT_ONCE", "WAITING_IN_LINE", "Strangers", "num_strangers_allowed", "quieten"]
+__all__ = ["ACCEPT_AT_ONCE", "WAITING_IN_LINE", "UnauthenticatedConnections", "num_strangers_allowed", "quieten"]
 
 logger = logging.getLogger(__name__)
 
@@ -59,7 +59,7 @@ class _Stranger:
     end_of_life: asyncio.TimerHandle
 
 
-class Strangers:
+class UnauthenticatedConnections:
     """Registry and limit of the unauthenticated connections of one server; used from the event loop only.
 
     Parameters

@@ -12,9 +12,9 @@ import uvicorn
 from starlette.applications import Starlette
 
 from carina.server.network.certificate import Certificate
-from carina.server.network.connection_limits import ACCEPT_AT_ONCE, Strangers
+from carina.server.network.connection_limits import ACCEPT_AT_ONCE, UnauthenticatedConnections
 from carina.server.network.request_timeouts import impatient
-from carina.server.network.shutdown import EndingServer
+from carina.server.network.shutdown import TimedShutdownServer
 from carina.server.sockets.rate_limits import bounded_websocket
 
 __all__ = ["LanServer"]
@@ -25,7 +25,7 @@ PING_EVERY_S = 5.0
 GRACE_S = 1
 
 
-class LanServer(EndingServer):
+class LanServer(TimedShutdownServer):
     """HTTPS server that limits connections, message sizes and times, because any machine of the network can connect.
 
     Parameters
@@ -51,7 +51,7 @@ class LanServer(EndingServer):
         on_started: Callable[[], None],
         max_bytes_per_s: float = float("inf"),
     ) -> None:
-        strangers = Strangers(MAX_CONNECTIONS - 1)
+        strangers = UnauthenticatedConnections(MAX_CONNECTIONS - 1)
         config = uvicorn.Config(
             app,
             http=impatient(strangers),

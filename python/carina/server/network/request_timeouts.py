@@ -10,9 +10,9 @@ import h11
 from starlette.datastructures import Headers
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from carina.server.network.connection_limits import Strangers
+from carina.server.network.connection_limits import UnauthenticatedConnections
 
-__all__ = ["ImpatientProtocol", "impatient"]
+__all__ = ["TimeoutProtocol", "impatient"]
 
 FIRST_REQUEST_WITHIN_S = 10.0
 """Timeout in seconds for request headers, from the connection or the first byte of a later request to their end."""
@@ -20,13 +20,13 @@ BODY_WITHIN_S = 30.0
 """Timeout in seconds between two parts of a request body; it does not count while the server reads slowly."""
 
 
-class ImpatientProtocol(H11Protocol):
+class TimeoutProtocol(H11Protocol):
     """HTTP/1.1 protocol of uvicorn with timeouts for request headers and bodies.
 
     Uvicorn itself has only a timeout between two requests of a connection.
     """
 
-    strangers: Strangers
+    strangers: UnauthenticatedConnections
     """Registry of unauthenticated connections; set by :func:`impatient`."""
     authorised: Callable[[Mapping[str, str]], bool] | None = None
     """Returns whether request headers are authorised; None if the WebSocket handler authenticates its client itself.
@@ -126,8 +126,8 @@ class ImpatientProtocol(H11Protocol):
 
 
 def impatient(
-    strangers: Strangers, authorised: Callable[[Mapping[str, str]], bool] | None = None
-) -> type[ImpatientProtocol]:
+    strangers: UnauthenticatedConnections, authorised: Callable[[Mapping[str, str]], bool] | None = None
+) -> type[TimeoutProtocol]:
     """Return the HTTP protocol class for one server.
 
     Parameters
@@ -138,4 +138,4 @@ def impatient(
         Returns whether request headers are authorised; None if the WebSocket handler authenticates its client itself.
     """
     found = None if authorised is None else staticmethod(authorised)
-    return type("Impatient", (ImpatientProtocol,), {"strangers": strangers, "authorised": found})
+    return type("Impatient", (TimeoutProtocol,), {"strangers": strangers, "authorised": found})

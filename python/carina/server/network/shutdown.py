@@ -9,16 +9,16 @@ from typing import Any
 
 import uvicorn
 
-from carina.server.network.connection_limits import Strangers
+from carina.server.network.connection_limits import UnauthenticatedConnections
 
-__all__ = ["FAREWELL_S", "EndingServer"]
+__all__ = ["FAREWELL_S", "TimedShutdownServer"]
 
 FAREWELL_S = 0.5
 """Seconds that a client has to read the remaining data and finish the closing handshake of a closed connection."""
 LOOK_EVERY_S = 0.02
 
 
-class EndingServer(uvicorn.Server):
+class TimedShutdownServer(uvicorn.Server):
     """Uvicorn server that aborts connections whose client does not finish the closing handshake in time.
 
     A busy or suspended browser can delay the closing handshake by half a minute. Uvicorn would wait for its grace
@@ -33,7 +33,7 @@ class EndingServer(uvicorn.Server):
         Unauthenticated connections of this server; new ones are aborted during the shutdown.
     """
 
-    def __init__(self, config: uvicorn.Config, strangers: Strangers) -> None:
+    def __init__(self, config: uvicorn.Config, strangers: UnauthenticatedConnections) -> None:
         super().__init__(config)
         self._strangers = strangers
 

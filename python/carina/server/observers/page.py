@@ -35,7 +35,7 @@ from carina.server.windows.websocket_session import converse
 from carina.server.windows.window import Window
 from carina.server.wire import messages as wire
 
-__all__ = ["MAX_WATCHERS", "WatchPage"]
+__all__ = ["MAX_WATCHERS", "ObserverPageServer"]
 
 MAX_WATCHERS = 4
 """Maximum number of observers; the windows of the workstation are not counted."""
@@ -48,7 +48,7 @@ FAREWELL_S = 1.0
 
 
 @dataclass(slots=True)
-class _Open:
+class _OpenPage:
     """Server, task, tokens and observers of an open viewing page."""
 
     server: LanServer
@@ -75,7 +75,7 @@ class _Open:
         )
 
 
-class WatchPage:
+class ObserverPageServer:
     """Server of the viewing page, which can be started and stopped; call its methods in the event loop.
 
     Parameters
@@ -106,7 +106,7 @@ class WatchPage:
         self._flooded = flooded
         self._web = web
         self._address = address
-        self._open: _Open | None = None
+        self._open: _OpenPage | None = None
         self._switching = asyncio.Lock()
 
     @cached_property
@@ -165,7 +165,7 @@ class WatchPage:
                 waiting.cancel()
                 sock.close()
                 raise CarinaError("the page for watchers did not start", code="watch.not-started")
-            self._open = _Open(server, serving, tokens, address, port, certificate.sha256)
+            self._open = _OpenPage(server, serving, tokens, address, port, certificate.sha256)
             self._changed()
 
     async def stop(self, words: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -19,7 +19,6 @@ from carina.session import (
     ChosenRoute,
     KeyFramesInfo,
     ListedCase,
-    MaskQuestion,
     PoseInfo,
     Snapshot,
     StorageInfo,
@@ -71,10 +70,10 @@ def start_message(
     return wire.Start(notice_accepted, cases, demos(patient_citation), scopes, beside)
 
 
-def _listed(case: ListedCase) -> wire.RecentCase:
+def _listed(case: ListedCase) -> wire.CaseListEntry:
     """Return the list entry of a case; the URL of its thumbnail changes with the thumbnail, so browsers reload it."""
     made_s = case.pictured_s
-    return wire.RecentCase(
+    return wire.CaseListEntry(
         recent_id=case.recent_id,
         date=time.strftime("%Y-%m-%d", time.localtime(case.used_s)),
         title=case.title,
@@ -95,7 +94,7 @@ ROWS_APART = 6
 MAX_ROWS_NAMED = 130
 
 
-def picture_lines(lines: PictureLines | None) -> wire.PictureLines | None:
+def picture_lines(lines: PictureLines | None) -> wire.PictureLineRows | None:
     """Return the LPS geometry of selected rows of a curved image; None without such an image."""
     if lines is None:
         return None
@@ -106,7 +105,7 @@ def picture_lines(lines: PictureLines | None) -> wire.PictureLines | None:
         np.concatenate([np.arange(0, height, max(ROWS_APART, -(-height // MAX_ROWS_NAMED))), ends, [height - 1]])
     )
     places = np.interp(rows, known, lines.path_mm[known]) if known.size else np.zeros(rows.size)
-    return wire.PictureLines(
+    return wire.PictureLineRows(
         row=_floats(rows + 0.5),
         start_lps=tuple(_point(p) for p in np.round(lines.start_lps[rows], 3)),
         # Six digits keep the position error below 0.01 mm over an image width of 4096 px.
@@ -139,7 +138,7 @@ def _case(snapshot: Snapshot, *, names_ct: bool) -> wire.CaseInfo | None:
             wire.OtherSeries(s.key, s.modality, s.description, s.num_slices, s.refused) for s in source.other_series
         ),
         citation=source.citation,
-        off=tuple(wire.FeatureOff(o.what, o.why) for o in case.off),
+        off=case.off,
         number=snapshot.case_number,
         ct_name=source.title if names_ct else None,
     )
@@ -175,28 +174,14 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float, names_ct: bool = 
         lumen_threshold=_threshold(document),
         frame_rate_hz=frame_rate_hz,
         airways_from=None if airways is None else "mask" if math.isnan(airways.threshold) else "search",
-        mask_question=_mask_question(snapshot.mask_question),
+        mask_question=snapshot.mask_question,
         badges=() if snapshot.case is None else _notes(badges_of(snapshot.case.volume, airways)),
         saving=snapshot.saving,
     )
 
 
-def _mask_question(question: MaskQuestion | None) -> wire.MaskQuestion | None:
-    if question is None:
-        return None
-    return wire.MaskQuestion(
-        title=question.title,
-        problem=question.problem,
-        labels=tuple(wire.MaskLabel(one.number, one.name, round(one.volume_ml, 3)) for one in question.labels),
-        suggested=question.suggested,
-        expected=question.expected,
-        found=question.found,
-        share_inside=question.share_inside,
-    )
-
-
-def _target(target: Any) -> wire.Target:
-    return wire.Target(
+def _target(target: Any) -> wire.TargetInfo:
+    return wire.TargetInfo(
         target_id=target.target_id,
         name=target.name,
         lps=target.lps,
@@ -225,10 +210,10 @@ def _threshold(document: Document | None) -> float | None:
     return None if math.isnan(threshold) else threshold
 
 
-def route_message(route: ChosenRoute | None) -> wire.Route:
+def route_message(route: ChosenRoute | None) -> wire.RouteMessage:
     """Return the route message; the lists per route point have equal lengths."""
     if route is None:
-        return wire.Route(None)
+        return wire.RouteMessage(None)
     info = wire.RouteInfo(
         route_id=route.route_id,
         title=route.title,
@@ -241,22 +226,19 @@ def route_message(route: ChosenRoute | None) -> wire.Route:
         wall_mm=_floats(np.round(route.wall_mm, 3)),
         forks_mm=tuple(round(mm, 3) for mm in route.forks_mm),
         lookouts_mm=tuple(round(mm, 3) for mm in route.lookouts_mm),
-        spans=tuple(
-            wire.RouteSpan(s.branch_id, s.name, s.generation, s.from_mm, s.to_mm, cast(Any, s.kind))
-            for s in route.spans
-        ),
+        spans=route.spans,
         length_mm=route.length_mm,
         drawn_mm=round(route.drawn.drawn_mm, 2),
         bridge_mm=round(route.drawn.bridge_mm, 2),
         lumen_known=route.lumen_known,
         needle=route.needle,
     )
-    return wire.Route(info)
+    return wire.RouteMessage(info)
 
 
-def pose_message(info: PoseInfo) -> wire.Pose:
+def pose_message(info: PoseInfo) -> wire.PoseMessage:
     """Return the pose message of the present pose."""
-    return wire.Pose(
+    return wire.PoseMessage(
         pose_id=info.pose_id,
         lps_from_camera=_flat(info.pose.lps_from_camera),
         mode=info.mode,
@@ -292,15 +274,15 @@ def _held(info: PoseInfo) -> wire.HeldScope | None:
     )
 
 
-def key_frames_message(info: KeyFramesInfo) -> wire.KeyFrames:
+def key_frames_message(info: KeyFramesInfo) -> wire.KeyFramesMessage:
     """Return the wire message of the key frames and of the flight through them."""
-    return wire.KeyFrames(**msgspec.structs.asdict(info))
+    return wire.KeyFramesMessage(**msgspec.structs.asdict(info))
 
 
-def history_message(snapshot: Snapshot) -> wire.History:
+def history_message(snapshot: Snapshot) -> wire.HistoryMessage:
     """Return the wire message of the changes that can be undone and redone."""
     steps = tuple(wire.HistoryStep(step.label, round(step.at_s, 3)) for step in snapshot.steps)
-    return wire.History(steps, snapshot.position)
+    return wire.HistoryMessage(steps, snapshot.position)
 
 
 def picked_message(pick_id: int, wall: WallPoint | None, depth_mm: float | None) -> wire.Picked:

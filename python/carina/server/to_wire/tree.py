@@ -51,14 +51,14 @@ def _titles(tree: Any) -> tuple[wire.BranchTitle, ...]:
     return tuple(found)
 
 
-def branch_measures(measures: Any) -> wire.BranchMeasures:
+def branch_measures(measures: Any) -> wire.BranchMeasuresSummary:
     """Return the wire message with the summary of a branch's measurements (:class:`carina.track.BranchMeasures`)."""
     summary = measures.summary
     widths = np.where(measures.is_usable, measures.equivalent_mm, np.nan)
     most = None if np.isnan(widths).all() else int(np.nanargmax(widths))
     errors = measures.equivalent_error_mm
     stenosis = summary.stenosis
-    return wire.BranchMeasures(
+    return wire.BranchMeasuresSummary(
         branch_id=measures.branch_id,
         length_mm=round(summary.length_mm, 2),
         by_earlier_method=measures.is_by_earlier_method,

@@ -128,7 +128,7 @@ class SharedTexts:
 
     def flights(self) -> str:
         """Return the encoded list of flights recorded in the case."""
-        return wire.encode_message(wire.Flights(self._session.snapshot().flights))
+        return wire.encode_message(wire.FlightsMessage(self._session.snapshot().flights))
 
     def _tree_text(self) -> str:
         """Return the encoded latest tree; may be called from any thread."""

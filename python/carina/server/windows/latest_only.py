@@ -5,10 +5,10 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-__all__ = ["NewestOnly"]
+__all__ = ["LatestTaskRunner"]
 
 
-class NewestOnly:
+class LatestTaskRunner:
     """Thread that runs the latest task of each kind; a newer task replaces a pending task of the same kind.
 
     The class serves requests that follow the cursor: a slow machine cannot answer all of them, and only the answer to

@@ -31,7 +31,15 @@ TOPICS = (
 )
 """Topics in the order of sending: ``handled``, which reports finished commands, follows the results of the commands.
 The session's topic ``views`` is absent, because it requests pictures instead of a message."""
-NEWEST_ONLY = (wire.Value, wire.LivePath, wire.BranchDetail, wire.EditPreview, wire.Devices, wire.Pen, wire.Cluster)
+NEWEST_ONLY = (
+    wire.Value,
+    wire.LivePathMessage,
+    wire.BranchDetail,
+    wire.EditPreviewMessage,
+    wire.DevicesMessage,
+    wire.Pen,
+    wire.Cluster,
+)
 """Message types of which only the latest is sent: answers that follow the cursor, and repeated status messages."""
 
 

@@ -13,7 +13,7 @@ from carina.commands import LivePathTo, LumenBeforeWall, MeasuresOf, PreviewOf
 from carina.errors import CarinaError, UsageError
 from carina.server.to_wire.thin_points import thinned
 from carina.server.to_wire.tree import branch_detail_message
-from carina.server.windows.latest_only import NewestOnly
+from carina.server.windows.latest_only import LatestTaskRunner
 from carina.server.wire import messages as wire
 from carina.session import NotEvident, Session, log_fault
 from carina.track import AddBranch, Bridge, EditPreview, MoveFork
@@ -47,7 +47,7 @@ class Pointing:
         self._session = session
         self._shown = shown
         self._push = push
-        self._newest = NewestOnly("carina-pointing")
+        self._newest = LatestTaskRunner("carina-pointing")
 
     def start(self) -> None:
         """Start the thread that answers the requests."""
@@ -140,12 +140,12 @@ class Pointing:
         self._push(branch_detail_message(message, measures))
 
 
-def live_path_message(request_id: int, lps: tuple[float, float, float], path: Any) -> wire.LivePath:
+def live_path_message(request_id: int, lps: tuple[float, float, float], path: Any) -> wire.LivePathMessage:
     """Return a :class:`carina.track.LivePath` as a message, with fewer points."""
     if path.problem is not None:
         return _no_path(request_id, path.problem, lps)
     points = np.asarray(path.points_lps, dtype=np.float64).reshape(-1, 3)
-    return wire.LivePath(
+    return wire.LivePathMessage(
         request_id=request_id,
         lps=lps,
         points_lps=tuple((float(x), float(y), float(z)) for x, y, z in np.round(thinned(points), 2)),
@@ -159,8 +159,8 @@ def live_path_message(request_id: int, lps: tuple[float, float, float], path: An
     )
 
 
-def _no_path(request_id: int, problem: str, lps: tuple[float, float, float] | None = None) -> wire.LivePath:
-    return wire.LivePath(request_id, lps, (), None, None, None, None, None, None, problem)
+def _no_path(request_id: int, problem: str, lps: tuple[float, float, float] | None = None) -> wire.LivePathMessage:
+    return wire.LivePathMessage(request_id, lps, (), None, None, None, None, None, None, problem)
 
 
 def _rounded(value: float | None) -> float | None:
@@ -169,11 +169,11 @@ def _rounded(value: float | None) -> float | None:
 
 def edit_preview_message(
     message: wire.AskEditPreview, lps: tuple[float, float, float], preview: EditPreview
-) -> wire.EditPreview:
+) -> wire.EditPreviewMessage:
     """Return a :class:`carina.track.EditPreview` as a message, with every point that the edit would create."""
     if preview.problem is not None:
         return _no_preview(message, lps, preview.problem)
-    return wire.EditPreview(
+    return wire.EditPreviewMessage(
         request_id=message.request_id,
         tool=message.tool,
         lps=lps,
@@ -206,8 +206,10 @@ def _line(points_lps: NDArray[np.float64], doubtful: NDArray[np.bool_], drawn: N
     return wire.EditLine(points, tuple(bool(d) for d in doubtful), tuple(bool(d) for d in drawn))
 
 
-def _no_preview(message: wire.AskEditPreview, lps: tuple[float, float, float] | None, problem: str) -> wire.EditPreview:
-    return wire.EditPreview(message.request_id, message.tool, lps, (), None, None, False, problem)
+def _no_preview(
+    message: wire.AskEditPreview, lps: tuple[float, float, float] | None, problem: str
+) -> wire.EditPreviewMessage:
+    return wire.EditPreviewMessage(message.request_id, message.tool, lps, (), None, None, False, problem)
 
 
 def _previewed(message: wire.AskEditPreview, lps: tuple[float, float, float]) -> AddBranch | Bridge | MoveFork:

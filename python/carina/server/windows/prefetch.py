@@ -6,15 +6,15 @@ import logging
 
 from carina.commands import LivePathTo
 from carina.errors import CarinaError
-from carina.server.windows.latest_only import NewestOnly
+from carina.server.windows.latest_only import LatestTaskRunner
 from carina.session import Session, log_fault
 
-__all__ = ["Warming"]
+__all__ = ["PathPrefetcher"]
 
 logger = logging.getLogger(__name__)
 
 
-class Warming:
+class PathPrefetcher:
     """Thread that requests a path in new airways, so that the session caches the noise of the scan.
 
     Parameters
@@ -25,7 +25,7 @@ class Warming:
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._newest = NewestOnly("carina-warming")
+        self._newest = LatestTaskRunner("carina-warming")
         self._warmed: object = None
 
     def start(self) -> None:

@@ -26,12 +26,12 @@ from carina.session import (
     JobProgress,
     LayerName,
     NotEvident,
-    Said,
     Session,
     ShownCase,
     Snapshot,
     StartMarked,
     Trouble,
+    UserMessage,
     log_fault,
 )
 
@@ -234,8 +234,8 @@ class Window:
             case NotEvident():
                 self.outbox.push(no_evidence_message(event))
             case StartMarked():
-                self.outbox.push(wire.StartMarked(event.lps))
-            case Said():
+                self.outbox.push(wire.StartMarkedMessage(event.lps))
+            case UserMessage():
                 self.outbox.push(wire.Notice(event.message))
             case _:
                 assert_never(event)

@@ -46,11 +46,16 @@ MAX_DEPTH = 32
 V = TypeVar("V", bound=FrozenValue)
 
 
-class ClientMessage(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
+def message_tag(name: str) -> str:
+    """Return the ``type`` of a message by its class name: ``PoseMessage`` and ``Pose`` give ``pose``."""
+    return snake_case(name.removesuffix("Message"))
+
+
+class ClientMessage(FrozenValue, tag_field="type", tag=message_tag, frozen=True):
     """A message from a window to the server that is not a command: about the connection, queries and uploaded files."""
 
 
-class ServerMessage(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
+class ServerMessage(FrozenValue, tag_field="type", tag=message_tag, frozen=True):
     """A message from the server to a window."""
 
 

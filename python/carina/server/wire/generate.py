@@ -189,7 +189,14 @@ def _is_required(cls: type[Any], field: inspect.Field) -> bool:
 
 
 def _ts_name(cls: type[Any]) -> str:
-    suffix = "Message" if type_name(cls) is not None else ""
+    """Return the name of a class in TypeScript and in the schema.
+
+    The name of a message ends in ``Message``. ``wire_name`` of a class replaces its name in Python.
+    """
+    own_name = vars(cls).get("wire_name")
+    if own_name is not None:
+        return str(own_name)
+    suffix = "Message" if type_name(cls) is not None and not cls.__name__.endswith("Message") else ""
     return str(getattr(cls, "typescript_prefix", "")) + cls.__name__ + suffix
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
-from carina.case.routes import NeedleLine
+from carina.case.routes import NeedleLine, RouteSpan
 from carina.commands.fields import (
     BranchId,
     Count,
@@ -30,7 +30,8 @@ from carina.scopes import ScopeHold
 from carina.server.wire.codec import ServerMessage
 from carina.server.wire.messages_of_devices import NetworkPage
 from carina.session.scene.layer_lines import LayerName
-from carina.session.state.snapshot import FlightPlace, SavingInfo
+from carina.session.state.grey_scale import FeatureOff
+from carina.session.state.snapshot import FlightPlace, MaskQuestion, SavingInfo
 from carina.track import DrawnPart
 from carina.value import FrozenValue
 from carina.volume import Citation
@@ -48,8 +49,10 @@ class ServerHello(ServerMessage, frozen=True, tag="hello"):
     """Whether the client is an observer: the server refuses all commands except those for the client's own view."""
 
 
-class RecentCase(FrozenValue, frozen=True):
+class CaseListEntry(FrozenValue, frozen=True):
     """An entry of the case list: a case that was opened before, without the name of its CT file."""
+
+    wire_name: ClassVar[str] = "RecentCase"
 
     recent_id: Identifier
     date: Identifier
@@ -82,7 +85,7 @@ class Storage(FrozenValue, frozen=True):
     ct_bytes: Bytes
     keeps_cts: Literal["on", "off", "never"]
     """State of the CT cache; *never*: Carina was started without the cache."""
-    forgotten: tuple[RecentCase, ...]
+    forgotten: tuple[CaseListEntry, ...]
     """Forgotten cases, which the user can restore for one day."""
 
 
@@ -117,7 +120,7 @@ class Start(ServerMessage, frozen=True):
     """Content of the start page: cases, demonstration cases, instruments and storage."""
 
     notice_accepted: bool
-    recent: tuple[RecentCase, ...]
+    recent: tuple[CaseListEntry, ...]
     demos: tuple[Demo, ...]
     scopes: tuple[Scope, ...]
     storage: Storage | None = None
@@ -141,13 +144,6 @@ class CaseNote(FrozenValue, frozen=True):
     words: Words
     badge: bool
     """Whether the note stays visible while the case is open."""
-
-
-class FeatureOff(FrozenValue, frozen=True):
-    """A feature that this volume does not support, and the reason."""
-
-    what: Words
-    why: Words
 
 
 class CaseInfo(FrozenValue, frozen=True):
@@ -175,8 +171,10 @@ class CaseInfo(FrozenValue, frozen=True):
     """Name of the CT file or text of its series; sent only to windows on the machine that runs Carina, else null."""
 
 
-class Target(AskedPath, frozen=True):
+class TargetInfo(AskedPath, frozen=True):
     """A target with the requested point, the point that is used, and the path to that point."""
+
+    wire_name: ClassVar[str] = "Target"
 
     target_id: Identifier
     name: Words
@@ -201,32 +199,6 @@ class Target(AskedPath, frozen=True):
     """Whether the target is a lesion with a boundary; the message ``plans`` contains the boundary and the routes."""
 
 
-class MaskLabel(FrozenValue, frozen=True):
-    """A structure in an imported mask."""
-
-    number: Annotated[int, Meta(ge=-(2**53), le=2**53)]
-    name: Words | None
-    volume_ml: float
-
-
-class MaskQuestion(FrozenValue, frozen=True):
-    """Question to the user about an imported mask before it can define the airways; answered by ``answer_mask``."""
-
-    title: Words
-    """Name of the file."""
-    problem: Literal["label", "grid"]
-    """``label``: the mask contains several structures. ``grid``: its grid differs from the grid of the scan."""
-    labels: tuple[MaskLabel, ...]
-    suggested: int | None
-    """Label whose name denotes the airway; null if none or several do."""
-    expected: Words | None
-    """Description of the scan's grid."""
-    found: Words | None
-    """Description of the mask's grid."""
-    share_inside: Part | None
-    """Fraction of the structure that is inside the scan, 0 to 1."""
-
-
 class State(ServerMessage, frozen=True):
     """State of the session, except for pose, tree, route and the other parts that have their own messages."""
 
@@ -243,7 +215,7 @@ class State(ServerMessage, frozen=True):
     """Name of the transfer function."""
     transfer_document: dict[str, Any] | None
     transfer_presets: tuple[Words, ...]
-    targets: tuple[Target, ...]
+    targets: tuple[TargetInfo, ...]
     route_id: Words | None
     can_undo: Words | None
     """Label of the change that the next undo reverts; null if there is none."""
@@ -261,18 +233,6 @@ class State(ServerMessage, frozen=True):
     saving: SavingInfo = SavingInfo()
 
 
-class RouteSpan(FrozenValue, frozen=True):
-    """The part of a route inside one branch, given by positions in mm along the route."""
-
-    branch_id: BranchId
-    name: Words | None
-    generation: Annotated[int, Meta(ge=0, le=1000)]
-    from_mm: float
-    to_mm: float
-    kind: Literal["tracked", "bridge", "manual"]
-    """Kind of the branch; ``manual``: the user drew the branch, because the CT shows no airway there."""
-
-
 class HistoryStep(FrozenValue, frozen=True):
     """A step of the undo history."""
 
@@ -282,7 +242,7 @@ class HistoryStep(FrozenValue, frozen=True):
     """Time in seconds since the case was begun (``saving.begun_s``)."""
 
 
-class History(ServerMessage, frozen=True):
+class HistoryMessage(ServerMessage, frozen=True):
     """Undo history, the oldest step first; sent after each change."""
 
     steps: tuple[HistoryStep, ...]
@@ -319,7 +279,7 @@ class RouteInfo(DrawnPart, frozen=True, kw_only=True):
     """Continuation of the route through the wall; null if the route ends in the airways."""
 
 
-class Route(ServerMessage, frozen=True):
+class RouteMessage(ServerMessage, frozen=True):
     """The current route; sent after each change."""
 
     route: RouteInfo | None
@@ -344,7 +304,7 @@ class HeldScope(ScopeHold, frozen=True):
     """Total time of these contacts in s."""
 
 
-class Pose(ServerMessage, frozen=True):
+class PoseMessage(ServerMessage, frozen=True):
     """The newest pose; each image names its pose by ``pose_id``."""
 
     pose_id: Count
@@ -470,11 +430,13 @@ class Cluster(ClusterState, ServerMessage, frozen=True):
     """State of the render cluster; sent once a second if there is a cluster."""
 
 
-class PictureLines(FrozenValue, frozen=True):
+class PictureLineRows(FrozenValue, frozen=True):
     """Geometry of an image of a curved surface: parallel lists over selected rows, to be interpolated linearly.
 
     Pixel (column, row) is at ``start_lps + column * step_lps``, in corner coordinates of *this* image.
     """
+
+    wire_name: ClassVar[str] = "PictureLines"
 
     row: Numbers
     """Selected rows in corner coordinates, increasing: the middle of the first row of an image is 0.5."""
@@ -554,7 +516,7 @@ class PictureHeader(FrozenValue, frozen=True):
 
     Columns and rows are corner coordinates of *this* image (the centre of a pixel is at +0.5).
     """
-    lines: PictureLines | None
+    lines: PictureLineRows | None
     """Geometry of a view along the route, else null."""
     outline: PictureOutline | None
     """Outline of the current lumen in slices and in the cut-plane (in the middle plane of a thick slice), else null."""

@@ -28,7 +28,7 @@ class DeviceReading(FrozenValue, frozen=True):
     buttons: Buttons
 
 
-class DeviceSample(DeviceReading, ClientMessage, frozen=True):
+class DeviceSampleMessage(DeviceReading, ClientMessage, frozen=True):
     """Sample of an input device that is connected to the window.
 
     A sample contains exactly one of: an orientation (with or without a position), axes, or the controls of a scope
@@ -88,7 +88,7 @@ class StartRecording(ClientMessage, frozen=True):
     """Request to record the flight into the case, or into a file on this machine if the case is not stored."""
 
 
-class Flights(ServerMessage, frozen=True):
+class FlightsMessage(ServerMessage, frozen=True):
     """Recordings of the case in order; sent after each change."""
 
     flights: Annotated[tuple[FlightInfo, ...], Meta(max_length=100_000)]
@@ -148,7 +148,7 @@ class PhoneInfo(NetworkPage, frozen=True, kw_only=True):
     bad_words: Words
 
 
-class Devices(ServerMessage, frozen=True):
+class DevicesMessage(ServerMessage, frozen=True):
     """Input devices, how they move the tip, and what is recorded."""
 
     control: Control
@@ -169,7 +169,7 @@ class Devices(ServerMessage, frozen=True):
     """Reason why the page cannot be opened on this machine."""
 
 
-class StartMarked(ServerMessage, frozen=True):
+class StartMarkedMessage(ServerMessage, frozen=True):
     """Report that the pen's button marked the start of a path that needs no airways (``arm_pen``, ``add_target``)."""
 
     lps: Three

@@ -44,7 +44,7 @@ class EditLine(FrozenValue, frozen=True):
     """Whether the branch of each segment will be drawn by hand; a new branch is, if any of its segments is doubtful."""
 
 
-class EditPreview(ServerMessage, frozen=True):
+class EditPreviewMessage(ServerMessage, frozen=True):
     """Answer to ``preview_edit``: the exact lines that the edit would create, or the reason why it is not possible."""
 
     request_id: Count

@@ -13,5 +13,5 @@ class OpenKeyFrames(ClientMessage, frozen=True):
     upload_id: Identifier
 
 
-class KeyFrames(KeyFramesInfo, ServerMessage, frozen=True):
+class KeyFramesMessage(KeyFramesInfo, ServerMessage, frozen=True):
     """The key frames; sent after each change."""

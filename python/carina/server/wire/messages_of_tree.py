@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from msgspec import Meta
 
@@ -48,11 +48,13 @@ class TreeDocument(FrozenValue, frozen=True, forbid_unknown_fields=False):
     branches: tuple[TreeBranch, ...]
 
 
-class BranchMeasures(FrozenValue, frozen=True):
+class BranchMeasuresSummary(FrozenValue, frozen=True):
     """Measurements of a branch without its junctions.
 
     Lumens are diameters in mm. The true value differs by at most the error in 95 of 100 cases.
     """
+
+    wire_name: ClassVar[str] = "BranchMeasures"
 
     branch_id: BranchId
     length_mm: float
@@ -115,7 +117,7 @@ class Tree(ServerMessage, frozen=True):
     tree: TreeDocument | None
     titles: tuple[BranchTitle, ...]
     """Long names and lobes of the branches that have them."""
-    measures: tuple[BranchMeasures, ...] | None
+    measures: tuple[BranchMeasuresSummary, ...] | None
     """Measurements of the branches; null until they are computed."""
     uncertain: tuple[UncertainPlace, ...]
     """Places where an airway could not be followed, the widest first; entries about the whole tree are last."""
@@ -123,7 +125,7 @@ class Tree(ServerMessage, frozen=True):
     """Lobes and segments without a named bronchus, the right lung first."""
 
 
-class LivePath(ServerMessage, frozen=True):
+class LivePathMessage(ServerMessage, frozen=True):
     """Answer to ``live_path``: the path from the root to the point under the cursor, or a reason for its absence."""
 
     request_id: Count
@@ -165,5 +167,5 @@ class BranchProfile(FrozenValue, frozen=True):
 class BranchDetail(BranchQuestion, ServerMessage, frozen=True):
     """Answer to ``branch_detail``; profile and measurements are null until they are computed."""
 
-    measures: BranchMeasures | None
+    measures: BranchMeasuresSummary | None
     profile: BranchProfile | None

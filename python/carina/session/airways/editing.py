@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Any
 from carina import commands as c
 from carina.case.document import Document, Target
 from carina.errors import NoEvidenceError, NoResultError
-from carina.session.command_registry import Subject, does
+from carina.session.command_registry import CommandHandlers, does
 from carina.session.core import ALL_TOPICS, SessionCore
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase
-from carina.session.state.snapshot import NotEvident, Said
+from carina.session.state.snapshot import NotEvident, UserMessage
 from carina.session.targets.retrack import followed_route, renamed_route, tracked_target
 from carina.track import AddBranch, FoldedAirways, edit_words, fold_airways, name_edited
 
 if TYPE_CHECKING:
     from carina.track import TreeEdit
 
-__all__ = ["MAX_AIRWAYS_KEPT", "TreeEditing", "airway_words", "found_airways"]
+__all__ = ["MAX_AIRWAYS_KEPT", "TreeEditHandlers", "airway_words", "found_airways"]
 
 MAX_AIRWAYS_KEPT = 4
 """Number of segmented airways that undo can restore; a lumen and its tracker take some hundred megabytes."""
@@ -34,7 +34,7 @@ LOOK_S = 0.05
 """Interval, in s, at which an edit that waits for an earlier edit checks whether it was stopped."""
 
 
-class TreeEditing(Subject):
+class TreeEditHandlers(CommandHandlers):
     """The commands that change the airway tree."""
 
     def __init__(self, core: SessionCore) -> None:
@@ -145,7 +145,7 @@ class TreeEditing(Subject):
         self.core.change(case, label, document)
         case.history.keep_distinct(found_airways, MAX_AIRWAYS_KEPT)
         for line in _lost(before, document):
-            self.core.emit(Said(line))
+            self.core.emit(UserMessage(line))
 
 
 def _with_names(document: Document, edited: Any, named: Any) -> Document:

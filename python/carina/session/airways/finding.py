@@ -8,12 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from msgspec import structs
+
 from carina import commands as c
 from carina.case.document import Document, Point, Target
 from carina.case.routes import ChosenRoute, default_branch_id, route_to_branch
 from carina.errors import CarinaError, NoResultError, TrackingError, UsageError
 from carina.session.airways.editing import MAX_AIRWAYS_KEPT, airway_words, found_airways
-from carina.session.command_registry import Subject, answers, does
+from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.core import ALL_TOPICS
 from carina.session.flights.tip_commands import place_pose
 from carina.session.jobs.background_jobs import Job
@@ -23,13 +25,13 @@ from carina.session.state.snapshot import MaskQuestion
 from carina.session.targets.retrack import tracked_target
 from carina.volume import Mask, MaskGridError, MaskLabel, MaskLabelError
 
-__all__ = ["AirwayFinding"]
+__all__ = ["AirwayHandlers"]
 
 SET_THE_ROOT = "Mark the trachea: click inside it on a slice."
 AIRWAY_NAMES = re.compile(r"airway|bronch|trache|lumen|luftweg|luftröhre|voies a", re.IGNORECASE)
 
 
-class AirwayFinding(Subject):
+class AirwayHandlers(CommandHandlers):
     """Commands that replace the airways of the case; each runs as a job and forms one undo step."""
 
     # ------------------------------------------------------------ segmentation of the CT
@@ -263,7 +265,8 @@ def _question(name: str, trouble: MaskLabelError | MaskGridError) -> MaskQuestio
         return MaskQuestion(
             name, "grid", expected=trouble.expected, found=trouble.found, share_inside=trouble.share_inside
         )
-    return MaskQuestion(name, "label", labels=trouble.labels, suggested=_suggested(trouble.labels))
+    labels = tuple(structs.replace(label, volume_ml=round(label.volume_ml, 3)) for label in trouble.labels)
+    return MaskQuestion(name, "label", labels=labels, suggested=_suggested(trouble.labels))
 
 
 def _suggested(labels: tuple[MaskLabel, ...]) -> int | None:

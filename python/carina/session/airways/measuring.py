@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from carina.session.command_registry import Subject
+from carina.session.command_registry import CommandHandlers
 from carina.session.open_case.open_case import OpenCase
 
-__all__ = ["TreeMeasuring"]
+__all__ = ["MeasurementHandlers"]
 
 
-class TreeMeasuring(Subject):
+class MeasurementHandlers(CommandHandlers):
     """Starter of the background job that measures the document's airways for ``Snapshot.measures``."""
 
     def follow(self, case: OpenCase) -> None:

@@ -24,7 +24,7 @@ from carina.version import WIRE_VERSION
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
 
-__all__ = ["LinkLostError", "OwnerLink"]
+__all__ = ["LinkLostError", "OwnerConnection"]
 
 logger = logging.getLogger(__name__)
 
@@ -44,7 +44,7 @@ class LinkLostError(CarinaError):
     code = "case.owner-gone"
 
 
-class OwnerLink:
+class OwnerConnection:
     """Connection to the owner of a case, created by :meth:`connect` and used by one thread at a time.
 
     Parameters
@@ -64,7 +64,7 @@ class OwnerLink:
         threading.Thread(target=self._read, name="carina-owner", daemon=True).start()
 
     @classmethod
-    def connect(cls, door: Door, case_id: str) -> OwnerLink | None:
+    def connect(cls, door: Door, case_id: str) -> OwnerConnection | None:
         """Connect to the owner of a case; return None if no process replies or the case is no longer open there."""
         from websockets.exceptions import WebSocketException
         from websockets.sync.client import connect
@@ -134,7 +134,7 @@ class OwnerLink:
                 return settled
         raise LinkLostError("the program that had this case open has ended or closed it")
 
-    def watch(self, lost: Callable[[OwnerLink], None]) -> None:
+    def watch(self, lost: Callable[[OwnerConnection], None]) -> None:
         """Call ``lost`` from a separate thread as soon as the connection ends, even while no command waits."""
 
         def wait() -> None:

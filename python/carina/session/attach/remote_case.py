@@ -18,7 +18,7 @@ from carina.commands.value import LocalCommand, checked
 from carina.config import load_settings
 from carina.errors import CarinaError, UsageError
 from carina.render import Sight
-from carina.session.attach.client import LinkLostError, OwnerLink
+from carina.session.attach.client import LinkLostError, OwnerConnection
 from carina.session.attach.messages import Settled
 from carina.session.attach.select import do_and_wait, program_session
 from carina.session.attach.working_copy import NamedCase
@@ -32,7 +32,7 @@ from carina.session.store.find_scan import CASE_SUFFIX, CaseScans, is_case_file
 from carina.session.store.registry import CaseRecord, CaseRecords
 from carina.volume import VolumeCache
 
-__all__ = ["JoinedCase"]
+__all__ = ["RemoteCase"]
 
 OWNED_WITHIN_S = 20.0
 """Longest time, in s, for taking over a case whose former owner may hold its lock while it writes the last changes."""
@@ -52,7 +52,7 @@ class _Followed:
     moment: Moment
 
 
-class JoinedCase:
+class RemoteCase:
     """A stored case whose owner is another process at first; :meth:`join` creates one.
 
     Parameters
@@ -70,12 +70,12 @@ class JoinedCase:
     """
 
     def __init__(
-        self, records: CaseRecords, case_id: str, session: Session, link: OwnerLink, followed: _Followed
+        self, records: CaseRecords, case_id: str, session: Session, link: OwnerConnection, followed: _Followed
     ) -> None:
         self._records = records
         self._case_id = case_id
         self._session = session
-        self._link: OwnerLink | None = link
+        self._link: OwnerConnection | None = link
         self._followed = followed
         self._saving = SavingInfo()
         self._named: NamedCase | None = None
@@ -88,7 +88,7 @@ class JoinedCase:
     # ------------------------------------------------------------ joining
 
     @classmethod
-    def join(cls, source: str | Path, ct: str | Path | None) -> JoinedCase | None:
+    def join(cls, source: str | Path, ct: str | Path | None) -> RemoteCase | None:
         """Join the case of a file or a CT that a running Carina of this user has open.
 
         Parameters
@@ -100,7 +100,7 @@ class JoinedCase:
 
         Returns
         -------
-        JoinedCase or None
+        RemoteCase or None
             None if no running Carina has the case open.
 
         Raises
@@ -110,7 +110,7 @@ class JoinedCase:
         """
         settings = load_settings()
         records = CaseRecords(settings.cases_dir, time.time)
-        for record in _meant(records, source):
+        for record in _possible_records(records, source):
             link = _linked(records, record)
             if link is None:
                 continue
@@ -127,7 +127,9 @@ class JoinedCase:
         return None
 
     @classmethod
-    def _joined(cls, records: CaseRecords, record: CaseRecord, link: OwnerLink, ct: str | Path | None) -> JoinedCase:
+    def _joined(
+        cls, records: CaseRecords, record: CaseRecord, link: OwnerConnection, ct: str | Path | None
+    ) -> RemoteCase:
         settings = load_settings()
         # The owner replies after its running jobs, such as the airway search, have ended.
         saving = _saved(link.settle(all_jobs=True))
@@ -291,13 +293,13 @@ class JoinedCase:
 
     # ------------------------------------------------------------ the end of the owner
 
-    def _lost(self, link: OwnerLink) -> None:
+    def _lost(self, link: OwnerConnection) -> None:
         """Start a thread that takes over the case after the connection to its owner has ended."""
         with self._lock:
             if not self._closed:
                 self._go_on_without(link)
 
-    def _go_on_without(self, link: OwnerLink) -> None:
+    def _go_on_without(self, link: OwnerConnection) -> None:
         """Become the owner, or join the new owner; after both fail, work on a named file.
 
         The caller holds this object's lock.
@@ -334,7 +336,7 @@ class JoinedCase:
             time.sleep(LOOK_EVERY_S)
 
     def _join_again(self, door: Door) -> bool:
-        link = OwnerLink.connect(door, self._case_id)
+        link = OwnerConnection.connect(door, self._case_id)
         if link is None:
             return False
         try:
@@ -366,7 +368,7 @@ class JoinedCase:
         )
 
 
-def _meant(records: CaseRecords, source: str | Path) -> list[CaseRecord]:
+def _possible_records(records: CaseRecords, source: str | Path) -> list[CaseRecord]:
     """Return the records of the cases to which a case file or a CT may belong, the case used last first."""
     place = str(Path(source).expanduser().absolute())
     if is_case_file(place):
@@ -374,7 +376,7 @@ def _meant(records: CaseRecords, source: str | Path) -> list[CaseRecord]:
     return [one for one in records.all() if one.place == place]
 
 
-def _linked(records: CaseRecords, record: CaseRecord) -> OwnerLink | None:
+def _linked(records: CaseRecords, record: CaseRecord) -> OwnerConnection | None:
     """Return a connection to the process that has a case open; None if the program cannot join a process.
 
     The owner writes its connection details once the case is on the disk, which takes a moment after the opening.
@@ -383,7 +385,7 @@ def _linked(records: CaseRecords, record: CaseRecord) -> OwnerLink | None:
     while True:
         door = records.door_of(record)
         if door is not None:
-            return OwnerLink.connect(door, record.case_id)
+            return OwnerConnection.connect(door, record.case_id)
         if not records.is_held(record) or time.monotonic() >= end_s:
             return None
         time.sleep(LOOK_EVERY_S)

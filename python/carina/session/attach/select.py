@@ -7,12 +7,12 @@ from typing import Protocol
 
 from carina.commands import Command, FlightsToKeep, MomentToKeep, OpenPath, OpenVolume
 from carina.session.attach.working_copy import NamedCase
-from carina.session.jobs.job_groups import Errand
+from carina.session.jobs.job_groups import JobGroup
 from carina.session.session import Session
 from carina.session.store.find_scan import is_case_file
 from carina.volume import Volume
 
-__all__ = ["OwnCase", "ProgramCase", "do_and_wait", "program_session"]
+__all__ = ["LocalCase", "ProgramCase", "do_and_wait", "program_session"]
 
 
 class ProgramCase(Protocol):
@@ -46,7 +46,7 @@ class ProgramCase(Protocol):
         """
 
 
-class OwnCase:
+class LocalCase:
     """A case that only this process uses: its session, and the file to which it is saved."""
 
     def __init__(self) -> None:
@@ -118,7 +118,7 @@ def do_and_wait(session: Session, command: Command) -> None:
     CarinaError
         The error of the command, or of the first of its jobs that failed.
     """
-    errand = Errand()
+    errand = JobGroup()
     with errand.doing():
         session.do(command)
     session.jobs.wait_idle(None)

@@ -13,7 +13,7 @@ from carina import commands as c
 from carina.disk import disk_trouble
 from carina.display import one_line
 from carina.errors import UsageError
-from carina.session.command_registry import Subject, does
+from carina.session.command_registry import CommandHandlers, does
 from carina.session.core import SessionCore
 from carina.session.saving.unsaved_work import UnsavedWork
 from carina.session.state.snapshot import Trouble
@@ -22,7 +22,7 @@ from carina.session.store.registry import CaseRecord, CaseRecords
 from carina.session.store.registry_repair import repair_records
 
 if TYPE_CHECKING:
-    from carina.session.saving.autosave import Saving
+    from carina.session.saving.autosave import Autosave
 
 __all__ = ["CaseList", "ListedCase", "StorageInfo"]
 
@@ -61,10 +61,10 @@ class StorageInfo:
     forgotten: tuple[ListedCase, ...]
 
 
-class CaseList(Subject):
+class CaseList(CommandHandlers):
     """The list of stored cases and of CTs that were opened without a stored case."""
 
-    def __init__(self, core: SessionCore, saving: Saving, end_recording: Callable[[], object] = lambda: None) -> None:
+    def __init__(self, core: SessionCore, saving: Autosave, end_recording: Callable[[], object] = lambda: None) -> None:
         super().__init__(core)
         self._saving = saving
         self._end_recording = end_recording

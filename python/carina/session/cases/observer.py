@@ -7,20 +7,22 @@ import numpy as np
 from carina import commands as c
 from carina.case.stored_state import Moment
 from carina.errors import UsageError
-from carina.session.airways.finding import AirwayFinding
-from carina.session.command_registry import Subject, does
+from carina.session.airways.finding import AirwayHandlers
+from carina.session.command_registry import CommandHandlers, does
 from carina.session.core import ALL_TOPICS, SessionCore
-from carina.session.flights.scope_contact import ScopeHolding
+from carina.session.flights.scope_contact import ScopeContactHandlers
 from carina.session.open_case.open_case import LastMove, OpenCase, restore
-from carina.session.saving.autosave import Between, Saving
+from carina.session.saving.autosave import Autosave, ReplacementCase
 
-__all__ = ["Following"]
+__all__ = ["ObserverHandlers"]
 
 
-class Following(Subject):
+class ObserverHandlers(CommandHandlers):
     """Commands that mirror a case of another process: all but the sight of this session is copied from the owner."""
 
-    def __init__(self, core: SessionCore, finding: AirwayFinding, holding: ScopeHolding, saving: Saving) -> None:
+    def __init__(
+        self, core: SessionCore, finding: AirwayHandlers, holding: ScopeContactHandlers, saving: Autosave
+    ) -> None:
         super().__init__(core)
         self._finding = finding
         self._holding = holding
@@ -48,7 +50,7 @@ class Following(Subject):
         record = None if records is None else records.find(command.case_id)
         if record is None:
             raise UsageError("this case is no longer in the list", code="session.recent")
-        between = Between(self._saving)
+        between = ReplacementCase(self._saving)
         reopened = between.take(record.digest, record.case_id)
         if reopened is None:
             between.give_back()

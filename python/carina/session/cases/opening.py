@@ -10,16 +10,16 @@ from carina import commands as c
 from carina.case import CaseFile, CaseFileError
 from carina.case.stored_state import Moment
 from carina.errors import UsageError, VolumeImportError
-from carina.session.airways.finding import AirwayFinding
-from carina.session.command_registry import Subject, does
+from carina.session.airways.finding import AirwayHandlers
+from carina.session.command_registry import CommandHandlers, does
 from carina.session.core import ALL_TOPICS, SessionCore
 from carina.session.derived.plans import CtOrigin
-from carina.session.flights.recording import FlightRecording
-from carina.session.flights.scope_contact import ScopeHolding
+from carina.session.flights.recording import FlightRecorder
+from carina.session.flights.scope_contact import ScopeContactHandlers
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase, new_case
-from carina.session.saving.autosave import Saving
-from carina.session.state.snapshot import Said
+from carina.session.saving.autosave import Autosave
+from carina.session.state.snapshot import UserMessage
 from carina.session.store.find_scan import CaseScans, is_case_file
 from carina.session.store.named_file import FileMark, open_marked
 from carina.session.store.registry import CaseRecord
@@ -27,11 +27,11 @@ from carina.volume import Volume
 from carina.volume.dicom_references import References
 from carina.volume.progress import Watch
 
-__all__ = ["Opening"]
+__all__ = ["CaseOpener"]
 
 
 @dataclass(slots=True)
-class _Found:
+class _OpenedFile:
     """Results of the job that reads a case file."""
 
     file: CaseFile | None = None
@@ -49,16 +49,16 @@ class _Dropped:
     references: References | None = None
 
 
-class Opening(Subject):
+class CaseOpener(CommandHandlers):
     """Commands that open and close a case; the present case remains on screen until the new one has been read."""
 
     def __init__(
         self,
         core: SessionCore,
-        finding: AirwayFinding,
-        recording: FlightRecording,
-        holding: ScopeHolding,
-        saving: Saving,
+        finding: AirwayHandlers,
+        recording: FlightRecorder,
+        holding: ScopeContactHandlers,
+        saving: Autosave,
     ) -> None:
         super().__init__(core)
         self._holding = holding
@@ -123,7 +123,7 @@ class Opening(Subject):
 
         A dropped file has no path, so a copy of the file is stored; the copy waits until its CT is found.
         """
-        found = _Found()
+        found = _OpenedFile()
 
         def read(job: Job) -> Volume:
             if dropped:
@@ -132,7 +132,7 @@ class Opening(Subject):
                 found.file, found.mark = open_marked(path)
                 file = found.file
             if file.note is not None:
-                self.core.emit(Said(file.note))
+                self.core.emit(UserMessage(file.note))
             scan = self._saving.open_ct_of(file) if dropped else None
             try:
                 if scan is None:
@@ -187,7 +187,7 @@ class Opening(Subject):
         )
         if scans is None or records is None:
             raise no_ct
-        found = _Found()
+        found = _OpenedFile()
 
         def read(job: Job) -> Volume:
             with CaseFile.open(records.path_of(record), read_only=True) as file:
@@ -293,7 +293,7 @@ class Opening(Subject):
         anew: bool = False,
         given: Moment | None = None,
         finds: bool = True,
-        found: _Found | None = None,
+        found: _OpenedFile | None = None,
         ended: Callable[[], None] = lambda: None,
         dropped: _Dropped | None = None,
     ) -> str:
@@ -338,7 +338,7 @@ class Opening(Subject):
                     jobs=self.core.jobs,
                     lock=self.core.lock,
                     changed=self.core.changed,
-                    say=lambda words: self.core.emit(Said(words)),
+                    say=lambda words: self.core.emit(UserMessage(words)),
                     kept=kept,
                 )
                 case.planning.origin = CtOrigin(

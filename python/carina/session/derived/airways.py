@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from carina.case import KeptMeasures
+from carina.case import StoredMeasures
 from carina.errors import CarinaError
 from carina.session.derived.derived_value import Attempt, Derived
 from carina.session.derived.measurement_cache import MeasuredAirways
@@ -99,8 +99,8 @@ def derived_measures(
     return Derived(jobs, lock, kind="measures", title="measuring the airways", make=make, settled=changed)
 
 
-def _loaded(kept: TreeMeasures | KeptMeasures) -> TreeMeasures:
-    return kept.load() if isinstance(kept, KeptMeasures) else kept
+def _loaded(kept: TreeMeasures | StoredMeasures) -> TreeMeasures:
+    return kept.load() if isinstance(kept, StoredMeasures) else kept
 
 
 def _made_from(wall: WallField, airways: Any) -> dict[str, Any]:

@@ -35,8 +35,8 @@ class MeasuredAirways:
 
         Returns
         -------
-        TreeMeasures, KeptMeasures or None
-            :class:`carina.track.TreeMeasures`, or :class:`carina.case.KeptMeasures` if they are still in a case file.
+        TreeMeasures, StoredMeasures or None
+            :class:`carina.track.TreeMeasures`, or :class:`carina.case.StoredMeasures` if they are still in a case file.
         """
         found = self._found.get(id(airways))
         return None if found is None else found[1]

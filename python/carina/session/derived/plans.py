@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from carina.volume import Volume
     from carina.volume.dicom_references import References
 
-__all__ = ["CasePlanning", "PlannedTarget", "PlanningInfo", "TargetPlan", "chosen_number", "shown_surface"]
+__all__ = ["CasePlanning", "PlanOutcome", "PlannedTarget", "PlanningInfo", "chosen_number", "shown_surface"]
 
 MOST_SHOWN = 36
 """Largest number of voxels along a side of a nodule's displayed surface; finer detail is not visible."""
@@ -44,7 +44,7 @@ def task_of(lesion: Lesion) -> PlanTask:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TargetPlan:
+class PlanOutcome:
     """Result of planning for one target."""
 
     task: PlanTask
@@ -64,9 +64,9 @@ class MadePlans:
 
     None if the case does not measure them, so that each plan measures its own branches.
     """
-    plans: tuple[TargetPlan, ...]
+    plans: tuple[PlanOutcome, ...]
 
-    def of(self, task: PlanTask) -> TargetPlan | None:
+    def of(self, task: PlanTask) -> PlanOutcome | None:
         """Return the planning result for a task; None if these plans do not include the task."""
         return next((one for one in self.plans if one.task == task), None)
 
@@ -77,7 +77,7 @@ class PlannedTarget:
     """A target with a size, and its plan once the plan is available."""
 
     target: Target
-    planned: TargetPlan | None
+    planned: PlanOutcome | None
 
 
 @one_line
@@ -171,7 +171,7 @@ class CasePlanning:
 
     # ------------------------------------------------------------ state
 
-    def of(self, lesion: Lesion) -> TargetPlan | None:
+    def of(self, lesion: Lesion) -> PlanOutcome | None:
         """Return the planning result for a target's lesion; None if it has not been computed."""
         made = self.made
         return None if made is None else made.of(task_of(lesion))
@@ -275,7 +275,7 @@ class CasePlanning:
             attempt.progress("measuring the airway wall", None)
             wall = self._parts.wall_field(self._volume, airways, cancel=attempt.cancel)
         measures = self._measures_of(airways, attempt)
-        plans: list[TargetPlan] = []
+        plans: list[PlanOutcome] = []
         for n, task in enumerate(tasks):
             known = None if before is None or before.airways is not airways else before.of(task)
             if known is not None:
@@ -302,11 +302,11 @@ class CasePlanning:
                     progress=say,
                     cancel=attempt.cancel,
                 )
-                plans.append(TargetPlan(task, plan, plan.why))
+                plans.append(PlanOutcome(task, plan, plan.why))
             except CancelledError:
                 raise
             except CarinaError as trouble:
-                plans.append(TargetPlan(task, None, str(trouble)))
+                plans.append(PlanOutcome(task, None, str(trouble)))
         return MadePlans(airways, wall, measures, tuple(plans))
 
     def _measures_of(self, airways: Airways, attempt: Attempt[MadePlans]) -> TreeMeasures | None:

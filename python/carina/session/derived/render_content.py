@@ -23,7 +23,7 @@ __all__ = ["ShownContent"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Decided:
+class ContentRequest:
     """Requested display content of the renderer; every request gets a new number, even if the content is equal."""
 
     number: int
@@ -66,12 +66,12 @@ class ShownContent:
         """Number that increases with each change of the shown content."""
         self._lock = lock
         self._changed = changed
-        self._decided = self._given = Decided(0, transfer, None, None)
+        self._decided = self._given = ContentRequest(0, transfer, None, None)
         self._is_fast = False
         """Whether the renderer has been prepared for its present transfer function and lumen."""
         self._come_to = 0
         """Number of the last requested content that was shown, or whose update failed or was stopped."""
-        self._ready: Derived[Decided, bool] = Derived(
+        self._ready: Derived[ContentRequest, bool] = Derived(
             jobs, lock, kind="display", title="preparing fast rendering", make=self._make_ready, settled=self._settled
         )
 
@@ -98,14 +98,14 @@ class ShownContent:
         # Also repeats an update whose job was stopped or failed before the renderer received the content.
         newest = self._decided if self._ready.standing(self._decided) == "making" else self._given
         if newest.transfer is not transfer or newest.lumen_zyx is not lumen_zyx or newest.tree is not tree:
-            self._decided = Decided(self._decided.number + 1, transfer, lumen_zyx, tree)
+            self._decided = ContentRequest(self._decided.number + 1, transfer, lumen_zyx, tree)
             self._ready.want(self._decided)
 
     def discard(self) -> None:
         """Stop the job, because the case is being closed."""
         self._ready.discard()
 
-    def _make_ready(self, decided: Decided, attempt: Attempt[bool]) -> bool:
+    def _make_ready(self, decided: ContentRequest, attempt: Attempt[bool]) -> bool:
         given = self._given
         # Other names in a tree change only annotations; the data for fast rendering stay valid.
         if decided.transfer is not given.transfer or decided.lumen_zyx is not given.lumen_zyx:
@@ -126,7 +126,7 @@ class ShownContent:
         # After a failure or a stop no further update follows, so the shown content is final.
         self._comes_to(self._decided)
 
-    def _comes_to(self, decided: Decided) -> None:
+    def _comes_to(self, decided: ContentRequest) -> None:
         """Record that the update to the given content has ended; the caller holds the session's lock."""
         if self._come_to != decided.number:
             self._come_to = decided.number

@@ -13,16 +13,16 @@ from carina import commands as c
 from carina.case.routes import leaf_below, route_to_branch
 from carina.errors import CarinaError
 from carina.navigate import PenState, Sample, fit_registration, moves
-from carina.session.command_registry import Subject, does
+from carina.session.command_registry import CommandHandlers, does
 from carina.session.core import SessionCore
-from carina.session.flights.recording import FlightRecording
+from carina.session.flights.recording import FlightRecorder
 from carina.session.open_case.open_case import OpenCase, as_point
-from carina.session.state.snapshot import DevicesInfo, Said, StartMarked, Trouble
+from carina.session.state.snapshot import DevicesInfo, StartMarked, Trouble, UserMessage
 
-__all__ = ["Devices"]
+__all__ = ["DeviceHandlers"]
 
 
-class Devices(Subject):
+class DeviceHandlers(CommandHandlers):
     """Interface for programs that connect input devices: samples, motion frames, and the state to show.
 
     Parameters
@@ -38,7 +38,7 @@ class Devices(Subject):
     def __init__(
         self,
         core: SessionCore,
-        recording: FlightRecording,
+        recording: FlightRecorder,
         do: Callable[[c.Command], str | None],
     ) -> None:
         super().__init__(core)
@@ -63,7 +63,7 @@ class Devices(Subject):
         """Path of the running recording's file, or its name in the case; None without a running recording."""
         return self._recording.name
 
-    def said(self, device: str, sample: Sample) -> None:
+    def receive_sample(self, device: str, sample: Sample) -> None:
         """Accept a sample of a device, from any thread and at any rate; samples are ignored while no case is open."""
         with self.core.lock:
             case = self.core.case
@@ -76,7 +76,7 @@ class Devices(Subject):
                 self._mark(case, pen, tool)
             words = case.pilot.take_message(now_s)
             if words is not None:
-                self.core.emit(Said(words))
+                self.core.emit(UserMessage(words))
             if case.pilot.control != before:
                 self.core.changed("state", "pose", "views")
         self.core.device_woken.set()
@@ -123,7 +123,7 @@ class Devices(Subject):
         with self.core.lock:
             case.pilot.set_registration(device, fit)
             self.core.changed("state")
-            self.core.emit(Said(f"{device} is registered with an RMS error of {fit.rms_mm or 0.0:.1f} mm"))
+            self.core.emit(UserMessage(f"{device} is registered with an RMS error of {fit.rms_mm or 0.0:.1f} mm"))
 
     @does(c.ArmPen)
     def arm_pen(self, command: c.ArmPen) -> None:

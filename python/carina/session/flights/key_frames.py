@@ -21,21 +21,21 @@ from carina.navigate import (
     open_key_frames,
 )
 from carina.render import Sight
-from carina.session.command_registry import Subject, answers, does
+from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.flights.tip_commands import place_pose, view_words
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.key_frame_flight import KeyFlight, key_frames
 from carina.session.open_case.open_case import OpenCase
 from carina.session.open_case.point_tests import in_airways
-from carina.session.state.snapshot import KeyFramesInfo, Said, ShownKeyFrame
+from carina.session.state.snapshot import KeyFramesInfo, ShownKeyFrame, UserMessage
 from carina.volume import Volume
 
-__all__ = ["MAX_KEYS", "KeyFraming", "key_file"]
+__all__ = ["MAX_KEYS", "KeyFrameHandlers", "key_file"]
 
 MAX_KEYS = 200
 
 
-class KeyFraming(Subject):
+class KeyFrameHandlers(CommandHandlers):
     """Commands for key frames, which are part of the document; every change is an undo step."""
 
     # ------------------------------------------------------------ the list
@@ -235,7 +235,7 @@ class KeyFraming(Subject):
                 keys = KeyFrames(frames, c.KeyFrameFlying(file.speed_mm_s, file.through))
                 self.core.change(case, "open key frames", replace(case.document, key_frames=keys))
                 if any(frame.time_s is not None for frame in file.frames):
-                    self.core.emit(Said("the file stores times, which were converted to speeds"))
+                    self.core.emit(UserMessage("the file stores times, which were converted to speeds"))
 
         return self.core.jobs.start("key-frames", "opening key frames", work)
 

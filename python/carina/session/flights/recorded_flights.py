@@ -16,7 +16,7 @@ from carina import commands as c
 from carina.case.recordings import RecordingFacts
 from carina.errors import UsageError
 from carina.navigate.recording import read_recording
-from carina.session.command_registry import Subject, does
+from carina.session.command_registry import CommandHandlers, does
 from carina.session.flights.tip_commands import place_pose
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import FlownFlight, OpenCase
@@ -25,10 +25,10 @@ from carina.session.state.snapshot import FlightPlace
 if TYPE_CHECKING:
     from carina.session.core import SessionCore
 
-__all__ = ["Flights", "needed_flight", "running_flight"]
+__all__ = ["FlightHandlers", "needed_flight", "running_flight"]
 
 
-class Flights(Subject):
+class FlightHandlers(CommandHandlers):
     """The list of the recorded flights of a case, and their playback.
 
     Parameters

@@ -12,21 +12,21 @@ from carina.case.recordings import RecordingFacts, RecordingWriter
 from carina.disk import disk_trouble, make_folder
 from carina.errors import UsageError
 from carina.navigate import Recorder, case_key
-from carina.session.command_registry import Subject, does
+from carina.session.command_registry import CommandHandlers, does
 from carina.session.core import SessionCore
-from carina.session.flights.scope_contact import ScopeHolding
+from carina.session.flights.scope_contact import ScopeContactHandlers
 from carina.session.flights.tip_commands import view_words
 from carina.session.open_case.open_case import OpenCase
-from carina.session.state.snapshot import Said, Trouble
+from carina.session.state.snapshot import Trouble, UserMessage
 from carina.version import VERSION
 
-__all__ = ["FlightRecording", "new_flight"]
+__all__ = ["FlightRecorder", "new_flight"]
 
 
-class FlightRecording(Subject):
+class FlightRecorder(CommandHandlers):
     """Recorder of every move of the tip, until the user stops it or the case is closed."""
 
-    def __init__(self, core: SessionCore, holding: ScopeHolding) -> None:
+    def __init__(self, core: SessionCore, holding: ScopeContactHandlers) -> None:
         super().__init__(core)
         self._holding = holding
         self._recorder: Recorder | None = None
@@ -140,10 +140,10 @@ class FlightRecording(Subject):
             if recorder.trouble is None:
                 flight = self._flight()
                 if flight is None:
-                    self.core.emit(Said(f"{recorder.length_s:.0f} s recorded to {self._path}"))
+                    self.core.emit(UserMessage(f"{recorder.length_s:.0f} s recorded to {self._path}"))
                 else:
                     self._end(flight, recorder.length_s)
-                    self.core.emit(Said(f"{recorder.length_s:.0f} s recorded in the case: {flight.name}"))
+                    self.core.emit(UserMessage(f"{recorder.length_s:.0f} s recorded in the case: {flight.name}"))
                 self.core.changed("state", "flights")
             return self._path
 

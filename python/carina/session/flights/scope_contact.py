@@ -8,17 +8,17 @@ from carina import commands as c
 from carina.errors import NoResultError
 from carina.navigate.moves import LayScope
 from carina.scopes import DEFAULT_SCOPE
-from carina.session.command_registry import Subject
+from carina.session.command_registry import CommandHandlers
 from carina.session.open_case.open_case import OpenCase, as_point
-from carina.session.state.snapshot import Said
+from carina.session.state.snapshot import UserMessage
 
 if TYPE_CHECKING:
     from carina.track import Airways
 
-__all__ = ["ScopeHolding"]
+__all__ = ["ScopeContactHandlers"]
 
 
-class ScopeHolding(Subject):
+class ScopeContactHandlers(CommandHandlers):
     """Places the scope along the route, constrained by the airway wall, in mode *scope*."""
 
     def enter(self, case: OpenCase) -> None:
@@ -78,6 +78,6 @@ class ScopeHolding(Subject):
             return
         if case.wall.of(case.document.airways) is None:
             self.core.fly(c.SetMode("free"))
-            self.core.emit(Said("the airways have changed: reinsert the scope to use the updated airways"))
+            self.core.emit(UserMessage("the airways have changed: reinsert the scope to use the updated airways"))
         elif (case.document.look.scope or DEFAULT_SCOPE) != case.scope.laid:
             self.lay(case, state.insertion_mm)

@@ -10,12 +10,12 @@ from carina import commands as c
 from carina.case.document import Document
 from carina.render import Sight
 from carina.scopes import Pose
-from carina.session.command_registry import Subject, does
+from carina.session.command_registry import CommandHandlers, does
 from carina.session.core import SessionCore
-from carina.session.flights.scope_contact import ScopeHolding
+from carina.session.flights.scope_contact import ScopeContactHandlers
 from carina.session.open_case.start_pose import pose_before_place
 
-__all__ = ["STRAIGHT_TO_THE_PILOT", "Flying", "place_pose", "view_words"]
+__all__ = ["STRAIGHT_TO_THE_PILOT", "TipHandlers", "place_pose", "view_words"]
 
 STRAIGHT_TO_THE_PILOT = (
     c.Steer, c.GoTo, c.NextFork, c.PreviousFork, c.PlacePose, c.LevelHorizon, c.ResetLook,
@@ -44,10 +44,10 @@ def view_words(document: Document, sight: Sight) -> dict[str, Any]:
     }
 
 
-class Flying(Subject):
+class TipHandlers(CommandHandlers):
     """Commands that move the tip and also need the airways, their wall or the volume of the case."""
 
-    def __init__(self, core: SessionCore, holding: ScopeHolding) -> None:
+    def __init__(self, core: SessionCore, holding: ScopeContactHandlers) -> None:
         super().__init__(core)
         self._holding = holding
 

@@ -11,19 +11,19 @@ from carina.case.recordings import RecordingFacts, WholeRecording
 from carina.errors import NoResultError
 from carina.navigate import Navigator, Pilot, Recorder, case_key
 from carina.plan import Verdict, drive_flight
-from carina.session.command_registry import Subject, answers, does
+from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.flights.recording import new_flight
 from carina.session.flights.tip_commands import place_pose, view_words
 from carina.session.open_case.open_case import FlownFlight, OpenCase
-from carina.session.state.snapshot import Said
+from carina.session.state.snapshot import UserMessage
 from carina.version import VERSION
 
-__all__ = ["KeptDrives"]
+__all__ = ["VerdictDriveHandlers"]
 
 MAX_NAME = 200
 
 
-class KeptDrives(Subject):
+class VerdictDriveHandlers(CommandHandlers):
     """Commands that store the simulated drive of a verdict as a flight: a recording whose moves place the tip."""
 
     @does(c.KeepDrive)
@@ -68,7 +68,7 @@ class KeptDrives(Subject):
             case.flights.listed = (*case.flights.listed, facts)
             # The case can play the flight without reading it from a file.
             case.flights.flown = FlownFlight(into.number, times_s, np.stack([one.lps_from_camera for one in poses]))
-            self.core.emit(Said(f"the drive was kept as a flight of {recorder.length_s:.0f} s: {name}"))
+            self.core.emit(UserMessage(f"the drive was kept as a flight of {recorder.length_s:.0f} s: {name}"))
             self.core.changed("flights")
 
     @answers(c.FlightsToKeep)

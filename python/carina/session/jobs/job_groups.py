@@ -9,13 +9,13 @@ from collections.abc import Iterator
 
 from carina.errors import CarinaError
 
-__all__ = ["Errand", "current_errand"]
+__all__ = ["JobGroup", "current_errand"]
 
 # Jobs inherit this context, so jobs that a job starts belong to the same group.
-_current: contextvars.ContextVar[Errand | None] = contextvars.ContextVar("errand", default=None)
+_current: contextvars.ContextVar[JobGroup | None] = contextvars.ContextVar("errand", default=None)
 
 
-class Errand:
+class JobGroup:
     """A command and all jobs that it starts, directly or through other jobs.
 
     Parameters
@@ -33,7 +33,7 @@ class Errand:
 
     def __repr__(self) -> str:
         """Describe the group by its number of running jobs."""
-        return f"Errand({self._num_running} jobs)"
+        return f"JobGroup({self._num_running} jobs)"
 
     @contextlib.contextmanager
     def doing(self) -> Iterator[None]:
@@ -69,6 +69,6 @@ class Errand:
             return tuple(self._errors)
 
 
-def current_errand() -> Errand | None:
+def current_errand() -> JobGroup | None:
     """Return the job group of the present context; None outside a group."""
     return _current.get()

@@ -17,21 +17,21 @@ from carina.case.stored_state import Moment
 from carina.disk import disk_trouble
 from carina.display import one_line
 from carina.errors import CarinaError, UsageError
-from carina.session.command_registry import Subject, answers, does
+from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.core import SessionCore
 from carina.session.flights.recorded_flights import needed_flight
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase, moment_of
 from carina.session.saving.unsaved_work import UnsavedWork
-from carina.session.saving.writer import NOT_RESPONDING, Keeper
-from carina.session.state.snapshot import Changed, Said, SavingInfo, Trouble
+from carina.session.saving.writer import NOT_RESPONDING, CaseSaver
+from carina.session.state.snapshot import Changed, SavingInfo, Trouble, UserMessage
 from carina.session.store.case_names import suggested_file_name
 from carina.session.store.find_scan import CASE_SUFFIX, FoundScan
 from carina.session.store.flight_copies import flight_count
-from carina.session.store.interfaces import CtCache, KeptCt, KeptFile, KeptFiles
+from carina.session.store.interfaces import CachedCtSource, CaseFileFunctions, CtCache, StoredCaseFile
 from carina.session.store.named_file import FileMark, NamedFile, NamedFileConflictError
 from carina.session.store.named_file_lock import LockedElsewhereError, NamedLock
-from carina.session.store.registry import CaseRecord, CaseRecords, HeldCase
+from carina.session.store.registry import CaseRecord, CaseRecords, LockedCase
 from carina.volume import same_geometry
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from carina.session.store.find_scan import CaseScans
     from carina.volume import Volume
 
-__all__ = ["CtCache", "KeptCt", "KeptFile", "KeptFiles", "Reopened", "Saving"]
+__all__ = ["Autosave", "CachedCtSource", "CaseFileFunctions", "CtCache", "Reopened", "StoredCaseFile"]
 
 logger = logging.getLogger(__name__)
 
@@ -57,8 +57,8 @@ CLOSING_S = 60.0
 class Reopened:
     """A stored case that is being opened: its lock and record, its live file and its flights."""
 
-    held: HeldCase
-    file: KeptFile
+    held: LockedCase
+    file: StoredCaseFile
     flights: tuple[RecordingFacts, ...] = ()
 
     def note_ct(self, volume: Volume) -> None:
@@ -68,10 +68,10 @@ class Reopened:
             self.held.note(scanned_on=scanned_on)
 
 
-class Between:
+class ReplacementCase:
     """The stored case that replaces the open one: it is found and locked, then attached to the session or released."""
 
-    def __init__(self, saving: Saving) -> None:
+    def __init__(self, saving: Autosave) -> None:
         self._saving = saving
         self._digest: str | None = None
         self._reopened: Reopened | None = None
@@ -97,7 +97,7 @@ class Between:
             self._claim = records.claim(self._digest)
         except LockedElsewhereError:
             if is_new:
-                self._saving.core.emit(Said(OPEN_ELSEWHERE))
+                self._saving.core.emit(UserMessage(OPEN_ELSEWHERE))
 
     def take(self, digest: str | None, case_id: str | None = None) -> Reopened | None:
         """Lock and return a stored case of a CT, the given or the last used one.
@@ -206,8 +206,8 @@ class Between:
                 self._saving.remove(reopened.held)
 
 
-class Saving(Subject):
-    """The stored case of a session and the commands about it; :class:`Keeper` writes the case.
+class Autosave(CommandHandlers):
+    """The stored case of a session and the commands about it; :class:`CaseSaver` writes the case.
 
     Parameters
     ----------
@@ -219,12 +219,12 @@ class Saving(Subject):
         The storage that makes and opens case files.
     """
 
-    def __init__(self, core: SessionCore, records: CaseRecords | None, files: KeptFiles | None) -> None:
+    def __init__(self, core: SessionCore, records: CaseRecords | None, files: CaseFileFunctions | None) -> None:
         super().__init__(core)
         self.records = records
         self._files = files
-        self._kept: Keeper | None = None
-        self._ending: list[Keeper] = []
+        self._saver: CaseSaver | None = None
+        self._ending: list[CaseSaver] = []
         """Keepers whose disk did not respond when their case was closed."""
         self._awaited: str | None = None
         """Digest of the CT that the user must open to continue a dropped case; None if no case waits."""
@@ -234,18 +234,18 @@ class Saving(Subject):
     # ------------------------------------------------------------ opening and closing
 
     @contextmanager
-    def between(self) -> Iterator[Between]:
+    def between(self) -> Iterator[ReplacementCase]:
         """Release the open case while another case is opened; after a failure, store the open case again."""
-        before = self._kept
+        before = self._saver
         self.refuse_to_lose()
         self.let_go()
-        between = Between(self)
+        between = ReplacementCase(self)
         try:
             yield between
         except BaseException:
             between.give_back()
             if before is not None:
-                again = Between(self)
+                again = ReplacementCase(self)
                 try:
                     again.take(before.digest, None if before.held is None else before.held.record.case_id)
                 except (OSError, sqlite3.Error, CarinaError) as trouble:
@@ -269,7 +269,7 @@ class Saving(Subject):
             time.sleep(HELD_EVERY_S)
             held = self.records.hold(record)
         if held is None:
-            self.core.emit(Said(OPEN_ELSEWHERE))
+            self.core.emit(UserMessage(OPEN_ELSEWHERE))
             return None
         try:
             if held.path.exists():
@@ -286,7 +286,7 @@ class Saving(Subject):
         try:
             named.check()
         except NamedFileConflictError as conflict:
-            self.core.emit(Said(str(conflict)))
+            self.core.emit(UserMessage(str(conflict)))
         except OSError:
             pass  # The error is reported when the file is written.
         return named
@@ -318,7 +318,7 @@ class Saving(Subject):
         assert self.records is not None
         records = [one for one in self.records.all() if one.digest == case.digest]
         if mark is None:
-            steps = _told(case)
+            steps = _labels_and_times(case)
             return next((one for one in records if steps and self._told_here(one)[: len(steps)] == steps), None)
         path = str(case.path.absolute())
         for record in records:
@@ -328,7 +328,7 @@ class Saving(Subject):
                 return record
         if any(one.copy_path == path for one in records):
             self.core.emit(
-                Said(
+                UserMessage(
                     f"The file {case.path.name} was changed since this computer saved it last: it is opened as a new "
                     "case. The earlier case stays in the list of recent cases"
                 )
@@ -339,7 +339,7 @@ class Saving(Subject):
         assert self.records is not None
         try:
             with CaseFile.open(self.records.path_of(record), read_only=True) as live:
-                return _told(live)
+                return _labels_and_times(live)
         except (OSError, sqlite3.Error, CarinaError):
             return ()
 
@@ -373,7 +373,7 @@ class Saving(Subject):
         )
         return Reopened(held, file, flights)
 
-    def _flights_in(self, file: KeptFile) -> tuple[RecordingFacts, ...]:
+    def _flights_in(self, file: StoredCaseFile) -> tuple[RecordingFacts, ...]:
         try:
             return file.recordings()
         except (OSError, sqlite3.Error, CarinaError) as trouble:
@@ -382,7 +382,7 @@ class Saving(Subject):
             )
             return ()
 
-    def remove(self, held: HeldCase) -> None:
+    def remove(self, held: LockedCase) -> None:
         """Remove a stored case that is not shown after all, and release its lock."""
         assert self.records is not None
         if self.records.forget(held.record):
@@ -404,18 +404,20 @@ class Saving(Subject):
         awaited, self._awaited = self._awaited, None
         if awaited is not None and digest != awaited:
             self.core.emit(
-                Said("this is not the CT of the case that you dropped; that case stays in the list of recent cases")
+                UserMessage(
+                    "this is not the CT of the case that you dropped; that case stays in the list of recent cases"
+                )
             )
 
     def open_ct_of(self, case: CaseFile) -> FoundScan | None:
         """Return the CT of the open case, if it is also the CT of this case file."""
-        kept = self._kept
-        if kept is None or kept.digest != case.digest or self.core.case is not kept.case:
+        saver = self._saver
+        if saver is None or saver.digest != case.digest or self.core.case is not saver.case:
             return None
-        volume = kept.case.info.volume
-        return FoundScan(volume, kept.place) if same_geometry(volume, case.source) else None
+        volume = saver.case.info.volume
+        return FoundScan(volume, saver.place) if same_geometry(volume, case.source) else None
 
-    def say_unreadable(self, held: HeldCase, trouble: BaseException) -> None:
+    def say_unreadable(self, held: LockedCase, trouble: BaseException) -> None:
         """Report that a stored case is unreadable and unchanged, and that a new case was begun."""
         self.core.emit(
             Trouble(
@@ -471,22 +473,22 @@ class Saving(Subject):
                 copy_folder=None if copy is None else str(copy.parent),
                 suggested=suggested,
             )
-        kept = Keeper(
+        saver = CaseSaver(
             self.core,
             self.records,
             self._files,
             case,
             place=place,
             digest=digest,
-            is_current=lambda keeper: keeper is self._kept,
+            is_current=lambda keeper: keeper is self._saver,
             held=None if reopened is None else reopened.held,
             file=None if reopened is None else reopened.file,
             named=named,
             claim=claim,
             info=info,
         )
-        self._kept = kept
-        kept.start()
+        self._saver = saver
+        saver.start()
 
     def _suggested(self, alias: str | None, case_id: str) -> str | None:
         """Return a path in the documents folder for the named file of a case; None without such a folder."""
@@ -501,11 +503,11 @@ class Saving(Subject):
         UsageError
             ``case.not-saved``: if the disk has not accepted the latest changes, and they were not saved elsewhere.
         """
-        kept = self._kept
-        if kept is None or kept.settle() or kept.is_elsewhere:
+        saver = self._saver
+        if saver is None or saver.settle() or saver.is_elsewhere:
             return
         raise UsageError(
-            f"the case stays open, because its latest changes could not be saved: {kept.info.problem}. Save it in "
+            f"the case stays open, because its latest changes could not be saved: {saver.info.problem}. Save it in "
             "another folder (Ctrl+S), or free some space",
             code="case.not-saved",
         )
@@ -515,25 +517,25 @@ class Saving(Subject):
 
         The wait for a disk that does not respond is in the background, unless ``within_s`` is given.
         """
-        kept = self._kept
-        if kept is None:
+        saver = self._saver
+        if saver is None:
             return
         self._ending = [keeper for keeper in self._ending if not keeper.has_ended or keeper.unsaved() is not None]
-        has_ended = kept.end(within_s)
-        if not has_ended or kept.unsaved() is not None:
-            self._ending.append(kept)
+        has_ended = saver.end(within_s)
+        if not has_ended or saver.unsaved() is not None:
+            self._ending.append(saver)
             if not has_ended and within_s is not None:
                 logger.warning("Carina is closing before the latest changes to a case have been written to disk")
-        if self._kept is kept:
-            self._kept = None
+        if self._saver is saver:
+            self._saver = None
 
     def unsaved(self) -> tuple[UnsavedWork, ...]:
         """Return the work that could not be saved, of the open case and of cases closed before.
 
         The call waits for each disk, up to a time limit. The caller must not hold the session's lock.
         """
-        if self._kept is not None:
-            self._kept.settle()
+        if self._saver is not None:
+            self._saver.settle()
         for keeper in self._ending:
             keeper.end()
         return tuple(work for keeper in self._keepers() if (work := keeper.unsaved()) is not None)
@@ -574,8 +576,8 @@ class Saving(Subject):
             raise CarinaError(f"cannot save the case to {target}: {trouble}", code="case.not-saved") from trouble
         return target
 
-    def _keepers(self) -> tuple[Keeper, ...]:
-        return (*self._ending, *(() if self._kept is None else (self._kept,)))
+    def _keepers(self) -> tuple[CaseSaver, ...]:
+        return (*self._ending, *(() if self._saver is None else (self._saver,)))
 
     def close(self, within_s: float = CLOSING_S) -> None:
         """Write the remaining changes and end the threads; wait up to ``within_s`` for a disk that does not respond."""
@@ -586,40 +588,40 @@ class Saving(Subject):
     @property
     def info(self) -> SavingInfo:
         """Saving state of the open case, as the window shows it."""
-        kept = self._kept
-        return SavingInfo() if kept is None else kept.info
+        saver = self._saver
+        return SavingInfo() if saver is None else saver.info
 
     def _hear(self, event: Event) -> None:
         """Notify the keeper of the open case of a change event, so that it writes the case.
 
         Called with the session locked.
         """
-        kept = self._kept
-        if kept is not None and isinstance(event, Changed) and self.core.case is kept.case and not kept.is_telling:
-            kept.changed(event.topics)
+        saver = self._saver
+        if saver is not None and isinstance(event, Changed) and self.core.case is saver.case and not saver.is_telling:
+            saver.changed(event.topics)
 
     def write_now(self) -> bool:
         """Write the remaining changes before a risky step, and return whether all changes are on the disk.
 
         The caller must not hold the session's lock.
         """
-        kept = self._kept
-        return kept is None or kept.settle()
+        saver = self._saver
+        return saver is None or saver.settle()
 
     # ------------------------------------------------------------ state for other objects
 
     def rename(self, case_id: str, alias: str | None) -> bool:
         """Rename the open case; return False if another case is open."""
-        kept = self._kept
-        if kept is None or kept.held is None or kept.held.record.case_id != case_id:
+        saver = self._saver
+        if saver is None or saver.held is None or saver.held.record.case_id != case_id:
             return False
-        kept.call(alias, self._suggested(alias, case_id))
+        saver.call(alias, self._suggested(alias, case_id))
         return True
 
     def place_of(self, case: OpenCase) -> str | None:
         """Return the path from which the CT of the open case was opened; None if it is unknown."""
-        kept = self._kept
-        return None if kept is None or kept.case is not case else kept.place
+        saver = self._saver
+        return None if saver is None or saver.case is not case else saver.place
 
     @property
     def scans(self) -> CaseScans | None:
@@ -636,20 +638,20 @@ class Saving(Subject):
     @property
     def open_case(self) -> tuple[str, int] | None:
         """ID and number of the open case; None if no case is open or the case is not stored."""
-        kept = self._kept
-        return None if kept is None or kept.held is None else (kept.held.record.case_id, kept.case.number)
+        saver = self._saver
+        return None if saver is None or saver.held is None else (saver.held.record.case_id, saver.case.number)
 
     @does(c.KeepNow)
     def keep_now(self, _command: c.KeepNow) -> None:
         """Write all changes to the disk now, including changes by other windows and programs."""
-        case, kept = self.core.needed_case(), self._kept
-        if kept is None or kept.case is not case:
+        case, saver = self.core.needed_case(), self._saver
+        if saver is None or saver.case is not case:
             raise UsageError("this case is no longer open here", code="case.closed")
-        is_kept = kept.settle()
-        if self._kept is not kept or kept.has_ended:
+        is_kept = saver.settle()
+        if self._saver is not saver or saver.has_ended:
             raise UsageError("this case is no longer open here", code="case.closed")
         if not is_kept:
-            raise CarinaError(kept.info.problem or NOT_RESPONDING, code="case.not-saved")
+            raise CarinaError(saver.info.problem or NOT_RESPONDING, code="case.not-saved")
 
     @answers(c.FlightToTakeAway)
     def flight_to_take_away(self, question: c.FlightToTakeAway) -> str:
@@ -661,14 +663,14 @@ class Saving(Subject):
 
     def flight_text(self, number: int) -> str:
         """Return the lines of a recorded flight by its number; the call waits for the disk."""
-        case, kept = self.core.needed_case(), self._kept
+        case, saver = self.core.needed_case(), self._saver
         with self.core.lock:
             needed_flight(case, number)
-        if kept is None or kept.case is not case:
+        if saver is None or saver.case is not case:
             raise UsageError("this case is no longer open here", code="case.closed")
-        if not kept.settle():
-            raise CarinaError(kept.info.problem or NOT_RESPONDING, code="case.not-saved")
-        return kept.flight_text(number)
+        if not saver.settle():
+            raise CarinaError(saver.info.problem or NOT_RESPONDING, code="case.not-saved")
+        return saver.flight_text(number)
 
     # ------------------------------------------------------------ the named file
 
@@ -683,17 +685,17 @@ class Saving(Subject):
     def save_case(self, command: c.SaveCase) -> str:
         """Save the case to a named file, as a job; without a path, update the named file of the case."""
         self.core.needed_case()
-        kept = self._kept
-        if kept is None:
+        saver = self._saver
+        if saver is None:
             raise UsageError("this session does not store the case, so it cannot save it", code="case.not-kept")
-        known = kept.copy_path
+        known = saver.copy_path
         if command.path is None and known is None:
             raise UsageError(
                 "this case has not been saved to a file yet: choose a folder and a name", code="case.no-place"
             )
         path = known if command.path is None else _with_suffix(Path(command.path).expanduser())
         assert path is not None
-        is_known = kept.named is not None and kept.named.has_path(path)
+        is_known = saver.named is not None and saver.named.has_path(path)
         if not path.is_absolute():
             raise UsageError(f"expected a full path such as C:\\cases\\NAME or /home/NAME; found {command.path}")
         assert self.records is not None
@@ -703,25 +705,25 @@ class Saving(Subject):
 
         def work(job: Job) -> None:
             job.check()
-            kept.settle()
-            if self._kept is not kept:
+            saver.settle()
+            if self._saver is not saver:
                 return
             try:
-                saved = kept.save_to(path, replace=command.replace and (not is_known or kept.has_conflict))
+                saved = saver.save_to(path, replace=command.replace and (not is_known or saver.has_conflict))
             except NamedFileConflictError as conflict:
-                kept.tell_conflict(conflict)
+                saver.tell_conflict(conflict)
                 raise
             except OSError as trouble:
                 raise disk_trouble(trouble, "cannot save the case to", path) from trouble
             # The record must be on the disk before a program that opens the file looks up whether the case is open.
-            kept.settle()
+            saver.settle()
             was_replaced = "" if saved.replaced is None else f"; the replaced file is kept as {saved.replaced.name}"
-            self.core.emit(Said(f"saved as {path}{_without(saved.num_missing)}{was_replaced}"))
+            self.core.emit(UserMessage(f"saved as {path}{_without(saved.num_missing)}{was_replaced}"))
 
         return self.core.jobs.start("save", "saving the case", work)
 
 
-def _told(case: CaseFile) -> tuple[tuple[str, float], ...]:
+def _labels_and_times(case: CaseFile) -> tuple[tuple[str, float], ...]:
     """Return the label and the time, in s since the creation of the case, of each step.
 
     Together they identify the case.

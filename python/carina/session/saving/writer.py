@@ -1,7 +1,7 @@
 """Storage of one open case: a thread that writes the live file, a thread that writes the named file, and their state.
 
 No other thread waits for a disk. A change wakes the writing thread. A caller that needs all changes on the disk calls
-:meth:`Keeper.settle`, which returns after a time limit if the disk does not respond.
+:meth:`CaseSaver.settle`, which returns after a time limit if the disk does not respond.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from carina.case.stored_state import Moment
     from carina.disk import Placement
     from carina.session.core import SessionCore
-    from carina.session.store.interfaces import KeptFile, KeptFiles
+    from carina.session.store.interfaces import CaseFileFunctions, StoredCaseFile
     from carina.session.store.named_file_lock import NamedLock
-    from carina.session.store.registry import CaseRecord, CaseRecords, HeldCase
+    from carina.session.store.registry import CaseRecord, CaseRecords, LockedCase
 
-__all__ = ["NOT_RESPONDING", "Keeper", "SavedAs"]
+__all__ = ["NOT_RESPONDING", "CaseSaver", "SavedAs"]
 
 logger = logging.getLogger(__name__)
 
@@ -77,7 +77,7 @@ class _SavedElsewhere:
     """Numbers of the finished flights in the named file."""
 
 
-class Keeper:
+class CaseSaver:
     """Writer of one case to its live file and its named file, until another case replaces this case.
 
     Parameters
@@ -104,14 +104,14 @@ class Keeper:
         self,
         core: SessionCore,
         records: CaseRecords,
-        files: KeptFiles,
+        files: CaseFileFunctions,
         case: OpenCase,
         *,
         place: str | None,
         digest: str,
-        is_current: Callable[[Keeper], bool],
-        held: HeldCase | None = None,
-        file: KeptFile | None = None,
+        is_current: Callable[[CaseSaver], bool],
+        held: LockedCase | None = None,
+        file: StoredCaseFile | None = None,
         named: NamedFile | None = None,
         claim: NamedLock | None = None,
         info: SavingInfo,
@@ -178,7 +178,7 @@ class Keeper:
 
     def __repr__(self) -> str:
         """Describe the keeper by its saving info."""
-        return f"Keeper({self.info!r})"
+        return f"CaseSaver({self.info!r})"
 
     # ------------------------------------------------------------ calls from other threads
 
@@ -383,7 +383,7 @@ class Keeper:
             # The user saved the case under another name while the update of this file waited for its disk.
             return named is before and self._named is not before
 
-        with self._news(told, unless=is_outdated):
+        with self._change_info(told, unless=is_outdated):
             former = self._named
             if not is_outdated():
                 self._notes |= {
@@ -475,7 +475,7 @@ class Keeper:
                 told = self._write(notes, is_changed=changed_s is not None)
             except Exception as error:  # Otherwise the thread would end and store no further change.
                 trouble = error
-            with self._news(told | {"problem": None if trouble is None else _words(trouble)}):
+            with self._change_info(told | {"problem": None if trouble is None else _words(trouble)}):
                 if trouble is None:
                     self._num_kept = self._num_begun
                     if changed_s is not None:
@@ -645,7 +645,9 @@ class Keeper:
         has_ended = threading.Event()
 
         def slow() -> None:
-            with self._news({"copy_problem": NOT_RESPONDING}, unless=lambda: has_ended.is_set() or is_outdated()):
+            with self._change_info(
+                {"copy_problem": NOT_RESPONDING}, unless=lambda: has_ended.is_set() or is_outdated()
+            ):
                 pass
 
         def is_outdated() -> bool:
@@ -660,14 +662,16 @@ class Keeper:
             else:
                 named.check()
                 has_ended.set()
-                with self._news({"copy_problem": None, "copy_conflict": None, "beside": None}, unless=is_outdated):
+                with self._change_info(
+                    {"copy_problem": None, "copy_conflict": None, "beside": None}, unless=is_outdated
+                ):
                     self._is_named_checked = self._is_named_checked or not is_outdated()
         except NamedFileConflictError as conflict:
             has_ended.set()
             self.tell_conflict(conflict)
         except Exception as trouble:
             has_ended.set()
-            with self._news({"copy_problem": _words(trouble)}, unless=is_outdated):
+            with self._change_info({"copy_problem": _words(trouble)}, unless=is_outdated):
                 self._plan_copy(COPY_RETRY_S)
         finally:
             has_ended.set()
@@ -685,7 +689,7 @@ class Keeper:
             "copy_conflict": conflict.kind,
             "beside": str(path_beside(conflict.path)),
         }
-        with self._news(values):
+        with self._change_info(values):
             self._is_named_checked = True
             self._plan_copy(COPY_EVERY_S)
 
@@ -697,7 +701,7 @@ class Keeper:
         this = object()
 
         def slow() -> None:
-            with self._news({"problem": ELSEWHERE}, unless=lambda: self._busy is not this):
+            with self._change_info({"problem": ELSEWHERE}, unless=lambda: self._busy is not this):
                 if self._busy is this:
                     self._is_slow = True
 
@@ -716,11 +720,11 @@ class Keeper:
                     self._wake.notify_all()
 
     def _tell(self, **values: object) -> None:
-        with self._news(values):
+        with self._change_info(values):
             pass
 
     @contextmanager
-    def _news(self, values: dict[str, Any], unless: Callable[[], bool] = lambda: False) -> Iterator[None]:
+    def _change_info(self, values: dict[str, Any], unless: Callable[[], bool] = lambda: False) -> Iterator[None]:
         """Change fields of the saving info and report the change; the block runs with both locks held."""
         with self._core.lock:
             with self._wake:

@@ -53,7 +53,7 @@ class LayerLines(OutlineLines):
     """Affine map from outline units to image columns and rows, in the order of a canvas's ``transform``."""
 
 
-class _Part:
+class _LayerMask:
     """One mask of a layer, with its surface, which is computed at the first cut by an image plane and cached."""
 
     def __init__(self, layer: LayerName, part: str, mask: MappedMask, without: tuple[Nodule, ...] = ()) -> None:
@@ -61,7 +61,7 @@ class _Part:
         self._mask, self._without = mask, without
         self._lock = threading.Lock()
         self._outline: MaskOutline | None = None
-        self._kept: OrderedDict[bytes, bytes | None] = OrderedDict()
+        self._cache: OrderedDict[bytes, bytes | None] = OrderedDict()
         num = np.array(mask.inside_zyx.shape[::-1])
         ends = np.array([[i, j, k, 1] for i in (-1, num[0]) for j in (-1, num[1]) for k in (-1, num[2])], dtype=float)
         self._corners = (ends @ mask.lps_from_ijk.T)[:, :3]
@@ -90,16 +90,16 @@ class _Part:
         # Rounded to 0.01 mm, far below the voxel size of any mask.
         key = np.round(lps_from_line * 100.0).tobytes()
         with self._lock:
-            if key in self._kept:
-                self._kept.move_to_end(key)
-                return self._kept[key]
+            if key in self._cache:
+                self._cache.move_to_end(key)
+                return self._cache[key]
             if self._outline is None:
                 self._outline = MaskOutline(self._inside(), self._mask.lps_from_ijk)
         data = self._outline.encoded(lps_from_line, width, height)
         with self._lock:
-            self._kept[key] = data
-            while len(self._kept) > MOST_KEPT:
-                self._kept.popitem(last=False)
+            self._cache[key] = data
+            while len(self._cache) > MOST_KEPT:
+                self._cache.popitem(last=False)
         return data
 
     def _inside(self) -> NDArray[np.bool_]:
@@ -157,22 +157,22 @@ class ShownLayers:
         return tuple(one for one in found if one is not None)
 
 
-def _lung_parts(lungs: LungMap | None, nodules: tuple[Nodule, ...]) -> Iterator[_Part]:
+def _lung_parts(lungs: LungMap | None, nodules: tuple[Nodule, ...]) -> Iterator[_LayerMask]:
     if lungs is None:
         return
     for name, mask in lungs.lobes:
-        yield _Part("lobes", name, mask)
+        yield _LayerMask("lobes", name, mask)
     if lungs.fissures is not None:
-        yield _Part("fissures", "seen", lungs.fissures)
+        yield _LayerMask("fissures", "seen", lungs.fissures)
     # The outline of all vessels is drawn dashed, and the outline of the clearly visible vessels solid over it.
     if lungs.vessels is not None:
-        yield _Part("vessels", "unsure", lungs.vessels, nodules)
+        yield _LayerMask("vessels", "unsure", lungs.vessels, nodules)
     if lungs.sure_vessels is not None:
-        yield _Part("vessels", "sure", lungs.sure_vessels, nodules)
+        yield _LayerMask("vessels", "sure", lungs.sure_vessels, nodules)
 
 
-def _reach_parts(reach: ReachAtlas | None) -> Iterator[_Part]:
+def _reach_parts(reach: ReachAtlas | None) -> Iterator[_LayerMask]:
     if reach is None:
         return
-    yield _Part("reach", "unsure", MappedMask.placed(reach.reach_zyx > 0, reach.lps_from_ijk))
-    yield _Part("reach", "sure", MappedMask.placed(reach.reach_zyx > 1, reach.lps_from_ijk))
+    yield _LayerMask("reach", "unsure", MappedMask.placed(reach.reach_zyx > 0, reach.lps_from_ijk))
+    yield _LayerMask("reach", "sure", MappedMask.placed(reach.reach_zyx > 1, reach.lps_from_ijk))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from carina.display import one_line
 from carina.render import GreyWindow, TransferFunction
+from carina.value import FrozenValue, Words
 
 if TYPE_CHECKING:
     from carina.session.engines import Parts
@@ -18,13 +18,11 @@ LUNG_WINDOW = GreyWindow(1500.0, -600.0)
 HISTOGRAM_PRESET = "from histogram"
 
 
-@one_line
-@dataclass(frozen=True, slots=True)
-class FeatureOff:
+class FeatureOff(FrozenValue, frozen=True):
     """A feature that this volume does not support, and the reason."""
 
-    what: str
-    why: str
+    what: Words
+    why: Words
 
 
 @dataclass(frozen=True, slots=True)

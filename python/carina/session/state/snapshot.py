@@ -17,11 +17,12 @@ from carina.navigate import DeviceState
 from carina.render import Sight
 from carina.scopes import Pose, ScopeState
 from carina.session.state.grey_scale import FeatureOff, GreyScale
-from carina.value import FrozenValue
+from carina.value import FrozenValue, Part
+from carina.volume.mask_files import MaskLabel
 
 if TYPE_CHECKING:
     from carina.track import Branch, TreeMeasures
-    from carina.volume import MaskLabel, Volume
+    from carina.volume import Volume
 
 __all__ = [
     "AirwayStatus",
@@ -34,13 +35,13 @@ __all__ = [
     "MaskQuestion",
     "NotEvident",
     "PoseInfo",
-    "Said",
     "SavingInfo",
     "ShownKeyFrame",
     "Snapshot",
     "Stage",
     "StartMarked",
     "Trouble",
+    "UserMessage",
     "WallPoint",
 ]
 
@@ -113,23 +114,23 @@ class WallPoint:
     """Branch whose centreline is nearest to the point; None without a tree."""
 
 
-@one_line
-@dataclass(frozen=True, slots=True)
-class MaskQuestion:
-    """Question to the user about an imported mask, which must be answered before the mask can define the airways."""
+class MaskQuestion(FrozenValue, frozen=True):
+    """Question to the user about an imported mask before it can define the airways; answered by ``answer_mask``."""
 
-    title: str
+    title: Words
     """Name of the file."""
     problem: Literal["label", "grid"]
+    """``label``: the mask contains several structures. ``grid``: its grid differs from the grid of the scan."""
     labels: tuple[MaskLabel, ...] = ()
-    """Structures in the mask, of which the user must choose the airway."""
+    """Structures in the mask, of which the user must choose the airway; volumes are rounded to 0.001 ml."""
     suggested: int | None = None
     """Label whose name denotes the airway; None if none or several do."""
-    expected: str | None = None
-    """Grid of the scan, if the mask has another grid and the user must allow resampling."""
-    found: str | None = None
-    share_inside: float | None = None
-    """Fraction of the structure that lies inside the scan, 0 to 1."""
+    expected: Words | None = None
+    """Description of the scan's grid, if the mask has another grid and the user must allow resampling."""
+    found: Words | None = None
+    """Description of the mask's grid; None if it is the grid of the scan."""
+    share_inside: Part | None = None
+    """Fraction of the structure that is inside the scan, 0 to 1; None if the grids are equal."""
 
 
 class SavingInfo(FrozenValue, frozen=True):
@@ -305,7 +306,7 @@ class StartMarked:
 
 @one_line
 @dataclass(frozen=True, slots=True)
-class Said:
+class UserMessage:
     """Report with a short message for the user."""
 
     message: str

@@ -10,7 +10,7 @@ import numpy as np
 from carina.case import CaseFile, CaseFileError, SourceFacts
 from carina.case.file import migrate_live
 from carina.session.store.find_scan import CaseScans
-from carina.session.store.interfaces import KeptFile, KeptFiles, WholeCase
+from carina.session.store.interfaces import CaseFileFunctions, StoredCaseFile, WholeCase
 from carina.volume import Volume
 
 if TYPE_CHECKING:
@@ -45,15 +45,15 @@ def small_picture(scene: ShownCase) -> bytes:
     return cast(bytes, simplejpeg.encode_jpeg(pixels, quality=QUALITY, colorspace="RGB", colorsubsampling="420"))
 
 
-def case_files(cache: VolumeCache | None = None, records: CaseRecords | None = None) -> KeptFiles:
+def case_files(cache: VolumeCache | None = None, records: CaseRecords | None = None) -> CaseFileFunctions:
     """Return the functions that store case files on the disk; with a cache, CTs opened before come from the cache."""
     from carina.session.engines import default_parts
     from carina.volume import ct_digest
 
-    def create(path: Path, volume: Volume, digest: str) -> KeptFile:
+    def create(path: Path, volume: Volume, digest: str) -> StoredCaseFile:
         return CaseFile.create(path, SourceFacts.of(volume, digest))
 
-    def reopen(path: Path) -> KeptFile:
+    def reopen(path: Path) -> StoredCaseFile:
         try:
             return CaseFile.open(path)
         except CaseFileError as trouble:
@@ -74,9 +74,9 @@ def case_files(cache: VolumeCache | None = None, records: CaseRecords | None = N
         cache, records, default_parts().open_demo, advice="put it back, or open the scan from its current location"
     )
     if cache is None:
-        return KeptFiles(create, reopen, write, ct_digest, picture=small_picture, scans=scans)
+        return CaseFileFunctions(create, reopen, write, ct_digest, picture=small_picture, scans=scans)
 
     def open_ct(path: str, progress: Progress, cancel: Cancel) -> Volume:
         return cache.open_and_keep(path, progress=progress, cancel=cancel)
 
-    return KeptFiles(create, reopen, write, ct_digest, open_ct, cache.close, small_picture, cache, scans)
+    return CaseFileFunctions(create, reopen, write, ct_digest, open_ct, cache.close, small_picture, cache, scans)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from carina.case.recordings import RecordingFacts, RecordingWriter, WholeRecording
 from carina.errors import CarinaError
-from carina.session.store.interfaces import KeptFile
+from carina.session.store.interfaces import StoredCaseFile
 
 __all__ = ["flight_count", "whole_flights"]
 
@@ -22,7 +22,7 @@ def flight_count(number: int) -> str:
 
 
 def whole_flights(
-    file: KeptFile | None, listed: Sequence[RecordingFacts], writers: Sequence[RecordingWriter], within_s: float
+    file: StoredCaseFile | None, listed: Sequence[RecordingFacts], writers: Sequence[RecordingWriter], within_s: float
 ) -> tuple[tuple[WholeRecording, ...], int]:
     """Collect the flights that are in memory or can be read within a time limit.
 
@@ -74,7 +74,7 @@ def whole_flights(
     return tuple(in_time[one.recording_id] for one in listed if one.recording_id in in_time), len(listed) - len(in_time)
 
 
-def _text(file: KeptFile | None, number: int, writer: RecordingWriter | None) -> str:
+def _text(file: StoredCaseFile | None, number: int, writer: RecordingWriter | None) -> str:
     """Return all lines of a flight: those in the file, followed by those that are only in memory."""
     while True:
         num_kept, waiting = (1, "") if writer is None else writer.waiting()

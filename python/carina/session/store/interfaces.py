@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from carina.session.store.find_scan import CaseScans
     from carina.volume import Volume
 
-__all__ = ["CtCache", "KeptCt", "KeptFile", "KeptFiles", "WholeCase"]
+__all__ = ["CachedCtSource", "CaseFileFunctions", "CtCache", "StoredCaseFile", "WholeCase"]
 
 
-class KeptFile(Protocol):
+class StoredCaseFile(Protocol):
     """Interface of a case file, as :class:`carina.case.CaseFile` implements it."""
 
     def save(self, moment: Moment) -> None:
@@ -57,7 +57,7 @@ class KeptFile(Protocol):
         """Close the file; nothing can be written afterwards."""
 
 
-class KeptCt(Protocol):
+class CachedCtSource(Protocol):
     """A cached CT, which opens faster."""
 
     @property
@@ -80,7 +80,7 @@ class CtCache(Protocol):
     def can_be_on(self) -> bool:
         """Whether the cache can be switched on."""
 
-    def sizes(self) -> Sequence[KeptCt]:
+    def sizes(self) -> Sequence[CachedCtSource]:
         """Return the cached CTs with their sizes."""
 
     def forget(self, digest: str) -> int:
@@ -110,12 +110,12 @@ def _nothing() -> None:
 
 @one_line
 @dataclass(frozen=True, slots=True)
-class KeptFiles:
+class CaseFileFunctions:
     """Functions that create, open and write case files, and identify and cache CTs."""
 
-    create: Callable[[Path, Volume, str], KeptFile]
+    create: Callable[[Path, Volume, str], StoredCaseFile]
     """``create(path, volume, digest)`` creates a case file."""
-    open: Callable[[Path], KeptFile]
+    open: Callable[[Path], StoredCaseFile]
     write: Callable[[Path, WholeCase, str | None, SaveMark, Placement], None]
     """``write(path, case, ct_place, save_mark, placement)`` writes a case from memory as one whole file."""
     digest: Callable[[Volume], str]

@@ -33,7 +33,7 @@ from carina.session.store.named_file_lock import NamedLock
 from carina.typed_reading import read_plain
 from carina.value import TEXT, Count, FrozenValue
 
-__all__ = ["CaseRecord", "CaseRecords", "HeldCase", "is_damaged_record", "write_record"]
+__all__ = ["CaseRecord", "CaseRecords", "LockedCase", "is_damaged_record", "write_record"]
 
 logger = logging.getLogger(__name__)
 
@@ -106,7 +106,7 @@ class CaseRecord(FrozenValue, frozen=True):
 
 
 @one_line
-class HeldCase:
+class LockedCase:
     """A stored case that this process owns until it releases the case."""
 
     def __init__(self, folder: Path, record: CaseRecord, lock: int, door: Door) -> None:
@@ -219,7 +219,7 @@ class CaseRecords:
 
     def begin(
         self, digest: str, place: str | None, *, begun_s: float | None = None, case_id: str | None = None
-    ) -> HeldCase:
+    ) -> LockedCase:
         """Store the record of a new case, and own the case.
 
         Parameters
@@ -268,7 +268,7 @@ class CaseRecords:
         folders = (self._folder / case_id, self._folder / FORGOTTEN / case_id)
         return any(True for folder in folders for _ in folder.glob(f"{FILE}*"))
 
-    def hold(self, record: CaseRecord) -> HeldCase | None:
+    def hold(self, record: CaseRecord) -> LockedCase | None:
         """Own a case; return None if another process owns it."""
         folder = self._folder / record.case_id
         held = self._hold(folder, record)
@@ -277,7 +277,7 @@ class CaseRecords:
             held.record = _read(folder / RECORD) or record
         return held
 
-    def _hold(self, folder: Path, record: CaseRecord) -> HeldCase | None:
+    def _hold(self, folder: Path, record: CaseRecord) -> LockedCase | None:
         descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o600)
         try:
             held: Held = try_lock(descriptor)
@@ -289,7 +289,7 @@ class CaseRecords:
             return None
         # Deletes connection details that a crash left.
         close_door(folder)
-        return HeldCase(folder, record, descriptor, self.door)
+        return LockedCase(folder, record, descriptor, self.door)
 
     def is_held(self, record: CaseRecord) -> bool:
         """Return whether a process has a case open; the check takes the lock for a moment."""

@@ -13,7 +13,7 @@ from carina.errors import NoResultError, UsageError
 from carina.plan import tool
 from carina.plan.report import PlanMaterials
 from carina.scopes import scope_preset
-from carina.session.command_registry import Subject, answers, does
+from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.derived.lungs import LungsInfo
 from carina.session.derived.plans import PlannedTarget, PlanningInfo, chosen_number
 from carina.session.flights.tip_commands import place_pose
@@ -24,10 +24,10 @@ from carina.session.targets.retrack import needed_target
 if TYPE_CHECKING:
     from carina.track import Airways
 
-__all__ = ["Planning"]
+__all__ = ["PlanHandlers"]
 
 
-class Planning(Subject):
+class PlanHandlers(CommandHandlers):
     """Commands of the steps *Target* and *Route* for targets outside the airways."""
 
     def follow(self, case: OpenCase) -> None:

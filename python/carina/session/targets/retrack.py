@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from msgspec import structs
 
 from carina.case.document import Document, Target
 from carina.case.routes import ChosenRoute, route_along_points, route_to_branch, route_to_parking, route_to_target
@@ -126,7 +127,7 @@ def renamed_route(route: ChosenRoute | None, tree: AirwayTree) -> ChosenRoute | 
     if route is None or not route.lumen_known:
         return route
     names = {branch.id: branch.name for branch in tree.branches}
-    spans = tuple(replace(span, name=names.get(span.branch_id)) for span in route.spans)
+    spans = tuple(structs.replace(span, name=names.get(span.branch_id)) for span in route.spans)
     title = route.title
     if route.branch_id is not None and (branch := next((b for b in tree.branches if b.id == route.branch_id), None)):
         title = branch.name or f"branch {branch.id}, generation {branch.generation}"

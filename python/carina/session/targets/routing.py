@@ -12,17 +12,17 @@ from carina.case.routes import ChosenRoute, route_to_branch
 from carina.errors import NoResultError, UsageError
 from carina.plan import PlanTarget, is_plain_nodule, whereabouts
 from carina.scopes import WallField
-from carina.session.command_registry import Subject, does
+from carina.session.command_registry import CommandHandlers, does
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase
 from carina.session.open_case.point_tests import in_lumen
-from carina.session.state.snapshot import Said
+from carina.session.state.snapshot import UserMessage
 from carina.session.targets.retrack import NO_START, needed_target, searched_target, tracked_target
 
-__all__ = ["Routing"]
+__all__ = ["RouteHandlers"]
 
 
-class Routing(Subject):
+class RouteHandlers(CommandHandlers):
     """Commands that add and remove targets and choose the route."""
 
     @does(c.AddTarget)
@@ -65,7 +65,7 @@ class Routing(Subject):
                     marked = replace(target, lesion=lesion)
                     changed = replace(case.document, targets=(*case.document.targets, marked))
                     self.core.change(case, f"add {target.name}", changed)
-                    self.core.emit(Said(f"{target.name}: {lesion.nodule.words}"))
+                    self.core.emit(UserMessage(f"{target.name}: {lesion.nodule.words}"))
                 return
             tracked, tracked_in = target, None
             while True:
@@ -85,7 +85,7 @@ class Routing(Subject):
                             words = f"{target.name} was moved {tracked.snapped_mm:.1f} mm into the nearest lumen"
                             if lesion is not None:
                                 words += "; if a nodule lies there, choose \u201cIt is a nodule\u201d"
-                            self.core.emit(Said(words))
+                            self.core.emit(UserMessage(words))
                         return
                     tracked_in = document.airways
                 tracked = tracked_target(tracked_in, target)

@@ -17,17 +17,17 @@ from carina.plan import (
     sphere,
     whereabouts,
 )
-from carina.session.command_registry import Subject, does
+from carina.session.command_registry import CommandHandlers, does
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase
-from carina.session.state.snapshot import Said
+from carina.session.state.snapshot import UserMessage
 from carina.session.targets.dicom_source import ct_of
 from carina.session.targets.retrack import needed_target
 
-__all__ = ["TargetEditing"]
+__all__ = ["TargetHandlers"]
 
 
-class TargetEditing(Subject):
+class TargetHandlers(CommandHandlers):
     """Commands that edit targets with a size; each forms one undo step, and the plan is then computed again."""
 
     @does(c.ResizeTarget)
@@ -141,4 +141,4 @@ class TargetEditing(Subject):
         document = case.document
         self.core.change(case, f"add {target.name}", replace(document, targets=(*document.targets, target)))
         if target.lesion is not None:
-            self.core.emit(Said(f"{target.name}: {target.lesion.nodule.words}"))
+            self.core.emit(UserMessage(f"{target.name}: {target.lesion.nodule.words}"))

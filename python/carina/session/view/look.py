@@ -12,15 +12,15 @@ from carina import commands as c
 from carina.errors import UsageError
 from carina.render import Sight
 from carina.scopes import scope_preset
-from carina.session.command_registry import Subject, does
+from carina.session.command_registry import CommandHandlers, does
 from carina.session.open_case.open_case import HISTOGRAM_PRESET, OpenCase
 
-__all__ = ["Looking"]
+__all__ = ["LookHandlers"]
 
 PINHOLE_FOV_DEG = 90.0
 
 
-class Looking(Subject):
+class LookHandlers(CommandHandlers):
     """Commands for lens, transfer function, light, grey-scale windows, orbit, zoom and crosshair.
 
     :meth:`set_field` runs every command that only sets one field of the look or of the sight.

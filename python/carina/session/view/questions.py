@@ -8,7 +8,7 @@ import numpy as np
 
 from carina import commands as c
 from carina.errors import NoResultError, UsageError
-from carina.session.command_registry import Subject, answers
+from carina.session.command_registry import CommandHandlers, answers
 from carina.session.state.snapshot import WallPoint
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ __all__ = ["CaseQuestions", "lumen_before_wall"]
 NO_AIRWAYS = "the airways have not been segmented yet: wait, or mark the trachea"
 
 
-class CaseQuestions(Subject):
+class CaseQuestions(CommandHandlers):
     """Questions about the scan and its airways."""
 
     @answers(c.VoxelAt)

@@ -13,11 +13,11 @@ from carina.display import one_line
 from carina.errors import NoEvidenceError, NoResultError, UsageError
 from carina.track.edit.centreline_pieces import kind_of_added
 from carina.track.edit.edit_list import Point, branch_title
-from carina.track.edit.evidence import Evidence, Start, evidence_of
+from carina.track.edit.evidence import Evidence, PathStart, evidence_of
 from carina.track.edit.lumen import EditedLumen, Voxels, by_faces, voxel_of
 from carina.track.edit.preview_lines import EditPreview, PreviewLine
 from carina.track.edit.remeasure import with_walls
-from carina.track.edit.tree_changes import Place, Points, TreeDraft, along_mm
+from carina.track.edit.tree_changes import CentrelinePoint, Points, TreeDraft, along_mm
 from carina.track.find.result import Airways
 from carina.track.paths.tracker import as_point
 from carina.track.tree.airway_tree import AirwayTree, Branch
@@ -181,7 +181,7 @@ def _doubtful(lumen: EditedLumen, evidence: Evidence, points: Points, parent: Br
     first = int(np.argmin(inside))
     back = parent.points[-1] - parent.points[max(len(parent.points) - 6, 0)]
     radius_mm = float(np.median(parent.radius[-6:]))
-    return evidence.doubtful(points, Start(float(along_mm(points)[first]), radius_mm, back))
+    return evidence.doubtful(points, PathStart(float(along_mm(points)[first]), radius_mm, back))
 
 
 def no_evidence(plan: PlannedWay) -> NoEvidenceError:
@@ -267,7 +267,7 @@ def together(branches: list[Branch]) -> tuple[Points, NDArray[np.int64]]:
     return points, starts
 
 
-def join_of(lumen: EditedLumen, branches: list[Branch], path: Points) -> tuple[Place, int]:
+def join_of(lumen: EditedLumen, branches: list[Branch], path: Points) -> tuple[CentrelinePoint, int]:
     """Return the place at which a path leaves the tree, and the index of the path's first point outside the tree.
 
     A point of the path is still inside a tube if some point of the tube's centreline is within its radius and
@@ -298,6 +298,6 @@ def join_of(lumen: EditedLumen, branches: list[Branch], path: Points) -> tuple[P
                 if first + n == 0:
                     # The first point is the root, at which the trunk begins.
                     continue
-                return Place(int(owner[place]), int(index[place])), leaves + 1
+                return CentrelinePoint(int(owner[place]), int(index[place])), leaves + 1
             leaves, place = first + n, int(order[0])
-    return Place(int(owner[place]), int(index[place])), leaves + 1
+    return CentrelinePoint(int(owner[place]), int(index[place])), leaves + 1

@@ -13,14 +13,22 @@ from numpy.typing import NDArray
 
 from carina import _core
 from carina.errors import NoResultError
-from carina.track.edit.evidence_verdict import STEP_MM, Lung, Sections, Start, along_mm, doubtful_sections, turns_back
+from carina.track.edit.evidence_verdict import (
+    STEP_MM,
+    LungBaseline,
+    PathStart,
+    Sections,
+    along_mm,
+    doubtful_sections,
+    turns_back,
+)
 from carina.track.edit.lumen import EditedLumen, Voxels, tissue_there
 from carina.track.find.result import Airways
 from carina.track.intensity_levels import air_scale
 from carina.track.tree.airway_tree import AirwayTree
 from carina.volume.model import Volume
 
-__all__ = ["Evidence", "Sections", "Start", "evidence_of"]
+__all__ = ["Evidence", "PathStart", "Sections", "evidence_of"]
 
 Points = NDArray[np.float64]
 
@@ -104,7 +112,7 @@ class Evidence:
             "closed": float(self._scale.level(CLOSED_HU)),
         }
         usual = max(least, NOISE_SHARE * self.noise)
-        self.compared_with = Lung(usual, FAR_SHARE * usual, float(self._scale.level(PLAIN_HU)))
+        self.compared_with = LungBaseline(usual, FAR_SHARE * usual, float(self._scale.level(PLAIN_HU)))
         """Rises that a tenth of the sections on the best paths through plain lung exceed, and lung brightness."""
         if enough:
             self._compare(lung[:: max(1, len(lung) // NUM_RUNS)][:NUM_RUNS])
@@ -121,7 +129,7 @@ class Evidence:
         usual = max(self.compared_with.rise, float(np.quantile(rise, BEST_RUNS)))
         far_usual = max(FAR_SHARE * usual, float(np.quantile(far, BEST_RUNS)))
         bright = float(np.quantile(np.concatenate([run.own for run in found]), 0.75))
-        self.compared_with = Lung(usual, far_usual, bright)
+        self.compared_with = LungBaseline(usual, far_usual, bright)
 
     def way(self, lumen: EditedLumen, voxel: NDArray[np.int64], toward: NDArray[np.int64]) -> Voxels:
         """Return the (n, 3) voxels of the best path from the lumen to a voxel outside it; the first is in the lumen.
@@ -158,7 +166,7 @@ class Evidence:
             raise NoResultError(msg, code="track.no-path")
         return way
 
-    def doubtful(self, points: Points, start: Start | None = None) -> NDArray[np.bool_]:
+    def doubtful(self, points: Points, start: PathStart | None = None) -> NDArray[np.bool_]:
         """Return whether the CT shows no airway, for each segment of a line.
 
         Parameters

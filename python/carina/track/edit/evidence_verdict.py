@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from carina.track.intensity_levels import AirScale
 
-__all__ = ["STEP_MM", "Lung", "Sections", "Start", "along_mm", "doubtful_sections", "gains", "turns_back"]
+__all__ = ["STEP_MM", "LungBaseline", "PathStart", "Sections", "along_mm", "doubtful_sections", "gains", "turns_back"]
 
 Points = NDArray[np.float64]
 Values = NDArray[np.float64]
@@ -100,7 +100,7 @@ class Sections:
 
 
 @dataclass(frozen=True, slots=True)
-class Lung:
+class LungBaseline:
     """Comparison values from the best paths through plain lung of the same CT, in the units of the volume."""
 
     rise: float
@@ -112,7 +112,7 @@ class Lung:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Start:
+class PathStart:
     """Start of a path at a branch of the tree."""
 
     inside_mm: float
@@ -123,7 +123,9 @@ class Start:
     """Direction (3,) of the branch that the path leaves, from the root outwards, LPS."""
 
 
-def doubtful_sections(sections: Sections, lung: Lung, scale: AirScale, start: Start | None = None) -> NDArray[np.bool_]:
+def doubtful_sections(
+    sections: Sections, lung: LungBaseline, scale: AirScale, start: PathStart | None = None
+) -> NDArray[np.bool_]:
     """Return (n,) flags: True for each section in a window of 5 mm with too little average gain.
 
     In a window that fails, the evident sections before its first weak one are not flagged.
@@ -156,7 +158,7 @@ def doubtful_sections(sections: Sections, lung: Lung, scale: AirScale, start: St
     return found
 
 
-def gains(sections: Sections, lung: Lung, scale: AirScale, start: Start | None = None) -> Values:
+def gains(sections: Sections, lung: LungBaseline, scale: AirScale, start: PathStart | None = None) -> Values:
     """Return the (n,) gain of each section, in log odds plus ``BASE``: positive for an airway, negative against it."""
     gain = BASE + _walls(sections, lung)
     mine = _beyond(sections, start)
@@ -175,7 +177,7 @@ def gains(sections: Sections, lung: Lung, scale: AirScale, start: Start | None =
     return np.asarray(np.where(sections.own > scale.level(NO_LUMEN_HU), NO_LUMEN, gain))
 
 
-def turns_back(points: Points, along: Values, start: Start) -> bool:
+def turns_back(points: Points, along: Values, start: PathStart) -> bool:
     """Return whether a line, after it has left the lumen, runs back along the branch of the tree that it leaves."""
     reach_mm = min(start.inside_mm + TURN_OVER_MM, float(along[-1]))
     goes = points[min(int(np.searchsorted(along, reach_mm)), len(points) - 1)] - points[0]
@@ -188,7 +190,7 @@ def along_mm(points: Points) -> Values:
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
-def _walls(sections: Sections, lung: Lung) -> Values:
+def _walls(sections: Sections, lung: LungBaseline) -> Values:
     """Return the (n,) sum of the wall terms of each section."""
     # A wall must be brighter than the surrounding lung, not only than a dark middle.
     over = np.minimum(sections.own - np.minimum(sections.around, lung.bright), 0.0)
@@ -199,13 +201,13 @@ def _walls(sections: Sections, lung: Lung) -> Values:
     return np.asarray(gain)
 
 
-def _radii(sections: Sections, lung: Lung, scale: AirScale) -> Values:
+def _radii(sections: Sections, lung: LungBaseline, scale: AirScale) -> Values:
     """Return the (n,) radius of each section; ``NEAR_MM`` if the lumen is wider."""
     wide = (sections.rise < lung.rise) & (sections.far_closed > lung.far_rise) & (sections.own < scale.level(WIDE_HU))
     return np.where(wide, np.maximum(sections.radius_mm, NEAR_MM), sections.radius_mm)
 
 
-def _beyond(sections: Sections, start: Start | None) -> NDArray[np.bool_]:
+def _beyond(sections: Sections, start: PathStart | None) -> NDArray[np.bool_]:
     inside_mm = 0.0 if start is None else start.inside_mm
     return np.asarray(sections.at_mm >= min(inside_mm, sections.at_mm[-1] - STEP_MM))
 

@@ -47,7 +47,7 @@ from carina.track.edit.lumen import (
     voxels_along,
 )
 from carina.track.edit.remeasure import Box
-from carina.track.edit.tree_changes import Place, Points, TreeDraft, along_mm, needed_branch, turn_deg
+from carina.track.edit.tree_changes import CentrelinePoint, Points, TreeDraft, along_mm, needed_branch, turn_deg
 from carina.track.paths.tracker import SNAP_MM, STEP_MM
 from carina.track.tree.airway_tree import AirwayTree, Branch
 
@@ -272,7 +272,7 @@ class EditSteps:
         i, j, k = (int(v) for v in root_voxel)
         self.lumen = self.lumen.rerooted((i, j, k))
 
-    def _begin_inside(self, place: Place) -> None:
+    def _begin_inside(self, place: CentrelinePoint) -> None:
         """Make a place inside a branch the root of the tree.
 
         The trunk becomes a single point, at which the branches in both directions begin, unless the place is at a
@@ -286,7 +286,7 @@ class EditSteps:
         if last < 2:
             msg = "the branch at this point is too short for the start; choose a point in the next branch"
             raise NoResultError(msg, code="track.edit-place")
-        self.draft.split(Place(branch.id, min(max(place.index, 1), last - 1)))
+        self.draft.split(CentrelinePoint(branch.id, min(max(place.index, 1), last - 1)))
         upper = self.draft[branch.id]
         trunk = self.draft.add_child(upper.id, upper.points[-1:].copy(), upper.radius[-1:].copy(), upper.kind)
         self.draft.turn_round(trunk)
@@ -537,7 +537,7 @@ class EditSteps:
         points[0], points[-1] = ends[0], ends[-1]
         return points
 
-    def _join(self, path: Points) -> tuple[Place, int]:
+    def _join(self, path: Points) -> tuple[CentrelinePoint, int]:
         return join_of(self.lumen, self.draft.ordered(), path)
 
     def _drawn(self, start: Points, beyond: Points) -> Points:

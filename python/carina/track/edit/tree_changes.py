@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from carina.errors import UsageError
 from carina.track.tree.airway_tree import AirwayTree, Branch
 
-__all__ = ["Place", "TreeDraft", "along_mm", "needed_branch", "turn_deg"]
+__all__ = ["CentrelinePoint", "TreeDraft", "along_mm", "needed_branch", "turn_deg"]
 
 Points = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ ONE_FORK_RADII = 0.9
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class CentrelinePoint:
     """Point of a centreline: branch ID and index of the point."""
 
     branch_id: int
@@ -168,7 +168,7 @@ class TreeDraft:
             doubtful_mm=_share_mm(branch, last),
         )
 
-    def split(self, place: Place) -> int:
+    def split(self, place: CentrelinePoint) -> int:
         """Split a branch at an inner point; the upper part keeps the ID. Return the ID of the lower part."""
         branch, at = self._branches[place.branch_id], place.index
         assert 0 < at < len(branch.points) - 1
@@ -199,7 +199,7 @@ class TreeDraft:
         )
         return lower_id
 
-    def parent_at(self, place: Place, least_mm: float) -> int:
+    def parent_at(self, place: CentrelinePoint, least_mm: float) -> int:
         """Return the ID of the branch at whose end a new branch begins that leaves the tree at a place.
 
         The branch is split there if no fork is near. If the place is so close to a tip that less than ``least_mm``
@@ -216,7 +216,7 @@ class TreeDraft:
         if along[place.index] < near_mm and branch.parent is not None:
             return branch.parent
         inner = min(max(place.index, 1), len(branch.points) - 2)
-        self.split(Place(branch.id, inner))
+        self.split(CentrelinePoint(branch.id, inner))
         return branch.id
 
     def turn_round(self, root_branch_id: int) -> None:

@@ -15,7 +15,7 @@ from carina.volume.model import Volume
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
-__all__ = ["Section", "disc", "follow_up", "grown", "spread"]
+__all__ = ["AirSection", "disc", "follow_up", "grown", "spread"]
 
 # Half the side length in mm of the square window that is examined in each slice.
 WINDOW_MM = 45.0
@@ -40,7 +40,7 @@ IN_A_TUBE = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Section:
+class AirSection:
     """Section of the air of trachea, larynx or throat in one slice."""
 
     k: int
@@ -133,7 +133,7 @@ def closed(mask: NDArray[np.bool_], offsets: list[tuple[int, int]]) -> NDArray[n
 
 def follow_up(
     volume: Volume, scale: AirScale, air: float, start: tuple[int, int, int], stage: Stages, *, down: bool = False
-) -> list[Section]:
+) -> list[AirSection]:
     """Return the sections of the trachea's air from a voxel upwards, until the air or the scan ends.
 
     Each section is the air that touches the section below it. The air in a tube and the air round the tube are one
@@ -168,7 +168,7 @@ def follow_up(
     beside, close_by = disc(BESIDE_MM + 0.5 * max(dx, dy), step), disc(ROUND_MM, step)
     strict, to_hu = scale.level(AIR_HU), 1.0 / scale.span(1.0)
     zero = scale.level(0.0)
-    found: list[Section] = []
+    found: list[AirSection] = []
     i, j, k = start
     below: NDArray[np.bool_] | None = None
     corner = (0, 0)
@@ -221,7 +221,7 @@ def follow_up(
         if tubes < IN_A_TUBE:
             tubes = tubes + 1 if septum_mm2 >= SEPTUM_MM2 else 0
         found.append(
-            Section(
+            AirSection(
                 k=k,
                 corner=corner,
                 air=region,

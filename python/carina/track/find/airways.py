@@ -24,7 +24,7 @@ from carina.argument_checks import (
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import NoResultError, UsageError, check_type
 from carina.track.find.airway_ends import find_uncertain
-from carina.track.find.artefact_regions import Disturbed, find_disturbed
+from carina.track.find.artefact_regions import ArtefactRegions, find_disturbed
 from carina.track.find.axis_order import CanonicalOrder
 from carina.track.find.chest_size import thread_confidence
 from carina.track.find.followed_tips import NOTHING_BEYOND, SOFT_KERNEL, STOPPED
@@ -209,7 +209,7 @@ def _found(
     given: NDArray[np.uint8] | None,
     stage: Stages,
     *,
-    known: Disturbed | None = None,
+    known: ArtefactRegions | None = None,
 ) -> Airways:
     """Find the airways in a grid of a volume in canonical order, for :func:`find_airways`.
 
@@ -246,7 +246,7 @@ def _found(
     trachea_mm: float | None = None
     top: TopOfTrachea | None = None
     given_start: GivenStart | None = None
-    disturbed = Disturbed(grid)
+    disturbed = ArtefactRegions(grid)
     if given is not None:
         lumen, levels, end = given, None, float("nan")
         badges += doubts_of_given(volume, lumen)

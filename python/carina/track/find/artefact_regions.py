@@ -19,7 +19,7 @@ from carina.track.tree.airway_tree import AirwayTree
 from carina.track.tree.uncertainty import FAINT, slice_from_feet
 from carina.volume.model import Note, Volume
 
-__all__ = ["METAL", "STEP", "Disturbed", "find_disturbed"]
+__all__ = ["METAL", "STEP", "ArtefactRegions", "find_disturbed"]
 
 METAL = "track.metal"
 """Code of the permanent note on metal streaks in the lungs."""
@@ -47,7 +47,7 @@ MOST_CONFIDENCE = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Disturbed:
+class ArtefactRegions:
     """Regions of a CT whose values do not prove a small airway, and the grid of the search."""
 
     grid: PathGrid
@@ -203,7 +203,7 @@ def _slices(volume: Volume, first: int, last: int, to: str = "to") -> str:
     return f"slices {min(low, high)} {to} {max(low, high)} of {count} from the feet"
 
 
-def find_disturbed(grid: PathGrid) -> Disturbed:
+def find_disturbed(grid: PathGrid) -> ArtefactRegions:
     """Find the parts of a CT whose values do not prove a small airway.
 
     The search uses the original slices of the CT: interpolated slices are more alike than those of a scanner, and they
@@ -218,4 +218,4 @@ def find_disturbed(grid: PathGrid) -> Disturbed:
     scale = air_scale(ct)
     streaks = find_streaks(ct, scale)
     steps = find_steps(ct, scale, None if streaks is None else np.asarray(streaks.any(axis=(1, 2))))
-    return Disturbed(grid, streaks, steps)
+    return ArtefactRegions(grid, streaks, steps)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from carina._core import flood_lumen
 from carina.errors import NoResultError, UsageError
-from carina.track.find.kernel_compensation import Softened
+from carina.track.find.kernel_compensation import SoftenedCt
 from carina.track.find.root_checks import LUNG_HU
 from carina.track.intensity_levels import AirScale
 from carina.track.progress import Stages
@@ -35,7 +35,7 @@ SMOOTHED_MM = (0.7, 1.0, 1.5)
 class Flood:
     """Result of a flood: lumen, leaks and the statistics of the air."""
 
-    searched: Softened
+    searched: SoftenedCt
     """Volume that was flooded: the original or a smoothed copy."""
     lumen: NDArray[np.uint8]
     """Lumen (nz, ny, nx), 1 inside."""
@@ -51,7 +51,7 @@ class Flood:
 
 
 def flood(
-    soft: Softened,
+    soft: SoftenedCt,
     seeds: Sequence[tuple[int, int, int]],
     scale: AirScale,
     stage: Stages,
@@ -107,7 +107,7 @@ def flood(
 
 
 def _flooded(
-    searched: Softened,
+    searched: SoftenedCt,
     seeds: Sequence[tuple[int, int, int]],
     stage: Stages,
     *,

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import extend_lumen, extend_thin_lumen
-from carina.track.find.kernel_compensation import Softened
+from carina.track.find.kernel_compensation import SoftenedCt
 from carina.track.find.kernel_sharpness import edge_undershoot_hu
 from carina.track.find.root_checks import LUNG_HU
 from carina.track.intensity_levels import AirScale
 from carina.track.progress import Stages
 from carina.volume.model import Note, Volume
 
-__all__ = ["NOTHING_BEYOND", "STOPPED", "Beyond", "follow_beyond"]
+__all__ = ["NOTHING_BEYOND", "STOPPED", "FollowedTips", "follow_beyond"]
 
 STOPPED = "track.search-stopped"
 """Code of the permanent note on a search that leaked out of the airways."""
@@ -73,7 +73,7 @@ SOFT_KERNEL = "If available, open a reconstruction with a soft kernel"
 
 
 @dataclass(frozen=True, slots=True)
-class Beyond:
+class FollowedTips:
     """Result of the search for small airways beyond the flood."""
 
     notes: tuple[str, ...]
@@ -88,11 +88,11 @@ class Beyond:
     """Whether the search leaked into the lung, or would have leaked along the rims of a sharp kernel."""
 
 
-NOTHING_BEYOND = Beyond((), None, np.empty((0, 3)), np.empty((0, 4)), leaked=False)
+NOTHING_BEYOND = FollowedTips((), None, np.empty((0, 3)), np.empty((0, 4)), leaked=False)
 
 
 def follow_beyond(
-    searched: Softened,
+    searched: SoftenedCt,
     lumen: NDArray[np.uint8],
     scale: AirScale,
     stage: Stages,
@@ -100,7 +100,7 @@ def follow_beyond(
     air: float,
     noise: float,
     size: float = 1.0,
-) -> Beyond:
+) -> FollowedTips:
     """Follow the airways beyond the flooded lumen; repeat with stricter limits until the search does not leak.
 
     Parameters
@@ -159,7 +159,7 @@ def follow_beyond(
         )
 
     if is_sharp and searched.can_be_softened:
-        return Beyond((), None, np.empty((0, 3)), np.empty((0, 4)), leaked=True)
+        return FollowedTips((), None, np.empty((0, 3)), np.empty((0, 4)), leaked=True)
     followed: list[dict[str, Any]] = []
     ran_out = False
     for raised in SHARP_BARS if is_sharp else BARS:
@@ -193,19 +193,19 @@ def follow_beyond(
             "noise hides the walls of the airways in this CT; they were searched for in a smoothed copy of it, and "
             f"small airways are missing. {SOFT_KERNEL}"
         )
-        return Beyond(tuple(notes), Note(STOPPED, words, badge=True), threads_lps, judged, leaked)
+        return FollowedTips(tuple(notes), Note(STOPPED, words, badge=True), threads_lps, judged, leaked)
     if not leaked:
         if rims_hu is None or not is_softened:
-            return Beyond(tuple(notes), None, threads_lps, judged, leaked)
+            return FollowedTips(tuple(notes), None, threads_lps, judged, leaked)
         words = f"{rims}; the airways were searched for in a softened copy of it"
         if rims_hu <= most_hu:
-            return Beyond((*notes, words), None, threads_lps, judged, leaked)
+            return FollowedTips((*notes, words), None, threads_lps, judged, leaked)
         note = Note(STOPPED, f"{words}, and some small airways are missing. {SOFT_KERNEL}", badge=True)
-        return Beyond(tuple(notes), note, threads_lps, judged, leaked)
+        return FollowedTips(tuple(notes), note, threads_lps, judged, leaked)
     what = f"{rims}, which look like airways" if is_sharp else "it leaked from the airways into the lung"
     kept = "only the clearest are included, and other small airways" if followed else "small airways"
     words = f"the search for small airways was limited because {what}; {kept} are missing. {SOFT_KERNEL}"
-    return Beyond(tuple(notes), Note(STOPPED, words, badge=True), threads_lps, judged, leaked)
+    return FollowedTips(tuple(notes), Note(STOPPED, words, badge=True), threads_lps, judged, leaked)
 
 
 def _in_adult_mm(volume: Volume, size: float) -> Volume:

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import keep_cut_off_air_of, mix_with_blurs
-from carina.track.find.artefact_regions import Disturbed
+from carina.track.find.artefact_regions import ArtefactRegions
 from carina.track.find.kernel_sharpness import edge_undershoot_hu, undershoots_hu
 from carina.track.intensity_levels import AirScale
 from carina.track.paths.path_grid import DividedSlices
 from carina.volume.model import Volume
 
-__all__ = ["Softened", "as_it_is", "softened"]
+__all__ = ["SoftenedCt", "as_it_is", "softened"]
 
 # Sigma in mm of the seam (the rim that a sharp kernel produces beside an edge) that is compensated; no seam is
 # narrower than the voxels.
@@ -46,7 +46,7 @@ CERTAIN_HU = 40.0
 
 
 @dataclass(frozen=True, slots=True)
-class Softened:
+class SoftenedCt:
     """CT that is searched for airways, with a record of how it was softened or smoothed."""
 
     volume: Volume
@@ -73,10 +73,10 @@ class Softened:
     """Whether the caller searches a softened copy if this search leaks."""
     divided: DividedSlices | None = None
     """Division of the slices of the CT that made ``volume``; None if ``volume`` has the original slices."""
-    disturbed: Disturbed | None = None
+    disturbed: ArtefactRegions | None = None
     """Parts of the CT whose values do not prove a small airway; None if they were not searched for."""
 
-    def smoothed(self, sigma_mm: float) -> Softened:
+    def smoothed(self, sigma_mm: float) -> SoftenedCt:
         """Return a copy smoothed by a Gaussian of ``sigma_mm`` (in units of the voxel size if voxels exceed 1 mm)."""
         sigma_mm *= max(min(self.volume.spacing_mm), 1.0)
         values = mix_with_blurs(
@@ -89,7 +89,7 @@ class Softened:
         volume = dataclasses.replace(self.volume, hu_zyx=values)
         return dataclasses.replace(self, volume=volume, smoothed_mm=sigma_mm, _values=None, left_hu=None)
 
-    def walled(self, wall: Callable[[NDArray[np.int16]], None]) -> Softened:
+    def walled(self, wall: Callable[[NDArray[np.int16]], None]) -> SoftenedCt:
         """Return a copy in which ``wall`` has replaced air by tissue; it changes the values (nz, ny, nx) in place."""
         values = self.volume.hu_zyx.copy()
         wall(values)
@@ -130,7 +130,7 @@ class Softened:
         )
 
 
-def as_it_is(volume: Volume, undershoot_hu: float | None = None) -> Softened:
+def as_it_is(volume: Volume, undershoot_hu: float | None = None) -> SoftenedCt:
     """Return the original CT for a search, unchanged whatever its kernel is.
 
     Parameters
@@ -140,10 +140,10 @@ def as_it_is(volume: Volume, undershoot_hu: float | None = None) -> Softened:
     undershoot_hu
         Depth of its rims, if a softened copy is to be searched after a leak along the rims; otherwise None.
     """
-    return Softened(volume, undershoot_hu, 0.0, 0.0, volume, None, can_be_softened=undershoot_hu is not None)
+    return SoftenedCt(volume, undershoot_hu, 0.0, 0.0, volume, None, can_be_softened=undershoot_hu is not None)
 
 
-def softened(volume: Volume, scale: AirScale, most_hu: float = SOFT_HU) -> Softened:
+def softened(volume: Volume, scale: AirScale, most_hu: float = SOFT_HU) -> SoftenedCt:
     """Return a CT with the enhancement of an edge-enhancing kernel reversed; the original if the kernel is soft.
 
     The kernel is modelled as ``1 + a (1 - g)``, where g is the transfer function of a Gaussian (its sigma:
@@ -152,12 +152,12 @@ def softened(volume: Volume, scale: AirScale, most_hu: float = SOFT_HU) -> Softe
     """
     undershoot = edge_undershoot_hu(volume, scale)
     if undershoot is None or undershoot <= SOFT_HU:
-        return Softened(volume, undershoot, 0.0, 0.0, volume, None)
+        return SoftenedCt(volume, undershoot, 0.0, 0.0, volume, None)
     slab = _middle_of(volume)
     x, y, z = (depth is not None and depth > SOFT_HU for depth in undershoots_hu(slab, scale))
     axes = (x, y, z)
     if not any(axes):
-        return Softened(volume, undershoot, 0.0, 0.0, volume, None)
+        return SoftenedCt(volume, undershoot, 0.0, 0.0, volume, None)
 
     def is_soft(raised: float) -> bool:
         lowered = dataclasses.replace(slab, hu_zyx=_lowered(slab, raised, axes))
@@ -172,7 +172,7 @@ def softened(volume: Volume, scale: AirScale, most_hu: float = SOFT_HU) -> Softe
             low, high = (low, middle) if is_soft(middle) else (middle, high)
     values = _lowered(volume, high, axes)
     copy = dataclasses.replace(volume, hu_zyx=values)
-    return Softened(copy, undershoot, high, 0.0, volume, values, edge_undershoot_hu(copy, scale))
+    return SoftenedCt(copy, undershoot, high, 0.0, volume, values, edge_undershoot_hu(copy, scale))
 
 
 def _middle_of(volume: Volume) -> Volume:

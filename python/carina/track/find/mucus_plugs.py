@@ -123,7 +123,7 @@ def find_filled(
         Places of kind ``filled``, the widest first.
     """
     look = Across(volume)
-    search = _Search(volume, look, tree, lumen_zyx, noise, slice_mm=slice_mm)
+    search = _GapSearch(volume, look, tree, lumen_zyx, noise, slice_mm=slice_mm)
     found = list(find_narrowed(look, tree, search.voxel_mm, search.fine_mm))
     centrelines = np.concatenate([branch.points for branch in tree.branches])
     for island in find_islands(volume, lumen_zyx, centrelines, float(look.scale.level(DARKEST_HU))):
@@ -152,7 +152,7 @@ def _each_once(found: Sequence[Uncertainty]) -> tuple[Uncertainty, ...]:
     return tuple(kept)
 
 
-class _Search:
+class _GapSearch:
     """Search for the filled gaps between islands of air and the found airways."""
 
     def __init__(
@@ -184,7 +184,7 @@ class _Search:
         gaps = [gap for end in island.ends for gap in self._gaps(end)]
         if not gaps or not self._lies_in_lung(island):
             return None
-        return self._told(min(gaps, key=lambda gap: (gap.score, gap.lumen_lps.tolist())))
+        return self._uncertainty(min(gaps, key=lambda gap: (gap.score, gap.lumen_lps.tolist())))
 
     def _reaches_edge(self, island: Island) -> bool:
         ijk = self._volume.to_ijk(island.points_lps)
@@ -266,7 +266,7 @@ class _Search:
         fallen = outside & (rays <= self._look.lung) & (risen - rays >= 0.5 * self._rise)
         return bool(fallen.any(axis=1).mean() >= LEAST_IN_LUNG)
 
-    def _told(self, gap: _Gap) -> Uncertainty | None:
+    def _uncertainty(self, gap: _Gap) -> Uncertainty | None:
         branch, _, _ = self._tree.nearest_branch(gap.lumen_lps)
         after = self._calibre_after(gap.end)
         axis, outer = self._followed(gap, after)

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from carina.volume.model import Volume
 
-__all__ = ["KeptForVolume"]
+__all__ = ["PerVolumeCache"]
 
 Found = TypeVar("Found")
 
 
-class KeptForVolume(Generic[Found]):
+class PerVolumeCache(Generic[Found]):
     """Cached value that was computed from a volume; the airways before and after an edit share the cache."""
 
     __slots__ = ("_found", "_lock", "_values")
@@ -29,7 +29,7 @@ class KeptForVolume(Generic[Found]):
     def __reduce__(self) -> tuple[Any, ...]:
         """Return an empty cache: the value is not pickled."""
         # The cached value is large, so it is not pickled but computed again when needed.
-        return KeptForVolume, ()
+        return PerVolumeCache, ()
 
     def of(self, volume: Volume, find: Callable[[], Found]) -> Found:
         """Return the cached value for a volume, or compute it with ``find``.

@@ -23,7 +23,7 @@ from carina.argument_checks import (
 )
 from carina.commands.tree import AnyTreeEdit as TreeEdit
 from carina.display import as_words
-from carina.track.find.per_volume_cache import KeptForVolume
+from carina.track.find.per_volume_cache import PerVolumeCache
 from carina.track.names.absent import Absence, find_absent
 from carina.track.paths.tracker import PathTracker
 from carina.track.tree.airway_tree import AirwayTree
@@ -104,7 +104,7 @@ class Airways:
 
     None if the scan ends below the larynx. Not stored in a case file.
     """
-    evidence: KeptForVolume[Any] = field(default_factory=KeptForVolume, repr=False, compare=False)
+    evidence: PerVolumeCache[Any] = field(default_factory=PerVolumeCache, repr=False, compare=False)
     """Cached evidence in the CT for further airways, which edits use.
 
     The evidence is computed at first use and shared by all edited versions of the airways.
@@ -127,7 +127,7 @@ class Airways:
             uncertain=each(instance(Uncertainty, "get them from carina.find_airways")),
             bridges=each(lps_points()),
             upper_airway_zyx=mask_array(optional=True),
-            evidence=instance(KeptForVolume, "omit it"),
+            evidence=instance(PerVolumeCache, "omit it"),
         )
 
     def __copy__(self) -> Airways:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import flood_lumen
-from carina.track.find.air_upwards import SEPTUM_MM2, SIDES, Section, follow_up, spread
-from carina.track.find.kernel_compensation import Softened
+from carina.track.find.air_upwards import SEPTUM_MM2, SIDES, AirSection, follow_up, spread
+from carina.track.find.kernel_compensation import SoftenedCt
 from carina.track.find.padding import padding_near
 from carina.track.find.root_checks import SURE_TRACHEA_MM
 from carina.track.find.upper_airway import (
@@ -50,15 +50,15 @@ class TopOfTrachea:
     """Voxels (i, j, k) of the trachea, from its top down."""
     start: Point
     """Uppermost voxel of the trachea, LPS in mm."""
-    searched: Softened
+    searched: SoftenedCt
     """CT with tissue in place of air that is not trachea."""
     upper_zyx: NDArray[np.uint8] | None
     """Mask (nz, ny, nx), 1 in larynx and throat; None if the scan ends below them."""
-    sections: list[Section]
+    sections: list[AirSection]
     """Sections of the trachea that contain a tube; empty without a tube."""
     tip_lps: NDArray[np.float64] | None
     """Tip of the tube, LPS in mm; None if there is no tube."""
-    cut: list[Section]
+    cut: list[AirSection]
     """Sections beside an opening to the air outside, where the lumen is limited to the section."""
     starts_in_it: bool
     """Whether the lowest section of the trachea is already inside the tube."""
@@ -69,7 +69,7 @@ class TopOfTrachea:
 
 
 def top_of_trachea(
-    soft: Softened, seeds: list[tuple[int, int, int]], scale: AirScale, stage: Stages
+    soft: SoftenedCt, seeds: list[tuple[int, int, int]], scale: AirScale, stage: Stages
 ) -> TopOfTrachea | None:
     """Find the upper end of the trachea and any opening to other air, or return None if the given end is correct.
 
@@ -130,7 +130,7 @@ def top_of_trachea(
     )
 
 
-def _below_padding(sections: list[Section], padding: NDArray[np.bool_]) -> list[Section]:
+def _below_padding(sections: list[AirSection], padding: NDArray[np.bool_]) -> list[AirSection]:
     """Return the sections below the lowest section that touches padding."""
     for n, section in enumerate(sections):
         if (spread(section.air, SIDES) & section.window_of(padding)).any():
@@ -139,7 +139,7 @@ def _below_padding(sections: list[Section], padding: NDArray[np.bool_]) -> list[
 
 
 def _above_a_bronchus(
-    soft: Softened, seeds: list[tuple[int, int, int]], sections: list[Section]
+    soft: SoftenedCt, seeds: list[tuple[int, int, int]], sections: list[AirSection]
 ) -> TopOfTrachea | None:
     """Return the trachea above a bronchus that was taken for the trachea; None if the seeds are in the trachea."""
     trachea = sections[carina_of(sections) :]
@@ -179,7 +179,7 @@ def without_its_tube(
     return values
 
 
-def _leaves_with_its_tube(trachea: list[Section], tube: Tube | None) -> bool:
+def _leaves_with_its_tube(trachea: list[AirSection], tube: Tube | None) -> bool:
     """Return whether a tube ends below the top of the trachea and air leaves in front of the tube's upper end."""
     if tube is None or tube.last + 3 >= len(trachea):
         return False
@@ -189,7 +189,7 @@ def _leaves_with_its_tube(trachea: list[Section], tube: Tube | None) -> bool:
     return beside[-1].area_mm2 >= 0.6 * usual and any(section.leaves_in_front for section in beside)
 
 
-def _upper_airway(volume: Volume, scale: AirScale, above: list[Section], top_k: int) -> NDArray[np.uint8]:
+def _upper_airway(volume: Volume, scale: AirScale, above: list[AirSection], top_k: int) -> NDArray[np.uint8]:
     """Return a mask of the air connected to the sections above the trachea.
 
     If this air is open to the outside, the mask contains only the sections.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from carina._core import find_trachea_voxels
 from carina.errors import NoResultError
-from carina.track.find.air_upwards import Section, follow_up
+from carina.track.find.air_upwards import AirSection, follow_up
 from carina.track.find.chest_size import longest_trachea_mm
 from carina.track.find.root_checks import LUNG_HU, UP_FIRST_MM, has_lung
 from carina.track.find.whole_trachea import (
@@ -216,7 +216,7 @@ def trachea_round(volume: Volume, scale: AirScale, start: tuple[int, int, int], 
         return None
 
 
-def _along(volume: Volume, trachea: Trachea, sections: list[Section]) -> Trachea:
+def _along(volume: Volume, trachea: Trachea, sections: list[AirSection]) -> Trachea:
     """Return the trachea extended by the sections in which its air was followed."""
     if not sections:
         return trachea

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.track.find.air_upwards import SEPTUM_HU, SEPTUM_MM2, Section, disc, spread
+from carina.track.find.air_upwards import SEPTUM_HU, SEPTUM_MM2, AirSection, disc, spread
 from carina.track.find.chest_size import longest_trachea_mm, usual_trachea_mm
 from carina.track.intensity_levels import AirScale
 from carina.volume.model import Volume
@@ -146,12 +146,12 @@ class Tube:
     last: int
 
 
-def _heights(sections: list[Section]) -> NDArray[np.float64]:
+def _heights(sections: list[AirSection]) -> NDArray[np.float64]:
     return np.array([section.centre_lps[2] for section in sections])
 
 
 def _typical(
-    sections: list[Section], heights: NDArray[np.float64], tube: Tube | None, *, within_mm: float = 60.0
+    sections: list[AirSection], heights: NDArray[np.float64], tube: Tube | None, *, within_mm: float = 60.0
 ) -> tuple[float, float, float]:
     """Return the median width, depth and area of the trachea's lower sections, below the tip of any tube."""
     stop = len(sections) if tube is None else max(tube.first - 1, 1)
@@ -161,7 +161,7 @@ def _typical(
     return float(width), float(depth), float(area)
 
 
-def tube_in(sections: list[Section]) -> Tube | None:
+def tube_in(sections: list[AirSection]) -> Tube | None:
     """Return the tube among the sections, or None if there is no tube.
 
     A tube shows as plastic or metal between the air in it and the air round it. If it fills the trachea, it shows as a
@@ -212,7 +212,7 @@ def _runs(signs: NDArray[np.bool_], heights: NDArray[np.float64], *, gap_mm: flo
     return runs
 
 
-def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
+def the_cords(sections: list[AirSection], tube: Tube | None) -> Cords | None:
     """Return the vocal cords among the sections, or None if the scan or its air ends below them.
 
     Upwards, the trachea narrows to a slit, or to nothing where the cords are closed, and no trachea follows. A
@@ -253,7 +253,7 @@ def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
     return None
 
 
-def carina_of(sections: list[Section]) -> int:
+def carina_of(sections: list[AirSection]) -> int:
     """Return the index of the lowest section of the trachea; sections of bronchi may be below it."""
     heights = _heights(sections)
     areas = np.array([section.area_mm2 for section in sections])
@@ -289,7 +289,7 @@ def _larynx_size(diameter_mm: float, cords_mm: float | None) -> float:
     return min(max(size, SIZES[0]), SIZES[1])
 
 
-def sees_a_larynx(volume: Volume, sections: list[Section]) -> bool:
+def sees_a_larynx(volume: Volume, sections: list[AirSection]) -> bool:
     """Return whether sections from the trachea upwards contain a larynx, even if the scan shows little of the trachea.
 
     A volume smaller than a neck contains no larynx: it is a part of a chest, a specimen or a model.
@@ -302,7 +302,7 @@ def sees_a_larynx(volume: Volume, sections: list[Section]) -> bool:
 
 
 def _larynges(
-    sections: list[Section], tube: Tube | None, typical: tuple[float, float, float], least_mm: float
+    sections: list[AirSection], tube: Tube | None, typical: tuple[float, float, float], least_mm: float
 ) -> list[tuple[int, int]]:
     """Return the first and last index of each narrow part that is like a larynx, at least ``least_mm`` up."""
     heights = _heights(sections)
@@ -336,7 +336,7 @@ def _larynges(
     return found
 
 
-def _is_trachea_again(above: list[Section], width: float, depth: float, area: float) -> bool:
+def _is_trachea_again(above: list[AirSection], width: float, depth: float, area: float) -> bool:
     like = np.array(
         [
             0.75 * width <= s.width_mm <= 1.25 * width
@@ -353,8 +353,8 @@ def _is_trachea_again(above: list[Section], width: float, depth: float, area: fl
 
 
 def as_one_trachea(
-    volume: Volume, sections: list[Section], tube: Tube | None, stop: int, *, is_open: bool
-) -> tuple[list[Section], list[tuple[Section, NDArray[np.bool_]]]]:
+    volume: Volume, sections: list[AirSection], tube: Tube | None, stop: int, *, is_open: bool
+) -> tuple[list[AirSection], list[tuple[AirSection, NDArray[np.bool_]]]]:
     """Return the first ``stop`` sections, each reduced or completed to the air of the trachea alone.
 
     Where an opening leaves the trachea, the air reaches forward; where fluid surrounds a tube, only the tube's own
@@ -370,7 +370,7 @@ def as_one_trachea(
     forward = np.array([is_open and (s.leaves_in_front or s.depth_mm > DEEPER * depth) for s in sections[:stop]])
     by_tube = np.arange(stop) <= (-1 if tube is None else tube.last + 3)
     little = np.array([s.area_mm2 < LITTLE_AREA * area for s in sections[:stop]]) & by_tube
-    cut: list[tuple[Section, NDArray[np.bool_]]] = []
+    cut: list[tuple[AirSection, NDArray[np.bool_]]] = []
     own = list(sections[:stop])
     dx, dy, _ = volume.spacing_mm
     for begin, end in _runs(forward | little, heights, gap_mm=4.0):
@@ -411,7 +411,7 @@ def as_one_trachea(
     return own, cut
 
 
-def _put(volume: Volume, section: Section, middle: tuple[float, float], into: Section) -> NDArray[np.bool_]:
+def _put(volume: Volume, section: AirSection, middle: tuple[float, float], into: AirSection) -> NDArray[np.bool_]:
     """Return the mask of a section with its centre moved to ``middle`` (j, i), in the window of another section."""
     i, j, _ = volume.to_ijk(section.centre_lps)
     shift = np.rint(np.subtract(middle, (j, i))).astype(int) + section.corner - into.corner
@@ -423,7 +423,7 @@ def _put(volume: Volume, section: Section, middle: tuple[float, float], into: Se
 
 
 def opening_in_front(
-    volume: Volume, scale: AirScale, sections: list[Section]
+    volume: Volume, scale: AirScale, sections: list[AirSection]
 ) -> tuple[tuple[slice, slice, slice], NDArray[np.bool_]] | None:
     """Return the air of an opening in the front of the neck that connects the trachea to the air outside.
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.track.find.air_upwards import Section, disc, follow_up, grown, spread
+from carina.track.find.air_upwards import AirSection, disc, follow_up, grown, spread
 from carina.track.find.chest_size import longest_trachea_mm
 from carina.track.intensity_levels import AirScale
 from carina.track.progress import Stages
@@ -49,7 +49,7 @@ OWN_WALL_MM = 2.0
 class DownToCarina:
     """Air of the trachea below a given voxel."""
 
-    sections: list[Section]
+    sections: list[AirSection]
     """Sections of the trachea's air from the given voxel down to the last section above the carina."""
     divides: bool
     """Whether two main bronchi follow below; False if the air ends, narrows or leaves the scan first."""
@@ -95,7 +95,7 @@ def down_to_the_carina(
     return DownToCarina(sections[: max(end, 1)], divides)
 
 
-def _parts_apart_mm(volume: Volume, section: Section) -> float | None:
+def _parts_apart_mm(volume: Volume, section: AirSection) -> float | None:
     """Return the distance in mm from side to side of the two largest parts of a section's air.
 
     None for a single part.
@@ -121,7 +121,7 @@ def _longest_mm(area_mm2: float) -> float:
     return longest_trachea_mm(2.0 * float(np.sqrt(area_mm2 / np.pi)))
 
 
-def begins_late(sections: list[Section], top_k: int, area_mm2: float) -> bool:
+def begins_late(sections: list[AirSection], top_k: int, area_mm2: float) -> bool:
     """Return whether sections like the trachea's continue above the slice in which the trachea was found to begin.
 
     Parameters
@@ -144,7 +144,7 @@ def begins_late(sections: list[Section], top_k: int, area_mm2: float) -> bool:
     return sum(low <= section.area_mm2 <= high for section in above) >= MOSTLY * len(above)
 
 
-def sections_like_it(sections: list[Section], top_k: int, area_mm2: float) -> list[Section]:
+def sections_like_it(sections: list[AirSection], top_k: int, area_mm2: float) -> list[AirSection]:
     """Return the sections up to a slice, and the sections above it up to a long part unlike the trachea."""
     low, high = LIKE_IT[0] * area_mm2, LIKE_IT[1] * area_mm2
     last = 0
@@ -158,7 +158,7 @@ def sections_like_it(sections: list[Section], top_k: int, area_mm2: float) -> li
     return sections[: last + 1]
 
 
-def only_the_air_of(volume: Volume, scale: AirScale, sections: list[Section]) -> NDArray[np.int16]:
+def only_the_air_of(volume: Volume, scale: AirScale, sections: list[AirSection]) -> NDArray[np.int16]:
     """Return the values (nz, ny, nx) with soft tissue in place of all air beside the sections.
 
     Air in the oesophagus, in the top of a lung or outside the body then cannot be mistaken for a part of the

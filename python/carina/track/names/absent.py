@@ -197,7 +197,7 @@ def find_absent(
     if not {"RMB", "LMB"} & set(names) or any(note.code == MISFIT for note in tree.notes):
         return ()
     is_mirrored = "LML" in names or (tree.root.variant or "").startswith(MIRRORED_CHEST)
-    found = _Found(tree, names, uncertain, volume, is_mirrored=is_mirrored)
+    found = _NamedTree(tree, names, uncertain, volume, is_mirrored=is_mirrored)
     missing = []
     for lobe, keys in LOBES.items():
         there = _on_side(lobe, is_mirrored)
@@ -249,7 +249,7 @@ def _segments(keys: Sequence[str]) -> Iterator[str]:
         yield "LB1+2" if key == "LB1" else key
 
 
-class _Found:
+class _NamedTree:
     """Named branches of a tree, and the evidence at their ends."""
 
     def __init__(
@@ -487,7 +487,7 @@ class _Found:
 class _Maker:
     """Factory of the absences of one lobe or segment."""
 
-    found: _Found
+    found: _NamedTree
     name: str
     carrier: str
     start: Branch

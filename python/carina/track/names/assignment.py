@@ -67,7 +67,7 @@ LOST_LOBE = math.log(0.05)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Part:
+class _ForkSide:
     """One or several bronchi that leave a fork, combined into one side of the fork."""
 
     middle: Array
@@ -106,10 +106,10 @@ class Solution:
 class _Tables:
     """Inside sums of one fork, for each subset of the bronchi that leave it (as bit masks)."""
 
-    def __init__(self, parts: Sequence[_Part], sums: Sequence[Array], model: _Model) -> None:
+    def __init__(self, parts: Sequence[_ForkSide], sums: Sequence[Array], model: _Model) -> None:
         self.model = model
         self.num = len(parts)
-        self.part: dict[int, _Part] = {}
+        self.part: dict[int, _ForkSide] = {}
         self.sums: dict[int, Array] = {}
         for k, (part, inside) in enumerate(zip(parts, sums, strict=True)):
             self.part[1 << k], self.sums[1 << k] = part, inside
@@ -160,10 +160,10 @@ class _Tables:
         return total
 
 
-def _together(parts: Sequence[_Part]) -> _Part:
+def _together(parts: Sequence[_ForkSide]) -> _ForkSide:
     bulk = np.array([part.bulk for part in parts])
     direction = np.sum([part.direction for part in parts], axis=0)
-    return _Part(
+    return _ForkSide(
         middle=np.average([part.middle for part in parts], axis=0, weights=np.sqrt(bulk)),
         direction=direction / max(float(np.linalg.norm(direction)), 1e-9),
         bulk=float(bulk.sum()),
@@ -228,7 +228,7 @@ class _Model:
             total[state] = np.logaddexp(total[state], np.logaddexp.reduce(odds + total[others]))
         return total
 
-    def apart(self, one: _Part, two: _Part) -> Array:
+    def apart(self, one: _ForkSide, two: _ForkSide) -> Array:
         """Return the log evidence that ``one`` and ``two`` lie like the first and second part of each division."""
         division = self.grammar.division
         offset = one.middle - two.middle
@@ -393,12 +393,12 @@ class Solver:
         """Return the log odds per state that a bronchus ends before it divides."""
         return self.model.stump if _is_stump(self.bronchi, number) else self.model.truncated
 
-    def part_of(self, number: int) -> _Part:
+    def part_of(self, number: int) -> _ForkSide:
         """Return a bronchus as one side of a fork."""
         model = self.model
         inner, spur = model.held.get(number, (None, 0.0))
         bronchus = self.bronchi[number]
-        return _Part(
+        return _ForkSide(
             middle=model.middles[number],
             direction=model.directions[number],
             bulk=max(bronchus.bulk_mm, 1e-3),

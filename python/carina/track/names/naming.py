@@ -205,7 +205,7 @@ def segment_readings(tree: AirwayTree) -> tuple[float | None, list[tuple[str, fl
     for bronchus, reading in zip(read.bronchi, read.solution.readings, strict=True):
         if reading.state is None or reading.again or read.grammar.kind[reading.state] != "segment":
             continue
-        word = _told(read.grammar.names[reading.state], mirrored=read.mirrored)
+        word = _on_patient_side(read.grammar.names[reading.state], mirrored=read.mirrored)
         segment = segment_of(word)
         if segment is not None:
             found.append((segment, reading.confidence, tuple(tree.branches[piece].id for piece in bronchus.pieces)))
@@ -226,7 +226,7 @@ def segments_of_unnamed(tree: AirwayTree) -> dict[int, frozenset[str]]:
             continue
         keys = read.grammar.segments[state]
         names = {"LB1+2" if key in {"LB1", "LB2"} else key for key in keys if not key.endswith("*")}
-        told = frozenset(_told(name, mirrored=read.mirrored) for name in names)
+        told = frozenset(_on_patient_side(name, mirrored=read.mirrored) for name in names)
         for piece in bronchus.pieces:
             if tree.branches[piece].name is None:
                 found[tree.branches[piece].id] = told
@@ -385,12 +385,12 @@ def _names_of(read: _Named, rule: LetterRule) -> tuple[dict[int, tuple[str | Non
         if word is None or sure[number] < SURE_ENOUGH:
             continue
         for piece in bronchus.pieces:
-            names[piece] = (_told(word, mirrored=read.mirrored), float(sure[number]))
+            names[piece] = (_on_patient_side(word, mirrored=read.mirrored), float(sure[number]))
         settled = readings[number].settled
         if len(bronchus.pieces) > 1 and settled is not None and segment_of(word) is None and rules.terminal[settled]:
             # A lobe of which one segment remains, with a twig in between: beyond the twig the branch is the segment's
             # bronchus.
-            last = _told(_word(rules, settled, seen), mirrored=read.mirrored)
+            last = _on_patient_side(_word(rules, settled, seen), mirrored=read.mirrored)
             names[bronchus.pieces[-1]] = (last, float(sure[number]))
     if len(bronchi[0].pieces) + len(bronchi[0].below) < MIN_BRANCHES:
         certain = {"Trachea", "RMB", "LMB"} if len(bronchi) > 1 else set()
@@ -473,7 +473,7 @@ def _letters(read: _Named, words: list[str | None], sure: NDArray[np.float64], r
                 level[child] = depth + 1
 
 
-def _told(word: str, *, mirrored: bool) -> str:
+def _on_patient_side(word: str, *, mirrored: bool) -> str:
     """Return a name with the patient's side: in a mirrored chest, the model's right is the patient's left."""
     if not mirrored:
         return word
@@ -502,7 +502,7 @@ def _name_stubs(
         word = words[number]
         for stub in bronchus.stubs:
             if word is not None and segment_of(word) is None and sure[number] >= SURE_ENOUGH and stub not in names:
-                names[stub] = (_told(word, mirrored=read.mirrored), float(sure[number]))
+                names[stub] = (_on_patient_side(word, mirrored=read.mirrored), float(sure[number]))
 
 
 def _variants(read: _Named, words: list[str | None], sure: NDArray[np.float64], carried: set[int]) -> dict[int, str]:
@@ -567,7 +567,7 @@ def _lobes_of(read: _Named) -> dict[int, str | None]:
         elif bronchus.parent is not None:
             own[number] = own[bronchus.parent]
         lobe = own[number]
-        told = None if lobe is None else _told(lobe, mirrored=read.mirrored)
+        told = None if lobe is None else _on_patient_side(lobe, mirrored=read.mirrored)
         # Twigs and stubs below get this lobe first; bronchi below come later and overwrite it.
         for piece in (*bronchus.pieces, *bronchus.below):
             found[piece] = told

@@ -236,7 +236,7 @@ def track_on_graph(
     share = stage("searching for paths")
     results: list[TargetResult] = []
     searches: list[TargetSearch | None] = []
-    ways: list[_Way] = []
+    ways: list[_NodePath] = []
     for point in points:
         if cancel is not None and cancel():
             raise CancelledError("stopped while searching for paths")
@@ -263,7 +263,7 @@ def track_on_graph(
         path_cost = core.cost(node)
         assert found is not None
         assert path_cost is not None
-        way = _Way(found[0], found[1], np.array(centre) if to_node_mm > 0.0 else None)
+        way = _NodePath(found[0], found[1], np.array(centre) if to_node_mm > 0.0 else None)
         snapped = 0.0
         if cost == "lumen" and airways is not None and not bool(airways.tracker.inside(requested[None])[0]):
             snapped = float(np.linalg.norm(np.array(centre) - requested))
@@ -321,7 +321,7 @@ def track_on_graph(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Way:
+class _NodePath:
     """Nodes of a path from the root to a target."""
 
     points: Points
@@ -344,7 +344,7 @@ def _densely(points: Points, step_mm: float) -> Points:
     return np.stack([np.interp(places, along, points[:, axis]) for axis in range(3)], axis=1)
 
 
-def _outside(way: _Way, airways: Airways, volume: Volume) -> tuple[int, float]:
+def _outside(way: _NodePath, airways: Airways, volume: Volume) -> tuple[int, float]:
     """Return the number of nodes of a path outside the lumen, and the length (mm) of the path outside the lumen."""
     num = int((~airways.tracker.inside(way.points)).sum())
     whole = way.whole
@@ -382,7 +382,7 @@ def _root(
 
 
 def _as_path(
-    way: _Way,
+    way: _NodePath,
     airways: Airways | None,
     tracked: AirwayTree,
     cost: float,
@@ -431,7 +431,7 @@ def along_branches(points: Points, tree: AirwayTree) -> tuple[NDArray[np.int32],
 
 
 def _tree_of(
-    ways: Sequence[_Way], airways: Airways | None, cost_of: Callable[[int], float | None]
+    ways: Sequence[_NodePath], airways: Airways | None, cost_of: Callable[[int], float | None]
 ) -> tuple[tuple[Branch, ...], Points]:
     """Return the branches of the union of all paths, cut at branch nodes (paper, Figure 13), and these nodes."""
     place_of: dict[int, Points] = {}
