@@ -42,11 +42,25 @@ from carina.errors import CarinaError, NoResultError, UsageError
 from carina.phantom import Phantom, write_phantom
 from carina.plan import PlanTarget
 from carina.server.to_wire.plan import plans_message
-from carina.session import JobEnded, JobProgress
+from carina.session import JobEnded, JobProgress, default_parts
 from carina.session.derived.plans import shown_surface
 from carina.volume import write_grid
 from made import found_airways, made_phantom
 from small_case import small_bench, small_lps
+
+
+def judge_as_replaced(*given: object, **options: object) -> object:
+    """Call the present ``carina.plan.judge_scopes``, which a test may replace while a case is open."""
+    return carina.plan.judge_scopes(*given, **options)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def replaceable_judge() -> Iterator[None]:
+    """Let the cases of this module use ``judge_as_replaced``."""
+    parts = replace(default_parts(), judge_scopes=judge_as_replaced)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("carina.session.core.default_parts", lambda: parts)
+        yield
 
 
 @pytest.fixture(autouse=True)

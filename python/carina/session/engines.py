@@ -6,8 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
+from carina import plan, render, track, volume
 from carina.display import one_line
 from carina.errors import UsageError
+from carina.plan.lungs.lung_map import map_lungs
 from carina.scopes import ScopePreset, scope_presets
 
 if TYPE_CHECKING:
@@ -22,60 +24,6 @@ __all__ = ["Cancel", "Parts", "Progress", "RendererFactory", "default_parts"]
 
 Progress = Callable[[str, float | None], None]
 Cancel = Callable[[], bool]
-
-
-def _edit_airways(*arguments: Any, **options: Any) -> Airways:
-    from carina import track
-
-    return track.edit_airways(*arguments, **options)
-
-
-def _preview_edit(*arguments: Any, **options: Any) -> EditPreview:
-    from carina import track
-
-    return track.preview_edit(*arguments, **options)
-
-
-def _open_mask(*arguments: Any, **options: Any) -> Mask:
-    from carina import volume
-
-    return volume.open_mask(*arguments, **options)
-
-
-def _wall_field(*arguments: Any, **options: Any) -> Any:
-    from carina import track
-
-    return track.wall_field(*arguments, **options)
-
-
-def _grow_nodule(*arguments: Any, **options: Any) -> Nodule:
-    from carina import plan
-
-    return plan.grow_nodule(*arguments, **options)
-
-
-def _plan_route(*arguments: Any, **options: Any) -> Plan:
-    from carina import plan
-
-    return plan.plan_route(*arguments, **options)
-
-
-def _map_lungs(*arguments: Any, **options: Any) -> LungMap:
-    from carina.plan.lungs.lung_map import map_lungs
-
-    return map_lungs(*arguments, **options)
-
-
-def _reach_atlas(*arguments: Any, **options: Any) -> ReachAtlas:
-    from carina import plan
-
-    return plan.reach_atlas(*arguments, **options)
-
-
-def _judge_scopes(*arguments: Any, **options: Any) -> tuple[Verdict, ...]:
-    from carina import plan
-
-    return plan.judge_scopes(*arguments, **options)
 
 
 class RendererFactory(Protocol):
@@ -104,27 +52,27 @@ class Parts:
     transfer_from_histogram: Callable[[Volume], tuple[TransferFunction, float]]
     measure_tree: Callable[..., TreeMeasures] | None = None
     """Measures branches: ``measure_tree(volume, airways, previous=, progress=, cancel=)``; None measures nothing."""
-    wall_field: Callable[..., Any] = _wall_field
+    wall_field: Callable[..., Any] = track.wall_field
     """Computes the field of distances to the airway wall: ``wall_field(volume, airways, progress=, cancel=)``."""
     presets: tuple[str, ...] = ("endoscopic", "ct-grey", "see-through", "paper")
-    edit_airways: Callable[..., Airways] = _edit_airways
+    edit_airways: Callable[..., Airways] = track.edit_airways
     """Returns edited airways: ``edit_airways(volume, airways, edit, progress=, cancel=)``."""
-    preview_edit: Callable[..., EditPreview] = _preview_edit
+    preview_edit: Callable[..., EditPreview] = track.preview_edit
     """Returns the preview of an edit: ``preview_edit(volume, airways, edit)``."""
-    open_mask: Callable[..., Mask] = _open_mask
+    open_mask: Callable[..., Mask] = volume.open_mask
     """Reads a segmentation: ``open_mask(path, volume, label=, resample=, progress=, cancel=)``."""
-    grow_nodule: Callable[..., Nodule] = _grow_nodule
+    grow_nodule: Callable[..., Nodule] = plan.grow_nodule
     """Segments a nodule at a point (LPS, mm): ``grow_nodule(volume, at_lps, wall=, progress=)``."""
-    plan_route: Callable[..., Plan] = _plan_route
+    plan_route: Callable[..., Plan] = plan.plan_route
     """Plans the routes to a nodule: ``plan_route(volume, airways, nodule, scope=, tool=, ...)``."""
-    judge_scopes: Callable[..., tuple[Verdict, ...]] = _judge_scopes
+    judge_scopes: Callable[..., tuple[Verdict, ...]] = plan.judge_scopes
     """Computes the verdicts on a planned route.
 
     The call is ``judge_scopes(tree, plan, wall, route=, scopes=, entry_mm=, found=, progress=, cancel=)``.
     """
-    map_lungs: Callable[..., LungMap] = _map_lungs
+    map_lungs: Callable[..., LungMap] = map_lungs
     """Maps vessels, fissures and lobes: ``map_lungs(volume, airways, wall, progress=, found=)``."""
-    reach_atlas: Callable[..., ReachAtlas] = _reach_atlas
+    reach_atlas: Callable[..., ReachAtlas] = plan.reach_atlas
     """Maps an instrument's reach: ``reach_atlas(volume, airways, scope=, tool=, wall=, progress=, cancel=)``."""
     scope_presets: Callable[[], tuple[ScopePreset, ...]] = scope_presets
     """Returns the instruments for which verdicts are computed."""
@@ -132,7 +80,6 @@ class Parts:
 
 def default_parts() -> Parts:
     """Return Carina's own processing functions, which a session uses unless a test replaces them."""
-    from carina import render, track, volume
 
     def open_volume(path: str, progress: Progress, cancel: Cancel) -> Volume:
         return volume.open_volume(path, progress=progress, cancel=cancel)
