@@ -199,11 +199,23 @@ def check_web(rules: dict[str, frozenset[str]]) -> list[str]:
 
 # ---------------------------------------------------------------- limits of classes and views
 
-VIEWS = frozenset(
-    {"airway", "cut-plane", "tri-plane", "xray-axial", "xray-coronal", "xray-sagittal"}
-    | {"drr", "axial", "coronal", "sagittal", "straightened", "curved"}
-)
-"""Names of views that have no other meaning in the code (unlike "tree")."""
+AMBIGUOUS_VIEWS = frozenset({"tree"})
+"""Views whose name has another meaning in the code, so that the files that name the view cannot be counted."""
+
+
+def view_names() -> frozenset[str]:
+    """Return the views of the tables in ``render/view_table.py`` and ``volume/anatomical_planes.py``."""
+    found: set[str] = set()
+    for file, name in (("render/view_table.py", "ViewName"), ("volume/anatomical_planes.py", "Plane")):
+        tree = ast.parse((ROOT / "python" / "carina" / file).read_text(encoding="utf-8"))
+        [value] = (
+            node.value for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets) == name
+        )
+        found |= {node.value for node in ast.walk(value) if isinstance(node, ast.Constant)}
+    return frozenset(found) - AMBIGUOUS_VIEWS
+
+
+VIEWS = view_names()
 MOST_FILES_PER_VIEW = 4
 """Largest number of files that may name one view.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 
 import check_layers
+from carina.render import VIEW_NAMES
 from check_layers import (
     ROOT,
     _lineage,
@@ -81,6 +82,10 @@ def classes_of(files: dict[str, str]) -> list[tuple[str, ast.ClassDef]]:
     return [
         (path, node) for path, text in files.items() for node in ast.parse(text).body if isinstance(node, ast.ClassDef)
     ]
+
+
+def test_limit_of_files_applies_to_every_view_of_the_view_table():
+    assert check_layers.view_names() | check_layers.AMBIGUOUS_VIEWS == set(VIEW_NAMES)
 
 
 def test_view_is_recognised_as_a_string_a_key_or_the_first_word_of_its_family():

@@ -18,6 +18,18 @@ def test_every_command_and_every_query_has_exactly_one_handler():
     assert set(handlers) == {*c.all_commands(), *subclasses(c.Question)}
 
 
+@pytest.mark.parametrize("command", [c.Steer, c.GoTo, c.PlacePose, c.ResetLook, c.TakeDevice, c.SetControls, c.JoinPen])
+def test_command_that_is_only_a_move_is_executed_by_the_pilot(command):
+    session = small_bench().session
+    assert session._handlers[command] == session._core.fly
+
+
+@pytest.mark.parametrize("command", [c.Place, c.SetMode, c.ToggleMode, c.DeviceGone, c.ArmPen, c.SetOperator])
+def test_move_that_a_handler_prepares_is_executed_by_the_handler(command):
+    session = small_bench().session
+    assert session._handlers[command] != session._core.fly
+
+
 @pytest.mark.parametrize(
     ("command", "words"),
     [

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, cast, get_args
 
 from carina.commands import Command, Question, all_commands, checked
 from carina.errors import UsageError
+from carina.navigate import Move
 from carina.session.airways.editing import TreeEditHandlers
 from carina.session.airways.finding import AirwayHandlers
 from carina.session.airways.measuring import MeasurementHandlers
@@ -26,7 +27,7 @@ from carina.session.flights.key_frames import KeyFrameHandlers
 from carina.session.flights.recorded_flights import FlightHandlers
 from carina.session.flights.recording import FlightRecorder
 from carina.session.flights.scope_contact import ScopeContactHandlers
-from carina.session.flights.tip_commands import STRAIGHT_TO_THE_PILOT, TipHandlers
+from carina.session.flights.tip_commands import TipHandlers
 from carina.session.flights.verdict_drives import VerdictDriveHandlers
 from carina.session.jobs.background_jobs import JobRunner
 from carina.session.saving.autosave import CLOSING_S, Autosave, CaseFileFunctions
@@ -116,7 +117,9 @@ class Session:
         }
         for subject in subjects:
             self._handlers.update(handlers_of(subject))
-        self._handlers.update(dict.fromkeys(STRAIGHT_TO_THE_PILOT, core.fly))
+        # The pilot executes each command that is a move, unless a handler prepares the move.
+        for command in {*all_commands()} & {*get_args(Move)}:
+            self._handlers.setdefault(command, core.fly)
 
     def __repr__(self) -> str:
         """Describe the session by the neutral title of its case."""

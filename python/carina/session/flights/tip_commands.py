@@ -15,13 +15,7 @@ from carina.session.core import SessionCore
 from carina.session.flights.scope_contact import ScopeContactHandlers
 from carina.session.open_case.start_pose import pose_before_place
 
-__all__ = ["STRAIGHT_TO_THE_PILOT", "TipHandlers", "place_pose", "view_words"]
-
-STRAIGHT_TO_THE_PILOT = (
-    c.Steer, c.GoTo, c.NextFork, c.PreviousFork, c.PlacePose, c.LevelHorizon, c.ResetLook,
-    c.TakeDevice, c.SetControl, c.CycleControl, c.SetControls, c.JoinPen,
-)  # fmt: skip
-"""Commands that are moves themselves; :meth:`carina.session.core.SessionCore.fly` runs them."""
+__all__ = ["TipHandlers", "place_pose", "view_words"]
 
 
 def place_pose(pose: Pose) -> c.PlacePose:
