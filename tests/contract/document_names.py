@@ -21,7 +21,7 @@ FENCE = re.compile(r"^(```|~~~).*?^\1", re.DOTALL | re.MULTILINE)
 SPAN = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
 IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 SUFFIXES = ("py", "pyi", "rs", "ts", "tsx", "md", "json", "jsonl", "toml", "html", "css", "wgsl", "yml", "sh", "lock")
-FOREIGN = re.compile(r"(pip|uv|ray|ruff|git|cargo|docker|systemctl|npm|ssh|scp)\b")
+FOREIGN = re.compile(r"(pip|uv|ray|ruff|pytest|git|cargo|docker|systemctl|npm|npx|ssh|scp)\b")
 """Pattern of names that begin with a command of another program."""
 CODE = (".py", ".pyi", ".rs", ".ts", ".tsx", ".mjs", ".wgsl", ".c")
 
@@ -36,9 +36,10 @@ class Named:
 
 
 def documents() -> list[Path]:
-    """Return ARCHITECTURE.md, the pages of docs/, the page of the wire and the guides of other packages."""
+    """Return the pages of the root and of docs/, the page of the wire and the guides of other packages."""
     guides = sorted((ROOT / "packages").glob("*/README.md"))
-    return [ROOT / "ARCHITECTURE.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "protocol" / "README.md", *guides]
+    entry = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "ARCHITECTURE.md")]
+    return [*entry, *sorted((ROOT / "docs").glob("*.md")), ROOT / "protocol" / "README.md", *guides]
 
 
 def names_in(path: Path) -> Iterator[Named]:

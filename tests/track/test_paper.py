@@ -67,7 +67,7 @@ def test_search_with_each_cost_and_graph_finds_all_targets_and_a_tree(chest, fou
     assert (search.num_centres > 0) == (graph == "isoregion" and search.labels == "lumen")
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1])
 def test_paths_to_segments_stay_in_the_lumen_only_if_walls_are_expensive(seed):
     """Test the statement of paper 6.3 that the cost "always prevents wall penetration"; `make soak` tests 20 seeds."""
     assert_no_wall_is_penetrated(seed)

@@ -24,6 +24,19 @@ LEVELS = (0.4, 0.6, 0.8)
 """Filled shares of a section's height."""
 
 
+def sampled(cases, some):
+    """Return parameters of which only ``some`` are tested in `make test`; the others are soak tests."""
+    return [case if case in some else pytest.param(*case, marks=pytest.mark.soak) for case in cases]
+
+
+FLUID = sampled(
+    [(name, share) for name in SEGMENTS for share in (*LEVELS, 1.0)], [("RB6", 0.4), ("LB10", 0.8), ("RB6", 1.0)]
+)
+BRIDGED = sampled(
+    [(name, share) for name in (*SEGMENTS, "RML") for share in (0.8, 1.0)], [("RB6", 0.8), ("LB10", 1.0), ("RML", 1.0)]
+)
+
+
 @cache
 def wet(name, share):
     from_mm, length_mm = SEGMENTS.get(name, (4.0, 11.0))
@@ -35,8 +48,7 @@ def filled(airways):
     return [place for place in airways.uncertain if place.kind == "filled"]
 
 
-@pytest.mark.parametrize("name", SEGMENTS)
-@pytest.mark.parametrize("share", [*LEVELS, 1.0])
+@pytest.mark.parametrize(("name", "share"), FLUID)
 def test_fluid_level_or_plug_is_reported_with_its_calibre_from_wall_to_wall(name, share):
     made, airways = wet(name, share)
     (place,) = filled(airways)
@@ -49,8 +61,7 @@ def test_fluid_level_or_plug_is_reported_with_its_calibre_from_wall_to_wall(name
     assert f"{place.calibre_mm:.1f} \u00b1 {place.calibre_error_mm:.1f} mm wide from wall to wall" in place.reason
 
 
-@pytest.mark.parametrize("share", [0.8, 1.0])
-@pytest.mark.parametrize("name", [*SEGMENTS, "RML"])
+@pytest.mark.parametrize(("name", "share"), BRIDGED)
 def test_offered_bridge_restores_the_airways_beyond(name, share):
     made, airways = wet(name, share)
     (place,) = filled(airways)
