@@ -106,7 +106,7 @@ def test_an_interrupted_ci_leaves_no_process_and_no_file(ci, tmp_path):
     ("make", "code", "end"),
     [
         ("*) echo ran ;;", 0, "ran"),
-        ("*docs*) exit 2 ;;", 1, "CI failed: check-rust, check-python, docs or test-rust"),
+        ("*docs*) exit 2 ;;", 1, "CI failed: check-python, docs or test-rust"),
         ("*test-python*) exit 2 ;;", 1, "CI failed: test-python"),
         ("*setup-tests*) exit 2 ;;", 1, "CI failed: setup, lints or web"),
     ],
