@@ -65,24 +65,26 @@ pub struct Followed {
     pub contrast: f64,
 }
 
+/// Value of voxels in the lumen that was found before.
 pub(crate) const LUMEN: u8 = 1;
 /// Value of voxels that the extension adds to the lumen.
 pub const EXTENDED: u8 = 2;
+/// Value of voxels that the search has reached and that are not part of the lumen yet.
 pub(crate) const PENDING: u8 = 3;
+/// Value of voxels that are too bright or too little enclosed to be reached.
 pub(crate) const REFUSED: u8 = 4;
 
 /// Share of the lung that is less enclosed than followed voxels.
-///
-/// The next constant is the share for the mean of an accepted path.
 const FOLLOWED_SHARE: f64 = 0.98;
+/// Share of the lung that is less enclosed than the mean of an accepted path.
 const KEPT_SHARE: f64 = 0.995;
 
 /// Largest fall of the values along a path, in thresholds.
 ///
 /// Along an airway the values rise, because its lumen narrows and the blur of its wall increases. A path whose values
-/// rise and fall again by more than this has crossed a wall into the lung. `LEAST_DROP` is the lower limit, as a
-/// fraction of the distance from air to half of a wall, for volumes with little noise.
+/// rise and fall again by more than this has crossed a wall into the lung.
 const DROP: f64 = 8.0;
+/// Lower limit of the largest fall, as a fraction of the step from air to half of a wall, for volumes with little noise.
 const LEAST_DROP: f64 = 0.4;
 
 /// Smallest enclosure of a voxel in a gap, as a fraction of the threshold.

@@ -11,7 +11,7 @@ use carina_leastcost::{TrackError, Watch};
 
 use crate::find::extension_levels::{EXTENDED, Followed, LUMEN};
 use crate::find::lung_sample::{LungSample, quantile};
-use crate::find::thin_profile::{Asked, Place, Profile, length_mm};
+use crate::find::thin_profile::{Place, Profile, Requirements, length_mm};
 use crate::find::thin_reach::{Dips, Reached, Ways};
 use crate::find::tube_filter::{ThinSection, TubeFilter, across, sides};
 use crate::find::tubeness::smoothed;
@@ -57,9 +57,8 @@ pub struct Thin {
 /// Share of the lung whose voxels have a smaller dip than followed voxels.
 const FOLLOWED_SHARE: f64 = 0.985;
 /// Distance from an accepted path within which voxels are no separate tips, mm.
-///
-/// The next constant is the same distance for a rejected path.
 const COVER_MM: f32 = 2.0;
+/// Distance from a rejected path within which voxels are no separate tips, mm.
 const COVER_REFUSED_MM: f32 = 1.0;
 /// Largest gain of a path by one voxel, in thresholds.
 ///
@@ -70,11 +69,13 @@ const MOST_RADIUS_MM: f64 = 1.0;
 
 /// Number of positions at the start of a path that give its direction.
 ///
-/// The path continues an airway if there is lumen behind its start, at the distances `BEHIND_MM`, and if at most
-/// `MOST_BESIDE` of 8 sides there (at `BESIDE_MM`) are lumen.
+/// The path continues an airway if there is lumen behind its start, and lumen on few sides of these places.
 const NUM_START: usize = 7;
+/// Distances behind the start of a path at which there must be lumen, mm.
 const BEHIND_MM: [f64; 2] = [1.2, 2.4];
+/// Distance to the side of the places behind the start at which voxels are examined for lumen, mm.
 const BESIDE_MM: f64 = 2.0;
+/// Largest number of the 8 examined sides that may be lumen.
 const MOST_BESIDE: usize = 3;
 
 /// Follow thin airways from `lumen` (1 inside, 0 outside) in place: added voxels get [`EXTENDED`].
@@ -105,9 +106,9 @@ pub fn extend_thin(
     };
     let filter = TubeFilter::new(grid, section);
     let dips = sample.measured(|at| filter.dip(data, at));
-    let asked_dip = quantile(&dips, FOLLOWED_SHARE).max(limits.least_dip);
+    let dip_threshold = quantile(&dips, FOLLOWED_SHARE).max(limits.least_dip);
     let mut dips = Dips::new(&filter, data, &smooth, limits.brightest);
-    let reached = Reached::from_lumen(grid, lumen, &mut dips, asked_dip, most, watch)?;
+    let reached = Reached::from_lumen(grid, lumen, &mut dips, dip_threshold, most, watch)?;
     drop(dips);
     let num_reached = reached.nodes.len();
     if num_reached > most {
@@ -117,22 +118,30 @@ pub fn extend_thin(
             ran_out: true,
         });
     }
-    let ways = reached.ways(lumen, asked_dip);
-    let asked = Asked {
+    let ways = reached.ways(lumen, dip_threshold);
+    let requirements = Requirements {
         section,
         dip: limits.kept_dip,
         length_mm: limits.min_length_mm,
     };
     let goes_on = |places: &[Place]| goes_on(grid, lumen, places);
-    let asked_of = |places: &[Place]| Asked {
+    let requirements_at = |places: &[Place]| Requirements {
         length_mm: if goes_on(places) {
             limits.min_length_mm
         } else {
             limits.min_side_mm
         },
-        ..asked
+        ..requirements
     };
-    let kept = kept_ways(values, &reached, &ways, asked_dip, &asked, asked_of, watch)?;
+    let kept = kept_ways(
+        values,
+        &reached,
+        &ways,
+        dip_threshold,
+        &requirements,
+        requirements_at,
+        watch,
+    )?;
     for way in &kept {
         fill(values, lumen, way);
     }
@@ -140,7 +149,7 @@ pub fn extend_thin(
         .into_iter()
         .map(|way| Followed {
             length_mm: length_mm(way.places.len()),
-            contrast: way.mean_dip / asked.dip,
+            contrast: way.mean_dip / requirements.dip,
             probability: 1.0,
             voxels: way.voxels,
         })
@@ -174,17 +183,17 @@ fn kept_ways(
     values: VolumeView<'_, i16>,
     reached: &Reached,
     ways: &Ways,
-    asked_dip: f64,
-    asked: &Asked,
-    asked_of: impl Fn(&[Place]) -> Asked,
+    dip_threshold: f64,
+    requirements: &Requirements,
+    requirements_at: impl Fn(&[Place]) -> Requirements,
     watch: &impl Watch,
 ) -> Result<Vec<Kept>, TrackError> {
     let along_mm = |n: u32| ways.along_mm[n as usize];
     let mut tips: Vec<u32> = (0..reached.nodes.len() as u32)
         .filter(|n| {
             along_mm(*n).is_finite()
-                && f64::from(along_mm(*n)) >= asked.length_mm
-                && f64::from(reached.nodes[*n as usize].dip) >= asked_dip
+                && f64::from(along_mm(*n)) >= requirements.length_mm
+                && f64::from(reached.nodes[*n as usize].dip) >= dip_threshold
         })
         .collect();
     tips.sort_by(|a, b| along_mm(*b).total_cmp(&along_mm(*a)).then(a.cmp(b)));
@@ -212,12 +221,12 @@ fn kept_ways(
             .iter()
             .map(|node| reached.nodes[*node as usize].voxel)
             .collect();
-        let profile = is_worth_a_look(reached, &way, asked_dip)
+        let profile = is_worth_a_look(reached, &way, dip_threshold)
             .then(|| Profile::centred(values, &voxels))
             .flatten();
         let num = profile
             .as_ref()
-            .map_or(0, |profile| profile.kept(&asked_of(&profile.places)));
+            .map_or(0, |profile| profile.kept(&requirements_at(&profile.places)));
         let Some(mut profile) = profile.filter(|_| num > 0) else {
             cover(reached, &way, COVER_REFUSED_MM, &mut covered);
             continue;
@@ -269,11 +278,11 @@ fn goes_on(grid: &Grid, lumen: &[u8], places: &[Place]) -> bool {
 
 /// Return whether the gains of the voxels of a path, summed from its start to any voxel, exceed the losses of voxels
 /// without a dip.
-fn is_worth_a_look(reached: &Reached, way: &[u32], asked_dip: f64) -> bool {
+fn is_worth_a_look(reached: &Reached, way: &[u32], dip_threshold: f64) -> bool {
     let mut gain = 0.0;
     way.iter().any(|node| {
         let dip = f64::from(reached.nodes[*node as usize].dip);
-        gain += (dip / asked_dip - 1.0).min(MOST_GAIN);
+        gain += (dip / dip_threshold - 1.0).min(MOST_GAIN);
         gain > 0.0
     })
 }

@@ -79,7 +79,7 @@ pub(crate) struct Place {
 
 /// Requirements that a path must meet to be accepted as a thin airway.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Asked {
+pub(crate) struct Requirements {
     pub(crate) section: ThinSection,
     pub(crate) dip: f64,
     pub(crate) length_mm: f64,
@@ -131,12 +131,16 @@ impl Profile {
     ///
     /// This first part of the path is the one with the largest sum of gains. The result is 0 if that part does not
     /// qualify.
-    pub(crate) fn kept(&self, asked: &Asked) -> usize {
+    pub(crate) fn kept(&self, requirements: &Requirements) -> usize {
         let (mut gain, mut most, mut num) = (0.0, 0.0, 0);
-        let looks: Vec<bool> = self.places.iter().map(|p| p.looks_like(asked)).collect();
+        let looks: Vec<bool> = self
+            .places
+            .iter()
+            .map(|p| p.looks_like(requirements))
+            .collect();
         for (n, (place, looks)) in self.places.iter().zip(&looks).enumerate() {
             gain += if *looks {
-                (place.dip / asked.dip).min(MOST_GAIN) - 1.0
+                (place.dip / requirements.dip).min(MOST_GAIN) - 1.0
             } else {
                 -1.0
             };
@@ -144,17 +148,17 @@ impl Profile {
                 (most, num) = (gain, n + 1);
             }
         }
-        if num == 0 || length_mm(num) < asked.length_mm {
+        if num == 0 || length_mm(num) < requirements.length_mm {
             return 0;
         }
         let sum: f64 = self.places[..num]
             .iter()
-            .map(|p| p.dip.min(MOST_GAIN * asked.dip))
+            .map(|p| p.dip.min(MOST_GAIN * requirements.dip))
             .sum();
         let alike = looks[..num].iter().filter(|l| **l).count();
-        let is_kept =
-            sum >= KEPT_MEAN * asked.dip * num as f64 && alike as f64 >= KEPT_SHARE * num as f64;
-        if is_kept && self.is_open(num) && self.is_thin_and_steady(num, &asked.section) {
+        let is_kept = sum >= KEPT_MEAN * requirements.dip * num as f64
+            && alike as f64 >= KEPT_SHARE * num as f64;
+        if is_kept && self.is_open(num) && self.is_thin_and_steady(num, &requirements.section) {
             num
         } else {
             0
@@ -275,12 +279,14 @@ impl Place {
         self.beyond.iter().filter(|side| **side < most).count() as f64
     }
 
-    fn looks_like(&self, asked: &Asked) -> bool {
+    fn looks_like(&self, requirements: &Requirements) -> bool {
         let wall = self.middle + self.rise;
         self.rise > 0.0
-            && wall >= asked.section.least_wall
+            && wall >= requirements.section.least_wall
             && self.dip >= ROUNDNESS * self.rise
-            && asked.section.is_dark(self.middle, wall, self.radius_mm)
+            && requirements
+                .section
+                .is_dark(self.middle, wall, self.radius_mm)
     }
 }
 

@@ -43,12 +43,12 @@ pub(crate) struct Reached {
 impl Reached {
     /// Find the voxels that paths from the lumen can reach; the search ends early with more than `most` voxels.
     ///
-    /// `asked` is the threshold of the dip.
+    /// `dip_threshold` is the threshold of the dip.
     pub(crate) fn from_lumen(
         grid: &Grid,
         lumen: &[u8],
         dips: &mut Dips<'_>,
-        asked: f64,
+        dip_threshold: f64,
         most: usize,
         watch: &impl Watch,
     ) -> Result<Self, TrackError> {
@@ -85,7 +85,7 @@ impl Reached {
                         left_mm,
                     });
                 }
-                let per_mm = PRICE * (f32::from(dip) / asked as f32 - 1.0);
+                let per_mm = PRICE * (f32::from(dip) / dip_threshold as f32 - 1.0);
                 around.each(voxel as usize, |next, step_mm| {
                     let left_mm = (left_mm + step_mm * per_mm.min(MOST_GAIN)).min(MOST_MM);
                     if left_mm >= 0.0
@@ -112,8 +112,8 @@ impl Reached {
             });
     }
 
-    /// Compute the least-cost paths from the lumen to all reached voxels; `asked` is the threshold of the dip.
-    pub(crate) fn ways(&self, lumen: &[u8], asked: f64) -> Ways {
+    /// Compute the least-cost paths from the lumen to all reached voxels; `dip_threshold` is the threshold of the dip.
+    pub(crate) fn ways(&self, lumen: &[u8], dip_threshold: f64) -> Ways {
         let num = self.nodes.len();
         let mut ways = Ways {
             before: vec![None; num],
@@ -125,7 +125,10 @@ impl Reached {
             .iter()
             .map(|node| Found {
                 cost: u64::MAX,
-                weight: 1.0 + (2.0 * asked / f64::from(node.dip.max(1))).min(4.0).powi(2),
+                weight: 1.0
+                    + (2.0 * dip_threshold / f64::from(node.dip.max(1)))
+                        .min(4.0)
+                        .powi(2),
             })
             .collect();
         let mut open = Buckets::new(1e3 * f64::from(self.around.nearest_mm()));
