@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from carina.errors import CarinaError
 from carina.plan import NearbyTissue, Nodule, Plan, PlannedRoute, grow_nodule, plan_route, surroundings
-from carina.plan.routes.clearance import rooms_mm
+from carina.plan.routes.clearance import ball_diameters_mm
 from carina.scopes import ScopePreset
 from carina.track import AirwayTree, Branch
 from carina_bench.plan_cases import PlanCase, found_case, phantom_case
@@ -64,14 +64,15 @@ def best_of_all(case: PlanCase, plan: Plan, around: NearbyTissue, rng: np.random
     nodule, reach_mm = plan.nodule, plan.tool.reach_mm
     centre = np.array(nodule.centre_lps)
     found = []
-    rooms = {branch.id: rooms_mm(branch, case.wall) for branch in case.airways.tree.branches}
+    rooms = {branch.id: ball_diameters_mm(branch, case.wall) for branch in case.airways.tree.branches}
     for branch in case.airways.tree.branches:
         near = partial(_is_near, centre, reach_mm + nodule.long_mm)
         for place in _places(case.airways.tree, branch, plan.scope, max(case.volume.spacing_mm), rooms, near):
             walked = _walked(case, plan, around, place)
             if walked is not None:
                 found.append(place | walked)
-    # The best points come first; the score without misses of the needle is an upper bound of the score.
+    # Sorted by an upper bound, the score without misses of the needle: the loop ends at the first bound below the best
+    # score.
     found.sort(key=lambda one: (one["rank"], -_worth(plan, one, one["lost"])))
     best: tuple[int, float, Row] | None = None
     for one in found:

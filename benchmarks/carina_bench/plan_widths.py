@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.config import load_settings
-from carina.plan.routes.clearance import rooms_mm
+from carina.plan.routes.clearance import ball_diameters_mm
 from carina.plan.routes.route_width import widths_on_the_way
 from carina.track import AirwayTree, TreeMeasures, find_airways, measure_tree, wall_field
 from carina.track.measures import diameter
@@ -93,7 +93,7 @@ def compared_routes(
         tubes = widest_tubes_mm(branch.points, case.truth.branches)
         passing = largest_balls_mm(branch.points, surface)
         true[branch.id] = np.where(np.isfinite(tubes), np.fmax(tubes, passing), np.nan)
-        balls[branch.id] = float(rooms_mm(branch, wall_of_lumen).min())
+        balls[branch.id] = float(ball_diameters_mm(branch, wall_of_lumen).min())
     found = []
     for branch in tree.branches:
         if branch.parent is None:

@@ -244,7 +244,7 @@ def _values(case: HardCase, points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _means(rows: Sequence[Row]) -> list[Row]:
-    """Return the means over the patients of each condition, with their aims."""
+    """Return rows with the mean, median, least or most of the patients of each condition, and the limits to reach."""
     result: list[Row] = []
     for condition in dict.fromkeys(row["condition"] for row in rows):
         own = [row for row in rows if row["condition"] == condition]

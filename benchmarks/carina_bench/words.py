@@ -10,7 +10,7 @@ Rows = list[dict[str, Any]]
 
 
 def frames(rows: Rows) -> list[str]:
-    """Return the lines of the section of whole frames.
+    """Return the lines of the report on frames of 512 x 512.
 
     Ratios come first, because machines can be compared by ratios.
     """

@@ -76,7 +76,7 @@ def test_only_a_stump_without_a_lobe_is_excused_at_a_blunt_end_of_the_phantom():
     assert not is_at_blunt_end(statement("stump", 0, 0, -40), None)
 
 
-def test_places_of_lost_airways_and_blocked_places_without_a_length_are_no_statements():
+def test_lost_airways_and_blocked_airways_of_unknown_length_are_not_judged():
     airways = result(
         uncertain=(place("lost", (0, 0, 0)), place("blocked", (0, 0, 0), None), place("blocked", (0, 0, 0))),
         absent=(absence("RB4", "lost"), absence("RML", "resected")),

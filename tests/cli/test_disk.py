@@ -75,9 +75,9 @@ def run(carina, ct, tree):
     return ended
 
 
-def written(verb):
-    """Return the name of the output file that the test inspects."""
-    return next((word for word in verb if re.match(r"a\.|kept", word) and word != "other.png"), verb[-1])
+def output_name(arguments):
+    """Return the name of the output file among the arguments of a command."""
+    return next((word for word in arguments if re.match(r"a\.|kept", word) and word != "other.png"), arguments[-1])
 
 
 def check(ended, code):
@@ -95,7 +95,7 @@ def test_command_whose_disk_becomes_full_reports_it_and_leaves_the_old_file(run,
         pytest.importorskip("av", reason="PyAV is not installed")
     folder = tmp_path / "results"
     folder.mkdir()
-    name = written(verb)
+    name = output_name(verb)
     if name != "kept":
         (folder / name).write_bytes(b"old")
     plain = atomic_files._begin

@@ -44,7 +44,7 @@ def message_files() -> list[Path]:
 
 
 def test_no_message_installs_carina_from_a_package_index() -> None:
-    """Check all messages: the name `carina` is not registered at the index, so anybody could register it."""
+    """No message may install `carina` from a package index, because anybody could register this name there."""
     files = message_files()
     assert len(files) > 800
     unsafe = re.compile(

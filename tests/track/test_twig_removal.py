@@ -29,9 +29,9 @@ def row(parent, generation, *points, radius=8.0):
 
 
 TOP, FORK, CARINA = (-9.3, -183.1, 345.5), (-9.8, -179.3, 341.0), (-16.0, -159.0, 262.0)
-"""Ends of the two parts of the trachea, LPS mm.
+"""Upper end of the trachea, a false fork in the trachea, and the carina, LPS mm.
 
-In real CTs the trachea leans, so its end in the top slice is longer than wide.
+In real CTs the trachea leans, so its end in the top slice is an oval, in which the search may find a false branch.
 """
 TRUNK = [
     row(None, 0, TOP, FORK),

@@ -581,7 +581,7 @@ fn a_path_cost_beyond_the_representable_range_returns_an_error() {
     assert_eq!(error.code(), "track.cost-overflow");
     // Costs that were settled before the error stay correct.
     assert!(tracker.cost(&field, 100).unwrap() > 1.4e6);
-    // Costs by the entered voxel are not stored per voxel, so none can overflow.
+    // `EnterCost` stores no cost per voxel, so no cost can overflow.
     let mut enter = FieldTracker::<EnterCost>::new(&field, [0, 0, 0]).unwrap();
     enter.solve_all(&field, &Unwatched).unwrap();
     assert_eq!(

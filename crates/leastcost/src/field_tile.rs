@@ -29,7 +29,7 @@ pub(crate) struct Buffer {
     pub(crate) decreased: [u32; ACROSS * ACROSS],
 }
 
-/// Return the index in the buffer of row `j`, `k` of the tile (-1 to 8; -1 wraps).
+/// Return the index in the buffer of row `j`, `k` of the tile, each from 0 to 7. The buffer also has the rows around the tile.
 const fn row_of(j: usize, k: usize) -> usize {
     (k + 1) * ACROSS + j + 1
 }

@@ -287,8 +287,8 @@ class StripScheduler:
             Of the frames of one stream that wait for a buffer, only the newest stays, and a complete frame drops the
             older ones, because the camera has moved on. None for frames that are all needed.
         whole
-            Do not divide the frame: one lane renders it, for jobs of many pictures. As many frames are then open as
-            lanes can take.
+            Render the frame on one lane and do not divide it into strips, for jobs of many pictures. The number of open
+            frames is then limited only by the lanes.
         max_rows
             Largest height of a strip.
         """

@@ -254,7 +254,7 @@ class SampleGate:
             self._seen[device] = _Seen()
         before = self._holder
         if before is not None and self._seen[before].arrived_s == math.inf:
-            self._seen[before].arrived_s = -math.inf  # The previous device has sent no sample.
+            self._seen[before].arrived_s = -math.inf  # A device that has sent no sample counts as silent.
         self._holder = device
         # The arrival time is set by the next sample of any device: a recorded move contains no time.
         self._seen[device].arrived_s = math.inf

@@ -1,10 +1,11 @@
 """Rules that decide which images form one series.
 
 SeriesInstanceUID alone is not sufficient. Exporters and anonymisers omit it or give one UID to several scans; two scans
-would then be stacked or interleaved into one volume that looks finer than either.
+would then be stacked or interleaved into one volume with a finer slice spacing than that of each scan.
 
 - Two values of an *identity* (patient, study, frame of reference, modality) or of the grid (size and spacing of pixels,
-  orientation) always divide a series. A missing value beside a single one does not divide it, and a note states it.
+  orientation) always divide a series. If some images lack a value and all others
+  have the same value, the series is not divided, and a note states it.
 - A series with more than half as many frames of reference as slices stays undivided, with a note: anonymisers often
   give each slice a new ``FrameOfReferenceUID``. The grid of the series is checked like any other.
 - Two values of a *setting* (kernel, acquisition, phase, contrast, ...) divide a series only if the parts share

@@ -61,17 +61,17 @@ pub(crate) struct Profile {
 pub(crate) struct Place {
     /// Coordinates in mm along the grid's axes.
     pub(crate) mm: [f64; 3],
-    /// Value in the middle at this position alone.
+    /// HU on the axis of the airway at this position alone.
     own: f64,
-    /// Value in the middle, averaged along the path.
+    /// HU on the axis of the airway at this position, averaged along the path.
     pub(crate) middle: f64,
-    /// Rise from the middle to the second darkest side.
+    /// Rise of HU from the axis to the second darkest side.
     dip: f64,
-    /// Rise from the middle to the median side.
+    /// Rise of HU from the axis to the median side.
     pub(crate) rise: f64,
-    /// Distance from the middle at which the median side is half-way up its wall, mm.
+    /// Distance from the axis at which the median side is half-way up its wall, mm.
     pub(crate) radius_mm: f64,
-    /// Distance from the middle at which the median side is brightest, mm.
+    /// Distance from the axis at which the median side is brightest, mm.
     crest_mm: f64,
     /// Lowest value of each side beyond the crest of its wall.
     beyond: [f64; NUM_SIDES],

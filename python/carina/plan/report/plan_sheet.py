@@ -55,8 +55,9 @@ class TargetPlace:
     None if there is none within ``looked_mm``, or if the CT ends before it.
     """
     looked_mm: float
+    """Largest distance in mm from the target's edge that was searched for thick tissue."""
     is_cut: bool
-    """Whether the CT ends within ``looked_mm``, nearer than any thick tissue."""
+    """Whether the CT ends nearer to the target than any thick tissue, within ``looked_mm``."""
 
     @property
     def pleura_words(self) -> str:

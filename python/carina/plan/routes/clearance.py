@@ -14,7 +14,7 @@ from carina.plan.routes.needle_hits import axes_across
 from carina.scopes import WallField
 from carina.track import Branch
 
-__all__ = ["rooms_mm"]
+__all__ = ["ball_diameters_mm"]
 
 Points = NDArray[np.float64]
 
@@ -39,16 +39,16 @@ SMOOTH_MM = 1.0
 """Half the length in mm over which the widths along a branch are averaged to reduce noise of the wall."""
 
 
-def rooms_mm(branch: Branch, wall: WallField | None) -> Points:
+def ball_diameters_mm(branch: Branch, wall: WallField | None) -> Points:
     """Return for each point of a branch the diameter of the largest ball near the point that fits the lumen, (n,) mm.
 
     Parameters
     ----------
     branch
-        Branch of the airways that the wall belongs to.
+        Branch of the airway tree.
     wall
-        The wall. If None, the ball is centred on each point of the centreline. Where the wall contains no lumen (a
-        bridge, a drawn branch), the branch's own radius is used.
+        Wall field of the lumen. If None, the ball is centred on each point of the centreline. At points outside the
+        lumen (a bridge, a drawn branch) the radius of the branch is used.
 
     Returns
     -------

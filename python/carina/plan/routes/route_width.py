@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from carina.argument_checks import check_fields, choice, number_from, text_of
 from carina.display import one_line
-from carina.plan.routes.clearance import rooms_mm
+from carina.plan.routes.clearance import ball_diameters_mm
 from carina.scopes import ScopePreset, WallField
 from carina.track import AirwayTree, Branch, TreeMeasures
 
@@ -192,7 +192,7 @@ def _known_diameters(
         # the trachea.
         unmeasured = unmeasured[:0] if len(at) else np.arange(len(along))
     if len(unmeasured):
-        room = rooms_mm(branch, wall)
+        room = ball_diameters_mm(branch, wall)
         if branch.parent is None:
             room = np.full(len(along), float(np.median(room)))
         at = np.concatenate([at, along[unmeasured]])

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.plan.routes.clearance import rooms_mm
+from carina.plan.routes.clearance import ball_diameters_mm
 from carina.plan.routes.plan_route import PlannedRoute
 from carina.scopes import WallField
 from carina.track import AirwayTree, Route
@@ -64,7 +64,7 @@ class DriveWay:
         lineage = tree.lineage(planned.branch_id)
         points = np.concatenate([branch.points for branch in lineage])
         at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        room = np.concatenate([rooms_mm(branch, wall) for branch in lineage])
+        room = np.concatenate([ball_diameters_mm(branch, wall) for branch in lineage])
         on_the_way = (at >= CUT_MM) & (at <= planned.along_mm + 1e-6)
         self.room_at_mm, self.room_mm = at[on_the_way], room[on_the_way]
 

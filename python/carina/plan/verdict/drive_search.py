@@ -290,7 +290,7 @@ class _Attempt:
         self._hooked_deg = self._hook_towards_deg = 0.0
 
     def copy(self) -> _Attempt:
-        """Return an independent copy without the stored copies."""
+        """Return an independent copy of the attempt, without ``stations``, from which a search can restart."""
         other = copy(self)
         other.recorder, other.stations = self.recorder.copy(), []
         return other

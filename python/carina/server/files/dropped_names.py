@@ -150,9 +150,22 @@ class DroppedNames:
         return json.dumps(known[token])[1:-1] + found[0][len(token) :]
 
     def _named(self, tag: str, above: str, part: str, own: str, suffix: str) -> str:
-        """Return the neutral name of one folder or file of a path.
+        """Return the neutral name of a folder or file of an upload, and store its own name for messages.
 
         Names that differ only in suffix get the same number.
+
+        Parameters
+        ----------
+        tag
+            Identifier of the upload.
+        above
+            Path of the folder that contains the file or folder.
+        part
+            Name of the file or folder in the path.
+        own
+            Name that messages show in place of the neutral name.
+        suffix
+            Suffix of ``part`` that the neutral name keeps, such as ``.dcm``; may be empty.
         """
         known, numbers = self._uploads[tag], self._numbers[tag]
         stem = part[: len(part) - len(suffix)] if suffix else part

@@ -1,4 +1,4 @@
-"""Files of the built web client."""
+"""Paths of the files of the built web client."""
 
 from __future__ import annotations
 

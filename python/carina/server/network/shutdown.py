@@ -70,7 +70,7 @@ class TimedShutdownServer(uvicorn.Server):
             for connection in list(self.server_state.connections):
                 transport = connection.transport
                 if connection not in asked and not transport.is_closing():
-                    # A connection can change from HTTP to WebSocket, which is another object and needs its own request.
+                    # After an upgrade to WebSocket the connection is a new object: it must be shut down as well.
                     asked.add(connection)
                     connection.shutdown()
                 if not transport.is_closing():

@@ -171,7 +171,7 @@ class SavingInfo(FrozenValue, frozen=True):
 
     @property
     def shown(self) -> tuple[Any, ...]:
-        """The values that a window shows, with times in minutes."""
+        """Values that a window shows. Times are rounded down to minutes, so values change at most once per minute."""
         minutes = [None if s is None else int(s // 60.0) for s in (self.saved_s, self.copied_s)]
         named = (self.copy_name, self.copy_folder, self.copy_problem, self.copy_conflict)
         return (*minutes, self.keeps, self.title, self.problem, *named)

@@ -169,7 +169,8 @@ def _carina(volume: Volume, lumen_zyx: NDArray[np.uint8], one: Branch, other: Br
     share = np.linspace(0.0, 1.0, 41)
     lines = a[:, None] + share[None, :, None] * (b - a)[:, None]
     inside = _lumen_at(volume, lumen_zyx, lines)
-    # The points themselves are in the lumen, possibly only by their own voxel: leave them out.
+    # Both ends of a line are points of centrelines, which are in the lumen, but interpolation may state the opposite:
+    # they are left out.
     walls = inside[:, 1:-1].min(axis=1) < 0.5
     if not walls.any():
         return None

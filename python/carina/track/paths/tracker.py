@@ -95,7 +95,7 @@ class PathTracker:
         root_ijk: tuple[int, int, int] | None = None,
         lumen_zyx: NDArray[np.uint8] | None = None,
     ) -> None:
-        """Create a tracker from a compiled tracker, or from the recipe of one.
+        """Wrap a tracker of the compiled module, or the values from which it is built at first use.
 
         A compiled tracker takes seconds and much memory to build. Without ``core`` it is built at first use, from
         the root and the lumen.
