@@ -48,7 +48,7 @@ def test_a_part_is_imported_without_readers_and_servers(part: str) -> None:
     assert ran.stdout.split() == []
 
 
-def test_start_page_is_served_without_modules_for_some_files_only(tmp_path: Path) -> None:
+def test_start_page_loads_no_module_that_only_some_file_types_need(tmp_path: Path) -> None:
     environment = environment_in(tmp_path)
     ran = subprocess.run([sys.executable, "-c", START], check=True, capture_output=True, text=True, env=environment)
     assert ran.stdout.split() == []

@@ -247,7 +247,7 @@ def test_without_locks_replace_keeps_every_file_created_in_between(path, monkeyp
     assert path.read_text() == "ours"
 
 
-def test_replace_on_a_disk_that_becomes_full_leaves_both_contents(path, monkeypatch):
+def test_replace_on_a_disk_that_becomes_full_leaves_the_file_unchanged(path, monkeypatch):
     path.write_text("theirs")
 
     def link(_source, _target):

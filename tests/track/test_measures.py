@@ -71,7 +71,7 @@ def test_carina_is_in_the_wall_between_the_main_bronchi_below_the_fork(chest, me
     assert fork.carina_lps[2] < fork.fork_lps[2]
     # The carina is on the surface of the lumen, to within one voxel.
     assert abs(chest.depth_mm(np.array(fork.carina_lps))) < 1.6
-    # The carina is between the drawn axes of the main bronchi.
+    # The measured angle of the carina agrees with the angle between the drawn axes of the main bronchi.
     one, other = (end - start for start, end, _ in chest.tubes[1:3])
     drawn = np.degrees(np.arccos(one @ other / np.linalg.norm(one) / np.linalg.norm(other)))
     assert abs(fork.angle_between_deg - drawn) < 12.0

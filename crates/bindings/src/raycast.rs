@@ -69,7 +69,7 @@ pub(crate) fn transfer(
 #[pyclass(frozen, module = "carina._core")]
 struct TransferTable {
     inner: carina_raycast::TransferTable,
-    /// Step table for the classes of the last call of `segments`, with the values of these classes.
+    /// Cached segment table of the last call of `segments`, with the class values for which it was built.
     ///
     /// Building a table takes as long as casting a small picture.
     segments: Mutex<Option<(Vec<i32>, Arc<SegmentTable>)>>,

@@ -233,7 +233,9 @@ fn sweep<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 27], ro
     changed
 }
 
-/// Return the index in the buffer of neighbour `block` (0 to 8) in the 3 x 3 neighbourhood of a row.
+/// Return the index in the buffer of one of the nine rows around and including `row`.
+///
+/// `block` (0 to 8) numbers these rows in the order of the buffer.
 #[inline(always)]
 const fn beside(row: usize, block: usize) -> usize {
     row + block / 3 * ACROSS + block % 3 - ACROSS - 1

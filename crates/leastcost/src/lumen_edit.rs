@@ -364,9 +364,9 @@ pub fn followed(
     ))
 }
 
-/// Return for each node whether its old path includes a change, and whether an edge of the root changed.
+/// Return for each node whether its cost is invalid, because its old path contains a changed node.
 ///
-/// Such a node loses its cost.
+/// The second result states whether an edge of the root changed.
 fn lost_nodes(tracker: &Tracker, edited: &Edited, root: u32) -> (Vec<bool>, bool) {
     let mut lost = vec![false; edited.graph.num_nodes()];
     for &node in &edited.dirty {

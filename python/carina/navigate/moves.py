@@ -109,7 +109,9 @@ class Register(PilotMove, frozen=True, tag="Calibrate"):
 
 
 class LayScope(PilotMove, frozen=True, tag="SetScope"):
-    """Insert a scope into the lumen along a path and enter mode *scope*; the pilot has the wall.
+    """Insert a scope into the lumen along a path and enter mode *scope*.
+
+    The move does not contain the wall field, which the pilot must already have.
 
     Parameters
     ----------

@@ -257,7 +257,7 @@ class Pilot:
     # ------------------------------------------------------------ recordings
 
     def forget_devices(self) -> None:
-        """Remove every device as if it were connected anew; registrations stay, and the tip does not move."""
+        """Reset every device to its state after connecting; registrations and the pose of the tip do not change."""
         self._gate = SampleGate()
         kept = {name: device.registration for name, device in self._devices.items() if device.registration is not None}
         self._devices = {}

@@ -23,7 +23,7 @@ TWO_GUIDES_MM = ((-1.9, -0.5, 0.0), (1.9, -0.5, 0.0))
 
 
 def check_guides(guides_mm: tuple[tuple[float, float, float], ...]) -> None:
-    """Reject anything but the ends of one or two light guides."""
+    """Raise :class:`RenderError` unless the value is one or two points (x, y, z) within 100 mm of the lens."""
     guides = np.array(guides_mm, dtype=np.float64)
     if guides.ndim != 2 or guides.shape[1:] != (3,) or len(guides) not in {1, 2} or not np.isfinite(guides).all():
         raise RenderError(f"expected one or two light guides [x, y, z] in mm; found {guides_mm}")

@@ -8,7 +8,7 @@ use crate::find::tubeness::Enclosure;
 pub struct ExtensionLimits {
     /// Value of the air in the trachea.
     pub air: f64,
-    /// Range of values of lung, for the calibration's sample.
+    /// Smallest and largest value of voxels that count as lung.
     pub lung: (i16, i16),
     /// Largest smoothed value of a voxel that can be lumen.
     pub brightest: i16,

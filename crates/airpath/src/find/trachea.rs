@@ -65,7 +65,7 @@ struct SplitRule {
 
 /// Smallest length of trachea in the volume, mm.
 const MIN_LENGTH_MM: f64 = 18.0;
-/// Smallest length of a trachea that the first slices of the volume cut off, mm.
+/// Smallest length inside the volume of a trachea that begins outside the volume, mm.
 const MIN_CUT_OFF_MM: f64 = 8.0;
 /// Smallest length of a trachea that lacks one main bronchus or one lung, mm; no other airway is wide for this length.
 const STRICT_LENGTH_MM: f64 = 40.0;

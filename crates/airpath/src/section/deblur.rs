@@ -182,7 +182,7 @@ impl Blur {
         (self.in_plane_mm.powi(2) * (1.0 - share) + self.across_mm.powi(2) * share).sqrt()
     }
 
-    /// Return the weight of the edge on each ray of a plane: 1 within the slices, less where the blur is wider.
+    /// Return a weight for the edge on each ray of a plane: 1 for a ray parallel to the slices, less for wider blur.
     #[must_use]
     pub fn weights(&self, axes: (Point, Point)) -> [f64; NUM_RAYS] {
         std::array::from_fn(|n| {

@@ -1,8 +1,8 @@
-"""Check of a bend by simulated drives with a shorter lever, where a comparison of angles leaves the answer open.
+"""Check of a bend by simulated drives with a lever of smaller range, if the comparison of angles is inconclusive.
 
 `bend_check` compares the angle that a route requires with the angle of the lever. If the errors leave the answer open,
 this comparison is stricter than reality, because the airway's wall bends a scope too. Therefore drives are simulated
-with a lever that is shorter by the possible error. A scope that arrives with the shorter lever also arrives with
+with a lever whose largest angle is smaller by the possible error. A scope that arrives with it also arrives with
 the full one, as far as a search can show.
 """
 

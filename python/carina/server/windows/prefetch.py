@@ -15,7 +15,9 @@ logger = logging.getLogger(__name__)
 
 
 class PathPrefetcher:
-    """Thread that requests a path in new airways, so that the session caches the noise of the scan.
+    """Thread that computes one path in new airways in advance.
+
+    The noise of the scan, which paths need, is then already cached when the user chooses the first path.
 
     Parameters
     ----------

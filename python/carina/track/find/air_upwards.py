@@ -188,8 +188,8 @@ def follow_up(
             seeds, allowed = last, spread(last, limit)
         region = grown(seeds & is_air, is_air & allowed)
         if tubes >= IN_A_TUBE:
-            # Add air across the wall of the tube, but no connected air: in thin slices, the air of a tracheostomy tube
-            # would be followed to the outside if it may move by this distance in each slice.
+            # Add only air on the other side of the tube's wall. If connected air could also spread by ``beside`` in
+            # each slice, the search would follow the air of a tracheostomy tube out of the neck in thin slices.
             around = spread(last, beside)
             connected = grown(region, is_air & around)
             region |= grown(around & (values < strict) & ~connected, is_air & around)

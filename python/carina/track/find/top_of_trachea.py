@@ -98,7 +98,7 @@ def top_of_trachea(
     opening = opening_in_front(volume, scale, trachea)
     if tube is None and cords is None and opening is None and padding is None:
         return _above_a_bronchus(soft, seeds, sections)
-    is_open = opening is not None or _leaves_with_its_tube(trachea, tube)
+    is_open = opening is not None or _is_tracheostomy(trachea, tube)
     trachea, cut = as_one_trachea(volume, sections, tube, len(trachea), is_open=is_open)
     top = trachea[-1]
     wall = round(scale.level(WALL_HU))
@@ -179,8 +179,8 @@ def without_its_tube(
     return values
 
 
-def _leaves_with_its_tube(trachea: list[AirSection], tube: Tube | None) -> bool:
-    """Return whether a tube ends below the top of the trachea and air leaves in front of the tube's upper end."""
+def _is_tracheostomy(trachea: list[AirSection], tube: Tube | None) -> bool:
+    """Return whether a tube ends inside the trachea and the air at its upper end continues forwards out of the neck."""
     if tube is None or tube.last + 3 >= len(trachea):
         return False
     beside = trachea[max(tube.last - 3, 0) : tube.last + 4]

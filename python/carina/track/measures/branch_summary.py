@@ -91,7 +91,10 @@ class ReferenceDiameter:
 @one_line
 @dataclass(frozen=True, slots=True)
 class BranchSummary:
-    """Summary of a branch, from its sections away from forks and from the volume's faces; None without any."""
+    """Summary of a branch over its sections that are away from forks and from the faces of the volume.
+
+    A value is None if there is no such section.
+    """
 
     length_mm: float = 0.0
     """Length of the branch's centreline, mm."""

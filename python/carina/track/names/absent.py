@@ -273,7 +273,7 @@ class _NamedTree:
             for place in uncertain
             if place.kind in ("volume", "blocked", "stump", "leak", "lost")
             and place.branch_id is not None
-            # A stump beside which a branch continues is not the end of this branch.
+            # A stump on the side of a branch is not where the branch ends.
             and not (place.kind == "stump" and _is_beside(place, self._branches.get(place.branch_id)))
         }
         self._is_fine = any(place.kind == "fine" for place in uncertain)
