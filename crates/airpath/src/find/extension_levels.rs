@@ -129,30 +129,37 @@ impl Levels {
     }
 }
 
+/// Limits with which the tests of the search run.
+#[cfg(test)]
+pub(crate) const TEST_LIMITS: ExtensionLimits = ExtensionLimits {
+    air: -1000.0,
+    lung: (-950, -700),
+    brightest: -500,
+    least_rise: 15.0,
+    gap_mm: 2.0,
+    min_length_mm: 2.0,
+    raised: 1.0,
+    most_reached: 0.02,
+    least_probability: 0.7,
+    divided: None,
+};
+/// Thick slices of a test volume, which were divided.
+#[cfg(test)]
+pub(crate) const TEST_DIVIDED: Divided = Divided {
+    axis: 2,
+    slice_mm: 3.0,
+    least_odds: 0.3,
+};
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn a_path_may_be_open_on_one_side_only_in_divided_slices_and_if_it_is_probable() {
-        let mut limits = ExtensionLimits {
-            air: -1000.0,
-            lung: (-950, -700),
-            brightest: -500,
-            least_rise: 15.0,
-            gap_mm: 2.0,
-            min_length_mm: 2.0,
-            raised: 1.0,
-            most_reached: 0.02,
-            least_probability: 0.7,
-            divided: None,
-        };
+        let mut limits = TEST_LIMITS;
         assert!(!limits.may_be_open(0.99));
-        limits.divided = Some(Divided {
-            axis: 2,
-            slice_mm: 3.0,
-            least_odds: 0.3,
-        });
+        limits.divided = Some(TEST_DIVIDED);
         assert!(limits.may_be_open(SURE_PROBABILITY));
         assert!(!limits.may_be_open(0.79));
     }

@@ -150,26 +150,7 @@ pub(crate) fn looks_like_airway(section: &Section, own: f64, air: f64, blur: Blu
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Limits with which the search runs in these tests.
-    const LIMITS: ExtensionLimits = ExtensionLimits {
-        air: -1000.0,
-        lung: (-950, -700),
-        brightest: -500,
-        least_rise: 15.0,
-        gap_mm: 2.0,
-        min_length_mm: 2.0,
-        raised: 1.0,
-        most_reached: 0.02,
-        least_probability: 0.7,
-        divided: None,
-    };
-    /// Thick slices of the test volume, which were divided.
-    const DIVIDED: Divided = Divided {
-        axis: 2,
-        slice_mm: 3.0,
-        least_odds: 0.3,
-    };
+    use crate::find::extension_levels::{TEST_DIVIDED, TEST_LIMITS};
 
     fn section(radius_mm: f64, walled: f64, rise: f64) -> Section {
         Section {
@@ -186,16 +167,16 @@ mod tests {
             -760.0,
             3.0,
             0.3,
-            &LIMITS,
-            DIVIDED,
+            &TEST_LIMITS,
+            TEST_DIVIDED,
         );
         let gap = log_odds(
             &section(2.0, 0.75, 250.0),
             -760.0,
             1.1,
             0.3,
-            &LIMITS,
-            DIVIDED,
+            &TEST_LIMITS,
+            TEST_DIVIDED,
         );
         assert!(tube > 0.0 && gap < 0.0, "{tube} {gap}");
     }
@@ -212,8 +193,8 @@ mod tests {
                 &section(1.2, 1.0, -400.0 - own),
                 own,
                 along,
-                LIMITS.air,
-                DIVIDED,
+                TEST_LIMITS.air,
+                TEST_DIVIDED,
             );
             assert!(ratio.abs() < 1e-9, "{along} {ratio}");
         }

@@ -89,7 +89,7 @@ pub fn of_branches(
         .collect()
 }
 
-/// Return the radius in mm at each point of a tube, from sections of its own part, `from_mm` to `to_mm`.
+/// Return the radius in mm at each point of a tube, from its sections between `from_mm` and `to_mm`.
 fn sections(view: &View<'_>, tube: &Tube, wall: &[f64], from_mm: f64, to_mm: f64) -> Vec<f64> {
     let count = tube.points.len();
     let raw: Vec<f64> = (0..count).map(|n| section(view, tube, n)).collect();
