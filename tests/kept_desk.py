@@ -12,6 +12,8 @@ from carina.session.saving.autosave import CaseFileFunctions
 from carina.session.store.registry import CaseRecords
 from small_case import Background, Clock, SmallRenderer, small_parts
 
+WAIT_S = 60.0
+
 
 class Wall:
     """Clock with the time of day, in seconds since 1970, that a test sets."""
@@ -128,13 +130,22 @@ class Desk:
         assert self.session._saving.write_now()
 
     def kill(self) -> None:
-        """Simulate a kill: nothing more is written, and the locks are released as by the operating system."""
+        """Simulate a kill: nothing more is written, and the locks are released as by the operating system.
+
+        A write that is in progress is completed.
+        """
         kept = self.session._saving._saver
         assert kept is not None
+        self.session._saving._saver = None
+        with kept._wake:
+            kept._wake.notify_all()
+            assert kept._wake.wait_for(lambda: kept.has_ended, WAIT_S)
+        if kept._copier is not None:
+            kept._copier.join(WAIT_S)
+            assert not kept._copier.is_alive()
         if kept.held is not None:
             kept.held.release()
         if kept._claim is not None:
             kept._claim.release()
         if kept.named is not None:
             kept.named.close()
-        self.session._saving._saver = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import threading
 from dataclasses import replace
 from typing import Any
 
@@ -13,9 +14,10 @@ from carina import commands as c
 from carina.case.recordings import RecordingFacts
 from carina.errors import CarinaError, UsageError
 from carina.session import Session, Trouble, UserMessage
+from carina.session.saving.writer import CaseSaver
 from carina.session.store.named_file import NamedFile
 from carina.session.store.registry import CaseRecords, LockedCase
-from kept_desk import Desk, MemoryFile
+from kept_desk import WAIT_S, Desk, MemoryFile
 from small_case import LEFT_TIP, Background
 
 
@@ -470,6 +472,28 @@ def test_named_file_is_recognised_after_two_consecutive_crashes(desk, named, mon
     assert saving(desk).copy_conflict is None
     assert named.read_text() != content
     desk.session.close()
+
+
+def test_opening_a_case_compares_its_named_file_and_does_not_write_it(desk, named, monkeypatch):
+    desk.session.do(c.SaveCase())
+    desk.background.run_all()
+    desk.session.close()
+    content = named.read_text()
+    is_open, run_copies = threading.Event(), CaseSaver._run_copies
+
+    def run_after_opening(saver):
+        assert is_open.wait(WAIT_S)
+        run_copies(saver)
+
+    monkeypatch.setattr(CaseSaver, "_run_copies", run_after_opening)
+    desk.start()
+    desk.open()
+    is_open.set()
+    saver = desk.session._saving._saver
+    with saver._wake:
+        assert saver._wake.wait_for(lambda: saver._is_named_checked, WAIT_S)
+    desk.kill()
+    assert named.read_text() == content
 
 
 def test_suggested_names_differ_between_cases_and_contain_no_patient_data(tmp_path, desk):

@@ -626,7 +626,9 @@ class CaseSaver:
                         break
                     self._wake.wait(wait_s)
                 self._copy_s = None
-                is_behind = self._copy_is_behind()
+                # The first comparison follows the opening, which is reported as a change. Without this distinction,
+                # opening a case would rewrite the file that the user named, or not, depending on the thread's start.
+                is_behind = self._copy_is_behind() if self._is_named_checked else self._num_copied < self._num_saved
                 if not is_behind and not self._is_named_check_due():
                     continue
             self._refresh(writes=is_behind)
@@ -666,6 +668,7 @@ class CaseSaver:
                     {"copy_problem": None, "copy_conflict": None, "beside": None}, unless=is_outdated
                 ):
                     self._is_named_checked = self._is_named_checked or not is_outdated()
+                    self._plan_copy(COPY_EVERY_S)
         except NamedFileConflictError as conflict:
             has_ended.set()
             self.tell_conflict(conflict)
