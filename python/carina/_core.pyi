@@ -872,14 +872,20 @@ class Enclosures:
         tracker: LumenTracker,
         start_ijk: tuple[int, int, int],
         toward_ijk: tuple[int, int, int],
+        tips_ijk: NDArray[np.uint16],
         *,
+        tip_allowance: float,
         enclosed: float,
         dark: float,
         bright: float,
         closed: float,
         cancel: Callable[[], bool] | None = None,
     ) -> NDArray[np.uint16] | None:
-        """Find the path with the most wall round it from a lumen that a path reaches: (n, 3) voxels, or None."""
+        """Find the path with the most wall round it from a lumen that a path reaches: (n, 3) voxels, or None.
+
+        A path from one of the (n, 3) voxels ``tips_ijk`` is preferred if its cost exceeds that of the best path by at
+        most ``tip_allowance``.
+        """
 
 # ---- tracker over a volume of weights ----
 

@@ -4,7 +4,7 @@
     reason = "pyo3 hands arguments over by value"
 )]
 
-use carina_airpath::find::evidence::{Enclosures as Core, SeenWay, WayLevels};
+use carina_airpath::find::evidence::{Enclosures as Core, PreferredTips, SeenWay, WayLevels};
 use carina_grid::{Lps, VolumeView};
 use carina_leastcost::{TrackError, Unwatched};
 use numpy::ndarray::Array2;
@@ -116,14 +116,17 @@ impl Enclosures {
     /// Find the least-cost path, with the most wall round it, from the reached lumen of a tracker to a voxel outside.
     ///
     /// Return (n, 3) voxels, or None if there is no path. A search that meets no lumen heads for the voxel
-    /// `toward_ijk`.
-    #[pyo3(signature = (tracker, start_ijk, toward_ijk, *, enclosed, dark, bright, closed, cancel=None))]
+    /// `toward_ijk`. A path that ends at one of the (n, 3) lumen voxels `tips_ijk` is preferred if its cost exceeds that
+    /// of the best path by at most `tip_allowance`.
+    #[pyo3(signature = (tracker, start_ijk, toward_ijk, tips_ijk, *, tip_allowance, enclosed, dark, bright, closed, cancel=None))]
     fn way<'py>(
         &self,
         py: Python<'py>,
         tracker: &LumenTracker,
         start_ijk: [usize; 3],
         toward_ijk: [usize; 3],
+        tips_ijk: PyReadonlyArray2<'py, u16>,
+        tip_allowance: f64,
         enclosed: f64,
         dark: f64,
         bright: f64,
@@ -145,6 +148,13 @@ impl Enclosures {
             bright,
             closed,
         };
+        let tips = PreferredTips {
+            voxels: voxels("tips_ijk", &tips_ijk, shape)?
+                .into_iter()
+                .map(|v| v.map(usize::from))
+                .collect(),
+            allowance: tip_allowance,
+        };
         let watch = PyWatch::new(cancel, None);
         let way = py
             .detach(|| {
@@ -156,7 +166,7 @@ impl Enclosures {
                         .is_some_and(|node| solved.cost_quanta(node).is_some())
                 };
                 self.core
-                    .way(start_ijk, toward_ijk, levels, is_lumen, &watch)
+                    .way(start_ijk, toward_ijk, levels, is_lumen, &tips, &watch)
             })
             .map_err(|e| watch.error(e))?;
         Ok(way.map(|way| way_array(py, &way)))

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from carina.cli.console import say
 from carina.errors import NoEvidenceError, NoResultError, UsageError
-from carina.track import AddBranch, Airways, edit_airways
+from carina.track import AddBranch, Airways, branch_way, edit_airways
+from carina.track.edit.edit_list import branch_title
 from carina.track.progress import Progress
 from carina.volume import Volume
 
@@ -47,7 +48,7 @@ def add_branches(
     for number, lps in enumerate(points_lps, 1):
         x, y, z = (float(v) for v in lps)
         row: dict[str, Any] = {"lps": [x, y, z], "branches": [], "error": None}
-        known = {branch.id for branch in airways.tree.branches}
+        before = airways
         try:
             airways = edit_airways(
                 volume, airways, AddBranch((x, y, z), even_without_evidence=even_without_evidence), progress=progress
@@ -61,8 +62,20 @@ def add_branches(
         except UsageError as error:
             raise UsageError(f"--add-branch {x:g},{y:g},{z:g}: {error}", code=error.code) from None
         else:
-            made = [branch for branch in airways.tree.branches if branch.id not in known]
+            names = {branch.id: branch.name for branch in before.tree.branches}
+            made = [branch for branch in airways.tree.branches if branch.id not in names]
             row["branches"] = [{"id": b.id, "kind": b.kind, "doubtful_mm": round(b.doubtful_mm, 2)} for b in made]
+            way = branch_way(volume, before, (x, y, z))
+            row |= {"extends": way.extends, "from": way.parent_title, "length_mm": round(way.length_mm, 2)}
+            row["renamed"] = [
+                {"id": b.id, "from": names[b.id], "to": b.name}
+                for b in airways.tree.branches
+                if b.id in names and b.name != names[b.id]
+            ]
+            origin = f"extends {way.parent_title} by" if way.extends else f"new branch from {way.parent_title},"
+            say(f"branch {number} to {x:g},{y:g},{z:g}: {origin} {way.length_mm:.0f} mm")
+            for one in row["renamed"]:
+                say(f"  {branch_title(one['from'], one['id'])} is now {branch_title(one['to'], one['id'])}")
         rows.append(row)
     return AddedBranches(airways, tuple(rows), tuple(refused))
 

@@ -23,6 +23,7 @@ function answer(id: number, x: number): EditPreviewMessage {
     length_mm: 1,
     doubtful_mm: 0,
     has_evidence: true,
+    origin: null,
     problem: null,
   };
 }

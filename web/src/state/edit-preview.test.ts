@@ -24,6 +24,7 @@ function answer(change: Partial<EditPreviewMessage> = {}): EditPreviewMessage {
     doubtful_mm: 21,
     has_evidence: false,
     problem: null,
+    origin: { branch: "RB2", extends: false },
     ...change,
   };
 }
@@ -48,13 +49,15 @@ describe("preview of an edit", () => {
     expect(runsOf([LINE, LINE]).length).toBe(4);
   });
 
-  it("The text states the length of the edit and the length without a visible airway wall.", () => {
+  it("The text states the origin and the length of a new branch, and the length without a visible airway wall.", () => {
     expect(previewText({ answer: answer(), stale: false })).toEqual({
-      lines: [`new branch, 41${NBSP}mm`, `no wall along 21${NBSP}mm`],
+      lines: [`new branch from RB2, 41${NBSP}mm`, `no wall along 21${NBSP}mm`],
       warns: true,
     });
     const seen = answer({ has_evidence: true, doubtful_mm: 0 });
-    expect(previewText({ answer: seen, stale: false })).toEqual({ lines: [`new branch, 41${NBSP}mm`], warns: false });
+    expect(previewText({ answer: seen, stale: false })).toEqual({ lines: [`new branch from RB2, 41${NBSP}mm`], warns: false });
+    const extended = answer({ has_evidence: true, doubtful_mm: 0, origin: { branch: "RB2", extends: true } });
+    expect(previewText({ answer: extended, stale: false }).lines).toEqual([`extends RB2 by 41${NBSP}mm`]);
     expect(previewText({ answer: answer({ tool: "bridge", doubtful_mm: 41 }), stale: false }).warns).toBe(true);
   });
 

@@ -61,18 +61,23 @@ export function previewText({ answer }: Preview): { lines: readonly string[]; wa
   }
   const doubtful = answer.doubtful_mm ?? 0;
   switch (answer.tool) {
-    case "add-branch":
+    case "add-branch": {
+      const added = addedText(answer.origin, mm(answer.length_mm, 0));
       return answer.has_evidence
-        ? { lines: [`new branch, ${mm(answer.length_mm, 0)}`], warns: false }
-        : {
-            lines: [`new branch, ${mm(answer.length_mm, 0)}`, `no wall along ${mm(doubtful, 0)}`],
-            warns: true,
-          };
+        ? { lines: [added], warns: false }
+        : { lines: [added, `no wall along ${mm(doubtful, 0)}`], warns: true };
+    }
     case "bridge":
       return { lines: [`bridge, ${mm(doubtful, 0)}`, "the CT shows no airway here"], warns: true };
     case "move-fork":
       return { lines: ["move the fork here"], warns: false };
   }
+}
+
+/** Return where a new branch would begin, and its length. */
+function addedText(origin: EditPreviewMessage["origin"], length: string): string {
+  if (origin === null) return `new branch, ${length}`;
+  return origin.extends ? `extends ${origin.branch} by ${length}` : `new branch from ${origin.branch}, ${length}`;
 }
 
 /** Return the question whether to draw by hand a branch that the CT does not show. */

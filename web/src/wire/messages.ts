@@ -1393,6 +1393,12 @@ export interface EditLine {
   readonly drawn: readonly boolean[];
 }
 
+/** The place in the tree at which a new branch begins. */
+export interface BranchOrigin {
+  readonly branch: string;
+  readonly extends: boolean;
+}
+
 /** Answer to `preview_edit`: the exact lines that the edit would create, or the reason why it is not possible. */
 export interface EditPreviewMessage {
   readonly type: "edit_preview";
@@ -1404,6 +1410,7 @@ export interface EditPreviewMessage {
   readonly doubtful_mm: number | null;
   readonly has_evidence: boolean;
   readonly problem: string | null;
+  readonly origin: BranchOrigin | null;
 }
 
 /** Report that `add-branch` was refused, because the CT does not show an airway wall along the whole path.

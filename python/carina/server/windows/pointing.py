@@ -16,7 +16,7 @@ from carina.server.to_wire.tree import branch_detail_message
 from carina.server.windows.latest_only import LatestTaskRunner
 from carina.server.wire import messages as wire
 from carina.session import NotEvident, Session, log_fault
-from carina.track import AddBranch, Bridge, EditPreview, MoveFork
+from carina.track import AddBranch, BranchWay, Bridge, EditPreview, MoveFork
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -182,7 +182,14 @@ def edit_preview_message(
         doubtful_mm=_rounded(preview.doubtful_mm),
         has_evidence=preview.has_evidence,
         problem=None,
+        origin=_origin_of(preview),
     )
+
+
+def _origin_of(preview: EditPreview) -> wire.BranchOrigin | None:
+    if not isinstance(preview, BranchWay) or preview.parent_title is None:
+        return None
+    return wire.BranchOrigin(preview.parent_title, preview.extends)
 
 
 def no_evidence_message(event: NotEvident) -> wire.NoEvidence:
@@ -209,7 +216,7 @@ def _line(points_lps: NDArray[np.float64], doubtful: NDArray[np.bool_], drawn: N
 def _no_preview(
     message: wire.AskEditPreview, lps: tuple[float, float, float] | None, problem: str
 ) -> wire.EditPreviewMessage:
-    return wire.EditPreviewMessage(message.request_id, message.tool, lps, (), None, None, False, problem)
+    return wire.EditPreviewMessage(message.request_id, message.tool, lps, (), None, None, False, problem, None)
 
 
 def _previewed(message: wire.AskEditPreview, lps: tuple[float, float, float]) -> AddBranch | Bridge | MoveFork:

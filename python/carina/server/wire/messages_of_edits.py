@@ -44,6 +44,15 @@ class EditLine(FrozenValue, frozen=True):
     """Whether the branch of each segment will be drawn by hand; a new branch is, if any of its segments is doubtful."""
 
 
+class BranchOrigin(FrozenValue, frozen=True):
+    """The place in the tree at which a new branch begins."""
+
+    branch: Words
+    """Title of the branch that the new branch leaves, for use in a sentence."""
+    extends: bool
+    """Whether the new points begin at the tip of that branch, so that no fork is added."""
+
+
 class EditPreviewMessage(ServerMessage, frozen=True):
     """Answer to ``preview_edit``: the exact lines that the edit would create, or the reason why it is not possible."""
 
@@ -59,6 +68,8 @@ class EditPreviewMessage(ServerMessage, frozen=True):
     has_evidence: bool
     """Whether the command performs the edit at once; false if it needs a confirmation or is not possible."""
     problem: Words | None
+    origin: BranchOrigin | None
+    """Place at which a new branch begins; null for the other tools, and if there is a problem."""
 
 
 class NoEvidence(ServerMessage, frozen=True):

@@ -39,6 +39,8 @@ LEAST_TOLD_MM = 5.0
 
 A shorter piece is not worth adding separately.
 """
+TIP_POINTS = 3
+"""Number of the last points of a branch whose median radius is the radius at its tip."""
 SMOOTH_MM, STEP_MM = 1.0, 1.0
 """Sigma in mm of the smoothing of a path of voxels, and distance in mm between the points of the smoothed path."""
 
@@ -50,6 +52,10 @@ class BranchWay(EditPreview):
 
     parent_id: int | None
     """ID of the branch that the new branch leaves; None if there is a problem."""
+    parent_title: str | None
+    """Name of that branch, or a text with its ID, as used in sentences; None if there is a problem."""
+    extends: bool
+    """Whether the new points begin at the tip of that branch, so that no fork is added."""
 
     @property
     def points_lps(self) -> NDArray[np.float64]:
@@ -87,13 +93,15 @@ def branch_way(volume: Volume, airways: Airways, lps: Point | Sequence[float] | 
     try:
         plan = planned_way(lumen, airways.tree, draft, evidence_of(airways), (x, y, z))
     except (NoResultError, UsageError) as error:
-        return BranchWay(lines=(), has_evidence=False, problem=str(error), parent_id=None)
+        return BranchWay((), False, str(error), parent_id=None, parent_title=None, extends=False)
     drawn = np.full(len(plan.doubtful), kind_of_added(plan.doubtful) == "manual")
     return BranchWay(
         lines=(PreviewLine(plan.points, plan.doubtful, drawn),),
         has_evidence=not plan.doubtful.any(),
         problem=None,
         parent_id=plan.leaves_id,
+        parent_title=branch_title(draft[plan.leaves_id].name, plan.leaves_id),
+        extends=not draft[plan.parent_id].children,
     )
 
 
@@ -134,7 +142,8 @@ def planned_way(lumen: EditedLumen, tree: AirwayTree, draft: TreeDraft, evidence
         path = path_to(lumen, lumen_node(lumen, voxel))
     else:
         branch, at, _ = tree.nearest_branch(lps)
-        found = evidence.way(lumen, voxel, voxel_of(lumen.volume, as_point(branch.points[at])))
+        nearest = voxel_of(lumen.volume, as_point(branch.points[at]))
+        found = evidence.way(lumen, voxel, nearest, _tip_voxels(lumen, tree))
         path = path_to(lumen, lumen_node(lumen, found[0].astype(np.int64)))
         way = by_faces(found)[1:]
     place, left = join_of(lumen, draft.ordered(), path)
@@ -164,6 +173,23 @@ def planned_way(lumen: EditedLumen, tree: AirwayTree, draft: TreeDraft, evidence
         points = _line(lumen, left_before, beyond, is_inside=not len(way))
         doubtful = _doubtful(lumen, evidence, points, left_before)
     return PlannedWay(points, doubtful, way, parent_id, place.branch_id)
+
+
+def _tip_voxels(lumen: EditedLumen, tree: AirwayTree) -> Voxels:
+    """Return the voxels (n, 3) around the last points of all branches without children; not all are lumen."""
+    spacing_mm = np.array(lumen.volume.spacing_mm)
+    found = []
+    for branch in tree.branches:
+        if branch.children:
+            continue
+        reach_mm = float(np.median(branch.radius[-TIP_POINTS:])) + spacing_mm.max()
+        low = -np.ceil(reach_mm / spacing_mm).astype(int)
+        offset = np.stack(np.meshgrid(*(np.arange(n, 1 - n) for n in low), indexing="ij"), axis=-1).reshape(-1, 3)
+        offset = offset[np.linalg.norm(offset * spacing_mm, axis=1) <= reach_mm]
+        found.append(np.floor(lumen.volume.to_ijk(branch.points[-1]) + 0.5).astype(int) + offset)
+    voxels = np.concatenate(found)
+    shape = np.array(lumen.volume.shape_zyx[::-1])
+    return voxels[((voxels >= 0) & (voxels < shape)).all(axis=1)].astype(np.uint16)
 
 
 def _line(lumen: EditedLumen, parent: Branch, beyond: Points, *, is_inside: bool) -> Points:
@@ -294,10 +320,6 @@ def join_of(lumen: EditedLumen, branches: list[Branch], path: Points) -> tuple[C
             if len(order):
                 same = np.repeat(part[n : n + 1], len(order), axis=0)
                 order = order[sees(lumen.core, same, tree_points[order])]
-            if not len(order):
-                if first + n == 0:
-                    # The first point is the root, at which the trunk begins.
-                    continue
-                return CentrelinePoint(int(owner[place]), int(index[place])), leaves + 1
-            leaves, place = first + n, int(order[0])
+            if len(order):
+                leaves, place = first + n, int(order[0])
     return CentrelinePoint(int(owner[place]), int(index[place])), leaves + 1

@@ -39,7 +39,7 @@ from carina.track.edit.steps import EditSteps
 from carina.track.edit.tree_changes import needed_branch
 from carina.track.find.airway_ends import find_uncertain
 from carina.track.find.result import TREE_EDITS, Airways
-from carina.track.names.naming import name_tree
+from carina.track.names.renaming import name_edited_tree
 from carina.track.names.without_drawn import carried_names, seen_part
 from carina.track.paths.rebuilt_tracker import CoreRecipe
 from carina.track.paths.tracker import PathTracker, lumen_voxels
@@ -251,7 +251,7 @@ def name_edited(before: Airways, edited: Airways) -> Airways:
         if seen is edited.tree:
             return edited
         return dataclasses.replace(edited, tree=carried_names(edited.tree, seen, place_of))
-    return dataclasses.replace(edited, tree=named_anew(edited.tree))
+    return dataclasses.replace(edited, tree=name_edited_tree(before.tree, edited.tree))
 
 
 def _edited(
@@ -333,11 +333,6 @@ def _uncertain_after(volume: Volume, airways: Airways, tree: AirwayTree) -> tupl
     # Leaks of the search stay listed, because an edit does not change where the search would leak into the lung.
     leaks = np.array([one.lps for one in found if one.kind == "leak"]).reshape(-1, 3)
     return find_uncertain(volume, tree, leaks, [one for one in found if one.kind == "filled"])
-
-
-def named_anew(tree: AirwayTree) -> AirwayTree:
-    """Return the tree with its anatomical names determined again; names that a user gave are kept."""
-    return name_tree(tree)
 
 
 def _named_by_person(branch: Branch, name: str | None) -> Branch:

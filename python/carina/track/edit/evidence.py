@@ -56,6 +56,12 @@ MAX_MISSED_MM = 120.0
 The bronchi of the lower lobe extend this far from the intermediate bronchus.
 """
 
+TIP_ALLOWANCE = 20.0
+"""Cost, in mm along the middle of an airway, by which a path from a tip may exceed the best path from the lumen.
+
+A thin wall between two airways side by side costs less; 1 mm through plain lung costs 25.
+"""
+
 # Limits for the paths through plain lung with which a path is compared.
 NUM_RUNS = 96
 RUN_MM = 10.0
@@ -131,7 +137,7 @@ class Evidence:
         bright = float(np.quantile(np.concatenate([run.own for run in found]), 0.75))
         self.compared_with = LungBaseline(usual, far_usual, bright)
 
-    def way(self, lumen: EditedLumen, voxel: NDArray[np.int64], toward: NDArray[np.int64]) -> Voxels:
+    def way(self, lumen: EditedLumen, voxel: NDArray[np.int64], toward: NDArray[np.int64], tips: Voxels) -> Voxels:
         """Return the (n, 3) voxels of the best path from the lumen to a voxel outside it; the first is in the lumen.
 
         Parameters
@@ -142,6 +148,9 @@ class Evidence:
             Target (i, j, k).
         toward
             A voxel of the tree, as the goal if no airway leads to the target.
+        tips
+            (n, 3) voxels at the tips of the tree; a path from one of them is preferred to a path from a wall that is
+            up to :data:`TIP_ALLOWANCE` cheaper.
 
         Raises
         ------
@@ -157,7 +166,9 @@ class Evidence:
                 "long; add the branches in between first"
             )
             raise NoResultError(msg, code="track.no-path")
-        way = self.enclosures.way(lumen.core, start, goal, **self._levels, cancel=lumen.cancel)
+        way = self.enclosures.way(
+            lumen.core, start, goal, tips, tip_allowance=TIP_ALLOWANCE, **self._levels, cancel=lumen.cancel
+        )
         if way is None:
             msg = (
                 "no airway leads from the tree to the point: there is tissue in between. If the airway is obstructed "

@@ -29,6 +29,7 @@ __all__ = [
     "LetterRule",
     "NameWords",
     "branch_side_and_lobe",
+    "log_evidence_of",
     "name_tree",
     "name_words",
     "segment_readings",
@@ -80,6 +81,8 @@ class _Named:
     mirrored: bool
     fit: float | None
     """Goodness of fit of the tree, in nats per bronchus; see :func:`carina.track.names.tree_fit.fit_of`."""
+    log_evidence: float
+    """Logarithm of the sum of the probabilities of all assignments of states to the bronchi."""
 
     @property
     def is_misfit(self) -> bool:
@@ -212,6 +215,15 @@ def segment_readings(tree: AirwayTree) -> tuple[float | None, list[tuple[str, fl
     return read.fit, found
 
 
+def log_evidence_of(tree: AirwayTree) -> float:
+    """Return the logarithm of the probability of a tree, summed over all names that the user's names permit.
+
+    The difference between the values of one tree with and without names given by the user is the logarithm of the
+    probability of these names.
+    """
+    return _read(seen_part(tree)[0], judges_fit=False).log_evidence
+
+
 def segments_of_unnamed(tree: AirwayTree) -> dict[int, frozenset[str]]:
     """Return the segments to which each unnamed branch leads in its likeliest reading, by branch ID.
 
@@ -285,9 +297,10 @@ def _read(tree: AirwayTree, *, judges_fit: bool = True) -> _Named:
         if other > score:
             score, frame = refined(other, solver, first, mirrored=True)
             mirrored = True
-    solution = Solver(rules, bronchi, lungs, frame, mirrored=mirrored, wishes=wishes, held=held).solution()
+    final = Solver(rules, bronchi, lungs, frame, mirrored=mirrored, wishes=wishes, held=held)
+    solution = final.solution()
     fit = fit_of(rules, bronchi, lungs, frame, mirrored=mirrored, max_forks=COARSE_FORKS) if judges_fit else None
-    return _Named(bronchi, solution, rules, frame, mirrored, fit)
+    return _Named(bronchi, solution, rules, frame, mirrored, fit, final.log_evidence)
 
 
 def _closer_frame(

@@ -1,0 +1,100 @@
+"""Names of an edited tree: a branch gets another name only where the edited tree is evidence against its name.
+
+The likeliest names of all branches are chosen together, so that one new branch can exchange uncertain names of distant
+branches. A user who adds one branch expects the other names to stay.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+from carina.track.names.name_texts import MIRRORED
+from carina.track.names.naming import SURE_ENOUGH, log_evidence_of, name_tree
+from carina.track.names.tree_fit import MISFIT
+from carina.track.tree.airway_tree import AirwayTree, Branch
+
+__all__ = ["name_edited_tree"]
+
+LEAST_LOG_PROBABILITY = math.log(0.05)
+"""Logarithm of the probability of the former names in the edited tree below which branches are renamed."""
+SURE_OF_NEW = 0.8
+"""Least confidence of a name for a branch that had no name before the edit and is not itself new."""
+
+
+def name_edited_tree(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
+    """Name the branches of an edited tree, and keep the former names unless they have become improbable.
+
+    Parameters
+    ----------
+    before
+        Named tree before the edit.
+    tree
+        Tree after the edit; branches that both trees have keep their IDs.
+
+    Returns
+    -------
+    AirwayTree
+        ``tree`` with names. If the probability of those former names that would change is at least 0.05, they are kept
+        and constrain the names of the new branches; otherwise all names are determined again, as by
+        :func:`carina.track.name_tree`. A former name that would only be lost is kept with a confidence of at most
+        0.5. A branch without a name gets one if its confidence is at least 0.8.
+    """
+    former = {branch.id: branch for branch in before.branches}
+    anew = name_tree(tree)
+    if _badges(anew) != _badges(before):
+        return anew
+    changed = {branch.id for branch in anew.branches if _is_renamed(former.get(branch.id), branch)}
+    if not changed:
+        return _with_former(anew, former)
+    held = dataclasses.replace(
+        tree,
+        branches=tuple(
+            dataclasses.replace(branch, name=former[branch.id].name, name_from="person")
+            if branch.id in changed
+            else branch
+            for branch in tree.branches
+        ),
+    )
+    if log_evidence_of(held) - log_evidence_of(tree) < LEAST_LOG_PROBABILITY:
+        return _with_former(anew, former)
+    named = name_tree(held)
+    released = tuple(
+        dataclasses.replace(branch, name_from="anatomy", name_confidence=former[branch.id].name_confidence)
+        if branch.id in changed
+        else branch
+        for branch in named.branches
+    )
+    return _with_former(dataclasses.replace(named, branches=released), former)
+
+
+def _is_renamed(former: Branch | None, branch: Branch) -> bool:
+    return (
+        former is not None
+        and former.name_from == "anatomy"
+        and branch.name_from == "anatomy"
+        and former.name != branch.name
+    )
+
+
+def _badges(tree: AirwayTree) -> frozenset[str]:
+    return frozenset(note.code for note in tree.notes if note.code in (MISFIT, MIRRORED))
+
+
+def _with_former(tree: AirwayTree, former: dict[int, Branch]) -> AirwayTree:
+    """Restore names that were only lost, and remove uncertain names from branches that had none before."""
+    used = {branch.name for branch in tree.branches}
+
+    def restored(branch: Branch) -> Branch:
+        was = former.get(branch.id)
+        if was is None:
+            return branch
+        if branch.name is None and was.name_from == "anatomy" and was.name not in used:
+            sure = min(was.name_confidence or SURE_ENOUGH, SURE_ENOUGH)
+            return dataclasses.replace(branch, name=was.name, name_confidence=sure, name_from="anatomy")
+        is_unsure = branch.name_from == "anatomy" and (branch.name_confidence or 0.0) < SURE_OF_NEW
+        if was.name is None and is_unsure:
+            return dataclasses.replace(branch, name=None, name_confidence=None, name_from=None)
+        return branch
+
+    return dataclasses.replace(tree, branches=tuple(restored(branch) for branch in tree.branches))
