@@ -19,6 +19,7 @@ from test_verdict import plan_in, tube
 from carina.errors import CancelledError, UsageError
 from carina.plan import Move
 from carina.plan.routes.last_leg import LastLeg
+from carina.plan.routes.main_carina import ROOT
 from carina.plan.routes.plan_route import PlannedRoute
 from carina.plan.routes.ranking import bending_mm
 from carina.plan.routes.route_width import RouteWidth
@@ -52,7 +53,7 @@ def chest_way(branch_id: int) -> DriveWay:
     place = (float(points[n][0]), float(points[n][1]), float(points[n][2]))
     leg = LastLeg(place, place, place, 0.0, 0.0, 0.0, (), 0.0, 0.0, None, None, None, 1.0, reaches=True)
     width = RouteWidth(3.0, 0.1, 50.0)
-    planned = PlannedRoute(branch_id, "", float(at[n]), None, (0.0, 0.0, -1.0), width, "fits", leg, {}, 1.0, ())
+    planned = PlannedRoute(branch_id, "", float(at[n]), ROOT, (0.0, 0.0, -1.0), width, "fits", leg, {}, 1.0, ())
     return DriveWay(tree, planned, wall)
 
 
