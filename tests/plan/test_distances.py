@@ -9,6 +9,7 @@ import re
 from types import SimpleNamespace
 from typing import Any, cast
 
+import msgspec
 import numpy as np
 import pytest
 from fork_trees import made_tree, random_tree, route_in
@@ -19,6 +20,7 @@ from test_report import words_of
 
 import carina
 from carina.cli.plan import lines
+from carina.commands.plan import PlanOptions
 from carina.errors import UsageError
 from carina.export.plan_content import drawn_plans
 from carina.plan import DistanceOrigin, Plan, Turn, distance_origin, judge_scopes, plan_route, turn_list
@@ -28,6 +30,7 @@ from carina.plan.routes.main_carina import ROOT, axes_origin, carina_words, orig
 from carina.plan.routes.standing_points import Ways
 from carina.server.to_wire.plan import _route, _turns, _verdict
 from carina.session import PlanningInfo
+from carina.session.derived.plans import carina_depth_mm, origin_depth_mm
 from carina.track import Airways, AirwayTree
 
 PLACE = re.compile(r"(\d+) mm (past|above) the main carina")
@@ -239,7 +242,9 @@ def test_tree_without_a_ridge_of_wall_measures_from_the_axes_with_a_note() -> No
     assert origin.kind == "axes" and origin.along_mm == origin.axes_mm
     route = dataclasses.replace(plan().routes[0], origin=origin)
     told = turn_list(found.tree, route)
-    assert told.zero == "axes" and "no ridge" in told.notes[0] and told.turns[0].from_carina_mm == 0.0
+    assert told.zero == "axes" and told.notes[0] == origin.note and told.turns[0].from_carina_mm == 0.0
+    axes = dataclasses.replace(plan(), routes=(route,))
+    assert any("no ridge of the main carina was found" in line for line in lines(axes))
 
 
 def test_stations_are_measured_from_the_ridge_if_it_is_given() -> None:
@@ -252,6 +257,18 @@ def test_stations_are_measured_from_the_ridge_if_it_is_given() -> None:
             continue
         assert ridge.from_carina_mm == pytest.approx(axes.from_carina_mm - origin.ridge_beyond_axes_mm)
         assert carina_words(ridge.from_carina_mm) in ridge.words
+
+
+def test_options_of_an_older_case_give_the_depth_of_the_carina_from_the_start_of_the_tree() -> None:
+    older = msgspec.convert({"scope": "thin", "tool": "needle-21g", "entry_mm": 150.0}, PlanOptions)
+    newer = PlanOptions(carina_depth_mm=265.0)
+    beyond, beside = DistanceOrigin("ridge", along_mm=120.0, axes_mm=110.0), ROOT
+    assert [origin_depth_mm(older, origin) for origin in (beyond, beside)] == [270.0, 150.0]
+    assert [origin_depth_mm(newer, origin) for origin in (beyond, beside)] == [265.0, None]
+    assert origin_depth_mm(PlanOptions(), beyond) is None
+    route = plan().routes[0]
+    assert carina_depth_mm(older, route) == 150.0 + route.origin.along_mm
+    assert carina_depth_mm(older, dataclasses.replace(route, origin=ROOT)) is None
 
 
 def test_depth_at_the_mouth_is_the_depth_of_the_carina_plus_the_distance() -> None:

@@ -190,6 +190,8 @@ def lines(plan: Plan) -> list[str]:
     for number, route in enumerate(plan.routes, 1):
         said.append(f"route {number}: {_route_words(plan, route)}")
         said += [f"route {number}: ! {doubt}" for doubt in route.doubts]
+        if route.origin.note is not None:
+            said.append(f"route {number}: ! {route.origin.note}")
         if route.width.why is not None:
             said.append(f"route {number}: ! {route.width.why}")
     if plan.why is not None:

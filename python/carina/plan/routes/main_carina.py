@@ -12,6 +12,7 @@ from carina.track.measures.forks import find_forks
 from carina.volume import Volume
 
 __all__ = [
+    "AXES_NOTE",
     "ROOT",
     "SAME_PLACE_MM",
     "DistanceOrigin",
@@ -28,6 +29,10 @@ SAME_PLACE_MM = 1e-6
 AT_ORIGIN_MM = 0.5
 """Distance in mm below which a place is described as at the origin."""
 MAIN_BRONCHI = ("RMB", "LMB")
+AXES_NOTE = (
+    "no ridge of the main carina was found; distances are measured from the point where the axes of the main bronchi "
+    "meet, and the ridge lies about a tracheal radius below, so the scope shows that much less"
+)
 
 
 @one_line
@@ -70,6 +75,11 @@ class DistanceOrigin:
     def is_carina(self) -> bool:
         """Whether distances are measured from the main carina, at its ridge or at the axes of the main bronchi."""
         return self.kind != "root"
+
+    @property
+    def note(self) -> str | None:
+        """Note of each output whose distances are measured from the axes of the main bronchi; None otherwise."""
+        return AXES_NOTE if self.kind == "axes" else None
 
     @property
     def ridge_beyond_axes_mm(self) -> float | None:

@@ -448,6 +448,7 @@ def plan_route(
             *(note.words for note in airways.badges),
             *notes_of_target(volume, airways, nodule, nearest),
             *notes_of_tools(preset, used),
+            *dict.fromkeys(route.origin.note for route in kept if route.origin.note is not None),
         ),
         aims=tuple((float(x), float(y), float(z)) for x, y, z in meant),
         vessel_margin_mm=vessel_margin_mm,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from carina.errors import UsageError, check_type
 from carina.plan.hand_moves import Move
-from carina.plan.routes.main_carina import SAME_PLACE_MM, DistanceOrigin
+from carina.plan.routes.main_carina import AXES_NOTE, SAME_PLACE_MM, DistanceOrigin
 from carina.plan.routes.plan_route import PlannedRoute
 from carina.plan.routes.standing_points import branch_doubts, branch_title
 from carina.plan.turns.fork_view import (
@@ -269,10 +269,7 @@ def _notes(zero: Zero | None, carina_depth_mm: float | None) -> tuple[str, ...]:
             else "the tree shows no main carina on the way, so distances are counted from fork to fork"
         )
     elif zero == "axes":
-        found.append(
-            "no ridge of the main carina was found; distances are measured from the point where the axes of the main "
-            "bronchi meet, and the ridge lies about a tracheal radius below, so the scope shows that much less"
-        )
+        found.append(AXES_NOTE)
     if carina_depth_mm is not None and zero is not None:
         found.append("depths at the nose or mouth are estimates: the depth that was set for the carina, plus the way")
     return tuple(found)
