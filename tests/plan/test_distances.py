@@ -269,6 +269,9 @@ def test_options_of_an_older_case_give_the_depth_of_the_carina_from_the_start_of
     route = plan().routes[0]
     assert carina_depth_mm(older, route) == 150.0 + route.origin.along_mm
     assert carina_depth_mm(older, dataclasses.replace(route, origin=ROOT)) is None
+    # The list of turns accepts the largest depth that an older case can state.
+    depth_mm = carina_depth_mm(PlanOptions(entry_mm=500.0), route)
+    assert turn_list(airways().tree, route, carina_depth_mm=depth_mm).carina_depth_mm == 500.0 + route.origin.along_mm
 
 
 def test_depth_at_the_mouth_is_the_depth_of_the_carina_plus_the_distance() -> None:

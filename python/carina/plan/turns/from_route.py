@@ -37,7 +37,8 @@ Point = tuple[float, float, float]
 
 TOGETHER_MM = 2.0
 """Largest distance in mm between forks that form one turn, because a tip of 3 mm cannot stop between them."""
-MOST_DEPTH_MM = 600.0
+MOST_DEPTH_MM = 1000.0
+"""Largest accepted depth of the main carina in mm: older cases may state 500 mm to the start of the tree."""
 SIDES = {"R": "right", "L": "left", "A": "anterior", "P": "posterior", "S": "superior", "I": "inferior"}
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from carina.plan import WHERE_WORDS, tools
 from carina.server.wire import messages as wire
 from carina.session import PlannedTarget, PlanningInfo, chosen_number, shown_surface
+from carina.typed_reading import read_plain
 
 if TYPE_CHECKING:
     from carina.plan import Nodule, PlannedRoute, TurnList, Verdict
@@ -98,7 +99,7 @@ def carried(kind: type[Value], value: Mapping[str, Any]) -> Value:
 
     Window and plan.json then state the same numbers, because both come from one ``to_json``.
     """
-    return msgspec.convert({field: value[field] for field in kind.__struct_fields__}, kind)
+    return read_plain({field: value[field] for field in kind.__struct_fields__}, kind)
 
 
 def _route(route: PlannedRoute) -> wire.RouteOffer:
