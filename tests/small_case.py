@@ -15,6 +15,7 @@ import numpy as np
 
 from carina.commands import OpenPath
 from carina.errors import CancelledError, NoResultError, VolumeImportError
+from carina.plan.routes.main_carina import axes_origin
 from carina.session import Parts, Session
 from carina.track import AirwayTree, Branch, TrackedPath
 from carina.volume import Note, SeriesInfo, Volume, VolumeSource
@@ -302,6 +303,7 @@ def small_parts(**replaced: Any) -> Parts:
         "open_demo": lambda name, progress, cancel: small_volume(title=f"Demo {name}"),
         "quality_words": lambda volume: ("slices are 2.0 mm apart",),
         "find_airways": find_airways,
+        "distance_origin": lambda _volume, airways: axes_origin(airways.tree),
         "transfer_preset": transfers.__getitem__,
         "transfer_from_json": lambda document: small_transfer("custom", document.get("unit", "HU")),
         "transfer_from_histogram": lambda volume: (small_transfer("from histogram", "raw"), 105.0),

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 import carina
 from carina.plan import place_at_start, replay_moves, search_drive
 from carina.plan.routes.last_leg import LastLeg
+from carina.plan.routes.main_carina import ROOT
 from carina.plan.routes.plan_route import PlannedRoute
 from carina.plan.routes.route_width import DEVIATIONS_90, EXCESS_SIGMA_MM, RouteWidth
 from carina.plan.verdict.checks import BEND_SIGMA_DEG, bend_check, diameter_check
@@ -99,7 +100,7 @@ def _route(branch_id: int, tip: Points, along_mm: float) -> PlannedRoute:
     place = (float(tip[0]), float(tip[1]), float(tip[2]))
     leg = LastLeg(place, place, place, 0.0, 0.0, 0.0, (), 0.0, 0.0, None, None, None, 1.0, reaches=True)
     width = RouteWidth(1.0, 0.1, along_mm)
-    return PlannedRoute(branch_id, "", along_mm, None, (0.0, 0.0, -1.0), width, "fits", leg, {}, 1.0, ())
+    return PlannedRoute(branch_id, "", along_mm, ROOT, (0.0, 0.0, -1.0), width, "fits", leg, {}, 1.0, ())
 
 
 def drive_in_a_tube(rng: np.random.Generator, kind: str) -> TubeDrive:

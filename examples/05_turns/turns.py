@@ -10,7 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import carina
-from carina.plan import main_carina_ridge_mm, plan_route, turn_list, turn_pictures
+from carina.plan import plan_route, turn_list, turn_pictures
 
 
 def main(out: Path) -> list[Path]:
@@ -22,7 +22,6 @@ def main(out: Path) -> list[Path]:
     turns = turn_list(
         airways.tree,
         route,
-        carina_ridge_mm=main_carina_ridge_mm(made.volume, airways, route),
         carina_depth_mm=265.0,  # read on the scope when its tip is at the carina
     )
     print("\n".join(turns.words("head")))

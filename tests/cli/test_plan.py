@@ -47,7 +47,7 @@ def run(path, place, *more):
 def test_plan_is_printed_and_written_and_equals_that_of_python(chest, tmp_path) -> None:
     path, place = chest
     output = tmp_path / "plan.json"
-    result = run(path, place, "--json", "-o", str(output))
+    result = run(path, place, "--json", "-o", str(output), "--carina-depth-mm", "265")
     assert result.exit_code == 0, result.output
     document = json.loads(output.read_text(encoding="utf-8"))
     printed = json.loads(result.stdout)
@@ -59,6 +59,11 @@ def test_plan_is_printed_and_written_and_equals_that_of_python(chest, tmp_path) 
     alone = carina.plan_route(volume, carina.find_airways(volume), at).to_json()
     assert {name: document[name] for name in alone} == alone
     assert document["turns"]["turns"] and document["report"]["route"] == 1
+    # The depth at nose or mouth is that of the main carina plus the distance past it.
+    depth_mm = 265.0 + alone["routes"][0]["from_carina_mm"]
+    assert document["turns"]["park_depth_estimate_mm"] == depth_mm
+    (length,) = [check for check in verdicts[0]["checks"] if check["name"] == "length"]
+    assert length["words"].startswith(f"needs a working length of {depth_mm:.0f} mm")
     assert [one["scope"] for one in verdicts] == ["thin"]
     assert f"on route 1: {verdicts[0]['words']}" in result.stderr
     assert "target: solid nodule" in result.stderr

@@ -328,7 +328,6 @@ GOOD: dict[str, Good] = {
     "Nodule.distance_mm": Good(lambda _: {"points_lps": [(0.0, 0.0, 0.0)]}, _nodule),
     "Nodule.from_record": Good(lambda t: {"record": t.nodule.to_record()}),
     "Plan": Good(_plan_fields),
-    "Plan.past_carina_mm": Good(lambda t: {"route": t.plan.routes[0]}, lambda t: t.plan),
     "ScoreWeights": Good(lambda _: {}),
     # Pose and scope
     "DepthOfField": Good(lambda _: {"near_mm": 3.0, "far_mm": 50.0}),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.plan import PlannedRoute
+from carina.plan import DistanceOrigin, PlannedRoute
 from carina.plan.routes.last_leg import LastLeg
 from carina.plan.routes.route_width import RouteWidth
 from carina.track import AirwayTree, Branch
@@ -108,10 +108,12 @@ def moved(tree: AirwayTree, matrix: Points, shift: Points) -> AirwayTree:
     return made_tree(rows)
 
 
-def route_in(tree: AirwayTree, branch_id: int, *, share: float = 0.6, carina: bool = True) -> PlannedRoute:
+def route_in(
+    tree: AirwayTree, branch_id: int, *, share: float = 0.6, carina: bool = True, ridge_mm: float | None = None
+) -> PlannedRoute:
     """Return a route that ends at the share ``share`` of the length of a branch.
 
-    With ``carina`` the main carina of the route is at the start of its second branch.
+    With ``carina`` the main carina of the route is at the start of its second branch; its ridge is ``ridge_mm`` beyond.
     """
     lineage = tree.lineage(branch_id)
     branch = lineage[-1]
@@ -120,9 +122,12 @@ def route_in(tree: AirwayTree, branch_id: int, *, share: float = 0.6, carina: bo
     along = sum(one.length_mm for one in lineage[:-1]) + inside
     tip = tuple(float(v) for v in branch.points[index])
     leg = LastLeg(tip, tip, tip, 8.0, 6.0, 0.0, (), 8.0, 8.0, None, None, None, 1.0, reaches=True)
-    from_carina = along - lineage[0].length_mm if carina and len(lineage) > 1 else None
+    axes_mm = lineage[0].length_mm
+    origin = DistanceOrigin("axes", axes_mm, axes_mm) if carina and len(lineage) > 1 else DistanceOrigin()
+    if ridge_mm is not None:
+        origin = DistanceOrigin("ridge", axes_mm + ridge_mm, axes_mm)
     ahead = unit(branch.points[index] - branch.points[index - 1] + 1e-12)
     forward = (float(ahead[0]), float(ahead[1]), float(ahead[2]))
     name = branch.name or f"branch {branch.id}"
     width = RouteWidth(2.0, 0.1, along)
-    return PlannedRoute(branch.id, name, along, from_carina, forward, width, "fits", leg, {}, 1.0, ())
+    return PlannedRoute(branch.id, name, along, origin, forward, width, "fits", leg, {}, 1.0, ())

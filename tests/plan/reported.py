@@ -54,13 +54,13 @@ def verdicts() -> tuple[Verdict, ...]:
     return judge_scopes(airways().tree, plan(), wall(), scopes=scopes)
 
 
-def turns(found: Airways, planned: Plan, *, ridge_mm: float | None = 9.0) -> TurnList:
+def turns(found: Airways, planned: Plan) -> TurnList:
     """Return the list of turns of the first route, with one move to each fork."""
     route = planned.routes[0]
     lineage = found.tree.lineage(route.branch_id)
     ends = [float(mm) for mm in np.cumsum([branch.length_mm for branch in lineage[:-1]])]
     moves = [Move(-40.0, 35.0, mm) for mm in np.diff([0.0, *ends]).tolist()]
-    return turn_list(found.tree, route, carina_ridge_mm=ridge_mm, moves=moves, ends_along_mm=ends)
+    return turn_list(found.tree, route, moves=moves, ends_along_mm=[route.origin.past_mm(mm) for mm in ends])
 
 
 def _key(one: Any) -> object:

@@ -19,6 +19,7 @@ from test_verdict import plan_in, tube
 from carina.errors import CancelledError, UsageError
 from carina.plan import Move
 from carina.plan.routes.last_leg import LastLeg
+from carina.plan.routes.main_carina import ROOT, DistanceOrigin
 from carina.plan.routes.plan_route import PlannedRoute
 from carina.plan.routes.ranking import bending_mm
 from carina.plan.routes.route_width import RouteWidth
@@ -52,7 +53,7 @@ def chest_way(branch_id: int) -> DriveWay:
     place = (float(points[n][0]), float(points[n][1]), float(points[n][2]))
     leg = LastLeg(place, place, place, 0.0, 0.0, 0.0, (), 0.0, 0.0, None, None, None, 1.0, reaches=True)
     width = RouteWidth(3.0, 0.1, 50.0)
-    planned = PlannedRoute(branch_id, "", float(at[n]), None, (0.0, 0.0, -1.0), width, "fits", leg, {}, 1.0, ())
+    planned = PlannedRoute(branch_id, "", float(at[n]), ROOT, (0.0, 0.0, -1.0), width, "fits", leg, {}, 1.0, ())
     return DriveWay(tree, planned, wall)
 
 
@@ -165,7 +166,16 @@ def test_all_distances_count_along_centrelines_as_in_the_plan() -> None:
     words = length_check(way, slim, 150.0).words
     assert words.startswith(f"needs a working length of {planned.along_mm + 150.0:.0f} mm")
     words = length_check(way, slim, None).words
-    assert words.startswith(f"{planned.along_mm:.0f} mm from the start of the airway tree")
+    assert words.startswith(f"the tip stops {planned.along_mm:.0f} mm from the start of the airway tree")
+    # Past a main carina, distances and depths are measured from the carina.
+    past = dataclasses.replace(planned, origin=DistanceOrigin("ridge", along_mm=30.0, axes_mm=21.0))
+    from_carina = DriveWay(tree, past, wall)
+    assert from_carina.told_mm(way.park_mm) == pytest.approx(past.from_carina_mm)
+    words = length_check(from_carina, slim, 270.0).words
+    assert words.startswith(f"needs a working length of {past.from_carina_mm + 270.0:.0f} mm")
+    words = length_check(from_carina, slim, None).words
+    assert words.startswith(f"the tip stops {past.from_carina_mm:.0f} mm past the main carina; a working length of ")
+    assert words.endswith(f"leaves {slim.length_mm - past.from_carina_mm:.0f} mm from nose or mouth to the main carina")
     bend_mm = float(re.findall(r"the bend (\d+) mm", bend_check(way, slim, errors=True).words)[0])
     limit = Ways(tree).asks(_place_of(tree, planned), bending_mm(slim)).bend_deg
     assert bend_mm == pytest.approx(limit.at_mm, abs=2.0)

@@ -90,7 +90,7 @@ def test_all_outputs_state_the_same_narrowest_diameter_of_a_route() -> None:
     assert f"narrowest {told}" in lines(plan())[1]
     assert any(told in text for text in everything())
     assert told in drawn_plans(plan(), airways().tree)[0].routes[0].words
-    offer = _route(plan(), route)
+    offer = _route(route)
     assert (offer.narrowest_mm, offer.narrowest_error_mm) == (route.width.mm, route.width.error_mm)
     for verdict in verdicts():
         check = next(one for one in verdict.checks if one.name == "diameter")
@@ -229,21 +229,12 @@ def test_report_of_another_route_describes_this_route_in_full() -> None:
     assert told.forks[0].carina_mm == pytest.approx(0.0, abs=0.5)
 
 
-def test_distances_count_from_the_carina_ridge_of_the_list_of_turns() -> None:
-    route, other = plan().routes[:2]
-    assert sheet().carina_mm(route) == pytest.approx(route.from_carina_mm - 9.0)
-    assert sheet().carina_mm(other) == pytest.approx(other.from_carina_mm - 9.0)
-    assert sheet(turns=turns(airways(), plan(), ridge_mm=None)).carina_mm(route) == pytest.approx(route.from_carina_mm)
+def test_forks_of_a_report_without_turns_have_the_distances_of_the_turns() -> None:
     ridge = plan().carina_ridge_mm
     assert ridge is not None and 3.0 < ridge < 20.0
-    alone = sheet(turns=None)
-    assert alone.carina_mm(other) == pytest.approx(other.from_carina_mm - ridge)
-    # The report's own list of forks has the same distances, except for the fork at the carina.
-    told = [fork.carina_mm for fork in sheet(turns=turns(airways(), plan(), ridge_mm=ridge)).forks]
-    assert [fork.carina_mm for fork in alone.forks] == pytest.approx(told, abs=1e-6)
-    park = f"{route.from_carina_mm - 9.0:.0f}"
-    text = "\n".join(everything())
-    assert text.count(f"{park} mm") >= 3 and f"{route.from_carina_mm:.0f} mm beyond the carina" not in text
+    told = [fork.carina_mm for fork in sheet().forks]
+    assert told[0] == 0.0 and told == [turn.from_carina_mm for turn in turns(airways(), plan()).turns]
+    assert [fork.carina_mm for fork in sheet(turns=None).forks] == pytest.approx(told, abs=1e-6)
 
 
 def test_list_of_turns_of_another_route_is_refused() -> None:

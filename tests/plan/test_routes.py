@@ -21,6 +21,7 @@ from carina.plan import (
     NeedleScene,
     ScoreWeights,
     Tool,
+    distance_origin,
     grow_nodule,
     last_leg,
     plan_route,
@@ -178,13 +179,15 @@ def test_limits_of_the_scope_are_reported_with_their_figures() -> None:
         volume, airways, nodule, wall=wall(), scope=dataclasses.replace(slim(), flexion_deg=(40.0, 40.0))
     ).routes
     assert stiff.outlook == "does not reach" and stiff.bend_deg > 60.0
-    assert re.search(r"the bend \d+ mm along the route requires \d+ degrees of flexion; .* has 40", stiff.limits[0])
+    assert re.search(
+        r"the bend \d+ mm past the main carina requires \d+ degrees of flexion; .* has 40", stiff.limits[0]
+    )
     (free, *_) = plan_route(volume, airways, nodule, wall=wall(), scope=slim()).routes
     assert (free.outlook, free.limits) == ("reaches", ())
     wide = plan().routes[0]
     assert wide.outlook == "does not reach" and not wide.fits
     assert re.search(
-        r"the narrowest place, \d+ mm along the route, is \d\.\d \u00b1 \d\.\d mm wide; .* needs 4\.6 mm",
+        r"the narrowest place, \d+ mm past the main carina, is \d\.\d \u00b1 \d\.\d mm wide; .* needs 4\.6 mm",
         wide.limits[0],
     )
 
@@ -257,7 +260,9 @@ def test_target_in_the_trachea_is_reached_from_the_trachea() -> None:
     inside = ellipsoid((3.0, 3.0, 3.0), trachea.points[int(0.7 * len(trachea.points))])
     best = plan_route(volume, airways, inside, tool="forceps", wall=wall()).routes[0]
     assert best.branch_id == trachea.id and best.outlook == "reaches"
-    assert best.from_carina_mm < 0.0 and best.from_carina_mm == pytest.approx(best.along_mm - trachea.length_mm)
+    origin = distance_origin(volume, airways)
+    assert best.origin == origin and origin.axes_mm == pytest.approx(trachea.length_mm)
+    assert best.from_carina_mm < 0.0 and best.from_carina_mm == best.along_mm - origin.along_mm
 
 
 def test_plan_is_plain_json_and_equal_for_a_click_and_its_grown_nodule() -> None:

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from carina.case.routes import route_to_branch
 from carina.errors import UsageError
 from carina.navigate import Navigator
-from carina.plan import Turn, TurnList, main_carina_ridge_mm, turn_list
+from carina.plan import Turn, TurnList, distance_origin, turn_list
 from carina.plan.hand_moves import Move
 from carina.plan.turns.fork_view import levelled, openings_seen, stand_mm, whole_hour
 from carina.plan.turns.texts import moves_words
@@ -379,11 +379,11 @@ def test_line_of_a_turn_contains_its_doubts_and_depths() -> None:
             dataclasses.replace(b, kind="manual", name=None) if b.id == tip.id else b for b in tree.branches
         ),
     )
-    found = turn_list(drawn, route_in(drawn, tip.id), carina_ridge_mm=9.0, carina_depth_mm=270.0)
+    found = turn_list(drawn, route_in(drawn, tip.id, ridge_mm=9.0), carina_depth_mm=270.0)
     lines = found.words("head")
     assert lines[-2].endswith(f"Caution: branch {tip.id} was drawn by hand")
     assert lines[0].startswith("At the main carina (about 27 cm on the scope, an estimate), enter RMB")
-    assert found.zero == "ridge" and found.turns[0].from_carina_mm == pytest.approx(-9.0)
+    assert found.zero == "ridge" and found.turns[0].from_carina_mm == 0.0
     assert "estimate" in lines[-1] and "estimates" in found.notes[-1]
     json.dumps(found.to_json(), allow_nan=False)
 
@@ -411,7 +411,7 @@ def test_each_move_of_a_drive_is_listed_once_and_in_order(seed: int, advances: l
     route = route_in(tree, tree.tips()[0].id)
     moves = [Move(float(n), 1.0, mm) for n, mm in enumerate(advances)]
     ends = list(np.cumsum(advances)) if advances else []
-    found = turn_list(tree, route, moves=moves, ends_along_mm=ends)
+    found = turn_list(tree, route, moves=moves, ends_along_mm=[route.origin.past_mm(mm) for mm in ends])
     told = [move for turn in found.turns for move in turn.moves or ()]
     assert [*told, *(found.park_moves or ())] == moves
     # A move that begins before a fork is listed with this fork.
@@ -427,9 +427,8 @@ def test_move_that_begins_past_a_fork_is_listed_with_the_next() -> None:
     tree = random_tree(4)
     route = route_in(tree, tree.tips()[0].id)
     num = int(route.along_mm)
-    found = turn_list(
-        tree, route, moves=[Move(float(n), 0.0, 1.0) for n in range(num)], ends_along_mm=range(1, num + 1)
-    )
+    moves = [Move(float(n), 0.0, 1.0) for n in range(num)]
+    found = turn_list(tree, route, moves=moves, ends_along_mm=[route.origin.past_mm(n + 1.0) for n in range(num)])
     places = np.cumsum([turn.from_fork_mm for turn in found.turns])
     first = 0
     for turn, place in zip(found.turns, places, strict=True):
@@ -452,7 +451,6 @@ def test_text_of_moves_matches_their_values() -> None:
     [
         ({"carina_depth_mm": -1.0}, "plan.range"),
         ({"carina_depth_mm": math.nan}, "plan.range"),
-        ({"carina_ridge_mm": 100.0}, "plan.range"),
         ({"moves": [Move(0.0, 0.0, 1.0)]}, "plan.moves"),
         ({"moves": [Move(0.0, 0.0, 1.0)], "ends_along_mm": [1.0, 2.0]}, "plan.moves"),
         ({"moves": [Move(0.0, 0.0, 1.0)], "ends_along_mm": [math.inf]}, "plan.moves"),
@@ -481,14 +479,12 @@ def test_forks_without_length_are_listed_without_an_error() -> None:
     json.dumps(found.to_json(), allow_nan=False)
 
 
-def test_main_carina_of_a_list_of_turns_is_the_visible_ridge() -> None:
+def test_origin_of_distances_is_the_visible_ridge_of_the_main_carina() -> None:
     options: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
     airways, volume = made_airways(**options), made_phantom(**options).volume
-    right = airways.tree.named("RMB")
-    assert right is not None
-    planned = route_in(airways.tree, right.id)
-    ridge = main_carina_ridge_mm(volume, airways, planned)
-    assert ridge is not None
+    origin = distance_origin(volume, airways)
+    assert origin.kind == "ridge"
+    ridge = origin.ridge_beyond_axes_mm
     # The line straight down the trachea from the fork of the axes leaves the air at the ridge, within about a voxel.
     trachea = airways.tree.root
     ahead = unit(trachea.points[-1] - trachea.points[-8])
@@ -496,7 +492,7 @@ def test_main_carina_of_a_list_of_turns_is_the_visible_ridge() -> None:
     i, j, k = np.rint(volume.to_ijk(steps)).astype(int).T
     ends_mm = 0.2 * int(np.argmax(airways.lumen_zyx[k, j, i] == 0))
     assert ridge == pytest.approx(ends_mm, abs=3.0)
-    assert main_carina_ridge_mm(volume, airways, dataclasses.replace(planned, from_carina_mm=None)) is None
+    assert origin.axes_mm == pytest.approx(trachea.length_mm)
 
 
 def test_camera_of_a_turn_is_far_enough_from_the_fork_for_a_line_of_sight() -> None:

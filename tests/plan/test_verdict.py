@@ -16,6 +16,7 @@ from nodules import ellipsoid
 from carina.errors import CancelledError, UsageError
 from carina.plan import Plan, Verdict, judge_scope, judge_scopes, tool
 from carina.plan.routes.last_leg import LastLeg
+from carina.plan.routes.main_carina import ROOT
 from carina.plan.routes.plan_route import PlannedRoute
 from carina.plan.routes.route_width import RouteWidth
 from carina.plan.verdict import lever
@@ -79,7 +80,7 @@ def plan_in(points: np.ndarray, park: int = -8, error_mm: float = 0.2) -> Plan:
     place = (float(tip[0]), float(tip[1]), float(tip[2]))
     leg = LastLeg(place, nodule.centre_lps, place, 8.0, 6.0, 0.0, (), 8.0, 8.0, None, None, None, 1.0, reaches=True)
     width = RouteWidth(2 * RADIUS_MM, error_mm, 0.5 * along)
-    route = PlannedRoute(1, "branch 1", along, None, (0.0, 0.0, -1.0), width, "fits", leg, {}, 1.0, ())
+    route = PlannedRoute(1, "branch 1", along, ROOT, (0.0, 0.0, -1.0), width, "fits", leg, {}, 1.0, ())
     return Plan(nodule, scope_preset("thin"), tool("needle-21g"), "none", None, None, 15.0, (route,), None)
 
 
@@ -129,9 +130,11 @@ def test_verdict_of_a_wider_stiffer_or_shorter_scope_is_never_better() -> None:
     bends = shares("bend", [scope(flexion_deg=(deg, 60.0)) for deg in (160.0, 115.0, 100.0, 90.0, 70.0)])
     assert bends == sorted(bends, reverse=True) and bends[0] > 0.9 and bends[-1] < 0.1
     order = {"yes": 2, "perhaps": 1, "no": 0}
-    for entry_mm in (None, 200.0):
+    for origin_depth_mm in (None, 200.0):
         lengths = [
-            order[check(judged(tree, plan, field, scope(length_mm=mm), entry_mm=entry_mm), "length").answer]
+            order[
+                check(judged(tree, plan, field, scope(length_mm=mm), origin_depth_mm=origin_depth_mm), "length").answer
+            ]
             for mm in (600.0, 300.0, 250.0, 60.0)
         ]
         assert lengths == sorted(lengths, reverse=True) and (lengths[0], lengths[-1]) == (2, 0)
@@ -221,7 +224,7 @@ def test_failed_check_is_listed_first_with_the_position_of_the_stop() -> None:
     found = judge_scopes(tree, plan_in(points), field, scopes=presets, found=told.append)
     assert [one.scope.name for one in found] == ["fits", "wide"]
     assert [one.scope.name for one in told] == ["wide", "fits"]
-    assert told[0].driven is None and told[0].words.startswith("stops at ")
+    assert told[0].driven is None and told[0].words.startswith("stops 0 mm from the start of the airway tree: ")
     assert told[0].would == "could reach only if the airway were wider or the scope thinner"
     # If the bending section of a scope is unknown, the position of the stop is unknown.
     unknown = dataclasses.replace(presets[1], flexion_deg=None, bending_mm=None)

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from nodules import ellipsoid
 
-from carina.plan import Plan, tool
+from carina.plan import DistanceOrigin, Plan, tool
 from carina.plan.routes.last_leg import CrossedTissue, LastLeg
 from carina.plan.routes.plan_route import PlannedRoute
 from carina.plan.routes.route_width import RouteWidth
@@ -95,7 +95,7 @@ def _route(
         branch_id=branch_id,
         branch_name=name,
         along_mm=100.0,
-        from_carina_mm=43.0,
+        origin=DistanceOrigin("ridge", along_mm=57.0, axes_mm=48.0),
         forward=(float(unit[0]), float(unit[1]), float(unit[2])),
         width=RouteWidth(4.1, 0.3, 80.0),
         fit="does not fit",

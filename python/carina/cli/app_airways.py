@@ -241,6 +241,13 @@ def plan(
             help=("Distance the target may have moved since the CT (default: 20 mm in a lower lobe, 15 mm elsewhere)."),
         ),
     ] = None,
+    carina_depth_mm: Annotated[
+        float | None,
+        typer.Option(
+            "--carina-depth-mm",
+            help="Length of the scope in the patient at nose or mouth when its tip is at the main carina.",
+        ),
+    ] = None,
     all_scopes: Annotated[
         bool, typer.Option("--all-scopes", help="Judge every bronchoscope of the library on the first route.")
     ] = False,
@@ -293,6 +300,7 @@ def plan(
                 tool=tool,
                 vessel_margin_mm=vessel_margin_mm,
                 moved_mm=moved_mm,
+                carina_depth_mm=carina_depth_mm,
                 all_scopes=all_scopes,
                 series=series,
                 ct=ct,

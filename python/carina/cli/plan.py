@@ -50,6 +50,7 @@ def report(
     tool: str,
     vessel_margin_mm: float,
     moved_mm: float | None,
+    carina_depth_mm: float | None,
     all_scopes: bool,
     output: Path | None,
     kind: ReportKind,
@@ -70,6 +71,7 @@ def report(
         check_needs("a target from a file; the target is a point", structure=structure, part=part, resample=resample)
     check_range("--vessel-margin-mm", vessel_margin_mm, 0.0, 50.0, "mm")
     check_range("--moved-mm", moved_mm, 0.0, 60.0, "mm")
+    check_range("--carina-depth-mm", carina_depth_mm, 0.0, 600.0, "mm")
     if not name.endswith((".html", ".pdf")):
         check_needs("a report (-o NAME.html or NAME.pdf)", tracing_sheet=kind == "tracing")
     if not name.endswith((".pdf", ARCHIVE_SUFFIX)):
@@ -118,19 +120,22 @@ def report(
     for line in lines(plan):
         say(line)
     verdicts: tuple[Verdict, ...] = ()
+    if plan.routes and not plan.routes[0].origin.is_carina:
+        # A depth of the carina says nothing about a route that does not pass the carina.
+        carina_depth_mm = None
     if plan.routes:
         scopes = [plan.scope]
         if all_scopes:
             library = list(scope_presets())
             # An instrument from a file of the user is not in the library.
             scopes = library if plan.scope in library else [plan.scope, *library]
-        verdicts = judge_scopes(airways.tree, plan, wall, scopes=scopes)
+        verdicts = judge_scopes(airways.tree, plan, wall, scopes=scopes, origin_depth_mm=carina_depth_mm)
     for verdict in verdicts:
         say(f"{verdict.scope.title} on route 1: {verdict.words}")
     if peer is not None:
         num = send_plan(plan, airways.tree, host=peer[0], port=peer[1])
         say(f"sent {num} messages to {send_to}")
-    materials = PlanMaterials(source.volume, airways, wall, plan, verdicts=verdicts)
+    materials = PlanMaterials(source.volume, airways, wall, plan, verdicts=verdicts, carina_depth_mm=carina_depth_mm)
     if output is not None and output.name.lower().endswith(tuple(PLAN_FORMATS)):
         export_plan(
             output,
@@ -185,6 +190,8 @@ def lines(plan: Plan) -> list[str]:
     for number, route in enumerate(plan.routes, 1):
         said.append(f"route {number}: {_route_words(plan, route)}")
         said += [f"route {number}: ! {doubt}" for doubt in route.doubts]
+        if route.origin.note is not None:
+            said.append(f"route {number}: ! {route.origin.note}")
         if route.width.why is not None:
             said.append(f"route {number}: ! {route.width.why}")
     if plan.why is not None:
@@ -198,14 +205,12 @@ def lines(plan: Plan) -> list[str]:
 
 def _route_words(plan: Plan, route: PlannedRoute) -> str:
     leg = route.leg
-    past_mm = plan.past_carina_mm(route)
-    place = "" if past_mm is None else f", {past_mm:.0f} mm beyond the carina"
     needs = f" ({plan.scope.title} needs {plan.scope.fit_mm:.1f} mm)"
     fits = {"fits": "", "may fit": f"{needs}, may fit", "does not fit": f"{needs}, does not fit"}[route.fit]
     vessel = "no vessel seen nearby" if leg.vessel_mm is None else f"nearest vessel {leg.vessel_mm:.1f} mm away"
     moved = "" if leg.hit_share_moved is None else f", {100 * leg.hit_share_moved:.0f} % if the target has moved"
     return (
-        f"{route.branch_name}{place}; narrowest {route.width.words}{fits}; needle path "
+        f"{route.branch_name}, {route.place_words}; narrowest {route.width.words}{fits}; needle path "
         f"{leg.to_target_mm:.1f} mm to the target at {leg.angle_deg:.0f} degrees to the airway, "
         f"{leg.in_target_mm:.1f} mm within it; {vessel}; expected hits {100 * leg.hit_share:.0f} %{moved}; "
         f"score {route.score:.2f}"

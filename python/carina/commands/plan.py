@@ -32,7 +32,12 @@ class PlanOptions(Instruments, frozen=True):
     moved_mm: Annotated[float, Meta(ge=0.0, le=60.0)] | None = None
     """Possible displacement of the target since the CT; null uses the default of the target's lobe."""
     entry_mm: Annotated[float, Meta(ge=0.0, le=500.0)] | None = None
-    """Distance from nose or mouth to the start of the tree; null leaves depths and working lengths unknown."""
+    """Distance from nose or mouth to the start of the tree, in cases of earlier versions (`carina_depth_mm`)."""
+    carina_depth_mm: Annotated[float, Meta(ge=0.0, le=600.0)] | None = None
+    """Insertion depth at nose or mouth when the tip is at the main carina.
+
+    Null leaves depths and working lengths unknown, unless a case of an earlier version states `entry_mm`.
+    """
 
 
 class SetPlanOptions(PlanOptions, Command, frozen=True, kw_only=True):

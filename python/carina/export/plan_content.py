@@ -203,9 +203,7 @@ def _target_words(plan: Plan) -> str:
 def _route_words(route: PlannedRoute, plan: Plan) -> str:
     leg = route.leg
     said = [f"DOUBTFUL: {doubt}" for doubt in route.doubts]
-    past_mm = plan.past_carina_mm(route)
-    if past_mm is not None:
-        said.append(f"scope tip {past_mm:.0f} mm beyond the main carina")
+    said.append(f"scope tip {route.place_words}")
     said.append(f"narrowest diameter of the way {route.width.words}")
     if route.width.why is not None:
         said.append(route.width.why)

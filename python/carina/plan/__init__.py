@@ -16,6 +16,7 @@ from carina.plan.lungs.vessels import VesselBranch, VesselTree
 from carina.plan.reach_atlas import ReachAtlas, reach_atlas
 from carina.plan.report import PlanSheet, make_sheet, write_report
 from carina.plan.routes.last_leg import CrossedTissue, LastLeg, NearVessel, NeedleScene, last_leg
+from carina.plan.routes.main_carina import DistanceOrigin, distance_origin
 from carina.plan.routes.needle_hits import NeedleErrors, hit_share
 from carina.plan.routes.plan_route import Plan, PlannedRoute, plan_route
 from carina.plan.routes.ranking import Outlook, ScoreWeights
@@ -27,7 +28,7 @@ from carina.plan.targets.region import WHERE_WORDS, Whereabouts, whereabouts
 from carina.plan.targets.target import PlanTarget, TargetSource, proposed_aims
 from carina.plan.turns.clips import TurnClip, turn_clips
 from carina.plan.turns.flight import turn_flight
-from carina.plan.turns.from_route import main_carina_ridge_mm, turn_list
+from carina.plan.turns.from_route import turn_list
 from carina.plan.turns.pictures import TurnPicture, turn_pictures
 from carina.plan.turns.turn_list import OtherWay, Turn, TurnList
 from carina.plan.verdict.drive import DrivenRoute, moves_between, replay_moves
@@ -46,6 +47,7 @@ __all__ = [
     "BronchusSign",
     "Check",
     "CrossedTissue",
+    "DistanceOrigin",
     "DrivenRoute",
     "FissureBox",
     "Landmark",
@@ -81,6 +83,7 @@ __all__ = [
     "brushed",
     "clock_hours",
     "condense_drive",
+    "distance_origin",
     "drive_flight",
     "ebus_landmarks",
     "grow_nodule",
@@ -91,7 +94,6 @@ __all__ = [
     "last_leg",
     "lobes",
     "lung_surroundings",
-    "main_carina_ridge_mm",
     "make_sheet",
     "moves_between",
     "nodule_from_mask",

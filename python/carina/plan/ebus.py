@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.errors import check_type
+from carina.plan.routes.main_carina import DistanceOrigin, axes_origin, carina_words
 from carina.plan.turns.fork_view import hours_of, turned_hours
 from carina.scopes import upright
 from carina.track import AirwayTree, Branch, name_words
@@ -82,7 +83,10 @@ class Landmark:
     point_lps: tuple[float, float, float] | None
     """Point on the centreline of the airway from which the station is examined, LPS mm; None without a place."""
     from_carina_mm: float | None
-    """Distance of the point from the main carina along the airways, mm; below 0 if the point is above the carina."""
+    """Distance of the point from the main carina along the airways, mm; below 0 if the point is above the carina.
+
+    The origin is that of `ebus_landmarks`: the ridge of the carina, if it was given.
+    """
     direction_lps: tuple[float, float, float] | None
     """Unit vector across the airway, LPS, towards the wall behind which the station is."""
     clock_head: float | None
@@ -115,7 +119,7 @@ class Landmark:
         }
 
 
-def ebus_landmarks(tree: AirwayTree) -> tuple[Landmark, ...]:
+def ebus_landmarks(tree: AirwayTree, *, origin: DistanceOrigin | None = None) -> tuple[Landmark, ...]:
     """Return the landmarks of the stations 4R, 4L, 7, 10 and 11 in the airways, from the trachea outwards.
 
     A station whose airways are missing in the tree is returned without a place; the usual anatomy is never assumed.
@@ -125,6 +129,9 @@ def ebus_landmarks(tree: AirwayTree) -> tuple[Landmark, ...]:
     ----------
     tree
         Named airways (`carina.find_airways`).
+    origin
+        Origin of the distances, the ridge of the main carina (`carina.plan.distance_origin`). If None, distances are
+        measured from the point where the axes of the main bronchi meet, about a tracheal radius above the ridge.
 
     Returns
     -------
@@ -147,7 +154,7 @@ def ebus_landmarks(tree: AirwayTree) -> tuple[Landmark, ...]:
     et al., Thorac Cancer 2015;6:464. Hours of 4 and 10 are common knowledge; those of 7 and 11 follow from the tree.
     """
     check_type("ebus_landmarks", "tree", tree, AirwayTree, "take the tree of carina.find_airways")
-    return _Finder(tree).all()
+    return _Finder(tree, axes_origin(tree) if origin is None else origin).all()
 
 
 def clock_hours(forward_lps: Points, direction_lps: Points) -> tuple[float, float]:
@@ -172,8 +179,8 @@ def clock_hours(forward_lps: Points, direction_lps: Points) -> tuple[float, floa
 
 
 class _Finder:
-    def __init__(self, tree: AirwayTree) -> None:
-        self._tree = tree
+    def __init__(self, tree: AirwayTree, origin: DistanceOrigin) -> None:
+        self._tree, self._origin = tree, origin
         self._by_id = {branch.id: branch for branch in tree.branches}
         names = {branch.name for branch in tree.branches}
         self._mirrored = "LML" in names or (tree.root.variant or "").startswith("mirrored")
@@ -252,7 +259,7 @@ class _Finder:
         from_carina = self._from_carina_mm(pieces[0], at_mm)
         level = ""
         if from_carina is not None:
-            level = f", {abs(from_carina):.0f} mm {'above' if from_carina < 0.0 else 'beyond'} the main carina"
+            level = f", {carina_words(from_carina)}"
         words = f"{blank.station} from the {blank.seen_from}{level}: towards {_spoken(head)} o'clock"
         return replace(
             blank,
@@ -287,7 +294,7 @@ class _Finder:
         inside = 0.0
         for branch in self._tree.lineage(first.id)[:-1]:
             inside += branch.length_mm
-        return inside + at_mm - self._trachea_mm
+        return self._origin.from_carina_mm(inside + at_mm)
 
     def _pieces(self, name: str) -> tuple[Branch, ...]:
         """Return the branches of a named bronchus in tree order; side branches divide a bronchus into several."""

@@ -13,7 +13,7 @@ from carina.plan.lungs.lung_map import map_lungs
 from carina.scopes import ScopePreset, scope_presets
 
 if TYPE_CHECKING:
-    from carina.plan import Nodule, Plan, ReachAtlas, Verdict
+    from carina.plan import DistanceOrigin, Nodule, Plan, ReachAtlas, Verdict
     from carina.plan.lungs.lung_map import LungMap
     from carina.render import TransferFunction
     from carina.session.scene.shown_case import SessionRenderer
@@ -68,10 +68,12 @@ class Parts:
     judge_scopes: Callable[..., tuple[Verdict, ...]] = plan.judge_scopes
     """Computes the verdicts on a planned route.
 
-    The call is ``judge_scopes(tree, plan, wall, route=, scopes=, entry_mm=, found=, progress=, cancel=)``.
+    The call is ``judge_scopes(tree, plan, wall, route=, scopes=, origin_depth_mm=, found=, progress=, cancel=)``.
     """
     map_lungs: Callable[..., LungMap] = map_lungs
     """Maps vessels, fissures and lobes: ``map_lungs(volume, airways, wall, progress=, found=)``."""
+    distance_origin: Callable[[Volume, Airways], DistanceOrigin] = plan.distance_origin
+    """Returns the origin of distances, the ridge of the main carina: ``distance_origin(volume, airways)``."""
     reach_atlas: Callable[..., ReachAtlas] = plan.reach_atlas
     """Maps an instrument's reach: ``reach_atlas(volume, airways, scope=, tool=, wall=, progress=, cancel=)``."""
     scope_presets: Callable[[], tuple[ScopePreset, ...]] = scope_presets

@@ -5,6 +5,9 @@ import { besideRouteMm, turnBefore, turnText } from "./plan";
 const turn = (at: [number, number, number] | null): PlannedTurn => ({
   head: "3 o'clock",
   facing: "9 o'clock",
+  from_carina_mm: null,
+  from_fork_mm: 20,
+  depth_estimate_mm: null,
   doubts: [],
   fork_branch_id: 0,
   seen_from_lps: at,

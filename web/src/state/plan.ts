@@ -33,8 +33,8 @@ export const share = (part: number): string => `${fixed(100 * part)}\u202f%`;
 export const ROUTE_ROWS: readonly { title: string; words: string; of: (route: RouteOffer) => string }[] = [
   { title: "Airway", words: "The airway in which the scope is parked", of: (route) => route.branch_name },
   {
-    title: "Depth",
-    words: "Distance from the main carina to the parking position",
+    title: "Past carina",
+    words: "Distance from the ridge of the main carina to the place where the scope stops",
     of: (route) => (route.from_carina_mm === null ? "\u2013" : mm(route.from_carina_mm, 0)),
   },
   {
@@ -52,20 +52,24 @@ export const ROUTE_ROWS: readonly { title: string; words: string; of: (route: Ro
   {
     title: "Needle",
     words: "From the scope's tip to the target's edge",
-    of: (route) => mm(route.needle.to_target_mm, 0),
+    of: (route) => mm(route.leg.to_target_mm, 0),
   },
-  { title: "Angle", words: "Between needle and airway", of: (route) => `${fixed(route.angle_deg)}\u00b0` },
-  { title: "In target", words: "Needle path inside the target", of: (route) => mm(route.in_target_mm, 0) },
+  { title: "Angle", words: "Between needle and airway", of: (route) => `${fixed(route.leg.angle_deg)}\u00b0` },
+  { title: "In target", words: "Needle path inside the target", of: (route) => mm(route.leg.in_target_mm, 0) },
   {
     title: "Vessel",
     words: "From the needle to the nearest visible vessel",
-    of: (route) => (route.vessel_mm === null ? "none seen" : mm(route.vessel_mm)),
+    of: (route) => (route.leg.vessel_mm === null ? "none seen" : mm(route.leg.vessel_mm)),
   },
-  { title: "Hits", words: "Share of needle passes that hit, by geometry and errors", of: (r) => share(r.hit_share) },
+  {
+    title: "Hits",
+    words: "Share of needle passes that hit, by geometry and errors",
+    of: (r) => share(r.leg.hit_share),
+  },
   {
     title: "If moved",
     words: "The same if the target has moved since the CT",
-    of: (route) => (route.hit_share_moved === null ? "\u2013" : share(route.hit_share_moved)),
+    of: (route) => (route.leg.hit_share_moved === null ? "\u2013" : share(route.leg.hit_share_moved)),
   },
 ];
 

@@ -569,6 +569,7 @@ export interface SetPlanOptionsMessage {
   readonly vessel_margin_mm?: number;
   readonly moved_mm?: number | null;
   readonly entry_mm?: number | null;
+  readonly carina_depth_mm?: number | null;
   readonly target_id: string;
 }
 
@@ -1501,33 +1502,51 @@ export interface PlanOptions {
   readonly vessel_margin_mm: number;
   readonly moved_mm: number | null;
   readonly entry_mm: number | null;
+  readonly carina_depth_mm: number | null;
+}
+
+/** The origin of the distances along a route. */
+export interface RouteOrigin {
+  readonly kind: "axes" | "ridge" | "root";
+  readonly along_mm: number;
 }
 
 /** A segment of a needle's path inside one tissue; positions are distances in mm from the scope's tip. */
 export interface NeedleTissue {
   readonly tissue: string;
-  readonly ends_mm: readonly [number, number];
+  readonly from_mm: number;
+  readonly to_mm: number;
 }
 
-/** A planned route to a target, with its measurements and its score. */
+/** The path of the needle from the scope's tip into the target; `leg` of a route in plan.json has the same keys. */
+export interface NeedleLeg {
+  readonly tip_lps: readonly [number, number, number];
+  readonly aim_lps: readonly [number, number, number];
+  readonly to_target_mm: number;
+  readonly angle_deg: number;
+  readonly crossed: readonly NeedleTissue[];
+  readonly in_target_mm: number;
+  readonly vessel_mm: number | null;
+  readonly hit_share: number;
+  readonly hit_share_moved: number | null;
+}
+
+/** A planned route to a target, with its measurements and its score; a route in plan.json has the same keys. */
 export interface RouteOffer {
+  readonly key: string;
   readonly branch_id: number;
   readonly branch_name: string;
+  readonly origin: RouteOrigin;
   readonly from_carina_mm: number | null;
   readonly narrowest_mm: number;
   readonly narrowest_error_mm: number;
+  readonly narrowest_at_mm: number;
   readonly narrowest_by: "ball" | "sections";
   readonly narrowest_why: string | null;
   readonly fit: "does not fit" | "fits" | "may fit";
   readonly outlook: string;
   readonly limits: readonly string[];
-  readonly needle: NeedleLine;
-  readonly angle_deg: number;
-  readonly in_target_mm: number;
-  readonly vessel_mm: number | null;
-  readonly hit_share: number;
-  readonly hit_share_moved: number | null;
-  readonly crossed: readonly NeedleTissue[];
+  readonly leg: NeedleLeg;
   readonly score: number;
   readonly doubts: readonly string[];
 }
@@ -1558,13 +1577,14 @@ export interface ScopeCheck {
   readonly basis: string;
 }
 
-/** Verdict on one instrument for the chosen route. */
+/** Verdict on one instrument for the chosen route; a verdict in plan.json has the same keys. */
 export interface ScopeVerdict {
   readonly scope: string;
   readonly title: string;
   readonly outcome: string;
   readonly words: string;
   readonly share: number | null;
+  readonly reached_mm: number | null;
   readonly would: string | null;
   readonly checks: readonly ScopeCheck[];
   readonly was_driven: boolean;
@@ -1574,6 +1594,9 @@ export interface ScopeVerdict {
 export interface PlannedTurn {
   readonly head: string;
   readonly facing: string;
+  readonly from_carina_mm: number | null;
+  readonly from_fork_mm: number;
+  readonly depth_estimate_mm: number | null;
   readonly doubts: readonly string[];
   readonly fork_branch_id: number;
   readonly seen_from_lps: readonly [number, number, number] | null;
@@ -1589,6 +1612,8 @@ export interface PlansMessage {
   readonly tools: readonly (readonly [string, string])[];
   readonly turns: readonly PlannedTurn[];
   readonly parking: readonly [string, string] | null;
+  readonly park_from_carina_mm: number | null;
+  readonly park_depth_estimate_mm: number | null;
   readonly dicom_problem: string | null;
 }
 

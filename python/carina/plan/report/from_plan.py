@@ -104,7 +104,6 @@ def whole_sheet(
             route,
             moves=None if driven is None else driven.moves,
             ends_along_mm=None if driven is None else driven.ends_along_mm,
-            carina_ridge_mm=plan.carina_ridge_mm,
             carina_depth_mm=made.carina_depth_mm,
         )
         renderer = Renderer(made.volume)

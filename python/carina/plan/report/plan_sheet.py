@@ -18,7 +18,6 @@ from carina.plan.lungs.tissue_near_needle import NearbyTissue, surroundings
 from carina.plan.report.slices import SlicePicture, needle_slice, place_slices, target_slices
 from carina.plan.report.tree_shape import TreeShape, tree_shape
 from carina.plan.report.uncertainty import by_hand, uncertain
-from carina.plan.routes.main_carina import SAME_PLACE_MM
 from carina.plan.routes.plan_route import CancellableProgress, Plan, PlannedRoute
 from carina.plan.routes.standing_points import branch_doubts, branch_title
 from carina.plan.targets.grow_nodule import Nodule
@@ -167,16 +166,6 @@ class PlanSheet:
         """Route that the report describes in detail; None if the plan has no route."""
         return None if self.route_number is None else self.plan.routes[self.route_number - 1]
 
-    def carina_mm(self, route: PlannedRoute) -> float | None:
-        """Return the distance in mm from the main carina to the tip on a route, or None.
-
-        The origin is that of the list of turns; without a list it is that of the plan.
-        """
-        shown, zero = self.route, None if self.turns is None else self.turns.park_from_carina_mm
-        if zero is None or shown is None or shown.from_carina_mm is None or route.from_carina_mm is None:
-            return self.plan.past_carina_mm(route)
-        return route.from_carina_mm - (shown.from_carina_mm - zero)
-
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON types: the plan as ``carina plan`` writes it, and the other contents under ``report``."""
         return self.plan.to_json() | {
@@ -297,7 +286,7 @@ def make_sheet(
         turns=turns,
         turn_pictures=tuple(turn_pictures),
         turn_clips=tuple(turn_clips),
-        forks=() if route is None else _forks(airways, plan, route, turns),
+        forks=() if route is None else _forks(airways, route, turns),
         operator=operator,
         place=place,
         slices=slices,
@@ -411,7 +400,7 @@ def _check_turns(airways: Airways, route: PlannedRoute | None, turns: TurnList |
         raise UsageError(f"report: the list of turns is that of another route: {where}", code="plan.turns")
 
 
-def _forks(airways: Airways, plan: Plan, route: PlannedRoute, turns: TurnList | None) -> tuple[Fork, ...]:
+def _forks(airways: Airways, route: PlannedRoute, turns: TurnList | None) -> tuple[Fork, ...]:
     tree = airways.tree
     if turns is not None:
         return tuple(
@@ -421,14 +410,13 @@ def _forks(airways: Airways, plan: Plan, route: PlannedRoute, turns: TurnList | 
                 to_name=turn.to_branch,
                 to_branch_id=turn.to_branch_id,
                 place_lps=turn.fork_lps,
-                carina_mm=0.0 if turn.at_main_carina else turn.from_carina_mm,
+                carina_mm=turn.from_carina_mm,
                 others=tuple(other.name for other in turn.others),
                 warnings=turn.doubts,
                 turn=turn,
             )
             for number, turn in enumerate(turns.turns, 1)
         )
-    axes_mm = None if route.from_carina_mm is None else route.along_mm - route.from_carina_mm
     found: list[Fork] = []
     along = 0.0
     for before, branch in itertools.pairwise(tree.lineage(route.branch_id)):
@@ -444,21 +432,13 @@ def _forks(airways: Airways, plan: Plan, route: PlannedRoute, turns: TurnList | 
                 to_name=branch_title(branch),
                 to_branch_id=branch.id,
                 place_lps=(x, y, z),
-                carina_mm=None if axes_mm is None else _past_carina_mm(along - axes_mm, plan),
+                carina_mm=route.origin.fork_mm(along) if route.origin.is_carina else None,
                 others=tuple(branch_title(one) for one in others),
                 warnings=branch_doubts(branch),
                 turn=None,
             )
         )
     return tuple(found)
-
-
-def _past_carina_mm(from_axes_mm: float, plan: Plan) -> float:
-    """Return the distance in mm of a point from the ridge of the main carina.
-
-    0 for the fork of the main carina itself.
-    """
-    return 0.0 if abs(from_axes_mm) < SAME_PLACE_MM else from_axes_mm - (plan.carina_ridge_mm or 0.0)
 
 
 def _provenance(volume: Volume, made_on: datetime.date | None) -> Provenance:

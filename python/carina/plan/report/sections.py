@@ -12,7 +12,7 @@ from carina.plan.report.tracing import tracing_drawings
 from carina.plan.report.uncertainty import dense_words
 from carina.plan.report.wording import (
     SIGNS,
-    carina_words,
+    carina_cell,
     per_cent,
 )
 from carina.plan.routes.plan_route import PlannedRoute, ScoreWeights
@@ -119,9 +119,8 @@ def _lead(sheet: PlanSheet) -> str:
     nodule = nodule[0].upper() + nodule[1:]
     if route is None:
         return f"{nodule}. No route with {plan.tool.title} was found."
-    park_mm = sheet.carina_mm(route)
-    where = "" if park_mm is None else f", {park_mm:.0f} mm beyond the carina"
-    said = f"{nodule}. Tip in {route.branch_name}{where}, then {route.leg.to_target_mm:.0f} mm with the needle."
+    tip = f"Tip in {route.branch_name}, {route.place_words}"
+    said = f"{nodule}. {tip}, then {route.leg.to_target_mm:.0f} mm with the needle."
     if not sheet.verdicts:
         return said
     num = {name: sum(one.outcome == name for one in sheet.verdicts) for name in ("reaches", "may reach", "cannot say")}
@@ -171,7 +170,7 @@ def _route(sheet: PlanSheet) -> list[Section]:
     rows = (
         ("Tip of the scope", f"in {route.branch_name}"),
         *((("Aim", f"{route.aim + 1} of {len(plan.aims)} in this target"),) if len(plan.aims) > 1 else ()),
-        ("Beyond the main carina", carina_words(sheet.carina_mm(route))),
+        ("Past the main carina", carina_cell(route.from_carina_mm)),
         ("Narrowest diameter", f"{fits}: {route.fit}"),
         ("Sharpest bend", f"{route.bend_deg:.0f}\u00b0 over the scope's rigid tip and bending section"),
         ("Tool", plan.tool.title),
@@ -281,7 +280,7 @@ def _turns(sheet: PlanSheet) -> list[Section]:
     )
     blocks: list[Block] = [*_red(sheet), Words(said, "quiet"), ReportTable(head, tuple(rows), shares, tuple(warned))]
     if sheet.turns.carina_depth_mm is not None:
-        deep = sheet.turns.depth_mm(sheet.turns.park_from_carina_mm)
+        deep = sheet.turns.park_depth_estimate_mm
         stop = "" if deep is None else f"; the tip stops at about {deep / 10.0:.0f} cm"
         depth = f"Main carina at {sheet.turns.carina_depth_mm / 10.0:.1f} cm from nose or mouth{stop} (estimates)."
         blocks.append(Words(depth, "quiet"))
@@ -379,7 +378,7 @@ def _others(sheet: PlanSheet) -> list[Section]:
 
 _COMPARED = (
     ("Tip of the scope in", lambda _, r: r.branch_name),
-    ("Beyond the carina", lambda s, r: carina_words(s.carina_mm(r))),
+    ("Past the main carina", lambda _, r: carina_cell(r.from_carina_mm)),
     (
         "Narrowest diameter",
         lambda s, r: r.width.words + ("" if r.fits else f" (needs {s.plan.scope.fit_mm:.1f}: {r.fit})"),

@@ -8,7 +8,8 @@ import math
 from carina.plan.report.colours import ACCENT, INK, LEG, PALE, QUIET, WARNING
 from carina.plan.report.drawing import Disc, Drawing, Label, LineStyle, Place, Shape, Stroke
 from carina.plan.report.plan_sheet import Fork, PlanSheet
-from carina.plan.report.wording import carina_words, lines_of
+from carina.plan.report.wording import lines_of
+from carina.plan.routes.main_carina import carina_words
 from carina.plan.turns.texts import hour_words, joined, moves_words
 from carina.plan.turns.turn_list import Turn
 
@@ -206,7 +207,6 @@ def _end_words(sheet: PlanSheet, y: float) -> list[Shape]:
     route = sheet.route
     assert route is not None
     leg = route.leg
-    park = carina_words(sheet.carina_mm(route))
     vessel = "no vessel seen nearby" if leg.vessel_mm is None else f"nearest vessel {leg.vessel_mm:.1f} mm"
     text = (
         f"{sheet.plan.tool.title}: {leg.to_target_mm:.0f} mm to the target at {leg.angle_deg:.0f}\u00b0 to the airway, "
@@ -218,7 +218,7 @@ def _end_words(sheet: PlanSheet, y: float) -> list[Shape]:
         Stroke(((CLOCK - 22, top - 16.0), (width, top - 16.0)), LineStyle(PALE, 0.6)),
         Label((CLOCK, top + 4.0), "stop", 9.0, LEG, "middle", bold=True),
         Label((TEXT, top), f"Tip in {route.branch_name}", 12.5, INK, bold=True),
-        Label((width, top), park, 12.5, LEG, "end", bold=True),
+        Label((width, top), route.place_words, 12.5, LEG, "end", bold=True),
     ]
     return shapes + [Label((TEXT, top + 12.0 + 11.0 * n), line, SMALL, INK) for n, line in enumerate(lines)]
 
@@ -242,9 +242,7 @@ def _notes(sheet: PlanSheet, top: float) -> list[Shape]:
 
 
 def _from_carina(mm: float | None) -> str:
-    if mm is None:
-        return "distance from the carina not known"
-    return carina_words(mm) + (" the carina" if mm <= -0.5 else " past the carina" if mm >= 0.5 else "")
+    return "distance from the main carina not known" if mm is None else carina_words(mm)
 
 
 def _short(name: str) -> str:

@@ -160,7 +160,7 @@ def _of_leg(route: PlannedRoute) -> list[str]:
             "edge: vessels in it are not visible."
         )
     if route.from_carina_mm is None:
-        found.append("The main carina was not recognised: distances from it cannot be given.")
+        found.append("The route passes no main carina: distances are measured from the start of the airway tree.")
     return found
 
 

@@ -7,7 +7,7 @@ from carina.plan.routes.plan_route import BronchusSign
 __all__ = [
     "NOT_A_DEVICE",
     "SIGNS",
-    "carina_words",
+    "carina_cell",
     "lines_of",
     "per_cent",
     "text_width",
@@ -23,12 +23,12 @@ AVERAGE_ADVANCE = 0.52
 """Average width of a character as a share of the font size, in the fonts of the HTML page and the PDF."""
 
 
-def carina_words(mm: float | None) -> str:
-    """Return a distance from the main carina along the route as text.
+def carina_cell(mm: float | None) -> str:
+    """Return a distance from the main carina along the route as the text of a cell, whose heading names the carina.
 
     Examples
     --------
-    >>> carina_words(41.6), carina_words(0.2), carina_words(-12.0), carina_words(None)
+    >>> carina_cell(41.6), carina_cell(0.2), carina_cell(-12.0), carina_cell(None)
     ('42 mm', 'at the carina', '12 mm above', 'not known')
     """
     if mm is None:

@@ -36,7 +36,7 @@ from carina.plan.instruments.tools import DEFAULT_TOOL, Tool, tools
 from carina.plan.instruments.tools import tool as tool_named
 from carina.plan.lungs.tissue_near_needle import surroundings
 from carina.plan.routes.last_leg import LastLeg, NeedleScene, leg_as_aimed, where_it_may_have_moved, with_errors
-from carina.plan.routes.main_carina import ridge_beyond_axes_mm
+from carina.plan.routes.main_carina import DistanceOrigin, distance_origin
 from carina.plan.routes.needle_hits import NeedleErrors
 from carina.plan.routes.no_route_reasons import check_target, notes_of_target, notes_of_tools, why_none
 from carina.plan.routes.ranking import Judge, Outlook, ScoreWeights, bending_mm, order
@@ -85,8 +85,8 @@ class PlannedRoute:
     branch_name: str
     along_mm: float
     """Distance of the tip from the root along the airways, mm."""
-    from_carina_mm: float | None
-    """Distance of the tip from the main carina, mm; None if the route passes no main carina."""
+    origin: DistanceOrigin
+    """Origin of all distances along the route: the ridge of the main carina, or a substitute."""
     forward: tuple[float, float, float]
     """Direction of the airway at the tip, unit vector, LPS."""
     width: RouteWidth
@@ -121,6 +121,16 @@ class PlannedRoute:
         return f"{self.branch_id}-{self.along_mm:.1f}" + (f"-{self.aim + 1}" if self.aim else "")
 
     @property
+    def from_carina_mm(self) -> float | None:
+        """Distance of the tip from the ridge of the main carina along the airways, mm; None without a main carina."""
+        return self.origin.from_carina_mm(self.along_mm)
+
+    @property
+    def place_words(self) -> str:
+        """Place of the tip as text, such as *42 mm past the main carina*."""
+        return self.origin.words(self.origin.past_mm(self.along_mm))
+
+    @property
     def narrowest_mm(self) -> float:
         """Narrowest diameter of the route in mm, without its error."""
         return self.width.mm
@@ -137,7 +147,9 @@ class PlannedRoute:
             "branch_id": self.branch_id,
             "branch_name": self.branch_name,
             "along_mm": self.along_mm,
+            "origin": self.origin.to_json(),
             "from_carina_mm": self.from_carina_mm,
+            "past_carina_mm": self.from_carina_mm,
             "aim": self.aim,
             "parking": {
                 "place_lps": list(self.leg.tip_lps),
@@ -172,7 +184,7 @@ class Plan(Tabular):
     """Target and the routes to it, the best one first.
 
     As a table (``to_pandas``, ``to_arrow``, ``to_columns``) it has a row for each route: its number from 1, fields of
-    `PlannedRoute`, ``past_carina_mm``, and of its last leg ``to_target_mm``, ``in_target_mm``, ``vessel_mm`` and
+    `PlannedRoute`, ``from_carina_mm``, and of its last leg ``to_target_mm``, ``in_target_mm``, ``vessel_mm`` and
     ``hit_share``.
 
     Examples
@@ -207,7 +219,7 @@ class Plan(Tabular):
     carina_ridge_mm: float | None = None
     """Distance in mm of the main carina's ridge beyond the point where the axes of the main bronchi meet.
 
-    `PlannedRoute.from_carina_mm` is measured from that point. None if no ridge was found.
+    All distances along the routes are measured from the ridge. None if no ridge was found.
     """
 
     def __post_init__(self) -> None:
@@ -250,18 +262,13 @@ class Plan(Tabular):
                 {
                     "route": number,
                     **{name: getattr(route, name) for name in own},
-                    "past_carina_mm": self.past_carina_mm(route),
+                    "from_carina_mm": route.from_carina_mm,
                     **{name: getattr(route.leg, name) for name in leg},
                 }
                 for number, route in enumerate(self.routes, start=1)
             ),
-            {"route": "int", **own, "past_carina_mm": "float", **leg},
+            {"route": "int", **own, "from_carina_mm": "float", **leg},
         )
-
-    @check_arguments(route=instance(PlannedRoute, "take one of the plan's routes"))
-    def past_carina_mm(self, route: PlannedRoute) -> float | None:
-        """Return the distance in mm of a route's tip from the main carina's ridge; None if the route passes none."""
-        return None if route.from_carina_mm is None else route.from_carina_mm - (self.carina_ridge_mm or 0.0)
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan as plain JSON types."""
@@ -281,7 +288,7 @@ class Plan(Tabular):
             "sign_lps": None if self.sign_lps is None else list(self.sign_lps),
             "moved_mm": self.moved_mm,
             "carina_ridge_mm": self.carina_ridge_mm,
-            "routes": [route.to_json() | {"past_carina_mm": self.past_carina_mm(route)} for route in self.routes],
+            "routes": [route.to_json() for route in self.routes],
             "why": self.why,
             "nearest": None if self.nearest is None else self.nearest.to_json(),
             "notes": list(self.notes),
@@ -400,7 +407,8 @@ def plan_route(
     report(0.5)
     if measures is None or not matches_tree(measures, airways.tree):
         measures = measure_tree(volume, airways, cancel=cancel)
-    places = Places(airways.tree, nodule, wall, measures=measures, spacing_mm=max(volume.spacing_mm))
+    origin = distance_origin(volume, airways)
+    places = Places(airways.tree, nodule, wall, measures=measures, spacing_mm=max(volume.spacing_mm), origin=origin)
     judge = Judge(preset, vessel_margin_mm, weights or ScoreWeights(), used.reach_mm)
     moved = places.moved_mm() if moved_mm is None else moved_mm
     sign, sign_branch, sign_lps = places.bronchus_sign()
@@ -425,10 +433,6 @@ def plan_route(
             replace(route, leg=where_it_may_have_moved(scene, route.leg, moved))
             for route in standing_apart(sorted(best.values(), key=order))
         )
-    told = next((route for route in kept if route.from_carina_mm is not None), None)
-    ridge_mm = None
-    if told is not None and told.from_carina_mm is not None:
-        ridge_mm = ridge_beyond_axes_mm(volume, airways, told.branch_id, told.along_mm - told.from_carina_mm)
     report(1.0)
     return Plan(
         nodule=nodule,
@@ -444,12 +448,13 @@ def plan_route(
             *(note.words for note in airways.badges),
             *notes_of_target(volume, airways, nodule, nearest),
             *notes_of_tools(preset, used),
+            *dict.fromkeys(route.origin.note for route in kept if route.origin.note is not None),
         ),
         aims=tuple((float(x), float(y), float(z)) for x, y, z in meant),
         vessel_margin_mm=vessel_margin_mm,
         weights=judge.weights,
         nearest=nearest,
-        carina_ridge_mm=ridge_mm,
+        carina_ridge_mm=origin.ridge_beyond_axes_mm,
     )
 
 
@@ -521,13 +526,12 @@ def _route(places: Places, n: int, aim: int, leg: LastLeg, judge: Judge) -> Plan
     asked = places.asks(n, bending_mm(judge.scope))
     parts = judge.parts(leg, asked.width.mm, places.nodule)
     outlook, chance, limits = judge.outlook(asked, leg)
-    carina_mm = places.carina_mm(branch)
     forward = places.forward[n]
     return PlannedRoute(
         branch_id=branch.id,
         branch_name=branch_title(branch),
         along_mm=float(places.along_mm[n]),
-        from_carina_mm=None if carina_mm is None else float(places.along_mm[n]) - carina_mm,
+        origin=asked.width.origin,
         forward=(float(forward[0]), float(forward[1]), float(forward[2])),
         width=asked.width,
         fit=asked.width.fit(judge.scope),

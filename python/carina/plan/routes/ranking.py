@@ -75,7 +75,7 @@ class WorstValue:
 
     value: float
     at_mm: float
-    """Distance of the worst value's place from the root, mm."""
+    """Distance of the worst value's place from the origin of the path's distances (`RouteWidth.origin`), mm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,9 +177,9 @@ class Judge:
         if self.scope.flexion_deg is None or self.scope.bending_mm is None:
             return None, f"it is not known how far {self.scope.title} flexes"
         most = max(self.scope.flexion_deg)
+        place = way.width.origin.words(way.bend_deg.at_mm)
         words = (
-            f"the bend {way.bend_deg.at_mm:.0f} mm along the route requires {way.bend_deg.value:.0f} degrees of "
-            f"flexion; {self.scope.title} has {most:.0f}"
+            f"the bend {place} requires {way.bend_deg.value:.0f} degrees of flexion; {self.scope.title} has {most:.0f}"
         )
         return _share((most - way.bend_deg.value) / BEND_SIGMA_DEG), words
 

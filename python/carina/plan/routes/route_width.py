@@ -14,9 +14,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.argument_checks import check_fields, choice, number_from, text_of
+from carina.argument_checks import check_fields, choice, instance, number_from, text_of
 from carina.display import one_line
 from carina.plan.routes.clearance import ball_diameters_mm
+from carina.plan.routes.main_carina import ROOT, DistanceOrigin
 from carina.scopes import ScopePreset, WallField
 from carina.track import AirwayTree, Branch, TreeMeasures
 
@@ -55,7 +56,7 @@ class RouteWidth:
     error_mm: float
     """Half width in mm of the interval that contains the true diameter with 90 % probability."""
     at_mm: float
-    """Distance of the narrowest place from the root, mm."""
+    """Distance of the narrowest place from the origin, mm."""
     source: WidthSource = "sections"
     """Source of the diameter.
 
@@ -63,6 +64,8 @@ class RouteWidth:
     """
     why: str | None = None
     """Part that could not be measured, and the reason; None for ``sections``."""
+    origin: DistanceOrigin = ROOT
+    """Origin of ``at_mm``."""
 
     def __post_init__(self) -> None:
         """Raise an error if a field of this `RouteWidth` has an invalid value."""
@@ -70,9 +73,10 @@ class RouteWidth:
             self,
             mm=number_from(0.0, 1000.0, unit="mm"),
             error_mm=number_from(0.0, 1000.0, unit="mm"),
-            at_mm=number_from(0.0, 10_000.0, unit="mm"),
+            at_mm=number_from(-10_000.0, 10_000.0, unit="mm"),
             source=choice("sections", "ball"),
             why=text_of(optional=True),
+            origin=instance(DistanceOrigin, "get one from carina.plan.distance_origin"),
         )
 
     @property
@@ -88,9 +92,9 @@ class RouteWidth:
 
     @property
     def place_words(self) -> str:
-        """Narrowest place as text: *the narrowest place, 201 mm along the route, is 3.2 ± 0.3 mm wide*."""
+        """Narrowest place as text: *the narrowest place, 91 mm past the main carina, is 3.2 ± 0.3 mm wide*."""
         mm = f"{self.mm:.1f} \u00b1 {self.error_mm:.1f} mm"
-        return f"the narrowest place, {self.at_mm:.0f} mm along the route, is {mm} wide"
+        return f"the narrowest place, {self.origin.words(self.at_mm)}, is {mm} wide"
 
     def chance(self, scope: ScopePreset) -> float:
         """Return the probability that a scope passes, by the errors of the diameter and of the scope's size."""
@@ -135,7 +139,11 @@ def matches_tree(measures: TreeMeasures, tree: AirwayTree) -> bool:
 
 
 def widths_on_the_way(
-    tree: AirwayTree, wall: WallField | None, measures: TreeMeasures | None, spacing_mm: float
+    tree: AirwayTree,
+    wall: WallField | None,
+    measures: TreeMeasures | None,
+    spacing_mm: float,
+    origin: DistanceOrigin = ROOT,
 ) -> dict[int, Widths]:
     """Return for each branch the narrowest width of the path to each of its points, (n,) of `RouteWidth`.
 
@@ -147,6 +155,8 @@ def widths_on_the_way(
         Measures of this tree; None uses the ball everywhere.
     spacing_mm
         Largest spacing of the CT.
+    origin
+        Origin from which the narrowest places are measured.
     """
     found: dict[int, Widths] = {}
     starts: dict[int, float] = {}
@@ -154,13 +164,13 @@ def widths_on_the_way(
     for branch in tree.branches:
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
         before: RouteWidth | None = None
-        start = 0.0
+        start = origin.past_mm(0.0)
         if branch.parent is not None:
             before, start = found[branch.parent][-1], starts[branch.parent]
         starts[branch.id] = start + float(along[-1])
         places = _known_diameters(branch, along, wall, measures, spacing_mm)
         places.at_mm += start
-        found[branch.id] = _cumulated(places, along + start, before)
+        found[branch.id] = _cumulated(places, along + start, before, origin)
     return found
 
 
@@ -203,31 +213,32 @@ def _known_diameters(
     return _KnownDiameters(at[order], diameter[order], error[order], is_ball[order], title, branch.kind)
 
 
-def _cumulated(places: _KnownDiameters, along: Points, before: RouteWidth | None) -> Widths:
+def _cumulated(places: _KnownDiameters, along: Points, before: RouteWidth | None, origin: DistanceOrigin) -> Widths:
     """Return the narrowest width up to each point of a centreline, including the path before the branch.
 
     A point at which no width was measured also uses the next measured place: where a branch leaves its parent, the
     first measured section of the branch is some distance along it, and a scope at the point is in the branch already.
+    The stated place is then the point itself, so that it is never beyond the end of the route.
     """
     widths = np.empty(len(along), dtype=object)
     now, used = before, 0
     for n, mm in enumerate(along):
         while used < len(places.at_mm) and (used == 0 or places.at_mm[used - 1] < mm - 1e-6):
-            now = _narrower(now, _width(places, used))
+            now = _narrower(now, _width(places, used, origin))
             used += 1
-        widths[n] = now
+        widths[n] = now if now is None or now.at_mm <= mm else replace(now, at_mm=float(mm))
     return widths
 
 
-def _width(places: _KnownDiameters, n: int) -> RouteWidth:
+def _width(places: _KnownDiameters, n: int, origin: DistanceOrigin) -> RouteWidth:
     mm, error, at = float(places.diameter_mm[n]), float(places.error_mm[n]), float(places.at_mm[n])
     if not places.is_ball[n]:
-        return RouteWidth(mm, error, at)
+        return RouteWidth(mm, error, at, origin=origin)
     reason = {"manual": "was drawn by hand", "bridge": "is a bridge across an obstruction"}.get(
         places.kind, "has no section that can be measured"
     )
-    why = f"{places.title} {reason} {at:.0f} mm along the route; there the diameter is that of the largest ball"
-    return RouteWidth(mm, error, at, "ball", why)
+    why = f"{places.title} {reason}; there the diameter is that of the largest ball"
+    return RouteWidth(mm, error, at, "ball", why, origin)
 
 
 def _narrower(before: RouteWidth | None, here: RouteWidth) -> RouteWidth:

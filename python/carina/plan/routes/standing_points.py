@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.plan.instruments.tools import Tool
+from carina.plan.routes.main_carina import ROOT, DistanceOrigin, origins_of_branches
 from carina.plan.routes.ranking import Demands, WorstValue
 from carina.plan.routes.route_width import widths_on_the_way
 from carina.plan.targets.grow_nodule import Nodule
@@ -58,6 +59,8 @@ class NearestPlace:
     """Diameter of the largest ball that fits in the airway at the place, mm."""
     gap_mm: float
     """Distance from the middle of the airway at the place to the edge of the target, mm."""
+    from_carina_mm: float | None = None
+    """Distance of the place from the main carina, mm; None if the way to the place passes no main carina."""
 
     def to_json(self) -> dict[str, Any]:
         """Return the place as plain JSON types."""
@@ -66,6 +69,7 @@ class NearestPlace:
             "branch_name": self.branch_name,
             "place_lps": list(self.place_lps),
             "along_mm": self.along_mm,
+            "from_carina_mm": self.from_carina_mm,
             "width_mm": self.width_mm,
             "gap_mm": self.gap_mm,
         }
@@ -82,6 +86,8 @@ class Ways:
         Measures of this tree. If None, the diameter is that of the largest ball everywhere.
     spacing_mm
         Largest spacing of the CT.
+    origin
+        Origin of the distances along the airways (`carina.plan.distance_origin`).
     """
 
     def __init__(
@@ -91,12 +97,17 @@ class Ways:
         *,
         measures: TreeMeasures | None = None,
         spacing_mm: float = 1.0,
+        origin: DistanceOrigin = ROOT,
     ) -> None:
         self._tree = tree
         branches = [branch for branch in tree.branches if len(branch.points) > 1]
         self._row = {branch.id: branch for branch in tree.branches}
         along = _along(tree)
-        widths = widths_on_the_way(tree, wall, measures, spacing_mm)
+        self._origins = origins_of_branches(tree, origin)
+        widths: dict[int, Any] = {}
+        for one in dict.fromkeys(self._origins.values()):
+            whole = widths_on_the_way(tree, wall, measures, spacing_mm, one)
+            widths |= {branch: whole[branch] for branch, own in self._origins.items() if own == one}
         self._bends: dict[int, tuple[Points, Points, Points]] = {}
         self._doubts: dict[int, tuple[str, ...]] = {}
 
@@ -107,6 +118,7 @@ class Ways:
         self.forward: Points = joined([_tangents(b.points) for b in branches], 3)
         self.branch: NDArray[Any] = joined([np.full(len(b.points), b.id) for b in branches])
         self.along_mm: Points = joined([along[b.id] for b in branches])
+        """(n,) distance of each point from the root along the airways, mm."""
         self.width: NDArray[np.object_] = joined([widths[b.id] for b in branches])
         """(n,) `RouteWidth` of the path from the root to each point."""
         self.radius: Points = joined([b.wall_distance for b in branches])
@@ -114,6 +126,10 @@ class Ways:
     def of_branch(self, n: int) -> Branch:
         """Return the branch that contains point ``n``."""
         return self._row[int(self.branch[n])]
+
+    def origin_of(self, branch_id: int) -> DistanceOrigin:
+        """Return the origin of the distances along the path to a branch."""
+        return self._origins[branch_id]
 
     def asks(self, n: int, section_mm: float | None) -> Demands:
         """Return width, bend and doubts of the path to point ``n``, which a scope must pass.
@@ -128,14 +144,15 @@ class Ways:
         branch = self.of_branch(n)
         if branch.id not in self._doubts:
             self._doubts[branch.id] = self._doubts_of(branch)
-        bend = WorstValue(0.0, 0.0)
+        origin = self.origin_of(branch.id)
+        bend = WorstValue(0.0, origin.past_mm(0.0))
         if section_mm is not None:
             if branch.id not in self._bends:
                 self._bends[branch.id] = _bends(self._tree.lineage(branch.id), section_mm)
             at, worst, where = self._bends[branch.id]
             row = int(np.searchsorted(at, float(self.along_mm[n]) + 1e-6, side="right")) - 1
             if row >= 0:
-                bend = WorstValue(float(worst[row]), float(where[row]))
+                bend = WorstValue(float(worst[row]), origin.past_mm(float(where[row])))
         return Demands(self.width[n], bend, self._doubts[branch.id], self._trust(branch))
 
     def _trust(self, branch: Branch) -> float:
@@ -158,8 +175,9 @@ class Places(Ways):
         *,
         measures: TreeMeasures | None = None,
         spacing_mm: float = 1.0,
+        origin: DistanceOrigin = ROOT,
     ) -> None:
-        super().__init__(tree, wall, measures=measures, spacing_mm=spacing_mm)
+        super().__init__(tree, wall, measures=measures, spacing_mm=spacing_mm, origin=origin)
         self.nodule = nodule
         self.distance: Points = np.linalg.norm(self.points - np.array(nodule.centre_lps), axis=1)
 
@@ -233,7 +251,7 @@ class Places(Ways):
             of["along_mm"].append(mm)
             widths = np.empty(len(mm), dtype=object)
             widths[:] = [
-                replace(width, at_mm=min(width.at_mm, float(here)))
+                replace(width, at_mm=min(width.at_mm, width.origin.past_mm(float(here))))
                 for width, here in zip(self.width[after], mm, strict=True)
             ]
             of["width"].append(widths)
@@ -282,18 +300,8 @@ class Places(Ways):
             along_mm=float(self.along_mm[n]),
             width_mm=2.0 * float(self.radius[n]),
             gap_mm=float(gap.min()),
+            from_carina_mm=self.origin_of(branch.id).from_carina_mm(float(self.along_mm[n])),
         )
-
-    def carina_mm(self, branch: Branch) -> float | None:
-        """Return the distance in mm from the root to the main carina on the path to a branch; None if there is none."""
-        inside = 0.0
-        for one in self._tree.lineage(branch.id):
-            if one.name in {"RMB", "LMB"}:
-                return inside
-            inside += one.length_mm
-        if branch.parent is None and {"RMB", "LMB"} & {self._row[child].name for child in branch.children}:
-            return inside
-        return None
 
 
 def branch_doubts(branch: Branch) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from carina.errors import UsageError, check_type
 from carina.plan.hand_moves import Move
-from carina.plan.routes.main_carina import SAME_PLACE_MM, ridge_beyond_axes_mm
+from carina.plan.routes.main_carina import AXES_NOTE, SAME_PLACE_MM, DistanceOrigin
 from carina.plan.routes.plan_route import PlannedRoute
 from carina.plan.routes.standing_points import branch_doubts, branch_title
 from carina.plan.turns.fork_view import (
@@ -27,19 +27,18 @@ from carina.plan.turns.fork_view import (
 )
 from carina.plan.turns.turn_list import OtherWay, Turn, TurnList, Zero
 from carina.render.picture_text import letters_of
-from carina.track import Airways, AirwayTree, Branch
+from carina.track import AirwayTree, Branch
 from carina.track.measures.forks import angle_deg
-from carina.volume import Volume
 
-__all__ = ["main_carina_ridge_mm", "turn_list"]
+__all__ = ["turn_list"]
 
 Points = NDArray[np.float64]
 Point = tuple[float, float, float]
 
 TOGETHER_MM = 2.0
 """Largest distance in mm between forks that form one turn, because a tip of 3 mm cannot stop between them."""
-MOST_RIDGE_MM = 60.0
-MOST_DEPTH_MM = 600.0
+MOST_DEPTH_MM = 1000.0
+"""Largest accepted depth of the main carina in mm: older cases may state 500 mm to the start of the tree."""
 SIDES = {"R": "right", "L": "left", "A": "anterior", "P": "posterior", "S": "superior", "I": "inferior"}
 
 
@@ -47,7 +46,6 @@ def turn_list(
     tree: AirwayTree,
     planned: PlannedRoute,
     *,
-    carina_ridge_mm: float | None = None,
     carina_depth_mm: float | None = None,
     moves: Sequence[Move] | None = None,
     ends_along_mm: Sequence[float] | None = None,
@@ -59,16 +57,13 @@ def turn_list(
     tree
         The tree that the route was planned in.
     planned
-        The route; the list ends at the position of its scope.
-    carina_ridge_mm
-        Distance of the ridge of the main carina beyond the point where the axes of the bronchi meet
-        (`main_carina_ridge_mm`). Distances are then measured from the ridge, as in a bronchoscopy. Without it they are
-        measured from the point where the axes meet, and a note states this.
+        The route; the list ends at the position of its scope. Distances are measured from the origin of the route
+        (`PlannedRoute.origin`).
     carina_depth_mm
         Insertion depth at nose or mouth when the tip is at the main carina; depths computed from it are estimates.
     moves, ends_along_mm
-        Moves of a drive along the route, and the distance of the tip along it at the end of each move, mm from the
-        tree's root along the centrelines (`DrivenRoute.ends_along_mm`).
+        Moves of a drive along the route, and the distance of the tip from the origin of the route at the end of each
+        move, mm (`DrivenRoute.ends_along_mm`).
 
     Returns
     -------
@@ -93,22 +88,21 @@ def turn_list(
     """
     check_type("turn_list", "tree", tree, AirwayTree, "it is the tree of carina.find_airways")
     check_type("turn_list", "planned", planned, PlannedRoute, "it is one of the routes of carina.plan_route")
-    for name, value, most in (
-        ("carina_ridge_mm", carina_ridge_mm, MOST_RIDGE_MM),
-        ("carina_depth_mm", carina_depth_mm, MOST_DEPTH_MM),
-    ):
-        if value is not None and not (math.isfinite(value) and 0.0 <= value <= most):
-            raise UsageError(f"{name}: expected 0 to {most:g} mm; found {value}", code="plan.range")
+    if carina_depth_mm is not None and not (math.isfinite(carina_depth_mm) and 0.0 <= carina_depth_mm <= MOST_DEPTH_MM):
+        raise UsageError(
+            f"carina_depth_mm: expected 0 to {MOST_DEPTH_MM:g} mm; found {carina_depth_mm}", code="plan.range"
+        )
     lineage = tree.lineage(planned.branch_id)
     by_id = {branch.id: branch for branch in tree.branches}
-    groups = _forks(lineage)
-    axes_mm = None if planned.from_carina_mm is None else planned.along_mm - planned.from_carina_mm
-    zero_mm = None if axes_mm is None else axes_mm + (carina_ridge_mm or 0.0)
-    per_turn, parking = _moves_by_fork([group[-1].at_mm for group in groups], moves, ends_along_mm)
+    origin = planned.origin
+    groups = _forks(lineage, origin)
+    places_mm = [_place_mm(group) for group in groups]
+    forks_mm = [origin.past_mm(group[-1].at_mm) for group in groups]
+    per_turn, parking = _moves_by_fork(forks_mm, moves, ends_along_mm)
     way = np.concatenate([branch.points for branch in lineage])
     turns: list[Turn] = []
     for n, (group, doing) in enumerate(zip(groups, per_turn, strict=True)):
-        before_mm = groups[n - 1][0].at_mm if n else 0.0
+        before_mm = places_mm[n - 1] if n else origin.past_mm(0.0)
         first, last = group[0], group[-1]
         fork = first.mother.points[-1]
         others = [by_id[i] for one in group for i in one.mother.children if i != one.daughter.id]
@@ -122,8 +116,8 @@ def turn_list(
                 to_branch=branch_title(last.daughter),
                 to_branch_id=last.daughter.id,
                 fork_lps=_point(fork),
-                from_carina_mm=None if zero_mm is None else first.at_mm - zero_mm,
-                from_fork_mm=first.at_mm - before_mm,
+                from_carina_mm=places_mm[n] if origin.is_carina else None,
+                from_fork_mm=places_mm[n] - before_mm,
                 clock_head=taken.hours,
                 clock_facing=turned_hours(taken.hours),
                 angle_deg=_angle_deg(fork - eye, taken.place_lps - fork) if measured is None else measured,
@@ -134,43 +128,22 @@ def turn_list(
                 sides=() if taken.straight_ahead else _sides(fork - eye, taken.place_lps - fork),
                 others=_clockwise(taken, seen[1:], {i: one.mother for one in group for i in one.mother.children}),
                 through=tuple(branch_title(one.daughter) for one in group[:-1]),
-                at_main_carina=axes_mm is not None and any(abs(one.at_mm - axes_mm) < SAME_PLACE_MM for one in group),
+                at_main_carina=any(one.is_main_carina for one in group),
                 opening_lps=_point(taken.place_lps),
                 seen_from_lps=_point(eye),
             )
         )
-    last_mm = groups[-1][0].at_mm if groups else 0.0
-    zero: Zero | None = None if zero_mm is None else "axes" if carina_ridge_mm is None else "ridge"
+    last_mm = places_mm[-1] if places_mm else origin.past_mm(0.0)
+    zero: Zero | None = None if origin.kind == "root" else origin.kind
     return TurnList(
         turns=tuple(turns),
-        park_from_carina_mm=None if zero_mm is None else planned.along_mm - zero_mm,
-        park_from_fork_mm=planned.along_mm - last_mm,
+        park_from_carina_mm=planned.from_carina_mm,
+        park_from_fork_mm=origin.past_mm(planned.along_mm) - last_mm,
         carina_depth_mm=carina_depth_mm,
         park_moves=parking,
         zero=zero,
         notes=_notes(zero, carina_depth_mm),
     )
-
-
-def main_carina_ridge_mm(volume: Volume, airways: Airways, planned: PlannedRoute) -> float | None:
-    """Return the distance in mm of the main carina's ridge beyond the point where the axes of the main bronchi meet.
-
-    Parameters
-    ----------
-    volume, airways
-        The CT and its airways.
-    planned
-        Route over the main carina.
-
-    Returns
-    -------
-    float or None
-        None if the route passes no main carina, or no ridge of wall is found.
-    """
-    if planned.from_carina_mm is None:
-        return None
-    axes_mm = planned.along_mm - planned.from_carina_mm
-    return ridge_beyond_axes_mm(volume, airways, planned.branch_id, axes_mm)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,9 +154,17 @@ class _Fork:
     daughter: Branch
     at_mm: float
     """Distance of the fork from the root along the airways, mm."""
+    place_mm: float
+    """Distance of the fork from the origin of the route (`DistanceOrigin.fork_mm`), mm."""
+    is_main_carina: bool
 
 
-def _forks(lineage: Sequence[Branch]) -> list[list[_Fork]]:
+def _place_mm(group: Sequence[_Fork]) -> float:
+    """Return the distance in mm of a group of forks from the origin: that of the main carina, else of the first."""
+    return next((fork for fork in group if fork.is_main_carina), group[0]).place_mm
+
+
+def _forks(lineage: Sequence[Branch], origin: DistanceOrigin) -> list[list[_Fork]]:
     """Return the forks of a route; forks at most `TOGETHER_MM` apart form one group.
 
     The end of a branch with a single child is not a fork.
@@ -194,7 +175,7 @@ def _forks(lineage: Sequence[Branch]) -> list[list[_Fork]]:
         at_mm += mother.length_mm
         if len(mother.children) < 2:
             continue
-        fork = _Fork(mother, daughter, at_mm)
+        fork = _Fork(mother, daughter, at_mm, origin.fork_mm(at_mm), origin.is_main_carina(at_mm))
         if groups and at_mm - groups[-1][-1].at_mm <= TOGETHER_MM:
             groups[-1].append(fork)
         else:
@@ -289,10 +270,7 @@ def _notes(zero: Zero | None, carina_depth_mm: float | None) -> tuple[str, ...]:
             else "the tree shows no main carina on the way, so distances are counted from fork to fork"
         )
     elif zero == "axes":
-        found.append(
-            "distances are counted from where the axes of the main bronchi meet; the ridge of the carina that is seen "
-            "lies about a tracheal radius below, so the scope shows that much less"
-        )
+        found.append(AXES_NOTE)
     if carina_depth_mm is not None and zero is not None:
         found.append("depths at the nose or mouth are estimates: the depth that was set for the carina, plus the way")
     return tuple(found)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from carina.plan.hand_moves import Move
+from carina.plan.routes.main_carina import carina_words
 
 __all__ = ["hour_words", "joined", "moves_words", "place_words", "with_depth"]
 
@@ -35,8 +36,8 @@ def place_words(from_carina_mm: float | None, from_fork_mm: float, depth_mm: flo
     if from_carina_mm is None:
         since = "from the start of the route" if first else "past the previous fork"
         return f"At {from_fork_mm:.0f} mm {since}"
-    side = "past" if from_carina_mm >= 0.0 else "above"
-    return with_depth(f"At {abs(from_carina_mm):.0f} mm {side} the main carina", depth_mm)
+    where = carina_words(from_carina_mm)
+    return with_depth(where.capitalize() if where.startswith("at ") else f"At {where}", depth_mm)
 
 
 def with_depth(where: str, depth_mm: float | None) -> str:

@@ -12,7 +12,7 @@ from carina.display.tables import ColumnKind, Columns, Tabular, columns_of
 from carina.errors import NoResultError
 from carina.plan.hand_moves import Move
 from carina.plan.turns.fork_view import Operator, levelled, turned_hours, whole_hour
-from carina.plan.turns.texts import hour_words, joined, moves_words, place_words, with_depth
+from carina.plan.turns.texts import hour_words, joined, moves_words, place_words
 from carina.scopes import Pose
 
 __all__ = ["OtherWay", "Turn", "TurnList", "Zero"]
@@ -64,10 +64,10 @@ class Turn:
     from_carina_mm: float | None
     """Distance of the turn from the main carina along the route, mm.
 
-    Below 0 before the carina, None if the tree has none.
+    0 at the main carina, below 0 before it, None if the route passes none.
     """
     from_fork_mm: float
-    """Distance of the turn from the previous fork, mm; for the first fork, from the beginning of the route."""
+    """Distance of the turn from the previous one, mm; for the first turn, from the beginning of the route."""
     clock_head: float
     """Clock hour of the opening, 0 < hours <= 12, in the levelled picture of an operator at the patient's head."""
     clock_facing: float
@@ -138,11 +138,7 @@ class Turn:
         moves
             Whether to include the moves of the hand.
         """
-        where = (
-            with_depth("At the main carina", depth_mm)
-            if self.at_main_carina
-            else place_words(self.from_carina_mm, self.from_fork_mm, depth_mm, first)
-        )
+        where = place_words(self.from_carina_mm, self.from_fork_mm, depth_mm, first)
         doing = "stay in" if self.to_branch == self.from_branch else "enter"
         stems = [name for name in self.through if name not in {self.from_branch, self.to_branch}]
         passed = f" just past {joined(stems)}" if stems else ""
@@ -205,7 +201,8 @@ class TurnList(Tabular):
     zero: Zero | None = None
     """Origin of distances: the visible ridge of the main carina, or the point where the axes of the main bronchi meet.
 
-    That point is about one radius of the trachea above the ridge. None if the tree has no main carina.
+    That point is about one radius of the trachea above the ridge, and is used if no ridge was found. None if the route
+    passes no main carina.
     """
     notes: tuple[str, ...] = ()
     """Notes on the distances and depths."""
@@ -234,6 +231,11 @@ class TurnList(Tabular):
             {"turn": "int", **own, "depth_estimate_mm": "float", "hour_head": "int", "hour_facing": "int"},
         )
 
+    @property
+    def park_depth_estimate_mm(self) -> float | None:
+        """Estimated depth of the final position at nose or mouth in mm; None if no depth of the carina was set."""
+        return self.depth_mm(self.park_from_carina_mm)
+
     def depth_mm(self, from_carina_mm: float | None) -> float | None:
         """Return the estimated depth at nose or mouth in mm; None if no depth of the carina was set."""
         if self.carina_depth_mm is None or from_carina_mm is None:
@@ -244,13 +246,11 @@ class TurnList(Tabular):
         """Return the list as lines: each turn, then the final position."""
         lines = []
         for n, turn in enumerate(self.turns):
-            # At the carina the depth is the one that the user set, whichever point is the origin of distances.
-            depth = self.carina_depth_mm if turn.at_main_carina else self.depth_mm(turn.from_carina_mm)
-            lines.append(turn.words(operator, depth_mm=depth, first=n == 0))
+            lines.append(turn.words(operator, depth_mm=self.depth_mm(turn.from_carina_mm), first=n == 0))
         where = place_words(
-            self.park_from_carina_mm, self.park_from_fork_mm, self.depth_mm(self.park_from_carina_mm), not self.turns
+            self.park_from_carina_mm, self.park_from_fork_mm, self.park_depth_estimate_mm, not self.turns
         )
-        counted = self.turns and self.park_from_carina_mm is not None
+        counted = self.turns and self.park_from_carina_mm is not None and self.park_from_fork_mm >= 0.0
         beyond = f", {self.park_from_fork_mm:.0f} mm past the last fork" if counted else ""
         doing = moves_words(self.park_moves or ())
         return (*lines, f"{where}{beyond}, stop" + (f": {doing}" if doing else ""))
@@ -263,7 +263,7 @@ class TurnList(Tabular):
             ],
             "park_from_carina_mm": self.park_from_carina_mm,
             "park_from_fork_mm": self.park_from_fork_mm,
-            "park_depth_estimate_mm": self.depth_mm(self.park_from_carina_mm),
+            "park_depth_estimate_mm": self.park_depth_estimate_mm,
             "park_moves": None if self.park_moves is None else [move.to_json() for move in self.park_moves],
             "carina_depth_mm": self.carina_depth_mm,
             "zero": self.zero,

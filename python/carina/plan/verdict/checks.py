@@ -27,6 +27,8 @@ BEND_SIGMA_DEG = 8.0
 """Standard deviation in degrees of the angle that a route requires of the bending section (common knowledge)."""
 LONGEST_ENTRY_MM = 250.0
 """Largest distance in mm from the nose to the upper trachea in an adult (common knowledge)."""
+LONGEST_TO_CARINA_MM = 320.0
+"""Largest distance in mm from the nose to the main carina in an adult (common knowledge)."""
 
 
 @one_line
@@ -61,7 +63,7 @@ def diameter_check(width: RouteWidth, scope: ScopePreset, *, errors: bool) -> Ch
     else:
         needs, margin = max(scope.tip_mm, scope.tube_mm or 0.0), ""
         share = passes(width.mm - needs, 0.0)
-        place = f"the narrowest place, {width.at_mm:.0f} mm along the route, is {width.mm:.1f} mm wide"
+        place = f"the narrowest place, {width.origin.words(width.at_mm)}, is {width.mm:.1f} mm wide"
     words = f"needs {needs:.1f} mm; {place}" + ("" if width.why is None else f"; {width.why}")
     lumen = "diameter from sections of the CT" if width.source == "sections" else "largest ball in the lumen found"
     basis = f"tip {scope.tip_mm:g} mm ({_basis(scope)}){margin}; {lumen}"
@@ -94,14 +96,13 @@ def bend_check(way: DriveWay, scope: ScopePreset, *, errors: bool) -> Check:
     share = passes(most - worst, BEND_SIGMA_DEG if errors else 0.0)
     radius = f" at a radius of {section / math.radians(worst):.0f} mm" if worst >= 10.0 else ""
     words = (
-        f"the bend {way.told_mm(where):.0f} mm along the route requires {worst:.0f} degrees of flexion{radius}; "
-        f"this scope has {most:.0f}"
+        f"the bend {way.told_words(where)} requires {worst:.0f} degrees of flexion{radius}; this scope has {most:.0f}"
     )
     basis = f"flexion {most:g} degrees, bending section {np.mean(scope.bending_mm):g} mm ({_basis(scope)})"
     return Check("bend", answer_of(share), share, words, basis)
 
 
-def length_check(way: DriveWay, scope: ScopePreset, entry_mm: float | None) -> Check:
+def length_check(way: DriveWay, scope: ScopePreset, origin_depth_mm: float | None) -> Check:
     """Return whether the scope is long enough to reach the end of the route.
 
     Parameters
@@ -110,25 +111,25 @@ def length_check(way: DriveWay, scope: ScopePreset, entry_mm: float | None) -> C
         The route.
     scope
         The instrument.
-    entry_mm
-        Distance from nose or mouth to the beginning of the tree; None if it is not known.
+    origin_depth_mm
+        Insertion depth at nose or mouth when the tip is at the origin of the route's distances (`PlannedRoute.origin`);
+        None if it is not known.
     """
     basis = f"working length ({_basis(scope)})"
     if scope.length_mm is None:
         return Check("length", "unknown", None, "its working length is not known", basis)
     park_mm = way.told_mm(way.park_mm)
     spare = scope.length_mm - park_mm
-    if entry_mm is None:
+    if origin_depth_mm is None:
+        at_origin = "the main carina" if way.origin.is_carina else "that start"
+        longest_mm = LONGEST_TO_CARINA_MM if way.origin.is_carina else LONGEST_ENTRY_MM
         words = (
-            f"{park_mm:.0f} mm from the start of the airway tree; a working length of {scope.length_mm:.0f} mm "
-            f"leaves {spare:.0f} mm from nose or mouth to that point"
+            f"the tip stops {way.origin.words(park_mm)}; a working length of {scope.length_mm:.0f} mm leaves "
+            f"{spare:.0f} mm from nose or mouth to {at_origin}"
         )
-        # In adults the nose is at most about 320 mm from the carina (common knowledge).
-        return Check(
-            "length", "yes" if spare >= LONGEST_ENTRY_MM else "no" if spare < 0 else "perhaps", None, words, basis
-        )
-    left = spare - entry_mm
-    words = f"needs a working length of {park_mm + entry_mm:.0f} mm; this scope has {scope.length_mm:.0f}"
+        return Check("length", "yes" if spare >= longest_mm else "no" if spare < 0 else "perhaps", None, words, basis)
+    left = spare - origin_depth_mm
+    words = f"needs a working length of {park_mm + origin_depth_mm:.0f} mm; this scope has {scope.length_mm:.0f}"
     return Check("length", "yes" if left >= 0.0 else "no", None, words, basis)
 
 

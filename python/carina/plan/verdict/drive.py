@@ -45,7 +45,7 @@ class DrivenRoute:
     ends_mm: tuple[float, ...]
     """Insertion in mm of the scope at the end of each move: the length of the scope inside the patient."""
     ends_along_mm: tuple[float, ...]
-    """Distance of the tip along the route at the end of each move, mm along the centrelines from the root."""
+    """Distance of the tip from the origin of the route (`PlannedRoute.origin`) at the end of each move, mm."""
     samples: Points
     """(n, 3) insertion in mm, roll and flexion in radians that the scope reached.
 
@@ -58,7 +58,7 @@ class DrivenRoute:
     arrived: bool
     """Whether the tip reached the end of the route."""
     stopped_mm: float
-    """Distance of the tip along the route at the end of the drive, measured as ``ends_along_mm``."""
+    """Distance of the tip from the origin of the route at the end of the drive, mm."""
     why: str | None
     """Reason why the scope stopped early; None if it arrived."""
 

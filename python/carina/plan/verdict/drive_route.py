@@ -29,8 +29,8 @@ class DriveWay:
     """Route of a drive, up to the final position of the tip.
 
     Distances in a drive are measured along the smooth route, which is a few millimetres shorter than the branches'
-    centrelines. Distances in results are measured along the centrelines, as in `PlannedRoute.along_mm` and in the list
-    of turns; `told_mm` converts them.
+    centrelines. Distances in results are measured along the centrelines, from the origin of the planned route as in the
+    list of turns; `told_mm` converts them.
 
     Parameters
     ----------
@@ -44,6 +44,7 @@ class DriveWay:
         route: Route = tree.route_to(planned.branch_id)
         tip = np.array(planned.leg.tip_lps)
         self.wall = wall
+        self.origin = planned.origin
         self.width = planned.width
         self.points, self.cumulative_mm = route.points_lps, route.cumulative_mm
         self.park_mm = float(self.cumulative_mm[int(np.argmin(np.linalg.norm(self.points - tip, axis=1)))])
@@ -83,8 +84,12 @@ class DriveWay:
         return float(self.cumulative_mm[-1])
 
     def told_mm(self, mm: float) -> float:
-        """Convert a distance along the smooth route to a distance along the centrelines from the root, mm."""
-        return float(np.interp(mm, self._knots[:, 0], self._knots[:, 1]))
+        """Convert a distance along the smooth route to one along the centrelines from the route's origin, mm."""
+        return self.origin.past_mm(float(np.interp(mm, self._knots[:, 0], self._knots[:, 1])))
+
+    def told_words(self, mm: float) -> str:
+        """Return a place of the smooth route as text, such as *42 mm past the main carina*."""
+        return self.origin.words(self.told_mm(mm))
 
     def at(self, mm: float | Points) -> Points:
         """Return the points (..., 3), LPS mm, at distances in mm along the route."""

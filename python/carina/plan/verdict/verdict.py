@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import CancelledError, UsageError
+from carina.plan.routes.main_carina import ROOT, DistanceOrigin
 from carina.plan.routes.needle_hits import NeedleErrors, hit_share
 from carina.plan.routes.plan_route import Plan, PlannedRoute
 from carina.plan.verdict.checks import (
@@ -82,14 +83,16 @@ class Verdict:
     share: float | None
     """Smallest probability of the checks; None if it cannot be computed."""
     checks: tuple[Check, ...]
-    reached_mm: float
-    """Distance along the route that the tip reaches, mm."""
+    reached_mm: float | None
+    """Distance in mm from the origin of the route to the place that the tip reaches; None if it is not known."""
     hold: ScopeHold | None
     """Roll and lever with which the scope points at the target; None if the scope did not arrive."""
     driven: DrivenRoute | None
     """Simulated drive; None if checks without a simulation decide, or too little is known about the instrument."""
     would: str | None
     """Changes with which the instrument would reach the target, as text; None if no change is needed."""
+    origin: DistanceOrigin = ROOT
+    """Origin of the distances, that of the route."""
 
     @property
     def words(self) -> str:
@@ -101,15 +104,16 @@ class Verdict:
         worst.sort(key=lambda check: order[check.answer])
         if not worst:
             return self.outcome
-        is_laid = all(check.answer != "unknown" for check in self.checks if check.name == "bend")
-        if self.outcome == "does not reach" and is_laid and worst[0].name in {"diameter", "bend", "drive"}:
-            return f"stops at {self.reached_mm:.0f} mm: {worst[0].words}"
+        stops = self.outcome == "does not reach" and worst[0].name in {"diameter", "bend", "drive"}
+        if stops and self.reached_mm is not None:
+            return f"stops {self.origin.words(self.reached_mm)}: {worst[0].words}"
         return f"{self.outcome}: {worst[0].words}"
 
     def to_json(self) -> dict[str, Any]:
         """Return the verdict as plain JSON types."""
         return {
             "scope": self.scope.name,
+            "title": self.scope.title,
             "outcome": self.outcome,
             "share": self.share,
             "words": self.words,
@@ -138,7 +142,7 @@ def judge_scopes(
     *,
     route: PlannedRoute | None = None,
     scopes: Iterable[ScopePreset] | None = None,
-    entry_mm: float | None = None,
+    origin_depth_mm: float | None = None,
     errors: bool = True,
     effort: float = EFFORT,
     found: Callable[[Verdict], None] | None = None,
@@ -155,8 +159,9 @@ def judge_scopes(
         Route of the plan; the first one if None.
     scopes
         Instruments; the whole library if None.
-    entry_mm
-        Distance from nose or mouth to the beginning of the tree; None leaves the check of the length open.
+    origin_depth_mm
+        Insertion depth in mm at nose or mouth when the tip is at the origin of the route's distances, the main carina
+        (`PlannedRoute.origin`); None leaves the check of the length open.
     errors
         Whether to consider the errors of measurements and instrument data; False treats them as exact.
     effort
@@ -186,7 +191,7 @@ def judge_scopes(
         plan,
         wall,
         route=route,
-        entry_mm=entry_mm,
+        origin_depth_mm=origin_depth_mm,
         errors=errors,
         effort=effort,
         cancel=cancel,
@@ -240,7 +245,7 @@ def judge_scope(
     scope: ScopePreset,
     *,
     route: PlannedRoute | None = None,
-    entry_mm: float | None = None,
+    origin_depth_mm: float | None = None,
     errors: bool = True,
     effort: float = EFFORT,
     cancel: Callable[[], bool] | None = None,
@@ -251,7 +256,7 @@ def judge_scope(
     ----------
     tree, plan, wall, scope
         The airways, the plan, the wall of the airways, and the instrument.
-    route, entry_mm, errors, effort, cancel
+    route, origin_depth_mm, errors, effort, cancel
         As for `judge_scopes`.
 
     Returns
@@ -271,7 +276,7 @@ def judge_scope(
         plan,
         wall,
         route=route,
-        entry_mm=entry_mm,
+        origin_depth_mm=origin_depth_mm,
         errors=errors,
         effort=effort,
         cancel=cancel,
@@ -311,7 +316,7 @@ class _Bench:
         wall: WallField,
         *,
         route: PlannedRoute | None,
-        entry_mm: float | None,
+        origin_depth_mm: float | None,
         errors: bool,
         effort: float,
         cancel: Callable[[], bool] | None,
@@ -320,7 +325,7 @@ class _Bench:
             raise UsageError("the plan has no route to judge", code="plan.no-route")
         self._way = DriveWay(tree, plan.routes[0] if route is None else route, wall)
         self._plan, self._wall = plan, wall
-        self._entry_mm, self._errors = entry_mm, errors
+        self._origin_depth_mm, self._errors = origin_depth_mm, errors
         self._effort, self._cancel = effort, cancel
         self.stopped = False
 
@@ -334,7 +339,7 @@ class _Bench:
         checks = (
             diameter_check(self._way.width, scope, errors=self._errors),
             bend_check(self._way, scope, errors=self._errors),
-            length_check(self._way, scope, self._entry_mm),
+            length_check(self._way, scope, self._origin_depth_mm),
             channel_check(scope, self._plan.tool),
         )
         driven_as: ScopePreset | None = scope
@@ -350,12 +355,13 @@ class _Bench:
 
     def undriven(self, scope: ScopePreset, figures: _Figures) -> Verdict:
         """Return the verdict on an instrument without a simulated drive."""
-        reached_mm = 0.0
+        reached_mm: float | None = None
         if figures.checks[1].answer != "unknown":
-            # A scope that is too wide to enter reaches nothing.
+            # A scope that is too wide to enter stops at the start of the tree.
+            reached_mm = self._way.told_mm(0.0)
             with contextlib.suppress(UsageError):
-                reached_mm = self._laid_mm(scope)
-        return _verdict(scope, figures.checks, min(reached_mm, self._way.park_mm), None, driven=False)
+                reached_mm = self._way.told_mm(min(self._laid_mm(scope), self._way.park_mm))
+        return _verdict(scope, figures.checks, reached_mm, None, self._way.origin, driven=False)
 
     def driven(self, scope: ScopePreset, figures: _Figures, drive: _Drive) -> Verdict:
         """Return the verdict on an instrument from its checks and its simulated drive."""
@@ -369,10 +375,10 @@ class _Bench:
                 for one in checks
             )
         route = None if drive.route is None else replace(drive.route, scope_name=scope.name)
-        reached_mm = 0.0 if route is None else route.stopped_mm
+        reached_mm = self._way.told_mm(0.0) if route is None else route.stopped_mm
         diameter, bend, *others = figures.checks
         told = (diameter, bend if drive.bend is None else drive.bend, *others)
-        return _verdict(scope, (*told, *checks), reached_mm, route, driven=True)
+        return _verdict(scope, (*told, *checks), reached_mm, route, self._way.origin, driven=True)
 
     def drive(self, scope: ScopePreset) -> _Drive:
         """Simulate the drive of an instrument, and point its tip at the target if it arrives."""
@@ -382,9 +388,9 @@ class _Bench:
             check = Check("drive", "no", 0.0, f"the scope does not enter the airway: {error}", MECHANICS)
             return _Drive(None, (check,))
         if not route.arrived:
-            park_mm = self._way.park_mm
-            words = f"the drive stops {park_mm - route.stopped_mm:.0f} mm before the standing place: {route.why}"
-            if self._laid_mm(scope) < park_mm - NEAR_MM:
+            lacks_mm = self._way.told_mm(self._way.park_mm) - route.stopped_mm
+            words = f"the drive stops {lacks_mm:.0f} mm before the standing place: {route.why}"
+            if self._laid_mm(scope) < self._way.park_mm - NEAR_MM:
                 return _Drive(route, (Check("drive", "no", 0.0, words, MECHANICS),))
             words += "; the scope fits along the whole route, and another way of driving it may get there"
             return _Drive(route, (Check("drive", "perhaps", UNFOUND, words, MECHANICS),))
@@ -449,7 +455,13 @@ def _sizes(scope: ScopePreset) -> tuple[Any, ...]:
 
 
 def _verdict(
-    scope: ScopePreset, checks: tuple[Check, ...], reached_mm: float, route: DrivenRoute | None, *, driven: bool
+    scope: ScopePreset,
+    checks: tuple[Check, ...],
+    reached_mm: float | None,
+    route: DrivenRoute | None,
+    origin: DistanceOrigin,
+    *,
+    driven: bool,
 ) -> Verdict:
     answers = {check.answer for check in checks}
     outcome: Outcome = (
@@ -475,6 +487,7 @@ def _verdict(
         hold=hold,
         driven=route,
         would=_would(checks, driven=driven),
+        origin=origin,
     )
 
 

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
 
+import msgspec
 import numpy as np
 
-from carina.case.routes import NeedleLine
 from carina.plan import WHERE_WORDS, tools
 from carina.server.wire import messages as wire
 from carina.session import PlannedTarget, PlanningInfo, chosen_number, shown_surface
+from carina.typed_reading import read_plain
 
 if TYPE_CHECKING:
-    from carina.plan import Nodule, Plan, PlannedRoute, Verdict
+    from carina.plan import Nodule, PlannedRoute, TurnList, Verdict
+
+Value = TypeVar("Value", bound=msgspec.Struct)
 
 __all__ = ["plans_message"]
 
@@ -25,26 +29,30 @@ def plans_message(info: PlanningInfo) -> wire.Plans:
         verdicts=tuple(_verdict(verdict) for verdict in info.verdicts),
         verdicts_standing=info.verdicts_standing,
         tools=tuple((one.name, one.title) for one in tools()),
-        turns=() if info.turns is None else _turns(info),
+        turns=() if info.turns is None else _turns(info, info.turns),
         parking=None if info.turns is None else (info.turns.words("head")[-1], info.turns.words("facing")[-1]),
+        park_from_carina_mm=None if info.turns is None else info.turns.park_from_carina_mm,
+        park_depth_estimate_mm=None if info.turns is None else info.turns.park_depth_estimate_mm,
         dicom_problem=info.dicom_problem,
     )
 
 
-def _turns(info: PlanningInfo) -> tuple[wire.PlannedTurn, ...]:
-    assert info.turns is not None
+def _turns(info: PlanningInfo, turns: TurnList) -> tuple[wire.PlannedTurn, ...]:
     airways = info.document.airways
     ends = {} if airways is None else {_point(branch.points[-1]): branch.id for branch in airways.tree.branches}
-    lines = (info.turns.words("head"), info.turns.words("facing"))
+    value = turns.to_json()
+    lines = zip(value["turns"], value["words"]["head"], value["words"]["facing"], strict=False)
     return tuple(
-        wire.PlannedTurn(
-            head=lines[0][n],
-            facing=lines[1][n],
-            doubts=turn.doubts,
-            fork_branch_id=ends.get(turn.fork_lps, turn.to_branch_id),
-            seen_from_lps=turn.seen_from_lps,
+        carried(
+            wire.PlannedTurn,
+            turn
+            | {
+                "head": head,
+                "facing": facing,
+                "fork_branch_id": ends.get(_point(turn["fork_lps"]), turn["to_branch_id"]),
+            },
         )
-        for n, turn in enumerate(info.turns.turns)
+        for turn, head, facing in lines
     )
 
 
@@ -66,7 +74,7 @@ def _target(one: PlannedTarget, info: PlanningInfo) -> wire.TargetPlan:
         options=lesion.options,
         moved_mm=None if plan is None else plan.moved_mm,
         bronchus_sign=None if plan is None else plan.bronchus_sign,
-        routes=() if plan is None else tuple(_route(plan, route) for route in plan.routes),
+        routes=() if plan is None else tuple(_route(route) for route in plan.routes),
         problem=None if planned is None else planned.problem,
         notes=(*lesion.nodule.notes, *(() if plan is None else plan.notes)),
         chosen=None if plan is None or not mine else chosen_number(info.document, plan),
@@ -86,42 +94,25 @@ def _surface(nodule: Nodule) -> wire.TargetSurface:
     return wire.TargetSurface(vertices, tuple(int(n) for n in mesh.triangles.ravel()))
 
 
-def _route(plan: Plan, route: PlannedRoute) -> wire.RouteOffer:
-    leg = route.leg
-    return wire.RouteOffer(
-        branch_id=route.branch_id,
-        branch_name=route.branch_name,
-        from_carina_mm=plan.past_carina_mm(route),
-        narrowest_mm=route.width.mm,
-        narrowest_error_mm=route.width.error_mm,
-        narrowest_by=route.width.source,
-        narrowest_why=route.width.why,
-        fit=route.fit,
-        outlook=route.outlook,
-        limits=tuple(route.limits),
-        needle=NeedleLine((_point(leg.tip_lps), _point(leg.aim_lps)), float(leg.to_target_mm)),
-        angle_deg=leg.angle_deg,
-        in_target_mm=leg.in_target_mm,
-        vessel_mm=leg.vessel_mm,
-        hit_share=leg.hit_share,
-        hit_share_moved=leg.hit_share_moved,
-        crossed=tuple(wire.NeedleTissue(one.tissue, (one.start_mm, one.end_mm)) for one in leg.crossed),
-        score=route.score,
-        doubts=tuple(route.doubts),
-    )
+def carried(kind: type[Value], value: Mapping[str, Any]) -> Value:
+    """Return a wire value from the plain JSON types of a plan's value; keys that the wire does not carry are left out.
+
+    Window and plan.json then state the same numbers, because both come from one ``to_json``.
+    """
+    return read_plain({field: value[field] for field in kind.__struct_fields__}, kind)
+
+
+def _route(route: PlannedRoute) -> wire.RouteOffer:
+    value = route.to_json()
+    crossed = [carried(wire.NeedleTissue, one) for one in value["leg"]["crossed"]]
+    leg = carried(wire.NeedleLeg, value["leg"] | {"crossed": crossed})
+    return carried(wire.RouteOffer, value | {"leg": leg, "origin": carried(wire.RouteOrigin, value["origin"])})
 
 
 def _verdict(verdict: Verdict) -> wire.ScopeVerdict:
-    return wire.ScopeVerdict(
-        scope=verdict.scope.name,
-        title=verdict.scope.title,
-        outcome=verdict.outcome,
-        words=verdict.words,
-        share=verdict.share,
-        would=verdict.would,
-        checks=tuple(wire.ScopeCheck(c.name, c.answer, c.words, c.basis) for c in verdict.checks),
-        was_driven=verdict.driven is not None,
-    )
+    value = verdict.to_json()
+    checks = [carried(wire.ScopeCheck, check) for check in value["checks"]]
+    return carried(wire.ScopeVerdict, value | {"checks": checks, "was_driven": verdict.driven is not None})
 
 
 def _point(values: Any) -> tuple[float, float, float]:

@@ -6,8 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from carina.case.routes import NeedleLine
-from carina.commands.fields import BranchId, Count, Identifier, Part, PointLps, PointsLps, Words
+from carina.commands.fields import BranchId, Count, Identifier, Part, PathMm, PointLps, PointsLps, Words
 from carina.commands.plan import PlanOptions
 from carina.server.wire.codec import ServerMessage
 from carina.session.scene.layer_lines import LayerName
@@ -28,20 +27,56 @@ class NeedleTissue(FrozenValue, frozen=True):
     """A segment of a needle's path inside one tissue; positions are distances in mm from the scope's tip."""
 
     tissue: Words
-    ends_mm: tuple[float, float]
+    from_mm: PathMm
+    to_mm: PathMm
+
+
+class NeedleLeg(FrozenValue, frozen=True):
+    """The path of the needle from the scope's tip into the target; `leg` of a route in plan.json has the same keys."""
+
+    tip_lps: PointLps
+    aim_lps: PointLps
+    to_target_mm: float
+    """Distance in mm from the tip of the scope to the edge of the target."""
+    angle_deg: float
+    """Angle in degrees between the needle and the airway's axis at the tip."""
+    crossed: tuple[NeedleTissue, ...]
+    """Tissues along the needle, in order."""
+    in_target_mm: float
+    """Length in mm of the needle inside the target if it goes as aimed."""
+    vessel_mm: float | None
+    """Distance in mm from the needle's line to the nearest visible vessel; null if no vessel is visible nearby."""
+    hit_share: Part
+    """Share of the needles within the assumed errors that hit the target at its place in the CT, 0 to 1."""
+    hit_share_moved: Part | None
+    """Share of the needles that hit if the target may have moved since the CT; null if not computed."""
+
+
+class RouteOrigin(FrozenValue, frozen=True):
+    """The origin of the distances along a route."""
+
+    kind: Literal["ridge", "axes", "root"]
+    """Ridge of the main carina; point where the axes of the main bronchi meet; start of the airway tree."""
+    along_mm: float
+    """Distance of the origin from the start of the airway tree, mm."""
 
 
 class RouteOffer(FrozenValue, frozen=True):
-    """A planned route to a target, with its measurements and its score."""
+    """A planned route to a target, with its measurements and its score; a route in plan.json has the same keys."""
 
+    key: Words
+    """Identifier of the position of the scope and the aim."""
     branch_id: BranchId
     branch_name: Words
+    origin: RouteOrigin
     from_carina_mm: float | None
     """Distance in mm of the scope's tip from the main carina; null if the route does not pass the main carina."""
     narrowest_mm: float
     """Narrowest diameter of the route in mm."""
     narrowest_error_mm: float
     """Half-width in mm of the interval that should contain the true diameter in 90 of 100 cases."""
+    narrowest_at_mm: float
+    """Distance in mm of the narrowest place from the origin; below 0 if the place is before the origin."""
     narrowest_by: Literal["sections", "ball"]
     """Method of the narrowest diameter.
 
@@ -56,19 +91,7 @@ class RouteOffer(FrozenValue, frozen=True):
     """Whether the planned scope reaches the target, judged by diameter, bend and doubts without a simulated drive."""
     limits: tuple[Words, ...]
     """Reasons why the scope or the tool does not, or may not, reach the target."""
-    needle: NeedleLine
-    angle_deg: float
-    """Angle in degrees between the needle and the airway's axis at the tip."""
-    in_target_mm: float
-    """Length in mm of the needle inside the target if it goes as aimed."""
-    vessel_mm: float | None
-    """Distance in mm from the needle's line to the nearest visible vessel; null if no vessel is visible nearby."""
-    hit_share: Part
-    """Share of the needles within the assumed errors that hit the target at its place in the CT, 0 to 1."""
-    hit_share_moved: Part | None
-    """Share of the needles that hit if the target may have moved since the CT; null if not computed."""
-    crossed: tuple[NeedleTissue, ...]
-    """Tissues along the needle, in order."""
+    leg: NeedleLeg
     score: Part
     """Score of the route, 0 to 1 (best)."""
     doubts: tuple[Words, ...]
@@ -86,7 +109,7 @@ class ScopeCheck(FrozenValue, frozen=True):
 
 
 class ScopeVerdict(FrozenValue, frozen=True):
-    """Verdict on one instrument for the chosen route."""
+    """Verdict on one instrument for the chosen route; a verdict in plan.json has the same keys."""
 
     scope: Identifier
     title: Words
@@ -95,6 +118,8 @@ class ScopeVerdict(FrozenValue, frozen=True):
     words: Words
     share: Part | None
     """Smallest probability among the checks; null if it cannot be computed."""
+    reached_mm: float | None
+    """Distance in mm of the place that the tip reaches from the origin of the route; null if it is not known."""
     would: Words | None
     """Changes with which the instrument would reach the target; null if none is needed."""
     checks: tuple[ScopeCheck, ...]
@@ -135,6 +160,12 @@ class PlannedTurn(FrozenValue, frozen=True):
     """Instruction of one line for an operator at the patient's head."""
     facing: Words
     """Instruction of one line for an operator who faces the patient."""
+    from_carina_mm: float | None
+    """Distance in mm of the turn from the main carina; null if the route does not pass the main carina."""
+    from_fork_mm: float
+    """Distance in mm of the turn from the previous one, or from the start of the airway tree."""
+    depth_estimate_mm: float | None
+    """Insertion depth in mm at nose or mouth, an estimate; null if the depth of the main carina is not known."""
     doubts: tuple[Words, ...]
     """Warnings about the branch that the scope enters."""
     fork_branch_id: BranchId
@@ -215,5 +246,9 @@ class Plans(ServerMessage, frozen=True):
     """Turns of the chosen route, in order."""
     parking: tuple[Words, Words] | None = None
     """Instruction where to stop, for an operator at the patient's head and for an operator who faces the patient."""
+    park_from_carina_mm: float | None = None
+    """Distance in mm of the place where to stop from the main carina; null as for a turn."""
+    park_depth_estimate_mm: float | None = None
+    """Insertion depth in mm at nose or mouth where to stop, an estimate; null as for a turn."""
     dicom_problem: Words | None = None
     """Reason why the plan cannot be exported as DICOM; null if it can."""

@@ -87,7 +87,7 @@ class CaseLungs:
         self._asked_reach: tuple[str, str] | None = None
         self._asked_lungs = False
         self._document: Document | None = None
-        self._stations: Cached[Airways, tuple[Landmark, ...]] = Cached(_stations)
+        self._stations: Cached[Airways, tuple[Landmark, ...]] = Cached(partial(_stations, volume, parts))
         self._shown: Cached[tuple[Any, ...], ShownLayers] = Cached(
             lambda made: ShownLayers(made[0], made[1], tuple(made[2]))
         )
@@ -204,10 +204,10 @@ class CaseLungs:
         )
 
 
-def _stations(airways: Airways) -> tuple[Landmark, ...]:
+def _stations(volume: Volume, parts: Parts, airways: Airways) -> tuple[Landmark, ...]:
     from carina.plan import ebus_landmarks
 
-    return ebus_landmarks(airways.tree)
+    return ebus_landmarks(airways.tree, origin=parts.distance_origin(volume, airways))
 
 
 def _same(a: ReachInputs, b: ReachInputs) -> bool:

@@ -20,14 +20,22 @@ from carina.session.jobs.background_jobs import JobRunner
 from carina.track import Mesh, TreeMeasures, mask_mesh
 
 if TYPE_CHECKING:
-    from carina.plan import Nodule, Plan, TurnList, Verdict
+    from carina.plan import DistanceOrigin, Nodule, Plan, PlannedRoute, TurnList, Verdict
     from carina.scopes import WallField
     from carina.session.derived.lungs import CaseLungs
     from carina.track import Airways
     from carina.volume import Volume
     from carina.volume.dicom_references import References
 
-__all__ = ["CasePlanning", "PlanOutcome", "PlannedTarget", "PlanningInfo", "chosen_number", "shown_surface"]
+__all__ = [
+    "CasePlanning",
+    "PlanOutcome",
+    "PlannedTarget",
+    "PlanningInfo",
+    "carina_depth_mm",
+    "chosen_number",
+    "shown_surface",
+]
 
 MOST_SHOWN = 36
 """Largest number of voxels along a side of a nodule's displayed surface; finer detail is not visible."""
@@ -206,9 +214,9 @@ class CasePlanning:
         inputs, made = self._verdict_inputs(), self.made
         if inputs is None or made is None:
             return None
-        plan, number = inputs[:2]
+        plan, number, _, options = inputs
         driven = next((v.driven for v in self.verdicts() if v.scope.name == plan.scope.name), None)
-        return self._turns.of((made.airways.tree, plan, number, driven))
+        return self._turns.of((made.airways.tree, plan, number, driven, options))
 
     def again(self) -> None:
         """Repeat planning and verdicts that were stopped or failed, because the user asked for it."""
@@ -348,23 +356,44 @@ class CasePlanning:
             wall,
             route=plan.routes[number - 1],
             scopes=presets,
-            entry_mm=options.entry_mm,
+            origin_depth_mm=origin_depth_mm(options, plan.routes[number - 1].origin),
             found=tell,
             progress=attempt.progress,
             cancel=attempt.cancel,
         )
 
 
+def origin_depth_mm(options: PlanOptions, origin: DistanceOrigin) -> float | None:
+    """Return the insertion depth in mm at nose or mouth when the tip is at the origin of a route's distances, or None.
+
+    Parameters
+    ----------
+    options
+        Options with the depth of the main carina, or, in a case of an earlier version, that of the tree's start.
+    origin
+        Origin of the route's distances.
+    """
+    if options.carina_depth_mm is not None and origin.is_carina:
+        return options.carina_depth_mm
+    return None if options.entry_mm is None else options.entry_mm + origin.along_mm
+
+
+def carina_depth_mm(options: PlanOptions, route: PlannedRoute) -> float | None:
+    """Return the insertion depth in mm at nose or mouth when the tip is at the main carina of a route, or None."""
+    return origin_depth_mm(options, route.origin) if route.origin.is_carina else None
+
+
 def _turns(inputs: tuple[Any, ...]) -> TurnList:
     from carina.plan import turn_list
 
-    tree, plan, number, driven = inputs
+    tree, plan, number, driven, options = inputs
+    route = plan.routes[number - 1]
     return turn_list(
         tree,
-        plan.routes[number - 1],
+        route,
+        carina_depth_mm=carina_depth_mm(options, route),
         moves=None if driven is None else driven.moves,
         ends_along_mm=None if driven is None else driven.ends_along_mm,
-        carina_ridge_mm=plan.carina_ridge_mm,
     )
 
 

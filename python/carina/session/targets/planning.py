@@ -15,7 +15,7 @@ from carina.plan.report import PlanMaterials
 from carina.scopes import scope_preset
 from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.derived.lungs import LungsInfo
-from carina.session.derived.plans import PlannedTarget, PlanningInfo, chosen_number
+from carina.session.derived.plans import PlannedTarget, PlanningInfo, carina_depth_mm, chosen_number
 from carina.session.flights.tip_commands import place_pose
 from carina.session.open_case.open_case import OpenCase, as_point
 from carina.session.targets.dicom_source import dicom_problem
@@ -193,6 +193,9 @@ class PlanHandlers(CommandHandlers):
                 route_number=number or 1,
                 verdicts=case.planning.verdicts() if number is not None else (),
                 operator=document.look.operator,
+                carina_depth_mm=carina_depth_mm(lesion.options, planned.plan.routes[(number or 1) - 1])
+                if planned.plan.routes
+                else None,
                 notes=tuple(note for note in (target.name, target.note) if note),
             )
 

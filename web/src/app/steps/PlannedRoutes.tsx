@@ -49,9 +49,9 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
       {chosen === null ? null : (
         <p className="quiet">
           Needle through{" "}
-          {chosen.crossed
+          {chosen.leg.crossed
             .filter((one) => one.tissue !== "lumen")
-            .map((one) => `${one.tissue} ${(one.ends_mm[1] - one.ends_mm[0]).toFixed(0)}\u202fmm`)
+            .map((one) => `${one.tissue} ${(one.to_mm - one.from_mm).toFixed(0)}\u202fmm`)
             .join(", ")}
           .
         </p>
@@ -88,7 +88,7 @@ function RouteTable({ target, plan }: { target: Target; plan: TargetPlan }) {
           <tr>
             <th scope="col">Route</th>
             {plan.routes.map((route, index) => (
-              <th scope="col" key={`${route.branch_id} ${route.needle.ends_lps.join(" ")}`}>
+              <th scope="col" key={route.key}>
                 <Act
                   kind={plan.chosen === index + 1 ? "primary" : "plain"}
                   label={`${index + 1}`}
@@ -107,10 +107,7 @@ function RouteTable({ target, plan }: { target: Target; plan: TargetPlan }) {
                 {title}
               </th>
               {plan.routes.map((route, index) => (
-                <td
-                  key={`${route.branch_id} ${route.needle.ends_lps.join(" ")}`}
-                  className={plan.chosen === index + 1 ? "chosen" : undefined}
-                >
+                <td key={route.key} className={plan.chosen === index + 1 ? "chosen" : undefined}>
                   {of(route)}
                   {title === "Airway" && route.doubts.length > 0 ? (
                     <span className="error-text" title={route.doubts.map(sentence).join(". ")}>
@@ -171,11 +168,15 @@ function Options({ target, plan }: { target: Target; plan: TargetPlan }) {
         onChange={(value) => change({ moved_mm: value })}
       />
       <Millimetres
-        title="Nose or mouth to the start of the tree, mm"
-        value={plan.options.entry_mm}
-        most={500}
-        placeholder="not given"
-        onChange={(value) => change({ entry_mm: value })}
+        title="Depth of the main carina at nose or mouth, mm"
+        value={plan.options.carina_depth_mm}
+        most={600}
+        placeholder={
+          plan.options.entry_mm === null
+            ? "not given"
+            : `start of the tree at ${plan.options.entry_mm.toFixed(0)}\u202fmm (earlier version)`
+        }
+        onChange={(value) => change({ carina_depth_mm: value, entry_mm: null })}
       />
     </details>
   );

@@ -48,10 +48,12 @@ export function RouteStep() {
             </p>
           )}
           <dl className="facts">
-            <div>
-              <dt>Length</dt>
-              <dd className="numbers">{mm(route.length_mm, 0)}</dd>
-            </div>
+            {planned !== null ? null : (
+              <div>
+                <dt>Length</dt>
+                <dd className="numbers">{mm(route.length_mm, 0)}</dd>
+              </div>
+            )}
             {known ? (
               <div>
                 <dt>Forks</dt>
