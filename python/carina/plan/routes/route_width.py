@@ -19,6 +19,7 @@ from carina.display import one_line
 from carina.plan.routes.clearance import ball_diameters_mm
 from carina.scopes import ScopePreset, WallField
 from carina.track import AirwayTree, Branch, TreeMeasures
+from carina.track.measures.diameter import least_with_error
 
 __all__ = ["EXCESS_SIGMA_MM", "Fit", "RouteWidth", "WidthSource", "ball_error_mm", "matches_tree", "widths_on_the_way"]
 
@@ -42,8 +43,6 @@ BALL_SHARE, BALL_SLICES = 0.3, 1.0
 91 % of the routes in CTs with painted airways have their true diameter within this error
 (``carina_bench.plan_widths``).
 """
-CUT_MM = 10.0
-"""Distance in mm from the beginning of the tree in which widths are ignored: the CT may cut the trachea there."""
 
 
 @one_line
@@ -185,12 +184,6 @@ def _known_diameters(
     else:
         passage = measures.passage(branch.id)
         at, diameter, error, unmeasured = passage.at_mm, passage.diameter_mm, passage.error_mm, passage.unmeasured
-    if branch.parent is None:
-        own = at >= min(CUT_MM, float(along[-1]))
-        at, diameter, error = at[own], diameter[own], error[own]
-        # The branch counts as unmeasured only if it has no section, because sections may be missing at both ends of
-        # the trachea.
-        unmeasured = unmeasured[:0] if len(at) else np.arange(len(along))
     if len(unmeasured):
         room = ball_diameters_mm(branch, wall)
         if branch.parent is None:
@@ -240,4 +233,5 @@ def _narrower(before: RouteWidth | None, here: RouteWidth) -> RouteWidth:
         return here
     least, lowest = (before, here) if before.mm <= here.mm else (here, before)
     decides = least if least.source == "ball" else lowest
-    return replace(least, error_mm=least.mm - lowest.lower_mm, source=decides.source, why=decides.why)
+    _, error_mm = least_with_error((before.mm, here.mm), (before.error_mm, here.error_mm))
+    return replace(least, error_mm=error_mm, source=decides.source, why=decides.why)
