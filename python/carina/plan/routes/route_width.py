@@ -1,8 +1,8 @@
 """Narrowest diameter of the path from the root to each point of a tree, with its error (docs/decisions/0130).
 
 Where the airways were measured, the diameter is that of the largest ball that passes their sections
-(`carina.track.TreeMeasures.passage`). Where they could not be measured (drawn branches, bridges, the last thin ones,
-the end of the CT), it is that of the largest ball in the segmented lumen, whose error is several times larger.
+(`carina.track.TreeMeasures.passage`). Where they could not be measured (drawn branches, bridges, long gaps), it is that
+of the largest ball in the segmented lumen, whose error is several times larger.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ DEVIATIONS_90 = 1.645
 BALL_SHARE, BALL_SLICES = 0.3, 1.0
 """Error of the diameter of the largest ball: share of the diameter, and multiple of the CT's largest spacing.
 
-91 % of the routes in CTs with painted airways have their true diameter within this error
-(``carina_bench.plan_widths``).
+91 % of 248 routes in painted CTs whose last part was taken as unmeasured have their true diameter within this error
+(``benchmarks/measurements/diameters.md``).
 """
 
 
