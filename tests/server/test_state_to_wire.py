@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
+from exact_measures import exact_measures
 
+from carina.case.routes import route_to_branch
+from carina.plan.routes.route_width import widths_on_the_way
 from carina.scopes import scope_preset
-from carina.server.to_wire.session import start_message, state_message
+from carina.server.to_wire.session import route_message, start_message, state_message
+from carina.track import AirwayTree, Branch
 from carina.volume import Note
 from small_case import small_bench
 
@@ -38,3 +44,35 @@ def test_state_message_contains_the_badges_of_the_case_and_its_airways():
     shown = state_message(bench.session.snapshot(), frame_rate_hz=60.0)
     assert [note.code for note in shown.badges] == ["import.not-hu", "import.lossy"]
     assert [note.code for note in shown.case.notes] == ["import.lossy"]
+
+
+def three_branches() -> AirwayTree:
+    """Return a trachea and two branches below it in a straight line, each 41.3 mm long."""
+    branches = []
+    for n in range(3):
+        points = np.zeros((60, 3))
+        points[:, 2] = -0.7 * (59 * n + np.arange(60))
+        children = (n + 1,) if n < 2 else ()
+        branches.append(Branch(n, n - 1 if n else None, children, n, None, "tracked", points, np.full(60, 3.0)))
+    return AirwayTree(tuple(branches))
+
+
+def test_route_has_the_narrowest_diameter_of_plans():
+    tree = three_branches()
+    widths = 5.0 + 0.001 * np.square(np.arange(60.0) - 30.0)
+    measures = exact_measures(tree, widths_mm={0: np.full(60, 14.0), 1: np.full(60, 6.0), 2: widths}, error_mm=0.3)
+    sent = route_message(route_to_branch(tree, 2), measures).route
+    planned = widths_on_the_way(tree, None, measures, 1.0)[2][-1]
+    assert sent is not None and sent.narrowest_mm is not None and sent.narrowest_mm < 6.0
+    assert sent.narrowest_mm == pytest.approx(planned.mm, abs=1e-3)
+    assert sent.narrowest_error_mm == pytest.approx(planned.error_mm, abs=1e-3)
+    assert sent.narrowest_at_mm == pytest.approx(planned.at_mm, abs=1e-2)
+
+
+def test_route_without_measures_of_its_airways_has_no_narrowest_diameter():
+    tree = three_branches()
+    route = route_to_branch(tree, 2)
+    other = AirwayTree((replace(tree.branches[0], children=()),))
+    for measures in (None, exact_measures(tree, method=1), exact_measures(other)):
+        sent = route_message(route, measures).route
+        assert sent is not None and sent.narrowest_mm is None and sent.narrowest_error_mm is None

@@ -150,7 +150,9 @@ def test_width_of_a_route_uses_end_sections_by_their_narrow_side_and_no_start_se
             (least, error),
             is_measured=np.ones(40, bool),
             at_junction=at_junction,
+            is_cut=np.zeros(40, bool),
             has_fork=has_fork,
+            parent_mm=0.0,
         ).diameter_mm.min()
 
     assert narrowest(has_fork=True) == pytest.approx(3.5)
@@ -167,7 +169,9 @@ def test_branch_with_only_fork_sections_has_an_error_that_covers_both_figures():
         (least, error),
         is_measured=np.ones(5, bool),
         at_junction=np.ones(5, bool),
+        is_cut=np.zeros(5, bool),
         has_fork=False,
+        parent_mm=0.0,
     )
     assert found.diameter_mm == pytest.approx(5.0)
     assert (found.diameter_mm - found.error_mm <= 4.0).all() and (found.diameter_mm + found.error_mm >= 6.0).all()

@@ -1,10 +1,10 @@
 import { describe, expect, it } from "vitest";
-import type { BranchMeasures, RouteInfo, RouteSpan } from "../wire/messages";
+import type { RouteInfo } from "../wire/messages";
 import { buildTree, lineage, mainLeaf, neighbourWay, waysOn } from "./airways";
 import { testBranch } from "./branches.testing";
 import { forkAhead } from "./fork";
 import { coordinates, fixed, parseCoordinates, timeLeft } from "./format";
-import { directionAt, narrowest, nearestMm, nextStopMm, pointAt, pointsBetween } from "./route";
+import { directionAt, nearestMm, nextStopMm, pointAt, pointsBetween } from "./route";
 import type { Camera } from "./vec";
 
 const ROUTE: RouteInfo = {
@@ -29,6 +29,9 @@ const ROUTE: RouteInfo = {
     { branch_id: 2, name: null, generation: 1, from_mm: 30, to_mm: 40, kind: "tracked" },
   ],
   lumen_known: true,
+  narrowest_mm: null,
+  narrowest_error_mm: null,
+  narrowest_at_mm: null,
   needle: null,
   length_mm: 40,
   drawn_mm: 0,
@@ -82,57 +85,6 @@ describe("positions along the route", () => {
   it("directionAt returns the direction of the route, and nearestMm the position nearest to a point.", () => {
     expect(directionAt(ROUTE, 20)).toEqual([0, 0, -1]);
     expect(nearestMm(ROUTE, [3, 3, -9])).toBe(10);
-  });
-});
-
-describe("narrowest diameter of a route", () => {
-  const span = (branchId: number, fromMm: number, toMm: number, kind: RouteSpan["kind"] = "tracked"): RouteSpan => ({
-    branch_id: branchId,
-    name: null,
-    generation: branchId,
-    from_mm: fromMm,
-    to_mm: toMm,
-    kind,
-  });
-  const measures = (lumenMm: number | null, leastMm: number | null, atMm: number | null): BranchMeasures => ({
-    branch_id: 0,
-    length_mm: 20,
-    by_earlier_method: false,
-    lumen_mm: lumenMm,
-    lumen_error_mm: 0.5,
-    min_lumen_mm: leastMm,
-    min_lumen_error_mm: 0.2,
-    min_at_mm: atMm,
-    max_lumen_mm: null,
-    max_lumen_error_mm: null,
-    wall_mm: null,
-    wall_error_mm: null,
-    taper: null,
-    angle_deg: null,
-    stenosis_percent: null,
-    stenosis_error_percent: null,
-    stenosis_at_mm: null,
-  });
-  const of = (known: Record<number, BranchMeasures>) => (id: number) => known[id] ?? null;
-
-  it("It is the smallest measured diameter of the branches, with its error and its position on the route.", () => {
-    const known = of({ 0: measures(16, 15, 5), 1: measures(6, 4, 12) });
-    expect(narrowest([span(0, 0, 100), span(1, 100, 120)], known)).toEqual({
-      diameterMm: 4,
-      errorMm: 0.2,
-      pathMm: 112,
-    });
-  });
-
-  it("If the route ends before the last branch's narrowest place, the diameter of that whole branch counts.", () => {
-    const known = of({ 0: measures(16, 15, 5), 1: measures(6, 4, 12) });
-    expect(narrowest([span(0, 0, 100), span(1, 100, 108)], known)?.diameterMm).toBe(6);
-  });
-
-  it("It is null for a route without measured branches, and branches drawn by hand do not count.", () => {
-    expect(narrowest([span(0, 0, 100)], of({}))).toBeNull();
-    expect(narrowest([span(0, 0, 100, "manual")], of({ 0: measures(3, 2, 5) }))).toBeNull();
-    expect(narrowest([span(0, 0, 100)], of({ 0: measures(null, null, null) }))).toBeNull();
   });
 });
 

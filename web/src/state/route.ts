@@ -1,6 +1,6 @@
 /** The current route, parametrised by the distance from its root in mm. */
 
-import type { BranchMeasures, RouteInfo, RouteSpan } from "../wire/messages";
+import type { RouteInfo, RouteSpan } from "../wire/messages";
 import { asVec3, lerp, sub, unit, type Vec3 } from "./vec";
 
 /**
@@ -88,31 +88,6 @@ export function directionAt(route: Pick<RouteInfo, "points_lps" | "cumulative_mm
  */
 export function spanAt(route: Pick<RouteInfo, "spans">, pathMm: number): RouteSpan | null {
   return route.spans.find((span) => pathMm >= span.from_mm && pathMm < span.to_mm) ?? route.spans.at(-1) ?? null;
-}
-
-/**
- * Return the narrowest measured diameter on a route, with its error and position, mm; null until a branch is measured.
- * In the last branch the narrowest section counts if the route reaches it, else the diameter of the whole branch.
- */
-export function narrowest(
-  spans: RouteInfo["spans"],
-  measuresOf: (branchId: number) => BranchMeasures | null,
-): { diameterMm: number; errorMm: number | null; pathMm: number } | null {
-  let found: { diameterMm: number; errorMm: number | null; pathMm: number } | null = null;
-  for (const [n, span] of spans.entries()) {
-    const measures = measuresOf(span.branch_id);
-    if (measures === null || span.kind !== "tracked") continue;
-    const atMm = measures.min_at_mm ?? 0;
-    const isReached = n < spans.length - 1 || atMm <= span.to_mm - span.from_mm;
-    const diameterMm = isReached ? measures.min_lumen_mm : measures.lumen_mm;
-    if (diameterMm === null || (found !== null && found.diameterMm <= diameterMm)) continue;
-    found = {
-      diameterMm,
-      errorMm: isReached ? measures.min_lumen_error_mm : measures.lumen_error_mm,
-      pathMm: span.from_mm + (isReached ? atMm : 0),
-    };
-  }
-  return found;
 }
 
 /** Return the position along the route, mm, of the route point nearest to a patient point. */

@@ -1227,6 +1227,9 @@ export interface RouteInfo {
   readonly spans: readonly RouteSpan[];
   readonly lumen_known: boolean;
   readonly needle: NeedleLine | null;
+  readonly narrowest_mm: number | null;
+  readonly narrowest_error_mm: number | null;
+  readonly narrowest_at_mm: number | null;
 }
 
 /** The current route; sent after each change. */

@@ -210,8 +210,16 @@ def _threshold(document: Document | None) -> float | None:
     return None if math.isnan(threshold) else threshold
 
 
-def route_message(route: ChosenRoute | None) -> wire.RouteMessage:
-    """Return the route message; the lists per route point have equal lengths."""
+def route_message(route: ChosenRoute | None, measures: Any = None) -> wire.RouteMessage:
+    """Return the route message; the lists per route point have equal lengths.
+
+    Parameters
+    ----------
+    route
+        Current route; None sends a message without a route.
+    measures
+        Measures of the airways of the route; None until the airways are measured.
+    """
     if route is None:
         return wire.RouteMessage(None)
     info = wire.RouteInfo(
@@ -232,8 +240,29 @@ def route_message(route: ChosenRoute | None) -> wire.RouteMessage:
         bridge_mm=round(route.drawn.bridge_mm, 2),
         lumen_known=route.lumen_known,
         needle=route.needle,
+        **_narrowest(route, measures),
     )
     return wire.RouteMessage(info)
+
+
+def _narrowest(route: ChosenRoute, measures: Any) -> dict[str, float]:
+    """Return the fields of the narrowest diameter of a route; no fields without measures by the present method."""
+    if measures is None or not route.lumen_known or any(one.is_by_earlier_method for one in measures.branches):
+        return {}
+    if not {span.branch_id for span in route.spans} <= {one.branch_id for one in measures.branches}:
+        return {}
+    starts: dict[int, float] = {}
+    has_forks = len(route.forks_mm) == len(route.spans) - 1
+    for n, span in enumerate(route.spans):
+        # A branch starts at the fork; its span starts at the next point.
+        starts.setdefault(span.branch_id, route.forks_mm[n - 1] if n and has_forks else span.from_mm)
+    last = route.spans[-1]
+    found = measures.narrowest_of_route(starts, last.to_mm - starts[last.branch_id])
+    if found is None:
+        return {}
+    at_mm = starts[found.branch_id] + found.at_mm
+    figures = {"narrowest_mm": found.mm, "narrowest_error_mm": found.error_mm, "narrowest_at_mm": at_mm}
+    return {name: round(mm, 3) for name, mm in figures.items()}
 
 
 def pose_message(info: PoseInfo) -> wire.PoseMessage:

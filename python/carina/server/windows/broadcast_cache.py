@@ -98,7 +98,7 @@ class SharedTexts:
         if not self._is_known("tree", *newest) and not _are_same(newest, self._unwritable):
             return None
         route = None if document is None else document.route
-        return self._cached("route", lambda: route_message(route), route)
+        return self._cached("route", lambda: route_message(route, newest[1]), route, newest[1])
 
     def key_frames(self) -> str:
         """Return the encoded message of the key frames and their flight."""

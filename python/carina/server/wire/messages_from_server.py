@@ -277,6 +277,15 @@ class RouteInfo(DrawnPart, frozen=True, kw_only=True):
     """Whether the airways along the route are known; if not, ``radius_mm`` and ``wall_mm`` are 0 without meaning."""
     needle: NeedleLine | None = None
     """Continuation of the route through the wall; null if the route ends in the airways."""
+    narrowest_mm: float | None = None
+    """Narrowest measured diameter of the route in mm, as in plans; null until the airways are measured.
+
+    Parts of the route that could not be measured are not included.
+    """
+    narrowest_error_mm: float | None = None
+    """Half-width in mm of the interval that should contain the true diameter in 90 of 100 cases."""
+    narrowest_at_mm: float | None = None
+    """Position of the narrowest place, in mm along the route."""
 
 
 class RouteMessage(ServerMessage, frozen=True):

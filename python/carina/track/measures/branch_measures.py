@@ -83,6 +83,8 @@ WALL_RISE_HU = 1020.0
 USUAL_NOISE_HU = 25.0
 OPEN_SHARE = 0.9
 """Least share of the rays of a section that meet a wall; with fewer the lumen is open to another one, as at a fork."""
+LEAST_EDGE_SHARE = 0.5
+"""Least share of the rays that must meet a wall in a section at the end of the CT, if a route uses its diameter."""
 RAYS_PER_MM = 1024.0
 """Number of steps per mm to which rays are rounded: a hundredth of their error, for a quarter of the stored size."""
 
@@ -178,16 +180,28 @@ class BranchMeasures(Tabular):
             self.at_mm[used], self.equivalent_mm[used], self.equivalent_error_mm[used], branch_id=self.branch_id
         )
 
-    def passage(self, *, has_fork: bool) -> Passage:
-        """Return the largest diameter that can pass along the branch; ``has_fork`` states whether it ends in a fork."""
+    def passage(self, *, has_fork: bool, parent_mm: float = 0.0) -> Passage:
+        """Return the largest diameter that can pass along the branch.
+
+        Parameters
+        ----------
+        has_fork
+            Whether the branch ends in a fork.
+        parent_mm
+            Diameter of the parent, mm. Sections that are missing inside the parent's lumen leave no gap.
+        """
+        # Rays that end outside the CT do not show an opening to another lumen.
+        is_cut = self.at_edge & (self.share < OPEN_SHARE)
         return passage_of(
             self.branch_id,
             self.at_mm,
             (self.equivalent_mm, self.equivalent_error_mm),
             (self.min_mm, self.min_error_mm),
-            is_measured=np.isfinite(self.equivalent_mm) & ~self.at_edge,
-            at_junction=self.at_junction,
+            is_measured=np.isfinite(self.equivalent_mm) & (~self.at_edge | (self.share >= LEAST_EDGE_SHARE)),
+            at_junction=self.at_junction & ~is_cut,
+            is_cut=is_cut,
             has_fork=has_fork,
+            parent_mm=parent_mm,
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -332,7 +346,12 @@ class TreeMeasures(Tabular):
         UsageError
             If there is no such branch.
         """
-        return self.of(branch_id).passage(has_fork=self.fork_of(branch_id) is not None)
+        has_fork = self.fork_of(branch_id) is not None
+        parent = next((fork.branch_id for fork in self.forks if branch_id in fork.children), None)
+        if parent is None:
+            return self.of(branch_id).passage(has_fork=has_fork).without_start()
+        parent_mm = self.of(parent).summary.mean_mm
+        return self.of(branch_id).passage(has_fork=has_fork, parent_mm=parent_mm or 0.0)
 
     def narrowest_of_route(self, branch_ids: Iterable[int], until_mm: float = math.inf) -> Diameter | None:
         """Return the narrowest diameter that can pass along a route; None if nothing was measured.

@@ -8,7 +8,7 @@ radius of the lumen that the search found.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ __all__ = [
     "Diameter",
     "Passage",
     "branch_diameter",
+    "least_with_error",
     "narrowest_diameter",
     "narrowest_of_passages",
     "passage_of",
@@ -33,12 +34,32 @@ SCATTER_SHARE = 0.5
 """Share of the 95 % interval of a branch's scatter that is added to its error; the model error contains the rest."""
 NARROW_REACH_DIAMETERS = 0.5
 """Length before and after a point that a running median covers, in diameters."""
+SECTION_ERROR = 1.645 / DEVIATIONS_95
+"""Half of the 90 % interval of a passage, as a share of half of the 95 % interval of its sections."""
 PASSAGE_ERROR = 0.03
-"""Additional error of the passage of a branch, as a share of its diameter.
+"""Additional error of a passage, as a share of its diameter (calibrated: ``carina_bench.plan_widths``)."""
+FORK_ERROR = 0.05
+"""Additional error of a passage whose sections all cut through a fork, as a share of its diameter.
 
-A section through a fork contains both lumens and so hides a narrowing there. (``carina_bench.plan_widths``: this
-error raises the coverage in painted patients by 4 %.)
+A section through a fork contains both lumens and so hides a narrowing there. (Calibrated:
+``carina_bench.plan_widths``.)
 """
+MOUTH_ERROR = 0.06
+"""Additional error of the first passages of a branch after a fork, as a share of their diameter.
+
+They stand for the mouth of the branch, where sections contain the lumen of the parent too. (Calibrated:
+``carina_bench.plan_widths``.)
+"""
+CUT_ERROR = 0.06
+"""Additional error of a section that the end of the CT cuts, as a share of its diameter."""
+SHOWN_MM = 1.5
+"""Distance in mm on each side of a section in which the section shows the airway (docs/decisions/0117)."""
+START_MM = 10.0
+"""Length in mm at the start of the first branch that no route uses, because the CT may cut the trachea there."""
+MEDIAN_VARIANCE = 0.5 * np.pi
+"""Variance of a median of many normal values, as a multiple of the variance of their mean."""
+MOST_CORRELATION = 0.9
+"""Largest correlation of neighbouring sections; a larger one cannot be estimated within a running median."""
 LEAST_FOR_SCATTER = 5
 """Least number of sections from which their scatter is estimated."""
 
@@ -65,7 +86,8 @@ class Passage:
     The diameter at a point is the median over one diameter of the sections' least widths, or the value on which two
     sections agree, if it is below the median by more than the error. In a round lumen the least width is the
     diameter. At a fork and in a slit it is the narrow side, where the circle of equal area is wider than what
-    passes.
+    passes. The least of many noisy medians is too small on average; therefore the spread of the medians that noise
+    causes is removed, so that the expected least median is the least true diameter.
     """
 
     branch_id: int
@@ -76,7 +98,24 @@ class Passage:
     error_mm: Floats
     """Half (n,) of an interval that is to contain the true value in 90 of 100 cases."""
     unmeasured: NDArray[np.intp]
-    """Indices of centreline points without a section: drawn parts, bridges, the end of the CT, invisible walls."""
+    """Indices of centreline points that no section shows: drawn parts, bridges, the end of the CT, invisible walls."""
+    length_mm: float
+    """Length of the branch, mm."""
+
+    def without_start(self) -> Passage:
+        """Return the passage of the first branch without its start, where the CT may cut the trachea.
+
+        Missing sections count only if no section is left, because they may be missing at both ends of the trachea.
+        """
+        own = self.at_mm >= min(START_MM, self.length_mm)
+        unmeasured = self.unmeasured[:0] if own.any() else self.unmeasured
+        return replace(
+            self,
+            at_mm=self.at_mm[own],
+            diameter_mm=self.diameter_mm[own],
+            error_mm=self.error_mm[own],
+            unmeasured=unmeasured,
+        )
 
     def until(self, mm: float) -> Passage:
         """Return the passage up to a length along the branch, with the next section if there is none at that length.
@@ -84,7 +123,7 @@ class Passage:
         The first measured section of a branch may be some way beyond its start.
         """
         own = np.concatenate([[True], self.at_mm < mm - 1e-6])[: len(self.at_mm)]
-        return Passage(self.branch_id, self.at_mm[own], self.diameter_mm[own], self.error_mm[own], self.unmeasured)
+        return replace(self, at_mm=self.at_mm[own], diameter_mm=self.diameter_mm[own], error_mm=self.error_mm[own])
 
 
 def passage_of(
@@ -95,7 +134,9 @@ def passage_of(
     *,
     is_measured: NDArray[np.bool_],
     at_junction: NDArray[np.bool_],
+    is_cut: NDArray[np.bool_],
     has_fork: bool,
+    parent_mm: float,
 ) -> Passage:
     """Return the passage of a branch from its sections, all (n,).
 
@@ -115,21 +156,32 @@ def passage_of(
         Whether there is a section.
     at_junction
         Whether the section cuts through a fork.
+    is_cut
+        Whether the end of the CT cuts off a part of the section. The diameter is that of the circle through the rest of
+        the wall, with an additional error.
     has_fork
         Whether the branch ends in a fork.
+    parent_mm
+        Diameter of the parent, within which the branch may have no wall; 0 for a branch without a parent.
     """
-    (equal_mm, equal_error_mm), (least_mm, least_error_mm) = equivalent, least
-    unmeasured = np.flatnonzero(~is_measured)
+    (equal_mm, equal_error_mm), (least_mm, least_error_mm) = (
+        (mm, SECTION_ERROR * wide) for mm, wide in (equivalent, least)
+    )
+    # A section shows the airway beside it, so a single missing section leaves no gap.
+    gap = np.abs(at_mm[:, None] - at_mm[None, is_measured]).min(axis=1, initial=np.inf)
+    is_missing = ~is_measured & (gap > SHOWN_MM)
     narrow_mm = np.fmin(equal_mm, least_mm)
-    used = is_measured & ~at_junction
-    alone = used if used.any() else is_measured
+    is_own = is_measured & ~at_junction
+    alone = is_own if is_own.any() else is_measured
     if not alone.any():
         none = np.empty(0)
-        return Passage(branch_id, none, none, none, unmeasured)
+        return Passage(branch_id, none, none, none, np.flatnonzero(is_missing), float(at_mm[-1]))
     middle = float(np.median(equal_mm[alone]))
-    if has_fork:
-        used = is_measured & (~at_junction | (at_mm[-1] - at_mm <= middle))
-    if used.any():
+    # The start of a branch is inside the lumen of its parent, where the branch has no wall.
+    is_start = (at_mm < at_mm[alone][0]) & (at_mm <= max(parent_mm, middle))
+    unmeasured = np.flatnonzero(is_missing & ~is_start)
+    if is_own.any():
+        used = is_own | (is_measured & has_fork & (at_mm[-1] - at_mm <= middle))
         # Noise makes a round lumen look flat: the narrow side is only used beyond its error.
         value = np.where(at_junction, narrow_mm, np.fmin(equal_mm, least_mm + least_error_mm))
         error = np.where(at_junction, np.fmax(equal_error_mm, least_error_mm), equal_error_mm)
@@ -137,17 +189,23 @@ def passage_of(
         used = is_measured
         value = 0.5 * (equal_mm + narrow_mm)
         error = equal_error_mm + 0.5 * (equal_mm - narrow_mm)
-    at, value, error = at_mm[used], value[used], error[used]
+    error = np.where(is_cut, np.hypot(error, CUT_ERROR * equal_mm), error)
+    at, value, error, is_fork = at_mm[used], value[used], error[used], at_junction[used]
     near = np.abs(at[:, None] - at[None, :]) <= NARROW_REACH_DIAMETERS * float(np.median(value))
     rows = [np.sort(value[row]) for row in near]
     medians = np.array([np.median(row) for row in rows])
     model = np.array([np.median(error[row]) for row in near])
+    medians = _with_true_spread(at, value, medians, near, ~is_fork)
+    fork_share = np.array([is_fork[row].mean() for row in near])
     # One narrow section may be an error. Two beyond the error are a narrowing that is too short for the median.
     agreed = np.array([row[min(1, len(row) - 1)] for row in rows])
-    diameter = np.fmin(medians, np.fmax(agreed + model, value))
+    diameter = np.fmin(medians, np.fmax(agreed + model / SECTION_ERROR, value))
     dip = diameter - np.fmin(diameter, np.array([row[0] for row in rows]))
-    whole = np.sqrt(np.square(model) + np.square(dip) + np.square(PASSAGE_ERROR * diameter))
-    return Passage(branch_id, at, diameter, whole, unmeasured)
+    first_mm = float(at_mm[alone][0])
+    is_mouth = is_own.any() & (first_mm > 0.0) & (at <= first_mm + middle)
+    share = np.hypot(PASSAGE_ERROR + FORK_ERROR * fork_share, MOUTH_ERROR * is_mouth)
+    whole = np.sqrt(np.square(model) + np.square(dip) + np.square(share * diameter))
+    return Passage(branch_id, at, diameter, whole, unmeasured, float(at_mm[-1]))
 
 
 def narrowest_of_passages(passages: Sequence[Passage]) -> Diameter | None:
@@ -163,13 +221,18 @@ def narrowest_of_passages(passages: Sequence[Passage]) -> Diameter | None:
     error = np.concatenate([one.error_mm for one in places])
     branch = np.concatenate([np.full(len(one.at_mm), one.branch_id) for one in places])
     at = np.concatenate([one.at_mm for one in places])
+    mm, error_mm = least_with_error(diameter, error)
     least = int(np.argmin(diameter))
-    return Diameter(
-        float(diameter[least]),
-        float(diameter[least] - (diameter - error).min()),
-        int(branch[least]),
-        float(at[least]),
-    )
+    return Diameter(mm, error_mm, int(branch[least]), float(at[least]))
+
+
+def least_with_error(diameter_mm: Sequence[float] | Floats, error_mm: Sequence[float] | Floats) -> tuple[float, float]:
+    """Return the least diameter and its error, which also covers each place that may be narrower, mm.
+
+    A place may be narrower if its diameter less its error is smaller.
+    """
+    least = float(np.min(diameter_mm))
+    return least, least - float(np.min(np.subtract(diameter_mm, error_mm)))
 
 
 def with_scatter(at_mm: Floats, diameter_mm: Floats, error_mm: Floats, usable: NDArray[np.bool_]) -> Floats:
@@ -210,6 +273,52 @@ def narrowest_diameter(
     medians = np.array([np.median(diameter_mm[row]) for row in near])
     least = int(np.argmin(medians))
     return Diameter(float(medians[least]), float(np.median(error_mm[near[least]])), branch_id, float(at_mm[least]))
+
+
+def _with_true_spread(
+    at_mm: Floats, section_mm: Floats, median_mm: Floats, near: NDArray[np.bool_], usable: NDArray[np.bool_]
+) -> Floats:
+    """Return running medians (n,) whose spread about the branch's taper is that of the true diameters, mm.
+
+    Noise adds to the spread of the medians, so the least of them is too small. Each median is moved towards the line
+    of the taper by the square root of the share of the variance that is not noise. The moved values have the variance
+    of the true diameters, so their expected minimum is the minimum of the true diameters (constrained empirical Bayes
+    estimates, Louis 1984 and Ghosh 1992). The variance of a median by noise follows from the deviations of the
+    sections from it, and from the correlation of neighbouring deviations, because neighbouring sections share voxels.
+    A narrowing far beyond the noise is not changed.
+
+    Parameters
+    ----------
+    at_mm
+        Distance (n,) of the sections along the branch.
+    section_mm, median_mm
+        Diameters (n,) of the sections and their running medians.
+    near
+        Flags (n, n): the sections of each running median.
+    usable
+        Flags (n,): sections away from forks. Other medians stay.
+    """
+    own = np.flatnonzero(usable)
+    rest = section_mm[own] - median_mm[own]
+    if len(own) < LEAST_FOR_SCATTER or np.ptp(at_mm[own]) <= 0.0 or not rest.any():
+        return median_mm
+    num = float(np.median(near[np.ix_(own, own)].sum(axis=1)))
+    if num < 2.0:
+        return median_mm
+    # A section that is itself the median deviates by 0, which is no measure of noise.
+    deviation = 1.4826 * float(np.median(np.abs(rest[rest != 0.0])))
+    variance = np.square(deviation) * num / (num - 1.0)
+    scale = float(np.sqrt(np.sum(np.square(rest[:-1])) * np.sum(np.square(rest[1:]))))
+    correlation = float(np.sum(rest[:-1] * rest[1:])) / scale if scale > 0.0 else 0.0
+    correlation = min(max(correlation, 0.0), MOST_CORRELATION)
+    num_independent = max(1.0, num * (1.0 - correlation) / (1.0 + correlation))
+    noise = MEDIAN_VARIANCE * variance / num_independent
+    line = np.polynomial.Polynomial.fit(at_mm[own], median_mm[own], 1)(at_mm[own])
+    spread = float(np.mean(np.square(median_mm[own] - line)))
+    found: Floats = median_mm.copy()
+    if spread > 0.0:
+        found[own] = line + np.sqrt(max(1.0 - noise / spread, 0.0)) * (median_mm[own] - line)
+    return found
 
 
 def _scatter_mm(at_mm: Floats, diameter_mm: Floats) -> float:

@@ -1,7 +1,6 @@
 import { routeDoubts, withError } from "../../state/branch-words";
 import { mm } from "../../state/format";
 import { planOf } from "../../state/plan";
-import { narrowest } from "../../state/route";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 import { Icon } from "../icons";
@@ -18,9 +17,6 @@ export function RouteStep() {
   const targets = useApp((state) => state.session?.targets ?? null);
   const doubts = route === null ? null : routeDoubts(route.spans);
   const known = route?.lumen_known ?? false;
-  const airways = useApp((state) => state.tree);
-  const narrow =
-    route === null || !known ? null : narrowest(route.spans, (id) => airways?.byId.get(id)?.measures ?? null);
   const plan = useApp((state) => planOf(state.plans, state.route?.target_id ?? null));
   const planned = targets?.find((target) => target.target_id === plan?.target_id) ?? null;
   const reach = useReachOf();
@@ -70,9 +66,9 @@ export function RouteStep() {
               <div>
                 <dt>Narrowest</dt>
                 <dd className="numbers">
-                  {narrow === null
+                  {route.narrowest_mm === null || route.narrowest_at_mm === null
                     ? "not measured yet"
-                    : `${withError(narrow.diameterMm, narrow.errorMm) ?? ""} at ${mm(narrow.pathMm, 0)}`}
+                    : `${withError(route.narrowest_mm, route.narrowest_error_mm) ?? ""} at ${mm(route.narrowest_at_mm, 0)}`}
                 </dd>
               </div>
             )}
