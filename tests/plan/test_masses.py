@@ -9,7 +9,8 @@ import pytest
 import SimpleITK as sitk
 
 from carina.errors import NoResultError
-from carina.plan import grow_nodule
+from carina.plan import grow_nodule, nodule_from_mask
+from carina.plan.targets.click_comparison import click_note
 from carina.volume import Volume
 
 STEP_MM = 1.5
@@ -92,3 +93,21 @@ def test_click_deep_in_the_chest_wall_is_refused():
     with pytest.raises(NoResultError) as error:
         grow_nodule(volume, (WALL_X_MM + 15.0, 40.0, 0.0))
     assert error.value.code == "plan.no-boundary"
+
+
+def test_note_compares_a_drawn_boundary_with_a_click():
+    volume, _ = chest_part(((-14.0, 0.0, 0.0, 13.0),))
+    k, j, i = np.indices(volume.shape_zyx)
+    off = np.linalg.norm(volume.to_lps(np.stack([i, j, k], axis=-1).astype(float)) - (-14.0, 0.0, 0.0), axis=-1)
+    drawn = nodule_from_mask(volume, off < 13.0)
+    note = click_note(volume, drawn)
+    assert note.startswith(f"for comparison: the file's boundary has {drawn.volume_mm3 / 1000.0:.2f} +- ")
+    assert "a click at its middle gives " in note
+    assert f"{drawn.long_mm:.1f} x {drawn.short_mm:.1f} mm" in note
+    assert "exceeds" not in note
+    larger = nodule_from_mask(volume, off < 18.0)
+    assert "the difference exceeds both errors" in click_note(volume, larger)
+    aside = np.linalg.norm(volume.to_lps(np.stack([i, j, k], axis=-1).astype(float)) - (-40.0, 30.0, 0.0), axis=-1)
+    assert "a click at the middle of the file's boundary gives no nodule" in click_note(
+        volume, nodule_from_mask(volume, aside < 4.0)
+    )
