@@ -190,6 +190,8 @@ def test_plan_for_a_mask_is_written_for_slicer_and_as_a_report(chest, found_once
         result = CliRunner().invoke(app, ["plan", str(path), "--target", str(mask), "-o", str(output)])
         assert result.exit_code == 0, result.output
         assert f"wrote {output}" in result.stderr
+        assert "target: for comparison: the file's boundary has " in result.stderr
+        assert "a click at its middle gives " in result.stderr
     drawn = json.loads(markups.read_text(encoding="utf-8"))["markups"]
     assert {one["coordinateSystem"] for one in drawn} == {"LPS"}
     assert "not a medical device" in page.read_text(encoding="utf-8").lower()

@@ -94,7 +94,14 @@ def report(
     if isinstance(target, Path):
         named = int(structure) if structure is not None and structure.isdecimal() else structure
         found = target_from_file(
-            target, source.volume, structure=named, at_lps=part, ct=place, resample=resample, progress=progress
+            target,
+            source.volume,
+            structure=named,
+            at_lps=part,
+            ct=place,
+            resample=resample,
+            compare_click=True,
+            progress=progress,
         )
         nodule, aims = found.nodule, found.aims
         say(f"target: {found.words}")

@@ -16,9 +16,11 @@ from carina.errors import NoResultError
 from carina.plan.cubic_box import (
     Box,
     ball_distance,
+    beside,
     component_at,
     distance_from,
     enclosed,
+    from_faces,
     lung_median_hu,
     smoothed,
     surface,
@@ -26,7 +28,7 @@ from carina.plan.cubic_box import (
 )
 from carina.plan.targets.chest_wall import SHALLOW_MM, cut_at_wall
 
-__all__ = ["HALVES_MM", "SMOOTH_MM", "SOLID_HU", "Boundary", "no_boundary"]
+__all__ = ["HALVES_MM", "SMOOTH_MM", "SOLID_HU", "WIDE_OFF_MM", "Boundary", "no_boundary"]
 
 Mask = NDArray[np.bool_]
 
@@ -47,6 +49,8 @@ GLASS_TOP_HU = -200.0
 
 The limit holds also round a dense, calcified core.
 """
+BRIGHTER_HU = 90.0
+"""Least difference in HU between a nodule and bone or a vessel with contrast medium beside it."""
 DENSEST_HU = 100.0
 """Upper limit in HU of the density from which the threshold of a nodule follows.
 
@@ -80,8 +84,14 @@ OPENINGS, OPENINGS_AT_WALL = (0.6, 0.7, 0.8), (0.4, 0.5, 0.6, 0.7, 0.8)
 The first share that suffices is used. A nodule at the wall begins with smaller shares, because large balls remove the
 edges of a nodule with a flat side.
 """
+WIDE_OPENINGS_MM = (4.0, 5.5, 7.5)
+"""Radii in mm of the openings that are tried first in a large nodule; hardly a vessel in the lung is wider."""
 TAIL = 2.4
 """Largest distance of a part of a nodule from the nodule's middle, in radii; a part farther away is a vessel."""
+WIDE_OFF_MM = 0.5
+"""Least uncertainty in mm of the wall behind a nodule with a wide contact."""
+LEAST_FREE = 0.35
+"""Least share of the surface of a nodule with a wide contact that faces the lung."""
 RIM_MM = 1.6
 """Distance in mm over which blur spreads a boundary."""
 STUB_MM = 2.0
@@ -112,7 +122,8 @@ class Boundary:
     """Boundary of one nodule, as voxel masks in a box.
 
     The constructor does the segmentation. The attribute ``inside`` is the mask of the nodule, ``cavity`` its air,
-    ``wall`` the chest wall, ``cut`` the removed vessels and ``others`` all other dense voxels.
+    ``wall`` the chest wall, ``cut`` the removed vessels and ``others`` all other dense voxels. ``wall_off_mm`` is the
+    additional uncertainty of the wall behind the nodule, and ``is_chord`` states that the wall there is a mere chord.
 
     Parameters
     ----------
@@ -203,32 +214,34 @@ class Boundary:
         self._look()
         self.bar_hu = 0.5 * (self.lung_hu + level)
         self.dense = self.smooth > self.bar_hu
+        self.dense &= ~self._brighter(level)
         self.dense[self.seed] = True
         whole = component_at(self.dense, self.seed)
         hollow = enclosed(whole)
         whole |= hollow
         self.touches: list[str] = []
         self.wall = np.zeros_like(whole)
+        self.wall_off_mm, self.is_chord = 0.0, False
         if self.reaches_faces(whole):
-            cut, wall = cut_at_wall(self.box, self.smooth, whole, self.seed)
-            if wall is not None:
-                if wall[self.seed]:
-                    self._leave_the_wall(cut)
-                self.wall = wall
-                whole = component_at(cut | _only(self.seed, cut.shape), self.seed)
+            found = cut_at_wall(self.box, self.smooth, whole, self.seed)
+            if found.wall is not None:
+                if found.wall[self.seed]:
+                    self._leave_the_wall(found.inside)
+                self.wall = found.wall
+                self.wall_off_mm, self.is_chord = found.off_mm, found.is_chord
+                whole = component_at(found.inside | _only(self.seed, whole.shape), self.seed)
         self._look()
         depth = ball_distance(whole, self.box.step_mm)
         # Centre of the largest ball inside the mask.
         peak = uphill(depth, self.seed)
         radius = float(depth[peak])
-        whole_mm = np.inf
-        for share in OPENINGS_AT_WALL if self.wall.any() else OPENINGS:
-            core = component_at(depth > share * radius, peak)
+        for opening_mm in self._openings_mm(radius):
+            core = component_at(depth > opening_mm, peak)
             off = self.box.steps_from(peak)[core] * self.box.step_mm
-            whole_mm = float(off.max()) + share * radius
+            whole_mm = float(off.max()) + opening_mm
             if whole_mm <= TAIL * radius:
                 break
-        back_mm = share * radius + 0.5 * self.box.step_mm
+        back_mm = opening_mm + 0.5 * self.box.step_mm
         self.inside = core | (whole & (distance_from(core, self.box.step_mm, back_mm) <= back_mm))
         self.cut, own = self._parted(whole)
         self.inside |= own
@@ -241,12 +254,24 @@ class Boundary:
         if self.cut.any():
             self.touches.append("vessel")
 
+    def _openings_mm(self, radius_mm: float) -> list[float]:
+        """Return the radii in mm of the openings that are tried in turn, for a nodule with a largest ball."""
+        shares = OPENINGS_AT_WALL if self.wall.any() else OPENINGS
+        usual = [share * radius_mm for share in shares]
+        # The vessels of a mass are thin compared with it, but its lobes are not.
+        return [mm for mm in WIDE_OPENINGS_MM if mm < usual[0]] + usual
+
     def _large_hollow(self, hollow: Mask) -> Mask:
         """Return the hollows of a nodule if they form a cavity, else an empty mask; small hollows are noise."""
         if float(hollow.sum()) * self.box.step_mm**3 < SMALLEST_CAVITY_MM3:
             return np.zeros_like(hollow)
         deep = ball_distance(hollow, self.box.step_mm)
         return hollow if float(deep.max()) >= CAVITY_MM else np.zeros_like(hollow)
+
+    def _brighter(self, level: float) -> Mask:
+        """Return the mask of bone and of vessels with contrast medium: brighter than the nodule, and not only in it."""
+        bright = self.smooth > max(level, float(self.smooth[self.seed])) + BRIGHTER_HU
+        return from_faces(bright) if bright.any() else bright
 
     def _leave_the_wall(self, cut: Mask) -> None:
         """Move a seed that lies just inside the wall to the nearest voxel outside the wall.
@@ -328,6 +353,13 @@ class Boundary:
             return None
         n = int(np.argmin(np.diff(level) / np.diff(at)))
         return 0.5 * (level[n] + level[n + 1])
+
+    @property
+    def is_embedded(self) -> bool:
+        """Whether a mass on the wall has too little surface towards the lung for a boundary."""
+        edge = surface(self.inside)
+        free = edge & beside(~(self.dense | self.wall | self.inside))
+        return self.wall_off_mm > WIDE_OFF_MM and float(free.sum()) < LEAST_FREE * float(edge.sum())
 
     @property
     def is_film(self) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.plan.cubic_box import Box, ball_distance, beside, distance_from, surface
-from carina.plan.targets.boundary import RIM_MM, SOLID_HU, Boundary
+from carina.plan.targets.boundary import RIM_MM, SOLID_HU, WIDE_OFF_MM, Boundary
 from carina.plan.targets.nodule import Nodule, NoduleKind
 
 __all__ = ["cut_out", "diameters", "measured"]
@@ -40,6 +40,13 @@ The blur of the nodule itself has less than this share there, but not in thicker
 """
 THIN_OFF = 0.25
 """Error of the boundary of a cavity's thin wall, in slice distances."""
+DOUBT_SHARE = 0.25
+"""Least error of the volume, as a share of it, with which a note states where the boundary is uncertain."""
+PLACES = {
+    "pleura": "the chest wall, the mediastinum or the diaphragm",
+    "vessel": "a vessel",
+    "edge of the CT": "the edge of the CT",
+}
 SMALLEST_PART_MM3 = 15.0
 """Least volume in mm3 of a denser part (3 mm across); a smaller one may be the end of a vessel."""
 
@@ -126,6 +133,9 @@ def measured(grown: Boundary, coarsest_mm: float) -> Nodule:
         # The stump of a vessel may be left on the nodule, or a part of the nodule may be removed with the vessel.
         mouth_mm2 = float((grown.cut & (away <= step)).sum()) * step**2
         error = float(np.hypot(error, MOUTH_MM * mouth_mm2))
+    if grown.wall_off_mm > 0.0:
+        contact_mm2 = float((edge & beside(grown.wall)).sum()) * step**2
+        error = float(np.hypot(error, grown.wall_off_mm * contact_mm2))
     long_mm, short_mm = diameters(inside, step)
     tissue = inside & ~grown.cavity
     cavity_mm3 = float(grown.cavity.sum()) * step**3
@@ -144,13 +154,29 @@ def measured(grown: Boundary, coarsest_mm: float) -> Nodule:
         solid_mm3=max(voxels_mm3 - cavity_mm3, 0.0),
         density_hu=core_hu,
         touches=tuple(grown.touches),
-        notes=(f"with a cavity of {cavity_mm3 / 1000.0:.2g} ml",) if cavity_mm3 > 0.0 else (),
+        notes=(
+            *((f"with a cavity of {cavity_mm3 / 1000.0:.2g} ml",) if cavity_mm3 > 0.0 else ()),
+            *_doubts(grown, error / max(voxels_mm3, 1e-6)),
+        ),
         inside_zyx=cropped,
         lps_from_ijk=matrix,
     )
     if kind != "solid":
         found = replace(found, solid_mm3=float(solid_voxels.sum()) * step**3)
     return found
+
+
+def _doubts(grown: Boundary, error_share: float) -> tuple[str, ...]:
+    """Return a note on the places where the boundary is uncertain; empty if none is."""
+    places = [text for touched, text in PLACES.items() if touched in grown.touches]
+    if not places or (error_share < DOUBT_SHARE and grown.wall_off_mm < WIDE_OFF_MM):
+        return ()
+    listed = " and ".join(places)
+    percent = 100.0 * min(error_share, 1.0)
+    return (
+        f"the boundary is uncertain where the nodule touches {listed} (volume +- {percent:.0f} %); check it there, and "
+        "correct it with the brush",
+    )
 
 
 def _faint(grown: Boundary, away: NDArray[np.float32]) -> Mask:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.plan.cubic_box import Box, ball_distance, beside, component_at, from_faces, uphill
+from carina.plan.cubic_box import Box, ball_distance, beside, component_at, distance_from, from_faces, uphill
 
-__all__ = ["SHALLOW_MM", "cut_at_wall"]
+__all__ = ["SHALLOW_MM", "WallCut", "cut_at_wall"]
 
 Mask = NDArray[np.bool_]
 
@@ -19,15 +22,50 @@ The opening removes vessels. A remaining part that reaches the faces of the box 
 """
 CLOSING_MM = 14.0
 """Radius in mm of the closing of the lung; narrower hollows of the lung's surface (nodules, hila) are filled."""
+WIDE_CLOSINGS_MM, CLOSING_SHARE = (23.0, 36.0), 0.64
+"""Radii in mm of the closings for a mass with a wide contact, and their largest share of half the side of the box.
+
+A closing is used if no surface can be fitted by the smaller ones.
+"""
 RING_MM = 16.0
+BEYOND_MM, WIDEST_MM = 12.0, 50.0
+"""Width in mm of the ring of lung's surface round the contact of a mass, and largest radius in mm of the ring."""
+LUNGWARD_MM, DEEPEST_MM = 6.0, 14.0
+"""Largest distance in mm of the fitted surface from the closing's, on the side of the lung and of the wall."""
+MOST_BEHIND = 0.15
+"""Largest share of the lung near the wall that the fitted surface may cut off."""
+NARROW_MM, DARK_HU, LUNG_MM3 = 1.5, -945.0, 2000.0
+"""Limits for a lung among the air of a box: half width in mm, least median density in HU, least volume in mm3."""
 LEAST_POINTS = 60
 SHALLOW_MM = 3.0
 """Largest depth in mm inside the first estimate of the wall at which a voxel can still belong to a nodule."""
+DEEP_SEED_MM = 10.0
+"""Largest depth in mm inside a wide closing's wall at which a voxel can still belong to a mass."""
 ROUNDS = 4
+LEAST_BULGE_MM = 2.0
+"""Least depth in mm by which a closing bulges into a nodule for its surface to be a mere chord."""
+FIT_OFF = 0.04
+"""Least uncertainty of the fitted surface in the middle of a contact, as a share of the contact's radius.
+
+The share of the lung that the surface cuts off is added, because it shows how much the lung's surface is bent.
+"""
 
 
-def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[int, ...]) -> tuple[Mask, Mask | None]:
-    """Return the part of ``whole`` on the lung's side of the wall, and the wall; None if no wall is near.
+@dataclass(frozen=True, slots=True)
+class WallCut:
+    """Chest wall, mediastinum or diaphragm beside a nodule, and the part of the tissue on the lung's side."""
+
+    inside: Mask
+    wall: Mask | None
+    """(nz, ny, nx) mask of the wall; None if no wall is near."""
+    off_mm: float = 0.0
+    """Uncertainty in mm of the surface behind the nodule, which grows with the width of the contact."""
+    is_chord: bool = False
+    """Whether the surface behind the nodule is a chord of the contact, and does not continue the lung's surface."""
+
+
+def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[int, ...]) -> WallCut:
+    """Return the wall near a nodule, and the part of ``whole`` on the lung's side of the wall.
 
     The wall's surface is a paraboloid fitted to the lung's boundary round the nodule, without the nodule itself.
 
@@ -45,43 +83,144 @@ def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[
     step = box.step_mm
     dense = smooth > WALL_HU
     deep = ball_distance(dense, step) > VESSEL_MM
-    wall_core = from_faces(deep)
-    if not wall_core.any():
-        return whole, None
-    # A morphological closing of the lung fills thin or narrow dense structures in the lung.
-    lung = ~dense
-    filled = ball_distance(~lung, step) <= CLOSING_MM
-    closed = ball_distance(filled, step) > CLOSING_MM - 0.5 * step
-    closed |= lung
-    wall = ~closed
-    wall = from_faces(wall)
+    if not from_faces(deep).any():
+        return WallCut(whole, None)
+    air = _LungAir(box, ~dense, seed)
+    wall = _outside_closing(air.lungs, CLOSING_MM, step)
     if not wall.any():
-        return whole, None
-    if ball_distance(wall, step)[seed] > SHALLOW_MM:
-        return whole & ~wall, wall
-    middle = _middle(whole & ~wall, seed, step)
-    nearest = ball_distance(~wall, step)[middle]
-    if nearest > 2.0 * RING_MM:
-        return whole & ~wall, wall
+        return WallCut(whole, None)
+    if ball_distance(wall, step)[seed] <= SHALLOW_MM:
+        best = _fitted(box, whole, seed, dense=dense, lung=air.lungs, wall=wall, closing_mm=CLOSING_MM)
+        if not best.is_chord:
+            return best
+    else:
+        best = WallCut(whole & ~wall, wall)
+    half_mm = 0.5 * (box.hu_zyx.shape[0] - 1) * step
+    for closing_mm in WIDE_CLOSINGS_MM:
+        if closing_mm > CLOSING_SHARE * half_mm or air.nearest is None:
+            break
+        wall = _outside_closing(air.nearest, closing_mm, step)
+        if not wall.any() or ball_distance(wall, step)[seed] > DEEP_SEED_MM:
+            continue
+        found = _fitted(box, whole, seed, dense=dense, lung=air.nearest, wall=wall, closing_mm=closing_mm)
+        if not found.is_chord:
+            return found
+        if not best.is_chord:
+            best = found
+    return best
+
+
+def _fitted(
+    box: Box, whole: Mask, seed: tuple[int, ...], *, dense: Mask, lung: Mask, wall: Mask, closing_mm: float
+) -> WallCut:
+    """Return the cut at a paraboloid that continues the lung's surface behind a nodule.
+
+    Parameters
+    ----------
+    box, whole, seed
+        As for `cut_at_wall`.
+    dense, lung, wall
+        (nz, ny, nx) masks of tissue, of the lung, and of the wall by a closing of the lung.
+    closing_mm
+        Radius of that closing.
+    """
+    step = box.step_mm
+    inside = whole & ~wall
+    start = seed
+    if wall[seed] and inside.any():
+        # A closing bulges into a mass; the fitted surface decides whether the place is in the mass or in the wall.
+        z, y, x = np.unravel_index(int(np.where(inside, box.steps_from(seed), np.inf).argmin()), wall.shape)
+        start = (int(z), int(y), int(x))
+    middle = _middle(inside, start, step)
+    from_wall = ball_distance(~wall, step)
+    nearest_mm = float(from_wall[middle])
+    if nearest_mm > 2.0 * RING_MM:
+        return WallCut(inside, wall)
+    off = box.steps_from(middle) * step
+    reach_mm = _reach_mm(inside, from_wall, off, middle, step)
+    contact_mm = float(np.sqrt(max(reach_mm**2 - nearest_mm**2, 0.0)))
+    ring_mm = nearest_mm + RING_MM
+    if closing_mm > CLOSING_MM:
+        ring_mm = max(ring_mm, min(reach_mm + BEYOND_MM, WIDEST_MM))
     # The part of the lung's surface that the closing did not change.
-    near_wall = ball_distance(~wall, step) <= 1.5 * step
-    edge = np.argwhere(dense & near_wall & beside(lung)).astype(float)
-    if len(edge) < LEAST_POINTS:
-        return whole & ~wall, wall
-    here = np.array(middle, dtype=float)
-    off = np.linalg.norm(edge - here, axis=1) * step
-    ring = edge[off <= nearest + RING_MM]
-    if len(ring) < LEAST_POINTS:
-        return whole & ~wall, wall
-    near_lung = np.argwhere(lung & (box.steps_from(middle) * step <= nearest + RING_MM)).mean(axis=0)
-    side = _surface_side(ring, near_lung, box.hu_zyx.shape)
-    if side is None:
-        return whole & ~wall, wall
-    fitted = side > 0.0
+    ring = np.argwhere(dense & (from_wall <= 1.5 * step) & beside(lung) & (off <= ring_mm)).astype(float)
+    side = None
+    if len(ring) >= LEAST_POINTS:
+        side = _surface_side(ring, np.argwhere(lung & (off <= ring_mm)).mean(axis=0), box.hu_zyx.shape)
     # The paraboloid holds only as far as the points that it was fitted to.
-    local = box.steps_from(middle) * step <= nearest + RING_MM
-    wall = np.where(local, fitted, wall)
-    return whole & ~wall, wall
+    here = (off <= ring_mm) & (from_wall <= LUNGWARD_MM) & (ball_distance(wall, step) <= DEEPEST_MM)
+    beside_wall = lung & here
+    behind = 1.0 if side is None else float((beside_wall & (side > 1.0)).sum()) / max(float(beside_wall.sum()), 1.0)
+    # The lung's surface may be bent too much for a paraboloid, as in the costophrenic angle.
+    if side is None or behind > MOST_BEHIND:
+        bulge_mm = closing_mm - float(np.sqrt(closing_mm**2 - min(contact_mm, 0.9 * closing_mm) ** 2))
+        return WallCut(inside, wall, off_mm=bulge_mm, is_chord=bulge_mm > LEAST_BULGE_MM)
+    fitted = np.where(here, side > 0.0, wall)
+    return WallCut(whole & ~fitted, fitted, off_mm=(FIT_OFF + behind) * min(contact_mm, WIDEST_MM))
+
+
+def _outside_closing(lung: Mask, closing_mm: float, step: float) -> Mask:
+    """Return the tissue outside the morphological closing of the lung that is connected to the faces of the box.
+
+    The closing fills thin or narrow dense structures in the lung, and hollows of its surface.
+    """
+    filled = ball_distance(~lung, step) <= closing_mm
+    closed = ball_distance(filled, step) > closing_mm - 0.5 * step
+    return from_faces(~(closed | lung))
+
+
+class _LungAir:
+    """Air of a box that is lung.
+
+    Parameters
+    ----------
+    box
+        Box of the CT.
+    air
+        (nz, ny, nx) mask of all voxels that are not tissue.
+    seed
+        Index (z, y, x) of a voxel in the nodule.
+    """
+
+    def __init__(self, box: Box, air: Mask, seed: tuple[int, ...]) -> None:
+        import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
+
+        # Thin connections, as between the bronchi and the lung, do not count.
+        cores = ball_distance(air, box.step_mm) > NARROW_MM
+        image = sitk.RelabelComponent(sitk.ConnectedComponent(sitk.GetImageFromArray(cores.astype(np.uint8))))
+        labels: NDArray[Any] = sitk.GetArrayFromImage(image)
+        off = box.steps_from(seed)
+        back_mm = NARROW_MM + 0.5 * box.step_mm
+        self.nearest: Mask | None = None
+        """Lung next to the seed without the other lung, because a closing of both would fill the mediastinum."""
+        self.lungs = air
+        """Both lungs: the air without the trachea and the air round the body."""
+        least, dark = np.inf, np.zeros_like(air)
+        least_dark = np.inf
+        for number in range(1, int(labels.max()) + 1):
+            part = labels == number
+            if float(part.sum()) * box.step_mm**3 < LUNG_MM3:
+                break
+            away = float(off[part].min())
+            if float(np.median(box.hu_zyx[part])) < DARK_HU:
+                dark |= part
+                least_dark = min(least_dark, away)
+            elif away < least:
+                least = away
+                self.nearest = air & (distance_from(part, box.step_mm, back_mm) <= back_mm)
+        if least < least_dark:
+            self.lungs = air & ~(distance_from(dark, box.step_mm, back_mm) <= back_mm)
+
+
+def _reach_mm(
+    part: Mask, from_wall: NDArray[np.float32], off: NDArray[np.float64], middle: tuple[int, ...], step: float
+) -> float:
+    """Return the distance in mm from the middle of a mass to the rim of its contact with the wall."""
+    contact = part & (from_wall <= 1.5 * step)
+    if not part[middle] or not contact.any():
+        return 0.0
+    contact &= component_at(part, middle)
+    return float(np.percentile(off[contact], 95.0)) if contact.any() else 0.0
 
 
 def _surface_side(

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import VolumeImportError, check_type
+from carina.plan.targets.click_comparison import click_note
 from carina.plan.targets.contours import OutlineError, drawn_in
 from carina.plan.targets.from_mask import nodule_from_mask, one_piece, target_of
 from carina.plan.targets.mask_measures import drawn_nodule
@@ -52,6 +53,7 @@ def target_from_file(
     name: str | None = None,
     resample: bool = False,
     wall: WallField | None = None,
+    compare_click: bool = False,
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> PlanTarget:
@@ -79,6 +81,8 @@ def target_from_file(
         Whether to accept a mask on another grid (not for outlines).
     wall
         Wall of the airways, with which a target in an airway is recognised.
+    compare_click
+        Whether to add a note with the volume and the diameters that a click at the middle of the structure gives.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
@@ -124,6 +128,9 @@ def target_from_file(
         told = (note for note in nodule.notes if not note.startswith(PART_OF_SCAN))
         nodule = replace(nodule, notes=(*told, *notes))
     given = named[:NAME_CHARS] if name is None else name
+    if compare_click:
+        said = click_note(volume, nodule, wall=wall, progress=watch.step)
+        nodule = replace(nodule, notes=(*nodule.notes, said))
     return target_of(volume, nodule, source, target_id=target_id, name=given, wall=wall)
 
 

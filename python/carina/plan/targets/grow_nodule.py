@@ -170,6 +170,7 @@ def grow_nodule(
 
     coarsest_mm = max(volume.spacing_mm)
     problem = no_boundary()
+    chord: Boundary | None = None
     for half_mm in HALVES_MM:
         box = Box.around(volume, point, half_mm, least_step_mm=half_mm / MOST_STEPS)
         try:
@@ -179,13 +180,25 @@ def grow_nodule(
             if half_mm == HALVES_MM[0] or problem.code != error.code:
                 problem = error
             continue
-        if not grown.is_near_faces and not grown.is_film:
-            nodule = measured(grown, coarsest_mm)
-            if is_outside_body(volume, np.array(nodule.centre_lps), radius_mm=0.5 * nodule.long_mm + 2.0):
-                raise _outside_body()
-            return nodule
         problem = no_boundary()
-    raise problem
+        if grown.is_near_faces or grown.is_film or grown.is_embedded:
+            continue
+        if not grown.is_chord:
+            return _inside_body(volume, measured(grown, coarsest_mm))
+        if chord is not None:
+            break
+        # A larger box may show enough of the lung's surface to continue it behind the mass.
+        chord = grown
+    if chord is None:
+        raise problem
+    return _inside_body(volume, measured(chord, coarsest_mm))
+
+
+def _inside_body(volume: Volume, nodule: Nodule) -> Nodule:
+    """Return the nodule; raise an error if it lies outside the body."""
+    if is_outside_body(volume, np.array(nodule.centre_lps), radius_mm=0.5 * nodule.long_mm + 2.0):
+        raise _outside_body()
+    return nodule
 
 
 def _outside_body() -> NoResultError:

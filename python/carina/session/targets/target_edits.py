@@ -92,6 +92,7 @@ class TargetHandlers(CommandHandlers):
                     structure=named,
                     ct=ct_of(case),
                     target_id=f"target-{number}",
+                    compare_click=True,
                     progress=job.progress,
                     cancel=job.cancel,
                 )
@@ -101,6 +102,8 @@ class TargetHandlers(CommandHandlers):
             with self.core.lock:
                 job.check()
                 self._add(case, Target(told.target_id, told.name, told.nodule.middle_lps, lesion=Lesion(told)))
+                for note in told.nodule.notes:
+                    self.core.emit(UserMessage(f"{told.name}: {note}"))
 
         return self.core.jobs.start("target file", "reading the target", work)
 
