@@ -241,6 +241,13 @@ def plan(
             help=("Distance the target may have moved since the CT (default: 20 mm in a lower lobe, 15 mm elsewhere)."),
         ),
     ] = None,
+    confirm: Annotated[
+        str | None,
+        typer.Option(
+            "--confirm",
+            help="Plan the target despite these doubts: codes separated by commas, such as target.tube, or all.",
+        ),
+    ] = None,
     all_scopes: Annotated[
         bool, typer.Option("--all-scopes", help="Judge every bronchoscope of the library on the first route.")
     ] = False,
@@ -273,8 +280,8 @@ def plan(
 ) -> None:
     """Plan the way to a nodule outside the airways: where the scope stands, and the needle's path from there.
 
-    The nodule is grown from the point. If no route reaches it, the reason is given and the exit code is 4. Not a
-    medical device.
+    The nodule is grown from the point. If no route reaches it, the reason is given and the exit code is 4. A target
+    that may not be a nodule (a vessel, the mediastinum) is planned only with --confirm. Not a medical device.
 
     Example: carina plan scan.nii.gz --target -41,12,-180 --scope thin -o plan.html
     """
@@ -293,6 +300,7 @@ def plan(
                 tool=tool,
                 vessel_margin_mm=vessel_margin_mm,
                 moved_mm=moved_mm,
+                confirm=confirm,
                 all_scopes=all_scopes,
                 series=series,
                 ct=ct,
