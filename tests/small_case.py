@@ -298,7 +298,11 @@ def small_parts(**replaced: Any) -> Parts:
             raise NoResultError("no airway at this point")
         return small_airways(volume, root_lps=root_lps)
 
+    def target_from_click(_volume: Volume, _at_lps: Any, **_options: Any) -> Any:
+        raise NoResultError("no boundary was found", code="plan.no-boundary")
+
     parts: dict[str, Any] = {
+        "target_from_click": target_from_click,
         "open_volume": open_volume,
         "open_demo": lambda name, progress, cancel: small_volume(title=f"Demo {name}"),
         "quality_words": lambda volume: ("slices are 2.0 mm apart",),

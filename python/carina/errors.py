@@ -26,6 +26,7 @@ __all__ = [
     "ProtocolError",
     "RenderError",
     "TrackingError",
+    "UnconfirmedTargetError",
     "UnsavedWorkError",
     "UsageError",
     "VolumeImportError",
@@ -164,6 +165,24 @@ class NoEvidenceError(NoResultError):
         self.doubtful_mm = doubtful_mm
         self.way_lps = way_lps
         self.doubtful = doubtful
+
+
+class UnconfirmedTargetError(NoResultError):
+    """Target of a plan that may not be a nodule, and that the caller has not confirmed.
+
+    The caller can repeat the request with a confirmation. The code of the error is that of the first doubt.
+
+    Attributes
+    ----------
+    doubts
+        The doubts that are not confirmed, each with ``code`` and ``words``.
+    """
+
+    code = "plan.unconfirmed"
+
+    def __init__(self, message: str, *, doubts: tuple[Any, ...]) -> None:
+        super().__init__(message, code=doubts[0].code)
+        self.doubts = doubts
 
 
 class ClusterError(CarinaError):

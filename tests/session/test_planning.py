@@ -377,7 +377,7 @@ def test_see_turn_shows_the_camera_of_the_turn_for_both_operator_positions(case:
 def test_growing_a_nodule_reports_progress_and_can_be_stopped():
     began = []
 
-    def grow(_volume, _lps, *, wall, progress):
+    def grow(_volume, _lps, *, progress, **_options):
         progress("looking for a nodule", None)
         began.append(True)
         if len(began) == 2:
@@ -386,7 +386,7 @@ def test_growing_a_nodule_reports_progress_and_can_be_stopped():
             progress("looking for a nodule", None)
         raise NoResultError("there is no nodule at this point", code="plan.no-nodule")
 
-    bench = small_bench(grow_nodule=grow)
+    bench = small_bench(target_from_click=grow)
     bench.open()
     bench.background.run_all()
     beside = small_lps((2.0, 25.0, 30.0))

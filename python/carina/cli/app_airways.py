@@ -248,6 +248,13 @@ def plan(
             help="Length of the scope in the patient at nose or mouth when its tip is at the main carina.",
         ),
     ] = None,
+    confirm: Annotated[
+        str | None,
+        typer.Option(
+            "--confirm",
+            help="Plan the target despite these doubts: codes separated by commas, such as target.tube, or all.",
+        ),
+    ] = None,
     all_scopes: Annotated[
         bool, typer.Option("--all-scopes", help="Judge every bronchoscope of the library on the first route.")
     ] = False,
@@ -280,8 +287,8 @@ def plan(
 ) -> None:
     """Plan the way to a nodule outside the airways: where the scope stands, and the needle's path from there.
 
-    The nodule is grown from the point. If no route reaches it, the reason is given and the exit code is 4. Not a
-    medical device.
+    The nodule is grown from the point. If no route reaches it, the reason is given and the exit code is 4. A target
+    that may not be a nodule (a vessel, the mediastinum) is planned only with --confirm. Not a medical device.
 
     Example: carina plan scan.nii.gz --target -41,12,-180 --scope thin -o plan.html
     """
@@ -301,6 +308,7 @@ def plan(
                 vessel_margin_mm=vessel_margin_mm,
                 moved_mm=moved_mm,
                 carina_depth_mm=carina_depth_mm,
+                confirm=confirm,
                 all_scopes=all_scopes,
                 series=series,
                 ct=ct,

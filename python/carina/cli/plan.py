@@ -18,14 +18,17 @@ from carina.export import PLAN_FORMATS, check_plan_file, export_plan, send_plan,
 from carina.plan import (
     Plan,
     PlannedRoute,
+    PlanTarget,
     Verdict,
     judge_scopes,
     scope_from_file,
+    target_from_click,
     target_from_file,
     tool_from_file,
 )
 from carina.plan import tool as tool_named
 from carina.plan.report import Paper, PlanMaterials, ReportKind, whole_sheet, write_report
+from carina.plan.targets.doubts import confirmed_codes
 from carina.scopes import scope_preset, scope_presets
 
 if TYPE_CHECKING:
@@ -51,6 +54,7 @@ def report(
     vessel_margin_mm: float,
     moved_mm: float | None,
     carina_depth_mm: float | None,
+    confirm: str | None,
     all_scopes: bool,
     output: Path | None,
     kind: ReportKind,
@@ -70,6 +74,7 @@ def report(
     if not isinstance(target, Path):
         check_needs("a target from a file; the target is a point", structure=structure, part=part, resample=resample)
     check_range("--vessel-margin-mm", vessel_margin_mm, 0.0, 50.0, "mm")
+    confirmed = confirmed_codes(_confirmed(confirm))
     check_range("--moved-mm", moved_mm, 0.0, 60.0, "mm")
     check_range("--carina-depth-mm", carina_depth_mm, 0.0, 600.0, "mm")
     if not name.endswith((".html", ".pdf")):
@@ -91,6 +96,7 @@ def report(
     place = source.place if ct is None else ct
     if output is not None and output.name.lower().endswith((*PLAN_FORMATS, ARCHIVE_SUFFIX)):
         check_plan_file(output, source.volume, place, series=series, identity=identity)
+    found: PlanTarget | None = None
     if isinstance(target, Path):
         named = int(structure) if structure is not None and structure.isdecimal() else structure
         found = target_from_file(
@@ -103,27 +109,28 @@ def report(
             compare_click=True,
             progress=progress,
         )
-        nodule, aims = found.nodule, found.aims
-        say(f"target: {found.words}")
-    else:
-        nodule, aims = carina.grow_nodule(source.volume, target), None
-        say(f"target: {nodule.words}")
-    for note in nodule.notes:
-        say(f"target: {note}")
     airways = source.airways(progress)
     source.badges.add(airways.badges)
     wall = carina.wall_field(source.volume, airways)
+    if not isinstance(target, Path):
+        found = target_from_click(source.volume, target, airways=airways, wall=wall, progress=False)
+    assert found is not None
+    say(f"target: {found.words}")
+    for note in found.nodule.notes:
+        say(f"target: {note}")
     plan = carina.plan_route(
         source.volume,
         airways,
-        nodule,
+        found,
         scope=instrument,
         tool=used,
-        aims=aims,
         vessel_margin_mm=vessel_margin_mm,
         moved_mm=moved_mm,
         wall=wall,
+        confirmed=confirmed,
     )
+    for doubt in plan.doubts:
+        say(f"target: ! {doubt.words} ({doubt.code})")
     for line in lines(plan):
         say(line)
     verdicts: tuple[Verdict, ...] = ()
@@ -180,6 +187,13 @@ def report(
         if as_json:
             print_json(sheet.to_json() | {"badges": source.badges.to_json()})
     return 0 if plan.routes else NoResultError.exit_code
+
+
+def _confirmed(text: str | None) -> bool | tuple[str, ...]:
+    """Return the doubts that ``--confirm`` names: all, or codes separated by commas."""
+    if text is None or text == "all":
+        return text == "all"
+    return tuple(code.strip() for code in text.split(","))
 
 
 def _peer(words: str) -> tuple[str, int]:

@@ -84,6 +84,14 @@ class GrowTarget(Command, frozen=True):
     target_id: Identifier
 
 
+class ConfirmTarget(Command, frozen=True):
+    """Confirm that a target is what the user intends, despite doubts; its routes are planned only then."""
+
+    target_id: Identifier
+    doubts: Annotated[tuple[Annotated[str, Meta(max_length=64, pattern=TEXT)], ...], Meta(min_length=1, max_length=16)]
+    """Codes of the doubts that are confirmed, such as ``target.tube``."""
+
+
 class ResizeTarget(Command, frozen=True):
     """Move a target's boundary outward or inward, to a long axial diameter."""
 

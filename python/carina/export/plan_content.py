@@ -6,14 +6,14 @@ All coordinates are in LPS, mm. The texts state what is not known about a plan.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.errors import UsageError, check_type
-from carina.plan import Plan, PlannedRoute
+from carina.plan import Nodule, Plan, PlannedRoute
 from carina.track import AirwayTree
 
 __all__ = [
@@ -22,7 +22,9 @@ __all__ = [
     "DrawnRoute",
     "DrawnTarget",
     "drawn_plans",
+    "marked_nodules",
     "named_plans",
+    "note_sentences",
 ]
 
 Points = NDArray[np.float64]
@@ -100,6 +102,20 @@ def named_plans(plan: Plan | Mapping[str, Plan]) -> dict[str, Plan]:
                 f"exporting a plan: expected a name of one line for each target; found {name!r}", code="plan.name"
             )
     return dict(found)
+
+
+def marked_nodules(plans: Mapping[str, Plan]) -> dict[str, Nodule]:
+    """Return the nodules of plans by name, whose notes include the doubts whether they are nodules."""
+    return {name: replace(one.nodule, notes=(*one.nodule.notes, *_doubt_texts(one))) for name, one in plans.items()}
+
+
+def note_sentences(nodule: Nodule) -> str:
+    """Return the notes of a nodule as sentences after a space; empty without notes."""
+    return "".join(f" {note[:1].upper()}{note[1:]}." for note in nodule.notes)
+
+
+def _doubt_texts(plan: Plan) -> list[str]:
+    return [f"DOUBTFUL: {doubt.words}" for doubt in plan.doubts]
 
 
 def drawn_plans(plan: Plan | Mapping[str, Plan], tree: AirwayTree) -> tuple[DrawnTarget, ...]:
@@ -184,6 +200,7 @@ def _target_words(plan: Plan) -> str:
     nodule = plan.nodule
     ml = nodule.volume_error_mm3 / 1000.0
     said = [f"{nodule.words} (90 % within {nodule.diameter_error_mm:.1f} mm and {ml:.2f} ml)"]
+    said += _doubt_texts(plan)
     if nodule.touches:
         said.append(f"touches: {', '.join(nodule.touches)}")
     if plan.sign_branch is None:

@@ -23,6 +23,7 @@ from pydicom.uid import SegmentationStorage, generate_uid
 
 from carina.disk import write_whole
 from carina.errors import NoResultError, UsageError, check_type
+from carina.export.plan_content import note_sentences
 from carina.export.plan_dicom import (
     CtImages,
     Identity,
@@ -201,7 +202,7 @@ def _nodule_part(name: str, nodule: Nodule, volume: Volume) -> _Part:
         name,
         inside,
         f"{nodule.words} as measured (90 % within {nodule.volume_error_mm3 / 1000.0:.2f} ml); the voxels of this "
-        f"segment hold {_ml(inside, volume):.2f} ml",
+        f"segment hold {_ml(inside, volume):.2f} ml.{note_sentences(nodule)}",
         ("SEMIAUTOMATIC", f"Carina {VERSION}, grown from a click"),
         (("49755003", "SCT", "Morphologically Abnormal Structure"), ("27925004", "SCT", "Nodule")),
         ("39607008", "SCT", "Lung"),

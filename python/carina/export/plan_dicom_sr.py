@@ -21,6 +21,7 @@ from pydicom.valuerep import DSfloat
 
 from carina.disk import write_whole
 from carina.errors import UsageError, VolumeImportError
+from carina.export.plan_content import note_sentences
 from carina.export.plan_dicom import (
     CtImages,
     Identity,
@@ -268,7 +269,8 @@ def _words(nodule: Nodule) -> str:
     touches = f"; touches: {', '.join(nodule.touches)}" if nodule.touches else ""
     return (
         f"{nodule.words}{touches}. Nine times of ten the volume lies within {nodule.volume_error_mm3:.0f} mm3 and the "
-        f"axial diameters within {nodule.diameter_error_mm:.1f} mm. Not verified by a reader. Not a medical device."
+        f"axial diameters within {nodule.diameter_error_mm:.1f} mm.{note_sentences(nodule)} "
+        "Not verified by a reader. Not a medical device."
     )
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from carina.errors import UsageError
-from carina.export.plan_content import named_plans
+from carina.export.plan_content import marked_nodules, named_plans
 from carina.export.plan_markups import PLAN_MARKUPS_SUFFIX, write_plan_markups
 from carina.export.plan_nrrd import TARGET_NRRD_SUFFIX, write_target_nrrd
 from carina.plan import Plan
@@ -158,6 +158,7 @@ def export_plan(
     name = Path(path).name
     suffix = _plan_suffix(path)
     plans = named_plans(plan)
+    nodules = marked_nodules(plans)
     if suffix == PLAN_MARKUPS_SUFFIX:
         if tree is None:
             raise UsageError(f"{name}: routes need the airway tree that the plan was made on", code="plan.other-tree")
@@ -169,8 +170,8 @@ def export_plan(
                 f"each, or all of them into one {_SEG}",
                 code="plan.several",
             )
-        ((title, only),) = plans.items()
-        return write_target_nrrd(path, only.nodule, name=title)
+        ((title, only),) = nodules.items()
+        return write_target_nrrd(path, only, name=title)
     if volume is None or ct is None:
         raise UsageError(
             f"{name}: a DICOM file refers to the CT's images: give the CT (volume) and its DICOM folder (ct)",
@@ -180,7 +181,6 @@ def export_plan(
     from carina.export.plan_dicom_seg import write_target_seg
     from carina.export.plan_dicom_sr import write_target_report
 
-    nodules = {title: one.nodule for title, one in plans.items()}
     if suffix == _SEG:
         return write_target_seg(
             path, nodules, volume, ct, airways=airways, identity=identity, series=series, now=now, cancel=cancel

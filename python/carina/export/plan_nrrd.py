@@ -15,6 +15,7 @@ import numpy as np
 
 from carina.disk import write_whole
 from carina.errors import UsageError, check_type
+from carina.export.plan_content import note_sentences
 from carina.plan import Nodule
 from carina.volume import write_grid_to
 
@@ -85,7 +86,7 @@ def write_target_nrrd(path: Path | str, nodule: Nodule, *, name: str = "Target")
         "Segmentation_ContainedRepresentationNames": "Binary labelmap|",
         "Segmentation_MasterRepresentation": "Binary labelmap",
         "Segmentation_ReferenceImageExtentOffset": "0 0 0",
-        "note": f"{nodule.words}, made with Carina. Not a medical device.",
+        "note": f"{nodule.words}, made with Carina.{note_sentences(nodule)} Not a medical device.",
     }
     plain = io.BytesIO()
     write_grid_to(plain, ".nrrd", inside, place, what="the target")

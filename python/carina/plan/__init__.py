@@ -21,8 +21,9 @@ from carina.plan.routes.needle_hits import NeedleErrors, hit_share
 from carina.plan.routes.plan_route import Plan, PlannedRoute, plan_route
 from carina.plan.routes.ranking import Outlook, ScoreWeights
 from carina.plan.routes.standing_points import BronchusSign, NearestPlace
+from carina.plan.targets.doubts import TargetDoubt, check_confirmed, target_doubts
 from carina.plan.targets.edits import brushed, resized, sphere
-from carina.plan.targets.from_click import is_plain_nodule, target_from_click
+from carina.plan.targets.from_click import target_from_click
 from carina.plan.targets.grow_nodule import Nodule, NoduleKind, grow_nodule
 from carina.plan.targets.region import WHERE_WORDS, Whereabouts, whereabouts
 from carina.plan.targets.target import PlanTarget, TargetSource, proposed_aims
@@ -70,6 +71,7 @@ __all__ = [
     "PlannedRoute",
     "ReachAtlas",
     "ScoreWeights",
+    "TargetDoubt",
     "TargetSource",
     "Tool",
     "Turn",
@@ -81,6 +83,7 @@ __all__ = [
     "VesselTree",
     "Whereabouts",
     "brushed",
+    "check_confirmed",
     "clock_hours",
     "condense_drive",
     "distance_origin",
@@ -88,7 +91,6 @@ __all__ = [
     "ebus_landmarks",
     "grow_nodule",
     "hit_share",
-    "is_plain_nodule",
     "judge_scope",
     "judge_scopes",
     "last_leg",
@@ -108,6 +110,7 @@ __all__ = [
     "search_drive",
     "sphere",
     "surroundings",
+    "target_doubts",
     "target_from_click",
     "target_from_file",
     "target_from_mask",

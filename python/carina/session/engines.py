@@ -13,7 +13,7 @@ from carina.plan.lungs.lung_map import map_lungs
 from carina.scopes import ScopePreset, scope_presets
 
 if TYPE_CHECKING:
-    from carina.plan import DistanceOrigin, Nodule, Plan, ReachAtlas, Verdict
+    from carina.plan import DistanceOrigin, Plan, PlanTarget, ReachAtlas, Verdict
     from carina.plan.lungs.lung_map import LungMap
     from carina.render import TransferFunction
     from carina.session.scene.shown_case import SessionRenderer
@@ -61,10 +61,13 @@ class Parts:
     """Returns the preview of an edit: ``preview_edit(volume, airways, edit)``."""
     open_mask: Callable[..., Mask] = volume.open_mask
     """Reads a segmentation: ``open_mask(path, volume, label=, resample=, progress=, cancel=)``."""
-    grow_nodule: Callable[..., Nodule] = plan.grow_nodule
-    """Segments a nodule at a point (LPS, mm): ``grow_nodule(volume, at_lps, wall=, progress=)``."""
+    target_from_click: Callable[..., PlanTarget] = plan.target_from_click
+    """Segments the target at a point (LPS, mm).
+
+    The call is ``target_from_click(volume, at_lps, target_id=, name=, airways=, wall=, progress=)``.
+    """
     plan_route: Callable[..., Plan] = plan.plan_route
-    """Plans the routes to a nodule: ``plan_route(volume, airways, nodule, scope=, tool=, ...)``."""
+    """Plans the routes to a target: ``plan_route(volume, airways, target, scope=, tool=, ...)``."""
     judge_scopes: Callable[..., tuple[Verdict, ...]] = plan.judge_scopes
     """Computes the verdicts on a planned route.
 

@@ -607,6 +607,13 @@ export interface GrowTargetMessage {
   readonly target_id: string;
 }
 
+/** Confirm that a target is what the user intends, despite doubts; its routes are planned only then. */
+export interface ConfirmTargetMessage {
+  readonly type: "confirm_target";
+  readonly target_id: string;
+  readonly doubts: readonly string[];
+}
+
 /** Move a target's boundary outward or inward, to a long axial diameter. */
 export interface ResizeTargetMessage {
   readonly type: "resize_target";
@@ -1569,6 +1576,8 @@ export interface TargetPlan {
   readonly routes: readonly RouteOffer[];
   readonly problem: string | null;
   readonly notes: readonly string[];
+  readonly doubts: readonly (readonly [string, string])[];
+  readonly unconfirmed: readonly string[];
   readonly chosen: number | null;
 }
 
@@ -1982,6 +1991,7 @@ export type ClientMessage =
   | SeeTurnMessage
   | KeepDriveMessage
   | GrowTargetMessage
+  | ConfirmTargetMessage
   | ResizeTargetMessage
   | BrushTargetMessage
   | AimTargetMessage

@@ -9,7 +9,7 @@ from carina.plan.report.drawing import Drawing, Raster
 from carina.plan.report.figures import needle_bar, slice_drawing, tree_drawing
 from carina.plan.report.plan_sheet import PlanSheet, target_words
 from carina.plan.report.tracing import tracing_drawings
-from carina.plan.report.uncertainty import dense_words
+from carina.plan.report.uncertainty import doubt_words
 from carina.plan.report.wording import (
     SIGNS,
     carina_cell,
@@ -72,11 +72,12 @@ def tracing_sections(sheet: PlanSheet) -> tuple[Section, ...]:
 
 
 def _red(sheet: PlanSheet) -> tuple[Block, ...]:
-    """Return the blocks with warnings (shown in red) that every view of the route contains."""
+    """Return the blocks with warnings (shown in red) that every view of the target and of the route contains."""
+    found = [Words(words, "warning") for words in doubt_words(sheet.plan)]
     route = sheet.route
-    if route is None or not route.doubts:
-        return ()
-    return (Words("Route over doubtful airway: " + "; ".join(route.doubts) + ".", "warning"),)
+    if route is not None and route.doubts:
+        found.append(Words("Route over doubtful airway: " + "; ".join(route.doubts) + ".", "warning"))
+    return tuple(found)
 
 
 def _target(sheet: PlanSheet) -> Section:
@@ -100,10 +101,8 @@ def _target(sheet: PlanSheet) -> Section:
     if nodule.kind == "part-solid":
         rows.insert(2, ("Of which solid", f"{nodule.solid_mm3 / 1000.0:.{digits}f} ml"))
     figures = tuple(Figure(slice_drawing(one)) for one in sheet.slices)
-    dense = dense_words(nodule)
     blocks = (
         *_red(sheet),
-        *(() if dense is None else (Words(dense, "warning"),)),
         Words(_lead(sheet), "lead"),
         Facts(tuple(rows)),
         Figures(figures, 3),

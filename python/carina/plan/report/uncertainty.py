@@ -13,16 +13,10 @@ from carina.plan.verdict.verdict import Verdict
 from carina.track import Airways, Branch, drawn_tree
 from carina.volume import Volume
 
-__all__ = ["by_hand", "dense_words", "movement_words", "uncertain"]
+__all__ = ["by_hand", "doubt_words", "movement_words", "uncertain"]
 
 THICK_MM = 1.5
 """Distance in mm between slices above which small airways are hidden and boundaries blurred."""
-DENSE_HU = 110.0
-"""Density in HU above which a target may be a vessel or calcified.
-
-By common knowledge soft tissue without contrast medium is 20 to 60 HU and vessels with it are 150 to 400 HU; tumours
-take up 20 to 60 HU.
-"""
 BY_HAND = (BRUSHED, RESIZED, SPHERE)
 """Notes of a target whose boundary was drawn by hand."""
 
@@ -57,7 +51,7 @@ def uncertain(
     verdicts
         Verdicts of instruments on the route.
     """
-    found = [movement_words(plan) + _aimed_again(route), *_of_target(plan.nodule)]
+    found = [*doubt_words(plan), movement_words(plan) + _aimed_again(route), *_of_target(plan.nodule)]
     if route is not None:
         found += [f"{doubt}." for doubt in _doubts(route)]
         found += _of_leg(route)
@@ -110,14 +104,9 @@ def _aimed_again(route: PlannedRoute | None) -> str:
     )
 
 
-def dense_words(nodule: Nodule) -> str | None:
-    """Return a warning if a target is denser than soft tissue; None otherwise."""
-    if nodule.density_hu <= DENSE_HU:
-        return None
-    return (
-        f"At {nodule.density_hu:.0f} HU the target is denser than soft tissue: make sure that it is not a vessel with "
-        "contrast medium, or calcified."
-    )
+def doubt_words(plan: Plan) -> tuple[str, ...]:
+    """Return a warning for each doubt whether the target is a nodule."""
+    return tuple(f"The target may not be a nodule: {doubt.words}." for doubt in plan.doubts)
 
 
 def _of_target(nodule: Nodule) -> list[str]:
@@ -130,9 +119,6 @@ def _of_target(nodule: Nodule) -> list[str]:
         "vessel": "a vessel",
         "edge of the CT": "the edge of the scan",
     }
-    dense = dense_words(nodule)
-    if dense is not None:
-        found.append(dense)
     touched = [words.get(what, what) for what in nodule.touches]
     found += [f"Target: {note}." for note in nodule.notes]
     if touched:

@@ -42,7 +42,9 @@ from carina.plan.routes.no_route_reasons import check_target, notes_of_target, n
 from carina.plan.routes.ranking import Judge, Outlook, ScoreWeights, bending_mm, order
 from carina.plan.routes.route_width import Fit, RouteWidth, matches_tree
 from carina.plan.routes.standing_points import BronchusSign, NearestPlace, Places, branch_title
-from carina.plan.targets.grow_nodule import Nodule, grow_nodule
+from carina.plan.targets.doubts import Confirmed, TargetDoubt, check_confirmed, confirmed_codes, target_doubts
+from carina.plan.targets.from_click import target_from_click
+from carina.plan.targets.nodule import Nodule
 from carina.plan.targets.target import PlanTarget
 from carina.scopes import ScopeHold, ScopePreset, WallField, scope_preset
 from carina.track import Airways, TreeMeasures, measure_tree, wall_field
@@ -221,6 +223,8 @@ class Plan(Tabular):
 
     All distances along the routes are measured from the ridge. None if no ridge was found.
     """
+    doubts: tuple[TargetDoubt, ...] = ()
+    """Reasons for which the target may not be a nodule; the caller has confirmed all of them."""
 
     def __post_init__(self) -> None:
         """Raise an error if a field of this `Plan` has an invalid value."""
@@ -241,6 +245,7 @@ class Plan(Tabular):
             weights=instance(ScoreWeights, "create a carina.plan.ScoreWeights"),
             nearest=instance(NearestPlace, "get one from carina.plan_route", optional=True),
             carina_ridge_mm=number_from(-1000.0, 1000.0, optional=True, unit="mm"),
+            doubts=each(instance(TargetDoubt, "get them from carina.plan.target_doubts")),
         )
 
     def _columns(self) -> Columns:
@@ -277,7 +282,7 @@ class Plan(Tabular):
             "version": 1,
             "space": "LPS",
             "unit": "mm",
-            "target": self.nodule.to_json(),
+            "target": self.nodule.to_json() | {"doubts": [doubt.to_json() for doubt in self.doubts]},
             "scope": self.scope.name,
             "tool": self.tool.name,
             "aims": [list(aim) for aim in self.aims],
@@ -325,6 +330,7 @@ def plan_route(
     weights: ScoreWeights | None = None,
     wall: WallField | None = None,
     measures: TreeMeasures | None = None,
+    confirmed: Confirmed = False,
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Plan:
@@ -335,7 +341,7 @@ def plan_route(
     volume, airways
         The CT and the airways in it.
     target
-        A target with its aims, a nodule, or a point in one, LPS mm (`grow_nodule`).
+        A target with its aims, a nodule, or a point in one, LPS mm (`target_from_click`).
     scope, tool
         Instruments, or their names in the libraries. A tool that does not pierce needs a target in a lumen or against
         it. The reach of a scope is only estimated here; `judge_scope` simulates its drive.
@@ -353,6 +359,9 @@ def plan_route(
     measures
         Measures of the airways (`carina.measure_tree`). They are computed if None, or if they belong to another tree or
         come from an earlier method.
+    confirmed
+        Doubts whether the target is a nodule (`carina.plan.target_doubts`) that the user has confirmed: True for all
+        of them, or their codes. Those that a `PlanTarget` lists as confirmed are confirmed too.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
@@ -371,6 +380,8 @@ def plan_route(
         another CT.
     NoResultError
         If there is no nodule at the point (`grow_nodule`).
+    UnconfirmedTargetError
+        If the target has a doubt that is not confirmed. The code is that of the doubt, such as ``target.tube``.
     CancelledError
         If ``cancel()`` returned True.
 
@@ -392,18 +403,24 @@ def plan_route(
             raise UsageError(f"{name}: expected 0 to {most:g}; found {value}", code="plan.range")
     on_share = share_function(progress_function(progress), "planning the routes")
     report = CancellableProgress(on_share, cancel, "planning was cancelled")
+    accepted = confirmed_codes(confirmed)
     if not isinstance(target, PlanTarget | Nodule):
-        # The wall lets `grow_nodule` recognise a lesion in an airway.
+        # The wall lets the segmentation recognise a lesion in an airway.
         wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
-        target = grow_nodule(volume, target, wall=wall)
+        target = target_from_click(volume, target, airways=airways, wall=wall, progress=False)
+    clicked: tuple[float, float, float] | None = None
     if isinstance(target, PlanTarget):
         aims = target.aims if aims is None else aims
+        accepted = (*accepted, *target.confirmed)
+        clicked = target.seed_lps if target.source == "click" else None
         target = target.nodule
     nodule = target
     check_target(volume, airways, nodule)
     meant = _aims(nodule, aims)
     report(0.1)
     wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
+    doubts = target_doubts(volume, nodule, airways=airways, wall=wall, clicked_lps=clicked)
+    check_confirmed(doubts, accepted)
     report(0.5)
     if measures is None or not matches_tree(measures, airways.tree):
         measures = measure_tree(volume, airways, cancel=cancel)
@@ -455,6 +472,7 @@ def plan_route(
         weights=judge.weights,
         nearest=nearest,
         carina_ridge_mm=origin.ridge_beyond_axes_mm,
+        doubts=doubts,
     )
 
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from carina.display import one_line
 from carina.errors import UsageError
 from carina.plan.cubic_box import ball_distance
+from carina.plan.targets.doubts import TargetDoubt, confirmed_codes
 from carina.plan.targets.nodule import Nodule
 from carina.plan.targets.region import WHERE_WORDS, Whereabouts
 
@@ -66,9 +67,14 @@ class PlanTarget:
     """Priority of the target, 1 (first) to 9."""
     aims: tuple[Point, ...] = ()
     """One to three points in the nodule, LPS mm, in order of preference; its middle if none is given."""
+    doubts: tuple[TargetDoubt, ...] = ()
+    """Reasons for which the target may not be a nodule, as found when its boundary was made (`target_doubts`)."""
+    confirmed: tuple[str, ...] = ()
+    """Codes of the doubts that the user has confirmed; `plan_route` refuses a target with another doubt."""
 
     def __post_init__(self) -> None:
         """Check the fields, and set the aims to the nodule's middle if none is given."""
+        confirmed_codes(self.confirmed)
         if not re.fullmatch(rf"[A-Za-z0-9_-]{{1,{ID_CHARS}}}", self.target_id):
             raise UsageError(
                 f"target: expected an identifier of 1 to {ID_CHARS} letters, digits, - and _", code="plan.target"
@@ -93,13 +99,13 @@ class PlanTarget:
         told = ", ".join([self.nodule.words, WHERE_WORDS[self.where]])
         return f"{self.name}: {told}" if self.name else told
 
-    def with_nodule(self, nodule: Nodule) -> PlanTarget:
-        """Return the target with an edited nodule; aims outside the new boundary are removed.
+    def with_nodule(self, nodule: Nodule, doubts: tuple[TargetDoubt, ...] = ()) -> PlanTarget:
+        """Return the target with an edited nodule and its doubts; aims outside the new boundary are removed.
 
         If no aim is left, the middle of the nodule becomes the aim.
         """
         kept = tuple(aim for aim in self.aims if nodule.distance_mm([aim])[0] <= AIM_OFF_MM)
-        return replace(self, nodule=nodule, source="edited", aims=kept)
+        return replace(self, nodule=nodule, source="edited", aims=kept, doubts=doubts)
 
     def to_json(self) -> dict[str, Any]:
         """Return the target as plain JSON types, without the mask."""
@@ -119,6 +125,8 @@ class PlanTarget:
             "where": self.where,
             "seed_lps": list(self.seed_lps),
             "aims_lps": [list(aim) for aim in self.aims],
+            "doubts": [doubt.to_json() for doubt in self.doubts],
+            "confirmed": list(self.confirmed),
         }
 
     @classmethod
@@ -143,6 +151,9 @@ class PlanTarget:
                 note=str(record["note"]),
                 priority=int(record["priority"]),
                 aims=tuple(_point(aim) for aim in record["aims_lps"]),
+                # Records of earlier versions have no doubts; the plan finds them.
+                doubts=tuple(TargetDoubt.from_json(one) for one in record.get("doubts", ())),
+                confirmed=tuple(str(code) for code in record.get("confirmed", ())),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise UsageError(f"reading a target: its record is not valid ({error})", code="plan.record") from None

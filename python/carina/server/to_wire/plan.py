@@ -61,6 +61,7 @@ def _target(one: PlannedTarget, info: PlanningInfo) -> wire.TargetPlan:
     assert lesion is not None
     planned = one.planned
     plan = None if planned is None else planned.plan
+    doubts = _doubts(one)
     route = info.document.route
     mine = route is not None and route.target_id == one.target.target_id
     return wire.TargetPlan(
@@ -77,8 +78,21 @@ def _target(one: PlannedTarget, info: PlanningInfo) -> wire.TargetPlan:
         routes=() if plan is None else tuple(_route(route) for route in plan.routes),
         problem=None if planned is None else planned.problem,
         notes=(*lesion.nodule.notes, *(() if plan is None else plan.notes)),
+        doubts=tuple(doubts.items()),
+        unconfirmed=tuple(code for code in doubts if code not in lesion.target.confirmed),
         chosen=None if plan is None or not mine else chosen_number(info.document, plan),
     )
+
+
+def _doubts(one: PlannedTarget) -> dict[str, str]:
+    """Return the doubts of a target by code: those that its plan found, then others found with its boundary."""
+    lesion, planned = one.target.lesion, one.planned
+    assert lesion is not None
+    found = () if planned is None else planned.doubts
+    if planned is None or planned.plan is None:
+        known = {doubt.code for doubt in found}
+        found = (*found, *(doubt for doubt in lesion.target.doubts if doubt.code not in known))
+    return {doubt.code: doubt.words for doubt in found}
 
 
 def _size(nodule: Nodule) -> str:

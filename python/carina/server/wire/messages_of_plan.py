@@ -149,6 +149,10 @@ class TargetPlan(FrozenValue, frozen=True):
     problem: Words | None
     """Reason why there is no route, and advice; null if there is one."""
     notes: tuple[Words, ...]
+    doubts: tuple[tuple[Identifier, Words], ...]
+    """Code and text of each reason for which the target may not be a nodule."""
+    unconfirmed: tuple[Identifier, ...]
+    """Codes of the doubts that the user has not confirmed; routes are planned once there are none."""
     chosen: Count | None
     """Number of the chosen route in ``routes``, from 1; null if none of them is chosen."""
 

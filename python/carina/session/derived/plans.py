@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from carina.case.document import Document, Lesion, Target
 from carina.commands.plan import PlanOptions
 from carina.display import one_line
-from carina.errors import CancelledError, CarinaError
+from carina.errors import CancelledError, CarinaError, UnconfirmedTargetError, without_options
 from carina.session.derived.derived_value import Attempt, Cached, Derived, Standing, identical
 from carina.session.derived.measurement_cache import MeasuredAirways
 from carina.session.engines import Parts
@@ -20,7 +20,7 @@ from carina.session.jobs.background_jobs import JobRunner
 from carina.track import Mesh, TreeMeasures, mask_mesh
 
 if TYPE_CHECKING:
-    from carina.plan import DistanceOrigin, Nodule, Plan, PlannedRoute, TurnList, Verdict
+    from carina.plan import DistanceOrigin, Nodule, Plan, PlannedRoute, PlanTarget, TargetDoubt, TurnList, Verdict
     from carina.scopes import WallField
     from carina.session.derived.lungs import CaseLungs
     from carina.track import Airways
@@ -42,13 +42,23 @@ MOST_SHOWN = 36
 SAME_PLACE_MM = 0.05
 
 
-PlanTask = tuple["Nodule", tuple[tuple[float, float, float], ...], PlanOptions]
-"""Inputs of a plan besides the airways: nodule, aim points and options. Names and notes of a target change no plan."""
+class PlanTask(NamedTuple):
+    """Inputs of a plan besides the airways; names and notes of a target change no plan."""
+
+    nodule: Nodule
+    aims: tuple[tuple[float, float, float], ...]
+    options: PlanOptions
+    confirmed: tuple[str, ...]
+    """Codes of the confirmed doubts."""
+    clicked_lps: tuple[float, float, float] | None
+    """Clicked point of a segmented boundary, which may be an airway's wall; None for another boundary."""
 
 
 def task_of(lesion: Lesion) -> PlanTask:
-    """Return the nodule, aim points and options of a lesion, which with the airways determine its plan."""
-    return lesion.nodule, lesion.target.aims, lesion.options
+    """Return the inputs of a lesion's plan, which with the airways determine the plan."""
+    target = lesion.target
+    clicked = target.seed_lps if target.source == "click" else None
+    return PlanTask(lesion.nodule, target.aims, lesion.options, target.confirmed, clicked)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +69,8 @@ class PlanOutcome:
     plan: Plan | None
     problem: str | None
     """Reason, for the user, why the target has no plan; None if it has one."""
+    doubts: tuple[TargetDoubt, ...] = ()
+    """Doubts whether the target is a nodule, confirmed or not."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -294,25 +306,27 @@ class CasePlanning:
             def say(_step: str, share: float | None, n: int = n, what: str = what) -> None:
                 attempt.progress(what, (n + (share or 0.0)) / len(tasks))
 
-            nodule, aims, options = task
+            options = task.options
             try:
                 plan = self._parts.plan_route(
                     self._volume,
                     airways,
-                    nodule,
+                    _target_of(task),
                     scope=options.scope,
                     tool=options.tool,
                     vessel_margin_mm=options.vessel_margin_mm,
                     moved_mm=options.moved_mm,
-                    aims=aims,
+                    aims=task.aims,
                     wall=wall,
                     measures=measures,
                     progress=say,
                     cancel=attempt.cancel,
                 )
-                plans.append(PlanOutcome(task, plan, plan.why))
+                plans.append(PlanOutcome(task, plan, plan.why, plan.doubts))
             except CancelledError:
                 raise
+            except UnconfirmedTargetError as trouble:
+                plans.append(PlanOutcome(task, None, without_options(str(trouble)), trouble.doubts))
             except CarinaError as trouble:
                 plans.append(PlanOutcome(task, None, str(trouble)))
         return MadePlans(airways, wall, measures, tuple(plans))
@@ -381,6 +395,22 @@ def origin_depth_mm(options: PlanOptions, origin: DistanceOrigin) -> float | Non
 def carina_depth_mm(options: PlanOptions, route: PlannedRoute) -> float | None:
     """Return the insertion depth in mm at nose or mouth when the tip is at the main carina of a route, or None."""
     return origin_depth_mm(options, route.origin) if route.origin.is_carina else None
+
+
+def _target_of(task: PlanTask) -> PlanTarget:
+    """Return the target of a plan task, without the parts that change no plan."""
+    from carina.plan import PlanTarget
+
+    return PlanTarget(
+        target_id="target",
+        name="",
+        nodule=task.nodule,
+        seed_lps=task.clicked_lps or task.nodule.middle_lps,
+        source="edited" if task.clicked_lps is None else "click",
+        where="lung",
+        aims=task.aims,
+        confirmed=task.confirmed,
+    )
 
 
 def _turns(inputs: tuple[Any, ...]) -> TurnList:

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from carina import commands as c
 from carina.case.document import Lesion, Target
 from carina.case.routes import ChosenRoute, route_to_branch
 from carina.errors import NoResultError, UsageError
-from carina.plan import PlanTarget, is_plain_nodule, whereabouts
+from carina.plan.targets.doubts import BESIDE_AIRWAY
 from carina.scopes import WallField
 from carina.session.command_registry import CommandHandlers, does
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase
-from carina.session.open_case.point_tests import in_lumen
 from carina.session.state.snapshot import UserMessage
 from carina.session.targets.retrack import NO_START, needed_target, searched_target, tracked_target
 
@@ -59,7 +56,7 @@ class RouteHandlers(CommandHandlers):
 
         def work(job: Job) -> None:
             lesion, why_none = self._lesion(case, target, job)
-            if lesion is not None and self._is_meant(case, target, lesion):
+            if lesion is not None and not _may_be_airway(lesion):
                 with self.core.lock:
                     job.check()
                     marked = replace(target, lesion=lesion)
@@ -86,26 +83,21 @@ class RouteHandlers(CommandHandlers):
                             if lesion is not None:
                                 words += "; if a nodule lies there, choose \u201cIt is a nodule\u201d"
                             self.core.emit(UserMessage(words))
+                        elif lesion is not None:
+                            words = f"{target.name} is in the lumen; to plan the tissue beside it, click on that tissue"
+                            self.core.emit(UserMessage(words))
                         return
                     tracked_in = document.airways
                 tracked = tracked_target(tracked_in, target)
 
         return self.core.jobs.start(f"target {number}", f"finding the path to {target.name}", work)
 
-    def _is_meant(self, case: OpenCase, target: Target, lesion: Lesion) -> bool:
-        """Return whether a target's point selects the lesion segmented there, and not the airway beside the lesion.
-
-        The wall and the vessel next to an airway are denser than lung, as nodules are. Near an airway, the lesion is
-        therefore selected only if it is plainly a nodule; the user can select the other with one more click.
-        """
-        airways = case.document.airways
-        if airways is None or is_plain_nodule(lesion.target):
-            return True
-        return tracked_target(airways, target).problem is not None
-
     @does(c.GrowTarget)
     def grow_target(self, command: c.GrowTarget) -> str:
-        """Segment the lesion at the clicked point of a target, and replace the target by it."""
+        """Segment the lesion at the clicked point of a target, and replace the target by it.
+
+        The command confirms that the lesion is not the airway beside it; the user must confirm other doubts.
+        """
         case = self.core.needed_case()
         with self.core.lock:
             name = needed_target(case.document, command.target_id).name
@@ -116,6 +108,7 @@ class RouteHandlers(CommandHandlers):
             lesion, why_none = self._lesion(case, target, job)
             if lesion is None:
                 raise NoResultError(why_none or f"{name} lies in an airway: nothing to be grown there")
+            lesion = replace(lesion, target=replace(lesion.target, confirmed=(BESIDE_AIRWAY,)))
             with self.core.lock:
                 job.check()
                 document, now = case.document, needed_target(case.document, command.target_id)
@@ -131,17 +124,23 @@ class RouteHandlers(CommandHandlers):
         return self.core.jobs.start(f"grow {command.target_id}", f"growing {name}", work)
 
     def _lesion(self, case: OpenCase, target: Target, job: Job) -> tuple[Lesion | None, str | None]:
-        """Return the lesion at a target, or the reason why none was found; both are None inside the lumen."""
-        volume, airways, lps = case.info.volume, case.document.airways, target.lps
-        if not volume.is_hu or (airways is not None and in_lumen(volume, airways.lumen_zyx, np.asarray(lps))):
+        """Return the lesion at a target, or the reason why none was found; both are None without Hounsfield units."""
+        volume, airways = case.info.volume, case.document.airways
+        if not volume.is_hu:
             return None, None
         try:
-            wall = _wall_at_hand(case)
-            nodule = self.core.parts.grow_nodule(volume, lps, wall=wall, progress=job.progress)
-            where = whereabouts(volume, nodule, wall=wall)
-            return Lesion(PlanTarget(target.target_id, target.name, nodule, lps, "click", where)), None
+            found = self.core.parts.target_from_click(
+                volume,
+                target.lps,
+                target_id=target.target_id,
+                name=target.name,
+                airways=airways,
+                wall=_wall_at_hand(case),
+                progress=job.progress,
+            )
+            return Lesion(found), None
         except NoResultError as trouble:
-            return None, str(trouble)
+            return None, None if trouble.code == "plan.in-airway" else str(trouble)
 
     def _search(self, case: OpenCase, target: Target, job: Job) -> None:
         """Add a target with a path that ignores the lumen; its values refer to the airways at the end of the search."""
@@ -195,10 +194,19 @@ class RouteHandlers(CommandHandlers):
             self.core.change(case, label, replace(document, route=route))
 
 
+def _may_be_airway(lesion: Lesion) -> bool:
+    """Return whether the point of a lesion may select the airway beside the lesion.
+
+    The wall and the vessel next to an airway are denser than lung, as nodules are. The path to the airway is then the
+    default, and the user can select the lesion with one more click.
+    """
+    return any(doubt.code == BESIDE_AIRWAY for doubt in lesion.target.doubts)
+
+
 def _wall_at_hand(case: OpenCase) -> WallField | None:
     """Return the wall field of the document's airways if it has been computed, else None.
 
-    Lesion segmentation uses it.
+    The segmentation of a target computes a missing wall, so that the result does not depend on earlier jobs.
     """
     airways, made = case.document.airways, case.planning.made
     if made is not None and made.airways is airways:

@@ -15,8 +15,10 @@ from carina.plan import (
     proposed_aims,
     resized,
     sphere,
+    target_doubts,
     whereabouts,
 )
+from carina.plan.targets.doubts import confirmed_codes
 from carina.session.command_registry import CommandHandlers, does
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase
@@ -60,17 +62,29 @@ class TargetHandlers(CommandHandlers):
             told = replace(lesion.target, aims=aims)
             self._put(case, replace(target, lesion=replace(lesion, target=told)), f"aims in {target.name}")
 
+    @does(c.ConfirmTarget)
+    def confirm(self, command: c.ConfirmTarget) -> None:
+        """Confirm doubts whether a target is a nodule; the routes to the target are then planned."""
+        case = self.core.needed_case()
+        with self.core.lock:
+            target, lesion = self._lesion(case, command.target_id)
+            codes = tuple(dict.fromkeys((*lesion.target.confirmed, *confirmed_codes(command.doubts))))
+            if codes != lesion.target.confirmed:
+                told = replace(lesion.target, confirmed=codes)
+                self._put(case, replace(target, lesion=replace(lesion, target=told)), f"confirm {target.name}")
+
     @does(c.MarkSphere)
     def mark_sphere(self, command: c.MarkSphere) -> None:
         """Add a sphere as a target, without segmentation of the CT."""
         case = self.core.needed_case()
         case.check_inside(command.lps)
         nodule = sphere(case.info.volume, command.lps, command.diameter_mm)
+        doubts = target_doubts(case.info.volume, nodule, airways=case.document.airways)
         with self.core.lock:
             number = case.next_number("target")
             target_id, name = f"target-{number}", f"Target {number}"
             where = whereabouts(case.info.volume, nodule)
-            told = PlanTarget(target_id, name, nodule, command.lps, "sphere", where)
+            told = PlanTarget(target_id, name, nodule, command.lps, "sphere", where, doubts=doubts)
             self._add(case, Target(target_id, name, command.lps, lesion=Lesion(told)))
 
     @does(c.TakeTarget)
@@ -118,12 +132,13 @@ class TargetHandlers(CommandHandlers):
                     job.check()
                     lesion = self._lesion(case, target_id)[1]
                 changed = change(lesion.nodule, case)
+                doubts = target_doubts(case.info.volume, changed, airways=case.document.airways)
                 with self.core.lock:
                     job.check()
                     target, now = self._lesion(case, target_id)
                     # If another edit has changed the target meanwhile, this edit is repeated on the present target.
                     if now.nodule is lesion.nodule:
-                        told = now.target.with_nodule(changed)
+                        told = now.target.with_nodule(changed, doubts)
                         self._put(case, replace(target, lesion=replace(now, target=told)), title)
                         return
 

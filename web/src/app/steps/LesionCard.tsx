@@ -11,6 +11,7 @@ import type { Target, TargetPlan } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act, Choice, SwitchKey } from "../controls";
 import { Icon } from "../icons";
+import { TargetDoubts } from "./TargetDoubts";
 
 /** Render the card of a target with a size. */
 export function LesionCard({ target }: { target: Target }) {
@@ -50,7 +51,8 @@ export function LesionCard({ target }: { target: Target }) {
         {plan?.bronchus_sign == null ? null : (
           <span className="quiet">Bronchus sign: {signText(plan.bronchus_sign)}</span>
         )}
-        {plan !== null && plan.problem !== null ? (
+        {plan === null ? null : <TargetDoubts target={target} plan={plan} />}
+        {plan !== null && plan.unconfirmed.length > 0 ? null : plan !== null && plan.problem !== null ? (
           <span className="warning-text" data-testid="lesion-problem">
             <Icon name="warning" /> {sentence(plan.problem)}
           </span>

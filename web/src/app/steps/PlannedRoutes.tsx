@@ -64,6 +64,11 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
         </>
       )}
       <Options target={target} plan={plan} />
+      {plan.doubts.map(([code, words]) => (
+        <p key={code} className="warning-text">
+          <Icon name="warning" /> {sentence(words)}
+        </p>
+      ))}
       {plan.notes.map((note) => (
         <p key={note} className="quiet">
           {sentence(note)}

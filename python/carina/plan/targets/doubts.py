@@ -1,0 +1,371 @@
+"""Doubts whether a target is a nodule: density, contrast medium, a continuing tube, mediastinum, or an airway's wall.
+
+A doubt has a code, and every output of a target contains the doubts. A target with a doubt is planned only after the
+user has confirmed it (docs/planning.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.argument_checks import shown
+from carina.display import one_line
+from carina.errors import TrackingError, UnconfirmedTargetError, UsageError
+from carina.plan.cubic_box import (
+    Box,
+    ball_distance,
+    component_at,
+    distance_from,
+    enclosed,
+    from_faces,
+    lung_median_hu,
+    smoothed,
+)
+from carina.plan.targets.boundary import DENSEST_HU, SMOOTH_MM
+from carina.plan.targets.nodule import Nodule
+from carina.scopes import WallField
+from carina.volume import Volume
+from carina.volume.model import Remark
+
+if TYPE_CHECKING:
+    from carina.track import Airways
+
+__all__ = [
+    "ALL_CODES",
+    "BESIDE_AIRWAY",
+    "CONTRAST",
+    "DENSITY",
+    "MEDIASTINUM",
+    "TUBE",
+    "Confirmed",
+    "TargetDoubt",
+    "check_confirmed",
+    "confirmed_codes",
+    "target_doubts",
+]
+
+Mask = NDArray[np.bool_]
+
+DENSITY = "target.density"
+CONTRAST = "target.contrast"
+TUBE = "target.tube"
+MEDIASTINUM = "target.mediastinum"
+BESIDE_AIRWAY = "target.beside-airway"
+ALL_CODES = (DENSITY, CONTRAST, TUBE, MEDIASTINUM, BESIDE_AIRWAY)
+
+Confirmed = bool | Collection[str]
+"""Doubts that a caller confirms: True for all of them, or their codes."""
+
+DENSE_HU = 110.0
+"""Density in HU above which a target may be a vessel or calcified.
+
+By common knowledge soft tissue without contrast medium is 20 to 60 HU and vessels with it are 150 to 400 HU; tumours
+take up 20 to 60 HU.
+"""
+LIKE_BLOOD = (0.6, 1.5)
+"""Range of the target's density, as a share of the blood's, in which the target may be a vessel with contrast medium.
+
+Partial volumes lower the density of a narrow vessel.
+"""
+BLOOD_BOX_MM = ((-40.0, 40.0), (-55.0, -8.0), (-30.0, 30.0))
+"""Box round the end of the trachea, LPS mm, in which the great vessels are searched; it is in front of the spine."""
+BLOOD_RADIUS_MM, BLOOD_PERCENT, LEAST_BLOOD_MM3 = 5.0, 75.0, 2000.0
+"""Least radius in mm of a great vessel, percentile of the density in such tissue, and its least volume in mm3."""
+TUBE_STEP_MM = 0.5
+"""Voxel size in mm with which a nodule of less than `TUBE_COARSE_MM` radius is examined."""
+TUBE_COARSE_MM = 4.0
+MOST_STEPS = 160
+"""Largest number of voxels along a side of the box round a target; a large mass gets larger voxels."""
+BEYOND_MM = 3.0
+"""Least distance in mm from a target up to which a tube must continue; a target with a larger radius needs its radius.
+
+The stump of a thin vessel is shorter.
+"""
+TUBE_SHARE = 0.45
+"""Least width of a continuing tube, as a share of the target's width.
+
+Of 70 balls painted into two CTs of lungs, all but one of 5 mm had less than 0.3 (`benchmarks/measurements`).
+"""
+TUBE_SHARE_IN_AIRWAY = 0.6
+"""Least width of a tube that leaves a lesion in an airway; the airway's own wall is narrower."""
+TUBE_LEVEL = 0.4
+"""Threshold of a tube between lung and target; the boundary's own threshold of 0.5 loses a vessel that narrows."""
+TUBE_SHARES = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, TUBE_SHARE)
+SLENDER = 0.5
+"""Ratio of the second to the first main axis below which a target is a piece of a tube; balls painted have 0.58."""
+THICK_MM, THICK_SHARE = 6.0, 1.5
+"""Least radius in mm of chest wall, mediastinum and diaphragm, and the same as a multiple of the target's radius."""
+SHELL_MM = (2.0, 4.0)
+"""Range of distances in mm from a target of the shell in which lung is searched; the target's blur ends before it."""
+LUNG_HU, LUNG_SHARE = -500.0, 0.25
+"""Largest density of lung in HU, and its share of the shell below which a target has no lung round it."""
+
+NEAR_AIRWAY_MM = 5.0
+"""Largest distance in mm of a point from a lumen at which the point may select the airway."""
+OFF_MM = 1.0
+"""Largest distance in mm of a point from the target that it selects beside an airway."""
+WALL_MM, WALL_SHARE = 1.6, 0.5
+"""Thickness in mm of an airway's wall, and the share of a target within the wall above which it may be the wall."""
+IN_LUMEN = "airway wall"
+"""Structure that a lesion inside an airway touches."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class TargetDoubt(Remark):
+    """Reason for which a target may not be a nodule, with a code such as ``target.tube``."""
+
+    def to_json(self) -> dict[str, str]:
+        """Return the doubt as plain JSON types."""
+        return {"code": self.code, "words": self.words}
+
+    @classmethod
+    def from_json(cls, record: Mapping[str, Any]) -> TargetDoubt:
+        """Return the doubt that `to_json` wrote."""
+        return cls(str(record["code"]), str(record["words"]))
+
+
+def confirmed_codes(confirmed: Confirmed) -> tuple[str, ...]:
+    """Return the codes of the doubts that are confirmed.
+
+    Raises
+    ------
+    UsageError
+        If a code is unknown (code ``plan.confirmed``).
+    """
+    if isinstance(confirmed, bool):
+        return ALL_CODES if confirmed else ()
+    is_list = isinstance(confirmed, tuple | list | set | frozenset)
+    codes: tuple[Any, ...] = tuple(confirmed) if is_list else (confirmed,)
+    for code in codes:
+        if not isinstance(code, str) or code not in ALL_CODES:
+            raise UsageError(
+                f"confirmed: expected True, False or codes of doubts ({', '.join(ALL_CODES)}); found {shown(code)}",
+                code="plan.confirmed",
+            )
+    return codes
+
+
+def check_confirmed(doubts: Sequence[TargetDoubt], confirmed: Confirmed) -> None:
+    """Raise an error unless every doubt is confirmed.
+
+    Raises
+    ------
+    UnconfirmedTargetError
+        With the code of the first doubt that is not confirmed, and all such doubts in ``doubts``.
+    """
+    codes = confirmed_codes(confirmed)
+    left = tuple(doubt for doubt in doubts if doubt.code not in codes)
+    if not left:
+        return
+    reasons = "; ".join(doubt.words for doubt in left)
+    listed = ",".join(doubt.code for doubt in left)
+    raise UnconfirmedTargetError(
+        f"the target may not be a nodule: {reasons}. Look at it in the slices. If it is the target, confirm it "
+        f"(--confirm {listed}, or confirmed= in Python)",
+        doubts=left,
+    )
+
+
+def target_doubts(
+    volume: Volume,
+    nodule: Nodule,
+    *,
+    airways: Airways | None = None,
+    wall: WallField | None = None,
+    clicked_lps: tuple[float, float, float] | None = None,
+) -> tuple[TargetDoubt, ...]:
+    """Return the reasons for which a target may not be a nodule.
+
+    Parameters
+    ----------
+    volume, nodule
+        The CT and the target.
+    airways
+        The airways, which show where the great vessels are; without them contrast medium is not recognised.
+    wall, clicked_lps
+        Wall of the airways, and the point (3,), LPS mm, that the user clicked. With both, the wall of an airway and
+        the vessel beside an airway are recognised; a boundary that was drawn needs no such check.
+
+    Examples
+    --------
+    >>> import carina
+    >>> made = carina.generate_phantom(seed=4, spacing_mm=1.0, nodule=True, box_lps=((-130, 15, -60), (-72, 75, -2)))
+    >>> target_doubts(made.volume, carina.grow_nodule(made.volume, made.truth["nodule"]["centre_lps"]))
+    ()
+    """
+    around = _Around(volume, nodule)
+    found = []
+    hu = nodule.density_hu
+    if hu > DENSE_HU:
+        found.append(
+            TargetDoubt(
+                DENSITY,
+                f"at {hu:.0f} HU it is denser than soft tissue, like a vessel with contrast medium, bone or "
+                "calcification",
+            )
+        )
+        blood_hu = None if airways is None else _blood_hu(volume, airways)
+        if blood_hu is not None and blood_hu > DENSE_HU and LIKE_BLOOD[0] <= hu / blood_hu <= LIKE_BLOOD[1]:
+            found.append(
+                TargetDoubt(
+                    CONTRAST,
+                    "the CT was taken with contrast medium, and it has about the density of the blood "
+                    f"({blood_hu:.0f} HU)",
+                )
+            )
+    share = around.tube_share()
+    if share is not None:
+        found.append(
+            TargetDoubt(
+                TUBE,
+                f"it continues beyond its boundary as a tube of {100 * share:.0f} % of its width, as a vessel does",
+            )
+        )
+    elif around.is_slender():
+        found.append(TargetDoubt(TUBE, "it is long and thin, like a piece of a vessel"))
+    if around.lung_share() < LUNG_SHARE:
+        found.append(
+            TargetDoubt(
+                MEDIASTINUM,
+                "there is hardly any lung round it: in the mediastinum, the hilum or the chest wall the CT shows no "
+                "certain boundary, and organs and vessels look like a nodule",
+            )
+        )
+    if airways is not None and wall is not None and clicked_lps is not None:
+        gap_mm = _gap_mm(airways, clicked_lps)
+        if gap_mm is not None and _may_be_airway(nodule, clicked_lps, gap_mm, found, wall):
+            place = "in the lumen" if gap_mm == 0.0 else f"{gap_mm:.1f} mm from the lumen"
+            found.append(
+                TargetDoubt(
+                    BESIDE_AIRWAY,
+                    f"the point is {place} of an airway, and it may be the airway's wall or the vessel beside it",
+                )
+            )
+    return tuple(found)
+
+
+class _Around:
+    """Tissue of the CT round a target, on cubic voxels."""
+
+    def __init__(self, volume: Volume, nodule: Nodule) -> None:
+        self._nodule = nodule
+        own_mm = float(np.linalg.norm(nodule.lps_from_ijk[:3, 0]))
+        radius_mm = float(ball_distance(np.pad(nodule.inside_zyx, 1), own_mm).max())
+        step = own_mm if radius_mm > TUBE_COARSE_MM else min(own_mm, TUBE_STEP_MM)
+        self._beyond_mm = max(BEYOND_MM, radius_mm)
+        pad_mm = max(self._beyond_mm, SHELL_MM[1]) + max(4.0, 0.5 * radius_mm)
+        sides_mm = np.array(nodule.inside_zyx.shape[::-1]) * own_mm + 2.0 * pad_mm
+        step = max(step, float(sides_mm.max()) / MOST_STEPS)
+        num = np.ceil(sides_mm / step).astype(int) + 1
+        axes = nodule.lps_from_ijk[:3, :3] / own_mm
+        matrix = np.eye(4)
+        matrix[:3, :3] = axes * step
+        matrix[:3, 3] = nodule.lps_from_ijk[:3, 3] - axes.sum(axis=1) * pad_mm
+        box = Box.at(volume, matrix, tuple(int(n) for n in num[::-1]))
+        self._step, self._known = step, box.known
+        inside = _resampled(nodule.inside_zyx, num, step / own_mm, pad_mm / own_mm)
+        self._inside = inside | enclosed(inside)
+        self._smooth = smoothed(box.hu_zyx, SMOOTH_MM / step)
+        self._away = distance_from(self._inside, step, pad_mm)
+
+    def lung_share(self) -> float:
+        """Return the share of lung in the shell round the target; 1 if the CT does not show the shell."""
+        shell = (self._away > SHELL_MM[0]) & (self._away <= SHELL_MM[1]) & self._known & ~self._inside
+        return float((self._smooth[shell] < LUNG_HU).mean()) if shell.any() else 1.0
+
+    def is_slender(self) -> bool:
+        """Return whether the target is much longer than wide in both other directions."""
+        points = np.argwhere(self._inside).astype(np.float64)
+        if len(points) < 4:
+            return False
+        squares = np.maximum(np.linalg.eigvalsh(np.cov(points.T)), 0.0)
+        return bool(squares[1] < SLENDER**2 * squares[2])
+
+    def tube_share(self) -> float | None:
+        """Return the width of a tube that leaves the target, as a share of the target's width; None without a tube.
+
+        Chest wall, mediastinum and diaphragm are not tubes.
+        """
+        lung_hu = lung_median_hu(self._smooth)
+        bar_hu = lung_hu + TUBE_LEVEL * (min(self._nodule.density_hu, DENSEST_HU) - lung_hu)
+        dense = (self._smooth > bar_hu) | self._inside
+        dense |= enclosed(dense)
+        depth = ball_distance(dense, self._step)
+        peak = float(depth[self._inside].max())
+        thick_mm = max(THICK_MM, THICK_SHARE * peak)
+        core = from_faces(depth > thick_mm)
+        thick = (distance_from(core, self._step, thick_mm + self._step) <= thick_mm + self._step) | core
+        depth = np.where(thick & ~self._inside, np.float32(0.0), depth)
+        middle = np.unravel_index(int(np.where(self._inside, depth, 0.0).argmax()), depth.shape)
+        seed = (int(middle[0]), int(middle[1]), int(middle[2]))
+        beyond = (self._away > self._beyond_mm) & ~self._inside
+        least = TUBE_SHARE_IN_AIRWAY if IN_LUMEN in self._nodule.touches else TUBE_SHARE
+        for share in (share for share in TUBE_SHARES if share >= least):
+            if (component_at(depth >= share * peak, seed) & beyond).any():
+                return share
+        return None
+
+
+def _resampled(mask: Mask, num: NDArray[np.intp], step: float, pad: float) -> Mask:
+    """Return a mask on a padded grid along its own axes, by the nearest voxel.
+
+    Parameters
+    ----------
+    mask
+        (nz, ny, nx) mask.
+    num
+        Number of voxels of the grid along x, y and z.
+    step, pad
+        Voxel size of the grid, and its margin before the mask, in voxels of the mask.
+    """
+    found = np.zeros(tuple(int(n) for n in num[::-1]), dtype=bool)
+    own = [np.rint(np.arange(n) * step - pad).astype(np.intp) for n in found.shape]
+    there = [np.flatnonzero((at >= 0) & (at < size)) for at, size in zip(own, mask.shape, strict=True)]
+    found[np.ix_(*there)] = mask[np.ix_(*(at[k] for at, k in zip(own, there, strict=True)))]
+    return found
+
+
+def _blood_hu(volume: Volume, airways: Airways) -> float | None:
+    """Return the density in HU of the great vessels in front of the main carina; None if the CT does not show them."""
+    step = 1.5
+    end = np.array(airways.tree.root.points[-1], dtype=np.float64)
+    low = end + np.array([one[0] for one in BLOOD_BOX_MM])
+    num = [int(np.ceil((one[1] - one[0]) / step)) + 1 for one in BLOOD_BOX_MM]
+    matrix = np.diag([step, step, step, 1.0])
+    matrix[:3, 3] = low
+    box = Box.at(volume, matrix, (num[2], num[1], num[0]))
+    smooth = smoothed(box.hu_zyx, 1.0)
+    tissue = (smooth > 0.0) & box.known
+    core = ball_distance(tissue, step) > BLOOD_RADIUS_MM
+    if float(core.sum()) * step**3 < LEAST_BLOOD_MM3:
+        return None
+    return float(np.percentile(smooth[core], BLOOD_PERCENT))
+
+
+def _gap_mm(airways: Airways, point: tuple[float, float, float]) -> float | None:
+    """Return the distance in mm of a point from the nearest lumen; None if it is above `NEAR_AIRWAY_MM`."""
+    try:
+        return float(airways.tracker.path_to(point, snap_mm=NEAR_AIRWAY_MM).snapped_mm)
+    except TrackingError:
+        return None
+
+
+def _may_be_airway(
+    nodule: Nodule, point: tuple[float, float, float], gap_mm: float, doubts: Sequence[TargetDoubt], wall: WallField
+) -> bool:
+    """Return whether a target near an airway may be the airway's wall, or the vessel beside it."""
+    if any(doubt.code in {TUBE, MEDIASTINUM} for doubt in doubts):
+        return True
+    if IN_LUMEN in nodule.touches:
+        # A click in the lumen selects the airway: the spur of a fork stands into the lumen, too.
+        return gap_mm == 0.0
+    if float(nodule.distance_mm([point])[0]) > OFF_MM:
+        return True
+    points = np.argwhere(nodule.inside_zyx)[:, ::-1] @ nodule.lps_from_ijk[:3, :3].T + nodule.lps_from_ijk[:3, 3]
+    return float((wall.distance_mm(points) > -WALL_MM).mean()) >= WALL_SHARE
