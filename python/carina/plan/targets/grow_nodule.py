@@ -185,8 +185,10 @@ def grow_nodule(
             continue
         if not grown.is_chord:
             return _inside_body(volume, measured(grown, coarsest_mm))
+        if chord is not None:
+            break
         # A larger box may show enough of the lung's surface to continue it behind the mass.
-        chord = chord or grown
+        chord = grown
     if chord is None:
         raise problem
     return _inside_body(volume, measured(chord, coarsest_mm))
