@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -57,7 +58,10 @@ def judge_as_replaced(*given: object, **options: object) -> object:
 @pytest.fixture(autouse=True, scope="module")
 def replaceable_judge() -> Iterator[None]:
     """Let the cases of this module use ``judge_as_replaced``."""
-    parts = replace(default_parts(), judge_scopes=judge_as_replaced)
+    # The drives of plan_route are tested in tests/plan/test_routes.py.
+    parts = replace(
+        default_parts(), judge_scopes=judge_as_replaced, plan_route=partial(carina.plan.plan_route, drives=0)
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("carina.session.core.default_parts", lambda: parts)
         yield

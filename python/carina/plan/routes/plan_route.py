@@ -100,9 +100,12 @@ class PlannedRoute:
     aim: int = 0
     """Index of the aim among the plan's aims, from 0."""
     outlook: Outlook = "may reach"
-    """Whether scope and tool reach the target, by width, bend, doubts and reach; `judge_scope` simulates the drive."""
+    """Whether scope and tool reach the target: by the drive of `carina.plan_route`.
+
+    Without drives (``drives=0``) it is estimated from width, bend, doubts, reach and attainable directions.
+    """
     chance: float = 1.0
-    """Probability of reaching the target, by the same four criteria."""
+    """Probability of reaching the target, by the same criteria."""
     limits: tuple[str, ...] = ()
     """Reasons why the scope or the tool does not, or may not, reach the target."""
     bend_deg: float = 0.0
@@ -110,7 +113,7 @@ class PlannedRoute:
     tools: tuple[str, ...] = ()
     """Names of the tools that pass the scope's channel and reach the target from there."""
     hold: ScopeHold | None = None
-    """Roll and lever at the position of the scope; None until a drive is simulated."""
+    """Insertion, roll and lever with which the drive points at the target; None without a drive that arrives."""
 
     @property
     def key(self) -> str:
