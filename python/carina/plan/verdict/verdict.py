@@ -528,7 +528,7 @@ class RouteJudge:
             # Only a drive that points at the target is shortened, because shortening takes most of the time.
             self.stop_if_cancelled()
             tries = round(self._effort / EFFORT_A_TRY)
-            route = condense_drive(self._way, self._wall, scope, route, tries=tries)
+            route = condense_drive(self._way, self._wall, scope, route, tries=tries, cancel=self._is_cancelled)
             self.stop_if_cancelled()
             bend = lever_check(
                 self._way,
