@@ -245,6 +245,16 @@ def test_figures_of_a_driven_route_equal_those_of_its_verdict() -> None:
     assert repeated.to_json() == verdict.to_json()
 
 
+def test_first_route_is_driven_even_if_no_attainable_direction_hits(monkeypatch: pytest.MonkeyPatch) -> None:
+    volume, airways = made_phantom(**CHEST).volume, made_airways(**CHEST)
+    monkeypatch.setattr(TipDirections, "towards", lambda *_given: None)
+    found = plan_route(volume, airways, nodule_ahead(), wall=wall(), scope=slim(), drives=1)
+    first = found.routes[0]
+    verdict = judge_scope(airways.tree, found, wall(), found.scope)
+    share = next(check.share for check in verdict.checks if check.name == "pointing")
+    assert share == first.leg.hit_share > 0.0
+
+
 def test_route_that_is_not_driven_may_reach() -> None:
     volume, airways = made_phantom(**CHEST).volume, made_airways(**CHEST)
     estimated = plan_route(volume, airways, nodule_ahead(), wall=wall(), scope=slim(), drives=0).routes[0]

@@ -203,6 +203,15 @@ def _driven(
     for n, route, _ in _judged(draft, tree, spares[:MOST_SPARES], report, cancel):
         if order(route) < order(found[n]):
             found[n] = route
+    # The first route is driven in any case, because its attainable directions are only estimated before.
+    done = {n for n, _, _ in judged}
+    for _ in range(drives):
+        first = min(range(len(found)), key=lambda n: order(found[n]))
+        if first in done:
+            break
+        done.add(first)
+        for n, route, _ in _judged(draft, tree, [(first, draft.plan.routes[first])], report, cancel):
+            found[n] = route
     return found
 
 
