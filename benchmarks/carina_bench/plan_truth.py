@@ -14,6 +14,14 @@ aimed as planned, meets the true nodule within its reach. All of the found path 
 voxel): along the true branches that lead to its end, or with the scope's width of true lumen around it (overlapping
 branches are one lumen). No part of it may be a branch that was drawn by hand. A route is *told reachable* if its
 outlook states that the scope reaches the target.
+
+These rules ignore whether the scope can point there. Therefore each row also has ``points``: whether a drive of the
+scope along the first route arrives and its needle, from the tip and in the direction of the drive, meets the true
+nodule.
+The old figure (``arrives``) and the new one (``arrives`` and ``points``) are reported beside each other. With
+``--holds`` (slow), places and holds of the scope are searched for one from which at least half of the needles with
+random errors hit each target (``could``), and the share of these targets with such a route is reported. The search
+shares no code with the drive but the scope's mechanics.
 """
 
 from __future__ import annotations
@@ -21,10 +29,11 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,9 +44,9 @@ from numpy.typing import NDArray
 import carina.plan
 from carina.config import load_settings
 from carina.errors import CarinaError
-from carina.plan import Plan, grow_nodule, plan_route
+from carina.plan import NeedleErrors, Plan, grow_nodule, judge_scope, plan_route
 from carina.plan.routes.plan_route import MOST_ANGLE_DEG, PlannedRoute
-from carina.scopes import ScopePreset, scope_preset
+from carina.scopes import ScopeDrive, ScopePreset, scope_preset
 from carina.track import AirwayTree
 from carina_bench import plan_cases
 from carina_bench.plan_cases import PlanCase, Target, TrueTree, found_case, patient_cases, phantom_case
@@ -48,8 +57,14 @@ Say = Callable[[str], None]
 Row = dict[str, Any]
 Floats = NDArray[np.float64]
 
-SCOPE, TOOL = "ultrathin", "needle-21g"
-"""Names of the scope and of the tool for which routes are planned."""
+SCOPE, TOOL = replace(scope_preset("ultrathin"), channel_mm=2.0), "needle-21g"
+"""Scope and name of the tool for which routes are planned; the channel is widened so that the needle passes."""
+HOLD_STEP_MM, NUM_ROLLS, LEVERS_DEG = 3.0, 12, (0.0, 25.0, 50.0, 75.0, 100.0, 140.0, 200.0)
+"""Distance between two places, number of rolls and lever settings of the search over holds."""
+LEAST_HITS, NUM_NEEDLES = 0.5, 400
+"""Least share of needles that hit from a hold, and number of simulated needles."""
+LEAST_POINTS, MOST_TOLD_WRONG = 0.9, 0.01
+"""Least share of routes told reachable that point, and of targets that holds hit; largest share of wrong statements."""
 PATIENTS = ("Patient1", "Patient2", "Patient3", "lobes-Patient1", "lobes-Patient2")
 """Names of the patients whose CTs are painted with nodules."""
 CONDITION = "medium-25"
@@ -70,7 +85,7 @@ PASSED = 0.6
 
 def _code() -> str:
     taken = hashlib.sha256()
-    for path in (*sorted(Path(carina.plan.__file__).parent.glob("*.py")), Path(plan_cases.__file__), Path(__file__)):
+    for path in (*sorted(Path(carina.plan.__file__).parent.rglob("*.py")), Path(plan_cases.__file__), Path(__file__)):
         taken.update(path.read_bytes())
     return taken.hexdigest()[:16]
 
@@ -178,10 +193,65 @@ def _strayed(truth: TrueTree, way: Floats, at: int) -> str | None:
     return None
 
 
-def judged(case: PlanCase, say: Say) -> Iterator[Row]:
+def points(case: PlanCase, target: Target, plan: Plan) -> bool:
+    """Return whether a drive along the first route ends with a needle line that meets the true nodule."""
+    assert case.airways is not None and case.wall is not None
+    verdict = judge_scope(case.airways.tree, plan, case.wall, plan.scope)
+    if verdict.driven is None or not verdict.driven.arrived:
+        return False
+    return _meets(verdict.driven.lps_from_camera[-1], target, plan.tool.reach_mm)
+
+
+def held(case: PlanCase, target: Target, scope: ScopePreset, reach_mm: float) -> bool:
+    """Return whether a hold of the scope, laid to some place of the found airways, points at the true nodule.
+
+    Places are `HOLD_STEP_MM` apart on all branches within reach that are wide enough in the truth.
+    """
+    assert case.airways is not None and case.wall is not None
+    tree, centre = case.airways.tree, np.array(target.centre_lps)
+    for branch in tree.branches[1:]:
+        route = tree.route_to(branch.id)
+        mm = np.arange(max(route.length_mm - branch.length_mm, 0.0), route.length_mm, HOLD_STEP_MM)
+        line = np.stack([np.interp(mm, route.cumulative_mm, route.points_lps[:, a]) for a in range(3)], axis=1)
+        near = np.linalg.norm(line - centre, axis=1) - target.radius_mm <= reach_mm
+        for place, at in zip(line[near], mm[near], strict=True):
+            true = int(np.argmin(np.linalg.norm(case.truth.points - place, axis=1)))
+            if case.truth.narrowest_mm[true] < scope.fit_mm:
+                continue
+            drive = ScopeDrive(case.wall, scope, route.points_lps)
+            laid = drive.place(route.points_lps, float(at))
+            if float(np.linalg.norm(laid.pose.position_lps - place)) > HOLD_STEP_MM:
+                continue
+            for roll in np.linspace(0.0, 2.0 * np.pi, NUM_ROLLS, endpoint=False):
+                for lever_deg in LEVERS_DEG:
+                    held_at = drive.drive(laid.insertion_mm, float(roll), math.radians(lever_deg), 0.1)
+                    tip = held_at.pose.lps_from_camera
+                    if _meets(tip, target, reach_mm) and _hits(tip, target, reach_mm) >= LEAST_HITS:
+                        return True
+    return False
+
+
+def _meets(lps_from_tip: Floats, target: Target, reach_mm: float) -> bool:
+    line = lps_from_tip[:3, 3] + np.arange(0.0, reach_mm + 1e-9, EDGE_MM)[:, None] * lps_from_tip[:3, 2]
+    return bool((np.linalg.norm(line - np.array(target.centre_lps), axis=1) <= target.radius_mm).any())
+
+
+def _hits(lps_from_tip: Floats, target: Target, reach_mm: float) -> float:
+    """Return the share of needles with random errors that meet a target, from a tip in its direction."""
+    rng = np.random.default_rng(5)
+    off = np.array(target.centre_lps) - lps_from_tip[:3, 3]
+    distance = max(float(np.linalg.norm(off)), 1e-6)
+    sigma = math.hypot(math.radians(NeedleErrors().angle_deg), NeedleErrors().tip_mm / distance)
+    ways = lps_from_tip[:3, 2] + sigma * rng.normal(size=(NUM_NEEDLES, 2)) @ lps_from_tip[:3, :2].T
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    along = np.clip(ways @ off, 0.0, reach_mm)
+    return float((np.linalg.norm(along[:, None] * ways - off, axis=1) <= target.radius_mm).mean())
+
+
+def judged(case: PlanCase, say: Say, *, with_holds: bool = False) -> Iterator[Row]:
     """Yield a row for each target: whether it is reachable, the stated outlook, and whether the first route arrives."""
-    scope = scope_preset(SCOPE)
-    assert case.airways is not None
+    scope = SCOPE
+    assert case.airways is not None and case.wall is not None
     for number, target in enumerate(case.targets):
         row: Row = {"case": case.name, "target": number, "radius_mm": round(target.radius_mm, 1)}
         try:
@@ -200,24 +270,29 @@ def judged(case: PlanCase, say: Say) -> Iterator[Row]:
         flight = Flight(False, plan.why or "")
         if plan.routes:
             flight = flown(case, target, plan.routes[0], scope, reach_mm)
+            row["points"] = points(case, target, plan)
+        if with_holds:
+            row["could"] = held(case, target, scope, reach_mm)
         row |= {"arrives": flight.arrives, "why": flight.why}
         if (row["reachable"] and not flight.arrives) or (row["told"] == "reaches" and not flight.arrives):
             say(json.dumps(row))
         yield row
 
 
-def kept_rows(folder: Path | None, name: str, make: Callable[[], PlanCase], say: Say) -> list[Row]:
+def kept_rows(
+    folder: Path | None, name: str, make: Callable[[], PlanCase], say: Say, *, with_holds: bool = False
+) -> list[Row]:
     """Return the rows of the case ``name`` that the same code has stored in ``folder``; else judge and store them."""
     kept = None if folder is None else folder / "rows" / f"{name}.json"
     if kept is not None and kept.exists():
         found = json.loads(kept.read_text())
-        if found["code"] == CODE:
+        if found["code"] == CODE and (not with_holds or all("could" in row for row in found["rows"])):
             rows: list[Row] = found["rows"]
             return rows
     start = time.process_time()
     case = found_case(folder, name, make, say)
     found_s = time.process_time() - start
-    rows = list(judged(case, say))
+    rows = list(judged(case, say, with_holds=with_holds))
     arrived, reachable = sum(row["reachable"] and row["arrives"] for row in rows), sum(row["reachable"] for row in rows)
     planned_s = time.process_time() - start - found_s
     say(
@@ -269,20 +344,58 @@ def summary(rows: Sequence[Row], what: str) -> list[Row]:
             "limit": MOST_WRONG,
             "better": "lower",
         },
+        *_pointing(rows, what),
     ]
 
 
-def run(quick: bool, say: Say, folder: Path | None = None) -> list[Row]:
+def _pointing(rows: Sequence[Row], what: str) -> list[Row]:
+    """Return the summary rows about the drives' pointing; without told routes or holds, their figures are None."""
+    told = [row for row in rows if row["told"] == "reaches"]
+    right = [row for row in told if row["arrives"] and row.get("points", False)]
+    searched = [row for row in rows if "could" in row]
+    could = [row for row in searched if row["could"]]
+    cannot = [row for row in searched if not row["could"]]
+    wrong = sum(row["told"] == "reaches" and not row.get("points", False) for row in cannot)
+
+    def row(text: str, of: str, part: int, whole: int, limit: float, better: str) -> Row:
+        figure = part / whole if whole else None
+        return {"what": text, "case": f"{what}, {of}", "figure": figure, "limit": limit, "better": better}
+
+    got = sum(one["told"] == "reaches" and one.get("points", False) for one in could)
+    return [
+        row(
+            "first routes told reachable that arrive and point",
+            f"{len(told)} told",
+            len(right),
+            len(told),
+            LEAST_POINTS,
+            "higher",
+        ),
+        row("targets that a hold hits with such a route", f"{len(could)} hit", got, len(could), LEAST_POINTS, "higher"),
+        row(
+            "targets that no hold hits told reachable",
+            f"{len(cannot)} not hit",
+            wrong,
+            len(cannot),
+            MOST_TOLD_WRONG,
+            "lower",
+        ),
+    ]
+
+
+def run(quick: bool, say: Say, folder: Path | None = None, *, with_holds: bool = False) -> list[Row]:
     """Return the summary rows of painted patients, of phantoms, and of both together."""
     data = load_settings().data_dir
     phantoms: list[Row] = []
     for seed in PHANTOM_SEEDS[:2] if quick else PHANTOM_SEEDS:
-        phantoms += kept_rows(folder, f"phantom-{seed}", partial(phantom_case, seed, num=NUM_PER_PHANTOM), say)
+        phantoms += kept_rows(
+            folder, f"phantom-{seed}", partial(phantom_case, seed, num=NUM_PER_PHANTOM), say, with_holds=with_holds
+        )
     patients: list[Row] = []
     if data is not None:
         wanted = list(PATIENTS[:1] if quick else PATIENTS)
         for name, make in patient_cases(data, wanted, CONDITION, NUM_PER_PATIENT, say):
-            patients += kept_rows(folder, name, make, say)
+            patients += kept_rows(folder, name, make, say, with_holds=with_holds)
     rows = []
     for what, part in (("painted", patients), ("phantoms", phantoms), ("all", [*patients, *phantoms])):
         if part:
@@ -296,9 +409,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="Where the CTs with their airways are kept.")
     parser.add_argument("--quick", action="store_true", help="One patient and two phantoms.")
+    parser.add_argument("--holds", action="store_true", help="Search holds of the scope that hit each target (slow).")
     options = parser.parse_args()
-    for row in run(options.quick, print, options.folder):
-        print(f"{row['what']} ({row['case']}): {row['figure']:.4f}, limit {row['limit']:g}", row.get("of_told", ""))
+    for row in run(options.quick, print, options.folder, with_holds=options.holds):
+        figure = "none" if row["figure"] is None else f"{row['figure']:.4f}"
+        print(f"{row['what']} ({row['case']}): {figure}, limit {row['limit']:g}", row.get("of_told", ""))
 
 
 if __name__ == "__main__":

@@ -420,8 +420,8 @@ def test_notes_too_long_for_the_tracing_sheet_have_a_reference() -> None:
 @pytest.mark.parametrize(
     ("outcomes", "words"),
     [
-        (("does not reach",) * 3, "Of 3 instruments none reaches."),
-        (("does not reach", "cannot say", "cannot say"), "none is known to reach; 2 cannot be judged."),
+        (("does not reach",) * 3, "Of 3 instruments none reaches on this route."),
+        (("does not reach", "cannot say", "cannot say"), "none is known to reach on this route; 2 cannot be judged."),
         (
             ("may reach", "reaches", "cannot say"),
             "1 reaches, 1 may reach, 1 cannot be judged. First of them: Ultrathin",

@@ -14,7 +14,7 @@ import reported
 from nodules import ellipsoid
 
 from carina.errors import CancelledError, UsageError
-from carina.plan import Plan, Verdict, judge_scope, judge_scopes, tool
+from carina.plan import Plan, Verdict, judge_pairs, judge_scope, judge_scopes, tool
 from carina.plan.routes.last_leg import LastLeg
 from carina.plan.routes.main_carina import ROOT
 from carina.plan.routes.plan_route import PlannedRoute
@@ -85,7 +85,7 @@ def plan_in(points: np.ndarray, park: int = -8, error_mm: float = 0.2) -> Plan:
 
 
 def scope(**changes: Any) -> ScopePreset:
-    return dataclasses.replace(scope_preset("thin"), tip_mm=3.0, tube_mm=None, **changes)
+    return dataclasses.replace(scope_preset("thin"), **{"tip_mm": 3.0, "tube_mm": None} | changes)
 
 
 def check(found: Verdict, name: str):
@@ -204,15 +204,42 @@ def test_tool_that_does_not_pass_the_channel_is_reported() -> None:
     found = judge_scope(tree, plan_in(points), field, scope(channel_mm=1.7))
     assert found.outcome == "does not reach"
     assert found.words.endswith("21 G has a diameter of 1.8 mm; the working channel has 1.7 mm")
-    assert found.would == "would reach if a thinner tool were used"
+    assert found.would is not None and found.would.startswith("no needle of the library passes its channel")
     assert found.driven is not None and found.driven.arrived, "that nothing else hinders it is said of a drive"
+
+
+def test_thinner_needle_is_named_only_if_the_library_has_one() -> None:
+    tree, field, points = tube(60.0)
+    thick = dataclasses.replace(tool("needle-21g"), name="thick", title="Thick needle", outer_mm=2.4)
+    plan = dataclasses.replace(plan_in(points), tool=thick)
+    found = judge_scope(tree, plan, field, scope())
+    assert found.would == "would reach if Aspiration needle, 21 G were used"
+    assert judge_scope(tree, plan_in(points), field, scope()).would is None
+
+
+def test_each_instrument_is_judged_on_the_next_route_if_it_does_not_reach_by_the_first() -> None:
+    tree, field, points = tube(60.0)
+    plan = plan_in(points)
+    good = plan.routes[0]
+    narrow = dataclasses.replace(good, along_mm=good.along_mm - 1.0, width=RouteWidth(2.0, 0.1, 20.0))
+    plan = dataclasses.replace(plan, routes=(narrow, good))
+    presets = [scope(name="wide", tip_mm=6.0), scope(name="fits")]
+    pairs = judge_pairs(tree, plan, field, scopes=presets)
+    assert [(one.scope.name, one.outcome, one.route_key) for one in pairs] == [
+        ("fits", "reaches", good.key),
+        ("wide", "does not reach", narrow.key),
+    ]
+    alone = judge_pairs(tree, plan, field, scopes=presets, routes=1)
+    assert {one.outcome for one in alone} == {"does not reach"}
+    assert judge_scope(tree, plan, field, presets[1], route=good).to_json() == pairs[0].to_json()
 
 
 def test_scope_that_may_not_fit_is_not_promised_to_reach_with_another_tool() -> None:
     tree, field, points = tube(30.0, 80.0)
     tight = dataclasses.replace(scope(), tip_mm=2 * RADIUS_MM - 0.4, channel_mm=1.2)
     found = judged(tree, plan_in(points), field, tight)
-    assert found.outcome == "does not reach" and found.would == "might reach if a thinner tool were used"
+    assert found.outcome == "does not reach"
+    assert found.would is not None and found.would.startswith("no needle of the library passes its channel")
     assert all(one.words.startswith("if it fits: ") for one in found.checks[4:] if one.answer == "perhaps")
 
 

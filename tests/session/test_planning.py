@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -57,7 +58,10 @@ def judge_as_replaced(*given: object, **options: object) -> object:
 @pytest.fixture(autouse=True, scope="module")
 def replaceable_judge() -> Iterator[None]:
     """Let the cases of this module use ``judge_as_replaced``."""
-    parts = replace(default_parts(), judge_scopes=judge_as_replaced)
+    # The drives of plan_route are tested in tests/plan/test_routes.py.
+    parts = replace(
+        default_parts(), judge_scopes=judge_as_replaced, plan_route=partial(carina.plan.plan_route, drives=0)
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("carina.session.core.default_parts", lambda: parts)
         yield
@@ -117,7 +121,7 @@ def test_click_outside_the_airways_adds_a_planned_target_without_moving_the_tip(
     assert case.state.document.route is route
     assert np.array_equal(case.pose.lps_from_camera, before)
     # The plan of the session equals the plan of the Python function.
-    alone = carina.plan_route(chest.volume, airways, target.lesion.nodule)
+    alone = carina.plan_route(chest.volume, airways, target.lesion.nodule, drives=0)
     said = case.ask(PlanToTakeAway(target.target_id))
     assert json.dumps(said.plan.to_json()) == json.dumps(alone.to_json())
 

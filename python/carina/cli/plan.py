@@ -20,6 +20,7 @@ from carina.plan import (
     PlannedRoute,
     PlanTarget,
     Verdict,
+    judge_pairs,
     judge_scopes,
     scope_from_file,
     target_from_click,
@@ -146,6 +147,16 @@ def report(
         verdicts = judge_scopes(airways.tree, plan, wall, scopes=scopes, origin_depth_mm=carina_depth_mm)
     for verdict in verdicts:
         say(f"{verdict.scope.title} on route 1: {verdict.words}")
+    pairs: tuple[Verdict, ...] = ()
+    if all_scopes and plan.routes:
+        pairs = judge_pairs(
+            airways.tree,
+            plan,
+            wall,
+            scopes=[verdict.scope for verdict in verdicts],
+            origin_depth_mm=carina_depth_mm,
+        )
+        say(_best_pair(plan, pairs))
     if peer is not None:
         num = send_plan(plan, airways.tree, host=peer[0], port=peer[1])
         say(f"sent {num} messages to {send_to}")
@@ -185,7 +196,8 @@ def report(
             write_report(output, sheet, kind=kind, paper=PAPERS[paper])
             say(f"wrote {output}")
         if as_json:
-            print_json(sheet.to_json() | {"badges": source.badges.to_json()})
+            judged = {"pairs": [pair.to_json() for pair in pairs]} if all_scopes else {}
+            print_json(sheet.to_json() | {"badges": source.badges.to_json()} | judged)
     return 0 if plan.routes else NoResultError.exit_code
 
 
@@ -194,6 +206,17 @@ def _confirmed(text: str | None) -> bool | tuple[str, ...]:
     if text is None or text == "all":
         return text == "all"
     return tuple(code.strip() for code in text.split(","))
+
+
+def _best_pair(plan: Plan, pairs: tuple[Verdict, ...]) -> str:
+    """Return the best pair of route and instrument as text; the pairs are those of `judge_pairs`."""
+    best = pairs[0]
+    number = next(n for n, route in enumerate(plan.routes, 1) if route.key == best.route_key)
+    if best.outcome in {"does not reach", "cannot say"}:
+        return (
+            f"of {len(pairs)} instruments none is known to reach by one of the best {min(len(plan.routes), 3)} routes"
+        )
+    return f"best pair: {best.scope.title} on route {number}, which {best.outcome}"
 
 
 def _peer(words: str) -> tuple[str, int]:

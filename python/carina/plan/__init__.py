@@ -15,10 +15,11 @@ from carina.plan.lungs.tissue_near_needle import NearbyTissue, lung_surroundings
 from carina.plan.lungs.vessels import VesselBranch, VesselTree
 from carina.plan.reach_atlas import ReachAtlas, reach_atlas
 from carina.plan.report import PlanSheet, make_sheet, write_report
+from carina.plan.route_planner import plan_route
 from carina.plan.routes.last_leg import CrossedTissue, LastLeg, NearVessel, NeedleScene, last_leg
 from carina.plan.routes.main_carina import DistanceOrigin, distance_origin
 from carina.plan.routes.needle_hits import NeedleErrors, hit_share
-from carina.plan.routes.plan_route import Plan, PlannedRoute, plan_route
+from carina.plan.routes.plan_route import Plan, PlannedRoute
 from carina.plan.routes.ranking import Outlook, ScoreWeights
 from carina.plan.routes.standing_points import BronchusSign, NearestPlace
 from carina.plan.targets.doubts import TargetDoubt, check_confirmed, target_doubts
@@ -35,7 +36,7 @@ from carina.plan.turns.turn_list import OtherWay, Turn, TurnList
 from carina.plan.verdict.drive import DrivenRoute, moves_between, replay_moves
 from carina.plan.verdict.drive_flight import drive_flight
 from carina.plan.verdict.drive_search import condense_drive, place_at_start, search_drive
-from carina.plan.verdict.verdict import Check, Outcome, Verdict, judge_scope, judge_scopes
+from carina.plan.verdict.verdict import Check, Outcome, Verdict, judge_pairs, judge_scope, judge_scopes
 
 if TYPE_CHECKING:
     from carina.plan.targets.from_file import target_from_file
@@ -91,6 +92,7 @@ __all__ = [
     "ebus_landmarks",
     "grow_nodule",
     "hit_share",
+    "judge_pairs",
     "judge_scope",
     "judge_scopes",
     "last_leg",

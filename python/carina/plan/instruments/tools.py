@@ -15,12 +15,15 @@ from typing import Any
 from carina.display import one_line
 from carina.errors import UsageError
 from carina.plan.instruments.instrument_file import OwnFile
+from carina.scopes import ScopePreset
 
 __all__ = ["DEFAULT_TOOL", "Tool", "tool", "tool_from_file", "tool_from_json", "tools"]
 
 DEFAULT_TOOL = "needle-21g"
 CLEARANCE_MM = 0.1
 """Least difference in mm between the diameters of channel and tool (common knowledge)."""
+ONLY_BRUSH = "no needle of the library passes its channel: the instrument can only brush, or take forceps in the lumen"
+"""Text about a scope whose channel no needle passes."""
 FORMAT, VERSION = "carina-tool", 1
 _MOST = {"outer_mm": 10.0, "reach_mm": 100.0, "rigid_mm": 100.0, "flexion_loss_deg": 180.0}
 
@@ -117,6 +120,25 @@ def tools() -> tuple[Tool, ...]:
     ['needle-21g', 'needle-19g']
     """
     return _TOOLS
+
+
+def passing_needle(scope: ScopePreset, wanted: Tool) -> Tool | None:
+    """Return the first needle of the library that passes a scope's channel and reaches as far as another tool.
+
+    The result is None if there is none or the channel is unknown.
+
+    Examples
+    --------
+    >>> from carina.scopes import scope_preset
+    >>> passing_needle(scope_preset("ultrathin"), tool("needle-21g")) is None
+    True
+    """
+    if scope.channel_mm is None:
+        return None
+    return next(
+        (one for one in _TOOLS if one.pierces and one.passes(scope.channel_mm) and one.reach_mm >= wanted.reach_mm),
+        None,
+    )
 
 
 def tool(name: str) -> Tool:

@@ -129,7 +129,11 @@ def _lead(sheet: PlanSheet) -> str:
     counts = [reach] * bool(num["reaches"]) + [f"{num['may reach']} may reach"] * bool(num["may reach"])
     unknown = f"{num['cannot say']} cannot be judged"
     if not counts:
-        judged = f"Of {of} none is known to reach; {unknown}." if num["cannot say"] else f"Of {of} none reaches."
+        judged = (
+            f"Of {of} none is known to reach on this route; {unknown}."
+            if num["cannot say"]
+            else f"Of {of} none reaches on this route."
+        )
     else:
         assert best is not None
         said_of = ", ".join(counts + [unknown] * bool(num["cannot say"]))

@@ -108,7 +108,10 @@ class LastLeg:
     beyond_mm: float | None
     """Distance along the needle from the target's far edge to pleura or mediastinum, mm; None if more than 10 mm."""
     hit_share: float
-    """Share of needles within the assumed errors that hit the target at its place in the CT, 0 to 1."""
+    """Share of needles within the assumed errors that hit the target at its place in the CT, 0 to 1.
+
+    In a plan the needle has a direction that the scope can take; the share is 0 if no such direction hits.
+    """
     reaches: bool
     """Whether the tool reaches the edge of the target."""
     hit_share_moved: float | None = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from carina.errors import UsageError
-from carina.plan.instruments.tools import Tool
+from carina.plan.instruments.tools import ONLY_BRUSH, Tool, passing_needle
 from carina.plan.routes.standing_points import NearestPlace
 from carina.plan.targets.grow_nodule import Nodule
 from carina.scopes import ScopePreset
@@ -78,10 +78,14 @@ def notes_of_tools(scope: ScopePreset, tool: Tool) -> tuple[str, ...]:
         return (f"the working channel of {scope.title} is not known: it cannot be said which tools pass",)
     if tool.passes(scope.channel_mm):
         return ()
-    return (
+    text = (
         f"{tool.title} ({tool.outer_mm:g} mm) does not fit the working channel of {scope.title} "
-        f"({scope.channel_mm:g} mm)",
+        f"({scope.channel_mm:g} mm)"
     )
+    if not tool.pierces:
+        return (text,)
+    other = passing_needle(scope, tool)
+    return (f"{text}; {ONLY_BRUSH}" if other is None else f"{text}; choose {other.title}",)
 
 
 def why_none(airways: Airways, nodule: Nodule, nearest: NearestPlace | None, tool: Tool) -> str:

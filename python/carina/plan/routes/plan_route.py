@@ -7,7 +7,6 @@ same class (docs/decisions/0122).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, get_args
@@ -16,37 +15,32 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from carina.argument_checks import (
-    check_arguments,
     check_fields,
     choice,
     each,
-    function,
     instance,
     lps_point,
-    lps_points,
-    name_or,
     number_from,
     text_of,
 )
 from carina.display import one_line
-from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.display.tables import ColumnKind, Columns, Tabular, columns_of
-from carina.errors import CancelledError, UsageError, check_type
-from carina.plan.instruments.tools import DEFAULT_TOOL, Tool, tools
-from carina.plan.instruments.tools import tool as tool_named
+from carina.errors import CancelledError, UsageError
+from carina.plan.instruments.tools import Tool, tools
 from carina.plan.lungs.tissue_near_needle import surroundings
+from carina.plan.routes.attainable_directions import StandingPlace, TipDirections
 from carina.plan.routes.last_leg import LastLeg, NeedleScene, leg_as_aimed, where_it_may_have_moved, with_errors
 from carina.plan.routes.main_carina import DistanceOrigin, distance_origin
 from carina.plan.routes.needle_hits import NeedleErrors
 from carina.plan.routes.no_route_reasons import check_target, notes_of_target, notes_of_tools, why_none
-from carina.plan.routes.ranking import Judge, Outlook, ScoreWeights, bending_mm, order
+from carina.plan.routes.ranking import Demands, Judge, Outlook, ScoreWeights, bending_mm, order
 from carina.plan.routes.route_width import Fit, RouteWidth, matches_tree
 from carina.plan.routes.standing_points import BronchusSign, NearestPlace, Places, branch_title
 from carina.plan.targets.doubts import Confirmed, TargetDoubt, check_confirmed, confirmed_codes, target_doubts
 from carina.plan.targets.from_click import target_from_click
 from carina.plan.targets.nodule import Nodule
 from carina.plan.targets.target import PlanTarget
-from carina.scopes import ScopeHold, ScopePreset, WallField, scope_preset
+from carina.scopes import ScopeHold, ScopePreset, WallField
 from carina.track import Airways, TreeMeasures, measure_tree, wall_field
 from carina.volume import Volume
 
@@ -54,12 +48,14 @@ __all__ = [
     "PLANNED_SCOPE",
     "BronchusSign",
     "CancellableProgress",
+    "DraftPlan",
     "NearestPlace",
     "Outlook",
     "Plan",
     "PlannedRoute",
     "ScoreWeights",
-    "plan_route",
+    "check_target_type",
+    "draft_plan",
 ]
 
 Points = NDArray[np.float64]
@@ -78,7 +74,7 @@ MOST_BOX_MM = 60.0
 
 
 @one_line
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class PlannedRoute:
     """Route along the airways to the position of the scope, and from there into the target."""
 
@@ -105,9 +101,12 @@ class PlannedRoute:
     aim: int = 0
     """Index of the aim among the plan's aims, from 0."""
     outlook: Outlook = "may reach"
-    """Whether scope and tool reach the target, by width, bend, doubts and reach; `judge_scope` simulates the drive."""
+    """Whether scope and tool reach the target: by the drive of `carina.plan_route`.
+
+    Without drives (``drives=0``) it is estimated from width, bend, doubts, reach and attainable directions.
+    """
     chance: float = 1.0
-    """Probability of reaching the target, by the same four criteria."""
+    """Probability of reaching the target, by the same criteria."""
     limits: tuple[str, ...] = ()
     """Reasons why the scope or the tool does not, or may not, reach the target."""
     bend_deg: float = 0.0
@@ -115,7 +114,7 @@ class PlannedRoute:
     tools: tuple[str, ...] = ()
     """Names of the tools that pass the scope's channel and reach the target from there."""
     hold: ScopeHold | None = None
-    """Roll and lever at the position of the scope; None until a drive is simulated."""
+    """Insertion, roll and lever with which the drive points at the target; None without a drive that arrives."""
 
     @property
     def key(self) -> str:
@@ -174,7 +173,7 @@ class PlannedRoute:
         }
 
 
-def _check_target(where: str, name: str, value: object) -> None:
+def check_target_type(where: str, name: str, value: object) -> None:
     """Raise an error unless a value is a target, a nodule or a point."""
     if not isinstance(value, PlanTarget | Nodule):
         lps_point()(where, name, value)
@@ -218,6 +217,8 @@ class Plan(Tabular):
     weights: ScoreWeights = field(default_factory=ScoreWeights)
     nearest: NearestPlace | None = None
     """Place in the airways nearest to the target, independent of the routes; None if there is none."""
+    errors: NeedleErrors = field(default_factory=NeedleErrors)
+    """Errors of the needle that the shares of hits assume."""
     carina_ridge_mm: float | None = None
     """Distance in mm of the main carina's ridge beyond the point where the axes of the main bronchi meet.
 
@@ -244,6 +245,7 @@ class Plan(Tabular):
             vessel_margin_mm=number_from(0.0, 50.0, unit="mm"),
             weights=instance(ScoreWeights, "create a carina.plan.ScoreWeights"),
             nearest=instance(NearestPlace, "get one from carina.plan_route", optional=True),
+            errors=instance(NeedleErrors, "create a carina.plan.NeedleErrors"),
             carina_ridge_mm=number_from(-1000.0, 1000.0, optional=True, unit="mm"),
             doubts=each(instance(TargetDoubt, "get them from carina.plan.target_doubts")),
         )
@@ -300,29 +302,41 @@ class Plan(Tabular):
         }
 
 
-@shows_progress
-@check_arguments(
-    volume=instance(Volume, "open a volume with carina.open_volume"),
-    airways=instance(Airways, "get airways from carina.find_airways"),
-    target=_check_target,
-    scope=name_or(ScopePreset, "name one of carina.scopes.scope_presets"),
-    tool=name_or(Tool, "name one of carina.plan.tools"),
-    aims=lps_points(optional=True, or_one=True),
-    vessel_margin_mm=number_from(0.0, 50.0, unit="mm"),
-    moved_mm=number_from(0.0, 60.0, optional=True, unit="mm"),
-    errors=instance(NeedleErrors, "create a carina.plan.NeedleErrors", optional=True),
-    weights=instance(ScoreWeights, "create a carina.plan.ScoreWeights", optional=True),
-    wall=instance(WallField, "make one with carina.wall_field", optional=True),
-    measures=instance(TreeMeasures, "get them from carina.measure_tree", optional=True),
-    cancel=function,
-)
-def plan_route(
+@dataclass(frozen=True, slots=True, eq=False)
+class DraftPlan:
+    """Plan whose routes were not driven, with the data to compute their needle paths again after a drive."""
+
+    plan: Plan
+    judge: Judge
+    wall: WallField
+    scene: NeedleScene | None
+    """Target, tissues and needle; None if no place is near enough to the target."""
+    spares: tuple[PlannedRoute, ...]
+    """Second-best places of branches of the plan's routes, which are driven if the drive to the best one fails."""
+
+    def leg_of(self, tip_lps: Points, forward: Points, needle: Points, aim: Points) -> LastLeg:
+        """Return the needle path from a tip in a direction, with the needle's errors and the target's movement.
+
+        Parameters
+        ----------
+        tip_lps, forward, needle
+            (3,) position of the tip, LPS mm; directions of the airway and of the needle.
+        aim
+            (3,) LPS mm; the path ends at the same distance from the tip.
+        """
+        assert self.scene is not None
+        distance = float(np.linalg.norm(aim - tip_lps))
+        leg = with_errors(self.scene, leg_as_aimed(self.scene, tip_lps, forward, tip_lps + distance * needle))
+        return _moved_leg(self.scene, leg, self.plan.moved_mm)
+
+
+def draft_plan(
     volume: Volume,
     airways: Airways,
     target: PlanTarget | Nodule | ArrayLike,
     *,
-    scope: ScopePreset | str = PLANNED_SCOPE,
-    tool: Tool | str = DEFAULT_TOOL,
+    scope: ScopePreset,
+    tool: Tool,
     aims: ArrayLike | None = None,
     vessel_margin_mm: float = 3.0,
     moved_mm: float | None = None,
@@ -331,78 +345,21 @@ def plan_route(
     wall: WallField | None = None,
     measures: TreeMeasures | None = None,
     confirmed: Confirmed = False,
-    progress: ProgressChoice = None,
+    report: Callable[[float], None],
     cancel: Callable[[], bool] | None = None,
-) -> Plan:
-    """Plan the routes to a nodule: the position of the scope, and the path of the needle from there.
+) -> DraftPlan:
+    """Plan the routes to a target without driving them.
 
     Parameters
     ----------
-    volume, airways
-        The CT and the airways in it.
-    target
-        A target with its aims, a nodule, or a point in one, LPS mm (`target_from_click`).
-    scope, tool
-        Instruments, or their names in the libraries. A tool that does not pierce needs a target in a lumen or against
-        it. The reach of a scope is only estimated here; `judge_scope` simulates its drive.
-    aims
-        (k, 3) up to three points in the target, LPS mm, that the tool is aimed at; the centroid of the target if None.
-        Each route states its aim.
-    vessel_margin_mm
-        Distance from the needle below which a vessel lowers the score and is listed.
-    moved_mm
-        Largest movement of the target since the CT; it follows from the lobe if None.
-    errors, weights
-        Errors of the needle, and weights of the score.
-    wall
-        Wall of the airways (`carina.wall_field`); computed if None.
-    measures
-        Measures of the airways (`carina.measure_tree`). They are computed if None, or if they belong to another tree or
-        come from an earlier method.
+    volume, airways, target, scope, tool, aims, vessel_margin_mm, moved_mm, errors, weights, wall, measures, cancel
+        As for `carina.plan_route`.
     confirmed
-        Doubts whether the target is a nodule (`carina.plan.target_doubts`) that the user has confirmed: True for all
-        of them, or their codes. Those that a `PlanTarget` lists as confirmed are confirmed too.
-    progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
-    cancel
-        Called often; the work stops when it returns True.
-
-    Returns
-    -------
-    Plan
-        Plan with its routes. Without a route, ``why`` states the reason.
-
-    Raises
-    ------
-    UsageError
-        If a number is out of range or a name unknown, an aim is outside the target, or airways or target belong to
-        another CT.
-    NoResultError
-        If there is no nodule at the point (`grow_nodule`).
-    UnconfirmedTargetError
-        If the target has a doubt that is not confirmed. The code is that of the doubt, such as ``target.tube``.
-    CancelledError
-        If ``cancel()`` returned True.
-
-    Examples
-    --------
-    >>> import carina
-    >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
-    >>> found = carina.find_airways(made.volume)
-    >>> plan = carina.plan_route(made.volume, found, made.truth["nodule"]["centre_lps"])
-    >>> plan.routes[0].leg.reaches
-    True
+        As for `carina.plan_route`.
+    report
+        Receives the share done, 0 to 1; it may raise an error to stop the work.
     """
-    check_type("plan_route", "volume", volume, Volume, "open a volume with carina.open_volume")
-    check_type("plan_route", "airways", airways, Airways, "get airways from carina.find_airways")
-    preset = scope_preset(scope) if isinstance(scope, str) else scope
-    used = tool_named(tool) if isinstance(tool, str) else tool
-    for name, value, most in (("vessel_margin_mm", vessel_margin_mm, 50.0), ("moved_mm", moved_mm or 0.0, 60.0)):
-        if not (math.isfinite(value) and 0.0 <= value <= most):
-            raise UsageError(f"{name}: expected 0 to {most:g}; found {value}", code="plan.range")
-    on_share = share_function(progress_function(progress), "planning the routes")
-    report = CancellableProgress(on_share, cancel, "planning was cancelled")
+    preset, used = scope, tool
     accepted = confirmed_codes(confirmed)
     if not isinstance(target, PlanTarget | Nodule):
         # The wall lets the segmentation recognise a lesion in an airway.
@@ -426,20 +383,23 @@ def plan_route(
         measures = measure_tree(volume, airways, cancel=cancel)
     origin = distance_origin(volume, airways)
     places = Places(airways.tree, nodule, wall, measures=measures, spacing_mm=max(volume.spacing_mm), origin=origin)
-    judge = Judge(preset, vessel_margin_mm, weights or ScoreWeights(), used.reach_mm)
+    judge = Judge(preset, vessel_margin_mm, weights or ScoreWeights(), used.reach_mm, used)
     moved = places.moved_mm() if moved_mm is None else moved_mm
     sign, sign_branch, sign_lps = places.bronchus_sign()
     nearest = places.nearest()
     candidates = [(n, aim) for aim in range(len(meant)) for n in places.within_reach(used, meant[aim], MOST_ANGLE_DEG)]
     kept: tuple[PlannedRoute, ...] = ()
+    spares: tuple[PlannedRoute, ...] = ()
+    scene: NeedleScene | None = None
     if candidates:
         # The box extends from the farthest tip to beyond the target, with margins beside the needle.
         farthest = max(float(places.distance[n]) for n, _ in candidates)
         half = max(farthest, 0.5 * nodule.long_mm + BEYOND_MM) + max(vessel_margin_mm, LEAST_MARGIN_MM) + ROUND_MM
         around = surroundings(volume, np.array(nodule.centre_lps), min(half, MOST_BOX_MM), nodule, wall)
         scene = NeedleScene(nodule, wall, around, used, errors or NeedleErrors(), vessel_margin_mm)
-        search = _PositionSearch(scene, judge, meant)
-        best = {key: search.best(drafts) for key, drafts in search.drafts(places, candidates, report).items()}
+        search = _PositionSearch(scene, judge, meant, TipDirections(airways.tree, wall, preset))
+        drafts_of = search.drafts(places, candidates, report)
+        best = {key: search.best(drafts) for key, drafts in drafts_of.items()}
         # Each best place is refined, because the best place of a branch may be between two evaluated places.
         for aim, aim_lps in enumerate(meant):
             finer = places.beside((one.branch_id, one.along_mm) for one in best.values() if one.aim == aim)
@@ -447,11 +407,16 @@ def plan_route(
             for key, drafts in search.drafts(finer, near).items():
                 best[key] = search.best(drafts, best[key])
         kept = tuple(
-            replace(route, leg=where_it_may_have_moved(scene, route.leg, moved))
+            replace(route, leg=_moved_leg(scene, route.leg, moved))
             for route in standing_apart(sorted(best.values(), key=order))
         )
+        spares = tuple(
+            search.best(apart)
+            for route in kept
+            if (apart := search.apart_from(route, drafts_of.get((route.branch_id, route.aim), ())))
+        )
     report(1.0)
-    return Plan(
+    plan = Plan(
         nodule=nodule,
         scope=preset,
         tool=used,
@@ -471,9 +436,11 @@ def plan_route(
         vessel_margin_mm=vessel_margin_mm,
         weights=judge.weights,
         nearest=nearest,
+        errors=errors or NeedleErrors(),
         carina_ridge_mm=origin.ridge_beyond_axes_mm,
         doubts=doubts,
     )
+    return DraftPlan(plan, judge, wall, scene, spares)
 
 
 @dataclass(frozen=True, slots=True)
@@ -483,36 +450,88 @@ class _PositionSearch:
     scene: NeedleScene
     judge: Judge
     aims_lps: Points
+    directions: TipDirections
 
     def drafts(
         self, places: Places, candidates: Sequence[tuple[Any, int]], report: Callable[[float], None] | None = None
-    ) -> dict[tuple[int, int], list[PlannedRoute]]:
-        """Return the routes whose needles reach the target, by branch and aim, computed without the needle's errors."""
-        found: dict[tuple[int, int], list[PlannedRoute]] = {}
+    ) -> dict[tuple[int, int], list[_DraftRoute]]:
+        """Return the routes whose needles reach the target, by branch and aim, computed without the needle's errors.
+
+        The needle has the attainable direction nearest to the aim. Without one, it has the direction to the aim, and
+        no needle hits.
+        """
+        found: dict[tuple[int, int], list[_DraftRoute]] = {}
         for step, (n, aim) in enumerate(candidates):
             if report is not None:
                 report(0.6 + 0.3 * step / len(candidates))
-            leg = leg_as_aimed(self.scene, places.points[n], places.forward[n], self.aims_lps[aim])
+            leg = self._leg(places, int(n), self.aims_lps[aim])
             if leg.reaches and (self.scene.tool.pierces or leg.is_open):
-                route = _route(places, int(n), aim, leg, self.judge)
-                found.setdefault((route.branch_id, aim), []).append(route)
+                asked = places.asks(n, bending_mm(self.judge.scope))
+                route = _route(places, int(n), aim, leg, asked=asked, judge=self.judge)
+                found.setdefault((route.branch_id, aim), []).append(_DraftRoute(route, asked))
         return found
 
-    def best(self, drafts: Sequence[PlannedRoute], found: PlannedRoute | None = None) -> PlannedRoute:
+    def _leg(self, places: Places, n: int, aim: Points) -> LastLeg:
+        place, forward = places.points[n], places.forward[n]
+        if not self.directions.is_known:
+            return leg_as_aimed(self.scene, place, forward, aim)
+        standing = StandingPlace(int(places.branch[n]), float(places.along_mm[n]), place, forward)
+        tip = self.directions.towards(standing, aim, 0.5 * self.scene.nodule.short_mm)
+        if tip is not None:
+            distance = float(np.linalg.norm(aim - tip.tip_lps))
+            leg = leg_as_aimed(self.scene, tip.tip_lps, forward, tip.tip_lps + distance * tip.forward)
+            if leg.in_target_mm > 0.0:
+                return leg
+        return replace(leg_as_aimed(self.scene, place, forward, aim), hit_share=0.0)
+
+    def best(self, drafts: Sequence[_DraftRoute], found: PlannedRoute | None = None) -> PlannedRoute:
         """Return the best of several drafts with the needle's errors, or ``found`` if that is better.
 
         A draft that could not be the best even without a miss is not evaluated.
         """
-        for draft in sorted(drafts, key=order):
-            if found is not None and order(found) <= order(draft):
+        for draft in sorted(drafts, key=lambda one: order(one.route)):
+            if found is not None and order(found) <= order(draft.route):
                 break
-            leg = with_errors(self.scene, draft.leg)
-            parts = self.judge.parts(leg, draft.narrowest_mm, self.scene.nodule)
-            route = replace(draft, leg=leg, parts=parts, score=self.judge.score(parts))
+            leg = draft.route.leg
+            if leg.hit_share > 0.0:
+                leg = with_errors(self.scene, leg)
+            parts = self.judge.parts(leg, draft.route.narrowest_mm, self.scene.nodule)
+            outlook, chance, limits = self.judge.outlook(draft.asked, leg)
+            route = replace(
+                draft.route,
+                leg=leg,
+                parts=parts,
+                score=self.judge.score(parts),
+                outlook=outlook,
+                chance=chance,
+                limits=limits,
+            )
             if found is None or order(route) < order(found):
                 found = route
         assert found is not None
         return found
+
+    @staticmethod
+    def apart_from(route: PlannedRoute, drafts: Sequence[_DraftRoute]) -> list[_DraftRoute]:
+        """Return the drafts that the scope may reach and whose places are not near the place of a route."""
+        return [
+            one
+            for one in drafts
+            if one.route.outlook != "does not reach" and abs(one.route.along_mm - route.along_mm) > APART_MM
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class _DraftRoute:
+    """Route without the needle's errors, and what the path to it demands of a scope."""
+
+    route: PlannedRoute
+    asked: Demands
+
+
+def _moved_leg(scene: NeedleScene, leg: LastLeg, moved_mm: float) -> LastLeg:
+    """Return a leg with the share of hits if the target may have moved; 0 if no attainable direction hits."""
+    return where_it_may_have_moved(scene, leg, moved_mm) if leg.hit_share > 0.0 else replace(leg, hit_share_moved=0.0)
 
 
 def _aims(nodule: Nodule, aims: ArrayLike | None) -> Points:
@@ -538,10 +557,9 @@ def _aims(nodule: Nodule, aims: ArrayLike | None) -> Points:
     return found
 
 
-def _route(places: Places, n: int, aim: int, leg: LastLeg, judge: Judge) -> PlannedRoute:
+def _route(places: Places, n: int, aim: int, leg: LastLeg, *, asked: Demands, judge: Judge) -> PlannedRoute:
     """Return a route to a place with its last leg and its score."""
     branch = places.of_branch(n)
-    asked = places.asks(n, bending_mm(judge.scope))
     parts = judge.parts(leg, asked.width.mm, places.nodule)
     outlook, chance, limits = judge.outlook(asked, leg)
     forward = places.forward[n]

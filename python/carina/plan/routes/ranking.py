@@ -11,6 +11,7 @@ import numpy as np
 from carina.argument_checks import check_fields, number_from
 from carina.display import one_line
 from carina.errors import UsageError
+from carina.plan.instruments.tools import Tool
 from carina.plan.routes.last_leg import LastLeg
 from carina.plan.routes.route_width import RouteWidth
 from carina.plan.targets.grow_nodule import Nodule
@@ -27,6 +28,11 @@ SURE = 0.9
 """Least probability for the outlook *reaches*; at a probability of at most 1 less this value it is *does not reach*."""
 BEND_SIGMA_DEG = 8.0
 """Standard deviation in degrees of the angle that a route requires of the bending section (common knowledge)."""
+POINTS, BARELY = 0.5, 0.1
+"""Shares of needles that hit: from the first up the scope points at the target, below the second it does not.
+
+The second is small, because a needle pass can be repeated.
+"""
 DEPTH_SIGMA_MM = 0.5
 """Standard deviation in mm of the position of the target's edge along the needle (common knowledge)."""
 MEDIASTINUM_MM = 2.0
@@ -100,6 +106,8 @@ class Judge:
     weights: ScoreWeights
     reach_mm: float
     """Distance in mm beyond the scope's tip that the tool reaches."""
+    tool: Tool | None = None
+    """Tool that must pass the scope's channel; None leaves the channel unchecked."""
 
     def parts(self, leg: LastLeg, narrowest_mm: float, nodule: Nodule) -> dict[str, float]:
         """Return the parts of a route's score by name, each 0 (best) to 1 (`ScoreWeights`).
@@ -133,14 +141,15 @@ class Judge:
     def outlook(self, way: Demands, leg: LastLeg | None = None) -> tuple[Outlook, float, tuple[str, ...]]:
         """Return whether the scope reaches a place, the probability, and the reasons against reaching the place.
 
-        The criteria are width, bend, doubts about the airways and, with a leg, the tool's reach.
+        The criteria are width, bend, doubts about the airways and, with a leg, the tool's reach and the share of
+        needles that hit in a direction that the scope can take.
 
         Parameters
         ----------
         way
             Width, bend and doubts of the path to the place.
         leg
-            Needle path from the place; None ignores the tool's reach.
+            Needle path from the place; None ignores the tool's reach and the direction.
         """
         found: Outlook = "may reach" if way.doubts else "reaches"
         chance = way.trust
@@ -149,20 +158,45 @@ class Judge:
         if leg is not None:
             asked.append(self._depth(leg))
         for share, words in asked:
-            answer: Outlook = (
-                "may reach"
-                if share is None
-                else "reaches"
-                if share >= SURE
-                else "does not reach"
-                if share <= 1.0 - SURE
-                else "may reach"
-            )
+            answer: Outlook = "may reach" if share is None else _outlook_of(share)
             if answer != "reaches":
                 limits.append(words)
-            found = max(found, answer, key=lambda one: RANK[one])
+            found = worst(found, answer)
             chance *= 0.5 if share is None else share
+        if leg is not None and leg.hit_share < POINTS:
+            found = worst(found, "may reach" if leg.hit_share >= BARELY else "does not reach")
+            limits.append(self.aim_limit(leg))
+            chance *= leg.hit_share
+        blocked = self.channel_limit()
+        if leg is not None and blocked is not None:
+            found, chance = "does not reach", 0.0
+            limits.append(blocked)
         return found, chance, tuple(limits)
+
+    def channel_limit(self) -> str | None:
+        """Return the reason why the tool does not pass the scope's channel; None if it passes or this is unknown."""
+        if self.tool is None or self.scope.channel_mm is None or self.tool.passes(self.scope.channel_mm):
+            return None
+        return (
+            f"{self.tool.title} ({self.tool.outer_mm:g} mm) does not fit the working channel of {self.scope.title} "
+            f"({self.scope.channel_mm:g} mm)"
+        )
+
+    def aim_limit(self, leg: LastLeg) -> str:
+        """Return the reason against a place from which too few needles hit, as text."""
+        if leg.hit_share < BARELY:
+            return (
+                f"{self.scope.title} cannot point at the target there: the needle would leave the airway at "
+                f"{leg.angle_deg:.0f} degrees"
+            )
+        return (
+            f"{100 * leg.hit_share:.0f} % of needle passes hit in the best direction that {self.scope.title} can take"
+        )
+
+    def depth_limit(self, leg: LastLeg) -> tuple[Outlook, tuple[str, ...]]:
+        """Return whether the tool reaches the target from a scope's tip, and the reason if this is not sure."""
+        share, words = self._depth(leg)
+        return _outlook_of(share), (() if share >= SURE else (words,))
 
     def _depth(self, leg: LastLeg) -> tuple[float, str]:
         spare = self.reach_mm - leg.to_target_mm
@@ -193,6 +227,15 @@ def order(route: Any) -> tuple[Any, ...]:
     """Return the sort key of a route: the outlook, then the score, multiplied by the probability for *may reach*."""
     score = route.score * route.chance if route.outlook == "may reach" else route.score
     return RANK[route.outlook], -score, route.branch_id, route.aim
+
+
+def worst(*outlooks: Outlook) -> Outlook:
+    """Return the worst of several outlooks."""
+    return max(outlooks, key=lambda one: RANK[one])
+
+
+def _outlook_of(share: float) -> Outlook:
+    return "reaches" if share >= SURE else "does not reach" if share <= 1.0 - SURE else "may reach"
 
 
 def _share(sigmas: float) -> float:

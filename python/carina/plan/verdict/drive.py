@@ -326,8 +326,9 @@ def moves_between(driven: DrivenRoute, from_mm: float, to_mm: float) -> tuple[Mo
     for n, (move, ends) in enumerate(zip(driven.moves, driven.ends_mm, strict=True)):
         low, high = max(begins, from_mm), min(ends, to_mm)
         is_last = n + 1 == len(driven.moves)
-        if high > low or (ends == begins and from_mm <= begins and (begins < to_mm or (is_last and begins <= to_mm))):
+        if high > low or (ends <= begins and from_mm <= begins and (begins < to_mm or (is_last and begins <= to_mm))):
             starts_here = begins >= from_mm
-            found.append(Move(move.turn_deg if starts_here else 0.0, move.flexion_deg, round(high - low, 1)))
+            advance_mm = high - low if high > low else ends - begins
+            found.append(Move(move.turn_deg if starts_here else 0.0, move.flexion_deg, round(advance_mm, 1)))
         begins = ends
     return tuple(found)

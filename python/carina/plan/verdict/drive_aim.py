@@ -19,16 +19,18 @@ __all__ = ["AimedDrive", "aim_drive"]
 
 Points = NDArray[np.float64]
 HitShare = Callable[[Points, Points], float]
+_Judged = tuple[float, float, tuple[Move, ...]]
+"""Share of hits, angle in degrees from the target, and the moves that led there."""
 
 GAIN, MOST_CHANGE_DEG, MOST_MOVES = 0.8, 30.0, 12
 FLEXION_MOST_DEG = 210.0
 GOOD, ENOUGH = 0.95, 0.5
-"""Shares of needles that hit the target: above the first, no more moves are tried.
-
-Below the second, a grid of holds is.
+"""Shares of needles that hit the target.
 
 Above the first share no more moves are tried. Below the second share a grid of rolls and lever settings is tried.
 """
+WITHDRAWALS_MM = (3.0, 6.0, 10.0, 15.0)
+"""Distances in mm by which the scope is withdrawn before it is aimed again, if fewer than half of the needles hit."""
 NUM_ROLLS, NUM_LEVERS = 12, 4
 BEST_HOLDS = 3
 """Number of grid entries that are simulated: those that point nearest to the target."""
@@ -43,6 +45,8 @@ class AimedDrive:
     """Share of the needles from the tip's final pose that hit the target, 0 to 1."""
     off_deg: float
     """Angle in degrees between the tip's direction and the direction to the middle of the target."""
+    lps_from_tip: NDArray[np.float64]
+    """(4, 4) final pose of the tip."""
 
 
 def aim_drive(
@@ -62,26 +66,49 @@ def aim_drive(
     AimedDrive
         The drive with the best share of hits; with equal shares, the one that points nearest to the target.
     """
-    recorder = _repeated(way, wall, scope, driven.moves)
-    found = [(*_judged(recorder, way.aim, hit_share), driven.moves)]
-    for _ in range(MOST_MOVES):
-        if found[-1][0] >= GOOD:
+    found: list[_Judged] = []
+    for back_mm in (0.0, *WITHDRAWALS_MM):
+        if found and max(found, key=_worth)[0] >= ENOUGH:
             break
-        to = recorder.seen_from_tip(way.aim)
-        angle = math.degrees(math.atan2(math.hypot(to[0], to[1]), to[2]))
-        if not recorder.bend_by(to, min(GAIN * angle, MOST_CHANGE_DEG), FLEXION_MOST_DEG):
-            break
-        found.append((*_judged(recorder, way.aim, hit_share), tuple(recorder.moves)))
+        recorder = _repeated(way, wall, scope, driven.moves)
+        if back_mm > 0.0:
+            recorder.repeat((Move(0.0, recorder.flexion_deg, -back_mm),))
+        found += _turned_to_aim(recorder, way, hit_share)
     if max(found, key=_worth)[0] < ENOUGH:
         for hold in _holds(_repeated(way, wall, scope, driven.moves), way.aim):
             recorder = _repeated(way, wall, scope, (*driven.moves, hold))
             found.append((*_judged(recorder, way.aim, hit_share), tuple(recorder.moves)))
     share, off_deg, moves = max(found, key=_worth)
-    aimed = _repeated(way, wall, scope, moves).driven(way, stopped_mm=way.park_mm, why=None)
-    return AimedDrive(replace(aimed, stopped_mm=driven.stopped_mm), share, off_deg)
+    recorder = _repeated(way, wall, scope, moves)
+    aimed = recorder.driven(way, stopped_mm=way.park_mm, why=None)
+    tip = recorder.state.pose.lps_from_camera
+    return AimedDrive(replace(aimed, stopped_mm=driven.stopped_mm), share, off_deg, tip)
 
 
-def _worth(one: tuple[float, float, tuple[Move, ...]]) -> tuple[float, float]:
+def _turned_to_aim(recorder: MoveRecorder, way: DriveWay, hit_share: HitShare) -> list[_Judged]:
+    """Turn the tip step by step to the target, and return the result of each step.
+
+    A step that points farther off is taken back, and the next one is smaller.
+    """
+    found = [(*_judged(recorder, way.aim, hit_share), tuple(recorder.moves))]
+    best, best_deg, gain = recorder, found[0][1], GAIN
+    for _ in range(MOST_MOVES):
+        if found[-1][0] >= GOOD:
+            break
+        tried = best.copy()
+        to = tried.seen_from_tip(way.aim)
+        angle = math.degrees(math.atan2(math.hypot(to[0], to[1]), to[2]))
+        if not tried.bend_by(to, min(gain * angle, MOST_CHANGE_DEG), FLEXION_MOST_DEG):
+            break
+        found.append((*_judged(tried, way.aim, hit_share), tuple(tried.moves)))
+        if found[-1][1] < best_deg:
+            best, best_deg = tried, found[-1][1]
+        else:
+            gain *= 0.5
+    return found
+
+
+def _worth(one: _Judged) -> tuple[float, float]:
     return one[0], -one[1]
 
 

@@ -42,12 +42,13 @@ class DriveWay:
 
     def __init__(self, tree: AirwayTree, planned: PlannedRoute, wall: WallField) -> None:
         route: Route = tree.route_to(planned.branch_id)
-        tip = np.array(planned.leg.tip_lps)
         self.wall = wall
         self.origin = planned.origin
         self.width = planned.width
         self.points, self.cumulative_mm = route.points_lps, route.cumulative_mm
-        self.park_mm = float(self.cumulative_mm[int(np.argmin(np.linalg.norm(self.points - tip, axis=1)))])
+        # The place on the centreline is used, not the tip of the leg, which may be beside the centreline.
+        place = _place_at(tree, planned)
+        self.park_mm = float(self.cumulative_mm[int(np.argmin(np.linalg.norm(self.points - place, axis=1)))])
         self.aim = np.array(planned.leg.aim_lps)
         self.forks_mm = np.array(route.forks_mm, dtype=np.float64)
         self._radius_mm = route.radius_mm
@@ -165,3 +166,10 @@ class DriveWay:
         share = np.linspace(0.0, 1.0, 9)
         line = tip + share[:, None] * (self.at(along_mm) - tip)
         return bool((self.wall.distance_mm(line) > 0.0).all())
+
+
+def _place_at(tree: AirwayTree, planned: PlannedRoute) -> Points:
+    """Return the point of the centrelines at which the scope stands."""
+    points = np.concatenate([branch.points for branch in tree.lineage(planned.branch_id)])
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    return np.array([np.interp(planned.along_mm, along, points[:, axis]) for axis in range(3)])

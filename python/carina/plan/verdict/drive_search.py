@@ -232,7 +232,13 @@ def search_drive(
 
 
 def condense_drive(
-    way: DriveWay, wall: WallField, scope: ScopePreset, driven: DrivenRoute, *, tries: int = CONDENSING
+    way: DriveWay,
+    wall: WallField,
+    scope: ScopePreset,
+    driven: DrivenRoute,
+    *,
+    tries: int = CONDENSING,
+    cancel: Callable[[], bool] | None = None,
 ) -> DrivenRoute:
     """Return a drive with fewer moves that still arrives.
 
@@ -245,6 +251,13 @@ def condense_drive(
         The route, the wall of the airways, the instrument and its drive.
     tries
         Largest number of shorter drives that are simulated.
+    cancel
+        Called between attempts; the search stops when it returns True.
+
+    Raises
+    ------
+    CancelledError
+        If ``cancel()`` returned True.
     """
     if not driven.arrived:
         return driven
@@ -252,6 +265,8 @@ def condense_drive(
     for num in (4, 2, 1):
         n = len(moves) - num
         while n >= 1 and tries > 0:
+            if cancel is not None and cancel():
+                raise CancelledError("the search for a shorter drive was cancelled")
             left_out = sum(move.advance_mm for move in moves[n : n + num])
             turned = sum(move.turn_deg for move in moves[n : n + num])
             shorter = [*moves[: n - 1], replace(moves[n - 1], advance_mm=moves[n - 1].advance_mm + left_out)]

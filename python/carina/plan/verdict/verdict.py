@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from typing import Any, Literal
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +21,11 @@ from numpy.typing import NDArray
 from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import CancelledError, UsageError
+from carina.plan.instruments.tools import ONLY_BRUSH, Tool, passing_needle
 from carina.plan.routes.main_carina import ROOT, DistanceOrigin
 from carina.plan.routes.needle_hits import NeedleErrors, hit_share
 from carina.plan.routes.plan_route import Plan, PlannedRoute
+from carina.plan.routes.ranking import BARELY, POINTS
 from carina.plan.verdict.checks import (
     Answer,
     Check,
@@ -32,25 +35,22 @@ from carina.plan.verdict.checks import (
     length_check,
 )
 from carina.plan.verdict.drive import DrivenRoute
-from carina.plan.verdict.drive_aim import aim_drive
+from carina.plan.verdict.drive_aim import ENOUGH, aim_drive
 from carina.plan.verdict.drive_route import DriveWay
 from carina.plan.verdict.drive_search import EFFORT, condense_drive, search_drive
 from carina.plan.verdict.lever import lever_check
 from carina.scopes import ScopeDrive, ScopeHold, ScopePreset, WallField, scope_presets
 from carina.track import AirwayTree
 
-__all__ = ["Check", "Outcome", "Verdict", "judge_scope", "judge_scopes"]
+__all__ = ["Check", "Outcome", "RouteJudge", "Verdict", "judge_pairs", "judge_scope", "judge_scopes"]
 
 Points = NDArray[np.float64]
 Outcome = Literal["reaches", "may reach", "does not reach", "cannot say"]
 
+OUTCOMES: tuple[Outcome, ...] = ("reaches", "may reach", "cannot say", "does not reach")
+"""Outcomes, the best first."""
 NEAR_MM = 1.5
 """Largest distance in mm of the tip from the end of the route at which the tip counts as arrived."""
-POINTS, BARELY = 0.5, 0.1
-"""Shares of needles that hit: from the first up the scope points at the target, below the second it does not.
-
-The second is small, because a needle pass can be repeated.
-"""
 SLIMMER_MM, THINNEST_MM, SPARE_MM = 0.8, 1.5, 0.2
 """Sizes in mm that choose a thinner substitute for an instrument about as wide as the airway.
 
@@ -93,6 +93,8 @@ class Verdict:
     """Changes with which the instrument would reach the target, as text; None if no change is needed."""
     origin: DistanceOrigin = ROOT
     """Origin of the distances, that of the route."""
+    route_key: str = ""
+    """Key of the route that was judged (`PlannedRoute.key`)."""
 
     @property
     def words(self) -> str:
@@ -114,6 +116,7 @@ class Verdict:
         return {
             "scope": self.scope.name,
             "title": self.scope.title,
+            "route": self.route_key,
             "outcome": self.outcome,
             "share": self.share,
             "words": self.words,
@@ -186,7 +189,7 @@ def judge_scopes(
     CancelledError
         If ``cancel()`` returned True.
     """
-    bench = _Bench(
+    judge = RouteJudge(
         tree,
         plan,
         wall,
@@ -211,10 +214,10 @@ def judge_scopes(
         on_share(0.0)
     waiting: dict[int, _Figures] = {}
     for n, scope in enumerate(listed):
-        bench.stop_if_cancelled()
-        figures = bench.figures(scope)
+        judge.stop_if_cancelled()
+        figures = judge.figures(scope)
         if figures.driven_as is None:
-            tell(n, bench.undriven(scope, figures))
+            tell(n, judge.undriven(scope, figures))
         else:
             waiting[n] = figures
     with ThreadPoolExecutor(NUM_THREADS) as pool:
@@ -224,18 +227,90 @@ def judge_scopes(
             assert figures.driven_as is not None
             sizes = _sizes(figures.driven_as)
             if sizes not in drives:
-                drives[sizes] = pool.submit(bench.drive, figures.driven_as)
+                drives[sizes] = pool.submit(judge.drive, figures.driven_as)
         try:
             for done in as_completed(drives.values()):
                 drive = done.result()
                 for n, figures in waiting.items():
                     assert figures.driven_as is not None
                     if drives[_sizes(figures.driven_as)] is done:
-                        tell(n, bench.driven(listed[n], figures, drive))
+                        tell(n, judge.driven(listed[n], figures, drive))
         except BaseException:
-            bench.stopped = True
+            judge.stopped = True
             raise
     return tuple(verdicts[n] for n in range(len(listed)))
+
+
+@shows_progress
+def judge_pairs(
+    tree: AirwayTree,
+    plan: Plan,
+    wall: WallField,
+    *,
+    routes: int = 3,
+    scopes: Iterable[ScopePreset] | None = None,
+    origin_depth_mm: float | None = None,
+    errors: bool = True,
+    effort: float = EFFORT,
+    progress: ProgressChoice = None,
+    cancel: Callable[[], bool] | None = None,
+) -> tuple[Verdict, ...]:
+    """Judge several instruments on the best routes, and return the best verdict of each instrument.
+
+    An instrument is judged on the next route only if it does not reach by the routes before.
+
+    Parameters
+    ----------
+    tree, plan, wall
+        The airways, the plan of `plan_route`, and the wall of the airways.
+    routes
+        Number of routes, from the first one.
+    scopes, origin_depth_mm, errors, effort, progress, cancel
+        As for `judge_scopes`.
+
+    Returns
+    -------
+    tuple[Verdict, ...]
+        A verdict for each instrument, the best pair of route and instrument first; ``route_key`` names the route.
+
+    Raises
+    ------
+    UsageError
+        If the plan has no route, or a number is out of range.
+    CancelledError
+        If ``cancel()`` returned True.
+    """
+    if not plan.routes:
+        raise UsageError("the plan has no route to judge", code="plan.no-route")
+    listed = list(scope_presets() if scopes is None else scopes)
+    best: dict[int, tuple[tuple[float, ...], Verdict]] = {}
+    on_share = share_function(progress_function(progress), "driving each instrument along the best routes")
+    chosen = plan.routes[:routes]
+    for number, route in enumerate(chosen):
+        if on_share is not None:
+            on_share(number / len(chosen))
+        left = [n for n in range(len(listed)) if n not in best or best[n][1].outcome != "reaches"]
+        judged = judge_scopes(
+            tree,
+            plan,
+            wall,
+            route=route,
+            scopes=[listed[n] for n in left],
+            origin_depth_mm=origin_depth_mm,
+            errors=errors,
+            effort=effort,
+            progress=False,
+            cancel=cancel,
+        )
+        for n, verdict in zip(left, judged, strict=True):
+            # The planned instrument precedes others with the same result.
+            is_other = float(listed[n] != plan.scope)
+            worth = (OUTCOMES.index(verdict.outcome), -(verdict.share or 0.0), number, is_other, n)
+            if n not in best or worth < best[n][0]:
+                best[n] = worth, verdict
+    if on_share is not None:
+        on_share(1.0)
+    return tuple(verdict for _, verdict in sorted(best.values(), key=lambda one: one[0]))
 
 
 def judge_scope(
@@ -271,7 +346,7 @@ def judge_scope(
     CancelledError
         If ``cancel()`` returned True.
     """
-    bench = _Bench(
+    judge = RouteJudge(
         tree,
         plan,
         wall,
@@ -281,10 +356,7 @@ def judge_scope(
         effort=effort,
         cancel=cancel,
     )
-    figures = bench.figures(scope)
-    if figures.driven_as is None:
-        return bench.undriven(scope, figures)
-    return bench.driven(scope, figures, bench.drive(figures.driven_as))
+    return judge.verdict(scope)
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,11 +375,26 @@ class _Drive:
     route: DrivenRoute | None
     checks: tuple[Check, ...]
     bend: Check | None = None
-    """Check of the bend by drives, which replaces the one by angles; None if the drive did not arrive."""
+    """Check of the bend by drives, which replaces the one by angles; None if the drive did not arrive or point."""
+    lps_from_tip: NDArray[np.float64] | None = None
+    """(4, 4) final pose of the tip; None if the drive did not arrive."""
 
 
-class _Bench:
-    """Judgement of instruments on one route: checks without a simulation, then a simulated drive."""
+_DRIVES: WeakKeyDictionary[PlannedRoute, dict[tuple[Any, ...], tuple[Any, _Drive]]] = WeakKeyDictionary()
+"""Completed drives along each route: by the inputs of the drive, the inputs' objects and the result.
+
+A plan and the verdicts on its routes thereby share their drives.
+"""
+
+
+class RouteJudge:
+    """Judgement of instruments on one route: checks without a simulation, then a simulated drive.
+
+    Parameters
+    ----------
+    tree, plan, wall, route, entry_mm, errors, effort, cancel
+        As for `judge_scopes`.
+    """
 
     def __init__(
         self,
@@ -315,19 +402,65 @@ class _Bench:
         plan: Plan,
         wall: WallField,
         *,
-        route: PlannedRoute | None,
-        origin_depth_mm: float | None,
-        errors: bool,
-        effort: float,
-        cancel: Callable[[], bool] | None,
+        route: PlannedRoute | None = None,
+        origin_depth_mm: float | None = None,
+        errors: bool = True,
+        effort: float = EFFORT,
+        cancel: Callable[[], bool] | None = None,
     ) -> None:
         if route is None and not plan.routes:
             raise UsageError("the plan has no route to judge", code="plan.no-route")
-        self._way = DriveWay(tree, plan.routes[0] if route is None else route, wall)
+        planned = plan.routes[0] if route is None else route
+        self._way = DriveWay(tree, planned, wall)
+        if plan.aims:
+            self._way.aim = np.array(plan.aims[planned.aim])
+        self._tree, self._route, self._key = tree, planned, planned.key
         self._plan, self._wall = plan, wall
         self._origin_depth_mm, self._errors = origin_depth_mm, errors
         self._effort, self._cancel = effort, cancel
         self.stopped = False
+
+    @property
+    def aim(self) -> Points:
+        """Point in the target that the drive is aimed at, (3,) LPS mm."""
+        return self._way.aim
+
+    def verdict(self, scope: ScopePreset) -> Verdict:
+        """Return the verdict on an instrument."""
+        figures = self.figures(scope)
+        if figures.driven_as is None:
+            return self.undriven(scope, figures)
+        return self.driven(scope, figures, self.drive(figures.driven_as))
+
+    def tip_of(self, scope: ScopePreset) -> NDArray[np.float64] | None:
+        """Return the (4, 4) pose of an instrument's tip after its drive; None if no drive has arrived."""
+        driven_as = self.figures(scope).driven_as
+        known = None if driven_as is None else _DRIVES.get(self._route, {}).get(self._inputs(driven_as))
+        return None if known is None else known[1].lps_from_tip
+
+    def pass_on(self, route: PlannedRoute) -> None:
+        """Use the drives along this route also for another version of the route."""
+        _DRIVES[route] = dict(_DRIVES.get(self._route, {}))
+
+    def drive(self, scope: ScopePreset) -> _Drive:
+        """Return the simulated drive of an instrument, which is computed once for the same inputs."""
+        inputs, known = self._inputs(scope), _DRIVES.setdefault(self._route, {})
+        if inputs not in known:
+            # Airways, wall and nodule are stored beside the result, so that their identities stay theirs.
+            known[inputs] = (self._tree, self._wall, self._plan.nodule), self._drive(scope)
+        return known[inputs][1]
+
+    def _inputs(self, scope: ScopePreset) -> tuple[Any, ...]:
+        return (
+            id(self._tree),
+            id(self._wall),
+            id(self._plan.nodule),
+            tuple(self._way.aim.tolist()),
+            self._plan.tool,
+            self._plan.errors if self._errors else None,
+            self._effort,
+            _sizes(scope),
+        )
 
     def stop_if_cancelled(self) -> None:
         """Raise `CancelledError` if cancellation is requested."""
@@ -361,7 +494,7 @@ class _Bench:
             reached_mm = self._way.told_mm(0.0)
             with contextlib.suppress(UsageError):
                 reached_mm = self._way.told_mm(min(self._laid_mm(scope), self._way.park_mm))
-        return _verdict(scope, figures.checks, reached_mm, None, self._way.origin, driven=False)
+        return self._verdict_of(scope, figures.checks, reached_mm, None, driven=False)
 
     def driven(self, scope: ScopePreset, figures: _Figures, drive: _Drive) -> Verdict:
         """Return the verdict on an instrument from its checks and its simulated drive."""
@@ -378,9 +511,21 @@ class _Bench:
         reached_mm = self._way.told_mm(0.0) if route is None else route.stopped_mm
         diameter, bend, *others = figures.checks
         told = (diameter, bend if drive.bend is None else drive.bend, *others)
-        return _verdict(scope, (*told, *checks), reached_mm, route, self._way.origin, driven=True)
+        return self._verdict_of(scope, (*told, *checks), reached_mm, route, driven=True)
 
-    def drive(self, scope: ScopePreset) -> _Drive:
+    def _verdict_of(
+        self,
+        scope: ScopePreset,
+        checks: tuple[Check, ...],
+        reached_mm: float | None,
+        route: DrivenRoute | None,
+        *,
+        driven: bool,
+    ) -> Verdict:
+        origin, tool = self._way.origin, self._plan.tool
+        return _verdict(scope, checks, reached_mm, route, tool=tool, origin=origin, key=self._key, driven=driven)
+
+    def _drive(self, scope: ScopePreset) -> _Drive:
         """Simulate the drive of an instrument, and point its tip at the target if it arrives."""
         try:
             route = search_drive(self._way, self._wall, scope, effort=self._effort, cancel=self._is_cancelled)
@@ -394,19 +539,25 @@ class _Bench:
                 return _Drive(route, (Check("drive", "no", 0.0, words, MECHANICS),))
             words += "; the scope fits along the whole route, and another way of driving it may get there"
             return _Drive(route, (Check("drive", "perhaps", UNFOUND, words, MECHANICS),))
-        tries = round(self._effort / EFFORT_A_TRY)
-        route = condense_drive(self._way, self._wall, scope, route, tries=tries)
-        self.stop_if_cancelled()
-        bend = lever_check(
-            self._way,
-            self._wall,
-            scope,
-            bend_check(self._way, scope, errors=self._errors),
-            route,
-            effort=LEVER_EFFORT * self._effort,
-            cancel=self._is_cancelled,
-        )
         aimed = aim_drive(self._way, self._wall, scope, route, self._hit_share)
+        bend = None
+        if aimed.share >= BARELY:
+            # Only a drive that points at the target is shortened, because shortening takes most of the time.
+            self.stop_if_cancelled()
+            tries = round(self._effort / EFFORT_A_TRY)
+            route = condense_drive(self._way, self._wall, scope, route, tries=tries, cancel=self._is_cancelled)
+            self.stop_if_cancelled()
+            bend = lever_check(
+                self._way,
+                self._wall,
+                scope,
+                bend_check(self._way, scope, errors=self._errors),
+                route,
+                effort=LEVER_EFFORT * self._effort,
+                cancel=self._is_cancelled,
+            )
+            shorter = aim_drive(self._way, self._wall, scope, route, self._hit_share)
+            aimed = shorter if shorter.share >= min(aimed.share, ENOUGH) else aimed
         words = f"arrives at the standing place by {len(route.moves)} moves"
         arrives = Check("drive", "yes", 1.0, words, MECHANICS)
         answer: Answer = "yes" if aimed.share >= POINTS else "perhaps" if aimed.share >= BARELY else "no"
@@ -419,7 +570,8 @@ class _Bench:
         words = (
             f"points {aimed.off_deg:.0f} degrees from the target centre; {100 * aimed.share:.0f} % of needle passes hit"
         )
-        return _Drive(aimed.driven, (arrives, Check("pointing", answer, aimed.share, words, basis)), bend)
+        pointing = Check("pointing", answer, aimed.share, words, basis)
+        return _Drive(aimed.driven, (arrives, pointing), bend, aimed.lps_from_tip)
 
     @staticmethod
     def _flexes_with_tool(scope: ScopePreset, driven: DrivenRoute, loss_deg: float) -> bool:
@@ -433,7 +585,7 @@ class _Bench:
         return self._way.nearest(state.pose.position_lps, state.insertion_mm)[0]
 
     def _hit_share(self, tip: Points, forward: Points) -> float:
-        needle = NeedleErrors() if self._errors else NeedleErrors(0.0, 0.0)
+        needle = self._plan.errors if self._errors else NeedleErrors(0.0, 0.0)
         aimed_at = tip + forward * float(np.linalg.norm(self._way.aim - tip))
         return hit_share(self._plan.nodule, tip, aimed_at, self._plan.tool.reach_mm, needle)
 
@@ -459,8 +611,10 @@ def _verdict(
     checks: tuple[Check, ...],
     reached_mm: float | None,
     route: DrivenRoute | None,
-    origin: DistanceOrigin,
     *,
+    tool: Tool,
+    origin: DistanceOrigin,
+    key: str,
     driven: bool,
 ) -> Verdict:
     answers = {check.answer for check in checks}
@@ -486,25 +640,30 @@ def _verdict(
         reached_mm=reached_mm,
         hold=hold,
         driven=route,
-        would=_would(checks, driven=driven),
+        would=_would(scope, tool, checks, driven=driven),
         origin=origin,
+        route_key=key,
     )
 
 
-def _would(checks: tuple[Check, ...], *, driven: bool) -> str | None:
+def _would(scope: ScopePreset, tool: Tool, checks: tuple[Check, ...], *, driven: bool) -> str | None:
+    """Return the changes with which an instrument would reach, as text; only changes that were tested are named."""
     lacking = [check for check in checks if check.answer in {"no", "unknown"}]
-    if not lacking:
+    if not lacking or any(check.name == "pointing" for check in lacking):
+        # The planner has tried other places, so no other place is promised.
         return None
+    thinner = passing_needle(scope, tool)
+    if thinner is None and any((check.name, check.answer) == ("channel", "no") for check in lacking):
+        return ONLY_BRUSH if tool.pierces else None
     ways = {
         ("diameter", "no"): "the airway were wider or the scope thinner",
         ("bend", "no"): "it could flex further, or stopped before that bend",
         ("bend", "unknown"): "it can flex far enough",
         ("length", "no"): "it were longer",
         ("length", "unknown"): "it is long enough",
-        ("channel", "no"): "a thinner tool were used",
+        ("channel", "no"): f"{'' if thinner is None else thinner.title} were used",
         ("channel", "unknown"): "its channel takes the tool",
         ("drive", "no"): "it could be steered past that place, or stopped before it",
-        ("pointing", "no"): "it could be aimed from another position on the route",
     }
     # Without a drive it is not known whether the instrument would also fail there.
     start = "would reach if " if driven else "could reach only if "

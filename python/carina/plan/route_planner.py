@@ -1,0 +1,284 @@
+"""Plan of the routes to a target whose best routes a simulated scope has driven.
+
+`carina.plan.routes` drafts the routes from the sizes of scope and airways. Here the scope is driven along the best
+drafts. The outlook, the needle path and the share of hits of a driven route come from its drive, so that they equal
+those of its verdict (docs/decisions/0122).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from carina.argument_checks import check_arguments, function, instance, lps_points, name_or, number_from, whole_from
+from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
+from carina.errors import UsageError, check_type
+from carina.plan.instruments.tools import DEFAULT_TOOL, Tool
+from carina.plan.instruments.tools import tool as tool_named
+from carina.plan.routes.needle_hits import NeedleErrors
+from carina.plan.routes.plan_route import (
+    PLANNED_SCOPE,
+    CancellableProgress,
+    DraftPlan,
+    Plan,
+    PlannedRoute,
+    check_target_type,
+    draft_plan,
+)
+from carina.plan.routes.ranking import Outlook, ScoreWeights, order, worst
+from carina.plan.targets.doubts import Confirmed
+from carina.plan.targets.nodule import Nodule
+from carina.plan.targets.target import PlanTarget
+from carina.plan.verdict.verdict import RouteJudge, Verdict
+from carina.scopes import ScopePreset, WallField, scope_preset
+from carina.track import Airways, AirwayTree, TreeMeasures
+from carina.volume import Volume
+
+__all__ = ["plan_route"]
+
+NUM_DRIVEN = 3
+"""Default of the largest number of routes that are driven."""
+MOST_SPARES = 2
+"""Largest number of second-best places of the same branches that are driven in addition."""
+NUM_THREADS = 2
+DRAFTED = 0.4
+"""Share of the work that is done when the drafts are known."""
+NOT_DRIVEN = "the drive to this place was not simulated"
+OUTLOOKS: dict[str, Outlook] = {"reaches": "reaches", "does not reach": "does not reach"}
+"""Outlook of a route for the outcome of its verdict; *may reach* for all other outcomes."""
+
+
+@shows_progress
+@check_arguments(
+    volume=instance(Volume, "open a volume with carina.open_volume"),
+    airways=instance(Airways, "get airways from carina.find_airways"),
+    target=check_target_type,
+    scope=name_or(ScopePreset, "name one of carina.scopes.scope_presets"),
+    tool=name_or(Tool, "name one of carina.plan.tools"),
+    aims=lps_points(optional=True, or_one=True),
+    vessel_margin_mm=number_from(0.0, 50.0, unit="mm"),
+    moved_mm=number_from(0.0, 60.0, optional=True, unit="mm"),
+    errors=instance(NeedleErrors, "create a carina.plan.NeedleErrors", optional=True),
+    weights=instance(ScoreWeights, "create a carina.plan.ScoreWeights", optional=True),
+    wall=instance(WallField, "make one with carina.wall_field", optional=True),
+    measures=instance(TreeMeasures, "get them from carina.measure_tree", optional=True),
+    drives=whole_from(0, 5),
+    cancel=function,
+)
+def plan_route(
+    volume: Volume,
+    airways: Airways,
+    target: PlanTarget | Nodule | ArrayLike,
+    *,
+    scope: ScopePreset | str = PLANNED_SCOPE,
+    tool: Tool | str = DEFAULT_TOOL,
+    aims: ArrayLike | None = None,
+    vessel_margin_mm: float = 3.0,
+    moved_mm: float | None = None,
+    errors: NeedleErrors | None = None,
+    weights: ScoreWeights | None = None,
+    wall: WallField | None = None,
+    measures: TreeMeasures | None = None,
+    drives: int = NUM_DRIVEN,
+    confirmed: Confirmed = False,
+    progress: ProgressChoice = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Plan:
+    """Plan the routes to a nodule: the position of the scope, and the path of the needle from there.
+
+    Parameters
+    ----------
+    volume, airways
+        The CT and the airways in it.
+    target
+        A target with its aims, a nodule, or a point in one, LPS mm (`target_from_click`).
+    scope, tool
+        Instruments, or their names in the libraries. A tool that does not pierce needs a target in a lumen or against
+        it.
+    aims
+        (k, 3) up to three points in the target, LPS mm, that the tool is aimed at; the centroid of the target if None.
+        Each route states its aim.
+    vessel_margin_mm
+        Distance from the needle below which a vessel lowers the score and is listed.
+    moved_mm
+        Largest movement of the target since the CT; it follows from the lobe if None.
+    errors, weights
+        Errors of the needle, and weights of the score.
+    wall
+        Wall of the airways (`carina.wall_field`); computed if None.
+    measures
+        Measures of the airways (`carina.measure_tree`). They are computed if None, or if they belong to another tree or
+        come from an earlier method.
+    drives
+        Largest number of routes along which the scope's drive is simulated, 0 to 5, the best ones first. Only a route
+        whose drive arrives and points at the target has the outlook *reaches*. With 0 the outlook is estimated from
+        the sizes of scope and airways.
+    confirmed
+        Doubts whether the target is a nodule (`carina.plan.target_doubts`) that the user has confirmed: True for all
+        of them, or their codes. Those that a `PlanTarget` lists as confirmed are confirmed too.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
+
+    Returns
+    -------
+    Plan
+        Plan with its routes. Without a route, ``why`` states the reason.
+
+    Raises
+    ------
+    UsageError
+        If a number is out of range or a name unknown, an aim is outside the target, or airways or target belong to
+        another CT.
+    NoResultError
+        If there is no nodule at the point (`grow_nodule`).
+    UnconfirmedTargetError
+        If the target has a doubt that is not confirmed. The code is that of the doubt, such as ``target.tube``.
+    CancelledError
+        If ``cancel()`` returned True.
+
+    Examples
+    --------
+    >>> import carina
+    >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
+    >>> found = carina.find_airways(made.volume)
+    >>> plan = carina.plan_route(made.volume, found, made.truth["nodule"]["centre_lps"])
+    >>> plan.routes[0].leg.reaches
+    True
+    """
+    check_type("plan_route", "volume", volume, Volume, "open a volume with carina.open_volume")
+    check_type("plan_route", "airways", airways, Airways, "get airways from carina.find_airways")
+    preset = scope_preset(scope) if isinstance(scope, str) else scope
+    used = tool_named(tool) if isinstance(tool, str) else tool
+    for name, value, most in (("vessel_margin_mm", vessel_margin_mm, 50.0), ("moved_mm", moved_mm or 0.0, 60.0)):
+        if not (math.isfinite(value) and 0.0 <= value <= most):
+            raise UsageError(f"{name}: expected 0 to {most:g}; found {value}", code="plan.range")
+    on_share = share_function(progress_function(progress), "planning the routes")
+    report = CancellableProgress(on_share, cancel, "planning was cancelled")
+    draft = draft_plan(
+        volume,
+        airways,
+        target,
+        scope=preset,
+        tool=used,
+        aims=aims,
+        vessel_margin_mm=vessel_margin_mm,
+        moved_mm=moved_mm,
+        errors=errors,
+        weights=weights,
+        wall=wall,
+        measures=measures,
+        confirmed=confirmed,
+        report=lambda share: report(DRAFTED * share if drives else share),
+        cancel=cancel,
+    )
+    if not drives or not draft.plan.routes:
+        report(1.0)
+        return draft.plan
+    routes = _driven(draft, airways.tree, drives, report, cancel)
+    report(1.0)
+    return replace(draft.plan, routes=tuple(sorted(routes, key=order)))
+
+
+def _driven(
+    draft: DraftPlan,
+    tree: AirwayTree,
+    drives: int,
+    report: Callable[[float], None],
+    cancel: Callable[[], bool] | None,
+) -> list[PlannedRoute]:
+    """Return the routes with the results of drives along the best ones, up to the first one that reaches."""
+    found = [
+        replace(route, outlook="may reach", limits=(*route.limits, NOT_DRIVEN)) if route.outlook == "reaches" else route
+        for route in draft.plan.routes
+    ]
+    likely = [(n, route) for n, route in enumerate(draft.plan.routes) if route.outlook != "does not reach"][:drives]
+    judged = _judged(draft, tree, likely, report, cancel)
+    for n, route, verdict in judged:
+        found[n] = route
+        if verdict.outcome == "reaches":
+            return found
+    # If a drive does not arrive or point, the second-best place of the same branch is driven.
+    failed = {(route.branch_id, route.aim): n for n, route, verdict in judged if _is_place_at_fault(verdict)}
+    spares = [(failed[key], one) for one in draft.spares if (key := (one.branch_id, one.aim)) in failed]
+    for n, route, _ in _judged(draft, tree, spares[:MOST_SPARES], report, cancel):
+        if order(route) < order(found[n]):
+            found[n] = route
+    # The first route is driven in any case, because its attainable directions are only estimated before.
+    done = {n for n, _, _ in judged}
+    for _ in range(drives):
+        first = min(range(len(found)), key=lambda n: order(found[n]))
+        if first in done:
+            break
+        done.add(first)
+        for n, route, _ in _judged(draft, tree, [(first, draft.plan.routes[first])], report, cancel):
+            found[n] = route
+    return found
+
+
+def _is_place_at_fault(verdict: Verdict) -> bool:
+    """Return whether drive or pointing is not sure although the scope fits through the route."""
+    unsure = {check.name for check in verdict.checks if check.answer != "yes"}
+    return bool(unsure & {"drive", "pointing"}) and "diameter" not in unsure
+
+
+def _judged(
+    draft: DraftPlan,
+    tree: AirwayTree,
+    chosen: list[tuple[int, PlannedRoute]],
+    report: Callable[[float], None],
+    cancel: Callable[[], bool] | None,
+) -> list[tuple[int, PlannedRoute, Verdict]]:
+    """Return routes after their drives with their numbers and verdicts, up to the first one that reaches."""
+    judges = [RouteJudge(tree, draft.plan, draft.wall, route=route, cancel=cancel) for _, route in chosen]
+    found: list[tuple[int, PlannedRoute, Verdict]] = []
+    with ThreadPoolExecutor(NUM_THREADS) as pool:
+        jobs: list[Future[Verdict]] = [pool.submit(judge.verdict, draft.plan.scope) for judge in judges]
+        try:
+            for (n, route), judge, job in zip(chosen, judges, jobs, strict=True):
+                report(DRAFTED)
+                verdict = job.result()
+                found.append((n, _after_drive(draft, route, judge, verdict), verdict))
+                if verdict.outcome == "reaches":
+                    break
+        finally:
+            # Drives behind the first route that reaches are stopped, so that the result does not depend on their speed.
+            for judge, job in zip(judges, jobs, strict=True):
+                judge.stopped = True
+                job.cancel()
+    return found
+
+
+def _after_drive(draft: DraftPlan, route: PlannedRoute, judge: RouteJudge, verdict: Verdict) -> PlannedRoute:
+    """Return a route with outlook, needle path and share of hits of its drive."""
+    leg = route.leg
+    depth, not_deep = draft.judge.depth_limit(leg)
+    pointing = next((check for check in verdict.checks if check.name == "pointing"), None)
+    if verdict.driven is not None and pointing is not None and pointing.share is not None:
+        tip = judge.tip_of(draft.plan.scope)
+        if pointing.share > 0.0 and tip is not None:
+            leg = draft.leg_of(tip[:3, 3], np.array(route.forward), tip[:3, 2], judge.aim)
+        leg = replace(leg, hit_share=pointing.share)
+        depth, not_deep = draft.judge.depth_limit(leg)
+    outlook = worst(OUTLOOKS.get(verdict.outcome, "may reach"), depth, "may reach" if route.doubts else "reaches")
+    limits = *(check.words for check in verdict.checks if check.answer != "yes"), *not_deep
+    parts = draft.judge.parts(leg, route.narrowest_mm, draft.plan.nodule)
+    driven = replace(
+        route,
+        leg=leg,
+        hold=verdict.hold,
+        outlook=outlook,
+        chance=route.chance if verdict.share is None else min(route.chance, verdict.share),
+        limits=limits,
+        parts=parts,
+        score=draft.judge.score(parts),
+    )
+    judge.pass_on(driven)
+    return driven

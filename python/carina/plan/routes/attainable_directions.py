@@ -1,0 +1,221 @@
+"""Directions that the tip of a scope can take at a place of the airways, from the sizes of the scope and the wall.
+
+The distal part of a scope is a rigid cylinder with a bending section behind it. A direction is attainable if the rigid
+tip, in this direction, is inside the lumen, and if an arc that is no sharper than the bending section's sharpest bend
+leads from its rear end back into the direction of the airway without leaving the lumen. The tip may touch the wall. The
+simulated drive of `carina.plan.verdict` has the last word; this analysis selects the places that are driven.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.plan.routes.needle_hits import axes_across
+from carina.scopes import ScopePreset, WallField
+from carina.track import AirwayTree
+
+__all__ = ["AttainableTip", "StandingPlace", "TipDirections"]
+
+Points = NDArray[np.float64]
+
+SMOOTH_MM = 4.0
+"""Half the length in mm over which a direction of the airway is measured."""
+CUT_MM = 10.0
+"""Distance in mm from the beginning of the tree in which widths are ignored."""
+PATH_STEP_MM, WIDEST_MM = 0.5, 12.0
+"""Step, and largest distance from the centreline, in mm of the search for the wall beside a place."""
+LEAST_SIDE_MM, NEAR_MM = 0.1, 0.5
+"""Distances in mm of the aim from the axis and from the tip, below which its direction is that of the airway."""
+RIGID_STEP_MM = 1.0
+ROUNDED_MM = 0.3
+"""Radius in mm of the rounded edge of the tip's face."""
+TIP_LACK_MM, SHAFT_LACK_MM = 0.05, 0.2
+"""Depths in mm by which rigid tip and bending section may be inside the wall, as in the simulated drive."""
+RADII = (1.0, 1.6, 3.0, 8.0)
+"""Radii of the tested arcs of the bending section, as multiples of the sharpest one."""
+NUM_ON_ARC, BEHIND_MM = 8, 4.0
+OFFSETS = (0.0, 0.5, 1.0)
+"""Tested positions of the tip between the centreline and the wall on the side of the target."""
+RINGS = (1, 6, 12, 18)
+"""Number of tested directions on each ring round the direction to the aim; the last ring touches the target's edge."""
+MOST_RING_DEG = 60.0
+SPARE_MM, SLIMMER_MM, THINNEST_MM = 0.2, 0.8, 0.6
+"""Sizes in mm of the substitute for a scope that is about as wide as the airway.
+
+The width itself is another criterion of a route (`carina.plan.routes.ranking`).
+"""
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class AttainableTip:
+    """Position and direction of a scope's tip that the scope can take."""
+
+    tip_lps: Points
+    forward: Points
+    """(3,) unit vector in the direction of the needle."""
+    off_deg: float
+    """Angle in degrees between this direction and the direction to the aim."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class StandingPlace:
+    """Place on the centreline of a branch at which a scope's tip may stand."""
+
+    branch_id: int
+    along_mm: float
+    """Distance of the place from the root along the airways, mm."""
+    point_lps: Points
+    forward: Points
+    """(3,) unit vector of the airway's direction at the place."""
+
+
+class TipDirections:
+    """Directions that the tip of one scope can take in one tree of airways.
+
+    Parameters
+    ----------
+    tree, wall
+        The airways and their wall.
+    scope
+        The instrument.
+    """
+
+    def __init__(self, tree: AirwayTree, wall: WallField, scope: ScopePreset) -> None:
+        self._tree, self._wall = tree, wall
+        self._tip_mm = scope.tip_mm
+        self._rigid_mm = scope.rigid_tip_mm or 0.0
+        self._sharpest_mm = self._bending_mm = 0.0
+        self.is_known = scope.flexion_deg is not None and scope.bending_mm is not None
+        """Whether flexion and bending section of the scope are known."""
+        if scope.flexion_deg is not None and scope.bending_mm is not None:
+            self._bending_mm = float(np.mean(scope.bending_mm))
+            self._sharpest_mm = self._bending_mm / math.radians(max(*scope.flexion_deg, 1.0))
+        self._paths: dict[int, tuple[Points, Points, Points]] = {}
+
+    def towards(self, place: StandingPlace, aim: Points, radius_mm: float) -> AttainableTip | None:
+        """Return the attainable tip that points nearest to an aim; None if none points at the target.
+
+        Parameters
+        ----------
+        place
+            Place of the tip.
+        aim
+            (3,) LPS mm, the point in the target.
+        radius_mm
+            Radius of the target; directions that pass the aim at a larger distance are not tested.
+        """
+        radius = 0.5 * self._slim_mm(place.branch_id, place.along_mm)
+        found = [self._nearest(place, tip, aim, radius_mm, radius) for tip in self._tips(place, aim, radius)]
+        return min((one for one in found if one is not None), key=lambda one: one.off_deg, default=None)
+
+    def _nearest(
+        self, place: StandingPlace, tip: Points, aim: Points, radius_mm: float, radius: float
+    ) -> AttainableTip | None:
+        off = aim - tip
+        distance = float(np.linalg.norm(off))
+        towards = off / distance if distance > NEAR_MM else place.forward
+        edge = math.radians(MOST_RING_DEG)
+        if distance > radius_mm:
+            edge = min(edge, math.asin(min(radius_mm / distance, 1.0)))
+        ways, angles = _rings(towards, edge)
+        for n in np.flatnonzero(self._rigid_fits(tip, ways, radius)):
+            if self._bends(place, tip, ways[n], radius):
+                return AttainableTip(tip, ways[n], math.degrees(float(angles[n])))
+        return None
+
+    def _tips(self, place: StandingPlace, aim: Points, radius: float) -> list[Points]:
+        """Return positions of the tip from the centreline to the wall, on the side of the aim."""
+        side = aim - place.point_lps
+        side = side - (side @ place.forward) * place.forward
+        length = float(np.linalg.norm(side))
+        if length < LEAST_SIDE_MM:
+            return [place.point_lps]
+        at = np.arange(0.0, WIDEST_MM, PATH_STEP_MM)
+        room = self._wall.distance_mm(place.point_lps + at[:, None] * side / length) - radius
+        out = np.flatnonzero(room < 0.0)
+        spare = float(at[max(int(out[0]) - 1, 0)]) if out.size else WIDEST_MM
+        if spare < PATH_STEP_MM:
+            return [place.point_lps]
+        return [place.point_lps + share * spare * side / length for share in OFFSETS]
+
+    def _rigid_fits(self, tip: Points, ways: Points, radius: float) -> NDArray[np.bool_]:
+        behind = np.arange(min(radius, self._rigid_mm), self._rigid_mm + 1e-6, RIGID_STEP_MM)
+        axis = tip - behind[None, :, None] * ways[:, None, :]
+        room = self._wall.distance_mm(axis.reshape(-1, 3)).reshape(len(ways), -1).min(axis=1)
+        across, up = axes_across(ways)
+        turn = 2.0 * np.pi * np.arange(8) / 8
+        rim = np.cos(turn)[None, :, None] * across[:, None, :] + np.sin(turn)[None, :, None] * up[:, None, :]
+        face = tip - ROUNDED_MM * ways[:, None, :] + max(radius - ROUNDED_MM, 0.0) * rim
+        edge = self._wall.distance_mm(face.reshape(-1, 3)).reshape(len(ways), -1).min(axis=1)
+        found: NDArray[np.bool_] = (room >= radius - TIP_LACK_MM) & (edge >= ROUNDED_MM - TIP_LACK_MM)
+        return found
+
+    def _bends(self, place: StandingPlace, tip: Points, way: Points, radius: float) -> bool:
+        rear = tip - self._rigid_mm * way
+        behind_mm = place.along_mm - self._rigid_mm
+        for times in RADII:
+            arc_mm = times * self._sharpest_mm
+            angle = _angle(way, self._direction(place.branch_id, behind_mm))
+            for _ in range(2):
+                back = self._direction(place.branch_id, behind_mm - arc_mm * angle)
+                angle = _angle(way, back)
+            if arc_mm * angle > self._bending_mm:
+                continue
+            side = back - (back @ way) * way
+            length = float(np.linalg.norm(side))
+            side = side / length if length > 1e-6 else side
+            turn = np.linspace(0.0, angle, NUM_ON_ARC)[:, None]
+            arc = rear - arc_mm * (np.sin(turn) * way + (1.0 - np.cos(turn)) * side)
+            points = np.concatenate([arc, arc[-1:] - BEHIND_MM * back])
+            if float(self._wall.distance_mm(points).min()) >= radius - SHAFT_LACK_MM:
+                return True
+        return False
+
+    def _path(self, branch_id: int) -> tuple[Points, Points, Points]:
+        """Return the path to the end of a branch: distances, points, and the narrowest ball from the root on."""
+        if branch_id not in self._paths:
+            lineage = self._tree.lineage(branch_id)
+            points = np.concatenate([lineage[0].points, *(branch.points[1:] for branch in lineage[1:])])
+            along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+            room = np.where(along >= CUT_MM, 2.0 * self._wall.distance_mm(points), np.inf)
+            self._paths[branch_id] = along, points, np.minimum.accumulate(room)
+        return self._paths[branch_id]
+
+    def _direction(self, branch_id: int, mm: float) -> Points:
+        along, points, _ = self._path(branch_id)
+        ends = np.clip([mm - SMOOTH_MM, mm + SMOOTH_MM], 0.0, along[-1])
+        low, high = (np.array([np.interp(end, along, points[:, axis]) for axis in range(3)]) for end in ends)
+        found: Points = (high - low) / max(float(np.linalg.norm(high - low)), 1e-9)
+        return found
+
+    def _slim_mm(self, branch_id: int, along_mm: float) -> float:
+        """Return the diameter of the scope, or of its thinner substitute if the scope is about as wide as the way."""
+        along, _, room = self._path(branch_id)
+        room_mm = float(room[max(int(np.searchsorted(along, along_mm, side="right")) - 1, 0)])
+        if self._tip_mm <= room_mm - SPARE_MM:
+            return self._tip_mm
+        return min(max(room_mm - SLIMMER_MM, THINNEST_MM), self._tip_mm)
+
+
+def _rings(towards: Points, edge_rad: float) -> tuple[Points, Points]:
+    """Return directions on rings round a direction, the nearest first, and their angles from it in radians."""
+    across, up = axes_across(towards)
+    ways, angles = [], []
+    for ring, num in enumerate(RINGS):
+        angle = edge_rad * ring / (len(RINGS) - 1)
+        turn = 2.0 * np.pi * np.arange(num) / num
+        side = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * up
+        ways.append(math.cos(angle) * towards + math.sin(angle) * side)
+        angles.append(np.full(num, angle))
+    return np.concatenate(ways), np.concatenate(angles)
+
+
+def _angle(one: Points, other: Points) -> float:
+    return math.acos(float(np.clip(one @ other, -1.0, 1.0)))
