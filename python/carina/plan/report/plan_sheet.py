@@ -423,7 +423,7 @@ def _forks(airways: Airways, plan: Plan, route: PlannedRoute, turns: TurnList | 
                 place_lps=turn.fork_lps,
                 carina_mm=0.0 if turn.at_main_carina else turn.from_carina_mm,
                 others=tuple(other.name for other in turn.others),
-                warnings=turn.doubts,
+                warnings=turn.cautions,
                 turn=turn,
             )
             for number, turn in enumerate(turns.turns, 1)

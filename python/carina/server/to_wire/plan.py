@@ -40,9 +40,27 @@ def _turns(info: PlanningInfo) -> tuple[wire.PlannedTurn, ...]:
         wire.PlannedTurn(
             head=lines[0][n],
             facing=lines[1][n],
-            doubts=turn.doubts,
+            doubts=turn.cautions,
             fork_branch_id=ends.get(turn.fork_lps, turn.to_branch_id),
             seen_from_lps=turn.seen_from_lps,
+            openings=(
+                wire.TurnOpening(
+                    branch_id=turn.to_branch_id,
+                    middle_lps=turn.opening_lps,
+                    in_view=turn.in_view,
+                    straight_ahead=turn.straight_ahead,
+                ),
+                *(
+                    wire.TurnOpening(
+                        branch_id=other.branch_id,
+                        middle_lps=other.opening_lps,
+                        in_view=other.in_view,
+                        straight_ahead=other.straight_ahead,
+                    )
+                    for other in turn.others
+                ),
+            ),
+            hour_doubt=None if turn.hour_doubt is None else turn.hour_doubt.words,
         )
         for n, turn in enumerate(info.turns.turns)
     )
