@@ -137,17 +137,9 @@ def found_case(folder: Path | None, name: str, make: Callable[[], PlanCase], say
     if kept is not None:
         kept.parent.mkdir(parents=True, exist_ok=True)
         draft = kept.with_suffix(".draft")
-        draft.write_bytes(pickle.dumps((_as_kept(found), mesh.vertices_lps, mesh.triangles)))
+        draft.write_bytes(pickle.dumps((found, mesh.vertices_lps, mesh.triangles)))
         draft.rename(kept)
     return replace(found, wall=WallField.from_mesh(mesh.vertices_lps, mesh.triangles))
-
-
-def _as_kept(case: PlanCase) -> PlanCase:
-    """Return the case without the path tracker and its data, which plans do not use and files do not store."""
-    found: Any = case.airways
-    bare: Any = {"tracker": None, "evidence": None}
-    tree = replace(found.tree, _smooth=None)
-    return replace(case, airways=replace(found, tree=tree, **bare))
 
 
 def phantom_case(seed: int, *, num: int, spacing_mm: float = 1.1, generations: int = 6) -> PlanCase:
