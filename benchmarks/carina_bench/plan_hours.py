@@ -58,8 +58,11 @@ STEP_MM = 0.5
 BEFORE_MM = 0.3
 FAR_MM = 40.0
 BESIDE_MM = 4.0
-LEAST_PX = 4
-"""Least number of pixels of a true opening that is compared."""
+LEAST_PX, MOST_SHARE = 4, 0.9
+"""Least number of pixels of a true opening that is compared, and largest share of the picture.
+
+If an opening fills the picture, the found fork is at another place than the true one: the camera is in the true branch.
+"""
 LEAST_WITHIN, MOST_NOT_GIVEN = 0.98, 0.1
 """Aims: share of hours within half an hour, and share of openings without an hour (a straight view is a statement)."""
 
@@ -245,7 +248,7 @@ def _largest(mask: Mask) -> Mask:
 
 def _hour(mask: Mask) -> float | None:
     rows, columns = np.nonzero(mask)
-    if rows.size < LEAST_PX:
+    if rows.size < LEAST_PX or rows.size > MOST_SHARE * mask.size:
         return None
     half = mask.shape[0] / 2
     return hours_of(float(columns.mean()) + 0.5 - half, float(rows.mean()) + 0.5 - half)
@@ -265,6 +268,7 @@ def summary(rows: Sequence[Row]) -> Row:
         "straight_ahead": sum(row["straight_ahead"] for row in rows),
         "not_given": sum(row["doubt"] is not None for row in rows) / max(len(rows), 1),
         "doubts": dict(Counter(row["doubt"] for row in rows if row["doubt"] is not None)),
+        "given_without_true_opening": sum(row["true"] is None for row in given),
         "straight_but_centre_outside": sum(row["straight_ahead"] and not row["centre_in_true"] for row in rows),
         "dots_in_outline": float(np.mean([row["dots_in_outline"] or 0.0 for row in given])) if given else None,
         "shown_is_rounded": all(row["shown"] == whole_hour(row["hour"]) for row in given),

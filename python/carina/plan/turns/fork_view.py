@@ -47,6 +47,8 @@ The centre of the picture is in the outline of an opening straight ahead, so the
 """
 LEAST_SHARE = 2e-3
 """Least share of the picture's pixels for an opening in view."""
+HIDDEN_DEG = 2.0
+"""Largest angle in degrees between the beginning of a branch's centreline and the visible part of its opening."""
 LEAST_STAND_MM = 3.0
 """Least distance in mm of the camera from a fork; nearer, single points would determine the line of sight."""
 
@@ -69,8 +71,9 @@ class HourDoubt:
     code: Literal["turns.hidden", "turns.neighbour", "turns.eye"]
     """Code of the reason.
 
-    ``turns.hidden``: the opening is not visible from before the fork. ``turns.neighbour``: another opening is in nearly
-    the same direction. ``turns.eye``: a small movement of the scope changes the hour by more than two hours.
+    ``turns.hidden``: the opening, or most of it, is not visible from before the fork. ``turns.neighbour``: another
+    opening is in nearly the same direction. ``turns.eye``: a small movement of the scope changes the hour by more than
+    two hours.
     """
     words: str
     """Reason as a text for the user."""
@@ -94,6 +97,11 @@ class Opening:
     """Angle in degrees between the line of sight and the middle of the opening."""
     in_view: bool
     """Whether the opening is visible; if not, its direction is that of the branch's centreline."""
+    axis_hidden_deg: float
+    """Angle in degrees between the beginning of the branch's centreline and the nearest pixel of the opening.
+
+    0 if the opening is not in view. A large angle means that most of the opening is hidden.
+    """
     straight_ahead: bool
     """Whether the opening is in the middle of the picture and so has no clock hour."""
     outline: NDArray[np.bool_] = field(repr=False)
@@ -205,12 +213,21 @@ def openings_seen(camera: Pose, walls: ForkWalls, branches: Sequence[Branch], wa
                 hours_of(x, y),
                 math.degrees(sizes[n]),
                 in_view,
+                _axis_hidden_deg(outline, pixel_at(camera, walls.mouths_lps[n], size)) if in_view else 0.0,
                 ahead,
                 outline if in_view else np.zeros_like(outline),
                 wall[np.isfinite(wall).all(axis=1)],
             )
         )
     return tuple(openings)
+
+
+def _axis_hidden_deg(outline: NDArray[np.bool_], axis_px: tuple[float, float]) -> float:
+    """Return the angle in degrees between a position (column, row) in the picture and the nearest pixel of a mask."""
+    rows, columns = np.nonzero(outline)
+    nearest_px = float(np.hypot(columns + 0.5 - axis_px[0], rows + 0.5 - axis_px[1]).min())
+    # A position inside a pixel is up to .7 pixels from the pixel's centre.
+    return float(max(nearest_px - 0.7, 0.0) * FOV_DEG / outline.shape[0])
 
 
 def hour_doubt(
@@ -236,6 +253,10 @@ def hour_doubt(
     if not taken.in_view:
         return HourDoubt(
             "turns.hidden", "no clock hour: the opening is not in view from before the fork; locate it in the slices"
+        )
+    if taken.axis_hidden_deg > HIDDEN_DEG:
+        return HourDoubt(
+            "turns.hidden", "no clock hour: most of the opening is hidden before the fork; locate it in the slices"
         )
     for view in (camera, *_moved(camera, radius_mm)):
         x, y = _middle(view, taken)
