@@ -19,15 +19,19 @@ def main(out: Path) -> list[Path]:
     airways = carina.find_airways(made.volume)
     route = plan_route(made.volume, airways, made.truth["nodule"]["centre_lps"]).routes[0]
 
+    # The hours are measured in the pictures of the CT, so the list and the pictures use one renderer.
+    renderer = carina.Renderer(made.volume)
+    renderer.set_lumen(airways.lumen_zyx)
     turns = turn_list(
         airways.tree,
         route,
+        renderer=renderer,
         carina_depth_mm=265.0,  # read on the scope when its tip is at the carina
     )
     print("\n".join(turns.words("head")))
 
     saved = []
-    for number, picture in enumerate(turn_pictures(made.volume, airways, turns), start=1):
+    for number, picture in enumerate(turn_pictures(made.volume, airways, turns, renderer=renderer), start=1):
         path = out / f"turn-{number}.png"
         path.write_bytes(picture.png())
         saved.append(path)

@@ -11,6 +11,7 @@ import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from carina.plan.report.drawing import Label
 from carina.plan.report.sections import sections
 from carina.plan.routes.last_leg import CrossedTissue, NearVessel
 from carina.plan.targets.edits import BRUSHED
+from carina.plan.turns.fork_view import HourDoubt
 from carina.server.to_wire.plan import _route
 from carina.track import measure_tree
 
@@ -164,7 +166,7 @@ def test_figures_of_the_report_are_those_of_the_plan() -> None:
         assert f"{other.score:.2f}" in text
     for turn in sheet().turns.turns:
         assert turn.moves is not None and f"advance {turn.moves[0].advance_mm:.0f} mm" in text
-        assert turn.straight_ahead or f"{turn.hour('head')} o\u2019clock" in text
+        assert turn.direction("head") in text and all(caution in text for caution in turn.cautions)
 
 
 def test_parts_drawn_by_hand_are_red_wherever_the_route_is_described(tmp_path) -> None:
@@ -242,18 +244,34 @@ def test_list_of_turns_of_another_route_is_refused() -> None:
         sheet(route_number=2, turns=sheet().turns)
 
 
-def test_opening_straight_ahead_is_reported_without_an_hour() -> None:
+DOUBT = HourDoubt("turns.neighbour", "no clock hour: RB9 opens in nearly the same direction; compare the picture")
+
+
+@pytest.mark.parametrize(
+    ("changes", "cell", "words", "mark"),
+    [
+        ({"straight_ahead": True, "hour_doubt": None}, "ahead", "straight ahead", None),
+        ({"straight_ahead": False, "hour_doubt": DOUBT}, "not given", "no clock hour", "?"),
+    ],
+)
+def test_opening_without_an_hour_is_reported_in_table_and_tracing_sheet(
+    changes: dict[str, Any], cell: str, words: str, mark: str | None
+) -> None:
     told = sheet().turns
-    ahead = dataclasses.replace(told.turns[1], straight_ahead=True, clock_head=7.123)
-    changed = sheet(turns=dataclasses.replace(told, turns=(told.turns[0], ahead, *told.turns[2:])))
+    changed_turn = dataclasses.replace(told.turns[1], clock_head=None, clock_facing=None, sides=(), **changes)
+    changed = sheet(turns=dataclasses.replace(told, turns=(told.turns[0], changed_turn, *told.turns[2:])))
     grid = next(
         b for part in sections(changed) for b in part.blocks if part.name == "turns" and isinstance(b, ReportTable)
     )
-    assert grid.rows[1][2:4] == ("ahead", "ahead")
+    assert grid.rows[1][2:4] == (cell, cell)
     (figure,) = [
         b for part in sections(changed) for b in part.blocks if part.name == "tracing" and isinstance(b, Figure)
     ]
-    assert "straight ahead" in list(words_of(figure))
+    drawn = list(words_of(figure))
+    assert words in drawn and (mark is None or mark in drawn)
+    if changed_turn.hour_doubt is not None:
+        assert changed_turn.hour_doubt.words in grid.rows[1][1] and 1 in grid.warned
+        assert changed_turn.hour_doubt.words in changed.forks[1].warnings
 
 
 def test_hours_depend_on_the_position_of_the_operator(tmp_path) -> None:
@@ -263,7 +281,8 @@ def test_hours_depend_on_the_position_of_the_operator(tmp_path) -> None:
     )
     assert grid.head[2:4] == ("Facing", "Head")
     for row, turn in zip(grid.rows, told.turns.turns, strict=False):
-        assert row[2] == ("ahead" if turn.straight_ahead else str(turn.hour("facing")))
+        expected = "ahead" if turn.straight_ahead else "not given" if turn.hour_doubt else str(turn.hour("facing"))
+        assert row[2] == expected
     assert "operator facing the patient: posterior at 12" in write_report(tmp_path / "p.html", told).read_text()
 
 

@@ -14,8 +14,10 @@ from fork_trees import made_tree, route_in
 from carina.display.png import png_bytes
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import Turn, TurnList, TurnPicture, turn_list, turn_pictures
+from carina.plan.turns.fork_view import HourDoubt
+from carina.plan.turns.opening_walls import FOV_DEG, NO_BRANCH, OTHER_BRANCH, ForkWalls
 from carina.plan.turns.picture_marks import draw_edge
-from carina.plan.turns.pictures import DOUBTFUL_RGB, FOV_DEG, ROUTE_RGB, _belongs
+from carina.plan.turns.pictures import DOUBTFUL_RGB, ROUTE_RGB
 from carina.render import AirwayView, Renderer, read_png_pose
 from carina.scopes import Lens
 from made import made_airways, made_phantom
@@ -36,7 +38,7 @@ def turns() -> TurnList:
     """Return the turns to two tips of the phantom, one in each lung, in one list."""
     tree = made_airways(**CHEST).tree
     ends = [max(tree.tips(), key=lambda tip: sign * float(tip.tip_lps[0])) for sign in (-1.0, 1.0)]
-    lists = [turn_list(tree, route_in(tree, end.id)) for end in ends]
+    lists = [turn_list(tree, route_in(tree, end.id), renderer=renderer()) for end in ends]
     return dataclasses.replace(lists[0], turns=lists[0].turns + lists[1].turns)
 
 
@@ -82,15 +84,36 @@ def test_outlined_pixels_are_wall_of_the_entered_branch_in_the_truth() -> None:
         assert np.mean(gaps[True] <= gaps[False] + 1.0) > 0.97, made.turn
 
 
-def test_outline_is_in_the_direction_of_the_stated_hour() -> None:
+def test_outline_and_arrow_are_in_the_direction_of_the_stated_hour() -> None:
     rows, columns = np.mgrid[0:SIZE, 0:SIZE] + 0.5 - SIZE / 2
-    for made in pictures():
-        if made.turn.straight_ahead:
+    for made, plain in zip(pictures(), pictures_of(turns(), marked=False), strict=True):
+        hours = made.turn.clock_head
+        if hours is None:
             continue
-        right, down = columns[made.outline].mean(), rows[made.outline].mean()
-        seen = (math.atan2(right, -down) / math.tau * 12.0) % 12.0
-        gap = abs(seen - made.turn.clock_head) % 12.0
-        assert min(gap, 12.0 - gap) < 1.0, made.turn
+        # The arrow is the part of the drawings in the colour of the route outside the ring of the ticks' inner ends.
+        radius = np.hypot(rows, columns)
+        drawn = (np.abs(made.rgb.astype(int) - ROUTE_RGB).sum(axis=2) < 30) & (plain.rgb != made.rgb).any(axis=2)
+        arrow = drawn & (radius > SIZE / 2 - 26.0) & (radius < SIZE / 2 - 18.0)
+        arrow &= (rows < 0.3 * SIZE) | (columns > -0.1 * SIZE)
+        for mask in (made.outline, arrow):
+            if not mask.any():
+                assert mask is arrow, "every opening with an hour is outlined"
+                continue
+            right, down = columns[mask].mean(), rows[mask].mean()
+            seen = (math.atan2(right, -down) / math.tau * 12.0) % 12.0
+            gap = abs(seen - hours) % 12.0
+            assert min(gap, 12.0 - gap) < 0.3, (made.turn, mask is arrow)
+
+
+def test_picture_of_a_turn_with_an_unreliable_hour_has_no_arrow_and_states_no_hour() -> None:
+    turn = next(one for one in turns().turns if one.clock_head is not None)
+    doubt = HourDoubt("turns.neighbour", "no clock hour: RB9 opens in nearly the same direction; compare the picture")
+    unsure = dataclasses.replace(turn, clock_head=None, clock_facing=None, hour_doubt=doubt)
+    (sure,), (made,) = (pictures_of(dataclasses.replace(turns(), turns=(one,))) for one in (turn, unsure))
+    assert "o\u2019clock" in sure.words and made.words == f"{turn.to_branch}, no clock hour"
+    assert np.array_equal(made.outline, sure.outline)
+    at = {tuple(int(v) for v in rgb) for rgb in made.rgb.reshape(-1, 3)}
+    assert DOUBTFUL_RGB in at and ROUTE_RGB not in at
 
 
 def test_middle_of_the_opening_is_inside_its_outline() -> None:
@@ -135,11 +158,10 @@ def test_branch_begins_where_its_axis_has_left_the_other_lumens() -> None:
     # The side branch is the widest, so a ball of its width at the fork would include the opposite wall.
     fork = [0.0, 0.0, 0.0]
     tree = made_tree([tube(0, [0, 0, 20], fork, 4.0), tube(1, fork, [0, 0, -20], 4.0), tube(2, fork, [20, 0, 0], 4.6)])
-    turn = next(one for one in turn_list(tree, route_in(tree, 2, carina=False)).turns)
     opposite, inside, mother, sister = [-4.0, 0.0, 0.0], [12.0, 4.6, 0.0], [0.0, 4.0, 12.0], [0.0, -4.0, -12.0]
-    ours, others = _belongs(tree, turn, np.array([[opposite, inside, mother, sister, [np.nan] * 3]]))
-    assert ours.tolist() == [[False, True, False, False, False]]
-    assert others.tolist() == [[True, False, True, True, False]]
+    walls = ForkWalls(tree, np.array(fork), [2])
+    owners = walls.owners(np.array([[opposite, inside, mother, sister, [np.nan] * 3]]))
+    assert owners.tolist() == [[OTHER_BRANCH, 0, OTHER_BRANCH, OTHER_BRANCH, NO_BRANCH]]
 
 
 def hidden(turn: Turn) -> Turn:

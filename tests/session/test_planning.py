@@ -376,6 +376,10 @@ def test_see_turn_shows_the_camera_of_the_turn_for_both_operator_positions(case:
     ends = {branch.id: branch.points[-1] for branch in case.state.document.airways.tree.branches}
     for one, turn in zip(message.turns, turns.turns, strict=True):
         assert np.allclose(ends[one.fork_branch_id], turn.fork_lps)
+        assert one.doubts == turn.cautions and (one.hour_doubt is None) == (turn.hour_doubt is None)
+        assert [way.branch_id for way in one.openings] == [turn.to_branch_id, *(way.branch_id for way in turn.others)]
+        assert one.openings[0].middle_lps == turn.opening_lps
+        assert one.openings[0].straight_ahead == turn.straight_ahead
 
 
 def test_growing_a_nodule_reports_progress_and_can_be_stopped():

@@ -14,6 +14,7 @@ import {
   SliderTrack,
 } from "react-aria-components";
 import { keyOf } from "../input/keymap";
+import type { WayOn } from "../state/airways";
 import { pathMm, scopeOf } from "../state/app-state";
 import { kindText } from "../state/branch-words";
 import { forkAhead } from "../state/fork";
@@ -383,7 +384,8 @@ function WallReading() {
 /** Distance, mm, from the end of the route below which the tip counts as being at the end. */
 const AT_END_MM = 0.1;
 
-const hourText = (hour: number | null): string => (hour === null ? "straight ahead" : `${hour} o\u2019clock`);
+const directionText = ({ hour, noHour }: WayOn): string =>
+  hour === null ? (noHour ?? "straight ahead") : `${hour} o\u2019clock`;
 
 /** Render the tip's branch, its position on the route and the fork ahead as text in the corners of the airway view. */
 function Readings() {
@@ -406,7 +408,7 @@ function Readings() {
   const fork =
     tree === null || route === null || forkFrom === null || (pose.mode !== "path" && forkBranchId === null)
       ? null
-      : forkAhead(tree, route, forkFrom, lookingUp(camera, viewUpDeg), forkBranchId);
+      : forkAhead(tree, route, forkFrom, lookingUp(camera, viewUpDeg), forkBranchId, turns ?? []);
   const toFork = route !== null && at !== null && nextStopMm(route, at) < route.length_mm;
   const atEnd = route !== null && at !== null && pose.mode === "path" && at > route.length_mm - AT_END_MM;
   const node = pose.branch_id === null ? undefined : tree?.byId.get(pose.branch_id);
@@ -448,7 +450,7 @@ function Readings() {
             <span className="ways">
               {fork.ways.map((way) => (
                 <span key={way.node.branch.id} className={way.chosen ? "way chosen" : "way"}>
-                  {fork.near ? `${way.node.label}, ${hourText(way.hour)}` : way.node.label}
+                  {fork.near ? `${way.node.label}, ${directionText(way)}` : way.node.label}
                 </span>
               ))}
             </span>

@@ -738,7 +738,8 @@ export class Workstation implements Station {
     const { tree, route, pose } = this.state;
     const at = pathMm(this.state);
     if (tree === null || route === null || pose === null || at === null) return;
-    const fork = forkAhead(tree, route, at, cameraFromMatrix(pose.lps_from_camera));
+    const turns = this.state.plans?.turns ?? [];
+    const fork = forkAhead(tree, route, at, cameraFromMatrix(pose.lps_from_camera), null, turns);
     const way = fork === null ? null : neighbourWay(fork.ways, step);
     if (fork === null) this.notice("There is no fork ahead on this route.");
     else if (way === null) this.notice(`There is no branch further ${step < 0 ? "left" : "right"}.`);

@@ -7,6 +7,7 @@ import type {
   RouteInfo,
   TreeBranch,
   TreeDocument,
+  TurnOpening,
   UncertainPlace,
 } from "../wire/messages";
 import type { BranchNode, BranchTree, Side } from "./branch-tree";
@@ -167,8 +168,10 @@ export interface WayOn {
   node: BranchNode;
   /** Whether the branch is on the selected route. */
   chosen: boolean;
-  /** Clock hour of the branch's opening around the middle of the view; null if the opening is in the middle. */
+  /** Clock hour of the branch's opening around the middle of the view; null if no hour is given (`noHour`). */
   hour: number | null;
+  /** Text instead of an hour: the opening is in the middle of the view or hidden, or its hour is not reliable. */
+  noHour: "straight ahead" | "not in view" | "no clock hour" | null;
   /**
    * Horizontal position of the opening in the view, by which the branches are sorted: tangent of the angle, positive to
    * the right.
@@ -181,6 +184,8 @@ export interface WayOn {
  * diameter of the child, so that the point is past the spur and before the next bend.
  */
 const OPENING_MM = { least: 4, most: 10 };
+/** Largest number of branches in a row in which the point of an opening is searched. */
+const OPENING_DEPTH = 4;
 /**
  * Limits for an opening that counts as straight ahead and has no clock hour: the tangent of its angle to the line of
  * sight is below `tangent` (7 degrees), and the other openings are at least `times` farther from the line of sight.
@@ -192,18 +197,43 @@ const MIDDLE = { tangent: 0.12, times: 4 };
  */
 const LEAST_DEPTH_MM = 1;
 
-/** Return the branches that continue from the end of a branch, from left to right in the view of the camera. */
-export function waysOn(node: BranchNode, camera: Camera, route: Pick<RouteInfo, "spans"> | null): WayOn[] {
+/** A branch at a fork of the planned route, with its opening in the list of turns. */
+export interface ListedWay {
+  node: BranchNode;
+  opening: TurnOpening;
+}
+
+/** The openings of a turn in the list of turns. */
+export interface ListedWays {
+  ways: readonly ListedWay[];
+  /** Whether the hour of the first opening is not reliable. */
+  doubtful: boolean;
+  /** Whether the camera is at the viewpoint of the turn, where the listed directions are valid. */
+  atViewpoint: boolean;
+}
+
+/**
+ * Return the branches that continue from the end of a branch, from left to right in the view of the camera.
+ *
+ * The branches and the middles of their openings are those of the list of turns (`listed`). Without a list, the opening
+ * of a child is represented by a point of its centreline.
+ */
+export function waysOn(
+  node: BranchNode,
+  camera: Camera,
+  route: Pick<RouteInfo, "spans"> | null,
+  listed: ListedWays | null = null,
+): WayOn[] {
   const fork = tip(node.branch);
   if (fork === null) return [];
   const onRoute = new Set(route?.spans.map((span) => span.branch_id) ?? []);
-  const openings = node.children.map((child) => {
-    const far = Math.min(Math.max(child.diameterMm, OPENING_MM.least), OPENING_MM.most);
-    const inside = child.branch.points.map((point) => asVec3(point)).find((point) => distance(point, fork) >= far);
-    const seen = sub(inside ?? tip(child.branch) ?? fork, camera.position);
+  const ways = listed?.ways ?? node.children.map((child) => ({ node: child, opening: null }));
+  const openings = ways.map((way) => {
+    const middle = way.opening?.middle_lps ?? null;
+    const seen = sub(middle === null ? openingOf(way.node, fork) : asVec3(middle), camera.position);
     const depth = Math.max(dot(seen, camera.forward), LEAST_DEPTH_MM);
     // Position of the opening in the view, as tangents of its horizontal and vertical angle to the line of sight.
-    return { child, x: dot(seen, camera.right) / depth, y: dot(seen, camera.down) / depth };
+    return { ...way, x: dot(seen, camera.right) / depth, y: dot(seen, camera.down) / depth };
   });
   const hours = openings.map(({ x, y }) => clockHour(Math.atan2(x, -y)));
   const offsets = openings.map(({ x, y }) => Math.hypot(x, y));
@@ -215,13 +245,41 @@ export function waysOn(node: BranchNode, camera: Camera, route: Pick<RouteInfo, 
   const shared = hours.some((hour, index) => index !== middle && hour === hours[middle]);
   const ahead = others.length > 0 && (inMiddle || shared);
   return openings
-    .map(({ child, x }, index) => ({
-      node: child,
-      chosen: onRoute.has(child.branch.id),
-      hour: ahead && index === middle ? null : (hours[index] ?? null),
-      across: x,
-    }))
+    .map(({ node: child, opening, x }, index) => {
+      const inMiddle = listed?.atViewpoint ? opening?.straight_ahead === true : ahead && index === middle;
+      const noHour: WayOn["noHour"] =
+        opening?.in_view === false
+          ? "not in view"
+          : index === 0 && listed?.doubtful
+            ? "no clock hour"
+            : inMiddle
+              ? "straight ahead"
+              : null;
+      return {
+        node: child,
+        chosen: onRoute.has(child.branch.id),
+        hour: noHour === null ? (hours[index] ?? null) : null,
+        noHour,
+        across: x,
+      };
+    })
     .sort((a, b) => a.across - b.across);
+}
+
+/** Return a point about one diameter beyond the fork, in a child or, if the child is shorter, in its widest child. */
+function openingOf(child: BranchNode, fork: Vec3): Vec3 {
+  const far = Math.min(Math.max(child.diameterMm, OPENING_MM.least), OPENING_MM.most);
+  let end = fork;
+  for (let node: BranchNode | undefined = child, depth = 0; node !== undefined && depth < OPENING_DEPTH; depth += 1) {
+    const inside = node.branch.points.map((point) => asVec3(point)).find((point) => distance(point, fork) >= far);
+    if (inside !== undefined) return inside;
+    end = tip(node.branch) ?? end;
+    node = node.children.reduce<BranchNode | undefined>(
+      (a, b) => (a === undefined || b.diameterMm > a.diameterMm ? b : a),
+      undefined,
+    );
+  }
+  return end;
 }
 
 /**

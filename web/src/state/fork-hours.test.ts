@@ -1,7 +1,7 @@
 import { readFileSync } from "node:fs";
 import { fileURLToPath } from "node:url";
 import { describe, expect, it } from "vitest";
-import type { TreeBranch } from "../wire/messages";
+import type { TreeBranch, TurnOpening } from "../wire/messages";
 import { buildTree, waysOn } from "./airways";
 import { testBranch } from "./branches.testing";
 import { cameraFromMatrix } from "./vec";
@@ -10,6 +10,8 @@ interface Case {
   name: string;
   lps_from_camera: number[];
   branches: Pick<TreeBranch, "id" | "parent" | "children" | "points" | "radius">[];
+  openings: TurnOpening[];
+  doubtful: boolean;
   hours: Record<string, number | null>;
 }
 
@@ -29,7 +31,13 @@ describe("clock hours of branch openings", () => {
         branches: made.branches.map((one) => testBranch(one.id, one.parent, [...one.children], one)),
       });
       if (tree === null) throw new Error("the tree has a root");
-      const ways = waysOn(tree.root, cameraFromMatrix(made.lps_from_camera), null);
+      const listed = made.openings.map((opening) => {
+        const node = tree.byId.get(opening.branch_id);
+        if (node === undefined) throw new Error(`the tree has branch ${opening.branch_id}`);
+        return { node, opening };
+      });
+      const camera = cameraFromMatrix(made.lps_from_camera);
+      const ways = waysOn(tree.root, camera, null, { ways: listed, doubtful: made.doubtful, atViewpoint: true });
       expect(Object.fromEntries(ways.map((way) => [`${way.node.branch.id}`, way.hour]))).toEqual(made.hours);
     },
   );

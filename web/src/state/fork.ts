@@ -1,7 +1,7 @@
 /** The fork ahead of the tip: its distance, and the branches that continue from it as the airway view shows them. */
 
-import type { RouteInfo } from "../wire/messages";
-import { type BranchTree, type WayOn, waysOn } from "./airways";
+import type { PlannedTurn, RouteInfo } from "../wire/messages";
+import { type BranchTree, type ListedWays, type WayOn, waysOn } from "./airways";
 import { FORK_TOLERANCE_MM } from "./route";
 import type { Camera } from "./vec";
 
@@ -34,6 +34,8 @@ export function forkAhead(
    * selects the next fork.
    */
   forkBranchId: number | null = null,
+  /** List of turns of the route, which gives the openings of its forks. */
+  turns: readonly PlannedTurn[] = [],
 ): ForkAhead | null {
   // At the viewpoint of a fork that fork is selected, even if the previous fork is still near.
   const lookoutMm = route.lookouts_mm.findLast((at) => at <= pathMm + FORK_TOLERANCE_MM) ?? 0;
@@ -46,8 +48,24 @@ export function forkAhead(
     return {
       distanceMm: distanceMm < FORK_TOLERANCE_MM ? 0 : distanceMm,
       near: distanceMm <= HOURS_MM,
-      ways: waysOn(node, camera, route),
+      ways: waysOn(node, camera, route, listedWays(tree, turns, span.branch_id, forkBranchId !== null)),
     };
   }
   return null;
+}
+
+/** Return the listed openings of the fork at the end of a branch; null if the fork is not in the list of turns. */
+function listedWays(
+  tree: BranchTree,
+  turns: readonly PlannedTurn[],
+  branchId: number,
+  atViewpoint: boolean,
+): ListedWays | null {
+  const turn = turns.find((one) => one.fork_branch_id === branchId);
+  if (turn === undefined || turn.openings.length === 0) return null;
+  const ways = turn.openings.flatMap((opening) => {
+    const node = tree.byId.get(opening.branch_id);
+    return node === undefined ? [] : [{ node, opening }];
+  });
+  return ways.length === turn.openings.length ? { ways, doubtful: turn.hour_doubt !== null, atViewpoint } : null;
 }

@@ -11,6 +11,8 @@ const turn = (at: [number, number, number] | null): PlannedTurn => ({
   doubts: [],
   fork_branch_id: 0,
   seen_from_lps: at,
+  openings: [],
+  hour_doubt: null,
 });
 
 describe("list of turns", () => {

@@ -149,6 +149,22 @@ describe("airway tree", () => {
     expect(neighbourWay(ways, -1)).toBeNull();
   });
 
+  it("At the viewpoint of a turn, waysOn states the listed directions and hours that are not given.", () => {
+    const opening = { middle_lps: null, in_view: true, straight_ahead: false };
+    const [one, other] = TREE.root.children;
+    if (one === undefined || other === undefined) throw new Error("the root has two children");
+    const ways = [
+      { node: one, opening: { ...opening, branch_id: one.branch.id } },
+      { node: other, opening: { ...opening, branch_id: other.branch.id, in_view: false } },
+    ];
+    const texts = (doubtful: boolean) =>
+      waysOn(TREE.root, FROM_HEAD, ROUTE, { ways, doubtful, atViewpoint: true })
+        .sort((a, b) => a.node.branch.id - b.node.branch.id)
+        .map(({ hour, noHour }) => hour ?? noHour);
+    expect(texts(false)).toEqual([3, "not in view"]);
+    expect(texts(true)).toEqual(["no clock hour", "not in view"]);
+  });
+
   it("forkAhead returns the next fork, and a fork just reached until the tip is past it.", () => {
     expect(forkAhead(TREE, ROUTE, 10, FROM_HEAD)).toMatchObject({ distanceMm: 20, near: true });
     expect(

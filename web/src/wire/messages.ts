@@ -1602,6 +1602,14 @@ export interface ScopeVerdict {
   readonly was_driven: boolean;
 }
 
+/** An opening at a turn of the chosen route. */
+export interface TurnOpening {
+  readonly branch_id: number;
+  readonly middle_lps: readonly [number, number, number] | null;
+  readonly in_view: boolean;
+  readonly straight_ahead: boolean;
+}
+
 /** A turn at a fork of the chosen route. */
 export interface PlannedTurn {
   readonly head: string;
@@ -1612,6 +1620,8 @@ export interface PlannedTurn {
   readonly doubts: readonly string[];
   readonly fork_branch_id: number;
   readonly seen_from_lps: readonly [number, number, number] | null;
+  readonly openings: readonly TurnOpening[];
+  readonly hour_doubt: string | null;
 }
 
 /** The plans of all lesions; sent after each change. */

@@ -99,15 +99,16 @@ def whole_sheet(
     if plan.routes:
         route = plan.routes[made.route_number - 1]
         driven = next((v.driven for v in made.verdicts if v.scope.name == plan.scope.name), None)
+        renderer = Renderer(made.volume)
+        renderer.set_lumen(made.airways.lumen_zyx)
         turns = turn_list(
             made.airways.tree,
             route,
             moves=None if driven is None else driven.moves,
             ends_along_mm=None if driven is None else driven.ends_along_mm,
             carina_depth_mm=made.carina_depth_mm,
+            renderer=renderer,
         )
-        renderer = Renderer(made.volume)
-        renderer.set_lumen(made.airways.lumen_zyx)
         pictures = turn_pictures(
             made.volume,
             made.airways,

@@ -412,7 +412,7 @@ def _forks(airways: Airways, route: PlannedRoute, turns: TurnList | None) -> tup
                 place_lps=turn.fork_lps,
                 carina_mm=turn.from_carina_mm,
                 others=tuple(other.name for other in turn.others),
-                warnings=turn.doubts,
+                warnings=turn.cautions,
                 turn=turn,
             )
             for number, turn in enumerate(turns.turns, 1)

@@ -20,7 +20,7 @@ from carina.plan.routes.ranking import MEDIASTINUM_MM
 from carina.plan.turns.clips import TurnClip
 from carina.plan.turns.fork_view import Operator
 from carina.plan.turns.pictures import TurnPicture
-from carina.plan.turns.texts import hour_words, joined, moves_words
+from carina.plan.turns.texts import joined, moves_words
 from carina.plan.turns.turn_list import Turn
 
 __all__ = ["sections", "tracing_sections"]
@@ -257,7 +257,7 @@ def _turns(sheet: PlanSheet) -> list[Section]:
     rows: list[tuple[str, ...]] = []
     warned = []
     for number, turn in enumerate(sheet.turns.turns, 1):
-        if turn.doubts:
+        if turn.cautions:
             warned.append(number - 1)
         rows.append(
             (
@@ -303,14 +303,16 @@ def _enter_words(turn: Turn, operator: Operator) -> str:
     if turn.through:
         said.append(f"just past {joined(turn.through)}")
     if turn.others:
-        said.append(f"not {joined([f'{one.name} ({hour_words(one.hour(operator))})' for one in turn.others])}")
-    doubts = f" ({'; '.join(turn.doubts)})" if turn.doubts else ""
+        said.append(f"not {joined([f'{one.name} ({one.direction(operator)})' for one in turn.others])}")
+    doubts = f" ({'; '.join(turn.cautions)})" if turn.cautions else ""
     return ", ".join(said) + doubts
 
 
 def _hour(turn: Turn, operator: Operator) -> str:
     hour = turn.hour(operator)
-    return "ahead" if hour is None else str(hour)
+    if hour is None:
+        return "ahead" if turn.straight_ahead else "not given"
+    return str(hour)
 
 
 def _rounded(mm: float | None) -> str:

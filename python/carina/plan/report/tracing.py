@@ -10,8 +10,7 @@ from carina.plan.report.drawing import Disc, Drawing, Label, LineStyle, Place, S
 from carina.plan.report.plan_sheet import Fork, PlanSheet
 from carina.plan.report.wording import lines_of
 from carina.plan.routes.main_carina import carina_words
-from carina.plan.turns.texts import hour_words, joined, moves_words
-from carina.plan.turns.turn_list import Turn
+from carina.plan.turns.texts import joined, moves_words
 
 __all__ = ["TRACING_SIZE", "tracing_drawings"]
 
@@ -134,13 +133,8 @@ def _target(at: Place, step: float) -> list[Shape]:
 
 def _lean(fork: Fork, sheet: PlanSheet) -> float:
     """Return the side of a fork's opening in the picture, -1 (left) to 1 (right); 0 if straight ahead or unknown."""
-    if fork.turn is None or fork.turn.straight_ahead:
-        return 0.0
-    return math.sin(math.radians(30.0 * _hours(fork.turn, sheet)))
-
-
-def _hours(turn: Turn, sheet: PlanSheet) -> float:
-    return turn.clock_head if sheet.operator == "head" else turn.clock_facing
+    hours = None if fork.turn is None else fork.turn.clock(sheet.operator)
+    return 0.0 if hours is None else math.sin(math.radians(30.0 * hours))
 
 
 def _clock_face(fork: Fork, sheet: PlanSheet, y: float, radius: float) -> list[Shape]:
@@ -156,13 +150,18 @@ def _clock_face(fork: Fork, sheet: PlanSheet, y: float, radius: float) -> list[S
         shapes.append(Label((CLOCK, y + 3.5), "?", 10.0, QUIET, "middle"))
         return shapes
     for other in turn.others:
+        if not other.in_view:
+            continue
         seen = other.hour(sheet.operator)
         at = (CLOCK, y) if seen is None else _on_face(y, radius, seen, 0.55)
         shapes.append(Disc(at, 0.24 * radius, LineStyle(QUIET, 0.7, fill="#ffffff")))
-    if turn.straight_ahead:
-        shapes.append(Disc((CLOCK, y), 0.3 * radius, LineStyle(ACCENT, 0.8, fill=ACCENT)))
+    hours = turn.clock(sheet.operator)
+    if hours is None:
+        if turn.straight_ahead:
+            shapes.append(Disc((CLOCK, y), 0.3 * radius, LineStyle(ACCENT, 0.8, fill=ACCENT)))
+        else:
+            shapes.append(Label((CLOCK, y + 3.5), "?", 10.0, WARNING, "middle"))
         return shapes
-    hours = _hours(turn, sheet)
     shapes.append(Stroke((_on_face(y, radius, hours, 0.55), _on_face(y, radius, hours, 1.22)), LineStyle(ACCENT, 1.6)))
     shapes.append(Disc(_on_face(y, radius, hours, 0.55), 0.3 * radius, LineStyle(ACCENT, 0.8, fill=ACCENT)))
     return shapes
@@ -196,7 +195,7 @@ def _fork_words(fork: Fork, sheet: PlanSheet, y: float, step: float) -> list[Sha
     top = y - 0.5 * (14.0 + 11.0 * len(said)) + 11.0
     shapes: list[Shape] = [Label((TEXT, top), fork.to_name, 12.5, INK, bold=True)]
     if turn is not None:
-        hour = hour_words(turn.hour(sheet.operator))
+        hour = turn.direction(sheet.operator)
         shapes.append(Label((width, top), hour, 12.5, ACCENT, "end", bold=True))
     shapes += [Label((TEXT, top + 12.0 + 11.0 * n), text, SMALL, colour) for n, (text, colour) in enumerate(said)]
     return shapes

@@ -18,8 +18,7 @@ from carina.display.progress import ProgressChoice, progress_function, shows_pro
 from carina.errors import CancelledError, NoResultError, UsageError, check_type
 from carina.plan.routes.plan_route import PlannedRoute
 from carina.plan.turns.flight import turn_flight
-from carina.plan.turns.fork_view import Operator
-from carina.plan.turns.pictures import turn_view
+from carina.plan.turns.fork_view import Operator, turn_view
 from carina.plan.turns.turn_list import Turn, TurnList
 from carina.render import Renderer, letter_edges
 from carina.scopes import Pose

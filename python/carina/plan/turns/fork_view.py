@@ -1,40 +1,86 @@
-"""View of a fork from in front of it: the position of the camera and the clock hour of each opening.
+"""View of a fork from in front of it: the camera, and the middle, clock hour and outline of each opening.
 
-The rules are the same as in the window (`waysOn`, `clockHour` and the look-outs of a route), so that the list of turns
-gives the same hour as the airway view at the same place.
+The direction of an opening is that of the middle of its visible pixels in the levelled picture. List, picture, report
+and window use the openings of this module.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
-from carina.scopes import Pose
+from carina.plan.turns.opening_walls import FOV_DEG, ForkWalls, opening_pixels, pixel_angles_rad
+from carina.render import AirwayView, Renderer
+from carina.scopes import Lens, Pose
 from carina.track import Branch
 
-__all__ = ["Opening", "Operator", "hours_of", "levelled", "openings_seen", "stand_mm", "turned_hours", "whole_hour"]
+__all__ = [
+    "LEAST_SHARE",
+    "LEAST_STAND_MM",
+    "HourDoubt",
+    "Opening",
+    "Operator",
+    "hour_doubt",
+    "hours_of",
+    "levelled",
+    "openings_seen",
+    "pixel_at",
+    "stand_mm",
+    "turn_view",
+    "turned_hours",
+    "whole_hour",
+]
 
 Points = NDArray[np.float64]
 Operator = Literal["head", "facing"]
 
-OPENING_MM = (4.0, 10.0)
-"""Limits in mm for the distance into a branch at which its opening is located; the distance is one diameter."""
-MIDDLE_TANGENT = 0.12
-MIDDLE_TIMES = 4.0
-"""Largest tangent of an opening straight ahead (7 degrees), and least ratio of the other openings' tangents to it.
+AHEAD_DEG, AHEAD_TIMES = 12.0, 2.0
+"""Largest angle in degrees of an opening straight ahead, and least ratio of the other openings' angles to this angle.
 
-An opening straight ahead has no clock hour.
+The centre of the picture is in the outline of an opening straight ahead, so the opening has no clock hour.
 """
-LEAST_DEPTH_MM = 1.0
-"""Least depth in mm used for an opening; an opening beside or behind the lens counts as at this depth."""
+LEAST_SHARE = 2e-3
+"""Least share of the picture's pixels for an opening in view."""
+HIDDEN_DEG = 2.0
+"""Largest angle in degrees between the beginning of a branch's centreline and the visible part of its opening."""
 LEAST_STAND_MM = 3.0
 """Least distance in mm of the camera from a fork; nearer, single points would determine the line of sight."""
+
+
+NEIGHBOUR_HOURS = 0.25
+"""Margin in hours by which an opening must be nearer to the stated hour than every other opening."""
+MOST_HOURS = 2.0
+"""Largest change of an hour by a small movement of the scope, in hours."""
+SHIFT_SHARE, SHIFT_MM = 0.3, (0.5, 1.5)
+"""Error of the eye's position to each side: share of the airway's radius, and limits in mm."""
+TILT_DEG = 5.0
+"""Tilt of the line of sight to each side in degrees: error of its direction."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class HourDoubt:
+    """Reason why no clock hour is given for an opening."""
+
+    code: Literal["turns.hidden", "turns.neighbour", "turns.eye"]
+    """Code of the reason.
+
+    ``turns.hidden``: the opening, or most of it, is not visible from before the fork. ``turns.neighbour``: another
+    opening is in nearly the same direction. ``turns.eye``: a small movement of the scope changes the hour by more than
+    two hours.
+    """
+    words: str
+    """Reason as a text for the user."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the reason as plain JSON types."""
+        return {"code": self.code, "words": self.words}
 
 
 @one_line
@@ -43,14 +89,25 @@ class Opening:
     """Opening of a branch at a fork, as seen by a camera."""
 
     branch: Branch
-    place_lps: Points
-    """Point in the middle of the branch, about one diameter beyond the fork, LPS mm."""
+    middle_lps: Points
+    """Point in the direction of the middle of the opening's outline, at the distance of the opening, LPS mm."""
     hours: float
-    """Clock hour in the picture, 12 at the top, clockwise; 0 < hours <= 12."""
-    tangent: float
-    """Tangent of the angle between the line of sight and the opening."""
+    """Clock hour of the middle in the picture, 12 at the top, clockwise; 0 < hours <= 12."""
+    off_deg: float
+    """Angle in degrees between the line of sight and the middle of the opening."""
+    in_view: bool
+    """Whether the opening is visible; if not, its direction is that of the branch's centreline."""
+    axis_hidden_deg: float
+    """Angle in degrees between the beginning of the branch's centreline and the nearest pixel of the opening.
+
+    0 if the opening is not in view. A large angle means that most of the opening is hidden.
+    """
     straight_ahead: bool
     """Whether the opening is in the middle of the picture and so has no clock hour."""
+    outline: NDArray[np.bool_] = field(repr=False)
+    """(size, size) pixels of the opening."""
+    walls_lps: Points = field(repr=False)
+    """(n, 3) visible walls of the opening, LPS mm."""
 
 
 def levelled(eye_lps: Points, look_lps: Points, operator: Operator) -> Pose:
@@ -72,6 +129,19 @@ def levelled(eye_lps: Points, look_lps: Points, operator: Operator) -> Pose:
     turned = pose.lps_from_camera.copy()
     turned[:3, :2] *= -1.0
     return Pose(turned)
+
+
+def turn_view(renderer: Renderer, camera: Pose, size_px: int) -> AirwayView:
+    """Return the view of the still pictures and clips from a camera, without artificial texture."""
+    return AirwayView(
+        camera,
+        fov_deg=FOV_DEG,
+        width=size_px,
+        height=size_px,
+        lens=Lens.equidistant(),
+        method="leap" if renderer.prepared else "brute",
+        texture=False,
+    )
 
 
 def whole_hour(hours: float) -> int:
@@ -97,44 +167,162 @@ def stand_mm(branch: Branch) -> float:
     return max(min(diameter, 0.5 * float(along[-1])), LEAST_STAND_MM)
 
 
-def opening_index(branch: Branch) -> int:
-    """Return the index of the point of a branch at which its opening is located."""
-    # With an even number of radii the upper median is used, as in the window.
-    diameter = 2.0 * float(np.sort(branch.radius)[len(branch.radius) // 2])
-    far = min(max(diameter, OPENING_MM[0]), OPENING_MM[1])
-    beyond = np.flatnonzero(np.linalg.norm(branch.points - branch.points[0], axis=1) >= far)
-    return int(beyond[0]) if beyond.size else len(branch.points) - 1
-
-
-def openings_seen(camera: Pose, branches: Sequence[Branch]) -> tuple[Opening, ...]:
+def openings_seen(camera: Pose, walls: ForkWalls, branches: Sequence[Branch], walls_lps: Points) -> tuple[Opening, ...]:
     """Return the openings of branches that leave at one place, in the given order.
 
     Parameters
     ----------
     camera
         Camera before the fork.
+    walls
+        The walls of the branches.
     branches
-        Branches that begin at the fork.
+        Branches that begin at the fork, in the order of ``walls``.
+    walls_lps
+        First wall at each pixel of the picture (`first_walls`), (size, size, 3), LPS mm.
     """
-    places = [branch.points[opening_index(branch)] for branch in branches]
-    seen: list[tuple[float, float]] = []
-    for place in places:
-        right, down, forward = (float(v) for v in camera.lps_from_camera[:3, :3].T @ (place - camera.position_lps))
-        depth = max(forward, LEAST_DEPTH_MM)
-        seen.append((right / depth, down / depth))
-    hours = [hours_of(right, down) for right, down in seen]
-    tangents = [math.hypot(right, down) for right, down in seen]
-    middle = int(np.argmin(tangents)) if tangents else -1
-    others = [n for n in range(len(seen)) if n != middle]
-    in_middle = bool(others) and (
-        tangents[middle] < MIDDLE_TANGENT and min(tangents[n] for n in others) > MIDDLE_TIMES * tangents[middle]
-    )
-    # Two openings at the same hour are on the same side; the one nearer to the middle counts as straight ahead.
-    shared = any(whole_hour(hours[n]) == whole_hour(hours[middle]) for n in others)
-    return tuple(
-        Opening(branch, places[n], hours[n], tangents[n], straight_ahead=n == middle and (in_middle or shared))
-        for n, branch in enumerate(branches)
-    )
+    size = walls_lps.shape[0]
+    right, down = pixel_angles_rad(size)
+    owners = walls.owners(walls_lps)
+    outlines = [opening_pixels(owners, n, pixel_at(camera, at, size)) for n, at in enumerate(walls.mouths_lps)]
+    found: list[tuple[float, float, bool]] = []
+    for outline, mouth in zip(outlines, walls.mouths_lps, strict=True):
+        if float(outline.mean()) >= LEAST_SHARE:
+            found.append((float(right[outline].mean()), float(down[outline].mean()), True))
+        else:
+            found.append((*_angles(camera, mouth), False))
+    sizes = [math.hypot(x, y) for x, y, _ in found]
+    middle = size // 2
+    openings = []
+    for n, (branch, outline, (x, y, in_view)) in enumerate(zip(branches, outlines, found, strict=True)):
+        others = [size_rad for k, size_rad in enumerate(sizes) if k != n and found[k][2]]
+        ahead = (
+            in_view
+            and bool(outline[middle - 1 : middle + 1, middle - 1 : middle + 1].any())
+            and math.degrees(sizes[n]) <= AHEAD_DEG
+            and all(other >= AHEAD_TIMES * sizes[n] for other in others)
+        )
+        sine = math.sin(sizes[n]) / max(sizes[n], 1e-12)
+        ray = camera.lps_from_camera[:3, :3] @ np.array([sine * x, sine * y, math.cos(sizes[n])])
+        away = float(np.linalg.norm(walls.mouths_lps[n] - camera.position_lps))
+        wall = walls_lps[outline] if in_view else np.empty((0, 3))
+        openings.append(
+            Opening(
+                branch,
+                camera.position_lps + away * ray,
+                hours_of(x, y),
+                math.degrees(sizes[n]),
+                in_view,
+                _axis_hidden_deg(outline, pixel_at(camera, walls.mouths_lps[n], size)) if in_view else 0.0,
+                ahead,
+                outline if in_view else np.zeros_like(outline),
+                wall[np.isfinite(wall).all(axis=1)],
+            )
+        )
+    return tuple(openings)
+
+
+def _axis_hidden_deg(outline: NDArray[np.bool_], axis_px: tuple[float, float]) -> float:
+    """Return the angle in degrees between a position (column, row) in the picture and the nearest pixel of a mask."""
+    rows, columns = np.nonzero(outline)
+    nearest_px = float(np.hypot(columns + 0.5 - axis_px[0], rows + 0.5 - axis_px[1]).min())
+    # A position inside a pixel is up to .7 pixels from the pixel's centre.
+    return float(max(nearest_px - 0.7, 0.0) * FOV_DEG / outline.shape[0])
+
+
+def hour_doubt(
+    camera: Pose, openings: Sequence[Opening], radius_mm: float, title: Callable[[Branch], str]
+) -> HourDoubt | None:
+    """Return the reason why the first of the openings cannot be found by its clock hour; None if the hour is reliable.
+
+    The eye is moved to the sides and the line of sight is tilted by their errors. In each of these views the opening
+    must be nearer to its stated direction than every other opening.
+
+    Parameters
+    ----------
+    camera
+        Camera of the openings.
+    openings
+        Openings of a fork; the first one is the opening to enter.
+    radius_mm
+        Radius of the airway at the camera.
+    title
+        Returns the name of a branch.
+    """
+    taken, others = openings[0], [one for one in openings[1:] if one.in_view]
+    if not taken.in_view:
+        return HourDoubt(
+            "turns.hidden", "no clock hour: the opening is not in view from before the fork; locate it in the slices"
+        )
+    if taken.axis_hidden_deg > HIDDEN_DEG:
+        return HourDoubt(
+            "turns.hidden", "no clock hour: most of the opening is hidden before the fork; locate it in the slices"
+        )
+    for view in (camera, *_moved(camera, radius_mm)):
+        x, y = _middle(view, taken)
+        off, hours = math.hypot(x, y), hours_of(x, y)
+        seen = [(one, *_middle(view, one)) for one in others]
+        if taken.straight_ahead:
+            rivals = [one for one, x, y in seen if math.hypot(x, y) <= off]
+        else:
+            margin = _apart(hours, taken.hours) + NEIGHBOUR_HOURS
+            rivals = [
+                one for one, x, y in seen if not one.straight_ahead and _apart(hours_of(x, y), taken.hours) < margin
+            ]
+        if rivals:
+            return HourDoubt(
+                "turns.neighbour",
+                f"no clock hour: {title(rivals[0].branch)} opens in nearly the same direction; compare the picture",
+            )
+        if not taken.straight_ahead and _apart(hours, taken.hours) > MOST_HOURS:
+            return HourDoubt(
+                "turns.eye",
+                f"no clock hour: a small movement of the scope changes it by more than {MOST_HOURS:.0f} hours; compare "
+                "the picture",
+            )
+    return None
+
+
+def _moved(camera: Pose, radius_mm: float) -> list[Pose]:
+    """Return the views with the eye shifted to each side, and with the line of sight tilted to each side, all level."""
+    right, down, forward = camera.lps_from_camera[:3, :3].T
+    shift = min(max(SHIFT_SHARE * radius_mm, SHIFT_MM[0]), SHIFT_MM[1])
+    tilt = math.tan(math.radians(TILT_DEG))
+    views = []
+    for across in (right, -right, down, -down):
+        moved = camera.lps_from_camera.copy()
+        moved[:3, 3] += shift * across
+        views.append(Pose(moved))
+        views.append(levelled(camera.position_lps, forward + tilt * across, "head"))
+    return views
+
+
+def _middle(camera: Pose, opening: Opening) -> tuple[float, float]:
+    """Return the angles in rad to the right and down of the middle of an opening's walls from another camera."""
+    local = (opening.walls_lps - camera.position_lps) @ camera.lps_from_camera[:3, :3]
+    across = np.hypot(local[:, 0], local[:, 1])
+    scale = np.arctan2(across, local[:, 2]) / np.maximum(across, 1e-9)
+    return float((local[:, 0] * scale).mean()), float((local[:, 1] * scale).mean())
+
+
+def _apart(one: float, other: float) -> float:
+    gap = abs(one - other) % 12.0
+    return min(gap, 12.0 - gap)
+
+
+def pixel_at(camera: Pose, point_lps: Points, size_px: int) -> tuple[float, float]:
+    """Return the position (column, row) of a point in the picture of a turn, clamped to the picture."""
+    half = size_px / 2.0
+    right, down = (half + angle / math.radians(FOV_DEG / 2) * half for angle in _angles(camera, point_lps))
+    return min(max(right, 0.0), size_px - 1.0), min(max(down, 0.0), size_px - 1.0)
+
+
+def _angles(camera: Pose, point_lps: Points) -> tuple[float, float]:
+    """Return the angles in rad to the right and down of a point, in the equidistant picture of a camera."""
+    x, y, z = (float(v) for v in camera.lps_from_camera[:3, :3].T @ (point_lps - camera.position_lps))
+    across = math.hypot(x, y)
+    scale = math.atan2(across, z) / across if across > 0.0 else 0.0
+    return x * scale, y * scale
 
 
 def hours_of(right: float, down: float) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,26 +17,43 @@ from carina.plan.routes.plan_route import PlannedRoute
 from carina.plan.routes.standing_points import branch_doubts, branch_title
 from carina.plan.turns.fork_view import (
     LEAST_STAND_MM,
+    HourDoubt,
     Opening,
+    hour_doubt,
     levelled,
-    opening_index,
     openings_seen,
     stand_mm,
+    turn_view,
     turned_hours,
     whole_hour,
 )
+from carina.plan.turns.opening_walls import ForkWalls, TubeWall, first_walls
 from carina.plan.turns.turn_list import OtherWay, Turn, TurnList, Zero
+from carina.render import Renderer
 from carina.render.picture_text import letters_of
 from carina.track import AirwayTree, Branch
 from carina.track.measures.forks import angle_deg
 
-__all__ = ["turn_list"]
+__all__ = ["turn_list", "turns_with_moves"]
 
 Points = NDArray[np.float64]
 Point = tuple[float, float, float]
 
 TOGETHER_MM = 2.0
-"""Largest distance in mm between forks that form one turn, because a tip of 3 mm cannot stop between them."""
+"""Distance in mm up to which forks always form one turn, because a tip of 3 mm cannot stop between them."""
+MOST_TOGETHER_MM = 5.0
+"""Largest distance in mm between forks that form one turn.
+
+Forks form one turn if the branch between them is at most as long as its radius, because the openings of both are then
+in the same lumen.
+"""
+VIEW_PX, TUBES_PX = 64, 32
+"""Width in pixels of the picture in which openings are located: of the CT, and of tubes."""
+STANDS = (0.75, 0.6, 1.0, 1.5)
+"""Distances of the camera before a fork, in diameters of the airway, that are tried after the usual one."""
+LEAST_MOVE_MM = 0.5
+CLEAR_DEG = 10.0
+"""Least angle in degrees of an opening to the line of sight for a precise hour; nearer to the fork it is larger."""
 MOST_DEPTH_MM = 1000.0
 """Largest accepted depth of the main carina in mm: older cases may state 500 mm to the start of the tree."""
 SIDES = {"R": "right", "L": "left", "A": "anterior", "P": "posterior", "S": "superior", "I": "inferior"}
@@ -49,6 +66,7 @@ def turn_list(
     carina_depth_mm: float | None = None,
     moves: Sequence[Move] | None = None,
     ends_along_mm: Sequence[float] | None = None,
+    renderer: Renderer | None = None,
 ) -> TurnList:
     """Return the list of turns of a route: at each fork the opening, the distances and the moves of the hand.
 
@@ -64,6 +82,9 @@ def turn_list(
     moves, ends_along_mm
         Moves of a drive along the route, and the distance of the tip from the origin of the route at the end of each
         move, mm (`DrivenRoute.ends_along_mm`).
+    renderer
+        Renderer of the CT with the lumen of its airways, in whose pictures the openings are located. Without a renderer
+        the branches count as tubes with the radii of the tree, so hours differ from the picture where these differ.
 
     Returns
     -------
@@ -97,18 +118,15 @@ def turn_list(
     origin = planned.origin
     groups = _forks(lineage, origin)
     places_mm = [_place_mm(group) for group in groups]
-    forks_mm = [origin.past_mm(group[-1].at_mm) for group in groups]
-    per_turn, parking = _moves_by_fork(forks_mm, moves, ends_along_mm)
     way = np.concatenate([branch.points for branch in lineage])
     turns: list[Turn] = []
-    for n, (group, doing) in enumerate(zip(groups, per_turn, strict=True)):
+    for n, group in enumerate(groups):
         before_mm = places_mm[n - 1] if n else origin.past_mm(0.0)
         first, last = group[0], group[-1]
         fork = first.mother.points[-1]
         others = [by_id[i] for one in group for i in one.mother.children if i != one.daughter.id]
-        eye = _eye(way, first, [last.daughter, *others])
-        seen = openings_seen(levelled(eye, fork - eye, "head"), [last.daughter, *others])
-        taken = seen[0]
+        view = _view(tree, way, first, [last.daughter, *others], renderer)
+        taken, shown = view.openings[0], view.doubt is None and not view.openings[0].straight_ahead
         measured = angle_deg(first.mother, last.daughter)
         turns.append(
             Turn(
@@ -118,32 +136,63 @@ def turn_list(
                 fork_lps=_point(fork),
                 from_carina_mm=places_mm[n] if origin.is_carina else None,
                 from_fork_mm=places_mm[n] - before_mm,
-                clock_head=taken.hours,
-                clock_facing=turned_hours(taken.hours),
-                angle_deg=_angle_deg(fork - eye, taken.place_lps - fork) if measured is None else measured,
+                clock_head=taken.hours if shown else None,
+                clock_facing=turned_hours(taken.hours) if shown else None,
+                angle_deg=_angle_deg(fork - view.eye, taken.middle_lps - fork) if measured is None else measured,
                 diameter_mm=_enters_mm(last.mother, last.daughter),
-                moves=doing,
+                moves=None,
                 doubts=tuple(words for one in group for words in branch_doubts(one.daughter)),
-                straight_ahead=taken.straight_ahead,
-                sides=() if taken.straight_ahead else _sides(fork - eye, taken.place_lps - fork),
-                others=_clockwise(taken, seen[1:], {i: one.mother for one in group for i in one.mother.children}),
+                straight_ahead=view.doubt is None and taken.straight_ahead,
+                sides=_sides(fork - view.eye, taken.middle_lps - view.eye) if shown else (),
+                others=_clockwise(
+                    taken, view.openings[1:], {i: one.mother for one in group for i in one.mother.children}
+                ),
                 through=tuple(branch_title(one.daughter) for one in group[:-1]),
                 at_main_carina=any(one.is_main_carina for one in group),
-                opening_lps=_point(taken.place_lps),
-                seen_from_lps=_point(eye),
+                opening_lps=_point(taken.middle_lps),
+                seen_from_lps=_point(view.eye),
+                hour_doubt=view.doubt,
             )
         )
     last_mm = places_mm[-1] if places_mm else origin.past_mm(0.0)
     zero: Zero | None = None if origin.kind == "root" else origin.kind
-    return TurnList(
+    found = TurnList(
         turns=tuple(turns),
         park_from_carina_mm=planned.from_carina_mm,
         park_from_fork_mm=origin.past_mm(planned.along_mm) - last_mm,
         carina_depth_mm=carina_depth_mm,
-        park_moves=parking,
         zero=zero,
         notes=_notes(zero, carina_depth_mm),
     )
+    return found if moves is None else turns_with_moves(tree, planned, found, moves, ends_along_mm)
+
+
+def turns_with_moves(
+    tree: AirwayTree,
+    planned: PlannedRoute,
+    turns: TurnList,
+    moves: Sequence[Move],
+    ends_along_mm: Sequence[float] | None,
+) -> TurnList:
+    """Return a list of turns with the moves of a drive along its route.
+
+    Parameters
+    ----------
+    tree, planned, turns
+        Tree, route and list of turns of `turn_list`.
+    moves, ends_along_mm
+        Moves, and the distance of the tip from the origin of the route at the end of each move (`turn_list`).
+
+    Raises
+    ------
+    UsageError
+        If moves and distances differ in number.
+    """
+    groups = _forks(tree.lineage(planned.branch_id), planned.origin)
+    forks_mm = [planned.origin.past_mm(group[-1].at_mm) for group in groups]
+    per_turn, parking = _moves_by_fork(forks_mm, moves, ends_along_mm)
+    with_moves = tuple(replace(turn, moves=doing) for turn, doing in zip(turns.turns, per_turn, strict=True))
+    return replace(turns, turns=with_moves, park_moves=parking)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +214,7 @@ def _place_mm(group: Sequence[_Fork]) -> float:
 
 
 def _forks(lineage: Sequence[Branch], origin: DistanceOrigin) -> list[list[_Fork]]:
-    """Return the forks of a route; forks at most `TOGETHER_MM` apart form one group.
+    """Return the forks of a route; forks with a short branch between them form one group.
 
     The end of a branch with a single child is not a fork.
     """
@@ -176,26 +225,89 @@ def _forks(lineage: Sequence[Branch], origin: DistanceOrigin) -> list[list[_Fork
         if len(mother.children) < 2:
             continue
         fork = _Fork(mother, daughter, at_mm, origin.fork_mm(at_mm), origin.is_main_carina(at_mm))
-        if groups and at_mm - groups[-1][-1].at_mm <= TOGETHER_MM:
+        together_mm = min(max(TOGETHER_MM, _radius_mm(mother)), MOST_TOGETHER_MM)
+        if groups and at_mm - groups[-1][-1].at_mm <= together_mm:
             groups[-1].append(fork)
         else:
             groups.append([fork])
     return groups
 
 
-def _eye(way: Points, fork: _Fork, branches: Sequence[Branch]) -> Points:
-    """Return the position (3,), LPS mm, of the camera before a fork, on the centreline."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """View of a fork: position of the camera, openings, and the reason why no hour is given."""
+
+    eye: Points
+    openings: tuple[Opening, ...]
+    doubt: HourDoubt | None
+
+    @property
+    def num_in_view(self) -> int:
+        """Number of visible openings."""
+        return sum(opening.in_view for opening in self.openings)
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the hour is precise, or the opening is straight ahead."""
+        taken = self.openings[0]
+        return self.doubt is None and (taken.straight_ahead or taken.off_deg >= CLEAR_DEG)
+
+
+def _view(tree: AirwayTree, way: Points, fork: _Fork, branches: Sequence[Branch], renderer: Renderer | None) -> _View:
+    """Return the view of a fork from the first position that gives a precise hour, else a reliable hour.
+
+    The result is the view from the usual position if no position gives an hour.
+    """
+    end = fork.mother.points[-1]
+    walls = ForkWalls(tree, end, [branch.id for branch in branches])
+    views: list[_View] = []
+    for stand in _stands_mm(fork):
+        eye = _eye(way, fork, stand, walls)
+        camera = levelled(eye, end - eye, "head")
+        seen = (
+            first_walls(camera, TUBES_PX, TubeWall(tree, end))
+            if renderer is None
+            else renderer.surface(turn_view(renderer, camera, VIEW_PX)).position_lps
+        )
+        openings = openings_seen(camera, walls, branches, seen)
+        views.append(_View(eye, openings, hour_doubt(camera, openings, _radius_mm(fork.mother), branch_title)))
+        # A position from which fewer openings are visible only hides the opening that could be confused.
+        if views[-1].num_in_view < views[0].num_in_view:
+            views.pop()
+        elif views[-1].is_clear:
+            return views[-1]
+    return next((view for view in views if view.doubt is None), views[0])
+
+
+def _stands_mm(fork: _Fork) -> list[float]:
+    """Return the distances in mm of the camera before a fork that are tried, the usual one first."""
+    usual = stand_mm(fork.mother)
+    diameter = 2.0 * _radius_mm(fork.mother)
+    found = [usual]
+    for share in STANDS:
+        other = max(share * diameter, LEAST_STAND_MM)
+        if all(abs(other - one) > LEAST_MOVE_MM for one in found):
+            found.append(other)
+    return found
+
+
+def _radius_mm(branch: Branch) -> float:
+    return float(np.median(branch.radius))
+
+
+def _eye(way: Points, fork: _Fork, stand: float, walls: ForkWalls) -> Points:
+    """Return the position (3,), LPS mm, of the camera at a distance before a fork, on the centreline."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
-    at_mm = max(fork.at_mm - stand_mm(fork.mother), 0.0)
+    at_mm = max(fork.at_mm - stand, 0.0)
     eye: Points = np.array([np.interp(at_mm, along, way[:, axis]) for axis in range(3)])
     end = fork.mother.points[-1]
     if float(np.linalg.norm(end - eye)) > SAME_PLACE_MM:
         return eye
     # The route begins at this fork: the camera looks from the opposite side of the branches' middle.
-    ahead = np.mean([branch.points[opening_index(branch)] - end for branch in branches], axis=0)
+    ahead = np.mean([mouth - end for mouth in walls.mouths_lps], axis=0)
     length = float(np.linalg.norm(ahead))
     ahead = ahead / length if length > 0.0 else np.array([0.0, 0.0, -1.0])
-    found: Points = end - LEAST_STAND_MM * ahead
+    found: Points = end - stand * ahead
     return found
 
 
@@ -221,8 +333,10 @@ def _clockwise(taken: Opening, others: Sequence[Opening], mothers: dict[int, Bra
         OtherWay(
             branch_title(one.branch),
             one.branch.id,
-            None if one.straight_ahead else whole_hour(one.hours),
+            whole_hour(one.hours) if one.in_view and not one.straight_ahead else None,
             _enters_mm(mothers[one.branch.id], one.branch),
+            in_view=one.in_view,
+            opening_lps=_point(one.middle_lps),
         )
         for one in ordered
     )
@@ -234,14 +348,12 @@ def _angle_deg(one: Points, other: Points) -> float:
 
 
 def _moves_by_fork(
-    forks_mm: Sequence[float], moves: Sequence[Move] | None, ends_along_mm: Sequence[float] | None
-) -> tuple[list[tuple[Move, ...] | None], tuple[Move, ...] | None]:
+    forks_mm: Sequence[float], moves: Sequence[Move], ends_along_mm: Sequence[float] | None
+) -> tuple[list[tuple[Move, ...]], tuple[Move, ...]]:
     """Return the moves of each turn, and those after the last turn; each move occurs once, in order.
 
     A move that begins before a fork belongs to this fork, because it moves the tip past it.
     """
-    if moves is None:
-        return [None] * len(forks_mm), None
     if ends_along_mm is None or len(ends_along_mm) != len(moves):
         found = "none" if ends_along_mm is None else str(len(ends_along_mm))
         raise UsageError(

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.plan.turns.fork_view import Operator
-from carina.plan.turns.texts import hour_words
 from carina.plan.turns.turn_list import Turn
 from carina.render.picture_text import write_on
 
@@ -57,9 +56,8 @@ def draw_clock(rgb: Rgb, turn: Turn, operator: Operator, colour: Colour) -> None
     size = 2 if dial.scale >= 0.75 else 1
     for hour in range(12):
         dial.tick(float(hour), long=hour % 3 == 0)
-    taken = turn.hour(operator)
-    if taken is not None:
-        at = turn.clock_head if operator == "head" else turn.clock_facing
+    taken, at = turn.hour(operator), turn.clock(operator)
+    if at is not None:
         # The wedge is at the opening itself, not at the whole hour.
         dial.wedge(at, colour)
         dial.write(f"{taken}", at, size, colour)
@@ -68,7 +66,7 @@ def draw_clock(rgb: Rgb, turn: Turn, operator: Operator, colour: Colour) -> None
         if told is not None and told != taken:
             dial.write(f"{told}", float(told), 1, QUIET_RGB)
     # Two lines, so that a long name does not overlap the letter at the bottom.
-    said = hour_words(taken).replace("\u2019", "'")
+    said = turn.direction(operator).replace("\u2019", "'")
     for row, words in ((16, turn.to_branch), (6, said)):
         write_on(rgb, words, 4 * size, height - row * size, size=size, rgb_of=colour)
 

@@ -11,7 +11,7 @@ from carina.display import one_line
 from carina.display.tables import ColumnKind, Columns, Tabular, columns_of
 from carina.errors import NoResultError
 from carina.plan.hand_moves import Move
-from carina.plan.turns.fork_view import Operator, levelled, turned_hours, whole_hour
+from carina.plan.turns.fork_view import HourDoubt, Operator, levelled, turned_hours, whole_hour
 from carina.plan.turns.texts import hour_words, joined, moves_words, place_words
 from carina.scopes import Pose
 
@@ -28,18 +28,31 @@ class OtherWay:
     name: str
     branch_id: int
     hour_head: int | None
-    """Whole clock hour of the opening for an operator at the head; None if the opening is straight ahead."""
+    """Whole clock hour of the opening for an operator at the head; None if it is straight ahead or not in view."""
     opening_mm: float
     """Diameter of the largest ball that enters the opening, mm."""
+    in_view: bool = True
+    """Whether the opening is visible from the camera of the turn."""
+    opening_lps: tuple[float, float, float] | None = None
+    """Point in the direction of the middle of the opening's outline, at the distance of the opening, LPS mm."""
+
+    @property
+    def straight_ahead(self) -> bool:
+        """Whether the opening is in the middle of the picture and so has no clock hour."""
+        return self.in_view and self.hour_head is None
 
     def hour(self, operator: Operator) -> int | None:
         """Return the clock hour of the opening for a position of the operator.
 
-        None if the opening is straight ahead.
+        None if the opening is straight ahead or not in view.
         """
         if self.hour_head is None or operator == "head":
             return self.hour_head
         return whole_hour(turned_hours(self.hour_head))
+
+    def direction(self, operator: Operator) -> str:
+        """Return the direction of the opening as text: its clock hour, *straight ahead* or *not in view*."""
+        return hour_words(self.hour(operator)) if self.in_view else "not in view"
 
     def to_json(self) -> dict[str, Any]:
         """Return the opening as plain JSON types."""
@@ -49,6 +62,8 @@ class OtherWay:
             "hour_head": self.hour("head"),
             "hour_facing": self.hour("facing"),
             "opening_mm": self.opening_mm,
+            "in_view": self.in_view,
+            "opening_lps": None if self.opening_lps is None else list(self.opening_lps),
         }
 
 
@@ -68,10 +83,14 @@ class Turn:
     """
     from_fork_mm: float
     """Distance of the turn from the previous one, mm; for the first turn, from the beginning of the route."""
-    clock_head: float
-    """Clock hour of the opening, 0 < hours <= 12, in the levelled picture of an operator at the patient's head."""
-    clock_facing: float
-    """Clock hour of the opening for an operator who faces the patient."""
+    clock_head: float | None
+    """Clock hour of the opening, 0 < hours <= 12, in the levelled picture of an operator at the patient's head.
+
+    It is the direction of the middle of the opening's visible pixels. None if the opening is straight ahead, or if the
+    hour is not reliable (``hour_doubt``).
+    """
+    clock_facing: float | None
+    """Clock hour of the opening for an operator who faces the patient; None as for ``clock_head``."""
     angle_deg: float
     """Angle in degrees between the branches before and after the fork."""
     diameter_mm: float
@@ -84,27 +103,43 @@ class Turn:
     doubts: tuple[str, ...]
     """Warnings about the branch to enter after the turn."""
     straight_ahead: bool = False
-    """Whether the opening is in the middle of the picture; its hours then have no meaning and are not shown."""
+    """Whether the opening is in the middle of the picture and so has no clock hour."""
     sides: tuple[str, ...] = ()
-    """The patient's directions of the opening, the dominant one first; empty if it is straight ahead."""
+    """The patient's directions of the opening, the dominant one first; empty if no clock hour is given."""
     others: tuple[OtherWay, ...] = ()
     """Openings that the route does not enter, clockwise from the opening that it enters."""
     through: tuple[str, ...] = ()
     """Names of short branches that are passed within this turn."""
     at_main_carina: bool = False
     opening_lps: tuple[float, float, float] | None = None
-    """Point in the middle of the branch to enter, about one diameter past the fork, LPS mm."""
+    """Point in the direction of the middle of the opening's outline, at the distance of the opening, LPS mm."""
     seen_from_lps: tuple[float, float, float] | None = None
-    """Position of the camera for the hours, LPS mm: one diameter before the fork, looking at the fork."""
+    """Position of the camera for the hours, LPS mm: about one diameter before the fork, looking at the fork."""
+    hour_doubt: HourDoubt | None = None
+    """Reason why no clock hour is given; None if an hour is given or the opening is straight ahead."""
+
+    def clock(self, operator: Operator) -> float | None:
+        """Return the unrounded clock hour of the opening; None if it is straight ahead or not reliable."""
+        return self.clock_head if operator == "head" else self.clock_facing
 
     def hour(self, operator: Operator) -> int | None:
-        """Return the clock hour of the opening that the window shows, 1 to 12.
+        """Return the clock hour of the opening, 1 to 12; None if it is straight ahead or not reliable."""
+        clock = self.clock(operator)
+        return None if clock is None else whole_hour(clock)
 
-        None if the opening is straight ahead.
-        """
-        if self.straight_ahead:
-            return None
-        return whole_hour(self.clock_head if operator == "head" else self.clock_facing)
+    def direction(self, operator: Operator) -> str:
+        """Return the direction of the opening as text: its clock hour, *straight ahead* or *no clock hour*."""
+        return "no clock hour" if self.hour_doubt is not None else hour_words(self.hour(operator))
+
+    @property
+    def in_view(self) -> bool:
+        """Whether the opening is visible from the camera of the turn."""
+        return self.hour_doubt is None or self.hour_doubt.code != "turns.hidden"
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """Texts of all doubts about the turn: the reason why no hour is given, and the warnings about the branch."""
+        return self.doubts if self.hour_doubt is None else (self.hour_doubt.words, *self.doubts)
 
     def camera(self, operator: Operator) -> Pose:
         """Return the camera in whose picture the hours are measured.
@@ -143,15 +178,15 @@ class Turn:
         stems = [name for name in self.through if name not in {self.from_branch, self.to_branch}]
         passed = f" just past {joined(stems)}" if stems else ""
         sides = " and ".join(self.sides)
-        seen = [hour_words(self.hour(operator)), *([sides] if sides else [])]
+        seen = [self.direction(operator), *([sides] if sides else [])]
         seen += [f"{self.diameter_mm:.1f} mm", f"{self.angle_deg:.0f}\u00b0"]
         line = f"{where}, {doing} {self.to_branch}{passed} ({', '.join(seen)})"
         if self.others:
-            line += f", not {joined([f'{one.name} ({hour_words(one.hour(operator))})' for one in self.others])}"
+            line += f", not {joined([f'{one.name} ({one.direction(operator)})' for one in self.others])}"
         does = moves_words(self.moves or ()) if moves else ""
         if does:
             line += f": {does}"
-        return f"{line}. Caution: {'; '.join(self.doubts)}" if self.doubts else line
+        return f"{line}. Caution: {'; '.join(self.cautions)}" if self.cautions else line
 
     def to_json(self) -> dict[str, Any]:
         """Return the turn as plain JSON types."""
@@ -167,6 +202,7 @@ class Turn:
             "hour_head": self.hour("head"),
             "hour_facing": self.hour("facing"),
             "straight_ahead": self.straight_ahead,
+            "hour_doubt": None if self.hour_doubt is None else self.hour_doubt.to_json(),
             "sides": list(self.sides),
             "angle_deg": self.angle_deg,
             "diameter_mm": self.diameter_mm,

@@ -41,18 +41,34 @@ def _turns(info: PlanningInfo, turns: TurnList) -> tuple[wire.PlannedTurn, ...]:
     airways = info.document.airways
     ends = {} if airways is None else {_point(branch.points[-1]): branch.id for branch in airways.tree.branches}
     value = turns.to_json()
-    lines = zip(value["turns"], value["words"]["head"], value["words"]["facing"], strict=False)
+    lines = zip(turns.turns, value["turns"], value["words"]["head"], value["words"]["facing"], strict=False)
     return tuple(
         carried(
             wire.PlannedTurn,
-            turn
+            one
             | {
                 "head": head,
                 "facing": facing,
-                "fork_branch_id": ends.get(_point(turn["fork_lps"]), turn["to_branch_id"]),
+                "doubts": turn.cautions,
+                "fork_branch_id": ends.get(_point(turn.fork_lps), turn.to_branch_id),
+                "openings": [
+                    wire.TurnOpening(
+                        turn.to_branch_id, turn.opening_lps, in_view=turn.in_view, straight_ahead=turn.straight_ahead
+                    ),
+                    *(
+                        wire.TurnOpening(
+                            other.branch_id,
+                            other.opening_lps,
+                            in_view=other.in_view,
+                            straight_ahead=other.straight_ahead,
+                        )
+                        for other in turn.others
+                    ),
+                ],
+                "hour_doubt": None if turn.hour_doubt is None else turn.hour_doubt.words,
             },
         )
-        for turn, head, facing in lines
+        for turn, one, head, facing in lines
     )
 
 

@@ -157,6 +157,18 @@ class TargetPlan(FrozenValue, frozen=True):
     """Number of the chosen route in ``routes``, from 1; null if none of them is chosen."""
 
 
+class TurnOpening(FrozenValue, frozen=True):
+    """An opening at a turn of the chosen route."""
+
+    branch_id: BranchId
+    middle_lps: PointLps | None
+    """Point in the direction of the middle of the opening's outline from the camera of the turn, LPS mm."""
+    in_view: bool
+    """Whether the opening is visible from the camera of the turn."""
+    straight_ahead: bool
+    """Whether the opening is in the middle of the picture of the turn and so has no clock hour."""
+
+
 class PlannedTurn(FrozenValue, frozen=True):
     """A turn at a fork of the chosen route."""
 
@@ -171,11 +183,15 @@ class PlannedTurn(FrozenValue, frozen=True):
     depth_estimate_mm: float | None
     """Insertion depth in mm at nose or mouth, an estimate; null if the depth of the main carina is not known."""
     doubts: tuple[Words, ...]
-    """Warnings about the branch that the scope enters."""
+    """Reason why no clock hour is given, and warnings about the branch that the scope enters."""
     fork_branch_id: BranchId
     """Branch that ends in the fork."""
     seen_from_lps: PointLps | None
-    """Camera position one diameter before the fork, looking at it, LPS mm (``see_turn``); null if not known."""
+    """Camera position about one diameter before the fork, looking at it, LPS mm (``see_turn``); null if not known."""
+    openings: tuple[TurnOpening, ...] = ()
+    """Openings of the fork; the first one is the opening that the scope enters."""
+    hour_doubt: Words | None = None
+    """Reason why no clock hour is given for the opening that the scope enters; null if the hour is reliable."""
 
 
 class MappedLayer(FrozenValue, frozen=True):

@@ -13,7 +13,7 @@ from carina.case.document import Document, Lesion, Target
 from carina.commands.plan import PlanOptions
 from carina.display import one_line
 from carina.errors import CancelledError, CarinaError, UnconfirmedTargetError, without_options
-from carina.session.derived.derived_value import Attempt, Cached, Derived, Standing, identical
+from carina.session.derived.derived_value import Attempt, Cached, Derived, Standing
 from carina.session.derived.measurement_cache import MeasuredAirways
 from carina.session.engines import Parts
 from carina.session.jobs.background_jobs import JobRunner
@@ -120,6 +120,8 @@ PlanInputs = tuple[Any, ...]
 """Inputs of all plans: the airways, followed by the plan task of each target."""
 VerdictInputs = tuple[Any, ...]
 """Inputs of the verdicts: plan, number of a route in the plan (from 1), airway wall, and plan options."""
+TurnInputs = tuple[Any, ...]
+"""Inputs of the list of turns: plan, number of a route in the plan (from 1), and plan options."""
 
 
 @one_line
@@ -187,7 +189,16 @@ class CasePlanning:
         """Inputs and the verdicts computed so far, shown while the job computes further verdicts."""
         self._document: Document | None = None
         self.origin = CtOrigin()
-        self._turns: Cached[tuple[Any, ...], TurnList] = Cached(_turns, same=_same_turns)
+        self._turns: Derived[TurnInputs, TurnList] = Derived(
+            jobs,
+            lock,
+            kind="turns",
+            title="locating the openings of the route",
+            make=self._make_turns,
+            same=_same,
+            settled=changed,
+        )
+        self._with_moves: Cached[tuple[Any, ...], TurnList] = Cached(_with_moves)
 
     # ------------------------------------------------------------ state
 
@@ -219,21 +230,25 @@ class CasePlanning:
         return "unwanted" if inputs is None else self._verdicts.standing(inputs)
 
     def turns(self) -> TurnList | None:
-        """Return the turns of the chosen route; None without one.
+        """Return the turns of the chosen route; None without one, or while their openings are being located.
 
         Hand movements are added once the scope's drive is simulated.
         """
-        inputs, made = self._verdict_inputs(), self.made
-        if inputs is None or made is None:
+        inputs, made = self._turn_inputs(), self.made
+        turns = self._turns.of(inputs)
+        if inputs is None or made is None or turns is None:
             return None
-        plan, number, _, options = inputs
+        plan, number, _ = inputs
         driven = next((v.driven for v in self.verdicts() if v.scope.name == plan.scope.name), None)
-        return self._turns.of((made.airways.tree, plan, number, driven, options))
+        if driven is None:
+            return turns
+        return self._with_moves.of((made.airways.tree, plan.routes[number - 1], turns, driven))
 
     def again(self) -> None:
         """Repeat planning and verdicts that were stopped or failed, because the user asked for it."""
         self._plans.again()
         self._verdicts.again()
+        self._turns.again()
         if self._document is not None:
             self.follow(self._document)
 
@@ -243,20 +258,26 @@ class CasePlanning:
         """Request plans and verdicts for the present document; the caller holds the session's lock."""
         self._document = document
         self._plans.want(self._inputs(document))
-        self._verdicts.want(self._verdict_inputs())
+        self._want_of_route()
 
     def discard(self) -> None:
         """Stop planning and release all plans, because the case is being closed."""
         self._plans.discard()
         self._verdicts.discard()
+        self._turns.discard()
         self._document = self._early = None
 
     # ------------------------------------------------------------ computation
 
     def _settled(self) -> None:
         if self._document is not None:
-            self._verdicts.want(self._verdict_inputs())
+            self._want_of_route()
         self._changed()
+
+    def _want_of_route(self) -> None:
+        """Request turns and verdicts of the chosen route; the caller holds the session's lock."""
+        self._turns.want(self._turn_inputs())
+        self._verdicts.want(self._verdict_inputs())
 
     def _inputs(self, document: Document | None) -> PlanInputs | None:
         if document is None or document.airways is None:
@@ -285,6 +306,10 @@ class CasePlanning:
         planned = made.of(task_of(target.lesion))
         number = None if planned is None or planned.plan is None else chosen_number(document, planned.plan)
         return None if number is None or planned is None else (planned.plan, number, made.wall, target.lesion.options)
+
+    def _turn_inputs(self) -> TurnInputs | None:
+        inputs = self._verdict_inputs()
+        return None if inputs is None else (*inputs[:2], inputs[3])
 
     def _make_plans(self, inputs: PlanInputs, attempt: Attempt[MadePlans]) -> MadePlans:
         airways, *tasks = inputs
@@ -347,6 +372,23 @@ class CasePlanning:
             return None
         attempt.progress("measuring the airways", None)
         return self._parts.measure_tree(self._volume, airways, cancel=attempt.cancel)
+
+    def _make_turns(self, inputs: TurnInputs, attempt: Attempt[TurnList]) -> TurnList:
+        from carina.plan import turn_list
+        from carina.render import Renderer
+
+        plan, number, options = inputs
+        with self._lock:
+            made = self.made
+        if made is None:
+            raise CancelledError("the airways have changed")
+        # The renderer of the windows is unsuitable, because the user can change its transfer function.
+        renderer = Renderer(self._volume)
+        renderer.set_lumen(made.airways.lumen_zyx)
+        attempt.check()
+        route = plan.routes[number - 1]
+        depth_mm = carina_depth_mm(options, route)
+        return turn_list(made.airways.tree, route, carina_depth_mm=depth_mm, renderer=renderer)
 
     def _make_verdicts(self, inputs: VerdictInputs, attempt: Attempt[tuple[Verdict, ...]]) -> tuple[Verdict, ...]:
         plan, number, wall, options = inputs
@@ -413,22 +455,11 @@ def _target_of(task: PlanTask) -> PlanTarget:
     )
 
 
-def _turns(inputs: tuple[Any, ...]) -> TurnList:
-    from carina.plan import turn_list
+def _with_moves(inputs: tuple[Any, ...]) -> TurnList:
+    from carina.plan.turns.from_route import turns_with_moves
 
-    tree, plan, number, driven, options = inputs
-    route = plan.routes[number - 1]
-    return turn_list(
-        tree,
-        route,
-        carina_depth_mm=carina_depth_mm(options, route),
-        moves=None if driven is None else driven.moves,
-        ends_along_mm=None if driven is None else driven.ends_along_mm,
-    )
-
-
-def _same_turns(a: tuple[Any, ...], b: tuple[Any, ...]) -> bool:
-    return a[2] == b[2] and all(identical(x, y) for x, y in zip(a, b, strict=True) if not isinstance(x, int))
+    tree, planned, turns, driven = inputs
+    return turns_with_moves(tree, planned, turns, driven.moves, driven.ends_along_mm)
 
 
 def _same_inputs(a: PlanInputs, b: PlanInputs) -> bool:
