@@ -55,7 +55,10 @@ describe("preview of an edit", () => {
       warns: true,
     });
     const seen = answer({ has_evidence: true, doubtful_mm: 0 });
-    expect(previewText({ answer: seen, stale: false })).toEqual({ lines: [`new branch from RB2, 41${NBSP}mm`], warns: false });
+    expect(previewText({ answer: seen, stale: false })).toEqual({
+      lines: [`new branch from RB2, 41${NBSP}mm`],
+      warns: false,
+    });
     const extended = answer({ has_evidence: true, doubtful_mm: 0, origin: { branch: "RB2", extends: true } });
     expect(previewText({ answer: extended, stale: false }).lines).toEqual([`extends RB2 by 41${NBSP}mm`]);
     expect(previewText({ answer: answer({ tool: "bridge", doubtful_mm: 41 }), stale: false }).warns).toBe(true);

@@ -22,6 +22,7 @@ interface Schema {
   readonly required?: readonly string[];
   readonly additionalProperties?: boolean | Schema;
   readonly items?: Schema;
+  readonly prefixItems?: readonly Schema[];
   readonly minItems?: number;
   readonly maxItems?: number;
   readonly minLength?: number;
@@ -99,9 +100,10 @@ function arrayProblem(schema: Schema, value: unknown, where: string): string | n
   if (!Array.isArray(value)) return `${where} must be a list`;
   if (schema.minItems !== undefined && value.length < schema.minItems) return `${where} has too few entries`;
   if (schema.maxItems !== undefined && value.length > schema.maxItems) return `${where} has too many entries`;
-  if (schema.items === undefined) return null;
   for (let index = 0; index < value.length; index += 1) {
-    const found = problem(schema.items, value[index], `${where}[${index}]`);
+    const rule = schema.prefixItems?.[index] ?? schema.items;
+    if (rule === undefined) continue;
+    const found = problem(rule, value[index], `${where}[${index}]`);
     if (found !== null) return found;
   }
   return null;

@@ -318,7 +318,9 @@ def _schema_of(kind: inspect.Type) -> dict[str, Any]:
             return {"enum": list(kind.values)}
         case inspect.TupleType():
             length = len(kind.item_types)
-            return {"type": "array", "items": _schema_of(kind.item_types[0]), "minItems": length, "maxItems": length}
+            items = [_schema_of(item) for item in kind.item_types]
+            entries = {"items": items[0]} if all(item == items[0] for item in items) else {"prefixItems": items}
+            return {"type": "array", **entries, "minItems": length, "maxItems": length}
         case inspect.VarTupleType():
             return {"type": "array", "items": _schema_of(kind.item_type)} | _bounds(kind, "Items")
         case inspect.StructType():
