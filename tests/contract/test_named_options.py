@@ -46,6 +46,7 @@ PRINTED_BY: dict[str, tuple[str, ...]] = {
     "cli/track.py": ("track",),
     "cluster/node.py --head": ("cluster start",),
     "cluster/ray_backend.py": ("cluster start",),
+    "plan/targets/doubts.py": ("plan",),
     "plan/targets/from_file.py": ("plan",),
     "plan/targets/from_mask.py": ("plan",),
     "server/network/listening.py": ("open", "demo"),

@@ -20,7 +20,7 @@ from reported import airways, clip, plan, sheet, still, turns, verdicts, volume,
 from carina.cli.plan import lines
 from carina.errors import CancelledError, CarinaError, UsageError
 from carina.export.plan_content import drawn_plans
-from carina.plan import ScoreWeights
+from carina.plan import ScoreWeights, TargetDoubt
 from carina.plan.report import make_sheet, write_report
 from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, ReportTable, Words
 from carina.plan.report.drawing import Label
@@ -422,9 +422,10 @@ def test_report_of_one_plan_written_twice_is_an_identical_page(tmp_path) -> None
 
 
 def test_target_as_dense_as_contrast_medium_is_reported_in_red(tmp_path) -> None:
-    dense = dataclasses.replace(plan(), nodule=dataclasses.replace(plan().nodule, density_hu=189.0))
+    doubt = TargetDoubt("target.density", "at 189 HU it is denser than soft tissue")
+    dense = dataclasses.replace(plan(), doubts=(doubt,))
     part = write_report(tmp_path / "p.html", sheet(plan=dense)).read_text()
-    assert re.search(r'<section id="target".*?<p class="warning">At 189 HU the target is denser than soft tissue', part)
+    assert re.search(r'<section id="target".*?<p class="warning">[^<]*at 189 HU it is denser than soft tissue', part)
     assert "denser than soft tissue" not in page(tmp_path)
 
 

@@ -108,14 +108,17 @@ def test_needle_plane_contains_tip_aim_and_target() -> None:
 
 def test_needle_outside_the_slice_is_dotted() -> None:
     told = sheet()
-    centre, tip = np.array(told.plan.nodule.centre_lps), np.array(told.plan.routes[0].leg.tip_lps)
+    leg = told.plan.routes[0].leg
+    centre, tip, aim = (np.array(place) for place in (told.plan.nodule.centre_lps, leg.tip_lps, leg.aim_lps))
+    share = np.linspace(0.0, 1.0, 2001)[:, None]
+    off = np.abs(tip + share * (aim - tip) - centre)
     for one, axis in zip(told.slices, (2, 1, 0), strict=True):
         in_plane = sum(np.linalg.norm(np.subtract(*piece)) for piece, lies_in in one.needle if lies_in)
         whole = sum(np.linalg.norm(np.subtract(*piece)) for piece, _ in one.needle)
-        far = abs(float(tip[axis] - centre[axis]))
-        assert in_plane / whole == pytest.approx(min(1.5 / max(far, 1e-9), 1.0), abs=0.05)
+        near = float((off[:, axis] <= 1.5).mean())
+        assert in_plane / whole == pytest.approx(near, abs=0.05)
         dashes = [s.pen.dash for s in slice_drawing(one).shapes if isinstance(s, Stroke) and s.pen.width == 3.0]
-        assert any(dash is not None for dash in dashes) == (far > 1.6)
+        assert any(dash is not None for dash in dashes) == (near < 0.97)
 
 
 TISSUES = get_args(Tissue)

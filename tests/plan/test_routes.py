@@ -205,20 +205,19 @@ def test_route_that_the_scope_reaches_precedes_a_better_unreachable_route() -> N
 
 def test_limits_of_the_scope_are_reported_with_their_figures() -> None:
     volume, airways, nodule = made_phantom(**CHEST).volume, made_airways(**CHEST), plan().nodule
-    (stiff, *_) = plan_route(
-        volume, airways, nodule, wall=wall(), scope=dataclasses.replace(slim(), flexion_deg=(40.0, 40.0))
-    ).routes
+    rigid = dataclasses.replace(slim(), flexion_deg=(40.0, 40.0))
+    (stiff, *_) = plan_route(volume, airways, nodule, wall=wall(), scope=rigid).routes
     assert stiff.outlook == "does not reach" and stiff.bend_deg > 60.0
-    assert re.search(
-        r"the bend \d+ mm past the main carina requires \d+ degrees of flexion; .* has 40", stiff.limits[0]
-    )
-    assert any("cannot point at the target there" in limit for limit in stiff.limits)
+    bend = r"the bend \d+ mm past the main carina requires \d+ degrees of flexion( at a radius of \d+ mm)?; .* has 40"
+    assert re.search(bend, stiff.limits[0])
+    (undriven, *_) = plan_route(volume, airways, nodule, wall=wall(), scope=rigid, drives=0).routes
+    assert any("cannot point at the target there" in limit for limit in undriven.limits)
     free = plan_ahead().routes[0]
     assert (free.outlook, free.limits) == ("reaches", ()), free.limits
     wide = plan().routes[0]
     assert wide.outlook == "does not reach" and not wide.fits
     assert re.search(
-        r"the narrowest place, \d+ mm past the main carina, is \d\.\d \u00b1 \d\.\d mm wide; .* needs 4\.6 mm",
+        r"needs 4\.6 mm; the narrowest place, \d+ mm past the main carina, is \d\.\d \u00b1 \d\.\d mm wide",
         wide.limits[0],
     )
 
@@ -270,7 +269,7 @@ def test_needle_that_does_not_pass_the_channel_reaches_nothing() -> None:
     narrow = dataclasses.replace(slim(), channel_mm=1.2)
     route = plan_route(volume, airways, nodule_ahead(), wall=wall(), scope=narrow).routes[0]
     assert route.outlook == "does not reach" and route.chance == 0.0
-    assert "does not fit the working channel" in route.limits[-1]
+    assert any("the working channel has 1.2 mm" in limit for limit in route.limits)
 
 
 def test_each_aim_has_its_best_route_and_the_route_names_its_aim() -> None:
