@@ -122,10 +122,10 @@ def test_plan_of_a_doubtful_target_requires_a_confirmation_and_contains_the_doub
     volume = Volume(hu, made.volume.lps_from_ijk)
     wall = carina.wall_field(volume, airways)
     with pytest.raises(UnconfirmedTargetError) as error:
-        plan_route(volume, airways, middle, wall=wall)
+        plan_route(volume, airways, middle, wall=wall, drives=0)
     assert error.value.code == "target.density"
-    plan = plan_route(volume, airways, middle, wall=wall, confirmed=("target.density",))
+    plan = plan_route(volume, airways, middle, wall=wall, drives=0, confirmed=("target.density",))
     assert codes(plan.doubts) == ["target.density"]
     assert plan.to_json()["target"]["doubts"] == [doubt.to_json() for doubt in plan.doubts]
     target = target_from_click(volume, middle, airways=airways, wall=wall, confirmed=True)
-    assert plan_route(volume, airways, target, wall=wall).to_json() == plan.to_json()
+    assert plan_route(volume, airways, target, wall=wall, drives=0).to_json() == plan.to_json()

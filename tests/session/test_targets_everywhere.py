@@ -92,16 +92,18 @@ def chest(tmp_path_factory: pytest.TempPathFactory) -> Chest:
 
 @pytest.fixture(autouse=True)
 def quick(chest: Chest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Search for airways and their wall once, and judge no instrument."""
+    """Search for airways and their wall once, drive along no route, and judge no instrument."""
     wall = carina.wall_field(chest.volume, chest.airways)
     monkeypatch.setattr(carina, "find_airways", lambda _volume, **_options: chest.airways)
     monkeypatch.setattr(carina, "wall_field", lambda _volume, _airways, **_options: wall)
+    monkeypatch.setattr(carina, "plan_route", partial(carina.plan_route, drives=0))
     monkeypatch.setattr(carina.cli.plan, "judge_scopes", lambda *_given, **_options: ())
 
 
 @pytest.fixture(scope="module")
 def case(chest: Chest) -> Iterator[carina.Case]:
-    parts = replace(default_parts(), judge_scopes=partial(judge_scopes, effort=500.0))
+    planned = partial(carina.plan.plan_route, drives=0)
+    parts = replace(default_parts(), judge_scopes=partial(judge_scopes, effort=500.0), plan_route=planned)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("carina.session.core.default_parts", lambda: parts)
         with carina.Case.open(chest.volume) as opened:
