@@ -3,7 +3,7 @@
  * modal, because the user must look at the target in the slices to answer it.
  */
 
-import { useId } from "react";
+import { useEffect, useId, useRef } from "react";
 import { sentence } from "../../state/format";
 import type { Target, TargetPlan } from "../../wire/messages";
 import { useStation } from "../context";
@@ -14,6 +14,12 @@ import { Icon } from "../icons";
 export function TargetDoubts({ target, plan }: { target: Target; plan: TargetPlan }) {
   const station = useStation();
   const title = useId();
+  const question = useRef<HTMLDivElement>(null);
+  const asks = plan.unconfirmed.length > 0;
+  // The column may end above the card, and the user would wait for routes without seeing the question.
+  useEffect(() => {
+    if (asks) question.current?.scrollIntoView({ block: "nearest" });
+  }, [asks]);
   if (plan.doubts.length === 0) return null;
   const open = plan.unconfirmed;
   const reasons = plan.doubts.map(([code, words]) => (
@@ -23,7 +29,7 @@ export function TargetDoubts({ target, plan }: { target: Target; plan: TargetPla
   ));
   if (open.length === 0) return reasons;
   return (
-    <div className="doubt" role="alertdialog" aria-labelledby={title} data-testid="target-question">
+    <div ref={question} className="doubt" role="alertdialog" aria-labelledby={title} data-testid="target-question">
       <strong id={title}>Is {target.name} the nodule that you want to plan?</strong>
       {reasons}
       <span className="quiet">Look at it in the slices. Routes are planned after your confirmation.</span>
