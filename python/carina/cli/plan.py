@@ -40,7 +40,7 @@ __all__ = ["report"]
 ARCHIVE_SUFFIX = ".pdf.dcm"
 REPORT_SUFFIXES = (".html", ".pdf", ".json")
 PAPERS: Final[dict[str, Paper]] = {"A4": "A4", "Letter": "Letter"}
-SIGNS = {"into": "an airway leads into it", "beside": "an airway lies against it", "none": "no airway leads to it"}
+SIGNS = {"into": "an airway leads into it", "beside": "an airway lies against it", "none": "no airway found"}
 
 
 def report(

@@ -20,7 +20,7 @@ export const planOf = (plans: PlansMessage | null, targetId: string | null): Tar
 const SIGNS: Readonly<Record<string, string>> = {
   into: "an airway leads into it",
   beside: "an airway lies against it",
-  none: "no airway leads to it",
+  none: "no airway found",
 };
 
 /** Return the explanation of a bronchus sign: the relation of the nearest airway to the target. */
