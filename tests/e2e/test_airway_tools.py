@@ -129,17 +129,18 @@ def test_branch_is_cut_undone_cut_again_and_added_by_a_click(server, workstation
     workstation.page.mouse.move(x, y)
     workstation.wait_for(PREVIEWED)
     (line,) = workstation.state("preview.answer.lines")
+    assert workstation.state("preview.answer.origin.branch") == "LMB"
     workstation.picture("before-the-addition")
     workstation.page.mouse.click(x, y)
-    workstation.wait_for("(n) => window.__carina.state.tree.byId.size > n", cut)
-    assert {str(p) for p in line["points_lps"]} <= all_points(workstation), "what was shown is what was made"
-    assert workstation.state("can_undo").startswith("add a branch")
-    reaches = workstation.page.evaluate(
-        """(end) => Math.min(...[...window.__carina.state.tree.byId.values()].map((node) =>
+    # The click extends LMB to where it was clicked.
+    workstation.wait_for(
+        """(end) => 3.0 > Math.min(...[...window.__carina.state.tree.byId.values()].map((node) =>
             Math.hypot(...node.branch.points.at(-1).map((v, i) => v - end[i]))))""",
         end,
     )
-    assert reaches < 3.0, "the new branch ends where it was clicked"
+    assert workstation.state("tree.byId.size") == cut
+    assert {str(p) for p in line["points_lps"]} <= all_points(workstation), "what was shown is what was made"
+    assert workstation.state("can_undo").startswith("add a branch")
     workstation.page.keyboard.press("Escape")
     for _ in range(2):
         workstation.page.keyboard.press("Control+z")

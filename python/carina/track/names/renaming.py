@@ -16,6 +16,11 @@ from carina.track.tree.airway_tree import AirwayTree, Branch
 
 __all__ = ["name_edited_tree"]
 
+MOST_ADDED = 2
+"""Largest number of new branches with which the former names are kept: a new branch, and the lower part of its parent.
+
+More branches, as beyond a bridge, are an airway without which the former names were chosen.
+"""
 LEAST_LOG_PROBABILITY = math.log(0.05)
 """Logarithm of the probability of the former names in the edited tree below which branches are renamed."""
 SURE_OF_NEW = 0.8
@@ -35,14 +40,15 @@ def name_edited_tree(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
     Returns
     -------
     AirwayTree
-        ``tree`` with names. If the probability of those former names that would change is at least 0.05, they are kept
-        and constrain the names of the new branches; otherwise all names are determined again, as by
-        :func:`carina.track.name_tree`. A former name that would only be lost is kept with a confidence of at most
-        0.5. A branch without a name gets one if its confidence is at least 0.8.
+        ``tree`` with names. If the edit adds more than two branches, or if the probability of those former names that
+        would change is below 0.05, all names are determined again, as by :func:`carina.track.name_tree`. Otherwise
+        the former names are kept and constrain the names of the new branches. A former name that would only be lost is
+        kept with a confidence of at most 0.5. A branch without a name gets one if its confidence is at least 0.8.
     """
     former = {branch.id: branch for branch in before.branches}
     anew = name_tree(tree)
-    if _badges(anew) != _badges(before):
+    num_added = sum(branch.id not in former for branch in tree.branches)
+    if num_added > MOST_ADDED or _badges(anew) != _badges(before):
         return anew
     changed = {branch.id for branch in anew.branches if _is_renamed(former.get(branch.id), branch)}
     if not changed:
