@@ -157,7 +157,9 @@ def planned_way(lumen: EditedLumen, tree: AirwayTree, draft: TreeDraft, evidence
         )
         raise NoResultError(msg, code="track.edit-nothing")
     left_before = draft[place.branch_id]
-    parent_id = draft.parent_at(place, max(LEAST_LEFT_MM, 1.5 * max(lumen.volume.spacing_mm)))
+    # A rest that is shorter than the diameter of the tube is the end of the centreline, not another branch.
+    diameter_mm = 2.0 * float(left_before.radius[place.index])
+    parent_id = draft.parent_at(place, max(LEAST_LEFT_MM, 1.5 * max(lumen.volume.spacing_mm), diameter_mm))
     points = _line(lumen, draft[parent_id], beyond, is_inside=not len(way))
     doubtful = _doubtful(lumen, evidence, points, draft[parent_id])
     is_shorter = not draft[parent_id].children and len(draft[parent_id].points) < len(left_before.points)
