@@ -11,6 +11,7 @@ from edit_case import edit_case, open_ended_airways, open_ended_volume
 from carina.errors import NoEvidenceError
 from carina.track import AddBranch, Bridge, CutBranch, MoveFork, edit_airways, preview_edit
 from carina.track.edit.preview import new_lines
+from made import found_airways, made_phantom
 
 
 @pytest.fixture(scope="module")
@@ -118,3 +119,17 @@ def test_preview_leaves_the_airways_unchanged(case):
         preview_edit(case.volume, case.airways, edit)
     assert [(b.id, b.points.tobytes(), b.radius.tobytes()) for b in case.airways.tree.branches] == before
     assert case.airways.lumen_zyx.tobytes() == lumen
+
+
+def test_preview_equals_the_edit_of_a_wide_bronchus_whose_section_radii_differ_from_its_wall_distances():
+    volume = made_phantom(seed=1, spacing_mm=1.5, generations=4).volume
+    airways = found_airways(volume)
+    bronchus = airways.tree.named("LMB")
+    x, y, z = (float(value) for value in bronchus.points[-1])
+    cut = edit_airways(volume, airways, CutBranch(bronchus.id, 0.5 * bronchus.length_mm))
+    preview = preview_edit(volume, cut, AddBranch((x, y, z)))
+    (line,) = preview.lines
+    assert (preview.parent_title, preview.extends) == ("LMB", True)
+    edited = edit_airways(volume, cut, AddBranch((x, y, z)))
+    made = {point.tobytes() for branch in edited.tree.branches for point in branch.points}
+    assert {point.tobytes() for point in line.points_lps} <= made

@@ -89,9 +89,11 @@ def branch_way(volume: Volume, airways: Airways, lps: Point | Sequence[float] | 
     """
     x, y, z = (float(value) for value in lps)
     lumen = EditedLumen(airways.tracker.grid, airways.tracker.core)
-    draft = TreeDraft(with_walls(airways.tree), airways.next_id or 1 + max(b.id for b in airways.tree.branches))
+    # The edit uses the same tree, with distances to the wall as radii.
+    tree = with_walls(airways.tree)
+    draft = TreeDraft(tree, airways.next_id or 1 + max(b.id for b in tree.branches))
     try:
-        plan = planned_way(lumen, airways.tree, draft, evidence_of(airways), (x, y, z))
+        plan = planned_way(lumen, tree, draft, evidence_of(airways), (x, y, z))
     except (NoResultError, UsageError) as error:
         return BranchWay((), False, str(error), parent_id=None, parent_title=None, extends=False)
     drawn = np.full(len(plan.doubtful), kind_of_added(plan.doubtful) == "manual")
@@ -128,6 +130,8 @@ class PlannedWay:
 
 def planned_way(lumen: EditedLumen, tree: AirwayTree, draft: TreeDraft, evidence: Evidence, lps: Point) -> PlannedWay:
     """Plan the path of a new branch to a point; the draft is split where the path leaves the tree.
+
+    ``tree`` is the tree before the edit with distances to the wall as radii (:func:`with_walls`).
 
     Raises
     ------
