@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from carina.track import Branch, name_tree
+from carina.track import Branch, RenameBranch, edit_airways, name_tree
 from carina.track.names.renaming import name_edited_tree
 from carina.track.tree.airway_tree import AirwayTree
 from carina_bench.track_tips import Repair, repair, uncut_airways
@@ -74,3 +74,10 @@ def test_names_that_the_edited_tree_makes_improbable_are_replaced(uncut):
     names = {branch.id: branch.name for branch in edited.branches}
     assert {names[branch.id] for branch in tree.branches if branch.name in ("RB6", "RB10")} == {"RB6", "RB10"}
     assert all(names[branch.id] == branch.name for branch in tree.branches if branch.name in ("RB6", "RB10"))
+
+
+def test_name_given_by_the_user_is_not_kept_on_another_branch(uncut):
+    airways, _ = uncut
+    other = next(branch for branch in airways.tree.branches if branch.name == "RB10b")
+    edited = edit_airways(patient()[0], airways, RenameBranch(other.id, "RB10a"))
+    assert [branch.id for branch in edited.tree.branches if branch.name == "RB10a"] == [other.id]

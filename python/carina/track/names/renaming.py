@@ -40,15 +40,16 @@ def name_edited_tree(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
     Returns
     -------
     AirwayTree
-        ``tree`` with names. If the edit adds more than two branches, or if the probability of those former names that
-        would change is below 0.05, all names are determined again, as by :func:`carina.track.name_tree`. Otherwise
-        the former names are kept and constrain the names of the new branches. A former name that would only be lost is
-        kept with a confidence of at most 0.5. A branch without a name gets one if its confidence is at least 0.8.
+        ``tree`` with names. All names are determined again, as by :func:`carina.track.name_tree`, if the edit adds more
+        than two branches or changes a name that the user gave, or if the probability of those former names that would
+        change is below 0.05. Otherwise the former names are kept and constrain the names of the new branches. A former
+        name that would only be lost is kept with a confidence of at most 0.5. A branch without a name gets one if its
+        confidence is at least 0.8.
     """
     former = {branch.id: branch for branch in before.branches}
     anew = name_tree(tree)
     num_added = sum(branch.id not in former for branch in tree.branches)
-    if num_added > MOST_ADDED or _badges(anew) != _badges(before):
+    if num_added > MOST_ADDED or _badges(anew) != _badges(before) or _by_user(tree) != _by_user(before):
         return anew
     changed = {branch.id for branch in anew.branches if _is_renamed(former.get(branch.id), branch)}
     if not changed:
@@ -81,6 +82,11 @@ def _is_renamed(former: Branch | None, branch: Branch) -> bool:
         and branch.name_from == "anatomy"
         and former.name != branch.name
     )
+
+
+def _by_user(tree: AirwayTree) -> dict[int, str | None]:
+    """Return the names that the user gave, by branch ID."""
+    return {branch.id: branch.name for branch in tree.branches if branch.name_from == "person"}
 
 
 def _badges(tree: AirwayTree) -> frozenset[str]:
