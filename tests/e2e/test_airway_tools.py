@@ -31,7 +31,8 @@ def lung_point(workstation):
                 socket.addEventListener('message', heard);
                 const place = {lps, frame_id: null, column: null, row: null};
                 socket.send(JSON.stringify({
-                    type: 'preview_edit', request_id: id, tool: 'add-branch', branch_id: null, ...place,
+                    type: 'preview_edit', request_id: id, tool: 'add-branch', branch_id: null, with_names: false,
+                    ...place,
                 }));
             });
             for (const node of window.__carina.state.tree.byId.values()) {
@@ -311,4 +312,49 @@ def test_search_field_filters_the_branch_list(server, workstation):
     workstation.page.keyboard.press("Escape")
     workstation.wait_for("() => document.querySelectorAll('.branch-tree [data-branch]').length > 2")
     workstation.page.keyboard.press("Escape")
+    assert workstation.faults == []
+
+
+def test_preview_at_rest_lists_the_branches_that_the_click_renames(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    tree_is_shown(workstation)
+    whole = workstation.state("tree.byId.size")
+    leaf = named(workstation, "RB7")
+    end = workstation.page.evaluate("(id) => window.__carina.state.tree.byId.get(id).branch.points.at(-1)", leaf)
+    names = "() => [...window.__carina.state.tree.byId.values()].map((n) => [n.branch.id, n.branch.name])"
+    workstation.page.keyboard.press("k")
+    x, y = place_on_tree(workstation, leaf, 0.05)
+    workstation.page.mouse.move(x, y)
+    workstation.wait_for("(id) => window.__carina.state.ui.hovered?.branchId === id", leaf)
+    workstation.page.mouse.click(x, y)
+    workstation.wait_for("(n) => window.__carina.state.tree.byId.size < n", whole)
+    workstation.wait_for("() => !window.__carina.state.jobs.some((job) => job.job_id.startsWith('edit'))")
+    workstation.page.keyboard.press("Escape")
+
+    show_slices_at(workstation, end)
+    workstation.page.keyboard.press("j")
+    x, y = place_in_slice(workstation, "coronal", end)
+    workstation.page.mouse.move(x, y)
+    workstation.wait_for(PREVIEWED)
+    # The first answer can precede the names that the cut changes.
+    workstation.wait_for("() => (window.__carina.state.preview?.answer?.renamed ?? []).length > 0")
+    listed = workstation.state("preview.answer.renamed")
+    workstation.picture("renamed-branches-before-the-click")
+    before = dict(workstation.page.evaluate(names))
+    workstation.page.mouse.click(x, y)
+    workstation.wait_for("(n) => window.__carina.state.tree.byId.size > n", len(before))
+    workstation.wait_for("() => !window.__carina.state.jobs.some((job) => job.job_id.startsWith('edit'))")
+    told = "(words) => window.__carina.state.messages.some((message) => JSON.stringify(message).includes(words))"
+    workstation.wait_for(told, listed[0])
+    renamed_id = next(i for i, name in before.items() if listed[0].startswith(f"{name} becomes"))
+    is_renamed = "([id, name]) => window.__carina.state.tree.byId.get(id)?.branch.name !== name"
+    workstation.wait_for(is_renamed, [renamed_id, before[renamed_id]])
+    workstation.picture("renamed-branches-after-the-click")
+    after = dict(workstation.page.evaluate(names))
+    changed = {f"{before[i]} becomes {after[i]}": before[i] for i in before if before[i] != after[i]}
+    assert set(listed) <= set(changed)
+    # The new fork divides RB8, whose lower part keeps the name.
+    unlisted = {name for text, name in changed.items() if text not in listed}
+    assert unlisted <= {after[i] for i in after if i not in before}
     assert workstation.faults == []

@@ -43,7 +43,14 @@ def pointing():
 
 
 def ask(pointing, request_id, tool="add-branch", **place):
-    fields = {"branch_id": None, "lps": None, "frame_id": None, "column": None, "row": None} | place
+    fields = {
+        "branch_id": None,
+        "with_names": False,
+        "lps": None,
+        "frame_id": None,
+        "column": None,
+        "row": None,
+    } | place
     pointing.pointing.ask_edit_preview(wire.AskEditPreview(request_id=request_id, tool=tool, **fields))
     answer = pointing.answers.get(timeout=WAIT_S)
     return wire.parse_server_message(wire.encode_message(answer))
@@ -98,6 +105,18 @@ def test_preview_of_a_bridge_and_of_a_fork_equals_the_edit(pointing):
     assert {point for line in fork.lines for point in line.points_lps} <= {
         tuple(point) for branch in tree.branches for point in branch.points.tolist()
     }
+
+
+def test_preview_lists_the_renamed_branches_only_if_they_are_requested(pointing):
+    tree = pointing.session.snapshot().document.airways.tree
+    wide = max((branch for branch in tree.branches if branch.children), key=lambda branch: branch.length_mm)
+    lps = tuple(float(v) for v in wide.points[len(wide.points) // 2])
+    assert ask(pointing, 1, lps=in_plain_lung()).renamed is None
+    named = ask(pointing, 2, lps=in_plain_lung(), with_names=True)
+    assert named.problem is None
+    assert named.renamed == (), "a branch drawn without evidence renames no other branch"
+    moved = ask(pointing, 3, "move-fork", branch_id=wide.id, lps=lps, with_names=True)
+    assert moved.problem is not None or moved.renamed is not None
 
 
 def test_place_in_the_airway_picture_selects_the_lumen_in_front_of_the_wall(pointing):

@@ -9,7 +9,16 @@ import pytest
 from edit_case import edit_case, open_ended_airways, open_ended_volume
 
 from carina.errors import NoEvidenceError
-from carina.track import AddBranch, Bridge, CutBranch, MoveFork, edit_airways, preview_edit
+from carina.track import (
+    AddBranch,
+    Bridge,
+    CutBranch,
+    MoveFork,
+    edit_airways,
+    preview_edit,
+    renamed_branches,
+    renaming_texts,
+)
 from carina.track.edit.preview import new_lines
 from made import found_airways, made_phantom
 
@@ -133,3 +142,18 @@ def test_preview_equals_the_edit_of_a_wide_bronchus_whose_section_radii_differ_f
     edited = edit_airways(volume, cut, AddBranch((x, y, z)))
     made = {point.tobytes() for branch in edited.tree.branches for point in branch.points}
     assert {point.tobytes() for point in line.points_lps} <= made
+
+
+@pytest.mark.parametrize(("cut_off", "texts"), [("LB8", []), ("RB1", ["RB1+3 becomes RB3", "RB2 becomes RB1+2"])])
+def test_preview_lists_the_branches_that_the_edit_renames(cut_off, texts):
+    volume = made_phantom(seed=1, spacing_mm=1.5, generations=4).volume
+    airways = found_airways(volume)
+    leaf = airways.tree.named(cut_off)
+    cut = edit_airways(volume, airways, CutBranch(leaf.id))
+    x, y, z = (float(value) for value in leaf.points[-1])
+    assert preview_edit(volume, cut, AddBranch((x, y, z))).renamed is None
+    renamed = preview_edit(volume, cut, AddBranch((x, y, z)), with_names=True).renamed
+    assert renamed == renamed_branches(cut.tree, edit_airways(volume, cut, AddBranch((x, y, z))).tree)
+    listed = renaming_texts(renamed)
+    assert set(texts) <= set(listed)
+    assert bool(listed) == bool(texts), "a branch that the new fork divides keeps its name below the fork"

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from carina.cli.console import say
 from carina.errors import NoEvidenceError, NoResultError, UsageError
-from carina.track import AddBranch, Airways, branch_way, edit_airways
-from carina.track.edit.edit_list import branch_title
+from carina.track import AddBranch, Airways, branch_way, edit_airways, renamed_branches, renaming_texts
 from carina.track.progress import Progress
 from carina.volume import Volume
 
@@ -62,20 +61,17 @@ def add_branches(
         except UsageError as error:
             raise UsageError(f"--add-branch {x:g},{y:g},{z:g}: {error}", code=error.code) from None
         else:
-            names = {branch.id: branch.name for branch in before.tree.branches}
-            made = [branch for branch in airways.tree.branches if branch.id not in names]
+            known = {branch.id for branch in before.tree.branches}
+            made = [branch for branch in airways.tree.branches if branch.id not in known]
             row["branches"] = [{"id": b.id, "kind": b.kind, "doubtful_mm": round(b.doubtful_mm, 2)} for b in made]
             way = branch_way(volume, before, (x, y, z))
             row |= {"extends": way.extends, "from": way.parent_title, "length_mm": round(way.length_mm, 2)}
-            row["renamed"] = [
-                {"id": b.id, "from": names[b.id], "to": b.name}
-                for b in airways.tree.branches
-                if b.id in names and b.name != names[b.id]
-            ]
+            renamed = renamed_branches(before.tree, airways.tree)
+            row["renamed"] = [{"id": b.branch_id, "from": b.before, "to": b.after} for b in renamed]
             origin = f"extends {way.parent_title} by" if way.extends else f"new branch from {way.parent_title},"
             say(f"branch {number} to {x:g},{y:g},{z:g}: {origin} {way.length_mm:.0f} mm")
-            for one in row["renamed"]:
-                say(f"  {branch_title(one['from'], one['id'])} is now {branch_title(one['to'], one['id'])}")
+            for text in renaming_texts(renamed):
+                say(f"  {text}")
         rows.append(row)
     return AddedBranches(airways, tuple(rows), tuple(refused))
 

@@ -41,9 +41,11 @@ class PreviewOf(Question[Any], frozen=True):
     """Preview of the exact lines that an edit would create: a :class:`carina.track.EditPreview`.
 
     Its ``problem`` states the reason if the edit is impossible. Without airways the question raises NoResultError.
+    With ``with_names``, ``renamed`` lists the other branches that the edit would rename; this takes longer.
     """
 
     edit: AddBranch | Bridge | MoveFork
+    with_names: bool = False
 
 
 class PlanningOf(Question[Any], frozen=True):

@@ -58,7 +58,7 @@ class Parts:
     edit_airways: Callable[..., Airways] = track.edit_airways
     """Returns edited airways: ``edit_airways(volume, airways, edit, progress=, cancel=)``."""
     preview_edit: Callable[..., EditPreview] = track.preview_edit
-    """Returns the preview of an edit: ``preview_edit(volume, airways, edit)``."""
+    """Returns the preview of an edit: ``preview_edit(volume, airways, edit, with_names=)``."""
     open_mask: Callable[..., Mask] = volume.open_mask
     """Reads a segmentation: ``open_mask(path, volume, label=, resample=, progress=, cancel=)``."""
     target_from_click: Callable[..., PlanTarget] = plan.target_from_click

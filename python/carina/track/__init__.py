@@ -17,6 +17,7 @@ from carina.track.edit.edits import (
     edits_to_json,
     name_edited,
     rebuild_airways,
+    renaming_texts,
 )
 from carina.track.edit.preview import preview_edit
 from carina.track.edit.preview_lines import EditPreview, PreviewLine
@@ -34,6 +35,7 @@ from carina.track.measures.branch_measures import (
 )
 from carina.track.names.absent import Absence, find_absent
 from carina.track.names.naming import LetterRule, NameWords, branch_side_and_lobe, name_tree, name_words
+from carina.track.names.renaming import RenamedBranch, renamed_branches
 from carina.track.paths.live_path import LivePath
 from carina.track.paths.tracker import PathTracker, TrackedPath
 from carina.track.paths.volume_paths import FieldPath, FieldPaths, aimed_path
@@ -79,6 +81,7 @@ __all__ = [
     "PathTracker",
     "PreviewLine",
     "RenameBranch",
+    "RenamedBranch",
     "Route",
     "SmoothBranch",
     "Stenosis",
@@ -112,6 +115,8 @@ __all__ = [
     "name_words",
     "preview_edit",
     "rebuild_airways",
+    "renamed_branches",
+    "renaming_texts",
     "track_paths",
     "wall_field",
     "way_between",

@@ -1,7 +1,7 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
 import type { Preview, PreviewQuestion } from "../state/edit-preview";
 import type { AskEditPreviewMessage, EditPreviewMessage } from "../wire/messages";
-import { Previewing, STALE_MS } from "./previewing";
+import { Previewing, REST_MS, STALE_MS } from "./previewing";
 import type { Station } from "./station";
 
 const at = (x: number): PreviewQuestion => ({
@@ -24,6 +24,7 @@ function answer(id: number, x: number): EditPreviewMessage {
     doubtful_mm: 0,
     has_evidence: true,
     origin: null,
+    renamed: null,
     problem: null,
   };
 }
@@ -77,7 +78,24 @@ describe("preview of an edit under the cursor", () => {
     expect(state.preview).toMatchObject({ stale: false, answer: { lps: [3, 0, 0] } });
   });
 
-  it("A resting cursor causes no second request, but a change of the tree does.", () => {
+  it("A resting cursor requests once the branches that the edit would rename, and a movement cancels this.", () => {
+    const { previewing, sent, state } = station();
+    previewing.request(at(1));
+    previewing.receive(answer(1, 1));
+    vi.advanceTimersByTime(REST_MS - 1);
+    previewing.request(at(2));
+    previewing.receive(answer(2, 2));
+    expect(sent.map((message) => message.with_names)).toEqual([false, false]);
+    vi.advanceTimersByTime(REST_MS);
+    expect(sent.at(-1)).toMatchObject({ with_names: true, lps: [2, 0, 0] });
+    expect(state.preview?.stale).toBe(false);
+    previewing.receive({ ...answer(3, 2), renamed: ["RB1 becomes RB1a"] });
+    expect(state.preview?.answer?.renamed).toEqual(["RB1 becomes RB1a"]);
+    vi.advanceTimersByTime(10 * REST_MS);
+    expect(sent.length).toBe(3);
+  });
+
+  it("The same place causes no second request, but a change of the tree does.", () => {
     const { previewing, sent, state } = station();
     previewing.request(at(1));
     previewing.receive(answer(1, 1));

@@ -10,13 +10,16 @@ import type { Station } from "./station";
  * hand. Later it is hidden, because a click would give another result.
  */
 export const STALE_MS = 120;
+/** Time, ms, for which the cursor must rest before the branches that the edit would rename are requested. */
+export const REST_MS = 250;
 
 /** Requests the preview of an edit for the cursor position, and shows the answers. */
 export class Previewing {
   readonly #station: Station;
-  readonly #queue: LatestRequestQueue<PreviewQuestion, EditPreviewMessage>;
+  readonly #queue: LatestRequestQueue<PreviewQuestion & { with_names: boolean }, EditPreviewMessage>;
   #last: PreviewQuestion | null = null;
   #timer: ReturnType<typeof setTimeout> | null = null;
+  #restTimer: ReturnType<typeof setTimeout> | null = null;
 
   constructor(station: Station) {
     this.#station = station;
@@ -30,19 +33,20 @@ export class Previewing {
     if (this.#last !== null && sameQuestion(this.#last, question)) return;
     this.#last = question;
     this.#outdated();
-    this.#queue.request(question);
+    this.#queue.request({ ...question, with_names: false });
   }
 
   /** Request the preview at the same position again, because the tree has changed. */
   again(): void {
     if (this.#last === null) return;
     this.#outdated();
-    this.#queue.request(this.#last);
+    this.#queue.request({ ...this.#last, with_names: false });
   }
 
   /** Clear the preview, because the cursor has left or no tool is active. */
   forget(): void {
     this.#last = null;
+    this.#stopRestTimer();
     this.#queue.forget();
     this.#stopTimer();
     if (this.#station.state.preview !== null) this.#station.store.dispatch({ kind: "preview", preview: null });
@@ -60,9 +64,21 @@ export class Previewing {
     this.#stopTimer();
     this.#station.store.dispatch({ kind: "preview", preview: { answer: fresh.answer, stale: fresh.overtaken } });
     if (fresh.overtaken) this.#dropLater();
+    else this.#requestNamesAtRest(fresh.answer);
+  }
+
+  /** Request the names when the cursor has rested: naming takes longer than a preview that follows the cursor may. */
+  #requestNamesAtRest(answer: EditPreviewMessage): void {
+    this.#stopRestTimer();
+    const question = this.#last;
+    if (answer.renamed !== null || answer.problem !== null || question === null) return;
+    this.#restTimer = setTimeout(() => {
+      if (this.#last === question) this.#queue.request({ ...question, with_names: true });
+    }, REST_MS);
   }
 
   #outdated(): void {
+    this.#stopRestTimer();
     const { preview } = this.#station.state;
     if (preview === null) this.#station.store.dispatch({ kind: "preview", preview: { answer: null, stale: true } });
     else if (!preview.stale) {
@@ -76,6 +92,11 @@ export class Previewing {
     this.#timer = setTimeout(() => {
       this.#station.store.dispatch({ kind: "preview", preview: { answer: null, stale: true } });
     }, STALE_MS);
+  }
+
+  #stopRestTimer(): void {
+    if (this.#restTimer !== null) clearTimeout(this.#restTimer);
+    this.#restTimer = null;
   }
 
   #stopTimer(): void {

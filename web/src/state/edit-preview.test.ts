@@ -25,6 +25,7 @@ function answer(change: Partial<EditPreviewMessage> = {}): EditPreviewMessage {
     has_evidence: false,
     problem: null,
     origin: { branch: "RB2", extends: false },
+    renamed: null,
     ...change,
   };
 }
@@ -47,6 +48,18 @@ describe("preview of an edit", () => {
     ]);
     expect(runsOf([])).toEqual([]);
     expect(runsOf([LINE, LINE]).length).toBe(4);
+  });
+
+  it("The text lists the first branches that the edit would rename.", () => {
+    const seen = { has_evidence: true, doubtful_mm: 0 };
+    const renamed = ["RB1", "RB2", "RB3", "RB4", "RB5", "RB6"].map((name) => `${name} becomes ${name}a`);
+    expect(previewText({ answer: answer({ ...seen, renamed: renamed.slice(0, 1) }), stale: false }).lines).toEqual([
+      `new branch from RB2, 41${NBSP}mm`,
+      "RB1 becomes RB1a",
+    ]);
+    const lines = previewText({ answer: answer({ ...seen, renamed }), stale: false }).lines;
+    expect(lines.length).toBe(6);
+    expect(lines.at(-1)).toBe("2 more branches renamed");
   });
 
   it("The text states the origin and the length of a new branch, and the length without a visible airway wall.", () => {

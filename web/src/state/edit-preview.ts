@@ -1,7 +1,7 @@
 /** Preview of an edit before the click: its lines in the views, and the text beside the cursor. */
 
 import type { AskEditPreviewMessage, EditLine, EditPreviewMessage, NoEvidenceMessage } from "../wire/messages";
-import { mm, sentence } from "./format";
+import { mm, plural, sentence } from "./format";
 import { firstSentences } from "./live-path";
 import type { Armed } from "./tools";
 import { asVec3, type Vec3 } from "./vec";
@@ -9,7 +9,7 @@ import { asVec3, type Vec3 } from "./vec";
 /** Name in the protocol of a tool with a preview. */
 export type PreviewTool = AskEditPreviewMessage["tool"];
 /** A preview request: a tool, and a point or a place in an airway view. */
-export type PreviewQuestion = Omit<AskEditPreviewMessage, "type" | "request_id">;
+export type PreviewQuestion = Omit<AskEditPreviewMessage, "type" | "request_id" | "with_names">;
 
 /** The preview of the edit that a click at the cursor would make. */
 export interface Preview {
@@ -60,18 +60,29 @@ export function previewText({ answer }: Preview): { lines: readonly string[]; wa
     return { lines: [firstSentences(sentence(answer.problem ?? "no branch can be added here"))], warns: true };
   }
   const doubtful = answer.doubtful_mm ?? 0;
+  const renamed = renamedLines(answer.renamed ?? []);
   switch (answer.tool) {
     case "add-branch": {
       const added = addedText(answer.origin, mm(answer.length_mm, 0));
       return answer.has_evidence
-        ? { lines: [added], warns: false }
-        : { lines: [added, `no wall along ${mm(doubtful, 0)}`], warns: true };
+        ? { lines: [added, ...renamed], warns: false }
+        : { lines: [added, `no wall along ${mm(doubtful, 0)}`, ...renamed], warns: true };
     }
     case "bridge":
-      return { lines: [`bridge, ${mm(doubtful, 0)}`, "the CT shows no airway here"], warns: true };
+      return { lines: [`bridge, ${mm(doubtful, 0)}`, "the CT shows no airway here", ...renamed], warns: true };
     case "move-fork":
-      return { lines: ["move the fork here"], warns: false };
+      return { lines: ["move the fork here", ...renamed], warns: false };
   }
+}
+
+/** Largest number of renamed branches beside the cursor. */
+const MAX_RENAMED = 4;
+
+/** Return a line for each branch that the edit would rename. */
+function renamedLines(renamed: readonly string[]): readonly string[] {
+  const lines = renamed.slice(0, MAX_RENAMED);
+  const more = renamed.length - MAX_RENAMED;
+  return more > 0 ? [...lines, `${plural(more, "more branch", "more branches")} renamed`] : lines;
 }
 
 /** Return where a new branch would begin, and its length. */

@@ -114,8 +114,10 @@ export function paintBrush(
 
 /** Height of a line of the text at the cursor, CSS px. */
 const LINE_PX = 15;
-/** Largest number of characters in a line of the text at the cursor. */
-const MAX_CHARS = 36;
+/** Largest width of a line of the text at the cursor, CSS px; about 36 characters. */
+const MAX_LINE_PX = 220;
+/** Space beside the text: its padding, and 2 px to each edge of the view, CSS px. */
+const MARGINS_PX = 16;
 
 /** Draw the text at the cursor in the view under the cursor; nothing in other views. */
 export function paintCursorNote(ink: Ink, viewport: Viewport, scene: Scene): void {
@@ -124,10 +126,15 @@ export function paintCursorNote(ink: Ink, viewport: Viewport, scene: Scene): voi
   // Read the text only in the view under the cursor, so that the other views are not repainted when the text changes.
   const { note } = scene;
   if (note === null) return;
-  const lines = note.lines.flatMap((words) => wrapped(words, MAX_CHARS));
-  if (lines.length === 0) return;
   ink.save();
   ink.font = `12px ${FONT}`;
+  // A view can be narrower than the widest line.
+  const widest = Math.min(MAX_LINE_PX, viewport.size.width - MARGINS_PX);
+  const lines = note.lines.flatMap((words) => wrapped(words, (text) => ink.measureText(text).width <= widest));
+  if (lines.length === 0) {
+    ink.restore();
+    return;
+  }
   const width = Math.max(...lines.map((words) => ink.measureText(words).width)) + 12;
   const height = lines.length * LINE_PX + 7;
   const { width: right, height: bottom } = viewport.size;
@@ -145,12 +152,12 @@ export function paintCursorNote(ink: Ink, viewport: Viewport, scene: Scene): voi
   ink.restore();
 }
 
-/** Break a text into lines of at most `maxChars` characters, between words. */
-export function wrapped(words: string, maxChars: number): string[] {
+/** Break a text between words into lines that fit; a word that does not fit alone has its own line. */
+export function wrapped(words: string, fits: (line: string) => boolean): string[] {
   const lines: string[] = [];
   for (const word of words.split(" ")) {
     const last = lines.at(-1);
-    if (last !== undefined && last.length + 1 + word.length <= maxChars) lines[lines.length - 1] = `${last} ${word}`;
+    if (last !== undefined && fits(`${last} ${word}`)) lines[lines.length - 1] = `${last} ${word}`;
     else lines.push(word);
   }
   return lines;

@@ -833,6 +833,7 @@ export interface AskEditPreviewMessage {
   readonly row: number | null;
   readonly tool: "add-branch" | "bridge" | "move-fork";
   readonly branch_id: number | null;
+  readonly with_names: boolean;
 }
 
 /** Request to load key frames from the file sent to `/api/upload`; undoable. */
@@ -1422,6 +1423,7 @@ export interface EditPreviewMessage {
   readonly has_evidence: boolean;
   readonly problem: string | null;
   readonly origin: BranchOrigin | null;
+  readonly renamed: readonly string[] | null;
 }
 
 /** Report that `add-branch` was refused, because the CT does not show an airway wall along the whole path.

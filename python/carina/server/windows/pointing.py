@@ -16,7 +16,7 @@ from carina.server.to_wire.tree import branch_detail_message
 from carina.server.windows.latest_only import LatestTaskRunner
 from carina.server.wire import messages as wire
 from carina.session import NotEvident, Session, log_fault
-from carina.track import AddBranch, BranchWay, Bridge, EditPreview, MoveFork
+from carina.track import AddBranch, BranchWay, Bridge, EditPreview, MoveFork, renaming_texts
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -101,7 +101,9 @@ class Pointing:
         lps = None
         try:
             lps = self._place(message)
-            answer = edit_preview_message(message, lps, self._session.ask(PreviewOf(_previewed(message, lps))))
+            answer = edit_preview_message(
+                message, lps, self._session.ask(PreviewOf(_previewed(message, lps), with_names=message.with_names))
+            )
         except CarinaError as trouble:
             answer = _no_preview(message, lps, str(trouble))
         except Exception as trouble:
@@ -183,6 +185,7 @@ def edit_preview_message(
         has_evidence=preview.has_evidence,
         problem=None,
         origin=_origin_of(preview),
+        renamed=None if preview.renamed is None else tuple(renaming_texts(preview.renamed)),
     )
 
 
@@ -216,7 +219,7 @@ def _line(points_lps: NDArray[np.float64], doubtful: NDArray[np.bool_], drawn: N
 def _no_preview(
     message: wire.AskEditPreview, lps: tuple[float, float, float] | None, problem: str
 ) -> wire.EditPreviewMessage:
-    return wire.EditPreviewMessage(message.request_id, message.tool, lps, (), None, None, False, problem, None)
+    return wire.EditPreviewMessage(message.request_id, message.tool, lps, (), None, None, False, problem, None, None)
 
 
 def _previewed(message: wire.AskEditPreview, lps: tuple[float, float, float]) -> AddBranch | Bridge | MoveFork:

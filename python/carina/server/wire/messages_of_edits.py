@@ -24,6 +24,8 @@ class AskEditPreview(AskAtPlace, ClientMessage, frozen=True, tag="preview_edit")
     tool: PreviewTool
     branch_id: BranchId | None
     """Branch whose fork will be moved; null for the other tools."""
+    with_names: bool
+    """Whether the answer lists the branches that the edit would rename, which takes some tenths of a second longer."""
 
     def choice_problem(self) -> str | None:
         """Require either a point or a position in an image, and a branch for one tool."""
@@ -70,6 +72,8 @@ class EditPreviewMessage(ServerMessage, frozen=True):
     problem: Words | None
     origin: BranchOrigin | None
     """Place at which a new branch begins; null for the other tools, and if there is a problem."""
+    renamed: tuple[Words, ...] | None
+    """Text for each other branch that the edit would rename; null if not requested, and if there is a problem."""
 
 
 class NoEvidence(ServerMessage, frozen=True):

@@ -16,7 +16,16 @@ from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase
 from carina.session.state.snapshot import NotEvident, UserMessage
 from carina.session.targets.retrack import followed_route, renamed_route, tracked_target
-from carina.track import AddBranch, FoldedAirways, edit_words, fold_airways, name_edited
+from carina.track import (
+    AddBranch,
+    FoldedAirways,
+    RenameBranch,
+    edit_words,
+    fold_airways,
+    name_edited,
+    renamed_branches,
+    renaming_texts,
+)
 
 if TYPE_CHECKING:
     from carina.track import TreeEdit
@@ -30,6 +39,8 @@ NUM_EDITS_WHOLE = 6
 
 Other ones are packed to save memory.
 """
+MAX_RENAMINGS_LISTED = 6
+"""Largest number of renamed branches that the message after an edit lists."""
 LOOK_S = 0.05
 """Interval, in s, at which an edit that waits for an earlier edit checks whether it was stopped."""
 
@@ -129,6 +140,8 @@ class TreeEditHandlers(CommandHandlers):
         if named is not edited:
             with self.core.lock:
                 self._put_names(case, edited, named)
+                for line in _renaming_message(airways, named, edit):
+                    self.core.emit(UserMessage(line))
 
     def _put_names(self, case: OpenCase, edited: Any, named: Any) -> None:
         """Add the branch names to the step of their edit, even if undo has changed the present document meanwhile."""
@@ -180,6 +193,17 @@ def _lost(before: Document, after: Document) -> list[str]:
     if before.route is not None and after.route is None:
         lines.append(f"the edit removed the route to {before.route.title}; choose another one, or undo")
     return lines
+
+
+def _renaming_message(before: Any, named: Any, edit: TreeEdit) -> list[str]:
+    """Return the message about the branches that an edit renamed, beside the one that the user renamed."""
+    own = edit.branch_id if isinstance(edit, RenameBranch) else None
+    texts = renaming_texts([one for one in renamed_branches(before.tree, named.tree) if one.branch_id != own])
+    if not texts:
+        return []
+    more = len(texts) - MAX_RENAMINGS_LISTED
+    listed = ", ".join(texts[:MAX_RENAMINGS_LISTED]) + (f" and {more} more" if more > 0 else "")
+    return [f"the edit also renamed branches: {listed}; undo restores the names"]
 
 
 def _had_path(target: Target) -> bool:

@@ -54,7 +54,7 @@ class CaseQuestions(CommandHandlers):
         """Return the preview of an edit, computed by the same code as the edit."""
         with self.core.lock:
             volume, airways = self.core.needed_case().info.volume, self._airways()
-        return self.core.parts.preview_edit(volume, airways, question.edit)
+        return self.core.parts.preview_edit(volume, airways, question.edit, with_names=question.with_names)
 
     @answers(c.AirwaysToTakeAway)
     def airways_to_take_away(self, _question: c.AirwaysToTakeAway) -> tuple[Any, Any]:

@@ -39,7 +39,7 @@ from carina.track.edit.steps import EditSteps
 from carina.track.edit.tree_changes import needed_branch
 from carina.track.find.airway_ends import find_uncertain
 from carina.track.find.result import TREE_EDITS, Airways
-from carina.track.names.renaming import name_edited_tree
+from carina.track.names.renaming import RenamedBranch, name_edited_tree
 from carina.track.names.without_drawn import carried_names, seen_part
 from carina.track.paths.rebuilt_tracker import CoreRecipe
 from carina.track.paths.tracker import PathTracker, lumen_voxels
@@ -65,6 +65,7 @@ __all__ = [
     "edits_to_json",
     "name_edited",
     "rebuild_airways",
+    "renaming_texts",
     "steps_of",
 ]
 
@@ -99,6 +100,18 @@ def edit_words(edit: TreeEdit, airways: Airways) -> str:
         case RenameBranch(branch_id, name):
             title = _title(tree, branch_id)
             return f"restore the automatic name of {title}" if name is None else f"rename {title} to {name}"
+
+
+def renaming_texts(renamed: Sequence[RenamedBranch]) -> list[str]:
+    """Return a text for each branch that an edit renames; pieces of one airway with equal texts are listed once.
+
+    Examples
+    --------
+    >>> renaming_texts([RenamedBranch(4, "RB1", "RB1+3"), RenamedBranch(9, "RB2", None)])
+    ['RB1 becomes RB1+3', 'RB2 becomes branch 9']
+    """
+    texts = (f"{one.before} becomes {branch_title(one.after, one.branch_id)}" for one in renamed)
+    return list(dict.fromkeys(texts))
 
 
 def _title(tree: AirwayTree, branch_id: int) -> str:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.track.edit.tree_changes import Points
+from carina.track.names.renaming import RenamedBranch
 
 __all__ = ["EditPreview", "PreviewLine"]
 
@@ -37,6 +38,8 @@ class EditPreview:
     """Whether the edit is made without a further confirmation; False if it needs one or if there is a problem."""
     problem: str | None
     """Text that states why the edit is impossible and what to do; None if it is possible."""
+    renamed: tuple[RenamedBranch, ...] | None = field(default=None, kw_only=True)
+    """Other branches that the edit would rename; None if the names were not determined."""
 
     @property
     def length_mm(self) -> float:

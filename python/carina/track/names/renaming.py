@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from dataclasses import dataclass
 
+from carina.display import one_line
 from carina.track.names.name_texts import MIRRORED
 from carina.track.names.naming import SURE_ENOUGH, log_evidence_of, name_tree
 from carina.track.names.tree_fit import MISFIT
 from carina.track.tree.airway_tree import AirwayTree, Branch
 
-__all__ = ["name_edited_tree"]
+__all__ = ["RenamedBranch", "name_edited_tree", "renamed_branches"]
 
 MOST_ADDED = 2
 """Largest number of new branches with which the former names are kept: a new branch, and the lower part of its parent.
@@ -25,6 +27,34 @@ LEAST_LOG_PROBABILITY = math.log(0.05)
 """Logarithm of the probability of the former names in the edited tree below which branches are renamed."""
 SURE_OF_NEW = 0.8
 """Least confidence of a name for a branch that had no name before the edit and is not itself new."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class RenamedBranch:
+    """Branch whose name an edit changes or removes."""
+
+    branch_id: int
+    """ID of the branch, in the tree before and after the edit."""
+    before: str
+    """Name before the edit."""
+    after: str | None
+    """Name after the edit; None if the branch has no name any more."""
+
+
+def renamed_branches(before: AirwayTree, after: AirwayTree) -> tuple[RenamedBranch, ...]:
+    """Return the named branches that lost or changed their names, in the order of the tree after the edit.
+
+    A branch that a new fork divides is not listed if its lower part, a new branch, keeps the name.
+    """
+    former = {branch.id: branch.name for branch in before.branches}
+    kept_below = {(branch.parent, branch.name) for branch in after.branches if branch.id not in former}
+    renamed = []
+    for branch in after.branches:
+        name = former.get(branch.id)
+        if name is not None and name != branch.name and (branch.id, name) not in kept_below:
+            renamed.append(RenamedBranch(branch.id, name, branch.name))
+    return tuple(renamed)
 
 
 def name_edited_tree(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
