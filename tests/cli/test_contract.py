@@ -376,7 +376,7 @@ def test_picture_from_a_camera_outside_the_volume_reports_it(carina, ct, tmp_pat
         "render", ct, "--at", "0,-400,0", "--look", "0,1,0", "--size", "16x16", "-o", tmp_path / "x.png", "--json"
     )
     assert ended.code == 0, ended.err
-    assert "outside the volume" in ended.err
+    assert "outside the scan" in ended.err
 
 
 def test_command_on_a_full_disk_exits_1_and_leaves_the_old_files(carina, ct, tmp_path, monkeypatch):

@@ -62,4 +62,4 @@ def test_track_without_airways_to_a_target_outside_the_volume_is_refused(carina,
     scan, root, _ = vessel
     ended = carina("track", scan, "--cost", "paper", f"--root={root}", "--target=900,0,0")
     assert ended.code == 2
-    assert "outside the volume" in ended.err
+    assert "outside the scan" in ended.err

@@ -86,7 +86,7 @@ def test_boundary_edits_that_leave_no_target_are_refused():
         brushed(nodule, volume, centre + np.array([0.0, 18.0, 0.0]), 2.0)
     with pytest.raises(UsageError, match="does not touch"):
         brushed(nodule, volume, centre + np.array([0.0, 18.0, 0.0]), 2.0, add=False)
-    with pytest.raises(UsageError, match="outside the CT"):
+    with pytest.raises(UsageError, match="outside the scan"):
         brushed(nodule, volume, centre + 200.0, 2.0)
     with pytest.raises(UsageError, match="nothing of the target would be left"):
         resized(nodule, volume, 3.0)

@@ -73,7 +73,7 @@ def test_target_far_from_the_lumen_is_stored_without_a_path_and_with_the_reason(
 def test_target_outside_the_volume_is_refused():
     bench = small_bench()
     bench.open()
-    with pytest.raises(UsageError, match=r"the point L 5000\.0 P 0\.0 S 0\.0 mm lies outside the scan"):
+    with pytest.raises(UsageError, match=r"the point 5000,0,0 lies outside the scan, which lies within x"):
         bench.session.do(AddTarget((5000.0, 0.0, 0.0)))
 
 

@@ -90,7 +90,7 @@ def test_root_outside_the_lumen_is_moved_within_5_mm_or_refused(chest):
     assert chest.depth_mm(beside.root_lps) < 0.0
     with pytest.raises(NoResultError, match="not in an airway"):
         find_airways(chest.volume, root_lps=middle + np.array([16.0, 0.0, 0.0]))
-    with pytest.raises(UsageError, match="outside the volume"):
+    with pytest.raises(UsageError, match="outside the scan"):
         find_airways(chest.volume, root_lps=middle + np.array([500.0, 0.0, 0.0]))
     with pytest.raises(UsageError, match="expected a point"):
         find_airways(chest.volume, root_lps=[1.0, 2.0])
@@ -270,7 +270,7 @@ def test_target_in_a_lumen_cut_off_from_the_root_has_no_path(chest):
 
 
 def test_paths_with_invalid_targets_or_an_unknown_cost_are_refused(chest):
-    with pytest.raises(UsageError, match="outside the volume"):
+    with pytest.raises(UsageError, match="outside the scan"):
         track_paths(chest.volume, targets=[[0.0, 0.0, 9999.0]])
     with pytest.raises(UsageError, match="targets: expected 1 to 10000 entries"):
         track_paths(chest.volume, targets=[])

@@ -56,9 +56,9 @@ def test_path_of_the_paper_cost_follows_edges_and_reports_its_values(vessel):
 def test_paths_without_a_start_or_with_points_outside_the_volume_are_refused(vessel):
     volume, _, root, _, end = vessel
     outside = np.asarray(end) + np.array([500.0, 0.0, 0.0])
-    with pytest.raises(UsageError, match=r"the target .* lies outside the volume"):
+    with pytest.raises(UsageError, match=r"the target .* lies outside the scan"):
         carina.track_paths(volume, root=root, targets=[outside], cost="walls")
-    with pytest.raises(UsageError, match=r"the root .* lies outside the volume"):
+    with pytest.raises(UsageError, match=r"the root .* lies outside the scan"):
         carina.track_paths(volume, root=outside, targets=[end], cost="walls")
     with pytest.raises(NoResultError, match="need no airways, but a start point") as caught:
         carina.track_paths(volume, targets=[end], cost="walls")

@@ -95,7 +95,7 @@ def test_pointer_outside_the_lumen_is_reported_with_a_remedy(chest, found):
 
 
 def test_pointer_outside_the_volume_is_an_error(found):
-    with pytest.raises(UsageError, match="outside the volume"):
+    with pytest.raises(UsageError, match="outside the scan"):
         found.tracker.live_path((9000.0, 0.0, 0.0))
 
 

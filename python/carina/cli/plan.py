@@ -31,6 +31,7 @@ from carina.plan import tool as tool_named
 from carina.plan.report import Paper, PlanMaterials, ReportKind, whole_sheet, write_report
 from carina.plan.targets.doubts import confirmed_codes
 from carina.scopes import scope_preset, scope_presets
+from carina.volume.point_check import check_in_volume
 
 if TYPE_CHECKING:
     from carina.export.plan_dicom import Identity
@@ -110,6 +111,8 @@ def report(
             compare_click=True,
             progress=progress,
         )
+    else:
+        check_in_volume(source.volume, target, "--target", code="plan.point")
     airways = source.airways(progress)
     source.badges.add(airways.badges)
     wall = carina.wall_field(source.volume, airways)

@@ -39,6 +39,7 @@ from carina.render import (
 )
 from carina.scopes import PathFrames, Pose
 from carina.track import kind_words
+from carina.volume.point_check import check_in_volume
 
 __all__ = ["chosen_transfer", "report"]
 
@@ -231,11 +232,13 @@ def report(
     if source.moment is not None:
         options |= _own_options(source, view, seen, fov_deg, window, shading, texture)
         chosen = chosen or source.moment.history().current.transfer
-    if at is not None and not volume.contains_lps(at):
-        words = "--at {:g},{:g},{:g} lies outside the volume".format(*at)
-        if row.inside:
-            raise UsageError(f"{words}; `carina info --json` shows where the volume lies")
-        say(f"note: {words}")
+    if at is not None:
+        try:
+            check_in_volume(volume, at, "--at")
+        except UsageError as error:
+            if row.inside:
+                raise
+            say(f"note: {error}")
     airways = None
     # The lumen closes thin walls in the airway view, is the surface in the tree view, and gives the default pose.
     wants_wall = view == LEAD_VIEW and volume.is_hu and (chosen is None or chosen.wall)

@@ -11,6 +11,7 @@ from carina.plan.targets.grow_nodule import Nodule
 from carina.scopes import ScopePreset
 from carina.track import Airways
 from carina.volume import Volume
+from carina.volume.point_check import check_in_volume
 
 __all__ = ["check_target", "notes_of_target", "notes_of_tools", "why_none"]
 
@@ -41,12 +42,7 @@ def check_target(volume: Volume, airways: Airways, nodule: Nodule) -> None:
             f"{volume.shape_zyx}; find the airways in this CT",
             code="plan.airways",
         )
-    if not volume.contains_lps(np.array(nodule.centre_lps)):
-        place = ", ".join(f"{v:.0f}" for v in nodule.centre_lps)
-        raise UsageError(
-            f"plan: the centre of the target, {place} mm, lies outside this CT; mark the target in this CT",
-            code="plan.target",
-        )
+    check_in_volume(volume, nodule.centre_lps, "plan: the centre of the target", code="plan.target")
 
 
 def notes_of_target(volume: Volume, airways: Airways, nodule: Nodule, nearest: NearestPlace | None) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from carina.plan.cubic_box import Box, ball_distance, box_step_mm, component_at,
 from carina.plan.targets.mask_measures import measured_mask
 from carina.plan.targets.nodule import Nodule
 from carina.volume import Volume
+from carina.volume.point_check import check_in_volume
 
 __all__ = ["brushed", "resized", "sphere"]
 
@@ -216,8 +217,7 @@ def _point_in(volume: Volume, at_lps: ArrayLike) -> Place:
         point = np.asarray(at_lps, dtype=np.float64).reshape(3)
     except (TypeError, ValueError):
         raise UsageError(f"target: expected a point x,y,z in LPS mm; found {at_lps!r}", code="plan.point") from None
-    if not np.isfinite(point).all() or not volume.contains_lps(point):
-        raise _refused("the point lies outside the CT")
+    check_in_volume(volume, point, "target: the point", code="plan.edit")
     return point
 
 

@@ -16,6 +16,7 @@ from carina.plan.targets.nodule import Nodule, NoduleKind
 from carina.plan.targets.region import is_outside_body
 from carina.scopes import WallField
 from carina.volume import Volume
+from carina.volume.point_check import check_in_volume
 
 __all__ = ["Nodule", "NoduleKind", "endobronchial_lesion", "grow_nodule"]
 
@@ -146,9 +147,7 @@ def grow_nodule(
         point = np.asarray(at_lps, dtype=np.float64).reshape(3)
     except (TypeError, ValueError):
         raise UsageError(f"nodule: expected a point x,y,z in LPS mm; found {at_lps!r}", code="plan.point") from None
-    if not np.isfinite(point).all() or not volume.contains_lps(point):
-        place = ", ".join(f"{v:g}" for v in point)
-        raise UsageError(f"nodule: the point {place} lies outside the CT", code="plan.point")
+    check_in_volume(volume, point, "the point", code="plan.point")
     if is_outside_body(volume, point):
         raise _outside_body()
     if wall is not None:

@@ -17,7 +17,7 @@ from carina.case.recordings import RecordingFacts, RecordingWriter
 from carina.case.routes import AirwayIndex, ChosenRoute, path_move
 from carina.case.stored_state import Moment
 from carina.commands import ArmPen, TakeMask
-from carina.errors import CarinaError, UsageError
+from carina.errors import CarinaError
 from carina.navigate import Navigator, Pilot
 from carina.render import Sight
 from carina.scopes import Pose, ScopeHold
@@ -38,6 +38,7 @@ from carina.session.state.snapshot import AirwayStatus, CaseSnapshot, FlightPlac
 from carina.session.store.case_names import neutral_alias, new_case_id
 from carina.track import LumenOutline
 from carina.volume import Volume
+from carina.volume.point_check import check_in_volume
 
 if TYPE_CHECKING:
     from carina.track import Airways, AirwayTree, Branch, TreeMeasures
@@ -249,10 +250,7 @@ class OpenCase:
         UsageError
             ``session.outside``: if the point is outside the volume.
         """
-        if not self.info.volume.contains_lps(np.asarray(lps, dtype=np.float64)):
-            sides = zip(lps, ("L", "P", "S"), ("R", "A", "I"), strict=True)
-            place = " ".join(f"{plus if mm >= 0 else minus} {abs(mm):.1f}" for mm, plus, minus in sides)
-            raise UsageError(f"the point {place} mm lies outside the scan", code="session.outside")
+        check_in_volume(self.info.volume, lps, "the point", code="session.outside")
 
 
 def new_case(

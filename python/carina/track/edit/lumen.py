@@ -25,6 +25,7 @@ from carina.track.paths.path_grid import PathGrid
 from carina.track.progress import Cancel
 from carina.volume.anatomical_planes import PLANES
 from carina.volume.model import Volume
+from carina.volume.point_check import check_in_volume
 
 __all__ = ["EditedLumen", "bridge_way", "by_faces", "grown_beyond", "painted_voxels", "tissue_there", "tube_round"]
 
@@ -113,10 +114,7 @@ def voxel_of(volume: Volume, lps: Point) -> NDArray[np.int64]:
     UsageError
         If the point is outside the volume.
     """
-    if not volume.contains_lps(np.array(lps)):
-        x, y, z = lps
-        msg = f"the point ({x:.1f}, {y:.1f}, {z:.1f}) lies outside the scan; click inside the scan"
-        raise UsageError(msg, code="track.outside-volume")
+    check_in_volume(volume, lps, "the point", code="track.outside-volume")
     shape = np.array(volume.shape_zyx[::-1])
     found: NDArray[np.int64] = np.clip(np.floor(volume.to_ijk(np.array(lps)) + 0.5), 0, shape - 1).astype(np.int64)
     return found

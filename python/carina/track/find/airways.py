@@ -22,7 +22,7 @@ from carina.argument_checks import (
     text_of,
 )
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
-from carina.errors import NoResultError, UsageError, check_type
+from carina.errors import NoResultError, check_type
 from carina.track.find.airway_ends import find_uncertain
 from carina.track.find.artefact_regions import ArtefactRegions, find_disturbed
 from carina.track.find.axis_order import CanonicalOrder
@@ -41,13 +41,14 @@ from carina.track.intensity_levels import AirScale
 from carina.track.names.naming import name_tree
 from carina.track.paths.path_grid import PathGrid
 from carina.track.paths.rebuilt_tracker import CoreRecipe
-from carina.track.paths.tracker import SNAP_MM, PathTracker, Point, as_point, branches_from_rows, words
+from carina.track.paths.tracker import SNAP_MM, PathTracker, Point, as_point, branches_from_rows
 from carina.track.progress import Cancel, Stages
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.calibrated_size import with_size_note
 from carina.track.tree.thick_slices import effective_slice_mm, with_slice_note
 from carina.track.tree.uncertainty import Uncertainty, with_confidence
 from carina.volume.model import Note, Volume
+from carina.volume.point_check import check_in_volume
 from carina.volume.sparse_mask import sparse_mask
 
 __all__ = ["Airways", "doubt_of_totals", "find_airways"]
@@ -182,9 +183,8 @@ def find_airways(
     check_type("find_airways", "volume", volume, Volume, "open a volume with carina.open_volume")
     stage = Stages(progress_function(progress), cancel)
     root = None if root_lps is None else as_point(root_lps)
-    if root is not None and not volume.contains_lps(np.array(root)):
-        msg = f"the root {words(root)} lies outside the volume"
-        raise UsageError(msg)
+    if root is not None:
+        check_in_volume(volume, root, "the root")
     given = None if lumen_zyx is None else given_lumen(volume, lumen_zyx)
     order = CanonicalOrder.of(volume)
     given = None if given is None else order.in_order(given)

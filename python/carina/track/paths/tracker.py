@@ -21,6 +21,7 @@ from carina.track.paths.rebuilt_tracker import CoreRecipe
 from carina.track.progress import Cancel
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Volume
+from carina.volume.point_check import check_in_volume
 from carina.volume.sparse_mask import PackedMask
 
 __all__ = ["PathTracker", "TrackedPath"]
@@ -218,9 +219,7 @@ class PathTracker:
             If the lumen is farther away than ``snap_mm``; the message states the distance.
         """
         point = as_point(point_lps)
-        if not self.grid.ct.contains_lps(np.array(point)):
-            msg = f"the point {words(point)} lies outside the volume"
-            raise UsageError(msg)
+        check_in_volume(self.grid.ct, point, "the point")
         if bool(self.core.inside([point])[0]):
             node, _ = self._nearest(point, float(np.linalg.norm(self.grid.lps_from_ijk[:3, :3])))
             return node, 0.0

@@ -16,6 +16,7 @@ from carina.errors import GeometryError, NoResultError, UsageError
 from carina.track.paths.tracker import as_point, words
 from carina.track.progress import Cancel
 from carina.volume.model import Volume
+from carina.volume.point_check import check_in_volume
 
 __all__ = ["FieldPath", "FieldPaths", "aimed_path"]
 
@@ -286,9 +287,7 @@ def _check(volume: Volume, field_zyx: NDArray[np.float32], mask_zyx: NDArray[np.
 
 def _voxel(volume: Volume, point_lps: Sequence[float] | NDArray[np.float64], what: str) -> tuple[int, int, int]:
     point = as_point(point_lps)
-    if not volume.contains_lps(np.array(point)):
-        msg = f"the {what} {words(point)} lies outside the volume"
-        raise UsageError(msg)
+    check_in_volume(volume, point, f"the {what}")
     i, j, k = np.floor(volume.to_ijk(np.array(point)) + 0.5).astype(int)
     nz, ny, nx = volume.shape_zyx
     return min(max(int(i), 0), nx - 1), min(max(int(j), 0), ny - 1), min(max(int(k), 0), nz - 1)

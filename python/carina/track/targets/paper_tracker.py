@@ -20,6 +20,7 @@ from carina.track.progress import Cancel, Progress
 from carina.track.targets.results import GraphSearch, TargetResult, TargetSearch, TrackResult
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Note, Volume
+from carina.volume.point_check import check_in_volume
 
 __all__ = [
     "COSTS",
@@ -375,9 +376,7 @@ def _root(
             raise UsageError(msg)
         return as_point(airways.root_lps)
     root = as_point(root_lps)
-    if not volume.contains_lps(np.array(root)):
-        msg = f"the root {words(root)} lies outside the volume"
-        raise UsageError(msg)
+    check_in_volume(volume, root, "the root")
     return root
 
 

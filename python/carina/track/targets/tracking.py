@@ -15,11 +15,12 @@ from carina.errors import CancelledError, NoResultError, UsageError, check_type
 from carina.track.edit.edit_list import MoveRoot
 from carina.track.edit.edits import edit_airways
 from carina.track.find.airways import Airways, find_airways
-from carina.track.paths.tracker import SNAP_MM, Point, as_point, words
+from carina.track.paths.tracker import SNAP_MM, Point, as_point
 from carina.track.progress import Cancel, Progress
 from carina.track.targets.paper_tracker import COSTS, GRAPHS, check_choice, track_on_graph
 from carina.track.targets.results import TargetResult, TrackResult
 from carina.volume.model import Volume
+from carina.volume.point_check import check_in_volume
 
 __all__ = ["track_paths"]
 
@@ -117,9 +118,7 @@ def track_paths(
     if not points:
         raise UsageError("expected at least one target; found none")
     for point in points:
-        if not volume.contains_lps(np.array(point)):
-            msg = f"the target {words(point)} lies outside the volume"
-            raise UsageError(msg)
+        check_in_volume(volume, point, "the target")
     start = None if isinstance(root, str) else root
     if isinstance(root, str) and root != "auto":
         msg = f"root: expected 'auto' or a point, found {root!r}"
@@ -184,9 +183,8 @@ def _airways_at(
 
     The result is also None for a given root in a volume that is not in HU, where anything may be taken for air.
     """
-    if root is not None and not volume.contains_lps(np.array(as_point(root))):
-        msg = f"the root {words(as_point(root))} lies outside the volume"
-        raise UsageError(msg)
+    if root is not None:
+        check_in_volume(volume, as_point(root), "the root")
     if root is not None and not volume.is_hu:
         return None
     try:
