@@ -116,7 +116,7 @@ def test_target_cut_by_the_end_of_the_scan_is_reported() -> None:
 
 def test_target_of_another_ct_is_refused_or_reported() -> None:
     with pytest.raises(
-        UsageError, match="the centre of the target .* lies outside the scan, which lies within x"
+        UsageError, match=r"the centre of the target .* lies outside the scan, which lies within x"
     ) as refused:
         plan_route(volume(), airways(), ellipsoid((4.0, 4.0, 4.0), (900.0, 0.0, 0.0)), wall=wall())
     assert refused.value.code == "plan.target"

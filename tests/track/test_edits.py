@@ -132,7 +132,7 @@ def test_branch_added_inside_the_lumen_splits_its_parent(case):
 def test_click_in_tissue_or_outside_the_scan_is_refused_with_a_remedy(case):
     with pytest.raises(NoResultError, match=r"this point is in tissue .* not in an airway; click in the dark middle"):
         edited(case, AddBranch(point(case.plug)))
-    with pytest.raises(UsageError, match="the point .* lies outside the scan, which lies within x"):
+    with pytest.raises(UsageError, match=r"the point .* lies outside the scan, which lies within x"):
         edited(case, AddBranch((900.0, 0.0, 0.0)))
     with pytest.raises(
         NoEvidenceError, match=r"the CT shows no continuous airway wall .* if the airway is obstructed, bridge"

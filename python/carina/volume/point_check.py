@@ -40,10 +40,12 @@ def check_in_volume(
     --------
     >>> import carina
     >>> volume = carina.generate_phantom(spacing_mm=3.0, generations=3).volume
-    >>> check_in_volume(volume, (0.0, -500.0, 0.0), "the target")
-    Traceback (most recent call last):
-        ...
-    carina.errors.UsageError: the target 0,-500,0 lies outside the scan, which lies within x -172.5 to 172.5, ...
+    >>> check_in_volume(volume, volume.centre_lps, "the target")
+    >>> try:
+    ...     check_in_volume(volume, (0.0, -500.0, 0.0), "the target")
+    ... except carina.CarinaError as error:
+    ...     print(str(error)[:42])
+    the target 0,-500,0 lies outside the scan,
     """
     point = np.asarray(lps, dtype=np.float64)
     if np.isfinite(point).all() and volume.contains_lps(point):
