@@ -40,6 +40,12 @@ const CURSOR_RESTS_MS = 1000;
 /** Largest distance between the last cursor position and a click, CSS px, at which the cursor position is used. */
 const SHAKES_PX = 3;
 
+/**
+ * Distance of two points under the cursor, mm, below which a new picture shows the same voxel there; a picture of
+ * another resolution rounds the point.
+ */
+const SAME_POINT_MM = 0.02;
+
 /** Handler of the cursor and of clicks in all views. */
 export class Pointing {
   readonly #station: Station;
@@ -95,15 +101,33 @@ export class Pointing {
     this.#request(pointed === null ? null : questionOf(viewport.header, pointed));
   }
 
-  /** Update the point under a resting cursor after a new picture of its view was drawn. */
+  /** Update the point under a resting cursor, and its value, after a new picture of its view was drawn. */
   pictureDrawn(view: string): void {
-    if (this.#hovered?.viewport.view !== view || this.#station.state.ui.penLeads) return;
+    if (this.#hovered?.viewport.view !== view) return;
+    this.#probe(this.#hovered.viewport, this.#hovered.at);
+    if (this.#station.state.ui.penLeads) return;
     const { armed, forkHeld, pathCost } = this.#station.state.ui;
     if (!wantsPath(armed, pathCost) && previewTool(armed, forkHeld !== null) === null) return;
     const { viewport, at } = this.#hovered;
     const pointed = this.#under(viewport, at);
     this.#station.ui({ pointedLps: pointed?.lps ?? null });
     this.#request(pointed === null ? null : questionOf(viewport.header, pointed));
+  }
+
+  /** Store the cursor position during a drag, and request the value there. */
+  dragged(viewport: Viewport, at: PointerPlace): void {
+    if (this.#hovered === null) return;
+    this.#hovered = { viewport, at };
+    this.#probe(viewport, at);
+  }
+
+  /** Request the value of the voxel under the cursor; a new picture may show another voxel there. */
+  #probe(viewport: Viewport, at: PointerPlace): void {
+    const lps = flatPoint(viewport, at);
+    const shown = this.#station.state.ui.cursorLps;
+    if (lps === null || (shown !== null && distance(lps, shown) < SAME_POINT_MM)) return;
+    this.#station.ui({ cursorLps: lps });
+    this.#station.sendSoon({ type: "probe", lps });
   }
 
   /**
