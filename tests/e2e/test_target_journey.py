@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from test_plan import CHEST, place_in_slice
+from test_plan import CHEST, place_in_slice, scroll_to
 
 import carina
 from made import made_phantom
@@ -82,4 +82,86 @@ def test_value_under_a_still_pointer_follows_the_slice(server, workstation):
     workstation.wait_for("window.__carina.state.probed.voxel_value > -100")
     assert "HU" in shown.inner_text()
     workstation.picture("value-still-pointer")
+    assert workstation.faults == []
+
+
+SIZES = [(1440, 900), (1920, 1080), (1280, 720)]
+
+
+def open_at(server, workstation, size: tuple[int, int]) -> None:
+    """Open the chest in a window of a size."""
+    workstation.page.set_viewport_size({"width": size[0], "height": size[1]})
+    workstation.open(server)
+    workstation.wait_ready()
+
+
+def mark_nodule(workstation) -> None:
+    """Mark the nodule in the axial slice, and wait for its routes."""
+    page, centre = workstation.page, made_phantom(**CHEST).truth["nodule"]["centre_lps"]
+    page.get_by_role("button", name="Target", exact=True).first.click()
+    page.get_by_test_id("arm-target").click()
+    scroll_to(workstation, centre)
+    page.mouse.click(*place_in_slice(workstation, "axial", centre))
+    workstation.wait_for("window.__carina.state.plans.targets[0].routes.length > 0")
+
+
+def area(workstation, view: str) -> float:
+    box = workstation.page.locator(f".picture-host:has(canvas[data-view={view}])").bounding_box()
+    return box["width"] * box["height"]
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_slices_are_enlarged_while_a_target_is_chosen(server, workstation, size):
+    open_at(server, workstation, size)
+    page = workstation.page
+    before = {view: area(workstation, view) for view in ("axial", "coronal", "sagittal", "airway")}
+    page.get_by_role("button", name="Target", exact=True).first.click()
+    workstation.refreshes(2)
+    for view, least in (("axial", 3.0), ("coronal", 1.05), ("sagittal", 1.05)):
+        assert area(workstation, view) > least * before[view], view
+    tools = page.get_by_role("toolbar", name="Airway view")
+    shown_px, needed_px = tools.evaluate("(bar) => [bar.clientWidth, bar.scrollWidth]")
+    assert needed_px <= shown_px
+    workstation.wait_still()
+    workstation.picture(f"target-slices-{size[0]}")
+    page.get_by_role("button", name="Airways", exact=True).first.click()
+    workstation.refreshes(2)
+    assert {view: area(workstation, view) for view in before} == before
+    assert workstation.faults == []
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_answer_of_a_plan_is_read_first_and_printed(server, workstation, size):
+    open_at(server, workstation, size)
+    page, wide = workstation.page, size[0] >= 1600
+    mark_nodule(workstation)
+    answer = page.get_by_test_id("plan-answer")
+    assert answer.count() == (1 if wide else 0)
+    workstation.picture(f"answer-target-{size[0]}")
+    page.get_by_test_id("answer-take-route" if wide else "take-route").click()
+    workstation.wait_for("window.__carina.state.plans.verdicts.length > 0")
+    leg = workstation.state("plans.targets[0].routes[0].leg")
+    verdict = workstation.state("plans.verdicts[0]")
+    if wide:
+        answer = page.get_by_role("region", name="Answer for Target 1")
+        assert verdict["outcome"] in answer.get_by_role("status").inner_text()
+        assert f"{leg['to_target_mm']:.0f}\u202fmm" in answer.get_by_test_id("answer-needle").inner_text()
+        inside = sum(one["to_mm"] - one["from_mm"] for one in leg["crossed"] if one["tissue"] == "vessel")
+        shown = answer.get_by_test_id("answer-vessel").inner_text()
+        assert ("way" in shown) == (inside > 0.05)
+        pictures = page.locator(".airway-picture").bounding_box()
+        card = answer.bounding_box()
+        assert card["y"] + card["height"] <= pictures["y"], "the answer covers no picture"
+        answer.get_by_test_id("answer-details").click()
+    # The panel below contains the details; the reasons and the print button exist once.
+    page.get_by_test_id("planned").wait_for()
+    workstation.wait_still()
+    workstation.picture(f"answer-route-{size[0]}")
+    with page.context.expect_page() as opened:
+        page.get_by_test_id("print-plan").click()
+    opened.value.close()
+    # A view in full size hides the answer.
+    page.keyboard.press("Escape")
+    cell(workstation, "axial").get_by_role("button", name="Full view").click()
+    assert answer.count() == 0
     assert workstation.faults == []

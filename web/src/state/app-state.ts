@@ -657,3 +657,6 @@ export function greyWindow(state: AppState): GreyWindow {
 export function pathMm(state: AppState): number | null {
   return state.local.pathMm?.value ?? state.pose?.path_mm ?? null;
 }
+
+/** Return whether the user is choosing a target, for which the slices are enlarged; a view in full size stays. */
+export const choosesTargetIn = (ui: Ui): boolean => ui.step === "target" && ui.full === null;
