@@ -165,3 +165,40 @@ def test_answer_of_a_plan_is_read_first_and_printed(server, workstation, size):
     cell(workstation, "axial").get_by_role("button", name="Full view").click()
     assert answer.count() == 0
     assert workstation.faults == []
+
+
+def test_flight_controls_count_from_the_origin_of_the_plan(server, workstation):
+    open_at(server, workstation, SIZES[0])
+    page = workstation.page
+    mark_nodule(workstation)
+    page.get_by_test_id("take-route").click()
+    workstation.wait_for("window.__carina.state.route.needle !== null")
+    planned = workstation.state("plans.targets[0].routes[0]")
+    assert planned["origin"]["kind"] == "ridge"
+    origin_mm = workstation.state("route.origin.along_mm")
+    assert origin_mm == pytest.approx(planned["origin"]["along_mm"], abs=0.1)
+    # The end of the route is the place where the scope stops in plan, card and report.
+    length_mm = workstation.state("route.length_mm")
+    end_mm = workstation.state("route.centreline_mm.at(-1)") - origin_mm
+    assert end_mm == pytest.approx(planned["from_carina_mm"], abs=0.5)
+    numbers = page.get_by_test_id("path-numbers")
+    workstation.refreshes(2)
+    assert f"end {end_mm:.0f}\u202fmm" in numbers.inner_text()
+    assert "above carina" in numbers.inner_text()
+    scale = page.locator(".ruler-scale")
+    assert "carina" in scale.inner_text() and "\u221220" in scale.inner_text()
+    workstation.picture("origin-start")
+
+    workstation.go_to(length_mm)
+    workstation.wait_for("!document.querySelector('[data-testid=path-numbers]').innerText.includes('above')")
+    # The slider's step is 0.1 mm.
+    shown_mm = float(numbers.inner_text().split("\u202f")[0])
+    assert shown_mm == pytest.approx(end_mm, abs=0.16)
+    slider = page.get_by_role("slider", name="Position on the route in mm from the main carina")
+    assert float(slider.input_value()) == pytest.approx(end_mm, abs=0.11)
+    workstation.picture("origin-end")
+    page.get_by_role("button", name="Rehearse", exact=True).click()
+    fits = page.get_by_test_id("fits").inner_text()
+    assert "past the main carina" in fits or "above the main carina" in fits
+    workstation.picture("origin-rehearse")
+    assert workstation.faults == []

@@ -141,6 +141,10 @@ def test_planned_route_ends_at_the_position_of_the_scope_and_knows_the_needle(
     assert np.linalg.norm(route.points_lps[-1] - np.array(plan.routes[0].leg.tip_lps)) < 2.0
     assert route.needle.ends_lps[1] == pytest.approx(plan.routes[0].leg.aim_lps)
     assert route.drawn.drawn_mm == 0.0
+    # The window measures the route from the origin of its plan, along the centrelines.
+    scale = case.state.route_scale
+    assert scale.origin == plan.routes[0].origin and scale.origin.kind == "ridge"
+    assert scale.origin.past_mm(scale.along_mm[-1]) == pytest.approx(plan.routes[0].from_carina_mm, abs=0.5)
     # The verdicts follow the plan; the first one is that of the planned instrument.
     assert len(info.verdicts) == 2
     assert info.verdicts[0].scope.name == plan.scope.name

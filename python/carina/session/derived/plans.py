@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from carina.case.document import Document, Lesion, Target
+from carina.case.routes import ChosenRoute, centreline_mm
 from carina.commands.plan import PlanOptions
 from carina.display import one_line
 from carina.errors import CancelledError, CarinaError, UnconfirmedTargetError, without_options
+from carina.plan.routes.main_carina import ROOT, RouteScale, origins_of_branches
 from carina.session.derived.derived_value import Attempt, Cached, Derived, Standing
 from carina.session.derived.measurement_cache import MeasuredAirways
 from carina.session.engines import Parts
@@ -199,6 +201,7 @@ class CasePlanning:
             settled=changed,
         )
         self._with_moves: Cached[tuple[Any, ...], TurnList] = Cached(_with_moves)
+        self._scales: Cached[tuple[Airways, ChosenRoute], RouteScale] = Cached(self._make_scale, same=_same_objects)
 
     # ------------------------------------------------------------ state
 
@@ -243,6 +246,20 @@ class CasePlanning:
         if driven is None:
             return turns
         return self._with_moves.of((made.airways.tree, plan.routes[number - 1], turns, driven))
+
+    def route_scale(self, document: Document) -> RouteScale | None:
+        """Return the distances along the route of a document, as its plan states them; None without a route."""
+        airways, route = document.airways, document.route
+        if route is None:
+            return None
+        if airways is None or not route.lumen_known:
+            return RouteScale(ROOT, route.cumulative_mm)
+        return self._scales.of((airways, route))
+
+    def _make_scale(self, inputs: tuple[Airways, ChosenRoute]) -> RouteScale:
+        airways, route = inputs
+        origins = origins_of_branches(airways.tree, self._parts.distance_origin(self._volume, airways))
+        return RouteScale(origins.get(route.spans[-1].branch_id, ROOT), centreline_mm(airways.tree, route))
 
     def again(self) -> None:
         """Repeat planning and verdicts that were stopped or failed, because the user asked for it."""
@@ -460,6 +477,10 @@ def _with_moves(inputs: tuple[Any, ...]) -> TurnList:
 
     tree, planned, turns, driven = inputs
     return turns_with_moves(tree, planned, turns, driven.moves, driven.ends_along_mm)
+
+
+def _same_objects(a: tuple[Any, ...], b: tuple[Any, ...]) -> bool:
+    return all(x is y for x, y in zip(a, b, strict=True))
 
 
 def _same_inputs(a: PlanInputs, b: PlanInputs) -> bool:
