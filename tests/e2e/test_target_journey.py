@@ -202,3 +202,31 @@ def test_flight_controls_count_from_the_origin_of_the_plan(server, workstation):
     assert "past the main carina" in fits or "above the main carina" in fits
     workstation.picture("origin-rehearse")
     assert workstation.faults == []
+
+
+def test_cursor_states_what_a_click_would_mark(server, workstation):
+    open_at(server, workstation, SIZES[0])
+    page, centre = workstation.page, made_phantom(**CHEST).truth["nodule"]["centre_lps"]
+    page.get_by_role("button", name="Target", exact=True).first.click()
+    page.get_by_test_id("arm-target").click()
+    scroll_to(workstation, centre)
+    place = place_in_slice(workstation, "axial", centre)
+    page.mouse.move(*place)
+    workstation.wait_for("window.__carina.state.targetMark?.sentences.length > 0")
+    mark = page.get_by_test_id("target-mark")
+    mark.wait_for()
+    words = mark.inner_text()
+    assert words.startswith("A click marks a solid nodule, ")
+    workstation.picture("mark-nodule")
+    # The lung beside the nodule contains nothing that a click could measure.
+    page.mouse.move(*place_in_slice(workstation, "axial", [centre[0] + 15.0, centre[1], centre[2]]))
+    workstation.wait_for("window.__carina.state.targetMark?.sentences[0] === 'a click marks a point without a path'")
+    workstation.picture("mark-lung")
+    page.mouse.move(*place)
+    workstation.wait_for("window.__carina.state.targetMark?.sentences[0]?.includes('nodule')")
+    page.mouse.click(*place)
+    page.get_by_test_id("lesion").wait_for()
+    # The click marks what the cursor has stated.
+    size = words.removeprefix("A click marks a ").split(", ")[1]
+    assert size in workstation.state("messages.map((one) => one.message).join()")
+    assert workstation.faults == []

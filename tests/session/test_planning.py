@@ -27,6 +27,7 @@ from carina.commands import (
     FlyFlight,
     GrowTarget,
     KeepDrive,
+    MarkAt,
     MarkSphere,
     PlanningOf,
     PlanOptions,
@@ -124,6 +125,24 @@ def test_click_outside_the_airways_adds_a_planned_target_without_moving_the_tip(
     alone = carina.plan_route(chest.volume, airways, target.lesion.nodule, drives=0)
     said = case.ask(PlanToTakeAway(target.target_id))
     assert json.dumps(said.plan.to_json()) == json.dumps(alone.to_json())
+
+
+def test_mark_at_a_point_states_what_a_click_there_adds(case: carina.Case, chest: Phantom) -> None:
+    centre = centre_of(chest)
+    mark = case.ask(MarkAt(centre))
+    assert not mark.warns
+    case.do(AddTarget(centre))
+    (target,) = case.state.document.targets
+    assert mark.sentences == (f"a click marks a {target.lesion.nodule.words}",)
+    tree = case.state.document.airways.tree
+    x, y, z = (float(v) for v in tree.tips()[0].points[len(tree.tips()[0].points) // 2])
+    assert case.ask(MarkAt((x, y, z))).sentences[0] == "a click marks this place in the airway"
+    empty = case.ask(MarkAt((centre[0] + 15.0, centre[1], centre[2])))
+    assert empty.warns and empty.sentences[0] == "a click marks a point without a path"
+    assert "nothing is denser" in empty.sentences[1]
+    with pytest.raises(UsageError):
+        case.ask(MarkAt((9000.0, 0.0, 0.0)))
+    assert case.state.document.targets == (target,)
 
 
 def test_planned_route_ends_at_the_position_of_the_scope_and_knows_the_needle(

@@ -11,6 +11,7 @@ import { forkOf } from "../state/fork-choice";
 import { linesOf, lpsAt } from "../state/lines";
 import { LivePathQueue, type LiveQuestion } from "../state/live-path";
 import { geometryOf, lpsFromPixel, type PixelPoint } from "../state/projection";
+import { isMarkAt, marksStructure, RESTS_MS } from "../state/target-mark";
 import { isBrush, isLesionBrush, strokePoints, textsOf, wantsBranch, wantsPath, worksIn } from "../state/tools";
 import { branchAhead, placeFromOutside, placeInLumen, type TreePlace } from "../state/tree-index";
 import { planeUnder } from "../state/tri-plane";
@@ -60,6 +61,9 @@ export class Pointing {
   /** Last position of the cursor, with its view; null if the cursor is outside all views. */
   #hovered: { viewport: Viewport; at: PointerPlace } | null = null;
   #cursorMovedMs = Number.NEGATIVE_INFINITY;
+  /** Timer that runs while the cursor rests, before the structure under the cursor is segmented. */
+  #resting: ReturnType<typeof setTimeout> | null = null;
+  #numMarks = 0;
   /** Pen position of the last path request to the pen, LPS mm. */
   #penRequested: Vec3 | null = null;
   /**
@@ -99,6 +103,20 @@ export class Pointing {
       station.ui({ cursor, hovered, pointedLps: pointed?.lps ?? null });
     }
     this.#request(pointed === null ? null : questionOf(viewport.header, pointed));
+    this.#markAt(pointed?.lps ?? null);
+  }
+
+  /** Request what a click would mark at a point once the cursor has rested there; null ends the wait. */
+  #markAt(lps: Vec3 | null): void {
+    const station = this.#station;
+    if (this.#resting !== null) clearTimeout(this.#resting);
+    this.#resting = null;
+    if (lps === null || !marksStructure(station.state) || isMarkAt(station.state.targetMark, lps)) return;
+    this.#resting = setTimeout(() => {
+      this.#resting = null;
+      this.#numMarks += 1;
+      if (marksStructure(station.state)) station.send({ type: "target_mark", request_id: this.#numMarks, lps });
+    }, RESTS_MS);
   }
 
   /** Update the point under a resting cursor, and its value, after a new picture of its view was drawn. */
@@ -112,6 +130,7 @@ export class Pointing {
     const pointed = this.#under(viewport, at);
     this.#station.ui({ pointedLps: pointed?.lps ?? null });
     this.#request(pointed === null ? null : questionOf(viewport.header, pointed));
+    this.#markAt(pointed?.lps ?? null);
   }
 
   /** Store the cursor position during a drag, and request the value there. */

@@ -820,6 +820,13 @@ export interface StartRecordingMessage {
   readonly type: "start_recording";
 }
 
+/** Ask what a click with the tool *Mark target* would mark; only the newest is answered, by `target_mark`. */
+export interface AskTargetMarkMessage {
+  readonly type: "target_mark";
+  readonly request_id: number;
+  readonly lps: readonly [number, number, number];
+}
+
 /** Request for a preview of an edit under the cursor; the server answers the newest request by `edit_preview`.
 
     The place is either a point, or a position in an airway image, as in `live_path`. Only `move-fork` names a
@@ -926,6 +933,15 @@ export interface PenMessage {
   readonly lps: readonly [number, number, number] | null;
   readonly off_mm: number | null;
   readonly off_deg: number | null;
+}
+
+/** Answer to `target_mark`. */
+export interface TargetMarkMessage {
+  readonly type: "target_mark";
+  readonly request_id: number;
+  readonly lps: readonly [number, number, number];
+  readonly sentences: readonly string[];
+  readonly warns: boolean;
 }
 
 /** A layer of the lung map; images show it as outlines (`PictureLayer`). */
@@ -1928,7 +1944,7 @@ export const SETS = {
 } as const;
 
 /** What a client sends that is no command, and that `handled` does not count. */
-export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "import_target", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "set_layers", "ask_storage", "set_watch_page", "send_away", "accept_notice", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "preview_edit", "open_key_frames"];
+export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "import_target", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "set_layers", "ask_storage", "set_watch_page", "send_away", "accept_notice", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "target_mark", "preview_edit", "open_key_frames"];
 
 export type ClientMessage =
   | OpenPathMessage
@@ -2033,6 +2049,7 @@ export type ClientMessage =
   | SetPhoneMessage
   | WatchDevicesMessage
   | StartRecordingMessage
+  | AskTargetMarkMessage
   | AskEditPreviewMessage
   | OpenKeyFramesMessage;
 
@@ -2041,6 +2058,7 @@ export type ServerMessage =
   | DevicesMessage
   | StartMarkedMessage
   | PenMessage
+  | TargetMarkMessage
   | LungsMessage
   | PlansMessage
   | ServerHelloMessage
