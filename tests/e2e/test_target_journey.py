@@ -230,3 +230,34 @@ def test_cursor_states_what_a_click_would_mark(server, workstation):
     size = words.removeprefix("A click marks a ").split(", ")[1]
     assert size in workstation.state("messages.map((one) => one.message).join()")
     assert workstation.faults == []
+
+
+def test_toolbar_and_plan_have_one_scope(server, workstation):
+    open_at(server, workstation, SIZES[0])
+    page = workstation.page
+    mark_nodule(workstation)
+    toolbar = page.get_by_role("toolbar", name="Airway view").get_by_test_id("scope")
+    # The first plan replaces the generic scope by the scope that plans use by default.
+    assert toolbar.inner_text() == "Thin"
+    assert workstation.state("plans.targets[0].options.scope") == "thin"
+    toolbar.click()
+    page.get_by_role("option").filter(has_text="Ultrathin (BF-MP190F").click()
+    workstation.wait_for("window.__carina.state.plans.targets[0].options.scope === 'ultrathin'")
+    workstation.wait_for("window.__carina.state.plans.targets[0].routes.length > 0")
+    page.get_by_test_id("take-route").click()
+    options = page.get_by_text("Instruments and margins")
+    options.scroll_into_view_if_needed()
+    options.click()
+    page.get_by_label("Bronchoscope, also of the airway view").select_option("therapeutic")
+    workstation.wait_for("window.__carina.state.look.scope === 'therapeutic'")
+    workstation.refreshes(2)
+    assert toolbar.inner_text() == "Therapeutic"
+    bar = page.get_by_role("toolbar", name="Airway view")
+    shown_px, needed_px = bar.evaluate("(bar) => [bar.clientWidth, bar.scrollWidth]")
+    assert needed_px <= shown_px, "a long name clips no tool"
+    workstation.wait_for("window.__carina.state.plans.targets[0].options.scope === 'therapeutic'")
+    workstation.picture("one-scope")
+    page.keyboard.press("Control+z")
+    workstation.wait_for("window.__carina.state.plans.targets[0].options.scope === 'ultrathin'")
+    workstation.wait_for("window.__carina.state.look.scope === 'ultrathin'")
+    assert workstation.faults == []

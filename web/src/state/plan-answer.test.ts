@@ -54,6 +54,18 @@ describe("answer of a plan", () => {
     });
   });
 
+  it("answerOf and answeredPlan keep the answer while the routes are planned again.", () => {
+    const plan = planned(null, []);
+    expect(answerOf(plan, [], "unwanted").headline).toBe("planning the routes\u2026");
+    const at = (standing: "making" | "had") => ({
+      ...INITIAL_STATE,
+      plans: { targets: [plan], standing } as unknown as NonNullable<typeof INITIAL_STATE.plans>,
+      ui: { ...INITIAL_STATE.ui, step: "target" as const },
+    });
+    expect(answeredPlan(at("making"))).toBe(plan);
+    expect(answeredPlan(at("had"))).toBeNull();
+  });
+
   it("answeredPlan is null in other steps and while the user must confirm doubts.", () => {
     const plan = planned(null, ["reaches"]);
     const plans = { targets: [plan] } as unknown as NonNullable<typeof INITIAL_STATE.plans>;

@@ -16,7 +16,9 @@ export function answeredPlan(state: AppState): TargetPlan | null {
   if (state.watches || !ANSWER_STEPS.has(state.ui.step)) return null;
   const plan = planOf(state.plans, state.route?.target_id ?? null) ?? state.plans?.targets.at(-1) ?? null;
   if (plan === null || plan.unconfirmed.length > 0) return null;
-  return plan.routes.length > 0 || plan.problem !== null ? plan : null;
+  // While the routes are planned again, the answer stays, so that the pictures keep their size.
+  const isPlanned = plan.routes.length > 0 || plan.problem !== null;
+  return isPlanned || state.plans?.standing === "making" ? plan : null;
 }
 
 /** Whether a target is reached, as text. */
@@ -36,7 +38,10 @@ const KINDS: Readonly<Record<string, ReachAnswer["kind"]>> = {
 /** Return whether the planned instrument reaches the target by the chosen route, else by the best route. */
 export function answerOf(plan: TargetPlan, verdicts: readonly ScopeVerdict[], standing: string): ReachAnswer {
   const route = plan.routes[(plan.chosen ?? 1) - 1] ?? null;
-  if (route === null) return { kind: "does-not-reach", headline: "no route", words: withoutStop(plan.problem) };
+  if (route === null) {
+    if (plan.problem === null) return { kind: "cannot-say", headline: "planning the routes\u2026", words: null };
+    return { kind: "does-not-reach", headline: "no route", words: withoutStop(plan.problem) };
+  }
   const own = plan.chosen === null ? null : (verdicts.find((one) => one.scope === plan.options.scope) ?? null);
   if (own !== null) {
     return { kind: KINDS[own.outcome] ?? "cannot-say", headline: own.outcome, words: withoutStop(own.words) };

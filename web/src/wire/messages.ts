@@ -464,7 +464,9 @@ export interface SetOutlineMessage {
   readonly outline: "none" | "octagon" | "round";
 }
 
-/** Use an instrument of the library, with its field of view and outline, for the airway view; null is a pinhole. */
+/** Use an instrument of the library for the airway view, with its field of view and outline, and for all plans.
+
+    Null is a pinhole camera; the plans then keep their instrument. */
 export interface SetScopeMessage {
   readonly type: "set_scope";
   readonly scope: string | null;
@@ -561,7 +563,7 @@ export interface DismissMaskMessage {
   readonly type: "dismiss_mask";
 }
 
-/** Plan the routes to a target again with other options. */
+/** Plan the routes to a target again with other options; another scope is that of the whole case (`SetScope`). */
 export interface SetPlanOptionsMessage {
   readonly type: "set_plan_options";
   readonly scope?: string;

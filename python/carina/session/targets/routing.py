@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from carina import commands as c
 from carina.case.document import Lesion, Target
 from carina.case.routes import ChosenRoute, route_to_branch
+from carina.case.scope_choice import document_with_lesion
 from carina.display import one_line
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan.targets.doubts import BESIDE_AIRWAY
@@ -76,8 +77,7 @@ class RouteHandlers(CommandHandlers):
             if lesion is not None and not _may_be_airway(lesion):
                 with self.core.lock:
                     job.check()
-                    marked = replace(target, lesion=lesion)
-                    changed = replace(case.document, targets=(*case.document.targets, marked))
+                    changed = document_with_lesion(case.document, replace(target, lesion=lesion))
                     self.core.change(case, f"add {target.name}", changed)
                     self.core.emit(UserMessage(f"{target.name}: {lesion.nodule.words}"))
                 return
@@ -132,11 +132,11 @@ class RouteHandlers(CommandHandlers):
                 grown = Target(now.target_id, now.name, now.lps, lesion=lesion).described(
                     now.name, now.note, now.priority
                 )
-                targets = tuple(grown if one is now else one for one in document.targets)
                 route = document.route
                 if route is not None and route.target_id == now.target_id:
                     route = None
-                self.core.change(case, f"grow {name}", replace(document, targets=targets, route=route))
+                changed = document_with_lesion(document, grown)
+                self.core.change(case, f"grow {name}", replace(changed, route=route))
 
         return self.core.jobs.start(f"grow {command.target_id}", f"growing {name}", work)
 

@@ -127,8 +127,12 @@ function Options({ target, plan }: { target: Target; plan: TargetPlan }) {
     <details className="plan-options">
       <summary>Instruments and margins</summary>
       <label>
-        Bronchoscope
-        <select value={plan.options.scope} onChange={(event) => change({ scope: event.target.value })}>
+        Bronchoscope, also of the airway view
+        <select
+          value={plan.options.scope}
+          data-testid="plan-scope"
+          onChange={(event) => station.send({ type: "set_scope", scope: event.target.value })}
+        >
           {(scopes ?? []).map((scope) => (
             <option key={scope.name} value={scope.name}>
               {scope.title}
