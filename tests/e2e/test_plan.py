@@ -78,6 +78,8 @@ def test_printed_plan_needs_six_clicks_from_the_ct(server, workstation):
     assert verdict.inner_text().strip()
     routes = workstation.state("plans.targets[0].routes")
     assert page.locator(".routes thead th").count() == 1 + len(routes)
+    outlook = page.get_by_role("row").filter(has=page.get_by_role("rowheader", name="Outlook"))
+    assert outlook.get_by_role("cell").all_inner_texts() == [route["outlook"] for route in routes]
     assert workstation.state("route.needle.ends_lps[1]") == pytest.approx(routes[0]["leg"]["aim_lps"], abs=0.01)
     # The tip is in the trachea, which is part of every route, so it stays there.
     assert workstation.state("pose.lps_from_camera")[3::4][:3] == pytest.approx(pose[3::4][:3], abs=0.5)

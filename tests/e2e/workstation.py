@@ -428,10 +428,15 @@ class Workstation:
         return sum(red) / len(red)
 
     def go_to(self, path_mm: float) -> None:
-        """Set the path slider, whose steps are 0.1 mm."""
+        """Set the path slider, whose steps are 0.1 mm and whose values count from the origin of the route."""
         slider = self.page.get_by_role("slider", name="Position on the route in mm")
         slider.evaluate(
-            """(input, value) => {
+            """(input, pathMm) => {
+                const { cumulative_mm: from, centreline_mm: to, origin } = window.__carina.state.route;
+                const after = from.findIndex((mm) => mm >= pathMm);
+                const n = after < 0 ? from.length - 1 : Math.max(after, 1);
+                const part = (pathMm - from[n - 1]) / (from[n] - from[n - 1]);
+                const value = to[n - 1] + part * (to[n] - to[n - 1]) - origin.along_mm;
                 const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set;
                 set.call(input, String(value));
                 input.dispatchEvent(new Event('input', {bubbles: true}));

@@ -19,6 +19,7 @@ from reported import airways, plan, sheet, turns, verdicts, volume
 from test_report import words_of
 
 import carina
+from carina.case.routes import centreline_mm, route_along_points, route_to_branch, route_to_point
 from carina.cli.plan import lines
 from carina.commands.plan import PlanOptions
 from carina.errors import UsageError
@@ -26,7 +27,12 @@ from carina.export.plan_content import drawn_plans
 from carina.plan import DistanceOrigin, Plan, Turn, distance_origin, judge_scopes, plan_route, turn_list
 from carina.plan.report import PlanSheet, write_report
 from carina.plan.report.sections import sections, tracing_sections
-from carina.plan.routes.main_carina import ROOT, axes_origin, carina_words, origins_of_branches
+from carina.plan.routes.main_carina import (
+    ROOT,
+    axes_origin,
+    carina_words,
+    origins_of_branches,
+)
 from carina.plan.routes.standing_points import Ways
 from carina.server.to_wire.plan import _route, _turns, _verdict
 from carina.session import PlanningInfo
@@ -206,6 +212,26 @@ def test_branch_that_leaves_the_trachea_above_the_carina_is_measured_from_the_st
     route = dataclasses.replace(route_in(tree, 1), origin=origins[1])
     assert route.from_carina_mm is None and route.place_words.endswith("mm from the start of the airway tree")
     assert turn_list(tree, route).zero is None
+
+
+def test_positions_of_a_smoothed_route_are_measured_along_the_centrelines() -> None:
+    tree = with_tracheal_bronchus()
+    whole = route_to_branch(tree, 3)
+    along = centreline_mm(tree, whole)
+    assert along[0] == pytest.approx(0.0, abs=0.1)
+    assert along[-1] == pytest.approx(sum(branch.length_mm for branch in tree.lineage(3)), abs=0.1)
+    assert (np.diff(along) > 0.0).all()
+    forks = np.interp(whole.forks_mm, whole.cumulative_mm, along)
+    np.testing.assert_allclose(forks, [60.0, 80.0], atol=1e-6)
+    # A route that ends within a branch, and one that begins within the trachea.
+    middle = tree.branch(3).points[4]
+    ends = centreline_mm(tree, route_to_point(tree, middle))[-1]
+    assert ends == pytest.approx(80.0 + np.linalg.norm(middle - tree.branch(3).points[0]), abs=1.0)
+    airways = SimpleNamespace(tree=tree, tracker=SimpleNamespace(calibres=lambda points, _ids: np.ones(len(points))))
+    searched = route_along_points(airways, np.array([[0, 1.0, -30.0], [0, 1.0, -80.0], [-18.0, 0, -98.0]]), "t", "T")
+    begun = centreline_mm(tree, searched)
+    assert begun[0] == pytest.approx(30.0, abs=1.0)
+    assert begun[-1] == pytest.approx(80.0 + 18.0 * np.sqrt(2.0), abs=1.0)
 
 
 def test_main_carina_is_the_fork_from_which_both_main_bronchi_come() -> None:

@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from exact_measures import exact_measures
 
 from carina.case.routes import route_to_branch
+from carina.plan import DistanceOrigin
+from carina.plan.routes.main_carina import RouteScale
 from carina.plan.routes.route_width import widths_on_the_way
 from carina.scopes import scope_preset
 from carina.server.to_wire.session import route_message, start_message, state_message
@@ -67,6 +70,16 @@ def test_route_has_the_narrowest_diameter_of_plans():
     assert sent.narrowest_mm == pytest.approx(planned.mm, abs=1e-3)
     assert sent.narrowest_error_mm == pytest.approx(planned.error_mm, abs=1e-3)
     assert sent.narrowest_at_mm == pytest.approx(planned.at_mm, abs=1e-2)
+
+
+def test_route_has_its_distances_along_the_centrelines_and_their_origin():
+    route = route_to_branch(three_branches(), 2)
+    plain = route_message(route).route
+    assert msgspec.to_builtins(plain.origin) == {"kind": "root", "along_mm": 0.0}
+    assert plain.centreline_mm == plain.cumulative_mm
+    sent = route_message(route, None, RouteScale(DistanceOrigin("ridge", 52.31, 41.3), 1.1 * route.cumulative_mm)).route
+    assert msgspec.to_builtins(sent.origin) == {"kind": "ridge", "along_mm": 52.31}
+    assert sent.centreline_mm == pytest.approx(1.1 * route.cumulative_mm, abs=1e-3)
 
 
 def test_route_without_measures_of_its_airways_has_no_narrowest_diameter():

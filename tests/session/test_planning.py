@@ -27,6 +27,7 @@ from carina.commands import (
     FlyFlight,
     GrowTarget,
     KeepDrive,
+    MarkAt,
     MarkSphere,
     PlanningOf,
     PlanOptions,
@@ -126,6 +127,24 @@ def test_click_outside_the_airways_adds_a_planned_target_without_moving_the_tip(
     assert json.dumps(said.plan.to_json()) == json.dumps(alone.to_json())
 
 
+def test_mark_at_a_point_states_what_a_click_there_adds(case: carina.Case, chest: Phantom) -> None:
+    centre = centre_of(chest)
+    mark = case.ask(MarkAt(centre))
+    assert not mark.warns
+    case.do(AddTarget(centre))
+    (target,) = case.state.document.targets
+    assert mark.sentences == (f"a click marks a {target.lesion.nodule.words}",)
+    tree = case.state.document.airways.tree
+    x, y, z = (float(v) for v in tree.tips()[0].points[len(tree.tips()[0].points) // 2])
+    assert case.ask(MarkAt((x, y, z))).sentences[0] == "a click marks this place in the airway"
+    empty = case.ask(MarkAt((centre[0] + 15.0, centre[1], centre[2])))
+    assert empty.warns and empty.sentences[0] == "a click marks a point without a path"
+    assert "nothing is denser" in empty.sentences[1]
+    with pytest.raises(UsageError):
+        case.ask(MarkAt((9000.0, 0.0, 0.0)))
+    assert case.state.document.targets == (target,)
+
+
 def test_planned_route_ends_at_the_position_of_the_scope_and_knows_the_needle(
     case: carina.Case, chest: Phantom
 ) -> None:
@@ -141,6 +160,10 @@ def test_planned_route_ends_at_the_position_of_the_scope_and_knows_the_needle(
     assert np.linalg.norm(route.points_lps[-1] - np.array(plan.routes[0].leg.tip_lps)) < 2.0
     assert route.needle.ends_lps[1] == pytest.approx(plan.routes[0].leg.aim_lps)
     assert route.drawn.drawn_mm == 0.0
+    # The window measures the route from the origin of its plan, along the centrelines.
+    scale = case.state.route_scale
+    assert scale.origin == plan.routes[0].origin and scale.origin.kind == "ridge"
+    assert scale.origin.past_mm(scale.along_mm[-1]) == pytest.approx(plan.routes[0].from_carina_mm, abs=0.5)
     # The verdicts follow the plan; the first one is that of the planned instrument.
     assert len(info.verdicts) == 2
     assert info.verdicts[0].scope.name == plan.scope.name

@@ -16,6 +16,7 @@ from carina.commands import (
     Cancel,
     CloseCase,
     GoTo,
+    MarkSphere,
     OpenPath,
     OpenRecent,
     Place,
@@ -27,6 +28,7 @@ from carina.commands import (
     SetOperator,
     SetOrbit,
     SetOutline,
+    SetPlanOptions,
     SetReformation,
     SetRoot,
     SetScope,
@@ -360,6 +362,42 @@ def test_scope_sets_field_of_view_and_outline_and_is_undone():
         bench.session.do(SetScope("BF-1000"))
     with pytest.raises(UsageError, match="round"):
         bench.session.do(SetOutline("square"))
+
+
+def test_airway_view_and_plans_of_all_targets_have_one_scope():
+    bench = small_bench()
+    bench.open()
+
+    def scopes():
+        document = bench.session.snapshot().document
+        return document.look.scope, *(target.lesion.options.scope for target in document.targets)
+
+    # The generic scope stands for no instrument, so the first plan replaces it by the scope that plans use by default.
+    bench.session.do(MarkSphere(small_lps((4.0, 4.0, 4.0)), 6.0))
+    assert scopes() == ("thin", "thin")
+    assert bench.session.snapshot().document.look.fov_deg == scope_preset("thin").usual_fov_deg
+    bench.session.undo()
+    assert scopes() == ("generic",)
+    bench.session.redo()
+    bench.session.do(SetScope("ultrathin"))
+    bench.session.do(MarkSphere(small_lps((5.0, 5.0, 5.0)), 6.0))
+    assert scopes() == ("ultrathin", "ultrathin", "ultrathin")
+    target = bench.session.snapshot().document.targets[1]
+    bench.session.do(SetPlanOptions(target_id=target.target_id, scope="therapeutic", vessel_margin_mm=5.0))
+    assert scopes() == ("therapeutic", "therapeutic", "therapeutic")
+    margins = [one.lesion.options.vessel_margin_mm for one in bench.session.snapshot().document.targets]
+    assert margins == [3.0, 5.0]
+    bench.session.undo()
+    assert scopes() == ("ultrathin", "ultrathin", "ultrathin")
+    # A pinhole camera is no instrument: the plans keep theirs, also that of a further target.
+    bench.session.do(SetScope(None))
+    bench.session.do(MarkSphere(small_lps((6.0, 6.0, 6.0)), 6.0))
+    assert scopes() == (None, "ultrathin", "ultrathin", "ultrathin")
+    # The field of view that the user chose stays when a target is added.
+    bench.session.do(SetScope("thin"))
+    bench.session.do(SetFov(100.0))
+    bench.session.do(MarkSphere(small_lps((7.0, 7.0, 7.0)), 6.0))
+    assert bench.session.snapshot().document.look.fov_deg == 100.0
 
 
 def test_airway_picture_has_the_optics_of_the_scope():

@@ -26,6 +26,7 @@ __all__ = [
     "ChosenRoute",
     "NeedleLine",
     "RouteSpan",
+    "centreline_mm",
     "default_branch_id",
     "leaf_below",
     "lookouts_mm",
@@ -412,6 +413,46 @@ def _chosen(
         drawn=drawn_part(branches, branch_ids, cumulative_mm),
         lumen_known=tree is not None,
     )
+
+
+def centreline_mm(tree: AirwayTree, route: ChosenRoute) -> NDArray[np.float64]:
+    """Return the distance in mm of each point of a route from the start of the tree along the centrelines, ``(n,)``.
+
+    Plans, verdicts and reports measure along the centrelines. The points of a route are smoothed, so the route is
+    shorter than its centrelines, and a path between two points may begin elsewhere. The ends of the branches are the
+    same places on both; between them the distances are interpolated.
+    """
+    branches = {branch.id: branch for branch in tree.branches}
+    ends = {branch.id: sum(one.length_mm for one in tree.lineage(branch.id)) for branch in tree.branches}
+    at, ids = route.cumulative_mm, [span.branch_id for span in route.spans]
+    if any(branch_id not in branches for branch_id in ids):
+        return at.copy()
+
+    def along(point: NDArray[np.float64], branch_id: int) -> float:
+        branch = branches[branch_id]
+        return ends[branch_id] - branch.length_mm + _nearest_mm(branch.points, point)
+
+    inner = [(fork_mm, ends[branch_id]) for branch_id, fork_mm in zip(ids[:-1], route.forks_mm, strict=False)]
+    known = [(0.0, along(route.points_lps[0], ids[0]))]
+    for place in (*inner, (float(at[-1]), along(route.points_lps[-1], ids[-1]))):
+        if place[0] > known[-1][0] and place[1] > known[-1][1]:
+            known.append(place)
+    if len(known) < 2:
+        return at.copy()
+    places = np.array(known)
+    found: NDArray[np.float64] = np.interp(at, places[:, 0], places[:, 1])
+    return found
+
+
+def _nearest_mm(line: NDArray[np.float64], point: NDArray[np.float64]) -> float:
+    """Return the position in mm along a polyline that is nearest to a point."""
+    steps = np.diff(line, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    part = np.einsum("ij,ij->i", point - line[:-1], steps) / np.maximum(np.square(lengths), 1e-12)
+    part = np.clip(part, 0.0, 1.0)
+    away = np.linalg.norm(line[:-1] + part[:, None] * steps - point, axis=1)
+    n = int(np.argmin(away))
+    return float(lengths[:n].sum() + part[n] * lengths[n])
 
 
 def lookouts_mm(

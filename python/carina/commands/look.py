@@ -50,7 +50,10 @@ class SetOutline(Command, frozen=True):
 
 
 class SetScope(Command, frozen=True):
-    """Use an instrument of the library, with its field of view and outline, for the airway view; null is a pinhole."""
+    """Use an instrument of the library for the airway view, with its field of view and outline, and for all plans.
+
+    Null is a pinhole camera; the plans then keep their instrument.
+    """
 
     scope: Identifier | None
 

@@ -41,7 +41,7 @@ class PlanOptions(Instruments, frozen=True):
 
 
 class SetPlanOptions(PlanOptions, Command, frozen=True, kw_only=True):
-    """Plan the routes to a target again with other options."""
+    """Plan the routes to a target again with other options; another scope is that of the whole case (``SetScope``)."""
 
     target_id: Identifier
 

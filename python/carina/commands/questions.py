@@ -37,6 +37,16 @@ class LivePathTo(Question[Any], frozen=True):
     lps: PointLps
 
 
+class MarkAt(Question[Any], frozen=True):
+    """What ``AddTarget`` with the cost ``lumen`` would mark at a point under the cursor.
+
+    The answer is a :class:`carina.session.targets.routing.Mark`. A newer question of this kind ends the search for an
+    earlier one, which then raises CancelledError.
+    """
+
+    lps: PointLps
+
+
 class PreviewOf(Question[Any], frozen=True):
     """Preview of the exact lines that an edit would create: a :class:`carina.track.EditPreview`.
 

@@ -21,7 +21,7 @@ import { forkAhead } from "../state/fork";
 import { fixed, mm } from "../state/format";
 import { penOffText } from "../state/pen";
 import { besideRouteMm, turnBefore } from "../state/plan";
-import { nextStopMm } from "../state/route";
+import { nextStopMm, pastMm, placeText, sideText } from "../state/route";
 import { worksIn } from "../state/tools";
 import { cameraFromMatrix, lookingUp } from "../state/vec";
 import { wallPointLines } from "../state/wall-point";
@@ -82,13 +82,15 @@ function RedOut() {
  */
 function ScopeReading() {
   const scope = useApp((state) => state.pose?.scope ?? null);
+  const route = useApp((state) => state.route);
   if (scope === null) return null;
   const stop = scopeStop(scope);
   return (
     <>
       <span className="scope-reading" data-testid="scope-reading">
         <span>
-          inserted <strong>{mm(scope.insertion_mm, 0)}</strong>
+          inserted{" "}
+          <strong>{route === null ? mm(scope.insertion_mm, 0) : `to ${placeText(route, scope.insertion_mm)}`}</strong>
         </span>
         <span>
           bend <strong>{degrees(scope.flexion_rad)}</strong>, roll {degrees(scope.roll_rad)}
@@ -429,7 +431,8 @@ function Readings() {
       <div className="reading top-right numbers">
         {at === null ? null : (
           <span>
-            depth <strong>{mm(at, 0)}</strong>
+            {route === null ? "depth" : sideText(route, at)}{" "}
+            <strong>{mm(route === null ? at : Math.abs(pastMm(route, at)), 0)}</strong>
           </span>
         )}
         <ScopeReading />

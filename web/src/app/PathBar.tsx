@@ -6,7 +6,7 @@ import { keyOf, keyOfHold } from "../input/keymap";
 import { pathMm, tipLps } from "../state/app-state";
 import { kindText } from "../state/branch-words";
 import { fixed, mm } from "../state/format";
-import { nearestMm } from "../state/route";
+import { nearestMm, originText, pastMm, pathAtMm, scaleMm, sideText } from "../state/route";
 import { AUTO_SPEEDS_MM_S } from "../state/speed";
 import type { RouteInfo } from "../wire/messages";
 import { useApp, useStation } from "./context";
@@ -54,7 +54,7 @@ export function PathBar() {
         onPress={() => station.toFork("next")}
       />
       <AutoSpeed />
-      <PathNumbers lengthMm={route.length_mm} />
+      <PathNumbers route={route} />
     </section>
   );
 }
@@ -106,12 +106,20 @@ function AutoSpeed() {
   );
 }
 
-function PathNumbers({ lengthMm }: { lengthMm: number }) {
+/** Render the positions of the tip and of the route's end, measured from the same origin as in the plan. */
+function PathNumbers({ route }: { route: RouteInfo }) {
   const at = useApp(pathMm);
+  const end = pastMm(route, route.length_mm);
   return (
-    <p className="path-numbers numbers">
-      {at === null ? "off the path" : <strong>{mm(at)}</strong>}
-      <span className="quiet">of {mm(lengthMm, 0)}</span>
+    <p
+      className="path-numbers numbers"
+      data-testid="path-numbers"
+      title={`Distances are measured from ${originText(route)}. The route is ${mm(route.length_mm, 0)} long from its start.`}
+    >
+      {at === null ? "off the path" : <strong>{mm(Math.abs(pastMm(route, at)))}</strong>}
+      <span className="quiet">
+        {at === null ? originText(route) : sideText(route, at)}, end {mm(end, 0)}
+      </span>
     </p>
   );
 }
@@ -138,9 +146,13 @@ function Ruler({ route }: { route: RouteInfo }) {
       <RulerSpans route={route} width={width} />
       <RulerSlider route={route} />
       <div className="ruler-scale numbers" aria-hidden="true">
-        {marks(length, width).map((mark) => (
-          <span key={mark} style={{ left: percent(mark) }}>
-            {fixed(mark)}
+        {marks(route, length, width).map((past) => (
+          <span
+            key={past}
+            className={past === 0 ? "origin" : undefined}
+            style={{ left: percent(pathAtMm(route, past)) }}
+          >
+            {past === 0 && route.origin.kind !== "root" ? "carina" : fixed(past)}
           </span>
         ))}
       </div>
@@ -186,12 +198,12 @@ function RulerSlider({ route }: { route: RouteInfo }) {
   return (
     <Slider
       className={at === null ? "path-slider off" : "path-slider"}
-      aria-label="Position on the route in mm"
-      minValue={0}
-      maxValue={length}
+      aria-label={`Position on the route in mm from ${originText(route)}`}
+      minValue={pastMm(route, 0)}
+      maxValue={pastMm(route, length)}
       step={0.1}
-      value={at ?? 0}
-      onChange={(value) => station.goTo(value)}
+      value={pastMm(route, at ?? 0)}
+      onChange={(value) => station.goTo(pathAtMm(route, value))}
     >
       <SliderTrack className="path-track">
         <div className="path-line" />
@@ -235,10 +247,9 @@ function tipKey(tip: readonly [number, number, number] | null): readonly [number
   return tip;
 }
 
-/** Return the labelled distances of the ruler, mm: multiples of a round step, far enough apart for their labels. */
-function marks(lengthMm: number, widthPx: number): number[] {
+/** Return the labelled distances of the ruler, mm from the origin, far enough apart that the labels do not overlap. */
+function marks(route: RouteInfo, lengthMm: number, widthPx: number): number[] {
   if (widthPx < 50) return [];
   const step = [5, 10, 20, 25, 50, 100, 200].find((value) => (value / lengthMm) * widthPx >= 44) ?? 500;
-  const count = Math.floor((lengthMm - 0.35 * step) / step);
-  return Array.from({ length: Math.max(count, 0) + 1 }, (_, index) => index * step);
+  return scaleMm(route, lengthMm, step);
 }

@@ -1,4 +1,4 @@
-/** Selection of the instrument whose optics the airway view uses. */
+/** Selection of the instrument: its optics show the airway view, and the plans of all targets use it. */
 
 import { Button, ListBox, ListBoxItem, Popover, Select, SelectValue, Text } from "react-aria-components";
 import { fixed } from "../state/format";
@@ -26,10 +26,14 @@ export function ScopeSelect() {
   const station = useStation();
   const scopes = useApp((state) => state.start?.scopes ?? null);
   const name = useApp((state) => state.look.scope);
+  const hasPlans = useApp((state) => state.session?.targets.some((target) => target.has_size) === true);
   if (scopes === null) return null;
   const chosen = scopes.find((scope) => scope.name === name);
+  const plans = hasPlans ? "The plans use it, too." : "Plans of targets will use it, too.";
   const words =
-    chosen === undefined ? "No scope: pinhole camera" : `Viewed through: ${chosen.title}, ${sizeText(chosen)}`;
+    chosen === undefined
+      ? "No scope: pinhole camera. Plans keep their scope."
+      : `Viewed through: ${chosen.title}, ${sizeText(chosen)}. ${plans}`;
   return (
     <Select
       aria-label="Scope"

@@ -1,5 +1,6 @@
 /** The views at the right of the airway view: three slices, the cut-plane, the X-ray and the outside view. */
 
+import { Button } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import { fixed } from "../state/format";
 import { lettersOf } from "../state/letters";
@@ -9,7 +10,7 @@ import { type FlatView, isFlatView, nextIn, SIDE_CELLS, type SideCell, viewsOf }
 import type { PictureHeader, ViewName } from "../wire/messages";
 import { CELLS, VIEWS } from "../wire/views";
 import { useApp, useStation } from "./context";
-import { Act, Choice, SwitchKey } from "./controls";
+import { Act, Choice, SwitchKey, Tip } from "./controls";
 import { fitPicture } from "./gestures-flat";
 import { PictureView } from "./PictureView";
 import { ToolTag } from "./ToolTag";
@@ -94,8 +95,42 @@ function Cell({ cell }: { cell: SideCell }) {
         <PictureView view={view} shape="fill" name={title} onDoubleClick={toggleFull} />
         {shown ? null : <p className="empty centre">{emptyText(view, { route, airways })}</p>}
         <ToolTag view={view} />
+        {plane === null ? null : <FollowChip />}
       </div>
     </section>
+  );
+}
+
+/**
+ * Render whether the slices follow the tip. If the slices show another point, the text is a button that makes the
+ * slices follow the tip again.
+ */
+function FollowChip() {
+  const station = useStation();
+  const follows = useApp((state) => state.sight.crosshair_lps === null);
+  if (follows) {
+    return (
+      <span className="follow-chip" data-testid="follow-tip">
+        following the tip
+      </span>
+    );
+  }
+  return (
+    <Tip words="Make all slices follow the tip again" keys={keyOf("crosshair_to_tip")}>
+      <Button
+        className="follow-chip off"
+        aria-label="Slices are not following the tip. Follow the tip again."
+        data-testid="follow-tip"
+        onPress={(event) => {
+          // Return the focus to the page after a click by mouse, so that the keys move the tip.
+          if (event.pointerType === "mouse" && document.activeElement instanceof HTMLElement)
+            document.activeElement.blur();
+          station.act("crosshair_to_tip");
+        }}
+      >
+        not following the tip
+      </Button>
+    </Tip>
   );
 }
 

@@ -1,6 +1,7 @@
 /** Layout of the workstation: the large airway view, the other views around it, and the step's panel at the side. */
 
 import type { CSSProperties } from "react";
+import { choosesTargetIn } from "../state/app-state";
 import { LEAD_VIEW } from "../wire/views";
 import { AirwayStage } from "./AirwayStage";
 import { BranchList } from "./BranchList";
@@ -11,6 +12,7 @@ import { HistoryList } from "./HistoryList";
 import { KeyFramePanel } from "./KeyFramePanel";
 import { DropChoice, MaskDialog } from "./MaskImport";
 import { PathBar } from "./PathBar";
+import { PlanAnswer, useAnswerShown } from "./PlanAnswer";
 import { SaveDialog } from "./SaveDialog";
 import { SideViews } from "./SideViews";
 import { StatusBar } from "./StatusBar";
@@ -27,6 +29,8 @@ export function WorkstationPage() {
   const list = useApp((state) => state.ui.list);
   const armed = useApp((state) => state.ui.armed);
   const watches = useApp((state) => state.watches);
+  const choosesTarget = useApp((state) => choosesTargetIn(state.ui));
+  const answered = useAnswerShown();
   const lost = useApp((state) => state.connection.status === "lost" || state.connection.status === "refused");
   return (
     <div
@@ -35,6 +39,7 @@ export function WorkstationPage() {
       data-full={full === null ? undefined : full === LEAD_VIEW ? "lead" : "side"}
       data-lost={lost || undefined}
       data-armed={armed ?? undefined}
+      data-choosing={choosesTarget ? "target" : undefined}
       style={armed === null ? undefined : ({ "--tool-cursor": cursorOf(armed) } as CSSProperties)}
     >
       <TopBar />
@@ -43,7 +48,8 @@ export function WorkstationPage() {
         {list === "history" ? <HistoryList /> : <BranchList />}
         {watches ? <WatcherPanel /> : devicesOpen ? <DevicePanel /> : keysOpen ? <KeyFramePanel /> : <StepPanel />}
       </aside>
-      <main className="pictures">
+      <main className="pictures" data-answered={answered || undefined}>
+        <PlanAnswer />
         <AirwayStage />
         <SideViews />
       </main>

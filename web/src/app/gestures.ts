@@ -92,7 +92,10 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
       }
     },
     secondaryClick: () => station.putAway(),
-    drag: (at, moved, button) => now().pointer.drag?.(at, moved, button),
+    drag: (at, moved, button) => {
+      station.pointing.dragged(viewport, at);
+      now().pointer.drag?.(at, moved, button);
+    },
     release: () => now().pointer.release?.(),
     hover: (at, shift) => {
       now().pointer.hover?.(at, shift);

@@ -11,6 +11,7 @@ import { forkOf } from "../state/fork-choice";
 import { linesOf, lpsAt } from "../state/lines";
 import { LivePathQueue, type LiveQuestion } from "../state/live-path";
 import { geometryOf, lpsFromPixel, type PixelPoint } from "../state/projection";
+import { isMarkAt, marksStructure, RESTS_MS } from "../state/target-mark";
 import { isBrush, isLesionBrush, strokePoints, textsOf, wantsBranch, wantsPath, worksIn } from "../state/tools";
 import { branchAhead, placeFromOutside, placeInLumen, type TreePlace } from "../state/tree-index";
 import { planeUnder } from "../state/tri-plane";
@@ -40,6 +41,12 @@ const CURSOR_RESTS_MS = 1000;
 /** Largest distance between the last cursor position and a click, CSS px, at which the cursor position is used. */
 const SHAKES_PX = 3;
 
+/**
+ * Distance of two points under the cursor, mm, below which a new picture shows the same voxel there; a picture of
+ * another resolution rounds the point.
+ */
+const SAME_POINT_MM = 0.02;
+
 /** Handler of the cursor and of clicks in all views. */
 export class Pointing {
   readonly #station: Station;
@@ -54,6 +61,9 @@ export class Pointing {
   /** Last position of the cursor, with its view; null if the cursor is outside all views. */
   #hovered: { viewport: Viewport; at: PointerPlace } | null = null;
   #cursorMovedMs = Number.NEGATIVE_INFINITY;
+  /** Timer that runs while the cursor rests, before the structure under the cursor is segmented. */
+  #resting: ReturnType<typeof setTimeout> | null = null;
+  #numMarks = 0;
   /** Pen position of the last path request to the pen, LPS mm. */
   #penRequested: Vec3 | null = null;
   /**
@@ -93,17 +103,50 @@ export class Pointing {
       station.ui({ cursor, hovered, pointedLps: pointed?.lps ?? null });
     }
     this.#request(pointed === null ? null : questionOf(viewport.header, pointed));
+    this.#markAt(pointed?.lps ?? null);
   }
 
-  /** Update the point under a resting cursor after a new picture of its view was drawn. */
+  /** Request what a click would mark at a point once the cursor has rested there; null ends the wait. */
+  #markAt(lps: Vec3 | null): void {
+    const station = this.#station;
+    if (this.#resting !== null) clearTimeout(this.#resting);
+    this.#resting = null;
+    if (lps === null || !marksStructure(station.state) || isMarkAt(station.state.targetMark, lps)) return;
+    this.#resting = setTimeout(() => {
+      this.#resting = null;
+      this.#numMarks += 1;
+      if (marksStructure(station.state)) station.send({ type: "target_mark", request_id: this.#numMarks, lps });
+    }, RESTS_MS);
+  }
+
+  /** Update the point under a resting cursor, and its value, after a new picture of its view was drawn. */
   pictureDrawn(view: string): void {
-    if (this.#hovered?.viewport.view !== view || this.#station.state.ui.penLeads) return;
+    if (this.#hovered?.viewport.view !== view) return;
+    this.#probe(this.#hovered.viewport, this.#hovered.at);
+    if (this.#station.state.ui.penLeads) return;
     const { armed, forkHeld, pathCost } = this.#station.state.ui;
     if (!wantsPath(armed, pathCost) && previewTool(armed, forkHeld !== null) === null) return;
     const { viewport, at } = this.#hovered;
     const pointed = this.#under(viewport, at);
     this.#station.ui({ pointedLps: pointed?.lps ?? null });
     this.#request(pointed === null ? null : questionOf(viewport.header, pointed));
+    this.#markAt(pointed?.lps ?? null);
+  }
+
+  /** Store the cursor position during a drag, and request the value there. */
+  dragged(viewport: Viewport, at: PointerPlace): void {
+    if (this.#hovered === null) return;
+    this.#hovered = { viewport, at };
+    this.#probe(viewport, at);
+  }
+
+  /** Request the value of the voxel under the cursor; a new picture may show another voxel there. */
+  #probe(viewport: Viewport, at: PointerPlace): void {
+    const lps = flatPoint(viewport, at);
+    const shown = this.#station.state.ui.cursorLps;
+    if (lps === null || (shown !== null && distance(lps, shown) < SAME_POINT_MM)) return;
+    this.#station.ui({ cursorLps: lps });
+    this.#station.sendSoon({ type: "probe", lps });
   }
 
   /**

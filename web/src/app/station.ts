@@ -18,6 +18,8 @@ export interface Station {
   readonly store: Store;
   /** Send a message to the server; return false without a connection. */
   send(message: ClientMessage): boolean;
+  /** Send the latest message of its kind at the next display refresh. */
+  sendSoon(message: ClientMessage): void;
   ui(change: Partial<Ui>): void;
   notice(message: string): void;
   readonly wall: Wall;

@@ -20,6 +20,8 @@ const ROUTE: RouteInfo = {
   narrowest_mm: null,
   narrowest_error_mm: null,
   narrowest_at_mm: null,
+  origin: { kind: "root", along_mm: 0 },
+  centreline_mm: [],
   needle: null,
   length_mm: 60,
   drawn_mm: 0,

@@ -28,6 +28,7 @@ import {
   type StartMessage,
   type StateMessage,
   type StatusMessage,
+  type TargetMarkMessage,
   type ValueMessage,
   type ViewName,
   type WatchingMessage,
@@ -184,6 +185,8 @@ export interface AppState {
   readonly probed: ValueMessage | null;
   /** The path to the cursor from the latest answer; null if no path is shown. */
   readonly livePath: LiveAnswer | null;
+  /** What a click with the tool *Mark target* would mark, from the latest answer; null without an answer. */
+  readonly targetMark: TargetMarkMessage | null;
   /** Preview of the edit that a click at the cursor would make; null without a tool with a preview. */
   readonly preview: Preview | null;
   /**
@@ -250,6 +253,7 @@ export const INITIAL_STATE: AppState = {
   pace: NO_PACE,
   probed: null,
   livePath: null,
+  targetMark: null,
   preview: null,
   doubt: null,
   detail: null,
@@ -328,7 +332,7 @@ export type AppEvent =
   | { kind: "ui"; change: Partial<Ui> };
 
 /** Initial values of the answers that are valid only for one case and one connection. */
-const NOTHING_SHOWN = { livePath: null, preview: null, doubt: null, detail: null } as const;
+const NOTHING_SHOWN = { livePath: null, targetMark: null, preview: null, doubt: null, detail: null } as const;
 
 /** Interface state with no active tool and nothing under the cursor. */
 const NOTHING_HELD = {
@@ -416,6 +420,8 @@ function receive(state: AppState, message: ServerMessage): AppState {
     case "edit_preview":
       // Leave the state unchanged: the workstation decides whether the answer is still needed, and then dispatches it.
       return state;
+    case "target_mark":
+      return { ...state, targetMark: message };
     case "branch_detail":
       return { ...state, detail: message };
     case "progress":
@@ -657,3 +663,6 @@ export function greyWindow(state: AppState): GreyWindow {
 export function pathMm(state: AppState): number | null {
   return state.local.pathMm?.value ?? state.pose?.path_mm ?? null;
 }
+
+/** Return whether the user is choosing a target, for which the slices are enlarged; a view in full size stays. */
+export const choosesTargetIn = (ui: Ui): boolean => ui.step === "target" && ui.full === null;

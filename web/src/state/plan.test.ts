@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
-import type { PlannedTurn, RouteInfo } from "../wire/messages";
-import { besideRouteMm, turnBefore, turnText } from "./plan";
+import type { PlannedTurn, RouteInfo, RouteOffer } from "../wire/messages";
+import { besideRouteMm, ROUTE_ROWS, turnBefore, turnText } from "./plan";
 
 const turn = (at: [number, number, number] | null): PlannedTurn => ({
   head: "3 o'clock",
@@ -41,5 +41,13 @@ describe("list of turns", () => {
     } as unknown as RouteInfo;
     expect(besideRouteMm(route, [3, 0, 11])).toBe(10);
     expect(besideRouteMm(route, [5, 0, 20])).toBeNull();
+  });
+});
+
+describe("table of routes", () => {
+  it("ROUTE_ROWS state the outlook of a route in the second row.", () => {
+    const row = ROUTE_ROWS[1];
+    expect(row?.title).toBe("Outlook");
+    expect(row?.of({ outlook: "may reach" } as unknown as RouteOffer)).toBe("may reach");
   });
 });

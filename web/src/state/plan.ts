@@ -33,6 +33,11 @@ export const share = (part: number): string => `${fixed(100 * part)}\u202f%`;
 export const ROUTE_ROWS: readonly { title: string; words: string; of: (route: RouteOffer) => string }[] = [
   { title: "Airway", words: "The airway in which the scope is parked", of: (route) => route.branch_name },
   {
+    title: "Outlook",
+    words: "Whether the planned scope and tool reach the target by this route, by width, bend and pointing",
+    of: (route) => route.outlook,
+  },
+  {
     title: "Past carina",
     words: "Distance from the ridge of the main carina to the place where the scope stops",
     of: (route) => (route.from_carina_mm === null ? "\u2013" : mm(route.from_carina_mm, 0)),

@@ -4,7 +4,19 @@ import { buildTree, lineage, mainLeaf, neighbourWay, waysOn } from "./airways";
 import { testBranch } from "./branches.testing";
 import { forkAhead } from "./fork";
 import { coordinates, fixed, parseCoordinates, timeLeft } from "./format";
-import { directionAt, nearestMm, nextStopMm, pointAt, pointsBetween } from "./route";
+import {
+  directionAt,
+  nearestMm,
+  nextStopMm,
+  originText,
+  pastMm,
+  pathAtMm,
+  placeText,
+  pointAt,
+  pointsBetween,
+  scaleMm,
+  sideText,
+} from "./route";
 import type { Camera } from "./vec";
 
 const ROUTE: RouteInfo = {
@@ -32,6 +44,8 @@ const ROUTE: RouteInfo = {
   narrowest_mm: null,
   narrowest_error_mm: null,
   narrowest_at_mm: null,
+  origin: { kind: "root", along_mm: 0 },
+  centreline_mm: [0, 10, 30, 40],
   needle: null,
   length_mm: 40,
   drawn_mm: 0,
@@ -237,5 +251,37 @@ describe("numbers as text", () => {
     expect(timeLeft(1)).toBe("almost done");
     expect(timeLeft(38)).toBe("about 40 s left");
     expect(timeLeft(170)).toBe("about 3 min left");
+  });
+});
+
+describe("distances from the origin of a route", () => {
+  const ridge = { ...ROUTE, origin: { kind: "ridge", along_mm: 31.4 } } as const;
+  /** The centrelines are 2 mm longer than the smoothed route up to the fork at 30 mm. */
+  const longer = { ...ridge, centreline_mm: [0, 10.5, 32, 42] };
+
+  it("placeText, sideText and pastMm count from the main carina, and from the start of a route without one.", () => {
+    expect(pastMm(ridge, 40)).toBeCloseTo(8.6, 9);
+    expect(placeText(ridge, 40)).toBe("9\u202fmm past the main carina");
+    expect(placeText(ridge, 31.2)).toBe("at the main carina");
+    expect(placeText(ridge, 0)).toBe("31\u202fmm above the main carina");
+    expect(placeText(ROUTE, 12.4)).toBe("12\u202fmm from the start of the airway tree");
+    expect(originText({ ...ROUTE, lumen_known: false })).toBe("the start of the route");
+    expect([sideText(ridge, 40), sideText(ridge, 0), sideText(ROUTE, 0)]).toEqual([
+      "past carina",
+      "above carina",
+      "from start",
+    ]);
+  });
+
+  it("scaleMm returns multiples of the step from the origin on both sides, without one under the end's flag.", () => {
+    expect(scaleMm(ridge, 40, 5)).toEqual([-30, -25, -20, -15, -10, -5, 0, 5]);
+    expect(scaleMm(ROUTE, 40, 10)).toEqual([0, 10, 20, 30]);
+  });
+
+  it("pastMm measures along the centrelines, and pathAtMm is its inverse.", () => {
+    expect(pastMm(longer, 30)).toBeCloseTo(0.6, 9);
+    expect(pastMm(longer, 20)).toBeCloseTo(21.25 - 31.4, 9);
+    for (const at of [0, 4, 17, 30, 38.5, 40]) expect(pathAtMm(longer, pastMm(longer, at))).toBeCloseTo(at, 9);
+    expect(pastMm({ ...ROUTE, centreline_mm: [] }, 12)).toBe(12);
   });
 });

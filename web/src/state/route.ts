@@ -1,6 +1,7 @@
 /** The current route, parametrised by the distance from its root in mm. */
 
 import type { RouteInfo, RouteSpan } from "../wire/messages";
+import { mm } from "./format";
 import { asVec3, lerp, sub, unit, type Vec3 } from "./vec";
 
 /**
@@ -20,6 +21,61 @@ export function nextStopMm(route: Pick<RouteInfo, "lookouts_mm" | "length_mm">, 
 /** Return a position clamped to the route, mm. */
 export function clampToRoute(route: Pick<RouteInfo, "length_mm">, pathMm: number): number {
   return Math.min(Math.max(pathMm, 0), route.length_mm);
+}
+
+/** The part of a route that defines its distances from the origin. */
+type WithOrigin = Pick<RouteInfo, "origin" | "lumen_known" | "cumulative_mm" | "centreline_mm">;
+
+/** Distance, mm, below which a place is described as at the origin. */
+const AT_ORIGIN_MM = 0.5;
+
+/** Return the value of one list at a value of a parallel, ascending list, by linear interpolation. */
+function interpolated(at: number, ascending: readonly number[], values: readonly number[]): number {
+  if (ascending.length < 2 || values.length !== ascending.length) return at;
+  const index = Math.min(indexAt(ascending, at), ascending.length - 2);
+  const [from = 0, to = 0] = [ascending[index], ascending[index + 1]];
+  const [a = 0, b = 0] = [values[index], values[index + 1]];
+  return to > from ? a + ((b - a) * (at - from)) / (to - from) : a;
+}
+
+/**
+ * Return the distance of a position along the route from the origin, mm, as plans state it: along the centrelines,
+ * which are longer than the smoothed route; below 0 before the origin.
+ */
+export const pastMm = (route: WithOrigin, pathMm: number): number =>
+  interpolated(pathMm, route.cumulative_mm, route.centreline_mm) - route.origin.along_mm;
+
+/** Return the position along the route, mm, at a distance from the origin; the inverse of {@link pastMm}. */
+export const pathAtMm = (route: WithOrigin, past: number): number =>
+  interpolated(past + route.origin.along_mm, route.centreline_mm, route.cumulative_mm);
+
+/** Return the origin of the distances along a route as text, such as *the main carina*. */
+export function originText(route: WithOrigin): string {
+  if (route.origin.kind !== "root") return "the main carina";
+  return route.lumen_known ? "the start of the airway tree" : "the start of the route";
+}
+
+/** Return a position along a route as text, with the same origin as in the plan: *42 mm past the main carina*. */
+export function placeText(route: WithOrigin, pathMm: number): string {
+  const past = pastMm(route, pathMm);
+  const origin = originText(route);
+  if (route.origin.kind === "root") return `${mm(past, 0)} from ${origin}`;
+  if (Math.abs(past) < AT_ORIGIN_MM) return `at ${origin}`;
+  return `${mm(Math.abs(past), 0)} ${past > 0 ? "past" : "above"} ${origin}`;
+}
+
+/** Return the word for the side of the origin on which a position is, for a short reading beside the distance. */
+export function sideText(route: WithOrigin, pathMm: number): string {
+  if (route.origin.kind === "root") return "from start";
+  return pastMm(route, pathMm) < 0 ? "above carina" : "past carina";
+}
+
+/** Return the labelled distances of the ruler from the origin, mm: multiples of a step, on both sides of the origin. */
+export function scaleMm(route: WithOrigin, lengthMm: number, stepMm: number): number[] {
+  const first = Math.ceil(pastMm(route, 0) / stepMm);
+  // The last label must not be under the flag at the end.
+  const last = Math.floor(pastMm(route, lengthMm) / stepMm - 0.35);
+  return Array.from({ length: Math.max(last - first + 1, 0) }, (_, n) => (first + n) * stepMm);
 }
 
 /** Return the index of the last route point at or before a position. */

@@ -12,6 +12,7 @@ import { startOf } from "../state/path-search";
 import { marksByPen } from "../state/pen";
 import { pointsBetween } from "../state/route";
 import type { Surface } from "../state/section";
+import { marksStructure, targetMarkLines } from "../state/target-mark";
 import { type Armed, isBrush, takesAway, wantsPath } from "../state/tools";
 import { below, pointsFrom, type TreePlace } from "../state/tree-index";
 import { asVec3, type Camera, cameraFromMatrix, type Vec3 } from "../state/vec";
@@ -246,6 +247,7 @@ function noteOf(state: AppState, hovered: BranchNode | null): Scene["note"] {
   // While the path leads to the pen, its text is shown at the pen.
   if (ui.penLeads) return null;
   if (previewTool(ui.armed, ui.forkHeld !== null) !== null) return preview === null ? null : previewText(preview);
+  if (marksStructure(state)) return targetMarkLines(state);
   if (wantsPath(ui.armed)) return livePath === null ? null : livePathLines(livePath.answer);
   if (hovered === null) return null;
   const name = branchLine(hovered);

@@ -464,7 +464,9 @@ export interface SetOutlineMessage {
   readonly outline: "none" | "octagon" | "round";
 }
 
-/** Use an instrument of the library, with its field of view and outline, for the airway view; null is a pinhole. */
+/** Use an instrument of the library for the airway view, with its field of view and outline, and for all plans.
+
+    Null is a pinhole camera; the plans then keep their instrument. */
 export interface SetScopeMessage {
   readonly type: "set_scope";
   readonly scope: string | null;
@@ -561,7 +563,7 @@ export interface DismissMaskMessage {
   readonly type: "dismiss_mask";
 }
 
-/** Plan the routes to a target again with other options. */
+/** Plan the routes to a target again with other options; another scope is that of the whole case (`SetScope`). */
 export interface SetPlanOptionsMessage {
   readonly type: "set_plan_options";
   readonly scope?: string;
@@ -820,6 +822,13 @@ export interface StartRecordingMessage {
   readonly type: "start_recording";
 }
 
+/** Ask what a click with the tool *Mark target* would mark; only the newest is answered, by `target_mark`. */
+export interface AskTargetMarkMessage {
+  readonly type: "target_mark";
+  readonly request_id: number;
+  readonly lps: readonly [number, number, number];
+}
+
 /** Request for a preview of an edit under the cursor; the server answers the newest request by `edit_preview`.
 
     The place is either a point, or a position in an airway image, as in `live_path`. Only `move-fork` names a
@@ -927,6 +936,193 @@ export interface PenMessage {
   readonly lps: readonly [number, number, number] | null;
   readonly off_mm: number | null;
   readonly off_deg: number | null;
+}
+
+/** Answer to `target_mark`. */
+export interface TargetMarkMessage {
+  readonly type: "target_mark";
+  readonly request_id: number;
+  readonly lps: readonly [number, number, number];
+  readonly sentences: readonly string[];
+  readonly warns: boolean;
+}
+
+/** A layer of the lung map; images show it as outlines (`PictureLayer`). */
+export interface MappedLayer {
+  readonly layer: "fissures" | "lobes" | "reach" | "vessels";
+  readonly words: string;
+  readonly limits: readonly string[];
+  readonly parts: readonly string[];
+}
+
+/** A branch of a vessel, for the view from outside. */
+export interface VesselLine {
+  readonly points_lps: readonly (readonly [number, number, number])[];
+  readonly diameter_mm: number;
+  readonly sure: boolean;
+}
+
+/** Place to search for a lymph node station with EBUS, derived from the airways alone. */
+export interface Station {
+  readonly station: string;
+  readonly words: string;
+  readonly point_lps: readonly [number, number, number] | null;
+  readonly direction_lps: readonly [number, number, number] | null;
+  readonly borders: string;
+  readonly doubts: readonly string[];
+}
+
+/** The lung map: vessels, fissures, lobes, reach and lymph node stations; sent after each change. */
+export interface LungsMessage {
+  readonly type: "lungs";
+  readonly standing: "failed" | "had" | "making" | "stopped" | "unwanted";
+  readonly reach_standing: "failed" | "had" | "making" | "stopped" | "unwanted";
+  readonly layers: readonly MappedLayer[];
+  readonly vessels: readonly VesselLine[];
+  readonly stations: readonly Station[];
+  readonly station_limits: string;
+  readonly problems: readonly string[];
+  readonly outdated: boolean;
+}
+
+/** The boundary of a target as a triangle mesh for drawing. */
+export interface TargetSurface {
+  readonly vertices_lps: readonly (readonly [number, number, number])[];
+  readonly triangles: readonly number[];
+}
+
+/** Instruments that shall reach a target, and conditions that reduce the score of a route. */
+export interface PlanOptions {
+  readonly scope: string;
+  readonly tool: string;
+  readonly vessel_margin_mm: number;
+  readonly moved_mm: number | null;
+  readonly entry_mm: number | null;
+  readonly carina_depth_mm: number | null;
+}
+
+/** The origin of the distances along a route. */
+export interface RouteOrigin {
+  readonly kind: "axes" | "ridge" | "root";
+  readonly along_mm: number;
+}
+
+/** A segment of a needle's path inside one tissue; positions are distances in mm from the scope's tip. */
+export interface NeedleTissue {
+  readonly tissue: string;
+  readonly from_mm: number;
+  readonly to_mm: number;
+}
+
+/** The path of the needle from the scope's tip into the target; `leg` of a route in plan.json has the same keys. */
+export interface NeedleLeg {
+  readonly tip_lps: readonly [number, number, number];
+  readonly aim_lps: readonly [number, number, number];
+  readonly to_target_mm: number;
+  readonly angle_deg: number;
+  readonly crossed: readonly NeedleTissue[];
+  readonly in_target_mm: number;
+  readonly vessel_mm: number | null;
+  readonly hit_share: number;
+  readonly hit_share_moved: number | null;
+}
+
+/** A planned route to a target, with its measurements and its score; a route in plan.json has the same keys. */
+export interface RouteOffer {
+  readonly key: string;
+  readonly branch_id: number;
+  readonly branch_name: string;
+  readonly origin: RouteOrigin;
+  readonly from_carina_mm: number | null;
+  readonly narrowest_mm: number;
+  readonly narrowest_error_mm: number;
+  readonly narrowest_at_mm: number;
+  readonly narrowest_by: "ball" | "sections";
+  readonly narrowest_why: string | null;
+  readonly fit: "does not fit" | "fits" | "may fit";
+  readonly outlook: string;
+  readonly limits: readonly string[];
+  readonly leg: NeedleLeg;
+  readonly score: number;
+  readonly doubts: readonly string[];
+}
+
+/** A lesion that is a target, and the routes to it. */
+export interface TargetPlan {
+  readonly target_id: string;
+  readonly centre_lps: readonly [number, number, number];
+  readonly size: string;
+  readonly where: string | null;
+  readonly long_mm: number;
+  readonly num_aims: number;
+  readonly surface: TargetSurface;
+  readonly options: PlanOptions;
+  readonly moved_mm: number | null;
+  readonly bronchus_sign: string | null;
+  readonly routes: readonly RouteOffer[];
+  readonly problem: string | null;
+  readonly notes: readonly string[];
+  readonly doubts: readonly (readonly [string, string])[];
+  readonly unconfirmed: readonly string[];
+  readonly chosen: number | null;
+}
+
+/** One check of an instrument on a route, with its answer. */
+export interface ScopeCheck {
+  readonly name: string;
+  readonly answer: "no" | "perhaps" | "unknown" | "yes";
+  readonly words: string;
+  readonly basis: string;
+}
+
+/** Verdict on one instrument for the chosen route; a verdict in plan.json has the same keys. */
+export interface ScopeVerdict {
+  readonly scope: string;
+  readonly title: string;
+  readonly outcome: string;
+  readonly words: string;
+  readonly share: number | null;
+  readonly reached_mm: number | null;
+  readonly would: string | null;
+  readonly checks: readonly ScopeCheck[];
+  readonly was_driven: boolean;
+}
+
+/** An opening at a turn of the chosen route. */
+export interface TurnOpening {
+  readonly branch_id: number;
+  readonly middle_lps: readonly [number, number, number] | null;
+  readonly in_view: boolean;
+  readonly straight_ahead: boolean;
+}
+
+/** A turn at a fork of the chosen route. */
+export interface PlannedTurn {
+  readonly head: string;
+  readonly facing: string;
+  readonly from_carina_mm: number | null;
+  readonly from_fork_mm: number;
+  readonly depth_estimate_mm: number | null;
+  readonly doubts: readonly string[];
+  readonly fork_branch_id: number;
+  readonly seen_from_lps: readonly [number, number, number] | null;
+  readonly openings: readonly TurnOpening[];
+  readonly hour_doubt: string | null;
+}
+
+/** The plans of all lesions; sent after each change. */
+export interface PlansMessage {
+  readonly type: "plans";
+  readonly targets: readonly TargetPlan[];
+  readonly standing: "failed" | "had" | "making" | "stopped" | "unwanted";
+  readonly verdicts: readonly ScopeVerdict[];
+  readonly verdicts_standing: "failed" | "had" | "making" | "stopped" | "unwanted";
+  readonly tools: readonly (readonly [string, string])[];
+  readonly turns: readonly PlannedTurn[];
+  readonly parking: readonly [string, string] | null;
+  readonly park_from_carina_mm: number | null;
+  readonly park_depth_estimate_mm: number | null;
+  readonly dicom_problem: string | null;
 }
 
 /** Answer to the client's `hello`. */
@@ -1238,6 +1434,8 @@ export interface RouteInfo {
   readonly narrowest_mm: number | null;
   readonly narrowest_error_mm: number | null;
   readonly narrowest_at_mm: number | null;
+  readonly origin: RouteOrigin;
+  readonly centreline_mm: readonly number[];
 }
 
 /** The current route; sent after each change. */
@@ -1461,184 +1659,6 @@ export interface KeyFramesMessage {
   readonly frames: readonly ShownKeyFrame[];
   readonly duration_s: number;
   readonly problem: string | null;
-}
-
-/** A layer of the lung map; images show it as outlines (`PictureLayer`). */
-export interface MappedLayer {
-  readonly layer: "fissures" | "lobes" | "reach" | "vessels";
-  readonly words: string;
-  readonly limits: readonly string[];
-  readonly parts: readonly string[];
-}
-
-/** A branch of a vessel, for the view from outside. */
-export interface VesselLine {
-  readonly points_lps: readonly (readonly [number, number, number])[];
-  readonly diameter_mm: number;
-  readonly sure: boolean;
-}
-
-/** Place to search for a lymph node station with EBUS, derived from the airways alone. */
-export interface Station {
-  readonly station: string;
-  readonly words: string;
-  readonly point_lps: readonly [number, number, number] | null;
-  readonly direction_lps: readonly [number, number, number] | null;
-  readonly borders: string;
-  readonly doubts: readonly string[];
-}
-
-/** The lung map: vessels, fissures, lobes, reach and lymph node stations; sent after each change. */
-export interface LungsMessage {
-  readonly type: "lungs";
-  readonly standing: "failed" | "had" | "making" | "stopped" | "unwanted";
-  readonly reach_standing: "failed" | "had" | "making" | "stopped" | "unwanted";
-  readonly layers: readonly MappedLayer[];
-  readonly vessels: readonly VesselLine[];
-  readonly stations: readonly Station[];
-  readonly station_limits: string;
-  readonly problems: readonly string[];
-  readonly outdated: boolean;
-}
-
-/** The boundary of a target as a triangle mesh for drawing. */
-export interface TargetSurface {
-  readonly vertices_lps: readonly (readonly [number, number, number])[];
-  readonly triangles: readonly number[];
-}
-
-/** Instruments that shall reach a target, and conditions that reduce the score of a route. */
-export interface PlanOptions {
-  readonly scope: string;
-  readonly tool: string;
-  readonly vessel_margin_mm: number;
-  readonly moved_mm: number | null;
-  readonly entry_mm: number | null;
-  readonly carina_depth_mm: number | null;
-}
-
-/** The origin of the distances along a route. */
-export interface RouteOrigin {
-  readonly kind: "axes" | "ridge" | "root";
-  readonly along_mm: number;
-}
-
-/** A segment of a needle's path inside one tissue; positions are distances in mm from the scope's tip. */
-export interface NeedleTissue {
-  readonly tissue: string;
-  readonly from_mm: number;
-  readonly to_mm: number;
-}
-
-/** The path of the needle from the scope's tip into the target; `leg` of a route in plan.json has the same keys. */
-export interface NeedleLeg {
-  readonly tip_lps: readonly [number, number, number];
-  readonly aim_lps: readonly [number, number, number];
-  readonly to_target_mm: number;
-  readonly angle_deg: number;
-  readonly crossed: readonly NeedleTissue[];
-  readonly in_target_mm: number;
-  readonly vessel_mm: number | null;
-  readonly hit_share: number;
-  readonly hit_share_moved: number | null;
-}
-
-/** A planned route to a target, with its measurements and its score; a route in plan.json has the same keys. */
-export interface RouteOffer {
-  readonly key: string;
-  readonly branch_id: number;
-  readonly branch_name: string;
-  readonly origin: RouteOrigin;
-  readonly from_carina_mm: number | null;
-  readonly narrowest_mm: number;
-  readonly narrowest_error_mm: number;
-  readonly narrowest_at_mm: number;
-  readonly narrowest_by: "ball" | "sections";
-  readonly narrowest_why: string | null;
-  readonly fit: "does not fit" | "fits" | "may fit";
-  readonly outlook: string;
-  readonly limits: readonly string[];
-  readonly leg: NeedleLeg;
-  readonly score: number;
-  readonly doubts: readonly string[];
-}
-
-/** A lesion that is a target, and the routes to it. */
-export interface TargetPlan {
-  readonly target_id: string;
-  readonly centre_lps: readonly [number, number, number];
-  readonly size: string;
-  readonly where: string | null;
-  readonly long_mm: number;
-  readonly num_aims: number;
-  readonly surface: TargetSurface;
-  readonly options: PlanOptions;
-  readonly moved_mm: number | null;
-  readonly bronchus_sign: string | null;
-  readonly routes: readonly RouteOffer[];
-  readonly problem: string | null;
-  readonly notes: readonly string[];
-  readonly doubts: readonly (readonly [string, string])[];
-  readonly unconfirmed: readonly string[];
-  readonly chosen: number | null;
-}
-
-/** One check of an instrument on a route, with its answer. */
-export interface ScopeCheck {
-  readonly name: string;
-  readonly answer: "no" | "perhaps" | "unknown" | "yes";
-  readonly words: string;
-  readonly basis: string;
-}
-
-/** Verdict on one instrument for the chosen route; a verdict in plan.json has the same keys. */
-export interface ScopeVerdict {
-  readonly scope: string;
-  readonly title: string;
-  readonly outcome: string;
-  readonly words: string;
-  readonly share: number | null;
-  readonly reached_mm: number | null;
-  readonly would: string | null;
-  readonly checks: readonly ScopeCheck[];
-  readonly was_driven: boolean;
-}
-
-/** An opening at a turn of the chosen route. */
-export interface TurnOpening {
-  readonly branch_id: number;
-  readonly middle_lps: readonly [number, number, number] | null;
-  readonly in_view: boolean;
-  readonly straight_ahead: boolean;
-}
-
-/** A turn at a fork of the chosen route. */
-export interface PlannedTurn {
-  readonly head: string;
-  readonly facing: string;
-  readonly from_carina_mm: number | null;
-  readonly from_fork_mm: number;
-  readonly depth_estimate_mm: number | null;
-  readonly doubts: readonly string[];
-  readonly fork_branch_id: number;
-  readonly seen_from_lps: readonly [number, number, number] | null;
-  readonly openings: readonly TurnOpening[];
-  readonly hour_doubt: string | null;
-}
-
-/** The plans of all lesions; sent after each change. */
-export interface PlansMessage {
-  readonly type: "plans";
-  readonly targets: readonly TargetPlan[];
-  readonly standing: "failed" | "had" | "making" | "stopped" | "unwanted";
-  readonly verdicts: readonly ScopeVerdict[];
-  readonly verdicts_standing: "failed" | "had" | "making" | "stopped" | "unwanted";
-  readonly tools: readonly (readonly [string, string])[];
-  readonly turns: readonly PlannedTurn[];
-  readonly parking: readonly [string, string] | null;
-  readonly park_from_carina_mm: number | null;
-  readonly park_depth_estimate_mm: number | null;
-  readonly dicom_problem: string | null;
 }
 
 /** A branch of a `carina-tree` document. */
@@ -1928,7 +1948,7 @@ export const SETS = {
 } as const;
 
 /** What a client sends that is no command, and that `handled` does not count. */
-export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "import_target", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "set_layers", "ask_storage", "set_watch_page", "send_away", "accept_notice", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "preview_edit", "open_key_frames"];
+export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "import_target", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "set_layers", "ask_storage", "set_watch_page", "send_away", "accept_notice", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "target_mark", "preview_edit", "open_key_frames"];
 
 export type ClientMessage =
   | OpenPathMessage
@@ -2033,6 +2053,7 @@ export type ClientMessage =
   | SetPhoneMessage
   | WatchDevicesMessage
   | StartRecordingMessage
+  | AskTargetMarkMessage
   | AskEditPreviewMessage
   | OpenKeyFramesMessage;
 
@@ -2041,6 +2062,9 @@ export type ServerMessage =
   | DevicesMessage
   | StartMarkedMessage
   | PenMessage
+  | TargetMarkMessage
+  | LungsMessage
+  | PlansMessage
   | ServerHelloMessage
   | StartMessage
   | StateMessage
@@ -2060,8 +2084,6 @@ export type ServerMessage =
   | EditPreviewMessage
   | NoEvidenceMessage
   | KeyFramesMessage
-  | LungsMessage
-  | PlansMessage
   | TreeMessage
   | LivePathMessage
   | BranchDetailMessage;

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from carina.argument_checks import check_arguments, check_fields, choice, instance, number_from
 from carina.display import one_line
 from carina.track import Airways, AirwayTree, Branch
@@ -17,6 +20,7 @@ __all__ = [
     "SAME_PLACE_MM",
     "DistanceOrigin",
     "OriginKind",
+    "RouteScale",
     "axes_origin",
     "carina_words",
     "distance_origin",
@@ -138,6 +142,16 @@ class DistanceOrigin:
     def to_json(self) -> dict[str, Any]:
         """Return the origin as plain JSON types."""
         return {"kind": self.kind, "along_mm": self.along_mm}
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class RouteScale:
+    """Distances along a flight route as plans, verdicts and reports state them."""
+
+    origin: DistanceOrigin
+    along_mm: NDArray[np.float64]
+    """Distance in mm of each point of the route from the root of the tree along the centrelines, ``(n,)``."""
 
 
 ROOT = DistanceOrigin()

@@ -12,6 +12,7 @@ import numpy as np
 
 from carina.case.document import Document
 from carina.commands import Look
+from carina.plan.routes.main_carina import ROOT, RouteScale
 from carina.render import PictureLines
 from carina.scopes import scope_presets
 from carina.server.wire import messages as wire
@@ -210,7 +211,9 @@ def _threshold(document: Document | None) -> float | None:
     return None if math.isnan(threshold) else threshold
 
 
-def route_message(route: ChosenRoute | None, measures: Any = None) -> wire.RouteMessage:
+def route_message(
+    route: ChosenRoute | None, measures: Any = None, scale: RouteScale | None = None
+) -> wire.RouteMessage:
     """Return the route message; the lists per route point have equal lengths.
 
     Parameters
@@ -219,9 +222,12 @@ def route_message(route: ChosenRoute | None, measures: Any = None) -> wire.Route
         Current route; None sends a message without a route.
     measures
         Measures of the airways of the route; None until the airways are measured.
+    scale
+        Distances along the route; by default they count from its start.
     """
     if route is None:
         return wire.RouteMessage(None)
+    scale = scale or RouteScale(ROOT, route.cumulative_mm)
     info = wire.RouteInfo(
         route_id=route.route_id,
         title=route.title,
@@ -240,6 +246,8 @@ def route_message(route: ChosenRoute | None, measures: Any = None) -> wire.Route
         bridge_mm=round(route.drawn.bridge_mm, 2),
         lumen_known=route.lumen_known,
         needle=route.needle,
+        origin=wire.RouteOrigin(scale.origin.kind, round(scale.origin.along_mm, 3)),
+        centreline_mm=_floats(np.round(scale.along_mm, 3)),
         **_narrowest(route, measures),
     )
     return wire.RouteMessage(info)

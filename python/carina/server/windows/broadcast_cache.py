@@ -98,7 +98,8 @@ class SharedTexts:
         if not self._is_known("tree", *newest) and not _are_same(newest, self._unwritable):
             return None
         route = None if document is None else document.route
-        return self._cached("route", lambda: route_message(route, newest[1]), route, newest[1])
+        scale = snapshot.route_scale
+        return self._cached("route", lambda: route_message(route, newest[1], scale), route, newest[1], scale)
 
     def key_frames(self) -> str:
         """Return the encoded message of the key frames and their flight."""

@@ -36,6 +36,7 @@ NEWEST_ONLY = (
     wire.GoTo,
     wire.Probe,
     wire.AskLivePath,
+    wire.AskTargetMark,
     wire.AskBranchDetail,
     wire.Layout,
 )

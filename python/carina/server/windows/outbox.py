@@ -36,6 +36,7 @@ NEWEST_ONLY = (
     wire.LivePathMessage,
     wire.BranchDetail,
     wire.EditPreviewMessage,
+    wire.TargetMark,
     wire.DevicesMessage,
     wire.Pen,
     wire.Cluster,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from carina.commands import LivePathTo, LumenBeforeWall, MeasuresOf, PreviewOf
+from carina.commands import LivePathTo, LumenBeforeWall, MarkAt, MeasuresOf, PreviewOf
 from carina.errors import CarinaError, UsageError
 from carina.server.to_wire.thin_points import thinned
 from carina.server.to_wire.tree import branch_detail_message
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carina.server.frames.pump import ShownPicture
+    from carina.session.targets.routing import Mark
 
 __all__ = ["Pointing", "edit_preview_message", "live_path_message", "no_evidence_message"]
 
@@ -48,27 +49,36 @@ class Pointing:
         self._shown = shown
         self._push = push
         self._newest = LatestTaskRunner("carina-pointing")
+        self._marking = LatestTaskRunner("carina-marking")
+        """Thread of the segmentation under the cursor, which takes longer than a path."""
 
     def start(self) -> None:
-        """Start the thread that answers the requests."""
+        """Start the threads that answer the requests."""
         self._newest.start()
+        self._marking.start()
 
     def end(self) -> None:
-        """End the thread after the answer in progress, without waiting for the thread."""
+        """End the threads after the answers in progress, without waiting for the threads."""
         self._newest.end()
+        self._marking.end()
 
     def stop(self) -> None:
-        """End the thread and wait for the answer in progress."""
+        """End the threads and wait for the answers in progress."""
         self._newest.stop()
+        self._marking.stop()
 
     @property
-    def thread(self) -> threading.Thread:
-        """Thread that answers the requests."""
-        return self._newest.thread
+    def threads(self) -> tuple[threading.Thread, ...]:
+        """Threads that answer the requests."""
+        return self._newest.thread, self._marking.thread
 
     def ask_live_path(self, message: wire.AskLivePath) -> None:
         """Queue a request for the live path to a position; the answer contains the message of any error."""
         self._newest.ask("live_path", lambda: self._answer_live_path(message))
+
+    def ask_target_mark(self, message: wire.AskTargetMark) -> None:
+        """Queue a request for the target that a click would mark."""
+        self._marking.ask("target_mark", lambda: self._answer_target_mark(message))
 
     def ask_edit_preview(self, message: wire.AskEditPreview) -> None:
         """Queue a request for the preview of an edit; the answer contains the message of any error."""
@@ -96,6 +106,18 @@ class Pointing:
                 f"no path through the airways could be calculated: internal error in Carina ({type(trouble).__name__})",
             )
         self._push(answer)
+
+    def _answer_target_mark(self, message: wire.AskTargetMark) -> None:
+        mark: Mark | None = None
+        try:
+            mark = self._session.ask(MarkAt(message.lps))
+        except CarinaError as trouble:
+            # The cursor has moved, or the point is outside the scan.
+            logger.debug("no mark: %s", trouble)
+        except Exception as trouble:
+            log_fault(logger, "the preview of a target failed", trouble)
+        sentences, warns = ((), False) if mark is None else (mark.sentences, mark.warns)
+        self._push(wire.TargetMark(message.request_id, message.lps, sentences, warns))
 
     def _answer_edit_preview(self, message: wire.AskEditPreview) -> None:
         lps = None

@@ -145,7 +145,7 @@ class Window:
     @property
     def threads(self) -> tuple[threading.Thread, ...]:
         """The threads of the window, which finish soon after :meth:`end`."""
-        return self._pictures, self._pointing.thread
+        return self._pictures, *self._pointing.threads
 
     def _scene(self) -> ShownCase | None:
         scene = self._session.scene(self.number)
@@ -298,6 +298,8 @@ class Window:
                 self._pick(message)
             case wire.AskLivePath():
                 self._pointing.ask_live_path(message)
+            case wire.AskTargetMark():
+                self._pointing.ask_target_mark(message)
             case wire.AskEditPreview():
                 self._pointing.ask_edit_preview(message)
             case wire.AskBranchDetail():

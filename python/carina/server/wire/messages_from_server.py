@@ -29,6 +29,7 @@ from carina.render import ClusterState, DecorationName, Processor, Sight
 from carina.scopes import ScopeHold
 from carina.server.wire.codec import ServerMessage
 from carina.server.wire.messages_of_devices import NetworkPage
+from carina.server.wire.messages_of_plan import RouteOrigin
 from carina.session.scene.layer_lines import LayerName
 from carina.session.state.grey_scale import FeatureOff
 from carina.session.state.snapshot import FlightPlace, MaskQuestion, SavingInfo
@@ -286,6 +287,14 @@ class RouteInfo(DrawnPart, frozen=True, kw_only=True):
     """Half-width in mm of the interval that should contain the true diameter in 90 of 100 cases."""
     narrowest_at_mm: float | None = None
     """Position of the narrowest place, in mm along the route."""
+    origin: RouteOrigin = RouteOrigin("root", 0.0)
+    """Origin of the distances that the window shows, as in the plan and its report."""
+    centreline_mm: Numbers = ()
+    """Distance in mm of each point from the start of the airway tree, along the centrelines.
+
+    ``origin.along_mm`` and the distances of plans are measured in the same way. The route itself is smoothed and
+    therefore shorter.
+    """
 
 
 class RouteMessage(ServerMessage, frozen=True):

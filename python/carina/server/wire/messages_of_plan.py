@@ -8,7 +8,7 @@ from msgspec import Meta
 
 from carina.commands.fields import BranchId, Count, Identifier, Part, PathMm, PointLps, PointsLps, Words
 from carina.commands.plan import PlanOptions
-from carina.server.wire.codec import ServerMessage
+from carina.server.wire.codec import ClientMessage, ServerMessage
 from carina.session.scene.layer_lines import LayerName
 from carina.value import FrozenValue
 
@@ -50,6 +50,26 @@ class NeedleLeg(FrozenValue, frozen=True):
     """Share of the needles within the assumed errors that hit the target at its place in the CT, 0 to 1."""
     hit_share_moved: Part | None
     """Share of the needles that hit if the target may have moved since the CT; null if not computed."""
+
+
+class MarkQuestion(FrozenValue, frozen=True):
+    """Point under the cursor; the answer repeats both values."""
+
+    request_id: Count
+    lps: PointLps
+
+
+class AskTargetMark(MarkQuestion, ClientMessage, frozen=True, tag="target_mark"):
+    """Ask what a click with the tool *Mark target* would mark; only the newest is answered, by ``target_mark``."""
+
+
+class TargetMark(MarkQuestion, ServerMessage, frozen=True, tag="target_mark"):
+    """Answer to ``target_mark``."""
+
+    sentences: tuple[Words, ...]
+    """What the click marks, and the reasons for which it may not be a nodule; empty if the search was ended."""
+    warns: bool
+    """Whether there are such reasons, or no route and no plan can lead to the point."""
 
 
 class RouteOrigin(FrozenValue, frozen=True):

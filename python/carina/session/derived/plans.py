@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from carina.case.document import Document, Lesion, Target
+from carina.case.routes import ChosenRoute, centreline_mm
 from carina.commands.plan import PlanOptions
 from carina.display import one_line
 from carina.errors import CancelledError, CarinaError, UnconfirmedTargetError, without_options
+from carina.plan.routes.main_carina import ROOT, RouteScale, origins_of_branches
 from carina.session.derived.derived_value import Attempt, Cached, Derived, Standing
 from carina.session.derived.measurement_cache import MeasuredAirways
 from carina.session.engines import Parts
@@ -199,6 +202,9 @@ class CasePlanning:
             settled=changed,
         )
         self._with_moves: Cached[tuple[Any, ...], TurnList] = Cached(_with_moves)
+        self._num_marks = 0
+        self._wall: Cached[Airways, WallField] = Cached(partial(parts.wall_field, volume), same=_same_lumen)
+        self._scales: Cached[tuple[Airways, ChosenRoute], RouteScale] = Cached(self._make_scale, same=_same_objects)
 
     # ------------------------------------------------------------ state
 
@@ -244,6 +250,32 @@ class CasePlanning:
             return turns
         return self._with_moves.of((made.airways.tree, plan.routes[number - 1], turns, driven))
 
+    def begin_mark(self) -> Callable[[], bool]:
+        """Count a search for the target under a cursor; return a function that states whether it is the newest one."""
+        with self._lock:
+            self._num_marks += 1
+            number = self._num_marks
+        return lambda: number == self._num_marks
+
+    def wall_for_marks(self, airways: Airways) -> WallField:
+        """Return the wall field of airways for previews of targets; computed once, which takes seconds."""
+        known = self.wall_of(airways)
+        return self._wall.of(airways) if known is None else known
+
+    def route_scale(self, document: Document) -> RouteScale | None:
+        """Return the distances along the route of a document, as its plan states them; None without a route."""
+        airways, route = document.airways, document.route
+        if route is None:
+            return None
+        if airways is None or not route.lumen_known:
+            return RouteScale(ROOT, route.cumulative_mm)
+        return self._scales.of((airways, route))
+
+    def _make_scale(self, inputs: tuple[Airways, ChosenRoute]) -> RouteScale:
+        airways, route = inputs
+        origins = origins_of_branches(airways.tree, self._parts.distance_origin(self._volume, airways))
+        return RouteScale(origins.get(route.spans[-1].branch_id, ROOT), centreline_mm(airways.tree, route))
+
     def again(self) -> None:
         """Repeat planning and verdicts that were stopped or failed, because the user asked for it."""
         self._plans.again()
@@ -265,6 +297,7 @@ class CasePlanning:
         self._plans.discard()
         self._verdicts.discard()
         self._turns.discard()
+        self._wall.forget()
         self._document = self._early = None
 
     # ------------------------------------------------------------ computation
@@ -291,10 +324,12 @@ class CasePlanning:
         return self._plans.of(self._inputs(self._document))
 
     def wall_of(self, airways: Airways) -> WallField | None:
-        """Return the wall field of airways if it was computed for the plans; None otherwise."""
+        """Return the wall field of airways if it was computed for plans or previews; None otherwise."""
         made = self.made
-        same = made is not None and made.airways.lumen_zyx is airways.lumen_zyx
-        return made.wall if made is not None and same else None
+        if made is not None and made.airways.lumen_zyx is airways.lumen_zyx:
+            wall: WallField = made.wall
+            return wall
+        return self._wall.known(airways)
 
     def _verdict_inputs(self) -> VerdictInputs | None:
         document, made = self._document, self.made
@@ -460,6 +495,14 @@ def _with_moves(inputs: tuple[Any, ...]) -> TurnList:
 
     tree, planned, turns, driven = inputs
     return turns_with_moves(tree, planned, turns, driven.moves, driven.ends_along_mm)
+
+
+def _same_lumen(a: Airways, b: Airways) -> bool:
+    return a.lumen_zyx is b.lumen_zyx
+
+
+def _same_objects(a: tuple[Any, ...], b: tuple[Any, ...]) -> bool:
+    return all(x is y for x, y in zip(a, b, strict=True))
 
 
 def _same_inputs(a: PlanInputs, b: PlanInputs) -> bool:

@@ -21,6 +21,7 @@ from carina.value import FrozenValue, Part
 from carina.volume.mask_files import MaskLabel
 
 if TYPE_CHECKING:
+    from carina.plan.routes.main_carina import RouteScale
     from carina.track import Branch, TreeMeasures
     from carina.volume import Volume
 
@@ -218,6 +219,8 @@ class Snapshot:
     transfer_presets: tuple[str, ...] = ()
     measures: TreeMeasures | None = None
     """Measurements of the document's airways; None until they are available."""
+    route_scale: RouteScale | None = None
+    """Distances along the document's route; None without a route."""
     mask_question: MaskQuestion | None = None
     saving: SavingInfo = SavingInfo()
     flights: tuple[FlightInfo, ...] = ()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from carina import commands as c
 from carina.case.document import Document, Target
 from carina.case.routes import NeedleLine, route_to_parking
+from carina.case.scope_choice import document_with_scope
 from carina.errors import NoResultError, UsageError
 from carina.plan import tool
 from carina.plan.report import PlanMaterials
@@ -60,7 +61,10 @@ class PlanHandlers(CommandHandlers):
 
     @does(c.SetPlanOptions)
     def set_plan_options(self, command: c.SetPlanOptions) -> None:
-        """Set the options of a target's plan and plan its routes again; a chosen route remains chosen."""
+        """Set the options of a target's plan and plan its routes again; a chosen route remains chosen.
+
+        The scope is one setting of the case: another scope is also that of the airway view and of the other plans.
+        """
         scope_preset(command.scope)
         tool(command.tool)
         case = self.core.needed_case()
@@ -73,11 +77,13 @@ class PlanHandlers(CommandHandlers):
             if options == target.lesion.options:
                 case.planning.again()
                 return
-            changed = replace(target, lesion=replace(target.lesion, options=options))
+            changed = _with_target(document, replace(target, lesion=replace(target.lesion, options=options)))
+            if options.scope != target.lesion.options.scope:
+                changed = document_with_scope(changed, options.scope)
             self.core.change(
                 case,
                 f"plan the way to {target.name}",
-                _with_target(document, changed),
+                changed,
                 gesture=("plan", target.target_id),
             )
 

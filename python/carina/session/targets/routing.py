@@ -2,21 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 from carina import commands as c
 from carina.case.document import Lesion, Target
 from carina.case.routes import ChosenRoute, route_to_branch
-from carina.errors import NoResultError, UsageError
+from carina.case.scope_choice import document_with_lesion
+from carina.display import one_line
+from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan.targets.doubts import BESIDE_AIRWAY
 from carina.scopes import WallField
-from carina.session.command_registry import CommandHandlers, does
+from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase
 from carina.session.state.snapshot import UserMessage
 from carina.session.targets.retrack import NO_START, needed_target, searched_target, tracked_target
 
-__all__ = ["RouteHandlers"]
+__all__ = ["Mark", "RouteHandlers"]
+
+
+IN_LUMEN_MM = 0.05
+"""Largest distance in mm by which a point is moved into the lumen that counts as rounding."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """Result of a click with the tool *Mark target*, without the click."""
+
+    sentences: tuple[str, ...]
+    """What the click marks, and the reasons for which it may not be a nodule."""
+    warns: bool
+    """Whether there are such reasons, or no route and no plan can lead to the point."""
 
 
 class RouteHandlers(CommandHandlers):
@@ -55,12 +73,11 @@ class RouteHandlers(CommandHandlers):
             )
 
         def work(job: Job) -> None:
-            lesion, why_none = self._lesion(case, target, job)
+            lesion, why_none = self._lesion(case, target, job.progress)
             if lesion is not None and not _may_be_airway(lesion):
                 with self.core.lock:
                     job.check()
-                    marked = replace(target, lesion=lesion)
-                    changed = replace(case.document, targets=(*case.document.targets, marked))
+                    changed = document_with_lesion(case.document, replace(target, lesion=lesion))
                     self.core.change(case, f"add {target.name}", changed)
                     self.core.emit(UserMessage(f"{target.name}: {lesion.nodule.words}"))
                 return
@@ -78,7 +95,7 @@ class RouteHandlers(CommandHandlers):
                         route = tracked.route or document.route
                         changed = replace(document, targets=(*document.targets, tracked), route=route)
                         self.core.change(case, f"add {target.name}", changed)
-                        if tracked.snapped_mm is not None and tracked.snapped_mm > 0.05:
+                        if tracked.snapped_mm is not None and tracked.snapped_mm > IN_LUMEN_MM:
                             words = f"{target.name} was moved {tracked.snapped_mm:.1f} mm into the nearest lumen"
                             if lesion is not None:
                                 words += "; if a nodule lies there, choose \u201cIt is a nodule\u201d"
@@ -105,7 +122,7 @@ class RouteHandlers(CommandHandlers):
         def work(job: Job) -> None:
             with self.core.lock:
                 target = needed_target(case.document, command.target_id)
-            lesion, why_none = self._lesion(case, target, job)
+            lesion, why_none = self._lesion(case, target, job.progress)
             if lesion is None:
                 raise NoResultError(why_none or f"{name} lies in an airway: nothing to be grown there")
             lesion = replace(lesion, target=replace(lesion.target, confirmed=(BESIDE_AIRWAY,)))
@@ -115,15 +132,47 @@ class RouteHandlers(CommandHandlers):
                 grown = Target(now.target_id, now.name, now.lps, lesion=lesion).described(
                     now.name, now.note, now.priority
                 )
-                targets = tuple(grown if one is now else one for one in document.targets)
                 route = document.route
                 if route is not None and route.target_id == now.target_id:
                     route = None
-                self.core.change(case, f"grow {name}", replace(document, targets=targets, route=route))
+                changed = document_with_lesion(document, grown)
+                self.core.change(case, f"grow {name}", replace(changed, route=route))
 
         return self.core.jobs.start(f"grow {command.target_id}", f"growing {name}", work)
 
-    def _lesion(self, case: OpenCase, target: Target, job: Job) -> tuple[Lesion | None, str | None]:
+    @answers(c.MarkAt)
+    def mark_at(self, question: c.MarkAt) -> Mark:
+        """Return what a click would mark at a point, by the same segmentation and path as :meth:`add_target`."""
+        case = self.core.needed_case()
+        case.check_inside(question.lps)
+        is_newest = case.planning.begin_mark()
+
+        def progress(_what: str, _share: float | None) -> None:
+            if not is_newest():
+                raise CancelledError("the cursor has moved")
+
+        airways = case.document.airways
+        if airways is not None and case.info.volume.is_hu:
+            case.planning.wall_for_marks(airways)
+        target = Target(target_id="mark", name="Mark", lps=question.lps)
+        lesion, why_none = self._lesion(case, target, progress)
+        if lesion is not None and not _may_be_airway(lesion):
+            doubts = tuple(f"doubt: {doubt.words}" for doubt in lesion.target.doubts)
+            return Mark((f"a click marks a {lesion.nodule.words}", *doubts), warns=bool(doubts))
+        if airways is None:
+            return Mark(("a click marks nothing yet: wait for the airways, or mark the trachea",), warns=True)
+        tracked = tracked_target(airways, target)
+        if tracked.problem is not None:
+            reasons = (tracked.problem,) if why_none is None else (why_none,)
+            return Mark(("a click marks a point without a path", *reasons), warns=True)
+        away_mm = tracked.snapped_mm or 0.0
+        where = "this place in the airway" if away_mm <= IN_LUMEN_MM else f"the airway, {away_mm:.1f} mm away"
+        beside = () if lesion is None else ("\u201cIt is a nodule\u201d then selects the tissue here",)
+        return Mark((f"a click marks {where}", *beside), warns=False)
+
+    def _lesion(
+        self, case: OpenCase, target: Target, progress: Callable[[str, float | None], None]
+    ) -> tuple[Lesion | None, str | None]:
         """Return the lesion at a target, or the reason why none was found; both are None without Hounsfield units."""
         volume, airways = case.info.volume, case.document.airways
         if not volume.is_hu:
@@ -136,7 +185,7 @@ class RouteHandlers(CommandHandlers):
                 name=target.name,
                 airways=airways,
                 wall=_wall_at_hand(case),
-                progress=job.progress,
+                progress=progress,
             )
             return Lesion(found), None
         except NoResultError as trouble:
@@ -213,4 +262,6 @@ def _wall_at_hand(case: OpenCase) -> WallField | None:
         wall: WallField = made.wall
         return wall
     held = case.wall.of(airways)
-    return None if held is None else held.field
+    if held is not None:
+        return held.field
+    return None if airways is None else case.planning.wall_of(airways)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from carina import commands as c
 from carina.case.document import Lesion, Target
+from carina.case.scope_choice import document_with_lesion
 from carina.errors import CarinaError, UsageError, without_options
 from carina.plan import (
     Nodule,
@@ -156,7 +157,6 @@ class TargetHandlers(CommandHandlers):
         self.core.change(case, label, replace(document, targets=targets))
 
     def _add(self, case: OpenCase, target: Target) -> None:
-        document = case.document
-        self.core.change(case, f"add {target.name}", replace(document, targets=(*document.targets, target)))
+        self.core.change(case, f"add {target.name}", document_with_lesion(case.document, target))
         if target.lesion is not None:
             self.core.emit(UserMessage(f"{target.name}: {target.lesion.nodule.words}"))

@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 
 from carina import commands as c
+from carina.case.scope_choice import document_with_scope
 from carina.errors import UsageError
 from carina.render import Sight
 from carina.scopes import scope_preset
@@ -43,16 +44,16 @@ class LookHandlers(CommandHandlers):
 
     @does(c.SetScope)
     def set_scope(self, command: c.SetScope) -> None:
-        """Set the scope with its field of view and outline; the outline stays *none* if the user chose a full frame."""
+        """Set the scope of the airway view and of all plans, which are made again; None is a pinhole camera."""
         case = self.core.needed_case()
         if command.scope is None:
             self._change_look(case, "no scope", None, scope=None, fov_deg=PINHOLE_FOV_DEG)
             return
         scope = scope_preset(command.scope)
-        outline = "none" if case.document.look.outline == "none" else scope.outline
-        self._change_look(
-            case, f"scope: {scope.title}", None, scope=command.scope, fov_deg=scope.usual_fov_deg, outline=outline
-        )
+        with self.core.lock:
+            changed = document_with_scope(case.document, command.scope, resets_view=True)
+            if changed is not case.document:
+                self.core.change(case, f"scope: {scope.title}", changed)
 
     @does(c.SetTransfer)
     def set_transfer(self, command: c.SetTransfer) -> None:

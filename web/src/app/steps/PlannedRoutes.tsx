@@ -12,40 +12,27 @@ import type { PlansMessage, ScopeVerdict, Target, TargetPlan } from "../../wire/
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 import { Icon } from "../icons";
+import { useAnswerShown } from "../PlanAnswer";
 import type { PlanSuffix } from "../workstation";
+import { RouteReasons } from "./RouteReasons";
 
 /** Render the planned routes of a target, with verdicts and exports. */
 export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPlan }) {
   const plans = useApp((state) => state.plans);
   const chosen = plan.chosen === null ? null : (plan.routes[plan.chosen - 1] ?? null);
-  const why = chosen?.narrowest_why ?? null;
-  const unmeasured = why === null || chosen?.limits.some((limit) => limit.includes(why)) ? null : why;
+  const answered = useAnswerShown();
   return (
     <div className="planned" data-testid="planned">
       <p>
         To <strong>{target.name}</strong>
       </p>
-      {plan.problem === null ? null : (
+      {plan.problem === null || answered ? null : (
         <p className="warning-text">
           <Icon name="warning" /> {sentence(plan.problem)}
         </p>
       )}
       {plan.routes.length === 0 ? null : <RouteTable target={target} plan={plan} />}
-      {(chosen?.doubts ?? []).map((doubt) => (
-        <p key={doubt} className="error-text" data-testid="route-doubt">
-          <Icon name="warning" /> {sentence(doubt)}
-        </p>
-      ))}
-      {(chosen?.limits ?? []).map((limit) => (
-        <p key={limit} className="warning-text">
-          <Icon name="warning" /> {sentence(limit)}
-        </p>
-      ))}
-      {unmeasured === null ? null : (
-        <p className="warning-text" data-testid="route-unmeasured">
-          <Icon name="warning" /> {sentence(unmeasured)}
-        </p>
-      )}
+      {answered ? null : <RouteReasons route={chosen} />}
       {chosen === null ? null : (
         <p className="quiet">
           Needle through{" "}
@@ -60,11 +47,11 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
         <>
           <Verdicts plans={plans} planned={plan.options.scope} />
           <Turns plans={plans} />
-          <Print target={target} />
+          <Print target={target} answered={answered} />
         </>
       )}
       <Options target={target} plan={plan} />
-      {plan.doubts.map(([code, words]) => (
+      {(answered ? [] : plan.doubts).map(([code, words]) => (
         <p key={code} className="warning-text">
           <Icon name="warning" /> {sentence(words)}
         </p>
@@ -140,8 +127,12 @@ function Options({ target, plan }: { target: Target; plan: TargetPlan }) {
     <details className="plan-options">
       <summary>Instruments and margins</summary>
       <label>
-        Bronchoscope
-        <select value={plan.options.scope} onChange={(event) => change({ scope: event.target.value })}>
+        Bronchoscope, also of the airway view
+        <select
+          value={plan.options.scope}
+          data-testid="plan-scope"
+          onChange={(event) => station.send({ type: "set_scope", scope: event.target.value })}
+        >
           {(scopes ?? []).map((scope) => (
             <option key={scope.name} value={scope.name}>
               {scope.title}
@@ -348,19 +339,22 @@ function Turns({ plans }: { plans: PlansMessage }) {
   );
 }
 
-function Print({ target }: { target: Target }) {
+/** Render the exports of the plan; `answered` leaves out the print button, which is in the answer above the pictures. */
+function Print({ target, answered }: { target: Target; answered: boolean }) {
   const station = useStation();
   const making = useApp((state) => state.ui.making);
   return (
     <>
-      <Act
-        kind="primary"
-        icon="file"
-        label="Print the plan"
-        words="Make the report, and open it in a new tab to be printed"
-        testId="print-plan"
-        onPress={() => station.printPlan(target.target_id, "report")}
-      />
+      {answered ? null : (
+        <Act
+          kind="primary"
+          icon="file"
+          label="Print the plan"
+          words="Make the report, and open it in a new tab to be printed"
+          testId="print-plan"
+          onPress={() => station.printPlan(target.target_id, "report")}
+        />
+      )}
       <div className="row">
         <Act
           kind="quiet"

@@ -1,6 +1,7 @@
 import { keyOf } from "../../input/keymap";
 import { comesFarthest, firstTooNarrow, thatPass } from "../../state/fit";
 import { fixed, mm } from "../../state/format";
+import { placeText } from "../../state/route";
 import type { HeldScope, RouteInfo, Scope } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
@@ -79,7 +80,7 @@ export function RehearseStep() {
       ) : (
         <Fit route={route} scope={scope} scopes={scopes} />
       )}
-      {held === null ? null : <Score held={held} />}
+      {held === null ? null : <Score held={held} route={route} />}
       <p className="quiet">
         <kbd>W</kbd> <kbd>S</kbd> advance and withdraw, <kbd>{"\u2191"}</kbd> <kbd>{"\u2193"}</kbd> bend the tip,{" "}
         <kbd>A</kbd> <kbd>D</kbd> rotate. To use a gamepad, pen or scope handle, press <kbd>;</kbd>
@@ -111,7 +112,7 @@ function Fit({ route, scope, scopes }: { route: RouteInfo; scope: Scope; scopes:
         <div>
           <dt>Scope reaches</dt>
           <dd className="numbers" data-testid="fits">
-            {stop === null ? "to the end" : `to ${fixed(stop.pathMm)} of ${mm(route.length_mm, 0)}`}
+            {stop === null ? `the end, ${placeText(route, route.length_mm)}` : placeText(route, stop.pathMm)}
           </dd>
         </div>
       </dl>
@@ -122,7 +123,7 @@ function Fit({ route, scope, scopes }: { route: RouteInfo; scope: Scope; scopes:
             ? `These scopes reach the end: ${passing.map((each) => `${each.title} (needs ${mm(each.fit_mm)})`).join("; ")}.`
             : farthest === null || farthest.scope.name === scope.name
               ? "No listed scope reaches farther."
-              : `No listed scope reaches the end. ${farthest.scope.title} gets farthest: ${mm(farthest.pathMm, 0)}.`}
+              : `No listed scope reaches the end. ${farthest.scope.title} gets farthest: ${placeText(route, farthest.pathMm)}.`}
         </p>
       )}
     </>
@@ -130,12 +131,12 @@ function Fit({ route, scope, scopes }: { route: RouteInfo; scope: Scope; scopes:
 }
 
 /** Render the counts and times of the rehearsal. */
-function Score({ held }: { held: HeldScope }) {
+function Score({ held, route }: { held: HeldScope; route: RouteInfo }) {
   return (
     <dl className="facts" data-testid="score">
       <div>
         <dt>Inserted</dt>
-        <dd className="numbers">{mm(held.insertion_mm, 0)}</dd>
+        <dd className="numbers">to {placeText(route, held.insertion_mm)}</dd>
       </div>
       <div>
         <dt>Wall contacts</dt>

@@ -1,6 +1,7 @@
 import { routeDoubts, withError } from "../../state/branch-words";
 import { mm } from "../../state/format";
 import { planOf } from "../../state/plan";
+import { placeText } from "../../state/route";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 import { Icon } from "../icons";
@@ -68,7 +69,7 @@ export function RouteStep() {
                 <dd className="numbers">
                   {route.narrowest_mm === null || route.narrowest_at_mm === null
                     ? "not measured yet"
-                    : `${withError(route.narrowest_mm, route.narrowest_error_mm) ?? ""} at ${mm(route.narrowest_at_mm, 0)}`}
+                    : `${withError(route.narrowest_mm, route.narrowest_error_mm) ?? ""}, ${placeText(route, route.narrowest_at_mm)}`}
                 </dd>
               </div>
             )}

@@ -4,6 +4,7 @@ import { keyOf } from "../../input/keymap";
 import { filesOfPicker } from "../../net/upload";
 import { coordinates, parseCoordinates, sentence } from "../../state/format";
 import { COST_TEXTS, type PathCost, pathText, startOf } from "../../state/path-search";
+import { isMarkAt, marksStructure } from "../../state/target-mark";
 import { asVec3, type Vec3 } from "../../state/vec";
 import type { Target } from "../../wire/messages";
 import { useApp, useStation } from "../context";
@@ -33,6 +34,7 @@ export function TargetStep() {
         onPress={() => station.act("arm_target")}
       />
       <PenText />
+      <MarkText />
       <Coordinates />
       <FromFile />
       <LungsPanel scope={reach.scope} tool={reach.tool} />
@@ -50,6 +52,19 @@ export function TargetStep() {
         </ul>
       )}
     </>
+  );
+}
+
+/** Render what a click at the cursor would mark, also for users who cannot see the text beside the cursor. */
+function MarkText() {
+  const words = useApp((state) => {
+    const mark = marksStructure(state) && isMarkAt(state.targetMark, state.ui.pointedLps) ? state.targetMark : null;
+    return mark === null ? "" : mark.sentences.map((line) => `${sentence(line)}.`).join(" ");
+  });
+  return (
+    <p className="quiet" role="status" data-testid="target-mark" hidden={words === ""}>
+      {words}
+    </p>
   );
 }
 

@@ -1,0 +1,120 @@
+/**
+ * Answer of a plan above the pictures: whether the target is reached, the needle, the nearest vessel, the doubts, and
+ * the print button. The panel of the step contains the details.
+ */
+
+import { sentence } from "../state/format";
+import { answeredPlan, answerOf, needleText, type ReachAnswer, vesselText } from "../state/plan-answer";
+import type { Target, TargetPlan } from "../wire/messages";
+import { useApp, useStation } from "./context";
+import { Act } from "./controls";
+import { Icon } from "./icons";
+import { RouteReasons } from "./steps/RouteReasons";
+import { useWideWindow } from "./wide-window";
+
+/** Return whether the window shows the answer of a plan above the pictures. */
+export function useAnswerShown(): boolean {
+  const wide = useWideWindow();
+  const hasAnswer = useApp((state) => answeredPlan(state) !== null && state.ui.full === null);
+  return wide && hasAnswer;
+}
+
+/** Render the answer of the plan that the user reads; nothing without such a plan, and nothing in a narrow window. */
+export function PlanAnswer() {
+  const shown = useAnswerShown();
+  const plan = useApp(answeredPlan);
+  const targets = useApp((state) => state.session?.targets ?? null);
+  const target = targets?.find((one) => one.target_id === plan?.target_id) ?? null;
+  return shown && plan !== null && target !== null ? <Answer target={target} plan={plan} /> : null;
+}
+
+const MARKS: Readonly<Record<ReachAnswer["kind"], string>> = {
+  reaches: "\u2713",
+  "may-reach": "?",
+  "does-not-reach": "\u2717",
+  "cannot-say": "\u2013",
+};
+
+function Answer({ target, plan }: { target: Target; plan: TargetPlan }) {
+  const station = useStation();
+  const plans = useApp((state) => state.plans);
+  const route = plan.routes[(plan.chosen ?? 1) - 1] ?? null;
+  const scopes = useApp((state) => state.start?.scopes ?? null);
+  const scope = scopes?.find((one) => one.name === plan.options.scope)?.title ?? plan.options.scope;
+  const reach = answerOf(plan, plans?.verdicts ?? [], plans?.verdicts_standing ?? "unwanted");
+  const vessel = route === null ? null : vesselText(route.leg, plan.options.vessel_margin_mm);
+  const isClear =
+    route !== null &&
+    route.narrowest_why === null &&
+    route.doubts.length + route.limits.length + plan.doubts.length === 0;
+  return (
+    <section className="plan-answer" aria-label={`Answer for ${target.name}`} data-testid="plan-answer">
+      <div className={`reach ${reach.kind}`} role="status" data-testid="answer-reach">
+        <span className="mark" aria-hidden="true">
+          {MARKS[reach.kind]}
+        </span>
+        <div>
+          <strong>
+            {target.name}: {reach.headline}
+          </strong>
+          <span className="quiet">
+            {reach.words === null ? "" : `${sentence(reach.words)}. `}
+            {route === null ? "" : `${scope}, via ${route.branch_name}.`}
+          </span>
+        </div>
+      </div>
+      {route === null ? null : (
+        <dl className="answer-facts numbers">
+          <div>
+            <dt>Needle</dt>
+            <dd data-testid="answer-needle">{needleText(route.leg)}</dd>
+          </div>
+          <div>
+            <dt>Vessel</dt>
+            <dd data-testid="answer-vessel" className={vessel?.warns === true ? "error-text" : undefined}>
+              {vessel?.text}
+            </dd>
+          </div>
+        </dl>
+      )}
+      {/* biome-ignore lint/a11y/noNoninteractiveTabindex: the keyboard scrolls a list that is longer than the card */}
+      <section className="answer-doubts" data-testid="answer-doubts" aria-label="Doubts" tabIndex={0}>
+        {isClear ? <p className="quiet">No doubts about the target or this route.</p> : null}
+        <RouteReasons route={route} />
+        {plan.doubts.map(([code, words]) => (
+          <p key={code} className="warning-text">
+            <Icon name="warning" /> {sentence(words)}
+          </p>
+        ))}
+      </section>
+      <div className="answer-actions">
+        {plan.chosen !== null ? (
+          <Act
+            kind="primary"
+            icon="file"
+            label="Print the plan"
+            words="Make the report, and open it in a new tab to be printed"
+            testId="print-plan"
+            onPress={() => station.printPlan(target.target_id, "report")}
+          />
+        ) : route === null ? null : (
+          <Act
+            kind="primary"
+            icon="play"
+            label="Take the best route"
+            words={`Via ${route.branch_name}; the other routes are under Route`}
+            testId="answer-take-route"
+            onPress={() => station.takePlannedRoute(target.target_id, 1)}
+          />
+        )}
+        <Act
+          kind="quiet"
+          label="Details"
+          words="Show the comparison of routes, the instruments and the turns in the Route panel"
+          testId="answer-details"
+          onPress={() => station.toStep("route")}
+        />
+      </div>
+    </section>
+  );
+}

@@ -1,0 +1,16 @@
+/** Hook that returns whether the window is wide enough for the plan's answer above the pictures. */
+
+import { useSyncExternalStore } from "react";
+
+/** Least width of a window, CSS px, that shows the answer above the pictures; the style sheets use the same width. */
+const WIDE_PX = 1600;
+
+const query = window.matchMedia(`(min-width: ${WIDE_PX}px)`);
+
+function subscribe(changed: () => void): () => void {
+  query.addEventListener("change", changed);
+  return () => query.removeEventListener("change", changed);
+}
+
+/** Return whether the window is wide; render the component again when the answer changes. */
+export const useWideWindow = (): boolean => useSyncExternalStore(subscribe, () => query.matches);
