@@ -41,7 +41,7 @@ from carina.scopes import Pose
 from carina.track import AirwayTree, Branch
 from carina_bench.plan_cases import PlanCase, TrueTree, found_case, patient_cases, phantom_case
 
-__all__ = ["hour_rows", "run", "summary"]
+__all__ = ["case_of", "hour_rows", "run", "summary"]
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -299,6 +299,12 @@ def run(folder: Path, names: Sequence[str], say: Say, *, width_mm: float = WIDTH
             rows += found
     say(f"all: {json.dumps(summary(rows))}; aims {LEAST_WITHIN:g} within half an hour, {MOST_NOT_GIVEN:g} not given")
     return rows
+
+
+def case_of(folder: Path, name: str) -> PlanCase | None:
+    """Return a case with its airways from its name, stored in a folder; None if the data of a patient are missing."""
+    say = partial(print, flush=True)
+    return next((found_case(folder, stored, make, say) for stored, make in _makers(name, say)), None)
 
 
 def _makers(name: str, say: Say) -> Iterator[tuple[str, Callable[[], PlanCase]]]:

@@ -26,7 +26,7 @@ from carina.errors import NoResultError
 from carina.plan import Nodule, grow_nodule, nodule_from_mask, target_from_file
 from carina.volume import Volume, open_mask
 
-__all__ = ["Implanted", "Segmented", "implanted_lesions", "lung_of", "segmented_lesion"]
+__all__ = ["Implanted", "Segmented", "depth_mm", "implanted_lesions", "lung_of", "segmented_lesion"]
 
 Mask = NDArray[np.bool_]
 
@@ -89,8 +89,8 @@ def lung_of(volume: Volume) -> Mask:
     labels = sitk.GetArrayFromImage(sitk.RelabelComponent(sitk.ConnectedComponent(_image(inside, volume))))
     ml = np.bincount(labels.reshape(-1)) * float(np.prod(volume.spacing_mm)) / 1000.0
     lung = np.isin(labels, [n for n in range(1, len(ml)) if ml[n] >= LEAST_LUNG_ML])
-    grown = _depth_mm(~lung, volume) <= CLOSING_MM
-    return lung | (_depth_mm(grown, volume) > CLOSING_MM)
+    grown = depth_mm(~lung, volume) <= CLOSING_MM
+    return lung | (depth_mm(grown, volume) > CLOSING_MM)
 
 
 def _image(mask: Mask, volume: Volume) -> Any:
@@ -99,7 +99,7 @@ def _image(mask: Mask, volume: Volume) -> Any:
     return image
 
 
-def _depth_mm(mask: Mask, volume: Volume) -> NDArray[np.float32]:
+def depth_mm(mask: Mask, volume: Volume) -> NDArray[np.float32]:
     """Return the distance of each voxel in a mask from its surface in mm; negative outside."""
     away = sitk.SignedMaurerDistanceMap(_image(mask, volume), True, False, True)
     found: NDArray[np.float32] = sitk.GetArrayFromImage(away)
@@ -120,7 +120,7 @@ class Implanted:
 def implanted_lesions(volume: Volume, kind: str, num: int, seed: int) -> Iterator[Implanted]:
     """Yield lesions in the lung (kind *free*) or on its surface (*wall*)."""
     lung = lung_of(volume)
-    depth = _depth_mm(lung, volume)
+    depth = depth_mm(lung, volume)
     for n in range(num):
         rng = np.random.default_rng([seed + n, *kind.encode()])
         radius_mm = RADII_MM[n % len(RADII_MM)] * rng.uniform(0.9, 1.1)

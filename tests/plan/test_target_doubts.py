@@ -10,6 +10,7 @@ from test_target_places import airway, chest
 import carina
 from carina.errors import UnconfirmedTargetError, UsageError
 from carina.plan import PlanTarget, check_confirmed, grow_nodule, plan_route, sphere, target_doubts, target_from_click
+from carina.scopes import WallField
 from carina.volume import Volume
 from made import found_airways, made_phantom
 
@@ -57,6 +58,20 @@ def test_target_without_lung_round_it_is_doubted():
     volume = chest()
     assert codes(target_doubts(volume, sphere(volume, (0.0, 20.0, 0.0), 12.0))) == ["target.mediastinum"]
     assert target_doubts(volume, grow_nodule(volume, (-60.0, 10.0, 0.0))) == ()
+
+
+def test_air_of_the_airways_beside_a_target_in_the_mediastinum_is_not_lung():
+    # Two bronchi of 16 mm along z, 6 mm apart, with a node between them.
+    matrix = np.diag([0.8, 0.8, 1.0, 1.0])
+    matrix[:3, 3] = (-28.0, -28.0, -28.0)
+    _, j, i = np.indices((57, 71, 71))
+    x, y = 0.8 * i - 28.0, 0.8 * j - 28.0
+    tubes = np.hypot(np.abs(x) - 11.0, y) - 8.0
+    volume = Volume(np.where(tubes < 0.0, -1000, 20).astype(np.int16), matrix)
+    wall = WallField.from_distances(np.clip(-tubes, -2.5, 4.5).astype(np.float32), matrix)
+    node = sphere(volume, (0.0, 0.0, 0.0), 4.0)
+    assert "target.mediastinum" in codes(target_doubts(volume, node, wall=wall))
+    assert "target.mediastinum" not in codes(target_doubts(volume, node))
 
 
 @pytest.mark.parametrize("polyp_mm", [3.0, 4.5, 6.0])

@@ -16,6 +16,7 @@ __all__ = [
     "beside",
     "box_step_mm",
     "component_at",
+    "components",
     "distance_from",
     "enclosed",
     "extent",
@@ -181,6 +182,19 @@ def component_at(mask: Mask, at: tuple[int, ...]) -> Mask:
     image: Any = sitk.GetImageFromArray(mask.astype(np.uint8))
     seed = tuple(int(k) for k in reversed(at))
     found: Mask = sitk.GetArrayFromImage(sitk.ConnectedThreshold(image, [seed], 1, 1)) != 0
+    return found
+
+
+def components(mask: Mask) -> NDArray[np.uint32]:
+    """Return the number, from 1, of the part of a mask that contains each voxel; parts are connected by faces.
+
+    The number is 0 outside the mask.
+    """
+    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
+
+    found: NDArray[np.uint32] = sitk.GetArrayFromImage(
+        sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)))
+    )
     return found
 
 

@@ -18,15 +18,17 @@ from carina.plan.cubic_box import (
     ball_distance,
     beside,
     component_at,
+    components,
     distance_from,
     enclosed,
+    extent,
     from_faces,
     lung_median_hu,
     smoothed,
     surface,
     uphill,
 )
-from carina.plan.targets.chest_wall import SHALLOW_MM, cut_at_wall
+from carina.plan.targets.chest_wall import SHALLOW_MM, LungSide, cut_at_wall
 
 __all__ = ["HALVES_MM", "SMOOTH_MM", "SOLID_HU", "WIDE_OFF_MM", "Boundary", "no_boundary"]
 
@@ -108,6 +110,10 @@ core's rise.
 """
 
 
+GROWN = ("bar_hu", "dense", "touches", "wall", "wall_off_mm", "is_chord", "inside", "cut", "cavity", "others", "seed")
+"""Attributes of a `Boundary` that depend on the threshold."""
+
+
 def no_boundary() -> NoResultError:
     """Return the error for a click without a nodule boundary."""
     return NoResultError(
@@ -152,9 +158,15 @@ class Boundary:
         very = smoothed(box.hu_zyx, SEED_SMOOTH_MM / box.step_mm)
         self.lung_hu = lung_median_hu(self.smooth)
         self.seed, level = self._selected_voxel(very, point)
+        self._lung_sides: dict[tuple[int, ...], LungSide] = {}
         self._grow(min(level, DENSEST_HU))
-        glass = self._glass_hu()
-        self._grow(min(level, DENSEST_HU) if glass is None else glass)
+        solid = self._state()
+        # The lower threshold of ground glass gives a larger boundary, which would also be near the faces.
+        glass = None if self.is_near_faces else self._glass_hu()
+        if glass is None:
+            self._restore(solid)
+        else:
+            self._grow(glass)
         self.rim_hu: float | None = None
         if glass is not None:
             for _ in range(NUM_RIMS):
@@ -165,6 +177,15 @@ class Boundary:
                 self._grow(self.rim_hu)
         self.has_glass = glass is not None
         """Whether ground glass surrounds a denser part."""
+
+    def _state(self) -> dict[str, Any]:
+        """Return the attributes that `_grow` sets."""
+        return {name: getattr(self, name) for name in GROWN}
+
+    def _restore(self, state: dict[str, Any]) -> None:
+        """Set the attributes of a boundary that `_state` returned."""
+        for name, value in state.items():
+            setattr(self, name, value)
 
     def _selected_voxel(self, very: NDArray[np.float32], point: NDArray[np.float64]) -> tuple[tuple[int, ...], float]:
         """Return the voxel of the nodule that a click selects, and the density of the nodule there in HU.
@@ -223,7 +244,9 @@ class Boundary:
         self.wall = np.zeros_like(whole)
         self.wall_off_mm, self.is_chord = 0.0, False
         if self.reaches_faces(whole):
-            found = cut_at_wall(self.box, self.smooth, whole, self.seed)
+            if self.seed not in self._lung_sides:
+                self._lung_sides[self.seed] = LungSide(self.box, self.smooth, self.seed)
+            found = cut_at_wall(self._lung_sides[self.seed], whole)
             if found.wall is not None:
                 if found.wall[self.seed]:
                     self._leave_the_wall(found.inside)
@@ -294,14 +317,14 @@ class Boundary:
         # A film and a fillet of the removed wall remain along the wall; they are neither nodule nor vessel.
         from_wall = distance_from(self.wall, self.box.step_mm, FILLET_MM)
         own |= left & (from_wall > 1.5 * self.box.step_mm)
-        left = own.copy()
-        far = left & (away > STUB_MM)
-        while far.any():
-            piece = component_at(left, _first(far.argmax(), far.shape))
-            if float(from_wall[piece].max()) > FILLET_MM:
-                cut |= piece
-            own &= ~piece
-            far &= ~piece
+        far = own & (away > STUB_MM)
+        if far.any():
+            part = extent(own, 0)
+            pieces = components(own[part])
+            is_long = np.bincount(pieces[far[part]], minlength=int(pieces.max()) + 1) > 0
+            is_free = np.bincount(pieces[own[part] & (from_wall[part] > FILLET_MM)], minlength=is_long.size) > 0
+            cut[part] = (is_long & is_free)[pieces]
+            own[part] &= ~is_long[pieces]
         return cut, own
 
     def rim(self, inside: Mask, mm: float) -> Mask:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from carina.plan.cubic_box import Box, ball_distance, beside, component_at, distance_from, from_faces, uphill
 
-__all__ = ["SHALLOW_MM", "WallCut", "cut_at_wall"]
+__all__ = ["SHALLOW_MM", "LungSide", "WallCut", "cut_at_wall"]
 
 Mask = NDArray[np.bool_]
 
@@ -64,10 +65,8 @@ class WallCut:
     """Whether the surface behind the nodule is a chord of the contact, and does not continue the lung's surface."""
 
 
-def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[int, ...]) -> WallCut:
-    """Return the wall near a nodule, and the part of ``whole`` on the lung's side of the wall.
-
-    The wall's surface is a paraboloid fitted to the lung's boundary round the nodule, without the nodule itself.
+class LungSide:
+    """Lung, tissue and wall of a box on the side of a nodule; they do not depend on the nodule's boundary.
 
     Parameters
     ----------
@@ -75,34 +74,69 @@ def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[
         Box of the CT.
     smooth
         (nz, ny, nx) smoothed values of the box, HU.
-    whole
-        (nz, ny, nx) mask of the dense voxels connected to the nodule.
     seed
         Index (z, y, x) of a voxel in the nodule.
     """
-    step = box.step_mm
-    dense = smooth > WALL_HU
-    deep = ball_distance(dense, step) > VESSEL_MM
-    if not from_faces(deep).any():
+
+    def __init__(self, box: Box, smooth: NDArray[np.float32], seed: tuple[int, ...]) -> None:
+        self.box, self.seed = box, seed
+        self.dense: Mask = smooth > WALL_HU
+        self._walls: dict[float, Mask] = {}
+
+    @functools.cached_property
+    def has_wall(self) -> bool:
+        """Whether tissue wider than a vessel reaches the faces of the box."""
+        return bool(from_faces(ball_distance(self.dense, self.box.step_mm) > VESSEL_MM).any())
+
+    @functools.cached_property
+    def air(self) -> _LungAir:
+        """Air of the box that is lung."""
+        return _LungAir(self.box, ~self.dense, self.seed)
+
+    def wall(self, closing_mm: float) -> Mask:
+        """Return the wall by a closing of the lung; a wide closing is that of the nearest lung alone."""
+        if closing_mm not in self._walls:
+            self._walls[closing_mm] = _outside_closing(self.lung(closing_mm), closing_mm, self.box.step_mm)
+        return self._walls[closing_mm]
+
+    def lung(self, closing_mm: float) -> Mask:
+        """Return the lung that a closing of the given radius uses."""
+        nearest = self.air.nearest
+        return self.air.lungs if closing_mm == CLOSING_MM or nearest is None else nearest
+
+
+def cut_at_wall(side: LungSide, whole: Mask) -> WallCut:
+    """Return the wall near a nodule, and the part of ``whole`` on the lung's side of the wall.
+
+    The wall's surface is a paraboloid fitted to the lung's boundary round the nodule, without the nodule itself.
+
+    Parameters
+    ----------
+    side
+        Lung, tissue and wall of the box.
+    whole
+        (nz, ny, nx) mask of the dense voxels connected to the nodule.
+    """
+    box, seed, step = side.box, side.seed, side.box.step_mm
+    if not side.has_wall:
         return WallCut(whole, None)
-    air = _LungAir(box, ~dense, seed)
-    wall = _outside_closing(air.lungs, CLOSING_MM, step)
+    wall = side.wall(CLOSING_MM)
     if not wall.any():
         return WallCut(whole, None)
     if ball_distance(wall, step)[seed] <= SHALLOW_MM:
-        best = _fitted(box, whole, seed, dense=dense, lung=air.lungs, wall=wall, closing_mm=CLOSING_MM)
+        best = _fitted(side, whole, CLOSING_MM)
         if not best.is_chord:
             return best
     else:
         best = WallCut(whole & ~wall, wall)
     half_mm = 0.5 * (box.hu_zyx.shape[0] - 1) * step
     for closing_mm in WIDE_CLOSINGS_MM:
-        if closing_mm > CLOSING_SHARE * half_mm or air.nearest is None:
+        if closing_mm > CLOSING_SHARE * half_mm or side.air.nearest is None:
             break
-        wall = _outside_closing(air.nearest, closing_mm, step)
+        wall = side.wall(closing_mm)
         if not wall.any() or ball_distance(wall, step)[seed] > DEEP_SEED_MM:
             continue
-        found = _fitted(box, whole, seed, dense=dense, lung=air.nearest, wall=wall, closing_mm=closing_mm)
+        found = _fitted(side, whole, closing_mm)
         if not found.is_chord:
             return found
         if not best.is_chord:
@@ -110,20 +144,18 @@ def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[
     return best
 
 
-def _fitted(
-    box: Box, whole: Mask, seed: tuple[int, ...], *, dense: Mask, lung: Mask, wall: Mask, closing_mm: float
-) -> WallCut:
+def _fitted(side: LungSide, whole: Mask, closing_mm: float) -> WallCut:
     """Return the cut at a paraboloid that continues the lung's surface behind a nodule.
 
     Parameters
     ----------
-    box, whole, seed
+    side, whole
         As for `cut_at_wall`.
-    dense, lung, wall
-        (nz, ny, nx) masks of tissue, of the lung, and of the wall by a closing of the lung.
     closing_mm
-        Radius of that closing.
+        Radius of the closing of the lung from which the fit begins.
     """
+    box, seed = side.box, side.seed
+    dense, lung, wall = side.dense, side.lung(closing_mm), side.wall(closing_mm)
     step = box.step_mm
     inside = whole & ~wall
     start = seed
@@ -144,18 +176,18 @@ def _fitted(
         ring_mm = max(ring_mm, min(reach_mm + BEYOND_MM, WIDEST_MM))
     # The part of the lung's surface that the closing did not change.
     ring = np.argwhere(dense & (from_wall <= 1.5 * step) & beside(lung) & (off <= ring_mm)).astype(float)
-    side = None
+    beyond = None
     if len(ring) >= LEAST_POINTS:
-        side = _surface_side(ring, np.argwhere(lung & (off <= ring_mm)).mean(axis=0), box.hu_zyx.shape)
+        beyond = _surface_side(ring, np.argwhere(lung & (off <= ring_mm)).mean(axis=0), box.hu_zyx.shape)
     # The paraboloid holds only as far as the points that it was fitted to.
     here = (off <= ring_mm) & (from_wall <= LUNGWARD_MM) & (ball_distance(wall, step) <= DEEPEST_MM)
     beside_wall = lung & here
-    behind = 1.0 if side is None else float((beside_wall & (side > 1.0)).sum()) / max(float(beside_wall.sum()), 1.0)
+    behind = 1.0 if beyond is None else float((beside_wall & (beyond > 1.0)).sum()) / max(float(beside_wall.sum()), 1.0)
     # The lung's surface may be bent too much for a paraboloid, as in the costophrenic angle.
-    if side is None or behind > MOST_BEHIND:
+    if beyond is None or behind > MOST_BEHIND:
         bulge_mm = closing_mm - float(np.sqrt(closing_mm**2 - min(contact_mm, 0.9 * closing_mm) ** 2))
         return WallCut(inside, wall, off_mm=bulge_mm, is_chord=bulge_mm > LEAST_BULGE_MM)
-    fitted = np.where(here, side > 0.0, wall)
+    fitted = np.where(here, beyond > 0.0, wall)
     return WallCut(whole & ~fitted, fitted, off_mm=(FIT_OFF + behind) * min(contact_mm, WIDEST_MM))
 
 

@@ -105,6 +105,8 @@ SHELL_MM = (2.0, 4.0)
 """Range of distances in mm from a target of the shell in which lung is searched; the target's blur ends before it."""
 LUNG_HU, LUNG_SHARE = -500.0, 0.25
 """Largest density of lung in HU, and its share of the shell below which a target has no lung round it."""
+LUMEN_EDGE_MM = 1.0
+"""Distance in mm outside a lumen within which air belongs to the airway, because blur moves its edge."""
 
 NEAR_AIRWAY_MM = 5.0
 """Largest distance in mm of a point from a lumen at which the point may select the airway."""
@@ -230,7 +232,7 @@ def target_doubts(
         )
     elif around.is_slender():
         found.append(TargetDoubt(TUBE, "it is long and thin, like a piece of a vessel"))
-    if around.lung_share() < LUNG_SHARE:
+    if around.lung_share(None if IN_LUMEN in nodule.touches else wall) < LUNG_SHARE:
         found.append(
             TargetDoubt(
                 MEDIASTINUM,
@@ -269,16 +271,28 @@ class _Around:
         matrix[:3, :3] = axes * step
         matrix[:3, 3] = nodule.lps_from_ijk[:3, 3] - axes.sum(axis=1) * pad_mm
         box = Box.at(volume, matrix, tuple(int(n) for n in num[::-1]))
-        self._step, self._known = step, box.known
+        self._step, self._known, self._lps_from_ijk = step, box.known, matrix
         inside = _resampled(nodule.inside_zyx, num, step / own_mm, pad_mm / own_mm)
         self._inside = inside | enclosed(inside)
         self._smooth = smoothed(box.hu_zyx, SMOOTH_MM / step)
         self._away = distance_from(self._inside, step, pad_mm)
 
-    def lung_share(self) -> float:
-        """Return the share of lung in the shell round the target; 1 if the CT does not show the shell."""
+    def lung_share(self, wall: WallField | None) -> float:
+        """Return the share of lung in the shell round the target; 1 if the CT does not show the shell.
+
+        Parameters
+        ----------
+        wall
+            Wall of the airways: the air of an airway is not lung. If None, all air is lung.
+        """
         shell = (self._away > SHELL_MM[0]) & (self._away <= SHELL_MM[1]) & self._known & ~self._inside
-        return float((self._smooth[shell] < LUNG_HU).mean()) if shell.any() else 1.0
+        if not shell.any():
+            return 1.0
+        lung = self._smooth[shell] < LUNG_HU
+        if wall is not None:
+            points = np.argwhere(shell)[lung, ::-1] @ self._lps_from_ijk[:3, :3].T + self._lps_from_ijk[:3, 3]
+            lung[lung] = wall.distance_mm(points) <= -LUMEN_EDGE_MM
+        return float(lung.mean())
 
     def is_slender(self) -> bool:
         """Return whether the target is much longer than wide in both other directions."""
