@@ -29,6 +29,7 @@ from carina.plan import (
 )
 from carina.plan import tool as tool_named
 from carina.plan.report import Paper, PlanMaterials, ReportKind, whole_sheet, write_report
+from carina.plan.routes.predictors import PREDICTOR_WORDS
 from carina.plan.targets.doubts import confirmed_codes
 from carina.scopes import scope_preset, scope_presets
 from carina.volume.point_check import check_in_volume
@@ -236,11 +237,15 @@ def lines(plan: Plan) -> list[str]:
     said = [f"bronchus sign: {sign}"]
     for number, route in enumerate(plan.routes, 1):
         said.append(f"route {number}: {_route_words(plan, route)}")
+        if route.predictors is not None:
+            said.append(f"route {number}: {route.predictors.words}")
         said += [f"route {number}: ! {doubt}" for doubt in route.doubts]
         if route.origin.note is not None:
             said.append(f"route {number}: ! {route.origin.note}")
         if route.width.why is not None:
             said.append(f"route {number}: ! {route.width.why}")
+    if any(route.predictors is not None for route in plan.routes):
+        said.append(f"bifurcation angle, least diameter and curvature: {PREDICTOR_WORDS}")
     if plan.why is not None:
         said.append(plan.why)
     else:

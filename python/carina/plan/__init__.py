@@ -20,6 +20,7 @@ from carina.plan.routes.last_leg import CrossedTissue, LastLeg, NearVessel, Need
 from carina.plan.routes.main_carina import DistanceOrigin, distance_origin
 from carina.plan.routes.needle_hits import NeedleErrors, hit_share
 from carina.plan.routes.plan_route import Plan, PlannedRoute
+from carina.plan.routes.predictors import PREDICTOR_SOURCE, PREDICTOR_WORDS, RoutePredictors, route_predictors
 from carina.plan.routes.ranking import Outlook, ScoreWeights
 from carina.plan.routes.standing_points import BronchusSign, NearestPlace
 from carina.plan.targets.doubts import TargetDoubt, check_confirmed, target_doubts
@@ -45,6 +46,8 @@ if TYPE_CHECKING:
 __all__ = [
     "DEFAULT_TOOL",
     "EBUS_LIMITS",
+    "PREDICTOR_SOURCE",
+    "PREDICTOR_WORDS",
     "WHERE_WORDS",
     "BronchusSign",
     "Check",
@@ -71,6 +74,7 @@ __all__ = [
     "PlanTarget",
     "PlannedRoute",
     "ReachAtlas",
+    "RoutePredictors",
     "ScoreWeights",
     "TargetDoubt",
     "TargetSource",
@@ -107,6 +111,7 @@ __all__ = [
     "reach_atlas",
     "replay_moves",
     "resized",
+    "route_predictors",
     "scope_from_file",
     "scope_to_json",
     "search_drive",

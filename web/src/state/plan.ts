@@ -29,6 +29,9 @@ export const signText = (sign: string): string => SIGNS[sign] ?? sign;
 /** Return a fraction as a percentage. */
 export const share = (part: number): string => `${fixed(100 * part)}\u202f%`;
 
+const figure = (value: number | null | undefined, text: (value: number) => string): string =>
+  value === null || value === undefined ? "\u2013" : text(value);
+
 /** Rows of the table that compares routes, with the function that returns each row's text. */
 export const ROUTE_ROWS: readonly { title: string; words: string; of: (route: RouteOffer) => string }[] = [
   { title: "Airway", words: "The airway in which the scope is parked", of: (route) => route.branch_name },
@@ -53,6 +56,22 @@ export const ROUTE_ROWS: readonly { title: string; words: string; of: (route: Ro
     title: "Scope",
     words: "Whether the planned scope fits; may fit: only if the errors are in its favour",
     of: (route) => route.fit,
+  },
+  {
+    title: "Fork angle*",
+    words: "Bifurcation angle: between the axes of the tip's airway and of its parent",
+    of: ({ predictors }) => figure(predictors?.bifurcation_deg, (deg) => `${fixed(deg)}\u00b0`),
+  },
+  {
+    title: "Least, end*",
+    words: "Least diameter of the last 20\u00a0mm of the way, with half of its 90\u202f% interval",
+    of: ({ predictors }) =>
+      figure(predictors?.least_mm, (least) => withError(least, predictors?.least_error_mm ?? 0) ?? ""),
+  },
+  {
+    title: "Curve, end*",
+    words: "Mean curvature of the last 20\u00a0mm of the way, 1/mm",
+    of: ({ predictors }) => figure(predictors?.curvature_per_mm, (value) => `${value.toFixed(3)}/mm`),
   },
   {
     title: "Needle",

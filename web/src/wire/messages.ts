@@ -1027,6 +1027,16 @@ export interface NeedleLeg {
   readonly hit_share_moved: number | null;
 }
 
+/** Published predictors of a failed navigation; `predictors` of a route in plan.json has the same keys. */
+export interface FailurePredictors {
+  readonly bifurcation_deg: number | null;
+  readonly least_mm: number;
+  readonly least_error_mm: number;
+  readonly least_by: "ball" | "sections";
+  readonly curvature_per_mm: number | null;
+  readonly note: string;
+}
+
 /** A planned route to a target, with its measurements and its score; a route in plan.json has the same keys. */
 export interface RouteOffer {
   readonly key: string;
@@ -1045,6 +1055,7 @@ export interface RouteOffer {
   readonly leg: NeedleLeg;
   readonly score: number;
   readonly doubts: readonly string[];
+  readonly predictors: FailurePredictors | null;
 }
 
 /** A lesion that is a target, and the routes to it. */

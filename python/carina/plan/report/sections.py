@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 from carina.plan.report.blocks import Block, Bullets, Clip, Facts, Figure, Figures, ReportTable, Section, Words
 from carina.plan.report.drawing import Drawing, Raster
@@ -16,6 +17,7 @@ from carina.plan.report.wording import (
     per_cent,
 )
 from carina.plan.routes.plan_route import PlannedRoute, ScoreWeights
+from carina.plan.routes.predictors import PREDICTOR_WORDS
 from carina.plan.routes.ranking import MEDIASTINUM_MM
 from carina.plan.turns.clips import TurnClip
 from carina.plan.turns.fork_view import Operator
@@ -176,6 +178,7 @@ def _route(sheet: PlanSheet) -> list[Section]:
         ("Past the main carina", carina_cell(route.from_carina_mm)),
         ("Narrowest diameter", f"{fits}: {route.fit}"),
         ("Sharpest bend", f"{route.bend_deg:.0f}\u00b0 over the scope's rigid tip and bending section"),
+        *((("Predictors*", route.predictors.words),) if route.predictors is not None else ()),
         ("Tool", plan.tool.title),
         ("To the target's edge", f"{leg.to_target_mm:.1f} mm, of which {leg.outside_mm:.1f} mm outside the lumen"),
         ("Angle to the airway", f"{leg.angle_deg:.0f}\u00b0"),
@@ -210,6 +213,7 @@ def _route(sheet: PlanSheet) -> list[Section]:
             blocks.append(Words(text, "warning"))
     blocks += [
         Facts(rows),
+        *((Words(f"* {PREDICTOR_WORDS}", "quiet"),) if route.predictors is not None else ()),
         Figure(needle_bar(leg, plan.tool), "Tissue on the needle's way in order, mm from the scope's tip."),
     ]
     if sheet.needle_slice is not None:
@@ -376,12 +380,14 @@ def _others(sheet: PlanSheet) -> list[Section]:
     doubts = [f"Route {n}: {doubt}." for n, route in enumerate(routes, 1) for doubt in route.doubts]
     share = 0.76 / len(routes)
     blocks: list[Block] = [ReportTable(head, tuple(rows), (0.24, *(share,) * len(routes)))]
+    if any(route.predictors is not None for route in routes):
+        blocks.append(Words(f"* {PREDICTOR_WORDS}", "quiet"))
     if doubts:
         blocks.append(Bullets(tuple(doubts), "warning"))
     return [Section("routes", "Routes side by side", tuple(blocks))]
 
 
-_COMPARED = (
+_COMPARED: tuple[tuple[str, Callable[[PlanSheet, PlannedRoute], str]], ...] = (
     ("Tip of the scope in", lambda _, r: r.branch_name),
     ("Past the main carina", lambda _, r: carina_cell(r.from_carina_mm)),
     (
@@ -393,6 +399,9 @@ _COMPARED = (
         lambda _, r: r.outlook + (f" ({per_cent(r.chance)})" if r.outlook == "may reach" else ""),
     ),
     ("Sharpest bend", lambda _, r: f"{r.bend_deg:.0f}\u00b0"),
+    ("Bifurcation angle*", lambda _, r: "not known" if r.predictors is None else r.predictors.angle_words),
+    ("Least, last 20 mm*", lambda _, r: "not known" if r.predictors is None else r.predictors.width.words),
+    ("Curvature, last 20 mm*", lambda _, r: "not known" if r.predictors is None else r.predictors.curvature_words),
     ("To the target's edge", lambda _, r: f"{r.leg.to_target_mm:.1f} mm"),
     ("Angle to the airway", lambda _, r: f"{r.leg.angle_deg:.0f}\u00b0"),
     ("Length in the target", lambda _, r: f"{r.leg.in_target_mm:.0f} mm"),

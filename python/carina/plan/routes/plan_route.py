@@ -33,6 +33,7 @@ from carina.plan.routes.last_leg import LastLeg, NeedleScene, leg_as_aimed, wher
 from carina.plan.routes.main_carina import DistanceOrigin, distance_origin
 from carina.plan.routes.needle_hits import NeedleErrors
 from carina.plan.routes.no_route_reasons import check_target, notes_of_target, notes_of_tools, why_none
+from carina.plan.routes.predictors import RoutePredictors, route_predictors
 from carina.plan.routes.ranking import Demands, Judge, Outlook, ScoreWeights, bending_mm, order
 from carina.plan.routes.route_width import Fit, RouteWidth, matches_tree
 from carina.plan.routes.standing_points import BronchusSign, NearestPlace, Places, branch_title
@@ -115,6 +116,8 @@ class PlannedRoute:
     """Names of the tools that pass the scope's channel and reach the target from there."""
     hold: ScopeHold | None = None
     """Insertion, roll and lever with which the drive points at the target; None without a drive that arrives."""
+    predictors: RoutePredictors | None = None
+    """Published predictors of a failed navigation; None for a route that was not made by `plan_route`."""
 
     @property
     def key(self) -> str:
@@ -166,6 +169,7 @@ class PlannedRoute:
             "chance": self.chance,
             "limits": list(self.limits),
             "tools": list(self.tools),
+            "predictors": None if self.predictors is None else self.predictors.to_json(),
             "leg": self.leg.to_json(),
             "parts": self.parts,
             "score": self.score,
@@ -415,6 +419,21 @@ def draft_plan(
             for route in kept
             if (apart := search.apart_from(route, drafts_of.get((route.branch_id, route.aim), ())))
         )
+
+        def with_predictors(route: PlannedRoute) -> PlannedRoute:
+            found = route_predictors(
+                airways.tree,
+                route.branch_id,
+                route.along_mm,
+                wall=wall,
+                measures=measures,
+                spacing_mm=max(volume.spacing_mm),
+                origin=route.origin,
+            )
+            return replace(route, predictors=found)
+
+        kept = tuple(with_predictors(route) for route in kept)
+        spares = tuple(with_predictors(route) for route in spares)
     report(1.0)
     plan = Plan(
         nodule=nodule,

@@ -8,6 +8,7 @@ of the largest ball in the segmented lumen, whose error is several times larger.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -22,7 +23,16 @@ from carina.scopes import ScopePreset, WallField
 from carina.track import AirwayTree, Branch, TreeMeasures
 from carina.track.measures.diameter import least_with_error
 
-__all__ = ["EXCESS_SIGMA_MM", "Fit", "RouteWidth", "WidthSource", "ball_error_mm", "matches_tree", "widths_on_the_way"]
+__all__ = [
+    "EXCESS_SIGMA_MM",
+    "Fit",
+    "RouteWidth",
+    "WidthSource",
+    "ball_error_mm",
+    "matches_tree",
+    "width_of_section",
+    "widths_on_the_way",
+]
 
 Points = NDArray[np.float64]
 Widths = NDArray[np.object_]
@@ -170,6 +180,47 @@ def widths_on_the_way(
         places = _known_diameters(branch, along, wall, measures, spacing_mm)
         places.at_mm += start
         found[branch.id] = _cumulated(places, along + start, before, origin)
+    return found
+
+
+def width_of_section(
+    lineage: Sequence[Branch],
+    wall: WallField | None,
+    measures: TreeMeasures | None,
+    spacing_mm: float,
+    *,
+    section_mm: tuple[float, float],
+    origin: DistanceOrigin = ROOT,
+) -> RouteWidth:
+    """Return the narrowest width of one section of a route, by the diameters of `widths_on_the_way`.
+
+    As there, the first known diameter at or beyond the end of the section counts too. Without a diameter in the
+    section, the one nearest before it counts.
+
+    Parameters
+    ----------
+    lineage
+        Branches of the route from the root.
+    wall, measures, spacing_mm, origin
+        As for `widths_on_the_way`.
+    section_mm
+        Ends of the section, as distances from the root.
+    """
+    low, high = (origin.past_mm(mm) for mm in section_mm)
+    end = origin.past_mm(sum(branch.length_mm for branch in lineage))
+    found: RouteWidth | None = None
+    for branch in reversed(lineage):
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
+        end -= float(along[-1])
+        places = _known_diameters(branch, along, wall, measures, spacing_mm)
+        places.at_mm += end
+        last = int(np.searchsorted(places.at_mm, high - 1e-6)) + 1
+        for n in reversed(range(min(last, len(places.at_mm)))):
+            if found is not None and places.at_mm[n] < low:
+                return found
+            width = _width(places, n, origin)
+            found = _narrower(found, replace(width, at_mm=min(width.at_mm, high)))
+    assert found is not None
     return found
 
 

@@ -136,7 +136,9 @@ def _route(route: PlannedRoute) -> wire.RouteOffer:
     value = route.to_json()
     crossed = [carried(wire.NeedleTissue, one) for one in value["leg"]["crossed"]]
     leg = carried(wire.NeedleLeg, value["leg"] | {"crossed": crossed})
-    return carried(wire.RouteOffer, value | {"leg": leg, "origin": carried(wire.RouteOrigin, value["origin"])})
+    origin = carried(wire.RouteOrigin, value["origin"])
+    predictors = None if route.predictors is None else carried(wire.FailurePredictors, value["predictors"])
+    return carried(wire.RouteOffer, value | {"leg": leg, "origin": origin, "predictors": predictors})
 
 
 def _verdict(verdict: Verdict) -> wire.ScopeVerdict:

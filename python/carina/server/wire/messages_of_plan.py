@@ -81,6 +81,23 @@ class RouteOrigin(FrozenValue, frozen=True):
     """Distance of the origin from the start of the airway tree, mm."""
 
 
+class FailurePredictors(FrozenValue, frozen=True):
+    """Published predictors of a failed navigation; `predictors` of a route in plan.json has the same keys."""
+
+    bifurcation_deg: float | None
+    """Angle in degrees between the axes of the tip's branch and of its parent; null in the first branch of the tree."""
+    least_mm: float
+    """Least diameter in mm of the last section of the route."""
+    least_error_mm: float
+    """Half-width in mm of the interval that should contain the true least diameter in 90 of 100 cases."""
+    least_by: Literal["sections", "ball"]
+    """Method of the least diameter, as for ``narrowest_by``."""
+    curvature_per_mm: float | None
+    """Mean curvature of the last section in 1/mm; null if the route is too short."""
+    note: Words
+    """Text with the source of the predictors and their limits."""
+
+
 class RouteOffer(FrozenValue, frozen=True):
     """A planned route to a target, with its measurements and its score; a route in plan.json has the same keys."""
 
@@ -116,6 +133,8 @@ class RouteOffer(FrozenValue, frozen=True):
     """Score of the route, 0 to 1 (best)."""
     doubts: tuple[Words, ...]
     """Warnings about branches of the route that are drawn by hand, bridged or doubtful."""
+    predictors: FailurePredictors | None = None
+    """Published predictors of a failed navigation; they have no limits and are not a verdict."""
 
 
 class ScopeCheck(FrozenValue, frozen=True):

@@ -113,8 +113,18 @@ function RouteTable({ target, plan }: { target: Target; plan: TargetPlan }) {
           ))}
         </tbody>
       </table>
+      <PredictorNote plan={plan} />
     </div>
   );
+}
+
+function PredictorNote({ plan }: { plan: TargetPlan }) {
+  const note = plan.routes.find((route) => route.predictors)?.predictors?.note;
+  return note ? (
+    <p className="quiet" data-testid="predictor-note">
+      * {note}
+    </p>
+  ) : null;
 }
 
 function Options({ target, plan }: { target: Target; plan: TargetPlan }) {
