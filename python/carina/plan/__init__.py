@@ -19,7 +19,7 @@ from carina.plan.route_planner import plan_route
 from carina.plan.routes.last_leg import CrossedTissue, LastLeg, NearVessel, NeedleScene, last_leg
 from carina.plan.routes.main_carina import DistanceOrigin, distance_origin
 from carina.plan.routes.needle_hits import NeedleErrors, hit_share
-from carina.plan.routes.plan_route import Plan, PlannedRoute
+from carina.plan.routes.plan_route import Plan, PlannedRoute, RoutePlace
 from carina.plan.routes.ranking import Outlook, ScoreWeights
 from carina.plan.routes.standing_points import BronchusSign, NearestPlace
 from carina.plan.targets.doubts import TargetDoubt, check_confirmed, target_doubts
@@ -36,7 +36,15 @@ from carina.plan.turns.turn_list import OtherWay, Turn, TurnList
 from carina.plan.verdict.drive import DrivenRoute, moves_between, replay_moves
 from carina.plan.verdict.drive_flight import drive_flight
 from carina.plan.verdict.drive_search import condense_drive, place_at_start, search_drive
-from carina.plan.verdict.verdict import Check, Outcome, Verdict, judge_pairs, judge_scope, judge_scopes
+from carina.plan.verdict.verdict import (
+    Check,
+    Outcome,
+    Verdict,
+    judge_pairs,
+    judge_scope,
+    judge_scopes,
+    pairs_in_order,
+)
 
 if TYPE_CHECKING:
     from carina.plan.targets.from_file import target_from_file
@@ -71,6 +79,7 @@ __all__ = [
     "PlanTarget",
     "PlannedRoute",
     "ReachAtlas",
+    "RoutePlace",
     "ScoreWeights",
     "TargetDoubt",
     "TargetSource",
@@ -101,6 +110,7 @@ __all__ = [
     "make_sheet",
     "moves_between",
     "nodule_from_mask",
+    "pairs_in_order",
     "place_at_start",
     "plan_route",
     "proposed_aims",

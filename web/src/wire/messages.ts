@@ -561,6 +561,13 @@ export interface DismissMaskMessage {
   readonly type: "dismiss_mask";
 }
 
+/** Place of the scope's tip and the aim, which the user has chosen with a pair of route and instrument. */
+export interface ChosenPlace {
+  readonly branch_id: number;
+  readonly along_mm: number;
+  readonly aim?: number;
+}
+
 /** Plan the routes to a target again with other options. */
 export interface SetPlanOptionsMessage {
   readonly type: "set_plan_options";
@@ -570,6 +577,7 @@ export interface SetPlanOptionsMessage {
   readonly moved_mm?: number | null;
   readonly entry_mm?: number | null;
   readonly carina_depth_mm?: number | null;
+  readonly place?: ChosenPlace | null;
   readonly target_id: string;
 }
 
@@ -587,6 +595,21 @@ export interface ChoosePlannedRouteMessage {
   readonly type: "choose_planned_route";
   readonly target_id: string;
   readonly number?: number;
+}
+
+/** Choose a route together with the scope and the tool that reach its end: a pair of `plans.pairs`. */
+export interface ChoosePairMessage {
+  readonly type: "choose_pair";
+  readonly scope?: string;
+  readonly tool?: string;
+  readonly target_id: string;
+  readonly route: string;
+}
+
+/** Store which scopes of the library are available here; pairs of other scopes are listed separately. */
+export interface SetAvailableScopesMessage {
+  readonly type: "set_available_scopes";
+  readonly scopes: readonly string[] | null;
 }
 
 /** Put the tip at the viewpoint of a turn of the chosen route, as in the list of turns with clock positions. */
@@ -1513,6 +1536,7 @@ export interface PlanOptions {
   readonly moved_mm: number | null;
   readonly entry_mm: number | null;
   readonly carina_depth_mm: number | null;
+  readonly place: ChosenPlace | null;
 }
 
 /** The origin of the distances along a route. */
@@ -1624,6 +1648,19 @@ export interface PlannedTurn {
   readonly hour_doubt: string | null;
 }
 
+/** Verdict on one pair of a route and an instrument; a pair in plan.json has the same keys. */
+export interface RoutePair {
+  readonly scope: string;
+  readonly title: string;
+  readonly tool: string;
+  readonly route: string;
+  readonly outcome: string;
+  readonly share: number | null;
+  readonly words: string;
+  readonly would: string | null;
+  readonly available: boolean;
+}
+
 /** The plans of all lesions; sent after each change. */
 export interface PlansMessage {
   readonly type: "plans";
@@ -1637,6 +1674,9 @@ export interface PlansMessage {
   readonly park_from_carina_mm: number | null;
   readonly park_depth_estimate_mm: number | null;
   readonly dicom_problem: string | null;
+  readonly pairs: readonly RoutePair[];
+  readonly pairs_standing: "failed" | "had" | "making" | "stopped" | "unwanted";
+  readonly available: readonly string[] | null;
 }
 
 /** A branch of a `carina-tree` document. */
@@ -1998,6 +2038,8 @@ export type ClientMessage =
   | SetPlanOptionsMessage
   | DescribeTargetMessage
   | ChoosePlannedRouteMessage
+  | ChoosePairMessage
+  | SetAvailableScopesMessage
   | SeeTurnMessage
   | KeepDriveMessage
   | GrowTargetMessage

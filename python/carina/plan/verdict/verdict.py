@@ -22,6 +22,7 @@ from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import CancelledError, UsageError
 from carina.plan.instruments.tools import ONLY_BRUSH, Tool, passing_needle, tools
+from carina.plan.routes.last_leg import as_point, edge_on_needle_mm
 from carina.plan.routes.main_carina import ROOT, DistanceOrigin
 from carina.plan.routes.needle_hits import NeedleErrors, hit_share
 from carina.plan.routes.plan_route import Plan, PlannedRoute
@@ -89,6 +90,18 @@ MECHANICS = "the scope's mechanics in the airways' wall; rigid tip and bending s
 
 
 @one_line
+@dataclass(frozen=True, slots=True)
+class NeedleEnds:
+    """Line of the needle from a tip, as that of a planned route (`LastLeg`)."""
+
+    tip_lps: tuple[float, float, float]
+    aim_lps: tuple[float, float, float]
+    """Point on the line at the distance of the aim, LPS mm."""
+    to_target_mm: float
+    """Distance in mm from the tip to the edge of the target."""
+
+
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
     """Result of the checks and of the simulated drive for one instrument on one route."""
@@ -112,6 +125,8 @@ class Verdict:
     """Key of the route that was judged (`PlannedRoute.key`)."""
     tool: str = ""
     """Name of the tool with which the instrument was judged: that of the plan, or one that passes the channel."""
+    needle: NeedleEnds | None = None
+    """Needle from the tip after the drive; None if the drive did not arrive or no needle hits."""
 
     @property
     def words(self) -> str:
@@ -288,7 +303,9 @@ def judge_pairs(
         Number of routes, from the first one.
     available
         Names of the instruments that are available here; pairs of other instruments are listed behind them. None: all.
-    scopes, origin_depth_mm, errors, effort, found, progress, cancel
+    origin_depth_mm
+        As for `judge_scopes`, for the routes whose distances have the same origin as those of the first route.
+    scopes, errors, effort, found, progress, cancel
         As for `judge_scopes`.
 
     Returns
@@ -330,7 +347,7 @@ def judge_pairs(
                 wall,
                 route=route,
                 scopes=presets,
-                origin_depth_mm=origin_depth_mm,
+                origin_depth_mm=origin_depth_mm if route.origin == chosen[0].origin else None,
                 errors=errors,
                 effort=effort,
                 found=tell,
@@ -602,7 +619,17 @@ class RouteJudge:
     ) -> Verdict:
         tool = self._plan.tool
         found = _verdict(scope, checks, reached_mm, route, would=_would(scope, tool, checks, drive))
-        return replace(found, origin=self._way.origin, route_key=self._key, tool=tool.name)
+        needle = None if drive is None else self._needle(drive)
+        return replace(found, origin=self._way.origin, route_key=self._key, tool=tool.name, needle=needle)
+
+    def _needle(self, drive: _Drive) -> NeedleEnds | None:
+        pointing = next((check for check in drive.checks if check.name == "pointing"), None)
+        if drive.lps_from_tip is None or pointing is None or not pointing.share:
+            return None
+        tip, forward = drive.lps_from_tip[:3, 3], drive.lps_from_tip[:3, 2]
+        end = tip + float(np.linalg.norm(self._way.aim - tip)) * forward
+        edge_mm = edge_on_needle_mm(self._plan.nodule, tip, end, self._plan.tool.reach_mm)
+        return NeedleEnds(as_point(tip), as_point(end), edge_mm)
 
     def _drive(self, scope: ScopePreset) -> _Drive:
         """Simulate the drive of an instrument, and point its tip at the target if it arrives."""

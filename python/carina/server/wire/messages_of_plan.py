@@ -88,7 +88,7 @@ class RouteOffer(FrozenValue, frozen=True):
     fit: Literal["fits", "may fit", "does not fit"]
     """Whether the planned scope fits; *may fit*: it fits only if the errors of measurement are in its favour."""
     outlook: Words
-    """Whether the planned scope reaches the target, judged by diameter, bend and doubts without a simulated drive."""
+    """Whether the planned scope reaches the target, by its simulated drive along the best routes."""
     limits: tuple[Words, ...]
     """Reasons why the scope or the tool does not, or may not, reach the target."""
     leg: NeedleLeg
@@ -125,6 +125,23 @@ class ScopeVerdict(FrozenValue, frozen=True):
     checks: tuple[ScopeCheck, ...]
     was_driven: bool
     """Whether a simulated drive exists, which the user can store in the case as a flight."""
+
+
+class RoutePair(FrozenValue, frozen=True):
+    """Verdict on one pair of a route and an instrument; a pair in plan.json has the same keys."""
+
+    scope: Identifier
+    title: Words
+    tool: Identifier
+    """Tool with which the instrument was judged: the plan's, or a needle that passes the channel."""
+    route: Words
+    """Key of the route (``RouteOffer.key``)."""
+    outcome: Words
+    share: Part | None
+    words: Words
+    would: Words | None
+    available: bool
+    """Whether the instrument is available here; pairs of other instruments follow those of available ones."""
 
 
 class TargetPlan(FrozenValue, frozen=True):
@@ -272,3 +289,8 @@ class Plans(ServerMessage, frozen=True):
     """Insertion depth in mm at nose or mouth where to stop, an estimate; null as for a turn."""
     dicom_problem: Words | None = None
     """Reason why the plan cannot be exported as DICOM; null if it can."""
+    pairs: tuple[RoutePair, ...] = ()
+    """Verdicts on the best routes with all instruments for the target of the chosen route, the best pair first."""
+    pairs_standing: Making = "unwanted"
+    available: tuple[Identifier, ...] | None = None
+    """Names of the scopes that are available here; null: all of the library."""
