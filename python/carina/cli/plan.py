@@ -235,7 +235,9 @@ def _best_pair(plan: Plan, pairs: tuple[Verdict, ...], here: tuple[str, ...] | N
     of = {pair.scope.name for pair in pairs} if here is None else set(here)
     if best.outcome in {"does not reach", "cannot say"}:
         num, kind = len(of), "" if here is None else "available "
-        return f"of {num} {kind}instruments none is known to reach by one of the best {min(len(plan.routes), 3)} routes"
+        routes = len({pair.route_key for pair in pairs})
+        by = "the only route" if routes == 1 else f"one of the best {routes} routes"
+        return f"of {num} {kind}instruments none is known to reach by {by}"
     with_tool = "" if best.tool == plan.tool.name else f" with {tool_named(best.tool).title}"
     return f"best pair: {best.scope.title}{with_tool} on route {number}, which {best.outcome}"
 

@@ -19,7 +19,7 @@ from carina.plan.route_planner import plan_route
 from carina.plan.routes.last_leg import CrossedTissue, LastLeg, NearVessel, NeedleScene, last_leg
 from carina.plan.routes.main_carina import DistanceOrigin, distance_origin
 from carina.plan.routes.needle_hits import NeedleErrors, hit_share
-from carina.plan.routes.plan_route import Plan, PlannedRoute, RoutePlace
+from carina.plan.routes.plan_route import Plan, PlannedRoute
 from carina.plan.routes.ranking import Outlook, ScoreWeights
 from carina.plan.routes.standing_points import BronchusSign, NearestPlace
 from carina.plan.targets.doubts import TargetDoubt, check_confirmed, target_doubts
@@ -43,6 +43,7 @@ from carina.plan.verdict.verdict import (
     judge_pairs,
     judge_scope,
     judge_scopes,
+    needle_to_target_mm,
     pairs_in_order,
 )
 
@@ -79,7 +80,6 @@ __all__ = [
     "PlanTarget",
     "PlannedRoute",
     "ReachAtlas",
-    "RoutePlace",
     "ScoreWeights",
     "TargetDoubt",
     "TargetSource",
@@ -109,6 +109,7 @@ __all__ = [
     "lung_surroundings",
     "make_sheet",
     "moves_between",
+    "needle_to_target_mm",
     "nodule_from_mask",
     "pairs_in_order",
     "place_at_start",

@@ -31,6 +31,7 @@ from carina.plan.routes.plan_route import (
     RoutePlace,
     check_target_type,
     draft_plan,
+    is_at,
 )
 from carina.plan.routes.ranking import Outlook, ScoreWeights, order, worst
 from carina.plan.targets.doubts import Confirmed
@@ -55,6 +56,15 @@ OUTLOOKS: dict[str, Outlook] = {"reaches": "reaches", "does not reach": "does no
 """Outlook of a route for the outcome of its verdict; *may reach* for all other outcomes."""
 
 
+def _check_place(where: str, name: str, value: object) -> None:
+    """Raise an error unless a value is None or a place: branch ID, distance in mm, index of the aim."""
+    if value is None:
+        return
+    is_place = isinstance(value, tuple) and len(value) == 3
+    if not (is_place and all(isinstance(one, int | float) and math.isfinite(one) for one in value)):  # type: ignore[attr-defined]
+        raise UsageError(f"{where}: {name}: expected (branch ID, mm from the root, aim) or None; found {value!r}")
+
+
 @shows_progress
 @check_arguments(
     volume=instance(Volume, "open a volume with carina.open_volume"),
@@ -69,7 +79,7 @@ OUTLOOKS: dict[str, Outlook] = {"reaches": "reaches", "does not reach": "does no
     weights=instance(ScoreWeights, "create a carina.plan.ScoreWeights", optional=True),
     wall=instance(WallField, "make one with carina.wall_field", optional=True),
     measures=instance(TreeMeasures, "get them from carina.measure_tree", optional=True),
-    place=instance(RoutePlace, "create a carina.plan.RoutePlace", optional=True),
+    place=_check_place,
     drives=whole_from(0, 5),
     cancel=function,
 )
@@ -119,8 +129,9 @@ def plan_route(
         Measures of the airways (`carina.measure_tree`). They are computed if None, or if they belong to another tree or
         come from an earlier method.
     place
-        Place of the tip that the user has chosen, such as that of a pair of `carina.plan.judge_pairs`. It replaces the
-        best place of its branch, and its route is driven first.
+        Place of the tip that the user has chosen, such as that of a pair of `carina.plan.judge_pairs`: branch ID,
+        distance from the root in mm (`PlannedRoute.along_mm`), and index of the aim. It replaces the best place of its
+        branch, and its route is driven first.
     drives
         Largest number of routes along which the scope's drive is simulated, 0 to 5, the best ones first. Only a route
         whose drive arrives and points at the target has the outlook *reaches*. With 0 the outlook is estimated from
@@ -215,7 +226,7 @@ def _driven(
         replace(route, outlook="may reach", limits=(*route.limits, NOT_DRIVEN)) if route.outlook == "reaches" else route
         for route in draft.plan.routes
     ]
-    wanted = {n for n, route in enumerate(draft.plan.routes) if place is not None and place.is_of(route)}
+    wanted = {n for n, route in enumerate(draft.plan.routes) if is_at(route, place)}
     hopeful = [n for n, route in enumerate(draft.plan.routes) if route.outlook != "does not reach" and n not in wanted]
     likely = [(n, draft.plan.routes[n]) for n in (*wanted, *hopeful)][:drives]
     judged = _judged(draft, tree, likely, report, cancel)

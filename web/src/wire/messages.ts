@@ -1613,15 +1613,17 @@ export interface ScopeCheck {
   readonly basis: string;
 }
 
-/** Verdict on one instrument for the chosen route; a verdict in plan.json has the same keys. */
+/** Verdict on one instrument for the chosen route, with its checks; a verdict in plan.json has the same keys. */
 export interface ScopeVerdict {
   readonly scope: string;
+  readonly tool: string;
   readonly title: string;
+  readonly route: string;
   readonly outcome: string;
   readonly words: string;
   readonly share: number | null;
-  readonly reached_mm: number | null;
   readonly would: string | null;
+  readonly reached_mm: number | null;
   readonly checks: readonly ScopeCheck[];
   readonly was_driven: boolean;
 }
@@ -1648,15 +1650,15 @@ export interface PlannedTurn {
   readonly hour_doubt: string | null;
 }
 
-/** Verdict on one pair of a route and an instrument; a pair in plan.json has the same keys. */
+/** Verdict on one pair of the best routes and all instruments; a pair in plan.json has the same keys. */
 export interface RoutePair {
   readonly scope: string;
-  readonly title: string;
   readonly tool: string;
+  readonly title: string;
   readonly route: string;
   readonly outcome: string;
-  readonly share: number | null;
   readonly words: string;
+  readonly share: number | null;
   readonly would: string | null;
   readonly available: boolean;
 }

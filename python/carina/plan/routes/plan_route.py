@@ -58,9 +58,12 @@ __all__ = [
     "ScoreWeights",
     "check_target_type",
     "draft_plan",
+    "is_at",
 ]
 
 Points = NDArray[np.float64]
+RoutePlace = tuple[int, float, int]
+"""Branch in which a tip stands, its distance from the root in mm, and the index of the aim."""
 
 PLANNED_SCOPE = "thin"
 """Default scope: the thinnest one whose channel takes a needle of 1.8 mm."""
@@ -75,23 +78,6 @@ APART_MM = 4.0
 BEYOND_MM, LEAST_MARGIN_MM, ROUND_MM = 10.0, 3.0, 6.0
 """Margins in mm of the examined box: beyond the target's far edge, beside the needle, and for the reach of filters."""
 MOST_BOX_MM = 60.0
-
-
-@one_line
-@dataclass(frozen=True, slots=True)
-class RoutePlace:
-    """Place of a scope's tip and the aim of the tool, which the user has chosen with another plan."""
-
-    branch_id: int
-    along_mm: float
-    """Distance of the tip from the root along the airways, mm."""
-    aim: int = 0
-    """Index of the aim among the plan's aims, from 0."""
-
-    def is_of(self, route: PlannedRoute) -> bool:
-        """Return whether a route ends at this place with the same aim."""
-        same = route.branch_id == self.branch_id and route.aim == self.aim
-        return same and abs(route.along_mm - self.along_mm) <= SAME_PLACE_MM
 
 
 @one_line
@@ -436,10 +422,10 @@ def draft_plan(
             for key, drafts in search.drafts(finer, near).items():
                 best[key] = search.best(drafts, best[key])
         first = None
-        if request.place is not None and 0 <= request.place.aim < len(meant):
+        if request.place is not None and 0 <= request.place[2] < len(meant):
             # The place that the user has chosen replaces the best place of its branch.
-            exact = places.at(request.place.branch_id, request.place.along_mm)
-            for key, drafts in search.drafts(exact, [(n, request.place.aim) for n in range(len(exact.points))]).items():
+            exact = places.at(*request.place[:2])
+            for key, drafts in search.drafts(exact, [(n, request.place[2]) for n in range(len(exact.points))]).items():
                 best[key] = first = search.best(drafts)
         kept = tuple(
             replace(route, leg=_moved_leg(scene, route.leg, moved))
@@ -448,7 +434,7 @@ def draft_plan(
         spares = tuple(
             search.best(apart)
             for route in kept
-            if not _is_at(route, request.place)
+            if not is_at(route, request.place)
             and (apart := search.apart_from(route, drafts_of.get((route.branch_id, route.aim), ())))
         )
     report(1.0)
@@ -653,8 +639,11 @@ class CancellableProgress:
             self._on_share(share)
 
 
-def _is_at(route: PlannedRoute, place: RoutePlace | None) -> bool:
-    return place is not None and place.is_of(route)
+def is_at(route: PlannedRoute, place: RoutePlace | None) -> bool:
+    """Return whether a route ends at a place with the same aim; False without a place."""
+    if place is None or (route.branch_id, route.aim) != (place[0], place[2]):
+        return False
+    return abs(route.along_mm - place[1]) <= SAME_PLACE_MM
 
 
 def standing_apart(routes: Sequence[PlannedRoute], *, first: PlannedRoute | None = None) -> tuple[PlannedRoute, ...]:

@@ -22,6 +22,7 @@ from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import CancelledError, UsageError
 from carina.plan.instruments.tools import ONLY_BRUSH, Tool, passing_needle, tools
+from carina.plan.instruments.tools import tool as tool_named
 from carina.plan.routes.last_leg import as_point, edge_on_needle_mm
 from carina.plan.routes.main_carina import ROOT, DistanceOrigin
 from carina.plan.routes.needle_hits import NeedleErrors, hit_share
@@ -51,6 +52,7 @@ __all__ = [
     "judge_pairs",
     "judge_scope",
     "judge_scopes",
+    "needle_to_target_mm",
     "pairs_in_order",
 ]
 
@@ -90,18 +92,6 @@ MECHANICS = "the scope's mechanics in the airways' wall; rigid tip and bending s
 
 
 @one_line
-@dataclass(frozen=True, slots=True)
-class NeedleEnds:
-    """Line of the needle from a tip, as that of a planned route (`LastLeg`)."""
-
-    tip_lps: tuple[float, float, float]
-    aim_lps: tuple[float, float, float]
-    """Point on the line at the distance of the aim, LPS mm."""
-    to_target_mm: float
-    """Distance in mm from the tip to the edge of the target."""
-
-
-@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
     """Result of the checks and of the simulated drive for one instrument on one route."""
@@ -125,8 +115,11 @@ class Verdict:
     """Key of the route that was judged (`PlannedRoute.key`)."""
     tool: str = ""
     """Name of the tool with which the instrument was judged: that of the plan, or one that passes the channel."""
-    needle: NeedleEnds | None = None
-    """Needle from the tip after the drive; None if the drive did not arrive or no needle hits."""
+    needle_lps: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    """Tip after the drive, and the point on the needle at the distance of the aim, LPS mm.
+
+    None if the drive did not arrive or no needle hits.
+    """
 
     @property
     def words(self) -> str:
@@ -355,6 +348,21 @@ def judge_pairs(
                 cancel=cancel,
             )
     return pairs_in_order(plan, judged, available=available)
+
+
+def needle_to_target_mm(plan: Plan, verdict: Verdict) -> float:
+    """Return the distance in mm from the tip after a verdict's drive to the target's edge along the needle.
+
+    Parameters
+    ----------
+    plan
+        Plan of the verdict's route.
+    verdict
+        Verdict with a needle (`Verdict.needle_lps`).
+    """
+    assert verdict.needle_lps is not None
+    tip, end = (np.array(point) for point in verdict.needle_lps)
+    return edge_on_needle_mm(plan.nodule, tip, end, tool_named(verdict.tool).reach_mm)
 
 
 def tool_for(scope: ScopePreset, wanted: Tool) -> Tool:
@@ -619,17 +627,16 @@ class RouteJudge:
     ) -> Verdict:
         tool = self._plan.tool
         found = _verdict(scope, checks, reached_mm, route, would=_would(scope, tool, checks, drive))
-        needle = None if drive is None else self._needle(drive)
-        return replace(found, origin=self._way.origin, route_key=self._key, tool=tool.name, needle=needle)
+        needle_lps = None if drive is None else self._needle_lps(drive)
+        return replace(found, origin=self._way.origin, route_key=self._key, tool=tool.name, needle_lps=needle_lps)
 
-    def _needle(self, drive: _Drive) -> NeedleEnds | None:
+    def _needle_lps(self, drive: _Drive) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
         pointing = next((check for check in drive.checks if check.name == "pointing"), None)
         if drive.lps_from_tip is None or pointing is None or not pointing.share:
             return None
         tip, forward = drive.lps_from_tip[:3, 3], drive.lps_from_tip[:3, 2]
         end = tip + float(np.linalg.norm(self._way.aim - tip)) * forward
-        edge_mm = edge_on_needle_mm(self._plan.nodule, tip, end, self._plan.tool.reach_mm)
-        return NeedleEnds(as_point(tip), as_point(end), edge_mm)
+        return as_point(tip), as_point(end)
 
     def _drive(self, scope: ScopePreset) -> _Drive:
         """Simulate the drive of an instrument, and point its tip at the target if it arrives."""

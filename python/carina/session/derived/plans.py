@@ -381,8 +381,6 @@ class CasePlanning:
         return None if inputs is None else (*inputs[:2], inputs[3])
 
     def _make_plans(self, inputs: PlanInputs, attempt: Attempt[MadePlans]) -> MadePlans:
-        from carina.plan import RoutePlace
-
         airways, *tasks = inputs
         before = attempt.before
         same = before is not None and before.airways.lumen_zyx is airways.lumen_zyx
@@ -416,7 +414,7 @@ class CasePlanning:
                     aims=task.aims,
                     wall=wall,
                     measures=measures,
-                    place=None if place is None else RoutePlace(place.branch_id, place.along_mm, place.aim),
+                    place=None if place is None else (place.branch_id, place.along_mm, place.aim),
                     progress=say,
                     cancel=attempt.cancel,
                 )

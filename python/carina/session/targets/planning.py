@@ -12,7 +12,7 @@ from carina import commands as c
 from carina.case.document import Document, Target
 from carina.case.routes import NeedleLine, route_to_parking
 from carina.errors import NoResultError, UsageError
-from carina.plan import tool
+from carina.plan import needle_to_target_mm, tool
 from carina.plan.report import PlanMaterials
 from carina.scopes import scope_preset
 from carina.session.command_registry import CommandHandlers, answers, does
@@ -137,7 +137,7 @@ class PlanHandlers(CommandHandlers):
             planned = None if target.lesion is None else case.planning.of(target.lesion)
             routes = () if planned is None or planned.plan is None else planned.plan.routes
             route = next((one for one in routes if one.key == command.route), None)
-            if target.lesion is None or document.airways is None or route is None:
+            if planned is None or planned.plan is None or document.airways is None or route is None:
                 raise NoResultError(
                     f"the plan of {target.name} has no route {command.route}: wait for the plan, and choose one of its "
                     "routes",
@@ -151,11 +151,13 @@ class PlanHandlers(CommandHandlers):
                 ),
                 None,
             )
+            assert target.lesion is not None
             options = target.lesion.options
             same = (options.scope, options.tool) == (command.scope, command.tool)
             # The routes of the present plan end at the tips of its own scope.
-            leg = route.leg if same or verdict is None or verdict.needle is None else verdict.needle
-            needle = NeedleLine((as_point(leg.tip_lps), as_point(leg.aim_lps)), float(leg.to_target_mm))
+            needle = NeedleLine((route.leg.tip_lps, route.leg.aim_lps), route.leg.to_target_mm)
+            if not same and verdict is not None and verdict.needle_lps is not None:
+                needle = NeedleLine(verdict.needle_lps, needle_to_target_mm(planned.plan, verdict))
             chosen = route_to_parking(document.airways.tree, needle, target.target_id, target.name)
             if not same:
                 place = c.ChosenPlace(route.branch_id, route.along_mm, route.aim)

@@ -13,6 +13,8 @@ import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 import { Icon } from "../icons";
 import type { PlanSuffix } from "../workstation";
+import { OUTCOME_MARKS } from "./outcome-marks";
+import { RoutePairs } from "./RoutePairs";
 
 /** Render the planned routes of a target, with verdicts and exports. */
 export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPlan }) {
@@ -58,6 +60,7 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
       )}
       {chosen === null || plans === null ? null : (
         <>
+          <RoutePairs target={target} plan={plan} plans={plans} />
           <Verdicts plans={plans} planned={plan.options.scope} />
           <Turns plans={plans} />
           <Print target={target} />
@@ -141,7 +144,7 @@ function Options({ target, plan }: { target: Target; plan: TargetPlan }) {
       <summary>Instruments and margins</summary>
       <label>
         Bronchoscope
-        <select value={plan.options.scope} onChange={(event) => change({ scope: event.target.value })}>
+        <select value={plan.options.scope} onChange={(event) => change({ scope: event.target.value, place: null })}>
           {(scopes ?? []).map((scope) => (
             <option key={scope.name} value={scope.name}>
               {scope.title}
@@ -151,7 +154,7 @@ function Options({ target, plan }: { target: Target; plan: TargetPlan }) {
       </label>
       <label>
         Tool
-        <select value={plan.options.tool} onChange={(event) => change({ tool: event.target.value })}>
+        <select value={plan.options.tool} onChange={(event) => change({ tool: event.target.value, place: null })}>
           {(tools ?? []).map(([name, title]) => (
             <option key={name} value={name}>
               {title}
@@ -263,20 +266,13 @@ function Verdicts({ plans, planned }: { plans: PlansMessage; planned: string }) 
   );
 }
 
-const MARKS: Readonly<Record<string, string>> = {
-  reaches: "\u2713",
-  "may reach": "?",
-  "does not reach": "\u2717",
-  "cannot say": "\u2013",
-};
-
 function VerdictRow({ verdict }: { verdict: ScopeVerdict }) {
   const station = useStation();
   return (
     <details className={`verdict ${verdict.outcome.replaceAll(" ", "-")}`} data-testid="verdict">
       <summary>
         <span className="mark" aria-hidden="true">
-          {MARKS[verdict.outcome] ?? "?"}
+          {OUTCOME_MARKS[verdict.outcome] ?? "?"}
         </span>
         <span>
           <strong>{verdict.title}</strong>
