@@ -62,7 +62,9 @@ def _check_place(where: str, name: str, value: object) -> None:
         return
     is_place = isinstance(value, tuple) and len(value) == 3
     if not (is_place and all(isinstance(one, int | float) and math.isfinite(one) for one in value)):  # type: ignore[attr-defined]
-        raise UsageError(f"{where}: {name}: expected (branch ID, mm from the root, aim) or None; found {value!r}")
+        raise UsageError(
+            f"{where}: {name}: expected (branch ID, mm from the start of the airway tree, aim) or None; found {value!r}"
+        )
 
 
 @shows_progress

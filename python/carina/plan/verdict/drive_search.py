@@ -264,8 +264,8 @@ def condense_drive(
     moves, best = list(driven.moves), driven
     # A shorter drive begins like the best one, so it starts from a copy of the scope before its first other move.
     # There are fewer copies than moves if the repeated drive leaves the route, as each shorter drive would.
-    befores: list[_Attempt] = []
-    _Attempt(way, place_at_start(way, wall, scope)).arrives_by(moves, befores)
+    earlier: list[_Attempt] = []
+    _Attempt(way, place_at_start(way, wall, scope)).arrives_by(moves, earlier)
     for num in (4, 2, 1):
         n = len(moves) - num
         while n >= 1 and tries > 0:
@@ -279,12 +279,12 @@ def condense_drive(
                 # The turn of the first remaining move is corrected so that its roll stays the same.
                 rest = [replace(rest[0], turn_deg=(rest[0].turn_deg + turned + 180.0) % 360.0 - 180.0), *rest[1:]]
             tries -= 1
-            if n <= len(befores):
-                attempt = befores[n - 1].copy()
+            if n <= len(earlier):
+                attempt = earlier[n - 1].copy()
                 passed: list[_Attempt] = []
                 if attempt.arrives_by((shorter[-1], *rest), passed):
                     moves = [*shorter, *rest]
-                    befores = [*befores[: n - 1], *passed]
+                    earlier = [*earlier[: n - 1], *passed]
                     best = attempt.recorder.driven(way, stopped_mm=attempt.along_mm, why=None)
             n -= num
     return best
@@ -317,19 +317,19 @@ class _Attempt:
         other.recorder, other.stations = self.recorder.copy(), []
         return other
 
-    def arrives_by(self, moves: Sequence[Move], befores: list[_Attempt] | None = None) -> bool:
+    def arrives_by(self, moves: Sequence[Move], earlier: list[_Attempt] | None = None) -> bool:
         """Return whether the tip arrives at the end of the route by these moves and never leaves the route.
 
         Parameters
         ----------
         moves
             Moves from the present state.
-        befores
+        earlier
             Receives a copy of the attempt before each move; None stores none.
         """
         for move in moves:
-            if befores is not None:
-                befores.append(self.copy())
+            if earlier is not None:
+                earlier.append(self.copy())
             self.recorder.set(move.turn_deg, move.flexion_deg)
             for _ in range(round(move.advance_mm)):
                 self._advance()
