@@ -22,7 +22,7 @@ from carina.scopes import WallField
 from carina.track import Airways, find_airways, lumen_mesh
 from carina.volume import Volume
 
-__all__ = ["PlanCase", "Target", "TrueTree", "found_case", "patient_cases", "phantom_case"]
+__all__ = ["PlanCase", "Target", "TrueTree", "found_case", "patient_cases", "phantom_case", "true_wall"]
 
 Floats = NDArray[np.float64]
 Say = Callable[[str], None]
@@ -37,6 +37,8 @@ SIGMA_MM = 0.6
 """Standard deviation of the blur of a nodule's edge in a phantom, mm."""
 STEP_MM = 0.3
 """Distance between two points of a true centreline, mm."""
+WALL_STEP_MM, WALL_MARGIN_MM = 0.6, 6.0
+"""Voxel size of the field of the true wall, and distance to which it extends beyond the lumen, mm."""
 WIDE_MM = 2.5
 """Largest radius of a lumen that may be inside a nodule, mm."""
 LUNG_HU = (-990.0, -600.0)
@@ -100,6 +102,26 @@ class TrueTree:
         while self.parents[found[-1]] >= 0:
             found.append(self.parents[found[-1]])
         return tuple(found[::-1])
+
+
+def true_wall(truth: TrueTree) -> WallField:
+    """Return the wall of the true airways: the union of balls of the true radius on the true centrelines."""
+    points, radii = truth.points, truth.radius_mm
+    low = (points - radii[:, None]).min(axis=0) - WALL_MARGIN_MM
+    high = (points + radii[:, None]).max(axis=0) + WALL_MARGIN_MM
+    size = np.ceil((high - low) / WALL_STEP_MM).astype(int) + 1
+    inside = np.full(size[::-1], -WALL_MARGIN_MM, dtype=np.float32)
+    for point, radius in zip(points, radii, strict=True):
+        half = radius + 0.5 * WALL_MARGIN_MM
+        begin = np.maximum(np.floor((point - half - low) / WALL_STEP_MM).astype(int), 0)
+        end = np.minimum(np.ceil((point + half - low) / WALL_STEP_MM).astype(int) + 1, size)
+        x, y, z = (low[a] + WALL_STEP_MM * np.arange(begin[a], end[a]) - point[a] for a in range(3))
+        ball = radius - np.sqrt(z[:, None, None] ** 2 + y[None, :, None] ** 2 + x[None, None, :] ** 2)
+        part = inside[begin[2] : end[2], begin[1] : end[1], begin[0] : end[0]]
+        np.maximum(part, ball.astype(np.float32), out=part)
+    place = np.diag([WALL_STEP_MM, WALL_STEP_MM, WALL_STEP_MM, 1.0])
+    place[:3, 3] = low
+    return WallField.from_distances(inside, place)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,12 +16,13 @@ branches are one lumen). No part of it may be a branch that was drawn by hand. A
 outlook states that the scope reaches the target.
 
 These rules ignore whether the scope can point there. Therefore each row also has ``points``: whether a drive of the
-scope along the first route arrives and its needle, from the tip and in the direction of the drive, meets the true
-nodule.
+scope along the first route *in the wall of the true airways* arrives and at least half of the needles with random
+errors, from the tip and in the direction of the drive, meet the true nodule.
 The old figure (``arrives``) and the new one (``arrives`` and ``points``) are reported beside each other. With
-``--holds`` (slow), places and holds of the scope are searched for one from which at least half of the needles with
-random errors hit each target (``could``), and the share of these targets with such a route is reported. The search
-shares no code with the drive but the scope's mechanics.
+``--holds`` (slow), places and holds of the scope in the true wall are searched for one from which at least half of the
+needles with random errors hit each target (``could``), and the share of these targets with such a route is reported.
+The search shares no code with the drive but the scope's mechanics. It lays the scope to each place without a drive, and
+so misses poses that only a drive takes: a target that the drive in the true wall hits counts as hit too.
 """
 
 from __future__ import annotations
@@ -46,10 +47,10 @@ from carina.config import load_settings
 from carina.errors import CarinaError
 from carina.plan import NeedleErrors, Plan, grow_nodule, judge_scope, plan_route
 from carina.plan.routes.plan_route import MOST_ANGLE_DEG, PlannedRoute
-from carina.scopes import ScopeDrive, ScopePreset, scope_preset
+from carina.scopes import ScopeDrive, ScopePreset, WallField, scope_preset
 from carina.track import AirwayTree
 from carina_bench import plan_cases
-from carina_bench.plan_cases import PlanCase, Target, TrueTree, found_case, patient_cases, phantom_case
+from carina_bench.plan_cases import PlanCase, Target, TrueTree, found_case, patient_cases, phantom_case, true_wall
 
 __all__ = ["Flight", "flown", "is_reachable", "run"]
 
@@ -59,8 +60,13 @@ Floats = NDArray[np.float64]
 
 SCOPE, TOOL = replace(scope_preset("ultrathin"), channel_mm=2.0), "needle-21g"
 """Scope and name of the tool for which routes are planned; the channel is widened so that the needle passes."""
-HOLD_STEP_MM, NUM_ROLLS, LEVERS_DEG = 3.0, 12, (0.0, 25.0, 50.0, 75.0, 100.0, 140.0, 200.0)
+HOLD_STEP_MM, NUM_ROLLS, LEVERS_DEG = 2.0, 12, (0.0, 30.0, 60.0, 90.0, 120.0, 160.0, 210.0)
 """Distance between two places, number of rolls and lever settings of the search over holds."""
+LAID_MM, NUM_FINER, FINER_DEG, NEARLY_DEG = 3.0, 3, (-20.0, -10.0, 0.0, 10.0, 20.0), 20.0
+"""Search near a place: distance within which the scope is laid, number of refined holds, and steps in degrees.
+
+Holds of a place are refined if one points past the target's edge by less than the last angle.
+"""
 LEAST_HITS, NUM_NEEDLES = 0.5, 400
 """Least share of needles that hit from a hold, and number of simulated needles."""
 LEAST_POINTS, MOST_TOLD_WRONG = 0.9, 0.01
@@ -193,42 +199,73 @@ def _strayed(truth: TrueTree, way: Floats, at: int) -> str | None:
     return None
 
 
-def points(case: PlanCase, target: Target, plan: Plan) -> bool:
-    """Return whether a drive along the first route ends with a needle line that meets the true nodule."""
-    assert case.airways is not None and case.wall is not None
-    verdict = judge_scope(case.airways.tree, plan, case.wall, plan.scope)
+def points(case: PlanCase, target: Target, plan: Plan, wall: WallField) -> bool:
+    """Return whether a drive along the first route in the true wall ends with a pose that hits the true nodule."""
+    assert case.airways is not None
+    verdict = judge_scope(case.airways.tree, plan, wall, plan.scope)
     if verdict.driven is None or not verdict.driven.arrived:
         return False
-    return _meets(verdict.driven.lps_from_camera[-1], target, plan.tool.reach_mm)
+    return _strikes(verdict.driven.lps_from_camera[-1], target, plan.tool.reach_mm)
 
 
-def held(case: PlanCase, target: Target, scope: ScopePreset, reach_mm: float) -> bool:
-    """Return whether a hold of the scope, laid to some place of the found airways, points at the true nodule.
+def held(case: PlanCase, target: Target, scope: ScopePreset, reach_mm: float, wall: WallField) -> bool:
+    """Return whether a hold of the scope, laid to some place of the true airways, hits the true nodule.
 
-    Places are `HOLD_STEP_MM` apart on all branches within reach that are wide enough in the truth.
+    Places are `HOLD_STEP_MM` apart on all branches within reach that are wide enough.
     """
-    assert case.airways is not None and case.wall is not None
-    tree, centre = case.airways.tree, np.array(target.centre_lps)
-    for branch in tree.branches[1:]:
-        route = tree.route_to(branch.id)
-        mm = np.arange(max(route.length_mm - branch.length_mm, 0.0), route.length_mm, HOLD_STEP_MM)
-        line = np.stack([np.interp(mm, route.cumulative_mm, route.points_lps[:, a]) for a in range(3)], axis=1)
-        near = np.linalg.norm(line - centre, axis=1) - target.radius_mm <= reach_mm
-        for place, at in zip(line[near], mm[near], strict=True):
-            true = int(np.argmin(np.linalg.norm(case.truth.points - place, axis=1)))
-            if case.truth.narrowest_mm[true] < scope.fit_mm:
+    truth, centre = case.truth, np.array(target.centre_lps)
+    for branch in range(len(truth.parents)):
+        own = np.flatnonzero(truth.branch == branch)
+        near = np.linalg.norm(truth.points[own] - centre, axis=1) - target.radius_mm <= reach_mm
+        near &= truth.narrowest_mm[own] >= scope.fit_mm
+        if not near.any():
+            continue
+        line = np.concatenate([truth.points[truth.branch == one] for one in truth.lineage(branch)])
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])[-len(own) :]
+        last_mm = -math.inf
+        for n in np.flatnonzero(near):
+            if along[n] - last_mm < HOLD_STEP_MM:
                 continue
-            drive = ScopeDrive(case.wall, scope, route.points_lps)
-            laid = drive.place(route.points_lps, float(at))
-            if float(np.linalg.norm(laid.pose.position_lps - place)) > HOLD_STEP_MM:
-                continue
-            for roll in np.linspace(0.0, 2.0 * np.pi, NUM_ROLLS, endpoint=False):
-                for lever_deg in LEVERS_DEG:
-                    held_at = drive.drive(laid.insertion_mm, float(roll), math.radians(lever_deg), 0.1)
-                    tip = held_at.pose.lps_from_camera
-                    if _meets(tip, target, reach_mm) and _hits(tip, target, reach_mm) >= LEAST_HITS:
-                        return True
+            last_mm = float(along[n])
+            drive = ScopeDrive(wall, scope, line)
+            laid = drive.place(line, last_mm)
+            off_mm = float(np.linalg.norm(laid.pose.position_lps - truth.points[own[n]]))
+            if off_mm <= LAID_MM and _holds_hit(drive, target, reach_mm):
+                return True
     return False
+
+
+def _holds_hit(drive: ScopeDrive, target: Target, reach_mm: float) -> bool:
+    """Return whether a roll and a lever setting of a laid scope hit a target; the best ones of a grid are refined."""
+    insertion_mm, centre = drive.state.insertion_mm, np.array(target.centre_lps)
+
+    def tip_at(roll_rad: float, lever_deg: float) -> Floats:
+        return drive.drive(insertion_mm, roll_rad, math.radians(lever_deg), 0.1).pose.lps_from_camera
+
+    found: list[tuple[float, float, float]] = []
+    for roll in np.linspace(0.0, 2.0 * np.pi, NUM_ROLLS, endpoint=False):
+        for lever_deg in LEVERS_DEG:
+            tip = tip_at(float(roll), lever_deg)
+            if _strikes(tip, target, reach_mm):
+                return True
+            off = centre - tip[:3, 3]
+            distance = max(float(np.linalg.norm(off)), target.radius_mm)
+            angle = math.acos(float(np.clip(tip[:3, 2] @ off / distance, -1.0, 1.0)))
+            past_edge = math.degrees(angle - math.asin(target.radius_mm / distance))
+            found.append((past_edge, float(roll), lever_deg))
+    found.sort()
+    if found[0][0] > NEARLY_DEG:
+        return False
+    return any(
+        _strikes(tip_at(roll + math.radians(turn), min(max(lever_deg + more, 0.0), LEVERS_DEG[-1])), target, reach_mm)
+        for _, roll, lever_deg in found[:NUM_FINER]
+        for turn in FINER_DEG
+        for more in FINER_DEG
+    )
+
+
+def _strikes(lps_from_tip: Floats, target: Target, reach_mm: float) -> bool:
+    return _meets(lps_from_tip, target, reach_mm) and _hits(lps_from_tip, target, reach_mm) >= LEAST_HITS
 
 
 def _meets(lps_from_tip: Floats, target: Target, reach_mm: float) -> bool:
@@ -250,7 +287,7 @@ def _hits(lps_from_tip: Floats, target: Target, reach_mm: float) -> float:
 
 def judged(case: PlanCase, say: Say, *, with_holds: bool = False) -> Iterator[Row]:
     """Yield a row for each target: whether it is reachable, the stated outlook, and whether the first route arrives."""
-    scope = SCOPE
+    scope, wall = SCOPE, true_wall(case.truth)
     assert case.airways is not None and case.wall is not None
     for number, target in enumerate(case.targets):
         row: Row = {"case": case.name, "target": number, "radius_mm": round(target.radius_mm, 1)}
@@ -270,9 +307,9 @@ def judged(case: PlanCase, say: Say, *, with_holds: bool = False) -> Iterator[Ro
         flight = Flight(False, plan.why or "")
         if plan.routes:
             flight = flown(case, target, plan.routes[0], scope, reach_mm)
-            row["points"] = points(case, target, plan)
+            row["points"] = points(case, target, plan, wall)
         if with_holds:
-            row["could"] = held(case, target, scope, reach_mm)
+            row["could"] = row.get("points", False) or held(case, target, scope, reach_mm, wall)
         row |= {"arrives": flight.arrives, "why": flight.why}
         if (row["reachable"] and not flight.arrives) or (row["told"] == "reaches" and not flight.arrives):
             say(json.dumps(row))

@@ -12,8 +12,10 @@ from typer.testing import CliRunner
 import carina
 import carina.track
 from carina.cli.app import app
-from carina.plan import judge_scopes
+from carina.config import load_settings
+from carina.plan import judge_pairs
 from carina.scopes import scope_presets
+from carina.session import LocalStore
 from carina.volume import write_grid
 from made import found_airways, made_phantom
 
@@ -162,13 +164,28 @@ def test_plan_for_a_position_without_a_nodule_is_refused(chest) -> None:
     assert result.exit_code in {2, 4} and "nodule" in result.stderr
 
 
-def test_plan_with_all_scopes_lists_a_verdict_for_each(chest, found_once, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_plan_with_all_scopes_lists_a_verdict_for_each_pair_and_ranks_available_instruments_first(
+    chest, found_once, monkeypatch: pytest.MonkeyPatch, tmp_path
+) -> None:
     path, place = chest
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     # The results of the drive searches are tested elsewhere, so their effort is small here.
-    monkeypatch.setattr("carina.cli.plan.judge_scopes", partial(judge_scopes, effort=2000.0))
+    monkeypatch.setattr("carina.cli.plan.judge_pairs", partial(judge_pairs, effort=200.0))
+    # The windows' setting is stored in the test's own folder.
+    LocalStore(load_settings().config_dir).set_available_scopes(("thin", "an unknown one"))
     result = run(path, place, "--all-scopes", "--json")
     assert result.exit_code == 0
-    verdicts = json.loads(result.stdout)["verdicts"]
+    document = json.loads(result.stdout)
+    verdicts, pairs = document["verdicts"], document["pairs"]
+    keys = [route["key"] for route in document["routes"][:3]]
+    assert {(one["scope"], one["route"]) for one in pairs} == {(s.name, key) for s in scope_presets() for key in keys}
+    assert [one["available"] for one in pairs] == [True] * len(keys) + [False] * (len(pairs) - len(keys))
+    assert {one["scope"] for one in pairs[: len(keys)]} == {"thin"}
+    some = run(path, place, "--available", "ultrathin,therapeutic", "--json")
+    first = json.loads(some.stdout)["pairs"][: 2 * len(keys)]
+    assert {one["scope"] for one in first} == {"ultrathin", "therapeutic"} and all(one["available"] for one in first)
+    assert "of 2 available instruments" in some.stderr or "best pair: " in some.stderr
+    assert run(path, place, "--available", "no-scope").exit_code == 2
     assert [one["scope"] for one in verdicts] == [one.name for one in scope_presets()]
     assert all(one["outcome"] in {"reaches", "may reach", "does not reach", "cannot say"} for one in verdicts)
 

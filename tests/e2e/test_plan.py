@@ -103,3 +103,43 @@ def test_printed_plan_needs_six_clicks_from_the_ct(server, workstation):
     assert (document["format"], document["report"]["route"]) == ("carina-plan", 1)
     assert len(document["verdicts"]) == len(workstation.state("plans.verdicts"))
     assert workstation.faults == []
+
+
+def test_pair_of_route_and_instrument_is_chosen_and_instruments_are_marked_as_available(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    page, truth = workstation.page, made_phantom(**CHEST).truth["nodule"]
+    page.get_by_role("button", name="Target", exact=True).first.click()
+    page.get_by_test_id("arm-target").click()
+    scroll_to(workstation, truth["centre_lps"])
+    page.mouse.click(*place_in_slice(workstation, "axial", truth["centre_lps"]))
+    workstation.wait_for("window.__carina.state.plans.targets[0].routes.length > 0")
+    page.get_by_test_id("take-route").click()
+    workstation.wait_while_working("window.__carina.state.plans.pairs_standing === 'had'")
+    pairs = page.get_by_test_id("pairs")
+    pairs.wait_for()
+    pairs.locator("summary").click()
+    first = workstation.state("plans.pairs[0]")
+    assert page.get_by_test_id("pair-table").locator("tbody th").first.inner_text().strip() == first["title"]
+    workstation.picture("plan-pairs")
+
+    # An instrument that is not available here is listed separately, and stays so for other cases.
+    page.get_by_test_id(f"pair-row-{first['scope']}").locator("input").click()
+    workstation.wait_for("(scope) => !window.__carina.state.plans.available?.includes(scope) === true", first["scope"])
+    assert first["scope"] not in workstation.state("plans.available")
+    workstation.wait_for("(scope) => window.__carina.state.plans.pairs[0].scope !== scope", first["scope"])
+    assert page.get_by_text("Not available here", exact=True).is_visible()
+    page.get_by_test_id(f"pair-row-{first['scope']}").locator("input").click()
+    workstation.wait_for("window.__carina.state.plans.available === null")
+
+    # A click on a pair chooses scope and route.
+    other = next(one for one in workstation.state("plans.pairs") if one["scope"] != "thin")
+    routes = workstation.state("plans.targets[0].routes")
+    number = next(n for n, route in enumerate(routes, 1) if route["key"] == other["route"])
+    page.get_by_test_id(f"pair-{other['scope']}-{number}").click()
+    workstation.wait_for("(scope) => window.__carina.state.plans.targets[0].options.scope === scope", other["scope"])
+    workstation.wait_while_working("window.__carina.state.plans.standing === 'had'")
+    place = workstation.state("plans.targets[0].options.place")
+    assert place["branch_id"] == next(route["branch_id"] for route in routes if route["key"] == other["route"])
+    assert place["branch_id"] in [route["branch_id"] for route in workstation.state("plans.targets[0].routes")]
+    workstation.picture("plan-pair-taken")

@@ -25,10 +25,10 @@ from carina.plan.routes.ranking import bending_mm
 from carina.plan.routes.route_width import RouteWidth
 from carina.plan.routes.standing_points import Ways
 from carina.plan.verdict.checks import bend_check, length_check
-from carina.plan.verdict.drive import DrivenRoute, moves_between, replay_moves
+from carina.plan.verdict.drive import DrivenRoute, MoveRecorder, moves_between, replay_moves
 from carina.plan.verdict.drive_aim import aim_drive
 from carina.plan.verdict.drive_route import DriveWay
-from carina.plan.verdict.drive_search import condense_drive, place_at_start, search_drive
+from carina.plan.verdict.drive_search import arrives_by, condense_drive, place_at_start, search_drive
 from carina.scopes import ScopeDrive, ScopePreset, WallField, scope_preset
 from carina.track import AirwayTree
 from made import made_airways
@@ -116,6 +116,59 @@ def test_condensed_drive_has_fewer_moves_and_still_arrives() -> None:
     tip = carried_out(way, chest_wall(), condensed.to_json(poses=False)).state.pose
     assert np.array_equal(tip.lps_from_camera, condensed.lps_from_camera[-1])
     assert np.linalg.norm(tip.position_lps - way.at(way.park_mm)) <= 2.0 + way.radius_mm(way.park_mm)
+
+
+def condensed_slowly(way: DriveWay, wall: WallField, driven: DrivenRoute, tries: int) -> tuple[Move, ...]:
+    """Return the moves of the shorter drive, with every drive simulated from its beginning."""
+    moves = list(driven.moves)
+    for num in (4, 2, 1):
+        n = len(moves) - num
+        while n >= 1 and tries > 0:
+            left_out = moves[n : n + num]
+            advance_mm = moves[n - 1].advance_mm + sum(move.advance_mm for move in left_out)
+            rest = moves[n + num :]
+            if rest:
+                turn_deg = rest[0].turn_deg + sum(move.turn_deg for move in left_out)
+                rest[0] = dataclasses.replace(rest[0], turn_deg=(turn_deg + 180.0) % 360.0 - 180.0)
+            shorter = [*moves[: n - 1], dataclasses.replace(moves[n - 1], advance_mm=advance_mm), *rest]
+            tries -= 1
+            if arrives_by(way, wall, thin(), tuple(shorter)):
+                moves = shorter
+            n -= num
+    return tuple(moves)
+
+
+@pytest.mark.parametrize("branch_id", [BRANCHES[0], pytest.param(BRANCHES[1], marks=pytest.mark.soak)])
+def test_drive_condensed_from_copies_equals_one_simulated_from_the_beginning(branch_id: int) -> None:
+    way, wall, driven = chest_way(branch_id), chest_wall(), chest_drive(branch_id)
+    condensed = condense_drive(way, wall, thin(), driven, tries=12)
+    assert condensed.moves == condensed_slowly(way, wall, driven, 12) != driven.moves
+
+
+def test_drive_aimed_from_copies_equals_one_simulated_from_the_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
+    tree, field, points = tube(60.0)
+    scope = dataclasses.replace(thin(), tip_mm=2.6)
+    way = DriveWay(tree, plan_in(points).routes[0], field)
+    driven = search_drive(way, field, scope)
+    # Neither direction nor withdrawal hits enough, so that rolls and lever settings are tried too.
+    way.aim = way.at(way.park_mm) + np.array([2.0, 9.0, 0.0])
+
+    def share(tip: np.ndarray, forward: np.ndarray) -> float:
+        off = way.aim - tip
+        return max(0.4 * float(forward @ off / np.linalg.norm(off)), 0.0)
+
+    def repeated(recorder: MoveRecorder) -> MoveRecorder:
+        other = MoveRecorder(place_at_start(way, field, scope))
+        other.repeat(recorder.moves)
+        return other
+
+    fast = aim_drive(way, field, scope, driven, share)
+    monkeypatch.setattr(MoveRecorder, "copy", repeated)
+    slow = aim_drive(way, field, scope, driven, share)
+    assert fast.driven.moves == slow.driven.moves != driven.moves
+    assert (fast.share, fast.off_deg) == (slow.share, slow.off_deg)
+    assert np.array_equal(fast.lps_from_tip, slow.lps_from_tip)
+    assert np.array_equal(fast.driven.samples, slow.driven.samples)
 
 
 def test_repeated_search_gives_an_equal_drive() -> None:

@@ -217,21 +217,64 @@ def test_thinner_needle_is_named_only_if_the_library_has_one() -> None:
     assert judge_scope(tree, plan_in(points), field, scope()).would is None
 
 
-def test_each_instrument_is_judged_on_the_next_route_if_it_does_not_reach_by_the_first() -> None:
+def two_routes() -> tuple[AirwayTree, WallField, Plan]:
+    """Return a tube with a plan of two routes; the first one is too narrow by its measured width."""
     tree, field, points = tube(60.0)
     plan = plan_in(points)
     good = plan.routes[0]
     narrow = dataclasses.replace(good, along_mm=good.along_mm - 1.0, width=RouteWidth(2.0, 0.1, 20.0))
-    plan = dataclasses.replace(plan, routes=(narrow, good))
+    return tree, field, dataclasses.replace(plan, routes=(narrow, good))
+
+
+def test_each_pair_of_route_and_instrument_has_a_verdict_and_the_best_is_first() -> None:
+    tree, field, plan = two_routes()
+    narrow, good = plan.routes
     presets = [scope(name="wide", tip_mm=6.0), scope(name="fits")]
-    pairs = judge_pairs(tree, plan, field, scopes=presets)
+    told: list[Verdict] = []
+    pairs = judge_pairs(tree, plan, field, scopes=presets, found=told.append)
     assert [(one.scope.name, one.outcome, one.route_key) for one in pairs] == [
         ("fits", "reaches", good.key),
+        ("fits", "does not reach", narrow.key),
         ("wide", "does not reach", narrow.key),
+        ("wide", "does not reach", good.key),
     ]
+    assert {(one.scope.name, one.route_key) for one in told} == {(one.scope.name, one.route_key) for one in pairs}
+    # The other position was driven, so it may be named.
+    assert [one.would for one in pairs[:2]] == [None, "reaches by route 2"]
     alone = judge_pairs(tree, plan, field, scopes=presets, routes=1)
-    assert {one.outcome for one in alone} == {"does not reach"}
+    assert {one.outcome for one in alone} == {"does not reach"} and len(alone) == 2
     assert judge_scope(tree, plan, field, presets[1], route=good).to_json() == pairs[0].to_json()
+
+
+def test_pairs_of_instruments_that_are_not_available_follow_the_others() -> None:
+    tree, field, plan = two_routes()
+    presets = [scope(name="wide", tip_mm=6.0), scope(name="fits")]
+    pairs = judge_pairs(tree, plan, field, scopes=presets, available=["wide"])
+    assert [one.scope.name for one in pairs] == ["wide", "wide", "fits", "fits"]
+    assert pairs[2].outcome == "reaches"
+
+
+def test_instrument_is_judged_with_a_needle_that_passes_its_channel() -> None:
+    tree, field, points = tube(60.0)
+    plan = dataclasses.replace(plan_in(points), tool=tool("needle-19g"))
+    slim, slimmest = scope(name="slim", channel_mm=1.9), scope(name="slimmest", channel_mm=1.7)
+    pairs = judge_pairs(tree, plan, field, scopes=[slim, slimmest])
+    assert [(one.scope.name, one.tool, one.outcome) for one in pairs] == [
+        ("slim", "needle-21g", "reaches"),
+        ("slimmest", "needle-19g", "does not reach"),
+    ]
+    assert pairs[1].would is not None and "can only brush" in pairs[1].would
+
+
+def test_longer_throw_is_named_only_if_it_hits_from_the_pose_of_the_drive() -> None:
+    tree, field, points = tube(60.0)
+    near = plan_in(points)
+    short = dataclasses.replace(tool("needle-21g"), name="short", reach_mm=1.0)
+    found = judge_scope(tree, dataclasses.replace(near, tool=short), field, scope())
+    assert next(one for one in found.checks if one.name == "pointing").answer != "yes"
+    assert found.would == "would reach if Aspiration needle, 21 G were used"
+    blocked = judge_scope(tree, dataclasses.replace(near, tool=short), field, scope(channel_mm=1.85))
+    assert blocked.would is None or "were used" not in blocked.would
 
 
 def test_scope_that_may_not_fit_is_not_promised_to_reach_with_another_tool() -> None:

@@ -22,19 +22,23 @@ from carina.commands import (
     AimTarget,
     BrushTarget,
     Cancel,
+    ChoosePair,
     ChoosePlannedRoute,
+    ChosenPlace,
     DescribeTarget,
     FlyFlight,
     GrowTarget,
     KeepDrive,
     MarkAt,
     MarkSphere,
+    OpenVolume,
     PlanningOf,
     PlanOptions,
     PlanToTakeAway,
     RemoveTarget,
     ResizeTarget,
     SeeTurn,
+    SetAvailableScopes,
     SetMode,
     SetOperator,
     SetPlanOptions,
@@ -43,12 +47,13 @@ from carina.commands import (
 from carina.errors import CarinaError, NoResultError, UsageError
 from carina.phantom import Phantom, write_phantom
 from carina.plan import PlanTarget
+from carina.scopes import scope_presets
 from carina.server.to_wire.plan import plans_message
-from carina.session import JobEnded, JobProgress, default_parts
+from carina.session import JobEnded, JobProgress, LocalStore, Session, default_parts
 from carina.session.derived.plans import shown_surface
 from carina.volume import write_grid
 from made import found_airways, made_phantom
-from small_case import small_bench, small_lps
+from small_case import SmallRenderer, small_bench, small_lps
 
 
 def judge_as_replaced(*given: object, **options: object) -> object:
@@ -56,12 +61,20 @@ def judge_as_replaced(*given: object, **options: object) -> object:
     return carina.plan.judge_scopes(*given, **options)
 
 
+def pairs_as_replaced(*given: object, **options: object) -> object:
+    """Call the present ``carina.plan.judge_pairs``, which a test may replace while a case is open."""
+    return carina.plan.judge_pairs(*given, **options)
+
+
 @pytest.fixture(autouse=True, scope="module")
 def replaceable_judge() -> Iterator[None]:
     """Let the cases of this module use ``judge_as_replaced``."""
     # The drives of plan_route are tested in tests/plan/test_routes.py.
     parts = replace(
-        default_parts(), judge_scopes=judge_as_replaced, plan_route=partial(carina.plan.plan_route, drives=0)
+        default_parts(),
+        judge_scopes=judge_as_replaced,
+        judge_pairs=pairs_as_replaced,
+        plan_route=partial(carina.plan.plan_route, drives=0),
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("carina.session.core.default_parts", lambda: parts)
@@ -77,6 +90,12 @@ def few_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
         return whole(*given, scopes=scopes[:2], effort=2000.0, **options)
 
     monkeypatch.setattr(carina.plan, "judge_scopes", judge)
+    every = carina.plan.judge_pairs
+
+    def pairs(*given: object, scopes: list, **options: object):
+        return every(*given, scopes=scopes[:2], routes=2, effort=300.0, **options)
+
+    monkeypatch.setattr(carina.plan, "judge_pairs", pairs)
 
 
 @pytest.fixture(scope="module")
@@ -189,6 +208,63 @@ def test_new_options_compute_a_new_plan_and_names_and_notes_are_kept(case: carin
     assert case.ask(PlanningOf()).targets[0].planned.plan is second
     case.do(RemoveTarget(target.target_id))
     assert case.ask(PlanningOf()).standing == "unwanted"
+
+
+def test_chosen_pair_sets_scope_and_route_in_one_step(case: carina.Case, chest: Phantom) -> None:
+    case.do(AddTarget(centre_of(chest)))
+    (target,) = case.state.document.targets
+    case.do(ChoosePlannedRoute(target.target_id, 1))
+    info = case.ask(PlanningOf())
+    plan = info.targets[0].planned.plan
+    names = [preset.name for preset in scope_presets()[:2]]
+    keys = [route.key for route in plan.routes[:2]]
+    assert info.pairs_standing == "had"
+    assert {(one.scope.name, one.route_key) for one in info.pairs} == {(n, key) for n in names for key in keys}
+    other = next(one for one in info.pairs if one.scope.name != plan.scope.name and one.route_key == keys[-1])
+    steps = len(case.history())
+    case.do(ChoosePair(target_id=target.target_id, route=keys[-1], scope=other.scope.name, tool=other.tool))
+    assert len(case.history()) == steps + 1
+    (planned,) = case.ask(PlanningOf()).targets
+    assert planned.planned.plan.scope == other.scope
+    place = next(route for route in plan.routes if route.key == keys[-1])
+    lesion = case.state.document.targets[0].lesion
+    assert lesion.options.place == ChosenPlace(place.branch_id, place.along_mm, place.aim)
+    # A route of the new plan ends at the place of the pair, whatever the scope's own best place is.
+    assert any(
+        (one.branch_id, one.aim) == (place.branch_id, place.aim) and abs(one.along_mm - place.along_mm) < 0.01
+        for one in planned.planned.plan.routes
+    )
+    assert case.state.document.route.target_id == target.target_id
+    case.undo()
+    assert case.state.document.targets[0].lesion.options.scope == plan.scope.name
+    with pytest.raises(NoResultError, match=r"has no route 1-2\.0"):
+        case.do(ChoosePair(target_id=target.target_id, route="1-2.0", scope="thin", tool="needle-21g"))
+
+
+def test_available_scopes_are_stored_and_their_pairs_come_first(chest: Phantom, tmp_path: Path) -> None:
+    names = [preset.name for preset in scope_presets()[:2]]
+    store = LocalStore(tmp_path)
+    session = Session(SmallRenderer, store=store)
+    session.do(OpenVolume(chest.volume))
+    session.jobs.wait_idle(None)
+    session.do(SetAvailableScopes(scopes=(names[1],)))
+    assert LocalStore(tmp_path).available_scopes() == (names[1],)
+    session.do(AddTarget(centre_of(chest)))
+    session.jobs.wait_idle(None)
+    (target,) = session.snapshot().document.targets
+    session.do(ChoosePlannedRoute(target.target_id, 1))
+    session.jobs.wait_idle(None)
+    info = session.ask(PlanningOf())
+    assert info.available == (names[1],)
+    half = len(info.pairs) // 2
+    assert half > 0
+    assert [one.scope.name for one in info.pairs] == [names[1]] * half + [names[0]] * half
+    assert [one.available for one in plans_message(info).pairs] == [True] * half + [False] * half
+    with pytest.raises(UsageError):
+        session.do(SetAvailableScopes(scopes=("no-scope",)))
+    session.do(SetAvailableScopes(scopes=None))
+    assert all(one.available for one in plans_message(session.ask(PlanningOf())).pairs)
+    session.close()
 
 
 def test_target_in_the_lumen_has_no_boundary(case: carina.Case, airways: carina.Airways) -> None:

@@ -57,8 +57,12 @@ def _all_with(document: Document, name: str) -> tuple[Target, ...]:
 
 
 def _with_scope(target: Target, name: str) -> Target:
-    """Return a target whose plan uses a scope; the same object if it does already."""
+    """Return a target whose plan uses a scope; the same object if it does already.
+
+    A place that was chosen with another scope is no place of this scope.
+    """
     lesion = target.lesion
     if lesion is None or lesion.options.scope == name:
         return target
-    return replace(target, lesion=replace(lesion, options=msgspec.structs.replace(lesion.options, scope=name)))
+    options = msgspec.structs.replace(lesion.options, scope=name, place=None)
+    return replace(target, lesion=replace(lesion, options=options))

@@ -256,8 +256,18 @@ def plan(
         ),
     ] = None,
     all_scopes: Annotated[
-        bool, typer.Option("--all-scopes", help="Judge every bronchoscope of the library on the first route.")
+        bool, typer.Option("--all-scopes", help="Judge every bronchoscope of the library on the best three routes.")
     ] = False,
+    available: Annotated[
+        str | None,
+        typer.Option(
+            "--available",
+            help=(
+                "Rank these bronchoscopes first, as with --all-scopes: names separated by commas, or all. Without this "
+                "option those that the window has stored as available."
+            ),
+        ),
+    ] = None,
     series: SeriesOption = None,
     ct: CtOption = None,
     output: Annotated[
@@ -310,6 +320,7 @@ def plan(
                 carina_depth_mm=carina_depth_mm,
                 confirm=confirm,
                 all_scopes=all_scopes,
+                available=available,
                 series=series,
                 ct=ct,
                 output=output,

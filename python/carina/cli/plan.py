@@ -12,6 +12,7 @@ import carina
 from carina.cli.arguments import check_needs, check_output_file, check_range
 from carina.cli.console import print_json, progress_printer, say
 from carina.cli.opened import check_case_options, opened
+from carina.config import load_settings
 from carina.disk import ScratchFolder
 from carina.errors import NoResultError, UsageError
 from carina.export import PLAN_FORMATS, check_plan_file, export_plan, send_plan, write_plan_pdf
@@ -32,6 +33,7 @@ from carina.plan.report import Paper, PlanMaterials, ReportKind, whole_sheet, wr
 from carina.plan.routes.predictors import PREDICTOR_WORDS
 from carina.plan.targets.doubts import confirmed_codes
 from carina.scopes import scope_preset, scope_presets
+from carina.session import LocalStore
 from carina.volume.point_check import check_in_volume
 
 if TYPE_CHECKING:
@@ -59,6 +61,7 @@ def report(
     carina_depth_mm: float | None,
     confirm: str | None,
     all_scopes: bool,
+    available: str | None,
     output: Path | None,
     kind: ReportKind,
     paper: str,
@@ -91,6 +94,8 @@ def report(
     peer = None if send_to is None else _peer(send_to)
     instrument = scope_from_file(scope) if Path(scope).is_file() else scope_preset(scope)
     used = tool_from_file(tool) if Path(tool).is_file() else tool_named(tool)
+    all_scopes = all_scopes or available is not None
+    here = _available(available) if all_scopes else None
     if paper not in PAPERS:
         raise UsageError(f"--paper: expected {' or '.join(PAPERS)}; found {paper}")
     check_case_options(path, ct)
@@ -142,25 +147,29 @@ def report(
     if plan.routes and not plan.routes[0].origin.is_carina:
         # A depth of the carina says nothing about a route that does not pass the carina.
         carina_depth_mm = None
-    if plan.routes:
-        scopes = [plan.scope]
-        if all_scopes:
-            library = list(scope_presets())
-            # An instrument from a file of the user is not in the library.
-            scopes = library if plan.scope in library else [plan.scope, *library]
-        verdicts = judge_scopes(airways.tree, plan, wall, scopes=scopes, origin_depth_mm=carina_depth_mm)
-    for verdict in verdicts:
-        say(f"{verdict.scope.title} on route 1: {verdict.words}")
     pairs: tuple[Verdict, ...] = ()
-    if all_scopes and plan.routes:
+    if plan.routes and all_scopes:
+        library = list(scope_presets())
+        # An instrument from a file of the user is not in the library, and is available.
+        scopes = library if plan.scope in library else [plan.scope, *library]
+        if here is not None and plan.scope not in library:
+            here = (*here, plan.scope.name)
         pairs = judge_pairs(
             airways.tree,
             plan,
             wall,
-            scopes=[verdict.scope for verdict in verdicts],
+            scopes=scopes,
+            available=here,
             origin_depth_mm=carina_depth_mm,
         )
-        say(_best_pair(plan, pairs))
+        of_first = {pair.scope.name: pair for pair in pairs if pair.route_key == plan.routes[0].key}
+        verdicts = tuple(of_first[scope.name] for scope in scopes)
+    elif plan.routes:
+        verdicts = judge_scopes(airways.tree, plan, wall, scopes=[plan.scope], origin_depth_mm=carina_depth_mm)
+    for verdict in verdicts:
+        say(f"{verdict.scope.title} on route 1: {verdict.words}")
+    if pairs:
+        say(_best_pair(plan, pairs, here))
     if peer is not None:
         num = send_plan(plan, airways.tree, host=peer[0], port=peer[1])
         say(f"sent {num} messages to {send_to}")
@@ -200,7 +209,8 @@ def report(
             write_report(output, sheet, kind=kind, paper=PAPERS[paper])
             say(f"wrote {output}")
         if as_json:
-            judged = {"pairs": [pair.to_json() for pair in pairs]} if all_scopes else {}
+            listed = [pair.to_json() | {"available": here is None or pair.scope.name in here} for pair in pairs]
+            judged = {"pairs": listed} if all_scopes else {}
             print_json(sheet.to_json() | {"badges": source.badges.to_json()} | judged)
     return 0 if plan.routes else NoResultError.exit_code
 
@@ -212,15 +222,28 @@ def _confirmed(text: str | None) -> bool | tuple[str, ...]:
     return tuple(code.strip() for code in text.split(","))
 
 
-def _best_pair(plan: Plan, pairs: tuple[Verdict, ...]) -> str:
+def _available(text: str | None) -> tuple[str, ...] | None:
+    """Return the names of the instruments that ``--available`` or else the stored setting lists; None: all."""
+    if text is None:
+        stored = LocalStore(load_settings().config_dir).available_scopes()
+        return None if stored is None else tuple(one.name for one in scope_presets() if one.name in stored)
+    if text.strip() == "all":
+        return None
+    return tuple(scope_preset(name.strip()).name for name in text.split(","))
+
+
+def _best_pair(plan: Plan, pairs: tuple[Verdict, ...], here: tuple[str, ...] | None) -> str:
     """Return the best pair of route and instrument as text; the pairs are those of `judge_pairs`."""
     best = pairs[0]
     number = next(n for n, route in enumerate(plan.routes, 1) if route.key == best.route_key)
+    of = {pair.scope.name for pair in pairs} if here is None else set(here)
     if best.outcome in {"does not reach", "cannot say"}:
-        return (
-            f"of {len(pairs)} instruments none is known to reach by one of the best {min(len(plan.routes), 3)} routes"
-        )
-    return f"best pair: {best.scope.title} on route {number}, which {best.outcome}"
+        num, kind = len(of), "" if here is None else "available "
+        routes = len({pair.route_key for pair in pairs})
+        by = "the only route" if routes == 1 else f"one of the best {routes} routes"
+        return f"of {num} {kind}instruments none is known to reach by {by}"
+    with_tool = "" if best.tool == plan.tool.name else f" with {tool_named(best.tool).title}"
+    return f"best pair: {best.scope.title}{with_tool} on route {number}, which {best.outcome}"
 
 
 def _peer(words: str) -> tuple[str, int]:

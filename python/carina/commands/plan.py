@@ -6,12 +6,15 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from carina.commands.fields import Identifier, OwnName, PointLps
+from carina.commands.fields import BranchId, Identifier, OwnName, PointLps
 from carina.commands.tree import MAX_BRUSH_MM
 from carina.commands.value import Command, FrozenValue, LocalCommand
 from carina.value import TEXT
 
 TargetNote = Annotated[str, Meta(max_length=2000, pattern=TEXT)]
+
+RouteKey = Annotated[str, Meta(min_length=1, max_length=64, pattern=TEXT)]
+"""Key of a planned route, such as *17-204.5*."""
 
 TargetRank = Annotated[int, Meta(ge=1, le=9)]
 
@@ -22,6 +25,16 @@ class Instruments(FrozenValue, frozen=True):
     scope: Identifier = "thin"
     """Name in the library of instruments."""
     tool: Identifier = "needle-21g"
+
+
+class ChosenPlace(FrozenValue, frozen=True):
+    """Place of the scope's tip and the aim, which the user has chosen with a pair of route and instrument."""
+
+    branch_id: BranchId
+    along_mm: Annotated[float, Meta(ge=0.0, le=5000.0)]
+    """Distance of the tip from the start of the airway tree, mm."""
+    aim: Annotated[int, Meta(ge=0, le=100)] = 0
+    """Index of the aim, from 0."""
 
 
 class PlanOptions(Instruments, frozen=True):
@@ -38,6 +51,8 @@ class PlanOptions(Instruments, frozen=True):
 
     Null leaves depths and working lengths unknown, unless a case of an earlier version states `entry_mm`.
     """
+    place: ChosenPlace | None = None
+    """Place to which a route is planned in any case; null plans only to the best places (``choose_pair``)."""
 
 
 class SetPlanOptions(PlanOptions, Command, frozen=True, kw_only=True):
@@ -62,6 +77,21 @@ class ChoosePlannedRoute(Command, frozen=True):
     target_id: Identifier
     number: Annotated[int, Meta(ge=1, le=100)] = 1
     """Number of the route; 1 is the best."""
+
+
+class ChoosePair(Instruments, Command, frozen=True, kw_only=True):
+    """Choose a route together with the scope and the tool that reach its end: a pair of ``plans.pairs``."""
+
+    target_id: Identifier
+    route: RouteKey
+    """Key of the route in the present plan."""
+
+
+class SetAvailableScopes(Command, frozen=True):
+    """Store which scopes of the library are available here; pairs of other scopes are listed separately."""
+
+    scopes: Annotated[tuple[Identifier, ...], Meta(min_length=1, max_length=200)] | None
+    """Names of the scopes; null: all of the library."""
 
 
 class SeeTurn(Command, frozen=True):

@@ -37,7 +37,16 @@ from carina.plan.turns.turn_list import OtherWay, Turn, TurnList
 from carina.plan.verdict.drive import DrivenRoute, moves_between, replay_moves
 from carina.plan.verdict.drive_flight import drive_flight
 from carina.plan.verdict.drive_search import condense_drive, place_at_start, search_drive
-from carina.plan.verdict.verdict import Check, Outcome, Verdict, judge_pairs, judge_scope, judge_scopes
+from carina.plan.verdict.verdict import (
+    Check,
+    Outcome,
+    Verdict,
+    judge_pairs,
+    judge_scope,
+    judge_scopes,
+    needle_to_target_mm,
+    pairs_in_order,
+)
 
 if TYPE_CHECKING:
     from carina.plan.targets.from_file import target_from_file
@@ -104,7 +113,9 @@ __all__ = [
     "lung_surroundings",
     "make_sheet",
     "moves_between",
+    "needle_to_target_mm",
     "nodule_from_mask",
+    "pairs_in_order",
     "place_at_start",
     "plan_route",
     "proposed_aims",

@@ -27,8 +27,11 @@ from carina.plan.routes.plan_route import (
     DraftPlan,
     Plan,
     PlannedRoute,
+    PlanRequest,
+    RoutePlace,
     check_target_type,
     draft_plan,
+    is_at,
 )
 from carina.plan.routes.ranking import Outlook, ScoreWeights, order, worst
 from carina.plan.targets.doubts import Confirmed
@@ -53,6 +56,17 @@ OUTLOOKS: dict[str, Outlook] = {"reaches": "reaches", "does not reach": "does no
 """Outlook of a route for the outcome of its verdict; *may reach* for all other outcomes."""
 
 
+def _check_place(where: str, name: str, value: object) -> None:
+    """Raise an error unless a value is None or a place: branch ID, distance in mm, index of the aim."""
+    if value is None:
+        return
+    is_place = isinstance(value, tuple) and len(value) == 3
+    if not (is_place and all(isinstance(one, int | float) and math.isfinite(one) for one in value)):  # type: ignore[attr-defined]
+        raise UsageError(
+            f"{where}: {name}: expected (branch ID, mm from the start of the airway tree, aim) or None; found {value!r}"
+        )
+
+
 @shows_progress
 @check_arguments(
     volume=instance(Volume, "open a volume with carina.open_volume"),
@@ -67,6 +81,7 @@ OUTLOOKS: dict[str, Outlook] = {"reaches": "reaches", "does not reach": "does no
     weights=instance(ScoreWeights, "create a carina.plan.ScoreWeights", optional=True),
     wall=instance(WallField, "make one with carina.wall_field", optional=True),
     measures=instance(TreeMeasures, "get them from carina.measure_tree", optional=True),
+    place=_check_place,
     drives=whole_from(0, 5),
     cancel=function,
 )
@@ -84,6 +99,7 @@ def plan_route(
     weights: ScoreWeights | None = None,
     wall: WallField | None = None,
     measures: TreeMeasures | None = None,
+    place: RoutePlace | None = None,
     drives: int = NUM_DRIVEN,
     confirmed: Confirmed = False,
     progress: ProgressChoice = None,
@@ -114,6 +130,10 @@ def plan_route(
     measures
         Measures of the airways (`carina.measure_tree`). They are computed if None, or if they belong to another tree or
         come from an earlier method.
+    place
+        Place of the tip that the user has chosen, such as that of a pair of `carina.plan.judge_pairs`: branch ID,
+        distance from the root in mm (`PlannedRoute.along_mm`), and index of the aim. It replaces the best place of its
+        branch, and its route is driven first.
     drives
         Largest number of routes along which the scope's drive is simulated, 0 to 5, the best ones first. Only a route
         whose drive arrives and points at the target has the outlook *reaches*. With 0 the outlook is estimated from
@@ -162,12 +182,12 @@ def plan_route(
             raise UsageError(f"{name}: expected 0 to {most:g}; found {value}", code="plan.range")
     on_share = share_function(progress_function(progress), "planning the routes")
     report = CancellableProgress(on_share, cancel, "planning was cancelled")
-    draft = draft_plan(
+    request = PlanRequest(
         volume,
         airways,
         target,
-        scope=preset,
-        tool=used,
+        preset,
+        used,
         aims=aims,
         vessel_margin_mm=vessel_margin_mm,
         moved_mm=moved_mm,
@@ -175,14 +195,18 @@ def plan_route(
         weights=weights,
         wall=wall,
         measures=measures,
+        place=place,
         confirmed=confirmed,
+    )
+    draft = draft_plan(
+        request,
         report=lambda share: report(DRAFTED * share if drives else share),
         cancel=cancel,
     )
     if not drives or not draft.plan.routes:
         report(1.0)
         return draft.plan
-    routes = _driven(draft, airways.tree, drives, report, cancel)
+    routes = _driven(draft, airways.tree, drives, report, cancel, place=place)
     report(1.0)
     return replace(draft.plan, routes=tuple(sorted(routes, key=order)))
 
@@ -193,13 +217,20 @@ def _driven(
     drives: int,
     report: Callable[[float], None],
     cancel: Callable[[], bool] | None,
+    *,
+    place: RoutePlace | None,
 ) -> list[PlannedRoute]:
-    """Return the routes with the results of drives along the best ones, up to the first one that reaches."""
+    """Return the routes with the results of drives along the best ones, up to the first one that reaches.
+
+    The route to ``place`` is driven before the others.
+    """
     found = [
         replace(route, outlook="may reach", limits=(*route.limits, NOT_DRIVEN)) if route.outlook == "reaches" else route
         for route in draft.plan.routes
     ]
-    likely = [(n, route) for n, route in enumerate(draft.plan.routes) if route.outlook != "does not reach"][:drives]
+    wanted = {n for n, route in enumerate(draft.plan.routes) if is_at(route, place)}
+    hopeful = [n for n, route in enumerate(draft.plan.routes) if route.outlook != "does not reach" and n not in wanted]
+    likely = [(n, draft.plan.routes[n]) for n in (*wanted, *hopeful)][:drives]
     judged = _judged(draft, tree, likely, report, cancel)
     for n, route, verdict in judged:
         found[n] = route

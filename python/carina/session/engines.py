@@ -73,6 +73,11 @@ class Parts:
 
     The call is ``judge_scopes(tree, plan, wall, route=, scopes=, origin_depth_mm=, found=, progress=, cancel=)``.
     """
+    judge_pairs: Callable[..., tuple[Verdict, ...]] = plan.judge_pairs
+    """Computes the verdicts on pairs of route and instrument.
+
+    The call is ``judge_pairs(tree, plan, wall, scopes=, origin_depth_mm=, found=, progress=, cancel=)``.
+    """
     map_lungs: Callable[..., LungMap] = map_lungs
     """Maps vessels, fissures and lobes: ``map_lungs(volume, airways, wall, progress=, found=)``."""
     distance_origin: Callable[[Volume, Airways], DistanceOrigin] = plan.distance_origin

@@ -563,6 +563,13 @@ export interface DismissMaskMessage {
   readonly type: "dismiss_mask";
 }
 
+/** Place of the scope's tip and the aim, which the user has chosen with a pair of route and instrument. */
+export interface ChosenPlace {
+  readonly branch_id: number;
+  readonly along_mm: number;
+  readonly aim?: number;
+}
+
 /** Plan the routes to a target again with other options; another scope is that of the whole case (`SetScope`). */
 export interface SetPlanOptionsMessage {
   readonly type: "set_plan_options";
@@ -572,6 +579,7 @@ export interface SetPlanOptionsMessage {
   readonly moved_mm?: number | null;
   readonly entry_mm?: number | null;
   readonly carina_depth_mm?: number | null;
+  readonly place?: ChosenPlace | null;
   readonly target_id: string;
 }
 
@@ -589,6 +597,21 @@ export interface ChoosePlannedRouteMessage {
   readonly type: "choose_planned_route";
   readonly target_id: string;
   readonly number?: number;
+}
+
+/** Choose a route together with the scope and the tool that reach its end: a pair of `plans.pairs`. */
+export interface ChoosePairMessage {
+  readonly type: "choose_pair";
+  readonly scope?: string;
+  readonly tool?: string;
+  readonly target_id: string;
+  readonly route: string;
+}
+
+/** Store which scopes of the library are available here; pairs of other scopes are listed separately. */
+export interface SetAvailableScopesMessage {
+  readonly type: "set_available_scopes";
+  readonly scopes: readonly string[] | null;
 }
 
 /** Put the tip at the viewpoint of a turn of the chosen route, as in the list of turns with clock positions. */
@@ -999,6 +1022,7 @@ export interface PlanOptions {
   readonly moved_mm: number | null;
   readonly entry_mm: number | null;
   readonly carina_depth_mm: number | null;
+  readonly place: ChosenPlace | null;
 }
 
 /** The origin of the distances along a route. */
@@ -1086,15 +1110,17 @@ export interface ScopeCheck {
   readonly basis: string;
 }
 
-/** Verdict on one instrument for the chosen route; a verdict in plan.json has the same keys. */
+/** Verdict on one instrument for the chosen route, with its checks; a verdict in plan.json has the same keys. */
 export interface ScopeVerdict {
   readonly scope: string;
+  readonly tool: string;
   readonly title: string;
+  readonly route: string;
   readonly outcome: string;
   readonly words: string;
   readonly share: number | null;
-  readonly reached_mm: number | null;
   readonly would: string | null;
+  readonly reached_mm: number | null;
   readonly checks: readonly ScopeCheck[];
   readonly was_driven: boolean;
 }
@@ -1121,6 +1147,19 @@ export interface PlannedTurn {
   readonly hour_doubt: string | null;
 }
 
+/** Verdict on one pair of the best routes and all instruments; a pair in plan.json has the same keys. */
+export interface RoutePair {
+  readonly scope: string;
+  readonly tool: string;
+  readonly title: string;
+  readonly route: string;
+  readonly outcome: string;
+  readonly words: string;
+  readonly share: number | null;
+  readonly would: string | null;
+  readonly available: boolean;
+}
+
 /** The plans of all lesions; sent after each change. */
 export interface PlansMessage {
   readonly type: "plans";
@@ -1134,6 +1173,9 @@ export interface PlansMessage {
   readonly park_from_carina_mm: number | null;
   readonly park_depth_estimate_mm: number | null;
   readonly dicom_problem: string | null;
+  readonly pairs: readonly RoutePair[];
+  readonly pairs_standing: "failed" | "had" | "making" | "stopped" | "unwanted";
+  readonly available: readonly string[] | null;
 }
 
 /** Answer to the client's `hello`. */
@@ -2031,6 +2073,8 @@ export type ClientMessage =
   | SetPlanOptionsMessage
   | DescribeTargetMessage
   | ChoosePlannedRouteMessage
+  | ChoosePairMessage
+  | SetAvailableScopesMessage
   | SeeTurnMessage
   | KeepDriveMessage
   | GrowTargetMessage

@@ -223,9 +223,7 @@ def leg_as_aimed(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: 
     distance = float(np.linalg.norm(off))
     # If the tip is at the aim, because an airway passes through the nodule, the needle goes along the airway.
     along = off / distance if distance >= LEAST_MM else forward
-    at = np.arange(0.0, max(tool.reach_mm, distance + nodule.long_mm + BEYOND_MM) + 2.0, STEP_MM)
-    points = tip_lps + at[:, None] * along
-    in_target = nodule.contains(points)
+    at, points, in_target = _needle_points(nodule, tip_lps, along, distance, tool.reach_mm)
     to_wall = wall.distance_mm(points)
     in_lumen = (to_wall > 0.0) & (np.cumsum(to_wall <= 0.0) == 0)
     tissue = np.full(len(at), "lung", dtype=object)
@@ -251,9 +249,9 @@ def leg_as_aimed(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: 
     is_thick = tissue == "mediastinum or chest wall"
     in_target_mm = _length_in(nodule, tip_lps, along[None], tool.reach_mm)
     return LastLeg(
-        tip_lps=_point(tip_lps),
-        aim_lps=_point(aim),
-        entry_lps=_point(points[entry]),
+        tip_lps=as_point(tip_lps),
+        aim_lps=as_point(aim),
+        entry_lps=as_point(points[entry]),
         to_target_mm=edge_mm,
         outside_mm=max(edge_mm - float(at[entry]), 0.0),
         angle_deg=math.degrees(math.acos(float(np.clip(along @ forward, -1.0, 1.0)))),
@@ -261,7 +259,7 @@ def leg_as_aimed(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: 
         in_target_mm=in_target_mm,
         least_in_target_mm=in_target_mm,
         vessel_mm=float(to_vessel[nearest]) if has_vessel else None,
-        vessel_lps=_point(points[between][nearest]) if has_vessel else None,
+        vessel_lps=as_point(points[between][nearest]) if has_vessel else None,
         beyond_mm=_first_mm(is_thick[far:]),
         hit_share=1.0,
         reaches=edge_mm <= tool.reach_mm,
@@ -269,6 +267,34 @@ def leg_as_aimed(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: 
         vessel_beyond_mm=_first_mm(tissue[far:] == "vessel"),
         mediastinum_mm=STEP_MM * float(is_thick[between].sum()),
     )
+
+
+def edge_on_needle_mm(nodule: Nodule, tip_lps: Points, end_lps: Points, reach_mm: float) -> float:
+    """Return the distance in mm from a tip to the edge of a nodule along a needle; to its end if the needle misses.
+
+    Parameters
+    ----------
+    nodule
+        The target.
+    tip_lps, end_lps
+        (3,) tip, and a point on the needle at the distance of the aim, LPS mm.
+    reach_mm
+        Distance that the needle reaches beyond the tip.
+    """
+    off = end_lps - tip_lps
+    distance = max(float(np.linalg.norm(off)), LEAST_MM)
+    at, _, inside = _needle_points(nodule, tip_lps, off / distance, distance, reach_mm)
+    hits = np.flatnonzero(inside)
+    return float(at[hits[0]]) if hits.size else distance
+
+
+def _needle_points(
+    nodule: Nodule, tip_lps: Points, along: Points, distance: float, reach_mm: float
+) -> tuple[Points, Points, NDArray[np.bool_]]:
+    """Return points along a needle: distances from the tip, positions, and whether they are in the nodule."""
+    at = np.arange(0.0, max(reach_mm, distance + nodule.long_mm + BEYOND_MM) + 2.0, STEP_MM)
+    points = tip_lps + at[:, None] * along
+    return at, points, nodule.contains(points)
 
 
 def where_it_may_have_moved(scene: NeedleScene, leg: LastLeg, moved_mm: float) -> LastLeg:
@@ -300,7 +326,7 @@ def _near_vessels(to_vessel: Points, at: Points, points: Points, margin_mm: floa
     found = []
     for stretch in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):
         n = int(stretch[np.argmin(to_vessel[stretch])])
-        found.append(NearVessel(float(at[n]), float(to_vessel[n]), _point(points[n])))
+        found.append(NearVessel(float(at[n]), float(to_vessel[n]), as_point(points[n])))
     return tuple(found)
 
 
@@ -334,5 +360,5 @@ def _ring(along: Points, off_rad: float) -> Points:
     return ring
 
 
-def _point(values: Points) -> tuple[float, float, float]:
+def as_point(values: Points) -> tuple[float, float, float]:
     return float(values[0]), float(values[1]), float(values[2])

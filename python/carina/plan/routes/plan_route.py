@@ -53,13 +53,18 @@ __all__ = [
     "NearestPlace",
     "Outlook",
     "Plan",
+    "PlanRequest",
     "PlannedRoute",
+    "RoutePlace",
     "ScoreWeights",
     "check_target_type",
     "draft_plan",
+    "is_at",
 ]
 
 Points = NDArray[np.float64]
+RoutePlace = tuple[int, float, int]
+"""Branch in which a tip stands, its distance from the root in mm, and the index of the aim."""
 
 PLANNED_SCOPE = "thin"
 """Default scope: the thinnest one whose channel takes a needle of 1.8 mm."""
@@ -67,6 +72,8 @@ MOST_ANGLE_DEG = 100.0
 """Largest angle in degrees between needle and airway's axis; a needle at a larger angle would hit the scope."""
 MOST_ROUTES = 5
 MOST_AIMS = 3
+SAME_PLACE_MM = 0.01
+"""Largest distance in mm along a branch of two equal positions."""
 APART_MM = 4.0
 """Least distance in mm between the scope positions of two routes to one aim."""
 BEYOND_MM, LEAST_MARGIN_MM, ROUND_MM = 10.0, 3.0, 6.0
@@ -334,36 +341,44 @@ class DraftPlan:
         return _moved_leg(self.scene, leg, self.plan.moved_mm)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanRequest:
+    """Arguments of `carina.plan_route` that determine the routes; ``plan_route`` describes each of them."""
+
+    volume: Volume
+    airways: Airways
+    target: PlanTarget | Nodule | ArrayLike
+    scope: ScopePreset
+    tool: Tool
+    aims: ArrayLike | None = None
+    vessel_margin_mm: float = 3.0
+    moved_mm: float | None = None
+    errors: NeedleErrors | None = None
+    weights: ScoreWeights | None = None
+    wall: WallField | None = None
+    measures: TreeMeasures | None = None
+    place: RoutePlace | None = None
+    confirmed: Confirmed = False
+
+
 def draft_plan(
-    volume: Volume,
-    airways: Airways,
-    target: PlanTarget | Nodule | ArrayLike,
-    *,
-    scope: ScopePreset,
-    tool: Tool,
-    aims: ArrayLike | None = None,
-    vessel_margin_mm: float = 3.0,
-    moved_mm: float | None = None,
-    errors: NeedleErrors | None = None,
-    weights: ScoreWeights | None = None,
-    wall: WallField | None = None,
-    measures: TreeMeasures | None = None,
-    confirmed: Confirmed = False,
-    report: Callable[[float], None],
-    cancel: Callable[[], bool] | None = None,
+    request: PlanRequest, *, report: Callable[[float], None], cancel: Callable[[], bool] | None = None
 ) -> DraftPlan:
     """Plan the routes to a target without driving them.
 
     Parameters
     ----------
-    volume, airways, target, scope, tool, aims, vessel_margin_mm, moved_mm, errors, weights, wall, measures, cancel
-        As for `carina.plan_route`.
-    confirmed
-        As for `carina.plan_route`.
+    request
+        Volume, airways, target and options.
     report
         Receives the share done, 0 to 1; it may raise an error to stop the work.
+    cancel
+        As for `carina.plan_route`.
     """
-    preset, used = scope, tool
+    volume, airways, target, aims, wall = request.volume, request.airways, request.target, request.aims, request.wall
+    vessel_margin_mm, moved_mm, errors = request.vessel_margin_mm, request.moved_mm, request.errors
+    measures, weights, confirmed = request.measures, request.weights, request.confirmed
+    preset, used = request.scope, request.tool
     accepted = confirmed_codes(confirmed)
     if not isinstance(target, PlanTarget | Nodule):
         # The wall lets the segmentation recognise a lesion in an airway.
@@ -410,14 +425,21 @@ def draft_plan(
             near = [(n, aim) for n in finer.within_reach(used, aim_lps, MOST_ANGLE_DEG, apart_mm=0.0)]
             for key, drafts in search.drafts(finer, near).items():
                 best[key] = search.best(drafts, best[key])
+        first = None
+        if request.place is not None and 0 <= request.place[2] < len(meant):
+            # The place that the user has chosen replaces the best place of its branch.
+            exact = places.at(*request.place[:2])
+            for key, drafts in search.drafts(exact, [(n, request.place[2]) for n in range(len(exact.points))]).items():
+                best[key] = first = search.best(drafts)
         kept = tuple(
             replace(route, leg=_moved_leg(scene, route.leg, moved))
-            for route in standing_apart(sorted(best.values(), key=order))
+            for route in standing_apart(sorted(best.values(), key=order), first=first)
         )
         spares = tuple(
             search.best(apart)
             for route in kept
-            if (apart := search.apart_from(route, drafts_of.get((route.branch_id, route.aim), ())))
+            if not is_at(route, request.place)
+            and (apart := search.apart_from(route, drafts_of.get((route.branch_id, route.aim), ())))
         )
 
         def with_predictors(route: PlannedRoute) -> PlannedRoute:
@@ -636,19 +658,26 @@ class CancellableProgress:
             self._on_share(share)
 
 
-def standing_apart(routes: Sequence[PlannedRoute]) -> tuple[PlannedRoute, ...]:
+def is_at(route: PlannedRoute, place: RoutePlace | None) -> bool:
+    """Return whether a route ends at a place with the same aim; False without a place."""
+    if place is None or (route.branch_id, route.aim) != (place[0], place[2]):
+        return False
+    return abs(route.along_mm - place[1]) <= SAME_PLACE_MM
+
+
+def standing_apart(routes: Sequence[PlannedRoute], *, first: PlannedRoute | None = None) -> tuple[PlannedRoute, ...]:
     """Return the best routes of a ranked list, without routes near a better one to the same aim.
 
-    The best route to each aim is always returned.
+    The best route to each aim is always returned, and a route ``first``, which no other one replaces.
     """
-    kept: list[PlannedRoute] = []
+    kept: list[PlannedRoute] = [] if first is None else [first]
     for route in routes:
         place = np.array(route.leg.tip_lps)
         if all(
             one.aim != route.aim or float(np.linalg.norm(place - np.array(one.leg.tip_lps))) > APART_MM for one in kept
         ):
             kept.append(route)
-    firsts = {aim: next(n for n, one in enumerate(kept) if one.aim == aim) for aim in {one.aim for one in kept}}
-    others = [n for n in range(len(kept)) if n not in firsts.values()]
-    told = sorted([*firsts.values(), *others[: MOST_ROUTES - len(firsts)]])
-    return tuple(kept[n] for n in told)
+    firsts = {next(n for n, one in enumerate(kept) if one.aim == aim) for aim in {one.aim for one in kept}}
+    others = [n for n in range(len(kept)) if n not in firsts]
+    told = sorted([*firsts, *others[: MOST_ROUTES - len(firsts)]])
+    return tuple(sorted((kept[n] for n in told), key=order))

@@ -26,6 +26,7 @@ BronchusSign = Literal["into", "beside", "none"]
 
 PLACES_MM = 0.7
 """Least distance in mm between two evaluated scope positions on one branch."""
+ON_BRANCH_MM = 0.001
 FINE_MM = 0.175
 """Distance in mm between the additional scope positions round the best ones."""
 INTO_MM, BESIDE_MM = 0.8, 2.0
@@ -224,8 +225,6 @@ class Places(Ways):
     def beside(self, spots: Iterable[tuple[int, float]]) -> Places:
         """Return a copy with places `FINE_MM` apart round given places.
 
-        The width at an interpolated place is the narrower one of its two neighbours.
-
         Parameters
         ----------
         spots
@@ -235,6 +234,25 @@ class Places(Ways):
         at: dict[int, list[Points]] = {}
         for branch, middle in spots:
             at.setdefault(branch, []).append(middle + np.concatenate([-steps, steps]))
+        return self._interpolated(at)
+
+    def at(self, branch_id: int, along_mm: float) -> Places:
+        """Return a copy with one place, or with none if there is no such place in the tree.
+
+        Parameters
+        ----------
+        branch_id, along_mm
+            Branch, and distance from the root in mm.
+        """
+        along = self.along_mm[self.branch == branch_id]
+        known = len(along) > 0 and along[0] - ON_BRANCH_MM <= along_mm <= along[-1] + ON_BRANCH_MM
+        return self._interpolated({branch_id: [np.array([along_mm])]} if known else {})
+
+    def _interpolated(self, at: dict[int, list[Points]]) -> Places:
+        """Return a copy with places at distances from the root in mm, by branch.
+
+        The width at an interpolated place is the narrower one of its two neighbours.
+        """
         finer = copy.copy(self)
         of: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
         for branch, wanted in at.items():

@@ -19,8 +19,8 @@ __all__ = ["AimedDrive", "aim_drive"]
 
 Points = NDArray[np.float64]
 HitShare = Callable[[Points, Points], float]
-_Judged = tuple[float, float, tuple[Move, ...]]
-"""Share of hits, angle in degrees from the target, and the moves that led there."""
+_Judged = tuple[float, float, MoveRecorder]
+"""Share of hits, angle in degrees from the target, and the recorder of the moves that led there."""
 
 GAIN, MOST_CHANGE_DEG, MOST_MOVES = 0.8, 30.0, 12
 FLEXION_MOST_DEG = 210.0
@@ -66,20 +66,23 @@ def aim_drive(
     AimedDrive
         The drive with the best share of hits; with equal shares, the one that points nearest to the target.
     """
+    # A copy of a scope responds like the original, so the moves of the drive are executed only once.
+    arrived = MoveRecorder(place_at_start(way, wall, scope))
+    arrived.repeat(driven.moves)
     found: list[_Judged] = []
     for back_mm in (0.0, *WITHDRAWALS_MM):
         if found and max(found, key=_worth)[0] >= ENOUGH:
             break
-        recorder = _repeated(way, wall, scope, driven.moves)
+        recorder = arrived.copy()
         if back_mm > 0.0:
             recorder.repeat((Move(0.0, recorder.flexion_deg, -back_mm),))
         found += _turned_to_aim(recorder, way, hit_share)
     if max(found, key=_worth)[0] < ENOUGH:
-        for hold in _holds(_repeated(way, wall, scope, driven.moves), way.aim):
-            recorder = _repeated(way, wall, scope, (*driven.moves, hold))
-            found.append((*_judged(recorder, way.aim, hit_share), tuple(recorder.moves)))
-    share, off_deg, moves = max(found, key=_worth)
-    recorder = _repeated(way, wall, scope, moves)
+        for hold in _holds(arrived.copy(), way.aim):
+            recorder = arrived.copy()
+            recorder.repeat((hold,))
+            found.append((*_judged(recorder, way.aim, hit_share), recorder))
+    share, off_deg, recorder = max(found, key=_worth)
     aimed = recorder.driven(way, stopped_mm=way.park_mm, why=None)
     tip = recorder.state.pose.lps_from_camera
     return AimedDrive(replace(aimed, stopped_mm=driven.stopped_mm), share, off_deg, tip)
@@ -90,7 +93,7 @@ def _turned_to_aim(recorder: MoveRecorder, way: DriveWay, hit_share: HitShare) -
 
     A step that points farther off is taken back, and the next one is smaller.
     """
-    found = [(*_judged(recorder, way.aim, hit_share), tuple(recorder.moves))]
+    found = [(*_judged(recorder, way.aim, hit_share), recorder)]
     best, best_deg, gain = recorder, found[0][1], GAIN
     for _ in range(MOST_MOVES):
         if found[-1][0] >= GOOD:
@@ -100,7 +103,7 @@ def _turned_to_aim(recorder: MoveRecorder, way: DriveWay, hit_share: HitShare) -
         angle = math.degrees(math.atan2(math.hypot(to[0], to[1]), to[2]))
         if not tried.bend_by(to, min(gain * angle, MOST_CHANGE_DEG), FLEXION_MOST_DEG):
             break
-        found.append((*_judged(tried, way.aim, hit_share), tuple(tried.moves)))
+        found.append((*_judged(tried, way.aim, hit_share), tried))
         if found[-1][1] < best_deg:
             best, best_deg = tried, found[-1][1]
         else:
@@ -110,12 +113,6 @@ def _turned_to_aim(recorder: MoveRecorder, way: DriveWay, hit_share: HitShare) -
 
 def _worth(one: _Judged) -> tuple[float, float]:
     return one[0], -one[1]
-
-
-def _repeated(way: DriveWay, wall: WallField, scope: ScopePreset, moves: tuple[Move, ...]) -> MoveRecorder:
-    recorder = MoveRecorder(place_at_start(way, wall, scope))
-    recorder.repeat(moves)
-    return recorder
 
 
 def _judged(recorder: MoveRecorder, aim: Points, hit_share: HitShare) -> tuple[float, float]:

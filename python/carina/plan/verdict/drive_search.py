@@ -10,7 +10,7 @@ attempt from its beginning; the elastic model executed each of them (docs/decisi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -262,6 +262,10 @@ def condense_drive(
     if not driven.arrived:
         return driven
     moves, best = list(driven.moves), driven
+    # A shorter drive begins like the best one, so it starts from a copy of the scope before its first other move.
+    # There are fewer copies than moves if the repeated drive leaves the route, as each shorter drive would.
+    earlier: list[_Attempt] = []
+    _Attempt(way, place_at_start(way, wall, scope)).arrives_by(moves, earlier)
     for num in (4, 2, 1):
         n = len(moves) - num
         while n >= 1 and tries > 0:
@@ -274,11 +278,14 @@ def condense_drive(
             if rest:
                 # The turn of the first remaining move is corrected so that its roll stays the same.
                 rest = [replace(rest[0], turn_deg=(rest[0].turn_deg + turned + 180.0) % 360.0 - 180.0), *rest[1:]]
-            attempt = _Attempt(way, place_at_start(way, wall, scope))
             tries -= 1
-            if attempt.arrives_by((*shorter, *rest)):
-                moves = [*shorter, *rest]
-                best = attempt.recorder.driven(way, stopped_mm=attempt.along_mm, why=None)
+            if n <= len(earlier):
+                attempt = earlier[n - 1].copy()
+                passed: list[_Attempt] = []
+                if attempt.arrives_by((shorter[-1], *rest), passed):
+                    moves = [*shorter, *rest]
+                    earlier = [*earlier[: n - 1], *passed]
+                    best = attempt.recorder.driven(way, stopped_mm=attempt.along_mm, why=None)
             n -= num
     return best
 
@@ -310,9 +317,19 @@ class _Attempt:
         other.recorder, other.stations = self.recorder.copy(), []
         return other
 
-    def arrives_by(self, moves: tuple[Move, ...]) -> bool:
-        """Return whether the tip arrives at the end of the route by these moves and never leaves the route."""
+    def arrives_by(self, moves: Sequence[Move], earlier: list[_Attempt] | None = None) -> bool:
+        """Return whether the tip arrives at the end of the route by these moves and never leaves the route.
+
+        Parameters
+        ----------
+        moves
+            Moves from the present state.
+        earlier
+            Receives a copy of the attempt before each move; None stores none.
+        """
         for move in moves:
+            if earlier is not None:
+                earlier.append(self.copy())
             self.recorder.set(move.turn_deg, move.flexion_deg)
             for _ in range(round(move.advance_mm)):
                 self._advance()

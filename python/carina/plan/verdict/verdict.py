@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import CancelledError, UsageError
-from carina.plan.instruments.tools import ONLY_BRUSH, Tool, passing_needle
+from carina.plan.instruments.tools import ONLY_BRUSH, Tool, passing_needle, tools
+from carina.plan.instruments.tools import tool as tool_named
+from carina.plan.routes.last_leg import as_point, edge_on_needle_mm
 from carina.plan.routes.main_carina import ROOT, DistanceOrigin
 from carina.plan.routes.needle_hits import NeedleErrors, hit_share
 from carina.plan.routes.plan_route import Plan, PlannedRoute
@@ -42,7 +44,17 @@ from carina.plan.verdict.lever import lever_check
 from carina.scopes import ScopeDrive, ScopeHold, ScopePreset, WallField, scope_presets
 from carina.track import AirwayTree
 
-__all__ = ["Check", "Outcome", "RouteJudge", "Verdict", "judge_pairs", "judge_scope", "judge_scopes"]
+__all__ = [
+    "Check",
+    "Outcome",
+    "RouteJudge",
+    "Verdict",
+    "judge_pairs",
+    "judge_scope",
+    "judge_scopes",
+    "needle_to_target_mm",
+    "pairs_in_order",
+]
 
 Points = NDArray[np.float64]
 Outcome = Literal["reaches", "may reach", "does not reach", "cannot say"]
@@ -54,8 +66,9 @@ NEAR_MM = 1.5
 SLIMMER_MM, THINNEST_MM, SPARE_MM = 0.8, 1.5, 0.2
 """Sizes in mm that choose a thinner substitute for an instrument about as wide as the airway.
 
-The substitute is thinner than the airway by the first size, and has at least the second size. It is used if the airway
-is wider than the instrument by less than the third size.
+The substitute is thinner than the airway's wall by the first size, and has at least the second size. It is used if the
+wall is wider than the instrument by less than the third size. If the instrument fits by the measured diameter, the
+substitute has no more play than the instrument in an airway of this diameter.
 """
 UNFOUND = 0.5
 """Probability reported if a scope fits along the route but no drive was found, as the search may have missed one.
@@ -69,7 +82,12 @@ LEVER_EFFORT = 0.3
 
 It is small, because the moves of a drive that arrived are tried first.
 """
-NUM_THREADS = 2
+NUM_THREADS, NUM_ROUTES = 2, 3
+"""Number of drives at the same time, and of the best routes on which all instruments are judged."""
+IF_IT_FITS = "if it fits: "
+DRIVEN_THINNER = (
+    "driven as a thinner scope with no more play than in the measured diameter, because the segmented lumen is narrower"
+)
 MECHANICS = "the scope's mechanics in the airways' wall; rigid tip and bending section are common knowledge (k)"
 
 
@@ -95,6 +113,13 @@ class Verdict:
     """Origin of the distances, that of the route."""
     route_key: str = ""
     """Key of the route that was judged (`PlannedRoute.key`)."""
+    tool: str = ""
+    """Name of the tool with which the instrument was judged: that of the plan, or one that passes the channel."""
+    needle_lps: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    """Tip after the drive, and the point on the needle at the distance of the aim, LPS mm.
+
+    None if the drive did not arrive or no needle hits.
+    """
 
     @property
     def words(self) -> str:
@@ -117,6 +142,7 @@ class Verdict:
             "scope": self.scope.name,
             "title": self.scope.title,
             "route": self.route_key,
+            "tool": self.tool,
             "outcome": self.outcome,
             "share": self.share,
             "words": self.words,
@@ -247,17 +273,20 @@ def judge_pairs(
     plan: Plan,
     wall: WallField,
     *,
-    routes: int = 3,
+    routes: int = NUM_ROUTES,
     scopes: Iterable[ScopePreset] | None = None,
+    available: Iterable[str] | None = None,
     origin_depth_mm: float | None = None,
     errors: bool = True,
     effort: float = EFFORT,
+    found: Callable[[Verdict], None] | None = None,
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> tuple[Verdict, ...]:
-    """Judge several instruments on the best routes, and return the best verdict of each instrument.
+    """Judge each pair of a route and an instrument, the best pair first.
 
-    An instrument is judged on the next route only if it does not reach by the routes before.
+    An instrument whose channel does not take the plan's needle is judged with the first needle of the library that
+    passes and reaches as far.
 
     Parameters
     ----------
@@ -265,13 +294,18 @@ def judge_pairs(
         The airways, the plan of `plan_route`, and the wall of the airways.
     routes
         Number of routes, from the first one.
-    scopes, origin_depth_mm, errors, effort, progress, cancel
+    available
+        Names of the instruments that are available here; pairs of other instruments are listed behind them. None: all.
+    origin_depth_mm
+        As for `judge_scopes`, for the routes whose distances have the same origin as those of the first route.
+    scopes, errors, effort, found, progress, cancel
         As for `judge_scopes`.
 
     Returns
     -------
     tuple[Verdict, ...]
-        A verdict for each instrument, the best pair of route and instrument first; ``route_key`` names the route.
+        A verdict for each pair, the best pair first (`pairs_in_order`); ``route_key`` names the route, ``tool`` the
+        tool.
 
     Raises
     ------
@@ -283,34 +317,99 @@ def judge_pairs(
     if not plan.routes:
         raise UsageError("the plan has no route to judge", code="plan.no-route")
     listed = list(scope_presets() if scopes is None else scopes)
-    best: dict[int, tuple[tuple[float, ...], Verdict]] = {}
     on_share = share_function(progress_function(progress), "driving each instrument along the best routes")
     chosen = plan.routes[:routes]
-    for number, route in enumerate(chosen):
+    by_tool: dict[Tool, list[ScopePreset]] = {}
+    for scope in listed:
+        by_tool.setdefault(tool_for(scope, plan.tool), []).append(scope)
+    judged: list[Verdict] = []
+    num = len(chosen) * len(listed)
+
+    def tell(verdict: Verdict) -> None:
+        judged.append(verdict)
+        if found is not None:
+            found(verdict)
         if on_share is not None:
-            on_share(number / len(chosen))
-        left = [n for n in range(len(listed)) if n not in best or best[n][1].outcome != "reaches"]
-        judged = judge_scopes(
-            tree,
-            plan,
-            wall,
-            route=route,
-            scopes=[listed[n] for n in left],
-            origin_depth_mm=origin_depth_mm,
-            errors=errors,
-            effort=effort,
-            progress=False,
-            cancel=cancel,
-        )
-        for n, verdict in zip(left, judged, strict=True):
-            # The planned instrument precedes others with the same result.
-            is_other = float(listed[n] != plan.scope)
-            worth = (OUTCOMES.index(verdict.outcome), -(verdict.share or 0.0), number, is_other, n)
-            if n not in best or worth < best[n][0]:
-                best[n] = worth, verdict
-    if on_share is not None:
-        on_share(1.0)
-    return tuple(verdict for _, verdict in sorted(best.values(), key=lambda one: one[0]))
+            on_share(len(judged) / num)
+
+    for route in chosen:
+        for tool, presets in by_tool.items():
+            judge_scopes(
+                tree,
+                replace(plan, tool=tool),
+                wall,
+                route=route,
+                scopes=presets,
+                origin_depth_mm=origin_depth_mm if route.origin == chosen[0].origin else None,
+                errors=errors,
+                effort=effort,
+                found=tell,
+                progress=False,
+                cancel=cancel,
+            )
+    return pairs_in_order(plan, judged, available=available)
+
+
+def needle_to_target_mm(plan: Plan, verdict: Verdict) -> float:
+    """Return the distance in mm from the tip after a verdict's drive to the target's edge along the needle.
+
+    Parameters
+    ----------
+    plan
+        Plan of the verdict's route.
+    verdict
+        Verdict with a needle (`Verdict.needle_lps`).
+    """
+    assert verdict.needle_lps is not None
+    tip, end = (np.array(point) for point in verdict.needle_lps)
+    return edge_on_needle_mm(plan.nodule, tip, end, tool_named(verdict.tool).reach_mm)
+
+
+def tool_for(scope: ScopePreset, wanted: Tool) -> Tool:
+    """Return the tool with which an instrument is judged: the wanted one, or a needle that passes its channel."""
+    if scope.channel_mm is None or not wanted.pierces or wanted.passes(scope.channel_mm):
+        return wanted
+    return passing_needle(scope, wanted) or wanted
+
+
+def pairs_in_order(
+    plan: Plan, verdicts: Iterable[Verdict], *, available: Iterable[str] | None = None
+) -> tuple[Verdict, ...]:
+    """Return verdicts on pairs of route and instrument, the best pair first.
+
+    The order is: available instruments, outcome, probability, rank of the route, the planned instrument, the
+    instrument's name. An instrument that does not reach by a route states the better route by which it reaches.
+
+    Parameters
+    ----------
+    plan
+        The plan of the routes.
+    verdicts
+        Verdicts on routes of the plan.
+    available
+        Names of the available instruments; None: all.
+    """
+    known = None if available is None else set(available)
+    number = {route.key: n for n, route in enumerate(plan.routes, 1)}
+    listed = list(verdicts)
+
+    def worth(one: Verdict) -> tuple[Any, ...]:
+        absent = known is not None and one.scope.name not in known
+        is_other = one.scope.name != plan.scope.name
+        rank = OUTCOMES.index(one.outcome), -(one.share or 0.0), number[one.route_key]
+        return absent, *rank, is_other, one.scope.name
+
+    listed.sort(key=worth)
+    reaching: dict[str, int] = {}
+    for one in listed:
+        if one.outcome == "reaches":
+            reaching.setdefault(one.scope.name, number[one.route_key])
+    return tuple(
+        replace(one, would=f"reaches by route {reaching[one.scope.name]}")
+        if one.outcome != "reaches" and one.scope.name in reaching
+        else one
+        for one in listed
+    )
 
 
 def judge_scope(
@@ -378,6 +477,8 @@ class _Drive:
     """Check of the bend by drives, which replaces the one by angles; None if the drive did not arrive or point."""
     lps_from_tip: NDArray[np.float64] | None = None
     """(4, 4) final pose of the tip; None if the drive did not arrive."""
+    longer: tuple[Tool, ...] = ()
+    """Needles with a longer throw that hit from this pose, if that of the plan does not."""
 
 
 _DRIVES: WeakKeyDictionary[PlannedRoute, dict[tuple[Any, ...], tuple[Any, _Drive]]] = WeakKeyDictionary()
@@ -482,7 +583,11 @@ class RouteJudge:
             room_mm = min(float(self._way.room_mm.min()), self._way.wall_room_mm)
             if checks[0].answer == "perhaps" or max(scope.tip_mm, scope.tube_mm or 0.0) > room_mm - SPARE_MM:
                 # The scope is as wide as the airway within the errors: the drive of a thinner substitute is simulated.
-                slim = min(max(room_mm - SLIMMER_MM, THINNEST_MM), scope.tip_mm)
+                play_mm = SLIMMER_MM
+                if checks[0].answer == "yes":
+                    own_mm = self._way.width.mm - max(scope.tip_mm, scope.tube_mm or 0.0)
+                    play_mm = min(max(own_mm, SPARE_MM), SLIMMER_MM)
+                slim = min(max(room_mm - play_mm, THINNEST_MM), scope.tip_mm)
                 driven_as = replace(scope, tip_mm=slim, tube_mm=None)
         return _Figures(checks, driven_as)
 
@@ -494,24 +599,23 @@ class RouteJudge:
             reached_mm = self._way.told_mm(0.0)
             with contextlib.suppress(UsageError):
                 reached_mm = self._way.told_mm(min(self._laid_mm(scope), self._way.park_mm))
-        return self._verdict_of(scope, figures.checks, reached_mm, None, driven=False)
+        return self._verdict_of(scope, figures.checks, reached_mm, None)
 
     def driven(self, scope: ScopePreset, figures: _Figures, drive: _Drive) -> Verdict:
         """Return the verdict on an instrument from its checks and its simulated drive."""
         checks = drive.checks
-        if figures.driven_as is not scope:
-            doubt = "if it fits"
-            if figures.checks[0].answer == "yes":
-                doubt = "driven as a thinner scope, because the wall found is narrower than the measured diameter"
+        if figures.driven_as is not scope and figures.checks[0].answer == "yes":
+            checks = tuple(replace(one, basis=f"{one.basis}; {DRIVEN_THINNER}") for one in checks)
+        elif figures.driven_as is not scope:
             checks = tuple(
-                replace(one, answer="perhaps", words=f"{doubt}: {one.words}") if one.answer == "yes" else one
+                replace(one, answer="perhaps", words=f"{IF_IT_FITS}{one.words}") if one.answer == "yes" else one
                 for one in checks
             )
         route = None if drive.route is None else replace(drive.route, scope_name=scope.name)
         reached_mm = self._way.told_mm(0.0) if route is None else route.stopped_mm
         diameter, bend, *others = figures.checks
         told = (diameter, bend if drive.bend is None else drive.bend, *others)
-        return self._verdict_of(scope, (*told, *checks), reached_mm, route, driven=True)
+        return self._verdict_of(scope, (*told, *checks), reached_mm, route, drive)
 
     def _verdict_of(
         self,
@@ -519,11 +623,20 @@ class RouteJudge:
         checks: tuple[Check, ...],
         reached_mm: float | None,
         route: DrivenRoute | None,
-        *,
-        driven: bool,
+        drive: _Drive | None = None,
     ) -> Verdict:
-        origin, tool = self._way.origin, self._plan.tool
-        return _verdict(scope, checks, reached_mm, route, tool=tool, origin=origin, key=self._key, driven=driven)
+        tool = self._plan.tool
+        found = _verdict(scope, checks, reached_mm, route, would=_would(scope, tool, checks, drive))
+        needle_lps = None if drive is None else self._needle_lps(drive)
+        return replace(found, origin=self._way.origin, route_key=self._key, tool=tool.name, needle_lps=needle_lps)
+
+    def _needle_lps(self, drive: _Drive) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
+        pointing = next((check for check in drive.checks if check.name == "pointing"), None)
+        if drive.lps_from_tip is None or pointing is None or not pointing.share:
+            return None
+        tip, forward = drive.lps_from_tip[:3, 3], drive.lps_from_tip[:3, 2]
+        end = tip + float(np.linalg.norm(self._way.aim - tip)) * forward
+        return as_point(tip), as_point(end)
 
     def _drive(self, scope: ScopePreset) -> _Drive:
         """Simulate the drive of an instrument, and point its tip at the target if it arrives."""
@@ -571,7 +684,17 @@ class RouteJudge:
             f"points {aimed.off_deg:.0f} degrees from the target centre; {100 * aimed.share:.0f} % of needle passes hit"
         )
         pointing = Check("pointing", answer, aimed.share, words, basis)
-        return _Drive(aimed.driven, (arrives, pointing), bend, aimed.lps_from_tip)
+        longer: tuple[Tool, ...] = ()
+        if answer != "yes" and self._plan.tool.pierces:
+            tip, reach_mm = aimed.lps_from_tip, self._plan.tool.reach_mm
+            longer = tuple(
+                one
+                for one in tools()
+                if one.pierces
+                and one.reach_mm > reach_mm
+                and self._hit_share(tip[:3, 3], tip[:3, 2], reach_mm=one.reach_mm) >= POINTS
+            )
+        return _Drive(aimed.driven, (arrives, pointing), bend, aimed.lps_from_tip, longer)
 
     @staticmethod
     def _flexes_with_tool(scope: ScopePreset, driven: DrivenRoute, loss_deg: float) -> bool:
@@ -584,10 +707,11 @@ class RouteJudge:
         state = drive.place(self._way.points, self._way.park_mm)
         return self._way.nearest(state.pose.position_lps, state.insertion_mm)[0]
 
-    def _hit_share(self, tip: Points, forward: Points) -> float:
+    def _hit_share(self, tip: Points, forward: Points, *, reach_mm: float | None = None) -> float:
         needle = self._plan.errors if self._errors else NeedleErrors(0.0, 0.0)
         aimed_at = tip + forward * float(np.linalg.norm(self._way.aim - tip))
-        return hit_share(self._plan.nodule, tip, aimed_at, self._plan.tool.reach_mm, needle)
+        throw_mm = self._plan.tool.reach_mm if reach_mm is None else reach_mm
+        return hit_share(self._plan.nodule, tip, aimed_at, throw_mm, needle)
 
     def _is_cancelled(self) -> bool:
         return self.stopped or (self._cancel is not None and self._cancel())
@@ -612,10 +736,7 @@ def _verdict(
     reached_mm: float | None,
     route: DrivenRoute | None,
     *,
-    tool: Tool,
-    origin: DistanceOrigin,
-    key: str,
-    driven: bool,
+    would: str | None,
 ) -> Verdict:
     answers = {check.answer for check in checks}
     outcome: Outcome = (
@@ -640,33 +761,39 @@ def _verdict(
         reached_mm=reached_mm,
         hold=hold,
         driven=route,
-        would=_would(scope, tool, checks, driven=driven),
-        origin=origin,
-        route_key=key,
+        would=would,
     )
 
 
-def _would(scope: ScopePreset, tool: Tool, checks: tuple[Check, ...], *, driven: bool) -> str | None:
-    """Return the changes with which an instrument would reach, as text; only changes that were tested are named."""
+def _would(scope: ScopePreset, tool: Tool, checks: tuple[Check, ...], drive: _Drive | None) -> str | None:
+    """Return the changes with which an instrument would reach, as text.
+
+    *Would reach* is stated only of another tool after a drive that arrives and points at the target.
+    """
     lacking = [check for check in checks if check.answer in {"no", "unknown"}]
+    missed = next((check for check in checks if check.name == "pointing" and check.answer != "yes"), None)
+    if missed is not None and not missed.words.startswith(IF_IT_FITS) and all(check is missed for check in lacking):
+        # The planner has tried other places, so only a longer throw is named, which hits from the pose of the drive.
+        takes = None if drive is None or scope.channel_mm is None else scope.channel_mm
+        longer = [one for one in (drive.longer if drive is not None else ()) if takes is not None and one.passes(takes)]
+        return f"would reach if {longer[0].title} were used" if longer else None
     if not lacking or any(check.name == "pointing" for check in lacking):
-        # The planner has tried other places, so no other place is promised.
         return None
     thinner = passing_needle(scope, tool)
     if thinner is None and any((check.name, check.answer) == ("channel", "no") for check in lacking):
         return ONLY_BRUSH if tool.pierces else None
     ways = {
         ("diameter", "no"): "the airway were wider or the scope thinner",
-        ("bend", "no"): "it could flex further, or stopped before that bend",
+        ("bend", "no"): "it could flex further",
         ("bend", "unknown"): "it can flex far enough",
         ("length", "no"): "it were longer",
         ("length", "unknown"): "it is long enough",
         ("channel", "no"): f"{'' if thinner is None else thinner.title} were used",
         ("channel", "unknown"): "its channel takes the tool",
-        ("drive", "no"): "it could be steered past that place, or stopped before it",
+        ("drive", "no"): "it could be steered past that place",
     }
-    # Without a drive it is not known whether the instrument would also fail there.
-    start = "would reach if " if driven else "could reach only if "
-    if driven and any(check.answer == "perhaps" for check in checks):
-        start = "might reach if "
+    pointed = any((check.name, check.answer) == ("pointing", "yes") for check in checks)
+    start = "could reach only if "
+    if pointed:
+        start = "might reach if " if any(check.answer == "perhaps" for check in checks) else "would reach if "
     return start + ", and if ".join(ways[check.name, check.answer] for check in lacking)

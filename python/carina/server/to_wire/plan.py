@@ -28,6 +28,9 @@ def plans_message(info: PlanningInfo) -> wire.Plans:
         standing=info.standing,
         verdicts=tuple(_verdict(verdict) for verdict in info.verdicts),
         verdicts_standing=info.verdicts_standing,
+        pairs=tuple(_pair(pair, info.available) for pair in info.pairs),
+        pairs_standing=info.pairs_standing,
+        available=info.available,
         tools=tuple((one.name, one.title) for one in tools()),
         turns=() if info.turns is None else _turns(info, info.turns),
         parking=None if info.turns is None else (info.turns.words("head")[-1], info.turns.words("facing")[-1]),
@@ -145,6 +148,11 @@ def _verdict(verdict: Verdict) -> wire.ScopeVerdict:
     value = verdict.to_json()
     checks = [carried(wire.ScopeCheck, check) for check in value["checks"]]
     return carried(wire.ScopeVerdict, value | {"checks": checks, "was_driven": verdict.driven is not None})
+
+
+def _pair(verdict: Verdict, available: tuple[str, ...] | None) -> wire.RoutePair:
+    is_available = available is None or verdict.scope.name in available
+    return carried(wire.RoutePair, verdict.to_json() | {"available": is_available})
 
 
 def _point(values: Any) -> tuple[float, float, float]:

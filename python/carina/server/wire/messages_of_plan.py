@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from carina.commands.fields import BranchId, Count, Identifier, Part, PathMm, PointLps, PointsLps, Words
-from carina.commands.plan import PlanOptions
+from carina.commands.plan import Instruments, PlanOptions
 from carina.server.wire.codec import ClientMessage, ServerMessage
 from carina.session.scene.layer_lines import LayerName
 from carina.value import FrozenValue
@@ -125,7 +125,7 @@ class RouteOffer(FrozenValue, frozen=True):
     fit: Literal["fits", "may fit", "does not fit"]
     """Whether the planned scope fits; *may fit*: it fits only if the errors of measurement are in its favour."""
     outlook: Words
-    """Whether the planned scope reaches the target, judged by diameter, bend and doubts without a simulated drive."""
+    """Whether the planned scope reaches the target, by its simulated drive along the best routes."""
     limits: tuple[Words, ...]
     """Reasons why the scope or the tool does not, or may not, reach the target."""
     leg: NeedleLeg
@@ -147,20 +147,34 @@ class ScopeCheck(FrozenValue, frozen=True):
     """Data and measurements on which the answer is based."""
 
 
-class ScopeVerdict(FrozenValue, frozen=True):
-    """Verdict on one instrument for the chosen route; a verdict in plan.json has the same keys."""
+class PairVerdict(Instruments, frozen=True, kw_only=True):
+    """Verdict on a pair of a route and an instrument with a tool that passes its channel."""
 
-    scope: Identifier
     title: Words
+    """Title of the scope."""
+    route: Words
+    """Key of the route (``RouteOffer.key``)."""
     outcome: Words
     """One of *reaches*, *may reach*, *does not reach* and *cannot say*."""
     words: Words
     share: Part | None
     """Smallest probability among the checks; null if it cannot be computed."""
+    would: Words | None
+    """Changes with which the instrument would reach the target; null if none is needed or known."""
+
+
+class RoutePair(PairVerdict, frozen=True, kw_only=True):
+    """Verdict on one pair of the best routes and all instruments; a pair in plan.json has the same keys."""
+
+    available: bool
+    """Whether the instrument is available here; pairs of other instruments follow those of available ones."""
+
+
+class ScopeVerdict(PairVerdict, frozen=True, kw_only=True):
+    """Verdict on one instrument for the chosen route, with its checks; a verdict in plan.json has the same keys."""
+
     reached_mm: float | None
     """Distance in mm of the place that the tip reaches from the origin of the route; null if it is not known."""
-    would: Words | None
-    """Changes with which the instrument would reach the target; null if none is needed."""
     checks: tuple[ScopeCheck, ...]
     was_driven: bool
     """Whether a simulated drive exists, which the user can store in the case as a flight."""
@@ -311,3 +325,8 @@ class Plans(ServerMessage, frozen=True):
     """Insertion depth in mm at nose or mouth where to stop, an estimate; null as for a turn."""
     dicom_problem: Words | None = None
     """Reason why the plan cannot be exported as DICOM; null if it can."""
+    pairs: tuple[RoutePair, ...] = ()
+    """Verdicts on the best routes with all instruments for the target of the chosen route, the best pair first."""
+    pairs_standing: Making = "unwanted"
+    available: tuple[Identifier, ...] | None = None
+    """Names of the scopes that are available here; null: all of the library."""

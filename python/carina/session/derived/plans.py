@@ -43,6 +43,8 @@ __all__ = [
 MOST_SHOWN = 36
 """Largest number of voxels along a side of a nodule's displayed surface; finer detail is not visible."""
 SAME_PLACE_MM = 0.05
+PAIRS_PER_MESSAGE = 6
+"""Number of verdicts on pairs after which the windows are notified, if no instrument reaches before."""
 
 
 class PlanTask(NamedTuple):
@@ -113,6 +115,11 @@ class PlanningInfo:
     verdicts: tuple[Verdict, ...]
     verdicts_standing: Standing
     document: Document
+    pairs: tuple[Verdict, ...] = ()
+    """Verdicts on pairs of the best routes and all instruments for the target of the chosen route, the best first."""
+    pairs_standing: Standing = "unwanted"
+    available: tuple[str, ...] | None = None
+    """Names of the scopes that are available here; None: all of the library."""
     turns: TurnList | None = None
     """List of the turns of the chosen route at its forks; None without a chosen planned route."""
     dicom_problem: str | None = None
@@ -123,6 +130,8 @@ PlanInputs = tuple[Any, ...]
 """Inputs of all plans: the airways, followed by the plan task of each target."""
 VerdictInputs = tuple[Any, ...]
 """Inputs of the verdicts: plan, number of a route in the plan (from 1), airway wall, and plan options."""
+PairInputs = tuple[Any, ...]
+"""Inputs of the verdicts on pairs: plan, airway wall, and plan options."""
 TurnInputs = tuple[Any, ...]
 """Inputs of the list of turns: plan, number of a route in the plan (from 1), and plan options."""
 
@@ -186,10 +195,22 @@ class CasePlanning:
             title="simulating the instruments",
             make=self._make_verdicts,
             same=_same,
-            settled=changed,
+            settled=self._judged,
         )
         self._early: tuple[VerdictInputs, tuple[Verdict, ...]] | None = None
         """Inputs and the verdicts computed so far, shown while the job computes further verdicts."""
+        self._pairs: Derived[PairInputs, tuple[Verdict, ...]] = Derived(
+            jobs,
+            lock,
+            kind="pairs",
+            title="comparing the instruments on the best routes",
+            make=self._make_pairs,
+            same=_same,
+            settled=changed,
+        )
+        self._early_pairs: tuple[PairInputs, tuple[Verdict, ...]] | None = None
+        self._ordered: Cached[tuple[Any, ...], tuple[Verdict, ...]] = Cached(_in_order, same=_same)
+        self._available: tuple[str, ...] | None = None
         self._document: Document | None = None
         self.origin = CtOrigin()
         self._turns: Derived[TurnInputs, TurnList] = Derived(
@@ -234,6 +255,35 @@ class CasePlanning:
         """Return the status of the job that computes the verdicts on the chosen route."""
         inputs = self._verdict_inputs()
         return "unwanted" if inputs is None else self._verdicts.standing(inputs)
+
+    def pairs(self, available: tuple[str, ...] | None) -> tuple[Verdict, ...]:
+        """Return the available verdicts on pairs of route and instrument for the target of the chosen route.
+
+        Parameters
+        ----------
+        available
+            Names of the instruments whose pairs are listed first; None: all.
+        """
+        inputs = self._pair_inputs()
+        if inputs is None:
+            return ()
+        found = self._pairs.of(inputs)
+        if found is None:
+            with self._lock:
+                early = self._early_pairs
+                found = early[1] if early is not None and _same(early[0], inputs) else ()
+        return self._ordered.of((inputs[0], found, available))
+
+    def same_available(self, available: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        """Return the earlier tuple of available instruments if it is equal, so that unchanged messages are not sent."""
+        if available != self._available:
+            self._available = available
+        return self._available
+
+    def pairs_standing(self) -> Standing:
+        """Return the status of the job that computes the verdicts on pairs."""
+        inputs = self._pair_inputs()
+        return "unwanted" if inputs is None else self._pairs.standing(inputs)
 
     def turns(self) -> TurnList | None:
         """Return the turns of the chosen route; None without one, or while their openings are being located.
@@ -280,6 +330,7 @@ class CasePlanning:
         """Repeat planning and verdicts that were stopped or failed, because the user asked for it."""
         self._plans.again()
         self._verdicts.again()
+        self._pairs.again()
         self._turns.again()
         if self._document is not None:
             self.follow(self._document)
@@ -296,9 +347,10 @@ class CasePlanning:
         """Stop planning and release all plans, because the case is being closed."""
         self._plans.discard()
         self._verdicts.discard()
+        self._pairs.discard()
         self._turns.discard()
         self._wall.forget()
-        self._document = self._early = None
+        self._document = self._early = self._early_pairs = None
 
     # ------------------------------------------------------------ computation
 
@@ -307,10 +359,23 @@ class CasePlanning:
             self._want_of_route()
         self._changed()
 
+    def _judged(self) -> None:
+        self._want_pairs()
+        self._changed()
+
     def _want_of_route(self) -> None:
         """Request turns and verdicts of the chosen route; the caller holds the session's lock."""
         self._turns.want(self._turn_inputs())
         self._verdicts.want(self._verdict_inputs())
+        self._want_pairs()
+
+    def _want_pairs(self) -> None:
+        """Request the verdicts on pairs after those on the chosen route, for which the user waits."""
+        inputs, verdicts = self._pair_inputs(), self._verdict_inputs()
+        begun = inputs is not None and self._pairs.standing(inputs) != "unwanted"
+        ended = verdicts is not None and self._verdicts.standing(verdicts) in {"had", "failed"}
+        if inputs is None or begun or ended:
+            self._pairs.want(inputs)
 
     def _inputs(self, document: Document | None) -> PlanInputs | None:
         if document is None or document.airways is None:
@@ -342,6 +407,10 @@ class CasePlanning:
         number = None if planned is None or planned.plan is None else chosen_number(document, planned.plan)
         return None if number is None or planned is None else (planned.plan, number, made.wall, target.lesion.options)
 
+    def _pair_inputs(self) -> PairInputs | None:
+        inputs = self._verdict_inputs()
+        return None if inputs is None else (inputs[0], *inputs[2:])
+
     def _turn_inputs(self) -> TurnInputs | None:
         inputs = self._verdict_inputs()
         return None if inputs is None else (*inputs[:2], inputs[3])
@@ -367,6 +436,7 @@ class CasePlanning:
                 attempt.progress(what, (n + (share or 0.0)) / len(tasks))
 
             options = task.options
+            place = options.place
             try:
                 plan = self._parts.plan_route(
                     self._volume,
@@ -379,6 +449,7 @@ class CasePlanning:
                     aims=task.aims,
                     wall=wall,
                     measures=measures,
+                    place=None if place is None else (place.branch_id, place.along_mm, place.aim),
                     progress=say,
                     cancel=attempt.cancel,
                 )
@@ -424,6 +495,33 @@ class CasePlanning:
         route = plan.routes[number - 1]
         depth_mm = carina_depth_mm(options, route)
         return turn_list(made.airways.tree, route, carina_depth_mm=depth_mm, renderer=renderer)
+
+    def _make_pairs(self, inputs: PairInputs, attempt: Attempt[tuple[Verdict, ...]]) -> tuple[Verdict, ...]:
+        plan, wall, options = inputs
+        with self._lock:
+            made = self.made
+        if made is None:
+            raise CancelledError("the airways have changed")
+        found: list[Verdict] = []
+
+        def tell(verdict: Verdict) -> None:
+            found.append(verdict)
+            # A message carries all pairs, so not every verdict is sent at once.
+            if verdict.outcome == "reaches" or len(found) % PAIRS_PER_MESSAGE == 0:
+                with self._lock:
+                    self._early_pairs = (inputs, tuple(found))
+                    self._changed()
+
+        return self._parts.judge_pairs(
+            made.airways.tree,
+            plan,
+            wall,
+            scopes=self._parts.scope_presets(),
+            origin_depth_mm=origin_depth_mm(options, plan.routes[0].origin),
+            found=tell,
+            progress=attempt.progress,
+            cancel=attempt.cancel,
+        )
 
     def _make_verdicts(self, inputs: VerdictInputs, attempt: Attempt[tuple[Verdict, ...]]) -> tuple[Verdict, ...]:
         plan, number, wall, options = inputs
@@ -488,6 +586,13 @@ def _target_of(task: PlanTask) -> PlanTarget:
         aims=task.aims,
         confirmed=task.confirmed,
     )
+
+
+def _in_order(inputs: tuple[Any, ...]) -> tuple[Verdict, ...]:
+    from carina.plan import pairs_in_order
+
+    plan, found, available = inputs
+    return pairs_in_order(plan, found, available=available)
 
 
 def _with_moves(inputs: tuple[Any, ...]) -> TurnList:

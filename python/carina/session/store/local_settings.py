@@ -1,4 +1,4 @@
-"""Private settings files: the paths of CTs opened before, and whether the user accepted the safety notice.
+"""Private settings files: paths of CTs opened before, accepted safety notice, CT cache, available instruments.
 
 The path is needed to open a CT again. It is never sent to a client, which receives an id, a date and a neutral alias.
 """
@@ -22,6 +22,8 @@ logger = logging.getLogger(__name__)
 
 MAX_RECENT = 12
 MAX_BYTES = 4 << 20
+MAX_SCOPES, MAX_NAME = 200, 64
+"""Largest number of available scopes, and largest length of a name."""
 CHARS = {"recent_id": 64, "date": 64, "path": 4096}
 """Largest length of each text of an entry."""
 
@@ -52,6 +54,7 @@ class LocalStore:
         self._recent_file = folder / "recent.json"
         self._notice_file = folder / "notice.json"
         self._storage_file = folder / "storage.json"
+        self._instruments_file = folder / "instruments.json"
 
     def __repr__(self) -> str:
         """Describe the store by its folder."""
@@ -74,7 +77,7 @@ class LocalStore:
 
     def moved_aside(self) -> tuple[str, ...]:
         """Return the messages about unreadable files that were moved aside; each message is returned once."""
-        for path in (self._recent_file, self._notice_file, self._storage_file):
+        for path in (self._recent_file, self._notice_file, self._storage_file, self._instruments_file):
             self._read(path)
         messages, self._messages = tuple(self._messages), []
         return messages
@@ -123,6 +126,18 @@ class LocalStore:
     def keep_cts(self, on: bool) -> None:
         """Store whether opened CTs are cached."""
         self._write(self._storage_file, {"format": "carina-storage", "version": 1, "keeps_cts": on})
+
+    def available_scopes(self) -> tuple[str, ...] | None:
+        """Return the names of the scopes that the user has marked as available here; None: all."""
+        names = self._read(self._instruments_file).get("scopes")
+        if not isinstance(names, list):
+            return None
+        return tuple(name for name in names[:MAX_SCOPES] if isinstance(name, str) and len(name) <= MAX_NAME)
+
+    def set_available_scopes(self, names: tuple[str, ...] | None) -> None:
+        """Store the names of the scopes that are available here; None: all."""
+        listed = None if names is None else list(names)
+        self._write(self._instruments_file, {"format": "carina-instruments", "version": 1, "scopes": listed})
 
     def _read(self, path: Path) -> dict[str, Any]:
         if path in self._unwritten:

@@ -6,12 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from carina import commands as c
 from carina.case.document import Document, Target
 from carina.case.routes import NeedleLine, route_to_parking
 from carina.case.scope_choice import document_with_scope
 from carina.errors import NoResultError, UsageError
-from carina.plan import tool
+from carina.plan import needle_to_target_mm, tool
 from carina.plan.report import PlanMaterials
 from carina.scopes import scope_preset
 from carina.session.command_registry import CommandHandlers, answers, does
@@ -130,6 +132,61 @@ class PlanHandlers(CommandHandlers):
             route = route_to_parking(document.airways.tree, needle, target.target_id, target.name)
             self.core.change(case, f"route {command.number} to {target.name}", replace(document, route=route))
 
+    @does(c.ChoosePair)
+    def choose_pair(self, command: c.ChoosePair) -> None:
+        """Choose a route with a scope and a tool; another scope or tool plans the routes again, with this place.
+
+        Another scope is also that of the airway view and of the other plans.
+        """
+        scope_preset(command.scope)
+        tool(command.tool)
+        case = self.core.needed_case()
+        with self.core.lock:
+            document, target = case.document, needed_target(case.document, command.target_id)
+            planned = None if target.lesion is None else case.planning.of(target.lesion)
+            routes = () if planned is None or planned.plan is None else planned.plan.routes
+            route = next((one for one in routes if one.key == command.route), None)
+            if planned is None or planned.plan is None or document.airways is None or route is None:
+                raise NoResultError(
+                    f"the plan of {target.name} has no route {command.route}: wait for the plan, and choose one of its "
+                    "routes",
+                    code="plan.no-route",
+                )
+            verdict = next(
+                (
+                    one
+                    for one in case.planning.pairs(None)
+                    if (one.scope.name, one.tool, one.route_key) == (command.scope, command.tool, command.route)
+                ),
+                None,
+            )
+            assert target.lesion is not None
+            options = target.lesion.options
+            same = (options.scope, options.tool) == (command.scope, command.tool)
+            # The routes of the present plan end at the tips of its own scope.
+            needle = NeedleLine((route.leg.tip_lps, route.leg.aim_lps), route.leg.to_target_mm)
+            if not same and verdict is not None and verdict.needle_lps is not None:
+                needle = NeedleLine(verdict.needle_lps, needle_to_target_mm(planned.plan, verdict))
+            chosen = route_to_parking(document.airways.tree, needle, target.target_id, target.name)
+            if not same:
+                place = c.ChosenPlace(route.branch_id, route.along_mm, route.aim)
+                options = msgspec.structs.replace(options, scope=command.scope, tool=command.tool, place=place)
+                target = replace(target, lesion=replace(target.lesion, options=options))
+            changed = replace(_with_target(document, target), route=chosen)
+            if command.scope != planned.plan.scope.name:
+                changed = document_with_scope(changed, command.scope)
+            self.core.change(case, f"{scope_preset(command.scope).title} on the route to {target.name}", changed)
+
+    @does(c.SetAvailableScopes)
+    def set_available_scopes(self, command: c.SetAvailableScopes) -> None:
+        """Store which scopes are available here, for all cases on this machine."""
+        for name in command.scopes or ():
+            scope_preset(name)
+        with self.core.lock:
+            if self.core.store is not None:
+                self.core.store.set_available_scopes(command.scopes)
+            self.core.changed("plan")
+
     @does(c.SeeTurn)
     def see_turn(self, command: c.SeeTurn) -> None:
         """Place the tip before a turn of the list, in free movement and level for the operator.
@@ -163,6 +220,8 @@ class PlanHandlers(CommandHandlers):
         """Return the plans and verdicts that are available."""
         with self.core.lock:
             case = self.core.needed_case()
+            stored = None if self.core.store is None else self.core.store.available_scopes()
+            available = case.planning.same_available(stored)
             targets = tuple(
                 PlannedTarget(target, case.planning.of(target.lesion))
                 for target in case.document.targets
@@ -173,6 +232,9 @@ class PlanHandlers(CommandHandlers):
                 standing=case.planning.standing(),
                 verdicts=case.planning.verdicts(),
                 verdicts_standing=case.planning.verdicts_standing(),
+                pairs=case.planning.pairs(available),
+                pairs_standing=case.planning.pairs_standing(),
+                available=available,
                 document=case.document,
                 turns=case.planning.turns(),
                 dicom_problem=dicom_problem(case),

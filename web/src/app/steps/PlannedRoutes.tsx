@@ -14,6 +14,8 @@ import { Act } from "../controls";
 import { Icon } from "../icons";
 import { useAnswerShown } from "../PlanAnswer";
 import type { PlanSuffix } from "../workstation";
+import { OUTCOME_MARKS } from "./outcome-marks";
+import { RoutePairs } from "./RoutePairs";
 import { RouteReasons } from "./RouteReasons";
 
 /** Render the planned routes of a target, with verdicts and exports. */
@@ -45,6 +47,7 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
       )}
       {chosen === null || plans === null ? null : (
         <>
+          <RoutePairs target={target} plan={plan} plans={plans} />
           <Verdicts plans={plans} planned={plan.options.scope} />
           <Turns plans={plans} />
           <Print target={target} answered={answered} />
@@ -152,7 +155,7 @@ function Options({ target, plan }: { target: Target; plan: TargetPlan }) {
       </label>
       <label>
         Tool
-        <select value={plan.options.tool} onChange={(event) => change({ tool: event.target.value })}>
+        <select value={plan.options.tool} onChange={(event) => change({ tool: event.target.value, place: null })}>
           {(tools ?? []).map(([name, title]) => (
             <option key={name} value={name}>
               {title}
@@ -264,20 +267,13 @@ function Verdicts({ plans, planned }: { plans: PlansMessage; planned: string }) 
   );
 }
 
-const MARKS: Readonly<Record<string, string>> = {
-  reaches: "\u2713",
-  "may reach": "?",
-  "does not reach": "\u2717",
-  "cannot say": "\u2013",
-};
-
 function VerdictRow({ verdict }: { verdict: ScopeVerdict }) {
   const station = useStation();
   return (
     <details className={`verdict ${verdict.outcome.replaceAll(" ", "-")}`} data-testid="verdict">
       <summary>
         <span className="mark" aria-hidden="true">
-          {MARKS[verdict.outcome] ?? "?"}
+          {OUTCOME_MARKS[verdict.outcome] ?? "?"}
         </span>
         <span>
           <strong>{verdict.title}</strong>
