@@ -90,5 +90,10 @@ def test_note_longer_than_a_page_and_long_name_are_laid_out_in_full(tmp_path) ->
 
 
 def test_target_in_the_tree_of_the_pdf_is_transparent() -> None:
-    states = pages()[0]["/Resources"]["/ExtGState"].values()
+    states = [
+        state
+        for page in pages()
+        if "/ExtGState" in page["/Resources"]
+        for state in page["/Resources"]["/ExtGState"].values()
+    ]
     assert any(state.get_object().get("/ca") == pytest.approx(0.55) for state in states)

@@ -13,39 +13,24 @@ import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 import { Icon } from "../icons";
 import type { PlanSuffix } from "../workstation";
+import { ReasonsAgainst } from "./ReasonsAgainst";
 
 /** Render the planned routes of a target, with verdicts and exports. */
 export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPlan }) {
   const plans = useApp((state) => state.plans);
   const chosen = plan.chosen === null ? null : (plan.routes[plan.chosen - 1] ?? null);
-  const why = chosen?.narrowest_why ?? null;
-  const unmeasured = why === null || chosen?.limits.some((limit) => limit.includes(why)) ? null : why;
   return (
     <div className="planned" data-testid="planned">
       <p>
         To <strong>{target.name}</strong>
       </p>
-      {plan.problem === null ? null : (
+      <ReasonsAgainst reasons={plan.reasons} />
+      {plan.problem === null || plan.reasons.length > 0 ? null : (
         <p className="warning-text">
           <Icon name="warning" /> {sentence(plan.problem)}
         </p>
       )}
       {plan.routes.length === 0 ? null : <RouteTable target={target} plan={plan} />}
-      {(chosen?.doubts ?? []).map((doubt) => (
-        <p key={doubt} className="error-text" data-testid="route-doubt">
-          <Icon name="warning" /> {sentence(doubt)}
-        </p>
-      ))}
-      {(chosen?.limits ?? []).map((limit) => (
-        <p key={limit} className="warning-text">
-          <Icon name="warning" /> {sentence(limit)}
-        </p>
-      ))}
-      {unmeasured === null ? null : (
-        <p className="warning-text" data-testid="route-unmeasured">
-          <Icon name="warning" /> {sentence(unmeasured)}
-        </p>
-      )}
       {chosen === null ? null : (
         <p className="quiet">
           Needle through{" "}
@@ -64,16 +49,6 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
         </>
       )}
       <Options target={target} plan={plan} />
-      {plan.doubts.map(([code, words]) => (
-        <p key={code} className="warning-text">
-          <Icon name="warning" /> {sentence(words)}
-        </p>
-      ))}
-      {plan.notes.map((note) => (
-        <p key={note} className="quiet">
-          {sentence(note)}
-        </p>
-      ))}
       {plan.moved_mm === null ? null : (
         <p className="quiet">
           The CT was taken at inspiration: in the procedure the target may lie up to {plan.moved_mm.toFixed(0)}
