@@ -72,6 +72,19 @@ def test_tracing_sheet_of_the_pdf_is_one_page() -> None:
     assert all(plain(fork.to_name) in text for fork in sheet().forks)
 
 
+@pytest.mark.parametrize("paper", ["A4", "Letter"])
+def test_text_of_the_tracing_sheet_has_at_least_8_points(paper) -> None:
+    sizes: list[float] = []
+
+    def note(text: str, cm: list[float], tm: list[float], _font: object, size: float) -> None:
+        if text.strip():
+            sizes.append(abs(size * tm[3] * cm[3]))
+
+    for page in pages(kind="tracing", paper=paper):
+        page.extract_text(visitor_text=note)
+    assert sizes and min(sizes) >= 8.0
+
+
 def test_letters_without_a_font_are_refused_with_their_names(tmp_path) -> None:
     with pytest.raises(UsageError, match=r"'\\u60a3' \(U\+60A3\)|'\u60a3' \(U\+60A3\)"):
         write_report(tmp_path / "plan.pdf", sheet(patient="\u60a3\u8005"))

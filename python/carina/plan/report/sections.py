@@ -40,6 +40,8 @@ STILLS = (
 )
 OF_ROUTE = ("plan.verdict", "plan.limit", "needle.", "route.narrowest")
 """Beginnings of the codes of reasons that the section of the route repeats."""
+MOST_LINES_BEFORE_TREE = 4
+"""Largest number of lines of reasons with which the tree fits on the first page, also on Letter in a wide typeface."""
 NOT_ASKED = "\u2013"
 """Symbol for a check that was not made because another check decides."""
 ANSWERS = {"yes": "yes", "perhaps": "perhaps", "no": "no", "unknown": "?"}
@@ -152,7 +154,8 @@ def _instruments(num: int) -> str:
 
 def _way(sheet: PlanSheet) -> Section:
     words = "Blue: the route, with its forks by number. Orange: last leg and target. Red: drawn by hand or bridged."
-    return Section("airways", "Airways and route", (Words(words, "quiet"), _tree_figures(sheet)))
+    blocks = (Words(words, "quiet"), _tree_figures(sheet))
+    return Section("airways", "Airways and route", blocks, starts_page=_is_tree_after_page_one(sheet))
 
 
 def _route(sheet: PlanSheet) -> list[Section]:
@@ -206,7 +209,7 @@ def _route(sheet: PlanSheet) -> list[Section]:
     if sheet.needle_slice is not None:
         words = "CT in the plane of the needle, which points to the right; the airway comes from the left and above."
         blocks.append(Figures((Figure(slice_drawing(sheet.needle_slice), words),), 1))
-    return [Section("route", title, tuple(blocks), starts_page=True)]
+    return [Section("route", title, tuple(blocks), starts_page=not _is_tree_after_page_one(sheet))]
 
 
 def _vessel_words(route: PlannedRoute) -> str:
@@ -217,11 +220,21 @@ def _vessel_words(route: PlannedRoute) -> str:
     return ", ".join(f"{one.distance_mm:.1f} mm off at {one.at_mm:.0f} mm" for one in near) + " from the tip"
 
 
+def _num_lines(sheet: PlanSheet) -> int:
+    """Return the number of lines of the reasons against the plan and of the warnings in the section of the target."""
+    texts = [reason.words for reason in sheet.reasons]
+    return sum(len(lines_of(text, 9.0, 500.0)) for text in texts) + 2 * len(_red(sheet))
+
+
+def _is_tree_after_page_one(sheet: PlanSheet) -> bool:
+    """Return whether the tree follows on the page of the route, because the reasons leave no room on the first page."""
+    return _num_lines(sheet) > MOST_LINES_BEFORE_TREE
+
+
 def _tree_figures(sheet: PlanSheet) -> Figures:
     sides = (("front", "From the front"), ("left", "From the patient's left"))
-    # A long list of reasons makes the tree smaller, so that both are on the first page with the target.
-    lines = sum(len(lines_of(reason.words, 9.0, 500.0)) for reason in sheet.reasons)
-    height = max(84.0, min(160.0, 198.0 - 13.0 * lines - 26.0 * len(_red(sheet))))
+    # The list of reasons precedes the tree, which is made smaller, so that both fit on the first page with the target.
+    height = max(96.0, min(160.0, 198.0 - 13.0 * _num_lines(sheet)))
     drawn = [
         Figure(tree_drawing(sheet.shape, sheet.forks, side, width=255.0, height=height), words) for side, words in sides
     ]
