@@ -10,6 +10,7 @@ import re
 import pytest
 from reported import airways, plan, sheet, turns, verdicts, with_drawn_branch
 
+from carina.plan import Check
 from carina.plan.reasons import reasons_against
 from carina.plan.report import write_report
 from carina.plan.report.drawing import Label
@@ -49,7 +50,9 @@ def doubtful() -> PlanSheet:
     )
     told = turns(airways(), plan())
     first = dataclasses.replace(
-        told.turns[1], hour_doubt=HourDoubt("turns.hidden", "the opening is hidden before the fork"), clock_head=None
+        told.turns[1],
+        hour_doubt=HourDoubt("turns.hidden", "no clock hour: the opening is hidden before the fork"),
+        clock_head=None,
     )
     told = dataclasses.replace(told, turns=(told.turns[0], first, *told.turns[2:]))
     return dataclasses.replace(sheet(), plan=changed_plan, turns=told)
@@ -118,6 +121,7 @@ def test_list_contains_every_kind_of_reason_once_and_in_order() -> None:
     assert sum("lost 16 mm short" in one for one in words) == 1
     red = {reason.code for reason in doubtful().reasons if reason.severity == "stop"}
     assert {"needle.vessel", "target.density", "route.doubt", "plan.verdict"} <= red and "plan.lost" not in red
+    assert words[-1].startswith("No clock hour for ") and words[-1].count("clock hour") == 1
     assert any("\u00b1" in reason.words for reason in doubtful().reasons if reason.code == "route.narrowest")
 
 
@@ -128,6 +132,15 @@ def test_every_check_against_the_planned_scope_is_a_reason(answer) -> None:
     changed = dataclasses.replace(own, outcome="does not reach", checks=checks)
     text = " ".join(one.words.lower() for one in reasons_against(plan(), verdicts=(changed,)))
     assert checks and all(check.words in text for check in checks)
+
+
+def test_drive_that_arrives_is_not_a_reason() -> None:
+    own = next(one for one in verdicts() if one.scope.name == plan().scope.name)
+    drive = Check("drive", "perhaps", 0.5, "if it fits: arrives at the standing place by 18 moves", "mechanics")
+    changed = dataclasses.replace(own, outcome="may reach", checks=(*own.checks, drive))
+    route = dataclasses.replace(plan().routes[0], limits=(drive.words,))
+    text = " ".join(one.words for one in reasons_against(plan(), route=route, verdicts=(changed,)))
+    assert "arrives" not in text
 
 
 def test_plan_without_a_route_has_its_reason_first() -> None:

@@ -21,6 +21,8 @@ Severity = Literal["stop", "caution"]
 
 BY_HAND = (BRUSHED, RESIZED, SPHERE)
 """Notes of a target whose boundary was drawn by hand."""
+ARRIVES = "if it fits: arrives"
+"""Beginning of the text of a drive that arrives with a thinner substitute: the width is the reason, not the drive."""
 TOUCHED = {
     "pleura": "the pleura or mediastinum (the CT does not tell them apart)",
     "vessel": "a vessel",
@@ -113,7 +115,8 @@ def _reasons(
         yield "plan.note", note, "caution"
     for turn in () if turns is None else turns.turns:
         if turn.hour_doubt is not None:
-            yield "turn.hour", f"no clock hour for {turn.to_branch}: {turn.hour_doubt.words}", "caution"
+            why = turn.hour_doubt.words.removeprefix("no clock hour: ")
+            yield "turn.hour", f"no clock hour for {turn.to_branch}: {why}", "caution"
 
 
 def _of_reach(plan: Plan, route: PlannedRoute, verdicts: Sequence[Verdict]) -> Iterator[tuple[str, str, Severity]]:
@@ -122,10 +125,11 @@ def _of_reach(plan: Plan, route: PlannedRoute, verdicts: Sequence[Verdict]) -> I
     if verdict is not None and verdict.outcome != "reaches":
         yield "plan.verdict", f"{verdict.scope.title} {_continued(verdict.words)}", "stop"
     for check in () if verdict is None else verdict.checks:
-        if check.answer != "yes":
+        if check.answer != "yes" and not check.words.startswith(ARRIVES):
             yield "plan.verdict", check.words, "stop" if check.answer == "no" else "caution"
     for words in route.limits:
-        yield "plan.limit", words, "stop"
+        if not words.startswith(ARRIVES):
+            yield "plan.limit", words, "stop"
 
 
 def _of_needle(plan: Plan, route: PlannedRoute) -> Iterator[tuple[str, str, Severity]]:

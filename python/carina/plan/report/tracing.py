@@ -46,13 +46,15 @@ class _Layout:
     """Least height of a row, so that clock faces and the parts of the diagram do not overlap."""
     gap: float
     """Space between two rows."""
+    face: float
+    """Largest radius of a clock face, whose arrow is longer by a quarter."""
     is_short: bool = False
     """Whether a row leaves out facts that follow from others: distance from the last fork, sides, other openings."""
 
 
-DIAGRAM = _Layout(spine=78.0, clock=170.0, text=196.0, least_row=36.0, gap=6.0)
-COMPACT = _Layout(spine=None, clock=17.0, text=40.0, least_row=30.0, gap=4.0)
-TIGHT = _Layout(spine=None, clock=14.0, text=32.0, least_row=25.0, gap=3.0, is_short=True)
+DIAGRAM = _Layout(spine=78.0, clock=170.0, text=196.0, least_row=36.0, gap=6.0, face=15.0)
+COMPACT = _Layout(spine=None, clock=17.0, text=40.0, least_row=30.0, gap=4.0, face=13.5)
+TIGHT = _Layout(spine=None, clock=14.0, text=32.0, least_row=25.0, gap=3.0, face=11.5, is_short=True)
 """Layouts of a page: with a diagram; without it; and without facts that follow from others, for long routes."""
 
 
@@ -143,7 +145,7 @@ def _page(sheet: PlanSheet, layout: _Layout, against: tuple[tuple[str, str], ...
         if row.fork is None:
             shapes.append(Label((layout.clock, y + 3.0), "stop", SMALL, LEG, "middle", bold=True))
         else:
-            shapes += _clock_face(row.fork, sheet, (layout.clock, y), min(15.0, 0.38 * heights[n]))
+            shapes += _clock_face(row.fork, sheet, (layout.clock, y), min(layout.face, 0.38 * heights[n]))
         shapes += _row_words(row, layout, y)
     shapes += _notes(sheet, tops[-1] + GAP)
     shapes += _labels(height - LABELS)
