@@ -142,7 +142,7 @@ def test_plan_without_a_route_exits_4_with_the_reason(chest, found_once, monkeyp
     monkeypatch.setattr(plan_route, "MOST_ANGLE_DEG", -1.0)
     result = run(path, place)
     assert result.exit_code == 4
-    assert "no route: " in result.stderr and "another access" in result.stderr
+    assert "! No route: " in result.stderr and "another access" in result.stderr
 
 
 @pytest.mark.parametrize(
