@@ -69,6 +69,13 @@ def test_plan_is_printed_and_written_and_equals_that_of_python(chest, tmp_path) 
     assert [one["scope"] for one in verdicts] == ["thin"]
     assert f"on route 1: {verdicts[0]['words']}" in result.stderr
     assert "target: solid nodule" in result.stderr
+    # The list of reasons is that of the file, in its order.
+    reasons = document["report"]["reasons"]
+    assert reasons, "the planned scope is too wide for this chest"
+    lines = result.stderr.splitlines()
+    first = lines.index("against this plan, and its limits:") + 1
+    marks = {"stop": "!", "caution": "-"}
+    assert lines[first : first + len(reasons)] == [f"{marks[one['severity']]} {one['words']}" for one in reasons]
     assert "route 1: " in result.stderr and "needle" in result.stderr
     assert "in the procedure the target may lie up to" in result.stderr
 
@@ -137,7 +144,7 @@ def test_plan_without_a_route_exits_4_with_the_reason(chest, found_once, monkeyp
     monkeypatch.setattr(plan_route, "MOST_ANGLE_DEG", -1.0)
     result = run(path, place)
     assert result.exit_code == 4
-    assert "no route: " in result.stderr and "another access" in result.stderr
+    assert "! No route: " in result.stderr and "another access" in result.stderr
 
 
 @pytest.mark.parametrize(

@@ -94,6 +94,7 @@ def test_printed_plan_needs_six_clicks_from_the_ct(server, workstation):
     words = report.locator("body").inner_text()
     assert "Not a medical device" in words and "CT taken at inspiration" in words
     assert "patient's name" not in words
+    listed = report.locator("#against li").all_inner_texts()
     assert len(report.locator("img").all()) + len(report.locator("svg").all()) >= 3
     report.close()
 
@@ -101,6 +102,10 @@ def test_printed_plan_needs_six_clicks_from_the_ct(server, workstation):
         page.get_by_test_id("take-plan.json").click()
     document = json.loads(taken.value.path().read_text())
     assert (document["format"], document["report"]["route"]) == ("carina-plan", 1)
+    # The window, its report and the file list the same reasons against the plan in the same order.
+    reasons = [reason["words"] for reason in document["report"]["reasons"]]
+    assert reasons and [one.strip() for one in page.get_by_test_id("reason").all_inner_texts()] == reasons
+    assert [" ".join(one.split()) for one in listed] == reasons
     assert len(document["verdicts"]) == len(workstation.state("plans.verdicts"))
     assert workstation.faults == []
 

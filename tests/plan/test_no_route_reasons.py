@@ -92,7 +92,9 @@ def lost_at(place: np.ndarray, above_mm: float) -> Airways:
 def test_lost_airway_near_the_target_is_reported_with_a_remedy() -> None:
     target = ellipsoid((4.0, 4.0, 4.0), far_off())
     found = plan_route(volume(), lost_at(far_off(), 14.0), target, wall=wall())
-    assert any(note.startswith("an airway ends 10 mm from the target: lost here, 3.1 mm wide") for note in found.notes)
+    assert any(
+        note.startswith("the tree is lost 10 mm short of the target: lost here, 3.1 mm wide") for note in found.notes
+    )
     assert "Check where the airway was lost" in found.why
     quiet = plan_route(volume(), lost_at(far_off(), 74.0), target, wall=wall())
     assert not any("lost here" in note for note in quiet.notes) and "was lost" not in quiet.why

@@ -148,7 +148,7 @@ def test_page_has_all_sections_in_order_with_all_their_text(tmp_path) -> None:
     places = [text.index(f'<section id="{part.name}"') for part in sections(sheet())]
     assert places == sorted(places)
     names = [part.name for part in sections(sheet())]
-    assert names[:3] == ["target", "airways", "route"] and names[-1] == "tracing"
+    assert names[:4] == ["against", "target", "airways", "route"] and names[-1] == "tracing"
     assert {"turns", "instruments", "routes", "by-hand", "uncertain", "score", "figures", "provenance"} <= set(names)
     assert [words for words in everything() if words not in text] == []
     assert all(text.count(words) >= 2 for words in SAFETY)
@@ -174,7 +174,9 @@ def test_parts_drawn_by_hand_are_red_wherever_the_route_is_described(tmp_path) -
     (doubt,) = drawn_plan.routes[0].doubts
     told = sheet(airways=found, plan=drawn_plan, turns=turns(found, drawn_plan))
     text = write_report(tmp_path / "plan.html", told).read_text()
-    for name in ("target", "route", "turns", "tracing"):
+    shown = re.search(r'<section id="tracing".*?</section>', text, re.DOTALL)[0]
+    assert re.search(rf'fill="#c1001f"[^>]*>{re.escape(doubt[0].upper() + doubt[1:])}', shown)
+    for name in ("target", "route", "turns"):
         part = re.search(rf'<section id="{name}".*?</section>', text, re.DOTALL)[0]
         assert re.search(rf'<p class="warning">[^<]*{re.escape(doubt)}', part), name
     by_hand = re.search(r'<section id="by-hand".*?</section>', text, re.DOTALL)[0]
@@ -213,13 +215,16 @@ def test_tracing_sheet_is_a_separate_page_without_a_script(tmp_path) -> None:
     assert all(words in html.unescape(text) for words in SAFETY)
 
 
-def test_route_of_many_forks_continues_on_a_second_sheet() -> None:
+@pytest.mark.parametrize(("num", "is_one"), [(5, True), (9, True), (12, True), (40, False)])
+def test_sheet_leaves_out_the_diagram_before_it_continues_on_another_page(num, is_one) -> None:
     fork = sheet().forks[0]
-    many = tuple(dataclasses.replace(fork, number=n, to_name=f"branch {n:03}") for n in range(1, 20))
+    many = tuple(dataclasses.replace(fork, number=n, to_name=f"branch {n:03}") for n in range(1, num + 1))
     parts = [part for part in sections(dataclasses.replace(sheet(), forks=many)) if part.name.startswith("tracing")]
-    assert [part.title for part in parts] == ["Tracing sheet, 1 of 2", "Tracing sheet, 2 of 2"]
+    assert (len(parts) == 1) == is_one
     text = " ".join(words for part in parts for block in part.blocks for words in words_of(block))
-    assert all(f"branch {n:03}" in text for n in range(1, 20))
+    assert all(f"branch {n:03}" in text for n in range(1, num + 1))
+    assert text.count(fork.turn.direction("head")) >= num
+    assert text.count("counterclockwise") >= num, "moves of the hand"
 
 
 def test_report_of_another_route_describes_this_route_in_full() -> None:
@@ -338,7 +343,7 @@ def test_picture_of_a_bronchus_sign_has_its_position_in_the_middle(tmp_path) -> 
     assert [one.title for one in told.sign_slices] == ["Axial", "Coronal", "Sagittal"]
     assert all(one.cross == pytest.approx((one.width_px / 2, one.height_px / 2)) for one in told.sign_slices)
     text = write_report(tmp_path / "plan.html", told).read_text()
-    assert "Bronchus sign positive: an airway leads into the target (RB4a)." in text
+    assert "Bronchus sign: an airway leads into the target (RB4a)." in text
 
 
 def test_score_is_stated_with_the_weights_of_the_plan() -> None:
@@ -364,7 +369,7 @@ def test_obstacles_of_a_route_are_red(tmp_path) -> None:
     told = sheet(plan=dataclasses.replace(plan(), routes=(limited, *plan().routes[1:])))
     text = write_report(tmp_path / "p.html", told).read_text()
     part = re.search(r'<section id="route".*?</section>', text, re.DOTALL)[0]
-    assert '<p class="warning">The bend asks 190 degrees; too narrow. See the instruments below.</p>' in part
+    assert '<p class="warning">The bend asks 190 degrees.</p><p class="warning">Too narrow.</p>' in part
     assert re.search(r'<p class="warning">The needle crosses 6 mm of mediastinum or chest wall', part)
     assert "0.4 mm off at 9 mm from the tip" in part
 
@@ -450,7 +455,7 @@ def test_notes_too_long_for_the_tracing_sheet_have_a_reference() -> None:
 )
 def test_first_sentence_summarises_the_instruments(outcomes, words) -> None:
     told = tuple(dataclasses.replace(one, outcome=outcome) for one, outcome in zip(verdicts(), outcomes, strict=True))
-    (target, *_) = sections(dataclasses.replace(sheet(), verdicts=told))
+    (_, target, *_) = sections(dataclasses.replace(sheet(), verdicts=told))
     (lead,) = [block.text for block in target.blocks if isinstance(block, Words) and block.tone == "lead"]
     assert words in lead
 

@@ -37,6 +37,11 @@ WHERE = """() => {
 
 The positions are fractions of the canvas width.
 """
+SIZES = """() => [...document.querySelectorAll('svg text')].map((text) => {
+  const svg = text.ownerSVGElement, scale = svg.getBoundingClientRect().height / svg.viewBox.baseVal.height;
+  return Number(text.getAttribute('font-size')) * scale * 72 / 96;
+})"""
+"""Script that returns the font sizes of all text in drawings, in points."""
 DRAWN = "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
 """Script that waits until the page has drawn a frame."""
 
@@ -63,6 +68,11 @@ def filmed_report(folder: Path) -> Path:
     assert told is not None
     pictures, clips = [still(turn, shade=250) for turn in told.turns], [clip(turn) for turn in told.turns]
     return write_report(folder / "filmed.html", sheet(turns=told, turn_pictures=pictures, turn_clips=clips))
+
+
+@cache
+def tracing_sheet(folder: Path) -> Path:
+    return write_report(folder / "sheet.html", sheet(), kind="tracing")
 
 
 @pytest.fixture(scope="module")
@@ -206,6 +216,22 @@ def test_every_printed_page_has_header_and_footer_and_no_cut_element(opened, pap
     opened.set_viewport_size({"width": round(mm / 25.4 * 96), "height": 1000})
     assert opened.evaluate("document.documentElement.scrollWidth") <= round(mm / 25.4 * 96) + 1
     opened.emulate_media(media="null")
+
+
+@pytest.mark.parametrize("paper", ["A4", "Letter"])
+def test_sheet_alone_is_printed_on_one_page_with_text_of_at_least_8_points(tab, tmp_path_factory, paper) -> None:
+    pypdf = pytest.importorskip("pypdf", reason="needs pypdf")
+    with shown(tab, tracing_sheet(tmp_path_factory.getbasetemp())):
+        printed = pypdf.PdfReader(io.BytesIO(tab.pdf(format=paper, print_background=True)))
+        tab.emulate_media(media="print")
+        sizes = tab.evaluate(SIZES)
+        tab.emulate_media(media="null")
+    (page,) = printed.pages
+    text = " ".join(page.extract_text().split())
+    assert all(name in text for name in ("Tracing sheet", "Patient label", "Date", "Not a medical device."))
+    for reason in sheet().reasons:
+        assert all(word in text for word in reason.words.split())
+    assert sizes and min(sizes) >= 8.0
 
 
 # Script that returns the grey level of the first clip's canvas, rounded to tens because of JPEG; None while the still

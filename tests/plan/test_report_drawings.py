@@ -169,9 +169,9 @@ def test_branch_drawn_by_hand_is_red_and_dashed_in_the_tree() -> None:
 def test_clock_face_shows_the_opening_at_its_hour() -> None:
     told = sheet()
     (drawing,) = tracing_drawings(told)
-    faces = [s for s in drawing.shapes if isinstance(s, Disc) and s.middle[0] == 196.0 and s.pen.line == "#14181c"]
+    faces = [s for s in drawing.shapes if isinstance(s, Disc) and s.middle[0] == 170.0 and s.pen.line == "#14181c"]
     filled = [s for s in drawing.shapes if isinstance(s, Disc) and s.pen.fill == "#0b5a8f"]
-    openings = [s for s in filled if 170 < s.middle[0] < 222]
+    openings = [s for s in filled if 150 < s.middle[0] < 190 and s.radius != 3.6]
     assert len(faces) == len(openings) == len(told.forks)
     for fork, face, opening in zip(told.forks, faces, openings, strict=True):
         x, y = np.array(opening.middle) - np.array(face.middle)

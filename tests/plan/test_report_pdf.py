@@ -72,6 +72,19 @@ def test_tracing_sheet_of_the_pdf_is_one_page() -> None:
     assert all(plain(fork.to_name) in text for fork in sheet().forks)
 
 
+@pytest.mark.parametrize("paper", ["A4", "Letter"])
+def test_text_of_the_tracing_sheet_has_at_least_8_points(paper) -> None:
+    sizes: list[float] = []
+
+    def note(text: str, cm: list[float], tm: list[float], _font: object, size: float) -> None:
+        if text.strip():
+            sizes.append(abs(size * tm[3] * cm[3]))
+
+    for page in pages(kind="tracing", paper=paper):
+        page.extract_text(visitor_text=note)
+    assert sizes and min(sizes) >= 8.0
+
+
 def test_letters_without_a_font_are_refused_with_their_names(tmp_path) -> None:
     with pytest.raises(UsageError, match=r"'\\u60a3' \(U\+60A3\)|'\u60a3' \(U\+60A3\)"):
         write_report(tmp_path / "plan.pdf", sheet(patient="\u60a3\u8005"))
@@ -90,5 +103,10 @@ def test_note_longer_than_a_page_and_long_name_are_laid_out_in_full(tmp_path) ->
 
 
 def test_target_in_the_tree_of_the_pdf_is_transparent() -> None:
-    states = pages()[0]["/Resources"]["/ExtGState"].values()
+    states = [
+        state
+        for page in pages()
+        if "/ExtGState" in page["/Resources"]
+        for state in page["/Resources"]["/ExtGState"].values()
+    ]
     assert any(state.get_object().get("/ca") == pytest.approx(0.55) for state in states)

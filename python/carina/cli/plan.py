@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -29,7 +30,8 @@ from carina.plan import (
     tool_from_file,
 )
 from carina.plan import tool as tool_named
-from carina.plan.report import Paper, PlanMaterials, ReportKind, whole_sheet, write_report
+from carina.plan.reasons import reasons_against
+from carina.plan.report import AGAINST, Paper, PlanMaterials, ReportKind, route_turns, whole_sheet, write_report
 from carina.plan.routes.predictors import PREDICTOR_WORDS
 from carina.plan.targets.doubts import confirmed_codes
 from carina.scopes import scope_preset, scope_presets
@@ -44,7 +46,6 @@ __all__ = ["report"]
 ARCHIVE_SUFFIX = ".pdf.dcm"
 REPORT_SUFFIXES = (".html", ".pdf", ".json")
 PAPERS: Final[dict[str, Paper]] = {"A4": "A4", "Letter": "Letter"}
-SIGNS = {"into": "an airway leads into it", "beside": "an airway lies against it", "none": "no airway found"}
 
 
 def report(
@@ -139,8 +140,6 @@ def report(
         wall=wall,
         confirmed=confirmed,
     )
-    for doubt in plan.doubts:
-        say(f"target: ! {doubt.words} ({doubt.code})")
     for line in lines(plan):
         say(line)
     verdicts: tuple[Verdict, ...] = ()
@@ -170,10 +169,17 @@ def report(
         say(f"{verdict.scope.title} on route 1: {verdict.words}")
     if pairs:
         say(_best_pair(plan, pairs, here))
+    materials = PlanMaterials(source.volume, airways, wall, plan, verdicts=verdicts, carina_depth_mm=carina_depth_mm)
+    # The turns belong to the list, because a turn may have no reliable clock hour.
+    materials = replace(materials, turns=route_turns(materials))
+    against = reasons_against(plan, verdicts=verdicts, turns=materials.turns)
+    if against:
+        say(f"{AGAINST.lower()}:")
+    for reason in against:
+        say(f"{'!' if reason.severity == 'stop' else '-'} {reason.words}")
     if peer is not None:
         num = send_plan(plan, airways.tree, host=peer[0], port=peer[1])
         say(f"sent {num} messages to {send_to}")
-    materials = PlanMaterials(source.volume, airways, wall, plan, verdicts=verdicts, carina_depth_mm=carina_depth_mm)
     if output is not None and output.name.lower().endswith(tuple(PLAN_FORMATS)):
         export_plan(
             output,
@@ -255,23 +261,21 @@ def _peer(words: str) -> tuple[str, int]:
 
 
 def lines(plan: Plan) -> list[str]:
-    """Return a plan as text, a line for each route and each doubt."""
-    sign = SIGNS[plan.bronchus_sign] + ("" if plan.sign_branch is None else f" ({plan.sign_branch})")
-    said = [f"bronchus sign: {sign}"]
+    """Return a plan as text, a line for each route and each doubt of a route after the first one."""
+    said = [f"bronchus sign: {plan.sign_words}"]
     for number, route in enumerate(plan.routes, 1):
         said.append(f"route {number}: {_route_words(plan, route)}")
         if route.predictors is not None:
             said.append(f"route {number}: {route.predictors.words}")
+        if number == 1:
+            # The list of reasons contains the doubts of the first route.
+            continue
         said += [f"route {number}: ! {doubt}" for doubt in route.doubts]
-        if route.origin.note is not None:
-            said.append(f"route {number}: ! {route.origin.note}")
         if route.width.why is not None:
             said.append(f"route {number}: ! {route.width.why}")
     if any(route.predictors is not None for route in plan.routes):
         said.append(f"bifurcation angle, least diameter and curvature: {PREDICTOR_WORDS}")
-    if plan.why is not None:
-        said.append(plan.why)
-    else:
+    if plan.why is None:
         said.append(
             f"the CT was taken at inspiration; in the procedure the target may lie up to {plan.moved_mm:.0f} mm off"
         )

@@ -8,8 +8,7 @@ import { answeredPlan, answerOf, needleText, type ReachAnswer, vesselText } from
 import type { Target, TargetPlan } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
-import { Icon } from "./icons";
-import { RouteReasons } from "./steps/RouteReasons";
+import { ReasonsAgainst } from "./steps/ReasonsAgainst";
 import { useWideWindow } from "./wide-window";
 
 /** Return whether the window shows the answer of a plan above the pictures. */
@@ -43,10 +42,6 @@ function Answer({ target, plan }: { target: Target; plan: TargetPlan }) {
   const scope = scopes?.find((one) => one.name === plan.options.scope)?.title ?? plan.options.scope;
   const reach = answerOf(plan, plans?.verdicts ?? [], plans?.verdicts_standing ?? "unwanted");
   const vessel = route === null ? null : vesselText(route.leg, plan.options.vessel_margin_mm);
-  const isClear =
-    route !== null &&
-    route.narrowest_why === null &&
-    route.doubts.length + route.limits.length + plan.doubts.length === 0;
   return (
     <section className="plan-answer" aria-label={`Answer for ${target.name}`} data-testid="plan-answer">
       <div className={`reach ${reach.kind}`} role="status" data-testid="answer-reach">
@@ -79,13 +74,10 @@ function Answer({ target, plan }: { target: Target; plan: TargetPlan }) {
       )}
       {/* biome-ignore lint/a11y/noNoninteractiveTabindex: the keyboard scrolls a list that is longer than the card */}
       <section className="answer-doubts" data-testid="answer-doubts" aria-label="Doubts" tabIndex={0}>
-        {isClear ? <p className="quiet">No doubts about the target or this route.</p> : null}
-        <RouteReasons route={route} />
-        {plan.doubts.map(([code, words]) => (
-          <p key={code} className="warning-text">
-            <Icon name="warning" /> {sentence(words)}
-          </p>
-        ))}
+        {route !== null && plan.reasons.length === 0 ? (
+          <p className="quiet">No doubts about the target or this route.</p>
+        ) : null}
+        <ReasonsAgainst reasons={plan.reasons} />
       </section>
       <div className="answer-actions">
         {plan.chosen !== null ? (

@@ -444,7 +444,7 @@ export class Workstation implements Station {
       this.#stream.send({ type: "set_layers", layers: wantedLayers(this.state.ui.hiddenLayers) });
   }
 
-  /** Open the printable report of a plan in a new tab, which opens the print dialog; a job shows the progress. */
+  /** Open the printable report of a plan in a new tab, from which the user prints it; a job shows the progress. */
   printPlan(targetId: string, kind: "report" | "tracing"): void {
     window.open(planAddress(targetId, ".html", kind), "_blank", "noopener");
   }

@@ -17,15 +17,6 @@ import { asVec3, sub, type Vec3 } from "./vec";
 export const planOf = (plans: PlansMessage | null, targetId: string | null): TargetPlan | null =>
   plans?.targets.find((target) => target.target_id === targetId) ?? null;
 
-const SIGNS: Readonly<Record<string, string>> = {
-  into: "an airway leads into it",
-  beside: "an airway lies against it",
-  none: "no airway found",
-};
-
-/** Return the explanation of a bronchus sign: the relation of the nearest airway to the target. */
-export const signText = (sign: string): string => SIGNS[sign] ?? sign;
-
 /** Return a fraction as a percentage. */
 export const share = (part: number): string => `${fixed(100 * part)}\u202f%`;
 

@@ -1094,6 +1094,7 @@ export interface TargetPlan {
   readonly options: PlanOptions;
   readonly moved_mm: number | null;
   readonly bronchus_sign: string | null;
+  readonly reasons: readonly (readonly [string, string, "caution" | "stop"])[];
   readonly routes: readonly RouteOffer[];
   readonly problem: string | null;
   readonly notes: readonly string[];

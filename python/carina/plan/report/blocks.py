@@ -32,6 +32,8 @@ class Bullets:
 
     items: tuple[str, ...]
     tone: Tone = "plain"
+    warned: tuple[int, ...] = ()
+    """Indices of the sentences that are red; all are if the tone is ``warning``."""
 
 
 @one_line

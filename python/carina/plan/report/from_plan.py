@@ -20,7 +20,7 @@ from carina.scopes import WallField
 from carina.track import Airways
 from carina.volume import Volume
 
-__all__ = ["PlanMaterials", "whole_sheet"]
+__all__ = ["PlanMaterials", "route_turns", "whole_sheet"]
 
 PICTURES_SHARE, CLIPS_SHARE = 0.35, 0.35
 """Shares of the report's progress that the pictures, and the clips, of turns take."""
@@ -43,6 +43,44 @@ class PlanMaterials:
     carina_depth_mm: float | None = None
     """Depth of the main carina at nose or mouth in mm, as measured by the user."""
     notes: tuple[str, ...] = ()
+    turns: TurnList | None = None
+    """Turns of the route ``route_number`` (`route_turns`); computed for the report if None."""
+
+
+def route_turns(materials: PlanMaterials, renderer: Renderer | None = None) -> TurnList | None:
+    """Return the turns of the route that a report describes, with the hand moves of the planned scope's drive.
+
+    Parameters
+    ----------
+    materials
+        CT, airways and plan.
+    renderer
+        Renderer of the CT, with the airways' lumen; created if None.
+
+    Returns
+    -------
+    TurnList | None
+        The turns; None if the plan has no route.
+    """
+    made, plan = materials, materials.plan
+    if not plan.routes or made.turns is not None:
+        return made.turns
+    driven = next((v.driven for v in made.verdicts if v.scope.name == plan.scope.name), None)
+    return turn_list(
+        made.airways.tree,
+        plan.routes[made.route_number - 1],
+        moves=None if driven is None else driven.moves,
+        ends_along_mm=None if driven is None else driven.ends_along_mm,
+        carina_depth_mm=made.carina_depth_mm,
+        renderer=lumen_renderer(made) if renderer is None else renderer,
+    )
+
+
+def lumen_renderer(materials: PlanMaterials) -> Renderer:
+    """Return a renderer of the CT with the lumen of the airways."""
+    renderer = Renderer(materials.volume)
+    renderer.set_lumen(materials.airways.lumen_zyx)
+    return renderer
 
 
 @shows_progress
@@ -98,17 +136,9 @@ def whole_sheet(
 
     if plan.routes:
         route = plan.routes[made.route_number - 1]
-        driven = next((v.driven for v in made.verdicts if v.scope.name == plan.scope.name), None)
-        renderer = Renderer(made.volume)
-        renderer.set_lumen(made.airways.lumen_zyx)
-        turns = turn_list(
-            made.airways.tree,
-            route,
-            moves=None if driven is None else driven.moves,
-            ends_along_mm=None if driven is None else driven.ends_along_mm,
-            carina_depth_mm=made.carina_depth_mm,
-            renderer=renderer,
-        )
+        renderer = lumen_renderer(made)
+        turns = route_turns(made, renderer)
+        assert turns is not None
         pictures = turn_pictures(
             made.volume,
             made.airways,

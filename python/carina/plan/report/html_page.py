@@ -27,7 +27,8 @@ def html_page(sheet: PlanSheet, parts: tuple[Section, ...]) -> str:
     """Return an HTML document of these sections; it loads nothing, and all text is escaped."""
     here = files("carina.plan.report")
     style = here.joinpath("page.css").read_text(encoding="utf-8")
-    body = "".join(_section(part) for part in parts)
+    # A page break before the first section would leave an empty page after the title.
+    body = "".join(_section(part, is_first=n == 0) for n, part in enumerate(parts))
     has_tree = any(part.name == TREE_AFTER for part in parts)
     wanted = {"page.js": has_tree, "clips.js": any(_has_clip(block) for part in parts for block in part.blocks)}
     scripts = [here.joinpath(name).read_text(encoding="utf-8") for name, is_wanted in wanted.items() if is_wanted]
@@ -38,6 +39,8 @@ def html_page(sheet: PlanSheet, parts: tuple[Section, ...]) -> str:
     )
     # The escape prevents the data from closing its script element.
     tree = json.dumps(sheet.shape.to_json(), separators=(",", ":")).replace("<", "\\u003c")
+    # A sheet alone has no printed title, so that each of its drawings fits on one page.
+    kind = ' class="sheet-alone"' if all(part.name.startswith("tracing") for part in parts) else ""
     tail = f'<script type="application/json" id="tree-data">{tree}</script>' if has_tree else ""
     tail += "".join(f"<script>{one}</script>" for one in scripts)
     return (
@@ -45,7 +48,8 @@ def html_page(sheet: PlanSheet, parts: tuple[Section, ...]) -> str:
         f'<meta http-equiv="Content-Security-Policy" content="{escaped(policy)}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         '<meta name="referrer" content="no-referrer">'
-        f'<link rel="icon" href="data:,"><title>{TITLE}</title><style>{style}</style></head><body>'
+        f'<link rel="icon" href="data:,"><title>{TITLE}</title><style>{style}</style></head>'
+        f"<body{kind}>"
         f"{_running(sheet)}"
         '<table class="sheet" role="presentation"><thead><tr><td></td></tr></thead><tfoot><tr><td></td></tr></tfoot>'
         f"<tbody><tr><td>{_head(sheet, parts)}{body}{_foot(sheet)}</td></tr></tbody>"
@@ -85,8 +89,8 @@ def _foot(sheet: PlanSheet) -> str:
     return f'<footer class="end">{escaped(NOT_A_DEVICE)} {escaped(movement_words(sheet.plan))}</footer>'
 
 
-def _section(part: Section) -> str:
-    kinds = ["starts-page"] * part.starts_page + ["whole"] * part.is_whole
+def _section(part: Section, *, is_first: bool) -> str:
+    kinds = ["starts-page"] * (part.starts_page and not is_first) + ["whole"] * part.is_whole
     starts = f' class="{" ".join(kinds)}"' if kinds else ""
     blocks = [_block(block) for block in part.blocks]
     if part.name == TREE_AFTER:
@@ -112,8 +116,11 @@ def _block(block: Block) -> str:
     match block:
         case Words(text=text, tone=tone):
             return f"<p{_tone(tone)}>{escaped(text)}</p>"
-        case Bullets(items=items, tone=tone):
-            return f"<ul{_tone(tone)}>{''.join(f'<li>{escaped(item)}</li>' for item in items)}</ul>"
+        case Bullets(items=items, tone=tone, warned=warned):
+            rows = (
+                f"<li{_tone('warning') if n in warned else ''}>{escaped(item)}</li>" for n, item in enumerate(items)
+            )
+            return f"<ul{_tone(tone)}>{''.join(rows)}</ul>"
         case Facts(rows=rows):
             inner = "".join(f"<div><dt>{escaped(k)}</dt><dd>{escaped(v)}</dd></div>" for k, v in rows)
             return f'<dl class="facts">{inner}</dl>'

@@ -94,9 +94,10 @@ def _furniture(canvas: Any, page: Any, *, sheet: PlanSheet, fonts: tuple[str, st
     canvas.line(SIDE, height - 39, width - SIDE, height - 39)
     canvas.line(SIDE, 37, width - SIDE, 37)
     canvas.setFillColor(HexColor(INK))
-    canvas.setFont(bold, 7.5)
-    canvas.drawString(SIDE, 26, f"{NOT_A_DEVICE} {movement_words(sheet.plan)}")
+    canvas.setFont(bold, 8)
+    canvas.drawString(SIDE, 26, NOT_A_DEVICE)
     canvas.setFont(plain, 8)
+    canvas.drawString(SIDE, 14, movement_words(sheet.plan))
     canvas.setFillColor(HexColor(QUIET))
     canvas.drawRightString(width - SIDE, 14, f"{page.page} / {num_pages}")
 
@@ -144,8 +145,11 @@ class _Layout:
                 return self._paragraph(text, 10.0, is_bold=True)
             case Words(text=text, tone=tone):
                 return self._paragraph(text, 8.0 if tone == "quiet" else 9.0, tone=tone)
-            case Bullets(items=items, tone=tone):
-                return [self._paragraph(item, 9.0, tone=tone, is_item=True) for item in items]
+            case Bullets(items=items, tone=tone, warned=warned):
+                return [
+                    self._paragraph(item, 9.0, tone="warning" if n in warned else tone, is_item=True)
+                    for n, item in enumerate(items)
+                ]
             case Facts(rows=rows):
                 return self._facts(rows)
             case ReportTable():

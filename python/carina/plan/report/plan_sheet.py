@@ -15,6 +15,7 @@ from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import UsageError, check_type
 from carina.plan.lungs.tissue_near_needle import NearbyTissue, surroundings
+from carina.plan.reasons import Reason, reasons_against
 from carina.plan.report.slices import SlicePicture, needle_slice, place_slices, target_slices
 from carina.plan.report.tree_shape import TreeShape, tree_shape
 from carina.plan.report.uncertainty import by_hand, uncertain
@@ -166,6 +167,11 @@ class PlanSheet:
         """Route that the report describes in detail; None if the plan has no route."""
         return None if self.route_number is None else self.plan.routes[self.route_number - 1]
 
+    @property
+    def reasons(self) -> tuple[Reason, ...]:
+        """Everything against the plan, in the order in which every output lists it."""
+        return reasons_against(self.plan, route=self.route, verdicts=self.verdicts, turns=self.turns)
+
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON types: the plan as ``carina plan`` writes it, and the other contents under ``report``."""
         return self.plan.to_json() | {
@@ -177,6 +183,7 @@ class PlanSheet:
                 "operator": self.operator,
                 "place": self.place.to_json(),
                 "turn_pictures": [one.words for one in self.turn_pictures],
+                "reasons": [reason.to_json() for reason in self.reasons],
                 "uncertain": list(self.uncertain),
                 "by_hand": list(self.by_hand),
                 "notes": list(self.notes),

@@ -11,14 +11,9 @@ from carina.plan.report.figures import needle_bar, slice_drawing, tree_drawing
 from carina.plan.report.plan_sheet import PlanSheet, target_words
 from carina.plan.report.tracing import tracing_drawings
 from carina.plan.report.uncertainty import doubt_words
-from carina.plan.report.wording import (
-    SIGNS,
-    carina_cell,
-    per_cent,
-)
+from carina.plan.report.wording import AGAINST, carina_cell, lines_of, per_cent
 from carina.plan.routes.plan_route import PlannedRoute, ScoreWeights
 from carina.plan.routes.predictors import PREDICTOR_WORDS
-from carina.plan.routes.ranking import MEDIASTINUM_MM
 from carina.plan.turns.clips import TurnClip
 from carina.plan.turns.fork_view import Operator
 from carina.plan.turns.pictures import TurnPicture
@@ -45,6 +40,10 @@ STILLS = (
     "The airway from a diameter before each fork, level, made from the CT without texture. The opening to enter is "
     "outlined."
 )
+OF_ROUTE = ("plan.verdict", "plan.limit", "needle.", "route.narrowest")
+"""Beginnings of the codes of reasons that the section of the route repeats."""
+MOST_LINES_BEFORE_TREE = 4
+"""Largest number of lines of reasons with which the tree fits on the first page, also on Letter in a wide typeface."""
 NOT_ASKED = "\u2013"
 """Symbol for a check that was not made because another check decides."""
 ANSWERS = {"yes": "yes", "perhaps": "perhaps", "no": "no", "unknown": "?"}
@@ -52,7 +51,7 @@ ANSWERS = {"yes": "yes", "perhaps": "perhaps", "no": "no", "unknown": "?"}
 
 def sections(sheet: PlanSheet) -> tuple[Section, ...]:
     """Return all sections of a report."""
-    found = [_target(sheet), _way(sheet), *_route(sheet), *_sign(sheet)]
+    found = [*_against(sheet), _target(sheet), _way(sheet), *_route(sheet), *_sign(sheet)]
     found += [*_turns(sheet), *_verdicts(sheet), *_others(sheet)]
     found += [_by_hand(sheet), _uncertain(sheet), *_notes(sheet), *_score(sheet), _provenance(sheet)]
     return (*found, *_figures_behind(sheet), *tracing_sections(sheet))
@@ -66,11 +65,19 @@ def tracing_sections(sheet: PlanSheet) -> tuple[Section, ...]:
         Section(
             "tracing" if n == 0 else f"tracing-{n + 1}",
             "Tracing sheet" + (f", {n + 1} of {len(drawings)}" if several else ""),
-            (*_red(sheet), Figure(drawing)),
+            (Figure(drawing),),
             starts_page=True,
         )
         for n, drawing in enumerate(drawings)
     )
+
+
+def _against(sheet: PlanSheet) -> list[Section]:
+    """Return the section with everything against the plan; empty if there is nothing."""
+    if not sheet.reasons:
+        return []
+    warned = tuple(n for n, reason in enumerate(sheet.reasons) if reason.severity == "stop")
+    return [Section("against", AGAINST, (Bullets(tuple(one.words for one in sheet.reasons), warned=warned),))]
 
 
 def _red(sheet: PlanSheet) -> tuple[Block, ...]:
@@ -96,7 +103,7 @@ def _target(sheet: PlanSheet) -> Section:
         ("To pleura or mediastinum", place.pleura_words),
         (
             "Bronchus sign",
-            SIGNS[sheet.plan.bronchus_sign] + (f" ({sheet.plan.sign_branch})" if sheet.plan.sign_branch else ""),
+            sheet.plan.sign_words[0].upper() + sheet.plan.sign_words[1:],
         ),
         ("Centre (LPS)", ", ".join(f"{v:.1f}" for v in nodule.centre_lps) + " mm"),
     ]
@@ -149,7 +156,8 @@ def _instruments(num: int) -> str:
 
 def _way(sheet: PlanSheet) -> Section:
     words = "Blue: the route, with its forks by number. Orange: last leg and target. Red: drawn by hand or bridged."
-    return Section("airways", "Airways and route", (Words(words, "quiet"), _tree_figures(sheet)))
+    blocks = (Words(words, "quiet"), _tree_figures(sheet))
+    return Section("airways", "Airways and route", blocks, starts_page=_is_tree_after_page_one(sheet))
 
 
 def _route(sheet: PlanSheet) -> list[Section]:
@@ -192,25 +200,11 @@ def _route(sheet: PlanSheet) -> list[Section]:
     first = "First route" if sheet.route_number == 1 else f"Route {sheet.route_number}"
     title = f"{first} at a glance"
     blocks: list[Block] = [*_red(sheet)]
-    if route.limits:
-        text = "; ".join(route.limits)
-        blocks.append(Words(f"{text[0].upper()}{text[1:]}. See the instruments below.", "warning"))
-    elif not route.fits:
-        text = f"The narrowest diameter of the way is {fits}: this scope may not pass. See the instruments below."
-        blocks.append(Words(text, "warning"))
-    if route.width.why is not None and not any(route.width.why in limit for limit in route.limits):
-        blocks.append(Words(f"{route.width.why[0].upper()}{route.width.why[1:]}.", "warning"))
-    if leg.mediastinum_mm > MEDIASTINUM_MM:
-        text = (
-            f"The needle crosses {leg.mediastinum_mm:.0f} mm of mediastinum or chest wall, whose vessels the CT does "
-            "not show without contrast."
-        )
-        blocks.append(Words(text, "warning"))
-    for tissue in ("vessel", "fissure"):
-        met = next((one for one in leg.crossed if one.tissue == tissue and one.start_mm < _far_edge_mm(route)), None)
-        if met is not None:
-            text = f"The needle's way crosses a {tissue} {met.start_mm:.0f} mm from the scope's tip."
-            blocks.append(Words(text, "warning"))
+    blocks += [
+        Words(reason.words, "warning")
+        for reason in sheet.reasons
+        if reason.severity == "stop" and reason.code.startswith(OF_ROUTE)
+    ]
     blocks += [
         Facts(rows),
         *((Words(f"* {PREDICTOR_WORDS}", "quiet"),) if route.predictors is not None else ()),
@@ -219,13 +213,7 @@ def _route(sheet: PlanSheet) -> list[Section]:
     if sheet.needle_slice is not None:
         words = "CT in the plane of the needle, which points to the right; the airway comes from the left and above."
         blocks.append(Figures((Figure(slice_drawing(sheet.needle_slice), words),), 1))
-    return [Section("route", title, tuple(blocks), starts_page=True)]
-
-
-def _far_edge_mm(route: PlannedRoute) -> float:
-    """Return the distance in mm from the tip to the target's far edge; to its aimed edge if the needle misses."""
-    ends = [one.end_mm for one in route.leg.crossed if one.tissue == "target"]
-    return max(ends, default=route.leg.to_target_mm)
+    return [Section("route", title, tuple(blocks), starts_page=not _is_tree_after_page_one(sheet))]
 
 
 def _vessel_words(route: PlannedRoute) -> str:
@@ -236,10 +224,23 @@ def _vessel_words(route: PlannedRoute) -> str:
     return ", ".join(f"{one.distance_mm:.1f} mm off at {one.at_mm:.0f} mm" for one in near) + " from the tip"
 
 
+def _num_lines(sheet: PlanSheet) -> int:
+    """Return the number of lines of the reasons against the plan and of the warnings in the section of the target."""
+    texts = [reason.words for reason in sheet.reasons]
+    return sum(len(lines_of(text, 9.0, 500.0)) for text in texts) + 2 * len(_red(sheet))
+
+
+def _is_tree_after_page_one(sheet: PlanSheet) -> bool:
+    """Return whether the tree follows on the page of the route, because the reasons leave no room on the first page."""
+    return _num_lines(sheet) > MOST_LINES_BEFORE_TREE
+
+
 def _tree_figures(sheet: PlanSheet) -> Figures:
     sides = (("front", "From the front"), ("left", "From the patient's left"))
+    # The list of reasons precedes the tree, which is made smaller, so that both fit on the first page with the target.
+    height = max(96.0, min(160.0, 198.0 - 13.0 * _num_lines(sheet)))
     drawn = [
-        Figure(tree_drawing(sheet.shape, sheet.forks, side, width=255.0, height=160.0), words) for side, words in sides
+        Figure(tree_drawing(sheet.shape, sheet.forks, side, width=255.0, height=height), words) for side, words in sides
     ]
     return Figures(tuple(drawn), 2)
 
@@ -247,9 +248,7 @@ def _tree_figures(sheet: PlanSheet) -> Figures:
 def _sign(sheet: PlanSheet) -> list[Section]:
     if not sheet.sign_slices:
         return []
-    text = (
-        f"Bronchus sign {SIGNS[sheet.plan.bronchus_sign]} ({sheet.plan.sign_branch}). The cross marks where it shows."
-    )
+    text = f"Bronchus sign: {sheet.plan.sign_words}. The cross marks where it shows."
     figures = tuple(Figure(slice_drawing(one)) for one in sheet.sign_slices)
     return [Section("bronchus-sign", "Bronchus sign", (Words(text), Figures(figures, 3)))]
 

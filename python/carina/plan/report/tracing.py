@@ -4,106 +4,259 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import dataclass
 
 from carina.plan.report.colours import ACCENT, INK, LEG, PALE, QUIET, WARNING
 from carina.plan.report.drawing import Disc, Drawing, Label, LineStyle, Place, Shape, Stroke
 from carina.plan.report.plan_sheet import Fork, PlanSheet
-from carina.plan.report.wording import lines_of
+from carina.plan.report.wording import AGAINST, BOLD, lines_of, text_width
 from carina.plan.routes.main_carina import carina_words
 from carina.plan.turns.texts import joined, moves_words
 
 __all__ = ["TRACING_SIZE", "tracing_drawings"]
 
 TRACING_SIZE = (520.0, 640.0)
-"""Width and height of a page of the tracing sheet, in points; the size fits A4 and Letter."""
-MOST_FORKS = 12
-"""Largest number of forks on one page of the tracing sheet; a longer route continues on the next page."""
-SPINE, CLOCK, TEXT = 84.0, 196.0, 226.0
-"""Horizontal positions of diagram, clock faces and text from the left edge of the page, in points."""
-TOP, NOTES_MM = 62.0, 92.0
-SWAY, SWAY_MOST = 26.0, 34.0
+"""Width and height of a page of the tracing sheet, in points; the size fits A4 and Letter without a change of scale."""
+SMALL, LINE = 9.0, 11.0
+"""Smallest font size of the sheet, and the distance between lines of this size, in points.
+
+The PDF reduces the sizes of labels by a tenth, so that the smallest text on paper has at least 8 points.
+"""
+NAME, NAME_LINE = 12.0, 14.0
+"""Font size of names of branches, and the height of their line, in points."""
+LABELS, GAP = 46.0, 6.0
+"""Heights in points of the box with the lines to fill in, and of the space between two parts."""
 MOST_LINES = 7
-"""Largest number of lines of text beside a fork."""
+"""Largest number of lines of the planner's notes."""
+FREE_NOTES = 36.0
+"""Height in points that is left for handwritten notes if the page has room."""
+MOST_ROW = 78.0
+SWAY, SWAY_MOST = 22.0, 28.0
 TUBE = 10.0
-SMALL = 9.0
-"""Font size in points of the text below a name."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """Horizontal positions of diagram, clock faces and text from the left edge of the page, in points."""
+
+    spine: float | None
+    clock: float
+    text: float
+    least_row: float
+    """Least height of a row, so that clock faces and the parts of the diagram do not overlap."""
+    gap: float
+    """Space between two rows."""
+    face: float
+    """Largest radius of a clock face, whose arrow is longer by a quarter."""
+    is_short: bool = False
+    """Whether a row leaves out facts that follow from others: distance from the last fork, sides, other openings."""
+
+
+DIAGRAM = _Layout(spine=78.0, clock=170.0, text=196.0, least_row=36.0, gap=6.0, face=15.0)
+COMPACT = _Layout(spine=None, clock=17.0, text=40.0, least_row=30.0, gap=4.0, face=13.5)
+TIGHT = _Layout(spine=None, clock=14.0, text=32.0, least_row=25.0, gap=3.0, face=11.5, is_short=True)
+"""Layouts of a page: with a diagram; without it; and without facts that follow from others, for long routes."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """Row of the sheet: a fork of the route, or the place where the scope stops if ``fork`` is None."""
+
+    fork: Fork | None
+    title: str
+    right: str
+    """Text at the right edge of the line of the title: clock hour, or place of the tip."""
+    lines: tuple[tuple[str, str], ...]
+    """Lines of text with their colours."""
+
+    @property
+    def text_height(self) -> float:
+        return NAME_LINE + LINE * len(self.lines)
+
+    def height(self, layout: _Layout) -> float:
+        """Return the least height of the row, with the space below it."""
+        return max(self.text_height + layout.gap, layout.least_row)
 
 
 def tracing_drawings(sheet: PlanSheet) -> tuple[Drawing, ...]:
-    """Return the tracing sheet on as few pages as possible; empty if the plan has no route."""
+    """Return the tracing sheet on one page; empty if the plan has no route.
+
+    The diagram is left out if the text needs its room. Only text that does not fit on a page without diagram continues
+    on further pages: no text is left out or made smaller.
+    """
     if sheet.route is None:
         return ()
-    num_pages = max(math.ceil(len(sheet.forks) / MOST_FORKS), 1)
-    size = math.ceil(len(sheet.forks) / num_pages)
-    pages = [sheet.forks[n * size : (n + 1) * size] for n in range(num_pages)]
-    return tuple(_page(sheet, forks, is_last=n == num_pages - 1) for n, forks in enumerate(pages))
+    against = _against_lines(sheet)
+    for layout in (DIAGRAM, COMPACT, TIGHT):
+        rows = _rows(sheet, layout)
+        used = sum(row.height(layout) for row in rows)
+        if used + _against_height(against) <= _room(sheet):
+            return (_page(sheet, layout, against, rows),)
+    return tuple(_page(sheet, COMPACT, *part) for part in _pages(sheet, against, _rows(sheet, COMPACT)))
 
 
-def _page(sheet: PlanSheet, forks: tuple[Fork, ...], *, is_last: bool) -> Drawing:
+def _room(sheet: PlanSheet) -> float:
+    """Return the height in points between the head of a page and its notes."""
+    notes = len(_note_lines(sheet))
+    return TRACING_SIZE[1] - _head_height(sheet) - LABELS - GAP - (LINE * notes + GAP if notes else 0.0)
+
+
+def _pages(
+    sheet: PlanSheet, against: tuple[tuple[str, str], ...], rows: tuple[_Row, ...]
+) -> list[tuple[tuple[tuple[str, str], ...], tuple[_Row, ...]]]:
+    """Return the lines of reasons and the rows of each page."""
+    pages: list[tuple[list[tuple[str, str]], list[_Row]]] = [([], [])]
+    room = _room(sheet)
+    left = room - _against_height(against[:1])
+    for line in against:
+        if left < LINE:
+            pages.append(([], []))
+            left = room - _against_height(against[:1])
+        pages[-1][0].append(line)
+        left -= LINE
+    for row in rows:
+        height = row.height(COMPACT)
+        if left < height and (pages[-1][0] or pages[-1][1]):
+            pages.append(([], []))
+            left = room
+        pages[-1][1].append(row)
+        left -= height
+    return [(tuple(lines), tuple(some)) for lines, some in pages]
+
+
+def _page(sheet: PlanSheet, layout: _Layout, against: tuple[tuple[str, str], ...], rows: tuple[_Row, ...]) -> Drawing:
     width, height = TRACING_SIZE
-    notes_top = height - NOTES_MM
-    step = min((notes_top - TOP - 14.0) / (len(forks) + is_last), 74.0)
-    shapes: list[Shape] = [*_head(sheet), *_diagram(sheet, forks, step, is_last=is_last)]
-    for n, fork in enumerate(forks):
-        y = TOP + (n + 0.5) * step
+    natural = [row.height(layout) for row in rows]
+    head = _head_height(sheet)
+    top = head + _against_height(against)
+    # The rows share the free height up to a limit; handwritten notes get the rest.
+    spare = head + _room(sheet) - top - sum(natural) - FREE_NOTES
+    heights = [max(one, min(MOST_ROW, one + max(spare, 0.0) / len(rows))) for one in natural]
+    tops = [top, *(top + sum(heights[: n + 1]) for n in range(len(heights)))]
+    middles = [0.5 * (a + b) for a, b in itertools.pairwise(tops)]
+    shapes: list[Shape] = [*_head(sheet), *_against(against, head)]
+    if layout.spine is not None:
+        shapes += _diagram(sheet, rows, layout.spine, tops, middles)
+    for n, row in enumerate(rows):
+        y = middles[n]
         if n:
-            shapes.append(Stroke(((CLOCK - 22, y - 0.5 * step), (width, y - 0.5 * step)), LineStyle(PALE, 0.6)))
-        shapes += _clock_face(fork, sheet, y, min(16.0, 0.38 * step))
-        shapes += _fork_words(fork, sheet, y, step)
-    if is_last:
-        shapes += _end_words(sheet, TOP + (len(forks) + 0.5) * step)
-    shapes += _notes(sheet, notes_top)
+            left = 0.0 if layout.spine is None else layout.clock - 20.0
+            shapes.append(Stroke(((left, tops[n]), (width, tops[n])), LineStyle(PALE, 0.6)))
+        if row.fork is None:
+            shapes.append(Label((layout.clock, y + 3.0), "stop", SMALL, LEG, "middle", bold=True))
+        else:
+            shapes += _clock_face(row.fork, sheet, (layout.clock, y), min(layout.face, 0.38 * heights[n]))
+        shapes += _row_words(row, layout, y)
+    shapes += _notes(sheet, tops[-1] + GAP)
+    shapes += _labels(height - LABELS)
     return Drawing(
         width, height, tuple(shapes), "Tracing sheet: the route fork by fork, from the trachea to the target"
     )
 
 
-def _head(sheet: PlanSheet) -> list[Shape]:
-    width, _ = TRACING_SIZE
-    plan, place = sheet.plan, sheet.place
-    where = " ".join(
-        part for part in (place.lobe, f"near {place.nearest_branch}" if place.nearest_branch else "") if part
-    )
+def _head_lines(sheet: PlanSheet) -> tuple[tuple[str, str], ...]:
+    """Return the small lines of the head with their colours."""
+    plan = sheet.plan
     seen = {
         "head": "operator at the patient's head: anterior at 12, patient's right at 3",
         "facing": "operator facing the patient: posterior at 12, patient's left at 3",
     }
-    return [
-        Label((0, 14), f"{plan.nodule.words[0].upper()}{plan.nodule.words[1:]}", 12.0, LEG, bold=True),
-        Label((0, 29), where or "lobe not known", 9.5, INK),
-        Label((width, 14), f"{plan.scope.title} + {plan.tool.title}", 9.5, INK, "end", bold=True),
-        Label((width, 29), "distances along the route; zero at the main carina", 8.5, QUIET, "end"),
-        Label((0, 45), f"Clock hours: {seen[sheet.operator]}", 8.5, ACCENT),
-        Stroke(((0, 52), (width, 52)), LineStyle(INK, 0.8)),
+    texts = (
+        (f"{plan.scope.title} + {plan.tool.title}. Bronchus sign: {plan.sign_words}.", INK),
+        (f"Clock hours: {seen[sheet.operator]}. Distances: from the main carina.", ACCENT),
+    )
+    return tuple((line, colour) for text, colour in texts for line in lines_of(text, SMALL, TRACING_SIZE[0]))
+
+
+def _title_lines(sheet: PlanSheet) -> list[str]:
+    place = sheet.place
+    where = " ".join(
+        part for part in (place.lobe, f"near {place.nearest_branch}" if place.nearest_branch else "") if part
+    )
+    words = sheet.plan.nodule.words
+    title = f"{words[0].upper()}{words[1:]}, {where or 'lobe not known'}"
+    return lines_of(title, BOLD * NAME, TRACING_SIZE[0])
+
+
+def _head_height(sheet: PlanSheet) -> float:
+    return NAME_LINE * len(_title_lines(sheet)) + LINE * len(_head_lines(sheet)) + 2.0 * GAP
+
+
+def _head(sheet: PlanSheet) -> list[Shape]:
+    width, _ = TRACING_SIZE
+    titles = _title_lines(sheet)
+    under = NAME_LINE * len(titles)
+    shapes: list[Shape] = [
+        Label((0, NAME_LINE * (n + 1) - 2.0), line, NAME, LEG, bold=True) for n, line in enumerate(titles)
     ]
+    shapes += [
+        Label((0, under + LINE * (n + 1)), line, SMALL, colour) for n, (line, colour) in enumerate(_head_lines(sheet))
+    ]
+    bottom = _head_height(sheet) - GAP
+    return [*shapes, Stroke(((0, bottom), (width, bottom)), LineStyle(INK, 0.8))]
 
 
-def _diagram(sheet: PlanSheet, forks: tuple[Fork, ...], step: float, *, is_last: bool) -> list[Shape]:
+def _against_lines(sheet: PlanSheet) -> tuple[tuple[str, str], ...]:
+    """Return the lines of the reasons against the plan, with their colours."""
+    found = []
+    for reason in sheet.reasons:
+        colour = WARNING if reason.severity == "stop" else INK
+        for n, line in enumerate(lines_of(reason.words, SMALL, TRACING_SIZE[0] - 12.0)):
+            found.append((f"\u2022 {line}" if n == 0 else f"\u2007{line}", colour))
+    return tuple(found)
+
+
+def _against_height(against: tuple[tuple[str, str], ...]) -> float:
+    return NAME_LINE + LINE * len(against) + GAP if against else 0.0
+
+
+def _against(against: tuple[tuple[str, str], ...], head: float) -> list[Shape]:
+    if not against:
+        return []
+    colour = WARNING if any(one == WARNING for _, one in against) else INK
+    shapes: list[Shape] = [Label((0, head + 9.0), AGAINST, 10.0, colour, bold=True)]
+    for n, (line, shade) in enumerate(against):
+        is_first = line.startswith("\u2022 ")
+        text = line.removeprefix("\u2022 ").removeprefix("\u2007")
+        y = head + NAME_LINE + 8.0 + LINE * n
+        if is_first:
+            shapes.append(Disc((3.0, y - 3.0), 1.5, LineStyle(None, fill=shade)))
+        shapes.append(Label((10.0, y), text, SMALL, shade))
+    bottom = head + _against_height(against) - 2.0
+    return [*shapes, Stroke(((0, bottom), (TRACING_SIZE[0], bottom)), LineStyle(INK, 0.8))]
+
+
+def _rows(sheet: PlanSheet, layout: _Layout) -> tuple[_Row, ...]:
+    """Return the rows of all forks and of the place where the scope stops."""
+    return (*(_fork_row(fork, sheet, layout) for fork in sheet.forks), _end_row(sheet, layout))
+
+
+def _diagram(
+    sheet: PlanSheet, rows: tuple[_Row, ...], spine: float, tops: list[float], middles: list[float]
+) -> list[Shape]:
     """Return the shapes of the bronchial diagram; each tube leans to the side of the opening in the picture."""
-    places: list[Place] = [(SPINE, TOP - 6.0)]
-    x = SPINE
+    forks = [row.fork for row in rows if row.fork is not None]
+    places: list[Place] = [(spine, tops[0] + 7.0)]
+    x = spine
     leans = [_lean(fork, sheet) for fork in forks]
-    for n in range(len(forks) + is_last):
+    for n in range(len(rows)):
         if n:
-            x = SPINE + max(-SWAY_MOST, min(SWAY_MOST, 0.5 * (x - SPINE) + SWAY * leans[n - 1]))
-        places.append((x, TOP + (n + 0.5) * step))
-    if not is_last:
-        places.append((x, TOP + len(forks) * step))
+            x = spine + max(-SWAY_MOST, min(SWAY_MOST, 0.5 * (x - spine) + SWAY * leans[n - 1]))
+        places.append((x, middles[n]))
     stubs, names = [], []
-    for n, fork in enumerate(forks):
+    for n in range(len(forks)):
         (fx, fy), side = places[n + 1], -1.0 if leans[n] > 0.0 else 1.0
-        for k, name in enumerate(fork.others[:2]):
-            end = (fx + side * 30.0, fy + 0.30 * step - 11.0 * k)
+        step = tops[n + 1] - tops[n]
+        for k, name in enumerate(forks[n].others[:2]):
+            end = (fx + side * 24.0, fy + 0.30 * step - 11.0 * k)
             stubs.append(((fx, fy), end))
-            anchor = "start" if side > 0 else "end"
-            names.append(Label((end[0] + side * 8.0, end[1] + 3.0), _short(name), 7.5, QUIET, anchor))  # type: ignore[arg-type]
-    way = tuple(places[: len(forks) + 1 + is_last] if is_last else places)
+            names.append(_stub_name(end, side, name))
     shapes: list[Shape] = []
     for colour, extra in ((QUIET, 2.0), ("#ffffff", 0.0)):
         shapes += [Stroke(stub, LineStyle(colour, 0.6 * TUBE + extra)) for stub in stubs]
-        shapes.append(Stroke(way, LineStyle(colour, TUBE + extra)))
+        shapes.append(Stroke(tuple(places), LineStyle(colour, TUBE + extra)))
     # From each fork the route leads into the branch that is named there, so the fork's warnings colour the next piece.
-    for n, piece in enumerate(itertools.pairwise(way)):
+    for n, piece in enumerate(itertools.pairwise(places)):
         warned = n > 0 and bool(forks[n - 1].warnings)
         shapes.append(Stroke(piece, LineStyle(WARNING, 2.2, dash=(4.0, 3.5)) if warned else LineStyle(ACCENT, 2.2)))
     shapes += names
@@ -111,12 +264,16 @@ def _diagram(sheet: PlanSheet, forks: tuple[Fork, ...], step: float, *, is_last:
         drawn = bool(fork.warnings)
         shapes.append(Disc(places[n + 1], 8.0, LineStyle(WARNING if drawn else ACCENT, 1.4, fill="#ffffff")))
         x, y = places[n + 1]
-        shapes.append(Label((x, y + 3.3), str(fork.number), 9.0, WARNING if drawn else ACCENT, "middle", bold=True))
-    if is_last:
-        shapes += _target(places[-1], step)
+        shapes.append(Label((x, y + 3.3), str(fork.number), SMALL, WARNING if drawn else ACCENT, "middle", bold=True))
+    shapes += _target(places[-1], tops[-1] - tops[-2])
     if forks:
-        shapes.append(Label((SPINE - 14.0, TOP), _short(forks[0].from_name), 7.5, QUIET, "end"))
+        shapes.append(Label((spine - 12.0, tops[0] + 12.0), _short(forks[0].from_name), SMALL, QUIET, "end"))
     return shapes
+
+
+def _stub_name(end: Place, side: float, name: str) -> Label:
+    """Return the name of a branch that is not entered, beside the end of its stub."""
+    return Label((end[0] + side * 7.0, end[1] + 3.0), _short(name), SMALL, QUIET, "start" if side > 0 else "end")
 
 
 def _target(at: Place, step: float) -> list[Shape]:
@@ -137,72 +294,71 @@ def _lean(fork: Fork, sheet: PlanSheet) -> float:
     return 0.0 if hours is None else math.sin(math.radians(30.0 * hours))
 
 
-def _clock_face(fork: Fork, sheet: PlanSheet, y: float, radius: float) -> list[Shape]:
+def _clock_face(fork: Fork, sheet: PlanSheet, at: Place, radius: float) -> list[Shape]:
     """Return a clock face with the openings of a fork at their hours."""
-    shapes: list[Shape] = [Disc((CLOCK, y), radius, LineStyle(INK, 1.0, fill="#ffffff"))]
+    x, y = at
+    shapes: list[Shape] = [Disc(at, radius, LineStyle(INK, 1.0, fill="#ffffff"))]
     for hour in range(12):
         long = 0.2 if hour % 3 == 0 else 0.1
         shapes.append(
-            Stroke((_on_face(y, radius, hour, 1.0 - long), _on_face(y, radius, hour, 1.0)), LineStyle(INK, 0.6))
+            Stroke((_on_face(at, radius, hour, 1.0 - long), _on_face(at, radius, hour, 1.0)), LineStyle(INK, 0.6))
         )
     turn = fork.turn
     if turn is None:
-        shapes.append(Label((CLOCK, y + 3.5), "?", 10.0, QUIET, "middle"))
+        shapes.append(Label((x, y + 3.5), "?", 10.0, QUIET, "middle"))
         return shapes
     for other in turn.others:
         if not other.in_view:
             continue
         seen = other.hour(sheet.operator)
-        at = (CLOCK, y) if seen is None else _on_face(y, radius, seen, 0.55)
-        shapes.append(Disc(at, 0.24 * radius, LineStyle(QUIET, 0.7, fill="#ffffff")))
+        middle = at if seen is None else _on_face(at, radius, seen, 0.55)
+        shapes.append(Disc(middle, 0.24 * radius, LineStyle(QUIET, 0.7, fill="#ffffff")))
     hours = turn.clock(sheet.operator)
     if hours is None:
         if turn.straight_ahead:
-            shapes.append(Disc((CLOCK, y), 0.3 * radius, LineStyle(ACCENT, 0.8, fill=ACCENT)))
+            shapes.append(Disc(at, 0.3 * radius, LineStyle(ACCENT, 0.8, fill=ACCENT)))
         else:
-            shapes.append(Label((CLOCK, y + 3.5), "?", 10.0, WARNING, "middle"))
+            shapes.append(Label((x, y + 3.5), "?", 10.0, WARNING, "middle"))
         return shapes
-    shapes.append(Stroke((_on_face(y, radius, hours, 0.55), _on_face(y, radius, hours, 1.22)), LineStyle(ACCENT, 1.6)))
-    shapes.append(Disc(_on_face(y, radius, hours, 0.55), 0.3 * radius, LineStyle(ACCENT, 0.8, fill=ACCENT)))
+    ends = _on_face(at, radius, hours, 0.55), _on_face(at, radius, hours, 1.22)
+    shapes.append(Stroke(ends, LineStyle(ACCENT, 1.6)))
+    shapes.append(Disc(ends[0], 0.3 * radius, LineStyle(ACCENT, 0.8, fill=ACCENT)))
     return shapes
 
 
-def _on_face(y: float, radius: float, hours: float, share: float) -> Place:
+def _on_face(at: Place, radius: float, hours: float, share: float) -> Place:
     angle = math.radians(30.0 * hours)
-    return CLOCK + share * radius * math.sin(angle), y - share * radius * math.cos(angle)
+    return at[0] + share * radius * math.sin(angle), at[1] - share * radius * math.cos(angle)
 
 
-def _fork_words(fork: Fork, sheet: PlanSheet, y: float, step: float) -> list[Shape]:
-    width, _ = TRACING_SIZE
+def _fork_row(fork: Fork, sheet: PlanSheet, layout: _Layout) -> _Row:
     turn = fork.turn
     facts = [_from_carina(fork.carina_mm)]
     if turn is not None:
-        facts += [
-            f"{turn.from_fork_mm:.0f} mm past {'the last fork' if fork.number > 1 else 'the start'}",
-            f"{turn.diameter_mm:.1f} mm passes",
-        ]
-        if turn.sides:
+        if not layout.is_short:
+            facts.append(f"{turn.from_fork_mm:.0f} mm past {'the last fork' if fork.number > 1 else 'the start'}")
+        facts.append(f"{turn.diameter_mm:.1f} mm passes")
+        if turn.sides and not layout.is_short:
             facts.append(f"opens {' and '.join(turn.sides)}")
         if turn.through:
             facts.append(f"just past {joined(turn.through)}")
-    said = [(line, INK) for line in lines_of(", ".join(facts), SMALL, width - TEXT)]
-    if turn is not None and turn.moves is not None:
-        said += [(line, QUIET) for line in lines_of(moves_words(turn.moves), SMALL, width - TEXT)]
-    warned = [(line, WARNING) for words in fork.warnings for line in lines_of(words, SMALL, width - TEXT)]
-    room = max(int((step - 18.0) / 11.0), 1)
-    # If the text is too long, other lines are omitted, but never warnings.
-    said = said[: max(room - len(warned), 1)] + warned
-    top = y - 0.5 * (14.0 + 11.0 * len(said)) + 11.0
-    shapes: list[Shape] = [Label((TEXT, top), fork.to_name, 12.5, INK, bold=True)]
-    if turn is not None:
-        hour = turn.direction(sheet.operator)
-        shapes.append(Label((width, top), hour, 12.5, ACCENT, "end", bold=True))
-    shapes += [Label((TEXT, top + 12.0 + 11.0 * n), text, SMALL, colour) for n, (text, colour) in enumerate(said)]
-    return shapes
+        if turn.others and not layout.is_short:
+            facts.append(f"not {joined([f'{one.name} ({one.direction(sheet.operator)})' for one in turn.others])}")
+    moves = "" if turn is None or turn.moves is None else moves_words(turn.moves)
+    texts = _with_moves(", ".join(facts), moves, layout)
+    texts += [(words, WARNING) for words in fork.warnings]
+    title = fork.to_name if layout.spine is not None else f"{fork.number}. {fork.to_name}"
+    return _row(fork, title, "" if turn is None else turn.direction(sheet.operator), texts, layout)
 
 
-def _end_words(sheet: PlanSheet, y: float) -> list[Shape]:
-    width, _ = TRACING_SIZE
+def _with_moves(text: str, moves: str, layout: _Layout) -> list[tuple[str, str]]:
+    """Return a text and the moves of the hand with their colours: in one paragraph if there is no diagram."""
+    if layout.spine is None:
+        return [(f"{text}. {moves[0].upper()}{moves[1:]}" if moves else text, INK)]
+    return [(text, INK), *([(moves, QUIET)] if moves else [])]
+
+
+def _end_row(sheet: PlanSheet, layout: _Layout) -> _Row:
     route = sheet.route
     assert route is not None
     leg = route.leg
@@ -211,32 +367,71 @@ def _end_words(sheet: PlanSheet, y: float) -> list[Shape]:
         f"{sheet.plan.tool.title}: {leg.to_target_mm:.0f} mm to the target at {leg.angle_deg:.0f}\u00b0 to the airway, "
         f"{leg.in_target_mm:.0f} mm within it; {vessel}"
     )
-    lines = lines_of(text, SMALL, width - TEXT)
-    top = y - 8.0
-    shapes: list[Shape] = [
-        Stroke(((CLOCK - 22, top - 16.0), (width, top - 16.0)), LineStyle(PALE, 0.6)),
-        Label((CLOCK, top + 4.0), "stop", 9.0, LEG, "middle", bold=True),
-        Label((TEXT, top), f"Tip in {route.branch_name}", 12.5, INK, bold=True),
-        Label((width, top), route.place_words, 12.5, LEG, "end", bold=True),
+    parking = () if sheet.turns is None else sheet.turns.park_moves or ()
+    texts = _with_moves(text, moves_words(parking), layout)
+    return _row(None, f"Tip in {route.branch_name}", route.place_words, texts, layout)
+
+
+def _row(fork: Fork | None, title: str, right: str, texts: list[tuple[str, str]], layout: _Layout) -> _Row:
+    """Return a row with its texts in lines; a title that leaves no room for the text at its right is also wrapped."""
+    width = TRACING_SIZE[0] - layout.text
+    for_title = width - text_width(right, NAME, is_bold=True) - 8.0
+    name, *more = lines_of(title, BOLD * NAME, for_title) or [""]
+    lines = [(line, INK) for line in more]
+    lines += [(line, colour) for text, colour in texts for line in lines_of(text, SMALL, width)]
+    return _Row(fork, name, right, tuple(lines))
+
+
+def _row_words(row: _Row, layout: _Layout, y: float) -> list[Shape]:
+    width, _ = TRACING_SIZE
+    top = y - 0.5 * row.text_height + 11.0
+    colour = LEG if row.fork is None else ACCENT
+    shapes: list[Shape] = [Label((layout.text, top), row.title, NAME, INK, bold=True)]
+    if row.right:
+        shapes.append(Label((width, top), row.right, NAME, colour, "end", bold=True))
+    shapes += [
+        Label((layout.text, top + 12.0 + LINE * n), text, SMALL, shade) for n, (text, shade) in enumerate(row.lines)
     ]
-    return shapes + [Label((TEXT, top + 12.0 + 11.0 * n), line, SMALL, INK) for n, line in enumerate(lines)]
+    return shapes
+
+
+def _note_lines(sheet: PlanSheet) -> list[str]:
+    lines = [line for note in sheet.notes for line in lines_of(note, SMALL, TRACING_SIZE[0] - 52.0)]
+    if len(lines) > MOST_LINES:
+        lines = [*lines[: MOST_LINES - 1], "\u2026 all notes are in the report"]
+    return lines
 
 
 def _notes(sheet: PlanSheet, top: float) -> list[Shape]:
+    """Return the planner's notes from ``top`` on, and lines for handwritten notes in the free room below them."""
     width, height = TRACING_SIZE
+    bottom = height - LABELS - GAP
+    lines = _note_lines(sheet)
+    if bottom - top < LINE:
+        return []
     shapes: list[Shape] = [
-        Stroke(((0, top), (width, top), (width, height - 1), (0, height - 1)), LineStyle(INK, 0.8), closed=True),
-        Label((6, top + 12), "Notes", 8.5, QUIET, bold=True),
+        Stroke(((0, top), (width, top)), LineStyle(INK, 0.8)),
+        Label((0, top + LINE), "Notes", SMALL, QUIET, bold=True),
     ]
-    lines = [line for note in sheet.notes for line in lines_of(note, 8.5, width - 50.0)]
-    if len(lines) > MOST_LINES:
-        lines = [*lines[: MOST_LINES - 1], "\u2026 all notes are in the report"]
-    shapes += [Label((44, top + 12 + 11.0 * n), line, 8.5, INK) for n, line in enumerate(lines)]
-    first = top + 18.0 + 11.0 * len(lines)
-    while first < height - 14.0:
+    shapes += [Label((40, top + LINE * (n + 1)), line, SMALL, INK) for n, line in enumerate(lines)]
+    first = top + LINE * max(len(lines), 1) + 4.0 + 16.0
+    while first < bottom - 4.0:
+        shapes.append(Stroke(((0, first), (width, first)), LineStyle(PALE, 0.5)))
         first += 16.0
-        if first < height - 6.0:
-            shapes.append(Stroke(((6, first), (width - 6, first)), LineStyle(PALE, 0.5)))
+    return shapes
+
+
+def _labels(top: float) -> list[Shape]:
+    """Return the box with the places to write patient label, instrument and date."""
+    width, height = TRACING_SIZE
+    bottom = height - 1.0
+    shapes: list[Shape] = [
+        Stroke(((0, top), (width, top), (width, bottom), (0, bottom)), LineStyle(INK, 0.8), closed=True)
+    ]
+    for left, name in ((0.0, "Patient label"), (0.46 * width, "Bronchoscope, serial number"), (0.8 * width, "Date")):
+        if left:
+            shapes.append(Stroke(((left, top), (left, bottom)), LineStyle(INK, 0.8)))
+        shapes.append(Label((left + 5.0, top + LINE), name, SMALL, QUIET, bold=True))
     return shapes
 
 
@@ -245,4 +440,4 @@ def _from_carina(mm: float | None) -> str:
 
 
 def _short(name: str) -> str:
-    return name if len(name) <= 14 else name[:13] + "\u2026"
+    return name if len(name) <= 10 else name[:9] + "\u2026"

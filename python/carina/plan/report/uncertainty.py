@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from carina.plan.reasons import BY_HAND
 from carina.plan.routes.needle_hits import NeedleErrors
 from carina.plan.routes.plan_route import Plan, PlannedRoute
 from carina.plan.routes.ranking import MEDIASTINUM_MM
 from carina.plan.routes.standing_points import branch_title
-from carina.plan.targets.edits import BRUSHED, RESIZED, SPHERE
 from carina.plan.targets.grow_nodule import Nodule
 from carina.plan.turns.turn_list import TurnList
 from carina.plan.verdict.verdict import Verdict
@@ -17,8 +17,6 @@ __all__ = ["by_hand", "doubt_words", "movement_words", "uncertain"]
 
 THICK_MM = 1.5
 """Distance in mm between slices above which small airways are hidden and boundaries blurred."""
-BY_HAND = (BRUSHED, RESIZED, SPHERE)
-"""Notes of a target whose boundary was drawn by hand."""
 
 
 def movement_words(plan: Plan) -> str:

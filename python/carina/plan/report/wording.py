@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from carina.plan.routes.plan_route import BronchusSign
-
 __all__ = [
+    "AGAINST",
     "NOT_A_DEVICE",
-    "SIGNS",
     "carina_cell",
     "lines_of",
     "per_cent",
@@ -14,13 +12,25 @@ __all__ = [
 ]
 
 NOT_A_DEVICE = "Not a medical device."
-SIGNS: dict[BronchusSign, str] = {
-    "into": "positive: an airway leads into the target",
-    "beside": "an airway lies against the target",
-    "none": "negative: no airway found leads to the target",
-}
-AVERAGE_ADVANCE = 0.52
-"""Average width of a character as a share of the font size, in the fonts of the HTML page and the PDF."""
+AGAINST = "Against this plan, and its limits"
+"""Heading of the list of reasons against a plan."""
+# fmt: off
+ADVANCES = (
+    32, 40, 46, 84, 64, 95, 78, 27, 39, 39, 50, 84, 32, 36, 32, 34, 64, 64, 64, 64, 64, 64, 64, 64,
+    64, 64, 34, 34, 84, 84, 84, 56, 102, 68, 69, 72, 77, 67, 61, 78, 75, 29, 50, 67, 56, 86, 75, 79,
+    67, 79, 72, 67, 61, 73, 68, 99, 69, 67, 69, 39, 34, 39, 84, 56, 50, 61, 63, 55, 63, 62, 35, 63,
+    63, 28, 28, 58, 28, 97, 63, 61, 63, 63, 41, 52, 39, 63, 59, 82, 59, 59, 52, 64, 34, 64, 84,
+)
+# fmt: on
+"""Widths of the characters from space to ``~`` in hundredths of the font size.
+
+Each is that of the wider one of Helvetica and Bitstream Vera Sans, the PDF's font, which is as wide as DejaVu Sans.
+"""
+OTHER_ADVANCE, WIDE_ADVANCE = 0.7, 1.0
+"""Widths of other characters as shares of the font size; the second one is that of East Asian characters."""
+FIRST_WIDE = 0x2E80
+BOLD = 1.16
+"""Width of bold text as a share of that of plain text."""
 
 
 def carina_cell(mm: float | None) -> str:
@@ -43,9 +53,17 @@ def per_cent(share: float | None) -> str:
     return "not calculated" if share is None else f"{100.0 * share:.0f} %"
 
 
-def text_width(text: str, size: float) -> float:
-    """Return the approximate width of a line of text, in the unit of its font size."""
-    return AVERAGE_ADVANCE * size * len(text)
+def text_width(text: str, size: float, *, is_bold: bool = False) -> float:
+    """Return the width of a line of text, in the unit of its font size; no font of a report is wider."""
+    return size * sum(map(_advance, text)) * (BOLD if is_bold else 1.0)
+
+
+def _advance(letter: str) -> float:
+    """Return the width of a character as a share of the font size."""
+    at = ord(letter) - 32
+    if 0 <= at < len(ADVANCES):
+        return 0.01 * ADVANCES[at]
+    return WIDE_ADVANCE if ord(letter) >= FIRST_WIDE else OTHER_ADVANCE
 
 
 def lines_of(text: str, size: float, width: float) -> list[str]:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 
+from carina.display import one_line
 from carina.errors import UsageError
 from carina.plan.instruments.tools import ONLY_BRUSH, Tool, passing_needle
 from carina.plan.routes.standing_points import NearestPlace
@@ -13,7 +17,7 @@ from carina.track import Airways
 from carina.volume import Volume
 from carina.volume.point_check import check_in_volume
 
-__all__ = ["check_target", "notes_of_target", "notes_of_tools", "why_none"]
+__all__ = ["LostAirway", "check_target", "lost_airway", "notes_of_target", "notes_of_tools", "why_none"]
 
 LOST_MM = 40.0
 """Largest distance in mm from the target at which an airway that the search lost may lead closer."""
@@ -21,6 +25,33 @@ LOST_KINDS = {"lost", "blocked", "stump", "filled", "leak", "volume"}
 LOBES = {"RUL", "RML", "RLL", "LUL", "LML", "LLL"}
 LUNG_HU = -860.0
 NUM_SAMPLES = 400
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class LostAirway:
+    """Place near a target at which the search lost an airway that may lead to the target."""
+
+    gap_mm: float
+    """Distance in mm from the place to the target's edge."""
+    reason: str
+    """Reason why the search ended there."""
+
+    @property
+    def words(self) -> str:
+        """Place as text, such as *the tree is lost 16 mm short of the target: lost here, 3.3 mm wide*."""
+        return f"{self.short_words}: {self.reason}"
+
+    @property
+    def short_words(self) -> str:
+        """Place as text without the reason."""
+        if self.gap_mm < 0.5:
+            return "the tree is lost at the target"
+        return f"the tree is lost {self.gap_mm:.0f} mm short of the target"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the place as plain JSON types."""
+        return {"gap_mm": self.gap_mm, "reason": self.reason, "words": self.words}
 
 
 def check_target(volume: Volume, airways: Airways, nodule: Nodule) -> None:
@@ -64,7 +95,10 @@ def notes_of_target(volume: Volume, airways: Airways, nodule: Nodule, nearest: N
         )
     if "edge of the CT" in nodule.touches:
         found.append("the CT ends within the target: the size of the target and what lies beyond it are not known")
-    found += _lost_airways(airways, nodule, nearest)
+    lost = lost_airway(airways, nodule, nearest)
+    if lost is not None:
+        found.append(lost.words)
+    found += _absent_lobes(airways, nodule)
     return tuple(found)
 
 
@@ -98,7 +132,7 @@ def why_none(airways: Airways, nodule: Nodule, nearest: NearestPlace | None, too
         return "no route: the airway tree has no branches; find the airways first"
     place = f"{nearest.branch_name}, {nearest.gap_mm:.0f} mm from the nodule"
     add = "If the CT shows a closer airway, add it to the tree and plan again; "
-    if _lost_airways(airways, nodule, nearest):
+    if lost_airway(airways, nodule, nearest) is not None or _absent_lobes(airways, nodule):
         add = "Check where the airway was lost, extend or bridge it if the CT allows, and plan again; "
     if not tool.pierces:
         return (
@@ -116,23 +150,35 @@ def why_none(airways: Airways, nodule: Nodule, nearest: NearestPlace | None, too
     )
 
 
-def _lost_airways(airways: Airways, nodule: Nodule, nearest: NearestPlace | None) -> list[str]:
-    """Return notes on airways that the search lost near the target, and on lobes without any airway."""
-    found = []
+def lost_airway(airways: Airways, nodule: Nodule, nearest: NearestPlace | None) -> LostAirway | None:
+    """Return the place nearest to a target at which the search lost an airway; None if no such place matters.
+
+    Parameters
+    ----------
+    airways, nodule
+        The airways, and the nodule of the target.
+    nearest
+        Place in the airways nearest to the target; None if there is none.
+    """
     lost = [one for one in airways.uncertain if one.kind in LOST_KINDS and one.branch_id is not None]
-    if lost:
-        gaps = nodule.distance_mm(np.array([one.lps for one in lost]))
-        n = int(np.argmin(gaps))
-        # A lost airway does not matter if another airway comes more than 10 mm closer.
-        if gaps[n] <= LOST_MM and (nearest is None or gaps[n] <= nearest.gap_mm + 10.0):
-            found.append(f"an airway ends {gaps[n]:.0f} mm from the target: {lost[n].reason}")
+    if not lost:
+        return None
+    gaps = nodule.distance_mm(np.array([one.lps for one in lost]))
+    n = int(np.argmin(gaps))
+    # A lost airway does not matter if another airway comes more than 10 mm closer.
+    if gaps[n] > LOST_MM or (nearest is not None and gaps[n] > nearest.gap_mm + 10.0):
+        return None
+    return LostAirway(max(float(gaps[n]), 0.0), lost[n].reason)
+
+
+def _absent_lobes(airways: Airways, nodule: Nodule) -> list[str]:
+    """Return notes on the lobes of the target's side in which the search found no airway."""
     is_left = nodule.centre_lps[0] > float(airways.tree.root.points[-1][0])
-    found += [
+    return [
         absence.words
         for absence in airways.absent
         if absence.name in LOBES and absence.name.startswith("L" if is_left else "R")
     ]
-    return found
 
 
 def _mean_hu(volume: Volume, nodule: Nodule) -> float | None:

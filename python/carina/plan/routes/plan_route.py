@@ -32,7 +32,14 @@ from carina.plan.routes.attainable_directions import StandingPlace, TipDirection
 from carina.plan.routes.last_leg import LastLeg, NeedleScene, leg_as_aimed, where_it_may_have_moved, with_errors
 from carina.plan.routes.main_carina import DistanceOrigin, distance_origin
 from carina.plan.routes.needle_hits import NeedleErrors
-from carina.plan.routes.no_route_reasons import check_target, notes_of_target, notes_of_tools, why_none
+from carina.plan.routes.no_route_reasons import (
+    LostAirway,
+    check_target,
+    lost_airway,
+    notes_of_target,
+    notes_of_tools,
+    why_none,
+)
 from carina.plan.routes.predictors import RoutePredictors, route_predictors
 from carina.plan.routes.ranking import Demands, Judge, Outlook, ScoreWeights, bending_mm, order
 from carina.plan.routes.route_width import Fit, RouteWidth, matches_tree
@@ -237,6 +244,17 @@ class Plan(Tabular):
     """
     doubts: tuple[TargetDoubt, ...] = ()
     """Reasons for which the target may not be a nodule; the caller has confirmed all of them."""
+    lost: LostAirway | None = None
+    """Place near the target at which the search lost an airway; None if there is none."""
+
+    @property
+    def sign_words(self) -> str:
+        """Bronchus sign as text, such as *an airway leads into the target (RB4a)*."""
+        if self.bronchus_sign == "none":
+            return "no airway found" + ("" if self.lost is None else f"; {self.lost.short_words}")
+        named = "" if self.sign_branch is None else f" ({self.sign_branch})"
+        where = {"into": "leads into", "beside": "lies against"}[self.bronchus_sign]
+        return f"an airway {where} the target{named}"
 
     def __post_init__(self) -> None:
         """Raise an error if a field of this `Plan` has an invalid value."""
@@ -259,6 +277,7 @@ class Plan(Tabular):
             errors=instance(NeedleErrors, "create a carina.plan.NeedleErrors"),
             carina_ridge_mm=number_from(-1000.0, 1000.0, optional=True, unit="mm"),
             doubts=each(instance(TargetDoubt, "get them from carina.plan.target_doubts")),
+            lost=instance(LostAirway, "get one from carina.plan_route", optional=True),
         )
 
     def _columns(self) -> Columns:
@@ -303,12 +322,14 @@ class Plan(Tabular):
             "weights": self.weights.to_json(),
             "bronchus_sign": self.bronchus_sign,
             "sign_branch": self.sign_branch,
+            "sign_words": self.sign_words,
             "sign_lps": None if self.sign_lps is None else list(self.sign_lps),
             "moved_mm": self.moved_mm,
             "carina_ridge_mm": self.carina_ridge_mm,
             "routes": [route.to_json() for route in self.routes],
             "why": self.why,
             "nearest": None if self.nearest is None else self.nearest.to_json(),
+            "lost": None if self.lost is None else self.lost.to_json(),
             "notes": list(self.notes),
         }
 
@@ -479,6 +500,7 @@ def draft_plan(
         nearest=nearest,
         errors=errors or NeedleErrors(),
         carina_ridge_mm=origin.ridge_beyond_axes_mm,
+        lost=lost_airway(airways, nodule, nearest),
         doubts=doubts,
     )
     return DraftPlan(plan, judge, wall, scene, spares)

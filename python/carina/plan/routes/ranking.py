@@ -200,7 +200,12 @@ class Judge:
 
     def _depth(self, leg: LastLeg) -> tuple[float, str]:
         spare = self.reach_mm - leg.to_target_mm
-        return _share(spare / DEPTH_SIGMA_MM), f"the tool reaches no more than {spare:.1f} mm beyond the target's edge"
+        words = (
+            f"the tool reaches no more than {spare:.1f} mm beyond the target's edge"
+            if spare >= 0.0
+            else f"the tool ends {-spare:.1f} mm before the target's edge"
+        )
+        return _share(spare / DEPTH_SIGMA_MM), words
 
     def _room(self, way: Demands) -> tuple[float, str]:
         needs = f"{self.scope.title} needs {self.scope.fit_mm:.1f} mm"

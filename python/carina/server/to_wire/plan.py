@@ -9,12 +9,14 @@ import msgspec
 import numpy as np
 
 from carina.plan import WHERE_WORDS, tools
+from carina.plan.reasons import reasons_against
 from carina.server.wire import messages as wire
 from carina.session import PlannedTarget, PlanningInfo, chosen_number, shown_surface
 from carina.typed_reading import read_plain
 
 if TYPE_CHECKING:
-    from carina.plan import Nodule, PlannedRoute, TurnList, Verdict
+    from carina.plan import Nodule, Plan, PlannedRoute, TurnList, Verdict
+    from carina.plan.reasons import Severity
 
 Value = TypeVar("Value", bound=msgspec.Struct)
 
@@ -83,6 +85,7 @@ def _target(one: PlannedTarget, info: PlanningInfo) -> wire.TargetPlan:
     doubts = _doubts(one)
     route = info.document.route
     mine = route is not None and route.target_id == one.target.target_id
+    chosen = None if plan is None or not mine else chosen_number(info.document, plan)
     return wire.TargetPlan(
         target_id=one.target.target_id,
         centre_lps=_point(lesion.nodule.centre_lps),
@@ -93,14 +96,25 @@ def _target(one: PlannedTarget, info: PlanningInfo) -> wire.TargetPlan:
         surface=_surface(lesion.nodule),
         options=lesion.options,
         moved_mm=None if plan is None else plan.moved_mm,
-        bronchus_sign=None if plan is None else plan.bronchus_sign,
+        bronchus_sign=None if plan is None else plan.sign_words,
+        reasons=() if plan is None else _reasons(plan, chosen, info),
         routes=() if plan is None else tuple(_route(route) for route in plan.routes),
         problem=None if planned is None else planned.problem,
         notes=(*lesion.nodule.notes, *(() if plan is None else plan.notes)),
         doubts=tuple(doubts.items()),
         unconfirmed=tuple(code for code in doubts if code not in lesion.target.confirmed),
-        chosen=None if plan is None or not mine else chosen_number(info.document, plan),
+        chosen=chosen,
     )
+
+
+def _reasons(plan: Plan, chosen: int | None, info: PlanningInfo) -> tuple[tuple[str, str, Severity], ...]:
+    """Return the reasons against a plan; verdicts and turns are those of the chosen route."""
+    found = (
+        reasons_against(plan)
+        if chosen is None
+        else reasons_against(plan, route=plan.routes[chosen - 1], verdicts=info.verdicts, turns=info.turns)
+    )
+    return tuple((reason.code, reason.words, reason.severity) for reason in found)
 
 
 def _doubts(one: PlannedTarget) -> dict[str, str]:

@@ -198,6 +198,13 @@ class TargetPlan(FrozenValue, frozen=True):
     moved_mm: float | None
     """Distance in mm by which the target may have moved since the CT; null without a plan."""
     bronchus_sign: Words | None
+    """Text of the bronchus sign, such as *an airway leads into the target (RB4a)*; null without a plan."""
+    reasons: tuple[tuple[Identifier, Words, Literal["stop", "caution"]], ...]
+    """Code, text and severity of everything against the plan by its chosen route, or by its best one if none is chosen.
+
+    Report and sheet list the same in the same order. *stop*: speaks against the plan by itself, shown in red.
+    *caution*: limits the plan.
+    """
     routes: tuple[RouteOffer, ...]
     problem: Words | None
     """Reason why there is no route, and advice; null if there is one."""

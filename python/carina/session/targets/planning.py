@@ -265,6 +265,7 @@ class PlanHandlers(CommandHandlers):
                 if planned.plan.routes
                 else None,
                 notes=tuple(note for note in (target.name, target.note) if note),
+                turns=case.planning.turns() if number is not None else None,
             )
 
 

@@ -5,7 +5,7 @@
 import { useId, useState } from "react";
 import { Input, Label, TextArea, TextField } from "react-aria-components";
 import { sentence } from "../../state/format";
-import { planOf, signText } from "../../state/plan";
+import { planOf } from "../../state/plan";
 import { asVec3 } from "../../state/vec";
 import type { Target, TargetPlan } from "../../wire/messages";
 import { useApp, useStation } from "../context";
@@ -48,9 +48,7 @@ export function LesionCard({ target }: { target: Target }) {
           </span>
         )}
         {target.note === "" || editing ? null : <span className="quiet lesion-note">{target.note}</span>}
-        {plan?.bronchus_sign == null ? null : (
-          <span className="quiet">Bronchus sign: {signText(plan.bronchus_sign)}</span>
-        )}
+        {plan?.bronchus_sign == null ? null : <span className="quiet">Bronchus sign: {plan.bronchus_sign}</span>}
         {plan === null ? null : <TargetDoubts target={target} plan={plan} />}
         {plan !== null && plan.unconfirmed.length > 0 ? null : plan !== null && plan.problem !== null ? (
           <span className="warning-text" data-testid="lesion-problem">

@@ -15,8 +15,8 @@ import { Icon } from "../icons";
 import { useAnswerShown } from "../PlanAnswer";
 import type { PlanSuffix } from "../workstation";
 import { OUTCOME_MARKS } from "./outcome-marks";
+import { ReasonsAgainst } from "./ReasonsAgainst";
 import { RoutePairs } from "./RoutePairs";
-import { RouteReasons } from "./RouteReasons";
 
 /** Render the planned routes of a target, with verdicts and exports. */
 export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPlan }) {
@@ -28,13 +28,13 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
       <p>
         To <strong>{target.name}</strong>
       </p>
-      {plan.problem === null || answered ? null : (
+      {answered ? null : <ReasonsAgainst reasons={plan.reasons} />}
+      {plan.problem === null || answered || plan.reasons.length > 0 ? null : (
         <p className="warning-text">
           <Icon name="warning" /> {sentence(plan.problem)}
         </p>
       )}
       {plan.routes.length === 0 ? null : <RouteTable target={target} plan={plan} />}
-      {answered ? null : <RouteReasons route={chosen} />}
       {chosen === null ? null : (
         <p className="quiet">
           Needle through{" "}
@@ -54,16 +54,6 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
         </>
       )}
       <Options target={target} plan={plan} />
-      {(answered ? [] : plan.doubts).map(([code, words]) => (
-        <p key={code} className="warning-text">
-          <Icon name="warning" /> {sentence(words)}
-        </p>
-      ))}
-      {plan.notes.map((note) => (
-        <p key={note} className="quiet">
-          {sentence(note)}
-        </p>
-      ))}
       {plan.moved_mm === null ? null : (
         <p className="quiet">
           The CT was taken at inspiration: in the procedure the target may lie up to {plan.moved_mm.toFixed(0)}
