@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from carina_bench.plan_places import PLACES, answer_at, without_contrast
 
 import carina
 from carina.errors import NoResultError
 from carina.plan import target_from_click
 from carina.volume import Volume
+from carina_bench.plan_places import PLACES, answer_at, without_contrast
 
 NAME = "QIN-LSC-0003"
 
