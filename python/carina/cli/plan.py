@@ -241,9 +241,7 @@ def lines(plan: Plan) -> list[str]:
     if plan.why is not None:
         said.append(plan.why)
     else:
-        said.append(
-            f"the CT was taken at inspiration; in the procedure the target may lie up to {plan.moved_mm:.0f} mm off"
-        )
+        said.append(plan.movement.words)
     return said
 
 

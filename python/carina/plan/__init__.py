@@ -13,6 +13,9 @@ from carina.plan.lungs.fissures import FissureBox
 from carina.plan.lungs.lobes import Lobes, lobes
 from carina.plan.lungs.tissue_near_needle import NearbyTissue, lung_surroundings, surroundings
 from carina.plan.lungs.vessels import VesselBranch, VesselTree
+from carina.plan.movement.forks import ForkShift
+from carina.plan.movement.measure import MovementMeasurement, measure_movement
+from carina.plan.movement.target_movement import MovementOrigin, TargetMovement, default_movement
 from carina.plan.reach_atlas import ReachAtlas, reach_atlas
 from carina.plan.report import PlanSheet, make_sheet, write_report
 from carina.plan.route_planner import plan_route
@@ -52,10 +55,13 @@ __all__ = [
     "DistanceOrigin",
     "DrivenRoute",
     "FissureBox",
+    "ForkShift",
     "Landmark",
     "LastLeg",
     "Lobes",
     "Move",
+    "MovementMeasurement",
+    "MovementOrigin",
     "NearVessel",
     "NearbyTissue",
     "NearestPlace",
@@ -73,6 +79,7 @@ __all__ = [
     "ReachAtlas",
     "ScoreWeights",
     "TargetDoubt",
+    "TargetMovement",
     "TargetSource",
     "Tool",
     "Turn",
@@ -87,6 +94,7 @@ __all__ = [
     "check_confirmed",
     "clock_hours",
     "condense_drive",
+    "default_movement",
     "distance_origin",
     "drive_flight",
     "ebus_landmarks",
@@ -99,6 +107,7 @@ __all__ = [
     "lobes",
     "lung_surroundings",
     "make_sheet",
+    "measure_movement",
     "moves_between",
     "nodule_from_mask",
     "place_at_start",
