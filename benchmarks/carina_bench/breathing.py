@@ -19,7 +19,6 @@ __all__ = ["Breath", "breathed", "random_breath"]
 Points = NDArray[np.float64]
 
 NUM_ITERATIONS = 12
-LUNG_HU = -500.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +41,8 @@ class Breath:
     """(n, 7) smooth variation: amplitude in mm on each axis, wave vector in 1/mm, phase."""
     table_lps: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Shift of the whole patient on the table, mm."""
-    darker_hu: float = 60.0
-    """Increase of the lung's density at expiration, HU."""
+    denser: float = 1.25
+    """Density of the lung at expiration as a multiple of that at inspiration; air and tissue stay the same."""
 
     def shifts(self, places: Points) -> Points:
         """Return the shifts (n, 3) in mm of places (n, 3) of the first CT, LPS mm."""
@@ -99,8 +98,10 @@ def breathed(volume: Volume, breath: Breath, *, noise_hu: float = 15.0, seed: in
                 break
         ijk = volume.ijk_from_lps[:3, :3] @ (goal - off).T + volume.ijk_from_lps[:3, 3:]
         values = trilinear(volume.hu_zyx, np.clip(ijk, 0.0, top))
-        lung = (values < LUNG_HU) & (values > -960.0)
-        values = np.where(lung, values + breath.darker_hu * (1.0 - (values + 960.0) / 460.0) * 2.0, values)
+        density = np.clip(values + 1000.0, 0.0, None)
+        # From 500 to 1000 HU above air the factor falls to 1, so that the order of the values stays the same.
+        factor = 1.0 + (breath.denser - 1.0) * np.clip((1000.0 - density) / 500.0, 0.0, 1.0)
+        values = np.where(density > 0.0, density * factor - 1000.0, values)
         values += rng.normal(0.0, noise_hu, values.shape)
         made[z] = np.clip(np.round(values), -1024, 3071).reshape(made.shape[1:])
     return Volume(made, volume.lps_from_ijk)

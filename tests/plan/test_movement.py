@@ -87,7 +87,7 @@ def test_shift_of_the_target_is_within_its_error_and_forks_are_within_one_millim
     shifts = np.array([fork.shift_lps for fork in found.forks if fork.is_used])
     assert len(at) >= 12
     assert np.linalg.norm(shifts - breath().shifts(at), axis=1).max() <= 1.0
-    assert found.is_target_seen and not found.notes and found.num_vessels >= 50
+    assert found.is_target_seen and not found.movement.notes and found.num_vessels >= 50
     assert np.allclose(found.second_lps, place() + np.array(movement.shift_lps) + np.array(found.carina_shift_lps))
     document = found.to_json()
     assert document["movement"]["origin"] == "measured" and len(document["forks"]) == len(found.forks)
@@ -124,7 +124,7 @@ def test_target_that_is_gone_in_the_second_ct_is_stated_and_its_shift_follows_fr
     target = ellipsoid((nodule["radius_mm"],) * 3, place())
     found = measure_movement(first, found_airways(first), target, gone, second_airways(), progress=False)
     assert not found.is_target_seen
-    assert any("not recognised in the second CT" in note for note in found.notes)
+    assert any("not recognised in the second CT" in note for note in found.movement.notes)
     off = np.array(found.movement.shift_lps) - np.array(measured().movement.shift_lps)
     assert np.linalg.norm(off) <= found.movement.error_mm
 
@@ -140,10 +140,12 @@ def test_half_of_the_chest_is_refused() -> None:
     cut = part_of(second(), 0, half, second().shape_zyx[0])
     trouble = refusal(cut, found_airways(cut))
     assert trouble.code == "movement.half-chest" and "whole chest" in str(trouble)
+    narrow = part_of(second(), 2, 0, second().shape_zyx[2] // 3)
+    assert refusal(narrow).code == "movement.half-chest"
 
 
 def test_second_ct_without_airways_is_refused() -> None:
-    empty = Volume(np.full((40, 60, 60), 40, dtype=np.int16), np.diag([3.0, 3.0, 3.0, 1.0]))
+    empty = Volume(np.full((90, 90, 90), 40, dtype=np.int16), np.diag([4.0, 4.0, 4.0, 1.0]))
     trouble = refusal(empty)
     assert trouble.code == "movement.no-airways" and "whole chest" in str(trouble)
 

@@ -561,6 +561,13 @@ export interface DismissMaskMessage {
   readonly type: "dismiss_mask";
 }
 
+/** Movement of a target that was measured from a second CT. */
+export interface MeasuredMovement {
+  readonly shift_lps: readonly [number, number, number];
+  readonly error_mm: number;
+  readonly notes?: readonly string[];
+}
+
 /** Plan the routes to a target again with other options. */
 export interface SetPlanOptionsMessage {
   readonly type: "set_plan_options";
@@ -568,9 +575,17 @@ export interface SetPlanOptionsMessage {
   readonly tool?: string;
   readonly vessel_margin_mm?: number;
   readonly moved_mm?: number | null;
+  readonly movement?: MeasuredMovement | null;
   readonly entry_mm?: number | null;
   readonly carina_depth_mm?: number | null;
   readonly target_id: string;
+}
+
+/** Measure the movement of a target from a second CT of the patient, a file, folder or case of this machine. */
+export interface MeasureMovementMessage {
+  readonly type: "measure_movement";
+  readonly target_id: string;
+  readonly path: string;
 }
 
 /** Set name, description and rank of a target. */
@@ -1513,6 +1528,7 @@ export interface PlanOptions {
   readonly tool: string;
   readonly vessel_margin_mm: number;
   readonly moved_mm: number | null;
+  readonly movement: MeasuredMovement | null;
   readonly entry_mm: number | null;
   readonly carina_depth_mm: number | null;
 }
@@ -1574,6 +1590,7 @@ export interface TargetPlan {
   readonly surface: TargetSurface;
   readonly options: PlanOptions;
   readonly moved_mm: number | null;
+  readonly movement: string | null;
   readonly bronchus_sign: string | null;
   readonly routes: readonly RouteOffer[];
   readonly problem: string | null;
@@ -1998,6 +2015,7 @@ export type ClientMessage =
   | AnswerMaskMessage
   | DismissMaskMessage
   | SetPlanOptionsMessage
+  | MeasureMovementMessage
   | DescribeTargetMessage
   | ChoosePlannedRouteMessage
   | SeeTurnMessage

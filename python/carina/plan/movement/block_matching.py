@@ -12,7 +12,7 @@ from carina.plan.cubic_box import Box, smoothed, trilinear
 from carina.plan.movement.deformation import Deformation
 from carina.volume import Volume
 
-__all__ = ["Block", "landmarks", "match_blocks"]
+__all__ = ["Block", "averaged", "landmarks", "match_blocks"]
 
 Points = NDArray[np.float64]
 Values = NDArray[np.float32]
@@ -20,6 +20,10 @@ Mask = NDArray[np.bool_]
 
 LEAST_HU, MOST_HU = -1000.0, 100.0
 """HU range that is compared; denser tissue, such as bone and contrast, counts as soft tissue."""
+AVERAGED_MM = 1.3
+"""Size of voxels that are compared, mm."""
+LEAST_CLEAR = 0.1
+"""Least variation at a place as a share of that at the clearest places."""
 LEAST_SPREAD_HU = 40.0
 """Least standard deviation of a cube's values, HU; a cube without structure has no place."""
 LUNG_HU, ROUND_MM, LEAST_LUNG = -500.0, 4.0, 0.45
@@ -38,6 +42,25 @@ class Block:
     """Distance of two compared points, mm."""
     search_mm: float
     """Largest distance from the expected place on each axis, mm."""
+
+
+def averaged(volume: Volume) -> Volume:
+    """Return a CT whose voxels of less than about 1 mm are averaged, because noise hides small vessels."""
+    num = [max(1, round(AVERAGED_MM / spacing)) for spacing in volume.spacing_mm]
+    if max(num) == 1:
+        return volume
+    nz, ny, nx = (size // n for size, n in zip(volume.shape_zyx, num[::-1], strict=True))
+    i, j, k = num
+    parts = volume.hu_zyx[: nz * k, : ny * j, : nx * i].reshape(nz, k, ny, j, nx, i)
+    total = np.zeros((nz, ny, nx), dtype=np.int32)
+    for c in range(k):
+        for b in range(j):
+            for a in range(i):
+                total += parts[:, c, :, b, :, a]
+    matrix = volume.lps_from_ijk.copy()
+    matrix[:3, 3] += matrix[:3, :3] @ (0.5 * (np.array(num) - 1.0))
+    matrix[:3, :3] *= np.array(num, dtype=np.float64)
+    return Volume((total // (i * j * k)).astype(np.int16), matrix)
 
 
 def landmarks(
@@ -83,6 +106,9 @@ def landmarks(
             peak &= clear >= np.roll(clear, way, axis=axis)
     index = np.argwhere(peak)
     index = index[np.argsort(-clear[tuple(index.T)], kind="stable")][: 20 * most]
+    if len(index):
+        strength = clear[tuple(index.T)]
+        index = index[strength >= LEAST_CLEAR * strength[len(strength) // 50]]
     places = index[:, ::-1] * box.step_mm + box.lps_from_ijk[:3, 3]
     kept: list[Points] = []
     for place in places:

@@ -19,7 +19,7 @@ from carina.argument_checks import check_arguments, function, instance
 from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, NoResultError, TrackingError
-from carina.plan.movement.block_matching import Block, landmarks, match_blocks
+from carina.plan.movement.block_matching import Block, averaged, landmarks, match_blocks
 from carina.plan.movement.deformation import Affine, Deformation, affine_fit, rigid_fit, rotation_deg
 from carina.plan.movement.forks import ForkShift, fork_points, named_forks
 from carina.plan.movement.same_patient import (
@@ -31,6 +31,7 @@ from carina.plan.movement.same_patient import (
     check_inside,
     check_motion,
     check_places,
+    check_size,
     check_structure,
     few_forks,
 )
@@ -99,8 +100,6 @@ class MovementMeasurement:
     """Rotation between both CTs, degrees."""
     is_target_seen: bool
     """Whether the target itself was found in the second CT; otherwise its shift follows from its neighbours."""
-    notes: tuple[str, ...] = ()
-    """Warnings for the user."""
 
     def to_json(self) -> dict[str, Any]:
         """Return the measurement as plain JSON types."""
@@ -114,7 +113,6 @@ class MovementMeasurement:
             "residual_mm": self.residual_mm,
             "rotation_deg": self.rotation_deg,
             "is_target_seen": self.is_target_seen,
-            "notes": list(self.notes),
         }
 
 
@@ -187,6 +185,7 @@ def measure_movement(
             on_progress(what, share)
 
     report("comparing both CTs", 0.0)
+    check_size(second_volume, fork_points(airways.tree))
     if second_airways is None:
         try:
             second_airways = find_airways(second_volume, progress=report, cancel=cancel)
@@ -202,8 +201,10 @@ def measure_movement(
     guess = Deformation(forks.first_lps[fits], (forks.second_lps - forks.first_lps)[fits], motion)
     check_inside(second_volume, place + guess.at(place[None])[0], radius_mm)
     report("matching vessels and forks", None)
-    searched = _places(volume, airways, forks, place, radius_mm)
-    matches = _matched((volume, second_volume), forks, searched, guess, check_cancelled)
+    # The voxels of both CTs are averaged to one size, so that noise does not hide small vessels.
+    first, second = averaged(volume), averaged(second_volume)
+    searched = _places(first, airways, forks, place, radius_mm)
+    matches = _matched((first, second), forks, searched, guess, check_cancelled)
     report("matching vessels and forks", None)
     check_places(matches.field.places, place)
     return _measurement(matches, place, radius_mm)
@@ -286,7 +287,7 @@ def _matched(
 ) -> _Matches:
     places = np.concatenate(searched)
     shifts, score = match_blocks(*volumes, places, guess, COARSE, report=check_cancelled)
-    check_structure(score, LEAST_SCORE)
+    check_structure(score, len(forks.names), LEAST_SCORE)
     kept = _consistent(places, shifts, score, guess.base)
     shifts, score = match_blocks(*volumes, places, kept, FINE, report=check_cancelled)
     for n in (n for n, name in enumerate(forks.names) if name in WIDE_NAMES):
@@ -329,7 +330,7 @@ def _measurement(matches: _Matches, place: Points, radius_mm: float) -> Movement
             code="movement.too-uncertain",
         )
     return MovementMeasurement(
-        movement=TargetMovement.measured(_point(moved), error),
+        movement=TargetMovement.measured(_point(moved), error, tuple(notes)),
         target_lps=_point(place),
         second_lps=_point(place + shift),
         carina_shift_lps=_point(carina_shift),
@@ -338,7 +339,6 @@ def _measurement(matches: _Matches, place: Points, radius_mm: float) -> Movement
         residual_mm=float(np.median(off)),
         rotation_deg=turn,
         is_target_seen=is_seen,
-        notes=tuple(notes),
     )
 
 
@@ -371,7 +371,7 @@ def _target_shift(
             ["the target was not recognised in the second CT; its shift follows from vessels and forks around it"],
         )
     if apart_mm <= max(between_mm, AGREE_MM):
-        return own, between_mm, True, []
+        return own, max(between_mm, apart_mm), True, []
     note = (
         f"the second CT shows the target {apart_mm:.0f} mm from the place that vessels and forks around it predict; "
         "check on its slices whether the target has changed"

@@ -6,14 +6,13 @@ import math
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
-from carina.argument_checks import check_fields, choice, lps_point, number_from
+from carina.argument_checks import check_fields, choice, each, lps_point, number_from, text_of
 from carina.display import one_line
 from carina.errors import UsageError
 
-__all__ = ["MOST_MOVED_MM", "Frame", "MovementOrigin", "TargetMovement", "default_movement", "shift_words"]
+__all__ = ["MOST_MOVED_MM", "MovementOrigin", "TargetMovement", "default_movement", "shift_words"]
 
 MovementOrigin = Literal["default", "given", "measured"]
-Frame = Literal["scanner", "carina"]
 
 LOWER_LOBE_MM, ELSEWHERE_MM = 20.0, 15.0
 """Largest distance in mm of a nodule from its place in a CT at full inspiration, in the lower lobes and elsewhere.
@@ -42,11 +41,11 @@ class TargetMovement:
     most_mm: float
     """Largest distance of the target from its place in the CT, mm; for a measured movement shift and error."""
     shift_lps: tuple[float, float, float] | None = None
-    """Measured shift from this CT to the second CT, LPS mm; None unless measured."""
+    """Measured shift from this CT to the second CT relative to the main carina, LPS mm; None unless measured."""
     error_mm: float | None = None
     """Length in mm within which the true shift lies round the measured one in 90 %; None unless measured."""
-    frame: Frame = "carina"
-    """Fixed point of the shift: the scanner, if both CTs have one frame of reference, else the main carina."""
+    notes: tuple[str, ...] = ()
+    """Warnings about the measurement, for the user."""
 
     def __post_init__(self) -> None:
         """Raise an error if a field of this `TargetMovement` has an invalid value."""
@@ -56,7 +55,7 @@ class TargetMovement:
             most_mm=number_from(0.0, 2.0 * MOST_MOVED_MM, unit="mm"),
             shift_lps=lps_point(optional=True),
             error_mm=number_from(0.0, MOST_MOVED_MM, optional=True, unit="mm"),
-            frame=choice(*get_args(Frame)),
+            notes=each(text_of(20_000)),
         )
         is_measured = self.shift_lps is not None and self.error_mm is not None
         if (self.origin == "measured") != is_measured or (self.shift_lps is None) != (self.error_mm is None):
@@ -79,10 +78,9 @@ class TargetMovement:
                 "CT taken at inspiration: in the procedure the target may lie up to "
                 f"{self.most_mm:.0f} mm from where it is shown here{given}"
             )
-        against = " relative to the main carina" if self.frame == "carina" else ""
         return (
             f"Movement of the target measured from the second CT: {shift_words(self.shift_lps)}, "
-            f"\u00b1 {self.error_mm:.0f} mm{against}"
+            f"\u00b1 {math.ceil(self.error_mm)} mm relative to the main carina"
         )
 
     @property
@@ -90,7 +88,7 @@ class TargetMovement:
         """Region in which the target may lie, such as *anywhere within 15 mm*."""
         if self.error_mm is None:
             return f"anywhere within {self.most_mm:.0f} mm"
-        return f"anywhere between its places in both CTs, \u00b1 {self.error_mm:.0f} mm"
+        return f"anywhere between its places in both CTs, \u00b1 {math.ceil(self.error_mm)} mm"
 
     def to_json(self) -> dict[str, Any]:
         """Return the movement as plain JSON types."""
@@ -99,16 +97,16 @@ class TargetMovement:
             "most_mm": self.most_mm,
             "shift_lps": None if self.shift_lps is None else list(self.shift_lps),
             "error_mm": self.error_mm,
-            "frame": self.frame if self.origin == "measured" else None,
             "words": self.words,
+            "notes": list(self.notes),
         }
 
     @classmethod
     def measured(
-        cls, shift_lps: tuple[float, float, float], error_mm: float, frame: Frame = "carina"
+        cls, shift_lps: tuple[float, float, float], error_mm: float, notes: tuple[str, ...] = ()
     ) -> TargetMovement:
         """Return a measured movement whose largest distance is the sum of the shift's length and its error."""
-        return cls("measured", math.hypot(*shift_lps) + error_mm, shift_lps, error_mm, frame)
+        return cls("measured", math.hypot(*shift_lps) + error_mm, shift_lps, error_mm, notes)
 
 
 def default_movement(lobe: str | None) -> TargetMovement:

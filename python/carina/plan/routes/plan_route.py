@@ -440,6 +440,7 @@ def draft_plan(
             *(note.words for note in airways.badges),
             *notes_of_target(volume, airways, nodule, nearest),
             *notes_of_tools(preset, used),
+            *moved.notes,
             *dict.fromkeys(route.origin.note for route in kept if route.origin.note is not None),
         ),
         aims=tuple((float(x), float(y), float(z)) for x, y, z in meant),

@@ -24,7 +24,7 @@ from carina.session.targets.retrack import needed_target
 if TYPE_CHECKING:
     from carina.track import Airways
 
-__all__ = ["PlanHandlers"]
+__all__ = ["PlanHandlers", "with_target"]
 
 
 class PlanHandlers(CommandHandlers):
@@ -70,6 +70,10 @@ class PlanHandlers(CommandHandlers):
                 raise UsageError(f"{target.name} lies in the airways: there is no needle to plan", code="plan.target")
             named = {name: getattr(command, name) for name in c.PlanOptions.__struct_fields__}
             options = c.PlanOptions(**named)
+            if options.movement is not None and options.moved_mm is not None:
+                raise UsageError(
+                    "the movement of a target is either entered or measured; leave one of them out", code="plan.range"
+                )
             if options == target.lesion.options:
                 case.planning.again()
                 return
@@ -77,7 +81,7 @@ class PlanHandlers(CommandHandlers):
             self.core.change(
                 case,
                 f"plan the way to {target.name}",
-                _with_target(document, changed),
+                with_target(document, changed),
                 gesture=("plan", target.target_id),
             )
 
@@ -96,7 +100,7 @@ class PlanHandlers(CommandHandlers):
             self.core.change(
                 case,
                 f"describe {command.called}",
-                replace(_with_target(document, changed), route=chosen),
+                replace(with_target(document, changed), route=chosen),
                 gesture=("describe", target.target_id),
             )
 
@@ -209,6 +213,7 @@ def _airways_of(case: OpenCase) -> Airways:
     return airways
 
 
-def _with_target(document: Document, changed: Target) -> Document:
+def with_target(document: Document, changed: Target) -> Document:
+    """Return a document in which a target is replaced by its changed value."""
     targets = tuple(changed if one.target_id == changed.target_id else one for one in document.targets)
     return replace(document, targets=targets)
