@@ -429,9 +429,10 @@ def test_movement_measured_from_a_second_ct_replaces_the_default_and_is_stored(c
     assert message.targets[0].movement == plan.movement.words
     with pytest.raises(UsageError, match="either entered or measured"):
         case.do(SetPlanOptions(target_id=target.target_id, moved_mm=7.0, movement=movement))
-    path = case.save(tmp_path / "moved.carina")
     case.undo()
     assert case.state.document.targets[0].lesion.options.movement is None
+    case.redo()
+    path = case.save(tmp_path / "moved.carina")
     case.close()
     with carina.Case.open(path) as again:
         assert again.state.document.targets[0].lesion.options.movement == movement

@@ -287,7 +287,7 @@ def _matched(
 ) -> _Matches:
     places = np.concatenate(searched)
     shifts, score = match_blocks(*volumes, places, guess, COARSE, report=check_cancelled)
-    check_structure(score, len(forks.names), LEAST_SCORE)
+    check_structure(score[: len(forks.names)], LEAST_SCORE)
     kept = _consistent(places, shifts, score, guess.base)
     shifts, score = match_blocks(*volumes, places, kept, FINE, report=check_cancelled)
     for n in (n for n, name in enumerate(forks.names) if name in WIDE_NAMES):
