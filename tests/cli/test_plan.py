@@ -152,6 +152,11 @@ def test_plan_without_a_route_exits_4_with_the_reason(chest, found_once, monkeyp
     [
         (["--tool", "saw"], 2, "no tool is called 'saw'"),
         (["--scope", "long"], 2, "long"),
+        (
+            ["--moved-mm", "3", "--second-ct", "other.nii.gz"],
+            2,
+            "--second-ct measures the movement that --moved-mm states",
+        ),
         (["--moved-mm", "-3"], 2, "--moved-mm: expected a number from 0 to 60 mm; found -3"),
         (["-o", "plan.txt"], 2, ".html, .pdf, .json"),
         (["--paper", "A3", "-o", "plan.pdf"], 2, "expected A4 or Letter"),
@@ -229,3 +234,24 @@ def test_plan_with_an_invalid_receiver_address_is_refused(chest, found_once, mor
     path, place = chest
     result = run(path, place, *more)
     assert result.exit_code != 0 and words in result.stderr
+
+
+def test_second_ct_states_the_measured_movement_in_terminal_and_json(chest, found_once) -> None:
+    path, place = chest
+    result = run(path, place, "--json", "--second-ct", str(path))
+    assert result.exit_code == 0, result.output
+    document = json.loads(result.stdout)
+    assert document["movement"]["origin"] == "measured" and document["movement"]["error_mm"] > 0.0
+    assert document["moved_mm"] == document["movement"]["most_mm"] < 4.0
+    assert len(document["second_ct"]["forks"]) >= 8
+    assert "second CT: " in result.stderr and "Movement of the target measured from the second CT: " in result.stderr
+
+
+def test_second_ct_that_shows_half_of_the_chest_is_refused_with_its_code(chest, found_once, tmp_path) -> None:
+    path, place = chest
+    volume = carina.open_volume(path)
+    half = tmp_path / "half.nii.gz"
+    write_grid(half, volume.hu_zyx[: len(volume.hu_zyx) // 4], volume.lps_from_ijk, what="the CT")
+    result = run(path, place, "--json", "--second-ct", str(half))
+    assert result.exit_code == 4
+    assert json.loads(result.stdout)["error"]["code"] in {"movement.half-chest", "track.no-trachea"}

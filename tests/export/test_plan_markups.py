@@ -188,7 +188,7 @@ def test_best_route_is_red_if_it_is_doubtful(tmp_path):
 
 def test_target_states_its_size_its_error_and_its_motion(written):
     words = named(written, "Targets")["controlPoints"][0]["description"]
-    for part in ("12.0 x 9.0 mm", "0.57 ml", "90 % within", "pleura", "LB3 lies against it", "up to 15 mm off"):
+    for part in ("12.0 x 9.0 mm", "0.57 ml", "90 % within", "pleura", "LB3 lies against it", "up to 15 mm from"):
         assert part in words
     assert "Not a medical device." in words
 

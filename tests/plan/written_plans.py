@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from nodules import ellipsoid
 
-from carina.plan import DistanceOrigin, Plan, tool
+from carina.plan import DistanceOrigin, Plan, TargetMovement, tool
 from carina.plan.routes.last_leg import CrossedTissue, LastLeg
 from carina.plan.routes.plan_route import PlannedRoute
 from carina.plan.routes.route_width import RouteWidth
@@ -50,7 +50,7 @@ def a_plan(*, doubts: tuple[str, ...] = (DOUBT,), aim_lps: tuple[float, float, f
         bronchus_sign="beside",
         sign_branch="LB3",
         sign_lps=(28.0, -15.0, -82.0),
-        moved_mm=15.0,
+        movement=TargetMovement("default", 15.0),
         routes=(
             _route(tree, 4, 70, "LB3", nodule.centre_lps),
             _route(tree, 9, 33, "branch 9", nodule.centre_lps, doubts=doubts),

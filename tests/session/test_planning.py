@@ -31,6 +31,7 @@ from carina.commands import (
     KeepDrive,
     MarkAt,
     MarkSphere,
+    MeasureMovement,
     OpenVolume,
     PlanningOf,
     PlanOptions,
@@ -507,3 +508,42 @@ def test_growing_a_nodule_reports_progress_and_can_be_stopped():
     assert len(bench.session._core.case.document.targets) == 1
     ended = [e for e in bench.events if isinstance(e, JobEnded)]
     assert ended[-1].outcome == "cancelled"
+
+
+def test_movement_measured_from_a_second_ct_replaces_the_default_and_is_stored(chest: Phantom, tmp_path: Path) -> None:
+    # The measurement itself is tested in tests/plan/test_movement.py; here the second CT is the CT of the case.
+    write_phantom(chest, tmp_path / "scan")
+    second = tmp_path / "scan" / "ct.nii.gz"
+    case = carina.Case.open(second)
+    case.do(AddTarget(centre_of(chest)))
+    (target,) = case.state.document.targets
+    default = case.ask(PlanningOf()).targets[0].planned.plan
+    case.do(MeasureMovement(target.target_id, str(second)))
+    (measured,) = case.state.document.targets
+    movement = measured.lesion.options.movement
+    assert np.linalg.norm(movement.shift_lps) < 0.5 and 0.0 < movement.error_mm < 4.0
+    plan = case.ask(PlanningOf()).targets[0].planned.plan
+    assert (default.movement.origin, plan.movement.origin) == ("default", "measured")
+    message = plans_message(case.ask(PlanningOf()))
+    assert message.targets[0].movement == plan.movement.words
+    with pytest.raises(UsageError, match="either entered or measured"):
+        case.do(SetPlanOptions(target_id=target.target_id, moved_mm=7.0, movement=movement))
+    case.undo()
+    assert case.state.document.targets[0].lesion.options.movement is None
+    case.redo()
+    path = case.save(tmp_path / "moved.carina")
+    case.close()
+    with carina.Case.open(path) as again:
+        assert again.state.document.targets[0].lesion.options.movement == movement
+
+
+def test_second_ct_that_is_not_comparable_changes_nothing(case: carina.Case, chest: Phantom, tmp_path: Path) -> None:
+    case.do(AddTarget(centre_of(chest)))
+    (target,) = case.state.document.targets
+    before = case.state.document
+    small = tmp_path / "small.nii.gz"
+    write_grid(small, chest.volume.hu_zyx[:20], chest.volume.lps_from_ijk, what="the CT")
+    with pytest.raises(NoResultError, match="choose a CT of the whole chest") as raised:
+        case.do(MeasureMovement(target.target_id, str(small)))
+    assert raised.value.code == "movement.half-chest"
+    assert case.state.document is before

@@ -241,6 +241,13 @@ def plan(
             help=("Distance the target may have moved since the CT (default: 20 mm in a lower lobe, 15 mm elsewhere)."),
         ),
     ] = None,
+    second_ct: Annotated[
+        Path | None,
+        typer.Option(
+            "--second-ct",
+            help="CT of the same patient in another breath (DICOM folder, NIfTI or case) to measure the movement.",
+        ),
+    ] = None,
     carina_depth_mm: Annotated[
         float | None,
         typer.Option(
@@ -317,6 +324,7 @@ def plan(
                 tool=tool,
                 vessel_margin_mm=vessel_margin_mm,
                 moved_mm=moved_mm,
+                second_ct=second_ct,
                 carina_depth_mm=carina_depth_mm,
                 confirm=confirm,
                 all_scopes=all_scopes,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +18,14 @@ from carina.disk import ScratchFolder
 from carina.errors import NoResultError, UsageError
 from carina.export import PLAN_FORMATS, check_plan_file, export_plan, send_plan, write_plan_pdf
 from carina.plan import (
+    MovementMeasurement,
     Plan,
     PlannedRoute,
     PlanTarget,
     Verdict,
     judge_pairs,
     judge_scopes,
+    measure_movement,
     scope_from_file,
     target_from_click,
     target_from_file,
@@ -39,7 +41,10 @@ from carina.session import LocalStore
 from carina.volume.point_check import check_in_volume
 
 if TYPE_CHECKING:
+    from carina.cli.console import ProgressCallback
     from carina.export.plan_dicom import Identity
+    from carina.track import Airways
+    from carina.volume import Volume
 
 __all__ = ["report"]
 
@@ -59,6 +64,7 @@ def report(
     tool: str,
     vessel_margin_mm: float,
     moved_mm: float | None,
+    second_ct: Path | None,
     carina_depth_mm: float | None,
     confirm: str | None,
     all_scopes: bool,
@@ -83,6 +89,8 @@ def report(
     check_range("--vessel-margin-mm", vessel_margin_mm, 0.0, 50.0, "mm")
     confirmed = confirmed_codes(_confirmed(confirm))
     check_range("--moved-mm", moved_mm, 0.0, 60.0, "mm")
+    if second_ct is not None and moved_mm is not None:
+        raise UsageError("--second-ct measures the movement that --moved-mm states; leave one of them out")
     check_range("--carina-depth-mm", carina_depth_mm, 0.0, 600.0, "mm")
     if not name.endswith((".html", ".pdf")):
         check_needs("a report (-o NAME.html or NAME.pdf)", tracing_sheet=kind == "tracing")
@@ -129,6 +137,7 @@ def report(
     say(f"target: {found.words}")
     for note in found.nodule.notes:
         say(f"target: {note}")
+    measured = None if second_ct is None else _measured(second_ct, source.volume, airways, found, progress)
     plan = carina.plan_route(
         source.volume,
         airways,
@@ -137,6 +146,7 @@ def report(
         tool=used,
         vessel_margin_mm=vessel_margin_mm,
         moved_mm=moved_mm,
+        movement=measured,
         wall=wall,
         confirmed=confirmed,
     )
@@ -216,9 +226,25 @@ def report(
             say(f"wrote {output}")
         if as_json:
             listed = [pair.to_json() | {"available": here is None or pair.scope.name in here} for pair in pairs]
-            judged = {"pairs": listed} if all_scopes else {}
+            judged: dict[str, Any] = {"pairs": listed} if all_scopes else {}
+            if measured is not None:
+                judged["second_ct"] = measured.to_json()
             print_json(sheet.to_json() | {"badges": source.badges.to_json()} | judged)
     return 0 if plan.routes else NoResultError.exit_code
+
+
+def _measured(
+    path: Path, volume: Volume, airways: Airways, target: PlanTarget, progress: ProgressCallback
+) -> MovementMeasurement:
+    """Return the movement of a target that is measured from a second CT or case."""
+    second = opened(path, series=None, progress=progress)
+    found = measure_movement(volume, airways, target, second.volume, second.airways(progress), progress=progress)
+    used = sum(fork.is_used for fork in found.forks)
+    say(
+        f"second CT: {used} of {len(found.forks)} named forks and {found.num_vessels} vessels near the target fit; "
+        f"median residual {found.residual_mm:.1f} mm"
+    )
+    return found
 
 
 def _confirmed(text: str | None) -> bool | tuple[str, ...]:
@@ -276,9 +302,7 @@ def lines(plan: Plan) -> list[str]:
     if any(route.predictors is not None for route in plan.routes):
         said.append(f"bifurcation angle, least diameter and curvature: {PREDICTOR_WORDS}")
     if plan.why is None:
-        said.append(
-            f"the CT was taken at inspiration; in the procedure the target may lie up to {plan.moved_mm:.0f} mm off"
-        )
+        said.append(plan.movement.words)
     return said
 
 

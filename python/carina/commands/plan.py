@@ -6,7 +6,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from carina.commands.fields import BranchId, Identifier, OwnName, PointLps
+from carina.commands.fields import BranchId, Identifier, OwnName, PathText, PointLps
 from carina.commands.tree import MAX_BRUSH_MM
 from carina.commands.value import Command, FrozenValue, LocalCommand
 from carina.value import TEXT
@@ -37,6 +37,17 @@ class ChosenPlace(FrozenValue, frozen=True):
     """Index of the aim, from 0."""
 
 
+class MeasuredMovement(FrozenValue, frozen=True):
+    """Movement of a target that was measured from a second CT."""
+
+    shift_lps: PointLps
+    """Shift from this CT to the second CT relative to the main carina, LPS mm."""
+    error_mm: Annotated[float, Meta(ge=0.0, le=60.0)]
+    """Length in mm within which the true shift lies round the measured one in 90 %."""
+    notes: Annotated[tuple[TargetNote, ...], Meta(max_length=8)] = ()
+    """Warnings about the measurement."""
+
+
 class PlanOptions(Instruments, frozen=True):
     """Instruments that shall reach a target, and conditions that reduce the score of a route."""
 
@@ -44,6 +55,8 @@ class PlanOptions(Instruments, frozen=True):
     """Distance between needle and vessel below which the vessel counts against a route."""
     moved_mm: Annotated[float, Meta(ge=0.0, le=60.0)] | None = None
     """Possible displacement of the target since the CT; null uses the default of the target's lobe."""
+    movement: MeasuredMovement | None = None
+    """Movement of the target measured from a second CT (`measure_movement`), instead of `moved_mm`."""
     entry_mm: Annotated[float, Meta(ge=0.0, le=500.0)] | None = None
     """Distance from nose or mouth to the start of the tree, in cases of earlier versions (`carina_depth_mm`)."""
     carina_depth_mm: Annotated[float, Meta(ge=0.0, le=600.0)] | None = None
@@ -59,6 +72,13 @@ class SetPlanOptions(PlanOptions, Command, frozen=True, kw_only=True):
     """Plan the routes to a target again with other options; another scope is that of the whole case (``SetScope``)."""
 
     target_id: Identifier
+
+
+class MeasureMovement(Command, frozen=True):
+    """Measure the movement of a target from a second CT of the patient, a file, folder or case of this machine."""
+
+    target_id: Identifier
+    path: PathText
 
 
 class DescribeTarget(Command, frozen=True):

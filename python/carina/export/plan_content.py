@@ -211,7 +211,7 @@ def _target_words(plan: Plan) -> str:
     if plan.why is not None:
         said.append(plan.why)
     said += [
-        f"CT at inspiration: in the procedure the target may lie up to {plan.moved_mm:.0f} mm off",
+        plan.movement.words,
         *plan.notes,
     ]
     return _sentences(said)

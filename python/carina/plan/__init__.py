@@ -13,6 +13,9 @@ from carina.plan.lungs.fissures import FissureBox
 from carina.plan.lungs.lobes import Lobes, lobes
 from carina.plan.lungs.tissue_near_needle import NearbyTissue, lung_surroundings, surroundings
 from carina.plan.lungs.vessels import VesselBranch, VesselTree
+from carina.plan.movement.forks import ForkShift
+from carina.plan.movement.measure import MovementMeasurement, measure_movement
+from carina.plan.movement.target_movement import MovementOrigin, TargetMovement, default_movement
 from carina.plan.reach_atlas import ReachAtlas, reach_atlas
 from carina.plan.report import PlanSheet, make_sheet, write_report
 from carina.plan.route_planner import plan_route
@@ -64,10 +67,13 @@ __all__ = [
     "DistanceOrigin",
     "DrivenRoute",
     "FissureBox",
+    "ForkShift",
     "Landmark",
     "LastLeg",
     "Lobes",
     "Move",
+    "MovementMeasurement",
+    "MovementOrigin",
     "NearVessel",
     "NearbyTissue",
     "NearestPlace",
@@ -86,6 +92,7 @@ __all__ = [
     "RoutePredictors",
     "ScoreWeights",
     "TargetDoubt",
+    "TargetMovement",
     "TargetSource",
     "Tool",
     "Turn",
@@ -100,6 +107,7 @@ __all__ = [
     "check_confirmed",
     "clock_hours",
     "condense_drive",
+    "default_movement",
     "distance_origin",
     "drive_flight",
     "ebus_landmarks",
@@ -112,6 +120,7 @@ __all__ = [
     "lobes",
     "lung_surroundings",
     "make_sheet",
+    "measure_movement",
     "moves_between",
     "needle_to_target_mm",
     "nodule_from_mask",

@@ -20,6 +20,8 @@ from carina.display.progress import ProgressChoice, progress_function, share_fun
 from carina.errors import UsageError, check_type
 from carina.plan.instruments.tools import DEFAULT_TOOL, Tool
 from carina.plan.instruments.tools import tool as tool_named
+from carina.plan.movement.measure import MovementMeasurement
+from carina.plan.movement.target_movement import TargetMovement
 from carina.plan.routes.needle_hits import NeedleErrors
 from carina.plan.routes.plan_route import (
     PLANNED_SCOPE,
@@ -67,6 +69,23 @@ def _check_place(where: str, name: str, value: object) -> None:
         )
 
 
+def _check_movement(where: str, name: str, value: object) -> None:
+    """Raise an error unless a value is a movement, a measurement or None."""
+    if not isinstance(value, MovementMeasurement):
+        instance(TargetMovement, "get one from carina.plan.measure_movement", optional=True)(where, name, value)
+
+
+def _movement(moved_mm: float | None, movement: TargetMovement | MovementMeasurement | None) -> TargetMovement | None:
+    """Return the movement of the arguments of `plan_route`; None if neither is given."""
+    if movement is not None and moved_mm is not None:
+        raise UsageError(
+            "movement: expected moved_mm or movement; found both; leave one of them out", code="plan.range"
+        )
+    if isinstance(movement, MovementMeasurement):
+        return movement.movement
+    return TargetMovement("given", moved_mm) if moved_mm is not None else movement
+
+
 @shows_progress
 @check_arguments(
     volume=instance(Volume, "open a volume with carina.open_volume"),
@@ -77,6 +96,7 @@ def _check_place(where: str, name: str, value: object) -> None:
     aims=lps_points(optional=True, or_one=True),
     vessel_margin_mm=number_from(0.0, 50.0, unit="mm"),
     moved_mm=number_from(0.0, 60.0, optional=True, unit="mm"),
+    movement=_check_movement,
     errors=instance(NeedleErrors, "create a carina.plan.NeedleErrors", optional=True),
     weights=instance(ScoreWeights, "create a carina.plan.ScoreWeights", optional=True),
     wall=instance(WallField, "make one with carina.wall_field", optional=True),
@@ -95,6 +115,7 @@ def plan_route(
     aims: ArrayLike | None = None,
     vessel_margin_mm: float = 3.0,
     moved_mm: float | None = None,
+    movement: TargetMovement | MovementMeasurement | None = None,
     errors: NeedleErrors | None = None,
     weights: ScoreWeights | None = None,
     wall: WallField | None = None,
@@ -123,6 +144,8 @@ def plan_route(
         Distance from the needle below which a vessel lowers the score and is listed.
     moved_mm
         Largest movement of the target since the CT; it follows from the lobe if None.
+    movement
+        Movement measured from a second CT (`carina.plan.measure_movement`), instead of ``moved_mm``.
     errors, weights
         Errors of the needle, and weights of the score.
     wall
@@ -190,7 +213,7 @@ def plan_route(
         used,
         aims=aims,
         vessel_margin_mm=vessel_margin_mm,
-        moved_mm=moved_mm,
+        movement=_movement(moved_mm, movement),
         errors=errors,
         weights=weights,
         wall=wall,

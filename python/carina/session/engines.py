@@ -13,7 +13,7 @@ from carina.plan.lungs.lung_map import map_lungs
 from carina.scopes import ScopePreset, scope_presets
 
 if TYPE_CHECKING:
-    from carina.plan import DistanceOrigin, Plan, PlanTarget, ReachAtlas, Verdict
+    from carina.plan import DistanceOrigin, MovementMeasurement, Plan, PlanTarget, ReachAtlas, Verdict
     from carina.plan.lungs.lung_map import LungMap
     from carina.render import TransferFunction
     from carina.session.scene.shown_case import SessionRenderer
@@ -66,6 +66,8 @@ class Parts:
 
     The call is ``target_from_click(volume, at_lps, target_id=, name=, airways=, wall=, progress=)``.
     """
+    measure_movement: Callable[..., MovementMeasurement] = plan.measure_movement
+    """Measures a target's movement: ``measure_movement(volume, airways, target, volume2, airways2, ...)``."""
     plan_route: Callable[..., Plan] = plan.plan_route
     """Plans the routes to a target: ``plan_route(volume, airways, target, scope=, tool=, ...)``."""
     judge_scopes: Callable[..., tuple[Verdict, ...]] = plan.judge_scopes

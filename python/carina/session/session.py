@@ -19,6 +19,7 @@ from carina.session.airways.measuring import MeasurementHandlers
 from carina.session.cases.case_list import CaseList
 from carina.session.cases.observer import ObserverHandlers
 from carina.session.cases.opening import CaseOpener
+from carina.session.cases.second_ct import SecondCtHandlers
 from carina.session.command_registry import handlers_of
 from carina.session.core import Event, SessionCore
 from carina.session.engines import Parts, RendererFactory
@@ -107,6 +108,7 @@ class Session:
         looking = LookHandlers(core)
         subjects = (
             opening, TipHandlers(core, holding), looking, RouteHandlers(core), planning, TargetHandlers(core),
+            SecondCtHandlers(core, self._saving),
             finding, editing, keys, recording,
             FlightHandlers(core, self._saving.flight_text), VerdictDriveHandlers(core),
             self._devices, holding, self._saving, self._cases, CaseQuestions(core),

@@ -563,6 +563,13 @@ export interface DismissMaskMessage {
   readonly type: "dismiss_mask";
 }
 
+/** Movement of a target that was measured from a second CT. */
+export interface MeasuredMovement {
+  readonly shift_lps: readonly [number, number, number];
+  readonly error_mm: number;
+  readonly notes?: readonly string[];
+}
+
 /** Place of the scope's tip and the aim, which the user has chosen with a pair of route and instrument. */
 export interface ChosenPlace {
   readonly branch_id: number;
@@ -577,10 +584,18 @@ export interface SetPlanOptionsMessage {
   readonly tool?: string;
   readonly vessel_margin_mm?: number;
   readonly moved_mm?: number | null;
+  readonly movement?: MeasuredMovement | null;
   readonly entry_mm?: number | null;
   readonly carina_depth_mm?: number | null;
   readonly place?: ChosenPlace | null;
   readonly target_id: string;
+}
+
+/** Measure the movement of a target from a second CT of the patient, a file, folder or case of this machine. */
+export interface MeasureMovementMessage {
+  readonly type: "measure_movement";
+  readonly target_id: string;
+  readonly path: string;
 }
 
 /** Set name, description and rank of a target. */
@@ -1020,6 +1035,7 @@ export interface PlanOptions {
   readonly tool: string;
   readonly vessel_margin_mm: number;
   readonly moved_mm: number | null;
+  readonly movement: MeasuredMovement | null;
   readonly entry_mm: number | null;
   readonly carina_depth_mm: number | null;
   readonly place: ChosenPlace | null;
@@ -1093,6 +1109,7 @@ export interface TargetPlan {
   readonly surface: TargetSurface;
   readonly options: PlanOptions;
   readonly moved_mm: number | null;
+  readonly movement: string | null;
   readonly bronchus_sign: string | null;
   readonly reasons: readonly (readonly [string, string, "caution" | "stop"])[];
   readonly routes: readonly RouteOffer[];
@@ -2072,6 +2089,7 @@ export type ClientMessage =
   | AnswerMaskMessage
   | DismissMaskMessage
   | SetPlanOptionsMessage
+  | MeasureMovementMessage
   | DescribeTargetMessage
   | ChoosePlannedRouteMessage
   | ChoosePairMessage

@@ -195,7 +195,7 @@ def _route(sheet: PlanSheet) -> list[Section]:
         (f"Vessels within {plan.vessel_margin_mm:g} mm", _vessel_words(route)),
         ("Nearest vessel", vessel),
         ("Needle passes that hit", f"{per_cent(leg.hit_share)} where the CT shows the target"),
-        ("If the target has moved", f"{per_cent(leg.hit_share_moved)}, anywhere within {plan.moved_mm:.0f} mm"),
+        ("If the target has moved", f"{per_cent(leg.hit_share_moved)}, {plan.movement.region_words}"),
     )
     first = "First route" if sheet.route_number == 1 else f"Route {sheet.route_number}"
     title = f"{first} at a glance"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from carina.plan.movement.target_movement import TargetMovement
 from carina.plan.reasons import BY_HAND
 from carina.plan.routes.needle_hits import NeedleErrors
 from carina.plan.routes.plan_route import Plan, PlannedRoute
@@ -21,10 +22,7 @@ THICK_MM = 1.5
 
 def movement_words(plan: Plan) -> str:
     """Return the sentence on every page about the movement of the target since the CT."""
-    return (
-        "CT taken at inspiration: in the procedure the target may lie up to "
-        f"{plan.moved_mm:.0f} mm from where it is shown here."
-    )
+    return f"{plan.movement.words}."
 
 
 def uncertain(
@@ -49,7 +47,7 @@ def uncertain(
     verdicts
         Verdicts of instruments on the route.
     """
-    found = [*doubt_words(plan), movement_words(plan) + _aimed_again(route), *_of_target(plan.nodule)]
+    found = [*doubt_words(plan), movement_words(plan) + _aimed_again(route, plan.movement), *_of_target(plan.nodule)]
     if route is not None:
         found += [f"{doubt}." for doubt in _doubts(route)]
         found += _of_leg(route)
@@ -91,13 +89,13 @@ def by_hand(airways: Airways, plan: Plan, route: PlannedRoute | None) -> tuple[s
     return tuple(found)
 
 
-def _aimed_again(route: PlannedRoute | None) -> str:
+def _aimed_again(route: PlannedRoute | None, movement: TargetMovement) -> str:
     if route is None or route.leg.hit_share_moved is None:
         return ""
     leg = route.leg
     return (
         f" Aimed as planned, {100 * leg.hit_share:.0f} % of needle passes hit if it has not moved and "
-        f"{100 * (leg.hit_share_moved or 0.0):.0f} % if it may lie anywhere within that distance; confirm its position "
+        f"{100 * (leg.hit_share_moved or 0.0):.0f} % if it may lie {movement.region_words}; confirm its position "
         "before each pass."
     )
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from carina.display import one_line
 from carina.plan.instruments.tools import Tool
 from carina.plan.lungs.tissue_near_needle import WALL_MM, NearbyTissue
+from carina.plan.movement.target_movement import TargetMovement
 from carina.plan.routes.needle_hits import NeedleErrors, axes_across, hit_share
 from carina.plan.targets.grow_nodule import Nodule
 from carina.scopes import WallField
@@ -297,18 +298,26 @@ def _needle_points(
     return at, points, nodule.contains(points)
 
 
-def where_it_may_have_moved(scene: NeedleScene, leg: LastLeg, moved_mm: float) -> LastLeg:
-    """Return a leg with the share of hits for a target that may be anywhere in a ball of radius ``moved_mm``.
+def where_it_may_have_moved(scene: NeedleScene, leg: LastLeg, movement: TargetMovement) -> LastLeg:
+    """Return a leg with the share of hits for a target that may be anywhere in the region of its movement.
 
     Parameters
     ----------
     scene, leg
         Nodule, tissues and needle; leg of the needle.
-    moved_mm
-        Largest movement of the target.
+    movement
+        Movement of the target. A measured target is on the line between its places in both CTs, within the error.
     """
     tip, aim = np.array(leg.tip_lps), np.array(leg.aim_lps)
-    share = hit_share(scene.nodule, tip, aim, scene.tool.reach_mm, scene.errors, moved_mm=moved_mm)
+    share = hit_share(
+        scene.nodule,
+        tip,
+        aim,
+        scene.tool.reach_mm,
+        scene.errors,
+        moved_mm=movement.most_mm if movement.error_mm is None else movement.error_mm,
+        shift_lps=movement.shift_lps,
+    )
     return replace(leg, hit_share_moved=share)
 
 

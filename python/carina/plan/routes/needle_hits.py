@@ -21,6 +21,7 @@ Points = NDArray[np.float64]
 STEP_MM = 0.5
 NUM_RINGS, NUM_ROUND = 14, 24
 NUM_WAYS, NUM_SHELLS = 96, 6
+NUM_ON_LINE, FEW_WAYS, FEW_SHELLS = 6, 32, 3
 FEW_RINGS, FEW_ROUND = 4, 8
 TIPS_AT_ONCE = 32
 
@@ -54,6 +55,7 @@ def hit_share(
     errors: NeedleErrors,
     *,
     moved_mm: float = 0.0,
+    shift_lps: tuple[float, float, float] | None = None,
 ) -> float:
     """Return the share of needle positions that go through the nodule within their reach.
 
@@ -69,6 +71,8 @@ def hit_share(
         Gaussian errors of direction and position, combined at the distance of the aim.
     moved_mm
         Radius of the ball round its place in the CT in which the nodule may be; the needle is not aimed again.
+    shift_lps
+        Shift of the nodule: the middle of the ball may be anywhere from its place in the CT to this shift.
 
     Returns
     -------
@@ -81,12 +85,16 @@ def hit_share(
         return 1.0
     along = along / distance
     sigma = math.hypot(math.radians(errors.angle_deg), errors.tip_mm / distance)
-    if moved_mm <= 0.0:
+    if moved_mm <= 0.0 and shift_lps is None:
         return _share(nodule, tip_lps[None], _cone(along, sigma, NUM_RINGS, NUM_ROUND), reach_mm)
-    ball = _fibonacci_sphere(NUM_WAYS)
+    num_ways, num_shells = (NUM_WAYS, NUM_SHELLS) if shift_lps is None else (FEW_WAYS, FEW_SHELLS)
+    ball = _fibonacci_sphere(num_ways)
     # The shells have equal volumes, so each shell has equal weight.
-    radii = moved_mm * ((np.arange(NUM_SHELLS) + 0.5) / NUM_SHELLS) ** (1.0 / 3.0)
+    radii = moved_mm * ((np.arange(num_shells) + 0.5) / num_shells) ** (1.0 / 3.0)
     shifts = (radii[:, None, None] * ball).reshape(-1, 3)
+    if shift_lps is not None:
+        line = (np.arange(NUM_ON_LINE) + 0.5)[:, None] / NUM_ON_LINE * np.array(shift_lps)
+        shifts = (line[:, None] + shifts).reshape(-1, 3)
     return _share(nodule, tip_lps - shifts, _cone(along, sigma, FEW_RINGS, FEW_ROUND), reach_mm)
 
 

@@ -28,6 +28,7 @@ from carina.display.tables import ColumnKind, Columns, Tabular, columns_of
 from carina.errors import CancelledError, UsageError
 from carina.plan.instruments.tools import Tool, tools
 from carina.plan.lungs.tissue_near_needle import surroundings
+from carina.plan.movement.target_movement import TargetMovement
 from carina.plan.routes.attainable_directions import StandingPlace, TipDirections
 from carina.plan.routes.last_leg import LastLeg, NeedleScene, leg_as_aimed, where_it_may_have_moved, with_errors
 from carina.plan.routes.main_carina import DistanceOrigin, distance_origin
@@ -223,7 +224,8 @@ class Plan(Tabular):
     """Name of the airway that shows the bronchus sign; None if no airway does."""
     sign_lps: tuple[float, float, float] | None
     """Place of the bronchus sign, LPS mm, for slices that show the sign; None without the sign."""
-    moved_mm: float
+    movement: TargetMovement
+    """Movement of the target since the CT: assumed by its lobe, given, or measured from a second CT."""
     routes: tuple[PlannedRoute, ...]
     why: str | None
     """Reason why there is no route, and what would help; None if there is a route."""
@@ -266,7 +268,7 @@ class Plan(Tabular):
             bronchus_sign=choice(*get_args(BronchusSign)),
             sign_branch=text_of(optional=True),
             sign_lps=lps_point(optional=True),
-            moved_mm=number_from(0.0, 60.0, unit="mm"),
+            movement=instance(TargetMovement, "get one from carina.plan.measure_movement"),
             routes=each(instance(PlannedRoute, "get routes from carina.plan_route")),
             why=text_of(20_000, optional=True),
             notes=each(text_of(20_000)),
@@ -279,6 +281,11 @@ class Plan(Tabular):
             doubts=each(instance(TargetDoubt, "get them from carina.plan.target_doubts")),
             lost=instance(LostAirway, "get one from carina.plan_route", optional=True),
         )
+
+    @property
+    def moved_mm(self) -> float:
+        """Largest distance of the target from its place in the CT, mm."""
+        return self.movement.most_mm
 
     def _columns(self) -> Columns:
         own: dict[str, ColumnKind] = {
@@ -325,6 +332,7 @@ class Plan(Tabular):
             "sign_words": self.sign_words,
             "sign_lps": None if self.sign_lps is None else list(self.sign_lps),
             "moved_mm": self.moved_mm,
+            "movement": self.movement.to_json(),
             "carina_ridge_mm": self.carina_ridge_mm,
             "routes": [route.to_json() for route in self.routes],
             "why": self.why,
@@ -359,7 +367,7 @@ class DraftPlan:
         assert self.scene is not None
         distance = float(np.linalg.norm(aim - tip_lps))
         leg = with_errors(self.scene, leg_as_aimed(self.scene, tip_lps, forward, tip_lps + distance * needle))
-        return _moved_leg(self.scene, leg, self.plan.moved_mm)
+        return _moved_leg(self.scene, leg, self.plan.movement)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -373,7 +381,7 @@ class PlanRequest:
     tool: Tool
     aims: ArrayLike | None = None
     vessel_margin_mm: float = 3.0
-    moved_mm: float | None = None
+    movement: TargetMovement | None = None
     errors: NeedleErrors | None = None
     weights: ScoreWeights | None = None
     wall: WallField | None = None
@@ -397,7 +405,7 @@ def draft_plan(
         As for `carina.plan_route`.
     """
     volume, airways, target, aims, wall = request.volume, request.airways, request.target, request.aims, request.wall
-    vessel_margin_mm, moved_mm, errors = request.vessel_margin_mm, request.moved_mm, request.errors
+    vessel_margin_mm, movement, errors = request.vessel_margin_mm, request.movement, request.errors
     measures, weights, confirmed = request.measures, request.weights, request.confirmed
     preset, used = request.scope, request.tool
     accepted = confirmed_codes(confirmed)
@@ -424,7 +432,7 @@ def draft_plan(
     origin = distance_origin(volume, airways)
     places = Places(airways.tree, nodule, wall, measures=measures, spacing_mm=max(volume.spacing_mm), origin=origin)
     judge = Judge(preset, vessel_margin_mm, weights or ScoreWeights(), used.reach_mm, used)
-    moved = places.moved_mm() if moved_mm is None else moved_mm
+    moved = places.default_movement() if movement is None else movement
     sign, sign_branch, sign_lps = places.bronchus_sign()
     nearest = places.nearest()
     candidates = [(n, aim) for aim in range(len(meant)) for n in places.within_reach(used, meant[aim], MOST_ANGLE_DEG)]
@@ -485,13 +493,14 @@ def draft_plan(
         bronchus_sign=sign,
         sign_branch=sign_branch,
         sign_lps=sign_lps,
-        moved_mm=moved,
+        movement=moved,
         routes=kept,
         why=None if kept else why_none(airways, nodule, nearest, used),
         notes=(
             *(note.words for note in airways.badges),
             *notes_of_target(volume, airways, nodule, nearest),
             *notes_of_tools(preset, used),
+            *moved.notes,
             *dict.fromkeys(route.origin.note for route in kept if route.origin.note is not None),
         ),
         aims=tuple((float(x), float(y), float(z)) for x, y, z in meant),
@@ -592,9 +601,9 @@ class _DraftRoute:
     asked: Demands
 
 
-def _moved_leg(scene: NeedleScene, leg: LastLeg, moved_mm: float) -> LastLeg:
+def _moved_leg(scene: NeedleScene, leg: LastLeg, movement: TargetMovement) -> LastLeg:
     """Return a leg with the share of hits if the target may have moved; 0 if no attainable direction hits."""
-    return where_it_may_have_moved(scene, leg, moved_mm) if leg.hit_share > 0.0 else replace(leg, hit_share_moved=0.0)
+    return where_it_may_have_moved(scene, leg, movement) if leg.hit_share > 0.0 else replace(leg, hit_share_moved=0.0)
 
 
 def _aims(nodule: Nodule, aims: ArrayLike | None) -> Points:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.plan.instruments.tools import Tool
+from carina.plan.movement.target_movement import TargetMovement, default_movement
 from carina.plan.routes.main_carina import ROOT, DistanceOrigin, origins_of_branches
 from carina.plan.routes.ranking import Demands, WorstValue
 from carina.plan.routes.route_width import widths_on_the_way
@@ -33,12 +34,6 @@ INTO_MM, BESIDE_MM = 0.8, 2.0
 """Largest distances in mm of a lumen from a nodule: for an airway that leads into the nodule, and for one beside it."""
 DOUBTFUL = 0.5
 """Confidence below which a branch counts as doubtful."""
-LOWER_LOBE_MM, ELSEWHERE_MM = 20.0, 15.0
-"""Largest distance in mm of a nodule from its place in a CT at full inspiration, in the lower lobes and elsewhere.
-
-The movement is 17.6 mm on average and more than 20 mm in the lower lobes (85 lesions; source: Chen et al., Chest
-2015;147:1275). The value of 15 mm elsewhere is common knowledge.
-"""
 SMOOTH_MM = 4.0
 """Half the length in mm over which a direction of the route is measured."""
 BEND_STEP_MM = 1.0
@@ -295,12 +290,10 @@ class Places(Ways):
                 return sign, branch_title(self.of_branch(n)), _point(self.points[n])  # type: ignore[return-value]
         return "none", None, None
 
-    def moved_mm(self) -> float:
-        """Return the largest distance in mm that the nodule may have moved, by the lobe of the nearest airway."""
+    def default_movement(self) -> TargetMovement:
+        """Return the movement that is assumed without a measurement, by the lobe of the nearest airway."""
         branch, _, _ = self._tree.nearest_branch(self.nodule.centre_lps)
-        lobe = branch_side_and_lobe(self._tree)[branch.id]
-        # The larger value also applies if the lobe is unknown.
-        return LOWER_LOBE_MM if lobe in {"RLL", "LLL", None} else ELSEWHERE_MM
+        return default_movement(branch_side_and_lobe(self._tree)[branch.id])
 
     def nearest(self) -> NearestPlace | None:
         """Return the place nearest to the nodule's edge; None for a tree without branches."""

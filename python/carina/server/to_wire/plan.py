@@ -96,6 +96,7 @@ def _target(one: PlannedTarget, info: PlanningInfo) -> wire.TargetPlan:
         surface=_surface(lesion.nodule),
         options=lesion.options,
         moved_mm=None if plan is None else plan.moved_mm,
+        movement=None if plan is None else plan.movement.words,
         bronchus_sign=None if plan is None else plan.sign_words,
         reasons=() if plan is None else _reasons(plan, chosen, info),
         routes=() if plan is None else tuple(_route(route) for route in plan.routes),

@@ -197,6 +197,8 @@ class TargetPlan(FrozenValue, frozen=True):
     options: PlanOptions
     moved_mm: float | None
     """Distance in mm by which the target may have moved since the CT; null without a plan."""
+    movement: Words | None
+    """Text on the movement since the CT with its origin (assumed, entered or measured); null without a plan."""
     bronchus_sign: Words | None
     """Text of the bronchus sign, such as *an airway leads into the target (RB4a)*; null without a plan."""
     reasons: tuple[tuple[Identifier, Words, Literal["stop", "caution"]], ...]

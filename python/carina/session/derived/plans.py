@@ -23,7 +23,17 @@ from carina.session.jobs.background_jobs import JobRunner
 from carina.track import Mesh, TreeMeasures, mask_mesh
 
 if TYPE_CHECKING:
-    from carina.plan import DistanceOrigin, Nodule, Plan, PlannedRoute, PlanTarget, TargetDoubt, TurnList, Verdict
+    from carina.plan import (
+        DistanceOrigin,
+        Nodule,
+        Plan,
+        PlannedRoute,
+        PlanTarget,
+        TargetDoubt,
+        TargetMovement,
+        TurnList,
+        Verdict,
+    )
     from carina.scopes import WallField
     from carina.session.derived.lungs import CaseLungs
     from carina.track import Airways
@@ -446,6 +456,7 @@ class CasePlanning:
                     tool=options.tool,
                     vessel_margin_mm=options.vessel_margin_mm,
                     moved_mm=options.moved_mm,
+                    movement=_movement_of(options),
                     aims=task.aims,
                     wall=wall,
                     measures=measures,
@@ -550,6 +561,14 @@ class CasePlanning:
             progress=attempt.progress,
             cancel=attempt.cancel,
         )
+
+
+def _movement_of(options: PlanOptions) -> TargetMovement | None:
+    """Return the measured movement of the options for the planner; None without a measurement."""
+    from carina.plan import TargetMovement
+
+    known = options.movement
+    return None if known is None else TargetMovement.measured(known.shift_lps, known.error_mm, known.notes)
 
 
 def origin_depth_mm(options: PlanOptions, origin: DistanceOrigin) -> float | None:

@@ -27,7 +27,7 @@ from carina.session.targets.retrack import needed_target
 if TYPE_CHECKING:
     from carina.track import Airways
 
-__all__ = ["PlanHandlers"]
+__all__ = ["PlanHandlers", "with_target"]
 
 
 class PlanHandlers(CommandHandlers):
@@ -76,10 +76,14 @@ class PlanHandlers(CommandHandlers):
                 raise UsageError(f"{target.name} lies in the airways: there is no needle to plan", code="plan.target")
             named = {name: getattr(command, name) for name in c.PlanOptions.__struct_fields__}
             options = c.PlanOptions(**named)
+            if options.movement is not None and options.moved_mm is not None:
+                raise UsageError(
+                    "the movement of a target is either entered or measured; leave one of them out", code="plan.range"
+                )
             if options == target.lesion.options:
                 case.planning.again()
                 return
-            changed = _with_target(document, replace(target, lesion=replace(target.lesion, options=options)))
+            changed = with_target(document, replace(target, lesion=replace(target.lesion, options=options)))
             if options.scope != target.lesion.options.scope:
                 changed = document_with_scope(changed, options.scope)
             self.core.change(
@@ -104,7 +108,7 @@ class PlanHandlers(CommandHandlers):
             self.core.change(
                 case,
                 f"describe {command.called}",
-                replace(_with_target(document, changed), route=chosen),
+                replace(with_target(document, changed), route=chosen),
                 gesture=("describe", target.target_id),
             )
 
@@ -172,7 +176,7 @@ class PlanHandlers(CommandHandlers):
                 place = c.ChosenPlace(route.branch_id, route.along_mm, route.aim)
                 options = msgspec.structs.replace(options, scope=command.scope, tool=command.tool, place=place)
                 target = replace(target, lesion=replace(target.lesion, options=options))
-            changed = replace(_with_target(document, target), route=chosen)
+            changed = replace(with_target(document, target), route=chosen)
             if command.scope != planned.plan.scope.name:
                 changed = document_with_scope(changed, command.scope)
             self.core.change(case, f"{scope_preset(command.scope).title} on the route to {target.name}", changed)
@@ -278,6 +282,7 @@ def _airways_of(case: OpenCase) -> Airways:
     return airways
 
 
-def _with_target(document: Document, changed: Target) -> Document:
+def with_target(document: Document, changed: Target) -> Document:
+    """Return a document in which a target is replaced by its changed value."""
     targets = tuple(changed if one.target_id == changed.target_id else one for one in document.targets)
     return replace(document, targets=targets)

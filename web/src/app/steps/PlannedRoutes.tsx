@@ -54,10 +54,9 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
         </>
       )}
       <Options target={target} plan={plan} />
-      {plan.moved_mm === null ? null : (
-        <p className="quiet">
-          The CT was taken at inspiration: in the procedure the target may lie up to {plan.moved_mm.toFixed(0)}
-          {"\u202f"}mm off.
+      {plan.movement === null ? null : (
+        <p className="quiet" data-testid="movement">
+          {sentence(plan.movement)}.
         </p>
       )}
     </div>
@@ -163,9 +162,10 @@ function Options({ target, plan }: { target: Target; plan: TargetPlan }) {
         title="Target may have moved, mm"
         value={plan.options.moved_mm}
         most={60}
-        placeholder={plan.moved_mm === null ? "by lobe" : `by lobe: ${plan.moved_mm.toFixed(0)}`}
-        onChange={(value) => change({ moved_mm: value })}
+        placeholder={movedPlaceholder(plan)}
+        onChange={(value) => change({ moved_mm: value, movement: null })}
       />
+      <SecondCt target={target} plan={plan} forget={() => change({ movement: null })} />
       <Millimetres
         title="Depth of the main carina at nose or mouth, mm"
         value={plan.options.carina_depth_mm}
@@ -178,6 +178,58 @@ function Options({ target, plan }: { target: Target; plan: TargetPlan }) {
         onChange={(value) => change({ carina_depth_mm: value, entry_mm: null })}
       />
     </details>
+  );
+}
+
+function movedPlaceholder(plan: TargetPlan): string {
+  if (plan.options.movement !== null) return "measured from the second CT";
+  return plan.moved_mm === null ? "by lobe" : `by lobe: ${plan.moved_mm.toFixed(0)}`;
+}
+
+/** Render the field for a second CT of the patient, from which the movement of the target is measured. */
+function SecondCt({ target, plan, forget }: { target: Target; plan: TargetPlan; forget: () => void }) {
+  const station = useStation();
+  const [path, setPath] = useState("");
+  const measure = () => {
+    if (path.trim() === "") return;
+    station.send({ type: "measure_movement", target_id: target.target_id, path: path.trim() });
+  };
+  return (
+    <>
+      <label>
+        Second CT of the patient
+        <input
+          type="text"
+          value={path}
+          placeholder="Path of a folder, file or case"
+          data-testid="second-ct"
+          onChange={(event) => setPath(event.target.value)}
+          onKeyDown={(event) => {
+            event.stopPropagation();
+            if (event.key === "Enter") measure();
+          }}
+        />
+      </label>
+      <div className="row">
+        <Act
+          kind="quiet"
+          label="Measure the movement"
+          words="Compare forks and vessels with a second CT, such as one in expiration, and plan with the target's shift"
+          disabled={path.trim() === ""}
+          testId="measure-movement"
+          onPress={measure}
+        />
+        {plan.options.movement === null ? null : (
+          <Act
+            kind="quiet"
+            label="Use the default"
+            words="Discard the measured movement and plan with the default of the target's lobe"
+            testId="forget-movement"
+            onPress={forget}
+          />
+        )}
+      </div>
+    </>
   );
 }
 

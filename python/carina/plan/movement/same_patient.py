@@ -1,0 +1,208 @@
+"""Checks whether a second CT shows the same patient in the same pose, and the whole chest with the target."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import NoResultError
+from carina.plan.movement.deformation import Affine, rotation_deg
+from carina.volume import Volume
+
+__all__ = [
+    "LEAST_RIGID",
+    "check_affine",
+    "check_extent",
+    "check_forks",
+    "check_gravity",
+    "check_inside",
+    "check_motion",
+    "check_places",
+    "check_size",
+    "check_structure",
+    "density_slope",
+    "few_forks",
+]
+
+Points = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+LEAST_RIGID, LEAST_FORKS = 5, 8
+"""Least number of forks that both trees name, and least number that fit to one motion."""
+LEAST_RIGID_SHARE = 0.6
+"""Least share of forks that follow one rigid motion within 15 mm."""
+MOST_TURN_DEG = 20.0
+"""Largest rotation between both CTs in degrees; beyond it the patient is in another pose."""
+MOST_MEDIAN_MM = 5.0
+"""Largest median distance of the forks from their affine motion, mm."""
+STRETCH = (0.7, 1.4)
+"""Least and largest stretch of the chest from the first CT to the second."""
+LEAST_INSIDE = 0.85
+"""Least share of the forks of the first CT whose expected places are inside the second CT."""
+LEAST_SIZE = 0.9
+"""Least size of the second CT on each axis as a share of the extent of the first CT's forks."""
+LEAST_FORKS_FOUND = 0.85
+"""Least share of named forks whose surroundings are found in the second CT.
+
+It is at least 0.95 in two CTs of one patient, and at most 0.8 in phantoms of two patients.
+"""
+LEAST_NEAR, NEAR_MM = 8, 45.0
+"""Least number of found places within a distance in mm of the target."""
+LEAST_SLOPE = 0.15
+"""Least increase of the lung's density in HU per mm to the lower side, from which the pose is known."""
+EVERY = 4
+
+
+def few_forks(num: int) -> NoResultError:
+    """Return the error for too few forks that both trees name."""
+    forks = "1 fork has" if num == 1 else f"{num} forks have"
+    return NoResultError(
+        f"{forks} the same name in both CTs; at least {LEAST_FORKS} are needed. Choose a thin-slice CT of the whole "
+        "chest, or correct the airways of both CTs in their cases",
+        code="movement.few-forks",
+    )
+
+
+def check_motion(rigid: Affine, fits: Mask) -> None:
+    """Raise an error if the forks do not follow one rigid motion, or if it turns the patient."""
+    turn = rotation_deg(rigid)
+    if turn > MOST_TURN_DEG and fits.sum() >= LEAST_RIGID:
+        raise NoResultError(
+            f"the patient is rotated by {turn:.0f} degrees between the CTs; in another pose, such as prone, the target "
+            "moves differently. Choose a CT in the pose of the procedure",
+            code="movement.pose",
+        )
+    if fits.mean() < LEAST_RIGID_SHARE:
+        raise _other_patient(f"only {int(fits.sum())} of {len(fits)} forks of the airways fit to one motion")
+
+
+def check_affine(motion: Affine, off_mm: Points) -> None:
+    """Raise an error if the forks do not follow one affine motion, or if the motion stretches the chest too much."""
+    median = float(np.median(off_mm))
+    stretch = np.linalg.svd(motion.matrix)[1]
+    if median > MOST_MEDIAN_MM:
+        raise _other_patient(f"the forks of the airways are {median:.0f} mm (median) from the best fit")
+    if stretch.min() < STRETCH[0] or stretch.max() > STRETCH[1]:
+        raise _other_patient("the airways differ in size")
+
+
+def check_forks(names: tuple[str, ...], fits: Mask) -> None:
+    """Raise an error if too few named forks fit to the motion."""
+    if fits.sum() < LEAST_FORKS:
+        raise few_forks(int(fits.sum()))
+    if fits.mean() < LEAST_RIGID_SHARE:
+        raise _other_patient(f"only {int(fits.sum())} of {len(names)} forks of the airways fit")
+
+
+def check_extent(first: Volume, second: Volume, motion: Affine, forks: Points) -> None:
+    """Raise an error if the second CT lacks a part of the airways of the first CT."""
+    share = float(_inside(second, forks + motion.shifts(forks)).mean()) if len(forks) else 1.0
+    if share < LEAST_INSIDE and _inside(first, forks).mean() > share:
+        raise NoResultError(
+            f"the second CT shows only {100 * share:.0f} % of the airways' forks of the first CT; choose a CT of the "
+            "whole chest",
+            code="movement.half-chest",
+        )
+
+
+def check_size(second: Volume, forks: Points) -> None:
+    """Raise an error if the second CT is smaller than the airways of the first CT."""
+    if not len(forks):
+        return
+    corners = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) * (
+        np.array(second.shape_zyx[::-1]) - 1.0
+    )
+    sizes = np.ptp(corners @ second.lps_from_ijk[:3, :3].T, axis=0)
+    needed = LEAST_SIZE * np.ptp(forks, axis=0)
+    for axis, what in enumerate(("wide", "deep", "high")):
+        if sizes[axis] < needed[axis]:
+            raise NoResultError(
+                f"the second CT is only {sizes[axis]:.0f} mm {what}, less than the airways of the first CT; choose a "
+                "CT of the whole chest",
+                code="movement.half-chest",
+            )
+
+
+def check_inside(second: Volume, place: Points, radius_mm: float) -> None:
+    """Raise an error if a target is not inside the second CT."""
+    rim = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * (radius_mm / np.sqrt(3.0) + 2.0)
+    if not _inside(second, place + rim).all():
+        raise NoResultError(
+            "the target is outside the second CT; choose a CT that includes the target", code="movement.outside"
+        )
+
+
+def check_gravity(first: Volume, second: Volume) -> None:
+    """Raise an error if the lower side of the lungs, which is denser, is the back in one CT and the front in the other.
+
+    Without a clear difference in density the pose is not known and nothing is raised.
+    """
+    here, there = density_slope(first), density_slope(second)
+    if here is None or there is None:
+        return
+    if here * there < 0.0 and min(abs(here), abs(there)) >= LEAST_SLOPE:
+        prone = "second" if there < 0.0 else "first"
+        raise NoResultError(
+            f"in the {prone} CT the front of the lungs is denser than the back: the patient lies prone there but not "
+            "in the other CT. Choose a CT in the pose of the procedure",
+            code="movement.pose",
+        )
+
+
+def density_slope(volume: Volume) -> float | None:
+    """Return the increase of the lung's density from front to back, HU per mm; None for too little lung.
+
+    The slope is fitted to the median density of thin layers.
+    """
+    values = volume.hu_zyx[::EVERY, ::EVERY, ::EVERY]
+    z, y, x = np.nonzero((values > -960) & (values < -600))
+    if len(z) < 5000:
+        return None
+    row = volume.lps_from_ijk[1]
+    height = EVERY * (row[0] * x + row[1] * y + row[2] * z) + row[3]
+    density = values[z, y, x].astype(np.float64)
+    low, high = np.quantile(height, (0.05, 0.95))
+    edges = np.linspace(low, high, 13)
+    layer = np.searchsorted(edges, height, side="right")
+    medians, middles = [], []
+    for number in range(1, 13):
+        own = density[layer == number]
+        if len(own) >= 200:
+            medians.append(float(np.median(own)))
+            middles.append(0.5 * (edges[number - 1] + edges[number]))
+    if len(medians) < 6:
+        return None
+    return float(np.polyfit(middles, medians, 1)[0])
+
+
+def check_structure(score: Points, least: float) -> None:
+    """Raise an error if the surroundings of too few named forks were found in the second CT."""
+    share = float((score >= least).mean())
+    if share < LEAST_FORKS_FOUND:
+        raise _other_patient(
+            f"the surroundings of only {100 * share:.0f} % of the named forks were found in the second CT"
+        )
+
+
+def check_places(places: Points, target: Points) -> None:
+    """Raise an error if too few places near the target were found in the second CT."""
+    num = int((np.linalg.norm(places - target, axis=1) <= NEAR_MM).sum())
+    if num < LEAST_NEAR:
+        raise NoResultError(
+            f"only {num} vessels and forks near the target were found in the second CT; the movement there is not "
+            "known. Choose a CT with thinner slices or less motion",
+            code="movement.too-uncertain",
+        )
+
+
+def _other_patient(why: str) -> NoResultError:
+    return NoResultError(
+        f"the second CT does not seem to show the same patient: {why}. Choose another CT, or check the airways of both",
+        code="movement.other-patient",
+    )
+
+
+def _inside(volume: Volume, places: Points) -> Mask:
+    ijk = places @ volume.ijk_from_lps[:3, :3].T + volume.ijk_from_lps[:3, 3]
+    top = np.array(volume.shape_zyx[::-1]) - 1.0
+    return np.asarray(((ijk >= 0.0) & (ijk <= top)).all(axis=1))
