@@ -238,7 +238,9 @@ def _measured(
 ) -> MovementMeasurement:
     """Return the movement of a target that is measured from a second CT or case."""
     second = opened(path, series=None, progress=progress)
-    found = measure_movement(volume, airways, target, second.volume, second.airways(progress), progress=progress)
+    # The airways of a scan are found only after the checks of its size.
+    known = None if second.document is None else second.airways(progress)
+    found = measure_movement(volume, airways, target, second.volume, known, progress=progress)
     used = sum(fork.is_used for fork in found.forks)
     say(
         f"second CT: {used} of {len(found.forks)} named forks and {found.num_vessels} vessels near the target fit; "
