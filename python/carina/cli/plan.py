@@ -28,7 +28,9 @@ from carina.plan import (
     tool_from_file,
 )
 from carina.plan import tool as tool_named
+from carina.plan.carm import CARM_LIMITS, CArmAngles, carm_angles
 from carina.plan.report import Paper, PlanMaterials, ReportKind, whole_sheet, write_report
+from carina.plan.route_stations import STATION_NOTE, route_stations
 from carina.plan.routes.predictors import PREDICTOR_WORDS
 from carina.plan.targets.doubts import confirmed_codes
 from carina.scopes import scope_preset, scope_presets
@@ -138,6 +140,17 @@ def report(
         say(f"target: ! {doubt.words} ({doubt.code})")
     for line in lines(plan):
         say(line)
+    carm: CArmAngles | None = None
+    if plan.routes:
+        carm = carm_angles(source.volume, airways, plan)
+        for line in carm.lines:
+            say(f"C-arm on route 1: {line}")
+        say(f"C-arm: {CARM_LIMITS}")
+        for station in route_stations(airways.tree, plan, plan.routes[0]):
+            say(f"EBUS: {station.words}")
+            for text in station.landmark.doubts:
+                say(f"EBUS: ! station {station.landmark.station}: {text}")
+        say(f"EBUS: {STATION_NOTE}")
     verdicts: tuple[Verdict, ...] = ()
     if plan.routes and not plan.routes[0].origin.is_carina:
         # A depth of the carina says nothing about a route that does not pass the carina.
@@ -164,7 +177,9 @@ def report(
     if peer is not None:
         num = send_plan(plan, airways.tree, host=peer[0], port=peer[1])
         say(f"sent {num} messages to {send_to}")
-    materials = PlanMaterials(source.volume, airways, wall, plan, verdicts=verdicts, carina_depth_mm=carina_depth_mm)
+    materials = PlanMaterials(
+        source.volume, airways, wall, plan, verdicts=verdicts, carina_depth_mm=carina_depth_mm, carm=carm
+    )
     if output is not None and output.name.lower().endswith(tuple(PLAN_FORMATS)):
         export_plan(
             output,

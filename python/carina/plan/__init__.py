@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from carina.plan.carm import CARM_LIMITS, CArmAngle, CArmAngles, carm_angles, shadow_parts
 from carina.plan.ebus import EBUS_LIMITS, Landmark, clock_hours, ebus_landmarks
 from carina.plan.hand_moves import Move
 from carina.plan.instruments.scope_file import scope_from_file, scope_to_json
@@ -16,6 +17,7 @@ from carina.plan.lungs.vessels import VesselBranch, VesselTree
 from carina.plan.reach_atlas import ReachAtlas, reach_atlas
 from carina.plan.report import PlanSheet, make_sheet, write_report
 from carina.plan.route_planner import plan_route
+from carina.plan.route_stations import STATION_NOTE, RouteStation, route_stations
 from carina.plan.routes.last_leg import CrossedTissue, LastLeg, NearVessel, NeedleScene, last_leg
 from carina.plan.routes.main_carina import DistanceOrigin, distance_origin
 from carina.plan.routes.needle_hits import NeedleErrors, hit_share
@@ -44,12 +46,16 @@ if TYPE_CHECKING:
     from carina.plan.targets.from_mask import nodule_from_mask, target_from_mask
 
 __all__ = [
+    "CARM_LIMITS",
     "DEFAULT_TOOL",
     "EBUS_LIMITS",
     "PREDICTOR_SOURCE",
     "PREDICTOR_WORDS",
+    "STATION_NOTE",
     "WHERE_WORDS",
     "BronchusSign",
+    "CArmAngle",
+    "CArmAngles",
     "Check",
     "CrossedTissue",
     "DistanceOrigin",
@@ -75,6 +81,7 @@ __all__ = [
     "PlannedRoute",
     "ReachAtlas",
     "RoutePredictors",
+    "RouteStation",
     "ScoreWeights",
     "TargetDoubt",
     "TargetSource",
@@ -88,6 +95,7 @@ __all__ = [
     "VesselTree",
     "Whereabouts",
     "brushed",
+    "carm_angles",
     "check_confirmed",
     "clock_hours",
     "condense_drive",
@@ -112,9 +120,11 @@ __all__ = [
     "replay_moves",
     "resized",
     "route_predictors",
+    "route_stations",
     "scope_from_file",
     "scope_to_json",
     "search_drive",
+    "shadow_parts",
     "sphere",
     "surroundings",
     "target_doubts",

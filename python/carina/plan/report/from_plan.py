@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from carina.display import one_line
 from carina.display.progress import Progress, ProgressChoice, progress_function, shows_progress
+from carina.plan.carm import CArmAngles, carm_angles
 from carina.plan.report.plan_sheet import PlanSheet, make_sheet
 from carina.plan.routes.plan_route import Plan
 from carina.plan.turns.clips import TurnClip, turn_clips
@@ -43,6 +44,8 @@ class PlanMaterials:
     carina_depth_mm: float | None = None
     """Depth of the main carina at nose or mouth in mm, as measured by the user."""
     notes: tuple[str, ...] = ()
+    carm: CArmAngles | None = None
+    """Positions of a C-arm for the route ``route_number``; computed for the report if None."""
 
 
 @shows_progress
@@ -131,6 +134,9 @@ def whole_sheet(
                 progress=part(CLIPS_SHARE),
                 cancel=cancel,
             )
+    carm = made.carm
+    if carm is None and plan.routes:
+        carm = carm_angles(made.volume, made.airways, plan, route_number=made.route_number, cancel=cancel)
     return make_sheet(
         made.volume,
         made.airways,
@@ -144,6 +150,7 @@ def whole_sheet(
         patient=patient,
         operator=made.operator,
         wall=made.wall,
+        carm=carm,
         progress=part(1.0 - done),
         cancel=cancel,
     )
