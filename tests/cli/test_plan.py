@@ -205,3 +205,21 @@ def test_plan_with_an_invalid_receiver_address_is_refused(chest, found_once, mor
     path, place = chest
     result = run(path, place, *more)
     assert result.exit_code != 0 and words in result.stderr
+
+
+def test_compare_prints_one_order_with_its_rule_and_angles_stations_and_predictors(chest, found_once) -> None:
+    path, place = chest
+    beside = ",".join(f"{v + 1.0:.2f}" for v in place)
+    result = run(path, place, "--json", f"--compare={beside}")
+    assert result.exit_code == 0, result.output
+    document = json.loads(result.stdout)
+    assert len(document["comparison"]["targets"]) == 2
+    assert document["comparison"]["order"] in result.stderr
+    first = document["routes"][0]
+    own = [one for one in document["comparison"]["targets"] if one["narrowest_mm"] == first["narrowest_mm"]]
+    assert own
+    assert document["c_arm"]["route"] == first["key"]
+    assert "C-arm on route 1:" in result.stderr
+    assert "bifurcation angle" in result.stderr
+    assert document["ebus"]["stations"]
+    assert "EBUS: station" in result.stderr

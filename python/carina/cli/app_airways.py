@@ -255,6 +255,10 @@ def plan(
             help="Plan the target despite these doubts: codes separated by commas, such as target.tube, or all.",
         ),
     ] = None,
+    compare: Annotated[
+        list[str] | None,
+        typer.Option("--compare", help="Another target, x,y,z in mm (LPS), to compare in one table; repeatable."),
+    ] = None,
     all_scopes: Annotated[
         bool, typer.Option("--all-scopes", help="Judge every bronchoscope of the library on the first route.")
     ] = False,
@@ -310,6 +314,7 @@ def plan(
                 carina_depth_mm=carina_depth_mm,
                 confirm=confirm,
                 all_scopes=all_scopes,
+                compare=tuple(parse_point(point, "--compare") for point in compare or ()),
                 series=series,
                 ct=ct,
                 output=output,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ from carina.plan.carm import CARM_LIMITS, CArmAngles, carm_angles
 from carina.plan.report import Paper, PlanMaterials, ReportKind, whole_sheet, write_report
 from carina.plan.route_stations import STATION_NOTE, route_stations
 from carina.plan.routes.predictors import PREDICTOR_WORDS
+from carina.plan.target_comparison import ORDER_RULE, ComparedTarget, compare_targets, comparison_lines
 from carina.plan.targets.doubts import confirmed_codes
 from carina.scopes import scope_preset, scope_presets
 from carina.volume.point_check import check_in_volume
@@ -70,6 +71,7 @@ def report(
     series: str | None,
     as_json: bool,
     ct: Path | None = None,
+    compare: tuple[NDArray[np.float64], ...] = (),
 ) -> int:
     """Plan the routes to one target, print and write them; return 4 if there is no route."""
     if output is not None:
@@ -140,6 +142,30 @@ def report(
         say(f"target: ! {doubt.words} ({doubt.code})")
     for line in lines(plan):
         say(line)
+    compared: tuple[ComparedTarget, ...] = ()
+    if compare:
+        plans = [plan]
+        for point in compare:
+            check_in_volume(source.volume, point, "--compare", code="plan.point")
+            other = target_from_click(source.volume, point, airways=airways, wall=wall, progress=False)
+            plans.append(
+                carina.plan_route(
+                    source.volume,
+                    airways,
+                    other,
+                    scope=instrument,
+                    tool=used,
+                    vessel_margin_mm=vessel_margin_mm,
+                    moved_mm=moved_mm,
+                    wall=wall,
+                    confirmed=confirmed,
+                )
+            )
+        points = [np.array(one.nodule.centre_lps) for one in plans[:1]] + list(compare)
+        titles = [f"target {n} ({', '.join(f'{v:.0f}' for v in point)})" for n, point in enumerate(points, 1)]
+        compared = compare_targets(plans, titles)
+        for line in comparison_lines(compared):
+            say(f"comparison: {line}")
     carm: CArmAngles | None = None
     if plan.routes:
         carm = carm_angles(source.volume, airways, plan)
@@ -215,7 +241,9 @@ def report(
             write_report(output, sheet, kind=kind, paper=PAPERS[paper])
             say(f"wrote {output}")
         if as_json:
-            judged = {"pairs": [pair.to_json() for pair in pairs]} if all_scopes else {}
+            judged: dict[str, Any] = {"pairs": [pair.to_json() for pair in pairs]} if all_scopes else {}
+            if compared:
+                judged["comparison"] = {"order": ORDER_RULE, "targets": [one.to_json() for one in compared]}
             print_json(sheet.to_json() | {"badges": source.badges.to_json()} | judged)
     return 0 if plan.routes else NoResultError.exit_code
 

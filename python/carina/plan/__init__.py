@@ -25,6 +25,7 @@ from carina.plan.routes.plan_route import Plan, PlannedRoute
 from carina.plan.routes.predictors import PREDICTOR_SOURCE, PREDICTOR_WORDS, RoutePredictors, route_predictors
 from carina.plan.routes.ranking import Outlook, ScoreWeights
 from carina.plan.routes.standing_points import BronchusSign, NearestPlace
+from carina.plan.target_comparison import ORDER_RULE, ComparedTarget, compare_targets
 from carina.plan.targets.doubts import TargetDoubt, check_confirmed, target_doubts
 from carina.plan.targets.edits import brushed, resized, sphere
 from carina.plan.targets.from_click import target_from_click
@@ -49,6 +50,7 @@ __all__ = [
     "CARM_LIMITS",
     "DEFAULT_TOOL",
     "EBUS_LIMITS",
+    "ORDER_RULE",
     "PREDICTOR_SOURCE",
     "PREDICTOR_WORDS",
     "STATION_NOTE",
@@ -57,6 +59,7 @@ __all__ = [
     "CArmAngle",
     "CArmAngles",
     "Check",
+    "ComparedTarget",
     "CrossedTissue",
     "DistanceOrigin",
     "DrivenRoute",
@@ -98,6 +101,7 @@ __all__ = [
     "carm_angles",
     "check_confirmed",
     "clock_hours",
+    "compare_targets",
     "condense_drive",
     "distance_origin",
     "drive_flight",
