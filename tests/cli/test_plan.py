@@ -255,3 +255,21 @@ def test_second_ct_that_shows_half_of_the_chest_is_refused_with_its_code(chest, 
     result = run(path, place, "--json", "--second-ct", str(half))
     assert result.exit_code == 4
     assert json.loads(result.stdout)["error"]["code"] == "movement.half-chest"
+
+
+def test_compare_prints_one_order_with_its_rule_and_angles_stations_and_predictors(chest, found_once) -> None:
+    path, place = chest
+    beside = ",".join(f"{v + 1.0:.2f}" for v in place)
+    result = run(path, place, "--json", f"--compare={beside}")
+    assert result.exit_code == 0, result.output
+    document = json.loads(result.stdout)
+    assert len(document["comparison"]["targets"]) == 2
+    assert document["comparison"]["order"] in result.stderr
+    first = document["routes"][0]
+    own = [one for one in document["comparison"]["targets"] if one["narrowest_mm"] == first["narrowest_mm"]]
+    assert own
+    assert document["c_arm"]["route"] == first["key"]
+    assert "C-arm on route 1:" in result.stderr
+    assert "bifurcation angle" in result.stderr
+    assert document["ebus"]["stations"]
+    assert "EBUS: station" in result.stderr

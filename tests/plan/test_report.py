@@ -20,7 +20,7 @@ from reported import airways, clip, plan, sheet, still, turns, verdicts, volume,
 from carina.cli.plan import lines
 from carina.errors import CancelledError, CarinaError, UsageError
 from carina.export.plan_content import drawn_plans
-from carina.plan import ScoreWeights, TargetDoubt
+from carina.plan import STATION_NOTE, ScoreWeights, TargetDoubt, route_stations
 from carina.plan.report import make_sheet, write_report
 from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, ReportTable, Words
 from carina.plan.report.drawing import Label
@@ -71,6 +71,11 @@ def test_json_report_contains_the_plan_and_the_facts_of_the_report(tmp_path) -> 
         "turns": turns(airways(), plan()).to_json(),
         # A CT with voxels of 1.1 mm has no thick slices, so there are no calibrated shares.
         "calibrated_shares": None,
+        "c_arm": None,
+        "ebus": {
+            "stations": [one.to_json() for one in route_stations(airways().tree, plan(), plan().routes[0])],
+            "note": STATION_NOTE,
+        },
     }
     assert told == json.loads(json.dumps(made, allow_nan=False))
     assert own["route"] == 1 and own["patient"] is None

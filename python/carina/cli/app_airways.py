@@ -262,6 +262,10 @@ def plan(
             help="Plan the target despite these doubts: codes separated by commas, such as target.tube, or all.",
         ),
     ] = None,
+    compare: Annotated[
+        list[str] | None,
+        typer.Option("--compare", help="Another target, x,y,z in mm (LPS), to compare in one table; repeatable."),
+    ] = None,
     all_scopes: Annotated[
         bool, typer.Option("--all-scopes", help="Judge every bronchoscope of the library on the best three routes.")
     ] = False,
@@ -329,6 +333,7 @@ def plan(
                 confirm=confirm,
                 all_scopes=all_scopes,
                 available=available,
+                compare=tuple(parse_point(point, "--compare") for point in compare or ()),
                 series=series,
                 ct=ct,
                 output=output,

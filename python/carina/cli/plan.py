@@ -32,9 +32,12 @@ from carina.plan import (
     tool_from_file,
 )
 from carina.plan import tool as tool_named
+from carina.plan.carm import CARM_LIMITS, CArmAngles, carm_angles
 from carina.plan.reasons import reasons_against
 from carina.plan.report import AGAINST, Paper, PlanMaterials, ReportKind, route_turns, whole_sheet, write_report
+from carina.plan.route_stations import STATION_NOTE, route_stations
 from carina.plan.routes.predictors import PREDICTOR_WORDS
+from carina.plan.target_comparison import ORDER_RULE, ComparedTarget, compare_targets, comparison_lines
 from carina.plan.targets.doubts import confirmed_codes
 from carina.scopes import scope_preset, scope_presets
 from carina.session import LocalStore
@@ -78,6 +81,7 @@ def report(
     series: str | None,
     as_json: bool,
     ct: Path | None = None,
+    compare: tuple[NDArray[np.float64], ...] = (),
 ) -> int:
     """Plan the routes to one target, print and write them; return 4 if there is no route."""
     if output is not None:
@@ -152,6 +156,41 @@ def report(
     )
     for line in lines(plan):
         say(line)
+    compared: tuple[ComparedTarget, ...] = ()
+    if compare:
+        plans = [plan]
+        for point in compare:
+            check_in_volume(source.volume, point, "--compare", code="plan.point")
+            other = target_from_click(source.volume, point, airways=airways, wall=wall, progress=False)
+            plans.append(
+                carina.plan_route(
+                    source.volume,
+                    airways,
+                    other,
+                    scope=instrument,
+                    tool=used,
+                    vessel_margin_mm=vessel_margin_mm,
+                    moved_mm=moved_mm,
+                    wall=wall,
+                    confirmed=confirmed,
+                )
+            )
+        points = [np.array(one.nodule.centre_lps) for one in plans[:1]] + list(compare)
+        titles = [f"target {n} ({', '.join(f'{v:.0f}' for v in point)})" for n, point in enumerate(points, 1)]
+        compared = compare_targets(plans, titles)
+        for line in comparison_lines(compared):
+            say(f"comparison: {line}")
+    carm: CArmAngles | None = None
+    if plan.routes:
+        carm = carm_angles(source.volume, airways, plan)
+        for line in carm.lines:
+            say(f"C-arm on route 1: {line}")
+        say(f"C-arm: {CARM_LIMITS}")
+        for station in route_stations(airways.tree, plan, plan.routes[0]):
+            say(f"EBUS: {station.words}")
+            for text in station.landmark.doubts:
+                say(f"EBUS: ! station {station.landmark.station}: {text}")
+        say(f"EBUS: {STATION_NOTE}")
     verdicts: tuple[Verdict, ...] = ()
     if plan.routes and not plan.routes[0].origin.is_carina:
         # A depth of the carina says nothing about a route that does not pass the carina.
@@ -179,7 +218,9 @@ def report(
         say(f"{verdict.scope.title} on route 1: {verdict.words}")
     if pairs:
         say(_best_pair(plan, pairs, here))
-    materials = PlanMaterials(source.volume, airways, wall, plan, verdicts=verdicts, carina_depth_mm=carina_depth_mm)
+    materials = PlanMaterials(
+        source.volume, airways, wall, plan, verdicts=verdicts, carina_depth_mm=carina_depth_mm, carm=carm
+    )
     # The turns belong to the list, because a turn may have no reliable clock hour.
     materials = replace(materials, turns=route_turns(materials))
     against = reasons_against(plan, verdicts=verdicts, turns=materials.turns)
@@ -229,6 +270,8 @@ def report(
             judged: dict[str, Any] = {"pairs": listed} if all_scopes else {}
             if measured is not None:
                 judged["second_ct"] = measured.to_json()
+            if compared:
+                judged["comparison"] = {"order": ORDER_RULE, "targets": [one.to_json() for one in compared]}
             print_json(sheet.to_json() | {"badges": source.badges.to_json()} | judged)
     return 0 if plan.routes else NoResultError.exit_code
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from carina.plan.carm import CARM_LIMITS, CArmAngle, CArmAngles, carm_angles, shadow_parts
 from carina.plan.ebus import EBUS_LIMITS, Landmark, clock_hours, ebus_landmarks
 from carina.plan.hand_moves import Move
 from carina.plan.instruments.scope_file import scope_from_file, scope_to_json
@@ -19,6 +20,7 @@ from carina.plan.movement.target_movement import MovementOrigin, TargetMovement,
 from carina.plan.reach_atlas import ReachAtlas, reach_atlas
 from carina.plan.report import PlanSheet, make_sheet, write_report
 from carina.plan.route_planner import plan_route
+from carina.plan.route_stations import STATION_NOTE, RouteStation, route_stations
 from carina.plan.routes.last_leg import CrossedTissue, LastLeg, NearVessel, NeedleScene, last_leg
 from carina.plan.routes.main_carina import DistanceOrigin, distance_origin
 from carina.plan.routes.needle_hits import NeedleErrors, hit_share
@@ -26,6 +28,7 @@ from carina.plan.routes.plan_route import Plan, PlannedRoute
 from carina.plan.routes.predictors import PREDICTOR_SOURCE, PREDICTOR_WORDS, RoutePredictors, route_predictors
 from carina.plan.routes.ranking import Outlook, ScoreWeights
 from carina.plan.routes.standing_points import BronchusSign, NearestPlace
+from carina.plan.target_comparison import ORDER_RULE, ComparedTarget, compare_targets
 from carina.plan.targets.doubts import TargetDoubt, check_confirmed, target_doubts
 from carina.plan.targets.edits import brushed, resized, sphere
 from carina.plan.targets.from_click import target_from_click
@@ -56,13 +59,19 @@ if TYPE_CHECKING:
     from carina.plan.targets.from_mask import nodule_from_mask, target_from_mask
 
 __all__ = [
+    "CARM_LIMITS",
     "DEFAULT_TOOL",
     "EBUS_LIMITS",
+    "ORDER_RULE",
     "PREDICTOR_SOURCE",
     "PREDICTOR_WORDS",
+    "STATION_NOTE",
     "WHERE_WORDS",
     "BronchusSign",
+    "CArmAngle",
+    "CArmAngles",
     "Check",
+    "ComparedTarget",
     "CrossedTissue",
     "DistanceOrigin",
     "DrivenRoute",
@@ -90,6 +99,7 @@ __all__ = [
     "PlannedRoute",
     "ReachAtlas",
     "RoutePredictors",
+    "RouteStation",
     "ScoreWeights",
     "TargetDoubt",
     "TargetMovement",
@@ -104,8 +114,10 @@ __all__ = [
     "VesselTree",
     "Whereabouts",
     "brushed",
+    "carm_angles",
     "check_confirmed",
     "clock_hours",
+    "compare_targets",
     "condense_drive",
     "default_movement",
     "distance_origin",
@@ -132,9 +144,11 @@ __all__ = [
     "replay_moves",
     "resized",
     "route_predictors",
+    "route_stations",
     "scope_from_file",
     "scope_to_json",
     "search_drive",
+    "shadow_parts",
     "sphere",
     "surroundings",
     "target_doubts",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from carina.display import one_line
 from carina.display.progress import Progress, ProgressChoice, progress_function, shows_progress
+from carina.plan.carm import CArmAngles, carm_angles
 from carina.plan.report.plan_sheet import PlanSheet, make_sheet
 from carina.plan.routes.plan_route import Plan
 from carina.plan.turns.clips import TurnClip, turn_clips
@@ -45,6 +46,8 @@ class PlanMaterials:
     notes: tuple[str, ...] = ()
     turns: TurnList | None = None
     """Turns of the route ``route_number`` (`route_turns`); computed for the report if None."""
+    carm: CArmAngles | None = None
+    """Positions of a C-arm for the route ``route_number``; computed for the report if None."""
 
 
 def route_turns(materials: PlanMaterials, renderer: Renderer | None = None) -> TurnList | None:
@@ -161,6 +164,9 @@ def whole_sheet(
                 progress=part(CLIPS_SHARE),
                 cancel=cancel,
             )
+    carm = made.carm
+    if carm is None and plan.routes:
+        carm = carm_angles(made.volume, made.airways, plan, route_number=made.route_number, cancel=cancel)
     return make_sheet(
         made.volume,
         made.airways,
@@ -174,6 +180,7 @@ def whole_sheet(
         patient=patient,
         operator=made.operator,
         wall=made.wall,
+        carm=carm,
         progress=part(1.0 - done),
         cancel=cancel,
     )

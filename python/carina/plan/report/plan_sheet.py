@@ -14,11 +14,13 @@ import numpy as np
 from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import UsageError, check_type
+from carina.plan.carm import CArmAngles
 from carina.plan.lungs.tissue_near_needle import NearbyTissue, surroundings
 from carina.plan.reasons import Reason, reasons_against
 from carina.plan.report.slices import SlicePicture, needle_slice, place_slices, target_slices
 from carina.plan.report.tree_shape import TreeShape, tree_shape
 from carina.plan.report.uncertainty import by_hand, uncertain
+from carina.plan.route_stations import STATION_NOTE, RouteStation, route_stations
 from carina.plan.routes.plan_route import CancellableProgress, Plan, PlannedRoute
 from carina.plan.routes.standing_points import branch_doubts, branch_title
 from carina.plan.targets.grow_nodule import Nodule
@@ -159,6 +161,10 @@ class PlanSheet:
     """Notes on the plan that its planner wrote, shown unchanged."""
     patient: str | None
     provenance: Provenance
+    carm: CArmAngles | None
+    """Positions of a C-arm for the route; None if they were not computed."""
+    stations: tuple[RouteStation, ...]
+    """Lymph node stations for EBUS that the route passes or that are next to the target."""
     calibrated_shares: CalibratedShares | None
     """Shares of airways that the search finds in slices of this CT's thickness; None for thin slices."""
 
@@ -177,6 +183,8 @@ class PlanSheet:
         return self.plan.to_json() | {
             "verdicts": [verdict.to_json() for verdict in self.verdicts],
             "turns": None if self.turns is None else self.turns.to_json(),
+            "c_arm": None if self.carm is None else self.carm.to_json(),
+            "ebus": {"stations": [one.to_json() for one in self.stations], "note": STATION_NOTE},
             "calibrated_shares": None if self.calibrated_shares is None else self.calibrated_shares.to_json(),
             "report": {
                 "route": self.route_number,
@@ -209,6 +217,7 @@ def make_sheet(
     operator: Operator = "head",
     made_on: datetime.date | None = None,
     wall: WallField | None = None,
+    carm: CArmAngles | None = None,
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> PlanSheet:
@@ -236,6 +245,8 @@ def make_sheet(
         Date of the report; today if None.
     wall
         Wall of the airways; computed if None.
+    carm
+        Positions of a C-arm for the route (`carina.plan.carm_angles`), or none.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
@@ -305,6 +316,8 @@ def make_sheet(
         notes=tuple(notes),
         patient=patient,
         provenance=_provenance(volume, made_on),
+        carm=carm,
+        stations=() if not plan.routes else route_stations(airways.tree, plan, plan.routes[route_number - 1]),
         calibrated_shares=airways.calibrated_shares,
     )
     report(1.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
+from carina.plan.carm import CARM_LIMITS
 from carina.plan.report.blocks import Block, Bullets, Clip, Facts, Figure, Figures, ReportTable, Section, Words
 from carina.plan.report.drawing import Drawing, Raster
 from carina.plan.report.figures import needle_bar, slice_drawing, tree_drawing
@@ -12,6 +13,7 @@ from carina.plan.report.plan_sheet import PlanSheet, target_words
 from carina.plan.report.tracing import tracing_drawings
 from carina.plan.report.uncertainty import doubt_words
 from carina.plan.report.wording import AGAINST, carina_cell, lines_of, per_cent
+from carina.plan.route_stations import STATION_NOTE
 from carina.plan.routes.plan_route import PlannedRoute, ScoreWeights
 from carina.plan.routes.predictors import PREDICTOR_WORDS
 from carina.plan.turns.clips import TurnClip
@@ -52,7 +54,7 @@ ANSWERS = {"yes": "yes", "perhaps": "perhaps", "no": "no", "unknown": "?"}
 def sections(sheet: PlanSheet) -> tuple[Section, ...]:
     """Return all sections of a report."""
     found = [*_against(sheet), _target(sheet), _way(sheet), *_route(sheet), *_sign(sheet)]
-    found += [*_turns(sheet), *_verdicts(sheet), *_others(sheet)]
+    found += [*_turns(sheet), *_verdicts(sheet), *_others(sheet), *_carm(sheet), *_stations(sheet)]
     found += [_by_hand(sheet), _uncertain(sheet), *_notes(sheet), *_score(sheet), _provenance(sheet)]
     return (*found, *_figures_behind(sheet), *tracing_sections(sheet))
 
@@ -410,6 +412,53 @@ _COMPARED: tuple[tuple[str, Callable[[PlanSheet, PlannedRoute], str]], ...] = (
     ("Tissue on the way", lambda _, r: _crossed_words(r)),
     ("Score (1 is best)", lambda _, r: f"{r.score:.2f}"),
 )
+
+
+def _carm(sheet: PlanSheet) -> list[Section]:
+    if sheet.carm is None:
+        return []
+    blocks: list[Block] = []
+    if sheet.carm.why is not None:
+        blocks.append(Words(f"{sheet.carm.why[0].upper()}{sheet.carm.why[1:]}.", "warning"))
+    if sheet.carm.angles:
+        rows = tuple(
+            (
+                one.name,
+                f"{one.target_clear_mm:.0f} mm",
+                f"{one.tip_clear_mm:.0f} mm",
+                f"{one.tilt_deg:.0f}\u00b0",
+            )
+            for one in sheet.carm.angles
+        )
+        head = ("C-arm", "Target clear by", "Tip clear by", "Last branch out of the picture")
+        blocks.append(ReportTable(head, rows, (0.31, 0.2, 0.2, 0.29)))
+    if sheet.carm.notes:
+        blocks.append(Bullets(tuple(f"{note[0].upper()}{note[1:]}." for note in sheet.carm.notes), "warning"))
+    blocks.append(Words(CARM_LIMITS, "quiet"))
+    return [Section("c-arm", "C-arm angles", tuple(blocks))]
+
+
+def _stations(sheet: PlanSheet) -> list[Section]:
+    if sheet.route is None:
+        return []
+    note = Words(STATION_NOTE, "quiet")
+    if not sheet.stations:
+        none = Words("The route passes no landmark of a lymph node station, and none is next to the target.")
+        return [Section("ebus", "Lymph node stations (EBUS)", (none, note))]
+    rows = []
+    warned = []
+    for n, one in enumerate(sheet.stations):
+        hour = one.landmark.clock_head if sheet.operator == "head" else one.landmark.clock_facing
+        clock = "not given" if hour is None else f"{round(hour) or 12}"
+        rows.append((one.landmark.station, one.landmark.seen_from, one.place_words, clock, one.relation))
+        if one.landmark.doubts:
+            warned.append(n)
+    head = ("Station", "Seen from", "Landmark", "Clock hour", "Relation")
+    doubts = tuple(f"{one.landmark.station}: {doubt}." for one in sheet.stations for doubt in one.landmark.doubts)
+    blocks: list[Block] = [ReportTable(head, tuple(rows), (0.1, 0.24, 0.24, 0.12, 0.3), tuple(warned))]
+    if doubts:
+        blocks.append(Bullets(doubts, "warning"))
+    return [Section("ebus", "Lymph node stations (EBUS)", (*blocks, note))]
 
 
 def _crossed_words(route: PlannedRoute) -> str:
