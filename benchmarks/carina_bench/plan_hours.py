@@ -267,6 +267,7 @@ def summary(rows: Sequence[Row]) -> Row:
         "given": len(given),
         "straight_ahead": sum(row["straight_ahead"] for row in rows),
         "not_given": sum(row["doubt"] is not None for row in rows) / max(len(rows), 1),
+        "without_hour": sum(row["hour"] is None for row in rows) / max(len(rows), 1),
         "doubts": dict(Counter(row["doubt"] for row in rows if row["doubt"] is not None)),
         "given_without_true_opening": sum(row["true"] is None for row in given),
         "straight_but_centre_outside": sum(row["straight_ahead"] and not row["centre_in_true"] for row in rows),
