@@ -136,7 +136,7 @@ def test_text_of_the_plan_includes_its_doubts(messages):
     words = read_by_pyigtl(by_name(messages, "CarinaPlan")).string
     assert f"DOUBTFUL: {DOUBT}" in words
     assert "CarinaRoute2, CarinaNeedle2: Route 2: branch 9 to Target." in words
-    assert "up to 15 mm off" in words
+    assert "up to 15 mm from where it is shown here" in words
 
 
 def test_messages_in_lps_have_the_positions_of_the_plan():

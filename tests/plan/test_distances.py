@@ -25,6 +25,7 @@ from carina.commands.plan import PlanOptions
 from carina.errors import UsageError
 from carina.export.plan_content import drawn_plans
 from carina.plan import DistanceOrigin, Plan, Turn, distance_origin, judge_scopes, plan_route, turn_list
+from carina.plan.reasons import reasons_against
 from carina.plan.report import PlanSheet, write_report
 from carina.plan.report.sections import sections, tracing_sections
 from carina.plan.routes.main_carina import (
@@ -77,6 +78,7 @@ def test_plan_json_wire_report_sheet_and_texts_state_the_same_distances(tmp_path
         assert (sent.reached_mm, sent.words, sent.title) == (told["reached_mm"], told["words"], told["title"])
         assert [check.words for check in sent.checks] == [check["words"] for check in told["checks"]]
         expected |= set() if told["reached_mm"] is None else {round(told["reached_mm"])}
+    expected |= {round(station["from_carina_mm"]) for station in stored["ebus"]["stations"]}
     listed = stored["turns"]
     sent_turns = wire_turns(airways(), turns(airways(), plan()))
     for sent, told in zip(sent_turns, listed["turns"], strict=True):
@@ -270,7 +272,8 @@ def test_tree_without_a_ridge_of_wall_measures_from_the_axes_with_a_note() -> No
     told = turn_list(found.tree, route)
     assert told.zero == "axes" and told.notes[0] == origin.note and told.turns[0].from_carina_mm == 0.0
     axes = dataclasses.replace(plan(), routes=(route,))
-    assert any("no ridge of the main carina was found" in line for line in lines(axes))
+    (reason,) = [one.words for one in reasons_against(axes) if one.code == "route.origin"]
+    assert origin.note is not None and reason.casefold() == f"{origin.note}.".casefold()
 
 
 def test_stations_are_measured_from_the_ridge_if_it_is_given() -> None:

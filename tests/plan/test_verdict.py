@@ -15,6 +15,7 @@ from nodules import ellipsoid
 
 from carina.errors import CancelledError, UsageError
 from carina.plan import Plan, Verdict, judge_pairs, judge_scope, judge_scopes, tool
+from carina.plan.movement.target_movement import TargetMovement
 from carina.plan.routes.last_leg import LastLeg
 from carina.plan.routes.main_carina import ROOT
 from carina.plan.routes.plan_route import PlannedRoute
@@ -81,7 +82,17 @@ def plan_in(points: np.ndarray, park: int = -8, error_mm: float = 0.2) -> Plan:
     leg = LastLeg(place, nodule.centre_lps, place, 8.0, 6.0, 0.0, (), 8.0, 8.0, None, None, None, 1.0, reaches=True)
     width = RouteWidth(2 * RADIUS_MM, error_mm, 0.5 * along)
     route = PlannedRoute(1, "branch 1", along, ROOT, (0.0, 0.0, -1.0), width, "fits", leg, {}, 1.0, ())
-    return Plan(nodule, scope_preset("thin"), tool("needle-21g"), "none", None, None, 15.0, (route,), None)
+    return Plan(
+        nodule,
+        scope_preset("thin"),
+        tool("needle-21g"),
+        "none",
+        None,
+        None,
+        TargetMovement("given", 15.0),
+        (route,),
+        None,
+    )
 
 
 def scope(**changes: Any) -> ScopePreset:

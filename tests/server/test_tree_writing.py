@@ -23,7 +23,9 @@ class Writing:
         self.meanwhile = lambda: None
         self.texts = SharedTexts(
             SimpleNamespace(
-                snapshot=lambda: SimpleNamespace(document=SimpleNamespace(airways=self.newest, route=None))
+                snapshot=lambda: SimpleNamespace(
+                    document=SimpleNamespace(airways=self.newest, route=None), route_scale=None
+                )
             ),
             None,
             self.told.append,

@@ -127,7 +127,8 @@ def of_command_line(chest: Chest, at: Point) -> tuple[str, list[str]]:
     if not said:
         assert result.exit_code == 4, result.output
         return result.stderr, []
-    return said[0], [line.rpartition("(")[2].rstrip(")") for line in said if line.startswith("! ")]
+    doubts = [line for line in result.stderr.splitlines() if line.startswith("! The target may not be a nodule")]
+    return said[0], [line.rpartition("(")[2].rstrip(")") for line in doubts]
 
 
 def of_wire(case: carina.Case, at: Point) -> tuple[str | None, list[str], bool]:

@@ -227,7 +227,8 @@ def report(
     if against:
         say(f"{AGAINST.lower()}:")
     for reason in against:
-        say(f"{'!' if reason.severity == 'stop' else '-'} {reason.words}")
+        code = f" ({reason.code})" if reason.code.startswith("target.") else ""
+        say(f"{'!' if reason.severity == 'stop' else '-'} {reason.words}{code}")
     if peer is not None:
         num = send_plan(plan, airways.tree, host=peer[0], port=peer[1])
         say(f"sent {num} messages to {send_to}")

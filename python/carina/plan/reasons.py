@@ -109,6 +109,8 @@ def _reasons(
             yield "route.narrowest", route.width.why, "stop"
         for words in route.doubts:
             yield "route.doubt", words, "stop"
+        if route.origin.note is not None:
+            yield "route.origin", route.origin.note, "caution"
     if plan.lost is not None:
         yield "plan.lost", plan.lost.words, "caution"
     for note in plan.notes:

@@ -232,7 +232,8 @@ def target_doubts(
         )
     elif around.is_slender():
         found.append(TargetDoubt(TUBE, "it is long and thin, like a piece of a vessel"))
-    if around.lung_share(None if IN_LUMEN in nodule.touches else wall) < LUNG_SHARE:
+    is_in_airway = IN_LUMEN in nodule.touches or (wall is not None and _is_centre_in_lumen(nodule, wall))
+    if around.lung_share(None if is_in_airway else wall) < LUNG_SHARE:
         found.append(
             TargetDoubt(
                 MEDIASTINUM,
@@ -251,6 +252,11 @@ def target_doubts(
                 )
             )
     return tuple(found)
+
+
+def _is_centre_in_lumen(nodule: Nodule, wall: WallField) -> bool:
+    """Return whether the centre of a target lies in an airway; the air round such a target is that of the airway."""
+    return float(wall.distance_mm(np.array([nodule.centre_lps]))[0]) > 0.0
 
 
 class _Around:
