@@ -227,7 +227,8 @@ def report(
     if against:
         say(f"{AGAINST.lower()}:")
     for reason in against:
-        code = f" ({reason.code})" if reason.code.startswith("target.") else ""
+        # The code of a doubt is what --confirm accepts.
+        code = f" ({reason.code})" if reason.code in {doubt.code for doubt in plan.doubts} else ""
         say(f"{'!' if reason.severity == 'stop' else '-'} {reason.words}{code}")
     if peer is not None:
         num = send_plan(plan, airways.tree, host=peer[0], port=peer[1])
