@@ -121,7 +121,7 @@ def _dots_share(tree: AirwayTree, turn: Turn, outline: Mask) -> float | None:
 def _true_hours(case: PlanCase, renderer: Renderer, turn: Turn) -> Row:
     assert case.airways is not None
     tree = case.airways.tree
-    branch = _true_branch(case.truth, tree.branch(turn.to_branch_id))
+    branch = _true_branch(case.truth, tree, tree.branch(turn.to_branch_id))
     camera = turn.camera("head")
     walls = renderer.surface(turn_view(renderer, camera, SIZE_PX)).position_lps
     ours = np.isin(case.truth.branch, list(_below(case.truth, branch)))
@@ -152,8 +152,16 @@ def _routes(tree: AirwayTree, width_mm: float) -> Iterator[PlannedRoute]:
         yield PlannedRoute(branch.id, name, along, ROOT, (0.0, 0.0, -1.0), width, "fits", leg, {}, 1.0, ())
 
 
-def _true_branch(truth: TrueTree, daughter: Branch) -> int:
-    """Return the true branch whose axis most points of the middle part of a found branch are nearest to."""
+def _true_branch(truth: TrueTree, tree: AirwayTree, daughter: Branch) -> int:
+    """Return the true branch whose axis most points of the middle part of a found branch are nearest to.
+
+    The points of a branch that is shorter than its diameter lie in the fork, where they can be nearest to a sibling.
+    Such a branch is the true branch from which the true branches of its children arise.
+    """
+    if daughter.children and daughter.length_mm < 2.0 * float(np.median(daughter.radius)):
+        lineages = [truth.lineage(_true_branch(truth, tree, tree.branch(child))) for child in daughter.children]
+        common = set.intersection(*map(set, lineages))
+        return next(branch for branch in reversed(lineages[0]) if branch in common)
     away = np.linalg.norm(np.diff(daughter.points, axis=0), axis=1).cumsum()
     inner = daughter.points[1:][(away >= 0.4 * away[-1]) & (away <= 0.75 * away[-1])]
     votes: Counter[int] = Counter()
