@@ -59,7 +59,16 @@ def show_slices_at(workstation, lps):
 
 
 def place_in_slice(workstation, view, lps):
-    """Return the position of a point in a slice, in page coordinates."""
+    """Return the position of a point in a slice, in page coordinates, when the slice has the shape of its cell."""
+    # A step of the work can change the layout; the picture of the earlier layout stays until the next one arrives.
+    workstation.wait_for(
+        """(view) => {
+            const { width, height } = window.__carina.state.frames[view];
+            const box = document.querySelector(`canvas[data-view=${view}]`).getBoundingClientRect();
+            return Math.abs(width / height - box.width / box.height) < 0.02;
+        }""",
+        view,
+    )
     return workstation.page.evaluate(
         """([view, lps]) => {
             const { lps_from_pixel: m, width, height } = window.__carina.state.frames[view];
