@@ -141,5 +141,5 @@ def test_marker_is_on_the_side_of_the_picture_that_a_supine_patient_has(
 def test_positions_are_named_as_in_fluoroscopy() -> None:
     assert carm_words(30, 10) == "LAO 30\u00b0, cranial 10\u00b0"
     assert carm_words(-45, -20) == "RAO 45\u00b0, caudal 20\u00b0"
-    assert "k: common knowledge" in CARM_LIMITS
+    assert "usual limits without a published source" in CARM_LIMITS
     assert angles().to_json()["limits"] == CARM_LIMITS

@@ -51,9 +51,10 @@ AROUND_TARGET_MM = 4.0
 
 CARM_LIMITS = (
     f"Searched from RAO {MOST_PRIMARY_DEG} to LAO {MOST_PRIMARY_DEG} and from caudal {MOST_SECONDARY_DEG} to cranial "
-    f"{MOST_SECONDARY_DEG} degrees (k: common knowledge; check your C-arm and table). Supine patient, as in the DRR "
-    "view, with the C-arm centred on the middle of the CT. Spine and mediastinum (heart and great vessels, all tissue "
-    "between the lungs) are estimated from the CT; the target's movement since the CT is not included."
+    f"{MOST_SECONDARY_DEG} degrees (usual limits without a published source; check your C-arm and table). Supine "
+    "patient, as in the DRR view, with the C-arm centred on the middle of the CT. Spine and mediastinum (heart and "
+    "great vessels, all tissue between the lungs) are estimated from the CT; the target's movement since the CT is not "
+    "included."
 )
 
 

@@ -23,7 +23,7 @@ Side = Literal["R", "L"]
 DirectionBasis = Literal["tree", "k"]
 """Source of a direction: ``tree``, from two bronchi of this tree; ``k``, common knowledge, equal in every chest."""
 
-STATION_SOURCE = "Rusch et al., J Thorac Oncol 2009;4:568-577 (IASLC map); s"
+STATION_SOURCE = "Rusch et al., J Thorac Oncol 2009;4:568-577 (IASLC map)"
 EBUS_LIMITS = (
     "Airway landmarks only. Lymph nodes are not looked for and have no volumes here; the vessels that bound the "
     "stations are not seen without contrast. Check each place on the CT."

@@ -27,8 +27,8 @@ CHORD_MM = 3.0
 """Half the length in mm of the chords that give the direction of the axis."""
 STEP_MM = 1.0
 """Distance in mm between the places at which the direction of the axis is measured."""
-PREDICTOR_SOURCE = "Cancer Imaging 2024, doi 10.1186/s40644-024-00730-7; s"
-"""Source of the predictors; ``s``: its abstract was read."""
+PREDICTOR_SOURCE = "Cancer Imaging 2024, doi 10.1186/s40644-024-00730-7"
+"""Source of the predictors, of which the abstract was read."""
 PREDICTOR_WORDS = (
     "A large bifurcation angle at the target branch and a narrow, curved last section were associated with failed "
     f"navigation by radial EBUS (491 patients, 57 targets not reached; {PREDICTOR_SOURCE}). The source has no limits: "
