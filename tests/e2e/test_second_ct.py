@@ -1,0 +1,57 @@
+"""Test of the movement of a target that is measured from a second CT in the browser."""
+
+from __future__ import annotations
+
+import pytest
+from places import place_in_slice, show_slices_at
+
+import carina
+from made import made_phantom
+
+pytestmark = pytest.mark.browser
+
+CHEST = {"seed": 4, "spacing_mm": 1.2, "generations": 5, "nodule": True}
+
+
+@pytest.fixture
+def opens(tmp_path):
+    """Return a chest with a nodule, as the opened file; its second CT is beside it."""
+    volume = made_phantom(**CHEST).volume
+    carina.write_phantom(made_phantom(**CHEST), tmp_path)
+    half = volume.hu_zyx[: len(volume.hu_zyx) // 4]
+    carina.volume.write_grid(tmp_path / "half.nii.gz", half, volume.lps_from_ijk, what="half a chest")
+    return {"path": str(tmp_path / "ct.nii.gz")}
+
+
+def test_second_ct_replaces_the_default_movement_and_half_a_chest_is_refused(server, workstation, tmp_path):
+    workstation.open(server)
+    workstation.wait_ready()
+    page, place = workstation.page, made_phantom(**CHEST).truth["nodule"]["centre_lps"]
+    show_slices_at(workstation, place)
+    page.get_by_role("button", name="Target", exact=True).first.click()
+    page.get_by_test_id("arm-target").click()
+    page.mouse.click(*place_in_slice(workstation, "axial", place))
+    workstation.wait_while_working("window.__carina.state.plans?.targets[0]?.routes.length > 0")
+    page.get_by_test_id("take-route").click()
+    page.get_by_test_id("movement").wait_for()
+    assert "CT taken at inspiration" in page.get_by_test_id("movement").inner_text()
+
+    page.get_by_text("Instruments and margins", exact=True).click()
+    page.get_by_test_id("second-ct").fill(str(tmp_path / "half.nii.gz"))
+    page.keyboard.press("Enter")
+    workstation.wait_while_working("window.__carina.state.messages.some((one) => /half/.test(JSON.stringify(one)))")
+    workstation.picture("second-ct-refused")
+    assert workstation.state("plans.targets[0].options.movement") is None
+
+    page.get_by_test_id("second-ct").fill(str(tmp_path / "ct.nii.gz"))
+    page.keyboard.press("Enter")
+    workstation.wait_while_working("window.__carina.state.plans.targets[0].options.movement !== null")
+    workstation.wait_while_working("window.__carina.state.plans.standing === 'had'")
+    words = page.get_by_test_id("movement").inner_text()
+    assert words.startswith("Movement of the target measured from the second CT: ")
+    workstation.picture("second-ct-measured")
+
+    # One undo restores the default movement.
+    page.evaluate("() => document.activeElement?.blur()")
+    page.keyboard.press("Control+z")
+    workstation.wait_for("window.__carina.state.plans.targets[0].options.movement === null")
