@@ -452,6 +452,22 @@ def test_new_layout_sends_only_resized_views_again():
     assert [(o.view, o.width) for o in player.drain(keys)] == [("axial", 128)]
 
 
+@pytest.mark.parametrize("ends", ["rendered", "failed"])
+def test_view_resized_while_its_picture_is_rendered_is_sent_in_the_new_size(ends):
+    player = Player({"axial": (64, 64)})
+    keys = {"axial": 1}
+    player.scheduler.observe(keys, player.now_s)
+    order = player.scheduler.next_order(player.now_s)
+    player.scheduler.set_layout({"axial": (128, 64)})
+    if ends == "rendered":
+        assert player.scheduler.rendered(order, 1, 0.01, player.now_s)
+        player.scheduler.acknowledge(1)
+    else:
+        player.scheduler.failed(order)
+    player.now_s += 1.0
+    assert [o.width for o in player.drain(keys)][-1:] == [128]
+
+
 # ------------------------------------------------------------ cancelling pictures
 
 

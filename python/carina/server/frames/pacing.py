@@ -97,6 +97,10 @@ class _View:
     def still_s(self) -> float:
         return self.changed_s + STILL_AFTER_S
 
+    def is_size_of(self, order: RenderOrder) -> bool:
+        """Return whether an order has the present size of the view, which can change while a picture is rendered."""
+        return (order.full_width, order.full_height) == (self.width, self.height)
+
     def grade(self, now_s: float) -> int:
         """Return the quality grade of this view's next picture at a time in s."""
         if self.is_moving(now_s):
@@ -213,7 +217,7 @@ class FrameScheduler:
         self._account(order, seconds)
         if view is None:
             return False
-        pixels = view.pixels
+        pixels = order.full_width * order.full_height
         if order.purpose == "probe":
             # The real scale, which differs from the ordered one because no picture is smaller than 16 pixels.
             scale = math.sqrt(order.width * order.height / pixels)
@@ -221,7 +225,8 @@ class FrameScheduler:
             return False
         if order.purpose == "picture":
             view.budget.learn(order.level, pixels, seconds, rays_s)
-        view.sent_key, view.sent_grade = order.key, order.grade
+        if view.is_size_of(order):
+            view.sent_key, view.sent_grade = order.key, order.grade
         view.in_flight[frame_id] = now_s
         return True
 
@@ -240,7 +245,7 @@ class FrameScheduler:
     def failed(self, order: RenderOrder) -> None:
         """Record that a picture could not be rendered; it is not ordered again until its content changes."""
         view = self._views.get(order.view)
-        if view is not None:
+        if view is not None and view.is_size_of(order):
             view.sent_key, view.sent_grade = order.key, FULL
 
     def acknowledge(self, frame_id: int) -> None:
