@@ -25,7 +25,7 @@ NO_ROUTE = "no route"
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparedTarget:
-    """Row of the comparison: a target with the first route of its own plan."""
+    """Row of a comparison of targets, with the first route of the target's plan."""
 
     title: str
     plan: Plan

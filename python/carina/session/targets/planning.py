@@ -167,7 +167,7 @@ class PlanHandlers(CommandHandlers):
             assert target.lesion is not None
             options = target.lesion.options
             same = (options.scope, options.tool) == (command.scope, command.tool)
-            # The routes of the present plan end at the tips of its own scope.
+            # Each route of the present plan ends where the tip of the planned scope stands.
             needle = NeedleLine((route.leg.tip_lps, route.leg.aim_lps), route.leg.to_target_mm)
             if not same and verdict is not None and verdict.needle_lps is not None:
                 needle = NeedleLine(verdict.needle_lps, needle_to_target_mm(planned.plan, verdict))
