@@ -99,6 +99,20 @@ def test_angle_with_the_target_in_a_shadow_is_not_proposed_and_shows_it_in_the_p
         assert all((one.primary_deg, one.secondary_deg) != (primary, secondary) for one in angles().angles)
 
 
+@pytest.mark.parametrize("side", [1, -1], ids=["LAO covered", "RAO covered"])
+def test_positions_of_the_covered_side_are_not_proposed(side: int) -> None:
+    # Points on the rays from the target to a detector at the patient's left and front (LAO), or right and front (RAO).
+    target = np.array(plan().nodule.centre_lps)
+    turns, rises = np.radians(np.arange(10.0, 71.0)), np.radians(np.arange(-45.0, 46.0, 2.0))
+    turn, rise = (one.ravel() for one in np.meshgrid(turns, rises))
+    rays = np.stack([side * np.sin(turn) * np.cos(rise), -np.cos(turn) * np.cos(rise), np.sin(rise)], axis=-1)
+    covered = ShadowParts(target + 40.0 * rays, target[None] + 200.0)
+    found = carm_angles(chest(), airways(), plan(), shadows=covered)
+    assert found.angles
+    assert all(side * one.primary_deg <= 15.0 for one in found.angles)
+    assert any(side * one.primary_deg < -15.0 for one in found.angles)
+
+
 def test_without_a_clear_angle_the_reason_is_stated() -> None:
     target = np.array(plan().nodule.centre_lps)
     tight = target + 25.0 * np.random.default_rng(1).normal(size=(20_000, 3))

@@ -42,6 +42,7 @@ from carina.commands import (
     VoxelAt,
     WallAt,
 )
+from carina.commands.plan import ChosenPlace
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.render import GreyWindow
 from carina.scopes import PINHOLE, scope_preset
@@ -398,6 +399,18 @@ def test_airway_view_and_plans_of_all_targets_have_one_scope():
     bench.session.do(SetFov(100.0))
     bench.session.do(MarkSphere(small_lps((7.0, 7.0, 7.0)), 6.0))
     assert bench.session.snapshot().document.look.fov_deg == 100.0
+
+
+def test_place_chosen_with_a_scope_is_forgotten_with_another_scope():
+    bench = small_bench()
+    bench.open()
+    bench.session.do(MarkSphere(small_lps((4.0, 4.0, 4.0)), 6.0))
+    (target,) = bench.session.snapshot().document.targets
+    place = ChosenPlace(1, 4.0)
+    bench.session.do(SetPlanOptions(target_id=target.target_id, place=place))
+    assert bench.session.snapshot().document.targets[0].lesion.options.place == place
+    bench.session.do(SetScope("ebus"))
+    assert bench.session.snapshot().document.targets[0].lesion.options.place is None
 
 
 def test_airway_picture_has_the_optics_of_the_scope():
