@@ -88,7 +88,8 @@ def test_sight_of_one_window_is_unchanged_by_another(two, live):
 def test_pictures_have_the_size_and_sight_of_their_window_and_a_hidden_view_gets_none(two):
     first, second = two
     second.send(wire.Layout((wire.ViewSize("axial", 200, 150),)))
-    settle(second)
+    # A picture of the earlier size that was being rendered is still sent; the new size follows.
+    second.until(lambda m: isinstance(m, wire.PictureHeader) and (m.width, m.height) == (200, 150) and m.full)
     begun = len(second.pictures)
     first.send(wire.Steer(1.0, 0.0, 0.0, 0.0))
     picture = second.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "axial" and m.full)
