@@ -29,12 +29,12 @@ from carina.config import load_settings
 from carina.errors import CancelledError
 from carina.phantom import generate_phantom
 from carina.plan import surroundings
-from carina.plan.cubic_box import ball_distance
 from carina.plan.lungs.lobes import LOBE_NAMES, STEP_MM, lobes, nearest_lobe
 from carina.plan.lungs.lung_map import LungMap, map_lungs
 from carina.scopes import WallField
 from carina.track import Airways, AirwayTree, find_airways, lumen_mesh
 from carina.volume import Volume, VolumeSource
+from carina.volume.mask_distances import ball_distance
 
 __all__ = ["Known", "fissures_row", "known_case", "lobes_row", "lungs_row", "vessel_row"]
 

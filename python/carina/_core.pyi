@@ -930,6 +930,9 @@ class FieldTracker:
     def time_paths(self, targets_ijk: Sequence[tuple[int, int, int]]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Return the time in ns of one query of each path, and its number of voxels."""
 
+def ball_distances(inside_zyx: NDArray[np.bool_], *, step_mm: float, reach_mm: float) -> NDArray[np.float32]:
+    """Return the distance in mm from each inside voxel to the nearest outside voxel, less half a voxel."""
+
 def aimed_field_path(
     field_zyx: NDArray[np.float32],
     lps_from_ijk: NDArray[np.float64],

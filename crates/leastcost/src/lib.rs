@@ -6,13 +6,15 @@
 //! `isoregion_graph` are the graph and the cost as printed in the paper, for the same tracker; `graph_tracker` combines
 //! every cost with every graph. `field_tracker` grows the same kind of tree in a whole volume of weights, without a
 //! graph in memory; `field_aim` finds one path in such a volume, `field_sweep` the least costs of all its voxels.
-//! `cheapest_way` finds one path in a small box of weights.
+//! `cheapest_way` finds one path in a small box of weights. `distance` and `cubic_distance` are exact distance
+//! transforms.
 //!
 //! This crate contains no anatomy; `carina-airpath` is based on it.
 
 pub mod box_graph;
 mod buckets;
 pub mod cheapest_way;
+pub mod cubic_distance;
 pub mod dijkstra;
 pub mod distance;
 mod error;

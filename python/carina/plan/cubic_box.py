@@ -9,17 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.volume import Volume
+from carina.volume.mask_distances import extent
 
 __all__ = [
     "Box",
-    "ball_distance",
     "beside",
     "box_step_mm",
     "component_at",
     "components",
-    "distance_from",
     "enclosed",
-    "extent",
     "from_faces",
     "lung_median_hu",
     "smoothed",
@@ -196,67 +194,6 @@ def components(mask: Mask) -> NDArray[np.uint32]:
         sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)))
     )
     return found
-
-
-def ball_distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
-    """Return the distance in mm from each mask voxel to the nearest outside voxel, less half a voxel; 0 outside.
-
-    Voxels beyond the faces of the box do not count as outside.
-
-    Parameters
-    ----------
-    mask
-        (nz, ny, nx) mask of cubic voxels.
-    step_mm
-        Voxel size.
-    """
-    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
-
-    found = np.zeros(mask.shape, dtype=np.float32)
-    if not mask.any():
-        return found
-    # A margin of one voxel round the mask suffices for its distances.
-    part = extent(mask, 1)
-    inner = mask[part]
-    if inner.all():
-        found[part] = np.inf
-        return found
-    image: Any = sitk.GetImageFromArray((~inner).astype(np.uint8))
-    image.SetSpacing([step_mm] * 3)
-    far = sitk.SignedMaurerDistanceMap(image, insideIsPositive=False, squaredDistance=False, useImageSpacing=True)
-    away: NDArray[np.float32] = sitk.GetArrayFromImage(far)
-    # Rounded, so that the distance does not depend on how the mask was cropped.
-    found[part] = np.where(inner, np.maximum(away - 0.5 * step_mm, 0.25 * step_mm).round(3), 0.0)
-    return found
-
-
-def distance_from(mask: Mask, step_mm: float, reach_mm: float) -> NDArray[np.float32]:
-    """Return the distance in mm of each outside voxel to a mask, less half a voxel; infinite beyond ``reach_mm``.
-
-    Parameters
-    ----------
-    mask
-        (nz, ny, nx) mask of cubic voxels.
-    step_mm
-        Voxel size.
-    reach_mm
-        Largest distance that is computed.
-    """
-    found = np.full(mask.shape, np.inf, dtype=np.float32)
-    if mask.any():
-        part = extent(mask, int(np.ceil(reach_mm / step_mm)) + 2)
-        away = ball_distance(~mask[part], step_mm)
-        found[part] = np.where(away <= reach_mm, away, np.inf)
-    return found
-
-
-def extent(mask: Mask, margin: int) -> tuple[slice, slice, slice]:
-    """Return the slices of an array that contain a mask and a margin of ``margin`` voxels."""
-    found = []
-    for axis in range(3):
-        filled = np.flatnonzero(mask.any(axis=tuple(n for n in range(3) if n != axis)))
-        found.append(slice(max(int(filled[0]) - margin, 0), int(filled[-1]) + 1 + margin))
-    return found[0], found[1], found[2]
 
 
 def enclosed(mask: Mask) -> Mask:

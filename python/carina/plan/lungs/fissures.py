@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
-from carina.plan.cubic_box import Box, ball_distance, lung_median_hu, smoothed
+from carina.plan.cubic_box import Box, lung_median_hu, smoothed
 from carina.plan.lungs.vessels import eigenvalues, second_differences
+from carina.volume.mask_distances import ball_distance
 
 __all__ = ["FissureBox", "fissures"]
 

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import NoResultError
-from carina.plan.cubic_box import Box, ball_distance, extent
+from carina.plan.cubic_box import Box
 from carina.plan.lungs.fissures import FissureBox, fissures
 from carina.plan.lungs.tissue_near_needle import lung_box
 from carina.track import AirwayTree, branch_side_and_lobe
 from carina.volume import Volume
+from carina.volume.mask_distances import ball_distance, extent
 
 __all__ = ["LOBE_NAMES", "Lobes", "lobes", "nearest_lobe"]
 
@@ -207,10 +208,10 @@ def lung_grid(box: Box) -> tuple[Mask, NDArray[np.float64]]:
     matrix[:3, 3] = box.lps_from_ijk[:3, 3]
     # Chest wall and mediastinum within the closed lungs block the fast-marching front; vessels do not.
     tissue = box.known[::every, ::every, ::every] & (box.hu_zyx[::every, ::every, ::every] > -300.0)
-    solid = ball_distance(tissue, STEP_MM) > 5.0
+    solid = ball_distance(tissue, STEP_MM, 5.0) > 5.0
     # The box includes some millimetres of chest wall and mediastinum round the lungs.
     known = box.known[::every, ::every, ::every]
-    rim = (ball_distance(known, STEP_MM) < RIM_MM) & (box.hu_zyx[::every, ::every, ::every] > WALL_HU)
+    rim = (ball_distance(known, STEP_MM, RIM_MM) < RIM_MM) & (box.hu_zyx[::every, ::every, ::every] > WALL_HU)
     inside: Mask = known & ~solid & ~rim
     return inside, matrix
 
@@ -279,7 +280,7 @@ def _nearest_border_is_seen(label: NDArray[np.uint8], near_seen: Mask) -> Mask:
         where = [slice(None)] * 3
         where[axis] = slice(1, None)
         edge[tuple(where)] |= cut
-    seen = edge & (ball_distance(~near_seen, STEP_MM) <= SEEN_REACH_MM)
+    seen = edge & (ball_distance(~near_seen, STEP_MM, SEEN_REACH_MM) <= SEEN_REACH_MM)
     unseen = edge & ~seen
     if not seen.any():
         return np.zeros(label.shape, dtype=bool)

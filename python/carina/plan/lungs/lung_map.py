@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import CancelledError, CarinaError
-from carina.plan.cubic_box import Box, ball_distance, smoothed
+from carina.plan.cubic_box import Box, smoothed
 from carina.plan.lungs.fissures import FissureBox
 from carina.plan.lungs.lobes import LOBE_NAMES, Lobes, lobes
 from carina.plan.lungs.tissue_near_needle import NearbyTissue, lung_box, lung_surroundings
@@ -20,6 +20,7 @@ from carina.plan.lungs.vessels import VesselBranch, VesselTree, grow_tree
 from carina.scopes import WallField
 from carina.track import Airways, AirwayTree
 from carina.volume import Volume
+from carina.volume.mask_distances import ball_distance
 
 __all__ = ["LungMap", "MappedMask", "map_lungs"]
 

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import NoResultError
-from carina.plan.cubic_box import Box, ball_distance, lung_median_hu, smoothed
+from carina.plan.cubic_box import Box, lung_median_hu, smoothed
 from carina.plan.lungs.fissures import FissureBox
 from carina.plan.lungs.vessels import RISE_HU as LINE_RISE_HU
 from carina.plan.lungs.vessels import VesselTree, grow_tree, thin_vessels
 from carina.plan.targets.grow_nodule import Nodule
 from carina.scopes import WallField
 from carina.volume import Volume
+from carina.volume.mask_distances import ball_distance
 
 __all__ = ["NearbyTissue", "lung_box", "lung_surroundings", "surroundings"]
 
@@ -257,13 +258,17 @@ def _seen(box: Box, nodule: Nodule | None, wall: WallField, on_share: OnShare = 
     clear = to_wall < -LINE_WALL_MM
     if nodule is not None:
         inside = nodule.contains(_centres(box, np.ones(dense.shape, dtype=bool))).reshape(dense.shape)
-        away = ball_distance(~inside, box.step_mm) > BLUR_MM
+        away = ball_distance(~inside, box.step_mm, BLUR_MM) > BLUR_MM
         dense &= away
         clear &= away
     half = 0.5 * THICKEST_VESSEL_MM
-    core = ball_distance(dense, box.step_mm) > half
+    core = ball_distance(dense, box.step_mm, half) > half
     on_share(0.5)
-    thick = dense & (ball_distance(~core, box.step_mm) <= half + box.step_mm) if core.any() else np.zeros_like(dense)
+    thick = (
+        dense & (ball_distance(~core, box.step_mm, half + box.step_mm) <= half + box.step_mm)
+        if core.any()
+        else np.zeros_like(dense)
+    )
     wide = _large_pieces(dense & ~thick & box.known, LEAST_MM3 / box.step_mm**3)
     on_share(0.6)
     thin, sure = thin_vessels(box, lung_hu, clear & ~thick, on_share=lambda share: on_share(0.6 + 0.2 * share))

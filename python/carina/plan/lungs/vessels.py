@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
-from carina.plan.cubic_box import Box, ball_distance, smoothed
+from carina.plan.cubic_box import Box, smoothed
+from carina.volume.mask_distances import ball_distance
 
 __all__ = ["VesselBranch", "VesselTree", "eigenvalues", "grow_tree", "thin_vessels"]
 

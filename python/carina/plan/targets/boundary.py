@@ -15,13 +15,10 @@ from numpy.typing import NDArray
 from carina.errors import NoResultError
 from carina.plan.cubic_box import (
     Box,
-    ball_distance,
     beside,
     component_at,
     components,
-    distance_from,
     enclosed,
-    extent,
     from_faces,
     lung_median_hu,
     smoothed,
@@ -29,6 +26,7 @@ from carina.plan.cubic_box import (
     uphill,
 )
 from carina.plan.targets.chest_wall import SHALLOW_MM, LungSide, cut_at_wall
+from carina.volume.mask_distances import ball_distance, distance_from, extent
 
 __all__ = ["HALVES_MM", "SMOOTH_MM", "SOLID_HU", "WIDE_OFF_MM", "Boundary", "no_boundary"]
 
@@ -288,7 +286,7 @@ class Boundary:
         """Return the hollows of a nodule if they form a cavity, else an empty mask; small hollows are noise."""
         if float(hollow.sum()) * self.box.step_mm**3 < SMALLEST_CAVITY_MM3:
             return np.zeros_like(hollow)
-        deep = ball_distance(hollow, self.box.step_mm)
+        deep = ball_distance(hollow, self.box.step_mm, CAVITY_MM)
         return hollow if float(deep.max()) >= CAVITY_MM else np.zeros_like(hollow)
 
     def _brighter(self, level: float) -> Mask:
@@ -387,7 +385,7 @@ class Boundary:
     @property
     def is_film(self) -> bool:
         """Whether the nodule on the wall is so thin that it is unevenness of the wall."""
-        return "pleura" in self.touches and float(ball_distance(self.inside, self.box.step_mm).max()) < FILM_MM
+        return "pleura" in self.touches and float(ball_distance(self.inside, self.box.step_mm, FILM_MM).max()) < FILM_MM
 
     @property
     def is_near_faces(self) -> bool:

@@ -11,9 +11,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.plan.cubic_box import Box, ball_distance, beside, distance_from, surface
+from carina.plan.cubic_box import Box, beside, surface
 from carina.plan.targets.boundary import RIM_MM, SOLID_HU, WIDE_OFF_MM, Boundary
 from carina.plan.targets.nodule import Nodule, NoduleKind
+from carina.volume.mask_distances import ball_distance, distance_from
 
 __all__ = ["cut_out", "diameters", "measured"]
 

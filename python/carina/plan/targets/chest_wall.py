@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.plan.cubic_box import Box, ball_distance, beside, component_at, distance_from, from_faces, uphill
+from carina.plan.cubic_box import Box, beside, component_at, from_faces, uphill
+from carina.volume.mask_distances import ball_distance, distance_from
 
 __all__ = ["SHALLOW_MM", "LungSide", "WallCut", "cut_at_wall"]
 
@@ -86,7 +87,7 @@ class LungSide:
     @functools.cached_property
     def has_wall(self) -> bool:
         """Whether tissue wider than a vessel reaches the faces of the box."""
-        return bool(from_faces(ball_distance(self.dense, self.box.step_mm) > VESSEL_MM).any())
+        return bool(from_faces(ball_distance(self.dense, self.box.step_mm, VESSEL_MM) > VESSEL_MM).any())
 
     @functools.cached_property
     def air(self) -> _LungAir:
@@ -123,7 +124,7 @@ def cut_at_wall(side: LungSide, whole: Mask) -> WallCut:
     wall = side.wall(CLOSING_MM)
     if not wall.any():
         return WallCut(whole, None)
-    if ball_distance(wall, step)[seed] <= SHALLOW_MM:
+    if ball_distance(wall, step, SHALLOW_MM)[seed] <= SHALLOW_MM:
         best = _fitted(side, whole, CLOSING_MM)
         if not best.is_chord:
             return best
@@ -134,7 +135,7 @@ def cut_at_wall(side: LungSide, whole: Mask) -> WallCut:
         if closing_mm > CLOSING_SHARE * half_mm or side.air.nearest is None:
             break
         wall = side.wall(closing_mm)
-        if not wall.any() or ball_distance(wall, step)[seed] > DEEP_SEED_MM:
+        if not wall.any() or ball_distance(wall, step, DEEP_SEED_MM)[seed] > DEEP_SEED_MM:
             continue
         found = _fitted(side, whole, closing_mm)
         if not found.is_chord:
@@ -164,7 +165,7 @@ def _fitted(side: LungSide, whole: Mask, closing_mm: float) -> WallCut:
         z, y, x = np.unravel_index(int(np.where(inside, box.steps_from(seed), np.inf).argmin()), wall.shape)
         start = (int(z), int(y), int(x))
     middle = _middle(inside, start, step)
-    from_wall = ball_distance(~wall, step)
+    from_wall = ball_distance(~wall, step, max(2.0 * RING_MM, LUNGWARD_MM))
     nearest_mm = float(from_wall[middle])
     if nearest_mm > 2.0 * RING_MM:
         return WallCut(inside, wall)
@@ -180,7 +181,7 @@ def _fitted(side: LungSide, whole: Mask, closing_mm: float) -> WallCut:
     if len(ring) >= LEAST_POINTS:
         beyond = _surface_side(ring, np.argwhere(lung & (off <= ring_mm)).mean(axis=0), box.hu_zyx.shape)
     # The paraboloid holds only as far as the points that it was fitted to.
-    here = (off <= ring_mm) & (from_wall <= LUNGWARD_MM) & (ball_distance(wall, step) <= DEEPEST_MM)
+    here = (off <= ring_mm) & (from_wall <= LUNGWARD_MM) & (ball_distance(wall, step, DEEPEST_MM) <= DEEPEST_MM)
     beside_wall = lung & here
     behind = 1.0 if beyond is None else float((beside_wall & (beyond > 1.0)).sum()) / max(float(beside_wall.sum()), 1.0)
     # The lung's surface may be bent too much for a paraboloid, as in the costophrenic angle.
@@ -196,8 +197,8 @@ def _outside_closing(lung: Mask, closing_mm: float, step: float) -> Mask:
 
     The closing fills thin or narrow dense structures in the lung, and hollows of its surface.
     """
-    filled = ball_distance(~lung, step) <= closing_mm
-    closed = ball_distance(filled, step) > closing_mm - 0.5 * step
+    filled = ball_distance(~lung, step, closing_mm) <= closing_mm
+    closed = ball_distance(filled, step, closing_mm) > closing_mm - 0.5 * step
     return from_faces(~(closed | lung))
 
 
@@ -218,7 +219,7 @@ class _LungAir:
         import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
         # Thin connections, as between the bronchi and the lung, do not count.
-        cores = ball_distance(air, box.step_mm) > NARROW_MM
+        cores = ball_distance(air, box.step_mm, NARROW_MM) > NARROW_MM
         image = sitk.RelabelComponent(sitk.ConnectedComponent(sitk.GetImageFromArray(cores.astype(np.uint8))))
         labels: NDArray[Any] = sitk.GetArrayFromImage(image)
         off = box.steps_from(seed)

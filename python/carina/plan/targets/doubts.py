@@ -16,20 +16,12 @@ from numpy.typing import NDArray
 from carina.argument_checks import shown
 from carina.display import one_line
 from carina.errors import TrackingError, UnconfirmedTargetError, UsageError
-from carina.plan.cubic_box import (
-    Box,
-    ball_distance,
-    component_at,
-    distance_from,
-    enclosed,
-    from_faces,
-    lung_median_hu,
-    smoothed,
-)
+from carina.plan.cubic_box import Box, component_at, enclosed, from_faces, lung_median_hu, smoothed
 from carina.plan.targets.boundary import DENSEST_HU, SMOOTH_MM
 from carina.plan.targets.nodule import Nodule
 from carina.scopes import WallField
 from carina.volume import Volume
+from carina.volume.mask_distances import ball_distance, distance_from
 from carina.volume.model import Remark
 
 if TYPE_CHECKING:
@@ -363,7 +355,7 @@ def _blood_hu(volume: Volume, airways: Airways) -> float | None:
     box = Box.at(volume, matrix, (num[2], num[1], num[0]))
     smooth = smoothed(box.hu_zyx, 1.0)
     tissue = (smooth > 0.0) & box.known
-    core = ball_distance(tissue, step) > BLOOD_RADIUS_MM
+    core = ball_distance(tissue, step, BLOOD_RADIUS_MM) > BLOOD_RADIUS_MM
     if float(core.sum()) * step**3 < LEAST_BLOOD_MM3:
         return None
     return float(np.percentile(smooth[core], BLOOD_PERCENT))

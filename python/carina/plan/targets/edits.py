@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from carina.errors import UsageError, check_type
-from carina.plan.cubic_box import Box, ball_distance, box_step_mm, component_at, enclosed, smoothed
+from carina.plan.cubic_box import Box, box_step_mm, component_at, enclosed, smoothed
 from carina.plan.targets.mask_measures import measured_mask
 from carina.plan.targets.nodule import Nodule
 from carina.volume import Volume
+from carina.volume.mask_distances import ball_distance
 from carina.volume.point_check import check_in_volume
 
 __all__ = ["brushed", "resized", "sphere"]
@@ -203,7 +204,7 @@ def _off(shape: tuple[int, ...], matrix: Place, point: Place) -> NDArray[np.floa
 
 def _near(mask: Mask, step_mm: float) -> Mask:
     """Return a mask dilated by one voxel across faces."""
-    return ball_distance(~mask, step_mm) <= 1.1 * step_mm
+    return ball_distance(~mask, step_mm, 1.1 * step_mm) <= 1.1 * step_mm
 
 
 def _check(volume: Volume, mm: float, limits: tuple[float, float], what: str) -> None:

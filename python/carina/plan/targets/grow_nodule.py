@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from carina.argument_checks import check_arguments, instance, lps_point
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import NoResultError, UsageError, check_type
-from carina.plan.cubic_box import Box, ball_distance, component_at, distance_from, smoothed, uphill
+from carina.plan.cubic_box import Box, component_at, smoothed, uphill
 from carina.plan.targets.boundary import CLICK_MM, HALVES_MM, SMOOTH_MM, TISSUE_HU, Boundary, no_boundary
 from carina.plan.targets.boundary_measures import measured
 from carina.plan.targets.mask_measures import measured_mask
@@ -16,6 +16,7 @@ from carina.plan.targets.nodule import Nodule, NoduleKind
 from carina.plan.targets.region import is_outside_body
 from carina.scopes import WallField
 from carina.volume import Volume
+from carina.volume.mask_distances import ball_distance, distance_from
 from carina.volume.point_check import check_in_volume
 
 __all__ = ["Nodule", "NoduleKind", "endobronchial_lesion", "grow_nodule"]
@@ -59,9 +60,9 @@ def endobronchial_lesion(volume: Volume, wall: WallField, point_lps: NDArray[np.
     smooth = smoothed(box.hu_zyx, SMOOTH_MM / step)
     tissue = (smooth > 0.5 * (AIR_HU + TISSUE_HU)) & ~lumen
     grown = lumen | (distance_from(lumen, step, CLOSING_MM) <= CLOSING_MM)
-    closed = lumen | (ball_distance(grown, step) > CLOSING_MM)
+    closed = lumen | (ball_distance(grown, step, CLOSING_MM) > CLOSING_MM)
     lesion = closed & tissue
-    core = ball_distance(lesion, step) >= THINNEST_MM
+    core = ball_distance(lesion, step, THINNEST_MM) >= THINNEST_MM
     off = np.where(core, box.offsets_mm(point_lps), np.inf)
     z, y, x = np.unravel_index(int(box.offsets_mm(point_lps).argmin()), off.shape)
     # A click in the lumen selects a near lesion. A click in tissue selects this tissue only, so that a lymph node

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import NoResultError, UsageError
-from carina.plan.cubic_box import Box, ball_distance, beside, box_step_mm, smoothed, surface, trilinear
+from carina.plan.cubic_box import Box, beside, box_step_mm, smoothed, surface, trilinear
 from carina.plan.targets.boundary import SMOOTH_MM, SOLID_HU
 from carina.plan.targets.boundary_measures import CORE_MM, SMALLEST_PART_MM3, cut_out, diameters
 from carina.plan.targets.nodule import Nodule, NoduleKind
 from carina.volume import Volume
+from carina.volume.mask_distances import ball_distance
 
 __all__ = ["DrawnStructure", "drawn_nodule", "measured_mask"]
 

@@ -27,7 +27,8 @@ from carina.argument_checks import (
 )
 from carina.display import one_line
 from carina.errors import UsageError
-from carina.plan.cubic_box import ball_distance, surface
+from carina.plan.cubic_box import surface
+from carina.volume.mask_distances import ball_distance
 
 __all__ = ["Nodule", "NoduleKind"]
 

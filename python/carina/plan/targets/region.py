@@ -7,12 +7,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.plan.cubic_box import Box, ball_distance, smoothed
+from carina.plan.cubic_box import Box, smoothed
 from carina.plan.targets.boundary import SMOOTH_MM
 from carina.plan.targets.nodule import Nodule
 from carina.scopes import WallField
 from carina.volume import Volume, canonical_geometry
 from carina.volume.digest import canonical_axes
+from carina.volume.mask_distances import ball_distance
 
 __all__ = ["WHERE_WORDS", "Whereabouts", "is_outside_body", "whereabouts"]
 
@@ -65,14 +66,16 @@ def whereabouts(volume: Volume, nodule: Nodule, *, wall: WallField | None = None
         return "outside the body"
     away = ball_distance(~inside, step)
     if wall is not None:
-        near = np.argwhere((away <= SHELL_MM[0]) & (ball_distance(inside, step) <= SHELL_MM[0]))
+        near = np.argwhere((away <= SHELL_MM[0]) & (ball_distance(inside, step, SHELL_MM[0]) <= SHELL_MM[0]))
         to_wall = wall.distance_mm(near[:, ::-1] @ matrix[:3, :3].T + matrix[:3, 3])
         if float((to_wall > 0.0).mean()) >= IN_LUMEN:
             return "in an airway"
     box = Box.at(volume, matrix, inside.shape)
     dense = (smoothed(box.hu_zyx, SMOOTH_MM / step) > WALL_HU) & ~inside & box.known
-    core = ball_distance(dense, step) > THICK_MM
-    thick = dense & (ball_distance(~core, step) <= THICK_MM + step) if core.any() else np.zeros_like(dense)
+    core = ball_distance(dense, step, THICK_MM) > THICK_MM
+    thick = (
+        dense & (ball_distance(~core, step, THICK_MM + step) <= THICK_MM + step) if core.any() else np.zeros_like(dense)
+    )
     shell = (away > SHELL_MM[0]) & (away <= SHELL_MM[1]) & box.known
     share = float(thick[shell].mean()) if shell.any() else 0.0
     if share >= BURIED:

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from carina.display import one_line
 from carina.errors import UsageError
-from carina.plan.cubic_box import ball_distance
 from carina.plan.targets.doubts import TargetDoubt, confirmed_codes
 from carina.plan.targets.nodule import Nodule
 from carina.plan.targets.region import WHERE_WORDS, Whereabouts
+from carina.volume.mask_distances import ball_distance
 
 __all__ = ["PlanTarget", "TargetSource", "proposed_aims"]
 
