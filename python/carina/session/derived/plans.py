@@ -157,6 +157,47 @@ class CtOrigin:
     """References to the DICOM files of a dropped CT; never stored."""
 
 
+class EarlyVerdicts:
+    """The verdicts that a running job has computed so far, shown until the job has ended.
+
+    Parameters
+    ----------
+    lock, changed
+        The lock of the session, and the function that is called with the lock held when there are verdicts to show.
+    per_message
+        Number of verdicts after which `changed` is called, unless an instrument reaches the target before.
+    """
+
+    def __init__(self, lock: AbstractContextManager[Any], changed: Callable[[], None], *, per_message: int = 1) -> None:
+        self._lock = lock
+        self._changed = changed
+        self._per_message = per_message
+        self._found: tuple[VerdictInputs, tuple[Verdict, ...]] | None = None
+
+    def of(self, inputs: VerdictInputs) -> tuple[Verdict, ...]:
+        """Return the verdicts that were collected for these inputs."""
+        with self._lock:
+            found = self._found
+            return found[1] if found is not None and _same(found[0], inputs) else ()
+
+    def collector(self, inputs: VerdictInputs) -> Callable[[Verdict], None]:
+        """Return a function that adds one verdict of a job with these inputs."""
+        found: list[Verdict] = []
+
+        def add(verdict: Verdict) -> None:
+            found.append(verdict)
+            if verdict.outcome == "reaches" or len(found) % self._per_message == 0:
+                with self._lock:
+                    self._found = (inputs, tuple(found))
+                    self._changed()
+
+        return add
+
+    def forget(self) -> None:
+        """Delete the collected verdicts."""
+        self._found = None
+
+
 class CasePlanning:
     """The plans of a case's targets, and the verdicts on the chosen route.
 
@@ -207,8 +248,7 @@ class CasePlanning:
             same=_same,
             settled=self._judged,
         )
-        self._early: tuple[VerdictInputs, tuple[Verdict, ...]] | None = None
-        """Inputs and the verdicts computed so far, shown while the job computes further verdicts."""
+        self._early = EarlyVerdicts(lock, changed)
         self._pairs: Derived[PairInputs, tuple[Verdict, ...]] = Derived(
             jobs,
             lock,
@@ -218,7 +258,8 @@ class CasePlanning:
             same=_same,
             settled=changed,
         )
-        self._early_pairs: tuple[PairInputs, tuple[Verdict, ...]] | None = None
+        # A message carries all pairs, so not every verdict is sent at once.
+        self._early_pairs = EarlyVerdicts(lock, changed, per_message=PAIRS_PER_MESSAGE)
         self._ordered: Cached[tuple[Any, ...], tuple[Verdict, ...]] = Cached(_in_order, same=_same)
         self._available: tuple[str, ...] | None = None
         self._document: Document | None = None
@@ -255,11 +296,7 @@ class CasePlanning:
         if inputs is None:
             return ()
         made = self._verdicts.of(inputs)
-        if made is not None:
-            return made
-        with self._lock:
-            early = self._early
-            return early[1] if early is not None and _same(early[0], inputs) else ()
+        return self._early.of(inputs) if made is None else made
 
     def verdicts_standing(self) -> Standing:
         """Return the status of the job that computes the verdicts on the chosen route."""
@@ -278,11 +315,7 @@ class CasePlanning:
         if inputs is None:
             return ()
         found = self._pairs.of(inputs)
-        if found is None:
-            with self._lock:
-                early = self._early_pairs
-                found = early[1] if early is not None and _same(early[0], inputs) else ()
-        return self._ordered.of((inputs[0], found, available))
+        return self._ordered.of((inputs[0], self._early_pairs.of(inputs) if found is None else found, available))
 
     def same_available(self, available: tuple[str, ...] | None) -> tuple[str, ...] | None:
         """Return the earlier tuple of available instruments if it is equal, so that unchanged messages are not sent."""
@@ -360,7 +393,9 @@ class CasePlanning:
         self._pairs.discard()
         self._turns.discard()
         self._wall.forget()
-        self._document = self._early = self._early_pairs = None
+        self._early.forget()
+        self._early_pairs.forget()
+        self._document = None
 
     # ------------------------------------------------------------ computation
 
@@ -495,69 +530,48 @@ class CasePlanning:
         from carina.render import Renderer
 
         plan, number, options = inputs
-        with self._lock:
-            made = self.made
-        if made is None:
-            raise CancelledError("the airways have changed")
+        airways = self._planned_airways()
         # The renderer of the windows is unsuitable, because the user can change its transfer function.
         renderer = Renderer(self._volume)
-        renderer.set_lumen(made.airways.lumen_zyx)
+        renderer.set_lumen(airways.lumen_zyx)
         attempt.check()
         route = plan.routes[number - 1]
         depth_mm = carina_depth_mm(options, route)
-        return turn_list(made.airways.tree, route, carina_depth_mm=depth_mm, renderer=renderer)
+        return turn_list(airways.tree, route, carina_depth_mm=depth_mm, renderer=renderer)
 
-    def _make_pairs(self, inputs: PairInputs, attempt: Attempt[tuple[Verdict, ...]]) -> tuple[Verdict, ...]:
-        plan, wall, options = inputs
+    def _planned_airways(self) -> Airways:
+        """Return the airways of the present plans; raise CancelledError if they have changed."""
         with self._lock:
             made = self.made
         if made is None:
             raise CancelledError("the airways have changed")
-        found: list[Verdict] = []
+        return made.airways
 
-        def tell(verdict: Verdict) -> None:
-            found.append(verdict)
-            # A message carries all pairs, so not every verdict is sent at once.
-            if verdict.outcome == "reaches" or len(found) % PAIRS_PER_MESSAGE == 0:
-                with self._lock:
-                    self._early_pairs = (inputs, tuple(found))
-                    self._changed()
-
+    def _make_pairs(self, inputs: PairInputs, attempt: Attempt[tuple[Verdict, ...]]) -> tuple[Verdict, ...]:
+        plan, wall, options = inputs
         return self._parts.judge_pairs(
-            made.airways.tree,
+            self._planned_airways().tree,
             plan,
             wall,
             scopes=self._parts.scope_presets(),
             origin_depth_mm=origin_depth_mm(options, plan.routes[0].origin),
-            found=tell,
+            found=self._early_pairs.collector(inputs),
             progress=attempt.progress,
             cancel=attempt.cancel,
         )
 
     def _make_verdicts(self, inputs: VerdictInputs, attempt: Attempt[tuple[Verdict, ...]]) -> tuple[Verdict, ...]:
         plan, number, wall, options = inputs
-        with self._lock:
-            made = self.made
-        if made is None:
-            raise CancelledError("the airways have changed")
-        found: list[Verdict] = []
-
-        def tell(verdict: Verdict) -> None:
-            found.append(verdict)
-            with self._lock:
-                self._early = (inputs, tuple(found))
-                self._changed()
-
         # The planned instrument comes first, because the user waits for its verdict.
         presets = sorted(self._parts.scope_presets(), key=lambda preset: preset.name != plan.scope.name)
         return self._parts.judge_scopes(
-            made.airways.tree,
+            self._planned_airways().tree,
             plan,
             wall,
             route=plan.routes[number - 1],
             scopes=presets,
             origin_depth_mm=origin_depth_mm(options, plan.routes[number - 1].origin),
-            found=tell,
+            found=self._early.collector(inputs),
             progress=attempt.progress,
             cancel=attempt.cancel,
         )
