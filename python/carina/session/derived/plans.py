@@ -14,7 +14,7 @@ from carina.case.document import Document, Lesion, Target
 from carina.case.routes import ChosenRoute, centreline_mm
 from carina.commands.plan import PlanOptions
 from carina.display import one_line
-from carina.errors import CancelledError, CarinaError, UnconfirmedTargetError, without_options
+from carina.errors import CancelledError, CarinaError, NoResultError, UnconfirmedTargetError, without_options
 from carina.plan.routes.main_carina import ROOT, RouteScale, origins_of_branches
 from carina.session.derived.derived_value import Attempt, Cached, Derived, Standing
 from carina.session.derived.measurement_cache import MeasuredAirways
@@ -24,16 +24,19 @@ from carina.track import Mesh, TreeMeasures, mask_mesh
 
 if TYPE_CHECKING:
     from carina.plan import (
+        CArmAngles,
         DistanceOrigin,
         Nodule,
         Plan,
         PlannedRoute,
         PlanTarget,
+        RouteStation,
         TargetDoubt,
         TargetMovement,
         TurnList,
         Verdict,
     )
+    from carina.plan.carm import ShadowParts
     from carina.scopes import WallField
     from carina.session.derived.lungs import CaseLungs
     from carina.track import Airways
@@ -86,6 +89,8 @@ class PlanOutcome:
     """Reason, for the user, why the target has no plan; None if it has one."""
     doubts: tuple[TargetDoubt, ...] = ()
     """Doubts whether the target is a nodule, confirmed or not."""
+    stations: tuple[tuple[RouteStation, ...], ...] = ()
+    """Lymph node stations of each route of the plan, in the order of the routes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,6 +137,9 @@ class PlanningInfo:
     """Names of the scopes that are available here; None: all of the library."""
     turns: TurnList | None = None
     """List of the turns of the chosen route at its forks; None without a chosen planned route."""
+    carm: CArmAngles | None = None
+    """Positions of a C-arm for the chosen route; None without a chosen planned route."""
+    carm_standing: Standing = "unwanted"
     dicom_problem: str | None = None
     """Reason why an exported DICOM file cannot refer to the CT; None if it can."""
 
@@ -144,6 +152,8 @@ PairInputs = tuple[Any, ...]
 """Inputs of the verdicts on pairs: plan, airway wall, and plan options."""
 TurnInputs = tuple[Any, ...]
 """Inputs of the list of turns: plan, number of a route in the plan (from 1), and plan options."""
+CArmInputs = tuple[Any, ...]
+"""Inputs of the positions of a C-arm: plan, and number of a route in the plan (from 1)."""
 
 
 @one_line
@@ -274,6 +284,16 @@ class CasePlanning:
             settled=changed,
         )
         self._with_moves: Cached[tuple[Any, ...], TurnList] = Cached(_with_moves)
+        self._carm: Derived[CArmInputs, CArmAngles] = Derived(
+            jobs,
+            lock,
+            kind="carm",
+            title="searching C-arm angles",
+            make=self._make_carm,
+            same=_same,
+            settled=changed,
+        )
+        self._shadows: Cached[Airways, ShadowParts | None] = Cached(self._find_shadows)
         self._num_marks = 0
         self._wall: Cached[Airways, WallField] = Cached(partial(parts.wall_field, volume), same=_same_lumen)
         self._scales: Cached[tuple[Airways, ChosenRoute], RouteScale] = Cached(self._make_scale, same=_same_objects)
@@ -343,6 +363,15 @@ class CasePlanning:
             return turns
         return self._with_moves.of((made.airways.tree, plan.routes[number - 1], turns, driven))
 
+    def carm(self) -> CArmAngles | None:
+        """Return the positions of a C-arm for the chosen route; None without one, or while they are being searched."""
+        return self._carm.of(self._carm_inputs())
+
+    def carm_standing(self) -> Standing:
+        """Return the status of the job that searches the positions of a C-arm."""
+        inputs = self._carm_inputs()
+        return "unwanted" if inputs is None else self._carm.standing(inputs)
+
     def begin_mark(self) -> Callable[[], bool]:
         """Count a search for the target under a cursor; return a function that states whether it is the newest one."""
         with self._lock:
@@ -375,6 +404,7 @@ class CasePlanning:
         self._verdicts.again()
         self._pairs.again()
         self._turns.again()
+        self._carm.again()
         if self._document is not None:
             self.follow(self._document)
 
@@ -393,6 +423,8 @@ class CasePlanning:
         self._pairs.discard()
         self._turns.discard()
         self._wall.forget()
+        self._carm.discard()
+        self._shadows.forget()
         self._early.forget()
         self._early_pairs.forget()
         self._document = None
@@ -405,22 +437,29 @@ class CasePlanning:
         self._changed()
 
     def _judged(self) -> None:
-        self._want_pairs()
+        self._want_after_verdicts()
         self._changed()
 
     def _want_of_route(self) -> None:
         """Request turns and verdicts of the chosen route; the caller holds the session's lock."""
         self._turns.want(self._turn_inputs())
         self._verdicts.want(self._verdict_inputs())
-        self._want_pairs()
+        self._want_after_verdicts()
 
-    def _want_pairs(self) -> None:
-        """Request the verdicts on pairs after those on the chosen route, for which the user waits."""
-        inputs, verdicts = self._pair_inputs(), self._verdict_inputs()
-        begun = inputs is not None and self._pairs.standing(inputs) != "unwanted"
+    def _want_after_verdicts(self) -> None:
+        """Request C-arm angles and verdicts on pairs after the verdicts on the chosen route, for which the user waits.
+
+        The caller holds the session's lock.
+        """
+        verdicts = self._verdict_inputs()
         ended = verdicts is not None and self._verdicts.standing(verdicts) in {"had", "failed"}
-        if inputs is None or begun or ended:
-            self._pairs.want(inputs)
+        derived: tuple[tuple[Derived[Any, Any], tuple[Any, ...] | None], ...] = (
+            (self._carm, self._carm_inputs()),
+            (self._pairs, self._pair_inputs()),
+        )
+        for value, inputs in derived:
+            if inputs is None or ended or value.standing(inputs) != "unwanted":
+                value.want(inputs)
 
     def _inputs(self, document: Document | None) -> PlanInputs | None:
         if document is None or document.airways is None:
@@ -460,7 +499,13 @@ class CasePlanning:
         inputs = self._verdict_inputs()
         return None if inputs is None else (*inputs[:2], inputs[3])
 
+    def _carm_inputs(self) -> CArmInputs | None:
+        inputs = self._verdict_inputs()
+        return None if inputs is None else inputs[:2]
+
     def _make_plans(self, inputs: PlanInputs, attempt: Attempt[MadePlans]) -> MadePlans:
+        from carina.plan.route_stations import route_stations
+
         airways, *tasks = inputs
         before = attempt.before
         same = before is not None and before.airways.lumen_zyx is airways.lumen_zyx
@@ -499,7 +544,8 @@ class CasePlanning:
                     progress=say,
                     cancel=attempt.cancel,
                 )
-                plans.append(PlanOutcome(task, plan, plan.why, plan.doubts))
+                stations = tuple(route_stations(airways.tree, plan, route) for route in plan.routes)
+                plans.append(PlanOutcome(task, plan, plan.why, plan.doubts, stations))
             except CancelledError:
                 raise
             except UnconfirmedTargetError as trouble:
@@ -538,6 +584,24 @@ class CasePlanning:
         route = plan.routes[number - 1]
         depth_mm = carina_depth_mm(options, route)
         return turn_list(airways.tree, route, carina_depth_mm=depth_mm, renderer=renderer)
+
+    def _make_carm(self, inputs: CArmInputs, attempt: Attempt[CArmAngles]) -> CArmAngles:
+        plan, number = inputs
+        airways = self._planned_airways()
+        shadows = self._shadows.of(airways)
+        attempt.check()
+        return self._parts.carm_angles(
+            self._volume, airways, plan, route_number=number, shadows=shadows, cancel=attempt.cancel
+        )
+
+    def _find_shadows(self, airways: Airways) -> ShadowParts | None:
+        from carina.plan.carm import shadow_parts
+
+        try:
+            return shadow_parts(self._volume, airways.tree)
+        except NoResultError:
+            # carm_angles repeats the search and states the reason.
+            return None
 
     def _planned_airways(self) -> Airways:
         """Return the airways of the present plans; raise CancelledError if they have changed."""
