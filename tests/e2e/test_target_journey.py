@@ -58,8 +58,10 @@ def test_follow_chip_covers_no_orientation_letter(server, workstation, size):
     for name in ("axial", "coronal", "sagittal"):
         picture = cell(workstation, name).locator(".cell-picture").bounding_box()
         chip = cell(workstation, name).get_by_test_id("follow-tip").bounding_box()
-        letter = picture["x"] + picture["width"] / 2 + 6
-        assert chip["x"] > letter
+        # One line above the letter of the lower edge, and below that of the right edge.
+        assert chip["height"] < 22
+        assert chip["x"] > picture["x"]
+        assert chip["y"] + chip["height"] <= picture["y"] + picture["height"] - 17
         assert chip["y"] > picture["y"] + picture["height"] / 2 + 8
     workstation.picture(f"follow-{width}")
 

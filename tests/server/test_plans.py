@@ -8,7 +8,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from carina.commands import CloseCase, MapLungs
+from carina.commands import AddTarget, CloseCase, MapLungs, RemoveTarget
 from carina.plan.lungs.lung_map import LungMap
 from carina.plan.lungs.vessels import VesselBranch, VesselTree
 from carina.server.to_wire.lungs import _fissures_seen
@@ -31,6 +31,25 @@ def test_plans_are_absent_without_a_case_and_empty_before_a_target() -> None:
     bench.session.do(CloseCase())
     # A request while a case is being closed returns no plans and raises no error.
     assert texts.plans() == nothing != told
+
+
+def test_targets_without_a_plan_are_listed_in_the_comparison_after_each_change() -> None:
+    bench = small_bench()
+    texts = SharedTexts(bench.session, None, print)
+    bench.open()
+    bench.background.run_all()
+    sent = [json.loads(texts.plans())["comparison"]]
+    lumen = bench.session.snapshot().document.airways.tree.tips()[0].points
+    for point in (lumen[0], lumen[-1]):
+        bench.session.do(AddTarget((float(point[0]), float(point[1]), float(point[2]))))
+        bench.background.run_all()
+        sent.append(json.loads(texts.plans())["comparison"])
+    assert sent[:2] == [None, None]
+    assert sent[2]["targets"] == []
+    assert [one["target_id"] for one in sent[2]["unplanned"]] == ["target-1", "target-2"]
+    assert all(one["why"].startswith("not planned") for one in sent[2]["unplanned"])
+    bench.session.do(RemoveTarget("target-1"))
+    assert json.loads(texts.plans())["comparison"] is None
 
 
 def test_maps_of_the_lungs_are_sent_only_after_a_change() -> None:

@@ -482,6 +482,64 @@ def test_see_turn_shows_the_camera_of_the_turn_for_both_operator_positions(case:
         assert one.openings[0].straight_ahead == turn.straight_ahead
 
 
+def test_c_arm_angles_and_stations_of_the_chosen_route_travel_unchanged(
+    case: carina.Case, chest: Phantom, airways: carina.Airways
+) -> None:
+    case.do(AddTarget(centre_of(chest)))
+    (target,) = case.state.document.targets
+    assert plans_message(case.ask(PlanningOf())).carm is None
+    case.do(ChoosePlannedRoute(target.target_id, 1))
+    info = case.ask(PlanningOf())
+    message = plans_message(info)
+    plan = info.targets[0].planned.plan
+    expected = carina.plan.carm_angles(chest.volume, case.state.document.airways, plan).to_json()
+    assert (info.carm_standing, message.carm_standing) == ("had", "had")
+    told = json.loads(msgspec.json.encode(message.carm))
+    assert [told["why"], told["limits"], told["notes"]] == [expected[key] for key in ("why", "limits", "notes")]
+    assert len(told["angles"]) == len(expected["angles"]) > 0
+    for one, of_python in zip(told["angles"], expected["angles"], strict=True):
+        assert one == {key: of_python[key] for key in one}
+    # The report states the angles that the window shows.
+    assert case.ask(PlanToTakeAway(target.target_id)).carm is info.carm
+
+    stations = carina.plan.route_stations(airways.tree, plan, plan.routes[0])
+    assert [one.head for one in message.targets[0].stations] == [one.words for one in stations] != []
+    for one, station in zip(message.targets[0].stations, stations, strict=True):
+        assert one.facing == station.words_for("facing") != one.head
+        assert one.point_lps == station.landmark.point_lps and one.direction_lps == station.landmark.direction_lps
+    assert message.station_note == carina.plan.STATION_NOTE
+
+
+def test_targets_are_compared_in_the_order_of_python_and_unplanned_ones_give_their_reason(
+    case: carina.Case, chest: Phantom
+) -> None:
+    x, y, z = centre_of(chest)
+    case.do(AddTarget((x, y, z)))
+    assert plans_message(case.ask(PlanningOf())).comparison is None
+    case.do(AddTarget((x + 1.0, y, z)))
+    first, second = case.state.document.targets
+    # A smaller target of the same name, for which fewer needle passes hit.
+    case.do(ResizeTarget(first.target_id, 5.0))
+    case.do(DescribeTarget(first.target_id, second.name, "", 1))
+    tree = case.state.document.airways.tree
+    px, py, pz = (float(v) for v in tree.tips()[0].points[-1])
+    case.do(AddTarget((px, py, pz)))
+    info = case.ask(PlanningOf())
+    plans = [one.planned.plan for one in info.targets]
+    expected = carina.plan.compare_targets(plans, [one.target.name for one in info.targets])
+    found = plans_message(info).comparison
+    assert found.order == carina.plan.ORDER_RULE
+    ids = {id(one.planned.plan): one.target.target_id for one in info.targets}
+    assert [one.target_id for one in found.targets] == [ids[id(row.plan)] for row in expected]
+    assert [one.target_id for one in found.targets] == [second.target_id, first.target_id]
+    for one, row in zip(found.targets, expected, strict=True):
+        value = row.to_json()
+        told = json.loads(msgspec.json.encode(one))
+        assert {key: told[key] for key in value} == value
+    (rest,) = found.unplanned
+    assert rest.target_id == case.state.document.targets[2].target_id and rest.why.startswith("not planned")
+
+
 def test_growing_a_nodule_reports_progress_and_can_be_stopped():
     began = []
 

@@ -100,6 +100,7 @@ class CArmAngle:
             "target_clear_mm": self.target_clear_mm,
             "tip_clear_mm": self.tip_clear_mm,
             "tilt_deg": self.tilt_deg,
+            "name": self.name,
             "words": self.words,
         }
 

@@ -11,6 +11,7 @@ from carina.display import one_line
 from carina.plan.ebus import EBUS_LIMITS, STATION_SOURCE, Landmark, ebus_landmarks
 from carina.plan.routes.main_carina import DistanceOrigin, carina_words
 from carina.plan.routes.plan_route import Plan, PlannedRoute
+from carina.plan.turns.fork_view import Operator
 from carina.track import AirwayTree
 
 __all__ = ["NEXT_TO_MM", "STATION_NOTE", "RouteStation", "route_stations"]
@@ -53,8 +54,20 @@ class RouteStation:
     @property
     def words(self) -> str:
         """Station, place, clock hour at the head and relation, as text."""
-        hour = self.landmark.clock_head
-        clock = "" if hour is None else f", towards {round(hour) or 12} o'clock for an operator at the head"
+        return self.words_for("head")
+
+    def words_for(self, operator: Operator) -> str:
+        """Return station, place, clock hour for an operator and relation, as text.
+
+        Parameters
+        ----------
+        operator
+            Position of the operator, for whom the clock hour is: at the patient's head, or facing the patient.
+        """
+        at_head = operator == "head"
+        hour = self.landmark.clock_head if at_head else self.landmark.clock_facing
+        whose = "at the head" if at_head else "who faces the patient"
+        clock = "" if hour is None else f", towards {round(hour) or 12} o'clock for an operator {whose}"
         return (
             f"station {self.landmark.station} from {self.landmark.seen_from}, {self.place_words}{clock}: "
             f"{self.relation}"
@@ -66,6 +79,8 @@ class RouteStation:
             "on_route": self.on_route,
             "to_target_mm": self.to_target_mm,
             "relation": self.relation,
+            "head": self.words_for("head"),
+            "facing": self.words_for("facing"),
         }
 
 

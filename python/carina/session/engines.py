@@ -13,7 +13,7 @@ from carina.plan.lungs.lung_map import map_lungs
 from carina.scopes import ScopePreset, scope_presets
 
 if TYPE_CHECKING:
-    from carina.plan import DistanceOrigin, MovementMeasurement, Plan, PlanTarget, ReachAtlas, Verdict
+    from carina.plan import CArmAngles, DistanceOrigin, MovementMeasurement, Plan, PlanTarget, ReachAtlas, Verdict
     from carina.plan.lungs.lung_map import LungMap
     from carina.render import TransferFunction
     from carina.session.scene.shown_case import SessionRenderer
@@ -79,6 +79,11 @@ class Parts:
     """Computes the verdicts on pairs of route and instrument.
 
     The call is ``judge_pairs(tree, plan, wall, scopes=, origin_depth_mm=, found=, progress=, cancel=)``.
+    """
+    carm_angles: Callable[..., CArmAngles] = plan.carm_angles
+    """Returns the positions of a C-arm for a route.
+
+    The call is ``carm_angles(volume, airways, plan, route_number=, shadows=, cancel=)``.
     """
     map_lungs: Callable[..., LungMap] = map_lungs
     """Maps vessels, fissures and lobes: ``map_lungs(volume, airways, wall, progress=, found=)``."""

@@ -10,7 +10,7 @@ import { type FlatView, isFlatView, nextIn, SIDE_CELLS, type SideCell, viewsOf }
 import type { PictureHeader, ViewName } from "../wire/messages";
 import { CELLS, VIEWS } from "../wire/views";
 import { useApp, useStation } from "./context";
-import { Act, Choice, SwitchKey, Tip } from "./controls";
+import { Act, Choice, giveKeysBack, SwitchKey, Tip } from "./controls";
 import { fitPicture } from "./gestures-flat";
 import { PictureView } from "./PictureView";
 import { ToolTag } from "./ToolTag";
@@ -122,9 +122,7 @@ function FollowChip() {
         aria-label="Slices are not following the tip. Follow the tip again."
         data-testid="follow-tip"
         onPress={(event) => {
-          // Return the focus to the page after a click by mouse, so that the keys move the tip.
-          if (event.pointerType === "mouse" && document.activeElement instanceof HTMLElement)
-            document.activeElement.blur();
+          giveKeysBack(event.pointerType);
           station.act("crosshair_to_tip");
         }}
       >

@@ -17,6 +17,7 @@ import { SaveDialog } from "./SaveDialog";
 import { SideViews } from "./SideViews";
 import { StatusBar } from "./StatusBar";
 import { StepPanel } from "./StepPanel";
+import { TargetComparisonDialog } from "./TargetComparison";
 import { cursorOf } from "./ToolTag";
 import { TopBar } from "./TopBar";
 import { WatcherPanel } from "./WatcherPanel";
@@ -58,6 +59,7 @@ export function WorkstationPage() {
       <DropChoice />
       <MaskDialog />
       <SaveDialog />
+      <TargetComparisonDialog />
     </div>
   );
 }

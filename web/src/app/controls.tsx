@@ -25,7 +25,7 @@ export function Tip({ words, keys, children }: { words: string; keys?: string; c
  * Remove the focus from a button after a click by mouse, so that the keys move the tip; a button reached by Tab keeps
  * the focus.
  */
-function giveKeysBack(pointerType: string): void {
+export function giveKeysBack(pointerType: string): void {
   if (pointerType === "keyboard" || pointerType === "virtual") return;
   if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
 }

@@ -22,6 +22,7 @@ import { NOT_SENT } from "../state/optimistic";
 import { PaceMeter } from "../state/pace";
 import { type PathCost, startOf, targetMessage } from "../state/path-search";
 import { wasUsedByPen } from "../state/pen";
+import { planOf } from "../state/plan";
 import type { PixelPoint } from "../state/projection";
 import { clampToRoute } from "../state/route";
 import { SpeedMeter, shownSpeed } from "../state/speed";
@@ -34,6 +35,7 @@ import { mayWatcherSend } from "../state/watching";
 import { sceneOf } from "../views/scene";
 import { Wall } from "../views/wall";
 import type {
+  Carm,
   ClientMessage,
   Demo,
   FlightInfo,
@@ -43,7 +45,7 @@ import type {
   PoseMessage,
   ViewName,
 } from "../wire/messages";
-import { type CellName, LEAD_VIEW } from "../wire/views";
+import { type CellName, LEAD_VIEW, VIEWS } from "../wire/views";
 import { BrowserDevices } from "./devices";
 import { Heartbeat, wakeByHand } from "./heartbeat";
 import { Pointing } from "./pointing";
@@ -432,6 +434,25 @@ export class Workstation implements Station {
     this.send({ type: "choose_planned_route", target_id: targetId, number });
     this.ui({ step: "route" });
   };
+
+  /**
+   * Choose a target of the comparison, and show its route: the best one, or the chosen one if the target is chosen
+   * already.
+   */
+  chooseComparedTarget(targetId: string): void {
+    this.ui({ comparisonOpen: false, step: "route" });
+    if (this.state.route?.target_id === targetId) return;
+    if (planOf(this.state.plans, targetId) === null) this.chooseTarget(targetId);
+    else this.takePlannedRoute(targetId, 1);
+  }
+
+  /** Show the X-ray from the C-arm at these angles, in full view if another cell has the full view. */
+  showFromCArm({ primary_deg, secondary_deg }: Pick<Carm, "primary_deg" | "secondary_deg">): void {
+    const view = viewZoomedBy("carm");
+    this.show(view);
+    if (this.state.ui.full !== null) this.ui({ full: VIEWS[view].cell });
+    this.sendSoon({ type: "set_carm", ...this.state.sight.carm, primary_deg, secondary_deg, mm_per_px: null });
+  }
 
   /** Show or hide a layer around the targets. The server sends no data of hidden layers with the pictures. */
   toggleLayer(layer: ShownLayer): void {

@@ -120,6 +120,8 @@ export interface Ui {
   readonly keyCardOpen: boolean;
   /** Whether the dialog that saves the case as a named file is open. */
   readonly saveOpen: boolean;
+  /** Whether the dialog that compares the targets is open. */
+  readonly comparisonOpen: boolean;
   /** Whether the dialog with all cases and their disk usage is open. */
   readonly storageOpen: boolean;
   /**
@@ -289,6 +291,7 @@ export const INITIAL_STATE: AppState = {
     pointedLps: null,
     keyCardOpen: false,
     saveOpen: false,
+    comparisonOpen: false,
     storageOpen: false,
     continuedReadS: null,
     list: "airways",
@@ -494,6 +497,7 @@ function sessionChanged(state: AppState, session: StateMessage): AppState {
         advancing: false,
         keysOpen: false,
         saveOpen: false,
+        comparisonOpen: false,
         step: "open",
       },
     };

@@ -14,10 +14,10 @@ describe("finenessText", () => {
 });
 
 describe("carmText", () => {
-  it("The angles are written in the notation of fluoroscopy: AP, LAO, RAO, CRAN, CAUD.", () => {
-    expect(carmText({ primary_deg: 0, secondary_deg: 0 })).toEqual(["AP 0\u00b0"]);
-    expect(carmText({ primary_deg: 30.4, secondary_deg: -15 })).toEqual(["LAO 30\u00b0", "CAUD 15\u00b0"]);
-    expect(carmText({ primary_deg: -90, secondary_deg: 8 })).toEqual(["RAO 90\u00b0", "CRAN 8\u00b0"]);
+  it("The angles are written in the words of a plan: AP, LAO, RAO, cranial, caudal.", () => {
+    expect(carmText({ primary_deg: 0, secondary_deg: 0 })).toEqual(["AP"]);
+    expect(carmText({ primary_deg: 30.4, secondary_deg: -15 })).toEqual(["LAO 30\u00b0", "caudal 15\u00b0"]);
+    expect(carmText({ primary_deg: -90, secondary_deg: 8 })).toEqual(["RAO 90\u00b0", "cranial 8\u00b0"]);
   });
 });
 

@@ -74,12 +74,12 @@ export function timeLeft(seconds: number): string {
 /** Return window width and level as text, `W 1500  L -600`. */
 export const windowText = (widthHu: number, levelHu: number): string => `W ${fixed(widthHu)}  L ${fixed(levelHu)}`;
 
-/** Return the angles of a C-arm as text: `LAO 30\u00b0`, `CRAN 15\u00b0`. */
+/** Return the angles of a C-arm as texts, in the words of a plan's C-arm angles: `LAO 30\u00b0`, `cranial 15\u00b0`. */
 export function carmText(carm: { primary_deg: number; secondary_deg: number }): string[] {
   const primary = Math.round(carm.primary_deg);
   const secondary = Math.round(carm.secondary_deg);
-  const first = primary === 0 ? "AP 0\u00b0" : `${primary > 0 ? "LAO" : "RAO"} ${Math.abs(primary)}\u00b0`;
-  return secondary === 0 ? [first] : [first, `${secondary > 0 ? "CRAN" : "CAUD"} ${Math.abs(secondary)}\u00b0`];
+  const first = primary === 0 ? "AP" : `${primary > 0 ? "LAO" : "RAO"} ${Math.abs(primary)}\u00b0`;
+  return secondary === 0 ? [first] : [first, `${secondary > 0 ? "cranial" : "caudal"} ${Math.abs(secondary)}\u00b0`];
 }
 
 /** Return a text of the server with a capital first letter, as a sentence. */

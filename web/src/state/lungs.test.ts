@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import type { LungsMessage } from "../wire/messages";
+import type { LungsMessage, StationOnRoute } from "../wire/messages";
 import { layerRows, stationsSeen, toggled, vesselsSeen, wantedLayers } from "./lungs";
 
 const LUNGS: LungsMessage = {
@@ -42,8 +42,26 @@ describe("layers around the targets", () => {
   });
 
   it("stationsSeen returns only stations with a point in the tree, and none while they are hidden.", () => {
-    expect(stationsSeen(LUNGS, [])).toEqual([{ station: "7", from: [0, 0, 0], to: [12, 0, 0] }]);
-    expect(stationsSeen(LUNGS, ["stations"])).toEqual([]);
+    expect(stationsSeen(LUNGS, [], [])).toEqual([{ station: "7", from: [0, 0, 0], to: [12, 0, 0] }]);
+    expect(stationsSeen(LUNGS, ["stations"], [])).toEqual([]);
+  });
+
+  it("stationsSeen adds the stations of the route that the slices show, and never the same station twice.", () => {
+    const shown: StationOnRoute = {
+      station: "7",
+      head: "",
+      facing: "",
+      point_lps: [0, 0, 0],
+      direction_lps: [1, 0, 0],
+      borders: "",
+      doubts: [],
+    };
+    const seen = { station: "7", from: [0, 0, 0], to: [12, 0, 0] };
+    expect(stationsSeen(null, [], [shown])).toEqual([seen]);
+    expect(stationsSeen(LUNGS, ["stations"], [shown])).toEqual([seen]);
+    expect(stationsSeen(LUNGS, [], [shown])).toEqual([seen]);
+    // Station 7 has a second landmark, in the other main bronchus.
+    expect(stationsSeen(LUNGS, [], [{ ...shown, point_lps: [9, 0, 0] }])).toHaveLength(2);
   });
 
   it("vesselsSeen returns the vessel lines unless they are hidden or missing.", () => {

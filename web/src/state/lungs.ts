@@ -1,7 +1,7 @@
 /** Lung structures that were mapped around the targets, for the panel and the views. */
 
-import type { LungsMessage, PictureLayer, Station, VesselLine } from "../wire/messages";
-import { add, asVec3, scale, type Vec3 } from "./vec";
+import type { LungsMessage, PictureLayer, Station, StationOnRoute, VesselLine } from "../wire/messages";
+import { add, asVec3, scale, sub, type Vec3 } from "./vec";
 
 /** Name of a layer in the protocol. */
 export type LayerName = PictureLayer["layer"];
@@ -46,14 +46,30 @@ export interface SeenStation {
   readonly to: Vec3;
 }
 
-/** Return the visible lymph node stations whose airway point is in the tree. */
-export function stationsSeen(lungs: LungsMessage | null, hidden: readonly ShownLayer[]): SeenStation[] {
-  if (lungs === null || hidden.includes("stations")) return [];
-  return lungs.stations.flatMap(({ station, point_lps: point, direction_lps: direction }: Station) => {
-    if (point === null || direction === null) return [];
-    const from = asVec3(point);
-    return [{ station, from, to: add(from, scale(asVec3(direction), LOOK_MM)) }];
-  });
+/**
+ * Return the visible lymph node stations whose airway point is in the tree. `shown` are the stations of the route that
+ * the slices show, which are visible also while the others are hidden or not mapped.
+ */
+export function stationsSeen(
+  lungs: LungsMessage | null,
+  hidden: readonly ShownLayer[],
+  shown: readonly StationOnRoute[],
+): SeenStation[] {
+  const mapped = lungs === null || hidden.includes("stations") ? [] : lungs.stations.flatMap(seenStation);
+  // A mapped station is the same landmark, computed from the same airways.
+  const alone = shown
+    .flatMap(seenStation)
+    .filter(
+      ({ station, from }) =>
+        !mapped.some((one) => one.station === station && Math.hypot(...sub(one.from, from)) < 0.05),
+    );
+  return [...mapped, ...alone];
+}
+
+function seenStation({ station, point_lps: point, direction_lps: direction }: Station | StationOnRoute): SeenStation[] {
+  if (point === null || direction === null) return [];
+  const from = asVec3(point);
+  return [{ station, from, to: add(from, scale(asVec3(direction), LOOK_MM)) }];
 }
 
 const NO_VESSELS: readonly VesselLine[] = [];

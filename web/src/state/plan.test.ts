@@ -1,6 +1,13 @@
 import { describe, expect, it } from "vitest";
-import type { PlannedTurn, RouteInfo, RouteOffer } from "../wire/messages";
-import { besideRouteMm, ROUTE_ROWS, turnBefore, turnText } from "./plan";
+import {
+  FIRST_SIGHT,
+  type PlannedTurn,
+  type RouteInfo,
+  type RouteOffer,
+  type StationOnRoute,
+  type TargetPlan,
+} from "../wire/messages";
+import { besideRouteMm, isCArmAt, ROUTE_ROWS, stationsShown, stationText, turnBefore, turnText } from "./plan";
 
 const turn = (at: [number, number, number] | null): PlannedTurn => ({
   head: "3 o'clock",
@@ -41,6 +48,43 @@ describe("list of turns", () => {
     } as unknown as RouteInfo;
     expect(besideRouteMm(route, [3, 0, 11])).toBe(10);
     expect(besideRouteMm(route, [5, 0, 20])).toBeNull();
+  });
+});
+
+describe("stations of a route", () => {
+  const station: StationOnRoute = {
+    station: "7",
+    head: "9 o'clock",
+    facing: "3 o'clock",
+    point_lps: [1, 2, 3],
+    direction_lps: [1, 0, 0],
+    borders: "",
+    doubts: [],
+  };
+  const same = { ...station, station: "10R" };
+  const above = { ...station, station: "4R", point_lps: [1, 2, 30] };
+  const plan = { stations: [above, station, same] } as unknown as TargetPlan;
+
+  it("stationText returns the text for the operator's position.", () => {
+    expect(stationText(station, "head")).toBe("9 o'clock");
+    expect(stationText(station, "facing")).toBe("3 o'clock");
+  });
+
+  it("stationsShown returns the stations at the crosshair, and none while the slices follow the tip.", () => {
+    expect(stationsShown(plan, [1, 2, 3])).toEqual([station, same]);
+    expect(stationsShown(plan, [1, 2, 3.5])).toEqual([]);
+    expect(stationsShown(plan, null)).toEqual([]);
+    expect(stationsShown(null, [1, 2, 3])).toEqual([]);
+  });
+});
+
+describe("C-arm angles", () => {
+  it("isCArmAt compares both angles with their signs.", () => {
+    const position = { primary_deg: 30, secondary_deg: -10, name: "", words: "" };
+    const carm = { ...FIRST_SIGHT.carm, primary_deg: 30.2, secondary_deg: -10 };
+    expect(isCArmAt(carm, position)).toBe(true);
+    expect(isCArmAt({ ...carm, secondary_deg: 10 }, position)).toBe(false);
+    expect(isCArmAt({ ...carm, primary_deg: -30 }, position)).toBe(false);
   });
 });
 

@@ -1,12 +1,15 @@
 /** Texts about a plan, and the tip's position relative to its turns and route. */
 
 import type {
+  CArmPosition,
+  Carm,
   Look,
   PlannedTurn,
   PlansMessage,
   RouteInfo,
   RouteOffer,
   ScopeVerdict,
+  StationOnRoute,
   TargetPlan,
 } from "../wire/messages";
 import { withError } from "./branch-words";
@@ -20,7 +23,8 @@ export const planOf = (plans: PlansMessage | null, targetId: string | null): Tar
 /** Return a fraction as a percentage. */
 export const share = (part: number): string => `${fixed(100 * part)}\u202f%`;
 
-const figure = (value: number | null | undefined, text: (value: number) => string): string =>
+/** Return the text of a value; a dash without a value. */
+export const figure = (value: number | null | undefined, text: (value: number) => string): string =>
   value === null || value === undefined ? "\u2013" : text(value);
 
 /** Rows of the table that compares routes, with the function that returns each row's text. */
@@ -99,6 +103,26 @@ const rank = ({ outcome }: ScopeVerdict): number => (ORDER.indexOf(outcome) + OR
 /** Return the text of a turn for the selected operator position. */
 export const turnText = (turn: PlannedTurn, operator: Look["operator"]): string =>
   operator === "head" ? turn.head : turn.facing;
+
+/** Return the text of a lymph node station of a route for the selected operator position. */
+export const stationText = (station: StationOnRoute, operator: Look["operator"]): string =>
+  operator === "head" ? station.head : station.facing;
+
+/** Distance of the crosshair from the landmark of a station, mm, up to which the slices show the station. */
+const SHOWN_MM = 0.05;
+
+/** Return whether the slices show the landmark of a station of a route, where the user has moved the crosshair. */
+export const isStationShown = (station: StationOnRoute, crosshair: Vec3 | null): boolean =>
+  crosshair !== null && Math.hypot(...sub(asVec3(station.point_lps), crosshair)) <= SHOWN_MM;
+
+/** Return the stations of a plan whose landmark the slices show; stations 7 and 10 can have the same landmark. */
+export const stationsShown = (plan: TargetPlan | null, crosshair: Vec3 | null): StationOnRoute[] =>
+  plan?.stations.filter((station) => isStationShown(station, crosshair)) ?? [];
+
+/** Return whether the C-arm of the X-ray view is at a position, up to the rounding of its text. */
+export const isCArmAt = (carm: Carm, position: CArmPosition): boolean =>
+  Math.abs(carm.primary_deg - position.primary_deg) < 0.5 &&
+  Math.abs(carm.secondary_deg - position.secondary_deg) < 0.5;
 
 /**
  * Distance of the tip from the viewpoint of a turn, mm, up to which the tip counts as being at the viewpoint; turning

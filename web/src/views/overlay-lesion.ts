@@ -6,7 +6,7 @@
 import { type FlatGeometry, type Geometry, normalOf, pixelFromLps } from "../state/projection";
 import { type Surface, sectionOf } from "../state/section";
 import { add, scale, sub, type Vec3 } from "../state/vec";
-import { INK, type Ink, label, line, type ScreenPoint } from "./ink";
+import { INK, type Ink, label, line, type NamePlaces, type ScreenPoint } from "./ink";
 import type { Scene, SceneLesion } from "./scene";
 import type { Viewport } from "./viewport";
 
@@ -22,6 +22,8 @@ const BEHIND_ALPHA = 0.22;
 const PARTS = 24;
 /** Distance of a target's label above the target's middle, CSS px. */
 const LABEL_PX = 24;
+/** Half the width of the mark of the planned tip, CSS px. */
+const TIP_PX = 5;
 /** Distance of the tip from the parking position, mm, up to which the airway view shows the needle path. */
 const NEEDLE_FROM_MM = 25;
 
@@ -68,6 +70,40 @@ export function paintLesionsSeen(ink: Ink, viewport: Viewport, geometry: Geometr
   // path.
   if (toGoMm === null || toGoMm <= NEEDLE_FROM_MM)
     paintNeedle(ink, viewport, geometry, scene, (depthMm) => depthMm < mostMm);
+}
+
+/**
+ * Mark the place where the scope's tip is when the needle is advanced, in a radiograph: a diamond with a name, because
+ * the scope's present tip is elsewhere until it arrives.
+ */
+export function paintPlannedTip(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: Geometry,
+  scene: Scene,
+  names: NamePlaces,
+): void {
+  if (scene.needle === null) return;
+  const seen = pixelFromLps(geometry, scene.needle.tip);
+  if (seen === null) return;
+  const at = viewport.screenAt(seen);
+  ink.save();
+  for (const [width, colour] of [
+    [3.5, INK.halo],
+    [1.5, INK.needle],
+  ] as const) {
+    ink.lineWidth = width;
+    ink.strokeStyle = colour;
+    ink.beginPath();
+    ink.moveTo(at.x, at.y - TIP_PX);
+    ink.lineTo(at.x + TIP_PX, at.y);
+    ink.lineTo(at.x, at.y + TIP_PX);
+    ink.lineTo(at.x - TIP_PX, at.y);
+    ink.closePath();
+    ink.stroke();
+  }
+  ink.restore();
+  names.name(ink, "Planned tip", at, INK.needle, viewport.size, [-1, 1]);
 }
 
 function paintSection(ink: Ink, viewport: Viewport, geometry: FlatGeometry, lesion: SceneLesion): void {

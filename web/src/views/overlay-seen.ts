@@ -24,7 +24,7 @@ import {
 import { paintCursorNote, paintLivePath, paintPreview } from "./overlay-cursor";
 import { paintLetters } from "./overlay-flat";
 import { paintStations } from "./overlay-layers";
-import { paintLesionsOutside } from "./overlay-lesion";
+import { paintLesionsOutside, paintPlannedTip } from "./overlay-lesion";
 import { paintLobes, paintNames } from "./overlay-names";
 import { paintPen } from "./overlay-pen";
 import { paintActedOn, paintDrawn, paintTree } from "./overlay-tree";
@@ -74,6 +74,7 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
     if (!target.hasSize) targetMark(ink, at, colour, 1);
     names.name(ink, target.name, at, colour, viewport.size);
   }
+  if (zoom === "carm") paintPlannedTip(ink, viewport, geometry, scene, names);
   if (isTree) {
     paintStations(ink, viewport, scene, names, (lps) => {
       const seen = pixelFromLps(geometry, lps);
@@ -120,7 +121,7 @@ function paintPlanes(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene
   }
 }
 
-/** Draw the angles of the C-arm as text, in the notation of fluoroscopy. */
+/** Draw the angles of the C-arm as text. */
 function paintAngles(ink: Ink, scene: Scene): void {
   carmText(scene.carm).forEach((words, index) => {
     label(ink, words, { x: 7, y: 13 + 15 * index }, { size: 11, align: "left" });

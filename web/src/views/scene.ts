@@ -10,6 +10,7 @@ import { type LiveAnswer, leavesTreeAt, livePathLines } from "../state/live-path
 import { type SeenStation, type ShownLayer, stationsSeen, vesselsSeen } from "../state/lungs";
 import { startOf } from "../state/path-search";
 import { marksByPen } from "../state/pen";
+import { planOf, stationsShown } from "../state/plan";
 import { pointsBetween } from "../state/route";
 import type { Surface } from "../state/section";
 import { marksStructure, targetMarkLines } from "../state/target-mark";
@@ -374,7 +375,11 @@ function madeOf(state: AppState): Scene {
     routeLineVisible: state.ui.routeLineVisible,
     outlineVisible: state.ui.outlineVisible,
     hiddenLayers: state.ui.hiddenLayers,
-    stations: stationsSeen(state.lungs, state.ui.hiddenLayers),
+    stations: stationsSeen(
+      state.lungs,
+      state.ui.hiddenLayers,
+      stationsShown(planOf(state.plans, state.route?.target_id ?? null), cross),
+    ),
     vessels: vesselsSeen(state.lungs, state.ui.hiddenLayers),
     tree: state.tree,
     pathMm: pathMm(state),

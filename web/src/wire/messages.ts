@@ -1098,6 +1098,17 @@ export interface RouteOffer {
   readonly predictors: FailurePredictors | null;
 }
 
+/** A lymph node station that a route passes or that is next to its target, by the landmark of its examination. */
+export interface StationOnRoute {
+  readonly station: string;
+  readonly head: string;
+  readonly facing: string;
+  readonly point_lps: readonly [number, number, number];
+  readonly direction_lps: readonly [number, number, number];
+  readonly borders: string;
+  readonly doubts: readonly string[];
+}
+
 /** A lesion that is a target, and the routes to it. */
 export interface TargetPlan {
   readonly target_id: string;
@@ -1118,6 +1129,7 @@ export interface TargetPlan {
   readonly doubts: readonly (readonly [string, string])[];
   readonly unconfirmed: readonly string[];
   readonly chosen: number | null;
+  readonly stations: readonly StationOnRoute[];
 }
 
 /** One check of an instrument on a route, with its answer. */
@@ -1178,6 +1190,50 @@ export interface RoutePair {
   readonly available: boolean;
 }
 
+/** A position of a C-arm for a route; an angle of `c_arm` in plan.json has the same keys. */
+export interface CArmPosition {
+  readonly primary_deg: number;
+  readonly secondary_deg: number;
+  readonly name: string;
+  readonly words: string;
+}
+
+/** Positions of a C-arm for one route, the best one first; `c_arm` in plan.json has the same keys. */
+export interface CArmPositions {
+  readonly angles: readonly CArmPosition[];
+  readonly why: string | null;
+  readonly limits: string;
+  readonly notes: readonly string[];
+}
+
+/** Row of the comparison of targets by the first route of each; a row of `--compare --json` has the same keys. */
+export interface PlannedTargetRow {
+  readonly target_id: string;
+  readonly name: string;
+  readonly outlook: string;
+  readonly route: string | null;
+  readonly hit_share: number | null;
+  readonly narrowest_mm: number | null;
+  readonly narrowest_error_mm: number | null;
+  readonly from_carina_mm: number | null;
+  readonly to_target_mm: number | null;
+  readonly vessel_mm: number | null;
+  readonly doubts: readonly string[];
+}
+
+/** A target that cannot be compared, because it has no plan. */
+export interface UnplannedTarget {
+  readonly target_id: string;
+  readonly why: string;
+}
+
+/** The planned targets of the case in one order, the best first. */
+export interface TargetComparison {
+  readonly order: string;
+  readonly targets: readonly PlannedTargetRow[];
+  readonly unplanned: readonly UnplannedTarget[];
+}
+
 /** The plans of all lesions; sent after each change. */
 export interface PlansMessage {
   readonly type: "plans";
@@ -1194,6 +1250,10 @@ export interface PlansMessage {
   readonly pairs: readonly RoutePair[];
   readonly pairs_standing: "failed" | "had" | "making" | "stopped" | "unwanted";
   readonly available: readonly string[] | null;
+  readonly carm: CArmPositions | null;
+  readonly carm_standing: "failed" | "had" | "making" | "stopped" | "unwanted";
+  readonly comparison: TargetComparison | null;
+  readonly station_note: string;
 }
 
 /** Answer to the client's `hello`. */

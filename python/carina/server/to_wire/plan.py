@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import msgspec
 import numpy as np
 
-from carina.plan import WHERE_WORDS, tools
+from carina.plan import ORDER_RULE, STATION_NOTE, WHERE_WORDS, compare_targets, tools
 from carina.plan.reasons import reasons_against
 from carina.server.wire import messages as wire
 from carina.session import PlannedTarget, PlanningInfo, chosen_number, shown_surface
 from carina.typed_reading import read_plain
 
 if TYPE_CHECKING:
-    from carina.plan import Nodule, Plan, PlannedRoute, TurnList, Verdict
+    from carina.case.document import Target
+    from carina.plan import CArmAngles, Nodule, Plan, PlannedRoute, TurnList, Verdict
     from carina.plan.reasons import Severity
+    from carina.session.derived.plans import PlanOutcome
 
 Value = TypeVar("Value", bound=msgspec.Struct)
 
@@ -39,6 +41,10 @@ def plans_message(info: PlanningInfo) -> wire.Plans:
         park_from_carina_mm=None if info.turns is None else info.turns.park_from_carina_mm,
         park_depth_estimate_mm=None if info.turns is None else info.turns.park_depth_estimate_mm,
         dicom_problem=info.dicom_problem,
+        carm=None if info.carm is None else _carm(info.carm),
+        carm_standing=info.carm_standing,
+        comparison=_comparison(info),
+        station_note=STATION_NOTE,
     )
 
 
@@ -105,7 +111,55 @@ def _target(one: PlannedTarget, info: PlanningInfo) -> wire.TargetPlan:
         doubts=tuple(doubts.items()),
         unconfirmed=tuple(code for code in doubts if code not in lesion.target.confirmed),
         chosen=chosen,
+        stations=_stations(planned, chosen),
     )
+
+
+def _stations(planned: PlanOutcome | None, chosen: int | None) -> tuple[wire.StationOnRoute, ...]:
+    """Return the stations of the chosen route, or of the best one if none is chosen."""
+    if planned is None or not planned.stations:
+        return ()
+    return tuple(carried(wire.StationOnRoute, one.to_json()) for one in planned.stations[(chosen or 1) - 1])
+
+
+def _carm(found: CArmAngles) -> wire.CArmPositions:
+    value = found.to_json()
+    return carried(wire.CArmPositions, value | {"angles": [carried(wire.CArmPosition, one) for one in value["angles"]]})
+
+
+def _comparison(info: PlanningInfo) -> wire.TargetComparison | None:
+    """Return the planned targets in the order of `carina.plan.compare_targets`, and the others with their reason."""
+    if len(info.document.targets) < 2:
+        return None
+    outcomes = {one.target.target_id: one.planned for one in info.targets}
+    planned: list[tuple[Target, Plan]] = []
+    unplanned = []
+    for target in info.document.targets:
+        outcome = outcomes.get(target.target_id)
+        if outcome is not None and outcome.plan is not None:
+            planned.append((target, outcome.plan))
+        else:
+            why = _why_unplanned(target, outcome, info)
+            unplanned.append(wire.UnplannedTarget(target.target_id, why))
+    rows = []
+    for row in compare_targets([plan for _, plan in planned], [target.name for target, _ in planned]):
+        # Targets can have the same name, and targets with the same boundary have the same plan.
+        place = next(n for n, one in enumerate(planned) if one[1] is row.plan and one[0].name == row.title)
+        target, _ = planned.pop(place)
+        rows.append(carried(wire.PlannedTargetRow, row.to_json() | {"target_id": target.target_id}))
+    return wire.TargetComparison(ORDER_RULE, tuple(rows), tuple(unplanned))
+
+
+def _why_unplanned(target: Target, outcome: PlanOutcome | None, info: PlanningInfo) -> str:
+    if target.lesion is None:
+        return "not planned: the target has no size, so there is no needle to plan"
+    if outcome is not None and outcome.problem is not None:
+        return f"not planned: {outcome.problem}"
+    if info.document.airways is None:
+        return "not planned: the airways have not been segmented"
+    if info.standing in {"failed", "stopped"}:
+        return "not planned: planning has stopped"
+    return "not planned yet: the routes are being planned"
 
 
 def _reasons(plan: Plan, chosen: int | None, info: PlanningInfo) -> tuple[tuple[str, str, Severity], ...]:

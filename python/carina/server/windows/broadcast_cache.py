@@ -114,8 +114,11 @@ class SharedTexts:
             return wire.encode_message(wire.Plans((), "unwanted", (), "unwanted", ()))
         planned = (value for one in info.targets for value in (one.target, one.planned))
         shown = (info.document.route, info.standing, info.verdicts_standing, info.verdicts, info.turns)
+        carm = (info.carm, info.carm_standing)
+        # The comparison also lists the targets without a size.
+        named = (info.document.targets, info.document.airways is None)
         pairs = (info.pairs_standing, info.available, *info.pairs)
-        state = (*shown, info.dicom_problem, *pairs)
+        state = (*shown, *carm, *named, info.dicom_problem, *pairs)
         return self._cached("plan", lambda: plans_message(info), *state, *planned)
 
     def lungs(self) -> str:

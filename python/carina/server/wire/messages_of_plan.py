@@ -180,6 +180,46 @@ class ScopeVerdict(PairVerdict, frozen=True, kw_only=True):
     """Whether a simulated drive exists, which the user can store in the case as a flight."""
 
 
+class StationOnRoute(FrozenValue, frozen=True):
+    """A lymph node station that a route passes or that is next to its target, by the landmark of its examination."""
+
+    station: Words
+    head: Words
+    """Station, place, clock hour and relation to route and target, for an operator at the patient's head."""
+    facing: Words
+    """The same for an operator who faces the patient."""
+    point_lps: PointLps
+    """Landmark on the centreline, LPS mm."""
+    direction_lps: PointLps
+    """Unit vector across the airway, towards the wall behind which the station is."""
+    borders: Words
+    """Text that describes the anatomical borders of the station."""
+    doubts: tuple[Words, ...]
+
+
+class CArmPosition(FrozenValue, frozen=True):
+    """A position of a C-arm for a route; an angle of `c_arm` in plan.json has the same keys."""
+
+    primary_deg: float
+    """Rotation of the detector towards the patient's left (LAO, above 0) or right (RAO, below 0), degrees."""
+    secondary_deg: float
+    """Rotation of the detector towards the head (cranial, above 0) or the feet (caudal, below 0), degrees."""
+    name: Words
+    """Position as text, such as *LAO 30\u00b0, cranial 10\u00b0*."""
+    words: Words
+    """Position and figures as text."""
+
+
+class CArmPositions(FrozenValue, frozen=True):
+    """Positions of a C-arm for one route, the best one first; `c_arm` in plan.json has the same keys."""
+
+    angles: tuple[CArmPosition, ...]
+    why: Words | None
+    """Reason why no position suits; null if one does."""
+    limits: Words
+    notes: tuple[Words, ...]
+
+
 class TargetPlan(FrozenValue, frozen=True):
     """A lesion that is a target, and the routes to it."""
 
@@ -217,6 +257,44 @@ class TargetPlan(FrozenValue, frozen=True):
     """Codes of the doubts that the user has not confirmed; routes are planned once there are none."""
     chosen: Count | None
     """Number of the chosen route in ``routes``, from 1; null if none of them is chosen."""
+    stations: tuple[StationOnRoute, ...] = ()
+    """Lymph node stations of the chosen route, or of the best one if none is chosen, from the trachea outwards."""
+
+
+class PlannedTargetRow(FrozenValue, frozen=True):
+    """Row of the comparison of targets by the first route of each; a row of ``--compare --json`` has the same keys."""
+
+    target_id: Identifier
+    name: Words
+    outlook: Words
+    """Outlook of the first route (``RouteOffer.outlook``), or *no route*."""
+    route: Words | None
+    """Key of the first route (``RouteOffer.key``); null without a route, and then also the figures."""
+    hit_share: Part | None
+    narrowest_mm: float | None
+    narrowest_error_mm: float | None
+    from_carina_mm: float | None
+    to_target_mm: float | None
+    vessel_mm: float | None
+    doubts: tuple[Words, ...]
+    """Doubts about target and route; without a route also the reason."""
+
+
+class UnplannedTarget(FrozenValue, frozen=True):
+    """A target that cannot be compared, because it has no plan."""
+
+    target_id: Identifier
+    why: Words
+    """Reason why the target has no plan, as text."""
+
+
+class TargetComparison(FrozenValue, frozen=True):
+    """The planned targets of the case in one order, the best first."""
+
+    order: Words
+    """Rule of the order, as text."""
+    targets: tuple[PlannedTargetRow, ...]
+    unplanned: tuple[UnplannedTarget, ...]
 
 
 class TurnOpening(FrozenValue, frozen=True):
@@ -339,3 +417,10 @@ class Plans(ServerMessage, frozen=True):
     pairs_standing: Making = "unwanted"
     available: tuple[Identifier, ...] | None = None
     """Names of the scopes that are available here; null: all of the library."""
+    carm: CArmPositions | None = None
+    """Positions of a C-arm for the chosen route; null while they are not known."""
+    carm_standing: Making = "unwanted"
+    comparison: TargetComparison | None = None
+    """Comparison of the targets; null in a case with fewer than two targets."""
+    station_note: Words = ""
+    """Text on the limits of the stations, and the source of their borders."""

@@ -14,7 +14,7 @@ from carina.case.document import Document, Lesion, Target
 from carina.case.routes import ChosenRoute, centreline_mm
 from carina.commands.plan import PlanOptions
 from carina.display import one_line
-from carina.errors import CancelledError, CarinaError, UnconfirmedTargetError, without_options
+from carina.errors import CancelledError, CarinaError, NoResultError, UnconfirmedTargetError, without_options
 from carina.plan.routes.main_carina import ROOT, RouteScale, origins_of_branches
 from carina.session.derived.derived_value import Attempt, Cached, Derived, Standing
 from carina.session.derived.measurement_cache import MeasuredAirways
@@ -24,16 +24,19 @@ from carina.track import Mesh, TreeMeasures, mask_mesh
 
 if TYPE_CHECKING:
     from carina.plan import (
+        CArmAngles,
         DistanceOrigin,
         Nodule,
         Plan,
         PlannedRoute,
         PlanTarget,
+        RouteStation,
         TargetDoubt,
         TargetMovement,
         TurnList,
         Verdict,
     )
+    from carina.plan.carm import ShadowParts
     from carina.scopes import WallField
     from carina.session.derived.lungs import CaseLungs
     from carina.track import Airways
@@ -86,6 +89,8 @@ class PlanOutcome:
     """Reason, for the user, why the target has no plan; None if it has one."""
     doubts: tuple[TargetDoubt, ...] = ()
     """Doubts whether the target is a nodule, confirmed or not."""
+    stations: tuple[tuple[RouteStation, ...], ...] = ()
+    """Lymph node stations of each route of the plan, in the order of the routes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,6 +137,9 @@ class PlanningInfo:
     """Names of the scopes that are available here; None: all of the library."""
     turns: TurnList | None = None
     """List of the turns of the chosen route at its forks; None without a chosen planned route."""
+    carm: CArmAngles | None = None
+    """Positions of a C-arm for the chosen route; None without a chosen planned route."""
+    carm_standing: Standing = "unwanted"
     dicom_problem: str | None = None
     """Reason why an exported DICOM file cannot refer to the CT; None if it can."""
 
@@ -144,6 +152,8 @@ PairInputs = tuple[Any, ...]
 """Inputs of the verdicts on pairs: plan, airway wall, and plan options."""
 TurnInputs = tuple[Any, ...]
 """Inputs of the list of turns: plan, number of a route in the plan (from 1), and plan options."""
+CArmInputs = tuple[Any, ...]
+"""Inputs of the positions of a C-arm: plan, and number of a route in the plan (from 1)."""
 
 
 @one_line
@@ -155,6 +165,47 @@ class CtOrigin:
     """File or folder on this machine from which the CT was opened; None if it was dropped or generated."""
     references: References | None = None
     """References to the DICOM files of a dropped CT; never stored."""
+
+
+class EarlyVerdicts:
+    """The verdicts that a running job has computed so far, shown until the job has ended.
+
+    Parameters
+    ----------
+    lock, changed
+        The lock of the session, and the function that is called with the lock held when there are verdicts to show.
+    per_message
+        Number of verdicts after which `changed` is called, unless an instrument reaches the target before.
+    """
+
+    def __init__(self, lock: AbstractContextManager[Any], changed: Callable[[], None], *, per_message: int = 1) -> None:
+        self._lock = lock
+        self._changed = changed
+        self._per_message = per_message
+        self._found: tuple[VerdictInputs, tuple[Verdict, ...]] | None = None
+
+    def of(self, inputs: VerdictInputs) -> tuple[Verdict, ...]:
+        """Return the verdicts that were collected for these inputs."""
+        with self._lock:
+            found = self._found
+            return found[1] if found is not None and _same(found[0], inputs) else ()
+
+    def collector(self, inputs: VerdictInputs) -> Callable[[Verdict], None]:
+        """Return a function that adds one verdict of a job with these inputs."""
+        found: list[Verdict] = []
+
+        def add(verdict: Verdict) -> None:
+            found.append(verdict)
+            if verdict.outcome == "reaches" or len(found) % self._per_message == 0:
+                with self._lock:
+                    self._found = (inputs, tuple(found))
+                    self._changed()
+
+        return add
+
+    def forget(self) -> None:
+        """Delete the collected verdicts."""
+        self._found = None
 
 
 class CasePlanning:
@@ -207,8 +258,7 @@ class CasePlanning:
             same=_same,
             settled=self._judged,
         )
-        self._early: tuple[VerdictInputs, tuple[Verdict, ...]] | None = None
-        """Inputs and the verdicts computed so far, shown while the job computes further verdicts."""
+        self._early = EarlyVerdicts(lock, changed)
         self._pairs: Derived[PairInputs, tuple[Verdict, ...]] = Derived(
             jobs,
             lock,
@@ -218,7 +268,8 @@ class CasePlanning:
             same=_same,
             settled=changed,
         )
-        self._early_pairs: tuple[PairInputs, tuple[Verdict, ...]] | None = None
+        # A message carries all pairs, so not every verdict is sent at once.
+        self._early_pairs = EarlyVerdicts(lock, changed, per_message=PAIRS_PER_MESSAGE)
         self._ordered: Cached[tuple[Any, ...], tuple[Verdict, ...]] = Cached(_in_order, same=_same)
         self._available: tuple[str, ...] | None = None
         self._document: Document | None = None
@@ -233,6 +284,16 @@ class CasePlanning:
             settled=changed,
         )
         self._with_moves: Cached[tuple[Any, ...], TurnList] = Cached(_with_moves)
+        self._carm: Derived[CArmInputs, CArmAngles] = Derived(
+            jobs,
+            lock,
+            kind="carm",
+            title="searching C-arm angles",
+            make=self._make_carm,
+            same=_same,
+            settled=changed,
+        )
+        self._shadows: Cached[Airways, ShadowParts | None] = Cached(self._find_shadows)
         self._num_marks = 0
         self._wall: Cached[Airways, WallField] = Cached(partial(parts.wall_field, volume), same=_same_lumen)
         self._scales: Cached[tuple[Airways, ChosenRoute], RouteScale] = Cached(self._make_scale, same=_same_objects)
@@ -255,11 +316,7 @@ class CasePlanning:
         if inputs is None:
             return ()
         made = self._verdicts.of(inputs)
-        if made is not None:
-            return made
-        with self._lock:
-            early = self._early
-            return early[1] if early is not None and _same(early[0], inputs) else ()
+        return self._early.of(inputs) if made is None else made
 
     def verdicts_standing(self) -> Standing:
         """Return the status of the job that computes the verdicts on the chosen route."""
@@ -278,11 +335,7 @@ class CasePlanning:
         if inputs is None:
             return ()
         found = self._pairs.of(inputs)
-        if found is None:
-            with self._lock:
-                early = self._early_pairs
-                found = early[1] if early is not None and _same(early[0], inputs) else ()
-        return self._ordered.of((inputs[0], found, available))
+        return self._ordered.of((inputs[0], self._early_pairs.of(inputs) if found is None else found, available))
 
     def same_available(self, available: tuple[str, ...] | None) -> tuple[str, ...] | None:
         """Return the earlier tuple of available instruments if it is equal, so that unchanged messages are not sent."""
@@ -309,6 +362,15 @@ class CasePlanning:
         if driven is None:
             return turns
         return self._with_moves.of((made.airways.tree, plan.routes[number - 1], turns, driven))
+
+    def carm(self) -> CArmAngles | None:
+        """Return the positions of a C-arm for the chosen route; None without one, or while they are being searched."""
+        return self._carm.of(self._carm_inputs())
+
+    def carm_standing(self) -> Standing:
+        """Return the status of the job that searches the positions of a C-arm."""
+        inputs = self._carm_inputs()
+        return "unwanted" if inputs is None else self._carm.standing(inputs)
 
     def begin_mark(self) -> Callable[[], bool]:
         """Count a search for the target under a cursor; return a function that states whether it is the newest one."""
@@ -342,6 +404,7 @@ class CasePlanning:
         self._verdicts.again()
         self._pairs.again()
         self._turns.again()
+        self._carm.again()
         if self._document is not None:
             self.follow(self._document)
 
@@ -360,7 +423,11 @@ class CasePlanning:
         self._pairs.discard()
         self._turns.discard()
         self._wall.forget()
-        self._document = self._early = self._early_pairs = None
+        self._carm.discard()
+        self._shadows.forget()
+        self._early.forget()
+        self._early_pairs.forget()
+        self._document = None
 
     # ------------------------------------------------------------ computation
 
@@ -370,22 +437,29 @@ class CasePlanning:
         self._changed()
 
     def _judged(self) -> None:
-        self._want_pairs()
+        self._want_after_verdicts()
         self._changed()
 
     def _want_of_route(self) -> None:
         """Request turns and verdicts of the chosen route; the caller holds the session's lock."""
         self._turns.want(self._turn_inputs())
         self._verdicts.want(self._verdict_inputs())
-        self._want_pairs()
+        self._want_after_verdicts()
 
-    def _want_pairs(self) -> None:
-        """Request the verdicts on pairs after those on the chosen route, for which the user waits."""
-        inputs, verdicts = self._pair_inputs(), self._verdict_inputs()
-        begun = inputs is not None and self._pairs.standing(inputs) != "unwanted"
+    def _want_after_verdicts(self) -> None:
+        """Request C-arm angles and verdicts on pairs after the verdicts on the chosen route, for which the user waits.
+
+        The caller holds the session's lock.
+        """
+        verdicts = self._verdict_inputs()
         ended = verdicts is not None and self._verdicts.standing(verdicts) in {"had", "failed"}
-        if inputs is None or begun or ended:
-            self._pairs.want(inputs)
+        derived: tuple[tuple[Derived[Any, Any], tuple[Any, ...] | None], ...] = (
+            (self._carm, self._carm_inputs()),
+            (self._pairs, self._pair_inputs()),
+        )
+        for value, inputs in derived:
+            if inputs is None or ended or value.standing(inputs) != "unwanted":
+                value.want(inputs)
 
     def _inputs(self, document: Document | None) -> PlanInputs | None:
         if document is None or document.airways is None:
@@ -425,7 +499,13 @@ class CasePlanning:
         inputs = self._verdict_inputs()
         return None if inputs is None else (*inputs[:2], inputs[3])
 
+    def _carm_inputs(self) -> CArmInputs | None:
+        inputs = self._verdict_inputs()
+        return None if inputs is None else inputs[:2]
+
     def _make_plans(self, inputs: PlanInputs, attempt: Attempt[MadePlans]) -> MadePlans:
+        from carina.plan.route_stations import route_stations
+
         airways, *tasks = inputs
         before = attempt.before
         same = before is not None and before.airways.lumen_zyx is airways.lumen_zyx
@@ -464,7 +544,8 @@ class CasePlanning:
                     progress=say,
                     cancel=attempt.cancel,
                 )
-                plans.append(PlanOutcome(task, plan, plan.why, plan.doubts))
+                stations = tuple(route_stations(airways.tree, plan, route) for route in plan.routes)
+                plans.append(PlanOutcome(task, plan, plan.why, plan.doubts, stations))
             except CancelledError:
                 raise
             except UnconfirmedTargetError as trouble:
@@ -495,69 +576,66 @@ class CasePlanning:
         from carina.render import Renderer
 
         plan, number, options = inputs
-        with self._lock:
-            made = self.made
-        if made is None:
-            raise CancelledError("the airways have changed")
+        airways = self._planned_airways()
         # The renderer of the windows is unsuitable, because the user can change its transfer function.
         renderer = Renderer(self._volume)
-        renderer.set_lumen(made.airways.lumen_zyx)
+        renderer.set_lumen(airways.lumen_zyx)
         attempt.check()
         route = plan.routes[number - 1]
         depth_mm = carina_depth_mm(options, route)
-        return turn_list(made.airways.tree, route, carina_depth_mm=depth_mm, renderer=renderer)
+        return turn_list(airways.tree, route, carina_depth_mm=depth_mm, renderer=renderer)
 
-    def _make_pairs(self, inputs: PairInputs, attempt: Attempt[tuple[Verdict, ...]]) -> tuple[Verdict, ...]:
-        plan, wall, options = inputs
+    def _make_carm(self, inputs: CArmInputs, attempt: Attempt[CArmAngles]) -> CArmAngles:
+        plan, number = inputs
+        airways = self._planned_airways()
+        shadows = self._shadows.of(airways)
+        attempt.check()
+        return self._parts.carm_angles(
+            self._volume, airways, plan, route_number=number, shadows=shadows, cancel=attempt.cancel
+        )
+
+    def _find_shadows(self, airways: Airways) -> ShadowParts | None:
+        from carina.plan.carm import shadow_parts
+
+        try:
+            return shadow_parts(self._volume, airways.tree)
+        except NoResultError:
+            # carm_angles repeats the search and states the reason.
+            return None
+
+    def _planned_airways(self) -> Airways:
+        """Return the airways of the present plans; raise CancelledError if they have changed."""
         with self._lock:
             made = self.made
         if made is None:
             raise CancelledError("the airways have changed")
-        found: list[Verdict] = []
+        return made.airways
 
-        def tell(verdict: Verdict) -> None:
-            found.append(verdict)
-            # A message carries all pairs, so not every verdict is sent at once.
-            if verdict.outcome == "reaches" or len(found) % PAIRS_PER_MESSAGE == 0:
-                with self._lock:
-                    self._early_pairs = (inputs, tuple(found))
-                    self._changed()
-
+    def _make_pairs(self, inputs: PairInputs, attempt: Attempt[tuple[Verdict, ...]]) -> tuple[Verdict, ...]:
+        plan, wall, options = inputs
         return self._parts.judge_pairs(
-            made.airways.tree,
+            self._planned_airways().tree,
             plan,
             wall,
             scopes=self._parts.scope_presets(),
             origin_depth_mm=origin_depth_mm(options, plan.routes[0].origin),
-            found=tell,
+            found=self._early_pairs.collector(inputs),
             progress=attempt.progress,
             cancel=attempt.cancel,
         )
 
     def _make_verdicts(self, inputs: VerdictInputs, attempt: Attempt[tuple[Verdict, ...]]) -> tuple[Verdict, ...]:
         plan, number, wall, options = inputs
-        with self._lock:
-            made = self.made
-        if made is None:
-            raise CancelledError("the airways have changed")
-        found: list[Verdict] = []
-
-        def tell(verdict: Verdict) -> None:
-            found.append(verdict)
-            with self._lock:
-                self._early = (inputs, tuple(found))
-                self._changed()
-
         # The planned instrument comes first, because the user waits for its verdict.
         presets = sorted(self._parts.scope_presets(), key=lambda preset: preset.name != plan.scope.name)
         return self._parts.judge_scopes(
-            made.airways.tree,
+            self._planned_airways().tree,
             plan,
             wall,
             route=plan.routes[number - 1],
             scopes=presets,
             origin_depth_mm=origin_depth_mm(options, plan.routes[number - 1].origin),
-            found=tell,
+            found=self._early.collector(inputs),
             progress=attempt.progress,
             cancel=attempt.cancel,
         )

@@ -241,6 +241,8 @@ class PlanHandlers(CommandHandlers):
                 available=available,
                 document=case.document,
                 turns=case.planning.turns(),
+                carm=case.planning.carm(),
+                carm_standing=case.planning.carm_standing(),
                 dicom_problem=dicom_problem(case),
             )
 
@@ -270,6 +272,7 @@ class PlanHandlers(CommandHandlers):
                 else None,
                 notes=tuple(note for note in (target.name, target.note) if note),
                 turns=case.planning.turns() if number is not None else None,
+                carm=case.planning.carm() if number is not None else None,
             )
 
 

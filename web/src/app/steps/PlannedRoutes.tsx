@@ -14,9 +14,11 @@ import { Act } from "../controls";
 import { Icon } from "../icons";
 import { useAnswerShown } from "../PlanAnswer";
 import type { PlanSuffix } from "../workstation";
+import { CArmAngles } from "./CArmAngles";
 import { OUTCOME_MARKS } from "./outcome-marks";
 import { ReasonsAgainst } from "./ReasonsAgainst";
 import { RoutePairs } from "./RoutePairs";
+import { RouteStations } from "./RouteStations";
 
 /** Render the planned routes of a target, with verdicts and exports. */
 export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPlan }) {
@@ -50,6 +52,8 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
           <RoutePairs target={target} plan={plan} plans={plans} />
           <Verdicts plans={plans} planned={plan.options.scope} />
           <Turns plans={plans} />
+          <CArmAngles plans={plans} />
+          <RouteStations plan={plan} note={plans.station_note} />
           <Print target={target} answered={answered} />
         </>
       )}

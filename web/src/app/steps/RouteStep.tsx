@@ -5,11 +5,10 @@ import { placeText } from "../../state/route";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 import { Icon } from "../icons";
-import { LesionCard } from "./LesionCard";
 import { LungsPanel } from "./LungsPanel";
 import { PlannedRoutes } from "./PlannedRoutes";
 import { useReachOf } from "./reach-of";
-import { TargetRow } from "./TargetStep";
+import { TargetList } from "./TargetStep";
 
 /** Render the panel of the Route step. */
 export function RouteStep() {
@@ -88,17 +87,7 @@ export function RouteStep() {
           station.goTo(0);
         }}
       />
-      {targets === null || targets.length === 0 ? null : (
-        <ul className="targets">
-          {targets.map((target) =>
-            target.has_size ? (
-              <LesionCard key={target.target_id} target={target} />
-            ) : (
-              <TargetRow key={target.target_id} target={target} />
-            ),
-          )}
-        </ul>
-      )}
+      {targets === null || targets.length === 0 ? null : <TargetList targets={targets} />}
     </>
   );
 }

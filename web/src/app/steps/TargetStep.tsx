@@ -10,6 +10,7 @@ import type { Target } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act, Choice, SwitchKey, Tip } from "../controls";
 import { Icon } from "../icons";
+import { CompareTargets } from "../TargetComparison";
 import { PenText } from "../ToolTag";
 import { LesionCard } from "./LesionCard";
 import { LungsPanel } from "./LungsPanel";
@@ -41,15 +42,7 @@ export function TargetStep() {
       {targets === null || targets.length === 0 ? (
         <p className="empty">Targets appear here, each with its path, or why no path leads there.</p>
       ) : (
-        <ul className="targets">
-          {targets.map((target) =>
-            target.has_size ? (
-              <LesionCard key={target.target_id} target={target} />
-            ) : (
-              <TargetRow key={target.target_id} target={target} />
-            ),
-          )}
-        </ul>
+        <TargetList targets={targets} />
       )}
     </>
   );
@@ -118,8 +111,26 @@ function PathSearch() {
   );
 }
 
+/** Render the targets of the case, with a button that compares them. */
+export function TargetList({ targets }: { targets: readonly Target[] }) {
+  return (
+    <>
+      <CompareTargets />
+      <ul className="targets">
+        {targets.map((target) =>
+          target.has_size ? (
+            <LesionCard key={target.target_id} target={target} />
+          ) : (
+            <TargetRow key={target.target_id} target={target} />
+          ),
+        )}
+      </ul>
+    </>
+  );
+}
+
 /** Render one target as a row of the list of targets. */
-export function TargetRow({ target }: { target: Target }) {
+function TargetRow({ target }: { target: Target }) {
   const station = useStation();
   const chosen = useApp((state) => state.route?.target_id === target.target_id);
   const isHu = useApp((state) => state.session?.case?.is_hu ?? false);
