@@ -84,7 +84,8 @@ class _Dial:
         right, up = columns - width / 2, height / 2 - rows
         self._radius = np.hypot(right, up)
         self._hours = (np.arctan2(right, up) / math.tau * 12.0) % 12.0
-        self._outer = 0.5 * min(height, width) - 36.0 * self.scale
+        # Two letters of a direction at the edge of the picture are outside the ring.
+        self._outer = 0.5 * min(height, width) - 48.0 * self.scale
 
     def tick(self, hour: float, *, long: bool) -> None:
         """Draw an hour tick: a line at an hour towards the middle of the picture."""
