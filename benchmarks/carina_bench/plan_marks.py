@@ -23,11 +23,13 @@ Rgb = NDArray[np.uint8]
 
 COLOURS = ((79, 211, 230), (244, 180, 76))
 """Colours of the marks of a route and of a route over doubtful airways."""
+GLYPH_EDGE = (8, 10, 12)
+"""Colour round letters and hours, which are drawn over an outline that leaves the picture."""
 NEAR_RGB = 90
 """Largest sum of the differences of the channels from a colour of a mark."""
-RING = 0.795
+RING = 0.8
 """Radius of the circle on which the arrow is widest, as a share of half the picture."""
-LEAST_ARROW, MOST_ARROW = 0.035, 0.11
+LEAST_ARROW, MOST_ARROW = 0.03, 0.11
 """Least and largest width of the arrow on that circle, as a share of half the picture."""
 LEAST_AREA = 1e-3
 """Least share of the picture that an outline encloses."""
@@ -60,7 +62,7 @@ def marks_in(rgb: Rgb) -> Marks:
     off = np.array([np.abs(rgb.astype(int) - colour).sum(axis=2) for colour in COLOURS])
     # A picture has marks of one colour; light walls are not far from the other one.
     marked = off[int(np.argmax((off == 0).sum(axis=(1, 2))))] < NEAR_RGB
-    opening = _enclosed(marked)
+    opening = _enclosed(marked | (rgb == GLYPH_EDGE).all(axis=2))
     half = size // 2
     hours = None
     if opening.any():
