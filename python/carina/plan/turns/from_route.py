@@ -251,15 +251,19 @@ class _View:
 
     @property
     def is_clear(self) -> bool:
-        """Whether the hour is precise, or the opening is straight ahead."""
-        taken = self.openings[0]
-        return self.doubt is None and (taken.straight_ahead or taken.off_deg >= CLEAR_DEG)
+        """Whether the hour is precise."""
+        return self.has_hour and self.openings[0].off_deg >= CLEAR_DEG
+
+    @property
+    def has_hour(self) -> bool:
+        """Whether the hour is reliable and the opening is not straight ahead."""
+        return self.doubt is None and not self.openings[0].straight_ahead
 
 
 def _view(tree: AirwayTree, way: Points, fork: _Fork, branches: Sequence[Branch], renderer: Renderer | None) -> _View:
     """Return the view of a fork from the first position that gives a precise hour, else a reliable hour.
 
-    The result is the view from the usual position if no position gives an hour.
+    If no position gives an hour, the result is the first view with the opening straight ahead, else the usual view.
     """
     end = fork.mother.points[-1]
     walls = ForkWalls(tree, end, [branch.id for branch in branches])
@@ -277,7 +281,8 @@ def _view(tree: AirwayTree, way: Points, fork: _Fork, branches: Sequence[Branch]
             views.pop()
         elif views[-1].is_clear:
             return views[-1]
-    return next((view for view in views if view.doubt is None), views[0])
+    with_hour = next((view for view in views if view.has_hour), None)
+    return with_hour or next((view for view in views if view.doubt is None), views[0])
 
 
 def _openings(camera: Pose, walls: ForkWalls, branches: Sequence[Branch], renderer: Renderer) -> tuple[Opening, ...]:

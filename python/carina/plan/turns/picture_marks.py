@@ -70,7 +70,8 @@ def draw_clock(rgb: Rgb, turn: Turn, operator: Operator, colour: Colour) -> None
 
 def text_size(rgb: Rgb) -> int:
     """Return the pixels per dot of a glyph at which text in a third of the page's width is at least 8 pt high."""
-    return max(1, round(3.0 * min(rgb.shape[:2]) / 512.0))
+    height, width = rgb.shape[:2]
+    return max(1, round(3.0 * float(min(height, width)) / 512.0))
 
 
 class _Dial:
