@@ -120,6 +120,33 @@ def bench_track(
         raise SystemExit(report(folder=output, only=only or [], cases=case or [], quick=quick, as_json=as_json))
 
 
+@bench.command("movement")
+def bench_movement(
+    output: BenchFolder = Path("carina-bench"),
+    case: Annotated[
+        list[str] | None,
+        typer.Option("--case", help="phantom-N or a CT's folder; may be given several times."),
+    ] = None,
+    refusals: Annotated[
+        bool, typer.Option("--refusals/--no-refusals", help="Also CTs that must be refused, such as another patient's.")
+    ] = True,
+    quick: BenchQuick = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare the movement of targets measured from a second CT with a known deformation.
+
+    Ten phantoms and the real CT of CARINA_DATA_DIR are deformed by published amplitudes of breathing. Needs no extra;
+    takes several minutes for each case. A missed limit is reported and is no failure: the exit code is 0.
+
+    Example: carina bench movement --case phantom-7
+    """
+    with exit_codes(as_json):
+        from carina_bench.plan_movement import report
+
+        check_output_folder(output)
+        raise SystemExit(report(folder=output, cases=case or [], refusals=refusals, quick=quick, as_json=as_json))
+
+
 @bench.command("open")
 def bench_open(
     output: BenchFolder = Path("carina-bench"), quick: BenchQuick = False, as_json: JsonOption = False

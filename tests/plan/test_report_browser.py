@@ -37,11 +37,16 @@ WHERE = """() => {
 
 The positions are fractions of the canvas width.
 """
-SIZES = """() => [...document.querySelectorAll('svg text')].map((text) => {
+SIZES = """() => [...document.querySelectorAll('svg text')].filter((one) => one.getClientRects().length).map((text) => {
   const svg = text.ownerSVGElement, scale = svg.getBoundingClientRect().height / svg.viewBox.baseVal.height;
-  return Number(text.getAttribute('font-size')) * scale * 72 / 96;
+  return parseFloat(getComputedStyle(text).fontSize) * scale * 72 / 96;
 })"""
-"""Script that returns the font sizes of all text in drawings, in points."""
+"""Script that returns the font sizes of all visible text in drawings, in points."""
+TEXT_SIZES = """() => [...document.body.querySelectorAll('*')]
+  .filter((one) => !one.closest('svg') && one.getClientRects().length)
+  .filter((one) => [...one.childNodes].some((node) => node.nodeType === 3 && node.textContent.trim()))
+  .map((one) => parseFloat(getComputedStyle(one).fontSize) * 72 / 96)"""
+"""Script that returns the font sizes of all visible text outside drawings, in points."""
 DRAWN = "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
 """Script that waits until the page has drawn a frame."""
 
@@ -215,6 +220,8 @@ def test_every_printed_page_has_header_and_footer_and_no_cut_element(opened, pap
     mm = {"A4": 210.0, "Letter": 215.9}[paper] - 24.0
     opened.set_viewport_size({"width": round(mm / 25.4 * 96), "height": 1000})
     assert opened.evaluate("document.documentElement.scrollWidth") <= round(mm / 25.4 * 96) + 1
+    sizes = [*opened.evaluate(SIZES), *opened.evaluate(TEXT_SIZES)]
+    assert len(sizes) > 100 and min(sizes) >= 7.99, "text on paper has at least 8 points"
     opened.emulate_media(media="null")
 
 

@@ -50,6 +50,20 @@ def test_every_pdf_page_has_the_disclaimer_and_the_name_of_the_target(paper, siz
         assert plan().nodule.words in text and f"{number} / {len(read)}" in text
 
 
+@pytest.mark.parametrize("paper", ["A4", "Letter"])
+def test_text_of_the_pdf_has_at_least_8_points(paper) -> None:
+    sizes: list[tuple[float, str]] = []
+
+    def visit(text: str, page: list[float], line: list[float], _font: object, size: float) -> None:
+        if text.strip():
+            sizes.append((size * abs(page[3] * line[3]), text))
+
+    for page in pages(paper):
+        page.extract_text(visitor_text=visit)
+    assert len(sizes) > 100
+    assert [one for one in sizes if one[0] < 7.99] == []
+
+
 def test_pdf_of_one_plan_written_twice_has_identical_bytes(tmp_path) -> None:
     assert write_report(tmp_path / "plan.pdf", sheet()).read_bytes() == content()
 

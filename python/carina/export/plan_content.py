@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from carina.display import one_line
 from carina.errors import UsageError, check_type
 from carina.plan import Nodule, Plan, PlannedRoute
+from carina.plan.reasons import plan_reasons, route_reasons, target_reasons
 from carina.track import AirwayTree
 
 __all__ = [
@@ -105,17 +106,16 @@ def named_plans(plan: Plan | Mapping[str, Plan]) -> dict[str, Plan]:
 
 
 def marked_nodules(plans: Mapping[str, Plan]) -> dict[str, Nodule]:
-    """Return the nodules of plans by name, whose notes include the doubts whether they are nodules."""
-    return {name: replace(one.nodule, notes=(*one.nodule.notes, *_doubt_texts(one))) for name, one in plans.items()}
+    """Return the nodules of plans by name; their notes are the reasons against the target (`target_reasons`)."""
+    return {
+        name: replace(one.nodule, notes=tuple(reason.words for reason in target_reasons(one)))
+        for name, one in plans.items()
+    }
 
 
 def note_sentences(nodule: Nodule) -> str:
     """Return the notes of a nodule as sentences after a space; empty without notes."""
-    return "".join(f" {note[:1].upper()}{note[1:]}." for note in nodule.notes)
-
-
-def _doubt_texts(plan: Plan) -> list[str]:
-    return [f"DOUBTFUL: {doubt.words}" for doubt in plan.doubts]
+    return "".join(f" {note[:1].upper()}{note[1:].rstrip('.')}." for note in nodule.notes)
 
 
 def drawn_plans(plan: Plan | Mapping[str, Plan], tree: AirwayTree) -> tuple[DrawnTarget, ...]:
@@ -199,51 +199,41 @@ def _other_tree(problem: str) -> UsageError:
 def _target_words(plan: Plan) -> str:
     nodule = plan.nodule
     ml = nodule.volume_error_mm3 / 1000.0
-    said = [f"{nodule.words} (90 % within {nodule.diameter_error_mm:.1f} mm and {ml:.2f} ml)"]
-    said += _doubt_texts(plan)
-    if nodule.touches:
-        said.append(f"touches: {', '.join(nodule.touches)}")
+    parts = [f"{nodule.words} (90 % within {nodule.diameter_error_mm:.1f} mm and {ml:.2f} ml)"]
+    parts += [reason.words for reason in (*plan_reasons(plan), *target_reasons(plan))]
     if plan.sign_branch is None:
-        said.append("no bronchus sign")
+        parts.append("no bronchus sign")
     else:
         where = {"into": "leads into it", "beside": "lies against it"}.get(plan.bronchus_sign, plan.bronchus_sign)
-        said.append(f"bronchus sign: {plan.sign_branch} {where}")
-    if plan.why is not None:
-        said.append(plan.why)
-    said += [
-        plan.movement.words,
-        *plan.notes,
-    ]
-    return _sentences(said)
+        parts.append(f"bronchus sign: {plan.sign_branch} {where}")
+    parts.append(plan.movement.words)
+    return _sentences(parts)
 
 
 def _route_words(route: PlannedRoute, plan: Plan) -> str:
     leg = route.leg
-    said = [f"DOUBTFUL: {doubt}" for doubt in route.doubts]
-    said.append(f"scope tip {route.place_words}")
-    said.append(f"narrowest diameter of the way {route.width.words}")
-    if route.width.why is not None:
-        said.append(route.width.why)
+    parts = [reason.words for reason in route_reasons(plan, route)]
+    parts.append(f"scope tip {route.place_words}")
     if not route.fits:
         doubt = "too narrow" if route.fit == "does not fit" else "within its error too narrow"
-        said.append(f"{doubt} for {plan.scope.title}, which needs {plan.scope.fit_mm:.1f} mm")
-    said.append(
+        parts.append(f"{doubt} for {plan.scope.title}, which needs {plan.scope.fit_mm:.1f} mm")
+    parts.append(
         f"{plan.tool.title}: {leg.to_target_mm:.1f} mm from the tip to the target, {leg.angle_deg:.0f} degrees to the "
         f"airway, {leg.in_target_mm:.1f} mm in the target"
     )
     if leg.vessel_mm is None:
-        said.append("no vessel seen near the needle")
+        parts.append("no vessel seen near the needle")
     elif leg.vessel_mm < VESSEL_MM:
-        said.append("the needle crosses a vessel that the CT shows")
+        parts.append("the needle crosses a vessel that the CT shows")
     else:
-        said.append(f"nearest vessel seen {leg.vessel_mm:.1f} mm from the needle")
+        parts.append(f"nearest vessel seen {leg.vessel_mm:.1f} mm from the needle")
     hits = f"expected hits {100 * leg.hit_share:.0f} %"
     if leg.hit_share_moved is not None:
         hits += f", {100 * leg.hit_share_moved:.0f} % if the target has moved"
-    said.append(hits)
-    return _sentences(said)
+    parts.append(hits)
+    return _sentences(parts)
 
 
-def _sentences(said: list[str]) -> str:
-    parts = [" ".join(one.split()).rstrip(".") for one in [*said, NOT_A_DEVICE]]
+def _sentences(texts: list[str]) -> str:
+    parts = [" ".join(one.split()).rstrip(".") for one in [*texts, NOT_A_DEVICE]]
     return ". ".join(one[:1].upper() + one[1:] for one in parts) + "."

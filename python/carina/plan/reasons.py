@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -14,7 +14,7 @@ from carina.plan.turns.turn_list import TurnList
 from carina.plan.verdict.verdict import Verdict
 from carina.volume.model import Remark
 
-__all__ = ["BY_HAND", "Reason", "Severity", "reasons_against"]
+__all__ = ["BY_HAND", "Reason", "Severity", "plan_reasons", "reasons_against", "route_reasons", "target_reasons"]
 
 Severity = Literal["stop", "caution"]
 """Severity of a reason: a ``stop`` speaks against the plan by itself and is shown in red; a ``caution`` limits it."""
@@ -77,10 +77,29 @@ def reasons_against(
     tuple[Reason, ...]
         The reasons.
     """
-    chosen = route or (plan.routes[0] if plan.routes else None)
+    return _distinct(_reasons(plan, route or (plan.routes[0] if plan.routes else None), verdicts, turns))
+
+
+def target_reasons(plan: Plan) -> tuple[Reason, ...]:
+    """Return the reasons of `reasons_against` that concern the target: doubts, notes, and what the target touches."""
+    return _distinct(_of_target(plan))
+
+
+def route_reasons(plan: Plan, route: PlannedRoute) -> tuple[Reason, ...]:
+    """Return the reasons of `reasons_against` that concern one route: limits, the needle's way, and the airways."""
+    return _distinct((*_of_reach(plan, route, ()), *_of_needle(plan, route), *_of_airways(route)))
+
+
+def plan_reasons(plan: Plan) -> tuple[Reason, ...]:
+    """Return the reasons of `reasons_against` that concern neither the target nor a single route."""
+    return _distinct((*(() if plan.routes else _of_no_route(plan)), *_of_tree(plan)))
+
+
+def _distinct(reasons: Iterable[tuple[str, str, Severity]]) -> tuple[Reason, ...]:
+    """Return reasons without those whose text is part of an earlier one."""
     found: list[Reason] = []
     seen: list[str] = []
-    for code, words, severity in _reasons(plan, chosen, verdicts, turns):
+    for code, words, severity in reasons:
         key = words.rstrip(".").casefold()
         if not any(key in one for one in seen):
             seen.append(key)
@@ -88,14 +107,28 @@ def reasons_against(
     return tuple(found)
 
 
-def _reasons(
-    plan: Plan, route: PlannedRoute | None, verdicts: Sequence[Verdict], turns: TurnList | None
-) -> Iterator[tuple[str, str, Severity]]:
+_Parts = Iterator[tuple[str, str, Severity]]
+"""Codes, texts and severities of reasons."""
+
+
+def _reasons(plan: Plan, route: PlannedRoute | None, verdicts: Sequence[Verdict], turns: TurnList | None) -> _Parts:
     if route is None:
-        yield "plan.no-route", plan.why or "no route was found", "stop"
+        yield from _of_no_route(plan)
     else:
         yield from _of_reach(plan, route, verdicts)
         yield from _of_needle(plan, route)
+    yield from _of_target(plan)
+    if route is not None:
+        yield from _of_airways(route)
+    yield from _of_tree(plan)
+    yield from _of_hours(turns)
+
+
+def _of_no_route(plan: Plan) -> _Parts:
+    yield "plan.no-route", plan.why or "no route was found", "stop"
+
+
+def _of_target(plan: Plan) -> _Parts:
     for doubt in plan.doubts:
         yield doubt.code, f"the target may not be a nodule: {doubt.words}", "stop"
     for note in plan.nodule.notes:
@@ -103,25 +136,35 @@ def _reasons(
     if plan.nodule.touches:
         touched = " and ".join(TOUCHED.get(what, what) for what in plan.nodule.touches)
         yield "target.touches", f"the target touches {touched}: its boundary there is an estimate", "caution"
-    if route is not None:
-        yield "route.narrowest", route.width.place_words, "caution"
-        if route.width.why is not None:
-            yield "route.narrowest", route.width.why, "stop"
-        for words in route.doubts:
-            yield "route.doubt", words, "stop"
-        if route.origin.note is not None:
-            yield "route.origin", route.origin.note, "caution"
+
+
+def _of_airways(route: PlannedRoute) -> _Parts:
+    """Yield the narrowest diameter, doubtful and drawn branches, and a doubtful origin of the distances."""
+    yield "route.narrowest", route.width.place_words, "caution"
+    if route.width.why is not None:
+        yield "route.narrowest", route.width.why, "stop"
+    for words in route.doubts:
+        yield "route.doubt", words, "stop"
+    if route.origin.note is not None:
+        yield "route.origin", route.origin.note, "caution"
+
+
+def _of_tree(plan: Plan) -> _Parts:
+    """Yield where the tree is lost, and the notes of CT and plan."""
     if plan.lost is not None:
         yield "plan.lost", plan.lost.words, "caution"
     for note in plan.notes:
         yield "plan.note", note, "caution"
+
+
+def _of_hours(turns: TurnList | None) -> _Parts:
     for turn in () if turns is None else turns.turns:
         if turn.hour_doubt is not None:
             why = turn.hour_doubt.words.removeprefix("no clock hour: ")
             yield "turn.hour", f"no clock hour for {turn.to_branch}: {why}", "caution"
 
 
-def _of_reach(plan: Plan, route: PlannedRoute, verdicts: Sequence[Verdict]) -> Iterator[tuple[str, str, Severity]]:
+def _of_reach(plan: Plan, route: PlannedRoute, verdicts: Sequence[Verdict]) -> _Parts:
     """Yield why the planned scope does not, or may not, reach the end of the route."""
     verdict = next((one for one in verdicts if one.scope.name == plan.scope.name), None)
     if verdict is not None and verdict.outcome != "reaches":
@@ -134,7 +177,7 @@ def _of_reach(plan: Plan, route: PlannedRoute, verdicts: Sequence[Verdict]) -> I
             yield "plan.limit", words, "stop"
 
 
-def _of_needle(plan: Plan, route: PlannedRoute) -> Iterator[tuple[str, str, Severity]]:
+def _of_needle(plan: Plan, route: PlannedRoute) -> _Parts:
     """Yield what the needle meets on its way to the far edge of the target."""
     leg = route.leg
     # A needle that misses the target is examined up to the target's near edge.

@@ -14,7 +14,7 @@ from carina.errors import UsageError
 from carina.render.view_table import VIEWS
 from carina.render.views import Picture, PictureLines
 
-__all__ = ["PathSpan", "letter_edges", "letters_of", "mark_path", "write_on"]
+__all__ = ["PathSpan", "letter_edges", "letters_at_edges", "letters_of", "mark_path", "write_on"]
 
 # Dots of the letters, 5 x 8: one byte for each column, the lowest bit is the top row.
 _DOTS = {
@@ -79,6 +79,11 @@ def letter_edges(picture: Picture) -> Picture:
     UsageError
         If the picture has no geometry of its pixels.
     """
+    return letters_at_edges(picture, _size(picture.rgb))
+
+
+def letters_at_edges(picture: Picture, size: int) -> Picture:
+    """Return a copy of a picture with the patient's directions at its edges, in glyphs of ``size`` pixels per dot."""
     rgb = picture.rgb.copy()
     height, width = rgb.shape[:2]
     lines = picture.lines
@@ -93,7 +98,6 @@ def letter_edges(picture: Picture) -> Picture:
         if matrix is None:
             raise UsageError("orientation letters need an image with pixel geometry, which this one lacks")
         right, up, down = matrix[:3, 0], -matrix[:3, 1], matrix[:3, 1]
-    size = _size(rgb)
     inset = 3 * size
     sides = (inset, width - inset, height // 2)
     if lines is not None:

@@ -40,6 +40,10 @@ In the front view the patient's right is on the left; in the view from the patie
 """
 
 
+SMALL, FORK_DISC = 8.6, 6.2
+"""Font size of fork numbers and of the scale of a tree, and radius of the disc behind a number, in points on paper."""
+
+
 def slice_drawing(one: SlicePicture) -> Drawing:
     """Return a slice with the outlines of target, airways and needle, orientation letters and a scale."""
     width, height = float(one.width_px), float(one.height_px)
@@ -196,11 +200,11 @@ def tree_drawing(shape: TreeShape, forks: Sequence[Fork], side: str, *, width: f
     for fork in forks:
         (at,) = placed(np.array([fork.place_lps]))
         # A fork hidden by another one has no number here; the list of turns contains it.
-        if any(math.dist(at, other) < 9.5 for other in taken):
+        if any(math.dist(at, other) < 2.0 * FORK_DISC for other in taken):
             continue
         taken.append(at)
-        shapes.append(Disc(at, 4.8, LineStyle(ACCENT, 0.9, fill="#ffffff")))
-        shapes.append(Label((at[0], at[1] + 2.4), str(fork.number), 6.6, ACCENT, "middle", bold=True))
+        shapes.append(Disc(at, FORK_DISC, LineStyle(ACCENT, 0.9, fill="#ffffff")))
+        shapes.append(Label((at[0], at[1] + 3.1), str(fork.number), SMALL, ACCENT, "middle", bold=True))
     shapes += [
         Label((3.0, height / 2), left_letter, 11.0, INK, "start", bold=True),
         Label((width - 3.0, height / 2), right_letter, 11.0, INK, "end", bold=True),
@@ -213,7 +217,7 @@ def _scale_bar(scale: float, width: float, height: float) -> tuple[Shape, ...]:
     end, base = width - 8.0, height - 5.0
     return (
         Stroke(((end - 20.0 * scale, base), (end, base)), LineStyle(INK, 1.2)),
-        Label((end, base - 4.0), "20 mm", 7.5, QUIET, "end"),
+        Label((end, base - 4.0), "20 mm", SMALL, QUIET, "end"),
         Stroke(((0.0, 0.0), (width, 0.0), (width, height), (0.0, height)), LineStyle(PALE, 0.6), closed=True),
     )
 

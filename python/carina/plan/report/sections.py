@@ -46,6 +46,8 @@ OF_ROUTE = ("plan.verdict", "plan.limit", "needle.", "route.narrowest")
 """Beginnings of the codes of reasons that the section of the route repeats."""
 MOST_LINES_BEFORE_TREE = 4
 """Largest number of lines of reasons with which the tree fits on the first page, also on Letter in a wide typeface."""
+TREE_BELOW_TARGET, TREE_ALONE = 110.0, 330.0
+"""Height of the tree in points, on the first page and on a page of its own."""
 NOT_ASKED = "\u2013"
 """Symbol for a check that was not made because another check decides."""
 ANSWERS = {"yes": "yes", "perhaps": "perhaps", "no": "no", "unknown": "?"}
@@ -215,7 +217,7 @@ def _route(sheet: PlanSheet) -> list[Section]:
     if sheet.needle_slice is not None:
         words = "CT in the plane of the needle, which points to the right; the airway comes from the left and above."
         blocks.append(Figures((Figure(slice_drawing(sheet.needle_slice), words),), 1))
-    return [Section("route", title, tuple(blocks), starts_page=not _is_tree_after_page_one(sheet))]
+    return [Section("route", title, tuple(blocks), starts_page=True)]
 
 
 def _vessel_words(route: PlannedRoute) -> str:
@@ -233,14 +235,14 @@ def _num_lines(sheet: PlanSheet) -> int:
 
 
 def _is_tree_after_page_one(sheet: PlanSheet) -> bool:
-    """Return whether the tree follows on the page of the route, because the reasons leave no room on the first page."""
+    """Return whether the tree has a page of its own, because the reasons leave no room on the first page."""
     return _num_lines(sheet) > MOST_LINES_BEFORE_TREE
 
 
 def _tree_figures(sheet: PlanSheet) -> Figures:
     sides = (("front", "From the front"), ("left", "From the patient's left"))
-    # The list of reasons precedes the tree, which is made smaller, so that both fit on the first page with the target.
-    height = max(96.0, min(160.0, 198.0 - 13.0 * _num_lines(sheet)))
+    # On the first page the tree is small, so that it fits there below the reasons and the target.
+    height = TREE_ALONE if _is_tree_after_page_one(sheet) else TREE_BELOW_TARGET
     drawn = [
         Figure(tree_drawing(sheet.shape, sheet.forks, side, width=255.0, height=height), words) for side, words in sides
     ]

@@ -250,7 +250,7 @@ def _diagram(
         for k, name in enumerate(forks[n].others[:2]):
             end = (fx + side * 24.0, fy + 0.30 * step - 11.0 * k)
             stubs.append(((fx, fy), end))
-            names.append(_stub_name(end, side, name))
+            names.append(_stub_name(end, side, name, below=k == 0))
     shapes: list[Shape] = []
     for colour, extra in ((QUIET, 2.0), ("#ffffff", 0.0)):
         shapes += [Stroke(stub, LineStyle(colour, 0.6 * TUBE + extra)) for stub in stubs]
@@ -271,9 +271,16 @@ def _diagram(
     return shapes
 
 
-def _stub_name(end: Place, side: float, name: str) -> Label:
-    """Return the name of a branch that is not entered, beside the end of its stub."""
-    return Label((end[0] + side * 7.0, end[1] + 3.0), _short(name), SMALL, QUIET, "start" if side > 0 else "end")
+def _stub_name(end: Place, side: float, name: str, *, below: bool) -> Label:
+    """Return the name of a branch that is not entered, beside the end of its stub.
+
+    A name that would reach the clock face is placed below or above the end of the stub instead.
+    """
+    text, x = _short(name), end[0] + side * 7.0
+    most = DIAGRAM.clock - 1.3 * DIAGRAM.face
+    if side > 0 and x + text_width(text, SMALL) > most:
+        return Label((most, end[1] + (13.0 if below else -6.0)), text, SMALL, QUIET, "end")
+    return Label((x, end[1] + 3.0), text, SMALL, QUIET, "start" if side > 0 else "end")
 
 
 def _target(at: Place, step: float) -> list[Shape]:

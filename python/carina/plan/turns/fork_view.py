@@ -40,7 +40,7 @@ __all__ = [
 Points = NDArray[np.float64]
 Operator = Literal["head", "facing"]
 
-AHEAD_DEG, AHEAD_TIMES = 12.0, 2.0
+AHEAD_DEG, AHEAD_TIMES = 6.0, 2.0
 """Largest angle in degrees of an opening straight ahead, and least ratio of the other openings' angles to this angle.
 
 The centre of the picture is in the outline of an opening straight ahead, so the opening has no clock hour.

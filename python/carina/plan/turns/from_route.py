@@ -31,6 +31,7 @@ from carina.plan.turns.opening_walls import ForkWalls, TubeWall, first_walls
 from carina.plan.turns.turn_list import OtherWay, Turn, TurnList, Zero
 from carina.render import Renderer
 from carina.render.picture_text import letters_of
+from carina.scopes import Pose
 from carina.track import AirwayTree, Branch
 from carina.track.measures.forks import angle_deg
 
@@ -47,8 +48,10 @@ MOST_TOGETHER_MM = 5.0
 Forks form one turn if the branch between them is at most as long as its radius, because the openings of both are then
 in the same lumen.
 """
-VIEW_PX, TUBES_PX = 64, 32
-"""Width in pixels of the picture in which openings are located: of the CT, and of tubes."""
+VIEW_PX, FINE_PX, TUBES_PX = 64, 128, 32
+"""Width in pixels of the picture in which openings are located: of the CT, of a CT with a small opening, of tubes."""
+SMALL_SHARE = 0.02
+"""Share of the picture below which an opening is small; coarse pixels would divide it into parts."""
 STANDS = (0.75, 0.6, 1.0, 1.5)
 """Distances of the camera before a fork, in diameters of the airway, that are tried after the usual one."""
 LEAST_MOVE_MM = 0.5
@@ -248,15 +251,19 @@ class _View:
 
     @property
     def is_clear(self) -> bool:
-        """Whether the hour is precise, or the opening is straight ahead."""
-        taken = self.openings[0]
-        return self.doubt is None and (taken.straight_ahead or taken.off_deg >= CLEAR_DEG)
+        """Whether the hour is precise."""
+        return self.has_hour and self.openings[0].off_deg >= CLEAR_DEG
+
+    @property
+    def has_hour(self) -> bool:
+        """Whether the hour is reliable and the opening is not straight ahead."""
+        return self.doubt is None and not self.openings[0].straight_ahead
 
 
 def _view(tree: AirwayTree, way: Points, fork: _Fork, branches: Sequence[Branch], renderer: Renderer | None) -> _View:
     """Return the view of a fork from the first position that gives a precise hour, else a reliable hour.
 
-    The result is the view from the usual position if no position gives an hour.
+    If no position gives an hour, the result is the first view with the opening straight ahead, else the usual view.
     """
     end = fork.mother.points[-1]
     walls = ForkWalls(tree, end, [branch.id for branch in branches])
@@ -264,19 +271,28 @@ def _view(tree: AirwayTree, way: Points, fork: _Fork, branches: Sequence[Branch]
     for stand in _stands_mm(fork):
         eye = _eye(way, fork, stand, walls)
         camera = levelled(eye, end - eye, "head")
-        seen = (
-            first_walls(camera, TUBES_PX, TubeWall(tree, end))
-            if renderer is None
-            else renderer.surface(turn_view(renderer, camera, VIEW_PX)).position_lps
-        )
-        openings = openings_seen(camera, walls, branches, seen)
+        if renderer is None:
+            openings = openings_seen(camera, walls, branches, first_walls(camera, TUBES_PX, TubeWall(tree, end)))
+        else:
+            openings = _openings(camera, walls, branches, renderer)
         views.append(_View(eye, openings, hour_doubt(camera, openings, _radius_mm(fork.mother), branch_title)))
         # A position from which fewer openings are visible only hides the opening that could be confused.
         if views[-1].num_in_view < views[0].num_in_view:
             views.pop()
         elif views[-1].is_clear:
             return views[-1]
-    return next((view for view in views if view.doubt is None), views[0])
+    with_hour = next((view for view in views if view.has_hour), None)
+    return with_hour or next((view for view in views if view.doubt is None), views[0])
+
+
+def _openings(camera: Pose, walls: ForkWalls, branches: Sequence[Branch], renderer: Renderer) -> tuple[Opening, ...]:
+    """Return the openings in the CT, from a finer picture if the opening to enter is small."""
+    for size_px in (VIEW_PX, FINE_PX):
+        seen = renderer.surface(turn_view(renderer, camera, size_px)).position_lps
+        openings = openings_seen(camera, walls, branches, seen)
+        if float(openings[0].outline.mean()) >= SMALL_SHARE:
+            break
+    return openings
 
 
 def _stands_mm(fork: _Fork) -> list[float]:

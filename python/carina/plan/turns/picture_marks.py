@@ -11,7 +11,7 @@ from carina.plan.turns.fork_view import Operator
 from carina.plan.turns.turn_list import Turn
 from carina.render.picture_text import write_on
 
-__all__ = ["draw_clock", "draw_edge"]
+__all__ = ["draw_clock", "draw_edge", "text_size"]
 
 Field = NDArray[np.float64]
 Rgb = NDArray[np.uint8]
@@ -40,7 +40,9 @@ def draw_edge(rgb: Rgb, field: Field, width_px: float, colour: Colour) -> None:
 
 
 def draw_clock(rgb: Rgb, turn: Turn, operator: Operator, colour: Colour) -> None:
-    """Draw hour ticks, a wedge at the opening, the hours of the other openings, and the turn as text.
+    """Draw hour ticks, a wedge at the opening, and the hours of the openings.
+
+    The name of the branch is the caption of the picture (`TurnPicture.words`), not part of its pixels.
 
     Parameters
     ----------
@@ -51,9 +53,8 @@ def draw_clock(rgb: Rgb, turn: Turn, operator: Operator, colour: Colour) -> None
     colour
         Colour of the opening to enter.
     """
-    height = rgb.shape[0]
     dial = _Dial(rgb)
-    size = 2 if dial.scale >= 0.75 else 1
+    size = text_size(rgb)
     for hour in range(12):
         dial.tick(float(hour), long=hour % 3 == 0)
     taken, at = turn.hour(operator), turn.clock(operator)
@@ -62,13 +63,15 @@ def draw_clock(rgb: Rgb, turn: Turn, operator: Operator, colour: Colour) -> None
         dial.wedge(at, colour)
         dial.write(f"{taken}", at, size, colour)
     for other in turn.others:
-        told = other.hour(operator)
-        if told is not None and told != taken:
-            dial.write(f"{told}", float(told), 1, QUIET_RGB)
-    # Two lines, so that a long name does not overlap the letter at the bottom.
-    said = turn.direction(operator).replace("\u2019", "'")
-    for row, words in ((16, turn.to_branch), (6, said)):
-        write_on(rgb, words, 4 * size, height - row * size, size=size, rgb_of=colour)
+        hour_of_other = other.hour(operator)
+        if hour_of_other is not None and hour_of_other != taken:
+            dial.write(f"{hour_of_other}", float(hour_of_other), size, QUIET_RGB)
+
+
+def text_size(rgb: Rgb) -> int:
+    """Return the pixels per dot of a glyph at which text in a third of the page's width is at least 8 pt high."""
+    height, width = rgb.shape[:2]
+    return max(1, round(3.0 * float(min(height, width)) / 512.0))
 
 
 class _Dial:
@@ -82,7 +85,8 @@ class _Dial:
         right, up = columns - width / 2, height / 2 - rows
         self._radius = np.hypot(right, up)
         self._hours = (np.arctan2(right, up) / math.tau * 12.0) % 12.0
-        self._outer = 0.5 * min(height, width) - 36.0 * self.scale
+        # Two letters of a direction at the edge of the picture are outside the ring.
+        self._outer = 0.5 * min(height, width) - 48.0 * self.scale
 
     def tick(self, hour: float, *, long: bool) -> None:
         """Draw an hour tick: a line at an hour towards the middle of the picture."""

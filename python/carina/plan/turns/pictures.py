@@ -21,9 +21,10 @@ from carina.display.progress import ProgressChoice, progress_function, shows_pro
 from carina.errors import CancelledError, UsageError, check_type
 from carina.plan.turns.fork_view import LEAST_SHARE, Operator, turn_view
 from carina.plan.turns.opening_walls import ForkWalls, opening_pixels
-from carina.plan.turns.picture_marks import draw_clock, draw_edge
+from carina.plan.turns.picture_marks import draw_clock, draw_edge, text_size
 from carina.plan.turns.turn_list import Turn, TurnList
-from carina.render import Picture, Renderer, letter_edges
+from carina.render import Picture, Renderer
+from carina.render.picture_text import letters_at_edges
 from carina.render.png_text import KEYWORD
 from carina.scopes import Pose
 from carina.track import Airways, AirwayTree
@@ -181,7 +182,7 @@ def _picture(
         if in_view:
             draw_edge(rgb, seen, LINE_PX * size_px / 512, colour)
         draw_clock(rgb, turn, operator, colour)
-        picture = letter_edges(replace(picture, rgb=rgb))
+        picture = letters_at_edges(replace(picture, rgb=rgb), text_size(rgb))
     return TurnPicture(turn, operator, picture, in_view, inside & in_view)
 
 
