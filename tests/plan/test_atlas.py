@@ -11,7 +11,7 @@ from nodules import ellipsoid
 
 from carina.errors import CancelledError
 from carina.plan import NeedleErrors, plan_route
-from carina.plan.reach_atlas import MAY, NOT, REACHES, STEP_MM, reach_atlas
+from carina.plan.reach_atlas import NOT, REACHES, STEP_MM, ReachAtlas, reach_atlas
 from carina.plan.routes.needle_hits import ball_hit_shares, hit_share
 from carina.plan.routes.ranking import RANK
 from carina.scopes import ScopePreset, scope_preset
@@ -27,24 +27,30 @@ def chest():
     return volume, airways, wall_field(volume, airways)
 
 
+@pytest.fixture(scope="module")
+def slim_atlas(chest) -> ReachAtlas:
+    volume, airways, wall = chest
+    return reach_atlas(volume, airways, scope=slim(), wall=wall)
+
+
 def slim() -> ScopePreset:
     """Return a thin scope whose channel takes a needle."""
     return dataclasses.replace(scope_preset("ultrathin"), channel_mm=2.0)
 
 
-def test_regions_agree_with_the_drafted_plans_of_targets_in_them(chest) -> None:
+def test_regions_agree_with_the_drafted_plans_of_targets_in_them(chest, slim_atlas) -> None:
     volume, airways, wall = chest
-    found = reach_atlas(volume, airways, scope=slim(), wall=wall)
+    found = slim_atlas
     measures = measure_tree(volume, airways)
     rng = np.random.default_rng(3)
     told: Counter[tuple[int, int]] = Counter()
-    for value in (NOT, MAY, REACHES):
+    for value in (NOT, REACHES):
         points = np.concatenate([branch.points for branch in airways.tree.branches if branch.generation > 1])
         voxels = np.argwhere(found.lung_zyx & (found.reach_zyx == value))
         centres = voxels[:, ::-1] * STEP_MM + found.lps_from_ijk[:3, 3]
         # Only voxels that a needle might reach are compared, because all others are trivially not reached.
         near = np.array([np.linalg.norm(points - centre, axis=1).min() < 20.0 for centre in centres])
-        for centre in rng.permutation(centres[near])[:12]:
+        for centre in rng.permutation(centres[near])[:7]:
             ball = ellipsoid((5.0, 5.0, 5.0), centre)
             plan = plan_route(
                 volume,
@@ -60,7 +66,7 @@ def test_regions_agree_with_the_drafted_plans_of_targets_in_them(chest) -> None:
             best = max((REACHES - RANK[route.outlook] for route in plan.routes), default=NOT)
             told[value, best] += 1
     agreed = sum(num for (atlas, plan), num in told.items() if atlas == plan)
-    # The two test different directions, and places at different distances.
+    # Both test directions and places at different distances, so voxels at a border may differ by one class.
     assert agreed >= 0.85 * told.total(), told
     assert told[REACHES, NOT] == told[NOT, REACHES] == 0, told
 
@@ -75,12 +81,11 @@ def test_hit_shares_of_a_ball_equal_those_of_a_nodule() -> None:
         assert share == pytest.approx(hit_share(ball, tip, aim, reach_mm, NeedleErrors()), abs=0.04), (distance, angle)
 
 
-def test_scope_that_cannot_bend_reaches_only_what_is_ahead(chest) -> None:
+def test_scope_that_cannot_bend_reaches_less(chest, slim_atlas) -> None:
     volume, airways, wall = chest
-    bending = reach_atlas(volume, airways, scope=slim(), wall=wall)
     stiff = dataclasses.replace(slim(), rigid_tip_mm=30.0)
     rigid = reach_atlas(volume, airways, scope=stiff, wall=wall)
-    assert 0.0 < rigid.reached_ml < 0.7 * bending.reached_ml
+    assert 0.0 < rigid.reached_ml < 0.7 * slim_atlas.reached_ml
 
 
 def test_tool_that_does_not_pass_the_channel_reaches_nothing_and_the_atlas_states_why(chest) -> None:
@@ -92,9 +97,9 @@ def test_tool_that_does_not_pass_the_channel_reaches_nothing_and_the_atlas_state
     assert brush.why is None and 0.0 < brush.reached_ml < brush.lung_ml
 
 
-def test_thinner_scope_and_longer_tool_reach_at_least_as_much_of_the_lungs(chest) -> None:
+def test_thinner_scope_and_longer_tool_reach_at_least_as_much_of_the_lungs(chest, slim_atlas) -> None:
     volume, airways, wall = chest
-    thin = reach_atlas(volume, airways, scope=slim(), wall=wall)
+    thin = slim_atlas
     thick = reach_atlas(volume, airways, scope="therapeutic", wall=wall)
     far = reach_atlas(volume, airways, scope=slim(), tool="needle-21g-long", wall=wall)
     assert all(thin.tip_mm[b] >= mm for b, mm in thick.tip_mm.items())

@@ -97,8 +97,9 @@ def test_directions_of_a_scope_with_unknown_bending_section_are_not_known() -> N
     assert not TipDirections(tree, field, scope_preset("ion")).is_known
 
 
-def bends_slowly(tree: AirwayTree, wall: WallField, preset: ScopePreset, place: StandingPlace, tip, way) -> bool:
-    """Return whether an arc of the bending section leads from a tip back into the airway, one arc and point at a time."""
+def bends_slowly(tree: AirwayTree, wall: WallField, preset: ScopePreset, place: StandingPlace, way) -> bool:
+    """Return whether an arc leads from a tip at a place back into the airway; one arc and one point at a time."""
+    tip = place.point_lps
     points = np.concatenate([branch.points for branch in tree.lineage(place.branch_id)])
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
@@ -146,5 +147,5 @@ def test_bends_of_many_directions_equal_those_of_one_arc_at_a_time() -> None:
         ways = forward + 0.8 * rng.normal(size=(12, 3))
         ways /= np.linalg.norm(ways, axis=1, keepdims=True)
         found += directions._bends(place, place.point_lps, ways, 1.0).tolist()
-        expected += [bends_slowly(airways.tree, wall, preset, place, place.point_lps, way) for way in ways]
+        expected += [bends_slowly(airways.tree, wall, preset, place, way) for way in ways]
     assert found == expected and 0.1 < np.mean(found) < 0.9

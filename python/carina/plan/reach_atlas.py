@@ -67,8 +67,8 @@ MARGIN_DEG = 30.0
 class ReachAtlas:
     """Parts of the lungs that one instrument with one tool reaches.
 
-    A voxel is reached if a plan without drives (``carina.plan_route(..., drives=0)``) of a ball of 10 mm at the voxel has
-    the outlook *reaches*. No drive of the scope is simulated, so a plan of a target there may have a worse outlook.
+    A voxel is reached if a plan without drives (``carina.plan_route(..., drives=0)``) of a ball of 10 mm at the voxel
+    has the outlook *reaches*. No drive of the scope is simulated, so a plan of a target there may have a worse outlook.
 
     Examples
     --------
@@ -213,7 +213,9 @@ def reach_atlas(
     judge = Judge(preset, 0.0, ScoreWeights(), used.reach_mm, used)
     why = judge.channel_limit()
     section_mm = bending_mm(preset)
-    marks = _Marks(lung, matrix, wall, used, TipDirections(airways.tree, wall, preset))
+    # A tool that does not pierce needs a target in a lumen or against it.
+    allowed = lung if used.pierces else lung & _beside_lumen(lung.shape, matrix, ways)
+    marks = _Marks(allowed, matrix, wall, used, TipDirections(airways.tree, wall, preset))
     tip_mm: dict[int, float] = {branch.id: 0.0 for branch in airways.tree.branches}
     starts = {int(b): float(ways.along_mm[ways.branch == b].min()) for b in np.unique(ways.branch)}
     last: tuple[int, float] | None = None
@@ -238,7 +240,7 @@ class _Marks:
     Parameters
     ----------
     lung_zyx, lps_from_ijk
-        Voxels of the lungs, and the geometry of the map.
+        Voxels that may be marked, and the geometry of the map.
     wall, tool, directions
         Wall of the airways, tool, and attainable directions of the scope.
     """
@@ -326,7 +328,10 @@ class _Marks:
         edge_mm = np.maximum(away * cosine - np.sqrt(np.maximum(beside2, 0.0)), 0.0)
         ranks = np.maximum(pointing_rank(share), depth_rank(self._tool.reach_mm - edge_mm))
         if not self._tool.pierces:
-            ranks[~self._is_open(tip, needle, edge_mm)] = RANK["does not reach"]
+            hits = np.flatnonzero(ranks < RANK["does not reach"])
+            if hits.size:
+                shut = hits[~self._is_open(tip, needle[hits], edge_mm[hits])]
+                ranks[shut] = RANK["does not reach"]
         values = (REACHES - np.maximum(ranks, rank)).astype(np.uint8)
         i, j, k = voxels.T
         self.reach_zyx[k, j, i] = np.maximum(self.reach_zyx[k, j, i], values)
@@ -339,3 +344,18 @@ class _Marks:
             self._wall.distance_mm(line.reshape(-1, 3)).reshape(len(edge_mm), -1).min(axis=1) > 0.0
         )
         return found
+
+
+def _beside_lumen(shape_zyx: tuple[int, ...], lps_from_ijk: Points, ways: Ways) -> NDArray[np.bool_]:
+    """Return the voxels at which a target may touch a lumen."""
+    found = np.zeros(shape_zyx, dtype=bool)
+    size = np.array(shape_zyx[::-1])
+    for point, radius in zip(ways.points, ways.radius, strict=True):
+        middle = (point - lps_from_ijk[:3, 3]) / STEP_MM
+        half = (float(radius) + 0.5 * TARGET_MM + OPEN_MM) / STEP_MM
+        low = np.clip(np.floor(middle - half).astype(int), 0, size)
+        high = np.clip(np.ceil(middle + half).astype(int) + 1, 0, size)
+        x, y, z = (np.arange(a, b) - m for a, b, m in zip(low, high, middle, strict=True))
+        off2 = z[:, None, None] ** 2 + y[None, :, None] ** 2 + x[None, None, :] ** 2
+        found[low[2] : high[2], low[1] : high[1], low[0] : high[0]] |= off2 <= half**2
+    return found

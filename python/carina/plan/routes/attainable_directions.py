@@ -131,7 +131,7 @@ class TipDirections:
         Yields
         ------
         tuple
-            (3,) position of the tip on the centreline or beside it, LPS mm, and (n,) whether each direction is
+            (3,) position of the tip on the centreline or against the wall, LPS mm, and (n,) whether each direction is
             attainable from there.
         """
         radius = 0.5 * self._slim_mm(place.branch_id, place.along_mm)
@@ -139,7 +139,8 @@ class TipDirections:
         yield place.point_lps, self._attained(place, place.point_lps, ways, radius)
         for turn in 2.0 * np.pi * np.arange(NUM_SIDES) / NUM_SIDES:
             aside = place.point_lps + math.cos(turn) * across + math.sin(turn) * up
-            for tip in self._tips(place, aside, radius)[1:]:
+            *_, tip = self._tips(place, aside, radius)
+            if tip is not place.point_lps:
                 yield tip, self._attained(place, tip, ways, radius)
 
     def _attained(self, place: StandingPlace, tip: Points, ways: Points, radius: float) -> NDArray[np.bool_]:

@@ -26,8 +26,8 @@ LEAST_LINE_MM = 6.0
 """Minimum length in mm of a vessel branch without children; shorter ones are noise and are not sent."""
 VESSEL_POINT_EVERY_MM = 2.5
 NO_DRIVE = (
-    "Judged by diameter and bend along the way and by the directions that the tip can take. No drive was simulated, and "
-    "breathing may move the target."
+    "Judged by diameter and bend along the way and by the directions that the tip can take. No drive was simulated, "
+    "and breathing may move the target."
 )
 
 
