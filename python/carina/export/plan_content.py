@@ -237,10 +237,7 @@ def _route_words(route: PlannedRoute, plan: Plan) -> str:
         said.append("the needle crosses a vessel that the CT shows")
     else:
         said.append(f"nearest vessel seen {leg.vessel_mm:.1f} mm from the needle")
-    hits = f"expected hits {100 * leg.hit_share:.0f} %"
-    if leg.hit_share_moved is not None:
-        hits += f", {100 * leg.hit_share_moved:.0f} % if the target has moved"
-    said.append(hits)
+    said.append(route.hit_words)
     return _sentences(said)
 
 

@@ -40,7 +40,7 @@ The second is small, because a needle pass can be repeated.
 DEPTH_SIGMA_MM = 0.5
 """Standard deviation in mm of the position of the target's edge along the needle (common knowledge)."""
 LEAST_SPARE_MM = DEPTH_SIGMA_MM * NormalDist().inv_cdf(SURE)
-"""Length in mm that a tool surely reaches beyond the target's edge if its planned length beyond the edge is at least this."""
+"""Least planned length in mm of a tool beyond the target's edge with which the tool surely reaches the edge."""
 MEDIASTINUM_MM = 2.0
 """Largest length in mm of mediastinum on the needle path in which no hidden vessel is assumed."""
 
@@ -196,12 +196,13 @@ class Judge:
                 f"{leg.angle_deg:.0f} degrees"
             )
         return (
-            f"{100 * leg.hit_share:.0f} % of needle passes hit in the best direction that {self.scope.title} can take"
+            "fewer than half of needle passes are expected to hit in the best direction that "
+            f"{self.scope.title} can take"
         )
 
     def depth_limit(self, leg: LastLeg) -> tuple[Outlook, tuple[str, ...]]:
         """Return whether the tool reaches the target from a scope's tip, and the reason if this is not sure."""
-        share, words = self._depth(leg)
+        _, words = self._depth(leg)
         rank = int(depth_rank(self.reach_mm - leg.to_target_mm))
         return OUTLOOKS[rank], (() if rank == RANK["reaches"] else (words,))
 
