@@ -3,11 +3,13 @@
 The cases are phantoms with nodules and stenoses. ``python -m carina_bench.plan_best FOLDER`` reads those that
 ``plan_truth`` has stored in FOLDER, or generates them.
 
-The search shares no code with the plan, only its inputs: the tree, the lumen's width along each branch, the nodule's
-voxels, the wall's distances, the vessels of the box, the weights. It tests centreline points 0.35 mm apart (the plan:
-0.7), follows each needle in steps of 0.1 mm (the plan: 0.25), simulates random needles (the plan: quadrature), and
-follows each path from the trachea for its narrowest point and its sharpest bend. Points that cannot be the best even
-without misses of the needle are not simulated.
+The plan is a draft without drives, because a drive takes seconds for each place. The search shares no code with the
+plan, only its inputs: the tree, the lumen's width along each branch, the nodule's voxels, the wall's distances, the
+vessels of the box, the weights, and the direction nearest to the target that the scope can take at a place
+(`carina.plan.routes.attainable_directions`, whose tests compare it with a slow reference). It tests centreline points
+0.35 mm apart (the plan: 0.7), follows each needle in steps of 0.1 mm (the plan: 0.25), simulates random needles (the
+plan: quadrature), and follows each path from the trachea for its narrowest point and its sharpest bend. Points that
+cannot be the best even without misses of the needle are not simulated.
 
 The scores may differ by these tolerances: 0.25 x 0.02 for the needles, 0.15 x (0.35 mm + 0.25 mm) / 15 mm for the way,
 0.15 x 2 degrees / 90 for the angle, 0.15 x 0.5 mm / 8 mm for the length in the target, and 0.1 x 0.5 mm / 3 mm for a
@@ -19,6 +21,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,8 +31,9 @@ from numpy.typing import NDArray
 
 from carina.errors import CarinaError
 from carina.plan import NearbyTissue, Nodule, Plan, PlannedRoute, grow_nodule, plan_route, surroundings
+from carina.plan.routes.attainable_directions import StandingPlace, TipDirections
 from carina.plan.routes.clearance import ball_diameters_mm
-from carina.scopes import ScopePreset
+from carina.scopes import ScopePreset, scope_preset
 from carina.track import AirwayTree, Branch
 from carina_bench.plan_cases import PlanCase, found_case, phantom_case
 from carina_bench.plan_truth import NUM_PER_PHANTOM, PHANTOM_SEEDS
@@ -40,8 +44,10 @@ Say = Callable[[str], None]
 Row = dict[str, Any]
 Floats = NDArray[np.float64]
 
-SCOPES = ("thin", "ultrathin")
-"""Names of the scopes for which routes are compared."""
+SCOPES = (scope_preset("thin"), replace(scope_preset("ultrathin"), channel_mm=2.0))
+"""Scopes for which routes are compared; the channel is widened so that the needle passes."""
+LEAST_HITS, BARELY_HITS = 0.5, 0.1
+"""Shares of needles that hit: below the first the outlook is *may reach*, below the second *does not reach*."""
 NUM_TARGETS = 2
 """Number of targets of each phantom for which routes are compared."""
 PLACES_MM, WALK_MM, FINE_MM = 0.35, 0.1, 0.5
@@ -64,11 +70,13 @@ def best_of_all(case: PlanCase, plan: Plan, around: NearbyTissue, rng: np.random
     nodule, reach_mm = plan.nodule, plan.tool.reach_mm
     centre = np.array(nodule.centre_lps)
     found = []
+    aim = np.array(plan.aims[0])
+    directions = TipDirections(case.airways.tree, case.wall, plan.scope)
     rooms = {branch.id: ball_diameters_mm(branch, case.wall) for branch in case.airways.tree.branches}
     for branch in case.airways.tree.branches:
         near = partial(_is_near, centre, reach_mm + nodule.long_mm)
         for place in _places(case.airways.tree, branch, plan.scope, max(case.volume.spacing_mm), rooms, near):
-            walked = _walked(case, plan, around, place)
+            walked = _aimed(case, plan, around, place, directions, aim)
             if walked is not None:
                 found.append(place | walked)
     # Sorted by an upper bound, the score without misses of the needle: the loop ends at the first bound below the best
@@ -76,15 +84,44 @@ def best_of_all(case: PlanCase, plan: Plan, around: NearbyTissue, rng: np.random
     found.sort(key=lambda one: (one["rank"], -_worth(plan, one, one["lost"])))
     best: tuple[int, float, Row] | None = None
     for one in found:
-        if best is not None and (one["rank"] > best[0] or _worth(plan, one, one["lost"]) <= best[1]):
+        if best is not None and (one["rank"], -_worth(plan, one, one["lost"])) >= (best[0], -best[1]):
             break
-        misses = 1.0 - _drawn(nodule, one["point"], centre, reach_mm, rng)
-        lost = one["lost"] + plan.weights.misses * misses
-        one["parts"]["misses"] = misses
-        if best is None or _worth(plan, one, lost) > best[1]:
+        hits = _drawn(nodule, one["tip"], one["aim"], reach_mm, rng) if one["points"] else 0.0
+        one["parts"]["misses"] = 1.0 - hits
+        lost = one["lost"] + plan.weights.misses * (1.0 - hits)
+        if hits < LEAST_HITS:
+            one["rank"] = max(one["rank"], 1 if hits >= BARELY_HITS else 2)
+            one["chance"] *= hits
+        if best is None or (one["rank"], -_worth(plan, one, lost)) < (best[0], -best[1]):
             best = one["rank"], _worth(plan, one, lost), one
     assert best is not None
     return best[1], RANKS[best[0]], best[2]
+
+
+def _aimed(
+    case: PlanCase, plan: Plan, around: NearbyTissue, place: Row, directions: TipDirections, aim: Floats
+) -> Row | None:
+    """Return `_walked` for the needle that points nearest to the target among those that the scope can take.
+
+    If the scope can take no direction that hits, the needle goes to the aim, and all needles count as misses.
+    """
+    off = aim - place["point"]
+    distance = float(np.linalg.norm(off))
+    angle = math.degrees(math.acos(np.clip(off @ place["forward"] / max(distance, 1e-9), -1.0, 1.0)))
+    if angle > 100.0 and not plan.nodule.contains(place["point"][None])[0]:
+        return None
+    tip, end, points = place["point"], aim, not directions.is_known
+    if directions.is_known:
+        standing = StandingPlace(place["branch"], place["mm"], place["point"], place["forward"])
+        found = directions.towards(standing, aim, 0.5 * plan.nodule.short_mm)
+        if found is not None:
+            end = found.tip_lps + float(np.linalg.norm(aim - found.tip_lps)) * found.forward
+            tip, points = found.tip_lps, True
+    walked = _walked(case, plan, around, place, tip, end)
+    if walked is None and points:
+        points, tip, end = False, place["point"], aim
+        walked = _walked(case, plan, around, place, tip, end)
+    return None if walked is None else walked | {"tip": tip, "aim": end, "points": points}
 
 
 def _worth(plan: Plan, place: Row, lost: float) -> float:
@@ -199,20 +236,20 @@ def _outlook(scope: ScopePreset, width_mm: float, bend_deg: float, spacing_mm: f
     return {"rank": max([int(trust < 1.0), *ranks]), "chance": trust * math.prod(chances)}
 
 
-def _walked(case: PlanCase, plan: Plan, around: NearbyTissue, place: Row) -> Row | None:
-    """Return the parts of the score of a point except for the needle's misses, and the score that they lose.
+def _walked(case: PlanCase, plan: Plan, around: NearbyTissue, place: Row, tip: Floats, aim: Floats) -> Row | None:
+    """Return the parts of the score of a place except for the needle's misses, and the score that they lose.
 
-    The result is None if the needle does not reach the nodule.
+    The needle goes from ``tip`` towards ``aim``. The result is None if it does not reach the nodule.
     """
     assert case.wall is not None
     nodule, weights, reach_mm = plan.nodule, plan.weights, plan.tool.reach_mm
-    off = np.array(nodule.centre_lps) - place["point"]
+    off = aim - tip
     distance = float(np.linalg.norm(off))
     along = off / distance if distance >= 0.5 else place["forward"]
     angle = math.degrees(math.acos(np.clip(along @ place["forward"], -1.0, 1.0)))
-    line = place["point"] + np.arange(0.0, distance + nodule.long_mm, WALK_MM)[:, None] * along
+    line = tip + np.arange(0.0, distance + nodule.long_mm, WALK_MM)[:, None] * along
     inside = nodule.contains(line)
-    if not inside.any() or (angle > 100.0 and not inside[0]):
+    if not inside.any():
         return None
     first, last = int(np.argmax(inside)), len(inside) - 1 - int(np.argmax(inside[::-1]))
     if first * WALK_MM > reach_mm:
@@ -274,7 +311,14 @@ def run(quick: bool, say: Say, folder: Path | None = None) -> list[Row]:
             except CarinaError:
                 continue
             plan = plan_route(
-                case.volume, case.airways, nodule, scope=SCOPES[(seed + num) % 2], wall=case.wall, moved_mm=0.0
+                case.volume,
+                case.airways,
+                nodule,
+                scope=SCOPES[(seed + num) % 2],
+                wall=case.wall,
+                moved_mm=0.0,
+                drives=0,
+                confirmed=True,
             )
             if not plan.routes:
                 continue

@@ -9,9 +9,19 @@ from functools import cache
 import numpy as np
 import pytest
 
-from carina.plan.routes.attainable_directions import AttainableTip, StandingPlace, TipDirections
+from carina.plan.routes.attainable_directions import (
+    BEHIND_MM,
+    NUM_ON_ARC,
+    RADII,
+    SHAFT_LACK_MM,
+    SMOOTH_MM,
+    AttainableTip,
+    StandingPlace,
+    TipDirections,
+)
 from carina.scopes import ScopeDrive, ScopePreset, WallField, scope_preset
-from carina.track import AirwayTree, Branch
+from carina.track import AirwayTree, Branch, wall_field
+from made import made_airways, made_phantom
 
 ALONG_MM = 80.0
 AXIS = np.array([0.0, 0.0, -1.0])
@@ -85,3 +95,57 @@ def test_no_hold_of_the_simulated_scope_points_far_beyond_the_attainable_directi
 def test_directions_of_a_scope_with_unknown_bending_section_are_not_known() -> None:
     tree, field = tube(3.0)
     assert not TipDirections(tree, field, scope_preset("ion")).is_known
+
+
+def bends_slowly(tree: AirwayTree, wall: WallField, preset: ScopePreset, place: StandingPlace, way) -> bool:
+    """Return whether an arc leads from a tip at a place back into the airway; one arc and one point at a time."""
+    tip = place.point_lps
+    points = np.concatenate([branch.points for branch in tree.lineage(place.branch_id)])
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+    def direction(mm: float) -> np.ndarray:
+        low, high = (
+            np.array([np.interp(min(max(end, 0.0), along[-1]), along, points[:, axis]) for axis in range(3)])
+            for end in (mm - SMOOTH_MM, mm + SMOOTH_MM)
+        )
+        return (high - low) / max(float(np.linalg.norm(high - low)), 1e-9)
+
+    assert preset.flexion_deg is not None and preset.bending_mm is not None and preset.rigid_tip_mm is not None
+    bending_mm = float(np.mean(preset.bending_mm))
+    rear, behind_mm = tip - preset.rigid_tip_mm * way, place.along_mm - preset.rigid_tip_mm
+    for times in RADII:
+        arc_mm = times * bending_mm / math.radians(max(preset.flexion_deg))
+        angle, back = math.acos(np.clip(way @ direction(behind_mm), -1.0, 1.0)), way
+        for _ in range(2):
+            back = direction(behind_mm - arc_mm * angle)
+            angle = math.acos(np.clip(way @ back, -1.0, 1.0))
+        side = back - (back @ way) * way
+        side /= max(np.linalg.norm(side), 1e-9)
+        arc = [
+            rear - arc_mm * (math.sin(turn) * way + (1.0 - math.cos(turn)) * side)
+            for turn in np.linspace(0.0, angle, NUM_ON_ARC)
+        ]
+        arc.append(arc[-1] - BEHIND_MM * back)
+        room = min(float(wall.distance_mm(one[None])[0]) for one in arc)
+        if arc_mm * angle <= bending_mm and room >= 0.5 * preset.tip_mm - SHAFT_LACK_MM:
+            return True
+    return False
+
+
+def test_bends_of_many_directions_equal_those_of_one_arc_at_a_time() -> None:
+    made = {"seed": 4, "spacing_mm": 1.5, "generations": 4}
+    volume, airways = made_phantom(**made).volume, made_airways(**made)
+    wall, preset = wall_field(volume, airways), scope(2.0)
+    directions, rng = TipDirections(airways.tree, wall, preset), np.random.default_rng(3)
+    found, expected = [], []
+    for branch in [one for one in airways.tree.branches if len(one.points) > 4][::3]:
+        along_mm = sum(one.length_mm for one in airways.tree.lineage(branch.id)[:-1]) + 0.5 * branch.length_mm
+        at = len(branch.points) // 2
+        forward = branch.points[at + 1] - branch.points[at - 1]
+        forward /= np.linalg.norm(forward)
+        place = StandingPlace(branch.id, along_mm, branch.points[at], forward)
+        ways = forward + 0.8 * rng.normal(size=(12, 3))
+        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+        found += directions._bends(place, place.point_lps, ways, 1.0).tolist()
+        expected += [bends_slowly(airways.tree, wall, preset, place, way) for way in ways]
+    assert found == expected and 0.1 < np.mean(found) < 0.9

@@ -11,7 +11,7 @@ from carina.plan import DistanceOrigin, Plan, TargetMovement, tool
 from carina.plan.routes.last_leg import CrossedTissue, LastLeg
 from carina.plan.routes.plan_route import PlannedRoute
 from carina.plan.routes.route_width import RouteWidth
-from carina.scopes import scope_preset
+from carina.scopes import ScopeHold, scope_preset
 from carina.track import AirwayTree, Branch
 
 __all__ = ["DOUBT", "a_plan", "a_tree"]
@@ -97,6 +97,7 @@ def _route(
         along_mm=100.0,
         origin=DistanceOrigin("ridge", along_mm=57.0, axes_mm=48.0),
         forward=(float(unit[0]), float(unit[1]), float(unit[2])),
+        hold=ScopeHold(120.0, 0.0, 0.5),
         width=RouteWidth(4.1, 0.3, 80.0),
         fit="does not fit",
         leg=leg,

@@ -358,10 +358,9 @@ def _route_words(plan: Plan, route: PlannedRoute) -> str:
     needs = f" ({plan.scope.title} needs {plan.scope.fit_mm:.1f} mm)"
     fits = {"fits": "", "may fit": f"{needs}, may fit", "does not fit": f"{needs}, does not fit"}[route.fit]
     vessel = "no vessel seen nearby" if leg.vessel_mm is None else f"nearest vessel {leg.vessel_mm:.1f} mm away"
-    moved = "" if leg.hit_share_moved is None else f", {100 * leg.hit_share_moved:.0f} % if the target has moved"
     return (
         f"{route.branch_name}, {route.place_words}; narrowest {route.width.words}{fits}; needle path "
         f"{leg.to_target_mm:.1f} mm to the target at {leg.angle_deg:.0f} degrees to the airway, "
-        f"{leg.in_target_mm:.1f} mm within it; {vessel}; expected hits {100 * leg.hit_share:.0f} %{moved}; "
+        f"{leg.in_target_mm:.1f} mm within it; {vessel}; {route.hit_words}; "
         f"score {route.score:.2f}"
     )

@@ -227,10 +227,7 @@ def _route_words(route: PlannedRoute, plan: Plan) -> str:
         parts.append("the needle crosses a vessel that the CT shows")
     else:
         parts.append(f"nearest vessel seen {leg.vessel_mm:.1f} mm from the needle")
-    hits = f"expected hits {100 * leg.hit_share:.0f} %"
-    if leg.hit_share_moved is not None:
-        hits += f", {100 * leg.hit_share_moved:.0f} % if the target has moved"
-    parts.append(hits)
+    parts.append(route.hit_words)
     return _sentences(parts)
 
 

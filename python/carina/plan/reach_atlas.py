@@ -1,4 +1,8 @@
-"""Reach atlas: the parts of the lungs that the tip and the tool of one instrument reach."""
+"""Reach atlas: the parts of the lungs in which one instrument with one tool reaches a target.
+
+Each voxel is judged as a draft of `carina.plan.routes` judges a target: by width, bends and doubts of the airways, the
+directions that the scope can take at each place, the share of needles that hit, and the tool's reach.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +21,20 @@ from carina.plan.instruments.tools import DEFAULT_TOOL, Tool
 from carina.plan.instruments.tools import tool as tool_named
 from carina.plan.lungs.lobes import lung_grid
 from carina.plan.lungs.tissue_near_needle import lung_box
-from carina.plan.routes.ranking import RANK, Judge, Outlook, ScoreWeights, bending_mm
+from carina.plan.routes.attainable_directions import StandingPlace, TipDirections
+from carina.plan.routes.last_leg import OPEN_MM
+from carina.plan.routes.needle_hits import NeedleErrors, ball_hit_shares, fibonacci_sphere
+from carina.plan.routes.plan_route import MOST_ANGLE_DEG
+from carina.plan.routes.ranking import (
+    OUTLOOKS,
+    RANK,
+    Judge,
+    Outlook,
+    ScoreWeights,
+    bending_mm,
+    depth_rank,
+    pointing_rank,
+)
 from carina.plan.routes.route_width import matches_tree
 from carina.plan.routes.standing_points import Ways
 from carina.scopes import ScopePreset, WallField, scope_preset
@@ -34,8 +51,15 @@ STEP_MM = 2.0
 """Voxel size of the map in mm, on each axis."""
 APART_MM = 2.0
 """Least distance in mm between the centreline points of one branch from which the tool's reach is computed."""
-MOST_ANGLE_DEG = 100.0
-"""Largest angle in degrees between the airway's axis and the direction of the tool, the same limit as for a needle."""
+TARGET_MM = 10.0
+"""Diameter in mm of the ball that stands for a target at each voxel."""
+NUM_WAYS = 300
+"""Number of directions on the sphere that are tested at each place."""
+TABLE_STEP_MM, TABLE_STEP_DEG, TABLE_MOST_DEG = 0.5, 1.0, 60.0
+"""Steps of the table of hit shares, and its largest angle; beyond that angle no needle hits."""
+NUM_ON_LINE = 12
+MARGIN_DEG = 30.0
+"""Angle by which a needle may be farther from the airway's axis than the direction to the target's centre."""
 
 
 @one_line
@@ -43,14 +67,15 @@ MOST_ANGLE_DEG = 100.0
 class ReachAtlas:
     """Parts of the lungs that one instrument with one tool reaches.
 
-    The reach follows from the widths and bends of the airways alone; no drive of the scope is simulated.
+    A voxel is reached if a plan without drives (``carina.plan_route(..., drives=0)``) of a ball of 10 mm at the voxel
+    has the outlook *reaches*. No drive of the scope is simulated, so a plan of a target there may have a worse outlook.
 
     Examples
     --------
     >>> import carina
     >>> made = carina.generate_phantom(seed=4, spacing_mm=1.5, generations=4)
     >>> found = carina.find_airways(made.volume)
-    >>> thin, thick = (reach_atlas(made.volume, found, scope=name) for name in ("ultrathin", "therapeutic"))
+    >>> thin, thick = (reach_atlas(made.volume, found, scope=name) for name in ("thin", "therapeutic"))
     >>> thin.share > thick.share
     True
     """
@@ -67,6 +92,10 @@ class ReachAtlas:
 
     0 if the tip does not enter the branch.
     """
+    why: str | None = None
+    """Reason why the tool reaches nothing, such as a channel that is too thin; None if the tool passes the channel."""
+    target_mm: float = TARGET_MM
+    """Diameter in mm of the ball at each voxel that stands for a target."""
 
     @property
     def lung_ml(self) -> float:
@@ -75,7 +104,7 @@ class ReachAtlas:
 
     @property
     def reached_ml(self) -> float:
-        """Volume of lung in ml that the tip of the tool reaches."""
+        """Volume of lung in ml in which a target is reached."""
         return float(np.count_nonzero(self.reach_zyx == REACHES)) * STEP_MM**3 / 1000.0
 
     @property
@@ -84,15 +113,14 @@ class ReachAtlas:
         return self.reached_ml / self.lung_ml if self.lung_ml > 0.0 else 0.0
 
     def at(self, point_lps: Any) -> Outlook | None:
-        """Return whether the tool reaches a point in LPS mm; None if the point is outside the lungs."""
+        """Return whether a target at a point in LPS mm is reached; None if the point is outside the lungs."""
         place = np.rint((np.asarray(point_lps, dtype=np.float64) - self.lps_from_ijk[:3, 3]) / STEP_MM).astype(int)
         if (place < 0).any() or (place >= np.array(self.lung_zyx.shape[::-1])).any():
             return None
         i, j, k = place
         if not self.lung_zyx[k, j, i]:
             return None
-        names: dict[int, Outlook] = {NOT: "does not reach", MAY: "may reach", REACHES: "reaches"}
-        return names[int(self.reach_zyx[k, j, i])]
+        return OUTLOOKS[REACHES - int(self.reach_zyx[k, j, i])]
 
     def to_json(self) -> dict[str, Any]:
         """Return the atlas as plain JSON types, without the map."""
@@ -102,6 +130,8 @@ class ReachAtlas:
             "lung_ml": self.lung_ml,
             "reached_ml": self.reached_ml,
             "tip_mm": {str(branch): mm for branch, mm in self.tip_mm.items()},
+            "target_mm": self.target_mm,
+            "why": self.why,
         }
 
 
@@ -117,11 +147,12 @@ def reach_atlas(
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> ReachAtlas:
-    """Compute the parts of the lungs that an instrument and a tool reach.
+    """Compute the parts of the lungs in which an instrument and a tool reach a target.
 
-    A lung voxel is reached if the scope gets to a centreline point from which the voxel is within the tool's reach
-    and at no more than 100 degrees from the airway's axis. Whether the scope gets there is judged by the widths and
-    bends of the airways and by the errors of these measures.
+    A lung voxel is reached if the scope gets to a place from which at least half of the needle passes hit a ball of
+    10 mm at the voxel, in a direction that the scope can take there, with default errors of the needle
+    (`NeedleErrors`). Whether the scope gets there is judged by the widths and bends of the airways and by the errors of
+    these measures.
 
     Parameters
     ----------
@@ -179,9 +210,12 @@ def reach_atlas(
     if measures is None or not matches_tree(measures, airways.tree):
         measures = measure_tree(volume, airways, cancel=cancel)
     ways = Ways(airways.tree, wall, measures=measures, spacing_mm=max(volume.spacing_mm))
-    judge = Judge(preset, 0.0, ScoreWeights(), used.reach_mm)
+    judge = Judge(preset, 0.0, ScoreWeights(), used.reach_mm, used)
+    why = judge.channel_limit()
     section_mm = bending_mm(preset)
-    reach = np.zeros(lung.shape, dtype=np.uint8)
+    # A tool that does not pierce needs a target in a lumen or against it.
+    allowed = lung if used.pierces else lung & _beside_lumen(lung.shape, matrix, ways)
+    marks = _Marks(allowed, matrix, wall, used, TipDirections(airways.tree, wall, preset))
     tip_mm: dict[int, float] = {branch.id: 0.0 for branch in airways.tree.branches}
     starts = {int(b): float(ways.along_mm[ways.branch == b].min()) for b in np.unique(ways.branch)}
     last: tuple[int, float] | None = None
@@ -191,38 +225,137 @@ def reach_atlas(
         if RANK[outlook] == RANK["does not reach"]:
             continue
         tip_mm[branch_id] = max(tip_mm[branch_id], along_mm - starts[branch_id])
-        if last is not None and last[0] == branch_id and along_mm - last[1] < APART_MM:
+        if why is not None or (last is not None and last[0] == branch_id and along_mm - last[1] < APART_MM):
             continue
         last = branch_id, along_mm
-        value = REACHES if outlook == "reaches" else MAY
-        _reach_from(reach, lung, matrix, ways.points[n], ways.forward[n], reach_mm=used.reach_mm, value=value)
-        if n % 64 == 0:
-            say(0.4 + 0.6 * n / len(ways.points))
+        say(0.4 + 0.6 * n / len(ways.points))
+        marks.add(StandingPlace(branch_id, along_mm, ways.points[n], ways.forward[n]), RANK[outlook])
     say(1.0)
-    return ReachAtlas(preset, used, reach, lung, matrix, tip_mm)
+    return ReachAtlas(preset, used, marks.reach_zyx, lung, matrix, tip_mm, why)
 
 
-def _reach_from(
-    reach: NDArray[np.uint8],
-    lung: NDArray[np.bool_],
-    matrix: Points,
-    place: Points,
-    forward: Points,
-    *,
-    reach_mm: float,
-    value: int,
-) -> None:
-    """Mark the lung voxels that the tool reaches from one centreline point, in place."""
-    middle = (place - matrix[:3, 3]) / STEP_MM
-    half = reach_mm / STEP_MM
-    size = np.array(reach.shape[::-1])
-    low = np.clip(np.floor(middle - half).astype(int), 0, size)
-    high = np.clip(np.ceil(middle + half).astype(int) + 1, 0, size)
-    if (low >= high).any():
-        return
-    x, y, z = (STEP_MM * (np.arange(a, b) - m) for a, b, m in zip(low, high, middle, strict=True))
-    away = np.sqrt(z[:, None, None] ** 2 + y[None, :, None] ** 2 + x[None, None, :] ** 2)
-    ahead = z[:, None, None] * forward[2] + y[None, :, None] * forward[1] + x[None, None, :] * forward[0]
-    near = (away <= reach_mm) & (ahead >= away * math.cos(math.radians(MOST_ANGLE_DEG)))
-    here = (slice(low[2], high[2]), slice(low[1], high[1]), slice(low[0], high[0]))
-    reach[here] = np.maximum(reach[here], np.where(near & lung[here], value, NOT).astype(np.uint8))
+class _Marks:
+    """Voxels at which a target is reached, from the places that were added so far.
+
+    Parameters
+    ----------
+    lung_zyx, lps_from_ijk
+        Voxels that may be marked, and the geometry of the map.
+    wall, tool, directions
+        Wall of the airways, tool, and attainable directions of the scope.
+    """
+
+    def __init__(
+        self,
+        lung_zyx: NDArray[np.bool_],
+        lps_from_ijk: Points,
+        wall: WallField,
+        tool: Tool,
+        directions: TipDirections,
+    ) -> None:
+        self.reach_zyx = np.zeros(lung_zyx.shape, dtype=np.uint8)
+        self._lung_zyx, self._first_lps = lung_zyx, lps_from_ijk[:3, 3]
+        self._wall, self._tool, self._directions = wall, tool, directions
+        self._radius_mm = 0.5 * TARGET_MM
+        self._most_mm = tool.reach_mm + self._radius_mm
+        self._sphere = fibonacci_sphere(NUM_WAYS)
+        distances = np.arange(0.0, self._most_mm + TABLE_STEP_MM, TABLE_STEP_MM)
+        angles = np.radians(np.arange(0.0, TABLE_MOST_DEG + TABLE_STEP_DEG, TABLE_STEP_DEG))
+        mm, rad = (grid.ravel() for grid in np.meshgrid(distances, angles, indexing="ij"))
+        shares = ball_hit_shares(mm, rad, self._radius_mm, tool.reach_mm, NeedleErrors())
+        self._shares = shares.reshape(len(distances), len(angles))
+
+    def add(self, place: StandingPlace, rank: int) -> None:
+        """Mark the voxels at which a target is reached from a place.
+
+        Parameters
+        ----------
+        place
+            Place of the tip.
+        rank
+            Rank of the outlook of the way to the place.
+        """
+        voxels, centres = self._near(place.point_lps, place.forward, REACHES - rank)
+        if not self._directions.is_known:
+            self._mark(voxels, centres, place.point_lps, None, rank)
+            return
+        limit = math.cos(math.radians(min(MOST_ANGLE_DEG + MARGIN_DEG, 180.0)))
+        ways = self._sphere[self._sphere @ place.forward >= limit]
+        for tip, attained in self._directions.around(place, ways):
+            # Voxels that an earlier tip has reached are not tested again.
+            left = self.reach_zyx[voxels[:, 2], voxels[:, 1], voxels[:, 0]] < REACHES - rank
+            voxels, centres = voxels[left], centres[left]
+            if not len(voxels):
+                return
+            if attained.any():
+                self._mark(voxels, centres, tip, ways[attained], rank)
+
+    def _near(self, place: Points, forward: Points, value: int) -> tuple[NDArray[np.int64], Points]:
+        """Return the lung voxels below ``value`` that a target's centre may have: indices (n, 3) and LPS mm (n, 3)."""
+        middle = (place - self._first_lps) / STEP_MM
+        half = self._most_mm / STEP_MM
+        size = np.array(self.reach_zyx.shape[::-1])
+        low = np.clip(np.floor(middle - half).astype(int), 0, size)
+        high = np.clip(np.ceil(middle + half).astype(int) + 1, 0, size)
+        here = (slice(low[2], high[2]), slice(low[1], high[1]), slice(low[0], high[0]))
+        open_zyx = self._lung_zyx[here] & (self.reach_zyx[here] < value)
+        voxels = np.argwhere(open_zyx)[:, ::-1] + low
+        centres = self._first_lps + STEP_MM * voxels
+        off = centres - place
+        away = np.linalg.norm(off, axis=1)
+        near = (away <= self._most_mm) & (
+            (off @ forward >= away * math.cos(math.radians(MOST_ANGLE_DEG))) | (away <= self._radius_mm)
+        )
+        return voxels[near], centres[near]
+
+    def _mark(self, voxels: NDArray[np.int64], centres: Points, tip: Points, ways: Points | None, rank: int) -> None:
+        """Mark the voxels that are reached from a tip by needles in the given directions, or in any direction."""
+        off = centres - tip
+        away = np.linalg.norm(off, axis=1)
+        towards = off / np.maximum(away, 1e-9)[:, None]
+        needle, cosine = towards, np.ones(len(off))
+        if ways is not None:
+            cosines = towards @ ways.T
+            nearest = cosines.argmax(axis=1)
+            needle, cosine = ways[nearest], np.clip(cosines[np.arange(len(off)), nearest], -1.0, 1.0)
+        row = np.minimum(np.rint(away / TABLE_STEP_MM).astype(int), self._shares.shape[0] - 1)
+        column = np.rint(np.degrees(np.arccos(cosine)) / TABLE_STEP_DEG).astype(int)
+        share = np.where(
+            column < self._shares.shape[1], self._shares[row, np.minimum(column, self._shares.shape[1] - 1)], 0.0
+        )
+        share[away <= self._radius_mm] = 1.0
+        beside2 = self._radius_mm**2 - away**2 * (1.0 - cosine**2)
+        edge_mm = np.maximum(away * cosine - np.sqrt(np.maximum(beside2, 0.0)), 0.0)
+        ranks = np.maximum(pointing_rank(share), depth_rank(self._tool.reach_mm - edge_mm))
+        if not self._tool.pierces:
+            hits = np.flatnonzero(ranks < RANK["does not reach"])
+            if hits.size:
+                shut = hits[~self._is_open(tip, needle[hits], edge_mm[hits])]
+                ranks[shut] = RANK["does not reach"]
+        values = (REACHES - np.maximum(ranks, rank)).astype(np.uint8)
+        i, j, k = voxels.T
+        self.reach_zyx[k, j, i] = np.maximum(self.reach_zyx[k, j, i], values)
+
+    def _is_open(self, tip: Points, needle: Points, edge_mm: Points) -> NDArray[np.bool_]:
+        """Return for each needle whether the lumen extends to the edge of its target."""
+        at = np.linspace(0.0, 1.0, NUM_ON_LINE)[None, :] * np.maximum(edge_mm - OPEN_MM, 0.0)[:, None]
+        line = tip + at[:, :, None] * needle[:, None, :]
+        found: NDArray[np.bool_] = (
+            self._wall.distance_mm(line.reshape(-1, 3)).reshape(len(edge_mm), -1).min(axis=1) > 0.0
+        )
+        return found
+
+
+def _beside_lumen(shape_zyx: tuple[int, ...], lps_from_ijk: Points, ways: Ways) -> NDArray[np.bool_]:
+    """Return the voxels at which a target may touch a lumen."""
+    found = np.zeros(shape_zyx, dtype=bool)
+    size = np.array(shape_zyx[::-1])
+    for point, radius in zip(ways.points, ways.radius, strict=True):
+        middle = (point - lps_from_ijk[:3, 3]) / STEP_MM
+        half = (float(radius) + 0.5 * TARGET_MM + OPEN_MM) / STEP_MM
+        low = np.clip(np.floor(middle - half).astype(int), 0, size)
+        high = np.clip(np.ceil(middle + half).astype(int) + 1, 0, size)
+        x, y, z = (np.arange(a, b) - m for a, b, m in zip(low, high, middle, strict=True))
+        off2 = z[:, None, None] ** 2 + y[None, :, None] ** 2 + x[None, None, :] ** 2
+        found[low[2] : high[2], low[1] : high[1], low[0] : high[0]] |= off2 <= half**2
+    return found

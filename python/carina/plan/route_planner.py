@@ -320,6 +320,8 @@ def _after_drive(draft: DraftPlan, route: PlannedRoute, judge: RouteJudge, verdi
         if pointing.share > 0.0 and tip is not None:
             leg = draft.leg_of(tip[:3, 3], np.array(route.forward), tip[:3, 2], judge.aim)
         leg = replace(leg, hit_share=pointing.share)
+        if pointing.share == 0.0:
+            leg = replace(leg, hit_share_moved=0.0)
         depth, not_deep = draft.judge.depth_limit(leg)
     outlook = worst(OUTLOOKS.get(verdict.outcome, "may reach"), depth, "may reach" if route.doubts else "reaches")
     limits = *(check.words for check in verdict.checks if check.answer != "yes"), *not_deep

@@ -20,6 +20,7 @@ ORDER_RULE = (
     "carina."
 )
 NO_ROUTE = "no route"
+HITS_UNKNOWN = "not known without a drive"
 
 
 @one_line
@@ -59,7 +60,7 @@ class ComparedTarget:
         return (
             self.title,
             self.outlook,
-            f"{100 * route.leg.hit_share:.0f} %",
+            HITS_UNKNOWN if route.hit_share is None else f"{100 * route.hit_share:.0f} %",
             route.width.words,
             route.place_words,
             f"{route.leg.to_target_mm:.1f} mm",
@@ -115,7 +116,7 @@ def _order(one: ComparedTarget) -> tuple[float, ...]:
     route = one.route
     if route is None:
         return (len(RANK), len(one.doubts), 0.0, 0.0)
-    return (RANK[route.outlook], len(one.doubts), -route.leg.hit_share, route.origin.past_mm(route.along_mm))
+    return (RANK[route.outlook], len(one.doubts), -(route.hit_share or 0.0), route.origin.past_mm(route.along_mm))
 
 
 def comparison_lines(compared: Sequence[ComparedTarget]) -> tuple[str, ...]:

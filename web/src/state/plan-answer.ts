@@ -60,7 +60,8 @@ const withoutStop = (words: string | null): string | null => words?.replace(/\.$
 /** Return length, angle and hits of the needle's path as text. */
 export function needleText(leg: NeedleLeg): string {
   const moved = leg.hit_share_moved === null ? "" : ` (${share(leg.hit_share_moved)} if moved)`;
-  return `${mm(leg.to_target_mm, 0)} to the target, ${fixed(leg.angle_deg)}\u00b0 to the airway, hits ${share(leg.hit_share)}${moved}`;
+  const hits = leg.hit_share === null ? "hits not known without a drive" : `hits ${share(leg.hit_share)}${moved}`;
+  return `${mm(leg.to_target_mm, 0)} to the target, ${fixed(leg.angle_deg)}\u00b0 to the airway, ${hits}`;
 }
 
 /** Length, mm, of the needle's path inside a vessel below which the path counts as passing beside the vessel. */

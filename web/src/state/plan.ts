@@ -82,8 +82,8 @@ export const ROUTE_ROWS: readonly { title: string; words: string; of: (route: Ro
   },
   {
     title: "Hits",
-    words: "Share of needle passes that hit, by geometry and errors",
-    of: (r) => share(r.leg.hit_share),
+    words: "Share of needle passes that hit after the simulated drive; none without a drive",
+    of: (r) => (r.leg.hit_share === null ? "\u2013" : share(r.leg.hit_share)),
   },
   {
     title: "If moved",

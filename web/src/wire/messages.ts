@@ -1063,7 +1063,7 @@ export interface NeedleLeg {
   readonly crossed: readonly NeedleTissue[];
   readonly in_target_mm: number;
   readonly vessel_mm: number | null;
-  readonly hit_share: number;
+  readonly hit_share: number | null;
   readonly hit_share_moved: number | null;
 }
 

@@ -198,8 +198,14 @@ def _route(sheet: PlanSheet) -> list[Section]:
         ("Beyond the target", f"{beyond} to pleura or mediastinum"),
         (f"Vessels within {plan.vessel_margin_mm:g} mm", _vessel_words(route)),
         ("Nearest vessel", vessel),
-        ("Needle passes that hit", f"{per_cent(leg.hit_share)} where the CT shows the target"),
-        ("If the target has moved", f"{per_cent(leg.hit_share_moved)}, {plan.movement.region_words}"),
+        *(
+            (
+                ("Needle passes that hit", f"{per_cent(route.hit_share)} where the CT shows the target"),
+                ("If the target has moved", f"{per_cent(route.hit_share_moved)}, {plan.movement.region_words}"),
+            )
+            if route.hit_share is not None
+            else (("Needle passes that hit", per_cent(None)),)
+        ),
     )
     first = "First route" if sheet.route_number == 1 else f"Route {sheet.route_number}"
     title = f"{first} at a glance"
@@ -409,8 +415,8 @@ _COMPARED: tuple[tuple[str, Callable[[PlanSheet, PlannedRoute], str]], ...] = (
     ("Angle to the airway", lambda _, r: f"{r.leg.angle_deg:.0f}\u00b0"),
     ("Length in the target", lambda _, r: f"{r.leg.in_target_mm:.0f} mm"),
     ("Nearest vessel", lambda _, r: "none seen" if r.leg.vessel_mm is None else f"{r.leg.vessel_mm:.1f} mm"),
-    ("Needle passes that hit", lambda _, r: per_cent(r.leg.hit_share)),
-    ("If the target has moved", lambda _, r: per_cent(r.leg.hit_share_moved)),
+    ("Needle passes that hit", lambda _, r: per_cent(r.hit_share)),
+    ("If the target has moved", lambda _, r: per_cent(r.hit_share_moved)),
     ("Tissue on the way", lambda _, r: _crossed_words(r)),
     ("Score (1 is best)", lambda _, r: f"{r.score:.2f}"),
 )

@@ -90,12 +90,11 @@ def by_hand(airways: Airways, plan: Plan, route: PlannedRoute | None) -> tuple[s
 
 
 def _aimed_again(route: PlannedRoute | None, movement: TargetMovement) -> str:
-    if route is None or route.leg.hit_share_moved is None:
+    if route is None or route.hit_share is None or route.hit_share_moved is None:
         return ""
-    leg = route.leg
     return (
-        f" Aimed as planned, {100 * leg.hit_share:.0f} % of needle passes hit if it has not moved and "
-        f"{100 * (leg.hit_share_moved or 0.0):.0f} % if it may lie {movement.region_words}; confirm its position "
+        f" Aimed as planned, {100 * route.hit_share:.0f} % of needle passes hit if it has not moved and "
+        f"{100 * route.hit_share_moved:.0f} % if it may lie {movement.region_words}; confirm its position "
         "before each pass."
     )
 

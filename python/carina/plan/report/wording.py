@@ -50,7 +50,7 @@ def carina_cell(mm: float | None) -> str:
 
 def per_cent(share: float | None) -> str:
     """Return a share (0 to 1) as text in per cent, such as ``92 %``."""
-    return "not calculated" if share is None else f"{100.0 * share:.0f} %"
+    return "not known without a drive" if share is None else f"{100.0 * share:.0f} %"
 
 
 def text_width(text: str, size: float, *, is_bold: bool = False) -> float:

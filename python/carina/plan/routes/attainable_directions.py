@@ -9,6 +9,7 @@ simulated drive of `carina.plan.verdict` has the last word; this analysis select
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +42,8 @@ RADII = (1.0, 1.6, 3.0, 8.0)
 NUM_ON_ARC, BEHIND_MM = 8, 4.0
 OFFSETS = (0.0, 0.5, 1.0)
 """Tested positions of the tip between the centreline and the wall on the side of the target."""
+NUM_SIDES = 6
+"""Number of sides of the centreline towards which the tip is moved if there is no aim."""
 RINGS = (1, 6, 12, 18)
 """Number of tested directions on each ring round the direction to the aim; the last ring touches the target's edge."""
 MOST_RING_DEG = 60.0
@@ -115,6 +118,36 @@ class TipDirections:
         found = [self._nearest(place, tip, aim, radius_mm, radius) for tip in self._tips(place, aim, radius)]
         return min((one for one in found if one is not None), key=lambda one: one.off_deg, default=None)
 
+    def around(self, place: StandingPlace, ways: Points) -> Iterator[tuple[Points, NDArray[np.bool_]]]:
+        """Yield positions of the tip at a place, each with the directions that are attainable from the position.
+
+        Parameters
+        ----------
+        place
+            Place of the tip.
+        ways
+            (n, 3) unit vectors, the tested directions.
+
+        Yields
+        ------
+        tuple
+            (3,) position of the tip on the centreline or against the wall, LPS mm, and (n,) whether each direction is
+            attainable from there.
+        """
+        radius = 0.5 * self._slim_mm(place.branch_id, place.along_mm)
+        across, up = axes_across(place.forward)
+        yield place.point_lps, self._attained(place, place.point_lps, ways, radius)
+        for turn in 2.0 * np.pi * np.arange(NUM_SIDES) / NUM_SIDES:
+            aside = place.point_lps + math.cos(turn) * across + math.sin(turn) * up
+            *_, tip = self._tips(place, aside, radius)
+            if tip is not place.point_lps:
+                yield tip, self._attained(place, tip, ways, radius)
+
+    def _attained(self, place: StandingPlace, tip: Points, ways: Points, radius: float) -> NDArray[np.bool_]:
+        found = self._rigid_fits(tip, ways, radius)
+        found[found] = self._bends(place, tip, ways[found], radius)
+        return found
+
     def _nearest(
         self, place: StandingPlace, tip: Points, aim: Points, radius_mm: float, radius: float
     ) -> AttainableTip | None:
@@ -125,9 +158,12 @@ class TipDirections:
         if distance > radius_mm:
             edge = min(edge, math.asin(min(radius_mm / distance, 1.0)))
         ways, angles = _rings(towards, edge)
-        for n in np.flatnonzero(self._rigid_fits(tip, ways, radius)):
-            if self._bends(place, tip, ways[n], radius):
-                return AttainableTip(tip, ways[n], math.degrees(float(angles[n])))
+        fit = np.flatnonzero(self._rigid_fits(tip, ways, radius))
+        # The nearest direction is mostly attainable, so it is tested before the others.
+        for part in (fit[:1], fit[1:]):
+            bent = part[self._bends(place, tip, ways[part], radius)]
+            if bent.size:
+                return AttainableTip(tip, ways[bent[0]], math.degrees(float(angles[bent[0]])))
         return None
 
     def _tips(self, place: StandingPlace, aim: Points, radius: float) -> list[Points]:
@@ -157,26 +193,35 @@ class TipDirections:
         found: NDArray[np.bool_] = (room >= radius - TIP_LACK_MM) & (edge >= ROUNDED_MM - TIP_LACK_MM)
         return found
 
-    def _bends(self, place: StandingPlace, tip: Points, way: Points, radius: float) -> bool:
-        rear = tip - self._rigid_mm * way
+    def _bends(self, place: StandingPlace, tip: Points, ways: Points, radius: float) -> NDArray[np.bool_]:
+        """Return for each direction (n, 3) whether the bending section leads from it back into the airway."""
+        rear = tip - self._rigid_mm * ways
         behind_mm = place.along_mm - self._rigid_mm
+        at_rear = self._direction(place.branch_id, np.full(len(ways), behind_mm))
+        turn = np.linspace(0.0, 1.0, NUM_ON_ARC)[None, :, None]
+        found = np.zeros(len(ways), dtype=bool)
         for times in RADII:
-            arc_mm = times * self._sharpest_mm
-            angle = _angle(way, self._direction(place.branch_id, behind_mm))
+            left = np.flatnonzero(~found)
+            arc_mm, own = times * self._sharpest_mm, ways[left]
+            angle = _angles(own, at_rear[left])
             for _ in range(2):
                 back = self._direction(place.branch_id, behind_mm - arc_mm * angle)
-                angle = _angle(way, back)
-            if arc_mm * angle > self._bending_mm:
+                angle = _angles(own, back)
+            bent = arc_mm * angle <= self._bending_mm
+            left, own, angle, back = left[bent], own[bent], angle[bent], back[bent]
+            if not len(left):
                 continue
-            side = back - (back @ way) * way
-            length = float(np.linalg.norm(side))
-            side = side / length if length > 1e-6 else side
-            turn = np.linspace(0.0, angle, NUM_ON_ARC)[:, None]
-            arc = rear - arc_mm * (np.sin(turn) * way + (1.0 - np.cos(turn)) * side)
-            points = np.concatenate([arc, arc[-1:] - BEHIND_MM * back])
-            if float(self._wall.distance_mm(points).min()) >= radius - SHAFT_LACK_MM:
-                return True
-        return False
+            side = back - (back * own).sum(axis=1, keepdims=True) * own
+            length = np.linalg.norm(side, axis=1, keepdims=True)
+            side = np.where(length > 1e-6, side / np.maximum(length, 1e-6), side)
+            on_arc = turn * angle[:, None, None]
+            arc = rear[left][:, None] - arc_mm * (
+                np.sin(on_arc) * own[:, None] + (1.0 - np.cos(on_arc)) * side[:, None]
+            )
+            points = np.concatenate([arc, arc[:, -1:] - BEHIND_MM * back[:, None]], axis=1)
+            room = self._wall.distance_mm(points.reshape(-1, 3)).reshape(len(left), -1).min(axis=1)
+            found[left] = room >= radius - SHAFT_LACK_MM
+        return found
 
     def _path(self, branch_id: int) -> tuple[Points, Points, Points]:
         """Return the path to the end of a branch: distances, points, and the narrowest ball from the root on."""
@@ -188,11 +233,12 @@ class TipDirections:
             self._paths[branch_id] = along, points, np.minimum.accumulate(room)
         return self._paths[branch_id]
 
-    def _direction(self, branch_id: int, mm: float) -> Points:
+    def _direction(self, branch_id: int, mm: Points) -> Points:
+        """Return the directions (n, 3) of the path to a branch at distances (n,) from the root."""
         along, points, _ = self._path(branch_id)
-        ends = np.clip([mm - SMOOTH_MM, mm + SMOOTH_MM], 0.0, along[-1])
-        low, high = (np.array([np.interp(end, along, points[:, axis]) for axis in range(3)]) for end in ends)
-        found: Points = (high - low) / max(float(np.linalg.norm(high - low)), 1e-9)
+        ends = np.clip(np.stack([mm - SMOOTH_MM, mm + SMOOTH_MM]), 0.0, along[-1])
+        low, high = np.stack([np.interp(ends, along, points[:, axis]) for axis in range(3)], axis=-1)
+        found: Points = (high - low) / np.maximum(np.linalg.norm(high - low, axis=1, keepdims=True), 1e-9)
         return found
 
     def _slim_mm(self, branch_id: int, along_mm: float) -> float:
@@ -217,5 +263,7 @@ def _rings(towards: Points, edge_rad: float) -> tuple[Points, Points]:
     return np.concatenate(ways), np.concatenate(angles)
 
 
-def _angle(one: Points, other: Points) -> float:
-    return math.acos(float(np.clip(one @ other, -1.0, 1.0)))
+def _angles(some: Points, others: Points) -> Points:
+    """Return the angles (n,) in radians between unit vectors (n, 3)."""
+    found: Points = np.arccos(np.clip((some * others).sum(axis=1), -1.0, 1.0))
+    return found

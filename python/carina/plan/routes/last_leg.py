@@ -111,7 +111,8 @@ class LastLeg:
     hit_share: float
     """Share of needles within the assumed errors that hit the target at its place in the CT, 0 to 1.
 
-    In a plan the needle has a direction that the scope can take; the share is 0 if no such direction hits.
+    In a plan the needle has a direction that the scope can take; the share is 0 if no such direction hits. Before a
+    drive of the scope it is an estimate, which no output states (`PlannedRoute.hit_share`).
     """
     reaches: bool
     """Whether the tool reaches the edge of the target."""

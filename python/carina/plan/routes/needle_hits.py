@@ -14,7 +14,7 @@ from carina.display import one_line
 from carina.errors import UsageError
 from carina.plan.targets.grow_nodule import Nodule
 
-__all__ = ["NeedleErrors", "axes_across", "hit_share"]
+__all__ = ["NeedleErrors", "axes_across", "ball_hit_shares", "fibonacci_sphere", "hit_share"]
 
 Points = NDArray[np.float64]
 
@@ -88,7 +88,7 @@ def hit_share(
     if moved_mm <= 0.0 and shift_lps is None:
         return _share(nodule, tip_lps[None], _cone(along, sigma, NUM_RINGS, NUM_ROUND), reach_mm)
     num_ways, num_shells = (NUM_WAYS, NUM_SHELLS) if shift_lps is None else (FEW_WAYS, FEW_SHELLS)
-    ball = _fibonacci_sphere(num_ways)
+    ball = fibonacci_sphere(num_ways)
     # The shells have equal volumes, so each shell has equal weight.
     radii = moved_mm * ((np.arange(num_shells) + 0.5) / num_shells) ** (1.0 / 3.0)
     shifts = (radii[:, None, None] * ball).reshape(-1, 3)
@@ -96,6 +96,40 @@ def hit_share(
         line = (np.arange(NUM_ON_LINE) + 0.5)[:, None] / NUM_ON_LINE * np.array(shift_lps)
         shifts = (line[:, None] + shifts).reshape(-1, 3)
     return _share(nodule, tip_lps - shifts, _cone(along, sigma, FEW_RINGS, FEW_ROUND), reach_mm)
+
+
+def ball_hit_shares(
+    distance_mm: NDArray[np.float64],
+    off_rad: NDArray[np.float64],
+    radius_mm: float,
+    reach_mm: float,
+    errors: NeedleErrors,
+) -> NDArray[np.float64]:
+    """Return the shares of needles that hit a ball, as `hit_share` does for a nodule.
+
+    Parameters
+    ----------
+    distance_mm, off_rad
+        (n,) distances of the ball's centre from the tip, and angles between the needle and the direction to the centre.
+    radius_mm
+        Radius of the ball.
+    reach_mm, errors
+        As for `hit_share`.
+
+    Returns
+    -------
+    numpy.ndarray
+        (n,) shares, 0 to 1.
+    """
+    needle = np.array([0.0, 0.0, 1.0])
+    centre = distance_mm[:, None] * np.stack([np.sin(off_rad), np.zeros(len(off_rad)), np.cos(off_rad)], axis=1)
+    found = np.ones(len(distance_mm))
+    for n in np.flatnonzero(distance_mm > 1e-6):
+        sigma = math.hypot(math.radians(errors.angle_deg), errors.tip_mm / float(distance_mm[n]))
+        ways = _cone(needle, sigma, NUM_RINGS, NUM_ROUND)
+        along = np.clip(ways @ centre[n], 0.0, reach_mm)
+        found[n] = (np.linalg.norm(along[:, None] * ways - centre[n], axis=1) <= radius_mm).mean()
+    return found
 
 
 def _cone(along: Points, sigma_rad: float, num_rings: int, num_round: int) -> Points:
@@ -128,7 +162,7 @@ def axes_across(along: Points) -> tuple[Points, Points]:
 
 
 @cache
-def _fibonacci_sphere(num: int) -> Points:
+def fibonacci_sphere(num: int) -> Points:
     """Return unit vectors (num, 3) spread evenly over the sphere."""
     n = np.arange(num)
     z = 1.0 - (2.0 * n + 1.0) / num

@@ -155,6 +155,28 @@ class PlannedRoute:
         return self.width.mm
 
     @property
+    def hit_share(self) -> float | None:
+        """Share of needles that hit at the end of the simulated drive; None if no drive of the scope has arrived.
+
+        All outputs state this share. Before a drive, `LastLeg.hit_share` of ``leg`` is an estimate that only ranks
+        routes.
+        """
+        return None if self.hold is None else self.leg.hit_share
+
+    @property
+    def hit_share_moved(self) -> float | None:
+        """`hit_share` if the target may have moved; None also if it was not computed."""
+        return None if self.hold is None else self.leg.hit_share_moved
+
+    @property
+    def hit_words(self) -> str:
+        """Shares of needles that hit as text, such as *expected hits 92 %, 40 % if the target has moved*."""
+        if self.hit_share is None:
+            return "expected hits not known, because no simulated drive has arrived"
+        moved = "" if self.hit_share_moved is None else f", {100 * self.hit_share_moved:.0f} % if the target has moved"
+        return f"expected hits {100 * self.hit_share:.0f} %{moved}"
+
+    @property
     def fits(self) -> bool:
         """Whether the scope with its margin fits with high probability."""
         return self.fit == "fits"
@@ -185,7 +207,7 @@ class PlannedRoute:
             "limits": list(self.limits),
             "tools": list(self.tools),
             "predictors": None if self.predictors is None else self.predictors.to_json(),
-            "leg": self.leg.to_json(),
+            "leg": self.leg.to_json() | {"hit_share": self.hit_share, "hit_share_moved": self.hit_share_moved},
             "parts": self.parts,
             "score": self.score,
             "doubts": list(self.doubts),
@@ -300,7 +322,7 @@ class Plan(Tabular):
             "fits": "flag",
             "bend_deg": "float",
         }
-        leg: dict[str, ColumnKind] = dict.fromkeys(("to_target_mm", "in_target_mm", "vessel_mm", "hit_share"), "float")
+        leg: dict[str, ColumnKind] = dict.fromkeys(("to_target_mm", "in_target_mm", "vessel_mm"), "float")
         return columns_of(
             (
                 {
@@ -308,10 +330,11 @@ class Plan(Tabular):
                     **{name: getattr(route, name) for name in own},
                     "from_carina_mm": route.from_carina_mm,
                     **{name: getattr(route.leg, name) for name in leg},
+                    "hit_share": route.hit_share,
                 }
                 for number, route in enumerate(self.routes, start=1)
             ),
-            {"route": "int", **own, "from_carina_mm": "float", **leg},
+            {"route": "int", **own, "from_carina_mm": "float", **leg, "hit_share": "float"},
         )
 
     def to_json(self) -> dict[str, Any]:

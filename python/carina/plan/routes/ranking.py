@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from carina.argument_checks import check_fields, number_from
 from carina.display import one_line
@@ -20,7 +22,9 @@ from carina.scopes import ScopePreset
 __all__ = ["Demands", "Judge", "Outlook", "ScoreWeights", "WorstValue"]
 
 Outlook = Literal["reaches", "may reach", "does not reach"]
-RANK: dict[Outlook, int] = {"reaches": 0, "may reach": 1, "does not reach": 2}
+OUTLOOKS: tuple[Outlook, ...] = ("reaches", "may reach", "does not reach")
+"""Outlooks, the best first."""
+RANK: dict[Outlook, int] = {outlook: rank for rank, outlook in enumerate(OUTLOOKS)}
 
 DEEP_MM = 8.0
 """Length in mm of the needle in the target that suffices for a sample."""
@@ -35,6 +39,8 @@ The second is small, because a needle pass can be repeated.
 """
 DEPTH_SIGMA_MM = 0.5
 """Standard deviation in mm of the position of the target's edge along the needle (common knowledge)."""
+LEAST_SPARE_MM = DEPTH_SIGMA_MM * NormalDist().inv_cdf(SURE)
+"""Least planned length in mm of a tool beyond the target's edge with which the tool surely reaches the edge."""
 MEDIASTINUM_MM = 2.0
 """Largest length in mm of mediastinum on the needle path in which no hidden vessel is assumed."""
 
@@ -164,7 +170,7 @@ class Judge:
             found = worst(found, answer)
             chance *= 0.5 if share is None else share
         if leg is not None and leg.hit_share < POINTS:
-            found = worst(found, "may reach" if leg.hit_share >= BARELY else "does not reach")
+            found = worst(found, OUTLOOKS[int(pointing_rank(leg.hit_share))])
             limits.append(self.aim_limit(leg))
             chance *= leg.hit_share
         blocked = self.channel_limit()
@@ -190,13 +196,15 @@ class Judge:
                 f"{leg.angle_deg:.0f} degrees"
             )
         return (
-            f"{100 * leg.hit_share:.0f} % of needle passes hit in the best direction that {self.scope.title} can take"
+            "fewer than half of needle passes are expected to hit in the best direction that "
+            f"{self.scope.title} can take"
         )
 
     def depth_limit(self, leg: LastLeg) -> tuple[Outlook, tuple[str, ...]]:
         """Return whether the tool reaches the target from a scope's tip, and the reason if this is not sure."""
-        share, words = self._depth(leg)
-        return _outlook_of(share), (() if share >= SURE else (words,))
+        _, words = self._depth(leg)
+        rank = int(depth_rank(self.reach_mm - leg.to_target_mm))
+        return OUTLOOKS[rank], (() if rank == RANK["reaches"] else (words,))
 
     def _depth(self, leg: LastLeg) -> tuple[float, str]:
         spare = self.reach_mm - leg.to_target_mm
@@ -226,6 +234,32 @@ class Judge:
 def bending_mm(scope: ScopePreset) -> float | None:
     """Return the length of a scope's rigid tip and bending section in mm; None if the length is not known."""
     return None if scope.bending_mm is None else float(np.mean(scope.bending_mm)) + (scope.rigid_tip_mm or 0.0)
+
+
+def pointing_rank(hit_share: ArrayLike) -> NDArray[np.int64]:
+    """Return the ranks of outlooks (`OUTLOOKS`) for shares of needles that hit.
+
+    Parameters
+    ----------
+    hit_share
+        Shares, 0 to 1, of any shape.
+    """
+    share = np.asarray(hit_share)
+    found: NDArray[np.int64] = np.where(share >= POINTS, 0, np.where(share >= BARELY, 1, 2))
+    return found
+
+
+def depth_rank(spare_mm: ArrayLike) -> NDArray[np.int64]:
+    """Return the ranks of outlooks (`OUTLOOKS`) for lengths of a tool beyond the edge of a target.
+
+    Parameters
+    ----------
+    spare_mm
+        Lengths in mm, of any shape; negative if the tool ends before the target.
+    """
+    spare = np.asarray(spare_mm)
+    found: NDArray[np.int64] = np.where(spare >= LEAST_SPARE_MM, 0, np.where(spare > -LEAST_SPARE_MM, 1, 2))
+    return found
 
 
 def order(route: Any) -> tuple[Any, ...]:

@@ -25,7 +25,10 @@ LEAST_SHARE = 0.05
 LEAST_LINE_MM = 6.0
 """Minimum length in mm of a vessel branch without children; shorter ones are noise and are not sent."""
 VESSEL_POINT_EVERY_MM = 2.5
-NO_DRIVE = "Judged by diameter and bend along the way. No drive was simulated, and breathing may move the target."
+NO_DRIVE = (
+    "Judged by diameter and bend along the way and by the directions that the tip can take. No drive was simulated, "
+    "and breathing may move the target."
+)
 
 
 def lungs_message(info: LungsInfo) -> wire.Lungs:
@@ -112,11 +115,11 @@ def _vessel_lines(tree: VesselTree) -> Iterator[wire.VesselLine]:
 
 
 def _reach_layer(reach: ReachAtlas) -> wire.MappedLayer:
-    tool = reach.tool.title
+    what = f"{reach.scope.title} with {reach.tool.title}"
     return wire.MappedLayer(
         "reach",
-        f"{reach.scope.title} with {tool}: {100.0 * reach.share:.0f} % of the lungs",
-        (NO_DRIVE, "Dashed: may reach."),
+        f"{what}: a target of {reach.target_mm:.0f} mm in {100.0 * reach.share:.0f} % of the lungs",
+        (*(() if reach.why is None else (f"{reach.why}.",)), NO_DRIVE, "Dashed: may reach."),
         (),
     )
 

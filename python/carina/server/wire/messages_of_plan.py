@@ -46,8 +46,11 @@ class NeedleLeg(FrozenValue, frozen=True):
     """Length in mm of the needle inside the target if it goes as aimed."""
     vessel_mm: float | None
     """Distance in mm from the needle's line to the nearest visible vessel; null if no vessel is visible nearby."""
-    hit_share: Part
-    """Share of the needles within the assumed errors that hit the target at its place in the CT, 0 to 1."""
+    hit_share: Part | None
+    """Share of the needles within the assumed errors that hit the target at its place in the CT, 0 to 1.
+
+    It is that of the simulated drive, as in the verdict; null if no drive has arrived.
+    """
     hit_share_moved: Part | None
     """Share of the needles that hit if the target may have moved since the CT; null if not computed."""
 
