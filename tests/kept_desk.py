@@ -134,18 +134,18 @@ class Desk:
 
         A write that is in progress is completed.
         """
-        kept = self.session._saving._saver
-        assert kept is not None
+        saver = self.session._saving._saver
+        assert saver is not None
         self.session._saving._saver = None
-        with kept._wake:
-            kept._wake.notify_all()
-            assert kept._wake.wait_for(lambda: kept.has_ended, WAIT_S)
-        if kept._copier is not None:
-            kept._copier.join(WAIT_S)
-            assert not kept._copier.is_alive()
-        if kept.held is not None:
-            kept.held.release()
-        if kept._claim is not None:
-            kept._claim.release()
-        if kept.named is not None:
-            kept.named.close()
+        with saver._wake:
+            saver._wake.notify_all()
+            assert saver._wake.wait_for(lambda: saver.has_ended, WAIT_S)
+        if saver._copier is not None:
+            saver._copier.join(WAIT_S)
+            assert not saver._copier.is_alive()
+        if saver.held is not None:
+            saver.held.release()
+        if saver._claim is not None:
+            saver._claim.release()
+        if saver.named is not None:
+            saver.named.close()

@@ -152,18 +152,18 @@ def kept_airways(name: str, volume: Volume) -> Airways:
         found = SEARCH(volume)
         searched.append(found)
         # The tracker and the evidence contain locks and compiled objects; the other fields are plain values.
-        told = {one.name: getattr(found, one.name) for one in dataclasses.fields(found)}
-        del told["tracker"], told["evidence"]
-        told["tree"] = (found.tree.branches, found.tree.notes)
+        fields = {one.name: getattr(found, one.name) for one in dataclasses.fields(found)}
+        del fields["tracker"], fields["evidence"]
+        fields["tree"] = (found.tree.branches, found.tree.notes)
         tracker, grid = found.tracker, found.tracker.grid
         paths_zyx = tracker.lumen_zyx if grid.is_divided else None
-        return told, (grid.parts, paths_zyx, tracker.root_ijk, tracker.given_nodes)
+        return fields, (grid.parts, paths_zyx, tracker.root_ijk, tracker.given_nodes)
 
-    told, (parts, paths_zyx, root_ijk, nodes) = made_value(name, search)
+    fields, (parts, paths_zyx, root_ijk, nodes) = made_value(name, search)
     if searched:
         return searched[0]
-    (branches, notes), lumen, levels = told.pop("tree"), told["lumen_zyx"], told["wall_levels"]
-    for array in (lumen, paths_zyx, told["upper_airway_zyx"]):
+    (branches, notes), lumen, levels = fields.pop("tree"), fields["lumen_zyx"], fields["wall_levels"]
+    for array in (lumen, paths_zyx, fields["upper_airway_zyx"]):
         if array is not None:
             array.flags.writeable = False
     grid = PathGrid(volume, parts)
@@ -175,7 +175,7 @@ def kept_airways(name: str, volume: Volume) -> Airways:
         tracker.follow_branches(branches)
     else:
         tracker.set_branches(branches, nodes)
-    return Airways(tree=AirwayTree(branches, notes=notes, _smooth=tracker.smooth), tracker=tracker, **told)
+    return Airways(tree=AirwayTree(branches, notes=notes, _smooth=tracker.smooth), tracker=tracker, **fields)
 
 
 _FOUND: dict[str, Airways] = {}

@@ -52,14 +52,14 @@ def kill_marked(folder: str) -> list[str]:
     return list(killed.values())
 
 
-def remove_kept_folder(kept: Path) -> None:
+def remove_kept_folder(folder: Path) -> None:
     """Delete the ``tmp_path`` folders of a run and their parent folders of pytest that are then empty."""
-    newest = kept.parent / "pytest-current"
-    if newest.is_symlink() and newest.resolve() == kept.resolve():
+    newest = folder.parent / "pytest-current"
+    if newest.is_symlink() and newest.resolve() == folder.resolve():
         newest.unlink()
-    shutil.rmtree(kept, ignore_errors=True)
+    shutil.rmtree(folder, ignore_errors=True)
     with contextlib.suppress(OSError):
-        kept.parent.rmdir()
+        folder.parent.rmdir()
 
 
 def run_name() -> str:

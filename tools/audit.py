@@ -72,13 +72,13 @@ class Result:
 
     def lines(self) -> list[str]:
         """Return the lines to print about a check: failures, gaps, accepted gaps, and number of packages."""
-        told = [f"{self.what}: {words}" for words in self.bad]
-        told += [f"{self.what}: NOT looked at: {words}" for words in self.unseen]
-        told += [f"{self.what}: NOT looked at, accepted {words}" for words in self.accepted]
+        reported = [f"{self.what}: {words}" for words in self.bad]
+        reported += [f"{self.what}: NOT looked at: {words}" for words in self.unseen]
+        reported += [f"{self.what}: NOT looked at, accepted {words}" for words in self.accepted]
         if self.num_seen and not self.bad:
             part = "these" if self.unseen or self.accepted else "all"
-            told.append(f"{self.what}: {self.num_seen} looked at, {part} good")
-        return told
+            reported.append(f"{self.what}: {self.num_seen} looked at, {part} good")
+        return reported
 
 
 @dataclass(frozen=True, slots=True)

@@ -305,11 +305,11 @@ class Bench:
                     return f"nothing: it hangs for {self._limit_s:g} s"
                 raise
             output.seek(0)
-            said = output.read()
+            log = output.read()
         if code in {0, 5}:  # 0: all passed; 5: no tests were collected for these markers.
             return None
-        failed = re.search(r"^(?:FAILED|ERROR) (\S.*?)(?: - .*)?$", said, re.MULTILINE)
-        return failed.group(1) if failed else "the run itself: " + " ".join(said.split())[-300:]
+        failed = re.search(r"^(?:FAILED|ERROR) (\S.*?)(?: - .*)?$", log, re.MULTILINE)
+        return failed.group(1) if failed else "the run itself: " + " ".join(log.split())[-300:]
 
 
 def main() -> int:
@@ -326,25 +326,25 @@ def main() -> int:
     words.add_argument(
         "--limit", type=float, default=1200.0, metavar="S", help="seconds before a run counts as hanging"
     )
-    told = words.parse_args()
+    arguments = words.parse_args()
 
-    drawn = list(enumerate(draw(told.parts, told.seed, told.number), start=1))
-    chosen = [(n, mutant) for n, mutant in drawn if told.only is None or n in told.only]
-    if told.list:
+    drawn = list(enumerate(draw(arguments.parts, arguments.seed, arguments.number), start=1))
+    chosen = [(n, mutant) for n, mutant in drawn if arguments.only is None or n in arguments.only]
+    if arguments.list:
         for n, mutant in chosen:
             print(f"{n:3d} {mutant.told()}")
         return 0
     lives: list[str] = []
     with tempfile.TemporaryDirectory(prefix="carina-mutants-") as folder:
-        bench = Bench(Path(folder), told.workers, told.limit)
-        for part in [] if told.trust else sorted({part_of(mutant.path) for _, mutant in chosen}):
+        bench = Bench(Path(folder), arguments.workers, arguments.limit)
+        for part in [] if arguments.trust else sorted({part_of(mutant.path) for _, mutant in chosen}):
             files = [str(TESTS / folder) for folder in NEAR[part]]
             broken = bench.run(QUICK, files)
             if broken is not None:
                 sys.exit(f"the tests of {part} are red without a mutant: {broken}")
         for n, mutant in chosen:
             began_s = time.monotonic()
-            killer = bench.kills(mutant, thorough=told.thorough)
+            killer = bench.kills(mutant, thorough=arguments.thorough)
             took = f"{time.monotonic() - began_s:.0f} s"
             print(f"{n:3d} {'LIVES' if killer is None else 'died '} {took:>6} {mutant.told()}", flush=True)
             if killer is None:

@@ -114,10 +114,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("notebook", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)
-    told = parser.parse_args()
+    arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        cells, _ = run_notebook(told.notebook.resolve(), Path(folder))
-        told.output.write_text(as_html(cells, told.notebook.stem), encoding="utf-8")
+        cells, _ = run_notebook(arguments.notebook.resolve(), Path(folder))
+        arguments.output.write_text(as_html(cells, arguments.notebook.stem), encoding="utf-8")
     return 0
 
 

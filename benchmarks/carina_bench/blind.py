@@ -85,7 +85,7 @@ def draw(folder: Path, cases: Sequence[str], seed: int | None = None) -> int:
     return len(key)
 
 
-def scores(key: Mapping[str, Mapping[str, Any]], told: Mapping[str, float]) -> dict[str, dict[str, float]]:
+def scores(key: Mapping[str, Mapping[str, Any]], answers: Mapping[str, float]) -> dict[str, dict[str, float]]:
     """Return the errors of a reader's clock positions, once for pictures with decoration and once for those without.
 
     Raises
@@ -93,14 +93,14 @@ def scores(key: Mapping[str, Mapping[str, Any]], told: Mapping[str, float]) -> d
     UsageError
         If the reader gave no answer for a picture.
     """
-    missing = sorted(set(key) - set(told))
+    missing = sorted(set(key) - set(answers))
     if missing:
         raise UsageError(f"no hour is told for picture {', '.join(missing)}")
     rows = {}
     for name, decorated in (("decorated", True), ("plain", False)):
         off: NDArray[np.float64] = np.array(
             [
-                abs((told[picture] - answer["hour"] + 6.0) % 12.0 - 6.0)
+                abs((answers[picture] - answer["hour"] + 6.0) % 12.0 - 6.0)
                 for picture, answer in key.items()
                 if answer["decorated"] == decorated
             ]
@@ -130,8 +130,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     if args.kind == "draw":
         print(f"{draw(args.folder, args.cases, args.seed)} pictures in {args.folder}")
         return
-    key, told = (json.loads(file.read_text(encoding="utf-8")) for file in (args.key, args.hours))
-    print(json.dumps(scores(key, told)))
+    key, answers = (json.loads(file.read_text(encoding="utf-8")) for file in (args.key, args.hours))
+    print(json.dumps(scores(key, answers)))
 
 
 if __name__ == "__main__":

@@ -271,9 +271,9 @@ def _where_shown(points: Floats, z: _Axis, options: PaintOptions) -> Floats:
     """Return points of the scene at the positions where breathing shows them in the image."""
     if options.breathing_mm == 0.0:
         return points
-    told = np.arange(-20.0, z.cell_mm * z.num_cells + 20.0, 0.1)
+    heights_mm = np.arange(-20.0, z.cell_mm * z.num_cells + 20.0, 0.1)
     shown = points.copy()
-    shown[:, 2] = np.interp(points[:, 2], told + _breath(told, options), told)
+    shown[:, 2] = np.interp(points[:, 2], heights_mm + _breath(heights_mm, options), heights_mm)
     return shown
 
 

@@ -317,7 +317,7 @@ def first_frame(request: Request) -> list[dict[str, Any]]:
         int(case.volume.hu_zyx.sum(dtype=np.int64))
         parts: dict[str, list[float]] = {"look_at_values": [], "prepare": [], "picture": [], "whole": [], "cpu": []}
         for _ in range(request["repeats"]):
-            # The volume is new, as from a file, because a volume caches its range of values.
+            # Create a new volume for each repetition, because a volume caches its range of values.
             volume = Volume(case.volume.hu_zyx, case.volume.lps_from_ijk)
             marks, cpu = [time.perf_counter()], time.process_time()
             renderer = Renderer(volume, transfer=TRANSFER)

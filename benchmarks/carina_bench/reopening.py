@@ -65,8 +65,10 @@ def report(*, folder: Path, ct: str | None, quick: bool, as_json: bool) -> int:
     print(f"{nx} x {ny} x {nz}, {row['num_branches']} branches; ms by the clock (CPU time of all threads until then)")
     for name in ("warm", "cold"):
         if row[name] is not None:
-            told = (f"{stage} {row[name][stage]['wall_ms']:.0f} ({row[name][stage]['cpu_ms']:.0f})" for stage in STAGES)
-            print(f"  {name}: {', '.join(told)}")
+            stages = (
+                f"{stage} {row[name][stage]['wall_ms']:.0f} ({row[name][stage]['cpu_ms']:.0f})" for stage in STAGES
+            )
+            print(f"  {name}: {', '.join(stages)}")
     print("\n".join(gate.line() for gate in gates))
     return 0
 

@@ -64,9 +64,9 @@ def report(*, folder: Path, quick: bool, as_json: bool) -> int:
         return 0
     print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']} to {load_average()}")
     for name in ("not saved", "saved"):
-        told = row[name]
-        late = ", ".join(f"{what} {told[f'late_{what}_ms']:.1f}" for what in ("p50", "p95", "max"))
-        print(f"  {name}: {told['num_pictures']} pictures of {told['num_edits']} edits; ms late: {late}")
+        figures = row[name]
+        late = ", ".join(f"{what} {figures[f'late_{what}_ms']:.1f}" for what in ("p50", "p95", "max"))
+        print(f"  {name}: {figures['num_pictures']} pictures of {figures['num_edits']} edits; ms late: {late}")
     print("\n".join(gate.line() for gate in gates))
     return 0
 

@@ -89,8 +89,8 @@ def _server(case: str) -> Iterator[tuple[str, str, int]]:
                 if not line:
                     raise CarinaError("the server that was to be measured did not start", code="machine")
                 text += line
-            said = json.loads(text)
-            yield str(said["url"]).split("//")[1].split("/")[0], str(said["token"]), process.pid
+            message = json.loads(text)
+            yield str(message["url"]).split("//")[1].split("/")[0], str(message["token"]), process.pid
         finally:
             process.terminate()
 

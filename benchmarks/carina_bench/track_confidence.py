@@ -75,13 +75,13 @@ def _rows(judged: Sequence[Judged], what: str) -> Iterator[Row]:
     groups = {"all": list(judged)} | {k: [j for j in judged if j[2] == k] for k in sorted({j[2] for j in judged})}
     for kind, members in groups.items():
         shares, hits = np.array([m[0] for m in members]), np.array([m[1] for m in members], dtype=np.float64)
-        told = shares >= 0.5 if what == "names" else np.ones(len(shares), dtype=bool)
-        if not told.any():
+        stated = shares >= 0.5 if what == "names" else np.ones(len(shares), dtype=bool)
+        if not stated.any():
             continue
         yield {
             "what": f"expected calibration error of {what}",
-            "case": f"{kind}, {told.sum()} told",
-            "figure": calibration_error(shares[told], hits[told]),
+            "case": f"{kind}, {stated.sum()} told",
+            "figure": calibration_error(shares[stated], hits[stated]),
             "limit": MOST_ERROR if kind == "all" else None,
             "better": "lower",
         }
@@ -266,8 +266,8 @@ def main() -> None:
         "airways": [(float(np.interp(s, *np.array(AIRWAY_SHARE).T)), hit, kind) for s, hit, kind in airways],
         "names, raw": [(share, hit, kind) for share, _, hit, kind in names if share >= 0.5],
     }
-    told = [(calibrated(s, fit), hit, kind) for s, fit, hit, kind in names if fit is None or fit >= POOR_FIT]
-    judged["names"] = [one for one in told if one[0] >= 0.5]
+    stated = [(calibrated(s, fit), hit, kind) for s, fit, hit, kind in names if fit is None or fit >= POOR_FIT]
+    judged["names"] = [one for one in stated if one[0] >= 0.5]
     for what, members in judged.items():
         for row in _rows(members, "names" if what.startswith("names") else what):
             print(f"{what}: {row['what']}, {row['case']}: {row['figure']:.4f}")

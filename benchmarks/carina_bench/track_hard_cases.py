@@ -99,10 +99,12 @@ def hard_cases(
         for kernel in kernels:
             own = replace(options, kernel=KERNELS[kernel])
 
-            def paint_thin(own: PaintOptions = own, patient: str = patient, kept: list[Masks] = scene_masks) -> Scanned:
-                if not kept:
-                    kept.append(around_carina(masks_of(folders[patient]), *extent))
-                return scanned(scene_of_masks(kept[0], own), own, lambda _step: None)
+            def paint_thin(
+                own: PaintOptions = own, patient: str = patient, masks: list[Masks] = scene_masks
+            ) -> Scanned:
+                if not masks:
+                    masks.append(around_carina(masks_of(folders[patient]), *extent))
+                return scanned(scene_of_masks(masks[0], own), own, lambda _step: None)
 
             thin = cached(_key(folders[patient], own, extent), paint_thin)
             for name in slices:
@@ -200,21 +202,21 @@ def cached(key: str, paint_thin: Callable[[], Scanned], folder: Path | None = No
     if not path.is_file():
         folder.mkdir(parents=True, exist_ok=True)
         _keep(path, paint_thin())
-    with np.load(path) as kept:
-        ends = np.cumsum(kept["num_points"])[:-1]
+    with np.load(path) as archive:
+        ends = np.cumsum(archive["num_points"])[:-1]
         airways = tuple(
             Tube(points, radius, id=int(own), generation=int(generation), true_from=int(true_from))
             for points, radius, own, generation, true_from in zip(
-                np.split(kept["points"], ends),
-                np.split(kept["radius"], ends),
-                kept["id"],
-                kept["generation"],
-                kept["true_from"],
+                np.split(archive["points"], ends),
+                np.split(archive["radius"], ends),
+                archive["id"],
+                archive["generation"],
+                archive["true_from"],
                 strict=True,
             )
         )
-        values = kept["values"].astype(np.float32) / np.float32(HU_STEPS)
-        return Scanned(values, kept["lps_from_ijk"], airways, kept["cover"])
+        values = archive["values"].astype(np.float32) / np.float32(HU_STEPS)
+        return Scanned(values, archive["lps_from_ijk"], airways, archive["cover"])
 
 
 def _keep(path: Path, thin: Scanned) -> None:

@@ -170,10 +170,10 @@ def compared(phantom: Phantom, tree: AirwayTree, measures: TreeMeasures) -> dict
     stenosis = phantom.truth.get("stenosis")
     if stenosis is not None:
         branch, _, _ = tree.nearest_branch(stenosis["centre_lps"])
-        told = measures.of(branch.id).summary.stenosis
+        reported = measures.of(branch.id).summary.stenosis
         true_percent = 100.0 * (1.0 - stenosis["min_radius_mm"] / stenosis["reference_radius_mm"])
-        result["stenosis_off"] = np.array([np.nan if told is None else told.percent - true_percent])
-        result["stenosis_error"] = np.array([np.nan if told is None else told.percent_error])
+        result["stenosis_off"] = np.array([np.nan if reported is None else reported.percent - true_percent])
+        result["stenosis_error"] = np.array([np.nan if reported is None else reported.percent_error])
         others = [one for one in measures.branches if one.branch_id != branch.id]
         result["stenosis_false"] = np.array([float(one.summary.stenosis is not None) for one in others])
     return result

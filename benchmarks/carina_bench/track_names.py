@@ -215,7 +215,7 @@ def lobe_lengths(home: Path) -> Counter[str]:
     cropped[:3, 3] = (matrix @ np.array([low[2], low[1], low[0], 1.0]))[:3]
     volume = Volume(np.where(lumen > 0, -1000, 40).astype(np.int16), cropped)
     tree = find_airways(volume, lumen_zyx=lumen).tree
-    told = branch_side_and_lobe(tree)
+    sides_and_lobes = branch_side_and_lobe(tree)
     labels = np.zeros(mask.shape, dtype=np.uint8)
     for number, lobe in enumerate(LOBES):
         labels[open_volume(home / f"{lobe}.nii.gz").hu_zyx > 0] = number + 1
@@ -225,8 +225,16 @@ def lobe_lengths(home: Path) -> Counter[str]:
     for branch in tree.branches:
         steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
         for true, step in zip(_lobes_at(labels, inverse, branch.points[1:]), steps, strict=True):
-            said = told[branch.id]
-            key = "outside" if true is None else "right" if said == true else "none" if said is None else "wrong"
+            side_and_lobe = sides_and_lobes[branch.id]
+            key = (
+                "outside"
+                if true is None
+                else "right"
+                if side_and_lobe == true
+                else "none"
+                if side_and_lobe is None
+                else "wrong"
+            )
             totals[key] += float(step)
     for key, length in totals.items():
         counts[key] = round(length)

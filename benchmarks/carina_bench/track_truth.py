@@ -89,8 +89,8 @@ def truth_of_mask(mask_zyx: NDArray[np.bool_], volume: Volume) -> Truth:
     radius = depth[tuple(voxels.T)] - 0.5 * float(np.cbrt(np.prod(sampling)))
     points = volume.to_lps((voxels[:, ::-1] + first_ijk).astype(np.float64))
     parents, order = _tree(voxels, points)
-    kept = _without_spurs(parents, order, points)
-    return Truth(mask_zyx, tuple(_branches(parents, order, kept, points, radius)), knows_radius=False)
+    remaining = _without_spurs(parents, order, points)
+    return Truth(mask_zyx, tuple(_branches(parents, order, remaining, points, radius)), knows_radius=False)
 
 
 def _tree(voxels: NDArray[np.int64], points: Points) -> tuple[NDArray[np.int64], list[int]]:
@@ -128,15 +128,15 @@ def _without_spurs(parents: NDArray[np.int64], order: Sequence[int], points: Poi
 
     Ends shorter than :data:`SPUR_MM` are removed, the shortest first.
     """
-    kept = np.zeros(len(parents), dtype=np.bool_)
-    kept[list(order)] = True
+    remaining = np.zeros(len(parents), dtype=np.bool_)
+    remaining[list(order)] = True
     children = np.zeros(len(parents), dtype=np.int64)
     for node in order:
         if parents[node] >= 0:
             children[parents[node]] += 1
     while True:
         shortest: tuple[float, list[int]] | None = None
-        for tip in np.flatnonzero(kept & (children == 0)):
+        for tip in np.flatnonzero(remaining & (children == 0)):
             end, length = [int(tip)], 0.0
             while parents[end[-1]] >= 0 and length < SPUR_MM:
                 before = int(parents[end[-1]])
@@ -147,21 +147,21 @@ def _without_spurs(parents: NDArray[np.int64], order: Sequence[int], points: Poi
             if parents[end[-1]] >= 0 and length < SPUR_MM and (shortest is None or length < shortest[0]):
                 shortest = (length, end)
         if shortest is None:
-            return kept
-        kept[shortest[1]] = False
+            return remaining
+        remaining[shortest[1]] = False
         children[parents[shortest[1][-1]]] -= 1
 
 
 def _branches(
     parents: NDArray[np.int64],
     order: Sequence[int],
-    kept: NDArray[np.bool_],
+    remaining: NDArray[np.bool_],
     points: Points,
     radius: NDArray[np.float64],
 ) -> list[TrueBranch]:
     children: dict[int, list[int]] = {}
     for node in order:
-        if kept[node] and parents[node] >= 0:
+        if remaining[node] and parents[node] >= 0:
             children.setdefault(int(parents[node]), []).append(node)
     found: list[TrueBranch] = []
     waiting: list[tuple[int, list[int], int, int | None]] = [(order[0], children.get(order[0], []), 0, None)]

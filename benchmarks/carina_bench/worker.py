@@ -77,8 +77,8 @@ def _main() -> int:
     except CarinaError as error:
         document = {"error": {"code": error.code, "message": str(error), "exit_code": error.exit_code}}
     except OSError as error:
-        told = disk_trouble(error, "the benchmark cannot read or write a file", error.filename)
-        document = {"error": {"code": told.code, "message": str(told), "exit_code": told.exit_code}}
+        disk_error = disk_trouble(error, "the benchmark cannot read or write a file", error.filename)
+        document = {"error": {"code": disk_error.code, "message": str(disk_error), "exit_code": disk_error.exit_code}}
     write_whole(message["result"], json.dumps(document, allow_nan=False).encode(), what="the measurements")
     return 0
 

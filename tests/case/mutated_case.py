@@ -74,8 +74,8 @@ class Mutator:
         rowid = self._row(table, f"{column} IS NOT NULL")
         if rowid is None:
             return False
-        (said,) = self._connection.execute(f"SELECT {column} FROM {table} WHERE rowid = ?", (rowid,)).fetchone()
-        text = zlib.decompress(said).decode() if isinstance(said, bytes) else said
+        (json_text,) = self._connection.execute(f"SELECT {column} FROM {table} WHERE rowid = ?", (rowid,)).fetchone()
+        text = zlib.decompress(json_text).decode() if isinstance(json_text, bytes) else json_text
         value = json.loads(text)
         places = list(_places(value))
         if not places:

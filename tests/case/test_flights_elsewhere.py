@@ -51,8 +51,8 @@ def facts_of(writer, number):
 
 def test_stored_and_buffered_flights_are_written_to_another_file(file, doing, tmp_path):
     flown(file, doing)
-    (kept,) = file.recordings()
-    lines = file.recording_text(kept.recording_id).splitlines(keepends=True)
+    (recording,) = file.recordings()
+    lines = file.recording_text(recording.recording_id).splitlines(keepends=True)
     # The file has half of the second flight; the rest of it, and all of the third, are in memory.
     half = RecordingWriter("half", 20.0, number=2)
     half.write("".join(lines[:20]))
@@ -62,7 +62,7 @@ def test_stored_and_buffered_flights_are_written_to_another_file(file, doing, tm
     waiting = RecordingWriter("waiting", 30.0, number=3)
     waiting.write("".join(lines))
     waiting.close()
-    listed = [facts_of(waiting, 3), kept, facts_of(half, 2)]
+    listed = [facts_of(waiting, 3), recording, facts_of(half, 2)]
 
     flights, num_missing = whole_flights(Refusing(file), listed, [half, waiting], WITHIN_S)
     assert num_missing == 0
@@ -83,12 +83,12 @@ def test_stored_and_buffered_flights_are_written_to_another_file(file, doing, tm
 
 def test_save_does_not_wait_for_an_unresponsive_disk_and_counts_its_flights(file, doing):
     flown(file, doing)
-    (kept,) = file.recordings()
+    (recording,) = file.recordings()
     waiting = RecordingWriter("waiting", 30.0, number=2)
     waiting.write("a line\n")
     refusing = Refusing(file)
     refusing.may_read.clear()
-    flights, num_missing = whole_flights(refusing, [kept, facts_of(waiting, 2)], [waiting], 0.2)
+    flights, num_missing = whole_flights(refusing, [recording, facts_of(waiting, 2)], [waiting], 0.2)
     refusing.may_read.set()
     assert [(one.facts.name, one.text) for one in flights] == [("waiting", "a line\n")]
     assert num_missing == 1

@@ -63,10 +63,10 @@ def told(path, volume):
     return json.loads(json.dumps(found))
 
 
-def _in_numbers(kept):
-    if kept is None:
+def _in_numbers(stored):
+    if stored is None:
         return None
-    measures = kept.load()
+    measures = stored.load()
     return [
         [
             b.branch_id,

@@ -159,7 +159,7 @@ def run(made, folder, seeds):
         place = folder / str(seed)
         place.mkdir()
         path = place / "mutated.carina"
-        said = mutated(made, path, seed)
+        change = mutated(made, path, seed)
         before = path.read_bytes()
         try:
             opened(path, made[0], place / "again.carina")
@@ -167,14 +167,14 @@ def run(made, folder, seeds):
         except CarinaError as refusal:
             found[refusal.code] += 1
             if len(str(refusal)) > 1000:
-                wrong.append(f"seed {seed}: {said}: a message of {len(str(refusal))} characters")
+                wrong.append(f"seed {seed}: {change}: a message of {len(str(refusal))} characters")
         except Exception as trouble:
-            wrong.append(f"seed {seed}: {said}: {type(trouble).__name__}: {str(trouble)[:300]} at {where(trouble)}")
+            wrong.append(f"seed {seed}: {change}: {type(trouble).__name__}: {str(trouble)[:300]} at {where(trouble)}")
         try:
             found["listed"] += start_page(path, place)
         except Exception as trouble:
             wrong.append(
-                f"seed {seed}, start page: {said}: {type(trouble).__name__}: {str(trouble)[:300]} at {where(trouble)}"
+                f"seed {seed}, start page: {change}: {type(trouble).__name__}: {str(trouble)[:300]} at {where(trouble)}"
             )
         assert path.read_bytes() == before
         shutil.rmtree(place)

@@ -93,16 +93,16 @@ def test_undo_steps_after_reopening_equal_those_without_reopening(tmp_path, is_k
     assert session._saving.write_now()
     if is_killed:
         # Simulate a kill: nothing more is written, the lock is released, and the journal stays.
-        kept = session._saving._saver
-        kept.held.release()
+        saver = session._saving._saver
+        saver.held.release()
         session._saving._saver = None
-        kept.file._connection = None
+        saver.file._connection = None
     else:
         # Close the file; the session itself stays open for the comparison.
-        kept = session._saving._saver
+        saver = session._saving._saver
         session._saving._saver = None
-        kept.file.close()
-        kept.held.release()
+        saver.file.close()
+        saver.held.release()
     again, other_background = started(tmp_path)
     assert again.history() == session.history()
     assert any(isinstance(d.airways, StoredAirways) for d in again._core.case.history.documents())
@@ -192,10 +192,10 @@ def test_damaged_measures_are_measured_again_with_a_message(tmp_path):
     connection.close()
     again, background = started(tmp_path, measuring)
     assert len(measuring.asked) == 1
-    told = [e.message for e in EVENTS[-1] if isinstance(e, UserMessage)]
+    reported = [e.message for e in EVENTS[-1] if isinstance(e, UserMessage)]
     assert any(
         "the saved measurements of the airways cannot be read, so the airways will be measured" in words
-        for words in told
+        for words in reported
     )
     # All branches were measured again, so only their IDs are compared.
     found = again.snapshot().measures
@@ -288,10 +288,10 @@ def test_recording_interrupted_by_a_crash_lacks_only_its_last_moments(tmp_path, 
     monkeypatch.setattr(session._saving._saver, "changed", lambda _topics: None)
     flown(session, session._core.clock, 1)
     with CaseFile.open(live_file(tmp_path), read_only=True) as file:
-        (told,) = file.recordings()
-        assert (told.name, told.complete) == ("Flight 1", False)
-        assert told.length_s == pytest.approx(4.0)
-        recording = file.recording(told.recording_id)
+        (listed,) = file.recordings()
+        assert (listed.name, listed.complete) == ("Flight 1", False)
+        assert listed.length_s == pytest.approx(4.0)
+        recording = file.recording(listed.recording_id)
         assert not recording.complete
         assert all(same for _, same in recording.replay(edit_case().volume))
     session.close()
@@ -332,8 +332,8 @@ def test_recording_that_the_disk_does_not_store_stays_in_memory(tmp_path, monkey
     session._core.clock.now_s += 60.0
     assert session._saving.write_now()
     with CaseFile.open(live_file(tmp_path), read_only=True) as file:
-        (told,) = file.recordings()
-        assert (told.complete, round(told.length_s, 6)) == (True, 4.0)
+        (recording,) = file.recordings()
+        assert (recording.complete, round(recording.length_s, 6)) == (True, 4.0)
     session.close()
 
 
@@ -419,10 +419,10 @@ def test_flight_interrupted_by_a_crash_is_listed_as_incomplete_and_replayed_to_i
     flown(session, session._core.clock, 2)
     assert session._saving.write_now()
     # Simulate a kill: nothing more is written, the lock is released, and the journal stays.
-    kept = session._saving._saver
-    kept.held.release()
+    saver = session._saving._saver
+    saver.held.release()
     session._saving._saver = None
-    kept.file._connection = None
+    saver.file._connection = None
     again, _ = started(tmp_path)
     (flight,) = again.snapshot().flights
     assert (flight.name, flight.state) == ("Flight 1", "cut-off")

@@ -189,13 +189,13 @@ def test_live_case_of_an_older_version_is_migrated_beside_its_original(made, str
     assert {stat.S_IMODE(p.stat().st_mode) for p in (beside, stranger)} == {0o600}
     connection = sqlite3.connect(beside)
     assert connection.execute("PRAGMA user_version").fetchone() == (1,)
-    kept = connection.execute("SELECT n, label FROM step").fetchall()
+    stored = connection.execute("SELECT n, label FROM step").fetchall()
     connection.close()
     with CaseFile.open(stranger) as file:
         labels = [step.label for step in file.history()]
         file.load(made[0].case.volume)
-    assert [label for _, label in kept[1:]] == labels
-    assert kept == before or ("cut, in the journal" in labels and has_journal)
+    assert [label for _, label in stored[1:]] == labels
+    assert stored == before or ("cut, in the journal" in labels and has_journal)
 
 
 # Journals beside the case file

@@ -51,11 +51,11 @@ def told(ended, codes=CODES):
 
 def test_info_reports_the_badge_and_strict_exits_with_3(carina, doubted, ct):
     ended = carina("info", doubted, "--json")
-    said = ended.json()
-    assert [note["code"] for note in said["notes"]] == CODES
-    assert said["notes"][0]["badge"] is True
-    assert said["notes"][0]["words"] in said["warnings"]
-    assert [badge["code"] for badge in said["badges"]] == CODES
+    result = ended.json()
+    assert [note["code"] for note in result["notes"]] == CODES
+    assert result["notes"][0]["badge"] is True
+    assert result["notes"][0]["words"] in result["warnings"]
+    assert [badge["code"] for badge in result["badges"]] == CODES
     assert "finding: 3 voxels are not finite" in carina("info", doubted).out
     strict = carina("info", doubted, "--strict")
     assert strict.code == 3

@@ -29,8 +29,8 @@ def test_errors_of_hours_are_modulo_12_and_missing_answers_are_refused(tmp_path,
         "01": {"decorated": True, "hour": 6.0},
         "02": {"decorated": False, "hour": 3.0},
     }
-    told = {"00": 0.5, "01": 6.2, "02": 9.0}
-    for name, content in (("key", key), ("told", told)):
+    answers = {"00": 0.5, "01": 6.2, "02": 9.0}
+    for name, content in (("key", key), ("told", answers)):
         (tmp_path / f"{name}.json").write_text(json.dumps(content))
     blind.main(["score", str(tmp_path / "key.json"), str(tmp_path / "told.json")])
     rows = json.loads(capsys.readouterr().out)

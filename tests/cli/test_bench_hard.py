@@ -119,9 +119,11 @@ def test_fine_vessel_has_the_profile_of_a_tube_of_its_radius(direction):
     along = np.array(direction) / np.linalg.norm(direction)
     points = (0.5 * (size - 1) + np.array([0.3, 0.1, 0.2])) * VOXEL + np.linspace(-5.0, 5.0, 21)[:, None] * along
     tube = Tube(points, np.full(21, radius), is_artery=True)
-    said: list[str] = []
-    as_tube = scanned(empty(size, tube), QUIET, said.append).values_zyx
-    as_line = scanned(replace(empty(size), fine_vessels=(FineVessel(points, radius),)), QUIET, said.append).values_zyx
+    reported: list[str] = []
+    as_tube = scanned(empty(size, tube), QUIET, reported.append).values_zyx
+    as_line = scanned(
+        replace(empty(size), fine_vessels=(FineVessel(points, radius),)), QUIET, reported.append
+    ).values_zyx
     # The ends of a tube are hemispheres, which add half a ball each.
     rise = as_tube.max() - LUNG
     assert rise > 200.0

@@ -87,10 +87,10 @@ def test_formula_of_the_blurred_disc_equals_a_numerical_integral():
 def test_thin_lumen_has_the_contrast_that_the_blur_predicts(diameter_vox, offset_vox, direction):
     scene, middle, along = straight(diameter_vox, offset_vox, direction)
     off, hu, _ = from_axis(paint(scene, EVEN), middle, along)
-    told = predicted(0.5 * diameter_vox * VOXEL, off, EVEN.scanner().sigma_mm)
+    expected = predicted(0.5 * diameter_vox * VOXEL, off, EVEN.scanner().sigma_mm)
     nearest = off <= off.min() + 0.1 * VOXEL
-    assert abs(hu[nearest].min() - told[nearest].min()) <= 10.0
-    assert np.abs(hu - told).max() <= 10.0
+    assert abs(hu[nearest].min() - expected[nearest].min()) <= 10.0
+    assert np.abs(hu - expected).max() <= 10.0
 
 
 @pytest.mark.parametrize("kernel", ["soft", "medium", "sharp"])
@@ -99,11 +99,11 @@ def test_each_kernel_shows_a_lumen_along_z_as_its_formula_predicts(kernel):
     options = replace(QUIET, kernel=kernel)
     off, hu, _ = from_axis(paint(scene, options), middle, along)
     one = options.scanner()
-    told = predicted(VOXEL, off, one.sigma_mm)
+    expected = predicted(VOXEL, off, one.sigma_mm)
     gain = one.gain(VOXEL)
-    told = told + gain * (told - predicted(VOXEL, off, math.hypot(one.sigma_mm, one.surround_mm)))
+    expected = expected + gain * (expected - predicted(VOXEL, off, math.hypot(one.sigma_mm, one.surround_mm)))
     # Edge enhancement increases the error of the formula, which approximates a box by a Gaussian.
-    assert np.abs(hu - told).max() <= (15.0 if kernel == "sharp" else 10.0)
+    assert np.abs(hu - expected).max() <= (15.0 if kernel == "sharp" else 10.0)
 
 
 def test_values_along_a_tube_one_voxel_wide_vary_by_at_most_25_hu():

@@ -86,13 +86,13 @@ def test_lost_airways_and_blocked_airways_of_unknown_length_are_not_judged():
 
 
 def test_true_and_false_statements_and_findings_that_are_not_stated_are_counted():
-    said: list[str] = []
+    reported: list[str] = []
     counts = Counts()
     case = Case("case", "part", None, (Fact("filled", LINE), Fact("tube")))
-    judge(case, result(uncertain=(place("filled", (0, 0, -20)), place("filled", (FAR, 0, 0)))), counts, said.append)
+    judge(case, result(uncertain=(place("filled", (0, 0, -20)), place("filled", (FAR, 0, 0)))), counts, reported.append)
     assert (counts.num_true, counts.num_false, counts.num_unknown) == (1, 1, 0)
     assert counts.named == {"filled": 1, "tube": 0} and counts.facts == {"filled": 1, "tube": 1}
-    assert said == ["  false: filled here", "  not stated: tube "]
+    assert reported == ["  false: filled here", "  not stated: tube "]
 
 
 def test_statement_about_a_real_ct_is_for_review_unless_a_listed_airway_contradicts_it():
@@ -103,10 +103,10 @@ def test_statement_about_a_real_ct_is_for_review_unless_a_listed_airway_contradi
 
 
 def test_missed_segment_counts_as_reported_if_it_or_its_lobe_is_listed_as_absent():
-    said: list[str] = []
+    reported: list[str] = []
     counts = Counts()
     case = Case("case", "part", None, segments=("RB1", "RB3", "RB4", "RB6", "LB1+2"))
     airways = result(names=("RB1+3", None), absent=(absence("RML", "lost"), absence("LB1+2", "nothing")))
-    judge(case, airways, counts, said.append)
+    judge(case, airways, counts, reported.append)
     assert (counts.num_missed, counts.num_unreported) == (3, 1)
-    assert said == ["  missed without a word: RB6"]
+    assert reported == ["  missed without a word: RB6"]

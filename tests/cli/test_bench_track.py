@@ -115,10 +115,14 @@ def test_lobes_are_compared_with_masks_including_a_nifti_with_suffix_gz(tmp_path
     lumen, truth = phantom.lumen_zyx, AirwayTree.from_json(phantom.truth)
     lobes = branch_side_and_lobe(name_tree(truth))
     points = np.concatenate([branch.points for branch in truth.branches])
-    told = np.repeat([lobes[branch.id] or "" for branch in truth.branches], [len(b.points) for b in truth.branches])
+    expected_lobes = np.repeat(
+        [lobes[branch.id] or "" for branch in truth.branches], [len(b.points) for b in truth.branches]
+    )
     voxels = np.argwhere(lumen)
     places = phantom.volume.to_lps(voxels[:, ::-1].astype(float))
-    near = np.concatenate([told[nearest(part, points)] for part in np.array_split(places, len(places) // 500 + 1)])
+    near = np.concatenate(
+        [expected_lobes[nearest(part, points)] for part in np.array_split(places, len(places) // 500 + 1)]
+    )
 
     def write(name: str, chosen: np.ndarray) -> None:
         mask = np.zeros(lumen.shape, dtype=np.uint8)

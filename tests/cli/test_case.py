@@ -85,9 +85,9 @@ def test_info_lists_the_content_of_a_case_without_its_scan(carina, case, made_ca
     assert held["key_frames"] == ["key-1", "key-2"]
     assert (held["num_steps"], held["num_done"]) == (7, 6)
     assert held["source"]["packed"] is False
-    said = carina("case", "info", case).out
-    assert "targets: Target 1" in said
-    assert "6 changes, 1 undone" in said
+    result = carina("case", "info", case).out
+    assert "targets: Target 1" in result
+    assert "6 changes, 1 undone" in result
 
 
 def test_case_history_lists_the_label_and_time_of_each_step(carina, case):
@@ -140,8 +140,8 @@ def test_picture_uses_the_tip_position_and_view_settings_of_the_case(carina, cas
 
 
 def test_info_of_a_case_includes_its_scan(carina, case):
-    told = carina("info", case, "--json").json()
-    assert told["shape_zyx"] == told["case"]["source"]["shape_zyx"]
+    result = carina("info", case, "--json").json()
+    assert result["shape_zyx"] == result["case"]["source"]["shape_zyx"]
 
 
 # Scan of a case file
@@ -242,8 +242,8 @@ def test_stored_cases_are_listed_and_deleted(carina, tmp_path):
     assert carina("case", "forget", row["id"][:6]).code == 2
     assert carina("case", "forget", row["id"][:6], "--yes").code == 2, "it is open"
     held.release()
-    told = carina("case", "forget", copy, "--yes", "--json").json()
-    assert told["id"] == row["id"]
+    result = carina("case", "forget", copy, "--yes", "--json").json()
+    assert result["id"] == row["id"]
     assert copy.exists()
     assert carina("case", "list", "--json").json() == {"cases": []}
     assert not list(Path(load_settings().cases_dir).rglob("*.carina"))
@@ -310,8 +310,8 @@ def test_recording_of_a_case_is_replayed_and_exported_as_a_file(carina, recorded
 
 def test_case_open_in_a_window_is_read_as_last_saved(carina, case, live_case):
     assert [step["label"] for step in carina("case", "history", case, "--json").json()["steps"]][-1] == "renamed since"
-    told = carina("case", "info", case)
-    assert "is open in Carina; its last saved state is used" in told.err
+    result = carina("case", "info", case)
+    assert "is open in Carina; its last saved state is used" in result.err
     assert carina("airways", case, "--json").json()["num_branches"] > 1
     live_case.release()
     assert "renamed since" not in carina("case", "history", case).out

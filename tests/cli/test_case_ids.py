@@ -165,9 +165,9 @@ def test_ambiguous_beginning_of_a_case_id_is_refused_and_a_whole_id_accepted(sto
 
 
 def test_open_with_a_case_id_continues_the_stored_case(carina, stored, monkeypatch):
-    asked = {}
-    monkeypatch.setattr("carina.server.serve", lambda path, **options: asked.update(path=path, **options) or 0)
+    requested = {}
+    monkeypatch.setattr("carina.server.serve", lambda path, **options: requested.update(path=path, **options) or 0)
     assert carina("open", ID[:6], "--no-browser").code == 0
-    assert (asked["path"], asked["case_id"]) == (None, ID)
+    assert (requested["path"], requested["case_id"]) == (None, ID)
     assert carina("open", "deadbeef").code == 2
     assert "case_id" in inspect.signature(serving).parameters

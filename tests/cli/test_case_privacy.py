@@ -131,10 +131,10 @@ def test_search_detects_patient_data_in_slices_and_compressed_blobs(saved, tmp_p
     assert {"Müller", "KIS-4711", "19610405", UID} <= {
         secret for needle, secret in needles().items() if needle in next((person / "ct").iterdir()).read_bytes()
     }
-    with contextlib.closing(sqlite3.connect(tmp_path / "told.db")) as told:
-        told.execute("CREATE TABLE one (a)")
-        told.execute("INSERT INTO one VALUES (?)", (zlib.compress(b'"M\\u00fcller"'),))
-        told.commit()
+    with contextlib.closing(sqlite3.connect(tmp_path / "told.db")) as connection:
+        connection.execute("CREATE TABLE one (a)")
+        connection.execute("INSERT INTO one VALUES (?)", (zlib.compress(b'"M\\u00fcller"'),))
+        connection.commit()
     assert told_in(tmp_path / "told.db") == {"Müller"}
 
 

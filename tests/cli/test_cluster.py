@@ -109,11 +109,11 @@ def test_machine_that_was_in_the_cluster_rejoins_after_any_interruption(monkeypa
     made, pauses_s = _join(monkeypatch, tmp_path, "dropped", *["no answer"] * 5, "dropped", "until Ctrl-C")
     assert len(made) == 8
     assert pauses_s == [1.0, 2.0, 5.0, 10.0, 10.0, 10.0, 10.0]
-    told = capsys.readouterr()
-    assert told.out.count("has joined the cluster") == 1
-    assert told.err.count("no answer from 10.0.0.1:6379; trying again in") == 5
-    assert told.err.count("has rejoined the cluster at 10.0.0.1:6379") == 2
-    assert told.err.endswith("left the cluster\n")
+    result = capsys.readouterr()
+    assert result.out.count("has joined the cluster") == 1
+    assert result.err.count("no answer from 10.0.0.1:6379; trying again in") == 5
+    assert result.err.count("has rejoined the cluster at 10.0.0.1:6379") == 2
+    assert result.err.endswith("left the cluster\n")
 
 
 def test_machine_that_cannot_join_the_cluster_exits_with_the_reason(monkeypatch, tmp_path):
@@ -159,14 +159,14 @@ def test_cluster_can_be_started_used_and_stopped_without_remaining_processes(tmp
             line = head.stdout.readline()
             assert line, "the head ended"
             lines.append(line)
-        told = json.loads("".join(lines))
-        assert told["address"] == f"127.0.0.2:{port}"
-        status = _run(tmp_path, "cluster", "status", told["address"], "--json")
+        result = json.loads("".join(lines))
+        assert result["address"] == f"127.0.0.2:{port}"
+        status = _run(tmp_path, "cluster", "status", result["address"], "--json")
         assert status.returncode == 0, status.stderr
         [member] = json.loads(status.stdout)["members"]
         assert member["ip"] == "127.0.0.2" and member["renderers"] == 1 and not member["busy"]
         used = subprocess.Popen(
-            [*COMMAND, "open", "--cluster", told["address"], "--no-browser", "--json"],
+            [*COMMAND, "open", "--cluster", result["address"], "--no-browser", "--json"],
             env=_environment(tmp_path),
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -283,10 +283,10 @@ def test_picture_has_the_optics_of_a_scope_or_a_calibration(carina, ct, tmp_path
 
 
 def test_info_and_doctor_print_one_json_object(carina, ct):
-    told = carina("info", ct, "--json")
-    assert told.code == 0
-    assert told.json()["unit"] == "HU"
-    assert told.json()["shape_zyx"] == [125, 100, 138]
+    result = carina("info", ct, "--json")
+    assert result.code == 0
+    assert result.json()["unit"] == "HU"
+    assert result.json()["shape_zyx"] == [125, 100, 138]
     facts = carina("doctor", "--json")
     assert facts.code in {0, 1}
     assert facts.code == (1 if facts.json()["problems"] else 0)
@@ -333,8 +333,8 @@ def test_every_view_is_written_from_the_automatic_pose(carina, ct, tmp_path, vie
     picture.write_bytes(b"old")
     ended = carina("render", ct, "--view", view, "--at", "auto", "--size", "48x40", "-o", picture, "--json")
     assert ended.code == 0, ended.err
-    told = ended.json()
-    assert (told["view"], told["size"]) == (view, [48, 40])
+    result = ended.json()
+    assert (result["view"], result["size"]) == (view, [48, 40])
     rgb = sitk.GetArrayFromImage(sitk.ReadImage(str(picture)))
     assert rgb.shape == (40, 48, 3)
     assert rgb.std() > 1.0  # the picture is not uniform
@@ -439,9 +439,9 @@ UNLUCKY = {
 def test_unusual_volume_gives_a_result_or_a_message(carina, tmp_path, name, suffix):
     values, spacing = UNLUCKY[name]
     path = store(tmp_path / f"case{suffix}", values.astype(np.int16), [float(s) for s in spacing])
-    told = carina("info", path, "--json")
-    assert told.code in {0, 3}, told.err
-    assert told.json()
+    result = carina("info", path, "--json")
+    assert result.code in {0, 3}, result.err
+    assert result.json()
     for arguments in (["track", path, "--target", "0,0,0"], ["track", path, "--root", "0,0,0", "--target", "0,0,0"]):
         ended = carina(*arguments, "--json")
         assert ended.code in {0, 2, 3, 4}, ended.err

@@ -24,14 +24,14 @@ def test_live_values_of_a_handle_are_shown(capsys):
             code = report([f"handle:{port.path}"], seconds=1.0, as_json=True)
     finally:
         port.unplug()
-    said = json.loads(capsys.readouterr().out)
+    result = json.loads(capsys.readouterr().out)
     assert code == 0
-    (device,) = said["devices"]
+    (device,) = result["devices"]
     assert device["state"] == "live"
     assert device["rate_hz"] > 50
     assert device["samples"][0]["insertion_mm"] == pytest.approx(12.5)
     assert device["samples"][0]["buttons"] == 1
-    assert said["filter_latency_ms"] <= 10.0
+    assert result["filter_latency_ms"] <= 10.0
 
 
 @pytest.mark.parametrize(
@@ -44,9 +44,9 @@ def test_live_values_of_a_handle_are_shown(capsys):
 )
 def test_silent_device_exits_with_an_error_and_its_reason(capsys, address, words):
     assert report([address], seconds=1.0, as_json=True) == 4
-    said = json.loads(capsys.readouterr().out)["devices"][0]
-    assert said["address"] == address
-    assert words in said["words"] and "Errno" not in said["words"]
+    result = json.loads(capsys.readouterr().out)["devices"][0]
+    assert result["address"] == address
+    assert words in result["words"] and "Errno" not in result["words"]
 
 
 def test_unchanged_value_of_a_device_is_printed_once(capsys):

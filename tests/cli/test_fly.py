@@ -75,16 +75,16 @@ def test_flight_along_a_route_has_its_length_size_and_number_of_frames(carina, c
         "--speed", "100", "--pause", "0.2", "--step-vox", "1", "--json",
     )  # fmt: skip
     assert ended.code == 0, ended.err
-    said = ended.json()
+    result = ended.json()
     frames, found, rate, seconds = read_video(output)
     assert found in {codec, f"lib{codec}", "libvpx-vp9"}
     assert rate == 10.0
-    expected_s = said["path_mm"] / 100.0 + 0.2 * (1 + len(said["stops_mm"]))
-    assert len(frames) == said["num_frames"] == int(expected_s * 10 + 0.5)
+    expected_s = result["path_mm"] / 100.0 + 0.2 * (1 + len(result["stops_mm"]))
+    assert len(frames) == result["num_frames"] == int(expected_s * 10 + 0.5)
     assert seconds == pytest.approx(len(frames) / 10.0, abs=0.11)
     even = even_size(*size)
     assert frames[0].shape == (even[1], even[0], 3)
-    assert said["size"] == list(even)
+    assert result["size"] == list(even)
     assert pixel_format(output) == "yuv420p"
     assert (f"the video has {even[0]} x {even[1]} pixels instead of" in ended.err) == (even != size)
     # The picture has the contrast of an airway, and the pictures of the flight differ.
@@ -133,8 +133,8 @@ def test_key_frames_of_the_window_keep_their_speed_and_view_settings(carina, ct,
     how = ("--size", "64x64", "--rate", "10", "--step-vox", "1")
     ended = carina("fly", ct, "--keys", document, "-o", output, *how, "--json")
     assert ended.code == 0, ended.err
-    said, flight = ended.json(), file.flight()
-    assert said["key_times_s"] == list(flight.key_times_s)
+    result, flight = ended.json(), file.flight()
+    assert result["key_times_s"] == list(flight.key_times_s)
     pictures, _, _, seconds = read_video(output)
     assert len(pictures) == int(flight.duration_s * 10 + 0.5)
     assert seconds == pytest.approx(flight.duration_s, abs=0.11)
@@ -187,9 +187,9 @@ def test_video_of_a_recording_has_the_length_of_the_recording(carina, ct, tmp_pa
         "--step-vox", "1", "--json",
     )  # fmt: skip
     assert ended.code == 0, ended.err
-    said = ended.json()
-    assert said["num_different"] == 0
-    assert said["complete"]
+    result = ended.json()
+    assert result["num_different"] == 0
+    assert result["complete"]
     frames, *_ = read_video(output)
     assert len(frames) == 20
     assert frames[0].shape == (72, 72, 3)
@@ -233,9 +233,9 @@ def test_video_of_a_recording_with_wall_contact_uses_the_wall_of_the_recording(c
         "--step-vox", "1", "--json",
     )  # fmt: skip
     assert ended.code == 0, ended.err
-    said = ended.json()
-    assert said["num_moments"] > 10
-    assert said["num_different"] == 0
+    result = ended.json()
+    assert result["num_moments"] > 10
+    assert result["num_different"] == 0
     frames, *_ = read_video(output)
     assert len(frames) == 2
     assert differs(frames[0], frames[-1]) > 8

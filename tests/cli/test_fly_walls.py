@@ -31,13 +31,13 @@ def searches(monkeypatch):
 
 def test_wall_is_that_of_airways_found_with_the_stored_settings_and_edits(searches):
     edit = CutBranch(3)
-    kept = {"digest": f"found [1.0, 2.0, 3.0] -800.0, {edit}", "root_lps": [1.0, 2.0, 3.0], "lumen_threshold": -800.0}
-    kept["edits"] = edits_to_json([edit])
+    stored = {"digest": f"found [1.0, 2.0, 3.0] -800.0, {edit}", "root_lps": [1.0, 2.0, 3.0], "lumen_threshold": -800.0}
+    stored["edits"] = edits_to_json([edit])
     wall = fly._walls(None, None)
-    assert wall(kept).of == kept["digest"]
+    assert wall(stored).of == stored["digest"]
     assert searches == [(None, None), (None, -800.0), ([1.0, 2.0, 3.0], -800.0)]
     # The wall is computed only once for the same recording.
-    assert wall(kept) is wall(kept)
+    assert wall(stored) is wall(stored)
     assert len(searches) == 3
 
 
@@ -58,11 +58,11 @@ def test_failed_automatic_search_does_not_prevent_a_search_from_the_root(searche
     monkeypatch.setattr(carina, "find_airways", by_root_alone)
     monkeypatch.setattr(carina, "edit_airways", no_such_branch)
     edit = CutBranch(3)
-    kept = {"digest": f"found [1.0, 2.0, 3.0] -800.0, {edit}", "root_lps": [1.0, 2.0, 3.0], "lumen_threshold": -800.0}
-    kept["edits"] = edits_to_json([edit])
-    assert fly._walls(None, None)(kept).of == kept["digest"]
+    stored = {"digest": f"found [1.0, 2.0, 3.0] -800.0, {edit}", "root_lps": [1.0, 2.0, 3.0], "lumen_threshold": -800.0}
+    stored["edits"] = edits_to_json([edit])
+    assert fly._walls(None, None)(stored).of == stored["digest"]
     with pytest.raises(VolumeImportError, match="the airways that guided the scope in this recording differ"):
-        fly._walls(None, None)({**kept, "root_lps": None})
+        fly._walls(None, None)({**stored, "root_lps": None})
     with pytest.raises(NoResultError, match="no trachea"):
         fly._walls(None, None)({})
 

@@ -23,10 +23,10 @@ def test_isoregion_file_contains_the_map_on_the_grid_of_the_scan(carina, ct, tmp
     assert np.array_equal(sitk.GetArrayFromImage(image), radii)
     place = volume.to_lps(np.array([1.0, 2.0, 3.0])).tolist()
     assert image.TransformIndexToPhysicalPoint((1, 2, 3)) == pytest.approx(place, abs=1e-3)
-    said = ended.json()
-    assert said["equal_by"] == ("values" if transfer is None else "classes")
-    assert said["largest_radius"] == radii.max()
-    assert said["share_with_equal_neighbours"] == pytest.approx((radii > 0).mean())
+    result = ended.json()
+    assert result["equal_by"] == ("values" if transfer is None else "classes")
+    assert result["largest_radius"] == radii.max()
+    assert result["share_with_equal_neighbours"] == pytest.approx((radii > 0).mean())
 
 
 def test_isoregion_labels_are_bins_of_16_hu(ct):

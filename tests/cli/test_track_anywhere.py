@@ -25,18 +25,18 @@ def test_path_through_a_vessel_is_written_with_its_unknown_figures(carina, vesse
     tree = tmp_path / "tree.json"
     ended = carina("track", scan, "--cost", "walls", f"--root={root}", f"--target={end}", "-o", tree, "--json")
     assert ended.code == 0
-    told = ended.json()
-    (row,) = told["targets"]
+    result = ended.json()
+    (row,) = result["targets"]
     assert row["problem"] is None
     # An unknown figure is null and never 0.
     assert (row["min_radius_mm"], row["generation"], row["search"]["num_outside"]) == (None, None, None)
     assert row["search"]["value_range"][0] > 1100
-    assert "track.no-lumen" in [badge["code"] for badge in told["badges"]]
+    assert "track.no-lumen" in [badge["code"] for badge in result["badges"]]
     assert "track.no-lumen" in [badge["code"] for badge in json.loads(tree.read_text())["badges"]]
-    said = carina("track", scan, "--cost", "walls", f"--root={root}", f"--target={end}").err
-    assert "values along the path from 11" in said
-    assert "without an airway lumen" in said
-    assert "generation" not in said
+    output = carina("track", scan, "--cost", "walls", f"--root={root}", f"--target={end}").err
+    assert "values along the path from 11" in output
+    assert "without an airway lumen" in output
+    assert "generation" not in output
 
 
 def test_track_without_airways_and_without_a_start_is_refused(carina, vessel):

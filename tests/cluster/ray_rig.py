@@ -153,10 +153,10 @@ def how_it_is() -> str:
             ("actors", state.actors),
         ):
             try:
-                said = ask()
+                answer = ask()
             except Exception as trouble:
-                said = trouble
-            lines = [f"{key}: {value}" for key, value in said.items()] if isinstance(said, dict) else [str(said)]
+                answer = trouble
+            lines = [f"{key}: {value}" for key, value in answer.items()] if isinstance(answer, dict) else [str(answer)]
             words += [f"{title}: {line}" for line in lines]
     for head in _running:
         for name in ("raylet.out", "gcs_server.out"):

@@ -64,9 +64,9 @@ def test_environment_of_a_node_contains_no_token_and_disables_usage_reports(tmp_
 
 def test_kuberay_manifest_sets_the_same_environment_as_a_node(tmp_path):
     manifest = (Path(__file__).parents[2] / "docs" / "cluster.md").read_text(encoding="utf-8")
-    told = dict(re.findall(r"\{name: (RAY_\w+), value: \"?([^\"}]+)\"?\}", manifest))
+    settings = dict(re.findall(r"\{name: (RAY_\w+), value: \"?([^\"}]+)\"?\}", manifest))
     ours = node.ray_environment(node.make_token(tmp_path / "token"), dedicated=True)
-    assert told == {**ours, "RAY_AUTH_TOKEN_PATH": "/etc/carina/token"}
+    assert settings == {**ours, "RAY_AUTH_TOKEN_PATH": "/etc/carina/token"}
 
 
 @pytest.mark.parametrize(

@@ -261,9 +261,9 @@ def test_frame_is_completed_after_any_wrong_reply(case, cluster, monkeypatch, wh
         time.sleep(0.05)
 
     def is_told() -> bool:
-        told = [n for n in made.console.status().notices if "lane-0" in n]
-        said = len(told) >= len(words) and all(any(w in n for n in told) for w in words)
-        return said and made.lanes[0].trouble.num_orders > 0
+        reported = [n for n in made.console.status().notices if "lane-0" in n]
+        is_complete = len(reported) >= len(words) and all(any(w in n for n in reported) for w in words)
+        return is_complete and made.lanes[0].trouble.num_orders > 0
 
     for _ in range(6):
         shows_the_truth()
@@ -313,16 +313,16 @@ def test_other_renderers_load_the_scene_if_one_cannot_receive_the_request(case, 
     made = cluster(settings=FAST)
     _wait_ready(made)
     expected = made.truth.render(_airway(case)).rgb
-    asked = []
+    calls = []
 
     def load(parcel, done):
-        asked.append(parcel)
+        calls.append(parcel)
         raise ConnectionError("the head is gone")
 
     monkeypatch.setattr(made.lanes[0], "load", load)
     made.lanes[0].trouble.raises = ConnectionError("gone")
     end_s = time.monotonic() + WAIT_S
-    while len(asked) < 2:
+    while len(calls) < 2:
         assert np.array_equal(made.renderer.want(_airway(case))[1].result(timeout=WAIT_S).rgb, expected)
         assert time.monotonic() < end_s
         time.sleep(0.02)
@@ -340,19 +340,19 @@ def test_renderer_that_cannot_load_is_reported_once_and_tried_again(case, cluste
     monkeypatch.setattr(console_module, "RETRY_S", (0.001,))
     made = cluster(settings=FAST)
     _wait_ready(made)
-    asked, load = [], made.lanes[0].load
+    calls, load = [], made.lanes[0].load
 
     def refuses(parcel, done):
-        asked.append(parcel)
+        calls.append(parcel)
         done(ConnectionError("the arrays do not come"))
         return False
 
     monkeypatch.setattr(made.lanes[0], "load", refuses)
     made.renderer.set_transfer(transfer_preset("paper"))
     made.renderer.prepare()
-    _wait(made, lambda: len(asked) > console_module.TELL_AFTER_LOADS + 2)
-    told = [notice for notice in made.console.status().notices if "cannot load the case" in notice]
-    assert told == ["the renderer lane-0 cannot load the case (ConnectionError); Carina keeps trying"]
+    _wait(made, lambda: len(calls) > console_module.TELL_AFTER_LOADS + 2)
+    reported = [notice for notice in made.console.status().notices if "cannot load the case" in notice]
+    assert reported == ["the renderer lane-0 cannot load the case (ConnectionError); Carina keeps trying"]
     monkeypatch.setattr(made.lanes[0], "load", load)
     _wait_ready(made)
 

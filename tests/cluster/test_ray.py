@@ -132,8 +132,8 @@ def test_renderer_killed_during_a_frame_is_replaced_and_loads_the_volume_again(w
     assert flight.lane(name).facts.pid != pid
     before = len(flight.console.jobs)
     _fly(flight, 0.5, lambda: name in {job.lane for job in flight.console.jobs[before:] if job.accepted})
-    told = [n for n in flight.console.status().notices if name in n and "is not responding" in n]
-    assert len(told) == 1
+    reported = [n for n in flight.console.status().notices if name in n and "is not responding" in n]
+    assert len(reported) == 1
 
 
 def test_stopped_renderer_is_late_and_continues_after_it_wakes(whole):

@@ -161,12 +161,12 @@ REPORTS = {
 def test_advisory_is_a_finding_unless_an_exception_has_not_expired(audit, allowed, monkeypatch, look):
     monkeypatch.setattr(audit.shutil, "which", lambda tool: tool)
     run = answers(json.dumps(REPORTS[look]), code=1)
-    asked = getattr(audit, look)
-    [bad] = asked(ROOT, allowed, TODAY, run).bad
+    look_up = getattr(audit, look)
+    [bad] = look_up(ROOT, allowed, TODAY, run).bad
     number = bad.split()[0]
     excepted = audit.Allowed(allowed.licences, {}, {number.upper(): TODAY})
-    assert asked(ROOT, excepted, TODAY, run).bad == []
-    [ended] = asked(ROOT, excepted, TODAY + datetime.timedelta(days=1), run).bad
+    assert look_up(ROOT, excepted, TODAY, run).bad == []
+    [ended] = look_up(ROOT, excepted, TODAY + datetime.timedelta(days=1), run).bad
     assert "ended on 2026-06-01" in ended
 
 

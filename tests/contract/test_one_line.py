@@ -63,12 +63,12 @@ def is_value(cls: type) -> bool:
 def worst(cls: type) -> object:
     """Return an object of a class whose fields have the longest possible text."""
     if issubclass(cls, msgspec.Struct):
-        told = {field.name: largest(str(field.type)) for field in msgspec.structs.fields(cls)}
+        values = {field.name: largest(str(field.type)) for field in msgspec.structs.fields(cls)}
         if hasattr(cls, "__post_init__"):
             # The class checks its fields, so it is replaced by a class with the same fields and the same ``__repr__``.
             assert cls.__repr__ is FrozenValue.__repr__
-            cls = msgspec.defstruct(cls.__name__, [(name, Any) for name in told], bases=(FrozenValue,), frozen=True)
-        return cls(**told)
+            cls = msgspec.defstruct(cls.__name__, [(name, Any) for name in values], bases=(FrozenValue,), frozen=True)
+        return cls(**values)
     value = object.__new__(cls)
     for field in dataclasses.fields(cls):
         object.__setattr__(value, field.name, largest(str(field.type)))

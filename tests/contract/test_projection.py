@@ -80,9 +80,9 @@ def test_golden_points_equal_those_computed_by_python():
     made = json.loads(json.dumps(make()))
     if os.environ.get("CARINA_GOLDEN") == "rewrite":
         FILE.write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
-    kept = json.loads(FILE.read_text(encoding="utf-8"))
-    assert [case["name"] for case in kept] == list(LENSES)
-    for found, expected in zip(made, kept, strict=True):
+    golden = json.loads(FILE.read_text(encoding="utf-8"))
+    assert [case["name"] for case in golden] == list(LENSES)
+    for found, expected in zip(made, golden, strict=True):
         assert (found["lens"] is None) == (expected["lens"] is None)
         assert found["points_lps"] == [pytest.approx(p, abs=1e-9) for p in expected["points_lps"]]
         assert sum(p is not None for p in expected["pixels"]) >= 10

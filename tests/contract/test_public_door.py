@@ -128,20 +128,20 @@ class NotedBar:
 
 def test_bar_starts_after_half_a_second_is_limited_to_10_hz_and_shows_the_remaining_time() -> None:
     now, bar = [10.0], NotedBar()
-    told = Watched(lambda: bar, lambda: now[0])
+    watched = Watched(lambda: bar, lambda: now[0])
     for time_s, fraction in ((10.1, 0.1), (10.4, 0.2), (10.6, 0.25), (10.65, 0.3), (11.0, 0.5), (12.0, None)):
         now[0] = time_s
-        told("reading", fraction)
+        watched("reading", fraction)
     assert bar.drawn == [("reading, 2 s left", 0.25), ("reading, 1 s left", 0.5), ("reading", None)]
-    told.close()
+    watched.close()
     assert bar.closed
 
 
 def test_work_shorter_than_half_a_second_shows_no_bar() -> None:
     made = []
-    told = Watched(lambda: made.append(1) or NotedBar(), lambda: 1.0)
-    told("reading", 0.5)
-    told.close()
+    watched = Watched(lambda: made.append(1) or NotedBar(), lambda: 1.0)
+    watched("reading", 0.5)
+    watched.close()
     assert not made
 
 

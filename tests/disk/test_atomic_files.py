@@ -242,14 +242,14 @@ TROUBLES = [
 
 @pytest.mark.parametrize(("number", "code", "words"), TROUBLES)
 def test_each_disk_error_has_a_code_and_a_message(tmp_path, number, code, words):
-    told = disk_trouble(
+    error = disk_trouble(
         OSError(number, os.strerror(number)), "cannot write the tree to", tmp_path / "t", needed_bytes=9
     )
-    assert (told.code, told.errno, told.exit_code) == (code, number, 1)
-    assert str(told).startswith(f"cannot write the tree to {tmp_path / 't'}: ")
-    assert words in str(told)
-    assert isinstance(told, OSError)
-    assert isinstance(told, CarinaError)
+    assert (error.code, error.errno, error.exit_code) == (code, number, 1)
+    assert str(error).startswith(f"cannot write the tree to {tmp_path / 't'}: ")
+    assert words in str(error)
+    assert isinstance(error, OSError)
+    assert isinstance(error, CarinaError)
 
 
 def test_write_into_a_missing_folder_is_refused_with_the_folder_s_name(tmp_path):
@@ -259,9 +259,9 @@ def test_write_into_a_missing_folder_is_refused_with_the_folder_s_name(tmp_path)
 
 
 def test_message_of_a_full_disk_states_needed_and_free_space(tmp_path):
-    told = disk_trouble(OSError(errno.ENOSPC, ""), "cannot write the CT to", tmp_path, needed_bytes=3_200_000)
-    assert "about 3.2 MB needed" in str(told)
-    assert "free)" in str(told)
+    error = disk_trouble(OSError(errno.ENOSPC, ""), "cannot write the CT to", tmp_path, needed_bytes=3_200_000)
+    assert "about 3.2 MB needed" in str(error)
+    assert "free)" in str(error)
 
 
 def test_write_to_a_folder_device_or_missing_folder_is_refused(tmp_path):

@@ -170,8 +170,8 @@ def test_branch_without_evidence_is_dashed_confirmed_and_added_as_drawn_by_hand(
     workstation.wait_for("() => window.__carina.state.doubt !== null")
     question = workstation.page.locator("[data-testid=doubt]")
     expect(question).to_contain_text("The CT shows no airway wall along")
-    asked = workstation.state("doubt")
-    assert asked["line"] == shown["lines"][0], "the question is about the way that was shown"
+    requested = workstation.state("doubt")
+    assert requested["line"] == shown["lines"][0], "the question is about the way that was shown"
     assert workstation.state("messages.length") == 0, "a question is no error"
     workstation.picture("without-evidence-the-question")
     # Esc leaves the tree unchanged and the tool active.
@@ -184,7 +184,7 @@ def test_branch_without_evidence_is_dashed_confirmed_and_added_as_drawn_by_hand(
     workstation.wait_for("() => window.__carina.state.doubt !== null")
     workstation.page.keyboard.press("Enter")
     workstation.wait_for(DRAWN)
-    assert {str(p) for p in asked["line"]["points_lps"]} <= all_points(workstation)
+    assert {str(p) for p in requested["line"]["points_lps"]} <= all_points(workstation)
     drawn = workstation.page.evaluate(
         "() => [...window.__carina.state.tree.byId.values()].find((n) => n.branch.kind === 'manual').branch"
     )
@@ -345,8 +345,8 @@ def test_preview_at_rest_lists_the_branches_that_the_click_renames(server, works
     workstation.page.mouse.click(x, y)
     workstation.wait_for("(n) => window.__carina.state.tree.byId.size > n", len(before))
     workstation.wait_for("() => !window.__carina.state.jobs.some((job) => job.job_id.startsWith('edit'))")
-    told = "(words) => window.__carina.state.messages.some((message) => JSON.stringify(message).includes(words))"
-    workstation.wait_for(told, listed[0])
+    script = "(words) => window.__carina.state.messages.some((message) => JSON.stringify(message).includes(words))"
+    workstation.wait_for(script, listed[0])
     renamed_id = next(i for i, name in before.items() if listed[0].startswith(f"{name} becomes"))
     is_renamed = "([id, name]) => window.__carina.state.tree.byId.get(id)?.branch.name !== name"
     workstation.wait_for(is_renamed, [renamed_id, before[renamed_id]])

@@ -55,7 +55,7 @@ def test_layers_round_a_target_are_stopped_requested_again_and_switched_off_and_
     workstation.wait_for("window.__carina.state.jobs.some((job) => job.what === 'looking for vessels')")
     workstation.wait_for("window.__carina.state.lungs.standing === 'making'")
     assert ask.is_disabled()
-    job = page.get_by_role("progressbar", name="looking at what lies round the target")
+    job = page.get_by_role("progressbar", name="mapping the structures around the target")
     # The message appears at once and disappears with the job, possibly between two checks of the test, so the page
     # records it.
     page.evaluate(

@@ -29,8 +29,8 @@ def test_picture_of_the_window_is_up_to_date(shot, server, workstation):
     assert stamp is not None, f"{shot.path} has no stamp. Run {COMMAND}"
     workstation.open(server)
     at_rest(workstation, shot)
-    told = changes(stamp, stamp_of(workstation))
-    assert not told, "\n".join([f"{shot.path} is stale. Run {COMMAND}, and look at what it made.", *told])
+    differences = changes(stamp, stamp_of(workstation))
+    assert not differences, "\n".join([f"{shot.path} is stale. Run {COMMAND}, and look at what it made.", *differences])
     assert workstation.faults == []
 
 

@@ -309,10 +309,10 @@ class Workstation:
         """Return a coarse grid of pixel values of a view, to detect changes."""
         return self.page.evaluate("(view) => window.__pixels(view)", view)
 
-    def once(self, condition: str, told: str) -> Any:
-        """Wait for a condition of the page, and return the value of the expression ``told`` at the same moment."""
-        told_then = self.page.wait_for_function(f"() => ({condition}) ? [{told}] : false", timeout=PICTURE_MS)
-        return told_then.json_value()[0]
+    def once(self, condition: str, expression: str) -> Any:
+        """Wait for a condition of the page, and return the value of ``expression`` at the same moment."""
+        handle = self.page.wait_for_function(f"() => ({condition}) ? [{expression}] : false", timeout=PICTURE_MS)
+        return handle.json_value()[0]
 
     def shown_views(self) -> list[str]:
         """Return the views that have a canvas on the screen."""
@@ -464,10 +464,10 @@ class Workstation:
         """Save data for the analysis of a failure: a screenshot, the log, and the state of the page."""
         save_page(self.page, f"{name}-failed")
         try:
-            told = self.page.evaluate(STATE)
+            state = self.page.evaluate(STATE)
         except PlaywrightError as trouble:
-            told = str(trouble)
-        print("faults of the page:", self.faults, "state:", told, sep="\n")
+            state = str(trouble)
+        print("faults of the page:", self.faults, "state:", state, sep="\n")
 
 
 def open_page(browser: Any, scripts: tuple[str, ...] = ()) -> Workstation:

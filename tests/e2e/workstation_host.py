@@ -114,7 +114,7 @@ class Kept:
 
     def _holds(self, value: Any) -> bool:
         with self._lock:
-            return any(kept is value for kept in self._values.values())
+            return any(stored is value for stored in self._values.values())
 
     def open_demo(self, name: str, progress: Any, cancel: Any) -> Any:
         return self._kept(("demo", name), lambda: self._real.open_demo(name, progress, cancel))
@@ -208,8 +208,8 @@ def remember_pieces() -> None:
     def compress(content: bytes | memoryview, level: int) -> bytes:
         return small(bytes(content), level) if len(content) < MOST_KEPT_BYTES else zlib.compress(content, level)
 
-    kept = types.SimpleNamespace(compress=compress, decompressobj=zlib.decompressobj, error=zlib.error)
-    compression.zlib = kept  # type: ignore[assignment]
+    compressor = types.SimpleNamespace(compress=compress, decompressobj=zlib.decompressobj, error=zlib.error)
+    compression.zlib = compressor  # type: ignore[assignment]
 
 
 def make_slow(slow_file: str) -> Any:
@@ -241,22 +241,24 @@ class Ports:
 PORTS = Ports()
 
 
-def open_workstation(kept: Kept, stack: ExitStack, home: str, demo: str | None, path: str | None, **told: Any) -> str:
+def open_workstation(
+    cache: Kept, stack: ExitStack, home: str, demo: str | None, path: str | None, **options: Any
+) -> str:
     """Assemble a workstation as ``carina.server.serve`` does, and return its start URL; ``stack`` closes it."""
     sock = stack.enter_context(PORTS.bind())
     gate = Gate(host="127.0.0.1", port=sock.getsockname()[1])
-    slow_file = told.get("slow_file")
+    slow_file = options.get("slow_file")
     SteadyBudget.slow_file = None if slow_file is None else Path(slow_file)
     factory = serve_module._renderer_factory() if slow_file is None else make_slow(slow_file)
     session = Session(
         factory,
-        parts=kept.parts(),
+        parts=cache.parts(),
         store=LocalStore(Path(home)),
         records=CaseRecords(Path(home) / "cases", time.time, Path(home) / "documents"),
         files=case_files(),
     )
     stack.callback(session.close)
-    page = PhoneSwitch(session, web_folder(), told.get("phone_address"))
+    page = PhoneSwitch(session, web_folder(), options.get("phone_address"))
     stack.callback(page.stop)
     started = threading.Event()
     server = make_server(
@@ -267,7 +269,7 @@ def open_workstation(kept: Kept, stack: ExitStack, home: str, demo: str | None, 
         patient_citation=serve_module._patient_citation(),
         build_info=serve_module._build_info(),
         phone=page,
-        watch_address=told.get("phone_address"),
+        watch_address=options.get("phone_address"),
     )
     thread = threading.Thread(target=lambda: server.run(sockets=[sock]))
     thread.start()
@@ -299,7 +301,7 @@ def main() -> None:
     remember_scenes()
     remember_pieces()
     pacing.FrameBudget = SteadyBudget  # type: ignore[misc]
-    kept, numbers, opened = Kept(), itertools.count(1), {}
+    cache, numbers, opened = Kept(), itertools.count(1), {}
     for line in sys.stdin:
         order = json.loads(line)
         answer: dict[str, Any]
@@ -307,7 +309,7 @@ def main() -> None:
             if "open" in order:
                 stack, number = ExitStack(), next(numbers)
                 opened[number] = stack
-                answer = {"number": number, "url": open_workstation(kept, stack, **order["open"])}
+                answer = {"number": number, "url": open_workstation(cache, stack, **order["open"])}
             else:
                 opened.pop(order["close"]).close()
                 print(f"workstation {order['close']} is closed", file=sys.stderr, flush=True)

@@ -81,10 +81,10 @@ def test_lumen_and_surface_formats_mark_parts_drawn_by_hand(case, tmp_path):
             path = export_airways(tmp_path / f"lumen{suffix}", volume, airway)
             if suffix in (".nii.gz", ".nrrd"):
                 image = sitk.ReadImage(str(path))
-                said = " ".join(image.GetMetaData(key) for key in image.GetMetaDataKeys())
+                text = " ".join(image.GetMetaData(key) for key in image.GetMetaDataKeys())
             else:
-                said = path.read_bytes()[:4000].decode("latin-1")
-            assert ("drawn by hand" in said or "PART IS NOT FROM THE CT" in said) == is_drawn, suffix
+                text = path.read_bytes()[:4000].decode("latin-1")
+            assert ("drawn by hand" in text or "PART IS NOT FROM THE CT" in text) == is_drawn, suffix
 
 
 def vtp_array(root, path):

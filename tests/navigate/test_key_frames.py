@@ -45,8 +45,8 @@ def test_leg_has_its_speed_and_the_duration_of_its_length_and_ramps():
     ]
     flight = KeyFrameFlight(frames, speed_mm_s=20.0)
     a, b, c, d = flight.key_times_s
-    # From rest, 20 mm/s is reached after 0.5 s and 5 mm; from 5 mm/s after 0.375 s and 4.6875 mm. Slowing down takes
-    # the same.
+    # From rest, 20 mm/s is reached after 0.5 s and 5 mm; from 5 mm/s after 0.375 s and 4.6875 mm. Braking
+    # takes the same times and distances.
     assert b - a == pytest.approx(0.5 + 30.3125 / 20.0 + 0.375)
     assert c - b == pytest.approx(40.0 / 5.0)
     assert d - c == pytest.approx(b - a)

@@ -147,13 +147,13 @@ def test_stick_direction_at_a_fork_requests_the_branch_on_this_side():
         hand = Hand(path=True)
         hand.pilot.apply(c.SetControl("path"))
         hand.pilot.apply(c.GoTo(59.0))
-        asked = []
+        calls = []
         for _ in range(12):
             hand.stick(1.0, yaw)
-            asked.append(hand.pilot.take_wanted_way())
-        assert [way for way in asked if way is not None] == ([] if wanted is None else [wanted]), yaw
+            calls.append(hand.pilot.take_wanted_way())
+        assert [way for way in calls if way is not None] == ([] if wanted is None else [wanted]), yaw
         if wanted is not None:
-            at = asked.index(wanted)
+            at = calls.index(wanted)
             assert at > 0, "it is asked at the fork and not before"
     # The tip waits one frame at the fork, in which the route may change.
     hand = Hand(path=True)

@@ -139,9 +139,9 @@ def same_flight(recording, wall=None) -> int:
 def test_earlier_recording_with_every_move_still_replays():
     recording = open_recording(RECORDINGS / "every-move-1.jsonl")
     recording.check(VOLUME, carina="0.1.0")
-    told = {line["move"]["move"] for line in recording.lines if "move" in line}
-    told |= {value["move"] for value in recording.header["begin"]}
-    assert told == set(m.MOVES) - {"SetScope"}
+    names = {line["move"]["move"] for line in recording.lines if "move" in line}
+    names |= {value["move"] for value in recording.header["begin"]}
+    assert names == set(m.MOVES) - {"SetScope"}
     assert same_flight(recording) == 100
 
 
@@ -158,8 +158,8 @@ def test_moves_of_earlier_recordings_are_written_unchanged():
     """Assert that a recording that is read and written again is the same text; other programs read these files."""
     for place in sorted(RECORDINGS.glob("*.jsonl")):
         recording = open_recording(place)
-        kept = [line["move"] for line in recording.lines if "move" in line] + recording.header["begin"]
-        for value in kept:
+        moves = [line["move"] for line in recording.lines if "move" in line] + recording.header["begin"]
+        for value in moves:
             assert json.dumps(m.move_to_json(*m.move_from_json(value))) == json.dumps(value)
 
 
@@ -301,14 +301,14 @@ def troubles(session: Session) -> list[Trouble]:
 @pytest.mark.parametrize("made", [full_disk, FullDisk])
 def test_full_disk_ends_the_recording_with_one_message_and_the_flight_continues(flown, tmp_path, made):
     session, clock = flown
-    said = troubles(session)
+    reported = troubles(session)
     file = made()
     recorded_to(session, tmp_path / "a.jsonl", file)
     file.full = True
     before = session.pose_info().pose
     fly(session, clock)
     assert session.pose_info().pose is not before
-    (trouble,) = said
+    (trouble,) = reported
     assert trouble.code == "disk.full"
     assert "the recording stopped" in trouble.message
     assert "the disk is full" in trouble.message
@@ -318,16 +318,16 @@ def test_full_disk_ends_the_recording_with_one_message_and_the_flight_continues(
     session.do(RecordFlight(tmp_path / "b.jsonl"))
     session.do(StopRecording())
     assert open_recording(tmp_path / "b.jsonl").complete
-    assert len(said) == 1
+    assert len(reported) == 1
 
 
 @pytest.mark.parametrize("end", [StopRecording(), CloseCase()])
 def test_full_disk_at_the_end_of_a_recording_is_reported_without_other_effects(flown, tmp_path, end):
     session, _ = flown
-    said = troubles(session)
+    reported = troubles(session)
     recorded_to(session, tmp_path / "a.jsonl", full_disk())
     session.do(end)
-    assert ["the recording stopped" in trouble.message for trouble in said] == [True]
+    assert ["the recording stopped" in trouble.message for trouble in reported] == [True]
     assert session.devices.recording_path is None
 
 

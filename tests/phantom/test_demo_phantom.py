@@ -19,12 +19,12 @@ def small_demo(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("small_demo")
 def test_demo_is_generated_once_and_then_read_from_the_cache(tmp_path: Path) -> None:
-    said: list[str] = []
-    made = demo_phantom(cache_dir=tmp_path, progress=lambda what, _: said.append(what))
-    assert said
-    said.clear()
-    read = demo_phantom(cache_dir=tmp_path, progress=lambda what, _: said.append(what))
-    assert said == []
+    reported: list[str] = []
+    made = demo_phantom(cache_dir=tmp_path, progress=lambda what, _: reported.append(what))
+    assert reported
+    reported.clear()
+    read = demo_phantom(cache_dir=tmp_path, progress=lambda what, _: reported.append(what))
+    assert reported == []
     np.testing.assert_array_equal(read.volume.hu_zyx, made.volume.hu_zyx)
     np.testing.assert_array_equal(read.volume.lps_from_ijk, made.volume.lps_from_ijk)
     np.testing.assert_array_equal(read.lumen_zyx, made.lumen_zyx)
@@ -46,14 +46,14 @@ def test_demo_with_a_damaged_cache_file_is_generated_again(tmp_path: Path, name:
         file.write_bytes(data[:-9] + bytes([data[-9] ^ 1]) + data[-8:])
     else:
         file.unlink()
-    said: list[str] = []
-    again = demo_phantom(cache_dir=tmp_path, progress=lambda what, _: said.append(what))
-    assert said
+    reported: list[str] = []
+    again = demo_phantom(cache_dir=tmp_path, progress=lambda what, _: reported.append(what))
+    assert reported
     np.testing.assert_array_equal(again.volume.hu_zyx, made.volume.hu_zyx)
     assert [p.name for p in tmp_path.iterdir()] == [file.parent.name], "nothing is left lying about"
-    said.clear()
-    demo_phantom(cache_dir=tmp_path, progress=lambda what, _: said.append(what))
-    assert said == []
+    reported.clear()
+    demo_phantom(cache_dir=tmp_path, progress=lambda what, _: reported.append(what))
+    assert reported == []
 
 
 @pytest.mark.usefixtures("small_demo")
@@ -64,9 +64,9 @@ def test_cached_demo_with_earlier_spelling_is_read_with_current_spelling(tmp_pat
     sums = json.loads((file.parent / "sums.json").read_text(encoding="utf-8"))
     sums["truth.json"] = hashlib.sha256(file.read_bytes()).hexdigest()
     (file.parent / "sums.json").write_text(json.dumps(sums), encoding="utf-8")
-    said: list[str] = []
-    read = demo_phantom(cache_dir=tmp_path, progress=lambda what, _: said.append(what))
-    assert said == [], "it is read, not made anew"
+    reported: list[str] = []
+    read = demo_phantom(cache_dir=tmp_path, progress=lambda what, _: reported.append(what))
+    assert reported == [], "it is read, not made anew"
     assert read.truth["nodule"]["centre_lps"] == made.truth["nodule"]["centre_lps"]
     assert "center_lps" not in read.truth["nodule"]
 

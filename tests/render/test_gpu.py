@@ -249,7 +249,7 @@ def test_doctor_lists_adapters_and_does_not_choose_a_software_adapter(adapters, 
         if adapter["kind"] == "software":
             assert not adapter["chosen"]
             assert "no faster" in adapter["why"]
-    asked = json.loads(run_carina("doctor", "--json", CARINA_BACKEND="gpu", **cache))
-    assert asked["renderer"] == "gpu"
+    result = json.loads(run_carina("doctor", "--json", CARINA_BACKEND="gpu", **cache))
+    assert result["renderer"] == "gpu"
     assert adapters[0].name in run_carina("doctor", CARINA_BACKEND="gpu", **cache)
     assert json.loads(run_carina("doctor", "--json", CARINA_BACKEND="cpu", **cache))["renderer"] == "cpu"

@@ -95,10 +95,10 @@ def test_cache_stays_below_its_limit_and_deletes_files_of_a_killed_process(tmp_p
     for n in range(6):
         cache.get_or_build(*small_map(n))
         cache.wait_stored()
-    kept = list(tmp_path.iterdir())
-    assert kept
-    assert all(path.suffix == ".isoregion" for path in kept)
-    assert sum(path.stat().st_size for path in kept) <= 5000
+    files = list(tmp_path.iterdir())
+    assert files
+    assert all(path.suffix == ".isoregion" for path in files)
+    assert sum(path.stat().st_size for path in files) <= 5000
 
 
 @pytest.mark.usefixtures("slow")

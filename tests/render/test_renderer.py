@@ -174,10 +174,10 @@ def test_cancelled_preparation_stops_and_leaves_the_renderer_usable(airway):
     with pytest.raises(CancelledError):
         renderer.prepare(cancel=lambda: True)
     assert renderer.render(view(airway)).stats.method == "brute"
-    said = []
-    renderer.prepare(lambda what, fraction: said.append((what, fraction)))
-    assert said[0][1] == 0.0
-    assert said[-1][1] == 1.0
+    reported = []
+    renderer.prepare(lambda what, fraction: reported.append((what, fraction)))
+    assert reported[0][1] == 0.0
+    assert reported[-1][1] == 1.0
 
 
 def test_cancelled_picture_does_not_affect_the_next_one(airway):

@@ -29,9 +29,9 @@ class Shaft:
     into: Floats
     radii: Floats
 
-    def only(self, kept: NDArray[np.bool_]) -> Shaft:
-        """Return the points of the shaft that the mask ``kept`` selects."""
-        return Shaft(self.points[kept], self.into[kept], self.radii[kept])
+    def only(self, mask: NDArray[np.bool_]) -> Shaft:
+        """Return the points of the shaft that the mask ``mask`` selects."""
+        return Shaft(self.points[mask], self.into[mask], self.radii[mask])
 
 
 def joined(shafts: list[Shaft]) -> Shaft:
@@ -71,11 +71,11 @@ class Worst:
     mm: float = -np.inf
     told: str = ""
 
-    def take(self, depths: Floats, points: Floats, told: str) -> None:
+    def take(self, depths: Floats, points: Floats, label: str) -> None:
         """Store the largest of these depths, with its point and description, if it exceeds the stored depth."""
         if len(depths) and not depths.max() <= self.mm:
             n = int(depths.argmax())
-            self.mm, self.told = float(depths[n]), f"{depths[n]:.3f} mm {told} at {np.round(points[n], 2).tolist()}"
+            self.mm, self.told = float(depths[n]), f"{depths[n]:.3f} mm {label} at {np.round(points[n], 2).tolist()}"
 
 
 @dataclass
@@ -141,7 +141,7 @@ def drive_and_look(lumen: Lumen, run: int, found: Findings, *, num_samples: int,
     route = lumen.routes[rng.integers(len(lumen.routes))]
     # Two of five drives begin at the greatest depth at which the scope can be placed.
     deep = 400.0 if rng.uniform() < 0.4 else rng.uniform(0.0, 260.0)
-    told = f"{scope.name}, {kind}, run {run}"
+    label = f"{scope.name}, {kind}, run {run}"
     states = [drive.place(route, deep)]
     tips: list[Floats] = []
     shafts: list[Shaft] = []
@@ -153,8 +153,8 @@ def drive_and_look(lumen: Lumen, run: int, found: Findings, *, num_samples: int,
 
     look()
     for n, state in enumerate(random_samples(kind, drive, rng, num_samples)):
-        assert np.isfinite(state.pose.lps_from_camera).all(), told
-        assert 0.0 <= state.red_out <= 1.0, told
+        assert np.isfinite(state.pose.lps_from_camera).all(), label
+        assert 0.0 <= state.red_out <= 1.0, label
         states.append(state)
         found.limits[state.limit] += 1
         if (n + run) % every == 0 or n + 1 == num_samples:
@@ -164,7 +164,7 @@ def drive_and_look(lumen: Lumen, run: int, found: Findings, *, num_samples: int,
     found.num_touched += any(state.contact is not None for state in states[1:])
     places = np.array([state.pose.position_lps for state in states])
     found.travels_mm.append(float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum()))
-    return Seen(np.concatenate(tips), joined(shafts), told)
+    return Seen(np.concatenate(tips), joined(shafts), label)
 
 
 def tip_surface_lps(drive: ScopeDrive) -> Floats:
@@ -202,8 +202,8 @@ def shaft_of(drive: ScopeDrive) -> Shaft:
     radii = np.where(behind < 50.0, scope.tip_mm / 2.0, (scope.tube_mm or scope.tip_mm) / 2.0)
     # The rigid tip is omitted, because it is checked as a solid. The last node is at the entry or less than one node
     # before it.
-    kept = (behind >= RIGID_MM) & (np.linalg.norm(into, axis=1) > 1e-9)
-    return Shaft(points[kept], into[kept] / np.linalg.norm(into[kept], axis=1)[:, None], radii[kept])
+    mask = (behind >= RIGID_MM) & (np.linalg.norm(into, axis=1) > 1e-9)
+    return Shaft(points[mask], into[mask] / np.linalg.norm(into[mask], axis=1)[:, None], radii[mask])
 
 
 def by_surface(cells: LumenCells) -> ShaftDepths:

@@ -79,9 +79,9 @@ class LumenCells:
 
     def depths_mm(self, points: Floats) -> Floats:
         """Return the depth (mm) of points in the wall: 0 in inside cells, infinite outside beyond the reach."""
-        asked = self._at(points) == 0
+        is_outside = self._at(points) == 0
         depths = np.zeros(len(points))
-        depths[asked] = self._signed_mm(points[asked])
+        depths[is_outside] = self._signed_mm(points[is_outside])
         # A point beyond the reach, in a cell that is not connected to a seed, may be outside, or in the lumen behind a
         # narrow part.
         for n in np.flatnonzero(np.isinf(depths)):

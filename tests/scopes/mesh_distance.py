@@ -108,27 +108,27 @@ class MeshDistance:
         key = np.where(valid, self._key(at), -1)
         place = np.minimum(np.searchsorted(self._cells, key), len(self._cells) - 1)
         valid &= self._cells[place] == key
-        asked = np.flatnonzero(valid)
-        first = self._first[place[asked]]
-        num = self._first[place[asked] + 1] - first
-        if not len(asked):
+        indices = np.flatnonzero(valid)
+        first = self._first[place[indices]]
+        num = self._first[place[indices] + 1] - first
+        if not len(indices):
             return found
         ends = np.cumsum(num)
-        who = np.repeat(np.arange(len(asked)), num)
+        who = np.repeat(np.arange(len(indices)), num)
         triangle = self._members[np.arange(ends[-1]) - np.repeat(ends - num - first, num)]
-        p = points[asked]
+        p = points[indices]
         to_centre = np.linalg.norm(p[who] - self._centres[triangle], axis=1)
         # Triangles that cannot be the nearest one to their point are omitted.
         nearest = np.minimum.reduceat(to_centre + self._radii[triangle], ends - num)
-        kept = to_centre - self._radii[triangle] <= nearest[who]
-        who, triangle = who[kept], triangle[kept]
+        is_near = to_centre - self._radii[triangle] <= nearest[who]
+        who, triangle = who[is_near], triangle[is_near]
         offset, feature = _to_triangle(p[who], self._corners[triangle])
         far = np.linalg.norm(offset, axis=1)
         order = np.lexsort((far, who))
         best = order[np.flatnonzero(np.append(True, np.diff(who[order]) > 0))]
         side = np.where(_dot(offset[best], self._normals[triangle[best], feature[best]]) >= 0.0, 1.0, -1.0)
         near = far[best] <= self._reach_mm
-        found[asked[who[best][near]]] = (side * far[best])[near]
+        found[indices[who[best][near]]] = (side * far[best])[near]
         return found
 
 

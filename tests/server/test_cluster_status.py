@@ -32,8 +32,8 @@ STATUS = ClusterStatus(
 
 
 def test_window_receives_the_rendering_computers_and_each_notice_once() -> None:
-    told: list[wire.Cluster | wire.Notice] = []
-    watch = ClusterWatch(lambda: STATUS, told.append)
+    reported: list[wire.Cluster | wire.Notice] = []
+    watch = ClusterWatch(lambda: STATUS, reported.append)
     watch.look()
     watch.look()
     shown = wire.Cluster(
@@ -44,5 +44,5 @@ def test_window_receives_the_rendering_computers_and_each_notice_once() -> None:
         fps=30.0,
         frame_ms=None,
     )
-    assert told == [wire.Notice("the machine b has left the cluster"), shown, shown]
+    assert reported == [wire.Notice("the machine b has left the cluster"), shown, shown]
     assert wire.parse_server_message(wire.encode_message(shown)) == shown

@@ -95,7 +95,7 @@ def besieged(base, token, *, rounds, strangers=300):
     num_again = 0
     with (
         contextlib.ExitStack() as stack,
-        httpx.Client(base_url=base, headers=bearer, timeout=WAIT_S) as kept,
+        httpx.Client(base_url=base, headers=bearer, timeout=WAIT_S) as client,
         connect(f"ws{base[4:]}/ws", additional_headers=bearer, open_timeout=WAIT_S) as window,
     ):
         window.send(wire.encode_message(wire.ClientHello(wire.WIRE_VERSION)))
@@ -104,7 +104,7 @@ def besieged(base, token, *, rounds, strangers=300):
             stack.callback(dial(base, WORDS[n % len(WORDS)]).close)
         for n in range(rounds):
             stack.callback(dial(base, WORDS[n % len(WORDS)]).close)
-            for ask in (kept.get, httpx.get):
+            for ask in (client.get, httpx.get):
                 began = time.perf_counter()
                 while (status := answered(ask, f"{base}/api/airways.json", bearer)) is None:
                     # To free a descriptor the server may close an unauthenticated connection; the user's client then
@@ -136,10 +136,10 @@ def answered(ask, url, bearer):
 def test_300_unauthenticated_clients_at_128_descriptors_block_no_user_and_log_one_line(tmp_path, rounds):
     with small_process(tmp_path) as (base, token, errors):
         took_ms = besieged(base, token, rounds=rounds)
-    said = errors.read_text()
-    assert "Traceback" not in said
+    log = errors.read_text()
+    assert "Traceback" not in log
     # One line is about the unauthenticated clients, and one about each kind of invalid bytes.
-    assert len(said.splitlines()) <= 4, said
+    assert len(log.splitlines()) <= 4, log
     p95_ms = took_ms[len(took_ms) * 95 // 100]
     print(f"p50 {took_ms[len(took_ms) // 2]:.1f} ms, p95 {p95_ms:.1f} ms, worst {took_ms[-1]:.0f} ms")
     if rounds >= 100:
@@ -152,10 +152,10 @@ def test_300_unauthenticated_clients_at_128_descriptors_block_no_user_and_log_on
 def test_server_without_a_free_descriptor_closes_idle_connections_and_answers(tmp_path):
     with small_process(tmp_path, reserved=-1000) as (base, token, errors):
         besieged(base, token, rounds=3)
-    said = errors.read_text()
-    assert "Traceback" not in said
-    assert "had run out of file descriptors" in said
-    assert len(said.splitlines()) <= 4, said
+    log = errors.read_text()
+    assert "Traceback" not in log
+    assert "had run out of file descriptors" in log
+    assert len(log.splitlines()) <= 4, log
 
 
 @pytest.mark.soak
@@ -178,9 +178,9 @@ def test_unauthenticated_clients_that_reconnect_for_a_minute_block_no_user(tmp_p
             stop.set()
             for thread in threads:
                 thread.join()
-    said = errors.read_text()
-    assert "Traceback" not in said
-    assert len(said.splitlines()) <= 8, said
+    log = errors.read_text()
+    assert "Traceback" not in log
+    assert len(log.splitlines()) <= 8, log
     p95_ms = took_ms[len(took_ms) * 95 // 100]
     print(f"p50 {took_ms[len(took_ms) // 2]:.1f} ms, p95 {p95_ms:.1f} ms, worst {took_ms[-1]:.0f} ms of {len(took_ms)}")
     assert p95_ms < 1000.0

@@ -132,7 +132,7 @@ def test_registration_returns_its_residual_and_refuses_unusable_pairs(desk):
     made.handle(pen(1.0, (0.0, 0.0, 0.0)))
     points = ((0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (0.0, 50.0, 0.0))
     do(made, wire.Calibrate("pen", points, points))
-    assert any("0.0 mm" in said.message for said in bench.of_type(UserMessage))
+    assert any("0.0 mm" in event.message for event in bench.of_type(UserMessage))
     do(made, wire.SetControl("absolute"))
     assert made.message().control == "absolute"
     with pytest.raises(UsageError, match="line"):

@@ -71,8 +71,8 @@ def test_points_of_a_preview_equal_those_of_the_added_branch(pointing):
     assert len(line.doubtful) == len(line.points_lps) - 1
 
     edit(pointing, wire.AddBranch(lps))
-    (asked,) = pointing.bench.of_type(NotEvident)
-    question = wire.parse_server_message(wire.encode_message(no_evidence_message(asked)))
+    (requested,) = pointing.bench.of_type(NotEvident)
+    question = wire.parse_server_message(wire.encode_message(no_evidence_message(requested)))
     assert (question.code, question.lps) == ("track.no-evidence", lps)
     assert question.line == line
     assert question.doubtful_mm == preview.doubtful_mm > 2.0

@@ -193,9 +193,9 @@ def test_dropped_mask_is_stored_until_its_question_is_answered_and_replaces_the_
             assert sent.status_code == 201
         folder = live.uploads._uploads[upload_id].folder
         window.send(wire.ImportMask(upload_id))
-        asked = window.until_state(lambda s: s.mask_question is not None)
-        assert [label.number for label in asked.mask_question.labels] == [1, 3]
-        assert (asked.airways_from, asked.can_undo) == ("search", None)
+        question = window.until_state(lambda s: s.mask_question is not None)
+        assert [label.number for label in question.mask_question.labels] == [1, 3]
+        assert (question.airways_from, question.can_undo) == ("search", None)
         assert [p.suffix for p in folder.iterdir()] == [".nrrd"]
         window.send(wire.AnswerMask(3, False))
         taken = window.until_state(lambda s: s.airways_from == "mask")

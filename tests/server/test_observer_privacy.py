@@ -173,8 +173,8 @@ def test_notes_with_codes_not_known_to_be_free_of_names_are_replaced():
     assert all(NAME not in note.words for note in observer_notes(notes))
     assert [note.code for note in observer_notes(notes)] == ["import.some-new-code", "import.not-hu"]
     assert observer_notes([CaseNote("import.copies", "a passing note", False)]) == ()
-    kept = [CaseNote(code, "fixed words", True) for code in (*sorted(WITHOUT_NAMES), "airways.doubted")]
-    assert list(observer_notes(kept)) == kept
+    allowed = [CaseNote(code, "fixed words", True) for code in (*sorted(WITHOUT_NAMES), "airways.doubted")]
+    assert list(observer_notes(allowed)) == allowed
 
 
 def test_errors_for_observers_keep_their_code_without_their_text():

@@ -131,28 +131,30 @@ def test_pen_marks_start_and_target_of_a_path_without_airways(window, middle):
     first = middle + np.array([4.0, -3.0, 2.0])
     pen.comes_to(first)
     pen.presses(first)
-    told = window.until(lambda m: isinstance(m, wire.StartMarkedMessage))
-    assert np.linalg.norm(np.array(told.lps) - first) < 0.1
-    window.send(wire.ArmPen("target", cost="walls", root_lps=told.lps))
+    message = window.until(lambda m: isinstance(m, wire.StartMarkedMessage))
+    assert np.linalg.norm(np.array(message.lps) - first) < 0.1
+    window.send(wire.ArmPen("target", cost="walls", root_lps=message.lps))
     place = middle + np.array([-6.0, 5.0, -3.0])
     pen.comes_to(place)
     pen.presses(place)
     (target,) = targets(window, 1)
     assert np.linalg.norm(np.array(target.lps) - place) < 0.1
-    assert (target.cost, target.root_lps, target.problem) == ("walls", told.lps, None)
+    assert (target.cost, target.root_lps, target.problem) == ("walls", message.lps, None)
 
 
 def test_place_that_the_button_would_mark_is_reported_before_it_is_pressed(window, middle):
     pen = TrackedPen(window)
     window.send(wire.ArmPen("target"))
     pen.hold(middle)
-    told = window.until(lambda m: isinstance(m, wire.Pen))
-    assert (told.device, told.tracked, told.lps) == (pen.device, True, None), "not registered: the tip, and it is said"
+    message = window.until(lambda m: isinstance(m, wire.Pen))
+    assert (message.device, message.tracked, message.lps) == (pen.device, True, None), (
+        "not registered: the tip, and it is said"
+    )
     pen.register(corners(middle))
     place = middle + np.array([0.0, 7.0, 0.0])
     pen.hold(place)
-    told = window.until(lambda m: isinstance(m, wire.Pen) and np.allclose(m.lps or 0.0, place, atol=0.01))
-    assert told.off_mm is None
+    message = window.until(lambda m: isinstance(m, wire.Pen) and np.allclose(m.lps or 0.0, place, atol=0.01))
+    assert message.off_mm is None
     window.send(wire.DeviceGone(pen.device))
     assert window.until(lambda m: isinstance(m, wire.Pen) and m.device is None).lps is None
 
@@ -177,9 +179,9 @@ def test_distance_from_pen_to_tip_is_reported_in_absolute_mode_and_closed_by_a_c
     window.send(wire.SetControl("absolute"))
     place = middle + np.array([10.0, 0.0, 0.0])
     pen.hold(place)
-    told = window.until(lambda m: isinstance(m, wire.Pen) and m.off_mm is not None and m.off_mm > 1.0)
+    message = window.until(lambda m: isinstance(m, wire.Pen) and m.off_mm is not None and m.off_mm > 1.0)
     tip = live.session.pose_info().pose.position_lps
-    assert told.off_mm == pytest.approx(np.linalg.norm(tip - place), abs=10.0)
+    assert message.off_mm == pytest.approx(np.linalg.norm(tip - place), abs=10.0)
     window.send(wire.JoinPen())
     joined = window.until(lambda m: isinstance(m, wire.Pen) and m.off_mm == 0.0)
     assert joined.off_deg == 0.0

@@ -117,16 +117,16 @@ def test_fault_in_an_answer_is_reported_and_the_next_point_is_answered(pointing,
 
 
 def test_preparation_for_live_paths_runs_before_the_first_point_arrives(pointing, monkeypatch):
-    asked = queue.Queue()
-    monkeypatch.setattr(pointing.session, "ask", asked.put)
+    calls = queue.Queue()
+    monkeypatch.setattr(pointing.session, "ask", calls.put)
     warming = PathPrefetcher(pointing.session)
     warming.start()
     warming.airways_changed()
-    assert asked.get(timeout=WAIT_S).lps == pytest.approx(small_lps((16.0, 14.0, 37.0)))
+    assert calls.get(timeout=WAIT_S).lps == pytest.approx(small_lps((16.0, 14.0, 37.0)))
     # For the same airways the preparation does not run again, and it sends no answer.
     warming.airways_changed()
     warming.stop()
-    assert asked.empty()
+    assert calls.empty()
 
 
 def test_branch_without_measures_or_removed_branch_has_no_measures(pointing):

@@ -229,9 +229,9 @@ def test_fault_after_rendering_is_reported_once_and_the_picture_is_not_retried(s
         # A pump that renders without an end fails here instead of blocking the test.
         assert sum(screen.pump.step() for _ in range(20)) < 20
     assert len([view for view in made if isinstance(view, AirwayView)]) == 3
-    told = [t for t in screen.told if isinstance(t, tuple)]
-    assert [code for code, _ in told] == ["carina.fault"]
-    assert "airway view" in told[0][1] and "TypeError" in told[0][1]
+    reported = [t for t in screen.told if isinstance(t, tuple)]
+    assert [code for code, _ in reported] == ["carina.fault"]
+    assert "airway view" in reported[0][1] and "TypeError" in reported[0][1]
     assert {h.view for h in screen.headers} == {"axial"}
 
 

@@ -168,7 +168,7 @@ def test_observer_who_floods_is_disconnected_and_all_messages_of_the_user_are_ex
     monkeypatch.setattr(watching_window, "MESSAGES_PER_S", 0.0)
     monkeypatch.setattr(watching_window, "MESSAGES_AT_ONCE", 20.0)
     with watching(page.url) as other, watching(page.url) as watcher:
-        told = page_of(window, lambda page: page is not None and len(page.watchers) == 2)
+        page_state = page_of(window, lambda page: page is not None and len(page.watchers) == 2)
         before = live.session.pose_info().pose_id
         # The messages are small, so that the limit of bytes is not reached.
         sending = flood(watcher.socket, [wire.encode_message(wire.Probe((0.0, 0.0, 0.0)))] * 600)
@@ -185,11 +185,11 @@ def test_observer_who_floods_is_disconnected_and_all_messages_of_the_user_are_ex
             lambda m: (
                 isinstance(m, wire.Watching)
                 and m.page is not None
-                and m.page.url != told.url
+                and m.page.url != page_state.url
                 and len(m.page.watchers) == 1
             )
         ).page
-        assert left.url != told.url, "nobody comes back by the same link"
+        assert left.url != page_state.url, "nobody comes back by the same link"
         assert other.until(lambda m: isinstance(m, wire.State)), "another observer stays"
         with watching(page.url, hello=False) as again:
             assert again.close_code()[0] == wire.CLOSE_CODES["protocol.not-authorised"]

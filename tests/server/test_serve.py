@@ -78,19 +78,19 @@ def test_external_program_connects_repeatedly_with_the_printed_token(tmp_path):
                 line = process.stdout.readline()
                 assert line, process.stderr.read()
                 text += line
-            told = json.loads(text)
-            assert set(told) == {"url", "token"}
-            assert told["token"] not in told["url"]
-            base = told["url"].partition("/?")[0]
-            bearer = {"Authorization": f"Bearer {told['token']}"}
+            result = json.loads(text)
+            assert set(result) == {"url", "token"}
+            assert result["token"] not in result["url"]
+            base = result["url"].partition("/?")[0]
+            bearer = {"Authorization": f"Bearer {result['token']}"}
             for _ in range(2):
                 assert httpx.post(f"{base}/api/upload", headers=bearer, timeout=WAIT_S).status_code == 201
                 with connect(f"ws{base[4:]}/ws", additional_headers=bearer, open_timeout=WAIT_S) as socket:
                     socket.send(wire.encode_message(wire.ClientHello(wire.WIRE_VERSION)))
                     assert json.loads(socket.recv(timeout=WAIT_S))["type"] == "hello"
             # The token for programs is not accepted as start token, and the start token not as bearer token.
-            assert httpx.get(f"{base}/?token={told['token']}", timeout=WAIT_S).status_code == 403
-            start = told["url"].partition("token=")[2]
+            assert httpx.get(f"{base}/?token={result['token']}", timeout=WAIT_S).status_code == 403
+            start = result["url"].partition("token=")[2]
             wrong = {"Authorization": f"Bearer {start}"}
             assert httpx.post(f"{base}/api/upload", headers=wrong, timeout=WAIT_S).status_code == 403
             process.send_signal(signal.SIGINT)

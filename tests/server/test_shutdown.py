@@ -25,7 +25,7 @@ REQUEST = b"GET / HTTP/1.1\r\nHost: %s\r\n\r\n"
 
 
 @pytest.fixture
-def said(caplog):
+def log_records(caplog):
     """Return a function that lists the log messages of uvicorn at level WARNING or above."""
     with caplog.at_level(logging.WARNING):
         yield lambda: [record.getMessage() for record in caplog.records if record.name.startswith("uvicorn")]
@@ -71,17 +71,17 @@ def has_ended(sock) -> bool:
     return True
 
 
-def test_encrypted_page_stops_without_waiting_for_a_sleeping_browser(page, said):
+def test_encrypted_page_stops_without_waiting_for_a_sleeping_browser(page, log_records):
     with dialled(page) as idle, dialled(page) as quiet:
         assert answer(idle, page).startswith(b"HTTP/1.1 200")
         page.stop()
         # Neither connection has read or sent anything since the response.
-        assert said() == []
+        assert log_records() == []
         assert has_ended(idle)
         assert has_ended(quiet)
 
 
-def test_page_stops_while_a_linked_phone_sleeps(page, said):
+def test_page_stops_while_a_linked_phone_sleeps(page, log_records):
     host = "{}:{}".format(*place(page)).encode()
     with dialled(page) as phone:
         phone.sendall(
@@ -90,18 +90,18 @@ def test_page_stops_while_a_linked_phone_sleeps(page, said):
         )
         assert phone.recv(4096).startswith(b"HTTP/1.1 101")
         page.stop()
-        assert said() == []
+        assert log_records() == []
         assert has_ended(phone)
 
 
-def test_connection_during_the_tls_handshake_does_not_delay_the_stop_of_the_page(page, said):
+def test_connection_during_the_tls_handshake_does_not_delay_the_stop_of_the_page(page, log_records):
     with socket.create_connection(place(page), timeout=WAIT_S) as half:
         half.sendall(b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03")
         page.stop()
-        assert said() == []
+        assert log_records() == []
 
 
-def test_workstation_stops_while_a_window_does_not_read(tmp_path, said, monkeypatch):
+def test_workstation_stops_while_a_window_does_not_read(tmp_path, log_records, monkeypatch):
     ends = ending.TimedShutdownServer._end_connections
     unread: list[int] = []
 
@@ -122,10 +122,10 @@ def test_workstation_stops_while_a_window_does_not_read(tmp_path, said, monkeypa
             )
             assert deaf.recv(12) == b"HTTP/1.1 101"
         assert unread and unread[0] > 0
-        assert said() == []
+        assert log_records() == []
 
 
-def test_connection_that_arrives_during_shutdown_is_refused(tmp_path, said, monkeypatch):
+def test_connection_that_arrives_during_shutdown_is_refused(tmp_path, log_records, monkeypatch):
     late: list[socket.socket] = []
     ends = ending.TimedShutdownServer._end_connections
 
@@ -146,14 +146,14 @@ def test_connection_that_arrives_during_shutdown_is_refused(tmp_path, said, monk
     monkeypatch.setattr(ending.TimedShutdownServer, "_end_connections", arrives)
     with running(tmp_path):
         pass
-    assert said() == []
+    assert log_records() == []
     with late[0] as theirs:
         theirs.settimeout(WAIT_S)
         assert theirs.recv(1) == b""
 
 
 def test_open_connection_is_requested_once_to_close_and_not_aborted_if_it_closes():
-    told = []
+    calls = []
 
     class Connection:
         """Connection that closes a moment after the request, like a connection that is still writing its response."""
@@ -165,7 +165,7 @@ def test_open_connection_is_requested_once_to_close_and_not_aborted_if_it_closes
             return False
 
         def shutdown(self):
-            told.append("asked")
+            calls.append("asked")
             asyncio.get_running_loop().call_later(3 * ending.LOOK_EVERY_S, server.server_state.connections.clear)
 
     async def end():
@@ -175,13 +175,13 @@ def test_open_connection_is_requested_once_to_close_and_not_aborted_if_it_closes
     async def app(_scope, _receive, _send):
         raise AssertionError("nobody asks")
 
-    strangers = SimpleNamespace(cut=lambda _transport: told.append("cut"))
+    strangers = SimpleNamespace(cut=lambda _transport: calls.append("cut"))
     server = ending.TimedShutdownServer(uvicorn.Config(app, timeout_graceful_shutdown=600), strangers)
     asyncio.run(asyncio.wait_for(end(), WAIT_S))
-    assert told == ["asked"]
+    assert calls == ["asked"]
 
 
-def test_second_interrupt_ends_the_application_without_an_error(said):
+def test_second_interrupt_ends_the_application_without_an_error(log_records):
     """Check the second interrupt, at which uvicorn alone would cancel the application and print a traceback."""
     ended = []
 
@@ -204,4 +204,4 @@ def test_second_interrupt_ends_the_application_without_an_error(said):
         server.force_exit = server.should_exit = True
         thread.join(WAIT_S)
     assert ended == ["whole"]
-    assert said() == []
+    assert log_records() == []

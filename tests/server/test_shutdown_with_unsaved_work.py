@@ -88,9 +88,9 @@ class Station:
             line = self.process.stdout.readline()
             assert line, "the workstation did not start"
             text += line
-        told = json.loads(text)
-        base = told["url"].partition("/?")[0]
-        self.window = Window(f"ws{base[4:]}/ws", told["token"])
+        result = json.loads(text)
+        base = result["url"].partition("/?")[0]
+        self.window = Window(f"ws{base[4:]}/ws", result["token"])
         self.window.wait_open()
 
     def work(self):

@@ -22,9 +22,9 @@ from small_case import small_bench
 
 
 def test_message_of_every_instrument_has_the_lumen_it_needs_and_its_nominal_tip():
-    told = start_message(notice_accepted=True, recent=(), patient_citation=None).scopes
-    assert len(told) > 10
-    for scope in told:
+    scopes = start_message(notice_accepted=True, recent=(), patient_citation=None).scopes
+    assert len(scopes) > 10
+    for scope in scopes:
         assert scope.fit_mm == pytest.approx(scope_preset(scope.name).fit_mm, abs=0.005)
         assert scope.fit_mm > scope.tip_mm
 

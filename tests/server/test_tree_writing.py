@@ -45,7 +45,7 @@ class Writing:
 def test_tree_that_arrives_at_the_end_of_the_encoding_is_encoded_before_its_route_is_sent(monkeypatch):
     writing = Writing(monkeypatch)
     outbox = Outbox()
-    asked = []
+    calls = []
 
     async def run() -> None:
         loop = asyncio.get_running_loop()
@@ -53,8 +53,8 @@ def test_tree_that_arrives_at_the_end_of_the_encoding_is_encoded_before_its_rout
 
         def tree_text() -> str:
             text = plain()
-            asked.append(text)
-            if len(asked) == 2:
+            calls.append(text)
+            if len(calls) == 2:
                 # The second tree arrives after the second check.
                 writing.newest = "second"
                 loop.call_soon_threadsafe(writing.texts.mark, outbox, *TREE_AND_ROUTE)

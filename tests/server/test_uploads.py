@@ -152,8 +152,8 @@ def test_disk_has_neutral_names_for_this_user_only_and_the_window_shows_the_orig
     assert stat.S_IMODE(place.stat().st_mode) == 0o600
     assert {stat.S_IMODE(p.stat().st_mode) for p in place.parents if p.is_relative_to(folder.parents[1])} == {0o700}
     own = name.split("/")[-1]
-    said = json.dumps({"message": f"reading {place.name}: it is cut short; the folder {folder.name}"})
-    shown = json.loads(uploads.names.restored(said))["message"]
+    text = json.dumps({"message": f"reading {place.name}: it is cut short; the folder {folder.name}"})
+    shown = json.loads(uploads.names.restored(text))["message"]
     assert shown == f"reading {own}: it is cut short; the folder dropped files"
 
 

@@ -48,8 +48,8 @@ def test_observer_sees_the_case_and_the_flight_with_its_own_view_settings(desk):
         watcher.send(wire.SetCrosshair(LEFT_TIP), wire.SetTexture(on=False))
         assert watcher.until_state(lambda s: not s.sight.texture).sight.crosshair_lps == LEFT_TIP
         assert live.session.snapshot().sight is before, "what is kept is the person's own"
-        told = page_of(window, lambda page: page is not None and page.watchers)
-        assert [w.address for w in told.watchers] == ["127.0.0.1"]
+        page_state = page_of(window, lambda page: page is not None and page.watchers)
+        assert [w.address for w in page_state.watchers] == ["127.0.0.1"]
     assert page_of(window, lambda page: page is not None and not page.watchers).url == page.url
 
 
@@ -73,9 +73,9 @@ def test_session_refuses_an_observer_every_command_except_view_settings():
             continue
         # The session checks the caller first, so the values of the fields do not matter.
         command = cls(**dict.fromkeys(cls.__struct_fields__))
-        with pytest.raises(UsageError, match="you are watching") as told:
+        with pytest.raises(UsageError, match="you are watching") as refusal:
             bench.session.do(command, window=7)
-        assert told.value.code == "session.watching"
+        assert refusal.value.code == "session.watching"
         refused += 1
     assert (bench.session.snapshot(), bench.session.history(), bench.session.pose_info()) == before
     assert refused > 50 and allowed == 10
@@ -156,8 +156,8 @@ def test_observer_receives_no_folder_no_other_case_and_no_link(desk):
         assert state.case.other_series == ()
         kinds = {type(m) for m in watcher.seen}
         assert not kinds & {wire.DevicesMessage, wire.Pen, wire.Watching, wire.Progress, wire.Notice, wire.Done}
-        said = " ".join(fields(m) for m in watcher.seen)
-        assert "somebody" not in said and "token" not in said and page.url.partition("#")[2] not in said
+        text = " ".join(fields(m) for m in watcher.seen)
+        assert "somebody" not in text and "token" not in text and page.url.partition("#")[2] not in text
 
 
 def test_observer_with_a_wrong_token_is_refused_and_counted(desk):
@@ -202,8 +202,8 @@ def test_end_of_sharing_disconnects_all_observers_and_closes_the_port(desk):
 def test_removed_observer_cannot_return_by_the_same_link(desk):
     _live, window, page = desk
     with watching(page.url) as first, watching(page.url) as second:
-        told = page_of(window, lambda page: page is not None and len(page.watchers) == 2)
-        window.send(wire.SendAway(told.watchers[0].number))
+        page_state = page_of(window, lambda page: page is not None and len(page.watchers) == 2)
+        window.send(wire.SendAway(page_state.watchers[0].number))
         assert first.close_code() == (4410, "the person at the workstation has disconnected you")
         left = page_of(window, lambda page: page is not None and len(page.watchers) == 1)
         assert left.url != page.url

@@ -64,12 +64,12 @@ def test_case_pose_route_and_history_are_equal_in_all_windows(two):
 
 def test_sight_of_one_window_is_unchanged_by_another(two, live):
     first, second = two
-    told = len(second.seen)
+    num_seen = len(second.seen)
     first.send(wire.SetWindow(400.0, 40.0), wire.SetCrosshair(LEFT_TIP), wire.SetTexture(on=False))
     sight = first.until_state(lambda s: not s.sight.texture).sight
     assert (sight.window.width_hu, sight.crosshair_lps) == (400.0, LEFT_TIP)
     settle(second)
-    assert not [m for m in second.seen[told:] if isinstance(m, wire.State)]
+    assert not [m for m in second.seen[num_seen:] if isinstance(m, wire.State)]
     second.send(wire.SetFov(77.0))
     for window in two:
         window.until_state(lambda s: s.look.fov_deg == 77.0)
@@ -126,12 +126,12 @@ def test_edits_of_two_windows_form_one_history_and_each_undoes_the_last(two):
 
 def test_error_and_answer_are_sent_only_to_the_requesting_window(two):
     first, second = two
-    told = len(second.seen)
+    num_seen = len(second.seen)
     first.send(wire.RemoveTarget("nobody"), wire.Probe(LEFT_TIP))
     first.until(lambda m: isinstance(m, wire.Error))
     first.until(lambda m: isinstance(m, wire.Value) and m.lps == pytest.approx(LEFT_TIP))
     settle(second)
-    others = [m for m in second.seen[told:] if isinstance(m, wire.Error) or getattr(m, "lps", None) == LEFT_TIP]
+    others = [m for m in second.seen[num_seen:] if isinstance(m, wire.Error) or getattr(m, "lps", None) == LEFT_TIP]
     assert others == []
 
 

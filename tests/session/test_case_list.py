@@ -151,12 +151,12 @@ def test_another_ct_at_the_path_of_a_case_is_refused_and_the_open_case_stays(des
     desk.open()
     desk.work(100.0)
     desk.session.do(c.CloseCase())
-    (meant,) = desk.listed()
+    (expected,) = desk.listed()
     desk.digest = "another CT"
     desk.wall.now_s += 60.0
     desk.open("other")
     desk.work(90.0)
-    desk.session.do(c.OpenRecent(meant.recent_id))
+    desk.session.do(c.OpenRecent(expected.recent_id))
     desk.background.run_all()
     assert [e.code for e in desk.events if isinstance(e, Trouble)] == ["case.other-ct"]
     assert desk.session.snapshot().document.look.fov_deg == 90.0

@@ -135,9 +135,9 @@ def test_no_stored_file_contains_the_title_of_the_ct(tmp_path):
     (listed,) = session.cases.listed()
     assert listed.title == shown, "the name in the list is the name in the window"
     session.close()
-    kept = [path for path in tmp_path.rglob("*") if path.is_file()]
-    assert {"record.json", "recent.json"} <= {path.name for path in kept}
-    assert not [path for path in kept if title.encode() in path.read_bytes()]
+    files = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert {"record.json", "recent.json"} <= {path.name for path in files}
+    assert not [path for path in files if title.encode() in path.read_bytes()]
 
 
 def test_case_opened_again_has_the_name_of_its_first_opening(tmp_path):

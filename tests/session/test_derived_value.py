@@ -259,15 +259,15 @@ def test_value_stopped_after_its_computation_finished_is_not_used():
     assert (shop.value.of(A), shop.value.standing(A)) == (None, "stopped")
 
 
-@pytest.mark.parametrize("asked", ["other inputs", "again"])
+@pytest.mark.parametrize("repeat", ["other inputs", "again"])
 @pytest.mark.parametrize("begun", [False, True])
-def test_inputs_requested_between_stop_and_end_of_the_job_are_computed(asked, begun):
+def test_inputs_requested_between_stop_and_end_of_the_job_are_computed(repeat, begun):
     shop = Workshop()
-    wanted = B if asked == "other inputs" else A
+    wanted = B if repeat == "other inputs" else A
 
     def stop_and_want(*_):
         stop(shop)
-        if asked == "again":
+        if repeat == "again":
             shop.value.again()
         shop.value.want(wanted)
 

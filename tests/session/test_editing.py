@@ -107,10 +107,10 @@ def test_targets_are_tracked_again_in_the_edited_tree(bench, case):
     bench.background.run_all()
     assert all(target.route is not None for target in document(bench).targets)
     edit(bench, CutBranch(2))
-    lost, kept = document(bench).targets
+    lost, remaining = document(bench).targets
     assert lost.route is None
     assert "mm from the segmented lumen" in lost.problem
-    assert kept.route is not None
+    assert remaining.route is not None
     assert any(e.message.startswith("there is no longer a path to Target 1") for e in bench.of_type(UserMessage))
     edit(bench, AddBranch(point(case.tips[0])))
     assert all(target.route is not None for target in document(bench).targets)
@@ -200,9 +200,9 @@ def test_long_series_of_edits_is_undone_and_redone_bit_for_bit(bench, case):
     edits = [PaintLumen((point(trunk[3 + n // 2]),), 3.6 + 0.2 * n, "ball") for n in range(NUM_EDITS_WHOLE + 4)]
     edit(bench, *edits)
     history: History = bench.session._core.case.history
-    kept = [d.airways for d in history.documents()]
-    assert sum(isinstance(a, FoldedAirways) for a in kept) > 0
-    assert len({id(a) for a in kept if isinstance(a, Airways) and a.edits}) <= NUM_EDITS_WHOLE
+    snapshots = [d.airways for d in history.documents()]
+    assert sum(isinstance(a, FoldedAirways) for a in snapshots) > 0
+    assert len({id(a) for a in snapshots if isinstance(a, Airways) and a.edits}) <= NUM_EDITS_WHOLE
     last = document(bench).airways
     assert last.edits == tuple(edits)
     for num_left in range(len(edits) - 1, -1, -1):
@@ -243,21 +243,21 @@ def lung_bench():
 
 def test_branch_without_evidence_is_added_only_after_confirmation(lung_bench):
     edit(lung_bench, AddBranch(in_plain_lung()))
-    (asked,) = lung_bench.of_type(NotEvident)
+    (question,) = lung_bench.of_type(NotEvident)
     assert lung_bench.of_type(Trouble) == []
     (ended,) = lung_bench.of_type(JobEnded)
-    assert (ended.job_id, ended.outcome) == (asked.job_id, "failed")
+    assert (ended.job_id, ended.outcome) == (question.job_id, "failed")
     assert isinstance(ended.error, NoEvidenceError)
-    assert lung_bench.events.index(asked) < lung_bench.events.index(ended)
-    assert asked.lps == in_plain_lung()
-    assert asked.error.doubtful_mm > 2.0
+    assert lung_bench.events.index(question) < lung_bench.events.index(ended)
+    assert question.lps == in_plain_lung()
+    assert question.error.doubtful_mm > 2.0
     assert document(lung_bench).airways is open_ended_airways()
     assert lung_bench.session.snapshot().undo_label is None
 
-    edit(lung_bench, AddBranch(asked.lps, even_without_evidence=True))
+    edit(lung_bench, AddBranch(question.lps, even_without_evidence=True))
     drawn = [b for b in document(lung_bench).airways.tree.branches if b.kind == "manual"]
-    assert sum(b.doubtful_mm for b in drawn) == pytest.approx(asked.error.doubtful_mm)
-    assert np.array_equal(drawn[-1].points[-1], asked.error.way_lps[-1])
+    assert sum(b.doubtful_mm for b in drawn) == pytest.approx(question.error.doubtful_mm)
+    assert np.array_equal(drawn[-1].points[-1], question.error.way_lps[-1])
     assert all(b.name is None and b.confidence is None for b in drawn)
     lung_bench.session.undo()
     assert document(lung_bench).airways is open_ended_airways()
@@ -276,9 +276,9 @@ def test_preview_of_an_edit_equals_the_edit(lung_bench):
     preview = lung_bench.session.ask(PreviewOf(AddBranch(in_plain_lung())))
     assert not preview.has_evidence
     edit(lung_bench, AddBranch(in_plain_lung()))
-    (asked,) = lung_bench.of_type(NotEvident)
+    (question,) = lung_bench.of_type(NotEvident)
     (line,) = preview.lines
-    assert line.points_lps.tobytes() == asked.error.way_lps.tobytes()
+    assert line.points_lps.tobytes() == question.error.way_lps.tobytes()
     lung_bench.session.do(CloseCase())
     with pytest.raises(UsageError):
         lung_bench.session.ask(PreviewOf(AddBranch(in_plain_lung())))

@@ -64,12 +64,12 @@ def test_sight_of_a_follower_is_independent_of_the_owner_s(pair):
 
 def test_ct_can_be_claimed_after_a_refused_takeover(pair):
     owner, other, _, case_id = pair
-    kept = owner._saving._saver
+    saver = owner._saving._saver
     # The claim is released, because an owner that took over the case itself may have none.
-    kept._claim.release()
+    saver._claim.release()
     with pytest.raises(UsageError):
         do_and_wait(other, c.TakeOver(case_id))
-    claim = owner._saving.records.claim(kept.digest)
+    claim = owner._saving.records.claim(saver.digest)
     assert claim is not None, "another window is not told that the CT is open in this one"
     claim.release()
 

@@ -156,10 +156,10 @@ def test_failed_computation_of_layers_states_its_reason_and_can_be_retried():
 
 
 def test_reach_layer_is_of_the_instrument_that_was_requested_last():
-    asked = []
+    calls = []
 
     def make(_volume, _airways, *, scope, tool, wall, progress, cancel):
-        asked.append((scope, tool))
+        calls.append((scope, tool))
         raise NoResultError(f"nothing for {scope}")
 
     bench = bench_with(reach_atlas=make)
@@ -169,7 +169,7 @@ def test_reach_layer_is_of_the_instrument_that_was_requested_last():
     bench.background.run_all()
     bench.session.do(MapReach("thin", "forceps"))
     bench.background.run_all()
-    assert asked == [("ultrathin", "needle-21g"), ("thin", "forceps")]
+    assert calls == [("ultrathin", "needle-21g"), ("thin", "forceps")]
     assert bench.session.ask(LungsOf()).reach_problem == "nothing for thin"
 
 
@@ -195,9 +195,9 @@ def test_phantom_lungs_have_vessels_and_lobes_and_every_stage_can_be_cancelled()
     made = made_phantom(seed=4, spacing_mm=3.0, generations=4)
     airways = carina.find_airways(made.volume)
     wall = carina.track.wall_field(made.volume, airways)
-    told, early = [], []
+    reported, early = [], []
     lungs = map_lungs(
-        made.volume, airways, wall, progress=lambda what, share: told.append((what, share)), found=early.append
+        made.volume, airways, wall, progress=lambda what, share: reported.append((what, share)), found=early.append
     )
     assert [made.vessel_tree is None for made in early] == [True, False]
     assert early[-1].lobes == ()
@@ -212,10 +212,10 @@ def test_phantom_lungs_have_vessels_and_lobes_and_every_stage_can_be_cancelled()
     i, j, k = np.rint((points - vessels.first_lps) / vessels.spacing_mm).astype(int).T
     # Lines are smoothed, so a few points at a bend are beside the voxels of their vessel.
     assert vessels.inside_zyx[k, j, i].mean() > 0.85
-    shares = [share for _, share in told]
+    shares = [share for _, share in reported]
     assert shares == sorted(shares)
     # Every stage checks several times, so that a stop does not wait for the end of the stage.
-    looks = Counter(what for what, _ in told)
+    looks = Counter(what for what, _ in reported)
     assert looks["looking for vessels"] >= 8
     assert looks["following the vessels"] >= 3
     assert min(count for what, count in looks.items() if what != "finding the lungs") >= 3

@@ -79,12 +79,12 @@ def test_imported_mask_replaces_the_airways_in_one_undo_step(bench, tool):
 
 def test_mask_with_several_structures_asks_for_one_and_proposes_airway(bench, tool):
     before = bench.session.snapshot()
-    asked = take(bench, "/masks/several.nrrd")
-    question = asked.mask_question
+    requested = take(bench, "/masks/several.nrrd")
+    question = requested.mask_question
     assert (question.title, question.problem, question.suggested) == ("several.nrrd", "label", 4)
     assert question.labels == LABELS
-    assert asked.document is before.document
-    assert asked.airways == "found"
+    assert requested.document is before.document
+    assert requested.airways == "found"
     assert bench.of_type(Trouble) == []
     assert bench.session.ask(MaskFileNeeded())
     bench.session.do(AnswerMask(label=4))

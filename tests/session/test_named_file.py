@@ -108,9 +108,9 @@ def test_replace_moves_the_other_content_aside_and_overwrites_no_earlier_copy(di
     for n in range(3):
         path.write_text(f"theirs {n}")
         named = NamedFile(path)
-        kept = write(named, f"ours {n}", replace=True)
+        stored_paths = write(named, f"ours {n}", replace=True)
         named.close()
-        assert kept.read_text() == f"theirs {n}"
+        assert stored_paths.read_text() == f"theirs {n}"
         assert path.read_text() == f"ours {n}"
     assert names(path.parent) == [
         "team (replaced 2026-11-27 1405).carina",
@@ -360,9 +360,9 @@ def test_replace_moves_the_journal_together_with_the_replaced_file(disk, path, t
     path.write_text("theirs")
     journal = path.with_name(path.name + tail)
     journal.write_bytes(b"their changes")
-    kept = write(NamedFile(path), "ours", replace=True)
-    assert (path.read_text(), kept.read_text()) == ("ours", "theirs")
-    assert kept.with_name(kept.name + tail).read_bytes() == b"their changes"
+    stored_paths = write(NamedFile(path), "ours", replace=True)
+    assert (path.read_text(), stored_paths.read_text()) == ("ours", "theirs")
+    assert stored_paths.with_name(stored_paths.name + tail).read_bytes() == b"their changes"
     assert not journal.exists()
 
 
@@ -432,9 +432,9 @@ def test_names_of_files_beside_a_file_with_a_long_name_are_within_the_limit(disk
     beside = path_beside(path)
     beside.touch()
     assert beside.name.endswith(" (2).carina")
-    kept = write(NamedFile(path), "ours", replace=True)
-    assert "(replaced " in kept.name
-    assert (path.read_text(), kept.read_text()) == ("ours", "theirs")
+    stored_paths = write(NamedFile(path), "ours", replace=True)
+    assert "(replaced " in stored_paths.name
+    assert (path.read_text(), stored_paths.read_text()) == ("ours", "theirs")
 
 
 def test_hard_link_to_a_saved_file_is_a_separate_path(path):

@@ -273,8 +273,8 @@ class Ward:
             shutil.copy2(self.path, copy)
         elif what == "letter":
             self.count += 1
-            kept = self.path.with_name(f"moved {self.count}.carina")
-            self.path.rename(kept)
+            moved_path = self.path.with_name(f"moved {self.count}.carina")
+            self.path.rename(moved_path)
             text = f"letter {self.count}".encode()
             self.path.write_bytes(text)
             self.foreign.add(text)

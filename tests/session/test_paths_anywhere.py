@@ -54,8 +54,8 @@ def test_scan_without_airways_has_paths_that_are_undone_and_stored_in_a_file(ves
         assert case.state.mode == "path"
         with pytest.raises(NoResultError, match="no airways"):
             _ = case.airways
-        kept = case.save(tmp_path / "vessel.carina")
-    with carina.Case.open(kept) as again:
+        saved = case.save(tmp_path / "vessel.carina")
+    with carina.Case.open(saved) as again:
         (found,) = targets_of(again)
         assert (found.cost, found.root_lps, found.value_range) == (target.cost, target.root_lps, target.value_range)
         assert not found.route.lumen_known

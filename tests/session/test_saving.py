@@ -138,9 +138,9 @@ def test_unreadable_work_is_reported_and_left_unchanged(desk):
     MemoryFile.kept[path] = ("one CT", None)
     desk.open()
     assert again.history() == ()
-    (told,) = [e for e in desk.events if isinstance(e, Trouble)]
-    assert told.code == "case.unreadable"
-    assert path in told.message
+    (error,) = [e for e in desk.events if isinstance(e, Trouble)]
+    assert error.code == "case.unreadable"
+    assert path in error.message
     again.close()
 
 
@@ -249,10 +249,10 @@ def test_saving_thread_writes_a_change_without_a_request(desk):
     desk.open()
     session.do(c.SetFov(100.0))
     desk.clock.advance(5.0)
-    kept = session._saving._saver
-    with kept._wake:
-        kept._wake.notify_all()
-        assert kept._wake.wait_for(lambda: kept.info.saved_s is not None, 60.0)
+    saver = session._saving._saver
+    with saver._wake:
+        saver._wake.notify_all()
+        assert saver._wake.wait_for(lambda: saver.info.saved_s is not None, 60.0)
     assert session.snapshot().saving.saved_s == desk.wall.now_s
     session.close()
 
@@ -315,8 +315,8 @@ def test_named_file_is_not_replaced_by_one_that_lacks_a_flight(desk, tmp_path):
     place = tmp_path / "mine.carina"
     session.do(c.SaveCase(str(place)))
     desk.background.run_all()
-    said = [event.message for event in desk.events if isinstance(event, UserMessage)]
-    assert said[-1] == f"saved as {place}, without 1 recorded flight that could not be read from the faulty disk"
+    reported = [event.message for event in desk.events if isinstance(event, UserMessage)]
+    assert reported[-1] == f"saved as {place}, without 1 recorded flight that could not be read from the faulty disk"
     before = place.read_text(), desk.written[str(place)]
     session.do(c.SetFov(80.0))
     session.do(c.SaveCase(str(place)))
@@ -337,13 +337,13 @@ def test_notes_in_the_record_that_cannot_be_written_do_not_block_saving(desk, mo
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(LockedCase, "note", refuses)
-    kept = session._saving._saver
-    kept.call("a name", None)
-    assert kept.settle()
-    assert kept.info.problem is not None
+    saver = session._saving._saver
+    saver.call("a name", None)
+    assert saver.settle()
+    assert saver.info.problem is not None
     monkeypatch.undo()
-    assert kept.settle()
-    assert kept.info.problem is None
+    assert saver.settle()
+    assert saver.info.problem is None
     session.close()
 
 
@@ -407,9 +407,9 @@ def test_replaced_named_file_is_moved_to_a_name_that_is_reported(desk, named):
     desk.background.run_all()
     desk.session.do(c.SaveCase(str(named), replace=True))
     desk.background.run_all()
-    (kept,) = named.parent.glob("team (replaced *).carina")
-    assert kept.read_text() == "a letter"
-    assert any(kept.name in event.message for event in desk.events if isinstance(event, UserMessage))
+    (stored,) = named.parent.glob("team (replaced *).carina")
+    assert stored.read_text() == "a letter"
+    assert any(stored.name in event.message for event in desk.events if isinstance(event, UserMessage))
     assert saving(desk).copy_conflict is None
     desk.session.close()
 
@@ -421,9 +421,9 @@ def test_closing_with_a_changed_named_file_leaves_it_and_reports_it(desk, named)
     assert named.read_text() == "a letter"
     desk.open()
     assert desk.session.snapshot().document.look.fov_deg == 90.0
-    kept = desk.session._saving._saver
-    with kept._wake:
-        assert kept._wake.wait_for(lambda: kept.info.copy_conflict == "not-a-case", 60.0), "shown at once"
+    saver = desk.session._saving._saver
+    with saver._wake:
+        assert saver._wake.wait_for(lambda: saver.info.copy_conflict == "not-a-case", 60.0), "shown at once"
     desk.session.close()
 
 
@@ -523,8 +523,8 @@ def test_windows_that_open_one_ct_at_the_same_time_are_notified_of_each_other(de
     for one in desks:
         one.start()
         one.open()
-    told = [any("another window" in e.message for e in one.events if isinstance(e, UserMessage)) for one in desks]
-    assert told == [False, True, True, True]
+    reported = [any("another window" in e.message for e in one.events if isinstance(e, UserMessage)) for one in desks]
+    assert reported == [False, True, True, True]
     for one in desks:
         one.session.close()
     again = desk.start()

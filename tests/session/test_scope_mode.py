@@ -333,40 +333,40 @@ def test_recording_stores_the_inputs_of_its_wall(bench, tmp_path):
     session.do(StopRecording())
     recording = open_recording(tmp_path / "w.jsonl")
     volume = session.snapshot().case.volume
-    asked = []
+    calls = []
 
-    def made(kept):
-        asked.append(kept)
+    def made(stored):
+        calls.append(stored)
         return wall_field(volume, small_airways(volume), progress=lambda *_: None, cancel=lambda: False)
 
     replayed = list(recording.replay(volume, wall=made))
-    assert len(asked) == 1
-    assert asked[0]["digest"] == made(asked[0]).digest()
-    assert asked[0]["edits"] is None
+    assert len(calls) == 1
+    assert calls[0]["digest"] == made(calls[0]).digest()
+    assert calls[0]["edits"] is None
     assert all(same for _, same in replayed)
 
 
 def test_restored_scope_is_stored_until_its_wall_is_computed(bench):
     enter(bench)
     bench.session.do(Steer(3.0, 0.0, 0.2, 0.1))
-    kept = bench.session.ask(MomentToKeep())
+    stored = bench.session.ask(MomentToKeep())
     again = small_bench(wall_field=wall_field)
-    again.session.do(OpenVolume(bench.session.snapshot().case.volume, kept))
+    again.session.do(OpenVolume(bench.session.snapshot().case.volume, stored))
     again.background.run_next()
     assert again.session.snapshot().mode != "scope"
     assert again.background.waiting, "the wall is not known"
-    assert again.session.ask(MomentToKeep()).scope == kept.scope
+    assert again.session.ask(MomentToKeep()).scope == stored.scope
     again.background.run_all()
     assert again.session.snapshot().mode == "scope"
-    assert again.session.ask(MomentToKeep()).scope == kept.scope
+    assert again.session.ask(MomentToKeep()).scope == stored.scope
     again.session.close()
 
 
 def test_scope_is_not_restored_if_the_tip_moves_before_the_wall_is_computed(bench):
     enter(bench)
-    kept = bench.session.ask(MomentToKeep())
+    stored = bench.session.ask(MomentToKeep())
     again = small_bench(wall_field=wall_field)
-    again.session.do(OpenVolume(bench.session.snapshot().case.volume, kept))
+    again.session.do(OpenVolume(bench.session.snapshot().case.volume, stored))
     again.background.run_next()
     again.session.do(GoTo(5.0))
     assert again.session.ask(MomentToKeep()).scope is None

@@ -256,10 +256,10 @@ def test_case_without_airways_is_usable_and_has_a_message():
 
 
 def test_threshold_without_airways_is_used_for_the_next_root_and_reported_once():
-    asked = []
+    calls = []
 
     def find_nothing(volume, *, root_lps=None, lumen_threshold=None, **_options):
-        asked.append((root_lps is not None, lumen_threshold))
+        calls.append((root_lps is not None, lumen_threshold))
         raise NoResultError("no trachea was found")
 
     bench = small_bench(find_airways=find_nothing)
@@ -268,7 +268,7 @@ def test_threshold_without_airways_is_used_for_the_next_root_and_reported_once()
     bench.background.run_all()
     bench.session.do(SetRoot(small_lps((16.0, 14.0, 35.0))))
     bench.background.run_all()
-    assert asked == [(False, None), (False, -850.0), (True, -850.0)]
+    assert calls == [(False, None), (False, -850.0), (True, -850.0)]
     assert bench.session.snapshot().airways_words is not None
     assert bench.of_type(Trouble) == []
 
@@ -542,8 +542,8 @@ def test_progress_of_a_job_reports_the_time_left():
     core = bench.session._core
     core.parts = replace(core.parts, find_airways=find_airways)
     bench.open()
-    told = [(e.fraction, e.seconds_left) for e in seen]
-    assert told == [(0.0, None), (0.04, None), (0.05, pytest.approx(38.0)), (0.25, pytest.approx(9.0))]
+    reported = [(e.fraction, e.seconds_left) for e in seen]
+    assert reported == [(0.0, None), (0.04, None), (0.05, pytest.approx(38.0)), (0.25, pytest.approx(9.0))]
 
 
 def test_time_left_uses_total_progress_and_restarts_where_the_fraction_decreases():
@@ -559,8 +559,8 @@ def test_time_left_uses_total_progress_and_restarts_where_the_fraction_decreases
     core = bench.session._core
     core.parts = replace(core.parts, find_airways=find_airways)
     bench.open()
-    told = [e.seconds_left for e in bench.events if isinstance(e, JobProgress) and e.what in dict(stages)]
-    assert told == [None, pytest.approx(36.0), pytest.approx(8.0), None, pytest.approx(4.0)]
+    reported = [e.seconds_left for e in bench.events if isinstance(e, JobProgress) and e.what in dict(stages)]
+    assert reported == [None, pytest.approx(36.0), pytest.approx(8.0), None, pytest.approx(4.0)]
 
 
 def test_undo_keeps_a_limited_number_of_airways():
@@ -669,9 +669,9 @@ def test_freed_memory_is_returned_before_the_end_of_a_job_is_announced(monkeypat
 
 
 def test_job_that_starts_another_job_while_carina_closes_ends_without_an_error():
-    told, begun, closing = [], threading.Event(), threading.Event()
+    reported, begun, closing = [], threading.Event(), threading.Event()
     pool = ThreadPoolExecutor(1)
-    jobs = JobRunner(pool.submit, told.append, time.monotonic)
+    jobs = JobRunner(pool.submit, reported.append, time.monotonic)
 
     def work(job):
         begun.set()
@@ -683,7 +683,7 @@ def test_job_that_starts_another_job_while_carina_closes_ends_without_an_error()
     jobs.close()
     closing.set()
     pool.shutdown(wait=True)
-    assert [(one.title, one.outcome, one.error) for one in told] == [("the first", "cancelled", None)]
+    assert [(one.title, one.outcome, one.error) for one in reported] == [("the first", "cancelled", None)]
     with pytest.raises(CancelledError, match="closing"):
         jobs.start("late", "late", lambda _job: None)
 

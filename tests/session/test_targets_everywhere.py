@@ -123,12 +123,12 @@ def of_command_line(chest: Chest, at: Point) -> tuple[str, list[str]]:
     result = CliRunner().invoke(
         app, ["plan", str(chest.path), "--target", ",".join(f"{v:.2f}" for v in at), "--confirm", "all"]
     )
-    said = [line.removeprefix("target: ") for line in result.stderr.splitlines() if line.startswith("target: ")]
-    if not said:
+    reported = [line.removeprefix("target: ") for line in result.stderr.splitlines() if line.startswith("target: ")]
+    if not reported:
         assert result.exit_code == 4, result.output
         return result.stderr, []
     doubts = [line for line in result.stderr.splitlines() if line.startswith("! The target may not be a nodule")]
-    return said[0], [line.rpartition("(")[2].rstrip(")") for line in doubts]
+    return reported[0], [line.rpartition("(")[2].rstrip(")") for line in doubts]
 
 
 def of_wire(case: carina.Case, at: Point) -> tuple[str | None, list[str], bool]:
@@ -151,7 +151,7 @@ def check_places(chest: Chest, case: carina.Case, places: tuple[Point, ...]) -> 
     for at in places:
         words, doubts = of_python(chest, at)
         shown, listed = of_command_line(chest, at)
-        marked, asked, is_planned = of_wire(case, at)
+        marked, question, is_planned = of_wire(case, at)
         if words.startswith("plan."):
             kinds.add(words)
             assert not listed
@@ -165,7 +165,7 @@ def check_places(chest: Chest, case: carina.Case, places: tuple[Point, ...]) -> 
         if BESIDE_AIRWAY in doubts and marked is None:
             # The window selects the airway, and offers the target.
             continue
-        assert (marked, asked) == (words, doubts), at
+        assert (marked, question) == (words, doubts), at
         assert is_planned == (not doubts), at
     return kinds
 
@@ -199,10 +199,10 @@ def test_command_line_refuses_a_doubtful_target_without_a_confirmation(chest: Ch
 def test_window_plans_a_doubtful_target_only_after_its_confirmation(chest: Chest, case: carina.Case) -> None:
     case.do(AddTarget(chest.dense))
     (target,) = case.state.document.targets
-    (asked,) = plans_message(case.ask(PlanningOf())).targets
-    assert ([code for code, _ in asked.doubts], asked.unconfirmed) == (["target.density"], ("target.density",))
-    assert asked.moved_mm is None and not asked.routes
-    assert asked.problem is not None and "--confirm" not in asked.problem
+    (requested,) = plans_message(case.ask(PlanningOf())).targets
+    assert ([code for code, _ in requested.doubts], requested.unconfirmed) == (["target.density"], ("target.density",))
+    assert requested.moved_mm is None and not requested.routes
+    assert requested.problem is not None and "--confirm" not in requested.problem
     case.do(ConfirmTarget(target.target_id, ("target.density",)))
     (planned,) = plans_message(case.ask(PlanningOf())).targets
     assert ([code for code, _ in planned.doubts], planned.unconfirmed) == (["target.density"], ())

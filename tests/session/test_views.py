@@ -142,15 +142,15 @@ def test_curved_picture_has_the_lines_of_its_rows():
     session = opened()
     view = session.scene().spec("curved", 70, 100, 0.5)
     lines = Renderer(small_volume()).render(view).lines
-    told = picture_lines(lines)
-    assert told.row[0] == 0.5
-    assert told.row[-1] == 99.5
-    assert all(b > a for a, b in zip(told.row, told.row[1:], strict=False))
+    drawn = picture_lines(lines)
+    assert drawn.row[0] == 0.5
+    assert drawn.row[-1] == 99.5
+    assert all(b > a for a, b in zip(drawn.row, drawn.row[1:], strict=False))
     for row in (0.5, 13.5, 50.5, 99.5):
         for column in (0.0, 35.0, 70.0):
             start, step = (
-                np.array([np.interp(row, told.row, [p[a] for p in points]) for a in range(3)])
-                for points in (told.start_lps, told.step_lps)
+                np.array([np.interp(row, drawn.row, [p[a] for p in points]) for a in range(3)])
+                for points in (drawn.start_lps, drawn.step_lps)
             )
             # The tolerance is a tenth of a pixel, because the path bends slightly between two rows with lines.
             np.testing.assert_allclose(start + column * step, lines.lps_of(column, row), atol=0.1 * lines.mm_per_px)

@@ -45,8 +45,8 @@ class Windows:
 def windows():
     made = Windows()
     made.bench.open()
-    for told in made.told.values():
-        told.clear()
+    for messages in made.told.values():
+        messages.clear()
     return made
 
 

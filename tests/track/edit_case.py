@@ -95,11 +95,11 @@ def open_ended_volume() -> Volume:
 def open_ended_airways() -> Airways:
     """Return the airways of the case, with a tracker in the volume whose first two tubes are open."""
     airways, grid = edit_case().airways, PathGrid(open_ended_volume())
-    told = airways.tracker
+    reported = airways.tracker
     recipe = CoreRecipe(airways.wall_levels, is_edited=False)
-    tracker = PathTracker(grid, told.core, recipe=recipe, root_ijk=told.root_ijk, lumen_zyx=told.lumen_zyx)
-    assert told.given_nodes is not None
-    tracker.set_branches(told.branches, told.given_nodes)
+    tracker = PathTracker(grid, reported.core, recipe=recipe, root_ijk=reported.root_ijk, lumen_zyx=reported.lumen_zyx)
+    assert reported.given_nodes is not None
+    tracker.set_branches(reported.branches, reported.given_nodes)
     return replace(airways, tracker=tracker, evidence=PerVolumeCache())
 
 

@@ -444,9 +444,9 @@ def test_refused_edit_of_a_list_is_reported_with_its_number(case):
 def test_edit_of_the_tree_can_be_cancelled(case):
     with pytest.raises(CancelledError):
         edit_airways(case.volume, case.airways, CutBranch(2), cancel=lambda: True)
-    told = []
-    edit_airways(case.volume, case.airways, CutBranch(2), progress=lambda what, share: told.append((what, share)))
-    assert told
+    reported = []
+    edit_airways(case.volume, case.airways, CutBranch(2), progress=lambda what, share: reported.append((what, share)))
+    assert reported
 
 
 def test_airways_from_another_tools_mask_can_be_edited(case):

@@ -138,10 +138,10 @@ def test_cancelled_search_settles_every_voxel_when_resumed():
     field = np.random.default_rng(1).uniform(1.0, 3.0, volume.shape_zyx).astype(np.float32)
     paths = FieldPaths(volume, field, (45.0, 45.0, 45.0))
     seen: list[tuple[str, float | None]] = []
-    asked = iter([True])
+    checks = iter([True])
     # Cancellation is checked by real time, so a fast machine may finish without a check.
     try:
-        paths.solve_all(cancel=lambda: next(asked, False), progress=lambda what, share: seen.append((what, share)))
+        paths.solve_all(cancel=lambda: next(checks, False), progress=lambda what, share: seen.append((what, share)))
     except CancelledError:
         assert paths.num_settled < paths.num_open
         paths.solve_all()

@@ -228,10 +228,10 @@ def test_measures_are_plain_json_and_refuse_an_unknown_branch(measured):
 
 def test_measuring_can_be_cancelled_and_reports_progress(chest, measured):
     airways, _ = measured
-    told = []
-    measure_tree(chest.volume, airways, progress=lambda what, fraction: told.append((what, fraction)))
-    assert told[0] == ("measuring the airways", 0.0)
-    assert told[-1] == ("airways measured", 1.0)
+    reported = []
+    measure_tree(chest.volume, airways, progress=lambda what, fraction: reported.append((what, fraction)))
+    assert reported[0] == ("measuring the airways", 0.0)
+    assert reported[-1] == ("airways measured", 1.0)
     calls = itertools.count()
     with pytest.raises(CancelledError):
         measure_tree(chest.volume, airways, cancel=lambda: next(calls) >= 1)

@@ -85,10 +85,10 @@ def names_the_tube(made: Phantom, found: Airways, name: str) -> None:
     [note] = [note for note in found.badges if note.code == "track.tube"]
     assert note.words.startswith(name)
     assert note.words in found.notes
-    said = float(note.words.split("its tip ")[1].split(" mm")[0])
+    text = float(note.words.split("its tip ")[1].split(" mm")[0])
     # The fork of the found tree is up to a few mm below the phantom's fork, and one or two slices of the tube's tip are
     # blurred.
-    assert abs(said - made.truth["tube"]["above_carina_mm"]) <= 4.0 + 1.5 * made.volume.spacing_mm[2]
+    assert abs(text - made.truth["tube"]["above_carina_mm"]) <= 4.0 + 1.5 * made.volume.spacing_mm[2]
 
 
 def test_chest_without_larynx_and_tube_has_no_note_of_them() -> None:

@@ -64,10 +64,10 @@ def test_threads_get_right_costs_while_another_thread_searches():
     lumen = np.ones((40, 40, 40), bool)
     lumen[0] = lumen[-1] = False
     core, _ = tracker_of(lumen, (20, 20, 20))
-    asked = []
+    calls = []
 
     def look() -> bool:
-        asked.append(core.num_nodes)
+        calls.append(core.num_nodes)
         return False
 
     with ThreadPoolExecutor(4) as pool:

@@ -73,9 +73,9 @@ def test_offered_bridge_restores_the_airways_beyond(name, share):
     (bridge,) = [branch for branch in bridged.tree.branches if branch.kind == "bridge"]
     assert bridge.name == name
     assert len(bridged.tree) >= len(whole.tree) - 3
-    (told,) = filled(bridged)
-    assert told.beyond_lps is None
-    assert told.lps == place.lps
+    (reported,) = filled(bridged)
+    assert reported.beyond_lps is None
+    assert reported.lps == place.lps
 
 
 @pytest.mark.parametrize("share", [0.8, 1.0])
@@ -107,9 +107,9 @@ def test_missing_lobe_beyond_a_filled_bronchus_has_the_filling_as_reason():
         calibre_error_mm=None,
         beyond_lps=None,
     )
-    told = find_absent(AirwayTree((trunk, right, left)), [place])
-    assert {one.name for one in told if one.kind == "filled"} == {"RUL", "RML", "RLL"}
-    assert "a bronchus beyond the start of RMB is narrowed or filled" in told[0].words
+    absent = find_absent(AirwayTree((trunk, right, left)), [place])
+    assert {one.name for one in absent if one.kind == "filled"} == {"RUL", "RML", "RLL"}
+    assert "a bronchus beyond the start of RMB is narrowed or filled" in absent[0].words
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])

@@ -187,15 +187,15 @@ def assert_no_kernel_floods(what, volume, truth, capsys):
             try:
                 airways = carina.find_airways(sharpened(volume, amount, noise_hu))
             except NoResultError as error:
-                said = f"refused: {error}"[:60]
+                text = f"refused: {error}"[:60]
             else:
                 found = airways.lumen_zyx != 0
                 codes = {note.code for note in airways.badges}
                 share = np.count_nonzero(found) / np.count_nonzero(truth)
-                said = f"precision {1.0 - spoilt(found, truth):.3f}, {share:.2f} x the lumen"
-                said += f", {length_mm(airways):.0f} mm, {', '.join(codes) or 'no note'}"
-                assert share < 1.3, said
-                assert spoilt(found, truth) <= 0.05 or CODE in codes, said
+                text = f"precision {1.0 - spoilt(found, truth):.3f}, {share:.2f} x the lumen"
+                text += f", {length_mm(airways):.0f} mm, {', '.join(codes) or 'no note'}"
+                assert share < 1.3, text
+                assert spoilt(found, truth) <= 0.05 or CODE in codes, text
             with capsys.disabled():
                 cpu_s = time.process_time() - began
-                print(f"\n{what}, amount {amount}, noise {noise_hu:.0f} HU: {said}, {cpu_s:.1f} s CPU", end="")
+                print(f"\n{what}, amount {amount}, noise {noise_hu:.0f} HU: {text}, {cpu_s:.1f} s CPU", end="")

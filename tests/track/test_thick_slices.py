@@ -182,12 +182,12 @@ def without(tree: AirwayTree, name: str) -> AirwayTree:
     for branch in tree.branches:
         if branch.name == name or branch.parent in gone:
             gone.add(branch.id)
-    kept = tuple(
+    remaining = tuple(
         dataclasses.replace(branch, children=tuple(child for child in branch.children if child not in gone))
         for branch in tree.branches
         if branch.id not in gone
     )
-    return dataclasses.replace(tree, branches=kept)
+    return dataclasses.replace(tree, branches=remaining)
 
 
 def test_missed_segment_in_thick_slices_names_the_slices_as_reason_and_no_disease(chest):

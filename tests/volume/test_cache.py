@@ -65,7 +65,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def kept(folder: Path, clock: Clock) -> VolumeCache:
+def volume_cache(folder: Path, clock: Clock) -> VolumeCache:
     return VolumeCache(folder, max_bytes=1 << 30, clock=clock)
 
 
@@ -79,11 +79,11 @@ def chest_file(folder: Path, seed: int = 0, name: str = "ct.nrrd") -> Path:
     return path
 
 
-def keep(kept: VolumeCache, path: Path, series: str | None = None) -> str:
+def keep(volume_cache: VolumeCache, path: Path, series: str | None = None) -> str:
     """Open the CT from its files, store it in the cache and return its digest."""
-    opened = kept.open(path, series=series)
+    opened = volume_cache.open(path, series=series)
     assert not opened.from_cache
-    kept.keep(opened)
+    volume_cache.keep(opened)
     return ct_digest(opened.volume)
 
 
@@ -129,10 +129,10 @@ SOURCES: dict[str, Callable[[Path], Path]] = {
 
 
 @pytest.mark.parametrize("source", SOURCES)
-def test_ct_from_the_cache_equals_the_ct_from_its_files_in_every_field(source, kept, tmp_path):
+def test_ct_from_the_cache_equals_the_ct_from_its_files_in_every_field(source, volume_cache, tmp_path):
     path = SOURCES[source](tmp_path)
-    digest = keep(kept, path)
-    opened = kept.open(path)
+    digest = keep(volume_cache, path)
+    opened = volume_cache.open(path)
     assert opened.from_cache
     assert ct_digest(opened.volume) == digest
     volume = opened.volume
@@ -140,38 +140,38 @@ def test_ct_from_the_cache_equals_the_ct_from_its_files_in_every_field(source, k
     assert_equal(opened.volume, open_volume(path))
 
 
-def test_citation_is_restored_from_the_cache(kept, tmp_path):
+def test_citation_is_restored_from_the_cache(volume_cache, tmp_path):
     patient = demo_patient()
     source = CtSource.of(chest_file(tmp_path))
-    assert kept.put(patient, source)
-    assert_equal(kept.get(source.path), patient)
+    assert volume_cache.put(patient, source)
+    assert_equal(volume_cache.get(source.path), patient)
 
 
-def test_quality_range_and_digest_are_restored_and_not_computed_again(kept, tmp_path, monkeypatch):
+def test_quality_range_and_digest_are_restored_and_not_computed_again(volume_cache, tmp_path, monkeypatch):
     path = chest_file(tmp_path)
-    keep(kept, path)
+    keep(volume_cache, path)
     expected = open_volume(path)
     judged = quality.quality_gate(expected), expected.value_range, ct_digest(expected)
     monkeypatch.setattr(quality, "_judge", None)
     monkeypatch.setattr("carina.volume.digest.canonical_axes", None)
     monkeypatch.setattr("carina._core.value_range", None)
-    found = kept.get(path)
+    found = volume_cache.get(path)
     assert (quality.quality_gate(found), found.value_range, ct_digest(found)) == judged
 
 
-def test_chosen_series_is_cached_beside_the_default_series(kept, tmp_path):
+def test_chosen_series_is_cached_beside_the_default_series(volume_cache, tmp_path):
     path = two_series(tmp_path / "scan")
-    keep(kept, path)
-    assert kept.get(path, series="4") is None
-    keep(kept, path, series="4")
-    assert_equal(kept.get(path, series="4"), open_volume(path, series="4"))
-    assert_equal(kept.get(path), open_volume(path))
+    keep(volume_cache, path)
+    assert volume_cache.get(path, series="4") is None
+    keep(volume_cache, path, series="4")
+    assert_equal(volume_cache.get(path, series="4"), open_volume(path, series="4"))
+    assert_equal(volume_cache.get(path), open_volume(path))
 
 
 @pytest.mark.skipif(os.name != "posix", reason="modes of POSIX")
-def test_cache_files_are_private_and_their_names_contain_no_patient_data(kept, folder, tmp_path):
+def test_cache_files_are_private_and_their_names_contain_no_patient_data(volume_cache, folder, tmp_path):
     path = two_series(tmp_path / "DOE_JOHN")
-    keep(kept, path)
+    keep(volume_cache, path)
     found = files(folder)
     assert len(found) == 2
     for file in found:
@@ -198,79 +198,79 @@ CHANGES: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_each_kind_of_change_in_a_folder_is_detected(change, kept, tmp_path):
+def test_each_kind_of_change_in_a_folder_is_detected(change, volume_cache, tmp_path):
     path = two_series(tmp_path / "scan")
-    digest = keep(kept, path)
-    assert kept.find(path).state == "unchanged"
+    digest = keep(volume_cache, path)
+    assert volume_cache.find(path).state == "unchanged"
     CHANGES[change](path)
-    found = kept.find(path)
+    found = volume_cache.find(path)
     assert (found.state, found.digest) == ("changed", digest)
-    assert kept.get(path) is None
-    opened = kept.open(path)
+    assert volume_cache.get(path) is None
+    opened = volume_cache.open(path)
     assert not opened.from_cache
     # The cached volume may still be shown while the digests are compared.
     assert ct_digest(found.load()) == digest
 
 
-def test_changed_data_file_of_a_detached_header_is_detected(kept, tmp_path):
+def test_changed_data_file_of_a_detached_header_is_detected(volume_cache, tmp_path):
     path = grid_writers.FORMS["nrrd detached"](tmp_path, grid_writers.chest())
-    keep(kept, path)
+    keep(volume_cache, path)
     touch(tmp_path / "ct.raw")
-    assert kept.find(path).state == "changed"
+    assert volume_cache.find(path).state == "changed"
 
 
-def test_new_data_file_that_has_precedence_is_detected(kept, tmp_path):
+def test_new_data_file_that_has_precedence_is_detected(volume_cache, tmp_path):
     path = grid_writers.FORMS["nifti pair"](tmp_path, grid_writers.chest())
     (tmp_path / "ct.img").rename(tmp_path / "ct.IMG")
-    keep(kept, path)
+    keep(volume_cache, path)
     shutil.copy(tmp_path / "ct.IMG", tmp_path / "ct.img")
-    assert kept.find(path).state == "changed"
+    assert volume_cache.find(path).state == "changed"
 
 
-def test_missing_source_is_reported_and_opening_it_fails(kept, tmp_path):
+def test_missing_source_is_reported_and_opening_it_fails(volume_cache, tmp_path):
     path = chest_file(tmp_path)
-    digest = keep(kept, path)
+    digest = keep(volume_cache, path)
     path.unlink()
-    assert kept.find(path).state == "missing"
-    assert kept.find_digest(digest).load() is not None
+    assert volume_cache.find(path).state == "missing"
+    assert volume_cache.find_digest(digest).load() is not None
     with pytest.raises(VolumeImportError, match="there is no such file"):
-        kept.open(path)
+        volume_cache.open(path)
 
 
-def test_file_written_less_than_two_seconds_ago_is_not_cached(kept, clock, folder, tmp_path):
+def test_file_written_less_than_two_seconds_ago_is_not_cached(volume_cache, clock, folder, tmp_path):
     path = chest_file(tmp_path)
     clock.now_s = path.stat().st_mtime + 1.5
-    keep(kept, path)
-    assert kept.find(path) is None
+    keep(volume_cache, path)
+    assert volume_cache.find(path) is None
     clock.now_s += 1.0
-    keep(kept, path)
-    assert kept.find(path) is not None
+    keep(volume_cache, path)
+    assert volume_cache.find(path) is not None
 
 
-def test_files_that_change_while_they_are_read_are_not_cached(kept, tmp_path):
+def test_files_that_change_while_they_are_read_are_not_cached(volume_cache, tmp_path):
     path = chest_file(tmp_path)
-    opened = kept.open(path)
+    opened = volume_cache.open(path)
     touch(path)
-    assert not kept.keep(opened)
-    assert kept.find(path) is None
+    assert not volume_cache.keep(opened)
+    assert volume_cache.find(path) is None
 
 
-def test_moved_ct_shares_its_voxel_file_and_a_ct_with_other_axes_does_not(kept, folder, clock, tmp_path):
+def test_moved_ct_shares_its_voxel_file_and_a_ct_with_other_axes_does_not(volume_cache, folder, clock, tmp_path):
     path = chest_file(tmp_path)
-    digest = keep(kept, path)
+    digest = keep(volume_cache, path)
     moved = path.rename(tmp_path / "moved.nrrd")
-    assert kept.find(moved) is None
+    assert volume_cache.find(moved) is None
     clock.now_s += 10
-    assert keep(kept, moved) == digest
+    assert keep(volume_cache, moved) == digest
     assert len(files(folder, SUFFIX)) == 1
     assert len(files(folder, ".source")) == 2
-    assert kept.find_digest(digest).source.path == moved
+    assert volume_cache.find_digest(digest).source.path == moved
     read = open_volume(moved)
     back = Volume(np.ascontiguousarray(read.hu_zyx[::-1]), read.lps_from_ijk @ np.diag([1.0, 1.0, -1.0, 1.0]))
     exported = write_grid(tmp_path / "back.nii", back.hu_zyx, back.lps_from_ijk, what="the CT")
-    assert keep(kept, exported) == digest
+    assert keep(volume_cache, exported) == digest
     assert len(files(folder, SUFFIX)) == 2
-    assert_equal(kept.get(exported), open_volume(exported))
+    assert_equal(volume_cache.get(exported), open_volume(exported))
 
 
 def damage(file: Path, where: str) -> None:
@@ -298,25 +298,25 @@ def damage(file: Path, where: str) -> None:
         *("first byte", "version", "header's length", "header", "first voxel", "last"),
     ],
 )
-def test_damaged_voxel_file_is_removed_and_the_source_is_read(where, kept, folder, tmp_path, caplog):
+def test_damaged_voxel_file_is_removed_and_the_source_is_read(where, volume_cache, folder, tmp_path, caplog):
     path = chest_file(tmp_path)
-    expected = keep(kept, path)
+    expected = keep(volume_cache, path)
     (voxels,) = files(folder, SUFFIX)
     damage(voxels, where)
     with caplog.at_level(logging.WARNING):
-        opened = kept.open(path)
+        opened = volume_cache.open(path)
     assert not opened.from_cache
     assert "could not be used" in caplog.text
     assert str(path) not in caplog.text
     assert not voxels.exists()
-    assert kept.keep(opened)
+    assert volume_cache.keep(opened)
     assert ct_digest(opened.volume) == expected
-    assert_equal(kept.get(path), open_volume(path))
+    assert_equal(volume_cache.get(path), open_volume(path))
 
 
-def test_voxel_file_truncated_while_it_is_read_is_not_used(kept, folder, tmp_path, monkeypatch):
+def test_voxel_file_truncated_while_it_is_read_is_not_used(volume_cache, folder, tmp_path, monkeypatch):
     path = chest_file(tmp_path)
-    keep(kept, path)
+    keep(volume_cache, path)
     (voxels,) = files(folder, SUFFIX)
     fill = voxel_file._fill
 
@@ -325,54 +325,56 @@ def test_voxel_file_truncated_while_it_is_read_is_not_used(kept, folder, tmp_pat
         os.truncate(voxels, 4096)
 
     monkeypatch.setattr(voxel_file, "_fill", cut_first)
-    assert kept.get(path) is None
+    assert volume_cache.get(path) is None
 
 
 @pytest.mark.parametrize("where", ["emptied", "first byte", "longer"])
-def test_damaged_source_record_is_not_used_and_is_removed(where, kept, folder, tmp_path):
+def test_damaged_source_record_is_not_used_and_is_removed(where, volume_cache, folder, tmp_path):
     path = chest_file(tmp_path)
-    keep(kept, path)
+    keep(volume_cache, path)
     (source,) = files(folder, ".source")
     damage(source, where)
-    assert kept.find(path) is None
-    kept.sweep()
+    assert volume_cache.find(path) is None
+    volume_cache.sweep()
     assert not source.exists()
 
 
-def test_change_of_a_byte_of_a_source_record_is_detected(kept, folder, tmp_path):
+def test_change_of_a_byte_of_a_source_record_is_detected(volume_cache, folder, tmp_path):
     path = chest_file(tmp_path)
-    keep(kept, path)
+    keep(volume_cache, path)
     (source,) = files(folder, ".source")
     content = source.read_bytes()
     for at in range(0, len(content), 7):
         source.write_bytes(content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :])
-        assert kept.find(path) is None, at
+        assert volume_cache.find(path) is None, at
     source.write_bytes(content)
-    assert kept.find(path) is not None
+    assert volume_cache.find(path) is not None
 
 
-def test_voxel_file_with_the_name_of_another_ct_is_not_used(kept, folder, tmp_path):
+def test_voxel_file_with_the_name_of_another_ct_is_not_used(volume_cache, folder, tmp_path):
     one, other = chest_file(tmp_path, 1, "a.nrrd"), chest_file(tmp_path, 2, "b.nrrd")
-    keep(kept, one)
+    keep(volume_cache, one)
     (voxels,) = files(folder, SUFFIX)
     aside = voxels.rename(folder / "aside")
-    keep(kept, other)
+    keep(volume_cache, other)
     (others,) = files(folder, SUFFIX)
     others.replace(voxels)
     aside.unlink()
-    assert kept.get(one) is None
+    assert volume_cache.get(one) is None
 
 
-def test_record_of_another_carina_version_is_replaced_and_its_voxels_are_reused(kept, folder, tmp_path, monkeypatch):
+def test_record_of_another_carina_version_is_replaced_and_its_voxels_are_reused(
+    volume_cache, folder, tmp_path, monkeypatch
+):
     path = chest_file(tmp_path)
-    digest = keep(kept, path)
+    digest = keep(volume_cache, path)
     (voxels,) = files(folder, SUFFIX)
     before = voxels.stat().st_ino
     monkeypatch.setattr(cache, "_made_by", lambda: "a newer one")
-    assert kept.find(path) is None
-    assert kept.find_digest(digest) is None
-    keep(kept, path)
-    assert kept.find(path) is not None
+    assert volume_cache.find(path) is None
+    assert volume_cache.find_digest(digest) is None
+    keep(volume_cache, path)
+    assert volume_cache.find(path) is not None
     # The voxels are the same, so their file is not written again.
     assert voxels.stat().st_ino == before
 
@@ -385,18 +387,20 @@ def test_version_of_the_import_code_is_equal_at_each_computation():
 def test_least_recently_used_ct_is_removed_when_the_cache_is_full(folder, clock, tmp_path):
     paths = [chest_file(tmp_path, seed, f"{seed}.nrrd") for seed in range(3)]
     one = 2 * grid_writers.chest().size + 4096
-    kept = VolumeCache(folder, max_bytes=2 * one, clock=clock)
+    volume_cache = VolumeCache(folder, max_bytes=2 * one, clock=clock)
     for path in paths[:2]:
         clock.now_s += 10
-        keep(kept, path)
+        keep(volume_cache, path)
     clock.now_s += 10
-    assert kept.get(paths[0]) is not None  # after this use the second CT is the least recently used one
+    assert volume_cache.get(paths[0]) is not None  # after this use the second CT is the least recently used one
     clock.now_s += 10
-    keep(kept, paths[2])
-    assert [kept.find(path) is not None for path in paths] == [True, False, True]
+    keep(volume_cache, paths[2])
+    assert [volume_cache.find(path) is not None for path in paths] == [True, False, True]
     assert len(files(folder, SUFFIX)) == len(files(folder, ".source")) == 2
-    assert sum(size.num_bytes for size in kept.sizes()) <= 2 * one
-    assert [size.last_used_s for size in kept.sizes()] == sorted((s.last_used_s for s in kept.sizes()), reverse=True)
+    assert sum(size.num_bytes for size in volume_cache.sizes()) <= 2 * one
+    assert [size.last_used_s for size in volume_cache.sizes()] == sorted(
+        (s.last_used_s for s in volume_cache.sizes()), reverse=True
+    )
 
 
 def test_ct_larger_than_the_limit_is_not_cached_and_evicts_no_other(folder, clock, tmp_path):
@@ -417,39 +421,39 @@ def test_default_limit_is_a_tenth_of_free_space_and_cache_size_together(folder, 
     assert VolumeCache(folder)._bound(100) == cache.MAX_BYTES
 
 
-def test_ct_unused_for_a_long_time_is_removed(kept, folder, clock, tmp_path):
+def test_ct_unused_for_a_long_time_is_removed(volume_cache, folder, clock, tmp_path):
     paths = [chest_file(tmp_path, seed, f"{seed}.nrrd") for seed in range(2)]
     for path in paths:
-        keep(kept, path)
+        keep(volume_cache, path)
     clock.now_s += 60 * DAY_S
-    assert kept.get(paths[1]) is not None
+    assert volume_cache.get(paths[1]) is not None
     clock.now_s += 60 * DAY_S
-    assert kept.sweep() > 0
-    assert [kept.find(path) is not None for path in paths] == [False, True]
+    assert volume_cache.sweep() > 0
+    assert [volume_cache.find(path) is not None for path in paths] == [False, True]
 
 
-def test_cache_can_be_emptied_and_switched_off_and_on_while_in_use(kept, folder, clock, tmp_path):
+def test_cache_can_be_emptied_and_switched_off_and_on_while_in_use(volume_cache, folder, clock, tmp_path):
     path = chest_file(tmp_path)
-    keep(kept, path)
-    assert kept.empty() > 0
-    assert kept.sizes() == ()
-    keep(kept, path)
-    kept.switch(False)
-    assert kept.sizes() == ()
-    assert not kept.is_on
-    assert kept.can_be_on
-    assert not kept.keep(kept.open(path))
-    kept.switch(True)
-    assert kept.keep(kept.open(path))
+    keep(volume_cache, path)
+    assert volume_cache.empty() > 0
+    assert volume_cache.sizes() == ()
+    keep(volume_cache, path)
+    volume_cache.switch(False)
+    assert volume_cache.sizes() == ()
+    assert not volume_cache.is_on
+    assert volume_cache.can_be_on
+    assert not volume_cache.keep(volume_cache.open(path))
+    volume_cache.switch(True)
+    assert volume_cache.keep(volume_cache.open(path))
     never = VolumeCache(folder, max_bytes=0, clock=clock)
     never.switch(True)
     assert not never.is_on
     assert not never.can_be_on
 
 
-def test_disabled_cache_stores_nothing_and_a_sweep_empties_it(kept, folder, clock, tmp_path):
+def test_disabled_cache_stores_nothing_and_a_sweep_empties_it(volume_cache, folder, clock, tmp_path):
     path = chest_file(tmp_path)
-    keep(kept, path)
+    keep(volume_cache, path)
     off = VolumeCache(folder, max_bytes=0, clock=clock)
     assert not off.is_on
     opened = off.open(path)
@@ -459,41 +463,41 @@ def test_disabled_cache_stores_nothing_and_a_sweep_empties_it(kept, folder, cloc
     assert files(folder) == []
 
 
-def test_forgotten_ct_is_removed_with_the_records_of_all_its_sources(kept, folder, tmp_path):
+def test_forgotten_ct_is_removed_with_the_records_of_all_its_sources(volume_cache, folder, tmp_path):
     path = chest_file(tmp_path)
-    digest = keep(kept, path)
-    keep(kept, Path(shutil.copy(path, tmp_path / "copy.nrrd")))
+    digest = keep(volume_cache, path)
+    keep(volume_cache, Path(shutil.copy(path, tmp_path / "copy.nrrd")))
     stays = chest_file(tmp_path, 1, "stays.nrrd")
-    keep(kept, stays)
-    assert kept.forget(digest) > 2 * grid_writers.chest().size
+    keep(volume_cache, stays)
+    assert volume_cache.forget(digest) > 2 * grid_writers.chest().size
     assert len(files(folder)) == 2
-    assert kept.get(stays) is not None
-    assert kept.forget(digest) == 0
+    assert volume_cache.get(stays) is not None
+    assert volume_cache.forget(digest) == 0
 
 
-def test_ct_forgotten_while_it_is_written_is_not_stored(kept, folder, tmp_path):
+def test_ct_forgotten_while_it_is_written_is_not_stored(volume_cache, folder, tmp_path):
     path = chest_file(tmp_path)
-    opened = kept.open(path)
+    opened = volume_cache.open(path)
     digest = ct_digest(opened.volume)
 
     def forget_now() -> bool:
         if next(folder.glob(".*.draft"), None) is not None:
-            kept.forget(digest)
+            volume_cache.forget(digest)
         return False
 
-    assert not kept.put(opened.volume, opened.source, cancel=forget_now)
+    assert not volume_cache.put(opened.volume, opened.source, cancel=forget_now)
     assert files(folder) == []
     # A later request stores the CT again.
-    assert kept.put(opened.volume, opened.source)
+    assert volume_cache.put(opened.volume, opened.source)
 
 
-def test_full_disk_is_logged_and_the_ct_still_opens(kept, folder, tmp_path, monkeypatch, caplog):
+def test_full_disk_is_logged_and_the_ct_still_opens(volume_cache, folder, tmp_path, monkeypatch, caplog):
     def full(*_arguments, **_options):
         raise disk_trouble(OSError(errno.ENOSPC, "full"), "cannot write the cached CT to", folder)
 
     monkeypatch.setattr(cache, "draft_voxel_file", full)
     with caplog.at_level(logging.WARNING):
-        digest = keep(kept, chest_file(tmp_path))
+        digest = keep(volume_cache, chest_file(tmp_path))
     assert len(digest) == 64
     assert "could not be cached" in caplog.text
     assert files(folder) == []
@@ -503,37 +507,37 @@ def test_full_disk_is_logged_and_the_ct_still_opens(kept, folder, tmp_path, monk
 def test_read_only_cache_folder_does_not_prevent_opening(tmp_path, clock):
     closed = tmp_path / "closed"
     closed.mkdir(mode=0o500)
-    kept = VolumeCache(closed / "volumes", clock=clock)
-    keep(kept, chest_file(tmp_path))
-    assert kept.sizes() == ()
+    volume_cache = VolumeCache(closed / "volumes", clock=clock)
+    keep(volume_cache, chest_file(tmp_path))
+    assert volume_cache.sizes() == ()
 
 
-def test_opening_from_the_cache_reports_progress_and_can_be_cancelled(kept, tmp_path):
+def test_opening_from_the_cache_reports_progress_and_can_be_cancelled(volume_cache, tmp_path):
     path = chest_file(tmp_path)
-    keep(kept, path)
-    said: list[tuple[str, float | None]] = []
-    assert kept.open(path, progress=lambda *step: said.append(step)).from_cache
-    assert said[0] == ("Reading the cached CT", 0)
+    keep(volume_cache, path)
+    reported: list[tuple[str, float | None]] = []
+    assert volume_cache.open(path, progress=lambda *step: reported.append(step)).from_cache
+    assert reported[0] == ("Reading the cached CT", 0)
     with pytest.raises(CancelledError):
-        kept.open(path, cancel=lambda: True)
+        volume_cache.open(path, cancel=lambda: True)
     with pytest.raises(CancelledError):
-        kept.keep(kept.open(chest_file(tmp_path, 1, "b.nrrd")), cancel=lambda: True)
+        volume_cache.keep(volume_cache.open(chest_file(tmp_path, 1, "b.nrrd")), cancel=lambda: True)
 
 
-def test_sweep_and_forget_leave_files_of_other_programs(kept, folder, tmp_path):
+def test_sweep_and_forget_leave_files_of_other_programs(volume_cache, folder, tmp_path):
     path = chest_file(tmp_path)
-    digest = keep(kept, path)
+    digest = keep(volume_cache, path)
     for name in ("mine.txt", f"mine{SUFFIX}", f"{digest}{SUFFIX}.txt"):
         (folder / name).write_text("mine")
     (folder / f"link{SUFFIX}").symlink_to(path)
     VolumeCache(folder, max_bytes=0).sweep()
-    kept.forget(digest)
+    volume_cache.forget(digest)
     assert {file.name for file in files(folder)} >= {"mine.txt", f"mine{SUFFIX}", f"link{SUFFIX}"}
     assert path.exists()
 
 
-def test_sweep_does_nothing_while_another_process_sweeps(kept, folder, tmp_path):
-    keep(kept, chest_file(tmp_path))
+def test_sweep_does_nothing_while_another_process_sweeps(volume_cache, folder, tmp_path):
+    keep(volume_cache, chest_file(tmp_path))
     descriptor = os.open(folder / "lock", os.O_RDWR)
     try:
         assert try_lock(descriptor)
@@ -545,27 +549,27 @@ def test_sweep_does_nothing_while_another_process_sweeps(kept, folder, tmp_path)
     assert off.sweep() > 0
 
 
-def test_sweep_removes_voxel_files_without_a_source_record_after_two_hours(kept, folder, clock, tmp_path):
+def test_sweep_removes_voxel_files_without_a_source_record_after_two_hours(volume_cache, folder, clock, tmp_path):
     path = chest_file(tmp_path)
-    keep(kept, path)
+    keep(volume_cache, path)
     (source,) = files(folder, ".source")
     source.unlink()
-    kept.sweep()
+    volume_cache.sweep()
     assert len(files(folder, SUFFIX)) == 1  # another process may be about to write the source record
     clock.now_s += 2 * 3600
-    kept.sweep()
+    volume_cache.sweep()
     assert files(folder) == []
 
 
-def test_ct_is_cached_in_the_background(kept, tmp_path):
+def test_ct_is_cached_in_the_background(volume_cache, tmp_path):
     path = chest_file(tmp_path)
-    opened = kept.open_and_keep(path)
-    kept.wait_kept()
-    assert kept.find(path) is not None
-    assert_equal(kept.open_and_keep(path), opened)
+    opened = volume_cache.open_and_keep(path)
+    volume_cache.wait_kept()
+    assert volume_cache.find(path) is not None
+    assert_equal(volume_cache.open_and_keep(path), opened)
 
 
-def test_close_cancels_a_pending_write_to_the_cache(kept, folder, tmp_path, monkeypatch):
+def test_close_cancels_a_pending_write_to_the_cache(volume_cache, folder, tmp_path, monkeypatch):
     begun, ended = threading.Event(), threading.Event()
     draft = cache.draft_voxel_file
 
@@ -575,16 +579,16 @@ def test_close_cancels_a_pending_write_to_the_cache(kept, folder, tmp_path, monk
         return draft(*arguments, **options)
 
     monkeypatch.setattr(cache, "draft_voxel_file", slowly)
-    kept.open_and_keep(chest_file(tmp_path))
+    volume_cache.open_and_keep(chest_file(tmp_path))
     assert begun.wait(60)
-    ending = threading.Thread(target=kept.close)
+    ending = threading.Thread(target=volume_cache.close)
     ending.start()
-    assert kept._ending.wait(60)
+    assert volume_cache._ending.wait(60)
     ended.set()
     ending.join()
     assert files(folder) == []
-    kept.open_and_keep(chest_file(tmp_path, 1, "b.nrrd"))
-    kept.wait_kept()
+    volume_cache.open_and_keep(chest_file(tmp_path, 1, "b.nrrd"))
+    volume_cache.wait_kept()
     assert files(folder) == []
 
 

@@ -96,8 +96,8 @@ def test_page_marks_refusals_notes_and_badges_as_the_code_does():
     kinds = {row["code"]: row["kind"] for row in rows()}
     assert noted()
     for code, found in noted().items():
-        said = next(iter(found)) if len(found) == 1 else "note or badge"
-        assert kinds[code] == said, code
+        kind = next(iter(found)) if len(found) == 1 else "note or badge"
+        assert kinds[code] == kind, code
 
 
 @pytest.mark.parametrize("kind", ["refusal", "note"])

@@ -318,7 +318,7 @@ def test_compressed_stream_of_another_size_is_refused_before_decoding(write_seri
     error = refusal(write_series(edit=lie, syntax=JPEGLSLossless))
     assert error.code == "import.truncated"
     assert "65000 x 65000" in str(error)
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB; the header claims 8 million
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB; the header claims 8,000,000 kB
 
 
 def test_an_unknown_compression_is_refused_by_name(write_series):

@@ -184,8 +184,8 @@ def test_computation_of_a_digest_can_be_cancelled():
 
 def case_of(volume: Volume) -> tuple[str, SimpleNamespace]:
     """Return the digest and the geometry of a CT as a case stores them."""
-    kept = canonical_geometry(volume)
-    return ct_digest(volume), SimpleNamespace(shape_zyx=kept.shape_zyx, lps_from_ijk=kept.lps_from_ijk)
+    geometry = canonical_geometry(volume)
+    return ct_digest(volume), SimpleNamespace(shape_zyx=geometry.shape_zyx, lps_from_ijk=geometry.lps_from_ijk)
 
 
 def test_another_ct_is_refused_for_a_case_with_the_stated_difference():

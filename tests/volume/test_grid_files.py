@@ -216,7 +216,7 @@ def test_compressed_header_that_claims_an_enormous_size_takes_no_memory(tmp_path
     path.write_bytes(gzip.compress(nifti(shape=(800, 800, 800)) + noise))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     assert refusal(path).code == "import.truncated"
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB; the header claims a million
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB; the header claims 1,000,000 kB
 
 
 def test_stream_that_inflates_to_more_than_the_header_claims_is_refused(tmp_path):
@@ -258,9 +258,9 @@ def test_import_of_a_grid_file_can_be_cancelled_at_every_step(tmp_path, suffix):
     open_volume(path, progress=lambda what, fraction: seen.append(what))
     assert "Reading the voxels" in seen
     for stop_at in range(len(seen)):
-        asked = iter(range(len(seen) + 1))
+        checks = iter(range(len(seen) + 1))
         with pytest.raises(CancelledError):
-            open_volume(path, cancel=lambda asked=asked, stop_at=stop_at: next(asked) >= stop_at)
+            open_volume(path, cancel=lambda checks=checks, stop_at=stop_at: next(checks) >= stop_at)
 
 
 def test_import_library_writes_nothing_to_the_terminal(tmp_path, capfd):

@@ -249,9 +249,9 @@ def test_segment_names_are_converted_to_printable_text(volume, inside, tmp_path)
         data.SegmentSequence[0].SegmentLabel = "air\x01way" + 5000 * "y"
 
     path = segmentation(tmp_path / "seg.dcm", labels, oblique(), change=rename)
-    with pytest.raises(MaskLabelError) as asked:
+    with pytest.raises(MaskLabelError) as refusal:
         open_mask(path, volume)
-    assert [label.name for label in asked.value.labels] == [("air way" + 5000 * "y")[:64], "structure 2"]
+    assert [label.name for label in refusal.value.labels] == [("air way" + 5000 * "y")[:64], "structure 2"]
 
 
 def _tilt(data):

@@ -157,9 +157,9 @@ def test_progress_of_an_import_increases_and_it_can_be_cancelled_at_every_step(w
     assert slices[-1] == 1.0
     # Cancelling at each call in turn raises CancelledError and never gives an incomplete volume.
     for stop_at in range(len(seen)):
-        asked = iter(range(len(seen) + 1))
+        checks = iter(range(len(seen) + 1))
         with pytest.raises(CancelledError):
-            open_volume(folder, cancel=lambda asked=asked, stop_at=stop_at: next(asked) >= stop_at)
+            open_volume(folder, cancel=lambda checks=checks, stop_at=stop_at: next(checks) >= stop_at)
 
 
 def test_messages_are_bounded_if_every_image_is_its_own_series(tmp_path, write_series):

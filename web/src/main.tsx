@@ -22,7 +22,7 @@ const station = new Workstation(() => new WebSocket(socketAddress()), location.h
 exposeForTests(station);
 station.start();
 const root = document.getElementById("root");
-if (root === null) throw new Error("the page has no place for the workstation");
+if (root === null) throw new Error("the page has no root element for the workstation");
 createRoot(root).render(
   <StationContext value={station}>
     <App />

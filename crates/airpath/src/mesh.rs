@@ -411,8 +411,8 @@ impl<'a> Reach<'a> {
         } else if self.in_lumen(from) {
             self.crossing(from, step)
         } else {
-            // This voxel is inside only by the extension. The crossing is then the one as seen from the lumen voxel on
-            // the other side of it, if there is one on this line.
+            // This voxel is inside only by the extension. The crossing is computed from the lumen voxel on its other
+            // side, if that voxel exists.
             let behind = std::array::from_fn(|a| from[a] - step[a]);
             if self.in_lumen(behind) {
                 self.crossing(behind, step) - 1.0

@@ -224,7 +224,7 @@ mod x86 {
         ($(fn $name:ident$(<const $n:ident: usize>)?($($arg:ident: $type:ty),*) $(-> $out:ty)? { $body:expr })*) => {$(
             #[inline(always)]
             fn $name$(<const $n: usize>)?(self, $($arg: $type),*) $(-> $out)? {
-                // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole
+                // SAFETY: `self` is created only if the CPU has the instructions; loads and stores are of whole
                 // registers inside a row. Benchmark: benches/field.rs.
                 unsafe { $body }
             }

@@ -170,7 +170,7 @@ impl Pace {
         let least = |a: f32, b: f32| if a < b { a } else { b };
         let steps = least(least(on[0], on[1]), least(on[2], MAX_STEPS));
         let steps = if steps > 0.0 { steps } else { 0.0 };
-        // SAFETY: the value is between 0 and MAX_STEPS, so it fits an i32. The cast rounds down. Benchmark: that of
+        // SAFETY: the value is between 0 and MAX_STEPS, so it fits an i32. The cast rounds down. Benchmark: see
         // `whole` in `sampling`.
         let steps: i32 = unsafe { steps.to_int_unchecked() };
         steps as u32

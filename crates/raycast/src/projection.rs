@@ -144,18 +144,18 @@ macro_rules! registers {
             type V = std::arch::x86_64::$v;
             #[inline(always)]
             fn least(self) -> Self::V {
-                // SAFETY: a value `self` exists only on a machine with these instructions. Benchmark:
+                // SAFETY: `self` is created only if the CPU has these instructions. Benchmark:
                 // `carina bench isoregion`, the projections.
                 unsafe { std::arch::x86_64::$set1(i16::MIN) }
             }
             #[inline(always)]
             fn max(self, a: Self::V, b: Self::V) -> Self::V {
-                // SAFETY: a value `self` exists only on a machine with these instructions.
+                // SAFETY: `self` is created only if the CPU has these instructions.
                 unsafe { std::arch::x86_64::$max(a, b) }
             }
             #[inline(always)]
             unsafe fn load(self, at: *const i16) -> Self::V {
-                // SAFETY: a value `self` exists only on a machine with these instructions, and the caller guarantees
+                // SAFETY: `self` is created only if the CPU has these instructions, and the caller guarantees
                 // that `N` values from `at` are readable; the load needs no alignment.
                 unsafe { std::arch::x86_64::$load(at.cast()) }
             }
@@ -169,7 +169,7 @@ macro_rules! registers {
             }
             #[inline(always)]
             unsafe fn store(self, at: *mut i16, v: Self::V) {
-                // SAFETY: a value `self` exists only on a machine with these instructions, and the caller guarantees
+                // SAFETY: `self` is created only if the CPU has these instructions, and the caller guarantees
                 // that `N` values from `at` are writable; the store needs no alignment.
                 unsafe { std::arch::x86_64::$store(at.cast(), v) }
             }

@@ -160,8 +160,8 @@ impl TransferTable {
     /// Return the entry of an interpolated value: that of the integer `floor(value + 0.5)`, clamped to the table.
     #[inline(always)]
     pub(crate) fn at(&self, value: f32) -> [f32; 4] {
-        // SAFETY: interpolated int16 values are finite and within +-32768.5, so the result fits an i32. Benchmark: that
-        // of `whole` in `sampling`.
+        // SAFETY: interpolated int16 values are finite and within +-32768.5, so the result fits an i32. Benchmark: see
+        // `whole` in `sampling`.
         let hu: i32 = unsafe { (value + 0.5).floor().to_int_unchecked() };
         self.at_hu(hu)
     }

@@ -59,10 +59,10 @@ def test_a_udp_reply_has_the_number_of_its_sample(tube: WallField, reach_mm: flo
     with ForceLoop(tube, udp_port=0) as loop, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.connect(("127.0.0.1", loop.port))
         link.settimeout(20.0)
-        force, asked = (0.0, 0.0, 0.0), time.monotonic()
+        force, requested = (0.0, 0.0, 0.0), time.monotonic()
         for number in range(1, 60):
             deep = 0.0 if number == 1 else reach_mm + 1.0
-            before, asked = asked, time.monotonic()
+            before, requested = requested, time.monotonic()
             link.send(encode_sample(number, 7 * number, (0.0, deep, -20.0), (0.0, 0.0, 0.0), (0.0, 0.0, -1.0)))
             reply = decode_force(link.recv(256))
             assert reply is not None

@@ -132,16 +132,16 @@ def as_checked_json(value: object, decoder: msgspec.json.Decoder[Any], what: str
         ``case.value``: if the value is out of the bounds of its fields.
     """
     try:
-        said = as_json(value)
+        json_text = as_json(value)
         try:
-            decoder.decode(said)
+            decoder.decode(json_text)
         except msgspec.ValidationError:
             # A message that is too long or a control character in a name must not prevent saving.
-            said = as_json(cleaned(msgspec.json.decode(said), MAX_NAME_CHARS))
-            decoder.decode(said)
-        if len(said) > MAX_JSON_BYTES:
-            raise ValueError(f"expected at most {MAX_JSON_BYTES} bytes, found {len(said)}")
-        return said.decode()
+            json_text = as_json(cleaned(msgspec.json.decode(json_text), MAX_NAME_CHARS))
+            decoder.decode(json_text)
+        if len(json_text) > MAX_JSON_BYTES:
+            raise ValueError(f"expected at most {MAX_JSON_BYTES} bytes, found {len(json_text)}")
+        return json_text.decode()
     except (msgspec.MsgspecError, ValueError, TypeError, RecursionError, OverflowError) as trouble:
         raise UsageError(f"{what} cannot be saved: {trouble}", code="case.value") from trouble
 

@@ -149,8 +149,8 @@ def _in_words(error: sqlite3.Error, path: Path) -> CarinaError:
         sqlite3.SQLITE_PERM: ("disk.denied", f"{doing}: you do not have permission; choose another folder"),
     }
     if primary in words:
-        kind, said = words[primary]
-        return DiskError(said, code=kind)
+        kind, text = words[primary]
+        return DiskError(text, code=kind)
     if primary == sqlite3.SQLITE_NOTADB:
         return refused(path, "it is not a Carina case; choose a .carina file", code="case.not-a-case")
     return refused(

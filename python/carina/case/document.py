@@ -75,8 +75,8 @@ class Target:
         """Return a copy of the target with another name, note and priority, also in its route and its lesion."""
         lesion = self.lesion
         if lesion is not None:
-            told = replace(lesion.target, name=name, note=note, priority=priority)
-            lesion = replace(lesion, target=told)
+            target = replace(lesion.target, name=name, note=note, priority=priority)
+            lesion = replace(lesion, target=target)
         route = None if self.route is None else replace(self.route, title=name)
         return replace(self, name=name, note=note, priority=priority, lesion=lesion, route=route)
 

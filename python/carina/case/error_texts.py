@@ -24,7 +24,7 @@ class CaseFileError(VolumeImportError):
 
 
 def refused(path: Path | str, why: str, *, code: str) -> CaseFileError:
-    """Return the error for a file that is not a case file, or is one that cannot be used.
+    """Return the error for a file that is not a case file, or for a case file that cannot be used.
 
     Parameters
     ----------

@@ -433,7 +433,7 @@ class CaseFile:
         with self._lock, told(self.path):
             rows = self._open().execute("SELECT json FROM extra WHERE kind = ? ORDER BY n", (kind,)).fetchall()
             where = f"extra data of kind {kind[:80]}"
-            found = tuple(from_json(said, f.decoders().extra, where) for (said,) in rows)
+            found = tuple(from_json(json_text, f.decoders().extra, where) for (json_text,) in rows)
             check_plain(found, where, most_chars=MAX_JSON_BYTES)
             return found
 

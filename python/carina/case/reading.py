@@ -234,9 +234,9 @@ class CaseReader:
         measured = dict.fromkeys(self.airways_of(document) for document in documents)
         found = []
         for row in measured:
-            kept = None if row is None else self.measures_of(row)
-            if row is not None and kept is not None:
-                found.append((self.any_airways(row), kept))
+            stored = None if row is None else self.measures_of(row)
+            if row is not None and stored is not None:
+                found.append((self.any_airways(row), stored))
         return tuple(found)
 
     def document(self, row: int) -> Document:
@@ -277,8 +277,10 @@ class CaseReader:
 
     def target_facts(self, row: int) -> tuple[f.TargetFacts, ...]:
         """Return the facts of the targets in a row of ``value``, without their paths."""
-        _, said = self.columns("value", row)
-        found: tuple[f.TargetFacts, ...] = from_json(said, self._decoders.targets, f"row {row} of value, kind targets")
+        _, json_text = self.columns("value", row)
+        found: tuple[f.TargetFacts, ...] = from_json(
+            json_text, self._decoders.targets, f"row {row} of value, kind targets"
+        )
         return found
 
     def made_targets(self, targets: tuple[f.TargetFacts, ...]) -> tuple[Target, ...]:
@@ -309,9 +311,9 @@ class CaseReader:
         known = self._routes.get(row)
         if known is not None:
             return known
-        *columns, said = self.columns("route", row)
+        *columns, json_text = self.columns("route", row)
         where = f"route {row}"
-        facts: f.RouteFacts = from_json(said, self._decoders.route, where)
+        facts: f.RouteFacts = from_json(json_text, self._decoders.route, where)
         points = self._array(columns[0], "f8", width=3)
         kinds = ("f8", "f8", "f8", "i8", "i8")
         bounds = (LENGTH_MM, LENGTH_MM, LENGTH_MM, None, None)
@@ -387,8 +389,8 @@ class CaseReader:
 
     def _made_airways(self, row: int) -> Airways:
         """Return the airways in a row, built from their lumen, tree and tracker."""
-        base, lumen, tree, tracker, said = self.columns("airways", row)
-        facts: f.AirwaysFacts = from_json(said, self._decoders.airways, f"row {row} of airways")
+        base, lumen, tree, tracker, json_text = self.columns("airways", row)
+        facts: f.AirwaysFacts = from_json(json_text, self._decoders.airways, f"row {row} of airways")
         columns = self.columns("tracker", tracker)
         levels = from_json(columns[5], self._decoders.levels, f"row {tracker} of tracker")
         if columns[0] != lumen or levels != facts.wall_levels:
@@ -420,8 +422,8 @@ class CaseReader:
         if known is not None:
             return known
         where = f"row {row} of tracker"
-        lumen, tree, i, j, k, said, nodes, num_nodes = self.columns("tracker", row)
-        levels = from_json(said, self._decoders.levels, where)
+        lumen, tree, i, j, k, json_text, nodes, num_nodes = self.columns("tracker", row)
+        levels = from_json(json_text, self._decoders.levels, where)
         lumen_zyx = self._lumen(lumen)
         nz, ny, nx = self._rows_of("lumen", lumen)[:3]
         inside = 0 <= i < nx and 0 <= j < ny and 0 <= k < nz
@@ -469,7 +471,7 @@ class CaseReader:
             raise damaged(where, f"{count} branches", str(len(facts.branches)))
         try:
             made = (
-                tuple(self._branch(int(one), said) for one, said in zip(ids, facts.branches, strict=True)),
+                tuple(self._branch(int(one), json_text) for one, json_text in zip(ids, facts.branches, strict=True)),
                 tuple(Note(note.code, note.words, note.badge) for note in facts.notes),
             )
             AirwayTree(made[0])
@@ -555,29 +557,29 @@ class CaseReader:
         row = self._measures.get(airways)
         if row is None:
             return None
-        kept = StoredMeasures(self, row)
-        self._know("measures", kept, row)
-        return kept
+        stored = StoredMeasures(self, row)
+        self._know("measures", stored, row)
+        return stored
 
     def measures(self, row: int) -> TreeMeasures:
         """Return the measures in a row of ``measures``."""
         with self._lock:
             where = f"row {row} of measures"
-            airways, packed, said = self.columns("measures", row)
-            facts: f.MeasuresFacts = from_json(said, self._decoders.measures, where)
+            airways, packed, record = self.columns("measures", row)
+            facts: f.MeasuresFacts = from_json(record, self._decoders.measures, where)
             branches, notes = self._tree(self.columns("airways", airways)[2])
             ids = unpacked_ints(packed, len(branches), where)
             found, forks = [], []
             for one, branch in zip(ids, branches, strict=True):
                 place = f"row {one} of measured_branch"
                 sections, flags, of_branch = self.columns("measured_branch", int(one))
-                told: f.MeasuredFacts = from_json(of_branch, self._decoders.measured, place)
-                if told.branch_id != branch.id:
-                    raise damaged(place, f"branch {branch.id}", str(told.branch_id))
+                json_text: f.MeasuredFacts = from_json(of_branch, self._decoders.measured, place)
+                if json_text.branch_id != branch.id:
+                    raise damaged(place, f"branch {branch.id}", str(json_text.branch_id))
                 columns = self.columns("sections", sections)
-                found.append(branch_from(columns, flags, told, len(branch.points), place))
+                found.append(branch_from(columns, flags, json_text, len(branch.points), place))
                 self._know("sections", found[-1].edge_mm, sections)
-                fork = fork_from(told)
+                fork = fork_from(json_text)
                 if fork is not None:
                     forks.append(fork)
             made = TreeMeasures.made_before(
@@ -627,11 +629,11 @@ class CaseReader:
         if (kind, row) in self._values:
             return self._values[kind, row]
         where = f"row {row} of value, kind {kind}"
-        found, said = self.columns("value", row)
+        found, json_text = self.columns("value", row)
         if found != kind:
             raise damaged(where, "this kind", f"the kind {str(found)[:40]}")
         try:
-            made = make(from_json(said, decoder, where))
+            made = make(from_json(json_text, decoder, where))
         except CarinaError as trouble:
             if str(getattr(trouble, "code", "")).startswith("case."):
                 raise

@@ -189,21 +189,21 @@ class _Rescue:
             if document.airways is None:
                 continue
             airways = self._reader.airways_of(row)
-            kept = None if airways is None else self._reader.measures_of(airways)
-            if kept is None or kept.row in found or kept.row in lost:
+            stored = None if airways is None else self._reader.measures_of(airways)
+            if stored is None or stored.row in found or stored.row in lost:
                 continue
             try:
-                found[kept.row] = document.airways, kept.load()
+                found[stored.row] = document.airways, stored.load()
             except TROUBLE:
-                lost.add(kept.row)
+                lost.add(stored.row)
                 self._lost.append(f"step {n} ({str(label)[:80] or 'the start'}): the measurements of the airways")
         return tuple(found.values())
 
     def _facts(self, num_steps: int) -> tuple[int, f.MomentFacts]:
         try:
             with no_surprise():
-                position, said = self._connection.execute("SELECT position, facts FROM moment").fetchone()
-                facts: f.MomentFacts = from_json(said, f.decoders().moment, "current state")
+                position, json_text = self._connection.execute("SELECT position, facts FROM moment").fetchone()
+                facts: f.MomentFacts = from_json(json_text, f.decoders().moment, "current state")
                 check_tip(facts.tip, "tip", has_route=True)
                 return int(position), facts
         except TROUBLE:
@@ -211,9 +211,9 @@ class _Rescue:
             numbers = {"target": 10_000, "key": 10_000}  # higher than any assigned number
             return max(num_steps - 1, 0), f.MomentFacts(Sight(), {}, None, "found", None, True, numbers)
 
-    def _command(self, said: Any) -> Any:
+    def _command(self, json_text: Any) -> Any:
         try:
-            return f.command_from_json(said, "a step")
+            return f.command_from_json(json_text, "a step")
         except CaseFileError:
             return None
 
@@ -224,8 +224,8 @@ class _Rescue:
         try:
             with no_surprise():
                 document = self._reader.document(row)
-                kept: Any = document.airways
-                if kept is None or self._is_whole(row):
+                stored: Any = document.airways
+                if stored is None or self._is_whole(row):
                     return document
         except TROUBLE:
             pass
@@ -280,26 +280,26 @@ class _Rescue:
 
     def _targets(self, row: int, what: str) -> Sequence[Target]:
         found: list[Target] = []
-        for said in self._reader.target_facts(row):
+        for json_text in self._reader.target_facts(row):
             try:
                 with no_surprise():
-                    found += self._reader.made_targets((said,))
+                    found += self._reader.made_targets((json_text,))
             except TROUBLE:
-                found.append(self._part_of_target(said, what))
+                found.append(self._part_of_target(json_text, what))
         return tuple(found)
 
-    def _part_of_target(self, said: TargetFacts, what: str) -> Target:
+    def _part_of_target(self, json_text: TargetFacts, what: str) -> Target:
         """Return a target without its damaged part, either its lesion or its path."""
-        if said.lesion is not None:
+        if json_text.lesion is not None:
             try:
                 with no_surprise():
-                    (one,) = self._reader.made_targets((msgspec.structs.replace(said, lesion=None),))
-                self._lost.append(f"{what}: the boundary of {said.name}")
+                    (one,) = self._reader.made_targets((msgspec.structs.replace(json_text, lesion=None),))
+                self._lost.append(f"{what}: the boundary of {json_text.name}")
                 return replace(one, problem="its boundary was lost when the case file was damaged: mark it again")
             except TROUBLE:
                 pass
-        self._lost.append(f"{what}: the path to {said.name}")
-        (one,) = self._reader.made_targets((msgspec.structs.replace(said, route=None),))
+        self._lost.append(f"{what}: the path to {json_text.name}")
+        (one,) = self._reader.made_targets((msgspec.structs.replace(json_text, route=None),))
         return replace(one, problem="its path was lost when the case file was damaged")
 
     def _copy_recordings(self, made: CaseFile) -> None:
@@ -326,18 +326,18 @@ class _Rescue:
             self._lost.append("the packed scan")
 
     def _copy_extras(self, made: CaseFile) -> None:
-        kept: dict[str, list[Any]] = {}
+        stored: dict[str, list[Any]] = {}
         with contextlib.suppress(sqlite3.Error):
-            for kind, said in self._connection.execute(
+            for kind, json_text in self._connection.execute(
                 "SELECT kind, json FROM extra WHERE kind != 'save' ORDER BY kind, n LIMIT 100000"
             ):
                 try:
-                    value = from_json(said, f.decoders().extra, "extra")
+                    value = from_json(json_text, f.decoders().extra, "extra")
                 except CaseFileError:
                     self._lost.append(f"part of the extra data ({str(kind)[:80]})")
                 else:
-                    kept.setdefault(str(kind), []).append(value)
-        for kind, values in kept.items():
+                    stored.setdefault(str(kind), []).append(value)
+        for kind, values in stored.items():
             made.set_extra(kind, tuple(values))
 
 

@@ -47,7 +47,7 @@ def read_summary(connection: sqlite3.Connection) -> CaseSummary:
     moment = connection.execute("SELECT position, facts FROM moment").fetchone()
     if moment is None:
         return CaseSummary(None, 0, (), (), None, None, is_packed)
-    said: f.MomentFacts = from_json(moment[1], f.decoders().moment, "current state")
+    json_text: f.MomentFacts = from_json(moment[1], f.decoders().moment, "current state")
     row = connection.execute(
         "SELECT tree.num_branches, airways.facts, route.facts, targets.json, keys.json, "
         "EXISTS (SELECT 1 FROM measures WHERE measures.airways = document.airways) "
@@ -59,7 +59,7 @@ def read_summary(connection: sqlite3.Connection) -> CaseSummary:
         (moment[0],),
     ).fetchone()
     if row is None:
-        return CaseSummary(None, 0, (), (), None, said.saved_by, is_packed)
+        return CaseSummary(None, 0, (), (), None, json_text.saved_by, is_packed)
     num_branches, airways, route, targets, keys, is_measured = row
     decoders = f.decoders()
     frames = from_json(keys, decoders.keys, "the key frames").frames
@@ -69,7 +69,7 @@ def read_summary(connection: sqlite3.Connection) -> CaseSummary:
         targets=tuple(target.name for target in from_json(targets, decoders.targets, "the targets")),
         key_frames=tuple(frame.name or frame.key_id for frame in frames),
         route=None if route is None else from_json(route, decoders.route, "the route").title,
-        saved_by=said.saved_by,
+        saved_by=json_text.saved_by,
         is_packed=is_packed,
         is_measured=bool(is_measured),
     )

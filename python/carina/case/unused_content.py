@@ -25,11 +25,11 @@ def sweep(connection: sqlite3.Connection, rows: Rows) -> int:
         ``case.damaged``: if a row that a step refers to is missing; nothing is deleted then.
     """
     documents = [row[0] for row in connection.execute("SELECT DISTINCT document FROM step")]
-    kept = reached(rows, documents)
+    stored = reached(rows, documents)
     num_gone = 0
     # Rows that refer to other rows are deleted first.
     for table in reversed(CONTENT):
-        gone = [(row,) for row in rows[table] if row not in kept[table]]
+        gone = [(row,) for row in rows[table] if row not in stored[table]]
         if table == "airways":
             gone.sort(key=lambda row: rows["airways"][row[0]][1] is None)
         connection.executemany(f"DELETE FROM {table} WHERE id = ?", gone)

@@ -133,15 +133,15 @@ class CaseWriter:
 
     def _step(self, step: Step[Document]) -> StepRow:
         command = step.command
-        said = None
+        json_text = None
         if command is not None and not isinstance(command, LocalCommand):
             # A command of a program may exceed the bounds for reading; the step is then stored with its label only.
             with contextlib.suppress(UsageError):
-                said = as_checked_json(command, self._decoders.command, "a command")
+                json_text = as_checked_json(command, self._decoders.command, "a command")
         label = shortened(step.label, MAX_LABEL_CHARS)
         # A time of a wrong system clock must not make the case unreadable.
         at_s = min(max(float(step.at_s), 0.0), MAX_S) if math.isfinite(step.at_s) else 0.0
-        return (label, said, at_s, self._document(step.document))
+        return (label, json_text, at_s, self._document(step.document))
 
     def _write_steps(self, entries: list[tuple[object, StepRow]]) -> None:
         """Write only rows that changed; if the oldest steps were deleted, the others keep their numbers."""
@@ -439,8 +439,8 @@ class CaseWriter:
             known = self._put("sections", sections_of(branch))
             self._weak.note("sections", branch.edge_mm, known)
         facts = branch_facts(branch, fork)
-        said = as_checked_json(facts, self._decoders.measured, f"the measurements of branch {branch.branch_id}")
-        return self._put("measured_branch", {"sections": known, "flags": flags_of(branch), "facts": said})
+        json_text = as_checked_json(facts, self._decoders.measured, f"the measurements of branch {branch.branch_id}")
+        return self._put("measured_branch", {"sections": known, "flags": flags_of(branch), "facts": json_text})
 
     def _array(self, array: NDArray[Any]) -> int:
         """Return the row of an array; write the array if it is not stored yet."""
@@ -463,8 +463,8 @@ class CaseWriter:
         known = self._found(kind, value)
         if known is not None:
             return known
-        said = as_checked_json(json_of(), getattr(self._decoders, kind), f"a value of kind {kind}")
-        return self._note(kind, value, self._put("value", {"kind": kind, "json": said}))
+        json_text = as_checked_json(json_of(), getattr(self._decoders, kind), f"a value of kind {kind}")
+        return self._note(kind, value, self._put("value", {"kind": kind, "json": json_text}))
 
     def _put(self, table: str, values: dict[str, Any]) -> int:
         """Return the row with these values; insert a new row if there is none."""

@@ -113,20 +113,20 @@ def _workstation(
     phone_address: str | None = None,
     ct: Path | None = None,
 ) -> None:
-    told: dict[str, Any] = {}
+    changes: dict[str, Any] = {}
 
     def phone_open(url: str, sha256: str) -> None:
-        told["phone"] = {"url": url, "sha256": sha256}
+        changes["phone"] = {"url": url, "sha256": sha256}
 
     def ready(url: str, token: str) -> None:
         if as_json:
             # The link is for a browser and works once; the token is for programs and lasts as long as the server.
-            print_json({"url": url, "token": token, **told})
+            print_json({"url": url, "token": token, **changes})
             return
-        if "phone" in told:
+        if "phone" in changes:
             show(
-                f"Open on the phone: {told['phone']['url']}",
-                f"Certificate fingerprint (SHA-256): {told['phone']['sha256']}",
+                f"Open on the phone: {changes['phone']['url']}",
+                f"Certificate fingerprint (SHA-256): {changes['phone']['sha256']}",
             )
         show(f"Carina is open at {url}", "Press Ctrl-C to close it.", flush=True)
 
@@ -581,11 +581,13 @@ def fly(
         float, typer.Option(help=("Speed along the route in mm/s; key frames have their own speeds."))
     ] = 20.0,
     pause: Annotated[float, typer.Option(help="Pause at each fork and at the end, in seconds.")] = 1.0,
-    scope: Annotated[str | None, typer.Option(help="Scope to simulate, or none; a recording uses its own.")] = None,
+    scope: Annotated[
+        str | None, typer.Option(help="Scope to simulate, or none. A recording contains its scope.")
+    ] = None,
     step_vox: Annotated[float, typer.Option(help="Ray step, in multiples of the smallest voxel spacing.")] = 0.5,
     keep: Annotated[
         Path | None,
-        typer.Option(help="Folder in which to keep the frames, so that an interrupted video can be continued."),
+        typer.Option(help="Folder that stores the frames, so that an interrupted video can be continued."),
     ] = None,
     cluster: ClusterOption = None,
     mixed: MixedOption = False,

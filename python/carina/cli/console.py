@@ -149,9 +149,9 @@ def exit_codes(as_json: bool) -> Iterator[None]:
     except OSError as error:
         if is_disk_trouble(error):
             doing = "cannot read or write" if error.filename else "cannot read or write a file"
-            told = disk_trouble(error, doing, error.filename)
-            say(f"carina: {told}")
-            fail(as_json, told.code, str(told), told.exit_code)
+            disk_error = disk_trouble(error, doing, error.filename)
+            say(f"carina: {disk_error}")
+            fail(as_json, disk_error.code, str(disk_error), disk_error.exit_code)
         message = f"{error.strerror or error}: {error.filename}" if error.filename else str(error)
         say(f"carina: {message}")
         fail(as_json, "machine", message, 1)

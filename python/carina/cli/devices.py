@@ -32,7 +32,7 @@ def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
     live = _Live()
     sources = [open_source(address, live.listener) for address in addresses]
     statuses: list[SourceStatus] = []
-    said: dict[str, str] = {}
+    shown: dict[str, str] = {}
     try:
         for source in sources:
             source.start()
@@ -42,9 +42,9 @@ def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
             if not as_json:
                 for source in sources:
                     line = _line(source.status(), live.newest(source.address))
-                    if said.get(source.address) != line:
+                    if shown.get(source.address) != line:
                         say(line)
-                    said[source.address] = line
+                    shown[source.address] = line
         statuses = [source.status() for source in sources]
     finally:
         for source in sources:
@@ -74,10 +74,10 @@ def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
 
 
 def _line(status: SourceStatus, newest: tuple[str, Sample] | None) -> str:
-    said = "" if newest is None else _words(newest[1])
+    newest_text = "" if newest is None else _words(newest[1])
     bad = sum(status.num_bad.values())
     ignored = f", {bad} invalid" if bad else ""
-    return f"{status.address}: {status.state}, {status.rate_hz:.0f} Hz{ignored}  {said or status.words}"
+    return f"{status.address}: {status.state}, {status.rate_hz:.0f} Hz{ignored}  {newest_text or status.words}"
 
 
 def _words(sample: Sample) -> str:

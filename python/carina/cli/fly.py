@@ -90,7 +90,7 @@ def report(
         }
         check_needs("a flight along a route (--to)", tree=tree, **moved)
     if recording is not None:
-        check_needs("a route or key frames; a recording has its own scope", scope=scope)
+        check_needs("a route or key frames; a recording contains its scope", scope=scope)
     if cluster is None:
         check_needs("a cluster (--cluster)", mixed=mixed, token_file=token)
     check_case_options(path, ct, tree=tree)
@@ -145,13 +145,13 @@ def report(
             turned = view.get("operator") == "facing"
             frames = [ReplayedPose(float(t), flight.pose_at(float(t)), view, turned) for t in times]
         shots, times_shown = _shots(frames, shown)
-        kept = None if keep is None else StoredFrames(keep, _job(volume, frames, shown, mixed))
-        num_kept = 0 if kept is None else min(kept.num, len(shots))
+        stored = None if keep is None else StoredFrames(keep, _job(volume, frames, shown, mixed))
+        num_kept = 0 if stored is None else min(stored.num, len(shots))
         if num_kept:
             say(f"continuing: {num_kept} of {len(shots)} frames are already in {keep}")
         began_s = time.perf_counter()
         renderer = _renderer(source, progress, None if used is None else used.make_renderer)
-        for number, rgb in _pictures(renderer, shots, kept, size):
+        for number, rgb in _pictures(renderer, shots, stored, size):
             for _ in range(times_shown[number]):
                 video.add(rgb)
             progress("rendering frames", video.num_frames / len(frames))
@@ -205,18 +205,18 @@ def _walls(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallFiel
     """Return a function that rebuilds the airway wall of a recording by repeating its airway search and its edits."""
     known: dict[str, WallField] = {}
 
-    def wall(kept: dict[str, Any]) -> WallField:
-        digest = str(kept.get("digest", ""))
+    def wall(stored: dict[str, Any]) -> WallField:
+        digest = str(stored.get("digest", ""))
         if digest in known:
             return known[digest]
         searches: list[dict[str, Any]] = [{}]
-        if kept.get("root_lps") is not None:
+        if stored.get("root_lps") is not None:
             # The recording does not state which of these the user gave: search with neither, threshold, both.
             searches += [
-                {"lumen_threshold": kept.get("lumen_threshold")},
-                {"root_lps": kept["root_lps"], "lumen_threshold": kept.get("lumen_threshold")},
+                {"lumen_threshold": stored.get("lumen_threshold")},
+                {"root_lps": stored["root_lps"], "lumen_threshold": stored.get("lumen_threshold")},
             ]
-        edits = () if kept.get("edits") is None else edits_from_json(kept["edits"])
+        edits = () if stored.get("edits") is None else edits_from_json(stored["edits"])
         for search in searches:
             try:
                 airways = carina.find_airways(volume, **search, progress=progress)
@@ -328,13 +328,13 @@ def _view(frame: ReplayedPose, shown: _Shown) -> AirwayView:
 
 
 def _pictures(
-    renderer: Renderer | ClusterRenderer, shots: list[_Shot], kept: StoredFrames | None, size: tuple[int, int]
+    renderer: Renderer | ClusterRenderer, shots: list[_Shot], stored: StoredFrames | None, size: tuple[int, int]
 ) -> Iterator[tuple[int, NDArray[np.uint8]]]:
     """Yield all images with their numbers, in order: first the stored images, then newly rendered images."""
-    first = 0 if kept is None else min(kept.num, len(shots))
+    first = 0 if stored is None else min(stored.num, len(shots))
     for number in range(first):
-        assert kept is not None
-        yield number, kept.load(number, size)
+        assert stored is not None
+        yield number, stored.load(number, size)
     start = 0
     for transfer, run in itertools.groupby(shots, key=lambda shot: shot.transfer):
         views = [shot.view for shot in run]
@@ -345,7 +345,7 @@ def _pictures(
             )
             renderer.prepare()
             for n, picture in render_frames(renderer, views, first=max(0, first - start)):
-                if kept is not None:
-                    kept.keep(start + n, picture)
+                if stored is not None:
+                    stored.keep(start + n, picture)
                 yield start + n, picture.rgb
         start = end

@@ -173,7 +173,7 @@ def check_case_options(path: Path, ct: Path | None, **refused: object) -> None:
     for name, value in refused.items():
         if value is not None and value is not False:
             raise UsageError(
-                f"--{name.replace('_', '-')}: the case has its own airways, with all edits; omit the option, "
+                f"--{name.replace('_', '-')}: the case contains airways, with all edits; omit the option, "
                 "or give the scan instead of the case"
             )
 

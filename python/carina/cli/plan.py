@@ -335,22 +335,22 @@ def _peer(words: str) -> tuple[str, int]:
 
 def lines(plan: Plan) -> list[str]:
     """Return a plan as text, a line for each route and each doubt of a route after the first one."""
-    said = [f"bronchus sign: {plan.sign_words}"]
+    reported = [f"bronchus sign: {plan.sign_words}"]
     for number, route in enumerate(plan.routes, 1):
-        said.append(f"route {number}: {_route_words(plan, route)}")
+        reported.append(f"route {number}: {_route_words(plan, route)}")
         if route.predictors is not None:
-            said.append(f"route {number}: {route.predictors.words}")
+            reported.append(f"route {number}: {route.predictors.words}")
         if number == 1:
             # The list of reasons contains the doubts of the first route.
             continue
-        said += [f"route {number}: ! {doubt}" for doubt in route.doubts]
+        reported += [f"route {number}: ! {doubt}" for doubt in route.doubts]
         if route.width.why is not None:
-            said.append(f"route {number}: ! {route.width.why}")
+            reported.append(f"route {number}: ! {route.width.why}")
     if any(route.predictors is not None for route in plan.routes):
-        said.append(f"bifurcation angle, least diameter and curvature: {PREDICTOR_WORDS}")
+        reported.append(f"bifurcation angle, least diameter and curvature: {PREDICTOR_WORDS}")
     if plan.why is None:
-        said.append(plan.movement.words)
-    return said
+        reported.append(plan.movement.words)
+    return reported
 
 
 def _route_words(plan: Plan, route: PlannedRoute) -> str:

@@ -131,7 +131,9 @@ def _airways_of_case(
     document = source.document
     if cost != "lumen" and (document is None or document.airways is None):
         if root is None:
-            msg = "this case has no airways to begin in; give the start point of the paths with --root x,y,z"
+            msg = (
+                "this case has no segmented airways to start from; give the start point of the paths with --root x,y,z"
+            )
             raise NoResultError(msg, code="track.no-airways")
         return None
     return source.airways(progress)

@@ -203,7 +203,7 @@ class Console:
 
     @property
     def has_renderers(self) -> bool:
-        """Whether any machine other than the console's own can render now."""
+        """Whether a machine other than that of the console can render now."""
         return any(not m.reserve and not m.loading for m in list(self._members.values()))
 
     def facts(self, name: str) -> LaneFacts:
@@ -216,7 +216,7 @@ class Console:
 
     @property
     def num_ready(self) -> int:
-        """Number of lanes that can render now; the console's own lane counts only if there is no other."""
+        """Number of lanes that can render now. The lane of the console counts only if no other lane exists."""
         return max(1, sum(not m.reserve and not m.loading for m in list(self._members.values())))
 
     def close(self) -> None:

@@ -171,8 +171,8 @@ class RayLane:
     def _send(self, parcel: Parcel, new: dict[int, Any], done: Loaded) -> None:
         """Send content and the references of new arrays to the renderer."""
         tokens = list(new)
-        kept = [token for token in parcel.arrays if token not in new]
-        ref = self._handle.load.remote(parcel.content, parcel.skeleton, kept, tokens, *new.values())
+        cached_tokens = [token for token in parcel.arrays if token not in new]
+        ref = self._handle.load.remote(parcel.content, parcel.skeleton, cached_tokens, tokens, *new.values())
 
         def loaded(future: Future[Any]) -> None:
             trouble = future.exception()
@@ -413,9 +413,9 @@ class RayCluster:
         """Add the lane of a renderer that has started, or report why it could not start."""
         trouble: BaseException | None = None
         try:
-            said = ping.result()
-            words = version_words(VERSION, str(said["version"]), name)
-            lane = RayLane(name, renderer.handle, self, said, renderer.store_bytes) if words is None else None
+            answer = ping.result()
+            words = version_words(VERSION, str(answer["version"]), name)
+            lane = RayLane(name, renderer.handle, self, answer, renderer.store_bytes) if words is None else None
         except Exception as failure:
             trouble, lane = failure, None
             words = f"the renderer on {name} could not be started: {_first_line(_plain(failure))}"

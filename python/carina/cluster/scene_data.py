@@ -91,9 +91,9 @@ class Parcels:
             owner = owner.base
         key = (array.__array_interface__["data"][0], *array.shape, array.dtype.num)
         with self._lock:
-            kept = self._known.get(key)
-            if kept is not None and kept[0]() is owner:
-                return kept[1]
+            cached = self._known.get(key)
+            if cached is not None and cached[0]() is owner:
+                return cached[1]
             token = next(self._tokens)
             self._known[key] = (weakref.ref(owner), token)
             self._known = {k: v for k, v in self._known.items() if v[0]() is not None}

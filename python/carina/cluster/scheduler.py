@@ -212,10 +212,10 @@ class StripScheduler:
         ]
 
     def join(self, lane: Lane, now_s: float, *, content: Hashable = None, reserve: bool = False) -> None:
-        """Add a lane that has loaded ``content``; a lane that was away or late starts anew.
+        """Add a lane that has loaded ``content``; measurements of an absent or late lane start again.
 
-        A ``reserve`` lane renders any content, but only strips that no other lane can render; the console's own lane is
-        one.
+        A ``reserve`` lane renders any content, but only strips that no other lane can render. The lane of the console
+        is a reserve lane.
 
         Parameters
         ----------
@@ -432,9 +432,9 @@ class StripScheduler:
         lane.pace[task.cost] = row_s if old is None else old + weight * (row_s - old)
         seconds, rows = lane.measured.get(task.cost, (0.0, 0))
         lane.measured[task.cost] = (seconds + service_s, rows + task.num_rows)
-        for kept in (lane.pace, lane.measured, lane.last_m):
-            while len(kept) > KINDS_REMEMBERED:
-                kept.pop(next(iter(kept)))
+        for series in (lane.pace, lane.measured, lane.last_m):
+            while len(series) > KINDS_REMEMBERED:
+                series.pop(next(iter(series)))
 
     def _finish(self, frame: _Frame) -> None:
         """Complete a frame, drop older frames of its stream, and update the shares."""

@@ -48,7 +48,7 @@ class AskedPath(FrozenValue, frozen=True, kw_only=True):
         """Return an error text if a path through the lumen has its own start."""
         if self.cost == "lumen" and self.root_lps is not None:
             name = snake_case(type(self).__name__)
-            return f"{name}: expected the cost walls or paper with a start point of its own; found lumen"
+            return f"{name}: expected the cost walls or paper with a separate start point; found lumen"
         return None
 
 

@@ -49,9 +49,9 @@ def ways_svg(ways: Sequence[Way], *, height_px: int, alt: str) -> str:
     width = int(np.ceil((high[0] - low[0]) * px_per_mm)) + 2 * MARGIN_PX
     lines = []
     for way in ways:
-        kept = way.points_lps[np.unique(np.linspace(0, len(way.points_lps) - 1, MAX_POINTS).astype(int))]
-        x = MARGIN_PX + (kept[:, 0] - low[0]) * px_per_mm
-        y = MARGIN_PX + (high[2] - kept[:, 2]) * px_per_mm
+        remaining = way.points_lps[np.unique(np.linspace(0, len(way.points_lps) - 1, MAX_POINTS).astype(int))]
+        x = MARGIN_PX + (remaining[:, 0] - low[0]) * px_per_mm
+        y = MARGIN_PX + (high[2] - remaining[:, 2]) * px_per_mm
         drawn = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
         lines.append(
             f'<polyline points="{drawn}" fill="none" stroke="{way.colour}" '

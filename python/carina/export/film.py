@@ -144,7 +144,7 @@ def write_film(
     Film(name='trachea.mp4', num_frames=5, rate_hz=2, size_px=(64, 48))
     """
     check_type("write_film", "volume", volume, Volume, "open a volume with carina.open_volume")
-    told = progress_function(progress)
+    report = progress_function(progress)
     kinds = (FlightPath, AutoFlight, KeyFrameFlight)
     check_type("write_film", "flight", flight, kinds, "create a carina.FlightPath from a route")
     flown = AutoFlight(flight, speed_mm_s=speed_mm_s, pause_s=0.0) if isinstance(flight, FlightPath) else flight
@@ -157,11 +157,11 @@ def write_film(
     with VideoWriter(path, look.width, look.height, rate_hz=rate_hz) as video:
         renderer = Renderer(volume)
         renderer.set_lumen(lumen_zyx, tree)
-        renderer.prepare(told, cancel)
+        renderer.prepare(report, cancel)
         for number, time_s in enumerate(times):
             if cancel is not None and cancel():
                 raise CancelledError("stopped while rendering the video")
             video.add(renderer.render(dataclasses.replace(look, pose=flown.pose_at(float(time_s)))).rgb)
-            if told is not None:
-                told("rendering frames", (number + 1) / len(times))
+            if report is not None:
+                report("rendering frames", (number + 1) / len(times))
     return Film(Path(path).name, len(times), rate_hz, (width, height), Path(path).resolve(), notes)

@@ -172,7 +172,7 @@ def _read_segments(path: Path, images: CtImages, names: Sequence[str]) -> _Segme
         ) from None
     if data.get("SOPClassUID") != SegmentationStorage:
         raise UsageError(
-            f"{path.name} is no DICOM segmentation; name the file that write_target_seg wrote", code="plan.other-seg"
+            f"{path.name} is not a DICOM segmentation; name the file that write_target_seg wrote", code="plan.other-seg"
         )
     referred = {str(one.get("SeriesInstanceUID", "")) for one in data.get("ReferencedSeriesSequence", [])}
     if images.series_uid not in referred:

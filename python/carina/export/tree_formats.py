@@ -77,7 +77,7 @@ def write_vtp(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()
     counts = np.array([len(branch.points) for branch in branches])
     number = len(points)
     note = drawn_tree(tree).words
-    said = badge_lines(lasting(tree, badges))
+    reported = badge_lines(lasting(tree, badges))
 
     def data(name: str, values: NDArray[Any], components: int = 1) -> str:
         kinds = {"f8": "Float64", "i8": "Int64", "i4": "Int32"}
@@ -109,7 +109,7 @@ def write_vtp(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()
             texts("Space", ["LPS"]),
             texts("Unit", ["mm"]),
             *([] if note is None else [texts("Note", [note])]),
-            *([texts("Badges", said)] if said else []),
+            *([texts("Badges", reported)] if reported else []),
             "</FieldData>",
             f'<Piece NumberOfPoints="{number}" NumberOfVerts="0" NumberOfLines="{len(branches)}" NumberOfStrips="0" '
             'NumberOfPolys="0">',

@@ -116,14 +116,16 @@ class SampleFilter:
         return _time_constant_s(cutoff_hz)
 
     def _made(self, sample: Sample) -> Sample:
-        kept = [float(v) for v in self._filtered]
+        filtered = [float(v) for v in self._filtered]
         match sample:
             case PoseSample():
                 self._turn = rotation_from_wxyz(wxyz_from_rotation(self._turn))
-                at = None if sample.position_mm is None else (kept[0], kept[1], kept[2])
+                at = None if sample.position_mm is None else (filtered[0], filtered[1], filtered[2])
                 return replace(sample, position_mm=at, orientation_wxyz=wxyz_from_rotation(self._turn))
             case HandleSample():
-                return replace(sample, insertion_mm=kept[0], roll_rad=kept[1] / HANDLE_MM, lever=kept[2] / HANDLE_MM)
+                return replace(
+                    sample, insertion_mm=filtered[0], roll_rad=filtered[1] / HANDLE_MM, lever=filtered[2] / HANDLE_MM
+                )
             case _:
                 return sample
 

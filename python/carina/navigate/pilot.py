@@ -259,9 +259,11 @@ class Pilot:
     def forget_devices(self) -> None:
         """Reset every device to its state after connecting; registrations and the pose of the tip do not change."""
         self._gate = SampleGate()
-        kept = {name: device.registration for name, device in self._devices.items() if device.registration is not None}
+        registrations = {
+            name: device.registration for name, device in self._devices.items() if device.registration is not None
+        }
         self._devices = {}
-        for name, registration in kept.items():
+        for name, registration in registrations.items():
             self._device(name).registration = registration
         self._followed = self._frame_s = self._wanted_way = None
 
@@ -339,10 +341,10 @@ class Pilot:
             case c.DeviceGone():
                 self._gate.gone(move.device)
                 if move.device in self._devices:
-                    kept = self._devices.pop(move.device).registration
-                    if kept is not None:
+                    registration = self._devices.pop(move.device).registration
+                    if registration is not None:
                         # The registration of a tracker stays valid after the tracker was disconnected.
-                        self._device(move.device).registration = kept
+                        self._device(move.device).registration = registration
             case c.TakeDevice():
                 self._gate.take(move.device)
             case m.Register():
@@ -389,7 +391,7 @@ class Pilot:
     def _device(self, name: str) -> _Device:
         if name not in self._devices and len(self._devices) >= MAX_DEVICES:
             # Devices that the gate has removed are removed here too, unless they have a registration.
-            lost = [d for d, kept in self._devices.items() if kept.registration is None and not self._gate.knows(d)]
+            lost = [d for d, state in self._devices.items() if state.registration is None and not self._gate.knows(d)]
             for other in lost:
                 del self._devices[other]
         return self._devices.setdefault(name, _Device(SampleFilter(self._controls)))
@@ -434,8 +436,8 @@ class Pilot:
 
     def _can_be_absolute(self) -> bool:
         holder = self._gate.holder
-        asked = self._devices.values() if holder is None else [self._device(holder)]
-        return any(device.registration is not None for device in asked)
+        candidates = self._devices.values() if holder is None else [self._device(holder)]
+        return any(device.registration is not None for device in candidates)
 
     def _set_control(self, control: Control) -> None:
         if control == "absolute" and not self._can_be_absolute():

@@ -258,12 +258,12 @@ class PhonePage:
 
     async def _tell(self, websocket: WebSocket) -> None:
         """Send the state of the page to the phone whenever the state changes."""
-        told = ""
+        last_sent = ""
         while True:
             text = wire.encode_message(self._state())
-            if text != told:
+            if text != last_sent:
                 await websocket.send_text(text)
-                told = text
+                last_sent = text
             await asyncio.sleep(STATE_EVERY_S)
 
     def _state(self) -> wire.PhoneState:

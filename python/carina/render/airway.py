@@ -174,10 +174,10 @@ class AirwayCaster:
     def _table(self, scene: Scene, step_mm: float) -> _core.TransferTable:
         key = (*scene.range, step_mm)
         with self._swap:
-            kept = self._tables.get(key)
+            cached = self._tables.get(key)
         # The entry holds a reference to its transfer function, so no other object can have its identity.
-        if kept is not None and kept[0] is scene.transfer:
-            return kept[1]
+        if cached is not None and cached[0] is scene.transfer:
+            return cached[1]
         table = _core.TransferTable(
             scene.transfer.points,
             reference_mm=scene.transfer.reference_mm,

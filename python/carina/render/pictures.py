@@ -192,7 +192,7 @@ def render_view(
     (48, 64, 3)
     """
     check_type("render_view", "volume", volume, Volume, "open a volume with carina.open_volume")
-    told: dict[str, Any] = {
+    options: dict[str, Any] = {
         "fov_deg": fov_deg,
         "width": width,
         "height": height,
@@ -216,14 +216,14 @@ def render_view(
         "depth_of_field": depth_of_field,
     }
     if isinstance(view, str):
-        given = {name for name, value in told.items() if _differs(value, _DEFAULTS[name])}
+        given = {name for name, value in options.items() if _differs(value, _DEFAULTS[name])}
         ignored = sorted(given & ignored_settings(view))
         if ignored:
             raise UsageError(f"render_view: {', '.join(ignored)}: not used by the {view} view; omit it")
-        spec = view_spec(view=view, pose=_needed_pose("render_view", pose), **told)
+        spec = view_spec(view=view, pose=_needed_pose("render_view", pose), **options)
     else:
         check_type("render_view", "view", view, get_args(View), "or pass one of carina.render.VIEW_NAMES")
-        doubled = [name for name, value in {"pose": pose, **told}.items() if _differs(value, _DEFAULTS[name])]
+        doubled = [name for name, value in {"pose": pose, **options}.items() if _differs(value, _DEFAULTS[name])]
         if doubled:
             names, kind = ", ".join(doubled), type(view).__name__
             raise UsageError(

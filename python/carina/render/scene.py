@@ -133,9 +133,9 @@ class SceneBuilder:
             value_range = (self._range[0], max(self._range[1], _core.value_range(values)[1]))
         # A map that no longer fits is dropped: building it again is fast, and a map takes half the memory of the
         # volume.
-        kept = old.maps is not None and old.maps.values is values and old.maps.runs == _runs(transfer)
+        can_reuse = old.maps is not None and old.maps.values is values and old.maps.runs == _runs(transfer)
         with self._swap:
-            maps = old.maps if kept else None
+            maps = old.maps if can_reuse else None
             self._scene = Scene(transfer, lumen, values, value_range, tree, maps, None, decoration)
 
     def prepare(

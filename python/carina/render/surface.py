@@ -63,7 +63,7 @@ class Surface:
         DiskError
             If the folder does not exist or is not writable, or the disk is full.
         """
-        said: dict[str, Any] = (
+        badge_arrays: dict[str, Any] = (
             {"badges": np.array([f"{badge.code}: {badge.words}" for badge in badges])} if badges else {}
         )
         target = Path(path)
@@ -77,6 +77,6 @@ class Surface:
                 normal_lps=self.normal_lps,
                 lps_from_camera=self.pose.lps_from_camera,
                 fov_deg=np.float64(self.fov_deg),
-                **said,
+                **badge_arrays,
             )
         return target

@@ -255,11 +255,11 @@ class DeviceConnections:
     def _show_pen(self) -> None:
         """Send the pen state to all windows if it has changed."""
         state = self._session.devices.pen()
-        message, told = _pen(state), self._pen_told or NO_PEN
-        if state is not None and not state.is_armed and state.off_mm is None and told.lps is not None:
+        message, last_sent = _pen(state), self._pen_told or NO_PEN
+        if state is not None and not state.is_armed and state.off_mm is None and last_sent.lps is not None:
             # The position of a pen that is not armed and has no offset is not displayed, so it causes no message.
-            message = replace(message, lps=None if message.lps is None else told.lps)
-        if message != told:
+            message = replace(message, lps=None if message.lps is None else last_sent.lps)
+        if message != last_sent:
             self._pen_told = message
             self._push(message)
 

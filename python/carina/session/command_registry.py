@@ -39,9 +39,9 @@ def answers(question: type[Question[Any]]) -> Callable[[F], F]:
     return _marked(question)
 
 
-def _marked(asked: type[Any]) -> Callable[[F], F]:
+def _marked(command_type: type[Any]) -> Callable[[F], F]:
     def mark(method: F) -> F:
-        method.__dict__["handles"] = asked
+        method.__dict__["handles"] = command_type
         return method
 
     return mark

@@ -313,7 +313,7 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
     if series.lps_from_ijk is None or series.info.shape_zyx is None:
         raise series.refusal or VolumeImportError(f"reading {series.name}: it has no voxel grid")
     first = series.slices[0]
-    said = list(notes)
+    all_notes = list(notes)
     clipping = Clipping()
     padding = PaddingCount()
     doubts: list[tuple[SliceHeader, Doubt]] = []
@@ -328,12 +328,14 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
         msg = f"reading {series.name}: every pixel has the same value, so it contains no image; export it again"
         raise VolumeImportError(msg, code="import.values")
     if clipping.count:
-        said.append(clipped_note(clipping.count))
-    said.extend(padding.notes(values.size))
+        all_notes.append(clipped_note(clipping.count))
+    all_notes.extend(padding.notes(values.size))
     if (not_checked := not_checked_note(series.slices)) is not None:
-        said.append(not_checked)
+        all_notes.append(not_checked)
     if any(header.lossy for header in series.slices):
-        said.append(Note("import.lossy", "the slices were compressed with loss; thin walls may be blurred", badge=True))
+        all_notes.append(
+            Note("import.lossy", "the slices were compressed with loss; thin walls may be blurred", badge=True)
+        )
     if first.modality == "CT":
         odd = Doubt(
             "import.slices-odd", ("a slice differs from both its neighbours far more than they differ from each other")
@@ -350,8 +352,8 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
         bits_stored=min(header.bits_stored for header in series.slices),
     )
     if not all(header.has_rescale for header in series.slices):
-        said.append(_no_rescale_note(first, is_hu=verdict.is_hu))
-    said.extend(in_doubt)
+        all_notes.append(_no_rescale_note(first, is_hu=verdict.is_hu))
+    all_notes.extend(in_doubt)
     lost = clipping.lost / values.size
     if verdict.is_hu and in_doubt:
         verdict = HuVerdict(False, in_doubt[0].words)
@@ -362,7 +364,7 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
         title=series.info.description or f"{first.modality} series {series.info.key}",
         series=series.info,
         other_series=tuple(others),
-        notes=tuple(said),
+        notes=tuple(all_notes),
         acquired_on=acquisition_date(first.path),
         slice_thickness_mm=_common_thickness_mm(series.slices),
     )

@@ -333,7 +333,7 @@ def _with_notes_on_settings(group: Group, keys: Sequence[tuple[str, dict[str, li
     notes = list(group.notes)
     if changes:
         words = (
-            f"the {_listed(changes)} {'changes' if len(changes) == 1 else 'change'} within the series, which was kept "
+            f"the {_listed(changes)} {'changes' if len(changes) == 1 else 'change'} within the series, which was read "
             "as one stack"
         )
         notes.append(Note("import.settings-change", words))

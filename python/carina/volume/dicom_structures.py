@@ -192,20 +192,20 @@ def ct_references(path: Path, volume: Volume, watch: Watch) -> References | None
     except (VolumeImportError, OSError):
         return None
     limits = np.array(volume.shape_zyx[::-1]) - 0.5
-    kept = []
+    references = []
     for header in headers:
         ijk = volume.to_ijk(np.array(header.position_lps))
         if np.abs(ijk - np.rint(ijk)).max() <= _ON_GRID and (ijk > -0.5).all() and (ijk < limits).all():
-            kept.append(header)
-    if not kept:
+            references.append(header)
+    if not references:
         return None
     names = list(IDENTITY)
     frame, study = names.index("FrameOfReferenceUID"), names.index("StudyInstanceUID")
     return References(
-        frozenset({header.identity[frame] for header in kept} - {""}),
-        frozenset({header.identity[study] for header in kept} - {""}),
-        frozenset({header.series_uid for header in kept} - {""}),
-        frozenset({header.sop_uid for header in kept} - {""}),
+        frozenset({header.identity[frame] for header in references} - {""}),
+        frozenset({header.identity[study] for header in references} - {""}),
+        frozenset({header.series_uid for header in references} - {""}),
+        frozenset({header.sop_uid for header in references} - {""}),
     )
 
 

@@ -152,11 +152,11 @@ def _truth(fields: dict[str, str], name: str, *, default: bool) -> bool:
 
 def _order(path: Path, fields: dict[str, str]) -> str:
     names = ("BinaryDataByteOrderMSB", "ElementByteOrderMSB")
-    said = {_truth(fields, name, default=False) for name in names if name.lower() in fields}
-    if len(said) > 1:
+    stated = {_truth(fields, name, default=False) for name in names if name.lower() in fields}
+    if len(stated) > 1:
         problem = "its BinaryDataByteOrderMSB and its ElementByteOrderMSB contradict each other"
         raise refuse(path, problem, "its byte order is unknown; export it again", "import.header")
-    return ">" if said == {True} else "<"
+    return ">" if stated == {True} else "<"
 
 
 def _refuse_what_others_ignore(path: Path, fields: dict[str, str]) -> None:

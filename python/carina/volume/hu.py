@@ -183,8 +183,8 @@ def to_int16(values: NDArray[np.generic]) -> Int16Values:
     low, high = float(values.min()), float(values.max())
     whole = values.dtype.kind in "iu" or bool(np.all(values == np.rint(values)))
     if whole and low >= _INT16.min and high <= _INT16.max:
-        kept = np.ascontiguousarray(values, dtype=np.int16)
-        return Int16Values(kept, None, notes, "; ".join(doubts) or None)
+        int16_values = np.ascontiguousarray(values, dtype=np.int16)
+        return Int16Values(int16_values, None, notes, "; ".join(doubts) or None)
     clipped, num_clipped = _clip(values)
     if judge_values(clipped).is_hu:
         if num_clipped:

@@ -154,9 +154,9 @@ def open_mask(
         found = _labels(where, volume, watch)
         voxel_ml = abs(float(np.linalg.det(found.lps_from_mask[:3, :3]))) / 1000.0
         chosen = _chosen(where, found, label, voxel_ml)
-        inside, said = found.inside(chosen)
+        inside, mask_notes = found.inside(chosen)
         placed = _placed(where, inside, found.lps_from_mask, volume, resample=resample, watch=watch)
-        notes = tuple(f"the segmentation: {words}" for words in (*found.notes, *said))
+        notes = tuple(f"the segmentation: {words}" for words in (*found.notes, *mask_notes))
         return replace(placed, notes=(*notes, *placed.notes))
 
     return guarded(Path(path).expanduser(), read)
@@ -282,12 +282,12 @@ def _chosen(path: Path, found: _Labels, label: int | None, voxel_ml: float) -> i
         return label
     listed = ", ".join(f"{n} ({names[n]})" if n in names else str(n) for n in present[:12])
     more = f" and {len(present) - 12} more" if len(present) > 12 else ""
-    asked = "choose the airway label"
+    request = "choose the airway label"
     if label is not None:
         missing = f"{label} ({names[label]}) is empty" if label in names else f"{label} is not among them"
-        asked = f"{missing}; choose the airway label"
+        request = f"{missing}; choose the airway label"
     msg = (
-        f"reading the segmentation {path.name}: it contains the labels {listed}{more}; {asked} "
+        f"reading the segmentation {path.name}: it contains the labels {listed}{more}; {request} "
         "(--label, or label=N in Python)"
     )
     raise MaskLabelError(msg, tuple(MaskLabel(n, names.get(n) or None, sizes[n] * voxel_ml) for n in present))

@@ -240,6 +240,6 @@ class PaddingCount:
         which = "are marked as padding by the file" if self._is_marked else "look like padding, which no tag states"
         words = f"{share:.2g} % of the voxels {which}: they had the value {value:g} and were set to {filled}"
         if self._num_kept:
-            words += f"; {self._num_kept} voxels with such a value within the picture kept it"
+            words += f"; {self._num_kept} voxels with such a value within the picture were not changed"
         in_tissue = any(_TISSUE_HU[0] < one < _TISSUE_HU[1] for one in self._values)
         return (Note("import.padding", words, badge=in_tissue or not self._is_marked),)

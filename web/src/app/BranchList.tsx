@@ -107,7 +107,7 @@ export function BranchList() {
           No branch matches. Try a segment (RB9), a lobe, a generation (g3), or {"\u201c?\u201d"} for uncertain names.
         </p>
       ) : (
-        // biome-ignore lint/a11y/noStaticElementInteractions: hovering and focusing rows shows their branch, the tree inside is interactive
+        // biome-ignore lint/a11y/noStaticElementInteractions: hover or focus of a row highlights its branch; the tree inside is interactive
         <div
           ref={list}
           className="branch-rows"

@@ -25,7 +25,7 @@ export function BranchPanel() {
   const tree = useApp((state) => state.tree);
   const node = id === null ? undefined : tree?.byId.get(id);
   const measured = node?.measures ?? null;
-  // biome-ignore lint/correctness/useExhaustiveDependencies: measures that have just come bring a profile with them
+  // biome-ignore lint/correctness/useExhaustiveDependencies: new measurements include a profile
   useEffect(() => {
     if (id === null) return;
     requests += 1;

@@ -292,7 +292,7 @@ function Calibration({ device, begun, onCalibrate }: DeviceProps) {
         not all in a straight line.
       </p>
       {pairs.map((pair, n) => (
-        // biome-ignore lint/suspicious/noArrayIndexKey: pairs are only ever added at the end
+        // biome-ignore lint/suspicious/noArrayIndexKey: pairs are only added at the end
         <p className="numbers" key={n}>
           {n + 1}: {pair.tracker.map((v) => fixed(v, 1)).join(" ")} {"\u2192"} {coordinates(pair.patient)}
         </p>

@@ -18,7 +18,7 @@ export function RecordSwitch() {
     <SwitchKey
       words={
         keeps
-          ? "Record every movement of the tip. The flight is kept in this case."
+          ? "Record every movement of the tip. The flight is stored in this case."
           : "Record to a file on this machine. Use carina fly to render it as a video, exactly as flown."
       }
       label={recording === null ? "Record" : "Stop recording"}
@@ -36,7 +36,7 @@ export function FlightList() {
   const flights = useApp((state) => state.flights);
   const [open, setOpen] = useState<number | null>(null);
   if (!keeps) return recording === null ? null : <p className="quiet path">{recording}</p>;
-  if (flights.length === 0) return <p className="quiet">Recorded flights are kept in this case and listed here.</p>;
+  if (flights.length === 0) return <p className="quiet">Recorded flights are stored in this case and listed here.</p>;
   return (
     <ol className="key-list flights" aria-label="Recorded flights" data-testid="flights">
       {flights.map((flight, n) => (

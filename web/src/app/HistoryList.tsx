@@ -18,7 +18,7 @@ export function HistoryList() {
   const watches = useApp((state) => state.watches);
   const here = useRef<HTMLLIElement>(null);
   const step = history?.step ?? 0;
-  // biome-ignore lint/correctness/useExhaustiveDependencies: the row that holds is another one at each step
+  // biome-ignore lint/correctness/useExhaustiveDependencies: the current row changes with each step
   useEffect(() => {
     // Do not return the result: in newer browsers it is a promise, which React would take for a cleanup function.
     here.current?.scrollIntoView({ block: "nearest" });
@@ -34,7 +34,7 @@ export function HistoryList() {
       ) : (
         <ol className="history-rows" data-testid="history">
           {rows.map((row, n) => (
-            // biome-ignore lint/suspicious/noArrayIndexKey: a step is known by its place
+            // biome-ignore lint/suspicious/noArrayIndexKey: the position identifies a step
             <li key={n} ref={n === step ? here : undefined} data-undone={n > step || undefined}>
               <Tip words={n > step ? "Redo everything up to this point" : "Go back to this point"}>
                 <Button

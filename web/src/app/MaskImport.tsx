@@ -80,7 +80,7 @@ export function DropChoice() {
   }, []);
   if (!dragged || hasQuestion) return null;
   const place = (use: "mask" | "case", title: string, words: string) => (
-    // biome-ignore lint/a11y/noStaticElementInteractions: buttons in the panels do the same by keyboard
+    // biome-ignore lint/a11y/noStaticElementInteractions: buttons in the panels give keyboard access
     <div
       className={over === use ? "drop over" : "drop"}
       data-testid={`drop-${use}`}
@@ -170,7 +170,7 @@ function Question({ question }: { question: MaskQuestion }) {
           </p>
         </>
       )}
-      <p className="quiet">The current airways are kept until you choose. Undo restores them later.</p>
+      <p className="quiet">The current airways remain until you choose. Undo restores them afterwards.</p>
       <div className="dialog-actions">
         <Button className="button" onPress={() => station.send({ type: "dismiss_mask" })}>
           Cancel

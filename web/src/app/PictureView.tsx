@@ -54,6 +54,6 @@ export function PictureView({ view, shape, name, onDoubleClick }: PictureViewPro
     if (made !== null) station.wall.show(made, view, shape);
   }, [station, view, shape]);
 
-  // biome-ignore lint/a11y/noNoninteractiveTabindex: a picture takes keys of its own (crosshair, zoom, full)
+  // biome-ignore lint/a11y/noNoninteractiveTabindex: a picture handles keys (crosshair, zoom, full view)
   return <div ref={host} className="picture-host" tabIndex={0} role="img" aria-label={name} />;
 }

@@ -67,7 +67,7 @@ function Conflict({ saving }: { saving: SavingInfo }) {
       <div className="dialog-actions">
         {choices.beside === null ? null : (
           <Act
-            label="Save beside it"
+            label="Save as a new file"
             words={`Save this case as ${choices.beside}`}
             testId="save-beside"
             onPress={() => send({ type: "save_case", path: choices.beside })}
@@ -84,7 +84,7 @@ function Conflict({ saving }: { saving: SavingInfo }) {
         {choices.replaces ? (
           <Act
             label="Replace"
-            words={`Keep the present file under a new name, then save this case as ${saving.copy_name ?? ""}`}
+            words={`Rename the present file, then save this case as ${saving.copy_name ?? ""}`}
             testId="save-replace"
             onPress={() => send({ type: "save_case", path, replace: true })}
           />

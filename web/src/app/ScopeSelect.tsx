@@ -29,10 +29,10 @@ export function ScopeSelect() {
   const hasPlans = useApp((state) => state.session?.targets.some((target) => target.has_size) === true);
   if (scopes === null) return null;
   const chosen = scopes.find((scope) => scope.name === name);
-  const plans = hasPlans ? "The plans use it, too." : "Plans of targets will use it, too.";
+  const plans = hasPlans ? "The plans use this scope as well." : "Plans for targets will use this scope as well.";
   const words =
     chosen === undefined
-      ? "No scope: pinhole camera. Plans keep their scope."
+      ? "No scope: pinhole camera. The scope of the plans does not change."
       : `Viewed through: ${chosen.title}, ${sizeText(chosen)}. ${plans}`;
   return (
     <Select

@@ -52,7 +52,7 @@ function DropPlace() {
     void filesOfDrop(event.dataTransfer.items).then((files) => station.upload(files));
   };
   return (
-    // biome-ignore lint/a11y/noStaticElementInteractions: the buttons inside do the same by keyboard
+    // biome-ignore lint/a11y/noStaticElementInteractions: the buttons inside give keyboard access
     <div
       className={over ? "drop over" : "drop"}
       onDragOver={(event) => {

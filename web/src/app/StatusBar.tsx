@@ -95,7 +95,7 @@ function CursorText() {
 const RATES_HZ = [15, 30, 60] as const;
 
 /** Render the selection of the target frame rate, beside the measured frame rate. */
-const AskedRate = memo(function AskedRate() {
+const TargetRate = memo(function TargetRate() {
   const station = useStation();
   const rate = useApp((state) => state.session?.frame_rate_hz ?? 60);
   const choices = RATES_HZ.some((known) => known === rate) ? RATES_HZ : [...RATES_HZ, rate];
@@ -167,7 +167,7 @@ function PaceText() {
   return (
     <>
       <span className="pace" title="Frame rate of the airway view during the last movement">
-        frames {fps === null ? "\u2013" : `${fps}/s`} <AskedRate />
+        frames {fps === null ? "\u2013" : `${fps}/s`} <TargetRate />
       </span>
       {waitingMs > LATE_MS ? (
         <span className="warning-text">{"updating\u2026"}</span>

@@ -78,7 +78,7 @@ function Cases() {
         </ul>
       )}
       <p className="quiet">
-        Cases are kept until you forget them. A forgotten case can be restored for {FORGOTTEN_FOR}. Forgetting a case
+        Cases are stored until you forget them. A forgotten case can be restored for {FORGOTTEN_FOR}. Forgetting a case
         never deletes its CT or a file that you saved.
       </p>
     </section>
@@ -187,7 +187,7 @@ function Forgotten({ forgotten }: { forgotten: readonly RecentCase[] }) {
             <span />
             <Act
               label="Restore"
-              words="Put this case back in the list, as it was"
+              words="Restore this case to the list"
               testId="restore-case"
               onPress={() => station.send({ type: "restore_case", recent_id: entry.recent_id })}
             />

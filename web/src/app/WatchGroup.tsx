@@ -59,7 +59,7 @@ function Open({ page }: { page: WatchPage }) {
         ))}
       </p>
       {page.watchers.length === 0 ? (
-        <p className="quiet">Nobody is watching yet.</p>
+        <p className="quiet">No observers are connected yet.</p>
       ) : (
         <ul className="watchers" data-testid="watchers">
           {page.watchers.map((watcher) => (

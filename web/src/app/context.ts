@@ -10,7 +10,7 @@ export const StationContext = createContext<Workstation | null>(null);
 /** Return the workstation; throw an Error in a component outside the workstation's context. */
 export function useStation(): Workstation {
   const station = use(StationContext);
-  if (station === null) throw new Error("a panel needs a workstation around it");
+  if (station === null) throw new Error("a panel must be inside a workstation");
   return station;
 }
 

@@ -548,7 +548,7 @@ export class Workstation implements Station {
   /** Add a target with the selected cost function; show an error if the function needs a start point and has none. */
   addTarget(lps: Vec3): void {
     const message = targetMessage(lps, this.state.ui, this.state.session);
-    if (message === null) this.notice("Mark the start point first: there are no airways to begin in.");
+    if (message === null) this.notice("Mark the start point first: there are no segmented airways to start from.");
     else this.send(message);
   }
 

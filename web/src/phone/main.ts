@@ -8,7 +8,7 @@ import { NO_SENSOR, SENSOR_REFUSED, SENSOR_WITHIN_MS, stateText } from "./words"
 
 function element<T extends HTMLElement>(id: string): T {
   const found = document.getElementById(id);
-  if (found === null) throw new Error(`the page has no ${id}`);
+  if (found === null) throw new Error(`the page has no element ${id}`);
   return found as T;
 }
 

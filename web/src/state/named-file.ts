@@ -4,7 +4,7 @@ import type { SavingInfo } from "../wire/messages";
 
 /** Choices that the user has after another process has changed the named file. */
 export interface ConflictChoices {
-  /** Free path that "Save beside it" would write; null without a conflict. */
+  /** Free path that "Save as a new file" would write; null without a conflict. */
   readonly beside: string | null;
   /** Whether the changed file contains a case that can be opened. */
   readonly opens: boolean;

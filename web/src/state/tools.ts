@@ -70,7 +70,7 @@ export const TOOL_TEXTS: Readonly<Record<TreeTool, ToolTexts>> = {
   reroot: {
     label: "Set start",
     short: "Start",
-    words: "Click where paths should start. The tree and your edits are kept.",
+    words: "Click where paths should start. The tree and your edits do not change.",
     hint: "Click where paths should start (usually the trachea).",
   },
 };

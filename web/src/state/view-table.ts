@@ -51,7 +51,7 @@ export const showing = (view: ViewName, shown: ShownViews): ShownViews => ({ ...
 /** Return the first view with a kind of zoom; throw an Error if there is none. */
 export function viewZoomedBy(zoom: Zoom): ViewName {
   const found = VIEW_NAMES.find((view) => VIEWS[view].zoom === zoom);
-  if (found === undefined) throw new Error(`no view is moved by ${zoom}`);
+  if (found === undefined) throw new Error(`no view has the zoom ${zoom}`);
   return found;
 }
 
@@ -60,6 +60,6 @@ const PLANE_ORDER = Object.keys(PLANES) as PlaneName[];
 /** Return the anatomical plane perpendicular to a patient axis. */
 export function planeAcross(axis: 0 | 1 | 2): PlaneName {
   const found = PLANE_ORDER.find((plane) => PLANES[plane].axis === axis);
-  if (found === undefined) throw new Error(`no plane stands across axis ${axis}`);
+  if (found === undefined) throw new Error(`no plane is perpendicular to axis ${axis}`);
   return found;
 }

@@ -80,7 +80,7 @@ export class PictureScreen implements HeadsetScreen {
   async open(session: XrSession): Promise<void> {
     const canvas = this.#hooks.canvas();
     const gl = canvas.getContext("webgl2", { xrCompatible: true, antialias: true, alpha: false });
-    if (gl === null) throw new Error("this browser draws nothing by WebGL 2");
+    if (gl === null) throw new Error("this browser does not support WebGL 2");
     await (gl as { makeXRCompatible?: () => Promise<void> }).makeXRCompatible?.();
     this.#gl = gl;
     this.#program = linked(gl);
@@ -107,7 +107,7 @@ export class PictureScreen implements HeadsetScreen {
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     const newest = this.#hooks.newest();
     if (newest === null || newest.image.width === 0 || newest.image.height === 0) return;
-    // biome-ignore lint/correctness/useHookAtTopLevel: WebGL's, no hook of React's
+    // biome-ignore lint/correctness/useHookAtTopLevel: a method of WebGL, not a hook of React
     gl.useProgram(this.#program);
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, this.#texture);
@@ -161,7 +161,7 @@ function linked(gl: WebGL2RenderingContext): WebGLProgram {
   }
   gl.linkProgram(program);
   if (!gl.getProgramParameter(program, gl.LINK_STATUS)) {
-    throw new Error(`the headset's screen could not be made: ${gl.getProgramInfoLog(program) ?? ""}`);
+    throw new Error(`the screen of the headset could not be created: ${gl.getProgramInfoLog(program) ?? ""}`);
   }
   return program;
 }

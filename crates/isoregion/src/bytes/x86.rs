@@ -45,7 +45,7 @@ macro_rules! operations {
     ($(fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty { $body:expr })*) => {$(
         #[inline(always)]
         fn $name(self, $($arg: $type),*) -> $out {
-            // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole
+            // SAFETY: `self` is created only if the CPU has the instructions; loads and stores are of whole
             // arrays. Benchmark: crates/isoregion/benches/map.rs.
             unsafe { $body }
         }
@@ -118,25 +118,25 @@ impl Bytes for Avx512 {
 
     #[inline(always)]
     unsafe fn load(self, at: *const u8) -> __m512i {
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that the
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that the
         // bytes are readable. Benchmark: crates/isoregion/benches/map.rs.
         unsafe { _mm512_loadu_si512(at.cast()) }
     }
     #[inline(always)]
     unsafe fn store(self, at: *mut u8, v: __m512i) {
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that the
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that the
         // bytes are writable.
         unsafe { _mm512_storeu_si512(at.cast(), v) }
     }
     #[inline(always)]
     unsafe fn equal64(self, a: *const u8, b: *const u8) -> u64 {
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that 64
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that 64
         // bytes from `a` and from `b` are readable.
         unsafe { _mm512_cmpeq_epu8_mask(self.load(a), self.load(b)) }
     }
     #[inline(always)]
     unsafe fn within64(self, at: *const i16, lo: i16, width: u16) -> u64 {
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that 64
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that 64
         // values from `at` are readable.
         unsafe {
             let (lo, width) = (
@@ -228,19 +228,19 @@ impl Bytes for Avx2 {
 
     #[inline(always)]
     unsafe fn load(self, at: *const u8) -> __m256i {
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that the
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that the
         // bytes are readable. Benchmark: crates/isoregion/benches/map.rs.
         unsafe { _mm256_loadu_si256(at.cast()) }
     }
     #[inline(always)]
     unsafe fn store(self, at: *mut u8, v: __m256i) {
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that the
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that the
         // bytes are writable.
         unsafe { _mm256_storeu_si256(at.cast(), v) }
     }
     #[inline(always)]
     unsafe fn equal64(self, a: *const u8, b: *const u8) -> u64 {
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that 64
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that 64
         // bytes from `a` and from `b` are readable.
         unsafe {
             let first = _mm256_cmpeq_epi8(self.load(a), self.load(b));
@@ -251,7 +251,7 @@ impl Bytes for Avx2 {
     }
     #[inline(always)]
     unsafe fn within64(self, at: *const i16, lo: i16, width: u16) -> u64 {
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that 64
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that 64
         // values from `at` are readable.
         unsafe {
             let (lo, width) = (

@@ -90,7 +90,7 @@ macro_rules! operations {
     ($(fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty { $body:expr })*) => {$(
         #[inline(always)]
         fn $name(self, $($arg: $type),*) -> $out {
-            // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole
+            // SAFETY: `self` is created only if the CPU has the instructions; loads and stores are of whole
             // arrays. Benchmark: benchmarks/measurements/rendering.md.
             unsafe { $body }
         }
@@ -175,7 +175,7 @@ impl Lanes for Avx2 {
     #[inline(always)]
     fn fill(self, old: __m256, mask: u32, values: &[f32]) -> __m256 {
         let values = &values[..Self::N];
-        // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole arrays.
+        // SAFETY: `self` is created only if the CPU has the instructions; loads and stores are of whole arrays.
         unsafe {
             let values = _mm256_loadu_ps(values.as_ptr());
             let turn = _mm256_loadu_si256(TURN[(mask & 255) as usize].as_ptr().cast());
@@ -186,7 +186,7 @@ impl Lanes for Avx2 {
     #[inline(always)]
     fn fill_i(self, old: __m256i, mask: u32, values: &[i32]) -> __m256i {
         let values = &values[..Self::N];
-        // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole arrays.
+        // SAFETY: `self` is created only if the CPU has the instructions; loads and stores are of whole arrays.
         unsafe {
             let values = _mm256_loadu_si256(values.as_ptr().cast());
             let turn = _mm256_loadu_si256(TURN[(mask & 255) as usize].as_ptr().cast());
@@ -197,7 +197,7 @@ impl Lanes for Avx2 {
     #[inline(always)]
     fn put(self, v: __m256, mask: u32, out: &mut [f32]) {
         let out = &mut out[..Self::N];
-        // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole arrays.
+        // SAFETY: `self` is created only if the CPU has the instructions; loads and stores are of whole arrays.
         unsafe {
             let lane = _mm256_loadu_si256(PLACE[(mask & 255) as usize].as_ptr().cast());
             _mm256_storeu_ps(out.as_mut_ptr(), _mm256_permutevar8x32_ps(v, lane));
@@ -206,7 +206,7 @@ impl Lanes for Avx2 {
     #[inline(always)]
     fn put_i(self, v: __m256i, mask: u32, out: &mut [i32]) {
         let out = &mut out[..Self::N];
-        // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole arrays.
+        // SAFETY: `self` is created only if the CPU has the instructions; loads and stores are of whole arrays.
         unsafe {
             let lane = _mm256_loadu_si256(PLACE[(mask & 255) as usize].as_ptr().cast());
             let packed = _mm256_permutevar8x32_epi32(v, lane);
@@ -224,7 +224,7 @@ impl Lanes for Avx2 {
         let mut out = [base; R];
         if self.gathers {
             for n in 0..R {
-                // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that
+                // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that
                 // every pair is in the data.
                 out[n] = unsafe {
                     _mm256_i32gather_epi32::<2>(data.offset(offsets[n] as isize).cast(), base)
@@ -233,7 +233,7 @@ impl Lanes for Avx2 {
             return out;
         }
         let index = self.store_i(base);
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that every
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that every
         // pair is in the data. Four lanes are read at a time, so that their addresses stay in registers for all
         // offsets.
         unsafe {
@@ -260,7 +260,7 @@ impl Lanes for Avx2 {
     ) -> [[__m256i; 2]; R] {
         let index = self.store_i(base);
         let mut out = [[base; 2]; R];
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that all
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that all
         // four voxels are in the data.
         unsafe {
             let mut parts = [[[_mm_setzero_si128(); 2]; 2]; R];
@@ -288,7 +288,7 @@ impl Lanes for Avx2 {
     ) -> [[__m256i; 4]; R] {
         let index = self.store_i(base);
         let mut out = [[base; 4]; R];
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that all
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that all
         // eight numbers are in the data.
         unsafe {
             let order = _mm256_broadcastsi128_si256(interleaved());
@@ -319,7 +319,7 @@ impl Lanes for Avx2 {
     #[inline(always)]
     unsafe fn links(self, table: *const AtomicI32, index: __m256i) -> __m256i {
         let index = self.store_i(index);
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that each
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that each
         // lane's link is in the table.
         unsafe { whole_of([four_links(table, &index, 0), four_links(table, &index, 4)]) }
     }
@@ -327,7 +327,7 @@ impl Lanes for Avx2 {
     #[inline(always)]
     unsafe fn voxels(self, data: *const i16, index: __m256i) -> __m256i {
         let index = self.store_i(index);
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that the
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that the
         // voxel is in the data.
         unsafe { _mm256_cvtepi16_epi32(eight_voxels(data, &index, 0)) }
     }
@@ -335,7 +335,7 @@ impl Lanes for Avx2 {
     #[inline(always)]
     unsafe fn bytes(self, data: *const u8, index: __m256i) -> __m256i {
         let index = self.store_i(index);
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that the
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that the
         // byte is in the data.
         unsafe {
             let (a, b) = (four_bytes(data, &index, 0), four_bytes(data, &index, 4));
@@ -346,7 +346,7 @@ impl Lanes for Avx2 {
     #[inline(always)]
     unsafe fn entries(self, table: *const [f32; 4], index: __m256i) -> [__m256; 4] {
         let at = self.store_i(index);
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that each
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that each
         // lane's entry is in the table. Eight loads of four numbers and a transposition need a quarter of the loads of
         // four gathers.
         unsafe {

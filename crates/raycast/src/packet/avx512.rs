@@ -40,7 +40,7 @@ macro_rules! operations {
     ($(fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty { $body:expr })*) => {$(
         #[inline(always)]
         fn $name(self, $($arg: $type),*) -> $out {
-            // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole
+            // SAFETY: `self` is created only if the CPU has the instructions; loads and stores are of whole
             // arrays. Benchmark: benchmarks/measurements/rendering.md.
             unsafe { $body }
         }
@@ -121,13 +121,13 @@ impl Lanes for Avx512 {
     #[inline(always)]
     fn fill(self, old: __m512, mask: u32, values: &[f32]) -> __m512 {
         let values = &values[..Self::N];
-        // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole arrays.
+        // SAFETY: `self` is created only if the CPU has the instructions; loads and stores are of whole arrays.
         unsafe { _mm512_mask_expand_ps(old, mask as u16, _mm512_loadu_ps(values.as_ptr())) }
     }
     #[inline(always)]
     fn fill_i(self, old: __m512i, mask: u32, values: &[i32]) -> __m512i {
         let values = &values[..Self::N];
-        // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole arrays.
+        // SAFETY: `self` is created only if the CPU has the instructions; loads and stores are of whole arrays.
         unsafe {
             let values = _mm512_loadu_si512(values.as_ptr().cast());
             _mm512_mask_expand_epi32(old, mask as u16, values)
@@ -136,7 +136,7 @@ impl Lanes for Avx512 {
     #[inline(always)]
     fn put(self, v: __m512, mask: u32, out: &mut [f32]) {
         let out = &mut out[..Self::N];
-        // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole arrays.
+        // SAFETY: `self` is created only if the CPU has the instructions; loads and stores are of whole arrays.
         unsafe {
             _mm512_storeu_ps(out.as_mut_ptr(), _mm512_maskz_compress_ps(mask as u16, v));
         }
@@ -144,7 +144,7 @@ impl Lanes for Avx512 {
     #[inline(always)]
     fn put_i(self, v: __m512i, mask: u32, out: &mut [i32]) {
         let out = &mut out[..Self::N];
-        // SAFETY: a value `self` exists only on a machine with the instructions; loads and stores are of whole arrays.
+        // SAFETY: `self` is created only if the CPU has the instructions; loads and stores are of whole arrays.
         unsafe {
             let packed = _mm512_maskz_compress_epi32(mask as u16, v);
             _mm512_storeu_si512(out.as_mut_ptr().cast(), packed);
@@ -182,7 +182,7 @@ impl Lanes for Avx512 {
         let mut out = [base; R];
         if self.gathers {
             for n in 0..R {
-                // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that
+                // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that
                 // every pair is in the data.
                 out[n] = unsafe {
                     _mm512_i32gather_epi32::<2>(base, data.offset(offsets[n] as isize).cast())
@@ -191,7 +191,7 @@ impl Lanes for Avx512 {
             return out;
         }
         let index = self.store_i(base);
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that every
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that every
         // pair is in the data. Four lanes are read at a time, so that their addresses stay in registers for all
         // offsets.
         unsafe {
@@ -218,7 +218,7 @@ impl Lanes for Avx512 {
     ) -> [[__m512i; 2]; R] {
         let index = self.store_i(base);
         let mut out = [[base; 2]; R];
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that all
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that all
         // four voxels are in the data.
         unsafe {
             let mut parts = [[[_mm_setzero_si128(); 4]; 2]; R];
@@ -246,7 +246,7 @@ impl Lanes for Avx512 {
     ) -> [[__m512i; 4]; R] {
         let index = self.store_i(base);
         let mut out = [[base; 4]; R];
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that all
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that all
         // eight numbers are in the data.
         unsafe {
             let order = _mm512_broadcast_i32x4(interleaved());
@@ -284,7 +284,7 @@ impl Lanes for Avx512 {
     #[inline(always)]
     unsafe fn links(self, table: *const AtomicI32, index: __m512i) -> __m512i {
         let index = self.store_i(index);
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that each
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that each
         // lane's link is in the table.
         unsafe {
             whole_of([
@@ -299,7 +299,7 @@ impl Lanes for Avx512 {
     #[inline(always)]
     unsafe fn voxels(self, data: *const i16, index: __m512i) -> __m512i {
         let index = self.store_i(index);
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that the
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that the
         // voxel is in the data.
         unsafe {
             let (a, b) = (eight_voxels(data, &index, 0), eight_voxels(data, &index, 8));
@@ -310,7 +310,7 @@ impl Lanes for Avx512 {
     #[inline(always)]
     unsafe fn bytes(self, data: *const u8, index: __m512i) -> __m512i {
         let index = self.store_i(index);
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that the
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that the
         // byte is in the data.
         unsafe {
             let (a, b) = (four_bytes(data, &index, 0), four_bytes(data, &index, 4));
@@ -323,7 +323,7 @@ impl Lanes for Avx512 {
     #[inline(always)]
     unsafe fn entries(self, table: *const [f32; 4], index: __m512i) -> [__m512; 4] {
         let at = self.store_i(index);
-        // SAFETY: a value `self` exists only on a machine with the instructions, and the caller guarantees that each
+        // SAFETY: `self` is created only if the CPU has the instructions, and the caller guarantees that each
         // lane's entry is in the table. Sixteen loads of four numbers and a transposition need a quarter of the loads
         // of four gathers.
         unsafe {

@@ -208,7 +208,7 @@ class HaplyBridge:
                     if device_id is None:
                         continue
                 if state is None:
-                    # An invalid message releases the force; without a device there is no command.
+                    # After an invalid message the commanded force is zero. Commands need the ID of a device.
                     if device_id is None:
                         self._status = "no device"
                         continue

@@ -100,9 +100,9 @@ class Reports:
                 if archive is not None and not path.name.endswith(".pdf.dcm"):
                     done.set_result(archive.export(path, materials, job))
                     return
-                asked = _with_verdicts(self._session, materials, target_id, job)
+                with_verdicts = _with_verdicts(self._session, materials, target_id, job)
                 plays = path.suffix == ".html" and kind == "report"
-                sheet = whole_sheet(asked, clips=plays, progress=rendering, cancel=job.cancel)
+                sheet = whole_sheet(with_verdicts, clips=plays, progress=rendering, cancel=job.cancel)
                 pages = path if archive is None else path.with_suffix("").with_suffix(".pdf")
                 made = write_report(pages, sheet, kind=kind, progress=writing, cancel=job.cancel)
                 if archive is not None:

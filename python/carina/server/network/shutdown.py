@@ -63,15 +63,15 @@ class TimedShutdownServer(uvicorn.Server):
         """Request every connection to close, and abort those that only wait for their client."""
         loop = asyncio.get_running_loop()
         end_s = loop.time() + (self.config.timeout_graceful_shutdown or 0)
-        asked: set[Any] = set()
+        requested: set[Any] = set()
         closing_since: dict[Any, float] = {}
         while self.server_state.connections and not self.force_exit:
             now_s = loop.time()
             for connection in list(self.server_state.connections):
                 transport = connection.transport
-                if connection not in asked and not transport.is_closing():
+                if connection not in requested and not transport.is_closing():
                     # After an upgrade to WebSocket the connection is a new object: it must be shut down as well.
-                    asked.add(connection)
+                    requested.add(connection)
                     connection.shutdown()
                 if not transport.is_closing():
                     # The server is still sending a response on this connection: abort it only after the grace period.

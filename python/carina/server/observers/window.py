@@ -132,7 +132,7 @@ class WatchingWindow(Window):
     def _state(self) -> wire.State:
         """Return the state message without folders, file names, series texts and the user's name of the case.
 
-        That name is the user's free text, which may be the patient's; the observer reads the neutral alias.
+        The user may have named the case after the patient, so the observer receives the neutral alias of the case.
         """
         state = super()._state()
         case = state.case

@@ -55,7 +55,7 @@ def _lung_layers(lungs: LungMap) -> Iterator[wire.MappedLayer]:
             f"{lungs.vessels.ml:.0f} ml in both lungs",
             (
                 NO_MEDIASTINUM,
-                "Arteries and veins are not told apart, and vessels thinner than about 1 mm are seen in part; "
+                "Arteries and veins are not distinguished, and vessels thinner than about 1 mm are seen in part; "
                 "none is shown in the outermost 3 mm of the lungs, "
                 "and round the airway tree none that runs along their edge.",
                 "Dashed: less sure. Scars and airways that were not found may look like vessels.",
@@ -92,8 +92,8 @@ def _fissures_seen(shares: tuple[float | None, float | None] | None) -> str:
     if max(share for _, share in known) < LEAST_SHARE:
         return "hardly any seen"
     # The borders are estimated, so the shares are rounded to the nearest 10 %.
-    told = [f"{10.0 * round(10.0 * share):.0f} % of the borders on the {side}" for side, share in known]
-    return f"seen along about {' and '.join(told)}"
+    texts = [f"{10.0 * round(10.0 * share):.0f} % of the borders on the {side}" for side, share in known]
+    return f"seen along about {' and '.join(texts)}"
 
 
 def _vessel_lines(tree: VesselTree) -> Iterator[wire.VesselLine]:

@@ -17,6 +17,6 @@ def thinned(points: NDArray[np.float64], every_mm: float = POINT_EVERY_MM) -> ND
         return points
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     steps = np.floor(along / every_mm)
-    kept = np.flatnonzero(np.diff(steps, prepend=-1.0) > 0)
-    left: NDArray[np.float64] = points[np.unique(np.append(kept, len(points) - 1))]
+    indices = np.flatnonzero(np.diff(steps, prepend=-1.0) > 0)
+    left: NDArray[np.float64] = points[np.unique(np.append(indices, len(points) - 1))]
     return left

@@ -94,12 +94,12 @@ async def _send_all(websocket: WebSocket, window: Window) -> None:
         topics, texts, pictures = outbox.take()
         # All topics are encoded before the first await, so that "handled" never reports a command whose result is
         # missing from the other topics.
-        told = [(topic, window.topic_text(topic)) for topic in topics]
+        reported = [(topic, window.topic_text(topic)) for topic in topics]
         ended = window.ended
         if ended is not None:
             await close_socket(websocket, "protocol.watching-ended", ended)
             return
-        for topic, text in told:
+        for topic, text in reported:
             if text is not None and outbox.is_news(topic, text):
                 await websocket.send_text(window.restored(text))
         for text in texts:

@@ -259,8 +259,8 @@ class Window:
             self.push_error(wire.Error(trouble.code, str(trouble), None))
         except Exception as trouble:
             if isinstance(trouble, OSError) and is_disk_trouble(trouble):
-                told = disk_trouble(trouble, "the command failed", None)
-                self.push_error(wire.Error(told.code, str(told), None))
+                error = disk_trouble(trouble, "the command failed", None)
+                self.push_error(wire.Error(error.code, str(error), None))
             else:
                 log_fault(logger, f"a command failed: {type(message).__name__}", trouble)
                 words = f"the command failed: internal error in Carina ({type(trouble).__name__})"

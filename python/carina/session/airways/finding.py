@@ -65,8 +65,8 @@ class AirwayHandlers(CommandHandlers):
     def mask_file_needed(self, _question: c.MaskFileNeeded) -> bool:
         """Return whether the imported file is still needed, because a job reads it or a question about it is open."""
         with self.core.lock:
-            asked = self.core.case is not None and self.core.case.asked_mask is not None
-            return asked or any(job.kind == "mask" for job in self.core.jobs.running)
+            is_open = self.core.case is not None and self.core.case.asked_mask is not None
+            return is_open or any(job.kind == "mask" for job in self.core.jobs.running)
 
     @does(c.TakeMask)
     def take_mask(self, command: c.TakeMask) -> str:
@@ -111,9 +111,9 @@ class AirwayHandlers(CommandHandlers):
             raise UsageError(
                 "the imported segmentation is no longer available; choose its file again", code="session.mask"
             )
-        asked = open_question.asked
-        label = asked.label if command.label is None else command.label
-        return self.take_mask(c.TakeMask(asked.path, label, command.resample))
+        mask = open_question.asked
+        label = mask.label if command.label is None else command.label
+        return self.take_mask(c.TakeMask(mask.path, label, command.resample))
 
     @does(c.DismissMask)
     def dismiss_mask(self, _command: c.DismissMask) -> None:
@@ -123,9 +123,9 @@ class AirwayHandlers(CommandHandlers):
             self.core.jobs.cancel_kinds("mask")
             self._ask_about_mask(case, None)
 
-    def _ask_about_mask(self, case: OpenCase, asked: AskedMask | None) -> None:
-        if case.asked_mask is not asked:
-            case.asked_mask = asked
+    def _ask_about_mask(self, case: OpenCase, mask: AskedMask | None) -> None:
+        if case.asked_mask is not mask:
+            case.asked_mask = mask
             self.core.changed("state")
 
     def follow(self, case: OpenCase) -> None:
@@ -146,10 +146,10 @@ class AirwayHandlers(CommandHandlers):
         """Build the tree of a mask from its trachea, or from the known root if the mask contains no trachea."""
         known = case.document.airways
         # The notes, which are stored with the case, omit the file name, because it may contain a patient's name.
-        told = ("the airway lumen is an imported segmentation", *mask.notes)
+        texts = ("the airway lumen is an imported segmentation", *mask.notes)
 
         def find(job: Job) -> Any:
-            options = {"lumen_zyx": mask.inside_zyx, "notes": told, "progress": job.progress, "cancel": job.cancel}
+            options = {"lumen_zyx": mask.inside_zyx, "notes": texts, "progress": job.progress, "cancel": job.cancel}
             volume = case.info.volume
             try:
                 return self.core.parts.find_airways(volume, root_lps=None, lumen_threshold=None, **options)
@@ -222,17 +222,17 @@ class AirwayHandlers(CommandHandlers):
         branch_id = default_branch_id(airways.tree)
         default_route = None if branch_id is None else route_to_branch(airways.tree, branch_id)
         targets: tuple[Target, ...] = ()
-        asked: tuple[Target, ...] | None = None
+        requested: tuple[Target, ...] | None = None
         while True:
             with self.core.lock:
                 job.check()
-                if asked == case.document.targets:
+                if requested == case.document.targets:
                     found = replace(case.document, airways=airways, lumen_threshold=threshold, targets=targets)
                     self._put_airways(case, found, default_route, label)
                     return
-                asked = case.document.targets
+                requested = case.document.targets
             # The paths are searched without the lock: a search takes a while, and the user may edit targets meanwhile.
-            targets = tuple(tracked_target(airways, target) for target in asked)
+            targets = tuple(tracked_target(airways, target) for target in requested)
 
     def _put_airways(
         self, case: OpenCase, found: Document, default_route: ChosenRoute | None, label: str | None

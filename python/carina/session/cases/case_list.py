@@ -77,11 +77,11 @@ class CaseList(CommandHandlers):
         """Return the cases, the one used last first; move unreadable files aside first, with a message."""
         records = self._saving.records
         self._move_damaged_aside()
-        kept = () if records is None else records.all()
-        places = {record.place for record in kept}
+        cases = () if records is None else records.all()
+        places = {record.place for record in cases}
         opened = () if self.core.store is None else self.core.store.recent()
-        opens = self._opens(kept)
-        stored = [_of_record(record, records, opens=opens(record)) for record in kept if records is not None]
+        opens = self._opens(cases)
+        stored = [_of_record(record, records, opens=opens(record)) for record in cases if records is not None]
         only_opened = [_of_place(case) for case in opened if case.path not in places]
         # Stored cases are in the order of their use numbers, which no clock changes; other entries follow by date.
         return tuple(heapq.merge(stored, only_opened, key=lambda one: one.used_s, reverse=True))
@@ -92,13 +92,13 @@ class CaseList(CommandHandlers):
         for message in (*messages, *(() if store is None else store.moved_aside())):
             self.core.emit(Trouble("case.record", message))
 
-    def _opens(self, kept: Sequence[CaseRecord]) -> Callable[[CaseRecord], bool]:
+    def _opens(self, cases: Sequence[CaseRecord]) -> Callable[[CaseRecord], bool]:
         """Return a function that returns whether the CT of a case is at a known path, in a case file or cached."""
         if self._saving.scans is None:
             return lambda record: record.place is not None
-        cts = {record.digest for record in kept if record.place is not None}
+        cts = {record.digest for record in cases if record.place is not None}
         cache = self._saving.cache
-        if cache is not None and cache.is_on and any(record.digest not in cts for record in kept):
+        if cache is not None and cache.is_on and any(record.digest not in cts for record in cases):
             cts |= {one.digest for one in cache.sizes()}
         return lambda record: record.holds_ct or record.digest in cts
 

@@ -164,7 +164,7 @@ class CaseOpener(CommandHandlers):
                 self.core.changed("start")
         return UsageError(
             "the CT of this case was not found on this computer: drop the CT here or choose it to continue"
-            + (". The case is kept in the list of recent cases" if waits else ", then drop the case file again"),
+            + (". The case stays in the list of recent cases" if waits else ", then drop the case file again"),
             code="case.no-ct",
         )
 
@@ -319,16 +319,16 @@ class CaseOpener(CommandHandlers):
                 # The end of the recording belongs to the case that is being closed.
                 self._recording.stop()
             with self._saving.between() as keeping:
-                kept = given
+                stored = given
                 found_place = place if found is None else found.place
                 if found is not None and found.file is not None:
-                    kept = keeping.imported(volume, found.file, found.mark)
+                    stored = keeping.imported(volume, found.file, found.mark)
                 elif given is not None:
                     pass
                 elif anew:
                     keeping.begin(volume)
                 else:
-                    kept = keeping.reopened(volume, case_id)
+                    stored = keeping.reopened(volume, case_id)
                 job.progress("checking the scan quality", None)
                 case = new_case(
                     volume,
@@ -339,7 +339,7 @@ class CaseOpener(CommandHandlers):
                     lock=self.core.lock,
                     changed=self.core.changed,
                     say=lambda words: self.core.emit(UserMessage(words)),
-                    kept=kept,
+                    kept=stored,
                 )
                 case.planning.origin = CtOrigin(
                     None if found_place is None or found_place.startswith("demo:") else found_place,
@@ -357,7 +357,7 @@ class CaseOpener(CommandHandlers):
             # Preparation takes a tenth of a second and makes rendering several times faster; the airway search takes
             # many seconds.
             case.content.prepare()
-            self._go_on(case, kept, finds)
+            self._go_on(case, stored, finds)
 
         return self.core.jobs.start("open", title, work)
 
@@ -376,9 +376,9 @@ class CaseOpener(CommandHandlers):
         self.core.case = case
         self.core.moved()
 
-    def _go_on(self, case: OpenCase, kept: Moment | None, finds: bool) -> None:
+    def _go_on(self, case: OpenCase, stored: Moment | None, finds: bool) -> None:
         """Start the airway search of a new case, or continue a stored case and restore its scope in the lumen."""
-        if kept is not None:
+        if stored is not None:
             with self.core.lock:
                 self.core.follow(case)
                 self.core.changed(*ALL_TOPICS)

@@ -61,13 +61,13 @@ class SecondCtHandlers(CommandHandlers):
             movement = found.movement
             assert movement.shift_lps is not None
             assert movement.error_mm is not None
-            kept = c.MeasuredMovement(movement.shift_lps, movement.error_mm, movement.notes)
+            measured = c.MeasuredMovement(movement.shift_lps, movement.error_mm, movement.notes)
             with self.core.lock:
                 job.check()
                 now = needed_target(case.document, command.target_id)
                 if now.lesion is None or now.lesion.nodule is not lesion.nodule:
                     raise UsageError(f"{now.name} was edited during the measurement; measure again", code="plan.target")
-                options = msgspec.structs.replace(now.lesion.options, moved_mm=None, movement=kept)
+                options = msgspec.structs.replace(now.lesion.options, moved_mm=None, movement=measured)
                 changed = replace(now, lesion=replace(now.lesion, options=options))
                 self.core.change(case, f"measure the movement of {now.name}", with_target(case.document, changed))
                 self.core.emit(UserMessage(f"{now.name}: {movement.words}"))

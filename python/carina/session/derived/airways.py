@@ -83,10 +83,10 @@ def derived_measures(
     def make(airways: Airways, attempt: Attempt[TreeMeasures]) -> TreeMeasures:
         assert parts.measure_tree is not None
         with lock:
-            kept = measured.of(airways)
-        if kept is not None:
+            stored = measured.of(airways)
+        if stored is not None:
             try:
-                return _loaded(kept)
+                return _loaded(stored)
             except CarinaError as trouble:
                 lost(trouble)
         # Branches that an edit did not change reuse their cross-sections.
@@ -99,8 +99,8 @@ def derived_measures(
     return Derived(jobs, lock, kind="measures", title="measuring the airways", make=make, settled=changed)
 
 
-def _loaded(kept: TreeMeasures | StoredMeasures) -> TreeMeasures:
-    return kept.load() if isinstance(kept, StoredMeasures) else kept
+def _loaded(stored: TreeMeasures | StoredMeasures) -> TreeMeasures:
+    return stored.load() if isinstance(stored, StoredMeasures) else stored
 
 
 def _made_from(wall: WallField, airways: Any) -> dict[str, Any]:

@@ -77,7 +77,7 @@ class CaseLungs:
         self._changed = changed
         derived = partial(Derived, jobs, lock, settled=changed)
         self._lungs: Derived[Airways, LungMap] = derived(
-            kind="lungs", title="looking at what lies round the target", make=self._make_lungs
+            kind="lungs", title="mapping the structures around the target", make=self._make_lungs
         )
         self._reach: Derived[ReachInputs, ReachAtlas] = derived(
             kind="reach", title="mapping the reach of the instrument", make=self._make_reach, same=_same
@@ -103,12 +103,12 @@ class CaseLungs:
         outdated = (self._asked_lungs and standing == "unwanted") or (
             self._asked_reach is not None and reach_standing == "unwanted"
         )
-        asked = airways is not None and self._asked_lungs and standing != "unwanted"
+        is_requested = airways is not None and self._asked_lungs and standing != "unwanted"
         return LungsInfo(
             lungs=lungs,
             standing=standing,
             problem=str(self._lungs.error) if standing == "failed" else None,
-            stations=self._stations.of(airways) if asked and airways is not None else (),
+            stations=self._stations.of(airways) if is_requested and airways is not None else (),
             reach=reach,
             reach_standing=reach_standing,
             reach_problem=str(self._reach.error) if reach_standing == "failed" else None,

@@ -160,9 +160,9 @@ class FlightRecorder(CommandHandlers):
         The caller holds the lock.
         """
         self._recorder = None
-        kept = f"the recording so far is in {self._path}"
-        told = disk_trouble(trouble, "the recording stopped: cannot write to", self._path, unchanged=kept)
-        self.core.emit(Trouble(told.code, str(told)))
+        unchanged = f"the recording so far is in {self._path}"
+        error = disk_trouble(trouble, "the recording stopped: cannot write to", self._path, unchanged=unchanged)
+        self.core.emit(Trouble(error.code, str(error)))
         self.core.changed("state")
 
     def tick(self, _case: OpenCase | None = None) -> None:

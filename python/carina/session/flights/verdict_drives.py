@@ -68,7 +68,7 @@ class VerdictDriveHandlers(CommandHandlers):
             case.flights.listed = (*case.flights.listed, facts)
             # The case can play the flight without reading it from a file.
             case.flights.flown = FlownFlight(into.number, times_s, np.stack([one.lps_from_camera for one in poses]))
-            self.core.emit(UserMessage(f"the drive was kept as a flight of {recorder.length_s:.0f} s: {name}"))
+            self.core.emit(UserMessage(f"the drive was stored as a flight of {recorder.length_s:.0f} s: {name}"))
             self.core.changed("flights")
 
     @answers(c.FlightsToKeep)
@@ -96,7 +96,7 @@ def _needed(case: OpenCase, scope: str) -> Verdict:
         )
     if verdict.driven is None:
         raise NoResultError(
-            f"{verdict.scope.title} was not driven along this route, so there is no drive to keep: {verdict.words}",
+            f"{verdict.scope.title} was not driven along this route, so there is no drive to store: {verdict.words}",
             code="plan.no-verdict",
         )
     return verdict

@@ -116,7 +116,7 @@ class AwaitedScope:
     pose: Pose
 
     def is_due(self, case: OpenCase) -> bool:
-        """Return whether airways, mode and pose are still those of this object, so that the scope may be restored."""
+        """Return whether the case still has the stored airways, mode and pose, so that the scope may be restored."""
         tip = case.navigator
         is_still = tip.mode == self.mode and np.array_equal(tip.pose.lps_from_camera, self.pose.lps_from_camera)
         return is_still and case.document.airways is self.airways

@@ -141,10 +141,12 @@ class ReplacementCase:
         return None
 
     def imported(self, volume: Volume, case: CaseFile, mark: FileMark | None) -> Moment | None:
-        """Continue from a case file: from the stored case that wrote the file, else from a copy.
+        """Open the content of a case file, and store its further changes.
 
-        A file of a newer version of Carina is shown and not stored. The live file of a stored case is no named file:
-        the stored case is continued, or copied while another window has it open.
+        If the case that wrote the file is stored on this machine, that case is continued; otherwise the content of the
+        file becomes a new stored case. A file of a newer version of Carina is shown and not stored. A file in the
+        folder of stored cases (a live file) does not count as a named file: its case is continued, or copied if another
+        window has the case open.
 
         Parameters
         ----------
@@ -430,8 +432,8 @@ class Autosave(CommandHandlers):
     @property
     def open_ct(self) -> Callable[[str, Progress, Cancel], Volume]:
         """Function that opens a CT of this machine, with the cache if there is one."""
-        kept = None if self._files is None else self._files.open_ct
-        return self.core.parts.open_volume if kept is None else kept
+        stored = None if self._files is None else self._files.open_ct
+        return self.core.parts.open_volume if stored is None else stored
 
     def digest_of(self, volume: Volume) -> str | None:
         """Return the digest that identifies a CT; None where no case is stored."""
@@ -717,7 +719,7 @@ class Autosave(CommandHandlers):
                 raise disk_trouble(trouble, "cannot save the case to", path) from trouble
             # The record must be on the disk before a program that opens the file looks up whether the case is open.
             saver.settle()
-            was_replaced = "" if saved.replaced is None else f"; the replaced file is kept as {saved.replaced.name}"
+            was_replaced = "" if saved.replaced is None else f"; the replaced file is stored as {saved.replaced.name}"
             self.core.emit(UserMessage(f"saved as {path}{_without(saved.num_missing)}{was_replaced}"))
 
         return self.core.jobs.start("save", "saving the case", work)

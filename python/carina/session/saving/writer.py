@@ -370,7 +370,7 @@ class CaseSaver:
         mark = named.mark
         assert mark is not None
         now_s = self._records.now_s()
-        told = {
+        copy_facts = {
             "copied_s": now_s,
             "copy_name": path.name,
             "copy_folder": str(path.parent),
@@ -383,7 +383,7 @@ class CaseSaver:
             # The user saved the case under another name while the update of this file waited for its disk.
             return named is before and self._named is not before
 
-        with self._change_info(told, unless=is_outdated):
+        with self._change_info(copy_facts, unless=is_outdated):
             former = self._named
             if not is_outdated():
                 self._notes |= {
@@ -468,14 +468,14 @@ class CaseSaver:
             changed_s, self._changed_s = self._changed_s, None
             notes, self._notes = self._notes, {}
             self._is_urgent = False
-        told: dict[str, Any] = {}
+        written: dict[str, Any] = {}
         trouble: BaseException | None = None
         with self._watched():
             try:
-                told = self._write(notes, is_changed=changed_s is not None)
+                written = self._write(notes, is_changed=changed_s is not None)
             except Exception as error:  # Otherwise the thread would end and store no further change.
                 trouble = error
-            with self._change_info(told | {"problem": None if trouble is None else _words(trouble)}):
+            with self._change_info(written | {"problem": None if trouble is None else _words(trouble)}):
                 if trouble is None:
                     self._num_kept = self._num_begun
                     if changed_s is not None:
@@ -507,7 +507,7 @@ class CaseSaver:
         if not self._is_told_of:
             self.held.open_door()
             self._is_told_of = True
-        told: dict[str, Any] = {}
+        facts: dict[str, Any] = {}
         if is_changed:
             with self._core.lock:
                 # The time is read first, so that everything done before the stated time is on the disk.
@@ -525,14 +525,14 @@ class CaseSaver:
             self._elsewhere = None
             with self._core.lock:
                 self.case.flights.unwritten = tuple(one for one in self.case.flights.unwritten if not one.is_complete)
-            told["saved_s"] = now_s
+            facts["saved_s"] = now_s
             place = self.place or self.held.record.place
             notes = {"used_s": now_s, "place": place, "num_changes": moment.position} | notes
             if not self._is_use_numbered:
                 notes["use_number"] = self._records.next_use_number()
                 self._is_use_numbered = True
         self.held.note(**notes)
-        return told
+        return facts
 
     def _picture(self) -> None:
         """Store a thumbnail of the case; a failure is logged and stops nothing."""

@@ -144,8 +144,8 @@ class CaseScans:
             except (CarinaError, OSError) as trouble:
                 if refusal is None and isinstance(trouble, CarinaError):
                     refusal = trouble
-        kept = None if self._cache is None else self._cache.find_digest(source.digest)
-        volume = None if kept is None else kept.load(progress=report, cancel=cancel)
+        cached = None if self._cache is None else self._cache.find_digest(source.digest)
+        volume = None if cached is None else cached.load(progress=report, cancel=cancel)
         if volume is None:
             volume = case.packed_volume()
         if volume is not None:

@@ -82,7 +82,7 @@ def _text(file: StoredCaseFile | None, number: int, writer: RecordingWriter | No
             return waiting
         if file is None:
             raise CarinaError("its file is not there", code="case.not-saved")
-        kept = file.recording_text(number)
+        text = file.recording_text(number)
         # The count differs if the file has taken lines meanwhile; `CaseFile.keep_recording` writes all of them or none.
         if writer is None or writer.waiting()[0] == num_kept:
-            return kept + waiting
+            return text + waiting

@@ -184,7 +184,7 @@ class NamedFile:
             save = SaveMark.after(
                 None if parent is None else parent.save_id, 0 if parent is None else parent.generation
             )
-            kept: list[Path] = []
+            stored_paths: list[Path] = []
 
             def put(draft: Path, target: Path) -> None:
                 digest = _digest_of(draft)
@@ -195,7 +195,7 @@ class NamedFile:
                 if before_placing is not None:
                     before_placing(mark)
                 if replace:
-                    kept.extend(_replace_and_keep(draft, target, is_locked=self._lock is not None))
+                    stored_paths.extend(_replace_and_keep(draft, target, is_locked=self._lock is not None))
                 elif self._lock is not None:
                     self._replace_locked(draft, target, may_be_missing=may_be_missing)
                 else:
@@ -203,7 +203,7 @@ class NamedFile:
                 self.mark, self._next_digest = mark, None
 
             write(place, save, put)
-            return kept[0] if kept else None
+            return stored_paths[0] if stored_paths else None
 
     def close(self) -> None:
         """Release the lock; if a write waits for a disk, that write releases the lock at its end."""
@@ -270,7 +270,7 @@ class NamedFile:
             raise NamedFileConflictError(
                 f"The file {self.path.name} has changes of another program that are not written into it yet: they are "
                 f"in {journal.name} beside it. Nothing was written. {self._where_work_is}: close the file in the other "
-                "program, save beside it, or replace it (the replaced file is kept)",
+                "program, save as a new file, or replace it (the replaced file is renamed)",
                 self.path,
                 "changed",
             )
@@ -330,8 +330,8 @@ class NamedFile:
         kind, found = _described(place, self._ct_digest)
         now = "already exists: it contains" if self.mark is None else "was changed elsewhere: it now contains"
         return NamedFileConflictError(
-            f"The file {self.path.name} {now} {found}. Nothing was written to it. {self._where_work_is}: save beside "
-            "it, open the other version, or replace it (the replaced file is kept)",
+            f"The file {self.path.name} {now} {found}. Nothing was written to it. {self._where_work_is}: save as a "
+            "new file, open the other version, or replace it (the replaced file is renamed)",
             self.path,
             kind,
         )
@@ -409,7 +409,7 @@ def _replace_and_keep(draft: Path, target: Path, *, is_locked: bool) -> list[Pat
     former file follow it, because they would be replayed on the new file. If the disk refuses, the former file gets its
     name back.
     """
-    kept: list[Path] = []
+    stored_paths: list[Path] = []
     try:
         while True:
             free = _free_name(target, f"replaced {time.strftime('%Y-%m-%d %H%M')}")
@@ -417,7 +417,7 @@ def _replace_and_keep(draft: Path, target: Path, *, is_locked: bool) -> list[Pat
                 is_there = target.exists()
                 if is_there:
                     (copy_to_new_name if is_locked else move_to_new_name)(target, free)
-                    kept.append(free)
+                    stored_paths.append(free)
                 _move_journals(target, free)
                 if is_there and is_locked:
                     draft.replace(target)
@@ -428,23 +428,23 @@ def _replace_and_keep(draft: Path, target: Path, *, is_locked: bool) -> list[Pat
                 if not draft.exists():
                     raise
                 continue
-            return kept
+            return stored_paths
     except BaseException:
-        if kept:
+        if stored_paths:
             with contextlib.suppress(OSError):
-                _take_back(kept[-1], target)
+                _take_back(stored_paths[-1], target)
         raise
 
 
-def _take_back(kept: Path, target: Path) -> None:
+def _take_back(stored_path: Path, target: Path) -> None:
     """Move a replaced file and its journals back to the former name, unless another file has this name."""
     if not os.path.lexists(target):
-        move_to_new_name(kept, target)
-    elif kept.samefile(target):
-        kept.unlink()
+        move_to_new_name(stored_path, target)
+    elif stored_path.samefile(target):
+        stored_path.unlink()
     else:
         return
-    _move_journals(kept, target)
+    _move_journals(stored_path, target)
 
 
 def _journal_of(path: Path) -> Path | None:

@@ -280,7 +280,8 @@ def _airways_of(case: OpenCase) -> Airways:
     airways = case.document.airways
     if airways is None:
         raise NoResultError(
-            "what lies round the target is reported from the airways: segment them first", code="plan.no-airways"
+            "the structures around the target are found from the airways: segment the airways first",
+            code="plan.no-airways",
         )
     return airways
 

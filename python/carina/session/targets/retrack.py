@@ -29,7 +29,7 @@ __all__ = [
     "tracked_target",
 ]
 
-NO_START = "mark the start point of the path first: there are no airways to begin in"
+NO_START = "mark the start point of the path first: there are no segmented airways to start from"
 SNAP_MM = 5.0
 """Largest distance, in mm, over which a target outside the lumen is moved into it; the user is notified."""
 

@@ -98,7 +98,7 @@ class RouteHandlers(CommandHandlers):
                         if tracked.snapped_mm is not None and tracked.snapped_mm > IN_LUMEN_MM:
                             words = f"{target.name} was moved {tracked.snapped_mm:.1f} mm into the nearest lumen"
                             if lesion is not None:
-                                words += "; if a nodule lies there, choose \u201cIt is a nodule\u201d"
+                                words += "; if this is a nodule, choose \u201cSegment as nodule\u201d"
                             self.core.emit(UserMessage(words))
                         elif lesion is not None:
                             words = f"{target.name} is in the lumen; to plan the tissue beside it, click on that tissue"
@@ -124,7 +124,7 @@ class RouteHandlers(CommandHandlers):
                 target = needed_target(case.document, command.target_id)
             lesion, why_none = self._lesion(case, target, job.progress)
             if lesion is None:
-                raise NoResultError(why_none or f"{name} lies in an airway: nothing to be grown there")
+                raise NoResultError(why_none or f"{name} is in an airway, so there is nothing to segment")
             lesion = replace(lesion, target=replace(lesion.target, confirmed=(BESIDE_AIRWAY,)))
             with self.core.lock:
                 job.check()
@@ -167,7 +167,7 @@ class RouteHandlers(CommandHandlers):
             return Mark(("a click marks a point without a path", *reasons), warns=True)
         away_mm = tracked.snapped_mm or 0.0
         where = "this place in the airway" if away_mm <= IN_LUMEN_MM else f"the airway, {away_mm:.1f} mm away"
-        beside = () if lesion is None else ("\u201cIt is a nodule\u201d then selects the tissue here",)
+        beside = () if lesion is None else ("\u201cSegment as nodule\u201d then selects the tissue here",)
         return Mark((f"a click marks {where}", *beside), warns=False)
 
     def _lesion(

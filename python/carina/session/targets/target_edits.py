@@ -60,8 +60,8 @@ class TargetHandlers(CommandHandlers):
         with self.core.lock:
             target, lesion = self._lesion(case, command.target_id)
             aims = proposed_aims(lesion.nodule) if command.periphery else ()
-            told = replace(lesion.target, aims=aims)
-            self._put(case, replace(target, lesion=replace(lesion, target=told)), f"aims in {target.name}")
+            changed = replace(lesion.target, aims=aims)
+            self._put(case, replace(target, lesion=replace(lesion, target=changed)), f"aims in {target.name}")
 
     @does(c.ConfirmTarget)
     def confirm(self, command: c.ConfirmTarget) -> None:
@@ -71,8 +71,8 @@ class TargetHandlers(CommandHandlers):
             target, lesion = self._lesion(case, command.target_id)
             codes = tuple(dict.fromkeys((*lesion.target.confirmed, *confirmed_codes(command.doubts))))
             if codes != lesion.target.confirmed:
-                told = replace(lesion.target, confirmed=codes)
-                self._put(case, replace(target, lesion=replace(lesion, target=told)), f"confirm {target.name}")
+                changed = replace(lesion.target, confirmed=codes)
+                self._put(case, replace(target, lesion=replace(lesion, target=changed)), f"confirm {target.name}")
 
     @does(c.MarkSphere)
     def mark_sphere(self, command: c.MarkSphere) -> None:
@@ -85,8 +85,8 @@ class TargetHandlers(CommandHandlers):
             number = case.next_number("target")
             target_id, name = f"target-{number}", f"Target {number}"
             where = whereabouts(case.info.volume, nodule)
-            told = PlanTarget(target_id, name, nodule, command.lps, "sphere", where, doubts=doubts)
-            self._add(case, Target(target_id, name, command.lps, lesion=Lesion(told)))
+            target = PlanTarget(target_id, name, nodule, command.lps, "sphere", where, doubts=doubts)
+            self._add(case, Target(target_id, name, command.lps, lesion=Lesion(target)))
 
     @does(c.TakeTarget)
     def take_target(self, command: c.TakeTarget) -> str:
@@ -101,7 +101,7 @@ class TargetHandlers(CommandHandlers):
             from carina.plan import target_from_file  # slow to import
 
             try:
-                told = target_from_file(
+                target = target_from_file(
                     command.path,
                     case.info.volume,
                     structure=named,
@@ -116,9 +116,9 @@ class TargetHandlers(CommandHandlers):
                 raise
             with self.core.lock:
                 job.check()
-                self._add(case, Target(told.target_id, told.name, told.nodule.middle_lps, lesion=Lesion(told)))
-                for note in told.nodule.notes:
-                    self.core.emit(UserMessage(f"{told.name}: {note}"))
+                self._add(case, Target(target.target_id, target.name, target.nodule.middle_lps, lesion=Lesion(target)))
+                for note in target.nodule.notes:
+                    self.core.emit(UserMessage(f"{target.name}: {note}"))
 
         return self.core.jobs.start("target file", "reading the target", work)
 
@@ -139,8 +139,8 @@ class TargetHandlers(CommandHandlers):
                     target, now = self._lesion(case, target_id)
                     # If another edit has changed the target meanwhile, this edit is repeated on the present target.
                     if now.nodule is lesion.nodule:
-                        told = now.target.with_nodule(changed, doubts)
-                        self._put(case, replace(target, lesion=replace(now, target=told)), title)
+                        reported = now.target.with_nodule(changed, doubts)
+                        self._put(case, replace(target, lesion=replace(now, target=reported)), title)
                         return
 
         return self.core.jobs.start(f"edit {target_id} {id(work)}", title, work)

@@ -160,8 +160,8 @@ class EditSteps:
         below[0] = below[0][last + 1 :]
         gone = {member.id for member in self.draft.below(branch.id)}
         self._forget_bridges([member for member in self.draft.below(branch.id) if member.kind == "bridge"])
-        kept = [b.points for b in self._tree.branches if b.id not in gone] + [branch.points[: last + 1]]
-        voxels = cut_voxels(self.lumen.core, self._nodes_of(below), self._nodes_of(kept))
+        remaining = [b.points for b in self._tree.branches if b.id not in gone] + [branch.points[: last + 1]]
+        voxels = cut_voxels(self.lumen.core, self._nodes_of(below), self._nodes_of(remaining))
         if last < 1:
             self.draft.remove(branch.id)
         else:

@@ -60,13 +60,13 @@ def find_uncertain(
     """
     voxel_mm = float(np.cbrt(np.prod(volume.spacing_mm)))
     fine_mm = max(FINE_MM, FINE_VOX * voxel_mm)
-    told = [place for one in filled if (place := _still_filled(tree, one)) is not None]
-    listed: list[tuple[float, Uncertainty]] = [(one.calibre_mm or one.width_mm, one) for one in told]
+    places = [place for one in filled if (place := _still_filled(tree, one)) is not None]
+    listed: list[tuple[float, Uncertainty]] = [(one.calibre_mm or one.width_mm, one) for one in places]
     ends_mm = []
     look: Across | None = None
     for branch in tree.tips():
         calibre_mm = _calibre_mm(branch)
-        if branch.parent is None or any(_ends_at(branch, one) for one in told):
+        if branch.parent is None or any(_ends_at(branch, one) for one in places):
             continue
         kind: UncertaintyKind
         if _leaves_volume(volume, branch, calibre_mm):

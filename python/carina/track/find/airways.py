@@ -330,7 +330,7 @@ def _found(
     tree = with_size_note(tree)
     if given is None:
         tree = with_slice_note(tree, grid.ct)
-    # The tree's own notes: it is not like a human one, its size was not calibrated, or thick slices hide airways.
+    # Notes of the tree: unlike a human tree, size not calibrated, or airways hidden by thick slices.
     badges += tree.notes
     tree = dataclasses.replace(tree, notes=tuple(badges))
     tracker.set_branches(tree.branches, [row["nodes"] for row in rows])

@@ -161,7 +161,7 @@ class ArtefactRegions:
             removed = (
                 "" if removed_mm < 1.0 else f" {removed_mm:.0f} mm of airway that ended in the streaks were left out."
             )
-            kept = (
+            limits = (
                 "no airway is followed through the streaks, and many airways are missing"
                 if self.is_closed
                 else "in the streaks only clearly open airways that continue beyond them are included, and small "
@@ -169,7 +169,7 @@ class ArtefactRegions:
             )
             words = (
                 f"metal causes dark and bright streaks in {_slices(ct, int(used[0]), int(used[-1]))}, which look "
-                f"like airways: {kept}.{removed} Check these slices, or open a reconstruction with metal artefact "
+                f"like airways: {limits}.{removed} Check these slices, or open a reconstruction with metal artefact "
                 "reduction"
             )
             notes.append(Note(METAL, words, badge=True))

@@ -203,8 +203,8 @@ def follow_beyond(
         note = Note(STOPPED, f"{words}, and some small airways are missing. {SOFT_KERNEL}", badge=True)
         return FollowedTips(tuple(notes), note, threads_lps, judged, leaked)
     what = f"{rims}, which look like airways" if is_sharp else "it leaked from the airways into the lung"
-    kept = "only the clearest are included, and other small airways" if followed else "small airways"
-    words = f"the search for small airways was limited because {what}; {kept} are missing. {SOFT_KERNEL}"
+    limit_text = "only the clearest are included, and other small airways" if followed else "small airways"
+    words = f"the search for small airways was limited because {what}; {limit_text} are missing. {SOFT_KERNEL}"
     return FollowedTips(tuple(notes), Note(STOPPED, words, badge=True), threads_lps, judged, leaked)
 
 

@@ -118,17 +118,17 @@ def with_mask_doubts(
     """
     found = mask_evidence(volume, tree.branches, noise_hu, scale)
     shares = [float((walled >= MIN_WALLED).mean()) for walled in found]
-    told = [
+    doubts = [
         (branch.length_mm, share)
         for branch, share in zip(tree.branches, shares, strict=True)
         if float(np.median(branch.radius)) <= MOST_RADIUS_MM
     ]
-    total_mm = sum(length for length, _ in told)
-    doubted = [length for length, share in told if share < MIN_EVIDENCE]
+    total_mm = sum(length for length, _ in doubts)
+    doubted = [length for length, share in doubts if share < MIN_EVIDENCE]
     note = None
     if sum(doubted) > MOST_DOUBTED * total_mm:
         words = (
-            f"the segmentation does not match this CT: {len(doubted)} of its {len(told)} smaller airways, "
+            f"the segmentation does not match this CT: {len(doubted)} of its {len(doubts)} smaller airways, "
             f"{100.0 * sum(doubted) / total_mm:.0f} % of their length, lie in tissue, or in lung without a wall "
             "around them. The segmentation may belong to another scan or patient, or be shifted or mirrored"
         )

@@ -141,15 +141,15 @@ def _each_once(found: Sequence[Uncertainty]) -> tuple[Uncertainty, ...]:
 
     Air that remains in a filled bronchus is traced as a separate thin airway.
     """
-    kept: list[Uncertainty] = []
+    distinct: list[Uncertainty] = []
     for one in found:
-        for other in kept:
+        for other in distinct:
             reach_mm = 0.5 * ((one.length_mm or 0.0) + (other.length_mm or 0.0))
             if float(np.linalg.norm(np.array(one.lps) - np.array(other.lps))) <= reach_mm:
                 break
         else:
-            kept.append(one)
-    return tuple(kept)
+            distinct.append(one)
+    return tuple(distinct)
 
 
 class _GapSearch:

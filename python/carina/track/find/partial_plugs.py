@@ -78,8 +78,8 @@ def _of_branch(look: Across, tree: AirwayTree, branch: Branch, voxel_mm: float, 
         if inside > NARROW * min(before_mm or after_mm, after_mm):
             continue
         sampled = np.linspace(start_mm, end_mm, max(3, round((end_mm - start_mm) / EACH_MM) + 1))
-        told = [(mm, middle) for mm in sampled if (middle := _middle(look, branch, at, mm, calibre)) is not None]
-        if len(told) < LEAST_TOLD or told[-1][0] - told[0][0] < LEAST_LONG_MM:
+        middles = [(mm, middle) for mm in sampled if (middle := _middle(look, branch, at, mm, calibre)) is not None]
+        if len(middles) < LEAST_TOLD or middles[-1][0] - middles[0][0] < LEAST_LONG_MM:
             continue
         # A calibre from the peripheral side alone may be measured in the flare of a fork.
         error = max(voxel_mm, ONE_SIDED * after_mm) if before_mm is None else 0.5 * abs(before_mm - after_mm)
@@ -88,10 +88,10 @@ def _of_branch(look: Across, tree: AirwayTree, branch: Branch, voxel_mm: float, 
             continue
         found.append(
             filled_place(
-                told[len(told) // 2][1],
+                middles[len(middles) // 2][1],
                 branch.id,
                 air_mm=inside,
-                length_mm=float(told[-1][0] - told[0][0]),
+                length_mm=float(middles[-1][0] - middles[0][0]),
                 calibre_mm=calibre,
                 calibre_error_mm=error,
                 beyond_lps=None,

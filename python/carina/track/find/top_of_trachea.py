@@ -240,7 +240,7 @@ def notes_of(top: TopOfTrachea, branches: tuple[Branch, ...]) -> list[Note]:
         if top.starts_in_it:
             # The tip is below the lowest followed section, which is at the carina unless the search went wrong.
             tip = "its tip at or below the carina" if above_mm < AT_CARINA_MM else f"{tip} or lower"
-        words = f"{name} is in the trachea, {tip}; what is in it and around it is treated as one trachea"
+        words = f"{name} is in the trachea, {tip}; the air inside and around it is treated as one trachea"
         notes.append(Note(TUBE, words, badge=True))
     elif top.is_open:
         words = (

@@ -96,8 +96,8 @@ def _length_mm(points: Points) -> float:
 def _without(rows: Sequence[dict[str, Any]], twig: int) -> list[dict[str, Any]]:
     """Return the rows without a leaf; if only one other child remains, the parent and this child are merged."""
     above = rows[twig]["parent"]
-    kept = [number for number, row in enumerate(rows) if row["parent"] == above and number != twig]
-    merged = kept[0] if len(kept) == 1 else None
+    remaining = [number for number, row in enumerate(rows) if row["parent"] == above and number != twig]
+    merged = remaining[0] if len(remaining) == 1 else None
     below = set() if merged is None else {merged}
     for number, row in enumerate(rows):
         # Parents come before their children.

@@ -176,9 +176,9 @@ def _circle(points: Floats, step_mm: float) -> tuple[Floats, float] | None:
 
     Returns None if the points cover too few sides or are not round.
     """
-    kept = np.ones(len(points), dtype=bool)
+    remaining = np.ones(len(points), dtype=bool)
     for _ in range(4):
-        own = points[kept]
+        own = points[remaining]
         octants = np.unique(np.floor(np.arctan2(own[:, 1], own[:, 0]) / (0.25 * np.pi)))
         if len(own) < LEAST_SEEN * NUM_RAYS or len(octants) < LEAST_OCTANTS:
             return None
@@ -191,8 +191,8 @@ def _circle(points: Floats, step_mm: float) -> tuple[Floats, float] | None:
         off = np.abs(np.linalg.norm(points - middle, axis=1) - radius)
         # Keep at least 40 % of the points: a vessel beside the cord makes the first circle too wide.
         limit = max(ROUND * radius, 0.5 * step_mm, float(np.quantile(off, 0.4)))
-        if np.array_equal(kept, off <= limit):
+        if np.array_equal(remaining, off <= limit):
             break
-        kept = off <= limit
-    is_round = np.abs(np.linalg.norm(points[kept] - middle, axis=1) - radius) <= max(ROUND * radius, step_mm)
+        remaining = off <= limit
+    is_round = np.abs(np.linalg.norm(points[remaining] - middle, axis=1) - radius) <= max(ROUND * radius, step_mm)
     return (middle, radius) if is_round.sum() >= LEAST_SEEN * NUM_RAYS else None

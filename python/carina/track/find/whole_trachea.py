@@ -170,7 +170,7 @@ def only_the_air_of(volume: Volume, scale: AirScale, sections: list[AirSection])
     wall = round(scale.level(WALL_HU))
     for section in sections:
         inside = spread(section.whole, own_wall)
-        kept = section.window_of(values)[inside]
+        selected = section.window_of(values)[inside]
         values[section.k] = wall
-        section.window_of(values)[inside] = kept
+        section.window_of(values)[inside] = selected
     return values

@@ -372,7 +372,7 @@ def _root(
 ) -> tuple[float, float, float]:
     if root_lps is None or cost == "lumen":
         if airways is None:
-            msg = "there are no airways to begin in: give the start of the paths (root) as a point in the volume"
+            msg = "there are no segmented airways to start from: give the start (root) of the paths as a point"
             raise UsageError(msg)
         return as_point(airways.root_lps)
     root = as_point(root_lps)

@@ -48,8 +48,8 @@ def way_between(
     points = np.concatenate([up, middle, down])
     apex = len(up) + (len(middle) - 1 if step < 0 else 0)
     new = np.concatenate([[True], np.any(np.diff(points, axis=0) != 0.0, axis=1)])
-    kept = points[new]
-    return None if len(kept) < 2 else (kept, int(np.count_nonzero(new[: apex + 1])) - 1)
+    remaining = points[new]
+    return None if len(remaining) < 2 else (remaining, int(np.count_nonzero(new[: apex + 1])) - 1)
 
 
 def _place(trunk: Branch, branch: Branch, index: int) -> int:

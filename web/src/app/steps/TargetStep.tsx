@@ -100,7 +100,7 @@ function PathSearch() {
           <SwitchKey
             icon="root"
             label={armed ? "Click in a view\u2026" : "Mark the start"}
-            words="Click in any view where the path should start. Targets that you have marked keep theirs."
+            words="Click in any view where the path should start. The paths to existing targets do not change."
             on={armed}
             testId="arm-start"
             onChange={() => station.arm("start")}
@@ -165,7 +165,7 @@ function TargetRow({ target }: { target: Target }) {
           {target.cost === "lumen" && target.snapped_mm !== null && target.snapped_mm > 0.05 ? (
             <Act
               kind="quiet"
-              label="It is a nodule"
+              label="Segment as nodule"
               words="Find the boundary of what was clicked beside the airway"
               onPress={() => station.send({ type: "grow_target", target_id: target.target_id })}
             />
@@ -251,7 +251,7 @@ function Coordinates() {
         <Label>or type x, y, z (LPS mm)</Label>
         <Input placeholder="-17.6, 35.3, 12.1" spellCheck="false" autoComplete="off" inputMode="text" />
         <FieldError>
-          Three numbers, left, posterior and superior, or as pictures say them: R 17.6 P 35.3 S 12.1
+          Three numbers (left, posterior, superior), or the notation of the pictures: R 17.6 P 35.3 S 12.1
         </FieldError>
       </TextField>
       <span className="row">

@@ -15,7 +15,7 @@ export function Threshold() {
   const value = useApp((state) => state.session?.lumen_threshold ?? null);
   const info = useApp((state) => state.session?.case ?? null);
   const [moving, setMoving] = useState<number | null>(null);
-  // biome-ignore lint/correctness/useExhaustiveDependencies: a new value from the server ends the drag's own
+  // biome-ignore lint/correctness/useExhaustiveDependencies: a new value from the server replaces the dragged value
   useEffect(() => setMoving(null), [value]);
   if (info === null) return null;
   const [low, high] = info.is_hu ? [-1000, -500] : [info.value_range[0] ?? 0, info.value_range[1] ?? 1];
