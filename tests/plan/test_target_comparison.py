@@ -10,6 +10,7 @@ from reported import plan
 from carina.errors import UsageError
 from carina.plan import ORDER_RULE, Plan, TargetDoubt, compare_targets
 from carina.plan.target_comparison import comparison_lines
+from carina.scopes import ScopeHold
 
 
 def changed(**values: object) -> Plan:
@@ -19,14 +20,14 @@ def changed(**values: object) -> Plan:
 
 def test_targets_are_ordered_by_outlook_then_doubts_then_hits() -> None:
     leg = plan().routes[0].leg
-    doubt = TargetDoubt("target.tube", "it continues as a tube")
+    doubt, hold = TargetDoubt("target.tube", "it continues as a tube"), ScopeHold(300.0, 0.0, 0.5)
     plans = {
         "none": dataclasses.replace(plan(), routes=(), why="no airway is near"),
         "no": changed(outlook="does not reach"),
         "maybe": changed(outlook="may reach"),
         "doubtful": dataclasses.replace(changed(outlook="reaches", doubts=()), doubts=(doubt,)),
-        "low": changed(outlook="reaches", doubts=(), leg=dataclasses.replace(leg, hit_share=0.2)),
-        "high": changed(outlook="reaches", doubts=(), leg=dataclasses.replace(leg, hit_share=0.9)),
+        "low": changed(outlook="reaches", doubts=(), hold=hold, leg=dataclasses.replace(leg, hit_share=0.2)),
+        "high": changed(outlook="reaches", doubts=(), hold=hold, leg=dataclasses.replace(leg, hit_share=0.9)),
     }
     found = compare_targets(list(plans.values()), list(plans))
     assert [one.title for one in found] == ["high", "low", "doubtful", "maybe", "no", "none"]

@@ -277,6 +277,19 @@ def test_instrument_is_judged_with_a_needle_that_passes_its_channel() -> None:
     assert pairs[1].would is not None and "can only brush" in pairs[1].would
 
 
+def test_scope_points_only_if_the_smallest_target_within_its_error_is_hit() -> None:
+    tree, field, points = tube(60.0)
+    plan = plan_in(points)
+    # The true diameter may be less than a third of the segmented one, so most needles may pass beside the target.
+    uncertain = dataclasses.replace(plan, nodule=dataclasses.replace(plan.nodule, diameter_error_mm=7.5))
+    sure, found = (judge_scope(tree, one, field, scope()) for one in (plan, uncertain))
+    assert (sure.outcome, found.outcome) == ("reaches", "may reach"), found.words
+    pointing = check(found, "pointing")
+    assert pointing.share > 0.5 and "as small as its error allows" in pointing.words
+    exact = judge_scope(tree, uncertain, field, scope(), errors=False)
+    assert check(exact, "pointing").answer == "yes"
+
+
 def test_longer_throw_is_named_only_if_it_hits_from_the_pose_of_the_drive() -> None:
     tree, field, points = tube(60.0)
     near = plan_in(points)

@@ -58,6 +58,8 @@ NUM_WAYS = 300
 TABLE_STEP_MM, TABLE_STEP_DEG, TABLE_MOST_DEG = 0.5, 1.0, 60.0
 """Steps of the table of hit shares, and its largest angle; beyond that angle no needle hits."""
 NUM_ON_LINE = 12
+SIDE_DEG = 35.0
+"""Largest angle in degrees round the airway between the side of the tip and the side of the target."""
 MARGIN_DEG = 30.0
 """Angle by which a needle may be farther from the airway's axis than the direction to the target's centre."""
 
@@ -288,7 +290,9 @@ class _Marks:
             if not len(voxels):
                 return
             if attained.any():
-                self._mark(voxels, centres, tip, ways[attained], rank)
+                # As in a plan, the tip stands on the side of the target.
+                near = _on_side(centres - place.point_lps, tip - place.point_lps, place.forward)
+                self._mark(voxels[near], centres[near], tip, ways[attained], rank)
 
     def _near(self, place: Points, forward: Points, value: int) -> tuple[NDArray[np.int64], Points]:
         """Return the lung voxels below ``value`` that a target's centre may have: indices (n, 3) and LPS mm (n, 3)."""
@@ -344,6 +348,18 @@ class _Marks:
             self._wall.distance_mm(line.reshape(-1, 3)).reshape(len(edge_mm), -1).min(axis=1) > 0.0
         )
         return found
+
+
+def _on_side(off: Points, side: Points, forward: Points) -> NDArray[np.bool_]:
+    """Return whether targets (n, 3) are on the side of a tip; both are offsets from a place of the airway in mm."""
+    length = float(np.linalg.norm(side))
+    if length < 1e-6:
+        return np.ones(len(off), dtype=bool)
+    across = off - (off @ forward)[:, None] * forward
+    found: NDArray[np.bool_] = across @ side >= math.cos(math.radians(SIDE_DEG)) * length * np.linalg.norm(
+        across, axis=1
+    )
+    return found
 
 
 def _beside_lumen(shape_zyx: tuple[int, ...], lps_from_ijk: Points, ways: Ways) -> NDArray[np.bool_]:

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 from typing import Any, Literal
 from weakref import WeakKeyDictionary
 
@@ -27,7 +28,8 @@ from carina.plan.routes.last_leg import as_point, edge_on_needle_mm
 from carina.plan.routes.main_carina import ROOT, DistanceOrigin
 from carina.plan.routes.needle_hits import NeedleErrors, hit_share
 from carina.plan.routes.plan_route import Plan, PlannedRoute
-from carina.plan.routes.ranking import BARELY, POINTS
+from carina.plan.routes.ranking import BARELY, POINTS, SURE
+from carina.plan.targets.grow_nodule import Nodule
 from carina.plan.verdict.checks import (
     Answer,
     Check,
@@ -84,6 +86,9 @@ It is small, because the moves of a drive that arrived are tried first.
 """
 NUM_THREADS, NUM_ROUTES = 2, 3
 """Number of drives at the same time, and of the best routes on which all instruments are judged."""
+ERROR_SHARE = NormalDist().inv_cdf(SURE) / NormalDist().inv_cdf(0.95)
+"""Share of the error of a diameter, which covers 90 % on both sides, below which 10 % of the true diameters are."""
+LEAST_SCALE = 0.1
 IF_IT_FITS = "if it fits: "
 DRIVEN_THINNER = (
     "driven as a thinner scope with no more play than in the measured diameter, because the segmented lumen is narrower"
@@ -517,6 +522,7 @@ class RouteJudge:
             self._way.aim = np.array(plan.aims[planned.aim])
         self._tree, self._route, self._key = tree, planned, planned.key
         self._plan, self._wall = plan, wall
+        self._least_nodule = _smaller(plan.nodule) if errors else plan.nodule
         self._origin_depth_mm, self._errors = origin_depth_mm, errors
         self._effort, self._cancel = effort, cancel
         self.stopped = False
@@ -652,7 +658,7 @@ class RouteJudge:
                 return _Drive(route, (Check("drive", "no", 0.0, words, MECHANICS),))
             words += "; the scope fits along the whole route, and another way of driving it may get there"
             return _Drive(route, (Check("drive", "perhaps", UNFOUND, words, MECHANICS),))
-        aimed = aim_drive(self._way, self._wall, scope, route, self._hit_share)
+        aimed = aim_drive(self._way, self._wall, scope, route, self._sure_share)
         bend = None
         if aimed.share >= BARELY:
             # Only a drive that points at the target is shortened, because shortening takes most of the time.
@@ -669,30 +675,32 @@ class RouteJudge:
                 effort=LEVER_EFFORT * self._effort,
                 cancel=self._is_cancelled,
             )
-            shorter = aim_drive(self._way, self._wall, scope, route, self._hit_share)
+            shorter = aim_drive(self._way, self._wall, scope, route, self._sure_share)
             aimed = shorter if shorter.share >= min(aimed.share, ENOUGH) else aimed
         words = f"arrives at the standing place by {len(route.moves)} moves"
         arrives = Check("drive", "yes", 1.0, words, MECHANICS)
-        answer: Answer = "yes" if aimed.share >= POINTS else "perhaps" if aimed.share >= BARELY else "no"
+        tip = aimed.lps_from_tip
+        share = self._hit_share(tip[:3, 3], tip[:3, 2])
+        answer: Answer = "yes" if aimed.share >= POINTS else "perhaps" if share >= BARELY else "no"
         loss_deg, basis = self._plan.tool.flexion_loss_deg, MECHANICS
         if loss_deg is None:
             basis += f"; how much flexion is lost with {self._plan.tool.title} in the channel is not known"
         elif answer == "yes" and not self._flexes_with_tool(scope, aimed.driven, loss_deg):
             answer = "perhaps"
             basis += f"; {self._plan.tool.title} in the channel takes {loss_deg:g} degrees of the flexion that it needs"
-        words = (
-            f"points {aimed.off_deg:.0f} degrees from the target centre; {100 * aimed.share:.0f} % of needle passes hit"
-        )
-        pointing = Check("pointing", answer, aimed.share, words, basis)
+        words = f"points {aimed.off_deg:.0f} degrees from the target centre; {100 * share:.0f} % of needle passes hit"
+        if aimed.share < POINTS <= share:
+            words += ", but fewer than half if the target is as small as its error allows"
+        pointing = Check("pointing", answer, share, words, basis)
         longer: tuple[Tool, ...] = ()
         if answer != "yes" and self._plan.tool.pierces:
-            tip, reach_mm = aimed.lps_from_tip, self._plan.tool.reach_mm
+            reach_mm = self._plan.tool.reach_mm
             longer = tuple(
                 one
                 for one in tools()
                 if one.pierces
                 and one.reach_mm > reach_mm
-                and self._hit_share(tip[:3, 3], tip[:3, 2], reach_mm=one.reach_mm) >= POINTS
+                and self._sure_share(tip[:3, 3], tip[:3, 2], reach_mm=one.reach_mm) >= POINTS
             )
         return _Drive(aimed.driven, (arrives, pointing), bend, aimed.lps_from_tip, longer)
 
@@ -707,14 +715,31 @@ class RouteJudge:
         state = drive.place(self._way.points, self._way.park_mm)
         return self._way.nearest(state.pose.position_lps, state.insertion_mm)[0]
 
-    def _hit_share(self, tip: Points, forward: Points, *, reach_mm: float | None = None) -> float:
+    def _sure_share(self, tip: Points, forward: Points, *, reach_mm: float | None = None) -> float:
+        """Return the share of needles that hit the target if it is as small as the error of its boundary allows."""
+        return self._hit_share(tip, forward, reach_mm=reach_mm, nodule=self._least_nodule)
+
+    def _hit_share(
+        self, tip: Points, forward: Points, *, reach_mm: float | None = None, nodule: Nodule | None = None
+    ) -> float:
         needle = self._plan.errors if self._errors else NeedleErrors(0.0, 0.0)
         aimed_at = tip + forward * float(np.linalg.norm(self._way.aim - tip))
         throw_mm = self._plan.tool.reach_mm if reach_mm is None else reach_mm
-        return hit_share(self._plan.nodule, tip, aimed_at, throw_mm, needle)
+        return hit_share(self._plan.nodule if nodule is None else nodule, tip, aimed_at, throw_mm, needle)
 
     def _is_cancelled(self) -> bool:
         return self.stopped or (self._cancel is not None and self._cancel())
+
+
+def _smaller(nodule: Nodule) -> Nodule:
+    """Return a nodule that is smaller round its middle by the error of its boundary."""
+    diameter_mm = 0.5 * (nodule.long_mm + nodule.short_mm)
+    scale = max(1.0 - ERROR_SHARE * nodule.diameter_error_mm / max(diameter_mm, 1e-6), LEAST_SCALE)
+    centre = np.array(nodule.centre_lps)
+    matrix = nodule.lps_from_ijk.copy()
+    matrix[:3, :3] *= scale
+    matrix[:3, 3] = centre + scale * (matrix[:3, 3] - centre)
+    return replace(nodule, lps_from_ijk=matrix)
 
 
 def _sizes(scope: ScopePreset) -> tuple[Any, ...]:
