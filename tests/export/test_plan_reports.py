@@ -125,7 +125,7 @@ def test_segmentation_of_another_ct_or_without_the_target_is_refused(ct, volume,
     other = write_target_seg(tmp_path / "o.dcm", nodule(), open_volume(elsewhere), elsewhere)
     with pytest.raises(UsageError, match="of another CT"):
         write_target_report(tmp_path / "r.dcm", nodule(), volume, ct, segmentation=other)
-    with pytest.raises(UsageError, match="no DICOM segmentation"):
+    with pytest.raises(UsageError, match="not a DICOM segmentation"):
         write_target_report(tmp_path / "r.dcm", nodule(), volume, ct, segmentation=ct / "IM000")
     with pytest.raises(VolumeImportError, match="gone"):
         write_target_report(tmp_path / "r.dcm", nodule(), volume, ct, segmentation=tmp_path / "gone.dcm")

@@ -178,7 +178,7 @@ def test_without_airways_no_layers_are_computed():
         raise NoResultError("no trachea")
 
     bench = bench_with(find_airways=none)
-    with pytest.raises(NoResultError, match="segment them first"):
+    with pytest.raises(NoResultError, match="segment the airways first"):
         bench.session.do(MapLungs())
 
 

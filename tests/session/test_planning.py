@@ -518,8 +518,8 @@ def test_targets_are_compared_in_the_order_of_python_and_unplanned_ones_give_the
     assert plans_message(case.ask(PlanningOf())).comparison is None
     case.do(AddTarget((x + 1.0, y, z)))
     first, second = case.state.document.targets
-    # A smaller target of the same name, for which fewer needle passes hit.
-    case.do(ResizeTarget(first.target_id, 5.0))
+    # The scope stops nearer to the main carina for the smaller target, which is the second one.
+    case.do(ResizeTarget(second.target_id, 5.0))
     case.do(DescribeTarget(first.target_id, second.name, "", 1))
     tree = case.state.document.airways.tree
     px, py, pz = (float(v) for v in tree.tips()[0].points[-1])
