@@ -106,7 +106,7 @@ PADDING = [
     Input("padding 63536 round the picture, with its tag", PADDED, ringed(63536, tag=63536), voxels=_air_outside(), names=("% of the voxels",), **NOTE),
     Input("padding 63536, its tag written as signed -2000", PADDED, ringed(63536, tag=-2000, vr="SS"), voxels=_air_outside(), **NOTE),
     Input("padding 4095, and metal with the same value in the body", PADDED, ringed(4095, tag=4095, metal=4095), voxels=_air_outside(metal=3071), names=("80 voxels",), **NOTE),
-    Input("padding 1024 (0 HU), and water with the same value in the body", PADDED, ringed(1024, tag=1024, metal=1024), voxels=_air_outside(metal=0), names=("kept it",), do=LOOK, **NOTE),
+    Input("padding 1024 (0 HU), and water with the same value in the body", PADDED, ringed(1024, tag=1024, metal=1024), voxels=_air_outside(metal=0), names=("were not changed",), do=LOOK, **NOTE),
     Input("padding with a range of values", PADDED, ringed(63536, also=61000, tag=63536, limit=60000), voxels=_air_outside(), **NOTE),
     Input("padding with slope 0.5", PADDED, ringed(63536, tag=63536, slope=0.5), voxels=_half_slope, **NOTE),
     Input("padding 30000 in signed values", PADDED, ringed(30000, tag=30000, kind="<i2"), voxels=_air_outside(), **NOTE),
