@@ -47,7 +47,7 @@ OF_ROUTE = ("plan.verdict", "plan.limit", "needle.", "route.narrowest")
 MOST_LINES_BEFORE_TREE = 4
 """Largest number of lines of reasons with which the tree fits on the first page, also on Letter in a wide typeface."""
 TREE_BELOW_TARGET, TREE_ALONE = 110.0, 330.0
-"""Height of the tree in points, on the first page and on a page of its own."""
+"""Height of the tree in points, on the first page and on a separate page."""
 NOT_ASKED = "\u2013"
 """Symbol for a check that was not made because another check decides."""
 ANSWERS = {"yes": "yes", "perhaps": "perhaps", "no": "no", "unknown": "?"}
@@ -241,7 +241,7 @@ def _num_lines(sheet: PlanSheet) -> int:
 
 
 def _is_tree_after_page_one(sheet: PlanSheet) -> bool:
-    """Return whether the tree has a page of its own, because the reasons leave no room on the first page."""
+    """Return whether the tree is on a separate page, because the reasons leave no room on the first page."""
     return _num_lines(sheet) > MOST_LINES_BEFORE_TREE
 
 
