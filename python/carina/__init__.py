@@ -45,8 +45,11 @@ Files (``carina.export``)
     write_tree          Write a tree; read_tree reads one
     write_film          Write a flight as a video
 
-Cases (``carina.session``, ``carina.commands``)
+Cases (``carina.session``, ``carina.commands``, ``carina.case``)
     Case                An open case with undo, history and pictures
+
+Rendering on several machines (``carina.cluster``)
+    See ``help("carina.cluster")``
 
 Errors (``carina.errors``)
     CarinaError         Base of all errors; each has a stable code
@@ -56,166 +59,19 @@ Errors (``carina.errors``)
 from __future__ import annotations
 
 import sys
-from importlib import import_module
+
+import lazy_loader
 
 from carina.version import VERSION
 
 __version__ = VERSION
 
-# Importing typing takes three quarters of the time of a bare import; type checkers know the name TYPE_CHECKING.
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from typing import Any
-
-    from carina import case as case
-    from carina import cluster as cluster
-    from carina import commands as commands
-    from carina import errors as errors
-    from carina import export as export
-    from carina import navigate as navigate
-    from carina import phantom as phantom
-    from carina import plan as plan
-    from carina import render as render
-    from carina import scopes as scopes
-    from carina import session as session
-    from carina import track as track
-    from carina import volume as volume
-    from carina.errors import CarinaError, NoResultError, UsageError, VolumeImportError
-    from carina.export import export_airways, read_tree, write_film, write_tree
-    from carina.navigate import FlightPath, Navigator
-    from carina.phantom import generate_phantom, write_phantom
-    from carina.plan import Nodule, Plan, grow_nodule, plan_route
-    from carina.render import (
-        Renderer,
-        TransferFunction,
-        isoregion_map,
-        render_surface,
-        render_view,
-        transfer_preset,
-    )
-    from carina.scopes import Pose, ScopeDrive, WallField
-    from carina.session import Case
-    from carina.track import Airways, AirwayTree, edit_airways, find_airways, measure_tree, track_paths, wall_field
-    from carina.volume import Volume, demo_patient, inspect_path, open_mask, open_volume
-
-_PARTS = frozenset(
-    (
-        "case",
-        "cluster",
-        "commands",
-        "errors",
-        "export",
-        "navigate",
-        "phantom",
-        "plan",
-        "render",
-        "scopes",
-        "session",
-        "track",
-        "volume",
-    )
-)
-"""Names of the documented parts (``docs/api``), available as ``carina.track`` after ``import carina``."""
-_HOME = {
-    "AirwayTree": "track",
-    "Airways": "track",
-    "Case": "session",
-    "CarinaError": "errors",
-    "FlightPath": "navigate",
-    "Navigator": "navigate",
-    "NoResultError": "errors",
-    "Nodule": "plan",
-    "Plan": "plan",
-    "Pose": "scopes",
-    "Renderer": "render",
-    "ScopeDrive": "scopes",
-    "TransferFunction": "render",
-    "UsageError": "errors",
-    "Volume": "volume",
-    "VolumeImportError": "errors",
-    "WallField": "scopes",
-    "demo_patient": "volume",
-    "edit_airways": "track",
-    "export_airways": "export",
-    "find_airways": "track",
-    "generate_phantom": "phantom",
-    "grow_nodule": "plan",
-    "plan_route": "plan",
-    "inspect_path": "volume",
-    "isoregion_map": "render",
-    "measure_tree": "track",
-    "open_mask": "volume",
-    "open_volume": "volume",
-    "read_tree": "export",
-    "render_surface": "render",
-    "render_view": "render",
-    "track_paths": "track",
-    "transfer_preset": "render",
-    "wall_field": "track",
-    "write_film": "export",
-    "write_phantom": "phantom",
-    "write_tree": "export",
-}
-
-__all__ = [
-    "AirwayTree",
-    "Airways",
-    "CarinaError",
-    "Case",
-    "FlightPath",
-    "Navigator",
-    "NoResultError",
-    "Nodule",
-    "Plan",
-    "Pose",
-    "Renderer",
-    "ScopeDrive",
-    "TransferFunction",
-    "UsageError",
-    "Volume",
-    "VolumeImportError",
-    "WallField",
-    "__version__",
-    "demo_patient",
-    "edit_airways",
-    "export_airways",
-    "find_airways",
-    "generate_phantom",
-    "grow_nodule",
-    "inspect_path",
-    "isoregion_map",
-    "measure_tree",
-    "open_mask",
-    "open_volume",
-    "plan_route",
-    "read_tree",
-    "render_surface",
-    "render_view",
-    "track_paths",
-    "transfer_preset",
-    "wall_field",
-    "write_film",
-    "write_phantom",
-    "write_tree",
-]
+# The public names and their modules are listed in __init__.pyi, which type checkers read too.
+_load, __dir__, _PUBLIC = lazy_loader.attach_stub(__name__, __file__)
 
 
-# Without __all__, pydoc documents only the contents of this file instead of 2,700 lines of methods.
-_PUBLIC = __all__
-del __all__
-
-
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
+    # If pydoc found __all__, help(carina) would show 2,700 lines of methods instead of the page of contents above.
     if name == "__all__" and sys._getframe(1).f_globals.get("__name__") != "pydoc":
         return _PUBLIC
-    if name in _PARTS:
-        return import_module(f"carina.{name}")
-    home = _HOME.get(name)
-    if home is None:
-        msg = f"module 'carina' has no attribute {name!r}"
-        raise AttributeError(msg)
-    return getattr(import_module(f"carina.{home}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*_PUBLIC, *_PARTS})
+    return _load(name)
