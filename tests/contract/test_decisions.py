@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+
 from check_repository import decision_problems
 
 ROOT = Path(__file__).resolve().parents[2]
