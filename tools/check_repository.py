@@ -1,6 +1,7 @@
 """Reject forbidden content of the repository, dead paths in documents, and citations of missing decisions and papers.
 
-Forbidden are machine paths, hosts in lock files, and large files.
+Forbidden are machine paths, hosts in lock files, and large files. A decision must have five headings, the name of its
+title, and at most 600 words.
 """
 
 from __future__ import annotations
@@ -22,6 +23,10 @@ ELSEWHERE = re.compile(r"\b(?:DESIGN|STYLE)(?:\.md| section| \d|:)|\bissue \d+|\
 """Pattern of citations of papers that are not in the repository; their content is in docs/."""
 CITED_DECISION = re.compile(r"\bdecisions?[ /](\d{4})\b", re.IGNORECASE)
 """Pattern of the citation of a decision; group 1 is the number of the decision."""
+DECISION_HEADINGS = ["Context", "Decision", "Reasons", "Alternatives", "What would change this"]
+"""Headings of a decision, in this order."""
+MAX_DECISION_WORDS = 600
+"""Largest number of words of a decision; docs/writing.md recommends about 450."""
 GENERATED = ("benchmarks/results", "tests/out", "python/carina/_web")
 """Start of the paths of generated files; a document may name such a file although it does not exist."""
 HOME_PATH = re.compile(rb"(?<![\w.])/(?:home|root|Users)/[A-Za-z0-9._-]+/")
@@ -56,6 +61,33 @@ def dead_decisions(name: str, text: str) -> list[str]:
     ]
 
 
+def decision_problems(file_name: str, text: str) -> list[str]:
+    """Return a finding for each rule of decisions that a page breaks.
+
+    Parameters
+    ----------
+    file_name
+        Name of the file without its folder.
+    text
+        Content of the page.
+    """
+    found = []
+    title = re.match(r"# (\d{4}): (.+)\n", text)
+    if title is None:
+        found.append("the first line is not '# NUMBER: TITLE'")
+    else:
+        number, words = title.groups()
+        slug = re.sub(r"[^a-z0-9]+", "-", words.lower().replace("'", "")).strip("-")
+        if file_name != f"{number}-{slug}.md":
+            found.append(f"the file name of this title is {number}-{slug}.md")
+    headings = re.findall(r"^## (.+)$", text, re.MULTILINE)
+    if headings != DECISION_HEADINGS:
+        found.append(f"the headings are {headings}, not {DECISION_HEADINGS}")
+    if (num_words := len(text.split())) > MAX_DECISION_WORDS:
+        found.append(f"the page has {num_words} words, at most {MAX_DECISION_WORDS} are allowed")
+    return [f"docs/decisions/{file_name}: {problem}" for problem in found]
+
+
 def main() -> int:
     """Print every finding of the checks of the repository; return 1 if there is one."""
     if not (ROOT / ".git").exists():
@@ -72,6 +104,8 @@ def main() -> int:
             found.append(f"{name}: names registry hosts; commit requirements.lock instead (make lock)")
         if path.suffix == ".md":
             found += dead_paths(name)
+            if path.parent == ROOT / "docs" / "decisions" and path.name != "index.md":
+                found += decision_problems(path.name, path.read_text(encoding="utf-8"))
         if path.suffix in TEXT:
             body = path.read_bytes()
             if match := HOME_PATH.search(body):

@@ -3,7 +3,7 @@
 ``python tools/check_wording.py`` (in ``make check``) collects the sentences of the window, the phone page, the command
 line and the messages from the syntax trees and compares each with the rules of ``tools/wrong_words.toml``. ``--list
 window`` prints the sentences of one surface, and ``--draw 100 --seed 13`` prints a random sample for a reader who has
-not seen the code. The sentences are not stored; docs/decisions/0101 gives the reason.
+not seen the code. The sentences are not stored; docs/decisions/0131 gives the reason.
 """
 
 from __future__ import annotations

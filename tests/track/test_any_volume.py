@@ -118,7 +118,7 @@ def test_walls_cost_keeps_99_percent_of_paths_to_seven_lobar_bronchi_inside(pati
     ends = [branch.points[-1] for branch in third[:: max(len(third) // 7, 1)][:7]]
     box = search_box(volume, [airways.root_lps, *ends], max_bytes=1 << 28)
     search = track_on_graph(volume, airways, ends, cost="walls", graph="voxel", box_ijk=box).search
-    # Slices of 3 mm; for paths to segments the figure is lower: decision 0118.
+    # Slices of 3 mm; for paths to segments the figure is lower: decision 0139.
     outside, nodes = (sum(getattr(row, name) for row in search.targets) for name in ("num_outside", "num_path_nodes"))
     assert nodes > 900
     assert outside <= 0.01 * nodes

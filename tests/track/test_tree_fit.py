@@ -71,7 +71,7 @@ def test_bronchial_tree_with_few_branches_is_accepted(seed):
             assert surest_segment(named) > 0.9
 
 
-MISSED = pytest.mark.xfail(reason="a chest with plugs in two lobes fits no better: docs/decisions/0116", strict=True)
+MISSED = pytest.mark.xfail(reason="a chest with plugs in two lobes fits no better: docs/decisions/0137", strict=True)
 
 
 @pytest.mark.parametrize(

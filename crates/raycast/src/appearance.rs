@@ -1,4 +1,4 @@
-//! Appearance of the airway wall in the scope's picture (docs/decisions/0105).
+//! Appearance of the airway wall in the scope's picture (docs/decisions/0133).
 //!
 //! Walls are shaded after casting, once per pixel at the first wall. The casters gather flat colours; [`Appearance`]
 //! describes the light, gloss and texture that the shading adds.

@@ -1,7 +1,7 @@
 //! Coarse grid of anatomical data (position along and around the airway) for the decoration of airway walls.
 //!
 //! The caller computes the grid along the patient's axes from the airway tree. The shading interpolates the grid at the
-//! wall of each pixel. The casters do not read the grid, so the grid moves no surface (docs/decisions/0105).
+//! wall of each pixel. The casters do not read the grid, so the grid moves no surface (docs/decisions/0133).
 
 use crate::RaycastError;
 

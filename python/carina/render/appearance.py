@@ -36,7 +36,7 @@ def check_guides(guides_mm: tuple[tuple[float, float, float], ...]) -> None:
 class Appearance:
     """Light, gloss and texture that are applied to the first wall of each pixel after casting.
 
-    The model and its sources: docs/decisions/0105.
+    The model and its sources: docs/decisions/0133.
     """
 
     guides_mm: tuple[tuple[float, float, float], ...] = TWO_GUIDES_MM

@@ -3,7 +3,7 @@
 The kernel that lights a pixel knows only a point in LPS. This module computes a coarse grid around the wide airways
 that gives, for each cell, the number of rings proximal to it, its side of the airway, and the strength of each part of
 the decoration. These values change smoothly along and across a tube, so interpolation between coarse cells is
-sufficient (docs/decisions/0105). Constants without a stated source are common knowledge or own choices.
+sufficient (docs/decisions/0133). Constants without a stated source are common knowledge or own choices.
 """
 
 from __future__ import annotations

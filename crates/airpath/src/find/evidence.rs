@@ -1,5 +1,5 @@
 //! Search for the path from a position in the lung to the lumen along which the CT shows the most airway wall
-//! (docs/decisions/0119).
+//! (docs/decisions/0140).
 //!
 //! The measure of wall is the enclosure of a voxel ([`crate::find::tubeness`]), which the extension of the lumen uses
 //! as well: the rise of the values on all but a fifth of the rays from the voxel. The cost of a step is low where the

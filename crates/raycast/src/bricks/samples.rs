@@ -2,7 +2,7 @@
 //!
 //! An interpolated value with its gradient needs 32 voxels at twelve addresses, and neighbouring samples read most of
 //! them again. At a voxel, the gradient is an exact central difference of integers. Stored beside the value as four
-//! int16 per voxel, a sample needs four reads of two voxels each (docs/decisions/0103).
+//! int16 per voxel, a sample needs four reads of two voxels each (docs/decisions/0132).
 
 use super::store::{CELLS, Fill, MOST_BRICKS, Numbers, PER_BRICK, STRIDE, Store, VOXELS};
 use crate::Field;

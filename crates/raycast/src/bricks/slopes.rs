@@ -3,7 +3,7 @@
 //! A shaded pixel needs the volume's slope (a smoothed gradient) round its wall. Computed separately for each pixel,
 //! the slope needs fourteen samples, most of which the neighbouring pixels also need. Here the slope is computed at
 //! voxels, in bricks of 4 x 4 x 4 cells that are filled when a ray first meets a wall in them, and interpolated between
-//! voxels (docs/decisions/0103). The picture does not depend on which bricks exist.
+//! voxels (docs/decisions/0132). The picture does not depend on which bricks exist.
 
 use std::cell::RefCell;
 

@@ -56,7 +56,7 @@ fn load<L: Lanes>(l: L, values: &Array<f32>) -> L::F {
     l.fill(l.splat(0.0), ((1u64 << L::N) - 1) as u32, values)
 }
 
-/// Return the gradient of the volume round positions `p`, in LPS, from the slopes in the bricks (docs/decisions/0103).
+/// Return the gradient of the volume round positions `p`, in LPS, from the slopes in the bricks (docs/decisions/0132).
 #[inline(always)]
 fn inward<L: Lanes>(l: L, light: &Lighting, field: &Field<'_>, p: [L::F; 3]) -> [L::F; 3] {
     turn(l, &light.normals.rows, rise(l, &light.bricks, field, p))

@@ -17,14 +17,14 @@ use super::{
 };
 use crate::{Field, InstructionSet, Window};
 
-/// Number of rows of a tile (docs/decisions/0103).
+/// Number of rows of a tile (docs/decisions/0132).
 pub(crate) const TILE_ROWS: usize = 64;
-/// Number of columns of a tile (docs/decisions/0103).
+/// Number of columns of a tile (docs/decisions/0132).
 ///
 /// In an oblique plane, each pixel of a row reads one or two other rows of voxels. 256 pixels read more cache lines
 /// than the nearest cache holds; the lines of 16 pixels stay in the cache for the next row.
 const TILE_COLUMNS: usize = 16;
-/// Number of rows by which the prefetch of a row of pixels precedes its sampling (docs/decisions/0103).
+/// Number of rows by which the prefetch of a row of pixels precedes its sampling (docs/decisions/0132).
 const ROWS_AHEAD: usize = 8;
 
 /// Parameters that all tiles of a plane share.

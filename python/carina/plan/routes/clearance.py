@@ -1,7 +1,7 @@
 """Clearance along an airway: the largest ball that passes each point of a centreline.
 
 A centreline from voxels is a third of a millimetre off the middle of the lumen, and up to 2 mm at forks, where a ball
-round its own point is smaller than the one that passes (docs/decisions/0122). Therefore the ball is moved across the
+round its own point is smaller than the one that passes (docs/decisions/0130). Therefore the ball is moved across the
 airway to its best position.
 """
 

@@ -1,7 +1,7 @@
 """Simulated drive of a scope along a route: the moves of the hand and the resulting poses in the airways.
 
 The moves define a drive: the same scope, placed at the same position, reaches the same poses by the same moves, because
-`carina.ScopeDrive` depends on nothing but its samples (docs/decisions/0122).
+`carina.ScopeDrive` depends on nothing but its samples (docs/decisions/0142).
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Each attempt steers by one rule. The tip is turned towards a point of the route 
 the tip points too far off. At a fork some rules pull the lever towards the opening while the tip passes the fork. An
 attempt that enters a wrong branch or is blocked is cut back to its last part on the route, and the next attempt starts
 there with another, randomly drawn rule, until an attempt arrives or the effort is spent. The result is the moves of one
-attempt from its beginning; the elastic model executed each of them (docs/decisions/0122).
+attempt from its beginning; the elastic model executed each of them (docs/decisions/0142).
 """
 
 from __future__ import annotations

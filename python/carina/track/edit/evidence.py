@@ -3,7 +3,7 @@
 Across a path, rays run to 16 sides, and their values are averaged over 2.5 mm along the path: an airway continues
 over this length, noise and the rims of vessels do not. The rise of the sides above the middle is compared with the
 same measure on the best paths through plain lung of this CT, and weighted (``evidence_verdict.py``).
-docs/decisions/0119.
+docs/decisions/0140.
 """
 
 from __future__ import annotations

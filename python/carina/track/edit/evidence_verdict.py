@@ -2,7 +2,7 @@
 
 The weights are from a logistic regression on the worst 5 mm of paths to branches that were removed from a tree, to
 branches that the search missed, and into plain lung, in phantoms, painted patients and patients; other data were
-reserved for verification. docs/decisions/0119.
+reserved for verification. docs/decisions/0140.
 """
 
 from __future__ import annotations

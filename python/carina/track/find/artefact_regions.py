@@ -207,7 +207,7 @@ def find_disturbed(grid: PathGrid) -> ArtefactRegions:
     """Find the parts of a CT whose values do not prove a small airway.
 
     The search uses the original slices of the CT: interpolated slices are more alike than those of a scanner, and they
-    spread metal and its streaks (docs/decisions/0115).
+    spread metal and its streaks (docs/decisions/0135).
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Detection of metal streaks: the part of a CT that they change.
 
 Streaks are in the slices that contain metal and are straight lines from it. On circles round the metal, dark and
-bright alternate in the same way at every distance; nothing in a chest has this pattern (docs/decisions/0115).
+bright alternate in the same way at every distance; nothing in a chest has this pattern (docs/decisions/0135).
 """
 
 from __future__ import annotations

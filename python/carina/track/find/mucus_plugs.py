@@ -2,7 +2,7 @@
 
 Air beyond an obstruction is an island: it is not connected to the airways that were found. The search starts at the end
 of an island and follows the axis of the island through bright tissue back to the found airways. The outer border of the
-bronchus against the lung, measured across this gap, gives the calibre from wall to wall. See docs/decisions/0115.
+bronchus against the lung, measured across this gap, gives the calibre from wall to wall. See docs/decisions/0136.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ Frame = NDArray[np.float64]
 
 MISFIT = "track.tree-unlike-human"
 POOR_FIT = 1.5
-"""Lowest goodness of fit of a human bronchial tree in the orientation of its file (docs/decisions/0116)."""
+"""Lowest goodness of fit of a human bronchial tree in the orientation of its file (docs/decisions/0137)."""
 AGAINST = 1.5
 """Weight of a tree's advantage over other orientations, relative to the evidence itself."""
 MIRRORED_FIT = 0.75
@@ -32,7 +32,7 @@ MIN_READ = 10
 GOOD_FIT = 4.0
 """Goodness of fit above which a better fit no longer raises the confidence."""
 # Log odds of a correct name: constant, factor of the log odds of the reading, and change per nat below a good fit.
-# Fitted on trees of phantoms of seeds 101 to 124, checked on seeds 201 to 224 (docs/decisions/0116;
+# Fitted on trees of phantoms of seeds 101 to 124, checked on seeds 201 to 224 (docs/decisions/0137;
 # carina_bench.track_confidence).
 NAME_ODDS = (0.295, 1.073, 0.706)
 SUREST = 0.995

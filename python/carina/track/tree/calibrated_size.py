@@ -22,7 +22,7 @@ __all__ = [
 UNCALIBRATED_SIZE = "track.size-not-calibrated"
 """Code of the permanent note on a tree whose trachea is outside the calibrated range."""
 CALIBRATED_MM = (12.0, 27.0)
-"""Range of diameters in mm of the trachea in the CTs on which confidence was calibrated (docs/decisions/0116)."""
+"""Range of diameters in mm of the trachea in the CTs on which confidence was calibrated (docs/decisions/0137)."""
 UNPROVEN = 0.5
 """Highest confidence of a branch or a name in a tree whose trachea is far outside the calibrated range."""
 # Share below or above the range over which the limit falls from 1 to UNPROVEN.

@@ -33,7 +33,7 @@ FAINT = 0.5
 """Confidence below which a branch is more likely not an airway and is listed as uncertain."""
 # Calibration of wall scores: (score, share of branches with this score that are true airways), rising. Isotonic fit on
 # phantoms of the seeds 101 to 114, good and degraded, with strands beside the airways; verified on the seeds 201 to 214
-# (docs/decisions/0116; carina_bench.track_confidence).
+# (docs/decisions/0137; carina_bench.track_confidence).
 AIRWAY_SHARE = (
     *((0.0, 0.0), (0.260, 0.001), (0.619, 0.010), (0.798, 0.066), (0.874, 0.161), (0.913, 0.275), (0.936, 0.620)),
     *((0.962, 0.675), (0.975, 0.817), (0.986, 0.944), (0.992, 0.969), (0.997, 0.981), (1.0, 0.999)),

@@ -2,7 +2,7 @@
 //!
 //! Samples arrive from a call of `put`, over binary UDP on loopback, or from a simulated hand. The thread waits until
 //! absolute times of the system's clock, so that ticks do not drift; a tick that is not finished a millisecond after
-//! its due time is a missed deadline (decision 0125).
+//! its due time is a missed deadline (decision 0143).
 
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
