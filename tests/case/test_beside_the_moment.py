@@ -40,7 +40,7 @@ def file(doing, tmp_path):
 # Copies of a case file
 
 
-def test_copy_is_one_file_with_equal_content(file, doing, tmp_path):
+def test_copy_of_a_case_file_is_one_file_with_equal_content(file, doing, tmp_path):
     target = tmp_path / "named.carina"
     file.write_copy(target, ct_place="../ct")
     assert sorted(p.name for p in tmp_path.iterdir() if "named" in p.name) == ["named.carina"]
@@ -58,7 +58,7 @@ def test_copy_is_one_file_with_equal_content(file, doing, tmp_path):
         assert copy.source.path is None
 
 
-def test_copy_contains_no_deleted_steps(tmp_path, doing):
+def test_copy_of_a_case_file_contains_no_deleted_undo_steps(tmp_path, doing):
     with CaseFile.create(tmp_path / "one.carina", source_of(doing.case)) as file:
         other = some_case(8, seed=9)
         file.save(other.moment())
@@ -78,7 +78,7 @@ def test_copy_contains_no_deleted_steps(tmp_path, doing):
         assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
 
 
-def test_failed_copy_leaves_the_existing_file_unchanged(file, tmp_path):
+def test_failed_copy_of_a_case_leaves_the_existing_file_unchanged(file, tmp_path):
     target = tmp_path / "named.carina"
     file.write_copy(target)
     before = target.read_bytes()
@@ -90,13 +90,13 @@ def test_failed_copy_leaves_the_existing_file_unchanged(file, tmp_path):
     assert target.read_bytes() == before
 
 
-def test_new_case_file_is_private_and_does_not_replace_a_file(file):
+def test_new_case_file_is_readable_by_its_owner_only_and_never_replaces_a_file(file):
     assert stat.S_IMODE(file.path.stat().st_mode) == 0o600
     with pytest.raises(DiskError, match="already exists"):
         CaseFile.create(file.path, file.source)
 
 
-def test_private_copy_is_readable_by_its_owner_only(file, tmp_path):
+def test_private_copy_of_a_case_is_readable_by_its_owner_only(file, tmp_path):
     file.write_copy(tmp_path / "live.carina", private=True)
     assert stat.S_IMODE((tmp_path / "live.carina").stat().st_mode) == 0o600
 
@@ -128,7 +128,7 @@ def flown(file, doing, *, num_seconds=5, closes=True):
     return recorder
 
 
-def test_recording_is_stored_in_pieces_of_a_second_and_can_be_replayed(file, doing, tmp_path):
+def test_recording_is_stored_in_parts_of_one_second_and_can_be_replayed(file, doing, tmp_path):
     flown(file, doing)
     (facts,) = file.recordings()
     assert (facts.name, facts.begun_s, facts.complete) == ("first flight", 12.0, True)
@@ -143,7 +143,7 @@ def test_recording_is_stored_in_pieces_of_a_second_and_can_be_replayed(file, doi
     connection.close()
 
 
-def test_interrupted_recording_contains_all_moves_up_to_its_last_stored_piece(file, doing):
+def test_interrupted_recording_contains_all_moves_up_to_its_last_stored_part(file, doing):
     flown(file, doing, closes=False)
     (facts,) = file.recordings()
     assert not facts.complete
@@ -242,7 +242,7 @@ def packed(doing, folder, volume):
     return folder / "packed.carina"
 
 
-def test_packed_scan_is_restored_voxel_by_voxel(doing, tmp_path, monkeypatch):
+def test_scan_stored_inside_a_case_file_is_restored_voxel_by_voxel(doing, tmp_path, monkeypatch):
     monkeypatch.setattr("carina.case.packed_ct.CHUNK_BYTES", 5000)
     values = doing.case.volume.hu_zyx.copy()
     values[0, 0, :4] = (-32768, 32767, -32768, 32767)  # The differences of these values exceed 16 bits.
@@ -269,7 +269,7 @@ def test_packed_scan_is_restored_voxel_by_voxel(doing, tmp_path, monkeypatch):
         "UPDATE source SET nx = 60000, ny = 60000",
     ],
 )
-def test_damaged_packed_scan_is_reported_before_memory_is_allocated(doing, tmp_path, statement):
+def test_damaged_scan_inside_a_case_file_is_reported_before_memory_is_allocated(doing, tmp_path, statement):
     path = packed(doing, tmp_path, doing.case.volume)
     connection = sqlite3.connect(path)
     connection.execute(statement)
@@ -279,7 +279,7 @@ def test_damaged_packed_scan_is_reported_before_memory_is_allocated(doing, tmp_p
         file.packed_volume()
 
 
-def test_only_the_scan_of_the_case_is_packed(file, doing, tmp_path):
+def test_case_file_stores_no_other_scan_than_that_of_the_case(file, doing, tmp_path):
     with pytest.raises(UsageError, match="only the scan"):
         file.write_copy(tmp_path / "packed.carina", volume=doing.case.volume)  # this volume has another digest
     assert not (tmp_path / "packed.carina").exists()

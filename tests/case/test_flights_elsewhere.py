@@ -49,7 +49,7 @@ def facts_of(writer, number):
     return RecordingFacts(number, writer.name, "", writer.begun_s, 4.9, complete=writer.closed)
 
 
-def test_stored_and_buffered_flights_are_written_to_another_file(file, doing, tmp_path):
+def test_flights_in_the_file_and_flights_in_memory_are_written_to_another_file(file, doing, tmp_path):
     flown(file, doing)
     (recording,) = file.recordings()
     lines = file.recording_text(recording.recording_id).splitlines(keepends=True)
@@ -81,7 +81,7 @@ def test_stored_and_buffered_flights_are_written_to_another_file(file, doing, tm
             assert copy.recording(number).complete
 
 
-def test_save_does_not_wait_for_an_unresponsive_disk_and_counts_its_flights(file, doing):
+def test_flights_on_an_unresponsive_disk_are_counted_as_missing_without_waiting(file, doing):
     flown(file, doing)
     (recording,) = file.recordings()
     waiting = RecordingWriter("waiting", 30.0, number=2)
@@ -94,7 +94,7 @@ def test_save_does_not_wait_for_an_unresponsive_disk_and_counts_its_flights(file
     assert num_missing == 1
 
 
-def test_pieces_written_by_the_disk_meanwhile_are_not_duplicated(file, doing):
+def test_flight_parts_written_to_the_disk_during_the_copy_are_not_duplicated(file, doing):
     writer = RecordingWriter("flight", 1.0, number=1)
     writer.write('{"t": 0.0}\n')
     file.keep_recording(writer)
@@ -111,7 +111,7 @@ def test_pieces_written_by_the_disk_meanwhile_are_not_duplicated(file, doing):
     assert num_missing == 0
 
 
-def test_readable_flights_are_written_despite_an_unreadable_flight(file, doing):
+def test_readable_flights_are_copied_despite_an_unreadable_flight(file, doing):
     class Damaged(Refusing):
         def recording_text(self, recording_id):
             raise DiskError("cannot read the case", code="disk.error")

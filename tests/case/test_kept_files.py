@@ -87,12 +87,12 @@ def _stored_summary(summary):
     return {**shown, "stenosis": None if stored is None else stored.to_json()}
 
 
-def test_each_schema_has_a_permanent_case_file():
+def test_each_schema_version_has_a_sample_case_file():
     assert NAMES == ["schema-1", "schema-2"]
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_permanent_case_file_opens_with_all_its_content(name, tmp_path):
+def test_sample_case_file_of_each_schema_opens_with_all_its_content(name, tmp_path):
     path = shutil.copy(KEPT / f"{name}.carina", tmp_path / "kept.carina")
     case = edit_case()
     assert told(path, case.volume) == json.loads((KEPT / f"{name}.json").read_text())
@@ -106,7 +106,7 @@ def test_permanent_case_file_opens_with_all_its_content(name, tmp_path):
     assert tip.id not in {b.id for b in edit_airways(case.volume, airways, CutBranch(tip.id)).tree.branches}
 
 
-def test_stored_stenosis_within_its_error_is_neither_shown_nor_exported():
+def test_stenosis_of_an_older_case_is_neither_shown_nor_exported_if_it_is_within_its_error():
     with CaseFile.open(KEPT / "schema-2.carina", read_only=True) as file:
         moment = file.load(edit_case().volume)
         (first, *_) = moment.history().documents()

@@ -84,7 +84,7 @@ def looked_through(path, doing):
     ],
 )
 @pytest.mark.parametrize("read_only", [True, False])
-def test_tables_unlike_the_schema_are_refused(stranger, statement, read_only):
+def test_database_with_tables_unlike_the_schema_is_refused(stranger, statement, read_only):
     changed(stranger, statement)
     before = stranger.read_bytes()
     with pytest.raises(CaseFileError, match="its tables are not those") as refusal:
@@ -108,7 +108,7 @@ def test_file_that_is_not_a_case_file_is_refused(tmp_path):
         CaseFile.open(tmp_path / "missing.carina")
 
 
-def test_case_of_a_newer_version_is_shown_and_not_changed(made, stranger):
+def test_case_of_a_newer_version_opens_for_reading_and_is_not_changed(made, stranger):
     changed(
         stranger, "CREATE TABLE scores (id INTEGER PRIMARY KEY, json TEXT NOT NULL) STRICT", "PRAGMA user_version=3"
     )
@@ -201,7 +201,7 @@ def test_live_case_of_an_older_version_is_migrated_beside_its_original(made, str
 # Journals beside the case file
 
 
-def test_journal_of_a_case_opened_read_only_is_replayed_in_a_copy(made, tmp_path):
+def test_case_with_a_journal_opened_read_only_is_restored_in_a_copy(made, tmp_path):
     live = tmp_path / "live.carina"
     doing = made[0]
     with CaseFile.create(live, source_of(doing.case)) as file:
@@ -222,7 +222,7 @@ def test_journal_of_a_case_opened_read_only_is_replayed_in_a_copy(made, tmp_path
     assert [p.name for p in taken.iterdir()] == ["live.carina"]
 
 
-def test_damaged_journal_loses_only_its_own_changes(made, tmp_path):
+def test_damaged_journal_loses_only_the_changes_that_it_contained(made, tmp_path):
     doing = made[0]
     live, taken = tmp_path / "live.carina", tmp_path / "taken.carina"
     with CaseFile.create(live, source_of(doing.case)) as file:
@@ -283,7 +283,7 @@ def test_damaged_journal_loses_only_its_own_changes(made, tmp_path):
         ("UPDATE recording_chunk SET n = 7", "recording"),
     ],
 )
-def test_content_with_a_wrong_digest_or_value_is_reported(made, stranger, statement, where):
+def test_stored_content_with_a_wrong_digest_or_value_is_reported(made, stranger, statement, where):
     changed(stranger, "PRAGMA foreign_keys=OFF", statement)
     with pytest.raises(CaseFileError, match=where) as refusal:
         looked_through(stranger, made[0])
@@ -291,7 +291,7 @@ def test_content_with_a_wrong_digest_or_value_is_reported(made, stranger, statem
     assert "expected" in str(refusal.value)
 
 
-def test_compressed_array_of_enormous_size_is_refused_before_it_is_inflated(made, stranger):
+def test_compressed_array_of_enormous_size_is_refused_before_decompression(made, stranger):
     bomb = zlib.compress(bytes(60 << 20), 9)
     changed(stranger, "PRAGMA foreign_keys=OFF", ("UPDATE array SET count = 7864320, width = 0, data = ?", (bomb,)))
     with pytest.raises(CaseFileError, match=r"expected content that matches|f8"):
@@ -337,14 +337,14 @@ def spoil(made, tmp_path_factory, draw):
 
 @settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(draw=spoils)
-def test_case_files_with_flipped_bits_or_truncation_are_refused_or_whole(made, tmp_path_factory, draw):
+def test_case_file_with_flipped_bits_or_truncation_is_refused_or_read_completely(made, tmp_path_factory, draw):
     spoil(made, tmp_path_factory, draw)
 
 
 @pytest.mark.soak
 @settings(max_examples=2000, deadline=None, suppress_health_check=list(HealthCheck))
 @given(draw=spoils)
-def test_2000_case_files_with_flipped_bits_or_truncation_are_refused_or_whole(made, tmp_path_factory, draw):
+def test_2000_case_files_with_flipped_bits_or_truncation_are_refused_or_read_completely(made, tmp_path_factory, draw):
     spoil(made, tmp_path_factory, draw)
 
 

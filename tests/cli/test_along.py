@@ -26,7 +26,7 @@ def picture(path):
 
 
 @pytest.mark.parametrize("view", ["straightened", "curved"])
-def test_view_along_the_route_to_a_branch_or_a_point_is_written(carina, ct, tree, tmp_path, view):
+def test_render_command_writes_a_view_along_the_route_to_a_branch_or_a_point(carina, ct, tree, tmp_path, view):
     branches = json.loads(tree.read_text())["branches"]
     deepest = max(branches, key=lambda b: b["generation"])
     for to in (branches[1]["name"] or "1", str(deepest["id"]), RMB):
@@ -46,14 +46,14 @@ def test_view_along_the_route_to_a_branch_or_a_point_is_written(carina, ct, tree
             assert np.median(rgb[100:300, 148:152]) < 110
 
 
-def test_view_along_the_route_searches_for_airways_if_no_tree_is_given(carina, ct, tmp_path):
+def test_render_command_along_a_route_searches_for_airways_if_no_tree_is_given(carina, ct, tmp_path):
     output = tmp_path / "x.png"
     ended = carina("render", ct, "--view", "straightened", f"--to={RMB}", "--turn", "90", "-o", output)
     assert ended.code == 0, ended.err
     assert picture(output).std() > 20
 
 
-def test_view_along_a_route_to_an_unreachable_target_is_refused(carina, ct, tree, tmp_path):
+def test_render_command_along_a_route_to_an_unreachable_target_is_refused(carina, ct, tree, tmp_path):
     output = tmp_path / "x.png"
     for more in ([], ["--tree", tree]):
         ended = carina("render", ct, "--view", "straightened", *more, f"--to={FAR}", "-o", output)
@@ -79,7 +79,7 @@ def test_radiographs_from_two_c_arm_directions_differ(carina, ct, tmp_path):
     assert (first != second).mean() > 0.5
 
 
-def test_thick_slices_show_airways_by_minimum_intensity(carina, ct, tmp_path):
+def test_minimum_intensity_slab_shows_airways_in_thick_slices(carina, ct, tmp_path):
     means = {}
     for slab in ("0", "20,max", "20,min", "20"):
         output = tmp_path / "x.png"

@@ -12,7 +12,7 @@ from carina.errors import UsageError
 from carina_bench import blind
 
 
-def test_posterior_is_below_in_an_upright_picture_and_turns_with_the_scope():
+def test_posterior_is_at_the_bottom_of_an_upright_picture_and_rotates_with_the_scope():
     upright = carina.Pose.looking((0, 0, 0), (0, 0, -1))
     assert blind.back_hour(upright) == pytest.approx(6.0)
     # A clockwise rotation of the scope, as its operator sees it, rotates the picture counterclockwise.
@@ -23,7 +23,7 @@ def test_posterior_is_below_in_an_upright_picture_and_turns_with_the_scope():
     assert blind.back_hour(oblique) == pytest.approx(np.degrees(np.arctan2(right, -down)) / 30.0 % 12.0)
 
 
-def test_errors_of_hours_are_modulo_12_and_missing_answers_are_refused(tmp_path, capsys):
+def test_clock_hour_errors_are_modulo_12_and_missing_answers_are_refused(tmp_path, capsys):
     key = {
         "00": {"decorated": True, "hour": 11.5},
         "01": {"decorated": True, "hour": 6.0},
@@ -40,7 +40,7 @@ def test_errors_of_hours_are_modulo_12_and_missing_answers_are_refused(tmp_path,
         blind.scores(key, {"00": 0.5, "01": 6.2})
 
 
-def test_drawn_pictures_contain_no_pose_and_each_has_an_answer(tmp_path):
+def test_pictures_of_the_blind_test_contain_no_pose_and_each_has_an_answer(tmp_path):
     num = blind.draw(tmp_path, ["patient"], seed=3)
     key = json.loads((tmp_path / "key.json").read_text())
     assert sorted(key) == [f"{n:02d}" for n in range(num)]
@@ -49,7 +49,7 @@ def test_drawn_pictures_contain_no_pose_and_each_has_an_answer(tmp_path):
         assert b"carina-pose" not in (tmp_path / f"{picture}.png").read_bytes()
 
 
-def test_draw_refuses_cases_without_a_long_trachea(tmp_path, monkeypatch):
+def test_blind_test_refuses_cases_whose_trachea_is_too_short(tmp_path, monkeypatch):
     monkeypatch.setattr(blind, "BEFORE_CARINA_MM", (1000.0,))
     with pytest.raises(UsageError, match="trachea"):
         blind.draw(tmp_path, ["patient"])

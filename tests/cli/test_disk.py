@@ -90,7 +90,7 @@ def check(ended, code):
 
 
 @pytest.mark.parametrize("verb", VERBS, ids=label)
-def test_command_whose_disk_becomes_full_reports_it_and_leaves_the_old_file(run, tmp_path, monkeypatch, verb):
+def test_command_whose_disk_becomes_full_while_writing_reports_it_and_leaves_the_old_file(run, tmp_path, monkeypatch, verb):
     if verb[0] == "fly":
         pytest.importorskip("av", reason="PyAV is not installed")
     folder = tmp_path / "results"
@@ -127,7 +127,7 @@ def test_command_on_a_read_only_disk_exits_with_its_error_code(run, tmp_path, mo
     check(run(("render", "CT", "--view", "axial", "--size", "64x64", "-o", "a.png"), tmp_path), code)
 
 
-def test_phantom_on_a_full_disk_leaves_the_former_three_files(carina, tmp_path, monkeypatch):
+def test_phantom_command_on_a_full_disk_leaves_the_three_earlier_files(carina, tmp_path, monkeypatch):
     folder = tmp_path / "case"
     folder.mkdir()
     names = ("ct.nii.gz", "lumen.nii.gz", "truth.json")
@@ -145,7 +145,7 @@ def test_phantom_on_a_full_disk_leaves_the_former_three_files(carina, tmp_path, 
     assert sorted(p.name for p in folder.iterdir()) == sorted(names)
 
 
-def test_output_to_a_folder_or_a_missing_folder_is_refused_before_the_work(carina, ct, tmp_path):
+def test_output_to_a_folder_or_into_a_missing_folder_is_refused_before_the_computation(carina, ct, tmp_path):
     (tmp_path / "a.png").mkdir()
     for place in (tmp_path / "a.png", tmp_path / "nowhere" / "a.png"):
         ended = carina("render", ct, "--view", "axial", "--size", "16x16", "-o", place, "--json")

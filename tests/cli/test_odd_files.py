@@ -14,14 +14,14 @@ CASES = os.environ.get("CARINA_CASES_DIR", "")
 
 @pytest.mark.data
 @pytest.mark.soak
-def test_commands_obey_the_contract_on_every_unusual_file(data_dir: Path) -> None:
+def test_commands_follow_the_exit_code_contract_on_every_unusual_file(data_dir: Path) -> None:
     found = list(problems(inputs_in(data_dir / "odd")))
     assert not found, "\n".join(found)
 
 
 @pytest.mark.soak
 @pytest.mark.skipif(not CASES, reason="needs the folder of the generated cases in CARINA_CASES_DIR")
-def test_commands_obey_the_contract_on_every_generated_case() -> None:
+def test_commands_follow_the_exit_code_contract_on_every_generated_case() -> None:
     found = list(problems(inputs_in(Path(CASES), slices=False)))
     assert not found, "\n".join(found)
 
@@ -40,12 +40,12 @@ def test_commands_obey_the_contract_on_every_generated_case() -> None:
         (0, "{}", "a\x1b[31mb", "a control character"),
     ],
 )
-def test_outcome_that_violates_the_contract_is_described(code: int, out: str, err: str, expected: str | None) -> None:
+def test_command_outcome_that_violates_the_contract_is_described(code: int, out: str, err: str, expected: str | None) -> None:
     found = outcome_problem(code, out, err)
     assert found is None if expected is None else expected in str(found)
 
 
-def test_folder_of_slices_counts_as_one_input_with_its_first_file(tmp_path: Path) -> None:
+def test_folder_of_slices_is_listed_as_one_input_with_its_first_file(tmp_path: Path) -> None:
     for n in range(5):
         (tmp_path / f"{n}.dcm").touch()
     (tmp_path / "notes.txt").touch()

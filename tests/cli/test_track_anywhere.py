@@ -20,7 +20,7 @@ def vessel(tmp_path_factory):
     return scan, *(",".join(f"{v:.3f}" for v in point) for point in (root, end))
 
 
-def test_path_through_a_vessel_is_written_with_its_unknown_figures(carina, vessel, tmp_path):
+def test_path_through_a_vessel_is_written_with_null_for_its_unknown_figures(carina, vessel, tmp_path):
     scan, root, end = vessel
     tree = tmp_path / "tree.json"
     ended = carina("track", scan, "--cost", "walls", f"--root={root}", f"--target={end}", "-o", tree, "--json")
@@ -39,14 +39,14 @@ def test_path_through_a_vessel_is_written_with_its_unknown_figures(carina, vesse
     assert "generation" not in output
 
 
-def test_track_without_airways_and_without_a_start_is_refused(carina, vessel):
+def test_track_command_without_airways_and_without_a_start_is_refused(carina, vessel):
     scan, _, end = vessel
     ended = carina("track", scan, "--cost", "walls", f"--target={end}")
     assert ended.code == 4
     assert "a start point (root)" in ended.err
 
 
-def test_case_without_airways_needs_a_start_for_tracking(carina, vessel, tmp_path):
+def test_track_command_in_a_case_without_airways_needs_a_start(carina, vessel, tmp_path):
     scan, root, end = vessel
     with Case.open(scan) as opened:
         case = opened.save(tmp_path / "vessel.carina")
@@ -58,7 +58,7 @@ def test_case_without_airways_needs_a_start_for_tracking(carina, vessel, tmp_pat
     assert "--root" in ended.err
 
 
-def test_track_without_airways_to_a_target_outside_the_volume_is_refused(carina, vessel):
+def test_track_command_to_a_target_outside_the_volume_without_airways_is_refused(carina, vessel):
     scan, root, _ = vessel
     ended = carina("track", scan, "--cost", "paper", f"--root={root}", "--target=900,0,0")
     assert ended.code == 2

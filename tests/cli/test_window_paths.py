@@ -10,7 +10,7 @@ import pytest
 
 @pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="file names are Unicode there")
 @pytest.mark.parametrize("name", [b"l\xe9.nii", b"a\nb.nii"], ids=repr)
-def test_open_refuses_a_path_that_is_no_valid_unicode(carina, tmp_path, name):
+def test_open_command_refuses_a_path_that_is_not_valid_unicode(carina, tmp_path, name):
     path = tmp_path / os.fsdecode(name)
     path.write_bytes(b"")
     ended = carina("open", path, "--no-browser", "--json")

@@ -132,7 +132,7 @@ def wrong_calls(name: str, words: tuple[str, ...]) -> list[tuple[str, list[str],
     "words", [pytest.param(FEW_WORDS, id="few"), pytest.param(WORDS, id="all", marks=pytest.mark.soak)]
 )
 @pytest.mark.parametrize("name", UNATTENDED)
-def test_command_refuses_invalid_values_before_the_work(  # noqa: PLR0917 - fixtures and parameters
+def test_command_refuses_invalid_option_values_before_the_computation(  # noqa: PLR0917 - fixtures and parameters
     name: str, words: tuple[str, ...], carina: Any, ct: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     work = tmp_path / "work"
@@ -188,7 +188,7 @@ def test_command_refuses_invalid_values_before_the_work(  # noqa: PLR0917 - fixt
     ],
     ids=str,
 )
-def test_option_without_effect_is_refused(  # noqa: PLR0917 - fixtures and parameters
+def test_option_without_effect_on_the_command_is_refused(  # noqa: PLR0917 - fixtures and parameters
     carina: Any, ct: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], option: str
 ) -> None:
     monkeypatch.chdir(tmp_path)

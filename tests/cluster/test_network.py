@@ -55,7 +55,7 @@ def _can_have_networks() -> bool:
 @pytest.mark.ray
 @needs_ray
 @pytest.mark.skipif(not _can_have_networks(), reason="needs root, and leave to make network namespaces")
-def test_interrupted_link_delays_pictures_briefly_and_the_machine_returns():
+def test_interrupted_network_link_delays_pictures_briefly_and_the_machine_rejoins():
     # Ray puts sockets into this folder, and their paths must be short.
     folder = Path(tempfile.mkdtemp(prefix="carina-net-"))
     prefix = f"carina{os.getpid()}n"

@@ -119,7 +119,7 @@ def truth(case):
     max_rows=st.one_of(st.none(), st.integers(1, 30)),
     seed=st.integers(0, 99),
 )
-def test_strips_of_any_layout_and_instruction_set_equal_the_whole_picture(  # noqa: PLR0917 - Hypothesis's own
+def test_strips_of_any_layout_and_instruction_set_join_to_the_picture_of_one_machine(  # noqa: PLR0917 - Hypothesis's own
     case, machines, truth, name, shares, min_rows, max_rows, seed
 ):
     view = _views(case)[name]
@@ -132,7 +132,7 @@ def test_strips_of_any_layout_and_instruction_set_equal_the_whole_picture(  # no
     assert np.array_equal(np.concatenate(parts), truth[name])
 
 
-def test_pictures_that_need_all_their_pixels_are_not_divided(case):
+def test_view_whose_pixels_depend_on_the_complete_picture_is_not_divided_into_strips(case):
     renderer = case.renderer()
     for view in (DrrView(**SIZE), AirwayView(case.pose, depth_of_field=DepthOfField(2.0, 20.0), **SIZE)):
         assert not can_cut(view)
@@ -140,7 +140,7 @@ def test_pictures_that_need_all_their_pixels_are_not_divided(case):
             renderer.render(view, rows=(0, 9))
 
 
-def test_rows_outside_the_picture_are_refused(case):
+def test_strip_rows_outside_the_picture_are_refused(case):
     renderer = case.renderer()
     for rows in ((-1, 5), (5, 5), (0, 62)):
         with pytest.raises(CarinaError, match="rows"):
@@ -199,7 +199,7 @@ WAIT_S = 120.0
 FAST = ClusterSettings(late_floor_s=0.03, first_answer_s=0.5)
 
 
-def test_renderer_that_stops_replying_delays_one_picture_and_returns_by_itself(case, cluster):
+def test_renderer_that_stops_replying_delays_only_one_picture_and_is_used_again_when_it_replies(case, cluster):
     made = cluster(settings=FAST)
     _wait_ready(made)
     expected = made.truth.render(_airway(case)).rgb
@@ -223,7 +223,7 @@ def test_renderer_that_stops_replying_delays_one_picture_and_returns_by_itself(c
 
 
 @pytest.mark.parametrize("what", ["wrong_shape", "old_frame", "other_rows"])
-def test_strip_with_a_wrong_shape_frame_or_rows_is_not_shown(case, cluster, what):
+def test_strip_with_a_wrong_shape_frame_or_row_range_is_not_shown(case, cluster, what):
     made = cluster(settings=FAST)
     _wait_ready(made)
     expected = made.truth.render(_airway(case)).rgb
@@ -244,7 +244,7 @@ def test_strip_with_a_wrong_shape_frame_or_rows_is_not_shown(case, cluster, what
 
 
 @pytest.mark.parametrize("what", ["wrong_shape", "garbles", "twice", "refuses"])
-def test_frame_is_completed_after_any_wrong_reply(case, cluster, monkeypatch, what):
+def test_frame_is_rendered_by_another_renderer_after_any_unusable_reply(case, cluster, monkeypatch, what):
     """Disable the check of replies; another renderer must render a strip that cannot be used."""
     from carina.cluster import console
 
@@ -270,7 +270,7 @@ def test_frame_is_completed_after_any_wrong_reply(case, cluster, monkeypatch, wh
     _wait(made, is_told, shows_the_truth)
 
 
-def test_picture_that_cannot_be_assembled_raises_its_error_at_once(case, cluster, monkeypatch):
+def test_error_while_strips_are_joined_is_raised_at_once(case, cluster, monkeypatch):
     from carina.cluster import frames
 
     made = cluster(settings=FAST)
@@ -282,7 +282,7 @@ def test_picture_that_cannot_be_assembled_raises_its_error_at_once(case, cluster
     made.renderer.render(_airway(case))
 
 
-def test_renderer_with_repeated_wrong_replies_is_excluded(case, cluster):
+def test_renderer_that_repeatedly_sends_wrong_replies_is_excluded(case, cluster):
     made = cluster(simds=(None, None), settings=FAST)
     _wait_ready(made)
     made.lanes[0].trouble.wrong_shape = True
@@ -309,7 +309,7 @@ def test_renderer_that_fails_during_a_frame_loses_no_picture(case, cluster):
     _wait_ready(made)
 
 
-def test_other_renderers_load_the_scene_if_one_cannot_receive_the_request(case, cluster, monkeypatch):
+def test_other_renderers_load_the_scene_if_one_renderer_cannot_receive_the_request(case, cluster, monkeypatch):
     made = cluster(settings=FAST)
     _wait_ready(made)
     expected = made.truth.render(_airway(case)).rgb
@@ -336,7 +336,7 @@ def test_other_renderers_load_the_scene_if_one_cannot_receive_the_request(case, 
     _wait_ready(made)
 
 
-def test_renderer_that_cannot_load_is_reported_once_and_tried_again(case, cluster, monkeypatch):
+def test_renderer_that_cannot_load_the_scene_is_reported_once_and_tried_again(case, cluster, monkeypatch):
     monkeypatch.setattr(console_module, "RETRY_S", (0.001,))
     made = cluster(settings=FAST)
     _wait_ready(made)
@@ -395,7 +395,7 @@ def test_renderer_that_joins_during_a_flight_receives_strips(case, cluster, cons
     assert 0.0 < share < 1.0
 
 
-def test_transfer_function_is_changed_in_all_strips_together(case, cluster):
+def test_new_transfer_function_is_used_in_all_strips_of_a_frame_or_in_none(case, cluster):
     made = cluster(simds=("portable", None))
     _wait_ready(made)
     shown = made.truth.render(_airway(case)).rgb
@@ -425,7 +425,7 @@ def test_several_threads_may_request_pictures_concurrently(case, cluster):
             assert np.array_equal(found.rgb, picture)
 
 
-def test_picture_on_the_cluster_can_be_cancelled(case, cluster):
+def test_picture_rendered_on_the_cluster_can_be_cancelled(case, cluster):
     made = cluster(simds=(None,), settings=ClusterSettings(first_answer_s=60.0))
     _wait_ready(made)
     made.lanes[0].trouble.holds = True
@@ -470,7 +470,7 @@ def test_series_of_pictures_is_in_order_and_can_be_resumed(case, cluster):
     assert sum(lane.trouble.num_orders > 0 for lane in made.lanes) >= 2
 
 
-def test_pickled_case_contains_each_large_array_once_and_reuses_it(case):
+def test_pickled_case_contains_each_large_array_once_and_repeated_arrays_are_not_sent_again(case):
     renderer = case.renderer()
     parcels = Parcels()
     first = parcels.pack(renderer.volume, renderer.scene)
@@ -483,7 +483,7 @@ def test_pickled_case_contains_each_large_array_once_and_reuses_it(case):
     assert scene.maps is not None and scene.maps.values is scene.values
 
 
-def test_pickled_case_contains_no_name_and_no_path(case):
+def test_case_pickled_for_the_cluster_contains_no_name_and_no_path(case):
     from carina.volume import Note, Volume, VolumeSource
 
     named = VolumeSource(format="dicom", title="SECRET^NAME", notes=(Note("import.lossy", "SECRET"),))
@@ -493,7 +493,7 @@ def test_pickled_case_contains_no_name_and_no_path(case):
     assert b"SECRET" not in Parcels().pack(volume, Renderer(volume).scene).skeleton
 
 
-def test_renderer_refuses_strips_of_content_that_it_has_not_loaded(case):
+def test_renderer_refuses_to_render_a_scene_that_it_has_not_loaded(case):
     renderer = case.renderer()
     parcel = Parcels().pack(renderer.volume, renderer.scene)
     host = RendererHost(simd="portable")

@@ -14,7 +14,7 @@ FILES = ("tests/scopes/test_pose.py", "tests/scopes/test_lens.py", "tests/scopes
 
 
 @pytest.mark.slow
-def test_file_is_run_by_one_worker_in_its_order():
+def test_tests_of_one_file_run_in_one_worker_in_their_order():
     pytest.importorskip("xdist")
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-v", "-n", "2"]
     dist = re.search(r"--dist .*?(?= -ra)", (ROOT / "Makefile").read_text(encoding="utf-8"))
@@ -31,7 +31,7 @@ def test_file_is_run_by_one_worker_in_its_order():
         assert names == sorted(names, key=lambda name: text.index(f"def {name}("))
 
 
-def test_all_files_that_start_ray_are_one_group():
+def test_all_test_files_that_start_ray_are_in_one_group():
     from conftest import group_of
 
     mark = "mark." + "ray"

@@ -107,7 +107,7 @@ SAMPLES = [p for kind in PARSERS for p in sorted((PROTOCOL / "valid" / kind).glo
 
 
 @pytest.mark.parametrize("path", SAMPLES, ids=lambda path: f"{path.parent.name}/{path.stem}")
-def test_extreme_values_in_a_message_are_refused_with_a_message_or_accepted(path):
+def test_extreme_values_in_a_message_raise_no_error_other_than_protocol_error(path):
     parse = PARSERS[path.parent.name]
     for text in evil_texts(json.loads(path.read_bytes())):
         try:
@@ -116,7 +116,7 @@ def test_extreme_values_in_a_message_are_refused_with_a_message_or_accepted(path
             assert len(str(trouble)) < 500  # noqa: PT017, it may also be taken
 
 
-def test_huge_integer_in_a_phone_hello_is_refused_before_its_token_is_read():
+def test_huge_integer_in_the_hello_message_of_a_phone_is_refused_before_its_token_is_read():
     for number in ("9" * 400, "1e400", str(2**63)):
         with pytest.raises(ProtocolError):
             wire.parse_phone_message(f'{{"type":"phone_hello","wire_version":{number},"token":"x"}}')
@@ -175,7 +175,7 @@ def is_json(text):
 
 
 @pytest.mark.parametrize("kind", FILES)
-def test_extreme_values_in_a_file_are_refused_with_a_message_or_accepted(kind, tmp_path):
+def test_extreme_values_in_a_file_raise_no_error_other_than_carina_error(kind, tmp_path):
     document, read = FILES[kind]
     path = tmp_path / "file.json"
     for text in evil_texts(document):

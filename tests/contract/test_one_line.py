@@ -163,7 +163,7 @@ def shown() -> Shown:
     )
 
 
-def test_repr_of_real_values_is_one_line(shown: Shown) -> None:
+def test_repr_of_computed_values_is_one_line(shown: Shown) -> None:
     values = [getattr(shown, field.name) for field in dataclasses.fields(shown)]
     values += [shown.phantom.volume, shown.airways.tree, shown.airways.tracker, *shown.airways.tree.branches]
     values += [shown.path.pose_at(30.0), carina.Navigator(shown.path.pose_at(30.0), volume=shown.phantom.volume)]
@@ -178,7 +178,7 @@ def test_repr_of_real_values_is_one_line(shown: Shown) -> None:
             assert text.startswith(begin)
 
 
-def test_repr_of_working_objects_is_one_line_with_their_state(shown: Shown, tmp_path: Path) -> None:
+def test_repr_of_stateful_objects_is_one_line_with_their_state(shown: Shown, tmp_path: Path) -> None:
     name = "very/" * 30
     navigator = carina.Navigator(shown.path.pose_at(30.0), volume=shown.phantom.volume)
     pilot = Pilot(navigator)
@@ -271,7 +271,7 @@ def lying() -> Volume:
     return Volume(values, matrix, source=source)
 
 
-def test_volume_slices_show_right_and_anterior_on_the_left_and_the_head_above() -> None:
+def test_volume_slices_in_a_notebook_show_patient_right_and_anterior_on_the_left_and_the_head_above() -> None:
     found = lying()
     axial, coronal, sagittal = middle_slices(
         _all_bright_through_the_middle(found), found.lps_from_ijk, (1500.0, -600.0), height_px=120
@@ -291,7 +291,7 @@ def _all_bright_through_the_middle(found: Volume) -> np.ndarray:
     return values
 
 
-def test_notebook_shows_three_slices_with_window_and_badges_and_no_patient_name() -> None:
+def test_notebook_shows_three_slices_with_grey_window_and_badges_and_no_patient_name() -> None:
     page = lying()._repr_html_()
     ElementTree.fromstring(page.replace("<br>", "<br/>").replace('#000">', '#000"/>'))
     slices = pictures_in(page)
@@ -306,7 +306,7 @@ def test_notebook_shows_three_slices_with_window_and_badges_and_no_patient_name(
     assert "scans" not in page
 
 
-def test_volume_without_hu_states_it_and_is_shown_in_its_range_of_values() -> None:
+def test_volume_without_hu_states_this_and_is_shown_in_its_range_of_values() -> None:
     values = np.arange(8 * 9 * 10, dtype=np.int16).reshape(8, 9, 10)
     page = Volume(values, np.eye(4), is_hu=False, not_hu_reason="8-bit data")._repr_html_()
     assert "! not HU: 8-bit data" in page
@@ -354,7 +354,7 @@ def test_notebook_shows_a_tree_from_the_front_with_a_table_of_its_branches() -> 
     assert "! the mask leaks" in words
 
 
-def test_large_tree_lists_only_its_first_branches(shown: Shown) -> None:
+def test_notebook_table_of_a_large_tree_lists_only_its_first_branches(shown: Shown) -> None:
     page = shown.airways._repr_html_()
     root = ElementTree.fromstring(page.replace("<br>", "<br/>"))
     assert len(list(root.iter("tr"))) == 1 + 12
@@ -378,6 +378,6 @@ def classes_of(part: str) -> dict[str, type]:
 
 
 @pytest.mark.parametrize("part", ["", "volume", "render", "track", "phantom", "export", "cluster", "commands"])
-def test_no_public_class_shows_a_memory_address(part: str) -> None:
+def test_repr_of_every_public_class_contains_no_memory_address(part: str) -> None:
     silent = [name for name, value in classes_of(part).items() if value.__repr__ is object.__repr__]
     assert silent == []

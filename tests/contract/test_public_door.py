@@ -76,14 +76,14 @@ POSE = carina.Pose.looking((5.5, 5.5, 5.5), (0, 0, -1))
         ),
     ],
 )
-def test_wrong_type_is_refused_with_expected_type_found_type_and_remedy(call: Callable[[], object], words: str) -> None:
+def test_argument_of_a_wrong_type_is_refused_with_expected_type_found_type_and_remedy(call: Callable[[], object], words: str) -> None:
     with pytest.raises(UsageError) as refused:
         call()
     assert str(refused.value) == words
     assert refused.value.code in {"usage", "usage.type"}
 
 
-def test_render_with_a_view_of_another_type_is_refused() -> None:
+def test_render_with_a_view_of_a_wrong_type_is_refused() -> None:
     with pytest.raises(UsageError, match=r"render_view: view: expected AirwayView or .*; found Pose; or pass one of"):
         carina.render_view(CT, view=POSE)
 
@@ -126,7 +126,7 @@ class NotedBar:
         self.closed = True
 
 
-def test_bar_starts_after_half_a_second_is_limited_to_10_hz_and_shows_the_remaining_time() -> None:
+def test_progress_bar_starts_after_half_a_second_is_limited_to_10_hz_and_shows_the_remaining_time() -> None:
     now, bar = [10.0], NotedBar()
     watched = Watched(lambda: bar, lambda: now[0])
     for time_s, fraction in ((10.1, 0.1), (10.4, 0.2), (10.6, 0.25), (10.65, 0.3), (11.0, 0.5), (12.0, None)):
@@ -137,7 +137,7 @@ def test_bar_starts_after_half_a_second_is_limited_to_10_hz_and_shows_the_remain
     assert bar.closed
 
 
-def test_work_shorter_than_half_a_second_shows_no_bar() -> None:
+def test_work_shorter_than_half_a_second_shows_no_progress_bar() -> None:
     made = []
     watched = Watched(lambda: made.append(1) or NotedBar(), lambda: 1.0)
     watched("reading", 0.5)
@@ -145,7 +145,7 @@ def test_work_shorter_than_half_a_second_shows_no_bar() -> None:
     assert not made
 
 
-def test_bar_is_shown_in_a_terminal_or_notebook_and_in_the_main_thread_only(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_bar_is_shown_in_a_terminal_or_notebook_and_in_the_main_thread_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "IPython", raising=False)
     monkeypatch.setattr(sys, "stderr", io.StringIO())
     assert bar_here() is None
@@ -166,7 +166,7 @@ def test_bar_is_shown_in_a_terminal_or_notebook_and_in_the_main_thread_only(monk
     assert bar_here() is bars.NotebookBar
 
 
-def test_notebook_bar_is_updated_in_place_and_removed_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_notebook_progress_bar_is_updated_in_place_and_removed_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
     pages = []
     handle = types.SimpleNamespace(update=pages.append)
     module = types.ModuleType("IPython.display")
@@ -183,7 +183,7 @@ def test_notebook_bar_is_updated_in_place_and_removed_at_the_end(monkeypatch: py
     ]
 
 
-def test_terminal_bar_is_one_line_and_removed_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_terminal_progress_bar_is_one_line_and_removed_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
     screen = Terminal()
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setenv("TERM", "xterm")
@@ -197,7 +197,7 @@ def test_terminal_bar_is_one_line_and_removed_at_the_end(monkeypatch: pytest.Mon
 @pytest.mark.parametrize(
     ("choice", "told", "bars_made"), [(None, True, 1), (True, True, 1), (False, False, 0), ("callback", True, 0)]
 )
-def test_bar_is_shown_unless_it_is_switched_off_or_replaced_by_a_callback(
+def test_progress_bar_is_shown_unless_disabled_or_replaced_by_a_callback(
     choice: object, told: bool, bars_made: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made, heard = [], []
@@ -224,7 +224,7 @@ def test_bar_is_shown_unless_it_is_switched_off_or_replaced_by_a_callback(
     assert heard == ([("working", 0.5)] if choice == "callback" else [])
 
 
-def test_progress_bar_is_removed_if_the_work_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_bar_is_removed_if_the_work_raises_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     bar = NotedBar()
     monkeypatch.setattr(bars, "bar_here", lambda: lambda: bar)
     monkeypatch.setattr(bars, "BEGIN_S", 0.0)
@@ -240,7 +240,7 @@ def test_progress_bar_is_removed_if_the_work_fails(monkeypatch: pytest.MonkeyPat
     assert bar.closed
 
 
-def test_demo_prints_nothing_without_a_terminal(capfd: pytest.CaptureFixture[str]) -> None:
+def test_demo_function_prints_nothing_without_a_terminal(capfd: pytest.CaptureFixture[str]) -> None:
     carina.demo_patient()
     shown = capfd.readouterr()
     assert shown.out == shown.err == ""

@@ -39,7 +39,7 @@ serve(None, open_browser=False, on_ready=ready)
 
 
 @pytest.mark.parametrize("part", ["volume", "scopes", "render", "track", "navigate", "export", "phantom"])
-def test_a_part_is_imported_without_readers_and_servers(part: str) -> None:
+def test_subpackage_is_imported_without_file_readers_and_servers(part: str) -> None:
     code = (
         f"import sys, carina.{part}; from carina.volume import Note, Volume, VolumeSource, badges_of; "
         f"print(*(name for name in {SLOW!r} if name in sys.modules))"

@@ -60,14 +60,14 @@ def reading_calls(path: Path) -> list[str]:
     return found
 
 
-def test_type_is_prepared_by_one_thread_at_a_time() -> None:
+def test_json_type_is_prepared_by_one_thread_at_a_time() -> None:
     # With msgspec.convert in place of read_plain the process ends with a segmentation fault.
     command = [sys.executable, "-X", "faulthandler", "-c", FIRST_USE_IN_FOUR_THREADS]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "read\n"), done.stderr[-2000:]
 
 
-def test_only_one_module_reads_typed_values() -> None:
+def test_only_one_module_reads_typed_json_values() -> None:
     found = [call for path in PACKAGE.rglob("*.py") if path != TYPED_READING for call in reading_calls(path)]
     assert not found, "read with the functions of carina.typed_reading"
     assert len(reading_calls(TYPED_READING)) == 4
