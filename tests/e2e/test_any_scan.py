@@ -45,7 +45,7 @@ def mark(workstation, tool, lps):
     workstation.page.mouse.click(*place_in_slice(workstation, "axial", lps))
 
 
-def test_clicked_start_and_target_are_joined_by_a_path_that_can_be_flown(opened, vessel):
+def test_path_between_clicked_start_and_target_can_be_flown(opened, vessel):
     _, volume, inside, root, _, end = vessel
     page = opened.page
     page.get_by_role("radio", name="Walls").click()
@@ -96,7 +96,7 @@ def test_missing_start_is_reported_and_undo_removes_a_path(opened, vessel):
     opened.wait_for("window.__carina.state.session.targets.length === 0 && window.__carina.state.route === null")
 
 
-def test_start_and_target_are_clicked_in_the_three_dimensional_views(opened, vessel):
+def test_start_and_target_are_set_by_clicks_in_tri_plane_and_airway_view(opened, vessel):
     _, _, _, root, _, _ = vessel
     page = opened.page
     page.get_by_role("radio", name="Walls").click()

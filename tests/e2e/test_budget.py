@@ -26,7 +26,7 @@ def opens(slow_file):
     return {"demo": "phantom", "slow_file": str(slow_file)}
 
 
-def test_status_shows_rate_and_resolution_in_flight_and_the_picture_is_full_at_rest(server, workstation):
+def test_status_bar_shows_rate_and_resolution_in_flight_and_full_resolution_at_rest(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.wait_still()
@@ -69,7 +69,7 @@ def test_requested_frame_rate_limits_the_pictures_per_second(server, workstation
     assert workstation.faults == []
 
 
-def test_labelled_cut_plane_replaces_a_slow_airway_view_until_it_recovers(server, workstation, slow_file):
+def test_cut_plane_with_a_label_replaces_a_slow_airway_view_until_the_view_is_fast_again(server, workstation, slow_file):
     workstation.open(server)
     workstation.wait_ready()
     assert workstation.page.evaluate(f"() => {STANDS_IN}") is None

@@ -13,7 +13,7 @@ FLIGHT_MS = 300_000
 """Limit for a movement of the scope, ms."""
 
 
-def test_scope_in_the_lumen_bends_is_stopped_by_the_wall_and_released(server, workstation):
+def test_simulated_scope_in_the_lumen_bends_and_is_stopped_by_the_wall_until_scope_mode_ends(server, workstation):
     page = workstation.page
     page.add_init_script(MOCK)
     workstation.open(server)

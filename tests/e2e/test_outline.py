@@ -84,7 +84,7 @@ def to_ijk(places, header, ijk_from_lps):
 
 
 @pytest.mark.parametrize("view", ["cut-plane", "coronal"])
-def test_drawn_outline_on_a_zoomed_slice_is_within_half_a_voxel_of_the_lumen(server, workstation, tmp_path, view):
+def test_lumen_outline_on_a_zoomed_slice_is_within_half_a_voxel_of_the_lumen(server, workstation, tmp_path, view):
     workstation.open(server)
     workstation.wait_ready()
     length = workstation.state("route.length_mm")
@@ -138,7 +138,7 @@ def test_drawn_outline_on_a_zoomed_slice_is_within_half_a_voxel_of_the_lumen(ser
     assert workstation.faults == []
 
 
-def test_outline_is_hidden_and_shown_by_a_key_and_a_button(server, workstation):
+def test_lumen_outline_is_hidden_and_shown_by_a_key_and_a_button(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     # In the middle of the route the slice cuts the airways over a long distance, at the root over a few millimetres
@@ -154,7 +154,7 @@ def test_outline_is_hidden_and_shown_by_a_key_and_a_button(server, workstation):
     assert workstation.faults == []
 
 
-def test_click_on_an_open_end_shows_it_in_the_airway_view_and_all_slices(server, workstation):
+def test_click_on_an_uncertain_airway_end_shows_it_in_the_airway_view_and_all_slices(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.locator("[data-testid=uncertain] summary").click()

@@ -47,7 +47,7 @@ class HeldPen:
         self.workstation.wait_for("() => window.__carina.state.devices?.devices.some((d) => d.registered)")
 
 
-def test_point_of_a_registered_pen_is_shown_with_its_path_and_marked(server, workstation):
+def test_tip_of_a_registered_pen_is_shown_with_its_path_and_marked_by_its_button(server, workstation):
     page = workstation.page
     page.add_init_script(SPEAK)
     workstation.open(server)

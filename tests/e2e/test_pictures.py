@@ -24,7 +24,7 @@ def opens() -> dict[str, str]:
 
 @pytest.mark.browser
 @pytest.mark.parametrize("shot", [pytest.param(shot, id=shot.path) for shot in SHOTS])
-def test_picture_of_the_window_is_up_to_date(shot, server, workstation):
+def test_documentation_picture_of_the_window_shows_the_present_window(shot, server, workstation):
     stamp = stamp_in((ROOT / shot.path).read_bytes())
     assert stamp is not None, f"{shot.path} has no stamp. Run {COMMAND}"
     workstation.open(server)
@@ -61,7 +61,7 @@ STAMP: dict[str, Any] = {
 }
 
 
-def test_stamp_comparison_names_visible_changes_only():
+def test_comparison_of_window_descriptions_lists_visible_changes_only():
     def told(**change: Any) -> list[str]:
         return changes(STAMP, {**copy.deepcopy(STAMP), **change})
 
@@ -82,7 +82,7 @@ def test_stamp_comparison_names_visible_changes_only():
     assert told(colours={"airway": [100] * 48, "drr": [0] * 48})[0].startswith("views:")
 
 
-def test_stamp_is_stored_in_the_picture_and_keeps_its_pixels():
+def test_window_description_is_stored_in_the_jpeg_file_without_changing_its_pixels():
     header, rest = b"\xff\xe0\x00\x04JF", b"\xff\xda\x00\x02pixels\xff\xd9"
     bare = b"\xff\xd8" + header + rest
     stamped = with_stamp(bare, STAMP)

@@ -23,7 +23,7 @@ def cell(workstation, name: str):
     return workstation.page.locator(f"[data-cell={name}]")
 
 
-def test_slices_state_that_they_left_the_tip_and_return_on_click_and_key(server, workstation):
+def test_slices_state_that_they_do_not_follow_the_tip_and_follow_it_again_after_click_or_key(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page
@@ -49,7 +49,7 @@ def test_slices_state_that_they_left_the_tip_and_return_on_click_and_key(server,
 
 
 @pytest.mark.parametrize("size", [(1440, 900), (1920, 1080), (1280, 720)])
-def test_follow_chip_covers_no_orientation_letter(server, workstation, size):
+def test_label_that_slices_follow_the_tip_covers_no_orientation_letter(server, workstation, size):
     width, height = size
     workstation.page.set_viewport_size({"width": width, "height": height})
     workstation.open(server)
@@ -66,7 +66,7 @@ def test_follow_chip_covers_no_orientation_letter(server, workstation, size):
     workstation.picture(f"follow-{width}")
 
 
-def test_value_under_a_still_pointer_follows_the_slice(server, workstation):
+def test_voxel_value_under_a_still_pointer_is_updated_when_the_slice_moves(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     page, centre = workstation.page, made_phantom(**CHEST).truth["nodule"]["centre_lps"]
@@ -133,7 +133,7 @@ def test_slices_are_enlarged_while_a_target_is_chosen(server, workstation, size)
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_answer_of_a_plan_is_read_first_and_printed(server, workstation, size):
+def test_verdict_of_a_plan_is_shown_above_its_details_and_printed(server, workstation, size):
     open_at(server, workstation, size)
     page, wide = workstation.page, size[0] >= 1600
     mark_nodule(workstation)
@@ -169,7 +169,7 @@ def test_answer_of_a_plan_is_read_first_and_printed(server, workstation, size):
     assert workstation.faults == []
 
 
-def test_flight_controls_count_from_the_origin_of_the_plan(server, workstation):
+def test_flight_controls_measure_distances_from_the_same_origin_as_the_plan(server, workstation):
     open_at(server, workstation, SIZES[0])
     page = workstation.page
     mark_nodule(workstation)
@@ -206,7 +206,7 @@ def test_flight_controls_count_from_the_origin_of_the_plan(server, workstation):
     assert workstation.faults == []
 
 
-def test_cursor_states_what_a_click_would_mark(server, workstation):
+def test_text_at_the_cursor_states_what_a_click_would_mark_as_target(server, workstation):
     open_at(server, workstation, SIZES[0])
     page, centre = workstation.page, made_phantom(**CHEST).truth["nodule"]["centre_lps"]
     page.get_by_role("button", name="Target", exact=True).first.click()
@@ -234,7 +234,7 @@ def test_cursor_states_what_a_click_would_mark(server, workstation):
     assert workstation.faults == []
 
 
-def test_toolbar_and_plan_have_one_scope(server, workstation):
+def test_toolbar_and_plan_always_have_the_same_scope(server, workstation):
     open_at(server, workstation, SIZES[0])
     page = workstation.page
     mark_nodule(workstation)

@@ -81,7 +81,7 @@ def test_flight_is_shown_in_both_windows_and_slice_settings_are_separate(two):
         picture_of(station.page, f"windows-{name}")
 
 
-def test_reloaded_or_closed_window_leaves_the_other_unchanged(two):
+def test_reloading_or_closing_a_window_leaves_the_other_window_unchanged(two):
     first, second = two
     first.page.keyboard.press("3")
     first.wait_for("window.__carina.state.session.sight.window.width_hu === 2000")

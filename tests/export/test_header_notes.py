@@ -44,7 +44,7 @@ def said(path) -> str:
 
 
 @pytest.mark.parametrize("suffix", EXPORT_SUFFIXES)
-def test_every_export_of_a_doubtful_case_contains_its_badge(case, tmp_path, suffix):
+def test_every_export_of_a_case_with_a_quality_badge_contains_the_badge(case, tmp_path, suffix):
     volume, airways = case
     healthy = dataclasses.replace(volume, source=VolumeSource(format="array", title="t", notes=(PLAIN,)))
     wanted = "IN DOUBT" if suffix == ".stl" else "import.clipped"
@@ -52,7 +52,7 @@ def test_every_export_of_a_doubtful_case_contains_its_badge(case, tmp_path, suff
     assert wanted not in said(export_airways(tmp_path / f"b{suffix}", healthy, airways))
 
 
-def test_exports_of_a_doubtful_case_are_valid_files(case, tmp_path):
+def test_exports_that_contain_a_quality_badge_are_valid_files(case, tmp_path):
     volume, airways = case
     stl = export_airways(tmp_path / "a.stl", volume, airways).read_bytes()
     assert stl[:80].rstrip().endswith(b"IN DOUBT")
@@ -66,7 +66,7 @@ def test_exports_of_a_doubtful_case_are_valid_files(case, tmp_path):
     assert read_badges(export_tree(tmp_path / "u.json", airways.tree)) == ()
 
 
-def test_badges_of_a_case_are_those_of_its_volume_and_its_airways(case):
+def test_badges_of_a_case_are_those_of_its_volume_and_of_its_airways(case):
     class Found:
         badges = (STOPPED, CLIPPED)
 
@@ -87,7 +87,7 @@ def test_tree_file_with_invalid_badges_is_refused(case, tmp_path):
         assert caught.value.code == "track.tree-format"
 
 
-def test_picture_of_a_doubtful_case_contains_its_badge(demo_picture: Picture, tmp_path):
+def test_saved_picture_contains_the_quality_badges(demo_picture: Picture, tmp_path):
     path = demo_picture.save(tmp_path / "p.png", badges=(CLIPPED, STOPPED))
     assert read_png_badges(path) == (CLIPPED, STOPPED)
     assert carina.render.read_png_pose(path) == demo_picture.place()
