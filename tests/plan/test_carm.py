@@ -74,7 +74,7 @@ def overlap(primary_deg: float, secondary_deg: float) -> tuple[int, int]:
     return int((ball & shadow).sum()), int((tip & shadow).sum())
 
 
-def test_spine_of_the_ct_is_found_and_the_mediastinum_is_between_the_lungs() -> None:
+def test_spine_is_found_in_the_ct_and_the_mediastinum_is_between_the_lungs() -> None:
     root = airways().tree.root.points.mean(axis=0)
     assert len(parts().spine_lps) > 1000
     assert np.abs(parts().spine_lps[:, 0] - root[0]).max() < 37.0
@@ -82,7 +82,7 @@ def test_spine_of_the_ct_is_found_and_the_mediastinum_is_between_the_lungs() -> 
     assert len(parts().mediastinum_lps) > 1000
 
 
-def test_target_and_tip_are_outside_the_shadows_in_the_picture_at_each_proposed_angle() -> None:
+def test_target_and_tip_are_outside_the_shadows_of_spine_and_mediastinum_at_each_proposed_c_arm_angle() -> None:
     found = angles()
     assert found.why is None
     assert 1 <= len(found.angles) <= 3
@@ -91,7 +91,7 @@ def test_target_and_tip_are_outside_the_shadows_in_the_picture_at_each_proposed_
         assert overlap(one.primary_deg, one.secondary_deg) == (0, 0)
 
 
-def test_angle_with_the_target_in_a_shadow_is_not_proposed_and_shows_it_in_the_picture() -> None:
+def test_c_arm_angle_with_the_target_in_a_shadow_is_not_proposed() -> None:
     everywhere = [(p, s) for p in range(-60, 61, 30) for s in (-30, 0, 30)]
     covered = [one for one in everywhere if sum(overlap(*one)) > 0]
     assert covered
@@ -100,7 +100,7 @@ def test_angle_with_the_target_in_a_shadow_is_not_proposed_and_shows_it_in_the_p
 
 
 @pytest.mark.parametrize("side", [1, -1], ids=["LAO covered", "RAO covered"])
-def test_positions_of_the_covered_side_are_not_proposed(side: int) -> None:
+def test_c_arm_angles_from_a_side_covered_by_the_spine_are_not_proposed(side: int) -> None:
     # Points on the rays from the target to a detector at the patient's left and front (LAO), or right and front (RAO).
     target = np.array(plan().nodule.centre_lps)
     turns, rises = np.radians(np.arange(10.0, 71.0)), np.radians(np.arange(-45.0, 46.0, 2.0))
@@ -113,7 +113,7 @@ def test_positions_of_the_covered_side_are_not_proposed(side: int) -> None:
     assert any(side * one.primary_deg < -15.0 for one in found.angles)
 
 
-def test_without_a_clear_angle_the_reason_is_stated() -> None:
+def test_reason_is_stated_if_no_c_arm_angle_is_clear() -> None:
     target = np.array(plan().nodule.centre_lps)
     tight = target + 25.0 * np.random.default_rng(1).normal(size=(20_000, 3))
     found = carm_angles(chest(), airways(), plan(), shadows=ShadowParts(tight, tight[:0]))
@@ -123,7 +123,7 @@ def test_without_a_clear_angle_the_reason_is_stated() -> None:
     assert "no spine" not in " ".join(found.notes)
 
 
-def test_missing_spine_is_noted() -> None:
+def test_plan_notes_that_no_spine_was_found() -> None:
     found = carm_angles(chest(), airways(), plan(), shadows=ShadowParts(parts().spine_lps[:0], parts().mediastinum_lps))
     assert "no spine was found" in found.notes[0]
 
@@ -140,7 +140,7 @@ def test_missing_spine_is_noted() -> None:
         ((0, -60, 0), 0, -25, 0, -1),
     ],
 )
-def test_marker_is_on_the_side_of_the_picture_that_a_supine_patient_has(
+def test_marker_in_the_fluoroscopy_picture_is_on_the_side_expected_for_a_supine_patient(
     at: tuple[int, int, int], primary: int, secondary: int, right: int, down: int
 ) -> None:
     view = DrrView(primary_deg=primary, secondary_deg=secondary, width=200, height=200, mm_per_px=1.5)
@@ -152,7 +152,7 @@ def test_marker_is_on_the_side_of_the_picture_that_a_supine_patient_has(
     assert np.sign(np.round((y - 99.5) / 5.0)) == down
 
 
-def test_positions_are_named_as_in_fluoroscopy() -> None:
+def test_c_arm_angles_are_named_as_in_fluoroscopy() -> None:
     assert carm_words(30, 10) == "LAO 30\u00b0, cranial 10\u00b0"
     assert carm_words(-45, -20) == "RAO 45\u00b0, caudal 20\u00b0"
     assert "usual limits without a published source" in CARM_LIMITS

@@ -20,7 +20,7 @@ def patient(data_dir: Path) -> Volume:
     return carina.open_volume(data_dir / "ct" / NAME / "dicom")
 
 
-def test_vessels_have_a_doubt_with_and_without_contrast_medium_and_a_lesion_has_none(patient):
+def test_clicked_vessels_have_a_doubt_with_and_without_contrast_medium_and_a_lesion_has_none(patient):
     (lesion,) = (one for one in PLACES[NAME] if one.kind == "nodule")
     assert target_from_click(patient, lesion.at_lps).doubts == ()
     plain = without_contrast(patient)
@@ -30,14 +30,14 @@ def test_vessels_have_a_doubt_with_and_without_contrast_medium_and_a_lesion_has_
             assert "target.tube" in [doubt.code for doubt in target_from_click(volume, place.at_lps).doubts]
 
 
-def test_spine_is_refused(patient):
+def test_click_on_the_spine_is_refused(patient):
     (bone,) = (one for one in PLACES[NAME] if one.kind == "rib")
     with pytest.raises(NoResultError):
         target_from_click(patient, bone.at_lps)
 
 
 @pytest.mark.soak
-def test_thirty_places_are_refused_or_have_a_doubt_unless_they_are_lesions(patient):
+def test_thirty_clicked_points_outside_lesions_are_refused_or_have_a_doubt(patient):
     airways = carina.find_airways(patient)
     wall = carina.wall_field(patient, airways)
     plain = without_contrast(patient)

@@ -25,7 +25,7 @@ def chest_on_a_table() -> Volume:
     return Volume(hu, matrix)
 
 
-def test_random_places_are_in_the_lung_and_not_in_the_table() -> None:
+def test_random_target_positions_are_in_the_lung_and_not_in_the_ct_table() -> None:
     places = lung_places(chest_on_a_table(), np.random.default_rng(1), 60)
     away = np.linalg.norm(places[:, None] - CENTRES[None], axis=2).min(axis=1)
     assert away.max() < RADIUS_MM - 3.0

@@ -82,7 +82,7 @@ def on_sheet(told: PlanSheet) -> str:
 
 
 @pytest.mark.parametrize("name", SHEETS)
-def test_report_sheet_and_json_list_the_same_reasons_in_the_same_order(name, tmp_path) -> None:
+def test_report_sheet_and_json_list_the_same_reasons_against_a_plan_in_the_same_order(name, tmp_path) -> None:
     told = SHEETS[name]()
     reasons = reasons_against(told.plan, route=told.route, verdicts=told.verdicts, turns=told.turns)
     words = [reason.words for reason in reasons]
@@ -99,7 +99,7 @@ def test_report_sheet_and_json_list_the_same_reasons_in_the_same_order(name, tmp
     assert places == sorted(places)
 
 
-def test_list_contains_every_kind_of_reason_once_and_in_order() -> None:
+def test_reasons_against_a_plan_include_every_kind_once_and_in_order() -> None:
     codes = [reason.code for reason in doubtful().reasons]
     assert list(dict.fromkeys(codes)) == [
         "plan.verdict",
@@ -126,7 +126,7 @@ def test_list_contains_every_kind_of_reason_once_and_in_order() -> None:
 
 
 @pytest.mark.parametrize("answer", ["no", "perhaps", "unknown"])
-def test_every_check_against_the_planned_scope_is_a_reason(answer) -> None:
+def test_every_failed_check_of_the_planned_scope_is_a_reason_against_the_plan(answer) -> None:
     own = next(one for one in verdicts() if one.scope.name == plan().scope.name)
     checks = tuple(dataclasses.replace(check, answer=answer, words=f"{check.name} fails") for check in own.checks)
     changed = dataclasses.replace(own, outcome="does not reach", checks=checks)
@@ -134,7 +134,7 @@ def test_every_check_against_the_planned_scope_is_a_reason(answer) -> None:
     assert checks and all(check.words in text for check in checks)
 
 
-def test_drive_that_arrives_is_not_a_reason() -> None:
+def test_simulated_drive_that_arrives_is_not_a_reason_against_the_plan() -> None:
     own = next(one for one in verdicts() if one.scope.name == plan().scope.name)
     drive = Check("drive", "perhaps", 0.5, "if it fits: arrives at the standing place by 18 moves", "mechanics")
     changed = dataclasses.replace(own, outcome="may reach", checks=(*own.checks, drive))
@@ -143,7 +143,7 @@ def test_drive_that_arrives_is_not_a_reason() -> None:
     assert "arrives" not in text
 
 
-def test_plan_without_a_route_has_its_reason_first() -> None:
+def test_missing_route_is_the_first_reason_against_a_plan() -> None:
     none = dataclasses.replace(plan(), routes=(), why="no route: too far away")
     first, *_ = reasons_against(none)
     assert (first.code, first.words, first.severity) == ("plan.no-route", "No route: too far away.", "stop")
@@ -158,7 +158,7 @@ def test_bronchus_sign_without_an_airway_states_where_the_tree_is_lost() -> None
 
 
 @pytest.mark.parametrize("name", SHEETS)
-def test_text_of_the_sheet_is_inside_the_page_and_large_enough(name) -> None:
+def test_text_of_the_printed_sheet_is_inside_the_page_and_large_enough(name) -> None:
     (drawing,) = tracing_drawings(SHEETS[name]())
     for label in drawing.shapes:
         if not isinstance(label, Label):
@@ -169,7 +169,7 @@ def test_text_of_the_sheet_is_inside_the_page_and_large_enough(name) -> None:
         assert 0.0 < label.at[1] < TRACING_SIZE[1] and label.size >= SMALL
 
 
-def test_sheet_has_complete_hand_moves_and_places_to_fill_in() -> None:
+def test_printed_sheet_has_complete_hand_moves_and_fields_to_fill_in() -> None:
     text = on_sheet(sheet())
     for turn in sheet().turns.turns:
         assert f"advance {turn.moves[0].advance_mm:.0f} mm" in text

@@ -54,7 +54,7 @@ def airway(polyp_mm: float, radius_mm: float = TRACHEA_MM, around_hu: float = 20
 
 @pytest.mark.parametrize("around_hu", [20.0, -860.0])
 @pytest.mark.parametrize("polyp_mm", [3.0, 4.5, 6.0])
-def test_lesion_in_the_trachea_is_a_target(polyp_mm, around_hu):
+def test_click_on_a_lesion_in_the_trachea_gives_a_target(polyp_mm, around_hu):
     volume, wall, centre, true_mm3 = airway(polyp_mm, around_hu=around_hu)
     for at in (centre, centre + np.array([-0.5 * polyp_mm, 0.0, 1.0]), centre + np.array([-1.3 * polyp_mm, 0.0, 0.0])):
         nodule = grow_nodule(volume, at, wall=wall)
@@ -67,7 +67,7 @@ def test_lesion_in_the_trachea_is_a_target(polyp_mm, around_hu):
         assert target.words.endswith("in an airway")
 
 
-def test_click_in_an_empty_lumen_is_refused_with_the_reason():
+def test_click_in_a_lumen_without_a_lesion_is_refused_with_the_reason():
     volume, wall, _, _ = airway(0.0)
     with pytest.raises(NoResultError, match="lies in the lumen of an airway, and nothing stands into it") as error:
         grow_nodule(volume, (0.0, 0.0, 3.0), wall=wall)
@@ -94,7 +94,7 @@ FORK = (((0.0, 0.0, 11.0), (0.5, 0.0, -0.87)), ((0.0, 0.0, 11.0), (-0.5, 0.0, -0
 @pytest.mark.parametrize(
     ("bronchi", "radius_mm", "lumen_mm"), [((ALONG,), 5.0, 2.0), (FORK, 3.6, 2.0), (FORK, 3.0, 2.6)]
 )
-def test_nodule_beside_a_bronchus_is_not_in_its_lumen(bronchi, radius_mm, lumen_mm):
+def test_nodule_beside_a_bronchus_includes_no_lumen_of_the_bronchus(bronchi, radius_mm, lumen_mm):
     volume, true_mm3, middle = painted(Scene(radii_mm=(radius_mm,) * 3))
     hu = volume.hu_zyx.astype(float)
     k, j, i = np.indices(volume.shape_zyx)
@@ -137,7 +137,7 @@ def chest() -> Volume:
         ((-60.0, -30.0, 0.0), "plan.no-nodule", "no nodule at this point"),
     ],
 )
-def test_clicks_outside_nodules_are_refused_with_their_region(at, code, words):
+def test_clicks_outside_nodules_are_refused_with_their_anatomical_region(at, code, words):
     with pytest.raises(NoResultError, match=words) as error:
         grow_nodule(chest(), at)
     assert error.value.code == code
@@ -156,7 +156,7 @@ def test_segmentation_of_a_nodule_can_be_cancelled_between_its_steps():
     assert told == 3 * [("looking for a nodule", None)]
 
 
-def test_region_of_a_target_is_stated_with_its_lobe_or_organ():
+def test_anatomical_region_of_a_target_is_stated_with_its_lobe_or_organ():
     volume = chest()
     in_lung = grow_nodule(volume, (-60.0, 10.0, 0.0))
     assert whereabouts(volume, in_lung) == "lung"
