@@ -62,7 +62,7 @@ def refusal(make, error=CarinaError):
         ((0, 0, 0), (0, 0, 1), (0, 1), r"three.*\[0\.0, 1\.0\]"),
     ],
 )
-def test_value_that_is_not_a_pose_is_refused_with_the_value_found(at, look, up, words):
+def test_argument_that_is_not_a_pose_is_refused_with_the_value_found(at, look, up, words):
     assert re.search(words, refusal(lambda: Pose.looking(at, look, up), UsageError))
 
 
@@ -77,7 +77,7 @@ def test_value_that_is_not_a_pose_is_refused_with_the_value_found(at, look, up, 
         (np.array([[1, 0.1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]), "right angles"),
     ],
 )
-def test_matrix_that_is_not_a_pose_is_refused_with_the_value_found(matrix, words):
+def test_matrix_that_is_not_a_rigid_pose_is_refused_with_the_value_found(matrix, words):
     assert re.search(words, refusal(lambda: Pose(matrix), UsageError))
 
 
@@ -93,7 +93,7 @@ VIEWS = {
 
 @pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.parametrize("size", [{"width": 0}, {"height": 0}, {"width": -1}, {"height": 8193}, {"width": 10**9}])
-def test_size_out_of_range_is_refused_with_the_value_found(view, size):
+def test_picture_size_out_of_range_is_refused_with_the_value_found(view, size):
     words = refusal(lambda: VIEWS[view](**size), RenderError)
     assert "1 to 8192" in words
     assert str(next(iter(size.values()))) in words
@@ -149,7 +149,7 @@ def test_picture_of_excessive_size_is_refused_before_it_is_rendered(ball):
 
 
 @pytest.mark.parametrize("method", ["leap", "brute"])
-def test_camera_extremely_far_away_shows_the_background_at_once(ball, method):
+def test_camera_extremely_far_from_the_volume_renders_only_the_background(ball, method):
     renderer = Renderer(ball)
     renderer.prepare()
     for far in (1e4, 1e7, 1e12, 1e30):
@@ -160,7 +160,7 @@ def test_camera_extremely_far_away_shows_the_background_at_once(ball, method):
         assert renderer.render(towards).rgb.shape == (20, 24, 3)
 
 
-def test_picture_from_a_face_of_the_volume_equals_that_from_just_inside(ball):
+def test_picture_from_a_camera_on_a_face_of_the_volume_equals_that_from_just_inside(ball):
     renderer = Renderer(ball)
     renderer.prepare()
     face = ball.to_lps(np.array([-0.5, 10.0, 9.0]))

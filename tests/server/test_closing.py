@@ -32,17 +32,17 @@ def closed(code, reason, **made):
 
 
 @pytest.mark.parametrize("code", wire.CLOSE_CODES)
-def test_socket_closes_with_its_code_and_reason(code):
+def test_websocket_closes_with_the_code_and_reason_of_the_error(code):
     assert closed(code, "a sentence") == [(wire.CLOSE_CODES[code], "a sentence")]
 
 
-def test_error_without_a_close_code_closes_as_malformed():
+def test_error_without_a_close_code_closes_the_websocket_as_malformed():
     assert closed("session.no-case", "no") == [(wire.CLOSE_CODES["protocol.malformed"], "no")]
 
 
 @pytest.mark.parametrize("sign", ["a", "\u00fc", "\u2192", "\U0001fac1"])
 @pytest.mark.parametrize("first", ["", "x", "xy", "xyz"])
-def test_reason_is_shortened_to_the_limit_of_a_close_frame_at_a_character_boundary(sign, first):
+def test_close_reason_is_shortened_to_the_limit_of_a_close_frame_at_a_character_boundary(sign, first):
     reason = first + sign * 200
     [(_, short)] = closed("protocol.order", reason)
     num_bytes = len(short.encode())
@@ -50,7 +50,7 @@ def test_reason_is_shortened_to_the_limit_of_a_close_frame_at_a_character_bounda
     assert reason.startswith(short)
 
 
-def test_closed_socket_is_not_closed_again():
+def test_closed_websocket_is_not_closed_again():
     assert closed("protocol.order", "late", state=WebSocketState.DISCONNECTED) == []
     for trouble in (RuntimeError("closed"), WebSocketDisconnect(1006)):
         assert len(closed("protocol.order", "at the same time", trouble=trouble)) == 1

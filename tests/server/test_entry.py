@@ -15,7 +15,7 @@ from carina.server.serve import bind, start_url
 from carina.server.wire import messages as wire
 
 
-def test_link_is_exchanged_for_a_cookie_once(live):
+def test_start_link_is_exchanged_for_a_cookie_only_once(live):
     url = start_url(live.gate)
     with live.http() as http:
         first = http.get(url)
@@ -31,7 +31,7 @@ def test_link_is_exchanged_for_a_cookie_once(live):
         assert http.get(url).status_code == 303
 
 
-def test_every_response_has_the_security_headers(live):
+def test_every_http_response_has_the_security_headers(live):
     with live.http() as http:
         for path in ("/", "/nothing", "/?token=x"):
             headers = http.get(path).headers
@@ -41,14 +41,14 @@ def test_every_response_has_the_security_headers(live):
             assert "server" not in headers
 
 
-def test_start_page_reports_that_the_client_was_not_built(live):
+def test_start_page_states_that_the_web_client_was_not_built(live):
     with live.http() as http:
         page = http.get("/")
     assert page.status_code == 503
     assert "make run" in page.text
 
 
-def test_only_files_of_the_built_client_are_served(tmp_path):
+def test_http_server_serves_only_files_of_the_built_web_client(tmp_path):
     web = tmp_path / "_web"
     (web / "assets").mkdir(parents=True)
     (web / "index.html").write_text("<!doctype html><title>Carina</title>", encoding="utf-8")
@@ -74,13 +74,13 @@ def test_only_files_of_the_built_client_are_served(tmp_path):
 
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1:1"])
-def test_request_with_another_host_is_refused(live, host):
+def test_http_request_with_another_host_header_is_refused(live, host):
     with live.http(cookie=live.cookie, host=host) as http:
         assert http.get("/").status_code == 403
         assert http.post("/api/upload", headers={"origin": f"http://{host}"}).status_code == 403
 
 
-def test_socket_without_an_origin_or_with_another_is_refused(live):
+def test_websocket_without_an_origin_header_or_with_another_origin_is_refused(live):
     for origin in (None, "http://evil.example", "null"):
         with (
             pytest.raises(InvalidStatus) as refused,
@@ -95,7 +95,7 @@ def test_socket_without_an_origin_or_with_another_is_refused(live):
         assert refused.value.response.status_code == 403
 
 
-def test_socket_with_another_host_is_refused(live):
+def test_websocket_with_another_host_header_is_refused(live):
     with (
         pytest.raises(InvalidStatus),
         connect(
@@ -109,7 +109,7 @@ def test_socket_with_another_host_is_refused(live):
         pass
 
 
-def test_socket_without_the_cookie_is_refused_with_the_reason(live):
+def test_websocket_without_the_access_cookie_is_refused_with_the_reason(live):
     with connect(f"ws://127.0.0.1:{live.gate.port}/ws", origin=live.origin, open_timeout=WAIT_S) as socket:
         with pytest.raises(ConnectionClosed) as closed:
             socket.recv(timeout=WAIT_S)
@@ -117,7 +117,7 @@ def test_socket_without_the_cookie_is_refused_with_the_reason(live):
         assert "link" in closed.value.rcvd.reason
 
 
-def test_program_connects_with_the_secret_and_without_an_origin(live):
+def test_program_connects_with_the_secret_and_without_an_origin_header(live):
     with connect(
         f"ws://127.0.0.1:{live.gate.port}/ws",
         additional_headers={"Authorization": f"Bearer {live.gate.secret}"},
@@ -139,14 +139,14 @@ def test_program_connects_with_the_secret_and_without_an_origin(live):
         "http://localhost:{port}",
     ],
 )
-def test_socket_with_another_origin_is_refused_even_with_the_secret(live, origin):
+def test_websocket_with_another_origin_is_refused_even_with_the_secret(live, origin):
     host = f"127.0.0.1:{live.gate.port}"
     sent = origin.format(host=host, port=live.gate.port)
     with live.http(authorization=f"Bearer {live.gate.secret}", origin=sent) as http:
         assert http.post("/api/upload").status_code == 403
 
 
-def test_server_on_a_port_in_use_is_refused_with_a_message():
+def test_server_start_on_a_port_in_use_is_refused_with_a_message():
 
     with bind("127.0.0.1", 0) as taken:
         port = taken.getsockname()[1]

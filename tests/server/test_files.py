@@ -19,7 +19,7 @@ from carina.session import CaseRecords, Session, case_files
 from small_case import SmallRenderer, small_airways, small_lumen, small_parts, small_volume
 
 
-def test_upload_to_a_disk_that_refuses_it_is_refused_with_a_message(live, monkeypatch):
+def test_upload_to_a_disk_that_cannot_store_it_is_refused_with_a_message(live, monkeypatch):
     def full(**_options):
         raise OSError(28, "No space left on device")
 
@@ -101,7 +101,7 @@ def test_temporary_file_is_removed_if_the_server_stops_while_writing_it(tmp_path
     assert not list(tmp_path.iterdir())
 
 
-def test_failed_export_is_refused_with_a_message(live, tmp_path, monkeypatch):
+def test_failed_export_is_answered_with_a_message(live, tmp_path, monkeypatch):
     def export(path, *_parts):
         path.write_text("half")
         raise DiskError("the disk is full", code="disk.full")
@@ -116,7 +116,7 @@ def test_failed_export_is_refused_with_a_message(live, tmp_path, monkeypatch):
     assert not list(tmp_path.glob("carina-download-*"))
 
 
-def test_file_and_folder_of_the_same_name_are_both_stored(live):
+def test_uploaded_file_and_folder_of_the_same_name_are_both_stored(live):
     with live.http(authorization=f"Bearer {live.gate.secret}") as http:
         upload = http.post("/api/upload").json()["upload_id"]
         assert http.put(f"/api/upload/{upload}", params={"name": "a"}, content=b"1").status_code == 201
@@ -143,7 +143,7 @@ def test_uploaded_folder_is_deleted_after_it_was_opened(live):
         assert live.session.store.recent() == ()
 
 
-def test_dropped_case_file_keeps_its_suffix_and_is_opened_as_a_case(tmp_path):
+def test_dropped_case_file_retains_its_suffix_and_is_opened_as_a_case(tmp_path):
     records = CaseRecords(tmp_path / "cases", lambda: 1_800_000_000.0)
     session = Session(SmallRenderer, parts=small_parts(), records=records, files=case_files(None, records))
     uploads = Uploads()
@@ -176,7 +176,7 @@ def nrrd(labels_zyx):
     return header.encode() + gzip.compress(labels_zyx.tobytes())
 
 
-def test_dropped_mask_is_stored_until_its_question_is_answered_and_replaces_the_airways(tmp_path):
+def test_dropped_mask_is_stored_until_a_structure_is_selected_and_then_replaces_the_airways(tmp_path):
     def find_airways(volume, *, lumen_zyx=None, notes=(), **_options):
         airways = small_airways(volume)
         if lumen_zyx is not None:
@@ -223,7 +223,7 @@ def test_mask_without_an_open_case_or_without_its_upload_is_refused(live):
         assert window.until(lambda m: isinstance(m, wire.Error)).code == "session.no-case"
 
 
-def test_uploads_need_the_cookie_and_the_origin_and_respect_their_limits(live):
+def test_uploads_require_the_cookie_and_the_origin_and_are_limited_in_size(live):
     with live.http(origin=live.origin) as http:
         assert http.post("/api/upload").status_code == 401
         assert http.put("/api/upload/x").status_code == 401
@@ -238,7 +238,7 @@ def test_uploads_need_the_cookie_and_the_origin_and_respect_their_limits(live):
         assert http.put(f"/api/upload/{upload_id}", params={"name": "a"}, content=b"x").status_code == 404
 
 
-def test_thumbnail_of_a_case_is_for_its_user_only_and_is_not_cached_by_browsers(live, monkeypatch):
+def test_thumbnail_of_a_case_requires_the_cookie_and_is_not_cached_by_browsers(live, monkeypatch):
     pictures = {"00ff00ff00ff00ff": b"\xff\xd8\xff and more"}
     monkeypatch.setattr(live.session.cases, "picture", pictures.get)
     with live.http() as stranger:

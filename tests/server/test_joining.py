@@ -106,7 +106,7 @@ def window(ct):
         yield window
 
 
-def test_edits_of_notebook_and_window_appear_in_both(window, ct):
+def test_edits_in_a_notebook_and_in_a_window_with_one_case_appear_in_both(window, ct):
     with carina.Case.open(ct) as case:
         assert case.note is None
         tip = case.airways.tree.tips()[0]
@@ -132,7 +132,7 @@ def test_edits_of_notebook_and_window_appear_in_both(window, ct):
     window.do(c.SetFov(100.0))
 
 
-def test_case_file_that_is_open_in_a_window_is_joined_and_saved_there(window, tmp_path):
+def test_notebook_that_opens_a_case_file_of_a_window_joins_its_case_and_saves_it_there(window, tmp_path):
     place = load_settings().cases_dir.parent / "lunch.carina"
     with carina.Case.open(place) as case:
         assert case.path == place
@@ -153,7 +153,7 @@ def _file(path):
     return path
 
 
-def test_join_of_a_case_just_opened_waits_until_it_can_be_joined(window, ct):
+def test_notebook_waits_until_a_case_that_a_window_just_opened_can_be_joined(window, ct):
     door = window.folder / DOOR
     held_back = door.with_suffix(".later")
     door.rename(held_back)
@@ -167,7 +167,7 @@ def test_join_of_a_case_just_opened_waits_until_it_can_be_joined(window, ct):
     opening.join()
 
 
-def test_pictures_poses_and_queries_of_a_notebook_use_the_newest_state(window, ct):
+def test_pictures_poses_and_queries_of_a_joined_notebook_use_the_newest_state(window, ct):
     with carina.Case.open(ct) as case:
         window.do(c.GoTo(30.0))
         assert np.array_equal(case.pose.lps_from_camera, window.session.pose_info().pose.lps_from_camera)
@@ -179,7 +179,7 @@ def test_pictures_poses_and_queries_of_a_notebook_use_the_newest_state(window, c
         assert window.session.pose_info().path_mm == pytest.approx(60.0)
 
 
-def test_notebook_has_its_own_view_settings(window, ct):
+def test_joined_notebook_has_separate_view_settings(window, ct):
     with carina.Case.open(ct) as case:
         centre = tuple(float(v) for v in case.volume.centre_lps)
         case.do(c.SetCrosshair(centre))
@@ -192,7 +192,7 @@ def test_notebook_has_its_own_view_settings(window, ct):
         assert case.state.sight.shading
 
 
-def test_errors_are_raised_in_the_notebook_as_without_a_window(window, ct):
+def test_errors_of_a_joined_case_are_raised_in_the_notebook_as_without_a_window(window, ct):
     with carina.Case.open(ct) as case:
         before = case.history()
         with pytest.raises(UsageError, match=r"set_fov\.fov_deg must be at least 60") as refused:
@@ -246,7 +246,7 @@ def test_window_and_notebook_show_each_other_s_changes_except_view_settings(wind
 # ---------------------------------------------------------------- the owner closes the case
 
 
-def test_notebook_continues_when_the_window_is_closed(ct):
+def test_joined_notebook_continues_when_the_window_is_closed(ct):
     with workstation() as window:
         window.do(c.OpenPath(str(ct)))
         case = carina.Case.open(ct)
@@ -265,7 +265,7 @@ def test_notebook_continues_when_the_window_is_closed(ct):
         assert len(window.session.history()) == 2
 
 
-def test_notebook_continues_when_another_case_is_opened_in_the_window(window, ct, tmp_path):
+def test_joined_notebook_continues_its_case_when_another_case_is_opened_in_the_window(window, ct, tmp_path):
     with carina.Case.open(ct) as case:
         window.do(c.CloseCase())
         with pytest.warns(UserWarning, match="has taken over"):
@@ -276,7 +276,7 @@ def test_notebook_continues_when_another_case_is_opened_in_the_window(window, ct
         assert window.state.document.look.fov_deg != 100.0
 
 
-def test_one_of_two_notebooks_takes_over_the_case_and_the_other_reports_it(ct):
+def test_one_of_two_joined_notebooks_takes_over_the_case_and_the_other_reports_it(ct):
     with workstation() as window:
         window.do(c.OpenPath(str(ct)))
         one, other = carina.Case.open(ct), carina.Case.open(ct)
@@ -296,7 +296,7 @@ def test_one_of_two_notebooks_takes_over_the_case_and_the_other_reports_it(ct):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a signal kills it")
-def test_notebook_continues_when_the_workstation_is_killed(ct, tmp_path):
+def test_joined_notebook_continues_when_the_workstation_is_killed(ct, tmp_path):
     stations = Workstations(ct, tmp_path)
     try:
         stations.start()
@@ -362,7 +362,7 @@ class Workstations:
 # ---------------------------------------------------------------- access control
 
 
-def test_connection_details_are_private_and_removed_with_the_case(ct):
+def test_connection_details_of_a_case_are_private_and_removed_when_the_case_is_closed(ct):
     with workstation() as window:
         window.do(c.OpenPath(str(ct)))
         folder = window.folder
@@ -386,7 +386,7 @@ def test_connection_details_are_private_and_removed_with_the_case(ct):
         ("192.0.2.7", None),
     ],
 )
-def test_programs_connect_only_through_loopback(host, url):
+def test_programs_connect_to_an_open_case_only_through_loopback(host, url):
     assert door_of(Gate(host=host, port=80)).url == url
 
 
@@ -417,7 +417,7 @@ def joined(window, *messages, token=None):
         return answers
 
 
-def test_invalid_join_is_refused_with_a_close_code(window):
+def test_invalid_join_message_is_refused_with_a_close_code(window):
     case_id, _ = window.session.cases.open_case
     join = wire.Join(wire.WIRE_VERSION, case_id)
     with pytest.raises(InvalidStatus, match="403"):
@@ -434,7 +434,7 @@ def test_invalid_join_is_refused_with_a_close_code(window):
     assert window.state.document.look.fov_deg == 100.0
 
 
-def test_case_opened_in_place_of_the_joined_one_is_not_changed(window, ct):
+def test_commands_for_a_closed_case_do_not_change_the_case_opened_after_it(window, ct):
     case_id, number = window.session.cases.open_case
     program = JoinedProgram(window.session, number)
     window.do(c.BeginAnew())
@@ -445,7 +445,7 @@ def test_case_opened_in_place_of_the_joined_one_is_not_changed(window, ct):
     assert joined(window, wire.Join(wire.WIRE_VERSION, case_id)) == [4410]
 
 
-def test_error_keeps_its_class_code_and_data_over_the_wire():
+def test_error_sent_over_the_wire_is_restored_with_class_code_and_data():
     way = np.array([(0.0, 0.0, 0.0), (0.0, 0.0, 3.0)])
     errors = (
         UsageError("one", code="session.branch"),

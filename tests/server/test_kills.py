@@ -69,11 +69,11 @@ def killed_again_and_again(folder: Path, rounds: int) -> list[float]:
     return lost_s
 
 
-def test_six_kills_lose_no_change_that_was_reported_as_saved(tmp_path):
+def test_six_kills_of_the_workstation_lose_no_change_that_was_reported_as_saved(tmp_path):
     killed_again_and_again(tmp_path, 6)
 
 
 @pytest.mark.soak
-def test_two_hundred_kills_lose_no_change_that_was_reported_as_saved(tmp_path):
+def test_two_hundred_kills_of_the_workstation_lose_no_change_that_was_reported_as_saved(tmp_path):
     lost_s = killed_again_and_again(tmp_path, 200)
     print(f"lost: median {sorted(lost_s)[100]:.2f} s, at most {max(lost_s):.2f} s")

@@ -21,7 +21,7 @@ def lps(ijk):
     return tuple(float(v) for v in small_volume().to_lps(ijk))
 
 
-def test_thousands_of_movements_and_acks_of_unknown_frames_do_not_block_the_session(live):
+def test_thousands_of_movements_and_acknowledgements_of_unknown_frames_do_not_block_the_session(live):
     with live.window() as window:
         window.send(SHOWN)
         open_case(window)
@@ -35,7 +35,7 @@ def test_thousands_of_movements_and_acks_of_unknown_frames_do_not_block_the_sess
         assert last.path_mm == pytest.approx(3.0)
 
 
-def test_poses_continue_while_a_tree_is_written_and_its_route_comes_after_it(live, monkeypatch):
+def test_poses_are_sent_while_a_tree_is_encoded_and_the_route_is_sent_after_the_tree(live, monkeypatch):
     may_end, written = threading.Event(), broadcast_cache.tree_message
 
     def slowly(airways, measures):
@@ -61,7 +61,7 @@ def test_poses_continue_while_a_tree_is_written_and_its_route_comes_after_it(liv
         window.until(lambda m: isinstance(m, wire.RouteMessage) and m.route is not None)
 
 
-def test_first_messages_contain_all_that_the_start_page_needs(live):
+def test_first_messages_to_a_window_contain_all_data_of_the_start_page(live):
     with live.window() as window:
         start = window.until(lambda m: isinstance(m, wire.Start))
         assert not start.notice_accepted
@@ -82,7 +82,7 @@ def test_first_messages_contain_all_that_the_start_page_needs(live):
         (b"\x00\x01", 4400),
     ],
 )
-def test_malformed_message_closes_the_socket_with_its_code_and_a_reason(live, text, code):
+def test_malformed_message_closes_the_websocket_with_its_code_and_a_reason(live, text, code):
     with live.window() as window:
         window.socket.send(text)
         closed, reason = window.close_code()
@@ -90,7 +90,7 @@ def test_malformed_message_closes_the_socket_with_its_code_and_a_reason(live, te
         assert len(reason) > 15
 
 
-def test_state_that_cannot_be_encoded_closes_the_connection_of_the_window(live, monkeypatch):
+def test_window_is_disconnected_if_its_state_message_cannot_be_encoded(live, monkeypatch):
     """Check that no window without updates shows an old state as if it were the present one."""
     monkeypatch.setattr(a_window, "state_message", lambda *_, **__: wire.Value((0.0, 0.0, float("nan")), None))
     with live.window(hello=False) as window:
@@ -98,7 +98,7 @@ def test_state_that_cannot_be_encoded_closes_the_connection_of_the_window(live, 
         assert window.close_code()[0] == 1011
 
 
-def test_socket_with_another_wire_version_or_without_hello_is_refused(live):
+def test_websocket_with_another_wire_version_or_without_a_hello_message_is_refused(live):
     with live.window(hello=False) as window:
         window.send(wire.ClientHello(99))
         assert window.close_code()[0] == 4402
@@ -107,19 +107,19 @@ def test_socket_with_another_wire_version_or_without_hello_is_refused(live):
         assert window.close_code()[0] == 4403
 
 
-def test_second_hello_is_answered_with_an_error(live):
+def test_second_hello_message_is_answered_with_an_error(live):
     with live.window() as window:
         window.send(wire.ClientHello(wire.WIRE_VERSION))
         assert window.until(lambda m: isinstance(m, wire.Error)).code == "protocol.order"
 
 
-def test_message_over_the_size_limit_closes_the_socket(live):
+def test_message_over_the_size_limit_closes_the_websocket(live):
     with live.window() as window:
         window.socket.send('{"type": "open_path", "path": "' + "x" * 300_000 + '"}')
         assert window.close_code()[0] in {1009, 4400}
 
 
-def test_failed_command_is_answered_and_the_socket_stays_open(live):
+def test_failed_command_is_answered_with_an_error_and_the_websocket_stays_open(live):
     with live.window() as window:
         window.send(wire.NextFork())
         error = window.until(lambda m: isinstance(m, wire.Error))
@@ -136,7 +136,7 @@ def test_failed_command_is_answered_and_the_socket_stays_open(live):
         ({"type": "layout", "views": [{"view": "airway", "width": 8193, "height": 64}]}, ["4096", "8193"]),
     ],
 )
-def test_value_out_of_range_closes_the_socket_with_the_value_and_the_range(live, message, words):
+def test_value_out_of_range_closes_the_websocket_with_the_value_and_the_range(live, message, words):
     with live.window() as window:
         window.socket.send(json.dumps(message))
         closed, reason = window.close_code()
@@ -152,7 +152,7 @@ def test_value_out_of_range_closes_the_socket_with_the_value_and_the_range(live,
         ([[0, 1, 2, 1, 0.5]], "0 to 1; found at point 0"),
     ],
 )
-def test_invalid_transfer_function_is_refused_and_the_old_one_stays_in_use(tmp_path, points, words):
+def test_invalid_transfer_function_is_refused_and_the_previous_one_stays_in_use(tmp_path, points, words):
     with running(tmp_path, transfer_from_json=TransferFunction.from_json) as live, live.window() as window:
         before = open_case(window)
         document = {"format": "carina-transfer", "version": 1, "points": points}
@@ -164,7 +164,7 @@ def test_invalid_transfer_function_is_refused_and_the_old_one_stays_in_use(tmp_p
         assert window.until_state(lambda s: s.sight.shading is not before.sight.shading).transfer == before.transfer
 
 
-def test_outline_is_undone_over_the_wire_and_fine_texture_is_no_undo_step(live):
+def test_outline_setting_is_undone_over_the_wire_and_fine_texture_is_no_undo_step(live):
     with live.window() as window:
         assert open_case(window).sight.texture
         window.send(wire.SetOutline("octagon"))
@@ -213,7 +213,7 @@ def test_poses_of_a_flight_arrive_in_order(live):
         assert poses == sorted(set(poses))
 
 
-def test_without_acks_at_most_three_airway_pictures_are_sent(live):
+def test_without_acknowledgements_at_most_three_airway_pictures_are_sent(live):
     with live.window() as window:
         window.send(wire.Layout((wire.ViewSize("airway", 160, 120),)))
         window.send(wire.OpenPath("case"))
@@ -264,7 +264,7 @@ def test_changed_frame_rate_is_reported_to_the_window(live):
         assert later.until_state(lambda s: True).frame_rate_hz == 24.0
 
 
-def test_refused_file_leaves_the_session_unchanged_and_sends_the_reason(live):
+def test_unreadable_file_leaves_the_session_unchanged_and_the_window_receives_the_reason(live):
     with live.window() as window:
         before = open_case(window)
         window.send(wire.OpenPath("/scans/bad"))
@@ -292,7 +292,7 @@ def test_targets_are_undone_and_redone_over_the_wire(live):
         assert window.until_state(lambda s: len(s.targets) == 1).targets == added.targets
 
 
-def test_change_without_a_new_tree_or_route_sends_neither_again(live):
+def test_tree_and_route_are_not_sent_again_after_a_change_of_other_state(live):
     with live.window() as window:
         open_case(window)
 
@@ -308,7 +308,7 @@ def test_change_without_a_new_tree_or_route_sends_neither_again(live):
         assert not [m for m in window.seen if isinstance(m, wire.Tree | wire.RouteMessage | wire.PoseMessage)]
 
 
-def test_search_can_be_cancelled_without_losing_the_pictures(tmp_path):
+def test_airway_search_can_be_cancelled_without_losing_the_pictures(tmp_path):
     reached, stopped = threading.Event(), threading.Event()
 
     def find_airways(volume, *, progress, cancel, **_options):
@@ -332,7 +332,7 @@ def test_search_can_be_cancelled_without_losing_the_pictures(tmp_path):
         window.until(lambda m: isinstance(m, wire.PictureHeader) and m.pose_id >= pose.pose_id and m.view == "airway")
 
 
-def test_reload_receives_the_whole_state_and_new_pictures(live):
+def test_reloaded_window_receives_the_complete_state_and_new_pictures(live):
     with live.window() as window:
         window.send(SHOWN)
         before = open_case(window)

@@ -48,7 +48,7 @@ def screen():
     return screen
 
 
-def test_pump_without_a_case_renders_no_picture():
+def test_picture_pump_without_a_case_renders_no_picture():
     screen = Screen()
     screen.pump.set_layout({"airway": (320, 240)})
     assert not screen.pump.step()
@@ -67,7 +67,7 @@ def test_header_of_a_picture_has_its_pose_number_and_geometry(screen):
     assert len(axial.lps_from_pixel) == 16
 
 
-def test_airway_view_without_content_is_marked_as_empty(screen):
+def test_airway_picture_without_visible_content_is_marked_as_empty(screen):
     screen.drain()
     assert not any(h.empty for h in screen.headers)
     screen.bench.renderers[-1].grey = 0
@@ -98,7 +98,7 @@ def final_airway(screen):
 
 
 @pytest.mark.parametrize("ends", ["shown", "taken back", "stopped", "failed"])
-def test_no_picture_is_final_while_another_transfer_function_is_prepared(screen, ends):
+def test_no_picture_is_marked_final_while_another_transfer_function_is_prepared(screen, ends):
     assert final_airway(screen)
     session, renderer = screen.bench.session, screen.bench.renderers[-1]
 
@@ -122,7 +122,7 @@ def test_no_picture_is_final_while_another_transfer_function_is_prepared(screen,
     assert final_airway(screen)
 
 
-def test_pictures_of_a_view_never_have_an_older_pose(screen):
+def test_pictures_of_a_view_never_show_an_older_pose_than_before(screen):
     screen.bench.renderers[-1].on_render = lambda _view: screen.bench.clock.advance(0.01)
     for _ in range(40):
         screen.steer(yaw=0.01)
@@ -138,7 +138,7 @@ def test_pictures_of_a_view_never_have_an_older_pose(screen):
     assert frames == sorted(set(frames))
 
 
-def test_at_most_three_airway_pictures_are_pending(screen):
+def test_at_most_three_airway_pictures_are_unacknowledged(screen):
     for _ in range(20):
         screen.steer()
         while screen.pump.step():
@@ -153,14 +153,14 @@ def test_only_visible_views_are_rendered(screen):
     assert {type(v) for v in screen.bench.renderers[-1].views} == {SliceView}
 
 
-def test_picture_of_a_view_that_is_hidden_meanwhile_is_not_delivered(screen):
+def test_picture_of_a_view_hidden_during_rendering_is_not_sent(screen):
     screen.bench.renderers[-1].on_render = lambda _view: screen.pump.set_layout({})
     assert screen.pump.step()
     assert screen.data == []
     assert not screen.pump.step()
 
 
-def test_view_that_cannot_be_rendered_is_reported_once_and_the_others_continue(screen):
+def test_view_that_cannot_be_rendered_is_reported_once_and_other_views_are_rendered(screen):
     def refuse(view):
         if isinstance(view, AirwayView):
             raise RenderError("the camera is out of range", code="render.camera")
@@ -176,7 +176,7 @@ class Panic(BaseException):
     """Panic of the compiled module, which is not an ``Exception``."""
 
 
-def test_pump_continues_after_a_panic_and_a_picture_that_cannot_be_encoded(screen):
+def test_picture_pump_continues_after_a_panic_and_after_a_picture_that_cannot_be_encoded(screen):
     renderer = screen.bench.renderers[-1]
     whole = renderer.render
 
@@ -198,7 +198,7 @@ def test_pump_continues_after_a_panic_and_a_picture_that_cannot_be_encoded(scree
     assert {h.view for h in screen.headers} >= {"airway"}
 
 
-def test_pump_continues_after_a_fault_in_the_renderer(screen, caplog):
+def test_picture_pump_continues_after_an_internal_error_in_the_renderer(screen, caplog):
     def break_down(view):
         raise ZeroDivisionError
 
@@ -212,7 +212,7 @@ def test_pump_continues_after_a_fault_in_the_renderer(screen, caplog):
     assert {h.view for h in screen.headers} == {"airway", "axial"}
 
 
-def test_fault_after_rendering_is_reported_once_and_the_picture_is_not_retried(screen, monkeypatch):
+def test_internal_error_after_rendering_is_reported_once_and_the_picture_is_not_rendered_again(screen, monkeypatch):
     made = []
     screen.bench.renderers[-1].on_render = made.append
     scheduler = screen.pump._scheduler
@@ -235,7 +235,7 @@ def test_fault_after_rendering_is_reported_once_and_the_picture_is_not_retried(s
     assert {h.view for h in screen.headers} == {"axial"}
 
 
-def test_pending_full_picture_is_cancelled_when_the_tip_moves(screen):
+def test_unfinished_full_picture_is_cancelled_when_the_tip_moves(screen):
     screen.bench.session.subscribe(lambda _event: screen.pump.content_changed())
     screen.drain()
     screen.bench.clock.advance(screen.pump.wait_s())
@@ -269,7 +269,7 @@ def test_full_picture_is_not_cancelled_by_changes_that_it_does_not_show(screen):
     assert (screen.headers[-1].view, screen.headers[-1].full) == ("airway", True)
 
 
-def test_change_before_the_start_of_a_full_picture_is_in_the_picture(screen):
+def test_full_picture_shows_a_change_made_just_before_its_rendering_starts(screen):
     screen.drain()
     screen.bench.clock.advance(screen.pump.wait_s())
     scene, scenes = screen.bench.session.scene, []
@@ -309,7 +309,7 @@ def test_cut_plane_replaces_a_slow_airway_view_and_is_labelled(screen):
     assert (at_rest.view, at_rest.stands_for, at_rest.full) == ("airway", None, True)
 
 
-def test_click_uses_the_picture_that_was_on_the_screen_and_not_a_newer_one(screen):
+def test_click_refers_to_the_picture_that_was_on_the_screen_and_not_to_a_newer_one(screen):
     screen.drain()
     shown = screen.headers[0]
     for _ in range(5):
@@ -374,7 +374,7 @@ class Network:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_poses_arrive_in_order_and_the_newest_arrives_over_an_unreliable_network(screen, seed):
+def test_poses_arrive_in_order_and_the_newest_pose_arrives_over_an_unreliable_network(screen, seed):
     rng = np.random.default_rng(seed)
     network = Network(screen, rng)
     clock = screen.bench.clock
@@ -427,7 +427,7 @@ def test_status_reports_frames_per_second_and_age_of_the_picture(screen):
     assert (status.threads, status.simd, status.method) == (2, "x", "brute")
 
 
-def test_still_pictures_keep_their_colours_within_six_grey_levels():
+def test_colours_of_full_pictures_are_encoded_within_six_grey_levels():
     rng = np.random.default_rng(7)
     smooth = np.repeat(np.repeat(rng.integers(0, 255, (6, 8, 3), dtype=np.uint8), 16, axis=0), 16, axis=1)
     data, quality = encode_jpeg(smooth, full=True)
@@ -437,7 +437,7 @@ def test_still_pictures_keep_their_colours_within_six_grey_levels():
     assert np.abs(simplejpeg.decode_jpeg(data).astype(int) - smooth).max() <= 6
 
 
-def test_time_of_the_rays_is_reported_apart_from_the_elapsed_time(screen):
+def test_rendering_time_without_waits_determines_the_picture_size(screen):
     screen.drain()
     renderer = screen.bench.renderers[-1]
 

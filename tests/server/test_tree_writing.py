@@ -42,7 +42,7 @@ class Writing:
             await self.texts._writing
 
 
-def test_tree_that_arrives_at_the_end_of_the_encoding_is_encoded_before_its_route_is_sent(monkeypatch):
+def test_tree_that_changes_at_the_end_of_encoding_is_encoded_before_its_route_is_sent(monkeypatch):
     writing = Writing(monkeypatch)
     outbox = Outbox()
     calls = []
@@ -71,7 +71,7 @@ def test_tree_that_arrives_at_the_end_of_the_encoding_is_encoded_before_its_rout
     assert writing.written == ["first", "second"]
 
 
-def test_route_requested_before_its_tree_is_encoded_is_sent_with_the_tree(monkeypatch):
+def test_route_requested_while_its_tree_is_not_yet_encoded_is_sent_with_the_tree(monkeypatch):
     """Use a session with a new tree that is not encoded yet, whose route would not be announced a second time."""
     writing = Writing(monkeypatch)
     outbox = Outbox()

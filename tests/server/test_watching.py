@@ -34,7 +34,7 @@ def fields(value):
     return wire.encode_message(value)
 
 
-def test_observer_sees_the_case_and_the_flight_with_its_own_view_settings(desk):
+def test_observer_sees_the_case_and_the_flight_with_separate_view_settings(desk):
     live, window, page = desk
     with watching(page.url) as watcher:
         watcher.send(SHOWN)
@@ -53,7 +53,7 @@ def test_observer_sees_the_case_and_the_flight_with_its_own_view_settings(desk):
     assert page_of(window, lambda page: page is not None and not page.watchers).url == page.url
 
 
-def test_pictures_of_an_observer_are_at_most_as_large_as_a_screen(desk):
+def test_pictures_sent_to_an_observer_are_at_most_as_large_as_a_screen(desk):
     _live, _window, page = desk
     with watching(page.url) as watcher:
         watcher.send(wire.Layout((wire.ViewSize("axial", 4096, 2048),)))
@@ -61,7 +61,7 @@ def test_pictures_of_an_observer_are_at_most_as_large_as_a_screen(desk):
         assert (picture.width, picture.height) == (1600, 800)
 
 
-def test_session_refuses_an_observer_every_command_except_view_settings():
+def test_session_refuses_every_command_of_an_observer_except_view_settings():
     bench = small_bench()
     bench.open()
     bench.session.subscribe(lambda _event: None, window=7, watches=True)
@@ -100,7 +100,7 @@ def test_observer_does_not_see_another_case_and_cannot_change_it():
         bench.session.do(commands.Steer(1.0, 0.0, 0.0, 0.0), window=7)
 
 
-def test_page_for_observers_needs_an_open_case(live):
+def test_observer_page_requires_an_open_case(live):
     with live.window() as window:
         window.send(wire.SetWatchPage(on=True))
         assert window.until(lambda m: isinstance(m, wire.Error)).code in {"session.no-case", "watch.missing"}
@@ -121,7 +121,7 @@ def sample(cls):
     raise AssertionError(f"no sample of {cls.__name__}")
 
 
-def test_every_message_that_opens_saves_lists_or_uses_devices_is_refused_over_the_wire(desk):
+def test_observer_messages_that_open_save_list_or_use_devices_are_refused(desk):
     live, _window, page = desk
     before = (live.session.snapshot(), live.session.pose_info())
     with watching(page.url) as watcher:
@@ -140,7 +140,7 @@ def test_every_message_that_opens_saves_lists_or_uses_devices_is_refused_over_th
     assert (live.session.snapshot(), live.session.pose_info()) == before
 
 
-def test_observer_receives_no_folder_no_other_case_and_no_link(desk):
+def test_observer_receives_no_folder_name_no_other_case_and_no_link(desk):
     live, window, page = desk
     live.session.store.remember("/scans/somebody/Miller^Anna/ct", "2026-01-01")
     with watching(page.url) as watcher:
@@ -169,7 +169,7 @@ def test_observer_with_a_wrong_token_is_refused_and_counted(desk):
     assert page_of(window, lambda page: page is not None and page.num_refused == 1)
 
 
-def test_page_for_observers_refuses_plain_http_and_serves_only_the_client(desk):
+def test_observer_page_refuses_plain_http_and_serves_only_the_web_client(desk):
     _live, _window, page = desk
     origin = page.url.partition("/#")[0]
     with pytest.raises(httpx.TransportError):
@@ -199,7 +199,7 @@ def test_end_of_sharing_disconnects_all_observers_and_closes_the_port(desk):
         assert watcher.close_code()[0] == 4401
 
 
-def test_removed_observer_cannot_return_by_the_same_link(desk):
+def test_removed_observer_cannot_reconnect_with_the_same_link(desk):
     _live, window, page = desk
     with watching(page.url) as first, watching(page.url) as second:
         page_state = page_of(window, lambda page: page is not None and len(page.watchers) == 2)
@@ -227,7 +227,7 @@ def test_sharing_ends_when_another_case_is_opened_or_the_case_is_closed(desk, ho
     page_of(window, lambda page: page is None)
 
 
-def test_full_observer_connections_leave_those_of_the_user_free(desk):
+def test_maximum_number_of_observers_does_not_prevent_further_windows_of_the_user(desk):
     live, window, page = desk
     with contextlib.ExitStack() as opened:
         for _ in range(MAX_WATCHERS):
