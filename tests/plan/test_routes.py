@@ -257,7 +257,7 @@ def test_first_route_is_simulated_even_if_no_attainable_direction_hits_the_targe
     assert share == first.leg.hit_share > 0.0
 
 
-def test_outlook_of_a_route_is_estimated_without_a_simulated_drive() -> None:
+def test_route_with_an_estimated_outlook_has_no_tip_pose_of_a_simulated_drive() -> None:
     volume, airways = made_phantom(**CHEST).volume, made_airways(**CHEST)
     estimated = plan_route(volume, airways, nodule_ahead(), wall=wall(), scope=slim(), drives=0).routes[0]
     assert (estimated.outlook, estimated.hold) == ("reaches", None), "with drives=0 outlooks are estimated"

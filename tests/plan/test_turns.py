@@ -546,7 +546,7 @@ def test_origin_of_distances_is_the_visible_ridge_of_the_main_carina() -> None:
     assert origin.axes_mm == pytest.approx(trachea.length_mm)
 
 
-def test_camera_of_a_turn_is_at_least_three_millimetres_before_the_fork() -> None:
+def test_camera_distance_from_the_fork_is_three_to_four_millimetres_in_a_short_or_bent_branch() -> None:
     short = made_tree([straight(0, None, [], [0, 0, 0], [0, 0, -2])]).root
     assert stand_mm(short) == 3.0
     long = dataclasses.replace(short, points=bent(np.zeros(3), unit(np.ones(3)), unit(np.ones(3)), 60.0, 8))

@@ -37,7 +37,7 @@ def texts_of(path):
     case.close()
 
 
-def test_copy_contains_no_name_of_ct_folder_or_mask_and_no_date(tmp_path, caplog):
+def test_copy_of_a_case_contains_no_name_of_ct_folder_or_mask_and_no_date(tmp_path, caplog):
     chest = made_phantom(spacing_mm=3.0, generations=3)
     folder = tmp_path / "MUELLER 19610405"
     folder.mkdir()

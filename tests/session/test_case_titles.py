@@ -42,7 +42,7 @@ def records(tmp_path):
     return CaseRecords(tmp_path / "cases", lambda: 1_800_000_000.0)
 
 
-def test_neutral_alias_has_six_legible_digits_and_depends_only_on_the_id():
+def test_neutral_case_name_has_six_legible_digits_and_depends_only_on_the_case_id():
     rng = random.Random(4)
     ids = [f"{rng.getrandbits(64):016x}" for _ in range(2000)]
     aliases = [neutral_alias(one) for one in ids]
@@ -52,7 +52,7 @@ def test_neutral_alias_has_six_legible_digits_and_depends_only_on_the_id():
     assert neutral_alias("00112233aabbccdd") == neutral_alias("00112233AABBCCDD") == "Case TJM0Z7"
 
 
-def test_new_case_has_the_given_id_unless_its_alias_is_in_use(records):
+def test_new_case_has_the_given_id_unless_its_neutral_name_is_in_use(records):
     first = records.begin("ab" * 32, None, case_id="00112233aabbccdd")
     first.path.write_bytes(b"the case")
     assert first.record.case_id == "00112233aabbccdd"
@@ -66,7 +66,7 @@ def test_new_case_has_the_given_id_unless_its_alias_is_in_use(records):
         held.release()
 
 
-def test_new_case_has_no_alias_of_a_deleted_case(records):
+def test_new_case_does_not_have_the_neutral_name_of_a_deleted_case(records):
     held = records.begin("ab" * 32, None, case_id="00112233aabbccdd")
     held.path.write_bytes(b"the case")
     held.release()
@@ -76,7 +76,7 @@ def test_new_case_has_no_alias_of_a_deleted_case(records):
     again.release()
 
 
-def test_records_of_earlier_versions_are_rewritten_without_the_file_name(records, tmp_path):
+def test_case_records_of_earlier_versions_are_rewritten_without_the_file_name(records, tmp_path):
     listed = write_old_record(tmp_path / "cases", "00112233aabbccdd")
     named = write_old_record(tmp_path / "cases", "00112233aabbccde", alias="Nodule in RB4")
     gone = write_old_record(tmp_path / "cases" / ".forgotten", "00112233aabbccdf", forgotten_s=5.0)
@@ -90,7 +90,7 @@ def test_records_of_earlier_versions_are_rewritten_without_the_file_name(records
     assert records.remove_titles() == 0
 
 
-def test_record_of_a_case_open_elsewhere_is_rewritten_after_it_is_closed(records, tmp_path):
+def test_record_of_a_case_open_in_another_process_is_rewritten_after_it_is_closed(records, tmp_path):
     path = write_old_record(tmp_path / "cases", "00112233aabbccdd")
     held = records.hold(records.find("00112233aabbccdd"))
     before = path.read_bytes()
@@ -100,7 +100,7 @@ def test_record_of_a_case_open_elsewhere_is_rewritten_after_it_is_closed(records
     assert records.remove_titles() == 1
 
 
-def test_records_after_an_unreadable_record_are_rewritten(records, tmp_path):
+def test_case_records_after_an_unreadable_record_are_rewritten(records, tmp_path):
     write_old_record(tmp_path / "cases", "00112233aabbccdd").write_text("[" * 100_000, encoding="utf-8")
     write_old_record(tmp_path / "cases", "00112233aabbccde", used_s="never")
     path = write_old_record(tmp_path / "cases", "00112233aabbccdf")
@@ -108,7 +108,7 @@ def test_records_after_an_unreadable_record_are_rewritten(records, tmp_path):
     assert NAME not in path.read_text(encoding="utf-8")
 
 
-def test_recent_cts_of_earlier_versions_are_rewritten_without_titles(tmp_path):
+def test_recent_ct_list_of_earlier_versions_is_rewritten_without_titles(tmp_path):
     entry = {"recent_id": "11ff", "date": "2026-01-31", "title": NAME, "path": "/scans/a"}
     file = tmp_path / "recent.json"
     file.write_text(json.dumps({"format": "carina-recent", "version": 1, "cases": [entry, 3]}), encoding="utf-8")

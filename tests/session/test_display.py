@@ -21,7 +21,7 @@ def names(bench):
     return [job.title for job in bench.session.jobs.running]
 
 
-def test_burst_of_changes_is_one_job_that_prepares_the_newest():
+def test_many_display_changes_at_once_start_one_job_that_prepares_the_newest():
     bench = small_bench()
     bench.open()
     renderer = bench.renderers[-1]
@@ -35,7 +35,7 @@ def test_burst_of_changes_is_one_job_that_prepares_the_newest():
     assert renderer.prepared == before + 1
 
 
-def test_change_during_preparation_restarts_it_in_the_same_job():
+def test_display_change_during_preparation_restarts_the_preparation_in_the_same_job():
     bench = small_bench()
     bench.open()
     renderer = bench.renderers[-1]
@@ -56,7 +56,7 @@ def test_change_during_preparation_restarts_it_in_the_same_job():
     assert not names(bench)
 
 
-def test_change_after_the_user_stopped_the_preparation_is_prepared():
+def test_display_change_after_the_user_stopped_the_preparation_is_prepared():
     bench = small_bench()
     bench.open()
     renderer = bench.renderers[-1]
@@ -72,7 +72,7 @@ def test_change_after_the_user_stopped_the_preparation_is_prepared():
     assert renderer.transfer is bench.session.snapshot().document.transfer
 
 
-def test_change_after_a_failed_preparation_is_prepared():
+def test_display_change_after_a_failed_preparation_is_prepared():
     bench = small_bench()
     bench.open()
     renderer = bench.renderers[-1]
@@ -90,7 +90,7 @@ def test_change_after_a_failed_preparation_is_prepared():
 
 
 @pytest.mark.parametrize("lumen", [False, True])
-def test_pictures_of_a_new_preset_are_shown_while_its_map_is_built(monkeypatch, lumen):
+def test_pictures_with_a_new_preset_are_shown_while_its_isoregion_map_is_built(monkeypatch, lumen):
     """Use the real renderer and the real pump; the test controls when the map is complete."""
     building, go_on = threading.Event(), threading.Event()
     build = _core.build_cell_map

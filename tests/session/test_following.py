@@ -39,7 +39,7 @@ def pair(tmp_path):
     other.close()
 
 
-def test_follower_shows_changes_of_the_owner_and_keeps_its_renderer_content(pair):
+def test_following_session_shows_changes_of_the_owner_and_reuses_its_renderer_content(pair):
     owner, other, follow, _ = pair
     content = other.scene().content_number
     do_and_wait(owner, c.SetOutline("none"))
@@ -54,7 +54,7 @@ def test_follower_shows_changes_of_the_owner_and_keeps_its_renderer_content(pair
     assert other.snapshot().redo_label == owner.snapshot().redo_label
 
 
-def test_sight_of_a_follower_is_independent_of_the_owner_s(pair):
+def test_view_settings_of_a_following_session_are_independent_of_those_of_the_owner(pair):
     owner, other, follow, _ = pair
     do_and_wait(other, c.SetTexture(on=False))
     do_and_wait(owner, c.SetShading(on=False))
@@ -62,7 +62,7 @@ def test_sight_of_a_follower_is_independent_of_the_owner_s(pair):
     assert (other.snapshot().sight.texture, other.snapshot().sight.shading) == (False, True)
 
 
-def test_ct_can_be_claimed_after_a_refused_takeover(pair):
+def test_claim_on_a_ct_can_be_obtained_after_a_refused_takeover_of_its_case(pair):
     owner, other, _, case_id = pair
     saver = owner._saving._saver
     # The claim is released, because an owner that took over the case itself may have none.
@@ -74,7 +74,7 @@ def test_ct_can_be_claimed_after_a_refused_takeover(pair):
     claim.release()
 
 
-def test_case_is_taken_over_after_its_owner_released_it(pair):
+def test_following_session_takes_over_a_case_only_after_its_owner_closed_it(pair):
     owner, other, _, case_id = pair
     do_and_wait(owner, c.SetFov(100.0))
     with pytest.raises(UsageError) as held:

@@ -23,7 +23,7 @@ def measure(volume, airways, *, previous, progress, cancel):
     return Measures(airways, previous)
 
 
-def test_measures_follow_the_airways_and_are_announced_as_a_tree_change():
+def test_airways_are_measured_after_each_change_and_a_tree_event_is_sent():
     bench = small_bench(measure_tree=measure)
     bench.session.do(OpenPath("case"))
     bench.background.run_next()
@@ -35,7 +35,7 @@ def test_measures_follow_the_airways_and_are_announced_as_a_tree_change():
     assert "tree" in bench.of_type(Changed)[-1].topics
 
 
-def test_tip_has_a_lumen_diameter_after_the_airways_are_measured():
+def test_lumen_diameter_at_the_tip_is_known_after_the_airways_are_measured():
     class Sections:
         @staticmethod
         def of(branch_id):
@@ -51,7 +51,7 @@ def test_tip_has_a_lumen_diameter_after_the_airways_are_measured():
     assert "pose" in bench.of_type(Changed)[-1].topics
 
 
-def test_edit_reuses_earlier_measures_and_undo_shows_no_measures_of_another_tree():
+def test_edit_reuses_earlier_measurements_and_undo_shows_no_measurements_of_another_tree():
     def edit_airways(volume, airways, edit, **options):
         return SimpleNamespace(**vars(airways))
 
@@ -74,7 +74,7 @@ def test_edit_reuses_earlier_measures_and_undo_shows_no_measures_of_another_tree
     assert bench.session.snapshot().measures.airways is first.document.airways
 
 
-def test_without_measures_the_case_stays_open_if_measuring_is_stopped_or_unavailable():
+def test_case_stays_open_without_measurements_if_measuring_is_stopped_or_unavailable():
     def stopped(volume, airways, *, previous, progress, cancel):
         raise CancelledError("stopped")
 

@@ -328,12 +328,12 @@ def interleave(made, folder, monkeypatch, seed):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_random_interleavings_lose_no_saved_step(made, tmp_path, monkeypatch, seed):
+def test_random_order_of_saves_by_two_programs_loses_no_saved_change(made, tmp_path, monkeypatch, seed):
     interleave(made, tmp_path, monkeypatch, seed)
 
 
 @pytest.mark.soak
-def test_a_thousand_random_interleavings_lose_no_saved_step(made, tmp_path, monkeypatch):
+def test_a_thousand_random_orders_of_saves_by_two_programs_lose_no_saved_change(made, tmp_path, monkeypatch):
     refusals = 0
     for seed in range(1000, 2000):
         folder = tmp_path / str(seed)

@@ -56,7 +56,7 @@ def painted_at_tip(session):
     return PaintLumen((at,), 6.0, "ball", erase=False)
 
 
-def test_only_slices_and_the_cut_plane_have_an_outline(bench, case):
+def test_only_slices_and_the_cut_plane_show_the_lumen_outline(bench, case):
     session = bench.session
     for view in PLANES:
         assert len(lines_of(session, view, case)) > 0, view
@@ -66,7 +66,7 @@ def test_only_slices_and_the_cut_plane_have_an_outline(bench, case):
         assert scene.outline_of(view, picture) is None
 
 
-def test_edit_undo_and_redo_request_slices_with_the_current_lumen(bench, case):
+def test_edit_undo_and_redo_request_slices_with_the_current_lumen_outline(bench, case):
     session = bench.session
     keys = [{view: session.scene().key(view) for view in PLANES}]
     outlines = [{view: lines_of(session, view, case) for view in PLANES}]
@@ -105,7 +105,7 @@ def test_edit_that_leaves_the_lumen_unchanged_requests_no_new_slices(bench, case
     assert {view: session.scene().key(view) for view in slices} == before
 
 
-def test_outline_of_a_picture_is_cut_with_the_matrix_of_this_picture(bench, case):
+def test_lumen_outline_of_a_picture_is_computed_with_the_matrix_of_that_picture(bench, case):
     session = bench.session
     sent = []
     renderer = Renderer(case.volume)
@@ -133,7 +133,7 @@ def test_outline_of_a_picture_is_cut_with_the_matrix_of_this_picture(bench, case
     assert num_points > 50
 
 
-def test_show_place_looks_at_the_place_from_the_lumen_in_front_of_it(bench, case):
+def test_show_place_command_looks_at_the_point_from_the_lumen_in_front_of_it(bench, case):
     session = bench.session
     leaf = max(case.airways.tree.tips(), key=lambda branch: branch.length_mm)
     place = tuple(float(v) for v in leaf.tip_lps)

@@ -29,11 +29,11 @@ def targets_of(case):
     return case.state.document.targets
 
 
-def test_path_costs_of_commands_are_those_of_the_tracker():
+def test_path_costs_accepted_by_commands_are_those_of_the_tracker():
     assert set(PathCost.__args__) == set(COSTS)
 
 
-def test_scan_without_airways_has_paths_that_are_undone_and_stored_in_a_file(vessel, tmp_path):
+def test_paths_in_a_scan_without_airways_are_undone_and_stored_in_a_file(vessel, tmp_path):
     volume, inside, root, corner, end = vessel
     scan = tmp_path / "vessel.nii.gz"
     write_grid(scan, volume.hu_zyx, volume.lps_from_ijk, what="the scan")
@@ -80,7 +80,7 @@ def test_path_without_a_start_or_to_an_invalid_target_is_reported(vessel):
         assert targets_of(case)[0].route is None
 
 
-def test_path_beside_airways_is_compared_with_them_and_stays_after_an_edit(phantom):
+def test_path_that_ignores_the_airways_states_its_length_outside_them_and_stays_after_an_edit(phantom):
     with carina.Case.open(phantom.volume) as case:
         tree = case.airways.tree
         tip = tree.tips()[0]

@@ -22,7 +22,7 @@ AIRWAYS = object()
     ],
     ids=["as it was", "another mode", "moved", "other airways"],
 )
-def test_scope_is_restored_only_if_mode_tip_and_airways_are_unchanged(mode, moved_mm, airways, is_due):
+def test_scope_contact_is_restored_only_if_mode_tip_and_airways_are_unchanged(mode, moved_mm, airways, is_due):
     def pose(x):
         matrix = np.eye(4)
         matrix[0, 3] = x

@@ -105,12 +105,12 @@ def desk(tmp_path, monkeypatch):
     desk.session.close()
 
 
-def test_silent_disk_is_reported_within_three_seconds():
+def test_limits_for_an_unresponsive_disk_add_up_to_less_than_three_seconds():
     # No workstation is started here, so these are the real limits of the product.
     assert writer.DECIDED_WITHIN_S + writer.SLOW_S < 3.0
 
 
-def test_work_continues_on_a_silent_disk_and_is_written_when_it_responds(desk):
+def test_session_continues_on_an_unresponsive_disk_and_saves_when_it_responds(desk):
     desk.stall()
     assert "another folder" in desk.saving().problem
     desk.session.do(c.SetFov(80.0))
@@ -123,7 +123,7 @@ def test_work_continues_on_a_silent_disk_and_is_written_when_it_responds(desk):
     assert [step.label for step in steps] == list(desk.session.history())
 
 
-def test_case_is_renamed_while_its_disk_is_silent(desk):
+def test_case_is_renamed_while_its_disk_does_not_respond(desk):
     case_id = desk.kept.held.record.case_id
     desk.stall()
     desk.session.do(c.RenameCase(case_id, "Nodule in RB4"))
@@ -134,7 +134,7 @@ def test_case_is_renamed_while_its_disk_is_silent(desk):
     assert desk.session._saving.records.find(case_id).alias == "Nodule in RB4"
 
 
-def test_case_is_saved_elsewhere_while_its_disk_is_silent_and_then_closed(desk, tmp_path):
+def test_case_is_saved_to_another_disk_while_its_disk_does_not_respond_and_then_closed(desk, tmp_path):
     desk.stall()
     place = tmp_path / "stick" / "mine.carina"
     place.parent.mkdir()
@@ -160,7 +160,7 @@ def test_case_is_saved_elsewhere_while_its_disk_is_silent_and_then_closed(desk, 
     assert desk.kept.copy_path == place
 
 
-def test_silent_share_delays_only_the_copy_on_it(desk, tmp_path):
+def test_unresponsive_network_share_delays_only_the_named_file_on_it(desk, tmp_path):
     share = tmp_path / "share.carina"
     desk.session.do(c.SaveCase(str(share)))
     desk.background.run_all()
@@ -202,7 +202,7 @@ def stalled_share(desk, tmp_path, monkeypatch):
     goes_on.set()
 
 
-def test_case_saved_to_another_file_keeps_this_file_when_the_former_share_responds(desk, stalled_share, tmp_path):
+def test_case_saved_to_another_file_uses_that_file_also_when_the_former_share_responds(desk, stalled_share, tmp_path):
     share, goes_on = stalled_share
     copier, stick = desk.kept._copier, tmp_path / "stick.carina"
     desk.session.do(c.SaveCase(str(stick)))
@@ -218,7 +218,7 @@ def test_case_saved_to_another_file_keeps_this_file_when_the_former_share_respon
     assert lock_path(stick).exists()
 
 
-def test_case_saved_to_another_file_is_updated_while_the_former_share_is_silent(desk, stalled_share, tmp_path):
+def test_case_saved_to_another_file_is_updated_while_the_former_share_does_not_respond(desk, stalled_share, tmp_path):
     stick = tmp_path / "stick.carina"
     desk.session.do(c.SaveCase(str(stick)))
     desk.background.run_all()
@@ -248,7 +248,7 @@ def test_save_that_ends_after_its_case_was_closed_releases_its_file(desk, tmp_pa
     assert not lock_path(stick).exists()
 
 
-def test_failed_copy_is_retried_without_another_change(desk, tmp_path):
+def test_failed_update_of_the_named_file_is_retried_without_another_change(desk, tmp_path):
     desk.session.do(c.SaveCase(str(tmp_path / "share.carina")))
     desk.background.run_all()
     desk.session.do(c.SetFov(90.0))
@@ -265,7 +265,7 @@ def test_failed_copy_is_retried_without_another_change(desk, tmp_path):
     desk.until(lambda: desk.saving().copy_problem is None)
 
 
-def test_internal_error_is_reported_and_does_not_end_saving(desk):
+def test_internal_error_while_saving_is_reported_and_later_changes_are_saved(desk):
     desk.file.refuses = TypeError("ours")
     desk.session.do(c.SetFov(90.0))
     assert not desk.session._saving.write_now()
@@ -275,7 +275,7 @@ def test_internal_error_is_reported_and_does_not_end_saving(desk):
     assert desk.saving().problem is None
 
 
-def test_last_changes_go_to_the_named_file_if_the_live_disk_refuses_them(desk, tmp_path):
+def test_last_changes_are_written_to_the_named_file_if_the_disk_of_stored_cases_refuses_them(desk, tmp_path):
     place = tmp_path / "mine.carina"
     desk.session.do(c.SaveCase(str(place)))
     desk.background.run_all()

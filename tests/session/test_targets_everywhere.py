@@ -185,7 +185,7 @@ def test_thirty_points_give_the_same_answers_on_the_command_line_in_python_and_o
     check_places(chest, case, chest.places)
 
 
-def test_command_line_refuses_a_doubtful_target_without_a_confirmation(chest: Chest) -> None:
+def test_plan_command_refuses_a_doubtful_target_without_a_confirmation(chest: Chest) -> None:
     given = ["plan", str(chest.path), "--target", ",".join(str(v) for v in chest.dense)]
     refused = CliRunner().invoke(app, given)
     assert refused.exit_code == UnconfirmedTargetError.exit_code
