@@ -44,17 +44,17 @@ def without(tree, name):
     return dataclasses.replace(tree, branches=kept)
 
 
-def test_complete_tree_has_no_absent_segment(chest):
+def test_tree_with_all_segments_has_no_absent_segment(chest):
     assert chest[1].absent == ()
 
 
-def test_tree_without_names_has_no_absent_segments(chest):
+def test_tree_without_names_reports_no_absent_segments(chest):
     bare = tuple(dataclasses.replace(branch, name=None) for branch in chest[1].tree.branches)
     assert find_absent(AirwayTree(bare)) == ()
 
 
 @pytest.mark.parametrize("name", ["RB6", "LB3", "RB10", "LB1+2"])
-def test_missed_segment_is_reported_on_its_parent_without_a_disease(chest, name):
+def test_missed_segment_is_reported_on_its_parent_branch_without_naming_a_disease(chest, name):
     made, airways = chest
     tree = without(airways.tree, name)
     (absence,) = find_absent(tree, (), made.volume)
@@ -70,7 +70,7 @@ def test_missed_segment_is_reported_on_its_parent_without_a_disease(chest, name)
 
 
 @pytest.mark.parametrize("name", ["RML", "LLL", "RUL"])
-def test_missed_lobe_is_reported_once_at_its_origin_without_a_disease(chest, name):
+def test_missed_lobe_is_reported_once_at_its_origin_without_naming_a_disease(chest, name):
     made, airways = chest
     (absence,) = find_absent(without(airways.tree, name), (), made.volume)
     assert absence.name == name
@@ -79,7 +79,7 @@ def test_missed_lobe_is_reported_once_at_its_origin_without_a_disease(chest, nam
     assert np.linalg.norm(named(airways, name).points[0] - absence.lps) < 5.0
 
 
-def test_missing_lobe_is_not_reported_at_a_lost_end_in_another_lobe(chest):
+def test_missing_lobe_is_reported_at_its_origin_and_not_at_a_lost_end_in_another_lobe(chest):
     made, airways = chest
     tree = without(without(airways.tree, "RML"), "Right basal trunk")
     lower = tree.named("RLL")
@@ -92,7 +92,7 @@ def test_missing_lobe_is_not_reported_at_a_lost_end_in_another_lobe(chest):
 
 
 @pytest.mark.parametrize("name", ["RB6", "LB10", "RB4"])
-def test_unnamed_branch_at_the_position_of_a_segment_is_reported_as_unnamed(chest, name):
+def test_unnamed_branch_at_the_position_of_a_segment_is_reported_instead_of_an_absent_segment(chest, name):
     made, airways = chest
     branch = named(airways, name)
     beyond = {branch.id}
@@ -158,7 +158,7 @@ def test_lobe_absent_from_a_tree_without_ct_is_not_reported_as_resected(seed, lo
 @pytest.mark.parametrize(
     "lobe", ["RML", "LLL", *(pytest.param(lobe, marks=pytest.mark.soak) for lobe in ("RUL", "LUL"))]
 )
-def test_resected_lobe_is_listed_once_and_other_lobes_keep_their_names(lobe):
+def test_resected_lobe_is_listed_once_and_branches_of_other_lobes_are_named_correctly(lobe):
     made = carina.generate_phantom(seed=2, spacing_mm=1.0, noise_hu=25.0, resected=lobe)
     airways = carina.find_airways(made.volume)
     (absence,) = airways.absent
@@ -176,7 +176,7 @@ def test_resected_lobe_is_listed_once_and_other_lobes_keep_their_names(lobe):
 
 
 @pytest.mark.parametrize(("name", "lacking", "carrier"), [("RML", {"RML", "RLL"}, "BI"), ("LB6", {"LB6"}, "LLL")])
-def test_mucus_in_a_bronchus_is_reported_with_its_position(chest, name, lacking, carrier):
+def test_mucus_in_a_bronchus_is_reported_as_reason_with_its_position(chest, name, lacking, carrier):
     made, whole = chest
     branch = named(whole, name)
     airways = carina.find_airways(plugged(made.volume, branch, 6.0))
@@ -188,7 +188,7 @@ def test_mucus_in_a_bronchus_is_reported_with_its_position(chest, name, lacking,
         assert np.linalg.norm(np.array(absence.lps) - branch.points[0]) < 12.0
 
 
-def test_mucus_and_not_an_ordinary_tip_explains_an_absent_segment(chest):
+def test_reason_for_an_absent_segment_is_the_mucus_in_its_bronchus_and_not_another_branch_end(chest):
     made, whole = chest
     airways = carina.find_airways(plugged(made.volume, named(whole, "LB3"), 6.0))
     assert {one.name for one in airways.absent} == {"LB1+2", "LB3"}
@@ -197,7 +197,7 @@ def test_mucus_and_not_an_ordinary_tip_explains_an_absent_segment(chest):
     assert told == {"LB1+2": ("unnamed", "Upper division"), "LB3": ("filled", "Upper division")}
 
 
-def test_scan_that_ends_above_the_bases_reports_segments_outside(chest):
+def test_segments_below_the_end_of_the_scan_are_reported_as_outside(chest):
     made, _ = chest
     cut = made.volume.hu_zyx.shape[0] * 2 // 5
     place = made.volume.lps_from_ijk.copy()
@@ -254,7 +254,7 @@ def end(kind, branch_id, width_mm):
     )
 
 
-def test_reason_of_an_airway_end_is_reported_along_the_airway():
+def test_reason_of_a_lost_airway_end_is_reported_for_all_segments_beyond_it():
     trunk = Branch(0, None, (1, 2), 0, "Trachea", "tracked", np.array([[0.0, 0, 0], [0, 0, -90]]), np.full(2, 8.0))
     right = Branch(1, 0, (), 1, "RMB", "tracked", np.array([[0.0, 0, -90], [-30, 0, -130]]), np.full(2, 6.0))
     left = Branch(2, 0, (), 1, "LMB", "tracked", np.array([[0.0, 0, -90], [40, 0, -110]]), np.full(2, 6.0))
@@ -270,7 +270,7 @@ def test_reason_of_an_airway_end_is_reported_along_the_airway():
     assert absences[0].reason == "lost 50 mm beyond the start of RMB, 7.2 mm wide"
 
 
-def test_an_end_stored_as_blocked_by_an_earlier_version_is_reported_as_lost():
+def test_airway_end_stored_as_blocked_by_an_earlier_version_is_reported_as_lost():
     (place,) = without_unproven_blocks([end("blocked", 1, 7.2)])
     assert place.kind == "lost"
     assert end("blocked", 1, 7.2).reason == "lost here, 7.2 mm wide"
@@ -292,7 +292,7 @@ def test_mirrored_chest_has_the_three_lobed_lung_on_the_left(chest):
     assert [absence.name for absence in lacking] == ["LML"]
 
 
-def test_bundled_patient_lacks_only_segments_with_unidentified_branches():
+def test_absent_segments_of_the_bundled_patient_are_only_those_with_unidentified_branches():
     airways = the_patient()[1]
     assert {"RML", "RB4", "RB5", "RB6"} <= {branch.name for branch in airways.tree.branches}
     assert {absence.name for absence in airways.absent} <= {"LB8", "LB9"}
@@ -303,7 +303,7 @@ def test_bundled_patient_lacks_only_segments_with_unidentified_branches():
 
 
 @pytest.mark.parametrize("spacing_mm", [(1.0, 1.0, 4.0), 2.5, 3.0])
-def test_missed_segments_in_coarse_scans_of_a_healthy_chest_name_no_disease(spacing_mm):
+def test_reasons_for_missed_segments_in_coarse_scans_of_a_healthy_chest_name_no_disease(spacing_mm):
     airways = carina.find_airways(made_phantom(seed=3, spacing_mm=spacing_mm, noise_hu=25.0).volume)
     assert len(airways.tree) < 120, "the search misses airways that the phantom has"
     told = [*(absence.words for absence in airways.absent), *(place.reason for place in airways.uncertain)]
@@ -311,7 +311,7 @@ def test_missed_segments_in_coarse_scans_of_a_healthy_chest_name_no_disease(spac
     assert [words for words in told if DISEASE.search(words)] == []
 
 
-def test_stump_beside_a_branch_is_not_listed_as_the_end_of_the_branch():
+def test_stump_beside_a_branch_is_not_the_reason_for_segments_beyond_the_branch():
     trunk = Branch(0, None, (1,), 0, "Trachea", "tracked", np.array([[0.0, 0, 0], [0, 0, -90]]), np.full(2, 8.0))
     right = Branch(1, 0, (), 1, "RMB", "tracked", np.array([[0.0, 0, -90], [-30, 0, -130]]), np.full(2, 6.0))
     tree = AirwayTree((trunk, right))

@@ -23,7 +23,7 @@ def voxels_of(volume, points):
 
 
 @pytest.mark.parametrize("graph", ["voxel", "isoregion"])
-def test_walls_cost_follows_a_vessel_round_its_bend(vessel, graph):
+def test_path_with_the_walls_cost_follows_a_bent_vessel(vessel, graph):
     volume, inside, root, corner, end = vessel
     result = carina.track_paths(volume, root=root, targets=[end, corner], cost="walls", graph=graph)
     assert result.airways is None
@@ -45,7 +45,7 @@ def test_walls_cost_follows_a_vessel_round_its_bend(vessel, graph):
     assert not np.concatenate([branch.radius for branch in result.tree.branches]).any()
 
 
-def test_path_of_the_paper_cost_follows_edges_and_reports_its_values(vessel):
+def test_path_with_the_paper_cost_follows_vessel_edges_and_reports_its_values(vessel):
     volume, _, root, _, end = vessel
     result = carina.track_paths(volume, root=root, targets=[end], cost="paper")
     assert result.targets[0].path is not None
@@ -72,7 +72,7 @@ def test_paths_without_a_start_or_with_points_outside_the_volume_are_refused(ves
         track_on_graph(volume, None, [end], cost="walls", graph="voxel")
 
 
-def test_target_outside_the_box_has_no_path_and_a_reason(vessel):
+def test_target_outside_the_search_box_has_no_path_and_a_reason(vessel):
     volume, _, root, corner, end = vessel
     box = ((0, 0, 0), (20, 44, 26))
     result = track_on_graph(volume, None, [corner, end], cost="walls", graph="voxel", root_lps=root, box_ijk=box)
@@ -83,7 +83,7 @@ def test_target_outside_the_box_has_no_path_and_a_reason(vessel):
 
 
 @pytest.mark.data
-def test_aorta_in_8_bit_data_is_followed_from_arch_to_abdomen(data_dir):
+def test_path_in_8_bit_data_follows_the_aorta_from_arch_to_abdomen(data_dir):
     volume = carina.open_volume(data_dir / HEAD_AND_LIDC2 / "LIDC2_256x256x133_uint8.mha")
     # Points read from four slices by eye, in the middle of the descending aorta.
     root, *targets = volume.to_lps(np.array([[133.0, 93, 46], [133, 93, 66], [135, 110, 86]]))
@@ -111,7 +111,7 @@ def test_path_that_leaves_the_air_of_the_head_reports_values_of_tissue(data_dir)
 
 
 @pytest.mark.data
-def test_walls_cost_keeps_99_percent_of_paths_to_seven_lobar_bronchi_inside(patient_dicom):
+def test_paths_with_the_walls_cost_to_seven_lobar_bronchi_are_inside_the_lumen_for_99_percent(patient_dicom):
     volume = carina.open_volume(patient_dicom)
     airways = carina.find_airways(volume)
     third = [branch for branch in airways.tree.branches if branch.generation == 3]

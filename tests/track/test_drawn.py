@@ -26,7 +26,7 @@ def of_kind(airways, branch_id: int, kind: str):
 
 
 @pytest.mark.parametrize("kind", ["manual", "bridge"])
-def test_route_counts_its_length_along_branches_not_visible_in_the_ct(case, kind):
+def test_length_of_a_route_along_branches_not_visible_in_the_ct_is_stated(case, kind):
     _, airways, leaf = case
     tree = of_kind(airways, leaf.id, kind).tree
     route = route_to_branch(tree, leaf.id)
@@ -46,14 +46,14 @@ def test_text_of_a_route_states_its_drawn_and_total_length():
 
 
 @pytest.mark.parametrize(("places_mm", "length_mm"), [([], 0.0), ([4.0], 0.0), ([4.0, 9.0], 5.0)])
-def test_drawn_length_of_a_path_of_no_or_one_step_is_its_length(case, places_mm, length_mm):
+def test_drawn_length_of_a_path_of_zero_or_one_step_is_the_length_of_the_path(case, places_mm, length_mm):
     _, airways, leaf = case
     tree = of_kind(airways, leaf.id, "manual").tree
     ids = np.full(len(places_mm), leaf.id)
     assert drawn_part(tree, ids, np.array(places_mm)) == DrawnPart(length_mm, drawn_mm=length_mm)
 
 
-def test_lumen_beyond_the_tree_does_not_count_as_drawn(case):
+def test_path_in_lumen_without_a_branch_does_not_count_as_drawn_by_hand(case):
     _, airways, _ = case
     assert drawn_part(airways.tree, np.array([-1, -1, -1]), np.array([0.0, 1.0, 3.0])) == DrawnPart(3.0)
     assert drawn_tree(airways.tree).words is None
@@ -61,7 +61,7 @@ def test_lumen_beyond_the_tree_does_not_count_as_drawn(case):
 
 
 @pytest.mark.parametrize("kind", ["manual", "bridge"])
-def test_branch_drawn_by_hand_has_a_length_and_no_calibre(case, kind):
+def test_branch_drawn_by_hand_has_a_measured_length_and_no_diameter(case, kind):
     volume, airways, leaf = case
     found = measure_tree(volume, airways)
     drawn = measure_tree(volume, of_kind(airways, leaf.id, kind), previous=found)

@@ -40,7 +40,7 @@ def trachea(length_mm: int, diameter_mm: float = 17.3, *, bronchus_mm: int = 0) 
     return below + [section(float(z), diameter_mm) for z in range(length_mm + 1)]
 
 
-def test_airway_longer_than_a_trachea_begins_at_a_usual_length():
+def test_tree_of_an_airway_longer_than_a_trachea_begins_at_a_usual_tracheal_length():
     cords = the_cords(trachea(170), None)
     assert cords is not None
     assert not cords.are_seen
@@ -48,14 +48,14 @@ def test_airway_longer_than_a_trachea_begins_at_a_usual_length():
 
 
 @pytest.mark.parametrize("bronchus_mm", [30, 69])
-def test_bronchi_below_the_carina_do_not_count_as_length_of_the_trachea(bronchus_mm):
+def test_bronchi_below_the_carina_do_not_count_towards_the_length_of_the_trachea(bronchus_mm):
     assert the_cords(trachea(140, bronchus_mm=bronchus_mm), None) is None
     cords = the_cords(trachea(170, bronchus_mm=bronchus_mm), None)
     assert cords is not None
     assert cords.begins_at == bronchus_mm + 110
 
 
-def test_tree_begins_below_outside_air_reached_through_an_opening():
+def test_tree_begins_below_outside_air_that_is_connected_to_the_trachea():
     outside = [section(float(height), 90.0) for height in range(100, 190)]
     found = the_cords([*trachea(100), *outside], None)
     assert found is not None
@@ -70,7 +70,7 @@ def test_wide_trachea_may_be_longer_than_a_narrow_one():
     assert cords.begins_at == round(110 * 1.2)
 
 
-def test_large_chest_without_a_neck_reports_no_larynx():
+def test_search_in_a_large_chest_without_a_neck_reports_no_larynx():
     phantom = generate_phantom(seed=1, spacing_mm=1.4, generations=3)
     larger = phantom.volume.lps_from_ijk.copy()
     larger[:3] *= 1.4

@@ -58,7 +58,7 @@ def test_tracheal_tube_is_reported_with_the_height_of_its_tip() -> None:
 
 
 @pytest.mark.parametrize("seed", [9, 16])
-def test_air_beside_a_tube_is_no_branch_and_the_cords_are_found_from_inside_the_tube(seed: int) -> None:
+def test_air_beside_a_tracheal_tube_is_no_branch_and_the_cords_are_found_from_inside_the_tube(seed: int) -> None:
     """Use seed 9, in which the tube touches the wall of the trachea, and seed 16.
 
     In seed 16 the lumen that is followed begins in the tube, 57 mm below the vocal cords.
@@ -91,7 +91,7 @@ def names_the_tube(made: Phantom, found: Airways, name: str) -> None:
     assert abs(text - made.truth["tube"]["above_carina_mm"]) <= 4.0 + 1.5 * made.volume.spacing_mm[2]
 
 
-def test_chest_without_larynx_and_tube_has_no_note_of_them() -> None:
+def test_search_in_a_chest_without_larynx_and_tube_has_no_note_of_them() -> None:
     found = made_airways(**CHEST, seed=1)
     assert not codes(found) & {"track.larynx", "track.tube"}
     assert found.upper_airway_zyx is None
@@ -133,13 +133,13 @@ def test_trees_of_twenty_phantoms_with_a_neck_begin_below_the_cricoid(seed: int,
 @pytest.mark.soak
 @pytest.mark.parametrize("options", [{"noise_hu": 30.0}, {"spacing_mm": (1.0, 1.0, 3.0)}], ids=["noise", "thick"])
 @pytest.mark.parametrize("seed", range(4))
-def test_trees_in_noise_and_in_thick_slices_begin_below_the_cricoid(seed: int, options: dict[str, Any]) -> None:
+def test_trees_of_necks_in_noise_and_in_thick_slices_begin_below_the_cricoid(seed: int, options: dict[str, Any]) -> None:
     made = generate_phantom(**{**WITH_NECK, **options}, seed=seed)
     begins_below_the_cricoid(made, find_airways(made.volume))
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("seed", range(10))
-def test_ten_chests_without_larynx_and_tube_have_no_note_of_them(seed: int) -> None:
+def test_searches_in_ten_chests_without_larynx_and_tube_have_no_note_of_them(seed: int) -> None:
     found = find_airways(generate_phantom(**CHEST, seed=seed).volume)
     assert not codes(found) & {"track.larynx", "track.tube"}

@@ -59,7 +59,7 @@ def planes_through_airways(chest, count):
         yield plane(random.normal(size=3), middle, random.uniform(0.03, 0.2)), radius
 
 
-def test_outline_on_any_plane_is_within_half_a_voxel_of_the_true_wall(chest, found):
+def test_lumen_outline_on_any_plane_is_within_half_a_voxel_of_the_true_wall(chest, found):
     outline = LumenOutline(chest.volume, found)
     offs = []
     for matrix, _ in planes_through_airways(chest, 60):
@@ -109,7 +109,7 @@ def sides(lumen_zyx, ijk):
     return found
 
 
-def test_outline_on_any_plane_separates_mask_voxels_to_half_a_voxel(chest, found):
+def test_lumen_outline_on_any_plane_separates_mask_voxels_to_half_a_voxel(chest, found):
     outline = LumenOutline(chest.volume, found)
     random = np.random.default_rng(5)
     num_points = 0
@@ -142,7 +142,7 @@ def winds_round(lines, places):
     return turns != 0
 
 
-def test_painted_and_erased_voxels_are_in_the_outline(chest, found):
+def test_lumen_outline_includes_painted_and_excludes_erased_voxels(chest, found):
     start, end, _ = chest.tubes[3]
     at = tuple(float(v) for v in start + 0.6 * (end - start))
     matrix = plane((0.2, 1.0, 0.1), at, 0.1)
@@ -165,7 +165,7 @@ def test_painted_and_erased_voxels_are_in_the_outline(chest, found):
     assert outline.lumen_zyx is painted.lumen_zyx
 
 
-def test_mask_of_another_tool_is_outlined_half_way_between_its_voxels(chest):
+def test_outline_of_the_mask_of_another_tool_is_half_way_between_its_voxels(chest):
     lumen = np.zeros(chest.volume.shape_zyx, dtype=np.uint8)
     lumen[40:50, 30:42, 20:37] = 1
     given = SimpleNamespace(lumen_zyx=lumen, wall_levels=None)
@@ -178,7 +178,7 @@ def test_mask_of_another_tool_is_outlined_half_way_between_its_voxels(chest):
     np.testing.assert_allclose(ijk.max(axis=0), (36.5, 41.5), atol=1e-6)
 
 
-def test_plane_beside_the_airways_has_no_outline_and_a_singular_matrix_is_refused(chest, found):
+def test_plane_that_does_not_cut_the_airways_has_no_outline_and_a_singular_matrix_is_refused(chest, found):
     outline = LumenOutline(chest.volume, found)
     corner = chest.volume.to_lps(np.zeros(3))
     assert outline.lines(plane((0, 0, 1), corner, 0.01), SIZE, SIZE) == ()

@@ -32,7 +32,7 @@ def ends(chest):
 
 
 @pytest.mark.parametrize(("cost", "graph"), PAIRS)
-def test_search_with_each_cost_and_graph_finds_all_targets_and_a_tree(chest, found, ends, cost, graph):
+def test_path_search_with_each_cost_and_graph_finds_all_targets_and_a_tree(chest, found, ends, cost, graph):
     result = track_on_graph(chest.volume, found, ends, cost=cost, graph=graph)
     search = result.search
     assert search is not None
@@ -75,7 +75,7 @@ def test_paths_to_segments_stay_in_the_lumen_only_if_walls_are_expensive(seed):
 
 @pytest.mark.soak
 @pytest.mark.parametrize("seed", range(1, 21))
-def test_paths_to_five_segments_penetrate_no_wall(seed):
+def test_paths_to_five_segments_cross_no_airway_wall(seed):
     assert_no_wall_is_penetrated(seed)
 
 
@@ -91,7 +91,7 @@ def assert_no_wall_is_penetrated(seed):
     assert printed.targets[0].num_outside > 0.5 * printed.targets[0].num_path_nodes
 
 
-def test_paths_in_a_volume_with_metal_penetrate_no_wall(chest, found, ends):
+def test_paths_in_a_volume_with_metal_cross_no_airway_wall(chest, found, ends):
     values = chest.volume.hu_zyx.copy()
     values[2:4, 2:4, 2:4] = 30000
     volume = Volume(values, chest.volume.lps_from_ijk)
@@ -99,7 +99,7 @@ def test_paths_in_a_volume_with_metal_penetrate_no_wall(chest, found, ends):
     assert [row.num_outside for row in search.targets] == [0] * 4
 
 
-def test_voxel_graph_of_the_lumen_has_the_costs_of_the_lumen_tracker(chest, found, ends):
+def test_path_costs_in_the_voxel_graph_of_the_lumen_equal_those_of_the_lumen_tracker(chest, found, ends):
     result = track_on_graph(chest.volume, found, ends, cost="lumen", graph="voxel")
     for target, end in zip(result.targets, ends, strict=True):
         assert target.path is not None
@@ -118,7 +118,7 @@ def test_pruned_graph_of_the_lumen_has_fewer_nodes_and_no_cheaper_path(chest, fo
     assert track_on_graph(chest.volume, found, ends, cost="lumen", graph="isoregion").search.num_nodes < whole.num_nodes
 
 
-def test_bins_prune_a_volume_without_noise_and_targets_have_a_representative_node(chest, found, ends):
+def test_grey_value_bins_prune_the_graph_of_a_volume_without_noise_and_each_target_has_a_node(chest, found, ends):
     values = np.where(found.lumen_zyx != 0, -1000, np.where(chest.volume.hu_zyx > -400, 30, -880)).astype(np.int16)
     volume = Volume(values, chest.volume.lps_from_ijk)
     whole = track_on_graph(volume, found, ends, cost="paper", graph="voxel").search
@@ -143,7 +143,7 @@ def test_track_paths_accepts_cost_and_graph(chest, found, ends):
 
 
 @pytest.mark.parametrize(("cost", "graph"), [("dijkstra", "voxel"), ("paper", "octree"), ("", "voxel")])
-def test_search_with_an_unknown_cost_or_graph_is_refused(chest, found, ends, cost, graph):
+def test_path_search_with_an_unknown_cost_or_graph_is_refused(chest, found, ends, cost, graph):
     with pytest.raises(UsageError, match=r"expected one of .*; found"):
         carina.track_paths(chest.volume, targets=ends[:1], cost=cost, graph=graph, airways=found)
 
@@ -162,7 +162,7 @@ def test_target_far_from_the_lumen_has_a_path_only_with_the_paper_cost(chest, fo
     assert by_paper.targets[0].path.radius_mm[-1] == 0.0
 
 
-def test_second_target_on_the_path_of_the_first_needs_no_search(chest, found, ends):
+def test_second_target_on_the_path_to_the_first_needs_no_search(chest, found, ends):
     root, first = found.root_lps, ends[0]
     path = track_on_graph(chest.volume, found, [first], cost="paper", graph="voxel").targets[0].path
     middle = path.voxel_path_lps[len(path.voxel_path_lps) // 2]
@@ -174,12 +174,12 @@ def test_second_target_on_the_path_of_the_first_needs_no_search(chest, found, en
     assert len(again.tree.branches) == 1
 
 
-def test_search_with_the_paper_cost_can_be_cancelled(chest, found, ends):
+def test_path_search_with_the_paper_cost_can_be_cancelled(chest, found, ends):
     with pytest.raises(CancelledError):
         track_on_graph(chest.volume, found, ends, cost="paper", graph="isoregion", cancel=lambda: True)
 
 
-def test_search_box_is_the_whole_volume_if_it_fits_else_around_the_targets(chest):
+def test_search_box_is_the_complete_volume_if_it_fits_into_memory_else_a_box_around_the_targets(chest):
     volume = chest.volume
     points = [chest.tubes[0][0], chest.tubes[1][1]]
     shape = volume.shape_zyx[::-1]
@@ -196,7 +196,7 @@ def test_search_box_is_the_whole_volume_if_it_fits_else_around_the_targets(chest
         search_box(volume, points, max_bytes=1 << 12)
 
 
-def test_target_outside_a_given_box_has_no_path_and_other_targets_have_one(chest, found, ends):
+def test_target_outside_a_given_search_box_has_no_path_and_other_targets_have_one(chest, found, ends):
     box = search_box(chest.volume, [found.root_lps, ends[0]], max_bytes=BYTES_PER_VOXEL["voxel"] * 400_000)
     assert box[1] != chest.volume.shape_zyx[::-1]
     last = chest.volume.to_ijk(np.array(ends)) - np.array(box[0])
@@ -210,7 +210,7 @@ def test_target_outside_a_given_box_has_no_path_and_other_targets_have_one(chest
     assert "box" in result.search.notes[0]
 
 
-def test_deviation_of_two_paths_is_their_distance_in_both_directions():
+def test_deviation_of_two_paths_is_the_distance_between_them_in_both_directions():
     line = np.array([[0.0, 0.0, 0.0], [30.0, 0.0, 0.0]])
     assert deviation_mm(line, line[::-1]) == (0.0, 0.0)
     beside = line + np.array([0.0, 3.0, 4.0])
@@ -227,7 +227,7 @@ def test_deviation_of_two_paths_is_their_distance_in_both_directions():
     order=st.permutations(range(6)),
     labels=st.sampled_from([None, "bins"]),
 )
-def test_costs_of_targets_in_any_order_equal_those_of_a_new_search(seed, step, order, labels):
+def test_path_costs_of_targets_in_any_order_equal_those_of_a_new_search(seed, step, order, labels):
     rng = np.random.default_rng(seed)
     values = (rng.integers(0, 3, (6, 7, 8)) * step - 1000).astype(np.int16)
     values[1:5, 1:6, 1:7] = -1000

@@ -60,7 +60,7 @@ def followed(has_tube: bool, limits=LIMITS):
     return found, lumen
 
 
-def test_tube_of_two_voxels_is_followed_to_its_end_beyond_the_flood_fill():
+def test_tube_two_voxels_wide_is_followed_to_its_end_beyond_the_flood_fill():
     hu, _ = chest(True)
     row = hu[25, :, 34:44].min(axis=0)
     # No voxel of the thin tube is as dark as air, so the flood fill ends before it.
@@ -77,7 +77,7 @@ def test_no_lumen_is_added_in_lung_beyond_the_end_of_an_airway():
     assert lumen.max() == 1
 
 
-def test_no_lumen_is_added_if_the_search_reaches_more_lung_than_airways_can():
+def test_no_thin_lumen_is_added_if_the_search_reaches_more_lung_than_airways_can():
     hu, lumen = chest(True)
     hu, lumen = np.tile(hu, (12, 1, 1)), np.tile(lumen, (12, 1, 1))
     affine = np.diag([SPACING_MM, SPACING_MM, SPACING_MM, 1.0])
@@ -86,7 +86,7 @@ def test_no_lumen_is_added_if_the_search_reaches_more_lung_than_airways_can():
     assert lumen.max() == 1
 
 
-def test_lumen_with_another_shape_than_the_volume_is_refused():
+def test_lumen_mask_with_another_shape_than_the_volume_is_refused():
     hu, lumen = chest(True)
     with pytest.raises(ValueError, match="lumen_zyx"):
         extend_thin_lumen(hu, np.eye(4), lumen[:-1].copy(), cancel=None, progress=None, **LIMITS)

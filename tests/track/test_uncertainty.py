@@ -32,7 +32,7 @@ def tree_of(ends: list[tuple[list[float], float]]) -> AirwayTree:
 VOLUME = Volume(np.full((80, 80, 80), -860, np.int16), np.eye(4))
 
 
-def test_ends_too_wide_for_a_tip_are_listed_with_a_reason_widest_first():
+def test_airway_ends_too_wide_for_a_tip_are_listed_with_a_reason_widest_first():
     tree = tree_of(
         [
             ([20.0, 40.0, 30.0], 3.0),  # an end without a cause nearby
@@ -67,7 +67,7 @@ def test_branch_with_a_hardly_visible_wall_is_listed_as_faint():
     assert "0.31" in found[0].reason
 
 
-def test_confidence_is_high_with_a_visible_wall_and_low_in_plain_lung(chest, rng):
+def test_branch_confidence_is_high_with_a_visible_wall_and_low_in_plain_lung(chest, rng):
     airways = find_airways(chest.volume)
     sure = [branch.confidence for branch in airways.tree.branches]
     assert min(sure) > 0.7
@@ -79,7 +79,7 @@ def test_confidence_is_high_with_a_visible_wall_and_low_in_plain_lung(chest, rng
     assert all(a.confidence < b.confidence for a, b in zip(noisier.branches, airways.tree.branches, strict=True))
 
 
-def test_closed_ends_of_wide_bronchi_are_listed_without_a_disease(chest):
+def test_closed_ends_of_wide_bronchi_are_listed_without_naming_a_disease(chest):
     airways = find_airways(chest.volume)
     tips = {branch.id for branch in airways.tree.tips()}
     # Drawn tubes of 6 mm end in the middle of the lung, with a wall around their end.
@@ -91,7 +91,7 @@ def test_closed_ends_of_wide_bronchi_are_listed_without_a_disease(chest):
 
 
 @pytest.mark.parametrize("flips", [(False, False, False), (False, False, True)])
-def test_slices_are_counted_from_the_feet_in_any_storage_order(flips, draw_chest):
+def test_slice_numbers_of_airway_ends_are_counted_from_the_feet_in_any_storage_order(flips, draw_chest):
     drawn = draw_chest(flips=flips)
     airways = find_airways(drawn.volume)
     k = np.array([drawn.volume.to_ijk(np.array(place.lps))[2] for place in airways.uncertain if place.branch_id])
@@ -100,14 +100,14 @@ def test_slices_are_counted_from_the_feet_in_any_storage_order(flips, draw_chest
     assert [p.slice_number for p in airways.uncertain if p.branch_id] == [round(v) + 1 for v in from_feet]
 
 
-def test_mask_from_another_tool_has_no_uncertain_ends(chest):
+def test_mask_of_another_tool_has_no_uncertain_airway_ends(chest):
     automatic = find_airways(chest.volume)
     given = find_airways(chest.volume, lumen_zyx=automatic.lumen_zyx)
     assert given.uncertain == ()
     assert all(branch.confidence is None for branch in given.tree.branches)
 
 
-def test_mask_in_pieces_is_reduced_to_the_piece_with_the_root_and_reports_it(chest):
+def test_mask_in_several_pieces_is_reduced_to_the_piece_with_the_root_and_this_is_reported(chest):
     lumen = np.array(find_airways(chest.volume).lumen_zyx)
     alone = find_airways(chest.volume, lumen_zyx=lumen)
     lumen[3:6, 3:6, 3:6] = 1
@@ -132,7 +132,7 @@ def walled_tube(radius_mm: float) -> tuple[Volume, AirwayTree]:
     return volume, AirwayTree((Branch(0, None, (), 0, None, "tracked", points, np.full(41, radius_mm)),))
 
 
-def test_thin_lumen_beside_rims_has_low_confidence_and_a_wide_lumen_high():
+def test_thin_lumen_beside_dark_rims_has_low_confidence_and_a_wide_lumen_high_confidence():
     for radius_mm, is_limited in ((1.5, True), (4.0, False)):
         volume, tree = walled_tube(radius_mm)
         for rims_hu in (None, 5.0, 30.0):
@@ -144,7 +144,7 @@ def test_thin_lumen_beside_rims_has_low_confidence_and_a_wide_lumen_high():
                 assert confidence > MOST_BESIDE_RIMS
 
 
-def test_noise_of_a_wall_increases_less_than_noise_of_a_voxel():
+def test_assumed_noise_of_a_wall_increases_less_than_the_noise_of_a_voxel():
     assert wall_noise(10.0) == 10.0
     assert wall_noise(25.0) == pytest.approx(25.0)
     assert 25.0 < wall_noise(40.0) < 40.0

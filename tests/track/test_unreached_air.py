@@ -46,7 +46,7 @@ def plain_pieces(values, lumen, *, box, least_neighbours, voxels, most_air):
 
 
 @given(st.data())
-def test_pieces_of_air_equal_those_of_a_plain_flood_fill(data):
+def test_unconnected_pieces_of_air_equal_those_of_a_plain_flood_fill(data):
     shape = data.draw(st.tuples(*[st.integers(1, 7)] * 3))
     seed = data.draw(st.integers(0, 2**32 - 1))
     rng = np.random.default_rng(seed)
@@ -63,7 +63,7 @@ def test_pieces_of_air_equal_those_of_a_plain_flood_fill(data):
     assert [piece.tolist() for piece in found] == plain_pieces(values, lumen, box=box, **limits)
 
 
-def test_ends_of_a_straight_piece_of_air_are_its_two_end_voxels():
+def test_ends_of_a_straight_unconnected_piece_of_air_are_at_its_two_end_faces():
     hu = np.full((40, 30, 30), -500, dtype=np.int16)
     hu[8:32, 14:17, 14:17] = -1000
     volume = Volume(hu, np.diag([1.0, 1.0, 1.0, 1.0]))

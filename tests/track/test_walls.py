@@ -61,7 +61,7 @@ def hairpin(seed: int) -> tuple[Volume, np.ndarray, np.ndarray, np.ndarray, np.n
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_no_path_crosses_a_wall_of_one_voxel_between_two_tubes(seed):
+def test_path_does_not_cross_a_wall_of_one_voxel_between_two_tubes(seed):
     volume, root, target, first_end, second_end = hairpin(seed)
     airways = carina.find_airways(volume, root_lps=root)
     path = airways.tracker.path_to(target)
@@ -85,7 +85,7 @@ def painted(lumen: np.ndarray, root: tuple[float, float, float]) -> Airways:
     return carina.find_airways(volume, root_lps=root, lumen_zyx=lumen.astype(np.uint8))
 
 
-def test_lumen_one_voxel_wide_is_followed_to_its_end():
+def test_path_follows_a_lumen_one_voxel_wide_to_its_end():
     lumen = np.zeros((12, 12, 60), bool)
     lumen[4:8, 4:8, 2:30] = True
     lumen[6, 6, 30:58] = True
@@ -99,7 +99,7 @@ def test_lumen_one_voxel_wide_is_followed_to_its_end():
     assert airways.tracker.inside(live.points_lps).all()
 
 
-def test_path_reports_the_wall_distance_and_the_radius_of_the_lumen():
+def test_path_states_the_wall_distance_and_the_radius_of_the_lumen():
     lumen = np.zeros((13, 20, 60), bool)
     lumen[4:9, 3:17, 2:58] = True
     airways = painted(lumen, (3.0, 1.2 * 10, 9.0))
@@ -122,7 +122,7 @@ def test_path_in_a_loop_takes_the_shorter_side_once():
     assert len(set(ids)) == len(ids)
 
 
-def test_lumen_in_two_pieces_is_refused_with_a_remedy():
+def test_path_across_a_gap_in_the_lumen_is_refused_with_a_remedy():
     lumen = np.zeros((9, 9, 60), bool)
     lumen[3:6, 3:6, 2:28] = lumen[3:6, 3:6, 34:58] = True
     airways = painted(lumen, (3.0, 4.8, 6.0))
@@ -137,7 +137,7 @@ def test_lumen_in_two_pieces_is_refused_with_a_remedy():
     assert any("not connected" in note for note in airways.notes)
 
 
-def test_root_in_tissue_is_refused_and_target_in_tissue_is_reported():
+def test_root_in_tissue_is_refused_and_a_target_in_tissue_is_reported():
     lumen = np.zeros((20, 20, 60), bool)
     lumen[3:6, 3:6, 2:58] = True
     with pytest.raises(NoResultError, match="5"):

@@ -63,36 +63,36 @@ def noted() -> dict[str, set[str]]:
     return found
 
 
-def test_every_code_of_the_import_is_on_the_page():
+def test_every_error_code_of_the_import_is_on_the_documentation_page():
     documented = {row["code"] for row in rows()}
     assert len(raised()) > 40
     assert raised() - documented == set()
 
 
-def test_codes_and_their_meanings_are_unique():
+def test_import_codes_and_their_meanings_are_unique():
     assert len({row["code"] for row in rows()}) == len(rows())
     assert len({row["means"] for row in rows()}) == len(rows())
 
 
-def test_every_refusal_and_every_badge_has_a_remedy():
+def test_every_import_refusal_and_every_badge_has_a_remedy_on_the_documentation_page():
     numbers = set(numbered_remedies().values())
     short = [row for row in rows() if row["kind"] != "note" and len(row["do"]) < 10]
     assert [row["code"] for row in short if not set(NUMBER.findall(row["do"])) & numbers] == []
 
 
-def test_numbers_of_remedies_on_the_page_exist_and_each_is_used_at_least_twice():
+def test_remedy_numbers_on_the_documentation_page_exist_and_each_is_used_at_least_twice():
     used = Counter(number for cell in advice() for number in NUMBER.findall(cell))
     assert used.keys() == set(numbered_remedies().values())
     assert [number for number, count in used.items() if count < 2] == []
 
 
-def test_page_states_each_remedy_in_full_once():
+def test_documentation_page_states_each_remedy_completely_once():
     stated = Counter(one for cell in advice() for one in sentences(cell) if not NUMBERS.fullmatch(one) and one != "-")
     stated.update(list(numbered_remedies()))
     assert [one for one, count in stated.items() if count > 1] == []
 
 
-def test_page_marks_refusals_notes_and_badges_as_the_code_does():
+def test_documentation_page_marks_refusals_notes_and_badges_as_the_code_does():
     kinds = {row["code"]: row["kind"] for row in rows()}
     assert noted()
     for code, found in noted().items():
@@ -101,7 +101,7 @@ def test_page_marks_refusals_notes_and_badges_as_the_code_does():
 
 
 @pytest.mark.parametrize("kind", ["refusal", "note"])
-def test_corpus_expects_refusal_codes_only_as_refusals_and_note_codes_as_notes(kind):
+def test_import_corpus_expects_refusal_codes_only_as_refusals_and_note_codes_as_notes(kind):
     kinds = {row["code"]: row["kind"] for row in rows()}
     shown = {entry.expected for entry in all_inputs()} - {"opens"}
     if kind == "note":
@@ -110,7 +110,7 @@ def test_corpus_expects_refusal_codes_only_as_refusals_and_note_codes_as_notes(k
         assert (kinds[code] == "refusal") is (kind == "refusal"), code
 
 
-def test_every_badge_of_a_search_is_on_the_page():
+def test_every_badge_of_an_airway_search_is_on_the_documentation_page():
     badges = {row["code"] for row in rows() if row["kind"] == "badge"}
     trees = [ast.parse(path.read_text()) for path in SEARCH]
     named = {

@@ -34,7 +34,7 @@ def _deny(monkeypatch, *names: str) -> None:
     monkeypatch.setattr(Path, "open", refuse)
 
 
-def test_files_without_read_permission_are_counted_and_named(tmp_path, monkeypatch):
+def test_slice_files_without_read_permission_are_counted_and_named(tmp_path, monkeypatch):
     series(tmp_path)
     (tmp_path / "notes.txt").write_text("not a slice")
     _deny(monkeypatch, "IM018", "IM019", "notes.txt")
@@ -46,7 +46,7 @@ def test_files_without_read_permission_are_counted_and_named(tmp_path, monkeypat
     assert "IM018 (no permission to read it), IM019" in note.words
 
 
-def test_a_file_on_a_broken_disk_is_counted(tmp_path, monkeypatch):
+def test_slice_file_on_a_broken_disk_is_counted_as_unreadable(tmp_path, monkeypatch):
     series(tmp_path)
     whole = Path.open
 
@@ -66,7 +66,7 @@ def test_a_file_on_a_broken_disk_is_counted(tmp_path, monkeypatch):
     assert "IM019 (the disk reported an error" in open_volume(tmp_path).source.warnings[0]
 
 
-def test_a_folder_that_cannot_be_opened_is_counted(tmp_path, monkeypatch):
+def test_subfolder_that_cannot_be_opened_is_counted(tmp_path, monkeypatch):
     series(tmp_path / "a", name=lambda i: f"{i // 10}/IM{i:03d}")
     whole = os.scandir
 
@@ -81,7 +81,7 @@ def test_a_folder_that_cannot_be_opened_is_counted(tmp_path, monkeypatch):
     assert "1 (a folder that cannot be opened)" in volume.source.warnings[0]
 
 
-def test_inspection_lists_unusable_files_and_strict_exits_with_status_3(tmp_path, capsys):
+def test_info_command_lists_unusable_files_and_strict_exits_with_code_3(tmp_path, capsys):
     series(tmp_path)
     (tmp_path / "IM019").write_bytes(b"")
     assert [note.code for note in inspect_path(tmp_path).notes] == ["import.files-unread"]
@@ -89,7 +89,7 @@ def test_inspection_lists_unusable_files_and_strict_exits_with_status_3(tmp_path
     assert "IM019 (empty)" in capsys.readouterr().out
 
 
-def test_no_note_or_label_contains_a_name_or_a_uid(tmp_path):
+def test_import_notes_and_labels_contain_no_patient_name_and_no_uid(tmp_path):
     def two_patients(dataset, index):
         if index >= 12:
             dataset.PatientID, dataset.PatientName = "SECRET-2", "Secret^Two"
@@ -104,7 +104,7 @@ def test_no_note_or_label_contains_a_name_or_a_uid(tmp_path):
     assert "00.99.7 (empty)" in text
 
 
-def test_each_part_of_a_series_can_be_chosen_by_its_key(tmp_path):
+def test_each_part_of_a_divided_series_can_be_selected_by_its_key(tmp_path):
     series(tmp_path, uid="1.2.3.98")
     second = chest(seed=6)[:15]
     series(
@@ -123,7 +123,7 @@ def test_each_part_of_a_series_can_be_chosen_by_its_key(tmp_path):
     np.testing.assert_array_equal(open_volume(tmp_path / "J4").hu_zyx, second)
 
 
-def test_path_of_one_file_of_a_damaged_series_lists_the_other_series(tmp_path):
+def test_opening_one_file_of_a_damaged_series_reports_its_unusable_files(tmp_path):
     series(tmp_path)
     (tmp_path / "IM000").write_bytes(b"")
     assert [note.code for note in open_volume(tmp_path / "IM007").source.notes] == ["import.files-unread"]
@@ -144,7 +144,7 @@ def test_series_with_mixed_rescale_is_refused_and_another_ct_is_opened(tmp_path)
     assert caught.value.code == "import.rescale-mixed"
 
 
-def test_output_of_another_thread_during_decoding_is_not_lost(capfd):
+def test_terminal_output_of_another_thread_during_decoding_is_not_lost(capfd):
     with decoder_words() as heard:
         os.write(2, b"Corrupt JPEG data: premature end of data segment\n")
         other = threading.Thread(target=lambda: os.write(2, b"server: a line of the log\n"))
@@ -155,7 +155,7 @@ def test_output_of_another_thread_during_decoding_is_not_lost(capfd):
     assert capfd.readouterr().err == "server: a line of the log\n"
 
 
-def test_decoder_warning_removes_the_hu_status(tmp_path, monkeypatch):
+def test_decoder_warning_for_a_slice_removes_the_hu_status(tmp_path, monkeypatch):
     """Check that a warning of the decoder is sufficient even if the stream seems complete."""
     series(tmp_path, lambda dataset, index: packed(dataset, tmp_path, "JPEG2000"))
     import carina.volume.dicom_pixels as pixels
@@ -187,7 +187,7 @@ def test_intact_slices_of_any_noise_level_are_not_reported_as_damaged(rng, noise
     assert odd_slices(finer.astype(np.int16), compressed=True, slice_mm=1.0) == []
 
 
-def test_slices_of_pure_noise_or_8_bit_values_are_not_reported_as_damaged(rng):
+def test_slices_of_random_or_8_bit_values_are_not_reported_as_damaged(rng):
     for words in (
         rng.integers(0, 1 << 16, (64, 64)).astype(np.uint16),
         rng.integers(0, 256, (64, 64)).astype(np.uint16),
@@ -198,7 +198,7 @@ def test_slices_of_pure_noise_or_8_bit_values_are_not_reported_as_damaged(rng):
 
 
 @pytest.mark.parametrize("at", [0, 9, 19])
-def test_slice_of_another_scale_is_reported_only_inside_the_stack(at):
+def test_slice_with_offset_values_is_reported_only_between_two_other_slices(at):
     values = chest().copy()
     values[at] += 1024
     # The first and the last slice have only one neighbour and may differ from it.
@@ -213,7 +213,7 @@ def test_structure_in_one_thick_slice_is_not_reported_as_damage(slice_mm, odd):
     assert odd_slices(values, compressed=False, slice_mm=slice_mm) == []
 
 
-def test_rle_frame_must_unpack_to_the_exact_number_of_pixels():
+def test_rle_compressed_slice_must_have_the_exact_number_of_pixels():
     header = (1).to_bytes(4, "little") + (64).to_bytes(4, "little") + bytes(56)
     assert rle_problem(header + b"\x03\x01\x02\x03\x04\xfd\x09", 8) is None
     # The frame is padded to an even length.
@@ -242,7 +242,7 @@ def test_randomly_damaged_series_gives_a_volume_or_a_refusal(tmp_path, rng):
         assert _outcome(tmp_path).startswith(("Volume(", "import."))
 
 
-def test_recompressed_stream_decodes_to_the_same_picture(tmp_path):
+def test_recompressed_jpeg_slice_decodes_to_the_same_picture(tmp_path):
     def both(dataset, index):
         packed(dataset, tmp_path, "JPEG")
         repack(dataset, lambda frame: frame)
@@ -250,7 +250,7 @@ def test_recompressed_stream_decodes_to_the_same_picture(tmp_path):
     np.testing.assert_array_equal(open_volume(series(tmp_path, both)).hu_zyx, chest())
 
 
-def test_lossless_jpeg_stream_has_one_code_for_each_pixel(tmp_path):
+def test_intact_lossless_jpeg_slice_is_not_reported_as_damaged(tmp_path):
     frames: list[bytes] = []
 
     def pack(dataset, index):

@@ -35,7 +35,7 @@ def refusal(path) -> str:
 
 @pytest.mark.parametrize("axis", [1, 2, 3])
 @pytest.mark.parametrize("forms", [(1, 0), (0, 1), (1, 1)])
-def test_a_negative_voxel_spacing_is_refused_with_each_form(tmp_path, axis, forms):
+def test_negative_voxel_spacing_is_refused_with_each_nifti_transform(tmp_path, axis, forms):
     path = nifti_forms.with_both_forms(tmp_path, grids.LPS_FROM_IJK, grids.LPS_FROM_IJK)
     data = bytearray(path.read_bytes())
     struct.pack_into("<2h", data, 252, *forms)
@@ -58,20 +58,20 @@ def test_nifti_file_with_an_unambiguous_qfac_opens(tmp_path, qfac):
     np.testing.assert_allclose(volume.lps_from_ijk, grids.LPS_FROM_IJK, rtol=0, atol=2e-5)
 
 
-def test_a_qfac_of_minus_one_mirrors_the_third_axis(tmp_path):
+def test_nifti_qfac_of_minus_one_mirrors_the_third_axis(tmp_path):
     mirrored = grids.LPS_FROM_IJK.copy()
     mirrored[:3, 2] *= -1
     volume = open_volume(nifti_forms.with_qform(tmp_path, mirrored))
     np.testing.assert_allclose(volume.lps_from_ijk, mirrored, rtol=0, atol=2e-5)
 
 
-def test_file_with_an_sform_opens_with_any_qfac(tmp_path):
+def test_nifti_file_with_an_sform_opens_with_any_qfac(tmp_path):
     volume = open_volume(patched(grids.nifti(tmp_path, grids.chest()), (76, -2.0)))
     np.testing.assert_allclose(volume.lps_from_ijk, grids.LPS_FROM_IJK, rtol=0, atol=2e-5)
 
 
 @pytest.mark.parametrize("axis", [1, 2, 3])
-def test_a_mask_with_a_negative_voxel_spacing_is_refused(tmp_path, axis):
+def test_mask_with_a_negative_voxel_spacing_is_refused(tmp_path, axis):
     scan = open_volume(grids.nifti(tmp_path, grids.chest()))
     labels = (grids.chest() == -860).astype(np.int16)
     path = nifti_forms.with_qform(tmp_path, grids.LPS_FROM_IJK, labels, name="mask.nii")
@@ -83,7 +83,7 @@ def test_a_mask_with_a_negative_voxel_spacing_is_refused(tmp_path, axis):
 
 @pytest.mark.parametrize("text", ["-0.7 0.9 1.25", "0.7 -0.9 1.25", "0.7 0.9 -1.25", "0.7 0.9 0", "nan 0.9 1.25"])
 @pytest.mark.parametrize("name", ["ElementSpacing", "ElementSize"])
-def test_a_metaimage_spacing_that_is_not_positive_is_refused_with_its_value(tmp_path, text, name):
+def test_metaimage_spacing_that_is_not_positive_is_refused_with_its_value(tmp_path, text, name):
     def edit(lines):
         lines[7] = f"{name} = {text}"
 
@@ -93,7 +93,7 @@ def test_a_metaimage_spacing_that_is_not_positive_is_refused_with_its_value(tmp_
     assert caught.value.code == "import.geometry.spacing"
 
 
-def test_an_nrrd_with_signed_spacings_and_no_directions_is_refused(tmp_path):
+def test_nrrd_with_negative_spacings_and_no_directions_is_refused(tmp_path):
     def edit(lines):
         lines[6] = "spacings: -0.7 0.9 1.25"
 
@@ -102,6 +102,6 @@ def test_an_nrrd_with_signed_spacings_and_no_directions_is_refused(tmp_path):
     assert caught.value.code == "import.geometry.orientation-unknown"
 
 
-def test_an_nrrd_with_directions_and_signed_spacings_is_refused(tmp_path):
+def test_nrrd_with_directions_and_negative_spacings_is_refused(tmp_path):
     with pytest.raises(VolumeImportError):
         open_volume(grids.nrrd(tmp_path, grids.chest(), edit=lambda lines: lines.append("spacings: -0.7 0.9 1.25")))

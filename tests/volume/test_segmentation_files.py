@@ -115,7 +115,7 @@ def test_segment_opens_although_other_segments_overlap_it(tmp_path):
 
 
 @pytest.mark.parametrize("omit", [True, False])
-def test_label_map_segment_is_chosen_by_number_or_name(tmp_path, omit):
+def test_segment_of_a_label_map_is_selected_by_number_or_name(tmp_path, omit):
     volume, _, ball, lung, _ = scene()
     numbers = lung.astype(np.uint8)
     numbers[ball] = 2
@@ -146,7 +146,7 @@ def test_label_map_may_have_large_numbers_and_another_background(tmp_path):
     assert np.array_equal(inside(path)[0], ball)
 
 
-def test_fractions_of_a_half_and_above_are_set_with_a_note(tmp_path):
+def test_segmentation_fractions_of_a_half_and_above_are_set_with_a_note(tmp_path):
     _, _, ball, _, off = scene()
     share = np.clip(0.5 + (4.0 - off) / 3.0, 0.0, 1.0).astype(np.float32)
     for kind, word in (("PROBABILITY", "probabilities"), ("OCCUPANCY", "occupancies")):
@@ -195,7 +195,7 @@ def measures(data, **values):
     ids=["as written", "thickness", "thick", "without distances"],
 )
 @pytest.mark.parametrize("planes", [slice(None), slice(5, 6), slice(3, 8, 2), slice(2, 9, 3)])
-def test_planes_without_a_frame_are_empty_and_the_ct_gives_their_distance(tmp_path, kind, change, planes):
+def test_segmentation_planes_without_a_frame_are_empty_and_the_ct_gives_their_distance(tmp_path, kind, change, planes):
     ball = np.zeros(SHAPE_ZYX, bool)
     ball[planes] = scene()[2][planes]
     pixels = ball if kind == "BINARY" else ball.astype(np.uint8)
@@ -210,7 +210,7 @@ def test_segmentation_with_frames_in_reverse_order_gives_an_equal_mask(tmp_path)
     assert np.array_equal(inside(path, label=1)[0], lung)
 
 
-def test_positions_have_precedence_over_the_stated_distance_of_planes(tmp_path):
+def test_frame_positions_have_precedence_over_the_stated_distance_of_planes(tmp_path):
     ball = scene()[2]
     path = write(tmp_path / "s.dcm", ball, change=lambda data: measures(data, SpacingBetweenSlices=4.0))
     found, notes = inside(path)
@@ -229,7 +229,7 @@ def repeat_a_frame(data, *, invert):
     data.NumberOfFrames = num + 1
 
 
-def test_two_frames_at_one_position_are_read_once_or_refused(tmp_path):
+def test_two_segmentation_frames_at_one_position_are_read_once_or_refused(tmp_path):
     ball = scene()[2]
     path = write(tmp_path / "s.dcm", ball, change=lambda data: repeat_a_frame(data, invert=False))
     found, notes = inside(path)
@@ -240,7 +240,7 @@ def test_two_frames_at_one_position_are_read_once_or_refused(tmp_path):
         open_mask(path, scene()[0])
 
 
-def test_an_empty_segment_is_named_as_empty(tmp_path):
+def test_selecting_an_empty_segment_is_refused_as_empty(tmp_path):
     _, _, ball, lung, _ = scene()
     path = write(tmp_path / "s.dcm", np.stack([lung, ball & False, ball], -1), labels=("lung", "node", "nodule"))
     with pytest.raises(MaskLabelError, match=r"2 \(node\) is empty"):
@@ -285,7 +285,7 @@ def test_segmentation_with_reversed_planes_is_placed_exactly(tmp_path):
     assert np.array_equal(inside(path)[0], ball)
 
 
-def test_an_unknown_type_and_fractions_without_their_maximum_are_refused(tmp_path):
+def test_unknown_segmentation_type_and_fractions_without_their_maximum_are_refused(tmp_path):
     ball = scene()[2]
 
     def rename(data):
