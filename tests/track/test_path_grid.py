@@ -211,7 +211,7 @@ def test_divided_slices_show_airways_not_visible_in_the_ct_slices(thick, monkeyp
         assert np.median(off_mm) < 3.5
 
 
-def test_confidence_is_the_path_probability_unless_the_walls_give_more_evidence():
+def test_branch_confidence_is_high_only_with_high_path_probability_and_wall_evidence():
     points = np.stack([np.zeros(12), np.zeros(12), -np.arange(12.0)], axis=1)
     branch = Branch(0, None, (), 0, None, "tracked", points, np.ones(12), confidence=0.5)
 

@@ -90,7 +90,7 @@ def off_segment(points, a, b):
     return np.linalg.norm(points - a - along[:, None] * (b - a), axis=1)
 
 
-def test_trachea_of_a_ct_cropped_obliquely_at_the_top_has_no_side_branch(chest):
+def test_air_pouch_beside_the_top_of_the_trachea_adds_no_branch(chest):
     volume = chest.volume
     ijk = np.stack(np.meshgrid(*(np.arange(n) for n in volume.shape_zyx[::-1]), indexing="ij"), axis=-1)
     points = volume.to_lps(ijk.reshape(-1, 3).astype(np.float64))
