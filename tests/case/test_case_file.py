@@ -7,7 +7,7 @@ import pytest
 from edit_case import edit_case
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from kept_case import ACTS, Doing, act, assert_same_airways, assert_same_moment, source_of, whole
+from sample_case import ACTS, Doing, act, assert_same_airways, assert_same_moment, source_of, whole
 
 from carina.case import CaseFile, CaseFileError
 from carina.track import AddBranch, edit_airways
@@ -80,7 +80,9 @@ def divided_case():
 
 @settings(max_examples=4, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(acts=sequences)
-def test_case_with_divided_slices_reopened_before_each_action_equals_one_that_stayed_open(acts, divided_case, tmp_path_factory):
+def test_case_with_divided_slices_reopened_before_each_action_equals_one_that_stayed_open(
+    acts, divided_case, tmp_path_factory
+):
     worked_on(acts, tmp_path_factory.mktemp("case") / "one.carina", divided_case)
 
 

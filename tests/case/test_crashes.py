@@ -12,7 +12,7 @@ from pathlib import Path
 import crashing_writer
 import numpy as np
 import pytest
-from kept_case import Doing, act, assert_same_moment, source_of
+from sample_case import Doing, act, assert_same_moment, source_of
 
 from carina.case import CaseFile, CaseFileError
 from carina.errors import DiskError

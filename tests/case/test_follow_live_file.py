@@ -10,12 +10,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cached_test_data import made_phantom
 from carina import commands as c
 from carina.case import CaseFile, CaseFileError, CaseFollower, SourceFacts
 from carina.session.attach.select import do_and_wait, program_session
 from carina.track import FoldedAirways
 from carina.volume import Volume
-from made import made_phantom
 
 
 @pytest.fixture

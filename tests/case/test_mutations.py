@@ -16,8 +16,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kept_case import Doing, act, assert_same_moment, source_of, whole
 from mutated_case import Mutator
+from sample_case import Doing, act, assert_same_moment, source_of, whole
 
 from carina.case import CaseFile, StoredMeasures, Target
 from carina.case.bounds import MAX_LABEL_CHARS, MAX_S

@@ -7,7 +7,7 @@ import sqlite3
 import numpy as np
 import pytest
 from edit_case import edit_case
-from kept_case import assert_same_document, assert_same_measures
+from sample_case import assert_same_document, assert_same_measures
 
 from carina.case import CaseFile, StoredAirways
 from carina.case.recordings import RecordingTable

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from kept_case import Doing, assert_same_moment, source_of
+from sample_case import Doing, assert_same_moment, source_of
 
 from carina.case import CaseFile, CaseFileError, migrate, rescued, sqlite_journals
 from carina.errors import DiskError

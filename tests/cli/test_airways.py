@@ -9,11 +9,11 @@ import pytest
 import SimpleITK as sitk
 from edit_case import edit_case, in_plain_lung, open_ended_volume
 
+from cached_test_data import made_phantom
 from carina.export import write_mask
 from carina.phantom import write_phantom
 from carina.track import find_airways, measure_tree
 from carina.volume import open_volume
-from made import made_phantom
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +141,9 @@ def point(lps):
     return ",".join(f"{v:.3f}" for v in lps)
 
 
-def test_added_branch_without_evidence_exits_with_code_4_and_the_other_branches_are_written(carina, lung_case, tmp_path):
+def test_added_branch_without_evidence_exits_with_code_4_and_the_other_branches_are_written(
+    carina, lung_case, tmp_path
+):
     tree = tmp_path / "t.json"
     ended = carina(*lung_case, "--add-branch", point(in_plain_lung()), "-o", tree, "--json")
     assert ended.code == 4

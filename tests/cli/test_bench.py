@@ -14,7 +14,7 @@ import pytest
 import carina.cli.bench as verb
 from carina.errors import CarinaError
 from carina_bench import machine
-from carina_bench.clock import Times, median_ratio, take_turns
+from carina_bench.alternating_timer import Times, median_ratio, take_turns
 from carina_bench.command import SECTIONS
 from carina_bench.gates import Gate
 from carina_bench.pictures import difference, save

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import SimpleITK as sitk
 
+from cached_test_data import made_phantom
 from carina.errors import CarinaError
 from carina.track import AirwayTree, branch_side_and_lobe, find_airways, name_tree
 from carina_bench import track, track_names, track_quality
 from carina_bench.app import bench_track
 from carina_bench.track_truth import truth_of_phantom
-from made import made_phantom
 
 ROW = {"what": "paths", "case": "phantom", "figure": 9.0, "limit": 8.0, "unit": "x", "median": 9.0, "min": 8.5}
 

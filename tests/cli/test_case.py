@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import carina as package
+from cached_test_data import made_phantom
 from carina import commands as c
 from carina.case import CaseFile, SourceFacts
 from carina.commands import Steer
@@ -24,8 +25,7 @@ from carina.session.store.case_names import neutral_alias
 from carina.session.store.registry import CaseRecords
 from carina.version import VERSION
 from carina.volume import CtSource, VolumeCache, ct_digest, open_volume
-from made import made_phantom
-from own_folders import own_folders
+from user_folders import user_folders
 
 
 @pytest.fixture(scope="session")
@@ -193,7 +193,9 @@ def test_missing_scan_of_a_case_is_read_from_the_cache_or_from_the_case(carina, 
         ["case", "forget", ""],
     ],
 )
-def test_inconsistent_arguments_of_case_commands_are_refused_before_the_case_is_read(carina, case, ct, tmp_path, arguments):
+def test_inconsistent_arguments_of_case_commands_are_refused_before_the_case_is_read(
+    carina, case, ct, tmp_path, arguments
+):
     names = {"CT": ct, "CASE": case}
     given = [names.get(one, tmp_path / one if one.startswith("OUT") else one) for one in arguments]
     ended = carina(*given)
@@ -320,7 +322,7 @@ def test_commands_read_a_case_that_is_open_in_a_window_as_last_saved(carina, cas
 @pytest.fixture
 def live_case(case, monkeypatch, tmp_path):
     """Return the live case of a window, which has one more step than its copy."""
-    for name, folder in own_folders(tmp_path / "home").items():
+    for name, folder in user_folders(tmp_path / "home").items():
         monkeypatch.setenv(name, folder)
     records = CaseRecords(load_settings().cases_dir, lambda: 1_800_000_000.0)
     with CaseFile.open(case, read_only=True) as copy:

@@ -9,6 +9,7 @@ import pytest
 from typer.main import get_command
 
 import carina as package
+from cached_test_data import made_phantom
 from carina import commands as c
 from carina.case import CaseFile, SourceFacts
 from carina.cli.app import app
@@ -21,7 +22,6 @@ from carina.session.open_case.open_case import moment_of
 from carina.session.store.case_names import neutral_alias
 from carina.session.store.registry import CaseRecords
 from carina.volume import ct_digest
-from made import made_phantom
 
 ID = "abcd1234ef567890"
 

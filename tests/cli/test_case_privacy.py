@@ -14,9 +14,9 @@ from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
 
 import carina as package
+from cached_test_data import made_phantom
 from carina import commands as c
 from carina.volume import write_grid
-from made import made_phantom
 
 UID = "1.2.826.0.1.3680043.9999.19610405"
 TAGS = {

@@ -45,7 +45,9 @@ def test_mask_with_an_unknown_suffix_is_refused_before_the_airway_search(carina,
 
 
 @pytest.mark.parametrize(("suffix", "options"), [(".seg.dcm", ()), (".sr.dcm", ()), (".pdf.dcm", ("--with-identity",))])
-def test_dicom_plan_of_a_ct_that_is_not_dicom_is_refused_before_the_airway_search(carina, ct, tmp_path, suffix, options):
+def test_dicom_plan_of_a_ct_that_is_not_dicom_is_refused_before_the_airway_search(
+    carina, ct, tmp_path, suffix, options
+):
     ended = carina("plan", ct, "--target", "0,0,0", "-o", tmp_path / f"plan{suffix}", *options, "--json")
     assert ended.code == 2
     assert ended.json()["error"]["code"] == "plan.not-dicom"

@@ -15,7 +15,7 @@ import pytest
 from carina.cli import cluster
 from carina.cluster.node import descendants
 from carina.errors import ClusterError
-from own_folders import environment_in
+from user_folders import environment_in
 
 needs_ray = pytest.mark.skipif(
     not sys.platform.startswith("linux") or importlib.util.find_spec("ray") is None,

@@ -140,7 +140,9 @@ def store(path, values, spacing=(1.0, 1.0, 1.0)):
     ],
     ids=" ".join,
 )
-def test_invalid_argument_of_any_command_exits_with_code_2_and_writes_nothing(carina, ct, tmp_path, monkeypatch, arguments):
+def test_invalid_argument_of_any_command_exits_with_code_2_and_writes_nothing(
+    carina, ct, tmp_path, monkeypatch, arguments
+):
     monkeypatch.chdir(tmp_path)
     before = sorted(tmp_path.iterdir())
     ended = carina(*(word.replace("CT", str(ct)) for word in arguments), "--json")

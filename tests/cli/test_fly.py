@@ -247,7 +247,9 @@ def test_video_of_a_recording_with_wall_contact_uses_the_recorded_airway_wall(ca
     [["-o", "x.gif", "--to", "1"], ["-o", "x.mp4"], ["-o", "x.mp4", "--to", "1", "--keys", "k.json"],
      ["-o", "x.mp4", "--to", "1", "--speed", "0"], ["-o", "x.mp4", "--to", "1", "--rate", "1000"]],
 )  # fmt: skip
-def test_inconsistent_arguments_of_the_fly_command_are_refused_before_rendering(carina, ct, tmp_path, monkeypatch, arguments):
+def test_inconsistent_arguments_of_the_fly_command_are_refused_before_rendering(
+    carina, ct, tmp_path, monkeypatch, arguments
+):
     monkeypatch.chdir(tmp_path)
     assert carina("fly", ct, *arguments).code == 2
     assert not list(tmp_path.glob("x.*"))

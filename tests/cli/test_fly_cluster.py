@@ -25,7 +25,7 @@ from carina.navigate.recording import ReplayedPose
 from carina.render import Renderer
 from carina.scopes import Pose
 from carina.volume import Volume
-from own_folders import environment_in
+from user_folders import environment_in
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
 needs_ray = pytest.mark.skipif(

@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from carina.cli.console import interruptible
-from own_folders import environment_in
+from user_folders import environment_in
 
 WAIT_S = 120.0
 """Time limit of every wait, seconds.

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 
 import pytest
-from ray_rig import wait_for
+from ray_cluster import wait_for
 
 import carina
 from carina.cluster import Console, ray_backend

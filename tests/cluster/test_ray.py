@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 import pytest
-from ray_rig import IP, VIEW, flying, how_it_is, needs_ray, running_head, small_volume, wait_for
+from ray_cluster import IP, VIEW, flying, how_it_is, needs_ray, running_head, small_volume, wait_for
 
 from carina.cluster import ClusterSettings
 from carina.cluster.node import make_token

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
-from ray_rig import VIEW, flying, needs_ray, running_head, wait_for
+from ray_cluster import VIEW, flying, needs_ray, running_head, wait_for
 
 from carina.cluster import ClusterSettings
 from carina.cluster.node import descendants, reap

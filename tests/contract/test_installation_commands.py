@@ -126,7 +126,9 @@ def test_rebuild_command_of_a_checkout_is_a_makefile_target() -> None:
         (None, "from the file or folder from which it was installed"),
     ],
 )
-def test_installed_wheel_is_reinstalled_from_the_file_or_address_of_its_installation(monkeypatch, record, expected) -> None:
+def test_installed_wheel_is_reinstalled_from_the_file_or_address_of_its_installation(
+    monkeypatch, record, expected
+) -> None:
     class Distribution:
         def read_text(self, _name: str) -> str | None:
             return record

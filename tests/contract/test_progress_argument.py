@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 import carina
+from cached_test_data import made_airways, made_phantom
 from carina.display import progress as bars
 from carina.display.progress import shows_progress, without_bars
 from carina.errors import UsageError
-from made import made_airways, made_phantom
 
 PARTS = ("volume", "scopes", "render", "track", "navigate", "phantom", "plan", "export", "session", "cluster")
 SMALL = {"spacing_mm": 3.0, "generations": 3}

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 import carina
+from cached_test_data import made_airways, made_phantom
 from carina.display.tables import Tabular
 from carina.errors import CarinaError
 from carina.plan import turn_list
 from carina.track import AirwayTree, TrackResult
-from made import made_airways, made_phantom
 
 CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 5, "nodule": True}
 
@@ -105,7 +105,9 @@ def test_message_about_a_missing_data_frame_library_states_its_installation_comm
     assert refused.value.code == "table.no-library"
 
 
-def test_to_pandas_passes_each_column_with_its_type(tables: dict[str, Tabular], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_to_pandas_passes_each_column_with_its_type(
+    tables: dict[str, Tabular], monkeypatch: pytest.MonkeyPatch
+) -> None:
     module = types.ModuleType("pandas")
     module.Series = lambda values, dtype, index: (values, dtype, list(index))  # type: ignore[attr-defined]
     module.DataFrame = dict  # type: ignore[attr-defined]

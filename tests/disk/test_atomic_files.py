@@ -178,7 +178,9 @@ def test_file_with_the_name_of_a_new_folder_is_refused_and_unchanged(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", GRID_SUFFIXES)
-def test_mask_written_to_a_full_disk_leaves_the_former_file_and_no_library_message(tmp_path, suffix, small_files, capfd):
+def test_mask_written_to_a_full_disk_leaves_the_former_file_and_no_library_message(
+    tmp_path, suffix, small_files, capfd
+):
     target = tmp_path / f"mask{suffix}"
     target.write_bytes(b"old")
     noise = np.random.default_rng(1).integers(-1000, 1000, (20, 30, 40), dtype=np.int16)

@@ -7,8 +7,8 @@ import pytest
 from playwright.sync_api import expect
 from plugged_chest import CHEST, named, plugged
 
+from cached_test_data import made_airways, made_phantom
 from carina.volume import write_grid
-from made import made_airways, made_phantom
 
 pytestmark = pytest.mark.browser
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from places import PREVIEWED, all_points, named, place_in_slice, place_on_tree, show_slices_at, tree_is_shown
+from page_positions import PREVIEWED, all_points, named, place_in_slice, place_on_tree, show_slices_at, tree_is_shown
 from playwright.sync_api import expect
 
 pytestmark = pytest.mark.browser

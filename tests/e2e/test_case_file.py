@@ -11,10 +11,10 @@ import pytest
 from server_process import start_server, stop_server
 from workstation import PICTURE_MS
 
+from cached_test_data import made_phantom
 from carina.case import CaseFile
 from carina.volume import write_grid
 from faulty_disk import FAULTS, FaultyDisk, has_compiler
-from made import made_phantom
 
 pytestmark = pytest.mark.browser
 
@@ -236,7 +236,9 @@ def test_case_is_continued_from_the_list_restarted_deleted_and_restored_from_del
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux" or not has_compiler(), reason="needs Linux and a C compiler")
-def test_full_disk_is_reported_while_the_flight_continues_and_the_case_is_saved_to_another_disk(workstation, tmp_path, monkeypatch):
+def test_full_disk_is_reported_while_the_flight_continues_and_the_case_is_saved_to_another_disk(
+    workstation, tmp_path, monkeypatch
+):
     page, stick = workstation.page, tmp_path / "stick"
     stick.mkdir()
     disk = FaultyDisk(tmp_path)
@@ -310,7 +312,9 @@ def test_case_whose_ct_was_moved_requests_the_ct_and_refuses_a_different_ct(host
         workstation.faults.clear()
 
 
-def test_dropped_case_file_requests_its_ct_and_opens_when_the_ct_is_dropped_without_its_path(host, workstation, home, tmp_path):
+def test_dropped_case_file_requests_its_ct_and_opens_when_the_ct_is_dropped_without_its_path(
+    host, workstation, home, tmp_path
+):
     page = workstation.page
     chest = made_phantom(spacing_mm=3.0, generations=3).volume
     ct, given = tmp_path / "ct.nii.gz", tmp_path / "given.carina"

@@ -6,7 +6,7 @@ import time
 from contextlib import ExitStack
 
 import pytest
-from places import named, place_in_slice, place_on_tree, show_slices_at, tree_is_shown
+from page_positions import named, place_in_slice, place_on_tree, show_slices_at, tree_is_shown
 from playwright.sync_api import expect
 from workstation import open_page
 

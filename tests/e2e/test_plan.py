@@ -7,7 +7,7 @@ import json
 import pytest
 
 import carina
-from made import made_phantom
+from cached_test_data import made_phantom
 
 pytestmark = pytest.mark.browser
 

@@ -10,8 +10,8 @@ from test_plan import CHEST
 from workstation import PICTURE_MS
 
 import carina
+from cached_test_data import made_phantom
 from carina.render import DrrView
-from made import made_phantom
 
 pytestmark = pytest.mark.browser
 

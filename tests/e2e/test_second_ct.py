@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from places import place_in_slice, show_slices_at
+from page_positions import place_in_slice, show_slices_at
 
 import carina
-from made import made_phantom
+from cached_test_data import made_phantom
 
 pytestmark = pytest.mark.browser
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from places import (
+from page_positions import (
     PREVIEWED,
     all_points,
     named,

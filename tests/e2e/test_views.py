@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from places import drag, extent_mm, host, middle_lps
+from page_positions import drag, extent_mm, host, middle_lps
 
 pytestmark = pytest.mark.browser
 

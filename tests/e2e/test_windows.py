@@ -8,8 +8,8 @@ import pytest
 from server_process import Child, start_server, stop_server
 from workstation import open_page, picture_of
 
+from cached_test_data import made_phantom
 from carina.volume import write_grid
-from made import made_phantom
 
 pytestmark = pytest.mark.browser
 

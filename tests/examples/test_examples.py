@@ -13,8 +13,8 @@ import pytest
 import SimpleITK as sitk
 
 import carina
+from cached_test_data import patient
 from carina.render import AirwayView, Renderer
-from made import patient
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 IN_DOCS = EXAMPLES.parent / "docs" / "pictures" / "gallery"

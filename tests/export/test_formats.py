@@ -13,6 +13,7 @@ import pytest
 import SimpleITK as sitk
 
 import carina
+from cached_test_data import SMALL_CHEST, made_airways, made_phantom
 from carina.errors import GeometryError, UsageError
 from carina.export import (
     EXPORT_FORMATS,
@@ -29,7 +30,6 @@ from carina.export.mask_file import MASK_SUFFIXES
 from carina.export.mesh_file import MESH_SUFFIXES
 from carina.track import AirwayTree, Branch, Mesh, lumen_mask, lumen_mesh
 from carina.volume import Volume, inspect_path, open_mask
-from made import SMALL_CHEST, made_airways, made_phantom
 
 
 @pytest.fixture(scope="module")
@@ -256,7 +256,9 @@ def test_grid_that_opens_as_a_ct_can_be_written_and_read_in_every_format(tmp_pat
 
 
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha"])
-def test_grid_that_deviates_from_a_format_by_more_than_its_tolerance_is_refused_with_a_suitable_format(tmp_path, suffix):
+def test_grid_that_deviates_from_a_format_by_more_than_its_tolerance_is_refused_with_a_suitable_format(
+    tmp_path, suffix
+):
     volume = leaning(0.3)
     for write in (check_export, lambda path, volume: write_mask(path, np.ones(volume.shape_zyx, np.uint8), volume)):
         with pytest.raises(GeometryError, match=r"meet at 89\.7 instead of 90 degrees.*write it as \.nrrd") as caught:

@@ -8,7 +8,7 @@ import sys
 import pydicom
 import pytest
 from dicom_writer import series
-from written_plans import a_plan, a_tree
+from sample_plan import a_plan, a_tree
 
 import carina.export
 from carina.errors import UsageError

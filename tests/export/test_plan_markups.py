@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from written_plans import DOUBT, a_plan, a_tree
+from sample_plan import DOUBT, a_plan, a_tree
 
 from carina.errors import DiskError, UsageError
 from carina.export.plan_content import drawn_plans

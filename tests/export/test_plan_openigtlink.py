@@ -10,7 +10,7 @@ import threading
 
 import numpy as np
 import pytest
-from written_plans import DOUBT, a_plan, a_tree
+from sample_plan import DOUBT, a_plan, a_tree
 
 from carina.errors import CarinaError, UsageError
 from carina.export.plan_openigtlink import MAX_PEERS, PlanServer, plan_messages, send_plan

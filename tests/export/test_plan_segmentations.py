@@ -14,6 +14,7 @@ import SimpleITK as sitk
 from dicom_writer import chest, series
 from nodules import ellipsoid
 
+from cached_test_data import SMALL_CHEST, made_airways, made_phantom
 from carina.errors import CancelledError, DiskError, NoResultError, UsageError, VolumeImportError
 from carina.export.plan_dicom_seg import inside_on_grid, write_target_seg
 from carina.export.plan_dicom_sr import write_target_report
@@ -21,7 +22,6 @@ from carina.export.plan_nrrd import write_target_nrrd
 from carina.navigate.rotation import rotation_from_vector
 from carina.track import lumen_mask
 from carina.volume import Volume, open_mask, open_volume, write_grid
-from made import SMALL_CHEST, made_airways, made_phantom
 
 TURN = rotation_from_vector(np.array([0.31, -0.22, 0.47]))
 FIRST_LPS = np.array([-40.125, 17.5, -203.25])

@@ -14,9 +14,9 @@ import pytest
 import SimpleITK as sitk
 
 import carina
+from cached_test_data import made_phantom
 from carina.render import AirwayView, Renderer, SliceView, XrayView
 from carina.scopes import Pose
-from made import made_phantom
 
 SPACING_MM = (2.0, 2.0, 2.4)
 

@@ -7,10 +7,10 @@ import time
 import pytest
 
 import carina
+from cached_test_data import patient
 from carina.render import CutPlaneView, Renderer, SliceView
 from carina.server.frames.pump import encode_jpeg
 from carina.track import LumenOutline
-from made import patient
 
 SIZE = (768, 620)
 ROUNDS = 40

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from nodules import ellipsoid
 
+from cached_test_data import made_airways, made_phantom
 from carina.errors import CancelledError
 from carina.plan import NeedleErrors, plan_route
 from carina.plan.reach_atlas import NOT, REACHES, STEP_MM, ReachAtlas, reach_atlas
@@ -16,7 +17,6 @@ from carina.plan.routes.needle_hits import ball_hit_shares, hit_share
 from carina.plan.routes.ranking import RANK
 from carina.scopes import ScopePreset, scope_preset
 from carina.track import measure_tree, wall_field
-from made import made_airways, made_phantom
 
 CHEST = {"seed": 4, "spacing_mm": 1.5, "generations": 4}
 

@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from cached_test_data import made_airways, made_phantom
 from carina.plan.routes.attainable_directions import (
     BEHIND_MM,
     NUM_ON_ARC,
@@ -21,7 +22,6 @@ from carina.plan.routes.attainable_directions import (
 )
 from carina.scopes import ScopeDrive, ScopePreset, WallField, scope_preset
 from carina.track import AirwayTree, Branch, wall_field
-from made import made_airways, made_phantom
 
 ALONG_MM = 80.0
 AXIS = np.array([0.0, 0.0, -1.0])

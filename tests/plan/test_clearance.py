@@ -31,7 +31,9 @@ def line(off_mm: float, radius_mm: float) -> Branch:
 
 @pytest.mark.parametrize("radius_mm", [1.2, 1.7, 2.6, 4.0])
 @pytest.mark.parametrize("off_mm", [0.0, 0.35, 0.6])
-def test_clearance_of_a_round_lumen_does_not_depend_on_the_offset_of_the_centreline(radius_mm: float, off_mm: float) -> None:
+def test_clearance_of_a_round_lumen_does_not_depend_on_the_offset_of_the_centreline(
+    radius_mm: float, off_mm: float
+) -> None:
     found = ball_diameters_mm(line(off_mm, radius_mm), field(radius_mm, radius_mm))
     # The tolerance covers the interpolation of the field between its samples, which are exact and 0.4 mm apart.
     assert found == pytest.approx(2.0 * radius_mm, abs=0.12)

@@ -15,7 +15,7 @@ import pytest
 from fork_trees import made_tree, random_tree, route_in
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reported import airways, plan, sheet, turns, verdicts, volume
+from phantom_plan import airways, plan, sheet, turns, verdicts, volume
 from test_report import words_of
 
 import carina
@@ -161,7 +161,9 @@ def test_distances_along_routes_of_other_phantoms_increase_and_do_not_exceed_the
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.0, 14.0))
-def test_distances_of_turns_from_the_carina_ridge_increase_and_add_up_in_random_trees(seed: int, ridge_mm: float) -> None:
+def test_distances_of_turns_from_the_carina_ridge_increase_and_add_up_in_random_trees(
+    seed: int, ridge_mm: float
+) -> None:
     tree = random_tree(seed)
     for tip in tree.tips()[::4]:
         route = route_in(tree, tip.id, ridge_mm=ridge_mm)

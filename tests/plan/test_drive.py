@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from reported import CHEST
-from reported import wall as chest_wall
+from phantom_plan import CHEST
+from phantom_plan import wall as chest_wall
 from test_verdict import plan_in, tube
 
+from cached_test_data import made_airways
 from carina.errors import CancelledError, UsageError
 from carina.plan import Move
 from carina.plan.routes.last_leg import LastLeg
@@ -31,7 +32,6 @@ from carina.plan.verdict.drive_route import DriveWay
 from carina.plan.verdict.drive_search import arrives_by, condense_drive, place_at_start, search_drive
 from carina.scopes import ScopeDrive, ScopePreset, WallField, scope_preset
 from carina.track import AirwayTree
-from made import made_airways
 
 BRANCHES = (100, 24, 139)
 """IDs of branches without children that are 4 to 6 forks from the root."""
@@ -145,7 +145,9 @@ def test_drive_condensed_from_copied_scope_states_equals_one_simulated_from_the_
     assert condensed.moves == condensed_slowly(way, wall, driven, 12) != driven.moves
 
 
-def test_drive_aimed_from_copied_scope_states_equals_one_simulated_from_the_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_drive_aimed_from_copied_scope_states_equals_one_simulated_from_the_beginning(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     tree, field, points = tube(60.0)
     scope = dataclasses.replace(thin(), tip_mm=2.6)
     way = DriveWay(tree, plan_in(points).routes[0], field)

@@ -158,7 +158,9 @@ def test_lymph_node_station_at_a_bronchus_drawn_by_hand_has_a_doubt() -> None:
 
 @settings(deadline=None, max_examples=60)
 @given(st.floats(-3.1, 3.1), st.floats(-1.4, 1.4), st.floats(0.0, 6.28))
-def test_clock_hour_of_a_direction_is_its_angle_in_the_levelled_picture(turn: float, tilt: float, around: float) -> None:
+def test_clock_hour_of_a_direction_is_its_angle_in_the_levelled_picture(
+    turn: float, tilt: float, around: float
+) -> None:
     forward = np.array([np.cos(tilt) * np.sin(turn), np.cos(tilt) * np.cos(turn), np.sin(tilt)])
     pose = Pose.looking(np.zeros(3), forward, upright(forward))
     axes = np.asarray(pose.lps_from_camera)[:3, :3]

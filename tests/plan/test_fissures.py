@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from nodules import ellipsoid
 
+from cached_test_data import made_phantom
 from carina.plan import FissureBox, NeedleErrors, NeedleScene, last_leg, lobes, surroundings, tool
 from carina.plan.cubic_box import Box
 from carina.scopes import WallField
 from carina.track import AirwayTree
 from carina.volume import Volume
-from made import made_phantom
 
 CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
 

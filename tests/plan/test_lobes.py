@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cached_test_data import made_phantom
 from carina.errors import NoResultError
 from carina.plan import FissureBox, Lobes
 from carina.plan.cubic_box import Box, smoothed
@@ -17,7 +18,6 @@ from carina.plan.lungs.lobes import LOBE_NAMES, STEP_MM, lung_grid, nearest_lobe
 from carina.plan.lungs.tissue_near_needle import lung_box
 from carina.track import AirwayTree, branch_side_and_lobe
 from carina.volume import Volume
-from made import made_phantom
 
 CHEST = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
 LOW = np.array([-110.0, -90.0, -140.0])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from nodules import ellipsoid
 
+from cached_test_data import found_airways, made_phantom
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.phantom import Phantom
 from carina.plan import (
@@ -27,7 +28,6 @@ from carina.plan.routes.needle_hits import NeedleErrors
 from carina.track import Airways
 from carina.volume import Volume
 from carina_bench.breathing import Breath, breathed, random_breath
-from made import found_airways, made_phantom
 
 
 @cache

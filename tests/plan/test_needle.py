@@ -31,7 +31,9 @@ def drawn_share(nodule, tip, aim, reach_mm, errors, *, moved_mm, num, rng):
 
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("moved_mm", [0.0, 12.0])
-def test_hit_probability_is_within_two_percentage_points_of_a_monte_carlo_simulation(seed: int, moved_mm: float) -> None:
+def test_hit_probability_is_within_two_percentage_points_of_a_monte_carlo_simulation(
+    seed: int, moved_mm: float
+) -> None:
     rng = np.random.default_rng(seed)
     nodule = ellipsoid(rng.uniform(2.5, 8.0, 3))
     aim = np.array(nodule.centre_lps)

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from nodules import ellipsoid
 
+from cached_test_data import made_airways, made_phantom
 from carina.errors import UsageError
 from carina.plan import plan_route
 from carina.plan.routes.standing_points import NearestPlace
 from carina.scopes import WallField
 from carina.track import Airways, AirwayTree, Uncertainty, wall_field
 from carina.volume import Volume
-from made import made_airways, made_phantom
 
 CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
 

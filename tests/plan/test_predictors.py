@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 from fork_trees import Points, made_tree
-from reported import airways, plan, volume, wall
+from phantom_plan import airways, plan, volume, wall
 
 from carina.cli.plan import lines
 from carina.plan import PREDICTOR_WORDS, PlannedRoute, route_predictors

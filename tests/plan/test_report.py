@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from reported import airways, clip, plan, sheet, still, turns, verdicts, volume, wall, with_drawn_branch
+from phantom_plan import airways, clip, plan, sheet, still, turns, verdicts, volume, wall, with_drawn_branch
 
 from carina.cli.plan import lines
 from carina.errors import CancelledError, CarinaError, UsageError

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from reported import clip, sheet, still
+from phantom_plan import clip, sheet, still
 
 from carina.plan.report import write_report
 from find_browser import find_browser

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from nodules import ellipsoid
-from reported import plan, sheet
+from phantom_plan import plan, sheet
 
 from carina.plan import tool
 from carina.plan.report.drawing import Disc, Label, Raster, Stroke, svg

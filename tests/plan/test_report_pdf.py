@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from reported import plan, sheet
+from phantom_plan import plan, sheet
 from test_report import SAFETY, everything
 
 from carina.errors import UsageError

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from reported import airways, plan, volume
+from phantom_plan import airways, plan, volume
 
 from carina.plan import distance_origin, ebus_landmarks, route_stations
 from carina.plan.route_stations import NEXT_TO_MM

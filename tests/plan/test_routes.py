@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 from nodules import ellipsoid
-from reported import CHEST, plan, wall
+from phantom_plan import CHEST, plan, wall
 
 import carina
+from cached_test_data import made_airways, made_phantom
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import (
     NeedleErrors,
@@ -39,7 +40,6 @@ from carina.plan.routes.standing_points import Places
 from carina.scopes import ScopePreset, WallField, scope_preset
 from carina.track import Airways, measure_tree
 from carina.volume import Volume
-from made import made_airways, made_phantom
 
 
 def truth() -> dict[str, Any]:
@@ -247,7 +247,9 @@ def test_figures_of_a_route_with_a_simulated_drive_equal_those_of_its_verdict() 
     assert repeated.to_json() == verdict.to_json()
 
 
-def test_first_route_is_simulated_even_if_no_attainable_direction_hits_the_target(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_first_route_is_simulated_even_if_no_attainable_direction_hits_the_target(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     volume, airways = made_phantom(**CHEST).volume, made_airways(**CHEST)
     monkeypatch.setattr(TipDirections, "towards", lambda *_given: None)
     found = plan_route(volume, airways, nodule_ahead(), wall=wall(), scope=slim(), drives=1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
-from reported import plan
+from phantom_plan import plan
 
 from carina.errors import UsageError
 from carina.plan import ORDER_RULE, Plan, TargetDoubt, compare_targets

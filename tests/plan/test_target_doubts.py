@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from painted_nodules import Scene, painted
-from test_target_places import airway, chest
+from test_clicked_positions import airway, chest
 
 import carina
+from cached_test_data import found_airways, made_phantom
 from carina.errors import UnconfirmedTargetError, UsageError
 from carina.plan import PlanTarget, check_confirmed, grow_nodule, plan_route, sphere, target_doubts, target_from_click
 from carina.scopes import WallField
 from carina.volume import Volume
-from made import found_airways, made_phantom
 
 ALONG = ((0.0, 0.0, 0.0), (0.3, 0.2, 0.9))
 BESIDE = ((5.5, 0.0, 0.0), (0.0, 0.3, 1.0))

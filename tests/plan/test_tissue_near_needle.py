@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cached_test_data import made_phantom
 from carina.errors import NoResultError
 from carina.plan.lungs.tissue_near_needle import lung_box, lung_surroundings
 from carina.scopes import WallField
 from carina.volume import Volume
-from made import made_phantom
 
 SMALL_CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 2.0, "generations": 4}
 

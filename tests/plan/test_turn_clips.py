@@ -11,11 +11,11 @@ import pytest
 import simplejpeg
 from fork_trees import route_in
 
+from cached_test_data import made_airways, made_phantom
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import TurnClip, TurnList, turn_clips, turn_flight, turn_list, turn_pictures
 from carina.plan.routes.plan_route import PlannedRoute
 from carina.render import Renderer, letter_edges
-from made import made_airways, made_phantom
 
 CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
 SIZE, FRAMES = 64, 5

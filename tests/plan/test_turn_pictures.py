@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from fork_trees import made_tree, route_in
 
+from cached_test_data import made_airways, made_phantom
 from carina.display.png import png_bytes
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import Turn, TurnList, TurnPicture, turn_list, turn_pictures
@@ -21,7 +22,6 @@ from carina.plan.turns.pictures import DOUBTFUL_RGB, ROUTE_RGB
 from carina.render import AirwayView, Renderer, read_png_pose
 from carina.scopes import Lens
 from carina_bench.plan_marks import apart, marks_in
-from made import made_airways, made_phantom
 
 CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
 SIZE = 256

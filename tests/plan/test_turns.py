@@ -17,6 +17,7 @@ from fork_trees import bent, made_tree, moved, random_tree, route_in, unit
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from cached_test_data import made_airways, made_phantom
 from carina.case.routes import route_to_branch
 from carina.errors import UsageError
 from carina.navigate import Navigator
@@ -27,7 +28,6 @@ from carina.plan.turns.opening_walls import ForkWalls, TubeWall, first_walls
 from carina.plan.turns.texts import moves_words
 from carina.scopes import Pose
 from carina.track import AirwayTree
-from made import made_airways, made_phantom
 
 FILE = Path(__file__).resolve().parents[1] / "golden" / "fork-hours.json"
 SEEDS = st.integers(0, 7)
@@ -140,7 +140,9 @@ def test_mirrored_patient_has_mirrored_clock_hours_and_sides(seed: int) -> None:
 
 @quick
 @given(SEEDS, st.floats(-math.pi, math.pi), st.floats(-200.0, 200.0))
-def test_clock_hours_are_unchanged_by_a_rotation_of_the_patient_about_the_anterior_axis(seed: int, angle: float, shift: float) -> None:
+def test_clock_hours_are_unchanged_by_a_rotation_of_the_patient_about_the_anterior_axis(
+    seed: int, angle: float, shift: float
+) -> None:
     c, s = math.cos(angle), math.sin(angle)
     turned = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
     for tree, found in lists(seed):

@@ -9,8 +9,8 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import phantom_plan
 import pytest
-import reported
 from nodules import ellipsoid
 
 from carina.errors import CancelledError, UsageError
@@ -328,7 +328,7 @@ def test_failed_check_is_listed_first_with_the_position_where_the_scope_stops() 
 
 
 def test_all_scopes_of_the_library_are_judged_in_a_chest_with_progress_and_cancellation() -> None:
-    tree, wall, plan = reported.airways().tree, reported.wall(), reported.plan()
+    tree, wall, plan = phantom_plan.airways().tree, phantom_plan.wall(), phantom_plan.plan()
     told: list[float] = []
     found = judge_scopes(tree, plan, wall, effort=4000.0, progress=lambda _what, share: told.append(share))
     assert [one.scope for one in found] == list(scope_presets())

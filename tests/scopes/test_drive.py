@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from drive_hands import KINDS, random_samples
 from numpy.typing import NDArray
+from random_drive_inputs import KINDS, random_samples
 
 from carina.errors import CancelledError, UsageError
 from carina.phantom import Phantom, generate_phantom, lumen_distance_at
@@ -82,7 +82,9 @@ def test_copied_scope_drive_has_an_equal_pose_and_moves_independently(chest: Pha
     assert np.array_equal(one.shaft_lps(), other.shaft_lps())
 
 
-def test_scope_too_thick_for_the_airway_stops_and_reports_the_diameter_that_passes(chest: Phantom, field: WallField) -> None:
+def test_scope_too_thick_for_the_airway_stops_and_reports_the_diameter_that_passes(
+    chest: Phantom, field: WallField
+) -> None:
     by_name = {b["name"]: b for b in chest.truth["branches"]}
     path = path_to(chest, by_name["RB10"]["id"])
     drive = ScopeDrive(field, "therapeutic", path_to(chest, 0))

@@ -15,10 +15,10 @@ from lumen_cells import LumenCells, lattice_of
 from mesh_distance import MeshDistance
 
 import carina
+from cached_test_data import patient as the_patient
 from carina.phantom import generate_phantom, lumen_distance_at
 from carina.scopes import WallField
 from carina.track import lumen_mesh
-from made import patient as the_patient
 
 SEED = 3
 LOW, HIGH = np.array([-70.0, -50.0, -90.0]), np.array([70.0, 50.0, 112.0])

@@ -27,7 +27,9 @@ def tubes(radius_mm: float, axis: np.ndarray, *middles: np.ndarray) -> WallField
 
 @pytest.mark.parametrize("diameter_mm", [1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
 @pytest.mark.parametrize("off_mm", [0.0, 0.15, 0.3])
-def test_inscribed_ball_in_a_tube_has_the_tube_diameter_in_every_direction_and_position(diameter_mm: float, off_mm: float) -> None:
+def test_inscribed_ball_in_a_tube_has_the_tube_diameter_in_every_direction_and_position(
+    diameter_mm: float, off_mm: float
+) -> None:
     rng = np.random.default_rng(int(10 * diameter_mm))
     ways = np.concatenate([np.eye(3), rng.normal(size=(9, 3))])
     biases = []

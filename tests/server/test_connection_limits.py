@@ -19,7 +19,7 @@ from websockets.sync.client import connect
 
 from carina.server.network.connection_limits import TELL_EVERY_S, _OnceAMinute
 from carina.server.wire import messages as wire
-from own_folders import environment_in
+from user_folders import environment_in
 
 SERVER = """
 import resource, sys

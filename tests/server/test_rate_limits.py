@@ -163,7 +163,9 @@ def handled(monkeypatch):
     return done
 
 
-def test_observer_that_sends_a_flood_is_disconnected_and_all_messages_of_the_user_are_executed(desk, handled, monkeypatch):
+def test_observer_that_sends_a_flood_is_disconnected_and_all_messages_of_the_user_are_executed(
+    desk, handled, monkeypatch
+):
     live, window, page = desk
     monkeypatch.setattr(watching_window, "MESSAGES_PER_S", 0.0)
     monkeypatch.setattr(watching_window, "MESSAGES_AT_ONCE", 20.0)

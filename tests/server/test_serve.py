@@ -17,7 +17,7 @@ from carina.errors import CarinaError, UsageError, VolumeImportError
 from carina.server import serve
 from carina.server.serve import bind
 from carina.server.wire import messages as wire
-from own_folders import environment_in
+from user_folders import environment_in
 
 WAIT_S = 120.0
 """Upper limit of a wait, in seconds: the import of SimpleITK takes seconds on a busy machine."""

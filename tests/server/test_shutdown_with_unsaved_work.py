@@ -14,11 +14,11 @@ import time
 import pytest
 from forked_workstations import WAIT_S, Window
 
+from cached_test_data import made_phantom
 from carina.case import CaseFile
 from carina.volume import write_grid
 from faulty_disk import FAULTS, FaultyDisk, has_compiler
-from made import made_phantom
-from own_folders import environment_in
+from user_folders import environment_in
 
 pytestmark = [
     pytest.mark.slow,

@@ -13,7 +13,7 @@ from carina.errors import UsageError
 from carina.session import JobEnded, LocalStore, Trouble
 from carina.session.store.registry import FORGOTTEN_FOR_S, CaseRecords
 from carina.volume import Volume
-from kept_desk import Desk, MemoryFile
+from restartable_workstation import Desk, MemoryFile
 from small_case import small_volume
 
 

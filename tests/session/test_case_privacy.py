@@ -8,12 +8,12 @@ import os
 import sqlite3
 import zlib
 
+from cached_test_data import made_phantom
 from carina import commands as c
 from carina.case import CaseFile
 from carina.render import Renderer
 from carina.session import CaseRecords, Session, case_files
 from carina.volume import Volume, VolumeSource, write_grid
-from made import made_phantom
 
 NAMES = (b"MUELLER", b"Mueller", b"mueller", b"19610405", b"1961-04-05")
 SCANNED_ON = "2021-05-03"

@@ -7,6 +7,7 @@ import sqlite3
 
 import pytest
 
+from cached_test_data import made_phantom
 from carina import commands as c
 from carina.case import CaseFile
 from carina.session import Trouble, UserMessage, case_files
@@ -14,7 +15,6 @@ from carina.session.attach.select import program_session
 from carina.session.store.case_names import neutral_alias
 from carina.session.store.registry import CaseRecords
 from carina.volume import write_grid
-from made import made_phantom
 
 
 def write_ct(path, volume):

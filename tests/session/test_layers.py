@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import carina
+from cached_test_data import made_phantom
 from carina.commands import LungsOf, MapLungs, MapReach
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import Nodule
 from carina.plan.lungs.lung_map import LungMap, MappedMask, _within, map_lungs
 from carina.session.scene.layer_lines import ShownLayers
-from made import made_phantom
 from small_case import small_bench
 
 MATRIX = np.diag([2.0, 2.0, 2.0, 1.0])

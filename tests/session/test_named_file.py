@@ -13,7 +13,7 @@ import pytest
 from carina.session.store import named_file
 from carina.session.store.named_file import FileMark, NamedFile, NamedFileConflictError, path_beside, read_mark
 from carina.session.store.named_file_lock import NamedLock, lock_path
-from kept_desk import put_text
+from restartable_workstation import put_text
 
 WAIT_S = 60.0
 

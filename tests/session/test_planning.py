@@ -14,6 +14,7 @@ import pytest
 
 import carina
 import carina.plan
+from cached_test_data import found_airways, made_phantom
 from carina.case import CaseFile, CaseFileError
 from carina.case.document import Lesion
 from carina.case.sized_targets import lesion_facts, made_lesion
@@ -53,7 +54,6 @@ from carina.server.to_wire.plan import plans_message
 from carina.session import JobEnded, JobProgress, LocalStore, Session, default_parts
 from carina.session.derived.plans import shown_surface
 from carina.volume import write_grid
-from made import found_airways, made_phantom
 from small_case import SmallRenderer, small_bench, small_lps
 
 
@@ -192,7 +192,9 @@ def test_planned_route_ends_at_the_planned_tip_position_and_has_a_needle_line(
     assert case.ask(PlanningOf()).verdicts == ()
 
 
-def test_new_plan_options_compute_a_new_plan_and_preserve_target_names_and_notes(case: carina.Case, chest: Phantom) -> None:
+def test_new_plan_options_compute_a_new_plan_and_preserve_target_names_and_notes(
+    case: carina.Case, chest: Phantom
+) -> None:
     case.do(AddTarget(centre_of(chest)))
     (target,) = case.state.document.targets
     first = case.ask(PlanningOf()).targets[0].planned.plan
@@ -383,7 +385,9 @@ def test_surface_of_a_target_is_on_the_boundary_of_its_nodule(chest: Phantom) ->
     assert mesh.volume_mm3 == pytest.approx(nodule.volume_mm3, rel=0.15)
 
 
-def test_target_boundary_is_edited_by_diameter_and_brush_and_gets_several_aims(case: carina.Case, chest: Phantom) -> None:
+def test_target_boundary_is_edited_by_diameter_and_brush_and_gets_several_aims(
+    case: carina.Case, chest: Phantom
+) -> None:
     case.do(AddTarget(centre_of(chest)))
     (target,) = case.state.document.targets
     grown = target.lesion.nodule
@@ -454,7 +458,9 @@ def test_click_beside_an_airway_adds_a_target_in_it_until_the_user_grows_a_nodul
         assert case.state.document.route is None or case.state.document.route.target_id != target.target_id
 
 
-def test_see_turn_command_shows_the_camera_of_the_turn_for_both_operator_positions(case: carina.Case, chest: Phantom) -> None:
+def test_see_turn_command_shows_the_camera_of_the_turn_for_both_operator_positions(
+    case: carina.Case, chest: Phantom
+) -> None:
     with pytest.raises(NoResultError, match="choose a planned route first"):
         case.do(SeeTurn(1))
     case.do(AddTarget(centre_of(chest)))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import carina
+from cached_test_data import made_phantom
 from carina import commands as c
 from carina.case import CaseFile
 from carina.config import load_settings
@@ -19,8 +20,7 @@ from carina.render import Renderer
 from carina.session import Session, case_files
 from carina.session.store.named_file_lock import NamedLock
 from carina.session.store.registry import CaseRecords
-from made import made_phantom
-from own_folders import own_folders
+from user_folders import user_folders
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def made_case(phantom, tmp_path_factory):
 @pytest.fixture
 def saved(made_case, tmp_path, monkeypatch):
     """Return a copy of the case file for one test."""
-    for name, folder in own_folders(tmp_path / "home").items():
+    for name, folder in user_folders(tmp_path / "home").items():
         monkeypatch.setenv(name, folder)
     shutil.copytree(made_case, tmp_path / "work")
     return tmp_path / "work" / "one.carina"

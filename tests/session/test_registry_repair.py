@@ -21,8 +21,8 @@ from carina.session.state.snapshot import Trouble
 from carina.session.store.attach_endpoint import read_door
 from carina.session.store.registry import VERSION, CaseRecord, CaseRecords
 from carina.session.store.registry_repair import ASIDE, repair_records
-from own_folders import own_folders
 from small_case import small_volume
+from user_folders import user_folders
 
 NOW_S = 1.7e9
 
@@ -218,7 +218,7 @@ def test_damaged_connection_details_of_a_case_are_ignored(tmp_path, text):
 
 
 def test_cases_command_lists_the_repaired_case_with_the_message(monkeypatch, tmp_path, capfd):
-    for name, folder in own_folders(tmp_path).items():
+    for name, folder in user_folders(tmp_path).items():
         monkeypatch.setenv(name, folder)
     records = CaseRecords(load_settings().cases_dir, lambda: NOW_S)
     held = records.begin("ab" * 32, None)

@@ -17,7 +17,7 @@ from carina.session import Session, Trouble, UserMessage
 from carina.session.saving.writer import CaseSaver
 from carina.session.store.named_file import NamedFile
 from carina.session.store.registry import CaseRecords, LockedCase
-from kept_desk import WAIT_S, Desk, MemoryFile
+from restartable_workstation import WAIT_S, Desk, MemoryFile
 from small_case import LEFT_TIP, Background
 
 

@@ -16,7 +16,7 @@ from carina.session.attach.remote_case import RemoteCase
 from carina.session.attach.working_copy import NamedCase
 from carina.session.saving import writer
 from carina.session.saving.unsaved_work import unsaved_labels
-from kept_desk import Desk, MemoryFile
+from restartable_workstation import Desk, MemoryFile
 
 WAIT_S = 60.0
 

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from cached_test_data import patient
 from carina.track import Branch, RenameBranch, edit_airways, name_tree
 from carina.track.names.renaming import name_edited_tree
 from carina.track.tree.airway_tree import AirwayTree
 from carina_bench.track_tips import Repair, repair, uncut_airways
-from made import patient
 
 
 @pytest.fixture(scope="module")

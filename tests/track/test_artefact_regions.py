@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cached_test_data import made_airways, made_phantom
+from cached_test_data import patient as the_patient
 from carina.phantom import Phantom, lumen_distance_at
 from carina.track import Airways, find_airways
 from carina.track.find.air_upwards import AirSection
@@ -20,8 +22,6 @@ from carina.track.intensity_levels import air_scale
 from carina.track.paths.path_grid import PathGrid
 from carina.volume.model import Volume
 from carina_bench.track_disturbed_cases import Step, noisy, stepped, streaked, with_clips, with_metal
-from made import made_airways, made_phantom
-from made import patient as the_patient
 
 CHEST: dict[str, Any] = {"spacing_mm": 1.1, "noise_hu": 25.0}
 THICK: dict[str, Any] = {"spacing_mm": (0.8, 0.8, 3.0), "noise_hu": 25.0}

@@ -9,13 +9,13 @@ import pytest
 from scaled_chest import ScaledTruth, scaled
 
 import carina
+from cached_test_data import MASKED_CHEST, made_airways, made_phantom
 from carina.errors import NoResultError
 from carina.phantom import generate_phantom
 from carina.track import AirwayTree, Branch, CutBranch, edit_airways, name_tree
 from carina.track.find.chest_size import search_size, thread_confidence
 from carina.track.tree.calibrated_size import UNCALIBRATED_SIZE, limit_at, with_size_note
 from carina.volume import Volume
-from made import MASKED_CHEST, made_airways, made_phantom
 
 SEED, VOXEL_MM = MASKED_CHEST["seed"], MASKED_CHEST["spacing_mm"]
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from edit_case import edit_case, open_ended_airways, open_ended_volume
 
+from cached_test_data import found_airways, made_phantom
 from carina.errors import NoEvidenceError
 from carina.track import (
     AddBranch,
@@ -20,7 +21,6 @@ from carina.track import (
     renaming_texts,
 )
 from carina.track.edit.preview import new_lines
-from made import found_airways, made_phantom
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from cached_test_data import made_phantom
 from carina.errors import NoResultError
 from carina.phantom import Phantom
 from carina.track import find_airways
 from carina.volume.model import Volume
-from made import made_phantom
 
 SPACING_MM = 1.3
 

@@ -9,12 +9,12 @@ import pytest
 from sharp_kernel import grown, sharpened
 
 import carina
+from cached_test_data import MASKED_CHEST, made_airways, made_phantom
+from cached_test_data import patient as the_patient
 from carina.track.find.kernel_compensation import SEAM_MM, SOFT_HU, inverse_of, softened
 from carina.track.find.kernel_sharpness import edge_undershoot_hu
 from carina.track.intensity_levels import air_scale
 from carina.track.tree.thick_slices import THICK_SLICES
-from made import MASKED_CHEST, made_airways, made_phantom
-from made import patient as the_patient
 
 
 def in_plane(volume, amount, sigma_mm, noise_hu=15.0):

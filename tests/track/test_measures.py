@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cached_test_data import made_airways, made_phantom
 from carina._core import cast_sections, section_axes
 from carina.errors import CancelledError, UsageError
 from carina.track import AirwayTree, Branch, find_airways, measure_tree
@@ -24,7 +25,6 @@ from carina.track.measures.branch_summary import (
 from carina.track.measures.diameter import branch_diameter, narrowest_diameter, passage_of, with_scatter
 from carina.track.measures.forks import angle_deg, directions
 from carina.volume.model import Volume
-from made import made_airways, made_phantom
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import carina
+from cached_test_data import made_phantom
 from carina.errors import NoResultError, UsageError
 from carina.track import edit_airways, rebuild_airways
 from carina.track.edit.edit_list import CutBranch, PaintLumen
@@ -17,7 +18,6 @@ from carina.track.paths.path_grid import PathGrid
 from carina.track.tree.airway_tree import Branch
 from carina.track.tree.uncertainty import as_probable_as_its_way
 from carina.volume import Volume
-from made import made_phantom
 
 
 def volume(spacing_mm, shape_zyx=(20, 24, 28)):

@@ -9,13 +9,13 @@ import pytest
 from plugged_chest import CHEST
 
 import carina
+from cached_test_data import made_airways, made_phantom
+from cached_test_data import patient as the_patient
 from carina.track import AirwayTree, Branch, Bridge, find_absent
 from carina.track.find.airway_ends import find_uncertain
 from carina.track.find.partial_plugs import find_narrowed
 from carina.track.tree.uncertainty import filled_place
 from carina_bench.filled_bronchi import with_secretions
-from made import made_airways, made_phantom
-from made import patient as the_patient
 
 VOXEL_MM = CHEST["spacing_mm"]
 SEGMENTS = {"LB10": (5.0, 12.0), "RB6": (4.0, 11.0)}

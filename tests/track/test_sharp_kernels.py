@@ -10,6 +10,8 @@ import pytest
 from sharp_kernel import grown, sharpened
 
 import carina
+from cached_test_data import MASKED_CHEST, made_phantom
+from cached_test_data import patient as the_patient
 from carina.errors import NoResultError
 from carina.export import read_tree, write_tree
 from carina.phantom import generate_phantom
@@ -19,8 +21,6 @@ from carina.track.find.kernel_sharpness import edge_undershoot_hu
 from carina.track.intensity_levels import air_scale
 from carina.track.tree.airway_tree import Branch
 from carina.track.tree.thick_slices import THICK_SLICES
-from made import MASKED_CHEST, made_phantom
-from made import patient as the_patient
 
 CODE = "track.search-stopped"
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import carina
+from cached_test_data import made_phantom
 from carina.track import CutBranch, edit_airways
-from made import made_phantom
 
 CHEST = {"seed": 3, "spacing_mm": (1.3, 1.2, 1.5), "noise_hu": 25.0, "generations": 6}
 ORDERS = [(axes, flips) for axes in permutations(range(3)) for flips in product((False, True), repeat=3)]

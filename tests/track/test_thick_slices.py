@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import carina
+from cached_test_data import made_airways, made_phantom
 from carina.commands.tree import CutBranch
 from carina.track import Airways, AirwayTree, edit_airways, find_absent, fold_airways
 from carina.track.tree.thick_slices import (
@@ -31,7 +32,6 @@ from carina.track.tree.thick_slices import (
 from carina.volume import Volume, VolumeSource, badges_of
 from carina_bench.track_shares import CALIBRES, LEAST_LENGTH_MM, length_by_calibre
 from carina_bench.track_truth import truth_of_phantom
-from made import made_airways, made_phantom
 
 THICK: dict[str, Any] = {"spacing_mm": (0.8, 0.8, 3.0), "noise_hu": 25.0, "seed": 4}
 DISEASE = re.compile("blocked|filled|fills|resected|collapsed|tumour|mucus|secretions|obstructed")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 
 import grid_writers as grids
-import nifti_forms
+import nifti_qform_writer
 import numpy as np
 import pytest
 
@@ -80,7 +80,7 @@ def _turn(angle: float) -> np.ndarray:
 def test_nifti_whose_qform_is_the_nearest_rotation_to_its_sheared_sform_opens(tmp_path, degrees):
     # nibabel and dcm2niix write as qform the rotation that is nearest to the sform.
     expected = skewed(degrees, (1, 2))
-    path = nifti_forms.with_both_forms(tmp_path, expected, nifti_forms.nearest_rotation(expected))
+    path = nifti_qform_writer.with_both_forms(tmp_path, expected, nifti_qform_writer.nearest_rotation(expected))
     np.testing.assert_allclose(open_volume(path).lps_from_ijk, expected, rtol=0, atol=2e-5)
 
 
@@ -88,7 +88,7 @@ def test_nifti_whose_qform_is_the_nearest_rotation_to_its_sheared_sform_opens(tm
 def test_nifti_whose_qform_mirrors_its_sform_is_refused(tmp_path, axis):
     mirrored = grids.LPS_FROM_IJK.copy()
     mirrored[:3, axis] *= -1
-    path = nifti_forms.with_both_forms(tmp_path, grids.LPS_FROM_IJK, mirrored)
+    path = nifti_qform_writer.with_both_forms(tmp_path, grids.LPS_FROM_IJK, mirrored)
     with pytest.raises(VolumeImportError, match="qform and sform disagree") as caught:
         open_volume(path)
     assert caught.value.code == "import.geometry.ambiguous"

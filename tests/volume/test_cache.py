@@ -147,7 +147,9 @@ def test_citation_of_a_ct_is_restored_from_the_cache(volume_cache, tmp_path):
     assert_equal(volume_cache.get(source.path), patient)
 
 
-def test_quality_range_and_digest_of_a_cached_ct_are_restored_and_not_computed_again(volume_cache, tmp_path, monkeypatch):
+def test_quality_range_and_digest_of_a_cached_ct_are_restored_and_not_computed_again(
+    volume_cache, tmp_path, monkeypatch
+):
     path = chest_file(tmp_path)
     keep(volume_cache, path)
     expected = open_volume(path)
@@ -549,7 +551,9 @@ def test_cache_cleanup_does_nothing_while_another_process_cleans_up(volume_cache
     assert off.sweep() > 0
 
 
-def test_cache_cleanup_removes_voxel_files_without_a_source_record_after_two_hours(volume_cache, folder, clock, tmp_path):
+def test_cache_cleanup_removes_voxel_files_without_a_source_record_after_two_hours(
+    volume_cache, folder, clock, tmp_path
+):
     path = chest_file(tmp_path)
     keep(volume_cache, path)
     (source,) = files(folder, ".source")

@@ -44,7 +44,9 @@ def refusal(path: Path) -> VolumeImportError:
     return caught.value
 
 
-def test_oblique_anisotropic_series_has_the_positions_of_its_dicom_tags(write_series, expected_lps_from_ijk, expected_hu_zyx):
+def test_oblique_anisotropic_series_has_the_positions_of_its_dicom_tags(
+    write_series, expected_lps_from_ijk, expected_hu_zyx
+):
     volume = open_volume(write_series())
     # Tags have nine decimals; 1e-8 mm is their rounding error over the whole grid.
     np.testing.assert_allclose(volume.lps_from_ijk, expected_lps_from_ijk, rtol=0, atol=1e-8)

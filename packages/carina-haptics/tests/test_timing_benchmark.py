@@ -50,7 +50,9 @@ def test_moving_pictures_have_the_requested_rate_and_pictures_at_rest_full_size(
     assert full.per_s > 0.0
 
 
-def test_timing_benchmark_restores_the_threads_and_checks_limits_only_while_pictures_move(monkeypatch, capsys, tmp_path):
+def test_timing_benchmark_restores_the_threads_and_checks_limits_only_while_pictures_move(
+    monkeypatch, capsys, tmp_path
+):
     volume = small_volume()
     top = volume.lps_from_ijk[:3, 3] + np.array([0.0, 0.0, 50.0])
     monkeypatch.setattr(force_timing, "open_phantom", lambda *_: (volume, [top]))
