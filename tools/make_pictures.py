@@ -2,9 +2,9 @@
 
 Run after a visible change: ``.venv/bin/python tools/make_pictures.py``, then look at every picture before a commit.
 Each picture of the window contains a stamp, in a comment that no viewer shows: the positions and colours of the
-window's elements. ``tests/e2e/test_pictures.py`` compares the stamp with the present window. Pictures show only the
-bundled CC BY case or the phantom, never another patient. (The gallery's pictures are golden images of
-``examples/02_gallery``, and those of ``docs/cluster.md`` come from ``carina bench cluster``.)
+window's elements. ``tests/e2e/test_documentation_pictures.py`` compares the stamp with the present window.
+Pictures show only the bundled CC BY case or the phantom, never another patient. (The gallery's pictures are golden
+images of ``examples/02_gallery``, and those of ``docs/cluster.md`` come from ``carina bench cluster``.)
 """
 
 from __future__ import annotations

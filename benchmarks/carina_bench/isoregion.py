@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from carina.cli.console import progress_printer, say
 from carina.render import CutPlaneView, Renderer, build_isoregion_map, project_maximum, sample_plane
 from carina.scopes import Pose
+from carina_bench.alternating_timer import Times, median_ratio, take_turns
 from carina_bench.cases import Case, open_case
-from carina_bench.clock import Times, median_ratio, take_turns
 from carina_bench.pictures import difference, save
 from carina_bench.scene import TRANSFER
 
@@ -163,7 +163,7 @@ def projections(request: Request) -> list[dict[str, Any]]:
 
 def planes(request: Request) -> list[dict[str, Any]]:
     """Compare the time of an oblique slice of 256 x 256 with ``vtkImageReslice``: one thread, CPU time."""
-    from carina_bench.vtk_peer import vtk_reslice
+    from carina_bench.vtk_reference import vtk_reslice
 
     size = 256
     rows = []

@@ -20,7 +20,7 @@ from carina.disk import make_folder, write_whole
 from carina.errors import CarinaError
 from carina.phantom import generate_phantom
 from carina.volume import CtSource, Volume, VolumeCache, ct_digest, open_volume, quality_gate, write_grid
-from carina_bench.clock import median_ratio, take_turns
+from carina_bench.alternating_timer import median_ratio, take_turns
 from carina_bench.gates import Gate
 from carina_bench.machine import load_average, machine_facts
 from carina_bench.worker import run_section

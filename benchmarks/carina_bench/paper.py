@@ -14,7 +14,7 @@ from carina.cli.console import say
 from carina.render import AirwayView, Renderer, TransferFunction
 from carina.scopes import Pose
 from carina.volume import Volume
-from carina_bench.clock import median_ratio, take_turns
+from carina_bench.alternating_timer import median_ratio, take_turns
 from carina_bench.pictures import difference, save
 from carina_bench.render import Request
 

@@ -2,11 +2,11 @@
 
 A route leads from the trachea to a point at a third, two thirds or the end of a branch that was found. Its true
 narrowest diameter is the diameter of the largest ball that passes through the painted lumens
-(:mod:`carina_bench.true_passage`), at least that of the widest tube at each point. Routes that leave the true lumen are
-omitted. Subjects are painted phantoms, painted patients, and the phantoms of `carina.generate_phantom` (*generated*),
-whose walls are blurred as if they were flat. The constants of the error were fitted on ``FITTED``; the other subjects
-only check the constants and have rows of their own. By kernel and slices, four diameters are compared with the true
-one:
+(:mod:`carina_bench.true_narrowest_diameter`), at least that of the widest tube at each point. Routes that leave the
+true lumen are omitted. Subjects are painted phantoms, painted patients, and the phantoms of `carina.generate_phantom`
+(*generated*), whose walls are blurred as if they were flat. The constants of the error were fitted on ``FITTED``; the
+other subjects only check the constants and have separate rows. By kernel and slices, four diameters are compared with
+the true one:
 
 - *sections*: the narrowest diameter that a plan states (:mod:`carina.plan.routes.route_width`), if sections were
   measured along the whole route;
@@ -47,7 +47,7 @@ from carina_bench.track_diameter_cases import (
     painted_phantoms,
 )
 from carina_bench.track_truth import truth_of_phantom
-from carina_bench.true_passage import largest_balls_mm, lumen_wall, widest_tubes_mm
+from carina_bench.true_narrowest_diameter import largest_balls_mm, lumen_wall, widest_tubes_mm
 
 __all__ = ["ComparedRoute", "compared_routes", "generated_phantoms", "rows_by_condition", "rows_of", "run"]
 

@@ -19,8 +19,8 @@ from carina.errors import RenderError
 from carina.render import AirwayView, Picture, Renderer, TransferFunction, build_info
 from carina.scopes import DEFAULT_SCOPE, Pose, scope_preset
 from carina.volume import Volume
+from carina_bench.alternating_timer import Times, median_ratio, take_turns
 from carina_bench.cases import Case, open_case
-from carina_bench.clock import Times, median_ratio, take_turns
 from carina_bench.machine import load_average
 from carina_bench.pictures import difference, save
 from carina_bench.scene import FOV_DEG, STEP_VOX, STOP_TRANSPARENCY, TRANSFER, VTK_STOP_TRANSPARENCY
@@ -100,8 +100,8 @@ def frames(request: Request) -> list[dict[str, Any]]:
     Carina renders the benchmark's scene and the default look of the window. VTK has no such look, so VTK renders the
     benchmark's scene in both comparisons.
     """
-    from carina_bench.numba_peer import numba_caster
-    from carina_bench.vtk_peer import VtkCaster
+    from carina_bench.numba_reference import numba_caster
+    from carina_bench.vtk_reference import VtkCaster
 
     rows = []
     for name in request["cases"]:

@@ -13,8 +13,8 @@ from carina.cli.console import progress_printer, say
 from carina.render import AirwayView, Renderer, TransferFunction, transfer_preset
 from carina.scopes import Pose
 from carina.volume import Volume
+from carina_bench.alternating_timer import median_ratio, take_turns
 from carina_bench.cases import Case, open_case
-from carina_bench.clock import median_ratio, take_turns
 from carina_bench.machine import load_average
 from carina_bench.pictures import difference, save
 from carina_bench.render import Request, num_loads, prepared

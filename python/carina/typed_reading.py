@@ -2,7 +2,7 @@
 
 msgspec 0.22.0 stores its prepared data of a class in the class before the preparation is complete. The preparation runs
 Python code, so another thread can read a value with the incomplete data, which ends the process with a segmentation
-fault. In Carina only the functions of this module read typed values; ``tests/contract/test_typed_reading.py`` checks
+fault. In Carina only the functions of this module read typed values; ``tests/contract/test_typed_json.py`` checks
 this rule.
 """
 

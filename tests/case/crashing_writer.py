@@ -25,7 +25,7 @@ def acts_of(seed):
 
 def work(seed: int, path: Path, volume, say) -> None:
     from edit_case import EditCase
-    from kept_case import Doing, act
+    from sample_case import Doing, act
 
     from carina.case import CaseFile
 
@@ -47,7 +47,7 @@ def work(seed: int, path: Path, volume, say) -> None:
 def main() -> None:
     folder = Path(sys.argv[1])
     sys.path[:0] = sys.argv[2:]
-    import kept_case  # noqa: F401  # before the forks
+    import sample_case  # noqa: F401  # before the forks
 
     from carina.volume import Volume
 

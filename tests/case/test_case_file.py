@@ -7,7 +7,7 @@ import pytest
 from edit_case import edit_case
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from kept_case import ACTS, Doing, act, assert_same_airways, assert_same_moment, source_of, whole
+from sample_case import ACTS, Doing, act, assert_same_airways, assert_same_moment, source_of, whole
 
 from carina.case import CaseFile, CaseFileError
 from carina.track import AddBranch, edit_airways
@@ -46,7 +46,7 @@ def doing():
     return Doing()
 
 
-def test_case_without_a_step_is_restored(doing, tmp_path):
+def test_case_without_any_edit_is_restored(doing, tmp_path):
     moment = doing.moment()
     with CaseFile.create(tmp_path / "one.carina", source_of(doing.case)) as file:
         assert file.digest == source_of(doing.case).digest
@@ -59,11 +59,11 @@ def test_case_without_a_step_is_restored(doing, tmp_path):
 
 @settings(max_examples=6, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(acts=sequences)
-def test_reopening_before_each_action_does_not_change_the_case(acts, tmp_path_factory):
+def test_case_reopened_before_each_action_equals_a_case_that_stayed_open(acts, tmp_path_factory):
     worked_on(acts, tmp_path_factory.mktemp("case") / "one.carina")
 
 
-def test_compressed_tree_with_a_renamed_branch_keeps_its_paths(tmp_path):
+def test_compressed_tree_with_a_renamed_branch_keeps_its_branch_paths(tmp_path):
     worked_on([("rename", 3401), ("add", 1974794), ("root", 0), ("fold", 0)], tmp_path / "one.carina")
 
 
@@ -80,11 +80,13 @@ def divided_case():
 
 @settings(max_examples=4, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(acts=sequences)
-def test_reopening_with_divided_slices_does_not_change_the_case(acts, divided_case, tmp_path_factory):
+def test_case_with_divided_slices_reopened_before_each_action_equals_one_that_stayed_open(
+    acts, divided_case, tmp_path_factory
+):
     worked_on(acts, tmp_path_factory.mktemp("case") / "one.carina", divided_case)
 
 
-def test_lumen_in_divided_slices_is_restored(divided_case, tmp_path):
+def test_lumen_searched_in_divided_slices_is_restored_from_the_case_file(divided_case, tmp_path):
     with CaseFile.create(tmp_path / "one.carina", source_of(divided_case)) as file:
         file.save(Doing(divided_case).moment())
     with CaseFile.open(tmp_path / "one.carina") as file:
@@ -98,11 +100,11 @@ def test_lumen_in_divided_slices_is_restored(divided_case, tmp_path):
 @pytest.mark.soak
 @settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
 @given(acts=sequences)
-def test_reopening_before_each_action_does_not_change_the_case_in_300_sequences(acts, tmp_path_factory):
+def test_case_reopened_before_each_action_equals_one_that_stayed_open_in_300_sequences(acts, tmp_path_factory):
     worked_on(acts, tmp_path_factory.mktemp("case") / "one.carina")
 
 
-def test_live_path_and_edit_after_reopening_equal_those_before(doing, tmp_path):
+def test_reopened_airways_give_the_live_path_and_the_edit_of_the_original(doing, tmp_path):
     with CaseFile.create(tmp_path / "one.carina", source_of(doing.case)) as file:
         file.save(doing.moment())
     with CaseFile.open(tmp_path / "one.carina") as file:

@@ -12,7 +12,7 @@ from pathlib import Path
 import crashing_writer
 import numpy as np
 import pytest
-from kept_case import Doing, act, assert_same_moment, source_of
+from sample_case import Doing, act, assert_same_moment, source_of
 
 from carina.case import CaseFile, CaseFileError
 from carina.errors import DiskError
@@ -117,17 +117,17 @@ def kill_often(doing, begun, times):
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
-def test_writer_killed_a_dozen_times_loses_no_saved_action(doing, begun):
+def test_writer_process_killed_a_dozen_times_loses_no_saved_action(doing, begun):
     kill_often(doing, begun, 12)
 
 
 @pytest.mark.soak
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
-def test_writer_killed_two_hundred_times_loses_no_saved_action(doing, begun):
+def test_writer_process_killed_two_hundred_times_loses_no_saved_action(doing, begun):
     kill_often(doing, begun, 200)
 
 
-def test_power_failure_at_any_byte_of_the_journal_leaves_a_saved_moment(doing, begun, tmp_path):
+def test_power_failure_at_any_byte_of_the_journal_restores_one_of_the_saved_states(doing, begun, tmp_path):
     rng = np.random.default_rng(8)
     moments = [doing.moment()]
     with CaseFile.open(begun) as file:
@@ -153,7 +153,7 @@ def test_power_failure_at_any_byte_of_the_journal_leaves_a_saved_moment(doing, b
         assert_same_moment(found, expected, doing.case, deep=False)
 
 
-def test_full_disk_is_reported_and_the_last_save_remains(doing, begun, tmp_path):
+def test_full_disk_is_reported_and_the_last_saved_state_remains_readable(doing, begun, tmp_path):
     import resource
 
     rng = np.random.default_rng(9)

@@ -10,12 +10,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cached_test_data import made_phantom
 from carina import commands as c
 from carina.case import CaseFile, CaseFileError, CaseFollower, SourceFacts
 from carina.session.attach.select import do_and_wait, program_session
 from carina.track import FoldedAirways
 from carina.volume import Volume
-from made import made_phantom
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def labels(moment):
     return [step.label for step in moment.steps[: moment.position]]
 
 
-def test_each_read_content_equals_the_saved_one_and_shares_unchanged_parts(live):
+def test_content_read_by_a_follower_equals_the_saved_content_and_shares_unchanged_parts(live):
     volume, session, file = live
     follower = CaseFollower(file.path, volume)
     with pytest.raises(CaseFileError) as empty:
@@ -78,7 +78,7 @@ def test_each_read_content_equals_the_saved_one_and_shares_unchanged_parts(live)
     assert np.array_equal(again.lumen_zyx, renamed.airways.lumen_zyx)
 
 
-def test_file_whose_unused_rows_were_deleted_is_reread(live):
+def test_follower_reads_a_file_again_from_the_start_after_its_unused_rows_were_deleted(live):
     volume, session, file = live
     follower = CaseFollower(file.path, volume)
     do_and_wait(session, c.OpenVolume(volume))

@@ -12,7 +12,7 @@ shapes = st.tuples(*(st.integers(1, 70) for _ in range(3)))
 
 
 @given(shape=shapes, seed=st.integers(0, 2**32 - 1), share=st.sampled_from([0.0, 0.0001, 0.3, 1.0]))
-def test_any_lumen_is_restored_from_its_tiles(shape, seed, share):
+def test_any_lumen_is_restored_from_its_stored_tiles(shape, seed, share):
     lumen = (np.random.default_rng(seed).random(shape) < share).astype(np.uint8)
     tiles = to_tiles(lumen)
     places = [place for place, _ in tiles]
@@ -24,7 +24,7 @@ def test_any_lumen_is_restored_from_its_tiles(shape, seed, share):
     assert not found.flags.writeable
 
 
-def test_nonzero_values_are_lumen_and_an_edit_changes_one_tile():
+def test_every_nonzero_voxel_is_lumen_and_an_edit_of_one_voxel_changes_one_tile():
     lumen = np.zeros((80, 80, 80), np.uint8)
     lumen[10:70, 20, 20] = 255
     before = to_tiles(lumen)

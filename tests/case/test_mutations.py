@@ -16,8 +16,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kept_case import Doing, act, assert_same_moment, source_of, whole
 from mutated_case import Mutator
+from sample_case import Doing, act, assert_same_moment, source_of, whole
 
 from carina.case import CaseFile, StoredMeasures, Target
 from carina.case.bounds import MAX_LABEL_CHARS, MAX_S
@@ -181,12 +181,12 @@ def run(made, folder, seeds):
     return found, wrong
 
 
-def test_case_without_a_mutation_opens_and_is_listed(made, tmp_path):
+def test_case_without_random_damage_opens_and_is_listed(made, tmp_path):
     opened(made[1], made[0], tmp_path / "again.carina")
     assert start_page(made[1], tmp_path) == 1
 
 
-def test_mutated_case_opens_or_is_refused_and_the_start_page_opens(made, tmp_path):
+def test_randomly_damaged_case_opens_or_is_refused_and_the_start_page_opens(made, tmp_path):
     found, wrong = run(made, tmp_path, range(NUM_MUTATIONS))
     assert wrong == [], "\n".join(wrong)
     # Some mutations must be harmless and some must be fatal.
@@ -195,7 +195,7 @@ def test_mutated_case_opens_or_is_refused_and_the_start_page_opens(made, tmp_pat
 
 
 @pytest.mark.soak
-def test_2000_mutated_cases_open_or_are_refused_and_the_start_page_opens(made, tmp_path):
+def test_2000_randomly_damaged_cases_open_or_are_refused_and_the_start_page_opens(made, tmp_path):
     found, wrong = run(made, tmp_path, range(1000, 1000 + NUM_IN_SOAK))
     print(dict(found))
     assert wrong == [], "\n".join(wrong)

@@ -7,7 +7,7 @@ import sqlite3
 import numpy as np
 import pytest
 from edit_case import edit_case
-from kept_case import assert_same_document, assert_same_measures
+from sample_case import assert_same_document, assert_same_measures
 
 from carina.case import CaseFile, StoredAirways
 from carina.case.recordings import RecordingTable
@@ -149,7 +149,7 @@ def measures_of_steps(session, background):
     return found
 
 
-def test_undo_and_reopening_do_not_repeat_measurements(tmp_path):
+def test_undo_and_reopening_do_not_repeat_the_measurement_of_branches(tmp_path):
     measuring = Measuring()
     session, background = started(tmp_path, measuring)
     worked(session, background)
@@ -178,7 +178,7 @@ def test_undo_and_reopening_do_not_repeat_measurements(tmp_path):
     again.close()
 
 
-def test_damaged_measures_are_measured_again_with_a_message(tmp_path):
+def test_damaged_stored_measurements_are_computed_again_with_a_message(tmp_path):
     measuring = Measuring()
     session, background = started(tmp_path, measuring)
     worked(session, background)
@@ -208,7 +208,7 @@ def test_damaged_measures_are_measured_again_with_a_message(tmp_path):
     again.close()
 
 
-def test_live_case_of_an_older_version_is_migrated_and_the_original_is_retained(tmp_path):
+def test_live_case_of_an_older_version_is_migrated_and_the_original_file_is_retained(tmp_path):
     measuring = Measuring()
     session, background = started(tmp_path, measuring)
     worked(session, background)
@@ -279,7 +279,7 @@ def test_flight_is_recorded_into_the_case_and_replayed_bit_for_bit(tmp_path):
     again.close()
 
 
-def test_recording_interrupted_by_a_crash_lacks_only_its_last_moments(tmp_path, monkeypatch):
+def test_recording_interrupted_by_a_crash_lacks_only_its_last_seconds(tmp_path, monkeypatch):
     session, _ = started(tmp_path)
     session.do(RecordFlight())
     flown(session, session._core.clock, 4)
@@ -320,7 +320,7 @@ def refused(*_arguments, **_options):
     raise DiskError("the disk is full", code="disk.full")
 
 
-def test_recording_that_the_disk_does_not_store_stays_in_memory(tmp_path, monkeypatch):
+def test_recording_is_retained_in_memory_if_the_disk_does_not_store_it(tmp_path, monkeypatch):
     session, _ = started(tmp_path)
     session.do(RecordFlight())
     flown(session, session._core.clock, 2)
@@ -337,7 +337,7 @@ def test_recording_that_the_disk_does_not_store_stays_in_memory(tmp_path, monkey
     session.close()
 
 
-def test_case_without_a_file_has_no_recording(tmp_path):
+def test_recording_is_unavailable_for_a_case_without_a_file(tmp_path):
     session = Session(SmallRenderer, parts=small_parts(), submit=(background := Background()), clock=Clock())
     session.do(OpenPath("case"))
     background.run_all()
@@ -359,7 +359,7 @@ def recorded(session, seconds=1):
     session.do(StopRecording())
 
 
-def test_flights_stay_named_described_ordered_and_deleted_after_reopening(tmp_path):
+def test_names_descriptions_order_and_deletions_of_flights_are_restored_after_reopening(tmp_path):
     session, _ = started(tmp_path)
     assert listed(session) == []
     for seconds in (1, 2, 3):
@@ -434,7 +434,7 @@ def test_flight_interrupted_by_a_crash_is_listed_as_incomplete_and_replayed_to_i
     again.close()
 
 
-def test_flight_is_replayed_at_its_place_until_a_manual_move_of_the_tip(tmp_path):
+def test_flight_is_replayed_from_the_selected_time_until_a_manual_move_of_the_tip(tmp_path):
     session, background = started(tmp_path)
     session.do(RecordFlight())
     first = session.pose_info().pose
@@ -466,7 +466,7 @@ def test_flight_is_replayed_at_its_place_until_a_manual_move_of_the_tip(tmp_path
     session.close()
 
 
-def test_manual_move_while_a_flight_is_read_is_not_undone(tmp_path):
+def test_flight_that_is_still_being_read_does_not_undo_a_manual_move(tmp_path):
     session, background = started(tmp_path)
     recorded(session)
     session.do(FlyFlight(1, 0.0))
@@ -477,7 +477,7 @@ def test_manual_move_while_a_flight_is_read_is_not_undone(tmp_path):
     session.close()
 
 
-def test_changes_of_flights_while_the_disk_fails_are_written_later(tmp_path, monkeypatch):
+def test_changes_of_flights_made_during_a_disk_failure_are_written_after_it(tmp_path, monkeypatch):
     session, _ = started(tmp_path)
     recorded(session)
     recorded(session)

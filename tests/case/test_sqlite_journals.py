@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from kept_case import Doing, assert_same_moment, source_of
+from sample_case import Doing, assert_same_moment, source_of
 
 from carina.case import CaseFile, CaseFileError, migrate, rescued, sqlite_journals
 from carina.errors import DiskError
@@ -88,7 +88,7 @@ def refusals(path):
 
 
 @pytest.mark.parametrize("tail", ["-wal", "-journal"])
-def test_journal_of_50_gb_is_refused_and_nothing_is_copied(closed, tail, monkeypatch):
+def test_journal_file_of_50_gb_is_refused_before_anything_is_copied(closed, tail, monkeypatch):
     with closed.with_name(closed.name + tail).open("wb") as file:
         file.truncate(SPARSE_BYTES)
     monkeypatch.setattr(sqlite_journals, "_copy", lambda *_: pytest.fail("copied"))
@@ -99,7 +99,7 @@ def test_journal_of_50_gb_is_refused_and_nothing_is_copied(closed, tail, monkeyp
         assert "move that file" in str(error)
 
 
-def test_only_the_valid_frames_of_a_journal_are_copied(made, killed, monkeypatch):
+def test_only_the_valid_frames_of_an_oversized_journal_are_copied(made, killed, monkeypatch):
     journal = killed.with_name("x.carina-wal")
     used = journal.stat().st_size
     os.truncate(journal, 8 << 30)
@@ -133,14 +133,14 @@ def test_invalid_journal_is_not_replayed_and_is_renamed(made, closed, tail, cont
 
 @pytest.mark.parametrize("tail", ["-wal", "-journal"])
 @pytest.mark.parametrize("size", [0, 512, 5000])
-def test_case_with_an_empty_journal_or_one_of_zeros_opens_completely(made, closed, tail, size):
+def test_case_with_an_empty_journal_or_a_journal_of_zeros_opens_with_all_its_content(made, closed, tail, size):
     closed.with_name(closed.name + tail).write_bytes(bytes(size))
     for read_only in (True, False):
         with CaseFile.open(closed, read_only=read_only) as file:
             assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
 
 
-def test_journal_that_names_a_file_of_another_database_is_refused(closed, tmp_path):
+def test_journal_that_names_the_file_of_another_database_is_refused(closed, tmp_path):
     # After a replay SQLite deletes the file whose name is at the end of a rollback journal.
     victim = tmp_path / "work.txt"
     victim.write_text("years of work")
@@ -164,7 +164,7 @@ def test_journal_that_names_a_file_of_another_database_is_refused(closed, tmp_pa
 @pytest.mark.skipif(os.name != "posix", reason="pipes of POSIX")
 @pytest.mark.parametrize("tail", ["", "-wal", "-journal", "-shm"])
 @pytest.mark.parametrize("kind", ["pipe", "device"])
-def test_pipe_or_device_in_place_of_a_case_or_its_journal_is_refused(closed, tail, kind):
+def test_pipe_or_device_with_the_name_of_a_case_or_its_journal_is_refused(closed, tail, kind):
     path = closed.with_name(closed.name + tail)
     path.unlink(missing_ok=True)
     if kind == "pipe":
@@ -184,7 +184,7 @@ def test_folder_with_the_name_of_a_journal_is_refused(closed):
         assert "found a folder" in str(error)
 
 
-def test_copy_larger_than_the_free_space_is_refused_before_it_is_made(killed, monkeypatch):
+def test_copy_of_a_case_larger_than_the_free_space_is_refused_before_it_is_made(killed, monkeypatch):
     usage = shutil.disk_usage
 
     def full(path):

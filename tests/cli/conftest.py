@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import pytest
 
+from cached_test_data import made_phantom
 from carina.cli import main
 from carina.phantom import write_phantom
-from made import made_phantom
-from own_folders import own_folders
+from user_folders import user_folders
 
 
 @dataclass
@@ -32,7 +32,7 @@ class Ended:
 @pytest.fixture
 def carina(monkeypatch, capfd, tmp_path):
     """Return a function that runs ``carina ARGUMENTS`` with temporary user folders."""
-    for name, folder in own_folders(tmp_path / "home").items():
+    for name, folder in user_folders(tmp_path / "home").items():
         monkeypatch.setenv(name, folder)
 
     def run(*arguments):

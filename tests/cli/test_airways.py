@@ -9,11 +9,11 @@ import pytest
 import SimpleITK as sitk
 from edit_case import edit_case, in_plain_lung, open_ended_volume
 
+from cached_test_data import made_phantom
 from carina.export import write_mask
 from carina.phantom import write_phantom
 from carina.track import find_airways, measure_tree
 from carina.volume import open_volume
-from made import made_phantom
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +23,7 @@ def case(tmp_path_factory):
     return folder
 
 
-def test_airways_of_thick_slices_states_the_calibrated_shares(carina, tmp_path):
+def test_airways_command_states_the_calibrated_detection_shares_for_thick_slices(carina, tmp_path):
     chest = made_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=4)
     write_phantom(chest, tmp_path)
     found = carina("airways", tmp_path / "ct.nii.gz", "--json")
@@ -40,13 +40,13 @@ def test_airways_of_thick_slices_states_the_calibrated_shares(carina, tmp_path):
     assert badge["words"] in words.out + words.err
 
 
-def test_airways_of_thin_slices_states_no_shares(carina, case):
+def test_airways_command_states_no_detection_shares_for_thin_slices(carina, case):
     report = carina("airways", case / "ct.nii.gz", "--json").json()
     assert report["calibrated_shares"] is None
     assert report["badges"] == []
 
 
-def test_airways_reports_its_result_and_writes_tree_and_lumen(carina, case, tmp_path):
+def test_airways_command_prints_its_result_and_writes_tree_and_lumen(carina, case, tmp_path):
     tree, lumen = tmp_path / "t.json", tmp_path / "lumen.nii.gz"
     found = carina("airways", case / "ct.nii.gz", "-o", tree, "--mask", lumen, "--json")
     assert found.code == 0
@@ -65,7 +65,7 @@ def test_airways_reports_its_result_and_writes_tree_and_lumen(carina, case, tmp_
     assert all(report["branches"][0].keys() == row.keys() for row in report["branches"])
 
 
-def test_airways_uses_the_mask_of_another_tool_instead_of_a_search(carina, case, tmp_path):
+def test_airways_command_uses_the_given_mask_instead_of_a_search(carina, case, tmp_path):
     written = tmp_path / "lumen.nrrd"
     found = carina("airways", case / "ct.nii.gz", "--from-mask", case / "lumen.nii.gz", "--mask", written, "--json")
     assert found.code == 0
@@ -84,7 +84,7 @@ def test_mask_on_another_grid_is_refused_before_the_search(carina, case, tmp_pat
     assert carina("airways", case / "ct.nii.gz", "--label", "2").code == 2
 
 
-def test_ct_without_airways_exits_4_with_reason_and_remedy(carina, tmp_path):
+def test_ct_without_airways_exits_with_code_4_and_states_reason_and_remedy(carina, tmp_path):
     image = sitk.GetImageFromArray(np.random.default_rng(0).integers(-100, 100, (20, 40, 40), dtype=np.int16))
     sitk.WriteImage(image, str(tmp_path / "block.nrrd"))
     ended = carina("airways", tmp_path / "block.nrrd", "-o", tmp_path / "t.json", "--json")
@@ -94,14 +94,14 @@ def test_ct_without_airways_exits_4_with_reason_and_remedy(carina, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["a.json", "a.vtp", "a.swc", "a.mrk.json", "a.nii.gz", "a.stl", "a.glb"])
-def test_export_writes_a_file_in_each_tree_format(carina, case, tmp_path, name):
+def test_export_command_writes_a_file_in_each_tree_format(carina, case, tmp_path, name):
     ended = carina("export", case / "ct.nii.gz", "-o", tmp_path / name, "--json")
     assert ended.code == 0
     assert ended.json()["output"] == str(tmp_path / name)
     assert (tmp_path / name).stat().st_size > 500
 
 
-def test_export_of_a_given_tree_runs_no_search(carina, case, tmp_path):
+def test_export_command_with_a_given_tree_runs_no_search(carina, case, tmp_path):
     truth = case / "truth.json"
     ended = carina("export", case / "ct.nii.gz", "--tree", truth, "-o", tmp_path / "t.swc", "--json")
     assert ended.code == 0
@@ -141,7 +141,9 @@ def point(lps):
     return ",".join(f"{v:.3f}" for v in lps)
 
 
-def test_added_branch_without_evidence_exits_4_and_other_branches_are_written(carina, lung_case, tmp_path):
+def test_added_branch_without_evidence_exits_with_code_4_and_the_other_branches_are_written(
+    carina, lung_case, tmp_path
+):
     tree = tmp_path / "t.json"
     ended = carina(*lung_case, "--add-branch", point(in_plain_lung()), "-o", tree, "--json")
     assert ended.code == 4
@@ -157,7 +159,7 @@ def test_added_branch_without_evidence_exits_4_and_other_branches_are_written(ca
     assert report["drawn_mm"] == 0.0
 
 
-def test_airways_lists_measured_diameters_with_their_errors(carina, lung_case):
+def test_airways_command_lists_measured_diameters_with_their_errors(carina, lung_case):
     volume = open_volume(lung_case[1])
     root = np.array([float(part) for part in lung_case[-1].split(",")])
     airways = find_airways(volume, root_lps=root, lumen_zyx=edit_case().airways.lumen_zyx)
@@ -171,7 +173,7 @@ def test_airways_lists_measured_diameters_with_their_errors(carina, lung_case):
     assert f"{rows[0]['lumen_mm']:.1f} mm wide" in carina(*lung_case).out
 
 
-def test_branch_added_without_evidence_is_labelled_in_every_output(carina, lung_case, tmp_path):
+def test_branch_added_without_evidence_is_labelled_as_such_in_every_output(carina, lung_case, tmp_path):
     tree, lumen, lines = tmp_path / "t.json", tmp_path / "l.nrrd", tmp_path / "t.swc"
     arguments = [*lung_case, "--add-branch", point(in_plain_lung()), "--even-without-evidence", "-o", tree]
     ended = carina(*arguments, "--mask", lumen, "--json")
@@ -211,7 +213,7 @@ def test_branch_added_without_evidence_is_labelled_in_every_output(carina, lung_
     assert seen.json()["drawn_mm"] > 2.0
 
 
-def test_added_branch_outside_the_scan_and_option_without_a_branch_are_refused(carina, lung_case):
+def test_added_branch_outside_the_scan_and_evidence_option_without_a_branch_are_refused(carina, lung_case):
     outside = carina(*lung_case, "--add-branch", "0,0,9000", "--json")
     assert outside.code == 2
     assert outside.json()["error"]["code"] == "track.outside-volume"

@@ -49,7 +49,7 @@ def told(ended, codes=CODES):
     return badges
 
 
-def test_info_reports_the_badge_and_strict_exits_with_3(carina, doubted, ct):
+def test_info_command_prints_the_quality_badge_and_strict_exits_with_code_3(carina, doubted, ct):
     ended = carina("info", doubted, "--json")
     result = ended.json()
     assert [note["code"] for note in result["notes"]] == CODES
@@ -62,7 +62,7 @@ def test_info_reports_the_badge_and_strict_exits_with_3(carina, doubted, ct):
     assert "import.not-numbers" in strict.err
 
 
-def test_airways_and_export_report_the_badge_and_with_strict_exit_with_3(carina, doubted, tmp_path):
+def test_airways_and_export_commands_print_the_quality_badge_and_exit_with_code_3_if_strict(carina, doubted, tmp_path):
     file = tmp_path / "t.json"
     told(carina("airways", doubted, "-o", file, "--mask", tmp_path / "m.nrrd", "--json"), FOUND_CODES)
     assert [note.code for note in read_badges(file)] == FOUND_CODES
@@ -76,14 +76,14 @@ def test_airways_and_export_report_the_badge_and_with_strict_exit_with_3(carina,
     assert not (tmp_path / "never.swc").exists()
 
 
-def test_badge_of_a_tree_is_copied_to_its_exports(carina, ct, doubted, tree, tmp_path):
+def test_quality_badge_of_a_tree_is_copied_to_its_exports(carina, ct, doubted, tree, tmp_path):
     told(carina("export", ct, "--tree", tree, "-o", tmp_path / "t.vtp", "--json"), ["track.search-stopped"])
     both = carina("export", doubted, "--tree", tree, "-o", tmp_path / "t.json", "--json")
     told(both, [*CODES, "track.search-stopped"])
     assert [note.code for note in read_badges(tmp_path / "t.json")] == [*CODES, "track.search-stopped"]
 
 
-def test_picture_and_tracked_path_contain_the_badges(carina, doubted, phantom_folder, tmp_path):
+def test_picture_surface_and_tracked_path_contain_the_quality_badges(carina, doubted, phantom_folder, tmp_path):
     picture = tmp_path / "a.png"
     told(carina("render", doubted, "--view", "axial", "--at", "0,0,0", "--size", "64x48", "-o", picture, "--json"))
     assert [note.code for note in read_png_badges(picture)] == CODES
@@ -98,7 +98,7 @@ def test_picture_and_tracked_path_contain_the_badges(carina, doubted, phantom_fo
     assert [note.code for note in read_badges(file)] == FOUND_CODES
 
 
-def test_video_contains_the_badges(carina, doubted, tree, tmp_path):
+def test_video_contains_the_quality_badges(carina, doubted, tree, tmp_path):
     pytest.importorskip("av", reason="PyAV is not installed")
     ended = carina(
         "fly", doubted, "--tree", tree, "--to", "1", "-o", tmp_path / "a.mp4", "--size", "32x32", "--rate", "4",

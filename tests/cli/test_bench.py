@@ -14,7 +14,7 @@ import pytest
 import carina.cli.bench as verb
 from carina.errors import CarinaError
 from carina_bench import machine
-from carina_bench.clock import Times, median_ratio, take_turns
+from carina_bench.alternating_timer import Times, median_ratio, take_turns
 from carina_bench.command import SECTIONS
 from carina_bench.gates import Gate
 from carina_bench.pictures import difference, save
@@ -22,7 +22,7 @@ from carina_bench.scene import STEP_VOX, TRANSFER, opacity_table
 from carina_bench.worker import run_section
 
 
-def test_missing_extra_exits_1_with_the_installation_command(carina, monkeypatch, tmp_path):
+def test_missing_benchmark_extra_exits_with_code_1_and_the_installation_command(carina, monkeypatch, tmp_path):
     found = importlib.util.find_spec
     missing = {"vtk", "numba"}
     monkeypatch.setattr(machine.importlib.util, "find_spec", lambda name: None if name in missing else found(name))
@@ -33,13 +33,13 @@ def test_missing_extra_exits_1_with_the_installation_command(carina, monkeypatch
     assert not (tmp_path / "out").exists()
 
 
-def test_unknown_benchmark_section_exits_2_and_lists_the_known_sections(carina, tmp_path):
+def test_unknown_benchmark_exits_with_code_2_and_lists_the_known_ones(carina, tmp_path):
     ended = carina("bench", "render", "--only", "everything", "--json", "-o", tmp_path / "out")
     assert ended.code == 2
     assert "frames" in ended.json()["error"]["message"]
 
 
-def test_bench_from_a_wheel_states_where_the_benchmarks_are(carina, monkeypatch, tmp_path):
+def test_bench_command_of_an_installed_wheel_states_where_the_benchmarks_are(carina, monkeypatch, tmp_path):
     monkeypatch.setattr(verb, "find_spec", lambda _name: None)
     monkeypatch.setattr(verb.carina, "__file__", str(tmp_path / "site-packages" / "carina" / "__init__.py"))
     ended = carina("bench", "render", "--quick", "--json")
@@ -48,7 +48,7 @@ def test_bench_from_a_wheel_states_where_the_benchmarks_are(carina, monkeypatch,
     assert "benchmarks/" in ended.err and "checkout" in ended.err
 
 
-def test_bench_in_a_checkout_runs_from_any_folder(tmp_path):
+def test_bench_command_in_a_checkout_runs_from_any_folder(tmp_path):
     # The test uses a separate process, because the import path of the test process contains the folder of the
     # benchmarks.
     command = [sys.executable, "-m", "carina.cli", "bench", "isoregion", "--only", "nothing", "--json"]
@@ -58,7 +58,7 @@ def test_bench_in_a_checkout_runs_from_any_folder(tmp_path):
     assert "map" in json.loads(ended.stdout)["error"]["message"]
 
 
-def test_measured_functions_alternate_and_the_first_round_is_not_counted():
+def test_compared_functions_are_timed_alternately_and_the_first_round_is_not_counted():
     calls = []
     times = take_turns({name: lambda n=name: calls.append(n) for name in "abc"}, 3)
     assert calls[:3] == ["a", "b", "c"]
@@ -74,7 +74,7 @@ def test_speed_ratio_is_the_median_of_ratios_within_a_round():
 @pytest.mark.parametrize(
     ("figure", "better", "passed"), [(9.0, "higher", True), (8.99, "higher", False), (9.1, "lower", False)]
 )
-def test_figure_equal_to_its_limit_passes_the_gate(figure, better, passed):
+def test_figure_equal_to_its_limit_counts_as_met(figure, better, passed):
     gate = Gate("frame", figure, 9.0, better)
     assert gate.passed is passed
     assert ("MISSED" in gate.line()) is not passed
@@ -88,7 +88,7 @@ def test_difference_of_two_pictures_is_measured_per_pixel(tmp_path):
     assert (tmp_path / save(tmp_path, "picture", b)).is_file()
 
 
-def test_opacity_table_of_the_baseline_equals_that_of_the_core():
+def test_opacity_table_of_the_peer_implementation_equals_that_of_the_core():
     # The two implementations are independent and may differ by the rounding of float32.
     from carina import _core
 
@@ -99,21 +99,21 @@ def test_opacity_table_of_the_baseline_equals_that_of_the_core():
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7)
 
 
-def test_failed_section_raises_the_error_of_its_process(tmp_path):
+def test_failed_benchmark_section_raises_the_error_of_its_process(tmp_path):
     request = {"cases": [str(tmp_path / "no-such-ct")], "poses": 2, "repeats": 1, "folder": str(tmp_path)}
     with pytest.raises(CarinaError, match="no-such-ct") as caught:
         run_section("render:small_frames", request, threads=1)
     assert caught.value.exit_code == 3
 
 
-def test_section_runs_in_a_separate_process(tmp_path):
+def test_benchmark_section_runs_in_a_separate_process(tmp_path):
     request = {"cases": ["patient"], "poses": 2, "repeats": 1, "folder": str(tmp_path)}
     rows = run_section("render:small_frames", request, threads=2)
     assert rows[0]["case"] == "patient"
     assert rows[0]["frames_per_s"] > 0
 
 
-def test_section_projections_is_measured_and_reported_with_its_limits(tmp_path):
+def test_benchmark_section_projections_is_measured_and_reported_with_its_limits(tmp_path):
     request = {"cases": ["patient"], "repeats": 2, "folder": str(tmp_path)}
     rows = run_section("isoregion:projections", request, threads=1)
     section = SECTIONS["isoregion"]["projections"]
@@ -124,7 +124,7 @@ def test_section_projections_is_measured_and_reported_with_its_limits(tmp_path):
     assert "patient" in line and "numpy" in line
 
 
-def test_server_is_started_viewed_and_its_peak_memory_read(tmp_path):
+def test_benchmark_starts_a_server_views_it_and_reads_its_peak_memory(tmp_path):
     (row,) = run_section("memory:server_memory", {"cases": ["patient"], "folder": str(tmp_path)})
     assert set(row["views_seen"]) >= {"airway", "tree", "tri-plane", "xray-axial"}
     if sys.platform == "linux":
@@ -132,7 +132,7 @@ def test_server_is_started_viewed_and_its_peak_memory_read(tmp_path):
         assert "times the volume" in SECTIONS["isoregion"]["memory"].words([row])[0]
 
 
-def test_time_taken_by_the_host_never_decreases():
+def test_cpu_time_taken_by_the_host_machine_never_decreases():
     first = machine.stolen_s()
     if first is None:
         pytest.skip("this system does not report the time that its host takes")

@@ -22,7 +22,7 @@ def measured(monkeypatch):
     monkeypatch.setattr(cluster, "_measure", lambda *_: cluster._Cost(0.1, profile / profile.mean()))
 
 
-def test_simulation_prints_and_draws_its_tables_beside_those_of_the_paper(carina, tmp_path, measured):
+def test_cluster_simulation_prints_and_draws_its_tables_beside_those_of_the_paper(carina, tmp_path, measured):
     ended = carina("bench", "cluster", "--only", "simulation", "--quick", "-o", tmp_path)
     assert ended.code == 0, ended.err
     assert "not a measurement" in ended.out
@@ -66,7 +66,7 @@ def test_network_model_is_fitted_on_2_and_8_machines_and_checked_on_4_and_16(car
     assert head[16]["off_percent"] < -40.0
 
 
-def test_other_sections_run_after_a_failed_section(carina, tmp_path, measured, monkeypatch):
+def test_cluster_benchmark_runs_its_other_sections_after_a_failed_section(carina, tmp_path, measured, monkeypatch):
     def broken(*_):
         raise RuntimeError("no head answered")
 
@@ -81,7 +81,7 @@ def test_other_sections_run_after_a_failed_section(carina, tmp_path, measured, m
     assert "network" in found and "simulation" not in found
 
 
-def test_cluster_benchmark_prints_and_writes_each_section_at_its_end(monkeypatch, tmp_path, capsys):
+def test_cluster_benchmark_prints_and_writes_each_section_when_it_ends(monkeypatch, tmp_path, capsys):
     seen = []
 
     def second(*_):

@@ -52,7 +52,7 @@ def grown(seed: int, share_per_mm2: float = 10.0) -> list[Tube]:
     ("name", "least", "most"), [("soft", -60.0, 0.0), ("medium", 3.0, 15.0), ("sharp", 15.0, 200.0)]
 )
 @pytest.mark.parametrize("voxel", [0.5, 0.6, 0.7])
-def test_each_kernel_adds_an_edge_of_its_depth_beside_vessels(name, least, most, voxel):
+def test_sharper_kernel_adds_an_edge_of_its_stated_depth_beside_vessels(name, least, most, voxel):
     size = 72
     turns = np.linspace(0.0, 2.0 * math.pi, 9)[:-1]
     middle = 0.5 * size * voxel
@@ -73,7 +73,7 @@ def test_each_kernel_adds_an_edge_of_its_depth_beside_vessels(name, least, most,
 @pytest.mark.parametrize(
     "slices", [Slices(1.0), Slices(1.5), Slices(3.0), Slices(5.0), Slices(3.0, 2.0), Slices(2.0, is_resampled=True)]
 )
-def test_thick_slices_preserve_a_constant_and_a_linear_slope(slices):
+def test_averaging_to_thick_slices_preserves_a_constant_and_a_linear_slope(slices):
     weights, first_mm, step_mm = slice_weights(100, 0.7, slices)
     np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-12)
     # The value of a linear slope along z at the middle of a slice is exact.
@@ -83,7 +83,7 @@ def test_thick_slices_preserve_a_constant_and_a_linear_slope(slices):
     assert at_mm[-1] <= 0.7 * 99.5
 
 
-def test_reconstructed_slices_keep_the_sum_and_resampled_slices_show_thin_slices():
+def test_reconstructed_thick_slices_keep_the_sum_and_resampled_slices_show_thin_slices():
     thin = np.zeros((60, 2, 2), np.float32)
     thin[23] = 100.0
     weights, _, step = slice_weights(60, 0.5, Slices(3.0))
@@ -94,7 +94,7 @@ def test_reconstructed_slices_keep_the_sum_and_resampled_slices_show_thin_slices
     assert sliced(thin, weights)[:, 0, 0].max() == 0.0  # the bright slice is between two of the resampled slices
 
 
-def test_overlapping_slices_show_one_structure_twice():
+def test_overlapping_slices_show_one_structure_in_two_slices():
     thin = np.zeros((60, 1, 1), np.float32)
     thin[30] = 100.0
     apart, _, _ = slice_weights(60, 0.5, Slices(3.0))
@@ -104,7 +104,7 @@ def test_overlapping_slices_show_one_structure_twice():
 
 
 @pytest.mark.parametrize("slices", [Slices(0.7), Slices(2.0), Slices(3.0, 1.0)])
-def test_noise_has_the_requested_deviation_and_is_correlated_in_overlapping_slices(slices):
+def test_painted_noise_has_the_requested_deviation_and_is_correlated_in_overlapping_slices(slices):
     weights, _, _ = slice_weights(40, 0.7, slices)
     values = np.full((len(weights), 64, 64), -300, np.float32)
     hu = noisy_slices(values, weights, QUIET.scanner(), VOXEL, 30.0, (1, 7)) + 300.0
@@ -114,7 +114,7 @@ def test_noise_has_the_requested_deviation_and_is_correlated_in_overlapping_slic
 
 
 @pytest.mark.parametrize("direction", [(0, 0, 1), (1, 0, 0), (1, 2, 3)])
-def test_fine_vessel_has_the_profile_of_a_tube_of_its_radius(direction):
+def test_painted_fine_vessel_has_the_profile_of_a_tube_of_its_radius(direction):
     size, radius = 30, 0.4
     along = np.array(direction) / np.linalg.norm(direction)
     points = (0.5 * (size - 1) + np.array([0.3, 0.1, 0.2])) * VOXEL + np.linspace(-5.0, 5.0, 21)[:, None] * along
@@ -134,7 +134,7 @@ def test_fine_vessel_has_the_profile_of_a_tube_of_its_radius(direction):
     assert volume_mm3 == pytest.approx(math.pi * radius**2 * 10.0, rel=0.02)
 
 
-def test_fine_vessel_adds_nothing_inside_a_vessel_mask():
+def test_fine_vessel_changes_no_voxel_inside_a_vessel_mask():
     scene = empty(20)
     axes = scanned(scene, QUIET, lambda _step: None)
     values = axes.values_zyx.copy()
@@ -144,7 +144,7 @@ def test_fine_vessel_adds_nothing_inside_a_vessel_mask():
     np.testing.assert_array_equal(values, axes.values_zyx)
 
 
-def test_fine_vessels_do_not_touch_airways_and_some_are_close_to_them():
+def test_painted_fine_vessels_do_not_touch_airways_and_some_are_close_to_them():
     pytest.importorskip("scipy")
     trunk = replace(a_tip(0.8), generation=4)
     places = np.random.default_rng(0).uniform(2.0, 38.0, (400, 3))
@@ -191,7 +191,7 @@ def direction(points: np.ndarray) -> np.ndarray:
     return way / np.linalg.norm(way)
 
 
-def test_share_of_growing_airways_depends_on_their_radius():
+def test_share_of_airways_that_branch_further_depends_on_their_radius():
     counts = [sum(len(grown(seed, share)) for seed in range(12)) for share in (0.0, 0.3, 10.0)]
     assert counts[0] == 0 and 0 < counts[1] < 0.4 * counts[2]
 
@@ -264,7 +264,7 @@ def test_painted_volume_is_stored_and_read_again(tmp_path):
     np.testing.assert_array_equal(first.lps_from_ijk, exact.lps_from_ijk)
 
 
-def test_positions_of_thick_slices_match_the_truth():
+def test_positions_in_thick_slices_match_the_ground_truth():
     tip = a_tip(2.0)
     points = np.array([[3.0, 12.0, 8.0], [30.0, 12.0, 16.0]])
     thin = scanned(empty(60, replace(tip, points=points, radius_mm=np.full(2, 2.0))), OPTIONS, lambda _step: None)
@@ -293,7 +293,7 @@ def test_detection_rate_is_computed_by_class_of_radius():
     assert len(done.missed[0].points) == 0 and done.missed[1].points[:, 0].min() > 10.0
 
 
-def test_precision_accepts_a_voxel_adjacent_to_the_lumen():
+def test_precision_counts_a_voxel_adjacent_to_the_lumen_as_correct():
     touched = np.zeros((7, 7, 7), np.bool_)
     touched[3, 3, 3] = True
     found = touched.copy()
@@ -307,7 +307,7 @@ def test_every_case_name_of_the_hard_part_has_parameters_for_painting():
     assert track.PARTS["hard"].cases == track_hard.CASES
 
 
-def test_hard_part_of_the_benchmark_runs_only_if_only_names_it(carina, monkeypatch, tmp_path):
+def test_hard_part_of_the_track_benchmark_runs_only_if_the_only_option_names_it(carina, monkeypatch, tmp_path):
     monkeypatch.setattr(track, "built_parts", lambda: ["speed", "hard"])
     monkeypatch.setattr(track, "run_section", lambda _function, request, threads: [])
     all_parts = carina("bench", "track", "--json", "-o", tmp_path / "all").json()["parts"]
@@ -316,7 +316,7 @@ def test_hard_part_of_the_benchmark_runs_only_if_only_names_it(carina, monkeypat
     assert list(named.json()["parts"]) == ["hard"]
 
 
-def test_report_compares_means_over_patients_with_the_aims():
+def test_benchmark_report_compares_means_over_patients_with_the_targets():
     rows = [
         {"condition": "medium 0.7mm", "td": td, "bd": 0.96, "precision": 0.99, "false_branches": num}
         for td, num in ((0.99, 0), (0.95, 4))

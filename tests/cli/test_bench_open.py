@@ -7,7 +7,9 @@ import json
 from carina_bench import opening
 
 
-def test_small_chest_is_opened_from_slices_and_from_the_cache_with_equal_results(monkeypatch, capsys, tmp_path):
+def test_opening_benchmark_opens_a_small_chest_from_slices_and_from_the_cache_with_equal_results(
+    monkeypatch, capsys, tmp_path
+):
     small = {"spacing_mm": [6.0, 7.0, 5.0], "repeats": 1}
     # The measurement runs in this process on a small chest; the times are not checked.
     monkeypatch.setattr(opening, "run_section", lambda _name, _request: opening.measure(small))

@@ -65,7 +65,7 @@ def from_axis(painted, middle: np.ndarray, along: np.ndarray, reach_mm: float = 
     return off[near], painted.volume.hu_zyx.ravel()[near].astype(float), at[near]
 
 
-def test_formula_of_the_blurred_disc_equals_a_numerical_integral():
+def test_formula_of_a_blurred_disc_equals_a_numerical_integral():
     for radius in (0.2, 0.55, 1.3):
         assert share_of_disc(radius, 0.0, 0.43)[0] == pytest.approx(
             1 - math.exp(-(radius**2) / (2 * 0.43**2)), abs=1e-4
@@ -106,7 +106,7 @@ def test_each_kernel_shows_a_lumen_along_z_as_its_formula_predicts(kernel):
     assert np.abs(hu - expected).max() <= (15.0 if kernel == "sharp" else 10.0)
 
 
-def test_values_along_a_tube_one_voxel_wide_vary_by_at_most_25_hu():
+def test_values_along_a_painted_tube_one_voxel_wide_vary_by_at_most_25_hu():
     """Check that the values on the axis of a bent tube vary by at most 25 HU plus the effect of the voxel distance.
 
     In a CT that is painted voxel by voxel they vary by hundreds of HU.
@@ -123,7 +123,7 @@ def test_values_along_a_tube_one_voxel_wide_vary_by_at_most_25_hu():
     assert hu.max() < -400.0 and np.ptp(hu) < 120.0
 
 
-def test_wall_in_the_image_has_the_requested_thickness():
+def test_painted_airway_wall_has_the_requested_thickness():
     for radius in (0.8, 1.6, 3.0):
         scene, *_ = straight(2 * radius / VOXEL, (0.2, 0.3, 0.0), (0, 0, 1), size=24)
         scene = replace(scene, hu_zyx=np.full_like(scene.hu_zyx, -1000))
@@ -145,7 +145,7 @@ def test_wall_in_the_image_has_the_requested_thickness():
         (1.45, 0.5, 0.8),
     ],
 )
-def test_wall_thickness_is_in_the_anatomical_range_of_its_radius(radius_mm, thinnest, thickest):
+def test_painted_wall_thickness_is_in_the_anatomical_range_for_its_radius(radius_mm, thinnest, thickest):
     assert thinnest <= float(wall_mm(np.array(radius_mm))) <= thickest
 
 
@@ -158,7 +158,7 @@ def test_sum_of_partial_volumes_is_the_volume_of_the_lumen():
 
 @pytest.mark.parametrize("kernel", ["soft", "medium", "sharp"])
 @pytest.mark.parametrize("noise_hu", [15.0, 90.0])
-def test_noise_has_the_requested_standard_deviation(kernel, noise_hu):
+def test_painted_noise_has_the_requested_standard_deviation(kernel, noise_hu):
     scene = Scene(np.full((6, 120, 140), -300, np.int16), np.diag([VOXEL, VOXEL, 0.7, 1.0]), ())
     hu = paint(scene, PaintOptions(kernel=kernel, noise_hu=noise_hu)).volume.hu_zyx.astype(float)
     assert hu.std() == pytest.approx(noise_hu, rel=0.05)
@@ -174,7 +174,7 @@ def test_noise_of_a_sharper_kernel_is_finer():
 
 
 @pytest.mark.parametrize("voxel", [0.3, 0.55, 0.7])
-def test_edge_overshoots_by_the_requested_share(voxel):
+def test_edge_overshoot_has_the_requested_share_of_the_step(voxel):
     """Use the side of a wide tube oblique to the grid, whose edge samples all positions between voxels."""
     size, radius = 32, 400.0
     middle = np.array([0.5 * (size - 1) * voxel - radius * 0.9, 0.5 * (size - 1) * voxel - radius * 0.4359, 0.0])
@@ -191,7 +191,7 @@ def test_edge_overshoots_by_the_requested_share(voxel):
 
 
 @pytest.mark.parametrize("slice_mm", [0.5, 1.5, 3.0, 5.0])
-def test_slices_have_the_requested_thickness_and_distance(slice_mm):
+def test_painted_slices_have_the_requested_thickness_and_distance(slice_mm):
     hu = np.full((60, 8, 8), LUNG, np.int16)
     hu[29] += 1000  # The thickness of the tissue is 0.5 mm.
     scene = Scene(hu, np.diag([VOXEL, VOXEL, 0.5, 1.0]), ())
@@ -210,7 +210,7 @@ def test_equal_seeds_give_equal_painted_cts_and_different_seeds_different_ones()
     assert not np.array_equal(one, other)
 
 
-def test_bifurcation_is_open_and_its_branches_are_separate_beyond_it():
+def test_painted_bifurcation_is_open_and_its_branches_are_separate_beyond_it():
     top, fork = np.array([9.0, 9.0, 17.0]), np.array([9.0, 9.0, 9.0])
     tips = [fork + 9.0 * np.array([side * 0.6, 0.0, -0.8]) for side in (-1, 1)]
     tubes = [
@@ -225,7 +225,7 @@ def test_bifurcation_is_open_and_its_branches_are_separate_beyond_it():
     assert hu.hu_zyx[between[2], between[1], between[0]] > -870
 
 
-def test_breathing_moves_truth_and_image_together():
+def test_painted_breathing_moves_ground_truth_and_image_together():
     scene, *_ = straight(3.0, (0.0, 0.0, 0.0), (1, 0, 0.4))
     made = paint(scene, replace(QUIET, breathing_mm=3.0, breathing_period_mm=30.0))
     points = made.airways[0].points
@@ -238,7 +238,7 @@ def test_breathing_moves_truth_and_image_together():
     assert (made.cover_zyx[k, j, i] > 200).all()
 
 
-def test_fluid_is_in_the_lower_half_and_a_plug_closes_the_lumen():
+def test_painted_fluid_is_in_the_lower_half_and_a_plug_closes_the_lumen():
     scene, middle, _ = straight(10.0, (0.0, 0.0, 0.0), (0, 0, 1), size=18)
     front, back = (middle + np.array([0.0, y, 0.0]) for y in (-1.6, 1.6))
 
@@ -253,7 +253,7 @@ def test_fluid_is_in_the_lower_half_and_a_plug_closes_the_lumen():
     assert seen(1.0) == pytest.approx([15, 15], abs=8)
 
 
-def test_tubes_made_from_a_mask_have_its_radii():
+def test_tubes_derived_from_a_mask_have_the_radii_of_the_mask():
     pytest.importorskip("skimage")
     pytest.importorskip("scipy")
     from carina_bench.paint_scene import tubes_of_mask

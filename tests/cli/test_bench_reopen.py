@@ -7,7 +7,7 @@ import json
 from carina_bench import reopening
 
 
-def test_benchmark_of_reopening_reaches_the_final_picture_of_a_small_case(monkeypatch, capsys, tmp_path):
+def test_reopening_benchmark_reaches_the_final_picture_of_a_small_case(monkeypatch, capsys, tmp_path):
     small = {"spacing_mm": [3.0, 3.0, 3.0], "ct": None, "repeats": 1}
     monkeypatch.setattr(reopening, "run_section", lambda _name, _request: reopening.measure(small))
     assert reopening.report(folder=tmp_path, ct=None, quick=True, as_json=False) == 0

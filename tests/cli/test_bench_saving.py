@@ -7,7 +7,7 @@ import json
 from carina_bench import saving
 
 
-def test_benchmark_of_saving_measures_a_short_flight_with_and_without_saving(monkeypatch, capsys, tmp_path):
+def test_saving_benchmark_measures_a_short_flight_with_and_without_saving(monkeypatch, capsys, tmp_path):
     small = {"spacing_mm": 3.0, "seconds": 1.0, "turns": 1}
     monkeypatch.setattr(saving, "run_section", lambda _name, _request: saving.measure(small))
     assert saving.report(folder=tmp_path, quick=True, as_json=False) == 0

@@ -56,18 +56,18 @@ def absence(name: str, kind: str, lps: tuple[float, float, float] | None = None)
         (statement("stump", lobe="RLL"), Fact("stump", LINE, "RML"), False),
     ],
 )
-def test_statement_is_true_with_a_finding_of_its_kind_at_its_place_or_in_its_lobe(stated, fact, is_true):
+def test_statement_counts_as_true_if_the_truth_has_its_finding_at_its_position_or_in_its_lobe(stated, fact, is_true):
     assert (fact_of(stated, [fact]) is fact) is is_true
 
 
-def test_disease_in_a_real_ct_is_false_where_a_listed_airway_continues_beyond_it():
+def test_stated_obstruction_in_a_real_ct_is_false_if_a_listed_airway_continues_beyond_it():
     assert is_passed(statement("filled", 1, 0, -20), [LINE])
     assert not is_passed(statement("filled", 1, 0, -38), [LINE]), "2 mm of the airway are left"
     assert not is_passed(statement("filled", FAR, 0, -20), [LINE]), "the airway is elsewhere"
     assert not is_passed(statement("filled"), [LINE]), "the statement has no place"
 
 
-def test_only_a_stump_without_a_lobe_is_excused_at_a_blunt_end_of_the_phantom():
+def test_only_a_stump_without_a_lobe_counts_as_correct_at_a_blunt_end_of_the_phantom():
     ends = LINE[-1:]
     assert is_at_blunt_end(statement("stump", 0, 0, -40), ends)
     assert not is_at_blunt_end(statement("stump", 0, 0, -30), ends)
@@ -76,7 +76,7 @@ def test_only_a_stump_without_a_lobe_is_excused_at_a_blunt_end_of_the_phantom():
     assert not is_at_blunt_end(statement("stump", 0, 0, -40), None)
 
 
-def test_lost_airways_and_blocked_airways_of_unknown_length_are_not_judged():
+def test_lost_airways_and_blocked_airways_of_unknown_length_are_not_scored_as_statements():
     airways = result(
         uncertain=(place("lost", (0, 0, 0)), place("blocked", (0, 0, 0), None), place("blocked", (0, 0, 0))),
         absent=(absence("RB4", "lost"), absence("RML", "resected")),
@@ -85,7 +85,7 @@ def test_lost_airways_and_blocked_airways_of_unknown_length_are_not_judged():
     assert [one.kind for one in statements_of(airways)] == ["filled", "stump", "larynx"]
 
 
-def test_true_and_false_statements_and_findings_that_are_not_stated_are_counted():
+def test_true_false_and_missing_statements_are_counted():
     reported: list[str] = []
     counts = Counts()
     case = Case("case", "part", None, (Fact("filled", LINE), Fact("tube")))
@@ -95,7 +95,7 @@ def test_true_and_false_statements_and_findings_that_are_not_stated_are_counted(
     assert reported == ["  false: filled here", "  not stated: tube "]
 
 
-def test_statement_about_a_real_ct_is_for_review_unless_a_listed_airway_contradicts_it():
+def test_statement_about_a_real_ct_is_listed_for_review_unless_a_listed_airway_contradicts_it():
     counts = Counts()
     case = Case("case", "real", None, listed=(LINE,))
     judge(case, result(uncertain=(place("filled", (0, 0, -20)), place("filled", (FAR, 0, 0)))), counts, lambda _: None)

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 import SimpleITK as sitk
 
+from cached_test_data import made_phantom
 from carina.errors import CarinaError
 from carina.track import AirwayTree, branch_side_and_lobe, find_airways, name_tree
 from carina_bench import track, track_names, track_quality
 from carina_bench.app import bench_track
 from carina_bench.track_truth import truth_of_phantom
-from made import made_phantom
 
 ROW = {"what": "paths", "case": "phantom", "figure": 9.0, "limit": 8.0, "unit": "x", "median": 9.0, "min": 8.5}
 
 
-def test_row_is_compared_with_its_limit_and_reported():
+def test_figure_of_a_track_benchmark_row_is_compared_with_its_limit_and_printed():
     assert track.gate_of(ROW).passed
     assert not track.gate_of({**ROW, "better": "lower"}).passed
     assert track.gate_of({"what": "memory", "figure": 5.0}) is None
@@ -28,30 +28,30 @@ def test_row_is_compared_with_its_limit_and_reported():
     assert "paths, phantom: 9 x" in line and "min 8.5" in line and "limit >= 8: met" in line
 
 
-def test_missing_figure_counts_as_missed_and_is_reported():
+def test_missing_figure_of_a_benchmark_counts_as_missed_limit_and_is_printed():
     row = {**ROW, "figure": None, "note": "no data"}
     assert not track.gate_of(row).passed
     assert "not measured" in track.line_of(row) and "MISSED" in track.line_of(row) and "no data" in track.line_of(row)
 
 
-def test_cases_of_the_quality_part_are_those_that_it_paints():
+def test_cases_of_the_quality_benchmark_are_those_that_it_paints():
     assert track.PARTS["quality"].cases == track_quality.CASES
 
 
-def test_help_names_every_part_and_which_ones_run_only_if_named():
+def test_help_of_the_track_benchmark_names_every_part_and_the_parts_that_run_only_if_named():
     text = " ".join(str(bench_track.__doc__).split())
     always, if_named = re.search(r"Parts: (.+?)\. The parts (.+?) take", text).groups()
     assert set(always.split(", ")) == {name for name, part in track.PARTS.items() if not part.needs_name}
     assert set(re.split(", | and ", if_named)) == {name for name, part in track.PARTS.items() if part.needs_name}
 
 
-def test_unknown_case_of_a_part_exits_2_and_lists_the_known_cases(carina, tmp_path):
+def test_unknown_case_of_the_track_benchmark_exits_with_code_2_and_lists_the_known_cases(carina, tmp_path):
     ended = carina("bench", "track", "--only", "quality", "--case", "sharper", "--json", "-o", tmp_path / "out")
     assert ended.code == 2
     assert "sharp-25" in ended.json()["error"]["message"]
 
 
-def test_found_branch_outside_every_true_lumen_is_false():
+def test_found_branch_outside_every_true_lumen_counts_as_false():
     pytest.importorskip("scipy")
     phantom = made_phantom(seed=1, spacing_mm=1.5, generations=4, noise_hu=0.0)
     truth = truth_of_phantom(phantom.truth, phantom.lumen_zyx, phantom.volume)
@@ -71,14 +71,14 @@ def test_found_branch_outside_every_true_lumen_is_false():
     assert less["false_branches"] >= 1 and less["precision"] < whole["precision"]
 
 
-def test_unknown_part_of_the_track_benchmark_exits_2_and_lists_the_known_parts(carina, tmp_path):
+def test_unknown_part_of_the_track_benchmark_exits_with_code_2_and_lists_the_known_parts(carina, tmp_path):
     ended = carina("bench", "track", "--only", "everything", "--json", "-o", tmp_path / "out")
     assert ended.code == 2
     assert "speed" in ended.json()["error"]["message"]
     assert not (tmp_path / "out").exists()
 
 
-def test_part_without_its_module_is_omitted_with_a_message(carina, monkeypatch, tmp_path):
+def test_benchmark_part_without_its_module_is_omitted_with_a_message(carina, monkeypatch, tmp_path):
     monkeypatch.setattr(track, "built_parts", lambda: ["speed"])
     monkeypatch.setattr(track, "run_section", lambda _function, request, threads: [{**ROW, "what": request["part"]}])
     ended = carina("bench", "track", "--json", "-o", tmp_path / "out")
@@ -94,7 +94,7 @@ def test_part_without_its_module_is_omitted_with_a_message(carina, monkeypatch, 
 
 
 @pytest.mark.parametrize("named", [False, True])
-def test_part_without_its_program_for_comparison_is_omitted_unless_named(carina, monkeypatch, tmp_path, named):
+def test_benchmark_part_without_its_peer_library_is_omitted_unless_named(carina, monkeypatch, tmp_path, named):
     def refuse(*_arguments, **_options):
         error = CarinaError("dijkstra3d is not installed", code="machine.extra")
         raise error
@@ -110,7 +110,7 @@ def test_part_without_its_program_for_comparison_is_omitted_unless_named(carina,
         assert "dijkstra3d" in ended.json()["parts"]["speed"]["left_out"]
 
 
-def test_lobes_are_compared_with_masks_including_a_nifti_with_suffix_gz(tmp_path):
+def test_benchmark_compares_lobes_with_mask_files_including_compressed_nifti(tmp_path):
     phantom = made_phantom(seed=1, spacing_mm=1.5, generations=4, noise_hu=0.0)
     lumen, truth = phantom.lumen_zyx, AirwayTree.from_json(phantom.truth)
     lobes = branch_side_and_lobe(name_tree(truth))

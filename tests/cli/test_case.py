@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import carina as package
+from cached_test_data import made_phantom
 from carina import commands as c
 from carina.case import CaseFile, SourceFacts
 from carina.commands import Steer
@@ -24,8 +25,7 @@ from carina.session.store.case_names import neutral_alias
 from carina.session.store.registry import CaseRecords
 from carina.version import VERSION
 from carina.volume import CtSource, VolumeCache, ct_digest, open_volume
-from made import made_phantom
-from own_folders import own_folders
+from user_folders import user_folders
 
 
 @pytest.fixture(scope="session")
@@ -74,7 +74,7 @@ def nothing_is_searched_for(monkeypatch):
     monkeypatch.setattr(package, "find_airways", searched, raising=False)
 
 
-def test_info_lists_the_content_of_a_case_without_its_scan(carina, case, made_case):
+def test_info_command_lists_the_content_of_a_case_without_its_scan(carina, case, made_case):
     shutil.rmtree(case.parent / "scans")
     held = carina("case", "info", case, "--json").json()
     assert held["source"]["path"] == "scans/ct.nii.gz"
@@ -90,7 +90,7 @@ def test_info_lists_the_content_of_a_case_without_its_scan(carina, case, made_ca
     assert "6 changes, 1 undone" in result
 
 
-def test_case_history_lists_the_label_and_time_of_each_step(carina, case):
+def test_history_command_lists_the_label_and_time_of_each_undo_step(carina, case):
     steps = carina("case", "history", case, "--json").json()["steps"]
     assert [step["holds"] for step in steps] == [True] * 6 + [False]
     assert steps[0]["label"].startswith("rename")
@@ -99,7 +99,7 @@ def test_case_history_lists_the_label_and_time_of_each_step(carina, case):
     assert "(undone)" in carina("case", "history", case).out
 
 
-def test_commands_report_export_and_track_in_the_edited_tree_of_a_case(carina, case, made_case, tmp_path):
+def test_report_export_and_track_commands_use_the_edited_tree_of_a_case(carina, case, made_case, tmp_path):
     tree = made_case[1]
     found = carina("airways", case, "-o", tmp_path / "tree.json", "--json").json()
     assert found["num_branches"] == len(tree)
@@ -112,7 +112,7 @@ def test_commands_report_export_and_track_in_the_edited_tree_of_a_case(carina, c
     assert row["length_mm"] == pytest.approx(tree.route_to(tree.named("near the tumour").id).length_mm, abs=6.0)
 
 
-def test_flight_follows_the_key_frames_and_targets_of_a_case(carina, case, tmp_path):
+def test_fly_command_follows_the_key_frames_and_targets_of_a_case(carina, case, tmp_path):
     keys = ("--size", "48x48", "--rate", "2", "--step-vox", "2", "--json")
     quick = (*keys, "--speed", "60", "--pause", "0")
     along = carina("fly", case, "--keys", "all", "-o", tmp_path / "a.mp4", *keys).json()
@@ -127,7 +127,7 @@ def test_flight_follows_the_key_frames_and_targets_of_a_case(carina, case, tmp_p
     assert "key-1, key-2" in none.err
 
 
-def test_picture_uses_the_tip_position_and_view_settings_of_the_case(carina, case, tmp_path):
+def test_render_command_uses_the_tip_position_and_view_settings_of_a_case(carina, case, tmp_path):
     small = ("--size", "40x40", "--step-vox", "2", "--json")
     shown = carina("render", case, "-o", tmp_path / "a.png", *small).json()
     with CaseFile.open(case, read_only=True) as file:
@@ -139,7 +139,7 @@ def test_picture_uses_the_tip_position_and_view_settings_of_the_case(carina, cas
     assert (tmp_path / "a.png").read_bytes() != (tmp_path / "b.png").read_bytes()
 
 
-def test_info_of_a_case_includes_its_scan(carina, case):
+def test_info_command_about_a_case_includes_its_scan(carina, case):
     result = carina("info", case, "--json").json()
     assert result["shape_zyx"] == result["case"]["source"]["shape_zyx"]
 
@@ -193,7 +193,9 @@ def test_missing_scan_of_a_case_is_read_from_the_cache_or_from_the_case(carina, 
         ["case", "forget", ""],
     ],
 )
-def test_inconsistent_arguments_of_case_commands_are_refused_before_the_work(carina, case, ct, tmp_path, arguments):
+def test_inconsistent_arguments_of_case_commands_are_refused_before_the_case_is_read(
+    carina, case, ct, tmp_path, arguments
+):
     names = {"CT": ct, "CASE": case}
     given = [names.get(one, tmp_path / one if one.startswith("OUT") else one) for one in arguments]
     ended = carina(*given)
@@ -201,7 +203,7 @@ def test_inconsistent_arguments_of_case_commands_are_refused_before_the_work(car
     assert ended.err
 
 
-def test_file_that_is_not_a_case_is_refused(carina, tmp_path):
+def test_file_that_is_not_a_case_is_refused_by_case_commands(carina, tmp_path):
     file = tmp_path / "words.carina"
     file.write_text("these are words")
     for verb in (["case", "info"], ["case", "history"], ["info"], ["airways"]):
@@ -210,7 +212,7 @@ def test_file_that_is_not_a_case_is_refused(carina, tmp_path):
         assert "words.carina" in ended.err
 
 
-def test_migrate_and_rescue_of_an_undamaged_case_write_new_files(carina, case, tmp_path):
+def test_migrate_and_rescue_commands_write_new_files_for_an_undamaged_case(carina, case, tmp_path):
     before = case.read_bytes()
     assert carina("case", "migrate", case, "-o", tmp_path / "new.carina").code == 0
     assert carina("case", "rescue", case, "-o", tmp_path / "whole.carina", "--json").json()["lost"] == []
@@ -222,7 +224,7 @@ def test_migrate_and_rescue_of_an_undamaged_case_write_new_files(carina, case, t
 # Cases that are stored on this computer
 
 
-def test_stored_cases_are_listed_and_deleted(carina, tmp_path):
+def test_stored_cases_are_listed_and_deleted_by_command(carina, tmp_path):
     from carina.config import load_settings
 
     assert carina("case", "list", "--json").json() == {"cases": []}
@@ -249,7 +251,7 @@ def test_stored_cases_are_listed_and_deleted(carina, tmp_path):
     assert not list(Path(load_settings().cases_dir).rglob("*.carina"))
 
 
-def test_cached_scan_is_deleted_with_its_last_case(carina, ct):
+def test_cached_scan_is_deleted_together_with_the_last_case_that_uses_it(carina, ct):
     from carina.config import load_settings
 
     settings = load_settings()
@@ -308,7 +310,7 @@ def test_recording_of_a_case_is_replayed_and_exported_as_a_file(carina, recorded
         assert "no recording 'Flight 7'; its recordings: Flight 1 (1)" in missing.err
 
 
-def test_case_open_in_a_window_is_read_as_last_saved(carina, case, live_case):
+def test_commands_read_a_case_that_is_open_in_a_window_as_last_saved(carina, case, live_case):
     assert [step["label"] for step in carina("case", "history", case, "--json").json()["steps"]][-1] == "renamed since"
     result = carina("case", "info", case)
     assert "is open in Carina; its last saved state is used" in result.err
@@ -320,7 +322,7 @@ def test_case_open_in_a_window_is_read_as_last_saved(carina, case, live_case):
 @pytest.fixture
 def live_case(case, monkeypatch, tmp_path):
     """Return the live case of a window, which has one more step than its copy."""
-    for name, folder in own_folders(tmp_path / "home").items():
+    for name, folder in user_folders(tmp_path / "home").items():
         monkeypatch.setenv(name, folder)
     records = CaseRecords(load_settings().cases_dir, lambda: 1_800_000_000.0)
     with CaseFile.open(case, read_only=True) as copy:

@@ -9,6 +9,7 @@ import pytest
 from typer.main import get_command
 
 import carina as package
+from cached_test_data import made_phantom
 from carina import commands as c
 from carina.case import CaseFile, SourceFacts
 from carina.cli.app import app
@@ -21,7 +22,6 @@ from carina.session.open_case.open_case import moment_of
 from carina.session.store.case_names import neutral_alias
 from carina.session.store.registry import CaseRecords
 from carina.volume import ct_digest
-from made import made_phantom
 
 ID = "abcd1234ef567890"
 
@@ -113,7 +113,7 @@ def test_every_command_with_a_case_argument_accepts_an_id():
         assert "id of a stored case" in parameter.help, name
 
 
-def test_case_open_in_another_window_is_read_and_not_changed(carina, stored):
+def test_command_reads_a_case_that_is_open_in_a_window_and_does_not_change_it(carina, stored):
     held = stored.hold(stored.find(ID))
     with CaseFile.open(held.path) as live:
         before = held.path.read_bytes()
@@ -125,7 +125,7 @@ def test_case_open_in_another_window_is_read_and_not_changed(carina, stored):
     held.release()
 
 
-def test_file_or_folder_with_the_name_of_an_id_has_precedence(carina, stored, tmp_path, monkeypatch):
+def test_file_or_folder_named_like_a_case_id_has_precedence_over_the_case(carina, stored, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / ID).mkdir()
     assert path_or_case(Path(ID)) == Path(ID)
@@ -150,7 +150,7 @@ def test_unknown_case_id_is_refused_with_a_reason(carina, stored):
     assert carina("info", ID[: MIN_ID_CHARS - 1]).code == 3
 
 
-def test_ambiguous_beginning_of_a_case_id_is_refused_and_a_whole_id_accepted(stored, monkeypatch):
+def test_ambiguous_prefix_of_a_case_id_is_refused_and_the_complete_id_accepted(stored, monkeypatch):
     volume = made_phantom(spacing_mm=3.0, generations=3).volume
     for other in ("abcd1234ffffffff", ID[:12]):
         held = stored.begin("cd" * 32, None, case_id=other)
@@ -164,7 +164,7 @@ def test_ambiguous_beginning_of_a_case_id_is_refused_and_a_whole_id_accepted(sto
     assert stored_case(Path(ID[:12])).case_id == ID[:12]
 
 
-def test_open_with_a_case_id_continues_the_stored_case(carina, stored, monkeypatch):
+def test_open_command_with_a_case_id_continues_the_stored_case(carina, stored, monkeypatch):
     requested = {}
     monkeypatch.setattr("carina.server.serve", lambda path, **options: requested.update(path=path, **options) or 0)
     assert carina("open", ID[:6], "--no-browser").code == 0

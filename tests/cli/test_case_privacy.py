@@ -14,9 +14,9 @@ from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
 
 import carina as package
+from cached_test_data import made_phantom
 from carina import commands as c
 from carina.volume import write_grid
-from made import made_phantom
 
 UID = "1.2.826.0.1.3680043.9999.19610405"
 TAGS = {
@@ -126,7 +126,7 @@ def saved(tmp_path_factory):
     return root, person
 
 
-def test_search_detects_patient_data_in_slices_and_compressed_blobs(saved, tmp_path):
+def test_privacy_check_detects_patient_data_in_slices_and_compressed_blobs(saved, tmp_path):
     _, person = saved
     assert {"Müller", "KIS-4711", "19610405", UID} <= {
         secret for needle, secret in needles().items() if needle in next((person / "ct").iterdir()).read_bytes()
@@ -138,11 +138,11 @@ def test_search_detects_patient_data_in_slices_and_compressed_blobs(saved, tmp_p
     assert told_in(tmp_path / "told.db") == {"Müller"}
 
 
-def test_named_case_contains_no_patient_data(saved):
+def test_case_saved_under_a_name_contains_no_patient_data(saved):
     assert told_in(saved[1] / "beside.carina") == set()
 
 
-def test_packed_case_contains_no_patient_data(saved, carina, tmp_path):
+def test_case_that_contains_its_scan_contains_no_patient_data(saved, carina, tmp_path):
     root, person = saved
     for name, path in (("one", person / "beside.carina"), ("other", root / "far.carina")):
         packed = tmp_path / f"{name}.carina"

@@ -29,7 +29,7 @@ def _no_search(monkeypatch):
 @pytest.mark.parametrize(
     "command", [("airways", "--mask"), ("export", "-o"), ("isoregion", "-o")], ids=lambda command: command[0]
 )
-def test_grid_that_the_format_cannot_store_is_refused_at_once(carina, long_ct, tmp_path, command):
+def test_grid_that_the_format_cannot_store_is_refused_before_the_airway_search(carina, long_ct, tmp_path, command):
     verb, option = command
     ended = carina(verb, long_ct, option, tmp_path / "out.nii.gz", "--json")
     assert ended.code == 3
@@ -38,14 +38,16 @@ def test_grid_that_the_format_cannot_store_is_refused_at_once(carina, long_ct, t
     assert not (tmp_path / "out.nii.gz").exists()
 
 
-def test_mask_with_an_unknown_suffix_is_refused_at_once(carina, ct, tmp_path):
+def test_mask_with_an_unknown_suffix_is_refused_before_the_airway_search(carina, ct, tmp_path):
     ended = carina("airways", ct, "--mask", tmp_path / "out.stl", "--json")
     assert ended.code == 2
     assert "--mask: expected a file name that ends in .nii.gz" in ended.json()["error"]["message"]
 
 
 @pytest.mark.parametrize(("suffix", "options"), [(".seg.dcm", ()), (".sr.dcm", ()), (".pdf.dcm", ("--with-identity",))])
-def test_dicom_plan_of_a_ct_that_is_not_dicom_is_refused_at_once(carina, ct, tmp_path, suffix, options):
+def test_dicom_plan_of_a_ct_that_is_not_dicom_is_refused_before_the_airway_search(
+    carina, ct, tmp_path, suffix, options
+):
     ended = carina("plan", ct, "--target", "0,0,0", "-o", tmp_path / f"plan{suffix}", *options, "--json")
     assert ended.code == 2
     assert ended.json()["error"]["code"] == "plan.not-dicom"

@@ -15,7 +15,7 @@ import pytest
 from carina.cli import cluster
 from carina.cluster.node import descendants
 from carina.errors import ClusterError
-from own_folders import environment_in
+from user_folders import environment_in
 
 needs_ray = pytest.mark.skipif(
     not sys.platform.startswith("linux") or importlib.util.find_spec("ray") is None,
@@ -59,7 +59,7 @@ def _began(pid: int) -> str | None:
         (["open", "--cluster", "127.0.0.2:1"], 1, "no token"),
     ],
 )
-def test_invalid_cluster_arguments_are_refused_before_anything_starts(carina, arguments, code, words):
+def test_invalid_cluster_arguments_are_refused_before_any_process_starts(carina, arguments, code, words):
     done = carina(*arguments, "--json")
     assert done.code == code, done.err
     assert words in done.json()["error"]["message"]
@@ -105,7 +105,7 @@ def _join(monkeypatch, tmp_path, *script: str) -> tuple[list[StubNode], list[flo
     return made, pauses_s
 
 
-def test_machine_that_was_in_the_cluster_rejoins_after_any_interruption(monkeypatch, tmp_path, capsys):
+def test_machine_that_was_a_cluster_member_rejoins_after_any_interruption(monkeypatch, tmp_path, capsys):
     made, pauses_s = _join(monkeypatch, tmp_path, "dropped", *["no answer"] * 5, "dropped", "until Ctrl-C")
     assert len(made) == 8
     assert pauses_s == [1.0, 2.0, 5.0, 10.0, 10.0, 10.0, 10.0]
@@ -116,7 +116,7 @@ def test_machine_that_was_in_the_cluster_rejoins_after_any_interruption(monkeypa
     assert result.err.endswith("left the cluster\n")
 
 
-def test_machine_that_cannot_join_the_cluster_exits_with_the_reason(monkeypatch, tmp_path):
+def test_join_command_exits_with_the_reason_if_the_machine_cannot_join_the_cluster(monkeypatch, tmp_path):
     with pytest.raises(ClusterError, match="no answer"):
         _join(monkeypatch, tmp_path, "no answer")
 
@@ -146,7 +146,7 @@ def test_local_cluster_warns_about_its_open_ports_before_it_opens_them(monkeypat
 @needs_ray
 @pytest.mark.ray
 @pytest.mark.slow
-def test_cluster_can_be_started_used_and_stopped_without_remaining_processes(tmp_path):
+def test_cluster_can_be_started_used_and_stopped_and_leaves_no_process(tmp_path):
     with socket.socket() as probe:
         probe.bind(("127.0.0.2", 0))
         port = probe.getsockname()[1]

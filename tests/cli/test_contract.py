@@ -140,7 +140,9 @@ def store(path, values, spacing=(1.0, 1.0, 1.0)):
     ],
     ids=" ".join,
 )
-def test_invalid_argument_exits_2_with_a_message_and_writes_nothing(carina, ct, tmp_path, monkeypatch, arguments):
+def test_invalid_argument_of_any_command_exits_with_code_2_and_writes_nothing(
+    carina, ct, tmp_path, monkeypatch, arguments
+):
     monkeypatch.chdir(tmp_path)
     before = sorted(tmp_path.iterdir())
     ended = carina(*(word.replace("CT", str(ct)) for word in arguments), "--json")
@@ -151,13 +153,13 @@ def test_invalid_argument_exits_2_with_a_message_and_writes_nothing(carina, ct, 
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_invalid_log_level_exits_2_with_a_message(carina, monkeypatch):
+def test_invalid_log_level_exits_with_code_2_and_a_message(carina, monkeypatch):
     monkeypatch.setenv("CARINA_LOG_LEVEL", "LOUD")
     ended = carina("doctor", "--json")
     assert (ended.code, ended.json()["error"]["code"]) == (2, "usage.log-level")
 
 
-def test_help_of_every_command_has_an_example_and_exits_0(carina):
+def test_help_of_every_command_has_an_example_and_exits_with_code_0(carina):
     verbs = ("open", "demo", "info", "track", "render", "isoregion", "phantom", "doctor")
     for verb in (*verbs, "bench render", "bench isoregion", "bench track"):
         ended = carina(*verb.split(), "--help")
@@ -180,7 +182,7 @@ def test_help_of_every_command_has_an_example_and_exits_0(carina):
         ("folder", "folder"),
     ],
 )
-def test_invalid_file_exits_3_with_its_name_in_the_message(carina, tmp_path, name, content):
+def test_invalid_file_exits_with_code_3_and_its_name_in_the_message(carina, tmp_path, name, content):
     path = tmp_path / name
     if content == "folder":
         path.mkdir()
@@ -228,7 +230,7 @@ def test_invalid_file_exits_3_with_its_name_in_the_message(carina, tmp_path, nam
         b"[" * 100_000,
     ],
 )
-def test_invalid_transfer_file_exits_3_before_the_ct_is_read(carina, tmp_path, content):
+def test_invalid_transfer_function_file_exits_with_code_3_before_the_ct_is_read(carina, tmp_path, content):
     file = tmp_path / "transfer.json"
     if content is not None:
         file.write_bytes(content)
@@ -250,7 +252,7 @@ def test_invalid_transfer_file_exits_3_before_the_ct_is_read(carina, tmp_path, c
         b'{"image_width": 64, "image_height": 64, "K": [[50, 0, 32], [0, 50, 32], [0, 0, 1]], "D": [-3, 0, 0, 0]}',
     ],
 )
-def test_invalid_calibration_exits_3_before_the_ct_is_read(carina, tmp_path, content):
+def test_invalid_camera_calibration_exits_with_code_3_before_the_ct_is_read(carina, tmp_path, content):
     file = tmp_path / "lens.yml"
     if content is not None:
         file.write_bytes(content)
@@ -259,7 +261,7 @@ def test_invalid_calibration_exits_3_before_the_ct_is_read(carina, tmp_path, con
     assert "lens.yml" in ended.json()["error"]["message"]
 
 
-def test_picture_has_the_optics_of_a_scope_or_a_calibration(carina, ct, tmp_path):
+def test_rendered_picture_has_the_optics_of_the_given_scope_or_calibration(carina, ct, tmp_path):
     seen = {}
     lens = tmp_path / "lens.json"
     lens.write_text('{"image_size": [96, 72], "K": [[60, 0, 47.5], [0, 60, 35.5], [0, 0, 1]], "D": [-0.1, 0, 0, 0]}')
@@ -282,7 +284,7 @@ def test_picture_has_the_optics_of_a_scope_or_a_calibration(carina, ct, tmp_path
 # Results of commands
 
 
-def test_info_and_doctor_print_one_json_object(carina, ct):
+def test_info_and_doctor_commands_print_one_json_object(carina, ct):
     result = carina("info", ct, "--json")
     assert result.code == 0
     assert result.json()["unit"] == "HU"
@@ -292,7 +294,7 @@ def test_info_and_doctor_print_one_json_object(carina, ct):
     assert facts.code == (1 if facts.json()["problems"] else 0)
 
 
-def test_target_with_a_leading_minus_sign_is_tracked_and_the_tree_written(carina, ct, tmp_path):
+def test_target_coordinates_with_a_leading_minus_sign_are_tracked_and_the_tree_is_written(carina, ct, tmp_path):
     ended = carina("track", ct, "--root", "auto", "--target", RMB, "-o", tmp_path / "tree.json", "--json")
     assert ended.code == 0, ended.err
     (row,) = ended.json()["targets"]
@@ -302,7 +304,7 @@ def test_target_with_a_leading_minus_sign_is_tracked_and_the_tree_written(carina
     assert tree == ended.json()["tree"]
 
 
-def test_target_without_a_path_exits_4_and_paths_of_other_targets_are_written(carina, ct, tmp_path):
+def test_target_without_a_path_exits_with_code_4_and_paths_to_other_targets_are_written(carina, ct, tmp_path):
     arguments = ["track", ct, "--target", RMB, "--target", FAR, "-o", tmp_path / "tree.json", "--json"]
     ended = carina(*arguments)
     assert ended.code == 4
@@ -312,14 +314,14 @@ def test_target_without_a_path_exits_4_and_paths_of_other_targets_are_written(ca
     assert json.loads((tmp_path / "tree.json").read_text(encoding="utf-8"))["branches"]
 
 
-def test_other_targets_are_tracked_beside_a_target_outside_the_volume(carina, ct, tmp_path):
+def test_other_targets_are_tracked_if_one_target_is_outside_the_volume(carina, ct, tmp_path):
     ended = carina("track", ct, "--target", "9999,0,0", "--target", RMB, "-o", tmp_path / "tree.json", "--json")
     assert ended.code in {2, 4}, ended.err
     if ended.code == 4:
         assert (tmp_path / "tree.json").exists()
 
 
-def test_no_path_for_any_target_exits_4_and_leaves_the_old_file(carina, ct, tmp_path):
+def test_track_command_without_any_path_exits_with_code_4_and_leaves_the_old_file(carina, ct, tmp_path):
     (tmp_path / "tree.json").write_text("old", encoding="utf-8")
     ended = carina("track", ct, "--target", FAR, "-o", tmp_path / "tree.json", "--json")
     assert ended.code == 4
@@ -328,7 +330,7 @@ def test_no_path_for_any_target_exits_4_and_leaves_the_old_file(carina, ct, tmp_
 
 
 @pytest.mark.parametrize("view", VIEWS)
-def test_every_view_is_written_from_the_automatic_pose(carina, ct, tmp_path, view):
+def test_every_view_is_rendered_from_the_automatic_pose(carina, ct, tmp_path, view):
     picture = tmp_path / "x.png"
     picture.write_bytes(b"old")
     ended = carina("render", ct, "--view", view, "--at", "auto", "--size", "48x40", "-o", picture, "--json")
@@ -341,7 +343,7 @@ def test_every_view_is_written_from_the_automatic_pose(carina, ct, tmp_path, vie
     assert [p.name for p in tmp_path.iterdir() if p.name != "home"] == ["x.png"]
 
 
-def test_xray_uses_the_requested_grey_window(carina, ct, tmp_path):
+def test_xray_view_uses_the_requested_grey_window(carina, ct, tmp_path):
     means = []
     for window in ("4000,-3000", "4000,3000"):
         name = tmp_path / "x.png"
@@ -360,7 +362,7 @@ def test_surface_of_an_airway_view_is_written_beside_the_picture(carina, ct, tmp
         assert 0 < np.nanmin(archive["depth_mm"]) < 20
 
 
-def test_picture_from_the_automatic_pose_without_airways_exits_4(carina, tmp_path):
+def test_automatic_pose_without_airways_exits_with_code_4(carina, tmp_path):
     values = np.full((20, 20, 20), 40, np.int16)
     values[5:9] = 900  # a part of a bone
     head = store(tmp_path / "tissue.nii.gz", values)
@@ -371,7 +373,7 @@ def test_picture_from_the_automatic_pose_without_airways_exits_4(carina, tmp_pat
     assert carina("render", head, "--view", "xray-axial", "--size", "8x8", "-o", tmp_path / "x.png").code == 0
 
 
-def test_picture_from_a_camera_outside_the_volume_reports_it(carina, ct, tmp_path):
+def test_render_command_reports_a_camera_outside_the_volume(carina, ct, tmp_path):
     ended = carina(
         "render", ct, "--at", "0,-400,0", "--look", "0,1,0", "--size", "16x16", "-o", tmp_path / "x.png", "--json"
     )
@@ -379,7 +381,7 @@ def test_picture_from_a_camera_outside_the_volume_reports_it(carina, ct, tmp_pat
     assert "outside the scan" in ended.err
 
 
-def test_command_on_a_full_disk_exits_1_and_leaves_the_old_files(carina, ct, tmp_path, monkeypatch):
+def test_command_on_a_full_disk_exits_with_code_1_and_leaves_the_old_files(carina, ct, tmp_path, monkeypatch):
     def full(*_arguments, **_options):
         raise OSError(28, "No space left on device")
 
@@ -402,7 +404,7 @@ def test_command_on_a_full_disk_exits_1_and_leaves_the_old_files(carina, ct, tmp
     assert not (tmp_path / "made").exists() or not list((tmp_path / "made").iterdir())
 
 
-def test_internal_error_exits_1_with_a_message(carina, ct, monkeypatch):
+def test_internal_error_exits_with_code_1_and_a_message(carina, ct, monkeypatch):
     def broken(*_arguments, **_options):
         raise ZeroDivisionError("x")
 
@@ -436,7 +438,7 @@ UNLUCKY = {
 
 @pytest.mark.parametrize("name", UNLUCKY)
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nrrd", ".mha"])
-def test_unusual_volume_gives_a_result_or_a_message(carina, tmp_path, name, suffix):
+def test_volume_of_unusual_size_or_content_gives_a_result_or_a_message(carina, tmp_path, name, suffix):
     values, spacing = UNLUCKY[name]
     path = store(tmp_path / f"case{suffix}", values.astype(np.int16), [float(s) for s in spacing])
     result = carina("info", path, "--json")

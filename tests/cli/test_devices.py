@@ -17,7 +17,7 @@ from carina.navigate.devices.scope_handle import format_line
 from simulated_serial import PseudoPort, sending
 
 
-def test_live_values_of_a_handle_are_shown(capsys):
+def test_devices_command_shows_live_values_of_a_scope_handle(capsys):
     port = PseudoPort()
     try:
         with sending(lambda n: format_line(n, 10 * n, 12.5, lever=0.5, buttons=1), port, rate_hz=100.0):
@@ -42,19 +42,19 @@ def test_live_values_of_a_handle_are_shown(capsys):
         ("openigtlink:no-such-machine.invalid:18944", "no machine with this name was found"),
     ],
 )
-def test_silent_device_exits_with_an_error_and_its_reason(capsys, address, words):
+def test_devices_command_exits_with_the_reason_if_a_device_sends_nothing(capsys, address, words):
     assert report([address], seconds=1.0, as_json=True) == 4
     result = json.loads(capsys.readouterr().out)["devices"][0]
     assert result["address"] == address
     assert words in result["words"] and "Errno" not in result["words"]
 
 
-def test_unchanged_value_of_a_device_is_printed_once(capsys):
+def test_unchanged_value_of_a_device_is_printed_only_once(capsys):
     assert report(["handle:/dev/there-is-none"], seconds=0.9, as_json=False) == 4
     lines = capsys.readouterr().err.splitlines()
     assert lines and len(set(lines)) == len(lines)
 
 
-def test_devices_without_a_name_lists_the_found_devices(capsys):
+def test_devices_command_without_a_name_lists_the_found_devices(capsys):
     assert report([], seconds=1.0, as_json=False) == 0
     assert "connect through the window" in capsys.readouterr().out

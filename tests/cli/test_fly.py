@@ -67,7 +67,7 @@ VIDEOS = [("a.mp4", "h264", (96, 64)), ("odd.mp4", "h264", (81, 63)), ("a.webm",
 
 
 @pytest.mark.parametrize("video", VIDEOS, ids=lambda video: video[0])
-def test_flight_along_a_route_has_its_length_size_and_number_of_frames(carina, ct, tree, tmp_path, video):
+def test_flight_video_along_a_route_has_its_length_size_and_number_of_frames(carina, ct, tree, tmp_path, video):
     name, codec, size = video
     output = tmp_path / name
     ended = carina(
@@ -98,7 +98,7 @@ def test_flight_along_a_route_has_its_length_size_and_number_of_frames(carina, c
     assert differs(frames[0], still(carina, ct, first, even, tmp_path / "s.png")) < 4
 
 
-def test_video_of_key_frames_shows_their_poses(carina, ct, tree, tmp_path):
+def test_video_of_key_frames_shows_the_poses_of_the_key_frames(carina, ct, tree, tmp_path):
     root = json.loads(tree.read_text())["branches"][0]["points"]
     flight = AutoFlight(api.FlightPath(root), speed_mm_s=50.0, pause_s=0.0)
     poses = {t: flight.pose_at(t).lps_from_camera.copy() for t in (0.0, 0.3, 0.5)}
@@ -120,7 +120,7 @@ def test_video_of_key_frames_shows_their_poses(carina, ct, tree, tmp_path):
     assert carina("fly", ct, "--keys", document, "-o", output).code == 3
 
 
-def test_key_frames_of_the_window_keep_their_speed_and_view_settings(carina, ct, tree, tmp_path):
+def test_video_of_key_frames_from_the_window_has_their_speed_and_view_settings(carina, ct, tree, tmp_path):
     volume = api.open_volume(ct)
     root = api.FlightPath(json.loads(tree.read_text())["branches"][0]["points"])
     poses = [root.pose_at(mm) for mm in (0.0, 20.0, 40.0)]
@@ -197,7 +197,7 @@ def test_video_of_a_recording_has_the_length_of_the_recording(carina, ct, tmp_pa
     assert differs(frames[0], still(carina, ct, began, (72, 72), tmp_path / "s.png")) < 4
 
 
-def test_frame_of_a_video_shows_the_newest_recorded_pose_that_is_not_later():
+def test_video_frame_shows_the_newest_recorded_pose_that_is_not_later():
     moments = [ReplayedPose(t, api.Pose(np.eye(4)), {"n": n}) for n, t in enumerate((0.0, 0.1, 0.1, 0.3, 0.5))]
     times = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.49, 0.5, 9.0])
     assert [moment.view["n"] for moment in sampled(moments, times)] == [0, 0, 2, 2, 3, 3, 4, 4]
@@ -205,7 +205,7 @@ def test_frame_of_a_video_shows_the_newest_recorded_pose_that_is_not_later():
     assert sampled(moments[3:], np.array([0.0])) == [moments[3]]
 
 
-def test_video_of_a_recording_with_wall_contact_uses_the_wall_of_the_recording(carina, ct, tmp_path):
+def test_video_of_a_recording_with_wall_contact_uses_the_recorded_airway_wall(carina, ct, tmp_path):
     def find_airways(volume, *, root_lps, lumen_threshold, progress, cancel):
         return api.find_airways(volume, root_lps=root_lps, progress=progress, cancel=cancel)
 
@@ -247,7 +247,9 @@ def test_video_of_a_recording_with_wall_contact_uses_the_wall_of_the_recording(c
     [["-o", "x.gif", "--to", "1"], ["-o", "x.mp4"], ["-o", "x.mp4", "--to", "1", "--keys", "k.json"],
      ["-o", "x.mp4", "--to", "1", "--speed", "0"], ["-o", "x.mp4", "--to", "1", "--rate", "1000"]],
 )  # fmt: skip
-def test_inconsistent_arguments_of_fly_are_refused_before_the_work(carina, ct, tmp_path, monkeypatch, arguments):
+def test_inconsistent_arguments_of_the_fly_command_are_refused_before_rendering(
+    carina, ct, tmp_path, monkeypatch, arguments
+):
     monkeypatch.chdir(tmp_path)
     assert carina("fly", ct, *arguments).code == 2
     assert not list(tmp_path.glob("x.*"))

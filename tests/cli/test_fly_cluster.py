@@ -25,7 +25,7 @@ from carina.navigate.recording import ReplayedPose
 from carina.render import Renderer
 from carina.scopes import Pose
 from carina.volume import Volume
-from own_folders import environment_in
+from user_folders import environment_in
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
 needs_ray = pytest.mark.skipif(
@@ -113,7 +113,7 @@ def machines(monkeypatch):
     return lanes
 
 
-def test_flight_on_three_machines_one_of_which_dies_equals_that_of_one_machine(film, tmp_path, whole, machines):
+def test_video_rendered_on_three_machines_one_of_which_dies_equals_that_of_one_machine(film, tmp_path, whole, machines):
     output = tmp_path / "many.mp4"
     ended = film(output, *HOW, "--cluster", "10.0.0.5")
     assert ended.code == 0, ended.err
@@ -121,7 +121,7 @@ def test_flight_on_three_machines_one_of_which_dies_equals_that_of_one_machine(f
     assert sum(len(lane.answered) > 0 for lane in machines) >= 2, "the pictures were spread"
 
 
-def test_interrupted_flight_resumes_after_its_last_picture(film, tmp_path, whole, machines, monkeypatch):
+def test_interrupted_video_resumes_after_its_last_stored_frame(film, tmp_path, whole, machines, monkeypatch):
     folder, output = tmp_path / "kept", tmp_path / "v.mp4"
     arguments = [output, *HOW, "--keep", folder]
     keep = StoredFrames.keep
@@ -152,7 +152,7 @@ def test_interrupted_flight_resumes_after_its_last_picture(film, tmp_path, whole
     assert made == list(range(12))
 
 
-def test_stored_pictures_of_another_flight_are_not_used(film, tmp_path):
+def test_stored_frames_of_another_flight_are_not_used(film, tmp_path):
     folder = tmp_path / "kept"
     base = [tmp_path / "v.mp4", *HOW[2:], "--keep", folder]
     assert film(*base, "--size", "48x48").code == 0
@@ -173,7 +173,7 @@ def test_stored_pictures_of_another_flight_are_not_used(film, tmp_path):
     assert [path.name for path in other.iterdir()] == ["letter.txt"]
 
 
-def test_fingerprint_of_a_flight_includes_all_inputs_of_its_pictures(ct, monkeypatch):
+def test_fingerprint_of_a_flight_includes_all_inputs_of_its_frames(ct, monkeypatch):
     volume = api.open_volume(ct)
     pose = AutoFlight(api.FlightPath([[0, 0, 1], [0, 0, 0]]), speed_mm_s=10.0, pause_s=0.0).pose_at(0.0)
     frames = [ReplayedPose(0.0, pose, {"shading": True})]
@@ -208,7 +208,7 @@ def test_fingerprint_of_a_flight_includes_all_inputs_of_its_pictures(ct, monkeyp
 @needs_ray
 @pytest.mark.ray
 @pytest.mark.slow
-def test_flight_on_a_real_cluster_equals_that_of_one_machine(ct, keys, tmp_path, whole):
+def test_video_rendered_on_a_real_cluster_equals_that_of_one_machine(ct, keys, tmp_path, whole):
     environment = {**environment_in(tmp_path), "HOME": str(tmp_path)}
     output = tmp_path / "ray.mp4"
     command = [sys.executable, "-m", "carina.cli", "fly", str(ct), "--keys", str(keys), "-o", str(output), *HOW]

@@ -29,7 +29,7 @@ def searches(monkeypatch):
     return seen
 
 
-def test_wall_is_that_of_airways_found_with_the_stored_settings_and_edits(searches):
+def test_replay_uses_the_wall_of_airways_found_with_the_stored_settings_and_edits(searches):
     edit = CutBranch(3)
     stored = {"digest": f"found [1.0, 2.0, 3.0] -800.0, {edit}", "root_lps": [1.0, 2.0, 3.0], "lumen_threshold": -800.0}
     stored["edits"] = edits_to_json([edit])
@@ -41,7 +41,7 @@ def test_wall_is_that_of_airways_found_with_the_stored_settings_and_edits(search
     assert len(searches) == 3
 
 
-def test_failed_automatic_search_does_not_prevent_a_search_from_the_root(searches, monkeypatch):
+def test_failed_automatic_search_does_not_prevent_a_search_from_the_recorded_root(searches, monkeypatch):
     find = carina.find_airways
 
     def by_root_alone(volume, *, root_lps=None, lumen_threshold=None, progress):
@@ -67,7 +67,7 @@ def test_failed_automatic_search_does_not_prevent_a_search_from_the_root(searche
         fly._walls(None, None)({})
 
 
-def test_recording_whose_airways_differ_is_refused_with_a_message(searches):
+def test_recording_whose_airways_differ_from_the_found_ones_is_refused_with_a_message(searches):
     with pytest.raises(
         VolumeImportError, match=("the airways that guided the scope in this recording differ")
     ) as refused:

@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from carina.cli.console import interruptible
-from own_folders import environment_in
+from user_folders import environment_in
 
 WAIT_S = 120.0
 """Time limit of every wait, seconds.
@@ -20,7 +20,7 @@ A picture of these tests takes minutes, so only an interrupted command ends with
 
 
 @pytest.mark.parametrize("stage", ["import", "phantom", "picture"])
-def test_ctrl_c_exits_130_and_leaves_no_file(stage, ct, tmp_path):
+def test_ctrl_c_exits_with_code_130_and_leaves_no_file(stage, ct, tmp_path):
     output = tmp_path / "x.png"
     command, sign = {
         "import": (["info", ct], None),
@@ -75,7 +75,7 @@ main()
 """
 
 
-def test_work_in_a_thread_returns_its_result_or_raises_its_error():
+def test_interruptible_function_returns_its_result_or_raises_its_error():
     assert interruptible(lambda: 7) == 7
     with pytest.raises(ZeroDivisionError):
         interruptible(lambda: 1 // 0)

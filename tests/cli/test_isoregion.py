@@ -29,7 +29,7 @@ def test_isoregion_file_contains_the_map_on_the_grid_of_the_scan(carina, ct, tmp
     assert result["share_with_equal_neighbours"] == pytest.approx((radii > 0).mean())
 
 
-def test_isoregion_labels_are_bins_of_16_hu(ct):
+def test_isoregion_file_has_labels_for_bins_of_16_hu(ct):
     volume = product.open_volume(ct)
     bins = (volume.hu_zyx.astype(np.int32) + 32768) // 16
     # Each bin has a label; a CT has at most 255 bins, because more labels would not fit into 8 bits.

@@ -11,13 +11,13 @@ from typer.testing import CliRunner
 
 import carina
 import carina.track
+from cached_test_data import found_airways, made_phantom
 from carina.cli.app import app
 from carina.config import load_settings
 from carina.plan import judge_pairs
 from carina.scopes import scope_presets
 from carina.session import LocalStore
 from carina.volume import write_grid
-from made import found_airways, made_phantom
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def run(path, place, *more):
     return CliRunner().invoke(app, ["plan", str(path), "--target", point, *more])
 
 
-def test_plan_is_printed_and_written_and_equals_that_of_python(chest, tmp_path) -> None:
+def test_plan_command_prints_and_writes_the_plan_of_the_python_function(chest, tmp_path) -> None:
     path, place = chest
     output = tmp_path / "plan.json"
     result = run(path, place, "--json", "-o", str(output), "--carina-depth-mm", "265")
@@ -91,7 +91,9 @@ def mirrored_chest(chest, tmp_path_factory):
     return path, np.array(chest[1]) * (-1.0, 1.0, 1.0)
 
 
-def test_plan_reports_a_mirrored_chest_in_the_terminal_and_as_a_badge(mirrored_chest, found_once, tmp_path) -> None:
+def test_plan_command_reports_a_mirrored_chest_in_the_terminal_and_as_a_badge(
+    mirrored_chest, found_once, tmp_path
+) -> None:
     path, place = mirrored_chest
     output = tmp_path / "plan.json"
     result = run(path, place, "--json", "-o", str(output))
@@ -100,7 +102,9 @@ def test_plan_reports_a_mirrored_chest_in_the_terminal_and_as_a_badge(mirrored_c
     assert result.stderr.count("note: the airways are mirrored: the three-lobed lung is on the patient's left") == 1
 
 
-def test_airways_reports_a_mirrored_chest_in_the_terminal_and_as_a_badge(mirrored_chest, found_once, tmp_path) -> None:
+def test_airways_command_reports_a_mirrored_chest_in_the_terminal_and_as_a_badge(
+    mirrored_chest, found_once, tmp_path
+) -> None:
     tree = tmp_path / "tree.json"
     result = CliRunner().invoke(app, ["airways", str(mirrored_chest[0]), "--json", "-o", str(tree)])
     assert result.exit_code == 0, result.output
@@ -120,7 +124,9 @@ def thick_chest(tmp_path_factory):
     return folder / "ct.nii.gz", made.truth["nodule"]["centre_lps"]
 
 
-def test_plan_in_thick_slices_states_the_calibrated_shares_in_every_output(thick_chest, found_once, tmp_path) -> None:
+def test_plan_in_thick_slices_states_the_calibrated_detection_shares_in_every_output(
+    thick_chest, found_once, tmp_path
+) -> None:
     path, place = thick_chest
     output = tmp_path / "plan.html"
     result = run(path, place, "--json", "-o", str(output))
@@ -137,7 +143,9 @@ def test_plan_in_thick_slices_states_the_calibrated_shares_in_every_output(thick
     assert all(f"{100 * one['most']:.0f} %" in sentence for one in shares["shares"])
 
 
-def test_plan_without_a_route_exits_4_with_the_reason(chest, found_once, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_plan_command_without_a_route_exits_with_code_4_and_the_reason(
+    chest, found_once, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path, place = chest
     from carina.plan.routes import plan_route
 
@@ -162,7 +170,7 @@ def test_plan_without_a_route_exits_4_with_the_reason(chest, found_once, monkeyp
         (["--paper", "A3", "-o", "plan.pdf"], 2, "expected A4 or Letter"),
     ],
 )
-def test_plan_with_invalid_options_is_refused_with_a_message(
+def test_plan_command_with_invalid_options_is_refused_with_a_message(
     chest, found_once, more: list[str], code: int, words: str
 ) -> None:
     path, place = chest
@@ -170,7 +178,7 @@ def test_plan_with_invalid_options_is_refused_with_a_message(
     assert result.exit_code == code and words in result.stderr
 
 
-def test_plan_for_a_position_without_a_nodule_is_refused(chest) -> None:
+def test_plan_command_for_a_position_without_a_nodule_is_refused(chest) -> None:
     path, place = chest
     result = run(path, [place[0], place[1], place[2] + 45.0])
     assert result.exit_code in {2, 4} and "nodule" in result.stderr
@@ -230,13 +238,15 @@ def test_plan_for_a_mask_is_written_for_slicer_and_as_a_report(chest, found_once
     ("more", "words"),
     [(["--send", "nowhere"], "expected HOST:PORT"), (["--send", "127.0.0.1:1"], "nothing listens there")],
 )
-def test_plan_with_an_invalid_receiver_address_is_refused(chest, found_once, more: list[str], words: str) -> None:
+def test_plan_command_with_an_invalid_receiver_address_is_refused(
+    chest, found_once, more: list[str], words: str
+) -> None:
     path, place = chest
     result = run(path, place, *more)
     assert result.exit_code != 0 and words in result.stderr
 
 
-def test_second_ct_states_the_measured_movement_in_terminal_and_json(chest, found_once) -> None:
+def test_plan_with_a_second_ct_states_the_measured_movement_in_terminal_and_json(chest, found_once) -> None:
     path, place = chest
     result = run(path, place, "--json", "--second-ct", str(path))
     assert result.exit_code == 0, result.output
@@ -247,7 +257,7 @@ def test_second_ct_states_the_measured_movement_in_terminal_and_json(chest, foun
     assert "second CT: " in result.stderr and "Movement of the target measured from the second CT: " in result.stderr
 
 
-def test_second_ct_that_shows_half_of_the_chest_is_refused_with_its_code(chest, found_once, tmp_path) -> None:
+def test_second_ct_that_shows_half_of_the_chest_is_refused_with_its_error_code(chest, found_once, tmp_path) -> None:
     path, place = chest
     volume = carina.open_volume(path)
     half = tmp_path / "half.nii.gz"
@@ -257,7 +267,9 @@ def test_second_ct_that_shows_half_of_the_chest_is_refused_with_its_code(chest, 
     assert json.loads(result.stdout)["error"]["code"] == "movement.half-chest"
 
 
-def test_compare_prints_one_order_with_its_rule_and_angles_stations_and_predictors(chest, found_once) -> None:
+def test_compare_command_prints_one_ranking_with_its_rule_c_arm_angles_stations_and_predictors(
+    chest, found_once
+) -> None:
     path, place = chest
     beside = ",".join(f"{v + 1.0:.2f}" for v in place)
     result = run(path, place, "--json", f"--compare={beside}")

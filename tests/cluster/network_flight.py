@@ -16,12 +16,12 @@ import sys
 import time
 from pathlib import Path
 
-from ray_rig import VIEW, Head, flying, wait_for
+from ray_cluster import VIEW, Head, flying, wait_for
 
 from carina.cluster import ClusterSettings
 from carina.cluster.node import Node, make_token
 from carina_bench.cluster_sleeping_renderer import SleepingRenderer
-from own_folders import environment_in
+from user_folders import environment_in
 
 ADDRESSES = [f"10.231.77.{10 + n}" for n in range(3)]
 PORT = 6399
@@ -30,7 +30,7 @@ OWN_FOLDERS = (
 )
 
 
-def own_folders(folder: Path) -> list[str]:
+def user_folders(folder: Path) -> list[str]:
     """Return the beginning of a command line that gives a machine a separate shared memory and Ray folder."""
     return ["unshare", "-m", "env", f"RAY_FOLDER={folder / 'ray'}", "sh", "-c", OWN_FOLDERS, "machine"]
 
@@ -45,7 +45,7 @@ def join(folder: Path, prefix: str, host: int) -> subprocess.Popen[bytes]:
     home = folder / f"home{host}"
     home.mkdir()
     words = (folder / f"join{host}.log").open("wb")
-    command = ["ip", "netns", "exec", f"{prefix}{host}", *own_folders(folder), sys.executable, "-m", "carina.cli"]
+    command = ["ip", "netns", "exec", f"{prefix}{host}", *user_folders(folder), sys.executable, "-m", "carina.cli"]
     command += ["cluster", "join", f"{ADDRESSES[0]}:{PORT}", "--ip", ADDRESSES[host], "--dedicated"]
     command += ["--token-file", str(folder / "token")]
     environment = {**environment_in(home), "HOME": str(home)}

@@ -19,7 +19,7 @@ BIG = st.integers(0, 2**62)
 
 
 @given(BIG, BIG, st.binary(max_size=50), st.one_of(st.none(), st.tuples(st.integers(0, 9000), st.integers(1, 9000))))
-def test_order_of_a_strip_is_restored_from_its_bytes(frame_id, content, view, rows):
+def test_request_for_a_strip_is_restored_from_its_bytes(frame_id, content, view, rows):
     assert open_order(pack_order(frame_id, content, view, rows)) == (frame_id, content, view, rows)
 
 
@@ -42,7 +42,7 @@ def test_reply_with_a_strip_is_restored_from_its_bytes(first_row):
         assert found.fov_deg == 90.0 and np.array_equal(found.lps_from_camera, np.eye(4))
 
 
-def test_reply_with_noncontiguous_rows_is_restored():
+def test_reply_with_noncontiguous_pixel_rows_is_restored_from_its_bytes():
     rgb = np.arange(6 * 8 * 3, dtype=np.uint8).reshape(6, 8, 3)[::2]
     assert np.array_equal(open_answer(pack_answer((1, 1, 3, 3, 0.0, "m", COUNTS, None, rgb)))[-1], rgb)
 
@@ -55,7 +55,7 @@ def test_largest_strip_is_below_the_limit_of_direct_transport():
 
 
 @pytest.mark.parametrize("rgb", [np.zeros((3, 8), np.uint8), np.zeros((3, 8, 3), np.float32)])
-def test_invalid_picture_array_is_not_sent(rgb):
+def test_invalid_pixel_array_of_a_strip_is_not_sent(rgb):
     with pytest.raises(ClusterError, match="uint8"):
         pack_answer((1, 1, 5, 3, 0.0, "leap", COUNTS, None, rgb))
 
@@ -72,7 +72,7 @@ def test_invalid_picture_array_is_not_sent(rgb):
         b"",
     ],
 )
-def test_picture_that_cannot_be_unpickled_is_an_invalid_strip(pickled):
+def test_reply_whose_picture_cannot_be_unpickled_is_an_invalid_strip(pickled):
     bare = pickle.dumps(_picture(), protocol=5)
     whole = pack_answer((1, 1, 0, 3, 0.0, "leap", COUNTS, _picture(), np.zeros((3, 8, 3), np.uint8)))
     assert bare in whole
@@ -87,7 +87,7 @@ def test_reply_with_another_object_than_a_picture_is_an_invalid_strip():
 
 
 @given(st.data())
-def test_truncated_extended_and_nonsense_bytes_are_an_invalid_strip(data):
+def test_truncated_extended_or_nonsense_reply_is_an_invalid_strip(data):
     whole = pack_answer((1, 1, 5, 3, 0.0, "leap", COUNTS, None, np.zeros((3, 8, 3), np.uint8)))
     cut = data.draw(st.integers(0, len(whole) - 1))
     with pytest.raises(ClusterError, match="invalid strip"):

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 
 import pytest
-from ray_rig import wait_for
+from ray_cluster import wait_for
 
 import carina
 from carina.cluster import Console, ray_backend
@@ -122,7 +122,7 @@ def in_rays_thread(what) -> None:
     assert not thread.is_alive()
 
 
-def test_started_renderer_gets_a_lane_and_releases_its_machine_on_close(ray, join):
+def test_renderer_that_has_started_gets_a_lane_and_releases_its_machine_on_close(ray, join):
     console, cluster = join()
     [actor] = wait_for(lambda: list(ray.actors))
     assert names(console) == []
@@ -145,7 +145,7 @@ def test_renderer_still_starting_on_close_releases_its_machine(ray, join, versio
     assert console.status().notices == ()
 
 
-def test_renderer_requested_during_close_is_killed(ray, join):
+def test_renderer_requested_while_the_console_closes_is_stopped(ray, join):
     ray.may_start.clear()
     _, cluster = join()
     wait_for(lambda: ray.num_asked == 1)
@@ -173,7 +173,7 @@ def test_machine_that_leaves_while_its_renderer_starts_gets_no_lane(ray, join):
     wait_for(lambda: names(console) == ["a"])
 
 
-def test_machine_of_another_version_is_reported_once_and_released(ray, join):
+def test_machine_with_another_carina_version_is_reported_once_and_released(ray, join):
     console, _ = join()
     [actor] = wait_for(lambda: list(ray.actors))
     in_rays_thread(lambda: actor.says(version="0.0.1"))
@@ -186,7 +186,7 @@ def test_machine_of_another_version_is_reported_once_and_released(ray, join):
 
 
 @pytest.mark.parametrize("answer", ["fails", "makes no sense"])
-def test_renderer_that_cannot_start_is_reported_killed_and_requested_again(ray, join, monkeypatch, answer):
+def test_renderer_that_cannot_start_is_reported_stopped_and_requested_again(ray, join, monkeypatch, answer):
     monkeypatch.setattr(ray_backend, "WAIT_AFTER_FAILURE_S", 0.0)
     console, _ = join()
     [actor] = wait_for(lambda: list(ray.actors))
@@ -202,7 +202,7 @@ def test_renderer_that_cannot_start_is_reported_killed_and_requested_again(ray, 
     wait_for(lambda: names(console) == ["a"])
 
 
-def test_renderer_that_starts_slowly_is_reported_and_used_when_it_has_started(ray, join):
+def test_renderer_that_starts_slowly_is_reported_and_used_once_it_has_started(ray, join):
     now_s = [100.0]
     console, _ = join(clock=lambda: now_s[0])
     [actor] = wait_for(lambda: list(ray.actors))

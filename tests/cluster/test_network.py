@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from network_flight import ADDRESSES, own_folders
-from ray_rig import import_path, needs_ray
+from network_flight import ADDRESSES, user_folders
+from ray_cluster import import_path, needs_ray
 
 
 def _ip(*words: str) -> bool:
@@ -55,14 +55,14 @@ def _can_have_networks() -> bool:
 @pytest.mark.ray
 @needs_ray
 @pytest.mark.skipif(not _can_have_networks(), reason="needs root, and leave to make network namespaces")
-def test_interrupted_link_delays_pictures_briefly_and_the_machine_returns():
+def test_interrupted_network_link_delays_pictures_briefly_and_the_machine_rejoins():
     # Ray puts sockets into this folder, and their paths must be short.
     folder = Path(tempfile.mkdtemp(prefix="carina-net-"))
     prefix = f"carina{os.getpid()}n"
     flight = Path(__file__).with_name("network_flight.py")
     try:
         with _network(prefix):
-            command = ["ip", "netns", "exec", f"{prefix}0", *own_folders(folder), sys.executable, "-W", "ignore"]
+            command = ["ip", "netns", "exec", f"{prefix}0", *user_folders(folder), sys.executable, "-W", "ignore"]
             command += [str(flight), str(folder), prefix]
             environment = {**os.environ, **import_path()}
             done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=900, check=False)

@@ -14,7 +14,7 @@ from carina.cluster.ray_backend import RayLane, version_words
 from carina.errors import ClusterError, UsageError
 
 
-def test_token_is_created_once_and_readable_by_its_owner_only(tmp_path):
+def test_cluster_token_is_created_once_and_readable_by_its_owner_only(tmp_path):
     made = node.make_token(tmp_path / "deep" / "token")
     text = made.read_text()
     assert made.stat().st_mode & 0o777 == 0o600
@@ -30,7 +30,7 @@ def test_token_file_readable_by_other_users_is_refused(tmp_path):
         node.check_token(made)
 
 
-def test_message_about_a_missing_token_states_the_remedy(tmp_path):
+def test_message_about_a_missing_token_states_how_to_get_it(tmp_path):
     with pytest.raises(ClusterError, match="start --head"):
         node.check_token(tmp_path / "none")
     short = tmp_path / "short"
@@ -39,7 +39,7 @@ def test_message_about_a_missing_token_states_the_remedy(tmp_path):
         node.check_token(short)
 
 
-def test_message_about_the_missing_extra_states_the_remedy(monkeypatch):
+def test_message_about_the_missing_cluster_extra_states_its_installation_command(monkeypatch):
     monkeypatch.setattr(node.importlib.util, "find_spec", lambda name: None)
     monkeypatch.setattr(sys, "platform", "linux")
     with pytest.raises(ClusterError, match=r"install .*'ray>=") as refused:
@@ -47,7 +47,7 @@ def test_message_about_the_missing_extra_states_the_remedy(monkeypatch):
     assert refused.value.exit_code == 1
 
 
-def test_systems_other_than_linux_are_refused_with_a_message(monkeypatch):
+def test_cluster_on_other_systems_than_linux_is_refused_with_a_message(monkeypatch):
     monkeypatch.setattr(sys, "platform", "darwin")
     with pytest.raises(ClusterError, match="needs Linux"):
         node.check_available()
@@ -72,7 +72,7 @@ def test_kuberay_manifest_sets_the_same_environment_as_a_node(tmp_path):
 @pytest.mark.parametrize(
     ("words", "starts", "told"), [(node.TIMED_OUT, 3, node.TIMED_OUT), ("no such option", 1, "no such option")]
 )
-def test_start_that_timed_out_is_repeated_and_a_refused_start_is_not(tmp_path, monkeypatch, words, starts, told):
+def test_node_start_is_repeated_after_a_timeout_and_not_after_a_refusal(tmp_path, monkeypatch, words, starts, told):
     """Use a busy machine and an invalid argument.
 
     On a busy machine Ray's helper processes exceed a time limit; an invalid argument always fails.
@@ -90,7 +90,7 @@ def test_start_that_timed_out_is_repeated_and_a_refused_start_is_not(tmp_path, m
     assert began.read_text() == "x" * starts
 
 
-def test_address_without_a_port_has_the_default_port():
+def test_cluster_address_without_a_port_gets_the_default_port():
     assert node.split_address("10.0.0.5") == ("10.0.0.5", 6379)
     assert node.split_address("desk:7000") == ("desk", 7000)
     for bad in ("", ":7000", "desk:door"):
@@ -108,7 +108,7 @@ FACTS = {"host": "m", "threads": 4, "simd": "avx2", "version": "0.1.0", "pid": 1
         (8 * 2**30, 4 * 2**30, 4 * 2**30, "has only 4.0 GiB of free memory"),
     ],
 )
-def test_case_that_exceeds_the_memory_is_reported_with_available_and_needed_size(
+def test_case_larger_than_the_memory_is_reported_with_available_and_needed_size(
     store_bytes, new_bytes, free_bytes, words
 ):
     lane = RayLane("m", None, None, FACTS, store_bytes)
@@ -125,7 +125,7 @@ def test_case_that_exceeds_the_memory_is_reported_with_available_and_needed_size
     ("console", "renderer", "side"),
     [("0.2.0", "0.1.9", "machine m"), ("0.2.0", "0.10.0", "this console"), ("1.0", "0.9.9", "machine m")],
 )
-def test_message_about_different_versions_names_the_older_side(console, renderer, side):
+def test_message_about_different_versions_names_the_older_computer(console, renderer, side):
     words = version_words(console, renderer, "m")
     assert words is not None and words.endswith(f"upgrade the {side}" if side != "this console" else f"upgrade {side}")
     assert version_words("0.2.0", "0.2.0", "m") is None

@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 import pytest
-from ray_rig import IP, VIEW, flying, how_it_is, needs_ray, running_head, small_volume, wait_for
+from ray_cluster import IP, VIEW, flying, how_it_is, needs_ray, running_head, small_volume, wait_for
 
 from carina.cluster import ClusterSettings
 from carina.cluster.node import make_token
@@ -136,7 +136,7 @@ def test_renderer_killed_during_a_frame_is_replaced_and_loads_the_volume_again(w
     assert len(reported) == 1
 
 
-def test_stopped_renderer_is_late_and_continues_after_it_wakes(whole):
+def test_suspended_renderer_is_late_and_continues_after_it_resumes(whole):
     flight = whole
     name = flight.ready()[2]
     pid = flight.lane(name).facts.pid
@@ -151,7 +151,7 @@ def test_stopped_renderer_is_late_and_continues_after_it_wakes(whole):
     _fly(flight, 0.3)
 
 
-def test_renderer_ten_times_slower_gets_a_small_share(whole):
+def test_renderer_ten_times_slower_gets_a_small_share_of_the_rows(whole):
     flight = whole
     name = flight.ready()[0]
     flight.cluster.ray.get(flight.lane(name)._handle.misbehave.remote(factor=10.0))
@@ -215,7 +215,7 @@ def test_real_renderers_give_the_picture_of_a_single_machine_and_follow_its_cont
             wait_for(spread)
 
 
-def test_message_about_another_version_names_the_side_to_upgrade(head):
+def test_message_about_another_version_names_the_computer_to_upgrade(head):
     with flying(head, SleepingRenderer, num=0, limit=1, version="0.0.1") as flight:
         [notice, *_] = wait_for(lambda: flight.console.status().notices)
         assert "runs Carina 0.0.1" in notice and "upgrade the machine" in notice
@@ -226,7 +226,7 @@ def test_message_about_another_version_names_the_side_to_upgrade(head):
         assert "upgrade this console" in flight.console.status().notices[0]
 
 
-def test_volume_larger_than_the_memory_of_a_member_is_reported_and_rendered_elsewhere(head):
+def test_volume_larger_than_the_memory_of_a_member_is_reported_and_rendered_by_other_members(head):
     with flying(head, SleepingRenderer, num=0, limit=1, volume=small_volume(64), memory_bytes=1000) as flight:
         notice = wait_for(lambda: [n for n in flight.console.status().notices if "free memory" in n])[0]
         assert "is not used" in notice
@@ -247,7 +247,7 @@ except ClusterError as refused:
 """
 
 
-def test_join_with_a_wrong_token_is_refused(head, tmp_path):
+def test_joining_the_cluster_with_a_wrong_token_is_refused(head, tmp_path):
     wrong = make_token(tmp_path / "token")
     command = [sys.executable, "-W", "ignore", "-c", REFUSED, head.node.address, str(wrong), IP]
     # By default Ray tries twenty times at intervals of 1 s.

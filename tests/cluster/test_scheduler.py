@@ -25,7 +25,7 @@ ROW_S = 0.005 / 128
     st.integers(1, 40),
     st.one_of(st.none(), st.integers(1, 90)),
 )
-def test_each_row_is_in_exactly_one_strip(num_rows, shares, min_rows, max_rows):
+def test_each_row_of_a_frame_is_in_exactly_one_strip(num_rows, shares, min_rows, max_rows):
     pieces = cut_rows(num_rows, dict(enumerate(shares)), min_rows=min_rows, max_rows=max_rows)
     ends = [0] + [end for _, _, end in pieces]
     assert [first for _, first, _ in pieces] == ends[:-1]
@@ -38,12 +38,12 @@ def test_each_row_is_in_exactly_one_strip(num_rows, shares, min_rows, max_rows):
     assert min(heights.values()) >= min(min_rows, num_rows)
 
 
-def test_strip_heights_are_proportional_to_the_shares():
+def test_strip_heights_are_proportional_to_the_shares_of_the_lanes():
     pieces = cut_rows(512, {"a": 0.3, "b": 0.1, "c": 0.6}, min_rows=4)
     assert [(lane, end - first) for lane, first, end in pieces] == [("a", 154), ("b", 51), ("c", 307)]
 
 
-def test_missing_lane_and_missing_row_are_refused():
+def test_layout_without_a_lane_or_without_a_row_is_refused():
     with pytest.raises(UsageError, match="0 renderers"):
         cut_rows(5, {}, min_rows=1)
     with pytest.raises(UsageError, match="0 image rows"):
@@ -61,7 +61,7 @@ def _settled(power: float, num: int = 400) -> list[float]:
     return [shares.all[lane] for lane in cost]
 
 
-def test_shares_by_time_per_row_settle_at_the_true_ones_and_by_strip_time_do_not():
+def test_shares_computed_from_time_per_row_converge_to_the_true_ones_and_from_time_per_strip_do_not():
     assert _settled(0.0)[0] == pytest.approx(0.1, abs=1e-6)
     # With the times of whole strips, as in the paper's formula, the slow lane settles at 1/sqrt(3) beside three lanes
     # of 1.
@@ -85,7 +85,7 @@ def test_shares_sum_to_one_after_any_events(events):
 FLIGHT = ClusterSettings(in_flight=2, open_frames=3)
 
 
-def test_slow_renderer_of_four_gets_its_true_share_and_the_rate_is_near_ideal():
+def test_slow_renderer_of_four_gets_its_true_share_and_the_frame_rate_is_near_ideal():
     slow = SimulatedRenderer(3 * ROW_S)
     renderers = [SimulatedRenderer(ROW_S)] * 3 + [slow]
     result = SimulatedCluster(renderers, FLIGHT).run(400, 512)
@@ -96,7 +96,7 @@ def test_slow_renderer_of_four_gets_its_true_share_and_the_rate_is_near_ideal():
     assert result.fps(skip=30) >= 0.85 * ideal
 
 
-def test_four_equal_renderers_reach_nine_tenths_of_ideal():
+def test_four_equal_renderers_reach_nine_tenths_of_the_ideal_frame_rate():
     result = SimulatedCluster([SimulatedRenderer(ROW_S)] * 4, FLIGHT).run(400, 512)
     assert result.fps(skip=30) >= 0.9 / 0.005
 
@@ -111,7 +111,7 @@ def test_pre_assigned_strips_and_buffers_each_increase_the_frame_rate():
 
 
 @pytest.mark.parametrize(("frame_s", "most_open"), [(0.588, 1), (0.06, 1), (0.02, 3)])
-def test_long_frames_of_a_single_lane_are_not_pipelined(frame_s, most_open):
+def test_only_one_long_frame_at_a_time_is_issued_to_a_single_lane(frame_s, most_open):
     settings = ClusterSettings(open_frames=3)
     alone = SimulatedCluster([SimulatedRenderer(frame_s / 512)], settings).run(60, 512)
     # The time is that of the frame plus transport. Short frames are pipelined, because transport is a large part of
@@ -123,14 +123,14 @@ def test_long_frames_of_a_single_lane_are_not_pipelined(frame_s, most_open):
     assert both.fps(skip=5) > 1.9 / frame_s
 
 
-def test_slow_renderer_limits_the_rate_without_balancing():
+def test_slow_renderer_limits_the_frame_rate_without_load_balancing():
     renderers = [SimulatedRenderer(ROW_S)] * 3 + [SimulatedRenderer(3 * ROW_S)]
     without = SimulatedCluster(renderers, ClusterSettings(balances=False)).run(100, 512)
     assert without.shares[-1] == dict.fromkeys(range(4), 0.25)
     assert without.fps(skip=30) < 0.6 * SimulatedCluster(renderers).run(100, 512).fps(skip=30)
 
 
-def test_renderer_that_becomes_ten_times_slower_loses_its_share():
+def test_renderer_that_becomes_ten_times_slower_gets_a_smaller_share():
     """Let its replies arrive long after other lanes have completed the frame; they must still update its share."""
     rig = _flying("a", "b", "c", "d", settings=ClusterSettings(open_frames=1), warm=20)
     now_s, due = 1.0, []
@@ -195,7 +195,7 @@ def _flying(*lanes, settings=None, warm=3) -> Rig:
     return rig
 
 
-def test_late_strip_is_issued_to_another_lane_and_the_first_reply_is_used():
+def test_late_strip_is_issued_to_another_lane_and_the_first_reply_to_it_is_used():
     rig = _flying("a", "b")
     rig.scheduler.want(1, 100, 0.0)
     rig.take()
@@ -214,7 +214,7 @@ def test_late_strip_is_issued_to_another_lane_and_the_first_reply_is_used():
     assert rig.rest[-1] == LaneBack("a")
 
 
-def test_deadline_of_a_new_lane_follows_the_rate_of_the_others():
+def test_reply_deadline_of_a_new_lane_follows_the_rate_of_the_other_lanes():
     rig = _flying("a", "b", warm=20)
     rig.scheduler.join("c", 0.0)
     rig.scheduler.want(1, 99, 0.0)
@@ -230,7 +230,7 @@ def test_deadline_of_a_new_lane_follows_the_rate_of_the_others():
     assert alone.scheduler.deadline_s == pytest.approx(2.0), "nobody knows what such a picture takes"
 
 
-def test_reply_is_accepted_only_while_its_rows_are_missing():
+def test_reply_with_a_strip_is_accepted_only_while_its_rows_are_missing():
     rig = _flying("a", "b")
     rig.scheduler.want(1, 100, 0.0)
     rig.take()
@@ -245,7 +245,7 @@ def test_reply_is_accepted_only_while_its_rows_are_missing():
     assert not rig.scheduler.wants("a", of_a.task_id)
 
 
-def test_late_lane_gets_no_strip_until_it_replies():
+def test_late_lane_gets_no_further_strip_until_it_replies():
     rig = _flying("a", "b")
     rig.scheduler.want(1, 100, 0.0)
     rig.take()
@@ -296,7 +296,7 @@ def test_console_renders_while_no_lane_is_available_and_stops_when_one_returns()
     assert [t.lane for t in rig.issued] == ["a"]
 
 
-def test_frame_requested_without_a_lane_waits_for_a_lane():
+def test_frame_requested_without_an_available_lane_waits_for_a_lane():
     rig = Rig()
     rig.scheduler.want(1, 100, 0.0)
     assert rig.take() == []
@@ -350,7 +350,7 @@ def test_buffer_of_a_dropped_frame_is_used_by_the_next_frame():
     assert rig.rest == [FrameDropped(1)]
 
 
-def test_whole_frames_are_issued_to_one_lane_each_up_to_the_lane_capacity():
+def test_undivided_frames_are_issued_to_one_lane_each_up_to_the_capacity_of_the_lane():
     rig = _flying("a", "b", settings=ClusterSettings(in_flight=2, open_frames=1))
     for frame_id in range(10):
         rig.scheduler.want(frame_id, 100, 0.0, whole=True)
@@ -359,7 +359,7 @@ def test_whole_frames_are_issued_to_one_lane_each_up_to_the_lane_capacity():
     assert {(t.first_row, t.end_row) for t in rig.issued} == {(0, 100)}
 
 
-def test_frame_in_progress_cannot_be_requested_again():
+def test_frame_that_is_being_rendered_cannot_be_requested_again():
     rig = _flying("a")
     rig.scheduler.want(1, 10, 0.0)
     with pytest.raises(UsageError, match="already being rendered"):

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
-from ray_rig import VIEW, flying, needs_ray, running_head, wait_for
+from ray_cluster import VIEW, flying, needs_ray, running_head, wait_for
 
 from carina.cluster import ClusterSettings
 from carina.cluster.node import descendants, reap
@@ -26,7 +26,7 @@ def _resident_bytes() -> int:
 @pytest.mark.ray
 @needs_ray
 @pytest.mark.filterwarnings("ignore")
-def test_ten_minutes_of_flight_with_a_member_killed_every_20_seconds():
+def test_frames_continue_for_ten_minutes_while_a_member_is_killed_every_20_seconds():
     with running_head(renderers=4) as head:
         with flying(head, SleepingRenderer, num=4, settings=ClusterSettings(), row_seconds=0.004 / 128) as flight:
             # The list of jobs would grow during the flight and is not used in this test.
@@ -68,7 +68,7 @@ def test_ten_minutes_of_flight_with_a_member_killed_every_20_seconds():
 @pytest.mark.ray
 @needs_ray
 @pytest.mark.filterwarnings("ignore")
-def test_console_renders_alone_after_the_head_is_lost():
+def test_console_renders_alone_after_the_head_node_is_lost():
     """Check that the program continues although Ray by default ends a program 60 s after its head is lost."""
     with running_head(renderers=2) as head, flying(head, SleepingRenderer, num=2, row_seconds=0.004 / 256) as flight:
         assert flight.check(flight.renderer.render(VIEW)) == 1.0

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 import carina
+from cached_test_data import found_airways, made_phantom
 from carina.commands import RenameBranch, SetTexture
 from carina.commands.questions import VoxelAt
 from carina.errors import CarinaError
@@ -33,7 +34,6 @@ from carina.render import (
 from carina.scopes import DepthOfField, ImageField, Lens, PathFrames
 from carina.track import Branch
 from carina.volume import Note
-from made import found_airways, made_phantom
 
 VALUE_CLASSES: tuple[type, ...] = (
     AirwayView, AutoFlight, Branch, CutPlaneView, DepthOfField, DrrView, ImageField, Lens, Light, NeedleErrors, Note,

@@ -61,7 +61,7 @@ EXPRESSIONS = [
 
 
 @pytest.mark.parametrize(("expression", "good"), EXPRESSIONS)
-def test_licence_expression_is_judged_by_the_allowed_licences(audit, allowed, expression, good):
+def test_licence_expression_is_compared_with_the_allowed_licences(audit, allowed, expression, good):
     assert audit.licence_allowed(expression, allowed.licences) is good
 
 
@@ -111,7 +111,7 @@ def answers(text, *, error="", code=0):
     return lambda *_command, **_options: SimpleNamespace(stdout=text, stderr=error, returncode=code)
 
 
-def test_missing_tool_network_or_answer_is_a_reported_gap(audit, allowed, monkeypatch):
+def test_check_without_a_tool_network_or_answer_is_reported_as_a_gap(audit, allowed, monkeypatch):
     def silent(*command, **_options):
         raise subprocess.TimeoutExpired(command, 1)
 
@@ -128,7 +128,7 @@ def test_missing_tool_network_or_answer_is_a_reported_gap(audit, allowed, monkey
             assert "good" not in "\n".join(result.lines())
 
 
-def test_package_skipped_by_pip_audit_is_a_gap(audit, allowed, monkeypatch):
+def test_package_skipped_by_pip_audit_is_reported_as_a_gap(audit, allowed, monkeypatch):
     monkeypatch.setattr(audit.shutil, "which", lambda tool: tool)
     rows = [{"name": "a", "skip_reason": "not found"}, {"name": "b", "vulns": []}]
     result = audit.python_advisories(ROOT, allowed, TODAY, answers(json.dumps({"dependencies": rows})))
@@ -158,7 +158,7 @@ REPORTS = {
 
 
 @pytest.mark.parametrize("look", REPORTS)
-def test_advisory_is_a_finding_unless_an_exception_has_not_expired(audit, allowed, monkeypatch, look):
+def test_advisory_is_a_finding_unless_a_valid_exception_names_it(audit, allowed, monkeypatch, look):
     monkeypatch.setattr(audit.shutil, "which", lambda tool: tool)
     run = answers(json.dumps(REPORTS[look]), code=1)
     look_up = getattr(audit, look)
@@ -170,7 +170,7 @@ def test_advisory_is_a_finding_unless_an_exception_has_not_expired(audit, allowe
     assert "ended on 2026-06-01" in ended
 
 
-def test_exception_without_a_reason_or_an_end_is_refused(audit, tmp_path):
+def test_exception_without_a_reason_or_an_end_date_is_refused(audit, tmp_path):
     path = tmp_path / "audit.toml"
     for text in (
         '[[advisories]]\nid = "X"\nuntil = 2026-01-01\n',
@@ -184,7 +184,7 @@ def test_exception_without_a_reason_or_an_end_is_refused(audit, tmp_path):
             audit.read_allowed(path)
 
 
-def test_gap_of_an_unknown_check_is_refused(audit, tmp_path):
+def test_accepted_gap_of_an_unknown_check_is_refused(audit, tmp_path):
     path = tmp_path / "audit.toml"
     path.write_text('[[gaps]]\ncheck = "advisories"\nreason = "y"\nuntil = 2026-01-01\n', encoding="utf-8")
     with pytest.raises(SystemExit, match="is no check"):
@@ -216,7 +216,7 @@ def test_accepted_gap_passes_until_its_last_day_and_is_printed_with_its_reason(a
     assert capsys.readouterr().out.count(f"audit.toml accepted this gap until {yesterday}") == 3
 
 
-def test_result_with_an_accepted_gap_is_not_reported_as_complete(audit, allowed):
+def test_audit_with_an_accepted_gap_is_not_reported_as_complete(audit, allowed):
     result = audit.Result("licences, Python", num_seen=3, unseen=["1 package"])
     gap = audit.Gap("another system", TODAY)
     audit.judge_gaps([result], audit.Allowed(allowed.licences, {}, {}, {"licences, Python": gap}), TODAY)

@@ -18,7 +18,7 @@ def printed(code: str) -> str:
     return subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.strip()
 
 
-def test_dir_lists_every_documented_part_and_every_public_name() -> None:
+def test_dir_of_the_package_lists_every_documented_subpackage_and_every_public_name() -> None:
     listed = set(dir(carina))
     assert set(DOCUMENTED) <= listed
     assert set(carina.__all__) <= listed
@@ -39,7 +39,7 @@ def test_unknown_name_raises_an_attribute_error() -> None:
     assert not hasattr(carina, "_web")
 
 
-def test_bare_import_loads_no_part_and_no_library() -> None:
+def test_bare_import_loads_no_subpackage_and_no_library() -> None:
     code = "import sys, carina; print(*sorted(n for n in sys.modules if n.startswith(('carina', 'numpy', 'msgspec'))))"
     assert printed(code).split() == ["carina", "carina.version"]
     assert "carina.track" not in printed("import sys, carina; dir(carina); print(*sys.modules)").split()

@@ -90,7 +90,7 @@ def needed() -> dict[str, str]:
     return {"Python": python, "Rust": rust, "Node": node}
 
 
-def test_first_build_names_the_versions_that_the_project_files_declare(machine):
+def test_check_before_the_first_build_names_the_versions_that_the_project_files_declare(machine):
     ended = check(machine())
     assert ended.returncode == 0, ended.stderr
     first = ended.stdout.splitlines()[0]
@@ -100,7 +100,7 @@ def test_first_build_names_the_versions_that_the_project_files_declare(machine):
     assert re.search(r"Compiles: Rust crates and the web UI, about \d+ to \d+ min", ended.stdout)
 
 
-def test_check_of_the_tools_after_a_build_prints_nothing(machine, tmp_path):
+def test_check_of_complete_build_tools_prints_nothing(machine, tmp_path):
     (tmp_path / "installed").touch()
     ended = check(machine(), tmp_path / "installed", tmp_path / "absent")
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
@@ -120,7 +120,7 @@ def test_check_of_the_tools_after_a_build_prints_nothing(machine, tmp_path):
         ("cargo", None, "Rust 1.89 or newer is missing"),
     ],
 )
-def test_missing_or_old_tool_is_reported_with_its_remedy_and_nothing_is_downloaded(
+def test_missing_or_old_build_tool_is_reported_with_its_remedy_and_nothing_is_downloaded(
     machine, tmp_path, tool, version, problem
 ):
     environment = machine(**{tool: version})
@@ -147,7 +147,7 @@ def test_rust_is_not_downloaded_without_consent(machine, tmp_path):
     assert not (tmp_path / "ran").exists()
 
 
-def test_rust_is_downloaded_into_the_folder_after_consent(machine, tmp_path):
+def test_rust_is_downloaded_into_the_checkout_after_consent(machine, tmp_path):
     """Run the script in a copy of the files that it reads."""
     copy = tmp_path / "copy"
     for name in ("tools/check_build_tools.sh", "Cargo.toml", "pyproject.toml", "web/package.json"):
@@ -172,7 +172,7 @@ def dry_run(*arguments: str) -> list[str]:
     return ended.stdout.splitlines()
 
 
-def test_make_run_checks_the_tools_first_and_installs_nothing_for_tests_or_lints():
+def test_make_run_checks_the_build_tools_first_and_installs_no_test_or_lint_tools():
     commands = dry_run("run")
     assert commands[0].startswith("tools/check_build_tools.sh")
     text = "\n".join(commands)
@@ -182,7 +182,7 @@ def test_make_run_checks_the_tools_first_and_installs_nothing_for_tests_or_lints
     assert commands[-1].endswith("carina demo phantom")
 
 
-def test_make_setup_installs_the_tools_for_tests_and_lints():
+def test_make_setup_installs_the_test_and_lint_tools():
     text = "\n".join(dry_run("setup"))
     assert "requirements.lock" in text
     assert "npm ci --no-audit" in text

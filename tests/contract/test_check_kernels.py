@@ -17,5 +17,5 @@ DISASSEMBLY = """
 """
 
 
-def test_closure_without_the_instruction_set_is_reported_and_cpu_detection_is_not() -> None:
+def test_closure_that_drops_the_instruction_set_of_its_kernel_is_reported() -> None:
     assert lost_kernels(DISASSEMBLY) == {"carina_raycast::packet::lighting::lit::{{closure}}": 2}

@@ -30,7 +30,7 @@ def subclasses(base: type[CarinaError]) -> set[type[CarinaError]]:
     return {base}.union(*(subclasses(one) for one in base.__subclasses__()))
 
 
-def test_wire_page_names_the_wire_version() -> None:
+def test_wire_documentation_page_names_the_wire_version() -> None:
     assert PROTOCOL.splitlines()[0].endswith(f"(version {WIRE_VERSION})")
 
 
@@ -60,7 +60,7 @@ def test_cluster_pages_name_the_locked_versions_of_ray() -> None:
     assert {whole or f"{part}.{locked.rpartition('.')[2]}" for whole, part in stated} == {locked}
 
 
-def test_contract_lists_the_exit_codes_of_all_errors() -> None:
+def test_contract_page_lists_the_exit_codes_of_all_errors() -> None:
     table = {int(code) for code in re.findall(r"^\| (\d+) \|", CONTRACTS, re.MULTILINE)}
     raised = {cls.exit_code for cls in subclasses(CarinaError) if cls.__module__.startswith("carina.")}
     assert raised | {0} <= table
@@ -111,7 +111,7 @@ def value_of(node: ast.expr | None, constants: dict[str, object]) -> object:
     return None
 
 
-def test_versions_are_found_for_every_json_format_of_the_package() -> None:
+def test_every_json_format_of_the_package_has_a_version_in_the_code() -> None:
     found = format_versions()
     assert {"carina-tree", "carina-transfer", "carina-keys", "carina-recording", "carina-plan", "carina-pose"} <= set(
         found
@@ -128,13 +128,13 @@ def test_format_versions_in_a_document_are_those_of_the_code(document: Path) -> 
     assert newest == {name: found.get(name) for name in newest}
 
 
-def test_wire_page_names_every_close_code() -> None:
+def test_wire_documentation_page_names_every_close_code() -> None:
     stated = {int(code) for code in re.findall(r"^\| (\d{4})", PROTOCOL, re.MULTILINE)}
     assert set(wire.CLOSE_CODES.values()) <= stated
     assert stated - {1001} <= set(wire.CLOSE_CODES.values())
 
 
-def test_messages_in_the_tables_of_the_wire_exist() -> None:
+def test_messages_in_the_tables_of_the_wire_documentation_exist() -> None:
     known = {
         *wire.CLIENT_MESSAGES, *wire.SERVER_MESSAGES, *wire.PHONE_MESSAGES, *wire.TO_PHONE_MESSAGES,
         *wire.JOIN_MESSAGES, *wire.TO_JOIN_MESSAGES,
@@ -145,7 +145,7 @@ def test_messages_in_the_tables_of_the_wire_exist() -> None:
     assert stated <= known
 
 
-def test_error_codes_in_the_contract_exist_in_the_code() -> None:
+def test_error_codes_in_the_contract_page_exist_in_the_code() -> None:
     source = all_source()
     for code in re.findall(r"`((?:import|track|plan|session)\.[a-z]+-[a-z-]+|case\.no-[a-z]+)`", CONTRACTS):
         assert f"'{code}'" in source, code
@@ -190,5 +190,5 @@ def test_names_in_backticks_of_a_document_exist_in_the_code(document: Path) -> N
         "make nonsense",
     ],
 )
-def test_wrong_name_in_backticks_is_reported(text: str) -> None:
+def test_wrong_name_in_backticks_of_a_document_is_reported(text: str) -> None:
     assert problem(Named("ARCHITECTURE.md", 1, text)) is not None

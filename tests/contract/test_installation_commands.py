@@ -60,7 +60,7 @@ def test_no_message_installs_carina_from_a_package_index() -> None:
     assert not wrong, "\n".join(wrong)
 
 
-def test_only_one_module_writes_installation_commands() -> None:
+def test_only_one_module_contains_installation_commands() -> None:
     command = re.compile(r"pip install|\buv add\b")
     source = [path for path in message_files() if path.is_relative_to(ROOT / "python") or "web" in path.parts]
     found = [path for path in source if command.search(path.read_text(encoding="utf-8"))]
@@ -68,7 +68,7 @@ def test_only_one_module_writes_installation_commands() -> None:
     assert {path.name for path in found} <= {"installation.py"}
 
 
-def test_extras_in_messages_are_those_of_the_project_file() -> None:
+def test_extras_named_in_messages_are_those_of_the_project_file() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     declared = {
         extra: tuple(requirement.partition(";")[0] for requirement in requirements)
@@ -83,19 +83,19 @@ def without(monkeypatch: pytest.MonkeyPatch, *, pip: bool, uv: str | None) -> No
     monkeypatch.setattr(installation.shutil, "which", lambda name, path=None: uv if path is None else None)
 
 
-def test_environment_with_pip_uses_the_pip_of_its_python(monkeypatch) -> None:
+def test_installation_command_in_an_environment_with_pip_uses_the_pip_of_its_python(monkeypatch) -> None:
     without(monkeypatch, pip=True, uv="/usr/bin/uv")
     words = shlex.split(install_command("segno>=1.6"))
     assert words == [sys.executable, "-m", "pip", "install", "segno>=1.6"]
 
 
-def test_environment_of_uv_without_pip_uses_uv(monkeypatch) -> None:
+def test_installation_command_in_an_environment_of_uv_without_pip_uses_uv(monkeypatch) -> None:
     without(monkeypatch, pip=False, uv="/usr/bin/uv")
     words = shlex.split(extra_command("report"))
     assert words == ["/usr/bin/uv", "pip", "install", "--python", sys.executable, "reportlab>=4.2"]
 
 
-def test_environment_without_pip_and_uv_installs_pip_first(monkeypatch) -> None:
+def test_installation_command_without_pip_and_uv_installs_pip_first(monkeypatch) -> None:
     without(monkeypatch, pip=False, uv=None)
     first, second = extra_command("video").split(" && ")
     assert shlex.split(first) == [sys.executable, "-m", "ensurepip"]
@@ -108,7 +108,7 @@ def test_version_condition_is_quoted_for_the_windows_shell(monkeypatch) -> None:
     assert install_command("ray>=2.60,<2.61").endswith(' -m pip install "ray>=2.60,<2.61"')
 
 
-def test_checkout_is_rebuilt_by_a_makefile_target() -> None:
+def test_rebuild_command_of_a_checkout_is_a_makefile_target() -> None:
     words = shlex.split(rebuild().removeprefix("run: "))
     assert words[:2] == ["make", "-C"]
     target = words[3]
@@ -126,7 +126,9 @@ def test_checkout_is_rebuilt_by_a_makefile_target() -> None:
         (None, "from the file or folder from which it was installed"),
     ],
 )
-def test_installed_wheel_is_reinstalled_from_its_origin(monkeypatch, record, expected) -> None:
+def test_installed_wheel_is_reinstalled_from_the_file_or_address_of_its_installation(
+    monkeypatch, record, expected
+) -> None:
     class Distribution:
         def read_text(self, _name: str) -> str | None:
             return record
@@ -137,7 +139,7 @@ def test_installed_wheel_is_reinstalled_from_its_origin(monkeypatch, record, exp
     assert "install carina" not in rebuild()
 
 
-def test_carina_command_has_its_full_path_unless_the_shell_finds_it(monkeypatch, tmp_path) -> None:
+def test_carina_command_in_a_message_has_its_full_path_unless_the_shell_finds_it(monkeypatch, tmp_path) -> None:
     own, other = tmp_path / "own", tmp_path / "other"
     for folder in (own, other):
         folder.mkdir()
@@ -151,7 +153,7 @@ def test_carina_command_has_its_full_path_unless_the_shell_finds_it(monkeypatch,
         assert shlex.split(carina_command("case", "migrate")) == [str(own / "carina"), "case", "migrate"]
 
 
-def test_commands_of_carina_in_messages_exist() -> None:
+def test_carina_commands_in_messages_exist() -> None:
     """Check the commands of `carina`, `carina case` and `carina cluster`."""
     commands = typer.main.get_command(app)
     wrong = []

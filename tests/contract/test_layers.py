@@ -47,7 +47,7 @@ def test_import_against_the_order_of_the_folders_is_refused():
     ]
 
 
-def test_folder_cycles_and_folders_without_a_row_or_files_are_refused():
+def test_folder_cycles_folders_without_a_table_row_and_rows_without_files_are_refused():
     rules = dict(FOLDERS["track"])
     del rules["surface"]
     rules |= {"tree": frozenset({"names"}), "attic": frozenset()}
@@ -84,11 +84,11 @@ def classes_of(files: dict[str, str]) -> list[tuple[str, ast.ClassDef]]:
     ]
 
 
-def test_limit_of_files_applies_to_every_view_of_the_view_table():
+def test_check_of_files_that_name_a_view_applies_to_every_view_of_the_view_table():
     assert check_layers.view_names() | check_layers.AMBIGUOUS_VIEWS == set(VIEW_NAMES)
 
 
-def test_view_is_recognised_as_a_string_a_key_or_the_first_word_of_its_family():
+def test_view_name_is_found_as_a_string_a_dictionary_key_or_a_name_prefix():
     files = {
         "python/carina/a.py": 'x = {"drr": 1}  # not "axial"\n',
         "python/carina/b.py": 'x = name.startswith("xray-")\n',
@@ -104,7 +104,7 @@ def test_view_is_recognised_as_a_string_a_key_or_the_first_word_of_its_family():
     assert naming["axial"] == []
 
 
-def test_record_classes_with_equal_field_names_and_types_are_found():
+def test_record_classes_with_equal_field_names_and_types_are_reported():
     files = {
         "python/carina/a.py": (
             "@dataclass(frozen=True)\nclass Steer:\n    x: float\n    y: float\n    z: float\n"
@@ -125,7 +125,7 @@ def test_record_classes_with_equal_field_names_and_types_are_found():
     }
 
 
-def test_public_class_name_in_two_files_is_refused_and_private_one_accepted():
+def test_public_class_name_in_two_files_is_refused_and_a_private_one_accepted():
     classes = classes_of(
         {
             "python/carina/track/one.py": "class Lung: ...\nclass _Part: ...\n",
@@ -135,7 +135,7 @@ def test_public_class_name_in_two_files_is_refused_and_private_one_accepted():
     assert defined_twice(classes) == {"Lung": ["python/carina/track/one.py", "python/carina/plan/two.py"]}
 
 
-def test_inherited_methods_and_attributes_set_on_self_are_counted():
+def test_inherited_methods_and_attributes_set_on_self_count_towards_the_limits():
     text = (
         "class Moving:\n    def steer(self): ...\n    def _lock(self): ...\n"
         "class Session(Moving[int]):\n    @property\n    def scene(self): ...\n    async def steer(self): ...\n"
@@ -160,14 +160,14 @@ def limits_exceeded_by(more: int) -> list[str]:
     return check_limits(files)
 
 
-def test_sources_at_a_limit_are_accepted_and_above_it_refused():
+def test_source_at_a_size_limit_is_accepted_and_above_it_refused():
     assert limits_exceeded_by(0) == []
     found = limits_exceeded_by(1)
     assert [text.split(" ")[0] for text in found] == ["5", "6", "Session", "OpenCase"]
     assert "'drr'" in found[0] and "Twin5" in found[1] and "16" in found[2] and "23" in found[3]
 
 
-def test_attribute_without_a_type_and_missing_class_are_refused():
+def test_counted_class_that_is_missing_or_has_an_attribute_without_a_type_is_refused():
     found = check_limits(
         {"python/carina/session/open_case/open_case.py": "class OpenCase:\n    wall: Any\nclass Case:\n    x: int\n"}
     )

@@ -19,7 +19,7 @@ def f(é: int, n: Literal[-1], words: list[str]) -> bool:
 '''
 
 
-def test_mutants_of_each_kind_are_made_only_in_code_that_decides(tmp_path):
+def test_mutations_are_made_only_in_comparisons_numbers_signs_and_boolean_operators(tmp_path):
     path = tmp_path / "code.py"
     path.write_text(CODE, encoding="utf-8")
     made = sorted(mutants.mutants_of(path), key=lambda mutant: (mutant.line, mutant.column))
@@ -45,12 +45,12 @@ def test_mutants_of_each_kind_are_made_only_in_code_that_decides(tmp_path):
         assert len(changed) == 1, mutant
 
 
-def test_mutant_of_a_bound_changes_its_last_digit_by_one():
+def test_mutation_of_a_number_changes_its_last_digit_by_one():
     numbers = ("3", "1_000", "3.0", "0.25", "1e-9", "2.5e3")
     assert [mutants.moved(number) for number in numbers] == ["4", "1001", "4.0", "0.26", "2e-9", "2.6e3"]
 
 
-def test_equal_seeds_draw_equal_mutants_of_every_kind_that_can_be_parsed():
+def test_equal_seeds_draw_equal_mutations_of_every_kind_that_can_be_parsed():
     drawn = mutants.draw(["session"], 1, 40)
     assert drawn == mutants.draw(["session"], 1, 40) != mutants.draw(["session"], 2, 40)
     assert len(set(drawn)) == 40

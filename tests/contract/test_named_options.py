@@ -116,7 +116,7 @@ def test_every_option_in_a_message_exists_in_the_commands_that_print_it():
     assert not wrong, "\n".join(wrong)
 
 
-def test_table_names_existing_messages_and_commands():
+def test_table_of_options_names_existing_messages_and_commands():
     known, places = options(), {(module, option) for module, option, _ in named()}
     modules = {module for module, _ in places}
     for key, commands in PRINTED_BY.items():
@@ -150,5 +150,5 @@ def test_help_texts_name_options_of_their_own_command():
         ("it contains the labels 1 (lung), 2 (node)", "it contains the labels 1 (lung), 2 (node)"),
     ],
 )
-def test_message_for_the_window_contains_no_command_line_options(message, expected):
+def test_message_shown_in_the_window_contains_no_command_line_options(message, expected):
     assert without_options(message) == expected

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 import carina
+from cached_test_data import made_airways, made_phantom
 from carina.display import progress as bars
 from carina.display.progress import shows_progress, without_bars
 from carina.errors import UsageError
-from made import made_airways, made_phantom
 
 PARTS = ("volume", "scopes", "render", "track", "navigate", "phantom", "plan", "export", "session", "cluster")
 SMALL = {"spacing_mm": 3.0, "generations": 3}
@@ -37,13 +37,13 @@ def functions_with_progress() -> Iterator[tuple[str, Callable[..., Any]]]:
 FUNCTIONS = dict(functions_with_progress())
 
 
-def test_every_part_with_long_work_has_functions_with_progress() -> None:
+def test_every_package_with_slow_functions_has_functions_with_a_progress_argument() -> None:
     assert {name.partition(".")[0] for name in FUNCTIONS} >= {"volume", "render", "track", "plan", "export", "phantom"}
     assert {"track.measure_tree", "track.wall_field", "phantom.generate_phantom", "plan.plan_route"} <= set(FUNCTIONS)
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_progress_has_the_same_type_and_the_same_refusal_in_every_public_function(name: str) -> None:
+def test_progress_argument_has_the_same_type_and_error_message_in_every_public_function(name: str) -> None:
     called = FUNCTIONS[name]
     parameter = inspect.signature(called).parameters["progress"]
     assert (parameter.annotation, parameter.default) == ("ProgressChoice", None)
@@ -53,7 +53,7 @@ def test_progress_has_the_same_type_and_the_same_refusal_in_every_public_functio
 
 
 @pytest.mark.parametrize("choice", [False, True, None, "function"])
-def test_long_functions_accept_every_choice_of_progress(choice: object) -> None:
+def test_slow_functions_accept_every_value_of_the_progress_argument(choice: object) -> None:
     seen: list[tuple[str, float | None]] = []
     progress: Any = (lambda what, fraction: seen.append((what, fraction))) if choice == "function" else choice
     volume, airways = made_phantom(**SMALL).volume, made_airways(**SMALL)
@@ -72,7 +72,7 @@ def test_long_functions_accept_every_choice_of_progress(choice: object) -> None:
 
 
 @pytest.mark.parametrize("choice", [False, True, None, "function"])
-def test_plan_route_accepts_every_choice_of_progress(choice: object) -> None:
+def test_plan_route_accepts_every_value_of_the_progress_argument(choice: object) -> None:
     chest = {"seed": 4, "spacing_mm": 1.2, "generations": 5, "nodule": True}
     made = made_phantom(**chest)
     seen: list[tuple[str, float | None]] = []
@@ -118,7 +118,7 @@ def outer(progress: Any = None) -> None:
 
 
 @pytest.mark.parametrize(("choice", "num"), [(None, 1), (True, 1), (False, 0), (lambda _what, _share: None, 0)])
-def test_public_function_called_by_another_shows_no_second_bar(
+def test_public_function_called_by_another_shows_no_second_progress_bar(
     choice: Any, num: int, counted: type[CountedBar]
 ) -> None:
     outer(progress=choice)
@@ -128,7 +128,7 @@ def test_public_function_called_by_another_shows_no_second_bar(
     assert counted.made == num
 
 
-def test_inside_without_bars_a_bar_is_shown_only_on_request_of_the_call(counted: type[CountedBar]) -> None:
+def test_progress_bar_is_hidden_inside_without_bars_unless_the_call_requests_it(counted: type[CountedBar]) -> None:
     with without_bars():
         inner()
         assert counted.made == 0

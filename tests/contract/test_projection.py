@@ -76,7 +76,7 @@ def make() -> list[dict[str, object]]:
     return made
 
 
-def test_golden_points_equal_those_computed_by_python():
+def test_projected_points_of_the_golden_file_equal_those_computed_by_python():
     made = json.loads(json.dumps(make()))
     if os.environ.get("CARINA_GOLDEN") == "rewrite":
         FILE.write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")

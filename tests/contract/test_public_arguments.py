@@ -65,7 +65,7 @@ def problems(name: str, things: Things, *, accepted: bool) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_public_function_refuses_wrong_values(
+def test_public_function_refuses_wrong_argument_values(
     name: str, things: Things, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path_factory.mktemp("work"))
@@ -75,7 +75,7 @@ def test_public_function_refuses_wrong_values(
 
 @pytest.mark.soak
 @pytest.mark.parametrize("name", sorted(SLOW))
-def test_slow_public_function_refuses_wrong_values(
+def test_slow_public_function_refuses_wrong_argument_values(
     name: str, things: Things, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path_factory.mktemp("work"))

@@ -18,7 +18,7 @@ def documented_modules() -> list[str]:
     return [name for page in pages for name in re.findall(r"automodule:: ([\w.]+)", page.read_text(encoding="utf-8"))]
 
 
-def test_each_documented_class_name_belongs_to_one_class() -> None:
+def test_each_documented_class_name_belongs_to_exactly_one_class() -> None:
     """Check all documented modules, because Sphinx cannot resolve an annotation whose name two of them define."""
     classes: dict[str, set[type]] = defaultdict(set)
     for module in map(importlib.import_module, documented_modules()):
@@ -32,6 +32,6 @@ def test_each_documented_class_name_belongs_to_one_class() -> None:
 
 
 @pytest.mark.parametrize("file", ["Makefile", ".ci/run"])
-def test_documentation_is_built_by_the_checks(file: str) -> None:
+def test_documentation_is_built_by_make_check(file: str) -> None:
     text = (ROOT / file).read_text(encoding="utf-8")
     assert re.search(r"^(check:|.*make .*\bcheck-python\b).*\bdocs\b", text, re.MULTILINE)

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 import carina
+from cached_test_data import found_airways, made_phantom
 from carina.errors import CarinaError
-from made import found_airways, made_phantom
 
 
 def with_examples() -> list[str]:
@@ -29,7 +29,9 @@ def with_examples() -> list[str]:
 
 
 @pytest.mark.parametrize("name", with_examples())
-def test_examples_print_the_stated_output(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_examples_in_docstrings_print_the_stated_output(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     # The examples share phantoms and their airways, because equal arguments give equal voxels.
     monkeypatch.setattr(carina, "generate_phantom", made_phantom, raising=False)
@@ -39,7 +41,7 @@ def test_examples_print_the_stated_output(name: str, tmp_path: Path, monkeypatch
     assert not failed, f"{failed} of {tried} examples of {name} print something else (see above)"
 
 
-def test_every_public_name_has_an_example() -> None:
+def test_every_public_name_has_a_docstring_example() -> None:
     lacking = []
     for name in carina.__all__:
         value = getattr(carina, name)

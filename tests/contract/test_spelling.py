@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import carina
+from cached_test_data import made_airways, made_phantom
 from carina.track import measure_tree
-from made import made_airways, made_phantom
 
 PACKAGE = Path(carina.__file__).parent
 OTHER_SPELLING = {

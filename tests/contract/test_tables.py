@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 import carina
+from cached_test_data import made_airways, made_phantom
 from carina.display.tables import Tabular
 from carina.errors import CarinaError
 from carina.plan import turn_list
 from carina.track import AirwayTree, TrackResult
-from made import made_airways, made_phantom
 
 CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 5, "nodule": True}
 
@@ -54,7 +54,7 @@ KINDS = list(NUM_ROWS)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_table_has_columns_of_plain_types_and_equal_length(kind: str, tables: dict[str, Tabular]) -> None:
+def test_columns_of_every_table_have_plain_types_and_equal_length(kind: str, tables: dict[str, Tabular]) -> None:
     columns = tables[kind].to_columns()
     num_rows = NUM_ROWS[kind](tables[kind])
     assert num_rows > 0
@@ -66,7 +66,7 @@ def test_table_has_columns_of_plain_types_and_equal_length(kind: str, tables: di
         assert all(value is None or type(value) is kinds[of] for value in values), name
 
 
-def test_tables_of_a_tree_and_of_its_measures_have_equal_branches(tables: dict[str, Tabular]) -> None:
+def test_tables_of_a_tree_and_of_its_measurements_list_equal_branches(tables: dict[str, Tabular]) -> None:
     tree, measures = tables["tree"].to_columns(), tables["measures"].to_columns()
     for name in ("id", "name", "generation", "parent", "kind"):
         assert tree[name] == measures[name]
@@ -76,7 +76,7 @@ def test_tables_of_a_tree_and_of_its_measures_have_equal_branches(tables: dict[s
     assert 12.0 < measures["mean_mm"][0] < 24.0
 
 
-def test_measures_transferred_to_another_tree_name_its_branches(tables: dict[str, Tabular]) -> None:
+def test_measurements_reused_for_an_edited_tree_have_the_branch_names_of_that_tree(tables: dict[str, Tabular]) -> None:
     made, airways = made_phantom(**CHEST), made_airways(**CHEST)
     tip = airways.tree.tips()[0]
     renamed = carina.edit_airways(made.volume, airways, carina.track.RenameBranch(tip.id, "biopsy"))
@@ -84,7 +84,7 @@ def test_measures_transferred_to_another_tree_name_its_branches(tables: dict[str
     assert table["name"][table["id"].index(tip.id)] == "biopsy"
 
 
-def test_row_of_a_target_without_a_path_states_the_reason(tables: dict[str, Tabular]) -> None:
+def test_table_row_of_a_target_without_a_path_states_the_reason(tables: dict[str, Tabular]) -> None:
     found = tables["targets"]
     assert isinstance(found, TrackResult)
     columns = found.to_columns()
@@ -94,7 +94,7 @@ def test_row_of_a_target_without_a_path_states_the_reason(tables: dict[str, Tabu
 
 
 @pytest.mark.parametrize(("library", "method"), [("pandas", "to_pandas"), ("pyarrow", "to_arrow")])
-def test_message_about_a_missing_library_states_its_installation_command(
+def test_message_about_a_missing_data_frame_library_states_its_installation_command(
     library: str, method: str, tables: dict[str, Tabular], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, library, None)
@@ -105,7 +105,9 @@ def test_message_about_a_missing_library_states_its_installation_command(
     assert refused.value.code == "table.no-library"
 
 
-def test_pandas_receives_each_column_with_its_type(tables: dict[str, Tabular], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_to_pandas_passes_each_column_with_its_type(
+    tables: dict[str, Tabular], monkeypatch: pytest.MonkeyPatch
+) -> None:
     module = types.ModuleType("pandas")
     module.Series = lambda values, dtype, index: (values, dtype, list(index))  # type: ignore[attr-defined]
     module.DataFrame = dict  # type: ignore[attr-defined]
@@ -118,7 +120,7 @@ def test_pandas_receives_each_column_with_its_type(tables: dict[str, Tabular], m
     assert frame["score"][1:] == ("float64", rows) and frame["branch_name"][1:] == (None, rows)
 
 
-def test_arrow_receives_each_column_with_its_type(tables: dict[str, Tabular], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_to_arrow_passes_each_column_with_its_type(tables: dict[str, Tabular], monkeypatch: pytest.MonkeyPatch) -> None:
     module = types.ModuleType("pyarrow")
     for name in ("int64", "float64", "string", "bool_"):
         setattr(module, name, lambda name=name: name)
@@ -134,7 +136,7 @@ def test_arrow_receives_each_column_with_its_type(tables: dict[str, Tabular], mo
 
 @pytest.mark.skipif(importlib.util.find_spec("pandas") is None, reason="pandas is not installed")
 @pytest.mark.parametrize("kind", KINDS)
-def test_data_frame_has_the_values_and_types_of_the_table(kind: str, tables: dict[str, Tabular]) -> None:
+def test_pandas_data_frame_has_the_values_and_types_of_the_table(kind: str, tables: dict[str, Tabular]) -> None:
     frame = tables[kind].to_pandas()
     columns = tables[kind].to_columns()
     assert list(frame.columns) == list(columns)
@@ -166,7 +168,7 @@ def looked_up(code: str) -> Iterator[str]:
             yield node.attr
 
 
-def test_table_of_branches_needs_three_look_ups_from_open_volume(
+def test_table_of_branches_needs_only_three_calls_after_open_volume(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert set(looked_up(TABLE_OF_BRANCHES)) - {"open_volume"} == {"find_airways", "measure_tree", "to_columns"}
@@ -178,7 +180,7 @@ def test_table_of_branches_needs_three_look_ups_from_open_volume(
     assert np.isfinite(names["table"]["mean_mm"][0])
 
 
-def test_help_of_each_step_names_the_next_step() -> None:
+def test_help_of_each_function_names_the_next_function_to_call() -> None:
     steps = [(carina.open_volume, "find_airways"), (carina.find_airways, "measure_tree")]
     steps += [(carina.measure_tree, "to_pandas"), (carina.find_airways, "to_pandas")]
     for function, next_name in steps:

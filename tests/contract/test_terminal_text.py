@@ -47,7 +47,7 @@ def test_every_control_character_is_removed_from_a_line():
         line.encode()
 
 
-def test_line_breaks_stay_in_messages_and_are_removed_from_lines():
+def test_line_breaks_are_preserved_in_messages_and_removed_from_lines():
     assert as_terminal_text("a\n\tb") == "a\n\tb"
     assert as_line("a\n\tb") == "a  b"
 
@@ -74,7 +74,7 @@ def test_all_print_functions_remove_control_characters(capsys, monkeypatch):
     assert not set(err.replace("\r\x1b[2K", "")) & CONTROLS
 
 
-def test_command_line_prints_only_through_the_checked_functions():
+def test_command_line_prints_only_through_the_functions_that_remove_control_characters():
     found = []
     for path in sorted(Path(carina.cli.__file__).parent.glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

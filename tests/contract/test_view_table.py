@@ -34,20 +34,20 @@ def names(**wanted):
     }
 
 
-def test_each_view_cell_and_plane_type_has_exactly_one_row():
+def test_each_view_cell_and_plane_has_exactly_one_row_in_the_view_table():
     assert len(VIEWS) == 13
     assert sorted(get_args(ViewName)) == sorted(VIEW_NAMES)
     assert list(get_args(CellName)) == list(CELLS)
     assert list(get_args(Plane)) == list(PLANES)
 
 
-def test_types_of_flat_and_orbit_views_match_the_zoom_column():
+def test_types_of_flat_and_orbit_views_match_the_zoom_column_of_the_view_table():
     assert set(get_args(FlatViewName)) == names(zoom={"slice", "extent"})
     assert set(get_args(OrbitViewName)) == names(zoom={"orbit"})
     assert {row.name for row in VIEWS.values() if row.orbit is not None} == names(zoom={"orbit"})
 
 
-def test_every_cell_has_a_view_and_a_control_for_each_of_its_views():
+def test_every_cell_of_the_window_has_a_view_and_a_control_for_each_of_its_views():
     for cell in CELLS.values():
         views = [row for row in VIEWS.values() if row.cell == cell.name]
         assert views
@@ -57,18 +57,18 @@ def test_every_cell_has_a_view_and_a_control_for_each_of_its_views():
             assert all(row.short for row in views)
 
 
-def test_views_with_a_brush_have_an_outline_and_a_plane():
+def test_views_with_a_brush_have_an_outline_and_a_picking_plane():
     assert names(outlined={True}) == names(pick={"plane"}) == set(get_args(FlatViewName))
 
 
-def test_lead_view_and_finder_view_have_the_required_properties():
+def test_lead_view_and_finder_view_have_their_required_properties():
     assert VIEWS[LEAD_VIEW].overlay == "airway"
     assert VIEWS[FINDER_VIEW].at_tip
     assert VIEWS[FINDER_VIEW].needs == frozenset()
     assert all(row.needs <= set(get_args(Need)) for row in VIEWS.values())
 
 
-def test_unknown_view_is_refused_with_the_names_of_all():
+def test_unknown_view_is_refused_with_the_names_of_all_views():
     with pytest.raises(UsageError, match=r"airway, axial, .*tri-plane; found 'drone'"):
         view_row("drone")
 
@@ -98,7 +98,7 @@ TREE_MESSAGE = re.compile(r"case/|server/|session/|cli/|export/|plan/|app/workst
 
 
 @pytest.mark.parametrize("view", VIEW_NAMES)
-def test_at_most_four_files_name_a_view(view):
+def test_at_most_four_source_files_contain_the_name_of_a_view(view):
     files = [path.relative_to(REPOSITORY).as_posix() for path in PRODUCT if view in named_strings(path)]
     if view == "tree":
         files = [name for name in files if not TREE_MESSAGE.search(name)]
@@ -106,7 +106,7 @@ def test_at_most_four_files_name_a_view(view):
     assert len(files) <= 4, files
 
 
-def test_no_code_parses_the_name_of_a_view():
+def test_no_source_file_parses_the_name_of_a_view():
     for path in PRODUCT:
         found = re.findall(r"(?:startsWith|startswith|removeprefix)\(\"(?:xray|cut|tri)\b[^)]*\)", path.read_text())
         assert found == [], path

@@ -42,7 +42,7 @@ def test_valid_sample_messages_are_accepted(path):
 
 
 @pytest.mark.parametrize("path", samples("invalid"), ids=label)
-def test_invalid_samples_are_refused_with_a_code_and_a_message(path):
+def test_invalid_sample_messages_are_refused_with_a_code_and_a_message(path):
     with pytest.raises(ProtocolError) as refusal:
         PARSERS[path.parent.name](path.read_bytes())
     assert refusal.value.code.startswith("protocol.")
@@ -52,7 +52,7 @@ def test_invalid_samples_are_refused_with_a_code_and_a_message(path):
 @pytest.mark.parametrize(
     ("data", "words"), [(b"\0\0\0", "ends within its header"), (b"\0\0\0\0", "before the image data")]
 )
-def test_picture_with_only_its_length_has_no_payload(data, words):
+def test_picture_message_that_ends_after_its_length_has_no_payload(data, words):
     with pytest.raises(ProtocolError, match=words):
         wire.parse_picture(data)
 
@@ -65,12 +65,12 @@ def test_commands_with_names_of_version_1_equal_the_present_commands(path):
     assert now == {words.get(field, field): value for field, value in old.items()} | {"type": name}
 
 
-def test_old_field_name_together_with_its_new_name_is_refused():
+def test_old_field_name_together_with_its_new_name_in_a_message_is_refused():
     with pytest.raises(ProtocolError, match="unknown field: 'mask'"):
         wire.parse_client_message('{"type": "set_mask", "mask": "round", "outline": "octagon"}')
 
 
-def test_every_message_has_a_valid_sample():
+def test_every_message_class_has_a_valid_sample():
     for kind, classes in (
         ("client", wire.CLIENT_MESSAGES),
         ("server", wire.SERVER_MESSAGES),
@@ -89,13 +89,13 @@ def test_message_that_is_read_and_written_again_is_unchanged(path):
     assert json.loads(wire.encode_message(message)) == json.loads(path.read_bytes())
 
 
-def test_add_branch_without_the_evidence_field_is_accepted_as_before():
+def test_add_branch_message_without_the_evidence_field_is_accepted_as_before():
     edit = {"kind": "add-branch", "lps": [1.0, 2.0, 3.0]}
     message = wire.parse_client_message(json.dumps({"type": "edit_tree", "edit": edit}))
     assert message.edit == wire.AddBranch((1.0, 2.0, 3.0), even_without_evidence=False)
 
 
-def test_set_controls_with_the_eight_fields_of_older_programs_is_accepted():
+def test_set_controls_message_with_the_eight_fields_of_older_programs_is_accepted():
     known = {"gain_mm": 2, "gain_turn": 1, "clutch": "hold", "speed_mm_s": 25, "turn_rad_s": 1}
     controls = {**known, "lever_inverted": False, "filter_on": True, "min_cutoff_hz": 20}
     message = wire.parse_client_message(json.dumps({"type": "set_controls", "controls": controls}))
@@ -103,7 +103,7 @@ def test_set_controls_with_the_eight_fields_of_older_programs_is_accepted():
 
 
 @pytest.mark.parametrize("path", [p for p in samples("valid") if p.suffix == ".bin"], ids=label)
-def test_picture_is_unchanged_by_reading_and_writing(path):
+def test_picture_message_is_unchanged_by_reading_and_writing(path):
     header, payload = wire.parse_picture(path.read_bytes())
     assert encode_picture(header, payload) == path.read_bytes()
     if header.codec == "jpeg":
@@ -111,7 +111,7 @@ def test_picture_is_unchanged_by_reading_and_writing(path):
 
 
 @pytest.mark.parametrize("name", generated_files())
-def test_generated_files_are_up_to_date(name):
+def test_generated_protocol_files_are_up_to_date(name):
     expected = generated_files()[name]
     found = (REPOSITORY / name).read_text(encoding="utf-8")
     assert found == expected, "run python -m carina.server.wire.generate"
@@ -124,7 +124,7 @@ def test_message_with_a_nonfinite_number_is_never_written():
 
 
 @pytest.mark.parametrize("depth", [100_000])
-def test_deep_nesting_is_refused_and_does_not_exhaust_the_stack(depth):
+def test_deep_nesting_in_a_message_is_refused_and_does_not_exhaust_the_stack(depth):
     text = '{"type": "set_transfer", "preset": null, "document": {"a": ' + "[" * depth + "]" * depth + "}}"
     with pytest.raises(ProtocolError):
         wire.parse_client_message(text)

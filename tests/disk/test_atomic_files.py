@@ -59,7 +59,7 @@ def ended(process):
     process.stdout.close()
 
 
-def test_file_is_replaced_completely_and_no_draft_remains(tmp_path):
+def test_written_file_is_replaced_completely_and_no_draft_file_remains(tmp_path):
     target = tmp_path / "a.txt"
     write_whole(target, b"old", what="the test")
     write_whole(target, b"new", what="the test")
@@ -67,7 +67,7 @@ def test_file_is_replaced_completely_and_no_draft_remains(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
 
 
-def test_killed_writer_leaves_the_old_file_and_the_next_write_deletes_its_draft(tmp_path):
+def test_killed_writer_leaves_the_old_file_and_the_next_write_deletes_its_draft_file(tmp_path):
     target = tmp_path / "Doe_John.nii.gz"
     target.write_bytes(b"old")
     process = writing(target)
@@ -81,7 +81,7 @@ def test_killed_writer_leaves_the_old_file_and_the_next_write_deletes_its_draft(
     assert [p.name for p in tmp_path.iterdir()] == [target.name]
 
 
-def test_draft_in_use_by_another_process_is_never_deleted(tmp_path):
+def test_draft_file_in_use_by_another_process_is_never_deleted(tmp_path):
     process = writing(tmp_path / "a.bin")
     try:
         assert sweep_drafts(tmp_path, now_s=1e12) == 0
@@ -90,7 +90,7 @@ def test_draft_in_use_by_another_process_is_never_deleted(tmp_path):
     assert (tmp_path / "a.bin").read_bytes() == b"half"
 
 
-def test_two_concurrent_writers_and_a_constant_sweep_leave_complete_files(tmp_path):
+def test_two_concurrent_writers_and_a_repeated_cleanup_of_drafts_leave_complete_files(tmp_path):
     stop = threading.Event()
 
     def sweep():
@@ -114,7 +114,7 @@ def test_two_concurrent_writers_and_a_constant_sweep_leave_complete_files(tmp_pa
     assert [p.name for p in tmp_path.iterdir()] == ["a.bin"]
 
 
-def test_files_that_resemble_drafts_are_not_deleted(tmp_path):
+def test_files_named_similarly_to_drafts_are_not_deleted(tmp_path):
     (tmp_path / "victim").write_bytes(b"dear")
     name = ".carina-0123456789abcde{}.draft"
     (tmp_path / name.format(0)).symlink_to(tmp_path / "victim")
@@ -127,7 +127,7 @@ def test_files_that_resemble_drafts_are_not_deleted(tmp_path):
     assert (tmp_path / "victim").read_bytes() == b"dear"
 
 
-def test_only_old_drafts_are_deleted_if_locks_are_unavailable(tmp_path, monkeypatch):
+def test_only_old_draft_files_are_deleted_if_locks_are_unavailable(tmp_path, monkeypatch):
     monkeypatch.setattr("carina.disk.atomic_files.try_lock", lambda _descriptor: None)
     draft = Draft(tmp_path / "a", what="the test")
     now_s = next(p for p in tmp_path.iterdir()).stat().st_mtime
@@ -138,7 +138,7 @@ def test_only_old_drafts_are_deleted_if_locks_are_unavailable(tmp_path, monkeypa
     assert sweep_drafts(tmp_path, now_s=now_s + 2 * UNKNOWN_AFTER_S) == 1
 
 
-def test_draft_deleted_by_another_program_is_reported(tmp_path):
+def test_draft_file_deleted_by_another_program_is_reported(tmp_path):
     with (
         pytest.raises(DiskError, match=("another program removed its temporary file")),
         drafted(tmp_path / "a", what="the test"),
@@ -146,7 +146,7 @@ def test_draft_deleted_by_another_program_is_reported(tmp_path):
         next(tmp_path.iterdir()).unlink()
 
 
-def test_file_keeps_its_permissions_and_a_private_file_is_readable_by_its_owner_only(tmp_path):
+def test_replaced_file_retains_its_permissions_and_a_private_file_is_readable_by_its_owner_only(tmp_path):
     target = tmp_path / "a"
     target.write_bytes(b"old")
     target.chmod(0o640)
@@ -169,7 +169,7 @@ def test_every_created_private_folder_has_mode_0700(tmp_path, lasting):
     assert modes == {"a": 0o700, "b": 0o700, "c": 0o700, "d": 0o755, "e": 0o755}
 
 
-def test_file_in_place_of_a_folder_is_refused_and_unchanged(tmp_path):
+def test_file_with_the_name_of_a_new_folder_is_refused_and_unchanged(tmp_path):
     (tmp_path / "a").write_bytes(b"x")
     for place in (tmp_path / "a", tmp_path / "a" / "b"):
         with pytest.raises(DiskError, match="cannot create the folder for the test"):
@@ -178,7 +178,9 @@ def test_file_in_place_of_a_folder_is_refused_and_unchanged(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", GRID_SUFFIXES)
-def test_mask_on_a_full_disk_leaves_the_former_file_and_no_library_message(tmp_path, suffix, small_files, capfd):
+def test_mask_written_to_a_full_disk_leaves_the_former_file_and_no_library_message(
+    tmp_path, suffix, small_files, capfd
+):
     target = tmp_path / f"mask{suffix}"
     target.write_bytes(b"old")
     noise = np.random.default_rng(1).integers(-1000, 1000, (20, 30, 40), dtype=np.int16)
@@ -192,7 +194,7 @@ def test_mask_on_a_full_disk_leaves_the_former_file_and_no_library_message(tmp_p
 
 @pytest.mark.parametrize("suffix", GRID_SUFFIXES)
 @pytest.mark.parametrize("dtype", [np.uint8, np.int16])
-def test_grid_is_written_as_itk_reads_it_in_every_format_and_direction(tmp_path, suffix, dtype, rng):
+def test_written_grid_is_read_equal_by_itk_in_every_format_and_direction(tmp_path, suffix, dtype, rng):
     for number in range(12):
         values = rng.integers(-1000 if dtype is np.int16 else 0, 250, (3, 4, 5)).astype(dtype)
         turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))  # The matrix may mirror.
@@ -252,7 +254,7 @@ def test_each_disk_error_has_a_code_and_a_message(tmp_path, number, code, words)
     assert isinstance(error, CarinaError)
 
 
-def test_write_into_a_missing_folder_is_refused_with_the_folder_s_name(tmp_path):
+def test_write_into_a_missing_folder_is_refused_with_the_name_of_the_folder(tmp_path):
     error = disk_trouble(OSError(errno.ENOENT, ""), "cannot write the tree to", tmp_path / "no" / "t")
     assert error.code == "disk.missing"
     assert "there is no such folder; create it, or choose another" in str(error)
@@ -297,7 +299,7 @@ def test_disk_that_becomes_full_at_any_byte_leaves_the_former_file(tmp_path, sma
 
 
 @pytest.mark.parametrize("suffix", GRID_SUFFIXES)
-def test_note_to_the_reader_is_in_the_file_as_itk_reads_it(tmp_path, suffix):
+def test_note_in_a_written_grid_file_is_read_by_itk(tmp_path, suffix):
     note = "2 branches drawn by hand:\n12 mm \u2192 of 300 mm"
     path = write_grid(tmp_path / f"a{suffix}", np.zeros((2, 3, 4), np.uint8), np.eye(4), what="the mask", note=note)
     image = sitk.ReadImage(str(path))

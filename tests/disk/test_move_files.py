@@ -33,7 +33,7 @@ def failing(monkeypatch, source, do):
     monkeypatch.setattr(type(source), "replace", replace)
 
 
-def test_failed_move_of_a_file_leaves_no_file_at_the_reserved_name(files, monkeypatch):
+def test_failed_move_leaves_no_file_at_the_new_name(files, monkeypatch):
     source, target = files
     failing(monkeypatch, source, lambda _target: None)
     with pytest.raises(OSError, match="Input/output"):
@@ -42,7 +42,7 @@ def test_failed_move_of_a_file_leaves_no_file_at_the_reserved_name(files, monkey
     assert not target.exists()
 
 
-def test_file_moved_although_the_disk_reported_a_failure_has_its_content(files, monkeypatch):
+def test_file_whose_move_the_disk_reported_as_failed_has_its_content_at_the_new_name(files, monkeypatch):
     source, target = files
     failing(monkeypatch, source, lambda place: os.rename(source, place))  # noqa: PTH104 - Path.replace is replaced
     with pytest.raises(OSError, match="Input/output"):
@@ -50,7 +50,7 @@ def test_file_moved_although_the_disk_reported_a_failure_has_its_content(files, 
     assert target.read_text() == "new"
 
 
-def test_failed_move_leaves_another_program_s_file_at_the_reserved_name(files, monkeypatch):
+def test_failed_move_does_not_change_a_file_that_another_program_created_at_the_new_name(files, monkeypatch):
     source, target = files
     failing(monkeypatch, source, lambda place: place.write_text("theirs"))
     with pytest.raises(OSError, match="Input/output"):

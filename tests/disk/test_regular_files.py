@@ -81,7 +81,7 @@ def test_missing_file_is_reported_as_missing(tmp_path):
 
 
 @pytest.mark.parametrize("kind", [FIFO, SOCKET, DEVICE])
-def test_special_file_is_refused_with_its_kind(special, kind):
+def test_special_file_is_refused_with_its_kind_in_the_message(special, kind):
     path = special[kind]
     assert special_kind(path) == kind
     for refuses in (check_regular, open_regular, open_regular_text, lambda p: read_regular_text(p, max_bytes=10)):
@@ -92,7 +92,7 @@ def test_special_file_is_refused_with_its_kind(special, kind):
         assert str(refusal.value) == f"{path}: expected a file; found {kind}; choose a file"
 
 
-def test_folder_is_refused_where_a_file_is_read(tmp_path):
+def test_folder_is_refused_where_a_file_is_expected(tmp_path):
     check_regular(tmp_path)
     with pytest.raises(VolumeImportError, match="found a folder"):
         open_regular(tmp_path)
@@ -132,7 +132,7 @@ OPENERS = {
 
 @pytest.mark.parametrize("kind", [FIFO, SOCKET, DEVICE])
 @pytest.mark.parametrize("what", OPENERS)
-def test_every_reader_of_a_named_file_refuses_a_special_file(special, tmp_path, what, kind):
+def test_every_function_that_reads_a_named_file_refuses_a_special_file(special, tmp_path, what, kind):
     path = tmp_path / "named.json"
     path.symlink_to(special[kind])
     with pytest.raises(CarinaError) as refusal:
@@ -149,7 +149,7 @@ def test_pipe_among_the_slices_of_a_folder_is_skipped(special, tmp_path):
 
 @pytest.mark.parametrize("kind", [FIFO, SOCKET, DEVICE])
 @pytest.mark.parametrize("packed", ["raw", "gzip"])
-def test_header_whose_voxels_are_in_a_special_file_is_refused(special, tmp_path, kind, packed):
+def test_image_header_whose_voxels_are_in_a_special_file_is_refused(special, tmp_path, kind, packed):
     header = tmp_path / "ct.nhdr"
     (tmp_path / "voxels").symlink_to(special[kind])
     header.write_text(

@@ -70,7 +70,7 @@ def temp(tmp_path, monkeypatch):
     return folder
 
 
-def test_upload_of_a_killed_process_is_removed_by_the_next_and_its_name_is_not_on_disk(temp):
+def test_upload_of_a_killed_process_is_removed_by_the_next_process_and_its_name_is_not_on_disk(temp):
     process = uploading(temp, UPLOAD)
     names = [p.name for p in temp.rglob("*")]
     assert len(names) > 3
@@ -86,7 +86,7 @@ def test_upload_of_a_killed_process_is_removed_by_the_next_and_its_name_is_not_o
     assert list(temp.iterdir()) == []
 
 
-def test_only_the_folder_of_the_living_process_remains(temp):
+def test_only_the_temporary_folder_of_the_running_process_remains(temp):
     processes = [uploading(temp) for _ in range(6)]
     for process in processes[1:]:
         process.send_signal(signal.SIGKILL)
@@ -97,7 +97,7 @@ def test_only_the_folder_of_the_living_process_remains(temp):
     assert list(temp.iterdir()) == []
 
 
-def test_sweeps_of_two_processes_that_start_together_have_no_error(temp):
+def test_cleanup_of_temporary_folders_by_two_processes_that_start_together_has_no_error(temp):
     left = [uploading(temp) for _ in range(4)]
     for process in left:
         process.send_signal(signal.SIGKILL)
@@ -143,7 +143,7 @@ def test_links_files_and_folders_of_other_programs_are_not_deleted(temp, tmp_pat
     assert sweep_scratch(temp) == 1
 
 
-def test_links_in_an_abandoned_folder_are_removed_and_not_followed(temp, tmp_path):
+def test_links_in_an_abandoned_temporary_folder_are_removed_and_not_followed(temp, tmp_path):
     (tmp_path / "victim").mkdir()
     (tmp_path / "victim" / "dear").write_bytes(b"1")
     folder = temp / f"{PREFIX}abcdefgh"
@@ -155,7 +155,7 @@ def test_links_in_an_abandoned_folder_are_removed_and_not_followed(temp, tmp_pat
     assert (tmp_path / "victim" / "dear").read_bytes() == b"1"
 
 
-def test_folders_of_older_versions_are_removed_after_a_day(temp):
+def test_temporary_folders_of_older_versions_are_removed_after_a_day(temp):
     for name in ("carina-upload-abcdefgh", "carina-download-abcdefgh", f"{PREFIX}nolock00", "carina-abcdefgh"):
         (temp / name).mkdir()
         (temp / name / "pixels.dcm").write_bytes(b"1")

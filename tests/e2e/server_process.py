@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from own_folders import own_folders
+from user_folders import user_folders
 
 STOP_S = 120.0
 """Upper limit for the shutdown of a server on any machine, in seconds."""
@@ -24,7 +24,7 @@ class Child:
     """Child process that runs a Python program, with a pipe for its output and a thread that reads its log."""
 
     def __init__(self, arguments: list[str], home: Path) -> None:
-        own = own_folders(home)
+        own = user_folders(home)
         # The cache of computed data is common to all tests, and no folder of the user.
         del own["XDG_CACHE_HOME"]
         environment = {**os.environ, **own}

@@ -7,8 +7,8 @@ import pytest
 from playwright.sync_api import expect
 from plugged_chest import CHEST, named, plugged
 
+from cached_test_data import made_airways, made_phantom
 from carina.volume import write_grid
-from made import made_airways, made_phantom
 
 pytestmark = pytest.mark.browser
 
@@ -33,7 +33,7 @@ def opens(tmp_path):
     return {"path": str(path)}
 
 
-def test_missing_airway_is_listed_with_its_reason_and_shows_where_the_airway_ends(server, workstation):
+def test_missing_airway_is_listed_with_its_reason_and_a_click_shows_where_the_airway_ends(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     listed = workstation.page.get_by_test_id("absent")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from places import PREVIEWED, all_points, named, place_in_slice, place_on_tree, show_slices_at, tree_is_shown
+from page_positions import PREVIEWED, all_points, named, place_in_slice, place_on_tree, show_slices_at, tree_is_shown
 from playwright.sync_api import expect
 
 pytestmark = pytest.mark.browser
@@ -52,7 +52,7 @@ def lung_point(workstation):
     )
 
 
-def test_path_to_the_cursor_is_drawn_with_its_length_and_a_click_makes_it_a_target(server, workstation):
+def test_path_to_the_cursor_is_drawn_with_its_length_and_a_click_sets_a_target(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     tree_is_shown(workstation)
@@ -83,7 +83,7 @@ def test_path_to_the_cursor_is_drawn_with_its_length_and_a_click_makes_it_a_targ
     assert workstation.faults == []
 
 
-def test_path_in_the_airway_view_leads_to_the_lumen_in_front_of_the_wall(server, workstation):
+def test_path_shown_in_the_airway_view_ends_in_the_lumen_in_front_of_the_wall(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.go_to(20.0)
@@ -100,7 +100,7 @@ def test_path_in_the_airway_view_leads_to_the_lumen_in_front_of_the_wall(server,
     assert workstation.faults == []
 
 
-def test_branch_is_cut_undone_cut_again_and_added_by_a_click(server, workstation):
+def test_branch_is_cut_and_restored_by_undo_and_added_by_a_click_after_another_cut(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     tree_is_shown(workstation)
@@ -149,7 +149,7 @@ def test_branch_is_cut_undone_cut_again_and_added_by_a_click(server, workstation
     assert workstation.faults == []
 
 
-def test_branch_without_evidence_is_dashed_confirmed_and_added_as_drawn_by_hand(server, workstation):
+def test_branch_without_evidence_is_dashed_and_added_as_drawn_by_hand_after_confirmation(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     tree_is_shown(workstation)
@@ -315,7 +315,7 @@ def test_search_field_filters_the_branch_list(server, workstation):
     assert workstation.faults == []
 
 
-def test_preview_at_rest_lists_the_branches_that_the_click_renames(server, workstation):
+def test_preview_of_a_click_lists_the_branches_that_it_renames_when_the_cursor_rests(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     tree_is_shown(workstation)

@@ -28,7 +28,7 @@ def opens(tmp_path):
     return {"path": str(tmp_path / "ct.nrrd")}
 
 
-def test_quality_warning_stays_beside_the_title_and_leads_to_the_step_check(server, workstation):
+def test_quality_warning_is_always_shown_beside_the_title_and_leads_to_the_step_check(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page

@@ -11,10 +11,10 @@ import pytest
 from server_process import start_server, stop_server
 from workstation import PICTURE_MS
 
+from cached_test_data import made_phantom
 from carina.case import CaseFile
 from carina.volume import write_grid
 from faulty_disk import FAULTS, FaultyDisk, has_compiler
-from made import made_phantom
 
 pytestmark = pytest.mark.browser
 
@@ -157,7 +157,7 @@ def test_named_file_changed_by_another_program_is_written_only_after_a_choice(se
 
 
 @pytest.mark.slow
-def test_case_of_a_killed_carina_is_restored_to_two_seconds_before(workstation, tmp_path):
+def test_case_of_a_killed_workstation_is_restored_to_two_seconds_before(workstation, tmp_path):
     first = start_server(["demo", "phantom"], tmp_path)
     workstation.open(first)
     workstation.wait_ready()
@@ -175,7 +175,7 @@ def test_case_of_a_killed_carina_is_restored_to_two_seconds_before(workstation, 
     workstation.faults.clear()
 
 
-def test_case_is_continued_from_the_list_restarted_deleted_and_restored(server, workstation):
+def test_case_is_continued_from_the_list_restarted_deleted_and_restored_from_deletion(server, workstation):
     page = workstation.page
     workstation.open(server)
     workstation.wait_ready()
@@ -236,7 +236,9 @@ def test_case_is_continued_from_the_list_restarted_deleted_and_restored(server, 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux" or not has_compiler(), reason="needs Linux and a C compiler")
-def test_full_disk_is_reported_flying_continues_and_the_case_is_saved_elsewhere(workstation, tmp_path, monkeypatch):
+def test_full_disk_is_reported_while_the_flight_continues_and_the_case_is_saved_to_another_disk(
+    workstation, tmp_path, monkeypatch
+):
     page, stick = workstation.page, tmp_path / "stick"
     stick.mkdir()
     disk = FaultyDisk(tmp_path)
@@ -276,7 +278,7 @@ def test_full_disk_is_reported_flying_continues_and_the_case_is_saved_elsewhere(
     workstation.faults.clear()
 
 
-def test_case_whose_ct_was_moved_requests_the_ct_and_refuses_another(host, workstation, home, tmp_path):
+def test_case_whose_ct_was_moved_requests_the_ct_and_refuses_a_different_ct(host, workstation, home, tmp_path):
     page = workstation.page
     chest, other = (made_phantom(spacing_mm=3.0, generations=n).volume for n in (3, 4))
     ct, moved = tmp_path / "ct.nii.gz", tmp_path / "moved.nii.gz"
@@ -310,7 +312,9 @@ def test_case_whose_ct_was_moved_requests_the_ct_and_refuses_another(host, works
         workstation.faults.clear()
 
 
-def test_dropped_case_requests_its_ct_and_opens_without_a_path_when_it_is_dropped(host, workstation, home, tmp_path):
+def test_dropped_case_file_requests_its_ct_and_opens_when_the_ct_is_dropped_without_its_path(
+    host, workstation, home, tmp_path
+):
     page = workstation.page
     chest = made_phantom(spacing_mm=3.0, generations=3).volume
     ct, given = tmp_path / "ct.nii.gz", tmp_path / "given.carina"

@@ -33,7 +33,7 @@ def hold(workstation, axes, pressed=()) -> None:
     workstation.page.evaluate("([axes, pressed]) => window.holdPad(axes, pressed)", [list(axes), list(pressed)])
 
 
-def test_gamepad_flies_changes_modes_and_works_after_reconnection(server, workstation):
+def test_gamepad_moves_the_tip_changes_modes_and_works_after_reconnection(server, workstation):
     workstation.page.add_init_script(MOCK)
     workstation.open(server)
     workstation.wait_ready()
@@ -116,7 +116,7 @@ def hid_report(workstation, name: str, report_id: int, data: bytes) -> None:
     workstation.page.evaluate("([n, id, b]) => window.testHid[n].report(id, b)", [name, report_id, list(data)])
 
 
-def test_spacemouse_and_usb_handle_fly_and_work_after_reconnection(server, workstation):
+def test_spacemouse_and_usb_handle_move_the_tip_and_work_after_reconnection(server, workstation):
     page = workstation.page
     page.add_init_script(HID_MOCK)
     workstation.open(server)
@@ -210,7 +210,7 @@ def test_spacemouse_and_usb_handle_fly_and_work_after_reconnection(server, works
     assert workstation.faults == []
 
 
-def test_network_tracker_flies_is_registered_and_works_after_a_lost_connection(server, workstation):
+def test_network_tracker_moves_the_tip_after_registration_and_after_a_lost_connection(server, workstation):
     from carina.navigate.devices import IgtlServer
 
     page = workstation.page
@@ -277,7 +277,7 @@ def test_network_tracker_flies_is_registered_and_works_after_a_lost_connection(s
     assert workstation.faults == []
 
 
-def test_locked_mouse_turns_the_view_until_it_is_released(server, workstation):
+def test_mouse_locked_to_the_picture_turns_the_view_until_it_is_released(server, workstation):
     page = workstation.page
     workstation.open(server)
     workstation.wait_ready()
@@ -303,7 +303,7 @@ def test_locked_mouse_turns_the_view_until_it_is_released(server, workstation):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals on Windows")
-def test_scope_handle_connected_in_the_panel_flies_and_is_recorded(server, workstation):
+def test_scope_handle_connected_in_the_devices_panel_moves_the_tip_and_is_recorded(server, workstation):
     from carina.navigate.devices.scope_handle import format_line
     from simulated_serial import PseudoPort, sending
 

@@ -24,7 +24,7 @@ def server(tmp_path_factory) -> Iterator[Server]:
     assert running.errors() == []
 
 
-def test_flight_along_the_path_updates_every_view_to_the_newest_pose(server, workstation):
+def test_flight_along_a_path_updates_every_view_to_the_newest_pose(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.picture("flight-start")
@@ -46,7 +46,7 @@ def test_flight_along_the_path_updates_every_view_to_the_newest_pose(server, wor
     assert workstation.faults == []
 
 
-def test_pictures_of_a_flight_never_have_an_older_pose(server, workstation):
+def test_pictures_of_a_flight_never_show_an_older_pose_than_before(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.watch_pose_ids("airway")
@@ -60,7 +60,7 @@ def test_pictures_of_a_flight_never_have_an_older_pose(server, workstation):
     assert workstation.faults == []
 
 
-def test_key_leaves_the_path_and_returns_to_it_with_an_equal_pose(server, workstation):
+def test_mode_key_leaves_the_path_and_returns_to_it_with_an_equal_pose(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     before = workstation.state("pose.lps_from_camera")
@@ -74,7 +74,7 @@ def test_key_leaves_the_path_and_returns_to_it_with_an_equal_pose(server, workst
     assert workstation.faults == []
 
 
-def test_x_ray_and_external_views_show_the_tip(server, workstation):
+def test_tip_marker_moves_in_x_ray_and_external_views(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     shown = workstation.shown_views()
@@ -100,7 +100,7 @@ def test_question_mark_opens_the_keyboard_card_and_escape_closes_it(server, work
     assert workstation.faults == []
 
 
-def test_space_flies_to_the_stop_before_the_carina_and_both_branches_are_labelled(server, workstation):
+def test_space_key_flies_to_the_stop_before_the_carina_where_both_branches_are_labelled(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.go_to(0.0)
@@ -130,7 +130,7 @@ def test_value_and_position_of_the_voxel_under_the_cursor_are_shown(server, work
     assert workstation.faults == []
 
 
-def test_rehearsal_states_how_far_the_scope_fits(server, workstation):
+def test_rehearsal_states_how_far_the_scope_fits_along_the_route(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page

@@ -6,7 +6,7 @@ import time
 from contextlib import ExitStack
 
 import pytest
-from places import named, place_in_slice, place_on_tree, show_slices_at, tree_is_shown
+from page_positions import named, place_in_slice, place_on_tree, show_slices_at, tree_is_shown
 from playwright.sync_api import expect
 from workstation import open_page
 
@@ -188,7 +188,7 @@ CHOSEN = """() => {
 
 
 @pytest.mark.parametrize("view", PICTURES)
-def test_double_click_without_a_tool_enlarges_the_picture_and_chooses_nothing(undone, view):
+def test_double_click_without_an_active_tool_enlarges_the_picture_and_selects_nothing(undone, view):
     show(undone, view)
     undone.settle()
     before = undone.page.evaluate(CHOSEN)
@@ -217,7 +217,7 @@ def does_it(view, tool) -> bool:
 
 
 @pytest.mark.parametrize("view", PICTURES)
-def test_double_click_with_a_tool_acts_once_and_keeps_the_picture_size(undone, view):
+def test_double_click_with_an_active_tool_applies_it_once_and_does_not_enlarge_the_picture(undone, view):
     show(undone, view)
     x, y = middle_of(undone, view)
     for tool in TOOLS:
@@ -238,7 +238,7 @@ def test_double_click_with_a_tool_acts_once_and_keeps_the_picture_size(undone, v
         put_away(undone)
 
 
-def test_enter_in_a_slice_applies_the_tool_once_at_the_crosshair(ready):
+def test_enter_key_in_a_slice_applies_the_tool_once_at_the_crosshair(ready):
     lmb = named(ready, "LMB")
     picture = ready.page.get_by_role("img", name="Axial")
     for tool, expected in (("cut", f'"branch_id":{lmb}'), ("bridge", '"kind":"bridge"')):
@@ -256,7 +256,7 @@ def test_enter_in_a_slice_applies_the_tool_once_at_the_crosshair(ready):
 
 
 @pytest.mark.parametrize("by", ["touch", "pen"])
-def test_double_tap_is_distinguished_from_two_taps_by_finger_and_pen(ready, by):
+def test_double_tap_is_distinguished_from_two_separate_taps_of_finger_and_pen(ready, by):
     client = ready.page.context.new_cdp_session(ready.page)
 
     def tap(x, y, at_s):
@@ -299,7 +299,7 @@ def test_double_tap_is_distinguished_from_two_taps_by_finger_and_pen(ready, by):
 
 
 @pytest.mark.parametrize(("tool", "kind"), [("cut", "cut-branch"), ("smooth", "smooth-branch")])
-def test_click_on_a_list_row_with_an_active_tool_applies_the_tool_to_its_branch(ready, tool, kind):
+def test_click_on_a_branch_row_with_an_active_tool_applies_the_tool_to_the_branch(ready, tool, kind):
     lmb = named(ready, "LMB")
     row = ready.page.locator(f".branch-tree [data-branch='{lmb}']")
     route = ready.state("route.spans.at(-1).branch_id")
@@ -338,7 +338,7 @@ def test_click_on_a_list_row_with_an_active_tool_applies_the_tool_to_its_branch(
     assert actions(ready) == []
 
 
-def test_click_on_a_list_row_with_move_fork_selects_the_fork_at_its_branch_start(ready):
+def test_click_on_a_branch_row_with_the_move_fork_tool_selects_the_fork_at_the_start_of_the_branch(ready):
     lmb, trachea = named(ready, "LMB"), named(ready, "Trachea")
     arm(ready, "fork")
     ready.page.locator(f".branch-tree [data-branch='{lmb}']").click()
@@ -352,7 +352,7 @@ def test_click_on_a_list_row_with_move_fork_selects_the_fork_at_its_branch_start
 
 
 @pytest.mark.parametrize("tool", TOOLS)
-def test_active_tool_is_shown_in_every_picture_with_its_hint(undone, tool):
+def test_active_tool_is_shown_in_every_picture_with_its_instruction(undone, tool):
     arm(undone, tool)
     page = undone.page
     canvases = page.locator("canvas[data-view]")
@@ -381,7 +381,7 @@ def test_active_tool_is_shown_in_every_picture_with_its_hint(undone, tool):
     assert undone.state("ui.full") is None
 
 
-def test_tool_is_released_by_list_search_right_click_its_tag_and_another_step(ready):
+def test_tool_is_deactivated_by_list_search_right_click_its_tag_and_another_workflow_step(ready):
     page = ready.page
     arm(ready, "cut")
     page.locator(".branch-tree [role=row]").first.focus()

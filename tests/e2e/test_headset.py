@@ -74,7 +74,7 @@ def right_and_ahead(before, after) -> tuple[float, float]:
     return right, ahead
 
 
-def test_headset_shows_the_airway_and_its_controller_flies_also_after_a_loss(server, emulated):
+def test_headset_shows_the_airway_and_its_controller_moves_the_tip_also_after_reconnection(server, emulated):
     workstation, page = emulated, emulated.page
     workstation.open(server)
     workstation.wait_ready()

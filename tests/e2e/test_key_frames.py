@@ -20,7 +20,7 @@ def wait_keys(page, num: int) -> None:
     wait(page, f"window.__carina.state.keyFrames?.frames.length === {num}")
 
 
-def test_three_key_frames_are_flown_interrupted_undone_saved_and_opened_again(server, workstation, tmp_path):
+def test_flight_of_three_key_frames_is_interrupted_undone_saved_and_opened_again(server, workstation, tmp_path):
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page
@@ -123,7 +123,7 @@ def test_three_key_frames_are_flown_interrupted_undone_saved_and_opened_again(se
     assert workstation.faults == []
 
 
-def test_automatic_flight_has_the_chosen_speed_and_the_display_shows_it(server, workstation):
+def test_automatic_flight_along_key_frames_has_the_selected_speed(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page

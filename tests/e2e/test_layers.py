@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 
 import carina
-from made import made_phantom
+from cached_test_data import made_phantom
 
 pytestmark = pytest.mark.browser
 
@@ -43,7 +43,9 @@ def switch(workstation, layer: str) -> None:
     workstation.wait_for("(before) => document.querySelector('[data-overlay=coronal]').toDataURL() !== before", before)
 
 
-def test_layers_round_a_target_are_stopped_requested_again_and_switched_off_and_on(server, workstation):
+def test_computation_of_vessel_and_lobe_layers_is_stopped_and_repeated_and_layers_are_switched_off_and_on(
+    server, workstation
+):
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page
@@ -99,7 +101,7 @@ def test_layers_round_a_target_are_stopped_requested_again_and_switched_off_and_
     assert workstation.faults == []
 
 
-def test_drive_of_a_verdict_is_stored_as_a_flight_and_flown(server, workstation):
+def test_simulated_drive_of_a_verdict_is_stored_as_a_flight_and_flown(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page

@@ -68,7 +68,7 @@ def drop(workstation, path, place):
     link.detach()
 
 
-def test_mask_with_two_structures_needs_a_choice_and_its_import_is_undone(ready, masks):
+def test_import_of_a_mask_with_two_structures_needs_a_selection_and_is_undone(ready, masks):
     page = ready.page
     branches = ready.state("tree.byId.size")
     page.get_by_role("button", name="Open", exact=True).click()
@@ -111,7 +111,7 @@ def test_dropped_mask_on_another_grid_is_resampled_only_after_confirmation(ready
     ready.wait_for("window.__carina.state.airways_from === 'search'")
 
 
-def test_mask_at_another_position_is_refused_with_a_message(ready, masks):
+def test_mask_that_does_not_overlap_the_scan_is_refused_with_a_message(ready, masks):
     drop(ready, masks["elsewhere"], "mask")
     ready.page.get_by_text("none of it lies in the scan").wait_for()
     ready.picture("mask-refused")
@@ -119,7 +119,7 @@ def test_mask_at_another_position_is_refused_with_a_message(ready, masks):
     assert ready.state("airways_from") == "search"
 
 
-def test_mask_is_not_imported_into_a_case_that_was_opened_during_the_upload(ready, masks, tmp_path):
+def test_mask_is_not_imported_if_another_case_was_opened_during_the_upload(ready, masks, tmp_path):
     page = ready.page
     made = demo_phantom().volume
     image = sitk.GetImageFromArray(np.ascontiguousarray(made.hu_zyx[:40]))

@@ -25,7 +25,7 @@ def server(patient_dicom, tmp_path_factory) -> Iterator[Server]:
     assert running.errors() == []
 
 
-def test_flight_to_a_segmental_bronchus_in_each_lung(server, workstation):
+def test_flight_reaches_a_segmental_bronchus_in_each_lung_of_the_patient(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     for side, sign in (("right", -1.0), ("left", 1.0)):
@@ -45,7 +45,7 @@ def test_flight_to_a_segmental_bronchus_in_each_lung(server, workstation):
     assert workstation.faults == []
 
 
-def test_flight_through_the_patient_follows_the_hand_and_reports_the_frame_rate(server, workstation):
+def test_flight_through_the_patient_shows_poses_in_order_and_reports_the_frame_rate(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.choose_branch(workstation.deepest_tip(-1.0)["id"])

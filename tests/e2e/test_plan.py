@@ -7,7 +7,7 @@ import json
 import pytest
 
 import carina
-from made import made_phantom
+from cached_test_data import made_phantom
 
 pytestmark = pytest.mark.browser
 
@@ -51,7 +51,7 @@ def place_in_slice(workstation, view: str, lps) -> list[float]:
     )
 
 
-def test_printed_plan_needs_six_clicks_from_the_ct(server, workstation):
+def test_plan_is_printed_six_clicks_after_opening_the_ct(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     page, truth = workstation.page, made_phantom(**CHEST).truth["nodule"]
@@ -110,7 +110,7 @@ def test_printed_plan_needs_six_clicks_from_the_ct(server, workstation):
     assert workstation.faults == []
 
 
-def test_pair_of_route_and_instrument_is_chosen_and_instruments_are_marked_as_available(server, workstation):
+def test_pair_of_route_and_instrument_is_selected_and_instruments_are_marked_as_available(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     page, truth = workstation.page, made_phantom(**CHEST).truth["nodule"]

@@ -10,8 +10,8 @@ from test_plan import CHEST
 from workstation import PICTURE_MS
 
 import carina
+from cached_test_data import made_phantom
 from carina.render import DrrView
-from made import made_phantom
 
 pytestmark = pytest.mark.browser
 
@@ -185,7 +185,7 @@ def test_station_of_a_route_is_shown_in_the_slices_by_click_and_key(server, work
 
 
 @pytest.mark.parametrize("size", SIZES, ids=[str(width) for width, _ in SIZES])
-def test_targets_are_compared_in_one_table_and_a_row_chooses_its_target(server, workstation, size):
+def test_targets_are_compared_in_one_table_and_a_click_on_a_row_selects_its_target(server, workstation, size):
     workstation.page.set_viewport_size({"width": size[0], "height": size[1]})
     workstation.open(server)
     workstation.wait_ready()

@@ -41,7 +41,7 @@ def press(workstation, key: str) -> None:
     after(workstation, lambda: workstation.page.keyboard.press(key))
 
 
-def test_choice_of_a_scope_changes_the_airway_picture_and_is_undone(server, workstation):
+def test_selecting_a_scope_changes_the_airway_picture_and_is_undone(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.wait_still()
@@ -112,7 +112,7 @@ def test_click_through_a_wide_lens_marks_the_clicked_wall_point(server, workstat
     assert workstation.faults == []
 
 
-def test_fine_texture_is_switched_off_and_on_if_the_look_has_one(server, workstation):
+def test_fine_texture_is_switched_off_and_on_if_the_appearance_has_one(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     switch = workstation.page.get_by_test_id("texture")
@@ -146,7 +146,7 @@ def test_fine_texture_is_switched_off_and_on_if_the_look_has_one(server, worksta
 
 
 @pytest.mark.parametrize("width", [1920, 1536, 1440, 1280])
-def test_no_tool_of_the_airway_view_is_clipped(server, workstation, width):
+def test_toolbar_of_the_airway_view_is_not_clipped_at_any_window_width(server, workstation, width):
     workstation.page.set_viewport_size({"width": width, "height": 900})
     workstation.open(server)
     workstation.wait_ready()

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from places import place_in_slice, show_slices_at
+from page_positions import place_in_slice, show_slices_at
 
 import carina
-from made import made_phantom
+from cached_test_data import made_phantom
 
 pytestmark = pytest.mark.browser
 
@@ -23,7 +23,7 @@ def opens(tmp_path):
     return {"path": str(tmp_path / "ct.nii.gz")}
 
 
-def test_second_ct_replaces_the_default_movement_and_half_a_chest_is_refused(server, workstation, tmp_path):
+def test_second_ct_replaces_the_default_movement_and_a_ct_of_half_a_chest_is_refused(server, workstation, tmp_path):
     workstation.open(server)
     workstation.wait_ready()
     page, place = workstation.page, made_phantom(**CHEST).truth["nodule"]["centre_lps"]

@@ -7,8 +7,8 @@ import pytest
 from test_plan import place_in_slice, scroll_to
 
 import carina
+from cached_test_data import made_phantom
 from carina.volume import Volume
-from made import made_phantom
 
 pytestmark = pytest.mark.browser
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from places import (
+from page_positions import (
     PREVIEWED,
     all_points,
     named,
@@ -137,7 +137,7 @@ def test_fork_is_moved_by_two_clicks_and_restored_by_undo(ready):
     undo_to(ready, before)
 
 
-def test_root_of_all_paths_is_moved_and_undone(ready):
+def test_root_of_all_paths_is_moved_and_restored_by_undo(ready):
     before = tree_text(ready)
     trachea = named(ready, "Trachea")
     root = points_of(ready, trachea)[0]
@@ -158,7 +158,7 @@ def test_root_of_all_paths_is_moved_and_undone(ready):
     undo_to(ready, before)
 
 
-def test_tri_plane_view_names_the_branch_under_the_cursor_and_draws_the_path_there(ready):
+def test_tri_plane_view_names_the_branch_under_the_cursor_and_draws_the_path_to_it(ready):
     lmb = named(ready, "LMB")
     points = points_of(ready, lmb)
     middle = points[len(points) // 2]

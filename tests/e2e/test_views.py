@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from places import drag, extent_mm, host, middle_lps
+from page_positions import drag, extent_mm, host, middle_lps
 
 pytestmark = pytest.mark.browser
 
 
-def test_c_arm_turns_by_drag_and_keys_and_only_its_marker_follows_the_tip(server, workstation):
+def test_c_arm_is_rotated_by_drag_and_keys_and_only_its_marker_follows_the_tip(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.get_by_role("radio", name="DRR").or_(workstation.page.get_by_role("button", name="DRR")).click()
@@ -89,7 +89,7 @@ def test_click_in_the_straightened_airway_moves_the_tip_to_the_clicked_position(
     assert workstation.faults == []
 
 
-def test_plane_of_the_tri_plane_view_is_dragged_and_the_background_orbits(server, workstation):
+def test_plane_of_the_tri_plane_view_is_moved_by_dragging_it_and_dragging_the_background_orbits(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.keyboard.press("t")
@@ -176,7 +176,7 @@ def test_slice_zooms_about_the_cursor_and_shows_a_thick_slab(server, workstation
 
 
 @pytest.mark.parametrize("view", ["coronal", "cut-plane"])
-def test_picture_is_panned_by_middle_and_shift_drag_and_keys_and_is_fitted_again(server, workstation, view):
+def test_picture_is_panned_by_middle_drag_shift_drag_and_keys_and_fitted_to_the_window_again(server, workstation, view):
     workstation.open(server)
     workstation.wait_ready()
     workstation.wait_picture(view)

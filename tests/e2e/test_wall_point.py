@@ -17,7 +17,7 @@ def wall_point(workstation, num_picks):
     return workstation.state("picks.at(-1)")
 
 
-def test_click_on_the_wall_shows_and_marks_the_point_and_a_second_click_the_distance(server, workstation):
+def test_first_click_on_the_wall_marks_its_point_and_a_second_click_shows_the_distance(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.go_to(20.0)
@@ -59,7 +59,7 @@ def test_click_on_the_wall_shows_and_marks_the_point_and_a_second_click_the_dist
     assert workstation.faults == []
 
 
-def test_key_picks_the_wall_point_in_the_middle_and_a_double_click_picks_none(server, workstation):
+def test_key_marks_the_wall_point_in_the_middle_and_a_double_click_marks_none(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.keyboard.press("e")

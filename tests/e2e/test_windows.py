@@ -8,8 +8,8 @@ import pytest
 from server_process import Child, start_server, stop_server
 from workstation import open_page, picture_of
 
+from cached_test_data import made_phantom
 from carina.volume import write_grid
-from made import made_phantom
 
 pytestmark = pytest.mark.browser
 
@@ -81,7 +81,7 @@ def test_flight_is_shown_in_both_windows_and_slice_settings_are_separate(two):
         picture_of(station.page, f"windows-{name}")
 
 
-def test_reloaded_or_closed_window_leaves_the_other_unchanged(two):
+def test_reloading_or_closing_a_window_leaves_the_other_window_unchanged(two):
     first, second = two
     first.page.keyboard.press("3")
     first.wait_for("window.__carina.state.session.sight.window.width_hu === 2000")

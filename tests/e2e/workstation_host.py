@@ -43,7 +43,7 @@ from carina.session import CaseRecords, LocalStore, Session, case_files
 from carina.session.engines import Parts, default_parts
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from made import found_airways, made_value
+from cached_test_data import found_airways, made_value
 
 STARTS_S = 120.0
 OPENS_S = 600.0

@@ -13,8 +13,8 @@ import pytest
 import SimpleITK as sitk
 
 import carina
+from cached_test_data import patient
 from carina.render import AirwayView, Renderer
-from made import patient
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 IN_DOCS = EXAMPLES.parent / "docs" / "pictures" / "gallery"
@@ -39,7 +39,7 @@ def test_every_example_folder_has_a_test_in_this_file():
 
 
 @pytest.mark.slow
-def test_first_airway_saves_lit_pictures_of_the_trachea_and_a_bronchus(tmp_path):
+def test_first_airway_example_saves_bright_pictures_of_the_trachea_and_a_bronchus(tmp_path):
     saved = load(EXAMPLES / "01_first_airway" / "first_airway.py").main(None, tmp_path)
     assert [path.name for path in saved] == ["trachea.png", "bronchus.png"]
     for path in saved:
@@ -52,7 +52,7 @@ def test_first_airway_saves_lit_pictures_of_the_trachea_and_a_bronchus(tmp_path)
 
 
 @pytest.mark.slow
-def test_turns_lists_each_bifurcation_and_saves_its_picture(tmp_path, capsys):
+def test_turns_example_lists_each_bifurcation_and_saves_its_picture(tmp_path, capsys):
     saved = load(EXAMPLES / "05_turns" / "turns.py").main(tmp_path)
     lines = capsys.readouterr().out.splitlines()
     assert len(saved) == len(lines) - 1 >= 2
@@ -70,7 +70,7 @@ def gallery(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_gallery_shows_every_position_and_preset(gallery):
+def test_gallery_example_shows_every_camera_position_and_preset(gallery):
     seen = {name: rgb.astype(float) for name, rgb in gallery.items()}
     for name in ("trachea", "carina", "main-bronchus", "lobar-fork", "segmental-fork", "small-airway"):
         rgb = seen[name]
@@ -105,7 +105,7 @@ def same(expected: np.ndarray, found: np.ndarray) -> bool:
 
 
 @pytest.mark.slow
-def test_golden_gallery_pictures_equal_those_of_the_docs(gallery, tmp_path):
+def test_golden_pictures_of_the_gallery_example_equal_those_of_the_docs(gallery, tmp_path):
     rewrite = os.environ.get("CARINA_GOLDEN") == "rewrite"
     for name, rgb in gallery.items():
         # Both pictures have been encoded, so the loss of the encoder (2 grey levels in the mean) does not hide a
@@ -127,7 +127,7 @@ def test_golden_gallery_pictures_equal_those_of_the_docs(gallery, tmp_path):
 
 
 @pytest.mark.slow
-def test_gallery_picture_with_a_changed_appearance_does_not_match_the_docs(tmp_path):
+def test_gallery_picture_with_changed_shading_does_not_match_the_docs(tmp_path):
     gallery = load(EXAMPLES / "02_gallery" / "gallery.py")
     volume, airways = patient()
     pose = gallery.places(*gallery.way(airways.tree))["carina"]

@@ -23,7 +23,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory):
 
 
 @pytest.mark.slow
-def test_notebook_shows_a_volume_a_named_tree_pictures_and_a_video(ran) -> None:
+def test_notebook_example_shows_a_volume_a_named_tree_pictures_and_a_video(ran) -> None:
     cells, names, folder = ran
     values = [cell.value for cell in cells if cell.value is not None]
     assert [type(value).__name__ for value in values] == [
@@ -57,7 +57,7 @@ def test_notebook_page_contains_its_output_and_no_local_path(ran) -> None:
     assert str(Path.home()) not in page
 
 
-def test_page_escapes_printed_text_and_shows_values_by_their_notebook_methods() -> None:
+def test_notebook_page_escapes_printed_text_and_uses_the_notebook_representation_of_values() -> None:
     class Drawn:
         def _repr_png_(self) -> bytes:
             return b"png"

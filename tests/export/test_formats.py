@@ -13,6 +13,7 @@ import pytest
 import SimpleITK as sitk
 
 import carina
+from cached_test_data import SMALL_CHEST, made_airways, made_phantom
 from carina.errors import GeometryError, UsageError
 from carina.export import (
     EXPORT_FORMATS,
@@ -29,7 +30,6 @@ from carina.export.mask_file import MASK_SUFFIXES
 from carina.export.mesh_file import MESH_SUFFIXES
 from carina.track import AirwayTree, Branch, Mesh, lumen_mask, lumen_mesh
 from carina.volume import Volume, inspect_path, open_mask
-from made import SMALL_CHEST, made_airways, made_phantom
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def drawn_tree(tree) -> AirwayTree:
     return AirwayTree((*found, dataclasses.replace(last, kind="manual")))
 
 
-def test_every_tree_format_marks_branches_drawn_by_hand(drawn_tree, tmp_path):
+def test_every_tree_format_labels_branches_drawn_by_hand(drawn_tree, tmp_path):
     length_mm = sum(branch.length_mm for branch in drawn_tree.branches)
     words = f"{drawn_tree.branches[-1].length_mm:.0f} of {length_mm:.0f} mm drawn by hand"
     root = ET.parse(export_tree(tmp_path / "t.vtp", drawn_tree)).getroot()
@@ -71,7 +71,7 @@ def test_every_tree_format_marks_branches_drawn_by_hand(drawn_tree, tmp_path):
     assert carina.export.read_tree(export_tree(tmp_path / "t.json", drawn_tree)).branches[-1].kind == "manual"
 
 
-def test_lumen_and_surface_formats_mark_parts_drawn_by_hand(case, tmp_path):
+def test_lumen_and_surface_formats_label_parts_drawn_by_hand(case, tmp_path):
     volume, airways = case
     *found, last = airways.tree.branches
     tree = dataclasses.replace(airways.tree, branches=(*found, dataclasses.replace(last, kind="manual")))
@@ -123,7 +123,7 @@ def test_swc_file_is_one_tree_with_one_node_at_each_bifurcation(tree, tmp_path):
     assert places.tobytes() == expected.tobytes()
 
 
-def test_markups_file_has_a_curve_for_each_branch_in_lps(tree, tmp_path):
+def test_markups_file_has_a_curve_in_lps_for_each_branch(tree, tmp_path):
     document = json.loads(export_tree(tmp_path / "t.mrk.json", tree).read_text())
     curves = document["markups"]
     assert [curve["name"] for curve in curves] == ["Trachea", "RMB (bridge)", "branch 5"]
@@ -193,7 +193,7 @@ def read_glb(raw):
     return points[corners], matrix
 
 
-def test_surface_written_in_every_format_is_read_back_equal(case, tmp_path):
+def test_surface_written_in_every_format_is_read_back_with_equal_points_and_triangles(case, tmp_path):
     mesh = lumen_mesh(*case)
     expected = mesh.vertices_lps[mesh.triangles]
     raw = {suffix: write_mesh(tmp_path / f"s{suffix}", mesh).read_bytes() for suffix in (".stl", ".ply", ".obj")}
@@ -225,7 +225,7 @@ def test_mask_is_read_back_on_the_same_grid(case, tmp_path, name):
     assert [p.name for p in tmp_path.iterdir()] == [name]
 
 
-def test_airways_from_the_written_mask_are_at_the_same_positions(case, tmp_path):
+def test_airways_opened_from_the_written_mask_are_at_the_same_positions(case, tmp_path):
     volume, airways = case
     path = export_airways(tmp_path / "lumen.nrrd", volume, airways)
     inside = open_mask(path, volume).inside_zyx
@@ -245,7 +245,7 @@ def leaning(degrees: float, shape=(40, 3, 40)) -> Volume:
 
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha", ".nrrd"])
 @pytest.mark.parametrize("degrees", [0.02, 0.1, 0.199])
-def test_grid_that_opens_is_written_and_read_again_in_every_format(tmp_path, suffix, degrees):
+def test_grid_that_opens_as_a_ct_can_be_written_and_read_in_every_format(tmp_path, suffix, degrees):
     volume = leaning(degrees)
     mask = np.zeros(volume.shape_zyx, np.uint8)
     mask[5:30, 1, 2:9] = 1
@@ -256,7 +256,9 @@ def test_grid_that_opens_is_written_and_read_again_in_every_format(tmp_path, suf
 
 
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha"])
-def test_grid_beyond_the_tolerance_is_refused_with_a_format_that_stores_it(tmp_path, suffix):
+def test_grid_that_deviates_from_a_format_by_more_than_its_tolerance_is_refused_with_a_suitable_format(
+    tmp_path, suffix
+):
     volume = leaning(0.3)
     for write in (check_export, lambda path, volume: write_mask(path, np.ones(volume.shape_zyx, np.uint8), volume)):
         with pytest.raises(GeometryError, match=r"meet at 89\.7 instead of 90 degrees.*write it as \.nrrd") as caught:
@@ -275,7 +277,7 @@ def test_nrrd_of_an_oblique_grid_stores_its_directions_exactly(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nii"])
-def test_axis_longer_than_nifti_stores_is_refused_before_the_work(tmp_path, suffix):
+def test_axis_longer_than_nifti_can_store_is_refused_before_the_computation(tmp_path, suffix):
     longest = Volume(np.zeros((32767, 2, 2), np.int16), np.eye(4))
     check_export(tmp_path / f"m{suffix}", longest)
     longer = Volume(np.zeros((32768, 2, 2), np.int16), np.eye(4))
@@ -294,7 +296,7 @@ def test_grid_that_the_format_cannot_store_is_refused_before_the_lumen_is_comput
         export_airways(tmp_path / "lumen.nii.gz", Volume(volume.hu_zyx, matrix), airways)
 
 
-def test_table_of_formats_has_each_writer_and_prefers_the_longest_suffix():
+def test_table_of_export_formats_has_each_writer_and_matches_the_longest_suffix():
     assert {row.suffix for row in EXPORT_FORMATS if row.kind == "surface"} == set(MESH_SUFFIXES)
     assert {row.suffix for row in EXPORT_FORMATS if row.kind == "lumen"} == set(MASK_SUFFIXES)
     assert len(set(EXPORT_SUFFIXES)) == len(EXPORT_SUFFIXES)

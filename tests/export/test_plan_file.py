@@ -8,7 +8,7 @@ import sys
 import pydicom
 import pytest
 from dicom_writer import series
-from written_plans import a_plan, a_tree
+from sample_plan import a_plan, a_tree
 
 import carina.export
 from carina.errors import UsageError
@@ -28,7 +28,7 @@ def test_plan_is_written_in_the_format_of_each_suffix(tmp_path):
     assert pydicom.dcmread(tmp_path / "Plan.SR.DCM").Modality == "SR"
 
 
-def test_export_of_a_plan_without_a_requirement_of_its_format_is_refused(tmp_path):
+def test_plan_export_without_a_tree_or_ct_that_its_format_requires_is_refused(tmp_path):
     plans = {"A": a_plan(), "B": a_plan()}
     with pytest.raises(UsageError, match=r"\.mrk\.json, \.seg\.nrrd, \.seg\.dcm, \.sr\.dcm; found 'p\.json'"):
         export_plan(tmp_path / "p.json", a_plan(), a_tree())
@@ -44,7 +44,7 @@ def test_export_of_a_plan_without_a_requirement_of_its_format_is_refused(tmp_pat
     assert not list(tmp_path.iterdir())
 
 
-def test_package_lists_all_names_and_loads_dicom_readers_on_first_use():
+def test_export_package_provides_all_listed_names_and_loads_the_dicom_library_on_first_use():
     assert all(getattr(carina.export, name) is not None for name in carina.export.__all__)
     code = "import sys, carina.export; carina.export.export_plan; print('pydicom' in sys.modules)"
     ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from written_plans import DOUBT, a_plan, a_tree
+from sample_plan import DOUBT, a_plan, a_tree
 
 from carina.errors import DiskError, UsageError
 from carina.export.plan_content import drawn_plans
@@ -93,7 +93,7 @@ def places(markup: dict[str, Any]) -> np.ndarray:
     return np.array([point["position"] for point in markup["controlPoints"]])
 
 
-def test_markups_file_follows_the_schema_of_slicer(written):
+def test_markups_file_of_a_plan_follows_the_schema_of_slicer(written):
     assert written["@schema"].endswith("markups-schema-v1.0.3.json#")
     assert [markup["type"] for markup in written["markups"]] == [
         *("Fiducial", "Fiducial", "Fiducial", "Curve", "Line", "Curve", "Line"),
@@ -104,7 +104,7 @@ def test_markups_file_follows_the_schema_of_slicer(written):
         assert markup["coordinateUnits"] == "mm"
 
 
-def test_targets_scope_positions_needles_and_entries_have_the_positions_of_the_plan(written):
+def test_targets_scope_positions_needle_lines_and_entries_in_markups_have_the_positions_of_the_plan(written):
     plan = a_plan()
     assert np.array_equal(places(named(written, "Targets")), [plan.nodule.centre_lps])
     assert np.array_equal(places(named(written, "Scope positions")), [r.leg.tip_lps for r in plan.routes])
@@ -114,7 +114,7 @@ def test_targets_scope_positions_needles_and_entries_have_the_positions_of_the_p
         assert np.array_equal(line, [route.leg.tip_lps, route.leg.aim_lps])
 
 
-def test_route_follows_the_airways_from_the_trachea_to_the_scope_tip(written):
+def test_exported_route_follows_the_airways_from_the_trachea_to_the_scope_tip(written):
     tree, plan = a_tree(), a_plan()
     for route, marked in zip(plan.routes, ("Route 1: LB3", "Route 2: branch 9 (DOUBTFUL)"), strict=True):
         curve = places(named(written, marked))
@@ -131,7 +131,7 @@ def test_route_follows_the_airways_from_the_trachea_to_the_scope_tip(written):
         assert ((ahead[1:] * ahead[:-1]).sum(axis=1) > 0.0).all()
 
 
-def test_route_ends_at_a_tip_between_two_of_its_points_and_never_turns_back():
+def test_exported_route_ends_at_a_tip_between_two_of_its_points_and_never_turns_back():
     tree, plan = a_tree(), a_plan()
     points = tree.branch(4).points
     for share in (0.1, 0.49, 0.51, 0.9):
@@ -156,14 +156,14 @@ def test_route_ends_at_a_tip_between_two_of_its_points_and_never_turns_back():
         (3.14, "Nearest vessel seen 3.1 mm from the needle."),
     ],
 )
-def test_vessel_in_the_needle_path_is_reported(vessel_mm, words):
+def test_exported_route_states_a_vessel_in_the_needle_path(vessel_mm, words):
     plan = a_plan()
     leg = dataclasses.replace(plan.routes[0].leg, vessel_mm=vessel_mm)
     met = dataclasses.replace(plan, routes=(dataclasses.replace(plan.routes[0], leg=leg),))
     assert words in drawn_plans(met, a_tree())[0].routes[0].words
 
 
-def test_doubtful_route_has_a_mark_in_its_name_colour_and_points(written):
+def test_doubtful_route_is_marked_in_its_name_colour_and_points(written):
     sure, doubtful = named(written, "Route 1: LB3"), named(written, "Route 2: branch 9 (DOUBTFUL)")
     red, green, blue = doubtful["display"]["color"]
     assert red > 3.0 * max(green, blue)
@@ -186,14 +186,14 @@ def test_best_route_is_red_if_it_is_doubtful(tmp_path):
         assert red > 3.0 * max(green, blue)
 
 
-def test_target_states_its_size_its_error_and_its_motion(written):
+def test_target_in_markups_states_its_size_its_error_and_its_motion(written):
     words = named(written, "Targets")["controlPoints"][0]["description"]
     for part in ("12.0 x 9.0 mm", "0.57 ml", "90 % within", "pleura", "LB3 lies against it", "up to 15 mm from"):
         assert part in words
     assert "Not a medical device." in words
 
 
-def test_several_targets_have_different_names_and_the_file_has_all_badges(tmp_path):
+def test_several_targets_have_different_names_in_markups_and_the_file_has_all_badges(tmp_path):
     plans = {"Nodule A": a_plan(), "Nodule B": a_plan(doubts=(), aim_lps=(20.0, -3.0, -70.0))}
     badge = Note("import.lossy", "the slices were compressed with loss", badge=True)
     path = write_plan_markups(tmp_path / "p.mrk.json", plans, a_tree(), badges=[badge])
@@ -209,14 +209,14 @@ def test_several_targets_have_different_names_and_the_file_has_all_badges(tmp_pa
     assert len({markup["name"] for markup in document["markups"]}) == len(document["markups"])
 
 
-def test_plan_without_a_route_states_the_reason(tmp_path):
+def test_markups_of_a_plan_without_a_route_state_the_reason(tmp_path):
     plan = dataclasses.replace(a_plan(), routes=(), why="no route: the nearest airway found is LB3, 40 mm away")
     document = json.loads(write_plan_markups(tmp_path / "p.mrk.json", plan, a_tree()).read_text())
     (only,) = document["markups"]
     assert "40 mm away" in only["controlPoints"][0]["description"]
 
 
-def test_markups_with_another_tree_a_wrong_suffix_or_no_target_are_refused(tmp_path):
+def test_markups_with_the_tree_of_another_plan_a_wrong_suffix_or_no_target_are_refused(tmp_path):
     plan, tree = a_plan(), a_tree()
     moved = tuple(dataclasses.replace(b, points=b.points + np.array([0.0, 6.0, 0.0])) for b in tree.branches)
     with pytest.raises(UsageError, match=r"lies 5\.2 mm from this tree") as caught:

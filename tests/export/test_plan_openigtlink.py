@@ -10,7 +10,7 @@ import threading
 
 import numpy as np
 import pytest
-from written_plans import DOUBT, a_plan, a_tree
+from sample_plan import DOUBT, a_plan, a_tree
 
 from carina.errors import CarinaError, UsageError
 from carina.export.plan_openigtlink import MAX_PEERS, PlanServer, plan_messages, send_plan
@@ -76,7 +76,7 @@ def read_trajectories(message: bytes):
     return list(struct.iter_unpack(">64s32sBB4B3f3ff20s", content))
 
 
-def test_names_of_messages_are_those_shown_in_slicer_and_unique(messages):
+def test_names_of_igtl_messages_are_unique_and_the_same_as_in_slicer(messages):
     names = [fields_of(one)["device_name"] for one in messages]
     assert names == [
         *("CarinaTarget1", "CarinaRoute1", "CarinaNeedle1", "CarinaRoute2", "CarinaNeedle2"),
@@ -85,7 +85,7 @@ def test_names_of_messages_are_those_shown_in_slicer_and_unique(messages):
     assert {fields_of(one)["timestamp"] for one in messages} == {12.5}
 
 
-def test_routes_and_needles_are_lines_in_ras_at_the_positions_of_the_plan(messages):
+def test_routes_and_needles_are_sent_as_lines_in_ras_at_the_positions_of_the_plan(messages):
     tree = a_tree()
     for number, route in enumerate(a_plan().routes, 1):
         needle = read_polydata(by_name(messages, f"CarinaNeedle{number}"))
@@ -97,7 +97,7 @@ def test_routes_and_needles_are_lines_in_ras_at_the_positions_of_the_plan(messag
         assert max(np.linalg.norm(whole - point, axis=1).min() for point in way) < 1e-4
 
 
-def test_target_surface_is_triangles_around_its_centre_in_ras(messages):
+def test_target_surface_is_sent_as_triangles_around_its_centre_in_ras(messages):
     nodule, content = a_plan().nodule, content_of(by_name(messages, "CarinaTarget1"))
     counts = struct.unpack_from(">10I", content)
     assert [counts[n] for n in (1, 2, 3, 4, 7, 8, 9)] == [0] * 7
@@ -120,7 +120,7 @@ def test_pyigtl_reads_names_and_positions_of_the_targets(messages):
     assert found.diameters[0] == pytest.approx(plan.nodule.equivalent_mm, rel=1e-6)
 
 
-def test_trajectories_go_from_the_scope_tip_to_the_aim(messages):
+def test_sent_trajectories_run_from_the_scope_tip_to_the_aim(messages):
     rows = read_trajectories(by_name(messages, "CarinaNeedles"))
     for row, route, name in zip(
         rows, a_plan().routes, ("Route 1: LB3 to Target", "DOUBTFUL Route 2: branch 9 to Target"), strict=True
@@ -132,7 +132,7 @@ def test_trajectories_go_from_the_scope_tip_to_the_aim(messages):
     assert rows[0][4:8] != rows[1][4:8]
 
 
-def test_text_of_the_plan_includes_its_doubts(messages):
+def test_sent_text_of_the_plan_includes_its_doubts(messages):
     words = read_by_pyigtl(by_name(messages, "CarinaPlan")).string
     assert f"{DOUBT}." in words
     assert "CarinaRoute2, CarinaNeedle2: Route 2: branch 9 to Target." in words
@@ -146,7 +146,7 @@ def test_messages_in_lps_have_the_positions_of_the_plan():
     assert np.abs(needle - np.array([route.leg.tip_lps, route.leg.aim_lps])).max() < 1e-4
 
 
-def test_numbering_continues_over_targets_and_long_or_non_ascii_names_fit():
+def test_message_numbers_continue_over_several_targets_and_long_or_non_ascii_names_are_shortened():
     plans = {"Nodule Ö " + "x" * 80: a_plan(), "B": a_plan(doubts=())}
     messages = plan_messages(plans, a_tree())
     names = [fields_of(one)["device_name"] for one in messages]
@@ -174,7 +174,7 @@ def split(data: bytes) -> list[bytes]:
     return found
 
 
-def test_server_such_as_slicer_receives_the_whole_plan():
+def test_receiver_such_as_slicer_gets_all_messages_of_the_plan():
     heard: list[bytes] = []
     with socket.create_server(("127.0.0.1", 0)) as server:
 
@@ -222,7 +222,7 @@ def received(peer: socket.socket, num: int) -> list[bytes]:
                 return found
 
 
-def test_client_receives_the_plan_on_connection_and_again_on_request():
+def test_client_receives_the_plan_when_it_connects_and_again_on_request():
     with PlanServer(a_plan(), a_tree(), port=0) as server:
         for _ in range(2):
             with socket.create_connection((server.host, server.port)) as peer:
@@ -250,7 +250,7 @@ def test_pyigtl_client_reads_points_and_text_from_the_server():
             client.stop()
 
 
-def test_client_of_another_protocol_is_dropped_and_others_are_served():
+def test_client_with_another_protocol_is_disconnected_and_others_are_served():
     with PlanServer(a_plan(), a_tree(), port=0) as server, socket.create_connection((server.host, server.port)) as bad:
         received(bad, 8)
         bad.sendall(b"GET / HTTP/1.1\r\n" + b"x" * 100)
@@ -285,7 +285,7 @@ def test_connections_above_the_limit_are_refused():
         assert more.recv(10) == b""
 
 
-def test_invalid_numbers_and_texts_are_refused():
+def test_invalid_numbers_and_texts_in_igtl_messages_are_refused():
     with pytest.raises(UsageError, match="space"):
         plan_messages(a_plan(), a_tree(), space="XYZ")  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="version"):

@@ -51,7 +51,7 @@ def groups(data):
     return items(measurements, "Measurement Group")
 
 
-def test_report_contains_the_measurements_and_their_positions(ct, volume, tmp_path):
+def test_dicom_report_contains_the_measurements_and_their_positions(ct, volume, tmp_path):
     data = pydicom.dcmread(write_target_report(tmp_path / "r.dcm", nodule(), volume, ct, now=NOW))
     assert (data.Modality, data.ContentTemplateSequence[0].TemplateIdentifier) == ("SR", "1500")
     assert (data.VerificationFlag, data.PreliminaryFlag) == ("UNVERIFIED", "PRELIMINARY")
@@ -76,7 +76,7 @@ def test_report_contains_the_measurements_and_their_positions(ct, volume, tmp_pa
     assert "Not verified by a reader" in comment.TextValue
 
 
-def test_image_library_and_evidence_list_the_slices_that_show_the_target(ct, volume, tmp_path):
+def test_image_library_and_evidence_of_a_dicom_report_list_the_slices_that_show_the_target(ct, volume, tmp_path):
     data = pydicom.dcmread(write_target_report(tmp_path / "r.dcm", nodule(), volume, ct))
     (library,) = items(data, "Image Library")
     (listed,) = items(library, "Image Library Group")
@@ -88,7 +88,7 @@ def test_image_library_and_evidence_list_the_slices_that_show_the_target(ct, vol
     assert [one.ReferencedSOPInstanceUID for one in study.ReferencedSeriesSequence[0].ReferencedSOPSequence] == uids
 
 
-def test_measurement_group_and_its_segment_have_one_tracking_identifier(ct, volume, tmp_path):
+def test_measurement_group_and_its_dicom_segment_have_the_same_tracking_identifier(ct, volume, tmp_path):
     other = ellipsoid([3.0, 3.0, 4.0], (3.0, -3.0, 30.0), step_mm=0.4)
     targets = {"Nodule A": nodule(), "Nodule B": other}
     seg = write_target_seg(tmp_path / "s.dcm", targets, volume, ct)
@@ -103,7 +103,7 @@ def test_measurement_group_and_its_segment_have_one_tracking_identifier(ct, volu
     assert group.ContentTemplateSequence[0].TemplateIdentifier == "1411"
 
 
-def test_highdicom_reads_the_report_and_finds_the_measurements(ct, volume, tmp_path):
+def test_highdicom_reads_the_dicom_report_and_finds_the_measurements(ct, volume, tmp_path):
     highdicom = pytest.importorskip("highdicom", reason="highdicom, the independent reader, is not installed")
     seg = write_target_seg(tmp_path / "s.dcm", nodule(), volume, ct)
     report = highdicom.sr.srread(write_target_report(tmp_path / "r.dcm", nodule(), volume, ct, segmentation=seg))
@@ -117,7 +117,7 @@ def test_highdicom_reads_the_report_and_finds_the_measurements(ct, volume, tmp_p
     assert group.referenced_segment.referenced_segment_numbers == [1]
 
 
-def test_segmentation_of_another_ct_or_without_the_target_is_refused(ct, volume, tmp_path):
+def test_dicom_report_refuses_a_segmentation_of_another_ct_or_without_the_target(ct, volume, tmp_path):
     seg = write_target_seg(tmp_path / "s.dcm", nodule(), volume, ct)
     with pytest.raises(UsageError, match="no segment called 'Nodule B'"):
         write_target_report(tmp_path / "r.dcm", {"Nodule B": nodule()}, volume, ct, segmentation=seg)
@@ -140,14 +140,14 @@ def test_target_smaller_than_a_voxel_is_reported_on_the_nearest_slice(ct, volume
     assert only.ReferencedSOPSequence[0].ReferencedSOPInstanceUID == pydicom.dcmread(ct / "IM010").SOPInstanceUID
 
 
-def test_report_contains_no_patient_data_unless_requested(ct, volume, tmp_path):
+def test_dicom_report_contains_no_patient_data_unless_requested(ct, volume, tmp_path):
     raw = write_target_report(tmp_path / "r.dcm", nodule(), volume, ct).read_bytes()
     assert not any(secret in raw for secret in (b"Secret", b"SECRET-1", b"19010101"))
     data = pydicom.dcmread(write_target_report(tmp_path / "q.dcm", nodule(), volume, ct, identity="from the CT"))
     assert (str(data.PatientName), data.PatientID) == ("Secret^One", "SECRET-1")
 
 
-def test_report_copies_no_data_of_scanner_and_institution_from_the_ct(tmp_path):
+def test_dicom_report_copies_no_scanner_or_institution_data_from_the_ct(tmp_path):
     def described(dataset, index):
         dataset.Manufacturer = dataset.InstitutionName = dataset.StationName = dataset.PatientComments = "Confidential"
         dataset.PatientAge, dataset.AcquisitionDateTime = "077Y", "20250102101500"
@@ -158,7 +158,7 @@ def test_report_copies_no_data_of_scanner_and_institution_from_the_ct(tmp_path):
         assert not any(text in path.read_bytes() for text in (b"Confidential", b"077Y", b"20250102"))
 
 
-def test_ct_with_a_private_sop_class_and_unusual_identity_is_reported(tmp_path):
+def test_dicom_report_of_a_ct_with_a_private_sop_class_and_unusual_identity_is_written(tmp_path):
     def unusual(dataset, index):
         dataset.SOPClassUID = "1.2.3.4.99"
         with warnings.catch_warnings():
@@ -176,7 +176,7 @@ def test_ct_with_a_private_sop_class_and_unusual_identity_is_reported(tmp_path):
     assert classes == ["1.2.3.4.99", pydicom.uid.SegmentationStorage]
 
 
-def test_pdf_in_a_dicom_document_is_read_back_byte_for_byte(tmp_path):
+def test_pdf_inside_a_dicom_document_is_read_back_byte_for_byte(tmp_path):
     for pdf in (PDF, PDF + b"\n"):
         data = pydicom.dcmread(write_plan_pdf(tmp_path / "p.dcm", pdf, names_patient=False, now=NOW))
         assert data.EncapsulatedDocument[: data.EncapsulatedDocumentLength] == pdf
@@ -187,7 +187,7 @@ def test_pdf_in_a_dicom_document_is_read_back_byte_for_byte(tmp_path):
         assert (data.DocumentTitle, data.ContentDate) == ("Bronchoscopy plan", "20260304")
 
 
-def test_pdf_without_patient_identity_has_its_own_study(ct, volume, tmp_path):
+def test_dicom_pdf_without_patient_identity_has_a_new_study_uid(ct, volume, tmp_path):
     one = pydicom.dcmread(next(iter(ct.iterdir())))
     data = pydicom.dcmread(write_plan_pdf(tmp_path / "p.dcm", PDF, names_patient=False))
     assert data.StudyInstanceUID != one.StudyInstanceUID
@@ -199,7 +199,7 @@ def test_pdf_without_patient_identity_has_its_own_study(ct, volume, tmp_path):
     assert (found.PatientID, found.BurnedInAnnotation, found.DocumentTitle) == ("SECRET-1", "YES", "Plan ÄÖ")
 
 
-def test_invalid_pdf_and_pdf_with_patient_name_are_refused(ct, volume, tmp_path):
+def test_invalid_pdf_and_pdf_with_the_patient_name_are_refused(ct, volume, tmp_path):
     for pdf in (b"", b"<html>", PDF[:-8], PDF[1:]):
         with pytest.raises(UsageError, match="expected a whole PDF"):
             write_plan_pdf(tmp_path / "p.dcm", pdf, names_patient=False)

@@ -14,6 +14,7 @@ import SimpleITK as sitk
 from dicom_writer import chest, series
 from nodules import ellipsoid
 
+from cached_test_data import SMALL_CHEST, made_airways, made_phantom
 from carina.errors import CancelledError, DiskError, NoResultError, UsageError, VolumeImportError
 from carina.export.plan_dicom_seg import inside_on_grid, write_target_seg
 from carina.export.plan_dicom_sr import write_target_report
@@ -21,7 +22,6 @@ from carina.export.plan_nrrd import write_target_nrrd
 from carina.navigate.rotation import rotation_from_vector
 from carina.track import lumen_mask
 from carina.volume import Volume, open_mask, open_volume, write_grid
-from made import SMALL_CHEST, made_airways, made_phantom
 
 TURN = rotation_from_vector(np.array([0.31, -0.22, 0.47]))
 FIRST_LPS = np.array([-40.125, 17.5, -203.25])
@@ -77,7 +77,7 @@ def frame_places(data) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(found), frames
 
 
-def test_voxel_belongs_to_the_target_if_at_least_half_of_it_is_inside(volume):
+def test_voxel_belongs_to_the_target_mask_if_at_least_half_of_it_is_inside_the_target(volume):
     # The exact ellipsoid is sampled at many more points than in the implementation.
     k, j, i = np.indices(volume.shape_zyx).reshape(3, -1)
     at = np.linspace(-0.5, 0.5, 15)[1::2]
@@ -156,12 +156,12 @@ def test_cancelled_export_of_a_segmentation_leaves_no_file(ct, volume, tmp_path)
     assert not list(tmp_path.iterdir())
 
 
-def test_importer_reads_the_segmentation_on_the_same_voxels(ct, volume, tmp_path):
+def test_import_of_a_written_segmentation_gives_the_same_voxels(ct, volume, tmp_path):
     path = write_target_seg(tmp_path / "t.dcm", nodule(), volume, ct)
     assert np.array_equal(open_mask(path, volume).inside_zyx, inside_on_grid(nodule(), volume))
 
 
-def test_each_frame_refers_to_the_image_at_its_position(ct, volume, tmp_path):
+def test_each_segmentation_frame_refers_to_the_ct_image_at_its_position(ct, volume, tmp_path):
     data = written(ct, volume, tmp_path / "t.dcm")
     images = {image.SOPInstanceUID: image for image in map(pydicom.dcmread, sorted(ct.iterdir()))}
     sources = []
@@ -180,7 +180,7 @@ def test_each_frame_refers_to_the_image_at_its_position(ct, volume, tmp_path):
     assert data.SeriesInstanceUID != one.SeriesInstanceUID
 
 
-def test_segment_states_nodule_of_the_lung_and_its_measured_size(ct, volume, tmp_path):
+def test_segment_is_coded_as_nodule_of_the_lung_with_its_measured_size(ct, volume, tmp_path):
     (segment,) = written(ct, volume, tmp_path / "t.dcm").SegmentSequence
     codes = (
         segment.SegmentedPropertyCategoryCodeSequence,
@@ -196,7 +196,7 @@ def test_segment_states_nodule_of_the_lung_and_its_measured_size(ct, volume, tmp
     assert "0.57 ml" in segment.SegmentDescription
 
 
-def test_no_patient_data_are_written_unless_requested(ct, volume, tmp_path):
+def test_segmentation_contains_no_patient_data_unless_requested(ct, volume, tmp_path):
     data = written(ct, volume, tmp_path / "t.dcm")
     raw = (tmp_path / "t.dcm").read_bytes()
     assert not any(secret.encode() in raw for secret in (*SECRETS, "ACC-77", "20250102"))
@@ -204,7 +204,7 @@ def test_no_patient_data_are_written_unless_requested(ct, volume, tmp_path):
     assert [data.get(key) for key in ("PatientName", "PatientID", "StudyDate")] == ["", "", ""]
 
 
-def test_identity_of_the_ct_is_copied_on_request(ct, volume, tmp_path):
+def test_segmentation_contains_the_patient_identity_of_the_ct_on_request(ct, volume, tmp_path):
     data = written(ct, volume, tmp_path / "t.dcm", identity="from the CT")
     assert str(data.PatientName) == "Secret^Öne"
     assert (data.PatientID, data.PatientBirthDate, data.PatientSex) == ("SECRET-1", "19010101", "F")
@@ -226,7 +226,7 @@ def test_segmentation_of_an_anonymised_ct_is_anonymous(tmp_path):
     assert list(data.DeidentificationMethod) == ["Basic profile", "Dates kept"]
 
 
-def test_two_targets_are_two_segments_that_may_overlap(ct, volume, tmp_path):
+def test_two_overlapping_targets_are_written_as_two_segments(ct, volume, tmp_path):
     other = ellipsoid([4.0, 4.0, 4.0], nodule().centre_lps + TURN @ np.array([4.0, 0.0, 3.0]), step_mm=0.4)
     path = write_target_seg(tmp_path / "t.dcm", {"Nodule A": nodule(), "Knoten Ö": other}, volume, ct)
     data = pydicom.dcmread(path)
@@ -287,7 +287,7 @@ def test_simpleitk_reads_the_segmentation_at_the_position_of_the_nodule(ct, volu
     assert np.abs(found - expected).max() < 0.01
 
 
-def test_segmentation_for_another_ct_or_a_file_that_is_not_dicom_is_refused(ct, volume, tmp_path):
+def test_segmentation_for_another_ct_or_for_a_file_that_is_not_dicom_is_refused(ct, volume, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     write = functools.partial(write_target_seg, out / "t.dcm", nodule(), volume)
@@ -307,7 +307,7 @@ def test_segmentation_for_another_ct_or_a_file_that_is_not_dicom_is_refused(ct, 
     assert not list(out.iterdir())
 
 
-def test_segmentation_refers_to_the_planned_one_of_two_series(ct, volume, tmp_path):
+def test_segmentation_refers_to_the_series_of_the_plan_if_the_folder_has_two_series(ct, volume, tmp_path):
     folder = tmp_path / "both"
     series(folder, oblique, hu=chest(seed=6), name=lambda n: f"A{n}", number=2, uid="1.2.3.99")
     series(folder, oblique, name=lambda n: f"B{n}", number=3, uid="1.2.3.77")

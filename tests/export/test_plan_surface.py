@@ -42,7 +42,7 @@ def test_surface_of_an_ellipsoid_is_closed_and_has_its_position_and_volume(mirro
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30))
-def test_any_set_of_voxels_has_a_closed_surface(seed, num):
+def test_surface_of_any_set_of_voxels_is_closed(seed, num):
     chosen = np.random.default_rng(seed)
     inside = np.zeros((4, 5, 6), bool)
     inside[tuple(chosen.integers(0, inside.shape, (num, 3)).T)] = True

@@ -42,7 +42,7 @@ def test_failed_write_of_a_tree_leaves_the_old_file(tree, tmp_path, monkeypatch)
     assert [p.name for p in tmp_path.iterdir()] == ["t.json"]
 
 
-def test_tree_written_to_a_missing_folder_is_refused_with_the_folder_s_name(tree, tmp_path):
+def test_tree_written_to_a_missing_folder_is_refused_with_the_name_of_the_folder(tree, tmp_path):
     with pytest.raises(CarinaError, match="missing"):
         write_tree(tmp_path / "missing" / "t.json", tree)
 

@@ -51,13 +51,13 @@ def test_full_disk_leaves_the_old_video_and_no_draft(tmp_path, suffix):
     assert [found.name for found in tmp_path.iterdir()] == [target.name]
 
 
-def test_cancelled_video_on_a_full_disk_leaves_no_draft_and_keeps_its_reason(tmp_path):
+def test_cancelled_video_on_a_full_disk_leaves_no_draft_and_raises_the_original_error(tmp_path):
     with pytest.raises(KeyError, match="reason"):
         write_to_full_disk(tmp_path / "a.mp4", reason=KeyError("reason"))
     assert list(tmp_path.iterdir()) == []
 
 
-def test_video_that_cannot_start_leaves_no_draft(tmp_path, monkeypatch):
+def test_video_whose_encoder_cannot_start_leaves_no_draft(tmp_path, monkeypatch):
     monkeypatch.setattr(VideoWriter, "_made_stream", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         VideoWriter(tmp_path / "a.mp4", 48, 32)
@@ -97,7 +97,7 @@ def picture(width, height, seed):
 @pytest.mark.parametrize(
     ("width", "height"), [(101, 75), (100, 75), (101, 76), (17, 17), (16, 16), (641, 480), (48, 32)]
 )
-def test_video_of_any_size_has_even_sides_and_a_format_that_players_read(tmp_path, suffix, width, height):
+def test_video_of_any_size_has_an_even_width_and_height_and_a_format_that_players_read(tmp_path, suffix, width, height):
     path = tmp_path / f"a{suffix}"
     with VideoWriter(path, width, height) as video:
         for n in range(3):
@@ -128,7 +128,7 @@ def test_index_of_an_mp4_precedes_its_pictures(tmp_path):
 
 
 @pytest.mark.parametrize("size", [(1, 1), (15, 480), (640, 15), (1, 480), (8193, 16), (8192, 8192), (0, 0), (-2, 480)])
-def test_sizes_that_no_player_shows_are_refused_before_a_file_is_made(tmp_path, size):
+def test_video_sizes_that_no_player_shows_are_refused_before_a_file_is_made(tmp_path, size):
     with pytest.raises(UsageError, match=r"16 to 8192 pixels|H\.264 .* has no level"):
         VideoWriter(tmp_path / "a.mp4", *size)
     assert list(tmp_path.iterdir()) == []
@@ -149,7 +149,7 @@ def test_notes_of_a_video_state_its_size_and_whether_few_players_show_it():
     assert len(size_notes("a.mp4", 5121, 2881, rate_hz=30.0)) == 2
 
 
-def test_video_of_an_odd_view_is_rendered_at_an_even_size_with_a_note(tmp_path):
+def test_video_of_a_view_with_an_odd_size_is_rendered_at_an_even_size_with_a_note(tmp_path):
     phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
     path = carina.FlightPath([[0.0, 0.0, 0.0], [0.0, 0.0, -10.0]])
     view = carina.render.AirwayView(path.pose_at(0.0), width=65, height=49)

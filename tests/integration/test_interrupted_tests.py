@@ -58,7 +58,7 @@ def wait_for(state: Callable[[], bool], what: str) -> None:
 
 @pytest.mark.parametrize("interrupts", [1, 3])
 @pytest.mark.parametrize("options", [["-n", "2"], ["-p", "no:xdist"]], ids=["workers", "one process"])
-def test_an_interrupted_run_leaves_no_process_and_no_file(tmp_path, options, interrupts):
+def test_interrupted_test_run_leaves_no_process_and_no_file(tmp_path, options, interrupts):
     tests, ready, temporary = (tmp_path / name for name in ("tests", "ready", "tmp"))
     for folder in (tests, ready, temporary):
         folder.mkdir()
@@ -95,7 +95,7 @@ def ci(tmp_path):
     return environment
 
 
-def test_an_interrupted_ci_leaves_no_process_and_no_file(ci, tmp_path):
+def test_interrupted_ci_run_leaves_no_process_and_no_file(ci, tmp_path):
     ready = tmp_path / "ready"
     environment = ci(f"*test-rust*) touch {ready}; sleep 600 & wait ;;\n*test-python*) sleep 600 ;;")
     interrupt([str(ROOT / ".ci" / "run")], environment, tmp_path, ready.exists)
@@ -111,7 +111,7 @@ def test_an_interrupted_ci_leaves_no_process_and_no_file(ci, tmp_path):
         ("*setup-tests*) exit 2 ;;", 1, "CI failed: setup, lints or web"),
     ],
 )
-def test_ci_prints_the_name_of_the_failed_step(ci, tmp_path, make, code, end):
+def test_ci_script_prints_the_name_of_the_failed_step(ci, tmp_path, make, code, end):
     ended = subprocess.run(
         [ROOT / ".ci" / "run"], env=ci(make), capture_output=True, text=True, check=False, timeout=WITHIN_S
     )

@@ -14,9 +14,9 @@ import pytest
 import SimpleITK as sitk
 
 import carina
+from cached_test_data import made_phantom
 from carina.render import AirwayView, Renderer, SliceView, XrayView
 from carina.scopes import Pose
-from made import made_phantom
 
 SPACING_MM = (2.0, 2.0, 2.4)
 
@@ -190,7 +190,7 @@ def test_picture_from_a_pose_is_equal_in_every_orientation(found, reference):
         assert differs(seen_here["xray-coronal"], reference["xray-coronal"]) < 1.0
 
 
-def test_slices_show_the_patients_right_on_the_left(phantom, found):
+def test_slices_show_patient_right_on_the_left(phantom, found):
     _, seen_here = found
     right, left = middle_of(phantom, "RMB"), middle_of(phantom, "LMB")
     for view in ("axial", "coronal", "xray-coronal"):

@@ -7,10 +7,10 @@ import time
 import pytest
 
 import carina
+from cached_test_data import patient
 from carina.render import CutPlaneView, Renderer, SliceView
 from carina.server.frames.pump import encode_jpeg
 from carina.track import LumenOutline
-from made import patient
 
 SIZE = (768, 620)
 ROUNDS = 40
@@ -27,7 +27,7 @@ def least_s(work, rounds=ROUNDS):
 
 
 @pytest.mark.soak
-def test_large_slice_with_its_outline_takes_at_most_ten_percent_longer():
+def test_large_slice_with_the_lumen_outline_takes_at_most_ten_percent_longer():
     volume, airways = patient()
     outline, renderer = LumenOutline(volume, airways), Renderer(volume)
     branch = max((b for b in airways.tree.branches if b.generation > 2), key=lambda b: b.length_mm)

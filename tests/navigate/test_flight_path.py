@@ -21,7 +21,7 @@ def bent_path() -> np.ndarray:
     return np.array([*down, *(corner + s * aside / np.linalg.norm(aside) for s in (3.0, 9.0, 25.0, 40.0))])
 
 
-def test_path_positions_are_millimetres_along_the_given_points() -> None:
+def test_path_positions_in_millimetres_are_lengths_along_the_given_points() -> None:
     points = bent_path()
     path = FlightPath(points)
     cumulative = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
@@ -39,7 +39,7 @@ def test_head_end_view_has_anterior_up_and_patient_right_on_the_right() -> None:
     np.testing.assert_allclose(pose.right_lps, [-1, 0, 0], atol=1e-6)
 
 
-def test_view_turns_into_the_bend_ahead_of_the_tip_without_jumps() -> None:
+def test_view_turns_towards_the_next_bend_before_the_tip_reaches_it_without_jumps() -> None:
     path = FlightPath(bent_path())
     before = path.pose_at(78.0)
     assert np.degrees(np.arccos(-before.forward_lps[2])) > 10.0
@@ -64,7 +64,7 @@ def test_every_pose_is_rigid_on_any_path(steps: list[tuple[float, float, float]]
     path.pose_at(path_mm)  # Pose refuses a matrix that is not rigid
 
 
-def test_forks_are_found_ahead_and_behind() -> None:
+def test_next_and_previous_fork_of_a_path_are_found() -> None:
     path = FlightPath(bent_path(), forks_mm=[80.0, 30.0])
     assert path.forks_mm == (30.0, 80.0)
     assert path.next_fork_mm(0.0) == 30.0
@@ -98,7 +98,7 @@ def route() -> Route:
     return AirwayTree((trunk, child)).route_to(1)
 
 
-def test_path_of_a_route_has_the_points_and_forks_of_the_route() -> None:
+def test_flight_path_of_a_route_has_the_points_and_forks_of_the_route() -> None:
     path, by_points = FlightPath(route()), FlightPath(route().points_lps)
     assert path.forks_mm == tuple(route().forks_mm) and len(path.forks_mm) == 1
     assert path.lookouts_mm == path.forks_mm
@@ -107,7 +107,7 @@ def test_path_of_a_route_has_the_points_and_forks_of_the_route() -> None:
     assert FlightPath(route(), forks_mm=[30.0]).forks_mm == (30.0,)
 
 
-def test_path_of_a_tracked_path_has_its_points() -> None:
+def test_flight_path_of_a_tracked_path_has_its_points() -> None:
     points = bent_path()
     empty = np.zeros(len(points))
     tracked = TrackedPath(points, empty, empty, 1.0, 1.0, empty, empty, points, 0, 0.0)

@@ -56,17 +56,17 @@ def same_pose(found: IgtlPose, expected: IgtlPose) -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(st.binary(max_size=300))
-def test_table_checksum_equals_bitwise_checksum_and_pyigtl(data):
+def test_checksum_by_table_equals_bitwise_checksum_and_that_of_pyigtl(data):
     assert crc64(data) == crc64_bitwise(data) == pyigtl.messages.CRC64(data)
 
 
-def test_checksum_of_a_large_message_equals_that_of_pyigtl():
+def test_checksum_of_a_large_igtl_message_equals_that_of_pyigtl():
     data = np.random.default_rng(1).integers(0, 256, 100_001, dtype=np.uint8).tobytes()
     assert crc64(data) == pyigtl.messages.CRC64(data)
 
 
 @pytest.mark.parametrize("version", [1, 2, 3])
-def test_all_kinds_of_poses_are_read_in_all_versions_and_fragmentations(version):
+def test_all_igtl_pose_messages_are_read_in_all_versions_and_fragmentations(version):
     data = (
         pack_transform("Pen", pose_matrix(POSE), time_s=12.5, version=version)
         + pack_message("STATUS", "x", b"\0" * 30, version=version)
@@ -83,7 +83,7 @@ def test_all_kinds_of_poses_are_read_in_all_versions_and_fragmentations(version)
         assert (stream.num_skipped, stream.num_bad) == (1, {})
 
 
-def test_pyigtl_and_carina_read_each_other_s_poses():
+def test_pyigtl_and_carina_read_the_poses_of_each_other():
     packed = pack_transform("Pen", pose_matrix(POSE), time_s=12.5)
     fields = pyigtl.messages.MessageBase.parse_header(packed[:58])
     theirs = pyigtl.messages.MessageBase.create_message(fields["message_type"])
@@ -111,7 +111,7 @@ def test_pyigtl_reads_a_carina_picture():
     np.testing.assert_array_equal(np.asarray(theirs.image).reshape(30, 40, 3), pixels)
 
 
-def test_wrong_checksum_drops_only_its_message():
+def test_igtl_message_with_a_wrong_checksum_is_dropped_and_the_next_is_read():
     good, broken = pack_transform("Pen", np.eye(4)), bytearray(pack_transform("Pen", np.eye(4)))
     broken[80] ^= 1
     stream = IgtlStream()
@@ -130,14 +130,14 @@ def test_wrong_checksum_drops_only_its_message():
         (b"\0" * 51, "QTDATA"),
     ],
 )
-def test_message_with_invalid_content_is_counted_and_skipped(content, kind):
+def test_igtl_message_with_invalid_content_is_counted_and_skipped(content, kind):
     stream = IgtlStream()
     found = stream.feed(pack_message(kind, "x", content) + pack_transform("Pen", np.eye(4)))
     assert [m.name for m in found] == ["Pen"]
     assert stream.num_bad == {"malformed content": 1}
 
 
-def test_message_length_of_four_gibibytes_allocates_no_memory_and_ends_the_stream():
+def test_stated_message_length_of_four_gibibytes_allocates_no_memory_and_ends_the_stream():
     for num_bytes in (4 << 30, (1 << 64) - 1):
         stream = IgtlStream()
         with pytest.raises(ProtocolError, match="bytes"):
@@ -153,7 +153,7 @@ def test_message_length_of_four_gibibytes_allocates_no_memory_and_ends_the_strea
 
 @settings(max_examples=100, deadline=None)
 @given(st.binary(max_size=400), st.integers(0, 2))
-def test_stream_of_random_bytes_is_refused_or_skipped_without_other_effects(data, version):
+def test_random_bytes_in_an_igtl_stream_are_refused_or_skipped(data, version):
     stream = IgtlStream()
     with contextlib.suppress(ProtocolError):
         stream.feed(data)
@@ -167,7 +167,7 @@ class Heard:
         self.listener = Listener(lambda device, sample: self.samples.append((device, sample)), self.gone.append)
 
 
-def test_no_pose_is_lost_at_120_hz_and_the_source_reconnects():
+def test_igtl_source_loses_no_pose_at_120_hz_and_reconnects():
     heard = Heard()
     with socket.create_server(("127.0.0.1", 0)) as listening:
         listening.settimeout(10.0)
@@ -201,7 +201,7 @@ def test_no_pose_is_lost_at_120_hz_and_the_source_reconnects():
             client.stop()
 
 
-def test_pyigtl_tracker_at_60_hz_drives_the_tip():
+def test_pyigtl_tracker_at_60_hz_moves_the_tip():
     heard = Heard()
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
@@ -287,7 +287,7 @@ def test_pyigtl_receives_the_tip_at_60_hz_and_the_picture_on_request():
         server.stop()
 
 
-def test_noise_or_disconnection_of_a_peer_does_not_stop_the_server():
+def test_noise_or_disconnection_of_a_client_does_not_stop_the_igtl_server():
     server = IgtlServer(lambda: np.eye(4), port=0)
     server.start()
     try:
@@ -301,7 +301,7 @@ def test_noise_or_disconnection_of_a_peer_does_not_stop_the_server():
 
 
 @pytest.mark.parametrize("reads", [True, False])
-def test_server_stops_while_a_peer_is_connected(reads, monkeypatch):
+def test_igtl_server_stops_while_a_client_is_connected(reads, monkeypatch):
     if sys.version_info < (3, 12):
 
         async def wait_closed(self):
@@ -332,7 +332,7 @@ def test_server_stops_while_a_peer_is_connected(reads, monkeypatch):
         assert not ending.is_alive()
 
 
-def test_connection_to_a_silent_peer_is_opened_again():
+def test_igtl_source_reconnects_if_its_peer_sends_nothing():
     heard = Heard()
     with socket.create_server(("127.0.0.1", 0)) as listening:
         listening.settimeout(8.0)
@@ -355,7 +355,7 @@ def test_connection_to_a_silent_peer_is_opened_again():
             client.stop()
 
 
-def test_invalid_device_name_does_not_stop_the_source():
+def test_invalid_device_name_in_a_message_does_not_stop_the_igtl_source():
     heard = Heard()
     client = IgtlClient("a" * 64 + "..b", 18944, heard.listener)
     client.RETRY_S = 0.02
@@ -367,7 +367,7 @@ def test_invalid_device_name_does_not_stop_the_source():
         client.stop()
 
 
-def test_idle_connection_stays_open_with_tcp_keepalive():
+def test_idle_igtl_connection_stays_open_with_tcp_keepalive():
     heard = Heard()
     with socket.create_server(("127.0.0.1", 0)) as listening:
         listening.settimeout(0.6)
@@ -415,7 +415,7 @@ def test_tcp_keepalive_detects_a_lost_idle_peer_within_10_seconds(monkeypatch):
             client.stop()
 
 
-def test_silence_limit_of_a_peer_can_be_set():
+def test_time_after_which_a_silent_peer_is_reconnected_can_be_set_in_the_address():
     heard = Heard()
     with socket.create_server(("127.0.0.1", 0)) as listening:
         listening.settimeout(8.0)

@@ -36,7 +36,7 @@ numbers = st.floats(-60, 60)
 places = st.lists(st.tuples(numbers, numbers, numbers), min_size=2, max_size=7)
 
 
-def test_leg_has_its_speed_and_the_duration_of_its_length_and_ramps():
+def test_flight_between_key_frames_has_its_speed_and_the_duration_of_its_length_and_accelerations():
     frames = [
         KeyFrame(None, LINE[0]),
         KeyFrame(None, LINE[1]),
@@ -59,7 +59,7 @@ def test_leg_has_its_speed_and_the_duration_of_its_length_and_ramps():
 
 @settings(max_examples=25, deadline=None)
 @given(places, st.floats(1.0, 100.0), st.integers(0, 2**31))
-def test_flight_passes_key_frames_exactly_within_its_speed(points, speed, seed):
+def test_flight_passes_key_frames_exactly_and_never_exceeds_its_speed(points, speed, seed):
     rng = np.random.default_rng(seed)
     poses = []
     for at in points:
@@ -82,7 +82,7 @@ def test_flight_passes_key_frames_exactly_within_its_speed(points, speed, seed):
 
 @settings(max_examples=25, deadline=None)
 @given(places)
-def test_curve_in_space_stays_near_its_chords_without_turning_back(points):
+def test_curve_between_key_frames_stays_near_their_chords_without_turning_back(points):
     at = np.array(points)
     flight = KeyFrameFlight([KeyFrame(None, pose(p)) for p in points], speed_mm_s=50.0)
     for n, (start, end) in enumerate(itertools.pairwise(at)):
@@ -105,7 +105,7 @@ def test_velocity_is_continuous_at_a_key_frame_in_a_bend():
     assert np.abs(np.diff(velocity, axis=0)).max() < 0.2
 
 
-def test_flight_rests_where_the_path_turns_back():
+def test_flight_stops_at_a_key_frame_where_the_path_turns_back():
     there_and_back = [(0, 0, 0), (0, 0, -30), (0, 0, -2)]
     flight = KeyFrameFlight([KeyFrame(None, pose(p)) for p in there_and_back], speed_mm_s=20.0)
     turn_s = flight.key_times_s[1]
@@ -114,7 +114,7 @@ def test_flight_rests_where_the_path_turns_back():
     assert speed.max() == pytest.approx(20.0, rel=1e-3)
 
 
-def test_rotation_in_place_takes_time_and_keeps_the_horizon():
+def test_rotation_without_translation_takes_time_and_preserves_the_horizon():
     at = (3.0, 4.0, 5.0)
     flight = KeyFrameFlight([KeyFrame(None, pose(at, (0, 0, -1))), KeyFrame(None, pose(at, (1, 0, -0.2)))])
     angle = math.acos(np.array([0, 0, -1]) @ (np.array([1, 0, -0.2]) / math.hypot(1, 0.2)))
@@ -157,7 +157,7 @@ def distance_to(points, polyline) -> np.ndarray:
     return np.linalg.norm(points[:, None] - (a + along[..., None] * (b - a)), axis=-1).min(axis=1)
 
 
-def test_flight_along_airways_follows_centrelines_where_the_chord_leaves_the_lumen():
+def test_flight_along_airways_follows_centrelines_where_a_straight_line_would_leave_the_lumen():
     way = fork_way()
     start, end = way.points_lps[0] + (1.0, 0.5, 0.0), way.points_lps[-1] - (0.0, 0.0, 0.0)
     frames = [KeyFrame(None, pose(start, (-0.5, 0, -0.85))), KeyFrame(None, pose(end, (0.5, 0, -0.85)), way=way)]
@@ -175,7 +175,7 @@ def test_flight_along_airways_follows_centrelines_where_the_chord_leaves_the_lum
     assert speed.max() == pytest.approx(20.0, rel=0.01)
 
 
-def test_camera_looks_distally_along_airways_and_turns_at_the_fork():
+def test_camera_looks_distally_along_airways_and_rotates_at_the_fork():
     way = fork_way()
     left, right = np.array([-0.507, 0, -0.862]), np.array([0.507, 0, -0.862])
     frames = [KeyFrame(None, pose(way.points_lps[0], left)), KeyFrame(None, pose(way.points_lps[-1], right), way=way)]
@@ -190,7 +190,7 @@ def test_camera_looks_distally_along_airways_and_turns_at_the_fork():
     assert turns.max() < 140.0
 
 
-def test_consecutive_legs_along_one_airway_have_no_rest_between_them():
+def test_flight_does_not_stop_at_key_frames_along_one_airway():
     points = np.array([(0.3 * math.sin(n / 9), 0.0, -float(n)) for n in range(121)])
     poses = [pose(points[n] + (0.5, 0, 0)) for n in (0, 40, 80, 120)]
     ways = [None, *(AirwayWay(points[n : n + 41], 0) for n in (0, 40, 80))]
@@ -201,7 +201,7 @@ def test_consecutive_legs_along_one_airway_have_no_rest_between_them():
     assert np.abs(np.diff(np.diff(at, axis=0) / 0.001, axis=0)).max() < 0.5
 
 
-def test_key_frames_beside_one_airway_position_are_joined_by_a_straight_line():
+def test_key_frames_at_nearly_the_same_airway_position_are_joined_by_a_straight_line():
     way = AirwayWay(np.array([(0.0, 0, 0), (0.0, 0, -1.0)]), 0)
     flight = KeyFrameFlight([KeyFrame(None, pose((-4, 0, 0))), KeyFrame(None, pose((4, 0, -1)), way=way)])
     assert flight.through_airways == (False,)
@@ -219,7 +219,7 @@ def test_key_frame_speeds_out_of_range_are_refused(speed):
         KeyFrameFlight([KeyFrame(None, LINE[0]), KeyFrame(None, LINE[1], speed_mm_s=speed)])
 
 
-def test_flight_with_times_and_speeds_mixed_or_a_single_key_frame_is_refused():
+def test_flight_that_mixes_times_and_speeds_or_has_one_key_frame_is_refused():
     with pytest.raises(UsageError, match="all key frames must have times"):
         KeyFrameFlight([KeyFrame(0.0, LINE[0]), KeyFrame(None, LINE[1])])
     with pytest.raises(UsageError, match="at least two"):
@@ -230,7 +230,7 @@ def test_flight_with_times_and_speeds_mixed_or_a_single_key_frame_is_refused():
 
 
 @pytest.mark.parametrize("points", [[(0.0, 0, 0)], [(0.0, 0), (1.0, 0)], [(0.0, 0, math.nan), (0, 0, 1)]])
-def test_key_frame_with_an_invalid_path_of_its_leg_is_refused(points):
+def test_key_frame_with_an_invalid_airway_path_is_refused(points):
     with pytest.raises(UsageError, match="at least two points"):
         AirwayWay(np.array(points), 0)
 
@@ -266,7 +266,7 @@ def test_flight_read_from_its_file_is_equal_bit_for_bit(tmp_path):
         np.testing.assert_array_equal(one.pose_at(t).lps_from_camera, other.pose_at(t).lps_from_camera)
 
 
-def test_key_frames_of_another_case_are_refused_by_name(tmp_path):
+def test_key_frames_of_another_case_are_refused_with_the_name_of_that_case(tmp_path):
     volume, other = small_volume(), small_volume(is_hu=False)
     frames = (KeyFrame(None, inside(volume, 16, 14, 30)), KeyFrame(None, inside(volume, 16, 14, 20)))
     file = open_key_frames(written(tmp_path / "k.json", KeyFrameFile(frames, case=case_key(volume))))

@@ -64,7 +64,7 @@ def test_picture_for_an_operator_facing_the_patient_is_rotated_by_180_degrees() 
     ("look", "up"), [([0.2, 0.1, -1], [0, -1, 0]), ([0, -1, 0], [0, 0, 1]), ([1, 0, 0], [0, -1, 0])]
 )
 @pytest.mark.parametrize("mode", ["free", "path"])
-def test_levelling_puts_anterior_up_or_superior_in_antero_posterior_views(
+def test_levelled_picture_has_anterior_up_or_superior_up_in_antero_posterior_views(
     look: list[float], up: list[float], mode: str
 ) -> None:
     look_dir = np.array(look) / np.linalg.norm(look)
@@ -116,7 +116,7 @@ def test_pose_is_rigid_after_thousands_of_random_turns(rng: np.random.Generator,
 
 
 @given(st.lists(st.tuples(st.floats(-60, 60), st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3)), max_size=12))
-def test_free_tip_stops_at_the_volume_border_and_reports_it(moves: list[tuple[float, ...]]) -> None:
+def test_free_tip_stops_at_the_border_of_the_volume_and_this_is_reported(moves: list[tuple[float, ...]]) -> None:
     volume = oblique_volume()
     tip = Navigator(Pose.looking(volume.centre_lps, [0, 0, -1]), volume=volume)
     for move in moves:
@@ -132,7 +132,7 @@ def test_free_tip_stops_at_the_volume_border_and_reports_it(moves: list[tuple[fl
         np.testing.assert_allclose(tip.pose.position_lps, start + went * along, atol=1e-4)
 
 
-def test_tip_placed_outside_the_volume_is_moved_to_its_border_and_reported() -> None:
+def test_tip_placed_outside_the_volume_is_moved_to_its_border_and_this_is_reported() -> None:
     volume = oblique_volume()
     tip = Navigator(Pose.looking(volume.centre_lps, [0, 0, -1]), volume=volume)
     tip.place_at(volume.to_lps(np.array([70.0, 20.0, 8.0])))
@@ -146,7 +146,7 @@ def test_tip_placed_outside_the_volume_is_moved_to_its_border_and_reported() -> 
 # Movement on a path
 
 
-def test_advancing_follows_the_path_and_stops_at_its_ends() -> None:
+def test_tip_that_advances_follows_the_path_and_stops_at_its_ends() -> None:
     tip = on_path(0.0)
     assert tip.path is not None
     tip.steer(advance_mm=12.5)
@@ -160,7 +160,7 @@ def test_advancing_follows_the_path_and_stops_at_its_ends() -> None:
     assert tip.limit == "none"
 
 
-def test_free_look_on_a_path_leaves_the_position_and_lasts_until_it_is_reset() -> None:
+def test_looking_around_on_a_path_leaves_the_position_unchanged_and_lasts_until_reset() -> None:
     tip, plain = on_path(), on_path()
     tip.steer(yaw_rad=0.5)
     tip.steer(pitch_rad=0.2)
@@ -173,13 +173,13 @@ def test_free_look_on_a_path_leaves_the_position_and_lasts_until_it_is_reset() -
     np.testing.assert_array_equal(tip.pose.lps_from_camera, plain.pose.lps_from_camera)
 
 
-def test_next_fork_stops_the_tip_at_each_fork_forward_and_backward() -> None:
+def test_next_fork_and_previous_fork_move_the_tip_to_each_fork_in_turn() -> None:
     tip = on_path(0.0)
     assert [tip.next_fork() for _ in range(3)] == [40.0, 70.0, pytest.approx(tip.path.length_mm)]  # type: ignore[union-attr]
     assert [tip.previous_fork() for _ in range(3)] == [70.0, 40.0, 0.0]
 
 
-def test_free_tip_goes_to_the_fork_after_its_nearest_path_position() -> None:
+def test_next_fork_from_free_mode_goes_to_the_fork_after_the_nearest_path_position() -> None:
     tip = on_path(0.0)
     tip.set_mode("free")
     tip.place_at([3.0, 0.0, 55.0])
@@ -190,7 +190,7 @@ def test_free_tip_goes_to_the_fork_after_its_nearest_path_position() -> None:
 # Changes between free movement and a path
 
 
-def test_leaving_the_path_keeps_the_pose_exactly() -> None:
+def test_leaving_the_path_leaves_the_pose_exactly_unchanged() -> None:
     tip = on_path(33.0)
     tip.steer(2.0, 0.3, -0.1, 0.7)
     before = tip.pose
@@ -205,7 +205,7 @@ def test_leaving_the_path_keeps_the_pose_exactly() -> None:
     st.tuples(*[st.floats(-3, 3)] * 3),
     st.sampled_from(["head", "facing"]),
 )
-def test_entering_a_nearby_path_eases_onto_it_without_a_jump(
+def test_entering_a_nearby_path_approaches_it_gradually_without_a_jump(
     path_mm: float, away: tuple[float, ...], turn: tuple[float, ...], operator: str
 ) -> None:
     tip = on_path(path_mm)
@@ -234,7 +234,7 @@ def test_entering_a_nearby_path_eases_onto_it_without_a_jump(
     np.testing.assert_allclose(tip.pose.forward_lps, end.forward_lps, atol=1e-6)
 
 
-def test_easing_onto_a_path_is_independent_of_the_step_size() -> None:
+def test_approach_to_a_path_is_independent_of_the_step_size() -> None:
     tips = [on_path(10.0), on_path(10.0)]
     for tip in tips:
         tip.toggle_mode()
@@ -248,7 +248,7 @@ def test_easing_onto_a_path_is_independent_of_the_step_size() -> None:
     np.testing.assert_allclose(tips[0].pose.lps_from_camera, tips[1].pose.lps_from_camera, atol=1e-9)
 
 
-def test_entering_a_distant_path_goes_to_its_nearest_position_and_looks_along_it() -> None:
+def test_entering_a_distant_path_moves_the_tip_to_its_nearest_position_and_looks_along_it() -> None:
     tip = on_path(10.0)
     tip.toggle_mode()
     tip.place_at([40.0, 0.0, 70.0])
@@ -257,7 +257,7 @@ def test_entering_a_distant_path_goes_to_its_nearest_position_and_looks_along_it
     np.testing.assert_allclose(tip.pose.lps_from_camera, tip.path.pose_at(30.0).lps_from_camera, atol=1e-9)
 
 
-def test_new_nearby_path_is_joined_without_a_jump_and_removed_path_frees_the_tip() -> None:
+def test_tip_changes_to_a_new_nearby_path_without_a_jump_and_to_free_mode_if_the_path_is_removed() -> None:
     tip = on_path(20.0)
     tip.steer(yaw_rad=0.2)
     before = tip.pose

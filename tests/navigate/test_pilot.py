@@ -67,7 +67,7 @@ def moved(a: Pose, b: Pose) -> float:
     return float(np.linalg.norm(a.position_lps - b.position_lps))
 
 
-def test_relative_mode_moves_the_tip_as_the_hand_moves():
+def test_relative_mode_moves_the_tip_by_the_movement_of_the_hand():
     hand = Hand()
     start = hand.pose
     hand.pen((100.0, 50.0, 25.0), (0.3, 0.2, 0.1))
@@ -78,7 +78,7 @@ def test_relative_mode_moves_the_tip_as_the_hand_moves():
     np.testing.assert_allclose(hand.pose.position_lps, [0.0, 0.0, -9.0], atol=1e-9)
 
 
-def test_gain_scales_the_movement_and_the_clutch_disengages_the_hand():
+def test_gain_scales_the_hand_movement_and_the_clutch_button_suspends_it():
     hand = Hand(controls=DeviceControls(gain_mm=2.0, filter_on=False))
     hand.pen()
     hand.pen((0.0, 0.0, 3.0))
@@ -90,7 +90,7 @@ def test_gain_scales_the_movement_and_the_clutch_disengages_the_hand():
     np.testing.assert_allclose(hand.pose.position_lps, [0.0, 0.0, -13.0], atol=1e-9)
 
 
-def test_absolute_mode_needs_a_registration_and_eases_to_the_pen():
+def test_absolute_mode_needs_a_registration_and_moves_the_tip_to_the_pen_gradually():
     hand = Hand()
     hand.pen((10.0, 0.0, 0.0))
     with pytest.raises(UsageError, match="register the pen first"):
@@ -113,7 +113,7 @@ def test_absolute_mode_needs_a_registration_and_eases_to_the_pen():
     np.testing.assert_allclose(hand.pose.lps_from_camera, pen.lps_from_camera, atol=0.1)
 
 
-def test_mode_button_cycles_through_the_three_modes_without_a_jump():
+def test_mode_button_of_a_pen_cycles_through_the_three_modes_without_a_jump():
     hand = Hand(path=True)
     hand.pilot.apply(m.Register("pen", tuple(np.eye(4).ravel())))
     hand.pen((3.0, 1.0, -4.0))
@@ -132,7 +132,7 @@ def test_mode_button_cycles_through_the_three_modes_without_a_jump():
     assert seen == ["path", "absolute", "relative", "path", "absolute", "relative", "path"]
 
 
-def test_hand_on_the_path_moves_the_tip_only_forward_and_its_turns_move_the_view():
+def test_hand_in_path_mode_advances_the_tip_along_the_path_and_its_rotation_turns_the_view():
     hand = Hand(path=True)
     hand.pilot.apply(c.SetControl("path"))
     hand.pen()
@@ -141,7 +141,7 @@ def test_hand_on_the_path_moves_the_tip_only_forward_and_its_turns_move_the_view
     assert hand.pilot.navigator.look_offset_rad[0] == pytest.approx(0.4)
 
 
-def test_stick_direction_at_a_fork_requests_the_branch_on_this_side():
+def test_stick_direction_at_a_fork_requests_the_branch_on_that_side():
     # The camera looks down the trachea with anterior up, so the patient's right is on the right of the picture.
     for yaw, wanted in ((1.0, None), (0.0, None), (-1.0, 2)):
         hand = Hand(path=True)
@@ -165,7 +165,7 @@ def test_stick_direction_at_a_fork_requests_the_branch_on_this_side():
     assert hand.pilot.navigator.path_mm == 60.0
 
 
-def test_speed_is_independent_of_device_rate_and_frame_rate():
+def test_stick_speed_is_independent_of_device_rate_and_frame_rate():
     def far(samples_hz: int, frames_hz: int) -> float:
         hand = Hand()
         for n in range(samples_hz * frames_hz):  # One second in time steps that are multiples of both periods.
@@ -181,7 +181,7 @@ def test_speed_is_independent_of_device_rate_and_frame_rate():
     assert distances == pytest.approx([25.0] * 3, abs=1.0)
 
 
-def test_stalled_stick_stops_the_tip_and_a_pause_causes_no_jump():
+def test_tip_stops_if_a_stick_sends_nothing_and_does_not_jump_after_a_pause():
     hand = Hand()
     hand.stick(1.0)
     hand.stick(1.0)
@@ -193,7 +193,7 @@ def test_stalled_stick_stops_the_tip_and_a_pause_causes_no_jump():
     assert moved(hand.pose, before) <= 2.5
 
 
-def test_reconnected_pen_at_another_position_causes_no_jump():
+def test_pen_reconnected_at_another_position_causes_no_jump():
     hand = Hand()
     hand.pen()
     hand.pen((0.0, 0.0, 1.0))
@@ -218,7 +218,7 @@ def test_scope_handle_advances_and_rolls_and_lever_down_lifts_the_tip():
     assert inverted.pose.forward_lps[1] > 0.4
 
 
-def test_armed_pen_marks_a_point_and_keeps_the_mode():
+def test_button_of_a_pen_with_an_active_tool_marks_a_point_and_does_not_change_the_mode():
     hand = Hand(path=True)
     hand.pilot.apply(c.ArmPen("target"))
     hand.pen(buttons=0)
@@ -230,7 +230,7 @@ def test_armed_pen_marks_a_point_and_keeps_the_mode():
     assert hand.pilot.take_marks() == ()
 
 
-def test_keys_and_a_device_move_one_tip_without_jumps():
+def test_keyboard_and_a_device_move_the_same_tip_without_jumps():
     hand = Hand()
     hand.pen((0.0, 0.0, 0.0))
     hand.pilot.apply(c.Steer(10.0, 0.0, 0.0, 0.0))
@@ -308,7 +308,7 @@ def step(hand: Hand, sample, now_s: float) -> None:
     hand.pilot.apply(m.Frame(now_s))
 
 
-def test_withdrawn_shaft_withdraws_the_tip_unless_the_device_was_silent():
+def test_withdrawing_the_scope_handle_withdraws_the_tip_unless_the_device_was_silent_before():
     for silent_s, expected_mm in ((0.02, 15.0), (1.0, 20.0)):
         hand = Hand(path=True)
         hand.pilot.apply(c.GoTo(20.0))
@@ -356,7 +356,7 @@ def test_pen_after_a_gap_does_not_move_the_tip():
         hand.now += 1.0
 
 
-def test_sample_that_is_repeated_or_late_is_applied_once():
+def test_sample_that_is_repeated_or_late_is_not_applied_again():
     hand = Hand()
     for n in range(5):
         hand.pen((0.0, 0.0, float(n)))
@@ -365,7 +365,7 @@ def test_sample_that_is_repeated_or_late_is_applied_once():
     np.testing.assert_allclose(hand.pose.position_lps, [0.0, 0.0, -9.0], atol=1e-9)
 
 
-def test_number_of_devices_that_the_pilot_distinguishes_is_limited():
+def test_number_of_devices_that_the_pilot_stores_is_limited():
     hand = Hand()
     hand.pilot.apply(m.Register("registered", tuple(np.eye(4).ravel())))
     sample = PoseSample(0.0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
@@ -428,7 +428,7 @@ def in_tracker(lps) -> tuple[float, ...]:
     return tuple(np.linalg.inv(STANDS[:3, :3]) @ (np.array(lps) - STANDS[:3, 3]))
 
 
-def test_point_of_a_registered_pen_is_known_in_every_mode_and_at_high_speed():
+def test_position_of_a_registered_pen_is_known_in_every_mode_and_at_high_speed():
     hand = registered(path=True, controls=DeviceControls())
     for n, control in enumerate(("path", "relative", "absolute", "path", "absolute")):
         hand.pilot.apply(c.SetControl(control))
@@ -440,7 +440,7 @@ def test_point_of_a_registered_pen_is_known_in_every_mode_and_at_high_speed():
     assert hand.pilot.pen_lps("another") is None
 
 
-def test_unregistered_pen_or_pen_without_position_has_no_point():
+def test_unregistered_pen_or_pen_without_position_data_has_no_position():
     hand = Hand()
     assert hand.pilot.pen() is None
     hand.pen((1.0, 2.0, 3.0))
@@ -468,7 +468,7 @@ def test_distance_between_pen_and_tip_is_reported_in_absolute_mode_until_it_is_z
     assert left[-1] < 0.05
 
 
-def test_joined_tip_is_at_the_pen_immediately_and_follows_exactly():
+def test_join_pen_command_moves_the_tip_to_the_pen_immediately_and_the_tip_then_follows_exactly():
     hand = registered(path=True)
     hand.pen(in_tracker((30.0, 10.0, -20.0)), (0.3, -0.2, 0.5))
     with pytest.raises(UsageError, match="absolute") as refused:
@@ -487,7 +487,7 @@ def test_joined_tip_is_at_the_pen_immediately_and_follows_exactly():
     assert m.move_from_json(m.move_to_json(c.JoinPen())) == (c.JoinPen(), 0.0)
 
 
-def test_joining_removes_the_delay_of_the_filter():
+def test_join_pen_command_removes_the_delay_of_the_filter():
     hand = registered(controls=DeviceControls())
     hand.pilot.apply(c.SetControl("absolute"))
     for n in range(10):

@@ -136,7 +136,7 @@ def same_flight(recording, wall=None) -> int:
     return num
 
 
-def test_earlier_recording_with_every_move_still_replays():
+def test_earlier_recording_with_every_move_replays_with_equal_poses():
     recording = open_recording(RECORDINGS / "every-move-1.jsonl")
     recording.check(VOLUME, carina="0.1.0")
     names = {line["move"]["move"] for line in recording.lines if "move" in line}
@@ -145,7 +145,7 @@ def test_earlier_recording_with_every_move_still_replays():
     assert same_flight(recording) == 100
 
 
-def test_earlier_recording_with_a_scope_in_the_lumen_still_replays():
+def test_earlier_recording_with_a_scope_in_the_lumen_replays_with_equal_poses():
     recording = open_recording(RECORDINGS / "scope-in-a-tube-1.jsonl")
     assert recording.needs_wall
     _, y, x = np.mgrid[0:60, -10:11, -10:11].astype(np.float32)
@@ -154,7 +154,7 @@ def test_earlier_recording_with_a_scope_in_the_lumen_still_replays():
     assert same_flight(recording, WallField.from_distances(6.0 - np.hypot(x, y), place)) > 40
 
 
-def test_moves_of_earlier_recordings_are_written_unchanged():
+def test_moves_read_from_earlier_recordings_are_written_unchanged():
     """Assert that a recording that is read and written again is the same text; other programs read these files."""
     for place in sorted(RECORDINGS.glob("*.jsonl")):
         recording = open_recording(place)
@@ -179,7 +179,7 @@ def test_recording_of_another_volume_or_version_is_refused(flown, tmp_path):
         recording.check(VOLUME, carina="0.2.0")
 
 
-def test_truncated_recording_is_read_up_to_its_last_whole_line(flown, tmp_path):
+def test_truncated_recording_is_read_up_to_its_last_complete_line(flown, tmp_path):
     session, clock = flown
     session.do(RecordFlight(tmp_path / "a.jsonl"))
     for _ in range(10):
@@ -206,7 +206,7 @@ NO_MOVES = ['{"t":9,"move":[1]}', '{"t":9,"move":"SetScope"}', '{"t":9,"view":3}
 
 
 @pytest.mark.parametrize("line", ["[]", "{}", '{"t":-1}', '{"t":NaN}', "{" * 100_000, '{"t":0,"t":', "\x00", *NO_MOVES])
-def test_broken_lines_are_refused_with_their_number(flown, tmp_path, line):
+def test_damaged_lines_of_a_recording_are_refused_with_their_number(flown, tmp_path, line):
     session, clock = flown
     session.do(RecordFlight(tmp_path / "a.jsonl"))
     for _ in range(4):
@@ -230,7 +230,7 @@ def test_file_without_the_format_of_a_recording_is_refused(tmp_path, text):
         open_recording(place)
 
 
-def test_invalid_move_ends_the_replay_with_a_message(flown, tmp_path):
+def test_invalid_move_in_a_recording_ends_the_replay_with_a_message(flown, tmp_path):
     session, _ = flown
     session.do(RecordFlight(tmp_path / "a.jsonl"))
     session.do(StopRecording())
@@ -322,7 +322,7 @@ def test_full_disk_ends_the_recording_with_one_message_and_the_flight_continues(
 
 
 @pytest.mark.parametrize("end", [StopRecording(), CloseCase()])
-def test_full_disk_at_the_end_of_a_recording_is_reported_without_other_effects(flown, tmp_path, end):
+def test_full_disk_at_the_end_of_a_recording_is_reported_and_the_session_continues(flown, tmp_path, end):
     session, _ = flown
     reported = troubles(session)
     recorded_to(session, tmp_path / "a.jsonl", full_disk())
@@ -365,7 +365,7 @@ BENT = FlightPath(
 )
 
 
-def test_flight_along_a_route_keeps_its_speed_and_pauses_at_each_fork():
+def test_automatic_flight_along_a_route_has_a_constant_speed_and_pauses_at_each_fork():
     flight = AutoFlight(BENT, speed_mm_s=10.0, pause_s=2.0)
     assert flight.duration_s == pytest.approx(BENT.length_mm / 10.0 + 3 * 2.0)
     places = [flight.path_mm(t) for t in np.arange(0.0, flight.duration_s, 0.1)]
@@ -401,7 +401,7 @@ def test_flight_with_times_passes_its_key_frames_exactly_and_smoothly():
     np.testing.assert_array_equal(flight.pose_at(1e9).lps_from_camera, keys[-1].pose.lps_from_camera)
 
 
-def test_interpolated_rotations_turn_evenly_about_one_axis():
+def test_interpolated_rotation_has_one_axis_and_a_constant_rate():
     a, b = np.eye(4), np.eye(4)
     b[:3, :3] = rotation_from_vector(np.array([0.0, 2.0, 0.0]))
     flight = KeyFrameFlight([KeyFrame(0.0, Pose(a)), KeyFrame(2.0, Pose(b))])
@@ -424,7 +424,7 @@ def test_automatic_flight_longer_than_a_day_is_refused():
     assert KeyFrameFlight([KeyFrame(t, Pose(np.eye(4))) for t in (0.0, 86_400.0)]).duration_s == 86_400.0
 
 
-def test_video_has_the_number_of_frames_of_its_length():
+def test_number_of_video_frames_is_duration_times_frame_rate():
     assert len(frame_times_s(2.0, 30.0)) == 60
     assert len(frame_times_s(0.0, 30.0)) == 1
     assert all(b > a for a, b in itertools.pairwise(frame_times_s(1.0, 24.0)))

@@ -24,7 +24,7 @@ def test_rotation_vector_round_trip_gives_the_same_rotation(axis: np.ndarray, an
     assert np.linalg.norm(vector_from_rotation(rotation)) <= np.pi + 1e-9
 
 
-def test_yaw_looks_right_pitch_looks_up_and_roll_turns_clockwise() -> None:
+def test_positive_yaw_looks_right_positive_pitch_up_and_positive_roll_is_clockwise() -> None:
     small = 0.1
     assert yaw_pitch_roll(small, 0, 0)[0, 2] > 0.09  # Forward moves to +x, right.
     assert yaw_pitch_roll(0, small, 0)[1, 2] < -0.09  # Forward moves to -y, up.

@@ -74,7 +74,7 @@ def test_flood_of_samples_is_limited_with_one_message_in_ten_seconds():
     assert "too many samples" in messages[1]
 
 
-def test_clock_that_was_set_back_is_accepted_after_half_a_second():
+def test_samples_of_a_device_whose_clock_was_set_back_are_accepted_after_half_a_second():
     gate = SampleGate()
     gate.admit("pen", pen(100.0), 0.0)
     taken = [gate.admit("pen", pen(n * 0.01), n * 0.01) is not None for n in range(1, 80)]
@@ -82,7 +82,7 @@ def test_clock_that_was_set_back_is_accepted_after_half_a_second():
     assert all(taken[52:])
 
 
-def test_first_of_two_devices_controls_the_scope_until_it_is_silent():
+def test_first_of_two_devices_controls_the_scope_until_it_sends_nothing():
     gate = SampleGate()
     assert gate.admit("pen", pen(0.0), 0.0) is not None
     assert gate.admit("stick", AxesSample(0.0, (1.0, *REST[1:])), 0.1) is None
@@ -93,7 +93,7 @@ def test_first_of_two_devices_controls_the_scope_until_it_is_silent():
     assert gate.holder == "stick"
 
 
-def test_device_with_control_that_stays_silent_loses_control():
+def test_device_that_sends_nothing_loses_control_of_the_scope():
     gate = SampleGate()
     gate.admit("pen", pen(0.0), 0.0)
     gate.take("handle")
@@ -104,7 +104,7 @@ def test_device_with_control_that_stays_silent_loses_control():
     assert gate.holder == "pen"
 
 
-def test_released_stick_is_accepted_at_any_rate_but_not_in_a_flood():
+def test_sample_of_a_released_stick_is_accepted_at_any_rate_but_not_in_a_flood():
     gate = SampleGate()
     full = (1.0, *REST[1:])
     assert gate.admit("stick", AxesSample(0.0, full), 0.0) is not None
@@ -118,7 +118,7 @@ def test_released_stick_is_accepted_at_any_rate_but_not_in_a_flood():
     assert used <= 2 * 20 + 2, "two in half a millisecond at most"
 
 
-def test_number_of_devices_is_limited_and_the_message_names_three():
+def test_number_of_stored_devices_is_limited_and_the_message_names_three():
     gate = SampleGate()
     gate.admit("pen", pen(0.0), 0.0)
     for n in range(10_000):
@@ -133,7 +133,7 @@ def test_number_of_devices_is_limited_and_the_message_names_three():
     assert len(words) < 200
 
 
-def test_device_over_the_limit_waits_until_another_is_silent():
+def test_device_beyond_the_limit_is_accepted_when_another_sends_nothing():
     gate = SampleGate()
     for n in range(64):
         assert gate.admit(f"stick {n}", AxesSample(1.0, REST), 1.0 + 0.001 * n) is not None
@@ -152,7 +152,7 @@ def test_samples_of_a_reconnected_device_with_another_clock_are_accepted():
     assert gate.admit("pen", pen(0.1), 0.2) is not None
 
 
-def test_filter_delay_is_at_most_ten_milliseconds_and_as_reported():
+def test_filter_delay_is_at_most_ten_milliseconds_and_equals_the_reported_delay():
     settings = DeviceControls()
     assert filter_latency_ms(settings) <= 10.0
     # The hand moves at 20 mm/s and is sampled at 120 Hz; in the steady state its lag in mm gives the delay.
@@ -213,7 +213,7 @@ def test_filter_settings_out_of_range_are_refused():
             SampleFilter(DeviceControls(**bad))
 
 
-def test_registration_finds_rotation_and_shift_and_reports_the_residual():
+def test_registration_finds_rotation_and_translation_and_reports_the_residual():
     rng = np.random.default_rng(3)
     turn, shift = rotation_from_vector(np.array([0.3, -2.0, 1.1])), np.array([12.0, -300.0, 45.0])
     points = rng.uniform(-80, 80, (6, 3))

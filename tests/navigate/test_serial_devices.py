@@ -51,7 +51,7 @@ class Heard:
 @pytest.mark.parametrize("binary", [False, True])
 @settings(max_examples=25, deadline=None)
 @given(data=st.data())
-def test_fastrak_records_are_found_in_any_fragmentation(binary, data):
+def test_fastrak_records_are_read_in_any_fragmentation(binary, data):
     record = FORMS[binary]
     stream, whole = FastrakStream(binary=binary), b"".join(record(float(n)) for n in range(8))
     cuts = sorted(data.draw(st.lists(st.integers(0, len(whole)), max_size=12)))
@@ -85,7 +85,7 @@ def test_only_incomplete_and_out_of_range_fastrak_records_are_dropped(binary):
     assert stream.num_bad["measurements outside the tracker's range"] == 1
 
 
-def test_stylus_points_along_the_x_axis_of_the_receiver():
+def test_forward_axis_of_a_fastrak_stylus_is_the_x_axis_of_the_receiver():
     (record,) = FastrakStream().feed(ascii_record(0.0))
     pen = rotation_from_wxyz(record.orientation_wxyz)
     np.testing.assert_allclose(pen[:, 2], [1, 0, 0], atol=1e-12)  # forward
@@ -99,7 +99,7 @@ def test_fastrak_records_with_non_finite_numbers_are_skipped():
     assert stream.num_bad["invalid position"] == 2
 
 
-def test_records_that_arrive_together_have_successive_times():
+def test_serial_records_that_arrive_together_get_increasing_times():
     spread = StampSpreader(1 / 120)
     first, second = spread.stamps(4, 10.0), spread.stamps(3, 10.001)
     stamps = first + second
@@ -151,7 +151,7 @@ def test_fastrak_is_read_at_its_rate_and_reconnects_after_unplugging(binary, tmp
         port.unplug()
 
 
-def test_missing_serial_port_is_reported_and_the_source_stops_at_once():
+def test_missing_serial_port_is_reported_and_the_source_can_be_stopped_at_once():
     heard = Heard()
     source = FastrakSource("/dev/there-is-none", heard.listener)
     source.start()
@@ -160,20 +160,20 @@ def test_missing_serial_port_is_reported_and_the_source_stops_at_once():
     source.stop()
 
 
-def test_handle_line_gives_three_controls_and_two_buttons():
+def test_line_of_a_scope_handle_is_read_as_three_controls_and_two_buttons():
     stream = HandleStream()
     (line,) = stream.feed(format_line(7, 1500, 123.45, roll_deg=-90.0, lever=0.5, buttons=3))
     assert (line.time_s, line.insertion_mm, line.lever, line.buttons) == (1.5, 123.45, 0.5, 3)
     assert line.roll_rad == pytest.approx(-math.pi / 2)
 
 
-def test_handle_line_in_the_documentation_is_valid():
+def test_scope_handle_line_in_the_documentation_is_valid():
     # docs/scope-handle.md contains this line.
     (line,) = HandleStream().feed(b"S,41,20533,12345,-9000,500,1*%02X\n" % crc8(b"S,41,20533,12345,-9000,500,1"))
     assert line.insertion_mm == 123.45
 
 
-def test_damaged_and_lost_handle_lines_are_counted_also_after_a_clock_overflow():
+def test_damaged_and_lost_scope_handle_lines_are_counted_also_after_a_clock_overflow():
     stream = HandleStream()
     lines = [format_line(n, 2**32 - 20 + 10 * n, float(n)) for n in range(6)]
     found = stream.feed(lines[0] + lines[1].replace(b"S,1", b"S,9") + b"# a word\n" + lines[3] + lines[4])
@@ -185,13 +185,13 @@ def test_damaged_and_lost_handle_lines_are_counted_also_after_a_clock_overflow()
 
 @settings(max_examples=50, deadline=None)
 @given(st.binary(max_size=300))
-def test_handle_is_read_after_any_noise(noise):
+def test_scope_handle_is_read_after_any_noise(noise):
     stream = HandleStream()
     stream.feed(noise + b"\n")
     assert len(stream.feed(format_line(0, 10, 1.0))) == 1
 
 
-def test_handle_on_a_serial_port_drives_the_tip():
+def test_scope_handle_on_a_serial_port_moves_the_tip():
     port, heard = PseudoPort(), Heard()
     source = HandleSource(port.path, heard.listener)
     source.start()

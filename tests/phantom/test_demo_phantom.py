@@ -18,7 +18,7 @@ def small_demo(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("small_demo")
-def test_demo_is_generated_once_and_then_read_from_the_cache(tmp_path: Path) -> None:
+def test_demo_phantom_is_generated_once_and_then_read_from_the_cache(tmp_path: Path) -> None:
     reported: list[str] = []
     made = demo_phantom(cache_dir=tmp_path, progress=lambda what, _: reported.append(what))
     assert reported
@@ -36,7 +36,7 @@ def test_demo_is_generated_once_and_then_read_from_the_cache(tmp_path: Path) -> 
 @pytest.mark.usefixtures("small_demo")
 @pytest.mark.parametrize("name", ["ct.npy", "lumen.npy", "truth.json", "sums.json"])
 @pytest.mark.parametrize("damage", ["cut", "changed", "gone"])
-def test_demo_with_a_damaged_cache_file_is_generated_again(tmp_path: Path, name: str, damage: str) -> None:
+def test_demo_phantom_with_a_damaged_cache_file_is_generated_again(tmp_path: Path, name: str, damage: str) -> None:
     made = demo_phantom(cache_dir=tmp_path)
     (file,) = tmp_path.glob(f"phantom-*/{name}")
     data = file.read_bytes()
@@ -57,7 +57,7 @@ def test_demo_with_a_damaged_cache_file_is_generated_again(tmp_path: Path, name:
 
 
 @pytest.mark.usefixtures("small_demo")
-def test_cached_demo_with_earlier_spelling_is_read_with_current_spelling(tmp_path: Path) -> None:
+def test_cached_demo_with_the_field_name_center_lps_is_read_as_centre_lps(tmp_path: Path) -> None:
     made = demo_phantom(cache_dir=tmp_path)
     (file,) = tmp_path.glob("phantom-*/truth.json")
     file.write_text(file.read_text(encoding="utf-8").replace('"centre_lps"', '"center_lps"'), encoding="utf-8")
@@ -72,13 +72,13 @@ def test_cached_demo_with_earlier_spelling_is_read_with_current_spelling(tmp_pat
 
 
 @pytest.mark.usefixtures("small_demo")
-def test_demo_is_generated_when_the_cache_cannot_be_written(tmp_path: Path) -> None:
+def test_demo_phantom_is_generated_if_the_cache_cannot_be_written(tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("not a folder", encoding="utf-8")
     assert demo_phantom(cache_dir=blocked).volume.shape_zyx[0] > 10
 
 
-def test_generator_output_matches_the_checksum_of_its_version() -> None:
+def test_phantom_generator_output_matches_the_checksum_of_its_version() -> None:
     made = generate_phantom(seed=7, spacing_mm=6.0, generations=5, stenosis=True, nodule=True)
     found = hashlib.sha256(made.volume.hu_zyx.tobytes() + made.lumen_zyx.tobytes()).hexdigest()[:16]
     # If this assertion fails, the generator makes a different chest from the same options: raise GENERATOR_VERSION, so

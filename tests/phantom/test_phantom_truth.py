@@ -65,7 +65,7 @@ def section_radius(made: Phantom, branch: dict, n: int) -> float:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_tree_has_all_segments_and_reaches_the_generation(seed: int) -> None:
+def test_phantom_tree_has_all_segments_and_the_requested_generation(seed: int) -> None:
     made = generate_phantom(seed=seed, spacing_mm=8.0, generations=6)
     branches = made.truth["branches"]
     assert [b["id"] for b in branches] == list(range(len(branches)))
@@ -85,7 +85,7 @@ def test_tree_has_all_segments_and_reaches_the_generation(seed: int) -> None:
     assert sum(len(b["children"]) for b in branches) == len(branches) - 1
 
 
-def test_right_bronchi_are_on_the_right_and_upper_lobes_above_lower_lobes(chest: Phantom) -> None:
+def test_right_bronchi_of_the_phantom_are_on_the_right_and_upper_lobes_above_lower_lobes(chest: Phantom) -> None:
     names = branches_of(chest)
     for name, branch in names.items():
         x = np.array(branch["points"])[-1, 0]
@@ -110,7 +110,7 @@ def test_phantom_with_more_generations_contains_the_branches_of_one_with_fewer()
 
 
 @pytest.mark.parametrize("seed", some_of(6))
-def test_branches_that_share_no_fork_do_not_touch(seed: int) -> None:
+def test_phantom_branches_that_share_no_fork_do_not_touch(seed: int) -> None:
     branches = generate_phantom(seed=seed, spacing_mm=8.0, generations=7).truth["branches"]
     kin = {(b["id"], other) for b in branches for other in [b["parent"], *b["children"]] if other is not None}
     points = [np.array(b["points"]) for b in branches]
@@ -132,7 +132,7 @@ def test_branches_that_share_no_fork_do_not_touch(seed: int) -> None:
 # Voxels of the phantom
 
 
-def test_every_centreline_point_is_in_the_lumen(central: Phantom, chest: Phantom) -> None:
+def test_every_centreline_point_of_the_phantom_is_in_the_lumen(central: Phantom, chest: Phantom) -> None:
     for made, least_radius in ((central, 1.2), (chest, 2.2)):
         # In a lumen thinner than half of a voxel's diagonal the nearest voxel centre may be outside; such points are
         # omitted.
@@ -142,7 +142,7 @@ def test_every_centreline_point_is_in_the_lumen(central: Phantom, chest: Phantom
             assert values.all(), b["name"] or b["id"]
 
 
-def test_lumen_of_the_trachea_is_in_the_top_slice(chest: Phantom) -> None:
+def test_lumen_of_the_phantom_trachea_is_in_the_top_slice(chest: Phantom) -> None:
     top = np.array(chest.truth["branches"][0]["points"][0])
     assert chest.volume.to_ijk(top)[2] == pytest.approx(chest.volume.shape_zyx[0] - 1, abs=1e-9)
     assert at(chest.lumen_zyx, chest, top[None]).tolist() == [1]
@@ -160,7 +160,7 @@ def test_true_radius_equals_the_radius_of_the_lumen_cross_section(central: Phant
     assert section_radius(central, branch, n) == pytest.approx(branch["radius"][n], rel=0.06, abs=0.15)
 
 
-def test_distance_is_negative_exactly_in_the_lumen_and_fits_the_radius(central: Phantom) -> None:
+def test_distance_to_the_phantom_wall_is_negative_exactly_in_the_lumen_and_fits_the_radius(central: Phantom) -> None:
     distance = central.lumen_distance_mm
     assert distance is not None
     np.testing.assert_array_equal(distance < 0, central.lumen_zyx == 1)
@@ -171,7 +171,7 @@ def test_distance_is_negative_exactly_in_the_lumen_and_fits_the_radius(central: 
     assert value == pytest.approx(-branch["radius"][n], abs=0.82)
 
 
-def test_back_wall_of_the_trachea_is_flat(central: Phantom) -> None:
+def test_posterior_wall_of_the_phantom_trachea_is_flat(central: Phantom) -> None:
     points = np.array(branches_of(central)["Trachea"]["points"])
     p = points[np.argmin(abs(points[:, 2] - 25.0))]
     k = round(float(central.volume.to_ijk(p)[2]))
@@ -206,7 +206,7 @@ def at_index(made: Phantom, point: tuple[float, float, float]) -> tuple[int, ...
     return int(k), int(j), int(i)
 
 
-def test_lungs_of_the_phantom_are_denser_at_the_back_than_at_the_front(chest: Phantom) -> None:
+def test_lungs_of_the_phantom_are_denser_posteriorly_than_anteriorly(chest: Phantom) -> None:
     # The density of a patient who lies on the back rises by 0.32 HU per mm towards the back. Medians exclude the
     # vessels.
     def median(y: float) -> float:
@@ -232,7 +232,7 @@ def test_wall_of_a_segmental_bronchus_is_brighter_than_lumen_and_lung(central: P
         assert at(central.volume.hu_zyx, central, rim).max() > -450
 
 
-def test_thick_slice_averages_over_its_thickness() -> None:
+def test_thick_phantom_slice_is_the_average_over_its_thickness() -> None:
     fine = generate_phantom(seed=2, spacing_mm=(1.0, 1.0, 0.6), noise_hu=0.0, box_lps=CENTRAL)
     thick = generate_phantom(seed=2, spacing_mm=(1.0, 1.0, 3.0), noise_hu=0.0, box_lps=CENTRAL)
     # Thick slice n from the top is at fine slice 5 n; its expected values are the mean of the five slices around that
@@ -259,7 +259,7 @@ def test_thick_slice_averages_over_its_thickness() -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 5])
-def test_stenosis_narrows_one_bronchus_in_truth_and_voxels(seed: int) -> None:
+def test_stenosis_of_the_phantom_narrows_one_bronchus_in_ground_truth_and_voxels(seed: int) -> None:
     options = {"seed": seed, "spacing_mm": 0.9, "noise_hu": 0.0, "box_lps": ((-40, -20, -60), (60, 30, 5))}
     healthy, ill = generate_phantom(**options), generate_phantom(**options, stenosis=True)
     stenosis = ill.truth["stenosis"]
@@ -281,7 +281,7 @@ def test_stenosis_narrows_one_bronchus_in_truth_and_voxels(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", some_of(8))
-def test_nodule_is_in_the_lung_and_clear_of_the_airways(seed: int) -> None:
+def test_nodule_of_the_phantom_is_in_the_lung_and_does_not_touch_the_airways(seed: int) -> None:
     made = generate_phantom(seed=seed, spacing_mm=3.0, nodule=True, noise_hu=0.0)
     nodule = made.truth["nodule"]
     centre = np.array(nodule["centre_lps"])
@@ -298,7 +298,7 @@ def test_nodule_is_in_the_lung_and_clear_of_the_airways(seed: int) -> None:
 # Repeatability, refused options, cancellation and files
 
 
-def test_equal_seeds_give_equal_chests_and_different_seeds_different_ones() -> None:
+def test_equal_seeds_give_equal_phantoms_and_different_seeds_different_ones() -> None:
     options = {"spacing_mm": 4.0, "generations": 5, "stenosis": True, "nodule": True}
     first, again = generate_phantom(seed=9, **options), generate_phantom(seed=9, **options)
     other = generate_phantom(seed=10, **options)
@@ -324,12 +324,12 @@ def test_equal_seeds_give_equal_chests_and_different_seeds_different_ones() -> N
         ({"box_lps": ((0, 0), (5, 5))}, "box"),
     ],
 )
-def test_options_out_of_range_are_refused_by_name(options: dict, says: str) -> None:
+def test_phantom_options_out_of_range_are_refused_by_name(options: dict, says: str) -> None:
     with pytest.raises(UsageError, match=says):
         generate_phantom(**options)
 
 
-def test_generation_reports_progress_and_can_be_cancelled() -> None:
+def test_phantom_generation_reports_progress_and_can_be_cancelled() -> None:
     seen: list[float] = []
     generate_phantom(spacing_mm=4.0, progress=lambda _, fraction: seen.append(fraction or 0.0))
     assert seen == sorted(seen)
@@ -338,7 +338,7 @@ def test_generation_reports_progress_and_can_be_cancelled() -> None:
         generate_phantom(spacing_mm=2.0, cancel=lambda: True)
 
 
-def test_files_of_the_phantom_have_equal_voxels_at_equal_positions(tmp_path: Path) -> None:
+def test_written_phantom_files_have_equal_voxels_at_equal_positions(tmp_path: Path) -> None:
     made = generate_phantom(seed=4, spacing_mm=(3.0, 3.5, 4.0), generations=4, nodule=True)
     files = write_phantom(made, tmp_path / "case")
     assert [f.name for f in files] == ["ct.nii.gz", "lumen.nii.gz", "truth.json"]

@@ -53,7 +53,7 @@ def sample(time_s: float, orientation=(1.0, 0.0, 0.0, 0.0), *, held=True, advanc
 # ------------------------------------------------------------------ clock, token and messages without a network
 
 
-def test_phone_clock_is_mapped_by_the_message_with_the_least_delay():
+def test_clock_offset_of_a_phone_is_that_of_the_message_with_the_least_delay():
     clock = ClockMap()
     delays_s = [0.080, 0.004, 0.250, 0.020]
     ours = [clock.ours(1000.0 + n / 60, 5.0 + n / 60 + delay_s) for n, delay_s in enumerate(delays_s)]
@@ -63,7 +63,7 @@ def test_phone_clock_is_mapped_by_the_message_with_the_least_delay():
 
 
 @pytest.mark.parametrize("jump_s", [-3600.0, -2.0, 1e9, -1e9])
-def test_clock_that_is_set_is_mapped_again_within_a_second(jump_s):
+def test_clock_offset_is_corrected_within_a_second_after_the_phone_clock_was_set(jump_s):
     clock = ClockMap()
     for n in range(10):
         clock.ours(50.0 + n / 60, n / 60)
@@ -72,14 +72,14 @@ def test_clock_that_is_set_is_mapped_again_within_a_second(jump_s):
     assert max(late) <= 1e-6, "no sample is from the future"
 
 
-def test_extreme_time_of_a_phone_affects_the_clock_map_for_half_a_second():
+def test_extreme_time_sent_by_a_phone_affects_the_clock_offset_for_half_a_second():
     clock = ClockMap()
     clock.ours(1e300, 0.0)
     late = [clock.ours(50.0 + n / 60, 1.0 + n / 60) - (1.0 + n / 60) for n in range(60)]
     assert late[-1] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_only_the_token_is_accepted_and_wrong_tokens_do_not_block_it():
+def test_only_the_phone_token_is_accepted_and_wrong_tokens_do_not_block_it():
     gate = TokenGate()
     assert gate.admits(gate.token)
     for n in range(1000):
@@ -100,7 +100,7 @@ def a_link(*, clutch="always"):
 
 @pytest.mark.parametrize("clutch", ["always", "hold"])
 @pytest.mark.parametrize("held", [True, False])
-def test_tip_turns_only_while_the_phone_button_is_held_at_any_pen_setting(clutch, held):
+def test_tip_turns_only_while_the_phone_button_is_pressed_at_any_pen_setting(clutch, held):
     link, heard, _ = a_link(clutch=clutch)
     link.hear(sample(1.0, held=held), 0.0)
     engaged = bool(heard[0].buttons >> CLUTCH_BUTTON & 1) == (clutch == "hold")
@@ -113,7 +113,7 @@ def test_phone_without_a_sensor_advances_and_does_not_turn():
     assert (heard[0].advance, heard[0].buttons, heard[0].position_mm) == (1.0, 1 << CLUTCH_BUTTON, None)
 
 
-def test_invalid_messages_are_counted_and_after_many_the_link_is_closed():
+def test_invalid_phone_messages_are_counted_and_many_of_them_close_the_connection():
     link, heard, acts = a_link()
     bad = ["", "{", "[]", '{"type": "steer"}', sample(1.0).replace("true", "1"), "x" * 5000, None]
     bad.append(sample(1.0).replace("1.0", "NaN", 1))
@@ -130,7 +130,7 @@ def test_invalid_messages_are_counted_and_after_many_the_link_is_closed():
     assert link.is_broken
 
 
-def test_messages_above_the_rate_are_dropped_unparsed_until_the_next_second():
+def test_phone_messages_above_the_rate_limit_are_dropped_unparsed_until_the_next_second():
     link, heard, _ = a_link()
     for n in range(5000):
         link.hear(sample(n / 5000), n / 5000)
@@ -142,7 +142,7 @@ def test_messages_above_the_rate_are_dropped_unparsed_until_the_next_second():
     assert len(heard) == before + 1
 
 
-def test_qr_code_of_the_link_has_three_finder_patterns_and_a_quiet_zone():
+def test_qr_code_of_the_phone_link_has_three_finder_patterns_and_a_quiet_zone():
     rows = qr_rows("https://192.0.2.7:50443/#" + "a" * 22)
     size = len(rows)
     assert all(len(row) == size and set(row) <= {"0", "1"} for row in rows)
@@ -152,7 +152,7 @@ def test_qr_code_of_the_link_has_three_finder_patterns_and_a_quiet_zone():
         assert [row[right : right + 7] for row in rows[down : down + 7]] == eye
 
 
-def test_missing_libraries_or_missing_page_are_reported_with_a_remedy(monkeypatch, tmp_path):
+def test_missing_phone_libraries_or_a_missing_page_are_reported_with_a_remedy(monkeypatch, tmp_path):
     with pytest.raises(CarinaError, match="make -C"):
         PhoneSwitch(small_bench().session, tmp_path).start()
     (tmp_path / "phone.html").write_text("<!doctype html>")
@@ -167,7 +167,7 @@ def test_missing_libraries_or_missing_page_are_reported_with_a_remedy(monkeypatc
     switch.stop()
 
 
-def test_no_code_of_the_page_is_loaded_before_the_user_opens_it():
+def test_no_code_of_the_phone_page_is_loaded_before_the_user_opens_the_page():
     program = (
         "import sys; from carina.phone import PhoneSwitch; from carina.server import serve; "
         "from carina.session import Session; switch = PhoneSwitch(Session(lambda volume: None), None); switch.problem; "
@@ -260,7 +260,7 @@ def get(phone, path, **headers):
     return httpx.get(f"{phone.url}{path}", verify=trusting("any"), headers=headers, timeout=WAIT_S)
 
 
-def test_certificate_has_the_shown_fingerprint_and_names_the_address(phone):
+def test_phone_certificate_has_the_shown_fingerprint_and_names_the_address(phone):
     host, port = phone.url[8:].rstrip("/").split(":")
     with (
         socket.create_connection((host, int(port)), timeout=WAIT_S) as plain,
@@ -279,7 +279,7 @@ def test_certificate_has_the_shown_fingerprint_and_names_the_address(phone):
     assert not constraints.value.ca, "whoever trusts it trusts no other page by it"
 
 
-def test_only_the_page_and_its_files_are_served_and_none_contains_the_token(phone):
+def test_phone_server_serves_only_the_page_and_its_files_and_none_contains_the_token(phone):
     answers = {path: get(phone, path) for path in ("", "assets/phone-1.js")}
     assert all(answer.status_code == 200 for answer in answers.values())
     assert all(phone.token not in answer.text for answer in answers.values())
@@ -307,7 +307,7 @@ def test_phone_page_with_another_host_or_origin_is_refused(phone):
     assert refused.value.response.status_code == 403
 
 
-def test_wrong_token_missing_token_and_silence_are_refused_and_counted(phone, monkeypatch):
+def test_phone_with_a_wrong_token_without_a_token_or_without_a_message_is_refused_and_counted(phone, monkeypatch):
     with dialled(phone, token="wrong") as link:
         code, reason = ended(link)
     assert code == wire.CLOSE_CODES["protocol.not-authorised"]
@@ -323,7 +323,7 @@ def test_wrong_token_missing_token_and_silence_are_refused_and_counted(phone, mo
     assert phone.session.devices.info().devices == (), "nothing of them reached the tip"
 
 
-def test_silent_connections_do_not_block_a_phone_and_are_closed(phone, monkeypatch):
+def test_idle_unauthenticated_connections_do_not_block_a_phone_and_are_closed(phone, monkeypatch):
     monkeypatch.setattr("carina.server.network.request_timeouts.FIRST_REQUEST_WITHIN_S", 1.0)
     host, port = phone.url[8:].rstrip("/").split(":")
     with contextlib.ExitStack() as strangers, dialled(phone) as link:
@@ -339,7 +339,7 @@ def test_silent_connections_do_not_block_a_phone_and_are_closed(phone, monkeypat
         wait_for(lambda: phone.page.info().rate_hz > 0)
 
 
-def test_request_timeout_of_a_closed_connection_logs_no_error(phone, monkeypatch, caplog):
+def test_request_timeout_of_a_connection_that_was_closed_logs_no_error(phone, monkeypatch, caplog):
     monkeypatch.setattr("carina.server.network.request_timeouts.FIRST_REQUEST_WITHIN_S", 0.5)
     for token in (None, "wrong"):
         with contextlib.ExitStack() as stack:
@@ -355,7 +355,7 @@ def test_request_timeout_of_a_closed_connection_logs_no_error(phone, monkeypatch
     assert [r.getMessage() for r in caplog.records if r.levelname == "ERROR"] == []
 
 
-def test_phone_turns_the_tip_while_its_button_is_held_and_advances_it(phone):
+def test_phone_turns_the_tip_while_its_button_is_pressed_and_advances_it(phone):
     phone.session.do(SetMode("free"))
     start = phone.session.pose_info().pose
     with dialled(phone) as link:
@@ -403,7 +403,7 @@ def angle(a, b) -> float:
     return math.acos(max(-1.0, min(1.0, cosine)))
 
 
-def test_advance_ends_when_the_phone_disappears_with_its_button_pressed(phone):
+def test_advance_ends_when_the_phone_disconnects_with_its_button_pressed(phone):
     began_s = time.monotonic()
     with dialled(phone) as link:
         link.send(sample(1.0, None, held=False, advance=1.0))
@@ -418,7 +418,7 @@ def test_advance_ends_when_the_phone_disappears_with_its_button_pressed(phone):
     assert phone.session.pose_info().path_mm == rest_mm
 
 
-def test_invalid_times_and_numbers_are_counted_and_the_tip_stays_finite(phone):
+def test_invalid_times_and_numbers_of_a_phone_are_counted_and_the_tip_pose_stays_finite(phone):
     with dialled(phone) as link:
         state(link)
         for bad in ("NaN", "1e999", "null"):
@@ -446,7 +446,7 @@ def test_invalid_times_and_numbers_are_counted_and_the_tip_stays_finite(phone):
     assert np.isfinite(phone.session.pose_info().pose.lps_from_camera).all()
 
 
-def test_phone_that_lost_its_network_reconnects_and_the_old_link_is_notified(phone):
+def test_phone_that_lost_its_network_reconnects_and_its_old_connection_is_notified(phone):
     with dialled(phone) as first:
         state(first)
         with dialled(phone) as second:
@@ -472,7 +472,7 @@ def test_phone_is_disconnected_if_the_state_cannot_be_encoded(phone, monkeypatch
     assert not any(device.device == "phone" for device in devices)
 
 
-def test_phone_buttons_recenter_and_change_the_steering_mode(phone):
+def test_phone_buttons_recentre_the_view_and_change_the_steering_mode(phone):
     with dialled(phone) as link:
         assert state(link).control == "path"
         phone.session.do(Steer(0.0, 0.5, 0.0, 0.0))
@@ -508,7 +508,7 @@ def test_many_invalid_messages_disconnect_the_phone(phone):
         assert state(link).case_open
 
 
-def test_phone_page_closed_by_the_user_has_an_invalid_link(phone):
+def test_link_of_a_phone_page_is_invalid_after_the_user_closes_the_page(phone):
     port = int(phone.url.rstrip("/").rpartition(":")[2])
     old = phone.page.info()
     with dialled(phone) as link:
@@ -529,7 +529,7 @@ def test_phone_page_closed_by_the_user_has_an_invalid_link(phone):
         assert ended(link)[0] == wire.CLOSE_CODES["protocol.not-authorised"]
 
 
-def test_phone_page_is_open_or_closed_by_the_last_click_in_any_order_of_threads(phone, monkeypatch):
+def test_phone_page_is_open_or_closed_as_the_last_click_requested_in_any_order_of_threads(phone, monkeypatch):
     phone.desk.handle(wire.SetPhone(False))
     wait_for(lambda: phone.page.info() is None)
     waiting = []

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from nodules import ellipsoid
 
+from cached_test_data import made_airways, made_phantom
 from carina.errors import CancelledError
 from carina.plan import NeedleErrors, plan_route
 from carina.plan.reach_atlas import NOT, REACHES, STEP_MM, ReachAtlas, reach_atlas
@@ -16,7 +17,6 @@ from carina.plan.routes.needle_hits import ball_hit_shares, hit_share
 from carina.plan.routes.ranking import RANK
 from carina.scopes import ScopePreset, scope_preset
 from carina.track import measure_tree, wall_field
-from made import made_airways, made_phantom
 
 CHEST = {"seed": 4, "spacing_mm": 1.5, "generations": 4}
 
@@ -38,7 +38,7 @@ def slim() -> ScopePreset:
     return dataclasses.replace(scope_preset("ultrathin"), channel_mm=2.0)
 
 
-def test_regions_agree_with_the_drafted_plans_of_targets_in_them(chest, slim_atlas) -> None:
+def test_reach_of_lung_regions_agrees_with_estimated_plans_for_targets_in_them(chest, slim_atlas) -> None:
     volume, airways, wall = chest
     found = slim_atlas
     measures = measure_tree(volume, airways)
@@ -71,7 +71,7 @@ def test_regions_agree_with_the_drafted_plans_of_targets_in_them(chest, slim_atl
     assert told[REACHES, NOT] == told[NOT, REACHES] == 0, told
 
 
-def test_hit_shares_of_a_ball_equal_those_of_a_nodule() -> None:
+def test_hit_shares_computed_for_a_ball_equal_those_of_a_ball_shaped_nodule() -> None:
     ball, reach_mm = ellipsoid((5.0, 5.0, 5.0), (0.0, 0.0, 0.0), step_mm=0.25), 15.0
     distances, angles = np.array([0.0, 3.0, 8.0, 14.0, 19.0, 12.0, 12.0, 9.0]), np.radians([0, 0, 0, 0, 0, 10, 25, 35])
     shares = ball_hit_shares(distances, angles, 5.0, reach_mm, NeedleErrors())
@@ -81,14 +81,14 @@ def test_hit_shares_of_a_ball_equal_those_of_a_nodule() -> None:
         assert share == pytest.approx(hit_share(ball, tip, aim, reach_mm, NeedleErrors()), abs=0.04), (distance, angle)
 
 
-def test_scope_that_cannot_bend_reaches_less(chest, slim_atlas) -> None:
+def test_scope_with_a_long_rigid_tip_reaches_less_of_the_lungs(chest, slim_atlas) -> None:
     volume, airways, wall = chest
     stiff = dataclasses.replace(slim(), rigid_tip_mm=30.0)
     rigid = reach_atlas(volume, airways, scope=stiff, wall=wall)
     assert 0.0 < rigid.reached_ml < 0.7 * slim_atlas.reached_ml
 
 
-def test_tool_that_does_not_pass_the_channel_reaches_nothing_and_the_atlas_states_why(chest) -> None:
+def test_atlas_of_a_tool_that_does_not_pass_the_channel_is_empty_and_states_why(chest) -> None:
     volume, airways, wall = chest
     found = reach_atlas(volume, airways, scope="ultrathin", wall=wall)
     assert found.why is not None and "does not fit the working channel" in found.why
@@ -97,7 +97,7 @@ def test_tool_that_does_not_pass_the_channel_reaches_nothing_and_the_atlas_state
     assert brush.why is None and 0.0 < brush.reached_ml < brush.lung_ml
 
 
-def test_thinner_scope_and_longer_tool_reach_at_least_as_much_of_the_lungs(chest, slim_atlas) -> None:
+def test_thinner_scope_or_longer_tool_reaches_at_least_as_much_of_the_lungs(chest, slim_atlas) -> None:
     volume, airways, wall = chest
     thin = slim_atlas
     thick = reach_atlas(volume, airways, scope="therapeutic", wall=wall)
@@ -112,7 +112,7 @@ def test_thinner_scope_and_longer_tool_reach_at_least_as_much_of_the_lungs(chest
     assert set(thin.to_json()) == {"scope", "tool", "lung_ml", "reached_ml", "tip_mm", "target_mm", "why"}
 
 
-def test_reach_atlas_can_be_cancelled(chest) -> None:
+def test_computation_of_the_reach_atlas_can_be_cancelled(chest) -> None:
     volume, airways, wall = chest
     told: list[float] = []
     reach_atlas(volume, airways, wall=wall, progress=lambda _what, share: told.append(share))

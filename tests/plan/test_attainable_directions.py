@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from cached_test_data import made_airways, made_phantom
 from carina.plan.routes.attainable_directions import (
     BEHIND_MM,
     NUM_ON_ARC,
@@ -21,7 +22,6 @@ from carina.plan.routes.attainable_directions import (
 )
 from carina.scopes import ScopeDrive, ScopePreset, WallField, scope_preset
 from carina.track import AirwayTree, Branch, wall_field
-from made import made_airways, made_phantom
 
 ALONG_MM = 80.0
 AXIS = np.array([0.0, 0.0, -1.0])
@@ -52,14 +52,14 @@ def towards(radius_mm: float, angle_deg: float, target_mm: float = 0.5, tip_mm: 
     return TipDirections(tree, field, scope(tip_mm)).towards(PLACE, aim, target_mm)
 
 
-def test_direction_of_the_airway_is_attainable_in_every_tube_that_the_scope_fits() -> None:
+def test_direction_along_the_airway_is_attainable_in_every_tube_wide_enough_for_the_scope() -> None:
     for radius_mm in (1.8, 2.5, 4.0, 8.0):
         ahead = towards(radius_mm, 0.0)
         assert ahead is not None and ahead.off_deg == pytest.approx(0.0, abs=0.1)
 
 
 @pytest.mark.parametrize("radius_mm", [2.0, 2.5, 3.0])
-def test_tilt_in_a_narrow_tube_is_limited_by_the_rigid_tip(radius_mm: float) -> None:
+def test_attainable_angle_in_a_narrow_tube_is_limited_by_the_rigid_tip(radius_mm: float) -> None:
     # The 10 mm tip touches both sides of the tube at this angle.
     most_deg = math.degrees(math.asin(2.0 * (radius_mm - 1.5) / 10.0))
     reached = [angle for angle in np.arange(0.0, 60.0, 2.0) if towards(radius_mm, float(angle)) is not None]
@@ -67,7 +67,7 @@ def test_tilt_in_a_narrow_tube_is_limited_by_the_rigid_tip(radius_mm: float) -> 
     assert max(reached) >= 0.5 * most_deg
 
 
-def test_wider_tube_or_thinner_scope_attains_more_and_a_larger_target_needs_less() -> None:
+def test_attainable_angle_increases_with_lumen_and_target_size_and_for_a_thinner_scope() -> None:
     def most(*given: float, **options: float) -> float:
         return max(
             (angle for angle in np.arange(0.0, 90.0, 3.0) if towards(given[0], float(angle), **options) is not None),
@@ -80,7 +80,7 @@ def test_wider_tube_or_thinner_scope_attains_more_and_a_larger_target_needs_less
 
 
 @pytest.mark.parametrize("radius_mm", [2.2, 3.0, 5.0])
-def test_no_hold_of_the_simulated_scope_points_far_beyond_the_attainable_directions(radius_mm: float) -> None:
+def test_simulated_scope_never_points_far_beyond_the_attainable_directions(radius_mm: float) -> None:
     tree, field = tube(radius_mm)
     drive = ScopeDrive(field, scope(), tree.root.points)
     placed = drive.place(tree.root.points, ALONG_MM)
@@ -92,7 +92,7 @@ def test_no_hold_of_the_simulated_scope_points_far_beyond_the_attainable_directi
     assert max(held) <= max(attained) + 8.0, (max(held), max(attained))
 
 
-def test_directions_of_a_scope_with_unknown_bending_section_are_not_known() -> None:
+def test_attainable_directions_of_a_scope_with_unknown_bending_section_are_unknown() -> None:
     tree, field = tube(3.0)
     assert not TipDirections(tree, field, scope_preset("ion")).is_known
 
@@ -132,7 +132,7 @@ def bends_slowly(tree: AirwayTree, wall: WallField, preset: ScopePreset, place: 
     return False
 
 
-def test_bends_of_many_directions_equal_those_of_one_arc_at_a_time() -> None:
+def test_bend_angles_computed_for_many_directions_equal_those_computed_one_by_one() -> None:
     made = {"seed": 4, "spacing_mm": 1.5, "generations": 4}
     volume, airways = made_phantom(**made).volume, made_airways(**made)
     wall, preset = wall_field(volume, airways), scope(2.0)

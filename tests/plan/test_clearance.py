@@ -31,18 +31,20 @@ def line(off_mm: float, radius_mm: float) -> Branch:
 
 @pytest.mark.parametrize("radius_mm", [1.2, 1.7, 2.6, 4.0])
 @pytest.mark.parametrize("off_mm", [0.0, 0.35, 0.6])
-def test_off_centre_centreline_does_not_narrow_a_round_lumen(radius_mm: float, off_mm: float) -> None:
+def test_clearance_of_a_round_lumen_does_not_depend_on_the_offset_of_the_centreline(
+    radius_mm: float, off_mm: float
+) -> None:
     found = ball_diameters_mm(line(off_mm, radius_mm), field(radius_mm, radius_mm))
     # The tolerance covers the interpolation of the field between its samples, which are exact and 0.4 mm apart.
     assert found == pytest.approx(2.0 * radius_mm, abs=0.12)
 
 
-def test_clearance_of_a_slit_is_its_narrow_side() -> None:
+def test_clearance_of_a_flat_lumen_is_its_narrow_side() -> None:
     found = ball_diameters_mm(line(0.4, 2.4), field(4.0, 1.5))
     assert (found <= 3.0 + 2.0 * INWARDS_MM + 0.05).all() and (found >= 2.9).all()
 
 
-def test_clearance_is_the_width_of_the_branch_without_a_wall_or_outside_it() -> None:
+def test_clearance_outside_the_wall_field_or_without_one_is_the_diameter_of_the_branch() -> None:
     branch = line(0.5, 2.0)
     assert ball_diameters_mm(branch, None) == pytest.approx(3.0)
     aside = Branch(

@@ -15,7 +15,7 @@ import pytest
 from fork_trees import made_tree, random_tree, route_in
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reported import airways, plan, sheet, turns, verdicts, volume
+from phantom_plan import airways, plan, sheet, turns, verdicts, volume
 from test_report import words_of
 
 import carina
@@ -60,7 +60,7 @@ def wire_turns(found: Airways, made: Any) -> tuple[Any, ...]:
     return _turns(cast(PlanningInfo, SimpleNamespace(document=SimpleNamespace(airways=found))), made)
 
 
-def test_plan_json_wire_report_sheet_and_texts_state_the_same_distances(tmp_path) -> None:
+def test_json_wire_report_sheet_and_texts_of_a_plan_state_the_same_distances(tmp_path) -> None:
     stored = json.loads(write_report(tmp_path / "plan.json", sheet()).read_text())
     origin = distance_origin(volume(), airways())
     assert origin.kind == "ridge"
@@ -144,13 +144,13 @@ def assert_consistent(found: Airways, made: Plan, judged: Any = ()) -> None:
         assert place.from_carina_mm == pytest.approx(place.along_mm - made.routes[0].origin.along_mm)
 
 
-def test_distances_of_each_route_lie_within_the_route_in_order() -> None:
+def test_distances_along_each_route_increase_and_do_not_exceed_its_length() -> None:
     assert_consistent(airways(), plan(), verdicts())
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("seed", [4, 7, 11])
-def test_distances_of_other_phantoms_lie_within_the_route_in_order(seed: int) -> None:
+def test_distances_along_routes_of_other_phantoms_increase_and_do_not_exceed_their_length(seed: int) -> None:
     made = carina.generate_phantom(seed=seed, spacing_mm=1.3, nodule=True)
     found = carina.find_airways(made.volume)
     wall = carina.wall_field(made.volume, found)
@@ -161,7 +161,9 @@ def test_distances_of_other_phantoms_lie_within_the_route_in_order(seed: int) ->
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.0, 14.0))
-def test_turns_beyond_the_ridge_increase_and_add_up_in_random_trees(seed: int, ridge_mm: float) -> None:
+def test_distances_of_turns_from_the_carina_ridge_increase_and_add_up_in_random_trees(
+    seed: int, ridge_mm: float
+) -> None:
     tree = random_tree(seed)
     for tip in tree.tips()[::4]:
         route = route_in(tree, tip.id, ridge_mm=ridge_mm)
@@ -198,7 +200,7 @@ def with_tracheal_bronchus() -> AirwayTree:
     )
 
 
-def test_branch_that_leaves_the_trachea_above_the_carina_is_measured_from_the_start_of_the_tree() -> None:
+def test_distances_in_a_branch_above_the_carina_are_measured_from_the_start_of_the_tree() -> None:
     tree = with_tracheal_bronchus()
     origin = dataclasses.replace(axes_origin(tree), kind="ridge", along_mm=89.0)
     assert origin.axes_mm == pytest.approx(80.0)
@@ -216,7 +218,7 @@ def test_branch_that_leaves_the_trachea_above_the_carina_is_measured_from_the_st
     assert turn_list(tree, route).zero is None
 
 
-def test_positions_of_a_smoothed_route_are_measured_along_the_centrelines() -> None:
+def test_distances_along_a_smoothed_route_are_measured_along_the_centrelines() -> None:
     tree = with_tracheal_bronchus()
     whole = route_to_branch(tree, 3)
     along = centreline_mm(tree, whole)
@@ -236,7 +238,7 @@ def test_positions_of_a_smoothed_route_are_measured_along_the_centrelines() -> N
     assert begun[-1] == pytest.approx(80.0 + 18.0 * np.sqrt(2.0), abs=1.0)
 
 
-def test_main_carina_is_the_fork_from_which_both_main_bronchi_come() -> None:
+def test_main_carina_is_the_fork_at_which_both_main_bronchi_begin() -> None:
     rows = [
         row(0, None, [1, 2], [[0, 0, 0], [0, 0, -50]], None),
         row(1, 0, [], [[0, 0, -50], [-20, 0, -70]], "RMB"),
@@ -253,7 +255,7 @@ def test_main_carina_is_the_fork_from_which_both_main_bronchi_come() -> None:
     assert axes_origin(made_tree([row(0, None, [], [[0, 0, 0], [0, 0, -50]], "RMB")])) == ROOT
 
 
-def test_fork_between_the_axes_and_the_ridge_is_at_the_carina() -> None:
+def test_fork_between_the_centreline_fork_and_the_ridge_is_at_distance_zero_from_the_carina() -> None:
     origin = DistanceOrigin("ridge", along_mm=110.0, axes_mm=100.0)
     assert [origin.fork_mm(mm) for mm in (95.0, 100.0, 104.0, 110.0, 125.0)] == [-15.0, 0.0, 0.0, 0.0, 15.0]
     assert origin.words(origin.past_mm(98.0)) == "12 mm above the main carina"
@@ -263,7 +265,7 @@ def test_fork_between_the_axes_and_the_ridge_is_at_the_carina() -> None:
         DistanceOrigin("ridge", along_mm=-1.0)
 
 
-def test_tree_without_a_ridge_of_wall_measures_from_the_axes_with_a_note() -> None:
+def test_distances_without_a_visible_ridge_are_measured_from_the_centreline_fork_with_a_note() -> None:
     found = airways()
     solid = dataclasses.replace(found, lumen_zyx=np.ones_like(found.lumen_zyx))
     origin = distance_origin(volume(), solid)
@@ -276,7 +278,7 @@ def test_tree_without_a_ridge_of_wall_measures_from_the_axes_with_a_note() -> No
     assert origin.note is not None and reason.casefold() == f"{origin.note}.".casefold()
 
 
-def test_stations_are_measured_from_the_ridge_if_it_is_given() -> None:
+def test_distances_of_lymph_node_stations_are_measured_from_the_ridge_if_it_is_known() -> None:
     origin = distance_origin(volume(), airways())
     tree = airways().tree
     for axes, ridge in zip(
@@ -288,7 +290,7 @@ def test_stations_are_measured_from_the_ridge_if_it_is_given() -> None:
         assert carina_words(ridge.from_carina_mm) in ridge.words
 
 
-def test_options_of_an_older_case_give_the_depth_of_the_carina_from_the_start_of_the_tree() -> None:
+def test_older_case_options_state_the_carina_depth_from_the_start_of_the_tree() -> None:
     older = msgspec.convert({"scope": "thin", "tool": "needle-21g", "entry_mm": 150.0}, PlanOptions)
     newer = PlanOptions(carina_depth_mm=265.0)
     beyond, beside = DistanceOrigin("ridge", along_mm=120.0, axes_mm=110.0), ROOT
@@ -303,7 +305,7 @@ def test_options_of_an_older_case_give_the_depth_of_the_carina_from_the_start_of
     assert turn_list(airways().tree, route, carina_depth_mm=depth_mm).carina_depth_mm == 500.0 + route.origin.along_mm
 
 
-def test_depth_at_the_mouth_is_the_depth_of_the_carina_plus_the_distance() -> None:
+def test_depth_at_the_mouth_is_the_depth_of_the_carina_plus_the_distance_from_it() -> None:
     route = plan().routes[0]
     made = turn_list(airways().tree, route, carina_depth_mm=265.0)
     assert made.park_depth_estimate_mm == 265.0 + route.from_carina_mm

@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from reported import CHEST
-from reported import wall as chest_wall
+from phantom_plan import CHEST
+from phantom_plan import wall as chest_wall
 from test_verdict import plan_in, tube
 
+from cached_test_data import made_airways
 from carina.errors import CancelledError, UsageError
 from carina.plan import Move
 from carina.plan.routes.last_leg import LastLeg
@@ -31,7 +32,6 @@ from carina.plan.verdict.drive_route import DriveWay
 from carina.plan.verdict.drive_search import arrives_by, condense_drive, place_at_start, search_drive
 from carina.scopes import ScopeDrive, ScopePreset, WallField, scope_preset
 from carina.track import AirwayTree
-from made import made_airways
 
 BRANCHES = (100, 24, 139)
 """IDs of branches without children that are 4 to 6 forks from the root."""
@@ -78,7 +78,7 @@ def carried_out(way: DriveWay, wall: WallField, told: dict[str, Any]) -> ScopeDr
 
 
 @pytest.mark.parametrize("branch_id", BRANCHES)
-def test_replay_of_the_listed_moves_ends_in_the_planned_branch(branch_id: int) -> None:
+def test_replayed_hand_moves_of_a_drive_end_in_the_planned_branch(branch_id: int) -> None:
     way, driven = chest_way(branch_id), chest_drive(branch_id)
     assert driven.arrived, driven.why
     drive = carried_out(way, chest_wall(), json.loads(json.dumps(driven.to_json(poses=False))))
@@ -93,7 +93,7 @@ def test_replay_of_the_listed_moves_ends_in_the_planned_branch(branch_id: int) -
     assert found.generation >= len(passed)
 
 
-def test_drive_in_a_chest_has_few_moves_in_multiples_of_the_hand_s_step() -> None:
+def test_drive_in_a_chest_has_few_hand_moves_in_multiples_of_the_move_step() -> None:
     driven = chest_drive(BRANCHES[0])
     assert len(driven.moves) <= 80
     for move in driven.moves:
@@ -109,7 +109,7 @@ def test_drive_in_a_chest_has_few_moves_in_multiples_of_the_hand_s_step() -> Non
     assert np.isin(np.round(driven.lps_from_camera[:, 3], 9), [0.0, 1.0]).all()
 
 
-def test_condensed_drive_has_fewer_moves_and_still_arrives() -> None:
+def test_condensed_drive_has_fewer_hand_moves_and_still_arrives() -> None:
     way = chest_way(BRANCHES[0])
     condensed = condense_drive(way, chest_wall(), thin(), chest_drive(BRANCHES[0]), tries=25)
     assert condensed.arrived and len(condensed.moves) < len(chest_drive(BRANCHES[0]).moves)
@@ -139,13 +139,15 @@ def condensed_slowly(way: DriveWay, wall: WallField, driven: DrivenRoute, tries:
 
 
 @pytest.mark.parametrize("branch_id", [BRANCHES[0], pytest.param(BRANCHES[1], marks=pytest.mark.soak)])
-def test_drive_condensed_from_copies_equals_one_simulated_from_the_beginning(branch_id: int) -> None:
+def test_drive_condensed_from_copied_scope_states_equals_one_simulated_from_the_beginning(branch_id: int) -> None:
     way, wall, driven = chest_way(branch_id), chest_wall(), chest_drive(branch_id)
     condensed = condense_drive(way, wall, thin(), driven, tries=12)
     assert condensed.moves == condensed_slowly(way, wall, driven, 12) != driven.moves
 
 
-def test_drive_aimed_from_copies_equals_one_simulated_from_the_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_drive_aimed_from_copied_scope_states_equals_one_simulated_from_the_beginning(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     tree, field, points = tube(60.0)
     scope = dataclasses.replace(thin(), tip_mm=2.6)
     way = DriveWay(tree, plan_in(points).routes[0], field)
@@ -171,12 +173,12 @@ def test_drive_aimed_from_copies_equals_one_simulated_from_the_beginning(monkeyp
     assert np.array_equal(fast.driven.samples, slow.driven.samples)
 
 
-def test_repeated_search_gives_an_equal_drive() -> None:
+def test_repeated_search_for_a_drive_gives_equal_moves() -> None:
     again = search_drive(chest_way(BRANCHES[0]), chest_wall(), thin(), effort=30_000.0)
     assert again.moves == chest_drive(BRANCHES[0]).moves
 
 
-def test_moves_listed_between_positions_are_all_moves_of_the_drive() -> None:
+def test_hand_moves_between_consecutive_positions_are_together_all_moves_of_the_drive() -> None:
     driven = chest_drive(BRANCHES[0])
     last = driven.ends_mm[-1]
     cuts = [driven.start_mm, 100.0, 150.5, 180.0, last]
@@ -206,7 +208,7 @@ def zigzag() -> tuple[AirwayTree, WallField, PlannedRoute]:
     return tree, field, dataclasses.replace(planned, along_mm=along_mm)
 
 
-def test_all_distances_count_along_centrelines_as_in_the_plan() -> None:
+def test_drive_and_plan_measure_the_same_distance_along_centrelines() -> None:
     """Assert that plan, verdict checks, drive and list of turns state the same distance for one position."""
     tree, wall, planned = zigzag()
     slim = dataclasses.replace(thin(), tip_mm=2.6)
@@ -245,7 +247,7 @@ def _place_of(tree: AirwayTree, planned: PlannedRoute) -> int:
     return int(mine[np.argmin(np.abs(ways.along_mm[mine] - planned.along_mm))])
 
 
-def test_scope_arrives_in_a_bent_tube_and_points_at_a_target_beside_it() -> None:
+def test_simulated_scope_arrives_in_a_bent_tube_and_points_at_a_target_beside_it() -> None:
     tree, field, points = tube(60.0)
     plan = plan_in(points)
     scope = dataclasses.replace(thin(), tip_mm=2.6)
@@ -270,7 +272,7 @@ def test_scope_arrives_in_a_bent_tube_and_points_at_a_target_beside_it() -> None
     assert share(tip[:3, 3], tip[:3, 2]) == aimed.share
 
 
-def test_too_thick_scope_stops_before_the_narrow_position_with_the_reason() -> None:
+def test_scope_too_thick_for_a_narrowing_stops_before_it_with_the_reason() -> None:
     tree, _, points = tube(30.0)
     # From 60 mm on, the tube is 2.4 mm wide instead of 4 mm.
     step = 0.5
@@ -291,7 +293,7 @@ def test_too_thick_scope_stops_before_the_narrow_position_with_the_reason() -> N
     assert json.loads(json.dumps(driven.to_json()))["why"] == driven.why
 
 
-def test_search_can_be_cancelled_and_moves_of_half_a_millimetre_are_refused() -> None:
+def test_search_for_a_drive_can_be_cancelled_and_moves_of_half_a_millimetre_are_refused() -> None:
     tree, field, points = tube(60.0)
     way = DriveWay(tree, plan_in(points).routes[0], field)
     slim = dataclasses.replace(thin(), tip_mm=2.6)

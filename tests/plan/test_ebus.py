@@ -56,7 +56,7 @@ def of(one: AirwayTree, station: str) -> list[Landmark]:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_hours_and_levels_of_lymph_node_stations_match_the_textbook(seed: int) -> None:
+def test_clock_hours_and_levels_of_lymph_node_stations_match_the_textbook(seed: int) -> None:
     marks = {(mark.station, mark.seen_from): mark for mark in ebus_landmarks(tree(seed))}
     expected = {
         ("4R", "trachea"): (1.0, 2.0),
@@ -78,7 +78,7 @@ def test_hours_and_levels_of_lymph_node_stations_match_the_textbook(seed: int) -
         assert (mark.from_carina_mm < 0.0) == key[0].startswith("4"), mark.words
 
 
-def test_station_7_is_seen_towards_the_other_main_bronchus() -> None:
+def test_station_7_is_seen_from_each_main_bronchus_in_the_direction_of_the_other() -> None:
     right, left = of(tree(), "7")
     assert right.point_lps is not None
     assert left.point_lps is not None
@@ -91,7 +91,7 @@ def test_station_7_is_seen_towards_the_other_main_bronchus() -> None:
     assert right.from_carina_mm == pytest.approx(left.from_carina_mm)
 
 
-def test_station_is_on_its_branch_and_its_distance_is_along_the_tree() -> None:
+def test_lymph_node_station_is_on_its_branch_and_its_distance_is_along_the_tree() -> None:
     for mark in ebus_landmarks(tree()):
         assert mark.branch_id is not None
         assert mark.point_lps is not None
@@ -112,7 +112,7 @@ def test_station_is_on_its_branch_and_its_distance_is_along_the_tree() -> None:
         assert np.linalg.norm(mark.direction_lps) == pytest.approx(1.0)
 
 
-def test_stations_of_a_mirrored_chest_are_on_the_opposite_side_with_a_note() -> None:
+def test_lymph_node_stations_of_a_mirrored_chest_are_on_the_opposite_side_with_a_note() -> None:
     plain, other = ebus_landmarks(tree()), ebus_landmarks(mirrored(tree()))
     told = {"4R": "4L", "4L": "4R", "10R": "10L", "10L": "10R", "11Rs": "11Ls", "11Ri": "11Li", "11L": "11R"}
     by_place = {(mark.station, mark.point_lps): mark for mark in other}
@@ -127,7 +127,7 @@ def test_stations_of_a_mirrored_chest_are_on_the_opposite_side_with_a_note() -> 
         assert not mark.doubts
 
 
-def test_station_that_the_tree_does_not_show_has_no_position() -> None:
+def test_lymph_node_station_without_its_bronchus_in_the_tree_has_no_position() -> None:
     (lost,) = of(changed(tree(), drop="RUL"), "11Rs")
     assert lost.point_lps is None
     assert lost.clock_head is None
@@ -143,14 +143,14 @@ def test_station_that_the_tree_does_not_show_has_no_position() -> None:
     )
 
 
-def test_short_trachea_has_no_paratracheal_station() -> None:
+def test_short_trachea_has_no_paratracheal_lymph_node_station() -> None:
     short = dataclasses.replace(tree().root, points=np.array([[0.0, 0, 8.0], [0, 0, 0]]), radius=np.full(2, 8.0))
     cut = AirwayTree((short, *tree().branches[1:]))
     assert of(cut, "4R")[0].point_lps is None
     assert of(cut, "4L")[0].point_lps is not None
 
 
-def test_station_at_a_bronchus_drawn_by_hand_is_reported() -> None:
+def test_lymph_node_station_at_a_bronchus_drawn_by_hand_has_a_doubt() -> None:
     drawn = AirwayTree(tuple(dataclasses.replace(b, kind="manual") if b.name == "RUL" else b for b in tree().branches))
     assert of(drawn, "11Rs")[0].doubts == ("RUL was drawn by hand",)
     assert of(drawn, "11L")[0].doubts == ()
@@ -158,7 +158,9 @@ def test_station_at_a_bronchus_drawn_by_hand_is_reported() -> None:
 
 @settings(deadline=None, max_examples=60)
 @given(st.floats(-3.1, 3.1), st.floats(-1.4, 1.4), st.floats(0.0, 6.28))
-def test_hours_of_a_station_are_its_angle_in_the_levelled_picture(turn: float, tilt: float, around: float) -> None:
+def test_clock_hour_of_a_direction_is_its_angle_in_the_levelled_picture(
+    turn: float, tilt: float, around: float
+) -> None:
     forward = np.array([np.cos(tilt) * np.sin(turn), np.cos(tilt) * np.cos(turn), np.sin(tilt)])
     pose = Pose.looking(np.zeros(3), forward, upright(forward))
     axes = np.asarray(pose.lps_from_camera)[:3, :3]
@@ -170,7 +172,7 @@ def test_hours_of_a_station_are_its_angle_in_the_levelled_picture(turn: float, t
     assert (facing - head) % 12.0 == pytest.approx(6.0)
 
 
-def test_stations_are_plain_json_and_an_argument_that_is_no_tree_is_refused() -> None:
+def test_lymph_node_stations_are_plain_json_and_an_argument_that_is_no_tree_is_refused() -> None:
     written = json.loads(json.dumps([mark.to_json() for mark in ebus_landmarks(tree())], allow_nan=False))
     assert written[0]["station"] == "4R"
     assert "IASLC" in written[0]["source"]

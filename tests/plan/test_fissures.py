@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from nodules import ellipsoid
 
+from cached_test_data import made_phantom
 from carina.plan import FissureBox, NeedleErrors, NeedleScene, last_leg, lobes, surroundings, tool
 from carina.plan.cubic_box import Box
 from carina.scopes import WallField
 from carina.track import AirwayTree
 from carina.volume import Volume
-from made import made_phantom
 
 CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
 
@@ -26,7 +26,7 @@ def plate(at_mm: float) -> FissureBox:
     return FissureBox(mask, box)
 
 
-def test_fissure_on_a_needle_path_is_named_at_its_position() -> None:
+def test_fissure_crossed_by_a_needle_path_is_listed_at_its_position() -> None:
     _, y, x = np.indices((81, 81, 81)) - 40.0
     off = np.hypot(x, y)
     hu = np.where(off < 3.0, -990, np.where(off < 4.2, 20, -860)).astype(np.int16)
@@ -49,7 +49,7 @@ def test_fissure_on_a_needle_path_is_named_at_its_position() -> None:
     assert "fissure" not in crossed(plate(-30.0))
 
 
-def test_lungs_without_fissures_have_lobes_from_airways_and_almost_no_plate() -> None:
+def test_lungs_without_visible_fissures_have_lobes_from_airways_and_almost_no_fissure_voxels() -> None:
     made = made_phantom(**CHEST)
     found = lobes(made.volume, AirwayTree.from_json(made.truth))
     assert found.missing == ()

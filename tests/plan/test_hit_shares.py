@@ -13,8 +13,9 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from nodules import ellipsoid
-from reported import CHEST, DAY, RENDERED, airways, volume, wall
+from phantom_plan import CHEST, DAY, RENDERED, airways, volume, wall
 
+from cached_test_data import made_phantom
 from carina.cli.plan import lines
 from carina.export.plan_content import drawn_plans
 from carina.plan import Plan, Verdict, compare_targets, judge_pairs, plan_route
@@ -24,7 +25,6 @@ from carina.plan.report.sections import sections
 from carina.plan.target_comparison import HEAD
 from carina.scopes import scope_preset
 from carina.server.to_wire.plan import _route, _verdict
-from made import made_phantom
 
 HITS = re.compile(r"(\d+) % of needle passes hit")
 EXPECTED = re.compile(r"expected hits (\d+) %", re.IGNORECASE)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cached_test_data import made_phantom
 from carina.errors import NoResultError
 from carina.plan import FissureBox, Lobes
 from carina.plan.cubic_box import Box, smoothed
@@ -17,7 +18,6 @@ from carina.plan.lungs.lobes import LOBE_NAMES, STEP_MM, lung_grid, nearest_lobe
 from carina.plan.lungs.tissue_near_needle import lung_box
 from carina.track import AirwayTree, branch_side_and_lobe
 from carina.volume import Volume
-from made import made_phantom
 
 CHEST = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
 LOW = np.array([-110.0, -90.0, -140.0])
@@ -54,7 +54,7 @@ def by_airways() -> Lobes:
     return nearest_lobe(*lungs(), tree())
 
 
-def test_lungs_end_at_the_pleura_and_exclude_the_chest_wall() -> None:
+def test_lung_mask_ends_at_the_pleura_and_excludes_the_chest_wall() -> None:
     step_mm, shape = 1.5, (150, 130, 200)
     z, y, x = (step_mm * (np.arange(n) - 0.5 * n) for n in shape)
     true_ml = 0.0
@@ -71,7 +71,7 @@ def test_lungs_end_at_the_pleura_and_exclude_the_chest_wall() -> None:
     assert inside.sum() * STEP_MM**3 / 1000.0 == pytest.approx(true_ml, rel=0.04)
 
 
-def test_airways_are_in_their_own_lobe_and_sides_are_separate() -> None:
+def test_airways_are_inside_the_lobe_of_their_name_and_the_lungs_are_separate() -> None:
     lobe_of = branch_side_and_lobe(tree())
     for branch in tree().branches:
         lobe = lobe_of[branch.id]
@@ -87,7 +87,7 @@ def test_airways_are_in_their_own_lobe_and_sides_are_separate() -> None:
     assert sum(found.ml(name) for name in LOBE_NAMES) == pytest.approx(lungs()[0].sum() * 0.008)
 
 
-def test_probability_is_lower_at_a_border_and_undefined_outside() -> None:
+def test_lobe_probability_is_lower_at_a_border_and_undefined_outside_the_lungs() -> None:
     found = by_airways()
     inner = found.label_zyx > 0
     near, far = inner & (found.border_mm < 3.0), inner & (found.border_mm > 20.0) & np.isfinite(found.border_mm)
@@ -100,7 +100,7 @@ def test_probability_is_lower_at_a_border_and_undefined_outside() -> None:
     assert found.at(np.array([900.0, 0.0, 0.0])) == (None, 0.0)
 
 
-def test_visible_fissure_moves_the_border_and_raises_the_probability() -> None:
+def test_visible_fissure_moves_the_lobe_border_and_raises_the_probability() -> None:
     # The line is at the side of the chest, between the airways of the right upper and lower lobes.
     line = np.stack([np.full(60, -70.0), np.full(60, 40.0), np.linspace(-100.0, 40.0, 60)], axis=1)
     names = [by_airways().at(p)[0] for p in line]
@@ -154,7 +154,7 @@ def sought(box: Box) -> FissureBox:
 
 
 @pytest.mark.parametrize("at_mm", [0.0, 5.3])
-def test_thin_plate_is_found_at_its_position(at_mm: float) -> None:
+def test_thin_bright_plate_in_the_lung_is_found_as_fissure_at_its_position(at_mm: float) -> None:
     found = sought(scan(0.5, at_mm, 20.0, tube=True)).mask
     z, y, x = np.nonzero(found)
     off = np.abs((z - 32.0) - 0.4 * (y - 32.0) - at_mm) / np.hypot(1.0, 0.4)

@@ -40,7 +40,7 @@ def tree(*, trachea: bool) -> SimpleNamespace:
     return SimpleNamespace(branches=(branch,) if trachea else ())
 
 
-def test_structures_in_mediastinum_are_no_lung_vessels_and_trachea_is_no_lung():
+def test_mediastinal_structures_are_not_lung_vessels_and_the_trachea_is_not_lung():
     for trachea in (False, True):
         seen = SimpleNamespace(box=box(trachea=trachea), lung_hu=-850.0)
         amid = _amid_lung(seen, tree(trachea=trachea))
@@ -54,7 +54,7 @@ def test_structures_in_mediastinum_are_no_lung_vessels_and_trachea_is_no_lung():
         assert not amid[z, 30, 24:36].any()
 
 
-def test_vessel_lines_along_the_lung_edge_are_removed_and_pieces_start_at_their_trunk():
+def test_vessels_along_the_lung_edge_are_omitted_and_their_side_branches_become_separate_trees():
     def along_z(x: float, y: float, parent: int | None) -> VesselBranch:
         z = np.arange(10.0) - 20.0
         points = np.stack([np.full_like(z, x), np.full_like(z, y), z], axis=1)
@@ -66,7 +66,7 @@ def test_vessel_lines_along_the_lung_edge_are_removed_and_pieces_start_at_their_
     assert made.branches[0].points_lps is lines.branches[1].points_lps
 
 
-def test_visible_share_of_fissures_is_stated_by_side_along_lobe_borders():
+def test_visible_share_of_fissures_is_stated_for_each_lung_along_the_lobe_borders():
     # At a spacing of 2 mm: the right lung at low x has a flat border between two lobes, the left lung another border.
     label = np.zeros((20, 20, 40), dtype=np.uint8)
     border = np.full(label.shape, np.inf, dtype=np.float32)

@@ -61,7 +61,7 @@ def chest_part(
     ("radius_mm", "slice_mm"),
     [(18.0, 3.0), *(pytest.param(*case, marks=pytest.mark.soak) for case in ((18.0, 1.5), (24.0, 1.5), (24.0, 3.0)))],
 )
-def test_mass_with_a_wide_contact_to_the_chest_wall_has_its_volume_and_a_doubt(radius_mm, slice_mm):
+def test_mass_with_a_wide_contact_to_the_chest_wall_has_the_true_volume_and_a_doubt(radius_mm, slice_mm):
     volume, true_mm3 = chest_part(((WALL_X_MM - 4.0, 0.0, 0.0, radius_mm),), slice_mm=slice_mm)
     nodule = grow_nodule(volume, (WALL_X_MM - 9.0, 2.0, -1.0))
     assert nodule.volume_mm3 == pytest.approx(true_mm3, rel=0.15)
@@ -71,7 +71,7 @@ def test_mass_with_a_wide_contact_to_the_chest_wall_has_its_volume_and_a_doubt(r
     assert any("uncertain where the nodule touches the chest wall" in note for note in nodule.notes)
 
 
-def test_lobes_of_a_mass_belong_to_it():
+def test_lobulations_of_a_mass_belong_to_the_mass():
     balls = ((-14.0, 0.0, 0.0, 13.0), (-14.0, 13.0, 4.0, 7.0), (-25.0, -8.0, 0.0, 6.5), (-14.0, 0.0, -14.0, 6.0))
     volume, true_mm3 = chest_part(balls)
     for at in ((-14.0, 0.0, 0.0), (-14.0, 14.0, 4.0)):
@@ -95,7 +95,7 @@ def test_click_deep_in_the_chest_wall_is_refused():
     assert error.value.code == "plan.no-boundary"
 
 
-def test_note_compares_a_drawn_boundary_with_a_click():
+def test_note_states_the_volumes_of_a_drawn_boundary_and_of_a_click():
     volume, _ = chest_part(((-14.0, 0.0, 0.0, 13.0),))
     k, j, i = np.indices(volume.shape_zyx)
     off = np.linalg.norm(volume.to_lps(np.stack([i, j, k], axis=-1).astype(float)) - (-14.0, 0.0, 0.0), axis=-1)

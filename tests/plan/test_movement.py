@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from nodules import ellipsoid
 
+from cached_test_data import found_airways, made_phantom
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.phantom import Phantom
 from carina.plan import (
@@ -27,7 +28,6 @@ from carina.plan.routes.needle_hits import NeedleErrors
 from carina.track import Airways
 from carina.volume import Volume
 from carina_bench.breathing import Breath, breathed, random_breath
-from made import found_airways, made_phantom
 
 
 @cache
@@ -75,7 +75,7 @@ def part_of(volume: Volume, axis: int, first: int, last: int) -> Volume:
     return Volume(np.ascontiguousarray(volume.hu_zyx[tuple(index)]), matrix)
 
 
-def test_shift_of_the_target_is_within_its_error_and_forks_are_within_one_millimetre() -> None:
+def test_measured_target_shift_is_within_its_error_and_forks_are_within_one_millimetre() -> None:
     found = measured()
     main = next(fork for fork in found.forks if fork.branch == "Trachea")
     true = breath().shifts(place()[None])[0] - breath().shifts(np.array([main.first_lps]))[0]
@@ -93,7 +93,7 @@ def test_shift_of_the_target_is_within_its_error_and_forks_are_within_one_millim
     assert document["movement"]["origin"] == "measured" and len(document["forks"]) == len(found.forks)
 
 
-def test_shift_of_the_table_does_not_count_as_movement() -> None:
+def test_shift_of_the_ct_table_does_not_count_as_target_movement() -> None:
     moved = second().lps_from_ijk.copy()
     moved[:3, 3] += (40.0, -25.0, 310.0)
     volume = Volume(second().hu_zyx, moved)
@@ -111,7 +111,7 @@ def shifted_tree(tree, offset):
     return dataclasses.replace(tree, branches=branches)
 
 
-def test_target_that_is_gone_in_the_second_ct_is_stated_and_its_shift_follows_from_its_neighbours() -> None:
+def test_target_missing_in_the_second_ct_is_reported_and_its_shift_is_that_of_its_neighbours() -> None:
     first = chest().volume
     nodule = chest().truth["nodule"]
     hu = second().hu_zyx.copy()
@@ -129,13 +129,13 @@ def test_target_that_is_gone_in_the_second_ct_is_stated_and_its_shift_follows_fr
     assert np.linalg.norm(off) <= found.movement.error_mm
 
 
-def test_another_patient_is_refused() -> None:
+def test_second_ct_of_another_patient_is_refused() -> None:
     other = made_phantom(seed=2, spacing_mm=1.1)
     trouble = refusal(other.volume, found_airways(other.volume))
     assert trouble.code == "movement.other-patient" and "Choose another CT" in str(trouble)
 
 
-def test_half_of_the_chest_is_refused() -> None:
+def test_second_ct_of_half_of_the_chest_is_refused() -> None:
     half = second().shape_zyx[0] // 2
     cut = part_of(second(), 0, half, second().shape_zyx[0])
     trouble = refusal(cut, found_airways(cut))
@@ -160,7 +160,7 @@ def test_target_outside_the_second_ct_is_refused() -> None:
     assert trouble.code in {"movement.outside", "movement.half-chest"}
 
 
-def test_patient_rotated_by_180_degrees_is_refused() -> None:
+def test_second_ct_of_a_patient_rotated_by_180_degrees_is_refused() -> None:
     volume = second()
     turned = Volume(np.ascontiguousarray(volume.hu_zyx[:, ::-1, ::-1]), volume.lps_from_ijk)
     corner = (
@@ -195,7 +195,7 @@ def test_prone_patient_is_recognised_by_the_denser_side_of_the_lung() -> None:
     assert raised.value.code == "movement.pose"
 
 
-def test_too_few_named_forks_are_refused() -> None:
+def test_cts_with_too_few_equally_named_forks_are_refused() -> None:
     tree = second_airways().tree
     bare = tuple(
         one if one.id < 3 else dataclasses.replace(one, name=None, name_from=None, name_confidence=None)
@@ -206,7 +206,7 @@ def test_too_few_named_forks_are_refused() -> None:
     assert trouble.code == "movement.few-forks" and "the same name in both CTs" in str(trouble)
 
 
-def test_doubtful_names_are_not_matched() -> None:
+def test_forks_with_doubtful_names_are_not_matched_between_two_cts() -> None:
     tree = second_airways().tree
     names, here, there = named_forks(found_airways(chest().volume).tree, tree)
     assert len(names) == len(here) == len(there) >= 12
@@ -217,7 +217,7 @@ def test_doubtful_names_are_not_matched() -> None:
     assert set(names) - set(fewer) == {names[3]}
 
 
-def test_swapped_names_do_not_count_in_the_motion() -> None:
+def test_forks_with_swapped_names_do_not_affect_the_fitted_motion() -> None:
     rng = np.random.default_rng(3)
     here = rng.uniform(-90.0, 90.0, (30, 3))
     there = here + np.array([2.0, 1.0, 9.0]) + 0.05 * (here * [0.0, 0.0, 1.0])
@@ -229,7 +229,7 @@ def test_swapped_names_do_not_count_in_the_motion() -> None:
     assert off.max() < 0.5 and rotation_deg(motion) < 1.0
 
 
-def test_left_out_places_do_not_change_the_prediction() -> None:
+def test_predicted_shift_at_an_excluded_point_does_not_depend_on_its_measured_shift() -> None:
     rng = np.random.default_rng(4)
     places = rng.uniform(-40.0, 40.0, (60, 3))
     shifts = 0.001 * places**2
@@ -241,7 +241,7 @@ def test_left_out_places_do_not_change_the_prediction() -> None:
     assert np.linalg.norm(Deformation(places, shifts, still).at(places) - shifts, axis=1).max() < 1.5
 
 
-def test_measurement_can_be_cancelled() -> None:
+def test_measurement_of_movement_can_be_cancelled() -> None:
     first = chest().volume
     with pytest.raises(CancelledError):
         measure_movement(
@@ -249,7 +249,7 @@ def test_measurement_can_be_cancelled() -> None:
         )
 
 
-def test_plan_takes_the_measured_movement_instead_of_the_default() -> None:
+def test_plan_uses_the_measured_movement_instead_of_the_default() -> None:
     volume = chest().volume
     airways = found_airways(volume)
     default = plan_route(volume, airways, place(), drives=0)
@@ -265,7 +265,7 @@ def test_plan_takes_the_measured_movement_instead_of_the_default() -> None:
         plan_route(volume, airways, place(), moved_mm=7.0, movement=measured(), drives=0)
 
 
-def test_hits_of_a_measured_movement_are_between_those_at_both_places() -> None:
+def test_hit_share_with_a_measured_shift_is_between_those_of_start_and_end_position() -> None:
     nodule = ellipsoid((6.0, 6.0, 6.0), (0.0, 0.0, 0.0))
     tip, aim = np.array([-20.0, 0.0, 0.0]), np.zeros(3)
     still = hit_share(nodule, tip, aim, 40.0, NeedleErrors())
@@ -281,7 +281,7 @@ def test_default_movement_is_larger_in_lower_lobes_and_if_the_lobe_is_unknown() 
     assert default_movement("RUL").words.startswith("CT taken at inspiration")
 
 
-def test_words_state_directions_error_and_origin() -> None:
+def test_movement_text_states_direction_error_and_reference_point() -> None:
     assert shift_words((0.3, -0.2, -9.0)) == "9 mm down"
     assert shift_words((0.0, -5.0, 9.0)) == "10 mm (9 mm up, 5 mm to the front)"
     assert shift_words((0.1, 0.2, 0.3)) == "less than 1 mm"

@@ -31,7 +31,9 @@ def drawn_share(nodule, tip, aim, reach_mm, errors, *, moved_mm, num, rng):
 
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("moved_mm", [0.0, 12.0])
-def test_hit_probability_is_within_two_points_of_a_monte_carlo(seed: int, moved_mm: float) -> None:
+def test_hit_probability_is_within_two_percentage_points_of_a_monte_carlo_simulation(
+    seed: int, moved_mm: float
+) -> None:
     rng = np.random.default_rng(seed)
     nodule = ellipsoid(rng.uniform(2.5, 8.0, 3))
     aim = np.array(nodule.centre_lps)
@@ -45,7 +47,7 @@ def test_hit_probability_is_within_two_points_of_a_monte_carlo(seed: int, moved_
     )
 
 
-def test_needle_without_errors_hits_and_too_short_needle_misses() -> None:
+def test_needle_without_errors_hits_the_target_and_a_too_short_needle_misses_it() -> None:
     nodule = ellipsoid((4.0, 4.0, 4.0))
     aim = np.array(nodule.centre_lps)
     tip = aim + np.array([0.0, 0.0, 15.0])

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from nodules import ellipsoid
 
+from cached_test_data import made_airways, made_phantom
 from carina.errors import UsageError
 from carina.plan import plan_route
 from carina.plan.routes.standing_points import NearestPlace
 from carina.scopes import WallField
 from carina.track import Airways, AirwayTree, Uncertainty, wall_field
 from carina.volume import Volume
-from made import made_airways, made_phantom
 
 CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
 
@@ -89,7 +89,7 @@ def lost_at(place: np.ndarray, above_mm: float) -> Airways:
     return dataclasses.replace(airways(), uncertain=(lost,))
 
 
-def test_lost_airway_near_the_target_is_reported_with_a_remedy() -> None:
+def test_airway_lost_near_the_target_is_reported_with_a_remedy() -> None:
     target = ellipsoid((4.0, 4.0, 4.0), far_off())
     found = plan_route(volume(), lost_at(far_off(), 14.0), target, wall=wall())
     assert any(
@@ -133,7 +133,7 @@ def test_airways_of_another_grid_are_refused() -> None:
     assert refused.value.code == "plan.airways"
 
 
-def test_tree_of_a_trachea_alone_reports_missing_airways() -> None:
+def test_plan_in_a_tree_of_only_a_trachea_reports_the_missing_airways() -> None:
     root = dataclasses.replace(airways().tree.root, children=())
     alone = dataclasses.replace(airways(), tree=AirwayTree((root,)))
     found = plan_route(volume(), alone, ellipsoid((4.0, 4.0, 4.0), far_off()), wall=wall())

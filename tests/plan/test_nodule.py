@@ -39,7 +39,7 @@ def grown(kind: str, seed: int) -> tuple[Nodule, float]:
         ("3 mm", 0.15),
     ],
 )
-def test_painted_nodule_has_the_true_volume_within_its_limit(kind, most, seed):
+def test_painted_nodule_is_segmented_with_the_true_volume_within_its_limit(kind, most, seed):
     nodule, true_mm3 = grown(kind, seed)
     assert nodule.volume_mm3 == pytest.approx(true_mm3, rel=most)
     assert nodule.kind == (kind if kind in ("part-solid", "ground-glass") else "solid")
@@ -47,7 +47,7 @@ def test_painted_nodule_has_the_true_volume_within_its_limit(kind, most, seed):
 
 
 @pytest.mark.parametrize("shift_mm", [(0.07, 0.14, -0.02), (-0.3, 0.35, 0.2)])
-def test_thin_faint_rim_of_a_large_core_is_included(shift_mm):
+def test_thin_faint_rim_round_a_large_core_is_included_in_the_nodule(shift_mm):
     scene = Scene(
         radii_mm=(6.0, 6.0, 6.0),
         level_hu=-644.0,
@@ -83,7 +83,7 @@ def in_phantom(seed: int) -> tuple[Nodule, float]:
 
 # Vessels and airways around the nodule are arranged as in a lung; `make soak` tests twenty seeds.
 @pytest.mark.parametrize("seed", [1, 4, 6, *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(7, 24))])
-def test_nodule_of_a_phantom_has_its_true_volume_and_diameter(seed):
+def test_nodule_of_a_phantom_is_segmented_with_its_true_volume_and_diameter(seed):
     nodule, radius_mm = in_phantom(seed)
     true_mm3 = 4.0 / 3.0 * np.pi * radius_mm**3
     assert nodule.volume_mm3 == pytest.approx(true_mm3, rel=0.15 if "vessel" in nodule.touches else 0.05)
@@ -91,7 +91,7 @@ def test_nodule_of_a_phantom_has_its_true_volume_and_diameter(seed):
     assert nodule.short_mm == pytest.approx(2.0 * radius_mm, abs=1.0)
 
 
-def test_clicks_at_several_points_inside_give_equal_nodules():
+def test_clicks_at_several_points_inside_a_nodule_give_equal_nodules():
     volume, _, middle = painted(Scene(radii_mm=(7.0, 5.0, 5.0)))
     one = grow_nodule(volume, middle)
     for aside in ((4.0, 0.0, 0.0), (0.0, -3.5, 1.0), (-7.5, 0.0, 0.0)):
@@ -143,7 +143,7 @@ def test_click_outside_a_nodule_is_refused_with_a_message():
             grow_nodule(volume, wrong)
 
 
-def test_nodule_at_the_end_of_the_scan_is_reported():
+def test_nodule_cut_by_the_end_of_the_scan_is_reported():
     volume, _, middle = painted(Scene())
     k = int(volume.to_ijk(middle)[2]) - 3
     place = volume.lps_from_ijk.copy()
@@ -152,7 +152,7 @@ def test_nodule_at_the_end_of_the_scan_is_reported():
     assert "edge of the CT" in grow_nodule(cut, middle).touches
 
 
-def test_click_at_the_edge_excludes_a_vessel_like_a_click_in_the_middle():
+def test_click_at_the_edge_of_a_nodule_excludes_a_vessel_like_a_click_in_the_middle():
     volume, true_mm3, middle = painted(Scene(radii_mm=(6.0, 6.0, 6.0), vessels=(((0, 0, 0), (1, 0.3, 0.2), 2.2),)))
     for aside in ((0.0, 0.0, 0.0), (0.0, 5.0, 0.0), (0.0, 0.0, -5.0)):
         nodule = grow_nodule(volume, middle + np.array(aside))

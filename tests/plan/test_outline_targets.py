@@ -96,7 +96,7 @@ def test_sparse_outlines_give_one_target_at_the_right_position(tmp_path, every):
     assert not any("other part" in note for note in target.nodule.notes)
 
 
-def test_cylinder_extends_half_an_outline_distance_beyond_its_ends():
+def test_cylinder_from_outlines_extends_half_an_outline_distance_beyond_its_ends():
     radii = (6.0, 6.0, 1e6)
     for every, start in ((1, 0), (2, 0), (3, 1), (4, 1)):
         heights = slice_heights(every=every, start=start, reach=9.0)
@@ -113,7 +113,7 @@ def test_outline_on_one_slice_is_one_slice_thick():
     assert notes == ()
 
 
-def test_slab_ends_at_the_end_of_the_ct():
+def test_target_from_outlines_ends_at_the_end_of_the_ct():
     normal = grid().lps_from_ijk[:3, 2] / SLICE_MM
     first = slice_heights(reach=1e3)[0]
     contours = [
@@ -128,7 +128,7 @@ def test_slab_ends_at_the_end_of_the_ct():
     ("grow", "words"),
     [((1.0, 1.0), "identical"), ((1.0, 1.01), "mm apart"), ((1.0, 0.96, 1.02), "mm apart"), ((1.0,) * 5, "identical")],
 )
-def test_boundary_drawn_several_times_is_averaged_with_a_note(grow, words):
+def test_several_outlines_of_one_boundary_are_averaged_with_a_note(grow, words):
     heights = slice_heights()
     mm3, middle, notes = measured([ellipse(h, grow=part) for h in heights for part in grow])
     expected = sum(area_mm2(h) for h in heights) * SLICE_MM * np.mean(np.square(grow))
@@ -139,7 +139,7 @@ def test_boundary_drawn_several_times_is_averaged_with_a_note(grow, words):
     assert notes[0].startswith(f"on {len(heights)} slices the boundary was drawn more than once")
 
 
-def test_one_repeated_outline_does_not_divide_the_target(tmp_path):
+def test_one_repeated_outline_does_not_split_the_target(tmp_path):
     heights = slice_heights()
     contours = {n: [ellipse(h).points_lps] for n, h in enumerate(heights)}
     contours[7] = contours[7] * 2
@@ -156,7 +156,7 @@ def test_crossing_outlines_of_two_observers_are_averaged():
     assert "more than once" in notes[0]
 
 
-def test_outline_that_winds_twice_has_the_volume_of_one_winding():
+def test_outline_that_winds_twice_round_the_target_has_the_volume_of_one_winding():
     heights = slice_heights()
     contours = [Contour(np.concatenate([one, one]), False) for one in (ellipse(h).points_lps for h in heights)]
     mm3, _, _ = measured(contours)
@@ -179,7 +179,7 @@ def test_equal_outlines_in_two_items_of_one_structure_are_counted_once(tmp_path)
 
 
 @pytest.mark.parametrize(("inner", "is_xor"), [(0.88, False), (0.87, False), (1.0, True), (0.99, True)])
-def test_nested_outlines_that_may_be_two_boundaries_or_a_wall_are_refused(inner, is_xor):
+def test_nested_outlines_that_may_be_two_boundaries_or_a_thin_wall_are_refused(inner, is_xor):
     contours = [ellipse(h, grow=part, is_xor=is_xor) for h in slice_heights() for part in (1.0, inner)]
     with pytest.raises(OutlineError, match=r"nearly equal and cancel|drawn twice, or a thin wall") as error:
         measured(contours)
@@ -187,7 +187,7 @@ def test_nested_outlines_that_may_be_two_boundaries_or_a_wall_are_refused(inner,
     assert error.value.way_out.startswith("keep one of them")
 
 
-def test_nested_outlines_are_holes_and_islands_with_a_note():
+def test_nested_outlines_are_read_as_holes_and_islands_with_a_note():
     heights = slice_heights()
     hollow = [h for h in heights if abs(h) < 7.0]
     contours = [ellipse(h) for h in heights]
@@ -203,7 +203,7 @@ def test_nested_outlines_are_holes_and_islands_with_a_note():
     assert measured(as_xor)[2] == ()
 
 
-def test_parts_of_one_slice_add_up_and_an_ending_part_leaves_the_other_unchanged():
+def test_volumes_of_two_parts_add_up_if_one_part_ends_on_an_earlier_slice():
     radii = (3.0, 3.0, 1e6)
     heights = slice_heights(every=3, reach=11.0)
     long = [ellipse(h, radii=radii, shift=(-8.0, 0.0)) for h in heights]
@@ -219,7 +219,7 @@ def test_parts_of_one_slice_add_up_and_an_ending_part_leaves_the_other_unchanged
 @pytest.mark.parametrize(
     ("distance_mm", "first_mm"), [(0.5, -8.7), (0.4, -8.85), (2.5, -7.6), (5.0, -7.1), (1.0, -8.5)]
 )
-def test_outlines_between_slices_are_placed_by_position(distance_mm, first_mm):
+def test_outlines_between_slices_are_assigned_by_their_position(distance_mm, first_mm):
     heights = np.arange(first_mm, RADII_MM[2], distance_mm)
     mm3, middle, notes = measured([ellipse(h) for h in heights], may_be_between=True)
     assert mm3 == pytest.approx(sum(area_mm2(h) for h in heights) * distance_mm, rel=0.01)
@@ -267,7 +267,7 @@ def test_two_lesions_with_sparse_outlines_stay_separate(tmp_path):
     assert near.volume_mm3 == pytest.approx(sum(area_mm2(h - other[1], radii=(4, 4, 5)) for h in other) * 3.0, rel=0.01)
 
 
-def test_missing_outlines_of_a_dense_structure_are_filled_and_its_ends_not_extended():
+def test_missing_outlines_of_a_structure_on_every_slice_are_interpolated_and_its_ends_not_extended():
     heights = slice_heights()
     kept = heights[:5] + heights[6:]
     whole, _, _ = measured([ellipse(h) for h in heights])

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 from fork_trees import Points, made_tree
-from reported import airways, plan, volume, wall
+from phantom_plan import airways, plan, volume, wall
 
 from carina.cli.plan import lines
 from carina.plan import PREDICTOR_WORDS, PlannedRoute, route_predictors
@@ -44,7 +44,7 @@ def arc_tree(angle_deg: float, curvature: float) -> AirwayTree:
 
 @pytest.mark.parametrize("angle_deg", [0.0, 17.0, 42.0, 88.0, 130.0])
 @pytest.mark.parametrize("curvature", [0.0, 0.011, 0.03, 0.06])
-def test_predictors_of_analytic_tubes_equal_their_angle_diameter_and_curvature(
+def test_predictors_of_analytic_tubes_are_their_true_angle_diameter_and_curvature(
     angle_deg: float, curvature: float
 ) -> None:
     tree = arc_tree(angle_deg, curvature)
@@ -124,7 +124,7 @@ def _passage(passage: Passage) -> tuple[list[float], list[float]]:
     return passage.at_mm.tolist(), passage.diameter_mm.tolist()
 
 
-def test_least_diameter_of_the_whole_route_is_the_narrowest_diameter_of_the_route() -> None:
+def test_least_diameter_predictor_of_the_complete_route_is_the_narrowest_diameter_of_the_route() -> None:
     measures = measure_tree(volume(), airways())
     for route in plan().routes:
         whole = width_of_section(
@@ -138,11 +138,11 @@ def test_least_diameter_of_the_whole_route_is_the_narrowest_diameter_of_the_rout
         assert whole.mm == pytest.approx(route.narrowest_mm, abs=0.1)
 
 
-def test_curvature_of_a_short_route_is_not_known() -> None:
+def test_curvature_predictor_of_a_short_route_is_unknown() -> None:
     assert mean_curvature(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 9.0]]), 0.0, 9.0) is None
 
 
-def test_predictors_are_equal_in_json_and_wire_and_have_a_source_in_the_text() -> None:
+def test_predictors_are_equal_in_json_and_on_the_wire_and_have_a_source_in_the_text() -> None:
     for route in plan().routes:
         assert isinstance(route, PlannedRoute)
         sent = _route(route).predictors

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from reported import airways, clip, plan, sheet, still, turns, verdicts, volume, wall, with_drawn_branch
+from phantom_plan import airways, clip, plan, sheet, still, turns, verdicts, volume, wall, with_drawn_branch
 
 from carina.cli.plan import lines
 from carina.errors import CancelledError, CarinaError, UsageError
@@ -63,7 +63,7 @@ def everything() -> list[str]:
     return [text for part in sections(sheet()) for block in part.blocks for text in words_of(block) if text]
 
 
-def test_json_report_contains_the_plan_and_the_facts_of_the_report(tmp_path) -> None:
+def test_json_report_contains_the_plan_and_the_case_data_of_the_report(tmp_path) -> None:
     told = json.loads(write_report(tmp_path / "plan.json", sheet()).read_text())
     own = told.pop("report")
     made = plan().to_json() | {
@@ -105,7 +105,7 @@ def test_all_outputs_state_the_same_narrowest_diameter_of_a_route() -> None:
     assert (offer.fit == "fits") == stored["fits"] == (route.width.chance(plan().scope) >= 0.9)
 
 
-def test_report_page_makes_no_request_and_allows_only_its_content(tmp_path) -> None:
+def test_html_report_makes_no_request_and_its_security_policy_allows_only_its_own_content(tmp_path) -> None:
     text = page(tmp_path)
     assert "http" not in text.replace("http://www.w3.org/2000/svg", "").replace("http-equiv", "")
     assert not re.search(r"<(img|iframe|object|embed|form|base)\b", text) and " style=" not in text
@@ -118,7 +118,7 @@ def test_report_page_makes_no_request_and_allows_only_its_content(tmp_path) -> N
         assert f"{directive} 'sha256-{digest}'" in policy
 
 
-def test_user_text_is_shown_and_never_executed(tmp_path) -> None:
+def test_user_text_in_the_html_report_is_shown_and_never_executed(tmp_path) -> None:
     nasty = "</script><script>alert(1)</script><img src=x>"
     text = page(tmp_path, notes=(nasty,), patient=f"A & B {nasty}")
     assert text.count("alert(1)") >= 2 and "<script>alert" not in text and "<img" not in text
@@ -127,7 +127,7 @@ def test_user_text_is_shown_and_never_executed(tmp_path) -> None:
     assert json.loads(data)["needle"] and "<" not in data
 
 
-def test_branch_name_cannot_end_the_tree_data(tmp_path) -> None:
+def test_branch_name_with_a_closing_script_tag_does_not_end_the_tree_data_of_the_report(tmp_path) -> None:
     first = sheet().shape.branches[0]
     shape = dataclasses.replace(
         sheet().shape, branches=(dataclasses.replace(first, name="</script><b>"), *sheet().shape.branches[1:])
@@ -136,7 +136,7 @@ def test_branch_name_cannot_end_the_tree_data(tmp_path) -> None:
     assert "</script><b>" not in text
 
 
-def test_patient_is_named_only_on_request(tmp_path) -> None:
+def test_report_names_the_patient_only_on_request(tmp_path) -> None:
     scan = volume()
     source = dataclasses.replace(scan.source, title="DOE^JANE.nii.gz", acquired_on="2026-01-02")
     named = dataclasses.replace(scan, source=source)
@@ -148,7 +148,7 @@ def test_patient_is_named_only_on_request(tmp_path) -> None:
     assert "Jane Doe" in page(tmp_path, patient="Jane Doe")
 
 
-def test_page_has_all_sections_in_order_with_all_their_text(tmp_path) -> None:
+def test_html_report_has_all_sections_in_order_with_all_their_text(tmp_path) -> None:
     text = html.unescape(page(tmp_path))
     places = [text.index(f'<section id="{part.name}"') for part in sections(sheet())]
     assert places == sorted(places)
@@ -175,7 +175,7 @@ def test_figures_of_the_report_are_those_of_the_plan() -> None:
         assert turn.direction("head") in text and all(caution in text for caution in turn.cautions)
 
 
-def test_parts_drawn_by_hand_are_red_wherever_the_route_is_described(tmp_path) -> None:
+def test_parts_drawn_by_hand_are_red_wherever_the_report_describes_the_route(tmp_path) -> None:
     found, drawn_plan = with_drawn_branch()
     (doubt,) = drawn_plan.routes[0].doubts
     told = sheet(airways=found, plan=drawn_plan, turns=turns(found, drawn_plan))
@@ -200,7 +200,7 @@ def _strokes(told) -> list:
     return [shape for shape in drawing.shapes if isinstance(shape, Stroke)]
 
 
-def test_plan_without_a_route_gives_the_reason_and_no_tracing_sheet(tmp_path) -> None:
+def test_report_of_a_plan_without_a_route_states_the_reason_and_has_no_tracing_sheet(tmp_path) -> None:
     none = dataclasses.replace(
         plan(), routes=(), why="no route: the nearest airway found is RB4, 31 mm from the nodule"
     )
@@ -222,7 +222,7 @@ def test_tracing_sheet_is_a_separate_page_without_a_script(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(("num", "is_one"), [(5, True), (9, True), (12, True), (40, False)])
-def test_sheet_leaves_out_the_diagram_before_it_continues_on_another_page(num, is_one) -> None:
+def test_tracing_sheet_omits_the_diagram_before_it_continues_on_another_page(num, is_one) -> None:
     fork = sheet().forks[0]
     many = tuple(dataclasses.replace(fork, number=n, to_name=f"branch {n:03}") for n in range(1, num + 1))
     parts = [part for part in sections(dataclasses.replace(sheet(), forks=many)) if part.name.startswith("tracing")]
@@ -233,7 +233,7 @@ def test_sheet_leaves_out_the_diagram_before_it_continues_on_another_page(num, i
     assert text.count("counterclockwise") >= num, "moves of the hand"
 
 
-def test_report_of_another_route_describes_this_route_in_full() -> None:
+def test_report_of_the_second_route_describes_that_route_completely() -> None:
     told = sheet(route_number=2)
     route = plan().routes[1]
     assert told.route is route and told.forks[-1].to_branch_id == route.branch_id
@@ -242,7 +242,7 @@ def test_report_of_another_route_describes_this_route_in_full() -> None:
     assert told.forks[0].carina_mm == pytest.approx(0.0, abs=0.5)
 
 
-def test_forks_of_a_report_without_turns_have_the_distances_of_the_turns() -> None:
+def test_forks_in_a_report_without_a_turn_list_have_the_distances_of_the_turns() -> None:
     ridge = plan().carina_ridge_mm
     assert ridge is not None and 3.0 < ridge < 20.0
     told = [fork.carina_mm for fork in sheet().forks]
@@ -250,7 +250,7 @@ def test_forks_of_a_report_without_turns_have_the_distances_of_the_turns() -> No
     assert [fork.carina_mm for fork in sheet(turns=None).forks] == pytest.approx(told, abs=1e-6)
 
 
-def test_list_of_turns_of_another_route_is_refused() -> None:
+def test_report_refuses_a_turn_list_of_another_route() -> None:
     with pytest.raises(UsageError, match="the list of turns is that of another route: it turns into"):
         sheet(route_number=2, turns=sheet().turns)
 
@@ -285,7 +285,7 @@ def test_opening_without_an_hour_is_reported_in_table_and_tracing_sheet(
         assert changed_turn.hour_doubt.words in changed.forks[1].warnings
 
 
-def test_hours_depend_on_the_position_of_the_operator(tmp_path) -> None:
+def test_clock_hours_in_the_report_depend_on_the_position_of_the_operator(tmp_path) -> None:
     told = sheet(turns=sheet().turns, operator="facing")
     grid = next(
         b for part in sections(told) for b in part.blocks if part.name == "turns" and isinstance(b, ReportTable)
@@ -297,7 +297,7 @@ def test_hours_depend_on_the_position_of_the_operator(tmp_path) -> None:
     assert "operator facing the patient: posterior at 12" in write_report(tmp_path / "p.html", told).read_text()
 
 
-def test_pictures_of_turns_are_beside_their_turns(tmp_path) -> None:
+def test_pictures_of_turns_are_beside_their_turns_in_the_report(tmp_path) -> None:
     told = turns(airways(), plan())
     pictures = [still(turn, in_view=n != 1, shade=n) for n, turn in enumerate(told.turns)]
     text = page(tmp_path, turns=told, turn_pictures=pictures)
@@ -342,7 +342,7 @@ def test_clips_of_turns_are_hidden_beside_their_pictures_and_not_printed(tmp_pat
         sheet(turns=told, turn_clips=clips)
 
 
-def test_picture_of_a_bronchus_sign_has_its_position_in_the_middle(tmp_path) -> None:
+def test_slices_of_a_bronchus_sign_have_its_position_in_the_middle(tmp_path) -> None:
     place = plan().routes[0].leg.tip_lps
     signed = dataclasses.replace(plan(), bronchus_sign="into", sign_branch="RB4a", sign_lps=place)
     told = sheet(plan=signed)
@@ -352,7 +352,7 @@ def test_picture_of_a_bronchus_sign_has_its_position_in_the_middle(tmp_path) -> 
     assert "Bronchus sign: an airway leads into the target (RB4a)." in text
 
 
-def test_score_is_stated_with_the_weights_of_the_plan() -> None:
+def test_report_states_the_route_score_with_the_weights_of_the_plan() -> None:
     weighed = dataclasses.replace(plan(), weights=ScoreWeights(misses=0.0, way=0.0, angle=1.0, narrow=1.0))
     (part,) = [part for part in sections(sheet(plan=weighed)) if part.name == "score"]
     (grid,) = [block for block in part.blocks if isinstance(block, ReportTable)]
@@ -368,7 +368,7 @@ def test_report_states_that_a_boundary_was_drawn_by_hand() -> None:
     assert "Target: with a cavity of 0.2 ml." not in told.by_hand
 
 
-def test_obstacles_of_a_route_are_red(tmp_path) -> None:
+def test_obstacles_on_a_route_are_red_in_the_report(tmp_path) -> None:
     route = plan().routes[0]
     leg = dataclasses.replace(route.leg, mediastinum_mm=6.0, vessels=(NearVessel(9.0, 0.4, route.leg.aim_lps),))
     limited = dataclasses.replace(route, limits=("the bend asks 190 degrees", "too narrow"), leg=leg)
@@ -427,7 +427,7 @@ def test_pdf_without_its_library_is_refused_with_a_remedy(tmp_path, monkeypatch)
     assert caught.value.exit_code == 1 and list(tmp_path.iterdir()) == []
 
 
-def test_report_of_one_plan_written_twice_is_an_identical_page(tmp_path) -> None:
+def test_report_of_one_plan_written_twice_is_byte_for_byte_equal(tmp_path) -> None:
     first = page(tmp_path)
     assert write_report(tmp_path / "again.html", sheet()).read_text() == first
 
@@ -440,7 +440,7 @@ def test_target_as_dense_as_contrast_medium_is_reported_in_red(tmp_path) -> None
     assert "denser than soft tissue" not in page(tmp_path)
 
 
-def test_notes_too_long_for_the_tracing_sheet_have_a_reference() -> None:
+def test_tracing_sheet_refers_to_the_report_for_notes_that_do_not_fit() -> None:
     told = sheet(notes=tuple(f"Note number {n}" for n in range(12)))
     texts = {part.name: [w for b in part.blocks for w in words_of(b)] for part in sections(told)}
     assert sum(words.startswith("Note number") for words in texts["tracing"]) == 6
@@ -459,7 +459,7 @@ def test_notes_too_long_for_the_tracing_sheet_have_a_reference() -> None:
         ),
     ],
 )
-def test_first_sentence_summarises_the_instruments(outcomes, words) -> None:
+def test_first_sentence_of_the_report_summarises_the_verdicts_of_all_instruments(outcomes, words) -> None:
     told = tuple(dataclasses.replace(one, outcome=outcome) for one, outcome in zip(verdicts(), outcomes, strict=True))
     (_, target, *_) = sections(dataclasses.replace(sheet(), verdicts=told))
     (lead,) = [block.text for block in target.blocks if isinstance(block, Words) and block.tone == "lead"]
@@ -467,7 +467,7 @@ def test_first_sentence_summarises_the_instruments(outcomes, words) -> None:
 
 
 @pytest.mark.parametrize(("tissue", "before"), [("vessel", True), ("fissure", True), ("vessel", False)])
-def test_needle_through_vessel_or_fissure_is_warned_of_to_the_far_edge_of_the_target(tissue, before) -> None:
+def test_report_warns_of_vessel_or_fissure_on_the_needle_path_up_to_the_far_edge_of_the_target(tissue, before) -> None:
     route = plan().routes[0]
     way = [("lumen", 3.0), ("lung", 2.0), (tissue if before else "lung", 1.0), ("target", 9.0), (tissue, 2.0)]
     ends = np.cumsum([length for _, length in way])

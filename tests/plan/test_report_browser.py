@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from reported import clip, sheet, still
+from phantom_plan import clip, sheet, still
 
 from carina.plan.report import write_report
 from find_browser import find_browser
@@ -133,7 +133,7 @@ def letters(page: Any) -> dict[str, list[float]]:
     return found
 
 
-def test_tree_is_drawn_with_the_patient_right_on_the_left(opened) -> None:
+def test_tree_drawing_of_the_report_has_the_patient_right_on_the_left(opened) -> None:
     where = opened.evaluate(WHERE)
     assert where["grey"] > 2000 and where["num_blue"] > 500 and where["num_orange"] > 50
     # The target is in the right lung, so its LPS x is less than that of the middle of the tree.
@@ -157,7 +157,7 @@ def test_tree_is_drawn_with_the_patient_right_on_the_left(opened) -> None:
         ("Below", "i", "RLAP"),
     ],
 )
-def test_letters_and_pixels_of_the_tree_are_correct_from_every_side(opened, name, key, sides) -> None:
+def test_letters_and_pixels_of_the_tree_drawing_are_correct_from_every_side(opened, name, key, sides) -> None:
     left, right, up, down = sides
     opened.get_by_role("button", name=name).click()
     opened.evaluate(DRAWN)
@@ -174,7 +174,7 @@ def test_letters_and_pixels_of_the_tree_are_correct_from_every_side(opened, name
         assert opened.evaluate(WHERE)["orange"] > 0.55
 
 
-def test_pointer_and_keys_turn_the_tree_in_their_direction(opened) -> None:
+def test_pointer_and_keys_rotate_the_tree_drawing_in_their_direction(opened) -> None:
     tree = opened.locator("#tree")
     tree.scroll_into_view_if_needed()
     box = tree.bounding_box()
@@ -205,7 +205,7 @@ def test_no_element_of_the_report_is_wider_than_the_screen(opened, width) -> Non
 
 
 @pytest.mark.parametrize("paper", ["A4", "Letter"])
-def test_every_printed_page_has_header_and_footer_and_no_cut_element(opened, paper) -> None:
+def test_every_printed_page_of_the_report_has_header_and_footer_and_no_cut_element(opened, paper) -> None:
     pypdf = pytest.importorskip("pypdf", reason="needs pypdf")
     printed = pypdf.PdfReader(io.BytesIO(opened.pdf(format=paper, print_background=True)))
     texts = [page.extract_text() for page in printed.pages]
@@ -226,7 +226,7 @@ def test_every_printed_page_has_header_and_footer_and_no_cut_element(opened, pap
 
 
 @pytest.mark.parametrize("paper", ["A4", "Letter"])
-def test_sheet_alone_is_printed_on_one_page_with_text_of_at_least_8_points(tab, tmp_path_factory, paper) -> None:
+def test_tracing_sheet_is_printed_on_one_page_with_text_of_at_least_8_points(tab, tmp_path_factory, paper) -> None:
     pypdf = pytest.importorskip("pypdf", reason="needs pypdf")
     with shown(tab, tracing_sheet(tmp_path_factory.getbasetemp())):
         printed = pypdf.PdfReader(io.BytesIO(tab.pdf(format=paper, print_background=True)))
@@ -267,7 +267,7 @@ PLAYED = """() => new Promise((done) => {
 })"""
 
 
-def test_clip_plays_over_its_picture_on_a_click_and_stops_at_its_end(filmed) -> None:
+def test_video_of_a_turn_plays_over_its_picture_on_a_click_and_stops_at_its_end(filmed) -> None:
     first = filmed.locator(".clip").first
     button, slider = first.get_by_role("button"), first.get_by_role("slider")
     assert filmed.evaluate(SHADE) is None and slider.input_value() == "3"
@@ -281,7 +281,7 @@ def test_clip_plays_over_its_picture_on_a_click_and_stops_at_its_end(filmed) -> 
     assert played == sorted(played) and set(played) <= {0, 100, 200}
 
 
-def test_clip_can_be_moved_by_its_slider_and_print_shows_the_still(filmed) -> None:
+def test_slider_selects_a_frame_of_a_turn_video_and_print_shows_the_picture(filmed) -> None:
     slider = filmed.locator(".clip").first.get_by_role("slider")
     slider.focus()
     shades = []
@@ -298,7 +298,7 @@ def test_clip_can_be_moved_by_its_slider_and_print_shows_the_still(filmed) -> No
     assert filmed.locator(".picture svg").first.is_visible()
 
 
-def test_reduced_motion_setting_hides_the_play_button(filmed) -> None:
+def test_reduced_motion_setting_hides_the_play_button_of_turn_videos(filmed) -> None:
     button, slider = (filmed.locator(".clip").first.locator(name) for name in ("button", "input"))
     button.click()
     filmed.emulate_media(reduced_motion="reduce")

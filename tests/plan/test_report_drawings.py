@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from nodules import ellipsoid
-from reported import plan, sheet
+from phantom_plan import plan, sheet
 
 from carina.plan import tool
 from carina.plan.report.drawing import Disc, Label, Raster, Stroke, svg
@@ -93,7 +93,7 @@ def test_slices_show_the_target_in_the_middle_with_correct_sides() -> None:
         assert np.allclose((np.array(one.tip) - middle) * one.mm_per_px, [off[across], sign * off[down]], atol=0.01)
 
 
-def test_needle_plane_contains_tip_aim_and_target() -> None:
+def test_slice_along_the_needle_contains_tip_aim_and_target() -> None:
     one = sheet().needle_slice
     leg = plan().routes[0].leg
     assert one is not None and [lies_in for _, lies_in in one.needle] == [True]
@@ -126,7 +126,7 @@ TISSUES = get_args(Tissue)
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(TISSUES), st.floats(0.5, 20.0)), min_size=1, max_size=9))
-def test_needle_bar_shows_every_tissue_to_scale_without_overlapping_names(parts) -> None:
+def test_bar_of_tissues_along_the_needle_is_to_scale_without_overlapping_labels(parts) -> None:
     at, crossed = 0.0, []
     for tissue, length in parts:
         crossed.append(CrossedTissue(tissue, at, length))
@@ -183,7 +183,7 @@ def test_clock_face_shows_the_opening_at_its_hour() -> None:
 
 
 @given(st.lists(st.text("abc", min_size=1, max_size=12), max_size=30), st.floats(80.0, 300.0))
-def test_wrapped_lines_contain_every_word_and_fit_the_width(words, width) -> None:
+def test_wrapped_text_lines_contain_every_word_and_fit_the_width(words, width) -> None:
     lines = lines_of(" ".join(words), 9.0, width)
     assert " ".join(lines).split() == words
     assert all(text_width(line, 9.0) <= width or " " not in line for line in lines)

@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from reported import plan, sheet
+from phantom_plan import plan, sheet
 from test_report import SAFETY, everything
 
 from carina.errors import UsageError
@@ -35,7 +35,7 @@ def plain(text: str) -> str:
     return re.sub(r"\s+", "", text)
 
 
-def test_pdf_contains_every_word_of_the_html_page() -> None:
+def test_pdf_report_contains_every_word_of_the_html_report() -> None:
     found = plain("".join(page.extract_text() for page in pages()))
     assert [words for words in everything() if plain(words) not in found] == []
 
@@ -51,7 +51,7 @@ def test_every_pdf_page_has_the_disclaimer_and_the_name_of_the_target(paper, siz
 
 
 @pytest.mark.parametrize("paper", ["A4", "Letter"])
-def test_text_of_the_pdf_has_at_least_8_points(paper) -> None:
+def test_text_of_the_pdf_report_has_at_least_8_points(paper) -> None:
     sizes: list[tuple[float, str]] = []
 
     def visit(text: str, page: list[float], line: list[float], _font: object, size: float) -> None:
@@ -68,7 +68,7 @@ def test_pdf_of_one_plan_written_twice_has_identical_bytes(tmp_path) -> None:
     assert write_report(tmp_path / "plan.pdf", sheet()).read_bytes() == content()
 
 
-def test_fonts_are_embedded_and_slices_are_under_vector_outlines() -> None:
+def test_pdf_report_embeds_its_fonts_and_draws_outlines_as_vectors_over_the_slices() -> None:
     fonts = {}
     for page in pages():
         for font in page["/Resources"]["/Font"].values():
@@ -80,14 +80,14 @@ def test_fonts_are_embedded_and_slices_are_under_vector_outlines() -> None:
     assert first.get_contents().get_data().count(b" l ") + first.get_contents().get_data().count(b" l\n") > 100
 
 
-def test_tracing_sheet_of_the_pdf_is_one_page() -> None:
+def test_tracing_sheet_of_the_pdf_report_is_one_page() -> None:
     (only,) = pages("Letter", "tracing")
     text = plain(only.extract_text())
     assert all(plain(fork.to_name) in text for fork in sheet().forks)
 
 
 @pytest.mark.parametrize("paper", ["A4", "Letter"])
-def test_text_of_the_tracing_sheet_has_at_least_8_points(paper) -> None:
+def test_text_of_the_pdf_tracing_sheet_has_at_least_8_points(paper) -> None:
     sizes: list[float] = []
 
     def note(text: str, cm: list[float], tm: list[float], _font: object, size: float) -> None:
@@ -99,14 +99,14 @@ def test_text_of_the_tracing_sheet_has_at_least_8_points(paper) -> None:
     assert sizes and min(sizes) >= 8.0
 
 
-def test_letters_without_a_font_are_refused_with_their_names(tmp_path) -> None:
+def test_letters_missing_in_the_pdf_font_are_refused_with_their_unicode_numbers(tmp_path) -> None:
     with pytest.raises(UsageError, match=r"'\\u60a3' \(U\+60A3\)|'\u60a3' \(U\+60A3\)"):
         write_report(tmp_path / "plan.pdf", sheet(patient="\u60a3\u8005"))
     assert "\u60a3\u8005" in write_report(tmp_path / "plan.html", sheet(patient="\u60a3\u8005")).read_text()
     assert write_report(tmp_path / "named.pdf", sheet(patient="J\u00f6rg M\u00fcller")).stat().st_size > 1000
 
 
-def test_note_longer_than_a_page_and_long_name_are_laid_out_in_full(tmp_path) -> None:
+def test_note_longer_than_a_page_and_a_long_name_are_printed_completely(tmp_path) -> None:
     note = " ".join(f"word{n:04}" for n in range(1500))
     name = "Wolfeschlegelsteinhausenbergerdorff Hubert Blaine " * 2
     written = write_report(tmp_path / "long.pdf", sheet(notes=(note,), patient=name.strip()))
@@ -116,7 +116,7 @@ def test_note_longer_than_a_page_and_long_name_are_laid_out_in_full(tmp_path) ->
     assert all(plain(name) in plain(page.extract_text()) for page in read)
 
 
-def test_target_in_the_tree_of_the_pdf_is_transparent() -> None:
+def test_target_in_the_tree_drawing_of_the_pdf_is_transparent() -> None:
     states = [
         state
         for page in pages()

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from reported import airways, plan, volume
+from phantom_plan import airways, plan, volume
 
 from carina.plan import distance_origin, ebus_landmarks, route_stations
 from carina.plan.route_stations import NEXT_TO_MM
 
 
-def test_stations_are_those_on_the_route_or_next_to_the_target() -> None:
+def test_stations_of_a_route_are_those_on_the_route_or_next_to_the_target() -> None:
     route = plan().routes[0]
     tree = airways().tree
     origin = distance_origin(volume(), airways())

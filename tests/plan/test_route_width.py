@@ -40,7 +40,7 @@ def end_of(tree: AirwayTree, **options) -> RouteWidth:
     return widths_on_the_way(tree, None, measures, SPACING_MM)[tree.branches[-1].id][-1]
 
 
-def test_measured_route_has_the_diameter_of_its_sections_not_of_the_lumen() -> None:
+def test_diameter_of_a_measured_route_is_that_of_its_cross_sections_and_not_of_the_inscribed_ball() -> None:
     tree = straight("tracked", radius_mm=1.1)
     found = end_of(tree, widths_mm={0: np.full(60, 14.0), 1: np.full(60, 3.4)})
     assert found.mm == pytest.approx(3.4) and found.source == "sections" and found.why is None
@@ -66,7 +66,7 @@ def test_noise_of_many_sections_does_not_bias_the_narrowest_diameter(num_noisy: 
     assert np.mean(single) < -0.2
 
 
-def test_wide_and_narrow_parts_beyond_the_noise_keep_their_diameters() -> None:
+def test_widenings_and_narrowings_larger_than_the_noise_retain_their_diameters() -> None:
     tree = straight("tracked", num=160)
     at = np.arange(160)
     true = 5.0 - 1.5 * np.exp(-np.square((at - 80) / 12.0))
@@ -75,7 +75,7 @@ def test_wide_and_narrow_parts_beyond_the_noise_keep_their_diameters() -> None:
     assert found.mm == pytest.approx(3.5, abs=0.1)
 
 
-def test_sections_at_forks_are_less_certain() -> None:
+def test_diameters_of_cross_sections_at_forks_have_larger_errors() -> None:
     tree = straight("tracked", "tracked")
     measures = exact_measures(tree, widths_mm={0: np.full(60, 14.0)})
     own = measures.branches[1]
@@ -88,7 +88,7 @@ def test_sections_at_forks_are_less_certain() -> None:
     assert fork.mm == pytest.approx(5.0) and fork.error_mm > away.error_mm + 0.1
 
 
-def test_single_missing_section_is_shown_by_its_neighbours() -> None:
+def test_single_missing_cross_section_is_bridged_by_its_neighbours() -> None:
     tree = straight("tracked")
     for missing in (slice(30, 31), slice(58, 60)):
         found = end_of(tree, missing={1: missing})
@@ -96,7 +96,7 @@ def test_single_missing_section_is_shown_by_its_neighbours() -> None:
     assert end_of(tree, missing={1: slice(28, 34)}).source == "ball", "no section shows the middle"
 
 
-def test_missing_sections_inside_the_lumen_of_the_parent_leave_no_gap() -> None:
+def test_cross_sections_missing_inside_the_lumen_of_the_parent_do_not_make_the_route_unmeasured() -> None:
     tree = straight("tracked")
     first = {0: np.full(60, 14.0)}
     assert end_of(tree, widths_mm=first, missing={1: slice(0, 8)}).source == "sections"
@@ -122,7 +122,7 @@ def test_section_that_the_end_of_the_ct_cuts_is_measured_by_the_rest_of_its_wall
 
 @settings(deadline=None, max_examples=30)
 @given(at=st.integers(5, 50), num=st.integers(2, 8), narrow_mm=st.floats(1.0, 3.0))
-def test_narrowing_shorter_than_a_diameter_is_never_ignored(at: int, num: int, narrow_mm: float) -> None:
+def test_narrowing_shorter_than_a_diameter_limits_the_scope_that_fits(at: int, num: int, narrow_mm: float) -> None:
     tree = straight("tracked")
     widths = np.full(60, 6.0)
     widths[at : at + num] = narrow_mm
@@ -133,7 +133,7 @@ def test_narrowing_shorter_than_a_diameter_is_never_ignored(at: int, num: int, n
     assert found.fit(thick) == "does not fit"
 
 
-def test_start_of_a_branch_is_as_narrow_as_its_first_valid_section() -> None:
+def test_start_of_a_branch_has_the_diameter_of_its_first_valid_cross_section() -> None:
     tree = straight("tracked")
     measures = exact_measures(tree, widths_mm={0: np.full(60, 14.0), 1: np.full(60, 3.0)})
     at_junction = np.arange(60) < 20
@@ -149,7 +149,7 @@ def test_start_of_a_branch_is_as_narrow_as_its_first_valid_section() -> None:
         assert measures.narrowest_of_route([0, 1], until_mm=until).mm == pytest.approx(3.0)
 
 
-def test_one_narrow_section_widens_the_error_and_not_the_diameter() -> None:
+def test_one_narrow_cross_section_widens_the_error_and_not_the_diameter() -> None:
     tree = straight("tracked")
     widths = np.full(60, 6.0)
     widths[30] = 3.0
@@ -157,7 +157,7 @@ def test_one_narrow_section_widens_the_error_and_not_the_diameter() -> None:
     assert found.mm == pytest.approx(6.0) and found.lower_mm <= 3.0
 
 
-def test_narrowest_diameter_of_a_slit_is_its_narrow_side() -> None:
+def test_narrowest_diameter_of_a_flat_lumen_is_its_narrow_side() -> None:
     tree = straight("tracked")
     found = end_of(tree, flat=0.5, error_mm=0.2)
     assert found.mm == pytest.approx(3.0 + 0.2 * SECTION_ERROR) and found.lower_mm <= 3.0
@@ -175,7 +175,7 @@ def test_branch_not_visible_in_the_ct_uses_the_inscribed_ball_with_a_note(kind: 
     assert before.source == "sections" and before.error_mm < found.error_mm
 
 
-def test_route_with_unmeasured_last_sections_is_not_more_certain() -> None:
+def test_fit_of_a_scope_is_less_certain_if_the_last_cross_sections_are_unmeasured() -> None:
     tree = straight("tracked")
     whole = end_of(tree)
     part = end_of(tree, missing={1: slice(45, 60)})
@@ -192,7 +192,7 @@ def test_route_with_unmeasured_last_sections_is_not_more_certain() -> None:
     errors=st.floats(0.05, 0.6),
     drawn=st.integers(0, 4),
 )
-def test_route_never_widens_and_its_lower_bound_covers_every_position(
+def test_narrowest_diameter_never_increases_along_a_route_and_its_lower_bound_covers_every_position(
     widths: list[float], errors: float, drawn: int
 ) -> None:
     kinds = ["manual" if n == drawn else "tracked" for n in range(len(widths))]
@@ -209,7 +209,7 @@ def test_route_never_widens_and_its_lower_bound_covers_every_position(
 
 @settings(deadline=None, max_examples=50)
 @given(mm=st.floats(1.0, 9.0), error_mm=st.floats(0.0, 3.0), tip_mm=st.floats(2.0, 7.0), more_mm=st.floats(0.0, 2.0))
-def test_scope_fits_only_where_the_interval_allows_it(
+def test_scope_is_judged_to_fit_only_if_its_diameter_is_below_the_interval_of_the_route_width(
     mm: float, error_mm: float, tip_mm: float, more_mm: float
 ) -> None:
     width = RouteWidth(mm, error_mm, 50.0)
@@ -230,7 +230,7 @@ def test_scope_fits_only_where_the_interval_allows_it(
     assert f"{mm:.1f} \u00b1 {error_mm:.1f} mm wide" in check.words
 
 
-def test_measures_of_another_tree_or_an_earlier_method_are_not_used() -> None:
+def test_measurements_of_another_tree_or_by_an_earlier_method_are_not_used() -> None:
     tree = straight("tracked")
     assert matches_tree(exact_measures(tree), tree)
     assert not matches_tree(exact_measures(tree, method=1), tree)
@@ -238,7 +238,7 @@ def test_measures_of_another_tree_or_an_earlier_method_are_not_used() -> None:
     assert not matches_tree(exact_measures(straight("tracked", num=50)), tree)
 
 
-def test_width_is_plain_json_and_invalid_widths_are_refused() -> None:
+def test_route_width_is_plain_json_and_invalid_widths_are_refused() -> None:
     width = RouteWidth(3.2, 0.4, 91.0, "ball", "branch 7 was drawn by hand 91 mm along the route")
     assert json.loads(json.dumps(width.to_json())) == {
         "narrowest_mm": 3.2,

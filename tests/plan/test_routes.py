@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 from nodules import ellipsoid
-from reported import CHEST, plan, wall
+from phantom_plan import CHEST, plan, wall
 
 import carina
+from cached_test_data import made_airways, made_phantom
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import (
     NeedleErrors,
@@ -39,7 +40,6 @@ from carina.plan.routes.standing_points import Places
 from carina.scopes import ScopePreset, WallField, scope_preset
 from carina.track import Airways, measure_tree
 from carina.volume import Volume
-from made import made_airways, made_phantom
 
 
 def truth() -> dict[str, Any]:
@@ -81,7 +81,7 @@ def off_line_mm(line: np.ndarray, point: np.ndarray) -> float:
     return float(np.linalg.norm(start + share[:, None] * step - point, axis=1).min())
 
 
-def test_route_to_a_nodule_beside_an_airway_reaches_it_in_the_true_airways() -> None:
+def test_route_to_a_nodule_beside_an_airway_arrives_there_in_the_ground_truth_airways() -> None:
     best = plan().routes[0]
     tip, aim = np.array(best.leg.tip_lps), np.array(truth()["centre_lps"])
     to_edge = np.linalg.norm(aim - tip) - truth()["radius_mm"]
@@ -108,7 +108,7 @@ def test_tissue_on_the_needle_path_is_listed_in_order_without_gaps() -> None:
     assert 0.0 < reached.hit_share_moved < reached.hit_share
 
 
-def test_no_position_on_any_branch_scores_better_than_the_first_route() -> None:
+def test_first_route_has_the_best_score_of_all_evaluated_positions() -> None:
     volume, airways, found = made_phantom(**CHEST).volume, made_airways(**CHEST), plan()
     nodule = found.nodule
     around = surroundings(volume, np.array(nodule.centre_lps), 50.0, nodule, wall())
@@ -140,7 +140,7 @@ def test_no_position_on_any_branch_scores_better_than_the_first_route() -> None:
     assert [route.score for route in plan().routes] == sorted((route.score for route in plan().routes), reverse=True)
 
 
-def test_no_position_between_points_of_the_branch_scores_better_than_the_first_route() -> None:
+def test_parking_position_of_the_first_route_is_best_also_between_evaluated_positions() -> None:
     airways, found = made_airways(**CHEST), plan()
     first, nodule = found.routes[0], found.nodule
     around = surroundings(made_phantom(**CHEST).volume, np.array(nodule.centre_lps), 50.0, nodule, wall())
@@ -174,13 +174,13 @@ def test_no_position_between_points_of_the_branch_scores_better_than_the_first_r
     assert first.score * (first.chance if first.outlook == "may reach" else 1.0) >= max(scores) - 0.004
 
 
-def test_at_least_two_routes_are_listed_and_end_at_separate_positions() -> None:
+def test_at_least_two_routes_with_separate_end_positions_are_listed() -> None:
     tips = [np.array(route.leg.tip_lps) for route in plan().routes]
     assert len(tips) >= 2
     assert min(np.linalg.norm(a - b) for n, a in enumerate(tips) for b in tips[:n]) > 4.0
 
 
-def test_better_of_two_routes_close_together_is_listed() -> None:
+def test_only_the_better_of_two_routes_that_end_close_together_is_listed() -> None:
     best, other = plan().routes[:2]
     x, y, z = best.leg.tip_lps
     beside = dataclasses.replace(
@@ -193,7 +193,7 @@ def test_better_of_two_routes_close_together_is_listed() -> None:
     assert standing_apart([best, apart]) == (best, apart)
 
 
-def test_route_that_the_scope_reaches_precedes_a_better_unreachable_route() -> None:
+def test_route_that_the_scope_reaches_is_listed_before_an_unreachable_route_with_a_better_score() -> None:
     best, other = plan().routes[:2]
     near = dataclasses.replace(best, outlook="does not reach")
     far = dataclasses.replace(other, outlook="reaches", score=0.1)
@@ -222,7 +222,7 @@ def test_limits_of_the_scope_are_reported_with_their_figures() -> None:
     )
 
 
-def test_route_over_a_doubtful_branch_may_reach_even_if_its_drive_arrives() -> None:
+def test_route_along_a_doubtful_branch_may_reach_even_if_its_simulated_drive_arrives() -> None:
     airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
     sure = plan_ahead().routes[0]
     doubted = plan_route(
@@ -233,7 +233,7 @@ def test_route_over_a_doubtful_branch_may_reach_even_if_its_drive_arrives() -> N
     assert doubted.hold is not None
 
 
-def test_figures_of_a_driven_route_equal_those_of_its_verdict() -> None:
+def test_figures_of_a_route_with_a_simulated_drive_equal_those_of_its_verdict() -> None:
     found = plan_ahead()
     first = found.routes[0]
     verdict = judge_scope(made_airways(**CHEST).tree, found, wall(), found.scope)
@@ -247,7 +247,9 @@ def test_figures_of_a_driven_route_equal_those_of_its_verdict() -> None:
     assert repeated.to_json() == verdict.to_json()
 
 
-def test_first_route_is_driven_even_if_no_attainable_direction_hits(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_first_route_is_simulated_even_if_no_attainable_direction_hits_the_target(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     volume, airways = made_phantom(**CHEST).volume, made_airways(**CHEST)
     monkeypatch.setattr(TipDirections, "towards", lambda *_given: None)
     found = plan_route(volume, airways, nodule_ahead(), wall=wall(), scope=slim(), drives=1)
@@ -257,14 +259,14 @@ def test_first_route_is_driven_even_if_no_attainable_direction_hits(monkeypatch:
     assert share == first.leg.hit_share > 0.0
 
 
-def test_route_that_is_not_driven_may_reach() -> None:
+def test_route_with_an_estimated_outlook_has_no_tip_pose_of_a_simulated_drive() -> None:
     volume, airways = made_phantom(**CHEST).volume, made_airways(**CHEST)
     estimated = plan_route(volume, airways, nodule_ahead(), wall=wall(), scope=slim(), drives=0).routes[0]
     assert (estimated.outlook, estimated.hold) == ("reaches", None), "with drives=0 outlooks are estimated"
     assert plan_ahead().routes[0].hold is not None
 
 
-def test_needle_that_does_not_pass_the_channel_reaches_nothing() -> None:
+def test_outlook_of_a_needle_that_does_not_pass_the_channel_is_does_not_reach() -> None:
     volume, airways = made_phantom(**CHEST).volume, made_airways(**CHEST)
     narrow = dataclasses.replace(slim(), channel_mm=1.2)
     route = plan_route(volume, airways, nodule_ahead(), wall=wall(), scope=narrow).routes[0]
@@ -272,7 +274,7 @@ def test_needle_that_does_not_pass_the_channel_reaches_nothing() -> None:
     assert any("the working channel has 1.2 mm" in limit for limit in route.limits)
 
 
-def test_each_aim_has_its_best_route_and_the_route_names_its_aim() -> None:
+def test_best_route_to_each_aim_is_listed_and_states_its_aim() -> None:
     volume, airways, nodule = made_phantom(**CHEST).volume, made_airways(**CHEST), plan().nodule
     centre = np.array(nodule.centre_lps)
     aims = [centre, centre - [0.0, 5.0, 0.0], centre - [0.0, 0.0, 5.0]]
@@ -296,7 +298,7 @@ def test_each_aim_has_its_best_route_and_the_route_names_its_aim() -> None:
         plan_route(volume, airways, nodule, aims=[centre] * 4, wall=wall())
 
 
-def test_tools_are_those_that_pass_the_channel_and_reach_the_target() -> None:
+def test_compared_tools_are_those_that_pass_the_channel_and_reach_the_target() -> None:
     for route in plan().routes:
         reach = {one.name for one in tools() if one.pierces and one.reach_mm >= route.leg.to_target_mm}
         assert set(route.tools) == reach, "all needles pass 2.0 mm; no other tool leaves the lumen"
@@ -309,7 +311,7 @@ def test_tools_are_those_that_pass_the_channel_and_reach_the_target() -> None:
     )
 
 
-def test_target_in_the_lumen_is_reached_by_forceps_and_one_outside_is_not() -> None:
+def test_forceps_reach_a_target_in_the_lumen_and_not_one_outside_it() -> None:
     volume, airways = made_phantom(**CHEST).volume, made_airways(**CHEST)
     bronchus = airways.tree.named("LMB")
     middle = len(bronchus.points) // 2
@@ -335,7 +337,7 @@ def test_target_in_the_trachea_is_reached_from_the_trachea() -> None:
     assert best.from_carina_mm < 0.0 and best.from_carina_mm == best.along_mm - origin.along_mm
 
 
-def test_plan_is_plain_json_and_equal_for_a_click_and_its_grown_nodule() -> None:
+def test_plan_is_plain_json_and_equal_for_a_click_and_for_the_nodule_segmented_from_it() -> None:
     said = plan().to_json()
     assert json.loads(json.dumps(said)) == said
     assert said["weights"] == {name: getattr(ScoreWeights(), name) for name in ScoreWeights.__slots__}
@@ -350,7 +352,7 @@ def test_plan_is_plain_json_and_equal_for_a_click_and_its_grown_nodule() -> None
     assert again.to_json() == said
 
 
-def test_route_over_a_drawn_bridged_or_doubtful_branch_reports_it() -> None:
+def test_route_along_a_drawn_bridged_or_doubtful_branch_has_a_doubt() -> None:
     airways, best = made_airways(**CHEST), plan().routes[0]
     parent = airways.tree.branch(best.branch_id).parent
     name = airways.tree.branch(parent).name or f"branch {parent}"
@@ -375,7 +377,7 @@ def test_plan_without_a_near_airway_reports_it_with_a_remedy() -> None:
     assert "A short needle reaches 1 mm" in found.why and "percutaneous" in found.why
 
 
-def test_bronchus_sign_distinguishes_a_bronchus_into_and_beside_a_nodule() -> None:
+def test_bronchus_sign_distinguishes_a_bronchus_that_enters_a_nodule_from_one_beside_it() -> None:
     airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
     tip = next(one for one in airways.tree.tips() if one.generation >= 5 and one.length_mm > 8.0)
     ahead = tip.points[-1] - tip.points[-4]
@@ -395,7 +397,7 @@ def test_bronchus_sign_distinguishes_a_bronchus_into_and_beside_a_nodule() -> No
     assert sign(far).bronchus_sign == "none"
 
 
-def test_lower_lobe_is_assumed_to_move_farther_than_the_upper_lobe() -> None:
+def test_default_movement_of_a_plan_is_larger_in_the_lower_than_in_the_upper_lobe() -> None:
     airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
     for name, moved_mm in (("RLL", 20.0), ("RUL", 15.0)):
         place = airways.tree.named(name).points[-1]
@@ -416,7 +418,7 @@ def test_plan_with_an_invalid_argument_is_refused_with_a_message() -> None:
         plan_route(volume, airways, plan().nodule, wall=wall(), cancel=lambda: True)
 
 
-def test_progress_never_decreases_and_ends_at_one() -> None:
+def test_progress_of_route_planning_never_decreases_and_ends_at_one() -> None:
     told: list[float] = []
     plan_route(
         made_phantom(**CHEST).volume,
@@ -440,7 +442,7 @@ def tube() -> tuple[Volume, WallField]:
     return Volume(hu.astype(np.int16), place), WallField.from_distances(3.0 - off, place)
 
 
-def test_last_leg_in_a_straight_tube_has_the_drawn_distances_and_angle() -> None:
+def test_needle_path_from_a_straight_tube_has_the_drawn_distances_and_angle() -> None:
     volume, field = tube()
     nodule = ellipsoid((5.0, 5.0, 5.0), (20.0, 0.0, 0.0))
     around = surroundings(volume, np.array(nodule.centre_lps), 30.0, nodule, field)
@@ -457,7 +459,7 @@ def test_last_leg_in_a_straight_tube_has_the_drawn_distances_and_angle() -> None
     assert [one.tissue for one in leg.crossed] == ["lumen", "airway wall", "lung", "target", "lung"]
 
 
-def test_vessels_nearer_than_the_margin_are_listed_with_their_position() -> None:
+def test_vessels_nearer_to_the_needle_than_the_margin_are_listed_with_their_position() -> None:
     volume, field = tube()
     nodule = ellipsoid((5.0, 5.0, 5.0), (20.0, 0.0, 0.0))
     around = surroundings(volume, np.array(nodule.centre_lps), 30.0, nodule, field)
@@ -472,7 +474,7 @@ def test_vessels_nearer_than_the_margin_are_listed_with_their_position() -> None
     assert last_leg(closer, np.zeros(3), np.array([0.0, 0.0, 1.0])).vessels == ()
 
 
-def test_vessel_and_chest_wall_beyond_the_target_are_measured_from_its_far_edge() -> None:
+def test_distances_to_vessel_and_chest_wall_behind_the_target_are_measured_from_its_far_edge() -> None:
     z, y, x = np.mgrid[-40:41, -40:41, -40:41].astype(np.float32)
     off = np.hypot(x, y)
     hu = np.where(off < 3.0, -1000.0, np.where(off < 4.0, 0.0, -860.0))
@@ -505,11 +507,11 @@ def test_vessel_on_the_needle_path_is_named() -> None:
     assert leg.vessel_mm == 0.0
 
 
-def test_plan_route_is_exported_by_the_package() -> None:
+def test_function_plan_route_is_available_from_the_top_level_package() -> None:
     assert carina.plan_route is plan_route
 
 
-def test_tissue_outside_the_examined_box_is_neither_lung_nor_vessel() -> None:
+def test_tissue_outside_the_examined_box_is_listed_neither_as_lung_nor_as_vessel() -> None:
     volume, field = tube()
     nodule = ellipsoid((5.0, 5.0, 5.0), (20.0, 0.0, 0.0))
     scene = NeedleScene(
@@ -531,7 +533,7 @@ def test_tissue_outside_the_examined_box_is_neither_lung_nor_vessel() -> None:
     ]
 
 
-def test_left_and_right_lower_lobe_are_assumed_to_move_equally() -> None:
+def test_default_movement_of_a_plan_is_equal_in_left_and_right_lower_lobe() -> None:
     airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
     place = airways.tree.named("LLL").points[-1]
     assert plan_route(volume, airways, ellipsoid((3.0, 3.0, 3.0), place), wall=wall()).moved_mm == 20.0

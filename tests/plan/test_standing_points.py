@@ -38,7 +38,9 @@ def bent(bend_deg: float, radius_mm: float, *, straight_mm: float = 80.0) -> Air
 
 @settings(deadline=None, max_examples=30)
 @given(bend_deg=st.floats(5.0, 150.0), radius_mm=st.floats(8.0, 16.0))
-def test_required_bend_of_a_route_along_one_circle_is_its_angle(bend_deg: float, radius_mm: float) -> None:
+def test_required_bend_of_a_route_along_a_circular_arc_is_the_angle_of_the_arc(
+    bend_deg: float, radius_mm: float
+) -> None:
     tree = bent(bend_deg, radius_mm)
     places = Places(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
@@ -61,7 +63,7 @@ def test_required_bend_does_not_decrease_along_a_route() -> None:
     assert bends == sorted(bends)
 
 
-def test_narrowest_point_is_where_the_lumen_is_narrow() -> None:
+def test_narrowest_position_of_a_route_is_where_the_lumen_is_narrow() -> None:
     tree = bent(30.0, 15.0)
     radius = tree.branches[1].radius.copy()
     radius[40:44] = 1.4
@@ -78,7 +80,9 @@ def test_narrowest_point_is_where_the_lumen_is_narrow() -> None:
 
 @settings(deadline=None, max_examples=10)
 @given(at_mm=st.floats(31.0, 130.0))
-def test_points_near_a_position_are_on_the_centreline_and_not_wider_than_the_route(at_mm: float) -> None:
+def test_further_positions_near_a_route_position_are_on_the_centreline_and_not_wider_than_the_route(
+    at_mm: float,
+) -> None:
     tree = bent(70.0, 12.0)
     radius = np.interp(np.arange(len(tree.branches[1].points)), [0, 400], [3.0, 0.5])
     tree = AirwayTree((tree.root, dataclasses.replace(tree.branches[1], radius=radius)))
@@ -108,7 +112,7 @@ def test_points_near_a_position_are_on_the_centreline_and_not_wider_than_the_rou
 
 @settings(deadline=None, max_examples=30)
 @given(tip_mm=st.floats(3.0, 7.0), more_mm=st.floats(0.01, 2.0))
-def test_thicker_scope_is_never_more_likely_to_arrive(tip_mm: float, more_mm: float) -> None:
+def test_thicker_scope_never_has_a_higher_chance_to_arrive(tip_mm: float, more_mm: float) -> None:
     tree = bent(90.0, 14.0)
     places = Places(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
@@ -134,7 +138,9 @@ def test_thicker_scope_is_never_more_likely_to_arrive(tip_mm: float, more_mm: fl
         (6.5, 60.0, "does not reach"),
     ],
 )
-def test_outlook_is_the_worst_of_width_and_bend(tip_mm: float, most_deg: float, outlook: str) -> None:
+def test_outlook_of_a_route_is_the_worse_of_those_by_width_and_by_bend(
+    tip_mm: float, most_deg: float, outlook: str
+) -> None:
     scope = dataclasses.replace(
         scope_preset("thin"), tip_mm=tip_mm, tube_mm=None, flexion_deg=(most_deg, most_deg), bending_mm=(40.0, 40.0)
     )
@@ -149,7 +155,7 @@ def test_outlook_is_the_worst_of_width_and_bend(tip_mm: float, most_deg: float, 
     assert found == outlook and (limits == ()) == (outlook == "reaches")
 
 
-def test_scope_of_unknown_flexion_has_no_certain_outlook() -> None:
+def test_outlook_of_a_scope_with_unknown_flexion_is_may_reach() -> None:
     tree = bent(90.0, 14.0)
     places = Places(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
@@ -162,7 +168,9 @@ def test_scope_of_unknown_flexion_has_no_certain_outlook() -> None:
 @pytest.mark.parametrize(
     ("to_target_mm", "outlook"), [(9.0, "reaches"), (14.8, "may reach"), (15.0, "may reach"), (15.9, "does not reach")]
 )
-def test_tool_that_just_reaches_the_edge_may_reach_the_target(to_target_mm: float, outlook: str) -> None:
+def test_outlook_of_a_tool_that_just_reaches_the_edge_of_the_target_is_may_reach(
+    to_target_mm: float, outlook: str
+) -> None:
     tree = bent(20.0, 14.0)
     end = tree.branches[1].points[-1]
     places = Places(tree, ellipsoid((3.0, 3.0, 3.0), end), measures=exact_measures(tree, error_mm=0.28))

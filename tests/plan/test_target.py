@@ -37,7 +37,7 @@ def same(one: Nodule, other: Nodule) -> bool:
 
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), shape=st.tuples(*[st.integers(1, 9)] * 3))
-def test_nodule_round_trips_through_its_record_bit_for_bit(seed, shape):
+def test_nodule_is_restored_from_its_record_bit_for_bit(seed, shape):
     rng = np.random.default_rng(seed)
     inside = rng.random(shape) < 0.5
     inside[tuple(rng.integers(0, shape))] = True
@@ -52,7 +52,7 @@ def test_nodule_round_trips_through_its_record_bit_for_bit(seed, shape):
     assert same(Nodule.from_record(json.loads(json.dumps(made.to_record()))), made)
 
 
-def test_target_round_trips_through_its_record_and_a_mass_stays_small():
+def test_target_is_restored_from_its_record_and_the_record_of_a_large_mass_is_small():
     made = a_target(nodule=ellipsoid((25.0, 25.0, 25.0)), note="PET positive\nbefore surgery", priority=3)
     text = json.dumps(made.to_record())
     assert len(text) < 40_000
@@ -115,13 +115,13 @@ def test_target_with_an_invalid_field_is_refused(changed):
         a_target(**changed)
 
 
-def test_aim_outside_the_target_is_refused_with_its_distance():
+def test_aim_outside_the_target_is_refused_with_its_distance_from_the_target():
     with pytest.raises(UsageError, match=r"aim 2 lies 4\.\d mm outside the target") as error:
         a_target(aims=((3.0, -7.0, 40.0), (15.2, -7.0, 40.0)))
     assert error.value.code == "plan.aims"
 
 
-def test_aims_of_a_long_nodule_are_its_middle_and_both_ends():
+def test_proposed_aims_of_a_long_nodule_are_its_middle_and_both_ends():
     nodule = ellipsoid((14.0, 6.0, 5.0))
     middle, near, far = proposed_aims(nodule, near_lps=(40.0, 0.0, 40.0))
     assert middle == pytest.approx(nodule.centre_lps, abs=0.3)
@@ -131,7 +131,7 @@ def test_aims_of_a_long_nodule_are_its_middle_and_both_ends():
     assert len(proposed_aims(ellipsoid((2.5, 2.0, 2.0)))) == 1
 
 
-def test_middle_of_a_hollow_nodule_is_in_its_wall():
+def test_proposed_aim_of_a_hollow_nodule_is_in_its_wall():
     whole = ellipsoid((9.0, 9.0, 9.0))
     z, y, x = np.indices(whole.inside_zyx.shape) - (np.array(whole.inside_zyx.shape) // 2)[:, None, None, None]
     hollow = whole.inside_zyx & (np.sqrt(x * x + y * y + z * z) * 0.5 > 5.0)
@@ -144,7 +144,7 @@ def test_middle_of_a_hollow_nodule_is_in_its_wall():
     assert all(made.contains([aim])[0] for aim in proposed_aims(made))
 
 
-def test_edited_boundary_keeps_the_aims_that_are_still_inside():
+def test_target_with_an_edited_boundary_retains_the_aims_that_are_still_inside():
     made = a_target(nodule=ellipsoid((14.0, 6.0, 5.0)))
     made = a_target(nodule=made.nodule, aims=proposed_aims(made.nodule))
     edited = made.with_nodule(ellipsoid((5.0, 5.0, 5.0)))

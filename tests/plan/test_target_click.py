@@ -9,7 +9,7 @@ from painted_nodules import Scene, painted
 from carina.plan import target_from_click
 
 
-def test_click_gives_a_target_with_its_region():
+def test_click_on_a_nodule_gives_a_target_with_its_anatomical_region():
     volume, _, middle = painted(Scene(pleura_mm=3.0))
     at = middle + np.array([-1.5, 0.0, 0.5])
     target = target_from_click(volume, at, target_id="t7", name="nodule in RB2")

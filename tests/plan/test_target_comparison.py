@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
-from reported import plan
+from phantom_plan import plan
 
 from carina.errors import UsageError
 from carina.plan import ORDER_RULE, Plan, TargetDoubt, compare_targets
@@ -18,7 +18,7 @@ def changed(**values: object) -> Plan:
     return dataclasses.replace(plan(), routes=(dataclasses.replace(plan().routes[0], **values),))
 
 
-def test_targets_are_ordered_by_outlook_then_doubts_then_hits() -> None:
+def test_compared_targets_are_ordered_by_outlook_then_doubts_then_hit_share() -> None:
     leg = plan().routes[0].leg
     doubt, hold = TargetDoubt("target.tube", "it continues as a tube"), ScopeHold(300.0, 0.0, 0.5)
     plans = {
@@ -37,7 +37,7 @@ def test_targets_are_ordered_by_outlook_then_doubts_then_hits() -> None:
     assert "no airway is near" in text
 
 
-def test_figures_of_the_comparison_are_those_of_each_plan() -> None:
+def test_figures_in_the_target_comparison_are_those_of_each_plan() -> None:
     (row,) = compare_targets([plan()], ["one"])
     stored = plan().to_json()["routes"][0]
     value = row.to_json()
@@ -47,6 +47,6 @@ def test_figures_of_the_comparison_are_those_of_each_plan() -> None:
         assert value[name] == stored["leg"][name]
 
 
-def test_comparison_with_a_missing_name_is_refused() -> None:
+def test_target_comparison_with_a_missing_name_is_refused() -> None:
     with pytest.raises(UsageError, match="one for each plan"):
         compare_targets([plan(), plan()], ["one"])

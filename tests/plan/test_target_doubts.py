@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from painted_nodules import Scene, painted
-from test_target_places import airway, chest
+from test_clicked_positions import airway, chest
 
 import carina
+from cached_test_data import found_airways, made_phantom
 from carina.errors import UnconfirmedTargetError, UsageError
 from carina.plan import PlanTarget, check_confirmed, grow_nodule, plan_route, sphere, target_doubts, target_from_click
 from carina.scopes import WallField
 from carina.volume import Volume
-from made import found_airways, made_phantom
 
 ALONG = ((0.0, 0.0, 0.0), (0.3, 0.2, 0.9))
 BESIDE = ((5.5, 0.0, 0.0), (0.0, 0.3, 1.0))
@@ -23,7 +23,7 @@ def codes(doubts):
 
 
 @pytest.mark.parametrize("radius_mm", [1.5, 2.0, 3.0, 4.5])
-def test_vessel_in_the_lung_is_doubted_as_a_tube(radius_mm):
+def test_target_in_a_lung_vessel_has_the_doubt_that_it_continues_as_a_tube(radius_mm):
     volume, _, middle = painted(Scene(radii_mm=(0.5, 0.5, 0.5), vessels=((*ALONG, radius_mm),)))
     assert "target.tube" in codes(target_doubts(volume, grow_nodule(volume, middle)))
 
@@ -47,20 +47,20 @@ def test_nodule_in_the_lung_or_at_the_pleura_has_no_doubt(scene):
     assert target_doubts(volume, grow_nodule(volume, middle + np.array([0.7 * scene.radii_mm[0], 0.0, 0.0]))) == ()
 
 
-def test_target_denser_than_soft_tissue_is_doubted():
+def test_target_denser_than_soft_tissue_has_a_density_doubt():
     volume, _, middle = painted(Scene(level_hu=300.0))
     (doubt,) = target_doubts(volume, grow_nodule(volume, middle))
     assert doubt.code == "target.density"
     assert "denser than soft tissue" in doubt.words
 
 
-def test_target_without_lung_round_it_is_doubted():
+def test_target_without_lung_around_it_has_a_doubt():
     volume = chest()
     assert codes(target_doubts(volume, sphere(volume, (0.0, 20.0, 0.0), 12.0))) == ["target.mediastinum"]
     assert target_doubts(volume, grow_nodule(volume, (-60.0, 10.0, 0.0))) == ()
 
 
-def test_air_of_the_airways_beside_a_target_in_the_mediastinum_is_not_lung():
+def test_air_of_the_airways_beside_a_mediastinal_target_does_not_count_as_lung():
     # Two bronchi of 16 mm along z, 6 mm apart, with a node between them.
     matrix = np.diag([0.8, 0.8, 1.0, 1.0])
     matrix[:3, 3] = (-28.0, -28.0, -28.0)
@@ -80,7 +80,7 @@ def test_lesion_in_the_lumen_of_an_airway_in_the_lung_has_no_doubt(polyp_mm):
     assert target_doubts(volume, grow_nodule(volume, centre, wall=wall)) == ()
 
 
-def test_unconfirmed_doubt_is_an_error_with_its_code():
+def test_unconfirmed_doubt_raises_an_error_with_the_code_of_the_doubt():
     volume, _, middle = painted(Scene(level_hu=300.0))
     doubts = target_doubts(volume, grow_nodule(volume, middle))
     with pytest.raises(UnconfirmedTargetError, match="confirm it") as error:
@@ -92,7 +92,7 @@ def test_unconfirmed_doubt_is_an_error_with_its_code():
         check_confirmed(doubts, ("target.odd",))
 
 
-def test_record_of_a_target_contains_doubts_and_confirmations_and_an_older_record_opens():
+def test_target_record_contains_doubts_and_confirmations_and_an_older_record_without_them_opens():
     volume, _, middle = painted(Scene(level_hu=300.0))
     target = target_from_click(volume, middle, confirmed=("target.density",))
     record = target.to_record()
@@ -119,7 +119,7 @@ def enhanced():
     return Volume(hu, volume.lps_from_ijk), made.volume, airways, middle
 
 
-def test_target_as_dense_as_blood_with_contrast_medium_is_doubted(enhanced):
+def test_target_as_dense_as_blood_with_contrast_medium_has_a_doubt(enhanced):
     volume, _, airways, middle = enhanced
     nodule = grow_nodule(volume, middle)
     assert codes(target_doubts(volume, nodule, airways=airways)) == ["target.density", "target.contrast"]

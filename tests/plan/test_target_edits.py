@@ -23,7 +23,7 @@ def scene():
 
 
 @pytest.mark.parametrize("diameter_mm", [8.0, 11.0, 16.0, 20.0, 30.0])
-def test_boundary_set_to_a_diameter_has_this_diameter(diameter_mm):
+def test_boundary_set_to_a_diameter_has_that_diameter(diameter_mm):
     volume, nodule = scene()
     found = resized(nodule, volume, diameter_mm)
     assert found.long_mm == diameter_mm
@@ -55,7 +55,7 @@ def test_boundary_of_a_larger_diameter_contains_that_of_a_smaller_one():
     off=st.tuples(*[st.floats(-9.0, 9.0)] * 3),
     radius_mm=st.floats(1.0, 7.0),
 )
-def test_brush_adds_and_removes_its_ball(off, radius_mm):
+def test_brush_adds_a_ball_to_a_target_boundary_and_removes_it(off, radius_mm):
     volume, nodule = scene()
     centre = np.array(nodule.centre_lps) + off
     points = centre + np.random.default_rng(1).normal(size=(300, 3)) * 0.6 * radius_mm
@@ -99,7 +99,7 @@ def test_boundary_edits_that_leave_no_target_are_refused():
             sphere(volume, centre, wrong)
 
 
-def test_edit_beyond_the_ct_ends_at_its_border_with_a_note():
+def test_target_boundary_edited_beyond_the_ct_ends_at_its_border_with_a_note():
     volume, nodule = scene()
     k = int(volume.to_ijk(np.array(nodule.centre_lps))[2]) - 4
     place = volume.lps_from_ijk.copy()
@@ -113,7 +113,7 @@ def test_edit_beyond_the_ct_ends_at_its_border_with_a_note():
         sphere(cut, low, 20.0)
 
 
-def test_part_that_a_brush_cuts_off_is_removed():
+def test_part_of_a_target_that_an_erasing_brush_separates_is_removed():
     volume, nodule = scene()
     centre = np.array(nodule.centre_lps)
     less = brushed(nodule, volume, centre + np.array([4.0, 0.0, 0.0]), 6.2, add=False)
@@ -121,7 +121,7 @@ def test_part_that_a_brush_cuts_off_is_removed():
     assert less.contains([centre - np.array([5.0, 0.0, 0.0])])[0]
 
 
-def test_sphere_at_a_place_without_a_visible_boundary_is_a_valid_target():
+def test_sphere_at_a_point_without_a_visible_boundary_is_a_valid_target():
     volume, _ = scene()
     made = sphere(volume, (3.0, 4.0, 5.0), 12.0)
     assert made.volume_mm3 == pytest.approx(np.pi / 6.0 * 12.0**3, rel=0.03)
@@ -131,7 +131,7 @@ def test_sphere_at_a_place_without_a_visible_boundary_is_a_valid_target():
     assert made.diameter_error_mm > 2.0
 
 
-def test_cavity_of_a_nodule_stays_when_its_boundary_is_moved():
+def test_cavity_of_a_nodule_is_preserved_when_its_boundary_is_moved():
     volume, _, middle = painted(Scene(radii_mm=(9.0, 9.0, 9.0), core_mm=5.0, core_hu=-980.0))
     nodule = grow_nodule(volume, middle)
     wider = resized(nodule, volume, nodule.long_mm + 3.0)

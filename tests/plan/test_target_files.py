@@ -54,7 +54,7 @@ def test_target_from_a_mask_has_the_volume_and_diameters_of_the_mask():
     assert (nodule.kind, nodule.touches, nodule.notes) == ("solid", (), ())
 
 
-def test_segmentation_structure_set_and_mask_of_one_nodule_agree(tmp_path):
+def test_dicom_segmentation_structure_set_and_mask_of_one_nodule_give_equal_targets(tmp_path):
     volume, centre, inside = scene()
     files = {
         "seg": made.segmentation(tmp_path / "seg.dcm", volume, inside.astype(int)),
@@ -82,7 +82,7 @@ def _heights(volume, centre):
     return [h for h in heights if abs(h) < RADIUS_MM]
 
 
-def test_outlines_round_voxels_and_through_voxel_centres_give_equal_masks(tmp_path):
+def test_outlines_around_voxels_and_through_voxel_centres_give_equal_masks(tmp_path):
     volume, _, inside = scene()
     expected = nodule_from_mask(volume, inside)
     for outlines, note in (
@@ -97,7 +97,7 @@ def test_outlines_round_voxels_and_through_voxel_centres_give_equal_masks(tmp_pa
         assert any(one.startswith(note) for one in nodule.notes) if note else len(nodule.notes) == 1
 
 
-def test_nested_outline_and_keyhole_outline_are_holes(tmp_path):
+def test_nested_outline_and_keyhole_outline_are_read_as_holes(tmp_path):
     volume, centre, _ = scene()
     outer, inner = (made.ball_outlines(volume, centre, r) for r in (RADIUS_MM, 3.0))
     shell = {k: [*loops, *inner.get(k, [])] for k, loops in outer.items()}
@@ -203,7 +203,7 @@ def test_slice_without_an_outline_is_filled_with_a_note(tmp_path, left_out):
     assert f"{left_out} slice{'s' if left_out > 1 else ''} without an outline: interpolated" in nodule.notes[1]
 
 
-def test_structure_with_two_lesions_needs_a_point_in_one(tmp_path):
+def test_structure_with_two_lesions_needs_a_point_inside_one_of_them(tmp_path):
     volume, centre, inside = scene()
     other = centre + 14.0 * volume.lps_from_ijk[:3, 2] / volume.spacing_mm[2]
     both = {**made.ball_outlines(volume, centre, 4.0), **made.ball_outlines(volume, other, 3.0)}
@@ -302,7 +302,7 @@ def test_structure_set_on_a_ct_with_permuted_axes_gives_an_equal_target(tmp_path
     assert found.centre_lps == pytest.approx(expected.centre_lps, abs=1e-2)
 
 
-def test_target_from_a_file_has_a_region_and_a_record():
+def test_target_from_a_file_has_an_anatomical_region_and_a_record():
     volume, _, inside = scene()
     target = target_from_mask(volume, inside, target_id="a", name="from a mask")
     assert (target.where, target.source) == ("lung", "mask")

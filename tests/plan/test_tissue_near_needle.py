@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cached_test_data import made_phantom
 from carina.errors import NoResultError
 from carina.plan.lungs.tissue_near_needle import lung_box, lung_surroundings
 from carina.scopes import WallField
 from carina.volume import Volume
-from made import made_phantom
 
 SMALL_CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 2.0, "generations": 4}
 
@@ -25,7 +25,7 @@ def nowhere() -> WallField:
     return WallField.from_distances((2.0 - np.sqrt(i * i + j * j + k * k)).astype(np.float32), matrix)
 
 
-def test_whole_lungs_have_vessels_on_both_sides_and_the_values_of_the_ct() -> None:
+def test_box_around_both_lungs_has_vessels_on_both_sides_and_the_values_of_the_ct() -> None:
     volume = made_phantom(**SMALL_CHEST).volume
     found = lung_surroundings(volume, nowhere())
     assert 100.0 < found.vessels_ml < 500.0
@@ -48,7 +48,7 @@ def test_whole_lungs_have_vessels_on_both_sides_and_the_values_of_the_ct() -> No
 
 
 @pytest.mark.parametrize("turn", [np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, 1.0, -1.0])[[1, 0, 2]]])
-def test_ct_with_permuted_or_reversed_axes_gives_an_equal_box(turn: NDArray[np.float64]) -> None:
+def test_ct_with_permuted_or_reversed_axes_gives_an_equal_box_around_the_lungs(turn: NDArray[np.float64]) -> None:
     volume = made_phantom(**SMALL_CHEST).volume
     plain = lung_box(volume)
     order = np.argmax(np.abs(turn), axis=0)
@@ -70,7 +70,7 @@ def test_ct_with_permuted_or_reversed_axes_gives_an_equal_box(turn: NDArray[np.f
     np.testing.assert_allclose(turned.hu_zyx, plain.hu_zyx, atol=0.5)
 
 
-def test_ct_cut_through_the_lungs_has_vessels() -> None:
+def test_vessels_are_found_in_a_ct_that_cuts_off_parts_of_both_lungs() -> None:
     volume = made_phantom(**SMALL_CHEST).volume
     whole = lung_box(volume)
     nx = volume.shape_zyx[2]
@@ -81,6 +81,6 @@ def test_ct_cut_through_the_lungs_has_vessels() -> None:
     assert 0.3 * whole.known.sum() < cut.known.sum() < 0.95 * whole.known.sum()
 
 
-def test_map_of_whole_lungs_refuses_a_ct_without_lungs() -> None:
+def test_vessel_map_of_both_lungs_is_refused_for_a_ct_without_lungs() -> None:
     with pytest.raises(NoResultError):
         lung_box(Volume(np.full((40, 60, 60), 40, np.int16), np.diag([2.0, 2.0, 2.0, 1.0])))

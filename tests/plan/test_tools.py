@@ -33,11 +33,11 @@ def written(folder: Path, document: object) -> Path:
 
 
 @pytest.mark.parametrize("one", tools(), ids=lambda one: one.name)
-def test_each_tool_of_the_library_round_trips_through_its_file(one: Tool, tmp_path: Path) -> None:
+def test_each_tool_of_the_library_is_restored_from_its_file(one: Tool, tmp_path: Path) -> None:
     assert tool_from_file(written(tmp_path, one.to_json())) == one
 
 
-def test_library_figures_with_the_basis_read_have_a_source_and_names_are_unique() -> None:
+def test_names_of_library_tools_are_unique_and_figures_from_the_literature_have_a_source() -> None:
     assert len({one.name for one in tools()}) == len(tools())
     for one in tools():
         assert ("s" not in one.basis.replace("rest", "").split(",")[0].split()) or one.source is not None
@@ -90,13 +90,13 @@ def test_file_without_the_fields_of_a_tool_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("one", scope_presets(), ids=lambda one: one.name)
-def test_each_scope_of_the_library_round_trips_through_its_file(one: ScopePreset, tmp_path: Path) -> None:
+def test_each_scope_of_the_library_is_restored_from_its_file(one: ScopePreset, tmp_path: Path) -> None:
     found = scope_from_file(written(tmp_path, scope_to_json(one)))
     assert scope_to_json(found) == scope_to_json(one)
     assert found.fit_mm == one.fit_mm
 
 
-def test_figures_missing_in_a_scope_file_are_none(tmp_path: Path) -> None:
+def test_figures_missing_in_a_scope_file_are_read_as_none(tmp_path: Path) -> None:
     few = {"format": "carina-scope", "version": 1, "name": "own", "title": "Own", "scope_class": "thin", "basis": "k"}
     found = scope_from_file(written(tmp_path, {**few, "tip_mm": 4.0}))
     assert found.channel_mm is None and found.flexion_deg is None and found.bending_mm is None

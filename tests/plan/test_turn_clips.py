@@ -11,11 +11,11 @@ import pytest
 import simplejpeg
 from fork_trees import route_in
 
+from cached_test_data import made_airways, made_phantom
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import TurnClip, TurnList, turn_clips, turn_flight, turn_list, turn_pictures
 from carina.plan.routes.plan_route import PlannedRoute
 from carina.render import Renderer, letter_edges
-from made import made_airways, made_phantom
 
 CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
 SIZE, FRAMES = 64, 5
@@ -49,7 +49,7 @@ def clips() -> tuple[TurnClip | None, ...]:
     return clips_of(turns())
 
 
-def test_clip_flies_from_the_previous_turn_and_ends_in_the_picture_of_its_turn() -> None:
+def test_video_of_a_turn_begins_at_the_previous_turn_and_ends_in_the_picture_of_its_turn() -> None:
     stills = turn_pictures(
         made_phantom(**CHEST).volume,
         made_airways(**CHEST),
@@ -74,7 +74,7 @@ def test_clip_flies_from_the_previous_turn_and_ends_in_the_picture_of_its_turn()
         assert np.mean(off.max(axis=2) > 1) < 0.001, clip.turn
 
 
-def test_frames_are_evenly_spaced_along_the_flight() -> None:
+def test_frames_of_a_turn_video_are_evenly_spaced_along_the_flight() -> None:
     for clip in clips():
         assert clip is not None
         steps = np.linalg.norm(np.diff([camera.position_lps for camera in clip.cameras], axis=0), axis=1)
@@ -83,7 +83,7 @@ def test_frames_are_evenly_spaced_along_the_flight() -> None:
         assert steps.max() == steps[1:-1].max()
 
 
-def test_clip_for_an_operator_facing_the_patient_is_rotated_by_180_degrees() -> None:
+def test_turn_video_for_an_operator_facing_the_patient_is_rotated_by_180_degrees() -> None:
     first = dataclasses.replace(turns(), turns=turns().turns[:2])
     for head, facing in zip(clips(), clips_of(first, operator="facing"), strict=False):
         assert head is not None and facing is not None
@@ -91,7 +91,7 @@ def test_clip_for_an_operator_facing_the_patient_is_rotated_by_180_degrees() -> 
             assert np.allclose(one.right_lps, -two.right_lps, atol=1e-5)
 
 
-def test_strip_of_a_clip_has_all_frames_below_each_other_in_order() -> None:
+def test_image_strip_of_a_turn_video_has_all_frames_below_each_other_in_order() -> None:
     clip = clips()[0]
     assert clip is not None
     strip = simplejpeg.decode_jpeg(clip.strip())
@@ -102,14 +102,14 @@ def test_strip_of_a_clip_has_all_frames_below_each_other_in_order() -> None:
         assert np.abs(off).mean() < 8.0, n
 
 
-def test_stretch_without_length_has_no_clip() -> None:
+def test_turn_at_distance_zero_from_the_previous_turn_has_no_video() -> None:
     first = turns().turns[0]
     doubled = dataclasses.replace(turns(), turns=(first, dataclasses.replace(first, from_fork_mm=0.0)))
     made, none = clips_of(doubled)
     assert made is not None and none is None
 
 
-def test_clip_with_invalid_arguments_is_refused() -> None:
+def test_turn_video_with_invalid_arguments_is_refused() -> None:
     with pytest.raises(UsageError, match="size_px: expected 64 to 512; found 10"):
         clips_of(turns(), size_px=10)
     for num in (1, 25):

@@ -36,7 +36,7 @@ def away_mm(points: np.ndarray, line: np.ndarray) -> float:
 
 @quick
 @given(SEEDS, st.sampled_from(["head", "facing"]))
-def test_flight_begins_and_ends_with_the_pictures_of_its_turns(seed: int, operator: str) -> None:
+def test_flight_between_turns_begins_and_ends_with_the_camera_poses_of_their_pictures(seed: int, operator: str) -> None:
     tree = random_tree(seed)
     route = route_in(tree, tree.tips()[seed % len(tree.tips())].id)
     found = turn_list(tree, route)
@@ -62,7 +62,7 @@ def test_flight_begins_and_ends_with_the_pictures_of_its_turns(seed: int, operat
 
 @quick
 @given(SEEDS)
-def test_flight_for_an_operator_facing_the_patient_is_rotated_by_180_degrees(seed: int) -> None:
+def test_flight_to_a_turn_for_an_operator_facing_the_patient_is_rotated_by_180_degrees(seed: int) -> None:
     tree = random_tree(seed)
     route = route_in(tree, tree.tips()[0].id)
     found = turn_list(tree, route)
@@ -75,7 +75,7 @@ def test_flight_for_an_operator_facing_the_patient_is_rotated_by_180_degrees(see
             assert np.allclose(one.right_lps, -two.right_lps, atol=1e-5)
 
 
-def test_flights_of_a_route_join_without_a_jump() -> None:
+def test_consecutive_flights_between_turns_of_a_route_join_without_a_jump() -> None:
     tree = random_tree(7)
     route = route_in(tree, tree.tips()[2].id)
     found = turn_list(tree, route)
@@ -84,7 +84,7 @@ def test_flights_of_a_route_join_without_a_jump() -> None:
         assert np.allclose(before[-1].lps_from_camera, after[0].lps_from_camera, atol=1e-6)
 
 
-def test_flight_has_the_requested_speed_and_frame_rate() -> None:
+def test_flight_to_a_turn_has_the_requested_speed_and_frame_rate() -> None:
     tree = random_tree(1)
     route = route_in(tree, tree.tips()[0].id)
     times, poses = turn_flight(tree, route, turn_list(tree, route), 0, speed_mm_s=10.0, rate_hz=50.0)
@@ -93,7 +93,7 @@ def test_flight_has_the_requested_speed_and_frame_rate() -> None:
     assert max(steps) <= 10.0 * 0.02 * 1.1
 
 
-def test_flight_with_invalid_arguments_is_refused() -> None:
+def test_flight_to_a_turn_with_invalid_arguments_is_refused() -> None:
     tree = random_tree(1)
     route = route_in(tree, tree.tips()[0].id)
     found = turn_list(tree, route)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from fork_trees import made_tree, route_in
 
+from cached_test_data import made_airways, made_phantom
 from carina.display.png import png_bytes
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import Turn, TurnList, TurnPicture, turn_list, turn_pictures
@@ -21,7 +22,6 @@ from carina.plan.turns.pictures import DOUBTFUL_RGB, ROUTE_RGB
 from carina.render import AirwayView, Renderer, read_png_pose
 from carina.scopes import Lens
 from carina_bench.plan_marks import apart, marks_in
-from made import made_airways, made_phantom
 
 CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
 SIZE = 256
@@ -60,7 +60,7 @@ def walls(made: TurnPicture) -> np.ndarray:
     return renderer().surface(view).position_lps
 
 
-def test_outlined_pixels_are_wall_of_the_entered_branch_in_the_truth() -> None:
+def test_outlined_pixels_of_a_turn_picture_are_wall_of_the_true_entered_branch() -> None:
     tree = made_airways(**CHEST).tree
     truth = made_phantom(**CHEST).truth["branches"]
     lines = [(np.array(row["points"]), np.array(row["radius"])) for row in truth]
@@ -85,7 +85,7 @@ def test_outlined_pixels_are_wall_of_the_entered_branch_in_the_truth() -> None:
         assert np.mean(gaps[True] <= gaps[False] + 1.0) > 0.97, made.turn
 
 
-def test_outline_and_arrow_in_the_pixels_have_the_direction_of_the_stated_hour() -> None:
+def test_outline_and_arrow_in_the_pixels_have_the_direction_of_the_stated_clock_hour() -> None:
     found = pictures_of(turns(), size_px=512)
     assert sum(made.turn.clock_head is not None for made in found) >= 4
     for made in found:
@@ -101,7 +101,7 @@ def test_outline_and_arrow_in_the_pixels_have_the_direction_of_the_stated_hour()
         assert apart(marks.opening_hours, float(made.turn.hour("head") or 0)) <= 0.75, made.turn
 
 
-def test_picture_of_a_turn_with_an_unreliable_hour_has_no_arrow_and_states_no_hour() -> None:
+def test_picture_of_a_turn_with_an_unreliable_clock_hour_has_no_arrow_and_states_no_hour() -> None:
     turn = next(one for one in turns().turns if one.clock_head is not None)
     doubt = HourDoubt("turns.neighbour", "no clock hour: RB9 opens in nearly the same direction; compare the picture")
     unsure = dataclasses.replace(turn, clock_head=None, clock_facing=None, hour_doubt=doubt)
@@ -135,7 +135,7 @@ def test_openings_of_other_branches_are_outside_the_outline() -> None:
                 assert not made.outline[int(at[1]), int(at[0])], (made.turn, other)
 
 
-def test_picture_for_an_operator_facing_the_patient_is_rotated_by_180_degrees() -> None:
+def test_turn_picture_for_an_operator_facing_the_patient_is_rotated_by_180_degrees() -> None:
     for head, facing in zip(pictures(), pictures_of(turns(), operator="facing"), strict=True):
         turned = facing.outline[::-1, ::-1]
         # Rays of the rotated picture sample the wall at slightly different points, so the test compares every second
@@ -145,7 +145,7 @@ def test_picture_for_an_operator_facing_the_patient_is_rotated_by_180_degrees() 
         assert np.allclose(facing.camera.right_lps, -head.camera.right_lps)
 
 
-def test_branch_begins_where_its_axis_has_left_the_other_lumens() -> None:
+def test_branch_begins_where_its_centreline_has_left_the_lumens_of_parent_and_siblings() -> None:
     def tube(number: int, a: list[float], b: list[float], radius: float) -> dict[str, Any]:
         parent, children = (0, []) if number else (None, [1, 2])
         points = np.linspace(np.array(a, dtype=float), np.array(b, dtype=float), 41)
@@ -168,7 +168,7 @@ def hidden(turn: Turn) -> Turn:
     return dataclasses.replace(turn, seen_from_lps=(float(eye[0]), float(eye[1]), float(eye[2])))
 
 
-def test_opening_behind_a_wall_is_not_outlined_and_reported_out_of_view() -> None:
+def test_opening_behind_a_wall_is_not_outlined_and_reported_as_not_in_view() -> None:
     far = dataclasses.replace(turns(), turns=(hidden(turns().turns[2]),))
     (made,) = pictures_of(far)
     assert not made.in_view and not made.outline.any()
@@ -178,7 +178,7 @@ def test_opening_behind_a_wall_is_not_outlined_and_reported_out_of_view() -> Non
     assert np.array_equal(made.rgb[middle, middle], plain[middle, middle]), "nothing is drawn where it would be"
 
 
-def test_outline_has_the_colour_of_the_route_or_of_a_doubtful_branch() -> None:
+def test_outline_of_an_opening_has_the_colour_of_the_route_or_of_a_doubtful_branch() -> None:
     turn = turns().turns[1]
     doubted = dataclasses.replace(turn, doubts=("it was drawn by hand",))
     for one, colour, other in ((turn, ROUTE_RGB, DOUBTFUL_RGB), (doubted, DOUBTFUL_RGB, ROUTE_RGB)):
@@ -188,7 +188,7 @@ def test_outline_has_the_colour_of_the_route_or_of_a_doubtful_branch() -> None:
 
 
 @pytest.mark.parametrize("radius_px", [15.0, 40.0, 90.0])
-def test_outline_has_one_line_width_at_every_size(radius_px: float) -> None:
+def test_outline_is_drawn_with_the_same_line_width_at_every_radius(radius_px: float) -> None:
     rows, columns = np.mgrid[0:256, 0:256] + 0.5 - 128
     field = 1.0 / (1.0 + np.exp((np.hypot(rows, columns) - radius_px) / 2.0))
     rgb = np.zeros((256, 256, 3), dtype=np.uint8)
@@ -197,7 +197,7 @@ def test_outline_has_one_line_width_at_every_size(radius_px: float) -> None:
     assert covered.sum() / (math.tau * radius_px) == pytest.approx(3.0, abs=0.35)
 
 
-def test_turn_picture_states_its_camera_position(tmp_path: Any) -> None:
+def test_saved_turn_picture_contains_its_camera_pose(tmp_path: Any) -> None:
     made = pictures()[1]
     path = tmp_path / "turn.png"
     path.write_bytes(made.png())
@@ -208,7 +208,7 @@ def test_turn_picture_states_its_camera_position(tmp_path: Any) -> None:
     assert len(made.png()) > len(png_bytes(np.ascontiguousarray(made.rgb)))
 
 
-def test_turn_pictures_have_no_mottling_and_unmarked_ones_no_drawings() -> None:
+def test_turn_pictures_have_no_fine_texture_and_unmarked_ones_no_outline() -> None:
     made, plain = pictures()[1], pictures_of(dataclasses.replace(turns(), turns=turns().turns[1:2]), marked=False)[0]
     view = AirwayView(
         made.camera, fov_deg=FOV_DEG, width=SIZE, height=SIZE, lens=Lens.equidistant(), method="brute", texture=False

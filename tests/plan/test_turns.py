@@ -17,6 +17,7 @@ from fork_trees import bent, made_tree, moved, random_tree, route_in, unit
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from cached_test_data import made_airways, made_phantom
 from carina.case.routes import route_to_branch
 from carina.errors import UsageError
 from carina.navigate import Navigator
@@ -27,7 +28,6 @@ from carina.plan.turns.opening_walls import ForkWalls, TubeWall, first_walls
 from carina.plan.turns.texts import moves_words
 from carina.scopes import Pose
 from carina.track import AirwayTree
-from made import made_airways, made_phantom
 
 FILE = Path(__file__).resolve().parents[1] / "golden" / "fork-hours.json"
 SEEDS = st.integers(0, 7)
@@ -68,7 +68,7 @@ def oracle_hours(turn: Turn) -> float:
 
 @quick
 @given(SEEDS)
-def test_hours_are_the_angle_between_two_planes_through_the_line_of_sight(seed: int) -> None:
+def test_clock_hour_of_an_opening_is_the_angle_between_two_planes_through_the_line_of_sight(seed: int) -> None:
     for _, found in lists(seed):
         for turn in found.turns:
             if turn.clock_head is None or turn.clock_facing is None:
@@ -90,7 +90,7 @@ def seen_in_tubes(tree: AirwayTree, turn: Turn, operator: Any) -> tuple[Opening,
 
 @quick
 @given(SEEDS)
-def test_hours_for_an_operator_facing_the_patient_are_rotated_by_six_hours(seed: int) -> None:
+def test_clock_hours_for_an_operator_facing_the_patient_differ_by_six_hours(seed: int) -> None:
     for tree, found in lists(seed):
         for turn in found.turns:
             seen = seen_in_tubes(tree, turn, "facing")
@@ -102,7 +102,7 @@ def test_hours_for_an_operator_facing_the_patient_are_rotated_by_six_hours(seed:
 
 @quick
 @given(SEEDS)
-def test_distances_add_up_to_the_final_tip_position(seed: int) -> None:
+def test_distances_between_turns_add_up_to_the_final_tip_position(seed: int) -> None:
     tree = random_tree(seed)
     for tip in tree.tips()[::3]:
         route = route_in(tree, tip.id)
@@ -124,7 +124,7 @@ def test_distances_add_up_to_the_final_tip_position(seed: int) -> None:
 
 @quick
 @given(SEEDS)
-def test_mirrored_patient_has_mirrored_hours_and_sides(seed: int) -> None:
+def test_mirrored_patient_has_mirrored_clock_hours_and_sides(seed: int) -> None:
     swapped = {"right": "left", "left": "right"}
     for tree, found in lists(seed):
         mirror = moved(tree, np.diag([-1.0, 1.0, 1.0]), np.zeros(3))
@@ -140,7 +140,9 @@ def test_mirrored_patient_has_mirrored_hours_and_sides(seed: int) -> None:
 
 @quick
 @given(SEEDS, st.floats(-math.pi, math.pi), st.floats(-200.0, 200.0))
-def test_hours_are_unchanged_by_a_rotation_about_the_anterior_axis(seed: int, angle: float, shift: float) -> None:
+def test_clock_hours_are_unchanged_by_a_rotation_of_the_patient_about_the_anterior_axis(
+    seed: int, angle: float, shift: float
+) -> None:
     c, s = math.cos(angle), math.sin(angle)
     turned = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
     for tree, found in lists(seed):
@@ -158,7 +160,7 @@ def test_hours_are_unchanged_by_a_rotation_about_the_anterior_axis(seed: int, an
 
 @quick
 @given(SEEDS, st.integers(0, 10_000))
-def test_hours_change_by_the_roll_of_levelling_in_any_pose(seed: int, other: int) -> None:
+def test_clock_hour_changes_by_the_camera_roll_when_the_patient_is_rotated(seed: int, other: int) -> None:
     """Assert that after any rotation the hour is that of the opening minus the roll to the new up direction."""
     rng = np.random.default_rng(other)
     q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
@@ -196,7 +198,7 @@ def test_stated_side_is_the_side_of_the_opening_in_the_patient(seed: int) -> Non
 
 @quick
 @given(SEEDS)
-def test_camera_is_on_the_route_where_a_flight_pauses(seed: int) -> None:
+def test_camera_of_a_turn_is_at_the_position_where_a_flight_pauses(seed: int) -> None:
     tree = random_tree(seed, lengths_mm=(60.0, 30.0, 20.0, 15.0))
     tip = tree.tips()[seed % len(tree.tips())]
     found = turn_list(tree, route_in(tree, tip.id))
@@ -210,7 +212,7 @@ def test_camera_is_on_the_route_where_a_flight_pauses(seed: int) -> None:
         assert 0.5 * (fork - stop) < away < 1.6 * (fork - stop) + 1.0
 
 
-def test_turn_camera_has_the_up_direction_of_the_window() -> None:
+def test_camera_of_a_turn_has_the_same_up_direction_as_the_view_in_the_window() -> None:
     rng = np.random.default_rng(5)
     for _ in range(60):
         eye, look = rng.normal(size=3), unit(rng.normal(size=3))
@@ -275,7 +277,7 @@ def golden_rows(name: str, tree: AirwayTree, turn: Turn) -> list[dict[str, Any]]
     ]
 
 
-def test_hours_of_the_golden_file_equal_those_of_python() -> None:
+def test_clock_hours_of_the_golden_file_equal_those_computed_by_python() -> None:
     """Compare with the file that ``web/src/state/fork-hours.test.ts`` also reads.
 
     Only ``make golden`` rewrites the file.
@@ -304,7 +306,7 @@ def straight(number: int, parent: int | None, children: list[int], a: Any, b: An
     }
 
 
-def test_forks_two_millimetres_apart_are_one_turn_that_names_passed_branches() -> None:
+def test_forks_two_millimetres_apart_are_one_turn_that_names_the_branch_between_them() -> None:
     tree = made_tree(
         [
             straight(0, None, [1, 2], [0, 0, 0], [0, 0, -40], name="RMB"),
@@ -356,7 +358,7 @@ def forked(*ends: Any, stub: Any = None, radius: float = 1.0) -> AirwayTree:
     return made_tree(rows)
 
 
-def test_openings_after_a_branch_no_longer_than_its_radius_are_one_turn() -> None:
+def test_forks_at_both_ends_of_a_branch_no_longer_than_its_radius_are_one_turn() -> None:
     short = forked([-20, 0, -58], [0, -20, -58], stub=[-1.0, 0, -42.7])
     (turn,) = turn_list(short, route_in(short, 2, carina=False)).turns
     assert turn.through == ("branch 1",) and {one.branch_id for one in turn.others} == {3, 9}
@@ -364,7 +366,7 @@ def test_openings_after_a_branch_no_longer_than_its_radius_are_one_turn() -> Non
     assert len(turn_list(long, route_in(long, 2, carina=False)).turns) == 2
 
 
-def test_opening_beside_another_one_in_the_same_direction_has_a_doubt_instead_of_an_hour() -> None:
+def test_opening_in_the_same_direction_as_another_has_a_doubt_instead_of_a_clock_hour() -> None:
     tree = forked([-20, 0, -62], [20, -2, -66], [12, 5, -70], radius=1.5)
     clear = turn_list(tree, route_in(tree, 2, carina=False)).turns[0]
     assert clear.hour("head") == 3 and clear.hour_doubt is None
@@ -374,7 +376,7 @@ def test_opening_beside_another_one_in_the_same_direction_has_a_doubt_instead_of
     assert unsure.hour_doubt.code == "turns.neighbour" and "branch 4" in unsure.hour_doubt.words
 
 
-def test_turn_without_an_hour_states_the_reason_in_text_json_and_table() -> None:
+def test_turn_without_a_clock_hour_states_the_reason_in_text_json_and_table() -> None:
     tree = forked([-20, 0, -62], [20, -2, -66], [12, 5, -70], radius=1.5)
     found = turn_list(tree, route_in(tree, 3, carina=False))
     line = found.words("facing")[0]
@@ -386,7 +388,7 @@ def test_turn_without_an_hour_states_the_reason_in_text_json_and_table() -> None
     assert found.to_columns()["hour_head"][0] is None
 
 
-def test_tree_without_a_main_carina_counts_from_fork_to_fork_with_a_note() -> None:
+def test_distances_without_a_main_carina_are_stated_from_fork_to_fork_with_a_note() -> None:
     tree = random_tree(3)
     bare = dataclasses.replace(tree, branches=tuple(dataclasses.replace(b, name=None) for b in tree.branches))
     found = turn_list(bare, route_in(bare, bare.tips()[0].id, carina=False), carina_depth_mm=250.0)
@@ -407,7 +409,7 @@ def test_route_that_ends_before_the_first_fork_has_no_turns() -> None:
     assert line.endswith("from the start of the route, stop")
 
 
-def test_branch_with_one_continuing_child_is_not_listed_as_a_fork() -> None:
+def test_branch_with_a_single_child_is_not_listed_as_a_turn() -> None:
     tree = made_tree(
         [
             straight(0, None, [1], [0, 0, 0], [0, 0, -40]),
@@ -420,7 +422,7 @@ def test_branch_with_one_continuing_child_is_not_listed_as_a_fork() -> None:
     assert turn.from_fork_mm == pytest.approx(60.0) and turn.from_branch == "branch 1"
 
 
-def test_line_of_a_turn_contains_its_doubts_and_depths() -> None:
+def test_text_of_a_turn_contains_its_doubts_and_depths() -> None:
     tree = random_tree(2)
     tip = tree.tips()[0]
     drawn = dataclasses.replace(
@@ -438,7 +440,7 @@ def test_line_of_a_turn_contains_its_doubts_and_depths() -> None:
     json.dumps(found.to_json(), allow_nan=False)
 
 
-def test_opening_is_measured_beyond_the_lumen_of_the_previous_branch() -> None:
+def test_direction_of_an_opening_is_measured_outside_the_lumen_of_the_previous_branch() -> None:
     tree = made_tree(
         [
             straight(0, None, [1, 2], [0, 0, 0], [0, 0, -40]),
@@ -456,7 +458,7 @@ def test_opening_is_measured_beyond_the_lumen_of_the_previous_branch() -> None:
 
 @quick
 @given(SEEDS, st.lists(st.floats(-3.0, 15.0), min_size=0, max_size=30))
-def test_each_move_of_a_drive_is_listed_once_and_in_order(seed: int, advances: list[float]) -> None:
+def test_each_hand_move_of_a_drive_is_listed_once_and_in_order(seed: int, advances: list[float]) -> None:
     tree = random_tree(seed)
     route = route_in(tree, tree.tips()[0].id)
     moves = [Move(float(n), 1.0, mm) for n, mm in enumerate(advances)]
@@ -473,7 +475,7 @@ def test_each_move_of_a_drive_is_listed_once_and_in_order(seed: int, advances: l
     assert turn_list(tree, route).turns[0].moves is None
 
 
-def test_move_that_begins_past_a_fork_is_listed_with_the_next() -> None:
+def test_hand_move_that_begins_past_a_fork_is_listed_with_the_next_turn() -> None:
     tree = random_tree(4)
     route = route_in(tree, tree.tips()[0].id)
     num = int(route.along_mm)
@@ -487,7 +489,7 @@ def test_move_that_begins_past_a_fork_is_listed_with_the_next() -> None:
         first = last
 
 
-def test_text_of_moves_matches_their_values() -> None:
+def test_text_of_hand_moves_matches_their_values() -> None:
     moves = [Move(40.2, 35.0, 12.0), Move(0.0, 35.0, 3.0), Move(-90.0, 0.0, 0.0), Move(0.0, -20.0, -4.0)]
     assert moves_words(moves) == (
         "rotate 40° clockwise, flex up 35°, advance 15 mm; then rotate 90° counterclockwise, tip straight; "
@@ -506,14 +508,14 @@ def test_text_of_moves_matches_their_values() -> None:
         ({"moves": [Move(0.0, 0.0, 1.0)], "ends_along_mm": [math.inf]}, "plan.moves"),
     ],
 )
-def test_list_of_turns_with_invalid_arguments_is_refused(change: dict[str, Any], code: str) -> None:
+def test_turn_list_with_invalid_arguments_is_refused(change: dict[str, Any], code: str) -> None:
     tree = random_tree(0)
     with pytest.raises(UsageError) as refused:
         turn_list(tree, route_in(tree, tree.tips()[0].id), **change)
     assert refused.value.code == code
 
 
-def test_forks_without_length_are_listed_without_an_error() -> None:
+def test_branches_of_length_zero_are_accepted_in_the_turn_list() -> None:
     tree = made_tree(
         [
             {**straight(0, None, [1, 2], [0, 0, 0], [0, 0, 0])},
@@ -546,7 +548,7 @@ def test_origin_of_distances_is_the_visible_ridge_of_the_main_carina() -> None:
     assert origin.axes_mm == pytest.approx(trachea.length_mm)
 
 
-def test_camera_of_a_turn_is_far_enough_from_the_fork_for_a_line_of_sight() -> None:
+def test_camera_distance_from_the_fork_is_three_to_four_millimetres_in_a_short_or_bent_branch() -> None:
     short = made_tree([straight(0, None, [], [0, 0, 0], [0, 0, -2])]).root
     assert stand_mm(short) == 3.0
     long = dataclasses.replace(short, points=bent(np.zeros(3), unit(np.ones(3)), unit(np.ones(3)), 60.0, 8))

@@ -9,8 +9,8 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import phantom_plan
 import pytest
-import reported
 from nodules import ellipsoid
 
 from carina.errors import CancelledError, UsageError
@@ -109,7 +109,7 @@ def judged(*args: Any, **options: Any) -> Verdict:
 
 
 @pytest.mark.parametrize("tip_mm", [3.0, 3.8, 3.95, 4.05, 4.2, 5.0])
-def test_without_errors_scopes_thinner_than_the_tube_pass_to_0_1_mm(tip_mm: float) -> None:
+def test_without_errors_a_scope_passes_exactly_if_it_is_thinner_than_the_tube(tip_mm: float) -> None:
     tree, field, points = tube(30.0)
     thick = dataclasses.replace(scope(), tip_mm=tip_mm)
     answer = check(judged(tree, plan_in(points), field, thick, errors=False), "diameter").answer
@@ -117,7 +117,7 @@ def test_without_errors_scopes_thinner_than_the_tube_pass_to_0_1_mm(tip_mm: floa
 
 
 @pytest.mark.parametrize(("bend_deg", "bend_radius_mm"), [(30.0, 20.0), (60.0, 20.0), (100.0, 20.0), (120.0, 15.0)])
-def test_required_bend_angle_is_within_two_degrees_of_the_circle(bend_deg: float, bend_radius_mm: float) -> None:
+def test_required_bend_angle_of_a_circular_tube_is_exact_to_two_degrees(bend_deg: float, bend_radius_mm: float) -> None:
     tree, field, points = tube(bend_deg, bend_radius_mm)
     section_mm = 40.0 + 10.0
     asked = min(bend_deg, math.degrees(section_mm / bend_radius_mm))
@@ -129,7 +129,7 @@ def test_required_bend_angle_is_within_two_degrees_of_the_circle(bend_deg: float
         assert found.answer == answer, found.words
 
 
-def test_verdict_of_a_wider_stiffer_or_shorter_scope_is_never_better() -> None:
+def test_verdict_of_a_thicker_stiffer_or_shorter_scope_is_never_better() -> None:
     tree, field, points = tube(100.0)
     plan = plan_in(points)
 
@@ -151,7 +151,7 @@ def test_verdict_of_a_wider_stiffer_or_shorter_scope_is_never_better() -> None:
         assert lengths == sorted(lengths, reverse=True) and (lengths[0], lengths[-1]) == (2, 0)
 
 
-def test_range_of_undecided_widths_is_as_wide_as_the_errors() -> None:
+def test_range_of_widths_with_an_undecided_verdict_is_as_wide_as_the_errors() -> None:
     tree, field, points = tube(30.0, 80.0)
     fits = dataclasses.replace(scope(), tip_mm=2 * RADIUS_MM - 0.4)
     coarse = judged(tree, plan_in(points, error_mm=0.7), field, fits)
@@ -159,7 +159,7 @@ def test_range_of_undecided_widths_is_as_wide_as_the_errors() -> None:
     assert coarse.outcome == "may reach" and coarse.words.startswith("may reach: needs 4.0 mm; the narrowest place")
 
 
-def test_scope_that_fits_and_bends_reaches_and_points_straight_ahead() -> None:
+def test_verdict_of_a_scope_that_fits_bends_and_points_straight_ahead_is_reaches() -> None:
     tree, field, points = tube(60.0)
     found = judge_scope(tree, plan_in(points), field, scope())
     assert found.outcome == "reaches", found.words
@@ -172,7 +172,7 @@ def test_scope_that_fits_and_bends_reaches_and_points_straight_ahead() -> None:
     assert json.loads(json.dumps(found.to_json())) == found.to_json()
 
 
-def test_undecided_bend_is_settled_by_drives_with_less_flexion(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_undecided_bend_check_is_settled_by_drives_with_less_flexion(monkeypatch: pytest.MonkeyPatch) -> None:
     tree, field, points = tube(60.0)
     near = dataclasses.replace(scope(flexion_deg=(62.0, 62.0)), tip_mm=1.8)
     plan = plan_in(points)
@@ -202,7 +202,7 @@ def test_undecided_bend_is_settled_by_drives_with_less_flexion(monkeypatch: pyte
     assert lever_check(way, field, near, figures, held_up, effort=1.0) is figures
 
 
-def test_unknown_figures_give_an_undecided_verdict() -> None:
+def test_verdict_of_a_scope_with_unknown_figures_is_undecided() -> None:
     tree, field, points = tube(60.0)
     robot = dataclasses.replace(scope_preset("ion"), tip_mm=3.0)
     found = judge_scope(tree, plan_in(points), field, robot)
@@ -219,7 +219,7 @@ def test_tool_that_does_not_pass_the_channel_is_reported() -> None:
     assert found.driven is not None and found.driven.arrived, "that nothing else hinders it is said of a drive"
 
 
-def test_thinner_needle_is_named_only_if_the_library_has_one() -> None:
+def test_thinner_needle_is_proposed_only_if_the_library_has_one() -> None:
     tree, field, points = tube(60.0)
     thick = dataclasses.replace(tool("needle-21g"), name="thick", title="Thick needle", outer_mm=2.4)
     plan = dataclasses.replace(plan_in(points), tool=thick)
@@ -237,7 +237,7 @@ def two_routes() -> tuple[AirwayTree, WallField, Plan]:
     return tree, field, dataclasses.replace(plan, routes=(narrow, good))
 
 
-def test_each_pair_of_route_and_instrument_has_a_verdict_and_the_best_is_first() -> None:
+def test_every_pair_of_route_and_instrument_has_a_verdict_and_the_best_pair_is_first() -> None:
     tree, field, plan = two_routes()
     narrow, good = plan.routes
     presets = [scope(name="wide", tip_mm=6.0), scope(name="fits")]
@@ -277,7 +277,7 @@ def test_instrument_is_judged_with_a_needle_that_passes_its_channel() -> None:
     assert pairs[1].would is not None and "can only brush" in pairs[1].would
 
 
-def test_scope_points_only_if_the_smallest_target_within_its_error_is_hit() -> None:
+def test_scope_points_at_the_target_only_if_the_smallest_target_within_its_error_is_hit() -> None:
     tree, field, points = tube(60.0)
     plan = plan_in(points)
     # The true diameter may be less than a third of the segmented one, so most needles may pass beside the target.
@@ -290,7 +290,7 @@ def test_scope_points_only_if_the_smallest_target_within_its_error_is_hit() -> N
     assert check(exact, "pointing").answer == "yes"
 
 
-def test_longer_throw_is_named_only_if_it_hits_from_the_pose_of_the_drive() -> None:
+def test_longer_needle_throw_is_proposed_only_if_it_hits_from_the_tip_pose_of_the_drive() -> None:
     tree, field, points = tube(60.0)
     near = plan_in(points)
     short = dataclasses.replace(tool("needle-21g"), name="short", reach_mm=1.0)
@@ -301,7 +301,7 @@ def test_longer_throw_is_named_only_if_it_hits_from_the_pose_of_the_drive() -> N
     assert blocked.would is None or "were used" not in blocked.would
 
 
-def test_scope_that_may_not_fit_is_not_promised_to_reach_with_another_tool() -> None:
+def test_scope_that_may_not_fit_is_not_stated_to_reach_with_another_tool() -> None:
     tree, field, points = tube(30.0, 80.0)
     tight = dataclasses.replace(scope(), tip_mm=2 * RADIUS_MM - 0.4, channel_mm=1.2)
     found = judged(tree, plan_in(points), field, tight)
@@ -310,7 +310,7 @@ def test_scope_that_may_not_fit_is_not_promised_to_reach_with_another_tool() -> 
     assert all(one.words.startswith("if it fits: ") for one in found.checks[4:] if one.answer == "perhaps")
 
 
-def test_failed_check_is_listed_first_with_the_position_of_the_stop() -> None:
+def test_failed_check_is_listed_first_with_the_position_where_the_scope_stops() -> None:
     tree, field, points = tube(60.0)
     told: list[Verdict] = []
     presets = [scope(name="fits"), scope(name="wide", title="wide")]
@@ -327,8 +327,8 @@ def test_failed_check_is_listed_first_with_the_position_of_the_stop() -> None:
     assert told[1].outcome == "reaches"
 
 
-def test_whole_library_is_judged_in_a_chest_with_progress_and_cancellation() -> None:
-    tree, wall, plan = reported.airways().tree, reported.wall(), reported.plan()
+def test_all_scopes_of_the_library_are_judged_in_a_chest_with_progress_and_cancellation() -> None:
+    tree, wall, plan = phantom_plan.airways().tree, phantom_plan.wall(), phantom_plan.plan()
     told: list[float] = []
     found = judge_scopes(tree, plan, wall, effort=4000.0, progress=lambda _what, share: told.append(share))
     assert [one.scope for one in found] == list(scope_presets())

@@ -80,7 +80,7 @@ def test_vessel_of_any_direction_is_found_at_its_position(
     assert (found.sure[~found.vessel] == 0.0).all()
 
 
-def test_no_vessel_is_found_in_plain_lung_and_in_a_plate() -> None:
+def test_no_vessel_is_found_in_plain_lung_or_in_a_thin_plate() -> None:
     for noise_hu in (10.0, 40.0):
         assert seen(scan(noise_hu=noise_hu)).vessel.mean() < 1e-4
     # The plate of 0.3 mm simulates a fissure.
@@ -92,7 +92,7 @@ def forked() -> NearbyTissue:
     return seen(scan((((0, 0, -14), (0, 0, 0), 2.0), ((0, 0, 0), (8, 0, 10), 1.2), ((0, 0, 0), (-8, 2, 10), 1.0))))
 
 
-def test_tree_follows_a_vessel_that_forks() -> None:
+def test_vessel_tree_follows_a_vessel_that_forks() -> None:
     tree = forked().vessel_tree()
     assert tree.is_whole
     # The tree leads from its widest point to the three ends; noise changes the position of this point on the trunk.
@@ -113,7 +113,7 @@ def test_tree_follows_a_vessel_that_forks() -> None:
     assert tree.length_mm == pytest.approx(length, rel=0.12)
 
 
-def test_separate_vessels_are_separate_trees_and_lung_without_vessels_has_no_tree() -> None:
+def test_separate_vessels_are_separate_trees_and_lung_without_vessels_has_no_vessel_tree() -> None:
     apart = seen(scan((((-6, 0, -14), (-6, 0, 14), 1.0), ((6, -14, 3), (6, 14, 3), 0.6)))).vessel_tree()
     assert [branch.parent for branch in apart.branches] == [None, None]
     assert seen(scan()).vessel_tree().branches == ()

@@ -35,7 +35,7 @@ def look(volume: Volume, *, off_mm: float = 0.0, direction=(0.0, 0.0, 1.0), **ch
 
 
 @pytest.mark.parametrize("radius_mm", [1.6, 4.0, 9.0])
-def test_walls_are_bright_and_the_distant_lumen_is_dark_at_any_airway_width(radius_mm):
+def test_near_wall_is_bright_and_the_distant_lumen_is_dark_at_any_airway_width(radius_mm):
     picture = look(tube(radius_mm))
     bright = picture.max(axis=2)
     edge = np.concatenate([bright[:8].ravel(), bright[-8:].ravel()])
@@ -48,7 +48,7 @@ def test_walls_are_bright_and_the_distant_lumen_is_dark_at_any_airway_width(radi
     assert np.mean(lit[:, 1] - lit[:, 2]) > 0
 
 
-def test_near_wall_lowers_the_exposure_of_the_whole_picture():
+def test_near_wall_lowers_the_automatic_exposure_of_the_complete_picture():
     volume = tube(6.0)
     far, near = look(volume), look(volume, off_mm=4.6)
     assert np.percentile(near, 99) < 1.0
@@ -58,7 +58,7 @@ def test_near_wall_lowers_the_exposure_of_the_whole_picture():
     assert fixed[1].mean() > fixed[0].mean()
 
 
-def test_light_comes_from_the_guides_and_decreases_with_distance():
+def test_light_comes_from_the_light_guides_and_decreases_with_distance():
     volume = tube(6.0)
     side = {"texture": 0.0, "gloss": 0.0, "exposure": 10.0, "ambient": 0.0}
     right = look(volume, guides_mm=((3.0, 0.0, 0.0),), **side)
@@ -69,7 +69,7 @@ def test_light_comes_from_the_guides_and_decreases_with_distance():
     assert (np.diff(row) > -0.02).all()
 
 
-def test_mucosa_is_paler_over_cartilage_only():
+def test_mucosa_is_paler_over_cartilage_rings_only():
     rings = look(tube(6.0, ring_hu=250.0), texture=0.0, gloss=0.0)
     plain = look(tube(6.0), texture=0.0, gloss=0.0)
     bare = look(tube(6.0, ring_hu=250.0), texture=0.0, gloss=0.0, paleness=0.0)
@@ -83,7 +83,7 @@ def test_mucosa_is_paler_over_cartilage_only():
         assert np.abs(paler).min() < 0.03, "between two"
 
 
-def test_gloss_makes_few_small_highlights_that_the_relief_divides():
+def test_gloss_setting_adds_few_small_highlights_that_the_wall_relief_divides():
     volume = tube(6.0)
     direction = (1.0, 0.0, 0.6)
     dull = look(volume, direction=direction, gloss=0.0, texture=0.0, exposure=60.0, specks=0.0)
@@ -103,7 +103,7 @@ def test_gloss_makes_few_small_highlights_that_the_relief_divides():
 
 # In a lumen narrower than the distance between the light guides (3.8 mm) the light comes from inside the wall.
 @pytest.mark.parametrize("radius_mm", [4.0, 9.0])
-def test_exposure_preserves_the_decrease_of_brightness_with_depth(radius_mm):
+def test_automatic_exposure_preserves_the_decrease_of_brightness_with_depth(radius_mm):
     picture = look(tube(radius_mm), specks=0.0, gloss=0.0, texture=0.0)
     bright = picture.max(axis=2)
     rows, columns = np.indices(bright.shape) - 44.5
@@ -118,7 +118,7 @@ def test_exposure_preserves_the_decrease_of_brightness_with_depth(radius_mm):
     assert far < 0.12
 
 
-def test_droplets_reflect_light_at_a_distance_where_a_smooth_film_does_not():
+def test_droplets_on_the_wall_reflect_light_at_a_distance_where_a_smooth_film_does_not():
     volume = tube(7.0)
     appearance = {"texture": 1.0, "exposure": 300.0}
     size = {"width": 240, "height": 240}
@@ -141,7 +141,7 @@ def test_droplets_reflect_light_at_a_distance_where_a_smooth_film_does_not():
     assert 0.002 < glints[far].mean() < 0.2, "broken specks"
 
 
-def test_secretions_are_on_the_posterior_wall_only():
+def test_secretions_are_drawn_on_the_posterior_wall_only():
     volume = tube(7.0)
     picture = {amount: look(volume, specks=0.0, exposure=60.0, secretions=amount) for amount in (0.0, 0.5, 1.0)}
     view = AirwayView(Pose.looking((17.2, 17.2, 12.0), (0.0, 0.0, 1.0)), fov_deg=100.0, **SIZE)
@@ -151,7 +151,7 @@ def test_secretions_are_on_the_posterior_wall_only():
     assert 0.0 < changed[0.5][posterior].mean() < changed[1.0][posterior].mean()
 
 
-def test_fog_is_on_the_lens_and_hides_the_lumen():
+def test_fog_setting_hides_the_lumen_independently_of_the_scope_position():
     volume = tube(7.0)
     clear, thin, thick = (look(volume, exposure=60.0, fog=fog, specks=0.0) for fog in (0.0, 0.4, 1.0))
     assert thick.std() < thin.std() < clear.std()
@@ -162,7 +162,7 @@ def test_fog_is_on_the_lens_and_hides_the_lumen():
     assert abs(share[0] - share[1]) < 0.1
 
 
-def test_droplets_secretions_and_fog_are_listed_and_off_without_texture(airway):
+def test_droplets_secretions_and_fog_are_listed_as_decorations_and_off_without_texture(airway):
     assert ENDOSCOPIC.appearance.specks == 1.0 and Appearance().specks == 0.0
     every = Appearance(texture=0.0, specks=1.0, secretions=0.3, fog=0.2)
     assert every.decorations == ("specks", "secretions", "fog")
@@ -177,7 +177,7 @@ def test_droplets_secretions_and_fog_are_listed_and_off_without_texture(airway):
     assert transfer_preset("ct-grey").appearance is None
 
 
-def test_vessels_are_few_and_faint_and_off_without_texture():
+def test_mucosal_vessels_are_few_and_faint_and_off_without_texture():
     assert ENDOSCOPIC.appearance.vessels == 0.5
     assert Appearance().vessels == 0.0
     assert Appearance.from_json({"texture": 1.0}).vessels == 0.0, "a file from before they were a strength of their own"
@@ -199,7 +199,7 @@ def test_colours_without_shading_are_those_of_the_transfer_function(airway):
     np.testing.assert_array_equal(flat, plain)
 
 
-def test_picture_without_a_visible_wall_is_dark():
+def test_airway_picture_without_a_visible_wall_is_dark():
     volume = Volume(np.full((12, 12, 12), -1000, dtype=np.int16), np.eye(4))
     picture = Renderer(volume).render(AirwayView(Pose.looking((6, 6, 6), (0, 0, 1)), **SIZE)).rgb
     assert picture.max() == 0
@@ -209,7 +209,7 @@ def test_picture_without_a_visible_wall_is_dark():
     assert 40 < picture[:, :, 0].mean() < 250
 
 
-def test_appearance_is_read_from_a_file_and_none_if_the_file_has_none():
+def test_appearance_is_read_from_a_transfer_function_file_and_none_if_the_file_has_none():
     changed = Appearance(guides_mm=((0.0, 1.5, 0.2),), exposure=3.0, texture=0.5, vessels=0.25, pale_hu=(-20.0, 180.0))
     transfer = dataclasses.replace(ENDOSCOPIC, appearance=changed)
     document = transfer.to_json()
@@ -247,7 +247,7 @@ def test_appearance_is_read_from_a_file_and_none_if_the_file_has_none():
     ],
     ids=str,
 )
-def test_invalid_appearance_is_refused_with_a_message(broken):
+def test_invalid_appearance_settings_are_refused_with_a_message(broken):
     document = {**ENDOSCOPIC.to_json(), "appearance": {**Appearance().to_json(), **broken}}
     with pytest.raises(RenderError) as refused:
         TransferFunction.from_json(document)

@@ -158,7 +158,7 @@ def test_pictures_of_the_phantom_equal_the_golden_images(name, airway):
 
 
 @pytest.mark.parametrize("name", sorted(DECORATED))
-def test_pictures_of_the_decoration_equal_the_golden_images(name, airway):
+def test_pictures_of_the_wall_decoration_equal_the_golden_images(name, airway):
     pose, parts, seen = DECORATED[name]
     preset = transfer_preset("endoscopic")
     on = {part: getattr(preset.appearance, part) for part in parts}
@@ -168,5 +168,5 @@ def test_pictures_of_the_decoration_equal_the_golden_images(name, airway):
     compare(name, renderer.render(AirwayView(pose, fov_deg=110.0, width=128, height=128)).rgb, seen)
 
 
-def test_every_golden_image_has_a_case():
+def test_every_golden_image_has_a_case_that_renders_it():
     assert {path.stem for path in GOLDEN.glob("*.png")} == {*CASES, *DECORATED}

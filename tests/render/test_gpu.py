@@ -67,7 +67,7 @@ def assert_same(cpu, gpu, view, *, method=None):
     [ENDOSCOPIC, TIP_LIT, transfer_preset("ct-grey"), transfer_preset("see-through")],
     ids=["endoscopic", "tip-lit", "ct-grey", "see-through"],
 )
-def test_gpu_pictures_equal_the_cpu_for_every_preset_field_of_view_and_method(airway, transfer):
+def test_gpu_pictures_equal_cpu_pictures_for_every_preset_field_of_view_and_method(airway, transfer):
     cpu, gpu = both(airway.volume, airway.lumen_zyx, transfer)
     brightest = 0
     for fov_deg in (60.0, 110.0, 170.0):
@@ -79,7 +79,7 @@ def test_gpu_pictures_equal_the_cpu_for_every_preset_field_of_view_and_method(ai
 
 
 @pytest.mark.parametrize("lens", [scope_preset("generic").lens, Lens.equidistant()], ids=["generic", "equidistant"])
-def test_gpu_picture_with_lens_outline_and_vignette_of_a_scope_equals_the_cpu(airway, lens):
+def test_gpu_picture_with_lens_outline_and_vignette_of_a_scope_equals_the_cpu_picture(airway, lens):
     cpu, gpu = both(airway.volume, airway.lumen_zyx)
     field = ImageField("octagon", vignette=0.7)
     for fov_deg in (90.0, 120.0):
@@ -89,7 +89,7 @@ def test_gpu_picture_with_lens_outline_and_vignette_of_a_scope_equals_the_cpu(ai
         assert picture.rgb.max() > 60
 
 
-def test_gpu_cameras_outside_on_a_voxel_and_along_an_axis_equal_the_cpu(airway):
+def test_gpu_pictures_from_cameras_outside_the_volume_on_a_voxel_and_along_an_axis_equal_cpu_pictures(airway):
     cpu, gpu = both(airway.volume)
     centre = airway.volume.centre_lps
     corner = airway.volume.lps_from_ijk[:3, 3]
@@ -104,21 +104,21 @@ def test_gpu_cameras_outside_on_a_voxel_and_along_an_axis_equal_the_cpu(airway):
             assert_same(cpu, gpu, AirwayView(Pose.looking(position, direction), step_vox=step_vox, **SIZE))
 
 
-def test_nearest_voxels_use_the_gpu_and_leaps_over_all_classes_use_the_cpu(airway):
+def test_nearest_voxel_sampling_uses_the_gpu_and_leaping_over_all_classes_uses_the_cpu(airway):
     cpu, gpu = both(airway.volume, transfer=transfer_preset("paper"))
     view = AirwayView(airway.pose, **SIZE)
     assert gpu.render(view).stats.method == "leap-all"
     assert_same(cpu, gpu, AirwayView(airway.pose, method="brute", **SIZE), method="gpu-brute")
 
 
-def test_joined_strips_of_the_gpu_equal_the_whole_picture(airway):
+def test_joined_strips_rendered_on_the_gpu_equal_the_undivided_picture(airway):
     _, gpu = both(airway.volume)
     view = AirwayView(airway.pose, **SIZE)
     strips = [gpu.render(view, rows=rows).rgb for rows in ((0, 7), (7, 8), (8, 72))]
     np.testing.assert_array_equal(np.vstack(strips), gpu.render(view).rgb)
 
 
-def test_new_wall_or_transfer_function_is_used_in_the_next_picture(airway):
+def test_changed_wall_or_transfer_function_is_used_in_the_next_gpu_picture(airway):
     cpu, gpu = both(airway.volume)
     view = AirwayView(airway.pose, **SIZE)
     before = assert_same(cpu, gpu, view).rgb
@@ -132,7 +132,7 @@ def test_new_wall_or_transfer_function_is_used_in_the_next_picture(airway):
     assert (assert_same(cpu, gpu, view).rgb != walled).any()
 
 
-def test_walls_cast_on_the_gpu_are_lit_as_on_the_cpu(airway):
+def test_walls_rendered_on_the_gpu_are_lit_as_on_the_cpu(airway):
     cpu, gpu = both(airway.volume, airway.lumen_zyx)
     view = AirwayView(airway.pose, **SIZE)
     lit = assert_same(cpu, gpu, view, method="gpu-leap")
@@ -147,7 +147,7 @@ def test_walls_cast_on_the_gpu_are_lit_as_on_the_cpu(airway):
     np.testing.assert_array_equal(np.vstack(strips), lit.rgb)
 
 
-def test_auto_compares_pictures_with_the_transfer_function_of_the_case(airway, adapters):
+def test_auto_backend_compares_cpu_and_gpu_pictures_with_the_transfer_function_of_the_case(airway, adapters):
     # In this test the software adapter is declared as a graphics card.
     card = dataclasses.replace(adapters[0], kind="discrete")
     renderer = Renderer(airway.volume, backend=Backend("auto", find=lambda: [card]))
@@ -173,7 +173,7 @@ def test_auto_compares_pictures_with_the_transfer_function_of_the_case(airway, a
         assert part_off(picture.rgb, expected.rgb) <= MAX_PART_OFF
 
 
-def test_several_threads_receive_the_gpu_pictures_that_they_requested(airway):
+def test_each_of_several_threads_receives_the_gpu_pictures_that_it_requested(airway):
     _, gpu = both(airway.volume)
     views = [AirwayView(airway.pose, fov_deg=fov, **SIZE) for fov in (60.0, 90.0, 120.0, 150.0)]
     expected = [gpu.render(view).rgb for view in views]
@@ -190,7 +190,7 @@ def test_several_threads_receive_the_gpu_pictures_that_they_requested(airway):
     assert not wrong
 
 
-def test_lost_device_causes_a_fallback_to_the_cpu_and_one_message(airway, caplog):
+def test_lost_graphics_device_causes_a_fallback_to_the_cpu_and_one_message(airway, caplog):
     devices = []
 
     def open_device(index):
@@ -213,7 +213,7 @@ def test_lost_device_causes_a_fallback_to_the_cpu_and_one_message(airway, caplog
     assert len([record for record in caplog.records if record.levelno >= 30]) == 1
 
 
-def test_gpu_scene_of_another_array_is_refused(airway):
+def test_gpu_scene_uploaded_for_another_array_is_refused(airway):
     gpu = _core.Gpu(0)
     scene = gpu.upload(airway.volume.hu_zyx)
     copied = Volume(airway.volume.hu_zyx.copy(), airway.volume.lps_from_ijk)
@@ -240,7 +240,7 @@ def run_carina(*arguments, **environment):
     return done.stdout
 
 
-def test_doctor_lists_adapters_and_does_not_choose_a_software_adapter(adapters, tmp_path):
+def test_doctor_command_lists_adapters_and_does_not_choose_a_software_adapter(adapters, tmp_path):
     cache = {"XDG_CACHE_HOME": str(tmp_path)}
     facts = json.loads(run_carina("doctor", "--json", CARINA_BACKEND="auto", **cache))["gpu"]
     assert facts["in_build"]

@@ -23,7 +23,7 @@ def view(airway):
     return AirwayView(airway.pose, width=56, height=44)
 
 
-def test_map_that_is_quick_to_build_is_not_stored(airway, tmp_path, monkeypatch):
+def test_isoregion_map_that_is_quick_to_build_is_not_stored(airway, tmp_path, monkeypatch):
     monkeypatch.setattr(isoregion_cache, "SLOW_NS_PER_VOXEL", 1e9)
     renderer = Renderer(airway.volume, cache_dir=tmp_path)
     renderer.prepare()
@@ -36,7 +36,7 @@ def test_map_that_is_quick_to_build_is_not_stored(airway, tmp_path, monkeypatch)
 
 @pytest.mark.usefixtures("slow")
 @pytest.mark.parametrize("preset", ["endoscopic", "paper"])
-def test_maps_are_read_from_disk_and_rebuilt_if_damaged(airway, tmp_path, monkeypatch, preset):
+def test_isoregion_maps_are_read_from_disk_and_rebuilt_if_damaged(airway, tmp_path, monkeypatch, preset):
     folder = tmp_path / "maps"
     transfer = transfer_preset(preset)
 
@@ -67,7 +67,7 @@ def test_maps_are_read_from_disk_and_rebuilt_if_damaged(airway, tmp_path, monkey
 
 
 @pytest.mark.usefixtures("slow")
-def test_map_of_another_volume_or_of_other_classes_is_not_read_from_the_cache(airway, tmp_path):
+def test_isoregion_map_of_another_volume_or_of_other_classes_is_not_read_from_the_cache(airway, tmp_path):
     hu = airway.volume.hu_zyx
     turned = np.ascontiguousarray(hu.transpose(0, 2, 1))
     for volume, transfer in (
@@ -88,7 +88,7 @@ def small_map(n):
 
 
 @pytest.mark.usefixtures("slow")
-def test_cache_stays_below_its_limit_and_deletes_files_of_a_killed_process(tmp_path, monkeypatch):
+def test_isoregion_cache_stays_below_its_limit_and_deletes_files_of_a_killed_process(tmp_path, monkeypatch):
     (tmp_path / "left.part").write_bytes(b"half a map")
     monkeypatch.setattr(isoregion_cache, "_ABANDONED_S", -1.0)
     cache = MapCache(tmp_path, max_bytes=5000)
@@ -102,7 +102,7 @@ def test_cache_stays_below_its_limit_and_deletes_files_of_a_killed_process(tmp_p
 
 
 @pytest.mark.usefixtures("slow")
-def test_map_is_used_for_pictures_before_it_is_stored(tmp_path, monkeypatch):
+def test_isoregion_map_is_used_for_pictures_before_it_is_stored(tmp_path, monkeypatch):
     go_on = threading.Event()
     digest = _core.content_digest
 
@@ -120,7 +120,7 @@ def test_map_is_used_for_pictures_before_it_is_stored(tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("slow")
-def test_pictures_are_rendered_with_a_read_only_or_deleted_cache(airway, tmp_path):
+def test_pictures_are_rendered_with_a_read_only_or_deleted_isoregion_cache(airway, tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("not a folder")
     renderer = Renderer(airway.volume, cache_dir=blocked)

@@ -48,7 +48,7 @@ def balls():
 
 
 @pytest.mark.parametrize("name", LENSES)
-def test_points_appear_at_their_projected_position(balls, name):
+def test_rendered_points_appear_at_their_projected_position_through_every_lens(balls, name):
     volume, middles = balls
     white = TransferFunction([[-400, 1, 1, 1, 0], [0, 1, 1, 1, 0.95]])
     renderer = Renderer(volume, transfer=white)
@@ -72,7 +72,7 @@ def test_points_appear_at_their_projected_position(balls, name):
 
 @pytest.mark.parametrize("name", LENSES)
 @pytest.mark.parametrize("outline", ["none", "round", "octagon"])
-def test_leap_brute_force_and_strips_give_one_picture_through_every_lens(airway, renderer, name, outline):
+def test_leaping_brute_force_and_strips_give_equal_pictures_through_every_lens(airway, renderer, name, outline):
     view = AirwayView(airway.pose, fov_deg=110.0, lens=LENSES[name], field=ImageField(outline, vignette=0.6), **SIZE)
     whole = renderer.render(view)
     assert whole.stats.method == "leap"
@@ -94,7 +94,7 @@ def test_picture_through_a_pinhole_lens_equals_that_of_the_pinhole_formula(airwa
     assert off.max() <= 2 and (off > 0).mean() < 0.01
 
 
-def test_picture_is_black_outside_the_outline_and_not_inside(airway, renderer):
+def test_scope_picture_is_black_outside_its_outline_and_not_inside(airway, renderer):
     picture = renderer.render(AirwayView.of_scope(scope_preset("generic"), airway.pose, **SIZE)).rgb
     rows, columns = np.indices(picture.shape[:2]) + 0.5
     away = np.hypot(columns - 60, rows - 48)
@@ -103,7 +103,7 @@ def test_picture_is_black_outside_the_outline_and_not_inside(airway, renderer):
     assert picture[(away > 20) & (away < 46)].any(axis=-1).all()
 
 
-def test_wide_lens_shows_the_bifurcation_larger_than_a_pinhole_of_the_same_field(airway):
+def test_wide_lens_shows_the_bifurcation_larger_than_a_pinhole_lens_with_the_same_field_of_view(airway):
     fork = (-5.0, 1.0, -8.0)
     pose = airway.pose
     place = {}
@@ -121,7 +121,7 @@ def test_picture_of_a_forward_oblique_scope_looks_up_from_the_shaft(airway, rend
     assert column == pytest.approx(60.0) and row > 80.0
 
 
-def test_depth_of_field_blurs_near_objects_only(airway):
+def test_depth_of_field_blurs_only_objects_near_the_camera(airway):
     # This transfer function shows voxel blocks, whose edges can be blurred.
     renderer = Renderer(airway.volume, transfer=transfer_preset("paper"))
     view = AirwayView(airway.pose, fov_deg=120.0, lens=LENSES["generic"], field=ImageField("round"), **SIZE)
@@ -146,7 +146,7 @@ def test_depth_of_field_blurs_near_objects_only(airway):
         renderer.render(dataclasses.replace(view, depth_of_field=DepthOfField(3.0, 60.0)), rows=(0, 10))
 
 
-def test_surface_points_are_on_the_rays_of_the_lens(airway, renderer):
+def test_surface_points_are_on_the_rays_of_the_lens_through_their_pixels(airway, renderer):
     view = AirwayView(airway.pose, fov_deg=120.0, lens=LENSES["equidistant"], field=ImageField("round"), **SIZE)
     surface = renderer.surface(view)
     picture = renderer.render(view)
@@ -166,7 +166,7 @@ def test_surface_points_are_on_the_rays_of_the_lens(airway, renderer):
         {"lens": Lens.equidistant(), "fov_deg": float("nan")},
     ],
 )
-def test_view_with_an_incompatible_lens_is_refused_before_casting(airway, changes):
+def test_view_with_an_incompatible_lens_is_refused_before_rendering(airway, changes):
     with pytest.raises(RenderError) as refusal:
         AirwayView(airway.pose, **changes, **SIZE)
     assert refusal.value.code == "render.camera" and refusal.value.exit_code == 2

@@ -73,7 +73,7 @@ OFFSETS = {"left": (7.0, 0, 0), "posterior": (0, 7.0, 0), "superior": (0, 0, 7.0
     ("plane", "right", "up"),
     [("axial", "left", "anterior"), ("coronal", "left", "superior"), ("sagittal", "posterior", "superior")],
 )
-def test_slices_and_xrays_have_radiological_orientation(axes, plane, right, up):
+def test_slices_and_x_ray_views_have_radiological_orientation(axes, plane, right, up):
     for name, offset in OFFSETS.items():
         point = np.array(MIDDLE) + offset
         renderer = Renderer(volume_with_blob(axes, point))
@@ -125,7 +125,7 @@ def test_pixels_of_every_view_convert_to_points_and_back(axes):
         assert np.linalg.det(picture.lps_from_pixel[:3, :3]) > 0, "depth points into the screen"
 
 
-def test_planes_of_an_anisotropic_volume_have_true_proportions():
+def test_slices_of_an_anisotropic_volume_have_true_proportions():
     renderer = Renderer(volume_with_blob(np.eye(3), MIDDLE))
     for view in (
         XrayView(axis="coronal", width=140, height=60),
@@ -139,7 +139,7 @@ def test_planes_of_an_anisotropic_volume_have_true_proportions():
     assert np.linalg.norm(matrix[:3, 1]) == pytest.approx(50.4 / 60)
 
 
-def test_xray_is_the_largest_value_along_the_ray():
+def test_pixel_of_an_x_ray_view_is_the_largest_value_along_its_ray():
     rng = np.random.default_rng(11)
     hu = rng.integers(-1000, 1500, SHAPE).astype(np.int16)
     volume = Volume(hu, place(np.eye(3), (1.0, 1.0, 1.0), MIDDLE, SHAPE))
@@ -149,7 +149,7 @@ def test_xray_is_the_largest_value_along_the_ray():
     np.testing.assert_allclose(picture.rgb[..., 0], np.minimum(expected, 255), atol=1)
 
 
-def test_xray_chooses_a_window_that_separates_bone_from_tissue():
+def test_default_grey_window_of_an_x_ray_view_separates_bone_from_tissue():
     hu = np.full(SHAPE, -1000, dtype=np.int16)
     hu[4:20, 5:25, 5:31] = 40
     hu[8:12, 10:20, 10:20] = 700
@@ -172,7 +172,7 @@ def test_cut_plane_has_the_requested_width_and_is_black_outside_the_volume():
     assert picture.lps_from_pixel[0, 0] == pytest.approx(-1.0)
 
 
-def test_planes_of_the_tri_plane_view_meet_at_the_point_and_the_nearest_is_in_front():
+def test_planes_of_the_tri_plane_view_meet_at_the_given_point_and_the_nearest_plane_is_in_front():
     hu = np.zeros(SHAPE, dtype=np.int16)
     hu[:, :, 18:] = 400
     volume = Volume(hu, place(np.eye(3), (1.0, 1.0, 1.0), MIDDLE, SHAPE))
@@ -189,7 +189,7 @@ def test_planes_of_the_tri_plane_view_meet_at_the_point_and_the_nearest_is_in_fr
     assert above.lps_from_camera[2, 3] > MIDDLE[2]
 
 
-def test_tree_from_the_front_has_the_patients_left_on_the_right(airway):
+def test_tree_view_from_the_front_has_the_patients_left_on_the_right(airway):
     renderer = Renderer(airway.volume)
     with pytest.raises(RenderError, match="have not been segmented"):
         renderer.render(TreeView())
@@ -221,7 +221,7 @@ def test_branch_one_voxel_thick_is_visible_in_the_tree_view():
     assert (picture.rgb[10:54, column].max(axis=1) > 60).all()
 
 
-def test_tip_mark_draws_a_small_cross_at_the_tip_only():
+def test_tip_marker_is_a_small_cross_at_the_tip_only():
     volume = volume_with_blob(np.eye(3), MIDDLE)
     picture = Renderer(volume).render(XrayView(axis="coronal", width=128, height=128))
     point = (MIDDLE[0] + 9.0, MIDDLE[1], MIDDLE[2] - 8.0)
@@ -235,7 +235,7 @@ def test_tip_mark_draws_a_small_cross_at_the_tip_only():
     np.testing.assert_array_equal(far.rgb, picture.rgb)
 
 
-def test_every_view_of_the_command_line_renders(airway):
+def test_every_view_of_the_command_line_is_rendered(airway):
     path = FlightPath([(0.0, 0.0, 50.0), (0.0, 0.0, 0.0), (-20.0, 4.0, -30.0)]).frames()
     settings = {"orbit": (10.0, 5.0), "path": path}
     for name in VIEW_NAMES:
@@ -278,7 +278,7 @@ def test_slab_combines_values_on_both_sides_of_its_plane(axes):
         assert np.abs(thin.rgb.astype(int) - renderer.render(view).rgb).max() <= 1
 
 
-def test_invalid_windows_and_planes_are_refused():
+def test_invalid_grey_windows_and_planes_are_refused():
     with pytest.raises(RenderError):
         SliceView(plane="oblique", centre_lps=MIDDLE)
     with pytest.raises(RenderError):

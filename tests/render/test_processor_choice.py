@@ -96,7 +96,7 @@ class Rig:
         return who
 
 
-def test_cpu_is_the_default_and_calls_no_driver():
+def test_cpu_backend_is_the_default_and_calls_no_graphics_driver():
     def fail():
         raise AssertionError("a driver was loaded")
 
@@ -107,7 +107,7 @@ def test_cpu_is_the_default_and_calls_no_driver():
         Backend("abacus")
 
 
-def test_faster_card_is_used_after_the_first_pictures_without_a_delay():
+def test_faster_graphics_card_is_used_after_the_first_pictures_without_delaying_a_picture():
     rig = Rig(StandIn(), "auto")
     scene = a_scene()
     for _ in range(PICTURES_FIRST + 2):
@@ -122,14 +122,14 @@ def test_faster_card_is_used_after_the_first_pictures_without_a_delay():
     assert (round(measurement.gpu_ms, 6), round(measurement.cpu_ms, 6)) == (2.0, 10.0)
 
 
-def test_card_slower_than_the_cpu_is_not_used():
+def test_graphics_card_slower_than_the_cpu_is_not_used():
     rig = Rig(StandIn(gpu_ms=9.5), "auto")
     assert set(rig.fly(a_scene())) == {"cpu"}
     assert "no faster" in rig.backend.measurements[0].why
     assert rig.caster._resident is None, "its memory is given back"
 
 
-def test_card_with_a_different_picture_is_not_used_at_any_speed():
+def test_graphics_card_whose_picture_differs_from_that_of_the_cpu_is_not_used_at_any_speed():
     allowed = VIEW.width * VIEW.height // 1000
     assert "gpu" in Rig(StandIn(gpu_ms=0.1, off=allowed), "auto").fly(a_scene())
     rig = Rig(StandIn(gpu_ms=0.1, off=allowed + 1), "auto")
@@ -144,13 +144,13 @@ def test_software_adapter_is_used_only_on_request():
     assert set(Rig(StandIn(), "gpu", adapters=(LAVAPIPE,)).fly(a_scene())) == {"gpu"}
 
 
-def test_brute_force_is_measured_after_a_while_if_there_is_no_map():
+def test_graphics_card_is_measured_with_brute_force_after_a_while_if_no_isoregion_map_is_built():
     rig = Rig(StandIn(), "auto")
     who = rig.fly(a_scene(maps=False), PICTURES_WITHOUT_MAP + 2)
     assert who == ["cpu"] * PICTURES_WITHOUT_MAP + ["gpu"] * 2
 
 
-def test_small_or_dark_pictures_are_not_measured():
+def test_speed_of_the_graphics_card_is_not_measured_with_small_or_dark_pictures():
     rig = Rig(StandIn(), "auto")
     small = dataclasses.replace(VIEW, width=64, height=64)
     assert set(rig.fly(a_scene(), view=small)) == {"cpu"}
@@ -161,7 +161,7 @@ def test_small_or_dark_pictures_are_not_measured():
     assert rig.fly(a_scene())[-1] == "gpu"
 
 
-def test_new_values_are_uploaded_in_the_background_and_a_new_map_without_the_volume():
+def test_changed_voxels_are_uploaded_in_the_background_and_a_new_map_without_the_volume():
     rig = Rig(StandIn(), "auto")
     scene = a_scene()
     rig.fly(scene)
@@ -178,7 +178,7 @@ def test_new_values_are_uploaded_in_the_background_and_a_new_map_without_the_vol
 
 
 @pytest.mark.parametrize("mode", ["auto", "gpu"])
-def test_lost_device_loses_no_picture_and_logs_one_message(mode, caplog):
+def test_lost_graphics_device_loses_no_picture_and_logs_one_message(mode, caplog):
     rig = Rig(StandIn(), mode, adapters=(CARD,))
     scene = a_scene()
     assert rig.fly(scene)[-1] == "gpu"
@@ -190,7 +190,7 @@ def test_lost_device_loses_no_picture_and_logs_one_message(mode, caplog):
     assert "lost" in caplog.text
 
 
-def test_device_is_used_for_other_volumes_after_a_too_large_volume(caplog):
+def test_graphics_device_is_used_for_other_volumes_after_a_volume_that_is_too_large(caplog):
     rig = Rig(StandIn(), "gpu", adapters=(CARD,))
     rig.device.upload_error = RenderError(
         "the volume does not fit in the memory of the graphics device", code="render.gpu-limit"
@@ -203,14 +203,14 @@ def test_device_is_used_for_other_volumes_after_a_too_large_volume(caplog):
     assert set(rig.fly(a_scene())) == {"gpu"}
 
 
-def test_invalid_setting_is_an_error_of_the_caller_and_keeps_the_device():
+def test_invalid_render_setting_raises_an_error_and_the_graphics_device_stays_in_use():
     rig = Rig(StandIn(), "gpu")
     rig.device.error = RenderError("rows: expected a range", code="render.setting")
     with pytest.raises(RenderError, match="rows"):
         rig.picture(a_scene())
 
 
-def test_measurement_is_stored_but_the_picture_is_compared_again(tmp_path):
+def test_stored_speed_measurement_is_reused_and_one_picture_is_compared_again(tmp_path):
     record = tmp_path / "cache" / "backend.json"
     Rig(StandIn(), "auto", record=record).fly(a_scene())
     again = Rig(StandIn(), "auto", record=record)
@@ -224,7 +224,7 @@ def test_measurement_is_stored_but_the_picture_is_compared_again(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"format": "carina-backend", "version": 1}', '{"format": 3}'])
-def test_device_with_a_damaged_record_is_measured_again(tmp_path, text):
+def test_graphics_device_with_a_damaged_stored_measurement_is_measured_again(tmp_path, text):
     record = tmp_path / "backend.json"
     record.write_text(text)
     rig = Rig(StandIn(), "auto", record=record)
@@ -236,7 +236,7 @@ def test_device_with_a_damaged_record_is_measured_again(tmp_path, text):
     assert not Backend("auto", record=record).measurements, "another version's casters"
 
 
-def test_share_of_different_pixels_counts_pixels_and_not_channels():
+def test_share_of_different_pixels_of_two_pictures_counts_pixels_and_not_channels():
     a = np.full((10, 10, 3), 100, dtype=np.uint8)
     b = a.copy()
     b[0, 0] = 102

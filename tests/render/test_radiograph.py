@@ -17,7 +17,7 @@ ANGLES = [(0.0, 0.0), (90.0, 0.0), (-30.0, 20.0), (45.0, -35.0), (180.0, 0.0), (
 @pytest.mark.parametrize("axes", GRIDS)
 @pytest.mark.parametrize("parallel", [False, True])
 @pytest.mark.parametrize(("primary", "secondary"), ANGLES)
-def test_mark_of_a_point_is_at_the_shadow_of_the_point(axes, parallel, primary, secondary):
+def test_marked_point_in_a_radiograph_is_at_the_projection_of_the_point(axes, parallel, primary, secondary):
     point = np.add(MIDDLE, (7.0, -4.0, 5.0))
     renderer = Renderer(volume_with_blob(axes, point))
     picture = renderer.render(DrrView(primary, secondary, 90, 80, parallel=parallel, window_mm=(8.0, 4.0)))
@@ -27,7 +27,7 @@ def test_mark_of_a_point_is_at_the_shadow_of_the_point(axes, parallel, primary, 
 
 
 @pytest.mark.parametrize("axes", GRIDS)
-def test_fluoroscopy_has_patient_right_on_the_left_and_turns_as_dicom_defines(axes):
+def test_fluoroscopy_has_patient_right_on_the_left_and_rotates_as_dicom_defines(axes):
     """Check PS3.3 C.8.7.5.1.2: LAO moves the detector over the patient's left, cranial moves it towards the head."""
     left, front, head = (np.add(MIDDLE, d) for d in ((7.0, 0, 0), (0, -7.0, 0), (0, 0, 7.0)))
 
@@ -47,7 +47,7 @@ def test_fluoroscopy_has_patient_right_on_the_left_and_turns_as_dicom_defines(ax
     assert place_of(front, 0, -50)[1] < -3
 
 
-def test_orientation_letters_are_those_of_fluoroscopy():
+def test_orientation_letters_of_a_radiograph_are_those_of_fluoroscopy():
     volume = volume_with_blob(np.eye(3), MIDDLE)
 
     def edges(primary, secondary):
@@ -66,7 +66,7 @@ def test_orientation_letters_are_those_of_fluoroscopy():
     assert (lettered != picture.rgb).sum() < 4 * 3 * 16 * 14
 
 
-def test_objects_near_the_source_are_magnified_by_the_distances():
+def test_objects_near_the_x_ray_source_are_magnified_by_the_ratio_of_distances():
     volume = volume_with_blob(np.eye(3), MIDDLE)
     picture = Renderer(volume).render(DrrView(0, 0, 100, 100, sid_mm=1000.0, sod_mm=500.0, mm_per_px=0.5))
     centre = np.array(volume.centre_lps)
@@ -94,13 +94,13 @@ def test_bone_is_white_in_a_radiograph_and_dark_in_fluoroscopy(airway):
         assert sign * (int(with_bone.rgb[row, column, 0]) - int(without.rgb[row, column, 0])) > 25
 
 
-def test_tip_is_marked_in_a_radiograph(airway):
+def test_tip_marker_is_drawn_in_a_radiograph(airway):
     picture = Renderer(airway.volume).render(DrrView(30, 10, 96, 96))
     marked = mark_tip(picture, airway.pose.position_lps)
     assert (marked.rgb != picture.rgb).any()
 
 
-def test_air_is_black_and_values_that_are_not_hu_give_a_picture():
+def test_radiograph_of_air_is_black_and_one_of_values_that_are_not_hu_has_contrast():
     matrix = np.diag([2.0, 2.0, 2.0, 1.0])
     air = Volume(np.full((8, 9, 10), -1000, dtype=np.int16), matrix)
     assert Renderer(air).render(DrrView(0, 0, 20, 20)).rgb.max() == 0

@@ -81,7 +81,7 @@ def test_rows_of_a_reformation_are_evenly_spaced_in_mm_along_the_route(bent):
 
 
 @pytest.mark.parametrize("kind", ["straightened", "curved"])
-def test_pixels_of_a_reformation_convert_to_points_and_back(bent, kind):
+def test_pixels_of_a_curved_reformation_convert_to_points_and_back(bent, kind):
     volume, path = bent
     picture = Renderer(volume).render(PathView(kind, path.frames(), turn_deg=20.0, width=90, height=260))
     for column, row in [(45.0, 20.5), (40.3, 130.5), (52.0, 200.5), (45.0, 250.5)]:
@@ -89,7 +89,7 @@ def test_pixels_of_a_reformation_convert_to_points_and_back(bent, kind):
         assert found == pytest.approx((column, row), abs=0.3)
 
 
-def test_zoomed_picture_is_centred_on_its_position(bent):
+def test_zoomed_curved_reformation_is_centred_on_its_path_position(bent):
     volume, path = bent
     for kind in ("straightened", "curved"):
         view = PathView(kind, path.frames(), width=101, height=101, mm_per_px=0.5, centre_mm=61.0)
@@ -99,7 +99,7 @@ def test_zoomed_picture_is_centred_on_its_position(bent):
         assert picture.pixel_of(path.frames().at(np.array([61.0]))[0][0]) == pytest.approx((50.5, 50.5), abs=0.3)
 
 
-def test_lengths_on_the_unrolled_surface_are_true(bent):
+def test_path_has_its_true_length_in_a_curved_reformation_at_any_rotation(bent):
     """Check a stretched CPR, in which the path has its true length at any rotation."""
     volume, path = bent
     for turn in (0.0, 50.0, 90.0):
@@ -116,7 +116,7 @@ def test_lengths_on_the_unrolled_surface_are_true(bent):
 
 
 @pytest.mark.parametrize("kind", ["straightened", "curved"])
-def test_reformation_at_0_degrees_is_coronal_and_at_90_degrees_sagittal(bent, kind):
+def test_curved_reformation_at_0_degrees_is_coronal_and_at_90_degrees_sagittal(bent, kind):
     volume, path = bent
 
     def letters(turn):
@@ -128,7 +128,7 @@ def test_reformation_at_0_degrees_is_coronal_and_at_90_degrees_sagittal(bent, ki
     assert letters(180.0) == "R"
 
 
-def test_patients_left_is_on_the_right_of_the_picture():
+def test_patients_left_is_on_the_right_of_a_curved_reformation():
     """Use reversed and oblique grids with a bright bead on the patient's left of the trachea."""
     for axes in (np.eye(3), np.diag([-1.0, -1.0, 1.0]), rotation(0.3, 0.2, -0.4)):
         shape = (60, 50, 50)
@@ -146,7 +146,7 @@ def test_patients_left_is_on_the_right_of_the_picture():
             assert (rows.mean() + 0.5) * scale - 8.0 == pytest.approx(15.0, abs=0.8)
 
 
-def test_thin_minimum_slab_shows_a_lumen_outside_the_plane(bent):
+def test_minimum_slab_of_a_reformation_shows_a_lumen_outside_the_plane(bent):
     volume, path = bent
     view = PathView("curved", path.frames(), turn_deg=0.0, width=100, height=100, window_hu=WINDOW)
     # The frames are shifted by 8 mm, through the anterior wall of the tube.
@@ -180,7 +180,7 @@ def test_axis_of_a_reformation_shows_distances_and_names_beside_the_lumen(bent):
         mark_path(dataclasses.replace(picture, lines=None))
 
 
-def test_reformation_of_a_path_along_the_sweep_direction_has_a_picture():
+def test_curved_reformation_of_a_straight_path_along_its_own_direction_of_projection_is_rendered():
     volume = Volume(np.zeros((20, 20, 40), dtype=np.int16), np.eye(4))
     path = FlightPath([[5.0, 10.0, 10.0], [35.0, 10.0, 10.0]])
     picture = Renderer(volume).render(PathView("curved", path.frames(), width=80, height=40))
@@ -205,7 +205,7 @@ def test_reformation_with_settings_out_of_range_is_refused(settings):
         PathView(**{"kind": "straightened", "path": frames, **settings})
 
 
-def test_reformation_with_invalid_frames_is_refused():
+def test_reformation_with_invalid_path_frames_is_refused():
     frames = FlightPath([[0.0, 0.0, 0.0], [0.0, 0.0, -9.0]]).frames()
     for places, matrices in (
         (frames.path_mm[:1], frames.lps_from_frame[:1]),

@@ -23,7 +23,7 @@ def view(airway, **changes):
     return AirwayView(airway.pose, **{**SIZE, **changes})
 
 
-def test_leaping_equals_brute_force_bit_for_bit(airway):
+def test_leaping_equals_brute_force_bit_for_bit_in_a_phantom(airway):
     renderer = Renderer(airway.volume)
     renderer.set_lumen(airway.lumen_zyx)
     renderer.prepare()
@@ -38,7 +38,7 @@ def test_leaping_equals_brute_force_bit_for_bit(airway):
             assert leap.rgb.max() > 60, "a black picture would agree with anything"
 
 
-def test_leap_before_prepare_gives_the_brute_force_picture_and_reports_it(airway):
+def test_picture_before_the_isoregion_map_is_built_uses_brute_force_and_equals_the_leaping_picture(airway):
     renderer = Renderer(airway.volume)
     before = renderer.render(view(airway))
     assert before.stats.method == "brute"
@@ -49,7 +49,7 @@ def test_leap_before_prepare_gives_the_brute_force_picture_and_reports_it(airway
     np.testing.assert_array_equal(before.rgb, after.rgb)
 
 
-def test_leaps_over_all_classes_are_within_one_grey_level(airway):
+def test_leaping_over_all_classes_differs_from_brute_force_by_at_most_one_grey_level(airway):
     renderer = Renderer(airway.volume, transfer=transfer_preset("ct-grey"))
     renderer.prepare(all_classes=True)
     leap = renderer.render(view(airway, shading=False))
@@ -59,7 +59,7 @@ def test_leaps_over_all_classes_are_within_one_grey_level(airway):
     assert np.abs(leap.rgb.astype(int) - brute.rgb).max() <= 1
 
 
-def test_paper_mode_uses_nearest_voxels_steps_of_one_and_leaps_over_all_bins(airway):
+def test_paper_mode_samples_nearest_voxels_in_steps_of_one_and_leaps_over_all_bins(airway):
     renderer = Renderer(airway.volume, transfer=transfer_preset("paper"))
     renderer.prepare()
     leap = renderer.render(view(airway))
@@ -72,7 +72,7 @@ def test_paper_mode_uses_nearest_voxels_steps_of_one_and_leaps_over_all_bins(air
     assert brute.stats.num_samples < 1.5 * whole_steps.stats.num_samples
 
 
-def test_joined_strips_of_the_renderer_equal_the_whole_picture(airway):
+def test_joined_strips_equal_the_undivided_picture(airway):
     renderer = Renderer(airway.volume)
     renderer.prepare()
     whole = renderer.render(view(airway)).rgb
@@ -90,7 +90,7 @@ def test_every_instruction_set_gives_an_equal_picture(airway):
         Renderer(airway.volume, simd="abacus").render(view(airway))
 
 
-def test_camera_outside_the_volume_shows_it_only_if_directed_at_it(airway):
+def test_camera_outside_the_volume_shows_the_volume_only_if_directed_at_it(airway):
     renderer = Renderer(airway.volume)
     renderer.prepare()
     outside = airway.volume.centre_lps + np.array([0.0, -200.0, 0.0])
@@ -100,7 +100,7 @@ def test_camera_outside_the_volume_shows_it_only_if_directed_at_it(airway):
     assert away.rgb.max() == 0
 
 
-def test_wall_is_nearer_and_brighter_than_the_deep_lumen(airway):
+def test_wall_in_the_airway_picture_is_brighter_than_the_deep_lumen(airway):
     renderer = Renderer(airway.volume)
     picture = renderer.render(view(airway, fov_deg=100.0)).rgb.astype(int)
     edge = picture[:, [0, -1]].sum(axis=2).mean()
@@ -110,7 +110,7 @@ def test_wall_is_nearer_and_brighter_than_the_deep_lumen(airway):
     assert renderer.render(view(airway)).rgb[row, column].sum() < 0.5 * edge
 
 
-def test_transfer_function_of_the_same_classes_needs_no_new_map(airway, monkeypatch):
+def test_transfer_function_with_the_same_classes_needs_no_new_isoregion_map(airway, monkeypatch):
     renderer = Renderer(airway.volume)
     renderer.prepare()
     monkeypatch.setattr(_core, "build_cell_map", None)
@@ -124,7 +124,7 @@ def test_transfer_function_of_the_same_classes_needs_no_new_map(airway, monkeypa
     assert not renderer.prepared
 
 
-def test_pictures_use_brute_force_while_a_slow_map_is_built(airway, monkeypatch):
+def test_pictures_use_brute_force_while_a_slow_isoregion_map_is_built(airway, monkeypatch):
     renderer = Renderer(airway.volume)
     expected = renderer.render(view(airway, method="brute")).rgb
     building, go_on = threading.Event(), threading.Event()
@@ -149,7 +149,7 @@ def test_pictures_use_brute_force_while_a_slow_map_is_built(airway, monkeypatch)
     np.testing.assert_array_equal(after.rgb, expected)
 
 
-def test_map_of_a_transfer_function_replaced_during_its_build_is_not_used(airway, monkeypatch):
+def test_isoregion_map_of_a_transfer_function_replaced_during_the_build_is_not_used(airway, monkeypatch):
     renderer = Renderer(airway.volume)
     everything = TransferFunction(points=np.array([[-2000.0, 1, 1, 1, 0.2], [-400.0, 1, 1, 1, 0.9]]))
     build = _core.build_cell_map
@@ -169,7 +169,7 @@ def test_map_of_a_transfer_function_replaced_during_its_build_is_not_used(airway
     np.testing.assert_array_equal(leap.rgb, brute.rgb)
 
 
-def test_cancelled_preparation_stops_and_leaves_the_renderer_usable(airway):
+def test_cancelled_preparation_of_the_renderer_stops_and_leaves_it_usable(airway):
     renderer = Renderer(airway.volume)
     with pytest.raises(CancelledError):
         renderer.prepare(cancel=lambda: True)
@@ -197,7 +197,7 @@ def test_cancelled_picture_does_not_affect_the_next_one(airway):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells of a thread how long it was on a core")
-def test_picture_has_ray_statistics_and_a_plane_has_none(airway):
+def test_airway_picture_has_ray_statistics_and_a_slice_has_none(airway):
     renderer = Renderer(airway.volume)
     renderer.prepare()
     wanted = view(airway, width=96, height=80)
@@ -211,7 +211,7 @@ def test_picture_has_ray_statistics_and_a_plane_has_none(airway):
     assert renderer.render(plane).stats.rays_s is None
 
 
-def test_picture_rendered_during_a_change_shows_the_state_before_or_after_it(airway):
+def test_picture_rendered_during_a_lumen_change_shows_the_state_before_or_after_it(airway):
     states = [None, airway.lumen_zyx]
     expected = []
     for lumen in states:
@@ -248,7 +248,7 @@ def thin_tube():
     return Volume(np.where(lumen, -950, -850).astype(np.int16), matrix), lumen.astype(np.uint8)
 
 
-def test_endoscopic_wall_is_closed_where_the_scan_shows_none():
+def test_endoscopic_preset_shows_a_closed_wall_where_the_ct_shows_none():
     volume, lumen = thin_tube()
     # The light is white and without loss, so a black pixel shows a ray that met no wall.
     endoscopic = transfer_preset("endoscopic")
@@ -264,7 +264,7 @@ def test_endoscopic_wall_is_closed_where_the_scan_shows_none():
         assert walled.render(spec).rgb[..., 0].min() > 0.8 * 255
 
 
-def test_added_wall_only_increases_values_and_keeps_the_lumen_clear(airway):
+def test_wall_added_round_the_lumen_only_increases_values_and_leaves_the_lumen_free(airway):
     levels = wall_levels(transfer_preset("endoscopic"))
     assert levels == (-700, -400)
     for volume, lumen in (thin_tube(), (airway.volume, airway.lumen_zyx)):
@@ -277,7 +277,7 @@ def test_added_wall_only_increases_values_and_keeps_the_lumen_clear(airway):
     np.testing.assert_array_equal(with_wall(volume.hu_zyx, np.zeros_like(lumen), levels), volume.hu_zyx)
 
 
-def test_transfer_functions_without_a_closed_wall_cast_the_unchanged_volume():
+def test_transfer_functions_without_a_closed_wall_render_the_unchanged_volume():
     volume, lumen = thin_tube()
     spec = AirwayView(Pose.looking(volume.centre_lps, (1, 0, 0)), width=32, height=32)
     for name in ("ct-grey", "paper", "see-through"):

@@ -53,7 +53,7 @@ def test_surface_is_at_the_border_of_the_lumen(renderer, airway):
     assert near_lumen[tuple(nearest_ijk.T[::-1])].mean() > 0.98
 
 
-def test_surface_is_equal_after_prepare_and_in_strips(renderer, airway):
+def test_surface_is_equal_before_and_after_preparation_and_in_strips(renderer, airway):
     view = AirwayView(airway.pose, fov_deg=100.0, **SIZE)
     before = renderer.surface(view)
     renderer.prepare()
@@ -64,7 +64,7 @@ def test_surface_is_equal_after_prepare_and_in_strips(renderer, airway):
         np.testing.assert_array_equal(np.concatenate([getattr(s, name) for s in strips]), getattr(after, name))
 
 
-def test_picked_pixel_has_the_values_of_the_surface(renderer, airway):
+def test_surface_point_of_a_single_pixel_equals_that_of_the_complete_surface(renderer, airway):
     view = AirwayView(airway.pose, fov_deg=100.0, **SIZE)
     surface = renderer.surface(view)
     for column, row in ((0, 0), (28, 22), (55, 43)):
@@ -100,7 +100,7 @@ def test_picture_in_paper_mode_has_a_surface(airway):
     np.testing.assert_array_equal(renderer.surface(view).depth_mm, surface.depth_mm)
 
 
-def test_surface_is_saved_completely_and_read_back(airway, tmp_path):
+def test_saved_surface_file_contains_all_arrays_of_the_surface(airway, tmp_path):
     surface = carina.render_surface(airway.volume, pose=airway.pose, lumen_zyx=airway.lumen_zyx, **SIZE)
     path = surface.save(tmp_path / "wall.npz")
     assert [p.name for p in tmp_path.iterdir()] == ["wall.npz"]

@@ -8,7 +8,7 @@ from carina import _core
 from carina.render import picture_threads, reserved_thread
 
 
-def test_reservation_takes_one_thread_and_returns_it_after_an_error() -> None:
+def test_thread_reservation_takes_one_rendering_thread_and_releases_it_after_an_error() -> None:
     before = picture_threads()
     counted = []
 
@@ -23,7 +23,7 @@ def test_reservation_takes_one_thread_and_returns_it_after_an_error() -> None:
     assert picture_threads() == before
 
 
-def test_nested_reservations_take_one_thread_together() -> None:
+def test_nested_thread_reservations_take_one_thread_together() -> None:
     before = picture_threads()
     with reserved_thread():
         with reserved_thread():
@@ -32,7 +32,7 @@ def test_nested_reservations_take_one_thread_together() -> None:
     assert picture_threads() == before
 
 
-def test_reservation_ends_with_its_object_and_a_second_release_has_no_effect() -> None:
+def test_thread_reservation_ends_when_its_object_is_deleted_and_a_second_release_has_no_effect() -> None:
     before = picture_threads()
     first, second = _core.ReservedThread(), _core.ReservedThread()
     first.release()

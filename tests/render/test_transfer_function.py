@@ -13,7 +13,7 @@ from carina.volume import Volume
 
 
 @pytest.mark.parametrize("name", sorted(PRESETS))
-def test_presets_are_restored_from_their_json(name):
+def test_transfer_function_presets_are_restored_from_their_json(name):
     preset = transfer_preset(name)
     text = json.dumps(preset.to_json(), allow_nan=False)
     back = TransferFunction.from_json_text(text)
@@ -60,13 +60,13 @@ def test_transfer_function_from_text_that_is_no_json_object_is_refused():
             TransferFunction.from_json_text(text)
 
 
-def test_unknown_preset_is_a_usage_error_that_lists_the_known_ones():
+def test_unknown_transfer_function_preset_is_a_usage_error_that_lists_the_known_ones():
     with pytest.raises(UsageError, match="endoscopic"):
         transfer_preset("rainbow")
 
 
 @pytest.mark.parametrize(("dark", "bright", "noise"), [(20, 180, 6), (-950, 40, 25), (300, 1400, 60)])
-def test_histogram_puts_the_wall_between_dark_and_bright(dark, bright, noise):
+def test_threshold_from_the_histogram_is_between_the_dark_and_the_bright_peak(dark, bright, noise):
     rng = np.random.default_rng(3)
     shape = (20, 22, 24)
     air = rng.random(shape) < 0.3
@@ -82,6 +82,6 @@ def test_histogram_puts_the_wall_between_dark_and_bright(dark, bright, noise):
     assert clear[4] == 0.0
 
 
-def test_volume_of_one_value_has_no_threshold():
+def test_histogram_of_a_volume_with_one_value_is_refused():
     with pytest.raises(RenderError, match="nothing to distinguish"):
         transfer_from_histogram(Volume(np.full((3, 4, 5), 7, dtype=np.int16), np.eye(4)))

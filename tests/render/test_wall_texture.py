@@ -39,7 +39,7 @@ def rings_along(decoration: Decoration, line) -> np.ndarray:
     return np.array([at(decoration, point - [0.0, radius, 0.0])["rings"] for point in points])
 
 
-def test_trachea_has_the_anatomical_number_of_rings_which_continue_into_both_bronchi():
+def test_trachea_has_the_anatomical_number_of_cartilage_rings_which_continue_into_both_bronchi():
     tree = Tree((straight(0, None, (), "Trachea", ((0.0, 0.0, 104.0), (0.0, 0.0, 0.0), 8.5)),))
     found = decoration_of(tree)
     top, end = (at(found, (0.0, -8.5, z))["phase"] for z in (104.0, 0.0))
@@ -54,7 +54,7 @@ def test_trachea_has_the_anatomical_number_of_rings_which_continue_into_both_bro
         assert np.median(np.diff(phase)) == pytest.approx(step / (5.6 if end == (0.0, 0.0, 0.0) else 4.4), rel=0.05)
 
 
-def test_channels_of_front_back_and_sides_are_those_of_the_patient():
+def test_anterior_posterior_and_lateral_channels_of_the_decoration_are_those_of_the_patient():
     found = decoration_of(forked())
     for point in ((0.0, 0.0, 30.0), (-11.0, 2.0, -17.0)):
         radius = 7.0 if point[2] > 0 else 5.5
@@ -67,7 +67,7 @@ def test_channels_of_front_back_and_sides_are_those_of_the_patient():
     assert abs(left["back"]) < 0.1
 
 
-def test_rings_fade_where_the_radius_deviates_from_its_smooth_course():
+def test_cartilage_rings_fade_where_the_radius_deviates_from_its_smooth_course():
     trachea = straight(0, None, (), "Trachea", ((0.0, 0.0, 100.0), (0.0, 0.0, 0.0), 8.0))
     narrow = trachea.radius.copy()
     narrow[45:60] = 5.0
@@ -85,14 +85,14 @@ TRACHEA_LONG = ((0.0, 0.0, 100.0), (0.0, 0.0, 0.0), 8.0)
 
 
 @pytest.mark.parametrize("doubt", [{"kind": "bridge"}, {"kind": "manual"}, {"confidence": 0.4}], ids=str)
-def test_doubtful_branch_has_no_rings_and_the_next_branches_have_rings(doubt):
+def test_doubtful_branch_has_no_cartilage_rings_and_the_next_branches_have_rings(doubt):
     sure, found = decoration_of(forked(confidence=0.95)), decoration_of(forked(**doubt))
     assert rings_along(sure, TRACHEA)[5:50].min() > 0.95
     assert rings_along(found, TRACHEA)[5:50].max() < 0.05
     assert rings_along(found, RIGHT)[15:30].min() > 0.8
 
 
-def test_ridge_of_a_bifurcation_is_only_between_its_daughters():
+def test_ridge_decoration_of_a_bifurcation_is_only_between_its_two_branches():
     found = decoration_of(forked())
     middle = max(at(found, (0.6, 1.5, z))["spur"] for z in np.arange(-20.0, 0.0, 0.5))
     assert middle > 0.5
@@ -100,14 +100,14 @@ def test_ridge_of_a_bifurcation_is_only_between_its_daughters():
         assert at(found, point)["spur"] < 0.1
 
 
-def test_tree_without_a_named_trachea_has_no_decoration():
+def test_tree_without_a_named_trachea_has_no_wall_decoration():
     assert decoration_of(None) is None
     nameless = straight(0, None, (), None, TRACHEA)
     assert decoration_of(Tree((nameless,))) is None
     assert decoration_of(Tree((straight(0, None, (), "RMB", TRACHEA),))) is None
 
 
-def test_invalid_cells_are_refused_with_a_message():
+def test_invalid_arrays_of_a_wall_decoration_are_refused_with_a_message():
     good = decoration_of(forked())
     for cells in (good.cells[..., :7], good.cells[:1], good.cells.astype(np.float64), np.full_like(good.cells, np.nan)):
         with pytest.raises(GeometryError, match="decoration"):
@@ -126,7 +126,7 @@ def shown(airway, tree=None, *, view=None, simd=None, transfer="endoscopic", **c
     return renderer.render(AirwayView(airway.pose, fov_deg=100.0, **SIZE) if view is None else view)
 
 
-def test_decoration_does_not_change_the_walls(airway):
+def test_wall_decoration_does_not_change_the_wall_surface(airway):
     view = AirwayView(airway.pose, fov_deg=100.0, **SIZE)
     with_tree, without = Renderer(airway.volume), Renderer(airway.volume)
     with_tree.set_lumen(airway.lumen_zyx, forked())
@@ -143,7 +143,7 @@ def test_decoration_does_not_change_the_walls(airway):
     np.testing.assert_array_equal(*seen)
 
 
-def test_pictures_are_equal_for_every_instruction_set_in_strips_and_by_leaps(airway):
+def test_decorated_pictures_are_equal_for_every_instruction_set_in_strips_and_by_leaps(airway):
     truth = shown(airway, forked(), simd="portable", view=AirwayView(airway.pose, method="brute", **SIZE)).rgb
     view = AirwayView(airway.pose, **SIZE)
     np.testing.assert_array_equal(shown(airway, forked(), view=view).rgb, truth)
@@ -158,7 +158,7 @@ def test_pictures_are_equal_for_every_instruction_set_in_strips_and_by_leaps(air
     np.testing.assert_array_equal(other.render(view).rgb, truth)
 
 
-def test_each_part_can_be_switched_off_separately_and_has_an_effect(airway):
+def test_each_part_of_the_wall_decoration_has_an_effect_and_can_be_switched_off_separately(airway):
     every = shown(airway, forked())
     assert every.decorated == ALL
     for part in ALL:
@@ -168,7 +168,7 @@ def test_each_part_can_be_switched_off_separately_and_has_an_effect(airway):
         assert (found.rgb != every.rgb).any(), part
 
 
-def test_decoration_is_off_without_texture_or_tree_and_in_ct_grey_with_a_note(airway, tmp_path):
+def test_wall_decoration_is_off_without_texture_or_tree_and_in_ct_grey_with_a_note(airway, tmp_path):
     plain = AirwayView(airway.pose, fov_deg=100.0, texture=False, **SIZE)
     bare = shown(airway, forked(), view=plain)
     assert bare.decorated == ()
@@ -191,7 +191,7 @@ def contrast(picture, base) -> np.ndarray:
     return (picture.rgb.astype(int) - base.rgb)[..., :].mean(axis=2)
 
 
-def test_anterior_wall_shows_rings_and_posterior_wall_longitudinal_folds(airway):
+def test_anterior_wall_shows_cartilage_rings_and_posterior_wall_longitudinal_folds(airway):
     # The view from inside the trachea is level, so the lower half of the picture is posterior.
     pose = Pose.looking((0.0, 0.0, 48.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
     view = AirwayView(pose, fov_deg=110.0, width=160, height=160)
@@ -207,7 +207,7 @@ def test_anterior_wall_shows_rings_and_posterior_wall_longitudinal_folds(airway)
     assert (np.diff(np.sign(np.diff(column))) != 0).sum() >= 6
 
 
-def test_rings_fade_on_a_wall_that_differs_from_the_tree(airway):
+def test_cartilage_rings_fade_on_a_wall_whose_distance_differs_from_the_tree_radius(airway):
     """Let a mass narrow the airway, while the tree has the radius of the airway before the mass."""
     wide = forked()
     too_wide = dataclasses.replace(wide.branches[0], radius=np.full_like(wide.branches[0].radius, 7.0 / 0.55))
@@ -219,7 +219,7 @@ def test_rings_fade_on_a_wall_that_differs_from_the_tree(airway):
     assert np.abs(faded).mean() < 0.05
 
 
-def test_appearance_files_of_older_versions_have_no_decoration():
+def test_appearance_files_of_older_versions_have_no_wall_decoration():
     old = Appearance.from_json({"texture": 1.0, "vessels": 0.25})
     assert old.decorations == ("texture", "vessels")
     assert old.undecorated().decorations == ()

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
-from drive_hands import kind_of, random_samples, scope_of
 from lumen_cells import LumenCells, SignedMm
 from numpy.typing import NDArray
+from random_drive_inputs import kind_of, random_samples, scope_of
 
 from carina.scopes import ScopeDrive, WallField
 

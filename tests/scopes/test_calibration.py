@@ -86,7 +86,7 @@ FISHEYE = {
 """Calibration of OpenCV's fisheye model as JSON values."""
 
 
-def test_one_calibration_in_three_file_forms_gives_equal_lenses():
+def test_camera_calibration_in_three_file_formats_gives_equal_lenses():
     lens = lens_from_text(YAML)
     assert lens == lens_from_text(XML) == lens_from_text(JSON)
     assert lens.model == "brown"
@@ -103,7 +103,7 @@ def test_one_calibration_in_three_file_forms_gives_equal_lenses():
     assert lens.calibration.centre_px == (342.28315473308373 + 0.5, 235.57082909788173 + 0.5)
 
 
-def test_calibration_is_scaled_to_the_size_of_the_picture():
+def test_camera_calibration_is_scaled_to_the_size_of_the_picture():
     lens = lens_from_text(YAML)
     full, half = lens.optics(640, 480), lens.optics(320, 240)
     at = np.array([[10.0, 20.0], [600.0, 400.0]])
@@ -166,7 +166,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_broken_calibration_is_refused_with_the_defect(name, tmp_path):
+def test_invalid_camera_calibration_is_refused_with_the_defect(name, tmp_path):
     text, words = BROKEN[name]
     path = tmp_path / "lens.yml"
     path.write_text(text, encoding="utf-8")

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from drive_hands import KINDS, random_samples
 from numpy.typing import NDArray
+from random_drive_inputs import KINDS, random_samples
 
 from carina.errors import CancelledError, UsageError
 from carina.phantom import Phantom, generate_phantom, lumen_distance_at
@@ -58,7 +58,7 @@ def path_to(chest: Phantom, branch_id: int) -> NDArray[np.float64]:
     return np.array(points)
 
 
-def test_equal_samples_give_poses_that_are_equal_bit_for_bit(chest: Phantom, field: WallField) -> None:
+def test_equal_control_samples_give_scope_poses_that_are_equal_bit_for_bit(chest: Phantom, field: WallField) -> None:
     def run(kind: str) -> list[NDArray[np.float64]]:
         rng = np.random.default_rng(5)
         drive = ScopeDrive(field, "ebus", path_to(chest, 0))
@@ -68,7 +68,7 @@ def test_equal_samples_give_poses_that_are_equal_bit_for_bit(chest: Phantom, fie
         assert all(np.array_equal(a, b) for a, b in zip(run(kind), run(kind), strict=True)), kind
 
 
-def test_copy_has_the_pose_of_the_scope_and_moves_independently(chest: Phantom, field: WallField) -> None:
+def test_copied_scope_drive_has_an_equal_pose_and_moves_independently(chest: Phantom, field: WallField) -> None:
     path = path_to(chest, 1)
     one = ScopeDrive(field, "thin", path)
     one.drive(60.0, 0.4, 0.3, 0.1)
@@ -82,7 +82,9 @@ def test_copy_has_the_pose_of_the_scope_and_moves_independently(chest: Phantom, 
     assert np.array_equal(one.shaft_lps(), other.shaft_lps())
 
 
-def test_too_thick_scope_stops_and_reports_the_diameter_that_passes(chest: Phantom, field: WallField) -> None:
+def test_scope_too_thick_for_the_airway_stops_and_reports_the_diameter_that_passes(
+    chest: Phantom, field: WallField
+) -> None:
     by_name = {b["name"]: b for b in chest.truth["branches"]}
     path = path_to(chest, by_name["RB10"]["id"])
     drive = ScopeDrive(field, "therapeutic", path_to(chest, 0))
@@ -94,7 +96,7 @@ def test_too_thick_scope_stops_and_reports_the_diameter_that_passes(chest: Phant
     assert thin.place(path, 400.0).insertion_mm > state.insertion_mm + 5.0
 
 
-def test_insertion_counts_from_the_start_of_the_path(chest: Phantom, field: WallField) -> None:
+def test_insertion_depth_is_measured_from_the_start_of_the_path(chest: Phantom, field: WallField) -> None:
     path = path_to(chest, 0)
     drive = ScopeDrive(field, "standard", path)
     assert drive.state.insertion_mm == drive.entry_mm < 8.0
@@ -107,7 +109,7 @@ def test_insertion_counts_from_the_start_of_the_path(chest: Phantom, field: Wall
     assert drive.drive(-5.0, 0.0, 0.0, 0.1).limit == "entry"
 
 
-def test_depth_counts_from_the_cords_and_a_facing_operator_has_a_rotated_picture(
+def test_depth_is_measured_from_the_vocal_cords_and_a_facing_operator_sees_a_rotated_picture(
     chest: Phantom, field: WallField
 ) -> None:
     path = path_to(chest, 0)
@@ -137,7 +139,7 @@ def test_depth_counts_from_the_cords_and_a_facing_operator_has_a_rotated_picture
         ScopeDrive(field, "standard", path, cords_mm=math.nan)
 
 
-def test_tip_pressed_against_a_wall_reports_contact_and_turns_red(chest: Phantom, field: WallField) -> None:
+def test_tip_pressed_against_a_wall_reports_contact_and_a_red_picture(chest: Phantom, field: WallField) -> None:
     drive = ScopeDrive(field, "standard", path_to(chest, 0))
     drive.drive(60.0, 0.0, 0.0, 0.1)
     assert drive.state.contact is None
@@ -165,7 +167,7 @@ def test_lever_at_each_end_gives_the_flexion_limit_of_its_side() -> None:
         lever_flexion(math.nan, stops)
 
 
-def test_invalid_samples_paths_and_fields_are_refused(chest: Phantom, field: WallField) -> None:
+def test_invalid_control_samples_paths_and_wall_fields_are_refused(chest: Phantom, field: WallField) -> None:
     drive = ScopeDrive(field, "standard", path_to(chest, 0))
     before = drive.drive(30.0, 0.1, 0.2, 0.1)
     for bad in ((math.nan, 0, 0, 0.1), (0, math.inf, 0, 0.1), (0, 0, math.nan, 0.1), (0, 0, 0, -1.0)):
@@ -186,7 +188,7 @@ def test_invalid_samples_paths_and_fields_are_refused(chest: Phantom, field: Wal
     assert refused.value.code == "usage.range"
 
 
-def test_wall_field_of_a_mesh_can_be_cancelled() -> None:
+def test_computation_of_a_wall_field_can_be_cancelled() -> None:
     corners = np.array([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], dtype=np.float64)
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.uint32)
     made = WallField.from_mesh(corners, faces, spacing_mm=0.3)

@@ -28,7 +28,7 @@ def tube_mesh() -> tuple[Floats, np.ndarray]:
     return np.array(vertices), np.array(triangles)
 
 
-def test_mesh_distances_match_dense_points_and_sides_match_the_solid_angle(
+def test_mesh_distances_match_densely_sampled_points_and_their_signs_match_the_solid_angle(
     rng: np.random.Generator,
 ) -> None:
     vertices, triangles = tube_mesh()
@@ -48,7 +48,7 @@ def test_mesh_distances_match_dense_points_and_sides_match_the_solid_angle(
     assert np.array_equal(found[near] < 0.0, inside[near])
 
 
-def test_cells_of_a_mesh_are_in_the_lumen(rng: np.random.Generator) -> None:
+def test_lumen_cells_of_a_mesh_are_inside_the_mesh(rng: np.random.Generator) -> None:
     vertices, triangles = tube_mesh()
     corners = vertices[triangles]
     cells = LumenCells.of_mesh(MeshDistance(vertices, triangles), corners, np.array([[0.0, 0.0, 2.0]]))
@@ -68,7 +68,7 @@ def test_cells_of_a_mesh_are_in_the_lumen(rng: np.random.Generator) -> None:
     assert held.sum() > 10
 
 
-def test_lattice_has_the_exact_distance_near_the_wall() -> None:
+def test_sampled_distance_grid_is_exact_near_the_wall() -> None:
     def tube(points: Floats) -> Floats:
         return np.hypot(points[:, 0], points[:, 1]) - 3.0
 

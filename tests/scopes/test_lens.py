@@ -20,7 +20,7 @@ LENSES = {
 
 
 @pytest.mark.parametrize("name", LENSES)
-def test_direction_of_a_pixel_converts_back_to_the_pixel(name):
+def test_lens_direction_of_a_pixel_converts_back_to_the_pixel(name):
     optics = LENSES[name].optics(320, 240, 110.0)
     rng = np.random.default_rng(5)
     # The points are inside the image circle, where every lens has a direction.
@@ -49,7 +49,7 @@ def test_opencv_formulas_match_a_point_computed_by_hand():
     assert optics.pixels_of([[0.6, -0.8, 2.0]])[0] == pytest.approx([100 + f * x, 100 + f * y], abs=1e-10)
 
 
-def test_directions_outside_the_field_of_a_lens_have_no_pixel():
+def test_directions_outside_the_field_of_view_of_a_lens_have_no_pixel():
     assert np.isnan(PINHOLE.optics(64, 64, 90.0).pixels_of([[0.0, 0.0, -1.0]])).all()
     assert np.isnan(PINHOLE.optics(64, 64, 90.0).pixels_of([[0.0, math.nan, 1.0]])).all()
     # A direction 120 degrees from the axis is in the picture of a fisheye lens if the picture is large enough.
@@ -63,12 +63,12 @@ def test_field_of_view_out_of_range_is_refused_with_the_value(name, fov_deg):
         LENSES[name].optics(64, 64, fov_deg)
 
 
-def test_pinhole_and_fitted_lens_reach_170_degrees():
+def test_pinhole_and_fitted_fisheye_lens_support_170_degrees():
     for lens in (PINHOLE, Lens.equidistant(), Lens.fisheye(fit_generic_optics().k1)):
         assert lens.optics(64, 64, 170.0).fov_deg == 170.0
 
 
-def test_lens_that_folds_back_is_refused_with_the_angle():
+def test_lens_whose_image_radius_decreases_is_refused_with_the_largest_valid_angle():
     # With k1 = -0.3 alone, a common start of fits, the radius in the image decreases beyond 46.5 degrees from the axis.
     with pytest.raises(RenderError, match=r"less than 93.0 degrees.*found 120.00"):
         Lens.brown(-0.3).optics(64, 64, 120.0)
@@ -102,7 +102,7 @@ def test_lens_with_non_finite_coefficients_is_refused(make):
     assert refusal.value.code == "usage.range"
 
 
-def test_fitted_lens_has_the_published_figures_within_their_contradictions():
+def test_lens_fitted_to_published_figures_deviates_only_where_the_figures_contradict_each_other():
     fit = fit_generic_optics()
     relative = {residual.what: residual.relative for residual in fit.residuals}
     # The published figures contradict each other: one pupil cannot give both 9.55 times at 10 mm and 40 times at 3 mm,
@@ -120,7 +120,7 @@ def test_fitted_lens_has_the_published_figures_within_their_contradictions():
         assert sum(v * v for v in other) > sum(v * v for v in logs)
 
 
-def test_fitted_lens_has_the_magnifications_of_the_fit():
+def test_magnifications_of_the_fitted_lens_equal_those_stated_by_the_fit():
     fit = fit_generic_optics()
     optics = Lens.fisheye(fit.k1).optics(1000, 1000, 120.0)
 

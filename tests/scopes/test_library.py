@@ -9,7 +9,7 @@ from carina.errors import UsageError
 from carina.scopes import DEFAULT_SCOPE, Pose, scope_preset, scope_presets
 
 
-def test_every_row_of_the_table_is_in_the_library_with_its_basis():
+def test_every_row_of_the_scope_table_is_in_the_library_with_its_basis():
     presets = scope_presets()
     assert presets[0].name == DEFAULT_SCOPE
     assert len({p.name for p in presets}) == len({p.title for p in presets}) == len(presets) == 18
@@ -22,7 +22,7 @@ def test_every_row_of_the_table_is_in_the_library_with_its_basis():
         assert all(np.hypot(x, y) < preset.tip_mm / 2 for x, y, _ in preset.guides_mm)
 
 
-def test_figures_of_the_library_equal_those_of_the_table():
+def test_figures_of_the_scope_library_equal_those_of_the_table():
     standard = scope_preset("standard")
     assert (standard.tip_mm, standard.channel_mm, standard.fov_deg, standard.flexion_deg) == (
         4.9,

@@ -27,7 +27,9 @@ def tubes(radius_mm: float, axis: np.ndarray, *middles: np.ndarray) -> WallField
 
 @pytest.mark.parametrize("diameter_mm", [1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
 @pytest.mark.parametrize("off_mm", [0.0, 0.15, 0.3])
-def test_ball_in_a_tube_has_the_tube_s_width_in_every_direction_and_position(diameter_mm: float, off_mm: float) -> None:
+def test_inscribed_ball_in_a_tube_has_the_tube_diameter_in_every_direction_and_position(
+    diameter_mm: float, off_mm: float
+) -> None:
     rng = np.random.default_rng(int(10 * diameter_mm))
     ways = np.concatenate([np.eye(3), rng.normal(size=(9, 3))])
     biases = []
@@ -41,7 +43,7 @@ def test_ball_in_a_tube_has_the_tube_s_width_in_every_direction_and_position(dia
     assert abs(np.mean(biases)) <= 0.07
 
 
-def test_ball_beside_a_thin_wall_is_limited_by_this_wall_and_not_the_next_lumen() -> None:
+def test_inscribed_ball_beside_a_thin_wall_is_limited_by_that_wall_and_not_by_the_next_lumen() -> None:
     axis = np.array([0.0, 0.0, 1.0])
     left, right = np.array([-0.9, 0.1, 0.0]), np.array([1.8, 0.1, 0.0])
     field = tubes(1.0, axis, left, right)
@@ -50,7 +52,7 @@ def test_ball_beside_a_thin_wall_is_limited_by_this_wall_and_not_the_next_lumen(
         assert field.ball_mm(at)[0] == pytest.approx(1.0 - off_mm, abs=0.06)
 
 
-def test_ball_equals_the_distance_outside_and_deep_inside_the_lumen() -> None:
+def test_inscribed_ball_radius_is_the_wall_distance_outside_and_deep_inside_the_lumen() -> None:
     field = tubes(1.0, np.array([0.0, 0.0, 1.0]), np.zeros(3))
     outside = np.array([[1.5, 0.0, 0.0], [0.0, 2.0, 0.3], [99.0, 0.0, 0.0]])
     assert field.ball_mm(outside).tolist() == field.distance_mm(outside).tolist()
@@ -59,7 +61,7 @@ def test_ball_equals_the_distance_outside_and_deep_inside_the_lumen() -> None:
     assert len(wide.ball_mm(np.empty((0, 3)))) == 0
 
 
-def test_wall_fields_with_equal_samples_have_equal_bytes() -> None:
+def test_wall_fields_with_equal_distances_are_stored_as_equal_bytes() -> None:
     axis, middle = np.array([0.0, 0.0, 1.0]), np.zeros(3)
     wall = tubes(2.0, axis, middle)
     assert wall.to_bytes() == tubes(2.0, axis, middle).to_bytes()

@@ -13,10 +13,10 @@ from pathlib import Path
 
 from websockets.sync.client import connect
 
+from cached_test_data import made_phantom
 from carina.server.wire import messages as wire
 from carina.volume import write_grid
-from made import made_phantom
-from own_folders import environment_in
+from user_folders import environment_in
 
 WAIT_S = 120.0
 HERE = Path(__file__).parent

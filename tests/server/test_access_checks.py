@@ -15,7 +15,7 @@ def gate():
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:8123", "localhost:8123", "LOCALHOST:8123", "[::1]:8123", "127.0.0.2:8123"])
-def test_host_names_of_loopback_are_allowed(host):
+def test_server_on_loopback_allows_host_names_of_loopback(host):
     assert host_allowed(host, bound_host="127.0.0.1", port=8123)
 
 
@@ -36,7 +36,7 @@ def test_host_names_of_loopback_are_allowed(host):
         "127.0.0.1:-8123",
     ],
 )
-def test_other_host_names_are_refused_on_loopback(host):
+def test_server_on_loopback_refuses_other_host_names(host):
     assert not host_allowed(host, bound_host="127.0.0.1", port=8123)
 
 
@@ -46,21 +46,21 @@ def test_server_on_the_network_allows_literal_addresses_and_refuses_other_names(
     assert not host_allowed("evil.example:8123", bound_host="0.0.0.0", port=8123)
 
 
-def test_only_addresses_of_this_computer_are_loopback():
+def test_only_addresses_of_this_computer_count_as_loopback():
     assert is_loopback("127.0.0.1")
     assert is_loopback("::1")
     assert not is_loopback("0.0.0.0")
     assert not is_loopback("example.org")
 
 
-def test_start_token_is_accepted_only_once(gate):
+def test_access_token_of_the_start_link_is_accepted_only_once(gate):
     token = gate.new_token()
     assert not gate.redeem("wrong")
     assert gate.redeem(token)
     assert not gate.redeem(token)
 
 
-def test_cookie_allows_access_and_its_name_contains_the_port(gate):
+def test_access_cookie_allows_requests_and_its_name_contains_the_port(gate):
     pair = gate.set_cookie.split(";")[0]
     assert gate.authorised({"cookie": f"other=1; {pair}"})
     assert not gate.authorised({"cookie": pair[:-1] + "A" if pair[-1] != "A" else pair[:-1] + "B"})
@@ -69,7 +69,7 @@ def test_cookie_allows_access_and_its_name_contains_the_port(gate):
     assert "SameSite=Strict" in gate.set_cookie
 
 
-def test_secret_allows_access_for_programs_and_differs_from_the_cookie(gate):
+def test_access_secret_allows_requests_of_programs_and_differs_from_the_cookie(gate):
     assert gate.authorised({"authorization": f"Bearer {gate.secret}"})
     assert not gate.authorised({"authorization": gate.secret})
     assert not gate.authorised({"authorization": "Bearer ü"})
@@ -79,11 +79,11 @@ def test_secret_allows_access_for_programs_and_differs_from_the_cookie(gate):
 
 
 @pytest.mark.parametrize("cookie", ["\0", "=;=;", "a" * 100_000, 'carina_8123="', "carina_8123=é"])
-def test_malformed_cookies_are_ignored(gate, cookie):
+def test_malformed_access_cookies_are_ignored(gate, cookie):
     assert not gate.authorised({"cookie": cookie})
 
 
-def test_get_request_needs_no_origin_and_a_socket_needs_one(gate):
+def test_get_request_needs_no_origin_header_and_a_websocket_needs_one(gate):
     assert gate.refusal(method="GET", headers=GOOD) is None
     assert gate.refusal(method=None, headers=GOOD) is not None
     assert gate.refusal(method="POST", headers=GOOD) is not None
@@ -100,6 +100,6 @@ def test_request_from_another_origin_is_refused_despite_valid_credentials(gate, 
     assert gate.refusal(method=method, headers=headers) == "the request comes from another page"
 
 
-def test_origin_of_the_server_is_allowed(gate):
+def test_origin_header_of_the_server_itself_is_allowed(gate):
     assert gate.refusal(method=None, headers=GOOD | {"origin": "http://127.0.0.1:8123"}) is None
     assert gate.refusal(method=None, headers={"host": "localhost:8123", "origin": "http://localhost:8123"}) is None

@@ -31,7 +31,7 @@ STATUS = ClusterStatus(
 )
 
 
-def test_window_receives_the_rendering_computers_and_each_notice_once() -> None:
+def test_window_receives_the_rendering_computers_of_the_cluster_and_each_notice_once() -> None:
     reported: list[wire.Cluster | wire.Notice] = []
     watch = ClusterWatch(lambda: STATUS, reported.append)
     watch.look()

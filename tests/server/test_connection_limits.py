@@ -19,7 +19,7 @@ from websockets.sync.client import connect
 
 from carina.server.network.connection_limits import TELL_EVERY_S, _OnceAMinute
 from carina.server.wire import messages as wire
-from own_folders import environment_in
+from user_folders import environment_in
 
 SERVER = """
 import resource, sys
@@ -133,7 +133,7 @@ def answered(ask, url, bearer):
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
 @pytest.mark.parametrize("rounds", [20, pytest.param(200, marks=pytest.mark.soak)])
-def test_300_unauthenticated_clients_at_128_descriptors_block_no_user_and_log_one_line(tmp_path, rounds):
+def test_300_unauthenticated_clients_at_128_file_descriptors_block_no_user_and_log_one_line(tmp_path, rounds):
     with small_process(tmp_path) as (base, token, errors):
         took_ms = besieged(base, token, rounds=rounds)
     log = errors.read_text()
@@ -149,7 +149,7 @@ def test_300_unauthenticated_clients_at_128_descriptors_block_no_user_and_log_on
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
-def test_server_without_a_free_descriptor_closes_idle_connections_and_answers(tmp_path):
+def test_server_without_a_free_file_descriptor_closes_idle_connections_and_answers(tmp_path):
     with small_process(tmp_path, reserved=-1000) as (base, token, errors):
         besieged(base, token, rounds=3)
     log = errors.read_text()
@@ -196,7 +196,7 @@ def hasty(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("words", [WORDS[0], WORDS[1], b"GET / HTTP/1.1\r\nHost: a\r\n" + b"X: y\r\n" * 20])
-def test_connection_without_a_complete_request_is_closed(hasty, words):
+def test_connection_without_a_complete_request_is_closed_after_the_time_limit(hasty, words):
     with dial(hasty.origin, words) as sock:
         assert not stays_open(sock)
 
@@ -242,7 +242,7 @@ def test_request_with_a_stalled_body_is_closed_and_a_slow_body_accepted(hasty):
         assert sock.recv(1000).startswith(b"HTTP/1.1 201")
 
 
-def test_unauthenticated_socket_is_closed_at_the_limit_and_an_authenticated_one_stays(tmp_path, monkeypatch):
+def test_unauthenticated_websocket_is_closed_at_the_limit_and_an_authenticated_one_stays_open(tmp_path, monkeypatch):
     monkeypatch.setattr("carina.server.network.connection_limits.MAX_STRANGERS", 8)
     with running(tmp_path) as live, live.window() as window, contextlib.ExitStack() as stack:
         upgrade = (
@@ -260,7 +260,7 @@ def test_unauthenticated_socket_is_closed_at_the_limit_and_an_authenticated_one_
         assert isinstance(window.until(lambda m: isinstance(m, wire.Error)), wire.Error)
 
 
-def test_log_repeats_a_message_at_most_once_a_minute():
+def test_server_log_repeats_a_message_at_most_once_a_minute():
     now = [0.0]
     once = _OnceAMinute(lambda: now[0])
     record = logging.LogRecord("uvicorn.error", logging.WARNING, "", 0, "Invalid HTTP request received.", (), None)

@@ -91,7 +91,7 @@ def test_stick_moves_the_tip_while_it_is_deflected(desk):
     assert bench.session.pose_info().path_mm == at
 
 
-def test_flood_of_samples_makes_at_most_one_pose_per_frame(desk):
+def test_flood_of_device_samples_gives_at_most_one_pose_per_frame(desk):
     made, bench, _ = desk
     first = bench.session.pose_info().pose_id
     began, n = time.monotonic(), 0
@@ -102,7 +102,7 @@ def test_flood_of_samples_makes_at_most_one_pose_per_frame(desk):
     assert poses <= 1.2 * 125 * (time.monotonic() - began) + 2
 
 
-def test_invalid_samples_are_counted_and_reported_once(desk):
+def test_invalid_device_samples_are_counted_and_reported_once(desk):
     made, bench, _ = desk
     made.handle(pen(1.0, (0.0, 0.0, 0.0)))
     for n in range(50):
@@ -143,7 +143,7 @@ def test_registration_returns_its_residual_and_refuses_unusable_pairs(desk):
     assert bench.session.pose_info() is not None
 
 
-def test_pen_button_adds_a_target_at_the_tip(desk):
+def test_pen_button_without_an_active_tool_adds_a_target_at_the_tip(desk):
     made, bench, _ = desk
     bench.session.do(GoTo(20.0))
     do(made, wire.ArmPen("target"))
@@ -174,7 +174,7 @@ def test_stick_selects_the_branch_at_a_fork_and_changes_the_route(desk):
     assert session.snapshot().undo_label is None, "a flight is no change that undo takes back"
 
 
-def test_handle_is_connected_listed_and_disconnected(desk):
+def test_scope_handle_is_connected_listed_and_disconnected(desk):
     made, bench, sent = desk
     port = PseudoPort()
     address = f"handle:{port.path}"
@@ -199,7 +199,7 @@ def test_handle_is_connected_listed_and_disconnected(desk):
 
 
 @pytest.mark.parametrize("option", ["", "?silence=30"])
-def test_tracker_with_or_without_options_is_disconnected_by_its_shown_name(desk, option):
+def test_tracker_with_or_without_options_is_disconnected_by_its_displayed_name(desk, option):
     made, _, _ = desk
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
@@ -211,7 +211,7 @@ def test_tracker_with_or_without_options_is_disconnected_by_its_shown_name(desk,
         assert made.message().sources == ()
 
 
-def test_tracker_without_a_port_is_disconnected_by_its_shown_name(desk):
+def test_tracker_without_a_port_is_disconnected_by_its_displayed_name(desk):
     made, _, _ = desk
     made.handle(wire.ConnectDevice("openigtlink:127.0.0.1"))
     (shown,) = made.message().sources
@@ -219,7 +219,7 @@ def test_tracker_without_a_port_is_disconnected_by_its_shown_name(desk):
     assert made.message().sources == ()
 
 
-def test_resting_handle_that_sends_samples_makes_no_new_poses(desk):
+def test_unmoved_scope_handle_that_sends_samples_makes_no_new_poses(desk):
     made, bench, _ = desk
     made.handle(wire.WatchDevices(True))  # While a window watches the devices, frames continue five times a second.
 
@@ -265,7 +265,7 @@ def published(port: int) -> IgtlPose:
                 return found
 
 
-def test_tip_is_published_and_recordings_are_written(desk, tmp_path):
+def test_tip_pose_is_published_and_recordings_are_written(desk, tmp_path):
     made, bench, _ = desk
     bench.session.do(GoTo(20.0))
     made.handle(wire.PublishTip(0))
@@ -283,7 +283,7 @@ def test_tip_is_published_and_recordings_are_written(desk, tmp_path):
     assert len(list((tmp_path / "recordings").glob("*.jsonl"))) == 1
 
 
-def test_reported_delay_of_the_filter_changes_with_its_smoothing(desk):
+def test_reported_delay_of_the_device_filter_changes_with_its_smoothing(desk):
     made, _, _ = desk
     assert made.message().filter_latency_ms <= 10.0
     do(made, wire.SetControls(DeviceControls(min_cutoff_hz=5.0)))
@@ -291,7 +291,7 @@ def test_reported_delay_of_the_filter_changes_with_its_smoothing(desk):
     assert made.handle(wire.Undo()) is False
 
 
-def test_failed_frame_is_logged_once_and_later_frames_run(desk, monkeypatch, caplog):
+def test_failed_device_frame_is_logged_once_and_later_frames_run(desk, monkeypatch, caplog):
     made, bench, _ = desk
     frame, num_failed = bench.session.devices.frame, 0
 

@@ -119,7 +119,7 @@ def test_preview_lists_the_renamed_branches_only_if_they_are_requested(pointing)
     assert moved.problem is not None or moved.renamed is not None
 
 
-def test_place_in_the_airway_picture_selects_the_lumen_in_front_of_the_wall(pointing):
+def test_pixel_in_the_airway_picture_selects_the_lumen_in_front_of_the_wall_for_an_edit(pointing):
     wall = np.array(in_plain_lung())
     pointing.picture.hit = SimpleNamespace(position_lps=wall)
     preview = ask(pointing, 5, frame_id=5, column=12.0, row=7.5)
@@ -137,13 +137,13 @@ def test_place_in_the_airway_picture_selects_the_lumen_in_front_of_the_wall(poin
         ({"lps": (0.0, 0.0, 9000.0)}, "outside the scan"),
     ],
 )
-def test_place_without_a_possible_edit_is_answered_with_the_reason(pointing, place, words):
+def test_pixel_or_point_without_a_possible_edit_is_answered_with_the_reason(pointing, place, words):
     preview = ask(pointing, 6, **place)
     assert words in preview.problem
     assert (preview.lines, preview.length_mm, preview.has_evidence) == ((), None, False)
 
 
-def test_fault_in_a_preview_is_reported_and_the_next_preview_is_answered(pointing, monkeypatch):
+def test_internal_error_in_an_edit_preview_is_reported_and_the_next_preview_is_answered(pointing, monkeypatch):
     monkeypatch.setattr(pointing.session, "ask", lambda _question: 1 / 0)
     assert "internal error in Carina (ZeroDivisionError)" in ask(pointing, 1, lps=(0.0, 0.0, 0.0)).problem
     monkeypatch.undo()

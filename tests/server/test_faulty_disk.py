@@ -189,13 +189,13 @@ def faults(tmp_path):
 
 
 @pytest.mark.parametrize("kind", FAULTS)
-def test_work_continues_on_a_faulty_disk_and_is_saved_when_it_recovers(faults, kind):
+def test_session_continues_on_a_faulty_disk_and_its_changes_are_saved_when_the_disk_recovers(faults, kind):
     rng = random.Random(7)
     for n in range(2):
         fails_at(faults, kind, rng, n)
 
 
-def test_work_reported_as_saved_survives_a_power_cut(faults):
+def test_changes_reported_as_saved_are_restored_after_a_power_cut(faults):
     rng = random.Random(8)
     for n in range(4):
         loses_power(faults, rng, any_part=n % 2 == 1)
@@ -203,7 +203,7 @@ def test_work_reported_as_saved_survives_a_power_cut(faults):
 
 @pytest.mark.soak
 @pytest.mark.parametrize("kind", FAULTS)
-def test_work_continues_on_a_disk_that_fails_at_two_hundred_points(faults, kind):
+def test_session_continues_on_a_disk_that_fails_at_two_hundred_points(faults, kind):
     rng = random.Random(20001)
     for n in range(POINTS):
         fails_at(faults, kind, rng, n)
@@ -212,7 +212,7 @@ def test_work_continues_on_a_disk_that_fails_at_two_hundred_points(faults, kind)
 
 
 @pytest.mark.soak
-def test_work_reported_as_saved_survives_two_hundred_power_cuts(faults):
+def test_changes_reported_as_saved_are_restored_after_two_hundred_power_cuts(faults):
     rng = random.Random(20001)
     lost_s = sorted(loses_power(faults, rng, any_part=n % 2 == 1) for n in range(POINTS))
     print(f"power cut: lost {lost_s[POINTS // 2]:.2f} s in the middle, {lost_s[-1]:.2f} s at most")

@@ -41,12 +41,12 @@ def test_consecutive_movements_are_executed_as_their_sum():
     assert one == steer(0.75, 0.5, 2.0, 0.1)
 
 
-def test_movements_before_and_after_another_message_are_not_added():
+def test_movements_before_and_after_another_message_are_not_summed():
     messages = [steer(1.0), steer(1.0), wire.ToggleMode(), steer(2.0), wire.NextFork(), wire.NextFork(), steer(3.0)]
     assert done(*messages) == [steer(2.0), *messages[2:]]
 
 
-def test_newest_setting_of_each_view_replaces_older_ones_and_no_other_message_is_dropped():
+def test_newest_setting_of_each_view_replaces_waiting_older_ones_and_no_other_message_is_dropped():
     def orbit(view, azimuth_deg):
         return wire.SetOrbit(view=view, azimuth_deg=azimuth_deg, elevation_deg=0.0)
 
@@ -65,7 +65,7 @@ def test_sum_of_movements_beyond_the_limit_of_a_message_is_divided():
     assert all(abs(message.advance_mm) <= 1000.0 for message in did)
 
 
-def test_full_inbox_does_not_read_further_messages():
+def test_full_inbox_blocks_its_reader_until_a_message_is_processed():
     async def run():
         inbox = Inbox(lambda _message: None)
         for n in range(MAX_WAITING):
@@ -81,7 +81,7 @@ def test_full_inbox_does_not_read_further_messages():
     asyncio.run(run())
 
 
-def test_error_in_a_message_ends_the_worker_without_blocking_the_reader():
+def test_error_in_a_message_ends_the_inbox_worker_without_blocking_the_reader():
     def broken(_message):
         raise SystemError
 

@@ -164,11 +164,11 @@ def test_messages_to_a_window_on_another_computer_contain_no_file_name(desk, mon
         (None, ("127.0.0.1", 80), False),
     ],
 )
-def test_connection_is_local_if_it_does_not_leave_the_computer(client, server, is_here):
+def test_connection_counts_as_local_if_it_does_not_leave_the_computer(client, server, is_here):
     assert comes_from_this_machine({"client": client, "server": server}) is is_here
 
 
-def test_notes_with_codes_not_known_to_be_free_of_names_are_replaced():
+def test_notes_for_observers_are_replaced_unless_their_code_guarantees_text_without_names():
     notes = [CaseNote(code, f"words of {NAME}", True) for code in ("import.some-new-code", "import.not-hu")]
     assert all(NAME not in note.words for note in observer_notes(notes))
     assert [note.code for note in observer_notes(notes)] == ["import.some-new-code", "import.not-hu"]
@@ -177,7 +177,7 @@ def test_notes_with_codes_not_known_to_be_free_of_names_are_replaced():
     assert list(observer_notes(allowed)) == allowed
 
 
-def test_errors_for_observers_keep_their_code_without_their_text():
+def test_errors_for_observers_contain_their_code_without_their_text():
     assert NAME not in observer_error(wire.Error("import.damaged", f"reading {NAME}", NAME)).message
     assert observer_error(wire.Error("import.damaged", "x", None)).code == "import.damaged"
     refused = wire.Error("session.watching", "you are watching", None)

@@ -55,7 +55,7 @@ class Player:
 @pytest.mark.parametrize("full_s", FULL_COSTS_S)
 @pytest.mark.parametrize("hand_hz", [60.0, 1000.0])
 @pytest.mark.parametrize("counts", [True, False], ids=["rays counted", "by the clock alone"])
-def test_requested_rate_is_met_at_every_cost_of_a_picture(layout, full_s, hand_hz, counts):
+def test_requested_frame_rate_is_met_at_every_rendering_cost_of_a_picture(layout, full_s, hand_hz, counts):
     simulation = Simulation(Machine(full_s, counts=counts), layout=dict(layout), hand_per_s=hand_hz)
     simulation.fly(2.0)
     sent = simulation.fly(3.0)
@@ -66,7 +66,7 @@ def test_requested_rate_is_met_at_every_cost_of_a_picture(layout, full_s, hand_h
 
 
 @pytest.mark.parametrize("rate", [15.0, 30.0, 120.0])
-def test_requested_rates_from_15_to_120_are_met_and_lower_rates_give_finer_pictures(rate):
+def test_requested_frame_rates_from_15_to_120_are_met_and_lower_rates_give_finer_pictures(rate):
     at_60 = Simulation(Machine(0.08))
     at_60.fly(2.0)
     simulation = Simulation(Machine(0.08), rate_hz=rate, hand_per_s=240.0)
@@ -80,7 +80,7 @@ def test_requested_rates_from_15_to_120_are_met_and_lower_rates_give_finer_pictu
 @pytest.mark.parametrize("full_s", FULL_COSTS_S)
 @pytest.mark.parametrize("samples", [0.1, 0.5, 0.9])
 @pytest.mark.parametrize("counts", [True, False], ids=["rays counted", "by the clock alone"])
-def test_moving_picture_is_as_fine_as_the_frame_rate_allows(full_s, samples, counts):
+def test_moving_picture_has_the_finest_level_that_the_frame_rate_allows(full_s, samples, counts):
     simulation = Simulation(Machine(full_s, samples=samples, counts=counts))
     simulation.fly(6.0)
     time_s, order = simulation.sent[-1]
@@ -91,7 +91,7 @@ def test_moving_picture_is_as_fine_as_the_frame_rate_allows(full_s, samples, cou
     assert order.level == 0 or took_s > 0.66 / 60.0
 
 
-def test_resolution_is_reduced_before_the_step_is_increased():
+def test_levels_reduce_the_resolution_before_they_increase_the_ray_step():
     areas = [level.scale for level in AIRWAY_LEVELS]
     steps = [level.step_vox for level in AIRWAY_LEVELS]
     assert areas == sorted(areas, reverse=True)
@@ -104,7 +104,7 @@ def test_resolution_is_reduced_before_the_step_is_increased():
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("counts", [True, False], ids=["rays counted", "by the clock alone"])
-def test_noise_and_pauses_cause_neither_flicker_nor_a_lower_rate(seed, counts):
+def test_timing_noise_and_pauses_do_not_change_the_level_or_lower_the_frame_rate(seed, counts):
     rng = random.Random(seed)
     # The machine has 10 % noise, and once a second another program causes a pause.
     machine = Machine(
@@ -122,7 +122,7 @@ def test_noise_and_pauses_cause_neither_flicker_nor_a_lower_rate(seed, counts):
     assert min(widths) >= (0.83 if counts else 0.7) * max(widths)
 
 
-def test_level_adapts_to_a_slow_machine_within_a_few_pictures_and_recovers():
+def test_level_adapts_to_a_slower_machine_within_a_few_pictures_and_recovers():
     # From second 15 to 18 another process uses a core and a part of the memory bandwidth.
     simulation = Simulation(Machine(0.06, slowed=lambda now_s: 2.2 if 15.0 <= now_s < 18.0 else 1.0))
     before = simulation.fly(5.0)[-1][1].level
@@ -140,7 +140,7 @@ def test_level_adapts_to_a_slow_machine_within_a_few_pictures_and_recovers():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_waiting_for_a_core_does_not_reduce_the_resolution(seed):
+def test_waiting_for_a_cpu_core_does_not_reduce_the_resolution(seed):
     rng = random.Random(seed)
     quiet = Simulation(Machine(0.1))
     quiet.fly(3.0)
@@ -155,7 +155,7 @@ def test_waiting_for_a_core_does_not_reduce_the_resolution(seed):
     assert widths[0] >= 0.6 * quiet.sent[-1][1].width
 
 
-def test_sustained_load_changes_the_level_which_recovers_after_the_load():
+def test_level_becomes_coarser_under_sustained_load_and_recovers_after_it():
     # Another program uses half of the cores from second 15 to 18.
     machine = Machine(0.06, shared=lambda now_s: 2.0 if 15.0 <= now_s < 18.0 else 1.0)
     simulation = Simulation(machine)
@@ -167,7 +167,7 @@ def test_sustained_load_changes_the_level_which_recovers_after_the_load():
     assert airway(simulation.fly(3.0))[-1][1].width == before
 
 
-def test_picture_is_as_fine_as_possible_if_no_level_reaches_the_rate():
+def test_level_is_as_fine_as_possible_if_no_level_reaches_the_frame_rate():
     # 40 ms for each picture at any size: at most 25 a second.
     simulation = Simulation(Machine(0.06, each_s=0.040))
     simulation.fly(4.0)
@@ -177,7 +177,7 @@ def test_picture_is_as_fine_as_possible_if_no_level_reaches_the_rate():
     assert num_changes(sent) <= 1
 
 
-def test_cost_between_two_levels_does_not_make_the_level_oscillate():
+def test_level_does_not_oscillate_if_the_best_cost_is_between_two_levels():
     for cost in range(20):
         simulation = Simulation(Machine(0.02 * 1.12**cost))
         simulation.fly(2.0)
@@ -201,7 +201,7 @@ def test_unchanged_view_is_not_rendered_again():
     assert [o.full for o in player.sent if o.view == "xray-coronal"] == [True]
 
 
-def test_first_airway_picture_is_coarse_and_the_last_one_full():
+def test_first_airway_picture_is_coarse_and_the_picture_at_rest_full():
     player = Player({"airway": (800, 640)})
     orders = player.drain({"airway": 1})
     assert (orders[0].width, orders[0].height, orders[0].full) == (200, 160, False)
@@ -226,7 +226,7 @@ def test_full_picture_is_shown_within_a_limited_time_after_a_movement(full_s):
     assert rested[-1][0] - stopped_s < STILL_AFTER_S + full_s + middle_s + 0.08
 
 
-def test_slow_full_picture_is_preceded_by_one_of_middle_size():
+def test_slow_full_picture_is_preceded_by_one_of_intermediate_size():
     simulation = Simulation(Machine(1.0))
     moving = simulation.fly(2.0)[-1][1]
     sizes = [order.width for _, order in simulation.rest(3.0)]
@@ -282,7 +282,7 @@ def test_airway_view_and_cut_plane_do_not_alternate_near_the_limit_of_the_rate(r
         assert not stood_in[-1]
 
 
-def test_renderer_that_is_slow_at_every_level_is_probed_rarely():
+def test_renderer_that_is_slow_at_every_level_is_rarely_measured_again():
     simulation = Simulation(Machine(0.5, each_s=0.4))
     simulation.fly(5.0)
     num, spent_s = len(simulation.probes), simulation.spent_s.get("probe", 0.0)
@@ -304,7 +304,7 @@ def test_every_view_is_rendered_without_slowing_the_moving_airway_view():
         assert sum(order.view == view for _, order in sent) >= 4 * 10, f"{view}: at least ten a second"
 
 
-def test_other_views_use_at_most_their_share_if_no_picture_is_fast_enough():
+def test_other_views_use_at_most_their_share_of_time_if_no_level_is_fast_enough():
     simulation = Simulation(Machine(1.5, slices_s=0.03), layout=dict(ALL_VIEWS))
     simulation.fly(2.0)
     spent_s = dict(simulation.spent_s)
@@ -329,7 +329,7 @@ def test_slow_picture_of_another_view_waits_until_the_flight_ends():
     assert next(o for o in reversed(player.sent) if o.view == "tree").full
 
 
-def test_number_of_pending_pictures_is_limited_and_an_ack_frees_a_place():
+def test_number_of_unacknowledged_pictures_is_limited_and_an_acknowledgement_allows_another():
     player = Player({"airway": (64, 64), "axial": (64, 64)}, acknowledges=False)
     for pose in range(20):
         player.now_s += 0.02
@@ -396,7 +396,7 @@ def test_slow_client_does_not_receive_pictures_that_it_would_drop():
     assert age_s < 2.2 * 0.150
 
 
-def test_client_with_a_long_round_trip_gets_several_pending_pictures():
+def test_client_with_a_long_round_trip_time_gets_several_unacknowledged_pictures():
     # With a round trip of 45 ms, 60 pictures a second need three pending pictures.
     _, shown, _ = Slow(decode_s=0.004, travel_s=0.041).fly(10.0)
     assert shown > 0.85 * 10.0 * 50
@@ -415,7 +415,7 @@ def test_client_that_does_not_acknowledge_lost_pictures_gets_new_ones():
     assert player.step({"airway": 9}).key == 9
 
 
-def test_view_shown_again_is_sent_completely_without_its_earlier_pictures():
+def test_view_that_is_shown_again_gets_a_new_picture_and_none_requested_before():
     player = Player({"airway": (64, 64)}, acknowledges=False)
     player.scheduler.observe({"airway": 1}, player.now_s)
     under_way = player.scheduler.next_order(player.now_s)
@@ -444,7 +444,7 @@ def test_view_without_content_is_not_rendered():
     assert player.scheduler.wake_s(player.now_s) is None
 
 
-def test_new_layout_sends_only_resized_views_again():
+def test_new_layout_requests_pictures_only_of_resized_views():
     player = Player({"axial": (64, 64), "coronal": (64, 64)})
     keys = {"axial": 1, "coronal": 1}
     player.drain(keys)
@@ -481,7 +481,7 @@ def under_way(player, keys):
     return order
 
 
-def test_movement_cancels_a_full_picture_and_no_picture_of_a_moving_view():
+def test_movement_cancels_a_full_picture_but_no_picture_of_a_moving_view():
     player = Player({"airway": (800, 640)})
     order = under_way(player, {"airway": 1})
     assert not player.scheduler.gives_way(order, {"airway": 1}, player.now_s)
@@ -492,7 +492,7 @@ def test_movement_cancels_a_full_picture_and_no_picture_of_a_moving_view():
     assert not player.scheduler.gives_way(moving, {"airway": 3}, player.now_s)
 
 
-def test_only_a_slow_picture_is_cancelled_for_another_view():
+def test_only_a_slow_full_picture_is_cancelled_for_another_view():
     quick, slow = Player({**AIRWAY, "axial": (64, 64)}), Player({**AIRWAY, "axial": (64, 64)}, cost_s=2e-6)
     for player, gives_way in ((quick, False), (slow, True)):
         order = under_way(player, {"airway": 1, "axial": 1})

@@ -123,7 +123,7 @@ def test_button_of_a_registered_pen_sets_the_root_at_the_pen_tip(window, middle)
     assert np.linalg.norm(np.array(state.root_lps) - place) < 0.1
 
 
-def test_pen_marks_start_and_target_of_a_path_without_airways(window, middle):
+def test_pen_button_marks_start_and_target_of_a_path_without_airways(window, middle):
     pen = TrackedPen(window)
     pen.hold(middle)
     pen.register(corners(middle))
@@ -142,7 +142,7 @@ def test_pen_marks_start_and_target_of_a_path_without_airways(window, middle):
     assert (target.cost, target.root_lps, target.problem) == ("walls", message.lps, None)
 
 
-def test_place_that_the_button_would_mark_is_reported_before_it_is_pressed(window, middle):
+def test_position_that_the_pen_button_would_mark_is_reported_before_it_is_pressed(window, middle):
     pen = TrackedPen(window)
     window.send(wire.ArmPen("target"))
     pen.hold(middle)
@@ -159,7 +159,7 @@ def test_place_that_the_button_would_mark_is_reported_before_it_is_pressed(windo
     assert window.until(lambda m: isinstance(m, wire.Pen) and m.device is None).lps is None
 
 
-def test_without_a_registration_the_button_marks_the_tip_of_the_scope(live, window, middle):
+def test_button_of_an_unregistered_pen_marks_the_tip_of_the_scope(live, window, middle):
     pen = TrackedPen(window)
     window.send(wire.GoTo(10.0), wire.ArmPen("target"))
     window.until(lambda m: isinstance(m, wire.PoseMessage) and m.path_mm == pytest.approx(10.0))
@@ -169,7 +169,7 @@ def test_without_a_registration_the_button_marks_the_tip_of_the_scope(live, wind
     np.testing.assert_allclose(target.lps, live.session.pose_info().pose.position_lps, atol=1e-6)
 
 
-def test_distance_from_pen_to_tip_is_reported_in_absolute_mode_and_closed_by_a_command(live, window, middle):
+def test_distance_from_pen_to_tip_is_reported_in_absolute_mode_and_removed_by_the_join_command(live, window, middle):
     pen = TrackedPen(window)
     pen.hold(middle)
     pen.register(corners(middle))

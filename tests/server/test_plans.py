@@ -18,7 +18,7 @@ from carina.session.state.snapshot import Topic
 from small_case import small_bench
 
 
-def test_plans_are_absent_without_a_case_and_empty_before_a_target() -> None:
+def test_plans_message_is_absent_without_a_case_and_empty_before_a_target() -> None:
     bench = small_bench()
     texts = SharedTexts(bench.session, None, print)
     nothing = texts.plans()
@@ -33,7 +33,7 @@ def test_plans_are_absent_without_a_case_and_empty_before_a_target() -> None:
     assert texts.plans() == nothing != told
 
 
-def test_targets_without_a_plan_are_listed_in_the_comparison_after_each_change() -> None:
+def test_targets_without_a_plan_are_listed_in_the_comparison_message_after_each_change() -> None:
     bench = small_bench()
     texts = SharedTexts(bench.session, None, print)
     bench.open()
@@ -52,7 +52,7 @@ def test_targets_without_a_plan_are_listed_in_the_comparison_after_each_change()
     assert json.loads(texts.plans())["comparison"] is None
 
 
-def test_maps_of_the_lungs_are_sent_only_after_a_change() -> None:
+def test_lung_maps_are_sent_only_after_a_change() -> None:
     bench = small_bench(
         wall_field=lambda *_given, **_options: object(), map_lungs=lambda *_given, **_options: LungMap()
     )
@@ -75,11 +75,11 @@ def test_maps_of_the_lungs_are_sent_only_after_a_change() -> None:
         (None, "as far as the CT shows them"),
     ],
 )
-def test_visible_part_of_fissures_is_stated_for_sides_with_borders(shares, words) -> None:
+def test_text_about_visible_fissures_names_each_side_with_lobe_borders(shares, words) -> None:
     assert _fissures_seen(shares) == words
 
 
-def test_vessels_are_sent_as_lines_without_short_side_branches() -> None:
+def test_lung_vessels_are_sent_as_lines_without_short_side_branches() -> None:
     def line(num: int, at: float, sure: float, parent: int | None) -> VesselBranch:
         points = np.stack([np.full(num, at), np.zeros(num), np.arange(float(num))], axis=1)
         return VesselBranch(points, np.full(num, 1.2), parent, sure)
@@ -105,7 +105,7 @@ def test_vessels_are_sent_as_lines_without_short_side_branches() -> None:
     assert len(told[0]["points_lps"]) == 17
 
 
-def test_every_topic_of_a_session_has_a_message() -> None:
+def test_every_event_topic_of_a_session_has_a_message() -> None:
     outbox = Outbox()
     # Pictures, not messages, answer the topic ``views``.
     sent = set(get_args(Topic)) - {"views"}

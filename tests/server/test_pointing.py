@@ -50,7 +50,7 @@ def ask(pointing, request_id, **place):
     return pointing.answers.get(timeout=WAIT_S)
 
 
-def test_point_of_the_cursor_is_answered_with_the_path_to_it(pointing):
+def test_path_to_the_point_under_the_cursor_is_sent_as_answer(pointing):
     point = small_lps((8.5, 13.0, 14.5))
     answer = ask(pointing, 3, lps=point)
     assert (answer.request_id, answer.lps, answer.problem) == (3, point, None)
@@ -61,14 +61,14 @@ def test_point_of_the_cursor_is_answered_with_the_path_to_it(pointing):
     wire.parse_server_message(wire.encode_message(answer))
 
 
-def test_point_without_a_path_is_answered_with_the_reason_and_no_error(pointing):
+def test_cursor_point_without_a_path_is_answered_with_the_reason_and_no_error(pointing):
     answer = ask(pointing, 4, lps=small_lps((2.0, 2.0, 30.0)))
     assert answer.points_lps == ()
     assert "mm away" in answer.problem
     wire.parse_server_message(wire.encode_message(answer))
 
 
-def test_place_in_the_airway_picture_selects_the_lumen_in_front_of_the_wall(pointing):
+def test_pixel_in_the_airway_picture_selects_the_lumen_in_front_of_the_wall_for_a_path(pointing):
     wall = np.array(small_lps((18.6, 14.0, 30.0)))
     pointing.picture.hit = SimpleNamespace(position_lps=wall)
     answer = ask(pointing, 5, frame_id=5, column=12.0, row=7.5)
@@ -89,13 +89,13 @@ def test_place_in_the_airway_picture_selects_the_lumen_in_front_of_the_wall(poin
         ({"frame_id": 5, "column": 1.0, "row": 1.0}, "no airway wall"),
     ],
 )
-def test_place_of_the_picture_without_a_wall_is_answered_with_the_reason(pointing, place, words):
+def test_pixel_without_a_visible_wall_is_answered_with_the_reason(pointing, place, words):
     answer = ask(pointing, 6, **place)
     assert answer.lps is None
     assert words in answer.problem
 
 
-def test_answer_without_airways_states_the_pending_step():
+def test_live_path_request_without_airways_is_answered_with_the_step_still_needed():
     bench = small_bench()
     answers = queue.Queue()
     made = Pointing(bench.session, lambda _frame: None, answers.put)
@@ -109,14 +109,14 @@ def test_answer_without_airways_states_the_pending_step():
     made.stop()
 
 
-def test_fault_in_an_answer_is_reported_and_the_next_point_is_answered(pointing, monkeypatch):
+def test_internal_error_in_a_live_path_is_reported_and_the_next_request_is_answered(pointing, monkeypatch):
     monkeypatch.setattr(pointing.session, "ask", lambda _question: 1 / 0)
     assert "internal error in Carina (ZeroDivisionError)" in ask(pointing, 1, lps=(0.0, 0.0, 0.0)).problem
     monkeypatch.undo()
     assert ask(pointing, 2, lps=small_lps((16.0, 14.0, 30.0))).problem is None
 
 
-def test_preparation_for_live_paths_runs_before_the_first_point_arrives(pointing, monkeypatch):
+def test_live_paths_are_prefetched_before_the_first_request(pointing, monkeypatch):
     calls = queue.Queue()
     monkeypatch.setattr(pointing.session, "ask", calls.put)
     warming = PathPrefetcher(pointing.session)
@@ -129,7 +129,7 @@ def test_preparation_for_live_paths_runs_before_the_first_point_arrives(pointing
     assert calls.empty()
 
 
-def test_branch_without_measures_or_removed_branch_has_no_measures(pointing):
+def test_detail_of_an_unmeasured_or_removed_branch_has_no_measurements(pointing):
     for branch_id in (1, 77):
         pointing.pointing.ask_branch_detail(wire.AskBranchDetail(9, branch_id))
         answer = pointing.answers.get(timeout=WAIT_S)
@@ -137,7 +137,7 @@ def test_branch_without_measures_or_removed_branch_has_no_measures(pointing):
         assert (answer.measures, answer.profile) == (None, None)
 
 
-def test_only_the_newest_task_of_each_kind_runs_and_kinds_alternate():
+def test_task_runner_runs_only_the_newest_task_of_each_kind_and_alternates_kinds():
     newest = LatestTaskRunner("test")
     done, gate, last = [], threading.Event(), threading.Event()
     newest.start()
@@ -152,7 +152,7 @@ def test_only_the_newest_task_of_each_kind_runs_and_kinds_alternate():
     assert done == [("a", 4), ("b", 4)]
 
 
-def test_long_paths_are_thinned_and_keep_both_ends():
+def test_long_paths_are_sent_with_fewer_points_and_both_ends():
     along = np.arange(0.0, 300.0, 0.1)
     points = np.column_stack([np.sin(along / 30) * 10, along, -along])
     path = SimpleNamespace(
@@ -174,7 +174,7 @@ def test_long_paths_are_thinned_and_keep_both_ends():
 
 
 @pytest.mark.parametrize("end", ["lens in the wall", "all outside"])
-def test_lumen_point_in_front_of_a_wall_is_on_the_ray_also_at_its_ends(end):
+def test_lumen_point_in_front_of_a_wall_is_on_the_viewing_ray_also_at_its_ends(end):
     wall, lens = np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 13.0])
     if end == "all outside":
         tracker = SimpleNamespace(inside=lambda points: np.zeros(len(points), dtype=bool))
@@ -183,7 +183,7 @@ def test_lumen_point_in_front_of_a_wall_is_on_the_ray_also_at_its_ends(end):
         np.testing.assert_array_equal(lumen_before_wall(None, wall, wall + 0.1, 0.5), wall + 0.1)
 
 
-def test_lumen_point_is_two_steps_from_the_wall_if_the_lumen_is_wide_enough():
+def test_lumen_point_in_front_of_a_wall_is_two_steps_from_it_if_the_lumen_is_wide_enough():
     wall, lens = np.zeros(3), np.array([0.0, 0.0, 10.0])
     wide = SimpleNamespace(inside=lambda points: np.asarray(points)[:, 2] > 0.9)
     assert lumen_before_wall(wide, wall, lens, 0.5)[2] == 2.0
@@ -201,7 +201,7 @@ def test_lumen_point_is_two_steps_from_the_wall_if_the_lumen_is_wide_enough():
         PaintLumen(((1.0, 2.0, 3.0),), 1.5, "axial", erase=True),
     ],
 )
-def test_edit_of_the_wire_equals_the_edit_of_the_tree(edit):
+def test_edit_read_from_the_wire_equals_the_sent_edit(edit):
     assert wire.parse_client_message(wire.encode_message(wire.EditTree(edit))).edit == edit
 
 

@@ -67,7 +67,7 @@ def test_rate_limit_allows_a_burst_and_then_its_rate():
     assert not limit.take(0.1)
 
 
-def test_refused_message_does_not_reduce_the_allowance():
+def test_refused_message_does_not_reduce_the_rate_allowance():
     limit = RateLimit(1.0, 4.0, Clock())
     assert not limit.take(5.0)
     assert limit.take(4.0)
@@ -115,7 +115,7 @@ def test_messages_of_observers_use_a_limited_share_of_time_while_the_user_sends(
     assert 50 * num_observers <= done["observers"] <= 130 * num_observers
 
 
-def test_dropped_messages_are_not_executed_and_the_inbox_continues():
+def test_dropped_messages_are_not_executed_and_the_inbox_accepts_further_messages():
     done = []
 
     async def run():
@@ -163,7 +163,9 @@ def handled(monkeypatch):
     return done
 
 
-def test_observer_who_floods_is_disconnected_and_all_messages_of_the_user_are_executed(desk, handled, monkeypatch):
+def test_observer_that_sends_a_flood_is_disconnected_and_all_messages_of_the_user_are_executed(
+    desk, handled, monkeypatch
+):
     live, window, page = desk
     monkeypatch.setattr(watching_window, "MESSAGES_PER_S", 0.0)
     monkeypatch.setattr(watching_window, "MESSAGES_AT_ONCE", 20.0)
@@ -226,7 +228,7 @@ def test_connection_with_a_flood_of_control_frames_is_closed(desk):
         thread.join()
 
 
-def test_page_that_moves_the_crosshair_on_every_refresh_is_within_the_limits():
+def test_observer_page_that_moves_the_crosshair_on_every_screen_refresh_is_within_the_rate_limits():
     clock = Clock()
     limit = RateLimit(watching_window.MESSAGES_PER_S, watching_window.MESSAGES_AT_ONCE, clock)
     for _ in range(10 * 240):

@@ -17,13 +17,13 @@ from carina.errors import CarinaError, UsageError, VolumeImportError
 from carina.server import serve
 from carina.server.serve import bind
 from carina.server.wire import messages as wire
-from own_folders import environment_in
+from user_folders import environment_in
 
 WAIT_S = 120.0
 """Upper limit of a wait, in seconds: the import of SimpleITK takes seconds on a busy machine."""
 
 
-def test_path_together_with_a_demo_and_unknown_demo_are_refused():
+def test_start_with_a_path_and_a_demo_or_with_an_unknown_demo_is_refused():
     with pytest.raises(UsageError, match="found both"):
         serve("x", demo="phantom")
     with pytest.raises(UsageError, match="'phantom' or 'patient'"):
@@ -40,7 +40,7 @@ def test_unreadable_path_is_refused_before_a_server_starts(tmp_path):
     assert ready == []
 
 
-def test_sockets_send_small_messages_without_delay():
+def test_websockets_send_small_messages_without_delay():
     """Check that a picture does not wait up to 40 ms for the acknowledgement of the previous message."""
 
     async def at_once() -> bool:
@@ -100,7 +100,7 @@ def test_external_program_connects_repeatedly_with_the_printed_token(tmp_path):
     assert (process.returncode, out, err) == (0, "", "")
 
 
-def test_process_prints_a_link_that_works_once_and_ends_without_an_error(tmp_path):
+def test_server_process_prints_a_link_that_works_once_and_ends_without_an_error(tmp_path):
     program = (
         "from carina.server import serve\n"
         "raise SystemExit(serve(None, open_browser=False, on_ready=lambda url, token: print(url, flush=True)))"

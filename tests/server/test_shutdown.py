@@ -71,7 +71,7 @@ def has_ended(sock) -> bool:
     return True
 
 
-def test_encrypted_page_stops_without_waiting_for_a_sleeping_browser(page, log_records):
+def test_phone_server_stops_without_waiting_for_a_sleeping_browser(page, log_records):
     with dialled(page) as idle, dialled(page) as quiet:
         assert answer(idle, page).startswith(b"HTTP/1.1 200")
         page.stop()
@@ -81,7 +81,7 @@ def test_encrypted_page_stops_without_waiting_for_a_sleeping_browser(page, log_r
         assert has_ended(quiet)
 
 
-def test_page_stops_while_a_linked_phone_sleeps(page, log_records):
+def test_phone_server_stops_while_a_connected_phone_sleeps(page, log_records):
     host = "{}:{}".format(*place(page)).encode()
     with dialled(page) as phone:
         phone.sendall(
@@ -94,14 +94,14 @@ def test_page_stops_while_a_linked_phone_sleeps(page, log_records):
         assert has_ended(phone)
 
 
-def test_connection_during_the_tls_handshake_does_not_delay_the_stop_of_the_page(page, log_records):
+def test_unfinished_tls_handshake_does_not_delay_the_shutdown_of_the_phone_server(page, log_records):
     with socket.create_connection(place(page), timeout=WAIT_S) as half:
         half.sendall(b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03")
         page.stop()
         assert log_records() == []
 
 
-def test_workstation_stops_while_a_window_does_not_read(tmp_path, log_records, monkeypatch):
+def test_workstation_stops_although_a_window_does_not_read_its_messages(tmp_path, log_records, monkeypatch):
     ends = ending.TimedShutdownServer._end_connections
     unread: list[int] = []
 
@@ -152,7 +152,7 @@ def test_connection_that_arrives_during_shutdown_is_refused(tmp_path, log_record
         assert theirs.recv(1) == b""
 
 
-def test_open_connection_is_requested_once_to_close_and_not_aborted_if_it_closes():
+def test_open_connection_is_requested_once_to_close_and_not_aborted_if_it_closes_in_time():
     calls = []
 
     class Connection:

@@ -14,11 +14,11 @@ import time
 import pytest
 from forked_workstations import WAIT_S, Window
 
+from cached_test_data import made_phantom
 from carina.case import CaseFile
 from carina.volume import write_grid
 from faulty_disk import FAULTS, FaultyDisk, has_compiler
-from made import made_phantom
-from own_folders import environment_in
+from user_folders import environment_in
 
 pytestmark = [
     pytest.mark.slow,
@@ -178,7 +178,7 @@ def station(tmp_path, disk, signals_of_a_terminal):
         one.close()
 
 
-def test_ctrl_c_at_a_terminal_with_a_full_disk_saves_to_the_path_that_is_typed(station, disk, tmp_path):
+def test_ctrl_c_in_a_terminal_with_a_full_disk_saves_to_the_path_that_the_user_types(station, disk, tmp_path):
     mine = station(terminal=True)
     live = mine.work()
     stick = tmp_path / "stick"
@@ -201,7 +201,7 @@ def test_ctrl_c_at_a_terminal_with_a_full_disk_saves_to_the_path_that_is_typed(s
     assert (mine.saved_steps(written), mine.saved_steps(live)) == (8, 3)
 
 
-def test_second_signal_at_the_question_ends_with_exit_code_5(station):
+def test_second_signal_during_the_question_about_unsaved_work_ends_with_exit_code_5(station):
     mine = station(terminal=True)
     mine.work()
     mine.process.send_signal(signal.SIGTERM)

@@ -21,7 +21,7 @@ from carina.volume import Note
 from small_case import small_bench
 
 
-def test_message_of_every_instrument_has_the_lumen_it_needs_and_its_nominal_tip():
+def test_scope_list_message_has_the_required_lumen_and_nominal_tip_of_every_scope():
     scopes = start_message(notice_accepted=True, recent=(), patient_citation=None).scopes
     assert len(scopes) > 10
     for scope in scopes:
@@ -60,7 +60,7 @@ def three_branches() -> AirwayTree:
     return AirwayTree(tuple(branches))
 
 
-def test_route_has_the_narrowest_diameter_of_plans():
+def test_route_message_has_the_same_narrowest_diameter_as_plans():
     tree = three_branches()
     widths = 5.0 + 0.001 * np.square(np.arange(60.0) - 30.0)
     measures = exact_measures(tree, widths_mm={0: np.full(60, 14.0), 1: np.full(60, 6.0), 2: widths}, error_mm=0.3)
@@ -72,7 +72,7 @@ def test_route_has_the_narrowest_diameter_of_plans():
     assert sent.narrowest_at_mm == pytest.approx(planned.at_mm, abs=1e-2)
 
 
-def test_route_has_its_distances_along_the_centrelines_and_their_origin():
+def test_route_message_has_distances_along_the_centrelines_and_their_origin():
     route = route_to_branch(three_branches(), 2)
     plain = route_message(route).route
     assert msgspec.to_builtins(plain.origin) == {"kind": "root", "along_mm": 0.0}
@@ -82,7 +82,7 @@ def test_route_has_its_distances_along_the_centrelines_and_their_origin():
     assert sent.centreline_mm == pytest.approx(1.1 * route.cumulative_mm, abs=1e-3)
 
 
-def test_route_without_measures_of_its_airways_has_no_narrowest_diameter():
+def test_route_message_without_measured_airways_has_no_narrowest_diameter():
     tree = three_branches()
     route = route_to_branch(tree, 2)
     other = AirwayTree((replace(tree.branches[0], children=()),))

@@ -45,7 +45,7 @@ def measured(branch_id, *, usable=(False, True, True, True), **summary):
     )
 
 
-def test_figures_of_a_branch_exclude_its_sections_at_forks():
+def test_branch_figures_in_the_tree_message_exclude_cross_sections_at_forks():
     sent = branch_measures(measured(4))
     assert (sent.branch_id, sent.length_mm, sent.lumen_mm, sent.angle_deg) == (4, 30.0, 6.1, 35.0)
     assert (sent.max_lumen_mm, sent.max_lumen_error_mm) == (7.0, 0.2)
@@ -54,19 +54,19 @@ def test_figures_of_a_branch_exclude_its_sections_at_forks():
     assert (sent.stenosis_percent, sent.stenosis_error_percent, sent.stenosis_at_mm) == (31.0, 6.0, 20.0)
 
 
-def test_narrowest_diameter_has_its_own_error_and_measures_of_an_earlier_method_are_sent():
+def test_narrowest_diameter_is_sent_with_its_own_error_and_measurements_by_an_earlier_method_are_marked():
     sent = branch_measures(measured(4, min_error_mm=0.4, is_by_earlier_method=True))
     assert (sent.min_lumen_error_mm, sent.by_earlier_method) == (0.4, True)
     assert not branch_measures(measured(4)).by_earlier_method
 
 
-def test_branch_with_only_fork_sections_has_no_widest_place():
+def test_branch_with_only_cross_sections_at_forks_is_sent_without_diameters():
     nothing = {"mean_mm": None, "mean_error_mm": None, "min_mm": None, "min_at_mm": None, "stenosis": None}
     sent = branch_measures(measured(4, usable=(False, False, False, False), **nothing))
     assert (sent.lumen_mm, sent.min_lumen_mm, sent.max_lumen_mm, sent.stenosis_percent) == (None, None, None, None)
 
 
-def test_unmeasured_sections_are_sent_as_null():
+def test_unmeasured_cross_sections_are_sent_as_null():
     answer = branch_detail_message(wire.AskBranchDetail(7, 4), measured(4))
     assert (answer.request_id, answer.branch_id, answer.measures.branch_id) == (7, 4, 4)
     assert answer.profile.lumen_mm == (9.0, 7.0, 5.0, None)
@@ -75,7 +75,7 @@ def test_unmeasured_sections_are_sent_as_null():
     assert again == answer
 
 
-def test_tree_is_sent_without_measures_first_and_with_them_when_they_are_ready():
+def test_tree_is_sent_first_without_measurements_and_again_when_they_are_ready():
     airways = small_airways(small_volume())
     assert tree_message(airways).measures is None
     sent = tree_message(airways, SimpleNamespace(of=measured))
@@ -85,7 +85,7 @@ def test_tree_is_sent_without_measures_first_and_with_them_when_they_are_ready()
 
 
 @pytest.mark.parametrize("branch_id", [3, None])
-def test_uncertain_ends_are_sent_with_or_without_a_branch(branch_id):
+def test_uncertain_airway_ends_are_sent_with_or_without_a_branch(branch_id):
     airways = small_airways(small_volume())
     airways.uncertain = (
         Uncertainty(

@@ -84,7 +84,7 @@ def test_all_folders_of_an_upload_have_mode_0700_and_its_files_0600(uploads):
 
 
 @given(st.text(max_size=80))
-def test_any_name_becomes_a_relative_path_without_parent_and_hidden_parts(name):
+def test_any_uploaded_file_name_becomes_a_relative_path_without_parent_and_hidden_parts(name):
     path = safe_relative_path(name)
     assert not path.is_absolute()
     assert path.parts
@@ -97,7 +97,7 @@ def test_ordinary_file_names_are_unchanged_so_that_formats_are_recognised(upload
     assert safe_relative_path("chest.nii.gz").name == "chest.nii.gz"
 
 
-def test_two_files_with_the_same_cleaned_name_are_both_stored(uploads):
+def test_two_uploaded_files_with_the_same_cleaned_name_are_both_stored(uploads):
     upload_id = uploads.begin()
     add(uploads, upload_id, "ä.dcm", b"1")
     add(uploads, upload_id, "ö.dcm", b"2")
@@ -105,7 +105,7 @@ def test_two_files_with_the_same_cleaned_name_are_both_stored(uploads):
     assert sorted(p.read_bytes() for p in folder.iterdir()) == [b"1", b"2"]
 
 
-def test_header_file_is_opened_with_its_data_beside_it(uploads):
+def test_uploaded_header_file_is_opened_with_the_data_file_beside_it(uploads):
     upload_id = uploads.begin()
     add(uploads, upload_id, "lung.mhd", b"NDims = 3")
     add(uploads, upload_id, "lung.zraw", b"123")
@@ -120,7 +120,7 @@ def test_header_file_is_opened_with_its_data_beside_it(uploads):
     ("header", "line"),
     [("Lung, Anna.mhd", b"ElementDataFile = %s"), ("Lung, Anna.nhdr", b"data file: %s")],
 )
-def test_header_is_opened_with_its_data_under_a_neutral_name(uploads, header, line):
+def test_uploaded_header_is_opened_with_its_data_file_under_a_neutral_name(uploads, header, line):
     upload_id = uploads.begin()
     own = header.rsplit(".", 1)[0] + ".zraw"
     add(uploads, upload_id, header, b"NDims = 3\n" + line % own.encode() + b"\n")
@@ -131,7 +131,7 @@ def test_header_is_opened_with_its_data_under_a_neutral_name(uploads, header, li
     assert not [p for p in place.parent.iterdir() if "Anna" in p.name]
 
 
-def test_header_that_lists_files_is_opened_with_these_files(uploads):
+def test_uploaded_header_that_lists_files_is_opened_with_these_files(uploads):
     upload_id = uploads.begin()
     add(uploads, upload_id, "lung.mhd", b"ElementDataFile = LIST\n1.raw\n")
     add(uploads, upload_id, "1.raw", b"123")
@@ -142,7 +142,7 @@ NAMES = ["Müller^Anna.dcm", "Doe_John_1970.nii.gz", "Doe John/IM-0001", "MUELLE
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_disk_has_neutral_names_for_this_user_only_and_the_window_shows_the_original_ones(uploads, name):
+def test_uploaded_files_have_neutral_private_names_on_disk_and_their_original_names_in_the_window(uploads, name):
     upload_id = uploads.begin()
     add(uploads, upload_id, name, b"1")
     place = uploads.place(upload_id)
@@ -158,7 +158,7 @@ def test_disk_has_neutral_names_for_this_user_only_and_the_window_shows_the_orig
 
 
 @given(st.text(max_size=40), st.sampled_from(["", ".dcm", ".nii.gz"]))
-def test_any_file_name_is_returned_as_valid_json(stem, suffix):
+def test_any_uploaded_file_name_is_restored_in_messages_as_valid_json(stem, suffix):
     names = DroppedNames()
     names.begin("01234567")
     place = names.neutral("01234567", PurePosixPath("x" + suffix), stem + suffix)
@@ -167,7 +167,7 @@ def test_any_file_name_is_returned_as_valid_json(stem, suffix):
     assert all(ord(c) >= 0x20 for c in shown[0])
 
 
-def test_name_without_its_suffix_is_replaced_in_messages():
+def test_neutral_name_without_its_suffix_is_replaced_by_the_original_name_in_messages():
     """Use messages of readers that name both files, header and data, by their common stem."""
     names = DroppedNames()
     names.begin("01234567")
@@ -176,7 +176,7 @@ def test_name_without_its_suffix_is_replaced_in_messages():
     assert json.loads(names.restored(json.dumps(f"reading {stem} failed"))) == "reading scan failed"
 
 
-def test_files_with_a_common_stem_keep_a_common_stem(uploads):
+def test_uploaded_files_with_a_common_stem_have_a_common_neutral_stem(uploads):
     upload_id = uploads.begin()
     for name in ("a/scan.hdr", "a/scan.img", "b/scan.img"):
         add(uploads, upload_id, name, b"1")
@@ -186,7 +186,7 @@ def test_files_with_a_common_stem_keep_a_common_stem(uploads):
 
 
 @pytest.mark.parametrize("chunks", [[b"x" * 61], [b"x" * 30, b"x" * 31]])
-def test_file_over_its_limit_is_refused_and_removed(uploads, chunks):
+def test_uploaded_file_over_its_size_limit_is_refused_and_removed(uploads, chunks):
     upload_id = uploads.begin()
     with pytest.raises(UsageError, match="too large"):
         add(uploads, upload_id, "big", *chunks)

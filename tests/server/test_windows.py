@@ -62,7 +62,7 @@ def test_case_pose_route_and_history_are_equal_in_all_windows(two):
     assert trees[0] == trees[1]
 
 
-def test_sight_of_one_window_is_unchanged_by_another(two, live):
+def test_view_settings_of_one_window_are_unchanged_by_another(two, live):
     first, second = two
     num_seen = len(second.seen)
     first.send(wire.SetWindow(400.0, 40.0), wire.SetCrosshair(LEFT_TIP), wire.SetTexture(on=False))
@@ -85,7 +85,7 @@ def test_sight_of_one_window_is_unchanged_by_another(two, live):
     assert live.session.snapshot().sight.slab.thickness_mm == 10.0
 
 
-def test_pictures_have_the_size_and_sight_of_their_window_and_a_hidden_view_gets_none(two):
+def test_pictures_have_the_size_and_settings_of_their_window_and_a_hidden_view_gets_none(two):
     first, second = two
     second.send(wire.Layout((wire.ViewSize("axial", 200, 150),)))
     # A picture of the earlier size that was being rendered is still sent; the new size follows.
@@ -106,7 +106,7 @@ def test_pictures_have_the_size_and_sight_of_their_window_and_a_hidden_view_gets
     assert len(second.pictures) == begun
 
 
-def test_edits_of_two_windows_form_one_history_and_each_undoes_the_last(two):
+def test_edits_of_two_windows_form_one_history_and_each_window_undoes_the_last_edit(two):
     first, second = two
     for n in range(5):
         first.send(wire.SetFov(70.0 + n))
@@ -124,7 +124,7 @@ def test_edits_of_two_windows_form_one_history_and_each_undoes_the_last(two):
     assert second.until_state(lambda s: s.look.fov_deg == 73.0).can_redo == "field of view"
 
 
-def test_error_and_answer_are_sent_only_to_the_requesting_window(two):
+def test_errors_and_answers_are_sent_only_to_the_requesting_window(two):
     first, second = two
     num_seen = len(second.seen)
     first.send(wire.RemoveTarget("nobody"), wire.Probe(LEFT_TIP))
@@ -135,7 +135,7 @@ def test_error_and_answer_are_sent_only_to_the_requesting_window(two):
     assert others == []
 
 
-def test_error_of_a_job_is_sent_to_the_requesting_window_or_to_all_if_it_is_closed(tmp_path):
+def test_error_of_a_job_is_sent_to_the_requesting_window_or_to_all_windows_if_it_is_closed(tmp_path):
     may_fail = threading.Event()
 
     def open_volume(path, progress, cancel):
@@ -209,7 +209,7 @@ def test_handled_message_is_not_sent_before_results_for_any_order_of_sender_and_
             assert newest(window, wire.State).sight.slab.thickness_mm == thickness_mm
 
 
-def test_window_that_does_not_read_delays_no_other_window(two):
+def test_window_that_does_not_read_its_messages_delays_no_other_window(two):
     first, second = two
     # The second window acknowledges no picture and reads no message.
     for n in range(200):
@@ -232,7 +232,7 @@ def test_other_windows_are_unchanged_after_one_is_closed(two, live):
     assert second.until_state(lambda s: not s.sight.shading).sight.window.width_hu != 400.0
 
 
-def test_window_over_the_limit_is_refused_and_a_freed_place_is_usable_at_once(live):
+def test_window_beyond_the_limit_is_refused_until_another_window_closes(live):
     with contextlib.ExitStack() as opened:
         windows = [opened.enter_context(live.window()) for _ in range(MAX_WINDOWS)]
         with live.window(hello=False) as refused:
@@ -246,7 +246,7 @@ def test_window_over_the_limit_is_refused_and_a_freed_place_is_usable_at_once(li
         windows[1].send(wire.AskStorage())
 
 
-def test_opening_another_case_resets_the_sight_of_all_windows(two):
+def test_opening_another_case_resets_the_view_settings_of_all_windows(two):
     first, second = two
     begun = newest(second, wire.State).sight
     first.send(wire.SetTexture(on=False))
@@ -256,7 +256,7 @@ def test_opening_another_case_resets_the_sight_of_all_windows(two):
         assert window.until_state(lambda s: s.case is not None and s.case.number == 2).sight == begun
 
 
-def test_devices_are_sent_to_all_windows_and_values_only_while_one_watches(two):
+def test_device_list_is_sent_to_all_windows_and_device_values_only_while_a_window_watches(two):
     first, second = two
     for window in two:
         window.send(wire.WatchDevices(on=True))

@@ -13,7 +13,7 @@ from carina.errors import UsageError
 from carina.session import JobEnded, LocalStore, Trouble
 from carina.session.store.registry import FORGOTTEN_FOR_S, CaseRecords
 from carina.volume import Volume
-from kept_desk import Desk, MemoryFile
+from restartable_workstation import Desk, MemoryFile
 from small_case import small_volume
 
 
@@ -79,7 +79,7 @@ def desk(tmp_path):
     desk.session.close()
 
 
-def test_list_shows_number_of_changes_time_and_thumbnail_of_each_case(desk):
+def test_case_list_shows_number_of_changes_time_and_thumbnail_of_each_case(desk):
     desk.open()
     desk.work(100.0, 90.0)
     desk.session.do(c.CloseCase())
@@ -99,7 +99,7 @@ def test_list_shows_number_of_changes_time_and_thumbnail_of_each_case(desk):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no modes there")
-def test_thumbnail_is_readable_by_its_user_only(desk, tmp_path):
+def test_thumbnail_file_of_a_case_is_readable_by_its_user_only(desk, tmp_path):
     desk.open()
     desk.work(100.0)
     desk.session.do(c.CloseCase())
@@ -107,7 +107,7 @@ def test_thumbnail_is_readable_by_its_user_only(desk, tmp_path):
     assert path.stat().st_mode & 0o777 == 0o600
 
 
-def test_recent_path_without_a_stored_case_is_listed_and_opens(desk, tmp_path):
+def test_recent_ct_path_without_a_stored_case_is_listed_and_opens(desk, tmp_path):
     desk.store.remember(str(tmp_path / "old"), "2026-01-31")
     (old,) = desk.listed()
     assert old.num_changes is None
@@ -121,14 +121,14 @@ def test_recent_path_without_a_stored_case_is_listed_and_opens(desk, tmp_path):
     assert desk.listed() == ()
 
 
-def test_recent_path_that_no_longer_exists_is_removed_from_the_list(desk, tmp_path):
+def test_recent_ct_path_that_no_longer_exists_is_removed_from_the_list(desk, tmp_path):
     desk.store.remember(str(tmp_path / "old"), "2026-01-31")
     desk.session.do(c.ForgetCase(desk.listed()[0].recent_id))
     assert desk.listed() == ()
     assert desk.session.cases.storage().forgotten == ()
 
 
-def test_the_selected_case_opens_if_two_cases_have_the_same_ct(desk):
+def test_selected_case_opens_if_two_cases_have_the_same_ct(desk):
     desk.open()
     desk.work(100.0)
     desk.session.do(c.BeginAnew())
@@ -147,7 +147,7 @@ def test_the_selected_case_opens_if_two_cases_have_the_same_ct(desk):
     assert (saving.continued_s, saving.continued_changes) == (old.used_s, 1)
 
 
-def test_another_ct_at_the_path_of_a_case_is_refused_and_the_open_case_stays(desk):
+def test_another_ct_at_the_path_of_a_case_is_refused_and_the_open_case_stays_open(desk):
     desk.open()
     desk.work(100.0)
     desk.session.do(c.CloseCase())
@@ -179,7 +179,7 @@ def test_case_of_a_dropped_ct_requests_the_ct_again_when_it_is_opened(desk):
     assert desk.session.snapshot().document.look.fov_deg == 100.0
 
 
-def test_list_shows_the_scan_date_and_adds_a_missing_one(desk):
+def test_case_list_shows_the_scan_date_and_adds_it_to_records_without_one(desk):
     """Use records without a scan date: of earlier versions, and of a scan that has no date."""
     desk.open()
     desk.work(100.0)
@@ -287,7 +287,7 @@ def test_permanently_deleted_case_cannot_be_restored(desk, tmp_path):
         desk.session.do(c.RestoreCase(listed.recent_id))
 
 
-def test_cache_of_cts_is_reported_emptied_and_disabled_for_later_sessions(desk):
+def test_ct_cache_size_is_reported_and_the_cache_can_be_emptied_and_disabled_for_later_sessions(desk):
     storage = desk.session.cases.storage()
     assert (storage.num_cts, storage.ct_bytes, storage.keeps_cts) == (2, 3000, "on")
     desk.session.do(c.EmptyCtCache())

@@ -8,12 +8,12 @@ import os
 import sqlite3
 import zlib
 
+from cached_test_data import made_phantom
 from carina import commands as c
 from carina.case import CaseFile
 from carina.render import Renderer
 from carina.session import CaseRecords, Session, case_files
 from carina.volume import Volume, VolumeSource, write_grid
-from made import made_phantom
 
 NAMES = (b"MUELLER", b"Mueller", b"mueller", b"19610405", b"1961-04-05")
 SCANNED_ON = "2021-05-03"
@@ -37,7 +37,7 @@ def texts_of(path):
     case.close()
 
 
-def test_copy_contains_no_name_of_ct_folder_or_mask_and_no_date(tmp_path, caplog):
+def test_copy_of_a_case_contains_no_name_of_ct_folder_or_mask_and_no_date(tmp_path, caplog):
     chest = made_phantom(spacing_mm=3.0, generations=3)
     folder = tmp_path / "MUELLER 19610405"
     folder.mkdir()

@@ -19,13 +19,13 @@ def test_every_command_and_every_query_has_exactly_one_handler():
 
 
 @pytest.mark.parametrize("command", [c.Steer, c.GoTo, c.PlacePose, c.ResetLook, c.TakeDevice, c.SetControls, c.JoinPen])
-def test_command_that_is_only_a_move_is_executed_by_the_pilot(command):
+def test_command_that_only_moves_the_tip_is_executed_by_the_pilot(command):
     session = small_bench().session
     assert session._handlers[command] == session._core.fly
 
 
 @pytest.mark.parametrize("command", [c.Place, c.SetMode, c.ToggleMode, c.DeviceGone, c.ArmPen, c.SetOperator])
-def test_move_that_a_handler_prepares_is_executed_by_the_handler(command):
+def test_movement_command_that_needs_preparation_is_executed_by_its_handler(command):
     session = small_bench().session
     assert session._handlers[command] != session._core.fly
 
@@ -43,7 +43,7 @@ def test_move_that_a_handler_prepares_is_executed_by_the_handler(command):
         (c.OpenPath(object()), "open_path contains a value that no command accepts"),
     ],
 )
-def test_command_out_of_bounds_is_refused_with_its_field_and_changes_nothing(command, words):
+def test_command_value_out_of_bounds_is_refused_with_its_field_and_changes_nothing(command, words):
     bench = small_bench()
     bench.open()
     before = bench.session.snapshot()
@@ -53,7 +53,7 @@ def test_command_out_of_bounds_is_refused_with_its_field_and_changes_nothing(com
     assert bench.session.snapshot() == before
 
 
-def test_numpy_numbers_and_points_are_accepted():
+def test_numpy_numbers_and_points_are_accepted_in_commands():
     bench = small_bench()
     bench.open()
     bench.session.do(c.SetFov(np.float32(75.0)))
@@ -62,7 +62,7 @@ def test_numpy_numbers_and_points_are_accepted():
     assert isinstance(bench.session.snapshot().sight.crosshair_lps, tuple)
 
 
-def test_objects_that_are_not_commands_or_queries_are_refused():
+def test_objects_that_are_not_commands_or_queries_are_refused_by_the_session():
     bench = small_bench()
     for other in (c.VoxelAt((0.0, 0.0, 0.0)), "undo", None, c.KeyFrameAdd()):
         with pytest.raises(UsageError, match="expected a command"):
@@ -79,7 +79,7 @@ def test_repr_of_a_command_is_one_line():
     assert repr(c.Undo()) == "Undo()"
 
 
-def test_session_has_at_most_fifteen_public_names():
+def test_session_class_has_at_most_fifteen_public_names():
     assert len([name for name in vars(Session) if not name.startswith("_")]) <= 15
 
 
@@ -91,7 +91,7 @@ def test_history_lists_the_steps_that_can_be_undone():
     assert bench.session.history()[-2:] == ("image outline", "field of view")
 
 
-def test_field_setting_commands_name_an_existing_field_and_are_undone_if_it_is_in_look():
+def test_commands_that_set_a_field_name_an_existing_field_and_are_undone_if_it_is_in_look():
     sets = [cls for cls in c.all_commands() if cls.sets is not None]
     assert sets
     for cls in sets:

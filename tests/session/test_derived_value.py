@@ -50,7 +50,7 @@ def once(act):
     return lambda *arguments: left.pop()(*arguments) if left else None
 
 
-def test_value_is_computed_once_in_the_background_and_returned_for_its_inputs_only():
+def test_derived_value_is_computed_once_in_the_background_and_returned_for_its_inputs_only():
     shop = Workshop()
     assert shop.value.standing(A) == "unwanted"
     shop.value.want(A)
@@ -64,7 +64,7 @@ def test_value_is_computed_once_in_the_background_and_returned_for_its_inputs_on
     assert shop.settled == ["Derived('word', had)"]
 
 
-def test_only_the_newest_inputs_before_the_start_of_the_job_are_computed():
+def test_derived_value_is_computed_only_for_the_newest_inputs_before_its_job_starts():
     shop = Workshop()
     for inputs in (A, B, C):
         shop.value.want(inputs)
@@ -73,7 +73,7 @@ def test_only_the_newest_inputs_before_the_start_of_the_job_are_computed():
     assert (shop.made, shop.value.of(C)) == ([C], "c after None")
 
 
-def test_newer_inputs_restart_the_running_job():
+def test_newer_inputs_restart_the_running_job_of_a_derived_value():
     shop = Workshop()
     shop.while_making = once(lambda *_: shop.value.want(B))
     shop.value.want(A)
@@ -83,7 +83,7 @@ def test_newer_inputs_restart_the_running_job():
     assert len({e.job_id for e in shop.told}) == 1
 
 
-def test_result_for_stale_inputs_is_not_returned():
+def test_derived_value_computed_for_stale_inputs_is_not_returned():
     shop = Workshop()
 
     def make(inputs, _attempt):
@@ -97,7 +97,7 @@ def test_result_for_stale_inputs_is_not_returned():
     assert (shop.value.of(A), shop.value.of(B), len(shop.settled)) == (None, "B", 1)
 
 
-def test_request_of_the_present_inputs_ends_the_job_and_keeps_the_value():
+def test_request_for_the_inputs_of_the_present_value_ends_the_job_and_the_value_stays():
     shop = Workshop()
     shop.value.want(A)
     shop.background.run_all()
@@ -123,7 +123,7 @@ def test_inputs_requested_again_are_computed_after_the_function_was_cancelled():
     assert (shop.made, shop.value.standing(A), shop.ends()) == ([A, A], "had", ["done"])
 
 
-def test_inputs_requested_again_before_the_cancellation_are_computed_once():
+def test_inputs_requested_again_before_the_function_is_cancelled_are_computed_once():
     shop = Workshop()
 
     def gone_and_back(*_):
@@ -136,7 +136,7 @@ def test_inputs_requested_again_before_the_cancellation_are_computed_once():
     assert (shop.made, shop.value.standing(A), shop.ends()) == ([A], "had", ["done"])
 
 
-def test_previous_value_is_passed_to_the_next_computation():
+def test_previous_derived_value_is_passed_to_the_next_computation():
     shop = Workshop()
     for inputs in (A, B):
         shop.value.want(inputs)
@@ -144,7 +144,7 @@ def test_previous_value_is_passed_to_the_next_computation():
     assert shop.value.of(B) == "b after a after None"
 
 
-def test_request_of_none_stops_the_job_and_keeps_the_present_value():
+def test_request_for_none_stops_the_job_and_the_present_value_stays():
     shop = Workshop()
     shop.value.want(A)
     shop.background.run_all()
@@ -159,7 +159,7 @@ def fail(*_):
     raise NoResultError("no such word")
 
 
-def test_failure_states_its_reason_and_is_retried_on_request_only():
+def test_failed_derived_value_states_its_reason_and_is_retried_on_request_only():
     shop = Workshop()
     shop.while_making = fail
     shop.value.want(A)
@@ -175,7 +175,7 @@ def test_failure_states_its_reason_and_is_retried_on_request_only():
     assert (shop.value.standing(A), shop.value.error) == ("had", None)
 
 
-def test_older_value_is_available_for_its_inputs_after_a_failure():
+def test_older_derived_value_is_available_for_its_inputs_after_a_failure():
     shop = Workshop()
     shop.value.want(A)
     shop.background.run_all()
@@ -185,7 +185,7 @@ def test_older_value_is_available_for_its_inputs_after_a_failure():
     assert (shop.value.of(A), shop.value.of(B)) == ("a after None", None)
 
 
-def test_different_inputs_and_repeated_inputs_are_computed_after_a_failure():
+def test_different_or_repeated_inputs_are_computed_after_a_failure():
     shop = Workshop()
     shop.while_making = fail
     shop.value.want(A)
@@ -197,7 +197,7 @@ def test_different_inputs_and_repeated_inputs_are_computed_after_a_failure():
         assert shop.value.standing(inputs) == "had"
 
 
-def test_failure_of_stale_inputs_is_reported_and_the_newest_get_their_own_job():
+def test_failure_for_stale_inputs_is_reported_and_the_newest_inputs_get_a_new_job():
     shop = Workshop()
 
     def replaced(*_):
@@ -216,7 +216,7 @@ def stop(shop):
 
 
 @pytest.mark.parametrize("begun", [False, True])
-def test_value_that_the_user_stopped_is_retried_on_request_only(begun):
+def test_derived_value_that_the_user_stopped_is_computed_again_on_request_only(begun):
     shop = Workshop()
     shop.value.want(A)
     if begun:
@@ -233,7 +233,7 @@ def test_value_that_the_user_stopped_is_retried_on_request_only(begun):
     assert shop.value.standing(A) == "had"
 
 
-def test_stop_applies_to_the_newest_inputs_also_while_older_ones_are_computed():
+def test_stop_by_the_user_applies_to_the_newest_inputs_also_while_older_ones_are_computed():
     shop = Workshop()
 
     def replace_and_stop(*_):
@@ -246,7 +246,7 @@ def test_stop_applies_to_the_newest_inputs_also_while_older_ones_are_computed():
     assert (shop.made, shop.value.standing(B), shop.ends()) == ([A], "stopped", ["cancelled"])
 
 
-def test_value_stopped_after_its_computation_finished_is_not_used():
+def test_derived_value_stopped_after_its_computation_finished_is_not_used():
     shop = Workshop()
 
     def make(inputs, _attempt):
@@ -291,7 +291,7 @@ def test_job_that_follows_a_stopped_job_can_be_stopped():
     assert (shop.made, shop.value.standing(B), shop.ends()) == ([], "stopped", ["cancelled", "cancelled"])
 
 
-def test_function_that_checks_for_cancellation_is_cancelled():
+def test_computation_that_checks_for_cancellation_is_cancelled_by_a_stop():
     shop = Workshop()
     heard = []
 
@@ -308,7 +308,7 @@ def test_function_that_checks_for_cancellation_is_cancelled():
     assert heard == [False, True]
 
 
-def test_function_that_raises_cancelled_counts_as_stopped():
+def test_computation_that_raises_cancelled_error_counts_as_stopped():
     shop = Workshop()
 
     def give_up(*_):
@@ -320,7 +320,7 @@ def test_function_that_raises_cancelled_counts_as_stopped():
     assert (shop.value.standing(A), shop.ends()) == ("stopped", ["cancelled"])
 
 
-def test_opening_another_case_discards_value_job_and_request():
+def test_discarding_a_derived_value_ends_its_job_and_removes_value_and_request():
     shop = Workshop()
     shop.value.want(A)
     shop.background.run_all()
@@ -334,7 +334,7 @@ def test_opening_another_case_discards_value_job_and_request():
     assert shop.value._had is None, "it keeps no volume alive"
 
 
-def test_value_discarded_before_its_job_begins_is_not_computed():
+def test_derived_value_discarded_before_its_job_begins_is_not_computed():
     shop = Workshop()
     shop.value.want(A)
     shop.value.discard()
@@ -342,7 +342,7 @@ def test_value_discarded_before_its_job_begins_is_not_computed():
     assert (shop.made, shop.ends(), shop.settled) == ([], ["cancelled"], [])
 
 
-def test_callback_runs_once_when_the_value_is_available():
+def test_callback_of_a_request_runs_once_when_the_derived_value_is_available():
     shop = Workshop()
     done = []
     shop.value.want(A, then=done.append)
@@ -355,7 +355,7 @@ def test_callback_runs_once_when_the_value_is_available():
     assert len(done) == 2, "at once where it is had"
 
 
-def test_callback_is_dropped_if_the_value_fails_or_other_inputs_are_requested():
+def test_callback_is_dropped_if_the_computation_fails_or_other_inputs_are_requested():
     shop = Workshop()
     done = []
     shop.while_making = once(fail)
@@ -371,7 +371,7 @@ def test_callback_is_dropped_if_the_value_fails_or_other_inputs_are_requested():
     assert (shop.made, done) == ([A, A, C], [])
 
 
-def test_error_in_a_callback_is_reported_without_losing_the_value():
+def test_error_in_a_callback_is_reported_without_losing_the_derived_value():
     shop = Workshop()
     shop.value.want(A, then=fail)
     shop.background.run_all()
@@ -381,7 +381,7 @@ def test_error_in_a_callback_is_reported_without_losing_the_value():
     assert shop.value.standing(B) == "had"
 
 
-def test_error_in_a_callback_does_not_cancel_the_value_that_it_requested():
+def test_error_in_a_callback_does_not_cancel_the_value_that_the_callback_requested():
     shop = Workshop()
 
     def want_next_and_fail(_value):
@@ -393,14 +393,14 @@ def test_error_in_a_callback_does_not_cancel_the_value_that_it_requested():
     assert (shop.made, shop.value.standing(B), shop.ends()) == ([A, B], "had", ["failed", "done"])
 
 
-def test_callback_may_request_the_next_value():
+def test_callback_of_a_derived_value_may_request_the_next_value():
     shop = Workshop()
     shop.value.want(A, then=lambda _: shop.value.want(B))
     shop.background.run_all()
     assert (shop.made, shop.value.of(B), shop.ends()) == ([A, B], "b after a after None", ["done", "done"])
 
 
-def test_synchronous_background_computes_the_value_at_the_request():
+def test_derived_value_is_available_at_once_if_jobs_run_synchronously():
     shop = Workshop(submit=lambda work: work())
     shop.value.want(A)
     assert shop.value.of(A) == "a after None"
@@ -408,7 +408,7 @@ def test_synchronous_background_computes_the_value_at_the_request():
     assert (shop.value.of(C), shop.made) == ("c after b after a after None", [A, B, C])
 
 
-def test_custom_equality_decides_whether_inputs_are_equal():
+def test_given_equality_function_decides_whether_inputs_are_equal():
     shop = Workshop(same=lambda a, b: a[0] == b[0])
     shop.value.want("one")
     shop.background.run_all()
@@ -416,7 +416,7 @@ def test_custom_equality_decides_whether_inputs_are_equal():
     assert (shop.value.of("o"), shop.background.waiting) == ("one after None", [])
 
 
-def test_request_while_carina_closes_is_refused():
+def test_request_for_a_derived_value_while_carina_closes_is_refused():
     shop = Workshop()
     shop.jobs.close()
     with pytest.raises(CancelledError, match="closing"):
@@ -425,7 +425,7 @@ def test_request_while_carina_closes_is_refused():
         shop.value.want(B)
 
 
-def test_time_left_ignores_attempts_for_stale_inputs():
+def test_estimated_time_left_ignores_computations_for_stale_inputs():
     shop = Workshop()
 
     def long_and_stale(_inputs, attempt):
@@ -439,7 +439,7 @@ def test_time_left_ignores_attempts_for_stale_inputs():
     assert [e.seconds_left for e in shop.told if isinstance(e, JobProgress)] == [None, None]
 
 
-def test_lock_is_not_held_while_a_value_is_computed():
+def test_session_lock_is_free_while_a_derived_value_is_computed():
     """Use real threads: the session requests newer inputs while a computation runs and reports its progress."""
     with ThreadPoolExecutor(2) as pool:
         shop = Workshop(submit=pool.submit)
@@ -463,7 +463,7 @@ def test_lock_is_not_held_while_a_value_is_computed():
     assert (shop.value.of(B), shop.ends()) == (B, ["done"])
 
 
-def test_cached_value_is_computed_again_only_for_other_objects():
+def test_cached_value_is_computed_again_only_for_other_input_objects():
     made = []
 
     def make(inputs):

@@ -42,7 +42,7 @@ def take(bench):
     return bench.of_type(Trouble)[-1]
 
 
-def test_target_file_is_compared_with_the_folder_of_the_opened_ct(tmp_path, taken):
+def test_target_file_drawn_on_another_ct_is_refused_by_comparison_with_the_folder_of_the_opened_ct(tmp_path, taken):
     bench = small_bench(open_volume=dicom_volume)
     bench.session.do(OpenPath(str(tmp_path)))
     bench.background.run_all()
@@ -53,7 +53,7 @@ def test_target_file_is_compared_with_the_folder_of_the_opened_ct(tmp_path, take
     assert bench.session.ask(PlanningOf()).dicom_problem is None
 
 
-def test_description_of_a_dropped_ct_is_available_while_its_case_is_open(monkeypatch, taken, tmp_path):
+def test_dicom_references_of_a_dropped_ct_are_available_while_its_case_is_open(monkeypatch, taken, tmp_path):
     read = []
 
     def references(path, volume, watch):
@@ -77,7 +77,7 @@ def test_description_of_a_dropped_ct_is_available_while_its_case_is_open(monkeyp
     assert taken[-1] == tmp_path
 
 
-def test_path_without_dicom_files_and_missing_path_are_reported(tmp_path, taken):
+def test_source_path_without_dicom_files_and_missing_source_path_are_reported(tmp_path, taken):
     bench = small_bench()
     bench.session.do(OpenPath(str(tmp_path)))
     bench.background.run_all()

@@ -7,6 +7,7 @@ import sqlite3
 
 import pytest
 
+from cached_test_data import made_phantom
 from carina import commands as c
 from carina.case import CaseFile
 from carina.session import Trouble, UserMessage, case_files
@@ -14,7 +15,6 @@ from carina.session.attach.select import program_session
 from carina.session.store.case_names import neutral_alias
 from carina.session.store.registry import CaseRecords
 from carina.volume import write_grid
-from made import made_phantom
 
 
 def write_ct(path, volume):
@@ -80,7 +80,7 @@ def given(desks, chest, tmp_path):
     return tmp_path / "given.carina"
 
 
-def test_dropped_case_whose_ct_is_open_opens_as_a_copy_without_a_path(desks, given, chest, tmp_path):
+def test_dropped_case_file_whose_ct_is_open_opens_as_a_copy_without_a_path(desks, given, chest, tmp_path):
     _, desk = desks
     desk.do(c.OpenPath(str(write_ct(tmp_path / "their ct.nii.gz", chest))))
     before = given.read_bytes()
@@ -94,7 +94,7 @@ def test_dropped_case_whose_ct_is_open_opens_as_a_copy_without_a_path(desks, giv
     assert (record.copy_path, record.num_changes) == (None, 3)
 
 
-def test_dropped_case_without_its_ct_waits_in_the_list_and_requests_the_ct_once(desks, given, chest, tmp_path):
+def test_dropped_case_file_without_its_ct_is_listed_and_requests_the_ct_once(desks, given, chest, tmp_path):
     _, desk = desks
     (tmp_path / "ct.nii.gz").unlink()
     for _ in range(2):
@@ -115,7 +115,7 @@ def test_dropped_case_without_its_ct_waits_in_the_list_and_requests_the_ct_once(
     assert listed.title == waiting.title, "the name of the dropped file is not stored"
 
 
-def test_stored_case_that_continues_the_dropped_case_is_shown(desks, given):
+def test_stored_case_that_contains_later_changes_of_the_dropped_case_file_is_shown(desks, given):
     mine, _ = desks
     mine.do(c.SetFov(70.0), c.CloseCase())
     assert mine.drop(given) == []
@@ -124,7 +124,7 @@ def test_stored_case_that_continues_the_dropped_case_is_shown(desks, given):
     assert mine.session.snapshot().saving.copy_name == "given.carina", "where its person put it"
 
 
-def test_dropped_case_that_contains_its_ct_opens_and_opens_again_from_the_list(desks, given, chest, tmp_path):
+def test_dropped_case_file_that_contains_its_ct_opens_and_opens_again_from_the_list(desks, given, chest, tmp_path):
     _, desk = desks
     (tmp_path / "ct.nii.gz").unlink()
     with CaseFile.open(given, read_only=True) as case:
@@ -155,7 +155,7 @@ def test_damaged_or_foreign_dropped_file_is_refused_and_leaves_no_file(desks, gi
     assert desk.worked_on() == []
 
 
-def test_dropped_case_of_a_newer_carina_is_shown_and_not_stored(desks, given, chest, tmp_path):
+def test_dropped_case_file_of_a_newer_carina_is_shown_and_not_stored(desks, given, chest, tmp_path):
     _, desk = desks
     with sqlite3.connect(given) as file:
         file.execute("PRAGMA user_version = 1000")

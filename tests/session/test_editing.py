@@ -59,7 +59,7 @@ def document(bench):
     return bench.session.snapshot().document
 
 
-def test_edit_is_one_labelled_step_of_undo_and_redo(bench, case):
+def test_edit_of_the_tree_is_one_labelled_undo_step(bench, case):
     edit(bench, CutBranch(2))
     assert 2 not in {b.id for b in document(bench).airways.tree.branches}
     assert bench.session.snapshot().undo_label == "cut branch 2"
@@ -73,7 +73,7 @@ def test_edit_is_one_labelled_step_of_undo_and_redo(bench, case):
     np.testing.assert_array_equal(bench.renderers[-1].lumen, document(bench).airways.lumen_zyx)
 
 
-def test_opening_another_case_stops_edits_and_targets_of_the_first(bench, case):
+def test_opening_another_case_stops_edits_and_target_searches_of_the_first(bench, case):
     edit_job = bench.session.do(EditTree(CutBranch(2)))
     target_job = bench.session.do(AddTarget(point(case.airways.tree.branch(5).points[-2])))
     left = tuple(bench.background.waiting)
@@ -101,7 +101,7 @@ def test_route_to_a_cut_branch_is_removed_with_a_message_and_restored_by_undo(be
     assert document(bench).route.branch_id == gone.id
 
 
-def test_targets_are_tracked_again_in_the_edited_tree(bench, case):
+def test_paths_to_targets_are_searched_again_in_the_edited_tree(bench, case):
     bench.session.do(AddTarget(point(case.airways.tree.branch(2).points[-2])))
     bench.session.do(AddTarget(point(case.airways.tree.branch(5).points[-2])))
     bench.background.run_all()
@@ -129,7 +129,7 @@ def test_route_that_an_edit_does_not_touch_stays_active(bench):
     assert pose.pose is not None
 
 
-def test_edit_that_leaves_the_lumen_unchanged_does_not_prepare_the_renderer(bench):
+def test_edit_that_leaves_the_lumen_unchanged_does_not_prepare_the_renderer_again(bench):
     prepared = bench.renderers[-1].prepared
     edit(bench, RenameBranch(5, "LB6"), SmoothBranch(5))
     assert bench.renderers[-1].prepared == prepared
@@ -138,7 +138,7 @@ def test_edit_that_leaves_the_lumen_unchanged_does_not_prepare_the_renderer(benc
     assert bench.renderers[-1].prepared > prepared
 
 
-def test_lumen_restored_after_a_stopped_preparation_is_prepared_again(bench):
+def test_renderer_is_prepared_again_for_a_lumen_whose_preparation_was_stopped(bench):
     renderer = bench.renderers[-1]
     prepared = renderer.prepared
 
@@ -168,7 +168,7 @@ def test_impossible_edits_leave_the_tree_unchanged_and_state_the_reason(bench, c
     assert bench.session.snapshot().undo_label is None
 
 
-def test_edit_without_airways_is_refused():
+def test_edit_of_the_tree_without_airways_is_refused():
     bench = small_bench()
     with pytest.raises(UsageError, match="no case is open"):
         bench.session.do(EditTree(CutBranch(1)))
@@ -218,7 +218,7 @@ def test_long_series_of_edits_is_undone_and_redone_bit_for_bit(bench, case):
     assert_same(document(bench).airways, last)
 
 
-def test_history_compresses_documents_far_from_the_present_one():
+def test_undo_history_compresses_states_far_from_the_present_one():
     history = History(0)
     for n in range(1, 9):
         history.change(f"to {n}", n, now_s=float(n))
@@ -241,7 +241,7 @@ def lung_bench():
     return made
 
 
-def test_branch_without_evidence_is_added_only_after_confirmation(lung_bench):
+def test_branch_without_evidence_is_added_only_after_the_user_confirms_it(lung_bench):
     edit(lung_bench, AddBranch(in_plain_lung()))
     (question,) = lung_bench.of_type(NotEvident)
     assert lung_bench.of_type(Trouble) == []
@@ -263,7 +263,7 @@ def test_branch_without_evidence_is_added_only_after_confirmation(lung_bench):
     assert document(lung_bench).airways is open_ended_airways()
 
 
-def test_route_over_a_drawn_branch_counts_it_as_drawn(lung_bench):
+def test_route_along_a_drawn_branch_states_its_drawn_length(lung_bench):
     edit(lung_bench, AddBranch(in_plain_lung(), even_without_evidence=True))
     drawn = next(b for b in document(lung_bench).airways.tree.branches if b.kind == "manual")
     lung_bench.session.do(ChooseRoute(branch_id=drawn.id))
@@ -284,7 +284,7 @@ def test_preview_of_an_edit_equals_the_edit(lung_bench):
         lung_bench.session.ask(PreviewOf(AddBranch(in_plain_lung())))
 
 
-def test_bridge_without_an_airway_beyond_its_end_is_refused_without_a_question():
+def test_bridge_without_an_airway_beyond_its_end_is_refused_and_confirmation_is_not_offered():
     doubt = NoEvidenceError(
         "the CT shows too little airway wall beyond the bridge",
         doubtful_mm=9.0,
@@ -306,7 +306,7 @@ def test_bridge_without_an_airway_beyond_its_end_is_refused_without_a_question()
     assert [(trouble.code, trouble.message) for trouble in bench.of_type(Trouble)] == [(doubt.code, str(doubt))]
 
 
-def test_target_at_the_new_root_stays_and_states_why_it_has_no_path(bench, case):
+def test_target_at_the_new_root_stays_in_the_list_and_states_why_it_has_no_path(bench, case):
     there = MoveRoot(point(case.airways.tree.branch(5).points[-2]))
     tracker = edit_airways(case.volume, case.airways, there).tracker
     place = point(case.volume.to_lps(np.array(tracker.root_ijk, dtype=float)))

@@ -90,7 +90,7 @@ def test_key_frames_are_named_after_their_branch_until_renamed(three):
     assert names(three)[3] == "outside the airways"
 
 
-def test_every_change_of_the_list_is_one_undo_step(three):
+def test_every_change_of_the_key_frame_list_is_one_undo_step(three):
     session = three.session
     ids = [key.key_id for key in session.key_frames_info().frames]
     steps = [
@@ -120,7 +120,7 @@ def test_every_change_of_the_list_is_one_undo_step(three):
         assert session.key_frames_info() == state
 
 
-def test_changes_without_effect_are_no_undo_steps(three):
+def test_key_frame_changes_without_effect_are_no_undo_steps(three):
     first = three.session.key_frames_info().frames[0].key_id
     before = three.session.snapshot().undo_label
     three.session.do(EditKeyFrames(KeyFrameMove(first, -1)))
@@ -151,7 +151,7 @@ def test_flight_is_straight_without_airways_and_outside_airways(bench):
     assert [key.through_airways for key in bench.session.key_frames_info().frames] == [False, False]
 
 
-def test_flying_moves_the_tip_and_reports_the_time_until_interrupted(three):
+def test_key_frame_flight_moves_the_tip_and_reports_its_time_until_interrupted(three):
     session = three.session
     info = session.key_frames_info()
     for key, at in zip(info.frames, (TOP, LEFT, RIGHT), strict=True):
@@ -182,7 +182,7 @@ def test_flying_moves_the_tip_and_reports_the_time_until_interrupted(three):
         Undo(),
     ],
 )
-def test_movement_of_the_tip_or_change_of_the_flight_interrupts_the_flight(three, take_over):
+def test_movement_of_the_tip_or_change_of_the_key_frames_interrupts_the_flight(three, take_over):
     three.session.do(SetMode("path"))
     three.session.do(FlyKeyFrames(1.0))
     three.session.do(take_over)
@@ -190,7 +190,7 @@ def test_movement_of_the_tip_or_change_of_the_flight_interrupts_the_flight(three
     assert three.session.pose_info().key_frames_s is None
 
 
-def test_device_interrupts_the_flight_with_a_message(three):
+def test_movement_by_a_device_interrupts_the_flight_with_a_message(three):
     from carina.navigate import AxesSample
 
     session = three.session
@@ -206,7 +206,7 @@ def test_device_interrupts_the_flight_with_a_message(three):
     assert not session.pose_info().by_device
 
 
-def test_tip_moved_to_a_key_frame_has_its_pose_exactly(bench):
+def test_tip_moved_to_a_key_frame_has_exactly_the_pose_of_the_key_frame(bench):
     bench.session.do(place_pose(looking_down(LEFT)))
     key = bench.session.do(EditKeyFrames(KeyFrameAdd()))
     bench.session.do(place_pose(looking_down(RIGHT)))
@@ -245,7 +245,7 @@ def test_flight_longer_than_24_hours_is_reported_and_not_flown(bench):
         bench.session.do(FlyKeyFrames(1.0))
 
 
-def test_new_airways_change_the_path_between_key_frames(three):
+def test_new_airways_are_used_for_the_path_between_key_frames(three):
     before = three.session.key_frames_info()
     three.session.do(SetLumenThreshold(-850.0))
     three.background.run_all()
@@ -253,7 +253,7 @@ def test_new_airways_change_the_path_between_key_frames(three):
     assert three.session.snapshot().document.key_frames.frames
 
 
-def test_saved_flight_is_restored_in_one_undo_step(three, tmp_path):
+def test_saved_key_frame_flight_is_restored_in_one_undo_step(three, tmp_path):
     session = three.session
     session.do(EditKeyFrames(KeyFrameSpeed(session.key_frames_info().frames[2].key_id, 7.5)))
     session.do(EditKeyFrames(KeyFrameRename(session.key_frames_info().frames[0].key_id, "start")))
@@ -290,7 +290,7 @@ def test_key_frames_of_another_case_are_refused_and_change_nothing(three, tmp_pa
     assert other.session.key_frames_info().frames == ()
 
 
-def test_times_in_a_file_are_converted_to_speeds(bench, tmp_path):
+def test_times_in_a_key_frame_file_are_converted_to_speeds(bench, tmp_path):
     path = tmp_path / "k.json"
     keys = [
         {"time_s": t, "lps_from_camera": looking_down(at).lps_from_camera.tolist()} for t, at in ((0, TOP), (4, LEFT))
@@ -314,7 +314,7 @@ def test_export_without_key_frames_and_too_many_key_frames_are_refused(bench, tm
     assert [t.message for t in bench.of_type(Trouble)] == ["the file has 201 key frames; at most 200 can be opened"]
 
 
-def test_recording_of_a_flight_replays_with_equal_poses(three, tmp_path):
+def test_recording_of_a_key_frame_flight_replays_with_equal_poses(three, tmp_path):
     from carina.navigate import open_recording
 
     session = three.session

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import carina
+from cached_test_data import made_phantom
 from carina.commands import LungsOf, MapLungs, MapReach
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import Nodule
 from carina.plan.lungs.lung_map import LungMap, MappedMask, _within, map_lungs
 from carina.session.scene.layer_lines import ShownLayers
-from made import made_phantom
 from small_case import small_bench
 
 MATRIX = np.diag([2.0, 2.0, 2.0, 1.0])
@@ -60,7 +60,7 @@ def test_mask_outline_is_half_way_between_voxels_at_every_zoom(place):
     assert np.allclose(drawn(lines)[0], drawn(lines)[-1])
 
 
-def test_plane_beside_a_mask_has_no_outline_and_hidden_layers_are_omitted():
+def test_plane_that_does_not_cut_a_mask_has_no_outline_and_hidden_layers_are_omitted():
     shown = ShownLayers(LungMap(fissures=MappedMask.placed(ball((10, 12, 10), 3.0), MATRIX)), None)
     assert shown.names == ("fissures",)
     assert shown.lines(axial(1.0, z=-100.0), ("fissures",)) == ()
@@ -68,7 +68,7 @@ def test_plane_beside_a_mask_has_no_outline_and_hidden_layers_are_omitted():
     assert len(shown.lines(axial(1.0), ("fissures",))) == 1
 
 
-def test_target_is_not_drawn_as_a_vessel():
+def test_target_voxels_are_omitted_from_the_vessel_layer():
     vessels = MappedMask.placed(ball((6, 12, 10), 3.0) | ball((14, 12, 10), 3.0), MATRIX)
     inside = np.ones((9, 9, 9), dtype=bool)
     matrix = np.diag([2.0, 2.0, 2.0, 1.0])
@@ -92,7 +92,7 @@ def bench_with(**parts):
 BALL = MappedMask.placed(ball((10, 12, 10), 6.0), MATRIX)
 
 
-def test_layers_are_computed_on_request_and_vessels_come_before_the_lobes():
+def test_layers_are_computed_on_request_and_vessels_are_shown_before_the_lobes():
     seen = []
 
     def slow(_volume, _airways, _wall, *, progress, found):
@@ -120,7 +120,7 @@ def test_layers_are_computed_on_request_and_vessels_come_before_the_lobes():
     assert session.scene().key("axial") != key
 
 
-def test_layers_of_other_airways_are_not_shown_and_reported_as_outdated():
+def test_layers_computed_for_other_airways_are_not_shown_and_reported_as_outdated():
     bench = bench_with(map_lungs=lambda *_given, **_options: LungMap(vessels=BALL))
     session = bench.session
     session.do(MapLungs())
@@ -155,7 +155,7 @@ def test_failed_computation_of_layers_states_its_reason_and_can_be_retried():
         assert (info.standing, info.problem) == (standing, problem)
 
 
-def test_reach_layer_is_of_the_instrument_that_was_requested_last():
+def test_reach_layer_is_that_of_the_last_requested_instrument():
     calls = []
 
     def make(_volume, _airways, *, scope, tool, wall, progress, cancel):
@@ -173,7 +173,7 @@ def test_reach_layer_is_of_the_instrument_that_was_requested_last():
     assert bench.session.ask(LungsOf()).reach_problem == "nothing for thin"
 
 
-def test_without_airways_no_layers_are_computed():
+def test_layers_are_not_computed_without_airways():
     def none(*_given, **_options):
         raise NoResultError("no trachea")
 
@@ -182,7 +182,7 @@ def test_without_airways_no_layers_are_computed():
         bench.session.do(MapLungs())
 
 
-def test_rim_of_the_lungs_is_not_a_vessel():
+def test_voxels_at_the_rim_of_the_lungs_are_excluded_from_the_vessel_layer():
     known = np.zeros((9, 10, 11), dtype=bool)
     known[1:8, :, 2:10] = True
     inner = _within(known, 2)
@@ -191,7 +191,7 @@ def test_rim_of_the_lungs_is_not_a_vessel():
 
 
 @pytest.mark.slow
-def test_phantom_lungs_have_vessels_and_lobes_and_every_stage_can_be_cancelled():
+def test_phantom_lungs_have_vessel_and_lobe_layers_and_every_stage_can_be_cancelled():
     made = made_phantom(seed=4, spacing_mm=3.0, generations=4)
     airways = carina.find_airways(made.volume)
     wall = carina.track.wall_field(made.volume, airways)

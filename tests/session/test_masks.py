@@ -77,7 +77,7 @@ def test_imported_mask_replaces_the_airways_in_one_undo_step(bench, tool):
     assert [mask != {} for _, mask in tool.searches] == [False, True]
 
 
-def test_mask_with_several_structures_asks_for_one_and_proposes_airway(bench, tool):
+def test_mask_with_several_structures_requests_a_choice_and_proposes_the_airways(bench, tool):
     before = bench.session.snapshot()
     requested = take(bench, "/masks/several.nrrd")
     question = requested.mask_question
@@ -111,7 +111,7 @@ def test_structure_is_proposed_only_if_its_name_identifies_the_airways(bench, to
     assert take(made, "/masks/several.nrrd").mask_question.suggested == suggested
 
 
-def test_mask_on_another_grid_is_reported_and_keeps_the_chosen_label_when_resampled(bench, tool):
+def test_mask_on_another_grid_is_reported_and_the_selected_label_is_used_when_resampled(bench, tool):
     take(bench, "/masks/several-other.nrrd")
     bench.session.do(AnswerMask(label=4))
     bench.background.run_all()
@@ -124,7 +124,7 @@ def test_mask_on_another_grid_is_reported_and_keeps_the_chosen_label_when_resamp
     assert bench.session.snapshot().undo_label == "use the segmentation for the airways"
 
 
-def test_dismissed_mask_leaves_the_airways_unchanged(bench):
+def test_mask_rejected_by_the_user_leaves_the_airways_unchanged(bench):
     before = bench.session.snapshot()
     take(bench, "/masks/other.nrrd")
     bench.session.do(DismissMask())
@@ -137,7 +137,7 @@ def test_dismissed_mask_leaves_the_airways_unchanged(bench):
         bench.session.do(AnswerMask(label=1))
 
 
-def test_mask_dismissed_during_reading_is_not_imported(bench, tool):
+def test_mask_rejected_by_the_user_during_reading_is_not_imported(bench, tool):
     before = bench.session.snapshot()
     job_id = bench.session.do(TakeMask("/masks/airway.nii.gz"))
     assert bench.session.ask(MaskFileNeeded())
@@ -148,7 +148,7 @@ def test_mask_dismissed_during_reading_is_not_imported(bench, tool):
     assert not bench.session.ask(MaskFileNeeded())
 
 
-def test_file_without_a_mask_is_refused_with_a_message_and_changes_nothing(bench):
+def test_file_that_is_no_mask_is_refused_with_a_message_and_changes_nothing(bench):
     before = bench.session.snapshot()
     after = take(bench, "/masks/bad.nrrd")
     assert [e.message for e in bench.of_type(Trouble)] == ["reading the segmentation bad.nrrd: it is empty"]
@@ -156,14 +156,14 @@ def test_file_without_a_mask_is_refused_with_a_message_and_changes_nothing(bench
     assert (after.airways, after.airways_words) == (before.airways, before.airways_words)
 
 
-def test_mask_without_a_trachea_starts_at_the_known_root(bench, tool):
+def test_import_of_a_mask_without_a_trachea_starts_at_the_known_root(bench, tool):
     tool.root_in_mask = False
     root = tuple(bench.session.snapshot().document.airways.root_lps)
     assert take(bench, "/masks/airway.nii.gz").undo_label == "use the segmentation for the airways"
     assert [search[0] for search in tool.searches] == [None, None, root]
 
 
-def test_mask_is_imported_without_found_airways_and_undo_restores_none():
+def test_mask_is_imported_into_a_case_without_airways_and_undo_restores_none():
     tool = Tool()
 
     def find_airways(volume, *, root_lps, lumen_threshold, progress, cancel, **mask):
@@ -194,7 +194,7 @@ def test_mask_without_a_trachea_and_without_a_known_root_is_refused(tool):
     assert after.airways_words.startswith("no trachea in the mask. ")
 
 
-def test_search_replaced_by_a_newer_search_reports_no_result(tool):
+def test_airway_search_replaced_by_a_newer_search_reports_no_result(tool):
     roots = []
 
     def find_airways(volume, *, root_lps, **options):
@@ -214,7 +214,7 @@ def test_search_replaced_by_a_newer_search_reports_no_result(tool):
     assert bench.session.snapshot().airways == "found"
 
 
-def test_reading_a_mask_can_be_stopped_without_stopping_the_search(tool):
+def test_reading_a_mask_can_be_stopped_without_stopping_the_airway_search(tool):
     bench = small_bench(open_mask=tool.open_mask, find_airways=tool.find_airways)
     bench.session.do(OpenPath("case"))
     bench.background.run_next()
@@ -226,7 +226,7 @@ def test_reading_a_mask_can_be_stopped_without_stopping_the_search(tool):
     assert bench.session.snapshot().undo_label is None
 
 
-def test_mask_needs_an_open_case_and_closing_the_case_removes_its_question(bench):
+def test_mask_import_requires_an_open_case_and_closing_the_case_removes_its_question(bench):
     take(bench, "/masks/other.nrrd")
     bench.session.do(CloseCase())
     assert not bench.session.ask(MaskFileNeeded())

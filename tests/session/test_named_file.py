@@ -13,7 +13,7 @@ import pytest
 from carina.session.store import named_file
 from carina.session.store.named_file import FileMark, NamedFile, NamedFileConflictError, path_beside, read_mark
 from carina.session.store.named_file_lock import NamedLock, lock_path
-from kept_desk import put_text
+from restartable_workstation import put_text
 
 WAIT_S = 60.0
 
@@ -55,7 +55,7 @@ def path(tmp_path):
 # ---------------------------------------------------------------- changed content
 
 
-def test_window_overwrites_the_file_that_it_wrote(disk, path):
+def test_window_overwrites_the_named_file_that_it_wrote(disk, path):
     named = NamedFile(path)
     marks = []
     for text in ("one", "two", "three"):
@@ -67,7 +67,7 @@ def test_window_overwrites_the_file_that_it_wrote(disk, path):
     assert names(path.parent) == ["team.carina"]
 
 
-def test_new_name_does_not_overwrite_a_file(disk, path):
+def test_save_under_a_new_name_does_not_overwrite_an_existing_file(disk, path):
     path.write_text("a letter")
     conflict = refusal(NamedFile(path))
     assert (conflict.code, conflict.kind, conflict.exit_code) == ("case.changed", "not-a-case", 3)
@@ -76,7 +76,7 @@ def test_new_name_does_not_overwrite_a_file(disk, path):
 
 
 @pytest.mark.parametrize("change", ["rewritten", "replaced", "shortened", "emptied"])
-def test_content_of_another_program_is_not_overwritten(disk, path, change):
+def test_save_does_not_overwrite_content_that_another_program_wrote_before(disk, path, change):
     named = NamedFile(path)
     write(named, "ours, the first")
     before = path.stat()
@@ -94,7 +94,7 @@ def test_content_of_another_program_is_not_overwritten(disk, path, change):
     assert (path.read_bytes(), names(path.parent)) == (content, ["team.carina"])
 
 
-def test_file_of_an_earlier_version_is_foreign_unless_its_digest_is_recorded(disk, path):
+def test_named_file_of_an_earlier_version_is_overwritten_only_if_its_digest_is_recorded(disk, path):
     path.write_text("schema 1")
     refusal(NamedFile(path, FileMark("00" * 32)))
     named = NamedFile(path, read_mark(path))
@@ -103,7 +103,7 @@ def test_file_of_an_earlier_version_is_foreign_unless_its_digest_is_recorded(dis
     assert path.read_text() == "ours"
 
 
-def test_replace_moves_the_other_content_aside_and_overwrites_no_earlier_copy(disk, path, monkeypatch):
+def test_replace_moves_the_content_of_another_program_to_a_new_file(disk, path, monkeypatch):
     monkeypatch.setattr(named_file.time, "strftime", lambda _format: "2026-11-27 1405")
     for n in range(3):
         path.write_text(f"theirs {n}")
@@ -125,14 +125,14 @@ def test_replace_of_a_deleted_file_creates_no_copy(disk, path):
     assert names(path.parent) == ["team.carina"]
 
 
-def test_generation_of_a_save_is_one_above_that_of_the_replaced_content(disk, path):
+def test_replacing_save_has_a_generation_number_above_that_of_the_replaced_content(disk, path):
     named = NamedFile(path, FileMark("00" * 32, "ab" * 8, 7))
     path.write_text("theirs")
     write(named, "ours", replace=True)
     assert named.mark.generation == 8
 
 
-def test_file_that_was_moved_away_is_not_recreated_automatically(disk, path):
+def test_named_file_that_was_moved_away_is_not_recreated_automatically(disk, path):
     named = NamedFile(path)
     write(named, "one")
     path.rename(path.with_name("elsewhere.carina"))
@@ -143,7 +143,7 @@ def test_file_that_was_moved_away_is_not_recreated_automatically(disk, path):
     assert names(path.parent) == ["elsewhere.carina", "team.carina"]
 
 
-def test_file_of_a_save_interrupted_by_a_crash_is_recognised_as_own(disk, path):
+def test_named_file_of_a_save_interrupted_by_a_crash_is_recognised_by_its_digest(disk, path):
     named = NamedFile(path)
     write(named, "one")
     recorded = named.mark
@@ -158,7 +158,7 @@ def test_file_of_a_save_interrupted_by_a_crash_is_recognised_as_own(disk, path):
     refusal(NamedFile(path, recorded, next_digest="00" * 32))
 
 
-def test_save_through_a_symbolic_link_writes_its_target_and_leaves_the_link(disk, path, tmp_path):
+def test_save_through_a_symbolic_link_writes_its_target_and_the_link_remains(disk, path, tmp_path):
     real = tmp_path / "share" / "team.carina"
     real.parent.mkdir()
     path.symlink_to(real)
@@ -171,7 +171,7 @@ def test_save_through_a_symbolic_link_writes_its_target_and_leaves_the_link(disk
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
-def test_pipe_is_refused_without_being_read(path):
+def test_pipe_with_the_name_of_a_case_file_is_refused_without_being_read(path):
     named = NamedFile(path, FileMark("00" * 32))
     os.mkfifo(path)
     with pytest.raises(NamedFileConflictError):
@@ -197,7 +197,7 @@ def changed_meanwhile(path, monkeypatch, do):
     monkeypatch.setattr(named_file, "_digest_of", digest_of)
 
 
-def test_content_written_during_the_draft_is_not_overwritten(disk, path, monkeypatch):
+def test_save_does_not_overwrite_content_that_another_program_wrote_meanwhile(disk, path, monkeypatch):
     named = NamedFile(path)
     write(named, "one")
     changed_meanwhile(path, monkeypatch, lambda: path.write_text("theirs"))
@@ -206,13 +206,13 @@ def test_content_written_during_the_draft_is_not_overwritten(disk, path, monkeyp
     assert [name for name in names(path.parent) if name.endswith(".carina")] == ["team.carina"]
 
 
-def test_file_created_under_the_new_name_is_not_overwritten(disk, path, monkeypatch):
+def test_save_does_not_overwrite_a_file_that_another_program_created_meanwhile(disk, path, monkeypatch):
     changed_meanwhile(path, monkeypatch, lambda: path.write_text("theirs"))
     refusal(NamedFile(path), "ours")
     assert path.read_text() == "theirs"
 
 
-def test_without_locks_a_file_created_after_the_move_is_not_overwritten(path, monkeypatch):
+def test_save_without_locks_does_not_overwrite_a_file_created_after_the_old_file_was_moved(path, monkeypatch):
     monkeypatch.setattr(named_file.NamedLock, "take", staticmethod(lambda _path: None))
     named = NamedFile(path)
     write(named, "one")
@@ -230,7 +230,7 @@ def test_without_locks_a_file_created_after_the_move_is_not_overwritten(path, mo
     assert texts == {"theirs", "one"}, "the file that was moved is kept under a new name"
 
 
-def test_without_locks_replace_keeps_every_file_created_in_between(path, monkeypatch):
+def test_replace_without_locks_loses_no_file_created_meanwhile(path, monkeypatch):
     monkeypatch.setattr(named_file.NamedLock, "take", staticmethod(lambda _path: None))
     path.write_text("theirs 1")
     moved = named_file.move_to_new_name
@@ -247,7 +247,7 @@ def test_without_locks_replace_keeps_every_file_created_in_between(path, monkeyp
     assert path.read_text() == "ours"
 
 
-def test_replace_on_a_disk_that_becomes_full_leaves_the_file_unchanged(path, monkeypatch):
+def test_replace_on_a_disk_that_becomes_full_leaves_the_named_file_unchanged(path, monkeypatch):
     path.write_text("theirs")
 
     def link(_source, _target):
@@ -268,7 +268,7 @@ def test_replace_on_a_disk_that_becomes_full_leaves_the_file_unchanged(path, mon
 # ---------------------------------------------------------------- locks
 
 
-def test_second_window_is_warned_and_writes_nothing(path):
+def test_second_window_with_one_named_file_is_warned_and_writes_nothing(path):
     first, second = NamedFile(path), NamedFile(path)
     write(first, "one")
     second.mark = first.mark
@@ -285,7 +285,7 @@ def test_second_window_is_warned_and_writes_nothing(path):
     assert not lock_path(path).exists()
 
 
-def test_warning_of_an_open_file_names_its_user(path, monkeypatch):
+def test_warning_about_a_named_file_open_elsewhere_names_its_user(path, monkeypatch):
     monkeypatch.setattr("getpass.getuser", lambda: "anna\x1b[31m")
     monkeypatch.setattr("socket.gethostname", lambda: "ward-3")
     first = NamedFile(path)
@@ -295,7 +295,7 @@ def test_warning_of_an_open_file_names_its_user(path, monkeypatch):
     first.close()
 
 
-def test_lock_is_visible_to_a_user_who_may_not_write_it(path, monkeypatch):
+def test_lock_of_a_named_file_is_detected_by_a_user_without_write_permission(path, monkeypatch):
     lock = NamedLock.take(path)
     opened = os.open
 
@@ -309,7 +309,7 @@ def test_lock_is_visible_to_a_user_who_may_not_write_it(path, monkeypatch):
     lock.release()
 
 
-def test_file_is_closed_while_its_share_does_not_respond(path):
+def test_named_file_is_closed_while_its_network_share_does_not_respond(path):
     named = NamedFile(path)
     has_begun, goes_on = threading.Event(), threading.Event()
 
@@ -328,7 +328,7 @@ def test_file_is_closed_while_its_share_does_not_respond(path):
     assert not lock_path(path).exists()
 
 
-def test_suggested_path_beside_a_file_is_unused(path):
+def test_suggested_new_path_is_not_in_use(path):
     assert path_beside(path).name == "team (2).carina"
     path_beside(path).touch()
     assert path_beside(path).name == "team (3).carina"
@@ -338,7 +338,7 @@ def test_suggested_path_beside_a_file_is_unused(path):
 
 
 @pytest.mark.parametrize("tail", ["-wal", "-journal"])
-def test_changes_in_a_journal_beside_the_file_are_not_lost(disk, path, tail):
+def test_save_is_refused_if_another_program_left_a_journal_beside_the_named_file(disk, path, tail):
     """Use a program that has the file open as a database and has written its changes only into the journal."""
     named = NamedFile(path)
     write(named, "one")
@@ -366,7 +366,7 @@ def test_replace_moves_the_journal_together_with_the_replaced_file(disk, path, t
     assert not journal.exists()
 
 
-def test_move_that_fails_during_replace_leaves_the_file_under_its_name(disk, path, monkeypatch):
+def test_move_that_fails_during_replace_leaves_the_named_file_unchanged(disk, path, monkeypatch):
     path.write_text("theirs")
     moved = named_file.move_to_new_name
 
@@ -387,7 +387,7 @@ def test_move_that_fails_during_replace_leaves_the_file_under_its_name(disk, pat
     assert path.read_text() == "theirs"
 
 
-def test_replacement_that_the_share_reports_as_failed_is_recognised(disk, path, monkeypatch):
+def test_replacement_that_the_network_share_wrongly_reports_as_failed_is_recognised(disk, path, monkeypatch):
     """Use a network share that repeats a request whose answer was lost, and reports the repetition as failed."""
     named = NamedFile(path)
     write(named, "one")
@@ -407,7 +407,7 @@ def test_replacement_that_the_share_reports_as_failed_is_recognised(disk, path, 
     assert path.read_text() == "three"
 
 
-def test_moved_file_that_cannot_be_removed_does_not_fail_the_save(path, monkeypatch):
+def test_old_file_that_cannot_be_removed_after_a_save_does_not_fail_the_save(path, monkeypatch):
     monkeypatch.setattr(named_file.NamedLock, "take", staticmethod(lambda _path: None))
     named = NamedFile(path)
     write(named, "one")
@@ -426,7 +426,7 @@ def test_moved_file_that_cannot_be_removed_does_not_fail_the_save(path, monkeypa
 
 
 @pytest.mark.parametrize("letter", ["a", "\u00e4"])
-def test_names_of_files_beside_a_file_with_a_long_name_are_within_the_limit(disk, tmp_path, letter, monkeypatch):
+def test_suggested_paths_for_a_long_file_name_are_within_the_length_limit(disk, tmp_path, letter, monkeypatch):
     path = tmp_path / f"{letter * (240 // len(letter.encode()))}.carina"
     path.write_text("theirs")
     beside = path_beside(path)
@@ -437,7 +437,7 @@ def test_names_of_files_beside_a_file_with_a_long_name_are_within_the_limit(disk
     assert (path.read_text(), stored_paths.read_text()) == ("ours", "theirs")
 
 
-def test_hard_link_to_a_saved_file_is_a_separate_path(path):
+def test_hard_link_to_a_saved_file_is_treated_as_a_separate_path(path):
     """Use a file with several hard links, of which a save replaces one name."""
     named = NamedFile(path)
     write(named, "one")
@@ -450,6 +450,6 @@ def test_hard_link_to_a_saved_file_is_a_separate_path(path):
     assert named.has_path(link)
 
 
-def test_lock_on_a_share_with_unstable_file_numbers_does_not_hang(path, monkeypatch):
+def test_lock_on_a_network_share_with_unstable_inode_numbers_does_not_hang(path, monkeypatch):
     monkeypatch.setattr(os.path, "samestat", lambda _one, _other: False)
     assert NamedLock.take(path) is None

@@ -14,6 +14,7 @@ import pytest
 
 import carina
 import carina.plan
+from cached_test_data import found_airways, made_phantom
 from carina.case import CaseFile, CaseFileError
 from carina.case.document import Lesion
 from carina.case.sized_targets import lesion_facts, made_lesion
@@ -53,7 +54,6 @@ from carina.server.to_wire.plan import plans_message
 from carina.session import JobEnded, JobProgress, LocalStore, Session, default_parts
 from carina.session.derived.plans import shown_surface
 from carina.volume import write_grid
-from made import found_airways, made_phantom
 from small_case import SmallRenderer, small_bench, small_lps
 
 
@@ -128,7 +128,7 @@ def centre_of(chest: Phantom) -> tuple[float, float, float]:
     return float(x), float(y), float(z)
 
 
-def test_click_outside_the_airways_adds_a_planned_target_without_moving_the_tip(
+def test_click_on_a_nodule_outside_the_airways_adds_a_planned_target_without_moving_the_tip(
     case: carina.Case, chest: Phantom, airways: carina.Airways
 ) -> None:
     before = case.pose.lps_from_camera.copy()
@@ -147,7 +147,7 @@ def test_click_outside_the_airways_adds_a_planned_target_without_moving_the_tip(
     assert json.dumps(said.plan.to_json()) == json.dumps(alone.to_json())
 
 
-def test_mark_at_a_point_states_what_a_click_there_adds(case: carina.Case, chest: Phantom) -> None:
+def test_hovering_over_a_point_states_the_target_that_a_click_there_adds(case: carina.Case, chest: Phantom) -> None:
     centre = centre_of(chest)
     mark = case.ask(MarkAt(centre))
     assert not mark.warns
@@ -165,7 +165,7 @@ def test_mark_at_a_point_states_what_a_click_there_adds(case: carina.Case, chest
     assert case.state.document.targets == (target,)
 
 
-def test_planned_route_ends_at_the_position_of_the_scope_and_knows_the_needle(
+def test_planned_route_ends_at_the_planned_tip_position_and_has_a_needle_line(
     case: carina.Case, chest: Phantom
 ) -> None:
     case.do(AddTarget(centre_of(chest)))
@@ -192,7 +192,9 @@ def test_planned_route_ends_at_the_position_of_the_scope_and_knows_the_needle(
     assert case.ask(PlanningOf()).verdicts == ()
 
 
-def test_new_options_compute_a_new_plan_and_names_and_notes_are_kept(case: carina.Case, chest: Phantom) -> None:
+def test_new_plan_options_compute_a_new_plan_and_preserve_target_names_and_notes(
+    case: carina.Case, chest: Phantom
+) -> None:
     case.do(AddTarget(centre_of(chest)))
     (target,) = case.state.document.targets
     first = case.ask(PlanningOf()).targets[0].planned.plan
@@ -211,7 +213,7 @@ def test_new_options_compute_a_new_plan_and_names_and_notes_are_kept(case: carin
     assert case.ask(PlanningOf()).standing == "unwanted"
 
 
-def test_chosen_pair_sets_scope_and_route_in_one_step(case: carina.Case, chest: Phantom) -> None:
+def test_selecting_a_pair_of_route_and_scope_sets_both_in_one_undo_step(case: carina.Case, chest: Phantom) -> None:
     case.do(AddTarget(centre_of(chest)))
     (target,) = case.state.document.targets
     case.do(ChoosePlannedRoute(target.target_id, 1))
@@ -242,7 +244,7 @@ def test_chosen_pair_sets_scope_and_route_in_one_step(case: carina.Case, chest: 
         case.do(ChoosePair(target_id=target.target_id, route="1-2.0", scope="thin", tool="needle-21g"))
 
 
-def test_available_scopes_are_stored_and_their_pairs_come_first(chest: Phantom, tmp_path: Path) -> None:
+def test_available_scopes_are_stored_and_listed_first(chest: Phantom, tmp_path: Path) -> None:
     names = [preset.name for preset in scope_presets()[:2]]
     store = LocalStore(tmp_path)
     session = Session(SmallRenderer, store=store)
@@ -268,7 +270,7 @@ def test_available_scopes_are_stored_and_their_pairs_come_first(chest: Phantom, 
     session.close()
 
 
-def test_target_in_the_lumen_has_no_boundary(case: carina.Case, airways: carina.Airways) -> None:
+def test_target_inside_the_airway_lumen_has_no_boundary(case: carina.Case, airways: carina.Airways) -> None:
     tip = airways.tree.tips()[0]
     x, y, z = (float(v) for v in tip.points[len(tip.points) // 2])
     case.do(AddTarget((x, y, z)))
@@ -307,7 +309,7 @@ def test_case_file_stores_targets_routes_and_notes(chest: Phantom, tmp_path: Pat
         assert json.dumps(again.ask(PlanToTakeAway(kept.target_id)).plan.to_json()) == json.dumps(said)
 
 
-def test_drive_of_a_verdict_is_stored_as_a_flight_and_flown(chest: Phantom, tmp_path: Path) -> None:
+def test_simulated_drive_of_a_verdict_is_stored_as_a_flight_and_flown(chest: Phantom, tmp_path: Path) -> None:
     write_phantom(chest, tmp_path / "scan")
     case = carina.Case.open(tmp_path / "scan" / "ct.nii.gz")
     with pytest.raises(NoResultError, match="there is no verdict on 'thin'"):
@@ -347,7 +349,7 @@ def test_drive_of_a_verdict_is_stored_as_a_flight_and_flown(chest: Phantom, tmp_
     assert np.diff([moment.time_s for moment, _ in replayed]).max() <= 0.1
 
 
-def test_verdict_without_a_drive_cannot_be_stored_as_a_flight(
+def test_verdict_without_a_simulated_drive_cannot_be_stored_as_a_flight(
     case: carina.Case, chest: Phantom, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = carina.plan.judge_scopes
@@ -364,7 +366,7 @@ def test_verdict_without_a_drive_cannot_be_stored_as_a_flight(
     assert case.state.flights == ()
 
 
-def test_case_file_with_a_damaged_boundary_is_refused(chest: Phantom) -> None:
+def test_case_file_with_a_damaged_target_boundary_is_refused(chest: Phantom) -> None:
     nodule = carina.grow_nodule(chest.volume, centre_of(chest))
     target = PlanTarget("target-1", "Target 1", nodule, centre_of(chest), "click", "lung")
     facts = lesion_facts(Lesion(target))
@@ -383,7 +385,9 @@ def test_surface_of_a_target_is_on_the_boundary_of_its_nodule(chest: Phantom) ->
     assert mesh.volume_mm3 == pytest.approx(nodule.volume_mm3, rel=0.15)
 
 
-def test_boundary_is_edited_by_diameter_and_brush_and_aims_spread(case: carina.Case, chest: Phantom) -> None:
+def test_target_boundary_is_edited_by_diameter_and_brush_and_gets_several_aims(
+    case: carina.Case, chest: Phantom
+) -> None:
     case.do(AddTarget(centre_of(chest)))
     (target,) = case.state.document.targets
     grown = target.lesion.nodule
@@ -408,7 +412,7 @@ def test_boundary_is_edited_by_diameter_and_brush_and_aims_spread(case: carina.C
     assert case.state.document.targets[0].lesion.nodule is grown
 
 
-def test_targets_are_read_from_files_and_created_as_balls(case: carina.Case, chest: Phantom, tmp_path: Path) -> None:
+def test_targets_are_read_from_files_and_created_as_spheres(case: carina.Case, chest: Phantom, tmp_path: Path) -> None:
     centre = centre_of(chest)
     mask = np.zeros(chest.volume.shape_zyx, dtype=np.uint8)
     k, j, i = np.rint(chest.volume.to_ijk(np.array(centre))).astype(int)[::-1]
@@ -431,7 +435,7 @@ def test_targets_are_read_from_files_and_created_as_balls(case: carina.Case, che
     assert len(case.state.document.targets) == 2
 
 
-def test_click_beside_an_airway_selects_the_airway_until_the_user_grows_a_nodule(
+def test_click_beside_an_airway_adds_a_target_in_it_until_the_user_grows_a_nodule(
     case: carina.Case, chest: Phantom, airways: carina.Airways
 ) -> None:
     branch = max(airways.tree.branches[1:], key=lambda one: one.length_mm)
@@ -454,7 +458,9 @@ def test_click_beside_an_airway_selects_the_airway_until_the_user_grows_a_nodule
         assert case.state.document.route is None or case.state.document.route.target_id != target.target_id
 
 
-def test_see_turn_shows_the_camera_of_the_turn_for_both_operator_positions(case: carina.Case, chest: Phantom) -> None:
+def test_see_turn_command_shows_the_camera_of_the_turn_for_both_operator_positions(
+    case: carina.Case, chest: Phantom
+) -> None:
     with pytest.raises(NoResultError, match="choose a planned route first"):
         case.do(SeeTurn(1))
     case.do(AddTarget(centre_of(chest)))
@@ -482,7 +488,7 @@ def test_see_turn_shows_the_camera_of_the_turn_for_both_operator_positions(case:
         assert one.openings[0].straight_ahead == turn.straight_ahead
 
 
-def test_c_arm_angles_and_stations_of_the_chosen_route_travel_unchanged(
+def test_c_arm_angles_and_stations_of_the_selected_route_are_sent_unchanged(
     case: carina.Case, chest: Phantom, airways: carina.Airways
 ) -> None:
     case.do(AddTarget(centre_of(chest)))
@@ -510,7 +516,7 @@ def test_c_arm_angles_and_stations_of_the_chosen_route_travel_unchanged(
     assert message.station_note == carina.plan.STATION_NOTE
 
 
-def test_targets_are_compared_in_the_order_of_python_and_unplanned_ones_give_their_reason(
+def test_compared_targets_have_the_order_of_the_python_function_and_unplanned_ones_state_their_reason(
     case: carina.Case, chest: Phantom
 ) -> None:
     x, y, z = centre_of(chest)

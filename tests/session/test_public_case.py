@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import carina
+from cached_test_data import made_phantom
 from carina import commands as c
 from carina.case import CaseFile
 from carina.config import load_settings
@@ -19,8 +20,7 @@ from carina.render import Renderer
 from carina.session import Session, case_files
 from carina.session.store.named_file_lock import NamedLock
 from carina.session.store.registry import CaseRecords
-from made import made_phantom
-from own_folders import own_folders
+from user_folders import user_folders
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def phantom():
     return carina.generate_phantom(spacing_mm=3.0, generations=3)
 
 
-def test_case_can_be_opened_changed_undone_and_rendered_in_python(phantom):
+def test_case_can_be_opened_changed_undone_and_rendered_with_the_python_interface(phantom):
     with carina.Case.open(phantom.volume) as case:
         assert "found" in repr(case)
         assert case.airways.tree.tips()
@@ -46,7 +46,7 @@ def test_case_can_be_opened_changed_undone_and_rendered_in_python(phantom):
         assert case.ask(c.VoxelAt(tuple(case.pose.position_lps))) is not None
 
 
-def test_errors_are_raised_in_the_call_that_caused_them(phantom):
+def test_errors_of_a_case_are_raised_in_the_python_call_that_caused_them(phantom):
     with carina.Case.open(phantom.volume) as case:
         before = case.history()
         with pytest.raises(UsageError, match=r"set_fov\.fov_deg must be at least 60"):
@@ -88,7 +88,7 @@ def made_case(phantom, tmp_path_factory):
 @pytest.fixture
 def saved(made_case, tmp_path, monkeypatch):
     """Return a copy of the case file for one test."""
-    for name, folder in own_folders(tmp_path / "home").items():
+    for name, folder in user_folders(tmp_path / "home").items():
         monkeypatch.setenv(name, folder)
     shutil.copytree(made_case, tmp_path / "work")
     return tmp_path / "work" / "one.carina"
@@ -98,7 +98,7 @@ def searched(*_arguments, **_options):
     pytest.fail("the airways of a case were searched for again")
 
 
-def test_saved_case_opens_with_history_undo_and_redo(saved, monkeypatch):
+def test_saved_case_opens_with_its_undo_and_redo_steps(saved, monkeypatch):
     monkeypatch.setattr("carina.track.find_airways", searched)
     with carina.Case.open(saved) as case:
         assert case.note is None
@@ -118,14 +118,14 @@ def test_saved_case_opens_with_history_undo_and_redo(saved, monkeypatch):
     assert sorted(p.name for p in saved.parent.iterdir()) == ["one.carina", "scan"]
 
 
-def test_case_without_changes_is_not_written(saved):
+def test_case_without_changes_is_not_written_on_close(saved):
     before = saved.read_bytes(), saved.stat().st_mtime_ns
     with carina.Case.open(saved) as case:
         case.render("axial", width=16, height=16)
     assert (saved.read_bytes(), saved.stat().st_mtime_ns) == before
 
 
-def test_work_is_saved_if_the_program_fails(saved):
+def test_changes_are_saved_if_the_program_raises_an_error(saved):
     def fails():
         with carina.Case.open(saved) as case:
             case.do(c.SetFov(100.0))
@@ -137,7 +137,7 @@ def test_work_is_saved_if_the_program_fails(saved):
         assert case.state.document.look.fov_deg == 100.0
 
 
-def test_second_program_may_read_the_case_and_save_elsewhere(saved, tmp_path):
+def test_second_program_reads_an_open_case_and_saves_it_only_under_another_name(saved, tmp_path):
     with carina.Case.open(saved) as first:
         with pytest.warns(UserWarning, match="open for editing elsewhere"):
             second = carina.Case.open(saved)
@@ -162,7 +162,7 @@ def test_second_program_may_read_the_case_and_save_elsewhere(saved, tmp_path):
         assert case.save(saved, replace=True) == saved
 
 
-def test_close_raises_if_another_program_has_the_file_and_changes_are_unsaved(saved, tmp_path):
+def test_close_raises_an_error_if_another_program_has_the_file_open_and_changes_are_unsaved(saved, tmp_path):
     with carina.Case.open(saved) as first:
         with pytest.warns(UserWarning, match="open for editing elsewhere"):
             second = carina.Case.open(saved)
@@ -186,7 +186,7 @@ def test_close_raises_if_another_program_has_the_file_and_changes_are_unsaved(sa
         first.do(c.SetFov(100.0))
 
 
-def test_case_that_a_window_has_open_is_readable(saved):
+def test_case_that_is_open_in_a_window_is_readable_by_a_program(saved):
     records = CaseRecords(load_settings().cases_dir, lambda: 1_800_000_000.0)
     held = records.begin("ab" * 32, None)
     shutil.copyfile(saved, held.path)
@@ -210,7 +210,7 @@ def test_ct_of_a_case_is_found_beside_it_or_at_the_given_path(saved, tmp_path):
         carina.Case.open(tmp_path / "moved" / "ct.nii.gz", ct=tmp_path)
 
 
-def test_failed_write_is_reported_and_the_file_is_unchanged(saved, tmp_path):
+def test_failed_save_is_reported_and_the_case_file_is_unchanged(saved, tmp_path):
     before = saved.read_bytes()
     with carina.Case.open(saved) as case:
         with pytest.raises(UsageError, match="does not exist"):
@@ -265,7 +265,7 @@ def test_window_opens_a_case_file_and_continues_its_case(saved, window, monkeypa
     assert len(records.all()) == 1
 
 
-def test_window_does_not_write_a_file_that_a_program_has_open(saved, window):
+def test_window_does_not_write_a_file_that_is_open_in_a_program(saved, window):
     opened, _ = window
     lock = NamedLock.take(saved)
     session = opened()
@@ -317,7 +317,7 @@ def test_window_opens_a_case_whose_scan_was_moved_if_the_new_path_is_given(saved
 # ---------------------------------------------------------------- live file of a stored case
 
 
-def test_window_given_a_live_file_continues_the_stored_case(saved, window):
+def test_window_that_opens_an_internal_case_file_continues_the_stored_case(saved, window):
     opened, records = window
     session = opened()
     session.do(c.SetFov(100.0))
@@ -335,7 +335,7 @@ def test_window_given_a_live_file_continues_the_stored_case(saved, window):
     assert sorted(path.name for path in live.parent.iterdir() if path.suffix == ".carina") == ["case.carina"]
 
 
-def test_live_file_that_another_window_has_open_is_not_written(saved, window):
+def test_internal_case_file_that_is_open_in_another_window_is_not_written(saved, window):
     opened, records = window
     first = opened()
     first.do(c.SetFov(100.0))
@@ -355,7 +355,7 @@ def test_live_file_that_another_window_has_open_is_not_written(saved, window):
     assert len(records.all()) == 2, "the second window works on a copy"
 
 
-def test_case_is_not_saved_into_the_folder_of_stored_cases(saved, window):
+def test_case_is_not_saved_by_name_into_the_folder_of_stored_cases(saved, window):
     opened, records = window
     session = opened()
     session.do(c.SetFov(100.0))
@@ -376,7 +376,7 @@ def test_case_is_not_saved_into_the_folder_of_stored_cases(saved, window):
     assert [path.name for path in live.parent.glob("*.carina")] == ["case.carina"]
 
 
-def test_program_given_a_live_file_does_not_write_to_it(saved, window, tmp_path):
+def test_program_that_opens_an_internal_case_file_does_not_write_to_it(saved, window, tmp_path):
     opened, records = window
     session = opened()
     session.do(c.SetFov(100.0))

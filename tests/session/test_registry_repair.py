@@ -21,8 +21,8 @@ from carina.session.state.snapshot import Trouble
 from carina.session.store.attach_endpoint import read_door
 from carina.session.store.registry import VERSION, CaseRecord, CaseRecords
 from carina.session.store.registry_repair import ASIDE, repair_records
-from own_folders import own_folders
 from small_case import small_volume
+from user_folders import user_folders
 
 NOW_S = 1.7e9
 
@@ -73,7 +73,7 @@ def listed(records, store=None):
 
 
 @pytest.mark.parametrize("what", BAD_RECORDS)
-def test_unreadable_record_is_moved_aside_and_its_case_is_listed_again(records, case_id, what):
+def test_unreadable_case_record_is_moved_aside_and_its_case_is_listed_again(records, case_id, what):
     path = spoil(records, case_id, BAD_RECORDS[what])
     before = (path.parent / "case.carina").read_bytes()
     rows, messages, cases, events = listed(records)
@@ -94,7 +94,7 @@ def test_unreadable_record_is_moved_aside_and_its_case_is_listed_again(records, 
     assert events == []
 
 
-def test_record_damaged_again_is_moved_to_a_second_file(records, case_id):
+def test_case_record_damaged_again_is_moved_to_a_second_file(records, case_id):
     for number in (1, 2):
         path = spoil(records, case_id, f"{number}")
         repair_records(records)
@@ -122,14 +122,14 @@ def test_unreadable_record_of_a_case_open_in_another_process_is_unchanged(record
     assert len(repair_records(records)) == 1
 
 
-def test_record_of_a_newer_carina_is_unchanged(records, case_id):
+def test_case_record_of_a_newer_carina_is_unchanged(records, case_id):
     text = json.dumps({"format": "carina-record", "version": VERSION + 1, "anything": [1]})
     path = spoil(records, case_id, text)
     assert repair_records(records) == ()
     assert path.read_text() == text
 
 
-def test_record_with_unknown_fields_of_a_newer_carina_is_readable(records, case_id):
+def test_case_record_with_unknown_fields_of_a_newer_carina_is_readable(records, case_id):
     path = records.folder / case_id / "record.json"
     plain = json.loads(path.read_text())
     path.write_text(json.dumps({**plain, "colour": "red"}))
@@ -138,7 +138,7 @@ def test_record_with_unknown_fields_of_a_newer_carina_is_readable(records, case_
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="modes of POSIX, and not for root")
-def test_record_without_read_permission_is_unchanged(records, case_id):
+def test_case_record_without_read_permission_is_unchanged(records, case_id):
     path = spoil(records, case_id, "[]")
     path.chmod(0)
     assert repair_records(records) == ()
@@ -149,7 +149,7 @@ NUMBERS = ("begun_s", "used_s", "copied_s", "pictured_s", "forgotten_s")
 
 @pytest.mark.parametrize("name", NUMBERS)
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, 1e300, -1.0])
-def test_every_written_record_can_be_read_again(records, case_id, name, value):
+def test_case_record_written_with_extreme_values_can_be_read_again(records, case_id, name, value):
     held = records.hold(records.find(case_id))
     held.note(**{name: value}, alias="x" * 5000 + "\x1b[2J")
     held.release()
@@ -194,12 +194,12 @@ def test_unreadable_settings_file_is_moved_aside_with_one_message(records, tmp_p
 
 
 @pytest.mark.parametrize("cases", [5, "text", None, {"a": 1}, [5], [None], [[]], [{"recent_id": 1}]])
-def test_recent_cases_file_with_other_content_lists_none(tmp_path, cases):
+def test_recent_list_file_with_unexpected_content_gives_an_empty_list(tmp_path, cases):
     (tmp_path / "recent.json").write_text(json.dumps({"cases": cases}))
     assert LocalStore(tmp_path).recent() == ()
 
 
-def test_recent_case_with_a_too_long_text_is_omitted(tmp_path):
+def test_recent_ct_with_a_too_long_text_is_omitted_from_the_list(tmp_path):
     store = LocalStore(tmp_path)
     store.remember("/scans/ct", "2026-01-31")
     plain = json.loads((tmp_path / "recent.json").read_text())
@@ -212,13 +212,13 @@ def test_recent_case_with_a_too_long_text_is_omitted(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["", "[]", "[" * 100_000, '{"format": "carina-door", "version": 1, "url": 5}'])
-def test_damaged_connection_details_are_ignored(tmp_path, text):
+def test_damaged_connection_details_of_a_case_are_ignored(tmp_path, text):
     (tmp_path / "door.json").write_text(text)
     assert read_door(tmp_path) is None
 
 
-def test_command_line_lists_the_repaired_case_with_the_message(monkeypatch, tmp_path, capfd):
-    for name, folder in own_folders(tmp_path).items():
+def test_cases_command_lists_the_repaired_case_with_the_message(monkeypatch, tmp_path, capfd):
+    for name, folder in user_folders(tmp_path).items():
         monkeypatch.setenv(name, folder)
     records = CaseRecords(load_settings().cases_dir, lambda: NOW_S)
     held = records.begin("ab" * 32, None)
@@ -232,6 +232,6 @@ def test_command_line_lists_the_repaired_case_with_the_message(monkeypatch, tmp_
     assert "was damaged" in err
 
 
-def test_every_number_and_text_of_a_case_record_has_a_limited_type():
+def test_every_number_and_text_of_a_case_record_has_a_type_with_limits():
     for field in msgspec.structs.fields(CaseRecord):
         assert field.type not in {int, float, str}, field.name

@@ -42,7 +42,7 @@ def test_adding_a_target_is_undone_and_redone_with_its_route():
     assert bench.session.snapshot().document.route.target_id == target.target_id
 
 
-def test_target_beside_the_lumen_is_moved_into_it_with_a_message():
+def test_target_beside_the_lumen_gets_a_path_into_the_lumen_with_a_message():
     bench = small_bench()
     bench.open()
     beside = (LEFT_TIP[0], LEFT_TIP[1] + 2.0, LEFT_TIP[2])
@@ -102,7 +102,7 @@ def test_choosing_a_branch_makes_it_the_route_and_an_unknown_branch_is_refused()
         bench.session.do(ChooseRoute(branch_id=77))
 
 
-def test_new_airways_track_the_targets_again():
+def test_paths_to_targets_are_searched_again_in_new_airways():
     bench = small_bench()
     bench.open()
     bench.session.do(AddTarget(LEFT_TIP))
@@ -116,7 +116,7 @@ def test_new_airways_track_the_targets_again():
     assert document.route is document.targets[0].route
 
 
-def test_tip_of_a_right_branch_has_a_lower_lps_x_than_the_carina():
+def test_tip_of_a_right_branch_has_a_lower_lps_x_than_that_of_a_left_branch():
     assert RIGHT_TIP[0] < LEFT_TIP[0]
 
 
@@ -139,7 +139,7 @@ def test_flight_stops_before_each_fork_in_both_directions():
     assert bench.session.pose_info().path_mm == pytest.approx(route.lookouts_mm[0])
 
 
-def test_short_branch_has_its_stop_in_the_middle_and_stops_are_in_order():
+def test_flight_stop_of_a_short_branch_is_in_its_middle_and_stops_are_in_order():
     cumulative_mm = np.arange(0.0, 61.0)
     spans = tuple(
         RouteSpan(n, None, n, from_mm, to_mm)
@@ -151,7 +151,7 @@ def test_short_branch_has_its_stop_in_the_middle_and_stops_are_in_order():
     assert stops == (30.0, 42.0, 44.0)
 
 
-def test_route_has_the_distance_to_the_wall_besides_the_radius_of_the_lumen():
+def test_route_states_the_wall_distance_besides_the_lumen_radius():
     along = np.linspace(0.0, 40.0, 41)
     points = np.stack([0 * along, 0 * along, -along], axis=1)
     flat = np.where(np.abs(along - 20.0) < 5.0, 1.0, 3.0)
@@ -166,7 +166,7 @@ def test_route_has_the_distance_to_the_wall_besides_the_radius_of_the_lumen():
     assert (route.radius_mm == 3.0).all()
 
 
-def test_choosing_another_route_moves_the_tip_to_the_end_of_the_last_common_branch():
+def test_selecting_another_route_moves_the_tip_to_the_end_of_the_last_common_branch():
     bench = small_bench()
     bench.open()
     session = bench.session

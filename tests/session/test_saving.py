@@ -17,7 +17,7 @@ from carina.session import Session, Trouble, UserMessage
 from carina.session.saving.writer import CaseSaver
 from carina.session.store.named_file import NamedFile
 from carina.session.store.registry import CaseRecords, LockedCase
-from kept_desk import WAIT_S, Desk, MemoryFile
+from restartable_workstation import WAIT_S, Desk, MemoryFile
 from small_case import LEFT_TIP, Background
 
 
@@ -54,7 +54,7 @@ def work(session: Session, background: Background) -> None:
     session.do(c.GoTo(12.0))
 
 
-def test_reopened_case_is_restored_without_a_search(desk):
+def test_reopened_case_is_restored_without_an_airway_search(desk):
     session = desk.start()
     desk.open()
     work(session, desk.background)
@@ -71,7 +71,7 @@ def test_reopened_case_is_restored_without_a_search(desk):
     assert again.snapshot().document.targets[-1].name == "Target 2"
 
 
-def test_written_work_is_restored_after_a_crash(desk):
+def test_changes_written_before_a_crash_are_restored(desk):
     session = desk.start()
     desk.open()
     work(session, desk.background)
@@ -84,7 +84,7 @@ def test_written_work_is_restored_after_a_crash(desk):
     assert shown(again) == before
 
 
-def test_second_workstation_does_not_write_into_an_open_case(desk, tmp_path):
+def test_second_workstation_does_not_write_into_a_case_that_is_open(desk, tmp_path):
     desk.start()
     desk.open()
     desk.session.do(c.SetFov(100.0))
@@ -101,7 +101,7 @@ def test_second_workstation_does_not_write_into_an_open_case(desk, tmp_path):
     desk.session.close()
 
 
-def test_work_of_another_ct_is_neither_shown_nor_lost(desk):
+def test_changes_of_one_ct_are_not_shown_for_another_ct_and_not_lost(desk):
     session = desk.start()
     desk.open()
     work(session, desk.background)
@@ -115,7 +115,7 @@ def test_work_of_another_ct_is_neither_shown_nor_lost(desk):
     assert len(MemoryFile.kept) == 2
 
 
-def test_work_on_a_ct_is_restored_if_the_ct_was_moved(desk):
+def test_changes_of_a_ct_are_restored_if_the_ct_was_moved(desk):
     session = desk.start()
     desk.session.do(c.OpenFiles("dropped"))
     desk.background.run_all()
@@ -128,7 +128,7 @@ def test_work_on_a_ct_is_restored_if_the_ct_was_moved(desk):
     again.close()
 
 
-def test_unreadable_work_is_reported_and_left_unchanged(desk):
+def test_unreadable_stored_case_is_reported_and_left_unchanged(desk):
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
@@ -144,7 +144,7 @@ def test_unreadable_work_is_reported_and_left_unchanged(desk):
     again.close()
 
 
-def test_case_whose_file_is_unreadable_after_a_failed_opening_is_unchanged(desk, monkeypatch):
+def test_unreadable_case_file_is_unchanged_after_a_failed_opening(desk, monkeypatch):
     """Check that the shown case continues as another case, and that file and record of the first case stay."""
     session = desk.start()
     desk.open()
@@ -173,7 +173,7 @@ def test_case_whose_file_is_unreadable_after_a_failed_opening_is_unchanged(desk,
     session.close()
 
 
-def test_work_is_stored_after_a_failed_opening_if_the_disk_does_not_return_the_case(desk, monkeypatch):
+def test_changes_are_stored_after_a_failed_opening_if_the_disk_does_not_return_the_case(desk, monkeypatch):
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
@@ -193,7 +193,7 @@ def test_work_is_stored_after_a_failed_opening_if_the_disk_does_not_return_the_c
     session.close()
 
 
-def test_full_disk_is_reported_and_work_continues_until_space_is_free(desk):
+def test_full_disk_is_reported_and_the_session_continues_until_space_is_available(desk):
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
@@ -217,7 +217,7 @@ def test_full_disk_is_reported_and_work_continues_until_space_is_free(desk):
     assert again.snapshot().document.look.fov_deg == 85.0
 
 
-def test_case_is_saved_under_a_name_and_that_file_is_updated(desk, tmp_path):
+def test_case_is_saved_under_a_name_and_the_named_file_is_updated_later(desk, tmp_path):
     session = desk.start()
     desk.open()
     with pytest.raises(UsageError, match="choose a folder and a name"):
@@ -257,7 +257,7 @@ def test_saving_thread_writes_a_change_without_a_request(desk):
     session.close()
 
 
-def test_undo_by_several_steps_at_once_is_saved(desk):
+def test_undo_of_several_steps_at_once_is_saved(desk):
     session = desk.start()
     desk.open()
     for fov in (100.0, 90.0):
@@ -274,7 +274,7 @@ def test_undo_by_several_steps_at_once_is_saved(desk):
     session.close()
 
 
-def test_case_on_a_full_disk_is_not_closed_until_it_is_saved_elsewhere(desk, tmp_path):
+def test_case_on_a_full_disk_is_not_closed_until_it_is_saved_to_another_disk(desk, tmp_path):
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
@@ -303,7 +303,7 @@ def test_case_on_a_full_disk_is_not_closed_until_it_is_saved_elsewhere(desk, tmp
     session.close()
 
 
-def test_named_file_is_not_replaced_by_one_that_lacks_a_flight(desk, tmp_path):
+def test_named_file_is_not_replaced_by_one_without_a_recorded_flight(desk, tmp_path):
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
@@ -327,7 +327,7 @@ def test_named_file_is_not_replaced_by_one_that_lacks_a_flight(desk, tmp_path):
     session.close()
 
 
-def test_notes_in_the_record_that_cannot_be_written_do_not_block_saving(desk, monkeypatch):
+def test_case_record_that_cannot_be_written_does_not_block_saving(desk, monkeypatch):
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
@@ -347,7 +347,7 @@ def test_notes_in_the_record_that_cannot_be_written_do_not_block_saving(desk, mo
     session.close()
 
 
-def test_open_case_is_detected_without_a_lock_on_its_file(desk):
+def test_open_case_is_detected_by_the_lock_of_its_record(desk):
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))
@@ -383,7 +383,7 @@ def saving(desk):
     return desk.session._saving.info
 
 
-def test_window_does_not_write_a_changed_named_file_and_reports_it(desk, named):
+def test_window_does_not_write_a_named_file_changed_by_another_program_and_reports_it(desk, named):
     named.write_text("a letter")
     desk.session.do(c.SaveCase())
     desk.background.run_all()
@@ -401,7 +401,7 @@ def test_window_does_not_write_a_changed_named_file_and_reports_it(desk, named):
     assert named.read_text() == "a letter"
 
 
-def test_replaced_named_file_is_moved_to_a_name_that_is_reported(desk, named):
+def test_replaced_named_file_is_moved_to_a_new_name_that_is_reported(desk, named):
     named.write_text("a letter")
     desk.session.do(c.SaveCase())
     desk.background.run_all()
@@ -414,7 +414,7 @@ def test_replaced_named_file_is_moved_to_a_name_that_is_reported(desk, named):
     desk.session.close()
 
 
-def test_closing_with_a_changed_named_file_leaves_it_and_reports_it(desk, named):
+def test_closing_a_case_does_not_write_a_named_file_changed_by_another_program_and_reports_it(desk, named):
     named.write_text("a letter")
     desk.session.do(c.CloseCase())
     assert [event.code for event in desk.events if isinstance(event, Trouble)] == ["case.changed"]
@@ -427,7 +427,7 @@ def test_closing_with_a_changed_named_file_leaves_it_and_reports_it(desk, named)
     desk.session.close()
 
 
-def test_renamed_named_file_is_recreated_only_on_request(desk, named):
+def test_named_file_that_was_renamed_is_recreated_only_on_request(desk, named):
     named.rename(named.with_name("renamed.carina"))
     desk.session.do(c.CloseCase())
     assert [path.name for path in named.parent.iterdir()] == ["renamed.carina"]
@@ -496,7 +496,7 @@ def test_opening_a_case_compares_its_named_file_and_does_not_write_it(desk, name
     assert named.read_text() == content
 
 
-def test_suggested_names_differ_between_cases_and_contain_no_patient_data(tmp_path, desk):
+def test_suggested_file_names_differ_between_cases_and_contain_no_patient_data(tmp_path, desk):
     suggested = set()
     for digest in ("one CT", "another CT"):
         desk.digest = digest
@@ -533,7 +533,7 @@ def test_windows_that_open_one_ct_at_the_same_time_are_notified_of_each_other(de
     again.close()
 
 
-def test_last_used_case_is_opened_also_after_the_clock_was_set_back(desk):
+def test_last_used_case_is_opened_also_after_the_computer_clock_was_set_back(desk):
     session = desk.start()
     desk.open()
     session.do(c.SetFov(100.0))

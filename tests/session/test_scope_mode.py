@@ -60,7 +60,7 @@ def enter(bench) -> None:
     assert bench.session.snapshot().mode == "scope"
 
 
-def test_scope_starts_at_the_tip_and_keys_drive_its_three_controls(bench):
+def test_scope_mode_starts_at_the_tip_and_keys_drive_its_three_controls(bench):
     session = bench.session
     session.do(GoTo(20.0))
     before = session.pose_info().pose
@@ -82,7 +82,7 @@ def test_scope_starts_at_the_tip_and_keys_drive_its_three_controls(bench):
     assert session.pose_info().scope.roll_rad == pytest.approx(state.roll_rad + 0.5), "sideways is a roll"
 
 
-def test_tip_stays_inside_the_lumen_and_wall_contacts_are_counted(bench):
+def test_tip_in_scope_mode_stays_inside_the_lumen_and_wall_contacts_are_counted(bench):
     session = bench.session
     session.do(GoTo(15.0))
     enter(bench)
@@ -99,7 +99,7 @@ def test_tip_stays_inside_the_lumen_and_wall_contacts_are_counted(bench):
     assert wall.distance_mm([info.pose.position_lps])[0] > -0.1
 
 
-def test_scope_that_is_too_thick_reports_the_diameter_that_would_pass(bench):
+def test_scope_too_thick_for_the_airway_reports_the_diameter_that_would_pass(bench):
     session = bench.session
     session.do(SetScope("therapeutic"))
     session.do(GoTo(5.0))
@@ -111,7 +111,7 @@ def test_scope_that_is_too_thick_reports_the_diameter_that_would_pass(bench):
     assert 0.0 < state.passable_mm < session.pose_info().scope_tip_mm
 
 
-def test_handle_drives_the_scope_directly_and_its_lever_reports_the_flexion(bench):
+def test_scope_handle_sets_insertion_directly_and_its_lever_sets_the_flexion(bench):
     session = bench.session
     session.do(GoTo(15.0))
     enter(bench)
@@ -125,7 +125,7 @@ def test_handle_drives_the_scope_directly_and_its_lever_reports_the_flexion(benc
     assert state.flexion_rad > 0.5
 
 
-def test_scope_mode_stays_after_a_change_of_scope_and_ends_with_another_mode(bench):
+def test_scope_mode_continues_after_a_change_of_scope_and_ends_with_another_mode(bench):
     session = bench.session
     session.do(GoTo(20.0))
     enter(bench)
@@ -146,7 +146,7 @@ def letters(matrix) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize("scope", ["ultrathin", "ebus"])
-def test_picture_for_a_facing_operator_is_rotated_and_the_instrument_is_not(bench, scope):
+def test_picture_for_an_operator_facing_the_patient_is_rotated_and_the_simulated_scope_is_not(bench, scope):
     session = bench.session
     session.do(SetScope(scope))
     session.do(GoTo(20.0))
@@ -182,7 +182,7 @@ def test_picture_for_a_facing_operator_is_rotated_and_the_instrument_is_not(benc
     assert letters(straight)[1] == "A"
 
 
-def test_scope_starts_in_the_same_position_for_both_operator_positions(bench):
+def test_scope_mode_starts_with_an_equal_scope_pose_for_both_operator_positions(bench):
     session = bench.session
     seen = {}
     for operator in ("head", "facing"):
@@ -213,7 +213,7 @@ def wanted_wall(session) -> str:
         return case.wall.standing(case.document.airways)
 
 
-def test_wall_is_computed_again_when_its_airways_are_restored(bench):
+def test_wall_field_is_computed_again_when_its_airways_are_restored_by_undo(bench):
     session = bench.session
     session.do(SetRoot(tuple(float(v) for v in session.snapshot().document.airways.root_lps)))
     bench.background.run_all()
@@ -230,7 +230,7 @@ def test_wall_is_computed_again_when_its_airways_are_restored(bench):
 
 
 @pytest.mark.parametrize("begun", [False, True])
-def test_wall_is_computed_once_if_its_airways_are_undone_and_redone_during_the_job(begun):
+def test_wall_field_is_computed_once_if_its_airways_are_undone_and_redone_during_the_job(begun):
     """One job computes the wall of the newest airways, whether it has begun or waits.
 
     A stale computation is cancelled.
@@ -267,7 +267,7 @@ def test_wall_is_computed_once_if_its_airways_are_undone_and_redone_during_the_j
     session.close()
 
 
-def test_wall_that_the_user_stopped_is_computed_only_on_request(bench):
+def test_wall_field_whose_job_the_user_stopped_is_computed_only_on_request(bench):
     session = bench.session
     assert wanted_wall(session) == "making"
     (job,) = session.jobs.running
@@ -278,7 +278,7 @@ def test_wall_that_the_user_stopped_is_computed_only_on_request(bench):
     assert wanted_wall(session) == "making"
 
 
-def test_without_a_route_scope_mode_is_refused(bench):
+def test_scope_mode_without_a_route_is_refused(bench):
     bench.session.do(ChooseRoute())
     with pytest.raises(NoResultError, match="a scope needs a route"):
         bench.session.do(SetMode("scope"))
@@ -313,7 +313,7 @@ def test_recording_in_scope_mode_replays_bit_for_bit(bench, tmp_path):
 
 
 @pytest.mark.parametrize("mode", ["free", "path"])
-def test_lens_view_is_unchanged_when_scope_mode_ends_with_a_facing_operator(bench, mode):
+def test_airway_view_is_unchanged_when_scope_mode_ends_with_an_operator_facing_the_patient(bench, mode):
     session = bench.session
     session.do(SetScope("ebus"))
     session.do(SetOperator("facing"))
@@ -324,7 +324,7 @@ def test_lens_view_is_unchanged_when_scope_mode_ends_with_a_facing_operator(benc
     np.testing.assert_allclose(session.scene().spec("airway", 32, 32, 1.0).pose.lps_from_camera, held, atol=1e-9)
 
 
-def test_recording_stores_the_inputs_of_its_wall(bench, tmp_path):
+def test_recording_in_scope_mode_stores_the_inputs_of_its_wall_field(bench, tmp_path):
     session = bench.session
     session.do(GoTo(12.0))
     enter(bench)
@@ -346,7 +346,7 @@ def test_recording_stores_the_inputs_of_its_wall(bench, tmp_path):
     assert all(same for _, same in replayed)
 
 
-def test_restored_scope_is_stored_until_its_wall_is_computed(bench):
+def test_scope_contact_of_a_reopened_case_is_restored_when_its_wall_field_is_computed(bench):
     enter(bench)
     bench.session.do(Steer(3.0, 0.0, 0.2, 0.1))
     stored = bench.session.ask(MomentToKeep())
@@ -362,7 +362,7 @@ def test_restored_scope_is_stored_until_its_wall_is_computed(bench):
     again.session.close()
 
 
-def test_scope_is_not_restored_if_the_tip_moves_before_the_wall_is_computed(bench):
+def test_scope_contact_is_not_restored_if_the_tip_moves_before_the_wall_field_is_computed(bench):
     enter(bench)
     stored = bench.session.ask(MomentToKeep())
     again = small_bench(wall_field=wall_field)

@@ -62,7 +62,7 @@ from small_case import (
 )
 
 
-def test_pictures_are_available_before_the_airways_are_found():
+def test_slices_are_available_before_the_airways_are_found():
     bench = small_bench()
     bench.session.do(OpenPath("case"))
     assert bench.session.scene() is None
@@ -78,7 +78,7 @@ def test_pictures_are_available_before_the_airways_are_found():
     assert scene.key("tree") is None
 
 
-def test_opening_ends_at_the_start_of_a_route_to_the_deepest_tip_on_the_right():
+def test_opened_case_shows_the_start_of_a_route_to_the_deepest_airway_on_the_right():
     bench = small_bench()
     bench.open()
     snapshot = bench.session.snapshot()
@@ -99,7 +99,7 @@ def test_opening_ends_at_the_start_of_a_route_to_the_deepest_tip_on_the_right():
     assert snapshot.undo_label is None
 
 
-def test_found_airways_do_not_move_a_tip_that_the_user_moved():
+def test_airways_found_later_do_not_move_a_tip_that_the_user_moved():
     bench = small_bench()
     bench.session.do(OpenPath("case"))
     bench.background.run_next()
@@ -108,7 +108,7 @@ def test_found_airways_do_not_move_a_tip_that_the_user_moved():
     np.testing.assert_allclose(bench.session.pose_info().pose.position_lps, OUTSIDE_LUMEN, atol=1e-9)
 
 
-def test_refused_file_leaves_the_session_unchanged_with_the_message_of_the_import():
+def test_unreadable_file_leaves_the_session_unchanged_with_the_message_of_the_import():
     bench = small_bench()
     bench.open("case")
     bench.session.do(AddTarget(LEFT_TIP))
@@ -145,7 +145,7 @@ def test_opening_a_second_case_cancels_the_first_opening():
     assert [e.outcome for e in bench.of_type(JobEnded)][:2] == ["cancelled", "done"]
 
 
-def test_opening_another_case_stops_the_search_in_the_first():
+def test_opening_another_case_stops_the_airway_search_in_the_first():
     bench = small_bench()
     bench.session.do(OpenPath("case"))
     bench.background.run_next()
@@ -157,7 +157,7 @@ def test_opening_another_case_stops_the_search_in_the_first():
     assert bench.session.snapshot() == before
 
 
-def test_undoing_an_earlier_change_keeps_the_found_airways():
+def test_undo_of_a_change_before_the_airways_were_found_does_not_remove_the_airways():
     bench = small_bench()
     bench.session.do(OpenPath("case"))
     bench.background.run_next()
@@ -169,7 +169,7 @@ def test_undoing_an_earlier_change_keeps_the_found_airways():
     assert document.airways is not None
 
 
-def test_drag_of_the_field_of_view_is_one_step_and_a_later_drag_another():
+def test_dragging_the_field_of_view_is_one_undo_step_and_a_later_drag_another():
     bench = small_bench()
     bench.open()
     for fov_deg in (118.0, 116.0, 114.0):
@@ -214,7 +214,7 @@ def test_view_settings_are_no_undo_steps():
     assert bench.session.snapshot().document.look.outline == "octagon"
 
 
-def test_setting_the_root_is_undone_without_a_new_search():
+def test_setting_the_root_is_undone_without_a_new_airway_search():
     bench = small_bench()
     bench.open()
     first = bench.session.snapshot().document.airways
@@ -229,7 +229,7 @@ def test_setting_the_root_is_undone_without_a_new_search():
     assert bench.renderers[-1].lumen is first.lumen_zyx
 
 
-def test_root_at_a_point_without_airways_leaves_the_tree_and_states_the_reason():
+def test_root_at_a_point_without_airways_leaves_the_tree_unchanged_and_states_the_reason():
     bench = small_bench()
     bench.open()
     before = bench.session.snapshot()
@@ -255,7 +255,7 @@ def test_case_without_airways_is_usable_and_has_a_message():
         bench.session.do(GoTo(3.0))
 
 
-def test_threshold_without_airways_is_used_for_the_next_root_and_reported_once():
+def test_threshold_that_found_no_airways_is_reused_for_the_next_root_and_reported_once():
     calls = []
 
     def find_nothing(volume, *, root_lps=None, lumen_threshold=None, **_options):
@@ -273,7 +273,7 @@ def test_threshold_without_airways_is_used_for_the_next_root_and_reported_once()
     assert bench.of_type(Trouble) == []
 
 
-def test_stopped_search_is_reported_and_a_root_starts_another():
+def test_stopped_airway_search_is_reported_and_setting_a_root_starts_another():
     bench = small_bench()
     bench.session.do(OpenPath("case"))
     bench.background.run_next()
@@ -311,7 +311,7 @@ def test_volume_without_hu_gets_transfer_function_and_threshold_from_its_histogr
     assert thresholds == [105.0, 105.0]  # The next search stopped the search for 90 before it began.
 
 
-def test_operator_position_is_undone_and_poses_are_not():
+def test_operator_position_is_undone_and_tip_poses_are_not():
     bench = small_bench()
     bench.open()
     bench.session.do(Steer(4.0, 0.0, 0.0, 0.0))
@@ -336,7 +336,7 @@ def test_every_movement_has_a_new_pose_number():
     assert numbers == sorted(set(numbers))
 
 
-def test_scope_sets_field_of_view_and_outline_and_is_undone():
+def test_selecting_a_scope_sets_field_of_view_and_outline_and_is_undone():
     bench = small_bench()
     bench.open()
 
@@ -365,7 +365,7 @@ def test_scope_sets_field_of_view_and_outline_and_is_undone():
         bench.session.do(SetOutline("square"))
 
 
-def test_airway_view_and_plans_of_all_targets_have_one_scope():
+def test_airway_view_and_plans_of_all_targets_have_the_same_scope():
     bench = small_bench()
     bench.open()
 
@@ -401,7 +401,7 @@ def test_airway_view_and_plans_of_all_targets_have_one_scope():
     assert bench.session.snapshot().document.look.fov_deg == 100.0
 
 
-def test_place_chosen_with_a_scope_is_forgotten_with_another_scope():
+def test_parking_position_selected_with_one_scope_is_not_used_with_another_scope():
     bench = small_bench()
     bench.open()
     bench.session.do(MarkSphere(small_lps((4.0, 4.0, 4.0)), 6.0))
@@ -445,7 +445,7 @@ def test_fine_texture_can_be_switched_off_and_on():
     assert texture()
 
 
-def test_view_keys_depend_only_on_what_the_views_show():
+def test_pictures_are_requested_again_only_if_the_content_of_their_view_changes():
     bench = small_bench()
     bench.open()
 
@@ -472,7 +472,7 @@ def test_view_keys_depend_only_on_what_the_views_show():
     assert window == {"axial", "tri-plane", "cut-plane"}
 
 
-def test_new_transfer_function_is_used_by_the_renderer_and_the_pictures():
+def test_new_transfer_function_is_used_by_pictures_once_the_renderer_is_prepared():
     bench = small_bench()
     bench.open()
     before = bench.session.scene().key("airway")
@@ -496,7 +496,7 @@ def test_closing_the_case_returns_to_the_start_page():
         bench.session.do(Steer(1.0, 0.0, 0.0, 0.0))
 
 
-def test_recent_cases_store_paths_locally_and_open_by_id(tmp_path):
+def test_recent_ct_list_stores_paths_locally_and_opens_them_by_id(tmp_path):
     store = LocalStore(tmp_path / "config")
     bench = small_bench(store=store)
     bench.open(str(tmp_path / "case"))
@@ -512,7 +512,7 @@ def test_recent_cases_store_paths_locally_and_open_by_id(tmp_path):
         bench.session.do(OpenRecent("nothing"))
 
 
-def test_unreadable_list_of_recent_cases_is_empty(tmp_path):
+def test_unreadable_recent_ct_list_is_empty(tmp_path):
     store = LocalStore(tmp_path)
     (tmp_path / "recent.json").write_text('{"cases": [1, {"title": "half"}]', encoding="utf-8")
     assert store.recent() == ()
@@ -524,7 +524,7 @@ def test_unreadable_list_of_recent_cases_is_empty(tmp_path):
     assert LocalStore(tmp_path).notice_accepted()
 
 
-def test_progress_of_a_job_reports_the_time_left():
+def test_progress_of_a_job_reports_the_estimated_time_left():
     bench = small_bench()
     seen = []
 
@@ -546,7 +546,7 @@ def test_progress_of_a_job_reports_the_time_left():
     assert reported == [(0.0, None), (0.04, None), (0.05, pytest.approx(38.0)), (0.25, pytest.approx(9.0))]
 
 
-def test_time_left_uses_total_progress_and_restarts_where_the_fraction_decreases():
+def test_estimated_time_left_uses_total_progress_and_restarts_where_the_fraction_decreases():
     bench = small_bench()
     stages = (("lungs", 0.0), ("vessels", 0.1), ("lobes", 0.5), ("edges", 0.1), ("edges", 0.55))
 
@@ -563,7 +563,7 @@ def test_time_left_uses_total_progress_and_restarts_where_the_fraction_decreases
     assert reported == [None, pytest.approx(36.0), pytest.approx(8.0), None, pytest.approx(4.0)]
 
 
-def test_undo_keeps_a_limited_number_of_airways():
+def test_undo_history_stores_a_limited_number_of_airways():
     bench = small_bench()
     bench.open()
     for value in range(-900, -890):
@@ -576,7 +576,7 @@ def test_undo_keeps_a_limited_number_of_airways():
     assert len(seen) == 4
 
 
-def test_fault_in_a_job_is_reported_and_logged_without_its_message(caplog):
+def test_internal_error_in_a_job_is_reported_and_logged_without_its_message(caplog):
     caplog.set_level("INFO")
 
     def broken(volume, **_options):
@@ -603,7 +603,7 @@ def test_panic_of_the_compiled_module_ends_its_job_with_a_message():
     assert bench.session.jobs.running == ()
 
 
-def test_settings_that_cannot_be_written_apply_until_the_end(tmp_path):
+def test_settings_that_cannot_be_written_apply_until_the_end_of_the_session(tmp_path):
     # A file at the path of the folder makes writing impossible for every user, also for root.
     (tmp_path / "config").write_text("", encoding="utf-8")
     store = LocalStore(tmp_path / "config")
@@ -627,7 +627,7 @@ def test_listeners_receive_changes_until_they_unsubscribe():
     assert len(heard) == 1
 
 
-def test_voxel_value_is_returned_inside_the_volume_only():
+def test_voxel_value_is_returned_only_for_points_inside_the_volume():
     bench = small_bench()
     bench.open()
     assert bench.session.ask(VoxelAt(LEFT_TIP)) == -980
@@ -653,7 +653,7 @@ def test_wall_point_has_its_voxel_value_and_the_nearest_branch():
     assert bench.session.ask(WallAt(outside)).voxel_value is None
 
 
-def test_freed_memory_is_returned_before_the_end_of_a_job_is_announced(monkeypatch):
+def test_unused_memory_is_returned_to_the_system_before_the_end_of_a_job_is_announced(monkeypatch):
     order = []
     monkeypatch.setattr(
         "carina.session.jobs.background_jobs.give_freed_memory_back", lambda: order.append("given back")

@@ -16,7 +16,7 @@ from carina.session.attach.remote_case import RemoteCase
 from carina.session.attach.working_copy import NamedCase
 from carina.session.saving import writer
 from carina.session.saving.unsaved_work import unsaved_labels
-from kept_desk import Desk, MemoryFile
+from restartable_workstation import Desk, MemoryFile
 
 WAIT_S = 60.0
 
@@ -80,7 +80,7 @@ def saved_steps(desk):
     return [step.label for step in MemoryFile.kept[str(desk.files[-1].path)][1].steps]
 
 
-def test_unsaved_work_names_changes_case_reason_and_last_saved_state(desk):
+def test_unsaved_work_report_names_changes_case_reason_and_last_saved_state(desk):
     (work,) = desk.session.cases.unsaved()
     assert len(work.labels) == 5
     assert work.labels == tuple(desk.session.history()[3:])
@@ -111,7 +111,7 @@ def named_file(desk, tmp_path):
     return path
 
 
-def test_closing_carina_reports_a_named_file_that_was_changed_elsewhere(desk, tmp_path):
+def test_closing_carina_reports_a_named_file_that_another_program_changed(desk, tmp_path):
     """Check the message on the terminal, because no window remains to show it."""
     path = named_file(desk, tmp_path)
     path.write_text("a letter")
@@ -140,7 +140,7 @@ def test_closing_carina_reports_a_named_file_that_could_not_be_updated(desk, tmp
     assert len(saved_steps(desk)) == 9
 
 
-def test_program_that_took_over_a_case_is_warned_of_a_changed_named_file(desk, tmp_path):
+def test_program_that_took_over_a_case_is_warned_of_a_named_file_changed_elsewhere(desk, tmp_path):
     path = named_file(desk, tmp_path)
     path.write_text("a letter")
     records = desk.session._saving.records
@@ -151,7 +151,7 @@ def test_program_that_took_over_a_case_is_warned_of_a_changed_named_file(desk, t
     assert len(saved_steps(desk)) == 9
 
 
-def test_program_without_a_terminal_gets_the_error_without_a_question(desk):
+def test_unsaved_work_without_a_terminal_raises_an_error_without_a_question(desk):
     terminal = ScriptedTerminal(is_interactive=False)
     with pytest.raises(UnsavedWorkError) as lost:
         close_session(desk.session, terminal)
@@ -163,7 +163,7 @@ def test_program_without_a_terminal_gets_the_error_without_a_question(desk):
     assert len(saved_steps(desk)) == 3
 
 
-def test_terminal_lists_unsaved_work_and_a_retry_saves_it(desk):
+def test_terminal_lists_unsaved_work_and_saves_it_on_retry(desk):
     terminal = ScriptedTerminal("r", lambda: (clear(desk), "r")[1])
     close_session(desk.session, terminal)
     assert terminal.num_asked == 2
@@ -171,7 +171,7 @@ def test_terminal_lists_unsaved_work_and_a_retry_saves_it(desk):
     assert len(saved_steps(desk)) == 8
 
 
-def test_saving_to_another_folder_stores_all_changes(desk, tmp_path):
+def test_save_to_another_folder_stores_all_unsaved_changes(desk, tmp_path):
     stick = tmp_path / "stick"
     stick.mkdir()
     steps = desk.session.history()
@@ -185,7 +185,7 @@ def test_saving_to_another_folder_stores_all_changes(desk, tmp_path):
     assert f"saved as {written}" in terminal.text
 
 
-def test_work_saved_to_another_folder_counts_as_saved_after_an_event_without_changes(desk, tmp_path):
+def test_changes_saved_to_another_folder_count_as_saved_after_an_event_without_changes(desk, tmp_path):
     (work,) = desk.session.cases.unsaved()
     desk.session.cases.save_elsewhere(work.case_number, tmp_path / "elsewhere.carina")
     desk.session._core.changed("state", "jobs")
@@ -195,7 +195,7 @@ def test_work_saved_to_another_folder_counts_as_saved_after_an_event_without_cha
     assert (terminal.num_asked, terminal.said) == (0, [])
 
 
-def test_change_after_a_save_to_another_folder_is_unsaved_and_that_file_is_named(desk, tmp_path):
+def test_change_after_a_save_to_another_folder_is_unsaved_and_the_report_names_that_file(desk, tmp_path):
     (work,) = desk.session.cases.unsaved()
     elsewhere = desk.session.cases.save_elsewhere(work.case_number, tmp_path / "elsewhere")
     desk.session.do(c.SetOutline("octagon"))
@@ -207,7 +207,7 @@ def test_change_after_a_save_to_another_folder_is_unsaved_and_that_file_is_named
     assert len(saved_steps(desk)) == 9
 
 
-def test_finished_flight_in_another_folder_is_saved_and_the_next_is_not(desk, tmp_path):
+def test_flight_recorded_before_a_save_to_another_folder_is_saved_and_the_next_is_not(desk, tmp_path):
     for _ in range(2):
         desk.session.do(c.RecordFlight())
         desk.session.do(c.Steer(1.0, 0.0, 0.0, 0.0))
@@ -221,7 +221,7 @@ def test_finished_flight_in_another_folder_is_saved_and_the_next_is_not(desk, tm
     assert (work.num_flights, work.labels) == (1, ())
 
 
-def test_work_whose_file_could_not_be_placed_in_the_other_folder_stays_unsaved(desk, tmp_path, monkeypatch):
+def test_changes_stay_unsaved_if_the_file_could_not_be_written_to_the_other_folder(desk, tmp_path, monkeypatch):
     def refuses(*_arguments):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
@@ -234,7 +234,7 @@ def test_work_whose_file_could_not_be_placed_in_the_other_folder_stays_unsaved(d
     assert desk.session.cases.unsaved() == (work,)
 
 
-def test_unusable_path_is_refused_and_requested_again(desk, tmp_path):
+def test_unusable_save_path_is_refused_and_requested_again(desk, tmp_path):
     taken = tmp_path / "taken.carina"
     taken.write_bytes(b"another case")
     terminal = ScriptedTerminal(str(taken), str(tmp_path / "nowhere" / "x"), str(tmp_path / "free"))
@@ -246,14 +246,14 @@ def test_unusable_path_is_refused_and_requested_again(desk, tmp_path):
 
 
 @pytest.mark.parametrize("answer", ["q", None, KeyboardInterrupt()])
-def test_quit_interrupt_and_closed_terminal_raise_the_error(desk, answer):
+def test_quit_interrupt_and_closed_terminal_raise_the_error_about_unsaved_work(desk, answer):
     terminal = ScriptedTerminal(answer)
     with pytest.raises(UnsavedWorkError, match="5 changes"):
         close_session(desk.session, terminal)
     assert terminal.num_asked == 1
 
 
-def test_interrupt_before_the_question_raises_the_error(desk, monkeypatch):
+def test_interrupt_before_the_question_raises_the_error_about_unsaved_work(desk, monkeypatch):
     settle = desk.session.cases.unsaved
     calls = []
 
@@ -270,14 +270,14 @@ def test_interrupt_before_the_question_raises_the_error(desk, monkeypatch):
     assert terminal.num_asked == 0
 
 
-def test_undone_changes_count_as_unsaved(desk):
+def test_undone_changes_that_are_not_saved_count_as_unsaved(desk):
     for _ in range(6):
         desk.session.do(c.Undo())
     (work,) = desk.session.cases.unsaved()
     assert work.labels == (f"undo: {saved_steps(desk)[-1]}",)
 
 
-def test_moved_tip_is_not_unsaved_work(desk):
+def test_moved_tip_is_not_an_unsaved_change(desk):
     clear(desk)
     desk.saved()
     fill(desk)
@@ -287,7 +287,7 @@ def test_moved_tip_is_not_unsaved_work(desk):
     assert terminal.num_asked == 0
 
 
-def test_failed_write_that_began_before_the_disk_recovered_is_repeated_at_once(desk, monkeypatch):
+def test_failed_save_that_began_before_the_disk_recovered_is_repeated_at_once(desk, monkeypatch):
     begun, goes_on = threading.Event(), threading.Event()
 
     def refuses(_moment):
@@ -317,7 +317,7 @@ def test_failed_write_that_began_before_the_disk_recovered_is_repeated_at_once(d
     assert len(saved_steps(desk)) == 9
 
 
-def test_later_change_of_a_gesture_is_unsaved_and_a_command_that_no_file_stores_is_not(desk):
+def test_later_value_of_a_dragged_setting_is_unsaved_and_a_step_without_a_stored_command_is_not(desk):
     moment = desk.session.ask(c.MomentToKeep())
     *steps, last = moment.steps
     later = replace(moment, steps=(*steps, replace(last, command=c.SetFov(91.0))))
@@ -326,7 +326,7 @@ def test_later_change_of_a_gesture_is_unsaved_and_a_command_that_no_file_stores_
     assert unsaved_labels(moment, unknown) == unsaved_labels(unknown, moment) == ()
 
 
-def test_new_name_that_is_not_saved_counts_as_unsaved(desk, monkeypatch):
+def test_new_case_name_that_could_not_be_saved_counts_as_unsaved(desk, monkeypatch):
     clear(desk)
     desk.saved()
 
@@ -347,7 +347,7 @@ def test_thumbnail_is_not_made_if_the_case_could_not_be_saved(desk, caplog):
     assert "thumbnail" not in caplog.text
 
 
-def test_messages_have_no_control_characters_and_a_limited_number_of_labels(desk):
+def test_report_of_unsaved_work_has_no_control_characters_and_a_limited_number_of_labels(desk):
     (work,) = desk.session.cases.unsaved()
     hostile = replace(work, labels=(*["x\x1b[2J" * 1000] * 400,))
     assert "\x1b" not in hostile.shown_labels
@@ -361,7 +361,7 @@ def test_two_equal_states_have_no_unsaved_changes(desk):
     assert unsaved_labels(None, moment) == desk.session.history()
 
 
-def test_program_without_its_owner_refuses_to_close_with_unsaved_changes(desk, tmp_path):
+def test_program_that_lost_the_owner_of_its_case_refuses_to_close_with_unsaved_changes(desk, tmp_path):
     moment = desk.session.ask(c.MomentToKeep())
     saved = MemoryFile.kept[str(desk.files[-1].path)][1]
     named = NamedCase()
@@ -374,7 +374,7 @@ def test_program_without_its_owner_refuses_to_close_with_unsaved_changes(desk, t
     named.check_saved(moment, kept=saved, live=tmp_path / "case.carina")
 
 
-def test_terminal_without_a_console_is_not_interactive():
+def test_terminal_whose_console_is_gone_is_not_interactive():
     assert not ConsoleTerminal(is_gone=True).is_interactive
 
 

@@ -26,7 +26,7 @@ def keys(session, views):
     return {view: scene.key(view) for view in views}
 
 
-def test_overviews_are_not_rendered_again_when_the_tip_moves():
+def test_overview_pictures_are_not_rendered_again_when_the_tip_moves():
     session = opened()
     before = keys(session, OVERVIEWS)
     assert None not in before.values()
@@ -47,7 +47,7 @@ def test_projections_are_rendered_once_for_each_volume(monkeypatch):
     assert len(calls) == 1
 
 
-def test_rotated_c_arm_requests_only_the_radiograph():
+def test_rotating_the_c_arm_requests_only_the_radiograph():
     session = opened()
     before = keys(session, OVERVIEWS)
     session.do(SetCarm(-30.0, 15.0, 0.5, "fluoroscopy"))
@@ -83,7 +83,7 @@ def test_zoomed_view_along_the_route_follows_the_tip_on_and_beside_it():
     assert scene.spec("straightened", 60, 90, 0.5).centre_mm == pytest.approx(8.0, abs=0.5)
 
 
-def test_zoomed_slice_stays_in_place_until_the_tip_moves():
+def test_zoomed_slice_does_not_move_until_the_tip_moves():
     session = opened()
     tip = session.pose_info().pose.position_lps
     centre = (float(tip[0]) + 9.0, float(tip[1]) - 4.0, 0.0)
@@ -105,7 +105,7 @@ def test_zoomed_slice_stays_in_place_until_the_tip_moves():
     assert session.scene().spec("axial", 60, 50, 0.5).centre_lps[:2] != pytest.approx(centre[:2])
 
 
-def test_panned_cut_plane_stays_in_its_plane_until_the_tip_moves():
+def test_panned_cut_plane_does_not_move_until_the_tip_moves():
     session = opened()
     pose = session.pose_info().pose
     right, down, forward = pose.lps_from_camera[:3, :3].T
@@ -138,7 +138,7 @@ def test_slab_setting_changes_only_slices_and_views_along_the_route():
     assert keys(session, views) == before
 
 
-def test_curved_picture_has_the_lines_of_its_rows():
+def test_curved_reformation_is_sent_with_the_path_position_of_each_row():
     session = opened()
     view = session.scene().spec("curved", 70, 100, 0.5)
     lines = Renderer(small_volume()).render(view).lines

@@ -50,7 +50,7 @@ def windows():
     return made
 
 
-def test_sight_of_one_window_leaves_others_unchanged_and_the_latest_is_stored(windows):
+def test_view_settings_of_one_window_leave_others_unchanged_and_the_latest_are_stored(windows):
     begun = windows.sight()
     windows.session.do(SetCrosshair(LEFT_TIP), window=1)
     windows.session.do(SetOrbit(view="tree", azimuth_deg=20.0, elevation_deg=5.0), window=2)
@@ -63,7 +63,7 @@ def test_sight_of_one_window_leaves_others_unchanged_and_the_latest_is_stored(wi
     assert windows.session.scene(1).key("airway") == windows.session.scene(2).key("airway")
 
 
-def test_only_the_window_of_a_sight_is_notified_of_its_change(windows):
+def test_only_the_window_whose_view_settings_change_is_notified(windows):
     windows.session.do(SetTexture(on=False), window=1)
     assert [event.topics for event in windows.of_type(1, Changed)] == [{"state", "views"}]
     assert windows.told[2] == []
@@ -71,7 +71,7 @@ def test_only_the_window_of_a_sight_is_notified_of_its_change(windows):
     assert windows.of_type(2, Changed)
 
 
-def test_caller_that_is_no_window_sets_the_sight_of_all(windows):
+def test_caller_without_a_window_changes_the_view_settings_of_all_windows(windows):
     windows.session.do(SetZoom(view="axial", mm_per_px=0.5), window=1)
     windows.session.do(SetZoom(view="coronal", mm_per_px=0.7))
     windows.session.do(SetWindow(400.0, 40.0))
@@ -82,7 +82,7 @@ def test_caller_that_is_no_window_sets_the_sight_of_all(windows):
     assert windows.of_type(2, Changed)
 
 
-def test_movement_recentres_every_window_that_follows_the_tip(windows):
+def test_movement_of_the_tip_recentres_every_window_that_follows_the_tip(windows):
     for window in (1, 2):
         windows.session.do(SetZoom(view="axial", mm_per_px=0.5, centre_lps=LEFT_TIP), window=window)
     windows.session.do(SetCrosshair(RIGHT_TIP), window=2)
@@ -91,14 +91,14 @@ def test_movement_recentres_every_window_that_follows_the_tip(windows):
     assert windows.sight(2).place("axial").centre_lps == LEFT_TIP
 
 
-def test_show_place_moves_the_common_tip_and_the_crosshair_of_one_window(windows):
+def test_show_place_command_moves_the_common_tip_and_the_crosshair_of_one_window(windows):
     before = windows.session.pose_info().pose_id
     windows.session.do(ShowPlace(LEFT_TIP, None), window=2)
     assert windows.session.pose_info().pose_id > before
     assert (windows.sight(1).crosshair_lps, windows.sight(2).crosshair_lps) == (None, LEFT_TIP)
 
 
-def test_new_window_starts_with_the_latest_sight_and_that_of_a_closed_window_is_deleted(windows):
+def test_new_window_starts_with_the_latest_view_settings_and_those_of_a_closed_window_are_deleted(windows):
     windows.session.do(SetTexture(on=False), window=1)
     end = windows.session.subscribe(lambda _event: None, window=3)
     windows.session.do(SetTexture(on=True), window=1)
@@ -110,7 +110,7 @@ def test_new_window_starts_with_the_latest_sight_and_that_of_a_closed_window_is_
     assert not windows.sight(1).texture
 
 
-def test_opening_another_case_resets_the_sight_of_all_windows(windows):
+def test_opening_another_case_resets_the_view_settings_of_all_windows(windows):
     begun = windows.sight()
     windows.session.do(SetTexture(on=False), window=1)
     windows.session.do(OpenPath("another"), window=2)
@@ -121,7 +121,7 @@ def test_opening_another_case_resets_the_sight_of_all_windows(windows):
     assert windows.sight(1).texture
 
 
-def test_all_windows_share_one_history(windows):
+def test_all_windows_share_one_undo_history(windows):
     windows.session.do(SetFov(90.0), window=1)
     windows.session.do(Undo(), window=2)
     assert isinstance(windows.session.snapshot(1).document, Document)
@@ -132,7 +132,7 @@ def test_all_windows_share_one_history(windows):
     assert [len(windows.of_type(n, UserMessage)) for n in (1, 2)] == [1, 2], "nothing to undo is the matter of one"
 
 
-def test_failed_job_is_reported_to_the_window_that_started_it_or_to_all_if_closed():
+def test_failed_job_is_reported_to_the_window_that_started_it_or_to_all_windows_if_it_is_closed():
     def open_volume(path, progress, cancel):
         raise VolumeImportError("no CT here", code="import.nothing")
 

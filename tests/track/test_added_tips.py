@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from cached_test_data import patient
 from carina.track import Branch, RenameBranch, edit_airways, name_tree
 from carina.track.names.renaming import name_edited_tree
 from carina.track.tree.airway_tree import AirwayTree
 from carina_bench.track_tips import Repair, repair, uncut_airways
-from made import patient
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def with_twig(tree: AirwayTree, parent: Branch) -> AirwayTree:
     return dataclasses.replace(tree, branches=(*branches, new))
 
 
-def test_new_branch_leaves_the_names_of_all_others(uncut):
+def test_added_branch_does_not_change_the_names_of_other_branches(uncut):
     tree = name_tree(uncut[0].tree)
     leaf = next(branch for branch in tree.branches if branch.name == "RB10a")
     edited = name_edited_tree(tree, with_twig(tree, leaf))
@@ -66,7 +66,7 @@ def test_new_branch_leaves_the_names_of_all_others(uncut):
     assert all(names[branch.id] == branch.name for branch in tree.branches)
 
 
-def test_names_that_the_edited_tree_makes_improbable_are_replaced(uncut):
+def test_branch_names_that_the_edited_tree_makes_improbable_are_replaced(uncut):
     tree = name_tree(uncut[0].tree)
     wrong = swapped(tree, "RB6", "RB10")
     leaf = next(branch for branch in tree.branches if branch.name == "RB10a")
@@ -76,7 +76,7 @@ def test_names_that_the_edited_tree_makes_improbable_are_replaced(uncut):
     assert all(names[branch.id] == branch.name for branch in tree.branches if branch.name in ("RB6", "RB10"))
 
 
-def test_name_given_by_the_user_is_not_kept_on_another_branch(uncut):
+def test_name_given_by_the_user_is_removed_from_the_branch_that_had_it_before(uncut):
     airways, _ = uncut
     other = next(branch for branch in airways.tree.branches if branch.name == "RB10b")
     edited = edit_airways(patient()[0], airways, RenameBranch(other.id, "RB10a"))

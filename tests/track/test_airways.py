@@ -23,7 +23,7 @@ STORED = [
 
 
 @pytest.mark.parametrize(("axes", "flips"), STORED)
-def test_branches_and_their_sides_are_correct_for_any_storage_order(draw_chest, axes, flips):
+def test_branches_and_their_sides_are_found_correctly_for_any_storage_order(draw_chest, axes, flips):
     chest = draw_chest(axes=axes, flips=flips)
     airways = find_airways(chest.volume)
     tree = airways.tree
@@ -39,7 +39,7 @@ def test_branches_and_their_sides_are_correct_for_any_storage_order(draw_chest, 
     assert airways.root_lps[2] > chest.tubes[0][1][2] + 40.0
 
 
-def test_lumen_is_the_drawn_lumen_and_excludes_the_lung(chest):
+def test_found_lumen_is_the_drawn_lumen_and_excludes_the_lung(chest):
     airways = find_airways(chest.volume)
     nz, ny, nx = chest.volume.shape_zyx
     k, j, i = np.meshgrid(np.arange(nz), np.arange(ny), np.arange(nx), indexing="ij")
@@ -51,7 +51,7 @@ def test_lumen_is_the_drawn_lumen_and_excludes_the_lung(chest):
     assert not (~lumen & (depth < -0.8)).any()
 
 
-def test_centreline_points_are_inside_and_children_start_at_their_parent_end(chest):
+def test_centreline_points_are_inside_the_lumen_and_children_start_at_the_end_of_their_parent(chest):
     airways = find_airways(chest.volume)
     for branch in airways.tree.branches:
         assert airways.tracker.inside(branch.points).all()
@@ -82,7 +82,7 @@ def test_routes_are_smooth_and_list_their_forks(chest):
         assert turns.max() < 9.0
 
 
-def test_root_outside_the_lumen_is_moved_within_5_mm_or_refused(chest):
+def test_given_root_outside_the_lumen_is_moved_within_5_mm_or_refused(chest):
     start, end, _ = chest.tubes[0]
     middle = 0.5 * (start + end)
     beside = find_airways(chest.volume, root_lps=middle + np.array([8.5, 0.0, 0.0]))
@@ -96,7 +96,7 @@ def test_root_outside_the_lumen_is_moved_within_5_mm_or_refused(chest):
         find_airways(chest.volume, root_lps=[1.0, 2.0])
 
 
-def test_root_in_a_crop_without_trachea_gives_a_tree(draw_chest):
+def test_given_root_in_a_crop_without_trachea_gives_a_tree(draw_chest):
     chest = draw_chest()
     # The volume contains only the right main bronchus and its branches.
     half = draw_chest(num_tubes=5)
@@ -114,7 +114,7 @@ def test_root_in_a_crop_without_trachea_gives_a_tree(draw_chest):
     assert all(branch.name is None for branch in airways.tree.branches)
 
 
-def test_root_in_emphysematous_lung_is_refused_as_no_airway(chest):
+def test_given_root_in_emphysematous_lung_is_refused_as_no_airway(chest):
     values = np.array(chest.volume.hu_zyx)
     # The values are those of emphysema: lung as dark as air.
     values[values < -700] = -950
@@ -124,14 +124,14 @@ def test_root_in_emphysematous_lung_is_refused_as_no_airway(chest):
         find_airways(volume, root_lps=lung)
 
 
-def test_chest_with_undivided_trachea_is_refused_with_a_message(draw_chest):
+def test_chest_whose_trachea_does_not_divide_is_refused_with_a_message(draw_chest):
     with pytest.raises(NoResultError, match="trachea") as caught:
         find_airways(draw_chest(num_tubes=1).volume)
     assert caught.value.exit_code == 4
     assert "root" in str(caught.value)
 
 
-def test_trachea_with_one_main_bronchus_is_reported_as_less_certain(draw_chest):
+def test_trachea_with_one_main_bronchus_is_reported_with_a_note(draw_chest):
     both = find_airways(draw_chest().volume)
     assert not any("may not have been identified" in note for note in both.notes)
     one = find_airways(draw_chest(num_tubes=2).volume)
@@ -140,7 +140,7 @@ def test_trachea_with_one_main_bronchus_is_reported_as_less_certain(draw_chest):
     assert np.linalg.norm(one.root_lps - both.root_lps) < 3.0
 
 
-def test_automatic_root_in_a_lower_bronchus_is_refused(chest):
+def test_automatically_found_root_in_a_lower_bronchus_is_refused(chest):
     # From a root in a segmental bronchus the paths to three ends in the lung first lead up, as from a wrongly detected
     # trachea.
     start, end, _ = chest.tubes[3]
@@ -172,7 +172,7 @@ def test_search_with_an_imported_mask_uses_its_voxels_as_the_lumen(chest):
         find_airways(chest.volume, lumen_zyx=np.zeros_like(automatic.lumen_zyx))
 
 
-def test_threshold_of_an_8_bit_volume_comes_from_its_histogram(chest):
+def test_lumen_threshold_of_an_8_bit_volume_is_derived_from_its_histogram(chest):
     # The values of a lung window, -1050 to 450 HU, are mapped to 0 to 255.
     grey = np.clip((chest.volume.hu_zyx.astype(np.float64) + 1050.0) / 1500.0 * 255.0, 0, 255)
     volume = Volume(np.rint(grey).astype(np.int16), chest.volume.lps_from_ijk, is_hu=False, not_hu_reason="8 bit")
@@ -186,12 +186,12 @@ def test_threshold_of_an_8_bit_volume_comes_from_its_histogram(chest):
     assert higher.lumen_zyx.sum() > airways.lumen_zyx.sum()
 
 
-def test_threshold_below_the_air_of_the_trachea_is_refused(chest):
+def test_lumen_threshold_below_the_values_of_air_in_the_trachea_is_refused(chest):
     with pytest.raises(UsageError, match="choose at least"):
         find_airways(chest.volume, lumen_threshold=-1100)
 
 
-def test_search_can_be_cancelled_and_reports_its_stages(chest):
+def test_airway_search_can_be_cancelled_and_reports_its_stages(chest):
     stages = []
     find_airways(chest.volume, progress=lambda what, fraction: stages.append((what, fraction)))
     names = list(dict.fromkeys(what for what, _ in stages))
@@ -204,7 +204,7 @@ def test_search_can_be_cancelled_and_reports_its_stages(chest):
             find_airways(chest.volume, cancel=lambda calls=calls, number=number: next(calls) >= number)
 
 
-def test_error_in_a_callback_is_passed_on(chest):
+def test_error_in_a_progress_callback_is_raised_to_the_caller(chest):
     def broken(what, fraction):
         raise ZeroDivisionError(what)
 
@@ -212,7 +212,7 @@ def test_error_in_a_callback_is_passed_on(chest):
         find_airways(chest.volume, progress=broken)
 
 
-def test_targets_are_tracked_snapped_or_refused_one_by_one(chest):
+def test_each_target_is_tracked_moved_into_the_lumen_or_refused_separately(chest):
     tip = chest.tubes[3][1]
     inside = tip + 0.3 * (chest.tubes[3][0] - tip)
     result = track_paths(
@@ -254,7 +254,7 @@ def test_paths_begin_at_a_given_start_in_the_trachea_or_a_bronchus(chest):
     assert lengths[1] - lengths[2] > 0.4 * np.linalg.norm(end - top)
 
 
-def test_target_in_a_lumen_cut_off_from_the_root_has_no_path(chest):
+def test_target_in_a_lumen_separated_from_the_root_has_no_path(chest):
     lumen = np.array(find_airways(chest.volume).lumen_zyx)
     # A gap cuts the left main bronchus in two.
     start, end, _ = chest.tubes[2]

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cached_test_data import made_airways, made_phantom
+from cached_test_data import patient as the_patient
 from carina.phantom import Phantom, lumen_distance_at
 from carina.track import Airways, find_airways
 from carina.track.find.air_upwards import AirSection
@@ -20,8 +22,6 @@ from carina.track.intensity_levels import air_scale
 from carina.track.paths.path_grid import PathGrid
 from carina.volume.model import Volume
 from carina_bench.track_disturbed_cases import Step, noisy, stepped, streaked, with_clips, with_metal
-from made import made_airways, made_phantom
-from made import patient as the_patient
 
 CHEST: dict[str, Any] = {"spacing_mm": 1.1, "noise_hu": 25.0}
 THICK: dict[str, Any] = {"spacing_mm": (0.8, 0.8, 3.0), "noise_hu": 25.0}
@@ -61,7 +61,7 @@ def num_false(airways: Airways, seed: int, volume: Volume) -> int:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_streaks_of_clips_add_few_false_branches_and_leave_a_note(seed: int) -> None:
+def test_metal_streaks_of_surgical_clips_add_few_false_branches_and_leave_a_note(seed: int) -> None:
     phantom = made(seed)
     volume = with_clips(phantom.volume, hilum(phantom), seed=seed)
     found = find_airways(volume)
@@ -77,7 +77,7 @@ def test_streaks_of_clips_add_few_false_branches_and_leave_a_note(seed: int) -> 
     assert streaks[-1] - 1 <= last <= streaks[-1] + 4
 
 
-def test_branches_in_streaks_have_at_most_the_limit_of_confidence() -> None:
+def test_branches_in_metal_streaks_have_at_most_the_limit_of_confidence() -> None:
     phantom = made(2)
     volume = with_clips(phantom.volume, hilum(phantom), seed=2)
     region = find_streaks(volume, air_scale(volume))
@@ -126,7 +126,7 @@ def test_metal_is_found_in_a_ct_whose_values_are_clipped_below_those_of_metal() 
 
 @pytest.mark.parametrize("shift_mm", [(0.0, 3.3, 6.6), (0.0, 0.0, -6.6), (2.2, 4.4, 0.0)])
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_breathing_step_is_found_between_its_slices(seed: int, shift_mm: tuple[float, float, float]) -> None:
+def test_breathing_step_is_found_between_its_slices(seed: int, shift_mm: tuple[float, float, float]) -> None:
     volume = made(seed).volume
     step = Step(-30.0, shift_mm)
     heights = volume.lps_from_ijk[2, 3] + volume.spacing_mm[2] * np.arange(volume.shape_zyx[0])
@@ -134,7 +134,7 @@ def test_a_breathing_step_is_found_between_its_slices(seed: int, shift_mm: tuple
     assert find_steps(stepped(volume, step), air_scale(volume)) == (first - 1,)
 
 
-def test_a_breathing_step_leaves_a_note_with_its_slices() -> None:
+def test_search_in_a_ct_with_a_breathing_step_leaves_a_note_with_its_slices() -> None:
     phantom = made(1)
     volume = stepped(phantom.volume, Step(-30.0))
     found = find_airways(volume)
@@ -145,7 +145,7 @@ def test_a_breathing_step_leaves_a_note_with_its_slices() -> None:
     assert note.badge
 
 
-def test_search_that_leaked_at_a_breathing_step_is_repeated_with_closed_lung() -> None:
+def test_search_that_leaked_at_a_breathing_step_is_repeated_with_that_lung_excluded() -> None:
     """Use a CT in which the first search leaks at a breathing step.
 
     Air of a bronchus on one side of the step touches lung on the other side.
@@ -163,7 +163,7 @@ def test_search_that_leaked_at_a_breathing_step_is_repeated_with_closed_lung() -
     assert (closed.hu_zyx[k + 2] == values[k + 2]).all()
 
 
-def test_divided_slices_have_the_streaks_and_steps_of_the_ct_slices() -> None:
+def test_metal_streaks_and_breathing_steps_of_the_ct_are_found_in_divided_slices() -> None:
     phantom = made_phantom(**THICK, seed=1)
     volume = stepped(with_clips(phantom.volume, hilum(phantom), seed=1), Step(-60.0))
     scale = air_scale(volume)
@@ -191,7 +191,7 @@ def test_divided_slices_have_the_streaks_and_steps_of_the_ct_slices() -> None:
     assert found.share_of(points) == in_ct.share_of(points) == 1.0
 
 
-def test_streaks_in_divided_slices_add_few_false_branches_and_leave_a_note() -> None:
+def test_metal_streaks_in_divided_slices_add_few_false_branches_and_leave_a_note() -> None:
     phantom = made_phantom(**THICK, seed=1)
     volume = with_clips(phantom.volume, hilum(phantom), seed=1)
     found = find_airways(volume)
@@ -215,7 +215,7 @@ def test_note_of_a_breathing_step_in_divided_slices_names_slices_of_the_ct() -> 
 
 @pytest.mark.parametrize("noise_hu", [60.0, 100.0])
 @pytest.mark.parametrize("sigma_mm", [0.0, 0.8])
-def test_noise_is_not_reported_as_breathing_step_or_metal(noise_hu: float, sigma_mm: float) -> None:
+def test_image_noise_is_not_reported_as_breathing_step_or_metal(noise_hu: float, sigma_mm: float) -> None:
     volume = noisy(made(1).volume, noise_hu, seed=1, sigma_mm=sigma_mm)
     assert find_steps(volume, air_scale(volume)) == ()
     assert find_streaks(volume, air_scale(volume)) is None
@@ -230,7 +230,7 @@ def test_correlated_noise_and_streaks_are_not_reported_as_tracheal_tube(seed: in
 
 
 @pytest.mark.parametrize(("plastic_hu", "is_tube"), [(-350.0, True), (-760.0, False)])
-def test_tube_is_found_only_if_its_plastic_is_brighter_than_noise(plastic_hu: float, is_tube: bool) -> None:
+def test_tracheal_tube_is_found_only_if_its_plastic_is_brighter_than_noise(plastic_hu: float, is_tube: bool) -> None:
     one = np.ones((1, 1), dtype=np.bool_)
     sections = [
         AirSection(
@@ -255,7 +255,7 @@ def test_tube_is_found_only_if_its_plastic_is_brighter_than_noise(plastic_hu: fl
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_plain_chest_has_no_note_of_metal_or_a_step(seed: int) -> None:
+def test_plain_chest_has_no_note_of_metal_or_a_breathing_step(seed: int) -> None:
     assert not badges(made_airways(**CHEST, seed=seed)) & {METAL, STEP}
     volume, found = the_patient()
     assert find_steps(volume, air_scale(volume)) == ()

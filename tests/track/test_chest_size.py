@@ -9,13 +9,13 @@ import pytest
 from scaled_chest import ScaledTruth, scaled
 
 import carina
+from cached_test_data import MASKED_CHEST, made_airways, made_phantom
 from carina.errors import NoResultError
 from carina.phantom import generate_phantom
 from carina.track import AirwayTree, Branch, CutBranch, edit_airways, name_tree
 from carina.track.find.chest_size import search_size, thread_confidence
 from carina.track.tree.calibrated_size import UNCALIBRATED_SIZE, limit_at, with_size_note
 from carina.volume import Volume
-from made import MASKED_CHEST, made_airways, made_phantom
 
 SEED, VOXEL_MM = MASKED_CHEST["seed"], MASKED_CHEST["spacing_mm"]
 
@@ -35,7 +35,7 @@ def half():
     return volume, carina.find_airways(volume)
 
 
-def test_chest_of_half_size_has_all_branches_and_no_confident_false_branch(half):
+def test_tree_of_a_chest_of_half_size_has_all_branches_and_no_confident_false_branch(half):
     _, airways = half
     full = ScaledTruth.of(made_airways(**MASKED_CHEST).tree, seed=SEED, scale=1.0, voxel_mm=VOXEL_MM)
     found = ScaledTruth.of(airways.tree, seed=SEED, scale=0.5, voxel_mm=VOXEL_MM)
@@ -44,7 +44,7 @@ def test_chest_of_half_size_has_all_branches_and_no_confident_false_branch(half)
     assert len(found.true) >= 0.97 * len(full.true)
 
 
-def test_chest_of_half_size_has_limited_confidences_and_a_lasting_note(half):
+def test_tree_of_a_chest_of_half_size_has_limited_confidences_and_a_stored_note(half):
     _, airways = half
     assert max(confidences_of(airways.tree)) == 0.5
     assert UNCALIBRATED_SIZE in codes_of(airways.tree)
@@ -57,14 +57,14 @@ def test_chest_of_half_size_has_limited_confidences_and_a_lasting_note(half):
     assert codes_of(again) == codes_of(airways.tree)
 
 
-def test_chest_of_full_size_has_no_limit_and_no_note():
+def test_tree_of_a_chest_of_full_size_has_no_confidence_limit_and_no_note():
     tree = made_airways(**MASKED_CHEST).tree
     assert UNCALIBRATED_SIZE not in codes_of(tree)
     assert max(confidences_of(tree)) > 0.9
     assert with_size_note(tree) is tree
 
 
-def test_edit_and_renaming_keep_the_confidence_limit(half):
+def test_edit_and_renaming_preserve_the_confidence_limit_of_a_small_chest(half):
     volume, airways = half
     tip = max(airways.tree.tips(), key=lambda branch: branch.generation)
     edited = edit_airways(volume, airways, CutBranch(tip.id))
@@ -91,7 +91,7 @@ def test_edit_and_renaming_keep_the_confidence_limit(half):
         (60.0, 0.5),
     ],
 )
-def test_confidence_limit_decreases_continuously_outside_the_calibrated_range(trachea_mm, limit):
+def test_confidence_limit_by_chest_size_decreases_continuously_outside_the_calibrated_range(trachea_mm, limit):
     assert limit_at(trachea_mm) == pytest.approx(limit, abs=0.001)
 
 
@@ -114,7 +114,7 @@ def tree_of(trachea_mm, right_mm, left_mm):
 ADULT = ([18.0] * 20, [15.0] * 8, [12.5] * 8)
 
 
-def test_stenosis_of_an_adult_trachea_does_not_lower_the_limit():
+def test_stenosis_of_an_adult_trachea_does_not_lower_the_confidence_limit():
     _, right, left = ADULT
     short = tree_of([18.0] * 7 + [5.0] * 13, right, left)
     assert with_size_note(short) is short
@@ -130,14 +130,14 @@ def test_wide_main_bronchi_below_a_wide_trachea_lower_all_confidences():
     assert set(confidences_of(wide)) == {0.5}
 
 
-def test_tree_without_a_named_trachea_has_no_chest_size():
+def test_confidence_limit_by_chest_size_requires_a_named_trachea():
     small = tree_of([9.0] * 20, [7.5] * 8, [6.2] * 8)
     assert codes_of(with_size_note(small)) == [UNCALIBRATED_SIZE]
     unnamed = AirwayTree((dataclasses.replace(small.root, name=None, name_from=None), *small.branches[1:]))
     assert with_size_note(unnamed) is unnamed
 
 
-def test_search_size_is_1_if_the_trachea_is_16_mm_wide_or_wider():
+def test_search_scale_is_1_if_the_trachea_is_16_mm_wide_or_wider():
     volume = Volume(np.zeros((4, 4, 4), np.int16), np.diag([0.8, 0.8, 3.0, 1.0]))
     edge_mm = 0.5 * 0.8
     assert search_size(volume, np.full(9, 16.0 - edge_mm)) == 1.0
@@ -157,7 +157,7 @@ def test_thinnest_airways_of_small_chests_have_low_confidence():
 
 @pytest.mark.soak
 @pytest.mark.parametrize("seed", range(10))
-def test_no_phantom_at_any_scale_has_a_confident_false_branch(seed, capsys):
+def test_phantoms_at_any_scale_have_no_confident_false_branch(seed, capsys):
     voxel_mm = 1.2
     volume = generate_phantom(seed=seed, spacing_mm=voxel_mm).volume
     refused = []

@@ -48,7 +48,7 @@ edits = st.one_of(
 
 
 @given(st.lists(edits, max_size=6))
-def test_edits_round_trip_through_json(many):
+def test_edits_are_restored_from_their_json(many):
     assert list(edits_from_json(edits_to_json(many))) == many
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from edit_case import edit_case, open_ended_airways, open_ended_volume
 
+from cached_test_data import found_airways, made_phantom
 from carina.errors import NoEvidenceError
 from carina.track import (
     AddBranch,
@@ -20,7 +21,6 @@ from carina.track import (
     renaming_texts,
 )
 from carina.track.edit.preview import new_lines
-from made import found_airways, made_phantom
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def joined(lines):
     return np.concatenate([lines[0].points_lps, *(line.points_lps[1:] for line in lines[1:])])
 
 
-def test_add_branch_follows_the_previewed_line_exactly(case, opened):
+def test_added_branch_follows_the_previewed_line_exactly(case, opened):
     volume, airways, leaf = opened
     taken = refused = 0
     for lps in points_to_add(volume, case, leaf, 30):
@@ -86,7 +86,7 @@ def test_add_branch_follows_the_previewed_line_exactly(case, opened):
     assert refused > 5
 
 
-def test_bridge_follows_the_previewed_line_exactly(case):
+def test_bridge_edit_follows_the_previewed_line_exactly(case):
     edit = Bridge(tuple(float(v) for v in case.hidden))
     preview = preview_edit(case.volume, case.airways, edit)
     edited = edit_airways(case.volume, case.airways, edit)
@@ -121,7 +121,7 @@ def test_preview_of_an_impossible_edit_gives_a_reason_and_no_lines(case):
         assert (preview.lines, preview.has_evidence, preview.length_mm) == ((), False, 0.0)
 
 
-def test_preview_leaves_the_airways_unchanged(case):
+def test_computing_a_preview_leaves_the_airways_unchanged(case):
     before = [(b.id, b.points.tobytes(), b.radius.tobytes()) for b in case.airways.tree.branches]
     lumen = case.airways.lumen_zyx.tobytes()
     for edit in (Bridge(tuple(case.hidden)), AddBranch(tuple(case.hidden))):

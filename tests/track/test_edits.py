@@ -67,7 +67,7 @@ def snapshot(airways):
 # ------------------------------------------------------------ cut and add
 
 
-def test_cut_removes_the_branch_with_its_lumen_and_no_other(case):
+def test_cut_removes_the_selected_branch_with_its_lumen_and_no_other(case):
     gone = branch_to(case.airways, case.tips[0])
     airways = edited(case, CutBranch(gone.id))
     # The sibling and the parent become one branch with the parent's ID.
@@ -90,7 +90,7 @@ def test_cut_removes_the_branch_with_its_lumen_and_no_other(case):
         airways.tracker.path_to(gone.tip_lps, snap_mm=1.0)
 
 
-def test_branch_cut_at_a_point_ends_at_this_point_and_keeps_its_id(case):
+def test_branch_cut_at_a_point_ends_at_that_point_and_retains_its_id(case):
     whole = branch_to(case.airways, case.tips[0])
     airways = edited(case, CutBranch(whole.id, 5.0))
     short = airways.tree.branch(whole.id)
@@ -99,7 +99,7 @@ def test_branch_cut_at_a_point_ends_at_this_point_and_keeps_its_id(case):
     assert not airways.tracker.inside(whole.points[-3:]).any()
 
 
-def test_cut_branch_is_added_again_by_a_click_on_its_end_with_confidence(case):
+def test_click_on_the_end_of_a_cut_branch_adds_it_again_with_confidence(case):
     gone = branch_to(case.airways, case.tips[0])
     airways = edited(case, CutBranch(gone.id), AddBranch(point(case.tips[0])))
     new = branch_to(airways, case.tips[0])
@@ -129,7 +129,7 @@ def test_branch_added_inside_the_lumen_splits_its_parent(case):
         edited(case, AddBranch(point(painted.tree.branches[0].points[3])), start=painted)
 
 
-def test_click_in_tissue_or_outside_the_scan_is_refused_with_a_remedy(case):
+def test_added_branch_in_tissue_or_outside_the_scan_is_refused_with_a_remedy(case):
     with pytest.raises(NoResultError, match=r"this point is in tissue .* not in an airway; click in the dark middle"):
         edited(case, AddBranch(point(case.plug)))
     with pytest.raises(UsageError, match=r"the point .* lies outside the scan, which lies within x"):
@@ -154,7 +154,7 @@ def test_invalid_cuts_are_refused_with_a_reason(case):
 # ------------------------------------------------------------ bridges
 
 
-def test_bridge_keeps_its_kind_and_the_lumen_beyond_becomes_its_child(case):
+def test_bridge_edit_adds_a_branch_of_kind_bridge_and_the_lumen_beyond_becomes_its_child(case):
     airways = edited(case, Bridge(point(case.hidden)))
     bridges = [b for b in airways.tree.branches if b.kind == "bridge"]
     assert len(bridges) == 1
@@ -177,7 +177,7 @@ def test_bridge_keeps_its_kind_and_the_lumen_beyond_becomes_its_child(case):
     assert later.tree.branch(bridge.id).kind == "bridge"
 
 
-def test_cut_bridge_is_removed_with_its_descendants_and_can_be_added_again(case):
+def test_cutting_a_bridge_removes_its_descendants_and_the_bridge_can_be_added_again(case):
     airways = edited(case, Bridge(point(case.hidden)))
     bridge = next(b for b in airways.tree.branches if b.kind == "bridge")
     cut = edited(case, CutBranch(bridge.id), start=airways)
@@ -188,7 +188,7 @@ def test_cut_bridge_is_removed_with_its_descendants_and_can_be_added_again(case)
     assert next(b.id for b in again.tree.branches if b.kind == "bridge") > bridge.id
 
 
-def test_bridge_erased_and_painted_again_has_the_kind_bridge(case):
+def test_erased_bridge_that_is_painted_again_has_the_kind_bridge(case):
     airways = edited(case, Bridge(point(case.hidden)))
     bridge = next(b for b in airways.tree.branches if b.kind == "bridge")
     stroke = tuple(point(p) for p in bridge.points[2:-2])
@@ -202,7 +202,7 @@ def test_bridge_erased_and_painted_again_has_the_kind_bridge(case):
     assert edited(case, CutBranch(through.id), start=back).bridges == ()
 
 
-def test_uncertain_places_are_updated_after_an_edit(case):
+def test_list_of_uncertain_airway_ends_is_updated_after_an_edit(case):
     whole = case.airways
     judged = dataclasses.replace(whole, uncertain=find_uncertain(case.volume, whole.tree, np.zeros((0, 3))))
     assert judged.uncertain
@@ -244,7 +244,7 @@ def test_root_moved_down_the_trachea_shortens_the_trunk(case):
     assert back.tree.root.length_mm == pytest.approx(trunk.length_mm, abs=1.5)
 
 
-def test_root_at_a_tip_reverses_the_branches_on_the_path_to_it(case):
+def test_moving_the_root_to_a_tip_reverses_the_branches_on_the_path_to_it(case):
     tip = branch_to(case.airways, case.tips[0])
     airways = edited(case, MoveRoot(point(tip.tip_lps)))
     tree = airways.tree
@@ -260,7 +260,7 @@ def test_root_at_a_tip_reverses_the_branches_on_the_path_to_it(case):
         assert airways.tracker.inside(branch.points).all()
 
 
-def test_root_inside_a_branch_gives_a_trunk_of_one_point(case):
+def test_moving_the_root_into_a_branch_gives_a_trunk_of_one_point(case):
     branch = case.airways.tree.branch(1)
     airways = edited(case, MoveRoot(point(branch.points[len(branch.points) // 2])))
     root = airways.tree.root
@@ -271,12 +271,12 @@ def test_root_inside_a_branch_gives_a_trunk_of_one_point(case):
     )
 
 
-def test_a_root_in_tissue_is_refused(case):
+def test_moving_the_root_into_tissue_is_refused(case):
     with pytest.raises(NoResultError, match="click inside an airway"):
         edited(case, MoveRoot(point(case.plug + np.array([8.0, 6.0, 0.0]))))
 
 
-def test_moved_fork_moves_the_branch_ends_at_it_and_stays_in_the_lumen(case):
+def test_moving_a_fork_moves_the_branch_ends_at_it_within_the_lumen(case):
     branch = case.airways.tree.branch(1)
     wanted = branch.points[-1] + np.array([0.0, 0.0, 1.2])
     airways = edited(case, MoveFork(1, point(wanted)))
@@ -291,7 +291,7 @@ def test_moved_fork_moves_the_branch_ends_at_it_and_stays_in_the_lumen(case):
     assert airways.lumen_zyx is case.airways.lumen_zyx
 
 
-def test_impossible_moves_of_forks_are_refused_with_a_reason(case):
+def test_moving_a_tip_as_a_fork_or_a_fork_too_far_is_refused_with_a_reason(case):
     with pytest.raises(UsageError, match="ends without a fork"):
         edited(case, MoveFork(2, point(case.tips[0])))
     with pytest.raises(UsageError, match=r"the fork would move .* mm long; move the fork a shorter distance"):
@@ -302,7 +302,7 @@ def test_impossible_moves_of_forks_are_refused_with_a_reason(case):
 
 
 @pytest.mark.parametrize(("plane", "axis"), [("axial", 2), ("coronal", 1), ("sagittal", 0)])
-def test_a_disc_is_one_voxel_thick_in_its_plane(case, plane, axis):
+def test_disc_brush_is_one_voxel_thick_in_its_plane(case, plane, axis):
     from carina.track.edit.lumen import painted_voxels
 
     centre = case.volume.to_lps(np.array([16.0, 12.0, 16.0]))
@@ -332,7 +332,7 @@ def test_lumen_painted_beyond_a_tip_extends_the_tree_until_it_is_erased(case):
         assert erased.tracker.inside(branch.points).all()
 
 
-def test_lumen_erased_across_a_bronchus_cuts_the_branches_beyond_and_reports_it(case):
+def test_erasing_the_lumen_across_a_bronchus_cuts_the_branches_beyond_and_reports_it(case):
     branch = case.airways.tree.branch(4)
     middle = branch.points[len(branch.points) // 2]
     airways = edited(case, PaintLumen((point(middle),), 4.0, "ball", erase=True))
@@ -345,7 +345,7 @@ def test_lumen_erased_across_a_bronchus_cuts_the_branches_beyond_and_reports_it(
     assert {b.kind for b in back.tree.branches} == {"tracked"}, "the search had found all of it"
 
 
-def test_lumen_painted_across_a_gap_is_manual_and_beyond_it_automatic(case):
+def test_branch_through_a_painted_gap_is_of_kind_manual_and_beyond_the_gap_tracked(case):
     branch = case.airways.tree.branch(4)
     middle, aside = branch.points[len(branch.points) // 2], np.array([4.5, 0.0, 0.0])
     # The brush covers the surroundings of the erased stretch, where the search found no lumen.
@@ -358,7 +358,7 @@ def test_lumen_painted_across_a_gap_is_manual_and_beyond_it_automatic(case):
     assert any(b.kind == "manual" for b in back.tree.lineage(beyond.id))
 
 
-def test_painted_wider_lumen_increases_the_radius_only_at_the_paint(case):
+def test_painting_a_wider_lumen_increases_the_radius_only_at_the_paint(case):
     trunk = case.airways.tree.root
     airways = edited(case, PaintLumen((point(trunk.points[5]),), 4.5, "ball"))
     wider = airways.tree.root.radius[5]
@@ -390,14 +390,14 @@ def test_brush_strokes_without_effect_are_refused_with_a_reason(case):
 # ------------------------------------------------------------ names, smoothing, and lists of edits
 
 
-def test_name_given_by_a_person_stays_through_edits_until_it_is_reset(case):
+def test_branch_name_given_by_the_user_is_preserved_by_edits_until_it_is_reset(case):
     airways = edited(case, RenameBranch(5, "LB6"), CutBranch(2), MoveFork(0, point(case.airways.tree.root.points[-1])))
     named = airways.tree.branch(5)
     assert (named.name, named.name_from, named.name_confidence) == ("LB6", "person", None)
     assert edited(case, RenameBranch(5, None), start=airways).tree.branch(5).name_from != "person"
 
 
-def test_smoothed_branch_keeps_its_ends_and_has_smaller_angles(case):
+def test_smoothing_a_branch_preserves_its_ends_and_reduces_its_angles(case):
     def turn(points):
         steps = np.diff(points, axis=0)
         steps /= np.linalg.norm(steps, axis=1)[:, None]
@@ -409,7 +409,7 @@ def test_smoothed_branch_keeps_its_ends_and_has_smaller_angles(case):
     assert turn(smooth.points) < turn(rough.points)
 
 
-def test_edit_returns_new_airways_and_leaves_the_given_ones_unchanged(case):
+def test_edit_returns_new_airways_and_leaves_the_given_airways_unchanged(case):
     before, lumen = snapshot(case.airways), case.airways.lumen_zyx.copy()
     edited(
         case,
@@ -425,13 +425,13 @@ def test_edit_returns_new_airways_and_leaves_the_given_ones_unchanged(case):
         np.testing.assert_array_equal(old[4], new[4])
 
 
-def test_list_of_edits_from_json_gives_equal_airways(case):
+def test_list_of_edits_restored_from_json_gives_equal_airways(case):
     airways = edited(case, Bridge(point(case.hidden)), CutBranch(2), RenameBranch(4, "LMB"), SmoothBranch(5))
     saved = edits_from_json(edits_to_json(airways.edits))
     assert_same(rebuild_airways(case.volume, case.airways, saved), airways)
 
 
-def test_refused_edit_of_a_list_is_reported_with_its_number(case):
+def test_refused_edit_in_a_list_is_reported_with_its_number(case):
     edits = (SmoothBranch(5), CutBranch(999), CutBranch(2))
     with pytest.raises(UsageError, match=r"^edit 2 of 3: ") as refused:
         rebuild_airways(case.volume, case.airways, edits)
@@ -449,7 +449,7 @@ def test_edit_of_the_tree_can_be_cancelled(case):
     assert reported
 
 
-def test_airways_from_another_tools_mask_can_be_edited(case):
+def test_airways_from_the_mask_of_another_tool_can_be_edited(case):
     from carina.track import find_airways
 
     masked = find_airways(case.volume, root_lps=case.airways.root_lps, lumen_zyx=case.airways.lumen_zyx)
@@ -487,7 +487,7 @@ TestEditSequences.settings = settings(max_examples=80, stateful_step_count=8, de
 
 
 @pytest.mark.soak
-def test_ten_thousand_random_edit_sequences_equal_trees_built_from_scratch(monkeypatch):
+def test_airways_after_ten_thousand_random_edit_sequences_equal_trees_built_from_scratch(monkeypatch):
     # Naming depends on the tree alone and would take half of the time.
     monkeypatch.setattr("carina.track.edit.edits.named_anew", lambda tree: tree)
     for seed in range(10_000):
@@ -495,7 +495,7 @@ def test_ten_thousand_random_edit_sequences_equal_trees_built_from_scratch(monke
         editing.check(editing.airways)
 
 
-def test_comparison_of_airways_fails_for_different_airways(case):
+def test_comparison_helper_fails_for_airways_that_differ_in_one_radius(case):
     airways = edited(case, CutBranch(2))
     first = airways.tree.branches[0]
     shifted = dataclasses.replace(first, radius=np.nextafter(first.radius, np.inf))
@@ -504,7 +504,7 @@ def test_comparison_of_airways_fails_for_different_airways(case):
         assert_same(dataclasses.replace(airways, tree=other), airways)
 
 
-def test_short_branch_keeps_its_share_of_doubt_after_a_cut():
+def test_shortening_a_drawn_branch_shortens_its_doubtful_length_in_proportion():
     points = np.linspace([0.0, 0.0, 0.0], [0.0, 0.0, -0.8], 9)
     drawn = Branch(0, None, (), 0, None, "manual", points, np.full(9, 0.5), doubtful_mm=0.6)
     tree = TreeDraft(AirwayTree((drawn,)), next_id=1)

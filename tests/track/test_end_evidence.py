@@ -115,26 +115,26 @@ THIN, THICK = (0.8, 0.8, 0.8), (0.7, 0.7, 3.0)
 
 
 @pytest.mark.parametrize("spacing", [THIN, THICK])
-def test_soft_tissue_inside_the_continuing_wall_is_found_with_its_length(spacing):
+def test_soft_tissue_inside_a_continuing_airway_wall_is_reported_with_its_length(spacing):
     found = evidence(plugged, spacing)
     assert found.kind == "tissue"
     assert 12.0 <= found.length_mm <= 20.0
 
 
 @pytest.mark.parametrize("spacing", [THIN, THICK])
-def test_wall_across_the_end_is_found_as_closed(spacing):
+def test_end_with_a_wall_across_it_is_reported_as_closed(spacing):
     found = evidence(stump, spacing)
     assert (found.kind, found.has_clips) == ("closed", False)
 
 
-def test_clips_at_a_closed_end_are_found_in_thin_slices():
+def test_metal_clips_at_a_closed_airway_end_are_reported_in_thin_slices():
     found = evidence(stump_with_clips, THIN)
     assert (found.kind, found.has_clips) == ("closed", True)
 
 
 @pytest.mark.parametrize("spacing", [THIN, THICK])
 @pytest.mark.parametrize("paint", [forked, narrowing])
-def test_continuing_airway_is_neither_blocked_nor_closed(paint, spacing):
+def test_end_of_a_continuing_airway_is_reported_neither_as_blocked_nor_as_closed(paint, spacing):
     assert evidence(paint, spacing) is None
 
 
@@ -167,17 +167,17 @@ def wide_evidence(paint, spacing):
 
 
 @pytest.mark.parametrize("spacing", [THIN, THICK])
-def test_wide_bronchus_with_a_thin_wall_across_its_end_is_closed(spacing):
+def test_wide_bronchus_with_a_thin_wall_across_its_end_is_reported_as_closed(spacing):
     assert wide_evidence(wide_stump(), spacing).kind == "closed"
 
 
 @pytest.mark.parametrize("spacing", [THIN, THICK])
 @pytest.mark.parametrize("radius", [1.5, 2.5])
-def test_wide_bronchus_with_an_airway_beyond_its_end_wall_is_not_closed(radius, spacing):
+def test_wide_bronchus_with_an_airway_beyond_its_end_wall_is_not_reported_as_closed(radius, spacing):
     assert wide_evidence(wide_stump(ahead=radius), spacing) is None
 
 
-def test_wide_bronchus_whose_end_wall_is_as_dense_as_lung_is_not_closed():
+def test_wide_bronchus_whose_end_wall_is_as_dense_as_lung_is_not_reported_as_closed():
     def no_wall(points, values):
         values[:] = -680.0
         values[tube(points, TOP, END, WIDE_MM)] = AIR_HU
@@ -225,7 +225,7 @@ def straight_end(paint, spacing, branch):
 
 
 @pytest.mark.parametrize("spacing", [THIN, THICK])
-def test_a_wide_bronchus_that_ends_beside_a_narrow_airway_is_a_closed_end(spacing):
+def test_wide_bronchus_that_ends_beside_a_narrow_side_branch_is_a_closed_end(spacing):
     found = straight_end(turned(26.0), spacing, turning_branch())
     assert found.width_mm == pytest.approx(2.0 * WIDE_MM)
     assert found.axis @ [0.0, 0.0, -1.0] > 0.99
@@ -233,9 +233,9 @@ def test_a_wide_bronchus_that_ends_beside_a_narrow_airway_is_a_closed_end(spacin
 
 
 @pytest.mark.parametrize("spacing", [THIN, THICK])
-def test_a_wide_bronchus_that_continues_beside_a_narrow_airway_is_no_closed_end(spacing):
+def test_wide_bronchus_that_continues_beside_a_narrow_side_branch_is_not_a_closed_end(spacing):
     assert straight_end(turned(None), spacing, turning_branch()) is None
 
 
-def test_an_airway_that_turns_without_narrowing_is_no_closed_end():
+def test_airway_that_turns_without_narrowing_is_not_a_closed_end():
     assert straight_end(turned(26.0), THIN, turning_branch(narrow_mm=0.8 * WIDE_MM)) is None

@@ -97,14 +97,14 @@ def one_by_one(sections, lung, start):
 
 
 @given(seed=st.integers(0, 2**32 - 1), num=st.integers(2, 60), inside_mm=st.one_of(st.none(), st.floats(0.0, 20.0)))
-def test_gain_of_each_section_equals_the_plain_rule(seed, num, inside_mm):
+def test_evidence_of_each_path_section_equals_the_plain_rule(seed, num, inside_mm):
     sections = made(seed, num)
     start = None if inside_mm is None else PathStart(inside_mm, 1.3, np.array([0.0, 0.0, 1.0]))
     np.testing.assert_allclose(gains(sections, LUNG, HU, start), one_by_one(sections, LUNG, start), atol=1e-9)
 
 
 @given(seed=st.integers(0, 2**32 - 1), num=st.integers(2, 60), raised=st.floats(0.0, 200.0))
-def test_more_wall_never_makes_a_section_more_doubtful(seed, num, raised):
+def test_higher_wall_values_never_make_a_path_section_more_doubtful(seed, num, raised):
     sections = made(seed, num)
     walls = ("rise", "far_rise", "closed", "far_closed")
     fields = {name: getattr(sections, name) for name in Sections.__slots__}
@@ -115,18 +115,18 @@ def test_more_wall_never_makes_a_section_more_doubtful(seed, num, raised):
     assert not (doubtful_sections(more, LUNG, HU) & ~doubtful_sections(sections, LUNG, HU)).any()
 
 
-def test_path_without_values_brighter_than_its_middle_has_no_evidence():
+def test_path_without_values_brighter_than_its_middle_has_no_airway_evidence():
     # Lung without noise is straight, even and not too wide, but has no wall.
     plain = tube(own=-860.0, rise=0.0, far_rise=20.0, closed=0.0, far_closed=0.0, around=-860.0, radius_mm=0.35)
     assert doubtful_sections(plain, LUNG, HU).all()
 
 
-def test_airway_with_a_wall_all_along_has_evidence():
+def test_airway_with_a_wall_along_its_length_has_evidence():
     start = PathStart(0.0, 1.8, np.array([0.0, 0.0, 1.0]))
     assert not doubtful_sections(tube(), LUNG, HU, start).any()
 
 
-def test_one_bright_wall_does_not_outweigh_a_long_path_without_walls():
+def test_one_bright_wall_is_no_evidence_for_a_long_path_without_walls():
     bare = np.arange(40) >= 12
     sections = tube(
         rise=np.where(bare, 0.0, 1000.0),
@@ -148,20 +148,20 @@ def test_one_bright_wall_does_not_outweigh_a_long_path_without_walls():
         pytest.param({"radius_mm": np.tile([0.4, 2.8], 20), "closed": 10.0, "far_closed": 30.0}, id="uneven"),
     ],
 )
-def test_space_between_vessels_has_no_evidence_although_most_sides_are_bright(change):
+def test_gap_between_vessels_has_no_airway_evidence_although_most_sides_are_bright(change):
     start = PathStart(0.0, 1.0, np.array([0.0, 0.0, 1.0]))
     usual = gains(tube(), LUNG, HU, start)
     assert (gains(tube(**change), LUNG, HU, start) < usual - 2.0).all()
 
 
-def test_sections_beyond_a_crossed_wall_are_doubtful():
+def test_path_sections_beyond_a_crossed_wall_are_doubtful():
     own = np.full(40, -980.0)
     own[10:14] = [-800.0, -600.0, -600.0, -800.0]
     found = doubtful_sections(tube(own=own), LUNG, HU)
     assert found[11:].all()
 
 
-def test_main_bronchus_is_evident_although_its_walls_are_out_of_reach():
+def test_main_bronchus_has_evidence_although_its_walls_are_outside_the_measured_distance():
     noise = np.random.default_rng(3)
     wide = tube(
         own=-985.0 + noise.normal(0.0, 5.0, 40),
@@ -174,7 +174,7 @@ def test_main_bronchus_is_evident_although_its_walls_are_out_of_reach():
     assert not doubtful_sections(wide, LUNG, HU, PathStart(0.0, 5.5, np.array([0.0, 0.0, 1.0]))).any()
 
 
-def test_path_as_bright_as_tissue_has_no_evidence():
+def test_path_through_values_as_bright_as_tissue_has_no_airway_evidence():
     own = np.full(40, -900.0)
     own[20] = -440.0
     found = doubtful_sections(tube(own=own), LUNG, HU)

@@ -53,7 +53,7 @@ def heap(field: np.ndarray, root_zyx: tuple[int, int, int], spacing: tuple[float
 
 
 @pytest.mark.parametrize("cost", ["mean", "enter"])
-def test_costs_equal_those_of_a_heap_within_half_a_percent(cost):
+def test_path_costs_in_a_field_equal_those_of_a_heap_search_within_half_a_percent(cost):
     rng = np.random.default_rng(5)
     volume = volume_of((6, 7, 8))
     field = rng.uniform(1.0, 40.0, volume.shape_zyx).astype(np.float32)
@@ -75,7 +75,7 @@ def test_costs_equal_those_of_a_heap_within_half_a_percent(cost):
     assert paths.num_settled == np.isfinite(truth).sum()
 
 
-def test_cost_of_integer_weights_is_their_exact_sum():
+def test_path_cost_of_integer_weights_is_their_exact_sum():
     rng = np.random.default_rng(6)
     volume = volume_of((7, 8, 9))
     field = rng.integers(0, 200, volume.shape_zyx).astype(np.float32)
@@ -133,7 +133,7 @@ def test_path_from_or_to_a_forbidden_voxel_is_refused_with_a_message():
         FieldPaths(volume, walled, root)
 
 
-def test_cancelled_search_settles_every_voxel_when_resumed():
+def test_cancelled_search_reaches_every_voxel_when_resumed():
     volume = Volume(np.zeros((90, 90, 90), np.int16), np.eye(4))
     field = np.random.default_rng(1).uniform(1.0, 3.0, volume.shape_zyx).astype(np.float32)
     paths = FieldPaths(volume, field, (45.0, 45.0, 45.0))
@@ -150,7 +150,7 @@ def test_cancelled_search_settles_every_voxel_when_resumed():
 
 
 @pytest.mark.parametrize("cost", ["mean", "enter"])
-def test_cost_of_a_directed_search_equals_that_of_the_tree(cost):
+def test_cost_of_a_search_for_one_target_equals_that_of_a_complete_search(cost):
     rng = np.random.default_rng(7)
     volume = volume_of((9, 10, 11))
     field = rng.uniform(1.0, 6.0, volume.shape_zyx).astype(np.float32)
@@ -179,7 +179,7 @@ def test_cost_of_a_directed_search_equals_that_of_the_tree(cost):
     assert 0 < refused < field.size
 
 
-def test_directed_search_refuses_invalid_arguments_with_a_message():
+def test_search_for_one_target_refuses_invalid_arguments_with_a_message():
     volume = Volume(np.zeros((90, 90, 90), np.int16), np.eye(4))
     field = np.ones(volume.shape_zyx, np.float32)
     ends = ((1.0, 1.0, 1.0), (88.0, 88.0, 88.0))

@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from cached_test_data import made_phantom
 from carina.errors import NoResultError
 from carina.phantom import Phantom
 from carina.track import find_airways
 from carina.volume.model import Volume
-from made import made_phantom
 
 SPACING_MM = 1.3
 
@@ -106,7 +106,7 @@ def share_found(airways, made, generations):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("harder", HARD, ids=lambda harder: harder.__name__)
-def test_chest_that_is_hard_to_search_has_its_airways_and_no_false_ones(made, harder):
+def test_search_in_a_difficult_chest_finds_its_airways_and_no_false_ones(made, harder):
     values = np.array(made.volume.hu_zyx)
     harder(values, made)
     airways = find_airways(Volume(values, made.volume.lps_from_ijk))
@@ -140,7 +140,7 @@ def test_lumen_of_a_tilted_chest_overlaps_that_of_the_straight_chest(made, tilt_
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("side", "tilt_deg"), [("x", -30.0), ("x", 30.0), ("y", -35.0), ("y", 35.0)])
-def test_tilted_neck_bends_the_trachea_and_changes_no_other_airway(made, side, tilt_deg):
+def test_bent_neck_bends_the_found_trachea_and_changes_no_other_airway(made, side, tilt_deg):
     # Above the middle of the trachea each slice is shifted farther sideways than the slice below, as in a bent neck.
     _, _, z = places(made.volume)
     from_mm, axis = 45.0, {"x": 2, "y": 1}[side]
@@ -163,7 +163,7 @@ def test_tilted_neck_bends_the_trachea_and_changes_no_other_airway(made, side, t
 
 
 @pytest.mark.slow
-def test_part_of_the_trachea_suffices_and_a_chest_without_airways_is_refused(made):
+def test_part_of_the_trachea_is_sufficient_for_the_search_and_a_chest_without_airways_is_refused(made):
     x, _, z = places(made.volume)
     heights = z[:, 0, 0]
     low = Volume(np.ascontiguousarray(made.volume.hu_zyx[heights < 26.0]), made.volume.lps_from_ijk)
@@ -199,7 +199,7 @@ def cut_above(made: Phantom, height_mm: float) -> Volume:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("below_mm", [10.0, 20.0, 35.0, 60.0])
-def test_a_chest_cropped_below_the_carina_is_refused(any_made, below_mm):
+def test_chest_cropped_below_the_carina_is_refused(any_made, below_mm):
     with pytest.raises(NoResultError, match="no trachea was found") as caught:
         find_airways(cut_above(any_made, -below_mm))
     assert caught.value.exit_code == 4
@@ -210,7 +210,7 @@ def test_a_chest_cropped_below_the_carina_is_refused(any_made, below_mm):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("above_mm", [12.0, 30.0])
-def test_a_chest_cropped_above_the_carina_keeps_its_trachea(any_made, above_mm):
+def test_trachea_is_found_in_a_chest_cropped_above_the_carina(any_made, above_mm):
     volume = cut_above(any_made, above_mm)
     airways = find_airways(volume)
     assert abs(airways.root_lps[2] - above_mm) < 8.0
@@ -220,7 +220,7 @@ def test_a_chest_cropped_above_the_carina_keeps_its_trachea(any_made, above_mm):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("below", [20.0, 35.0])
-def test_crop_below_the_carina_is_tracked_from_a_given_root(any_made, below):
+def test_chest_cropped_below_the_carina_is_tracked_from_a_given_root(any_made, below):
     row = next(
         row
         for row in any_made.truth["branches"]

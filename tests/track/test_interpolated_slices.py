@@ -38,13 +38,13 @@ def slowly(values, parts):
     parts=st.integers(2, 6),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_interpolated_column_equals_the_plain_solution(num, parts, seed):
+def test_interpolated_voxel_column_equals_the_plain_solution(num, parts, seed):
     column = np.random.default_rng(seed).integers(-1024, 3000, num).astype(np.int16)
     found = with_divided_slices(column.reshape(num, 1, 1), parts)[:, 0, 0]
     assert np.abs(found - slowly(column, parts)).max() <= 0.6
 
 
-def test_interpolated_columns_are_independent_of_each_other_and_of_memory_layout():
+def test_interpolated_voxel_columns_are_independent_of_each_other_and_of_memory_layout():
     stack = np.random.default_rng(1).integers(-1024, 1000, (7, 70, 5)).astype(np.int16)
     # The second column stays in its range of values, which limits the result.
     stack[0, 41, 2], stack[1, 41, 2] = -1024, 1000
@@ -57,12 +57,12 @@ def test_interpolated_columns_are_independent_of_each_other_and_of_memory_layout
 
 
 @pytest.mark.parametrize("parts", [3, 5])
-def test_middle_of_an_odd_number_of_parts_is_the_slice_itself(parts):
+def test_middle_of_an_odd_number_of_interpolated_slices_is_the_slice_itself(parts):
     stack = np.random.default_rng(2).integers(-1024, 1000, (6, 4, 5)).astype(np.int16)
     np.testing.assert_array_equal(with_divided_slices(stack, parts)[parts // 2 :: parts], stack)
 
 
-def test_single_slice_and_division_in_one_part_stay_unchanged():
+def test_single_slice_or_division_into_one_part_is_not_interpolated():
     stack = np.random.default_rng(3).integers(-1024, 1000, (5, 4, 3)).astype(np.int16)
     np.testing.assert_array_equal(with_divided_slices(stack, 1), stack)
     np.testing.assert_array_equal(with_divided_slices(stack[:1], 4), np.repeat(stack[:1], 4, axis=0))

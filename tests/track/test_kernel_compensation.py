@@ -9,12 +9,12 @@ import pytest
 from sharp_kernel import grown, sharpened
 
 import carina
+from cached_test_data import MASKED_CHEST, made_airways, made_phantom
+from cached_test_data import patient as the_patient
 from carina.track.find.kernel_compensation import SEAM_MM, SOFT_HU, inverse_of, softened
 from carina.track.find.kernel_sharpness import edge_undershoot_hu
 from carina.track.intensity_levels import air_scale
 from carina.track.tree.thick_slices import THICK_SLICES
-from made import MASKED_CHEST, made_airways, made_phantom
-from made import patient as the_patient
 
 
 def in_plane(volume, amount, sigma_mm, noise_hu=15.0):
@@ -43,7 +43,7 @@ def blurred(values, sigmas):
 
 
 @pytest.mark.parametrize("raised", [0.05, 0.4, 1.0, 2.3, 3.2])
-def test_two_gaussians_invert_the_kernel_at_every_frequency(raised):
+def test_sum_of_two_gaussians_inverts_the_sharp_kernel_at_every_frequency(raised):
     frequency = np.linspace(0.0, 1.5, 200)
     gaussian = np.exp(-2.0 * (np.pi * SEAM_MM * frequency) ** 2)
     inverse = 1.0 / (1.0 + raised)
@@ -63,7 +63,7 @@ def test_ct_with_a_soft_kernel_is_not_softened():
         assert found.raised == 0.0
 
 
-def test_softened_ct_has_no_dark_rims():
+def test_softened_ct_has_no_dark_rims_beside_edges():
     volume = in_plane(the_patient()[0], 1.2, 0.8)
     scale = air_scale(volume)
     assert edge_undershoot_hu(volume, scale) > 25.0
@@ -85,7 +85,7 @@ def test_ct_with_the_sharpest_kernel_has_the_airways_found_with_a_soft_kernel():
     assert "softened copy" in badge.words
 
 
-def test_lumens_clipped_at_the_least_value_stay_air_in_the_softened_ct():
+def test_lumens_clipped_at_the_least_ct_value_stay_as_dark_as_air_in_the_softened_ct():
     """Use an unsharp mask that lowers small lumens below -1024 HU, the least value of files.
 
     Softened without a correction, these lumens would be as bright as lung.
@@ -100,7 +100,7 @@ def test_lumens_clipped_at_the_least_value_stay_air_in_the_softened_ct():
     assert grown(found)[k, j, i].mean() > 0.9
 
 
-def test_given_threshold_applies_to_the_values_of_the_unsoftened_ct():
+def test_given_lumen_threshold_applies_to_the_values_of_the_unsoftened_ct():
     volume = in_plane(the_patient()[0], 0.8, 0.8)
     airways = carina.find_airways(volume, lumen_threshold=-850)
     assert airways.threshold == -850

@@ -63,7 +63,7 @@ def named_as_without_the_neck(neck: LeaningNeck, found: Airways) -> None:
         assert np.linalg.norm(names[name] - end) <= 5.0, name
 
 
-def test_leaning_trachea_is_found_whole_beside_air_in_the_oesophagus() -> None:
+def test_leaning_trachea_is_found_up_to_the_larynx_beside_air_in_the_oesophagus() -> None:
     neck, found = a_neck(), found_in_the_neck()
     begins_below_the_cricoid(neck, found)
     upper = found.upper_airway_zyx
@@ -71,12 +71,12 @@ def test_leaning_trachea_is_found_whole_beside_air_in_the_oesophagus() -> None:
     assert not (upper & found.lumen_zyx).any()
 
 
-def test_scan_with_the_neck_has_the_names_of_the_scan_without_it() -> None:
+def test_branch_names_in_a_scan_with_the_neck_equal_those_without_it() -> None:
     named_as_without_the_neck(a_neck(), found_in_the_neck())
     assert "RLL" in right_side(found_in_the_neck())
 
 
-def test_trachea_whose_seeds_reach_a_main_bronchus_is_not_continued_into_it() -> None:
+def test_tracheal_seeds_that_reach_a_main_bronchus_do_not_extend_the_trachea_into_it() -> None:
     neck, stage = a_neck(), Stages(lambda _what, _fraction: None, None)
     volume, scale = neck.volume, air_scale(neck.volume)
     trachea = found_trachea(volume, scale, stage)
@@ -95,7 +95,7 @@ def test_trachea_whose_seeds_reach_a_main_bronchus_is_not_continued_into_it() ->
 
 
 @pytest.mark.parametrize("size", [0.4, 0.7, 1.0, 1.2])
-def test_tree_begins_within_10_mm_below_the_cricoid_at_any_height_of_the_cords(size: float) -> None:
+def test_tree_begins_within_10_mm_below_the_cricoid_at_any_height_of_the_vocal_cords(size: float) -> None:
     slice_mm = 1.0
     for cords_mm in CORDS_ABOVE_CRICOID_MM:
         below_mm = root_below_cords_mm(size) - size * cords_mm
@@ -110,7 +110,7 @@ def test_tree_of_a_child_with_a_leaning_trachea_begins_below_the_cricoid() -> No
 
 @pytest.mark.slow
 @pytest.mark.parametrize("above_carina_mm", [15.0, 90.0])
-def test_start_in_the_trachea_gives_the_tree_of_the_whole_trachea(above_carina_mm: float) -> None:
+def test_given_start_in_the_trachea_gives_the_tree_of_the_complete_trachea(above_carina_mm: float) -> None:
     neck = a_neck()
     found = find_airways(neck.volume, root_lps=neck.trachea_at(above_carina_mm))
     begins_below_the_cricoid(neck, found)
@@ -130,7 +130,7 @@ def in_the_throat(neck: LeaningNeck) -> NDArray[np.float64]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("place", ["larynx", "throat"])
-def test_start_in_the_larynx_or_the_throat_is_moved_to_the_trachea(place: str) -> None:
+def test_given_start_in_the_larynx_or_the_throat_is_moved_to_the_trachea(place: str) -> None:
     neck = a_neck()
     root = neck.in_larynx if place == "larynx" else in_the_throat(neck)
     found = find_airways(neck.volume, root_lps=root)
@@ -148,7 +148,7 @@ def test_start_in_the_larynx_or_the_throat_is_moved_to_the_trachea(place: str) -
         ("tissue", "no voxel within 5 mm is as dark as air; choose a point inside the trachea"),
     ],
 )
-def test_start_outside_the_airways_is_refused_with_a_remedy(place: str, message: str) -> None:
+def test_given_start_outside_the_airways_is_refused_with_a_remedy(place: str, message: str) -> None:
     neck = a_neck()
     root = {
         "gullet": neck.in_gullet(62.0),
@@ -162,7 +162,7 @@ def test_start_outside_the_airways_is_refused_with_a_remedy(place: str, message:
 
 
 @pytest.mark.parametrize("start", [None, "trachea", "larynx", "throat"])
-def test_ct_of_head_and_neck_is_refused_as_one_without_lungs(start: str | None) -> None:
+def test_ct_of_head_and_neck_is_refused_because_it_shows_no_lungs(start: str | None) -> None:
     neck = a_neck()
     head = neck.cropped(above_mm=88.0)
     root = {
@@ -191,7 +191,7 @@ def with_a_web(made: Phantom, above_carina_mm: float) -> Volume:
     return dataclasses.replace(volume, hu_zyx=values)
 
 
-def test_tree_begins_at_the_top_of_the_scan_above_a_stenosis() -> None:
+def test_tree_begins_at_the_top_of_the_scan_above_a_tracheal_stenosis() -> None:
     made = generate_phantom(
         seed=4, spacing_mm=1.8, generations=4, box_lps=((-130.0, -105.0, -110.0), (130.0, 105.0, 110.0))
     )
@@ -202,7 +202,7 @@ def test_tree_begins_at_the_top_of_the_scan_above_a_stenosis() -> None:
 
 @pytest.mark.soak
 @pytest.mark.parametrize("seed", range(20))
-def test_trees_of_leaning_tracheas_begin_below_the_cricoid_and_keep_their_names(seed: int) -> None:
+def test_trees_of_leaning_tracheas_begin_below_the_cricoid_and_have_the_names_found_without_the_neck(seed: int) -> None:
     random = np.random.default_rng(seed)
     lean, azimuth = random.uniform(10.0, 30.0), random.uniform(0.0, 2.0 * np.pi)
     scale = random.uniform(0.7, 1.2)
@@ -223,7 +223,7 @@ def test_trees_of_leaning_tracheas_begin_below_the_cricoid_and_keep_their_names(
         assert right_side(started).keys() == right_side(found).keys()
 
 
-def test_dilated_mask_smaller_than_the_radius_keeps_its_array_shape() -> None:
+def test_dilation_by_more_than_the_size_of_a_mask_preserves_the_array_shape() -> None:
     mask = np.eye(4, 3, dtype=np.bool_)
     np.testing.assert_array_equal(spread(mask, [(0, 4), (0, -4), (5, 0), (-5, 0), (-9, 9)]), mask)
     np.testing.assert_array_equal(spread(mask, [(1, 0)]), mask | np.eye(4, 3, -1, dtype=np.bool_))

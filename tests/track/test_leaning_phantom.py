@@ -11,7 +11,7 @@ from carina.errors import UsageError
 from carina.phantom import generate_phantom
 
 
-def test_phantom_and_its_truth_lean_only_above_the_carina() -> None:
+def test_phantom_and_its_ground_truth_lean_only_above_the_carina() -> None:
     options: dict[str, Any] = {
         "seed": 3,
         "spacing_mm": (0.9, 0.9, 4.0),
@@ -47,6 +47,6 @@ def test_phantom_and_its_truth_lean_only_above_the_carina() -> None:
 @pytest.mark.parametrize(
     "options", [{"lean_deg": (40.0, 0.0)}, {"lean_deg": (10.0,)}, {"lean_deg": (10.0, 0.0), "nodule": True}]
 )
-def test_phantom_with_an_invalid_lean_is_refused(options: dict[str, Any]) -> None:
+def test_phantom_with_an_invalid_lean_angle_is_refused(options: dict[str, Any]) -> None:
     with pytest.raises(UsageError, match="lean"):
         generate_phantom(spacing_mm=6.0, generations=3, **options)

@@ -30,7 +30,7 @@ def test_live_path_equals_the_path_of_a_click(chest, found):
     assert live.snapped_mm == 0.0
 
 
-def test_path_in_a_bronchus_with_a_wall_is_certain(chest, found):
+def test_live_path_in_a_bronchus_with_a_wall_has_high_confidence(chest, found):
     for number in range(1, len(chest.tubes)):
         live = found.tracker.live_path(tip_of(chest, number))
         assert live.confidence > 0.7, (number, live.confidence)
@@ -38,14 +38,14 @@ def test_path_in_a_bronchus_with_a_wall_is_certain(chest, found):
         assert live.min_radius_mm == pytest.approx(chest.tubes[number][2], abs=1.3)
 
 
-def test_path_to_a_point_in_the_tree_is_new_only_beyond_its_middle(chest, found):
+def test_live_path_to_a_point_in_the_tree_is_new_only_beyond_the_centreline(chest, found):
     live = found.tracker.live_path(tip_of(chest, 2))
     assert live.new_mm < 2.0 * chest.tubes[2][2]
     ids = {branch.id for branch in found.tree.branches}
     assert live.joins_branch_id in ids
 
 
-def test_leak_into_lung_has_low_confidence(chest, found):
+def test_live_path_through_a_leak_into_lung_has_low_confidence(chest, found):
     # The tube through lung simulates a leak: it has lung values and no wall.
     _start, end, _radius = chest.tubes[3]
     outward = end + np.linspace(-0.3, 1.0, 60)[:, None] * np.array([-12.0, 6.0, -14.0])
@@ -66,7 +66,7 @@ def test_leak_into_lung_has_low_confidence(chest, found):
     assert bronchus.confidence > leak.confidence + 0.3
 
 
-def test_point_beside_the_airway_uses_the_airway_with_less_confidence(chest, found):
+def test_live_path_to_a_point_beside_an_airway_ends_in_the_airway_with_less_confidence(chest, found):
     inside = found.tracker.live_path(tip_of(chest, 1))
     start, end, radius = chest.tubes[1]
     across = np.cross(end - start, [0.0, 0.0, 1.0])
@@ -78,7 +78,7 @@ def test_point_beside_the_airway_uses_the_airway_with_less_confidence(chest, fou
     assert found.tracker.live_path(beside, reach_mm=0.5).problem is not None
 
 
-def test_pointer_outside_the_lumen_is_reported_with_a_remedy(chest, found):
+def test_live_path_to_a_point_outside_the_lumen_is_reported_with_a_remedy(chest, found):
     volume = chest.volume
     centre = volume.centre_lps
     lung = found.tracker.live_path(centre + np.array([-28.0, 18.0, -14.0]))
@@ -94,7 +94,7 @@ def test_pointer_outside_the_lumen_is_reported_with_a_remedy(chest, found):
         assert live.confidence is None
 
 
-def test_pointer_outside_the_volume_is_an_error(found):
+def test_live_path_to_a_point_outside_the_volume_is_an_error(found):
     with pytest.raises(UsageError, match="outside the scan"):
         found.tracker.live_path((9000.0, 0.0, 0.0))
 
@@ -109,7 +109,7 @@ def test_live_path_exists_to_every_point_in_the_lumen(chest, found):
         assert live.new_mm <= live.length_mm + 1e-9
 
 
-def test_noise_is_measured_across_a_path_of_any_point_density():
+def test_noise_directions_are_perpendicular_to_a_path_of_any_point_density():
     along = np.array([1.0, 2.0, -2.0]) / 3.0
     path = np.linspace(0.0, 1.0, 11)[:, None] * along
     u, v = _across(path[3:6], path)

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cached_test_data import made_airways, made_phantom
 from carina._core import cast_sections, section_axes
 from carina.errors import CancelledError, UsageError
 from carina.track import AirwayTree, Branch, find_airways, measure_tree
@@ -24,7 +25,6 @@ from carina.track.measures.branch_summary import (
 from carina.track.measures.diameter import branch_diameter, narrowest_diameter, passage_of, with_scatter
 from carina.track.measures.forks import angle_deg, directions
 from carina.volume.model import Volume
-from made import made_airways, made_phantom
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def test_measured_diameters_are_within_their_errors(chest, measured):
         assert (own.min_mm[usable] <= own.max_mm[usable]).all()
 
 
-def test_sections_at_forks_are_flagged_and_left_out(chest, measured):
+def test_cross_sections_at_forks_are_flagged_and_left_out_of_the_mean(chest, measured):
     airways, measures = measured
     tree = airways.tree
     for branch in tree.branches:
@@ -78,7 +78,7 @@ def test_carina_is_in_the_wall_between_the_main_bronchi_below_the_fork(chest, me
     assert all(measures.fork_of(tip.id) is None for tip in airways.tree.tips())
 
 
-def test_only_changed_branches_are_measured_again(chest, measured, monkeypatch):
+def test_only_changed_branches_are_measured_again_after_an_edit(chest, measured, monkeypatch):
     airways, measures = measured
     counts = []
 
@@ -101,7 +101,7 @@ def test_only_changed_branches_are_measured_again(chest, measured, monkeypatch):
     np.testing.assert_allclose(fresh.of(tip.id).edge_mm, whole.of(tip.id).edge_mm, atol=2e-3)
 
 
-def test_measures_by_an_earlier_method_are_not_reused(chest, measured, monkeypatch):
+def test_measurements_by_an_earlier_method_are_not_reused(chest, measured, monkeypatch):
     airways, measures = measured
     counts = []
 
@@ -118,7 +118,7 @@ def test_measures_by_an_earlier_method_are_not_reused(chest, measured, monkeypat
     assert branches[0].to_json()["by_earlier_method"]
 
 
-def test_narrowest_diameter_of_a_route_is_that_of_its_branches_before_the_end(measured):
+def test_narrowest_diameter_of_a_route_is_that_of_its_branches_up_to_the_route_end(measured):
     airways, measures = measured
     tree = airways.tree
     tip = tree.tips()[0]
@@ -135,7 +135,7 @@ def test_narrowest_diameter_of_a_route_is_that_of_its_branches_before_the_end(me
     assert measures.narrowest_of_route(ids[:1]).mm >= found.mm
 
 
-def test_width_of_a_route_uses_end_sections_by_their_narrow_side_and_no_start_sections():
+def test_width_of_a_route_uses_cross_sections_at_branch_ends_by_their_narrow_side_and_none_at_starts():
     at = 0.7 * np.arange(40)
     equal, least, error = np.full(40, 4.0), np.full(40, 4.0), np.full(40, 0.1)
     at_junction = (at < 4.0) | (at > 24.0)
@@ -159,7 +159,7 @@ def test_width_of_a_route_uses_end_sections_by_their_narrow_side_and_no_start_se
     assert narrowest(has_fork=False) == pytest.approx(4.0)
 
 
-def test_branch_with_only_fork_sections_has_an_error_that_covers_both_figures():
+def test_branch_with_only_cross_sections_at_forks_has_an_error_that_covers_both_diameters():
     at = 0.7 * np.arange(5)
     equal, least, error = np.full(5, 6.0), np.full(5, 4.0), np.full(5, 0.1)
     found = passage_of(
@@ -184,7 +184,7 @@ def test_branch_with_only_fork_sections_has_an_error_that_covers_both_figures():
     seed=st.integers(0, 2**32 - 1),
 )
 @settings(max_examples=80, deadline=None)
-def test_branch_diameter_is_independent_of_the_order_of_sections(num, diameter, noise, seed):
+def test_branch_diameter_is_independent_of_the_order_of_cross_sections(num, diameter, noise, seed):
     rng = np.random.default_rng(seed)
     at = 0.7 * np.arange(num)
     sections = diameter * (1.0 + noise * rng.standard_normal(num))
@@ -204,7 +204,7 @@ def test_branch_diameter_is_independent_of_the_order_of_sections(num, diameter, 
     assert (error >= by_model).all()
 
 
-def test_one_disturbed_section_changes_neither_diameter_nor_narrowest_position():
+def test_one_disturbed_cross_section_changes_neither_diameter_nor_narrowest_position():
     at = np.arange(20.0)
     sections, error = np.linspace(8.0, 6.0, 20), np.full(20, 0.2)
     plain = narrowest_diameter(at, sections, error)
@@ -216,7 +216,7 @@ def test_one_disturbed_section_changes_neither_diameter_nor_narrowest_position()
     assert branch_diameter(*(np.zeros(0),) * 3) is None
 
 
-def test_measures_are_plain_json_and_refuse_an_unknown_branch(measured):
+def test_measurements_are_plain_json_and_refuse_an_unknown_branch(measured):
     airways, measures = measured
     document = json.loads(json.dumps(measures.to_json(), allow_nan=False))
     assert document["format"] == "carina-measures"
@@ -226,7 +226,7 @@ def test_measures_are_plain_json_and_refuse_an_unknown_branch(measured):
         measures.of(99)
 
 
-def test_measuring_can_be_cancelled_and_reports_progress(chest, measured):
+def test_measurement_of_a_tree_can_be_cancelled_and_reports_progress(chest, measured):
     airways, _ = measured
     reported = []
     measure_tree(chest.volume, airways, progress=lambda what, fraction: reported.append((what, fraction)))
@@ -237,7 +237,7 @@ def test_measuring_can_be_cancelled_and_reports_progress(chest, measured):
         measure_tree(chest.volume, airways, cancel=lambda: next(calls) >= 1)
 
 
-def test_one_voxel_branch_and_branch_at_the_volume_edge_have_flagged_sections(chest, measured):
+def test_cross_sections_of_a_branch_of_one_voxel_and_at_the_volume_edge_are_flagged(chest, measured):
     airways, _ = measured
     root = airways.tree.root
     # The tree has a branch of one point in the top slice, and another at the end of the trachea.
@@ -261,7 +261,7 @@ def test_one_voxel_branch_and_branch_at_the_volume_edge_have_flagged_sections(ch
 
 @given(st.floats(0.3, 0.9), st.floats(4.0, 14.0), st.floats(-0.08, 0.02))
 @settings(max_examples=40, deadline=None)
-def test_stenosis_is_measured_against_the_line_through_healthy_sections(left, diameter, taper):
+def test_stenosis_is_measured_relative_to_a_line_through_healthy_cross_sections(left, diameter, taper):
     at = np.arange(0.0, 40.0)
     healthy = diameter + taper * at * diameter / 20.0
     narrowing = 1.0 - (1.0 - left) * np.clip(1.0 - np.abs(at - 22.0) / 6.0, 0.0, 1.0)
@@ -274,7 +274,7 @@ def test_stenosis_is_measured_against_the_line_through_healthy_sections(left, di
         assert abs(found.area_percent - 100.0 * (1.0 - left**2)) < 6.0
 
 
-def test_branch_narrow_over_its_whole_length_is_compared_with_its_neighbours():
+def test_branch_narrow_over_its_complete_length_is_compared_with_its_neighbours():
     at = np.arange(0.0, 8.0)
     narrow = np.full(8, 4.0) + 0.3 * np.abs(at - 4.0)
     expected = diameter_by_neighbours(12.0, [8.0], [7.0, 7.5])
@@ -292,7 +292,7 @@ def test_branch_narrow_over_its_whole_length_is_compared_with_its_neighbours():
     )
 
 
-def test_incomplete_neighbours_give_no_expected_diameter():
+def test_neighbours_with_missing_diameters_give_no_expected_diameter():
     assert diameter_by_neighbours(None, [], []) is None
     assert diameter_by_neighbours(12.0, [8.0], []) is None, "siblings of a tip may be missing"
     assert diameter_by_neighbours(5.0, [6.0], [None]) is None
@@ -301,7 +301,7 @@ def test_incomplete_neighbours_give_no_expected_diameter():
 
 
 @pytest.mark.parametrize(("percent", "error", "is_reported"), [(8.0, 7.9, True), (8.0, 8.0, False), (-3.0, 1.0, False)])
-def test_stenosis_is_reported_only_beyond_its_error(percent, error, is_reported):
+def test_stenosis_is_reported_only_if_it_exceeds_its_error(percent, error, is_reported):
     measured = Stenosis(percent, error, percent, 10.0, 5.0, 6.0, "branch")
     assert measured.exceeds_error is is_reported
     at, even = np.arange(5.0), np.full(5, 6.0)
@@ -314,7 +314,7 @@ def test_stenosis_is_reported_only_beyond_its_error(percent, error, is_reported)
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([6, 20, 80]), st.floats(2.0, 14.0), st.floats(0.02, 0.1))
 @settings(max_examples=15, deadline=None)
-def test_noise_causes_stenoses_in_no_more_branches_than_the_error_states(seed, num, diameter, share):
+def test_noise_causes_stenoses_in_no_more_branches_than_their_error_allows(seed, num, diameter, share):
     random = np.random.default_rng(seed)
     at = np.arange(num) * diameter
     found = [
@@ -331,7 +331,7 @@ def test_noise_causes_stenoses_in_no_more_branches_than_the_error_states(seed, n
     assert np.mean([one is not None for one in found]) < 0.06
 
 
-def test_narrowing_that_may_be_a_missed_fork_is_no_stenosis():
+def test_narrowing_that_an_unseen_fork_may_cause_is_no_stenosis():
     at = np.arange(0.0, 30.0)
     one_fork = np.where(at < 20.0, 5.0, 5.0 * 2.0 ** (-1 / 3))
     measured = {"usable": np.ones(30, bool), "expected": None}
@@ -349,7 +349,7 @@ def test_narrowing_that_may_be_a_missed_fork_is_no_stenosis():
 
 
 @pytest.mark.parametrize("seed", [1, 4])
-def test_phantom_reports_its_stenosis_and_no_other_beyond_chance(seed):
+def test_stenosis_of_a_phantom_is_reported_and_no_other_beyond_chance(seed):
     options = {"seed": seed, "spacing_mm": 1.2, "noise_hu": 25.0}
     healthy = measure_tree(made_phantom(**options).volume, made_airways(**options))
     reported = [one.branch_id for one in healthy.branches if one.summary.stenosis is not None]
@@ -385,7 +385,7 @@ def test_angles_and_directions_of_a_fork_are_those_of_its_straight_branches():
     np.testing.assert_allclose(directions(point.points, point.radius, trunk.points[-2]), [[0.0, 0.0, -1.0]])
 
 
-def test_directions_of_a_fine_branch_follow_its_bends():
+def test_directions_of_a_thin_branch_follow_its_bends():
     """Check directions near a right angle.
 
     Directions are computed over 2 mm, so the angle affects the direction 0.9 mm before it, but not 1.2 mm before it.
@@ -402,7 +402,7 @@ def test_directions_of_a_fine_branch_follow_its_bends():
 @pytest.mark.parametrize(
     ("num", "length_mm", "is_told"), [(5, 6.0, True), (21, 20.0, True), (4, 20.0, False), (21, 4.9, False)]
 )
-def test_taper_needs_five_sections_over_five_millimetres(num, length_mm, is_told):
+def test_taper_is_stated_only_for_five_cross_sections_over_five_millimetres(num, length_mm, is_told):
     at = np.linspace(0.0, length_mm, num)
     even = np.full(num, 0.1)
     summary = summed_up(
@@ -411,7 +411,7 @@ def test_taper_needs_five_sections_over_five_millimetres(num, length_mm, is_told
     assert summary.taper == (pytest.approx(-0.05) if is_told else None)
 
 
-def test_section_with_an_invalid_plane_is_refused(chest):
+def test_cross_section_with_an_invalid_plane_is_refused(chest):
     arguments = (chest.volume.hu_zyx, chest.volume.lps_from_ijk)
     levels = {"min_contrast": 100.0, "brightest_wall": 100.0, "wall_rise": 1020.0, "noise": 10.0}
     with pytest.raises(UsageError, match="normal with length"):

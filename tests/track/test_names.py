@@ -145,7 +145,7 @@ def scores(change, *, seeds=SEEDS) -> tuple[float, float]:
     return right / total, wrong / total
 
 
-def test_nine_of_ten_segments_of_true_trees_are_named_correctly():
+def test_nine_of_ten_segments_of_ground_truth_trees_are_named_correctly():
     right, wrong = scores(lambda tree, _rng: tree)
     assert right >= 0.93
     assert wrong <= 0.05
@@ -168,7 +168,7 @@ def test_child_has_the_same_names_as_an_adult():
 
 
 @pytest.mark.slow
-def test_pruned_tree_has_few_wrong_names():
+def test_tree_with_missing_branches_has_few_wrong_names():
     def prune(tree: AirwayTree, rng: np.random.Generator) -> AirwayTree:
         deep = [b.id for b in tree.branches if b.generation >= 5 and rng.random() < 0.25]
         segments = [b.id for b in tree.branches if is_segment(b.name)]
@@ -180,7 +180,7 @@ def test_pruned_tree_has_few_wrong_names():
 
 
 @pytest.mark.slow
-def test_tree_that_ends_at_the_segments_has_right_names():
+def test_tree_that_ends_at_the_segments_is_named_correctly():
     right, wrong = scores(
         lambda tree, _rng: without(tree, {c for b in tree.branches if is_segment(b.name) for c in b.children})
     )
@@ -189,13 +189,13 @@ def test_tree_that_ends_at_the_segments_has_right_names():
 
 
 @pytest.mark.slow
-def test_twigs_do_not_change_the_names():
+def test_short_false_branches_do_not_change_the_names_of_segments():
     right, wrong = scores(lambda tree, rng: with_twigs(tree, rng, 15))
     assert right >= 0.88
     assert wrong <= 0.08
 
 
-def test_mirrored_chest_is_reported_and_keeps_its_sides():
+def test_mirrored_chest_is_reported_and_names_state_the_true_sides():
     for seed in (1, 2, 3):
         tree = true_tree(seed)
         named = name_tree(moved(tree, np.diag([-1.0, 1.0, 1.0])))
@@ -231,7 +231,7 @@ def test_ordinary_chest_is_not_reported_as_mirrored():
 
 
 @pytest.mark.slow
-def test_tree_that_begins_in_the_right_main_bronchus_has_right_names():
+def test_tree_that_begins_in_the_right_main_bronchus_is_named_correctly():
     rows = [score(true_tree(seed), name_tree(rooted_at(true_tree(seed), "RMB"))) for seed in SEEDS]
     right, wrong, total = np.sum(rows, axis=0)
     assert right >= 0.85 * total
@@ -239,7 +239,7 @@ def test_tree_that_begins_in_the_right_main_bronchus_has_right_names():
 
 
 @pytest.mark.slow
-def test_tree_of_one_lung_has_right_names():
+def test_tree_of_one_lung_is_named_correctly():
     for lost, kept in (("LMB", "R"), ("RMB", "L")):
         rows = []
         for seed in SEEDS:
@@ -254,7 +254,7 @@ def test_tree_of_one_lung_has_right_names():
 
 
 @pytest.mark.slow
-def test_tree_with_a_trachea_cut_off_above_the_carina_has_right_names():
+def test_tree_with_a_trachea_cut_off_above_the_carina_is_named_correctly():
     def cut(tree: AirwayTree, _rng: np.random.Generator) -> AirwayTree:
         root = dataclasses.replace(tree.root, points=tree.root.points[-6:], radius=tree.root.radius[-6:])
         return AirwayTree((root, *tree.branches[1:]))
@@ -264,7 +264,7 @@ def test_tree_with_a_trachea_cut_off_above_the_carina_has_right_names():
     assert wrong <= 0.06
 
 
-def test_lobe_is_right_for_98_percent_of_the_tree_length():
+def test_lobe_is_correct_for_98_percent_of_the_tree_length():
     good = length = 0.0
     for seed in SEEDS:
         tree = true_tree(seed)
@@ -277,7 +277,7 @@ def test_lobe_is_right_for_98_percent_of_the_tree_length():
     assert good >= 0.98 * length
 
 
-def test_name_given_by_a_person_is_unchanged_and_used_for_other_names():
+def test_branch_name_given_by_the_user_is_unchanged_and_used_for_other_names():
     tree = true_tree(3)
     segment = tree.named("RB3")
 
@@ -303,7 +303,7 @@ def test_name_given_by_a_person_is_unchanged_and_used_for_other_names():
     assert "RB2" in free.names
 
 
-def test_given_name_below_a_segment_determines_the_segment():
+def test_name_given_to_a_branch_below_a_segment_determines_the_segment():
     tree = true_tree(1)
     segment = tree.named("RB10")
     child = segment.children[0]
@@ -332,7 +332,7 @@ def test_naming_a_named_tree_again_gives_equal_names():
         assert before.points is after.points
 
 
-def test_letters_of_subsegments_follow_the_letter_rule():
+def test_letters_of_subsegments_follow_the_nomenclature_rule():
     back, front = np.array([0.0, 10.0, 0.0]), np.array([0.0, -10.0, 3.0])
     assert letter_order([front, back], LetterRule.BACK_FIRST)[0] == [1, 0]
     assert letter_order([front, back], LetterRule.TOP_LATERAL_BACK)[0] == [1, 0]
@@ -356,7 +356,7 @@ def test_tree_without_forks_has_no_names():
     assert name_tree(AirwayTree((tube,))).root.name is None
 
 
-def test_anatomical_variants_of_phantoms_have_right_names():
+def test_anatomical_variants_of_phantoms_are_named_correctly():
     for seed in SEEDS:
         tree, named = true_tree(seed), name_tree(true_tree(seed))
         said = " ".join(b.variant or "" for b in named.branches)
@@ -409,7 +409,7 @@ def regrafted(tree: AirwayTree, name: str, host_name: str, share: float) -> tupl
         ("RB6", "BI", 0.5, "at or above the middle lobe bronchus"),
     ],
 )
-def test_bronchus_with_an_unusually_high_origin_is_reported(name, host, share, words):
+def test_bronchus_with_an_unusually_high_origin_is_reported_as_variant(name, host, share, words):
     changed, which = regrafted(true_tree(4), name, host, share)
     named = name_tree(changed)
     assert named.branch(which).name == name
@@ -419,7 +419,7 @@ def test_bronchus_with_an_unusually_high_origin_is_reported(name, host, share, w
     assert wrong == 0
 
 
-def test_every_name_has_a_full_text():
+def test_every_branch_name_has_a_full_text():
     for keys in LOBES.values():
         for key in keys:
             words = name_words(key)
@@ -434,7 +434,7 @@ def test_every_name_has_a_full_text():
     assert name_words("") is None
 
 
-def test_expected_bronchi_of_one_lung_are_those_of_its_side():
+def test_expected_directions_of_bronchi_point_to_their_side():
     rules = grammar()
     for name in ("RMB", "BI", *LOBES, "LMB"):
         right_or_left = -1.0 if name == "BI" or name.startswith("R") else 1.0
@@ -452,7 +452,7 @@ def test_probabilities_of_all_divisions_of_a_bronchus_sum_to_one():
         assert total == pytest.approx(1.0, abs=0.061)
 
 
-def test_sums_over_all_readings_of_a_tree_equal_plain_recursion():
+def test_sums_over_all_possible_namings_of_a_tree_equal_plain_recursion():
     """Compare with an enumeration of every derivation of the grammar, on a small tree of binary forks."""
     tree = true_tree(5)
     small = without(tree, {b.id for b in tree.branches if b.generation >= 3})

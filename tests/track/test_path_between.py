@@ -41,7 +41,7 @@ def test_path_between_two_points_follows_centrelines_up_and_down_without_jumps()
         assert (np.diff(depth[apex:]) > 0).all()
 
 
-def test_points_beside_the_airways_use_the_nearest_airway_positions():
+def test_path_between_points_beside_the_airways_joins_the_nearest_airway_positions():
     left, right = (small_volume().to_lps(np.array(BRANCHES_IJK[n][1][1])) for n in (2, 3))
     points, apex = way_between(TREE, left + np.array([0.4, 0.3, 0.0]), right + np.array([0.0, 0.5, -0.2]))
     np.testing.assert_array_equal(points[[0, -1]], [TREE.branch(2).points[-1], TREE.branch(3).points[-1]])

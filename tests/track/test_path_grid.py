@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import carina
+from cached_test_data import made_phantom
 from carina.errors import NoResultError, UsageError
 from carina.track import edit_airways, rebuild_airways
 from carina.track.edit.edit_list import CutBranch, PaintLumen
@@ -17,7 +18,6 @@ from carina.track.paths.path_grid import PathGrid
 from carina.track.tree.airway_tree import Branch
 from carina.track.tree.uncertainty import as_probable_as_its_way
 from carina.volume import Volume
-from made import made_phantom
 
 
 def volume(spacing_mm, shape_zyx=(20, 24, 28)):
@@ -47,7 +47,7 @@ def test_only_thick_slices_of_a_fine_ct_are_divided(spacing_mm, parts):
     assert PathGrid.parts_of(grid.ct, (20, 24, 29)) is None
 
 
-def test_grid_with_needlessly_thin_parts_is_refused_for_a_ct():
+def test_grid_of_a_case_file_with_more_divisions_than_needed_is_refused():
     # A damaged or malicious case file must not make Carina interpolate a volume of many times the CT's memory.
     ct = volume((0.7, 0.7, 0.8))
     nz, ny, nx = ct.shape_zyx
@@ -57,7 +57,7 @@ def test_grid_with_needlessly_thin_parts_is_refused_for_a_ct():
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_both_grids_cover_the_same_region(axis):
+def test_ct_grid_and_divided_grid_cover_the_same_region(axis):
     spacing = [0.7, 0.7, 0.7]
     spacing[axis] = 3.0
     ct = volume(spacing)
@@ -83,7 +83,7 @@ def test_volume_with_permuted_axes_is_interpolated_to_the_same_values():
     np.testing.assert_array_equal(PathGrid.of(other).volume.hu_zyx[::-1], PathGrid.of(ct).volume.hu_zyx)
 
 
-def test_mask_on_the_ct_has_voxels_at_least_half_set_and_each_centreline():
+def test_mask_on_the_ct_grid_includes_each_centreline_and_voxels_that_are_at_least_half_set():
     ct = volume((0.7, 0.7, 3.0))
     grid = PathGrid.of(ct)
     lumen = np.zeros(grid.shape_zyx, dtype=np.uint8)
@@ -105,7 +105,7 @@ def thick():
     return made.volume, carina.find_airways(made.volume)
 
 
-def test_paths_run_in_the_divided_grid_and_the_lumen_is_on_that_of_the_ct(thick):
+def test_paths_are_searched_in_the_divided_grid_and_the_lumen_is_stored_on_the_ct_grid(thick):
     ct, airways = thick
     assert airways.tracker.grid.parts == 3
     assert airways.lumen_zyx.shape == ct.shape_zyx
@@ -118,7 +118,7 @@ def test_paths_run_in_the_divided_grid_and_the_lumen_is_on_that_of_the_ct(thick)
     assert airways.tracker.inside(path.points_lps).all()
 
 
-def test_edits_equal_those_from_scratch_and_survive_undo_storage(thick):
+def test_edits_in_divided_slices_equal_those_from_scratch_and_are_restored_from_undo_storage(thick):
     ct, airways = thick
     tip = airways.tree.tips()[0]
     end = tuple(float(v) for v in tip.points[-1])
@@ -135,7 +135,7 @@ def test_edits_equal_those_from_scratch_and_survive_undo_storage(thick):
             np.testing.assert_array_equal(one.points, two.points)
 
 
-def test_brush_covers_whole_voxels_of_the_ct(thick):
+def test_brush_in_divided_slices_covers_complete_voxels_of_the_ct(thick):
     ct, airways = thick
     tip = airways.tree.tips()[0]
     end = tuple(float(v) for v in tip.points[-1])
@@ -188,7 +188,7 @@ def test_search_uses_the_slices_of_the_ct_if_divided_slices_show_no_trachea(thic
     assert len(found.tree) > 20
 
 
-def test_edit_of_airways_of_another_ct_is_refused(thick):
+def test_edit_of_airways_found_in_another_ct_is_refused(thick):
     _, airways = thick
     other = volume((0.8, 0.8, 3.0))
     with pytest.raises(UsageError, match="belong to another CT"):
@@ -211,7 +211,7 @@ def test_divided_slices_show_airways_not_visible_in_the_ct_slices(thick, monkeyp
         assert np.median(off_mm) < 3.5
 
 
-def test_confidence_depends_less_on_the_walls_than_on_the_probability_of_the_path():
+def test_branch_confidence_is_high_only_with_high_path_probability_and_wall_evidence():
     points = np.stack([np.zeros(12), np.zeros(12), -np.arange(12.0)], axis=1)
     branch = Branch(0, None, (), 0, None, "tracked", points, np.ones(12), confidence=0.5)
 

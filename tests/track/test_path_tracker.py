@@ -26,7 +26,7 @@ def tracker_of(lumen: np.ndarray, root_ijk: tuple[int, int, int]) -> tuple[Lumen
 
 @settings(max_examples=25)
 @given(bits=st.lists(st.booleans(), min_size=210, max_size=210), order=st.permutations(range(12)))
-def test_costs_of_targets_in_any_order_equal_those_of_a_complete_search(bits, order):
+def test_path_costs_of_targets_in_any_order_equal_those_of_a_complete_search(bits, order):
     lumen = np.array(bits).reshape(5, 6, 7)
     lumen[0, 0, 0] = True
     whole, _ = tracker_of(lumen, (0, 0, 0))
@@ -41,7 +41,7 @@ def test_costs_of_targets_in_any_order_equal_those_of_a_complete_search(bits, or
     assert resumed.num_settled <= whole.num_settled
 
 
-def test_straight_corridor_costs_its_length_times_its_weight():
+def test_cost_of_a_straight_corridor_is_its_length_times_its_weight():
     lumen = np.zeros((3, 3, 20), bool)
     lumen[1, 1, 2:18] = True
     core, matrix = tracker_of(lumen, (2, 1, 1))
@@ -60,7 +60,7 @@ def test_straight_corridor_costs_its_length_times_its_weight():
     assert core.cost(node) == pytest.approx(expected, rel=0.005)
 
 
-def test_threads_get_right_costs_while_another_thread_searches():
+def test_threads_get_correct_path_costs_while_another_thread_searches():
     lumen = np.ones((40, 40, 40), bool)
     lumen[0] = lumen[-1] = False
     core, _ = tracker_of(lumen, (20, 20, 20))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cached_test_data import MASKED_CHEST, OTHER_CHEST, made_airways, made_phantom
 from carina.errors import NoResultError
 from carina.phantom import generate_phantom
 from carina.track import AirwayTree, find_airways
-from made import MASKED_CHEST, OTHER_CHEST, made_airways, made_phantom
 
 
 @pytest.mark.slow

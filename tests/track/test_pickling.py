@@ -114,7 +114,7 @@ def test_copied_or_pickled_airways_equal_the_original(
     assert_same_airways(way(every_kind[kind]), every_kind[kind])
 
 
-def test_airways_pickled_with_mapped_files_equal_the_original(
+def test_airways_pickled_with_memory_mapped_files_equal_the_original(
     tmp_path: Path, every_kind: dict[str, carina.Airways]
 ) -> None:
     assert_same_airways(by_mapped_files(every_kind["cut"], tmp_path), every_kind["cut"])
@@ -132,7 +132,7 @@ def test_edit_of_copied_airways_equals_the_edit_of_the_original(
     assert_same_airways(carina.edit_airways(copied_volume, copied, edit), expected)
 
 
-def test_edits_paths_and_measures_are_equal_in_another_process(tmp_path: Path) -> None:
+def test_edits_paths_and_measurements_in_another_process_are_equal(tmp_path: Path) -> None:
     case = edit_case()
     target = tuple(float(v) for v in case.airways.tree.tips()[0].tip_lps)
     given, made = tmp_path / "given.pickle", tmp_path / "made.pickle"
@@ -158,13 +158,13 @@ def test_pickle_of_airways_stores_the_lumen_compressed() -> None:
     assert len(pickle.dumps((case.volume, case.airways))) - without < 0.5 * case.airways.lumen_zyx.nbytes
 
 
-def test_pickling_does_not_build_an_unused_tracker() -> None:
+def test_pickling_does_not_build_a_path_tracker_that_was_not_used() -> None:
     tracker: PathTracker = by_pickle(by_pickle(edit_case().airways.tracker))
     assert repr(tracker) == "PathTracker(not built yet)"
     assert tracker.num_nodes == edit_case().airways.tracker.num_nodes
 
 
-def test_pickled_volume_is_read_only_and_keeps_cached_results() -> None:
+def test_pickled_volume_is_read_only_and_contains_its_cached_results() -> None:
     volume = edit_case().volume
     found = volume.value_range
     copied = by_pickle(volume)
@@ -174,7 +174,7 @@ def test_pickled_volume_is_read_only_and_keeps_cached_results() -> None:
 
 
 @pytest.mark.parametrize("mask", [np.zeros((3, 4, 5)), np.ones((3, 4, 5)), np.eye(4)[None], np.eye(5)[:, None] * 255])
-def test_packed_mask_equals_the_mask_after_unpacking(mask: np.ndarray) -> None:
+def test_mask_restored_from_its_packed_form_equals_the_original(mask: np.ndarray) -> None:
     made = PackedMask.of(mask.astype(np.uint8)).mask_zyx()
     np.testing.assert_array_equal(made, mask != 0)
     assert made.dtype == np.uint8 and not made.flags.writeable
@@ -190,7 +190,7 @@ def test_copied_flight_path_equals_the_original(way: Callable[[Any], Any]) -> No
     np.testing.assert_array_equal(copied.pose_at(10.0).lps_from_camera, path.pose_at(10.0).lps_from_camera)
 
 
-def test_every_kind_of_error_is_equal_after_pickling() -> None:
+def test_pickled_error_of_every_kind_equals_the_original() -> None:
     label = MaskLabel(3, "tumour", 1.5)
     full = DiskError("the disk is full", code="disk.full")
     full.errno = 28
@@ -209,7 +209,7 @@ def test_every_kind_of_error_is_equal_after_pickling() -> None:
     assert by_pickle(MaskLabelError("several", labels=(label,))).labels == (label,)
 
 
-def test_pickling_of_process_bound_objects_is_refused_with_a_remedy() -> None:
+def test_pickling_of_objects_that_belong_to_one_process_is_refused_with_a_remedy() -> None:
     case = edit_case()
     wall = carina.wall_field(case.volume, case.airways)
     assert copy.copy(wall) is wall and copy.deepcopy({"wall": wall})["wall"] is wall
@@ -227,7 +227,7 @@ def test_pickling_of_process_bound_objects_is_refused_with_a_remedy() -> None:
 
 
 @pytest.mark.parametrize("way", [copy.copy, copy.deepcopy, carina.ScopeDrive.copy])
-def test_copy_of_a_scope_moves_like_the_scope_and_independently(way: Callable[[Any], Any]) -> None:
+def test_copied_or_pickled_scope_moves_like_the_original_and_independently(way: Callable[[Any], Any]) -> None:
     case = edit_case()
     wall = carina.wall_field(case.volume, case.airways)
     drive = carina.ScopeDrive(wall, "ultrathin", case.airways.tree.root.points)
@@ -240,7 +240,7 @@ def test_copy_of_a_scope_moves_like_the_scope_and_independently(way: Callable[[A
 
 
 @pytest.mark.ray
-def test_airways_equal_the_original_after_the_pickler_of_ray() -> None:
+def test_airways_pickled_by_ray_equal_the_original() -> None:
     from ray import cloudpickle
 
     case = edit_case()

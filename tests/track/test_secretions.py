@@ -9,13 +9,13 @@ import pytest
 from plugged_chest import CHEST
 
 import carina
+from cached_test_data import made_airways, made_phantom
+from cached_test_data import patient as the_patient
 from carina.track import AirwayTree, Branch, Bridge, find_absent
 from carina.track.find.airway_ends import find_uncertain
 from carina.track.find.partial_plugs import find_narrowed
 from carina.track.tree.uncertainty import filled_place
 from carina_bench.filled_bronchi import with_secretions
-from made import made_airways, made_phantom
-from made import patient as the_patient
 
 VOXEL_MM = CHEST["spacing_mm"]
 SEGMENTS = {"LB10": (5.0, 12.0), "RB6": (4.0, 11.0)}
@@ -49,7 +49,7 @@ def filled(airways):
 
 
 @pytest.mark.parametrize(("name", "share"), FLUID)
-def test_fluid_level_or_plug_is_reported_with_its_calibre_from_wall_to_wall(name, share):
+def test_fluid_level_or_mucus_plug_is_reported_with_the_bronchial_diameter_from_wall_to_wall(name, share):
     made, airways = wet(name, share)
     (place,) = filled(airways)
     assert np.linalg.norm(np.array(place.lps) - made.axis_lps[len(made.axis_lps) // 2]) < 5.0
@@ -62,7 +62,7 @@ def test_fluid_level_or_plug_is_reported_with_its_calibre_from_wall_to_wall(name
 
 
 @pytest.mark.parametrize(("name", "share"), BRIDGED)
-def test_offered_bridge_restores_the_airways_beyond(name, share):
+def test_bridge_offered_for_a_filled_bronchus_restores_the_airways_beyond(name, share):
     made, airways = wet(name, share)
     (place,) = filled(airways)
     assert np.linalg.norm(np.array(place.beyond_lps) - made.axis_lps[-1]) < 6.0
@@ -79,7 +79,7 @@ def test_offered_bridge_restores_the_airways_beyond(name, share):
 
 
 @pytest.mark.parametrize("share", [0.8, 1.0])
-def test_no_calibre_is_stated_where_the_border_is_not_visible(share):
+def test_diameter_of_a_filled_bronchus_is_not_stated_if_its_border_is_not_visible(share):
     # The middle lobe bronchus is in the hilum, with tissue on all sides.
     _, airways = wet("RML", share)
     (place,) = filled(airways)
@@ -133,20 +133,20 @@ def narrowed(width_mm, *, least_mm=2.5):
     return find_narrowed(None, AirwayTree((trunk, branch)), 0.7, least_mm)
 
 
-def test_narrowing_within_the_error_of_the_calibre_is_not_reported(monkeypatch):
+def test_narrowing_within_the_error_of_the_bronchial_diameter_is_not_reported(monkeypatch):
     monkeypatch.setattr("carina.track.find.partial_plugs._middle", lambda *_: np.zeros(3))
     (place,) = narrowed([2.8] * 7 + [4.0] * 15)
     assert place.calibre_mm - place.width_mm > place.calibre_error_mm
     assert narrowed([3.45] * 7 + [4.0] * 15) == []
 
 
-def test_a_bronchus_narrower_than_two_slices_is_not_called_filled(monkeypatch):
+def test_bronchus_narrower_than_two_slices_is_not_reported_as_filled(monkeypatch):
     monkeypatch.setattr("carina.track.find.partial_plugs._middle", lambda *_: np.zeros(3))
     assert len(narrowed([4.0] * 10 + [2.4] * 7 + [4.0] * 10, least_mm=3.9)) == 1
     assert narrowed([4.0] * 10 + [2.4] * 7 + [4.0] * 10, least_mm=6.0) == []
 
 
-def test_stenosis_is_reported_as_narrowed_only():
+def test_stenosis_in_the_mediastinum_is_reported_as_narrowed_or_filled_without_a_bridge():
     made = made_phantom(**CHEST, stenosis=True)
     # In the mediastinum the wall has no visible border, so a thick wall cannot be distinguished from mucus on the wall.
     for place in filled(carina.find_airways(made.volume)):
@@ -155,7 +155,7 @@ def test_stenosis_is_reported_as_narrowed_only():
         assert place.reason.startswith("narrowed or filled here over")
 
 
-def test_filled_place_is_removed_with_its_branch():
+def test_report_of_a_filled_bronchus_is_removed_when_its_branch_is_cut():
     made, airways = wet("LB10", 0.6)
     (place,) = filled(airways)
     cut = carina.edit_airways(made.volume, airways, carina.track.CutBranch(place.branch_id))

@@ -10,6 +10,8 @@ import pytest
 from sharp_kernel import grown, sharpened
 
 import carina
+from cached_test_data import MASKED_CHEST, made_phantom
+from cached_test_data import patient as the_patient
 from carina.errors import NoResultError
 from carina.export import read_tree, write_tree
 from carina.phantom import generate_phantom
@@ -19,8 +21,6 @@ from carina.track.find.kernel_sharpness import edge_undershoot_hu
 from carina.track.intensity_levels import air_scale
 from carina.track.tree.airway_tree import Branch
 from carina.track.tree.thick_slices import THICK_SLICES
-from made import MASKED_CHEST, made_phantom
-from made import patient as the_patient
 
 CODE = "track.search-stopped"
 
@@ -47,13 +47,13 @@ def stopped(airways):
     return tuple(note for note in airways.badges if note.code != THICK_SLICES)
 
 
-def test_a_ct_with_a_soft_kernel_has_no_lasting_note(patient):
+def test_tree_of_a_ct_with_a_soft_kernel_has_no_note_about_the_kernel(patient):
     _, airways = patient
     assert stopped(airways) == ()
     assert [badge["code"] for badge in airways.tree.to_json()["badges"]] == [THICK_SLICES]
 
 
-def test_ct_with_a_sharp_kernel_has_no_leak_and_a_lasting_note(patient, sharp):
+def test_airways_in_a_ct_with_a_sharp_kernel_have_no_leak_and_a_stored_note(patient, sharp):
     soft = patient[1]
     _, airways = sharp
     (badge,) = stopped(airways)
@@ -66,14 +66,14 @@ def test_ct_with_a_sharp_kernel_has_no_leak_and_a_lasting_note(patient, sharp):
     assert np.count_nonzero(found) < 1.3 * np.count_nonzero(soft.lumen_zyx)
 
 
-def test_sharpness_of_a_kernel_is_measured_from_the_rim_beside_edges(patient, sharp):
+def test_sharpness_of_a_kernel_is_measured_from_the_dark_rim_beside_edges(patient, sharp):
     volume = patient[0]
     depths = [edge_undershoot_hu(one, air_scale(one)) for one in (volume, sharp[0])]
     assert depths[0] < 5.0
     assert depths[1] > 40.0
 
 
-def test_long_voxels_or_few_edges_give_no_sharpness_of_the_kernel(patient):
+def test_sharpness_of_a_kernel_is_unknown_with_long_voxels_or_few_edges(patient):
     volume = patient[0]
     matrix = volume.lps_from_ijk.copy()
     matrix[:3, :3] *= 4.0
@@ -83,7 +83,7 @@ def test_long_voxels_or_few_edges_give_no_sharpness_of_the_kernel(patient):
     assert edge_undershoot_hu(small, air_scale(small)) is None
 
 
-def test_note_of_a_sharp_kernel_stays_through_edits_undo_and_files(sharp, tmp_path):
+def test_note_of_a_sharp_kernel_is_preserved_by_edits_undo_and_files(sharp, tmp_path):
     volume, airways = sharp
     tip = max(airways.tree.tips(), key=lambda branch: branch.id)
     edited = edit_airways(volume, airways, CutBranch(tip.id))
@@ -112,7 +112,7 @@ def test_trachea_that_divides_without_further_branches_is_reported():
     assert doubt_of_totals(branches, splits=False) is None
 
 
-def test_implausible_totals_of_a_tree_are_reported_and_plausible_ones_are_not():
+def test_implausible_total_length_of_a_tree_is_reported_and_a_plausible_one_is_not():
     chest = tuple(tube(n, 10.0) for n in range(600))
     assert doubt_of_totals(chest, splits=True) is None
     lung = tuple(tube(n, 10.0) for n in range(3000))
@@ -125,7 +125,7 @@ def spoilt(found, truth):
 
 
 @pytest.mark.slow
-def test_sharpest_kernels_keep_most_airways_and_leave_a_note_of_missing_ones(patient):
+def test_search_with_the_sharpest_kernel_finds_most_airways_and_notes_missing_ones(patient):
     """Before CTs were softened for the search (docs/decisions/0113) the result was a stump of the trachea."""
     airways = carina.find_airways(sharpened(patient[0], 2.0))
     (badge,) = stopped(airways)
@@ -136,7 +136,7 @@ def test_sharpest_kernels_keep_most_airways_and_leave_a_note_of_missing_ones(pat
 
 
 @pytest.mark.slow
-def test_search_uses_a_smoothed_copy_if_noise_opens_the_walls(patient):
+def test_search_uses_a_smoothed_copy_if_noise_makes_gaps_in_the_walls(patient):
     """Use noise of 180 HU, with which air clipped at -1024 HU is as bright as lung.
 
     Without the smoothed copy the lumen contained two litres of lung.
@@ -152,7 +152,7 @@ def test_search_uses_a_smoothed_copy_if_noise_opens_the_walls(patient):
 
 
 @pytest.mark.slow
-def test_smoothing_does_not_replace_a_threshold_given_by_a_person(patient):
+def test_ct_is_not_smoothed_if_the_user_gives_a_lumen_threshold(patient):
     airways = carina.find_airways(patient[0], lumen_threshold=-700)
     assert not any("smoothed" in note for note in airways.notes)
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import carina
+from cached_test_data import made_phantom
 from carina.track import CutBranch, edit_airways
-from made import made_phantom
 
 CHEST = {"seed": 3, "spacing_mm": (1.3, 1.2, 1.5), "noise_hu": 25.0, "generations": 6}
 ORDERS = [(axes, flips) for axes in permutations(range(3)) for flips in product((False, True), repeat=3)]
@@ -59,11 +59,11 @@ def assert_same(volume, airways, axes, flips):
 
 
 @pytest.mark.parametrize(("axes", "flips"), SOME, ids=str)
-def test_airways_are_equal_in_six_storage_orders(chest, axes, flips):
+def test_airways_found_in_six_storage_orders_are_equal(chest, axes, flips):
     assert_same(*chest, axes, flips)
 
 
-def test_airways_in_another_storage_order_are_tracked_and_edited_on_the_stored_grid(chest):
+def test_airways_found_in_another_storage_order_are_tracked_and_edited_on_the_stored_grid(chest):
     volume, airways = chest
     other, found = assert_same(volume, airways, *ORDERS[27])
     tip = max(found.tree.tips(), key=lambda branch: branch.id)
@@ -93,5 +93,5 @@ def test_mask_in_another_storage_order_gives_equal_airways(chest):
 
 @pytest.mark.soak
 @pytest.mark.parametrize(("axes", "flips"), ORDERS, ids=str)
-def test_airways_are_equal_in_all_storage_orders(chest, axes, flips):
+def test_airways_found_in_all_storage_orders_are_equal(chest, axes, flips):
     assert_same(*chest, axes, flips)

@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import carina
+from cached_test_data import made_airways, made_phantom
 from carina.commands.tree import CutBranch
 from carina.track import Airways, AirwayTree, edit_airways, find_absent, fold_airways
 from carina.track.tree.thick_slices import (
@@ -31,7 +32,6 @@ from carina.track.tree.thick_slices import (
 from carina.volume import Volume, VolumeSource, badges_of
 from carina_bench.track_shares import CALIBRES, LEAST_LENGTH_MM, length_by_calibre
 from carina_bench.track_truth import truth_of_phantom
-from made import made_airways, made_phantom
 
 THICK: dict[str, Any] = {"spacing_mm": (0.8, 0.8, 3.0), "noise_hu": 25.0, "seed": 4}
 DISEASE = re.compile("blocked|filled|fills|resected|collapsed|tumour|mucus|secretions|obstructed")
@@ -57,7 +57,7 @@ def chest() -> Airways:
 
 
 @given(st.floats(0.3, 12.0), st.floats(0.0, 3.0))
-def test_calibrated_share_increases_with_calibre_and_decreases_with_slice_thickness(slice_mm, more_mm):
+def test_calibrated_detection_share_increases_with_diameter_and_decreases_with_slice_thickness(slice_mm, more_mm):
     shares, thicker = calibrated_shares(slice_mm), calibrated_shares(slice_mm + more_mm)
     for one, other in pairwise(shares):
         assert one.from_mm == other.to_mm
@@ -71,7 +71,7 @@ def test_calibrated_share_increases_with_calibre_and_decreases_with_slice_thickn
             assert later.typical <= share.typical + ROUNDING
 
 
-def test_shares_of_the_calibrated_thicknesses_are_the_measured_ones():
+def test_detection_shares_of_calibrated_slice_thicknesses_are_the_measured_ones():
     for n, slice_mm in enumerate(SLICES_MM):
         for share in calibrated_shares(slice_mm):
             measured = SHARES[share.from_mm, share.to_mm][n]
@@ -81,12 +81,12 @@ def test_shares_of_the_calibrated_thicknesses_are_the_measured_ones():
 @pytest.mark.parametrize(
     ("slice_mm", "is_thick"), [(0.7, False), (1.0, False), (1.25, False), (1.5, False), (2.0, True), (5.0, True)]
 )
-def test_slices_are_thick_where_airways_of_2_to_3_mm_are_missed(chest, slice_mm, is_thick):
+def test_slices_count_as_thick_if_airways_of_2_to_3_mm_are_missed(chest, slice_mm, is_thick):
     tree = dataclasses.replace(chest.tree, notes=())
     assert (note_of(with_slice_note(tree, ct_of(slice_mm))) is not None) == is_thick
 
 
-def test_overlapping_slices_count_as_thinner_and_gaps_as_slices_of_their_distance():
+def test_overlapping_slices_count_as_thinner_and_slices_with_gaps_as_thick_as_their_distance():
     assert effective_mm(3.0, 3.0) == 3.0
     assert effective_mm(5.0, 2.5) == 3.75
     assert effective_mm(1.0, 10.0) == 10.0
@@ -102,7 +102,7 @@ def test_overlapping_slices_count_as_thinner_and_gaps_as_slices_of_their_distanc
     assert shares_in(ct_of(0.6, thickness_mm=1.2)) is None
 
 
-def test_thickest_calibrated_slices_have_the_shares_of_their_thickness():
+def test_slices_thicker_than_calibrated_have_only_upper_limits_of_the_detection_shares():
     thickest = shares_in(ct_of(5.0))
     assert thickest is not None
     assert thickest.shares == calibrated_shares(5.0)
@@ -112,14 +112,14 @@ def test_thickest_calibrated_slices_have_the_shares_of_their_thickness():
     assert all(share.least == 0.0 and share.typical is None for share in thicker.shares)
 
 
-def test_missed_airway_of_a_calibre_that_is_always_found_is_not_explained_by_the_slices():
+def test_missed_airway_of_a_diameter_that_is_always_found_is_not_explained_by_the_slices():
     found = shares_in(ct_of(2.0))
     assert found is not None
     assert miss_text(found, 8.0) == ""
     assert miss_text(found, 2.5) == "; in slices of 2 mm, Carina finds 70 % (45 to 90 %) of airways of this width"
 
 
-def test_pixels_wider_than_calibrated_give_only_limits_of_the_shares(chest):
+def test_pixels_wider_than_calibrated_give_only_limits_of_the_detection_shares(chest):
     coarse = shares_in(ct_of(3.0, pixel_mm=0.98))
     assert coarse is not None
     assert all(share.least == 0.0 and share.typical is None for share in coarse.shares)
@@ -128,7 +128,7 @@ def test_pixels_wider_than_calibrated_give_only_limits_of_the_shares(chest):
     assert f"Carina finds {limits} of those of 1 to 2 mm." in words
 
 
-def test_the_note_of_a_search_states_the_share_of_each_calibre(chest):
+def test_note_of_a_search_in_thick_slices_states_the_detection_share_of_each_diameter(chest):
     words = note_of(chest.tree)
     assert words is not None
     assert words in chest.notes
@@ -142,13 +142,13 @@ def test_the_note_of_a_search_states_the_share_of_each_calibre(chest):
     ]
 
 
-def test_thin_slices_have_no_note_and_no_shares():
+def test_tree_from_thin_slices_has_no_note_and_no_detection_shares():
     thin = made_airways(seed=1, spacing_mm=1.1, noise_hu=25.0)
     assert note_of(thin.tree) is None
     assert thin.calibrated_shares is None
 
 
-def test_note_of_thick_slices_stays_through_files_edits_and_undo_storage(chest, tmp_path):
+def test_note_of_thick_slices_is_preserved_by_files_edits_and_undo_storage(chest, tmp_path):
     words = note_of(chest.tree)
     assert note_of(AirwayTree.from_json(json.loads(json.dumps(chest.tree.to_json())))) == words
     path = tmp_path / "t.json"
@@ -161,14 +161,14 @@ def test_note_of_thick_slices_stays_through_files_edits_and_undo_storage(chest, 
     assert note_of(fold_airways(edited).unfold().tree) == words
 
 
-def test_segmentation_from_another_tool_has_no_note_of_thick_slices(chest):
+def test_mask_of_another_tool_has_no_note_of_thick_slices(chest):
     volume = made_phantom(**THICK).volume
     imported = carina.find_airways(volume, lumen_zyx=chest.lumen_zyx)
     assert note_of(imported.tree) is None
     assert imported.calibrated_shares is None
 
 
-def test_shares_as_json_equal_those_of_the_note(chest):
+def test_detection_shares_as_json_equal_those_of_the_note(chest):
     shares = chest.calibrated_shares
     assert shares is not None
     document = json.loads(json.dumps(shares.to_json()))
@@ -190,7 +190,7 @@ def without(tree: AirwayTree, name: str) -> AirwayTree:
     return dataclasses.replace(tree, branches=remaining)
 
 
-def test_missed_segment_in_thick_slices_names_the_slices_as_reason_and_no_disease(chest):
+def test_reason_for_a_missed_segment_in_thick_slices_is_the_slice_thickness_not_a_disease(chest):
     volume = made_phantom(**THICK).volume
     segment = next(b.name for b in chest.tree.branches if b.name is not None and re.fullmatch("[RL]B[0-9]+", b.name))
     tree = without(chest.tree, segment)
@@ -206,7 +206,7 @@ def test_missed_segment_in_thick_slices_names_the_slices_as_reason_and_no_diseas
     assert shares_of(dataclasses.replace(tree, notes=()), volume) is None
 
 
-def test_search_in_an_unused_phantom_finds_the_stated_shares(chest, capsys):
+def test_search_in_a_phantom_not_used_for_calibration_finds_the_stated_shares(chest, capsys):
     made = made_phantom(**THICK)
     truth = truth_of_phantom(made.truth, made.lumen_zyx, made.volume)
     found, whole = length_by_calibre(made.volume, truth, chest.lumen_zyx != 0)

@@ -27,7 +27,7 @@ def tree() -> AirwayTree:
     )
 
 
-def test_tree_round_trips_through_its_document_bit_for_bit(tree):
+def test_tree_is_restored_from_its_json_bit_for_bit(tree):
     document = json.loads(json.dumps(tree.to_json(), allow_nan=False))
     assert document["format"] == "carina-tree"
     assert document["version"] == 1
@@ -68,7 +68,7 @@ def cut_in_two(**lower: object) -> AirwayTree:
     )
 
 
-def test_bronchus_divided_by_a_side_branch_is_one_row():
+def test_bronchus_divided_by_a_side_branch_is_one_row_of_the_branch_list():
     tree = cut_in_two()
     rows = tree.rows()
     assert [(row.name, [b.id for b in row.branches], row.depth) for row in rows] == [
@@ -85,11 +85,11 @@ def test_bronchus_divided_by_a_side_branch_is_one_row():
 
 
 @pytest.mark.parametrize("lower", [{"name_from": "person"}, {"kind": "bridge"}, {"name": "RB7"}])
-def test_branches_named_or_drawn_by_a_person_have_separate_rows(lower):
+def test_branches_named_or_drawn_by_the_user_have_separate_rows_in_the_branch_list(lower):
     assert [[b.id for b in row.branches] for row in cut_in_two(**lower).rows()][1:3] == [[1], [2]]
 
 
-def test_document_with_unknown_keys_and_another_order_gives_the_same_tree(tree):
+def test_tree_json_with_unknown_keys_and_another_branch_order_gives_the_same_tree(tree):
     document = tree.to_json() | {"maker": "another tool"}
     document["branches"][1]["colour"] = "red"
     document["branches"].reverse()
@@ -134,7 +134,7 @@ def breakages():
 
 
 @pytest.mark.parametrize(("damage", "word"), [pytest.param(d, w, id=name) for name, d, w in breakages()])
-def test_broken_document_is_refused_with_its_reason(tree, damage, word):
+def test_invalid_tree_json_is_refused_with_its_reason(tree, damage, word):
     document = copy.deepcopy(tree.to_json())
     damage(document)
     with pytest.raises(TrackingError, match=word) as caught:
@@ -143,12 +143,12 @@ def test_broken_document_is_refused_with_its_reason(tree, damage, word):
 
 
 @pytest.mark.parametrize("document", [None, [], "tree", 3])
-def test_document_of_another_kind_is_refused(document):
+def test_json_of_another_kind_than_a_tree_is_refused(document):
     with pytest.raises(TrackingError, match="object"):
         AirwayTree.from_json(document)
 
 
-def test_tips_lineage_nearest_branch_and_route_of_a_tree_are_the_expected_ones(tree):
+def test_tips_lineage_nearest_branch_and_route_of_a_known_tree_are_the_expected_ones(tree):
     assert [b.id for b in tree.tips()] == [7, 5]
     assert [b.id for b in tree.lineage(5)] == [4, 5]
     branch, index, distance = tree.nearest_branch([-9.0, 1.0, -7.0])
@@ -162,7 +162,7 @@ def test_tips_lineage_nearest_branch_and_route_of_a_tree_are_the_expected_ones(t
         tree.route_to(1)
 
 
-def test_a_branch_is_found_by_its_name_and_an_unknown_name_is_refused_with_all_names(tree):
+def test_branch_is_found_by_its_name_and_an_unknown_name_is_refused_with_all_names(tree):
     assert tree.names == ("Trachea", "RMB")
     assert tree.named("RMB") is tree.branches[1]
     with pytest.raises(UsageError, match=r"^no branch is named 'RB99'; the names in this tree are Trachea, RMB$"):
@@ -173,7 +173,7 @@ def test_a_branch_is_found_by_its_name_and_an_unknown_name_is_refused_with_all_n
         nameless.named("RMB")
 
 
-def test_name_of_two_branches_is_listed_once_and_returns_the_first():
+def test_name_shared_by_two_branches_is_listed_once_and_returns_the_first():
     tree = cut_in_two()
     assert tree.names.count("RB6") == 1
     assert tree.named("RB6") is next(one for one in tree.branches if one.name == "RB6")

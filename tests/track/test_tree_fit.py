@@ -63,7 +63,7 @@ def surest_segment(tree: AirwayTree) -> float:
 
 
 @pytest.mark.parametrize("seed", range(1, 6))
-def test_bronchial_tree_with_few_branches_is_accepted(seed):
+def test_bronchial_tree_with_few_branches_is_accepted_as_plausible(seed):
     for generations in (4, 6):
         for signs in ((1.0, 1.0, 1.0), (-1.0, 1.0, 1.0)):
             named = name_tree(turned(true_tree(seed, generations), *signs))
@@ -77,7 +77,7 @@ MISSED = pytest.mark.xfail(reason="a chest with plugs in two lobes fits no bette
 @pytest.mark.parametrize(
     "signs", [(1.0, -1.0, -1.0), (1.0, 1.0, -1.0), pytest.param((-1.0, -1.0, 1.0), marks=MISSED), (1.0, -1.0, 1.0)]
 )
-def test_inverted_or_reversed_tree_is_reported_without_certain_segments(signs):
+def test_upside_down_or_reversed_tree_is_reported_and_has_no_certain_segment(signs):
     named = name_tree(turned(true_tree(2), *signs))
     assert is_misfit(named)
     assert surest_segment(named) == 0.0
@@ -95,7 +95,7 @@ def test_trees_with_random_forks_have_no_certain_segment():
     assert max(surest_segment(tree) for tree in trees) <= 0.5
 
 
-def test_note_of_a_poor_fit_stays_until_the_orientation_is_corrected():
+def test_note_of_a_tree_that_does_not_fit_anatomy_stays_until_its_orientation_is_corrected():
     named = name_tree(turned(true_tree(2), 1.0, -1.0, -1.0))
     again = AirwayTree.from_json(named.to_json())
     assert is_misfit(again)
@@ -103,7 +103,7 @@ def test_note_of_a_poor_fit_stays_until_the_orientation_is_corrected():
     assert name_tree(turned(again, 1.0, -1.0, -1.0)).notes == ()
 
 
-def test_names_given_by_a_person_do_not_count_as_misfit():
+def test_names_given_by_the_user_do_not_count_as_misfit_of_the_tree():
     tree = true_tree(3)
     segment = tree.named("RB3")
     given = tuple(

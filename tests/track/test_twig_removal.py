@@ -43,7 +43,7 @@ SPUR = row(0, 1, FORK, (-9.3, -188.4, 343.9), (-9.9, -193.0, 345.8), radius=7.0)
 
 
 @pytest.mark.parametrize("at", [1, 4])
-def test_trachea_divided_by_a_spur_becomes_one_branch_of_generation_0(at):
+def test_trachea_divided_by_a_short_false_branch_becomes_one_branch_of_generation_0(at):
     rows = [*TRUNK]
     rows.insert(at, SPUR)
     if at == 1:
@@ -69,12 +69,12 @@ def test_trachea_divided_by_a_spur_becomes_one_branch_of_generation_0(at):
         pytest.param(row(1, 2, CARINA, (-16.0, -165.0, 255.0), radius=6.0), id="a stump at the carina"),
     ],
 )
-def test_real_bronchus_is_not_removed_as_a_spur(other):
+def test_true_bronchus_is_not_removed_as_a_short_false_branch(other):
     rows = [*TRUNK, other]
     assert without_twigs(rows) == rows
 
 
-def test_short_trachea_keeps_both_main_bronchi():
+def test_short_trachea_retains_both_main_bronchi():
     rows = [
         row(None, 0, (0.0, 0.0, 10.0), (0.0, 0.0, 0.0)),
         row(0, 1, (0.0, 0.0, 0.0), (-7.0, 0.0, -8.0), radius=6.0),
@@ -90,7 +90,7 @@ def off_segment(points, a, b):
     return np.linalg.norm(points - a - along[:, None] * (b - a), axis=1)
 
 
-def test_trachea_whose_top_is_longer_than_wide_has_no_side_branch(chest):
+def test_air_pouch_beside_the_top_of_the_trachea_adds_no_branch(chest):
     volume = chest.volume
     ijk = np.stack(np.meshgrid(*(np.arange(n) for n in volume.shape_zyx[::-1]), indexing="ij"), axis=-1)
     points = volume.to_lps(ijk.reshape(-1, 3).astype(np.float64))

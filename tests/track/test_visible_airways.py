@@ -56,13 +56,13 @@ def entries():
 
 
 @pytest.mark.parametrize("ct", CTS)
-def test_each_ct_has_an_entry_for_each_segment(ct):
+def test_airways_listed_by_readers_have_an_entry_for_each_segment_of_each_ct(ct):
     for path in READINGS.glob(f"{ct}.*.json"):
         named = " ".join(entry["airway"] for entry in json.loads(path.read_text()))
         assert [name for name in SEGMENTS if name not in named] == [], path.name
 
 
-def test_each_visible_entry_has_a_centreline_without_gaps_and_each_invisible_one_a_reason():
+def test_each_visible_listed_airway_has_a_centreline_without_gaps_and_each_invisible_one_a_reason():
     for name, reading in entries():
         for entry in reading:
             where = name, entry["airway"]
@@ -77,7 +77,7 @@ def test_each_visible_entry_has_a_centreline_without_gaps_and_each_invisible_one
             assert np.linalg.norm(np.diff(points, axis=0), axis=1).max() <= 10.0, where
 
 
-def test_airway_that_both_readers_list_is_in_the_union_once(tmp_path):
+def test_airway_listed_by_both_readers_is_in_the_combined_list_once(tmp_path):
     def entry(name, points):
         return {"airway": name, "level": "segment", "visible": True, "slices": [1, 2], "points_lps": points}
 
@@ -89,7 +89,7 @@ def test_airway_that_both_readers_list_is_in_the_union_once(tmp_path):
     assert [(one.airway, one.reader) for one in union] == [("RB1", "A"), ("RB2", "B")]
 
 
-def test_listed_airway_within_3_mm_of_a_path_counts_as_found():
+def test_listed_airway_within_3_mm_of_a_found_branch_counts_as_found():
     tree = forked((20, 0, 0))
     assert found_share(listed(line((0, 2.9, 0), (20, 2.9, 0))), tree) == 1.0
     assert found_share(listed(line((0, 3.1, 0), (20, 3.1, 0))), tree) == 0.0
@@ -97,10 +97,10 @@ def test_listed_airway_within_3_mm_of_a_path_counts_as_found():
     assert half == pytest.approx(23 / 40, abs=0.02)
 
 
-def test_two_branches_of_a_fork_do_not_count_as_one_found_airway():
+def test_listed_airway_along_two_branches_of_a_fork_counts_only_half_as_found():
     both = line((-20, 0, 0), (20, 0, 0))
     assert found_share(listed(both), forked((20, 0, 0), (-20, 0, 0))) == pytest.approx(23 / 40, abs=0.02)
 
 
-def test_cases_of_the_visible_part_are_the_cts():
+def test_cases_of_the_visible_airways_benchmark_are_the_cts():
     assert track.PARTS["visible"].cases == CTS

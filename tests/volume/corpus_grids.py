@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from corpus import Input
 from grid_writers import AIR, FORMS, LPS_FROM_IJK, bgzip, chest, metaimage, nifti, nrrd
-from nifti_forms import nearest_rotation, with_both_forms, with_qform
+from nifti_qform_writer import nearest_rotation, with_both_forms, with_qform
 
 __all__ = ["INPUTS"]
 

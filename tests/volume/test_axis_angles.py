@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 
 import grid_writers as grids
-import nifti_forms
+import nifti_qform_writer
 import numpy as np
 import pytest
 
@@ -46,7 +46,7 @@ def write(folder, kind: str, lps_from_ijk: np.ndarray):
 @pytest.mark.parametrize("kind", FORMATS)
 @pytest.mark.parametrize("pair", [(0, 1), (1, 2), (2, 0)])
 @pytest.mark.parametrize("degrees", [0.001, 0.02, 0.05, 0.1, 0.17, 0.199])
-def test_axes_within_the_tolerance_open_with_the_affine_of_the_file(tmp_path, kind, pair, degrees):
+def test_axes_within_the_angle_tolerance_open_with_the_affine_matrix_of_the_file(tmp_path, kind, pair, degrees):
     expected = skewed(degrees, pair)
     volume = open_volume(write(tmp_path, kind, expected))
     np.testing.assert_allclose(volume.lps_from_ijk, expected, rtol=0, atol=2e-5)
@@ -56,14 +56,14 @@ def test_axes_within_the_tolerance_open_with_the_affine_of_the_file(tmp_path, ki
 
 @pytest.mark.parametrize("kind", FORMATS)
 @pytest.mark.parametrize("pair", [(0, 1), (1, 2), (2, 0)])
-def test_axes_beyond_both_tolerances_are_refused_in_every_format(tmp_path, kind, pair):
+def test_axes_beyond_both_angle_tolerances_are_refused_in_every_format(tmp_path, kind, pair):
     with pytest.raises(VolumeImportError, match=r"sheared: two of them meet at 8\d\.\d instead of 90") as caught:
         open_volume(write(tmp_path, kind, skewed(0.7, pair)))
     assert caught.value.code == "import.geometry.sheared"
 
 
 @pytest.mark.parametrize("digits", [3, 4, 5])
-def test_an_oblique_nifti_with_rounded_numbers_opens(tmp_path, digits):
+def test_oblique_nifti_with_rounded_numbers_opens(tmp_path, digits):
     rounded = grids.LPS_FROM_IJK.copy()
     rounded[:3, :3] = np.round(_turn(0.19) @ rounded[:3, :3], digits)
     assert skew_deg(rounded) < 0.2
@@ -77,24 +77,24 @@ def _turn(angle: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("degrees", [0.02, 0.1, 0.19])
-def test_qform_from_a_sheared_sform_is_accepted(tmp_path, degrees):
+def test_nifti_whose_qform_is_the_nearest_rotation_to_its_sheared_sform_opens(tmp_path, degrees):
     # nibabel and dcm2niix write as qform the rotation that is nearest to the sform.
     expected = skewed(degrees, (1, 2))
-    path = nifti_forms.with_both_forms(tmp_path, expected, nifti_forms.nearest_rotation(expected))
+    path = nifti_qform_writer.with_both_forms(tmp_path, expected, nifti_qform_writer.nearest_rotation(expected))
     np.testing.assert_allclose(open_volume(path).lps_from_ijk, expected, rtol=0, atol=2e-5)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_qform_that_mirrors_its_sform_is_refused(tmp_path, axis):
+def test_nifti_whose_qform_mirrors_its_sform_is_refused(tmp_path, axis):
     mirrored = grids.LPS_FROM_IJK.copy()
     mirrored[:3, axis] *= -1
-    path = nifti_forms.with_both_forms(tmp_path, grids.LPS_FROM_IJK, mirrored)
+    path = nifti_qform_writer.with_both_forms(tmp_path, grids.LPS_FROM_IJK, mirrored)
     with pytest.raises(VolumeImportError, match="qform and sform disagree") as caught:
         open_volume(path)
     assert caught.value.code == "import.geometry.ambiguous"
 
 
-def test_axes_open_just_below_and_are_refused_just_above_each_tolerance():
+def test_axes_just_below_the_angle_tolerance_are_accepted_and_just_above_refused():
     # With 100 voxels of 1 mm, 0.1 mm over 99 mm is 0.058 degrees, so the limit of the angle applies.
     wide = (100, 100, 100)
     for pair in itertools.combinations(range(3), 2):
@@ -116,7 +116,7 @@ def test_grid_with_a_short_axis_that_deviates_by_0_1_mm_opens():
         assert not has_right_angles(matrix, (100, 100, 6))
 
 
-def test_straightened_axes_are_orthogonal_and_keep_spacing_and_origin():
+def test_straightened_axes_are_orthogonal_and_have_the_same_spacing_and_origin():
     matrix = skewed(0.2)
     straight = straightened(matrix)
     assert skew_deg(straight) < 1e-6
@@ -127,6 +127,6 @@ def test_straightened_axes_are_orthogonal_and_keep_spacing_and_origin():
     np.testing.assert_allclose(np.degrees(np.arccos(np.minimum(cosine, 1))), (0.1, 0.1, 0), atol=1e-4)
 
 
-def test_axes_without_a_direction_have_no_angle():
+def test_axis_of_length_zero_has_no_angle():
     assert np.isnan(skew_deg(np.diag([0.0, 1.0, 1.0, 1.0])))
     assert np.isnan(skew_deg(np.diag([np.nan, 1.0, 1.0, 1.0])))

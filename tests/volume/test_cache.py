@@ -129,7 +129,7 @@ SOURCES: dict[str, Callable[[Path], Path]] = {
 
 
 @pytest.mark.parametrize("source", SOURCES)
-def test_ct_from_the_cache_equals_the_ct_from_its_files_in_every_field(source, volume_cache, tmp_path):
+def test_ct_read_from_the_cache_equals_the_ct_from_its_files_in_every_field(source, volume_cache, tmp_path):
     path = SOURCES[source](tmp_path)
     digest = keep(volume_cache, path)
     opened = volume_cache.open(path)
@@ -140,14 +140,16 @@ def test_ct_from_the_cache_equals_the_ct_from_its_files_in_every_field(source, v
     assert_equal(opened.volume, open_volume(path))
 
 
-def test_citation_is_restored_from_the_cache(volume_cache, tmp_path):
+def test_citation_of_a_ct_is_restored_from_the_cache(volume_cache, tmp_path):
     patient = demo_patient()
     source = CtSource.of(chest_file(tmp_path))
     assert volume_cache.put(patient, source)
     assert_equal(volume_cache.get(source.path), patient)
 
 
-def test_quality_range_and_digest_are_restored_and_not_computed_again(volume_cache, tmp_path, monkeypatch):
+def test_quality_range_and_digest_of_a_cached_ct_are_restored_and_not_computed_again(
+    volume_cache, tmp_path, monkeypatch
+):
     path = chest_file(tmp_path)
     keep(volume_cache, path)
     expected = open_volume(path)
@@ -159,7 +161,7 @@ def test_quality_range_and_digest_are_restored_and_not_computed_again(volume_cac
     assert (quality.quality_gate(found), found.value_range, ct_digest(found)) == judged
 
 
-def test_chosen_series_is_cached_beside_the_default_series(volume_cache, tmp_path):
+def test_selected_series_is_cached_beside_the_default_series(volume_cache, tmp_path):
     path = two_series(tmp_path / "scan")
     keep(volume_cache, path)
     assert volume_cache.get(path, series="4") is None
@@ -169,7 +171,7 @@ def test_chosen_series_is_cached_beside_the_default_series(volume_cache, tmp_pat
 
 
 @pytest.mark.skipif(os.name != "posix", reason="modes of POSIX")
-def test_cache_files_are_private_and_their_names_contain_no_patient_data(volume_cache, folder, tmp_path):
+def test_cache_files_of_cts_are_private_and_their_names_contain_no_patient_data(volume_cache, folder, tmp_path):
     path = two_series(tmp_path / "DOE_JOHN")
     keep(volume_cache, path)
     found = files(folder)
@@ -198,7 +200,7 @@ CHANGES: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_each_kind_of_change_in_a_folder_is_detected(change, volume_cache, tmp_path):
+def test_each_kind_of_change_in_the_folder_of_a_cached_ct_is_detected(change, volume_cache, tmp_path):
     path = two_series(tmp_path / "scan")
     digest = keep(volume_cache, path)
     assert volume_cache.find(path).state == "unchanged"
@@ -219,7 +221,7 @@ def test_changed_data_file_of_a_detached_header_is_detected(volume_cache, tmp_pa
     assert volume_cache.find(path).state == "changed"
 
 
-def test_new_data_file_that_has_precedence_is_detected(volume_cache, tmp_path):
+def test_new_data_file_with_a_preferred_name_beside_a_cached_header_is_detected(volume_cache, tmp_path):
     path = grid_writers.FORMS["nifti pair"](tmp_path, grid_writers.chest())
     (tmp_path / "ct.img").rename(tmp_path / "ct.IMG")
     keep(volume_cache, path)
@@ -227,7 +229,7 @@ def test_new_data_file_that_has_precedence_is_detected(volume_cache, tmp_path):
     assert volume_cache.find(path).state == "changed"
 
 
-def test_missing_source_is_reported_and_opening_it_fails(volume_cache, tmp_path):
+def test_missing_source_of_a_cached_ct_is_reported_and_opening_it_fails(volume_cache, tmp_path):
     path = chest_file(tmp_path)
     digest = keep(volume_cache, path)
     path.unlink()
@@ -247,7 +249,7 @@ def test_file_written_less_than_two_seconds_ago_is_not_cached(volume_cache, cloc
     assert volume_cache.find(path) is not None
 
 
-def test_files_that_change_while_they_are_read_are_not_cached(volume_cache, tmp_path):
+def test_file_that_changes_while_it_is_read_is_not_cached(volume_cache, tmp_path):
     path = chest_file(tmp_path)
     opened = volume_cache.open(path)
     touch(path)
@@ -255,7 +257,7 @@ def test_files_that_change_while_they_are_read_are_not_cached(volume_cache, tmp_
     assert volume_cache.find(path) is None
 
 
-def test_moved_ct_shares_its_voxel_file_and_a_ct_with_other_axes_does_not(volume_cache, folder, clock, tmp_path):
+def test_moved_ct_shares_its_cached_voxel_file_and_a_ct_with_other_axes_does_not(volume_cache, folder, clock, tmp_path):
     path = chest_file(tmp_path)
     digest = keep(volume_cache, path)
     moved = path.rename(tmp_path / "moved.nrrd")
@@ -298,7 +300,7 @@ def damage(file: Path, where: str) -> None:
         *("first byte", "version", "header's length", "header", "first voxel", "last"),
     ],
 )
-def test_damaged_voxel_file_is_removed_and_the_source_is_read(where, volume_cache, folder, tmp_path, caplog):
+def test_damaged_cached_voxel_file_is_removed_and_the_source_is_read(where, volume_cache, folder, tmp_path, caplog):
     path = chest_file(tmp_path)
     expected = keep(volume_cache, path)
     (voxels,) = files(folder, SUFFIX)
@@ -314,7 +316,7 @@ def test_damaged_voxel_file_is_removed_and_the_source_is_read(where, volume_cach
     assert_equal(volume_cache.get(path), open_volume(path))
 
 
-def test_voxel_file_truncated_while_it_is_read_is_not_used(volume_cache, folder, tmp_path, monkeypatch):
+def test_cached_voxel_file_truncated_while_it_is_read_is_not_used(volume_cache, folder, tmp_path, monkeypatch):
     path = chest_file(tmp_path)
     keep(volume_cache, path)
     (voxels,) = files(folder, SUFFIX)
@@ -329,7 +331,7 @@ def test_voxel_file_truncated_while_it_is_read_is_not_used(volume_cache, folder,
 
 
 @pytest.mark.parametrize("where", ["emptied", "first byte", "longer"])
-def test_damaged_source_record_is_not_used_and_is_removed(where, volume_cache, folder, tmp_path):
+def test_damaged_cache_record_of_a_source_is_not_used_and_is_removed(where, volume_cache, folder, tmp_path):
     path = chest_file(tmp_path)
     keep(volume_cache, path)
     (source,) = files(folder, ".source")
@@ -339,7 +341,7 @@ def test_damaged_source_record_is_not_used_and_is_removed(where, volume_cache, f
     assert not source.exists()
 
 
-def test_change_of_a_byte_of_a_source_record_is_detected(volume_cache, folder, tmp_path):
+def test_change_of_a_byte_of_a_cache_record_is_detected(volume_cache, folder, tmp_path):
     path = chest_file(tmp_path)
     keep(volume_cache, path)
     (source,) = files(folder, ".source")
@@ -351,7 +353,7 @@ def test_change_of_a_byte_of_a_source_record_is_detected(volume_cache, folder, t
     assert volume_cache.find(path) is not None
 
 
-def test_voxel_file_with_the_name_of_another_ct_is_not_used(volume_cache, folder, tmp_path):
+def test_cached_voxel_file_with_the_name_of_another_ct_is_not_used(volume_cache, folder, tmp_path):
     one, other = chest_file(tmp_path, 1, "a.nrrd"), chest_file(tmp_path, 2, "b.nrrd")
     keep(volume_cache, one)
     (voxels,) = files(folder, SUFFIX)
@@ -363,7 +365,7 @@ def test_voxel_file_with_the_name_of_another_ct_is_not_used(volume_cache, folder
     assert volume_cache.get(one) is None
 
 
-def test_record_of_another_carina_version_is_replaced_and_its_voxels_are_reused(
+def test_cache_record_of_another_carina_version_is_replaced_and_its_voxels_are_reused(
     volume_cache, folder, tmp_path, monkeypatch
 ):
     path = chest_file(tmp_path)
@@ -379,7 +381,7 @@ def test_record_of_another_carina_version_is_replaced_and_its_voxels_are_reused(
     assert voxels.stat().st_ino == before
 
 
-def test_version_of_the_import_code_is_equal_at_each_computation():
+def test_fingerprint_of_the_import_code_is_equal_at_each_computation():
     assert cache._made_by() == cache._made_by()
     assert len(cache._made_by()) == 32
 
@@ -403,7 +405,7 @@ def test_least_recently_used_ct_is_removed_when_the_cache_is_full(folder, clock,
     )
 
 
-def test_ct_larger_than_the_limit_is_not_cached_and_evicts_no_other(folder, clock, tmp_path):
+def test_ct_larger_than_the_cache_limit_is_not_cached_and_removes_no_other(folder, clock, tmp_path):
     path = chest_file(tmp_path)
     keep(VolumeCache(folder, max_bytes=1 << 30, clock=clock), path)
     small = VolumeCache(folder, max_bytes=2 * grid_writers.chest().size - 1, clock=clock)
@@ -413,7 +415,7 @@ def test_ct_larger_than_the_limit_is_not_cached_and_evicts_no_other(folder, cloc
     assert small.find(path) is not None
 
 
-def test_default_limit_is_a_tenth_of_free_space_and_cache_size_together(folder, clock, monkeypatch):
+def test_default_cache_limit_is_a_tenth_of_free_space_and_cache_size_together(folder, clock, monkeypatch):
     usage = shutil.disk_usage(".")
     monkeypatch.setattr(cache.shutil, "disk_usage", lambda _: usage._replace(free=900))
     assert VolumeCache(folder)._bound(100) == 100
@@ -421,7 +423,7 @@ def test_default_limit_is_a_tenth_of_free_space_and_cache_size_together(folder, 
     assert VolumeCache(folder)._bound(100) == cache.MAX_BYTES
 
 
-def test_ct_unused_for_a_long_time_is_removed(volume_cache, folder, clock, tmp_path):
+def test_ct_unused_for_a_long_time_is_removed_from_the_cache(volume_cache, folder, clock, tmp_path):
     paths = [chest_file(tmp_path, seed, f"{seed}.nrrd") for seed in range(2)]
     for path in paths:
         keep(volume_cache, path)
@@ -432,7 +434,7 @@ def test_ct_unused_for_a_long_time_is_removed(volume_cache, folder, clock, tmp_p
     assert [volume_cache.find(path) is not None for path in paths] == [False, True]
 
 
-def test_cache_can_be_emptied_and_switched_off_and_on_while_in_use(volume_cache, folder, clock, tmp_path):
+def test_ct_cache_can_be_emptied_and_switched_off_and_on_while_in_use(volume_cache, folder, clock, tmp_path):
     path = chest_file(tmp_path)
     keep(volume_cache, path)
     assert volume_cache.empty() > 0
@@ -451,7 +453,7 @@ def test_cache_can_be_emptied_and_switched_off_and_on_while_in_use(volume_cache,
     assert not never.can_be_on
 
 
-def test_disabled_cache_stores_nothing_and_a_sweep_empties_it(volume_cache, folder, clock, tmp_path):
+def test_disabled_ct_cache_stores_nothing_and_its_cleanup_empties_it(volume_cache, folder, clock, tmp_path):
     path = chest_file(tmp_path)
     keep(volume_cache, path)
     off = VolumeCache(folder, max_bytes=0, clock=clock)
@@ -463,7 +465,7 @@ def test_disabled_cache_stores_nothing_and_a_sweep_empties_it(volume_cache, fold
     assert files(folder) == []
 
 
-def test_forgotten_ct_is_removed_with_the_records_of_all_its_sources(volume_cache, folder, tmp_path):
+def test_ct_deleted_from_the_cache_is_removed_with_the_records_of_all_its_sources(volume_cache, folder, tmp_path):
     path = chest_file(tmp_path)
     digest = keep(volume_cache, path)
     keep(volume_cache, Path(shutil.copy(path, tmp_path / "copy.nrrd")))
@@ -475,7 +477,7 @@ def test_forgotten_ct_is_removed_with_the_records_of_all_its_sources(volume_cach
     assert volume_cache.forget(digest) == 0
 
 
-def test_ct_forgotten_while_it_is_written_is_not_stored(volume_cache, folder, tmp_path):
+def test_ct_deleted_from_the_cache_while_it_is_written_is_not_stored(volume_cache, folder, tmp_path):
     path = chest_file(tmp_path)
     opened = volume_cache.open(path)
     digest = ct_digest(opened.volume)
@@ -491,7 +493,7 @@ def test_ct_forgotten_while_it_is_written_is_not_stored(volume_cache, folder, tm
     assert volume_cache.put(opened.volume, opened.source)
 
 
-def test_full_disk_is_logged_and_the_ct_still_opens(volume_cache, folder, tmp_path, monkeypatch, caplog):
+def test_full_disk_of_the_cache_is_logged_and_the_ct_opens(volume_cache, folder, tmp_path, monkeypatch, caplog):
     def full(*_arguments, **_options):
         raise disk_trouble(OSError(errno.ENOSPC, "full"), "cannot write the cached CT to", folder)
 
@@ -504,7 +506,7 @@ def test_full_disk_is_logged_and_the_ct_still_opens(volume_cache, folder, tmp_pa
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write everywhere")
-def test_read_only_cache_folder_does_not_prevent_opening(tmp_path, clock):
+def test_read_only_cache_folder_does_not_prevent_opening_a_ct(tmp_path, clock):
     closed = tmp_path / "closed"
     closed.mkdir(mode=0o500)
     volume_cache = VolumeCache(closed / "volumes", clock=clock)
@@ -524,7 +526,7 @@ def test_opening_from_the_cache_reports_progress_and_can_be_cancelled(volume_cac
         volume_cache.keep(volume_cache.open(chest_file(tmp_path, 1, "b.nrrd")), cancel=lambda: True)
 
 
-def test_sweep_and_forget_leave_files_of_other_programs(volume_cache, folder, tmp_path):
+def test_cleanup_and_deletion_in_the_cache_leave_files_of_other_programs(volume_cache, folder, tmp_path):
     path = chest_file(tmp_path)
     digest = keep(volume_cache, path)
     for name in ("mine.txt", f"mine{SUFFIX}", f"{digest}{SUFFIX}.txt"):
@@ -536,7 +538,7 @@ def test_sweep_and_forget_leave_files_of_other_programs(volume_cache, folder, tm
     assert path.exists()
 
 
-def test_sweep_does_nothing_while_another_process_sweeps(volume_cache, folder, tmp_path):
+def test_cache_cleanup_does_nothing_while_another_process_cleans_up(volume_cache, folder, tmp_path):
     keep(volume_cache, chest_file(tmp_path))
     descriptor = os.open(folder / "lock", os.O_RDWR)
     try:
@@ -549,7 +551,9 @@ def test_sweep_does_nothing_while_another_process_sweeps(volume_cache, folder, t
     assert off.sweep() > 0
 
 
-def test_sweep_removes_voxel_files_without_a_source_record_after_two_hours(volume_cache, folder, clock, tmp_path):
+def test_cache_cleanup_removes_voxel_files_without_a_source_record_after_two_hours(
+    volume_cache, folder, clock, tmp_path
+):
     path = chest_file(tmp_path)
     keep(volume_cache, path)
     (source,) = files(folder, ".source")
@@ -561,7 +565,7 @@ def test_sweep_removes_voxel_files_without_a_source_record_after_two_hours(volum
     assert files(folder) == []
 
 
-def test_ct_is_cached_in_the_background(volume_cache, tmp_path):
+def test_opened_ct_is_cached_in_the_background(volume_cache, tmp_path):
     path = chest_file(tmp_path)
     opened = volume_cache.open_and_keep(path)
     volume_cache.wait_kept()
@@ -569,7 +573,7 @@ def test_ct_is_cached_in_the_background(volume_cache, tmp_path):
     assert_equal(volume_cache.open_and_keep(path), opened)
 
 
-def test_close_cancels_a_pending_write_to_the_cache(volume_cache, folder, tmp_path, monkeypatch):
+def test_closing_the_cache_cancels_a_pending_write(volume_cache, folder, tmp_path, monkeypatch):
     begun, ended = threading.Event(), threading.Event()
     draft = cache.draft_voxel_file
 
@@ -613,7 +617,7 @@ print("whole")
 """
 
 
-def test_processes_that_share_a_cache_read_whole_volumes_or_none(folder, tmp_path):
+def test_processes_that_share_a_cache_read_complete_volumes_or_none(folder, tmp_path):
     paths = [chest_file(tmp_path, seed, f"{seed}.nrrd") for seed in range(3)]
     orders = [paths, paths[::-1]]
     running = [

@@ -77,7 +77,7 @@ def _exported(folder) -> str:
 
 
 @pytest.mark.parametrize("case", KNOWN)
-def test_patient_name_is_exported_unchanged(tmp_path, case):
+def test_patient_name_in_any_character_set_is_exported_unchanged(tmp_path, case):
     name, encoding, character_set = KNOWN[case]
     assert _exported(_named(tmp_path, name.encode(encoding), character_set)) == name
 
@@ -97,7 +97,7 @@ def test_patient_name_is_exported_unchanged(tmp_path, case):
         ),
     ],
 )
-def test_names_with_escape_sequences_are_decoded(tmp_path, name, raw, character_set):
+def test_patient_names_with_escape_sequences_are_decoded(tmp_path, name, raw, character_set):
     assert _exported(_named(tmp_path, raw, character_set)) == name
 
 
@@ -113,7 +113,7 @@ DOUBTFUL = {
 
 
 @pytest.mark.parametrize("case", DOUBTFUL)
-def test_doubtful_name_is_not_exported(tmp_path, case):
+def test_patient_name_with_doubtful_characters_is_not_exported(tmp_path, case):
     folder = _named(tmp_path, *DOUBTFUL[case])
     with pytest.raises(UsageError, match="PatientName") as caught:
         _exported(folder)
@@ -125,14 +125,14 @@ def test_doubtful_name_is_not_exported(tmp_path, case):
     assert data.PatientName == ""
 
 
-def test_latin_1_declared_as_utf_8_is_doubtful(tmp_path):
+def test_latin_1_text_declared_as_utf_8_is_doubtful(tmp_path):
     folder = _named(tmp_path, b"Mxller^Jurg", "ISO_IR 192")
     path = folder / "IM001"
     path.write_bytes(path.read_bytes().replace(b"Mxller", b"M\xfcller"))
     assert doubtful_texts(read_dataset(path, pixels=True)) == {"PatientName"}
 
 
-def test_doubtful_description_is_omitted_and_the_name_is_exported(tmp_path):
+def test_doubtful_study_description_is_omitted_and_the_patient_name_is_exported(tmp_path):
     folder = _named(tmp_path, "Lungen-Übersicht".encode("latin_1"), None, keyword="StudyDescription", vr="LO")
     images = ct_images(folder, open_volume(folder))
     assert images.doubtful == {"StudyDescription"}
@@ -141,7 +141,7 @@ def test_doubtful_description_is_omitted_and_the_name_is_exported(tmp_path):
     assert str(data.PatientName) == "Secret^One"
 
 
-def test_one_name_in_two_character_sets_is_one_patient(tmp_path):
+def test_one_patient_name_in_two_character_sets_is_one_patient(tmp_path):
     def edit(dataset, index):
         encoding, name = (("ISO_IR 100", "latin_1"), ("ISO_IR 192", "utf_8"), ("", "utf_8"))[index % 3]
         _set_raw(dataset, "SpecificCharacterSet", encoding.encode(), "CS")
@@ -157,7 +157,7 @@ def test_series_title_in_undeclared_utf_8_is_decoded(tmp_path):
     assert open_volume(folder).source.title == "Lungen-Übersicht"
 
 
-def test_texts_in_sequences_use_the_character_set_of_the_file(tmp_path):
+def test_texts_in_dicom_sequences_use_the_character_set_of_the_file(tmp_path):
     def edit(dataset, index):
         from pydicom.dataset import Dataset
 
@@ -190,7 +190,7 @@ def test_name_of_a_character_set_is_stated_without_its_escape_codes(text, name):
     assert character_set_name(text) == name
 
 
-def test_header_with_a_damaged_character_set_is_read(tmp_path):
+def test_dicom_header_with_a_damaged_character_set_is_read(tmp_path):
     folder = _named(tmp_path, b"Secret^One", "ISO_IR 100")
     path = folder / "IM001"
     path.write_bytes(path.read_bytes().replace(b"ISO_IR 100", b"\\\xff\\\\\xfe(\n\\  "))

@@ -25,22 +25,22 @@ def test_settings_are_read_from_environment_variables():
     assert settings.backend == "cpu"
 
 
-def test_an_unknown_log_level_is_refused():
+def test_unknown_log_level_is_refused():
     with pytest.raises(UsageError, match="LOUD"):
         load_settings({"CARINA_LOG_LEVEL": "loud"})
 
 
-def test_an_unknown_backend_is_refused():
+def test_unknown_render_backend_is_refused():
     with pytest.raises(UsageError, match="abacus"):
         load_settings({"CARINA_BACKEND": "abacus"})
 
 
 @pytest.mark.parametrize(("text", "num_bytes"), [("", None), ("0", 0), (" 2.5 ", 2_500_000_000)])
-def test_limit_of_the_cache_is_read_from_the_environment(text, num_bytes):
+def test_cache_limit_is_read_from_the_environment(text, num_bytes):
     assert load_settings({"CARINA_CACHE_GB": text}).volume_cache_bytes == num_bytes
 
 
 @pytest.mark.parametrize("text", ["much", "-1", "nan", "inf"])
-def test_invalid_limit_of_the_cache_in_the_environment_is_refused(text):
+def test_invalid_cache_limit_in_the_environment_is_refused(text):
     with pytest.raises(UsageError, match="gigabytes"):
         load_settings({"CARINA_CACHE_GB": text})

@@ -13,7 +13,7 @@ INPUTS = all_inputs()
 
 
 @pytest.mark.parametrize("entry", INPUTS, ids=[f"{entry.family}: {entry.name}" for entry in INPUTS])
-def test_each_corpus_input_gets_its_expected_answer(tmp_path, capfd, entry: Input):
+def test_each_input_of_the_import_corpus_opens_or_is_refused_as_expected(tmp_path, capfd, entry: Input):
     path = entry.make(tmp_path)
     if entry.expected != "opens":
         with pytest.raises(VolumeImportError) as caught:
@@ -35,15 +35,15 @@ def test_each_corpus_input_gets_its_expected_answer(tmp_path, capfd, entry: Inpu
     assert capfd.readouterr().err == ""  # messages of a decoder must not reach the user's terminal
 
 
-def test_every_corpus_input_that_is_refused_has_a_remedy():
+def test_every_refused_input_of_the_import_corpus_has_a_remedy():
     assert [entry.name for entry in INPUTS if entry.expected != "opens" and not entry.do] == []
 
 
-def test_names_of_corpus_inputs_are_unique():
+def test_names_of_import_corpus_inputs_are_unique():
     names = [(entry.family, entry.name) for entry in INPUTS]
     assert len(names) == len(set(names))
 
 
-def test_page_contains_the_generated_tables():
+def test_documentation_page_contains_the_generated_import_tables():
     page = PAGE.read_text(encoding="utf-8")
     assert page == page_with_tables(page), "run python tests/volume/corpus.py"

@@ -55,7 +55,7 @@ def _damaged(frame: bytes, rng: np.random.Generator, kind: str) -> bytes:
 
 @needs_av
 @pytest.mark.parametrize("kind", ["noise", "zeros", "ones", "bit"])
-def test_damage_above_20_hu_is_always_reported(compressed, tmp_path, rng, kind):
+def test_damage_of_compressed_slices_above_20_hu_is_always_reported(compressed, tmp_path, rng, kind):
     """Check 15 slices of each kind of damage.
 
     Each is reported in one of three ways: a refusal, a problem of the first decoder, or a difference of the second
@@ -81,7 +81,7 @@ def test_damage_above_20_hu_is_always_reported(compressed, tmp_path, rng, kind):
 
 
 @needs_av
-def test_intact_compressed_slices_are_not_reported(compressed):
+def test_intact_compressed_slices_are_not_reported_as_damaged(compressed):
     assert [j2k_problem(_frame(path)) for path in sorted(compressed.iterdir())] == [None] * NUM
     volume = open_volume(compressed)
     assert (volume.source.notes, volume.is_hu) == ((), True)
@@ -89,7 +89,7 @@ def test_intact_compressed_slices_are_not_reported(compressed):
 
 
 @needs_av
-def test_a_single_changed_bit_is_reported_with_its_slice(tmp_path):
+def test_single_changed_bit_of_a_compressed_slice_is_reported_with_the_slice(tmp_path):
     def edit(dataset, index):
         packed(dataset, tmp_path, "JPEG2000")
         if index == 3:
@@ -103,7 +103,7 @@ def test_a_single_changed_bit_is_reported_with_its_slice(tmp_path):
 
 
 @needs_av
-def test_stream_that_the_second_decoder_does_not_support_is_not_reported(compressed, monkeypatch):
+def test_compressed_stream_that_the_second_decoder_does_not_support_is_not_reported(compressed, monkeypatch):
     import av
 
     class Unsupported:
@@ -118,7 +118,7 @@ def test_stream_that_the_second_decoder_does_not_support_is_not_reported(compres
 
 
 @needs_av
-def test_log_level_of_the_decoder_is_restored_after_the_check(compressed):
+def test_log_level_of_the_second_decoder_is_restored_after_the_check(compressed):
     import av.logging
 
     before = av.logging.get_level()
@@ -126,7 +126,7 @@ def test_log_level_of_the_decoder_is_restored_after_the_check(compressed):
     assert av.logging.get_level() == before
 
 
-def test_note_states_that_damage_may_be_missed_without_pyav(compressed, monkeypatch):
+def test_note_states_that_damaged_slices_may_be_missed_without_pyav(compressed, monkeypatch):
     monkeypatch.setattr(jpeg2000_check, "has_second_decoder", lambda: False)
     volume = open_volume(compressed)
     assert volume.is_hu
@@ -135,7 +135,7 @@ def test_note_states_that_damage_may_be_missed_without_pyav(compressed, monkeypa
     assert "carina doctor" in note.words
 
 
-def test_cancelled_import_drops_checks_that_have_not_started(compressed, monkeypatch):
+def test_cancelled_import_does_not_start_further_checks_of_slices(compressed, monkeypatch):
     """A cancelled import waits only for the slices that are being checked."""
     headers = [read_header(path)[0] for path in sorted(compressed.iterdir())] * 5
     checked, gate = [], threading.Event()

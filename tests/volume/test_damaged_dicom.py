@@ -71,7 +71,7 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("kind", READERS)
-def test_changed_header_byte_gives_a_result_or_a_refusal(files, tmp_path, rng, kind):
+def test_changed_byte_of_a_dicom_header_gives_a_volume_or_a_refusal(files, tmp_path, rng, kind):
     whole = files[kind].read_bytes()
     path = tmp_path / "damaged.dcm"
     refusals = []
@@ -91,7 +91,7 @@ def test_changed_header_byte_gives_a_result_or_a_refusal(files, tmp_path, rng, k
     assert max(len(str(error)) for error in refusals) <= 600
 
 
-def test_flipped_vr_letter_of_a_segmentation_exits_with_status_3(files, tmp_path):
+def test_segmentation_with_a_damaged_value_representation_exits_with_code_3(files, tmp_path):
     """Use the change of the VR US to UQ, by which the bytes of SegmentNumber are read as text."""
     whole = files["SEG"].read_bytes()
     at = whole.index(b"\x62\x00\x04\x00US") + 5
@@ -103,7 +103,7 @@ def test_flipped_vr_letter_of_a_segmentation_exits_with_status_3(files, tmp_path
     assert caught.value.exit_code == 3
 
 
-def test_a_series_with_a_damaged_header_opens_or_is_refused(files, tmp_path, rng):
+def test_series_with_a_damaged_header_opens_or_is_refused(files, tmp_path, rng):
     """Open a whole folder that contains one damaged slice."""
     folder = tmp_path / "ct"
     series(folder, hu=chest()[:4])
@@ -120,7 +120,7 @@ def test_a_series_with_a_damaged_header_opens_or_is_refused(files, tmp_path, rng
     assert all(code.startswith("import.") for code in codes)
 
 
-def test_pixel_data_with_a_numeric_vr_is_refused(tmp_path):
+def test_pixel_data_with_a_numeric_value_representation_are_refused(tmp_path):
     """Check that PixelData of VR US, the number 65535, is not converted by ``bytes`` to 65535 zeros."""
     folder = series(tmp_path, hu=chest()[:3])
     path = folder / "IM001"

@@ -44,7 +44,9 @@ def refusal(path: Path) -> VolumeImportError:
     return caught.value
 
 
-def test_oblique_anisotropic_series_has_the_positions_of_its_tags(write_series, expected_lps_from_ijk, expected_hu_zyx):
+def test_oblique_anisotropic_series_has_the_positions_of_its_dicom_tags(
+    write_series, expected_lps_from_ijk, expected_hu_zyx
+):
     volume = open_volume(write_series())
     # Tags have nine decimals; 1e-8 mm is their rounding error over the whole grid.
     np.testing.assert_allclose(volume.lps_from_ijk, expected_lps_from_ijk, rtol=0, atol=1e-8)
@@ -99,7 +101,7 @@ def test_slope_and_intercept_of_each_slice_are_applied(write_series, expected_hu
     assert volume.is_hu
 
 
-def test_bits_above_bits_stored_are_ignored(write_series):
+def test_pixel_bits_above_bits_stored_are_ignored(write_series):
     def twelve_bits(dataset, index):
         dataset.BitsStored, dataset.HighBit = 12, 11
         values = np.full((dataset.Rows, dataset.Columns), 0xF801 if index % 2 else 0x57FF, dtype=np.uint16)
@@ -111,7 +113,7 @@ def test_bits_above_bits_stored_are_ignored(write_series):
     assert set(np.unique(volume.hu_zyx[1])) == {-2047 - 1024}
 
 
-def test_values_outside_int16_are_clipped_with_a_note(write_series):
+def test_pixel_values_outside_int16_are_clipped_with_a_note(write_series):
     volume = open_volume(write_series(edit=lambda d, i: setattr(d, "RescaleSlope", 100)))
     assert int(volume.hu_zyx.max()) == 32767
     assert any("outside -32768 to 32767" in warning for warning in volume.source.warnings)
@@ -138,7 +140,7 @@ def test_series_with_slowly_increasing_gaps_is_refused(write_series):
 
 
 @pytest.mark.parametrize(("off_mm", "good"), [(0.11, True), (0.14, False)])
-def test_series_with_a_slice_a_tenth_of_the_gap_off_the_grid_opens(write_series, off_mm, good):
+def test_slice_up_to_a_tenth_of_the_gap_from_its_regular_position_is_accepted(write_series, off_mm, good):
     # The tolerance is a tenth of the gap: 0.125 mm.
     folder = write_series(edit=lambda d, i: move(d, frame(d)[2] * (off_mm if i == 4 else 0.0)))
     if good:
@@ -147,7 +149,7 @@ def test_series_with_a_slice_a_tenth_of_the_gap_off_the_grid_opens(write_series,
         assert refusal(folder).code == "import.geometry.irregular"
 
 
-def test_positions_rounded_to_a_tenth_of_a_millimetre_pass(write_series):
+def test_slice_positions_rounded_to_a_tenth_of_a_millimetre_are_accepted(write_series):
     def round_positions(dataset, index):
         move(dataset, frame(dataset)[2] * (round(0.625 * index, 1) - GAP_MM * index))
 
@@ -164,7 +166,7 @@ def test_two_different_slices_at_one_position_are_refused(write_series):
     assert "IM002 and IM002 copy" in str(error)
 
 
-def test_copy_of_a_slice_is_used_once_and_its_path_opens_the_series(write_series, expected_hu_zyx):
+def test_repeated_slice_is_used_once_and_the_path_of_its_copy_opens_the_series(write_series, expected_hu_zyx):
     folder = write_series()
     shutil.copy(folder / "IM002", folder / "IM002 copy")
     for path in (folder, folder / "IM002 copy"):
@@ -191,7 +193,7 @@ def test_gantry_tilt_is_refused_and_near_zero_tilt_is_not(write_series, expected
 
 
 @pytest.mark.parametrize(("shift_mm", "good"), [(0.08, True), (0.5, False)])
-def test_a_slice_shifted_sideways_is_refused(write_series, shift_mm, good):
+def test_slice_shifted_sideways_is_refused(write_series, shift_mm, good):
     folder = write_series(edit=lambda d, i: move(d, frame(d)[0] * (shift_mm if i == 4 else 0.0)))
     if good:
         assert open_volume(folder).shape_zyx[0] == SLICES
@@ -246,7 +248,7 @@ def test_series_of_a_single_slice_is_refused(write_series):
         ("RescaleSlope", 0, "RescaleSlope is 0"),
     ],
 )
-def test_missing_and_invalid_tags_are_refused_by_name(write_series, keyword, value, words):
+def test_missing_and_invalid_dicom_tags_are_refused_by_name(write_series, keyword, value, words):
     def edit(dataset, index):
         if index == 3:
             if value is None:
@@ -266,7 +268,7 @@ def test_multi_frame_images_are_refused_by_name(write_series):
     assert "7 frames" in str(error)
 
 
-def test_truncated_slice_is_reported_by_name(write_series):
+def test_truncated_slice_is_reported_with_its_file_name(write_series):
     folder = write_series()
     last = folder / "IM008"
     last.write_bytes(last.read_bytes()[:-100])
@@ -275,7 +277,7 @@ def test_truncated_slice_is_reported_by_name(write_series):
     assert "IM008" in str(error)
 
 
-def test_header_that_claims_more_pixels_than_the_file_contains_is_refused(write_series):
+def test_slice_header_that_claims_more_pixels_than_the_file_contains_is_refused(write_series):
     def lie(dataset, index):
         dataset.Rows = dataset.Columns = 8000
 
@@ -284,14 +286,14 @@ def test_header_that_claims_more_pixels_than_the_file_contains_is_refused(write_
     assert "128000000 bytes" in str(error)
 
 
-def test_header_that_claims_an_enormous_size_is_refused(write_series):
+def test_slice_header_that_claims_an_enormous_size_is_refused(write_series):
     def lie(dataset, index):
         dataset.Rows = dataset.Columns = 60000
 
     assert refusal(write_series(edit=lie)).code == "import.header"
 
 
-def test_damaged_compressed_pixels_are_reported_without_text_of_the_library(write_series, capfd):
+def test_damaged_compressed_pixels_are_reported_without_text_of_the_decoder_library(write_series, capfd):
     def damage(dataset, index):
         dataset.PixelData = encapsulate([b"\xff\xd8\xff\xf7 this is no picture "])
         dataset["PixelData"].VR = "OB"
@@ -307,7 +309,7 @@ def _jpeg_ls_header(rows: int, columns: int) -> bytes:
     return b"\xff\xd8\xff\xf7\x00\x0b\x10" + rows.to_bytes(2) + columns.to_bytes(2) + b"\x01\x01\x11\x00"
 
 
-def test_compressed_stream_of_another_size_is_refused_before_decoding(write_series):
+def test_compressed_slice_of_another_size_than_its_header_is_refused_before_decoding(write_series):
     import resource
 
     def lie(dataset, index):
@@ -321,7 +323,7 @@ def test_compressed_stream_of_another_size_is_refused_before_decoding(write_seri
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB; the header claims 8,000,000 kB
 
 
-def test_an_unknown_compression_is_refused_by_name(write_series):
+def test_unknown_compression_is_refused_by_name(write_series):
     def video(dataset, index):
         dataset.PixelData = encapsulate([b"some video"])
         dataset["PixelData"].VR = "OB"
@@ -356,18 +358,18 @@ def test_file_of_another_type_is_refused_with_the_name_of_its_type(tmp_path, nam
     assert words in str(error)
 
 
-def test_a_folder_without_images_is_refused(tmp_path):
+def test_folder_without_images_is_refused(tmp_path):
     (tmp_path / "notes.txt").write_text("nothing")
     assert refusal(tmp_path).code == "import.no-images"
     (tmp_path / "a.nii.gz").write_bytes(b"x")
     assert "a.nii.gz" in str(refusal(tmp_path))
 
 
-def test_a_missing_path_is_refused(tmp_path):
+def test_missing_path_is_refused(tmp_path):
     assert refusal(tmp_path / "nowhere").code == "import.not-found"
 
 
-def test_deflated_bomb_is_skipped_without_being_inflated(write_series, tmp_path, expected_hu_zyx):
+def test_slice_that_would_decompress_to_an_enormous_size_is_skipped(write_series, tmp_path, expected_hu_zyx):
     import tracemalloc
     import zlib
 

@@ -62,7 +62,7 @@ def chest() -> Volume:
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_every_grid_file_form_gives_the_digest_and_geometry_of_its_array(form, chest, tmp_path):
+def test_every_grid_file_format_gives_the_digest_and_geometry_of_its_array(form, chest, tmp_path):
     opened = open_volume(FORMS[form](tmp_path, grid_writers.chest()))
     assert ct_digest(opened) == ct_digest(chest)
     assert same_geometry(opened, chest)
@@ -80,13 +80,13 @@ def test_dicom_series_and_its_exports_have_equal_digest_and_geometry(axes, flips
         refuse_other_ct(opened, ct_digest(series), canonical_geometry(series))
 
 
-def test_digest_does_not_depend_on_the_file_order_of_the_slices(tmp_path):
+def test_ct_digest_does_not_depend_on_the_file_order_of_the_slices(tmp_path):
     there = open_volume(dicom_writer.series(tmp_path / "a"))
     back = open_volume(dicom_writer.series(tmp_path / "b", name=lambda index: f"{99 - index:03d}"))
     assert ct_digest(there) == ct_digest(back)
 
 
-def test_values_rounded_on_import_have_one_digest_in_every_format(tmp_path):
+def test_ct_values_rounded_on_import_have_one_digest_in_every_format(tmp_path):
     whole = grid_writers.chest()
     broken = (whole + np.float32(0.25)).astype("<f4")
     for write in (grid_writers.nifti, grid_writers.nrrd, grid_writers.metaimage):
@@ -94,7 +94,7 @@ def test_values_rounded_on_import_have_one_digest_in_every_format(tmp_path):
 
 
 @pytest.mark.parametrize("lps_from_ijk", [np.diag([0.7, 0.8, 1.25, 1.0]), LPS_FROM_IJK, about(1, -31.0)])
-def test_axis_order_and_direction_change_neither_digest_nor_geometry(lps_from_ijk):
+def test_axis_order_and_direction_change_neither_digest_nor_geometry_of_a_ct(lps_from_ijk):
     volume = numbered(lps_from_ijk=lps_from_ijk)
     for axes, flips in ORDERS:
         other = turned(volume, axes, flips)
@@ -106,7 +106,7 @@ def test_axis_order_and_direction_change_neither_digest_nor_geometry(lps_from_ij
 
 @pytest.mark.parametrize("degrees", [-45.0, 45.0, 135.0])
 @pytest.mark.parametrize("axis", range(3))
-def test_digest_at_45_degrees_tilt_does_not_depend_on_the_last_bit_of_the_header(axis, degrees):
+def test_ct_digest_at_45_degrees_tilt_does_not_depend_on_the_last_bit_of_the_header(axis, degrees):
     volume = numbered(lps_from_ijk=about(axis, degrees))
     nudges = np.random.default_rng(1)
     for axes, flips in ORDERS:
@@ -116,7 +116,7 @@ def test_digest_at_45_degrees_tilt_does_not_depend_on_the_last_bit_of_the_header
         assert ct_digest(Volume(other.hu_zyx, header)) == ct_digest(volume)
 
 
-def test_digest_is_the_sha256_of_the_volume_in_itk_lps_orientation(chest):
+def test_ct_digest_is_the_sha256_of_the_volume_in_itk_lps_orientation(chest):
     image = sitk.GetImageFromArray(chest.hu_zyx)
     image.SetDirection(grid_writers.DIRECTIONS.ravel())
     values = sitk.GetArrayFromImage(sitk.DICOMOrient(image, "LPS"))
@@ -131,14 +131,14 @@ def test_volume_in_canonical_orientation_is_returned_unchanged():
 
 
 @pytest.mark.parametrize("shape_zyx", [(1, 4, 5), (3, 1, 5), (3, 4, 1), (1, 1, 5), (1, 1, 1)])
-def test_digest_does_not_depend_on_the_position_of_an_axis_of_one_voxel(shape_zyx):
+def test_ct_digest_does_not_depend_on_the_position_of_an_axis_of_one_voxel(shape_zyx):
     volume = numbered(shape_zyx)
     for axes, flips in ORDERS:
         assert ct_digest(turned(volume, axes, flips)) == ct_digest(volume)
         assert same_geometry(turned(volume, axes, flips), volume)
 
 
-def test_one_changed_voxel_changes_the_digest():
+def test_one_changed_voxel_changes_the_ct_digest():
     values = numbered().hu_zyx.copy()
     values[-1, -1, -1] += 1
     assert ct_digest(Volume(values, LPS_FROM_IJK)) != ct_digest(numbered())
@@ -151,20 +151,20 @@ def test_mirrored_chest_has_another_digest():
 
 
 @pytest.mark.parametrize(("moved_mm", "same"), [(0.0009, True), (0.0011, False)])
-def test_positions_are_compared_within_a_thousandth_of_a_millimetre(moved_mm, same):
+def test_positions_of_two_cts_are_compared_to_a_thousandth_of_a_millimetre(moved_mm, same):
     moved = LPS_FROM_IJK.copy()
     moved[2, 3] += moved_mm
     assert same_geometry(numbered(), numbered(lps_from_ijk=moved)) is same
 
 
-def test_geometry_of_the_far_corner_is_compared_with_the_case():
+def test_positions_of_two_cts_are_also_compared_at_the_far_corner():
     longer = LPS_FROM_IJK.copy()
     longer[:3, 2] *= 1 + 1e-5
     assert same_geometry(numbered((3, 4, 5)), numbered((3, 4, 5), longer))
     assert not same_geometry(numbered((300, 4, 5)), numbered((300, 4, 5), longer))
 
 
-def test_digest_by_slabs_equals_the_whole_and_copies_no_volume(monkeypatch):
+def test_ct_digest_is_computed_in_parts_without_a_copy_of_the_volume(monkeypatch):
     volume = turned(numbered((40, 60, 50)), (2, 1, 0), (True, False, False))
     expected = ct_digest(volume)
     monkeypatch.setattr(digest, "_SLAB_BYTES", 7000)
@@ -188,7 +188,7 @@ def case_of(volume: Volume) -> tuple[str, SimpleNamespace]:
     return ct_digest(volume), SimpleNamespace(shape_zyx=geometry.shape_zyx, lps_from_ijk=geometry.lps_from_ijk)
 
 
-def test_another_ct_is_refused_for_a_case_with_the_stated_difference():
+def test_another_ct_than_that_of_the_case_is_refused_with_the_stated_difference():
     values = numbered().hu_zyx.copy()
     values[0, 0, 0] = 7
     with pytest.raises(VolumeImportError, match="its voxel values differ") as caught:
@@ -204,7 +204,7 @@ def test_another_ct_is_refused_for_a_case_with_the_stated_difference():
     assert caught.value.code == "import.other-geometry"
 
 
-def test_equal_bytes_in_another_shape_have_another_digest():
+def test_ct_with_equal_bytes_in_another_shape_is_refused_for_a_case():
     flat = Volume(np.zeros((2, 3, 4), dtype=np.int16), LPS_FROM_IJK)
     tall = Volume(np.zeros((4, 3, 2), dtype=np.int16), LPS_FROM_IJK)
     assert ct_digest(flat) == ct_digest(tall)
@@ -212,7 +212,7 @@ def test_equal_bytes_in_another_shape_have_another_digest():
         refuse_other_ct(tall, *case_of(flat))
 
 
-def test_digest_of_a_volume_is_computed_only_once(monkeypatch):
+def test_ct_digest_of_a_volume_is_computed_only_once(monkeypatch):
     volume = numbered()
     found = ct_digest(volume)
     monkeypatch.setattr(digest, "canonical_axes", None)

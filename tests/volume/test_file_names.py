@@ -71,7 +71,7 @@ def test_mask_is_written_to_a_file_with_an_unusual_name_and_read_again(tmp_path,
     np.testing.assert_array_equal(open_mask(path, volume).inside_zyx, mask)
 
 
-def test_a_library_receives_a_utf8_name_of_the_same_file(tmp_path, name):
+def test_library_receives_a_utf8_name_for_a_file_with_an_unusual_name(tmp_path, name):
     path = tmp_path / name
     path.write_bytes(b"content")
     with library_path(path) as given:

@@ -164,18 +164,18 @@ BOUNDS = {
 
 
 @pytest.mark.parametrize("name", BOUNDS)
-def test_each_limit_of_a_series_separates_values_inside_and_outside(name):
+def test_each_limit_for_slice_positions_separates_accepted_from_refused_values(name):
     make, inside, outside = BOUNDS[name]
     assert answer(make(INSIDE)) == inside
     assert answer(make(OUTSIDE)) == outside
 
 
-def test_a_slice_shifted_by_a_third_of_a_millimetre_is_refused_in_a_straight_stack():
+def test_slice_shifted_by_a_third_of_a_millimetre_is_refused_in_a_straight_stack():
     # The stack is not tilted, so neither limit of the tilt check applies.
     assert answer(sideways(0.3, (0.7, 0.7))) == "shifted"
 
 
-def test_large_angle_or_large_shift_alone_is_not_refused_as_tilt():
+def test_large_tilt_angle_or_large_shift_alone_is_not_refused_as_gantry_tilt():
     assert answer(lean(0.09, height_mm=2.0)) == "opens"  # 2.6 degrees and 0.09 mm
     assert answer(tilted(0.19, 300)) == "opens"  # 0.99 mm and 0.19 degrees
     assert answer(tilted(0.3, 300)) == "tilt"
@@ -189,19 +189,19 @@ def test_series_with_one_slice_of_another_height_or_width_is_refused(rows, colum
 
 
 @pytest.mark.parametrize(("count", "expected"), [(1, "single-slice"), (2, "opens"), (3, "opens")])
-def test_series_of_one_slice_is_refused_and_of_two_slices_opens(count, expected):
+def test_series_of_one_slice_is_refused_and_one_of_two_slices_opens(count, expected):
     assert answer(stack(heights(*[1.0] * (count - 1)))) == expected
 
 
 @pytest.mark.parametrize(("missing", "words"), [(1, "a slice may be missing"), (3, "3 slices may be missing")])
-def test_number_of_missing_slices_is_stated(missing, words):
+def test_number_of_missing_slices_is_stated_in_the_refusal(missing, words):
     gaps = [1.0] * 20
     gaps[7] = 1.0 + missing
     with pytest.raises(VolumeImportError, match=rf"found {gaps[7]:.2f} mm after slice 8 of 21 \(IM007\).*{words}"):
         grid_from_slices(stack(heights(*gaps)), what="reading a series")
 
 
-def test_transform_has_the_positions_of_the_slices_and_keeps_the_tilt():
+def test_affine_matrix_of_a_series_has_the_positions_of_the_slices_and_their_tilt():
     slices = stack(heights(*[1.25] * 8), spacing=(0.7, 0.9))
     for n, one in enumerate(slices):
         one.position_lps = tuple(ORIGIN_LPS + n * np.array([0.002, -0.001, 1.25]))
@@ -212,7 +212,7 @@ def test_transform_has_the_positions_of_the_slices_and_keeps_the_tilt():
     np.testing.assert_allclose(lps_from_ijk, expected, rtol=0, atol=1e-12)
 
 
-def test_gap_of_a_fractional_number_of_slices_is_refused_as_irregular():
+def test_slice_gap_of_a_fractional_number_of_slices_is_refused_as_irregular():
     gaps = [1.0] * 20
     gaps[7] = 2.5
     with pytest.raises(VolumeImportError, match=r"found 2\.50 mm") as caught:
@@ -221,7 +221,7 @@ def test_gap_of_a_fractional_number_of_slices_is_refused_as_irregular():
     assert "more places" not in str(caught.value)
 
 
-def test_number_of_further_irregular_gaps_is_stated():
+def test_number_of_further_irregular_slice_gaps_is_stated():
     gaps = [1.0] * 20
     gaps[7] = gaps[11] = 2.0
     with pytest.raises(VolumeImportError, match=r"\(and at 1 more places\)"):
@@ -263,7 +263,7 @@ def header(shape=(3, 3, 3), matrix=None, components=1) -> GridHeader:
         (header(matrix=np.diag([1, np.inf, 1, 1])), "import.geometry.spacing"),
     ],
 )
-def test_each_limit_of_a_grid_header_separates_values_inside_and_outside(given, code):
+def test_each_limit_of_a_grid_header_separates_accepted_from_refused_values(given, code):
     if code is None:
         check_grid_header(given.data_path, given)
         return
@@ -277,6 +277,6 @@ def test_each_limit_of_a_grid_header_separates_values_inside_and_outside(given, 
     # Limits are the airway diameters of Weibel; 1.54 mm (generation 9) is the last one above the visible 1.5 mm.
     [(0.5, 9), (1.54, 9), (1.541, 8), (1.86, 8), (1.861, 7), (2.3, 7), (2.301, 6), (18.0, 0), (30.0, 0)],
 )
-def test_trusted_generation_changes_at_each_diameter(widest_mm, generation):
+def test_trusted_airway_generation_changes_at_each_voxel_size_limit(widest_mm, generation):
     assert trusted_generation((0.5, 0.5, widest_mm)) == generation
     assert trusted_generation((widest_mm, 0.5, 0.5)) == generation

@@ -54,7 +54,7 @@ def refusal(path: Path) -> VolumeImportError:
 
 @pytest.mark.parametrize("compress", [False, True])
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_oblique_anisotropic_grid_keeps_its_positions_and_values(tmp_path, suffix, compress):
+def test_oblique_anisotropic_grid_file_has_its_stated_positions_and_values(tmp_path, suffix, compress):
     volume = open_volume(write(tmp_path / f"ct.{suffix}", compress=compress))
     expected = np.eye(4)
     expected[:3, :3] = np.reshape(DIRECTION, (3, 3)) * SPACING_MM
@@ -66,13 +66,13 @@ def test_oblique_anisotropic_grid_keeps_its_positions_and_values(tmp_path, suffi
     np.testing.assert_array_equal(inspect_path(tmp_path / f"ct.{suffix}").lps_from_ijk, volume.lps_from_ijk)
 
 
-def test_series_choice_for_a_single_volume_file_is_refused():
+def test_selecting_a_series_in_a_single_volume_file_is_refused():
     for look in (open_volume, inspect_path):
         with pytest.raises(UsageError, match="no series 'lung'"):
             look(CASE_PATH, series="lung")
 
 
-def test_format_is_detected_from_the_bytes_and_not_from_the_name(tmp_path):
+def test_grid_file_format_is_detected_from_the_bytes_and_not_from_the_name(tmp_path):
     path = write(tmp_path / "ct.nii.gz")
     renamed = path.rename(tmp_path / "airways.gz")
     np.testing.assert_array_equal(open_volume(renamed).hu_zyx, hu_like())
@@ -181,7 +181,7 @@ def test_invalid_text_headers_are_refused(tmp_path, suffix, old, new, code):
     assert refusal(_edit_text(write(tmp_path / f"ct.{suffix}"), old, new)).code == code
 
 
-def test_a_sheared_metaimage_is_refused(tmp_path):
+def test_sheared_metaimage_is_refused(tmp_path):
     path = write(tmp_path / "ct.mha")
     line = next(line for line in path.read_bytes().split(b"\n") if line.startswith(b"TransformMatrix"))
     assert (
@@ -207,7 +207,7 @@ def test_grid_file_with_a_damaged_compressed_stream_is_refused(tmp_path):
     assert refusal(tmp_path / "ct.nii.gz").code == "import.truncated"
 
 
-def test_compressed_header_that_claims_an_enormous_size_takes_no_memory(tmp_path):
+def test_compressed_grid_header_that_claims_an_enormous_size_allocates_no_memory(tmp_path):
     import resource
 
     # The header claims 1 GB and the file has 200 kB of incompressible data, whose ratio alone would be accepted.
@@ -219,7 +219,7 @@ def test_compressed_header_that_claims_an_enormous_size_takes_no_memory(tmp_path
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB; the header claims 1,000,000 kB
 
 
-def test_stream_that_inflates_to_more_than_the_header_claims_is_refused(tmp_path):
+def test_grid_file_that_decompresses_to_more_than_the_header_claims_is_refused(tmp_path):
     packer = zlib.compressobj(9, zlib.DEFLATED, zlib.MAX_WBITS | 16)
     packed = packer.compress(nifti() + bytes(240))
     packed += b"".join(packer.compress(bytes(1 << 20)) for _ in range(100)) + packer.flush()
@@ -228,7 +228,7 @@ def test_stream_that_inflates_to_more_than_the_header_claims_is_refused(tmp_path
     assert refusal(path).code == "import.truncated"
 
 
-def test_files_of_four_dimensions_or_colours_are_refused(tmp_path):
+def test_grid_files_of_four_dimensions_or_colours_are_refused(tmp_path):
     four = sitk.GetImageFromArray(np.zeros((2, 9, 11, 13), dtype=np.int16), isVector=False)
     colour = sitk.GetImageFromArray(np.zeros((9, 11, 13, 3), dtype=np.uint8), isVector=True)
     for suffix in ("nii", "nrrd", "mha"):
@@ -238,11 +238,11 @@ def test_files_of_four_dimensions_or_colours_are_refused(tmp_path):
         assert refusal(tmp_path / f"colour.{suffix}").code in ("import.not-3d", "import.not-supported")
 
 
-def test_volume_of_one_value_is_refused(tmp_path):
+def test_grid_file_with_a_single_value_is_refused(tmp_path):
     assert refusal(write(tmp_path / "empty.nrrd", np.zeros(SIZE_IJK[::-1], dtype=np.int16))).code == "import.values"
 
 
-def test_nonfinite_values_become_the_lowest_value_and_their_number_is_stated(tmp_path):
+def test_nonfinite_voxels_get_the_lowest_value_and_their_number_is_stated(tmp_path):
     values = hu_like().astype(np.float32)
     values[0, 0, :3] = np.nan
     volume = open_volume(write(tmp_path / "ct.nrrd", values))

@@ -33,7 +33,7 @@ def ruled(values: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_array_with_nan_and_infinities_gives_equal_voxels_in_every_format(tmp_path, rng, form):
+def test_array_with_nan_and_infinite_values_gives_equal_voxels_in_every_format(tmp_path, rng, form):
     for number, (kind, num) in enumerate(itertools.product(KINDS, (1, 5))):
         values = with_gaps(rng, num)
         folder = tmp_path / str(number)
@@ -76,7 +76,7 @@ def test_hu_status_is_lost_above_one_percent_of_nan_in_the_body():
     assert "1.0 % of the voxels in the body are not finite" in (to_int16(lost(border + 1)).doubt or "")
 
 
-def test_nan_padding_around_the_patient_keeps_the_hu_status(tmp_path):
+def test_nan_padding_around_the_patient_does_not_remove_the_hu_status(tmp_path):
     values = grids.chest().astype(np.float32)
     values[:, : grids.AIR] = np.nan
     values[:, :, -grids.AIR :] = np.nan
@@ -85,7 +85,7 @@ def test_nan_padding_around_the_patient_keeps_the_hu_status(tmp_path):
     assert volume.source.notes[0].badge
 
 
-def test_nan_slices_inside_the_body_count_as_body():
+def test_nan_slices_inside_the_body_count_as_voxels_of_the_body():
     values = grids.chest().astype(np.float32)
     values[5] = np.nan
     assert "of the voxels in the body" in (to_int16(values).doubt or "")
@@ -108,7 +108,7 @@ def test_import_does_not_change_the_array_of_its_caller():
     np.testing.assert_array_equal(values, before)
 
 
-def test_each_byte_cut_from_a_file_of_several_gzip_members_is_detected(tmp_path):
+def test_any_byte_missing_in_a_file_of_several_gzip_members_is_detected(tmp_path):
     whole = grids.nifti(tmp_path, grids.chest()).read_bytes()
     packed = b"".join(gzip.compress(whole[at : at + 700]) for at in range(0, len(whole), 700))
     path = tmp_path / "many.nii.gz"
@@ -158,7 +158,7 @@ def test_format_of_a_grid_file_is_recognised_with_any_file_name(tmp_path, form, 
 
 
 @pytest.mark.parametrize("form", ["nifti", "nrrd", "metaimage", "nifti gzip"])
-def test_changed_header_byte_causes_no_crash_and_no_library_message(tmp_path, capfd, rng, form):
+def test_changed_byte_of_a_grid_header_causes_no_crash_and_no_library_message(tmp_path, capfd, rng, form):
     path = grids.FORMS[form](tmp_path, grids.chest())
     whole = path.read_bytes()
     ends = {"nifti": lambda: 348, "nrrd": lambda: whole.index(b"\n\n"), "metaimage": lambda: whole.index(b"LOCAL")}
@@ -183,7 +183,7 @@ def test_changed_header_byte_causes_no_crash_and_no_library_message(tmp_path, ca
     assert capfd.readouterr().err == ""
 
 
-def test_mask_reports_the_doubts_about_its_file(tmp_path):
+def test_imported_mask_reports_the_doubts_about_its_file(tmp_path):
     scan = open_volume(grids.nifti(tmp_path, grids.chest(), lps_from_ijk=np.eye(4)))
     values = (grids.chest() == -860).astype(np.int16)
     path = grids.nifti(tmp_path, values, lps_from_ijk=np.eye(4), name="mask.nii", behind=values.tobytes())

@@ -39,7 +39,7 @@ def test_gzip_file_opens_without_the_gz_suffix(tmp_path, form, kept_name):
 
 
 @pytest.mark.parametrize("packed", [True, False])
-def test_gzip_values_of_a_pair_open_without_the_gz_suffix(tmp_path, packed):
+def test_compressed_values_of_a_header_pair_open_without_the_gz_suffix(tmp_path, packed):
     path = grids.FORMS["nifti pair"](tmp_path, grids.chest())
     values = path.with_suffix(".img")
     if packed:
@@ -47,14 +47,14 @@ def test_gzip_values_of_a_pair_open_without_the_gz_suffix(tmp_path, packed):
     np.testing.assert_array_equal(open_volume(path).hu_zyx, grids.chest())
 
 
-def test_values_that_begin_like_gzip_are_not_inflated(tmp_path):
+def test_values_that_begin_like_gzip_data_are_not_decompressed(tmp_path):
     values = grids.chest()
     values[0, 0, :2] = np.frombuffer(b"\x1f\x8b\x08\x00", "<i2")
     np.testing.assert_array_equal(open_volume(grids.FORMS["nifti pair"](tmp_path, values)).hu_zyx, values)
 
 
 @pytest.mark.parametrize("form", ["nrrd gzip", "metaimage compressed", "nrrd", "metaimage"])
-def test_truncated_gzip_file_under_any_name_is_refused(tmp_path, form):
+def test_truncated_gzip_file_with_any_name_is_refused(tmp_path, form):
     path = grids.FORMS[form](tmp_path, grids.chest())
     packed = gzip.compress(path.read_bytes())
     path.write_bytes(packed[:-20])
@@ -68,7 +68,7 @@ def test_gzip_values_declared_as_raw_are_refused_with_the_reason(tmp_path):
     assert "look compressed by gzip although the header does not state it" in str(refusal(path))
 
 
-def test_data_after_a_gzip_stream_are_refused_with_a_remedy(tmp_path):
+def test_data_after_a_compressed_gzip_stream_are_refused_with_a_remedy(tmp_path):
     path = grids.nrrd(tmp_path, grids.chest(), edit=lambda lines: lines.append("byte skip: -1"))
     path.write_bytes(gzip.compress(path.read_bytes()))
     error = refusal(path)
@@ -133,7 +133,7 @@ def line(begin: str, new: str):
         (grids.nrrd, "type", "xtype: short", "its nrrd header has no field 'type'"),
     ],
 )  # fmt: skip
-def test_header_value_that_violates_the_format_is_shown_in_the_message(tmp_path, write, begin, new, words):
+def test_grid_header_value_that_violates_the_format_is_shown_in_the_message(tmp_path, write, begin, new, words):
     error = refusal(write(tmp_path, grids.chest(), edit=line(begin, new)))
     assert error.code == "import.header"
     assert words in str(error)
@@ -162,13 +162,13 @@ LONG = "x\x1b" * 5_000
         (grids.metaimage, "CompressedData", f"DistanceUnits = {LONG}"),
     ],
 )
-def test_value_of_ten_thousand_characters_is_shortened(tmp_path, write, begin, new):
+def test_grid_header_value_of_ten_thousand_characters_is_shortened_in_the_message(tmp_path, write, begin, new):
     words = str(refusal(write(tmp_path, grids.chest(), edit=line(begin, new))))
     assert "x\\x1b" in words or "1" in words
 
 
 @pytest.mark.parametrize("form", ["nrrd", "metaimage"])
-def test_long_note_of_another_program_is_accepted(tmp_path, form):
+def test_long_comment_of_another_program_in_a_grid_header_is_accepted(tmp_path, form):
     new = {"nrrd": f"note:={'word ' * 2_000}", "metaimage": f"Comment = {'word ' * 2_000}"}[form]
     write = {"nrrd": grids.nrrd, "metaimage": grids.metaimage}[form]
     path = write(tmp_path, grids.chest(), edit=lambda lines: lines.insert(5, new))

@@ -18,7 +18,7 @@ def test_values_of_a_noisy_chest_are_recognised_as_hu(rng):
     assert judge_values(chest(rng)).is_hu
 
 
-def test_crop_without_outside_air_and_with_padding_is_hu(rng):
+def test_crop_without_outside_air_and_with_padding_is_recognised_as_hu(rng):
     values = chest(rng)
     values[values < -950] = -850
     values[:2] = -2000
@@ -35,7 +35,7 @@ def test_crop_without_outside_air_and_with_padding_is_hu(rng):
         ("mask", "8 bits"),
     ],
 )
-def test_values_on_another_scale_are_not_hu_with_the_stated_reason(rng, name, words):
+def test_values_on_another_scale_are_reported_as_no_hu_with_the_reason(rng, name, words):
     values = chest(rng)
     values = {
         "missing offset": np.clip(values, -1024, None) + 1024,
@@ -49,7 +49,7 @@ def test_values_on_another_scale_are_not_hu_with_the_stated_reason(rng, name, wo
     assert words in (verdict.reason or "")
 
 
-def test_tagged_ct_without_air_is_hu():
+def test_ct_without_air_is_hu_if_its_tags_state_it():
     values = np.linspace(-80, 400, 5000).astype(np.int16).reshape(10, 20, 25)
     assert judge_dicom(values, modality="CT", has_rescale=True, rescale_type="HU", bits_stored=12).is_hu
     assert not judge_dicom(values, modality="CT", has_rescale=True, rescale_type="US", bits_stored=12).is_hu
@@ -57,7 +57,7 @@ def test_tagged_ct_without_air_is_hu():
     assert not judge_dicom(values, modality="PT", has_rescale=True, rescale_type="HU", bits_stored=12).is_hu
 
 
-def test_integers_within_int16_are_unchanged(rng):
+def test_integer_hu_values_within_int16_are_unchanged(rng):
     values = chest(rng)
     for kind in (np.int16, np.int32, np.float32, np.float64):
         converted = to_int16(values.astype(kind))

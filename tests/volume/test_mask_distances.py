@@ -29,7 +29,7 @@ def expected(mask: NDArray[np.bool_], step_mm: float) -> NDArray[np.float64]:
     st.floats(0.3, 2.0),
     st.sampled_from([np.inf, 0.4, 1.7, 5.0]),
 )
-def test_distances_equal_those_of_simpleitk_up_to_the_reach(
+def test_mask_distances_equal_those_of_simpleitk_up_to_the_given_reach(
     shape: tuple[int, int, int], seed: int, share: float, step_mm: float, reach_mm: float
 ) -> None:
     mask = np.random.default_rng(seed).random(shape) < share
@@ -55,7 +55,7 @@ def test_mask_without_an_outside_voxel_has_infinite_distances_and_an_empty_mask_
     assert np.isinf(distance_from(np.zeros((3, 4, 5), dtype=bool), 1.0, 2.0)).all()
 
 
-def test_distance_ends_at_the_nearest_outside_voxel_and_not_at_a_face() -> None:
+def test_distance_inside_a_mask_is_measured_to_the_nearest_outside_voxel_and_not_to_a_volume_face() -> None:
     mask = np.ones((1, 1, 5), dtype=bool)
     mask[0, 0, 0] = False
     assert ball_distance(mask, 0.8)[0, 0] == pytest.approx([0.0, 0.4, 1.2, 2.0, 2.8])

@@ -56,7 +56,7 @@ def test_mask_on_the_grid_of_the_scan_is_unchanged(volume, inside, tmp_path, nam
     assert mask.notes == ()
 
 
-def test_flipped_and_permuted_axes_are_placed_by_geometry(volume, inside, tmp_path):
+def test_mask_with_flipped_and_permuted_axes_is_placed_by_geometry(volume, inside, tmp_path):
     matrix = oblique()
     # The array is [x, z, y] with y reversed, and the transform states this order.
     turned = np.ascontiguousarray(inside.transpose(2, 0, 1)[:, :, ::-1])
@@ -114,7 +114,7 @@ def test_mask_on_another_grid_is_refused_with_both_grids_or_resampled_on_request
     assert "nearest" in mask.notes[0]
 
 
-def test_mask_with_several_labels_needs_the_choice_of_one(volume, inside, tmp_path):
+def test_mask_with_several_labels_needs_the_selection_of_one(volume, inside, tmp_path):
     labels = inside.copy()
     labels[4, 6, 8] = 7
     path = write(tmp_path / "m.nrrd", labels, oblique())
@@ -162,7 +162,7 @@ def test_share_of_the_mask_inside_the_scan_is_reported_with_little_memory(volume
     assert mask_files._share_inside(few, oblique(), volume) == 1.0
 
 
-def test_missing_file_and_folder_are_refused(volume, tmp_path):
+def test_missing_mask_file_and_folder_are_refused(volume, tmp_path):
     with pytest.raises(VolumeImportError, match="no such file"):
         open_mask(tmp_path / "nothing.nrrd", volume)
     with pytest.raises(VolumeImportError, match="expected one NIfTI"):
@@ -226,12 +226,12 @@ def segmentation(path, labels_zyx, lps_from_ijk, *, shuffled=True, change=None):
     return path
 
 
-def test_a_dicom_segmentation_is_placed_frame_by_frame(volume, inside, tmp_path):
+def test_dicom_segmentation_is_placed_frame_by_frame(volume, inside, tmp_path):
     path = segmentation(tmp_path / "seg.dcm", inside, oblique())
     assert np.array_equal(open_mask(path, volume).inside_zyx, inside)
 
 
-def test_names_of_segments_are_listed_for_the_choice(volume, inside, tmp_path):
+def test_names_of_segments_are_listed_for_the_selection(volume, inside, tmp_path):
     labels = inside.copy()
     labels[4, 6, 8] = 2
     path = segmentation(tmp_path / "seg.dcm", labels, oblique())

@@ -29,7 +29,7 @@ BITS = {"bits_allocated": 16, "bits_stored": 16, "high_bit": 15}
         (-2000, -3000, True, ((-3000, -2000),)),
     ],
 )
-def test_padding_tag_bits_are_read_in_the_pixel_representation(value, limit, signed, expected):
+def test_bits_of_the_padding_tag_are_read_in_the_pixel_representation(value, limit, signed, expected):
     assert padding_ranges(value, limit, signed=signed, **BITS) == expected
 
 
@@ -65,7 +65,7 @@ def test_small_regions_at_the_edge_are_not_padding():
     assert np.count_nonzero(found.inside) == 16
 
 
-def test_value_above_the_extended_scale_is_padding_everywhere_and_a_low_value_is_not():
+def test_padding_value_above_the_hu_scale_counts_everywhere_and_a_lower_value_only_at_the_edge():
     for value, count in ((30_710, 0), (30_711, 4)):
         plane = _plane()
         plane[14:16, 14:16] = value
@@ -74,14 +74,14 @@ def test_value_above_the_extended_scale_is_padding_everywhere_and_a_low_value_is
 
 
 @pytest.mark.parametrize(("value", "is_padding"), [(-1000, False), (-999, True)])
-def test_padding_at_the_level_of_air_is_unchanged(value, is_padding):
+def test_padding_with_the_value_of_air_is_unchanged(value, is_padding):
     plane = np.maximum(_plane(), -1020)
     plane[OUTSIDE] = value
     assert (find_padding(plane, plane, ((value, value),)) is not None) == is_padding
 
 
 @pytest.mark.parametrize(("value", "is_padding"), [(1999, False), (2000, True)])
-def test_equal_high_values_in_all_corners_are_padding_without_a_tag(value, is_padding):
+def test_equal_high_values_in_all_corners_count_as_padding_without_a_tag(value, is_padding):
     plane = _plane()
     plane[OUTSIDE] = value
     assert (find_padding(plane, plane, ()) is not None) == is_padding
@@ -89,7 +89,7 @@ def test_equal_high_values_in_all_corners_are_padding_without_a_tag(value, is_pa
     assert find_padding(plane, plane, ()) is None
 
 
-def test_values_without_their_offset_are_not_hu_after_padding_is_replaced(tmp_path):
+def test_values_without_their_rescale_offset_are_recognised_as_no_hu_despite_padding(tmp_path):
     """Check that values which are 1024 too high stay recognisable: padding becomes their lowest value, not -1024."""
     make = ringed(63536, tag=63536, RescaleIntercept=0)
     volume = open_volume(make(tmp_path))
@@ -128,7 +128,7 @@ def _marked(dataset: Dataset, index: int, vr: str, value: object) -> None:
 
 
 @pytest.mark.parametrize(("ring", "becomes"), [(32767, None), (3071, None), (-3024, -3024), (-2000, -2000)])
-def test_nifti_padding_is_detected_by_its_corners(tmp_path, ring, becomes):
+def test_padding_of_a_nifti_file_is_detected_by_its_corners(tmp_path, ring, becomes):
     """Use NIfTI, which has no padding tag: a high value in all eight corners is padding, a low value is not."""
     values = chest().copy()
     values[:, OUTSIDE] = ring
@@ -140,7 +140,7 @@ def test_nifti_padding_is_detected_by_its_corners(tmp_path, ring, becomes):
     assert [note.code for note in volume.source.notes] == (["import.padding"] if becomes is None else [])
 
 
-def test_metal_inside_a_volume_without_tags_is_unchanged():
+def test_metal_inside_a_padded_volume_without_tags_is_unchanged():
     values = chest().copy()
     values[:, OUTSIDE] = 3071
     values[9, 14:16, 14:16] = 3071
@@ -164,14 +164,14 @@ def _lut_item(descriptor: list[int], data: bytes) -> Dataset:
     return item
 
 
-def test_values_outside_a_lut_get_its_first_and_last_entry():
+def test_values_outside_a_lookup_table_get_its_first_and_last_entry():
     lut = read_modality_lut(
         _lut_item([3, 0xFFFE, 16], np.array([7, 8, 9], "<u2").tobytes()), signed=True, little_endian=True
     )
     np.testing.assert_array_equal(lut.values(np.array([-9, -2, -1, 0, 50], np.int32)), [7, 7, 8, 9, 9])
 
 
-def test_lut_of_bytes_and_lut_of_all_values_are_read():
+def test_lookup_table_of_bytes_and_lookup_table_of_all_values_are_read():
     lut = read_modality_lut(_lut_item([4, 0, 8], bytes([1, 2, 3, 4])), signed=False, little_endian=True)
     np.testing.assert_array_equal(lut.values(np.array([0, 3], np.int32)), [1, 4])
     every = np.arange(1 << 16)[::-1].astype(">u2")
@@ -179,7 +179,7 @@ def test_lut_of_bytes_and_lut_of_all_values_are_read():
     np.testing.assert_array_equal(lut.values(np.array([0, 65535], np.int32)), [65535, 0])
 
 
-def test_lut_that_repeats_the_rescale_is_no_contradiction(tmp_path):
+def test_lookup_table_that_repeats_the_rescale_is_accepted(tmp_path):
     def edit(dataset: Dataset, index: int) -> None:
         item = _lut_item([4096, 0, 16], np.arange(4096).astype("<u2").tobytes())
         dataset.ModalityLUTSequence, dataset.RescaleIntercept = [item], 0

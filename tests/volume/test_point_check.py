@@ -19,13 +19,13 @@ def a_volume():
     return Volume(np.zeros((10, 20, 20), np.int16), moved)
 
 
-def test_point_inside_is_accepted_up_to_half_a_voxel_beyond_the_outer_voxels():
+def test_point_is_accepted_up_to_half_a_voxel_beyond_the_outer_voxels():
     check_in_volume(a_volume(), (-110.4, 20.0, -300.0), "the target")
     with pytest.raises(UsageError):
         check_in_volume(a_volume(), (-110.6, 20.0, -300.0), "the target")
 
 
-def test_message_states_the_point_and_where_the_scan_lies():
+def test_message_about_a_point_outside_the_scan_states_the_point_and_the_bounds_of_the_scan():
     with pytest.raises(UsageError) as refused:
         check_in_volume(a_volume(), (0.0, 0.0, 0.04), "the target", code="plan.point")
     assert str(refused.value) == (
@@ -35,7 +35,7 @@ def test_message_states_the_point_and_where_the_scan_lies():
     assert refused.value.code == "plan.point"
 
 
-def test_message_gives_the_lps_point_if_ras_coordinates_were_given():
+def test_message_about_a_point_given_in_ras_states_the_lps_point():
     with pytest.raises(UsageError, match=r"in RAS coordinates, as in 3D Slicer, give -100,30,-295$"):
         check_in_volume(a_volume(), (100.0, -30.0, -295.0), "the target")
 

@@ -20,7 +20,7 @@ from carina.errors import CarinaError, DiskError, UsageError, VolumeImportError
         ("\ud800", r"\ud800"),
     ],
 )
-def test_unsafe_characters_become_escapes(text, expected):
+def test_control_and_invalid_characters_are_printed_as_escapes(text, expected):
     assert printable(text) == expected
     printable(text).encode("utf-8")
 
@@ -31,7 +31,7 @@ def test_every_error_message_can_be_printed(kind):
     assert message == r"reading l\xe9\x0a"
 
 
-def test_short_value_is_shown_whole_and_long_value_with_its_length():
+def test_short_value_is_shown_completely_and_a_long_value_shortened_with_its_length():
     assert shown_value("0,7 0,8 2") == "'0,7 0,8 2'"
     assert shown_value("x" * MAX_VALUE_CHARS) == f"'{'x' * MAX_VALUE_CHARS}'"
     long = shown_value("begin" + "x" * 10_000 + "end")

@@ -36,11 +36,11 @@ def codes(volume: Volume) -> list[str]:
     ("spacing_mm", "generation"),
     [((0.6, 0.6, 0.6), 9), ((0.7, 0.7, 1.25), 9), ((0.7, 0.7, 2.0), 7), ((0.7, 0.7, 3.0), 5), ((0.8, 0.8, 5.0), 3)],
 )
-def test_trusted_generation_follows_the_widest_spacing(spacing_mm, generation):
+def test_trusted_airway_generation_depends_on_the_widest_voxel_spacing(spacing_mm, generation):
     assert trusted_generation(spacing_mm) == generation
 
 
-def test_whole_lungs_are_found_and_not_reported_as_cut():
+def test_complete_lungs_are_found_and_not_reported_as_cut():
     quality = quality_gate(body())
     # The volume of the ellipsoids is 2 * 4/3 pi * 5.0 * 7.0 * 10.6 cm3; the coarse grid and the opening remove a few
     # per cent.
@@ -63,24 +63,24 @@ def test_lungs_are_found_in_a_crop_without_air_outside_the_body():
     assert quality_gate(crop).lung_litres == pytest.approx(3.11, rel=0.15)
 
 
-def test_body_without_lungs_is_reported_as_no_chest():
+def test_body_without_lungs_is_reported_as_ct_without_lungs():
     assert "no-lungs" in codes(body(lungs=False))
 
 
-def test_ct_with_padding_is_reported_by_the_quality_gate():
+def test_quality_check_reports_ct_values_of_padding():
     volume = body()
     hu = volume.hu_zyx.copy()
     hu[:, :10, :10] = -2000
     assert "padding" in codes(Volume(hu, volume.lps_from_ijk))
 
 
-def test_thick_slices_are_reported_as_uneven_and_masks_as_no_scans():
+def test_thick_slices_are_reported_as_uneven_spacing_and_masks_as_no_ct():
     volume = body()
     assert "uneven" in codes(Volume(volume.hu_zyx, np.diag([0.7, 0.7, 3.0, 1.0])))
     mask = Volume((volume.hu_zyx < -500).astype(np.int16), volume.lps_from_ijk, is_hu=False, not_hu_reason="0 to 1")
     assert codes(mask)[:2] == ["not-hu", "mask"]
 
 
-def test_quality_of_a_tiny_volume_is_judged_without_an_error():
+def test_quality_check_of_a_tiny_volume_raises_no_error():
     quality = quality_gate(Volume(np.array([[[-1000, 0]], [[40, 3]]], dtype=np.int16), np.diag([5.0, 0.5, 0.7, 1.0])))
     assert quality.to_json()["findings"]

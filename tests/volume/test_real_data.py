@@ -103,7 +103,7 @@ def test_ct_of_the_second_patient_opens_with_its_geometry(data_dir, tmp_path):
         ("PROVENANCE.txt", "import.not-an-image", "PROVENANCE.txt"),
     ],
 )
-def test_unusual_dicom_is_refused_with_its_reason(data_dir, capfd, path, code, words):
+def test_unusual_dicom_file_is_refused_with_its_reason(data_dir, capfd, path, code, words):
     with pytest.raises(VolumeImportError) as caught:
         open_volume(data_dir / "odd" / "dicom" / path)
     assert caught.value.code == code
@@ -141,7 +141,7 @@ LOSSLESS = (
 
 
 @pytest.mark.parametrize("syntax", LOSSLESS.split())
-def test_slices_of_every_lossless_transfer_syntax_are_equal(data_dir, syntax):
+def test_slices_in_every_lossless_transfer_syntax_are_equal(data_dir, syntax):
     headers = read_headers(
         data_dir / "odd" / "dicom" / "cornerstone3D_transfer_syntaxes", recursive=False, watch=Watch()
     )
@@ -153,7 +153,7 @@ def test_slices_of_every_lossless_transfer_syntax_are_equal(data_dir, syntax):
 @pytest.mark.parametrize(
     ("syntax", "mean_hu"), [("JPEG2000Transfer", 3), ("LSLossy", 3), ("Process2_4", 6), ("Process1Tr", 25)]
 )
-def test_lossy_transfer_syntaxes_are_within_tolerance(data_dir, syntax, mean_hu):
+def test_slices_in_lossy_transfer_syntaxes_are_within_tolerance(data_dir, syntax, mean_hu):
     # The error is 0.5 to 4 HU where 12 bits cover 8000 values in steps of 2; Process1 has 8 bits, steps of 32 HU.
     headers = read_headers(
         data_dir / "odd" / "dicom" / "cornerstone3D_transfer_syntaxes", recursive=False, watch=Watch()
@@ -211,13 +211,13 @@ def test_public_grid_files_with_unusual_geometry_are_refused(data_dir, name, cod
         ("odd/nifti/niivue_mha.mha", False),
     ],
 )
-def test_hu_status_of_grids_is_as_expected(data_dir, path, is_hu):
+def test_hu_status_of_public_grid_files_is_as_expected(data_dir, path, is_hu):
     volume = open_volume(data_dir / path)
     assert volume.is_hu is is_hu
     assert (volume.not_hu_reason is None) is is_hu
 
 
-def test_oblique_head_keeps_its_thirty_degrees(data_dir):
+def test_orientation_of_an_oblique_head_ct_at_thirty_degrees_is_preserved(data_dir):
     volume = open_volume(data_dir / "ct" / "head_and_lidc2_8bit" / "headsq_64x64x93_int16.mha")
     i_lps = volume.lps_from_ijk[:3, 0] / 3.2
     np.testing.assert_allclose(
@@ -225,7 +225,7 @@ def test_oblique_head_keeps_its_thirty_degrees(data_dir):
     )  # the header has three digits
 
 
-def test_coarse_ct_is_reported_as_coarse(data_dir):
+def test_quality_check_reports_a_ct_with_coarse_voxels(data_dir):
     volume = open_volume(data_dir / "ct" / "coarse_3mm_nifti" / "example_ct.nii.gz")
     assert any(
         finding.code == "spacing" and "generation 5" in finding.words for finding in quality_gate(volume).findings

@@ -36,7 +36,7 @@ def test_scout_in_the_same_series_is_skipped(write_series, expected_hu_zyx):
     np.testing.assert_array_equal(open_volume(folder).hu_zyx, expected_hu_zyx)
 
 
-def test_largest_chest_ct_is_opened_and_others_can_be_chosen(write_series):
+def test_largest_chest_ct_is_opened_and_other_series_can_be_selected(write_series):
     folder = write_series(number=2, num_slices=5)
     write_series("scan", number=7, name=lambda i: f"B{i}")
     write_series(
@@ -52,7 +52,7 @@ def test_largest_chest_ct_is_opened_and_others_can_be_chosen(write_series):
         open_volume(folder, series="9")
 
 
-def test_chest_in_the_description_outweighs_a_few_more_slices(write_series):
+def test_series_described_as_chest_is_opened_before_one_with_a_few_more_slices(write_series):
     folder = write_series(number=1, description="Lung 1.0", num_slices=7)
     write_series("scan", number=2, description="Abdomen", name=lambda i: f"B{i}")
     assert open_volume(folder).source.title == "Lung 1.0"
@@ -76,7 +76,7 @@ def test_another_series_replaces_a_refused_one_only_if_half_as_long(write_series
     assert open_volume(folder, series="2").shape_zyx[0] == 2
 
 
-def test_whole_series_replaces_a_refused_one_with_a_warning(write_series):
+def test_complete_series_replaces_a_refused_one_with_a_warning(write_series):
     folder = write_series(number=1)
     (folder / "IM004").unlink()
     write_series("scan", number=2, num_slices=6, name=lambda i: f"B{i}")
@@ -86,7 +86,7 @@ def test_whole_series_replaces_a_refused_one_with_a_warning(write_series):
     assert any("the largest series was refused" in words and "irregular" in words for words in volume.source.warnings)
 
 
-def test_inspection_reports_what_would_be_refused(write_series):
+def test_info_about_a_folder_states_what_would_be_refused(write_series):
     folder = write_series()
     (folder / "IM004").unlink()
     found = inspect_path(folder)
@@ -94,7 +94,7 @@ def test_inspection_reports_what_would_be_refused(write_series):
     assert found.to_json()["series"][0]["num_slices"] == SLICES - 1
 
 
-def test_inspection_gives_the_geometry_without_reading_pixels(write_series, expected_lps_from_ijk):
+def test_info_about_a_folder_gives_the_geometry_without_reading_pixels(write_series, expected_lps_from_ijk):
     folder = write_series(edit=lambda d, i: setattr(d, "PixelData", b""))
     found = inspect_path(folder)
     np.testing.assert_allclose(found.lps_from_ijk, expected_lps_from_ijk, rtol=0, atol=1e-8)
@@ -129,7 +129,7 @@ def test_ct_without_rescale_tags_is_not_hu(write_series):
     assert "no rescale tags" in (volume.not_hu_reason or "")
 
 
-def test_import_exposes_no_patient_data(write_series, caplog, capfd):
+def test_import_result_contains_no_patient_data(write_series, caplog, capfd):
     uid = generate_uid()
     caplog.set_level(logging.DEBUG)
 
@@ -162,7 +162,7 @@ def test_progress_of_an_import_increases_and_it_can_be_cancelled_at_every_step(w
             open_volume(folder, cancel=lambda checks=checks, stop_at=stop_at: next(checks) >= stop_at)
 
 
-def test_messages_are_bounded_if_every_image_is_its_own_series(tmp_path, write_series):
+def test_import_messages_are_limited_in_length_if_every_image_is_a_separate_series(tmp_path, write_series):
     """Use images that all have different studies, so that the folder seems to contain many series of one image."""
     names = [f"{'long-name-' * 18}{index:03d}.dcm" for index in range(40)]
     folder = write_series(
@@ -184,7 +184,7 @@ def test_messages_are_bounded_if_every_image_is_its_own_series(tmp_path, write_s
     assert len(str(usage.value)) <= 600
 
 
-def test_bounded_message_keeps_its_beginning_and_its_remedy():
+def test_shortened_message_contains_its_beginning_and_its_remedy():
     message = f"reading scan: {'x' * 5000}; export the series again"
     short = bounded_message(message)
     assert len(short) == MAX_MESSAGE_CHARS
@@ -195,14 +195,14 @@ def test_bounded_message_keeps_its_beginning_and_its_remedy():
     assert bounded_name("n" * 200).count("n") == 56
 
 
-def test_slice_thickness_is_stored_if_all_slices_state_the_same(write_series, expected_lps_from_ijk):
+def test_slice_thickness_is_stored_if_all_slices_state_the_same_value(write_series, expected_lps_from_ijk):
     volume = open_volume(write_series())
     assert volume.source.slice_thickness_mm == 5.0
     np.testing.assert_allclose(volume.lps_from_ijk, expected_lps_from_ijk)
 
 
 @pytest.mark.parametrize("thickness", ["", "0", "-2", "500", None])
-def test_impossible_or_missing_thickness_is_unknown(write_series, thickness):
+def test_impossible_or_missing_slice_thickness_is_unknown(write_series, thickness):
     def edit(dataset, _index):
         if thickness is None:
             del dataset.SliceThickness
@@ -212,7 +212,7 @@ def test_impossible_or_missing_thickness_is_unknown(write_series, thickness):
     assert open_volume(write_series(edit=edit)).source.slice_thickness_mm is None
 
 
-def test_slices_of_two_thicknesses_have_no_thickness(write_series):
+def test_slice_thickness_of_slices_with_two_different_values_is_unknown(write_series):
     def edit(dataset, index):
         dataset.SliceThickness = 5.0 if index else 2.5
 

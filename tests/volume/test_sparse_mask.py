@@ -31,7 +31,7 @@ def resident_bytes(mask):
 
 
 @given(arrays(np.uint8, st.tuples(*[st.integers(1, 9)] * 3), elements=st.sampled_from([0, 1, 255])))
-def test_copy_equals_the_mask_and_is_read_only(mask):
+def test_sparse_copy_equals_the_mask_and_is_read_only(mask):
     before = mask.copy()
     copy = sparse_mask(mask)
     assert copy.dtype == np.uint8
@@ -50,7 +50,7 @@ def test_mask_in_any_memory_order_is_copied_by_its_indices():
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the system tells its memory in /proc")
-def test_reading_a_mask_allocates_no_unset_pages():
+def test_reading_a_sparse_mask_allocates_no_memory_for_unset_voxels():
     empty = empty_mask(LARGE)
     before = resident_bytes(empty)
     assert not empty.any()

@@ -35,7 +35,7 @@ def until(is_so: Callable[[], bool]) -> None:
         time.sleep(0.001)
 
 
-def test_the_force_is_zero_in_the_lumen_and_pushes_back_in_the_wall(tube: WallField, reach_mm: float) -> None:
+def test_force_is_zero_in_the_lumen_and_directed_into_the_lumen_in_the_wall(tube: WallField, reach_mm: float) -> None:
     with ForceLoop(tube, ForceLaw(friction=0.0)) as loop:
         until(lambda: loop.put((0.0, 0.0, -20.0)) and loop.felt().at_lps == (0.0, 0.0, -20.0))
         assert loop.felt().force_n == (0.0, 0.0, 0.0)
@@ -55,7 +55,7 @@ def test_the_force_is_zero_in_the_lumen_and_pushes_back_in_the_wall(tube: WallFi
     loop.stop()
 
 
-def test_a_udp_reply_has_the_number_of_its_sample(tube: WallField, reach_mm: float) -> None:
+def test_udp_reply_has_the_number_of_its_sample(tube: WallField, reach_mm: float) -> None:
     with ForceLoop(tube, udp_port=0) as loop, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.connect(("127.0.0.1", loop.port))
         link.settimeout(20.0)
@@ -80,7 +80,7 @@ def test_a_udp_reply_has_the_number_of_its_sample(tube: WallField, reach_mm: flo
         until(lambda: loop.figures().num_refused == 4)
 
 
-def test_packets_have_the_byte_layout_of_the_guide() -> None:
+def test_udp_packets_have_the_byte_layout_of_the_documentation() -> None:
     sample = encode_sample(5, 1_000_000, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0), (0.0, 0.0, -1.0), buttons=3)
     assert len(sample) == 96
     assert sample[:8] == b"CARH\x01\x01\x03\x00"
@@ -96,7 +96,7 @@ def test_packets_have_the_byte_layout_of_the_guide() -> None:
     assert decode_force(b"XARH" + reply[4:]) is None
 
 
-def test_a_loop_refuses_a_law_a_port_or_a_space_out_of_range(tube: WallField) -> None:
+def test_force_loop_refuses_a_force_law_port_or_workspace_out_of_range(tube: WallField) -> None:
     for law in (ForceLaw(stiffness_n_per_mm=9.0), ForceLaw(watchdog_ms=math.inf), ForceLaw(tip_radius_mm=math.nan)):
         with pytest.raises(UsageError) as refused:
             ForceLoop(tube, law)
@@ -112,7 +112,7 @@ def test_a_loop_refuses_a_law_a_port_or_a_space_out_of_range(tube: WallField) ->
         ForceLoop(tube, udp_port=loop.port)
 
 
-def test_rumble_grows_with_the_depth_of_contact() -> None:
+def test_gamepad_vibration_increases_with_the_depth_of_contact() -> None:
     assert rumble(0.0) == (0.0, 0.0)
     weak, strong = rumble(1.0), rumble(8.0)
     assert weak[0] < strong[0] <= 1.0
@@ -120,7 +120,7 @@ def test_rumble_grows_with_the_depth_of_contact() -> None:
     assert rumble(math.nan) == (0.0, 0.0)
 
 
-def test_a_running_loop_reduces_the_threads_of_pictures_by_one() -> None:
+def test_running_force_loop_reduces_the_rendering_threads_by_one() -> None:
     _, y, x = np.mgrid[0:20, -10:11, -10:11].astype(np.float32)
     matrix = np.diag([1.0, 1.0, 1.0, 1.0])
     matrix[:3, 3] = (-10.0, -10.0, 0.0)
@@ -137,7 +137,7 @@ def test_a_running_loop_reduces_the_threads_of_pictures_by_one() -> None:
     assert picture_threads() == before
 
 
-def test_figures_count_ticks_and_missed_ticks(tube: WallField) -> None:
+def test_statistics_of_the_force_loop_count_steps_and_missed_steps(tube: WallField) -> None:
     with ForceLoop(tube) as loop:
         until(lambda: loop.figures().num_ticks >= 200)
         figures = loop.figures()
@@ -146,7 +146,7 @@ def test_figures_count_ticks_and_missed_ticks(tube: WallField) -> None:
     assert figures.work_us[0] <= figures.work_us[1] <= max(figures.work_us[2], 1.0)
 
 
-def test_a_loop_shows_its_law_in_one_line(tube: WallField) -> None:
+def test_repr_of_a_force_loop_is_one_line_with_its_force_law(tube: WallField) -> None:
     with ForceLoop(tube) as loop:
         assert repr(loop).startswith("ForceLoop(ForceLaw(")
         assert "\n" not in repr(loop)
@@ -167,7 +167,7 @@ def test_forces_of_a_recorded_movement_repeat_exactly(tube: WallField, reach_mm:
     assert refused.value.code == "scope.force"
 
 
-def test_damaged_bytes_of_a_wall_are_refused(tube: WallField) -> None:
+def test_force_loop_refuses_damaged_wall_field_bytes(tube: WallField) -> None:
     good = tube.to_bytes()
     samples = np.zeros((1, 9))
     assert _force.forces_along(good, ForceLaw().numbers, samples).shape == (1, 3)
@@ -177,7 +177,7 @@ def test_damaged_bytes_of_a_wall_are_refused(tube: WallField) -> None:
         assert refused.value.code == "scope.wall"
 
 
-def test_a_path_and_a_space_of_wrong_shape_are_refused(tube: WallField) -> None:
+def test_force_loop_refuses_a_path_and_a_workspace_of_wrong_shape(tube: WallField) -> None:
     for options in ({"path_lps": np.zeros((2, 2))}, {"lps_from_device": np.eye(3)}):
         with pytest.raises(UsageError) as refused:
             ForceLoop(tube, **options)

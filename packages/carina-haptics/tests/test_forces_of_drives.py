@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from drive_hands import DT_S, kind_of, random_samples, scope_of
 from lumen_cells import lattice_of
 from numpy.typing import NDArray
+from random_drive_inputs import DT_S, kind_of, random_samples, scope_of
 
 import carina
+from cached_test_data import patient as made_patient
 from carina.phantom import generate_phantom, lumen_distance_at
 from carina.scopes import ScopeDrive, ScopeState, WallField
 from carina_haptics import FORCE_LIMIT_N, FORCE_SLEW_N_PER_MS, MAX_STIFFNESS_N_PER_MM, ForceLaw, forces_along
-from made import patient as made_patient
 
 SEED = 3
 LOW, HIGH = np.array([-70.0, -50.0, -90.0]), np.array([70.0, 50.0, 112.0])

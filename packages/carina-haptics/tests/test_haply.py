@@ -20,7 +20,7 @@ def message(x: float, y: float, z: float, **more: Any) -> dict[str, Any]:
     return {"inverse3": [{"device_id": "0417", "state": state}], **more}
 
 
-def test_a_message_of_the_service_is_read_and_an_invalid_one_is_refused() -> None:
+def test_haply_message_is_read_and_an_invalid_one_is_refused() -> None:
     grip = {"orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 2.0}, "buttons": {"a": True, "b": False}}
     state = read_haply_message(json.dumps(message(0.1, -0.2, 0.3, wireless_verse_grip=[{"state": grip}])))
     assert state is not None
@@ -44,7 +44,7 @@ def test_a_message_of_the_service_is_read_and_an_invalid_one_is_refused() -> Non
             read_haply_message(broken)
 
 
-def test_the_bridge_survives_invalid_messages_and_reconnects(tube: WallField, reach_mm: float) -> None:
+def test_haply_bridge_continues_after_invalid_messages_and_reconnects(tube: WallField, reach_mm: float) -> None:
     from websockets.asyncio.server import ServerConnection, serve
 
     forces: list[tuple[float, float, float]] = []
@@ -95,6 +95,6 @@ def test_the_bridge_survives_invalid_messages_and_reconnects(tube: WallField, re
     assert forces[400] == (0.0, 0.0, 0.0)
 
 
-def test_the_bridge_refuses_a_scale_out_of_range(tube: WallField) -> None:
+def test_haply_bridge_refuses_a_scale_out_of_range(tube: WallField) -> None:
     with ForceLoop(tube) as loop, pytest.raises(UsageError):
         HaplyBridge(loop, Pose(np.eye(4)), scale=5.0)

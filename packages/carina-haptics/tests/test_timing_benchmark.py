@@ -24,7 +24,7 @@ class Header:
     render_ms: float = 10.0
 
 
-def test_the_summary_excludes_the_first_second_and_the_view_finder():
+def test_summary_of_frame_times_excludes_the_first_second_and_the_cut_plane():
     shown: list[Any] = [
         (0.5, Header(512, 0.5)),
         (1.5, Header(256, 0.5)),
@@ -37,7 +37,7 @@ def test_the_summary_excludes_the_first_second_and_the_view_finder():
     assert summed(shown[3:4], 0.0, 3.0).per_s == 0.0
 
 
-def test_moving_pictures_keep_the_rate_and_full_pictures_have_full_size():
+def test_moving_pictures_have_the_requested_rate_and_pictures_at_rest_full_size():
     volume = small_volume()
     renderer = Renderer(volume)
     centre = volume.centre_lps
@@ -50,7 +50,9 @@ def test_moving_pictures_keep_the_rate_and_full_pictures_have_full_size():
     assert full.per_s > 0.0
 
 
-def test_the_benchmark_restores_the_threads_and_gates_the_rows_with_moving_pictures(monkeypatch, capsys, tmp_path):
+def test_timing_benchmark_restores_the_threads_and_checks_limits_only_while_pictures_move(
+    monkeypatch, capsys, tmp_path
+):
     volume = small_volume()
     top = volume.lps_from_ijk[:3, 3] + np.array([0.0, 0.0, 50.0])
     monkeypatch.setattr(force_timing, "open_phantom", lambda *_: (volume, [top]))

@@ -35,7 +35,7 @@ UNSEEN_MM, SEEN_MM = 9.0, 3.0
 """Standard deviations in mm of the position of a lobe border: without, and with, a visible fissure.
 
 The first is for a border from airways alone (measured on patients with masks of lobes,
-benchmarks/carina_bench/plan_around.py), the second for a border at a visible fissure.
+benchmarks/carina_bench/plan_surroundings.py), the second for a border at a visible fissure.
 """
 FAR_SHARE = 0.35
 """Least ratio of a border's standard deviation without a fissure to the distance from the nearest airway.

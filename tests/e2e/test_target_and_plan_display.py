@@ -1,0 +1,265 @@
+"""Tests of slices and plan while a target is marked and its answer is read, in the browser."""
+
+from __future__ import annotations
+
+import pytest
+from test_plan import CHEST, place_in_slice, scroll_to
+
+import carina
+from cached_test_data import made_phantom
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture
+def opens(tmp_path):
+    """Return a chest with a nodule, as the opened file."""
+    carina.write_phantom(made_phantom(**CHEST), tmp_path)
+    return {"path": str(tmp_path / "ct.nii.gz")}
+
+
+def cell(workstation, name: str):
+    """Return the cell of the window that shows a slice."""
+    return workstation.page.locator(f"[data-cell={name}]")
+
+
+def test_slices_state_that_they_do_not_follow_the_tip_and_follow_it_again_after_click_or_key(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    page = workstation.page
+    chips = page.get_by_test_id("follow-tip")
+    assert chips.all_inner_texts() == ["following the tip"] * 3
+    workstation.picture("follow-on")
+
+    box = page.locator("canvas[data-view=coronal]").bounding_box()
+    page.mouse.click(box["x"] + 0.3 * box["width"], box["y"] + 0.7 * box["height"])
+    workstation.wait_for("window.__carina.state.session.sight.crosshair_lps !== null")
+    assert chips.all_inner_texts() == ["not following the tip"] * 3
+    workstation.picture("follow-off")
+    cell(workstation, "axial").get_by_role("button", name="Slices are not following the tip").click()
+    workstation.wait_for("window.__carina.state.session.sight.crosshair_lps === null")
+    assert chips.all_inner_texts() == ["following the tip"] * 3
+
+    page.mouse.click(box["x"] + 0.3 * box["width"], box["y"] + 0.7 * box["height"])
+    workstation.wait_for("window.__carina.state.session.sight.crosshair_lps !== null")
+    page.keyboard.press("c")
+    workstation.wait_for("window.__carina.state.session.sight.crosshair_lps === null")
+    assert chips.all_inner_texts() == ["following the tip"] * 3
+    assert workstation.faults == []
+
+
+@pytest.mark.parametrize("size", [(1440, 900), (1920, 1080), (1280, 720)])
+def test_label_that_slices_follow_the_tip_covers_no_orientation_letter(server, workstation, size):
+    width, height = size
+    workstation.page.set_viewport_size({"width": width, "height": height})
+    workstation.open(server)
+    workstation.wait_ready()
+    workstation.page.keyboard.press("t")
+    for name in ("axial", "coronal", "sagittal"):
+        picture = cell(workstation, name).locator(".cell-picture").bounding_box()
+        chip = cell(workstation, name).get_by_test_id("follow-tip").bounding_box()
+        # One line above the letter of the lower edge, and below that of the right edge.
+        assert chip["height"] < 22
+        assert chip["x"] > picture["x"]
+        assert chip["y"] + chip["height"] <= picture["y"] + picture["height"] - 17
+        assert chip["y"] > picture["y"] + picture["height"] / 2 + 8
+    workstation.picture(f"follow-{width}")
+
+
+def test_voxel_value_under_a_still_pointer_is_updated_when_the_slice_moves(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    page, centre = workstation.page, made_phantom(**CHEST).truth["nodule"]["centre_lps"]
+    page.mouse.move(*place_in_slice(workstation, "axial", centre))
+    workstation.wait_for("window.__carina.state.probed !== null")
+    shown = page.get_by_test_id("cursor")
+    for _ in range(400):
+        at = workstation.state("frames.axial.lps_from_pixel[11]")
+        if abs(at - centre[2]) < 1.0:
+            break
+        page.mouse.wheel(0, 100 if at > centre[2] else -100)
+        workstation.wait_for("(at) => Math.abs(window.__carina.state.frames.axial.lps_from_pixel[11] - at) > 0.01", at)
+    # The pointer has not moved since the first slice.
+    workstation.wait_for(f"Math.abs(window.__carina.state.probed.lps[2] - {centre[2]}) < 1.2")
+    workstation.wait_for("window.__carina.state.probed.voxel_value > -100")
+    assert "HU" in shown.inner_text()
+    workstation.picture("value-still-pointer")
+    assert workstation.faults == []
+
+
+SIZES = [(1440, 900), (1920, 1080), (1280, 720)]
+
+
+def open_at(server, workstation, size: tuple[int, int]) -> None:
+    """Open the chest in a window of a size."""
+    workstation.page.set_viewport_size({"width": size[0], "height": size[1]})
+    workstation.open(server)
+    workstation.wait_ready()
+
+
+def mark_nodule(workstation) -> None:
+    """Mark the nodule in the axial slice, and wait for its routes."""
+    page, centre = workstation.page, made_phantom(**CHEST).truth["nodule"]["centre_lps"]
+    page.get_by_role("button", name="Target", exact=True).first.click()
+    page.get_by_test_id("arm-target").click()
+    scroll_to(workstation, centre)
+    page.mouse.click(*place_in_slice(workstation, "axial", centre))
+    workstation.wait_for("window.__carina.state.plans.targets[0].routes.length > 0")
+
+
+def area(workstation, view: str) -> float:
+    box = workstation.page.locator(f".picture-host:has(canvas[data-view={view}])").bounding_box()
+    return box["width"] * box["height"]
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_slices_are_enlarged_while_a_target_is_chosen(server, workstation, size):
+    open_at(server, workstation, size)
+    page = workstation.page
+    before = {view: area(workstation, view) for view in ("axial", "coronal", "sagittal", "airway")}
+    page.get_by_role("button", name="Target", exact=True).first.click()
+    workstation.refreshes(2)
+    for view, least in (("axial", 3.0), ("coronal", 1.05), ("sagittal", 1.05)):
+        assert area(workstation, view) > least * before[view], view
+    tools = page.get_by_role("toolbar", name="Airway view")
+    shown_px, needed_px = tools.evaluate("(bar) => [bar.clientWidth, bar.scrollWidth]")
+    assert needed_px <= shown_px
+    workstation.wait_still()
+    workstation.picture(f"target-slices-{size[0]}")
+    page.get_by_role("button", name="Airways", exact=True).first.click()
+    workstation.refreshes(2)
+    assert {view: area(workstation, view) for view in before} == before
+    assert workstation.faults == []
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_verdict_of_a_plan_is_shown_above_its_details_and_printed(server, workstation, size):
+    open_at(server, workstation, size)
+    page, wide = workstation.page, size[0] >= 1600
+    mark_nodule(workstation)
+    answer = page.get_by_test_id("plan-answer")
+    assert answer.count() == (1 if wide else 0)
+    workstation.picture(f"answer-target-{size[0]}")
+    page.get_by_test_id("answer-take-route" if wide else "take-route").click()
+    workstation.wait_for("window.__carina.state.plans.verdicts.length > 0")
+    leg = workstation.state("plans.targets[0].routes[0].leg")
+    verdict = workstation.state("plans.verdicts[0]")
+    if wide:
+        answer = page.get_by_role("region", name="Answer for Target 1")
+        assert verdict["outcome"] in answer.get_by_role("status").inner_text()
+        assert f"{leg['to_target_mm']:.0f}\u202fmm" in answer.get_by_test_id("answer-needle").inner_text()
+        inside = sum(one["to_mm"] - one["from_mm"] for one in leg["crossed"] if one["tissue"] == "vessel")
+        shown = answer.get_by_test_id("answer-vessel").inner_text()
+        assert ("way" in shown) == (inside > 0.05)
+        pictures = page.locator(".airway-picture").bounding_box()
+        card = answer.bounding_box()
+        assert card["y"] + card["height"] <= pictures["y"], "the answer covers no picture"
+        answer.get_by_test_id("answer-details").click()
+    # The panel below contains the details; the reasons and the print button exist once.
+    page.get_by_test_id("planned").wait_for()
+    workstation.wait_still()
+    workstation.picture(f"answer-route-{size[0]}")
+    with page.context.expect_page() as opened:
+        page.get_by_test_id("print-plan").click()
+    opened.value.close()
+    # A view in full size hides the answer.
+    page.keyboard.press("Escape")
+    cell(workstation, "axial").get_by_role("button", name="Full view").click()
+    assert answer.count() == 0
+    assert workstation.faults == []
+
+
+def test_flight_controls_measure_distances_from_the_same_origin_as_the_plan(server, workstation):
+    open_at(server, workstation, SIZES[0])
+    page = workstation.page
+    mark_nodule(workstation)
+    page.get_by_test_id("take-route").click()
+    workstation.wait_for("window.__carina.state.route.needle !== null")
+    planned = workstation.state("plans.targets[0].routes[0]")
+    assert planned["origin"]["kind"] == "ridge"
+    origin_mm = workstation.state("route.origin.along_mm")
+    assert origin_mm == pytest.approx(planned["origin"]["along_mm"], abs=0.1)
+    # The end of the route is the place where the scope stops in plan, card and report.
+    length_mm = workstation.state("route.length_mm")
+    end_mm = workstation.state("route.centreline_mm.at(-1)") - origin_mm
+    assert end_mm == pytest.approx(planned["from_carina_mm"], abs=0.5)
+    numbers = page.get_by_test_id("path-numbers")
+    workstation.refreshes(2)
+    assert f"end {end_mm:.0f}\u202fmm" in numbers.inner_text()
+    assert "above carina" in numbers.inner_text()
+    scale = page.locator(".ruler-scale")
+    assert "carina" in scale.inner_text() and "\u221220" in scale.inner_text()
+    workstation.picture("origin-start")
+
+    workstation.go_to(length_mm)
+    workstation.wait_for("!document.querySelector('[data-testid=path-numbers]').innerText.includes('above')")
+    # The slider's step is 0.1 mm.
+    shown_mm = float(numbers.inner_text().split("\u202f")[0])
+    assert shown_mm == pytest.approx(end_mm, abs=0.16)
+    slider = page.get_by_role("slider", name="Position on the route in mm from the main carina")
+    assert float(slider.input_value()) == pytest.approx(end_mm, abs=0.11)
+    workstation.picture("origin-end")
+    page.get_by_role("button", name="Rehearse", exact=True).click()
+    fits = page.get_by_test_id("fits").inner_text()
+    assert "past the main carina" in fits or "above the main carina" in fits
+    workstation.picture("origin-rehearse")
+    assert workstation.faults == []
+
+
+def test_text_at_the_cursor_states_what_a_click_would_mark_as_target(server, workstation):
+    open_at(server, workstation, SIZES[0])
+    page, centre = workstation.page, made_phantom(**CHEST).truth["nodule"]["centre_lps"]
+    page.get_by_role("button", name="Target", exact=True).first.click()
+    page.get_by_test_id("arm-target").click()
+    scroll_to(workstation, centre)
+    place = place_in_slice(workstation, "axial", centre)
+    page.mouse.move(*place)
+    workstation.wait_for("window.__carina.state.targetMark?.sentences.length > 0")
+    mark = page.get_by_test_id("target-mark")
+    mark.wait_for()
+    words = mark.inner_text()
+    assert words.startswith("A click marks a solid nodule, ")
+    workstation.picture("mark-nodule")
+    # The lung beside the nodule contains nothing that a click could measure.
+    page.mouse.move(*place_in_slice(workstation, "axial", [centre[0] + 15.0, centre[1], centre[2]]))
+    workstation.wait_for("window.__carina.state.targetMark?.sentences[0] === 'a click marks a point without a path'")
+    workstation.picture("mark-lung")
+    page.mouse.move(*place)
+    workstation.wait_for("window.__carina.state.targetMark?.sentences[0]?.includes('nodule')")
+    page.mouse.click(*place)
+    page.get_by_test_id("lesion").wait_for()
+    # The click marks what the cursor has stated.
+    size = words.removeprefix("A click marks a ").split(", ")[1]
+    assert size in workstation.state("messages.map((one) => one.message).join()")
+    assert workstation.faults == []
+
+
+def test_toolbar_and_plan_always_have_the_same_scope(server, workstation):
+    open_at(server, workstation, SIZES[0])
+    page = workstation.page
+    mark_nodule(workstation)
+    toolbar = page.get_by_role("toolbar", name="Airway view").get_by_test_id("scope")
+    # The first plan replaces the generic scope by the scope that plans use by default.
+    assert toolbar.inner_text() == "Thin"
+    assert workstation.state("plans.targets[0].options.scope") == "thin"
+    toolbar.click()
+    page.get_by_role("option").filter(has_text="Ultrathin (BF-MP190F").click()
+    workstation.wait_for("window.__carina.state.plans.targets[0].options.scope === 'ultrathin'")
+    workstation.wait_for("window.__carina.state.plans.targets[0].routes.length > 0")
+    page.get_by_test_id("take-route").click()
+    options = page.get_by_text("Instruments and margins")
+    options.scroll_into_view_if_needed()
+    options.click()
+    page.get_by_label("Bronchoscope, also of the airway view").select_option("therapeutic")
+    workstation.wait_for("window.__carina.state.look.scope === 'therapeutic'")
+    workstation.refreshes(2)
+    assert toolbar.inner_text() == "Therapeutic"
+    bar = page.get_by_role("toolbar", name="Airway view")
+    shown_px, needed_px = bar.evaluate("(bar) => [bar.clientWidth, bar.scrollWidth]")
+    assert needed_px <= shown_px, "a long name clips no tool"
+    workstation.wait_for("window.__carina.state.plans.targets[0].options.scope === 'therapeutic'")
+    workstation.picture("one-scope")
+    page.keyboard.press("Control+z")
+    workstation.wait_for("window.__carina.state.plans.targets[0].options.scope === 'ultrathin'")
+    workstation.wait_for("window.__carina.state.look.scope === 'ultrathin'")
+    assert workstation.faults == []
