@@ -9,8 +9,8 @@
 //! than fit in registers do not help.
 
 use super::{
-    ask::Pace,
     lanes::Lanes,
+    map_lookup::Pace,
     out::Out,
     pool::{Packet, Pool},
     scene::{BRUTE, CLASSES, Scene, TRANSPARENT},
@@ -237,8 +237,8 @@ impl Scene<'_> {
             if SHADED {
                 band.stats.num_shaded += u64::from(lit.count_ones());
             }
-            clear |= active & goes_on & !lit;
-            active &= goes_on & lit;
+            clear |= active & goes_on & !shaded_walls;
+            active &= goes_on & shaded_walls;
         }
         band.shade = packet;
     }

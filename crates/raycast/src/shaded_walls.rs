@@ -46,7 +46,7 @@ pub(crate) enum Walls<'a> {
 /// Cast and shade rows, in packets or with the scalar casters.
 ///
 /// The statistics exclude the rays of the rows beside the strip, because these rows belong to other strips.
-pub(crate) fn cast_lit(
+pub(crate) fn cast_shaded(
     frame: &Frame<'_>,
     method: Method<'_>,
     light: &Lighting,
@@ -129,7 +129,7 @@ pub(crate) fn light_walls(
             (stats, CastStats::default().lit(walls))
         })
         .reduce(Default::default, |(a, b), (c, d)| (a.plus(c), b.plus(d)));
-    let mut lit = lit;
+    let mut lit = shaded_walls;
     if light.look.silhouettes {
         let [before, after] = beside;
         let depths = DepthRows {
