@@ -98,7 +98,7 @@ def test_command_whose_disk_becomes_full_reports_it_and_leaves_the_old_file(run,
     name = output_name(verb)
     if name != "kept":
         (folder / name).write_bytes(b"old")
-    plain = atomic_files._begin
+    plain = atomic_files._create_draft
 
     def begin(where, mode):
         file, place = plain(where, mode)
@@ -133,7 +133,7 @@ def test_phantom_on_a_full_disk_leaves_the_former_three_files(carina, tmp_path, 
     names = ("ct.nii.gz", "lumen.nii.gz", "truth.json")
     for name in names:
         (folder / name).write_bytes(b"old")
-    plain, room = atomic_files._begin, iter([10**9, 10**9, 100])
+    plain, room = atomic_files._create_draft, iter([10**9, 10**9, 100])
 
     def begin(where, mode):
         file, place = plain(where, mode)

@@ -125,7 +125,7 @@ DECORATED = {
 """Golden images of the decoration by name: pose, parts drawn from the airway tree, and what a person must see."""
 
 
-def compare(name: str, found: np.ndarray, seen: str) -> None:
+def compare(name: str, found: np.ndarray, count_cpu_picture: str) -> None:
     """Fail unless the picture equals the golden image; store the expected, the actual and the difference image."""
     path = GOLDEN / f"{name}.png"
     if os.environ.get("CARINA_GOLDEN") == "rewrite":
@@ -133,7 +133,9 @@ def compare(name: str, found: np.ndarray, seen: str) -> None:
         sitk.WriteImage(sitk.GetImageFromArray(found, isVector=True), str(path))
         return
     if not path.exists():
-        pytest.fail(f"the golden image {path.name} is missing; it must show {seen}. `make golden` writes it")
+        pytest.fail(
+            f"the golden image {path.name} is missing; it must show {count_cpu_picture}. `make golden` writes it"
+        )
     expected = sitk.GetArrayFromImage(sitk.ReadImage(str(path)))
     if expected.shape == found.shape and (expected == found).all():
         return
@@ -145,27 +147,27 @@ def compare(name: str, found: np.ndarray, seen: str) -> None:
         parts["difference"] = np.minimum(difference * 32, 255).astype(np.uint8)
     for part, rgb in parts.items():
         sitk.WriteImage(sitk.GetImageFromArray(rgb, isVector=True), str(OUT / f"{name}.{part}.png"))
-    pytest.fail(f"{name} differs from its golden image, which must show {seen}; see {OUT}")
+    pytest.fail(f"{name} differs from its golden image, which must show {count_cpu_picture}; see {OUT}")
 
 
 @pytest.mark.parametrize("name", sorted(CASES))
 def test_pictures_of_the_phantom_equal_the_golden_images(name, airway):
-    view, transfer, seen = CASES[name]
+    view, transfer, count_cpu_picture = CASES[name]
     renderer = Renderer(airway.volume, transfer=transfer_preset(transfer))
     renderer.set_lumen(airway.lumen_zyx)
     renderer.prepare()
-    compare(name, renderer.render(view(airway.pose)).rgb, seen)
+    compare(name, renderer.render(view(airway.pose)).rgb, count_cpu_picture)
 
 
 @pytest.mark.parametrize("name", sorted(DECORATED))
 def test_pictures_of_the_decoration_equal_the_golden_images(name, airway):
-    pose, parts, seen = DECORATED[name]
+    pose, parts, count_cpu_picture = DECORATED[name]
     preset = transfer_preset("endoscopic")
     on = {part: getattr(preset.appearance, part) for part in parts}
     look = dataclasses.replace(preset.appearance.undecorated(), **on)
     renderer = Renderer(airway.volume, transfer=dataclasses.replace(preset, appearance=look))
     renderer.set_lumen(airway.lumen_zyx, forked())
-    compare(name, renderer.render(AirwayView(pose, fov_deg=110.0, width=128, height=128)).rgb, seen)
+    compare(name, renderer.render(AirwayView(pose, fov_deg=110.0, width=128, height=128)).rgb, count_cpu_picture)
 
 
 def test_every_golden_image_has_a_case():

@@ -53,7 +53,7 @@ def test_points_appear_at_their_projected_position(balls, name):
     white = TransferFunction([[-400, 1, 1, 1, 0], [0, 1, 1, 1, 0.95]])
     renderer = Renderer(volume, transfer=white)
     pose = Pose.looking((1.0, -2.0, -6.0), (0.1, 0.05, 1.0))
-    seen = 0
+    count_cpu_picture = 0
     for middle in middles:
         picture = renderer.render(
             AirwayView(pose, fov_deg=100.0, lens=LENSES[name], shading=False, width=300, height=260)
@@ -61,13 +61,13 @@ def test_points_appear_at_their_projected_position(balls, name):
         column, row = picture.pixel_of(middle)
         if not (8 < column < 292 and 8 < row < 252):
             continue
-        seen += 1
+        count_cpu_picture += 1
         around = picture.rgb[int(row) - 7 : int(row) + 8, int(column) - 7 : int(column) + 8, 0].astype(float)
         rows, columns = np.indices(around.shape) + 0.5
         at = [(around * v).sum() / around.sum() for v in (columns, rows)]
         # The tolerance covers the few pixels of a ball, which is cut by the window and stretched by the lens.
         assert at == pytest.approx([column - int(column) + 7, row - int(row) + 7], abs=0.8)
-    assert seen >= 6
+    assert count_cpu_picture >= 6
 
 
 @pytest.mark.parametrize("name", LENSES)

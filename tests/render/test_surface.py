@@ -29,9 +29,9 @@ def test_surface_points_are_at_their_depth_on_the_rays_of_their_pixels(renderer,
     picture = renderer.render(view)
     assert surface.depth_mm.shape == (44, 56)
     assert surface.depth_mm.dtype == surface.normal_lps.dtype == np.float32
-    seen = np.isfinite(surface.depth_mm)
-    assert seen.mean() > 0.9
-    for row, column in np.argwhere(seen)[::97]:
+    count_cpu_picture = np.isfinite(surface.depth_mm)
+    assert count_cpu_picture.mean() > 0.9
+    for row, column in np.argwhere(count_cpu_picture)[::97]:
         point = surface.position_lps[row, column]
         # Directions are float32, which causes an error of 1e-3 of a pixel.
         assert picture.pixel_of(point) == pytest.approx((column + 0.5, row + 0.5), abs=1e-3)
@@ -40,14 +40,14 @@ def test_surface_points_are_at_their_depth_on_the_rays_of_their_pixels(renderer,
         normal = surface.normal_lps[row, column]
         assert np.linalg.norm(normal) == pytest.approx(1, abs=1e-5)
         assert normal @ (point - airway.pose.position_lps) < 0, "a wall faces the camera"
-    assert (np.isnan(surface.position_lps).any(axis=2) == ~seen).all()
-    assert (np.isnan(surface.normal_lps).any(axis=2) == ~seen).all()
+    assert (np.isnan(surface.position_lps).any(axis=2) == ~count_cpu_picture).all()
+    assert (np.isnan(surface.normal_lps).any(axis=2) == ~count_cpu_picture).all()
 
 
 def test_surface_is_at_the_border_of_the_lumen(renderer, airway):
     surface = renderer.surface(AirwayView(airway.pose, fov_deg=100.0, **SIZE))
-    seen = np.isfinite(surface.depth_mm)
-    nearest_ijk = np.rint(airway.volume.to_ijk(surface.position_lps[seen])).astype(int)
+    count_cpu_picture = np.isfinite(surface.depth_mm)
+    nearest_ijk = np.rint(airway.volume.to_ijk(surface.position_lps[count_cpu_picture])).astype(int)
     near_lumen = grow_one_voxel(airway.lumen_zyx != 0) & grow_one_voxel(airway.lumen_zyx == 0)
     # The other rays leave the volume through the open top of the trachea.
     assert near_lumen[tuple(nearest_ijk.T[::-1])].mean() > 0.98

@@ -139,8 +139,10 @@ def test_decoration_does_not_change_the_walls(airway):
     for one, two in ((with_tree.scene.values, without.scene.values), (with_tree.scene.lumen, without.scene.lumen)):
         np.testing.assert_array_equal(one, two)
     # Nothing is drawn without a wall, so the same pixels are not black with and without decoration.
-    seen = [r.render(AirwayView(airway.pose, fov_deg=100.0, **SIZE)).rgb.max(axis=2) > 0 for r in (with_tree, without)]
-    np.testing.assert_array_equal(*seen)
+    count_cpu_picture = [
+        r.render(AirwayView(airway.pose, fov_deg=100.0, **SIZE)).rgb.max(axis=2) > 0 for r in (with_tree, without)
+    ]
+    np.testing.assert_array_equal(*count_cpu_picture)
 
 
 def test_pictures_are_equal_for_every_instruction_set_in_strips_and_by_leaps(airway):

@@ -318,7 +318,7 @@ def test_voxel_file_truncated_while_it_is_read_is_not_used(volume_cache, folder,
     path = chest_file(tmp_path)
     keep(volume_cache, path)
     (voxels,) = files(folder, SUFFIX)
-    fill = voxel_file._fill
+    fill = voxel_file._read_full
 
     def cut_first(file, place):
         fill(file, place)
@@ -380,8 +380,8 @@ def test_record_of_another_carina_version_is_replaced_and_its_voxels_are_reused(
 
 
 def test_version_of_the_import_code_is_equal_at_each_computation():
-    assert cache._made_by() == cache._made_by()
-    assert len(cache._made_by()) == 32
+    assert cache._reader_digest() == cache._reader_digest()
+    assert len(cache._reader_digest()) == 32
 
 
 def test_least_recently_used_ct_is_removed_when_the_cache_is_full(folder, clock, tmp_path):
@@ -564,7 +564,7 @@ def test_sweep_removes_voxel_files_without_a_source_record_after_two_hours(volum
 def test_ct_is_cached_in_the_background(volume_cache, tmp_path):
     path = chest_file(tmp_path)
     opened = volume_cache.open_and_keep(path)
-    volume_cache.wait_kept()
+    volume_cache.wait_stored()
     assert volume_cache.find(path) is not None
     assert_equal(volume_cache.open_and_keep(path), opened)
 
@@ -588,7 +588,7 @@ def test_close_cancels_a_pending_write_to_the_cache(volume_cache, folder, tmp_pa
     ending.join()
     assert files(folder) == []
     volume_cache.open_and_keep(chest_file(tmp_path, 1, "b.nrrd"))
-    volume_cache.wait_kept()
+    volume_cache.wait_stored()
     assert files(folder) == []
 
 

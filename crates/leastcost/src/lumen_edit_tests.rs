@@ -8,7 +8,9 @@ use crate::Unwatched;
 use crate::cheapest_way::cheapest_way;
 use crate::graph::Graph;
 use crate::lumen::{LumenCost, LumenGraph, WallLevels};
-use crate::lumen_edit::{as_bytes, edited, followed, newly_reached, solved};
+use crate::lumen_edit::{
+    as_bytes, costs_after_edit, costs_from_scratch, edit_graph, newly_reached,
+};
 use crate::tracker::Tracker;
 
 /// Number of voxels of the test volume along i, j, k.

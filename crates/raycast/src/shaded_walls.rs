@@ -129,7 +129,7 @@ pub(crate) fn light_walls(
             (stats, CastStats::default().lit(walls))
         })
         .reduce(Default::default, |(a, b), (c, d)| (a.plus(c), b.plus(d)));
-    let mut lit = shaded_walls;
+    let mut lit = lit;
     if light.look.silhouettes {
         let [before, after] = beside;
         let depths = DepthRows {

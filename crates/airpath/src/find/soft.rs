@@ -128,10 +128,10 @@ pub fn keep_cut_off_air(sharp: VolumeView<'_, i16>, soft: &mut [i16], cut: &CutO
             let mut touches_air = false;
             if is_cut(*at as usize, soft) {
                 faces.each(*at as usize, |next, _| {
-                    touches_air = touches_air || is_air(next)
+                    touches_air = touches_air || is_air(next);
                 });
             }
-            beside
+            touches_air
         })
         .collect();
     let num_steps = (cut.seam_mm / sharp.grid().min_spacing_mm())

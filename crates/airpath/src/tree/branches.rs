@@ -301,9 +301,9 @@ impl<'a> NodeTree<'a> {
     /// Move the start of a new chain to the point where the chain leaves the tube that it shares with the tree.
     ///
     /// Two least-cost paths separate well before their tubes do, because each cuts the corner. A node still belongs to
-    /// the shared tube while it sees a node of the tree below the present start at a distance of at most `radii` radii.
+    /// the shared tube while it sees a node of the tree below the current start at a distance of at most `radii` radii.
     fn start_at_fork(&self, chain: &[u32], radii: f64) -> Vec<u32> {
-        // Nodes of the tree beyond the present start of the chain.
+        // Nodes of the tree beyond the current start of the chain.
         let mut below = vec![chain[0]];
         let mut next = 0;
         while next < below.len() {

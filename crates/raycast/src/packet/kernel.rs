@@ -237,8 +237,8 @@ impl Scene<'_> {
             if SHADED {
                 band.stats.num_shaded += u64::from(lit.count_ones());
             }
-            clear |= active & goes_on & !shaded_walls;
-            active &= goes_on & shaded_walls;
+            clear |= active & goes_on & !lit;
+            active &= goes_on & lit;
         }
         band.shade = packet;
     }

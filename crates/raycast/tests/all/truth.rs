@@ -67,7 +67,7 @@ impl AddAssign for Tally {
         self.off_by_more += other.off_by_more;
         self.most = self.most.max(other.most);
         self.black += other.black;
-        self.lit += other.shaded_walls;
+        self.lit += other.lit;
     }
 }
 
