@@ -152,7 +152,7 @@ check-python: $(STAMP) $(HAPTICS_STAMP)
 	$(PY) tools/check_repository.py
 	$(PY) tools/check_wording.py
 	$(PY) tools/audit.py
-	$(PY) tools/lock.py --check --uv $(UV)
+	$(PY) tools/lock_requirements.py --check --uv $(UV)
 
 fmt: $(STAMP) $(WEB_TOOLS) ## format everything
 	cargo fmt --all
@@ -182,7 +182,7 @@ bench: bench-setup ## figures beside VTK, numba, scipy and dijkstra3d; pictures 
 	.venv/bin/carina bench track $(BENCH) -o benchmarks/results
 
 lock: $(if $(findstring .uv/,$(UV)),.uv/bin/uv) ## export requirements*.lock from pyproject.toml
-	$(if $(wildcard $(PY)),$(PY),python3) tools/lock.py --uv $(UV)
+	$(if $(wildcard $(PY)),$(PY),python3) tools/lock_requirements.py --uv $(UV)
 
 wheel: $(if $(findstring .uv/,$(UV)),.uv/bin/uv) ## a wheel with the web UI and GPU support inside, in dist/
 	$(UV) build --wheel -o dist

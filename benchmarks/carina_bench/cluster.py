@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from carina.cli.console import print_json, say
+from carina.cli.console import print_json, print_note
 from carina.cluster import ClusterRenderer, ClusterSettings
 from carina.cluster.renderer_host import RendererHost
 from carina.disk import make_folder, write_whole
@@ -99,7 +99,7 @@ def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> 
     can_ray = sys.platform.startswith("linux") and find_spec("ray") is not None
     left_out = [] if can_ray else [name for name in wanted if name not in WITHOUT_RAY]
     if left_out:
-        say(
+        print_note(
             f"left out, since Ray is not installed: {', '.join(left_out)}; install Ray with: {extra_command('cluster')}"
         )
     make_folder(folder, what="the measurements")
@@ -139,7 +139,7 @@ def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> 
         text = json.dumps(result, indent=2, allow_nan=False) + "\n"
         write_whole(folder / "cluster.json", text.encode(), what="the measurements")
         if as_json:
-            say(f"{name}: {'failed' if name in failed else 'done'}")
+            print_note(f"{name}: {'failed' if name in failed else 'done'}")
         else:
             print("\n".join(lines), flush=True)
     if as_json:
@@ -254,7 +254,7 @@ def _renderer(name: str) -> tuple[Renderer, Callable[[int], View]]:
 
 
 def _measure(name: str, quick: bool) -> _Cost:
-    say(f"measuring what a picture of {name} costs")
+    print_note(f"measuring what a picture of {name} costs")
     renderer, view_of = _renderer(name)
     view = view_of(0)
     renderer.render(view)
@@ -358,7 +358,7 @@ def _sleeping(costs: dict[str, _Cost], quick: bool, folder: Path, lines: list[st
             concurrency=CONCURRENCY,
             mixed_speeds=ASSUMED_SPEEDS,
             quick=quick,
-            say=say,
+            say=print_note,
         ):
             num, flown = len(run.speeds), run.flown
             if num == 1:
@@ -426,7 +426,7 @@ def _real(quick: bool, folder: Path, lines: list[str]) -> list[dict[str, Any]]:
             alone = 0.0
             for scheme in schemes:
                 for n in counts:
-                    say(f"real: {name}, {scheme.name}, {n} renderers")
+                    print_note(f"real: {name}, {scheme.name}, {n} renderers")
                     with renderers_ready(head, n, RendererHost, scheme.settings) as (console, _):
                         renderer = ClusterRenderer(local, console, spread_all=True)
                         renderer.prepare()
@@ -448,7 +448,7 @@ def _transport(quick: bool, folder: Path | None, lines: list[str]) -> list[dict[
     """Return the measured times of the transport as rows; write a timeline into ``folder`` if it is not None."""
     from carina_bench.cluster_real import real_head, transport
 
-    say("transport: eight renderers that sleep 4 ms a strip, 30 pictures a second")
+    print_note("transport: eight renderers that sleep 4 ms a strip, 30 pictures a second")
     with real_head(8) as head:
         rows, flown = transport(head, num=8, seconds=5.0 if quick else 20.0)
     paced, free = rows
@@ -467,7 +467,7 @@ def _transport(quick: bool, folder: Path | None, lines: list[str]) -> list[dict[
 def _kills(quick: bool, lines: list[str]) -> dict[str, Any]:
     from carina_bench.cluster_real import lost_renderers, real_head
 
-    say("kill -9 of one renderer after the other")
+    print_note("kill -9 of one renderer after the other")
     with real_head(8) as head:
         lost = lost_renderers(head, num=8, kills=3 if quick else 10)
     lines.append(

@@ -173,7 +173,7 @@ def fly(
             under_way[0][1].result(timeout=60.0)
             under_way = [item for item in under_way if not item[1].done()]
         asked_s = time.monotonic()
-        frame_id, future = renderer.want(view_of(number))
+        frame_id, future = renderer.request(view_of(number))
         wanted[frame_id] = asked_s
 
         def note(done: Future[Picture], frame_id: int = frame_id) -> None:

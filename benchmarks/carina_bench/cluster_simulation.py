@@ -119,7 +119,7 @@ class SimulatedCluster:
             jitter = renderer.call_jitter_seconds
             return max(0.0, renderer.call_seconds + self._random.uniform(-jitter, jitter)) / 2
 
-        def want(now_s: float) -> None:
+        def request(now_s: float) -> None:
             nonlocal next_frame
             while next_frame < num_frames and scheduler.num_open + scheduler.num_waiting < (
                 scheduler.settings.open_frames
@@ -127,7 +127,7 @@ class SimulatedCluster:
                 if period_s and now_s < next_frame * period_s - 1e-12:
                     return
                 wanted.append(next_frame)
-                scheduler.want(next_frame, num_rows, now_s)
+                scheduler.request(next_frame, num_rows, now_s)
                 next_frame += 1
                 act(now_s)
 
@@ -135,7 +135,7 @@ class SimulatedCluster:
             for frame in [n for n in wanted if scheduler.rows(n, 0) is not None]:
                 wanted.remove(frame)
                 opened[frame] = now_s
-            for action in scheduler.take():
+            for action in scheduler.take_actions():
                 if isinstance(action, FrameDone):
                     done.append(now_s)
                     response.append(now_s - opened.pop(action.frame_id))
@@ -171,17 +171,17 @@ class SimulatedCluster:
             for n in range(num_frames):
                 self._at(n * period_s, lambda _: None)
         now_s = 0.0
-        want(now_s)
+        request(now_s)
         while self._events:
             due_s = scheduler.deadline_s
             if due_s is not None and due_s < self._events[0][0]:
                 now_s = due_s
-                scheduler.tick(now_s)
+                scheduler.mark_late_lanes(now_s)
             else:
                 now_s, _, happen = heapq.heappop(self._events)
                 happen(now_s)
             act(now_s)
-            want(now_s)
+            request(now_s)
         total = max(now_s, 1e-12)
         return SimulationResult(
             total, tuple(done), tuple(response), tuple(b / total for b in busy_s), tuple(shares), tuple(jobs)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.cli.console import progress_printer, say
+from carina.cli.console import print_note, progress_printer
 from carina.render import CutPlaneView, Renderer, build_isoregion_map, project_maximum, sample_plane
 from carina.scopes import Pose
 from carina_bench.alternating_timer import Times, median_ratio, take_turns
@@ -113,7 +113,7 @@ def maps(request: Request) -> list[dict[str, Any]]:
                 "bytes_per_voxel": None if before is None or peak is None else round((peak - before) / voxels, 2),
             }
         )
-        say(f"{case.name}: {rows[-1]['ratio']}")
+        print_note(f"{case.name}: {rows[-1]['ratio']}")
     return rows
 
 

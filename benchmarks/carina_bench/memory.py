@@ -15,7 +15,7 @@ from typing import Any
 import SimpleITK as sitk
 from websockets.sync.client import connect
 
-from carina.cli.console import progress_printer, say
+from carina.cli.console import print_note, progress_printer
 from carina.errors import CarinaError
 from carina.server.wire.messages import WIRE_VERSION
 from carina_bench.cases import open_case
@@ -64,7 +64,7 @@ def server_memory(request: dict[str, Any]) -> list[dict[str, Any]]:
             rows.append({"case": name, "volume_bytes": volume.hu_zyx.nbytes, **_drive(file, Path(scratch))})
         row = rows[-1]
         row["times_volume"] = None if row["peak_bytes"] is None else round(row["peak_bytes"] / row["volume_bytes"], 3)
-        say(f"{name}: {row['times_volume']} times the volume")
+        print_note(f"{name}: {row['times_volume']} times the volume")
     return rows
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian, generate_uid
 
-from carina.cli.console import print_json, progress_printer, say
+from carina.cli.console import print_json, print_note, progress_printer
 from carina.disk import make_folder, write_whole
 from carina.errors import CarinaError
 from carina.phantom import generate_phantom
@@ -43,7 +43,7 @@ def report(*, folder: Path, quick: bool, as_json: bool) -> int:
     """Measure, print and write ``open.json``; return 0 if the measurement was possible, even if a limit is missed."""
     make_folder(folder, what="the measurements")
     facts = machine_facts()
-    say(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']}")
+    print_note(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']}")
     row = run_section("opening:measure", {"spacing_mm": QUICK_MM if quick else WHOLE_MM, "repeats": 3 if quick else 5})
     gates = _gates(row)
     document = {
@@ -72,10 +72,10 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
     """
     phantom = generate_phantom(spacing_mm=request["spacing_mm"], box_lps=BOX_LPS, progress=progress_printer())
     volume = phantom.volume
-    say(f"{volume!r}")
+    print_note(f"{volume!r}")
     with tempfile.TemporaryDirectory(prefix="carina-bench-") as scratch:
         place = Path(scratch)
-        say("writing it as DICOM, NIfTI and into the cache")
+        print_note("writing it as DICOM, NIfTI and into the cache")
         slices = _write_slices(volume, place / "slices")
         packed = write_grid(place / "ct.nii.gz", volume.hu_zyx, volume.lps_from_ijk, what="the CT", level=1)
         plain = write_grid(place / "ct.nii", volume.hu_zyx, volume.lps_from_ijk, what="the CT")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import carina
-from carina.cli.console import say
+from carina.cli.console import print_note
 from carina.render import AirwayView, Renderer, TransferFunction
 from carina.scopes import Pose
 from carina.volume import Volume
@@ -129,5 +129,5 @@ def paper_mode(request: Request) -> list[dict[str, Any]]:
                         ],
                     }
                 )
-                say(f"{name}, {transfer.name}, {where}: {rows[-1]['speed_up_time']}x")
+                print_note(f"{name}, {transfer.name}, {where}: {rows[-1]['speed_up_time']}x")
     return rows

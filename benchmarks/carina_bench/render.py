@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import carina
-from carina.cli.console import progress_printer, say
+from carina.cli.console import print_note, progress_printer
 from carina.errors import RenderError
 from carina.render import AirwayView, Picture, Renderer, TransferFunction, build_info
 from carina.scopes import DEFAULT_SCOPE, Pose, scope_preset
@@ -106,7 +106,7 @@ def frames(request: Request) -> list[dict[str, Any]]:
     rows = []
     for name in request["cases"]:
         case = open_case(name, poses=request["poses"], progress=progress_printer())
-        say(f"{case.name}: {case.volume!r}")
+        print_note(f"{case.name}: {case.volume!r}")
         sets = instruction_sets()
         renderers = {simd: prepared(case.volume, TRANSFER, simd) for simd in sets}
         whole = shipped(case, sets[0])
@@ -116,12 +116,12 @@ def frames(request: Request) -> list[dict[str, Any]]:
             for renderer, made in zip(looks[simd], whole, strict=True):
                 renderer.adopt_scene(made.scene)
         vtk = VtkCaster(case.volume, TRANSFER, step_vox=STEP_VOX, size=SIZE)
-        say(f"{case.name}: the first picture of VTK is made")
+        print_note(f"{case.name}: the first picture of VTK is made")
         baseline = numba_caster(case.volume, TRANSFER, step_vox=STEP_VOX, size=SIZE)
         poses = [("trachea", case.trachea), *((f"flight-{n}", pose) for n, pose in enumerate(case.flight))]
         measured = []
         for label, pose in poses:
-            say(f"{case.name}: {label}")
+            print_note(f"{case.name}: {label}")
             measured.append(_frame_at(request, case, label, pose, (renderers, looks), vtk, baseline))
         vtk.close()
         rows.append({"case": case.name, "view": "trachea", **measured[0]})

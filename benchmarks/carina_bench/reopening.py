@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from carina import commands as c
-from carina.cli.console import print_json, progress_printer, say
+from carina.cli.console import print_json, print_note, progress_printer
 from carina.disk import make_folder, write_whole
 from carina.phantom import generate_phantom
 from carina.render import LEAD_VIEW, Renderer
@@ -92,10 +92,10 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
         )
         watched = _Watched(session)
         try:
-            say("finding the airways once")
+            print_note("finding the airways once")
             session.do(c.OpenPath(str(path)))
             session.jobs.wait_idle(None)
-            cache.wait_kept()
+            cache.wait_stored()
             snapshot = session.snapshot()
             assert snapshot.case is not None
             assert snapshot.document is not None

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from carina import commands as c
-from carina.cli.console import print_json, say
+from carina.cli.console import print_json, print_note
 from carina.disk import make_folder, write_whole
 from carina.phantom import generate_phantom
 from carina.render import LEAD_VIEW, Renderer
@@ -79,7 +79,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="carina-bench-") as scratch:
         for turn in range(request["turns"]):
             for name, found in late.items():
-                say(f"flying: {name}")
+                print_note(f"flying: {name}")
                 records = None if name == "not saved" else CaseRecords(Path(scratch) / f"cases-{turn}", time.time)
                 times_s, num_edits = _flown(volume, records, request["seconds"])
                 found += [1000.0 * (gap_s - 1.0 / RATE_HZ) for gap_s in np.diff(times_s)]

@@ -17,7 +17,7 @@ from typing import Any
 
 import simplejpeg
 
-from carina.cli.console import print_json, say
+from carina.cli.console import print_json, print_note
 from carina.disk import make_folder, write_whole
 from carina.errors import CarinaError
 from carina.server.wire import messages as wire
@@ -39,7 +39,7 @@ def report(*, folder: Path, case: str, quick: bool, as_json: bool) -> int:
     """Measure, print, and write ``stream.json``; return the exit code."""
     seconds = 4.0 if quick else 20.0
     with _server(case) as (host, token, pid):
-        say("waiting for the airways")
+        print_note("waiting for the airways")
         with _client(host, token) as client:
             client.open()
             rows = {}

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from carina.cli.console import progress_printer, say
+from carina.cli.console import print_note, progress_printer
 from carina.render import AirwayView, Renderer, TransferFunction, transfer_preset
 from carina.scopes import Pose
 from carina.volume import Volume
@@ -105,5 +105,5 @@ def never_slower(request: Request) -> list[dict[str, Any]]:
                     "picture": picture,
                 }
             )
-            say(f"{label}: loads {rows[-1]['loads_ratio']}, time {rows[-1]['time_ratio']}")
+            print_note(f"{label}: loads {rows[-1]['loads_ratio']}, time {rows[-1]['time_ratio']}")
     return rows

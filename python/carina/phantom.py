@@ -359,7 +359,7 @@ def write_phantom(phantom: Phantom, directory: str | os.PathLike[str]) -> list[P
                 os.fsync(draft.file.fileno())
             except OSError as error:
                 draft.discard()
-                raise draft.trouble(error) from error
+                raise draft.disk_error(error) from error
         for draft in drafts:
             draft.commit()
     finally:

@@ -7,7 +7,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from carina.display import as_words, joined
+from carina.display import as_words, joined_in_line
 
 __all__ = ["TEXT", "Coordinate", "Count", "FrozenValue", "Part", "PointLps", "Words"]
 
@@ -33,7 +33,7 @@ class FrozenValue(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             made = field.default_factory is not msgspec.NODEFAULT
             if value != (field.default_factory() if made else field.default):
                 pieces.append(f"{field.name}={as_words(value)}")
-        return joined(type(self).__name__, pieces)
+        return joined_in_line(type(self).__name__, pieces)
 
     def choice_problem(self) -> str | None:
         """Return a problem of the combination of fields, which the types cannot express; None if there is none."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from carina.case.compression import DTYPES, deflated, digest_of
+from carina.case.compression import DTYPES, content_digest, deflate
 from carina.case.schema import CONTENT
 
 WHOLE = (-1, 0, 1, 2, 2**31, 2**53 + 1, 2**63 - 1, -(2**63))
@@ -19,7 +19,7 @@ TEXT = (
     "", "x" * 200_000, "x" * 1001, "\x1b[31mred", "\u202egnp.exe", "a\x00b", "\x9b2J", "[" * 5000, "[]", "{}", "null",
     "1e999", "\ud800",
 )  # fmt: skip
-BLOBS = (b"", b"\x00" * 40, deflated(b"\xff" * 512), deflated(b""))
+BLOBS = (b"", b"\x00" * 40, deflate(b"\xff" * 512), deflate(b""))
 RAW = ("1e999", "-1e999", "NaN", "Infinity", "1e308", "-1e308", "1" * 400)
 """Texts of numbers, valid and invalid in JSON, that replace a number of a case file."""
 VALUES = (
@@ -101,7 +101,7 @@ class Mutator:
         self.said = f"JSON {how} at {key!r}: "
         if table == "tree":
             self._connection.execute("UPDATE tree SET size = ? WHERE rowid = ?", (len(made.encode()), rowid))
-            return self._set(table, rowid, column, deflated(made.encode()))
+            return self._set(table, rowid, column, deflate(made.encode()))
         return self._set(table, rowid, column, made)
 
     def _array(self) -> bool:
@@ -127,7 +127,7 @@ class Mutator:
             count = len(numbers) // across
         self._connection.execute("UPDATE array SET count = ? WHERE rowid = ?", (count, rowid))
         self.said = f"numbers {how} {value}: "
-        return self._set("array", rowid, "data", deflated(numbers.tobytes()))
+        return self._set("array", rowid, "data", deflate(numbers.tobytes()))
 
     def _figures(self) -> bool:
         rowid = self._row("sections")
@@ -138,7 +138,7 @@ class Mutator:
         value = self._random.choice((np.inf, -np.inf, np.nan, 1e300, -1e12))
         numbers[self._random.randrange(len(numbers))] = value
         self.said = f"figure {value}: "
-        return self._set("sections", rowid, "figures", deflated(numbers.tobytes()))
+        return self._set("sections", rowid, "figures", deflate(numbers.tobytes()))
 
     def _recording(self) -> bool:
         rowid = self._row("recording_chunk")
@@ -156,7 +156,7 @@ class Mutator:
         self.said = f"recording {key!r} {mark[:20]}"
         self._connection.execute(
             "UPDATE recording_chunk SET size = ?, digest = ?, data = ? WHERE rowid = ?",
-            (len(content), digest_of(content), deflated(content), rowid),
+            (len(content), content_digest(content), deflate(content), rowid),
         )
         return True
 
@@ -201,14 +201,14 @@ def digest_again(table: str, row: dict[str, Any]) -> bytes:
         return np.cumsum(steps, dtype=np.int64).astype("<i4").tobytes()
 
     if table == "array":
-        return digest_of("array", row["dtype"], row["count"], row["width"], zlib.decompress(row["data"]))
+        return content_digest("array", row["dtype"], row["count"], row["width"], zlib.decompress(row["data"]))
     if table == "tile":
-        return digest_of("tile", zlib.decompress(row["data"]))
+        return content_digest("tile", zlib.decompress(row["data"]))
     if table == "tree":
-        return digest_of("tree", numbers(row["branches"]), zlib.decompress(row["facts"]))
+        return content_digest("tree", numbers(row["branches"]), zlib.decompress(row["facts"]))
     if table == "lumen":
-        return digest_of("lumen", row["nz"], row["ny"], row["nx"], numbers(row["places"]), numbers(row["tiles"]))
-    return digest_of(table, *(value for name, value in row.items() if name not in {"id", "digest"}))
+        return content_digest("lumen", row["nz"], row["ny"], row["nx"], numbers(row["places"]), numbers(row["tiles"]))
+    return content_digest(table, *(value for name, value in row.items() if name not in {"id", "digest"}))
 
 
 def _places(value: Any) -> Any:

@@ -130,7 +130,7 @@ class Doing:
             return
         before = self.history.documents()[max(self.history.position - 1, 0)].airways
         previous = whole_measures(self.measured.of(before))
-        self.measured.put(self.airways, measure_tree(self.case.volume, self.airways, previous=previous))
+        self.measured.add(self.airways, measure_tree(self.case.volume, self.airways, previous=previous))
 
     def gaze(self, number: Any) -> None:
         self.sight = _with(self.sight, crosshair_lps=(1.0, number(7) / 3.0, -2.0), window=GreyWindow(1400.0, -500.5))
@@ -148,7 +148,7 @@ class Doing:
         if isinstance(airways, FoldedAirways):
             whole = airways.unfold()
             self.history.amend(lambda d: replace(d, airways=whole) if d.airways is airways else d)
-            self.measured.became(airways, whole)
+            self.measured.move_to(airways, whole)
 
     def fold(self) -> None:
         """Compress the airways of distant undo steps as a session does."""
@@ -160,7 +160,7 @@ class Doing:
                 return document
             if id(airways) not in folded:
                 folded[id(airways)] = fold_airways(airways)
-                self.measured.became(airways, folded[id(airways)])
+                self.measured.move_to(airways, folded[id(airways)])
             return replace(document, airways=folded[id(airways)])
 
         self.history.fold_far(lambda d: d.airways, 2, fold)
@@ -178,7 +178,7 @@ class Doing:
             search_words="words; größer",
             person_moved=True,
             numbers=dict(self.numbers),
-            measures=self.measured.among(d.airways for d in self.history.documents()),
+            measures=self.measured.retain_only(d.airways for d in self.history.documents()),
         )
 
 

@@ -29,7 +29,7 @@ def live(tmp_path):
 
 
 def saved(session, file):
-    file.save(session.ask(c.MomentToKeep()))
+    file.save(session.ask(c.CurrentMoment()))
 
 
 def labels(moment):
@@ -40,24 +40,24 @@ def test_content_read_by_a_follower_equals_the_saved_content_and_shares_unchange
     volume, session, file = live
     follower = CaseFollower(file.path, volume)
     with pytest.raises(CaseFileError) as empty:
-        follower.newest()
+        follower.latest_moment()
     assert empty.value.code == "case.empty"
     do_and_wait(session, c.OpenVolume(volume))
     saved(session, file)
-    first = follower.newest()
-    assert follower.newest() is first
+    first = follower.latest_moment()
+    assert follower.latest_moment() is first
     found = first.history().current
     tip = found.airways.tree.tips()[0]
 
     do_and_wait(session, c.EditTree(c.RenameBranch(tip.id, "here")))
     saved(session, file)
-    renamed = follower.newest().history().current
+    renamed = follower.latest_moment().history().current
     assert renamed.airways.tree.branch(tip.id).name == "here"
     assert renamed.airways.lumen_zyx is found.airways.lumen_zyx
 
     do_and_wait(session, c.SetFov(100.0))
     saved(session, file)
-    wider = follower.newest()
+    wider = follower.latest_moment()
     assert wider.history().current.look.fov_deg == 100.0
     # The edited airways did not change, so the follower returns the same object.
     assert wider.history().current.airways is renamed.airways
@@ -65,7 +65,7 @@ def test_content_read_by_a_follower_equals_the_saved_content_and_shares_unchange
     do_and_wait(session, c.Undo())
     do_and_wait(session, c.Undo())
     saved(session, file)
-    back = follower.newest()
+    back = follower.latest_moment()
     assert labels(back) == []
     assert back.history().current.airways is found.airways
     # Airways of earlier steps are stored compressed.
@@ -73,7 +73,7 @@ def test_content_read_by_a_follower_equals_the_saved_content_and_shares_unchange
 
     do_and_wait(session, c.Redo())
     saved(session, file)
-    again = follower.newest().history().current.airways
+    again = follower.latest_moment().history().current.airways
     assert again.tree.branch(tip.id).name == "here"
     assert np.array_equal(again.lumen_zyx, renamed.airways.lumen_zyx)
 
@@ -85,7 +85,7 @@ def test_follower_reads_a_file_again_from_the_start_after_its_unused_rows_were_d
     do_and_wait(session, c.SetFov(100.0))
     do_and_wait(session, c.SetFov(110.0))
     saved(session, file)
-    assert follower.newest().history().current.look.fov_deg == 110.0
+    assert follower.latest_moment().history().current.look.fov_deg == 110.0
     # Undone and replaced steps leave rows that are no longer used; they are deleted when the file is closed.
     do_and_wait(session, c.Undo())
     do_and_wait(session, c.SetOutline("none"))
@@ -94,10 +94,10 @@ def test_follower_reads_a_file_again_from_the_start_after_its_unused_rows_were_d
     with CaseFile.open(file.path) as again:
         moment = again.load(volume)
         do_and_wait(session, c.SetFov(120.0))
-        again.save(replace(session.ask(c.MomentToKeep()), tip=moment.tip))
-        newest = follower.newest()
-    assert newest.history().current.look.fov_deg == 120.0
-    assert labels(newest) == labels(session.ask(c.MomentToKeep()))
+        again.save(replace(session.ask(c.CurrentMoment()), tip=moment.tip))
+        latest_moment = follower.latest_moment()
+    assert latest_moment.history().current.look.fov_deg == 120.0
+    assert labels(latest_moment) == labels(session.ask(c.CurrentMoment()))
 
 
 def test_follower_refuses_a_file_of_another_scan_or_schema(live):
@@ -106,5 +106,5 @@ def test_follower_refuses_a_file_of_another_scan_or_schema(live):
     saved(session, file)
     other = Volume(volume.hu_zyx[1:], volume.lps_from_ijk)
     with pytest.raises(CaseFileError) as refused:
-        CaseFollower(file.path, other).newest()
+        CaseFollower(file.path, other).latest_moment()
     assert refused.value.code == "case.other-scan"

@@ -17,7 +17,7 @@ from carina.commands import (
     CloseCase,
     DescribeFlight,
     EditTree,
-    FlightToTakeAway,
+    FlightFileQuery,
     FlyFlight,
     MoveFlight,
     OpenPath,
@@ -31,7 +31,7 @@ from carina.commands import (
 from carina.errors import CarinaError, DiskError, UsageError
 from carina.navigate import open_recording
 from carina.render import transfer_preset
-from carina.session import Session, Trouble, UserMessage
+from carina.session import ErrorEvent, Session, UserMessage
 from carina.session.airways.editing import NUM_EDITS_WHOLE
 from carina.session.state.snapshot import FlightPlace
 from carina.session.store.disk_storage import case_files
@@ -65,7 +65,7 @@ def started(folder, measure=None):
     session.subscribe(events.append)
     session.do(OpenPath("case"))
     background.run_all()
-    assert [e.message for e in events if isinstance(e, Trouble)] == []
+    assert [e.message for e in events if isinstance(e, ErrorEvent)] == []
     return session, background
 
 
@@ -394,9 +394,9 @@ def test_names_descriptions_order_and_deletions_of_flights_are_restored_after_re
         (4, "the fourth", "", "complete"),
     ]
     assert listed(session) == found
-    text = session.ask(FlightToTakeAway(1))
+    text = session.ask(FlightFileQuery(1))
     with pytest.raises(UsageError, match="has been removed"):
-        session.ask(FlightToTakeAway(2))
+        session.ask(FlightFileQuery(2))
     before = session.snapshot().flights
     session.close()
     with CaseFile.open(live_file(tmp_path), read_only=True) as file:
@@ -427,7 +427,7 @@ def test_flight_interrupted_by_a_crash_is_listed_as_incomplete_and_replayed_to_i
     (flight,) = again.snapshot().flights
     assert (flight.name, flight.state) == ("Flight 1", "cut-off")
     assert flight.length_s == pytest.approx(2.0)
-    (tmp_path / "flight.jsonl").write_text(again.ask(FlightToTakeAway(1)))
+    (tmp_path / "flight.jsonl").write_text(again.ask(FlightFileQuery(1)))
     assert not open_recording(tmp_path / "flight.jsonl").complete
     recorded(again)
     assert [one.number for one in again.snapshot().flights] == [1, 2]
@@ -492,7 +492,7 @@ def test_changes_of_flights_made_during_a_disk_failure_are_written_after_it(tmp_
         session.do(RemoveFlight(3))
         assert not session._saving.write_now()
         with pytest.raises(CarinaError, match="the disk is full"):
-            session.ask(FlightToTakeAway(2))
+            session.ask(FlightFileQuery(2))
     session._core.clock.now_s += 60.0
     assert session._saving.write_now()
     with CaseFile.open(live_file(tmp_path), read_only=True) as file:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import carina as api
-from carina.cli.along import way_to
+from carina.cli.along import route_to
 from carina.cli.opened import Badges, OpenedInput
 from carina.commands import GoTo, OpenVolume, RecordFlight, SetMode, SetScope, Steer, StopRecording
 from carina.export.video import even_size
@@ -92,7 +92,7 @@ def test_flight_video_along_a_route_has_its_length_size_and_number_of_frames(car
     assert frames[0][..., 0].mean() > frames[0][..., 2].mean()
     assert differs(frames[0], frames[len(frames) // 2]) > 1
     source = OpenedInput(api.open_volume(ct), Badges())
-    first = way_to(source, "1", tree_file=tree, progress=lambda *_: None).path.pose_at(0.0)
+    first = route_to(source, "1", tree_file=tree, progress=lambda *_: None).path.pose_at(0.0)
     # The first frame shows the start of the route; the codec causes the remaining difference.
     assert differs(frames[0], frames[-1]) > 8
     assert differs(frames[0], still(carina, ct, first, even, tmp_path / "s.png")) < 4

@@ -18,7 +18,7 @@ import pytest
 import carina as api
 from carina.cli import fly
 from carina.cli.cluster import OpenCluster
-from carina.cli.kept_frames import StoredFrames
+from carina.cli.stored_frames import StoredFrames
 from carina.cluster import ClusterRenderer, Console, LocalLane
 from carina.navigate import AutoFlight
 from carina.navigate.recording import ReplayedPose
@@ -177,9 +177,9 @@ def test_fingerprint_of_a_flight_includes_all_inputs_of_its_frames(ct, monkeypat
     volume = api.open_volume(ct)
     pose = AutoFlight(api.FlightPath([[0, 0, 1], [0, 0, 0]]), speed_mm_s=10.0, pause_s=0.0).pose_at(0.0)
     frames = [ReplayedPose(0.0, pose, {"shading": True})]
-    shown = fly._Shown((64, 48), "generic", 0.5)
-    job = fly._job(volume, frames, shown, False)
-    assert fly._job(api.open_volume(ct), [ReplayedPose(9.0, pose, {"shading": True})], shown, False) == job
+    shown = fly._RenderOptions((64, 48), "generic", 0.5)
+    job = fly._job_digest(volume, frames, shown, False)
+    assert fly._job_digest(api.open_volume(ct), [ReplayedPose(9.0, pose, {"shading": True})], shown, False) == job
 
     values = np.array(volume.hu_zyx)
     values[0, 0, 0] += 1
@@ -188,19 +188,19 @@ def test_fingerprint_of_a_flight_includes_all_inputs_of_its_frames(ct, monkeypat
     moved = np.array(pose.lps_from_camera)
     moved[2, 3] += 1e-9
     others = {
-        "values": fly._job(Volume(values, volume.lps_from_ijk), frames, shown, False),
-        "place": fly._job(Volume(np.array(volume.hu_zyx), further), frames, shown, False),
-        "pose": fly._job(volume, [ReplayedPose(0.0, Pose(moved), {"shading": True})], shown, False),
-        "view": fly._job(volume, [ReplayedPose(0.0, pose, {"shading": False})], shown, False),
-        "turned": fly._job(volume, [ReplayedPose(0.0, pose, {"shading": True}, True)], shown, False),
-        "more": fly._job(volume, frames * 2, shown, False),
-        "size": fly._job(volume, frames, replace(shown, size=(48, 64)), False),
-        "scope": fly._job(volume, frames, replace(shown, scope=None), False),
-        "step": fly._job(volume, frames, replace(shown, step_vox=0.4), False),
-        "mixed": fly._job(volume, frames, shown, True),
+        "values": fly._job_digest(Volume(values, volume.lps_from_ijk), frames, shown, False),
+        "place": fly._job_digest(Volume(np.array(volume.hu_zyx), further), frames, shown, False),
+        "pose": fly._job_digest(volume, [ReplayedPose(0.0, Pose(moved), {"shading": True})], shown, False),
+        "view": fly._job_digest(volume, [ReplayedPose(0.0, pose, {"shading": False})], shown, False),
+        "turned": fly._job_digest(volume, [ReplayedPose(0.0, pose, {"shading": True}, True)], shown, False),
+        "more": fly._job_digest(volume, frames * 2, shown, False),
+        "size": fly._job_digest(volume, frames, replace(shown, size=(48, 64)), False),
+        "scope": fly._job_digest(volume, frames, replace(shown, scope=None), False),
+        "step": fly._job_digest(volume, frames, replace(shown, step_vox=0.4), False),
+        "mixed": fly._job_digest(volume, frames, shown, True),
     }
     monkeypatch.setattr(api, "__version__", "99.0")
-    others["version"] = fly._job(volume, frames, shown, False)
+    others["version"] = fly._job_digest(volume, frames, shown, False)
     assert job not in others.values()
     assert len(set(others.values())) == len(others)
 

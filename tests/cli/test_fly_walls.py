@@ -33,7 +33,7 @@ def test_replay_uses_the_wall_of_airways_found_with_the_stored_settings_and_edit
     edit = CutBranch(3)
     stored = {"digest": f"found [1.0, 2.0, 3.0] -800.0, {edit}", "root_lps": [1.0, 2.0, 3.0], "lumen_threshold": -800.0}
     stored["edits"] = edits_to_json([edit])
-    wall = fly._walls(None, None)
+    wall = fly._wall_builder(None, None)
     assert wall(stored).of == stored["digest"]
     assert searches == [(None, None), (None, -800.0), ([1.0, 2.0, 3.0], -800.0)]
     # The wall is computed only once for the same recording.
@@ -60,20 +60,20 @@ def test_failed_automatic_search_does_not_prevent_a_search_from_the_recorded_roo
     edit = CutBranch(3)
     stored = {"digest": f"found [1.0, 2.0, 3.0] -800.0, {edit}", "root_lps": [1.0, 2.0, 3.0], "lumen_threshold": -800.0}
     stored["edits"] = edits_to_json([edit])
-    assert fly._walls(None, None)(stored).of == stored["digest"]
+    assert fly._wall_builder(None, None)(stored).of == stored["digest"]
     with pytest.raises(VolumeImportError, match="the airways that guided the scope in this recording differ"):
-        fly._walls(None, None)({**stored, "root_lps": None})
+        fly._wall_builder(None, None)({**stored, "root_lps": None})
     with pytest.raises(NoResultError, match="no trachea"):
-        fly._walls(None, None)({})
+        fly._wall_builder(None, None)({})
 
 
 def test_recording_whose_airways_differ_from_the_found_ones_is_refused_with_a_message(searches):
     with pytest.raises(
         VolumeImportError, match=("the airways that guided the scope in this recording differ")
     ) as refused:
-        fly._walls(None, None)({"digest": "a mask", "root_lps": [0.0, 0.0, 0.0], "lumen_threshold": None})
+        fly._wall_builder(None, None)({"digest": "a mask", "root_lps": [0.0, 0.0, 0.0], "lumen_threshold": None})
     assert refused.value.code == "navigate.recording"
 
 
 def test_recording_without_search_settings_uses_the_found_airways(searches):
-    assert fly._walls(None, None)({}).of == "found None None"
+    assert fly._wall_builder(None, None)({}).of == "found None None"

@@ -100,7 +100,7 @@ def test_command_whose_disk_becomes_full_while_writing_reports_it_and_leaves_the
     name = output_name(verb)
     if name != "kept":
         (folder / name).write_bytes(b"old")
-    plain = atomic_files._begin
+    plain = atomic_files._create_draft
 
     def begin(where, mode):
         file, place = plain(where, mode)
@@ -135,7 +135,7 @@ def test_phantom_command_on_a_full_disk_leaves_the_three_earlier_files(carina, t
     names = ("ct.nii.gz", "lumen.nii.gz", "truth.json")
     for name in names:
         (folder / name).write_bytes(b"old")
-    plain, room = atomic_files._begin, iter([10**9, 10**9, 100])
+    plain, room = atomic_files._create_draft, iter([10**9, 10**9, 100])
 
     def begin(where, mode):
         file, place = plain(where, mode)

@@ -67,7 +67,7 @@ def consoles() -> Iterator[Callable[..., Console]]:
 
 
 @dataclass
-class Trouble:
+class ErrorEvent:
     """Faults in the replies of a lane, which a test can change while the lane runs."""
 
     drops: bool = False
@@ -87,7 +87,7 @@ class FaultyLane(LocalLane):
     """Connection to a renderer (lane) whose replies have the faults of its ``trouble``."""
 
     def __init__(self, renderer: Renderer, *, name: str) -> None:
-        self.trouble = Trouble()
+        self.trouble = ErrorEvent()
         self._guard = threading.Lock()
         super().__init__(renderer, name=name)
 

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from carina.cluster import ClusterRenderer, ClusterSettings, Console
-from carina.cluster.node import Node, descendants, make_token, reap
+from carina.cluster.node import Node, descendants, end_processes, make_token
 from carina.render import AirwayView, Picture, Renderer
 from carina.scopes import Pose
 from carina.volume import Volume
@@ -106,7 +106,7 @@ def running_head(renderers: int) -> Iterator[Head]:
         node.stop()
         _running.remove(head)
         head.left = alive(head.seen)
-        reap(head.seen)
+        end_processes(head.seen)
         shutil.rmtree(folder, ignore_errors=True)
 
 

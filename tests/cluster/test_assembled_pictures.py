@@ -162,7 +162,7 @@ def test_cluster_returns_the_picture_with_all_its_metadata(case, cluster, name):
     assert (found.optics is None) == (expected.optics is None)
     assert found.stats.num_rays == expected.stats.num_rays
     assert found.stats.num_samples == expected.stats.num_samples
-    assert sum(lane.trouble.num_orders > 0 for lane in made.lanes) >= 2 or not made.renderer.spreads(view)
+    assert sum(lane.trouble.num_orders > 0 for lane in made.lanes) >= 2 or not made.renderer.renders_remotely(view)
 
 
 def _wait_ready(made, num: int | None = None) -> None:
@@ -208,7 +208,7 @@ def test_renderer_that_stops_replying_delays_only_one_picture_and_is_used_again_
     made.lanes[1].trouble.holds = True
     for _ in range(5):
         # The picture is complete although the strip of lane 1 is delayed until ``release`` below.
-        future = made.renderer.want(_airway(case))[1]
+        future = made.renderer.request(_airway(case))[1]
         assert np.array_equal(future.result(timeout=WAIT_S).rgb, expected)
         assert "away" not in [m.state for m in made.console.status().members], "it is not given up for it"
     _wait(made, lambda: [m.state for m in made.console.status().members if m.name == "lane-1"] == ["late"])
@@ -256,7 +256,7 @@ def test_frame_is_rendered_by_another_renderer_after_any_unusable_reply(case, cl
     words = {"twice": [], "refuses": ["is not responding"]}.get(what, ["an unusable strip"])
 
     def shows_the_truth() -> None:
-        _, future = made.renderer.want(_airway(case))
+        _, future = made.renderer.request(_airway(case))
         assert np.array_equal(future.result(timeout=WAIT_S).rgb, expected)
         time.sleep(0.05)
 
@@ -277,7 +277,7 @@ def test_error_while_strips_are_joined_is_raised_at_once(case, cluster, monkeypa
     _wait_ready(made)
     monkeypatch.setattr(frames, "with_pixels", lambda *_, **__: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        made.renderer.want(_airway(case))[1].result(timeout=WAIT_S)
+        made.renderer.request(_airway(case))[1].result(timeout=WAIT_S)
     monkeypatch.undo()
     made.renderer.render(_airway(case))
 
@@ -323,14 +323,14 @@ def test_other_renderers_load_the_scene_if_one_renderer_cannot_receive_the_reque
     made.lanes[0].trouble.raises = ConnectionError("gone")
     end_s = time.monotonic() + WAIT_S
     while len(calls) < 2:
-        assert np.array_equal(made.renderer.want(_airway(case))[1].result(timeout=WAIT_S).rgb, expected)
+        assert np.array_equal(made.renderer.request(_airway(case))[1].result(timeout=WAIT_S).rgb, expected)
         assert time.monotonic() < end_s
         time.sleep(0.02)
     # The other lanes receive the next transfer function.
     made.renderer.set_transfer(transfer_preset("paper"))
     made.truth.set_transfer(transfer_preset("paper"))
     expected = made.truth.render(_airway(case)).rgb
-    assert np.array_equal(made.renderer.want(_airway(case))[1].result(timeout=WAIT_S).rgb, expected)
+    assert np.array_equal(made.renderer.request(_airway(case))[1].result(timeout=WAIT_S).rgb, expected)
     monkeypatch.undo()
     made.lanes[0].trouble.raises = None
     _wait_ready(made)
@@ -381,7 +381,7 @@ def test_renderer_that_joins_during_a_flight_receives_strips(case, cluster, cons
     # Two frames are always in progress, so the new renderer joins while strips are rendered.
     while joined_at is None or late.trouble.num_orders < 5:
         assert time.monotonic() < end_s, "it gets nothing"
-        under_way.append((num % 4, made.renderer.want(views[num % 4])[1]))
+        under_way.append((num % 4, made.renderer.request(views[num % 4])[1]))
         num += 1
         if num == 6:
             made.console.add_lane(late)

@@ -57,7 +57,7 @@ def _settled(power: float, num: int = 400) -> list[float]:
     for lane in cost:
         shares.join(lane)
     for _ in range(num):
-        shares.epoch({lane: cost[lane] * p**power for lane, p in shares.all.items()})
+        shares.update({lane: cost[lane] * p**power for lane, p in shares.all.items()})
     return [shares.all[lane] for lane in cost]
 
 
@@ -77,7 +77,7 @@ def test_shares_sum_to_one_after_any_events(events):
         elif what == "leave":
             shares.leave(lane)
         else:
-            shares.epoch({n: seconds * (n + 1) for n in range(lane + 1)})
+            shares.update({n: seconds * (n + 1) for n in range(lane + 1)})
         assert not shares.all or sum(shares.all.values()) == pytest.approx(1.0)
         assert all(p > 0.0 for p in shares.all.values())
 
@@ -136,9 +136,9 @@ def test_renderer_that_becomes_ten_times_slower_gets_a_smaller_share():
     now_s, due = 1.0, []
     free_s = dict.fromkeys("abcd", 0.0)
     for frame_id in range(40):
-        rig.scheduler.want(frame_id, 512, now_s)
+        rig.scheduler.request(frame_id, 512, now_s)
         while FrameDone(frame_id) not in rig.rest:
-            rig.take()
+            rig.take_actions()
             for task in [t for t in rig.issued if all(t is not known for _, known in due)]:
                 row_s = 0.0001 * (10 if task.lane == "a" else 1)
                 free_s[task.lane] = max(free_s[task.lane], now_s) + row_s * (task.end_row - task.first_row)
@@ -147,8 +147,8 @@ def test_renderer_that_becomes_ten_times_slower_gets_a_smaller_share():
             deadline_s = rig.scheduler.deadline_s
             if deadline_s is not None and deadline_s < due[0][0]:
                 now_s = deadline_s
-                rig.scheduler.tick(now_s)
-                rig.take()
+                rig.scheduler.mark_late_lanes(now_s)
+                rig.take_actions()
             else:
                 now_s, task = due.pop(0)
                 rig.answer(task, now_s)
@@ -164,8 +164,8 @@ class Rig:
         self.issued: list[Issue] = []
         self.rest: list[object] = []
 
-    def take(self):
-        new = self.scheduler.take()
+    def take_actions(self):
+        new = self.scheduler.take_actions()
         self.issued += [a for a in new if isinstance(a, Issue)]
         self.rest += [a for a in new if not isinstance(a, Issue)]
         return new
@@ -173,7 +173,7 @@ class Rig:
     def answer(self, task: Issue, now_s: float, seconds: float = 0.01) -> bool:
         self.issued.remove(task)
         accepted = self.scheduler.answered(task.lane, task.task_id, seconds, now_s)
-        self.take()
+        self.take_actions()
         return accepted
 
     def of(self, lane) -> list[Issue]:
@@ -187,8 +187,8 @@ def _flying(*lanes, settings=None, warm=3) -> Rig:
         rig.scheduler.join(lane, 0.0)
     for frame_id in range(-warm, 0):
         now_s = frame_id * 0.01
-        rig.scheduler.want(frame_id, 100, now_s)
-        rig.take()
+        rig.scheduler.request(frame_id, 100, now_s)
+        rig.take_actions()
         for task in list(rig.issued):
             rig.answer(task, now_s + 0.01)
     rig.rest.clear()
@@ -197,13 +197,13 @@ def _flying(*lanes, settings=None, warm=3) -> Rig:
 
 def test_late_strip_is_issued_to_another_lane_and_the_first_reply_to_it_is_used():
     rig = _flying("a", "b")
-    rig.scheduler.want(1, 100, 0.0)
-    rig.take()
+    rig.scheduler.request(1, 100, 0.0)
+    rig.take_actions()
     [of_a], [of_b] = rig.of("a"), rig.of("b")
     assert rig.answer(of_b, 0.01)
     assert rig.scheduler.deadline_s == pytest.approx(0.05)  # three times 10 ms is below the minimum
-    rig.scheduler.tick(0.051)
-    rig.take()
+    rig.scheduler.mark_late_lanes(0.051)
+    rig.take_actions()
     assert rig.rest == [LaneLate("a")]
     [again] = rig.of("b")
     assert (again.first_row, again.end_row, again.again) == (of_a.first_row, of_a.end_row, True)
@@ -217,55 +217,55 @@ def test_late_strip_is_issued_to_another_lane_and_the_first_reply_to_it_is_used(
 def test_reply_deadline_of_a_new_lane_follows_the_rate_of_the_other_lanes():
     rig = _flying("a", "b", warm=20)
     rig.scheduler.join("c", 0.0)
-    rig.scheduler.want(1, 99, 0.0)
-    rig.take()
+    rig.scheduler.request(1, 99, 0.0)
+    rig.take_actions()
     for name in ("a", "b"):
         rig.answer(rig.of(name)[0], 0.01)
     # The other lanes take 7 ms for 33 rows; nine times 7 ms is less than four times the minimum.
     assert rig.scheduler.deadline_s == pytest.approx(0.2)
     alone = Rig(ClusterSettings(open_frames=1))
     alone.scheduler.join("a", 0.0)
-    alone.scheduler.want(1, 99, 0.0)
-    alone.take()
+    alone.scheduler.request(1, 99, 0.0)
+    alone.take_actions()
     assert alone.scheduler.deadline_s == pytest.approx(2.0), "nobody knows what such a picture takes"
 
 
 def test_reply_with_a_strip_is_accepted_only_while_its_rows_are_missing():
     rig = _flying("a", "b")
-    rig.scheduler.want(1, 100, 0.0)
-    rig.take()
+    rig.scheduler.request(1, 100, 0.0)
+    rig.take_actions()
     [of_a], [of_b] = rig.of("a"), rig.of("b")
-    assert rig.scheduler.wants("a", of_a.task_id)
-    assert not rig.scheduler.wants("b", of_a.task_id) and not rig.scheduler.wants("nobody", of_a.task_id)
+    assert rig.scheduler.expects("a", of_a.task_id)
+    assert not rig.scheduler.expects("b", of_a.task_id) and not rig.scheduler.expects("nobody", of_a.task_id)
     rig.answer(of_b, 0.01)
-    rig.scheduler.tick(0.06)
-    rig.take()
+    rig.scheduler.mark_late_lanes(0.06)
+    rig.take_actions()
     [again] = rig.of("b")
     rig.answer(again, 0.07)
-    assert not rig.scheduler.wants("a", of_a.task_id)
+    assert not rig.scheduler.expects("a", of_a.task_id)
 
 
 def test_late_lane_gets_no_further_strip_until_it_replies():
     rig = _flying("a", "b")
-    rig.scheduler.want(1, 100, 0.0)
-    rig.take()
+    rig.scheduler.request(1, 100, 0.0)
+    rig.take_actions()
     rig.answer(rig.of("b")[0], 0.01)
-    rig.scheduler.tick(0.06)
-    rig.take()
+    rig.scheduler.mark_late_lanes(0.06)
+    rig.take_actions()
     rig.answer(rig.of("b")[0], 0.07)
-    rig.scheduler.want(2, 100, 0.07)
-    rig.take()
+    rig.scheduler.request(2, 100, 0.07)
+    rig.take_actions()
     [task] = rig.of("b")
     assert (task.first_row, task.end_row) == (0, 100)
 
 
 def test_strip_overdue_on_two_lanes_is_issued_to_a_third():
     rig = _flying("a", "b", "c")
-    rig.scheduler.want(1, 99, 0.0)
-    rig.take()
+    rig.scheduler.request(1, 99, 0.0)
+    rig.take_actions()
     rig.answer(rig.of("c")[0], 0.01)
-    rig.scheduler.tick(0.06)
-    rig.take()
+    rig.scheduler.mark_late_lanes(0.06)
+    rig.take_actions()
     assert [task.lane for task in rig.issued if task.again] == ["c", "c"]
     for task in rig.of("c"):
         rig.answer(task, 0.07)
@@ -276,45 +276,45 @@ def test_console_renders_while_no_lane_is_available_and_stops_when_one_returns()
     rig = Rig(ClusterSettings(open_frames=1))
     rig.scheduler.join("console", 0.0, reserve=True)
     rig.scheduler.join("a", 0.0, content=1)
-    rig.scheduler.want(1, 100, 0.0, content=1)
-    rig.take()
+    rig.scheduler.request(1, 100, 0.0, content=1)
+    rig.take_actions()
     assert [t.lane for t in rig.issued] == ["a"]
     [lost] = rig.issued
     rig.scheduler.failed("a", lost.task_id, 0.1)
     rig.issued.clear()
-    rig.take()
+    rig.take_actions()
     assert [t.lane for t in rig.issued] == ["console"]
     assert rig.answer(rig.issued[0], 0.5)
     rig.scheduler.join("a", 0.6, content=2)
-    rig.scheduler.want(2, 100, 0.7, content=1)  # the lane has loaded another content
-    rig.take()
+    rig.scheduler.request(2, 100, 0.7, content=1)  # the lane has loaded another content
+    rig.take_actions()
     assert [t.lane for t in rig.issued] == ["console"]
     rig.answer(rig.issued[0], 0.8)
     rig.scheduler.load("a", 1, 0.9)
-    rig.scheduler.want(3, 100, 1.0, content=1)
-    rig.take()
+    rig.scheduler.request(3, 100, 1.0, content=1)
+    rig.take_actions()
     assert [t.lane for t in rig.issued] == ["a"]
 
 
 def test_frame_requested_without_an_available_lane_waits_for_a_lane():
     rig = Rig()
-    rig.scheduler.want(1, 100, 0.0)
-    assert rig.take() == []
+    rig.scheduler.request(1, 100, 0.0)
+    assert rig.take_actions() == []
     rig.scheduler.join("a", 1.0)
-    rig.take()
+    rig.take_actions()
     assert [t.lane for t in rig.issued] == ["a"]
 
 
 def test_lane_that_joins_during_a_flight_gets_the_mean_share_of_the_next_frame():
     rig = _flying("a", "b", "c")
-    rig.scheduler.want(1, 120, 0.0)
+    rig.scheduler.request(1, 120, 0.0)
     rig.scheduler.join("d", 0.001)
-    rig.take()
+    rig.take_actions()
     assert not rig.of("d")
     for task in list(rig.issued):
         rig.answer(task, 0.01)
-    rig.scheduler.want(2, 120, 0.02)
-    rig.take()
+    rig.scheduler.request(2, 120, 0.02)
+    rig.take_actions()
     [task] = rig.of("d")
     assert task.end_row - task.first_row == 30
 
@@ -322,8 +322,8 @@ def test_lane_that_joins_during_a_flight_gets_the_mean_share_of_the_next_frame()
 def test_only_the_newest_waiting_frame_of_a_stream_is_rendered():
     rig = _flying("a", settings=ClusterSettings(in_flight=1, open_frames=1))
     for frame_id in (1, 2, 3):
-        rig.scheduler.want(frame_id, 10, 0.0, stream="airway")
-    rig.take()
+        rig.scheduler.request(frame_id, 10, 0.0, stream="airway")
+    rig.take_actions()
     assert rig.rest == [FrameDropped(2)]
     rig.answer(rig.issued[0], 0.01)
     assert rig.issued[0].frame_id == 3
@@ -331,9 +331,9 @@ def test_only_the_newest_waiting_frame_of_a_stream_is_rendered():
 
 def test_complete_frame_drops_the_older_frames_of_its_stream():
     rig = _flying("a", "b", settings=ClusterSettings(open_frames=2))
-    rig.scheduler.want(1, 10, 0.0, stream="airway")
-    rig.scheduler.want(2, 10, 0.0, stream="airway")
-    rig.take()
+    rig.scheduler.request(1, 10, 0.0, stream="airway")
+    rig.scheduler.request(2, 10, 0.0, stream="airway")
+    rig.take_actions()
     for task in [t for t in rig.issued if t.frame_id == 2]:
         rig.answer(task, 0.01)
     assert rig.rest == [FrameDone(2), FrameDropped(1)]
@@ -342,10 +342,10 @@ def test_complete_frame_drops_the_older_frames_of_its_stream():
 
 def test_buffer_of_a_dropped_frame_is_used_by_the_next_frame():
     rig = _flying("a", settings=ClusterSettings(in_flight=4, open_frames=1))
-    rig.scheduler.want(1, 10, 0.0)
-    rig.scheduler.want(2, 10, 0.0)
+    rig.scheduler.request(1, 10, 0.0)
+    rig.scheduler.request(2, 10, 0.0)
     rig.scheduler.drop(1, 0.0)
-    rig.take()
+    rig.take_actions()
     assert [t.frame_id for t in rig.issued] == [1, 2]
     assert rig.rest == [FrameDropped(1)]
 
@@ -353,17 +353,17 @@ def test_buffer_of_a_dropped_frame_is_used_by_the_next_frame():
 def test_undivided_frames_are_issued_to_one_lane_each_up_to_the_capacity_of_the_lane():
     rig = _flying("a", "b", settings=ClusterSettings(in_flight=2, open_frames=1))
     for frame_id in range(10):
-        rig.scheduler.want(frame_id, 100, 0.0, whole=True)
-    rig.take()
+        rig.scheduler.request(frame_id, 100, 0.0, whole=True)
+    rig.take_actions()
     assert sorted((t.lane, t.frame_id) for t in rig.issued) == [("a", 0), ("a", 2), ("b", 1), ("b", 3)]
     assert {(t.first_row, t.end_row) for t in rig.issued} == {(0, 100)}
 
 
 def test_frame_that_is_being_rendered_cannot_be_requested_again():
     rig = _flying("a")
-    rig.scheduler.want(1, 10, 0.0)
+    rig.scheduler.request(1, 10, 0.0)
     with pytest.raises(UsageError, match="already being rendered"):
-        rig.scheduler.want(1, 10, 0.0)
+        rig.scheduler.request(1, 10, 0.0)
 
 
 EVENTS = st.lists(
@@ -385,7 +385,7 @@ def test_no_strip_is_missing_or_doubled_in_any_order_of_events(events, in_flight
     wanted, rows_of, complete, dropped = {}, {}, set(), set()
 
     def check():
-        for action in scheduler.take():
+        for action in scheduler.take_actions():
             if isinstance(action, Issue):
                 assert action.task_id not in out
                 out[action.task_id] = action
@@ -403,9 +403,9 @@ def test_no_strip_is_missing_or_doubled_in_any_order_of_events(events, in_flight
     def answer(task):
         del out[task.task_id]
         rows = range(task.first_row, task.end_row)
-        wants = scheduler.wants(task.lane, task.task_id)
+        expects = scheduler.expects(task.lane, task.task_id)
         accepted = scheduler.answered(task.lane, task.task_id, 0.01, now_s)
-        assert accepted == wants, "rows are copied before they are counted"
+        assert accepted == expects, "rows are copied before they are counted"
         if accepted:
             rows_of[task.frame_id].update(rows)
         check()
@@ -418,7 +418,7 @@ def test_no_strip_is_missing_or_doubled_in_any_order_of_events(events, in_flight
             case ("want", num_rows, stream, whole):
                 frame_id = next(frame_ids)
                 wanted[frame_id], rows_of[frame_id] = num_rows, Counter()
-                scheduler.want(
+                scheduler.request(
                     frame_id, num_rows, now_s, content=content, stream=stream, whole=whole, max_rows=max_rows
                 )
             case ("join", n):
@@ -432,7 +432,7 @@ def test_no_strip_is_missing_or_doubled_in_any_order_of_events(events, in_flight
                 scheduler.drop(n, now_s)
             case ("tick", seconds):
                 now_s += seconds
-                scheduler.tick(now_s)
+                scheduler.mark_late_lanes(now_s)
             case ("answer" | "fail", n) if out:
                 task = list(out.values())[n % len(out)]
                 if event[0] == "answer":
@@ -451,7 +451,7 @@ def test_no_strip_is_missing_or_doubled_in_any_order_of_events(events, in_flight
             answer(mine[0])
         elif scheduler.num_open or scheduler.num_waiting:
             now_s += 10.0
-            scheduler.tick(now_s)
+            scheduler.mark_late_lanes(now_s)
             check()
         else:
             break

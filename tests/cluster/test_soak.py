@@ -11,7 +11,7 @@ import pytest
 from ray_cluster import VIEW, flying, needs_ray, running_head, wait_for
 
 from carina.cluster import ClusterSettings
-from carina.cluster.node import descendants, reap
+from carina.cluster.node import descendants, end_processes
 from carina_bench.cluster_sleeping_renderer import SleepingRenderer
 
 SECONDS = float(os.environ.get("CARINA_SOAK_SECONDS", "600"))
@@ -75,7 +75,7 @@ def test_console_renders_alone_after_the_head_node_is_lost():
         head.look()
         tree = descendants(head.node.process.pid)
         head.node.process.kill()
-        reap(tree, grace_s=0.0)
+        end_processes(tree, grace_s=0.0)
         end_s = time.monotonic() + 75.0
         while time.monotonic() < end_s:
             began_s = time.monotonic()

@@ -36,7 +36,7 @@ PRINTED_BY: dict[str, tuple[str, ...]] = {
     "cli/devices.py": ("devices",),
     "cli/fly.py": ("fly",),
     "cli/info.py": ("info",),
-    "cli/kept_frames.py": ("fly",),
+    "cli/stored_frames.py": ("fly",),
     "cli/opened.py --ct": OF_CT,
     "cli/opened.py --keys": ("fly",),
     "cli/opened.py --strict": ("airways", "export"),

@@ -16,7 +16,7 @@ import pytest
 
 from carina.render import Picture
 from carina.scopes import Lens, Pose, lens_from_text, scope_preset
-from carina.server.frames.pump import _lens
+from carina.server.frames.pump import _lens_message
 
 FILE = Path(__file__).resolve().parents[1] / "golden" / "projections.json"
 CALIBRATION = """{"image_size": [320, 240], "K": [[210.5, 0, 163.25], [0, 208.75, 117.5], [0, 0, 1]],
@@ -67,7 +67,7 @@ def make() -> list[dict[str, object]]:
                 "width": 320,
                 "height": 240,
                 "fov_deg": optics.fov_deg,
-                "lens": msgspec.to_builtins(_lens(picture.optics)) if picture.optics else None,
+                "lens": msgspec.to_builtins(_lens_message(picture.optics)) if picture.optics else None,
                 "lps_from_camera": [float(v) for v in pose.lps_from_camera.ravel()],
                 "points_lps": [[float(v) for v in p] for p in points],
                 "pixels": [s if near else None for s, near in zip(seen, ahead, strict=True)],

@@ -13,7 +13,7 @@ import pytest
 
 import carina
 from carina.display import progress as bars
-from carina.display.progress import Watched, bar_here, shows_progress
+from carina.display.progress import BarCallback, bar_here, shows_progress
 from carina.errors import UsageError
 from carina.render import VIEW_NAMES, AirwayView, CutPlaneView, SliceView
 from carina.volume import Volume
@@ -130,7 +130,7 @@ class NotedBar:
 
 def test_progress_bar_starts_after_half_a_second_is_limited_to_10_hz_and_shows_the_remaining_time() -> None:
     now, bar = [10.0], NotedBar()
-    watched = Watched(lambda: bar, lambda: now[0])
+    watched = BarCallback(lambda: bar, lambda: now[0])
     for time_s, fraction in ((10.1, 0.1), (10.4, 0.2), (10.6, 0.25), (10.65, 0.3), (11.0, 0.5), (12.0, None)):
         now[0] = time_s
         watched("reading", fraction)
@@ -141,7 +141,7 @@ def test_progress_bar_starts_after_half_a_second_is_limited_to_10_hz_and_shows_t
 
 def test_work_shorter_than_half_a_second_shows_no_progress_bar() -> None:
     made = []
-    watched = Watched(lambda: made.append(1) or NotedBar(), lambda: 1.0)
+    watched = BarCallback(lambda: made.append(1) or NotedBar(), lambda: 1.0)
     watched("reading", 0.5)
     watched.close()
     assert not made

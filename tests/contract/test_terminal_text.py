@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import carina.cli
-from carina.cli.console import print_json, progress_printer, say, show
+from carina.cli.console import print_json, print_note, print_result, progress_printer
 from carina.display.terminal import as_line, as_terminal_text, escaped_json
 
 ATTACKS = {
@@ -62,8 +62,8 @@ def test_json_output_contains_the_text_with_escaped_control_characters():
 
 def test_all_print_functions_remove_control_characters(capsys, monkeypatch):
     for text in ATTACKS:
-        say(text)
-        show(text, text)
+        print_note(text)
+        print_result(text, text)
         print_json({"text": text})
         progress_printer()(text, 0.5)
         monkeypatch.setattr("sys.stderr.isatty", lambda: True)

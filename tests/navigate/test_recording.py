@@ -43,7 +43,7 @@ from carina.navigate import moves as m
 from carina.navigate.auto_flight import frame_times_s
 from carina.navigate.rotation import rotation_from_vector, wxyz_from_rotation
 from carina.scopes import Pose, WallField
-from carina.session import Session, Trouble
+from carina.session import ErrorEvent, Session
 from small_case import Clock, small_bench, small_volume
 
 VOLUME = small_volume()
@@ -292,9 +292,9 @@ def recorded_to(session: Session, path: Path, file) -> None:
     session._recording._recorder._file = file
 
 
-def troubles(session: Session) -> list[Trouble]:
-    found: list[Trouble] = []
-    session.subscribe(lambda event: found.append(event) if isinstance(event, Trouble) else None)
+def troubles(session: Session) -> list[ErrorEvent]:
+    found: list[ErrorEvent] = []
+    session.subscribe(lambda event: found.append(event) if isinstance(event, ErrorEvent) else None)
     return found
 
 

@@ -140,14 +140,14 @@ def test_device_beyond_the_limit_is_accepted_when_another_sends_nothing():
     assert gate.admit("pen", pen(1.0), 1.1) is None
     assert gate.take_message(1.1) == "1 sample from other devices was ignored: too many devices (1)"
     assert gate.admit("pen", pen(2.0), 2.0) is not None
-    assert not gate.knows("stick 0")
-    assert gate.knows("stick 1")
+    assert not gate.has_device("stick 0")
+    assert gate.has_device("stick 1")
 
 
 def test_samples_of_a_reconnected_device_with_another_clock_are_accepted():
     gate = SampleGate()
     gate.admit("pen", pen(500.0), 0.0)
-    gate.gone("pen")
+    gate.reset_device("pen")
     assert gate.holder is None
     assert gate.admit("pen", pen(0.1), 0.2) is not None
 

@@ -56,26 +56,26 @@ def sample(time_s: float, orientation=(1.0, 0.0, 0.0, 0.0), *, held=True, advanc
 def test_clock_offset_of_a_phone_is_that_of_the_message_with_the_least_delay():
     clock = ClockMap()
     delays_s = [0.080, 0.004, 0.250, 0.020]
-    ours = [clock.ours(1000.0 + n / 60, 5.0 + n / 60 + delay_s) for n, delay_s in enumerate(delays_s)]
+    to_local_s = [clock.to_local_s(1000.0 + n / 60, 5.0 + n / 60 + delay_s) for n, delay_s in enumerate(delays_s)]
     # From the second message on all times are mapped as if each message had been under way for 4 ms.
-    np.testing.assert_allclose(ours[1:], [5.004 + n / 60 for n in (1, 2, 3)], atol=1e-9)
-    assert ours[0] <= 5.080
+    np.testing.assert_allclose(to_local_s[1:], [5.004 + n / 60 for n in (1, 2, 3)], atol=1e-9)
+    assert to_local_s[0] <= 5.080
 
 
 @pytest.mark.parametrize("jump_s", [-3600.0, -2.0, 1e9, -1e9])
 def test_clock_offset_is_corrected_within_a_second_after_the_phone_clock_was_set(jump_s):
     clock = ClockMap()
     for n in range(10):
-        clock.ours(50.0 + n / 60, n / 60)
-    late = [clock.ours(50.0 + jump_s + n / 60, 1.0 + n / 60) - (1.0 + n / 60) for n in range(60)]
+        clock.to_local_s(50.0 + n / 60, n / 60)
+    late = [clock.to_local_s(50.0 + jump_s + n / 60, 1.0 + n / 60) - (1.0 + n / 60) for n in range(60)]
     assert late[-1] == pytest.approx(0.0, abs=1e-6)
     assert max(late) <= 1e-6, "no sample is from the future"
 
 
 def test_extreme_time_sent_by_a_phone_affects_the_clock_offset_for_half_a_second():
     clock = ClockMap()
-    clock.ours(1e300, 0.0)
-    late = [clock.ours(50.0 + n / 60, 1.0 + n / 60) - (1.0 + n / 60) for n in range(60)]
+    clock.to_local_s(1e300, 0.0)
+    late = [clock.to_local_s(50.0 + n / 60, 1.0 + n / 60) - (1.0 + n / 60) for n in range(60)]
     assert late[-1] == pytest.approx(0.0, abs=1e-9)
 
 
@@ -102,14 +102,14 @@ def a_link(*, clutch="always"):
 @pytest.mark.parametrize("held", [True, False])
 def test_tip_turns_only_while_the_phone_button_is_pressed_at_any_pen_setting(clutch, held):
     link, heard, _ = a_link(clutch=clutch)
-    link.hear(sample(1.0, held=held), 0.0)
+    link.process_message(sample(1.0, held=held), 0.0)
     engaged = bool(heard[0].buttons >> CLUTCH_BUTTON & 1) == (clutch == "hold")
     assert engaged == held
 
 
 def test_phone_without_a_sensor_advances_and_does_not_turn():
     link, heard, _ = a_link()
-    link.hear(sample(1.0, None, held=True, advance=1.0), 0.0)
+    link.process_message(sample(1.0, None, held=True, advance=1.0), 0.0)
     assert (heard[0].advance, heard[0].buttons, heard[0].position_mm) == (1.0, 1 << CLUTCH_BUTTON, None)
 
 
@@ -118,27 +118,27 @@ def test_invalid_phone_messages_are_counted_and_many_of_them_close_the_connectio
     bad = ["", "{", "[]", '{"type": "steer"}', sample(1.0).replace("true", "1"), "x" * 5000, None]
     bad.append(sample(1.0).replace("1.0", "NaN", 1))
     for n, text in enumerate(bad):
-        link.hear(text, 0.1 * n)
+        link.process_message(text, 0.1 * n)
     assert heard == []
     assert sum(link.num_bad.values()) == len(bad)
     assert not link.is_broken
-    link.hear(wire.encode_message(wire.PhoneAct("recenter")), 1.0)
-    link.hear(sample(2.0), 1.1)
+    link.process_message(wire.encode_message(wire.PhoneAct("recenter")), 1.0)
+    link.process_message(sample(2.0), 1.1)
     assert (acts, len(heard)) == (["recenter"], 1)
     for n in range(MAX_BAD):
-        link.hear("{", 2.0 + n)
+        link.process_message("{", 2.0 + n)
     assert link.is_broken
 
 
 def test_phone_messages_above_the_rate_limit_are_dropped_unparsed_until_the_next_second():
     link, heard, _ = a_link()
     for n in range(5000):
-        link.hear(sample(n / 5000), n / 5000)
+        link.process_message(sample(n / 5000), n / 5000)
     assert 150 <= len(heard) <= 200  # 120 messages a second, and a burst of 60
     assert link.num_bad["too many samples"] == 5000 - len(heard)
     assert not link.is_broken
     before = len(heard)
-    link.hear(sample(3.0), 3.0)
+    link.process_message(sample(3.0), 3.0)
     assert len(heard) == before + 1
 
 

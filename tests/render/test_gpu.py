@@ -19,7 +19,7 @@ from carina import _core
 from carina.errors import RenderError
 from carina.render import AirwayView, Backend, Renderer, find_adapters, transfer_preset
 from carina.render.graphics_device import PICTURES_FIRST
-from carina.render.processor_choice import MAX_PART_OFF, part_off
+from carina.render.processor_choice import MAX_PART_OFF, differing_share
 from carina.scopes import ImageField, Lens, Pose, scope_preset
 from carina.volume import Volume
 
@@ -53,7 +53,7 @@ def both(volume, lumen_zyx=None, transfer=ENDOSCOPIC):
 def assert_same(cpu, gpu, view, *, method=None):
     expected, found = cpu.render(view), gpu.render(view)
     assert found.stats.method == (f"gpu-{expected.stats.method}" if method is None else method)
-    assert part_off(expected.rgb, found.rgb) <= MAX_PART_OFF
+    assert differing_share(expected.rgb, found.rgb) <= MAX_PART_OFF
     # A pixel with a larger difference shows another object, because a wall moved by one sample keeps its colour.
     assert np.abs(expected.rgb.astype(int) - found.rgb).max() <= 40
     assert found.stats.num_rays == expected.stats.num_rays
@@ -170,7 +170,7 @@ def test_auto_backend_compares_cpu_and_gpu_pictures_with_the_transfer_function_o
     assert {picture.stats.method for _, picture in compared} == {"leap", "gpu-leap"}
     for transfer, picture in compared:
         assert transfer is ENDOSCOPIC
-        assert part_off(picture.rgb, expected.rgb) <= MAX_PART_OFF
+        assert differing_share(picture.rgb, expected.rgb) <= MAX_PART_OFF
 
 
 def test_each_of_several_threads_receives_the_gpu_pictures_that_it_requested(airway):

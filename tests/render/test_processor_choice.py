@@ -13,7 +13,7 @@ from carina import _core
 from carina.errors import RenderError
 from carina.render import Adapter, AirwayView, Backend, Picture, Renderer, RenderStats, find_adapters
 from carina.render.graphics_device import NUM_PAIRS, PICTURES_FIRST, PICTURES_WITHOUT_MAP, DeviceCaster
-from carina.render.processor_choice import part_off
+from carina.render.processor_choice import differing_share
 from carina.scopes import Pose
 
 CARD = Adapter(0, "Card 9000", "vulkan", "driver 1.2", "discrete")
@@ -81,7 +81,7 @@ class Rig:
         picture = self.caster.try_cast(scene, view, leaps=leaps, cast=self.device.cast)
         if picture is None:
             picture = self.device.cast(scene, view, None)
-            self.caster.seen(scene, view)
+            self.caster.count_cpu_picture(scene, view)
         return "gpu" if picture.stats.method.startswith("gpu-") else "cpu"
 
     def run_work(self):
@@ -241,8 +241,8 @@ def test_share_of_different_pixels_of_two_pictures_counts_pixels_and_not_channel
     b = a.copy()
     b[0, 0] = 102
     b[0, 1] = 101
-    assert part_off(a, b) == 0.01
-    assert part_off(a, b[1:]) == 1.0
+    assert differing_share(a, b) == 0.01
+    assert differing_share(a, b[1:]) == 1.0
 
 
 def test_build_without_gpu_support_reports_it_and_renders_on_the_cpu(airway):

@@ -34,8 +34,8 @@ STATUS = ClusterStatus(
 def test_window_receives_the_rendering_computers_of_the_cluster_and_each_notice_once() -> None:
     reported: list[wire.Cluster | wire.Notice] = []
     watch = ClusterWatch(lambda: STATUS, reported.append)
-    watch.look()
-    watch.look()
+    watch.poll()
+    watch.poll()
     shown = wire.Cluster(
         address="10.0.0.1:6379",
         members=(replace(FAR, share=0.3333, latency_ms=12.3),),

@@ -17,7 +17,7 @@ import pytest
 from live_server import WAIT_S, running
 from websockets.sync.client import connect
 
-from carina.server.network.connection_limits import TELL_EVERY_S, _OnceAMinute
+from carina.server.network.connection_limits import LOG_EVERY_S, _MinuteLogFilter
 from carina.server.wire import messages as wire
 from user_folders import environment_in
 
@@ -243,7 +243,7 @@ def test_request_with_a_stalled_body_is_closed_and_a_slow_body_accepted(hasty):
 
 
 def test_unauthenticated_websocket_is_closed_at_the_limit_and_an_authenticated_one_stays_open(tmp_path, monkeypatch):
-    monkeypatch.setattr("carina.server.network.connection_limits.MAX_STRANGERS", 8)
+    monkeypatch.setattr("carina.server.network.connection_limits.MAX_UNAUTHENTICATED", 8)
     with running(tmp_path) as live, live.window() as window, contextlib.ExitStack() as stack:
         upgrade = (
             "Connection: Upgrade",
@@ -262,9 +262,9 @@ def test_unauthenticated_websocket_is_closed_at_the_limit_and_an_authenticated_o
 
 def test_server_log_repeats_a_message_at_most_once_a_minute():
     now = [0.0]
-    once = _OnceAMinute(lambda: now[0])
+    once = _MinuteLogFilter(lambda: now[0])
     record = logging.LogRecord("uvicorn.error", logging.WARNING, "", 0, "Invalid HTTP request received.", (), None)
     other = logging.LogRecord("uvicorn.error", logging.WARNING, "", 0, "Unsupported upgrade request.", (), None)
     assert [once.filter(record), once.filter(record), once.filter(other)] == [True, False, True]
-    now[0] = TELL_EVERY_S
+    now[0] = LOG_EVERY_S
     assert [once.filter(record), once.filter(record)] == [True, False]

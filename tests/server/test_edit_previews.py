@@ -13,7 +13,7 @@ from carina.commands import EditTree
 from carina.server.to_wire.tree import tree_message
 from carina.server.windows.pointing import Pointing, no_evidence_message
 from carina.server.wire import messages as wire
-from carina.session import NotEvident
+from carina.session import EvidenceMissing
 from carina.track import edit_airways
 from small_case import small_bench
 
@@ -51,7 +51,7 @@ def ask(pointing, request_id, tool="add-branch", **place):
         "column": None,
         "row": None,
     } | place
-    pointing.pointing.ask_edit_preview(wire.AskEditPreview(request_id=request_id, tool=tool, **fields))
+    pointing.pointing.request_edit_preview(wire.AskEditPreview(request_id=request_id, tool=tool, **fields))
     answer = pointing.answers.get(timeout=WAIT_S)
     return wire.parse_server_message(wire.encode_message(answer))
 
@@ -71,7 +71,7 @@ def test_points_of_a_preview_equal_those_of_the_added_branch(pointing):
     assert len(line.doubtful) == len(line.points_lps) - 1
 
     edit(pointing, wire.AddBranch(lps))
-    (requested,) = pointing.bench.of_type(NotEvident)
+    (requested,) = pointing.bench.of_type(EvidenceMissing)
     question = wire.parse_server_message(wire.encode_message(no_evidence_message(requested)))
     assert (question.code, question.lps) == ("track.no-evidence", lps)
     assert question.line == line

@@ -30,7 +30,7 @@ def done(*messages):
         inbox = Inbox(did.append)
         for message in messages:
             await inbox.put(message)
-        inbox.finish()
+        inbox.handle_all()
 
     asyncio.run(run())
     return did
@@ -72,7 +72,7 @@ def test_full_inbox_blocks_its_reader_until_a_message_is_processed():
             await inbox.put(wire.Undo() if n % 2 else wire.Redo())
         with pytest.raises(TimeoutError):
             await asyncio.wait_for(inbox.put(wire.Undo()), 0.05)
-        worker = asyncio.create_task(inbox.work())
+        worker = asyncio.create_task(inbox.run())
         await inbox.put(wire.Undo())
         while inbox.num_waiting:
             await asyncio.sleep(0)
@@ -87,7 +87,7 @@ def test_error_in_a_message_ends_the_inbox_worker_without_blocking_the_reader():
 
     async def run():
         inbox = Inbox(broken)
-        worker = asyncio.create_task(inbox.work())
+        worker = asyncio.create_task(inbox.run())
         await inbox.put(wire.Undo())
         with pytest.raises(SystemError):
             await worker

@@ -24,13 +24,13 @@ from carina.case import CaseFile, CaseFileError
 from carina.config import load_settings
 from carina.errors import CarinaError, DiskError, NoEvidenceError, NoResultError, UnsavedWorkError, UsageError
 from carina.render import Renderer
-from carina.server.attached_programs import JoinedProgram, door_of, problem_of
+from carina.server.attached_programs import JoinedProgram, endpoint_of, problem_message
 from carina.server.files.uploads import Limits, Uploads
 from carina.server.network.access_checks import Gate
 from carina.server.wire import messages as wire
-from carina.session import NotEvident, Session, Trouble, case_files
-from carina.session.attach.client import raised
-from carina.session.store.attach_endpoint import DOOR, Door, open_door, read_door
+from carina.session import ErrorEvent, EvidenceMissing, Session, case_files
+from carina.session.attach.client import error_of
+from carina.session.store.attach_endpoint import ENDPOINT_FILE, AttachEndpoint, read_endpoint, write_endpoint
 from carina.session.store.registry import CaseRecords
 from carina.volume import write_grid
 from user_folders import environment_in, user_folders
@@ -85,7 +85,7 @@ def workstation():
         lambda volume, transfer: Renderer(volume, transfer=transfer), records=records, files=case_files(None, records)
     )
     with serving(session, Uploads(Limits(num_files=20, total_bytes=10_000, file_bytes=5000))) as gate:
-        records.door = door_of(gate)
+        records.door = endpoint_of(gate)
         yield Window(session, records, gate)
 
 
@@ -154,7 +154,7 @@ def _file(path):
 
 
 def test_notebook_waits_until_a_case_that_a_window_just_opened_can_be_joined(window, ct):
-    door = window.folder / DOOR
+    door = window.folder / ENDPOINT_FILE
     held_back = door.with_suffix(".later")
     door.rename(held_back)
     opening = threading.Timer(0.5, held_back.rename, (door,))
@@ -221,7 +221,7 @@ def test_each_program_receives_only_its_own_errors(window, ct):
         other.do(c.SetFov(100.0))
         assert one.state.document.look.fov_deg == 100.0
         assert one.history() == other.history()
-    assert not [event for event in heard if isinstance(event, Trouble | NotEvident)]
+    assert not [event for event in heard if isinstance(event, ErrorEvent | EvidenceMissing)]
 
 
 def test_window_and_notebook_show_each_other_s_changes_except_view_settings(window, ct):
@@ -366,14 +366,14 @@ def test_connection_details_of_a_case_are_private_and_removed_when_the_case_is_c
     with workstation() as window:
         window.do(c.OpenPath(str(ct)))
         folder = window.folder
-        door = read_door(folder)
+        door = read_endpoint(folder)
         assert door.url == f"ws://127.0.0.1:{window.gate.port}/join"
-        assert (folder / DOOR).stat().st_mode & 0o077 == 0
+        assert (folder / ENDPOINT_FILE).stat().st_mode & 0o077 == 0
         assert door.token not in repr(door)
         for path in folder.iterdir():
-            assert path.name == DOOR or door.token.encode() not in path.read_bytes()
+            assert path.name == ENDPOINT_FILE or door.token.encode() not in path.read_bytes()
         window.do(c.CloseCase())
-        assert not (folder / DOOR).exists()
+        assert not (folder / ENDPOINT_FILE).exists()
 
 
 @pytest.mark.parametrize(
@@ -387,13 +387,13 @@ def test_connection_details_of_a_case_are_private_and_removed_when_the_case_is_c
     ],
 )
 def test_programs_connect_to_an_open_case_only_through_loopback(host, url):
-    assert door_of(Gate(host=host, port=80)).url == url
+    assert endpoint_of(Gate(host=host, port=80)).url == url
 
 
 def test_connection_details_left_by_a_crash_are_ignored(ct):
     records = CaseRecords(load_settings().cases_dir, time.time)
     (record,) = records.all()
-    open_door(records.path_of(record).parent, Door("ws://127.0.0.1:1/join", "x" * 40))
+    write_endpoint(records.path_of(record).parent, AttachEndpoint("ws://127.0.0.1:1/join", "x" * 40))
     with carina.Case.open(ct) as case:
         assert case.note is None
         assert case.history() == ()
@@ -404,7 +404,7 @@ def test_connection_details_left_by_a_crash_are_ignored(ct):
 
 def joined(window, *messages, token=None):
     """Return the messages that a joining program receives after it has sent ``messages``."""
-    door = read_door(window.folder)
+    door = read_endpoint(window.folder)
     with connect(door.url, additional_headers={"Authorization": f"Bearer {token or door.token}"}) as socket:
         for message in messages:
             socket.send(message if isinstance(message, str) else wire.encode_message(message))
@@ -438,8 +438,8 @@ def test_commands_for_a_closed_case_do_not_change_the_case_opened_after_it(windo
     case_id, number = window.session.cases.open_case
     program = JoinedProgram(window.session, number)
     window.do(c.BeginAnew())
-    program.take(wire.SetFov(100.0))
-    settled = program.take(wire.Settle(1))
+    program.execute(wire.SetFov(100.0))
+    settled = program.execute(wire.Settle(1))
     assert {problem.code for problem in settled.problems} == {"case.closed"}
     assert window.state.document.look.fov_deg != 100.0
     assert joined(window, wire.Join(wire.WIRE_VERSION, case_id)) == [4410]
@@ -453,9 +453,9 @@ def test_error_sent_over_the_wire_is_restored_with_class_code_and_data():
         DiskError("three", code="disk.full"),
         NoEvidenceError("four", doubtful_mm=3.0, way_lps=way, doubtful=np.array([True])),
     )
-    again = [raised(problem_of(error)) for error in errors]
+    again = [error_of(problem_message(error)) for error in errors]
     assert [type(one) for one in again] == [UsageError, carina.VolumeImportError, DiskError, NoEvidenceError]
     assert [(str(one), one.code) for one in again] == [(str(one), one.code) for one in errors]
     assert np.array_equal(again[-1].way_lps, way)
     assert again[-1].doubtful.tolist() == [True]
-    assert type(raised(wire.Problem("NoSuchError", "x", "five"))) is CarinaError
+    assert type(error_of(wire.Problem("NoSuchError", "x", "five"))) is CarinaError

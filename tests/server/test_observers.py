@@ -234,7 +234,7 @@ def test_maximum_number_of_observers_does_not_prevent_further_windows_of_the_use
             opened.enter_context(watching(page.url))
         with watching(page.url, hello=False) as refused:
             assert refused.close_code()[0] == wire.CLOSE_CODES["protocol.too-many-windows"]
-        with live.window() as another:
-            another.until_state(lambda s: s.case is not None)
+        with live.window() as another_neutral_path:
+            another_neutral_path.until_state(lambda s: s.case is not None)
         window.send(wire.Steer(1.0, 0.0, 0.0, 0.0))
         window.until(lambda m: isinstance(m, wire.PoseMessage))

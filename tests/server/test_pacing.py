@@ -484,16 +484,16 @@ def under_way(player, keys):
 def test_movement_cancels_a_full_picture_but_no_picture_of_a_moving_view():
     player = Player({"airway": (800, 640)})
     order = under_way(player, {"airway": 1})
-    assert not player.scheduler.gives_way(order, {"airway": 1}, player.now_s)
-    assert player.scheduler.gives_way(order, {"airway": 2}, player.now_s)
-    player.scheduler.given_up(order, 0.01)
+    assert not player.scheduler.should_cancel(order, {"airway": 1}, player.now_s)
+    assert player.scheduler.should_cancel(order, {"airway": 2}, player.now_s)
+    player.scheduler.record_cancelled(order, 0.01)
     moving = player.step({"airway": 2})
     assert (moving.key, moving.grade) == (2, 1)
-    assert not player.scheduler.gives_way(moving, {"airway": 3}, player.now_s)
+    assert not player.scheduler.should_cancel(moving, {"airway": 3}, player.now_s)
 
 
 def test_only_a_slow_full_picture_is_cancelled_for_another_view():
     quick, slow = Player({**AIRWAY, "axial": (64, 64)}), Player({**AIRWAY, "axial": (64, 64)}, cost_s=2e-6)
-    for player, gives_way in ((quick, False), (slow, True)):
+    for player, should_cancel in ((quick, False), (slow, True)):
         order = under_way(player, {"airway": 1, "axial": 1})
-        assert player.scheduler.gives_way(order, {"airway": 1, "axial": 2}, player.now_s) == gives_way
+        assert player.scheduler.should_cancel(order, {"airway": 1, "axial": 2}, player.now_s) == should_cancel

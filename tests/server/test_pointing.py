@@ -46,7 +46,7 @@ def pointing():
 
 def ask(pointing, request_id, **place):
     fields = {"lps": None, "frame_id": None, "column": None, "row": None} | place
-    pointing.pointing.ask_live_path(wire.AskLivePath(request_id, **fields))
+    pointing.pointing.request_live_path(wire.AskLivePath(request_id, **fields))
     return pointing.answers.get(timeout=WAIT_S)
 
 
@@ -100,11 +100,11 @@ def test_live_path_request_without_airways_is_answered_with_the_step_still_neede
     answers = queue.Queue()
     made = Pointing(bench.session, lambda _frame: None, answers.put)
     made.start()
-    made.ask_live_path(wire.AskLivePath(1, (0.0, 0.0, 0.0), None, None, None))
+    made.request_live_path(wire.AskLivePath(1, (0.0, 0.0, 0.0), None, None, None))
     assert answers.get(timeout=WAIT_S).problem == "no case is open"
     bench.session.do(OpenPath("case"))
     bench.background.run_next()
-    made.ask_live_path(wire.AskLivePath(2, (0.0, 0.0, 0.0), None, None, None))
+    made.request_live_path(wire.AskLivePath(2, (0.0, 0.0, 0.0), None, None, None))
     assert "not been segmented yet" in answers.get(timeout=WAIT_S).problem
     made.stop()
 
@@ -131,7 +131,7 @@ def test_live_paths_are_prefetched_before_the_first_request(pointing, monkeypatc
 
 def test_detail_of_an_unmeasured_or_removed_branch_has_no_measurements(pointing):
     for branch_id in (1, 77):
-        pointing.pointing.ask_branch_detail(wire.AskBranchDetail(9, branch_id))
+        pointing.pointing.request_branch_detail(wire.AskBranchDetail(9, branch_id))
         answer = pointing.answers.get(timeout=WAIT_S)
         assert (answer.request_id, answer.branch_id) == (9, branch_id)
         assert (answer.measures, answer.profile) == (None, None)
@@ -141,10 +141,10 @@ def test_task_runner_runs_only_the_newest_task_of_each_kind_and_alternates_kinds
     newest = LatestTaskRunner("test")
     done, gate, last = [], threading.Event(), threading.Event()
     newest.start()
-    newest.ask("a", lambda: gate.wait(WAIT_S))
+    newest.submit("a", lambda: gate.wait(WAIT_S))
     for n in range(5):
-        newest.ask("a", lambda n=n: done.append(("a", n)))
-        newest.ask("b", lambda n=n: (done.append(("b", n)), last.set()))
+        newest.submit("a", lambda n=n: done.append(("a", n)))
+        newest.submit("b", lambda n=n: (done.append(("b", n)), last.set()))
     gate.set()
     assert last.wait(WAIT_S)
     newest.stop()

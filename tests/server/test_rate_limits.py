@@ -59,18 +59,18 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 def test_rate_limit_allows_a_burst_and_then_its_rate():
     clock = Clock()
     limit = RateLimit(10.0, 5.0, clock)
-    assert [limit.take() for _ in range(7)] == [True] * 5 + [False] * 2
+    assert [limit.allow() for _ in range(7)] == [True] * 5 + [False] * 2
     clock.now_s += 0.25
-    assert [limit.take() for _ in range(3)] == [True, True, False]
+    assert [limit.allow() for _ in range(3)] == [True, True, False]
     clock.now_s += 60.0
-    assert limit.take(5.0)
-    assert not limit.take(0.1)
+    assert limit.allow(5.0)
+    assert not limit.allow(0.1)
 
 
 def test_refused_message_does_not_reduce_the_rate_allowance():
     limit = RateLimit(1.0, 4.0, Clock())
-    assert not limit.take(5.0)
-    assert limit.take(4.0)
+    assert not limit.allow(5.0)
+    assert limit.allow(4.0)
 
 
 @pytest.mark.parametrize("num_observers", [1, 4])
@@ -99,8 +99,8 @@ def test_messages_of_observers_use_a_limited_share_of_time_while_the_user_sends(
             await asyncio.sleep(0)
 
     async def run():
-        tasks = [asyncio.create_task(task) for one in observers for task in (one.work(), floods(one))]
-        tasks.append(asyncio.create_task(user.work()))
+        tasks = [asyncio.create_task(task) for one in observers for task in (one.run(), floods(one))]
+        tasks.append(asyncio.create_task(user.run()))
         for _ in range(120):
             await user.put(wire.Undo())
             await asyncio.sleep(1.0 / 60.0)
@@ -122,8 +122,8 @@ def test_dropped_messages_are_not_executed_and_the_inbox_accepts_further_message
         inbox = Inbox(done.append)
         for _ in range(3):
             await inbox.put(wire.Undo())
-        inbox.drop()
-        worker = asyncio.create_task(inbox.work())
+        inbox.clear()
+        worker = asyncio.create_task(inbox.run())
         await inbox.put(wire.Redo())
         while not done:
             await asyncio.sleep(0)
@@ -233,4 +233,4 @@ def test_observer_page_that_moves_the_crosshair_on_every_screen_refresh_is_withi
     limit = RateLimit(watching_window.MESSAGES_PER_S, watching_window.MESSAGES_AT_ONCE, clock)
     for _ in range(10 * 240):
         clock.now_s += 1.0 / 240.0
-        assert limit.take() and limit.take()
+        assert limit.allow() and limit.allow()

@@ -175,8 +175,8 @@ def test_open_connection_is_requested_once_to_close_and_not_aborted_if_it_closes
     async def app(_scope, _receive, _send):
         raise AssertionError("nobody asks")
 
-    strangers = SimpleNamespace(cut=lambda _transport: calls.append("cut"))
-    server = ending.TimedShutdownServer(uvicorn.Config(app, timeout_graceful_shutdown=600), strangers)
+    unauthenticated = SimpleNamespace(abort=lambda _transport: calls.append("cut"))
+    server = ending.TimedShutdownServer(uvicorn.Config(app, timeout_graceful_shutdown=600), unauthenticated)
     asyncio.run(asyncio.wait_for(end(), WAIT_S))
     assert calls == ["asked"]
 

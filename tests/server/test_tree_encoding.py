@@ -64,8 +64,8 @@ def test_tree_that_changes_at_the_end_of_encoding_is_encoded_before_its_route_is
         writing.texts.mark(outbox, *TREE_AND_ROUTE)
         while writing.texts._writing is not None:
             await writing.texts._writing
-            assert writing.texts.tree() is not None or not {*TREE_AND_ROUTE} & {*outbox.take()[0]}
-        assert set(outbox.take()[0]) == {*TREE_AND_ROUTE}
+            assert writing.texts.tree() is not None or not {*TREE_AND_ROUTE} & {*outbox.take_all()[0]}
+        assert set(outbox.take_all()[0]) == {*TREE_AND_ROUTE}
 
     asyncio.run(run())
     assert writing.written == ["first", "second"]
@@ -79,13 +79,13 @@ def test_route_requested_while_its_tree_is_not_yet_encoded_is_sent_with_the_tree
     async def run() -> None:
         writing.texts.mark(outbox, *TREE_AND_ROUTE)
         await writing.end()
-        assert outbox.take()[0] == [*TREE_AND_ROUTE]
+        assert outbox.take_all()[0] == [*TREE_AND_ROUTE]
         writing.newest = "second"
         writing.texts.mark(outbox, "route")
-        assert (outbox.take()[0], writing.texts.tree(), writing.texts.route()) == (["route"], None, None)
+        assert (outbox.take_all()[0], writing.texts.tree(), writing.texts.route()) == (["route"], None, None)
         writing.texts.mark(outbox, "tree")
         await writing.end()
-        assert outbox.take()[0] == [*TREE_AND_ROUTE]
+        assert outbox.take_all()[0] == [*TREE_AND_ROUTE]
         assert writing.texts.tree() is not None
 
     asyncio.run(run())
@@ -98,11 +98,11 @@ def test_tree_is_encoded_once_for_all_windows_and_each_waits_for_the_tree_it_req
     async def run() -> None:
         writing.texts.mark(first, *TREE_AND_ROUTE, "pose")
         writing.texts.mark(second, "route")
-        assert (first.take()[0], second.take()[0]) == (["pose"], [])
+        assert (first.take_all()[0], second.take_all()[0]) == (["pose"], [])
         await writing.end()
-        assert (first.take()[0], second.take()[0]) == ([*TREE_AND_ROUTE], ["route"])
+        assert (first.take_all()[0], second.take_all()[0]) == ([*TREE_AND_ROUTE], ["route"])
         writing.texts.mark(later, *TREE_AND_ROUTE)
-        assert later.take()[0] == [*TREE_AND_ROUTE]
+        assert later.take_all()[0] == [*TREE_AND_ROUTE]
 
     asyncio.run(run())
     assert writing.written == ["first"]
@@ -120,7 +120,7 @@ def test_tree_that_cannot_be_encoded_is_reported_and_delays_no_other_message(mon
     async def run() -> None:
         writing.texts.mark(outbox, *TREE_AND_ROUTE)
         await writing.end()
-        assert outbox.take()[0] == [*TREE_AND_ROUTE]
+        assert outbox.take_all()[0] == [*TREE_AND_ROUTE]
         assert writing.texts.tree() is None
         assert writing.texts.route() is not None, "it says where the pose is on the path, with a tree or without"
 

@@ -153,7 +153,7 @@ def test_uploaded_files_have_neutral_private_names_on_disk_and_their_original_na
     assert {stat.S_IMODE(p.stat().st_mode) for p in place.parents if p.is_relative_to(folder.parents[1])} == {0o700}
     own = name.split("/")[-1]
     text = json.dumps({"message": f"reading {place.name}: it is cut short; the folder {folder.name}"})
-    shown = json.loads(uploads.names.restored(text))["message"]
+    shown = json.loads(uploads.names.with_original_names(text))["message"]
     assert shown == f"reading {own}: it is cut short; the folder dropped files"
 
 
@@ -161,8 +161,8 @@ def test_uploaded_files_have_neutral_private_names_on_disk_and_their_original_na
 def test_any_uploaded_file_name_is_restored_in_messages_as_valid_json(stem, suffix):
     names = DroppedNames()
     names.begin("01234567")
-    place = names.neutral("01234567", PurePosixPath("x" + suffix), stem + suffix)
-    shown = json.loads(names.restored(json.dumps([place.name, "a dropped-thing, dropped-76543210-1.dcm"])))
+    place = names.neutral_path("01234567", PurePosixPath("x" + suffix), stem + suffix)
+    shown = json.loads(names.with_original_names(json.dumps([place.name, "a dropped-thing, dropped-76543210-1.dcm"])))
     assert shown[1] == "a dropped-thing, dropped-76543210-1.dcm"
     assert all(ord(c) >= 0x20 for c in shown[0])
 
@@ -171,9 +171,9 @@ def test_neutral_name_without_its_suffix_is_replaced_by_the_original_name_in_mes
     """Use messages of readers that name both files, header and data, by their common stem."""
     names = DroppedNames()
     names.begin("01234567")
-    place = names.neutral("01234567", PurePosixPath("scan.nii.gz"), "scan.nii.gz")
+    place = names.neutral_path("01234567", PurePosixPath("scan.nii.gz"), "scan.nii.gz")
     stem = place.name.removesuffix(".nii.gz")
-    assert json.loads(names.restored(json.dumps(f"reading {stem} failed"))) == "reading scan failed"
+    assert json.loads(names.with_original_names(json.dumps(f"reading {stem} failed"))) == "reading scan failed"
 
 
 def test_uploaded_files_with_a_common_stem_have_a_common_neutral_stem(uploads):

@@ -7,7 +7,7 @@ import asyncio
 import pytest
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
-from carina.server.sockets.closing import MAX_REASON_BYTES, close_socket
+from carina.server.sockets.close_codes import MAX_REASON_BYTES, close_socket
 from carina.server.wire import messages as wire
 
 

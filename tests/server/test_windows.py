@@ -241,8 +241,8 @@ def test_window_beyond_the_limit_is_refused_until_another_window_closes(live):
             assert code == wire.CLOSE_CODES["protocol.too-many-windows"] == 4429
             assert reason == "Carina is already open in 8 windows; close one of them, then connect again"
         windows[0].socket.close()
-        with live.window() as another:
-            another.until_state(lambda _state: True)
+        with live.window() as another_neutral_path:
+            another_neutral_path.until_state(lambda _state: True)
         windows[1].send(wire.AskStorage())
 
 

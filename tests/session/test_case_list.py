@@ -10,7 +10,7 @@ import pytest
 
 from carina import commands as c
 from carina.errors import UsageError
-from carina.session import JobEnded, LocalStore, Trouble
+from carina.session import ErrorEvent, JobEnded, LocalStore
 from carina.session.store.registry import FORGOTTEN_FOR_S, CaseRecords
 from carina.volume import Volume
 from restartable_workstation import Desk, MemoryFile
@@ -158,7 +158,7 @@ def test_another_ct_at_the_path_of_a_case_is_refused_and_the_open_case_stays_ope
     desk.work(90.0)
     desk.session.do(c.OpenRecent(expected.recent_id))
     desk.background.run_all()
-    assert [e.code for e in desk.events if isinstance(e, Trouble)] == ["case.other-ct"]
+    assert [e.code for e in desk.events if isinstance(e, ErrorEvent)] == ["case.other-ct"]
     assert desk.session.snapshot().document.look.fov_deg == 90.0
     desk.work(85.0)
     desk.session.do(c.CloseCase())

@@ -15,7 +15,7 @@ from small_case import small_bench
 
 def test_every_command_and_every_query_has_exactly_one_handler():
     handlers = small_bench().session._handlers
-    assert set(handlers) == {*c.all_commands(), *subclasses(c.Question)}
+    assert set(handlers) == {*c.all_commands(), *subclasses(c.Query)}
 
 
 @pytest.mark.parametrize("command", [c.Steer, c.GoTo, c.PlacePose, c.ResetLook, c.TakeDevice, c.SetControls, c.JoinPen])

@@ -18,9 +18,9 @@ from carina.case import CaseFile, CaseFileError
 from carina.errors import CarinaError, DiskError
 from carina.phantom import write_phantom
 from carina.render import Renderer
-from carina.session import Session, Trouble, UserMessage, case_files
+from carina.session import ErrorEvent, Session, UserMessage, case_files
 from carina.session.store import named_file
-from carina.session.store.named_file import path_beside
+from carina.session.store.named_file import free_path_beside
 from carina.session.store.registry import CaseRecords
 from user_folders import user_folders
 
@@ -75,7 +75,7 @@ class Window(Author):
             files=replace(case_files(None, records), picture=None),
         )
         self.session.subscribe(
-            lambda event: self.hear(event.message) if isinstance(event, UserMessage | Trouble) else None
+            lambda event: self.hear(event.message) if isinstance(event, UserMessage | ErrorEvent) else None
         )
         self.session.do(c.OpenPath(str(path)))
         self.session.jobs.wait_idle(None)
@@ -252,11 +252,11 @@ class Ward:
             elif act == "replace":
                 author.save(c.SaveCase(str(path), replace=True))
             else:
-                author.save(c.SaveCase(str(path_beside(path))))
+                author.save(c.SaveCase(str(free_path_beside(path))))
         elif act == "replace":
             author.save(path, replace=True)
         elif act == "beside":
-            author.save(path_beside(path))
+            author.save(free_path_beside(path))
         else:
             author.save()
 

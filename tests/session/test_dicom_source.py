@@ -10,7 +10,7 @@ import pytest
 from carina import plan
 from carina.commands import CtFolder, OpenFiles, OpenPath, PlanningOf, TakeTarget
 from carina.errors import UsageError, VolumeImportError
-from carina.session import Trouble
+from carina.session import ErrorEvent
 from carina.volume import dicom_structures
 from carina.volume.dicom_references import References
 from small_case import small_bench, small_volume
@@ -39,7 +39,7 @@ def taken(monkeypatch):
 def take(bench):
     bench.session.do(TakeTarget("nodule.dcm"))
     bench.background.run_all()
-    return bench.of_type(Trouble)[-1]
+    return bench.of_type(ErrorEvent)[-1]
 
 
 def test_target_file_drawn_on_another_ct_is_refused_by_comparison_with_the_folder_of_the_opened_ct(tmp_path, taken):

@@ -10,7 +10,7 @@ import pytest
 from cached_test_data import made_phantom
 from carina import commands as c
 from carina.case import CaseFile
-from carina.session import Trouble, UserMessage, case_files
+from carina.session import ErrorEvent, UserMessage, case_files
 from carina.session.attach.select import program_session
 from carina.session.store.case_names import neutral_alias
 from carina.session.store.registry import CaseRecords
@@ -45,7 +45,7 @@ class Desk:
     def drop(self, path):
         self.events.clear()
         self.do(c.OpenFiles(str(path)))
-        return [event.code for event in self.events if isinstance(event, Trouble)]
+        return [event.code for event in self.events if isinstance(event, ErrorEvent)]
 
     def steps(self):
         return list(self.session.history())

@@ -9,7 +9,7 @@ from edit_case import assert_same, edit_case, in_plain_lung, open_ended_airways,
 from carina.case.history import History
 from carina.commands import AddTarget, Cancel, ChooseRoute, CloseCase, EditTree, GoTo, OpenPath, PreviewOf, Undo
 from carina.errors import CancelledError, NoEvidenceError, NoResultError, UsageError
-from carina.session import JobEnded, NotEvident, Trouble, UserMessage
+from carina.session import ErrorEvent, EvidenceMissing, JobEnded, UserMessage
 from carina.session.airways.editing import NUM_EDITS_WHOLE
 from carina.track import (
     AddBranch,
@@ -161,7 +161,7 @@ def test_impossible_edits_leave_the_tree_unchanged_and_state_the_reason(bench, c
     edit(bench, CutBranch(0), CutBranch(77), Bridge(point(case.plug)))
     assert document(bench) is before
     assert [e.outcome for e in bench.of_type(JobEnded)] == ["failed"] * 3
-    words = [e.message for e in bench.of_type(Trouble)]
+    words = [e.message for e in bench.of_type(ErrorEvent)]
     assert "contains the start" in words[0]
     assert "branch 77 is not in the tree" in words[1]
     assert "this point is not in air" in words[2]
@@ -243,8 +243,8 @@ def lung_bench():
 
 def test_branch_without_evidence_is_added_only_after_the_user_confirms_it(lung_bench):
     edit(lung_bench, AddBranch(in_plain_lung()))
-    (question,) = lung_bench.of_type(NotEvident)
-    assert lung_bench.of_type(Trouble) == []
+    (question,) = lung_bench.of_type(EvidenceMissing)
+    assert lung_bench.of_type(ErrorEvent) == []
     (ended,) = lung_bench.of_type(JobEnded)
     assert (ended.job_id, ended.outcome) == (question.job_id, "failed")
     assert isinstance(ended.error, NoEvidenceError)
@@ -276,7 +276,7 @@ def test_preview_of_an_edit_equals_the_edit(lung_bench):
     preview = lung_bench.session.ask(PreviewOf(AddBranch(in_plain_lung())))
     assert not preview.has_evidence
     edit(lung_bench, AddBranch(in_plain_lung()))
-    (question,) = lung_bench.of_type(NotEvident)
+    (question,) = lung_bench.of_type(EvidenceMissing)
     (line,) = preview.lines
     assert line.points_lps.tobytes() == question.error.way_lps.tobytes()
     lung_bench.session.do(CloseCase())
@@ -302,8 +302,8 @@ def test_bridge_without_an_airway_beyond_its_end_is_refused_and_confirmation_is_
     )
     bench.open()
     edit(bench, Bridge(in_plain_lung()))
-    assert bench.of_type(NotEvident) == []
-    assert [(trouble.code, trouble.message) for trouble in bench.of_type(Trouble)] == [(doubt.code, str(doubt))]
+    assert bench.of_type(EvidenceMissing) == []
+    assert [(trouble.code, trouble.message) for trouble in bench.of_type(ErrorEvent)] == [(doubt.code, str(doubt))]
 
 
 def test_target_at_the_new_root_stays_in_the_list_and_states_why_it_has_no_path(bench, case):

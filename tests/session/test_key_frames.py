@@ -13,11 +13,11 @@ from carina.commands import (
     FlyKeyFrames,
     GoTo,
     KeyFrameAdd,
+    KeyFrameFileQuery,
     KeyFrameMove,
     KeyFrameRemove,
     KeyFrameRename,
     KeyFrameSpeed,
-    KeyFramesToTakeAway,
     KeyFrameUpdate,
     LevelHorizon,
     NextFork,
@@ -35,7 +35,7 @@ from carina.commands import (
 from carina.errors import NoResultError, UsageError
 from carina.navigate import KeyFrame, KeyFrameFile, open_key_frames
 from carina.scopes import Pose
-from carina.session import Changed, Trouble
+from carina.session import Changed, ErrorEvent
 from carina.session.flights.tip_commands import place_pose
 from small_case import BRANCHES_IJK, small_bench, small_volume
 
@@ -259,7 +259,7 @@ def test_saved_key_frame_flight_is_restored_in_one_undo_step(three, tmp_path):
     session.do(EditKeyFrames(KeyFrameRename(session.key_frames_info().frames[0].key_id, "start")))
     info = session.key_frames_info()
     path = tmp_path / "k.json"
-    path.write_text(json.dumps(session.ask(KeyFramesToTakeAway()).to_json(), allow_nan=False))
+    path.write_text(json.dumps(session.ask(KeyFrameFileQuery()).to_json(), allow_nan=False))
     flight = open_key_frames(path).flight()
     for t in np.linspace(0.0, info.duration_s, 40):
         session.do(FlyKeyFrames(float(t)))
@@ -280,12 +280,12 @@ def test_saved_key_frame_flight_is_restored_in_one_undo_step(three, tmp_path):
 
 def test_key_frames_of_another_case_are_refused_and_change_nothing(three, tmp_path):
     path = tmp_path / "k.json"
-    path.write_text(json.dumps(three.session.ask(KeyFramesToTakeAway()).to_json()))
+    path.write_text(json.dumps(three.session.ask(KeyFrameFileQuery()).to_json()))
     other = small_bench()
     other.open("raw")
     other.session.do(TakeKeyFrameFile(path))
     other.background.run_all()
-    (trouble,) = other.of_type(Trouble)
+    (trouble,) = other.of_type(ErrorEvent)
     assert "another scan" in trouble.message
     assert other.session.key_frames_info().frames == ()
 
@@ -305,13 +305,13 @@ def test_times_in_a_key_frame_file_are_converted_to_speeds(bench, tmp_path):
 
 def test_export_without_key_frames_and_too_many_key_frames_are_refused(bench, tmp_path):
     with pytest.raises(NoResultError, match="no key frames"):
-        bench.session.ask(KeyFramesToTakeAway())
+        bench.session.ask(KeyFrameFileQuery())
     frames = tuple(KeyFrame(None, looking_down(TOP - np.array([0, 0, 0.05 * n]))) for n in range(201))
     path = tmp_path / "k.json"
     path.write_text(json.dumps(KeyFrameFile(frames).to_json()))
     bench.session.do(TakeKeyFrameFile(path))
     bench.background.run_all()
-    assert [t.message for t in bench.of_type(Trouble)] == ["the file has 201 key frames; at most 200 can be opened"]
+    assert [t.message for t in bench.of_type(ErrorEvent)] == ["the file has 201 key frames; at most 200 can be opened"]
 
 
 def test_recording_of_a_key_frame_flight_replays_with_equal_poses(three, tmp_path):

@@ -7,7 +7,7 @@ import pytest
 
 from carina.commands import AnswerMask, Cancel, CloseCase, DismissMask, MaskFileNeeded, OpenPath, SetRoot, TakeMask
 from carina.errors import NoResultError, UsageError, VolumeImportError
-from carina.session import JobEnded, Trouble
+from carina.session import ErrorEvent, JobEnded
 from carina.volume import Mask, MaskGridError, MaskLabel, MaskLabelError
 from small_case import small_airways, small_bench, small_lumen
 
@@ -85,7 +85,7 @@ def test_mask_with_several_structures_requests_a_choice_and_proposes_the_airways
     assert question.labels == LABELS
     assert requested.document is before.document
     assert requested.airways == "found"
-    assert bench.of_type(Trouble) == []
+    assert bench.of_type(ErrorEvent) == []
     assert bench.session.ask(MaskFileNeeded())
     bench.session.do(AnswerMask(label=4))
     bench.background.run_all()
@@ -151,7 +151,7 @@ def test_mask_rejected_by_the_user_during_reading_is_not_imported(bench, tool):
 def test_file_that_is_no_mask_is_refused_with_a_message_and_changes_nothing(bench):
     before = bench.session.snapshot()
     after = take(bench, "/masks/bad.nrrd")
-    assert [e.message for e in bench.of_type(Trouble)] == ["reading the segmentation bad.nrrd: it is empty"]
+    assert [e.message for e in bench.of_type(ErrorEvent)] == ["reading the segmentation bad.nrrd: it is empty"]
     assert after.document is before.document
     assert (after.airways, after.airways_words) == (before.airways, before.airways_words)
 

@@ -11,7 +11,7 @@ import threading
 import pytest
 
 from carina.session.store import named_file
-from carina.session.store.named_file import FileMark, NamedFile, NamedFileConflictError, path_beside, read_mark
+from carina.session.store.named_file import FileMark, NamedFile, NamedFileConflictError, free_path_beside, read_mark
 from carina.session.store.named_file_lock import NamedLock, lock_path
 from restartable_workstation import put_text
 
@@ -329,9 +329,9 @@ def test_named_file_is_closed_while_its_network_share_does_not_respond(path):
 
 
 def test_suggested_new_path_is_not_in_use(path):
-    assert path_beside(path).name == "team (2).carina"
-    path_beside(path).touch()
-    assert path_beside(path).name == "team (3).carina"
+    assert free_path_beside(path).name == "team (2).carina"
+    free_path_beside(path).touch()
+    assert free_path_beside(path).name == "team (3).carina"
 
 
 # ---------------------------------------------------------------- journals, long names, partial failures
@@ -429,7 +429,7 @@ def test_old_file_that_cannot_be_removed_after_a_save_does_not_fail_the_save(pat
 def test_suggested_paths_for_a_long_file_name_are_within_the_length_limit(disk, tmp_path, letter, monkeypatch):
     path = tmp_path / f"{letter * (240 // len(letter.encode()))}.carina"
     path.write_text("theirs")
-    beside = path_beside(path)
+    beside = free_path_beside(path)
     beside.touch()
     assert beside.name.endswith(" (2).carina")
     stored_paths = write(NamedFile(path), "ours", replace=True)

@@ -10,15 +10,15 @@ import msgspec
 import pytest
 
 from carina.case import CaseFile, Document, Moment, SourceFacts, Step
-from carina.cli.case import kept
+from carina.cli.case import list_cases
 from carina.config import load_settings
 from carina.render import Sight, transfer_preset
 from carina.session import LocalStore
 from carina.session.cases.case_list import CaseList
 from carina.session.core import SessionCore
 from carina.session.saving.autosave import Autosave
-from carina.session.state.snapshot import Trouble
-from carina.session.store.attach_endpoint import read_door
+from carina.session.state.snapshot import ErrorEvent
+from carina.session.store.attach_endpoint import read_endpoint
 from carina.session.store.registry import VERSION, CaseRecord, CaseRecords
 from carina.session.store.registry_repair import ASIDE, repair_records
 from small_case import small_volume
@@ -69,7 +69,7 @@ def listed(records, store=None):
     events = []
     core.subscribe(events.append)
     cases = CaseList(core, Autosave(core, records, None))
-    return cases.listed(), [event for event in events if isinstance(event, Trouble)], cases, events
+    return cases.listed(), [event for event in events if isinstance(event, ErrorEvent)], cases, events
 
 
 @pytest.mark.parametrize("what", BAD_RECORDS)
@@ -214,7 +214,7 @@ def test_recent_ct_with_a_too_long_text_is_omitted_from_the_list(tmp_path):
 @pytest.mark.parametrize("text", ["", "[]", "[" * 100_000, '{"format": "carina-door", "version": 1, "url": 5}'])
 def test_damaged_connection_details_of_a_case_are_ignored(tmp_path, text):
     (tmp_path / "door.json").write_text(text)
-    assert read_door(tmp_path) is None
+    assert read_endpoint(tmp_path) is None
 
 
 def test_cases_command_lists_the_repaired_case_with_the_message(monkeypatch, tmp_path, capfd):
@@ -226,7 +226,7 @@ def test_cases_command_lists_the_repaired_case_with_the_message(monkeypatch, tmp
         pass
     held.release()
     spoil(records, held.record.case_id, BAD_RECORDS["infinity"])
-    assert kept(as_json=True) == 0
+    assert list_cases(as_json=True) == 0
     out, err = capfd.readouterr()
     assert [one["id"] for one in json.loads(out)["cases"]] == [held.record.case_id]
     assert "was damaged" in err

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from carina.session.open_case.open_case import AwaitedScope
+from carina.session.open_case.open_case import PendingScope
 
 AIRWAYS = object()
 
@@ -28,7 +28,7 @@ def test_scope_contact_is_restored_only_if_mode_tip_and_airways_are_unchanged(mo
         matrix[0, 3] = x
         return SimpleNamespace(lps_from_camera=matrix)
 
-    awaited = AwaitedScope(scope=None, airways=AIRWAYS, mode="guided", pose=pose(0.0))
+    awaited = PendingScope(scope=None, airways=AIRWAYS, mode="guided", pose=pose(0.0))
     case = SimpleNamespace(
         navigator=SimpleNamespace(mode=mode, pose=pose(moved_mm)), document=SimpleNamespace(airways=airways)
     )

@@ -13,7 +13,7 @@ import pytest
 from carina import commands as c
 from carina.case.recordings import RecordingFacts
 from carina.errors import CarinaError, UsageError
-from carina.session import Session, Trouble, UserMessage
+from carina.session import ErrorEvent, Session, UserMessage
 from carina.session.saving.writer import CaseSaver
 from carina.session.store.named_file import NamedFile
 from carina.session.store.registry import CaseRecords, LockedCase
@@ -138,7 +138,7 @@ def test_unreadable_stored_case_is_reported_and_left_unchanged(desk):
     MemoryFile.kept[path] = ("one CT", None)
     desk.open()
     assert again.history() == ()
-    (error,) = [e for e in desk.events if isinstance(e, Trouble)]
+    (error,) = [e for e in desk.events if isinstance(e, ErrorEvent)]
     assert error.code == "case.unreadable"
     assert path in error.message
     again.close()
@@ -321,7 +321,7 @@ def test_named_file_is_not_replaced_by_one_without_a_recorded_flight(desk, tmp_p
     session.do(c.SetFov(80.0))
     session.do(c.SaveCase(str(place)))
     desk.background.run_all()
-    trouble = [event for event in desk.events if isinstance(event, Trouble)][-1]
+    trouble = [event for event in desk.events if isinstance(event, ErrorEvent)][-1]
     assert "mine.carina was left as it is: 1 recorded flight cannot be read" in trouble.message
     assert (place.read_text(), desk.written[str(place)]) == before
     session.close()
@@ -387,7 +387,7 @@ def test_window_does_not_write_a_named_file_changed_by_another_program_and_repor
     named.write_text("a letter")
     desk.session.do(c.SaveCase())
     desk.background.run_all()
-    trouble = [event for event in desk.events if isinstance(event, Trouble)]
+    trouble = [event for event in desk.events if isinstance(event, ErrorEvent)]
     assert [event.code for event in trouble] == ["case.changed"]
     assert "not a Carina case" in trouble[0].message
     assert named.read_text() == "a letter"
@@ -417,7 +417,7 @@ def test_replaced_named_file_is_moved_to_a_new_name_that_is_reported(desk, named
 def test_closing_a_case_does_not_write_a_named_file_changed_by_another_program_and_reports_it(desk, named):
     named.write_text("a letter")
     desk.session.do(c.CloseCase())
-    assert [event.code for event in desk.events if isinstance(event, Trouble)] == ["case.changed"]
+    assert [event.code for event in desk.events if isinstance(event, ErrorEvent)] == ["case.changed"]
     assert named.read_text() == "a letter"
     desk.open()
     assert desk.session.snapshot().document.look.fov_deg == 90.0

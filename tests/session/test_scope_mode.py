@@ -8,9 +8,9 @@ import pytest
 from carina.commands import (
     Cancel,
     ChooseRoute,
+    CurrentMoment,
     GoTo,
     LevelHorizon,
-    MomentToKeep,
     OpenVolume,
     RecordFlight,
     SetMode,
@@ -349,27 +349,27 @@ def test_recording_in_scope_mode_stores_the_inputs_of_its_wall_field(bench, tmp_
 def test_scope_contact_of_a_reopened_case_is_restored_when_its_wall_field_is_computed(bench):
     enter(bench)
     bench.session.do(Steer(3.0, 0.0, 0.2, 0.1))
-    stored = bench.session.ask(MomentToKeep())
+    stored = bench.session.ask(CurrentMoment())
     again = small_bench(wall_field=wall_field)
     again.session.do(OpenVolume(bench.session.snapshot().case.volume, stored))
     again.background.run_next()
     assert again.session.snapshot().mode != "scope"
     assert again.background.waiting, "the wall is not known"
-    assert again.session.ask(MomentToKeep()).scope == stored.scope
+    assert again.session.ask(CurrentMoment()).scope == stored.scope
     again.background.run_all()
     assert again.session.snapshot().mode == "scope"
-    assert again.session.ask(MomentToKeep()).scope == stored.scope
+    assert again.session.ask(CurrentMoment()).scope == stored.scope
     again.session.close()
 
 
 def test_scope_contact_is_not_restored_if_the_tip_moves_before_the_wall_field_is_computed(bench):
     enter(bench)
-    stored = bench.session.ask(MomentToKeep())
+    stored = bench.session.ask(CurrentMoment())
     again = small_bench(wall_field=wall_field)
     again.session.do(OpenVolume(bench.session.snapshot().case.volume, stored))
     again.background.run_next()
     again.session.do(GoTo(5.0))
-    assert again.session.ask(MomentToKeep()).scope is None
+    assert again.session.ask(CurrentMoment()).scope is None
     again.background.run_all()
     assert again.session.snapshot().mode != "scope"
     again.session.close()

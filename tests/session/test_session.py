@@ -46,7 +46,7 @@ from carina.commands.plan import ChosenPlace
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.render import GreyWindow
 from carina.scopes import PINHOLE, scope_preset
-from carina.session import Changed, JobEnded, JobProgress, LocalStore, Session, Trouble, UserMessage
+from carina.session import Changed, ErrorEvent, JobEnded, JobProgress, LocalStore, Session, UserMessage
 from carina.session.jobs.background_jobs import JobRunner
 from carina.session.jobs.job_groups import JobGroup
 from small_case import (
@@ -117,8 +117,8 @@ def test_unreadable_file_leaves_the_session_unchanged_with_the_message_of_the_im
     bench.events.clear()
     bench.open("/scans/bad")
     assert (bench.session.snapshot(), bench.session.pose_info().pose_id) == before
-    assert bench.of_type(Trouble) == [
-        Trouble("import.no-images", "/scans/bad holds no images: choose a DICOM folder", None)
+    assert bench.of_type(ErrorEvent) == [
+        ErrorEvent("import.no-images", "/scans/bad holds no images: choose a DICOM folder", None)
     ]
     assert [e.outcome for e in bench.of_type(JobEnded)] == ["failed"]
 
@@ -133,7 +133,7 @@ def test_cancelled_opening_leaves_the_session_unchanged():
     bench.background.run_all()
     assert bench.session.snapshot() == before
     assert [(e.job_id, e.outcome) for e in bench.of_type(JobEnded)] == [(job_id, "cancelled")]
-    assert not bench.of_type(Trouble)
+    assert not bench.of_type(ErrorEvent)
 
 
 def test_opening_a_second_case_cancels_the_first_opening():
@@ -237,7 +237,7 @@ def test_root_at_a_point_without_airways_leaves_the_tree_unchanged_and_states_th
     assert bench.session.snapshot().airways == "finding"
     bench.background.run_all()
     assert bench.session.snapshot() == before
-    assert [t.message for t in bench.of_type(Trouble)] == ["no airway at this point"]
+    assert [t.message for t in bench.of_type(ErrorEvent)] == ["no airway at this point"]
 
 
 def test_case_without_airways_is_usable_and_has_a_message():
@@ -270,7 +270,7 @@ def test_threshold_that_found_no_airways_is_reused_for_the_next_root_and_reporte
     bench.background.run_all()
     assert calls == [(False, None), (False, -850.0), (True, -850.0)]
     assert bench.session.snapshot().airways_words is not None
-    assert bench.of_type(Trouble) == []
+    assert bench.of_type(ErrorEvent) == []
 
 
 def test_stopped_airway_search_is_reported_and_setting_a_root_starts_another():
@@ -584,7 +584,7 @@ def test_internal_error_in_a_job_is_reported_and_logged_without_its_message(capl
 
     bench = small_bench(find_airways=broken)
     bench.open()
-    assert [t.code for t in bench.of_type(Trouble)] == ["carina.fault"]
+    assert [t.code for t in bench.of_type(ErrorEvent)] == ["carina.fault"]
     assert "a job failed: segmenting the airways: KeyError at test_session.py:" in caplog.text
     assert "doe" not in caplog.text
     assert bench.session.snapshot().airways == "failed"
@@ -599,7 +599,7 @@ def test_panic_of_the_compiled_module_ends_its_job_with_a_message():
 
     bench = small_bench(find_airways=broken)
     bench.open()
-    assert [t.code for t in bench.of_type(Trouble)] == ["carina.fault"]
+    assert [t.code for t in bench.of_type(ErrorEvent)] == ["carina.fault"]
     assert bench.session.jobs.running == ()
 
 
@@ -655,9 +655,7 @@ def test_wall_point_has_its_voxel_value_and_the_nearest_branch():
 
 def test_unused_memory_is_returned_to_the_system_before_the_end_of_a_job_is_announced(monkeypatch):
     order = []
-    monkeypatch.setattr(
-        "carina.session.jobs.background_jobs.give_freed_memory_back", lambda: order.append("given back")
-    )
+    monkeypatch.setattr("carina.session.jobs.background_jobs.return_freed_memory", lambda: order.append("given back"))
 
     def fail(_job):
         raise NoResultError("no trachea was found")

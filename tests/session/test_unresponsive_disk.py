@@ -9,7 +9,7 @@ import pytest
 
 from carina import commands as c
 from carina.errors import UsageError
-from carina.session import Trouble, UserMessage
+from carina.session import ErrorEvent, UserMessage
 from carina.session.saving import writer
 from carina.session.store.named_file_lock import lock_path
 from restartable_workstation import Desk, MemoryFile
@@ -283,4 +283,4 @@ def test_last_changes_are_written_to_the_named_file_if_the_disk_of_stored_cases_
     desk.session.do(c.SetFov(70.0))
     desk.session.close()
     assert desk.written[str(place)].steps[-1].document.look.fov_deg == 70.0
-    assert not [e for e in desk.events if isinstance(e, Trouble)]
+    assert not [e for e in desk.events if isinstance(e, ErrorEvent)]

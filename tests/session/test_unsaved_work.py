@@ -318,7 +318,7 @@ def test_failed_save_that_began_before_the_disk_recovered_is_repeated_at_once(de
 
 
 def test_later_value_of_a_dragged_setting_is_unsaved_and_a_step_without_a_stored_command_is_not(desk):
-    moment = desk.session.ask(c.MomentToKeep())
+    moment = desk.session.ask(c.CurrentMoment())
     *steps, last = moment.steps
     later = replace(moment, steps=(*steps, replace(last, command=c.SetFov(91.0))))
     assert unsaved_labels(moment, later) == (last.label,)
@@ -356,22 +356,22 @@ def test_report_of_unsaved_work_has_no_control_characters_and_a_limited_number_o
 
 
 def test_two_equal_states_have_no_unsaved_changes(desk):
-    moment = desk.session.ask(c.MomentToKeep())
+    moment = desk.session.ask(c.CurrentMoment())
     assert unsaved_labels(moment, moment) == ()
     assert unsaved_labels(None, moment) == desk.session.history()
 
 
 def test_program_that_lost_the_owner_of_its_case_refuses_to_close_with_unsaved_changes(desk, tmp_path):
-    moment = desk.session.ask(c.MomentToKeep())
+    moment = desk.session.ask(c.CurrentMoment())
     saved = MemoryFile.kept[str(desk.files[-1].path)][1]
     named = NamedCase()
     named.note = "this program cannot take over: another program has it open"
-    named.check_saved(moment, kept=moment, live=tmp_path / "case.carina")
+    named.check_saved(moment, last_saved=moment, live=tmp_path / "case.carina")
     with pytest.raises(UnsavedWorkError, match="5 changes") as lost:
-        named.check_saved(moment, kept=saved, live=tmp_path / "case.carina")
+        named.check_saved(moment, last_saved=saved, live=tmp_path / "case.carina")
     assert "cannot take over" in str(lost.value) and str(tmp_path / "case.carina") in str(lost.value)
     named.note = None
-    named.check_saved(moment, kept=saved, live=tmp_path / "case.carina")
+    named.check_saved(moment, last_saved=saved, live=tmp_path / "case.carina")
 
 
 def test_terminal_whose_console_is_gone_is_not_interactive():

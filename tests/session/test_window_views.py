@@ -21,7 +21,7 @@ from carina.commands import (
     Undo,
 )
 from carina.errors import VolumeImportError
-from carina.session import Changed, JobEnded, Trouble, UserMessage
+from carina.session import Changed, ErrorEvent, JobEnded, UserMessage
 from small_case import LEFT_TIP, RIGHT_TIP, small_bench
 
 
@@ -140,8 +140,8 @@ def test_failed_job_is_reported_to_the_window_that_started_it_or_to_all_windows_
     windows.session.do(OpenPath("case"), window=1)
     windows.bench.background.run_all()
     assert windows.of_type(2, JobEnded)
-    assert [len(windows.of_type(n, Trouble)) for n in (1, 2)] == [1, 0]
+    assert [len(windows.of_type(n, ErrorEvent)) for n in (1, 2)] == [1, 0]
     windows.session.do(OpenPath("case"), window=1)
     windows.ends[1]()
     windows.bench.background.run_all()
-    assert len(windows.of_type(2, Trouble)) == 1
+    assert len(windows.of_type(2, ErrorEvent)) == 1

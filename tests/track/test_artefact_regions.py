@@ -17,7 +17,7 @@ from carina.track.find.air_upwards import AirSection
 from carina.track.find.artefact_regions import LUNG_HU, METAL, MOST_CONFIDENCE, STEP, ArtefactRegions, find_disturbed
 from carina.track.find.breathing_step import find_steps
 from carina.track.find.metal_streaks import find_streaks
-from carina.track.find.upper_airway import tube_in
+from carina.track.find.upper_airway import find_tube
 from carina.track.intensity_levels import air_scale
 from carina.track.paths.path_grid import PathGrid
 from carina.volume.model import Volume
@@ -177,7 +177,7 @@ def test_metal_streaks_and_breathing_steps_of_the_ct_are_found_in_divided_slices
     assert found.steps == in_ct.steps
     assert len(found.steps) == 1
     parts = np.repeat(streaks, 3, axis=0)
-    even = found.without_walls(grid.volume, scale).hu_zyx
+    even = found.with_streaks_as_lung(grid.volume, scale).hu_zyx
     assert (even[parts] == LUNG_HU).all()
     assert (even[~parts] == grid.volume.hu_zyx[~parts]).all()
     changed = in_ct.closed(scale).hu_zyx != volume.hu_zyx
@@ -251,7 +251,7 @@ def test_tracheal_tube_is_found_only_if_its_plastic_is_brighter_than_noise(plast
         )
         for k in range(80)
     ]
-    assert (tube_in(sections) is not None) is is_tube
+    assert (find_tube(sections) is not None) is is_tube
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -10,7 +10,7 @@ import pytest
 from carina.track import Branch
 from carina.track.find.end_evidence import find_end_evidence
 from carina.track.find.straight_ends import find_straight_end
-from carina.track.find.wall_profile import Across
+from carina.track.find.wall_profile import CrossSampler
 from carina.volume import Volume
 
 LUNG_HU, WALL_HU, AIR_HU, TISSUE_HU, CLIP_HU = -860.0, 20.0, -1000.0, 30.0, 3000.0
@@ -108,7 +108,7 @@ BRANCH = Branch(
 
 def evidence(paint, spacing):
     volume = painted(paint, spacing)
-    return find_end_evidence(volume, Across(volume), BRANCH, 2.0 * RADIUS_MM)
+    return find_end_evidence(volume, CrossSampler(volume), BRANCH, 2.0 * RADIUS_MM)
 
 
 THIN, THICK = (0.8, 0.8, 0.8), (0.7, 0.7, 3.0)
@@ -163,7 +163,7 @@ def wide_stump(lung_hu=LUNG_HU, ahead=None):
 
 def wide_evidence(paint, spacing):
     volume = painted(paint, spacing)
-    return find_end_evidence(volume, Across(volume), WIDE_BRANCH, 2.0 * WIDE_MM)
+    return find_end_evidence(volume, CrossSampler(volume), WIDE_BRANCH, 2.0 * WIDE_MM)
 
 
 @pytest.mark.parametrize("spacing", [THIN, THICK])
@@ -221,7 +221,7 @@ def turning_branch(narrow_mm=NARROW_MM):
 
 
 def straight_end(paint, spacing, branch):
-    return find_straight_end(Across(painted(paint, spacing)), branch)
+    return find_straight_end(CrossSampler(painted(paint, spacing)), branch)
 
 
 @pytest.mark.parametrize("spacing", [THIN, THICK])

@@ -127,10 +127,10 @@ def test_path_from_or_to_a_forbidden_voxel_is_refused_with_a_message():
         field[3, 3, 3] = weight
         with pytest.raises(error):
             FieldPaths(volume, field, root)
-    walled = ones.copy()
-    walled[1, 1, 1] = np.nan
+    with_wall = ones.copy()
+    with_wall[1, 1, 1] = np.nan
     with pytest.raises(NoResultError, match="root"):
-        FieldPaths(volume, walled, root)
+        FieldPaths(volume, with_wall, root)
 
 
 def test_cancelled_search_reaches_every_voxel_when_resumed():

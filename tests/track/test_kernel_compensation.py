@@ -11,7 +11,7 @@ from sharp_kernel import grown, sharpened
 import carina
 from cached_test_data import MASKED_CHEST, made_airways, made_phantom
 from cached_test_data import patient as the_patient
-from carina.track.find.kernel_compensation import SEAM_MM, SOFT_HU, inverse_of, softened
+from carina.track.find.kernel_compensation import SEAM_MM, SOFT_HU, inverse_of, soften
 from carina.track.find.kernel_sharpness import edge_undershoot_hu
 from carina.track.intensity_levels import air_scale
 from carina.track.tree.thick_slices import THICK_SLICES
@@ -58,7 +58,7 @@ def test_sum_of_two_gaussians_inverts_the_sharp_kernel_at_every_frequency(raised
 
 def test_ct_with_a_soft_kernel_is_not_softened():
     for volume in (the_patient()[0], made_phantom(**MASKED_CHEST).volume):
-        found = softened(volume, air_scale(volume))
+        found = soften(volume, air_scale(volume))
         assert found.volume is volume
         assert found.raised == 0.0
 
@@ -67,7 +67,7 @@ def test_softened_ct_has_no_dark_rims_beside_edges():
     volume = in_plane(the_patient()[0], 1.2, 0.8)
     scale = air_scale(volume)
     assert edge_undershoot_hu(volume, scale) > 25.0
-    found = softened(volume, scale)
+    found = soften(volume, scale)
     assert found.raised > 0.3
     assert SOFT_HU - 12.0 < edge_undershoot_hu(found.volume, scale) <= SOFT_HU + 1.0
     # The search leaves the CT unchanged.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from carina.errors import NoResultError
 from carina.phantom import Phantom, generate_phantom
 from carina.track import Airways, find_airways
-from carina.track.find.air_upwards import spread
+from carina.track.find.air_upwards import dilate
 from carina.track.find.trachea_search import found_trachea, whole_trachea
 from carina.track.find.upper_airway import CORDS_ABOVE_CRICOID_MM, root_below_cords_mm
 from carina.track.intensity_levels import air_scale
@@ -225,5 +225,5 @@ def test_trees_of_leaning_tracheas_begin_below_the_cricoid_and_have_the_names_fo
 
 def test_dilation_by_more_than_the_size_of_a_mask_preserves_the_array_shape() -> None:
     mask = np.eye(4, 3, dtype=np.bool_)
-    np.testing.assert_array_equal(spread(mask, [(0, 4), (0, -4), (5, 0), (-5, 0), (-9, 9)]), mask)
-    np.testing.assert_array_equal(spread(mask, [(1, 0)]), mask | np.eye(4, 3, -1, dtype=np.bool_))
+    np.testing.assert_array_equal(dilate(mask, [(0, 4), (0, -4), (5, 0), (-5, 0), (-9, 9)]), mask)
+    np.testing.assert_array_equal(dilate(mask, [(1, 0)]), mask | np.eye(4, 3, -1, dtype=np.bool_))

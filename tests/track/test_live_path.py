@@ -8,7 +8,7 @@ import pytest
 import carina
 from carina.errors import UsageError
 from carina.track import Airways
-from carina.track.paths.live_path import _across
+from carina.track.paths.live_path import _perpendicular_vectors
 
 
 @pytest.fixture(scope="module")
@@ -56,10 +56,10 @@ def test_live_path_through_a_leak_into_lung_has_low_confidence(chest, found):
     near = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
     distance = np.linalg.norm(points[near, None, :] - outward[None, :, :], axis=2).min(axis=1)
     lumen.reshape(-1)[near[distance < 2.2]] = 1
-    leaked = carina.find_airways(chest.volume, lumen_zyx=lumen, root_lps=found.root_lps)
-    leaked.tracker.set_branches(leaked.tree.branches[:1], leaked.tracker._branch_nodes[:1])
-    leak = leaked.tracker.live_path(outward[-5])
-    bronchus = leaked.tracker.live_path(tip_of(chest, 5))
+    has_leaked = carina.find_airways(chest.volume, lumen_zyx=lumen, root_lps=found.root_lps)
+    has_leaked.tracker.set_branches(has_leaked.tree.branches[:1], has_leaked.tracker._branch_nodes[:1])
+    leak = has_leaked.tracker.live_path(outward[-5])
+    bronchus = has_leaked.tracker.live_path(tip_of(chest, 5))
     assert leak.problem is None
     assert leak.new_mm > 20.0
     assert leak.confidence < 0.4
@@ -112,7 +112,7 @@ def test_live_path_exists_to_every_point_in_the_lumen(chest, found):
 def test_noise_directions_are_perpendicular_to_a_path_of_any_point_density():
     along = np.array([1.0, 2.0, -2.0]) / 3.0
     path = np.linspace(0.0, 1.0, 11)[:, None] * along
-    u, v = _across(path[3:6], path)
+    u, v = _perpendicular_vectors(path[3:6], path)
     assert np.allclose(u @ along, 0.0)
     assert np.allclose(v @ along, 0.0)
     assert np.allclose([np.linalg.norm(u, axis=1), np.linalg.norm(v, axis=1)], 1.0)

@@ -20,7 +20,7 @@ from carina.track.measures.branch_summary import (
     Stenosis,
     diameter_by_neighbours,
     stenosis_of,
-    summed_up,
+    summary_of,
 )
 from carina.track.measures.diameter import branch_diameter, narrowest_diameter, passage_of, with_scatter
 from carina.track.measures.forks import angle_deg, directions
@@ -306,7 +306,7 @@ def test_stenosis_is_reported_only_if_it_exceeds_its_error(percent, error, is_re
     assert measured.exceeds_error is is_reported
     at, even = np.arange(5.0), np.full(5, 6.0)
     columns = (at, (even, even), (even, even), np.ones(5, dtype=bool))
-    summary = summed_up(*columns, angle_deg=None, stenosis=measured)
+    summary = summary_of(*columns, angle_deg=None, stenosis=measured)
     assert (summary.stenosis is measured) is is_reported
     assert (summary.to_json()["stenosis"] is not None) is is_reported
     assert summary.measured_stenosis is measured
@@ -405,7 +405,7 @@ def test_directions_of_a_thin_branch_follow_its_bends():
 def test_taper_is_stated_only_for_five_cross_sections_over_five_millimetres(num, length_mm, is_told):
     at = np.linspace(0.0, length_mm, num)
     even = np.full(num, 0.1)
-    summary = summed_up(
+    summary = summary_of(
         at, (8.0 - 0.05 * at, even), (even, even), np.ones(num, dtype=bool), angle_deg=None, stenosis=None
     )
     assert summary.taper == (pytest.approx(-0.05) if is_told else None)

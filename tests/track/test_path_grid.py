@@ -16,7 +16,7 @@ from carina.track.edit.undo_storage import fold_airways
 from carina.track.find.growth import grow
 from carina.track.paths.path_grid import PathGrid
 from carina.track.tree.airway_tree import Branch
-from carina.track.tree.uncertainty import as_probable_as_its_way
+from carina.track.tree.uncertainty import with_path_probability
 from carina.volume import Volume
 
 
@@ -217,7 +217,7 @@ def test_branch_confidence_is_high_only_with_high_path_probability_and_wall_evid
 
     def confidence_of(walls, way, off_mm=0.5):
         judged = np.column_stack([points + off_mm, np.full(12, way)])
-        return as_probable_as_its_way(dataclasses.replace(branch, confidence=walls), judged).confidence
+        return with_path_probability(dataclasses.replace(branch, confidence=walls), judged).confidence
 
     # Without evidence of walls the probability of the path is the confidence.
     assert confidence_of(0.5, 0.8) == 0.8

@@ -134,14 +134,14 @@ def narrowed(width_mm, *, least_mm=2.5):
 
 
 def test_narrowing_within_the_error_of_the_bronchial_diameter_is_not_reported(monkeypatch):
-    monkeypatch.setattr("carina.track.find.partial_plugs._middle", lambda *_: np.zeros(3))
+    monkeypatch.setattr("carina.track.find.partial_plugs._centre_between_walls", lambda *_: np.zeros(3))
     (place,) = narrowed([2.8] * 7 + [4.0] * 15)
     assert place.calibre_mm - place.width_mm > place.calibre_error_mm
     assert narrowed([3.45] * 7 + [4.0] * 15) == []
 
 
 def test_bronchus_narrower_than_two_slices_is_not_reported_as_filled(monkeypatch):
-    monkeypatch.setattr("carina.track.find.partial_plugs._middle", lambda *_: np.zeros(3))
+    monkeypatch.setattr("carina.track.find.partial_plugs._centre_between_walls", lambda *_: np.zeros(3))
     assert len(narrowed([4.0] * 10 + [2.4] * 7 + [4.0] * 10, least_mm=3.9)) == 1
     assert narrowed([4.0] * 10 + [2.4] * 7 + [4.0] * 10, least_mm=6.0) == []
 

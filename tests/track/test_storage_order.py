@@ -31,7 +31,7 @@ def stored(volume, axes, flips):
     return dataclasses.replace(volume, hu_zyx=values, lps_from_ijk=volume.lps_from_ijk @ old_from_new)
 
 
-def put_back(array, axes, flips):
+def on_stored_grid(array, axes, flips):
     steps = tuple(slice(None, None, -1 if flip else 1) for flip in flips)
     return array[steps].transpose(np.argsort(axes))
 
@@ -46,7 +46,7 @@ def assert_same(volume, airways, axes, flips):
     other = stored(volume, axes, flips)
     found = carina.find_airways(other)
     assert found.lumen_zyx.shape == other.shape_zyx
-    assert (put_back(found.lumen_zyx, axes, flips) == airways.lumen_zyx).all()
+    assert (on_stored_grid(found.lumen_zyx, axes, flips) == airways.lumen_zyx).all()
     assert len(found.tree) == len(airways.tree)
     for one, two in zip(found.tree.branches, airways.tree.branches, strict=True):
         assert (one.id, one.parent, one.name, one.generation) == (two.id, two.parent, two.name, two.generation)

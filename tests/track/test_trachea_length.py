@@ -10,7 +10,7 @@ import pytest
 from carina.phantom import generate_phantom
 from carina.track import find_airways
 from carina.track.find.air_upwards import AirSection
-from carina.track.find.upper_airway import the_cords
+from carina.track.find.upper_airway import find_cords
 
 
 def section(height_mm: float, diameter_mm: float) -> AirSection:
@@ -41,31 +41,31 @@ def trachea(length_mm: int, diameter_mm: float = 17.3, *, bronchus_mm: int = 0) 
 
 
 def test_tree_of_an_airway_longer_than_a_trachea_begins_at_a_usual_tracheal_length():
-    cords = the_cords(trachea(170), None)
+    cords = find_cords(trachea(170), None)
     assert cords is not None
-    assert not cords.are_seen
+    assert not cords.are_visible
     assert cords.begins_at == 110
 
 
 @pytest.mark.parametrize("bronchus_mm", [30, 69])
 def test_bronchi_below_the_carina_do_not_count_towards_the_length_of_the_trachea(bronchus_mm):
-    assert the_cords(trachea(140, bronchus_mm=bronchus_mm), None) is None
-    cords = the_cords(trachea(170, bronchus_mm=bronchus_mm), None)
+    assert find_cords(trachea(140, bronchus_mm=bronchus_mm), None) is None
+    cords = find_cords(trachea(170, bronchus_mm=bronchus_mm), None)
     assert cords is not None
     assert cords.begins_at == bronchus_mm + 110
 
 
 def test_tree_begins_below_outside_air_that_is_connected_to_the_trachea():
     outside = [section(float(height), 90.0) for height in range(100, 190)]
-    found = the_cords([*trachea(100), *outside], None)
+    found = find_cords([*trachea(100), *outside], None)
     assert found is not None
-    assert not found.are_seen
+    assert not found.are_visible
     assert found.root_above_carina_mm == pytest.approx(99.0, abs=1.0)
 
 
 def test_wide_trachea_may_be_longer_than_a_narrow_one():
-    assert the_cords(trachea(170, 22.0), None) is None
-    cords = the_cords(trachea(190, 22.0), None)
+    assert find_cords(trachea(170, 22.0), None) is None
+    cords = find_cords(trachea(190, 22.0), None)
     assert cords is not None
     assert cords.begins_at == round(110 * 1.2)
 

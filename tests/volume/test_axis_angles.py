@@ -11,7 +11,7 @@ import pytest
 
 from carina.errors import VolumeImportError
 from carina.volume import open_volume
-from carina.volume.axis_angles import has_right_angles, skew_deg, straightened
+from carina.volume.axis_angles import has_right_angles, skew_deg, with_orthogonal_axes
 
 SHAPE_IJK = grids.SHAPE_ZYX[::-1]
 FORMATS = ["nifti", "nrrd", "metaimage"]
@@ -118,7 +118,7 @@ def test_grid_with_a_short_axis_that_deviates_by_0_1_mm_opens():
 
 def test_straightened_axes_are_orthogonal_and_have_the_same_spacing_and_origin():
     matrix = skewed(0.2)
-    straight = straightened(matrix)
+    straight = with_orthogonal_axes(matrix)
     assert skew_deg(straight) < 1e-6
     np.testing.assert_allclose(np.linalg.norm(straight[:3, :3], axis=0), np.linalg.norm(matrix[:3, :3], axis=0))
     np.testing.assert_array_equal(straight[:3, 3], matrix[:3, 3])

@@ -320,7 +320,7 @@ def test_cached_voxel_file_truncated_while_it_is_read_is_not_used(volume_cache, 
     path = chest_file(tmp_path)
     keep(volume_cache, path)
     (voxels,) = files(folder, SUFFIX)
-    fill = voxel_file._fill
+    fill = voxel_file._read_full
 
     def cut_first(file, place):
         fill(file, place)
@@ -568,7 +568,7 @@ def test_cache_cleanup_removes_voxel_files_without_a_source_record_after_two_hou
 def test_opened_ct_is_cached_in_the_background(volume_cache, tmp_path):
     path = chest_file(tmp_path)
     opened = volume_cache.open_and_keep(path)
-    volume_cache.wait_kept()
+    volume_cache.wait_stored()
     assert volume_cache.find(path) is not None
     assert_equal(volume_cache.open_and_keep(path), opened)
 
@@ -592,7 +592,7 @@ def test_closing_the_cache_cancels_a_pending_write(volume_cache, folder, tmp_pat
     ending.join()
     assert files(folder) == []
     volume_cache.open_and_keep(chest_file(tmp_path, 1, "b.nrrd"))
-    volume_cache.wait_kept()
+    volume_cache.wait_stored()
     assert files(folder) == []
 
 

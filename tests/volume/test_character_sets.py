@@ -13,7 +13,7 @@ from pydicom.dataelem import RawDataElement
 from pydicom.tag import Tag
 
 from carina.errors import UsageError
-from carina.export.plan_dicom import ct_images, new_object, packed
+from carina.export.plan_dicom import ct_images, file_bytes, new_object
 from carina.volume import open_volume
 from carina.volume.character_sets import character_set_name, doubtful_texts
 from carina.volume.dicom_headers import read_dataset, read_header
@@ -71,7 +71,7 @@ def _exported(folder) -> str:
             series_number=5,
             series_words="x",
         )
-    written = dcmread(io.BytesIO(packed(data)), force=True)
+    written = dcmread(io.BytesIO(file_bytes(data)), force=True)
     assert written.SpecificCharacterSet == "ISO_IR 192"
     return str(written.PatientName)
 

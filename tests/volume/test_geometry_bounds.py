@@ -12,7 +12,7 @@ import pytest
 from carina.errors import VolumeImportError
 from carina.volume.dicom_geometry import grid_from_slices
 from carina.volume.grid_headers import _check as check_grid_header
-from carina.volume.header_claims import GridHeader
+from carina.volume.header_fields import GridHeader
 from carina.volume.quality import trusted_generation
 
 ORIGIN_LPS = np.array([-31.5, 12.25, 140.0])

@@ -115,9 +115,9 @@ fn share_face(a: usize, b: usize) -> bool {
     FACES.iter().any(|face| on(a, face) && on(b, face))
 }
 
-/// Rotate a ring so that the triangle fan from its first edge has no chord in a face; return `None` if that is
-/// impossible.
-fn fan(ring: &[usize]) -> Option<Vec<usize>> {
+/// Return a ring rotated so that a triangle fan from its first edge has no chord in a face; `None` if no rotation has
+/// this property.
+fn rotated_to_fan_apex(ring: &[usize]) -> Option<Vec<usize>> {
     let n = ring.len();
     (0..n)
         .map(|start| (0..n).map(|m| ring[(start + m) % n]).collect::<Vec<_>>())
@@ -141,7 +141,7 @@ pub(crate) fn cell_rings() -> &'static [Vec<CellRing>] {
             .map(|inside| {
                 let rings = rings_of(inside).into_iter();
                 rings
-                    .map(|ring| match fan(&ring) {
+                    .map(|ring| match rotated_to_fan_apex(&ring) {
                         Some(edges) => CellRing {
                             edges,
                             has_apex: true,
@@ -183,7 +183,7 @@ pub fn lumen_mesh(
     let mut vertex_at: HashMap<(u64, u8), u32> = HashMap::new();
     let num_layers = (high[2] - low[2] + 2) as f64;
     for k in low[2] - 1..=high[2] {
-        watch.go_on((k - low[2] + 1) as f64 / num_layers)?;
+        watch.report_share((k - low[2] + 1) as f64 / num_layers)?;
         for j in low[1] - 1..=high[1] {
             for i in low[0] - 1..=high[0] {
                 let at = |corner: usize| {
@@ -207,7 +207,7 @@ pub fn lumen_mesh(
                             mesh.vertices.len() as u32 - 1
                         })
                     };
-                    let (apex, rim) = if let Some(turned) = fan(ring) {
+                    let (apex, rim) = if let Some(turned) = rotated_to_fan_apex(ring) {
                         let rim: Vec<u32> = turned[1..].iter().map(|e| vertex(*e)).collect();
                         (vertex(turned[0]), rim)
                     } else {

@@ -265,10 +265,10 @@ impl Brick {
                 )
             };
             let ((from, start), (to, end)) = (crossed(true), crossed(false));
-            let beside = (0..2).any(|a| {
+            let is_adjacent = (0..2).any(|a| {
                 (start[a] < 0.0 && end[a] < 0.0) || (start[a] > size[a] && end[a] > size[a])
             });
-            if !beside {
+            if !is_adjacent {
                 pieces.push(Piece {
                     from,
                     to,
@@ -443,21 +443,21 @@ fn thinned(line: &[PicturePoint]) -> Vec<PicturePoint> {
     let far = |a: &PicturePoint, b: &PicturePoint| {
         (a[0] - b[0]).abs().max((a[1] - b[1]).abs()) >= APART_PX
     };
-    let mut kept: Vec<PicturePoint> = Vec::with_capacity(line.len());
+    let mut points: Vec<PicturePoint> = Vec::with_capacity(line.len());
     for point in line {
-        if kept.last().is_none_or(|last| far(last, point)) {
-            kept.push(*point);
+        if points.last().is_none_or(|last| far(last, point)) {
+            points.push(*point);
         }
     }
     let Some(end) = line.last() else {
-        return kept;
+        return points;
     };
-    if kept.len() < 2 {
-        kept.push(*end);
-    } else if let Some(last) = kept.last_mut() {
+    if points.len() < 2 {
+        points.push(*end);
+    } else if let Some(last) = points.last_mut() {
         // The last remaining point is the end itself, or a point that cannot be distinguished from the end; the end
         // replaces it.
         *last = *end;
     }
-    kept
+    points
 }

@@ -9,8 +9,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use carina_airpath::find::flood::{FloodLimits, flood};
 use carina_airpath::find::trachea::{AirLevels, Doubt, find_trachea};
 use carina_airpath::tree::branch::{self, Branch};
+use carina_airpath::tree::branch_radii;
 use carina_airpath::tree::branches::{self, BranchLimits};
-use carina_airpath::tree::calibre;
 use carina_airpath::tree::smooth::Point;
 use carina_grid::{Grid, Ijk, Lps, VolumeView};
 use carina_leastcost::graph::{Graph, NO_NODE};
@@ -43,8 +43,8 @@ impl IntoPy for TrackError {
 }
 
 impl Watch for PyWatch {
-    fn go_on(&self, share: f64) -> Result<(), TrackError> {
-        if self.goes_on(share) {
+    fn report_share(&self, share: f64) -> Result<(), TrackError> {
+        if self.should_continue(share) {
             Ok(())
         } else {
             Err(TrackError::Cancelled)
@@ -349,7 +349,7 @@ impl LumenTracker {
             .into_py());
         }
         let calibres = py.detach(|| {
-            calibre::of_branches(&self.graph, &self.grid, &lines, &parents, |b| wanted[b])
+            branch_radii::of_branches(&self.graph, &self.grid, &lines, &parents, |b| wanted[b])
         });
         Ok(calibres
             .into_iter()

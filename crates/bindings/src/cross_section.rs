@@ -132,7 +132,7 @@ impl SectionCasts {
                 .iter()
                 .map(|cast| {
                     let voxel_mm = voxel_in_plane_mm(&self.grid, plane_axes(cast.normal));
-                    Section::of(cast, blur.as_ref(), voxel_mm, self.levels)
+                    Section::of_cast(cast, blur.as_ref(), voxel_mm, self.levels)
                 })
                 .collect()
         });

@@ -4,7 +4,9 @@
     reason = "pyo3 hands arguments over by value"
 )]
 
-use carina_airpath::find::evidence::{Enclosures as Core, PreferredTips, SeenWay, WayLevels};
+use carina_airpath::find::evidence_path::{
+    Enclosures as Core, EvidencePath, PreferredTips, WayLevels,
+};
 use carina_grid::{Lps, VolumeView};
 use carina_leastcost::{TrackError, Unwatched};
 use numpy::ndarray::Array2;
@@ -173,7 +175,7 @@ impl Enclosures {
     }
 }
 
-fn way_array<'py>(py: Python<'py>, way: &SeenWay) -> Bound<'py, PyArray2<u16>> {
+fn way_array<'py>(py: Python<'py>, way: &EvidencePath) -> Bound<'py, PyArray2<u16>> {
     Array2::from_shape_fn((way.voxels.len(), 3), |(n, a)| way.voxels[n][a] as u16).into_pyarray(py)
 }
 

@@ -33,7 +33,7 @@ impl IntoPy for GpuError {
 /// Run work on a device; return a panic in a driver's wrapper as an error, so that the CPU can render the picture.
 fn guarded<T>(work: impl FnOnce() -> Result<T, GpuError>) -> Result<T, GpuError> {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
-        let said = |panic: &dyn Any| {
+        let message_of = |panic: &dyn Any| {
             let text = panic.downcast_ref::<String>().map(String::as_str);
             text.or_else(|| panic.downcast_ref::<&str>().copied())
                 .unwrap_or("no reason given")
@@ -41,7 +41,7 @@ fn guarded<T>(work: impl FnOnce() -> Result<T, GpuError>) -> Result<T, GpuError>
         };
         Err(GpuError::Device {
             name: "in use".to_owned(),
-            reason: said(panic.as_ref()),
+            reason: message_of(panic.as_ref()),
         })
     })
 }

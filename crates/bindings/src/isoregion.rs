@@ -122,7 +122,7 @@ fn map_array<'py>(
     // SAFETY: the array is new, so it is C-contiguous and this is the only reference to its values.
     let out = unsafe { array.as_slice_mut() }?;
     pool::detached(py, || {
-        let cancelled = || !watch.goes_on(0.0);
+        let cancelled = || !watch.should_continue(0.0);
         let builder = MapBuilder {
             simd,
             cancelled: Some(&cancelled),

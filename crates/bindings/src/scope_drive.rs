@@ -82,7 +82,7 @@ impl PyWallField {
         let watch = PyWatch::new(cancel, progress);
         py.detach(|| {
             WallField::from_mesh(&vertices, &corners, spacing_mm, &|share| {
-                watch.goes_on(share)
+                watch.should_continue(share)
             })
         })
         .map(|field| Self(Arc::new(field)))

@@ -66,9 +66,9 @@ fn edit_lumen(
     let (edited, solved) = py
         .detach(|| -> Result<_, TrackError> {
             let edited =
-                lumen_edit::edited(&tracker.graph, view, tracker.levels, &added, &removed)?;
+                lumen_edit::edit_graph(&tracker.graph, view, tracker.levels, &added, &removed)?;
             let old = tracker.lock();
-            let solved = lumen_edit::followed(&tracker.graph, &old, &edited, &watch)?;
+            let solved = lumen_edit::costs_after_edit(&tracker.graph, &old, &edited, &watch)?;
             drop(old);
             Ok((edited, solved))
         })
@@ -104,7 +104,7 @@ fn fresh_lumen(
         .detach(|| -> Result<_, TrackError> {
             let graph = LumenGraph::build(view, lumen, tracker.levels)?;
             let root = root_node(&graph, root_ijk)?;
-            let solved = lumen_edit::solved(&graph, root, &watch)?;
+            let solved = lumen_edit::costs_from_scratch(&graph, root, &watch)?;
             Ok((graph, solved))
         })
         .map_err(|e| watch.error(e))?;
@@ -130,7 +130,7 @@ fn reroot_lumen(
     let solved = py
         .detach(|| {
             let root = root_node(&tracker.graph, root_ijk)?;
-            lumen_edit::solved(&tracker.graph, root, &watch)
+            lumen_edit::costs_from_scratch(&tracker.graph, root, &watch)
         })
         .map_err(|e| watch.error(e))?;
     Ok(tracker.with(Arc::clone(&tracker.graph), solved))

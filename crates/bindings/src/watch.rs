@@ -52,7 +52,7 @@ impl PyWatch {
     /// Check for a cancellation and report the completed share; return false if the call should end.
     ///
     /// Any thread may call this method without the GIL.
-    pub(crate) fn goes_on(&self, share: f64) -> bool {
+    pub(crate) fn should_continue(&self, share: f64) -> bool {
         {
             // Another thread is running the check at this moment.
             let Ok(mut state) = self.state.try_lock() else {
@@ -69,13 +69,13 @@ impl PyWatch {
         // The lock is released before the callbacks run, because a callback may wait for another thread that calls this
         // method.
         let found = self.look(share);
-        let goes_on = matches!(found, Ok(true));
-        if !goes_on {
+        let should_continue = matches!(found, Ok(true));
+        if !should_continue {
             let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
             state.stopped = true;
             state.raised = found.err().or(state.raised.take());
         }
-        goes_on
+        should_continue
     }
 
     /// Return the error to raise in Python: the exception of a callback if there is one, otherwise `otherwise`.

@@ -3,7 +3,8 @@
 use std::ops::Range;
 
 use carina_raycast::{
-    CastStats, Frame, FrameNumbers, Gathered, Interpolation, Method, RaycastError, rows_to_gather,
+    CastStats, Frame, FrameParameters, Gathered, Interpolation, Method, RaycastError,
+    rows_to_gather,
 };
 use rayon::prelude::*;
 
@@ -36,7 +37,7 @@ const COUNTS: usize = 5;
 #[derive(Clone, Copy)]
 struct Job<'a> {
     frame: &'a Frame<'a>,
-    numbers: &'a FrameNumbers<'a>,
+    parameters: &'a FrameParameters<'a>,
     volume: &'a GpuVolume,
     map: Option<&'a GpuMap>,
     variant: Variant,
@@ -124,13 +125,16 @@ impl Gpu {
         if all == *rows {
             return Ok((walls, stats));
         }
-        let beside = |rows: Range<usize>| {
+        let cast_rows = |rows: Range<usize>| {
             if rows.is_empty() {
                 return Ok(Vec::new());
             }
             Ok::<_, GpuError>(self.cast_walls(frame, volume, map, rows)?.0)
         };
-        let (before, after) = (beside(all.start..rows.start)?, beside(rows.end..all.end)?);
+        let (before, after) = (
+            cast_rows(all.start..rows.start)?,
+            cast_rows(rows.end..all.end)?,
+        );
         Ok(([before, walls, after].concat(), stats))
     }
 
@@ -148,27 +152,27 @@ impl Gpu {
         mut take: impl FnMut(&[u8]) -> usize,
     ) -> Result<CastStats, GpuError> {
         self.check_alive()?;
-        let numbers = &frame.numbers();
-        check(self, numbers, volume, map, &rows, walls)?;
+        let parameters = &frame.parameters();
+        check(self, parameters, volume, map, &rows, walls)?;
         let variant = Variant {
-            shaded: numbers.options.light.is_some() && !walls,
-            nearest: numbers.options.interpolation == Interpolation::Nearest,
+            shaded: parameters.options.light.is_some() && !walls,
+            nearest: parameters.options.interpolation == Interpolation::Nearest,
             leap: map.is_some(),
             walls,
         };
         let job = Job {
             frame,
-            numbers,
+            parameters,
             volume,
             map,
             variant,
         };
-        let by_samples = BAND_SAMPLES / (numbers.width as f64 * numbers.most_steps);
-        let num_rows = (BAND_PIXELS / numbers.width)
+        let by_samples = BAND_SAMPLES / (parameters.width as f64 * parameters.most_steps);
+        let num_rows = (BAND_PIXELS / parameters.width)
             .min(by_samples as usize)
             .max(1);
         let mut stats = CastStats {
-            num_rays: (rows.len() * numbers.width) as u64,
+            num_rays: (rows.len() * parameters.width) as u64,
             ..CastStats::default()
         };
         for first in rows.clone().step_by(num_rows) {
@@ -193,7 +197,7 @@ impl Gpu {
         stats: &mut CastStats,
         take: &mut impl FnMut(&[u8]) -> usize,
     ) -> Result<usize, GpuError> {
-        let width = job.numbers.width;
+        let width = job.parameters.width;
         let words = if job.variant.walls {
             WORDS_OF_A_WALL
         } else {
@@ -203,7 +207,7 @@ impl Gpu {
         let out_bytes = 4 * (rows.len() * width * words) as u64;
         let count_bytes = 4 * (groups[0] * groups[1] * COUNTS) as u64;
         let slot = self.slot(out_bytes, count_bytes);
-        let uniforms = Uniforms::new(job.numbers, rows.len());
+        let uniforms = Uniforms::new(job.parameters, rows.len());
         self.queue
             .write_buffer(&slot.uniforms, 0, bytemuck::bytes_of(&uniforms));
         let bindings = self.bindings(job, rows, &slot);
@@ -255,7 +259,7 @@ impl Gpu {
 
     fn bindings(&self, job: Job<'_>, rows: &Range<usize>, slot: &Slot) -> wgpu::BindGroup {
         let directions = self.directions_of(job.frame.camera(), rows);
-        let table = self.table_of(job.numbers);
+        let table = self.table_of(job.parameters);
         let textures = [&job.volume.view, &job.map.unwrap_or(&self.no_map).view];
         let buffers = [&table.buffer, &directions.buffer, &slot.out, &slot.counts];
         let mut resources = vec![slot.uniforms.as_entire_binding()];
@@ -288,7 +292,7 @@ fn add_counts(stats: &mut CastStats, counts: &[u8], shaded: bool) {
 
 fn check(
     gpu: &Gpu,
-    numbers: &FrameNumbers<'_>,
+    parameters: &FrameParameters<'_>,
     volume: &GpuVolume,
     map: Option<&GpuMap>,
     rows: &Range<usize>,
@@ -302,14 +306,14 @@ fn check(
         };
         Err(GpuError::Raycast(setting))
     };
-    if rows.start > rows.end || rows.end > numbers.height {
+    if rows.start > rows.end || rows.end > parameters.height {
         return refuse(
             "rows",
-            format!("a range within 0 to {}", numbers.height),
+            format!("a range within 0 to {}", parameters.height),
             format!("{} to {}", rows.start, rows.end),
         );
     }
-    let [ni, nj, nk] = numbers.shape_ijk;
+    let [ni, nj, nk] = parameters.shape_ijk;
     let map = map.map(|map| ("radius map on the device", map.shape_zyx, map.owner));
     let volume = ("volume on the device", volume.shape_zyx, volume.owner);
     for (what, shape, owner) in [volume].into_iter().chain(map) {
@@ -321,17 +325,17 @@ fn check(
             );
         }
     }
-    if numbers.options.appearance.is_some() && !walls {
+    if parameters.options.appearance.is_some() && !walls {
         return Err(GpuError::Unsupported {
             reason: "light is laid on walls after casting: cast_walls, then light_gathered"
                 .to_owned(),
         });
     }
-    if numbers.most_steps > MOST_STEPS {
+    if parameters.most_steps > MOST_STEPS {
         return Err(GpuError::Unsupported {
             reason: format!(
                 "a ray has {:.0} steps, at most {MOST_STEPS:.0} are counted exactly",
-                numbers.most_steps
+                parameters.most_steps
             ),
         });
     }

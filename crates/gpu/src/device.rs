@@ -175,10 +175,10 @@ impl Gpu {
         let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
         let made = work();
-        let said = [validation, memory].map(|scope| pollster::block_on(scope.pop()));
+        let errors = [validation, memory].map(|scope| pollster::block_on(scope.pop()));
         (
             made,
-            said.into_iter().flatten().next().map(|e| e.to_string()),
+            errors.into_iter().flatten().next().map(|e| e.to_string()),
         )
     }
 

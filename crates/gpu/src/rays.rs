@@ -3,7 +3,7 @@
 use std::{ops::Range, sync::Arc};
 
 use carina_grid::Camera;
-use carina_raycast::FrameNumbers;
+use carina_raycast::FrameParameters;
 
 use crate::{
     Gpu,
@@ -79,9 +79,9 @@ impl Gpu {
         )
     }
 
-    pub(crate) fn table_of(&self, numbers: &FrameNumbers<'_>) -> Arc<TableOnDevice> {
+    pub(crate) fn table_of(&self, parameters: &FrameParameters<'_>) -> Arc<TableOnDevice> {
         let mut all = lock(&self.tables);
-        let wanted = numbers.entries;
+        let wanted = parameters.entries;
         cached(
             &mut all,
             wanted,

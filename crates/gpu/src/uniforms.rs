@@ -1,7 +1,7 @@
 //! Parameters that all rays of a picture share, in the memory layout of the shader.
 
 use bytemuck::{Pod, Zeroable};
-use carina_raycast::FrameNumbers;
+use carina_raycast::FrameParameters;
 
 /// Parameters of a picture, equal field by field to the struct `Frame` of `airway.wgsl`.
 #[repr(C)]
@@ -31,24 +31,25 @@ pub(crate) struct Uniforms {
 
 impl Uniforms {
     /// Return the parameters for `num_rows` rows of a frame.
-    pub(crate) fn new(numbers: &FrameNumbers<'_>, num_rows: usize) -> Self {
+    pub(crate) fn new(parameters: &FrameParameters<'_>, num_rows: usize) -> Self {
         // Products are computed in f64 and rounded once; the shader then needs three products per direction.
         let step = |row: usize| -> [f32; 4] {
-            let m = numbers.ijk_from_camera.rows()[row];
-            [m[0], m[1], m[2], 0.0].map(|v| (v * numbers.step_mm) as f32)
+            let m = parameters.ijk_from_camera.rows()[row];
+            [m[0], m[1], m[2], 0.0].map(|v| (v * parameters.step_mm) as f32)
         };
         let lanes = |values: [f64; 3]| [values[0], values[1], values[2], 0.0].map(|v| v as f32);
-        let shape = numbers.shape_ijk;
-        let low: [f64; 3] = std::array::from_fn(|a| -0.5 - numbers.origin_ijk[a]);
-        let high: [f64; 3] = std::array::from_fn(|a| shape[a] as f64 - 0.5 - numbers.origin_ijk[a]);
-        let [xx, yy, zz, xy, xz, yz] = numbers.metric;
-        let light = numbers.options.light;
-        let [r, g, b] = numbers.options.background;
+        let shape = parameters.shape_ijk;
+        let low: [f64; 3] = std::array::from_fn(|a| -0.5 - parameters.origin_ijk[a]);
+        let high: [f64; 3] =
+            std::array::from_fn(|a| shape[a] as f64 - 0.5 - parameters.origin_ijk[a]);
+        let [xx, yy, zz, xy, xz, yz] = parameters.metric;
+        let light = parameters.options.light;
+        let [r, g, b] = parameters.options.background;
         Self {
             step_i: step(0),
             step_j: step(1),
             step_k: step(2),
-            origin: lanes(numbers.origin_ijk),
+            origin: lanes(parameters.origin_ijk),
             to_low_face: lanes(low),
             to_high_face: lanes(high),
             between_faces: std::array::from_fn(|a| {
@@ -67,14 +68,14 @@ impl Uniforms {
                     1.0 / light.reach_mm,
                 ]
             }),
-            width: numbers.width as u32,
+            width: parameters.width as u32,
             num_rows: num_rows as u32,
             shininess_log2: light.map_or(0, |light| light.shininess_log2),
-            table_last: numbers.entries.len() as i32 - 1,
-            table_low_hu: numbers.low_hu,
-            step_mm: numbers.step_mm as f32,
-            guard_vox: numbers.guard_vox,
-            stop: numbers.stop,
+            table_last: parameters.entries.len() as i32 - 1,
+            table_low_hu: parameters.low_hu,
+            step_mm: parameters.step_mm as f32,
+            guard_vox: parameters.guard_vox,
+            stop: parameters.stop,
         }
     }
 }

@@ -240,7 +240,7 @@ fn first_walls_equal_those_of_the_cpu() {
                 let (walls, _) = gpu.cast_walls(frame, &volume, None, rows.clone()).unwrap();
                 let (expected, _) =
                     cast_surface(frame, Method::Brute, rows, InstructionSet::best()).unwrap();
-                let step_mm = frame.numbers().step_mm as f32;
+                let step_mm = frame.parameters().step_mm as f32;
                 for (wall, hit) in walls.iter().zip(&expected) {
                     let depth = hit.map_or(-1.0, |hit| hit.depth_mm);
                     let found = if wall.hit < 0.0 {

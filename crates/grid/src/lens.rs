@@ -259,7 +259,7 @@ impl Optics {
     /// The function is only for [`Distortion::Brown`].
     fn bend(&self, x: f64, y: f64) -> ([f64; 2], [[f64; 2]; 2]) {
         let Distortion::Brown { p: [p1, p2], .. } = self.distortion else {
-            unreachable!("asked for perspective models only")
+            unreachable!("called for perspective models only")
         };
         let u = (x * x + y * y).sqrt();
         let (r, slope) = self.distortion.radial(u);

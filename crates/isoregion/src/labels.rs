@@ -69,8 +69,8 @@ pub fn class_labels(
     transparent_only: bool,
 ) -> Result<ClassLabels, IsoRegionError> {
     let runs = runs_of_one_colour(lo_hu, table)?;
-    let kept = runs.into_iter().filter(|run| run.2 || !transparent_only);
-    Ok(label_runs(hu, kept.collect()))
+    let selected = runs.into_iter().filter(|run| run.2 || !transparent_only);
+    Ok(label_runs(hu, selected.collect()))
 }
 
 /// Return the transparent runs of a table in order, as the first and last value of each.

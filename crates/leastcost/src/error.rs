@@ -53,12 +53,12 @@ impl TrackError {
 
 /// Observer of a long computation: receives the progress and can stop the computation.
 pub trait Watch: Sync {
-    /// Report the completed share (0 to 1) of the present stage of the computation.
+    /// Report the completed share (0 to 1) of the current stage of the computation.
     ///
     /// # Errors
     ///
     /// Returns an error if the computation must stop.
-    fn go_on(&self, share: f64) -> Result<(), TrackError>;
+    fn report_share(&self, share: f64) -> Result<(), TrackError>;
 }
 
 /// Observer that never stops the computation.
@@ -66,7 +66,7 @@ pub trait Watch: Sync {
 pub struct Unwatched;
 
 impl Watch for Unwatched {
-    fn go_on(&self, _share: f64) -> Result<(), TrackError> {
+    fn report_share(&self, _share: f64) -> Result<(), TrackError> {
         Ok(())
     }
 }

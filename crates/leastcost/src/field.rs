@@ -449,7 +449,7 @@ impl StepCost for MeanCost {
 /// Integer unit (quantum) of the costs of one search, which converts the cost of every step to quanta.
 #[derive(Debug, Clone, Copy)]
 pub struct Quanta<C> {
-    /// Cost of one quantum, in the unit of the field's costs.
+    /// Path cost that one quantum represents: a weight, or a weight times a length in mm.
     pub unit: f64,
     /// Number of quanta per weight for each of the 27 cells, in rows of three; lane 3 of each row of 4 is unused.
     pub(crate) scale: [[f32; 4]; 9],

@@ -434,7 +434,7 @@ fn cube(n: usize, value: f32) -> Scene {
 struct StopTimes(std::sync::atomic::AtomicUsize);
 
 impl Watch for StopTimes {
-    fn go_on(&self, share: f64) -> Result<(), TrackError> {
+    fn report_share(&self, share: f64) -> Result<(), TrackError> {
         assert!((0.0..=1.0).contains(&share));
         let stop = |left: usize| left.checked_sub(1);
         let order = std::sync::atomic::Ordering::Relaxed;

@@ -90,7 +90,7 @@ impl<C: StepCost> FieldTracker<C> {
         if self.sweep.is_some() && !C::BY_VOXEL {
             self.sweep_on(field, Some(target), watch)?;
         } else {
-            self.go_on(field, Some(target), watch)?;
+            self.settle_until(field, Some(target), watch)?;
         }
         Ok(self.is_known(target))
     }
@@ -110,7 +110,7 @@ impl<C: StepCost> FieldTracker<C> {
             self.begin_sweep(field);
         }
         if self.sweep.is_none() {
-            return self.go_on(field, None, watch);
+            return self.settle_until(field, None, watch);
         }
         match self.sweep_on(field, None, watch) {
             // For costs by the entered voxel the queue has no limit of the cost and is still valid, so the search
@@ -118,7 +118,7 @@ impl<C: StepCost> FieldTracker<C> {
             Err(TrackError::CostOverflow { .. }) if C::BY_VOXEL => {
                 self.sweep = None;
                 self.left = Vec::new();
-                self.go_on(field, None, watch)
+                self.settle_until(field, None, watch)
             }
             outcome => outcome,
         }
@@ -224,7 +224,7 @@ impl<C: StepCost> FieldTracker<C> {
             if sweep.num_reached >= looked_at + NODES_PER_LOOK || visits == 64 {
                 visits = 0;
                 looked_at = sweep.num_reached;
-                watch.go_on(looked_at as f64 / self.quanta.num_open as f64)?;
+                watch.report_share(looked_at as f64 / self.quanta.num_open as f64)?;
             }
         }
         if sweep.is_beyond(&self.left) {
@@ -270,7 +270,7 @@ impl<C: StepCost> FieldTracker<C> {
         self.queue.bucket_of(cost) <= self.queue.bucket_of(self.queue.front_cost())
     }
 
-    fn go_on(
+    fn settle_until(
         &mut self,
         field: &VoxelField<'_>,
         target: Option<u32>,
@@ -303,7 +303,7 @@ impl<C: StepCost> FieldTracker<C> {
             self.close_touched();
             if self.num_settled - looked_at >= NODES_PER_LOOK {
                 looked_at = self.num_settled;
-                watch.go_on(looked_at as f64 / self.quanta.num_open as f64)?;
+                watch.report_share(looked_at as f64 / self.quanta.num_open as f64)?;
             }
         }
         Ok(())

@@ -49,8 +49,9 @@ enum Walk {
     LumenPruned(IsoRegionGraph<LumenGraph>, (f64, f64)),
 }
 
-/// Macro that evaluates one expression for each combination of graph and cost, with the graph and a reference to the
-/// cost.
+/// Macro that evaluates an expression with the graph and the cost of the current [`Walk`].
+///
+/// The macro is a `match` that runs one arm; the compiler generates one copy of the expression per variant.
 macro_rules! with_walk {
     ($walk:expr, |$graph:ident, $cost:ident| $body:expr) => {
         match $walk {

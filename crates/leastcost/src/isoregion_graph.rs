@@ -42,7 +42,7 @@ pub fn radii(
     let [nx, ny, nz] = voxel_box.shape_ijk;
     let mut radius = vec![0; labels.len()];
     let builder = MapBuilder {
-        cancelled: Some(&|| watch.go_on(0.0).is_err()),
+        cancelled: Some(&|| watch.report_share(0.0).is_err()),
         ..MapBuilder::default()
     };
     builder
@@ -126,7 +126,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
             .into_par_iter()
             .filter(|&node| !is_cut_away(radius, voxel_box.shape_ijk, local(node)))
             .collect();
-        watch.go_on(0.3)?;
+        watch.report_share(0.3)?;
         let mut node_of = vec![NO_NODE; base.num_nodes()];
         for (node, &whole) in whole_of.iter().enumerate() {
             node_of[whole as usize] = node as u32;
@@ -184,7 +184,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
                 });
             }
             if number % 256 == 0 {
-                watch.go_on(0.3 + 0.4 * number as f64 / centres.len() as f64)?;
+                watch.report_share(0.3 + 0.4 * number as f64 / centres.len() as f64)?;
             }
         }
         for n in 0..num_nodes {
@@ -201,7 +201,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
                 }
             });
             if number % 256 == 0 {
-                watch.go_on(0.7 + 0.3 * number as f64 / centres.len() as f64)?;
+                watch.report_share(0.7 + 0.3 * number as f64 / centres.len() as f64)?;
             }
         }
         self.first_centre = first;

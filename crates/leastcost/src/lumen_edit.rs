@@ -44,7 +44,7 @@ pub struct Edited {
 /// # Errors
 ///
 /// Returns an error if the edited lumen is empty.
-pub fn edited(
+pub fn edit_graph(
     graph: &LumenGraph,
     values: VolumeView<'_, i16>,
     levels: Option<WallLevels>,
@@ -232,7 +232,11 @@ impl Cost for NodeCost {
 /// # Errors
 ///
 /// Returns an error if the costs have too wide a range or `watch` stops the search.
-pub fn solved(graph: &LumenGraph, root: u32, watch: &impl Watch) -> Result<Tracker, TrackError> {
+pub fn costs_from_scratch(
+    graph: &LumenGraph,
+    root: u32,
+    watch: &impl Watch,
+) -> Result<Tracker, TrackError> {
     Tracker::solved_in_order(graph, &NodeCost::new(graph), root, watch)
 }
 
@@ -255,7 +259,7 @@ fn with_first_of_equals(graph: &LumenGraph, tracker: &Tracker) -> Tracker {
 /// # Errors
 ///
 /// Returns an error if the root was removed or `watch` stops the search.
-pub fn followed(
+pub fn costs_after_edit(
     old_graph: &LumenGraph,
     tracker: &Tracker,
     edited: &Edited,
@@ -271,13 +275,13 @@ pub fn followed(
     let num_nodes = graph.num_nodes();
     // A tracker that was stopped early cannot be updated, and a large edit is faster from scratch.
     if !tracker.is_done() || 2 * edited.dirty.len() > num_nodes {
-        return solved(graph, root, watch);
+        return costs_from_scratch(graph, root, watch);
     }
     let (lost, is_dirty_root) = lost_nodes(tracker, edited, root);
     // This test has the same result for any least-cost tree, so it comes before the conversion to the first of equally
     // cheap paths.
     if 2 * lost.iter().filter(|lost| **lost).count() > num_nodes {
-        return solved(graph, root, watch);
+        return costs_from_scratch(graph, root, watch);
     }
     let orderly;
     let tracker = if tracker.first_of_equals() {
@@ -331,7 +335,7 @@ pub fn followed(
         }
         num_popped += 1;
         if num_popped.is_multiple_of(1 << 16) {
-            watch.go_on(0.5)?;
+            watch.report_share(0.5)?;
         }
         graph.for_each_edge(node, |v, length_mm| {
             let through = here + u64::from(quantum.edge(&cost, node, v, length_mm));

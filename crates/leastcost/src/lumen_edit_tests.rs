@@ -8,7 +8,9 @@ use crate::Unwatched;
 use crate::cheapest_way::cheapest_way;
 use crate::graph::Graph;
 use crate::lumen::{LumenCost, LumenGraph, WallLevels};
-use crate::lumen_edit::{as_bytes, edited, followed, newly_reached, solved};
+use crate::lumen_edit::{
+    as_bytes, costs_after_edit, costs_from_scratch, edit_graph, newly_reached,
+};
 use crate::tracker::Tracker;
 
 /// Number of voxels of the test volume along i, j, k.
@@ -87,14 +89,14 @@ proptest! {
                     lumen[grid.index(v.map(usize::from))] = value;
                 }
             }
-            let step = edited(&graph, view, levels, &added, &removed).unwrap();
-            let next = followed(&graph, &tracker, &step, &Unwatched).unwrap();
+            let step = edit_graph(&graph, view, levels, &added, &removed).unwrap();
+            let next = costs_after_edit(&graph, &tracker, &step, &Unwatched).unwrap();
             let whole = LumenGraph::build(view, &lumen, levels).unwrap();
             prop_assert_eq!(&step.graph.voxels, &whole.voxels);
             prop_assert_eq!(&step.graph.edges, &whole.edges);
             prop_assert_eq!(&step.graph.wall_mm, &whole.wall_mm);
             prop_assert_eq!(&as_bytes(&step.graph, &grid), &lumen);
-            let fresh = solved(&whole, whole.node_at_voxel(root).unwrap(), &Unwatched).unwrap();
+            let fresh = costs_from_scratch(&whole, whole.node_at_voxel(root).unwrap(), &Unwatched).unwrap();
             same(&next, &fresh, whole.num_nodes())?;
             // No voxel outside the returned box may have another distance to the wall.
             for node in 0..graph.num_nodes() as u32 {

@@ -5,8 +5,8 @@ use std::ops::Range;
 use crate::{
     CastStats, Frame, Gathered, InstructionSet, Method, RaycastError,
     lighting::Lighting,
-    lit::{Walls, light_walls, rows_to_gather},
     rows::check,
+    shaded_walls::{Walls, light_walls, rows_to_gather},
 };
 
 /// Shade rows whose rays another caster has gathered; return RGB and statistics as [`cast_rows`] does for its own rays.

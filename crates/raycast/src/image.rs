@@ -10,11 +10,11 @@ use crate::{
     composite::Gathered,
     frame::Ray,
     leap::{self, Start},
+    leap_trial::faster_method,
     lighting::Lighting,
-    lit::cast_lit,
     packet::{BAND_ROWS, Packets},
     rows::{check, share},
-    worth::faster_method,
+    shaded_walls::cast_shaded,
 };
 
 /// Cast `rows` of the picture as 8-bit RGB, `[row, column, channel]`.
@@ -64,7 +64,7 @@ fn cast(
     if let Some(light) = Lighting::exposed(frame, method) {
         let packets = Packets::of(frame, method, simd);
         let how = (packets.as_ref(), simd);
-        return Ok(cast_lit(frame, method, &light, how, rows, stop));
+        return Ok(cast_shaded(frame, method, &light, how, rows, stop));
     }
     if let Some(packets) = Packets::of(frame, method, simd) {
         return Ok(share(rows, bytes, BAND_ROWS, stop, |first, out| {
@@ -93,7 +93,7 @@ pub fn cast_rows_scalar(
     let bytes = (0u8, 3 * frame.camera().width());
     if let Some(light) = Lighting::exposed(frame, method) {
         let scalar = (None, InstructionSet::Portable);
-        return Ok(cast_lit(frame, method, &light, scalar, &rows, None));
+        return Ok(cast_shaded(frame, method, &light, scalar, &rows, None));
     }
     let start = Start::of(frame, method);
     Ok(share(&rows, bytes, 1, None, |row, out| {

@@ -196,7 +196,7 @@ impl ScopeDrive {
         Ok(drive)
     }
 
-    /// Return the present state of the scope.
+    /// Return the current state of the scope.
     #[must_use]
     pub const fn state(&self) -> &ScopeState {
         &self.state

@@ -249,7 +249,7 @@ mod tests {
                 .iter()
                 .map(|f| distance(p, f.at) - f.radius)
                 .fold(f64::INFINITY, f64::min);
-            // A spike of the wall could penetrate by this distance, a ridge by half of it.
+            // `gap` is the depth to which a spike of the wall could penetrate undetected; a ridge could penetrate half as deep.
             prop_assert!(gap < if radius < 1.2 { 0.12 } else { 0.065 }, "{gap} at {p:?}");
         }
 

@@ -11,13 +11,13 @@ mod axis;
 mod body;
 mod curve;
 mod drive;
-mod eight;
 mod error;
 mod feelers;
 mod frames;
 mod gaze;
 mod nearest;
 mod nearest_packet;
+mod vector8;
 mod wall;
 mod wall_mesh;
 

@@ -11,10 +11,10 @@
 use carina_grid::{InstructionSet, cross, dot, unit};
 
 use crate::axis::sub;
-#[cfg(target_arch = "x86_64")]
-use crate::eight::Avx2;
-use crate::eight::{Eight, LANES, Plain};
 use crate::nearest::Boxes;
+#[cfg(target_arch = "x86_64")]
+use crate::vector8::Avx2;
+use crate::vector8::{ArrayVector, LANES, Vector8};
 
 type Point = [f64; 3];
 type Lanes = [f32; LANES];
@@ -71,7 +71,7 @@ pub(crate) struct Packets<'a> {
     simd: InstructionSet,
 }
 
-/// Eight points that are near each other.
+/// Vector8 points that are near each other.
 pub(crate) struct Together {
     /// Origin of the points' coordinates, LPS mm.
     pub(crate) origin: Point,
@@ -128,7 +128,7 @@ impl<'a> Packets<'a> {
             InstructionSet::Avx2 | InstructionSet::Avx512 => unsafe {
                 self.nearest_avx2(points, hint)
             },
-            _ => self.nearest_in::<Plain>(points, hint),
+            _ => self.nearest_in::<ArrayVector>(points, hint),
         }
     }
 
@@ -139,11 +139,11 @@ impl<'a> Packets<'a> {
     }
 
     #[inline(always)]
-    fn nearest_in<E: Eight>(&self, points: &Together, hint: u32) -> (Lanes, [u32; LANES]) {
+    fn nearest_in<E: Vector8>(&self, points: &Together, hint: u32) -> (Lanes, [u32; LANES]) {
         let at = [
-            E::of(points.at[0]),
-            E::of(points.at[1]),
-            E::of(points.at[2]),
+            E::from_array(points.at[0]),
+            E::from_array(points.at[1]),
+            E::from_array(points.at[2]),
         ];
         let mut nearest = Nearest {
             distance: E::all(1e9),
@@ -160,7 +160,7 @@ impl<'a> Packets<'a> {
             at[1].plus(E::all(shift[1])),
             at[2].plus(E::all(shift[2])),
         ];
-        // A box is visited only if it may contain a nearer triangle for some lane. Eight near points together visit
+        // A box is visited only if it may contain a nearer triangle for some lane. Vector8 near points together visit
         // hardly more boxes than one of these points alone.
         let mut bound = nearest.bound();
         let mut stack = [(E::all(0.0), 0u32); 64];
@@ -181,7 +181,7 @@ impl<'a> Packets<'a> {
             }
             let one = (self.squared_to_box(at_node + 1, from_middle), at_node + 1);
             let other = (self.squared_to_box(node.first, from_middle), node.first);
-            let (near, far) = if one.0.out()[0] <= other.0.out()[0] {
+            let (near, far) = if one.0.to_array()[0] <= other.0.to_array()[0] {
                 (one, other)
             } else {
                 (other, one)
@@ -196,13 +196,13 @@ impl<'a> Packets<'a> {
             }
         }
         (
-            nearest.distance.out(),
-            nearest.which.out().map(f32::to_bits),
+            nearest.distance.to_array(),
+            nearest.which.to_array().map(f32::to_bits),
         )
     }
 
     #[inline(always)]
-    fn squared_to_box<E: Eight>(&self, node: u32, from: [E; 3]) -> E {
+    fn squared_to_box<E: Vector8>(&self, node: u32, from: [E; 3]) -> E {
         let [low, high] = &self.spans[node as usize];
         let mut squared = E::all(0.0);
         for a in 0..3 {
@@ -217,13 +217,13 @@ impl<'a> Packets<'a> {
 }
 
 #[inline(always)]
-fn inner<E: Eight>(a: [f32; 3], b: [E; 3]) -> E {
+fn inner<E: Vector8>(a: [f32; 3], b: [E; 3]) -> E {
     let xy = E::all(a[0]).times(b[0]).plus(E::all(a[1]).times(b[1]));
     xy.plus(E::all(a[2]).times(b[2]))
 }
 
 #[inline(always)]
-fn less<E: Eight>(a: [E; 3], b: [f32; 3]) -> [E; 3] {
+fn less<E: Vector8>(a: [E; 3], b: [f32; 3]) -> [E; 3] {
     [
         a[0].minus(E::all(b[0])),
         a[1].minus(E::all(b[1])),
@@ -232,7 +232,7 @@ fn less<E: Eight>(a: [E; 3], b: [f32; 3]) -> [E; 3] {
 }
 
 #[inline(always)]
-fn squared_to_edge<E: Eight>(from: [E; 3], edge: [f32; 3], inverse: f32) -> E {
+fn squared_to_edge<E: Vector8>(from: [E; 3], edge: [f32; 3], inverse: f32) -> E {
     let share = inner(edge, from)
         .times(E::all(inverse))
         .greater(E::all(0.0))
@@ -250,7 +250,7 @@ struct Nearest<E> {
     which: E,
 }
 
-impl<E: Eight> Nearest<E> {
+impl<E: Vector8> Nearest<E> {
     /// Measure the distance from every lane's point to a triangle, and store the triangle where it is nearer.
     #[inline(always)]
     fn meet(&mut self, face: &Face, number: u32, origin: Point, at: [E; 3]) {

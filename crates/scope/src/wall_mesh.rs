@@ -6,9 +6,9 @@ use carina_grid::{Affine, InstructionSet};
 use rayon::prelude::*;
 
 use crate::ScopeError;
-use crate::eight::LANES;
 use crate::nearest::Boxes;
 use crate::nearest_packet::{Found, Packets, Together};
+use crate::vector8::LANES;
 use crate::wall::{Brick, CELLS, INSIDE_MM, OUTSIDE_MM, SAMPLES, WallField, clamped};
 
 type Point = [f64; 3];
@@ -16,17 +16,17 @@ type Point = [f64; 3];
 impl WallField {
     /// Compute the wall field of a closed mesh, on samples `spacing_mm` apart.
     ///
-    /// The triangles must be counterclockwise as seen from outside. `go_on` receives the completed share and returns
+    /// The triangles must be counterclockwise as seen from outside. `proceed` receives the completed share and returns
     /// false to stop the computation.
     ///
     /// # Errors
     ///
-    /// Returns an error if the mesh is not valid or `go_on` returns false.
+    /// Returns an error if the mesh is not valid or `proceed` returns false.
     pub fn from_mesh(
         vertices: &[Point],
         triangles: &[[u32; 3]],
         spacing_mm: f64,
-        go_on: &(impl Fn(f64) -> bool + Sync),
+        proceed: &(impl Fn(f64) -> bool + Sync),
     ) -> Result<Self, ScopeError> {
         let refuse = |reason: String| Err(ScopeError::Wall { reason });
         if !(0.1..=0.6).contains(&spacing_mm) {
@@ -59,7 +59,7 @@ impl WallField {
         let num_bricks = shape_ijk.map(|n| (n - 1) / CELLS);
         let steps = Steps {
             done: AtomicUsize::new(0),
-            go_on,
+            proceed,
         };
         let kinds = brick_kinds(&boxes, &lps, num_bricks, &steps)?;
         let near: Vec<(usize, usize)> = kinds
@@ -81,7 +81,7 @@ impl WallField {
             .map(|&(n, hint)| {
                 let first = place_of(n, num_bricks).map(|b| b * CELLS);
                 let owned = own_samples(&packets, &lps, first, hint);
-                steps.go_on(near.len()).then_some(owned)
+                steps.report_bricks(near.len()).then_some(owned)
             })
             .collect();
         let owned = owned.ok_or(ScopeError::Cancelled)?;
@@ -142,14 +142,14 @@ const NUM_PACKETS: usize = (CELLS / 2) * (CELLS / 2) * (CELLS / 2);
 /// Progress counter of the computation, with the function that may stop it.
 struct Steps<'a, F> {
     done: AtomicUsize,
-    go_on: &'a F,
+    proceed: &'a F,
 }
 
 impl<F: Fn(f64) -> bool + Sync> Steps<'_, F> {
     /// Count a finished brick, of `num` bricks; return false if the computation must stop.
-    fn go_on(&self, num: usize) -> bool {
+    fn report_bricks(&self, num: usize) -> bool {
         let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;
-        (self.go_on)(CLASSED + (1.0 - CLASSED) * done as f64 / num as f64)
+        (self.proceed)(CLASSED + (1.0 - CLASSED) * done as f64 / num as f64)
     }
 }
 
@@ -215,7 +215,7 @@ fn brick_kinds<F: Fn(f64) -> bool + Sync>(
                 .collect()
         })
         .collect();
-    if !(steps.go_on)(CLASSED) {
+    if !(steps.proceed)(CLASSED) {
         return Err(ScopeError::Cancelled);
     }
     Ok(made.concat())

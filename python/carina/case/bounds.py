@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.case.error_texts import damaged
+from carina.case.error_texts import damage_error
 from carina.errors import CarinaError
 from carina.scopes import Pose
 from carina.value import TEXT
@@ -34,9 +34,9 @@ __all__ = [
     "check_ascending",
     "check_plain",
     "check_tip",
-    "cleaned",
     "is_readable_tip",
-    "shortened",
+    "shortened_text",
+    "with_shortened_texts",
 ]
 
 MAX_S: Final = 1e10
@@ -75,7 +75,7 @@ def bounded_number(value: object, where: str, low: float, high: float) -> float:
         ``case.damaged``.
     """
     if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise damaged(where, f"a number from {low:g} to {high:g}", _shown(value))
+        raise damage_error(where, f"a number from {low:g} to {high:g}", _value_text(value))
     return float(value)
 
 
@@ -97,7 +97,7 @@ def bounded_whole(value: object, where: str, low: int, high: int) -> int:
         ``case.damaged``.
     """
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise damaged(where, f"a whole number from {low} to {high}", _shown(value))
+        raise damage_error(where, f"a whole number from {low} to {high}", _value_text(value))
     return value
 
 
@@ -119,11 +119,11 @@ def bounded_text(value: object, where: str, most: int) -> str:
         ``case.damaged``.
     """
     if not isinstance(value, str):
-        raise damaged(where, "text", _shown(value))
+        raise damage_error(where, "text", _value_text(value))
     if len(value) > most:
-        raise damaged(where, f"at most {most} characters", f"{len(value)}")
+        raise damage_error(where, f"at most {most} characters", f"{len(value)}")
     if _TEXT.fullmatch(value) is None:
-        raise damaged(where, "text without control characters", _shown(value))
+        raise damage_error(where, "text without control characters", _value_text(value))
     return value
 
 
@@ -146,7 +146,7 @@ def bounded_array(values: NDArray[Any], where: str, low: float, high: float) -> 
     """
     # Comparisons with NaN are false, so NaN is refused too.
     if len(values) and not (np.min(values) >= low and np.max(values) <= high):
-        raise damaged(where, f"numbers from {low:g} to {high:g}", "other numbers")
+        raise damage_error(where, f"numbers from {low:g} to {high:g}", "other numbers")
 
 
 def check_ascending(values: NDArray[Any] | tuple[float, ...], where: str) -> None:
@@ -165,7 +165,7 @@ def check_ascending(values: NDArray[Any] | tuple[float, ...], where: str) -> Non
         ``case.damaged``.
     """
     if (np.diff(np.asarray(values, dtype=np.float64)) < 0.0).any():
-        raise damaged(where, "numbers in ascending order", "a different order")
+        raise damage_error(where, "numbers in ascending order", "a different order")
 
 
 def check_plain(value: object, where: str, *, most_chars: int = MAX_MESSAGE_CHARS) -> None:
@@ -189,12 +189,12 @@ def check_plain(value: object, where: str, *, most_chars: int = MAX_MESSAGE_CHAR
     while waiting:
         one, depth = waiting.pop()
         if depth > MAX_DEPTH:
-            raise damaged(where, f"at most {MAX_DEPTH} levels of JSON", "more")
+            raise damage_error(where, f"at most {MAX_DEPTH} levels of JSON", "more")
         if isinstance(one, str):
             bounded_text(one, where, most_chars)
         elif isinstance(one, int | float) and not isinstance(one, bool):
             if not -1e15 <= one <= 1e15:
-                raise damaged(where, "numbers from -1e15 to 1e15", _shown(one))
+                raise damage_error(where, "numbers from -1e15 to 1e15", _value_text(one))
         elif isinstance(one, Mapping):
             waiting += ((part, depth + 1) for pair in one.items() for part in pair)
         elif isinstance(one, list | tuple):
@@ -229,37 +229,37 @@ def check_tip(tip: Mapping[str, Any], where: str, *, has_route: bool) -> None:
         path_mm = bounded_number(tip["path_mm"], where, -MAX_MM, MAX_MM)
         bounded_number(tip["base_roll_rad"], where, -MAX_NUMBER, MAX_NUMBER)
     except (KeyError, TypeError, ValueError, OverflowError) as trouble:
-        raise damaged(where, expected, f"other content ({str(trouble)[:100]})") from None
+        raise damage_error(where, expected, f"other content ({str(trouble)[:100]})") from None
     if [array.shape for array in arrays.values()] != [(3, 3), (3, 3), (3,)] or not math.isfinite(path_mm):
-        raise damaged(where, expected, "arrays of another shape")
+        raise damage_error(where, expected, "arrays of another shape")
     for turn in (arrays["entry"], arrays["look"]):
         bounded_array(turn.ravel(), where, -1.001, 1.001)
     bounded_array(arrays["shift_lps"], where, -MAX_MM, MAX_MM)
     bounded_array(matrix.ravel(), where, -MAX_MM, MAX_MM)
     if mode not in {"free", "path"} or operator not in {"head", "facing"} or (mode == "path" and not has_route):
-        raise damaged(where, expected, f"mode {_shown(mode)}, operator {_shown(operator)}")
+        raise damage_error(where, expected, f"mode {_value_text(mode)}, operator {_value_text(operator)}")
 
 
-def _shown(value: object) -> str:
+def _value_text(value: object) -> str:
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) > MAX_WHOLE:
         return "a larger number"
     return repr(value)[:60]
 
 
-def shortened(text: str, most: int) -> str:
+def shortened_text(text: str, most: int) -> str:
     """Return a text with control characters replaced, cut with an ellipsis to at most ``most`` characters."""
     text = _NOT_TEXT.sub("\ufffd", text)
     return text if len(text) <= most else text[: most - 1] + "\u2026"
 
 
-def cleaned(value: Any, most: int) -> Any:
-    """Return a copy of plain JSON in which :func:`shortened` was applied to every text."""
+def with_shortened_texts(value: Any, most: int) -> Any:
+    """Return a copy of plain JSON in which :func:`shortened_text` was applied to every text."""
     if isinstance(value, str):
-        return shortened(value, most)
+        return shortened_text(value, most)
     if isinstance(value, Mapping):
-        return {cleaned(key, most): cleaned(part, most) for key, part in value.items()}
+        return {with_shortened_texts(key, most): with_shortened_texts(part, most) for key, part in value.items()}
     if isinstance(value, list | tuple):
-        return [cleaned(part, most) for part in value]
+        return [with_shortened_texts(part, most) for part in value]
     return value
 
 

@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.case.bounds import MAX_NAME_CHARS, cleaned
-from carina.case.error_texts import damaged
+from carina.case.bounds import MAX_NAME_CHARS, with_shortened_texts
+from carina.case.error_texts import damage_error
 from carina.errors import UsageError
 
 __all__ = [
@@ -21,11 +21,11 @@ __all__ = [
     "MOST_DEFLATED",
     "as_checked_json",
     "as_json",
-    "deflated",
-    "digest_of",
+    "content_digest",
+    "deflate",
     "from_json",
-    "inflated",
-    "packed_ints",
+    "inflate",
+    "pack_ints",
 ]
 
 MAX_PIECE_BYTES: Final = 64 << 20
@@ -36,7 +36,7 @@ MOST_DEFLATED = 1040
 DTYPES: Final = {"f8": "<f8", "f4": "<f4", "i8": "<i8", "i4": "<i4", "u4": "<u4"}
 
 
-def digest_of(*parts: object) -> bytes:
+def content_digest(*parts: object) -> bytes:
     """Return a digest, 16 bytes long, of a sequence of texts, numbers, bytes and None."""
     digest = hashlib.blake2b(digest_size=16)
     for part in parts:
@@ -47,12 +47,12 @@ def digest_of(*parts: object) -> bytes:
     return digest.digest()
 
 
-def deflated(content: bytes | memoryview) -> bytes:
-    """Compress bytes with Deflate; :func:`inflated` needs their original length."""
+def deflate(content: bytes | memoryview) -> bytes:
+    """Compress bytes with Deflate; :func:`inflate` needs their original length."""
     return zlib.compress(content, 6 if len(content) < 1 << 16 else 1)
 
 
-def inflated(data: object, size: object, where: str) -> bytes:
+def inflate(data: object, size: object, where: str) -> bytes:
     """Decompress deflated bytes; the memory used is limited by their declared size, which is bounded.
 
     Parameters
@@ -70,31 +70,31 @@ def inflated(data: object, size: object, where: str) -> bytes:
         ``case.damaged``.
     """
     if not isinstance(data, bytes) or not isinstance(size, int):
-        raise damaged(where, "compressed bytes and their size", f"{type(data).__name__} and {type(size).__name__}")
+        raise damage_error(where, "compressed bytes and their size", f"{type(data).__name__} and {type(size).__name__}")
     most = min(MAX_PIECE_BYTES, MOST_DEFLATED * len(data))
     if not 0 <= size <= most:
-        raise damaged(where, f"a decompressed size of 0 to {most} bytes", f"{size}")
+        raise damage_error(where, f"a decompressed size of 0 to {most} bytes", f"{size}")
     inflater = zlib.decompressobj()
     try:
         content = inflater.decompress(data, size + 1)
     except zlib.error as trouble:
-        raise damaged(where, "valid compressed bytes", f"invalid ones ({trouble})") from None
+        raise damage_error(where, "valid compressed bytes", f"invalid ones ({trouble})") from None
     if len(content) != size or not inflater.eof or inflater.unused_data:
-        raise damaged(where, f"{size} bytes", "a different size")
+        raise damage_error(where, f"{size} bytes", "a different size")
     return content
 
 
-def packed_ints(values: list[int] | NDArray[np.int32]) -> bytes:
+def pack_ints(values: list[int] | NDArray[np.int32]) -> bytes:
     """Return integers from 0 to 2**31 as compressed 32-bit differences, little-endian.
 
     Row numbers in a table are often consecutive, so their differences compress well.
     """
     found = np.asarray(values, dtype="<i4")
-    return deflated(np.diff(found, prepend=np.int32(0)).astype("<i4").tobytes())
+    return deflate(np.diff(found, prepend=np.int32(0)).astype("<i4").tobytes())
 
 
-def unpacked_ints(data: object, count: int, where: str) -> NDArray[np.int32]:
-    """Return the integers, ``(count,)``, of a blob that :func:`packed_ints` has made.
+def unpack_ints(data: object, count: int, where: str) -> NDArray[np.int32]:
+    """Return the integers, ``(count,)``, of a blob that :func:`pack_ints` has made.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def unpacked_ints(data: object, count: int, where: str) -> NDArray[np.int32]:
     where
         Name of the data for messages.
     """
-    content = np.frombuffer(inflated(data, 4 * count, where), dtype="<i4")
+    content = np.frombuffer(inflate(data, 4 * count, where), dtype="<i4")
     return np.cumsum(content, dtype=np.int64).astype(np.int32)
 
 
@@ -137,7 +137,7 @@ def as_checked_json(value: object, decoder: msgspec.json.Decoder[Any], what: str
             decoder.decode(json_text)
         except msgspec.ValidationError:
             # A message that is too long or a control character in a name must not prevent saving.
-            json_text = as_json(cleaned(msgspec.json.decode(json_text), MAX_NAME_CHARS))
+            json_text = as_json(with_shortened_texts(msgspec.json.decode(json_text), MAX_NAME_CHARS))
             decoder.decode(json_text)
         if len(json_text) > MAX_JSON_BYTES:
             raise ValueError(f"expected at most {MAX_JSON_BYTES} bytes, found {len(json_text)}")
@@ -164,15 +164,15 @@ def from_json(content: object, decoder: msgspec.json.Decoder[Any], where: str) -
         ``case.damaged``: if the content is not JSON of this type.
     """
     if not isinstance(content, bytes | str) or len(content) > MAX_JSON_BYTES:
-        raise damaged(where, f"JSON of at most {MAX_JSON_BYTES} bytes", type(content).__name__)
+        raise damage_error(where, f"JSON of at most {MAX_JSON_BYTES} bytes", type(content).__name__)
     try:
         return decoder.decode(content)
     except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as trouble:
         found = f"other content ({str(trouble)[:200]})"
-        raise damaged(where, "values as described in docs/case-file.md", found) from None
+        raise damage_error(where, "values as described in docs/case-file.md", found) from None
 
 
-def _plain(value: Any) -> Any:
+def _plain_value(value: Any) -> Any:
     """Convert NumPy numbers and arrays to plain Python values for the JSON encoder."""
     if isinstance(value, np.generic):
         return value.item()
@@ -181,4 +181,4 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"a case file cannot contain {type(value).__name__}")
 
 
-_ENCODER = msgspec.json.Encoder(enc_hook=_plain)
+_ENCODER = msgspec.json.Encoder(enc_hook=_plain_value)

@@ -8,18 +8,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from carina.case.error_texts import CaseFileError, damaged, refused
+from carina.case.error_texts import CaseFileError, damage_error, unusable_file_error
 from carina.case.sqlite_journals import check_files
 from carina.disk import disk_trouble, open_regular
 from carina.errors import CarinaError, DiskError
 
 __all__ = [
     "check_header",
-    "check_whole",
-    "connected",
-    "no_surprise",
-    "set_up",
-    "told",
+    "check_integrity",
+    "convert_disk_errors",
+    "convert_value_errors",
+    "open_connection",
+    "set_pragmas",
     "transaction",
 ]
 
@@ -30,7 +30,7 @@ OLDEST_SQLITE: Final = (3, 37, 0)
 """The first version of SQLite with STRICT tables, which enforce column types."""
 
 
-def connected(path: Path | None, mode: str = "rw", *, immutable: bool = False) -> sqlite3.Connection:
+def open_connection(path: Path | None, mode: str = "rw", *, immutable: bool = False) -> sqlite3.Connection:
     """Open a connection whose settings and limits do not depend on the content of the file.
 
     Parameters
@@ -62,7 +62,7 @@ def connected(path: Path | None, mode: str = "rw", *, immutable: bool = False) -
         uri = path.absolute().as_uri() + f"?mode={mode}" + ("&immutable=1" if immutable else "")
     connection = sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False, timeout=10.0)
     # Invalid UTF-8 is replaced, not refused: digests detect a damaged value, and a damaged label can still be shown.
-    connection.text_factory = _text
+    connection.text_factory = _decode_text
     try:
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE_BYTES)
         connection.setlimit(sqlite3.SQLITE_LIMIT_SQL_LENGTH, MAX_SQL_BYTES)
@@ -80,11 +80,11 @@ def connected(path: Path | None, mode: str = "rw", *, immutable: bool = False) -
     return connection
 
 
-def _text(content: bytes) -> str:
+def _decode_text(content: bytes) -> str:
     return content.decode(errors="replace")
 
 
-def set_up(connection: sqlite3.Connection) -> None:
+def set_pragmas(connection: sqlite3.Connection) -> None:
     """Set the journal mode and the disk-flush settings of a live case file: docs/decisions/0127."""
     mode = connection.execute("PRAGMA journal_mode=WAL").fetchone()[0]
     if mode != "wal":
@@ -108,7 +108,7 @@ def transaction(connection: sqlite3.Connection) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def told(path: Path) -> Iterator[None]:
+def convert_disk_errors(path: Path) -> Iterator[None]:
     """Convert errors of SQLite and of the disk that are raised in the block to Carina's errors.
 
     Parameters
@@ -121,14 +121,16 @@ def told(path: Path) -> Iterator[None]:
     except CarinaError:
         raise
     except sqlite3.Error as error:
-        raise _in_words(error, path) from error
+        raise _carina_error(error, path) from error
     except UnicodeError as error:
-        raise refused(path, f"it is damaged ({error}); open an earlier copy", code="case.damaged") from error
+        raise unusable_file_error(
+            path, f"it is damaged ({error}); open an earlier copy", code="case.damaged"
+        ) from error
     except OSError as error:
         raise disk_trouble(error, "cannot use the case at", path) from error
 
 
-def _in_words(error: sqlite3.Error, path: Path) -> CarinaError:
+def _carina_error(error: sqlite3.Error, path: Path) -> CarinaError:
     """Return the Carina error with a message for the user that corresponds to an error of SQLite."""
     code = getattr(error, "sqlite_errorcode", None)
     primary = None if code is None else code & 0xFF
@@ -152,8 +154,8 @@ def _in_words(error: sqlite3.Error, path: Path) -> CarinaError:
         kind, text = words[primary]
         return DiskError(text, code=kind)
     if primary == sqlite3.SQLITE_NOTADB:
-        return refused(path, "it is not a Carina case; choose a .carina file", code="case.not-a-case")
-    return refused(
+        return unusable_file_error(path, "it is not a Carina case; choose a .carina file", code="case.not-a-case")
+    return unusable_file_error(
         path,
         f"it is damaged ({error}); open an earlier copy, or rescue the intact parts of this one",
         code="case.damaged",
@@ -161,7 +163,7 @@ def _in_words(error: sqlite3.Error, path: Path) -> CarinaError:
 
 
 @contextlib.contextmanager
-def no_surprise() -> Iterator[None]:
+def convert_value_errors() -> Iterator[None]:
     """Convert type and value errors that are raised in the block to an error ``case.damaged``.
 
     The block decodes content of a file, so such an error means that the file contains unexpected values.
@@ -172,7 +174,7 @@ def no_surprise() -> Iterator[None]:
         raise
     except (TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError, RecursionError) as trouble:
         found = f"other content ({type(trouble).__name__})"
-        raise damaged("content", "values as described in docs/case-file.md", found) from trouble
+        raise damage_error("content", "values as described in docs/case-file.md", found) from trouble
 
 
 def check_header(path: Path) -> None:
@@ -189,10 +191,10 @@ def check_header(path: Path) -> None:
     with open_regular(path) as file:
         head = file.read(16)
     if head != b"SQLite format 3\x00":
-        raise refused(path, "it is not a Carina case; choose a .carina file", code="case.not-a-case")
+        raise unusable_file_error(path, "it is not a Carina case; choose a .carina file", code="case.not-a-case")
 
 
-def check_whole(connection: sqlite3.Connection, path: Path) -> None:
+def check_integrity(connection: sqlite3.Connection, path: Path) -> None:
     """Raise an error ``case.damaged`` if SQLite's quick check finds damage in the database.
 
     Raises
@@ -202,7 +204,7 @@ def check_whole(connection: sqlite3.Connection, path: Path) -> None:
     """
     found = [row[0] for row in connection.execute("PRAGMA quick_check(3)")]
     if found != ["ok"]:
-        raise refused(
+        raise unusable_file_error(
             path,
             f"it is damaged ({str(found[0])[:120]}); open an earlier copy, or rescue the intact parts of this one",
             code="case.damaged",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from carina.errors import VolumeImportError
 
-__all__ = ["CaseFileError", "damaged", "refused"]
+__all__ = ["CaseFileError", "damage_error", "unusable_file_error"]
 
 
 MAX_FOUND_CHARS = 120
@@ -16,14 +16,14 @@ MAX_FOUND_CHARS = 120
 class CaseFileError(VolumeImportError):
     """Error for a case file that cannot be opened; the message names the file and a remedy.
 
-    ``code`` is ``case.not-a-case``, ``case.newer``, ``case.older``, ``case.damaged``, ``case.other-scan``,
+    ``code`` is ``case.not-a-case``, ``case.newer``, ``case.older``, ``case.damage_error``, ``case.other-scan``,
     ``case.empty``, ``case.read-only``, ``case.closed`` or ``case.sqlite``.
     """
 
     code = "case"
 
 
-def refused(path: Path | str, why: str, *, code: str) -> CaseFileError:
+def unusable_file_error(path: Path | str, why: str, *, code: str) -> CaseFileError:
     """Return the error for a file that is not a case file, or for a case file that cannot be used.
 
     Parameters
@@ -38,7 +38,7 @@ def refused(path: Path | str, why: str, *, code: str) -> CaseFileError:
     return CaseFileError(f"{path}: this case cannot be opened: {why}", code=code)
 
 
-def damaged(where: str, expected: str, found: str) -> CaseFileError:
+def damage_error(where: str, expected: str, found: str) -> CaseFileError:
     """Return the error for damage in one part of a case file; long content is shortened in the message.
 
     Parameters

@@ -26,24 +26,24 @@ from carina.case.bounds import (
 from carina.case.compression import MAX_JSON_BYTES, as_checked_json, from_json
 from carina.case.database import (
     check_header,
-    check_whole,
-    connected,
-    no_surprise,
-    set_up,
-    told,
+    check_integrity,
+    convert_disk_errors,
+    convert_value_errors,
+    open_connection,
+    set_pragmas,
     transaction,
 )
-from carina.case.error_texts import CaseFileError, damaged, refused
+from carina.case.error_texts import CaseFileError, damage_error, unusable_file_error
 from carina.case.packed_ct import packed_volume, write_ct
 from carina.case.reading import CaseReader, Rows
 from carina.case.recordings import RecordingFacts, RecordingTable, RecordingWriter
 from carina.case.save_mark import SaveMark, read_save_mark, write_save_mark
-from carina.case.schema import CONTENT, check_schema, make_tables, migrated
-from carina.case.source import SourceFacts, grid_words, read_source, turn_between, write_source
-from carina.case.sqlite_journals import copied_with_journal, has_journal, set_foreign_aside
+from carina.case.schema import CONTENT, check_schema, make_tables, write_migrated_copy
+from carina.case.source import SourceFacts, axis_permutation, grid_text, read_source, write_source
+from carina.case.sqlite_journals import copied_with_journal, has_journal, rename_foreign_file
 from carina.case.stored_state import Moment
 from carina.case.summary import CaseSummary, read_summary
-from carina.case.unused_content import sweep
+from carina.case.unused_content import delete_unreferenced_rows
 from carina.case.writing import CaseWriter
 from carina.disk import Placement, ScratchFolder, disk_trouble, drafted, write_whole
 from carina.disk.move_files import move_to_new_name
@@ -149,15 +149,15 @@ class CaseFile:
                 raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
             # The database is built in memory and written atomically, so a crash leaves either no file or a complete
             # case.
-            with told(place), contextlib.closing(_begun(source)) as begun:
+            with convert_disk_errors(place), contextlib.closing(_new_in_memory_case(source)) as begun:
                 content = begun.serialize()
             write_whole(place, content, what="the case", private=True, lasting=True, placement=move_to_new_name)
         except OSError as error:
             raise disk_trouble(error, "cannot write the case to", place) from error
-        with told(place):
-            connection = connected(place, "rw")
+        with convert_disk_errors(place):
+            connection = open_connection(place, "rw")
             try:
-                set_up(connection)
+                set_pragmas(connection)
             except BaseException:
                 connection.close()
                 raise
@@ -166,7 +166,7 @@ class CaseFile:
     @classmethod
     def in_memory(cls, source: SourceFacts) -> CaseFile:
         """Create a case in memory only; :meth:`write_copy` writes it to a file."""
-        return cls(Path("case.carina"), _begun(source))
+        return cls(Path("case.carina"), _new_in_memory_case(source))
 
     @classmethod
     def open(cls, path: Path | str, *, read_only: bool = False) -> CaseFile:
@@ -200,7 +200,7 @@ class CaseFile:
         replayed.
         """
         place = Path(path)
-        with told(place), contextlib.ExitStack() as undo:
+        with convert_disk_errors(place), contextlib.ExitStack() as undo:
             check_header(place)
             left = has_journal(place)
             scratch: ScratchFolder | None = None
@@ -210,15 +210,15 @@ class CaseFile:
                 undo.callback(scratch.remove)
                 looked_at = copied_with_journal(place, scratch.path)
             connection = undo.enter_context(
-                contextlib.closing(connected(looked_at, "rw" if left else "ro", immutable=not left))
+                contextlib.closing(open_connection(looked_at, "rw" if left else "ro", immutable=not left))
             )
             standing = check_schema(connection, place)
             if standing != "ours" or read_only or left:
-                check_whole(connection, place)
+                check_integrity(connection, place)
             if standing == "older":
                 if not read_only:
                     command = carina_command("case", "migrate")
-                    raise refused(
+                    raise unusable_file_error(
                         place,
                         f"an older version of Carina saved it; migrate it with `{command}`",
                         code="case.older",
@@ -226,10 +226,10 @@ class CaseFile:
                 if scratch is None:
                     scratch = ScratchFolder()
                     undo.callback(scratch.remove)
-                migrated(connection, scratch.path / "migrated.carina")
+                write_migrated_copy(connection, scratch.path / "migrated.carina")
                 connection.close()
                 connection = undo.enter_context(
-                    contextlib.closing(connected(scratch.path / "migrated.carina", "ro", immutable=True))
+                    contextlib.closing(open_connection(scratch.path / "migrated.carina", "ro", immutable=True))
                 )
             if read_only or standing == "newer":
                 undo.pop_all()
@@ -240,11 +240,11 @@ class CaseFile:
                         "that version"
                     )
                 return cls(place, connection, read_only=True, note=note, scratch=scratch)
-        with told(place):
-            set_foreign_aside(place)
-            connection = connected(place, "rw")
+        with convert_disk_errors(place):
+            rename_foreign_file(place)
+            connection = open_connection(place, "rw")
             try:
-                set_up(connection)
+                set_pragmas(connection)
                 check_schema(connection, place)
             except BaseException:
                 connection.close()
@@ -262,7 +262,7 @@ class CaseFile:
                     with contextlib.suppress(sqlite3.Error, CaseFileError):
                         if self._has_orphans and not self.read_only:
                             with transaction(connection):
-                                sweep(connection, all_content(connection))
+                                delete_unreferenced_rows(connection, all_content(connection))
                     with contextlib.suppress(sqlite3.Error):
                         connection.close()
             finally:
@@ -283,9 +283,9 @@ class CaseFile:
         DiskError
             If the state cannot be written; the previously saved state stays.
         """
-        with self._lock, told(self.path):
-            connection = self._writable()
-            writer = self._needed_writer()
+        with self._lock, convert_disk_errors(self.path):
+            connection = self._writable_connection()
+            writer = self._checked_writer()
             try:
                 with transaction(connection):
                     writer.write(moment)
@@ -293,14 +293,14 @@ class CaseFile:
                 # The writer may have row numbers of rows that the transaction rolled back.
                 self._writer = None
                 raise
-            writer.kept()
+            writer.commit_rows()
             self._has_orphans = True
 
     def load(self, volume: Volume) -> Moment:
         """Return the case state that was saved last.
 
         Nothing is detected again: airways are read with their stored tree, and paths are computed at first use. The
-        airways of steps far from the present step are :class:`carina.track.FoldedAirways`.
+        airways of steps far from the current step are :class:`carina.track.FoldedAirways`.
 
         Parameters
         ----------
@@ -318,32 +318,36 @@ class CaseFile:
         CaseFileError
             ``case.other-scan``, ``case.damaged``, or ``case.empty`` if nothing was saved yet.
         """
-        with self._lock, told(self.path):
-            connection = self._open()
+        with self._lock, convert_disk_errors(self.path):
+            connection = self._checked_connection()
             source = read_source(connection)
-            turn = turn_between(source, volume)
+            turn = axis_permutation(source, volume)
             if turn is None:
-                raise refused(
+                raise unusable_file_error(
                     self.path,
-                    f"it belongs to another scan, whose grid ({grid_words(source.shape_zyx)} voxels) differs from this "
-                    f"one's ({grid_words(volume.shape_zyx)} voxels) in size or position; choose the scan that the case "
+                    f"it belongs to another scan, whose grid ({grid_text(source.shape_zyx)} voxels) differs from this "
+                    f"one's ({grid_text(volume.shape_zyx)} voxels) in size or position; choose the scan that the case "
                     "was made from",
                     code="case.other-scan",
                 )
             found = connection.execute("SELECT position, facts FROM moment").fetchone()
             if found is None:
-                raise refused(self.path, "nothing has been saved in it yet; open the scan instead", code="case.empty")
+                raise unusable_file_error(
+                    self.path, "nothing has been saved in it yet; open the scan instead", code="case.empty"
+                )
             rows = all_content(connection)
             numbered = step_rows(connection)
-            writer = None if self.read_only or not turn.is_none else self._needed_writer()
-            with self._newer_in_words(), no_surprise():
-                reader = CaseReader(rows, volume, _ignored if writer is None else writer.know, turn)
+            writer = None if self.read_only or not turn.is_identity else self._checked_writer()
+            with self._newer_version_notice(), convert_value_errors():
+                reader = CaseReader(rows, volume, _ignore_object if writer is None else writer.register_row, turn)
                 facts: f.MomentFacts = from_json(found[1], f.decoders().moment, "current state")
                 moment = reader.moment([row[1:] for row in numbered], found[0], facts)
             if writer is not None:
                 writer.reader = reader
                 objects: list[object] = [moment, *moment.steps]
-                writer.take_steps([(one, row[1:]) for one, row in zip(objects, numbered, strict=True)], numbered[0][0])
+                writer.set_written_steps(
+                    [(one, row[1:]) for one, row in zip(objects, numbered, strict=True)], numbered[0][0]
+                )
             return moment
 
     def history(self) -> tuple[StepFacts, ...]:
@@ -351,32 +355,32 @@ class CaseFile:
 
         No large data are read.
         """
-        with self._lock, told(self.path):
-            connection = self._open()
+        with self._lock, convert_disk_errors(self.path):
+            connection = self._checked_connection()
             found = connection.execute("SELECT position FROM moment").fetchone()
             position = 0 if found is None else found[0]
             rows = connection.execute(
                 "SELECT n, substr(label, 1, ?), substr(command, 1, 200), at_s FROM step ORDER BY n LIMIT ?",
                 (MAX_LABEL_CHARS + 1, MAX_STEPS),
             ).fetchall()
-        with no_surprise():
+        with convert_value_errors():
             for number, label, _, at_s in rows:
                 check_step(number, label, at_s)
             return tuple(
-                StepFacts(label, _kind_of(command), at_s, n < position)
+                StepFacts(label, _command_type_name(command), at_s, n < position)
                 for n, (_, label, command, at_s) in enumerate(rows[1:])
             )
 
     def summary(self) -> CaseSummary:
         """Return the summary for the list of cases; no large data and no CT are read."""
-        with self._lock, told(self.path), no_surprise():
-            return read_summary(self._open())
+        with self._lock, convert_disk_errors(self.path), convert_value_errors():
+            return read_summary(self._checked_connection())
 
     @property
     def source(self) -> SourceFacts:
         """Description of the CT of the case."""
-        with self._lock, told(self.path):
-            return read_source(self._open())
+        with self._lock, convert_disk_errors(self.path):
+            return read_source(self._checked_connection())
 
     @property
     def digest(self) -> str:
@@ -386,8 +390,8 @@ class CaseFile:
     @property
     def save_mark(self) -> SaveMark | None:
         """Mark of the save that wrote this named file; None for a live file and for a file of an older version."""
-        with self._lock, told(self.path):
-            return read_save_mark(self._open())
+        with self._lock, convert_disk_errors(self.path):
+            return read_save_mark(self._checked_connection())
 
     def pack(self, volume: Volume) -> None:
         """Store the CT in this file, losslessly compressed, in chunks with checksums.
@@ -399,16 +403,16 @@ class CaseFile:
         UsageError
             ``case.other-scan``: if the volume is not the CT of the case.
         """
-        with self._lock, told(self.path):
-            connection = self._writable()
+        with self._lock, convert_disk_errors(self.path):
+            connection = self._writable_connection()
             with transaction(connection):
                 write_ct(connection, volume)
 
     @property
     def holds_ct(self) -> bool:
         """Whether the file contains the CT."""
-        with self._lock, told(self.path):
-            return self._open().execute("SELECT 1 FROM ct LIMIT 1").fetchone() is not None
+        with self._lock, convert_disk_errors(self.path):
+            return self._checked_connection().execute("SELECT 1 FROM ct LIMIT 1").fetchone() is not None
 
     def packed_volume(self) -> Volume | None:
         """Return the CT stored in the file; None if the file contains none.
@@ -418,20 +422,24 @@ class CaseFile:
         CaseFileError
             ``case.damaged``.
         """
-        with self._lock, told(self.path), no_surprise():
-            return packed_volume(self._open())
+        with self._lock, convert_disk_errors(self.path), convert_value_errors():
+            return packed_volume(self._checked_connection())
 
     def set_source_path(self, path: str | None) -> None:
         """Store the path of the scan relative to the case file; None if the path is unknown."""
-        with self._lock, told(self.path):
-            connection = self._writable()
+        with self._lock, convert_disk_errors(self.path):
+            connection = self._writable_connection()
             with transaction(connection):
                 write_source(connection, replace(read_source(connection), path=path))
 
     def extra(self, kind: str) -> tuple[Any, ...]:
         """Return the extra values of a kind (a plan, a report, scores), in the order of their numbers."""
-        with self._lock, told(self.path):
-            rows = self._open().execute("SELECT json FROM extra WHERE kind = ? ORDER BY n", (kind,)).fetchall()
+        with self._lock, convert_disk_errors(self.path):
+            rows = (
+                self._checked_connection()
+                .execute("SELECT json FROM extra WHERE kind = ? ORDER BY n", (kind,))
+                .fetchall()
+            )
             where = f"extra data of kind {kind[:80]}"
             found = tuple(from_json(json_text, f.decoders().extra, where) for (json_text,) in rows)
             check_plain(found, where, most_chars=MAX_JSON_BYTES)
@@ -447,8 +455,8 @@ class CaseFile:
         values
             The new values, in their order.
         """
-        with self._lock, told(self.path):
-            connection = self._writable()
+        with self._lock, convert_disk_errors(self.path):
+            connection = self._writable_connection()
             with transaction(connection):
                 connection.execute("DELETE FROM extra WHERE kind = ?", (kind,))
                 for n, value in enumerate(values):
@@ -468,8 +476,8 @@ class CaseFile:
         begun_s
             Start of the recording, in seconds since the creation of the case.
         """
-        with self._lock, told(self.path):
-            return RecordingWriter(name, begun_s, self._table())
+        with self._lock, convert_disk_errors(self.path):
+            return RecordingWriter(name, begun_s, self._recording_table())
 
     def keep_recording(self, recording: RecordingWriter) -> None:
         """Store the text recorded since the last call, in chunks of at most a second.
@@ -479,14 +487,14 @@ class CaseFile:
         DiskError
             If the text cannot be written; it then stays in memory.
         """
-        with self._lock, told(self.path):
-            self._writable()
-            recording.keep(self._table())
+        with self._lock, convert_disk_errors(self.path):
+            self._writable_connection()
+            recording.keep(self._recording_table())
 
     def recordings(self) -> tuple[RecordingFacts, ...]:
         """Return name, note, start and length of all recordings, in the user's order."""
-        with self._lock, told(self.path):
-            return self._table().all()
+        with self._lock, convert_disk_errors(self.path):
+            return self._recording_table().all()
 
     def recording(self, recording_id: int) -> Recording:
         """Return a recording for replay.
@@ -499,12 +507,12 @@ class CaseFile:
         Raises
         ------
         UsageError
-            ``case.recording``: if no recording has this number.
+            ``case.write_recording``: if no recording has this number.
         CaseFileError, VolumeImportError
             If the recording is damaged, or its content is not a recording.
         """
-        with self._lock, told(self.path):
-            return self._table().read(recording_id)
+        with self._lock, convert_disk_errors(self.path):
+            return self._recording_table().read(recording_id)
 
     def recording_text(self, recording_id: int) -> str:
         """Return a recording as the text of a ``carina-recording`` file, which other programs read.
@@ -514,8 +522,8 @@ class CaseFile:
         UsageError, CaseFileError
             As in :meth:`recording`.
         """
-        with self._lock, told(self.path):
-            return self._table().text(recording_id)
+        with self._lock, convert_disk_errors(self.path):
+            return self._recording_table().text(recording_id)
 
     def set_recordings(self, wanted: Sequence[RecordingFacts], *, removed: Collection[int] = ()) -> None:
         """Set the names, notes and order of the recordings, and delete the removed ones.
@@ -534,26 +542,26 @@ class CaseFile:
         DiskError
             If the changes cannot be written.
         """
-        with self._lock, told(self.path):
-            self._table().become(wanted, removed)
+        with self._lock, convert_disk_errors(self.path):
+            self._recording_table().replace_list(wanted, removed)
 
     def change_recording(self, recording_id: int, *, name: str | None = None, words: str | None = None) -> None:
         """Change the name or the note of a recording; None leaves the value unchanged."""
-        with self._lock, told(self.path):
-            self._table().change(recording_id, name=name, words=words)
+        with self._lock, convert_disk_errors(self.path):
+            self._recording_table().change(recording_id, name=name, words=words)
 
     def order_recordings(self, recording_ids: Sequence[int]) -> None:
         """Set the order of the recordings; the argument contains the number of every recording once."""
-        with self._lock, told(self.path):
-            self._table().order(recording_ids)
+        with self._lock, convert_disk_errors(self.path):
+            self._recording_table().order(recording_ids)
 
     def forget_recording(self, recording_id: int) -> None:
         """Delete a recording."""
-        with self._lock, told(self.path):
-            self._table().forget(recording_id)
+        with self._lock, convert_disk_errors(self.path):
+            self._recording_table().forget(recording_id)
 
-    def _table(self) -> RecordingTable:
-        return RecordingTable(self._open, self._writable, self._lock, self.path)
+    def _recording_table(self) -> RecordingTable:
+        return RecordingTable(self._checked_connection, self._writable_connection, self._lock, self.path)
 
     def write_copy(
         self,
@@ -595,17 +603,20 @@ class CaseFile:
             If ``placement`` refuses the move; a former file at the path stays.
         """
         target = Path(path)
-        with self._lock, told(self.path):
-            pages, size = (self._open().execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "page_size"))
+        with self._lock, convert_disk_errors(self.path):
+            pages, size = (
+                self._checked_connection().execute(f"PRAGMA {name}").fetchone()[0]
+                for name in ("page_count", "page_size")
+            )
         if volume is None and pages * size <= MAX_IN_MEMORY_BYTES:
-            with told(self.path), contextlib.closing(connected(None)) as copy:
+            with convert_disk_errors(self.path), contextlib.closing(open_connection(None)) as copy:
                 self._back_up(copy, ct_place, save_mark)
                 content = copy.serialize()
             write_whole(target, content, what="the case", private=private, lasting=True, placement=placement)
             return
         with ScratchFolder() as folder:
             made = folder / "copy.carina"
-            with told(made), contextlib.closing(connected(made, "rwc")) as copy:
+            with convert_disk_errors(made), contextlib.closing(open_connection(made, "rwc")) as copy:
                 self._back_up(copy, ct_place, save_mark)
                 if volume is not None:
                     with transaction(copy):
@@ -627,52 +638,52 @@ class CaseFile:
     def _back_up(self, copy: sqlite3.Connection, ct_place: str | None, save_mark: SaveMark | None) -> None:
         """Copy the whole case to another database connection, without unreferenced rows and without a journal."""
         with self._lock:
-            self._open().backup(copy)
+            self._checked_connection().backup(copy)
         copy.execute("PRAGMA journal_mode=DELETE")
         # An incomplete copy is thrown away after a crash, so it needs no flush.
         copy.execute("PRAGMA synchronous=OFF")
         with transaction(copy):
             write_source(copy, replace(read_source(copy), path=ct_place))
             write_save_mark(copy, save_mark)
-            sweep(copy, all_content(copy))
+            delete_unreferenced_rows(copy, all_content(copy))
         copy.execute("VACUUM")
 
     @contextlib.contextmanager
-    def _newer_in_words(self) -> Iterator[None]:
+    def _newer_version_notice(self) -> Iterator[None]:
         """Replace a damage error, raised in the block, by an update notice if a newer Carina wrote the file."""
         try:
             yield
         except CaseFileError as trouble:
             if self.note is None or trouble.code != "case.damaged":
                 raise
-            raise refused(
+            raise unusable_file_error(
                 self.path,
                 f"a newer version of Carina saved it, with content that this version cannot read; "
                 f"update Carina ({trouble})",
                 code="case.newer",
             ) from trouble
 
-    def _needed_writer(self) -> CaseWriter:
+    def _checked_writer(self) -> CaseWriter:
         if self._writer is None:
-            self._writer = CaseWriter(self._open())
+            self._writer = CaseWriter(self._checked_connection())
         return self._writer
 
-    def _open(self) -> sqlite3.Connection:
+    def _checked_connection(self) -> sqlite3.Connection:
         if self._connection is None:
             raise CaseFileError(f"{self.path}: this case is closed; open it again", code="case.closed")
         return self._connection
 
-    def _writable(self) -> sqlite3.Connection:
+    def _writable_connection(self) -> sqlite3.Connection:
         if self.read_only:
             raise CaseFileError(
                 f"{self.path}: this case is open for reading only; open it for writing, or save a copy elsewhere",
                 code="case.read-only",
             )
-        return self._open()
+        return self._checked_connection()
 
 
 def migrate(path: Path | str, target: Path | str) -> None:
-    """Write a case of an older version of Carina to a new file in the present format; the original stays unchanged.
+    """Write a case of an older version of Carina to a new file in the current format; the original stays unchanged.
 
     Parameters
     ----------
@@ -709,12 +720,12 @@ def migrate_live(path: Path) -> Path:
     DiskError
         If a file cannot be written; the live file then stays unchanged.
     """
-    with CaseFile.open(path, read_only=True) as case, told(path):
+    with CaseFile.open(path, read_only=True) as case, convert_disk_errors(path):
         if has_journal(path):
             # CaseFile.open has checked the journal in a copy, so it is safe to write the journal into the file.
-            with contextlib.closing(connected(path, "rw")) as live:
+            with contextlib.closing(open_connection(path, "rw")) as live:
                 live.execute("PRAGMA journal_mode=DELETE")
-        with contextlib.closing(connected(path, "ro", immutable=True)) as old:
+        with contextlib.closing(open_connection(path, "ro", immutable=True)) as old:
             schema = old.execute("PRAGMA user_version").fetchone()[0]
         before = path.with_name(f"{path.stem}-schema-{schema}{path.suffix}")
         size = path.stat().st_size
@@ -727,9 +738,9 @@ def migrate_live(path: Path) -> Path:
     return before
 
 
-def _begun(source: SourceFacts) -> sqlite3.Connection:
+def _new_in_memory_case(source: SourceFacts) -> sqlite3.Connection:
     """Return the connection of a new in-memory database with a case without steps."""
-    connection = connected(None)
+    connection = open_connection(None)
     with transaction(connection):
         make_tables(connection)
         write_source(connection, source)
@@ -747,14 +758,14 @@ def all_content(connection: sqlite3.Connection) -> Rows:
     for table in CONTENT:
         count = connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
         if count > MAX_ROWS:
-            raise damaged(table, f"at most {MAX_ROWS} rows", str(count))
+            raise damage_error(table, f"at most {MAX_ROWS} rows", str(count))
     pages, size = (connection.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "page_size"))
     chunks = sum(
         connection.execute(f"SELECT coalesce(sum(length(data)), 0) FROM {table}").fetchone()[0]
         for table in ("ct", "recording_chunk")
     )
     if pages * size - chunks > MAX_CONTENT_BYTES:
-        raise damaged("content", f"at most {MAX_CONTENT_BYTES} bytes", str(pages * size - chunks))
+        raise damage_error("content", f"at most {MAX_CONTENT_BYTES} bytes", str(pages * size - chunks))
     return {table: {row[0]: row[1:] for row in connection.execute(f"SELECT * FROM {table}")} for table in CONTENT}
 
 
@@ -768,13 +779,13 @@ def step_rows(connection: sqlite3.Connection) -> list[tuple[Any, ...]]:
     """
     count = connection.execute("SELECT count(*) FROM step").fetchone()[0]
     if not 1 <= count <= MAX_STEPS:
-        raise damaged("history", f"1 to {MAX_STEPS} steps", str(count))
+        raise damage_error("history", f"1 to {MAX_STEPS} steps", str(count))
     sql = "SELECT n, substr(label, 1, ?), command, at_s, document FROM step ORDER BY n"
     rows = connection.execute(sql, (MAX_LABEL_CHARS + 1,)).fetchall()
     for row in rows:
         check_step(row[0], row[1], row[3])
     if [row[0] for row in rows] != list(range(rows[0][0], rows[0][0] + count)):
-        raise damaged("history", "consecutive step numbers", "a gap")
+        raise damage_error("history", "consecutive step numbers", "a gap")
     return rows
 
 
@@ -800,12 +811,12 @@ def check_step(number: int, label: object, at_s: object) -> None:
     bounded_number(at_s, f"time of step {number}", 0.0, MAX_S)
 
 
-def _ignored(_kind: str, _value: object, _row: int) -> None:
+def _ignore_object(_kind: str, _value: object, _row: int) -> None:
     """Ignore an object that was read from a row; a read-only file needs no row numbers for later saves."""
 
 
-def _kind_of(command: object) -> str | None:
-    """Return the present name of a command's type from the beginning of its JSON; None if there is none."""
+def _command_type_name(command: object) -> str | None:
+    """Return the current name of a command's type from the beginning of its JSON; None if there is none."""
     if not isinstance(command, str):
         return None
     _, mark, rest = command.partition('"type":"')

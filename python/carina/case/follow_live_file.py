@@ -10,13 +10,13 @@ from typing import Any
 
 from carina.case import json_records as f
 from carina.case.compression import from_json
-from carina.case.database import connected, no_surprise, told
+from carina.case.database import convert_disk_errors, convert_value_errors, open_connection
 from carina.case.document import Document
-from carina.case.error_texts import refused
+from carina.case.error_texts import unusable_file_error
 from carina.case.file import all_content, step_rows
 from carina.case.reading import CaseReader, Rows
 from carina.case.schema import CONTENT, check_schema
-from carina.case.source import grid_words, read_source, turn_between
+from carina.case.source import axis_permutation, grid_text, read_source
 from carina.case.stored_state import Moment
 from carina.volume import Volume
 
@@ -49,7 +49,7 @@ class CaseFollower:
         """Return the path of the file."""
         return f"CaseFollower({str(self.path)!r})"
 
-    def newest(self) -> Moment:
+    def latest_moment(self) -> Moment:
         """Return the case state that was saved last; the same object if nothing was saved since the last call.
 
         Raises
@@ -59,9 +59,9 @@ class CaseFollower:
         DiskError
             If the file cannot be read.
         """
-        with told(self.path), contextlib.closing(connected(self.path, "ro")) as connection:
+        with convert_disk_errors(self.path), contextlib.closing(open_connection(self.path, "ro")) as connection:
             if check_schema(connection, self.path) != "ours":
-                raise refused(
+                raise unusable_file_error(
                     self.path,
                     "another version of Carina has it open; work in that version, or close the case there first",
                     code="case.newer",
@@ -69,31 +69,33 @@ class CaseFollower:
             connection.execute("BEGIN")
             found = connection.execute("SELECT position, facts FROM moment").fetchone()
             if found is None:
-                raise refused(self.path, "nothing has been saved in it yet; open the scan instead", code="case.empty")
+                raise unusable_file_error(
+                    self.path, "nothing has been saved in it yet; open the scan instead", code="case.empty"
+                )
             saved = (found, step_rows(connection))
             if self._newest is None or saved != self._saved:
-                self._newest = self._read(connection, *saved)
+                self._newest = self._read_moment(connection, *saved)
                 self._saved = saved
             return self._newest
 
-    def _read(
+    def _read_moment(
         self, connection: sqlite3.Connection, found: tuple[Any, ...], numbered: Sequence[tuple[Any, ...]]
     ) -> Moment:
         """Return the case state of the given step rows, after reading the content rows that are new."""
         if self._reader is None or not self._take_new_rows(connection):
             source = read_source(connection)
-            turn = turn_between(source, self._volume)
+            turn = axis_permutation(source, self._volume)
             if turn is None:
-                raise refused(
+                raise unusable_file_error(
                     self.path,
-                    f"it belongs to another scan, whose grid ({grid_words(source.shape_zyx)} voxels) differs from this "
-                    f"one's ({grid_words(self._volume.shape_zyx)} voxels) in size or position; choose the scan that "
+                    f"it belongs to another scan, whose grid ({grid_text(source.shape_zyx)} voxels) differs from this "
+                    f"one's ({grid_text(self._volume.shape_zyx)} voxels) in size or position; choose the scan that "
                     "the case was made from",
                     code="case.other-scan",
                 )
             self._rows = all_content(connection)
-            self._reader = _GrowingReader(self._rows, self._volume, _ignored, turn)
-        with no_surprise():
+            self._reader = _GrowingReader(self._rows, self._volume, _ignore_object, turn)
+        with convert_value_errors():
             facts: f.MomentFacts = from_json(found[1], f.decoders().moment, "current state")
             return self._reader.moment([row[1:] for row in numbered], found[0], facts)
 
@@ -115,12 +117,12 @@ class CaseFollower:
 
 
 class _GrowingReader(CaseReader):
-    """Reader of consecutive case states; only the edited airways of the present step are unpacked."""
+    """Reader of consecutive case states; only the edited airways of the current step are unpacked."""
 
     _present: int | None = None
-    """Row number of the present airways."""
+    """Row number of the current airways."""
     _whole_documents: dict[int, Document] | None = None
-    """Documents that contain the present airways unpacked, by row number."""
+    """Documents that contain the current airways unpacked, by row number."""
 
     def moment(self, steps: Sequence[tuple[Any, ...]], position: int, facts: f.MomentFacts) -> Moment:
         """Return the case state with the given steps; content shared with the preceding state is reused."""
@@ -131,7 +133,7 @@ class _GrowingReader(CaseReader):
             present = self.airways_of(steps[position][3])
             if present != self._present:
                 self._present, self._whole_documents = present, None
-                # Documents that were read while the present airways were not the present ones contain them in packed
+                # Documents that were read while the current airways were not the current ones contain them in packed
                 # form.
                 folded: object = None if present is None else self._folded.get(present)
                 if folded is not None:
@@ -148,5 +150,5 @@ class _GrowingReader(CaseReader):
             return made
 
 
-def _ignored(_kind: str, _value: object, _row: int) -> None:
+def _ignore_object(_kind: str, _value: object, _row: int) -> None:
     """Ignore an object that was read from a row; a follower writes nothing, so it needs no row numbers."""

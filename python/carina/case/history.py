@@ -1,4 +1,4 @@
-"""Undo and redo over immutable documents: a list of steps, and the present position in it."""
+"""Undo and redo over immutable documents: a list of steps, and the current position in it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
-from carina.case.bounds import MAX_LABEL_CHARS, shortened
+from carina.case.bounds import MAX_LABEL_CHARS, shortened_text
 from carina.commands import Command
 from carina.display import one_line
 
@@ -75,7 +75,7 @@ class History(Generic[D]):
 
     @property
     def current(self) -> D:
-        """The document at the present position."""
+        """The document at the current position."""
         return self._steps[self._position - 1].document if self._position else self._first
 
     @property
@@ -112,7 +112,7 @@ class History(Generic[D]):
         document
             The document after the change.
         now_s
-            Present time in seconds on a monotonic clock, to find out whether changes of a gesture follow closely.
+            Current time in seconds on a monotonic clock, to find out whether changes of a gesture follow closely.
         gesture
             Identifies the gesture; None for a change that always becomes its own step.
         command
@@ -124,7 +124,7 @@ class History(Generic[D]):
         del self._steps[self._position :]
         if merges and self._steps:
             label = self._steps.pop().label
-        self._steps.append(Step(shortened(label, MAX_LABEL_CHARS), document, command, at_s))
+        self._steps.append(Step(shortened_text(label, MAX_LABEL_CHARS), document, command, at_s))
         while len(self._steps) > MAX_STEPS:
             self._forget_oldest()
         self._position = len(self._steps)
@@ -136,21 +136,21 @@ class History(Generic[D]):
         All documents are edited, because otherwise undoing an earlier change of the user would remove the result.
         """
         self._first = edit(self._first)
-        self._steps = [_with(step, edit(step.document)) for step in self._steps]
+        self._steps = [_with_document(step, edit(step.document)) for step in self._steps]
 
     def amend_current(self, edit: Callable[[D], D]) -> None:
-        """Apply an edit to the document at the present position only, without adding a step."""
+        """Apply an edit to the document at the current position only, without adding a step."""
         if not self._position:
             self._first = edit(self._first)
         else:
             step = self._steps[self._position - 1]
-            self._steps[self._position - 1] = _with(step, edit(step.document))
+            self._steps[self._position - 1] = _with_document(step, edit(step.document))
 
     def keep_distinct(self, what: Callable[[D], object], num_kept: int) -> None:
         """Delete the oldest steps until the documents contain at most ``num_kept`` different values of ``what``.
 
         The deletion limits the memory for ``what(document)``, a large part of the document; values are compared by
-        identity. The step at the present position is never deleted.
+        identity. The step at the current position is never deleted.
 
         Parameters
         ----------
@@ -166,7 +166,7 @@ class History(Generic[D]):
     def fold_far(self, what: Callable[[D], object], num_near: int, fold: Callable[[D], D]) -> None:
         """Replace the documents far from the present one by ``fold(document)``, which takes less memory.
 
-        The ``num_near`` different objects ``what(document)`` that are nearest to the present position, in both
+        The ``num_near`` different objects ``what(document)`` that are nearest to the current position, in both
         directions, stay unfolded.
 
         Parameters
@@ -186,11 +186,11 @@ class History(Generic[D]):
                 if 0 <= place < len(documents) and len(near) < num_near:
                     near.add(id(what(documents[place])))
 
-        def folded(document: D) -> D:
+        def fold_step(document: D) -> D:
             return document if id(what(document)) in near else fold(document)
 
-        self._first = folded(self._first)
-        self._steps = [_with(step, folded(step.document)) for step in self._steps]
+        self._first = fold_step(self._first)
+        self._steps = [_with_document(step, fold_step(step.document)) for step in self._steps]
 
     def documents(self) -> list[D]:
         """Return the first document, and the document after each step."""
@@ -231,5 +231,5 @@ class History(Generic[D]):
         self._first = self._steps.pop(0).document
 
 
-def _with(step: Step[D], document: D) -> Step[D]:
+def _with_document(step: Step[D], document: D) -> Step[D]:
     return step if document is step.document else replace(step, document=document)

@@ -57,7 +57,7 @@ Message = Annotated[str, Meta(max_length=MAX_MESSAGE_CHARS, pattern=TEXT)]
 Name = Annotated[str, Meta(max_length=MAX_NAME_CHARS, pattern=TEXT)]
 ShortWords = Annotated[str, Meta(min_length=1, max_length=MAX_NAME_CHARS, pattern=TEXT)]
 EARLIER_NAMES = {"edit_keys": "edit_key_frames", "set_key_flight": "set_key_frame_flight"}
-"""Names of commands in files of earlier versions, with the present name of each command."""
+"""Names of commands in files of earlier versions, with the current name of each command."""
 _EARLIER = re.compile(rf'^\{{"type":"({"|".join(EARLIER_NAMES)})"')
 Ids = Annotated[tuple[RowId, ...], Meta(max_length=MAX_LIST)]
 
@@ -289,12 +289,12 @@ def decoders() -> _Decoders:
     return _Decoders()
 
 
-def command_from_json(said: str | None, where: str) -> Any:
+def command_from_json(text: str | None, where: str) -> Any:
     """Return the command of a step, also under its name in an earlier version; None if the step has none.
 
     Parameters
     ----------
-    said
+    text
         JSON of the command from the file; None for a step without a command.
     where
         Name of the step for messages.
@@ -304,7 +304,7 @@ def command_from_json(said: str | None, where: str) -> Any:
     CaseFileError
         ``case.damaged``: if the JSON is not a command.
     """
-    if said is None:
+    if text is None:
         return None
-    now = _EARLIER.sub(lambda found: f'{{"type":"{EARLIER_NAMES[found[1]]}"', said) if isinstance(said, str) else said
+    now = _EARLIER.sub(lambda found: f'{{"type":"{EARLIER_NAMES[found[1]]}"', text) if isinstance(text, str) else text
     return from_json(now, decoders().command, where)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from carina.case import json_records as f
 from carina.case.bounds import MAX_MM, MAX_NUMBER, bounded_array
-from carina.case.compression import deflated, inflated, packed_ints, unpacked_ints
-from carina.case.error_texts import damaged
+from carina.case.compression import deflate, inflate, pack_ints, unpack_ints
+from carina.case.error_texts import damage_error
 from carina.track import BranchMeasures, BranchSummary, ForkMeasures, Stenosis
 from carina.track.measures.branch_measures import RAYS_PER_MM
 
@@ -48,12 +48,12 @@ def sections_of(measures: BranchMeasures) -> dict[str, Any]:
     figures = b"".join(np.ascontiguousarray(column.T).tobytes() for column in columns)
     rays = np.concatenate([getattr(measures, name) for name in RAYS], axis=1)
     steps = np.where(np.isfinite(rays), np.rint(rays * RAYS_PER_MM), NO_RAY).astype(np.int32)
-    return {"num_sections": len(measures.at_mm), "figures": deflated(figures), "rays": packed_ints(steps.ravel())}
+    return {"num_sections": len(measures.at_mm), "figures": deflate(figures), "rays": pack_ints(steps.ravel())}
 
 
 def flags_of(measures: BranchMeasures) -> bytes:
     """Return compressed flags, one integer per cross-section, that mark sections excluded from the summary."""
-    return packed_ints(measures.at_junction * AT_JUNCTION + measures.at_edge * AT_EDGE)
+    return pack_ints(measures.at_junction * AT_JUNCTION + measures.at_edge * AT_EDGE)
 
 
 def branch_facts(measures: BranchMeasures, fork: ForkMeasures | None) -> f.MeasuredFacts:
@@ -107,9 +107,9 @@ def branch_from(
     """
     count, figures, rays = columns
     if count != num_points or not 0 <= count <= MAX_SECTIONS:
-        raise damaged(where, f"{num_points} sections", str(count)[:40])
+        raise damage_error(where, f"{num_points} sections", str(count)[:40])
     width = sum(FIGURES.values())
-    numbers = np.frombuffer(inflated(figures, 8 * width * count, where), dtype="<f8").reshape(width, count)
+    numbers = np.frombuffer(inflate(figures, 8 * width * count, where), dtype="<f8").reshape(width, count)
     known = numbers[~np.isnan(numbers)]
     bounded_array(known, where, -MAX_NUMBER, MAX_NUMBER)
     values: dict[str, Any] = {}
@@ -117,23 +117,23 @@ def branch_from(
     for name, wide in FIGURES.items():
         values[name] = numbers[at] if wide == 1 else np.ascontiguousarray(numbers[at : at + wide].T)
         at += wide
-    steps = unpacked_ints(rays, sum(RAYS.values()) * count, where).reshape(count, sum(RAYS.values()))
+    steps = unpack_ints(rays, sum(RAYS.values()) * count, where).reshape(count, sum(RAYS.values()))
     bounded_array(steps.ravel(), where, NO_RAY, MAX_MM * RAYS_PER_MM)
     at = 0
     for name, wide in RAYS.items():
         part = steps[:, at : at + wide]
         values[name] = np.where(part == NO_RAY, np.nan, part / RAYS_PER_MM)
         at += wide
-    marks = unpacked_ints(flags, count, where)
+    marks = unpack_ints(flags, count, where)
     bounded_array(marks, where, 0, AT_JUNCTION | AT_EDGE)
     return BranchMeasures(
         branch_id=facts.branch_id,
-        at_junction=_frozen(marks & AT_JUNCTION != 0),
-        at_edge=_frozen(marks & AT_EDGE != 0),
-        summary=_summary(facts.summary),
+        at_junction=_read_only(marks & AT_JUNCTION != 0),
+        at_edge=_read_only(marks & AT_EDGE != 0),
+        summary=_summary_of(facts.summary),
         found_by=facts.found_by,
         method=facts.method,
-        **{name: _frozen(value) for name, value in values.items()},
+        **{name: _read_only(value) for name, value in values.items()},
     )
 
 
@@ -143,7 +143,7 @@ def fork_from(facts: f.MeasuredFacts) -> ForkMeasures | None:
     return None if fork is None else ForkMeasures(facts.branch_id, **msgspec.structs.asdict(fork))
 
 
-def _summary(facts: f.SummaryFacts) -> BranchSummary:
+def _summary_of(facts: f.SummaryFacts) -> BranchSummary:
     values = msgspec.structs.asdict(facts)
     stenosis = values.pop("stenosis")
     return BranchSummary(
@@ -151,6 +151,6 @@ def _summary(facts: f.SummaryFacts) -> BranchSummary:
     )
 
 
-def _frozen(values: NDArray[Any]) -> NDArray[Any]:
+def _read_only(values: NDArray[Any]) -> NDArray[Any]:
     values.flags.writeable = False
     return values

@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.case.compression import MAX_PIECE_BYTES, MOST_DEFLATED, deflated, digest_of, inflated
-from carina.case.error_texts import damaged
-from carina.case.source import SourceFacts, read_source, turn_between
+from carina.case.compression import MAX_PIECE_BYTES, MOST_DEFLATED, content_digest, deflate, inflate
+from carina.case.error_texts import damage_error
+from carina.case.source import SourceFacts, axis_permutation, read_source
 from carina.errors import UsageError
 from carina.volume import Volume, VolumeSource, ct_digest
 
@@ -37,12 +37,12 @@ def write_ct(connection: sqlite3.Connection, volume: Volume) -> None:
     """
     source = read_source(connection)
     given = SourceFacts.of(volume, source.digest)
-    turn = turn_between(given, _standing_in(source))
+    turn = axis_permutation(given, _placeholder_volume(source))
     if turn is None or ct_digest(volume) != source.digest:
         raise UsageError(
             "only the scan that a case was made from can be packed with it; open that scan", code="case.other-scan"
         )
-    values = turn.turned(volume.hu_zyx)
+    values = turn.array_in_volume_axes(volume.hu_zyx)
     slice_bytes = 2 * values.shape[1] * values.shape[2]
     if slice_bytes > MAX_PIECE_BYTES:
         raise UsageError(
@@ -52,7 +52,7 @@ def write_ct(connection: sqlite3.Connection, volume: Volume) -> None:
     connection.execute("DELETE FROM ct")
     for n, first in enumerate(range(0, len(values), at_once)):
         slices = np.ascontiguousarray(values[first : first + at_once], dtype="<i2")
-        row = (n, first, len(slices), digest_of(slices.tobytes()), deflated(_told_apart(slices)))
+        row = (n, first, len(slices), content_digest(slices.tobytes()), deflate(_differences_as_bytes(slices)))
         connection.execute("INSERT INTO ct (n, first_k, num_k, digest, data) VALUES (?, ?, ?, ?, ?)", row)
 
 
@@ -75,27 +75,27 @@ def packed_volume(connection: sqlite3.Connection) -> Volume | None:
     for n, first, count, length in pieces:
         size = count * slice_bytes if isinstance(count, int) and count > 0 else -1
         if first != ahead or not 0 < size <= min(MAX_PIECE_BYTES, MOST_DEFLATED * length):
-            raise damaged(
+            raise damage_error(
                 f"piece {n} of the scan",
                 f"slices inside the scan, from slice {ahead} on",
                 f"{count} slices from slice {first} on",
             )
         ahead += count
     if ahead != nz:
-        raise damaged("the scan", f"{nz} slices", str(ahead))
+        raise damage_error("the scan", f"{nz} slices", str(ahead))
     values = np.empty((nz, ny, nx), dtype=np.int16)
     for n, first, count, _ in pieces:
         digest, data = connection.execute("SELECT digest, data FROM ct WHERE n = ?", (n,)).fetchone()
         where = f"piece {n} of the scan"
-        slices = _put_together(inflated(data, count * slice_bytes, where), (count, ny, nx))
-        if digest_of(slices.astype("<i2").tobytes()) != digest:
-            raise damaged(where, "content that matches its digest", "altered content")
+        slices = _voxels_of_differences(inflate(data, count * slice_bytes, where), (count, ny, nx))
+        if content_digest(slices.astype("<i2").tobytes()) != digest:
+            raise damage_error(where, "content that matches its digest", "altered content")
         values[first : first + count] = slices
     reason = None if source.is_hu else "the scan was not in Hounsfield units when the case was packed"
     return Volume(values, source.lps_from_ijk, source.is_hu, reason, VolumeSource(format="case", title="packed scan"))
 
 
-def _told_apart(slices: NDArray[np.int16]) -> bytes:
+def _differences_as_bytes(slices: NDArray[np.int16]) -> bytes:
     """Return the bytes to compress: differences of voxels along x, all low bytes before all high bytes.
 
     Neighbouring voxels have similar values, so this order compresses to two thirds of the size.
@@ -104,12 +104,12 @@ def _told_apart(slices: NDArray[np.int16]) -> bytes:
     return steps.view(np.uint8).reshape(-1, 2).T.tobytes()
 
 
-def _put_together(content: bytes, shape: tuple[int, int, int]) -> NDArray[np.int16]:
+def _voxels_of_differences(content: bytes, shape: tuple[int, int, int]) -> NDArray[np.int16]:
     planes = np.frombuffer(content, dtype=np.uint8).reshape(2, -1)
     steps = np.ascontiguousarray(planes.T).view("<i2").reshape(shape)
     return np.cumsum(steps, axis=2, dtype=np.int16)
 
 
-def _standing_in(source: SourceFacts) -> Volume:
+def _placeholder_volume(source: SourceFacts) -> Volume:
     # The caller uses only the grid of this volume; unread pages of zeros need no physical memory.
     return Volume(np.zeros(source.shape_zyx, np.int16), source.lps_from_ijk, source.is_hu)

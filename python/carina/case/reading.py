@@ -1,4 +1,4 @@
-"""Reader that builds a moment from the rows of a case file; airways far from the present step are read at first use."""
+"""Reader that builds a moment from the rows of a case file; airways far from the current step are read at first use."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from carina.case.bounds import (
     check_plain,
     check_tip,
 )
-from carina.case.compression import DTYPES, MAX_PIECE_BYTES, digest_of, from_json, inflated, unpacked_ints
-from carina.case.database import no_surprise
+from carina.case.compression import DTYPES, MAX_PIECE_BYTES, content_digest, from_json, inflate, unpack_ints
+from carina.case.database import convert_value_errors
 from carina.case.document import ChosenKeyFrame, Document, KeyFrames, Target
-from carina.case.error_texts import damaged
+from carina.case.error_texts import damage_error
 from carina.case.history import Step
 from carina.case.lumen_tiles import TILE_BYTES, from_tiles, num_tiles
 from carina.case.measures import branch_from, fork_from
@@ -88,7 +88,7 @@ class StoredAirways(FoldedAirways):
         CaseFileError
             ``case.damaged``.
         """
-        with no_surprise():
+        with convert_value_errors():
             return self.reader.airways(self.row)
 
 
@@ -112,7 +112,7 @@ class StoredMeasures:
         CaseFileError
             ``case.damaged``.
         """
-        with no_surprise():
+        with convert_value_errors():
             return self.reader.measures(self.row)
 
 
@@ -132,12 +132,12 @@ class CaseReader:
     """
 
     def __init__(
-        self, rows: Rows, volume: Volume, know: Callable[[str, object, int], None], turn: AxisPermutation
+        self, rows: Rows, volume: Volume, register_row: Callable[[str, object, int], None], turn: AxisPermutation
     ) -> None:
         self._turn = turn
         self._rows = rows
         self.volume = volume
-        self._know = know
+        self._register_row = register_row
         self._decoders = f.decoders()
         self._lock = threading.RLock()
         self._arrays: weakref.WeakValueDictionary[int, NDArray[Any]] = weakref.WeakValueDictionary()
@@ -179,9 +179,9 @@ class CaseReader:
             ``case.damaged``.
         """
         if not 1 <= position + 1 <= len(steps):
-            raise damaged("position in the history", f"0 to {len(steps) - 1}", str(position))
+            raise damage_error("position in the history", f"0 to {len(steps) - 1}", str(position))
         with self._lock:
-            # The airways of the present step are read first and in full, so that all others share data with them.
+            # The airways of the current step are read first and in full, so that all others share data with them.
             present = self.airways_of(steps[position][3])
             if present is not None:
                 self._whole[present] = self.airways(present)
@@ -221,7 +221,7 @@ class CaseReader:
         try:
             length_mm = route.path.length_mm
         except CarinaError as trouble:
-            raise damaged("route", "a flight path", f"points that make none ({str(trouble)[:200]})") from None
+            raise damage_error("route", "a flight path", f"points that make none ({str(trouble)[:200]})") from None
         bounded_number(length_mm, "route", *LENGTH_MM)
 
     def airways_of(self, document: int) -> int | None:
@@ -252,17 +252,17 @@ class CaseReader:
             lumen_threshold=None
             if threshold is None
             else bounded_number(threshold, f"row {row} of document", -MAX_NUMBER, MAX_NUMBER),
-            targets=self._value("targets", targets, self._decoders.targets, self.made_targets),
+            targets=self._value("targets", targets, self._decoders.targets, self.targets_from_facts),
             route=None if route is None else self.route(route),
             key_frames=self.keys(keys),
         )
         self._documents[row] = made
-        self._know("document", made, row)
+        self._register_row("document", made, row)
         return made
 
     def transfer(self, row: int) -> TransferFunction:
         """Return the transfer function in a row of ``value``."""
-        made: TransferFunction = self._value("transfer", row, self._decoders.transfer, _transfer)
+        made: TransferFunction = self._value("transfer", row, self._decoders.transfer, _transfer_from_json)
         return made
 
     def look(self, row: int) -> Look:
@@ -272,7 +272,7 @@ class CaseReader:
 
     def keys(self, row: int) -> KeyFrames:
         """Return the key frames in a row of ``value``."""
-        made: KeyFrames = self._value("keys", row, self._decoders.keys, _keys)
+        made: KeyFrames = self._value("keys", row, self._decoders.keys, _key_frames_from_facts)
         return made
 
     def target_facts(self, row: int) -> tuple[f.TargetFacts, ...]:
@@ -283,7 +283,7 @@ class CaseReader:
         )
         return found
 
-    def made_targets(self, targets: tuple[f.TargetFacts, ...]) -> tuple[Target, ...]:
+    def targets_from_facts(self, targets: tuple[f.TargetFacts, ...]) -> tuple[Target, ...]:
         """Return the targets, built from their facts, with their paths."""
         return tuple(
             Target(
@@ -325,7 +325,7 @@ class CaseReader:
             check_ascending(places, where)
         path_points = self._array(columns[6], "f8", width=3)
         if len(points) < 2 or len(path_points) < 2:
-            raise damaged(where, "at least two points", f"{len(points)}")
+            raise damage_error(where, "at least two points", f"{len(points)}")
         path = FlightPath.made_before(
             path_points,
             up_lps=facts.up_lps,
@@ -355,7 +355,7 @@ class CaseReader:
             needle=facts.needle,
         )
         self._routes[row] = made
-        self._know("route", made, row)
+        self._register_row("route", made, row)
         return made
 
     def any_airways(self, row: int) -> Any:
@@ -368,14 +368,14 @@ class CaseReader:
             return whole
         known = self._folded.get(row)
         if known is None:
-            known = self._folded[row] = StoredAirways(self, row, self._base(base))
-            self._know("airways", known, row)
+            known = self._folded[row] = StoredAirways(self, row, self._unedited_airways(base))
+            self._register_row("airways", known, row)
         return known
 
-    def _base(self, row: int) -> Airways:
+    def _unedited_airways(self, row: int) -> Airways:
         """Return the unedited airways in a row of ``airways``, in full, as the base of edited airways."""
         if self.columns("airways", row)[0] is not None:
-            raise damaged(f"row {row} of airways", "unedited airways as their base", "edited airways")
+            raise damage_error(f"row {row} of airways", "unedited airways as their base", "edited airways")
         whole = self._whole.get(row)
         if whole is None:
             whole = self._whole[row] = self.airways(row)
@@ -385,19 +385,19 @@ class CaseReader:
         """Return the airways in a row of ``airways`` in full; their paths are computed at first use."""
         with self._lock:
             known = self._whole.get(row)
-            return self._made_airways(row) if known is None else known
+            return self._build_airways(row) if known is None else known
 
-    def _made_airways(self, row: int) -> Airways:
+    def _build_airways(self, row: int) -> Airways:
         """Return the airways in a row, built from their lumen, tree and tracker."""
         base, lumen, tree, tracker, json_text = self.columns("airways", row)
         facts: f.AirwaysFacts = from_json(json_text, self._decoders.airways, f"row {row} of airways")
         columns = self.columns("tracker", tracker)
         levels = from_json(columns[5], self._decoders.levels, f"row {tracker} of tracker")
         if columns[0] != lumen or levels != facts.wall_levels:
-            raise damaged(f"row {row} of airways", "paths in its own lumen", "paths in another lumen")
+            raise damage_error(f"row {row} of airways", "paths in its own lumen", "paths in another lumen")
         branches, notes = self._tree(tree)
         paths = self._tracker(tracker)
-        whole_base = None if base is None else self._base(base)
+        whole_base = None if base is None else self._unedited_airways(base)
         made = Airways(
             lumen_zyx=paths.grid.lumen_on_ct(self._lumen(lumen), branches),
             root_lps=np.array(facts.root_lps, dtype=np.float64),
@@ -406,14 +406,14 @@ class CaseReader:
             threshold=float("nan") if facts.threshold is None else facts.threshold,
             notes=facts.notes,
             wall_levels=facts.wall_levels,
-            edits=tuple(self._value("edit", edit, self._decoders.edit, _edit) for edit in facts.edits),
+            edits=tuple(self._value("edit", edit, self._decoders.edit, _edit_from_facts) for edit in facts.edits),
             base=whole_base,
             next_id=facts.next_id,
-            uncertain=self._value("uncertain", facts.uncertain, self._decoders.uncertain, _uncertain),
+            uncertain=self._value("uncertain", facts.uncertain, self._decoders.uncertain, _uncertainty_from_facts),
             bridges=tuple(self._array(bridge, "f8", width=3) for bridge in facts.bridges),
             evidence=PerVolumeCache() if whole_base is None else whole_base.evidence,
         )
-        self._know("airways", made, row)
+        self._register_row("airways", made, row)
         return made
 
     def _tracker(self, row: int) -> PathTracker:
@@ -429,13 +429,13 @@ class CaseReader:
         inside = 0 <= i < nx and 0 <= j < ny and 0 <= k < nz
         root = dataclasses.replace(self._turn, shape_zyx=(nz, ny, nx)).voxel((i, j, k))
         if not inside or not lumen_zyx[root[::-1]]:
-            raise damaged(where, "a start point in the lumen", f"voxel {(i, j, k)}")
+            raise damage_error(where, "a start point in the lumen", f"voxel {(i, j, k)}")
         recipe = CoreRecipe(levels, is_edited=nodes is None)
         grid = self._grid((nz, ny, nx), where)
         made = PathTracker(grid, None, recipe=recipe, root_ijk=root, lumen_zyx=lumen_zyx)
         branches, _ = self._tree(tree)
         # Stored node numbers count along the axes of the case, so they are invalid for another order of axes.
-        if nodes is None or not self._turn.is_none:
+        if nodes is None or not self._turn.is_identity:
             made.follow_branches(branches)
         else:
             all_nodes = self._array(nodes, "u4")
@@ -445,14 +445,14 @@ class CaseReader:
             # memory.
             num_voxels = self._num_voxels[lumen] if len(all_nodes) else 0
             if (counts < 1).any() or ends[-1] != len(all_nodes) or int(all_nodes.max()) >= num_voxels:
-                raise damaged(
+                raise damage_error(
                     where,
                     f"at least one node in the lumen for each of {len(branches)} branches",
                     f"{len(all_nodes)} nodes, some of which belong to no branch or lie outside the lumen",
                 )
             made.set_branches(branches, np.split(all_nodes, ends[:-1]))
         self._trackers[row] = made
-        self._know("tracker", made, row)
+        self._register_row("tracker", made, row)
         return made
 
     def _tree(self, row: int) -> tuple[tuple[Branch, ...], tuple[Note, ...]]:
@@ -463,12 +463,12 @@ class CaseReader:
         where = f"row {row} of tree"
         count, packed, size, data = self._rows_of("tree", row)
         if not 1 <= count <= f.MAX_BRANCHES:
-            raise damaged(where, f"1 to {f.MAX_BRANCHES} branches", str(count))
-        ids, words = unpacked_ints(packed, count, where), inflated(data, size, where)
-        self._check("tree", row, digest_of("tree", ids.astype("<i4").tobytes(), words))
+            raise damage_error(where, f"1 to {f.MAX_BRANCHES} branches", str(count))
+        ids, words = unpack_ints(packed, count, where), inflate(data, size, where)
+        self._check_digest("tree", row, content_digest("tree", ids.astype("<i4").tobytes(), words))
         facts: f.TreeFacts = from_json(words, self._decoders.tree, where)
         if len(facts.branches) != count:
-            raise damaged(where, f"{count} branches", str(len(facts.branches)))
+            raise damage_error(where, f"{count} branches", str(len(facts.branches)))
         try:
             made = (
                 tuple(self._branch(int(one), json_text) for one, json_text in zip(ids, facts.branches, strict=True)),
@@ -476,7 +476,7 @@ class CaseReader:
             )
             AirwayTree(made[0])
         except CarinaError as trouble:
-            raise damaged(where, "a valid airway tree", f"an invalid one ({trouble})") from None
+            raise damage_error(where, "a valid airway tree", f"an invalid one ({trouble})") from None
         while len(self._trees) >= NO_TREES:
             del self._trees[next(iter(self._trees))]
         self._trees[row] = made
@@ -515,18 +515,20 @@ class CaseReader:
         self._grid(shape, where)
         most = num_tiles(shape)
         if not 0 <= count <= most:
-            raise damaged(where, f"at most {most} tiles", str(count))
-        places, tiles = unpacked_ints(packed_places, count, where), unpacked_ints(packed_tiles, count, where)
-        self._check(
-            "lumen", row, digest_of("lumen", nz, ny, nx, places.astype("<i4").tobytes(), tiles.astype("<i4").tobytes())
+            raise damage_error(where, f"at most {most} tiles", str(count))
+        places, tiles = unpack_ints(packed_places, count, where), unpack_ints(packed_tiles, count, where)
+        self._check_digest(
+            "lumen",
+            row,
+            content_digest("lumen", nz, ny, nx, places.astype("<i4").tobytes(), tiles.astype("<i4").tobytes()),
         )
         if count and (places[0] < 0 or places[-1] >= most or (np.diff(places) <= 0).any()):
-            raise damaged(where, "tiles in ascending order", "a different order")
+            raise damage_error(where, "tiles in ascending order", "a different order")
         bits = [self._tile(int(tile)) for tile in tiles]
         self._num_voxels[row] = sum(int.from_bytes(one).bit_count() for one in bits)
-        made = self._turn.turned(from_tiles(shape, zip(places.tolist(), bits, strict=True)))
+        made = self._turn.array_in_volume_axes(from_tiles(shape, zip(places.tolist(), bits, strict=True)))
         self._lumens[row] = made
-        self._know("lumen", made, row)
+        self._register_row("lumen", made, row)
         return made
 
     def _grid(self, shape_zyx: tuple[int, int, int], where: str) -> PathGrid:
@@ -543,13 +545,13 @@ class CaseReader:
         parts = PathGrid.parts_of(self.volume, (k, j, i))
         if parts is None:
             expected = f"the shape of the scan, {self._turn.shape_zyx}, or its longest voxels divided"
-            raise damaged(where, expected, str(shape_zyx))
+            raise damage_error(where, expected, str(shape_zyx))
         return self._grids.setdefault(parts, PathGrid(self.volume, parts))
 
     def _tile(self, row: int) -> bytes:
         (data,) = self._rows_of("tile", row)
-        bits = inflated(data, TILE_BYTES, f"row {row} of tile")
-        self._check("tile", row, digest_of("tile", bits))
+        bits = inflate(data, TILE_BYTES, f"row {row} of tile")
+        self._check_digest("tile", row, content_digest("tile", bits))
         return bits
 
     def measures_of(self, airways: int) -> StoredMeasures | None:
@@ -558,7 +560,7 @@ class CaseReader:
         if row is None:
             return None
         stored = StoredMeasures(self, row)
-        self._know("measures", stored, row)
+        self._register_row("measures", stored, row)
         return stored
 
     def measures(self, row: int) -> TreeMeasures:
@@ -568,17 +570,17 @@ class CaseReader:
             airways, packed, record = self.columns("measures", row)
             facts: f.MeasuresFacts = from_json(record, self._decoders.measures, where)
             branches, notes = self._tree(self.columns("airways", airways)[2])
-            ids = unpacked_ints(packed, len(branches), where)
+            ids = unpack_ints(packed, len(branches), where)
             found, forks = [], []
             for one, branch in zip(ids, branches, strict=True):
                 place = f"row {one} of measured_branch"
                 sections, flags, of_branch = self.columns("measured_branch", int(one))
                 json_text: f.MeasuredFacts = from_json(of_branch, self._decoders.measured, place)
                 if json_text.branch_id != branch.id:
-                    raise damaged(place, f"branch {branch.id}", str(json_text.branch_id))
+                    raise damage_error(place, f"branch {branch.id}", str(json_text.branch_id))
                 columns = self.columns("sections", sections)
                 found.append(branch_from(columns, flags, json_text, len(branch.points), place))
-                self._know("sections", found[-1].edge_mm, sections)
+                self._register_row("sections", found[-1].edge_mm, sections)
                 fork = fork_from(json_text)
                 if fork is not None:
                     forks.append(fork)
@@ -590,7 +592,7 @@ class CaseReader:
                 noise=facts.noise,
                 notes=facts.notes,
             )
-            self._know("measures", made, row)
+            self._register_row("measures", made, row)
             return made
 
     def _array(
@@ -609,18 +611,18 @@ class CaseReader:
             kind, num, across, data = self._rows_of("array", row)
             if kind not in DTYPES or not 0 <= across <= 16 or not 0 <= num <= MAX_PIECE_BYTES:
                 found_kind = f"type {kind} with {across} columns"
-                raise damaged(where, f"type {', '.join(DTYPES)} and at most 16 columns", found_kind)
-            content = inflated(data, num * max(across, 1) * int(kind[1]), where)
-            self._check("array", row, digest_of("array", kind, num, across, content))
+                raise damage_error(where, f"type {', '.join(DTYPES)} and at most 16 columns", found_kind)
+            content = inflate(data, num * max(across, 1) * int(kind[1]), where)
+            self._check_digest("array", row, content_digest("array", kind, num, across, content))
             found = np.frombuffer(content, dtype=DTYPES[kind])
             known = found.reshape(num, across) if across else found
             self._arrays[row] = known
-            self._know("array", known, row)
+            self._register_row("array", known, row)
         shape = known.shape
         if known.dtype.str != DTYPES[dtype] or len(shape) != (2 if width else 1) or (width and shape[1] != width):
-            raise damaged(where, f"{width or 1} columns of {dtype}", f"shape {shape} of {known.dtype}")
+            raise damage_error(where, f"{width or 1} columns of {dtype}", f"shape {shape} of {known.dtype}")
         if count is not None and shape[0] != count:
-            raise damaged(where, f"{count} numbers", str(shape[0]))
+            raise damage_error(where, f"{count} numbers", str(shape[0]))
         bounded_array(known, where, *(bounds or BOUNDS[dtype]))
         return known
 
@@ -631,55 +633,55 @@ class CaseReader:
         where = f"row {row} of value, kind {kind}"
         found, json_text = self.columns("value", row)
         if found != kind:
-            raise damaged(where, "this kind", f"the kind {str(found)[:40]}")
+            raise damage_error(where, "this kind", f"the kind {str(found)[:40]}")
         try:
             made = make(from_json(json_text, decoder, where))
         except CarinaError as trouble:
             if str(getattr(trouble, "code", "")).startswith("case."):
                 raise
-            raise damaged(where, f"valid {kind} data", f"invalid data ({trouble})") from None
+            raise damage_error(where, f"valid {kind} data", f"invalid data ({trouble})") from None
         except (TypeError, ValueError, KeyError, OverflowError) as trouble:
-            raise damaged(where, f"valid {kind} data", f"invalid data ({str(trouble)[:200]})") from None
+            raise damage_error(where, f"valid {kind} data", f"invalid data ({str(trouble)[:200]})") from None
         self._values[kind, row] = made
         if kind != "edit":
-            self._know(kind, made, row)
+            self._register_row(kind, made, row)
         return made
 
     def columns(self, table: str, row: int) -> tuple[Any, ...]:
         """Return the columns of a row after checking their digest."""
         columns = self._rows_of(table, row)
-        self._check(table, row, digest_of(table, *columns))
+        self._check_digest(table, row, content_digest(table, *columns))
         return columns
 
     def _rows_of(self, table: str, row: int) -> tuple[Any, ...]:
         found = self._rows[table].get(row)
         if found is None:
-            raise damaged(f"row {row} of {table}", "an entry", "none")
+            raise damage_error(f"row {row} of {table}", "an entry", "none")
         return found[1:]
 
-    def _check(self, table: str, row: int, digest: bytes) -> None:
+    def _check_digest(self, table: str, row: int, digest: bytes) -> None:
         if self._rows[table][row][0] != digest:
-            raise damaged(f"row {row} of {table}", "content that matches its digest", "altered content")
+            raise damage_error(f"row {row} of {table}", "content that matches its digest", "altered content")
 
 
-def _edit(row: dict[str, Any]) -> TreeEdit:
+def _edit_from_facts(row: dict[str, Any]) -> TreeEdit:
     """Return an airway edit from its stored fields; edits of programs may exceed the limits of the user interface."""
     check_plain(row, "an edit")
     (edit,) = edits_from_json({**edits_to_json(()), "edits": [row]})
     return edit
 
 
-def _transfer(document: dict[str, Any]) -> TransferFunction:
+def _transfer_from_json(document: dict[str, Any]) -> TransferFunction:
     check_plain(document, "a transfer function")
     return TransferFunction.from_json(document)
 
 
-def _uncertain(found: tuple[Uncertainty, ...]) -> tuple[Uncertainty, ...]:
+def _uncertainty_from_facts(found: tuple[Uncertainty, ...]) -> tuple[Uncertainty, ...]:
     check_plain([msgspec.to_builtins(one) for one in found], "uncertain places")
     return without_unproven_blocks(found)
 
 
-def _keys(facts: f.KeyFramesFacts) -> KeyFrames:
+def _key_frames_from_facts(facts: f.KeyFramesFacts) -> KeyFrames:
     frames = tuple(
         ChosenKeyFrame(
             key_id=key.key_id,

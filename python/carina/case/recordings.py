@@ -20,11 +20,11 @@ from carina.case.bounds import (
     bounded_number,
     bounded_text,
     bounded_whole,
-    shortened,
+    shortened_text,
 )
-from carina.case.compression import deflated, digest_of, inflated
-from carina.case.database import no_surprise, told, transaction
-from carina.case.error_texts import damaged
+from carina.case.compression import content_digest, deflate, inflate
+from carina.case.database import convert_disk_errors, convert_value_errors, transaction
+from carina.case.error_texts import damage_error
 from carina.display import as_words, one_line
 from carina.errors import UsageError
 from carina.navigate import Recording
@@ -87,13 +87,13 @@ class RecordingTable:
 
     def begin(self, name: str, begun_s: float, number: int | None = None) -> int:
         """Begin a recording without lines, and return its number: the given one, or the next free one."""
-        with self._lock, told(self._path):
+        with self._lock, convert_disk_errors(self._path):
             connection = self._writing()
             with transaction(connection):
                 made = connection.execute(
                     "INSERT INTO recording (id, place, name, words, begun_s, length_s, complete) VALUES "
                     "(?, (SELECT 1 + coalesce(max(place), 0) FROM recording), ?, '', ?, 0.0, 0)",
-                    (number, shortened(name, MAX_NAME_CHARS), _seconds(begun_s)),
+                    (number, shortened_text(name, MAX_NAME_CHARS), _seconds(begun_s)),
                 )
             assert made.lastrowid is not None
             return made.lastrowid
@@ -114,12 +114,12 @@ class RecordingTable:
         complete
             Whether the recording has ended.
         """
-        with self._lock, told(self._path):
+        with self._lock, convert_disk_errors(self._path):
             connection = self._writing()
             with transaction(connection):
                 for n, chunk in enumerate(chunks, start=first_n):
                     content = chunk.encode()
-                    row = (recording_id, n, len(content), digest_of(content), deflated(content))
+                    row = (recording_id, n, len(content), content_digest(content), deflate(content))
                     connection.execute(
                         "INSERT INTO recording_chunk (recording, n, size, digest, data) VALUES (?, ?, ?, ?, ?)", row
                     )
@@ -135,7 +135,7 @@ class RecordingTable:
             "FROM recording ORDER BY place, id LIMIT 100000",
             (MAX_NAME_CHARS + 1, MAX_MESSAGE_CHARS + 1),
         )
-        with no_surprise():
+        with convert_value_errors():
             return tuple(_facts_of(row) for row in rows)
 
     def text(self, recording_id: int) -> str:
@@ -145,13 +145,13 @@ class RecordingTable:
         found = connection.execute("SELECT count(*) FROM recording WHERE id = ?", (recording_id,)).fetchone()[0]
         if not found:
             raise UsageError(
-                f"this case has no recording {recording_id}; choose one from its list", code="case.recording"
+                f"this case has no recording {recording_id}; choose one from its list", code="case.write_recording"
             )
         count, size = connection.execute(
             "SELECT count(*), coalesce(sum(size), 0) FROM recording_chunk WHERE recording = ?", (recording_id,)
         ).fetchone()
         if count > MAX_CHUNKS or not isinstance(size, int) or not 0 <= size <= MAX_RECORDING_BYTES:
-            raise damaged(
+            raise damage_error(
                 where, f"at most {MAX_CHUNKS} pieces and {MAX_RECORDING_BYTES} bytes", f"{count} pieces, {size} bytes"
             )
         pieces = []
@@ -159,14 +159,16 @@ class RecordingTable:
             "SELECT n, size, digest, data FROM recording_chunk WHERE recording = ? ORDER BY n", (recording_id,)
         )
         for place, (n, size, digest, data) in enumerate(rows):
-            content = inflated(data, size, where)
-            if n != place or digest_of(content) != digest:
-                raise damaged(where, f"piece {place} with a matching digest", "a different piece or altered content")
+            content = inflate(data, size, where)
+            if n != place or content_digest(content) != digest:
+                raise damage_error(
+                    where, f"piece {place} with a matching digest", "a different piece or altered content"
+                )
             pieces.append(content)
         try:
             return b"".join(pieces).decode()
         except UnicodeDecodeError as trouble:
-            raise damaged(where, "UTF-8 text", "invalid bytes") from trouble
+            raise damage_error(where, "UTF-8 text", "invalid bytes") from trouble
 
     def read(self, recording_id: int) -> Recording:
         """Return a recording for replay."""
@@ -175,9 +177,9 @@ class RecordingTable:
     def change(self, recording_id: int, *, name: str | None, words: str | None) -> None:
         """Change the name or the note of a recording; None leaves the value unchanged."""
         sql = "UPDATE recording SET name = coalesce(?, name), words = coalesce(?, words) WHERE id = ?"
-        name = None if name is None else shortened(name, MAX_NAME_CHARS)
-        words = None if words is None else shortened(words, MAX_MESSAGE_CHARS)
-        self._change(sql, (name, words, recording_id), recording_id)
+        name = None if name is None else shortened_text(name, MAX_NAME_CHARS)
+        words = None if words is None else shortened_text(words, MAX_MESSAGE_CHARS)
+        self._update_row(sql, (name, words, recording_id), recording_id)
 
     def order(self, recording_ids: Sequence[int]) -> None:
         """Set the order of the recordings; the argument contains the number of every recording once."""
@@ -187,24 +189,29 @@ class RecordingTable:
             raise UsageError(
                 f"the new order must contain each recording once: expected {sorted(known)}; "
                 f"found {list(recording_ids)}",
-                code="case.recording",
+                code="case.write_recording",
             )
         with transaction(connection):
             rows = [(place, number) for place, number in enumerate(recording_ids, start=1)]
             connection.executemany("UPDATE recording SET place = ? WHERE id = ?", rows)
 
-    def become(self, wanted: Sequence[RecordingFacts], removed: Collection[int]) -> None:
+    def replace_list(self, wanted: Sequence[RecordingFacts], removed: Collection[int]) -> None:
         """Set the names, notes and order of the recordings, and delete the removed ones.
 
         The file is not written if nothing changes. A recording that neither argument names stays unchanged.
         """
-        with self._lock, told(self._path):
+        with self._lock, convert_disk_errors(self._path):
             connection = self._writing()
             rows = connection.execute("SELECT id, place, name, words FROM recording")
             found = {number: tuple(others) for number, *others in rows}
             gone = [(number,) for number in removed if number in found]
             texts = [
-                (place, shortened(one.name, MAX_NAME_CHARS), shortened(one.words, MAX_MESSAGE_CHARS), one.recording_id)
+                (
+                    place,
+                    shortened_text(one.name, MAX_NAME_CHARS),
+                    shortened_text(one.words, MAX_MESSAGE_CHARS),
+                    one.recording_id,
+                )
                 for place, one in enumerate(wanted, start=1)
             ]
             as_wanted = [row for row in texts if row[3] in found and found[row[3]] != row[:3]]
@@ -217,15 +224,15 @@ class RecordingTable:
 
     def forget(self, recording_id: int) -> None:
         """Delete a recording."""
-        self._change("DELETE FROM recording WHERE id = ?", (recording_id,), recording_id)
+        self._update_row("DELETE FROM recording WHERE id = ?", (recording_id,), recording_id)
 
-    def _change(self, sql: str, values: tuple[object, ...], recording_id: int) -> None:
+    def _update_row(self, sql: str, values: tuple[object, ...], recording_id: int) -> None:
         connection = self._writing()
         with transaction(connection):
             changed = connection.execute(sql, values).rowcount
         if not changed:
             raise UsageError(
-                f"this case has no recording {recording_id}; choose one from its list", code="case.recording"
+                f"this case has no recording {recording_id}; choose one from its list", code="case.write_recording"
             )
 
 
@@ -269,7 +276,7 @@ class RecordingWriter(io.TextIOBase):
     def recording_id(self) -> int:
         """Number of the recording in the case file."""
         if self._recording_id is None:
-            raise UsageError("no part of this recording has been saved in a case file yet", code="case.recording")
+            raise UsageError("no part of this recording has been saved in a case file yet", code="case.write_recording")
         return self._recording_id
 
     @property
@@ -331,7 +338,7 @@ class RecordingWriter(io.TextIOBase):
                 self._num_kept += num_ready
                 del self._chunks[:num_ready]
 
-    def waiting(self) -> tuple[int, str]:
+    def unsaved_part(self) -> tuple[int, str]:
         """Return the number of chunks in the file and the lines that are not stored yet, without disk access."""
         with self._lock:
             return self._num_kept, "".join(line for lines in self._chunks for line in lines)

@@ -13,18 +13,18 @@ import msgspec
 import numpy as np
 
 from carina.case import json_records as f
-from carina.case.bounds import MAX_LABEL_CHARS, MAX_NUMBER, MAX_S, check_tip, shortened
+from carina.case.bounds import MAX_LABEL_CHARS, MAX_NUMBER, MAX_S, check_tip, shortened_text
 from carina.case.compression import from_json
-from carina.case.database import check_header, connected, no_surprise, told
+from carina.case.database import check_header, convert_disk_errors, convert_value_errors, open_connection
 from carina.case.document import Document, KeyFrames, Target
-from carina.case.error_texts import CaseFileError, refused
+from carina.case.error_texts import CaseFileError, unusable_file_error
 from carina.case.file import MAX_ROWS, MAX_STEPS, CaseFile
 from carina.case.history import Step
 from carina.case.json_records import TargetFacts
 from carina.case.packed_ct import packed_volume
 from carina.case.reading import CaseReader, Rows
 from carina.case.schema import APPLICATION_ID, CONTENT, SCHEMA, SINCE
-from carina.case.source import read_source, turn_between
+from carina.case.source import axis_permutation, read_source
 from carina.case.sqlite_journals import copied_with_journal
 from carina.case.stored_state import Moment
 from carina.commands.look import Look
@@ -65,10 +65,10 @@ def rescued(path: Path | str, target: Path | str) -> tuple[str, ...]:
         If the new file cannot be written.
     """
     place = Path(path)
-    with told(place), ScratchFolder() as folder:
+    with convert_disk_errors(place), ScratchFolder() as folder:
         check_header(place)
         copy = copied_with_journal(place, folder)
-        with contextlib.closing(connected(copy, "rw")) as connection:
+        with contextlib.closing(open_connection(copy, "rw")) as connection:
             return _Rescue(connection, place).write(Path(target))
 
 
@@ -80,31 +80,33 @@ class _Rescue:
         self._lost: list[str] = []
         with contextlib.suppress(sqlite3.Error):
             if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
-                raise refused(path, "it is not a Carina case; choose a .carina file", code="case.not-a-case")
+                raise unusable_file_error(
+                    path, "it is not a Carina case; choose a .carina file", code="case.not-a-case"
+                )
         try:
             self._source = read_source(connection)
         except TROUBLE as trouble:
-            raise refused(
+            raise unusable_file_error(
                 path,
                 f"nothing can be recovered, because the record of its scan is lost ({trouble})",
                 code="case.damaged",
             ) from trouble
         if int(np.prod(np.array(self._source.shape_zyx, dtype=np.float64))) > MAX_VOXELS:
-            raise refused(
+            raise unusable_file_error(
                 path,
                 "nothing can be recovered, because the recorded size of its scan is impossible",
                 code="case.damaged",
             )
         # Only the grid of this volume is used; unread pages of zeros need no physical memory.
         standing_in = Volume(np.zeros(self._source.shape_zyx, np.int16), self._source.lps_from_ijk, self._source.is_hu)
-        turn = turn_between(self._source, standing_in)
+        turn = axis_permutation(self._source, standing_in)
         assert turn is not None
-        self._reader = CaseReader(self._content(), standing_in, _ignored, turn)
+        self._reader = CaseReader(self._content(), standing_in, _ignore_object, turn)
         self._whole: dict[int, bool] = {}
 
     def write(self, target: Path) -> tuple[str, ...]:
         """Write the intact content to a new case file and return the list of losses."""
-        moment = self._moment()
+        moment = self._intact_moment()
         with CaseFile.create(target, self._source) as made:
             made.save(moment)
             self._copy_recordings(made)
@@ -147,7 +149,7 @@ class _Rescue:
             misses, seen = 0, seen + 1
             yield row
 
-    def _moment(self) -> Moment:
+    def _intact_moment(self) -> Moment:
         """Return the case state with all steps whose documents are intact at least in part."""
         rows = list(self._rows("step", "n, label, command, at_s, document", "n"))[:MAX_STEPS]
         position, facts = self._facts(len(rows))
@@ -159,7 +161,7 @@ class _Rescue:
             elif row[0] <= (rows[0][0] + position):
                 position -= 1
         if not documents:
-            raise refused(
+            raise unusable_file_error(
                 self._path,
                 "nothing can be recovered, because all the changes recorded in it are lost",
                 code="case.damaged",
@@ -167,7 +169,7 @@ class _Rescue:
         return Moment(
             first=documents[0][1],
             steps=tuple(
-                Step(shortened(str(label), MAX_LABEL_CHARS), document, self._command(command), _seconds(at_s))
+                Step(shortened_text(str(label), MAX_LABEL_CHARS), document, self._command(command), _seconds(at_s))
                 for (_, label, command, at_s, _), document in documents[1:]
             ),
             position=min(max(position, 0), len(documents) - 1),
@@ -201,7 +203,7 @@ class _Rescue:
 
     def _facts(self, num_steps: int) -> tuple[int, f.MomentFacts]:
         try:
-            with no_surprise():
+            with convert_value_errors():
                 position, json_text = self._connection.execute("SELECT position, facts FROM moment").fetchone()
                 facts: f.MomentFacts = from_json(json_text, f.decoders().moment, "current state")
                 check_tip(facts.tip, "tip", has_route=True)
@@ -222,7 +224,7 @@ class _Rescue:
         n, label, _, _, row = step
         what = f"step {n} ({str(label)[:80] or 'the start'})"
         try:
-            with no_surprise():
+            with convert_value_errors():
                 document = self._reader.document(row)
                 stored: Any = document.airways
                 if stored is None or self._is_whole(row):
@@ -230,8 +232,8 @@ class _Rescue:
         except TROUBLE:
             pass
         try:
-            with no_surprise():
-                return self._without(row, what)
+            with convert_value_errors():
+                return self._without_damage(row, what)
         except TROUBLE as trouble:
             self._lost.append(f"{what}: {trouble}")
             return None
@@ -243,21 +245,21 @@ class _Rescue:
     def _airways_are_whole(self, row: int) -> bool:
         if row not in self._whole:
             try:
-                with no_surprise():
+                with convert_value_errors():
                     self._reader.airways(row)
                 self._whole[row] = True
             except TROUBLE:
                 self._whole[row] = False
         return self._whole[row]
 
-    def _without(self, row: int, what: str) -> Document:
+    def _without_damage(self, row: int, what: str) -> Document:
         """Return the document in a row without its damaged parts, which are added to the losses."""
         reader = self._reader
         airways, route, transfer, look, targets, keys, threshold = reader.columns("document", row)
 
-        def part(name: str, read: Any, otherwise: Any) -> Any:
+        def read_part(name: str, read: Any, otherwise: Any) -> Any:
             try:
-                with no_surprise():
+                with convert_value_errors():
                     return read()
             except TROUBLE:
                 self._lost.append(f"{what}: {name}")
@@ -267,23 +269,25 @@ class _Rescue:
         if airways is not None and not whole:
             self._lost.append(f"{what}: the airways")
         return Document(
-            transfer=part("the transfer function", lambda: reader.transfer(transfer), transfer_preset("endoscopic")),
-            look=part("the scope and lens settings", lambda: reader.look(look), Look()),
-            airways=part("the airways", lambda: reader.any_airways(airways), None) if whole else None,
+            transfer=read_part(
+                "the transfer function", lambda: reader.transfer(transfer), transfer_preset("endoscopic")
+            ),
+            look=read_part("the scope and lens settings", lambda: reader.look(look), Look()),
+            airways=read_part("the airways", lambda: reader.any_airways(airways), None) if whole else None,
             lumen_threshold=threshold
             if isinstance(threshold, float) and -MAX_NUMBER <= threshold <= MAX_NUMBER
             else None,
-            targets=part("the targets", lambda: self._targets(targets, what), ()),
-            route=None if route is None else part("the route", lambda: reader.route(route), None),
-            key_frames=part("the key frames", lambda: reader.keys(keys), KeyFrames()),
+            targets=read_part("the targets", lambda: self._targets(targets, what), ()),
+            route=None if route is None else read_part("the route", lambda: reader.route(route), None),
+            key_frames=read_part("the key frames", lambda: reader.keys(keys), KeyFrames()),
         )
 
     def _targets(self, row: int, what: str) -> Sequence[Target]:
         found: list[Target] = []
         for json_text in self._reader.target_facts(row):
             try:
-                with no_surprise():
-                    found += self._reader.made_targets((json_text,))
+                with convert_value_errors():
+                    found += self._reader.targets_from_facts((json_text,))
             except TROUBLE:
                 found.append(self._part_of_target(json_text, what))
         return tuple(found)
@@ -292,21 +296,21 @@ class _Rescue:
         """Return a target without its damaged part, either its lesion or its path."""
         if json_text.lesion is not None:
             try:
-                with no_surprise():
-                    (one,) = self._reader.made_targets((msgspec.structs.replace(json_text, lesion=None),))
+                with convert_value_errors():
+                    (one,) = self._reader.targets_from_facts((msgspec.structs.replace(json_text, lesion=None),))
                 self._lost.append(f"{what}: the boundary of {json_text.name}")
                 return replace(one, problem="its boundary was lost when the case file was damaged: mark it again")
             except TROUBLE:
                 pass
         self._lost.append(f"{what}: the path to {json_text.name}")
-        (one,) = self._reader.made_targets((msgspec.structs.replace(json_text, route=None),))
+        (one,) = self._reader.targets_from_facts((msgspec.structs.replace(json_text, route=None),))
         return replace(one, problem="its path was lost when the case file was damaged")
 
     def _copy_recordings(self, made: CaseFile) -> None:
         for number, name, begun_s, words in self._rows("recording", "id, name, begun_s, words"):
-            table = CaseFile(self._path, self._connection, read_only=True)._table()
+            table = CaseFile(self._path, self._connection, read_only=True)._recording_table()
             try:
-                with no_surprise():
+                with convert_value_errors():
                     text = table.text(number)
                     begun = _seconds(begun_s)
             except TROUBLE:
@@ -318,7 +322,7 @@ class _Rescue:
 
     def _copy_scan(self, made: CaseFile) -> None:
         try:
-            with no_surprise():
+            with convert_value_errors():
                 volume = packed_volume(self._connection)
             if volume is not None:
                 made.pack(volume)
@@ -346,5 +350,5 @@ def _seconds(value: object) -> float:
     return value if isinstance(value, float) and 0.0 <= value <= MAX_S else 0.0
 
 
-def _ignored(_kind: str, _value: object, _row: int) -> None:
+def _ignore_object(_kind: str, _value: object, _row: int) -> None:
     """Ignore an object that was read from a row; the new file has no references to rows of the old one."""

@@ -31,12 +31,12 @@ __all__ = [
     "leaf_below",
     "lookouts_mm",
     "path_move",
+    "position_on_new_route_mm",
     "route_along_points",
     "route_to_branch",
     "route_to_parking",
     "route_to_point",
     "route_to_target",
-    "seat_mm",
 ]
 
 
@@ -166,7 +166,7 @@ def path_move(tree: AirwayTree | None, route: ChosenRoute | None) -> SetPath:
     return SetPath(**route.path.made_from(), ways=() if tree is None else _path_forks(tree, route))
 
 
-def seat_mm(before: ChosenRoute, before_mm: float, after: ChosenRoute) -> float | None:
+def position_on_new_route_mm(before: ChosenRoute, before_mm: float, successor: ChosenRoute) -> float | None:
     """Return the position in mm along a new route for a tip beyond its common part with the former route.
 
     The position is the end of the common part. None if the tip is in the common part; the nearest position is then
@@ -180,11 +180,11 @@ def seat_mm(before: ChosenRoute, before_mm: float, after: ChosenRoute) -> float 
         The new route.
     """
     common_mm = 0.0
-    for old, new in zip(before.spans, after.spans, strict=False):
+    for old, new in zip(before.spans, successor.spans, strict=False):
         if old.branch_id != new.branch_id:
             break
         common_mm = min(old.to_mm, new.to_mm)
-    return None if before_mm <= common_mm else min(common_mm, after.path.length_mm)
+    return None if before_mm <= common_mm else min(common_mm, successor.path.length_mm)
 
 
 # Length in mm of the start of a branch that gives its direction at a fork: a bend farther on is not in view.
@@ -195,9 +195,9 @@ def _path_forks(tree: AirwayTree, route: ChosenRoute) -> tuple[PathFork, ...]:
     """Return the forks of a route, each with the directions of the branches that continue there."""
     branches = {branch.id: branch for branch in tree.branches}
     forks: list[PathFork] = []
-    for span, after in itertools.pairwise(route.spans):
+    for span, successor in itertools.pairwise(route.spans):
         here = branches.get(span.branch_id)
-        if here is None or after.branch_id not in here.children or len(here.children) < 2:
+        if here is None or successor.branch_id not in here.children or len(here.children) < 2:
             continue
         ways = []
         for child_id in here.children:
@@ -210,8 +210,8 @@ def _path_forks(tree: AirwayTree, route: ChosenRoute) -> tuple[PathFork, ...]:
                 x, y, z = (float(v) for v in toward / length)
                 ways.append(PathWay(child_id, (x, y, z)))
         place_mm = min(span.to_mm, route.path.length_mm)
-        if len(ways) > 1 and any(way.way_id == after.branch_id for way in ways):
-            forks.append(PathFork(place_mm, tuple(ways), after.branch_id))
+        if len(ways) > 1 and any(way.way_id == successor.branch_id for way in ways):
+            forks.append(PathFork(place_mm, tuple(ways), successor.branch_id))
     return tuple(forks)
 
 
@@ -220,7 +220,7 @@ def route_to_branch(tree: AirwayTree, branch_id: int) -> ChosenRoute:
     route = tree.route_to(branch_id)
     branch = tree.branch(branch_id)
     title = branch.name or f"branch {branch_id}, generation {branch.generation}"
-    return _chosen(route, tree, route_id=f"branch-{branch_id}", title=title, branch_id=branch_id)
+    return _with_branches_and_path(route, tree, route_id=f"branch-{branch_id}", title=title, branch_id=branch_id)
 
 
 def route_to_parking(tree: AirwayTree, needle: NeedleLine, target_id: str, name: str) -> ChosenRoute:
@@ -278,7 +278,7 @@ def route_to_point(tree: AirwayTree, point_lps: NDArray[np.float64], *, snap_mm:
         whole.branch_ids[: last + 1],
         [mm for mm in whole.forks_mm if mm < end_mm],
     )
-    return _chosen(
+    return _with_branches_and_path(
         cut, tree, route_id=f"branch-{branch.id}", title=branch.name or f"branch {branch.id}", branch_id=None
     )
 
@@ -306,7 +306,7 @@ def route_to_target(tree: AirwayTree, path: TrackedPath, target_id: str, name: s
     cumulative_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     branch_ids = np.asarray(path.branch_ids, dtype=np.int64)
     forks_mm = [float(cumulative_mm[n]) for n in np.flatnonzero(np.diff(branch_ids))]
-    return _chosen(
+    return _with_branches_and_path(
         Route(points, cumulative_mm, path.radius_mm, path.generation, path.branch_ids, forks_mm),
         tree,
         route_id=target_id,
@@ -345,7 +345,7 @@ def route_along_points(
         branch_ids, generation = along_branches(points, airways.tree)
         radius_mm = airways.tracker.calibres(points, branch_ids)
     forks_mm = [float(cumulative_mm[n]) for n in np.flatnonzero(np.diff(branch_ids))]
-    return _chosen(
+    return _with_branches_and_path(
         Route(points, cumulative_mm, radius_mm, generation, branch_ids, forks_mm),
         None if airways is None else airways.tree,
         route_id=target_id,
@@ -375,7 +375,7 @@ def _wall_distance(
     return wall_mm
 
 
-def _chosen(
+def _with_branches_and_path(
     route: Route,
     tree: AirwayTree | None,
     *,
@@ -394,7 +394,9 @@ def _chosen(
     spans = _spans(branch_ids, generation, cumulative_mm, branches)
     forks_mm = tuple(float(mm) for mm in route.forks_mm)
     stops_mm = lookouts_mm(forks_mm, spans, cumulative_mm, radius_mm)
-    path = FlightPath(points, forks_mm=_inside(forks_mm, points), lookouts_mm=_inside(stops_mm, points))
+    path = FlightPath(
+        points, forks_mm=_clamped_to_line(forks_mm, points), lookouts_mm=_clamped_to_line(stops_mm, points)
+    )
     return ChosenRoute(
         route_id=route_id,
         title=title,
@@ -428,13 +430,13 @@ def centreline_mm(tree: AirwayTree, route: ChosenRoute) -> NDArray[np.float64]:
     if any(branch_id not in branches for branch_id in ids):
         return at.copy()
 
-    def along(point: NDArray[np.float64], branch_id: int) -> float:
+    def project_point(point: NDArray[np.float64], branch_id: int) -> float:
         branch = branches[branch_id]
         return ends[branch_id] - branch.length_mm + _nearest_mm(branch.points, point)
 
     inner = [(fork_mm, ends[branch_id]) for branch_id, fork_mm in zip(ids[:-1], route.forks_mm, strict=False)]
-    known = [(0.0, along(route.points_lps[0], ids[0]))]
-    for place in (*inner, (float(at[-1]), along(route.points_lps[-1], ids[-1]))):
+    known = [(0.0, project_point(route.points_lps[0], ids[0]))]
+    for place in (*inner, (float(at[-1]), project_point(route.points_lps[-1], ids[-1]))):
         if place[0] > known[-1][0] and place[1] > known[-1][1]:
             known.append(place)
     if len(known) < 2:
@@ -493,7 +495,7 @@ def lookouts_mm(
     return tuple(stops)
 
 
-def _inside(forks_mm: Sequence[float], points: NDArray[np.float64]) -> list[float]:
+def _clamped_to_line(forks_mm: Sequence[float], points: NDArray[np.float64]) -> list[float]:
     """Return the positions of forks in mm, limited to the polyline's length, which rounding may exceed."""
     length_mm = _length_mm(points)
     return [min(float(mm), length_mm) for mm in forks_mm]

@@ -33,7 +33,7 @@ class SaveMark(FrozenValue, frozen=True):
     """``save_id`` of the content that this save replaced; None for a new file."""
 
     @classmethod
-    def after(cls, parent_id: str | None, generation: int) -> SaveMark:
+    def successor(cls, parent_id: str | None, generation: int) -> SaveMark:
         """Return a mark with a new id for a save that replaces the given save; generation 0 begins a file."""
         return cls(secrets.token_hex(8), generation + 1, parent_id)
 

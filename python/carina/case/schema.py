@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, Literal
 
-from carina.case.error_texts import refused
+from carina.case.error_texts import unusable_file_error
 
 __all__ = [
     "APPLICATION_ID",
@@ -19,7 +19,7 @@ __all__ = [
     "TABLES",
     "check_schema",
     "make_tables",
-    "migrated",
+    "write_migrated_copy",
 ]
 
 APPLICATION_ID: Final = 0x43415249
@@ -147,23 +147,23 @@ def check_schema(connection: sqlite3.Connection, path: Path) -> Standing:
     application = connection.execute("PRAGMA application_id").fetchone()[0]
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if application != APPLICATION_ID:
-        raise refused(path, "it is not a Carina case; choose a .carina file", code="case.not-a-case")
+        raise unusable_file_error(path, "it is not a Carina case; choose a .carina file", code="case.not-a-case")
     found = set(connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_master LIMIT 200"))
-    ours = _tables_of(SCHEMA)
+    ours = _listed_tables(SCHEMA)
     if version == SCHEMA and found == ours:
         return "ours"
     if version > SCHEMA:
-        if found >= ours and all(_is_plain(*row) for row in found - ours):
+        if found >= ours and all(_is_table_without_code(*row) for row in found - ours):
             return "newer"
-        raise refused(
+        raise unusable_file_error(
             path,
             f"a newer version of Carina saved it (schema {version}; this version reads {SCHEMA}); update Carina",
             code="case.newer",
         )
-    if version in MIGRATIONS and found == _tables_of(version):
+    if version in MIGRATIONS and found == _listed_tables(version):
         return "older"
     schema = version if version in MIGRATIONS else SCHEMA
-    raise refused(
+    raise unusable_file_error(
         path,
         f"its tables are not those of schema {schema}, so it is damaged or was changed by another program; "
         "open an earlier copy",
@@ -171,15 +171,15 @@ def check_schema(connection: sqlite3.Connection, path: Path) -> Standing:
     )
 
 
-def _is_plain(kind: object, name: object, _table: object, sql: object) -> bool:
+def _is_table_without_code(kind: object, name: object, _table: object, sql: object) -> bool:
     if kind == "index":
         return sql is None and str(name).startswith("sqlite_autoindex_")
     plain = kind == "table" and isinstance(sql, str) and sql.startswith("CREATE TABLE ") and sql.endswith(" STRICT")
     return plain and "GENERATED" not in str(sql).upper() and " AS " not in str(sql).upper()
 
 
-def migrated(connection: sqlite3.Connection, target: Path) -> None:
-    """Write a copy of a file with an older schema, migrated to the present schema, to another path."""
+def write_migrated_copy(connection: sqlite3.Connection, target: Path) -> None:
+    """Write a copy of a file with an older schema, migrated to the current schema, to another path."""
     with contextlib.closing(sqlite3.connect(target, isolation_level=None)) as made:
         connection.backup(made)
         made.execute("PRAGMA journal_mode=DELETE")
@@ -189,7 +189,7 @@ def migrated(connection: sqlite3.Connection, target: Path) -> None:
         check_schema(made, target)
 
 
-def _tables_of(schema: int) -> set[tuple[str, str, str, str | None]]:
+def _listed_tables(schema: int) -> set[tuple[str, str, str, str | None]]:
     """Return the tables and indexes that a file of a schema contains, as SQLite lists them."""
     with contextlib.closing(sqlite3.connect(":memory:")) as empty:
         for name, sql in TABLES.items():

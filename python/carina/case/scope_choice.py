@@ -28,7 +28,7 @@ def document_with_scope(document: Document, name: str, *, resets_view: bool = Fa
     if look.scope != name or resets_view:
         outline = "none" if look.outline == "none" else scope.outline
         look = msgspec.structs.replace(look, scope=name, fov_deg=scope.usual_fov_deg, outline=outline)
-    targets = _all_with(document, name)
+    targets = _targets_with_scope(document, name)
     if look == document.look and all(a is b for a, b in zip(targets, document.targets, strict=True)):
         return document
     return replace(document, look=look, targets=targets)
@@ -46,17 +46,19 @@ def document_with_lesion(document: Document, target: Target) -> Document:
     others = [one.lesion for one in document.targets if one.lesion is not None and one.target_id != target.target_id]
     chosen = document.look.scope
     if chosen is None:  # A pinhole camera is no instrument, so the plans keep theirs.
-        return changed if not others else replace(changed, targets=_all_with(changed, others[0].options.scope))
+        return (
+            changed if not others else replace(changed, targets=_targets_with_scope(changed, others[0].options.scope))
+        )
     if chosen == DEFAULT_SCOPE and not others and target.lesion is not None:
         chosen = target.lesion.options.scope
     return document_with_scope(changed, chosen)
 
 
-def _all_with(document: Document, name: str) -> tuple[Target, ...]:
-    return tuple(_with_scope(target, name) for target in document.targets)
+def _targets_with_scope(document: Document, name: str) -> tuple[Target, ...]:
+    return tuple(_target_with_scope(target, name) for target in document.targets)
 
 
-def _with_scope(target: Target, name: str) -> Target:
+def _target_with_scope(target: Target, name: str) -> Target:
     """Return a target whose plan uses a scope; the same object if it does already.
 
     A place that was chosen with another scope is no place of this scope.

@@ -8,7 +8,7 @@ import msgspec
 
 from carina.case.bounds import check_plain
 from carina.case.document import Lesion
-from carina.case.error_texts import damaged
+from carina.case.error_texts import damage_error
 from carina.commands.plan import PlanOptions
 from carina.errors import CarinaError
 from carina.plan import PlanTarget
@@ -46,4 +46,4 @@ def made_lesion(facts: LesionFacts) -> Lesion:
     try:
         return Lesion(PlanTarget.from_record(facts.record), facts.options)
     except CarinaError as trouble:
-        raise damaged(where, "its record", str(trouble)[:200]) from None
+        raise damage_error(where, "its record", str(trouble)[:200]) from None

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from carina.case import json_records as f
 from carina.case.bounds import bounded_text, bounded_whole, check_plain
 from carina.case.compression import as_checked_json, from_json
-from carina.case.error_texts import damaged
+from carina.case.error_texts import damage_error
 from carina.display import one_line
 from carina.errors import UsageError
 from carina.volume import Geometry, Volume
 
-__all__ = ["AxisPermutation", "SourceFacts", "grid_words", "read_source", "turn_between", "write_source"]
+__all__ = ["AxisPermutation", "SourceFacts", "axis_permutation", "grid_text", "read_source", "write_source"]
 
 V = TypeVar("V", np.uint8, np.int16)
 GEOMETRY_MM: Final = 1e-3
@@ -82,18 +82,18 @@ def read_source(connection: sqlite3.Connection) -> SourceFacts:
     where = "record of the scan"
     row = connection.execute("SELECT digest, nz, ny, nx, lps_from_ijk, is_hu, path, choices FROM source").fetchone()
     if row is None:
-        raise damaged(where, "one entry", "none")
+        raise damage_error(where, "one entry", "none")
     digest, nz, ny, nx, matrix, is_hu, path, choices = row
     if not all(isinstance(n, int) and 1 <= n <= 65_535 for n in (nz, ny, nx)):
-        raise damaged(where, "a shape of 1 to 65535 voxels along each axis", f"{(nz, ny, nx)}"[:80])
+        raise damage_error(where, "a shape of 1 to 65535 voxels along each axis", f"{(nz, ny, nx)}"[:80])
     if not isinstance(matrix, bytes) or len(matrix) != 128:
         found = f"{len(matrix)} bytes" if isinstance(matrix, bytes) else type(matrix).__name__
-        raise damaged(where, "a matrix of 128 bytes", found)
+        raise damage_error(where, "a matrix of 128 bytes", found)
     places = np.frombuffer(matrix, dtype="<f8").reshape(4, 4)
     if not np.isfinite(places).all() or np.abs(places).max() > 1e6 or abs(np.linalg.det(places[:3, :3])) < 1e-12:
-        raise damaged(where, "an invertible transform", "a matrix that is not invertible")
-    if not isinstance(digest, str) or len(digest) > 128 or not (path is None or _is_path(path)):
-        raise damaged(where, "a digest and a relative path", "other values")
+        raise damage_error(where, "an invertible transform", "a matrix that is not invertible")
+    if not isinstance(digest, str) or len(digest) > 128 or not (path is None or _is_relative_path(path)):
+        raise damage_error(where, "a digest and a relative path", "other values")
     bounded_text(digest, where, 128)
     bounded_whole(is_hu, where, 0, 1)
     facts = from_json(choices, f.decoders().choices, where)
@@ -101,10 +101,10 @@ def read_source(connection: sqlite3.Connection) -> SourceFacts:
     try:
         return SourceFacts((nz, ny, nx), places, digest, bool(is_hu), path, facts)
     except UsageError:
-        raise damaged(where, "a relative path", "an absolute path") from None
+        raise damage_error(where, "a relative path", "an absolute path") from None
 
 
-def _is_path(path: object) -> bool:
+def _is_relative_path(path: object) -> bool:
     # NUL is the only character that no file name contains. The terminal shows names without control characters.
     return isinstance(path, str) and 0 < len(path) <= MAX_PATH_CHARS and "\x00" not in path
 
@@ -121,20 +121,20 @@ class AxisPermutation:
     """Shape of the case's grid."""
 
     @property
-    def is_none(self) -> bool:
+    def is_identity(self) -> bool:
         """Whether both grids have the same axes."""
         return self.axes == (0, 1, 2) and not any(self.flipped)
 
-    def turned(self, array_zyx: NDArray[V]) -> NDArray[V]:
+    def array_in_volume_axes(self, array_zyx: NDArray[V]) -> NDArray[V]:
         """Return an array of the case in the axes of the volume; the array itself if both have the same axes."""
-        if self.is_none:
+        if self.is_identity:
             return array_zyx
         # The axes of arrays are in the order k, j, i.
         order = tuple(2 - axis for axis in self.axes[::-1])
         steps = tuple(slice(None, None, -1 if flip else 1) for flip in self.flipped[::-1])
-        turned = np.ascontiguousarray(array_zyx.transpose(order)[steps])
-        turned.flags.writeable = False
-        return turned
+        array_in_volume_axes = np.ascontiguousarray(array_zyx.transpose(order)[steps])
+        array_in_volume_axes.flags.writeable = False
+        return array_in_volume_axes
 
     def voxel(self, ijk: tuple[int, int, int]) -> tuple[int, int, int]:
         """Return the index (i, j, k) in the volume of a voxel of the case's grid."""
@@ -146,7 +146,7 @@ class AxisPermutation:
         return i, j, k
 
 
-def turn_between(source: SourceFacts, volume: Volume) -> AxisPermutation | None:
+def axis_permutation(source: SourceFacts, volume: Volume) -> AxisPermutation | None:
     """Return the order of the axes between the grids of a case and a volume; None if their voxels do not coincide."""
     steps = np.linalg.inv(volume.lps_from_ijk[:3, :3]) @ source.lps_from_ijk[:3, :3]
     largest = np.abs(steps).argmax(axis=1)
@@ -165,7 +165,7 @@ def turn_between(source: SourceFacts, volume: Volume) -> AxisPermutation | None:
     return turn if float(np.linalg.norm(there - here, axis=1).max()) <= GEOMETRY_MM else None
 
 
-def grid_words(shape_zyx: tuple[int, int, int]) -> str:
+def grid_text(shape_zyx: tuple[int, int, int]) -> str:
     """Return the shape of a grid as text for messages, in the order x, y, z."""
     nz, ny, nx = shape_zyx
     return f"{nx} x {ny} x {nz}"

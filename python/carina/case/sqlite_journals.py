@@ -10,7 +10,7 @@ import stat
 from pathlib import Path
 from typing import Final
 
-from carina.case.error_texts import CaseFileError, refused
+from carina.case.error_texts import CaseFileError, unusable_file_error
 from carina.disk import check_regular, disk_trouble, open_regular, say_size, special_kind
 from carina.errors import VolumeImportError
 
@@ -18,11 +18,11 @@ __all__ = [
     "JOURNALS",
     "MAX_CASE_BYTES",
     "MAX_JOURNAL_BYTES",
-    "beside",
     "check_files",
+    "companion_path",
     "copied_with_journal",
     "has_journal",
-    "set_foreign_aside",
+    "rename_foreign_file",
 ]
 
 logger = logging.getLogger(__name__)
@@ -45,14 +45,14 @@ JOURNAL_MAGIC: Final = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
 PAGE_BYTES: Final = tuple(1 << power for power in range(9, 17))
 
 
-def beside(path: Path, tail: str) -> Path:
+def companion_path(path: Path, tail: str) -> Path:
     """Return the path of a file that SQLite creates beside a database, such as a journal."""
     return path.with_name(path.name + tail)
 
 
 def has_journal(path: Path) -> bool:
     """Return whether a case file has a journal, which contains the last changes of a case that was not closed."""
-    return any(beside(path, tail).exists() for tail in JOURNALS)
+    return any(companion_path(path, tail).exists() for tail in JOURNALS)
 
 
 def check_files(path: Path) -> None:
@@ -69,43 +69,43 @@ def check_files(path: Path) -> None:
         If a file cannot be read.
     """
     for tail in ("", *JOURNALS, "-shm"):
-        part = beside(path, tail)
+        part = companion_path(path, tail)
         special = special_kind(part)
         if special is not None:
-            raise refused(
+            raise unusable_file_error(
                 path, f"{part.name}: expected a file, found {special}; choose a .carina file", code="case.not-a-case"
             )
     for tail in JOURNALS:
-        journal = beside(path, tail)
+        journal = companion_path(path, tail)
         try:
             file = open_regular(journal)
         except FileNotFoundError:
             continue
         except VolumeImportError:
             found = special_kind(journal) or "a folder"
-            raise _not_a_journal(path, journal, f"expected a file, found {found}") from None
+            raise _not_a_journal_error(path, journal, f"expected a file, found {found}") from None
         with file:
             size = os.fstat(file.fileno()).st_size
             file.seek(max(0, size - len(JOURNAL_MAGIC)))
             end = file.read(len(JOURNAL_MAGIC))
         if size > MAX_JOURNAL_BYTES:
-            raise _not_a_journal(
+            raise _not_a_journal_error(
                 path, journal, f"expected at most {say_size(MAX_JOURNAL_BYTES)}, found {say_size(size)}"
             )
         if tail == "-journal" and end == JOURNAL_MAGIC:
             # The end of this journal names a super-journal, a file of any name that SQLite deletes after the replay.
-            raise _not_a_journal(
+            raise _not_a_journal_error(
                 path, journal, "expected the journal of one database, found one that names a file of another"
             )
 
 
-def set_foreign_aside(path: Path) -> None:
+def rename_foreign_file(path: Path) -> None:
     """Rename a file that has the name of a journal but is not one, because SQLite would overwrite it.
 
     A power cut can also leave such a file: a journal whose beginning the disk did not store.
     """
     for tail in JOURNALS:
-        journal = beside(path, tail)
+        journal = companion_path(path, tail)
         try:
             with open_regular(journal) as file:
                 head = file.read(WAL_HEADER_BYTES)
@@ -114,7 +114,7 @@ def set_foreign_aside(path: Path) -> None:
         if not head.strip(b"\x00") or _is_replayed(tail, head):
             continue
         number = 1
-        while (target := beside(journal, f".not-a-journal-{number}")).exists():
+        while (target := companion_path(journal, f".not-a-journal-{number}")).exists():
             number += 1
         journal.rename(target)
         logger.warning("a file beside a case was not its journal; it was renamed")
@@ -152,11 +152,11 @@ def copied_with_journal(path: Path, folder: Path) -> Path:
         ``disk.full``, before anything is copied, if the folder's disk has too little space.
     """
     check_files(path)
-    parts = [path, *(beside(path, tail) for tail in JOURNALS)]
+    parts = [path, *(companion_path(path, tail) for tail in JOURNALS)]
     for _ in range(COPY_AGAIN):
-        before = [_stamp(part) for part in parts]
+        before = [_file_state(part) for part in parts]
         sizes = [
-            0 if stamp is None else _used_bytes(part, part.name[len(path.name) :], stamp[1])
+            0 if stamp is None else _num_used_bytes(part, part.name[len(path.name) :], stamp[1])
             for part, stamp in zip(parts, before, strict=True)
         ]
         _check_room(path, sum(sizes), folder)
@@ -165,19 +165,19 @@ def copied_with_journal(path: Path, folder: Path) -> Path:
             target.unlink(missing_ok=True)
             if size or part is path:
                 _copy(part, target, size)
-        if [_stamp(part) for part in parts] == before:
+        if [_file_state(part) for part in parts] == before:
             # The copy is checked again, because the original may have changed between its check and the copy.
             check_files(folder / "case.carina")
             return folder / "case.carina"
         check_files(path)
-    raise refused(
+    raise unusable_file_error(
         path,
         "another program keeps changing it; close the case in that program, or try again in a moment",
         code="case.read-only",
     )
 
 
-def _used_bytes(part: Path, tail: str, size: int) -> int:
+def _num_used_bytes(part: Path, tail: str, size: int) -> int:
     """Return the number of bytes of a database or journal that SQLite reads.
 
     Of a write-ahead log, only the frames of the latest run count.
@@ -213,7 +213,7 @@ def _copy(part: Path, target: Path, size: int) -> None:
 def _check_room(path: Path, size: int, folder: Path) -> None:
     """Raise an error if a case with its journals is too large, or larger than the free space of a folder."""
     if size > MAX_CASE_BYTES:
-        raise refused(
+        raise unusable_file_error(
             path,
             f"expected at most {say_size(MAX_CASE_BYTES)} with its journal, found {say_size(size)}; "
             "open an earlier copy",
@@ -224,7 +224,7 @@ def _check_room(path: Path, size: int, folder: Path) -> None:
         raise disk_trouble(full, "cannot make a temporary copy of the case in", folder, needed_bytes=size)
 
 
-def _stamp(path: Path) -> tuple[int, int, int] | None:
+def _file_state(path: Path) -> tuple[int, int, int] | None:
     """Return inode, size and time of change of a file, to detect changes; None if the file is missing."""
     try:
         found = path.stat()
@@ -235,8 +235,8 @@ def _stamp(path: Path) -> tuple[int, int, int] | None:
     return found.st_ino, found.st_size, found.st_mtime_ns
 
 
-def _not_a_journal(path: Path, journal: Path, why: str) -> CaseFileError:
-    return refused(
+def _not_a_journal_error(path: Path, journal: Path, why: str) -> CaseFileError:
+    return unusable_file_error(
         path,
         f"the file {journal.name} beside it is not the journal of a case: {why}; move that file to another folder "
         "and open the case again",

@@ -15,7 +15,7 @@ __all__ = ["CaseSummary", "read_summary"]
 @one_line
 @dataclass(frozen=True, slots=True)
 class CaseSummary:
-    """Summary of the present state of a case."""
+    """Summary of the current state of a case."""
 
     num_branches: int | None
     """Number of branches; None if the case has no airways."""

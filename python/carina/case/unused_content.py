@@ -6,17 +6,17 @@ import sqlite3
 from typing import TYPE_CHECKING
 
 from carina.case import json_records as f
-from carina.case.compression import from_json, unpacked_ints
-from carina.case.error_texts import damaged
+from carina.case.compression import from_json, unpack_ints
+from carina.case.error_texts import damage_error
 from carina.case.schema import CONTENT
 
 if TYPE_CHECKING:
     from carina.case.reading import Rows
 
-__all__ = ["reached", "sweep"]
+__all__ = ["delete_unreferenced_rows", "referenced_rows"]
 
 
-def sweep(connection: sqlite3.Connection, rows: Rows) -> int:
+def delete_unreferenced_rows(connection: sqlite3.Connection, rows: Rows) -> int:
     """Delete the rows that no step refers to, in a transaction that the caller opened; return their number.
 
     Raises
@@ -25,7 +25,7 @@ def sweep(connection: sqlite3.Connection, rows: Rows) -> int:
         ``case.damaged``: if a row that a step refers to is missing; nothing is deleted then.
     """
     documents = [row[0] for row in connection.execute("SELECT DISTINCT document FROM step")]
-    stored = reached(rows, documents)
+    stored = referenced_rows(rows, documents)
     num_gone = 0
     # Rows that refer to other rows are deleted first.
     for table in reversed(CONTENT):
@@ -37,7 +37,7 @@ def sweep(connection: sqlite3.Connection, rows: Rows) -> int:
     return num_gone
 
 
-def reached(rows: Rows, documents: list[int]) -> dict[str, set[int]]:
+def referenced_rows(rows: Rows, documents: list[int]) -> dict[str, set[int]]:
     """Return the row numbers, by table, of all rows that documents refer to directly or indirectly."""
     found: dict[str, set[int]] = {table: set() for table in CONTENT}
     decoders = f.decoders()
@@ -50,19 +50,19 @@ def reached(rows: Rows, documents: list[int]) -> dict[str, set[int]]:
             continue
         columns = rows[table].get(row)
         if columns is None:
-            raise damaged(f"row {row} of {table}", "an entry", "none")
+            raise damage_error(f"row {row} of {table}", "an entry", "none")
         found[table].add(row)
         where = f"row {row} of {table}"
         match table, columns[1:]:
             case "document", (airways, route, transfer, look, targets, keys, _):
                 waiting += [("airways", airways), ("route", route)]
                 waiting += [("value", value) for value in (transfer, look, targets, keys)]
-            case "value", ("targets", said):
-                waiting += [("route", target.route) for target in from_json(said, decoders.targets, where)]
+            case "value", ("targets", text):
+                waiting += [("route", target.route) for target in from_json(text, decoders.targets, where)]
             case "route", (*arrays, _):
                 waiting += [("array", array) for array in arrays]
-            case "airways", (base, lumen, tree, tracker, said):
-                facts: f.AirwaysFacts = from_json(said, decoders.airways, where)
+            case "airways", (base, lumen, tree, tracker, text):
+                facts: f.AirwaysFacts = from_json(text, decoders.airways, where)
                 waiting += [("airways", base), ("lumen", lumen), ("tree", tree), ("tracker", tracker)]
                 waiting += [("value", value) for value in (*facts.edits, facts.uncertain)]
                 waiting += [("array", bridge) for bridge in facts.bridges]
@@ -73,13 +73,13 @@ def reached(rows: Rows, documents: list[int]) -> dict[str, set[int]]:
             case "measures", (airways, branches, _):
                 tree = rows["airways"][airways][3]
                 count = rows["tree"][tree][1]
-                waiting += [("measured_branch", int(one)) for one in unpacked_ints(branches, count, where)]
+                waiting += [("measured_branch", int(one)) for one in unpack_ints(branches, count, where)]
             case "measured_branch", (sections, *_):
                 waiting += [("sections", sections)]
             case "tree", (count, branches, *_):
-                waiting += [("branch", int(branch)) for branch in unpacked_ints(branches, count, where)]
+                waiting += [("branch", int(branch)) for branch in unpack_ints(branches, count, where)]
             case "branch", arrays:
                 waiting += [("array", array) for array in arrays]
             case "lumen", (_, _, _, count, _, tiles):
-                waiting += [("tile", int(tile)) for tile in unpacked_ints(tiles, count, where)]
+                waiting += [("tile", int(tile)) for tile in unpack_ints(tiles, count, where)]
     return found

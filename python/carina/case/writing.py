@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.case import json_records as f
-from carina.case.bounds import MAX_LABEL_CHARS, MAX_S, is_readable_tip, shortened
-from carina.case.compression import as_checked_json, deflated, digest_of, packed_ints
+from carina.case.bounds import MAX_LABEL_CHARS, MAX_S, is_readable_tip, shortened_text
+from carina.case.compression import as_checked_json, content_digest, deflate, pack_ints
 from carina.case.document import Document, KeyFrames, Target
 from carina.case.history import Step
 from carina.case.lumen_tiles import to_tiles
@@ -84,7 +84,7 @@ class CaseWriter:
         self.reader: object = None
         """Reader of this file, whose rows need not be written again."""
 
-    def know(self, kind: str, value: object, row: int) -> None:
+    def register_row(self, kind: str, value: object, row: int) -> None:
         """Store the row number of an object that was read from this file.
 
         Parameters
@@ -104,7 +104,7 @@ class CaseWriter:
     def write(self, moment: Moment) -> None:
         """Write the rows of a case state that are not stored yet."""
         self._of_this = {}
-        entries = [(moment, self._first(moment)), *((step, self._step(step)) for step in moment.steps)]
+        entries = [(moment, self._first_document_row(moment)), *((step, self._step(step)) for step in moment.steps)]
         self._write_steps(entries)
         for airways, measures in moment.measures:
             self._measures(self._airways(airways), measures)
@@ -123,12 +123,12 @@ class CaseWriter:
         row = (moment.position, as_checked_json(facts, self._decoders.moment, "the current state"))
         self._connection.execute("INSERT OR REPLACE INTO moment (id, position, facts) VALUES (1, ?, ?)", row)
 
-    def kept(self) -> None:
+    def commit_rows(self) -> None:
         """Mark the written rows as stored after the commit; only objects of this state stay referenced."""
         self._of_last = self._of_this
         self._steps, self._first_n = self._pending
 
-    def _first(self, moment: Moment) -> StepRow:
+    def _first_document_row(self, moment: Moment) -> StepRow:
         return ("", None, 0.0, self._document(moment.first))
 
     def _step(self, step: Step[Document]) -> StepRow:
@@ -138,7 +138,7 @@ class CaseWriter:
             # A command of a program may exceed the bounds for reading; the step is then stored with its label only.
             with contextlib.suppress(UsageError):
                 json_text = as_checked_json(command, self._decoders.command, "a command")
-        label = shortened(step.label, MAX_LABEL_CHARS)
+        label = shortened_text(step.label, MAX_LABEL_CHARS)
         # A time of a wrong system clock must not make the case unreadable.
         at_s = min(max(float(step.at_s), 0.0), MAX_S) if math.isfinite(step.at_s) else 0.0
         return (label, json_text, at_s, self._document(step.document))
@@ -165,28 +165,28 @@ class CaseWriter:
             change("DELETE FROM step WHERE n >= ?", (first_n + len(rows),))
         self._pending = (entries, first_n)
 
-    def take_steps(self, entries: list[tuple[object, StepRow]], first_n: int) -> None:
+    def set_written_steps(self, entries: list[tuple[object, StepRow]], first_n: int) -> None:
         """Set the steps that were read from the file as already written."""
         self._steps, self._first_n = entries, first_n
 
     def _document(self, document: Document) -> int:
         """Return the row of a document; write the document if it is not stored yet."""
-        known = self._found("document", document)
+        known = self._known_row("document", document)
         if known is not None:
-            self._still_held(document)
+            self._retain_parts(document)
             return known
         values = {
             "airways": None if document.airways is None else self._airways(document.airways),
             "route": None if document.route is None else self._route(document.route),
-            "transfer": self._value("transfer", document.transfer, lambda: _transfer(document.transfer)),
+            "transfer": self._value("transfer", document.transfer, lambda: _transfer_as_json(document.transfer)),
             "look": self._value("look", document.look, lambda: document.look),
             "targets": self._value("targets", document.targets, lambda: [self._target(t) for t in document.targets]),
-            "keys": self._value("keys", document.key_frames, lambda: _keys(document.key_frames)),
+            "keys": self._value("keys", document.key_frames, lambda: _key_frames_as_facts(document.key_frames)),
             "lumen_threshold": None if document.lumen_threshold is None else float(document.lumen_threshold),
         }
-        return self._note("document", document, self._put("document", values))
+        return self._register_row("document", document, self._put("document", values))
 
-    def _still_held(self, document: Document) -> None:
+    def _retain_parts(self, document: Document) -> None:
         """Retain the row numbers of a known document's parts for the next save."""
         parts: list[tuple[str, object]] = [
             ("transfer", document.transfer),
@@ -200,20 +200,20 @@ class CaseWriter:
         ]
         for kind, value in parts:
             if value is not None:
-                self._found(kind, value)
+                self._known_row(kind, value)
 
     def _target(self, target: Target) -> f.TargetFacts:
         return f.TargetFacts(
             target_id=target.target_id,
             name=target.name,
-            lps=_three(target.lps),
-            used_lps=None if target.used_lps is None else _three(target.used_lps),
+            lps=_three_floats(target.lps),
+            used_lps=None if target.used_lps is None else _three_floats(target.used_lps),
             snapped_mm=target.snapped_mm,
             length_mm=target.length_mm,
             problem=target.problem,
             route=None if target.route is None else self._route(target.route),
             cost=target.cost,
-            root_lps=None if target.root_lps is None else _three(target.root_lps),
+            root_lps=None if target.root_lps is None else _three_floats(target.root_lps),
             outside_mm=target.outside_mm,
             value_range=target.value_range,
             lesion=None if target.lesion is None else lesion_facts(target.lesion),
@@ -223,7 +223,7 @@ class CaseWriter:
 
     def _route(self, route: ChosenRoute) -> int:
         """Return the row of a route; write the route if it is not stored yet."""
-        known = self._found("route", route)
+        known = self._known_row("route", route)
         if known is not None:
             return known
         path = route.path
@@ -253,11 +253,11 @@ class CaseWriter:
         }
         values["path_points"] = self._array(path.source_lps)
         values["facts"] = as_checked_json(facts, self._decoders.route, "a route")
-        return self._note("route", route, self._put("route", values))
+        return self._register_row("route", route, self._put("route", values))
 
     def _airways(self, airways: Airways | FoldedAirways) -> int:
         """Return the row of airways, in full or packed; write them if they are not stored yet."""
-        known = self._found("airways", airways)
+        known = self._known_row("airways", airways)
         if known is not None:
             return known
         if isinstance(airways, StoredAirways):
@@ -269,22 +269,22 @@ class CaseWriter:
             row = self._whole_airways(airways)
         else:
             raise UsageError(f"expected airways for a case file; found {type(airways).__name__}")
-        return self._note("airways", airways, row)
+        return self._register_row("airways", airways, row)
 
     def _packed_airways(self, packed: PackedAirways) -> int:
         # If the airways were packed from airways that are stored, both have the same branches and edits.
         for (kind, _), (value, row) in (*self._of_this.items(), *self._of_last.items()):
-            if kind == "airways" and isinstance(value, Airways) and _is_of(value, packed):
+            if kind == "airways" and isinstance(value, Airways) and _is_packed_copy(value, packed):
                 return row
         return self._whole_airways(packed.unfold())
 
     def _whole_airways(self, airways: Airways) -> int:
         lumen, tree = self._lumen(airways.tracker.lumen_zyx), self._tree(airways.tree.branches, airways.tree)
         facts = f.AirwaysFacts(
-            root_lps=_three(airways.root_lps),
+            root_lps=_three_floats(airways.root_lps),
             threshold=None if math.isnan(airways.threshold) else float(airways.threshold),
             notes=tuple(airways.notes),
-            wall_levels=None if airways.wall_levels is None else _three(airways.wall_levels),
+            wall_levels=None if airways.wall_levels is None else _three_floats(airways.wall_levels),
             next_id=airways.next_id,
             edits=tuple(
                 self._value("edit", edit, lambda edit=edit: edits_to_json((edit,))["edits"][0])
@@ -347,15 +347,15 @@ class CaseWriter:
             notes=() if tree is None else tuple(f.BadgeFacts(n.code, n.words, n.badge) for n in tree.notes),
         )
         words = as_checked_json(facts, self._decoders.tree, "the airway tree").encode()
-        digest = digest_of("tree", np.array(rows, dtype="<i4").tobytes(), words)
+        digest = content_digest("tree", np.array(rows, dtype="<i4").tobytes(), words)
         known = self._ids["tree"].get(digest)
         if known is not None:
             return known
         values = {
             "num_branches": len(rows),
-            "branches": packed_ints(rows),
+            "branches": pack_ints(rows),
             "size": len(words),
-            "facts": deflated(words),
+            "facts": deflate(words),
         }
         return self._insert("tree", digest, values)
 
@@ -377,12 +377,12 @@ class CaseWriter:
         tiles = to_tiles(lumen_zyx)
         rows = []
         for _, bits in tiles:
-            digest = digest_of("tile", bits)
+            digest = content_digest("tile", bits)
             row = self._ids["tile"].get(digest)
-            rows.append(self._insert("tile", digest, {"data": deflated(bits)}) if row is None else row)
+            rows.append(self._insert("tile", digest, {"data": deflate(bits)}) if row is None else row)
         places = np.array([place for place, _ in tiles], dtype="<i4")
         nz, ny, nx = lumen_zyx.shape
-        digest = digest_of("lumen", nz, ny, nx, places.tobytes(), np.array(rows, dtype="<i4").tobytes())
+        digest = content_digest("lumen", nz, ny, nx, places.tobytes(), np.array(rows, dtype="<i4").tobytes())
         found = self._ids["lumen"].get(digest)
         if found is None:
             values = {
@@ -390,8 +390,8 @@ class CaseWriter:
                 "ny": ny,
                 "nx": nx,
                 "num_tiles": len(rows),
-                "places": packed_ints(places),
-                "tiles": packed_ints(rows),
+                "places": pack_ints(places),
+                "tiles": pack_ints(rows),
             }
             found = self._insert("lumen", digest, values)
         self._weak.note("lumen", lumen_zyx, found)
@@ -399,10 +399,10 @@ class CaseWriter:
 
     def _measures(self, airways: int, measures: TreeMeasures | StoredMeasures) -> None:
         """Write the measures of airways in place of their former ones."""
-        if self._found("measures", measures) is not None:
+        if self._known_row("measures", measures) is not None:
             return
         if isinstance(measures, StoredMeasures) and measures.reader is self.reader:
-            self._note("measures", measures, measures.row)
+            self._register_row("measures", measures, measures.row)
             return
         try:
             whole = measures.load() if isinstance(measures, StoredMeasures) else measures
@@ -411,7 +411,7 @@ class CaseWriter:
             # Measures can be computed again, so the user's work is saved without them.
             logger.warning("the measurements of the airways could not be saved (%s)", trouble.code)
             row = 0
-        self._note("measures", measures, row)
+        self._register_row("measures", measures, row)
 
     def _whole_measures(self, airways: int, measures: TreeMeasures) -> int:
         forks = {fork.branch_id: fork for fork in measures.forks}
@@ -419,10 +419,10 @@ class CaseWriter:
         facts = f.MeasuresFacts(measures.blur_mm, measures.noise, tuple(measures.notes))
         values = {
             "airways": airways,
-            "branches": packed_ints(rows),
+            "branches": pack_ints(rows),
             "facts": as_checked_json(facts, self._decoders.measures, "the measurements of the airways"),
         }
-        digest = digest_of("measures", *values.values())
+        digest = content_digest("measures", *values.values())
         known = self._ids["measures"].get(digest)
         if known is not None:
             return known
@@ -451,24 +451,24 @@ class CaseWriter:
         content = np.ascontiguousarray(array, dtype=f"<{dtype}")
         count, width = len(content), 0 if content.ndim == 1 else content.shape[1]
         raw = content.tobytes()
-        digest = digest_of("array", dtype, count, width, raw)
+        digest = content_digest("array", dtype, count, width, raw)
         row = self._ids["array"].get(digest)
         if row is None:
-            values = {"dtype": dtype, "count": count, "width": width, "data": deflated(raw)}
+            values = {"dtype": dtype, "count": count, "width": width, "data": deflate(raw)}
             row = self._insert("array", digest, values)
         self._weak.note("array", array, row)
         return row
 
     def _value(self, kind: str, value: object, json_of: Any) -> int:
-        known = self._found(kind, value)
+        known = self._known_row(kind, value)
         if known is not None:
             return known
         json_text = as_checked_json(json_of(), getattr(self._decoders, kind), f"a value of kind {kind}")
-        return self._note(kind, value, self._put("value", {"kind": kind, "json": json_text}))
+        return self._register_row(kind, value, self._put("value", {"kind": kind, "json": json_text}))
 
     def _put(self, table: str, values: dict[str, Any]) -> int:
         """Return the row with these values; insert a new row if there is none."""
-        digest = digest_of(table, *values.values())
+        digest = content_digest(table, *values.values())
         known = self._ids[table].get(digest)
         return self._insert(table, digest, values) if known is None else known
 
@@ -481,30 +481,30 @@ class CaseWriter:
         self._ids[table][digest] = row
         return row
 
-    def _found(self, kind: str, value: object) -> int | None:
+    def _known_row(self, kind: str, value: object) -> int | None:
         known = self._of_this.get((kind, id(value))) or self._of_last.get((kind, id(value)))
         if known is None or known[0] is not value:
             return None
         self._of_this[kind, id(value)] = known
         return known[1]
 
-    def _note(self, kind: str, value: object, row: int) -> int:
+    def _register_row(self, kind: str, value: object, row: int) -> int:
         self._of_this[kind, id(value)] = (value, row)
         return row
 
 
-def _is_of(airways: Airways, packed: PackedAirways) -> bool:
+def _is_packed_copy(airways: Airways, packed: PackedAirways) -> bool:
     return airways.tree.branches is packed.branches and airways.edits is packed.edits
 
 
-def _transfer(transfer: TransferFunction) -> dict[str, Any]:
+def _transfer_as_json(transfer: TransferFunction) -> dict[str, Any]:
     document = transfer.to_json()
     # Parse the JSON before it is written, so that nothing unreadable is stored.
     TransferFunction.from_json(document)
     return document
 
 
-def _keys(keys: KeyFrames) -> f.KeyFramesFacts:
+def _key_frames_as_facts(keys: KeyFrames) -> f.KeyFramesFacts:
     frames = tuple(
         f.KeyFrameFacts(
             key_id=key.key_id,
@@ -517,6 +517,6 @@ def _keys(keys: KeyFrames) -> f.KeyFramesFacts:
     return f.KeyFramesFacts(frames=frames, flying=keys.flying)
 
 
-def _three(values: Sequence[float] | NDArray[np.float64] | Iterable[float]) -> tuple[float, float, float]:
+def _three_floats(values: Sequence[float] | NDArray[np.float64] | Iterable[float]) -> tuple[float, float, float]:
     x, y, z = (float(v) for v in values)
     return x, y, z

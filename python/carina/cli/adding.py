@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.cli.console import say
+from carina.cli.console import print_note
 from carina.errors import NoEvidenceError, NoResultError, UsageError
 from carina.track import AddBranch, Airways, branch_way, edit_airways, renamed_branches, renaming_texts
 from carina.track.progress import Progress
@@ -55,9 +55,9 @@ def add_branches(
         except NoResultError as error:
             refused.append(error)
             row["error"] = error_json(error)
-            say(f"branch {number} to {x:g},{y:g},{z:g}: {error}")
+            print_note(f"branch {number} to {x:g},{y:g},{z:g}: {error}")
             if isinstance(error, NoEvidenceError):
-                say("  use --even-without-evidence to add it anyway, labelled as drawn by hand")
+                print_note("  use --even-without-evidence to add it anyway, labelled as drawn by hand")
         except UsageError as error:
             raise UsageError(f"--add-branch {x:g},{y:g},{z:g}: {error}", code=error.code) from None
         else:
@@ -69,9 +69,9 @@ def add_branches(
             renamed = renamed_branches(before.tree, airways.tree)
             row["renamed"] = [{"id": b.branch_id, "from": b.before, "to": b.after} for b in renamed]
             origin = f"extends {way.parent_title} by" if way.extends else f"new branch from {way.parent_title},"
-            say(f"branch {number} to {x:g},{y:g},{z:g}: {origin} {way.length_mm:.0f} mm")
+            print_note(f"branch {number} to {x:g},{y:g},{z:g}: {origin} {way.length_mm:.0f} mm")
             for text in renaming_texts(renamed):
-                say(f"  {text}")
+                print_note(f"  {text}")
         rows.append(row)
     return AddedBranches(airways, tuple(rows), tuple(refused))
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 import carina
 from carina.cli.adding import add_branches, error_json
 from carina.cli.arguments import check_needs, check_output_file, check_range
-from carina.cli.console import print_json, progress_printer, say, show
-from carina.cli.opened import OpenedInput, check_case_options, opened
+from carina.cli.console import print_json, print_note, print_result, progress_printer
+from carina.cli.opened import OpenedInput, check_case_options, open_input
 from carina.errors import UsageError
 from carina.export import (
     EXPORT_FORMATS,
@@ -62,12 +62,12 @@ def find(
         check_output_file(mask, *MASK_SUFFIXES, what="--mask")
     _check_mask_options(from_mask, label, resample)
     check_case_options(path, ct, seed=seed is not None, from_mask=from_mask)
-    source = opened(path, series=series, progress=progress_printer(), strict=strict, ct=ct)
+    source = open_input(path, series=series, progress=progress_printer(), strict=strict, ct=ct)
     volume, badges = source.volume, source.badges
     if mask is not None:
         check_mask_file(mask, volume)
     airways = _airways(source, seed=seed, from_mask=from_mask, label=label, resample=resample)
-    badges.take_airways(airways)
+    badges.add_airways_notes(airways)
     added = add_branches(
         volume, airways, add_lps, even_without_evidence=even_without_evidence, progress=progress_printer()
     )
@@ -75,12 +75,12 @@ def find(
     exit_code = added.refused[0].exit_code if added.refused else 0
     if output is not None:
         write_tree(output, airways.tree, badges=badges.notes)
-        say(f"wrote {output}")
+        print_note(f"wrote {output}")
     inside_zyx = lumen_mask(volume, airways)
     if mask is not None:
         note = None if drawn.words is None else f"{drawn.words}: not from the CT"
         write_mask(mask, inside_zyx, volume, note=note, badges=badges.notes)
-        say(f"wrote {mask}")
+        print_note(f"wrote {mask}")
     measures = measure_tree(volume, airways, progress=progress_printer())
     rows = _rows(airways, measures)
     lumen_ml = float(np.count_nonzero(inside_zyx)) * abs(np.linalg.det(volume.lps_from_ijk[:3, :3])) / 1000.0
@@ -107,16 +107,16 @@ def find(
             }
         )
         return exit_code
-    show(
+    print_result(
         f"{len(airways.tree)} branches up to generation {deepest}, {length_mm / 1000.0:.2f} m in total, "
         f"lumen volume {lumen_ml:.1f} ml"
     )
     for row in airways.tree.rows():
         kind = kind_words(row.branches[0].kind)
         wide = _width(row, measures) if kind is None else f"{kind}: the CT shows no airway here"
-        show(f"{'  ' * row.depth}{row.id:>4} {row.name or '-':<18} {row.length_mm:6.1f} mm long, {wide}")
+        print_result(f"{'  ' * row.depth}{row.id:>4} {row.name or '-':<18} {row.length_mm:6.1f} mm long, {wide}")
     for absence in airways.absent:
-        show(absence.words)
+        print_result(absence.words)
     return exit_code
 
 
@@ -138,10 +138,10 @@ def _absence_row(absence: Absence) -> dict[str, Any]:
 def print_formats() -> None:
     """Print the formats that ``carina export`` writes, and the programs that read them."""
     for kind, title in EXPORT_TITLES.items():
-        show(title)
+        print_result(title)
         for row in EXPORT_FORMATS:
             if row.kind == kind:
-                show(f"  {row.suffix:<10} {row.words}")
+                print_result(f"  {row.suffix:<10} {row.words}")
 
 
 def write(
@@ -168,7 +168,7 @@ def write(
         check_needs("formats with the lumen, or without --tree", from_mask=from_mask)
     check_case_options(path, ct, tree=tree, from_mask=from_mask)
     given = None if tree is None else read_tree(tree)
-    source = opened(path, series=series, progress=progress_printer(), strict=strict, ct=ct)
+    source = open_input(path, series=series, progress=progress_printer(), strict=strict, ct=ct)
     volume, badges = source.volume, source.badges
     check_export(output, volume)
     if tree is not None:
@@ -183,9 +183,9 @@ def write(
     else:
         airways = _airways(source, seed=None, from_mask=from_mask, label=label, resample=resample)
         given = given or airways.tree
-        badges.take_airways(airways)
+        badges.add_airways_notes(airways)
         export_airways(output, volume, airways, tree=given, badges=badges.notes, progress=progress_printer())
-    say(f"wrote {output}")
+    print_note(f"wrote {output}")
     if as_json:
         print_json({"output": str(output), "num_branches": len(given), "badges": badges.to_json()})
     return 0
@@ -208,10 +208,10 @@ def _airways(
         mask = open_mask(from_mask, volume, label=label, resample=resample, progress=progress)
         lumen = mask.inside_zyx
         for note in mask.notes:
-            say(f"note: {note}")
+            print_note(f"note: {note}")
     airways = carina.find_airways(volume, root_lps=seed, lumen_zyx=lumen, progress=progress)
     for note in airways.notes:
-        say(f"note: {note}")
+        print_note(f"note: {note}")
     return airways
 
 

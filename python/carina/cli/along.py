@@ -7,13 +7,13 @@ from pathlib import Path
 
 from carina.case.routes import ChosenRoute, route_to_branch, route_to_point, route_to_target
 from carina.cli.arguments import parse_point
-from carina.cli.console import ProgressCallback, say
+from carina.cli.console import ProgressCallback, print_note
 from carina.cli.opened import OpenedInput
 from carina.errors import NoResultError, UsageError
 from carina.export import read_tree
 from carina.track import AirwayTree
 
-__all__ = ["check_destination", "say_drawn", "way_to"]
+__all__ = ["check_destination", "print_drawn_parts", "route_to"]
 
 MAX_NAMES_SAID = 12
 
@@ -29,7 +29,7 @@ def check_destination(to: str | None, view: str) -> str:
     return to
 
 
-def way_to(source: OpenedInput, to: str, *, tree_file: Path | None, progress: ProgressCallback) -> ChosenRoute:
+def route_to(source: OpenedInput, to: str, *, tree_file: Path | None, progress: ProgressCallback) -> ChosenRoute:
     """Return the route to a branch tip (name or ID), a point x,y,z (LPS, mm), or a named target of a case.
 
     The permanent notes of the tree are added to ``source.badges``.
@@ -69,10 +69,10 @@ def _target_route(source: OpenedInput, to: str) -> ChosenRoute | None:
     return None if target is None else target.route
 
 
-def say_drawn(way: ChosenRoute) -> None:
+def print_drawn_parts(way: ChosenRoute) -> None:
     """Print a note on stderr about the parts of a route that the CT does not show."""
     if way.drawn.words is not None:
-        say(f"note: {way.drawn.words}: the CT shows no airway there")
+        print_note(f"note: {way.drawn.words}: the CT shows no airway there")
 
 
 def _branch_id(tree: AirwayTree, to: str) -> int:

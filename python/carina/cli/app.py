@@ -16,13 +16,13 @@ from carina.cli.app_cluster import cluster
 from carina.cli.arguments import check_needs, check_output_folder, check_window_path, parse_point, parse_size
 from carina.cli.console import (
     accept_any_text,
+    end_with_error,
     exit_codes,
-    fail,
     log_to_terminal,
     print_json,
+    print_result,
+    print_usage_error,
     progress_printer,
-    say_usage,
-    show,
 )
 from carina.cli.options import CtOption, JsonOption, PathArgument, SeriesOption, TokenOption
 from carina.display.printable import printable
@@ -124,11 +124,11 @@ def _workstation(
             print_json({"url": url, "token": token, **changes})
             return
         if "phone" in changes:
-            show(
+            print_result(
                 f"Open on the phone: {changes['phone']['url']}",
                 f"Certificate fingerprint (SHA-256): {changes['phone']['sha256']}",
             )
-        show(f"Carina is open at {url}", "Press Ctrl-C to close it.", flush=True)
+        print_result(f"Carina is open at {url}", "Press Ctrl-C to close it.", flush=True)
 
     with exit_codes(as_json):
         from carina.cli.case_ids import path_or_case, stored_case
@@ -182,7 +182,7 @@ def root(
     Without a command, open the workstation's start page.
     """
     if version:
-        show(f"carina {carina.__version__}")
+        print_result(f"carina {carina.__version__}")
         raise typer.Exit
     if context.invoked_subcommand is None:
         _workstation(path=None, demo=None, host="127.0.0.1", port=0, browser=True, as_json=False)
@@ -416,7 +416,7 @@ def render(
     Example: carina render ~/scans/thorax --view airway --at -2,15,-120 --look 0,0,-1 --size 768x768 -o carina.png
     """
     with exit_codes(as_json):
-        from carina.cli.optics import SeenThrough
+        from carina.cli.optics import OpticsOptions
         from carina.cli.render import report
         from carina.render import LEAD_VIEW
 
@@ -434,7 +434,7 @@ def render(
                 look=None if look is None else parse_point(look, "--look"),
                 up=None if up is None else parse_point(up, "--up"),
                 fov_deg=fov,
-                seen=SeenThrough(scope=scope, lens=lens, outline=outline or mask, vignette=vignette, focus=focus),
+                seen=OpticsOptions(scope=scope, lens=lens, outline=outline or mask, vignette=vignette, focus=focus),
                 size=parse_size(size),
                 method=method,
                 step_vox=step_vox,
@@ -536,8 +536,8 @@ def phantom(
         if as_json:
             print_json(summary)
         else:
-            show(f"{summary['branches']} branches, {made.volume!r}")
-            show(*map(printable, summary["files"]))
+            print_result(f"{summary['branches']} branches, {made.volume!r}")
+            print_result(*map(printable, summary["files"]))
 
 
 @app.command()
@@ -688,7 +688,7 @@ def main() -> None:
             with without_bars():
                 code = app(prog_name="carina", standalone_mode=False)
         except USAGE_ERROR as error:
-            say_usage(error)
+            print_usage_error(error)
             refused = UsageError(error.format_message())
-            fail(as_json, refused.code, str(refused), refused.exit_code)
+            end_with_error(as_json, refused.code, str(refused), refused.exit_code)
     raise SystemExit(code if isinstance(code, int) else 0)

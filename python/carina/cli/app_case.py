@@ -61,9 +61,9 @@ def case_list(as_json: JsonOption = False) -> None:
     Example: carina case list
     """
     with exit_codes(as_json):
-        from carina.cli.case import kept
+        from carina.cli.case import list_cases
 
-        raise SystemExit(kept(as_json=as_json))
+        raise SystemExit(list_cases(as_json=as_json))
 
 
 @case.command("forget")
@@ -92,9 +92,9 @@ def case_pack(path: FileArgument, output: CaseOutput, ct: CtOption = None, as_js
     Example: carina case pack NAME.carina -o PACKED.carina
     """
     with exit_codes(as_json):
-        from carina.cli.case import packed
+        from carina.cli.case import pack_case
 
-        raise SystemExit(packed(path, output=output, ct=ct, as_json=as_json))
+        raise SystemExit(pack_case(path, output=output, ct=ct, as_json=as_json))
 
 
 @case.command("migrate")
@@ -104,9 +104,9 @@ def case_migrate(path: FileArgument, output: CaseOutput, as_json: JsonOption = F
     Example: carina case migrate OLD.carina -o NEW.carina
     """
     with exit_codes(as_json):
-        from carina.cli.case import migrated
+        from carina.cli.case import migrate_case
 
-        raise SystemExit(migrated(path, output=output, as_json=as_json))
+        raise SystemExit(migrate_case(path, output=output, as_json=as_json))
 
 
 @case.command("recording")
@@ -123,9 +123,9 @@ def case_recording(
     Example: carina case recording NAME.carina "Flight 1" -o flight.jsonl
     """
     with exit_codes(as_json):
-        from carina.cli.case import recording
+        from carina.cli.case import write_recording
 
-        raise SystemExit(recording(path, name, output=output, as_json=as_json))
+        raise SystemExit(write_recording(path, name, output=output, as_json=as_json))
 
 
 @case.command("rescue")

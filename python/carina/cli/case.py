@@ -10,8 +10,8 @@ from typing import Any
 
 from carina.case import CaseFile, RecordingFacts, migrate, rescued
 from carina.cli.arguments import check_output_file
-from carina.cli.console import print_json, progress_printer, say, show
-from carina.cli.opened import case_scans, newest_state
+from carina.cli.console import print_json, print_note, print_result, progress_printer
+from carina.cli.opened import case_scans, newest_case_file
 from carina.config import load_settings
 from carina.disk import say_size, write_whole
 from carina.disk.move_files import move_to_new_name
@@ -23,15 +23,15 @@ from carina.volume import VolumeCache
 __all__ = [
     "case_json",
     "case_lines",
+    "find_recording",
     "forget",
     "history",
     "info",
-    "kept",
-    "migrated",
-    "packed",
-    "recording",
-    "recording_in",
+    "list_cases",
+    "migrate_case",
+    "pack_case",
     "rescue",
+    "write_recording",
 ]
 
 SHORT_ID = 6
@@ -39,7 +39,7 @@ SHORT_ID = 6
 
 def case_json(path: Path) -> dict[str, Any]:
     """Return the contents of a case file for ``--json``; its CT is not needed."""
-    with CaseFile.open(newest_state(path), read_only=True) as case:
+    with CaseFile.open(newest_case_file(path), read_only=True) as case:
         source, steps, holds = case.source, case.history(), case.summary()
         recordings = case.recordings()
         note = case.note
@@ -80,7 +80,7 @@ def case_lines(path: Path) -> list[str]:
         f"  scan: {nx} x {ny} x {nz} voxels, {where}, digest {source['digest'][:12]}",
         "  airways: none"
         if found["num_branches"] is None
-        else f"  airways: {found['num_branches']} branches, {_many(found['num_edits'], 'edit')}, "
+        else f"  airways: {found['num_branches']} branches, {_count_text(found['num_edits'], 'edit')}, "
         + ("measured" if found["measured"] else "not measured yet"),
         f"  targets: {', '.join(found['targets']) or 'none'}",
         f"  key frames: {', '.join(found['key_frames']) or 'none'}",
@@ -90,7 +90,7 @@ def case_lines(path: Path) -> list[str]:
     if found["recordings"]:
         lines.append(f"  recordings: {', '.join(one['name'] or str(one['id']) for one in found['recordings'])}")
     undone = found["num_steps"] - found["num_done"]
-    lines.append(f"  history: {_many(found['num_done'], 'change')}" + (f", {undone} undone" if undone else ""))
+    lines.append(f"  history: {_count_text(found['num_done'], 'change')}" + (f", {undone} undone" if undone else ""))
     if found["note"]:
         lines.append(f"  note: {found['note']}")
     return lines
@@ -101,29 +101,29 @@ def info(path: Path, *, as_json: bool) -> int:
     if as_json:
         print_json(case_json(path))
     else:
-        show(*case_lines(path))
+        print_result(*case_lines(path))
     return 0
 
 
 def history(path: Path, *, as_json: bool) -> int:
     """Print the labels of the steps, the oldest first, with the time since the case was begun."""
-    with CaseFile.open(newest_state(path), read_only=True) as case:
+    with CaseFile.open(newest_case_file(path), read_only=True) as case:
         steps = case.history()
     if as_json:
         print_json({"steps": [{"n": n, **asdict(step)} for n, step in enumerate(steps, 1)]})
         return 0
     for n, step in enumerate(steps, 1):
-        show(f"{n:>4}  {_clock(step.at_s):>9}  {step.label}{'' if step.holds else '  (undone)'}")
+        print_result(f"{n:>4}  {_duration_text(step.at_s):>9}  {step.label}{'' if step.holds else '  (undone)'}")
     if not steps:
-        say("nothing has been changed in this case yet")
+        print_note("nothing has been changed in this case yet")
     return 0
 
 
-def kept(*, as_json: bool) -> int:
+def list_cases(*, as_json: bool) -> int:
     """Print the cases that are stored on this machine, the most recently used first."""
     records = _records()
     for message in repair_records(records):
-        say(f"note: {message}")
+        print_note(f"note: {message}")
     found = records.all()
     short = _short_ids(found)
     if as_json:
@@ -133,8 +133,8 @@ def kept(*, as_json: bool) -> int:
                     {
                         "id": one.case_id,
                         "title": one.shown_title,
-                        "begun": _iso(one.begun_s),
-                        "used": _iso(one.used_s),
+                        "begun": _iso_time(one.begun_s),
+                        "used": _iso_time(one.used_s),
                         "num_changes": one.num_changes,
                         "bytes": records.num_bytes(one),
                         "digest": one.digest,
@@ -148,28 +148,31 @@ def kept(*, as_json: bool) -> int:
     for one in found:
         used = time.strftime("%Y-%m-%d %H:%M", time.localtime(one.used_s))
         size = say_size(records.num_bytes(one))
-        show(f"{short[one.case_id]:<8} {used}  {_many(one.num_changes, 'change'):>12}  {size:>9}  {one.shown_title}")
+        print_result(
+            f"{short[one.case_id]:<8} {used}  {_count_text(one.num_changes, 'change'):>12}  {size:>9}  "
+            f"{one.shown_title}"
+        )
     if not found:
-        say("no cases are stored on this machine")
+        print_note("no cases are stored on this machine")
     return 0
 
 
 def forget(wanted: str, *, yes: bool, as_json: bool) -> int:
     """Delete all data of a case on this machine; files that the user saved elsewhere stay."""
     records = _records()
-    record = _named(records, wanted)
+    record = _stored_case_by_name(records, wanted)
     cache = _cache()
     others = [one for one in records.all() if one.digest == record.digest and one.case_id != record.case_id]
-    words = f"{record.shown_title}, {_many(record.num_changes, 'change')}"
+    words = f"{record.shown_title}, {_count_text(record.num_changes, 'change')}"
     if not yes:
         if as_json or not sys.stdin.isatty():
             raise UsageError(f"this removes the case ({words}) from this machine permanently; add --yes to confirm")
-        say(f"This removes the case ({words}) from this machine permanently.")
+        print_note(f"This removes the case ({words}) from this machine permanently.")
         if record.copy_path is not None:
-            say(f"The file {record.copy_path} will not be deleted.")
+            print_note(f"The file {record.copy_path} will not be deleted.")
         print("Remove it? [y/N] ", end="", file=sys.stderr, flush=True)
         if sys.stdin.readline().strip().lower() not in {"y", "yes"}:
-            say("nothing was removed")
+            print_note("nothing was removed")
             return 0
     size = records.num_bytes(record)
     if not records.forget(record):
@@ -183,26 +186,26 @@ def forget(wanted: str, *, yes: bool, as_json: bool) -> int:
     if as_json:
         print_json({"id": record.case_id, "bytes": size, "cache_bytes": freed, "copy": record.copy_path})
     else:
-        say(f"removed: {words}; {say_size(size + freed)} freed")
+        print_note(f"removed: {words}; {say_size(size + freed)} freed")
         if record.copy_path is not None:
-            say(f"the file {record.copy_path} was not deleted")
+            print_note(f"the file {record.copy_path} was not deleted")
     return 0
 
 
-def packed(path: Path, *, output: Path, ct: Path | None, as_json: bool) -> int:
+def pack_case(path: Path, *, output: Path, ct: Path | None, as_json: bool) -> int:
     """Write a case and its CT to one file."""
     _check_target(path, output)
-    with CaseFile.open(newest_state(path), read_only=True) as case:
+    with CaseFile.open(newest_case_file(path), read_only=True) as case:
         volume = case_scans().open(case, ct=ct, progress=progress_printer()).volume
         case.write_copy(output, volume=volume, placement=move_to_new_name)
-    return _wrote(output, as_json)
+    return _print_written_file(output, as_json)
 
 
-def migrated(path: Path, *, output: Path, as_json: bool) -> int:
+def migrate_case(path: Path, *, output: Path, as_json: bool) -> int:
     """Convert a case of an older version of Carina to the present format."""
     _check_target(path, output)
     migrate(path, output)
-    return _wrote(output, as_json)
+    return _print_written_file(output, as_json)
 
 
 def rescue(path: Path, *, output: Path, as_json: bool) -> int:
@@ -210,28 +213,28 @@ def rescue(path: Path, *, output: Path, as_json: bool) -> int:
     _check_target(path, output)
     lost = rescued(path, output)
     for words in lost:
-        say(f"lost: {words}")
-    return _wrote(output, as_json, lost=list(lost))
+        print_note(f"lost: {words}")
+    return _print_written_file(output, as_json, lost=list(lost))
 
 
-def recording(path: Path, wanted: str, *, output: Path, as_json: bool) -> int:
+def write_recording(path: Path, wanted: str, *, output: Path, as_json: bool) -> int:
     """Write a recording of a case to a separate file."""
     check_output_file(output, ".jsonl")
     if output.exists():
         raise UsageError(f"-o: {output} already exists; choose another name", code="case.exists")
-    with CaseFile.open(newest_state(path), read_only=True) as case:
-        text = case.recording_text(recording_in(case, wanted).recording_id)
+    with CaseFile.open(newest_case_file(path), read_only=True) as case:
+        text = case.recording_text(find_recording(case, wanted).recording_id)
     write_whole(output, text.encode(), what="the recording", placement=move_to_new_name)
-    return _wrote(output, as_json)
+    return _print_written_file(output, as_json)
 
 
-def recording_in(case: CaseFile, wanted: str) -> RecordingFacts:
+def find_recording(case: CaseFile, wanted: str) -> RecordingFacts:
     """Return a recording of a case by its name, else by its number.
 
     Raises
     ------
     UsageError
-        ``case.recording``: if there is none, or several have that name.
+        ``case.write_recording``: if there is none, or several have that name.
     """
     all_recordings = case.recordings()
     found = [one for one in all_recordings if one.name == wanted]
@@ -252,11 +255,11 @@ def recording_in(case: CaseFile, wanted: str) -> RecordingFacts:
     )
 
 
-def _wrote(output: Path, as_json: bool, **facts: Any) -> int:
+def _print_written_file(output: Path, as_json: bool, **facts: Any) -> int:
     if as_json:
         print_json({"file": str(output), "bytes": output.stat().st_size, **facts})
     else:
-        say(f"wrote {output}: {say_size(output.stat().st_size)}")
+        print_note(f"wrote {output}: {say_size(output.stat().st_size)}")
     return 0
 
 
@@ -277,7 +280,7 @@ def _cache() -> VolumeCache:
     return VolumeCache(settings.cache_dir / "volumes", max_bytes=settings.volume_cache_bytes)
 
 
-def _named(records: CaseRecords, wanted: str) -> CaseRecord:
+def _stored_case_by_name(records: CaseRecords, wanted: str) -> CaseRecord:
     """Return the stored case with this ID prefix or this file.
 
     Raises
@@ -306,15 +309,15 @@ def _short_ids(records: tuple[CaseRecord, ...]) -> dict[str, str]:
     return {one: one[:length] for one in ids}
 
 
-def _many(number: int, what: str) -> str:
+def _count_text(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
-def _clock(seconds: float) -> str:
+def _duration_text(seconds: float) -> str:
     """Return a duration as hours, minutes and seconds."""
     whole = int(seconds)
     return f"{whole // 3600}:{whole // 60 % 60:02}:{whole % 60:02}"
 
 
-def _iso(seconds: float) -> str:
+def _iso_time(seconds: float) -> str:
     return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(seconds))

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from carina.cli.console import say
+from carina.cli.console import print_note
 from carina.config import load_settings
 from carina.errors import UsageError
 
@@ -71,7 +71,7 @@ def path_or_case(path: Path | None) -> Path | None:
         return path
     records = _records()
     open_now = "; it is open in Carina, so its last saved state is used" if records.is_held(record) else ""
-    say(f"note: stored case {record.case_id}, {record.shown_title}{open_now}")
+    print_note(f"note: stored case {record.case_id}, {record.shown_title}{open_now}")
     return records.path_of(record)
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-from carina.cli.console import print_json, say, show
+from carina.cli.console import print_json, print_note, print_result
 from carina.cluster import ClusterRenderer, Console
 from carina.cluster.node import (
     DEFAULT_PORT,
@@ -59,7 +59,7 @@ def _ends_by_signal() -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        say("left the cluster")
+        print_note("left the cluster")
     finally:
         signal.signal(signal.SIGTERM, before)
 
@@ -82,7 +82,7 @@ def start(*, ip: str | None, port: int, renders: bool, dedicated: bool, token: P
             if as_json:
                 print_json({"address": node.address, "token_file": str(_token(token))})
             else:
-                show(
+                print_result(
                     f"The cluster is at {node.address}. Copy the token file {_token(token)}",
                     "to each additional machine, and run there",
                     f"  carina cluster join {node.address}",
@@ -94,7 +94,7 @@ def start(*, ip: str | None, port: int, renders: bool, dedicated: bool, token: P
                 )
             while node.running:
                 time.sleep(0.5)
-            say(f"the cluster's head process stopped unexpectedly; see its log, {_log_file()}")
+            print_note(f"the cluster's head process stopped unexpectedly; see its log, {_log_file()}")
             return 1
         finally:
             node.stop()
@@ -114,13 +114,13 @@ def join(address: str, *, ip: str | None, dedicated: bool, token: Path | None, a
                 node.wait_ready()
                 began_s = time.monotonic()
                 if has_joined:
-                    say(f"this machine has rejoined the cluster at {address}")
+                    print_note(f"this machine has rejoined the cluster at {address}")
                 else:
                     has_joined = True
                     if as_json:
                         print_json({"address": node.address, "ip": node.ip})
                     else:
-                        show(
+                        print_result(
                             f"This machine ({node.ip}) has joined the cluster at {node.address}. "
                             "Press Ctrl-C to leave it.",
                             flush=True,
@@ -138,32 +138,32 @@ def join(address: str, *, ip: str | None, dedicated: bool, token: Path | None, a
             finally:
                 node.stop()
             pause_s = AGAIN_S[min(attempts, len(AGAIN_S)) - 1]
-            say(f"{words} in {pause_s:g} s")
+            print_note(f"{words} in {pause_s:g} s")
             time.sleep(pause_s)
     return 0
 
 
 def status(address: str | None, *, token: Path | None, as_json: bool) -> int:
     """Print the members of a cluster."""
-    from carina.cluster.ray_backend import look
+    from carina.cluster.ray_backend import read_cluster_machines
 
     check_available()
     address = address or f"{own_address()}:{DEFAULT_PORT}"
     host, port = split_address(address)
-    members = look(f"{host}:{port}", check_token(_token(token)), ip=_ip_towards(host))
+    members = read_cluster_machines(f"{host}:{port}", check_token(_token(token)), ip=_own_ip_towards(host))
     if as_json:
         print_json({"address": f"{host}:{port}", "members": members})
         return 0
     num = sum(m["renderers"] for m in members if m["alive"])
-    show(f"{host}:{port}: {num} renderer{'s' if num != 1 else ''}")
+    print_result(f"{host}:{port}: {num} renderer{'s' if num != 1 else ''}")
     for member in members:
         state = "busy" if member["busy"] else "free"
         state = ("no renderer" if not member["renderers"] else state) if member["alive"] else "offline"
-        show(f"  {member['ip']:<16} {state:<12} {member['store_bytes'] / 2**30:.1f} GiB for volumes")
+        print_result(f"  {member['ip']:<16} {state:<12} {member['store_bytes'] / 2**30:.1f} GiB for volumes")
     return 0
 
 
-def _ip_towards(host: str) -> str:
+def _own_ip_towards(host: str) -> str:
     return host if host.startswith("127.") else own_address(host)
 
 
@@ -193,30 +193,30 @@ def opened_cluster(address: str | None, *, token: Path | None, mixed: bool) -> I
     try:
         if address == "local":
             found = make_token(_token(token))
-            say("starting a cluster with this machine only")
-            say(_OPEN_PORTS_WARNING.format(ip=LOCAL_IP))
+            print_note("starting a cluster with this machine only")
+            print_note(_OPEN_PORTS_WARNING.format(ip=LOCAL_IP))
             node = Node(found, head=True, ip=LOCAL_IP, port=_free_port(), log=_log_file())
             node.wait_ready()
             where, ip = node.address, LOCAL_IP
         else:
             found = check_token(_token(token))
             host, port = split_address(address)
-            where, ip = f"{host}:{port}", _ip_towards(host)
+            where, ip = f"{host}:{port}", _own_ip_towards(host)
             if host != ip:
                 # The workstation must also be a member of the cluster, but without a renderer.
                 node = Node(found, address=where, renderers=0, log=_log_file())
                 node.wait_ready()
-        say(f"joining the cluster at {where}")
+        print_note(f"joining the cluster at {where}")
         console = Console()
         cluster = RayCluster(console, where, found, mixed=mixed, ip=ip)
         settings = load_settings()
         shown = console
 
-        def make(volume: Volume, transfer: TransferFunction) -> ClusterRenderer:
+        def make_renderer(volume: Volume, transfer: TransferFunction) -> ClusterRenderer:
             renderer = Renderer(volume, transfer=transfer, cache_dir=settings.cache_dir / "maps")
             return ClusterRenderer(renderer, shown)
 
-        yield OpenCluster(make, shown.status)
+        yield OpenCluster(make_renderer, shown.status)
     finally:
         if cluster is not None:
             cluster.close()

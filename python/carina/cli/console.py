@@ -21,37 +21,37 @@ from carina.errors import CancelledError, CarinaError
 
 __all__ = [
     "accept_any_text",
+    "end_with_error",
     "exit_codes",
-    "fail",
     "interruptible",
     "log_to_terminal",
     "print_json",
+    "print_note",
+    "print_result",
+    "print_usage_error",
     "progress_printer",
-    "say",
-    "say_usage",
-    "show",
 ]
 
 Result = TypeVar("Result")
 ProgressCallback = Callable[[str, float | None], None]
 
 
-def say(text: str) -> None:
+def print_note(text: str) -> None:
     """Print one line on stderr (progress or a note), without control characters or line breaks of file names."""
     print(printable(as_terminal_text(text)), file=sys.stderr, flush=True)
 
 
-def show(*lines: object, flush: bool = False) -> None:
+def print_result(*lines: object, flush: bool = False) -> None:
     """Print result lines on stdout; the content of files cannot add control characters or line breaks."""
     print("\n".join(as_line(str(line)) for line in lines), flush=flush)
 
 
-def say_usage(error: Any) -> None:
+def print_usage_error(error: Any) -> None:
     """Print an error of the argument parser with its usage line on stderr, without control characters of file names."""
     text = io.StringIO()
-    error.show(file=text)
+    error.print_result(file=text)
     for line in shortened_words(text.getvalue().rstrip()).splitlines():
-        say(line)
+        print_note(line)
 
 
 class _LogFormatter(logging.Formatter):
@@ -83,14 +83,14 @@ def progress_printer() -> ProgressCallback:
     live = sys.stderr.isatty()
     state: dict[str, Any] = {"what": None, "start": 0.0, "shown": 0.0, "open": False}
 
-    def show(what: str, fraction: float | None) -> None:
+    def print_result(what: str, fraction: float | None) -> None:
         now = time.monotonic()
         if what != state["what"]:
             if state["open"]:
                 print(file=sys.stderr)
             state.update(what=what, start=now, shown=0.0, open=False)
             if not live:
-                say(what)
+                print_note(what)
         if not live or now - state["shown"] < 0.1:
             return
         text = as_line(what)
@@ -100,7 +100,7 @@ def progress_printer() -> ProgressCallback:
         print(f"\r\x1b[2K{text}", end="", file=sys.stderr, flush=True)
         state.update(shown=now, open=True)
 
-    return show
+    return print_result
 
 
 def interruptible(work: Callable[[], Result]) -> Result:
@@ -140,25 +140,25 @@ def exit_codes(as_json: bool) -> Iterator[None]:
         _drop_stdout()
         raise SystemExit(0) from None
     except (KeyboardInterrupt, CancelledError):
-        say("stopped")
-        fail(as_json, CancelledError.code, "stopped", CancelledError.exit_code)
+        print_note("stopped")
+        end_with_error(as_json, CancelledError.code, "stopped", CancelledError.exit_code)
     except CarinaError as error:
         logging.getLogger("carina").debug("command failed", exc_info=True)
-        say(f"carina: {error}")
-        fail(as_json, error.code, str(error), error.exit_code)
+        print_note(f"carina: {error}")
+        end_with_error(as_json, error.code, str(error), error.exit_code)
     except OSError as error:
         if is_disk_trouble(error):
             doing = "cannot read or write" if error.filename else "cannot read or write a file"
             disk_error = disk_trouble(error, doing, error.filename)
-            say(f"carina: {disk_error}")
-            fail(as_json, disk_error.code, str(disk_error), disk_error.exit_code)
+            print_note(f"carina: {disk_error}")
+            end_with_error(as_json, disk_error.code, str(disk_error), disk_error.exit_code)
         message = f"{error.strerror or error}: {error.filename}" if error.filename else str(error)
-        say(f"carina: {message}")
-        fail(as_json, "machine", message, 1)
+        print_note(f"carina: {message}")
+        end_with_error(as_json, "machine", message, 1)
     except MemoryError:
         message = "not enough memory; close other programs, or use a smaller volume or image"
-        say(f"carina: {message}")
-        fail(as_json, "machine.memory", message, 1)
+        print_note(f"carina: {message}")
+        end_with_error(as_json, "machine.memory", message, 1)
     except SystemExit:
         raise
     except BaseException as error:
@@ -168,11 +168,11 @@ def exit_codes(as_json: bool) -> Iterator[None]:
             f"internal error in Carina ({type(error).__name__}: {error}); please report it "
             "(CARINA_LOG_LEVEL=DEBUG shows where it occurred)"
         )
-        say(f"carina: {message}")
-        fail(as_json, "carina.fault", message, 1)
+        print_note(f"carina: {message}")
+        end_with_error(as_json, "carina.fault", message, 1)
 
 
-def fail(as_json: bool, code: str, message: str, exit_code: int) -> NoReturn:
+def end_with_error(as_json: bool, code: str, message: str, exit_code: int) -> NoReturn:
     """End the command with this exit code; with ``--json``, print the failure as one object on stdout."""
     if as_json:
         try:

@@ -9,7 +9,7 @@ from typing import Any
 
 from msgspec import structs
 
-from carina.cli.console import print_json, say, show
+from carina.cli.console import print_json, print_note, print_result
 from carina.commands import DeviceControls
 from carina.errors import UsageError
 from carina.navigate import HandleSample, PoseSample, Sample, SampleFilter, filter_latency_ms
@@ -29,7 +29,7 @@ def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
     if not 0.0 < seconds <= 86_400.0:
         raise UsageError(f"--seconds: expected more than 0 and at most 86400; found {seconds:g}")
     ports, trouble = found_ports()
-    live = _Live()
+    live = _LatestSamples()
     sources = [open_source(address, live.listener) for address in addresses]
     statuses: list[SourceStatus] = []
     shown: dict[str, str] = {}
@@ -41,9 +41,9 @@ def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
             threading.Event().wait(min(REFRESH_S, max(0.0, end_s - time.monotonic())))
             if not as_json:
                 for source in sources:
-                    line = _line(source.status(), live.newest(source.address))
+                    line = _status_line(source.status(), live.latest_sample(source.address))
                     if shown.get(source.address) != line:
-                        say(line)
+                        print_note(line)
                     shown[source.address] = line
         statuses = [source.status() for source in sources]
     finally:
@@ -63,24 +63,26 @@ def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
         )
     elif not sources:
         for port in ports:
-            show(f"{port['port']}  {port['title']}")
+            print_result(f"{port['port']}  {port['title']}")
         if trouble is not None:
-            show(trouble)
+            print_result(trouble)
         elif not ports:
-            show("no serial port was found")
-        show(IN_THE_WINDOW)
-        show(f"To see what a device sends: carina devices --device DEVICE, where DEVICE is one of {', '.join(KINDS)}")
+            print_result("no serial port was found")
+        print_result(IN_THE_WINDOW)
+        print_result(
+            f"To see what a device sends: carina devices --device DEVICE, where DEVICE is one of {', '.join(KINDS)}"
+        )
     return 0 if all(status.num_samples > 0 for status in statuses) else 4
 
 
-def _line(status: SourceStatus, newest: tuple[str, Sample] | None) -> str:
-    newest_text = "" if newest is None else _words(newest[1])
+def _status_line(status: SourceStatus, latest_sample: tuple[str, Sample] | None) -> str:
+    newest_text = "" if latest_sample is None else _sample_text(latest_sample[1])
     bad = sum(status.num_bad.values())
     ignored = f", {bad} invalid" if bad else ""
     return f"{status.address}: {status.state}, {status.rate_hz:.0f} Hz{ignored}  {newest_text or status.words}"
 
 
-def _words(sample: Sample) -> str:
+def _sample_text(sample: Sample) -> str:
     match sample:
         case PoseSample(position_mm=at, orientation_wxyz=turn):
             place = "no position" if at is None else " ".join(f"{v:8.1f}" for v in at) + " mm"
@@ -94,7 +96,7 @@ def _words(sample: Sample) -> str:
             return " ".join(f"{v:5.2f}" for v in sample.axes)
 
 
-class _Live:
+class _LatestSamples:
     """Newest sample of each device, filtered in the same way as for the movement of the tip."""
 
     def __init__(self) -> None:
@@ -107,7 +109,7 @@ class _Live:
             self._filters[device] = SampleFilter(DeviceControls())
         self._newest[device] = self._filters[device].apply(sample)
 
-    def newest(self, address: str) -> tuple[str, Sample] | None:
+    def latest_sample(self, address: str) -> tuple[str, Sample] | None:
         return next(((d, s) for d, s in sorted(self._newest.items()) if d.startswith(address)), None)
 
     def samples(self, address: str) -> list[dict[str, Any]]:

@@ -11,7 +11,7 @@ from importlib import resources
 from typing import Any
 
 import carina
-from carina.cli.console import print_json, show
+from carina.cli.console import print_json, print_result
 from carina.config import Settings, load_settings
 from carina.disk import say_size
 from carina.installation import extra_command, install_command, rebuild
@@ -34,7 +34,7 @@ def gpu_facts(settings: Settings) -> dict[str, Any]:
 
 def _adapter_facts(backend: Backend, adapter: Adapter) -> dict[str, Any]:
     measured = [v for v in backend.measurements if (v.adapter, v.driver) == (adapter.name, adapter.driver)]
-    chosen, why = _choice(backend, adapter, measured)
+    chosen, why = _choice_text(backend, adapter, measured)
     return {
         "name": adapter.name,
         "api": adapter.api,
@@ -49,7 +49,7 @@ def _adapter_facts(backend: Backend, adapter: Adapter) -> dict[str, Any]:
     }
 
 
-def _choice(backend: Backend, adapter: Adapter, measured: list[AdapterMeasurement]) -> tuple[bool, str]:
+def _choice_text(backend: Backend, adapter: Adapter, measured: list[AdapterMeasurement]) -> tuple[bool, str]:
     """Return whether airway views are rendered by this adapter, and the reason."""
     if backend.mode == "cpu":
         return False, "CARINA_BACKEND=cpu"
@@ -63,11 +63,11 @@ def _choice(backend: Backend, adapter: Adapter, measured: list[AdapterMeasuremen
         )
     if not measured:
         return False, "not measured yet; will be measured during the first flight through a case"
-    sizes = "; ".join(f"{_size(v)}: {v.why}" for v in measured)
+    sizes = "; ".join(f"{_size_text(v)}: {v.why}" for v in measured)
     return any(v.chosen for v in measured), sizes
 
 
-def _size(measurement: AdapterMeasurement) -> str:
+def _size_text(measurement: AdapterMeasurement) -> str:
     nz, ny, nx = measurement.shape_zyx
     return f"{nx} x {ny} x {nz}"
 
@@ -148,21 +148,23 @@ def report(*, as_json: bool) -> int:
     if as_json:
         print_json(facts)
         return 1 if problems else 0
-    show(f"Carina {facts['carina']} on Python {facts['python']}, {facts['platform']}")
-    show(f"  renderer: CPU, {core['threads']} threads, {core['simd']} kernels, {core['profile']} build")
+    print_result(f"Carina {facts['carina']} on Python {facts['python']}, {facts['platform']}")
+    print_result(f"  renderer: CPU, {core['threads']} threads, {core['simd']} kernels, {core['profile']} build")
     for line in gpu_lines(gpu):
-        show(f"  {line}")
-    show(f"  web UI: {'built' if web_ui else 'missing'}; browser: {browser or 'none found on PATH'}")
+        print_result(f"  {line}")
+    print_result(f"  web UI: {'built' if web_ui else 'missing'}; browser: {browser or 'none found on PATH'}")
     for name, version in facts["packages"].items():
-        show(f"  {name} {version or 'MISSING'}")
+        print_result(f"  {name} {version or 'MISSING'}")
     for name, (use, extra) in OPTIONAL.items():
         version = facts["optional"][name]
-        show(f"  {name} {version}" if version else f"  {name}: not installed; for {use}: {extra_command(extra)}")
+        print_result(
+            f"  {name} {version}" if version else f"  {name}: not installed; for {use}: {extra_command(extra)}"
+        )
     if cached is not None:
         off = "" if cached["on"] else " (cache off)"
-        show(f"  cached CTs: {cached['num']}, {say_size(cached['num_bytes'])}{off}")
+        print_result(f"  cached CTs: {cached['num']}, {say_size(cached['num_bytes'])}{off}")
     for problem in problems:
-        show(f"  problem: {problem}")
+        print_result(f"  problem: {problem}")
     if not problems:
-        show("  nothing is missing")
+        print_result("  nothing is missing")
     return 1 if problems else 0

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 import carina
 from carina.case import CaseFile
-from carina.cli.along import check_destination, say_drawn, way_to
+from carina.cli.along import check_destination, print_drawn_parts, route_to
 from carina.cli.arguments import check_needs, check_output_file, check_range
-from carina.cli.case import recording_in
+from carina.cli.case import find_recording
 from carina.cli.cluster import opened_cluster
-from carina.cli.console import print_json, progress_printer, say
-from carina.cli.kept_frames import StoredFrames
-from carina.cli.opened import OpenedInput, check_case_options, newest_state, opened
+from carina.cli.console import print_json, print_note, progress_printer
+from carina.cli.opened import OpenedInput, check_case_options, newest_case_file, open_input
+from carina.cli.stored_frames import StoredFrames
 from carina.cluster import ClusterRenderer, render_frames
 from carina.config import load_settings
 from carina.errors import NoResultError, TrackingError, UsageError, VolumeImportError
@@ -45,7 +45,7 @@ PAUSE_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class _Shown:
+class _RenderOptions:
     """Options for the rendering of the frames."""
 
     size: tuple[int, int]
@@ -96,10 +96,10 @@ def report(
     check_case_options(path, ct, tree=tree)
     notes = size_notes(output, *size, rate_hz=rate_hz)
     for note in notes:
-        say(f"note: {note}")
+        print_note(f"note: {note}")
     size = even_size(*size)
     named = None if scope in {None, "none"} else scope_preset(str(scope)).name
-    shown = _Shown(size, (DEFAULT_SCOPE if scope is None else named), step_vox)
+    shown = _RenderOptions(size, (DEFAULT_SCOPE if scope is None else named), step_vox)
     if to is not None:
         check_destination(to, LEAD_VIEW)
         AutoFlight(carina.FlightPath([[0, 0, 1], [0, 0, 0]]), speed_mm_s=speed_mm_s, pause_s=pause_s)
@@ -114,14 +114,14 @@ def report(
         VideoWriter(output, *size, rate_hz=rate_hz) as video,
         opened_cluster(cluster, token=token, mixed=mixed) as used,
     ):
-        source = opened(path, series=series, progress=progress, ct=ct)
+        source = open_input(path, series=series, progress=progress, ct=ct)
         volume, badges = source.volume, source.badges
         if of_case and source.moment is not None:
             given = key_file(volume, source.key_frames(str(keys)), source.moment.sight)
         facts: dict[str, Any] = {}
         if recorded is not None:
             recorded.check(volume, carina=carina.__version__)
-            moments, facts = _replayed(recorded, volume, progress)
+            moments, facts = _replay_poses(recorded, volume, progress)
             times = frame_times_s(recorded.length_s, rate_hz)
             frames = sampled(moments, times)
         else:
@@ -131,9 +131,9 @@ def report(
                 flight = given.flight()
                 facts = {"key_times_s": list(flight.key_times_s), "path_mm": sum(flight.leg_mm)}
             else:
-                way = way_to(source, str(to), tree_file=tree, progress=progress)
+                way = route_to(source, str(to), tree_file=tree, progress=progress)
                 flight = AutoFlight(way.path, speed_mm_s=speed_mm_s, pause_s=pause_s)
-                say_drawn(way)
+                print_drawn_parts(way)
                 facts = {
                     "to": way.title,
                     "path_mm": way.length_mm,
@@ -141,22 +141,22 @@ def report(
                     "stops_mm": list(way.lookouts_mm),
                 }
             times = frame_times_s(flight.duration_s, rate_hz)
-            view = _chosen_view(_own_view(source, given), shown, chosen=scope is not None)
+            view = _chosen_view(_stored_view(source, given), shown, chosen=scope is not None)
             turned = view.get("operator") == "facing"
             frames = [ReplayedPose(float(t), flight.pose_at(float(t)), view, turned) for t in times]
-        shots, times_shown = _shots(frames, shown)
-        stored = None if keep is None else StoredFrames(keep, _job(volume, frames, shown, mixed))
+        shots, times_shown = _distinct_images(frames, shown)
+        stored = None if keep is None else StoredFrames(keep, _job_digest(volume, frames, shown, mixed))
         num_kept = 0 if stored is None else min(stored.num, len(shots))
         if num_kept:
-            say(f"continuing: {num_kept} of {len(shots)} frames are already in {keep}")
+            print_note(f"continuing: {num_kept} of {len(shots)} frames are already in {keep}")
         began_s = time.perf_counter()
         renderer = _renderer(source, progress, None if used is None else used.make_renderer)
-        for number, rgb in _pictures(renderer, shots, stored, size):
+        for number, rgb in _render_images(renderer, shots, stored, size):
             for _ in range(times_shown[number]):
                 video.add(rgb)
             progress("rendering frames", video.num_frames / len(frames))
         seconds = time.perf_counter() - began_s
-    say(f"wrote {output}: {len(frames)} frames, {len(frames) / rate_hz:.2f} s")
+    print_note(f"wrote {output}: {len(frames)} frames, {len(frames) / rate_hz:.2f} s")
     if as_json:
         print_json(
             {
@@ -179,33 +179,33 @@ def _recording(path: Path, wanted: Path) -> Recording:
     """Return the recording in a file, or a recording of the case by its name or number."""
     if wanted.is_file() or not is_case_file(path):
         return open_recording(wanted)
-    with CaseFile.open(newest_state(path), read_only=True) as case:
-        return case.recording(recording_in(case, str(wanted)).recording_id)
+    with CaseFile.open(newest_case_file(path), read_only=True) as case:
+        return case.recording(find_recording(case, str(wanted)).recording_id)
 
 
-def _replayed(recorded: Recording, volume: Volume, progress: Any) -> tuple[list[ReplayedPose], dict[str, Any]]:
-    wall = _walls(volume, progress) if recorded.needs_wall else None
+def _replay_poses(recorded: Recording, volume: Volume, progress: Any) -> tuple[list[ReplayedPose], dict[str, Any]]:
+    build_wall = _wall_builder(volume, progress) if recorded.needs_wall else None
     moments, different = [], 0
-    for moment, same in recorded.replay(volume, wall=wall):
+    for moment, same in recorded.replay(volume, wall=build_wall):
         moments.append(moment)
         different += not same
     if not moments:
         raise NoResultError("the recording contains no poses")
     if different:
-        say(
+        print_note(
             f"note: {different} of {len(moments)} poses differ from the recorded ones; the recording was probably "
             "made with another build of Carina"
         )
     if not recorded.complete:
-        say("note: the recording is incomplete; the replay stops where it ends")
+        print_note("note: the recording is incomplete; the replay stops where it ends")
     return moments, {"num_moments": len(moments), "num_different": different, "complete": recorded.complete}
 
 
-def _walls(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallField]:
+def _wall_builder(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallField]:
     """Return a function that rebuilds the airway wall of a recording by repeating its airway search and its edits."""
     known: dict[str, WallField] = {}
 
-    def wall(stored: dict[str, Any]) -> WallField:
+    def build_wall(stored: dict[str, Any]) -> WallField:
         digest = str(stored.get("digest", ""))
         if digest in known:
             return known[digest]
@@ -238,10 +238,10 @@ def _walls(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallFiel
             code="navigate.recording",
         )
 
-    return wall
+    return build_wall
 
 
-def _own_view(source: OpenedInput, keys: KeyFrameFile | None) -> dict[str, Any]:
+def _stored_view(source: OpenedInput, keys: KeyFrameFile | None) -> dict[str, Any]:
     """Return the display settings of the key frames, or else those of the case."""
     if keys is not None:
         return keys.view
@@ -249,7 +249,7 @@ def _own_view(source: OpenedInput, keys: KeyFrameFile | None) -> dict[str, Any]:
     return {} if document is None or moment is None else view_words(document, moment.sight)
 
 
-def _chosen_view(own: dict[str, Any], shown: _Shown, *, chosen: bool) -> dict[str, Any]:
+def _chosen_view(own: dict[str, Any], shown: _RenderOptions, *, chosen: bool) -> dict[str, Any]:
     """Return the view of a recording; the instrument of the command, if any, replaces the recorded one."""
     view = dict(own)
     if chosen and view:
@@ -257,7 +257,7 @@ def _chosen_view(own: dict[str, Any], shown: _Shown, *, chosen: bool) -> dict[st
     return view
 
 
-def _job(volume: Volume, frames: list[ReplayedPose], shown: _Shown, mixed: bool) -> str:
+def _job_digest(volume: Volume, frames: list[ReplayedPose], shown: _RenderOptions, mixed: bool) -> str:
     """Return a digest of everything on which the frames of a flight depend, without patient data."""
     digest = hashlib.sha256()
     settings = load_settings()
@@ -282,12 +282,12 @@ def _renderer(source: OpenedInput, progress: Any, make: RendererFactory | None) 
             source.badges.add(getattr(airways, "badges", ()))
             renderer.set_lumen(airways.lumen_zyx, airways.tree)
         except NoResultError as trouble:
-            say(f"note: {trouble}; thin walls are shown as they appear in the CT")
+            print_note(f"note: {trouble}; thin walls are shown as they appear in the CT")
     return renderer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Shot:
+class _FrameImage:
     """Description of one image to render."""
 
     transfer: Any
@@ -295,9 +295,9 @@ class _Shot:
     view: AirwayView
 
 
-def _shots(frames: list[ReplayedPose], shown: _Shown) -> tuple[list[_Shot], list[int]]:
+def _distinct_images(frames: list[ReplayedPose], shown: _RenderOptions) -> tuple[list[_FrameImage], list[int]]:
     """Return the distinct images of a flight, with the number of frames for which each is shown."""
-    shots: list[_Shot] = []
+    shots: list[_FrameImage] = []
     times_shown: list[int] = []
     last: tuple[int, int] | None = None
     for frame in frames:
@@ -306,12 +306,12 @@ def _shots(frames: list[ReplayedPose], shown: _Shown) -> tuple[list[_Shot], list
             times_shown[-1] += 1
             continue
         last = same
-        shots.append(_Shot(frame.view.get("transfer"), _view(frame, shown)))
+        shots.append(_FrameImage(frame.view.get("transfer"), _view(frame, shown)))
         times_shown.append(1)
     return shots, times_shown
 
 
-def _view(frame: ReplayedPose, shown: _Shown) -> AirwayView:
+def _view(frame: ReplayedPose, shown: _RenderOptions) -> AirwayView:
     view = frame.view
     settings: dict[str, Any] = {"width": shown.size[0], "height": shown.size[1], "step_vox": shown.step_vox}
     settings |= {name: view[name] for name in ("shading", "texture", "fov_deg") if name in view}
@@ -327,8 +327,8 @@ def _view(frame: ReplayedPose, shown: _Shown) -> AirwayView:
     return AirwayView.of_scope(preset, frame.pose, picture_turned=frame.picture_turned, **settings)
 
 
-def _pictures(
-    renderer: Renderer | ClusterRenderer, shots: list[_Shot], stored: StoredFrames | None, size: tuple[int, int]
+def _render_images(
+    renderer: Renderer | ClusterRenderer, shots: list[_FrameImage], stored: StoredFrames | None, size: tuple[int, int]
 ) -> Iterator[tuple[int, NDArray[np.uint8]]]:
     """Yield all images with their numbers, in order: first the stored images, then newly rendered images."""
     first = 0 if stored is None else min(stored.num, len(shots))

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from carina.cli.case import case_json, case_lines
-from carina.cli.console import print_json, progress_printer, say, show
-from carina.cli.opened import check_case_options, opened_volume
+from carina.cli.console import print_json, print_note, print_result, progress_printer
+from carina.cli.opened import check_case_options, open_input_volume
 from carina.session import is_case_file
 from carina.volume import badges_of, inspect_path, quality_gate
 
@@ -19,7 +19,7 @@ def report(path: Path, *, strict: bool, series: str | None, as_json: bool, ct: P
     check_case_options(path, ct)
     progress = progress_printer()
     inspection = None if is_case_file(path) else inspect_path(path, series=series)
-    volume = opened_volume(path, series=series, progress=progress, ct=ct)
+    volume = open_input_volume(path, series=series, progress=progress, ct=ct)
     case: dict[str, Any] = {"case": case_json(path)} if is_case_file(path) else {}
     quality = quality_gate(volume)
     badges = badges_of(volume)
@@ -47,26 +47,26 @@ def report(path: Path, *, strict: bool, series: str | None, as_json: bool, ct: P
     else:
         nz, ny, nx = volume.shape_zyx
         sx, sy, sz = volume.spacing_mm
-        show(f"{volume.source.title} ({volume.source.format})")
-        show(f"  {nx} x {ny} x {nz} voxels of {sx:.3f} x {sy:.3f} x {sz:.3f} mm")
+        print_result(f"{volume.source.title} ({volume.source.format})")
+        print_result(f"  {nx} x {ny} x {nz} voxels of {sx:.3f} x {sy:.3f} x {sz:.3f} mm")
         unit = "HU" if volume.is_hu else f"not HU: {volume.not_hu_reason}"
-        show(f"  values {low} to {high}, {unit}")
+        print_result(f"  values {low} to {high}, {unit}")
         for other in volume.source.other_series:
             state = f"cannot be opened: {other.refused}" if other.refused else "open it with --series"
-            show(
+            print_result(
                 f"  also found: series {other.key}, {other.modality}, {other.num_slices} slices, "
                 f"{other.description or 'no description'} ({state})"
             )
         for note in volume.source.notes:
-            show(f"  {'finding' if note.badge else 'note'}: {note.words}")
+            print_result(f"  {'finding' if note.badge else 'note'}: {note.words}")
         for finding in quality.findings:
-            show(f"  quality: {finding.words}")
+            print_result(f"  quality: {finding.words}")
         if volume.source.citation:
-            show(f"  {volume.source.citation}")
+            print_result(f"  {volume.source.citation}")
         if case:
-            show(*case_lines(path))
+            print_result(*case_lines(path))
     if strict and (quality.findings or badges):
         codes = ", ".join([*(badge.code for badge in badges), *(finding.code for finding in quality.findings)])
-        say(f"carina: the scan check found problems ({codes}); exit code 3 because of --strict")
+        print_note(f"carina: the scan check found problems ({codes}); exit code 3 because of --strict")
         return 3
     return 0

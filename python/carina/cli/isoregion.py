@@ -8,8 +8,8 @@ import numpy as np
 
 import carina
 from carina.cli.arguments import check_output_file
-from carina.cli.console import print_json, progress_printer, say
-from carina.cli.opened import check_case_options, opened
+from carina.cli.console import print_json, print_note, progress_printer
+from carina.cli.opened import check_case_options, open_input
 from carina.cli.render import chosen_transfer
 from carina.volume import GRID_SUFFIXES, check_grid_fits, write_grid
 
@@ -21,7 +21,7 @@ def write(path: Path, *, output: Path, transfer: str | None, series: str | None,
     check_output_file(output, *GRID_SUFFIXES)
     chosen = chosen_transfer(transfer)
     check_case_options(path, ct)
-    source = opened(path, series=series, progress=progress_printer(), ct=ct)
+    source = open_input(path, series=series, progress=progress_printer(), ct=ct)
     check_grid_fits(output, source.volume.shape_zyx, source.volume.lps_from_ijk, what="the IsoRegion map")
     radii = carina.isoregion_map(source.volume, chosen)
     what = "16 HU" if transfer is None else f"the transfer function {transfer}"
@@ -29,7 +29,7 @@ def write(path: Path, *, output: Path, transfer: str | None, series: str | None,
     write_grid(output, radii, source.volume.lps_from_ijk, what="the IsoRegion map", note=note)
     share = float(np.count_nonzero(radii)) / radii.size
     largest = int(radii.max())
-    say(f"wrote {output}: {100.0 * share:.1f} % of the voxels have equal neighbours; largest radius {largest}")
+    print_note(f"wrote {output}: {100.0 * share:.1f} % of the voxels have equal neighbours; largest radius {largest}")
     if as_json:
         print_json(
             {

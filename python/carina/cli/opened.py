@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import carina
-from carina.cli.console import ProgressCallback, say
+from carina.cli.console import ProgressCallback, print_note
 from carina.config import load_settings
 from carina.errors import NoResultError, UsageError, VolumeImportError
 from carina.export import read_badges
@@ -22,7 +22,15 @@ if TYPE_CHECKING:
     from carina.case import CaseFile, Document, KeyFrames, Moment
     from carina.track import Airways
 
-__all__ = ["Badges", "OpenedInput", "case_scans", "check_case_options", "newest_state", "opened", "opened_volume"]
+__all__ = [
+    "Badges",
+    "OpenedInput",
+    "case_scans",
+    "check_case_options",
+    "newest_case_file",
+    "open_input",
+    "open_input_volume",
+]
 
 
 class Badges:
@@ -41,9 +49,9 @@ class Badges:
         for note in notes:
             if note not in self._notes:
                 self._notes[note] = None
-                say(f"note: {note.words}")
+                print_note(f"note: {note.words}")
 
-    def take_airways(self, airways: object) -> None:
+    def add_airways_notes(self, airways: object) -> None:
         """Store the notes of an airway search or an imported mask; the caller prints them with the result."""
         for note in getattr(airways, "badges", ()):
             self._notes.setdefault(note, None)
@@ -113,10 +121,10 @@ class OpenedInput:
         """
         document = self.document
         assert document is not None
-        return replace(document, key_frames=_chosen(document.key_frames, wanted))
+        return replace(document, key_frames=_selected_keys(document.key_frames, wanted))
 
 
-def _chosen(keys: KeyFrames, wanted: str) -> KeyFrames:
+def _selected_keys(keys: KeyFrames, wanted: str) -> KeyFrames:
     if wanted.strip() == "all":
         return keys
     chosen = []
@@ -145,14 +153,14 @@ def case_scans() -> CaseScans:
     )
 
 
-def newest_state(path: Path) -> Path:
+def newest_case_file(path: Path) -> Path:
     """Return the path of a case file, or of its newer live file (with a note on stderr) if a window has it open."""
     settings = load_settings()
     records = CaseRecords(settings.cases_dir, lambda: 0.0)
     record = records.open_elsewhere(path.expanduser().absolute())
     if record is None:
         return path
-    say(f"note: {path.name} is open in Carina; its last saved state is used")
+    print_note(f"note: {path.name} is open in Carina; its last saved state is used")
     return records.path_of(record)
 
 
@@ -178,7 +186,7 @@ def check_case_options(path: Path, ct: Path | None, **refused: object) -> None:
             )
 
 
-def opened(
+def open_input(
     path: Path,
     *,
     series: str | None,
@@ -196,11 +204,11 @@ def opened(
     if is_case_file(path):
         from carina.case import CaseFile
 
-        with CaseFile.open(newest_state(path), read_only=True) as case:
-            found = _of_case(case, ct, series, progress)
+        with CaseFile.open(newest_case_file(path), read_only=True) as case:
+            found = _open_case_scan(case, ct, series, progress)
     else:
         found = OpenedInput(carina.open_volume(path, series=series, progress=progress), Badges(), place=path)
-    _say_notes(found)
+    _print_notes(found)
     if strict and found.badges.notes:
         codes = ", ".join(note.code for note in found.badges.notes)
         msg = (
@@ -211,7 +219,7 @@ def opened(
     return found
 
 
-def opened_volume(path: Path, *, series: str | None, progress: ProgressCallback, ct: Path | None = None) -> Volume:
+def open_input_volume(path: Path, *, series: str | None, progress: ProgressCallback, ct: Path | None = None) -> Volume:
     """Open a scan, or the scan of a case, without printing notes."""
     if not is_case_file(path):
         return carina.open_volume(path, series=series, progress=progress)
@@ -221,17 +229,17 @@ def opened_volume(path: Path, *, series: str | None, progress: ProgressCallback,
         return case_scans().open(case, ct=ct, series=series, progress=progress).volume
 
 
-def _of_case(case: CaseFile, ct: Path | None, series: str | None, progress: ProgressCallback) -> OpenedInput:
+def _open_case_scan(case: CaseFile, ct: Path | None, series: str | None, progress: ProgressCallback) -> OpenedInput:
     if case.note is not None:
-        say(f"note: {case.note}")
+        print_note(f"note: {case.note}")
     scan = case_scans().open(case, ct=ct, series=series, progress=progress)
     place = None if scan.place is None or scan.place.startswith("demo:") else Path(scan.place)
     return OpenedInput(scan.volume, Badges(), case.load(scan.volume), place)
 
 
-def _say_notes(found: OpenedInput) -> None:
+def _print_notes(found: OpenedInput) -> None:
     notes: Iterable[Any] = found.volume.source.notes
     for note in notes:
         if not note.badge:
-            say(f"note: {note.words}")
+            print_note(f"note: {note.words}")
     found.badges.add(badges_of(found.volume))

@@ -5,18 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from carina.cli.console import say
+from carina.cli.console import print_note
 from carina.errors import UsageError
 from carina.render import LEAD_VIEW
 from carina.scopes import OUTLINES, DepthOfField, ImageField, Lens, lens_from_file, scope_preset
 
-__all__ = ["SeenThrough"]
+__all__ = ["OpticsOptions"]
 
 CALIBRATION_SUFFIXES = (".yml", ".yaml", ".xml", ".json")
 
 
 @dataclass(frozen=True, slots=True)
-class SeenThrough:
+class OpticsOptions:
     """``--scope``, ``--lens``, ``--outline``, ``--vignette`` and ``--focus``; None where not given."""
 
     scope: str | None
@@ -63,7 +63,7 @@ class SeenThrough:
         lens = lens_from_file(self.lens)
         assert lens.calibration is not None
         model = "OpenCV's fisheye model" if lens.model == "fisheye" else "OpenCV's default model"
-        say("calibration: {}, {} x {} pixels".format(model, *lens.calibration.size_px))
+        print_note("calibration: {}, {} x {} pixels".format(model, *lens.calibration.size_px))
         return lens
 
     def _focus(self, own: DepthOfField | None) -> DepthOfField | None:

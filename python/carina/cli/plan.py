@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 import carina
 from carina.cli.arguments import check_needs, check_output_file, check_range
-from carina.cli.console import print_json, progress_printer, say
-from carina.cli.opened import check_case_options, opened
+from carina.cli.console import print_json, print_note, progress_printer
+from carina.cli.opened import check_case_options, open_input
 from carina.config import load_settings
 from carina.disk import ScratchFolder
 from carina.errors import NoResultError, UsageError
@@ -91,7 +91,7 @@ def report(
     if not isinstance(target, Path):
         check_needs("a target from a file; the target is a point", structure=structure, part=part, resample=resample)
     check_range("--vessel-margin-mm", vessel_margin_mm, 0.0, 50.0, "mm")
-    confirmed = confirmed_codes(_confirmed(confirm))
+    confirmed = confirmed_codes(_confirmed_codes(confirm))
     check_range("--moved-mm", moved_mm, 0.0, 60.0, "mm")
     if second_ct is not None and moved_mm is not None:
         raise UsageError("--second-ct measures the movement that --moved-mm states; leave one of them out")
@@ -104,16 +104,16 @@ def report(
         check_needs("an .html report (-o NAME.html)", no_clips=not clips)
     if not name.endswith(".dcm"):
         check_needs("DICOM files (-o NAME.seg.dcm, NAME.sr.dcm or NAME.pdf.dcm)", with_identity=identity != "none")
-    peer = None if send_to is None else _peer(send_to)
+    peer = None if send_to is None else _host_and_port(send_to)
     instrument = scope_from_file(scope) if Path(scope).is_file() else scope_preset(scope)
     used = tool_from_file(tool) if Path(tool).is_file() else tool_named(tool)
     all_scopes = all_scopes or available is not None
-    here = _available(available) if all_scopes else None
+    here = _available_scopes(available) if all_scopes else None
     if paper not in PAPERS:
         raise UsageError(f"--paper: expected {' or '.join(PAPERS)}; found {paper}")
     check_case_options(path, ct)
     progress = progress_printer()
-    source = opened(path, series=series, progress=progress, ct=ct)
+    source = open_input(path, series=series, progress=progress, ct=ct)
     place = source.place if ct is None else ct
     if output is not None and output.name.lower().endswith((*PLAN_FORMATS, ARCHIVE_SUFFIX)):
         check_plan_file(output, source.volume, place, series=series, identity=identity)
@@ -138,10 +138,10 @@ def report(
     if not isinstance(target, Path):
         found = target_from_click(source.volume, target, airways=airways, wall=wall, progress=False)
     assert found is not None
-    say(f"target: {found.words}")
+    print_note(f"target: {found.words}")
     for note in found.nodule.notes:
-        say(f"target: {note}")
-    measured = None if second_ct is None else _measured(second_ct, source.volume, airways, found, progress)
+        print_note(f"target: {note}")
+    measured = None if second_ct is None else _measured_movement(second_ct, source.volume, airways, found, progress)
     plan = carina.plan_route(
         source.volume,
         airways,
@@ -155,7 +155,7 @@ def report(
         confirmed=confirmed,
     )
     for line in lines(plan):
-        say(line)
+        print_note(line)
     compared: tuple[ComparedTarget, ...] = ()
     if compare:
         plans = [plan]
@@ -179,18 +179,18 @@ def report(
         titles = [f"target {n} ({', '.join(f'{v:.0f}' for v in point)})" for n, point in enumerate(points, 1)]
         compared = compare_targets(plans, titles)
         for line in comparison_lines(compared):
-            say(f"comparison: {line}")
+            print_note(f"comparison: {line}")
     carm: CArmAngles | None = None
     if plan.routes:
         carm = carm_angles(source.volume, airways, plan)
         for line in carm.lines:
-            say(f"C-arm on route 1: {line}")
-        say(f"C-arm: {CARM_LIMITS}")
+            print_note(f"C-arm on route 1: {line}")
+        print_note(f"C-arm: {CARM_LIMITS}")
         for station in route_stations(airways.tree, plan, plan.routes[0]):
-            say(f"EBUS: {station.words}")
+            print_note(f"EBUS: {station.words}")
             for text in station.landmark.doubts:
-                say(f"EBUS: ! station {station.landmark.station}: {text}")
-        say(f"EBUS: {STATION_NOTE}")
+                print_note(f"EBUS: ! station {station.landmark.station}: {text}")
+        print_note(f"EBUS: {STATION_NOTE}")
     verdicts: tuple[Verdict, ...] = ()
     if plan.routes and not plan.routes[0].origin.is_carina:
         # A depth of the carina says nothing about a route that does not pass the carina.
@@ -215,9 +215,9 @@ def report(
     elif plan.routes:
         verdicts = judge_scopes(airways.tree, plan, wall, scopes=[plan.scope], origin_depth_mm=carina_depth_mm)
     for verdict in verdicts:
-        say(f"{verdict.scope.title} on route 1: {verdict.words}")
+        print_note(f"{verdict.scope.title} on route 1: {verdict.words}")
     if pairs:
-        say(_best_pair(plan, pairs, here))
+        print_note(_best_pair(plan, pairs, here))
     materials = PlanMaterials(
         source.volume, airways, wall, plan, verdicts=verdicts, carina_depth_mm=carina_depth_mm, carm=carm
     )
@@ -225,14 +225,14 @@ def report(
     materials = replace(materials, turns=route_turns(materials))
     against = reasons_against(plan, verdicts=verdicts, turns=materials.turns)
     if against:
-        say(f"{AGAINST.lower()}:")
+        print_note(f"{AGAINST.lower()}:")
     for reason in against:
         # The code of a doubt is what --confirm accepts.
         code = f" ({reason.code})" if reason.code in {doubt.code for doubt in plan.doubts} else ""
-        say(f"{'!' if reason.severity == 'stop' else '-'} {reason.words}{code}")
+        print_note(f"{'!' if reason.severity == 'stop' else '-'} {reason.words}{code}")
     if peer is not None:
         num = send_plan(plan, airways.tree, host=peer[0], port=peer[1])
-        say(f"sent {num} messages to {send_to}")
+        print_note(f"sent {num} messages to {send_to}")
     if output is not None and output.name.lower().endswith(tuple(PLAN_FORMATS)):
         export_plan(
             output,
@@ -244,7 +244,7 @@ def report(
             identity=identity,
             badges=source.badges.notes,
         )
-        say(f"wrote {output}")
+        print_note(f"wrote {output}")
         output = None
     elif output is not None and output.name.lower().endswith(ARCHIVE_SUFFIX):
         with ScratchFolder() as folder:
@@ -258,7 +258,7 @@ def report(
                 ct=place,
                 series=series,
             )
-        say(f"wrote {output}")
+        print_note(f"wrote {output}")
         output = None
     if output is not None or as_json:
         # Only an HTML report can play video clips.
@@ -266,7 +266,7 @@ def report(
         sheet = whole_sheet(materials, clips=plays)
         if output is not None:
             write_report(output, sheet, kind=kind, paper=PAPERS[paper])
-            say(f"wrote {output}")
+            print_note(f"wrote {output}")
         if as_json:
             listed = [pair.to_json() | {"available": here is None or pair.scope.name in here} for pair in pairs]
             judged: dict[str, Any] = {"pairs": listed} if all_scopes else {}
@@ -278,30 +278,30 @@ def report(
     return 0 if plan.routes else NoResultError.exit_code
 
 
-def _measured(
+def _measured_movement(
     path: Path, volume: Volume, airways: Airways, target: PlanTarget, progress: ProgressCallback
 ) -> MovementMeasurement:
     """Return the movement of a target that is measured from a second CT or case."""
-    second = opened(path, series=None, progress=progress)
+    second = open_input(path, series=None, progress=progress)
     # The airways of a scan are found only after the checks of its size.
     known = None if second.document is None else second.airways(progress)
     found = measure_movement(volume, airways, target, second.volume, known, progress=progress)
     used = sum(fork.is_used for fork in found.forks)
-    say(
+    print_note(
         f"second CT: {used} of {len(found.forks)} named forks and {found.num_vessels} vessels near the target fit; "
         f"median residual {found.residual_mm:.1f} mm"
     )
     return found
 
 
-def _confirmed(text: str | None) -> bool | tuple[str, ...]:
+def _confirmed_codes(text: str | None) -> bool | tuple[str, ...]:
     """Return the doubts that ``--confirm`` names: all, or codes separated by commas."""
     if text is None or text == "all":
         return text == "all"
     return tuple(code.strip() for code in text.split(","))
 
 
-def _available(text: str | None) -> tuple[str, ...] | None:
+def _available_scopes(text: str | None) -> tuple[str, ...] | None:
     """Return the names of the instruments that ``--available`` or else the stored setting lists; None: all."""
     if text is None:
         stored = LocalStore(load_settings().config_dir).available_scopes()
@@ -325,7 +325,7 @@ def _best_pair(plan: Plan, pairs: tuple[Verdict, ...], here: tuple[str, ...] | N
     return f"best pair: {best.scope.title}{with_tool} on route {number}, which {best.outcome}"
 
 
-def _peer(words: str) -> tuple[str, int]:
+def _host_and_port(words: str) -> tuple[str, int]:
     """Return the host and the port of a text ``host:port``."""
     host, _, port = words.rpartition(":")
     if not host or not port.isdecimal() or len(port) > 5 or not 1 <= int(port) <= 65535:

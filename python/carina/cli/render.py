@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 import carina
 from carina.case.routes import ChosenRoute
-from carina.cli.along import check_destination, say_drawn, way_to
+from carina.cli.along import check_destination, print_drawn_parts, route_to
 from carina.cli.arguments import check_needs, check_output_file, parse_point
-from carina.cli.console import interruptible, print_json, progress_printer, say
-from carina.cli.opened import OpenedInput, check_case_options, opened
-from carina.cli.optics import SeenThrough
+from carina.cli.console import interruptible, print_json, print_note, progress_printer
+from carina.cli.opened import OpenedInput, check_case_options, open_input
+from carina.cli.optics import OpticsOptions
 from carina.config import load_settings
 from carina.disk import open_regular_text
 from carina.errors import CarinaError, UsageError, VolumeImportError
@@ -97,11 +97,11 @@ def _slab(text: str | None) -> Slab | None:
         ) from None
 
 
-def _along_paths() -> str:
+def _path_views() -> str:
     return " and ".join(sorted(row.name for row in VIEWS.values() if "route" in row.needs))
 
 
-def _along(picture: Picture, way: ChosenRoute) -> Picture:
+def _with_path_marks(picture: Picture, way: ChosenRoute) -> Picture:
     spans = [
         PathSpan(
             kind_words(s.kind) or s.name or f"generation {s.generation}", s.from_mm, s.to_mm, drawn=s.kind != "tracked"
@@ -111,10 +111,10 @@ def _along(picture: Picture, way: ChosenRoute) -> Picture:
     return mark_path(picture, spans=spans, radius_mm=(way.cumulative_mm, way.radius_mm))
 
 
-def _own_options(
+def _case_view_options(
     source: OpenedInput,
     view: str,
-    seen: SeenThrough,
+    seen: OpticsOptions,
     fov_deg: float | None,
     window: str | None,
     shading: bool | None,
@@ -149,7 +149,7 @@ def report(
     look: NDArray[np.float64] | None,
     up: NDArray[np.float64] | None,
     fov_deg: float | None,
-    seen: SeenThrough,
+    seen: OpticsOptions,
     size: tuple[int, int],
     method: str,
     step_vox: float,
@@ -220,17 +220,17 @@ def report(
         to = check_destination(to, view)
         options["path"] = _ANY_PATH
     elif to is not None or tree is not None:
-        raise UsageError(f"--to and --tree only apply to the {_along_paths()} views; the view is {view!r}")
+        raise UsageError(f"--to and --tree only apply to the {_path_views()} views; the view is {view!r}")
     if slab is not None and row.slab is None:
         raise UsageError(f"--slab only applies to slices and views along a path; the view is {view!r}")
     direction = (0.0, 0.0, -1.0) if look is None else look
     # Check the arguments now, before minutes of reading and tracking.
     view_spec(pose=Pose.looking((0.0, 0.0, 0.0) if at is None else at, direction, up), **options)
     progress = progress_printer()
-    source = opened(path, series=series, progress=progress, ct=ct)
+    source = open_input(path, series=series, progress=progress, ct=ct)
     volume, badges = source.volume, source.badges
     if source.moment is not None:
-        options |= _own_options(source, view, seen, fov_deg, window, shading, texture)
+        options |= _case_view_options(source, view, seen, fov_deg, window, shading, texture)
         chosen = chosen or source.moment.history().current.transfer
     if at is not None:
         try:
@@ -238,7 +238,7 @@ def report(
         except UsageError as error:
             if row.inside:
                 raise
-            say(f"note: {error}")
+            print_note(f"note: {error}")
     airways = None
     # The lumen closes thin walls in the airway view, is the surface in the tree view, and gives the default pose.
     wants_wall = view == LEAD_VIEW and volume.is_hu and (chosen is None or chosen.wall)
@@ -246,9 +246,9 @@ def report(
     wants_pose = at is None and row.wants_tip
     way = None
     if to is not None:
-        way = way_to(source, to, tree_file=tree, progress=progress)
+        way = route_to(source, to, tree_file=tree, progress=progress)
         options["path"] = way.path.frames()
-        say_drawn(way)
+        print_drawn_parts(way)
     wants_lumen = wants_pose or "airways" in row.needs
     if wants_lumen or wants_wall:
         try:
@@ -257,7 +257,7 @@ def report(
         except carina.NoResultError as error:
             if wants_lumen:
                 raise
-            say(f"note: {error}; thin walls are shown as they appear in the CT")
+            print_note(f"note: {error}; thin walls are shown as they appear in the CT")
     left = source.tip if wants_pose and look is None and up is None else None
     if left is not None:
         at = left.position_lps
@@ -274,13 +274,13 @@ def report(
     if row.marks_tip and at is not None:
         picture = mark_tip(picture, pose.position_lps)
     if way is not None:
-        picture = _along(picture, way)
+        picture = _with_path_marks(picture, way)
         if at is not None:
             picture = mark_tip(picture, at)
     if row.lettered:
         picture = letter_edges(picture)
     picture.save(output, badges=badges.notes)
-    say(f"wrote {output}")
+    print_note(f"wrote {output}")
     if surface is not None:
         walls = render_surface(
             volume,
@@ -296,7 +296,7 @@ def report(
             lumen_zyx=lumen_zyx,
         )
         walls.save(surface, badges=badges.notes)
-        say(f"wrote {surface}")
+        print_note(f"wrote {surface}")
     camera = picture.lps_from_camera if view == LEAD_VIEW else None
     if as_json:
         print_json(

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 import carina
 from carina.cli.arguments import check_output_file
-from carina.cli.console import ProgressCallback, print_json, progress_printer, say
-from carina.cli.opened import OpenedInput, check_case_options, opened
+from carina.cli.console import ProgressCallback, print_json, print_note, progress_printer
+from carina.cli.opened import OpenedInput, check_case_options, open_input
 from carina.errors import NoResultError
 from carina.export import write_tree
 from carina.track import Airways, DrawnPart, drawn_part
@@ -41,7 +41,7 @@ def report(
     # With the cost ``lumen``, paths start at the root of the case's airways; the other costs accept any start point.
     check_case_options(path, ct, root=root is not None and cost == "lumen")
     progress = progress_printer()
-    source = opened(path, series=series, progress=progress, ct=ct)
+    source = open_input(path, series=series, progress=progress, ct=ct)
     volume, badges = source.volume, source.badges
     result = carina.track_paths(
         volume,
@@ -81,31 +81,31 @@ def report(
                 **drawn.to_json(),
             }
             if drawn.words is not None:
-                say(f"target {number}: {drawn.words}")
+                print_note(f"target {number}: {drawn.words}")
             outside = None if search is None else search.targets[number - 1]
             if outside is not None:
                 row["search"] = dataclasses.asdict(outside)
                 if cost != "lumen":
                     low, high = outside.value_range
                     unit = " HU" if volume.is_hu else ""
-                    say(f"target {number}: values along the path from {low} to {high}{unit}")
+                    print_note(f"target {number}: values along the path from {low} to {high}{unit}")
                 if outside.num_outside:
-                    say(
+                    print_note(
                         f"target {number}: {outside.outside_mm:.1f} mm of the path ({outside.num_outside} points) lie "
                         "outside the airway lumen"
                     )
             snapped = f", snapped {target.snapped_mm:.1f} mm to the lumen" if target.snapped_mm else ""
             depth = "" if result.airways is None else f", generation {row['generation']}"
-            say(f"target {number}: {target.path.length_mm:.1f} mm{depth}{snapped}")
+            print_note(f"target {number}: {target.path.length_mm:.1f} mm{depth}{snapped}")
         else:
-            say(f"target {number}: {target.problem}")
+            print_note(f"target {number}: {target.problem}")
         rows.append(row)
     for note in () if result.search is None else result.search.notes:
-        say(f"note: {note}")
+        print_note(f"note: {note}")
     found = [target for target in result.targets if target.path is not None]
     if output is not None and found and result.tree is not None:
         write_tree(output, result.tree, badges=badges.notes)
-        say(f"wrote {output}")
+        print_note(f"wrote {output}")
     if as_json:
         print_json(
             {
@@ -120,7 +120,7 @@ def report(
     if len(found) == len(result.targets):
         return 0
     if not found:
-        say("carina: no path was found to any target; nothing was written")
+        print_note("carina: no path was found to any target; nothing was written")
     return NoResultError.exit_code
 
 

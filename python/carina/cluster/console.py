@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from carina.cluster.frame_rate import RateMeter
-from carina.cluster.frames import Content, PendingFrame, fail, what_is_wrong
+from carina.cluster.frames import Content, PendingFrame, find_mismatch, set_failure
 from carina.cluster.lanes import Lane, LaneFacts, LocalLane, StripAnswer, StripOrder
 from carina.cluster.scene_data import Parcel, Parcels
 from carina.cluster.scheduler import FrameDone, FrameDropped, Issue, LaneBack, LaneLate, StripScheduler
@@ -74,7 +74,7 @@ class Console:
     settings
         Settings of the scheduler.
     clock
-        Returns the present time in seconds, monotonic.
+        Returns the current time in seconds, monotonic.
     keep_jobs
         Store a :class:`StripTiming` for each strip, for timelines.
     """
@@ -117,7 +117,7 @@ class Console:
         return f"Console({len(self._members)} renderers)"
 
     def add_lane(self, lane: Lane, *, reserve: bool = False) -> None:
-        """Add a renderer; it renders as soon as it has loaded the present content. A closed console closes the lane.
+        """Add a renderer; it renders as soon as it has loaded the current content. A closed console closes the lane.
 
         Parameters
         ----------
@@ -128,17 +128,17 @@ class Console:
         """
         with self._closing:
             if not self._closed:
-                self._inbox.put(lambda: self._add(lane, reserve))
+                self._inbox.put(lambda: self._add_member(lane, reserve))
                 return
         lane.close()
 
     def remove_lane(self, name: str) -> None:
         """Remove the renderer with this name permanently and close its lane."""
-        self._inbox.put(lambda: self._remove(name))
+        self._inbox.put(lambda: self._remove_member(name))
 
     def notice(self, words: str) -> None:
         """Add a message for the user; a repeated message is shown once."""
-        self._inbox.put(lambda: self._tell(words))
+        self._inbox.put(lambda: self._add_notice(words))
 
     def set_content(self, parcel: Parcel) -> None:
         """Set the content (volume and scene) that renderers load; each frame names the content that it shows.
@@ -179,12 +179,12 @@ class Console:
         frame = PendingFrame(
             view, content, future, CancelToken(), self._clock(), view_bytes=pickle.dumps(view, protocol=5)
         )
-        self._inbox.put(lambda: self._want(frame_id, frame, whole, stream))
+        self._inbox.put(lambda: self._request_frame(frame_id, frame, whole, stream))
         return frame_id, future
 
     def drop(self, frame_id: int) -> None:
         """Cancel a requested picture."""
-        self._inbox.put(lambda: self._drop(frame_id))
+        self._inbox.put(lambda: self._drop_frame(frame_id))
 
     def status(self) -> ClusterStatus:
         """Return the state of the cluster and its machines.
@@ -234,10 +234,10 @@ class Console:
             try:
                 happen = self._inbox.get(timeout=self._wait_s())
             except queue.Empty:
-                happen = _nothing
+                happen = _do_nothing
             # All queued events are handled before lanes are declared late, because answers may wait in the queue.
             while happen is not None:
-                _whatever_happens(happen)
+                _run_and_log_errors(happen)
                 try:
                     happen = self._inbox.get_nowait()
                 except queue.Empty:
@@ -247,18 +247,18 @@ class Console:
             now_s = self._clock()
             due_s = self._scheduler.deadline_s
             if due_s is not None and now_s >= due_s:
-                _whatever_happens(partial(self._tick, now_s))
+                _run_and_log_errors(partial(self._handle_time, now_s))
             for item in [item for item in self._later if item[0] <= now_s]:
                 self._later.remove(item)
-                _whatever_happens(item[1])
+                _run_and_log_errors(item[1])
         for frame in self._frames.values():
-            fail(frame.future, CancelledError("the cluster was closed"))
+            set_failure(frame.future, CancelledError("the cluster was closed"))
         for member in self._members.values():
-            _whatever_happens(member.lane.close)
+            _run_and_log_errors(member.lane.close)
 
-    def _tick(self, now_s: float) -> None:
-        self._scheduler.tick(now_s)
-        self._act()
+    def _handle_time(self, now_s: float) -> None:
+        self._scheduler.mark_late_lanes(now_s)
+        self._run_actions()
 
     def _wait_s(self) -> float | None:
         """Return the time in seconds until the next deadline or retry; None if there is none."""
@@ -269,32 +269,32 @@ class Console:
         # 0.2 ms longer, so that rounding does not end the wait just before the deadline.
         return max(0.0, min(due) - self._clock()) + 0.0002 if due else None
 
-    def _add(self, lane: Lane, reserve: bool) -> None:
+    def _add_member(self, lane: Lane, reserve: bool) -> None:
         if lane.name in self._members:
-            self._remove(lane.name)
+            self._remove_member(lane.name)
         self._members[lane.name] = _Member(lane, reserve)
-        self._load(lane.name)
+        self._load_content(lane.name)
 
-    def _remove(self, name: str) -> None:
+    def _remove_member(self, name: str) -> None:
         member = self._members.pop(name, None)
         if member is None:
             return
         self._scheduler.leave(name, self._clock())
-        self._act()
+        self._run_actions()
         member.lane.close()
-        self._note_alone()
+        self._notify_without_renderers()
 
     def _set_content(self, parcel: Parcel) -> None:
-        """Set the content and load it on all renderers, unless it is older than the present content."""
+        """Set the content and load it on all renderers, unless it is older than the current content."""
         if self._parcel is not None and parcel.content <= self._parcel.content:
             return
         self._parcel = parcel
         for name, member in list(self._members.items()):
             if not member.loading or member.loaded == 0:
-                self._load(name)
+                self._load_content(name)
 
-    def _load(self, name: str) -> None:
-        """Send the present content to a renderer; it renders as soon as it has loaded the content."""
+    def _load_content(self, name: str) -> None:
+        """Send the current content to a renderer; it renders as soon as it has loaded the content."""
         member = self._members.get(name)
         if member is None:
             return
@@ -310,7 +310,7 @@ class Console:
         was_loading = member.loading
 
         def done(trouble: BaseException | None) -> None:
-            self._inbox.put(lambda: self._loaded(name, generation, parcel, trouble))
+            self._inbox.put(lambda: self._handle_load_end(name, generation, parcel, trouble))
 
         try:
             light = member.lane.load(parcel, done)
@@ -320,9 +320,9 @@ class Console:
             return
         if light and not was_loading:
             self._scheduler.load(name, parcel.content, self._clock())
-            self._act()
+            self._run_actions()
 
-    def _loaded(self, name: str, generation: int, parcel: Parcel, trouble: BaseException | None) -> None:
+    def _handle_load_end(self, name: str, generation: int, parcel: Parcel, trouble: BaseException | None) -> None:
         """Handle the end of a load: let the renderer take part, load newer content, or schedule another attempt."""
         member = self._members.get(name)
         if member is None or generation != member.generation:
@@ -336,39 +336,39 @@ class Console:
                 self._scheduler.join(name, now_s, content=parcel.content, reserve=member.reserve)
             else:
                 self._scheduler.load(name, parcel.content, now_s)
-            self._act()
+            self._run_actions()
             if self._parcel is not parcel:
-                self._load(name)
+                self._load_content(name)
             return
         if isinstance(trouble, ClusterError) and trouble.code in {"cluster.memory", "cluster.version"}:
-            self._tell(str(trouble))
-            self._remove(name)
+            self._add_notice(str(trouble))
+            self._remove_member(name)
             return
-        self._retry(name, trouble)
+        self._schedule_retry(name, trouble)
 
-    def _retry(self, name: str, trouble: BaseException) -> None:
+    def _schedule_retry(self, name: str, trouble: BaseException) -> None:
         """Take a renderer out of use and schedule its next attempt to load."""
         member = self._members[name]
         if not member.loading:
             member.loading = True
             self._scheduler.leave(name, self._clock())
-            self._act()
+            self._run_actions()
         logger.info("renderer %s: %s; it is retried", name, type(trouble).__name__)
         wait_s = RETRY_S[min(member.attempts, len(RETRY_S) - 1)]
         member.attempts += 1
         if member.attempts == TELL_AFTER_LOADS:
             why = str(trouble) if isinstance(trouble, ClusterError) else type(trouble).__name__
-            self._tell(f"the renderer {name} cannot load the case ({why}); Carina keeps trying")
-        self._later.append((self._clock() + wait_s, lambda: self._load(name)))
-        self._note_alone()
+            self._add_notice(f"the renderer {name} cannot load the case ({why}); Carina keeps trying")
+        self._later.append((self._clock() + wait_s, lambda: self._load_content(name)))
+        self._notify_without_renderers()
 
-    def _want(self, frame_id: int, frame: PendingFrame, whole: bool, stream: str | None) -> None:
+    def _request_frame(self, frame_id: int, frame: PendingFrame, whole: bool, stream: str | None) -> None:
         """Pass a requested picture to the scheduler."""
         self._frames[frame_id] = frame
         view = frame.view
         # The limit in bytes is converted to rows; an answer has three bytes per pixel.
         max_rows = None if whole else max(1, self._settings.max_strip_bytes // (3 * view.width))
-        self._scheduler.want(
+        self._scheduler.request(
             frame_id,
             view.height,
             self._clock(),
@@ -378,40 +378,40 @@ class Console:
             stream=stream,
             max_rows=max_rows,
         )
-        self._act()
+        self._run_actions()
 
-    def _drop(self, frame_id: int) -> None:
+    def _drop_frame(self, frame_id: int) -> None:
         frame = self._frames.get(frame_id)
         if frame is not None:
             frame.stop.cancel()
             self._scheduler.drop(frame_id, self._clock())
-            self._act()
+            self._run_actions()
 
-    def _act(self) -> None:
+    def _run_actions(self) -> None:
         """Carry out the actions that the scheduler has collected."""
-        for action in self._scheduler.take():
+        for action in self._scheduler.take_actions():
             match action:
                 case Issue():
-                    self._issue(action)
+                    self._send_strip(action)
                 case FrameDone(frame_id):
-                    self._deliver(self._frames.pop(frame_id))
+                    self._deliver_frame(self._frames.pop(frame_id))
                 case FrameDropped(frame_id):
                     # The frame is missing if its future already failed with the error of an invalid view.
                     frame = self._frames.pop(frame_id, None)
                     if frame is not None:
                         frame.stop.cancel()
-                        fail(frame.future, CancelledError("the image was superseded by a newer one"))
+                        set_failure(frame.future, CancelledError("the image was superseded by a newer one"))
                 case LaneLate(lane):
                     # The user is notified only of a delay that lasts; the cluster panel shows each delay.
-                    self._later.append((self._clock() + TELL_AFTER_S, partial(self._tell_if_late, str(lane))))
+                    self._later.append((self._clock() + TELL_AFTER_S, partial(self._notify_if_late, str(lane))))
                 case LaneBack():
                     pass
 
-    def _tell_if_late(self, name: str) -> None:
+    def _notify_if_late(self, name: str) -> None:
         if any(view.lane == name and view.state == "late" for view in self._scheduler.lanes()):
-            self._tell(f"the renderer {name} is late; the other machines render its part until it responds")
+            self._add_notice(f"the renderer {name} is late; the other machines render its part until it responds")
 
-    def _issue(self, task: Issue) -> None:
+    def _send_strip(self, task: Issue) -> None:
         """Send a strip order to the lane that the scheduler chose."""
         frame = self._frames[task.frame_id]
         member = self._members[str(task.lane)]
@@ -434,7 +434,7 @@ class Console:
 
         def done(answer: StripAnswer | BaseException) -> None:
             at_s = self._clock()
-            self._inbox.put(lambda: self._answered(name, order, answer, at_s))
+            self._inbox.put(lambda: self._handle_answer(name, order, answer, at_s))
 
         try:
             member.lane.submit(order, done)
@@ -442,7 +442,7 @@ class Console:
             # Every order needs an answer: the console's own lane has no deadline that would detect a missing one.
             done(trouble)
 
-    def _answered(self, name: str, order: StripOrder, answer: StripAnswer | BaseException, at_s: float) -> None:
+    def _handle_answer(self, name: str, order: StripOrder, answer: StripAnswer | BaseException, at_s: float) -> None:
         """Handle a lane's answer: check it, copy its rows into the frame, and report it to the scheduler."""
         _, issued_s = self._tasks.pop(order.task_id, (order, None))
         if issued_s is None:
@@ -450,48 +450,48 @@ class Console:
             return
         frame = self._frames.get(order.frame_id)
         if isinstance(answer, BaseException):
-            self._refused(name, order, frame, answer)
+            self._handle_refusal(name, order, frame, answer)
             return
         rows = order.rows or (0, order.view.height)
         try:
-            wrong = what_is_wrong(answer, order)
-            if wrong is None and frame is not None and self._scheduler.wants(name, order.task_id):
+            wrong = find_mismatch(answer, order)
+            if wrong is None and frame is not None and self._scheduler.expects(name, order.task_id):
                 # Copied before the scheduler counts the rows as done: if the copy fails, another lane must render them.
-                frame.take(answer, rows)
+                frame.copy_rows(answer, rows)
         except Exception as trouble:
             wrong = f"an unusable strip ({type(trouble).__name__}: {trouble})"
         if wrong is not None:
-            self._fault(name, order, wrong)
+            self._handle_fault(name, order, wrong)
             return
         member = self._members.get(name)
         if member is not None:
             member.latency.note(at_s, at_s - issued_s)
-        # The present time, not the time of the answer: the scheduler's clock must not run backwards.
+        # The current time, not the time of the answer: the scheduler's clock must not run backwards.
         accepted = self._scheduler.answered(name, order.task_id, answer.seconds, self._clock())
         if self.jobs is not None:
             self.jobs.append(StripTiming(name, order.frame_id, rows, issued_s, at_s, answer.seconds, accepted))
-        self._act()
+        self._run_actions()
 
-    def _refused(self, name: str, order: StripOrder, frame: PendingFrame | None, trouble: BaseException) -> None:
+    def _handle_refusal(self, name: str, order: StripOrder, frame: PendingFrame | None, trouble: BaseException) -> None:
         """Handle an error of a lane: the view is invalid, the frame was cancelled, or the renderer failed."""
         now_s = self._clock()
         if isinstance(trouble, ClusterError) and trouble.code == "cluster.fault":
-            self._fault(name, order, str(trouble))
+            self._handle_fault(name, order, str(trouble))
             return
         if isinstance(trouble, CancelledError):
             if frame is not None:
-                self._drop(order.frame_id)
+                self._drop_frame(order.frame_id)
             self._scheduler.answered(name, order.task_id, 1e-9, now_s)
-            self._act()
+            self._run_actions()
             return
         if isinstance(trouble, CarinaError) and not isinstance(trouble, ClusterError):
             # The view itself is invalid, so every renderer would refuse it.
             self._frames.pop(order.frame_id, None)
             if frame is not None:
-                fail(frame.future, trouble)
+                set_failure(frame.future, trouble)
                 self._scheduler.drop(order.frame_id, now_s)
             self._scheduler.answered(name, order.task_id, 1e-9, now_s)
-            self._act()
+            self._run_actions()
             return
         member = self._members.get(name)
         self._scheduler.failed(name, order.task_id, now_s)
@@ -500,43 +500,45 @@ class Console:
             self._scheduler.join(name, now_s, reserve=True)
             self._frames.pop(order.frame_id, None)
             if frame is not None:
-                fail(frame.future, trouble)
+                set_failure(frame.future, trouble)
                 self._scheduler.drop(order.frame_id, now_s)
-            self._act()
+            self._run_actions()
             return
-        self._act()
+        self._run_actions()
         if member is not None and not member.loading:
-            self._tell(f"the renderer {name} is not responding; the other machines render its part until it is back")
-            self._retry(name, trouble)
+            self._add_notice(
+                f"the renderer {name} is not responding; the other machines render its part until it is back"
+            )
+            self._schedule_retry(name, trouble)
 
-    def _fault(self, name: str, order: StripOrder, wrong: str) -> None:
+    def _handle_fault(self, name: str, order: StripOrder, wrong: str) -> None:
         """Handle a wrong answer; a renderer with :data:`MAX_FAULTS` wrong answers is removed."""
         self._scheduler.failed(name, order.task_id, self._clock())
-        self._act()
+        self._run_actions()
         member = self._members.get(name)
         if member is None or member.loading:
             return
         member.faults += 1
         if member.faults >= MAX_FAULTS:
-            self._tell(f"the renderer {name} keeps returning invalid replies ({wrong}) and is no longer used")
-            self._remove(name)
+            self._add_notice(f"the renderer {name} keeps returning invalid replies ({wrong}) and is no longer used")
+            self._remove_member(name)
             return
-        self._tell(f"the renderer {name} returned an invalid reply: {wrong}; another machine rendered its part")
-        self._retry(name, ClusterError(wrong, code="cluster.fault"))
+        self._add_notice(f"the renderer {name} returned an invalid reply: {wrong}; another machine rendered its part")
+        self._schedule_retry(name, ClusterError(wrong, code="cluster.fault"))
 
-    def _deliver(self, frame: PendingFrame) -> None:
+    def _deliver_frame(self, frame: PendingFrame) -> None:
         now_s = self._clock()
         self._meter.note(now_s, now_s - frame.wanted_s)
-        frame.deliver(now_s)
+        frame.complete(now_s)
 
-    def _tell(self, words: str) -> None:
+    def _add_notice(self, words: str) -> None:
         if words not in self._reported:
             self._reported.add(words)
             self._notices.append(words)
             del self._notices[:-50]
             logger.warning("%s", words)
 
-    def _note_alone(self) -> None:
+    def _notify_without_renderers(self) -> None:
         if not self._closed and any(m.reserve for m in self._members.values()) and not self.has_renderers:
             logger.info("no renderer is left; this machine renders alone")
 
@@ -574,7 +576,7 @@ class Console:
         )
 
 
-def _whatever_happens(step: Callable[[], object]) -> None:
+def _run_and_log_errors(step: Callable[[], object]) -> None:
     """Run an event handler and log any error, because an error in the console's thread would stop all pictures."""
     try:
         step()
@@ -582,5 +584,5 @@ def _whatever_happens(step: Callable[[], object]) -> None:
         logger.exception("the console could not render an image")
 
 
-def _nothing() -> None:
+def _do_nothing() -> None:
     """Do nothing; this is the event handler for a wait that timed out."""

@@ -18,16 +18,16 @@ class RateMeter:
     def note(self, now_s: float, span_s: float) -> None:
         """Add an event with its duration in seconds."""
         # Old times are removed here too, because rate_hz may never be called.
-        self._forget(now_s)
+        self._drop_old_events(now_s)
         self._times.append(now_s)
         self._spans.append(span_s)
 
     def rate_hz(self, now_s: float) -> float:
         """Return the number of events per second."""
-        self._forget(now_s)
+        self._drop_old_events(now_s)
         return len(self._times) / self._over_s
 
-    def _forget(self, now_s: float) -> None:
+    def _drop_old_events(self, now_s: float) -> None:
         while self._times and self._times[0] < now_s - self._over_s:
             self._times.popleft()
 

@@ -14,7 +14,7 @@ from carina.render import AirwayView, CancelToken, Picture, Renderer, RenderStat
 from carina.render.scene import Scene
 from carina.scopes import PINHOLE
 
-__all__ = ["Content", "PendingFrame", "fail", "what_is_wrong"]
+__all__ = ["Content", "PendingFrame", "find_mismatch", "set_failure"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,13 +42,13 @@ class PendingFrame:
     _counts: Counts = (0, 0, 0, 0, 0, 0, 0)
     _method: str = ""
 
-    def take(self, answer: StripAnswer, rows: tuple[int, int]) -> None:
+    def copy_rows(self, answer: StripAnswer, rows: tuple[int, int]) -> None:
         """Copy the rows of an answer into the picture; if an error is raised, the answer has no effect.
 
         Parameters
         ----------
         answer
-            The answer of a lane, already checked by :func:`what_is_wrong`.
+            The answer of a lane, already checked by :func:`find_mismatch`.
         rows
             First row and row after the last.
 
@@ -60,25 +60,25 @@ class PendingFrame:
         first, end = rows
         if self._rgb is None:
             self._rgb = np.empty((self.view.height, self.view.width, 3), np.uint8)
-        counts = _plus(self._counts, answer.counts)
+        counts = _sum_counts(self._counts, answer.counts)
         self._rgb[first:end] = answer.rgb
         if first == 0:
             self._first = answer.picture
         self._counts = counts
         self._method = max(self._method, answer.method, key=lambda m: (m.startswith("gpu"), m))
 
-    def deliver(self, now_s: float) -> None:
+    def complete(self, now_s: float) -> None:
         """Complete the frame's future after the last row: set the picture, or the error of the assembly.
 
         Parameters
         ----------
         now_s
-            Present time in seconds, for the rendering time in the statistics.
+            Current time in seconds, for the rendering time in the statistics.
         """
         try:
             picture = self._picture(now_s)
         except Exception as trouble:
-            fail(self.future, trouble)
+            set_failure(self.future, trouble)
             return
         if self.future.set_running_or_notify_cancel():
             self.future.set_result(picture)
@@ -91,17 +91,17 @@ class PendingFrame:
         return with_pixels(self._first, self._rgb, stats=stats, optics=optics)
 
 
-def _plus(a: Counts, b: Counts) -> Counts:
+def _sum_counts(a: Counts, b: Counts) -> Counts:
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5], a[6] + b[6])
 
 
-def fail(future: Future[Picture], trouble: BaseException) -> None:
+def set_failure(future: Future[Picture], trouble: BaseException) -> None:
     """Set an exception as the result of a future that has no result yet."""
     if not future.done() and future.set_running_or_notify_cancel():
         future.set_exception(trouble)
 
 
-def what_is_wrong(answer: StripAnswer, order: StripOrder) -> str | None:
+def find_mismatch(answer: StripAnswer, order: StripOrder) -> str | None:
     """Return the difference between a lane's answer and its order as text; None if the answer is valid."""
     first, end = order.rows or (0, order.view.height)
     expected = (end - first, order.view.width, 3)

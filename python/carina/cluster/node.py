@@ -244,9 +244,9 @@ class Node:
         self._starts_left = 3
         self._command = [*command_prefix, sys.executable, "-m", "ray.scripts.scripts", *arguments]
         self._environment = where
-        self.process = self._started()
+        self.process = self._start_process()
 
-    def _started(self) -> subprocess.Popen[bytes]:
+    def _start_process(self) -> subprocess.Popen[bytes]:
         self._starts_left -= 1
         self._log_from = 0 if self._log_path is None else self._log_path.stat().st_size
         return subprocess.Popen(
@@ -276,30 +276,30 @@ class Node:
         while time.monotonic() < end_s:
             # Read once, because the process may end between two reads.
             has_ended = not self.running
-            if has_ended and self._starts_left and TIMED_OUT in self._words():
+            if has_ended and self._starts_left and TIMED_OUT in self._log_excerpt():
                 # Ray requires its own processes to answer within 15 s, without a setting for this time, so a busy
                 # machine retries.
-                self.process = self._started()
+                self.process = self._start_process()
             elif has_ended:
                 raise ClusterError(
-                    f"joining the cluster at {self.address} failed{self._last_words()}", code="cluster.start"
+                    f"joining the cluster at {self.address} failed{self._last_log_lines()}", code="cluster.start"
                 )
             with contextlib.suppress(OSError), socket.create_connection((host, port), timeout=1.0):
                 # The head's port answers before this machine has joined.
-                if self._log_path is None or STARTED in self._words():
+                if self._log_path is None or STARTED in self._log_excerpt():
                     return
             time.sleep(0.1)
         raise ClusterError(f"no answer from {self.address} within {timeout_s:g} s", code="cluster.start")
 
-    def _words(self) -> str:
+    def _log_excerpt(self) -> str:
         if self._log_path is None:
             return ""
         return self._log_path.read_bytes()[self._log_from :].decode("utf-8", errors="replace")
 
-    def _last_words(self) -> str:
+    def _last_log_lines(self) -> str:
         if self._log_path is None:
             return ""
-        lines = self._words().strip().splitlines()
+        lines = self._log_excerpt().strip().splitlines()
         return f": {lines[-1].strip()}" if lines else ""
 
     def stop(self, grace_s: float = 10.0) -> None:
@@ -318,7 +318,7 @@ class Node:
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
-        reap(tree)
+        end_processes(tree)
         if self._log is not None:
             self._log.close()
 
@@ -357,7 +357,7 @@ def descendants(pid: int) -> dict[int, str]:
     return tree
 
 
-def reap(tree: Mapping[int, str], grace_s: float = 5.0) -> None:
+def end_processes(tree: Mapping[int, str], grace_s: float = 5.0) -> None:
     """End the remaining processes of a tree; some of Ray's agents survive the end of their parent by minutes.
 
     Parameters

@@ -27,7 +27,7 @@ from carina.cluster.scene_data import Parcel
 from carina.errors import ClusterError
 from carina.version import VERSION
 
-__all__ = ["RayCluster", "RayLane", "look"]
+__all__ = ["RayCluster", "RayLane", "read_cluster_machines"]
 
 logger = logging.getLogger(__name__)
 
@@ -41,7 +41,7 @@ SPARE_BYTES = 256 * 1024 * 1024
 """Memory in bytes that a machine needs in addition to the volume."""
 
 
-class _RaysWords(logging.Handler):
+class _RayLogHandler(logging.Handler):
     """Handler that writes Ray's log messages at DEBUG; users see the notices of the console instead."""
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -56,12 +56,14 @@ def _import_ray(token: Path) -> Any:
     if words.propagate:
         # Ray prints processes, addresses and paths on standard error, and logs a closed connection as an error.
         words.propagate = False
-        words.addHandler(_RaysWords())
+        words.addHandler(_RayLogHandler())
     import ray
-    import ray._private.worker as told
+    import ray._private.worker as ray_worker
 
     # Otherwise Ray prints the output of the cluster's machines to standard output, in colours.
-    told.print_to_stdstream = lambda data, *_, **__: logger.debug("Ray: %s", " ".join(map(str, data.get("lines", ()))))
+    ray_worker.print_to_stdstream = lambda data, *_, **__: logger.debug(
+        "Ray: %s", " ".join(map(str, data.get("lines", ())))
+    )
     return ray
 
 
@@ -82,18 +84,18 @@ def _connect(ray: Any, address: str, ip: str | None) -> None:
         except Exception as trouble:
             ray.shutdown()
             if time.monotonic() > end_s:
-                raise ClusterError(_refusal(address, trouble), code="cluster.refused") from trouble
+                raise ClusterError(_connection_error(address, trouble), code="cluster.refused") from trouble
         time.sleep(1.0)
 
 
-def _plain(trouble: BaseException) -> BaseException:
+def _without_ray_wrapper(trouble: BaseException) -> BaseException:
     """Return the original error of another machine without Ray's wrapper."""
     cause = getattr(trouble, "cause", None)
     return cause if isinstance(cause, BaseException) else trouble
 
 
-class _Store:
-    """Large arrays in Ray's object store, stored while the present content needs them.
+class _ArrayStore:
+    """Large arrays in Ray's object store, stored while the current content needs them.
 
     Every machine fetches each one once.
     """
@@ -153,19 +155,22 @@ class RayLane:
             refs = self._cluster.store.refs(parcel)
             self._send(parcel, {token: refs[token] for token in new}, done)
         except BaseException as trouble:
-            done(_plain(trouble))
+            done(_without_ray_wrapper(trouble))
 
     def _check_memory(self, parcel: Parcel, num_bytes: int, free_bytes: int | None) -> None:
         """Raise an error if the machine has too little memory for the content."""
         words = (
-            f"the case needs {_words(parcel.num_bytes)}; close other programs on that machine, or use one with more "
-            "memory"
+            f"the case needs {_memory_text(parcel.num_bytes)}; close other programs on that machine, or use one with "
+            "more memory"
         )
         if self._store_bytes and parcel.num_bytes > self._store_bytes:
-            msg = f"the renderer {self.name} is not used: it has only {_words(self._store_bytes)} for volumes; {words}"
+            size = _memory_text(self._store_bytes)
+            msg = f"the renderer {self.name} is not used: it has only {size} for volumes; {words}"
             raise ClusterError(msg, code="cluster.memory")
         if free_bytes is not None and num_bytes + SPARE_BYTES > free_bytes:
-            msg = f"the renderer {self.name} is not used: it has only {_words(free_bytes)} of free memory; {words}"
+            msg = (
+                f"the renderer {self.name} is not used: it has only {_memory_text(free_bytes)} of free memory; {words}"
+            )
             raise ClusterError(msg, code="cluster.memory")
 
     def _send(self, parcel: Parcel, new: dict[int, Any], done: Loaded) -> None:
@@ -181,7 +186,7 @@ class RayLane:
                 done(None)
             else:
                 self._held = None
-                done(_plain(trouble))
+                done(_without_ray_wrapper(trouble))
 
         ref.future().add_done_callback(loaded)
 
@@ -192,7 +197,7 @@ class RayLane:
             trouble = future.exception()
             if trouble is not None:
                 self._held = None
-                done(_plain(trouble))
+                done(_without_ray_wrapper(trouble))
                 return
             try:
                 done(StripAnswer.of(open_answer(future.result())))
@@ -203,7 +208,7 @@ class RayLane:
             ref = self._handle.answer.remote(pack_order(order.frame_id, order.content, order.view_bytes, order.rows))
             ref.future().add_done_callback(answered)
         except Exception as trouble:
-            done(_plain(trouble))
+            done(_without_ray_wrapper(trouble))
 
     def call(self, method: str, *arguments: Any, **options: Any) -> Any:
         """Call a method of the renderer and wait for its result, for tests and benchmarks."""
@@ -221,12 +226,12 @@ def _facts(ping: dict[str, Any]) -> LaneFacts:
     return LaneFacts(int(ping["threads"]), str(ping["simd"]), str(ping["host"]), str(ping["version"]), int(ping["pid"]))
 
 
-def _words(num_bytes: float) -> str:
+def _memory_text(num_bytes: float) -> str:
     return f"{num_bytes / 2**30:.1f} GiB" if num_bytes >= 2**30 else f"{num_bytes / 2**20:.0f} MiB"
 
 
 @dataclass(slots=True, eq=False)
-class _Started:
+class _StartedRenderer:
     """Renderer that was created on a machine, until its end."""
 
     node: str
@@ -258,7 +263,7 @@ class RayCluster:
     poll_s
         Interval in seconds between two checks of the cluster's members.
     clock
-        Returns the present time in seconds, monotonic.
+        Returns the current time in seconds, monotonic.
 
     Raises
     ------
@@ -290,11 +295,11 @@ class RayCluster:
         if self._connected:
             _connect(self.ray, address, ip)
         console.address, console.mixed = address, mixed
-        self.store = _Store(self.ray)
+        self.store = _ArrayStore(self.ray)
         self.loader = ThreadPoolExecutor(4, thread_name_prefix="carina-load")
         self._host_class = host_class
         self._host_options = {"mixed": mixed, **(host_options or {})}
-        self._renderers: dict[str, _Started] = {}
+        self._renderers: dict[str, _StartedRenderer] = {}
         """Renderers by name that have a lane or are starting.
 
         The method that removes a renderer from this dictionary must end it, because the renderer occupies its machine,
@@ -313,7 +318,7 @@ class RayCluster:
         with self._lock:
             if self._stopping.is_set():
                 return
-            # After this, _start and _answered add no renderer.
+            # After this, _start_renderer and _add_started_lane add no renderer.
             self._stopping.set()
             renderers, self._renderers = self._renderers, {}
         for name in renderers:
@@ -338,13 +343,13 @@ class RayCluster:
     def _watch(self) -> None:
         while True:
             try:
-                self._look()
+                self._update_renderers()
             except Exception:
                 logger.warning("the cluster is not responding; this machine renders alone until it does", exc_info=True)
             if self._stopping.wait(self._poll_s):
                 return
 
-    def _look(self) -> None:
+    def _update_renderers(self) -> None:
         """Compare the machines of the cluster with the renderers; start new renderers and remove lost ones."""
         places: dict[str, tuple[str, float]] = {}
         for node in self.ray.nodes():
@@ -364,10 +369,10 @@ class RayCluster:
         for name, (node, store_bytes) in list(places.items())[: self._limit]:
             due = self._not_before.get(name, 0.0) <= self._clock()
             if name not in self._renderers and node not in self._refused and due:
-                self._start(name, node, store_bytes)
-        self._tell_of_the_slow()
+                self._start_renderer(name, node, store_bytes)
+        self._report_slow_starts()
 
-    def _tell_of_the_slow(self) -> None:
+    def _report_slow_starts(self) -> None:
         now_s = self._clock()
         with self._lock:
             slow = [n for n, r in self._renderers.items() if not r.has_answered and now_s - r.began_s >= SLOW_START_S]
@@ -378,7 +383,7 @@ class RayCluster:
                 "will join once it has started"
             )
 
-    def _start(self, name: str, node: str, store_bytes: float) -> None:
+    def _start_renderer(self, name: str, node: str, store_bytes: float) -> None:
         """Start a renderer on a machine; its lane is added when the renderer has answered."""
         remote = self.ray.remote(
             num_cpus=0,
@@ -391,7 +396,7 @@ class RayCluster:
         place = self.ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(node, soft=False)
         actor = remote(self._host_class).options(scheduling_strategy=place)
         handle = actor.remote(**self._host_options)
-        renderer = _Started(node, store_bytes, handle, self._clock())
+        renderer = _StartedRenderer(node, store_bytes, handle, self._clock())
         with self._lock:
             closed = self._stopping.is_set()
             if not closed:
@@ -400,16 +405,16 @@ class RayCluster:
             self.end(handle)
             return
         ref = handle.ping.options(concurrency_group="control").remote()
-        ref.future().add_done_callback(partial(self._heard, name, renderer))
+        ref.future().add_done_callback(partial(self._handle_first_answer, name, renderer))
 
-    def _heard(self, name: str, renderer: _Started, ping: Future[Any]) -> None:
+    def _handle_first_answer(self, name: str, renderer: _StartedRenderer, ping: Future[Any]) -> None:
         """Pass a renderer's first answer to another thread, because Ray's thread must not wait for Ray."""
         with self._lock:
             # After close() the renderer has been ended, and nothing remains to be done.
             if self._renderers.get(name) is renderer:
-                self.loader.submit(self._answered, name, renderer, ping)
+                self.loader.submit(self._add_started_lane, name, renderer, ping)
 
-    def _answered(self, name: str, renderer: _Started, ping: Future[Any]) -> None:
+    def _add_started_lane(self, name: str, renderer: _StartedRenderer, ping: Future[Any]) -> None:
         """Add the lane of a renderer that has started, or report why it could not start."""
         trouble: BaseException | None = None
         try:
@@ -418,7 +423,7 @@ class RayCluster:
             lane = RayLane(name, renderer.handle, self, answer, renderer.store_bytes) if words is None else None
         except Exception as failure:
             trouble, lane = failure, None
-            words = f"the renderer on {name} could not be started: {_first_line(_plain(failure))}"
+            words = f"the renderer on {name} could not be started: {_first_line(_without_ray_wrapper(failure))}"
         with self._lock:
             if self._renderers.get(name) is not renderer:
                 # The machine has left or the cluster was closed, and the code that removed the renderer has ended it.
@@ -437,7 +442,7 @@ class RayCluster:
         self._console.notice(words or "")
 
 
-def look(address: str, token: Path, *, ip: str | None = None) -> list[dict[str, Any]]:
+def read_cluster_machines(address: str, token: Path, *, ip: str | None = None) -> list[dict[str, Any]]:
     """Return the machines of a cluster with their state.
 
     Parameters
@@ -497,7 +502,7 @@ def _first_line(trouble: BaseException) -> str:
     return lines[-1] if lines else type(trouble).__name__
 
 
-def _refusal(address: str, trouble: BaseException) -> str:
+def _connection_error(address: str, trouble: BaseException) -> str:
     """Return the message for the user about a connection to a cluster that failed, with the likely cause."""
     text = str(trouble)
     if "version" in text.lower() and "mismatch" in text.lower():

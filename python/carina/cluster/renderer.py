@@ -84,7 +84,7 @@ class ClusterRenderer:
 
     @property
     def scene(self) -> Scene:
-        """The present scene, which pictures show."""
+        """The current scene, which pictures show."""
         return self._renderer.scene
 
     def set_transfer(self, transfer: TransferFunction) -> None:
@@ -101,7 +101,7 @@ class ClusterRenderer:
     ) -> None:
         """Build the maps on this machine and send them to the others; see :meth:`carina.render.Renderer.prepare`."""
         self._renderer.prepare(progress, cancel, all_classes=all_classes)
-        self._send()
+        self._send_scene()
 
     def wait_stored(self) -> None:
         """Wait until maps are stored; see :meth:`carina.render.Renderer.wait_stored`."""
@@ -115,7 +115,7 @@ class ClusterRenderer:
         """Return the hit of one ray, computed on this machine; see :meth:`carina.render.Renderer.pick`."""
         return self._renderer.pick(view, column, row)
 
-    def spreads(self, view: View) -> bool:
+    def renders_remotely(self, view: View) -> bool:
         """Return whether a view is rendered on other machines, if any are available."""
         if self._spread_all:
             return can_cut(view)
@@ -156,9 +156,9 @@ class ClusterRenderer:
         CancelledError
             If ``stop`` was cancelled, or a newer picture of the stream replaced this one.
         """
-        if rows is not None or scene is not None or not self.spreads(view) or not self._console.has_renderers:
+        if rows is not None or scene is not None or not self.renders_remotely(view) or not self._console.has_renderers:
             return self._renderer.render(view, rows=rows, stop=stop, scene=scene)
-        frame_id, future = self.want(view, stream=stream)
+        frame_id, future = self.request(view, stream=stream)
         while True:
             try:
                 return future.result(timeout=POLL_S if stop is not None else None)
@@ -167,8 +167,8 @@ class ClusterRenderer:
                     self._console.drop(frame_id)
                     raise CancelledError("the image was superseded by a newer one") from None
 
-    def want(self, view: View, *, whole: bool = False, stream: str | None = None) -> tuple[int, Future[Picture]]:
-        """Request a picture of the present content without waiting; return its number and its future.
+    def request(self, view: View, *, whole: bool = False, stream: str | None = None) -> tuple[int, Future[Picture]]:
+        """Request a picture of the current content without waiting; return its number and its future.
 
         Parameters
         ----------
@@ -179,7 +179,7 @@ class ClusterRenderer:
         stream
             As in :meth:`render`.
         """
-        scene, content = self._send()
+        scene, content = self._send_scene()
         return self._console.render(view, Content(content, self._renderer, scene), whole=whole, stream=stream)
 
     def render_frames(
@@ -224,7 +224,7 @@ class ClusterRenderer:
                     if item is None:
                         exhausted = True
                     elif item[0] >= first:
-                        under_way.append((item[0], *self.want(item[1], whole=True)))
+                        under_way.append((item[0], *self.request(item[1], whole=True)))
                 if not under_way:
                     return
                 number, _, future = under_way[0]
@@ -246,8 +246,8 @@ class ClusterRenderer:
         """Return the state of the cluster and its machines."""
         return self._console.status()
 
-    def _send(self) -> tuple[Scene, int]:
-        """Return the present scene and its content number; pass a new scene to the console."""
+    def _send_scene(self) -> tuple[Scene, int]:
+        """Return the current scene and its content number; pass a new scene to the console."""
         with self._sending:
             scene = self._renderer.scene
             if self._sent is None or self._sent[0] is not scene:

@@ -92,7 +92,9 @@ class RendererHost:
             "memory_bytes": available_bytes(),
         }
 
-    def load(self, content: int, skeleton: bytes, kept: list[int], tokens: list[int], *arrays: NDArray[Any]) -> int:
+    def load(
+        self, content: int, skeleton: bytes, known_tokens: list[int], tokens: list[int], *arrays: NDArray[Any]
+    ) -> int:
         """Load the volume and the scene that pictures are rendered from.
 
         Parameters
@@ -101,7 +103,7 @@ class RendererHost:
             Number of the content, which every strip names.
         skeleton
             See :class:`carina.cluster.scene_data.Parcel`.
-        kept
+        known_tokens
             Tokens of arrays that this host already has.
         tokens, arrays
             Tokens and values of the other arrays.
@@ -114,12 +116,12 @@ class RendererHost:
         Raises
         ------
         ClusterError
-            ``cluster.lost`` if this host lacks an array of ``kept``, because it was restarted; all arrays must be sent
-            again.
+            ``cluster.lost`` if this host lacks an array of ``known_tokens``, because it was restarted; all arrays must
+            be sent again.
         """
         with self._lock:
             known = {**self._arrays, **dict(zip(tokens, arrays, strict=True))}
-            wanted = [*kept, *tokens]
+            wanted = [*known_tokens, *tokens]
             if any(token not in known for token in wanted):
                 raise ClusterError("the renderer was restarted and no longer has the volume", code="cluster.lost")
             self._arrays = {token: known[token] for token in wanted}
@@ -127,7 +129,7 @@ class RendererHost:
             if self._renderer is None or self._renderer.volume.hu_zyx is not volume.hu_zyx:
                 shown = self._renderer
                 # Volumes with the same array of values keep their renderer, with its X-ray projections.
-                if shown is None or not _same(shown.volume.hu_zyx, volume.hu_zyx):
+                if shown is None or not _share_memory(shown.volume.hu_zyx, volume.hu_zyx):
                     self._renderer = Renderer(volume, simd=self._simd, backend=self._backend)
             assert self._renderer is not None
             self._renderer.adopt_scene(scene)
@@ -171,5 +173,5 @@ class RendererHost:
         return pack_answer(self.strip(*open_order(order)))
 
 
-def _same(a: NDArray[Any], b: NDArray[Any]) -> bool:
+def _share_memory(a: NDArray[Any], b: NDArray[Any]) -> bool:
     return a.shape == b.shape and a.__array_interface__["data"][0] == b.__array_interface__["data"][0]

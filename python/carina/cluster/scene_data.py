@@ -39,7 +39,7 @@ class Parcel:
         return len(self.skeleton) + sum(array.nbytes for array in self.arrays.values())
 
 
-class _Packer(pickle.Pickler):
+class _ScenePickler(pickle.Pickler):
     """Pickler that replaces each large array by its token."""
 
     def __init__(self, file: io.BytesIO, parcels: Parcels) -> None:
@@ -55,7 +55,7 @@ class _Packer(pickle.Pickler):
         return token
 
 
-class _Opener(pickle.Unpickler):
+class _SceneUnpickler(pickle.Unpickler):
     """Unpickler that replaces each token by its array."""
 
     def __init__(self, file: io.BytesIO, arrays: Mapping[int, Array]) -> None:
@@ -79,7 +79,7 @@ class Parcels:
         """Return a volume and its scene packed as a parcel with a new content number."""
         bare = Volume(volume.hu_zyx, volume.lps_from_ijk, volume.is_hu, volume.not_hu_reason)
         file = io.BytesIO()
-        packer = _Packer(file, self)
+        packer = _ScenePickler(file, self)
         packer.dump((bare, scene))
         return Parcel(next(self._contents), file.getvalue(), packer.arrays)
 
@@ -105,5 +105,5 @@ def open_parcel(skeleton: bytes, arrays: Mapping[int, Array]) -> tuple[Volume, S
 
     A parcel is a pickle, so only parcels of the console that this process joined with a token may be opened.
     """
-    volume, scene = _Opener(io.BytesIO(skeleton), arrays).load()
+    volume, scene = _SceneUnpickler(io.BytesIO(skeleton), arrays).load()
     return volume, scene

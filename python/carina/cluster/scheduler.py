@@ -1,7 +1,7 @@
 """The scheduler that assigns strips to lanes and reassigns late strips (paper 5); it is driven by events.
 
 The scheduler has no clock, thread or socket: every event contains its time, and the resulting actions are collected by
-:meth:`StripScheduler.take`. So the same scheduler runs a cluster, a simulation and the property tests.
+:meth:`StripScheduler.take_actions`. So the same scheduler runs a cluster, a simulation and the property tests.
 
 Guarantees for any order of events: each row of a complete frame was answered exactly once; a lane never has more than
 ``in_flight`` strips; at most ``open_frames`` frames are open; a requested frame is completed, dropped on request, or
@@ -151,7 +151,7 @@ half of the rate, because of the transport.
 class StripScheduler:
     """Scheduler that divides frames among lanes.
 
-    Every method is an event; the time ``now_s`` must not decrease. Actions are collected for :meth:`take`.
+    Every method is an event; the time ``now_s`` must not decrease. Actions are collected for :meth:`take_actions`.
     """
 
     def __init__(self, settings: ClusterSettings | None = None) -> None:
@@ -164,14 +164,14 @@ class StripScheduler:
         self._orders = itertools.count()
         self._actions: list[Action] = []
 
-    def take(self) -> list[Action]:
+    def take_actions(self) -> list[Action]:
         """Return the actions that were collected since the last call, in order, and clear them."""
         actions, self._actions = self._actions, []
         return actions
 
     @property
     def deadline_s(self) -> float | None:
-        """Time of the next call of :meth:`tick` if no other event happens; None if no deadline is set."""
+        """Time of the next call of :meth:`mark_late_lanes` if no other event happens; None if no deadline is set."""
         due = (self._due_s(lane) for lane in self._lanes.values())
         return min((due_s for due_s in due if due_s is not None), default=None)
 
@@ -222,7 +222,7 @@ class StripScheduler:
         lane
             Name of the lane.
         now_s
-            Present time in seconds.
+            Current time in seconds.
         content
             Content that the lane has loaded.
         reserve
@@ -233,7 +233,7 @@ class StripScheduler:
         self._lanes[lane] = _Lane(reserve=reserve, content=content, order=next(self._orders))
         if not reserve:
             self._shares.join(lane)
-        self._go_on(now_s)
+        self._assign_and_issue(now_s)
 
     def leave(self, lane: Lane, now_s: float) -> None:
         """Remove a lane and assign its strips to others."""
@@ -241,8 +241,8 @@ class StripScheduler:
         if state is None:
             return
         self._shares.leave(lane)
-        self._hand_over(lane, state, gone=True)
-        self._go_on(now_s)
+        self._reassign_strips(lane, state, gone=True)
+        self._assign_and_issue(now_s)
 
     def load(self, lane: Lane, content: Hashable, now_s: float) -> None:
         """Set the content that a lane renders from now on; it still answers the issued strips of the former content."""
@@ -254,10 +254,10 @@ class StripScheduler:
         stale = [(f, s) for f, s in state.queue if self._frames[f].content != content]
         state.queue = [item for item in state.queue if item not in stale]
         for frame_id, strip in stale:
-            self._release(lane, frame_id, strip)
-        self._go_on(now_s)
+            self._release_strip(lane, frame_id, strip)
+        self._assign_and_issue(now_s)
 
-    def want(
+    def request(
         self,
         frame_id: int,
         num_rows: int,
@@ -278,7 +278,7 @@ class StripScheduler:
         num_rows
             Height of the frame.
         now_s
-            Present time in seconds.
+            Current time in seconds.
         content
             Content of the frame; only lanes that have loaded it take part.
         cost
@@ -301,7 +301,7 @@ class StripScheduler:
                 self._waiting.remove(older)
                 self._actions.append(FrameDropped(older.frame_id))
         self._waiting.append(_Frame(frame_id, num_rows, content, cost, stream, whole, max_rows))
-        self._go_on(now_s)
+        self._assign_and_issue(now_s)
 
     def drop(self, frame_id: int, now_s: float) -> None:
         """Drop a frame; answers that arrive later are discarded."""
@@ -313,11 +313,11 @@ class StripScheduler:
         else:
             if frame_id not in self._frames:
                 return
-            self._forget(frame_id)
+            self._delete_frame(frame_id)
             self._actions.append(FrameDropped(frame_id))
-        self._go_on(now_s)
+        self._assign_and_issue(now_s)
 
-    def wants(self, lane: Lane, task_id: int) -> bool:
+    def expects(self, lane: Lane, task_id: int) -> bool:
         """Return whether :meth:`answered` would accept this answer of a lane; the state does not change."""
         state = self._lanes.get(lane)
         task = None if state is None else next((t for t in state.in_flight if t.task_id == task_id), None)
@@ -340,7 +340,7 @@ class StripScheduler:
         -------
         bool
             Whether the rows are needed: True for the first answer of each strip of an open frame. The caller copies
-            them before :meth:`take`, which may report that the frame is done.
+            them before :meth:`take_actions`, which may report that the frame is done.
         """
         state = self._lanes.get(lane)
         task = None if state is None else next((t for t in state.in_flight if t.task_id == task_id), None)
@@ -355,10 +355,10 @@ class StripScheduler:
         frame = self._frames.get(task.frame_id)
         # Measured also if other lanes completed the frame earlier; otherwise the slowest lane would never count as
         # slow.
-        self._measure(state, task, service_s)
+        self._update_pace(state, task, service_s)
         if state.state == "late":
             state.state = "ready"
-            self._shares.settle()
+            self._shares.use_small_inertia()
             self._actions.append(LaneBack(lane))
         accepted = frame is not None and task.strip in frame.missing
         if accepted:
@@ -369,8 +369,8 @@ class StripScheduler:
                 if other is not None and (task.frame_id, task.strip) in other.queue:
                     other.queue.remove((task.frame_id, task.strip))
             if not frame.missing:
-                self._finish(frame)
-        self._go_on(now_s)
+                self._complete_frame(frame)
+        self._assign_and_issue(now_s)
         return accepted
 
     def failed(self, lane: Lane, task_id: int, now_s: float) -> None:
@@ -380,13 +380,13 @@ class StripScheduler:
             return
         for task in [t for t in state.in_flight if t.task_id == task_id]:
             state.in_flight.remove(task)
-            self._release(lane, task.frame_id, task.strip)
+            self._release_strip(lane, task.frame_id, task.strip)
         if state.state != "away":
             state.state = "away"
-            self._hand_over(lane, state, gone=False)
-        self._go_on(now_s)
+            self._reassign_strips(lane, state, gone=False)
+        self._assign_and_issue(now_s)
 
-    def tick(self, now_s: float) -> None:
+    def mark_late_lanes(self, now_s: float) -> None:
         """Mark lanes whose oldest strip is overdue as late, and assign their strips to others."""
         for name, state in list(self._lanes.items()):
             due_s = self._due_s(state)
@@ -394,8 +394,8 @@ class StripScheduler:
                 state.state = "late"
                 state.num_late += 1
                 self._actions.append(LaneLate(name))
-                self._hand_over(name, state, gone=False)
-        self._go_on(now_s)
+                self._reassign_strips(name, state, gone=False)
+        self._assign_and_issue(now_s)
 
     def _due_s(self, lane: _Lane) -> float | None:
         """Return the time at which the oldest strip of a lane is late; None if the lane has no deadline."""
@@ -422,7 +422,7 @@ class StripScheduler:
         guess_s = settings.late_factor**2 * max(paces) * task.num_rows
         return min(settings.first_answer_s, max(guess_s, 4.0 * settings.late_floor_s))
 
-    def _measure(self, lane: _Lane, task: _Task, service_s: float) -> None:
+    def _update_pace(self, lane: _Lane, task: _Task, service_s: float) -> None:
         """Update the pace of a lane with the measured time of a strip."""
         row_s = service_s / task.num_rows
         old = lane.pace.pop(task.cost, None)
@@ -436,20 +436,20 @@ class StripScheduler:
             while len(series) > KINDS_REMEMBERED:
                 series.pop(next(iter(series)))
 
-    def _finish(self, frame: _Frame) -> None:
+    def _complete_frame(self, frame: _Frame) -> None:
         """Complete a frame, drop older frames of its stream, and update the shares."""
-        self._forget(frame.frame_id)
+        self._delete_frame(frame.frame_id)
         self._actions.append(FrameDone(frame.frame_id))
         if frame.stream is not None:
             for older in [f for f in self._frames.values() if f.stream == frame.stream]:
                 if older.frame_id < frame.frame_id:
-                    self._forget(older.frame_id)
+                    self._delete_frame(older.frame_id)
                     self._actions.append(FrameDropped(older.frame_id))
         for lane in self._lanes.values():
             seconds, rows = lane.measured.pop(frame.cost, (0.0, 0))
             if rows:
                 lane.last_m[frame.cost] = seconds / rows
-        self._shares.epoch(
+        self._shares.update(
             {
                 name: lane.last_m[frame.cost]
                 for name, lane in self._lanes.items()
@@ -457,36 +457,36 @@ class StripScheduler:
             }
         )
 
-    def _forget(self, frame_id: int) -> None:
+    def _delete_frame(self, frame_id: int) -> None:
         del self._frames[frame_id]
         for lane in self._lanes.values():
             lane.queue = [item for item in lane.queue if item[0] != frame_id]
 
-    def _release(self, lane: Lane, frame_id: int, strip: int) -> None:
+    def _release_strip(self, lane: Lane, frame_id: int, strip: int) -> None:
         """Remove a lane from the set of lanes that have a strip."""
         frame = self._frames.get(frame_id)
         if frame is not None and strip in frame.holders:
             frame.holders[strip].discard(lane)
 
-    def _hand_over(self, name: Lane, lane: _Lane, *, gone: bool) -> None:
+    def _reassign_strips(self, name: Lane, lane: _Lane, *, gone: bool) -> None:
         """Give up the queued strips of a lane, and its issued strips only if the lane is gone or away."""
         queued, lane.queue = lane.queue, []
         for frame_id, strip in queued:
-            self._release(name, frame_id, strip)
+            self._release_strip(name, frame_id, strip)
         if gone or lane.state == "away":
             for task in lane.in_flight:
-                self._release(name, task.frame_id, task.strip)
+                self._release_strip(name, task.frame_id, task.strip)
 
-    def _able(self, frame: _Frame) -> list[Lane]:
+    def _able_lanes(self, frame: _Frame) -> list[Lane]:
         """Return the lanes that can take strips of a frame now."""
         ready = [(name, lane) for name, lane in self._lanes.items() if lane.state == "ready"]
         able = [name for name, lane in ready if not lane.reserve and lane.content == frame.content]
         return able or [name for name, lane in ready if lane.reserve]
 
-    def _go_on(self, now_s: float) -> None:
+    def _assign_and_issue(self, now_s: float) -> None:
         self._adopt_orphans()
         self._open_frames()
-        self._issue(now_s)
+        self._issue_strips(now_s)
 
     def _adopt_orphans(self) -> None:
         """Assign strips that no ready lane has to a ready lane; the first answer is accepted."""
@@ -494,12 +494,12 @@ class StripScheduler:
             for strip in sorted(frame.missing):
                 if any(name in self._lanes and self._lanes[name].state == "ready" for name in frame.holders[strip]):
                     continue
-                able = self._able(frame)
+                able = self._able_lanes(frame)
                 if not able:
                     return
-                self._queue(self._quickest(able, frame), frame, strip)
+                self._queue_strip(self._quickest_lane(able, frame), frame, strip)
 
-    def _quickest(self, able: list[Lane], frame: _Frame) -> Lane:
+    def _quickest_lane(self, able: list[Lane], frame: _Frame) -> Lane:
         return min(able, key=lambda name: (self._busy_s(name, frame), self._lanes[name].order))
 
     def _busy_s(self, name: Lane, frame: _Frame) -> float:
@@ -513,13 +513,13 @@ class StripScheduler:
             rows += end - first
         return pace * (rows + 1)
 
-    def _queue(self, name: Lane, frame: _Frame, strip: int) -> None:
+    def _queue_strip(self, name: Lane, frame: _Frame, strip: int) -> None:
         lane = self._lanes[name]
         lane.queue.append((frame.frame_id, strip))
         lane.queue.sort()
         frame.holders[strip].add(name)
 
-    def _most_open(self, frame: _Frame, able: list[Lane]) -> int:
+    def _max_open_frames(self, frame: _Frame, able: list[Lane]) -> int:
         """Return the largest number of open frames, including this one.
 
         If a single slow lane renders everything, a second frame would only wait in the lane and become outdated.
@@ -533,25 +533,25 @@ class StripScheduler:
     def _open_frames(self) -> None:
         """Open waiting frames while buffers are free, and divide them into strips."""
         for frame in list(self._waiting):
-            able = self._able(frame)
+            able = self._able_lanes(frame)
             alike = sum(1 for other in self._frames.values() if other.whole == frame.whole)
-            limit = self.settings.in_flight * len(able) if frame.whole else self._most_open(frame, able)
+            limit = self.settings.in_flight * len(able) if frame.whole else self._max_open_frames(frame, able)
             if not able or alike >= limit:
                 # Frames of one kind start in order: a frame that cannot start blocks the later ones.
                 if all(other.whole == frame.whole for other in self._waiting):
                     return
                 continue
             self._waiting.remove(frame)
-            shares = {self._quickest(able, frame): 1.0} if frame.whole else self._shares.of(able)
+            shares = {self._quickest_lane(able, frame): 1.0} if frame.whole else self._shares.of(able)
             pieces = cut_rows(frame.num_rows, shares, min_rows=self.settings.min_rows, max_rows=frame.max_rows)
             frame.strips = [(first, end) for _, first, end in pieces]
             frame.missing = set(range(len(pieces)))
             frame.holders = {strip: set() for strip in frame.missing}
             self._frames[frame.frame_id] = frame
             for strip, (name, _, _) in enumerate(pieces):
-                self._queue(name, frame, strip)
+                self._queue_strip(name, frame, strip)
 
-    def _issue(self, now_s: float) -> None:
+    def _issue_strips(self, now_s: float) -> None:
         """Issue queued strips to ready lanes, up to ``in_flight`` per lane."""
         for name, lane in self._lanes.items():
             while lane.state == "ready" and lane.queue and len(lane.in_flight) < self.settings.in_flight:

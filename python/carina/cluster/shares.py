@@ -32,7 +32,7 @@ class Shares:
         num = len(self._p)
         self._p = {other: p * num / (num + 1) for other, p in self._p.items()}
         self._p[lane] = 1.0 / (num + 1)
-        self.settle()
+        self.use_small_inertia()
 
     def leave(self, lane: Hashable) -> None:
         """Remove a lane and divide its share among the others."""
@@ -41,13 +41,13 @@ class Shares:
         total = sum(self._p.values())
         num = len(self._p)
         self._p = {other: p / total if total > 0.0 else 1.0 / num for other, p in self._p.items()}
-        self.settle()
+        self.use_small_inertia()
 
-    def settle(self) -> None:
+    def use_small_inertia(self) -> None:
         """Use the smaller inertia for the next complete frames, because the lanes' speeds have changed permanently."""
         self._settling = self._settings.settling_epochs
 
-    def epoch(self, row_seconds: dict[Hashable, float]) -> None:
+    def update(self, row_seconds: dict[Hashable, float]) -> None:
         """Update the shares after a complete frame.
 
         Parameters

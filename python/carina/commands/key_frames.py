@@ -14,12 +14,12 @@ Speed = Annotated[float, Meta(ge=MIN_SPEED_MM_S, le=MAX_SPEED_MM_S)]
 Seconds = Annotated[float, Meta(ge=0.0, le=86_400.0)]
 
 
-def _kind(name: str) -> str:
+def _edit_kind(name: str) -> str:
     """Return the wire name of an edit: ``KeyFrameAdd`` gives ``add``."""
     return name.removeprefix("KeyFrame").lower()
 
 
-class KeyFrameEdit(FrozenValue, frozen=True, tag_field="kind", tag=_kind):
+class KeyFrameEdit(FrozenValue, frozen=True, tag_field="kind", tag=_edit_kind):
     """One change to the list of key frames."""
 
 

@@ -11,23 +11,23 @@ from carina.commands.value import FrozenValue
 A = TypeVar("A")
 
 
-class Question(FrozenValue, Generic[A], frozen=True):
+class Query(FrozenValue, Generic[A], frozen=True):
     """Question whose answer has the type in its brackets."""
 
 
-class VoxelAt(Question[int | None], frozen=True):
+class VoxelAt(Query[int | None], frozen=True):
     """Value of the voxel that contains a point (HU if the volume is in HU); None outside the volume."""
 
     lps: PointLps
 
 
-class WallAt(Question[Any], frozen=True):
+class WallAt(Query[Any], frozen=True):
     """Properties of a point of the wall from scan and tree: a :class:`carina.session.WallPoint`."""
 
     lps: PointLps
 
 
-class LivePathTo(Question[Any], frozen=True):
+class LivePathTo(Query[Any], frozen=True):
     """Path from the root to a point under the cursor (paper 6.3), from the tracker's present solution.
 
     The answer is a :class:`carina.track.LivePath`; its ``problem`` states the reason if no path leads to the point.
@@ -37,7 +37,7 @@ class LivePathTo(Question[Any], frozen=True):
     lps: PointLps
 
 
-class MarkAt(Question[Any], frozen=True):
+class MarkAt(Query[Any], frozen=True):
     """What ``AddTarget`` with the cost ``lumen`` would mark at a point under the cursor.
 
     The answer is a :class:`carina.session.targets.routing.Mark`. A newer question of this kind ends the search for an
@@ -47,7 +47,7 @@ class MarkAt(Question[Any], frozen=True):
     lps: PointLps
 
 
-class PreviewOf(Question[Any], frozen=True):
+class PreviewOf(Query[Any], frozen=True):
     """Preview of the exact lines that an edit would create: a :class:`carina.track.EditPreview`.
 
     Its ``problem`` states the reason if the edit is impossible. Without airways the question raises NoResultError.
@@ -58,28 +58,28 @@ class PreviewOf(Question[Any], frozen=True):
     with_names: bool = False
 
 
-class PlanningOf(Question[Any], frozen=True):
+class PlanningOf(Query[Any], frozen=True):
     """Plans of all targets with a size that are complete so far: a :class:`carina.session.PlanningInfo`."""
 
 
-class LungsOf(Question[Any], frozen=True):
+class LungsOf(Query[Any], frozen=True):
     """Parts of the lungs that are mapped so far: a :class:`carina.session.LungsInfo`."""
 
 
-class CtFolder(Question[Any], frozen=True):
+class CtFolder(Query[Any], frozen=True):
     """Path of the folder of the CT's DICOM files.
 
     UsageError (``plan.not-dicom``) states the reason if the folder is unknown.
     """
 
 
-class PlanToTakeAway(Question[Any], frozen=True):
+class PlanToTakeAway(Query[Any], frozen=True):
     """Data of the report of a target's plan: a :class:`carina.plan.report.PlanMaterials`."""
 
     target_id: Identifier
 
 
-class LumenBeforeWall(Question[tuple[float, float, float]], frozen=True):
+class LumenBeforeWall(Query[tuple[float, float, float]], frozen=True):
     """Point of the lumen in front of a wall, for a click on the wall (paper 6.3, Figure 14).
 
     Without airways the question raises NoResultError.
@@ -89,7 +89,7 @@ class LumenBeforeWall(Question[tuple[float, float, float]], frozen=True):
     lens_lps: PointLps
 
 
-class MeasuresOf(Question[Any], frozen=True):
+class MeasuresOf(Query[Any], frozen=True):
     """Measurements along a branch (:class:`carina.track.BranchMeasures`); None until they are ready.
 
     Without airways the question raises NoResultError; if the tree has no such branch, UsageError.
@@ -98,21 +98,21 @@ class MeasuresOf(Question[Any], frozen=True):
     branch_id: BranchId
 
 
-class AirwaysToTakeAway(Question[tuple[Any, Any]], frozen=True):
+class AirwaysQuery(Query[tuple[Any, Any]], frozen=True):
     """Present volume and :class:`carina.track.Airways` (both immutable), for export to a file.
 
     Without airways the question raises NoResultError.
     """
 
 
-class KeyFramesToTakeAway(Question[Any], frozen=True):
+class KeyFrameFileQuery(Query[Any], frozen=True):
     """Key frames with their airway paths, the view and the case, as a :class:`carina.navigate.KeyFrameFile`.
 
     Without key frames the question raises NoResultError (``session.keys``).
     """
 
 
-class FlightToTakeAway(Question[str], frozen=True):
+class FlightFileQuery(Query[str], frozen=True):
     """Recorded flight as the text of a ``carina-recording`` file, read from the disk.
 
     UsageError (``session.flights``) is raised if the case has no flight of this number.
@@ -121,13 +121,13 @@ class FlightToTakeAway(Question[str], frozen=True):
     number: FlightNumber
 
 
-class FlightsToKeep(Question[Any], frozen=True):
+class UnstoredFlights(Query[Any], frozen=True):
     """Flights that are in no file yet, for saving the case: :class:`carina.case.recordings.WholeRecording`."""
 
 
-class MomentToKeep(Question[Any], frozen=True):
+class CurrentMoment(Query[Any], frozen=True):
     """Present state of the case that a file stores: a :class:`carina.case.Moment`."""
 
 
-class MaskFileNeeded(Question[bool], frozen=True):
+class MaskFileNeeded(Query[bool], frozen=True):
     """Whether a mask's file is being read, or will be read after the user's answer."""

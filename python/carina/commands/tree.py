@@ -77,12 +77,12 @@ class ChooseRoute(Command, frozen=True):
         return None
 
 
-def _kind(name: str) -> str:
+def _edit_kind(name: str) -> str:
     """Return the wire name of an edit: ``AddBranch`` gives ``add-branch``."""
     return snake_case(name).replace("_", "-")
 
 
-class TreeEdit(FrozenValue, frozen=True, tag_field="kind", tag=_kind):
+class TreeEdit(FrozenValue, frozen=True, tag_field="kind", tag=_edit_kind):
     """One edit of an airway tree. A case can be saved as a list of them, so that their constructors check, too."""
 
     typescript_prefix: ClassVar[str] = "Edit"

@@ -24,9 +24,9 @@ __all__ = [
     "all_commands",
     "as_plain",
     "checked",
+    "describe_error",
     "snake_case",
     "subclasses",
-    "trouble",
 ]
 
 
@@ -108,7 +108,9 @@ def checked(value: V) -> V:
         try:
             value = read_plain(plain, type(value))
         except msgspec.ValidationError as error:
-            raise UsageError(trouble(error, plain, _name(value), type(value))[1], code="command.bounds") from error
+            raise UsageError(
+                describe_error(error, plain, _name(value), type(value))[1], code="command.bounds"
+            ) from error
     problem = value.choice_problem()
     if problem is not None:
         raise UsageError(problem, code="command.choice")
@@ -135,7 +137,7 @@ WORDS = {
 }  # fmt: skip
 
 
-def trouble(error: msgspec.ValidationError, value: Any, where: str, cls: type[Any]) -> tuple[str, str]:
+def describe_error(error: msgspec.ValidationError, value: Any, where: str, cls: type[Any]) -> tuple[str, str]:
     """Describe an error of a value, as a kind (``field``, ``range`` or ``size``) and one sentence.
 
     Parameters
@@ -155,14 +157,17 @@ def trouble(error: msgspec.ValidationError, value: Any, where: str, cls: type[An
     where += path
     if bound := BOUND.match(text):
         limit = "at least" if bound.group(1).startswith(">") else "at most"
-        return "range", f"{where} must be {limit} {float(bound.group(2)):g}; found {_short(_at(value, path))}"
+        return (
+            "range",
+            f"{where} must be {limit} {float(bound.group(2)):g}; found {_shortened_value(_value_at_path(value, path))}",
+        )
     if text.startswith("Number out of range"):
         return "range", f"{where} is too large"
     if length := LENGTH.match(text):
         kind, side, number = length.groups()
         unit = "characters" if kind == "str" else "entries"
         amount = {">=": "at least ", "<=": "at most ", None: ""}[side] + number
-        return "size", f"{where} must have {amount} {unit}; found {len(_at(value, path))}"
+        return "size", f"{where} must have {amount} {unit}; found {len(_value_at_path(value, path))}"
     if "matching regex" in text:
         return "field", f"{where} contains invalid characters"
     if unknown := re.match(r"Object contains unknown field `(.*?)`", text):
@@ -170,8 +175,8 @@ def trouble(error: msgspec.ValidationError, value: Any, where: str, cls: type[An
     if missing := re.match(r"Object missing required field `(.*?)`", text):
         return "field", f"{where} has no field {missing.group(1)!r}"
     if text.startswith("Invalid"):
-        found = _short(_at(value, path))
-        choices = sorted(_choices(msgspec.inspect.type_info(cls), re.findall(r"\.(\w+)", path)))
+        found = _shortened_value(_value_at_path(value, path))
+        choices = sorted(_accepted_texts(msgspec.inspect.type_info(cls), re.findall(r"\.(\w+)", path)))
         return "field", f"{where} must be {', '.join(choices[:-1])} or {choices[-1]}; found {found}" if choices else (
             f"{where} cannot be {found}"
         )
@@ -183,33 +188,33 @@ def trouble(error: msgspec.ValidationError, value: Any, where: str, cls: type[An
     return "field", f"{where}: {text.split(' - at ', maxsplit=1)[0]}"
 
 
-def _at(value: Any, path: str) -> Any:
+def _value_at_path(value: Any, path: str) -> Any:
     """Return the part of a value at a path such as ``.views[3].width``; the whole object for an unnamed key."""
     for name, number in re.findall(r"\.(\w+)|\[(\d+)\]", path.split("[...]", maxsplit=1)[0]):
         value = value[name] if name else value[int(number)]
     return value
 
 
-def _choices(kind: msgspec.inspect.Type, names: list[str]) -> set[str]:
+def _accepted_texts(kind: msgspec.inspect.Type, names: list[str]) -> set[str]:
     """Return the texts that the field with these names accepts; an empty set if it accepts other values."""
     match kind:
         case msgspec.inspect.LiteralType() if not names:
             return {str(value) for value in kind.values}
         case msgspec.inspect.UnionType():
-            return set().union(*(_choices(one, names) for one in kind.types))
+            return set().union(*(_accepted_texts(one, names) for one in kind.types))
         case msgspec.inspect.VarTupleType():
-            return _choices(kind.item_type, names)
+            return _accepted_texts(kind.item_type, names)
         case msgspec.inspect.DictType():
-            return _choices(kind.value_type, names)
+            return _accepted_texts(kind.value_type, names)
         case msgspec.inspect.StructType() if names == [kind.tag_field]:
             return {str(kind.tag)}
         case msgspec.inspect.StructType() if names:
             fields = {field.name: field.type for field in kind.fields}
-            return _choices(fields[names[0]], names[1:]) if names[0] in fields else set()
+            return _accepted_texts(fields[names[0]], names[1:]) if names[0] in fields else set()
     return set()
 
 
-def _short(value: Any) -> str:
+def _shortened_value(value: Any) -> str:
     if isinstance(value, int | float) and not isinstance(value, bool):
         # A huge integer has too many digits for a message.
         return "more" if abs(value) > 1e15 else f"{value:g}"

@@ -127,16 +127,16 @@ class Draft:
         self._needed_bytes = needed_bytes
         self._place: Path | None = None
         try:
-            former = _former(self._target)
+            former = _former_status(self._target)
             sweep_drafts(self._target.parent)
-            self.file, self._place = _begin(self._target.parent, 0o600 if private else 0o666)
+            self.file, self._place = _create_draft(self._target.parent, 0o600 if private else 0o666)
             if former is not None and not private and os.name == "posix":
                 # The replaced file may be readable by its user only, so the new file gets the same mode.
                 os.fchmod(self.file.fileno(), stat.S_IMODE(former.st_mode))
         except OSError as error:
             if self._place is not None:
                 self.discard()
-            raise self.trouble(error) from error
+            raise self.disk_error(error) from error
 
     def __repr__(self) -> str:
         """Return the target and the name of the file for messages."""
@@ -167,7 +167,7 @@ class Draft:
                 sync_folder(self._target.parent)
         except OSError as error:
             self.discard()
-            raise self.trouble(error) from error
+            raise self.disk_error(error) from error
         finally:
             if self._place is None:
                 self.file.close()
@@ -187,7 +187,7 @@ class Draft:
             with contextlib.suppress(OSError):
                 place.unlink()
 
-    def trouble(self, error: OSError) -> CarinaError:
+    def disk_error(self, error: OSError) -> CarinaError:
         """Return the error for the user after a failed write; Carina's own errors are returned as they are."""
         if isinstance(error, CarinaError):
             return error
@@ -235,7 +235,7 @@ def drafted(
         draft.commit()
     except OSError as error:
         draft.discard()
-        raise draft.trouble(error) from error
+        raise draft.disk_error(error) from error
     except BaseException:
         draft.discard()
         raise
@@ -316,7 +316,7 @@ def sync_folder(folder: Path | str) -> None:
         os.close(descriptor)
 
 
-def _former(target: Path) -> os.stat_result | None:
+def _former_status(target: Path) -> os.stat_result | None:
     """Return the status of the file that a new file will replace; None if no file has the target's name.
 
     Raises
@@ -335,21 +335,21 @@ def _former(target: Path) -> os.stat_result | None:
     return found
 
 
-def _begin(folder: Path, mode: int) -> tuple[BinaryIO, Path]:
+def _create_draft(folder: Path, mode: int) -> tuple[BinaryIO, Path]:
     """Create a draft that only this process writes; return the open file and its path."""
     while True:
         place = folder / f".carina-{secrets.token_hex(8)}.draft"
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
         descriptor = os.open(place, flags, mode)
         # A sweep by another process may delete the draft before the lock is taken; then create another draft.
-        if try_lock(descriptor) is not False and _is_still_there(place, descriptor):
+        if try_lock(descriptor) is not False and _has_same_inode(place, descriptor):
             return os.fdopen(descriptor, "w+b"), place
         os.close(descriptor)
         with contextlib.suppress(OSError):
             place.unlink()
 
 
-def _is_still_there(place: Path, descriptor: int) -> bool:
+def _has_same_inode(place: Path, descriptor: int) -> bool:
     try:
         return os.path.samestat(place.lstat(), os.fstat(descriptor))
     except OSError:
@@ -367,7 +367,7 @@ def sweep_drafts(folder: Path, *, now_s: float | None = None) -> int:
     folder
         The folder to search.
     now_s
-        Present time in seconds since 1970, for tests.
+        Current time in seconds since 1970, for tests.
     """
     with _sweeping:
         key = str(Path(folder).absolute())
@@ -382,10 +382,10 @@ def sweep_drafts(folder: Path, *, now_s: float | None = None) -> int:
             found = [Path(entry.path) for entry in entries if DRAFT.fullmatch(entry.name)]
     except OSError:
         return 0
-    return sum(_sweep(place, time.time() if now_s is None else now_s) for place in found)
+    return sum(_sweep_draft(place, time.time() if now_s is None else now_s) for place in found)
 
 
-def _sweep(place: Path, now_s: float) -> bool:
+def _sweep_draft(place: Path, now_s: float) -> bool:
     """Delete a draft whose owner has ended; return whether the draft was deleted."""
     flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     try:

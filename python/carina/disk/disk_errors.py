@@ -76,7 +76,7 @@ def disk_trouble(
     return made
 
 
-class _Reason(NamedTuple):
+class _ErrorReason(NamedTuple):
     """Code, reason and remedy of an error of the operating system."""
 
     code: str
@@ -84,7 +84,7 @@ class _Reason(NamedTuple):
     advice: str
 
 
-def _reason(error: OSError, where: Path | str | None, needed_bytes: int | None) -> _Reason:
+def _reason(error: OSError, where: Path | str | None, needed_bytes: int | None) -> _ErrorReason:
     """Return the code, the reason and the remedy for an error of the operating system."""
     place = None if where is None else Path(where)
     elsewhere = "choose another folder"
@@ -95,35 +95,35 @@ def _reason(error: OSError, where: Path | str | None, needed_bytes: int | None) 
             free = _free_bytes(place)
             known += [] if free is None else [f"{say_size(free)} free"]
             numbers = f" ({', '.join(known)})" if known else ""
-            return _Reason("disk.full", f"the disk is full{numbers}", f"free some space{or_elsewhere}")
+            return _ErrorReason("disk.full", f"the disk is full{numbers}", f"free some space{or_elsewhere}")
         case errno.EDQUOT:
-            return _Reason("disk.full", "your quota on this disk is exhausted", f"delete files{or_elsewhere}")
+            return _ErrorReason("disk.full", "your quota on this disk is exhausted", f"delete files{or_elsewhere}")
         case errno.EFBIG:
-            return _Reason("disk.full", "the file would exceed the size limit of this disk or account", elsewhere)
+            return _ErrorReason("disk.full", "the file would exceed the size limit of this disk or account", elsewhere)
         case errno.EROFS:
-            return _Reason("disk.denied", "this disk is read-only", elsewhere)
+            return _ErrorReason("disk.denied", "this disk is read-only", elsewhere)
         case errno.EACCES | errno.EPERM:
-            return _Reason("disk.denied", "you do not have permission to write there", elsewhere)
+            return _ErrorReason("disk.denied", "you do not have permission to write there", elsewhere)
         case errno.ENOENT:
             if place is not None and place.parent.is_dir():
-                return _Reason("disk.missing", "there is no such file or folder", "check the path")
-            return _Reason("disk.missing", "there is no such folder", "create it, or choose another")
+                return _ErrorReason("disk.missing", "there is no such file or folder", "check the path")
+            return _ErrorReason("disk.missing", "there is no such folder", "create it, or choose another")
         case errno.ENOTDIR:
-            return _Reason("disk.missing", "part of this path is a file, not a folder", elsewhere)
+            return _ErrorReason("disk.missing", "part of this path is a file, not a folder", elsewhere)
         case errno.EISDIR | errno.EEXIST | errno.ENOTEMPTY:
-            return _Reason(
+            return _ErrorReason(
                 "disk.in-the-way", "an item with this name already exists", "move it, or choose another name"
             )
         case errno.ENAMETOOLONG:
-            return _Reason("disk.failed", "the name is too long for this disk", "choose a shorter one")
+            return _ErrorReason("disk.failed", "the name is too long for this disk", "choose a shorter one")
         case errno.EMFILE | errno.ENFILE:
-            return _Reason(
+            return _ErrorReason(
                 "machine.files", "too many files and connections are open", "close other windows and try again"
             )
         case errno.EIO:
-            return _Reason("disk.failed", "the disk reported an error", "check the disk, or choose another")
+            return _ErrorReason("disk.failed", "the disk reported an error", "check the disk, or choose another")
         case _:
-            return _Reason("disk.failed", error.strerror or str(error) or type(error).__name__, "")
+            return _ErrorReason("disk.failed", error.strerror or str(error) or type(error).__name__, "")
 
 
 def _free_bytes(place: Path | None) -> int | None:

@@ -38,7 +38,7 @@ def special_kind(path: AnyPath) -> str | None:
         mode = Path(path).stat().st_mode
     except (OSError, ValueError):
         return None
-    return None if stat.S_ISREG(mode) or stat.S_ISDIR(mode) else _kind_of(mode)
+    return None if stat.S_ISREG(mode) or stat.S_ISDIR(mode) else _kind_of_mode(mode)
 
 
 def check_regular(path: AnyPath) -> None:
@@ -53,7 +53,7 @@ def check_regular(path: AnyPath) -> None:
     """
     found = special_kind(path)
     if found is not None:
-        raise _refused(path, found)
+        raise _refusal(path, found)
 
 
 def open_regular(path: AnyPath, *, buffering: int = -1) -> BinaryIO:
@@ -83,17 +83,17 @@ def open_regular(path: AnyPath, *, buffering: int = -1) -> BinaryIO:
     """
     mode = Path(path).stat().st_mode
     if not stat.S_ISREG(mode):
-        raise _refused(path, _kind_of(mode))
+        raise _refusal(path, _kind_of_mode(mode))
     try:
         descriptor = os.open(path, _FLAGS)
     except OSError as error:
         if error.errno in {errno.ENXIO, errno.ENODEV}:  # a socket or a device replaced the file after the check
-            raise _refused(path, "a socket or a device") from error
+            raise _refusal(path, "a socket or a device") from error
         raise
     try:
         mode = os.fstat(descriptor).st_mode
         if not stat.S_ISREG(mode):
-            raise _refused(path, _kind_of(mode))
+            raise _refusal(path, _kind_of_mode(mode))
         return os.fdopen(descriptor, "rb", buffering)
     except BaseException:
         os.close(descriptor)
@@ -141,9 +141,9 @@ def read_regular_text(path: AnyPath, *, max_bytes: int, encoding: str = "utf-8")
     return content.decode(encoding)
 
 
-def _kind_of(mode: int) -> str:
+def _kind_of_mode(mode: int) -> str:
     return next((name for test, name in _KINDS if test(mode)), "a special file")
 
 
-def _refused(path: AnyPath, found: str) -> VolumeImportError:
+def _refusal(path: AnyPath, found: str) -> VolumeImportError:
     return VolumeImportError(f"{path}: expected a file; found {found}; choose a file", code=NOT_A_FILE)

@@ -104,12 +104,12 @@ class _Root:
         with cls._lock:
             # A forked child inherits the parent's variables and lock, but must not use the parent's folder.
             if cls._path is None or cls._pid != os.getpid() or not (cls._path / LOCK).exists():
-                cls._make()
+                cls._make_root()
             assert cls._path is not None
             return Path(tempfile.mkdtemp(prefix="", dir=cls._path))
 
     @classmethod
-    def _make(cls) -> None:
+    def _make_root(cls) -> None:
         """Create and lock the root folder of this process, after a sweep of abandoned folders at the first call."""
         first = cls._pid != os.getpid()
         if first:
@@ -132,14 +132,14 @@ class _Root:
             shutil.rmtree(path, ignore_errors=True)
             raise
         if first:
-            atexit.register(cls.end, os.getpid())
+            atexit.register(cls.delete_root, os.getpid())
         elif cls._held >= 0:
             with contextlib.suppress(OSError):
                 os.close(cls._held)
         cls._path, cls._held, cls._pid = path, held, os.getpid()
 
     @classmethod
-    def end(cls, pid: int) -> None:
+    def delete_root(cls, pid: int) -> None:
         """Delete the root folder at the regular end of the process."""
         if pid != os.getpid() or cls._path is None or cls._pid != pid:
             return
@@ -160,7 +160,7 @@ def sweep_scratch(folder: Path | None = None, *, now_s: float | None = None) -> 
     folder
         Folder for temporary files; None selects that of the system.
     now_s
-        Present time in seconds since 1970, for tests.
+        Current time in seconds since 1970, for tests.
     """
     try:
         base = Path(tempfile.gettempdir()) if folder is None else folder
@@ -169,18 +169,18 @@ def sweep_scratch(folder: Path | None = None, *, now_s: float | None = None) -> 
     except OSError:
         return 0
     moment_s = time.time() if now_s is None else now_s
-    return sum(_sweep(base / name, moment_s) for name in sorted(names)[:_MAX_SWEPT])
+    return sum(_sweep_root(base / name, moment_s) for name in sorted(names)[:_MAX_SWEPT])
 
 
-def _sweep(path: Path, now_s: float) -> bool:
+def _sweep_root(path: Path, now_s: float) -> bool:
     """Delete a temporary folder of this user if no process uses it; return whether the folder was deleted."""
     try:
-        if not _is_mine(path):
+        if not _is_own_folder(path):
             return False
         if _OURS.fullmatch(path.name) and (path / LOCK).exists():
             return _sweep_locked(path)
         known = _OURS.fullmatch(path.name) or _OLDER.fullmatch(path.name) or _is_oldest(path)
-        if not known or now_s - _newest_s(path) < OLD_AFTER_S:
+        if not known or now_s - _latest_change_s(path) < OLD_AFTER_S:
             return False
         shutil.rmtree(path)
         return True
@@ -188,7 +188,7 @@ def _sweep(path: Path, now_s: float) -> bool:
         return False
 
 
-def _is_mine(path: Path) -> bool:
+def _is_own_folder(path: Path) -> bool:
     """Return whether a path is a folder of this user, and not a link."""
     seen = path.lstat()
     return stat.S_ISDIR(seen.st_mode) and (not hasattr(os, "geteuid") or seen.st_uid == os.geteuid())
@@ -201,13 +201,13 @@ def _is_oldest(path: Path) -> bool:
     return bool(inside) and all(_OLDEST_FILES.fullmatch(name) for name in inside)
 
 
-def _newest_s(path: Path) -> float:
+def _latest_change_s(path: Path) -> float:
     """Return the time of the latest change of a folder or of anything in it, in seconds since 1970."""
-    newest = path.lstat().st_mtime
+    latest_s = path.lstat().st_mtime
     for above, folders, files in os.walk(path):
         for name in (*folders, *files):
-            newest = max(newest, (Path(above) / name).lstat().st_mtime)
-    return newest
+            latest_s = max(latest_s, (Path(above) / name).lstat().st_mtime)
+    return latest_s
 
 
 def _sweep_locked(path: Path) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, TypeVar
 
-__all__ = ["MAX_CHARS", "as_words", "joined", "one_line"]
+__all__ = ["MAX_CHARS", "as_words", "joined_in_line", "one_line"]
 
 T = TypeVar("T")
 
@@ -29,7 +29,7 @@ def one_line(cls: type[T]) -> type[T]:
             value = getattr(self, field.name)
             if field.repr and not _is_default(field, value):
                 pieces.append(f"{field.name}={as_words(value)}")
-        return joined(type(self).__qualname__, pieces)
+        return joined_in_line(type(self).__qualname__, pieces)
 
     cls.__repr__ = shown  # type: ignore[method-assign]
     return cls
@@ -90,7 +90,7 @@ def _is_default(field: dataclasses.Field[Any], value: Any) -> bool:
     return isinstance(value, bool | int | float | str | tuple) and type(value) is type(default) and value == default
 
 
-def joined(name: str, pieces: list[str]) -> str:
+def joined_in_line(name: str, pieces: list[str]) -> str:
     """Return ``Name(piece, piece)``; three dots replace the pieces that do not fit in one line."""
     text = f"{name}({', '.join(pieces)})"
     while len(text) > MAX_CHARS and pieces:

@@ -101,7 +101,7 @@ def bar_here() -> Callable[[], Bar] | None:
     return TerminalBar if sys.stderr is not None and sys.stderr.isatty() else None
 
 
-class Watched:
+class BarCallback:
     """A progress callback that draws a bar once the work has taken half a second."""
 
     def __init__(self, make: Callable[[], Bar], clock: Callable[[], float]) -> None:
@@ -172,15 +172,15 @@ def shows_progress(function: Callable[P, T]) -> Callable[P, T]:
     place = list(inspect.signature(function).parameters).index("progress")
 
     @functools.wraps(function)
-    def shown(*args: P.args, **kwargs: P.kwargs) -> T:
+    def wrapper(*args: P.args, **kwargs: P.kwargs) -> T:
         is_positional = place < len(args)
         choice: Any = args[place] if is_positional else kwargs.get("progress")
         progress_choice(function.__qualname__, "progress", choice)
-        bar: Watched | None = None
+        bar: BarCallback | None = None
         if not callable(choice):
             is_wanted = choice is True or (choice is None and not _inside.get())
             make = bar_here() if is_wanted else None
-            bar = choice = None if make is None else Watched(make, time.monotonic)
+            bar = choice = None if make is None else BarCallback(make, time.monotonic)
         changed: Any = (*args[:place], choice, *args[place + 1 :]) if is_positional else args
         if not is_positional:
             kwargs["progress"] = choice
@@ -192,4 +192,4 @@ def shows_progress(function: Callable[P, T]) -> Callable[P, T]:
             if bar is not None:
                 bar.close()
 
-    return shown
+    return wrapper

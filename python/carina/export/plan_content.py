@@ -139,30 +139,30 @@ def drawn_plans(plan: Plan | Mapping[str, Plan], tree: AirwayTree) -> tuple[Draw
         DrawnTarget(
             name,
             one,
-            tuple(_drawn(route, number, one, tree) for number, route in enumerate(one.routes, 1)),
+            tuple(_drawn_route(route, number, one, tree) for number, route in enumerate(one.routes, 1)),
             _target_words(one),
         )
         for name, one in found.items()
     )
 
 
-def _drawn(route: PlannedRoute, number: int, plan: Plan, tree: AirwayTree) -> DrawnRoute:
+def _drawn_route(route: PlannedRoute, number: int, plan: Plan, tree: AirwayTree) -> DrawnRoute:
     return DrawnRoute(
-        f"Route {number}: {route.branch_name}", route, _way(tree, route, number), _route_words(route, plan)
+        f"Route {number}: {route.branch_name}", route, _route_polyline(tree, route, number), _route_words(route, plan)
     )
 
 
-def _way(tree: AirwayTree, route: PlannedRoute, number: int) -> Points:
+def _route_polyline(tree: AirwayTree, route: PlannedRoute, number: int) -> Points:
     """Return the points (n, 3) of the smoothed route in LPS mm; the last point is the exact position of the tip."""
     tip = np.array(route.leg.tip_lps)
     if all(branch.id != route.branch_id for branch in tree.branches):
-        raise _other_tree(f"route {number} ends in branch {route.branch_id}, which this tree does not have")
+        raise _other_tree_error(f"route {number} ends in branch {route.branch_id}, which this tree does not have")
     whole = tree.route_to(route.branch_id).points_lps
     off_mm = np.linalg.norm(whole - tip, axis=1)
     nearest = int(np.argmin(off_mm))
-    gap_mm = _to_line_mm(whole, tip)
+    gap_mm = _distance_to_line_mm(whole, tip)
     if gap_mm > OFF_ROUTE_MM:
-        raise _other_tree(f"the scope tip of route {number} lies {gap_mm:.1f} mm from this tree's branch")
+        raise _other_tree_error(f"the scope tip of route {number} lies {gap_mm:.1f} mm from this tree's branch")
     # The line ends before the tip, so that it does not turn back.
     if 0 < nearest < len(whole) and _is_past(whole, nearest, tip):
         nearest -= 1
@@ -173,7 +173,7 @@ def _way(tree: AirwayTree, route: PlannedRoute, number: int) -> Points:
     return np.concatenate([before, tip[None]])
 
 
-def _to_line_mm(points: Points, place: Points) -> float:
+def _distance_to_line_mm(points: Points, place: Points) -> float:
     """Return the distance in mm of a point from a polyline."""
     if len(points) < 2:
         return float(np.linalg.norm(points[0] - place))
@@ -188,7 +188,7 @@ def _is_past(points: Points, n: int, tip: Points) -> bool:
     return float((points[n] - tip) @ (points[n] - points[n - 1])) > 0.0
 
 
-def _other_tree(problem: str) -> UsageError:
+def _other_tree_error(problem: str) -> UsageError:
     return UsageError(
         f"exporting a plan: {problem}; expected the airway tree that the plan was made on: export with that tree, or "
         "plan again",
@@ -207,7 +207,7 @@ def _target_words(plan: Plan) -> str:
         where = {"into": "leads into it", "beside": "lies against it"}.get(plan.bronchus_sign, plan.bronchus_sign)
         parts.append(f"bronchus sign: {plan.sign_branch} {where}")
     parts.append(plan.movement.words)
-    return _sentences(parts)
+    return _as_sentences(parts)
 
 
 def _route_words(route: PlannedRoute, plan: Plan) -> str:
@@ -228,9 +228,9 @@ def _route_words(route: PlannedRoute, plan: Plan) -> str:
     else:
         parts.append(f"nearest vessel seen {leg.vessel_mm:.1f} mm from the needle")
     parts.append(route.hit_words)
-    return _sentences(parts)
+    return _as_sentences(parts)
 
 
-def _sentences(texts: list[str]) -> str:
+def _as_sentences(texts: list[str]) -> str:
     parts = [" ".join(one.split()).rstrip(".") for one in [*texts, NOT_A_DEVICE]]
     return ". ".join(one[:1].upper() + one[1:] for one in parts) + "."

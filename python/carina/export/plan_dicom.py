@@ -46,9 +46,9 @@ __all__ = [
     "code_item",
     "ct_images",
     "decimals",
+    "file_bytes",
     "named_nodules",
     "new_object",
-    "packed",
 ]
 
 Identity = Literal["from the CT", "none"]
@@ -274,7 +274,7 @@ def new_object(
         for keyword in _WHOSE:
             value = None if images is None or identity == "none" else images.first.get(keyword)
             if value not in (None, "") or keyword in _NEVER_LEFT_OUT:
-                setattr(data, keyword, _plain(value))
+                setattr(data, keyword, _plain_value(value))
     if identity == "none":
         data.PatientIdentityRemoved = "YES"
         data.DeidentificationMethod = "Not written by Carina; UIDs of a CT referred to are kept"
@@ -290,7 +290,7 @@ def new_object(
     return data
 
 
-def _plain(value: Any) -> str | list[str]:
+def _plain_value(value: Any) -> str | list[str]:
     """Return a value as text or texts, independent of the CT's character set, with all component groups of a name."""
     if isinstance(value, MultiValue):
         return [str(one) for one in value]
@@ -362,7 +362,7 @@ def named_nodules(targets: Nodule | Mapping[str, Nodule], doing: str) -> dict[st
     return named
 
 
-def packed(data: Dataset) -> bytes:
+def file_bytes(data: Dataset) -> bytes:
     """Return the whole DICOM file as bytes, explicit little endian."""
     meta = FileMetaDataset()
     meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID = data.SOPClassUID, data.SOPInstanceUID

@@ -17,7 +17,7 @@ from pydicom.uid import EncapsulatedPDFStorage
 
 from carina.disk import write_whole
 from carina.errors import UsageError
-from carina.export.plan_dicom import Identity, check_text, code_item, ct_images, new_object, packed
+from carina.export.plan_dicom import Identity, check_text, code_item, ct_images, file_bytes, new_object
 from carina.volume import Volume
 
 __all__ = ["write_plan_pdf"]
@@ -121,4 +121,4 @@ def write_plan_pdf(
     data.MIMETypeOfEncapsulatedDocument = "application/pdf"
     data.EncapsulatedDocumentLength = len(pdf)
     data.EncapsulatedDocument = pdf + b"\0" * (len(pdf) % 2)
-    return write_whole(path, packed(data), what="the report")
+    return write_whole(path, file_bytes(data), what="the report")

@@ -30,9 +30,9 @@ from carina.export.plan_dicom import (
     code_item,
     ct_images,
     decimals,
+    file_bytes,
     named_nodules,
     new_object,
-    packed,
 )
 from carina.plan import Nodule
 from carina.track import Airways, drawn_tree, lumen_mask
@@ -132,8 +132,8 @@ def write_target_seg(
         series_words="Carina: targets of a bronchoscopy plan",
         now=now,
     )
-    _fill(data, parts, images, volume)
-    return write_whole(path, packed(data), what="the segmentation")
+    _fill_frames(data, parts, images, volume)
+    return write_whole(path, file_bytes(data), what="the segmentation")
 
 
 def inside_on_grid(nodule: Nodule, volume: Volume) -> Mask:
@@ -202,7 +202,7 @@ def _nodule_part(name: str, nodule: Nodule, volume: Volume) -> _Part:
         name,
         inside,
         f"{nodule.words} as measured (90 % within {nodule.volume_error_mm3 / 1000.0:.2f} ml); the voxels of this "
-        f"segment hold {_ml(inside, volume):.2f} ml.{note_sentences(nodule)}",
+        f"segment hold {_volume_ml(inside, volume):.2f} ml.{note_sentences(nodule)}",
         ("SEMIAUTOMATIC", f"Carina {VERSION}, grown from a click"),
         (("49755003", "SCT", "Morphologically Abnormal Structure"), ("27925004", "SCT", "Nodule")),
         ("39607008", "SCT", "Lung"),
@@ -213,11 +213,11 @@ def _nodule_part(name: str, nodule: Nodule, volume: Volume) -> _Part:
 def _lumen_part(airways: Airways, volume: Volume) -> _Part:
     inside = lumen_mask(volume, airways) != 0
     drawn = drawn_tree(airways.tree).words
-    said = f"the lumen of the airways found, {_ml(inside, volume):.1f} ml"
+    words = f"the lumen of the airways found, {_volume_ml(inside, volume):.1f} ml"
     return _Part(
         LUMEN_NAME,
         inside,
-        said if drawn is None else f"{said}; {drawn}: not from the CT",
+        words if drawn is None else f"{words}; {drawn}: not from the CT",
         ("AUTOMATIC" if drawn is None else "SEMIAUTOMATIC", f"Carina {VERSION}"),
         (("123037004", "SCT", "Anatomical Structure"), ("89187006", "SCT", "Airway structure")),
         None,
@@ -225,11 +225,11 @@ def _lumen_part(airways: Airways, volume: Volume) -> _Part:
     )
 
 
-def _ml(inside: Mask, volume: Volume) -> float:
+def _volume_ml(inside: Mask, volume: Volume) -> float:
     return float(np.count_nonzero(inside)) * float(np.prod(volume.spacing_mm)) / 1000.0
 
 
-def _fill(data: Dataset, parts: Sequence[_Part], images: CtImages, volume: Volume) -> None:
+def _fill_frames(data: Dataset, parts: Sequence[_Part], images: CtImages, volume: Volume) -> None:
     data.FrameOfReferenceUID = images.frame_of_reference_uid
     data.PositionReferenceIndicator = ""
     data.ImageType = ["DERIVED", "PRIMARY"]
@@ -253,11 +253,11 @@ def _fill(data: Dataset, parts: Sequence[_Part], images: CtImages, volume: Volum
         frames += [(number, int(k)) for k in range(slices[0], slices[-1] + 1)]
     data.NumberOfFrames = len(frames)
     used = sorted({k for _, k in frames})
-    _refer(data, images, used)
-    _dimensions(data)
-    data.SharedFunctionalGroupsSequence = Items([_shared(images, volume)])
+    _add_references(data, images, used)
+    _add_dimensions(data)
+    data.SharedFunctionalGroupsSequence = Items([_shared_groups(images, volume)])
     places = {k: n for n, k in enumerate(used, 1)}
-    data.PerFrameFunctionalGroupsSequence = Items(_frame(images, number, k, places[k]) for number, k in frames)
+    data.PerFrameFunctionalGroupsSequence = Items(_frame_groups(images, number, k, places[k]) for number, k in frames)
     bits = np.concatenate([parts[number - 1].inside[k].reshape(-1) for number, k in frames])
     content = np.packbits(bits, bitorder="little").tobytes()
     data.PixelData = content + b"\0" * (len(content) % 2)
@@ -278,20 +278,20 @@ def _segment(number: int, part: _Part) -> Dataset:
     return item
 
 
-def _refer(data: Dataset, images: CtImages, used: Sequence[int]) -> None:
+def _add_references(data: Dataset, images: CtImages, used: Sequence[int]) -> None:
     series = Dataset()
     series.SeriesInstanceUID = images.series_uid
-    series.ReferencedInstanceSequence = Items(_instance(images, k) for k in used)
+    series.ReferencedInstanceSequence = Items(_instance_reference(images, k) for k in used)
     data.ReferencedSeriesSequence = Items([series])
 
 
-def _instance(images: CtImages, k: int) -> Dataset:
+def _instance_reference(images: CtImages, k: int) -> Dataset:
     item = Dataset()
     item.ReferencedSOPClassUID, item.ReferencedSOPInstanceUID = images.image_class, images.slices[k].sop_uid
     return item
 
 
-def _dimensions(data: Dataset) -> None:
+def _add_dimensions(data: Dataset) -> None:
     """Add the dimensions: frames are ordered by segment, then by position."""
     uid = generate_uid(prefix=None)
     organisation = Dataset()
@@ -311,7 +311,7 @@ def _dimensions(data: Dataset) -> None:
     data.DimensionIndexSequence = Items(items)
 
 
-def _shared(images: CtImages, volume: Volume) -> Dataset:
+def _shared_groups(images: CtImages, volume: Volume) -> Dataset:
     first = images.slices[0]
     gap_mm = volume.spacing_mm[2]
     measures, orientation = Dataset(), Dataset()
@@ -324,12 +324,12 @@ def _shared(images: CtImages, volume: Volume) -> Dataset:
     return shared
 
 
-def _frame(images: CtImages, number: int, k: int, place: int) -> Dataset:
+def _frame_groups(images: CtImages, number: int, k: int, place: int) -> Dataset:
     content, position, segment, derived = Dataset(), Dataset(), Dataset(), Dataset()
     content.DimensionIndexValues = [number, place]
     position.ImagePositionPatient = decimals(images.slices[k].position_lps)
     segment.ReferencedSegmentNumber = number
-    source: Any = _instance(images, k)
+    source: Any = _instance_reference(images, k)
     source.PurposeOfReferenceCodeSequence = Items(
         [code_item("121322", "DCM", "Source image for image processing operation")]
     )

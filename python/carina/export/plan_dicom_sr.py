@@ -27,9 +27,9 @@ from carina.export.plan_dicom import (
     Identity,
     code_item,
     ct_images,
+    file_bytes,
     named_nodules,
     new_object,
-    packed,
 )
 from carina.export.plan_dicom_seg import inside_on_grid
 from carina.plan import Nodule
@@ -128,20 +128,24 @@ def write_target_report(
     )
     used = sorted({k for nodule in named.values() for k in _slices(nodule, volume)})
     _document(data)
-    data.CurrentRequestedProcedureEvidenceSequence = Items([_evidence(images, used, segments)])
-    groups = [_group(name, nodule, images, segments) for name, nodule in named.items()]
+    data.CurrentRequestedProcedureEvidenceSequence = Items([_evidence_sequence(images, used, segments)])
+    groups = [_measurement_group(name, nodule, images, segments) for name, nodule in named.items()]
     data.ContentSequence = Items(
         [
-            _coded("HAS CONCEPT MOD", _LANGUAGE, _ENGLISH),
-            _coded("HAS OBS CONTEXT", _OBSERVER_TYPE, _DEVICE),
-            _content("HAS OBS CONTEXT", "UIDREF", _OBSERVER_UID, UID=generate_uid(prefix=None)),
-            _content("HAS OBS CONTEXT", "TEXT", _OBSERVER_NAME, TextValue="Carina, not a medical device"),
-            _coded("HAS CONCEPT MOD", _PROCEDURE, _CT),
-            _holder(_LIBRARY, [_holder(_LIBRARY_GROUP, [_image(images, k) for k in used], template=None)], "1600"),
-            _holder(_MEASUREMENTS, groups, template=None),
+            _code_item("HAS CONCEPT MOD", _LANGUAGE, _ENGLISH),
+            _code_item("HAS OBS CONTEXT", _OBSERVER_TYPE, _DEVICE),
+            _content_item("HAS OBS CONTEXT", "UIDREF", _OBSERVER_UID, UID=generate_uid(prefix=None)),
+            _content_item("HAS OBS CONTEXT", "TEXT", _OBSERVER_NAME, TextValue="Carina, not a medical device"),
+            _code_item("HAS CONCEPT MOD", _PROCEDURE, _CT),
+            _container_item(
+                _LIBRARY,
+                [_container_item(_LIBRARY_GROUP, [_image_item(images, k) for k in used], template=None)],
+                "1600",
+            ),
+            _container_item(_MEASUREMENTS, groups, template=None),
         ]
     )
-    return write_whole(path, packed(data), what="the report")
+    return write_whole(path, file_bytes(data), what="the report")
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +216,7 @@ def _document(data: Dataset) -> None:
     data.ContentTemplateSequence = Items([_template("1500")])
 
 
-def _evidence(images: CtImages, used: Sequence[int], segments: _Segments | None) -> Dataset:
+def _evidence_sequence(images: CtImages, used: Sequence[int], segments: _Segments | None) -> Dataset:
     def instance(kind: str, uid: str) -> Dataset:
         item = Dataset()
         item.ReferencedSOPClassUID, item.ReferencedSOPInstanceUID = kind, uid
@@ -232,27 +236,27 @@ def _evidence(images: CtImages, used: Sequence[int], segments: _Segments | None)
     return study
 
 
-def _group(name: str, nodule: Nodule, images: CtImages, segments: _Segments | None) -> Dataset:
+def _measurement_group(name: str, nodule: Nodule, images: CtImages, segments: _Segments | None) -> Dataset:
     tracking_uid = generate_uid(prefix=None) if segments is None else segments.tracking_uids[name]
     items = [
-        _content("HAS OBS CONTEXT", "TEXT", _TRACKING, TextValue=name),
-        _content("HAS OBS CONTEXT", "UIDREF", _TRACKING_UID, UID=tracking_uid),
-        _coded("CONTAINS", _FINDING, _NODULE),
+        _content_item("HAS OBS CONTEXT", "TEXT", _TRACKING, TextValue=name),
+        _content_item("HAS OBS CONTEXT", "UIDREF", _TRACKING_UID, UID=tracking_uid),
+        _code_item("CONTAINS", _FINDING, _NODULE),
     ]
     if segments is not None:
         referred = Dataset()
         referred.ReferencedSOPClassUID, referred.ReferencedSOPInstanceUID = SegmentationStorage, segments.instance_uid
         referred.ReferencedSegmentNumber = segments.numbers[name]
         items += [
-            _content("CONTAINS", "IMAGE", _SEGMENT, ReferencedSOPSequence=Items([referred])),
-            _content("CONTAINS", "UIDREF", _SOURCE_SERIES, UID=images.series_uid),
+            _content_item("CONTAINS", "IMAGE", _SEGMENT, ReferencedSOPSequence=Items([referred])),
+            _content_item("CONTAINS", "UIDREF", _SOURCE_SERIES, UID=images.series_uid),
         ]
     items += [
-        _coded("HAS CONCEPT MOD", _SITE, _LUNG),
-        _number(_VOLUME, nodule.volume_mm3, _MM3),
-        _number(_LONG, nodule.long_mm, _MM),
-        _number(_SHORT, nodule.short_mm, _MM),
-        _content(
+        _code_item("HAS CONCEPT MOD", _SITE, _LUNG),
+        _number_item(_VOLUME, nodule.volume_mm3, _MM3),
+        _number_item(_LONG, nodule.long_mm, _MM),
+        _number_item(_SHORT, nodule.short_mm, _MM),
+        _content_item(
             "CONTAINS",
             "SCOORD3D",
             _CENTRE,
@@ -260,12 +264,12 @@ def _group(name: str, nodule: Nodule, images: CtImages, segments: _Segments | No
             GraphicData=[float(v) for v in nodule.centre_lps],
             ReferencedFrameOfReferenceUID=images.frame_of_reference_uid,
         ),
-        _content("CONTAINS", "TEXT", _COMMENT, TextValue=_words(nodule)),
+        _content_item("CONTAINS", "TEXT", _COMMENT, TextValue=_nodule_text(nodule)),
     ]
-    return _holder(_GROUP, items, "1501" if segments is None else "1411")
+    return _container_item(_GROUP, items, "1501" if segments is None else "1411")
 
 
-def _words(nodule: Nodule) -> str:
+def _nodule_text(nodule: Nodule) -> str:
     touches = f"; touches: {', '.join(nodule.touches)}" if nodule.touches else ""
     return (
         f"{nodule.words}{touches}. Nine times of ten the volume lies within {nodule.volume_error_mm3:.0f} mm3 and the "
@@ -274,7 +278,7 @@ def _words(nodule: Nodule) -> str:
     )
 
 
-def _content(relationship: str, kind: str, concept: _Concept, **values: Any) -> Dataset:
+def _content_item(relationship: str, kind: str, concept: _Concept, **values: Any) -> Dataset:
     item = Dataset()
     item.RelationshipType, item.ValueType = relationship, kind
     item.ConceptNameCodeSequence = Items([code_item(*concept)])
@@ -283,19 +287,19 @@ def _content(relationship: str, kind: str, concept: _Concept, **values: Any) -> 
     return item
 
 
-def _coded(relationship: str, concept: _Concept, value: _Concept) -> Dataset:
-    return _content(relationship, "CODE", concept, ConceptCodeSequence=Items([code_item(*value)]))
+def _code_item(relationship: str, concept: _Concept, value: _Concept) -> Dataset:
+    return _content_item(relationship, "CODE", concept, ConceptCodeSequence=Items([code_item(*value)]))
 
 
-def _number(concept: _Concept, value: float, unit: _Concept) -> Dataset:
+def _number_item(concept: _Concept, value: float, unit: _Concept) -> Dataset:
     measured = Dataset()
     measured.NumericValue = DSfloat(value, auto_format=True)
     measured.FloatingPointValue = value
     measured.MeasurementUnitsCodeSequence = Items([code_item(*unit)])
-    return _content("CONTAINS", "NUM", concept, MeasuredValueSequence=Items([measured]))
+    return _content_item("CONTAINS", "NUM", concept, MeasuredValueSequence=Items([measured]))
 
 
-def _image(images: CtImages, k: int) -> Dataset:
+def _image_item(images: CtImages, k: int) -> Dataset:
     referred = Dataset()
     referred.ReferencedSOPClassUID, referred.ReferencedSOPInstanceUID = images.image_class, images.slices[k].sop_uid
     item = Dataset()
@@ -304,8 +308,8 @@ def _image(images: CtImages, k: int) -> Dataset:
     return item
 
 
-def _holder(concept: _Concept, items: Sequence[Dataset], template: str | None) -> Dataset:
-    held = _content("CONTAINS", "CONTAINER", concept, ContinuityOfContent="SEPARATE", ContentSequence=Items(items))
+def _container_item(concept: _Concept, items: Sequence[Dataset], template: str | None) -> Dataset:
+    held = _content_item("CONTAINS", "CONTAINER", concept, ContinuityOfContent="SEPARATE", ContentSequence=Items(items))
     if template is not None:
         held.ContentTemplateSequence = Items([_template(template)])
     return held

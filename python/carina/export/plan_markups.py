@@ -111,7 +111,7 @@ def _with_notes(target: DrawnTarget, notes: Sequence[Note]) -> str:
 
 def _tip_list(target: DrawnTarget, of: str) -> dict[str, Any]:
     points = [
-        _point(n, route.route.leg.tip_lps, f"Scope tip, {_marked(route)}", route.words)
+        _point(n, route.route.leg.tip_lps, f"Scope tip, {_title_with_doubt(route)}", route.words)
         for n, route in enumerate(target.routes, 1)
     ]
     return _markup("Fiducial", f"Scope positions{of}", points, _BEST_RGB, glyph_mm=3.0, has_labels=True)
@@ -119,7 +119,7 @@ def _tip_list(target: DrawnTarget, of: str) -> dict[str, Any]:
 
 def _entry_list(target: DrawnTarget, of: str) -> dict[str, Any]:
     points = [
-        _point(n, route.route.leg.entry_lps, f"Needle entry, {_marked(route)}", route.words)
+        _point(n, route.route.leg.entry_lps, f"Needle entry, {_title_with_doubt(route)}", route.words)
         for n, route in enumerate(target.routes, 1)
     ]
     return _markup("Fiducial", f"Needle entries{of}", points, _NEEDLE_RGB, glyph_mm=2.0, has_labels=False)
@@ -127,10 +127,12 @@ def _entry_list(target: DrawnTarget, of: str) -> dict[str, Any]:
 
 def _curve(route: DrawnRoute, of: str, *, is_best: bool) -> dict[str, Any]:
     points = [_point(n, place, "", "") for n, place in enumerate(route.way_lps, 1)]
-    points[-1]["label"], points[-1]["description"] = f"Scope tip, {_marked(route)}", route.words
+    points[-1]["label"], points[-1]["description"] = f"Scope tip, {_title_with_doubt(route)}", route.words
     points[0]["description"] = route.words
     colour = _DOUBTFUL_RGB if route.is_doubtful else _BEST_RGB if is_best else _OTHER_RGB
-    return _markup("Curve", f"{_marked(route)}{of}", points, colour, glyph_mm=1.2, has_labels=False, words=route.words)
+    return _markup(
+        "Curve", f"{_title_with_doubt(route)}{of}", points, colour, glyph_mm=1.2, has_labels=False, words=route.words
+    )
 
 
 def _line(route: DrawnRoute, target: DrawnTarget, of: str) -> dict[str, Any]:
@@ -140,11 +142,11 @@ def _line(route: DrawnRoute, target: DrawnTarget, of: str) -> dict[str, Any]:
         _point(2, leg.aim_lps, f"Aim in {target.name}", target.words),
     ]
     colour = _DOUBTFUL_RGB if route.is_doubtful else _NEEDLE_RGB
-    name = f"Needle, {_marked(route)}{of}"
+    name = f"Needle, {_title_with_doubt(route)}{of}"
     return _markup("Line", name, points, colour, glyph_mm=1.5, has_labels=False, words=route.words)
 
 
-def _marked(route: DrawnRoute) -> str:
+def _title_with_doubt(route: DrawnRoute) -> str:
     return f"{route.title} (DOUBTFUL)" if route.is_doubtful else route.title
 
 

@@ -107,18 +107,19 @@ def plan_messages(
         return pack_message(kind, name, content, time_s=time_s, version=version)
 
     found = [
-        message("POLYDATA", f"CarinaTarget{number}", _surface(target, turn)) for number, target in enumerate(targets, 1)
+        message("POLYDATA", f"CarinaTarget{number}", _surface_content(target, turn))
+        for number, target in enumerate(targets, 1)
     ]
     for number, (_, route) in enumerate(drawn, 1):
         leg = route.route.leg
         needle = np.array([leg.tip_lps, leg.aim_lps])
-        found.append(message("POLYDATA", f"CarinaRoute{number}", _line(route.way_lps * turn)))
-        found.append(message("POLYDATA", f"CarinaNeedle{number}", _line(needle * turn)))
-    found.append(message("POINT", "CarinaTargets", b"".join(_point(target, turn) for target in targets)))
+        found.append(message("POLYDATA", f"CarinaRoute{number}", _polyline_content(route.way_lps * turn)))
+        found.append(message("POLYDATA", f"CarinaNeedle{number}", _polyline_content(needle * turn)))
+    found.append(message("POINT", "CarinaTargets", b"".join(_point_content(target, turn) for target in targets)))
     if drawn:
-        rows = b"".join(_trajectory(target, route, turn) for target, route in drawn)
+        rows = b"".join(_trajectory_content(target, route, turn) for target, route in drawn)
         found.append(message("TRAJ", "CarinaNeedles", rows))
-    found.append(message("STRING", "CarinaPlan", _string(_words(targets))))
+    found.append(message("STRING", "CarinaPlan", _string_content(_plan_text(targets))))
     return found
 
 
@@ -300,11 +301,11 @@ class PlanServer:
                 if self._is_ending or len(self._peers) >= MAX_PEERS:
                     peer.close()
                     continue
-                thread = threading.Thread(target=self._talk, args=(peer,), name="carina-plan-peer", daemon=True)
+                thread = threading.Thread(target=self._serve_peer, args=(peer,), name="carina-plan-peer", daemon=True)
                 self._peers[peer] = thread
                 thread.start()
 
-    def _talk(self, peer: socket.socket) -> None:
+    def _serve_peer(self, peer: socket.socket) -> None:
         stream = IgtlStream()
         try:
             with peer:
@@ -316,14 +317,14 @@ class PlanServer:
                 while data := peer.recv(CHUNK):
                     for request in stream.feed(data):
                         if isinstance(request, IgtlRequest):
-                            self._answer(peer, request)
+                            self._answer_request(peer, request)
         except (OSError, ProtocolError):
             pass  # the client disconnected, does not read, or sends invalid data
         finally:
             with self._lock:
                 self._peers.pop(peer, None)
 
-    def _answer(self, peer: socket.socket, request: IgtlRequest) -> None:
+    def _answer_request(self, peer: socket.socket, request: IgtlRequest) -> None:
         """Send the messages of the requested type, limited to the requested name if there is one."""
         peer.settimeout(PATIENCE_S)
         kind = request.what.removeprefix("GET_").encode()
@@ -339,7 +340,7 @@ def _check_port(port: int, *, least: int) -> None:
         raise UsageError(f"port: expected {least} to 65535; found {port!r}", code="plan.port")
 
 
-def _line(points: Points) -> bytes:
+def _polyline_content(points: Points) -> bytes:
     """Return the content of a POLYDATA message with one line through all points, without attributes."""
     indices = np.concatenate([[len(points)], np.arange(len(points))]).astype(">u4").tobytes()
     # Number of points; number and bytes of vertices, lines, polygons and strips; attributes.
@@ -347,7 +348,7 @@ def _line(points: Points) -> bytes:
     return head + points.astype(">f4").tobytes() + indices
 
 
-def _surface(target: DrawnTarget, turn: Points) -> bytes:
+def _surface_content(target: DrawnTarget, turn: Points) -> bytes:
     """Return the content of a POLYDATA message with a target's surface.
 
     LPS and RAS differ by a rotation, which does not change the orientation of the triangles.
@@ -359,17 +360,17 @@ def _surface(target: DrawnTarget, turn: Points) -> bytes:
     return head + (mesh.vertices_lps * turn).astype(">f4").tobytes() + cells
 
 
-def _point(target: DrawnTarget, turn: Points) -> bytes:
+def _point_content(target: DrawnTarget, turn: Points) -> bytes:
     nodule = target.plan.nodule
     place = np.array(nodule.centre_lps) * turn
-    return _POINT.pack(_text(target.name, 64), b"Target", *_TARGET_RGBA, *place, nodule.equivalent_mm, b"")
+    return _POINT.pack(_ascii_text(target.name, 64), b"Target", *_TARGET_RGBA, *place, nodule.equivalent_mm, b"")
 
 
-def _trajectory(target: DrawnTarget, route: DrawnRoute, turn: Points) -> bytes:
+def _trajectory_content(target: DrawnTarget, route: DrawnRoute, turn: Points) -> bytes:
     leg = route.route.leg
     name = f"{route.title} to {target.name}"
     return _TRAJECTORY.pack(
-        _text(f"DOUBTFUL {name}" if route.is_doubtful else name, 64),
+        _ascii_text(f"DOUBTFUL {name}" if route.is_doubtful else name, 64),
         b"Trajectory",
         _ENTRY_AND_TARGET,
         0,
@@ -381,12 +382,12 @@ def _trajectory(target: DrawnTarget, route: DrawnRoute, turn: Points) -> bytes:
     )
 
 
-def _text(text: str, num: int) -> bytes:
+def _ascii_text(text: str, num: int) -> bytes:
     """Return a text as ASCII bytes, at most ``num - 1`` of them, to leave space for a terminating zero byte."""
     return text.encode("ascii", "replace")[: num - 1]
 
 
-def _words(targets: Sequence[DrawnTarget]) -> str:
+def _plan_text(targets: Sequence[DrawnTarget]) -> str:
     lines, number = [], 0
     for n, target in enumerate(targets, 1):
         lines.append(f"CarinaTarget{n}: {target.name}: {target.words}")
@@ -396,7 +397,7 @@ def _words(targets: Sequence[DrawnTarget]) -> str:
     return "\n".join(lines)
 
 
-def _string(text: str) -> bytes:
+def _string_content(text: str) -> bytes:
     content = text.encode()
     if len(content) > _MOST_STRING_BYTES:
         # The length field has 16 bits. The text is cut between characters.

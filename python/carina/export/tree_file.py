@@ -97,7 +97,7 @@ def _read(path: Path | str) -> AirwayTree:
                 raise
             msg = f"{source}: too large for an airway tree ({source.stat().st_size} bytes)"
             raise VolumeImportError(msg, code="track.tree-format") from None
-        document = json.loads(text, parse_constant=_no_nan)
+        document = json.loads(text, parse_constant=_refuse_nan)
         return AirwayTree.from_json(document)
     except OSError as error:
         if isinstance(error, VolumeImportError):
@@ -112,6 +112,6 @@ def _read(path: Path | str) -> AirwayTree:
         raise VolumeImportError(msg, code="track.tree-format") from error
 
 
-def _no_nan(name: str) -> None:
+def _refuse_nan(name: str) -> None:
     msg = f"{name} is not a number in JSON"
     raise ValueError(msg)

@@ -74,14 +74,14 @@ def size_notes(path: str | os.PathLike[str], width: int, height: int, *, rate_hz
     UsageError
         If `VideoWriter` refuses the size or the rate.
     """
-    _check(Path(path).suffix.lower(), width, height, rate_hz)
+    _check_format(Path(path).suffix.lower(), width, height, rate_hz)
     notes = []
     even = even_size(width, height)
     if even != (width, height):
         notes.append(
             f"the video has {even[0]} x {even[1]} pixels instead of {width} x {height}: players need even numbers"
         )
-    if Path(path).suffix.lower() == ".mp4" and not _within(_COMMON_LEVEL, even, rate_hz):
+    if Path(path).suffix.lower() == ".mp4" and not _is_within_level(_COMMON_LEVEL, even, rate_hz):
         notes.append(
             f"many players do not play H.264 videos of {even[0]} x {even[1]} pixels at {rate_hz:g} frames per second; "
             "4096 x 2160 at 60 is a common limit"
@@ -89,7 +89,7 @@ def size_notes(path: str | os.PathLike[str], width: int, height: int, *, rate_hz
     return tuple(notes)
 
 
-def _check(suffix: str, width: int, height: int, rate_hz: float) -> None:
+def _check_format(suffix: str, width: int, height: int, rate_hz: float) -> None:
     """Raise an error for a size or a frame rate that no player supports."""
     least, most = SIZES_PX
     if not (least <= width <= most and least <= height <= most and 1.0 <= rate_hz <= 240.0):
@@ -97,21 +97,21 @@ def _check(suffix: str, width: int, height: int, rate_hz: float) -> None:
             f"a video must have {least} to {most} pixels on each side and 1 to 240 frames per second; found "
             f"{width} x {height} at {rate_hz:g} per second"
         )
-    if suffix == ".mp4" and not _within(_LARGEST_LEVEL, even_size(width, height), rate_hz):
+    if suffix == ".mp4" and not _is_within_level(_LARGEST_LEVEL, even_size(width, height), rate_hz):
         raise UsageError(
             f"H.264 (.mp4) has no level for {width} x {height} pixels at {rate_hz:g} frames per second; choose at most "
             "8192 x 4352, fewer frames per second, or a .webm file"
         )
 
 
-def _within(level: tuple[int, int], size: tuple[int, int], rate_hz: float) -> bool:
+def _is_within_level(level: tuple[int, int], size: tuple[int, int], rate_hz: float) -> bool:
     across, down = (-(-n // 16) for n in size)
     frame, second = level
     # The square of a side must be at most eight times the largest frame (A.3.1).
     return across * down <= frame and across * down * rate_hz <= second and max(across, down) ** 2 <= 8 * frame
 
 
-class _Told(io.RawIOBase):
+class _ErrorRecordingFile(io.RawIOBase):
     """Wrapper of the temporary file that stores disk errors, because PyAV does not report their reason."""
 
     def __init__(self, file: BinaryIO) -> None:
@@ -204,22 +204,22 @@ class VideoWriter:
             raise UsageError(
                 f"expected a video file name that ends in {' or '.join(VIDEO_SUFFIXES)}; found {self._path.name!r}"
             )
-        _check(suffix, width, height, rate_hz)
+        _check_format(suffix, width, height, rate_hz)
         av = _pyav()
         self._av, self._size = av, (width, height)
         self.num_frames = 0
         self._rate = Fraction(rate_hz).limit_denominator(1001)
         self._draft = Draft(self._path, what="the video")
-        self._file = _Told(self._draft.file)
+        self._file = _ErrorRecordingFile(self._draft.file)
         self._container: Any = None
-        with self._disk_told():
+        with self._disk_errors_raised():
             # The index is stored before the frames, so that a browser can play the video while it loads.
             first = suffix == ".mp4" and hasattr(os, "pread")
             options = {"movflags": "+faststart"} if first else {}
             self._container = av.open(
                 self._file, "w", format=suffix.removeprefix("."), container_options=options, io_open=self._reader
             )
-            self._stream = self._made_stream(suffix)
+            self._stream = self._create_stream(suffix)
 
     def __repr__(self) -> str:
         """Return file name, size and number of frames."""
@@ -235,7 +235,7 @@ class VideoWriter:
         """Width and height of the video, both even."""
         return even_size(*self._size)
 
-    def _made_stream(self, suffix: str) -> Any:
+    def _create_stream(self, suffix: str) -> Any:
         codec, options = _OPTIONS[suffix]
         self._container.metadata["comment"] = COMMENT
         stream = self._container.add_stream(codec, rate=self._rate, options=options)
@@ -256,7 +256,7 @@ class VideoWriter:
         frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(rgb), format="rgb24")
         frame = frame.reformat(format=self._stream.pix_fmt, dst_colorspace="ITU709")
         frame.pts, frame.time_base = self.num_frames, 1 / self._rate
-        with self._disk_told():
+        with self._disk_errors_raised():
             self._container.mux(self._stream.encode(frame))
         self.num_frames += 1
 
@@ -268,7 +268,7 @@ class VideoWriter:
         DiskError
             If the disk refuses the file; the video is then discarded, and a former file stays unchanged.
         """
-        with self._disk_told():
+        with self._disk_errors_raised():
             self._container.mux(self._stream.encode(None))
             self._container.close()
             self._draft.commit()
@@ -285,7 +285,7 @@ class VideoWriter:
             self._draft.discard()
 
     @contextlib.contextmanager
-    def _disk_told(self) -> Iterator[None]:
+    def _disk_errors_raised(self) -> Iterator[None]:
         """Discard the video after any error, and raise the disk's own error if there was one."""
         try:
             yield
@@ -293,7 +293,7 @@ class VideoWriter:
             refused = self._file.trouble or (error if isinstance(error, OSError) else None)
             self.discard()
             if refused is not None:
-                raise self._draft.trouble(refused) from error
+                raise self._draft.disk_error(refused) from error
             raise
 
     def __enter__(self) -> VideoWriter:

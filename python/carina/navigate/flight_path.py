@@ -125,8 +125,8 @@ class FlightPath:
         self._max_deviation_mm = float(max_deviation_mm)
         self._frames: PathFrames | None = None
         self._made_curve: _core.FlightCurve | None = _core.FlightCurve(points, up, float(max_deviation_mm))
-        self._forks_mm = self._on_path("forks", forks_mm)
-        self._lookouts_mm = self._forks_mm if lookouts_mm is None else self._on_path("look-outs", lookouts_mm)
+        self._forks_mm = self._clamped_positions("forks", forks_mm)
+        self._lookouts_mm = self._forks_mm if lookouts_mm is None else self._clamped_positions("look-outs", lookouts_mm)
 
     @classmethod
     @check_arguments(
@@ -260,7 +260,7 @@ class FlightPath:
         """
         return next((f for f in reversed(self._lookouts_mm) if f < path_mm - 0.01), 0.0)
 
-    def _on_path(self, what: str, places_mm: Sequence[float]) -> tuple[float, ...]:
+    def _clamped_positions(self, what: str, places_mm: Sequence[float]) -> tuple[float, ...]:
         places = sorted(float(mm) for mm in places_mm)
         if not all(-1e-6 <= mm <= self.length_mm + 1e-6 for mm in places):
             msg = f"{what} must lie on the path, between 0 and {self.length_mm:.3f} mm; found {places}"

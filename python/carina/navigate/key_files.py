@@ -126,7 +126,7 @@ def open_key_frames(path: str | Path) -> KeyFrameFile:
         document = json.loads(text)
         if document["format"] != FORMAT or document["version"] not in {1, VERSION}:
             raise ValueError(f"expected the format {FORMAT}, version 1 or {VERSION}")
-        return _timed(document) if document["version"] == 1 else _with_speeds(document)
+        return _timed_key_frames(document) if document["version"] == 1 else _key_frames_with_speeds(document)
     except VolumeImportError:
         raise
     except OSError as trouble:
@@ -135,7 +135,7 @@ def open_key_frames(path: str | Path) -> KeyFrameFile:
         raise VolumeImportError(f"{place.name}: not a key-frame file: {trouble}", code="navigate.keys") from trouble
 
 
-def _timed(document: dict[str, Any]) -> KeyFrameFile:
+def _timed_key_frames(document: dict[str, Any]) -> KeyFrameFile:
     keys = document["keys"]
     file = KeyFrameFile(tuple(KeyFrame(float(key["time_s"]), Pose(np.array(key["lps_from_camera"]))) for key in keys))
     # The flight is built here so that times that do not increase are reported as an error of the file.
@@ -143,7 +143,7 @@ def _timed(document: dict[str, Any]) -> KeyFrameFile:
     return file
 
 
-def _with_speeds(document: dict[str, Any]) -> KeyFrameFile:
+def _key_frames_with_speeds(document: dict[str, Any]) -> KeyFrameFile:
     through, case, view = document["through"], document["case"], document.get("view", {})
     if (
         through not in {"airways", "space"}

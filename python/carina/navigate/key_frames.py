@@ -51,7 +51,7 @@ class KeyFrame:
     way: AirwayWay | None = None
 
 
-class _Timed:
+class _TimedCurve:
     """Curve of positions through key frames at given times.
 
     The curve is a cubic Hermite curve over time whose slopes are the differences of the neighbours (Catmull-Rom over
@@ -72,7 +72,7 @@ class _Timed:
         )
 
 
-class _Cruise:
+class _CruiseMotion:
     """Distance flown on a leg as a function of time: constant acceleration, constant speed, constant deceleration."""
 
     def __init__(self, length_mm: float, begin_mm_s: float, speed_mm_s: float, end_mm_s: float) -> None:
@@ -148,7 +148,7 @@ class KeyFrameFlight:
                 )
         self._poses = [frame.pose for frame in frames]
         self._legs, rests = build_legs([pose.lps_from_camera for pose in self._poses], [f.way for f in frames[1:]])
-        self._timed: _Timed | None = None
+        self._timed: _TimedCurve | None = None
         self._laws: list[_Law | None] = [None] * len(self._legs)
         if timed:
             times = np.array(timed, dtype=np.float64)
@@ -160,10 +160,10 @@ class KeyFrameFlight:
                 )
             check_duration(float(times[-1] - times[0]))
             self._times = times - times[0]
-            self._timed = _Timed(np.array([pose.position_lps for pose in self._poses]), self._times)
+            self._timed = _TimedCurve(np.array([pose.position_lps for pose in self._poses]), self._times)
         else:
             speeds = [speed_mm_s if frame.speed_mm_s is None else frame.speed_mm_s for frame in frames[1:]]
-            self._laws = _cruises(self._legs, rests, speeds)
+            self._laws = _leg_motions(self._legs, rests, speeds)
             stands = [max(leg.turn_rad / TURN_RAD_S, STAND_S) for leg in self._legs]
             lasts = [s if law is None else law.duration_s for law, s in zip(self._laws, stands, strict=True)]
             self._times = np.concatenate([[0.0], np.cumsum(lasts)])
@@ -209,10 +209,10 @@ class KeyFrameFlight:
         return Pose(matrix)
 
 
-class _TwoCruises:
+class _InterruptedMotion:
     """Distance flown on a leg with a rest, as a function of time."""
 
-    def __init__(self, first: _Cruise, first_mm: float, second: _Cruise) -> None:
+    def __init__(self, first: _CruiseMotion, first_mm: float, second: _CruiseMotion) -> None:
         self._first, self._first_mm, self._second = first, first_mm, second
         self.duration_s = first.duration_s + second.duration_s
 
@@ -221,10 +221,10 @@ class _TwoCruises:
         return self._first.place_mm(time_s) if since_s < 0.0 else self._first_mm + self._second.place_mm(since_s)
 
 
-_Law = _Cruise | _TwoCruises
+_Law = _CruiseMotion | _InterruptedMotion
 
 
-def _cruises(legs: Sequence[Leg], rests: Sequence[bool], speeds_mm_s: Sequence[float]) -> list[_Law | None]:
+def _leg_motions(legs: Sequence[Leg], rests: Sequence[bool], speeds_mm_s: Sequence[float]) -> list[_Law | None]:
     """Return the law of motion of each leg; None for a leg on which the camera only turns."""
     speeds = []
     for leg, speed in zip(legs, speeds_mm_s, strict=True):
@@ -245,8 +245,10 @@ def _cruises(legs: Sequence[Leg], rests: Sequence[bool], speeds_mm_s: Sequence[f
         if stands[n]:
             laws.append(None)
         elif leg.rest_mm is None:
-            laws.append(_Cruise(leg.length_mm, begin, speed, end))
+            laws.append(_CruiseMotion(leg.length_mm, begin, speed, end))
         else:
-            first = _Cruise(leg.rest_mm, begin, speed, 0.0)
-            laws.append(_TwoCruises(first, leg.rest_mm, _Cruise(leg.length_mm - leg.rest_mm, 0.0, speed, end)))
+            first = _CruiseMotion(leg.rest_mm, begin, speed, 0.0)
+            laws.append(
+                _InterruptedMotion(first, leg.rest_mm, _CruiseMotion(leg.length_mm - leg.rest_mm, 0.0, speed, end))
+            )
     return laws

@@ -112,7 +112,7 @@ class Leg:
 
         Cubic interpolation with tangents makes the velocity continuous.
         """
-        n, t, length = self._between(mm)
+        n, t, length = self._knot_interval(mm)
         if length == 0.0:
             return np.asarray(self.points_lps[n])
         t2, t3 = t * t, t * t * t
@@ -132,12 +132,12 @@ class Leg:
         a, b = self.start[:3, :3], self.end[:3, :3]
         if self.frames is None:
             return _turned_level(a, b, eased)
-        n, t, _ = self._between(mm)
+        n, t, _ = self._knot_interval(mm)
         here = orthonormal((1.0 - t) * self.frames[n] + t * self.frames[n + 1])
         off_a, off_b = orthonormal(self.frames[0].T @ a), orthonormal(self.frames[-1].T @ b)
         return orthonormal(here @ off_a @ rotation_from_vector(eased * vector_from_rotation(off_a.T @ off_b)))
 
-    def _between(self, mm: float) -> tuple[int, float, float]:
+    def _knot_interval(self, mm: float) -> tuple[int, float, float]:
         n = min(max(int(np.searchsorted(self.place_mm, mm, side="right")) - 1, 0), len(self.place_mm) - 2)
         length = float(self.place_mm[n + 1] - self.place_mm[n])
         return n, (0.0 if length == 0.0 else min(max((mm - float(self.place_mm[n])) / length, 0.0), 1.0)), length
@@ -163,7 +163,7 @@ def build_legs(poses: Sequence[Points], ways: Sequence[AirwayWay | None]) -> tup
     """
     at = np.array([pose[:3, 3] for pose in poses])
     legs: list[Leg | None] = [
-        None if way is None else _along(way, poses[n], poses[n + 1]) for n, way in enumerate(ways)
+        None if way is None else _leg_along_airway(way, poses[n], poses[n + 1]) for n, way in enumerate(ways)
     ]
     found = [leg or _through_space(n, at, poses, legs) for n, leg in enumerate(legs)]
     rests = [True] * len(poses)
@@ -207,10 +207,10 @@ def _through_space(n: int, at: Points, poses: Sequence[Points], airways: Sequenc
     t2, t3 = t * t, t * t * t
     points = (2 * t3 - 3 * t2 + 1) * start + (t3 - 2 * t2 + t) * a + (3 * t2 - 2 * t3) * end + (t3 - t2) * b
     slopes = (6 * t2 - 6 * t) * start + (3 * t2 - 4 * t + 1) * a + (6 * t - 6 * t2) * end + (3 * t2 - 2 * t) * b
-    return _leg(poses[n], poses[n + 1], points, slopes)
+    return _spline_leg(poses[n], poses[n + 1], points, slopes)
 
 
-def _along(way: AirwayWay, start: Points, end: Points) -> Leg | None:
+def _leg_along_airway(way: AirwayWay, start: Points, end: Points) -> Leg | None:
     """Return the leg along the airways' centreline; None if there is hardly any airway between the key frames."""
     given_mm = _cumulative(way.points_lps)
     if given_mm[-1] <= STAND_MM:
@@ -228,7 +228,7 @@ def _along(way: AirwayWay, start: Points, end: Points) -> Leg | None:
     leaving = _smooth(mm / min(half, max(EASE * float(np.linalg.norm(off_start)), EASE_MM)))
     coming = _smooth((mm[-1] - mm) / min(half, max(EASE * float(np.linalg.norm(off_end)), EASE_MM)))
     shifted = points + np.outer(1.0 - leaving, off_start) + np.outer(1.0 - coming, off_end)
-    leg = _leg(start, end, shifted, np.gradient(shifted, axis=0))
+    leg = _spline_leg(start, end, shifted, np.gradient(shifted, axis=0))
     apex_mm = float(given_mm[way.apex])
     leg.frames = _airway_frames(points, mm, apex_mm)
     leg.rest_mm = _corner(leg, float(np.interp(apex_mm, mm, leg.place_mm)))
@@ -244,7 +244,7 @@ def _corner(leg: Leg, place_mm: float) -> float | None:
     return place_mm if float(leg.tangents[before] @ leg.tangents[after]) < math.cos(BEND_RAD) else None
 
 
-def _leg(start: Points, end: Points, points: Points, slopes: Points) -> Leg:
+def _spline_leg(start: Points, end: Points, points: Points, slopes: Points) -> Leg:
     points[0], points[-1] = start[:3, 3], end[:3, 3]
     lengths = np.linalg.norm(slopes, axis=1)
     # A slope vanishes where the curve turns back on itself; there the chord gives the direction.
@@ -269,10 +269,10 @@ def _airway_frames(points: Points, mm: NDArray[np.float64], apex_mm: float) -> P
     norms = np.linalg.norm(looks, axis=1)
     # Two airways never leave a fork in opposite directions; defective points might.
     looks = np.where((norms > 1e-9)[:, None], looks / np.maximum(norms, 1e-12)[:, None], distal)
-    return _with_ups(np.asarray(looks, dtype=np.float64))
+    return _with_up_directions(np.asarray(looks, dtype=np.float64))
 
 
-def _with_ups(looks: Points) -> Points:
+def _with_up_directions(looks: Points) -> Points:
     """Return camera axes for viewing directions: level if all are far from the anterior axis, else untwisted."""
     level = bool((np.abs(looks @ ANTERIOR_LPS) < LEVEL_LIMIT).all())
     frames = np.empty((len(looks), 3, 3))
@@ -303,12 +303,12 @@ def _turned_level(a: Points, b: Points, share: float) -> Points:
     look = rotation_from_vector(axis / sine * angle * share) @ a[:, 2]
     roll_a, roll_b = _roll(a), _roll(b)
     roll = roll_a + share * math.remainder(roll_b - roll_a, math.tau)
-    return orthonormal(_with_ups(look[None])[0] @ rotation_from_vector(np.array([0.0, 0.0, roll])))
+    return orthonormal(_with_up_directions(look[None])[0] @ rotation_from_vector(np.array([0.0, 0.0, roll])))
 
 
 def _roll(rotation: Points) -> float:
     """Return the roll angle of a camera rotation against the horizon, in radians."""
-    level = _with_ups(rotation[:, 2][None])[0].T @ rotation
+    level = _with_up_directions(rotation[:, 2][None])[0].T @ rotation
     return math.atan2(float(level[1, 0]), float(level[0, 0]))
 
 

@@ -211,7 +211,7 @@ class Navigator:
             return
         rotation = orthonormal(self._pose.lps_from_camera[:3, :3] @ turn)
         at = self._pose.position_lps
-        self._set_free(rotation, self._held_inside(at, at + advance_mm * rotation[:, 2]))
+        self._set_free_pose(rotation, self._cut_at_box(at, at + advance_mm * rotation[:, 2]))
 
     @check_arguments(offset_mm=array_of(3), turn=array_of(3, 3, largest=2.0), dt_s=SECONDS)
     def move_by(self, offset_mm: tuple[float, float, float], turn: NDArray[np.float64], *, dt_s: float = 0.0) -> None:
@@ -245,7 +245,7 @@ class Navigator:
             return
         before = self._pose.lps_from_camera
         wanted = before[:3, 3] + before[:3, :3] @ np.array(offset_mm)
-        self._set_free(orthonormal(before[:3, :3] @ turn), self._held_inside(before[:3, 3], wanted))
+        self._set_free_pose(orthonormal(before[:3, :3] @ turn), self._cut_at_box(before[:3, 3], wanted))
 
     @check_arguments(insertion_mm=MM, roll_rad=RAD, flexion_rad=RAD, dt_s=SECONDS)
     def hold_scope(self, insertion_mm: float, roll_rad: float, flexion_rad: float, *, dt_s: float = 0.0) -> None:
@@ -275,7 +275,7 @@ class Navigator:
             raise UsageError(f"a position on the path must be finite; found {path_mm}")
         path = self._needed_path()
         if self._mode != "path":
-            self._enter_at(min(max(path_mm, 0.0), path.length_mm), keep_view=False)
+            self._enter_path_at(min(max(path_mm, 0.0), path.length_mm), keep_view=False)
         self._advance_on_path(path_mm)
 
     def next_fork(self) -> float:
@@ -297,7 +297,7 @@ class Navigator:
         self._mode = "free"
         self._look = np.eye(3)
         self._entry = np.eye(3)
-        at = self._clamped(pose.position_lps)
+        at = self._clamped_to_box(pose.position_lps)
         self._limit = "none" if np.array_equal(at, pose.position_lps) else "volume"
         if self._limit == "none":
             self._pose = pose
@@ -326,7 +326,7 @@ class Navigator:
         if self._mode == "path":
             self._mode = "free"
             if path is not None:
-                self._enter()
+                self._enter_path()
             else:
                 self._look = np.eye(3)
 
@@ -346,7 +346,7 @@ class Navigator:
         if mode == "scope":
             raise UsageError("insert a scope into the lumen first", code="navigate.no-scope")
         if mode == "path":
-            self._enter()
+            self._enter_path()
         else:
             self._mode = "free"
             self._limit = "none"
@@ -364,7 +364,7 @@ class Navigator:
         if self._mode == "path":
             self._look = np.eye(3)
             self._entry = np.eye(3)
-            self._follow()
+            self._update_path_pose()
 
     def level_horizon(self) -> None:
         """Roll until anterior (superior in an antero-posterior view) is up, or down for a facing operator."""
@@ -452,7 +452,7 @@ class Navigator:
         self._base_roll_rad = math.remainder(self._base_roll_rad + angle_rad, math.tau)
         self._entry = roll.T @ self._entry @ roll
         self._look = roll.T @ self._look @ roll
-        self._follow()
+        self._update_path_pose()
 
     def _needed_drive(self) -> ScopeDrive:
         if self._mode != "scope" or self._drive is None:
@@ -485,11 +485,11 @@ class Navigator:
             return self._path_mm
         return self._needed_path().nearest_mm(self._pose.position_lps)
 
-    def _enter(self) -> None:
+    def _enter_path(self) -> None:
         path_mm, distance_mm = self._needed_path().nearest(self._pose.position_lps)
-        self._enter_at(path_mm, keep_view=distance_mm <= JOIN_MM)
+        self._enter_path_at(path_mm, keep_view=distance_mm <= JOIN_MM)
 
-    def _enter_at(self, path_mm: float, *, keep_view: bool) -> None:
+    def _enter_path_at(self, path_mm: float, *, keep_view: bool) -> None:
         before = self._pose.lps_from_camera
         self._mode = "path"
         self._limit = "none"
@@ -499,12 +499,12 @@ class Navigator:
         self._shift_lps = np.zeros(3)
         self._base_roll_rad = math.pi if self._operator == "facing" else 0.0
         if not keep_view:
-            self._follow()
+            self._update_path_pose()
             return
         on_path = self._needed_path().pose_at(path_mm).lps_from_camera
-        self._entry = orthonormal((on_path[:3, :3] @ self._base()).T @ before[:3, :3])
+        self._entry = orthonormal((on_path[:3, :3] @ self._path_pose()).T @ before[:3, :3])
         self._shift_lps = before[:3, 3] - on_path[:3, 3]
-        # The pose is kept instead of computed again from the offsets, because rounding would change the pose.
+        # The pose is stored instead of computed again from the offsets, because rounding would change the pose.
 
     def _advance_on_path(self, path_mm: float) -> None:
         length_mm = self._needed_path().length_mm
@@ -515,15 +515,15 @@ class Navigator:
         self._entry = rotation_from_vector(vector * eased(float(np.linalg.norm(vector)), moved_mm, EASE_RAD_PER_MM))
         self._shift_lps = self._shift_lps * eased(float(np.linalg.norm(self._shift_lps)), moved_mm, EASE_MM_PER_MM)
         self._path_mm = there
-        self._follow()
+        self._update_path_pose()
 
-    def _base(self) -> NDArray[np.float64]:
+    def _path_pose(self) -> NDArray[np.float64]:
         return rotation_from_vector(np.array([0.0, 0.0, self._base_roll_rad]))
 
-    def _follow(self) -> None:
+    def _update_path_pose(self) -> None:
         """Compute the pose in mode *path* from the position along the path and the offsets."""
         on_path = self._needed_path().pose_at(self._path_mm).lps_from_camera
-        rotation = orthonormal(on_path[:3, :3] @ self._base() @ self._entry @ self._look)
+        rotation = orthonormal(on_path[:3, :3] @ self._path_pose() @ self._entry @ self._look)
         self._set_pose(rotation, on_path[:3, 3] + self._shift_lps)
 
     def _set_pose(self, rotation: NDArray[np.float64], at_lps: NDArray[np.float64]) -> None:
@@ -532,12 +532,12 @@ class Navigator:
         matrix[:3, 3] = at_lps
         self._pose = Pose(matrix)
 
-    def _set_free(self, rotation: NDArray[np.float64], wanted: tuple[NDArray[np.float64], bool]) -> None:
+    def _set_free_pose(self, rotation: NDArray[np.float64], wanted: tuple[NDArray[np.float64], bool]) -> None:
         at, held = wanted
         self._limit = "volume" if held else "none"
         self._set_pose(rotation, at)
 
-    def _box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    def _reduced_box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
         """Return the volume's box in voxel coordinates, reduced by more than rounding errors."""
         if self._volume is None:
             return None
@@ -545,20 +545,20 @@ class Navigator:
         hair = 1e-6
         return np.full(3, -0.5 + hair), np.array([nx, ny, nz]) - 0.5 - hair
 
-    def _clamped(self, point_lps: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _clamped_to_box(self, point_lps: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return a point, or the nearest point of the volume's box if the point lies outside, LPS mm."""
-        box = self._box()
+        box = self._reduced_box()
         if box is None or self._volume is None:
             return point_lps
         ijk = self._volume.to_ijk(point_lps)
         inside = np.clip(ijk, *box)
         return point_lps if np.array_equal(inside, ijk) else self._volume.to_lps(inside)
 
-    def _held_inside(
+    def _cut_at_box(
         self, start_lps: NDArray[np.float64], end_lps: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], bool]:
         """Return the end of a move (cut where the move leaves the volume's box), and whether the move was cut."""
-        box = self._box()
+        box = self._reduced_box()
         if box is None or self._volume is None:
             return end_lps, False
         start, end = self._volume.to_ijk(start_lps), self._volume.to_ijk(end_lps)

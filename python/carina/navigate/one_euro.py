@@ -90,11 +90,13 @@ class SampleFilter:
             self._latency_s = 0.0
             return sample
         if passed_s == 0.0:
-            return self._made(sample)
-        self._latency_s = max(self._move(values, passed_s), 0.0 if turn is None else self._rotate(turn, passed_s))
-        return self._made(sample)
+            return self._filtered_sample(sample)
+        self._latency_s = max(
+            self._filter_values(values, passed_s), 0.0 if turn is None else self._filter_rotation(turn, passed_s)
+        )
+        return self._filtered_sample(sample)
 
-    def _move(self, values: NDArray[np.float64], passed_s: float) -> float:
+    def _filter_values(self, values: NDArray[np.float64], passed_s: float) -> float:
         if len(values) == 0:
             return 0.0
         s = self._settings
@@ -105,7 +107,7 @@ class SampleFilter:
         self._filtered = self._filtered + _share(cutoff_hz, passed_s) * (values - self._filtered)
         return _time_constant_s(cutoff_hz)
 
-    def _rotate(self, turn: NDArray[np.float64], passed_s: float) -> float:
+    def _filter_rotation(self, turn: NDArray[np.float64], passed_s: float) -> float:
         s = self._settings
         turning, self._raw_turn = vector_from_rotation(self._raw_turn.T @ turn) / passed_s, turn
         self._turning = self._turning + _share(s.derivative_cutoff_hz, passed_s) * (turning - self._turning)
@@ -115,7 +117,7 @@ class SampleFilter:
         self._turn = self._turn @ rotation_from_vector(_share(cutoff_hz, passed_s) * away)
         return _time_constant_s(cutoff_hz)
 
-    def _made(self, sample: Sample) -> Sample:
+    def _filtered_sample(self, sample: Sample) -> Sample:
         filtered = [float(v) for v in self._filtered]
         match sample:
             case PoseSample():

@@ -179,7 +179,7 @@ class Pilot:
     @property
     def is_moving(self) -> bool:
         """Whether frames move the tip without another sample, as while a stick is deflected."""
-        newest = self._newest()
+        newest = self._latest_device()
         if isinstance(newest, PoseSample):
             return newest.advance != 0.0
         return isinstance(newest, AxesSample) and any(abs(v) > 0.0 for v in newest.axes)
@@ -205,7 +205,7 @@ class Pilot:
         known = self._devices.get(device)
         if known is None or known.registration is None or not isinstance(known.newest, PoseSample):
             return None
-        return None if known.newest.position_mm is None else self._registered(known.registration, known.newest)
+        return None if known.newest.position_mm is None else self._registered_pose(known.registration, known.newest)
 
     def pen_lps(self, device: str) -> NDArray[np.float64] | None:
         """Return the last measured tip of a registered pen, (3,) LPS mm; None without registration or position.
@@ -218,7 +218,7 @@ class Pilot:
             return None
         if known.measured.position_mm is None:
             return None
-        return self._registered(known.registration, known.measured).position_lps
+        return self._registered_pose(known.registration, known.measured).position_lps
 
     def pen(self) -> PenState | None:
         """Return the state of the pen that moves the tip; None if no device, a stick or a handle moves the tip."""
@@ -296,7 +296,7 @@ class Pilot:
         UsageError
             If a number is not finite, or the move is impossible (no path, no registration). Then the tip has not moved.
         """
-        self._do(move, dt_s)
+        self._apply_move(move, dt_s)
         if self.on_move is not None:
             self.on_move(move, dt_s)
 
@@ -306,13 +306,13 @@ class Pilot:
         self.apply(m.Register(device, numbers))
         self._device(device).registration = registration
 
-    def _do(self, move: m.Move, dt_s: float) -> None:
+    def _apply_move(self, move: m.Move, dt_s: float) -> None:
         tip = self.navigator
         match move:
             case m.Frame():
-                self._step(move.now_s)
+                self._follow_samples(move.now_s)
             case m.DeviceSaid():
-                self._hear(move.device, move.sample, move.now_s)
+                self._process_sample(move.device, move.sample, move.now_s)
             case c.Steer():
                 tip.steer(move.advance_mm, move.yaw_rad, move.pitch_rad, move.roll_rad, dt_s=dt_s)
             case c.GoTo():
@@ -339,7 +339,7 @@ class Pilot:
                 self._forks, self._path_move = move.ways, move
                 tip.set_path(_flight_path(move))
             case c.DeviceGone():
-                self._gate.gone(move.device)
+                self._gate.reset_device(move.device)
                 if move.device in self._devices:
                     registration = self._devices.pop(move.device).registration
                     if registration is not None:
@@ -360,7 +360,7 @@ class Pilot:
             case c.SetControl():
                 self._set_control(move.control)
             case c.CycleControl():
-                self._cycle()
+                self._cycle_control()
             case m.LayScope():
                 self._lay_scope(move)
             case c.ArmPen():
@@ -391,12 +391,14 @@ class Pilot:
     def _device(self, name: str) -> _Device:
         if name not in self._devices and len(self._devices) >= MAX_DEVICES:
             # Devices that the gate has removed are removed here too, unless they have a registration.
-            lost = [d for d, state in self._devices.items() if state.registration is None and not self._gate.knows(d)]
+            lost = [
+                d for d, state in self._devices.items() if state.registration is None and not self._gate.has_device(d)
+            ]
             for other in lost:
                 del self._devices[other]
         return self._devices.setdefault(name, _Device(SampleFilter(self._controls)))
 
-    def _hear(self, name: str, sample: Sample, now_s: float) -> None:
+    def _process_sample(self, name: str, sample: Sample, now_s: float) -> None:
         admitted = self._gate.admit(name, sample, now_s)
         if admitted is None:
             return
@@ -406,22 +408,22 @@ class Pilot:
         device.buttons = admitted.buttons
         for number in range(pressed.bit_length()):
             if pressed >> number & 1:
-                self._press(name, number)
+                self._handle_press(name, number)
 
-    def _press(self, name: str, number: int) -> None:
+    def _handle_press(self, name: str, number: int) -> None:
         if number != CYCLE_BUTTON:
             return
         if self._pen_tool is not None:
             self._marks.append((name, self._pen_tool))
         else:
-            self._cycle()
+            self._cycle_control()
             self._followed = None
 
-    def _newest(self) -> Sample | None:
+    def _latest_device(self) -> Sample | None:
         holder = self._gate.holder
         return self._devices[holder].newest if holder in self._devices else None
 
-    def _cycle(self) -> None:
+    def _cycle_control(self) -> None:
         order: tuple[Control, ...] = ("absolute", "relative", "path")
         at = order.index(self.control)
         for n in (1, 2):
@@ -473,7 +475,7 @@ class Pilot:
 
     # ------------------------------------------------------------ one frame
 
-    def _step(self, now_s: float) -> None:
+    def _follow_samples(self, now_s: float) -> None:
         if not math.isfinite(now_s):
             raise UsageError(f"the time of a frame must be finite; found {now_s}")
         passed_s = 0.0 if self._frame_s is None else min(max(now_s - self._frame_s, 0.0), MAX_FRAME_S)
@@ -494,24 +496,24 @@ class Pilot:
         match newest:
             case AxesSample():
                 if now_s - device.arrived_s <= STALE_S:
-                    self._push(newest, passed_s)
+                    self._store_sample(newest, passed_s)
             case PoseSample() if self.control == "absolute" and device.registration is not None:
                 self._follow_pen(device.registration, newest, last if isinstance(last, PoseSample) else None)
             case PoseSample():
-                if isinstance(last, PoseSample) and self._engaged(newest.buttons):
+                if isinstance(last, PoseSample) and self._is_clutch_engaged(newest.buttons):
                     self._follow_hand(newest, last)
                 if newest.advance != 0.0 and now_s - device.arrived_s <= STALE_S:
                     along_mm = newest.advance * self._controls.speed_mm_s * passed_s
                     self._move_by(np.array([0.0, 0.0, along_mm]), np.eye(3), np.zeros(3))
             case HandleSample():
-                if isinstance(last, HandleSample) and self._engaged(newest.buttons):
+                if isinstance(last, HandleSample) and self._is_clutch_engaged(newest.buttons):
                     self._follow_handle(newest, last)
 
-    def _engaged(self, buttons: int) -> bool:
+    def _is_clutch_engaged(self, buttons: int) -> bool:
         held = bool(buttons >> CLUTCH_BUTTON & 1)
         return held if self._controls.clutch == "hold" else not held
 
-    def _push(self, sample: AxesSample, passed_s: float) -> None:
+    def _store_sample(self, sample: AxesSample, passed_s: float) -> None:
         forward, right, up, yaw, pitch, roll = sample.axes
         mm, rad = self._controls.speed_mm_s * passed_s, self._controls.turn_rad_s * passed_s
         self._move_by(
@@ -547,7 +549,7 @@ class Pilot:
     def _follow_pen(self, registration: Registration, sample: PoseSample, last: PoseSample | None) -> None:
         if sample.position_mm is None:
             return
-        pen = self._registered(registration, sample).lps_from_camera
+        pen = self._registered_pose(registration, sample).lps_from_camera
         if last is None or last.position_mm is None:
             tip = self.navigator.pose.lps_from_camera
             self._off_turn = orthonormal(pen[:3, :3].T @ tip[:3, :3])
@@ -566,7 +568,7 @@ class Pilot:
         matrix[:3, 3] = pen[:3, 3] + self._off_lps
         self.navigator.place(Pose(matrix))
 
-    def _registered(self, registration: Registration, sample: PoseSample) -> Pose:
+    def _registered_pose(self, registration: Registration, sample: PoseSample) -> Pose:
         assert sample.position_mm is not None
         tracker = registration.lps_from_tracker
         matrix = np.eye(4)

@@ -117,7 +117,7 @@ class Recorder:
         if self.trouble is not None:
             raise self.trouble
         self._on_end = on_end
-        pilot.on_move = self._moved
+        pilot.on_move = self._record_move
 
     def __repr__(self) -> str:
         """Return a one-line description of this `Recorder` for the Python interpreter."""
@@ -136,7 +136,7 @@ class Recorder:
             self._write({"t": self._time(now_s), "view": view})
 
     def tick(self, now_s: float) -> None:
-        """Set the present time for the next records; moves of devices contain their own times."""
+        """Set the current time for the next records; moves of devices contain their own times."""
         self._at_s = max(self._at_s, now_s)
 
     def close(self) -> None:
@@ -149,7 +149,7 @@ class Recorder:
             except OSError as trouble:
                 self._end(trouble)
 
-    def _moved(self, move: m.Move, dt_s: float) -> None:
+    def _record_move(self, move: m.Move, dt_s: float) -> None:
         if isinstance(move, m.DeviceSaid | m.Frame):
             self.tick(move.now_s)
         try:
@@ -333,15 +333,15 @@ def open_recording(path: str | Path) -> Recording:
     place = Path(path)
     try:
         if place.stat().st_size > MAX_BYTES:
-            raise _refused(place, f"it is larger than {MAX_BYTES >> 20} MiB")
+            raise _unusable_recording_error(place, f"it is larger than {MAX_BYTES >> 20} MiB")
         with open_regular_text(place) as file:
             return read_recording(file, place)
     except VolumeImportError:
         raise  # VolumeImportError is an OSError too, and must not be replaced.
     except OSError as trouble:
-        raise _refused(place, trouble.strerror or "it cannot be read") from trouble
+        raise _unusable_recording_error(place, trouble.strerror or "it cannot be read") from trouble
     except UnicodeDecodeError as trouble:
-        raise _refused(place, "it is not a text file") from trouble
+        raise _unusable_recording_error(place, "it is not a text file") from trouble
 
 
 def read_recording(file: io.TextIOBase | TextIO, place: Path) -> Recording:
@@ -352,27 +352,31 @@ def read_recording(file: io.TextIOBase | TextIO, place: Path) -> Recording:
     VolumeImportError
         As :func:`open_recording`.
     """
-    header = _object(file.readline(MAX_LINE))
+    header = _json_object(file.readline(MAX_LINE))
     if header is None or header.get("format") != FORMAT:
-        raise _refused(place, "it does not start with the header of a Carina recording")
+        raise _unusable_recording_error(place, "it does not start with the header of a Carina recording")
     if header.get("version") != VERSION:
-        raise _refused(
+        raise _unusable_recording_error(
             place, f"it has format version {header.get('version')!r}; this version of Carina reads {VERSION}"
         )
     lines: list[dict[str, Any]] = []
     complete = False
     last_s = 0.0
     while text := file.readline(MAX_LINE):
-        line = _object(text)
+        line = _json_object(text)
         if line is None:
             if file.read(1) == "" and not text.endswith("\n"):
                 break  # The last line is incomplete, because the recording was cut off.
-            raise _refused(place, f"line {len(lines) + 2} is not a JSON object")
+            raise _unusable_recording_error(place, f"line {len(lines) + 2} is not a JSON object")
         at_s = line.get("end", line.get("t"))
         if not isinstance(at_s, int | float) or not last_s <= at_s <= MAX_LENGTH_S:
-            raise _refused(place, f"line {len(lines) + 2} has no time, or an earlier time than the line before")
+            raise _unusable_recording_error(
+                place, f"line {len(lines) + 2} has no time, or an earlier time than the line before"
+            )
         if not all(isinstance(line.get(part, {}), dict) for part in ("move", "view", "wall")):
-            raise _refused(place, f"line {len(lines) + 2} contains an invalid movement, view or wall record")
+            raise _unusable_recording_error(
+                place, f"line {len(lines) + 2} contains an invalid movement, view or wall record"
+            )
         last_s = float(at_s)
         lines.append(line)
         if "end" in line:
@@ -381,7 +385,7 @@ def read_recording(file: io.TextIOBase | TextIO, place: Path) -> Recording:
     return Recording(header, tuple(lines), complete)
 
 
-def _object(text: str) -> dict[str, Any] | None:
+def _json_object(text: str) -> dict[str, Any] | None:
     try:
         value = json.loads(text, parse_constant=lambda _: None)
     except (ValueError, RecursionError):
@@ -389,7 +393,7 @@ def _object(text: str) -> dict[str, Any] | None:
     return value if isinstance(value, dict) else None
 
 
-def _refused(place: Path, why: str) -> VolumeImportError:
+def _unusable_recording_error(place: Path, why: str) -> VolumeImportError:
     return VolumeImportError(f"{place}: could not be replayed: {why}", code="navigate.recording")
 
 

@@ -150,12 +150,12 @@ def _checked(sample: Sample) -> Sample | Refusal:
     return sample
 
 
-def _at_rest(sample: Sample) -> bool:
+def _is_at_rest(sample: Sample) -> bool:
     return isinstance(sample, AxesSample) and sample.buttons == 0 and max(abs(v) for v in sample.axes) < REST
 
 
 @dataclass(slots=True)
-class _Seen:
+class _DeviceRecord:
     """State that the gate stores for one device."""
 
     last_s: float | None = None
@@ -192,7 +192,7 @@ class SampleGate:
         self._min_interval_s = min_interval_s
         self._silence_s = silence_s
         self._message_every_s = message_every_s
-        self._seen: dict[str, _Seen] = {}
+        self._seen: dict[str, _DeviceRecord] = {}
         self._holder: str | None = None
         self._message_s = -math.inf
         self._unsaid: Counter[tuple[str, Refusal]] = Counter()
@@ -224,20 +224,20 @@ class SampleGate:
             self._seen[holder].arrived_s = now_s
         seen = self._seen.get(device)
         if seen is None:
-            if not self._make_room(now_s):
-                self._note(OTHERS, "too many devices")
+            if not self._drop_silent_device(now_s):
+                self._count_ignored(OTHERS, "too many devices")
                 return None
-            seen = self._seen[device] = _Seen()
+            seen = self._seen[device] = _DeviceRecord()
         checked = _checked(sample)
         refusal = checked if isinstance(checked, str) else self._refusal(device, seen, checked, now_s)
         if refusal is not None:
             seen.ignored[refusal] += 1
-            self._note(device, refusal)
+            self._count_ignored(device, refusal)
             return None
         assert not isinstance(checked, str)
         seen.last_s, seen.backwards_since_s, seen.arrived_s = checked.time_s, None, now_s
         seen.num_used += 1
-        seen.rests = _at_rest(checked)
+        seen.rests = _is_at_rest(checked)
         if not seen.rests:
             self._holder = device
         elif self._holder == device:
@@ -250,8 +250,8 @@ class SampleGate:
         If the device stays silent, it keeps the scope as long as any other holder would.
         """
         if device not in self._seen:
-            self._make_room(math.inf)
-            self._seen[device] = _Seen()
+            self._drop_silent_device(math.inf)
+            self._seen[device] = _DeviceRecord()
         before = self._holder
         if before is not None and self._seen[before].arrived_s == math.inf:
             self._seen[before].arrived_s = -math.inf  # A device that has sent no sample counts as silent.
@@ -259,11 +259,11 @@ class SampleGate:
         # The arrival time is set by the next sample of any device: a recorded move contains no time.
         self._seen[device].arrived_s = math.inf
 
-    def knows(self, device: str) -> bool:
+    def has_device(self, device: str) -> bool:
         """Return whether the gate stores a state for the device."""
         return device in self._seen
 
-    def gone(self, device: str) -> None:
+    def reset_device(self, device: str) -> None:
         """Reset the state of a disconnected device, which may return with any clock, and release the scope from it."""
         seen = self._seen.get(device)
         if seen is not None:
@@ -299,13 +299,13 @@ class SampleGate:
         samples, were = ("sample", "was") if total == 1 else ("samples", "were")
         return f"{total} {samples} from {devices} {were} ignored: {', '.join(words)}"
 
-    def _note(self, device: str, why: Refusal) -> None:
+    def _count_ignored(self, device: str, why: Refusal) -> None:
         # The number of entries is bounded, because devices can come and go many times between two messages.
         if (device, why) not in self._unsaid and len(self._unsaid) >= MAX_DEVICES:
             device = OTHERS
         self._unsaid[device, why] += 1
 
-    def _make_room(self, now_s: float) -> bool:
+    def _drop_silent_device(self, now_s: float) -> bool:
         """Remove the device that has been silent the longest and return True; return False if no device was silent."""
         if len(self._seen) < MAX_DEVICES:
             return True
@@ -315,7 +315,7 @@ class SampleGate:
         del self._seen[longest]
         return True
 
-    def _refusal(self, device: str, seen: _Seen, sample: Sample, now_s: float) -> Refusal | None:
+    def _refusal(self, device: str, seen: _DeviceRecord, sample: Sample, now_s: float) -> Refusal | None:
         if seen.last_s is not None:
             passed_s = sample.time_s - seen.last_s
             if passed_s < 0.0:
@@ -324,10 +324,10 @@ class SampleGate:
                 if now_s - seen.backwards_since_s < self._silence_s:
                     return "timestamps that run backwards"
             # The first sample of a released stick is admitted at any rate, or the tip would fly on.
-            elif passed_s < self._min_interval_s and (seen.rests or not _at_rest(sample)):
+            elif passed_s < self._min_interval_s and (seen.rests or not _is_at_rest(sample)):
                 return "too many samples"
         holder = self._holder
         if holder is not None and holder != device and now_s - self._seen[holder].arrived_s < self._silence_s:
             # A released stick requests no movement, so its sample is admitted.
-            return None if _at_rest(sample) else "another device is moving the scope"
+            return None if _is_at_rest(sample) else "another device is moving the scope"
         return None

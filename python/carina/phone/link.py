@@ -41,7 +41,7 @@ class ClockMap:
         self._offset_s: float | None = None
         self._behind_since_s: float | None = None
 
-    def ours(self, phone_s: float, arrived_s: float) -> float:
+    def to_local_s(self, phone_s: float, arrived_s: float) -> float:
         """Return the time of a sample on this machine's clock, in s; never later than its arrival.
 
         Parameters
@@ -69,7 +69,7 @@ class PhoneLink:
 
     Parameters
     ----------
-    said
+    receive_sample
         Callback for each pose sample; its time is on this machine's clock.
     act
         Callback for a pressed button; it receives the name of the action.
@@ -80,17 +80,17 @@ class PhoneLink:
 
     def __init__(
         self,
-        said: Callable[[PoseSample], None],
+        receive_sample: Callable[[PoseSample], None],
         act: Callable[[str], None],
         *,
         clutch_held_moves: Callable[[], bool],
     ) -> None:
-        self._said = said
+        self._receive_sample = receive_sample
         self._act = act
         self._clutch_held_moves = clutch_held_moves
         self._clock = ClockMap()
         self._allowance = BURST
-        self._heard_s: float | None = None
+        self._last_message_s: float | None = None
         self._wxyz = (1.0, 0.0, 0.0, 0.0)
         self._recent: list[float] = []
         self.num_bad: Counter[str] = Counter()
@@ -104,7 +104,7 @@ class PhoneLink:
         """Return the number of samples in the last second, at most 256."""
         return float(sum(now_s - at_s < 1.0 for at_s in self._recent))
 
-    def hear(self, text: str | bytes | None, now_s: float) -> None:
+    def process_message(self, text: str | bytes | None, now_s: float) -> None:
         """Process one message; count and ignore an invalid one.
 
         Parameters
@@ -114,8 +114,8 @@ class PhoneLink:
         now_s
             Time of arrival on this machine's clock, in s.
         """
-        passed_s = 0.0 if self._heard_s is None else max(now_s - self._heard_s, 0.0)
-        self._heard_s = now_s
+        passed_s = 0.0 if self._last_message_s is None else max(now_s - self._last_message_s, 0.0)
+        self._last_message_s = now_s
         self._allowance = min(BURST, self._allowance + MAX_RATE_HZ * passed_s)
         if self._allowance < 1.0:
             # A message above the rate limit is not parsed.
@@ -132,13 +132,13 @@ class PhoneLink:
             return
         match message:
             case wire.PhoneSample():
-                self._take(message, now_s)
+                self._handle_message(message, now_s)
             case wire.PhoneAct():
                 self._act(message.action)
             case _:
                 self.num_bad["protocol.order"] += 1
 
-    def _take(self, message: wire.PhoneSample, now_s: float) -> None:
+    def _handle_message(self, message: wire.PhoneSample, now_s: float) -> None:
         if message.orientation_wxyz is not None:
             w, x, y, z = message.orientation_wxyz
             self._wxyz = (w, x, y, z)
@@ -146,9 +146,9 @@ class PhoneLink:
         turns = message.held and message.orientation_wxyz is not None
         clutch = turns == self._clutch_held_moves()
         self._recent = [*self._recent[-255:], now_s]
-        self._said(
+        self._receive_sample(
             PoseSample(
-                self._clock.ours(message.time_s, now_s),
+                self._clock.to_local_s(message.time_s, now_s),
                 None,
                 self._wxyz,
                 int(clutch) << CLUTCH_BUTTON,

@@ -33,7 +33,7 @@ from carina.server.network.access_middleware import GateMiddleware, page
 from carina.server.network.certificate import Certificate, make_certificate
 from carina.server.network.lan_server import LanServer
 from carina.server.network.listening import bind, lan_address
-from carina.server.sockets.closing import close_socket
+from carina.server.sockets.close_codes import close_socket
 from carina.server.sockets.socket_io import start_sender
 from carina.server.wire import messages as wire
 from carina.session import Session
@@ -111,7 +111,7 @@ class PhonePage:
             certificate = make_certificate(address)
             sock = bind(address, 0)
             try:
-                self._open = self._serve(sock, address, certificate)
+                self._open = self._start_server(sock, address, certificate)
             except BaseException:
                 sock.close()
                 raise
@@ -144,7 +144,7 @@ class PhonePage:
             num_refused=opened.tokens.num_refused,
         )
 
-    def _serve(self, sock: object, address: str, certificate: Certificate) -> _RunningPage:
+    def _start_server(self, sock: object, address: str, certificate: Certificate) -> _RunningPage:
         port = sock.getsockname()[1]  # type: ignore[attr-defined]
         tokens = TokenGate()
         shown = f"[{address}]" if ":" in address else address
@@ -186,7 +186,7 @@ class PhonePage:
 
         async def socket(websocket: WebSocket) -> None:
             await websocket.accept()
-            await self._talk(websocket, tokens)
+            await self._serve_phone(websocket, tokens)
 
         app = Starlette(
             routes=[
@@ -198,10 +198,10 @@ class PhonePage:
         app.add_middleware(GateMiddleware, gate=gate)
         return app
 
-    async def _talk(self, websocket: WebSocket, tokens: TokenGate) -> None:
+    async def _serve_phone(self, websocket: WebSocket, tokens: TokenGate) -> None:
         """Serve one phone from its hello message until its socket closes."""
         teller: asyncio.Task[None] | None = None
-        link = PhoneLink(self._heard, self._act, clutch_held_moves=self._clutch_held_moves)
+        link = PhoneLink(self._receive_sample, self._run_action, clutch_held_moves=self._does_clutch_enable_movement)
         try:
             async with asyncio.timeout(HELLO_WITHIN_S):
                 hello = wire.parse_phone_message(await _receive(websocket) or b"")
@@ -217,10 +217,10 @@ class PhonePage:
                 raise ProtocolError(
                     "this link is no longer valid; scan the code on the workstation", code="protocol.not-authorised"
                 )
-            await self._take_over(websocket, link)
-            teller = start_sender(websocket, "a phone", self._tell(websocket))
+            await self._replace_connection(websocket, link)
+            teller = start_sender(websocket, "a phone", self._send_states(websocket))
             while True:
-                link.hear(await _receive(websocket), time.monotonic())
+                link.process_message(await _receive(websocket), time.monotonic())
                 if self._socket is not websocket:
                     return
                 if link.is_broken:
@@ -243,7 +243,7 @@ class PhonePage:
                 self._session.do(DeviceGone(DEVICE))
                 self.changed()
 
-    async def _take_over(self, websocket: WebSocket, link: PhoneLink) -> None:
+    async def _replace_connection(self, websocket: WebSocket, link: PhoneLink) -> None:
         """Give control of the tip to the newest connection, and close the previous one.
 
         A phone that loses its network can connect again before the server notices that the old connection is dead.
@@ -256,7 +256,7 @@ class PhonePage:
             )
         self.changed()
 
-    async def _tell(self, websocket: WebSocket) -> None:
+    async def _send_states(self, websocket: WebSocket) -> None:
         """Send the state of the page to the phone whenever the state changes."""
         last_sent = ""
         while True:
@@ -277,14 +277,14 @@ class PhonePage:
 
     # ------------------------------------------------------------ samples and actions
 
-    def _heard(self, sample: object) -> None:
+    def _receive_sample(self, sample: object) -> None:
         self._session.devices.receive_sample(DEVICE, sample)  # type: ignore[arg-type]
 
-    def _clutch_held_moves(self) -> bool:
+    def _does_clutch_enable_movement(self) -> bool:
         devices = self._session.devices.info()
         return devices is not None and devices.controls.clutch == "hold"
 
-    def _act(self, action: str) -> None:
+    def _run_action(self, action: str) -> None:
         self._words = ""
         try:
             pose = self._session.pose_info()

@@ -69,7 +69,7 @@ class PhoneSwitch:
             from carina.phone.page import PhonePage
 
             self._page = PhonePage(self._session, web=self._web, address=self._address)
-            self._page.changed = self._tell
+            self._page.changed = self._notify_change
         return self._page.start()
 
     def stop(self) -> None:
@@ -81,6 +81,6 @@ class PhoneSwitch:
         """Return the state of the page for the wire; None while the page is stopped."""
         return None if self._page is None else self._page.info()
 
-    def _tell(self) -> None:
-        """Call the present ``changed`` callback, which a server replaces when it shuts down."""
+    def _notify_change(self) -> None:
+        """Call the current ``changed`` callback, which a server replaces when it shuts down."""
         self.changed()

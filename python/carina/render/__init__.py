@@ -5,10 +5,10 @@ from typing import Any
 from carina import _core
 from carina._core import CancelToken
 from carina.render.appearance import Appearance, DecorationName
+from carina.render.array_functions import build_isoregion_map, isoregion_map, project_maximum, sample_plane
 from carina.render.cluster_machines import ClusterState, ClusterStatus, Machine, MemberStatus, Processor
 from carina.render.picture_text import PathSpan, letter_edges, mark_path
 from carina.render.pictures import ignored_settings, mark_tip, render_surface, render_view, view_spec
-from carina.render.plain_arrays import build_isoregion_map, isoregion_map, project_maximum, sample_plane
 from carina.render.png_text import read_png_badges, read_png_pose
 from carina.render.processor_choice import Adapter, AdapterMeasurement, Backend, find_adapters
 from carina.render.renderer import Renderer, can_cut

@@ -23,7 +23,7 @@ from carina.volume import Volume
 
 __all__ = ["AirwayCaster"]
 
-# Limit of cached transfer tables: one for each ray step of the present transfer function.
+# Limit of cached transfer tables: one for each ray step of the current transfer function.
 TABLES_IN_MEMORY = 8
 
 
@@ -53,7 +53,7 @@ class AirwayCaster:
         def cast(scene: Scene, view: AirwayView, gpu: _core.GpuScene | None) -> Picture:
             return self._cast(scene, view, rows=rows, stop=stop, gpu=gpu)
 
-        method, _ = _choose_method(scene, view, _shades(scene, view))
+        method, _ = _choose_method(scene, view, _needs_shading(scene, view))
         # Method "leap-all" (leaps over all classes) exists on the CPU only.
         on_device = method != "leap-all"
         picture = None
@@ -62,7 +62,7 @@ class AirwayCaster:
         if picture is None:
             picture = cast(scene, view, None)
             if rows is None and on_device:
-                self._device.seen(scene, view)
+                self._device.count_cpu_picture(scene, view)
         return picture
 
     def _cast(
@@ -76,16 +76,16 @@ class AirwayCaster:
     ) -> Picture:
         nearest = scene.transfer.sampling == "nearest"
         step_vox = 1.0 if nearest else view.step_vox
-        shading = _shades(scene, view)
+        shading = _needs_shading(scene, view)
         appearance = _appearance(scene, view) if shading else None
         method, leap = _choose_method(scene, view, shading)
-        lens = _rays(view)
+        lens = _lens_or_mask_rays(view)
         if rows is not None and view.depth_of_field is not None:
             raise RenderError("depth of field needs the whole image, not only some of its rows", code="render.setting")
         rgb, counts = _core.cast(
             scene.values,
             self._volume.lps_from_ijk,
-            self._table(scene, step_vox * min(self._volume.spacing_mm)),
+            self._transfer_table(scene, step_vox * min(self._volume.spacing_mm)),
             view.pose.lps_from_camera,
             fov_rad=math.radians(view.optics.fov_deg),
             width=view.width,
@@ -103,7 +103,7 @@ class AirwayCaster:
             gpu=gpu,
             stop_transparency=view.stop_transparency,
             always_leap=view.method == "leap-always",
-            bricks=self._bricks_of(scene),
+            bricks=self._shared_bricks(scene),
         )
         method = method if gpu is None else f"gpu-{method}"
         if view.depth_of_field is not None:
@@ -117,7 +117,7 @@ class AirwayCaster:
             lps_from_camera=view.pose.lps_from_camera,
             fov_deg=view.optics.fov_deg,
             optics=None if view.lens == PINHOLE else view.optics,
-            decorated=_decorated(scene, appearance),
+            decorated=_shown_decorations(scene, appearance),
         )
 
     def surface(self, scene: Scene, view: AirwayView, *, rows: tuple[int, int] | None = None) -> Surface:
@@ -150,7 +150,7 @@ class AirwayCaster:
         return _core.cast_surface(
             scene.values,
             self._volume.lps_from_ijk,
-            self._table(scene, step_vox * min(self._volume.spacing_mm)),
+            self._transfer_table(scene, step_vox * min(self._volume.spacing_mm)),
             view.pose.lps_from_camera,
             fov_rad=math.radians(view.optics.fov_deg),
             width=view.width,
@@ -160,10 +160,10 @@ class AirwayCaster:
             nearest=nearest,
             radius_zyx=radius,
             simd=self._simd,
-            lens=_rays(view),
+            lens=_lens_or_mask_rays(view),
         )
 
-    def _bricks_of(self, scene: Scene) -> _core.Bricks:
+    def _shared_bricks(self, scene: Scene) -> _core.Bricks:
         """Return the cache that the casts of the scene's values share."""
         with self._swap:
             # The entry holds a reference to its values, so no other array can have their identity.
@@ -171,7 +171,7 @@ class AirwayCaster:
                 self._bricks = (scene.values, _core.Bricks())
             return self._bricks[1]
 
-    def _table(self, scene: Scene, step_mm: float) -> _core.TransferTable:
+    def _transfer_table(self, scene: Scene, step_mm: float) -> _core.TransferTable:
         key = (*scene.range, step_mm)
         with self._swap:
             cached = self._tables.get(key)
@@ -193,14 +193,14 @@ class AirwayCaster:
         return table
 
 
-def _rays(view: AirwayView) -> _core.LensRays | None:
+def _lens_or_mask_rays(view: AirwayView) -> _core.LensRays | None:
     """Return the rays of a picture through a lens or an outline; None for a plain pinhole, whose formula is faster."""
     if view.lens == PINHOLE and view.field.outline == "none" and view.field.vignette == 0.0:
         return None
     return view.optics.rays(view.field)
 
 
-def _shades(scene: Scene, view: AirwayView) -> bool:
+def _needs_shading(scene: Scene, view: AirwayView) -> bool:
     return view.shading and scene.transfer.sampling != "nearest"
 
 
@@ -213,7 +213,7 @@ def _appearance(scene: Scene, view: AirwayView) -> Appearance | None:
     return appearance if view.texture else appearance.undecorated()
 
 
-def _decorated(scene: Scene, appearance: Appearance | None) -> tuple[DecorationName, ...]:
+def _shown_decorations(scene: Scene, appearance: Appearance | None) -> tuple[DecorationName, ...]:
     """Return the names of the decorations that a picture of this scene and appearance shows."""
     parts = () if appearance is None else appearance.decorations
     return parts if scene.decoration is not None else tuple(part for part in parts if part not in FROM_TREE)

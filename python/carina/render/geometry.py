@@ -27,11 +27,11 @@ Matrix = NDArray[np.float64]
 def plane_axes(plane: Plane) -> tuple[Matrix, Matrix, Matrix]:
     """Return the unit directions right, down and into the screen of a slice's display, LPS."""
     display = PLANES[plane]
-    right, down = _direction(display.right), _direction(display.down)
+    right, down = _axis_direction(display.right), _axis_direction(display.down)
     return right, down, np.cross(right, down)
 
 
-def _direction(axis: str) -> Matrix:
+def _axis_direction(axis: str) -> Matrix:
     """Return the unit vector, LPS, of a signed patient axis that is given as text such as ``-z``."""
     direction = np.zeros(3)
     direction["xyz".index(axis[-1])] = -1.0 if axis[0] == "-" else 1.0

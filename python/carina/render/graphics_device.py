@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from carina import _core
 from carina.errors import RenderError
-from carina.render.processor_choice import MAX_PART_OFF, Adapter, AdapterMeasurement, Backend, part_off
+from carina.render.processor_choice import MAX_PART_OFF, Adapter, AdapterMeasurement, Backend, differing_share
 from carina.render.scene import Scene
 from carina.render.views import AirwayView, Picture
 
@@ -41,7 +41,7 @@ Start = Callable[[Callable[[], None]], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Resident:
+class _DeviceScene:
     """Copy of a scene in device memory, with the arrays from which it was made."""
 
     adapter: Adapter
@@ -51,7 +51,7 @@ class _Resident:
     leaping: _core.GpuScene | None
 
 
-def _in_thread(work: Callable[[], None]) -> None:
+def _start_thread(work: Callable[[], None]) -> None:
     # Not a daemon thread: ending the process while a driver copies data may crash it.
     threading.Thread(target=work, name="carina-gpu").start()
 
@@ -74,14 +74,19 @@ class DeviceCaster:
     """
 
     def __init__(
-        self, backend: Backend, cast: Cast, *, start: Start = _in_thread, clock: Callable[[], float] = time.perf_counter
+        self,
+        backend: Backend,
+        cast: Cast,
+        *,
+        start: Start = _start_thread,
+        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._backend = backend
         self._cast = cast
         self._start = start
         self._clock = clock
         self._lock = threading.Lock()
-        self._resident: _Resident | None = None
+        self._resident: _DeviceScene | None = None
         self._is_busy = False
         # Values of the volume that did not fit into the memory of the device; None if all values so far did fit.
         self._unfit: NDArray[np.int16] | None = None
@@ -95,7 +100,7 @@ class DeviceCaster:
 
         ``cast`` renders the picture from the copy in device memory; the picture may consist of some rows only.
         """
-        on_device = self._find(scene, leaps=leaps)
+        on_device = self._find_device_scene(scene, leaps=leaps)
         if on_device is None:
             return None
         try:
@@ -103,10 +108,10 @@ class DeviceCaster:
         except RenderError as error:
             if error.code not in {LIMIT, FAILED}:
                 raise
-            self._refused(scene, error)
+            self._stop_after_error(scene, error)
             return None
 
-    def seen(self, scene: Scene, view: AirwayView) -> None:
+    def count_cpu_picture(self, scene: Scene, view: AirwayView) -> None:
         """Count a whole picture that the CPU has rendered.
 
         In ``auto``, start the measurement of the adapters after some pictures.
@@ -119,9 +124,9 @@ class DeviceCaster:
             if waits or self._is_busy:
                 return
             self._is_busy = True
-        self._start(lambda: self._decide(scene, view))
+        self._start(lambda: self._try_adapters(scene, view))
 
-    def _find(self, scene: Scene, *, leaps: bool) -> _core.GpuScene | None:
+    def _find_device_scene(self, scene: Scene, *, leaps: bool) -> _core.GpuScene | None:
         mode = self._backend.mode
         if mode == "cpu" or not self._is_decided or (mode == "auto" and self._adapter is None):
             return None
@@ -132,26 +137,26 @@ class DeviceCaster:
         if resident is None or resident.values is not scene.values or (leaps and resident.radius is not radius):
             if mode == "gpu":
                 with self._lock:
-                    resident = self._load_first(scene, radius)
+                    resident = self._load_on_first_adapter(scene, radius)
             else:
-                self._load_behind(scene, radius)
+                self._load_in_background(scene, radius)
                 resident = None
         if resident is None:
             return None
         return resident.leaping if leaps else resident.bare
 
-    def _load_first(self, scene: Scene, radius: NDArray[np.uint8] | None) -> _Resident | None:
+    def _load_on_first_adapter(self, scene: Scene, radius: NDArray[np.uint8] | None) -> _DeviceScene | None:
         """Copy the scene to the first adapter that accepts it; return None if no adapter does."""
         for adapter in self._backend.adapters():
             try:
-                return self._load(adapter, scene, radius)
+                return self._load_on_adapter(adapter, scene, radius)
             except RenderError as error:
-                self._refused(scene, error, adapter)
+                self._stop_after_error(scene, error, adapter)
         if not self._backend.adapters():
-            self._backend.give_up(None, "no usable graphics adapter")
+            self._backend.stop_using(None, "no usable graphics adapter")
         return None
 
-    def _load(self, adapter: Adapter, scene: Scene, radius: NDArray[np.uint8] | None) -> _Resident:
+    def _load_on_adapter(self, adapter: Adapter, scene: Scene, radius: NDArray[np.uint8] | None) -> _DeviceScene:
         old = self._resident
         if old is not None and old.adapter == adapter and old.values is scene.values:
             bare = old.bare
@@ -160,10 +165,10 @@ class DeviceCaster:
             self._resident = None
             bare = self._backend.open(adapter).upload(scene.values)
         leaping = None if radius is None else bare.with_map(radius)
-        self._resident = _Resident(adapter, scene.values, radius, bare, leaping)
+        self._resident = _DeviceScene(adapter, scene.values, radius, bare, leaping)
         return self._resident
 
-    def _load_behind(self, scene: Scene, radius: NDArray[np.uint8] | None) -> None:
+    def _load_in_background(self, scene: Scene, radius: NDArray[np.uint8] | None) -> None:
         adapter = self._adapter
         with self._lock:
             if self._is_busy or adapter is None:
@@ -172,16 +177,16 @@ class DeviceCaster:
 
         def work() -> None:
             try:
-                self._load(adapter, scene, radius)
+                self._load_on_adapter(adapter, scene, radius)
             except RenderError as error:
-                self._refused(scene, error, adapter)
+                self._stop_after_error(scene, error, adapter)
             finally:
                 self._is_busy = False
 
         self._start(work)
 
-    def _refused(self, scene: Scene, error: RenderError, adapter: Adapter | None = None) -> None:
-        """Stop using the device after an error, for the present values or for the rest of the process."""
+    def _stop_after_error(self, scene: Scene, error: RenderError, adapter: Adapter | None = None) -> None:
+        """Stop using the device after an error, for the current values or for the rest of the process."""
         resident, self._resident = self._resident, None
         if error.code == LIMIT:
             if self._unfit is not scene.values:
@@ -191,16 +196,16 @@ class DeviceCaster:
         if adapter is None:
             adapter = self._adapter if resident is None else resident.adapter
         self._adapter = None
-        self._backend.give_up(adapter, str(error))
+        self._backend.stop_using(adapter, str(error))
 
-    def _decide(self, scene: Scene, view: AirwayView) -> None:
+    def _try_adapters(self, scene: Scene, view: AirwayView) -> None:
         try:
-            done = all(self._try(adapter, scene, view) for adapter in self._backend.adapters())
+            done = all(self._measure_adapter(adapter, scene, view) for adapter in self._backend.adapters())
             self._is_decided = done or self._adapter is not None
         finally:
             self._is_busy = False
 
-    def _try(self, adapter: Adapter, scene: Scene, view: AirwayView) -> bool:
+    def _measure_adapter(self, adapter: Adapter, scene: Scene, view: AirwayView) -> bool:
         """Measure the speed of one graphics adapter, and check that its picture agrees with the CPU's.
 
         Return False to end the search (adapter chosen, or the picture is too dark to measure).
@@ -215,22 +220,22 @@ class DeviceCaster:
         radius = scene.maps.radius if leaps and scene.maps is not None else None
         cpu_ms = gpu_ms = None
         try:
-            resident = self._load(adapter, scene, radius)
+            resident = self._load_on_adapter(adapter, scene, radius)
             on_device = resident.leaping if leaps else resident.bare
             # The pictures are compared in later runs too, where the times are known: the driver may have changed.
-            off = part_off(expected.rgb, self._cast(scene, view, on_device).rgb)
+            off = differing_share(expected.rgb, self._cast(scene, view, on_device).rgb)
             if off > MAX_PART_OFF:
                 chosen, why = False, f"its image differs from the CPU's in {100 * off:.2g} % of the pixels"
             elif known is not None:
                 chosen, why, cpu_ms, gpu_ms = True, known.why, known.cpu_ms, known.gpu_ms
             else:
-                cpu_ms, gpu_ms = self._race(scene, view, on_device)
+                cpu_ms, gpu_ms = self._shortest_times(scene, view, on_device)
                 chosen = gpu_ms < WORTH_IT * cpu_ms
                 words = "measured faster" if chosen else "measured no faster than the CPU"
                 why = f"{words}: {gpu_ms:.1f} ms per image, CPU {cpu_ms:.1f} ms"
         except RenderError as error:
             chosen, why = False, str(error)
-        self._backend.remember(
+        self._backend.store_measurement(
             AdapterMeasurement(adapter.name, adapter.driver, scene.values.shape, chosen, why, cpu_ms, gpu_ms),
         )
         log.info("graphics adapter %s: %s", adapter.name, why)
@@ -240,7 +245,7 @@ class DeviceCaster:
             self._resident = None
         return not chosen
 
-    def _race(self, scene: Scene, view: AirwayView, on_device: _core.GpuScene | None) -> tuple[float, float]:
+    def _shortest_times(self, scene: Scene, view: AirwayView, on_device: _core.GpuScene | None) -> tuple[float, float]:
         """Return the shortest time of a picture in ms, on the CPU and on the device.
 
         The turns alternate, so that other load affects both.

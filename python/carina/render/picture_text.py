@@ -79,7 +79,7 @@ def letter_edges(picture: Picture) -> Picture:
     UsageError
         If the picture has no geometry of its pixels.
     """
-    return letters_at_edges(picture, _size(picture.rgb))
+    return letters_at_edges(picture, _glyph_size(picture.rgb))
 
 
 def letters_at_edges(picture: Picture, size: int) -> Picture:
@@ -92,7 +92,10 @@ def letters_at_edges(picture: Picture, size: int) -> Picture:
         known = np.flatnonzero(np.isfinite(lines.path_mm))
         first, last = (int(known[0]), int(known[-1])) if known.size > 1 else (0, height - 1)
         right = lines.step_lps[first]
-        up, down = -_way(lines, first, min(first + LOCAL_ROWS, last)), _way(lines, max(last - LOCAL_ROWS, first), last)
+        up, down = (
+            -_row_difference(lines, first, min(first + LOCAL_ROWS, last)),
+            _row_difference(lines, max(last - LOCAL_ROWS, first), last),
+        )
     else:
         matrix = picture.lps_from_pixel if picture.lps_from_pixel is not None else picture.lps_from_camera
         if matrix is None:
@@ -113,7 +116,7 @@ def letters_at_edges(picture: Picture, size: int) -> Picture:
     return dataclasses.replace(picture, rgb=rgb)
 
 
-def _way(lines: PictureLines, first: int, last: int) -> NDArray[np.float64]:
+def _row_difference(lines: PictureLines, first: int, last: int) -> NDArray[np.float64]:
     """Return the vector from one row of a picture to another row along the displayed path, LPS mm."""
     ends = [lines.lps_of(float(lines.path_column[row]), row + 0.5) for row in (first, last)]
     return ends[1] - ends[0] if last > first else np.array([0.0, 0.0, -1.0])
@@ -147,7 +150,7 @@ def mark_path(
         raise UsageError("only views along a path have a position axis")
     rgb = picture.rgb.copy()
     height, width = rgb.shape[:2]
-    size = _size(rgb)
+    size = _glyph_size(rgb)
     known = np.isfinite(lines.path_mm)
     rows = np.flatnonzero(known)
     if rows.size == 0:
@@ -197,7 +200,7 @@ def mark_path(
     return dataclasses.replace(picture, rgb=rgb)
 
 
-def _size(rgb: NDArray[np.uint8]) -> int:
+def _glyph_size(rgb: NDArray[np.uint8]) -> int:
     return 1 if min(rgb.shape[:2]) < 400 else 2
 
 

@@ -439,10 +439,10 @@ def view_spec(
             point_lps=(x, y, z),
             width=width,
             height=height,
-            scope=_preset(scope),
+            scope=_scope_preset(scope),
             fov_deg=fov_deg,
             lens=lens,
-            field=_field(scope, outline, vignette),
+            field=_picture_field(scope, outline, vignette),
             depth_of_field=depth_of_field,
             step_vox=step_vox,
             sight=sight,
@@ -451,13 +451,13 @@ def view_spec(
     )
 
 
-def _preset(scope: ScopePreset | str | None) -> ScopePreset | None:
+def _scope_preset(scope: ScopePreset | str | None) -> ScopePreset | None:
     return scope_preset(scope) if isinstance(scope, str) else scope
 
 
-def _field(scope: ScopePreset | str | None, outline: Outline | None, vignette: float | None) -> ImageField:
+def _picture_field(scope: ScopePreset | str | None, outline: Outline | None, vignette: float | None) -> ImageField:
     """Return outline and vignette of an airway view; a value that the caller does not give is taken from the scope."""
-    preset = _preset(scope)
+    preset = _scope_preset(scope)
     own = FULL_FRAME if preset is None else preset.field
     return ImageField(
         own.outline if outline is None else outline, vignette=own.vignette if vignette is None else vignette
@@ -482,13 +482,13 @@ def mark_tip(picture: Picture, point_lps: NDArray[np.float64] | tuple[float, flo
     column, row = int(at[0]), int(at[1])
     gap, arm = max(2, min(width, height) // 128), max(6, min(width, height) // 32)
 
-    def draw(reach: int, half: int, colour: tuple[int, int, int]) -> None:
+    def draw_cross(reach: int, half: int, colour: tuple[int, int, int]) -> None:
         for low, high in ((-reach, -gap), (gap, reach)):
             for rows, columns in (((-half, half), (low, high)), ((low, high), (-half, half))):
                 top, left = max(row + rows[0], 0), max(column + columns[0], 0)
                 rgb[top : max(row + rows[1] + 1, 0), left : max(column + columns[1] + 1, 0)] = colour
 
     # A dark rim is drawn first, so that the cross is visible on white bone.
-    draw(arm + 1, 1, (0, 0, 0))
-    draw(arm, 0, MARK_RGB)
+    draw_cross(arm + 1, 1, (0, 0, 0))
+    draw_cross(arm, 0, MARK_RGB)
     return dataclasses.replace(picture, rgb=rgb)

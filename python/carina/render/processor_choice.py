@@ -76,7 +76,7 @@ class AdapterMeasurement:
     """Time of a picture in ms, including the transfers to and from the device."""
 
 
-def part_off(expected: NDArray[np.uint8], found: NDArray[np.uint8]) -> float:
+def differing_share(expected: NDArray[np.uint8], found: NDArray[np.uint8]) -> float:
     """Return the fraction of the pixels (h, w, 3) that differ by more than one grey level in a channel."""
     if expected.shape != found.shape:
         return 1.0
@@ -123,7 +123,7 @@ class Backend:
         self._measurements: dict[tuple[str, str, tuple[int, int, int]], AdapterMeasurement] = {}
         self._was_logged = False
         if record is not None:
-            self._measurements = {_key(v): v for v in _read(record)}
+            self._measurements = {_measurement_key(v): v for v in _read(record)}
 
     def __repr__(self) -> str:
         """Return a one-line description of this `Backend` for the Python interpreter."""
@@ -145,7 +145,7 @@ class Backend:
                 device = self._opened[adapter.index] = self._open(adapter.index)
             return device
 
-    def give_up(self, adapter: Adapter | None, reason: str) -> None:
+    def stop_using(self, adapter: Adapter | None, reason: str) -> None:
         """Stop using an adapter in this process; the first call logs a warning."""
         with self._lock:
             if adapter is not None:
@@ -164,20 +164,20 @@ class Backend:
         """Return the measurement of an adapter with this driver, on volumes of this shape; None if there is none."""
         return self._measurements.get((adapter.name, adapter.driver, shape_zyx))
 
-    def remember(self, measurement: AdapterMeasurement) -> None:
+    def store_measurement(self, measurement: AdapterMeasurement) -> None:
         """Store a measurement in memory and in the file of measurements."""
         with self._lock:
-            self._measurements[_key(measurement)] = measurement
+            self._measurements[_measurement_key(measurement)] = measurement
             measurements = list(self._measurements.values())
         if self._record is not None:
             _write(self._record, measurements)
 
 
-def _key(measurement: AdapterMeasurement) -> tuple[str, str, tuple[int, int, int]]:
+def _measurement_key(measurement: AdapterMeasurement) -> tuple[str, str, tuple[int, int, int]]:
     return measurement.adapter, measurement.driver, measurement.shape_zyx
 
 
-def _carina() -> str:
+def _carina_version() -> str:
     return str(_core.build_info()["version"])
 
 
@@ -186,7 +186,7 @@ def _read(path: Path) -> list[AdapterMeasurement]:
     try:
         data = json.loads(read_regular_text(path, max_bytes=1 << 20))
         # Another version of Carina has other casters, so its times do not apply.
-        if (data["format"], data["version"], data["carina"]) != (FORMAT, VERSION, _carina()):
+        if (data["format"], data["version"], data["carina"]) != (FORMAT, VERSION, _carina_version()):
             return []
         return [_measurement(item) for item in data["measured"]]
     except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
@@ -210,7 +210,7 @@ def _measurement(item: dict[str, Any]) -> AdapterMeasurement:
 def _write(path: Path, measurements: list[AdapterMeasurement]) -> None:
     """Replace the file of measurements; without write access the measurements stay in memory only."""
     measured = [dataclasses.asdict(v) for v in measurements]
-    data = {"format": FORMAT, "version": VERSION, "carina": _carina(), "measured": measured}
+    data = {"format": FORMAT, "version": VERSION, "carina": _carina_version(), "measured": measured}
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, json.dumps(data, indent=1).encode(), what="the record of measured adapters")

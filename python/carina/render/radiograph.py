@@ -59,7 +59,7 @@ def cast_drr(volume: Volume, view: DrrView, *, rows: tuple[int, int] | None = No
         bone_gain=BONE_GAIN if volume.is_hu else 0.0,
         simd=simd,
     )
-    rgb = np.repeat(_toned(water_mm, view)[:, :, None], 3, axis=2)
+    rgb = np.repeat(_with_tone(water_mm, view)[:, :, None], 3, axis=2)
     count = view.width * rgb.shape[0]
     stats = RenderStats("radiograph", view.width, rgb.shape[0], count, 0, 0, 0, 0, 0, 0, 0.0)
     if view.parallel:
@@ -83,7 +83,7 @@ def _fitting_mm_per_px(volume: Volume, view: DrrView) -> float:
     return max(across / view.width, float(extent[2]) / view.height) * nearer
 
 
-def _toned(water_mm: NDArray[np.float32], view: DrrView) -> NDArray[np.uint8]:
+def _with_tone(water_mm: NDArray[np.float32], view: DrrView) -> NDArray[np.uint8]:
     if view.window_mm is not None:
         width, level = view.window_mm
         low, high = level - width / 2, level + width / 2

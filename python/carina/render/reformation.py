@@ -24,7 +24,7 @@ def cast_path_view(volume: Volume, view: PathView, *, rows: tuple[int, int] | No
 
     Its ``lines`` cover all rows, also for a strip.
     """
-    lines, through = _straightened(view) if view.kind == "straightened" else _curved(view)
+    lines, through = _straightened_lines(view) if view.kind == "straightened" else _curved_lines(view)
     table = np.hstack([lines.start_lps, lines.step_lps, through])
     table = np.ascontiguousarray(table if rows is None else table[slice(*rows)])
     grey, _ = _core.sample_lines(
@@ -42,7 +42,7 @@ def cast_path_view(volume: Volume, view: PathView, *, rows: tuple[int, int] | No
     return Picture(rgb=np.repeat(grey[:, :, None], 3, axis=2), view=view.kind, stats=stats, lines=lines)
 
 
-def _straightened(view: PathView) -> tuple[PictureLines, Points]:
+def _straightened_lines(view: PathView) -> tuple[PictureLines, Points]:
     path = view.path
     mm_per_px = view.mm_per_px or (path.length_mm + 2 * END_MM) / view.height
     centre_mm = view.centre_mm if view.mm_per_px else float(path.path_mm[0] + path.path_mm[-1]) / 2
@@ -65,7 +65,7 @@ def _straightened(view: PathView) -> tuple[PictureLines, Points]:
     return lines, through
 
 
-def _curved(view: PathView) -> tuple[PictureLines, Points]:
+def _curved_lines(view: PathView) -> tuple[PictureLines, Points]:
     path = view.path
     turn = np.deg2rad(view.turn_deg)
     across = np.array([np.cos(turn), np.sin(turn), 0.0])
@@ -89,7 +89,7 @@ def _curved(view: PathView) -> tuple[PictureLines, Points]:
     inside = np.clip(rows, 0.0, unrolled[-1])
     at = np.stack([np.interp(inside, unrolled, points[:, axis]) for axis in range(3)], axis=1)
     # Beyond an end the surface continues at a right angle to the sweeping line.
-    ways = [_way(steps, forward=forward) for forward in (True, False)]
+    ways = [_first_nonzero_direction(steps, forward=forward) for forward in (True, False)]
     at += np.clip(rows, None, 0.0)[:, None] * ways[0] + (rows - np.clip(rows, None, unrolled[-1]))[:, None] * ways[1]
     here = at @ across
     step = np.broadcast_to(across * mm_per_px, (view.height, 3)).copy()
@@ -108,7 +108,7 @@ def _curved(view: PathView) -> tuple[PictureLines, Points]:
     return lines, through
 
 
-def _way(steps: Points, *, forward: bool) -> Points:
+def _first_nonzero_direction(steps: Points, *, forward: bool) -> Points:
     """Return the direction (3,) of the first (last) step of non-zero length; caudal if all steps have length 0."""
     for step in steps if forward else steps[::-1]:
         length = float(np.linalg.norm(step))

@@ -176,7 +176,7 @@ class Renderer:
     def prepare(
         self, progress: ProgressChoice = None, cancel: Cancel | None = None, *, all_classes: bool | None = None
     ) -> None:
-        """Build the IsoRegion map for the present transfer function and lumen, or read it from the cache.
+        """Build the IsoRegion map for the current transfer function and lumen, or read it from the cache.
 
         Parameters
         ----------
@@ -204,7 +204,7 @@ class Renderer:
 
     @property
     def scene(self) -> Scene:
-        """Present scene: the immutable input of pictures, which another thread or machine can render later."""
+        """Current scene: the immutable input of pictures, which another thread or machine can render later."""
         return self._scenes.scene
 
     @check_arguments(scene=instance(Scene, "take one from Renderer.scene"))
@@ -245,7 +245,7 @@ class Renderer:
             Token by which another thread cancels the rendering. The airway and the tree view check the token every few
             rows; the other views take milliseconds and do not check it.
         scene
-            Scene to render, from an earlier read of :attr:`scene`. Default: the present scene.
+            Scene to render, from an earlier read of :attr:`scene`. Default: the current scene.
 
         Raises
         ------
@@ -276,7 +276,7 @@ class Renderer:
         seconds = time.perf_counter() - started
         # Other views do a part of their work in the calling thread, which this time does not include.
         counts = picture.stats.method in {"leap", "leap-all", "brute"}
-        rays_s = _between(counted_s, _core.picture_clock_s(), seconds) if counts else None
+        rays_s = _mean_processor_s(counted_s, _core.picture_clock_s(), seconds) if counts else None
         return dataclasses.replace(picture, stats=dataclasses.replace(picture.stats, seconds=seconds, rays_s=rays_s))
 
     @check_arguments(view=AN_AIRWAY_VIEW, rows=ROWS)
@@ -321,7 +321,7 @@ class Renderer:
         return cast_tree(tree, view, rows=rows, simd=self._simd, stop=stop)
 
 
-def _between(first_s: float | None, last_s: float | None, seconds: float) -> float | None:
+def _mean_processor_s(first_s: float | None, last_s: float | None, seconds: float) -> float | None:
     """Return the mean processor time per picture thread between two clock readings, in seconds.
 
     The result is None if a reading is missing, or if the difference is negative or exceeds the wall time ``seconds``.

@@ -61,7 +61,7 @@ class Scene:
 
 
 class SceneBuilder:
-    """Owner of the present scene of one volume, which builds its successors; see :class:`carina.render.Renderer`."""
+    """Owner of the current scene of one volume, which builds its successors; see :class:`carina.render.Renderer`."""
 
     def __init__(self, volume: Volume, transfer: TransferFunction | None, cache_dir: Path | None) -> None:
         if transfer is None:
@@ -75,7 +75,7 @@ class SceneBuilder:
 
     @property
     def scene(self) -> Scene:
-        """Present scene of the volume."""
+        """Current scene of the volume."""
         return self._scene
 
     def adopt(self, scene: Scene) -> None:
@@ -133,7 +133,7 @@ class SceneBuilder:
             value_range = (self._range[0], max(self._range[1], _core.value_range(values)[1]))
         # A map that no longer fits is dropped: building it again is fast, and a map takes half the memory of the
         # volume.
-        can_reuse = old.maps is not None and old.maps.values is values and old.maps.runs == _runs(transfer)
+        can_reuse = old.maps is not None and old.maps.values is values and old.maps.runs == _transparent_runs(transfer)
         with self._swap:
             maps = old.maps if can_reuse else None
             self._scene = Scene(transfer, lumen, values, value_range, tree, maps, None, decoration)
@@ -141,7 +141,7 @@ class SceneBuilder:
     def prepare(
         self, progress: Progress | None = None, cancel: Cancel | None = None, *, all_classes: bool | None = None
     ) -> None:
-        """Build the maps that the present scene lacks, or read them from the cache."""
+        """Build the maps that the current scene lacks, or read them from the cache."""
 
         def step(what: str, fraction: float | None) -> None:
             if cancel is not None and cancel():
@@ -174,7 +174,7 @@ class SceneBuilder:
         return build() if self._cache is None else self._cache.get_or_build(name, build)
 
     def _build_maps(self, scene: Scene, cancel: Cancel | None) -> Maps:
-        runs = _runs(scene.transfer)
+        runs = _transparent_runs(scene.transfer)
         found = self._get_or_build(
             MapName(scene.values, ("clear-cells", runs)),
             lambda: CachedMap((_core.build_cell_map(scene.values, runs, cancel=cancel),)),
@@ -206,6 +206,6 @@ class SceneBuilder:
             self._cache.wait_stored()
 
 
-def _runs(transfer: TransferFunction) -> tuple[tuple[int, int], ...]:
+def _transparent_runs(transfer: TransferFunction) -> tuple[tuple[int, int], ...]:
     runs = _core.transparent_runs(transfer.points, reference_mm=transfer.reference_mm, bin_hu=transfer.bin_hu)
     return tuple(runs)

@@ -166,11 +166,11 @@ class ViewRow:
     """Longest side of a picture in the window; a larger picture takes more time without a visible gain."""
 
 
-def _grey(s: ViewSettings) -> tuple[float, float]:
+def _grey_settings(s: ViewSettings) -> tuple[float, float]:
     return WINDOW_HU if s.window_hu is None else s.window_hu
 
 
-def _hundredths(point: tuple[float, float, float]) -> tuple[float, ...]:
+def _in_hundredths_mm(point: tuple[float, float, float]) -> tuple[float, ...]:
     # The rounding is far below a pixel, so a rotation of the scope alone does not render new slices.
     return tuple(round(v, 2) for v in point)
 
@@ -211,7 +211,7 @@ def _cut_plane(s: ViewSettings) -> View:
         width=s.width,
         height=s.height,
         extent_mm=60.0 if place.extent_mm is None else place.extent_mm,
-        window_hu=_grey(s),
+        window_hu=_grey_settings(s),
         slab=s.slab,
         centre_lps=place.centre_lps,
     )
@@ -232,8 +232,8 @@ def _slice_row(plane: Plane) -> ViewRow:
         mm_per_px = s.sight.place(plane).mm_per_px
         if mm_per_px is None:
             # An unzoomed slice shows the whole plane, so only its depth matters.
-            return (_hundredths(s.point_lps)[axis], s.window_hu, s.slab)
-        return (_hundredths(centre(s)), s.window_hu, mm_per_px, s.slab)
+            return (_in_hundredths_mm(s.point_lps)[axis], s.window_hu, s.slab)
+        return (_in_hundredths_mm(centre(s)), s.window_hu, mm_per_px, s.slab)
 
     return ViewRow(
         name=plane,
@@ -247,7 +247,7 @@ def _slice_row(plane: Plane) -> ViewRow:
             width=s.width,
             height=s.height,
             mm_per_px=s.pixel_mm(s.sight.place(plane).mm_per_px),
-            window_hu=_grey(s),
+            window_hu=_grey_settings(s),
             slab=s.slab,
         ),
         depends_on=depends,
@@ -304,7 +304,7 @@ def _path_row(kind: Literal["straightened", "curved"], title: str, words: str, *
             height=s.height,
             mm_per_px=s.pixel_mm(s.sight.reformation.mm_per_px),
             centre_mm=s.path_mm,
-            window_hu=_grey(s),
+            window_hu=_grey_settings(s),
             slab=s.slab,
         )
 
@@ -338,7 +338,7 @@ def _path_row(kind: Literal["straightened", "curved"], title: str, words: str, *
     )
 
 
-def _around(s: ViewSettings, view: OrbitViewName) -> dict[str, Any]:
+def _orbit_view(s: ViewSettings, view: OrbitViewName) -> dict[str, Any]:
     orbit = s.sight.orbits.get(view, VIEWS[view].orbit)
     assert orbit is not None
     return {**msgspec.structs.asdict(orbit), "width": s.width, "height": s.height}
@@ -409,7 +409,7 @@ VIEWS: Mapping[str, ViewRow] = MappingProxyType(
                 words="airway tree",
                 empty="The airway tree, seen from outside, appears here once the airways have been segmented.",
                 cell="outside",
-                spec=lambda s: TreeView(**_around(s, "tree")),
+                spec=lambda s: TreeView(**_orbit_view(s, "tree")),
                 depends_on=lambda s: (s.sight.orbits.get("tree"),),
                 needs=frozenset({"airways"}),
                 overlay="seen",
@@ -426,9 +426,9 @@ VIEWS: Mapping[str, ViewRow] = MappingProxyType(
                 words="tri-plane",
                 cell="outside",
                 spec=lambda s: TriPlaneView(
-                    s.point_lps, window_hu=_grey(s), look_at=s.look_at, **_around(s, "tri-plane")
+                    s.point_lps, window_hu=_grey_settings(s), look_at=s.look_at, **_orbit_view(s, "tri-plane")
                 ),
-                depends_on=lambda s: (_hundredths(s.point_lps), s.sight.orbits.get("tri-plane"), s.window_hu),
+                depends_on=lambda s: (_in_hundredths_mm(s.point_lps), s.sight.orbits.get("tri-plane"), s.window_hu),
                 overlay="seen",
                 pick="planes",
                 zoom="orbit",

@@ -189,7 +189,7 @@ def decoration_of(tree: DecorationTree | None) -> Decoration | None:
     shape = tuple(int(n) for n in np.ceil((every.max(axis=0) + reach - first) / CELL_MM)[::-1] + 1)
     sums = np.zeros((*shape, len(CHANNELS)))
     weights = np.zeros(shape)
-    places = {tube.id: _place(tube, first, shape) for tube in tubes}
+    places = {tube.id: _add_tube(tube, first, shape) for tube in tubes}
     for tube in tubes:
         box, near, values, off = places[tube.id]
         weight = np.exp(-off / BLEND)
@@ -197,11 +197,11 @@ def decoration_of(tree: DecorationTree | None) -> Decoration | None:
         sums[box][near] += weight[:, None] * values
     known = weights > 0.0
     sums[known] /= weights[known, None]
-    sums[..., CHANNELS.index("spur")] = _spurs(tubes, first, shape)
-    return Decoration(np.ascontiguousarray(sums, dtype=np.float32), _three(first), CELL_MM)
+    sums[..., CHANNELS.index("spur")] = _fork_ridges(tubes, first, shape)
+    return Decoration(np.ascontiguousarray(sums, dtype=np.float32), _point_tuple(first), CELL_MM)
 
 
-def _three(v: Floats) -> tuple[float, float, float]:
+def _point_tuple(v: Floats) -> tuple[float, float, float]:
     x, y, z = (float(a) for a in v)
     return x, y, z
 
@@ -235,12 +235,12 @@ def _tubes(branches: Iterable[DecorationBranch]) -> list[_Tube]:
 
 
 def _tube(branch: DecorationBranch, level: float, phase: float, before: Floats | None) -> _Tube:
-    points, radius = _even(np.asarray(branch.points, np.float64), np.asarray(branch.radius, np.float64))
+    points, radius = _resample_evenly(np.asarray(branch.points, np.float64), np.asarray(branch.radius, np.float64))
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     mm = np.concatenate([[0.0], np.cumsum(steps)])
     along = np.gradient(points, axis=0) if len(points) > 2 else np.repeat(np.diff(points, axis=0), 2, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
-    course = _course(mm, radius)
+    course = _fit_radius_course(mm, radius)
     own = [float(np.interp(level, *table)) for table in (_RINGS, _PROXIMAL, _MEMBRANE, _REGULAR)]
     parts = np.repeat(np.array([own]), len(points), axis=0)
     if before is not None:
@@ -260,7 +260,7 @@ def _tube(branch: DecorationBranch, level: float, phase: float, before: Floats |
     return _Tube(points, along, course, passed, per_mm, parts, end, branch.id, branch.parent)
 
 
-def _even(points: Floats, radius: Floats) -> tuple[Floats, Floats]:
+def _resample_evenly(points: Floats, radius: Floats) -> tuple[Floats, Floats]:
     """Resample a centreline and its radius at about 1 mm; the line is smoothed between its ends."""
     mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     keep = np.concatenate([[True], np.diff(mm) > 1e-9])
@@ -274,7 +274,7 @@ def _even(points: Floats, radius: Floats) -> tuple[Floats, Floats]:
     return share @ line, np.interp(at, mm, radius)
 
 
-def _course(mm: Floats, radius: Floats) -> Floats:
+def _fit_radius_course(mm: Floats, radius: Floats) -> Floats:
     """Return the smooth course of the radius along a branch: a straight line fitted with Tukey's weights."""
     line = np.full(len(radius), np.median(radius))
     if len(radius) < 8:
@@ -307,7 +307,7 @@ def _tube_like(mm: Floats, radius: Floats, course: Floats) -> Floats:
 _Box = tuple[slice, slice, slice]
 
 
-def _place(tube: _Tube, first: Floats, shape: tuple[int, ...]) -> tuple[_Box, NDArray[np.bool_], Floats, Floats]:
+def _add_tube(tube: _Tube, first: Floats, shape: tuple[int, ...]) -> tuple[_Box, NDArray[np.bool_], Floats, Floats]:
     """Compute the channels of the grid cells near a tube.
 
     Returns
@@ -360,7 +360,7 @@ def _nearest(tube: _Tube, cells: Floats) -> tuple[NDArray[np.intp], Floats]:
     return nearest, cells - tube.points[nearest]
 
 
-def _spurs(tubes: Sequence[_Tube], first: Floats, shape: tuple[int, ...]) -> Floats:
+def _fork_ridges(tubes: Sequence[_Tube], first: Floats, shape: tuple[int, ...]) -> Floats:
     """Return the strength (nz, ny, nx) of fork ridges: high in cells on the walls of two siblings and between them."""
     spurs = np.zeros(shape)
     by_parent: dict[int | None, list[_Tube]] = {}
@@ -371,7 +371,7 @@ def _spurs(tubes: Sequence[_Tube], first: Floats, shape: tuple[int, ...]) -> Flo
             for other in daughters[n + 1 :] if parent is not None else ():
                 # Beyond the first few radii two siblings have separate walls.
                 near = max(4, int(4.0 * max(float(one.radius[0]), float(other.radius[0]))))
-                a, b = (_shortened(tube, near) for tube in (one, other))
+                a, b = (_first_points(tube, near) for tube in (one, other))
                 box, cells = _cells_near(a, first, shape)
                 flat = cells.reshape(-1, 3)
                 sides = []
@@ -390,17 +390,17 @@ def _spurs(tubes: Sequence[_Tube], first: Floats, shape: tuple[int, ...]) -> Flo
                 ridge *= _smoothstep(-np.einsum("ij,ij->i", dir_a, dir_b), -0.6, 0.0)
                 # Cells nearest to the end of a shortened tube are excluded.
                 ridge *= (at_a < len(a.points) - 1) & (at_b < len(b.points) - 1)
-                strength = float(min(1.0, 1.2 - 0.2 * _level_of(one, other)))
+                strength = float(min(1.0, 1.2 - 0.2 * _fork_level(one, other)))
                 spurs[box] = np.maximum(spurs[box], strength * ridge.reshape(cells.shape[:3]))
     return spurs
 
 
-def _level_of(one: _Tube, other: _Tube) -> float:
+def _fork_level(one: _Tube, other: _Tube) -> float:
     """Return the level at which two sibling branches arise: about 1 at the carina, 2 and 3 farther out."""
     proximal = max(float(one.parts[-1, 1]), float(other.parts[-1, 1]))
     return float(np.interp(-proximal, [-v for v in _PROXIMAL[1]], _PROXIMAL[0]))
 
 
-def _shortened(tube: _Tube, num_points: int) -> _Tube:
+def _first_points(tube: _Tube, num_points: int) -> _Tube:
     cut = slice(0, num_points)
     return replace(tube, points=tube.points[cut], along=tube.along[cut], radius=tube.radius[cut], parts=tube.parts[cut])

@@ -94,11 +94,11 @@ def lens_from_text(text: str) -> Lens:
         else:
             entries = _read_yaml(text)
     except RecursionError as error:
-        raise _refused("its entries are nested too deeply") from error
+        raise _calibration_error("its entries are nested too deeply") from error
     return _lens({key.lower(): value for key, value in entries.items()})
 
 
-def _refused(words: str) -> VolumeImportError:
+def _calibration_error(words: str) -> VolumeImportError:
     return VolumeImportError(f"reading a camera calibration: {words}", code="render.lens")
 
 
@@ -109,22 +109,22 @@ def _read_json(text: str) -> Entries:
     try:
         value = json.loads(text)
     except ValueError as error:
-        raise _refused(f"it is not valid JSON: {error}") from error
+        raise _calibration_error(f"it is not valid JSON: {error}") from error
     if not isinstance(value, dict):
-        raise _refused("expected one JSON object")
+        raise _calibration_error("expected one JSON object")
     return value
 
 
 def _read_xml(text: str) -> Entries:
     # Entities can expand a small file without limit; OpenCV writes none.
     if "<!" in re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL):
-        raise _refused("expected OpenCV's XML, found a document type declaration or entities")
+        raise _calibration_error("expected OpenCV's XML, found a document type declaration or entities")
     import xml.etree.ElementTree as ET  # Imported here because the module is slow to load and few calibrations are XML.
 
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:
-        raise _refused(f"it is not valid XML: {error}") from error
+        raise _calibration_error(f"it is not valid XML: {error}") from error
     return {child.tag: _xml_value(child) for child in root}
 
 
@@ -147,7 +147,7 @@ def _read_yaml(text: str) -> Entries:
             continue
         match = re.fullmatch(r"(\s*)([\w-]+)\s*:\s*(.*)", line)
         if match is None:
-            raise _refused(f"expected OpenCV's YAML, found {line.strip()[:60]!r} on line {n}")
+            raise _calibration_error(f"expected OpenCV's YAML, found {line.strip()[:60]!r} on line {n}")
         indent, key, value = match.groups()
         if value.startswith("["):
             # A list may continue over several lines.
@@ -158,7 +158,7 @@ def _read_yaml(text: str) -> Entries:
                 value += " " + part
                 n += 1
             if depth != 0:
-                raise _refused(f"the list of {key!r} has no closing bracket")
+                raise _calibration_error(f"the list of {key!r} has no closing bracket")
         if indent and inner is not None:
             inner[key] = value
         elif value in {"", "!!opencv-matrix"}:
@@ -176,86 +176,96 @@ def _numbers(what: str, value: Any) -> list[float]:
     if isinstance(value, dict):
         data = {key.lower(): entry for key, entry in value.items()}
         if "data" not in data:
-            raise _refused(f"{what} has no data")
+            raise _calibration_error(f"{what} has no data")
         found = _numbers(what, data["data"])
         sides = [data.get("rows"), data.get("cols")]
         if None not in sides:
-            rows, cols = (_whole(f"{what}'s {name}", side) for name, side in zip(("rows", "cols"), sides, strict=True))
+            rows, cols = (
+                _whole_number(f"{what}'s {name}", side) for name, side in zip(("rows", "cols"), sides, strict=True)
+            )
             if rows * cols != len(found):
-                raise _refused(f"{what}: expected {rows} x {cols} numbers, found {len(found)}")
+                raise _calibration_error(f"{what}: expected {rows} x {cols} numbers, found {len(found)}")
         return found
     if isinstance(value, bool) or value is None:
-        raise _refused(f"{what}: expected numbers, found {value}")
+        raise _calibration_error(f"{what}: expected numbers, found {value}")
     if isinstance(value, int | float):
         return [float(value)]
     if isinstance(value, list):
         return [number for entry in value for number in _numbers(what, entry)]
     rest = NUMBER.sub(" ", str(value))
     if re.sub(r"[\s,\[\]]", "", rest):
-        raise _refused(f"{what}: expected numbers, found {str(value)[:60]!r}")
+        raise _calibration_error(f"{what}: expected numbers, found {str(value)[:60]!r}")
     return [float(text.lower().replace(".n", "n").replace(".i", "i")) for text in NUMBER.findall(str(value))]
 
 
-def _finite(what: str, value: Any) -> list[float]:
+def _finite_number(what: str, value: Any) -> list[float]:
     found = _numbers(what, value)
     wrong = [number for number in found if not math.isfinite(number)]
     if wrong:
-        raise _refused(f"{what}: expected finite numbers, found {wrong[0]}")
+        raise _calibration_error(f"{what}: expected finite numbers, found {wrong[0]}")
     return found
 
 
-def _whole(what: str, value: Any) -> int:
-    found = _finite(what, value)
+def _whole_number(what: str, value: Any) -> int:
+    found = _finite_number(what, value)
     if len(found) != 1 or found[0] != int(found[0]) or not 1 <= found[0] <= 1 << 20:
-        raise _refused(f"{what}: expected a whole number from 1 to 1048576, found {value}")
+        raise _calibration_error(f"{what}: expected a whole number from 1 to 1048576, found {value}")
     return int(found[0])
 
 
-def _entry(entries: Entries, keys: tuple[str, ...]) -> Any:
+def _first_entry(entries: Entries, keys: tuple[str, ...]) -> Any:
     return next((entries[key] for key in keys if key in entries), None)
 
 
 def _lens(entries: Entries) -> Lens:
-    matrix, coefficients = _entry(entries, MATRIX_KEYS), _entry(entries, COEFFICIENT_KEYS)
+    matrix, coefficients = _first_entry(entries, MATRIX_KEYS), _first_entry(entries, COEFFICIENT_KEYS)
     if matrix is None:
-        raise _refused("it has no camera_matrix")
+        raise _calibration_error("it has no camera_matrix")
     if coefficients is None:
-        raise _refused("it has no distortion_coefficients")
-    size = _entry(entries, SIZE_KEYS)
-    sides = [_entry(entries, WIDTH_KEYS), _entry(entries, HEIGHT_KEYS)]
+        raise _calibration_error("it has no distortion_coefficients")
+    size = _first_entry(entries, SIZE_KEYS)
+    sides = [_first_entry(entries, WIDTH_KEYS), _first_entry(entries, HEIGHT_KEYS)]
     if size is not None:
-        sides = list(_finite("image_size", size))
+        sides = list(_finite_number("image_size", size))
     if len(sides) != 2 or None in sides:
-        raise _refused("it has no image_width or image_height, so the calibration cannot be scaled to an image")
-    width, height = (_whole(name, side) for name, side in zip(("image_width", "image_height"), sides, strict=True))
-    m = _finite("camera_matrix", matrix)
+        raise _calibration_error(
+            "it has no image_width or image_height, so the calibration cannot be scaled to an image"
+        )
+    width, height = (
+        _whole_number(name, side) for name, side in zip(("image_width", "image_height"), sides, strict=True)
+    )
+    m = _finite_number("camera_matrix", matrix)
     if len(m) != 9:
-        raise _refused(f"camera_matrix: expected 3 x 3 numbers, found {len(m)}")
+        raise _calibration_error(f"camera_matrix: expected 3 x 3 numbers, found {len(m)}")
     if m[1] != 0.0 or m[3] != 0.0 or m[6:] != [0.0, 0.0, 1.0]:
-        raise _refused(f"camera_matrix: expected fx 0 cx, 0 fy cy, 0 0 1; found {m}")
+        raise _calibration_error(f"camera_matrix: expected fx 0 cx, 0 fy cy, 0 0 1; found {m}")
     if not (m[0] > 0.0 and m[4] > 0.0):
-        raise _refused(f"camera_matrix: expected focal lengths above 0 pixels, found {m[0]:g} and {m[4]:g}")
+        raise _calibration_error(f"camera_matrix: expected focal lengths above 0 pixels, found {m[0]:g} and {m[4]:g}")
     # OpenCV counts from the centre of the first pixel.
     centre = (m[2] + 0.5, m[5] + 0.5)
     if not (0.0 <= centre[0] <= width and 0.0 <= centre[1] <= height):
-        raise _refused(
+        raise _calibration_error(
             f"camera_matrix: the principal point {m[2]:g}, {m[5]:g} lies outside the image of {width} x {height} pixels"
         )
     known = Calibration((m[0], m[4]), centre, (width, height))
-    d = _finite("distortion_coefficients", coefficients)
+    d = _finite_number("distortion_coefficients", coefficients)
     if _is_fisheye(entries):
         if len(d) != 4:
-            raise _refused(f"distortion_coefficients: expected k1 to k4 of a fisheye lens, found {len(d)} numbers")
-        return _usable(Lens("fisheye", tuple(d), known))
+            raise _calibration_error(
+                f"distortion_coefficients: expected k1 to k4 of a fisheye lens, found {len(d)} numbers"
+            )
+        return _refuse_folding_lens(Lens("fisheye", tuple(d), known))
     # 12 and 14 coefficients describe thin prisms and tilted sensors, which scopes lack: only zeros are accepted.
     if len(d) in {12, 14} and not any(d[8:]):
         d = d[:8]
     if len(d) not in {4, 5, 8}:
-        raise _refused(f"distortion_coefficients: expected k1 k2 p1 p2 [k3 [k4 k5 k6]], found {len(d)} numbers")
-    return _usable(Lens("brown", (*d, *(0.0,) * (8 - len(d))), known))
+        raise _calibration_error(
+            f"distortion_coefficients: expected k1 k2 p1 p2 [k3 [k4 k5 k6]], found {len(d)} numbers"
+        )
+    return _refuse_folding_lens(Lens("brown", (*d, *(0.0,) * (8 - len(d))), known))
 
 
-def _usable(lens: Lens) -> Lens:
+def _refuse_folding_lens(lens: Lens) -> Lens:
     """Reject a lens that cannot render a picture because its model folds back inside the image circle."""
     assert lens.calibration is not None
     width, height = lens.calibration.size_px
@@ -263,7 +273,7 @@ def _usable(lens: Lens) -> Lens:
     try:
         lens.optics(max(1, round(width / scale)), max(1, round(height / scale)))
     except RenderError as error:
-        raise _refused(str(error)) from error
+        raise _calibration_error(str(error)) from error
     return lens
 
 
@@ -272,6 +282,8 @@ def _is_fisheye(entries: Entries) -> bool:
     if model in {"fisheye", "equidistant", "kannala-brandt", "kannala_brandt", "opencv_fisheye"}:
         return True
     if model not in {"", "plumb_bob", "rational_polynomial", "pinhole", "brown", "opencv", "radtan"}:
-        raise _refused(f"distortion_model: expected plumb_bob, rational_polynomial or fisheye, found {model!r}")
+        raise _calibration_error(
+            f"distortion_model: expected plumb_bob, rational_polynomial or fisheye, found {model!r}"
+        )
     marked = entries.get("fisheye_model")
-    return marked is not None and _finite("fisheye_model", marked)[:1] not in ([], [0.0])
+    return marked is not None and _finite_number("fisheye_model", marked)[:1] not in ([], [0.0])

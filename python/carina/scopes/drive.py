@@ -199,7 +199,7 @@ class ScopeDrive:
             math.radians(down_deg),
             preset.length_mm or _LENGTH_MM,
         )
-        path = _points(start_path)
+        path = _point_array(start_path)
         up = None if up_lps is None else [float(v) for v in np.asarray(up_lps, dtype=np.float64)]
         self._core = _core.ScopeDrive(field.core, sizes, path, up)
         self._cords_mm = cords_mm
@@ -207,7 +207,7 @@ class ScopeDrive:
         self._field = field
         self._flexion_rad = (sizes[5], sizes[4])
         self._operator: OperatorPosition = operator
-        self._state = self._seen(self._core.state)
+        self._state_from_core = self._state_for_operator(self._core.state)
 
     def __copy__(self) -> ScopeDrive:
         """Return an independent copy of this `ScopeDrive`."""
@@ -224,7 +224,7 @@ class ScopeDrive:
 
     def __repr__(self) -> str:
         """Return a one-line description of this `ScopeDrive` for the Python interpreter."""
-        return f"ScopeDrive({self._scope.name!r}, insertion_mm={self._state.insertion_mm:.1f})"
+        return f"ScopeDrive({self._scope.name!r}, insertion_mm={self._state_from_core.insertion_mm:.1f})"
 
     @property
     def scope(self) -> ScopePreset:
@@ -238,8 +238,8 @@ class ScopeDrive:
 
     @property
     def state(self) -> ScopeState:
-        """Present state of the scope."""
-        return self._state
+        """Current state of the scope."""
+        return self._state_from_core
 
     @property
     def operator(self) -> OperatorPosition:
@@ -258,12 +258,12 @@ class ScopeDrive:
         _check_operator(operator)
         if operator != self._operator:
             self._operator = operator
-            self._state = replace(self._state, pose=_turned(self._state.pose))
-        return self._state
+            self._state_from_core = replace(self._state_from_core, pose=_turned_by_180_deg(self._state_from_core.pose))
+        return self._state_from_core
 
-    def _seen(self, found: dict[str, Any]) -> ScopeState:
-        state = _state(found)
-        return state if self._operator == "head" else replace(state, pose=_turned(state.pose))
+    def _state_for_operator(self, found: dict[str, Any]) -> ScopeState:
+        state = _state_from_core(found)
+        return state if self._operator == "head" else replace(state, pose=_turned_by_180_deg(state.pose))
 
     @property
     def entry_mm(self) -> float:
@@ -273,7 +273,7 @@ class ScopeDrive:
     @property
     def depth_from_cords_mm(self) -> float | None:
         """Insertion from the vocal cords in mm; None if their position is unknown."""
-        return None if self._cords_mm is None else self._state.insertion_mm - self._cords_mm
+        return None if self._cords_mm is None else self._state_from_core.insertion_mm - self._cords_mm
 
     @property
     def flexion_range_rad(self) -> tuple[float, float]:
@@ -314,8 +314,8 @@ class ScopeDrive:
             If a number is not finite or ``dt_s`` is negative; nothing is changed.
         """
         found = self._core.drive(float(insertion_mm), float(roll_rad), float(flexion_rad), float(dt_s))
-        self._state = self._seen(found)
-        return self._state
+        self._state_from_core = self._state_for_operator(found)
+        return self._state_from_core
 
     @check_arguments(path=numbers_within(), insertion_mm=bounded(COORDINATE_MM, unit="mm"))
     def place(self, path: ArrayLike, insertion_mm: float) -> ScopeState:
@@ -334,8 +334,8 @@ class ScopeDrive:
         UsageError
             If the path passes far from the scope's entry (code ``scope.drive``).
         """
-        self._state = self._seen(self._core.place(_points(path), float(insertion_mm)))
-        return self._state
+        self._state_from_core = self._state_for_operator(self._core.place(_point_array(path), float(insertion_mm)))
+        return self._state_from_core
 
     def copy(self) -> ScopeDrive:
         """Return an independent copy of the scope in the same position.
@@ -390,21 +390,21 @@ def _check_operator(operator: OperatorPosition) -> None:
         raise UsageError(f"expected operator position 'head' or 'facing'; found {operator!r}", code="scope.drive")
 
 
-def _turned(pose: Pose) -> Pose:
+def _turned_by_180_deg(pose: Pose) -> Pose:
     """Return a pose turned by 180 degrees about its forward axis; only signs change, so nothing is rounded."""
     matrix = pose.lps_from_camera.copy()
     matrix[:3, :2] *= -1.0
     return Pose(matrix)
 
 
-def _points(points: ArrayLike) -> NDArray[np.float64]:
+def _point_array(points: ArrayLike) -> NDArray[np.float64]:
     found = np.ascontiguousarray(points, dtype=np.float64)
     if found.ndim != 2 or found.shape[1] != 3:
         raise UsageError(f"a path needs points of shape (n, 3); found {found.shape}", code="scope.drive")
     return found
 
 
-def _state(found: dict[str, Any]) -> ScopeState:
+def _state_from_core(found: dict[str, Any]) -> ScopeState:
     contact = found["contact"]
     return ScopeState(
         pose=Pose(found["lps_from_tip"]),

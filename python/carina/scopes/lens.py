@@ -308,7 +308,7 @@ def _optics(lens: Lens, width: int, height: int, fov_deg: float | None) -> Optic
     return Optics(lens, (width, height), fov_deg, core)
 
 
-class _RaysInMemory:
+class _RayCache:
     """Cache of the rays of recent pictures; any thread may use it."""
 
     def __init__(self) -> None:
@@ -329,4 +329,4 @@ class _RaysInMemory:
         return rays
 
 
-_RAYS = _RaysInMemory()
+_RAYS = _RayCache()

@@ -198,7 +198,7 @@ class WallField:
         return found
 
 
-def _spread(num: int) -> NDArray[np.float64]:
+def _sphere_directions(num: int) -> NDArray[np.float64]:
     """Return evenly distributed directions on the sphere, (num, 3)."""
     n = np.arange(num)
     z = 1.0 - (2.0 * n + 1.0) / num
@@ -208,4 +208,4 @@ def _spread(num: int) -> NDArray[np.float64]:
     return found
 
 
-_DIRECTIONS = _spread(64)
+_DIRECTIONS = _sphere_directions(64)

@@ -24,8 +24,8 @@ from carina.server.files.web_files import asset_path, web_folder
 from carina.server.hub import Hub
 from carina.server.network.access_checks import Gate, comes_from_this_machine
 from carina.server.network.access_middleware import GateMiddleware, page
-from carina.server.sockets.closing import close_socket
-from carina.server.windows.websocket_session import converse
+from carina.server.sockets.close_codes import close_socket
+from carina.server.windows.websocket_session import serve_window
 from carina.server.windows.window import Window
 
 __all__ = ["create_app", "web_folder"]
@@ -170,7 +170,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         async def attach(_hello: object) -> Window:
             return hub.attach(at_machine=comes_from_this_machine(websocket.scope))
 
-        await converse(websocket, attach)
+        await serve_window(websocket, attach)
 
     async def joined(websocket: WebSocket) -> None:
         await websocket.accept()

@@ -15,12 +15,12 @@ from carina.commands import Command, KeepNow
 from carina.disk import disk_trouble, is_disk_trouble
 from carina.errors import CarinaError, NoEvidenceError, ProtocolError, kind_of
 from carina.server.network.access_checks import Gate, is_loopback
-from carina.server.sockets.closing import close_socket
+from carina.server.sockets.close_codes import close_socket
 from carina.server.sockets.socket_io import receive_text
 from carina.server.wire import messages as wire
-from carina.session import Changed, Door, Event, JobGroup, Session, log_fault
+from carina.session import AttachEndpoint, Changed, Event, JobGroup, Session, log_fault
 
-__all__ = ["JOIN_PATH", "JoinedProgram", "door_of", "problem_of", "serve_program"]
+__all__ = ["JOIN_PATH", "JoinedProgram", "endpoint_of", "problem_message", "serve_program"]
 
 logger = logging.getLogger(__name__)
 
@@ -32,16 +32,16 @@ MAX_WAITING = 64
 """Maximum number of queued messages; while the queue is full, the server reads no further message."""
 
 
-def door_of(gate: Gate) -> Door:
+def endpoint_of(gate: Gate) -> AttachEndpoint:
     """Return the address and secret with which programs of this machine join a server.
 
     Both fields of the result are None if the server is not reachable by loopback.
     """
     host = {"0.0.0.0": "127.0.0.1", "": "127.0.0.1", "::": "::1"}.get(gate.host, gate.host)
     if not is_loopback(host):
-        return Door()
+        return AttachEndpoint()
     shown = f"[{host}]" if ":" in host else host
-    return Door(f"ws://{shown}:{gate.port}{JOIN_PATH}", gate.secret)
+    return AttachEndpoint(f"ws://{shown}:{gate.port}{JOIN_PATH}", gate.secret)
 
 
 class JoinedProgram:
@@ -63,10 +63,10 @@ class JoinedProgram:
         self._window = window
         self._errand = JobGroup(case_number)
 
-    def take(self, message: Command | wire.Settle) -> wire.Settled | None:
+    def execute(self, message: Command | wire.Settle) -> wire.Settled | None:
         """Execute a command and return None, or wait for the jobs of the earlier commands and return their result."""
         if isinstance(message, wire.Settle):
-            return self._settle(message)
+            return self._wait_for_jobs(message)
         with self._errand.doing():
             try:
                 self._session.do(message, window=self._window)
@@ -74,13 +74,15 @@ class JoinedProgram:
                 self._errand.failed(trouble)
             except OSError as trouble:
                 self._errand.failed(
-                    disk_trouble(trouble, "the command failed", None) if is_disk_trouble(trouble) else _fault(trouble)
+                    disk_trouble(trouble, "the command failed", None)
+                    if is_disk_trouble(trouble)
+                    else _internal_error(trouble)
                 )
             except Exception as trouble:
-                self._errand.failed(_fault(trouble))
+                self._errand.failed(_internal_error(trouble))
         return None
 
-    def _settle(self, message: wire.Settle) -> wire.Settled:
+    def _wait_for_jobs(self, message: wire.Settle) -> wire.Settled:
         errand, self._errand = self._errand, JobGroup(self._case_number)
         problems = list(errand.wait())
         if message.all_jobs:
@@ -96,13 +98,13 @@ class JoinedProgram:
                     problems.append(trouble)
         return wire.Settled(
             settle_id=message.settle_id,
-            problems=tuple(map(problem_of, problems)),
+            problems=tuple(map(problem_message, problems)),
             unsaved=unsaved,
             saving=self._session.snapshot().saving,
         )
 
 
-def problem_of(error: CarinaError) -> wire.Problem:
+def problem_message(error: CarinaError) -> wire.Problem:
     """Return the wire message of an error, from which the program can raise the same error."""
     problem = wire.Problem(kind_of(error), error.code, str(error))
     if not isinstance(error, NoEvidenceError):
@@ -117,7 +119,7 @@ def problem_of(error: CarinaError) -> wire.Problem:
     )
 
 
-def _fault(trouble: BaseException) -> CarinaError:
+def _internal_error(trouble: BaseException) -> CarinaError:
     log_fault(logger, "a command of a program failed", trouble)
     words = f"the command failed: internal error in Carina ({type(trouble).__name__})"
     return CarinaError(words, code="carina.fault")
@@ -140,7 +142,7 @@ async def serve_program(websocket: WebSocket, session: Session) -> None:
         if open_case is None or open_case[0] != join.case_id:
             raise ProtocolError("this case is not open here", code="protocol.case-closed")
         await websocket.send_text(wire.encode_message(wire.Joined(carina.__version__)))
-        await _work(websocket, session, open_case[1])
+        await _run_program(websocket, session, open_case[1])
     except ProtocolError as trouble:
         await close_socket(websocket, trouble.code, str(trouble))
     except TimeoutError:
@@ -149,14 +151,14 @@ async def serve_program(websocket: WebSocket, session: Session) -> None:
         pass
 
 
-async def _work(websocket: WebSocket, session: Session, case_number: int) -> None:
+async def _run_program(websocket: WebSocket, session: Session, case_number: int) -> None:
     # Programs have negative numbers, because windows have numbers from 1.
     window = -next(_numbers)
     program = JoinedProgram(session, case_number, window)
     waiting: asyncio.Queue[Command | wire.Settle] = asyncio.Queue(MAX_WAITING)
     loop, closed = asyncio.get_running_loop(), asyncio.Event()
 
-    def note(event: Event) -> None:
+    def note_event(event: Event) -> None:
         if isinstance(event, Changed) and "start" in event.topics and session.snapshot().case_number != case_number:
             with contextlib.suppress(RuntimeError):  # the loop is closed
                 loop.call_soon_threadsafe(closed.set)
@@ -170,7 +172,7 @@ async def _work(websocket: WebSocket, session: Session, case_number: int) -> Non
 
     async def work() -> None:
         while True:
-            answer = await loop.run_in_executor(thread, program.take, await waiting.get())
+            answer = await loop.run_in_executor(thread, program.execute, await waiting.get())
             if answer is not None:
                 await websocket.send_text(wire.encode_message(answer))
 
@@ -180,7 +182,7 @@ async def _work(websocket: WebSocket, session: Session, case_number: int) -> Non
 
     # A separate thread, because take() waits until jobs have ended.
     thread = ThreadPoolExecutor(1, thread_name_prefix="carina-joined")
-    unsubscribe = session.subscribe(note, window=window)
+    unsubscribe = session.subscribe(note_event, window=window)
     tasks = [asyncio.create_task(one) for one in (read(), work(), end())]
     try:
         if session.snapshot().case_number != case_number:

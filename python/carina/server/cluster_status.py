@@ -25,16 +25,16 @@ class ClusterWatch:
     ----------
     status
         Function that returns the cluster status.
-    tell
+    send
         Callback for the messages; called from the thread of this object.
     """
 
-    def __init__(self, status: Callable[[], ClusterStatus], tell: Callable[[wire.Cluster | wire.Notice], None]) -> None:
+    def __init__(self, status: Callable[[], ClusterStatus], send: Callable[[wire.Cluster | wire.Notice], None]) -> None:
         self._status = status
-        self._tell = tell
+        self._send = send
         self._reported: set[str] = set()
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="carina-cluster-watch", daemon=True)
+        self._thread = threading.Thread(target=self._poll_until_stopped, name="carina-cluster-watch", daemon=True)
 
     def start(self) -> None:
         """Start the thread that polls the cluster status."""
@@ -46,19 +46,19 @@ class ClusterWatch:
         if self._thread.is_alive():
             self._thread.join()
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Read the cluster status once, and send it with its new notices to the windows."""
         status = self._status()
         for words in status.notices:
             if words not in self._reported:
                 self._reported.add(words)
-                self._tell(wire.Notice(words))
-        self._tell(cluster_message(status))
+                self._send(wire.Notice(words))
+        self._send(cluster_message(status))
 
-    def _run(self) -> None:
+    def _poll_until_stopped(self) -> None:
         while not self._stopping.wait(EVERY_S):
             try:
-                self.look()
+                self.poll()
             except Exception:
                 logger.debug("the cluster did not say how it does", exc_info=True)
 

@@ -88,7 +88,7 @@ class DeviceConnections:
         self._phone_wanted = False
         self._phone_switching = threading.Lock()
         if phone is not None:
-            phone.changed = self._show
+            phone.changed = self._send_status
         self._sources: dict[str, Source] = {}
         self._publisher: IgtlServer | None = None
         self._watching: set[int | None] = set()
@@ -126,7 +126,7 @@ class DeviceConnections:
         session = self._session
         match message:
             case wire.DeviceSampleMessage():
-                session.devices.receive_sample(message.device, _sample(message))
+                session.devices.receive_sample(message.device, _sample_from_message(message))
                 return True
             case wire.ConnectDevice():
                 self._connect(message.address)
@@ -136,7 +136,7 @@ class DeviceConnections:
                     source.stop()
                     session.do(commands.DeviceGone(message.address))
             case wire.PublishTip():
-                self._publish(message.port)
+                self._publish_tip(message.port)
             case wire.SetPhone():
                 if self._phone is None:
                     raise UsageError("this build of Carina does not include the phone page", code="phone.missing")
@@ -155,28 +155,28 @@ class DeviceConnections:
                 session.do(commands.RecordFlight(None if session.snapshot().saving.keeps else file))
             case _:
                 return False
-        self._show()
+        self._send_status()
         return True
 
     def done(self, command: Command) -> None:
         """Send the device status to all windows after a command about devices has run."""
         if type(command).__module__ == commands.devices.__name__:
-            self._show()
+            self._send_status()
 
-    def window_came(self) -> None:
+    def add_window(self) -> None:
         """Schedule the pen state for a new window; the window subscribes to device values by a message."""
         self._pen_told = None
         self._session.devices.woken.set()
 
-    def window_went(self, window: int) -> None:
+    def remove_window(self, window: int) -> None:
         """Cancel the device subscription of a closed window."""
         self._watching.discard(window)
 
-    def _gone(self, device: str) -> None:
+    def _remove_device(self, device: str) -> None:
         self._session.do(commands.DeviceGone(device))
 
     def _connect(self, address: str) -> None:
-        source = open_source(address, Listener(self._session.devices.receive_sample, self._gone))
+        source = open_source(address, Listener(self._session.devices.receive_sample, self._remove_device))
         # The source's own address is the key: the typed address may omit a port or contain more than the address.
         if source.address in self._sources:
             raise UsageError(f"{source.address} is already connected", code="devices.address")
@@ -202,7 +202,7 @@ class DeviceConnections:
             words = f"the phone page failed: internal error in Carina ({type(trouble).__name__})"
             self._push(wire.Error("carina.fault", words, None))
 
-    def _publish(self, port: int | None) -> None:
+    def _publish_tip(self, port: int | None) -> None:
         if self._publisher is not None:
             self._publisher.stop()
             self._publisher = None
@@ -213,10 +213,10 @@ class DeviceConnections:
             info = self._session.pose_info()
             return None if info is None else info.pose.lps_from_camera
 
-        self._publisher = IgtlServer(pose, picture=self._picture, port=port)
+        self._publisher = IgtlServer(pose, picture=self._render_picture, port=port)
         self._publisher.start()
 
-    def _picture(self) -> Any:
+    def _render_picture(self) -> Any:
         """Render the airway view for an OpenIGTLink client that requested an image; None without a case."""
         scene = self._session.scene()
         return None if scene is None else scene.renderer.render(scene.spec(LEAD_VIEW, PICTURE_PX, PICTURE_PX, 1.0)).rgb
@@ -234,8 +234,8 @@ class DeviceConnections:
             control=info.control,
             filter_latency_ms=round(filter_latency_ms(controls), 2),
             controls=controls,
-            devices=tuple(_device(state) for state in info.devices)[:200],
-            sources=tuple(_source(source) for source in self._sources.copy().values()),
+            devices=tuple(_device_message(state) for state in info.devices)[:200],
+            sources=tuple(_source_message(source) for source in self._sources.copy().values()),
             serial_ports=self._ports[0],
             serial_problem=self._ports[1],
             published_port=None if self._publisher is None else self._publisher.port,
@@ -246,16 +246,16 @@ class DeviceConnections:
             else self._phone.problem,
         )
 
-    def _show(self) -> None:
+    def _send_status(self) -> None:
         message = self.message()
         if message is not None:
             self._push(message)
-        self._show_pen()
+        self._send_pen_state()
 
-    def _show_pen(self) -> None:
+    def _send_pen_state(self) -> None:
         """Send the pen state to all windows if it has changed."""
         state = self._session.devices.pen()
-        message, last_sent = _pen(state), self._pen_told or NO_PEN
+        message, last_sent = _pen_message(state), self._pen_told or NO_PEN
         if state is not None and not state.is_armed and state.off_mm is None and last_sent.lps is not None:
             # The position of a pen that is not armed and has no offset is not displayed, so it causes no message.
             message = replace(message, lps=None if message.lps is None else last_sent.lps)
@@ -273,10 +273,10 @@ class DeviceConnections:
             began_s = time.monotonic()
             try:
                 moving = self._session.devices.frame()
-                self._show_pen()
+                self._send_pen_state()
                 if self._watching and began_s - self._shown_s >= SHOWN_EVERY_S:
                     self._shown_s = began_s
-                    self._show()
+                    self._send_status()
             except Exception as trouble:
                 # The thread continues after an error, because no other thread processes device input.
                 moving = False
@@ -292,10 +292,10 @@ def _ports() -> tuple[tuple[str, ...], str | None]:
     return tuple(port["port"] for port in ports)[:200], trouble
 
 
-def _sample(message: wire.DeviceSampleMessage) -> PoseSample | AxesSample | HandleSample:
+def _sample_from_message(message: wire.DeviceSampleMessage) -> PoseSample | AxesSample | HandleSample:
     if message.orientation_wxyz is not None:
         w, x, y, z = message.orientation_wxyz
-        at = None if message.position_mm is None else _three(message.position_mm)
+        at = None if message.position_mm is None else _three_floats(message.position_mm)
         return PoseSample(message.time_s, at, (w, x, y, z), message.buttons, message.advance)
     if message.handle is not None:
         insertion_mm, roll_rad, lever = message.handle
@@ -305,7 +305,7 @@ def _sample(message: wire.DeviceSampleMessage) -> PoseSample | AxesSample | Hand
     return AxesSample(message.time_s, (forward, right, up, yaw, pitch, roll), message.buttons)
 
 
-def _device(state: DeviceState) -> wire.DeviceInfo:
+def _device_message(state: DeviceState) -> wire.DeviceInfo:
     sample = state.sample
     pen = sample if isinstance(sample, PoseSample) else None
     axes: tuple[float, ...] = ()
@@ -332,11 +332,11 @@ def _device(state: DeviceState) -> wire.DeviceInfo:
 NO_PEN = wire.Pen(device=None, tracked=False, lps=None, off_mm=None, off_deg=None)
 
 
-def _pen(state: PenState | None) -> wire.Pen:
+def _pen_message(state: PenState | None) -> wire.Pen:
     if state is None:
         return NO_PEN
     # Rounding hides the noise of a tracker, which would otherwise cause a message per sample.
-    lps = None if state.lps is None else _three([round(v, 3) for v in state.lps])
+    lps = None if state.lps is None else _three_floats([round(v, 3) for v in state.lps])
     return wire.Pen(
         device=state.device[:200],
         tracked=state.is_tracked,
@@ -346,13 +346,13 @@ def _pen(state: PenState | None) -> wire.Pen:
     )
 
 
-def _source(source: Source) -> wire.DeviceSource:
+def _source_message(source: Source) -> wire.DeviceSource:
     status = source.status()
     return wire.DeviceSource(
         status.address, status.title, status.state, status.words[:4000], status.rate_hz, sum(status.num_bad.values())
     )
 
 
-def _three(values: Any) -> tuple[float, float, float]:
+def _three_floats(values: Any) -> tuple[float, float, float]:
     x, y, z = values
     return float(x), float(y), float(z)

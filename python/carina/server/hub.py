@@ -82,14 +82,14 @@ class Hub:
         self._numbers = itertools.count(1)
         self._leaving: list[threading.Thread] = []
         self._rate_hz = DEFAULT_RATE_HZ
-        self.texts = SharedTexts(session, patient_citation, self._push)
+        self.texts = SharedTexts(session, patient_citation, self._push_to_windows)
         self._warming = PathPrefetcher(session)
-        self.devices = DeviceConnections(session, self._tell, recordings=recordings, phone=phone)
-        self._watch = None if cluster_status is None else ClusterWatch(cluster_status, self._tell)
+        self.devices = DeviceConnections(session, self._notify_windows, recordings=recordings, phone=phone)
+        self._watch = None if cluster_status is None else ClusterWatch(cluster_status, self._notify_windows)
         self._watch_page = ObserverPageServer(
             self._attach_watcher,
-            lambda: self._mark("watching"),
-            flooded=lambda: self._push(wire.Notice(FLOODED)),
+            lambda: self._mark_topics("watching"),
+            flooded=lambda: self._push_to_windows(wire.Notice(FLOODED)),
             web=web,
             address=watch_address,
         )
@@ -140,13 +140,13 @@ class Hub:
         ProtocolError
             With code ``protocol.too-many-windows`` if :data:`MAX_WINDOWS` windows are connected.
         """
-        if len(self._working) >= MAX_WINDOWS:
+        if len(self._command_windows) >= MAX_WINDOWS:
             msg = f"Carina is already open in {MAX_WINDOWS} windows; close one of them, then connect again"
             raise ProtocolError(msg, code="protocol.too-many-windows")
         window = Window(next(self._numbers), self, rate_hz=self._rate_hz, at_machine=at_machine)
         window.start()
         self._windows[window.number] = window
-        self.devices.window_came()
+        self.devices.add_window()
         return window
 
     def _attach_watcher(self) -> WatchingWindow:
@@ -164,7 +164,7 @@ class Hub:
         del self._windows[window.number]
         window.end()
         if not window.watches:
-            self.devices.window_went(window.number)
+            self.devices.remove_window(window.number)
             # A page that the user reloads keeps its frame rate.
             self._rate_hz = window.pump.rate_hz
         self._leaving = [thread for thread in (*self._leaving, *window.threads) if thread.is_alive()]
@@ -172,28 +172,28 @@ class Hub:
     # ------------------------------------------------------------ out
 
     @property
-    def _working(self) -> tuple[Window, ...]:
+    def _command_windows(self) -> tuple[Window, ...]:
         """The windows that can send commands; observers are not included."""
         return tuple(window for window in self._windows.values() if not window.watches)
 
-    def restored(self, text: str) -> str:
+    def with_original_names(self, text: str) -> str:
         """Return a message in which dropped files have the names that the user knows."""
-        return self._uploads.names.restored(text)
+        return self._uploads.names.with_original_names(text)
 
-    def _push(self, message: Any) -> None:
+    def _push_to_windows(self, message: Any) -> None:
         """Send a message to all windows except observers; call this method in the event loop.
 
         Observers are excluded because messages may contain file names, links and addresses.
         """
-        for window in self._working:
+        for window in self._command_windows:
             window.outbox.push(message)
 
-    def _tell(self, message: Any) -> None:
+    def _notify_windows(self, message: Any) -> None:
         """Send a message to all windows except observers; callable from any thread."""
-        self.in_loop(self._push, message)
+        self.in_loop(self._push_to_windows, message)
 
-    def _mark(self, *topics: str) -> None:
-        for window in self._working:
+    def _mark_topics(self, *topics: str) -> None:
+        for window in self._command_windows:
             window.mark(*topics)
 
     def watching_text(self) -> str:
@@ -215,12 +215,12 @@ class Hub:
         """Forward a session event to the event loop; the session calls this from any thread and holds its lock."""
         if isinstance(event, Changed) and "tree" in event.topics:
             self._warming.airways_changed()
-        self.in_loop(self._heed, event)
+        self.in_loop(self._on_session_event_in_loop, event)
 
-    def _heed(self, event: Event) -> None:
+    def _on_session_event_in_loop(self, event: Event) -> None:
         """Close the viewing page after a change of case, and delete uploads that no job needs any more."""
         if self._watch_page.is_open and self.session.snapshot().case_number != self._watched_case:
-            self._switch(self.close_watch_page("the case that you were watching was closed"))
+            self._run_as_task(self.close_watch_page("the case that you were watching was closed"))
         if isinstance(event, JobEnded):
             upload_id = self._upload_of_job.pop(event.job_id, None)
             if upload_id is not None:
@@ -238,24 +238,28 @@ class Hub:
                 self.session.do(message, window=window.number)
                 self.devices.done(message)
             case wire.OpenUpload():
-                self._keep_for(OpenFiles(str(self._uploads.place(message.upload_id))), message.upload_id, window)
+                self._start_upload_job(
+                    OpenFiles(str(self._uploads.place(message.upload_id))), message.upload_id, window
+                )
             case wire.OpenKeyFrames():
-                self._keep_for(TakeKeyFrameFile(self._uploads.place(message.upload_id)), message.upload_id, window)
+                self._start_upload_job(
+                    TakeKeyFrameFile(self._uploads.place(message.upload_id)), message.upload_id, window
+                )
             case wire.ImportMask():
                 self._import_mask(message.upload_id, window)
             case wire.ImportTarget():
                 place = self._uploads.place(message.upload_id)
-                self._keep_for(TakeTarget(str(place), message.structure), message.upload_id, window)
+                self._start_upload_job(TakeTarget(str(place), message.structure), message.upload_id, window)
             case wire.AcceptNotice():
                 if self.session.store is not None:
                     self.session.store.accept_notice()
-                self._mark("start")
+                self._mark_topics("start")
             case wire.AskStorage():
                 window.mark("start")
             case wire.SetWatchPage():
-                self._switch(self._open_watch_page(window) if message.on else self.close_watch_page(SWITCHED_OFF))
+                self._run_as_task(self._open_watch_page(window) if message.on else self.close_watch_page(SWITCHED_OFF))
             case wire.SendAway():
-                self._watch_page.send_away(message.number)
+                self._watch_page.disconnect(message.number)
             case _ if self.devices.handle(message, window.number):
                 pass
             case _:
@@ -263,7 +267,7 @@ class Hub:
                     f"{type(message).__name__} can only be sent as the first message", code="protocol.order"
                 )
 
-    def _switch(self, switching: Coroutine[Any, Any, None]) -> None:
+    def _run_as_task(self, switching: Coroutine[Any, Any, None]) -> None:
         """Run a coroutine, which starts or stops the viewing page, as a task, so that windows do not wait for it."""
         task = asyncio.get_running_loop().create_task(switching)
         self._switching.add(task)
@@ -289,8 +293,8 @@ class Hub:
         """Stop the viewing page, and send the reason ``words`` to every connected observer."""
         await self._watch_page.stop(words)
 
-    def _keep_for(self, command: Command, upload_id: str, window: Window) -> None:
-        """Start a job that reads dropped files; :meth:`_heed` deletes the files after the job has ended."""
+    def _start_upload_job(self, command: Command, upload_id: str, window: Window) -> None:
+        """Start a job that reads dropped files, which are deleted after the job has ended."""
         job_id = self.session.do(command, window=window.number)
         assert job_id is not None
         self._upload_of_job[job_id] = upload_id

@@ -21,14 +21,19 @@ from carina.disk import sweep_drafts, sweep_scratch
 from carina.errors import UsageError
 from carina.render import ClusterStatus
 from carina.server.app import create_app, web_folder
-from carina.server.attached_programs import door_of
+from carina.server.attached_programs import endpoint_of
 from carina.server.devices import Phone
 from carina.server.files.uploads import Uploads
 from carina.server.hub import Hub
 from carina.server.network.access_checks import Gate, is_loopback
-from carina.server.network.connection_limits import ACCEPT_AT_ONCE, WAITING_IN_LINE, UnauthenticatedConnections, quieten
+from carina.server.network.connection_limits import (
+    ACCEPT_AT_ONCE,
+    WAITING_IN_LINE,
+    UnauthenticatedConnections,
+    limit_log_rate,
+)
 from carina.server.network.listening import bind
-from carina.server.network.request_timeouts import impatient
+from carina.server.network.request_timeouts import timeout_protocol
 from carina.server.network.shutdown import TimedShutdownServer
 from carina.server.unsaved_question import ConsoleTerminal, close_session
 from carina.server.wire.codec import MAX_TEXT_BYTES
@@ -107,9 +112,9 @@ class _Server(TimedShutdownServer):
     """Uvicorn server that calls ``on_started`` when it accepts connections."""
 
     def __init__(
-        self, config: uvicorn.Config, strangers: UnauthenticatedConnections, on_started: Callable[[], None]
+        self, config: uvicorn.Config, unauthenticated: UnauthenticatedConnections, on_started: Callable[[], None]
     ) -> None:
-        super().__init__(config, strangers)
+        super().__init__(config, unauthenticated)
         self._on_started = on_started
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
@@ -154,10 +159,10 @@ def make_server(
         watch_address=watch_address,
         closes_session=closes_session,
     )
-    strangers = UnauthenticatedConnections()
+    unauthenticated = UnauthenticatedConnections()
     config = uvicorn.Config(
         create_app(hub, gate, uploads, web=web),
-        http=impatient(strangers, gate.authorised),
+        http=timeout_protocol(unauthenticated, gate.authorised),
         backlog=ACCEPT_AT_ONCE,
         ws="websockets-sansio",
         ws_per_message_deflate=False,  # compression costs 3 ms per frame, and JPEG data do not shrink
@@ -172,7 +177,7 @@ def make_server(
         server_header=False,
         timeout_graceful_shutdown=GRACE_S,
     )
-    return _Server(config, strangers, on_started)
+    return _Server(config, unauthenticated, on_started)
 
 
 def serve(
@@ -199,7 +204,7 @@ def serve(
     path
         CT folder, CT file or case file to open; None shows the start page.
     ct
-        Present path of the case file's CT; None searches the paths that the case knows.
+        Current path of the case file's CT; None searches the paths that the case knows.
     case_id
         ID of a stored case to open instead of ``path``.
     demo
@@ -241,7 +246,7 @@ def serve(
     VolumeImportError
         If nothing at ``path`` can be opened; no server was started then.
     UnsavedWorkError
-        If work is lost. A user at a terminal is asked first, and may save the case elsewhere.
+        If work is lost. Carina first asks a user at a terminal, who may save the case elsewhere.
     CarinaError
         ``server.port`` if the port is in use; with ``phone`` also ``phone.missing`` or ``server.no-network``.
     """
@@ -252,9 +257,9 @@ def serve(
     settings = load_settings()
     cache = VolumeCache(settings.cache_dir / "volumes", max_bytes=settings.volume_cache_bytes)
     if path is not None:
-        _refuse_early(path, cache)
+        _check_path(path, cache)
     sweep_leftovers()
-    _leave_no_core(settings.log_level)
+    _disable_core_files(settings.log_level)
     records = CaseRecords(settings.cases_dir, time.time, settings.documents_dir)
     store = LocalStore(settings.config_dir)
     # Titles are removed before a case is opened, because only the owner of an open case may write its record.
@@ -269,7 +274,7 @@ def serve(
     threading.Thread(target=sweep, name="carina-sweep", daemon=True).start()
     with bind(host, port) as sock:
         gate = Gate(host=host, port=sock.getsockname()[1])
-        records.door = door_of(gate)
+        records.endpoint = endpoint_of(gate)
         if not is_loopback(host):
             print(_NETWORK_WARNING.format(host=host), file=sys.stderr, flush=True)
         session = Session(
@@ -320,7 +325,7 @@ def serve(
                     print(_PHONE_WARNING.format(address=opened.address), file=sys.stderr, flush=True)
                     if on_phone is not None:
                         on_phone(opened.url, opened.sha256)
-                unquieten = quieten(time.monotonic)
+                unquieten = limit_log_rate(time.monotonic)
                 try:
                     server.run(sockets=[sock])
                 finally:
@@ -338,7 +343,7 @@ def serve(
     return 0
 
 
-def _leave_no_core(log_level: str) -> None:
+def _disable_core_files(log_level: str) -> None:
     """Disable core files, which would contain the patient's images; DEBUG leaves them on for fault analysis."""
     if sys.platform == "win32" or log_level in {"DEBUG", "TRACE"}:
         return
@@ -367,7 +372,7 @@ _PHONE_WARNING = (
 )
 
 
-def _refuse_early(path: str, cache: VolumeCache) -> None:
+def _check_path(path: str, cache: VolumeCache) -> None:
     """Raise the error of a path that cannot be opened, before a window opens."""
     from carina import volume
     from carina.case import CaseFile

@@ -107,7 +107,7 @@ def _ask_until_saved(session: Session, terminal: Terminal) -> bool:
     """Ask the user at the terminal until no work is unsaved, and return True; return False if the user quits."""
     while work := session.cases.unsaved():
         one = work[0]
-        _describe(one, terminal)
+        _print_unsaved_work(one, terminal)
         answer = terminal.ask(PROMPT)
         if answer is None or answer.lower() == QUIT:
             return False
@@ -121,7 +121,7 @@ def _ask_until_saved(session: Session, terminal: Terminal) -> bool:
     return True
 
 
-def _describe(work: UnsavedWork, terminal: Terminal) -> None:
+def _print_unsaved_work(work: UnsavedWork, terminal: Terminal) -> None:
     terminal.say(f"Carina cannot close yet: {work.amount} of {work.title} not saved.")
     if work.labels:
         terminal.say(f"  latest changes: {work.shown_labels}")

@@ -16,19 +16,19 @@ from carina.session.scene.shown_case import SessionRenderer, ShownCase
 from carina.session.session import Session
 from carina.session.state.snapshot import (
     Changed,
+    ErrorEvent,
+    EvidenceMissing,
     FlightInfo,
     FlightPlace,
     KeyFramesInfo,
     MaskQuestion,
-    NotEvident,
     PoseInfo,
     Snapshot,
     StartMarked,
-    Trouble,
     UserMessage,
     WallPoint,
 )
-from carina.session.store.attach_endpoint import Door
+from carina.session.store.attach_endpoint import AttachEndpoint
 from carina.session.store.disk_storage import case_files
 from carina.session.store.find_scan import CASE_SUFFIX, CaseScans, FoundScan, is_case_file
 from carina.session.store.local_settings import LocalStore, RecentCase
@@ -38,14 +38,16 @@ __all__ = [
     "CASE_SUFFIX",
     "FORGOTTEN_FOR_S",
     "LAYERS",
+    "AttachEndpoint",
     "Case",
     "CaseRecord",
     "CaseRecords",
     "CaseScans",
     "Changed",
     "ChosenRoute",
-    "Door",
+    "ErrorEvent",
     "Event",
+    "EvidenceMissing",
     "FlightInfo",
     "FlightPlace",
     "FoundScan",
@@ -59,7 +61,6 @@ __all__ = [
     "LocalStore",
     "LungsInfo",
     "MaskQuestion",
-    "NotEvident",
     "Parts",
     "PlannedTarget",
     "PlanningInfo",
@@ -72,7 +73,6 @@ __all__ = [
     "Snapshot",
     "StartMarked",
     "StorageInfo",
-    "Trouble",
     "UserMessage",
     "WallPoint",
     "case_files",

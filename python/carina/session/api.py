@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, NoReturn, TypeVar
 
 from carina.argument_checks import check_arguments, file_path, flag, having, instance, pixels, text_of
-from carina.commands import Command, Question, Redo, Undo
+from carina.commands import Command, Query, Redo, Undo
 from carina.errors import CarinaError, NoResultError, UsageError, refuse_pickle
 from carina.render import LEAD_VIEW
 from carina.session.attach.remote_case import RemoteCase
@@ -157,8 +157,8 @@ class Case:
         """
         self._case.do(command)
 
-    @check_arguments(question=instance(Question, "create one of the questions of carina.commands.questions"))
-    def ask(self, question: Question[A]) -> A:
+    @check_arguments(question=instance(Query, "create one of the questions of carina.commands.questions"))
+    def ask(self, question: Query[A]) -> A:
         """Answer a question of :mod:`carina.commands.questions` without changing the case."""
         return self._session.ask(question)
 
@@ -228,7 +228,7 @@ class Case:
 
     @property
     def state(self) -> Snapshot:
-        """An immutable copy of the present state of the case, without the pose."""
+        """An immutable copy of the current state of the case, without the pose."""
         return self._session.snapshot()
 
     @property
@@ -241,7 +241,7 @@ class Case:
 
     @property
     def airways(self) -> Airways:
-        """The present airways; NoResultError if none were found."""
+        """The current airways; NoResultError if none were found."""
         document = self._session.snapshot().document
         if document is None or document.airways is None:
             raise NoResultError(

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from carina.commands import Command
-from carina.commands.questions import Question
+from carina.commands.questions import Query
 
 if TYPE_CHECKING:
     from carina.session.core import SessionCore
@@ -31,15 +31,15 @@ class CommandHandlers:
 
 def does(command: type[Command]) -> Callable[[F], F]:
     """Mark a method as the handler of a command; the method may return the ID of the job that continues it."""
-    return _marked(command)
+    return _marking_decorator(command)
 
 
-def answers(question: type[Question[Any]]) -> Callable[[F], F]:
+def answers(question: type[Query[Any]]) -> Callable[[F], F]:
     """Mark a method as the handler of a question, which must not change the session."""
-    return _marked(question)
+    return _marking_decorator(question)
 
 
-def _marked(command_type: type[Any]) -> Callable[[F], F]:
+def _marking_decorator(command_type: type[Any]) -> Callable[[F], F]:
     def mark(method: F) -> F:
         method.__dict__["handles"] = command_type
         return method

@@ -14,7 +14,7 @@ from typing import Any
 
 from carina.case.document import Document
 from carina.case.history import History
-from carina.case.routes import path_move, seat_mm
+from carina.case.routes import path_move, position_on_new_route_mm
 from carina.commands import Command, GoTo, SetOperator, Steer
 from carina.commands.value import LocalCommand
 from carina.errors import CarinaError, NoEvidenceError, UsageError
@@ -22,20 +22,20 @@ from carina.navigate import Move
 from carina.render import Sight
 from carina.session.engines import Parts, RendererFactory, default_parts
 from carina.session.jobs.background_jobs import JobEnded, JobProgress, JobRunner
-from carina.session.jobs.job_groups import current_errand
+from carina.session.jobs.job_groups import current_group
 from carina.session.open_case.open_case import LastMove, OpenCase, pose_info
 from carina.session.scene.shown_case import ShownCase
 from carina.session.scene.window_views import following_tip
 from carina.session.state.snapshot import (
     Changed,
+    ErrorEvent,
+    EvidenceMissing,
     FlightInfo,
-    NotEvident,
     PoseInfo,
     SavingInfo,
     Snapshot,
     StartMarked,
     Topic,
-    Trouble,
     UserMessage,
 )
 from carina.session.store.local_settings import LocalStore
@@ -62,7 +62,7 @@ def flight_list(case: OpenCase, saving: SavingInfo) -> tuple[FlightInfo, ...]:
     )
 
 
-Event = Changed | Trouble | NotEvident | UserMessage | StartMarked | JobProgress | JobEnded
+Event = Changed | ErrorEvent | EvidenceMissing | UserMessage | StartMarked | JobProgress | JobEnded
 # Longest time between two moves, in s, that counts as contact with the wall.
 MAX_CONTACT_S = 10.0
 WATCHING = "session.watching"
@@ -70,16 +70,16 @@ ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "plan", "lungs", "key
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
+class _RunningCommand:
     """A running command, and the number of the window that sent it."""
 
     command: Command | None = None
     window: int | None = None
 
 
-_BY_NOBODY = _Asked()
+_NO_COMMAND = _RunningCommand()
 # Jobs inherit this context, so a change by a job is attributed to the command that started the job.
-_asked: contextvars.ContextVar[_Asked] = contextvars.ContextVar("asked", default=_BY_NOBODY)
+_running_command: contextvars.ContextVar[_RunningCommand] = contextvars.ContextVar("asked", default=_NO_COMMAND)
 
 
 class SessionCore:
@@ -165,10 +165,12 @@ class SessionCore:
 
     def refuse_watcher(self, command: Command, window: int | None) -> None:
         """Refuse a command of an observer window that is not for its own sight; the caller holds the session's lock."""
-        if window in self._watched and (self._seen_by(window) is None or command.sets not in Sight.__struct_fields__):
+        if window in self._watched and (
+            self._case_shown_to(window) is None or command.sets not in Sight.__struct_fields__
+        ):
             raise UsageError("you are watching; you can change only your own slices, zoom and window", code=WATCHING)
 
-    def _seen_by(self, window: int | None) -> OpenCase | None:
+    def _case_shown_to(self, window: int | None) -> OpenCase | None:
         """Return the open case; None if none is open, or if the window is an observer of another case."""
         case = self.case
         if case is None or window is None:
@@ -178,27 +180,27 @@ class SessionCore:
     @contextmanager
     def doing(self, command: Command, window: int | None) -> Iterator[None]:
         """Attribute every change of this block, and of the jobs started in it, to this command of this window."""
-        token = _asked.set(_Asked(command, window))
+        token = _running_command.set(_RunningCommand(command, window))
         try:
             yield
         finally:
-            _asked.reset(token)
+            _running_command.reset(token)
 
     def emit(self, event: Event) -> None:
         """Send an event to all listeners, with the session locked."""
         with self.lock:
-            if isinstance(event, JobEnded) and event.error is not None and not _is_asked(event.error):
-                self.answer(Trouble(event.error.code, str(event.error)))
+            if isinstance(event, JobEnded) and event.error is not None and not _is_reported_by_event(event.error):
+                self.answer(ErrorEvent(event.error.code, str(event.error)))
             for listener, _ in tuple(self._listeners):
                 listener(event)
 
     def answer(self, event: Event) -> None:
-        """Send an event to the window of the present command and to listeners that are no window.
+        """Send an event to the window of the current command and to listeners that are no window.
 
         All listeners receive the event if the command has no window, or if its window is gone.
         """
         with self.lock:
-            asking = _asked.get().window
+            asking = _running_command.get().window
             for listener, window in tuple(self._listeners):
                 if window in {None, asking} or asking not in self.windows:
                     listener(event)
@@ -213,9 +215,9 @@ class SessionCore:
         Raises
         ------
         UsageError
-            If no case is open, or the present job group belongs to another case.
+            If no case is open, or the current job group belongs to another case.
         """
-        case, errand = self.case, current_errand()
+        case, errand = self.case, current_group()
         if case is None:
             raise UsageError("no case is open", code="session.no-case")
         if errand is not None and errand.case_number not in {None, case.number}:
@@ -226,11 +228,11 @@ class SessionCore:
 
     def undo(self) -> None:
         """Undo the last change."""
-        self._step(lambda history: history.undo(), "undone")
+        self._move_in_history(lambda history: history.undo(), "undone")
 
     def redo(self) -> None:
         """Redo the last change that was undone."""
-        self._step(lambda history: history.redo(), "redone")
+        self._move_in_history(lambda history: history.redo(), "redone")
 
     def history(self) -> tuple[str, ...]:
         """Return the labels of the changes that can be undone, the oldest first."""
@@ -257,18 +259,18 @@ class SessionCore:
             case.history.go_to(position)
             label = case.history.undo_label
             which = "before all changes" if label is None else f"after: {label}"
-            self._moved_in_history(case, f"restored the state {which}")
+            self._show_history_state(case, f"restored the state {which}")
 
-    def _step(self, move: Callable[[History[Document]], str | None], words: str) -> None:
+    def _move_in_history(self, move: Callable[[History[Document]], str | None], words: str) -> None:
         case = self.needed_case()
         with self.lock:
             label = move(case.history)
             if label is None:
                 self.answer(UserMessage(f"there is nothing to {'undo' if words == 'undone' else 'redo'}"))
                 return
-            self._moved_in_history(case, f"{words}: {label}")
+            self._show_history_state(case, f"{words}: {label}")
 
-    def _moved_in_history(self, case: OpenCase, words: str) -> None:
+    def _show_history_state(self, case: OpenCase, words: str) -> None:
         self.follow(case)
         self.emit(UserMessage(words))
         self.changed(*ALL_TOPICS)
@@ -281,7 +283,7 @@ class SessionCore:
 
     def add_step(self, case: OpenCase, label: str, document: Document, *, gesture: Hashable = None) -> None:
         """Add a step of undo without updating the tip and the renderer; the caller holds the session's lock."""
-        command = _asked.get().command
+        command = _running_command.get().command
         now_s = self.clock()
         case.history.change(
             label,
@@ -294,9 +296,9 @@ class SessionCore:
         )
 
     def see(self, case: OpenCase, change: Callable[[Sight], Sight]) -> None:
-        """Change the sight of the window of the present command, or of all windows if there is none; not undoable."""
+        """Change the sight of the window of the current command, or of all windows if there is none; not undoable."""
         with self.lock:
-            window = _asked.get().window
+            window = _running_command.get().window
             works = window not in self._watched
             case.sights.change(window, change, is_kept=works)
             for step in self.after_sight if works else ():
@@ -321,7 +323,7 @@ class SessionCore:
             step(case)
 
     def _follow_document(self, case: OpenCase) -> None:
-        """Update the tip and the renderer to the present document."""
+        """Update the tip and the renderer to the current document."""
         document = case.document
         airways = document.airways
         if case.flown_route is not document.route:
@@ -329,7 +331,7 @@ class SessionCore:
             case.pilot.apply(path_move(None if airways is None else airways.tree, document.route))
             # A change of the route must not move the tip into another airway.
             if before is not None and before_mm is not None and document.route is not None:
-                seat = seat_mm(before, before_mm, document.route)
+                seat = position_on_new_route_mm(before, before_mm, document.route)
                 if seat is not None and case.navigator.mode == "path":
                     case.pilot.apply(GoTo(seat))
             self.moved()
@@ -354,10 +356,10 @@ class SessionCore:
         with self.lock:
             mode = case.navigator.mode
             self.before_move()
-            case.pilot.apply(move, dt_s=self._since_steered_s() if isinstance(move, Steer) else 0.0)
+            case.pilot.apply(move, dt_s=self._seconds_since_steering() if isinstance(move, Steer) else 0.0)
             self.after_move(case, mode)
 
-    def _since_steered_s(self) -> float:
+    def _seconds_since_steering(self) -> float:
         now_s = self.clock()
         dt_s, self._steered_s = min(max(now_s - self._steered_s, 0.0), MAX_CONTACT_S), now_s
         return dt_s
@@ -377,7 +379,7 @@ class SessionCore:
     def snapshot(self, window: int | None = None) -> Snapshot:
         """Return the state without the pose, as one window shows it; by default, the window that was used last."""
         with self.lock:
-            case = self._seen_by(window)
+            case = self._case_shown_to(window)
             if case is None:
                 return Snapshot()
             return Snapshot(
@@ -412,7 +414,7 @@ class SessionCore:
     def scene(self, window: int | None = None) -> ShownCase | None:
         """Return the scene that a window's views show, for its render thread; None without a case."""
         with self.lock:
-            case = self._seen_by(window)
+            case = self._case_shown_to(window)
             if case is None:
                 return None
             document = case.document
@@ -435,6 +437,6 @@ class SessionCore:
             )
 
 
-def _is_asked(error: CarinaError) -> bool:
-    """Return whether the error needs no further message, because :class:`NotEvident` has reported it."""
+def _is_reported_by_event(error: CarinaError) -> bool:
+    """Return whether the error needs no further message, because :class:`EvidenceMissing` has reported it."""
     return isinstance(error, NoEvidenceError)

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from typing import Any, TypeVar, cast, get_args
 
-from carina.commands import Command, Question, all_commands, checked
+from carina.commands import Command, Query, all_commands, checked
 from carina.errors import UsageError
 from carina.navigate import Move
 from carina.session.airways.editing import TreeEditHandlers
@@ -164,7 +164,7 @@ class Session:
         with self._core.doing(command, window):
             return cast("str | None", handler(command))
 
-    def ask(self, question: Question[A]) -> A:
+    def ask(self, question: Query[A]) -> A:
         """Answer a question of :mod:`carina.commands.questions` without changing the session.
 
         Raises
@@ -175,7 +175,7 @@ class Session:
             If the case has no result for the question.
         """
         handler = self._handlers.get(type(question))
-        if handler is None or not isinstance(question, Question):
+        if handler is None or not isinstance(question, Query):
             raise UsageError(f"expected a question from carina.commands; found {type(question).__name__}")
         return cast(A, handler(checked(question)))
 

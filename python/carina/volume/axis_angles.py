@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MAX_LEAN_MM", "MAX_SKEW_DEG", "has_right_angles", "skew_deg", "straightened"]
+__all__ = ["MAX_LEAN_MM", "MAX_SKEW_DEG", "has_right_angles", "skew_deg", "with_orthogonal_axes"]
 
 MAX_SKEW_DEG = 0.2
 """Largest deviation of the angle between two axes from 90 degrees."""
@@ -43,7 +43,7 @@ def has_right_angles(lps_from_ijk: NDArray[np.float64], shape_ijk: tuple[int, ..
     )
 
 
-def straightened(transform: NDArray[np.float64]) -> NDArray[np.float64]:
+def with_orthogonal_axes(transform: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the transform with the nearest orthogonal axes, the same spacing and the same first voxel.
 
     The NIfTI library and nibabel derive a qform from an sform in the same way (polar decomposition of the directions).

@@ -162,7 +162,7 @@ class VolumeCache:
     max_age_s
         Time in seconds for which a CT is stored after its last use.
     clock
-        Returns the present time in seconds since 1970.
+        Returns the current time in seconds since 1970.
     """
 
     def __init__(
@@ -271,17 +271,19 @@ class VolumeCache:
         opened = self.open(path, series=series, progress=progress, cancel=cancel)
         if not opened.from_cache and not self._ending.is_set():
             # A daemon thread: the end of Carina does not wait for it, and the next process deletes its draft.
-            thread = threading.Thread(target=self._keep, args=(opened,), name="carina-ct-keep", daemon=True)
+            thread = threading.Thread(
+                target=self._store_in_background, args=(opened,), name="carina-ct-keep", daemon=True
+            )
             with self._lock:
                 self._keeping = [*(t for t in self._keeping if t.is_alive()), thread]
             thread.start()
         return opened.volume
 
-    def _keep(self, opened: OpenedCt) -> None:
+    def _store_in_background(self, opened: OpenedCt) -> None:
         with contextlib.suppress(CancelledError):
             self.keep(opened, cancel=self._ending.is_set)
 
-    def wait_kept(self) -> None:
+    def wait_stored(self) -> None:
         """Wait until the background threads have stored their CTs."""
         with self._lock:
             threads = list(self._keeping)
@@ -291,7 +293,7 @@ class VolumeCache:
     def close(self) -> None:
         """Cancel the background threads, and start no more of them."""
         self._ending.set()
-        self.wait_kept()
+        self.wait_stored()
 
     def find(self, path: str | Path, *, series: str | None = None) -> CachedCt | None:
         """Return the cached CT of a path and series, without a check whether the files are unchanged."""
@@ -301,7 +303,7 @@ class VolumeCache:
         record = self._record(self._folder / _source_name(place, series))
         if record is None or (record.source.path, record.source.series) != (place, series):
             return None
-        return self._cached(record)
+        return self._cached_ct(record)
 
     def find_digest(self, digest: str) -> CachedCt | None:
         """Return the cached CT with a digest, wherever its files are now; the source used last has priority."""
@@ -309,7 +311,7 @@ class VolumeCache:
             return None
         newest_first = sorted(self._sources(), key=lambda one: -one[1].st_mtime)
         records = (self._record(path) for path, _ in newest_first)
-        found = (self._cached(record) for record in records if record is not None and record.voxels.digest == digest)
+        found = (self._cached_ct(record) for record in records if record is not None and record.voxels.digest == digest)
         return next((cached for cached in found if cached is not None), None)
 
     @shows_progress
@@ -384,7 +386,7 @@ class VolumeCache:
                     return False
                 self._touch(place)
                 target = self._folder / _source_name(source.path, source.series)
-                write_whole(target, _packed(record), what="the cached CT", private=True)
+                write_whole(target, _pack_record(record), what="the cached CT", private=True)
                 self._touch(target)
         except OSError as error:
             logger.warning("a CT could not be cached: %s", error.strerror)
@@ -429,11 +431,11 @@ class VolumeCache:
 
         Nothing is deleted while another process sweeps. Files with other names stay.
         """
-        return self._swept(0)
+        return self._sweep_if_alone(0)
 
-    def _swept(self, needed_bytes: int) -> int:
+    def _sweep_if_alone(self, needed_bytes: int) -> int:
         sweep_drafts(self._folder)
-        with self._alone() as alone:
+        with self._sweep_lock() as alone:
             return self._sweep(needed_bytes) if alone else 0
 
     def _sweep(self, needed_bytes: int) -> int:
@@ -452,7 +454,7 @@ class VolumeCache:
                 freed += _remove(path)
             else:
                 left.append((seen.st_mtime, seen.st_size, path))
-        bound = self._bound(sum(size for _, size, _ in left)) - needed_bytes
+        bound = self._size_limit(sum(size for _, size, _ in left)) - needed_bytes
         total = 0
         for _, size, path in sorted(left, reverse=True):
             total += size
@@ -467,13 +469,13 @@ class VolumeCache:
 
     def _make_room(self, num_bytes: int) -> bool:
         """Delete the oldest CTs if necessary, and return whether a CT of this size can be stored."""
-        if num_bytes > self._bound(sum(seen.st_size for _, _, seen in self._voxels())):
+        if num_bytes > self._size_limit(sum(seen.st_size for _, _, seen in self._voxels())):
             logger.info("a CT was not cached, because it is larger than the size limit of the cache")
             return False
-        self._swept(num_bytes)
+        self._sweep_if_alone(num_bytes)
         return True
 
-    def _bound(self, held_bytes: int) -> float:
+    def _size_limit(self, held_bytes: int) -> float:
         """Return the size limit of the cache in bytes, which depends on the free space of its disk."""
         if self._max_bytes is not None:
             return self._max_bytes
@@ -485,7 +487,7 @@ class VolumeCache:
         return min(MAX_BYTES, _SHARE_OF_FREE * free)
 
     @contextlib.contextmanager
-    def _alone(self) -> Iterator[bool]:
+    def _sweep_lock(self) -> Iterator[bool]:
         """Take the lock for sweeping; yield whether no other process sweeps.
 
         Without support for locks two processes may sweep at once; they delete the same files.
@@ -507,7 +509,7 @@ class VolumeCache:
         except FileNotFoundError:
             return False
         except (OSError, ValueError) as error:
-            self._damaged(place, error)
+            self._handle_damage(place, error)
             return False
         return True
 
@@ -521,27 +523,27 @@ class VolumeCache:
         except CarinaError:
             raise
         except (OSError, ValueError) as error:
-            self._damaged(place, error)
+            self._handle_damage(place, error)
             return None
         self._touch(place)
         self._touch(self._folder / _source_name(record.source.path, record.source.series))
         return values
 
-    def _damaged(self, place: Path, error: Exception) -> None:
+    def _handle_damage(self, place: Path, error: Exception) -> None:
         why = str(error) if isinstance(error, DamagedFileError) else type(error).__name__
         logger.warning("a cached CT could not be used (%s); reading the original files", why)
         if not isinstance(error, OSError):
             _remove(place)
 
-    def _cached(self, record: _Record) -> CachedCt | None:
-        if record.made_by != _made_by() or not (self._folder / record.voxels.file_name).is_file():
+    def _cached_ct(self, record: _Record) -> CachedCt | None:
+        if record.made_by != _reader_digest() or not (self._folder / record.voxels.file_name).is_file():
             return None
         return CachedCt(self, record)
 
     def _record(self, path: Path) -> _Record | None:
         try:
             with path.open("rb") as file:
-                return _unpacked(file.read(_MAX_RECORD_BYTES))
+                return _unpack_record(file.read(_MAX_RECORD_BYTES))
         except FileNotFoundError:
             return None
         except (OSError, ValueError) as error:
@@ -575,7 +577,7 @@ class VolumeCache:
 
 
 @functools.cache
-def _made_by() -> str:
+def _reader_digest() -> str:
     """Return a digest of the code and libraries that read volumes; a volume read by other code is not used."""
     import importlib.metadata  # slow to load, and called once
 
@@ -597,7 +599,7 @@ def _source_name(path: Path, series: str | None) -> str:
 
 def _record_of(volume: Volume, source: CtSource) -> _Record:
     return _Record(
-        made_by=_made_by(),
+        made_by=_reader_digest(),
         voxels=VoxelName(ct_digest(volume), canonical_axes(volume.lps_from_ijk).letters, volume.shape_zyx),
         lps_from_ijk=tuple(tuple(row) for row in volume.lps_from_ijk.tolist()),
         is_hu=volume.is_hu,
@@ -636,13 +638,13 @@ def _decode(kind: type, value: Any) -> Any:
     raise TypeError
 
 
-def _packed(record: _Record) -> bytes:
+def _pack_record(record: _Record) -> bytes:
     """Return a record as JSON after its digest, so that altered records are detected."""
     body = msgspec.json.encode(record, enc_hook=_encode)
     return hashlib.blake2b(body, digest_size=16).hexdigest().encode() + b"\n" + body
 
 
-def _unpacked(content: bytes) -> _Record:
+def _unpack_record(content: bytes) -> _Record:
     """Return the record that the content of a ``.source`` file describes.
 
     Raises

@@ -57,8 +57,8 @@ def settle_character_set(dataset: Dataset) -> None:
     An unknown set whose texts are not UTF-8 becomes the default (ASCII); ``doubtful_texts`` returns the texts with
     other characters.
     """
-    written = _written(dataset)
-    names = _declared(dataset)
+    written = _stored_names(dataset)
+    names = _declared_names(dataset)
     corrected = [name for name in names if name is not None]
     if len(corrected) < len(names) or corrected == ["ISO_IR 6"]:
         corrected = [_UTF_8] if _is_utf_8(list(_texts(dataset))) else ["ISO_IR 6"]
@@ -72,7 +72,7 @@ def settle_character_set(dataset: Dataset) -> None:
 
 def doubtful_texts(dataset: Dataset) -> frozenset[str]:
     """Return the keywords of texts with uncertain characters in a data set from ``settle_character_set``."""
-    names = _declared(dataset)
+    names = _declared_names(dataset)
     found = set()
     for tag, value in _raw_texts(dataset):
         if value.isascii() and b"\x1b" not in value:
@@ -123,7 +123,7 @@ def _is_utf_8(values: list[bytes]) -> bool:
     return len(scripts - {"LATIN", "CJK", "HIRAGANA", "KATAKANA", "KATAKANA-HIRAGANA", "HANGUL"}) <= 1
 
 
-def _written(dataset: Dataset) -> list[str]:
+def _stored_names(dataset: Dataset) -> list[str]:
     try:
         element = dataset.get_item(_SPECIFIC_CHARACTER_SET)
         value: Any = None if element is None else element.value
@@ -138,8 +138,8 @@ def _written(dataset: Dataset) -> list[str]:
     return [str(name).strip("\0 ") for name in value]
 
 
-def _declared(dataset: Dataset) -> list[str | None]:
-    return [character_set_name(name) for name in _written(dataset)] or ["ISO_IR 6"]
+def _declared_names(dataset: Dataset) -> list[str | None]:
+    return [character_set_name(name) for name in _stored_names(dataset)] or ["ISO_IR 6"]
 
 
 def _raw_texts(dataset: Dataset) -> Iterator[tuple[BaseTag, bytes]]:

@@ -161,7 +161,7 @@ def find_series(content: FolderContent, watch: Watch) -> list[FoundSeries]:
             description=", ".join(filter(None, (description, group.label))),
             num_slices=len(slices),
         )
-        missing = lost.beside(slices)
+        missing = lost.files_like(slices)
         notes = (*common, *group.notes, *_notes_of_files(slices, missing, copies))
         series = FoundSeries(info, slices, notes=notes, missing=tuple(missing))
         try:
@@ -171,7 +171,7 @@ def find_series(content: FolderContent, watch: Watch) -> list[FoundSeries]:
                 series, info=replace(info, shape_zyx=shape), slices=tuple(ordered), lps_from_ijk=lps_from_ijk
             )
         except VolumeImportError as error:
-            refusal = _with_missing(error, missing)
+            refusal = _with_unused_files(error, missing)
             series = replace(series, info=replace(info, refused=_UID.sub("(file name)", str(refusal))), refusal=refusal)
         found.append(replace(series, score=_score(slices, series.coverage_mm)))
     return sorted(found, key=lambda item: (-item.score, item.info.key))
@@ -204,7 +204,7 @@ def _notes_of_files(
     return notes
 
 
-def _with_missing(error: VolumeImportError, missing: Sequence[UnusedFile]) -> VolumeImportError:
+def _with_unused_files(error: VolumeImportError, missing: Sequence[UnusedFile]) -> VolumeImportError:
     """Return an import error whose message also names the files that could not be used, its likely cause."""
     if not missing:
         return error
@@ -404,7 +404,7 @@ def _read_slices(
             values = np.empty(series.info.shape_zyx, dtype=np.int16)
         if numbers.dtype.kind == "f":
             numbers = np.rint(numbers)
-        values[index] = clipping.take(header, numbers)
+        values[index] = clipping.clip(header, numbers)
     assert values is not None  # a grid has at least two slices
     return values
 

@@ -47,20 +47,20 @@ def check_rescale_tags(slices: Sequence[SliceHeader], what: str) -> None:
             continue
         lacking = [header for header, has in zip(slices, given, strict=True) if not has]
         msg = (
-            f"{what}: {len(lacking)} of its {len(slices)} slices have no {tag} ({_files(lacking)}), so their "
+            f"{what}: {len(lacking)} of its {len(slices)} slices have no {tag} ({_file_names(lacking)}), so their "
             "values would be on a different scale from those of the others; expected the tag in every slice; export "
             "the series again from its original archive, or omit these files if the other slices are complete"
         )
         raise VolumeImportError(msg, code="import.rescale-mixed")
 
 
-def _files(slices: Sequence[SliceHeader]) -> str:
+def _file_names(slices: Sequence[SliceHeader]) -> str:
     """Return the complete file names of slices as one text for an error message."""
     shown = ", ".join(sorted(bounded_name(header.path.name) for header in slices)[:6])
     return shown + (f" and {len(slices) - 6} more" if len(slices) > 6 else "")
 
 
-def _some(numbers: NDArray[Any]) -> NDArray[np.float64]:
+def _every_fourth(numbers: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray(numbers[::4, ::4], dtype=np.float64)
 
 
@@ -92,15 +92,15 @@ def refuse_contradicting_rescale(
     other, other_numbers = before
     if (other.slope, other.intercept) == (header.slope, header.intercept):
         return
-    here, there = _some(numbers), _some(other_numbers)
+    here, there = _every_fourth(numbers), _every_fourth(other_numbers)
     as_there = (here - header.intercept) / header.slope * other.slope + other.intercept
-    apart, joined = (float(np.median(np.abs(values - there))) for values in (here, as_there))
-    if apart > 100 and joined < 0.25 * apart:
+    differences, joined = (float(np.median(np.abs(values - there))) for values in (here, as_there))
+    if differences > 100 and joined < 0.25 * differences:
         msg = (
             f"{what}: the rescale tags of neighbouring slices contradict their pixels: {other.path.name} has slope "
             f"{other.slope:g} and intercept {other.intercept:g}, {header.path.name} has slope {header.slope:g} and "
-            f"intercept {header.intercept:g}, and rescaled with these tags their pixels differ by {apart:.0f} HU (by "
-            f"{joined:.0f} HU if both have the tags of one); expected the scanner's rescale tags in every slice; "
+            f"intercept {header.intercept:g}, and rescaled with these tags their pixels differ by {differences:.0f} HU "
+            f"(by {joined:.0f} HU if both have the tags of one); expected the scanner's rescale tags in every slice; "
             "export the series again from its original archive"
         )
         raise VolumeImportError(msg, code="import.rescale-contradicts")
@@ -116,7 +116,7 @@ class Clipping:
         """Number of clipped voxels that were not padding."""
         self._padding: set[float] = set()
 
-    def take(self, header: SliceHeader, numbers: NDArray[Any]) -> NDArray[Any]:
+    def clip(self, header: SliceHeader, numbers: NDArray[Any]) -> NDArray[Any]:
         """Return the values clipped to int16, and count the clipped ones."""
         low, high = float(numbers.min()), float(numbers.max())
         if low >= -32768 and high <= 32767:
@@ -184,7 +184,7 @@ def _fits_worst(below: NDArray[Any], middle: NDArray[Any], above: NDArray[Any], 
     step = 4 if tile is None else 1
     three = [np.clip(part[::step, ::step], -1200, 1500).astype(np.int32) for part in (below, middle, above)]
 
-    def apart(one: int, other: int) -> NDArray[np.float64]:
+    def differences(one: int, other: int) -> NDArray[np.float64]:
         difference = np.abs(three[one] - three[other])
         if tile is None:
             return np.array([difference.mean()])
@@ -193,7 +193,7 @@ def _fits_worst(below: NDArray[Any], middle: NDArray[Any], above: NDArray[Any], 
         return np.asarray(tiles.mean(axis=(1, 3)))
 
     allowed = 2.0 if tile is None else 2.5
-    return float((np.minimum(apart(0, 1), apart(1, 2)) - allowed * apart(0, 2)).max(initial=-np.inf))
+    return float((np.minimum(differences(0, 1), differences(1, 2)) - allowed * differences(0, 2)).max(initial=-np.inf))
 
 
 def doubt_notes(doubts: Sequence[tuple[SliceHeader, Doubt]], num_slices: int) -> list[Note]:

@@ -195,7 +195,7 @@ class LostFiles:
         self._closed = [file for file in content.unused if file.path.is_dir()]
         self._shapes = {_shape(header.path.name) for header in content.headers} if content.unused else set()
 
-    def beside(self, slices: Sequence[SliceHeader]) -> list[UnusedFile]:
+    def files_like(self, slices: Sequence[SliceHeader]) -> list[UnusedFile]:
         """Return the unused files that look like a part of a series, sorted by name.
 
         Such a file is in a folder of the series (or, if the series has several folders, in one next to them), and

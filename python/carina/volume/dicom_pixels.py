@@ -51,7 +51,7 @@ class SlicePixels:
     """Padding that was set to air; None if the slice has no padding above air."""
 
 
-def _truncated(header: SliceHeader, expected: int, found: int) -> VolumeImportError:
+def _truncated_error(header: SliceHeader, expected: int, found: int) -> VolumeImportError:
     msg = (
         f"reading {header.path.name}: its pixel data is truncated (expected {expected} bytes, found {found}), probably "
         "by an incomplete copy; copy the series again"
@@ -64,13 +64,13 @@ def _plain_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt, 
     num_bytes = header.bits_allocated // 8
     expected = header.rows * header.columns * num_bytes
     if header.path.stat().st_size < expected and header.transfer_syntax != _DEFLATED_LITTLE:
-        raise _truncated(header, expected, header.path.stat().st_size)
+        raise _truncated_error(header, expected, header.path.stat().st_size)
     try:
         stored = read_pixel_bytes(header)
     except ValueError:
-        raise _truncated(header, expected, 0) from None
+        raise _truncated_error(header, expected, 0) from None
     if len(stored) < expected:
-        raise _truncated(header, expected, len(stored))
+        raise _truncated_error(header, expected, len(stored))
     if len(stored) > expected + 1:  # one byte of padding makes the length even
         msg = (
             f"reading {header.path.name}: expected {expected} bytes of pixel data for {header.columns} x {header.rows} "
@@ -248,7 +248,7 @@ def decode_slice(header: SliceHeader) -> SlicePixels:
     return SlicePixels(numbers, (*doubts, *more), padded)
 
 
-def _rescaled(stored: NDArray[np.int32], header: SliceHeader) -> NDArray[np.float64] | NDArray[np.int32]:
+def _rescale(stored: NDArray[np.int32], header: SliceHeader) -> NDArray[np.float64] | NDArray[np.int32]:
     if header.slope == 1.0 and header.intercept == int(header.intercept) and abs(header.intercept) < 1 << 24:
         return np.asarray(stored + np.int32(header.intercept), dtype=np.int32)
     return np.asarray(stored * header.slope + header.intercept, dtype=np.float64)
@@ -259,11 +259,11 @@ def _modality_values(
 ) -> tuple[NDArray[np.float64] | NDArray[np.int32], tuple[Doubt, ...]]:
     """Return the values after the rescale or the Modality LUT, and a doubt if the two contradict each other."""
     if header.modality_lut is None:
-        return _rescaled(stored, header), ()
+        return _rescale(stored, header), ()
     by_table = header.modality_lut.values(stored)
     if not (header.has_slope or header.has_intercept):
         return by_table, ()
-    by_rescale = _rescaled(stored, header)
+    by_rescale = _rescale(stored, header)
     apart = float(np.abs(by_table - by_rescale).max())
     if apart < 1.0:
         return by_rescale, ()

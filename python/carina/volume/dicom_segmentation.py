@@ -37,8 +37,8 @@ class Segmentation:
 
     def __init__(self, path: Path, data: Any, places: _FramePositions, shape: tuple[int, int, int]) -> None:
         self._path, self._places, self._shape = path, places, shape
-        self._kind = _kind(data)
-        self._pixels = _Pixels(path, data, self._kind, shape)
+        self._segmentation_type = _segmentation_type(data)
+        self._pixels = _Pixels(path, data, self._segmentation_type, shape)
         self._is_probability = str(data.get("SegmentationFractionalType", "")).upper() == "PROBABILITY"
         self.lps_from_ijk = places.lps_from_ijk
         """Transform (4x4) from voxels to LPS mm; voxel (0, 0, 0) is the centre of the first plane's first pixel."""
@@ -49,7 +49,7 @@ class Segmentation:
         self.num_voxels: dict[int, int] = {}
         """Number of voxels of each segment that is not empty."""
         for frame, segment in zip(self._pixels, places.segments, strict=True):
-            numbers = ((segment, int(np.count_nonzero(frame))),) if segment is not None else _counted(frame)
+            numbers = ((segment, int(np.count_nonzero(frame))),) if segment is not None else _label_counts(frame)
             for number, count in numbers:
                 if count and number != self._pixels.background:
                     self.num_voxels[number] = self.num_voxels.get(number, 0) + count
@@ -80,7 +80,7 @@ class Segmentation:
             if plane in taken:
                 if not np.array_equal(found[plane], here):
                     problem = f"two frames of segment {number} have the same position and differ"
-                    raise _refused(self._path, problem, "export one time point or one version of the segment")
+                    raise _refusal(self._path, problem, "export one time point or one version of the segment")
                 num_copies += 1
             taken.add(plane)
             found[plane] = here
@@ -110,7 +110,7 @@ def read_segmentation(path: Path, watch: Watch, *, volume: Volume | None = None)
     VolumeImportError
         If the file is not a segmentation, is damaged, or if its frames are not on one grid (code ``import.mask``).
     """
-    with damaged_elements_refused(lambda problem: _refused(path, problem, "copy or export it again")):
+    with damaged_elements_refused(lambda problem: _refusal(path, problem, "copy or export it again")):
         return _read_segmentation(path, watch, volume)
 
 
@@ -119,52 +119,54 @@ def _read_segmentation(path: Path, watch: Watch, volume: Volume | None) -> Segme
     try:
         data = read_dataset(path, pixels=True)
     except ValueError as error:
-        raise _refused(path, f"it {error}", "copy or export it again") from None
+        raise _refusal(path, f"it {error}", "copy or export it again") from None
     try:
         return _read(path, data, volume, watch)
     except (*_UNREADABLE, OverflowError) as error:
         if isinstance(error, VolumeImportError):
             raise
-        raise _refused(path, "its header is damaged", "copy or export it again") from None
+        raise _refusal(path, "its header is damaged", "copy or export it again") from None
 
 
 def _read(path: Path, data: Any, volume: Volume | None, watch: Watch) -> Segmentation:
     if str(data.get("SOPClassUID", "")) not in (_SEGMENTATION_STORAGE, _LABEL_MAP_STORAGE):
-        raise _refused(path, "it is DICOM, but not a segmentation (SEG)", "choose the SEG file, or export it as NIfTI")
-    kind = _kind(data)
+        raise _refusal(path, "it is DICOM, but not a segmentation (SEG)", "choose the SEG file, or export it as NIfTI")
+    kind = _segmentation_type(data)
     if kind not in _TYPES:
-        raise _refused(
+        raise _refusal(
             path, "its SegmentationType is not BINARY, FRACTIONAL or LABELMAP", "export a binary segmentation"
         )
     rows, columns, num_frames = (int(data.get(key, 0) or 0) for key in ("Rows", "Columns", "NumberOfFrames"))
     num_segments = len(data.get("SegmentSequence") or [])
     if min(rows, columns, num_frames) < 1 or rows * columns * num_frames > MAX_VOXELS * max(1, num_segments):
         problem = f"it claims {num_frames} frames of {columns} x {rows} pixels, which is implausible"
-        raise _refused(path, problem, "export it again")
+        raise _refusal(path, problem, "export it again")
     places = _FramePositions(path, data, num_frames, kind, volume)
     if places.num_planes * rows * columns > MAX_VOXELS:
-        raise _refused(path, f"its frames span {places.num_planes} planes, which is implausible", "export it again")
+        raise _refusal(path, f"its frames span {places.num_planes} planes, which is implausible", "export it again")
     watch.step("Unpacking the segmentation", None)
     found = Segmentation(path, data, places, (num_frames, rows, columns))
     if not found.num_voxels and kind == "FRACTIONAL":
-        raise _refused(path, "no voxel of its fractional segments reaches 50 %", "export a binary segmentation")
+        raise _refusal(path, "no voxel of its fractional segments reaches 50 %", "export a binary segmentation")
     return found
 
 
-def _kind(data: Any) -> str:
+def _segmentation_type(data: Any) -> str:
     """Return the segmentation type: BINARY, FRACTIONAL or LABELMAP. Some files omit the type and get a default."""
     default = "LABELMAP" if str(data.get("SOPClassUID", "")) == _LABEL_MAP_STORAGE else "BINARY"
     return str(data.get("SegmentationType") or default).strip().upper()
 
 
 def _names(path: Path, data: Any) -> dict[int, str]:
-    names = {int(s.SegmentNumber): _plain(str(s.get("SegmentLabel", ""))) for s in data.get("SegmentSequence") or []}
+    names = {
+        int(s.SegmentNumber): _printable_name(str(s.get("SegmentLabel", ""))) for s in data.get("SegmentSequence") or []
+    }
     if any(not 0 <= number <= _LARGEST_NUMBER for number in names):
-        raise _refused(path, f"it has segment numbers outside 0 to {_LARGEST_NUMBER}", "export it again")
+        raise _refusal(path, f"it has segment numbers outside 0 to {_LARGEST_NUMBER}", "export it again")
     return names
 
 
-def _counted(frame: NDArray[Any]) -> list[tuple[int, int]]:
+def _label_counts(frame: NDArray[Any]) -> list[tuple[int, int]]:
     numbers, counts = np.unique(frame, return_counts=True)
     return [(int(number), int(count)) for number, count in zip(numbers, counts, strict=True)]
 
@@ -173,7 +175,7 @@ class _Pixels:
     """Frames of a segmentation: bool if each segment has its own frames, segment numbers in a label map."""
 
     def __init__(self, path: Path, data: Any, kind: str, shape: tuple[int, int, int]) -> None:
-        self._path, self._kind, self._shape = path, kind, shape
+        self._path, self._segmentation_type, self._shape = path, kind, shape
         self.background = int(data.get("PixelPaddingValue", 0) or 0) if kind == "LABELMAP" else -1
         """Pixel value of a label map that marks the background (PS3.3 C.8.20.2); -1 for other types."""
         self.is_graded = False
@@ -186,17 +188,17 @@ class _Pixels:
             self._largest = int(data.get("MaximumFractionalValue", 0) or 0)
             if bits != 8 or not 0 < self._largest <= 255:
                 problem = "its segments are fractional, but it does not say which number means all (8 bits expected)"
-                raise _refused(path, problem, "export a binary segmentation")
+                raise _refusal(path, problem, "export a binary segmentation")
         if kind == "BINARY" and bits == 1 and not data.file_meta.TransferSyntaxUID.is_compressed:
             # Frames of single bits follow each other without padding (PS3.5 8.2), so that each can be read separately.
             self._bits = np.frombuffer(data.PixelData, dtype=np.uint8)
             if self._bits.size * 8 < shape[0] * shape[1] * shape[2]:
-                raise _refused(path, "its pixels cannot be read: some are missing", "copy or export it again")
+                raise _refusal(path, "its pixels cannot be read: some are missing", "copy or export it again")
             return
         try:
             self._frames = np.asarray(data.pixel_array).reshape(shape)
         except _UNREADABLE:
-            raise _refused(path, "its pixels cannot be read", "export it again without compression") from None
+            raise _refusal(path, "its pixels cannot be read", "export it again without compression") from None
         if kind == "FRACTIONAL":
             self.is_graded = bool(((self._frames != 0) & (self._frames != self._largest)).any())
 
@@ -210,9 +212,9 @@ class _Pixels:
                 part = self._bits[start // 8 : (start + size + 7) // 8]
                 frame = np.unpackbits(part, bitorder="little")[start % 8 : start % 8 + size]
                 yield frame.reshape(rows, columns) != 0
-            elif self._kind == "BINARY":
+            elif self._segmentation_type == "BINARY":
                 yield self._frames[n] != 0
-            elif self._kind == "FRACTIONAL":
+            elif self._segmentation_type == "FRACTIONAL":
                 yield 2 * self._frames[n].astype(np.int32) >= self._largest
             else:
                 yield self._frames[n]
@@ -222,10 +224,10 @@ class _FramePositions:
     """Positions of the frames: a stack of parallel planes at equal distances."""
 
     def __init__(self, path: Path, data: Any, num_frames: int, kind: str, volume: Volume | None) -> None:
-        shared = _first(data, "SharedFunctionalGroupsSequence")
+        shared = _first_item(data, "SharedFunctionalGroupsSequence")
         groups = list(data.get("PerFrameFunctionalGroupsSequence") or [])
         if len(groups) != num_frames:
-            raise _refused(path, f"it has {num_frames} frames but {len(groups)} frame descriptions", "export it again")
+            raise _refusal(path, f"it has {num_frames} frames but {len(groups)} frame descriptions", "export it again")
         try:
             orientations = [_item(g, shared, "PlaneOrientationSequence", "ImageOrientationPatient") for g in groups]
             orientation = np.array(orientations, dtype=np.float64).reshape(num_frames, 6)
@@ -243,21 +245,21 @@ class _FramePositions:
             """The segment of each frame; None in a label map."""
         except (KeyError, TypeError, ValueError, AttributeError):
             problem = "a frame lacks its position, orientation, pixel spacing or segment number"
-            raise _refused(path, problem, "export it again") from None
+            raise _refusal(path, problem, "export it again") from None
         if not (spacing.min() > 0.0 and spacing.max() < _WIDEST_MM):
-            raise _refused(path, f"its pixel spacing is implausible ({spacing.max():g} mm)", "export it again")
+            raise _refusal(path, f"its pixel spacing is implausible ({spacing.max():g} mm)", "export it again")
         known = {int(s.SegmentNumber) for s in data.get("SegmentSequence") or []}
         if any(number is not None and (number not in known or number < 1) for number in self.segments):
-            raise _refused(path, "its frames refer to segments that do not exist", "export it again")
+            raise _refusal(path, "its frames refer to segments that do not exist", "export it again")
         along, down = orientation[0, :3], orientation[0, 3:]
         normal = np.cross(along, down)
         straight = np.allclose([along @ along, down @ down, along @ down], [1.0, 1.0, 0.0], atol=1e-3)
         if not straight or np.ptp(orientation, axis=0).max() > 1e-4 or np.ptp(spacing, axis=0).max() > 1e-4:
-            raise _refused(path, "its frames are not parallel", "export it again")
+            raise _refusal(path, "its frames are not parallel", "export it again")
         if not np.isfinite(position).all():
-            raise _refused(path, "its frames are not on one regular grid", "export it again")
+            raise _refusal(path, "its frames are not on one regular grid", "export it again")
         heights = position @ normal
-        self._first = position[np.argmin(heights)]
+        self._first_item = position[np.argmin(heights)]
         levels = np.unique(np.round(heights, 3))
         claimed = _length(groups[0], shared, "SpacingBetweenSlices")
         self.notes: tuple[str, ...] = ()
@@ -269,13 +271,13 @@ class _FramePositions:
             if gap is None or gap <= 0.0:
                 continue
             planes = np.rint((heights - levels[0]) / gap)
-            off = np.abs(position - (self._first + np.outer(planes * gap, normal))).max()
+            off = np.abs(position - (self._first_item + np.outer(planes * gap, normal))).max()
             # If two positions along the normal fall into one plane, the plane distance is too large.
             apart = len(np.unique(planes)) == len(levels)
             if apart and off <= _PLANE * gap:
                 break
         else:
-            raise _refused(path, "its frames are not on one regular grid", "export it again")
+            raise _refusal(path, "its frames are not on one regular grid", "export it again")
         if claimed is not None and abs(gap - claimed) > 1e-6:
             self.notes = (
                 f"its SpacingBetweenSlices ({claimed:g} mm) contradicts the positions of its frames ({gap:g} mm "
@@ -291,7 +293,7 @@ class _FramePositions:
         matrix = np.eye(4)
         for axis in range(3):
             matrix[:3, axis] = self._axes[axis]
-        matrix[:3, 3] = self._first
+        matrix[:3, 3] = self._first_item
         return matrix
 
 
@@ -307,7 +309,7 @@ def _slice_mm(volume: Volume | None, normal: NDArray[np.float64]) -> float | Non
     return None
 
 
-def _first(data: Any, name: str) -> Any:
+def _first_item(data: Any, name: str) -> Any:
     items = data.get(name) or []
     return items[0] if len(items) else None
 
@@ -315,7 +317,7 @@ def _first(data: Any, name: str) -> Any:
 def _item(group: Any, shared: Any, sequence: str, name: str) -> Any:
     """Return an attribute of a frame from its own functional group, or else from the shared one."""
     for place in (group, shared):
-        holder = None if place is None else _first(place, sequence)
+        holder = None if place is None else _first_item(place, sequence)
         value = None if holder is None else holder.get(name)
         if value is not None:
             return value
@@ -330,10 +332,10 @@ def _length(group: Any, shared: Any, name: str) -> float | None:
     return value if 0.0 < value < _WIDEST_MM else None
 
 
-def _plain(name: str) -> str:
+def _printable_name(name: str) -> str:
     """Return a segment's name for messages: at most 64 characters, as DICOM allows, all printable."""
     return "".join(c if c.isprintable() else " " for c in name[:64]).strip()
 
 
-def _refused(path: Path, problem: str, way_out: str) -> VolumeImportError:
+def _refusal(path: Path, problem: str, way_out: str) -> VolumeImportError:
     return VolumeImportError(f"reading the segmentation {path.name}: {problem}; {way_out}", code="import.mask")

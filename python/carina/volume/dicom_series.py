@@ -105,7 +105,7 @@ def group_slices(headers: Sequence[SliceHeader]) -> list[Group]:
     groups: list[Group] = []
     for slices in by_uid.values():
         groups.extend(_part_by_identity(Group(tuple(slices))))
-    return [part for group in _join_nameless(groups) for part in _part_by_setting(group)]
+    return [part for group in _join_slices_without_series(groups) for part in _part_by_setting(group)]
 
 
 def _kind(header: SliceHeader) -> str:
@@ -147,7 +147,7 @@ def _part_by_value(group: Group, word: str, parts: dict[str, list[SliceHeader]])
             return [group]
         note = Note(
             "import.identity-missing",
-            f"{len(nameless)} of {len(group.slices)} slices do not state their {_one(word)} "
+            f"{len(nameless)} of {len(group.slices)} slices do not state their {_singular(word)} "
             f"({name_files([(h.path, '') for h in nameless])}); they were grouped with the others",
             badge=word == "patients",
         )
@@ -157,18 +157,23 @@ def _part_by_value(group: Group, word: str, parts: dict[str, list[SliceHeader]])
         (f"one series contained images of {len(parts)} {word}; they are now listed as separate series"),
     )
     found = [
-        replace(group, slices=tuple(slices), notes=(*group.notes, note), label=_label(group, f"{_one(word)} {number}"))
+        replace(
+            group,
+            slices=tuple(slices),
+            notes=(*group.notes, note),
+            label=_with_label(group, f"{_singular(word)} {number}"),
+        )
         for number, slices in enumerate(parts.values(), 1)
     ]
     if nameless:
         lost = Note(
             "import.identity-missing",
-            f"{len(nameless)} images of the original series do not state their {_one(word)} "
+            f"{len(nameless)} images of the original series do not state their {_singular(word)} "
             f"({name_files([(h.path, '') for h in nameless])}); they were left out",
             badge=True,
         )
         found = [replace(part, notes=(*part.notes, lost)) for part in found]
-        found.append(replace(group, slices=tuple(nameless), label=_label(group, f"unknown {_one(word)}")))
+        found.append(replace(group, slices=tuple(nameless), label=_with_label(group, f"unknown {_singular(word)}")))
     return found
 
 
@@ -178,13 +183,13 @@ def _is_frame_per_slice(slices: Sequence[SliceHeader], parts: Mapping[str, Seque
     return count >= _FEWEST_FRAMES and 2 * count > len(slices) and all(header.series_uid for header in slices)
 
 
-def _one(word: str) -> str:
+def _singular(word: str) -> str:
     return {"studies": "study", "modalities": "modality", "frames of reference": "frame of reference"}.get(
         word, word.removesuffix("s")
     )
 
 
-def _label(group: Group, words: str) -> str:
+def _with_label(group: Group, words: str) -> str:
     return f"{group.label}, {words}" if group.label else words
 
 
@@ -227,7 +232,7 @@ def _part_by_grid(group: Group) -> list[Group]:
             group,
             slices=tuple(part),
             notes=(*group.notes, note),
-            label=_label(group, f"{part[0].columns} x {part[0].rows} pixels, part {number}"),
+            label=_with_label(group, f"{part[0].columns} x {part[0].rows} pixels, part {number}"),
             mixed_with=group.slices,
         )
         for number, part in enumerate(parts, 1)
@@ -244,7 +249,7 @@ def _is_regular(slices: Sequence[SliceHeader]) -> bool:
     return True
 
 
-def _join_nameless(groups: list[Group]) -> list[Group]:
+def _join_slices_without_series(groups: list[Group]) -> list[Group]:
     """Add slices without SeriesInstanceUID to the one series that they complete without a gap."""
     named = [group for group in groups if group.slices[0].series_uid]
     nameless = [group for group in groups if not group.slices[0].series_uid]
@@ -305,7 +310,9 @@ def _part_by_setting(group: Group) -> list[Group]:
     whole_mm = float(np.ptp(_heights(group.slices)))
     found: list[Group] = []
     for value, slices in parts.items():
-        part = _with_note(replace(group, slices=tuple(slices), label=_label(group, f"{word} {_shown(value)}")), note)
+        part = _with_note(
+            replace(group, slices=tuple(slices), label=_with_label(group, f"{word} {_setting_text(value)}")), note
+        )
         own_mm = float(np.ptp(_heights(slices)))
         if own_mm < 0.9 * whole_mm:
             words = (
@@ -320,7 +327,7 @@ def _with_note(group: Group, note: Note) -> Group:
     return group if note in group.notes else replace(group, notes=(*group.notes, note))
 
 
-def _shown(value: str) -> str:
+def _setting_text(value: str) -> str:
     return "".join(c for c in value if c.isprintable())[:32] or "not given"
 
 
@@ -333,16 +340,16 @@ def _with_notes_on_settings(group: Group, keys: Sequence[tuple[str, dict[str, li
     notes = list(group.notes)
     if changes:
         words = (
-            f"the {_listed(changes)} {'changes' if len(changes) == 1 else 'change'} within the series, which was read "
-            "as one stack"
+            f"the {_joined_words(changes)} {'changes' if len(changes) == 1 else 'change'} within the series, which was "
+            "read as one stack"
         )
         notes.append(Note("import.settings-change", words))
     if missing:
-        notes.append(Note("import.settings-missing", f"some slices do not state their {_listed(missing)}"))
+        notes.append(Note("import.settings-missing", f"some slices do not state their {_joined_words(missing)}"))
     return replace(group, notes=tuple(notes))
 
 
-def _listed(words: Sequence[str]) -> str:
+def _joined_words(words: Sequence[str]) -> str:
     return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 

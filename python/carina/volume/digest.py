@@ -175,7 +175,7 @@ def same_geometry(a: Grid, b: Grid) -> bool:
     In canonical order both have the same shape, and no corner of the box differs by more than
     :data:`GEOMETRY_TOLERANCE_MM`.
     """
-    return _apart_mm(a, b) <= GEOMETRY_TOLERANCE_MM
+    return _corner_distance_mm(a, b) <= GEOMETRY_TOLERANCE_MM
 
 
 def refuse_other_ct(volume: Volume, digest: str, geometry: Grid) -> None:
@@ -201,7 +201,7 @@ def refuse_other_ct(volume: Volume, digest: str, geometry: Grid) -> None:
     if ct_digest(volume) != digest:
         msg = f"this is a different CT: its voxel values differ from those of the case; {advice}"
         raise VolumeImportError(msg, code="import.other-ct")
-    apart_mm = _apart_mm(ours, theirs)
+    apart_mm = _corner_distance_mm(ours, theirs)
     if apart_mm > GEOMETRY_TOLERANCE_MM:
         msg = (
             f"this CT has the same voxels as the case, but its position differs by up to {apart_mm:.3g} mm; "
@@ -215,7 +215,7 @@ def _sizes(geometry: Geometry) -> str:
     return f"{nx} x {ny} x {nz}"
 
 
-def _apart_mm(a: Grid, b: Grid) -> float:
+def _corner_distance_mm(a: Grid, b: Grid) -> float:
     """Return the largest distance of corresponding corners of two boxes in mm; infinite if the shapes differ."""
     one, other = canonical_geometry(a), canonical_geometry(b)
     if one.shape_zyx != other.shape_zyx:

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from carina.disk import library_path, scratch_folder
 from carina.display.printable import printable
 from carina.errors import VolumeImportError
-from carina.volume.axis_angles import skew_deg, straightened
+from carina.volume.axis_angles import skew_deg, with_orthogonal_axes
 from carina.volume.dicom_streams import decoder_words
 from carina.volume.grid_headers import GridHeader, read_grid_header
 from carina.volume.grid_voxels import read_voxels
-from carina.volume.header_nifti import straightened_nifti_head
+from carina.volume.header_nifti import head_with_orthogonal_sform
 from carina.volume.hu import judge_values, to_int16
 from carina.volume.model import Note, Volume, VolumeSource
 from carina.volume.padding import without_corner_padding
@@ -102,7 +102,7 @@ def _check_agreement(path: Path, header: GridHeader) -> None:
     if header.format == "nifti" and skew_deg(ours) > _LIBRARY_SKEW_DEG:
         # ITK reads only an sform with right angles, so it reads the straightened one, and the result is compared with
         # that.
-        ours, head = straightened(ours), straightened_nifti_head(head)
+        ours, head = with_orthogonal_axes(ours), head_with_orthogonal_sform(head)
     theirs = _library_grid(path, header, head)
     ni, nj, nk = (n - 1 for n in header.shape_ijk)
     corners = np.array([[i, j, k, 1.0] for i in (0, ni) for j in (0, nj) for k in (0, nk)], dtype=np.float64)

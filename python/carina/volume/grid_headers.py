@@ -15,7 +15,7 @@ import numpy as np
 from carina.display.printable import shown_value
 from carina.volume.axis_angles import has_right_angles, skew_deg
 from carina.volume.gzip_stream import Unpacker
-from carina.volume.header_claims import GridHeader, HeaderValueError, refuse
+from carina.volume.header_fields import GridHeader, HeaderValueError, refuse
 from carina.volume.header_metaimage import read_metaimage_header
 from carina.volume.header_nifti import read_nifti_header
 from carina.volume.header_nrrd import read_nrrd_header

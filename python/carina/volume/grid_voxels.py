@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from carina.errors import VolumeImportError
 from carina.volume.gzip_stream import Readable, UnpackedFile, Unpacker
-from carina.volume.header_claims import GridHeader
+from carina.volume.header_fields import GridHeader
 from carina.volume.model import Note
 from carina.volume.progress import Watch
 from carina.volume.read_limits import MAX_VOXELS
@@ -70,10 +70,10 @@ def read_voxels(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[n
         per_slice = header.num_bytes // header.shape_ijk[2]
         words = f"the file contains {extra} bytes more than its header states; they were ignored"
         notes = (Note("import.extra-data", words, badge=extra >= per_slice),)
-    return (values if header.scaling is None else _scaled(values, *header.scaling)), notes
+    return (values if header.scaling is None else _scale_values(values, *header.scaling)), notes
 
 
-def _lying(path: Path, header: GridHeader, found: str) -> VolumeImportError:
+def _truncated_error(path: Path, header: GridHeader, found: str) -> VolumeImportError:
     msg = (
         f"reading {path.name}: its header claims {header.sizes} voxels ({header.num_bytes} bytes), but {found}; the "
         "file is incomplete or its header is wrong; copy or export it again"
@@ -93,7 +93,7 @@ def _read_plain(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[n
             file.seek(max(0, begin))
             if file.read(3) == _GZIP_DEFLATE:
                 found += ", which look compressed by gzip although the header does not state it"
-        raise _lying(path, header, found)
+        raise _truncated_error(path, header, found)
     out = np.empty(needed, dtype=np.uint8)
     place = out.data
     with header.data_path.open("rb", buffering=0) as file:
@@ -103,7 +103,7 @@ def _read_plain(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[n
             watch.step(_READING, at / needed)
             count = file.readinto(place[at : at + _CHUNK_BYTES])
             if not count:
-                raise _lying(path, header, f"the file contains {at} bytes")
+                raise _truncated_error(path, header, f"the file contains {at} bytes")
             at += count
     return out, extra
 
@@ -113,7 +113,7 @@ def _read_packed(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[
     size, needed = header.data_path.stat().st_size, header.num_bytes
     layers = 2 if header.file_is_gzipped else 1
     if header.data_offset + needed > _MAX_RATIO**layers * size:
-        raise _lying(path, header, f"the compressed file has only {size} bytes")
+        raise _truncated_error(path, header, f"the compressed file has only {size} bytes")
     # The system provides memory page by page as it is filled, so a false claim alone takes none.
     out = np.empty(needed, dtype=np.uint8)
     most = header.data_offset + needed + max(needed, 1 << 26)  # much more data is a decompression bomb
@@ -121,7 +121,7 @@ def _read_packed(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[
     with header.data_path.open("rb") as file:
         watch.step(_READING, 0.0)
         try:
-            stream = Unpacker(_at_stream(file, header), header.compression or "")
+            stream = Unpacker(_open_at_stream(file, header), header.compression or "")
             for piece in stream:
                 at = total - header.data_offset
                 total += len(piece)
@@ -130,16 +130,16 @@ def _read_packed(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[
                     part = np.frombuffer(piece, dtype=np.uint8)[first : needed - at]
                     out[at + first : at + first + part.size] = part
                 if total > most:
-                    raise _lying(path, header, "the data unpacks to far more")
+                    raise _truncated_error(path, header, "the data unpacks to far more")
                 watch.step(_READING, min(1.0, file.tell() / size))
         except ValueError as error:
-            raise _lying(path, header, str(error)) from None
+            raise _truncated_error(path, header, str(error)) from None
     if total < header.data_offset + needed:
-        raise _lying(path, header, f"the data unpacks to {max(0, total - header.data_offset)} bytes")
+        raise _truncated_error(path, header, f"the data unpacks to {max(0, total - header.data_offset)} bytes")
     return out, total - header.data_offset - needed + stream.trailing_bytes
 
 
-def _at_stream(file: BinaryIO, header: GridHeader) -> Readable:
+def _open_at_stream(file: BinaryIO, header: GridHeader) -> Readable:
     """Return the data file at the beginning of the compressed values.
 
     Raises
@@ -156,7 +156,7 @@ def _at_stream(file: BinaryIO, header: GridHeader) -> Readable:
     return unpacked
 
 
-def _scaled(values: NDArray[np.generic], slope: float, intercept: float) -> NDArray[np.generic]:
+def _scale_values(values: NDArray[np.generic], slope: float, intercept: float) -> NDArray[np.generic]:
     """Return values times slope plus intercept, slice by slice; integers if all numbers are whole and small."""
     small = values.dtype.kind in "iu" and values.dtype.itemsize <= 2
     if small and slope == int(slope) and intercept == int(intercept) and max(abs(slope), abs(intercept)) < 1 << 14:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from carina.disk import drafted
 from carina.errors import GeometryError, UsageError
-from carina.volume.axis_angles import has_right_angles, skew_deg, straightened
+from carina.volume.axis_angles import has_right_angles, skew_deg, with_orthogonal_axes
 
 __all__ = ["GRID_SUFFIXES", "check_grid_fits", "write_grid", "write_grid_to"]
 
@@ -203,7 +203,7 @@ def _nifti_header(grid: _Grid) -> bytes:
     """
     ras_from_ijk = np.diag([-1.0, -1.0, 1.0, 1.0]) @ grid.lps_from_ijk
     spacing = np.linalg.norm(ras_from_ijk[:3, :3], axis=0)
-    turn = straightened(ras_from_ijk)[:3, :3] / spacing
+    turn = with_orthogonal_axes(ras_from_ijk)[:3, :3] / spacing
     qfac = 1.0
     if np.linalg.det(turn) < 0.0:
         # A quaternion cannot mirror, so qfac mirrors the third axis.
@@ -258,13 +258,13 @@ def _quaternion(turn: NDArray[np.float64]) -> tuple[float, float, float]:
 
 def _nrrd(file: BinaryIO, grid: _Grid) -> None:
     nz, ny, nx = grid.values.shape
-    steps = " ".join(f"({','.join(_digits(v) for v in column)})" for column in grid.lps_from_ijk[:3, :3].T)
+    steps = " ".join(f"({','.join(_shortest_decimal(v) for v in column)})" for column in grid.lps_from_ijk[:3, :3].T)
     endian = "endian: little\n" if grid.values.itemsize > 1 else ""
     header = (
         "NRRD0004\n"
         f"type: {_NRRD_TYPES[grid.values.dtype.name]}\ndimension: 3\nspace: left-posterior-superior\n"
         f"sizes: {nx} {ny} {nz}\nspace directions: {steps}\nkinds: domain domain domain\n{endian}encoding: gzip\n"
-        f"space origin: ({','.join(_digits(v) for v in grid.lps_from_ijk[:3, 3])})\n"
+        f"space origin: ({','.join(_shortest_decimal(v) for v in grid.lps_from_ijk[:3, 3])})\n"
     )
     if grid.note:
         header += f"note:={grid.note}\n"
@@ -289,10 +289,10 @@ def _meta(file: BinaryIO, grid: _Grid) -> None:
         "BinaryDataByteOrderMSB": "False",
         "CompressedData": "True",
         "CompressedDataSize": str(packed.tell()),
-        "TransformMatrix": " ".join(map(_digits, columns)),
-        "Offset": " ".join(map(_digits, grid.lps_from_ijk[:3, 3])),
+        "TransformMatrix": " ".join(map(_shortest_decimal, columns)),
+        "Offset": " ".join(map(_shortest_decimal, grid.lps_from_ijk[:3, 3])),
         "CenterOfRotation": "0 0 0",
-        "ElementSpacing": " ".join(map(_digits, spacing)),
+        "ElementSpacing": " ".join(map(_shortest_decimal, spacing)),
         "DimSize": f"{nx} {ny} {nz}",
         "ElementType": _META_TYPES[grid.values.dtype.name],
         **({"note": grid.note} if grid.note else {}),
@@ -302,7 +302,7 @@ def _meta(file: BinaryIO, grid: _Grid) -> None:
     file.write(packed.getvalue())
 
 
-def _digits(value: float) -> str:
+def _shortest_decimal(value: float) -> str:
     """Return the shortest decimal text from which the same float is read back."""
     return repr(float(value)).removesuffix(".0")
 

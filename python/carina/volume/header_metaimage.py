@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display.printable import shown_value
-from carina.volume.header_claims import (
+from carina.volume.header_fields import (
     GridHeader,
     HeaderValueError,
     beside,
@@ -54,15 +54,15 @@ def read_metaimage_header(path: Path, text: bytes, *, gzipped: bool) -> GridHead
         See ``read_grid_header``.
     """
     fields, at = _fields(path, text)
-    num_axes = whole(_given(fields, "NDims"), "NDims")
-    shape = wholes(_given(fields, "DimSize"), "DimSize")
+    num_axes = whole(_required_field(fields, "NDims"), "NDims")
+    shape = wholes(_required_field(fields, "DimSize"), "DimSize")
     if len(shape) != num_axes:
         raise HeaderValueError("DimSize", f"{num_axes} whole numbers", fields["dimsize"])
-    kind = _given(fields, "ElementType").upper()
+    kind = _required_field(fields, "ElementType").upper()
     if kind not in _KINDS:
         problem = f"it has the type {shown_value(kind)}, which is not supported"
         raise refuse(path, problem, "save it again as 16-bit numbers", "import.not-supported")
-    if not _truth(fields, "BinaryData", default=True):
+    if not _boolean_field(fields, "BinaryData", default=True):
         problem = "its values are written as text, which is not supported"
         raise refuse(path, problem, "save it again in binary", "import.not-supported")
     _refuse_what_others_ignore(path, fields)
@@ -72,7 +72,7 @@ def read_metaimage_header(path: Path, text: bytes, *, gzipped: bool) -> GridHead
     data_path = path if local else beside(path, data_name)
     gzipped = gzipped and local
     begin = at if local else 0
-    compressed = _truth(fields, "CompressedData", default=False)
+    compressed = _boolean_field(fields, "CompressedData", default=False)
     packed_bytes = whole(fields.get("compresseddatasize", "0"), "CompressedDataSize")
     stored_bytes = data_path.stat().st_size - begin
     if compressed and not gzipped and packed_bytes not in (0, stored_bytes):
@@ -89,7 +89,7 @@ def read_metaimage_header(path: Path, text: bytes, *, gzipped: bool) -> GridHead
         format="metaimage",
         shape_ijk=shape,
         num_components=whole(fields.get("elementnumberofchannels", "1"), "ElementNumberOfChannels"),
-        dtype=np.dtype(_order(path, fields) + _KINDS[kind]),
+        dtype=np.dtype(_byte_order(path, fields) + _KINDS[kind]),
         lps_from_ijk=lps_from_ijk,
         data_path=data_path,
         data_offset=0 if compressed else (-1 if header_size == -1 else begin + header_size),
@@ -102,7 +102,7 @@ def read_metaimage_header(path: Path, text: bytes, *, gzipped: bool) -> GridHead
     )
 
 
-def _given(fields: dict[str, str], name: str) -> str:
+def _required_field(fields: dict[str, str], name: str) -> str:
     """Return the value of a required field; the KeyError for a missing field contains the format's spelling."""
     try:
         return fields[name.lower()]
@@ -131,7 +131,7 @@ def _fields(path: Path, text: bytes) -> tuple[dict[str, str], int]:
             raise KeyError("ElementDataFile")
 
 
-def _one_of(path: Path, fields: dict[str, str], names: tuple[str, ...], default: list[float]) -> list[float]:
+def _agreeing_numbers(path: Path, fields: dict[str, str], names: tuple[str, ...], default: list[float]) -> list[float]:
     """Return the numbers of the fields of one meaning; refuse a header in which two of them differ."""
     given = {name: reals(fields[name.lower()], name, len(default)) for name in names if name.lower() in fields}
     if len({tuple(numbers) for numbers in given.values()}) > 1:
@@ -141,7 +141,7 @@ def _one_of(path: Path, fields: dict[str, str], names: tuple[str, ...], default:
     return next(iter(given.values()), default)
 
 
-def _truth(fields: dict[str, str], name: str, *, default: bool) -> bool:
+def _boolean_field(fields: dict[str, str], name: str, *, default: bool) -> bool:
     text = fields.get(name.lower())
     if text is None:
         return default
@@ -150,9 +150,9 @@ def _truth(fields: dict[str, str], name: str, *, default: bool) -> bool:
     return _TRUTH[text.lower()]
 
 
-def _order(path: Path, fields: dict[str, str]) -> str:
+def _byte_order(path: Path, fields: dict[str, str]) -> str:
     names = ("BinaryDataByteOrderMSB", "ElementByteOrderMSB")
-    stated = {_truth(fields, name, default=False) for name in names if name.lower() in fields}
+    stated = {_boolean_field(fields, name, default=False) for name in names if name.lower() in fields}
     if len(stated) > 1:
         problem = "its BinaryDataByteOrderMSB and its ElementByteOrderMSB contradict each other"
         raise refuse(path, problem, "its byte order is unknown; export it again", "import.header")
@@ -212,8 +212,8 @@ def _transform(path: Path, fields: dict[str, str], num_axes: int) -> NDArray[np.
     if num_axes != 3:
         return matrix
     # Each row of three numbers is the direction of one axis; the world is LPS.
-    turn = _one_of(path, fields, _TURNS, [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
-    origin = _one_of(path, fields, _ORIGINS, [0.0, 0.0, 0.0])
+    turn = _agreeing_numbers(path, fields, _TURNS, [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
+    origin = _agreeing_numbers(path, fields, _ORIGINS, [0.0, 0.0, 0.0])
     directions = np.array(turn).reshape(3, 3)
     lengths = np.linalg.norm(directions, axis=1)
     if not (np.abs(lengths - 1.0) < 0.01).all():  # programs that write three digits cause deviations of 0.001

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.volume.axis_angles import has_right_angles, straightened
-from carina.volume.header_claims import AMBIGUOUS, GridHeader, HeaderValueError, refuse
+from carina.volume.axis_angles import has_right_angles, with_orthogonal_axes
+from carina.volume.header_fields import AMBIGUOUS, GridHeader, HeaderValueError, refuse
 from carina.volume.model import Note
 
-__all__ = ["data_files", "read_nifti_header", "straightened_nifti_head"]
+__all__ = ["data_files", "head_with_orthogonal_sform", "read_nifti_header"]
 
 _RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 _KINDS = {
@@ -77,7 +77,7 @@ def read_nifti_header(path: Path, head: bytes) -> GridHeader:
         shape_ijk=tuple(int(n) for n in shape),
         num_components=1,
         dtype=dtype,
-        lps_from_ijk=_place(path, head, order, shape, pixdim),
+        lps_from_ijk=_transform_of(path, head, order, shape, pixdim),
         data_path=data_path,
         data_offset=int(offset),
         compression=None,
@@ -132,7 +132,7 @@ def _is_gzipped(path: Path, header: GridHeader) -> bool:
     return packed and not whole
 
 
-def _place(
+def _transform_of(
     path: Path, head: bytes, order: str, shape: tuple[int, ...], pixdim: tuple[float, ...]
 ) -> NDArray[np.float64]:
     """Return the 4x4 transform from voxel centres to LPS mm, from the sform or the qform."""
@@ -153,7 +153,10 @@ def _place(
     lps = [_RAS_TO_LPS @ np.diag([scale, scale, scale, 1.0]) @ form for form in forms]
     if len(lps) == 2 and len(shape) == 3 and np.isfinite(lps[0]).all() and np.isfinite(lps[1]).all():
         # The caller refuses a sheared sform; only forms that are rectangular grids are compared here.
-        apart_mm = min(_apart_mm(lps[0], lps[1], shape), _apart_mm(_straight(lps[0]), lps[1], shape))
+        apart_mm = min(
+            _corner_distance_mm(lps[0], lps[1], shape),
+            _corner_distance_mm(_with_orthogonal_sform(lps[0]), lps[1], shape),
+        )
         smallest_mm = np.linalg.norm(lps[1][:3, :3], axis=0).min()
         if apart_mm > _SAME_FORM * smallest_mm and _is_rectangular(lps[0], shape):
             problem = f"its qform and sform disagree by up to {apart_mm:.2f} mm about where the voxels are"
@@ -184,22 +187,22 @@ def _refuse_two_handed_pixdim(path: Path, pixdim: tuple[float, ...], *, qform_al
         raise refuse(path, problem, AMBIGUOUS, "import.geometry.ambiguous")
 
 
-def _apart_mm(one: NDArray[np.float64], other: NDArray[np.float64], shape: tuple[int, ...]) -> float:
+def _corner_distance_mm(one: NDArray[np.float64], other: NDArray[np.float64], shape: tuple[int, ...]) -> float:
     """Return the largest distance in mm between the corners of a grid with two transforms."""
     corners = np.array([[i, j, k, 1.0] for i in (0, shape[0]) for j in (0, shape[1]) for k in (0, shape[2])])
     return float(np.linalg.norm(corners @ (one - other).T, axis=1).max())
 
 
-def _straight(transform: NDArray[np.float64]) -> NDArray[np.float64]:
+def _with_orthogonal_sform(transform: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the sform as programs convert it to a qform; an sform without directions is returned unchanged."""
-    return straightened(transform) if np.linalg.norm(transform[:3, :3], axis=0).min() > 0 else transform
+    return with_orthogonal_axes(transform) if np.linalg.norm(transform[:3, :3], axis=0).min() > 0 else transform
 
 
 def _is_rectangular(lps_from_ijk: NDArray[np.float64], shape: tuple[int, ...]) -> bool:
     return bool(np.linalg.norm(lps_from_ijk[:3, :3], axis=0).min() > 0) and has_right_angles(lps_from_ijk, shape)
 
 
-def straightened_nifti_head(head: bytes) -> bytes:
+def head_with_orthogonal_sform(head: bytes) -> bytes:
     """Return a header whose only form is its sform with axes at right angles.
 
     ITK refuses an sform whose axes deviate by more than about 0.02 degrees from right angles, unless a qform is set.
@@ -208,7 +211,7 @@ def straightened_nifti_head(head: bytes) -> bytes:
     rows = np.vstack([np.reshape(struct.unpack_from(f"{order}12f", head, 280), (3, 4)), [0, 0, 0, 1]])
     out = bytearray(head)
     struct.pack_into(f"{order}h", out, 252, 0)
-    struct.pack_into(f"{order}12f", out, 280, *straightened(rows.astype(np.float64))[:3].ravel())
+    struct.pack_into(f"{order}12f", out, 280, *with_orthogonal_axes(rows.astype(np.float64))[:3].ravel())
     return bytes(out)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display.printable import shown_value
-from carina.volume.header_claims import (
+from carina.volume.header_fields import (
     AMBIGUOUS,
     GridHeader,
     HeaderValueError,
@@ -109,7 +109,7 @@ def read_nrrd_header(path: Path, text: bytes, *, gzipped: bool) -> GridHeader:
         format="nrrd",
         shape_ijk=shape,
         num_components=1,
-        dtype=np.dtype(_order(path, fields, kind) + _KINDS[kind]),
+        dtype=np.dtype(_byte_order(path, fields, kind) + _KINDS[kind]),
         # The caller refuses other dimensions and names the sizes.
         lps_from_ijk=_transform(path, fields) if dimension == 3 else np.eye(4),
         data_path=data_path,
@@ -143,7 +143,7 @@ def _fields(path: Path, text: bytes) -> tuple[dict[str, str], int | None]:
     return fields, None
 
 
-def _order(path: Path, fields: dict[str, str], kind: str) -> str:
+def _byte_order(path: Path, fields: dict[str, str], kind: str) -> str:
     order = {"little": "<", "big": ">"}.get(fields.get("endian", "").lower())
     if order is None:
         if _KINDS[kind].endswith("1"):

@@ -139,7 +139,7 @@ def judge_dicom(
     return HuVerdict(True, None)
 
 
-def _clip(values: NDArray[np.generic]) -> tuple[NDArray[np.int16], int]:
+def _clip_to_int16(values: NDArray[np.generic]) -> tuple[NDArray[np.int16], int]:
     numbers = np.asarray(values)
     out = np.clip(np.rint(numbers) if numbers.dtype.kind == "f" else numbers, _INT16.min, _INT16.max).astype(np.int16)
     num_clipped = int(np.count_nonzero((numbers < _INT16.min) | (numbers > _INT16.max)))
@@ -176,7 +176,7 @@ def to_int16(values: NDArray[np.generic]) -> Int16Values:
     notes: tuple[Note, ...] = ()
     doubts: list[str] = []
     if values.dtype.kind == "f" and not np.isfinite([values.min(), values.max()]).all():
-        values, note, share = _all_finite(values)
+        values, note, share = _without_non_finite(values)
         notes = (note,)
         if share > MAX_DOUBTFUL_SHARE:
             doubts.append(f"{100 * share:.1f} % of the voxels in the body are not finite (NaN or infinite)")
@@ -185,7 +185,7 @@ def to_int16(values: NDArray[np.generic]) -> Int16Values:
     if whole and low >= _INT16.min and high <= _INT16.max:
         int16_values = np.ascontiguousarray(values, dtype=np.int16)
         return Int16Values(int16_values, None, notes, "; ".join(doubts) or None)
-    clipped, num_clipped = _clip(values)
+    clipped, num_clipped = _clip_to_int16(values)
     if judge_values(clipped).is_hu:
         if num_clipped:
             notes += (clipped_note(num_clipped),)
@@ -203,7 +203,7 @@ def to_int16(values: NDArray[np.generic]) -> Int16Values:
     return Int16Values(stretched, words, notes, None)
 
 
-def _all_finite(values: NDArray[np.generic]) -> tuple[NDArray[np.generic], Note, float]:
+def _without_non_finite(values: NDArray[np.generic]) -> tuple[NDArray[np.generic], Note, float]:
     """Return a copy without NaN and infinities, a note that counts them, and their share of the body's voxels."""
     lowest, highest, num_low, num_high = np.inf, -np.inf, 0, 0
     for plane in values:  # slice by slice, without a second volume of booleans
@@ -242,7 +242,7 @@ def _share_of_body(values: NDArray[np.generic]) -> float:
     bodies: list[NDArray[np.uint8] | None] = []
     for plane in values:
         tissue = np.isfinite(plane) & (plane > _TISSUE)
-        bodies.append(np.packbits(_enclosed(tissue, 0) & _enclosed(tissue, 1)) if tissue.any() else None)
+        bodies.append(np.packbits(_is_enclosed(tissue, 0) & _is_enclosed(tissue, 1)) if tissue.any() else None)
     known = [k for k, body in enumerate(bodies) if body is not None]
     num_body = num_lost = 0
     for k, plane in enumerate(values):
@@ -260,7 +260,7 @@ def _share_of_body(values: NDArray[np.generic]) -> float:
     return num_lost / num_body if num_body else 0.0
 
 
-def _enclosed(tissue: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:
+def _is_enclosed(tissue: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:
     """Return where tissue is on both sides along an axis, or in the voxel itself."""
     lines = tissue if axis == 1 else tissue.T
     first = lines.argmax(axis=1)

@@ -70,7 +70,7 @@ _level_before: int | None = None
 
 
 @contextmanager
-def _warnings_on() -> Iterator[None]:
+def _ffmpeg_warnings() -> Iterator[None]:
     """Let FFmpeg report warnings to Python within the block.
 
     The level applies to the whole process, so the users of the block are counted.
@@ -97,7 +97,7 @@ def j2k_problem(frame: bytes) -> str | None:
     import av
     import av.logging
 
-    with _warnings_on(), av.logging.Capture(local=True) as reports:
+    with _ffmpeg_warnings(), av.logging.Capture(local=True) as reports:
         try:
             context = av.CodecContext.create("jpeg2000", "r")
             context.thread_count = 1  # messages are captured only in the thread that decodes

@@ -153,9 +153,9 @@ def open_mask(
     def read(where: Path) -> Mask:
         found = _labels(where, volume, watch)
         voxel_ml = abs(float(np.linalg.det(found.lps_from_mask[:3, :3]))) / 1000.0
-        chosen = _chosen(where, found, label, voxel_ml)
+        chosen = _selected_label(where, found, label, voxel_ml)
         inside, mask_notes = found.inside(chosen)
-        placed = _placed(where, inside, found.lps_from_mask, volume, resample=resample, watch=watch)
+        placed = _place_on_grid(where, inside, found.lps_from_mask, volume, resample=resample, watch=watch)
         notes = tuple(f"the segmentation: {words}" for words in (*found.notes, *mask_notes))
         return replace(placed, notes=(*notes, *placed.notes))
 
@@ -238,12 +238,12 @@ def _rounded_labels(path: Path, values: NDArray[Any], scaling: tuple[float, floa
         if largest > allowed:
             raise _fractions(path, f"{example:.5g}, which is further from a whole number than half a step ({step:.5g})")
         return labels
-    if largest > _MAX_FLOAT_LABEL_ERROR + 1e-6 or not _one_value_each(values, labels):
+    if largest > _MAX_FLOAT_LABEL_ERROR + 1e-6 or not _have_one_value(values, labels):
         raise _fractions(path, f"{example:.5g}")
     return labels
 
 
-def _one_value_each(values: NDArray[Any], labels: NDArray[np.int32]) -> bool:
+def _have_one_value(values: NDArray[Any], labels: NDArray[np.int32]) -> bool:
     """Return whether all voxels of a label have the same value."""
     lowest = int(labels.min())
     if int(labels.max()) - lowest > _MAX_FLOAT_LABELS:
@@ -262,7 +262,7 @@ def _fractions(path: Path, found: str) -> VolumeImportError:
     return VolumeImportError(msg, code="import.mask")
 
 
-def _chosen(path: Path, found: _Labels, label: int | None, voxel_ml: float) -> int:
+def _selected_label(path: Path, found: _Labels, label: int | None, voxel_ml: float) -> int:
     """Return the number of the chosen structure, or of the only one."""
     sizes, names = found.num_voxels, found.names
     present = sorted(sizes)
@@ -293,7 +293,7 @@ def _chosen(path: Path, found: _Labels, label: int | None, voxel_ml: float) -> i
     raise MaskLabelError(msg, tuple(MaskLabel(n, names.get(n) or None, sizes[n] * voxel_ml) for n in present))
 
 
-def _placed(
+def _place_on_grid(
     path: Path,
     inside: NDArray[np.bool_],
     lps_from_mask: NDArray[np.float64],
@@ -315,9 +315,9 @@ def _placed(
     is_turn = bool((np.abs(turn).sum(axis=0) == 1).all() and (np.abs(turn).sum(axis=1) == 1).all())
     if not is_turn or apart > _SAME_VOXEL:
         if not resample:
-            raise _other_grid(path, inside, lps_from_mask, volume)
+            raise _other_grid_error(path, inside, lps_from_mask, volume)
         mask_from_volume = np.asarray(np.linalg.inv(volume_from_mask), dtype=np.float64)
-        return _resampled(path, inside, mask_from_volume, volume, watch)
+        return _resample(path, inside, mask_from_volume, volume, watch)
     # Array axes are z, y, x: axis 2 - a of the array is voxel axis a.
     axes = [2 - int(np.argmax(np.abs(turn[2 - row]))) for row in range(3)]
     turned = inside.transpose(axes)
@@ -345,7 +345,7 @@ def _placed(
     return Mask(out, tuple(notes))
 
 
-def _resampled(
+def _resample(
     path: Path, inside: NDArray[np.bool_], mask_from_volume: NDArray[np.float64], volume: Volume, watch: Watch
 ) -> Mask:
     """Return a structure resampled to the grid of the volume by the nearest voxel."""
@@ -368,18 +368,18 @@ def _resampled(
     return Mask(out, (note,))
 
 
-def _other_grid(
+def _other_grid_error(
     path: Path, inside: NDArray[np.bool_], lps_from_mask: NDArray[np.float64], volume: Volume
 ) -> VolumeImportError:
     """Return the error for a mask on another grid, with a description of both grids."""
 
-    def grid_words(shape_zyx: tuple[int, ...], lps_from_ijk: NDArray[np.float64]) -> str:
+    def grid_text(shape_zyx: tuple[int, ...], lps_from_ijk: NDArray[np.float64]) -> str:
         sizes = " x ".join(str(n) for n in shape_zyx[::-1])
         spacing = " x ".join(f"{v:.4g}" for v in np.linalg.norm(lps_from_ijk[:3, :3], axis=0))
         middle = lps_from_ijk[:3, :3] @ ((np.array(shape_zyx[::-1]) - 1) / 2) + lps_from_ijk[:3, 3]
         return f"{sizes} voxels of {spacing} mm around ({', '.join(f'{v:.1f}' for v in middle)})"
 
-    expected, found = grid_words(volume.shape_zyx, volume.lps_from_ijk), grid_words(inside.shape, lps_from_mask)
+    expected, found = grid_text(volume.shape_zyx, volume.lps_from_ijk), grid_text(inside.shape, lps_from_mask)
     share = _share_inside(inside, lps_from_mask, volume)
     grids = f"expected {expected}, found {found}"
     if share == 0.0:

@@ -120,7 +120,7 @@ def find_padding(
     is_marked = bool(marked.any())
     smallest = max(_FEWEST_PIXELS, int(_SMALLEST_SHARE * stored.size))
     if not is_marked:
-        marked = _unmarked(stored, numbers)
+        marked = _untagged_padding(stored, numbers)
         smallest = max(_FEWEST_PIXELS, int(_SMALLEST_UNMARKED_SHARE * stored.size))
         if not marked.any():
             return None
@@ -130,8 +130,8 @@ def find_padding(
     if not marked.any():
         return None
     impossible = marked & (numbers > _NO_TISSUE_HU)
-    inside = _at_edge(marked & ~impossible, smallest)
-    inside |= impossible if is_marked else _at_edge(impossible, smallest)
+    inside = _edge_regions(marked & ~impossible, smallest)
+    inside |= impossible if is_marked else _edge_regions(impossible, smallest)
     if not inside.any():
         return None
     values, counts = np.unique(numbers[inside], return_counts=True)
@@ -144,7 +144,7 @@ def find_padding(
     )
 
 
-def _unmarked(stored: NDArray[np.int32], numbers: NDArray[np.float64] | NDArray[np.int32]) -> NDArray[np.bool_]:
+def _untagged_padding(stored: NDArray[np.int32], numbers: NDArray[np.float64] | NDArray[np.int32]) -> NDArray[np.bool_]:
     """Return the pixels with the value of the corners, if that value cannot be anatomy."""
     corners = stored[[0, 0, -1, -1], [0, -1, 0, -1]]
     heights = numbers[[0, 0, -1, -1], [0, -1, 0, -1]]
@@ -156,7 +156,7 @@ def _unmarked(stored: NDArray[np.int32], numbers: NDArray[np.float64] | NDArray[
     return np.asarray(np.isin(stored, impossible))
 
 
-def _at_edge(pixels: NDArray[np.bool_], smallest: int) -> NDArray[np.bool_]:
+def _edge_regions(pixels: NDArray[np.bool_], smallest: int) -> NDArray[np.bool_]:
     """Return the connected regions of at least ``smallest`` pixels that touch the edge of the slice."""
     if not pixels.any():
         return pixels

@@ -23,7 +23,7 @@ class Watch:
         Parameters
         ----------
         what
-            Description of the present step for the user.
+            Description of the current step for the user.
         fraction
             Finished share of the step, 0 to 1; None if unknown.
 

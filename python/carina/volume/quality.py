@@ -102,7 +102,9 @@ def _judge(volume: Volume) -> Quality:
             words = f"only {lung_litres:.1f} litres look like lung: this may not be a chest CT, or may be part of one"
             findings.append(Finding("no-lungs", words))
         if lungs.cut_faces:
-            words = f"the lungs are cut off at the {_listed(lungs.cut_faces)} of the volume, and so are the airways"
+            words = (
+                f"the lungs are cut off at the {_joined_names(lungs.cut_faces)} of the volume, and so are the airways"
+            )
             findings.append(Finding("cut", words))
         padding = float(np.count_nonzero(values < _PADDING_HU)) / values.size
         if padding > 0.001:
@@ -193,5 +195,5 @@ def _block_means(values: NDArray[np.int16], strides_zyx: tuple[int, int, int]) -
     return np.asarray(total / np.float32(sz * sy * sx), dtype=np.float32)
 
 
-def _listed(names: list[str]) -> str:
+def _joined_names(names: list[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

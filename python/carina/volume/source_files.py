@@ -55,7 +55,7 @@ class CtSource:
 
     @classmethod
     def of(cls, path: str | Path, *, series: str | None = None) -> CtSource | None:
-        """Return the present state of a path; None if it cannot be read, in which case opening reports the reason.
+        """Return the current state of a path; None if it cannot be read, in which case opening reports the reason.
 
         Parameters
         ----------
@@ -66,14 +66,14 @@ class CtSource:
         """
         place = absolute(path)
         try:
-            return cls(place, series, _look(place, *_what_is_read(place)))
+            return cls(place, series, _file_state(place, *_what_is_read(place)))
         except (OSError, ValueError, CarinaError):
             return None
 
     def now(self) -> SourceFiles | None:
-        """Return the present state of the same files; None if they cannot be accessed."""
+        """Return the current state of the same files; None if they cannot be accessed."""
         try:
-            return _look(self.path, self.files.reads, self.files.names)
+            return _file_state(self.path, self.files.reads, self.files.names)
         except (OSError, ValueError):
             return None
 
@@ -90,7 +90,7 @@ class CtSource:
         Parameters
         ----------
         now_s
-            Present time in seconds since 1970.
+            Current time in seconds since 1970.
         """
         return not -_UNSETTLED_S < now_s - self.files.newest_ns / 1e9 < _UNSETTLED_S
 
@@ -122,8 +122,8 @@ def _what_is_read(path: Path) -> tuple[Reads, tuple[str, ...]]:
     return "files", (path.name, *(other.name for other in others))
 
 
-def _look(path: Path, reads: Reads, names: tuple[str, ...]) -> SourceFiles:
-    """Return the present number, sizes and times of the files that opening a path reads.
+def _file_state(path: Path, reads: Reads, names: tuple[str, ...]) -> SourceFiles:
+    """Return the current number, sizes and times of the files that opening a path reads.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def _look(path: Path, reads: Reads, names: tuple[str, ...]) -> SourceFiles:
     path.stat()
     found = hashlib.blake2b(digest_size=20)
     num_files = num_bytes = newest_ns = 0
-    for name, place in _list(path, reads, names):
+    for name, place in _list_files(path, reads, names):
         num_files += 1
         if num_files > MAX_FILES:
             raise ValueError
@@ -150,7 +150,7 @@ def _look(path: Path, reads: Reads, names: tuple[str, ...]) -> SourceFiles:
     return SourceFiles(reads, names, num_files, num_bytes, newest_ns, found.hexdigest())
 
 
-def _list(path: Path, reads: Reads, names: tuple[str, ...]) -> Iterator[tuple[str, Path]]:
+def _list_files(path: Path, reads: Reads, names: tuple[str, ...]) -> Iterator[tuple[str, Path]]:
     if reads == "files":
         yield from ((name, path.with_name(name)) for name in names)
         return

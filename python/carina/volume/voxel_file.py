@@ -118,7 +118,7 @@ def draft_voxel_file(
     draft = Draft(folder / name.file_name, what="the cached CT", needed_bytes=len(voxels), private=True)
     try:
         start = _START.pack(_MAGIC, _VERSION, len(header), zlib.crc32(header)) + header
-        draft.file.write(start.ljust(_begin_of_voxels(len(header)), b"\0"))
+        draft.file.write(start.ljust(_voxels_offset(len(header)), b"\0"))
         for chunk in chunks:
             watch.step("Caching the CT")
             draft.file.write(chunk)
@@ -127,7 +127,7 @@ def draft_voxel_file(
         os.fsync(draft.file.fileno())
     except OSError as error:
         draft.discard()
-        raise draft.trouble(error) from error
+        raise draft.disk_error(error) from error
     except BaseException:
         draft.discard()
         raise
@@ -173,7 +173,7 @@ def read_voxel_file(path: Path, name: VoxelName, watch: Watch) -> NDArray[np.int
                 if stop.is_set():
                     return
                 chunk = place[number * header.chunk_bytes : (number + 1) * header.chunk_bytes]
-                _fill(file, chunk)
+                _read_full(file, chunk)
                 # Checked while the chunk is still in the processor's cache.
                 if zlib.crc32(chunk) != header.crc32[number]:
                     raise DamagedFileError(f"chunk {number} of {count} was altered")
@@ -194,7 +194,7 @@ def read_voxel_file(path: Path, name: VoxelName, watch: Watch) -> NDArray[np.int
     return out.astype(np.int16, copy=False)
 
 
-def _begin_of_voxels(header_bytes: int) -> int:
+def _voxels_offset(header_bytes: int) -> int:
     """Return the offset of the voxels: the first page behind the header."""
     return -(-(_START.size + header_bytes) // _PAGE) * _PAGE
 
@@ -208,7 +208,7 @@ def _read_header(file: io.FileIO, name: VoxelName) -> tuple[_Header, int]:
     if magic != _MAGIC or version != _VERSION or num_bytes > _MAX_HEADER_BYTES:
         raise DamagedFileError("its first bytes were altered, or it was written by another version")
     text = bytearray(num_bytes)
-    _fill(file, memoryview(text))
+    _read_full(file, memoryview(text))
     if zlib.crc32(text) != crc32:
         raise DamagedFileError("its header was altered")
     try:
@@ -217,10 +217,10 @@ def _read_header(file: io.FileIO, name: VoxelName) -> tuple[_Header, int]:
         raise DamagedFileError("its header was written by another version") from error
     if header.name != name.file_name:
         raise DamagedFileError("its content does not match the CT in its name")
-    return header, _begin_of_voxels(num_bytes)
+    return header, _voxels_offset(num_bytes)
 
 
-def _fill(file: io.FileIO, place: memoryview) -> None:
+def _read_full(file: io.FileIO, place: memoryview) -> None:
     """Read from a file until a buffer is full; raise an error if the file ends before."""
     while len(place):
         count = file.readinto(place)

@@ -14,13 +14,13 @@ import {
   SliderTrack,
 } from "react-aria-components";
 import { keyOf } from "../input/keymap";
-import type { WayOn } from "../state/airways";
+import type { OnwardBranch } from "../state/airways";
 import { pathMm, scopeOf } from "../state/app-state";
-import { kindText } from "../state/branch-words";
+import { kindText } from "../state/branch-text";
 import { forkAhead } from "../state/fork";
 import { fixed, mm } from "../state/format";
 import { penOffText } from "../state/pen";
-import { besideRouteMm, turnBefore } from "../state/plan";
+import { distanceToRouteMm, turnBefore } from "../state/plan";
 import { nextStopMm, pastMm, placeText, sideText } from "../state/route";
 import { worksIn } from "../state/tools";
 import { cameraFromMatrix, lookingUp } from "../state/vec";
@@ -129,8 +129,8 @@ function scopeStop(scope: HeldScope): string | null {
 
 /** Render a label while a cut-plane (the viewfinder) replaces the airway view, because the view is too slow. */
 function FinderLabel() {
-  const standsIn = useApp((state) => state.frames[LEAD_VIEW]?.stands_for === LEAD_VIEW);
-  if (!standsIn) return null;
+  const isPlaceholder = useApp((state) => state.frames[LEAD_VIEW]?.stands_for === LEAD_VIEW);
+  if (!isPlaceholder) return null;
   return (
     <p className="finder-label" role="status" data-testid="view-finder">
       <strong>Viewfinder: cut-plane at the tip</strong>
@@ -370,9 +370,9 @@ function WallReading() {
   const picks = useApp((state) => state.picks);
   const tree = useApp((state) => state.tree);
   const isHu = useApp((state) => state.session?.case?.is_hu ?? true);
-  const newest = picks.at(-1);
-  if (newest === undefined) return null;
-  const label = newest.branchId === null ? null : (tree?.byId.get(newest.branchId)?.label ?? null);
+  const latest = picks.at(-1);
+  if (latest === undefined) return null;
+  const label = latest.branchId === null ? null : (tree?.byId.get(latest.branchId)?.label ?? null);
   return (
     <div className="wall-reading" role="status" data-testid="wall-point">
       <strong>wall point</strong>
@@ -386,7 +386,7 @@ function WallReading() {
 /** Distance, mm, from the end of the route below which the tip counts as being at the end. */
 const AT_END_MM = 0.1;
 
-const directionText = ({ hour, noHour }: WayOn): string =>
+const directionText = ({ hour, noHour }: OnwardBranch): string =>
   hour === null ? (noHour ?? "straight ahead") : `${hour} o\u2019clock`;
 
 /** Render the tip's branch, its position on the route and the fork ahead as text in the corners of the airway view. */
@@ -406,7 +406,7 @@ function Readings() {
   const turn = turnBefore(turns ?? [], camera.position);
   const forkBranchId = turn === null ? null : (turns?.[turn]?.fork_branch_id ?? null);
   const forkFrom =
-    pose.mode === "path" || route === null || forkBranchId === null ? at : besideRouteMm(route, camera.position);
+    pose.mode === "path" || route === null || forkBranchId === null ? at : distanceToRouteMm(route, camera.position);
   const fork =
     tree === null || route === null || forkFrom === null || (pose.mode !== "path" && forkBranchId === null)
       ? null

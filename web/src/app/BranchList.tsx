@@ -10,7 +10,7 @@ import { keyOf } from "../input/keymap";
 import type { BranchNode, BranchTree } from "../state/airways";
 import { headOf, lineage, rowChildren } from "../state/airways";
 import { shownBranch } from "../state/app-state";
-import { calibreOf, filterTree, kindText, marksOfRow, tooltipOf } from "../state/branch-words";
+import { calibreOf, filterTree, kindText, marksOfRow, tooltipOf } from "../state/branch-text";
 import { plural, sentence } from "../state/format";
 import { wantsBranch } from "../state/tools";
 import { below } from "../state/tree-index";

@@ -8,7 +8,7 @@ import { Input, TextField } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import type { BranchNode } from "../state/airways";
 import { shownBranch } from "../state/app-state";
-import { drawnText, factsOf, nameText } from "../state/branch-words";
+import { drawnText, factsOf, nameText } from "../state/branch-text";
 import { sentence } from "../state/format";
 import { measuredPoints } from "../state/profile";
 import { useApp, useStation } from "./context";

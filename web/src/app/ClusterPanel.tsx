@@ -1,7 +1,7 @@
 /** Status of the cluster computers that render together with this one, and a panel with the share and delay of each. */
 
 import { Button, Dialog, DialogTrigger, Popover } from "react-aria-components";
-import { clusterText, memberText, needsLook } from "../state/cluster-words";
+import { clusterText, memberText, needsLook } from "../state/cluster-text";
 import { fixed } from "../state/format";
 import { useApp } from "./context";
 

@@ -4,7 +4,7 @@ import { useLayoutEffect, useRef, useState } from "react";
 import { Slider, SliderThumb, SliderTrack } from "react-aria-components";
 import { keyOf, keyOfHold } from "../input/keymap";
 import { pathMm, tipLps } from "../state/app-state";
-import { kindText } from "../state/branch-words";
+import { kindText } from "../state/branch-text";
 import { fixed, mm } from "../state/format";
 import { nearestMm, originText, pastMm, pathAtMm, scaleMm, sideText } from "../state/route";
 import { AUTO_SPEEDS_MM_S } from "../state/speed";

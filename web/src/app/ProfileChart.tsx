@@ -45,7 +45,7 @@ export function ProfileChart({ points, title, words }: ProfileChartProps) {
       <svg
         viewBox={`0 0 ${WIDTH} ${HEIGHT}`}
         role="img"
-        aria-label={`${title}: ${sayRange(points)}`}
+        aria-label={`${title}: ${rangeText(points)}`}
         onPointerMove={hover}
         onPointerLeave={() => setAt(null)}
       >
@@ -81,17 +81,17 @@ export function ProfileChart({ points, title, words }: ProfileChartProps) {
           </>
         )}
       </svg>
-      <figcaption className="quiet small numbers">{at === null ? words : sayPoint(at)}</figcaption>
+      <figcaption className="quiet small numbers">{at === null ? words : pointText(at)}</figcaption>
     </figure>
   );
 }
 
-function sayPoint(point: ProfilePoint): string {
+function pointText(point: ProfilePoint): string {
   const lumen = point.errorMm === null ? mm(point.lumenMm) : `${fixed(point.lumenMm, 1)} \u00b1 ${mm(point.errorMm)}`;
   return `at ${mm(point.atMm, 0)}: ${lumen}${point.atJunction ? ", at a fork" : ""}`;
 }
 
-function sayRange(points: readonly ProfilePoint[]): string {
+function rangeText(points: readonly ProfilePoint[]): string {
   const widths = points.filter((point) => !point.atJunction).map((point) => point.lumenMm);
   return widths.length === 0
     ? "not measured within forks"

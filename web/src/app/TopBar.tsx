@@ -3,14 +3,14 @@
 import { Fragment } from "react";
 import { Button } from "react-aria-components";
 import { keyOf } from "../input/keymap";
-import { besideNotHu } from "../state/badges";
+import { withoutHuNote } from "../state/badges";
 import { plural, sentence } from "../state/format";
 import { STEP_TEXTS, STEPS } from "../state/steps";
 import { watchingText } from "../state/watching";
 import type { CaseNote } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act, Tip } from "./controls";
-import { SavedText } from "./SavedWords";
+import { SavedText } from "./SavedText";
 
 const NONE: readonly CaseNote[] = [];
 
@@ -23,7 +23,7 @@ export function TopBar() {
   const isHu = useApp((state) => state.session?.case?.is_hu ?? true);
   const reason = useApp((state) => state.session?.case?.not_hu_reason ?? null);
   const badges = useApp((state) => state.session?.badges ?? NONE);
-  const doubts = besideNotHu(badges);
+  const doubts = withoutHuNote(badges);
   const step = useApp((state) => state.ui.step);
   const watches = useApp((state) => state.watches);
   const page = useApp((state) => state.watching?.page ?? null);

@@ -13,7 +13,7 @@ import { Headset, headsetOffer, type Xr } from "../input/devices/webxr";
 import { WHEEL_MM_PER_PX } from "../input/flight";
 import { isSamePen, penMessage } from "../state/path-search";
 import type { Vec3 } from "../state/vec";
-import { type NewestPicture, PictureScreen, type XrLayer } from "../views/headset-screen";
+import { type LatestPicture, PictureScreen, type XrLayer } from "../views/headset-screen";
 import type { ArmPenMessage, ClientMessage } from "../wire/messages";
 import { LEAD_VIEW } from "../wire/views";
 import type { Pointing } from "./pointing";
@@ -108,7 +108,7 @@ export class BrowserDevices {
     if (xr === null) return null;
     const station = this.#station;
     const screen = new PictureScreen({
-      newest: () => this.#newestPicture(),
+      latest: () => this.#latestPicture(),
       canvas: () => document.createElement("canvas"),
       layer: (session, gl) => {
         const { XRWebGLLayer } = globalThis as unknown as { XRWebGLLayer: new (...of: unknown[]) => XrLayer };
@@ -132,7 +132,7 @@ export class BrowserDevices {
   /**
    * Return the picture that the page shows in the airway view's place, for the headset's screen; null if there is none.
    */
-  #newestPicture(): NewestPicture | null {
+  #latestPicture(): LatestPicture | null {
     const viewport = this.#station.wall.find(LEAD_VIEW);
     if (viewport?.header == null) return null;
     const round = this.#station.state.look.outline === "round" && viewport.header.view === LEAD_VIEW;

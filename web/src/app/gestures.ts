@@ -85,13 +85,13 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
           if (!station.pointing.click(viewport, at)) now().pointer.click?.(at, count);
           break;
         case "enlarge":
-          if (station.pointing.takeBackClick()) doubleClick();
+          if (station.pointing.undoFirstClick()) doubleClick();
           break;
         case "nothing":
           break;
       }
     },
-    secondaryClick: () => station.putAway(),
+    secondaryClick: () => station.putToolAway(),
     drag: (at, moved, button) => {
       station.pointing.dragged(viewport, at);
       now().pointer.drag?.(at, moved, button);

@@ -259,11 +259,11 @@ export class Pointing {
   }
 
   /** Restore the state before the first click of a double click; return false if the delayed action has already run. */
-  takeBackClick(): boolean {
+  undoFirstClick(): boolean {
     const before = this.#before;
     this.#before = null;
     if (!this.#delayed.cancel() || before === null) return false;
-    this.#station.takeBack(before);
+    this.#station.restoreBeforeClick(before);
     return true;
   }
 

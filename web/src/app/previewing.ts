@@ -1,7 +1,7 @@
 /** Requests for the preview of an edit, while a tool with a preview is active. */
 
 import type { PreviewQuestion } from "../state/edit-preview";
-import { LatestRequestQueue } from "../state/newest-asker";
+import { LatestRequestQueue } from "../state/latest-request-queue";
 import type { EditPreviewMessage } from "../wire/messages";
 import type { Station } from "./station";
 

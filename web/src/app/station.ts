@@ -31,7 +31,7 @@ export interface Station {
   /** Deactivate the active tool. */
   disarm(): void;
   /** Restore the state before the first click of a double click. */
-  takeBack(before: { picks: readonly WallPoint[]; crosshair: Vec3 | null; selected: number | null }): void;
+  restoreBeforeClick(before: { picks: readonly WallPoint[]; crosshair: Vec3 | null; selected: number | null }): void;
   /** Return the crosshair, or the position of the tip if the slices follow it, LPS mm; null without a pose. */
   centre(): Vec3 | null;
 }

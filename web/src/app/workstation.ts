@@ -12,9 +12,9 @@ import { DownloadError, fetchAirways, fetchFlight, fetchKeyFrames, fetchPlan, pl
 import { PictureBoard } from "../net/pictures";
 import { Stream, type StreamStatus } from "../net/stream";
 import { sendUpload, UploadError, type UploadFile } from "../net/upload";
-import { mainLeaf, neighbourWay } from "../state/airways";
+import { mainLeaf, neighbourBranch } from "../state/airways";
 import { type AppState, crosshairLps, INITIAL_STATE, pathMm, shownBranch, tipLps, type Ui } from "../state/app-state";
-import { routeDoubts } from "../state/branch-words";
+import { routeDoubts } from "../state/branch-text";
 import { caseKey } from "../state/case-key";
 import { forkAhead } from "../state/fork";
 import { type ShownLayer, toggled, wantedLayers } from "../state/lungs";
@@ -47,10 +47,10 @@ import type {
 } from "../wire/messages";
 import { type CellName, LEAD_VIEW, VIEWS } from "../wire/views";
 import { BrowserDevices } from "./devices";
-import { Heartbeat, wakeByHand } from "./heartbeat";
 import { Pointing } from "./pointing";
 import { Previewing } from "./previewing";
 import { atNextRefresh } from "./refresh";
+import { RefreshScheduler, wakeOnInput } from "./refresh-scheduler";
 import type { Station } from "./station";
 import { asConnection, SLABS, saveAs } from "./station-parts";
 
@@ -86,7 +86,7 @@ export class Workstation implements Station {
   #pickForgotten = 0;
   readonly #pace = new PaceMeter();
   readonly #speed = new SpeedMeter();
-  readonly #heart = new Heartbeat((elapsedS) => this.#tick(elapsedS), {
+  readonly #heart = new RefreshScheduler((elapsedS) => this.#tick(elapsedS), {
     nowMs: () => performance.now(),
     nextRefresh: (call) => {
       const refresh = requestAnimationFrame(call);
@@ -96,7 +96,7 @@ export class Workstation implements Station {
       const timer = setTimeout(call, ms);
       return () => clearTimeout(timer);
     },
-    goesOn: () => this.#goesOn(),
+    needsEveryRefresh: () => this.#needsEveryRefresh(),
   });
 
   constructor(connect: () => WebSocket, token: string | null) {
@@ -108,13 +108,13 @@ export class Workstation implements Station {
         if (!this.wall.draw(header, image, outline, layers)) return;
         // Only pictures of the airway view count for its frame rate, not those of the viewfinder that replaces it.
         if (header.view === LEAD_VIEW) this.#pace.pictureDrawn(header.pose_id, performance.now());
-        else if (header.stands_for === LEAD_VIEW) this.#pace.standInDrawn(header.pose_id);
+        else if (header.stands_for === LEAD_VIEW) this.#pace.placeholderDrawn(header.pose_id);
         this.store.dispatch({ kind: "picture", header });
         this.pointing.pictureDrawn(header.stands_for ?? header.view);
       },
       acknowledge: (frameId) => this.#stream.send({ type: "ack", frame_id: frameId }),
       failed: (header) =>
-        this.#sayError("picture", `The ${header.view} image could not be read.`, "The next image replaces it."),
+        this.#showError("picture", `The ${header.view} image could not be read.`, "The next image replaces it."),
     });
     this.wall = new Wall({
       scene: () => sceneOf(this.store.get()),
@@ -140,7 +140,7 @@ export class Workstation implements Station {
       ),
     );
     this.replayer = new KeyPlayer({
-      durationS: () => this.#flown()?.length_s ?? 0,
+      durationS: () => this.#selectedFlight()?.length_s ?? 0,
       stops: () => [],
       fly: (time_s, goes_on) =>
         this.#flownFlight !== null && this.send({ type: "fly_flight", number: this.#flownFlight, time_s, goes_on }),
@@ -159,10 +159,10 @@ export class Workstation implements Station {
           const before = this.state;
           if (message.type === "pose") this.#pace.poseArrived(message.pose_id, performance.now());
           this.store.dispatch({ kind: "server", message });
-          if (message.type === "pose") this.#posed(message);
-          if (message.type === "key_frames") this.player.reset(message.duration_s);
-          if (message.type === "flights") this.replayer.reset(this.#flown()?.length_s ?? 0);
-          if (message.type === "error") this.replayer.refused();
+          if (message.type === "pose") this.#onPose(message);
+          if (message.type === "key_frames") this.player.limitDuration(message.duration_s);
+          if (message.type === "flights") this.replayer.limitDuration(this.#selectedFlight()?.length_s ?? 0);
+          if (message.type === "error") this.replayer.stopIfUnanswered();
           if (message.type === "picked") this.#picked(message);
           if (message.type === "route") this.#warnOfDoubts();
           if (message.type === "live_path") this.pointing.receive(message);
@@ -182,7 +182,11 @@ export class Workstation implements Station {
         },
         picture: (picture) => this.#board.receive(picture),
         fault: (words) =>
-          this.#sayError("protocol", `Carina sent a message that this page cannot read: ${words}.`, "Reload the page."),
+          this.#showError(
+            "protocol",
+            `Carina sent a message that this page cannot read: ${words}.`,
+            "Reload the page.",
+          ),
       },
       {
         nowMs: () => performance.now(),
@@ -199,22 +203,22 @@ export class Workstation implements Station {
     return this.store.get();
   }
 
-  /** Start the heartbeat, the connection and all listeners; return a function that stops them. */
+  /** Start the refreshScheduler, the connection and all listeners; return a function that stops them. */
   start(): () => void {
     const stopKeys = listenToKeys(window, {
       press: (action) => this.act(action),
       hold: (axis, sign, down) => this.flight.hold(axis, sign, down),
       slow: (on) => this.flight.slow(on),
-      wants: (action) => this.#wants(action),
+      isAvailable: (action) => this.#isAvailable(action),
       holdsTool: () => this.state.ui.armed !== null || this.state.doubt !== null,
       arrowsLook: () => this.state.session?.mode !== "path",
       enabled: () => this.state.session?.case != null && this.state.start?.notice_accepted !== false,
     });
     const stopTouch = this.store.subscribe(() => this.wall.touch());
-    const seenOrNot = (): void => this.wall.tellLayout(false);
+    const seenOrNot = (): void => this.wall.sendLayout(false);
     document.addEventListener("visibilitychange", seenOrNot);
     this.#heart.start();
-    const stopWaking = wakeByHand(window, this.#heart.wake);
+    const stopWaking = wakeOnInput(window, this.#heart.wake);
     const counter = setInterval(() => {
       this.store.dispatch({ kind: "pace", pace: this.#pace.read(performance.now()) });
     }, PACE_MS);
@@ -287,7 +291,7 @@ export class Workstation implements Station {
       if (use !== "case" && caseKey(this.state.session) !== of) {
         // The upload of a large file takes time. If the user has opened another case in the meantime, the mask must not
         // be applied to the other patient's scan.
-        this.#sayError(
+        this.#showError(
           "upload.other-case",
           "Another case was opened during the upload, so the file was not used.",
           "Open the file again in the case it belongs to.",
@@ -298,9 +302,9 @@ export class Workstation implements Station {
       this.send(type === "import_target" ? { type, upload_id: id, structure } : { type, upload_id: id });
     } catch (error) {
       if (stop.signal.aborted) return;
-      if (error instanceof UploadError) this.#sayError(error.code, error.message, error.action);
+      if (error instanceof UploadError) this.#showError(error.code, error.message, error.action);
       else
-        this.#sayError(
+        this.#showError(
           "upload.failed",
           "The files could not be sent to Carina.",
           "Check that Carina is still running.",
@@ -328,9 +332,9 @@ export class Workstation implements Station {
       const { name, blob } = await fetched();
       saveAs(name, blob);
     } catch (error) {
-      if (error instanceof DownloadError) this.#sayError(error.code, error.message, null);
+      if (error instanceof DownloadError) this.#showError(error.code, error.message, null);
       else
-        this.#sayError(
+        this.#showError(
           "download.failed",
           "The file could not be downloaded from Carina.",
           "Check that Carina is still running.",
@@ -396,12 +400,12 @@ export class Workstation implements Station {
     this.player.pause();
     if (this.#flownFlight !== number) {
       this.#flownFlight = number;
-      this.replayer.begin();
+      this.replayer.resetToStart();
     }
     this.replayer.toggle();
   }
 
-  #flown(): FlightInfo | null {
+  #selectedFlight(): FlightInfo | null {
     return this.state.flights.find((flight) => flight.number === this.#flownFlight) ?? null;
   }
 
@@ -411,7 +415,7 @@ export class Workstation implements Station {
     this.replayer.pause();
   }
 
-  #posed(pose: PoseMessage): void {
+  #onPose(pose: PoseMessage): void {
     const tip = tipLps(this.state);
     if (tip !== null) this.#speed.poseArrived(tip, performance.now());
     this.player.poseArrived(pose);
@@ -457,10 +461,10 @@ export class Workstation implements Station {
   /** Show or hide a layer around the targets. The server sends no data of hidden layers with the pictures. */
   toggleLayer(layer: ShownLayer): void {
     this.ui({ hiddenLayers: toggled(this.state.ui.hiddenLayers, layer) });
-    this.#tellLayers();
+    this.#sendLayers();
   }
 
-  #tellLayers(): void {
+  #sendLayers(): void {
     if (!this.state.watches)
       this.#stream.send({ type: "set_layers", layers: wantedLayers(this.state.ui.hiddenLayers) });
   }
@@ -489,7 +493,7 @@ export class Workstation implements Station {
   }
 
   /** Restore the state before the first click of a double click. */
-  takeBack(before: { picks: readonly WallPoint[]; crosshair: Vec3 | null; selected: number | null }): void {
+  restoreBeforeClick(before: { picks: readonly WallPoint[]; crosshair: Vec3 | null; selected: number | null }): void {
     this.#pickForgotten = this.#pickId;
     if (this.state.picks !== before.picks) this.store.dispatch({ kind: "picks", picks: before.picks });
     if (crosshairLps(this.state) !== before.crosshair) {
@@ -568,7 +572,7 @@ export class Workstation implements Station {
    * Cancel the first of these that exists: the open question, the fork that is being moved, the active tool. Return
    * false if none exists.
    */
-  putAway(): boolean {
+  putToolAway(): boolean {
     const { armed, forkHeld } = this.state.ui;
     if (this.state.doubt !== null) {
       this.answerDoubt(false);
@@ -608,7 +612,7 @@ export class Workstation implements Station {
   }
 
   /** Return whether an action is possible now; the brush actions need an active brush. */
-  #wants(action: Action): boolean {
+  #isAvailable(action: Action): boolean {
     return action !== "brush_smaller" && action !== "brush_larger" ? true : isBrush(this.state.ui.armed);
   }
 
@@ -648,8 +652,8 @@ export class Workstation implements Station {
   readonly #actions: Readonly<Record<Action, () => void>> = {
     auto_advance: () => this.#autoAdvance(),
     previous_fork: () => this.toFork("previous"),
-    way_left: () => this.#chooseWay(-1),
-    way_right: () => this.#chooseWay(1),
+    way_left: () => this.#chooseBranch(-1),
+    way_right: () => this.#chooseBranch(1),
     toggle_mode: () => {
       this.flight.stopAuto();
       this.send({ type: "toggle_mode" });
@@ -710,7 +714,7 @@ export class Workstation implements Station {
     key_card: () => this.ui({ keyCardOpen: !this.state.ui.keyCardOpen }),
     wall_point: () => this.#wallPointAhead(),
     leave: () => {
-      if (this.putAway()) return;
+      if (this.putToolAway()) return;
       this.flight.stopAuto();
       this.pausePlaying();
       if (this.state.ui.full !== null) this.ui({ full: null });
@@ -755,13 +759,13 @@ export class Workstation implements Station {
 
   #warnedOf: string | null = null;
 
-  #chooseWay(step: -1 | 1): void {
+  #chooseBranch(step: -1 | 1): void {
     const { tree, route, pose } = this.state;
     const at = pathMm(this.state);
     if (tree === null || route === null || pose === null || at === null) return;
     const turns = this.state.plans?.turns ?? [];
     const fork = forkAhead(tree, route, at, cameraFromMatrix(pose.lps_from_camera), null, turns);
-    const way = fork === null ? null : neighbourWay(fork.ways, step);
+    const way = fork === null ? null : neighbourBranch(fork.ways, step);
     if (fork === null) this.notice("There is no fork ahead on this route.");
     else if (way === null) this.notice(`There is no branch further ${step < 0 ? "left" : "right"}.`);
     else this.chooseBranch(mainLeaf(way.node).branch.id);
@@ -770,7 +774,7 @@ export class Workstation implements Station {
   /**
    * Return whether the page needs every display refresh: something moves, is held, waits to be sent, or must be read.
    */
-  #goesOn(): boolean {
+  #needsEveryRefresh(): boolean {
     const { playing, replaying } = this.state;
     const waits = this.#soon.size > 0 || this.#autoWanted;
     return waits || playing.on || replaying.on || this.flight.isMoving || this.devices.mustBeRead;
@@ -817,11 +821,11 @@ export class Workstation implements Station {
     this.pointing.reset();
     this.previewing.reset();
     if (this.state.ui.devicesOpen) this.#stream.send({ type: "watch_devices", on: true });
-    if (this.state.ui.hiddenLayers.length > 0) this.#tellLayers();
-    this.wall.tellLayout(true);
+    if (this.state.ui.hiddenLayers.length > 0) this.#sendLayers();
+    this.wall.sendLayout(true);
   }
 
-  #sayError(code: string, message: string, action: string | null): void {
+  #showError(code: string, message: string, action: string | null): void {
     this.store.dispatch({ kind: "say", message: { kind: "error", code, message, action } });
   }
 }

@@ -160,7 +160,7 @@ describe("KeyPlayer with key frames", () => {
     const { made, environment } = player();
     made.seek(3.5);
     made.play();
-    made.reset(2);
+    made.limitDuration(2);
     expect(environment.playing).toMatchObject({ on: false, atS: 2 });
   });
 });
@@ -198,9 +198,9 @@ describe("KeyPlayer with a recorded flight", () => {
     made.poseArrived(flown(null));
     expect(playing).toMatchObject({ on: false, atS: 0.1 });
     made.play();
-    made.refused();
+    made.stopIfUnanswered();
     expect(playing.on).toBe(false);
-    made.begin();
+    made.resetToStart();
     expect(playing).toMatchObject({ on: false, atS: 0 });
   });
 });

@@ -18,7 +18,7 @@ export interface PlayerHooks {
   /** Return the times, s, to which the position slider snaps. */
   stops(): readonly number[];
   /** Move the tip to the flight's position at a time; return false without a connection. */
-  fly(timeS: number, goesOn: boolean): boolean;
+  fly(timeS: number, continues: boolean): boolean;
   /** Return the time of a pose in this flight, s; null if another input moved the tip. */
   timeOf(pose: PoseMessage): number | null;
   /** Whether the playback clock waits for the first answer of the server, which may have to load the flight. */
@@ -67,7 +67,7 @@ export class KeyPlayer {
     const lasts = this.#hooks.durationS();
     if (lasts <= 0) return false;
     const from = this.#playing.atS >= lasts - AT_END_S ? 0 : this.#playing.atS;
-    if (!this.#go(from)) return false;
+    if (!this.#sendPosition(from)) return false;
     this.#set({ on: true, atS: from });
     return true;
   }
@@ -83,12 +83,12 @@ export class KeyPlayer {
   }
 
   /** Stop the playback if the server reports an error before its first answer, because the flight may never start. */
-  refused(): void {
+  stopIfUnanswered(): void {
     if (!this.#answered) this.pause();
   }
 
   /** Select another flight: stop the playback and reset the position to the beginning. */
-  begin(): void {
+  resetToStart(): void {
     this.#set({ on: false, atS: 0 });
   }
 
@@ -103,7 +103,7 @@ export class KeyPlayer {
     const stops = [lasts, ...this.#hooks.stops()];
     // The slider has discrete steps. A position near a key frame or near the end selects that time exactly.
     const atS = stops.find((stop) => Math.abs(stop - toS) < AT_END_S) ?? Math.min(Math.max(toS, 0), lasts);
-    if (lasts > 0 && this.#go(atS)) this.#set({ atS });
+    if (lasts > 0 && this.#sendPosition(atS)) this.#set({ atS });
   }
 
   setRate(rate: number): void {
@@ -133,13 +133,13 @@ export class KeyPlayer {
    * Stop the playback and limit its position to the new duration, after a change of the flight or the case, or after
    * the loss of the connection.
    */
-  reset(lasts: number): void {
+  limitDuration(lasts: number): void {
     if (this.#playing.on || this.#playing.atS > lasts) {
       this.#set({ on: false, atS: Math.min(this.#playing.atS, lasts) });
     }
   }
 
-  #go(time_s: number): boolean {
+  #sendPosition(time_s: number): boolean {
     this.#answered = false;
     return this.#hooks.fly(time_s, false);
   }

@@ -8,7 +8,7 @@ function listening(options: { path?: boolean; enabled?: boolean; brush?: boolean
     press: (action) => calls.push(action),
     hold: (axis, sign, down) => calls.push(`${axis} ${sign} ${down ? "down" : "up"}`),
     slow: () => undefined,
-    wants: (action) => options.brush ?? !action.startsWith("brush_"),
+    isAvailable: (action) => options.brush ?? !action.startsWith("brush_"),
     holdsTool: () => options.tool ?? false,
     arrowsLook: () => !(options.path ?? true),
     enabled: () => options.enabled ?? true,

@@ -10,7 +10,7 @@ export interface KeyboardHandlers {
   hold(axis: HoldAxis, sign: 1 | -1, down: boolean): void;
   slow(on: boolean): void;
   /** Return whether an action is possible now. If it is not, the browser receives its key. */
-  wants(action: Action): boolean;
+  isAvailable(action: Action): boolean;
   /** Return whether a tool is active, which Escape then deactivates. */
   holdsTool(): boolean;
   /**
@@ -70,7 +70,7 @@ export function listenToKeys(page: Window, handlers: KeyboardHandlers): () => vo
     // not change.
     const putsDown = event.key === "Escape" && handlers.holdsTool() && !closesFirst(event.target);
     if (!takesKey(focus, event) && !putsDown) return;
-    if (binding.command.kind === "press" && !handlers.wants(binding.command.action)) return;
+    if (binding.command.kind === "press" && !handlers.isAvailable(binding.command.action)) return;
     event.preventDefault();
     event.stopPropagation();
     const { command } = binding;

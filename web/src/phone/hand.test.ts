@@ -71,11 +71,11 @@ describe("Hand", () => {
     expect(sent.at(-1)).toMatchObject({ orientation_wxyz: [0, 1, 0, 0] });
   });
 
-  it("letGo() releases all buttons, and the release is sent.", () => {
+  it("release() releases all buttons, and the release is sent.", () => {
     hand.hold("turn", true);
     hand.hold("back", true);
     hand.tick(0);
-    hand.letGo();
+    hand.release();
     hand.tick(0.5);
     expect(sent.at(-1)).toMatchObject({ held: false, advance: 0 });
   });

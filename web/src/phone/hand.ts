@@ -45,7 +45,7 @@ export class Hand {
   }
 
   /** Release all buttons, because the user has switched to another app, another page or the lock screen. */
-  letGo(): void {
+  release(): void {
     this.#held.clear();
   }
 

@@ -2,7 +2,7 @@ import { beforeEach, describe, expect, it } from "vitest";
 import { CLOSE_CODES, type PhoneStateMessage } from "../wire/messages";
 import { checkPhoneMessage } from "../wire/parse";
 import { Link, type LinkStatus } from "./link";
-import { stateText } from "./words";
+import { stateText } from "./texts";
 
 const STATE: PhoneStateMessage = {
   type: "phone_state",
@@ -47,7 +47,7 @@ let statuses: LinkStatus[];
 let words: string;
 let timers: { ms: number; call: () => void }[];
 let link: Link;
-const newest = () => {
+const latestSocket = () => {
   const socket = sockets.at(-1);
   if (socket === undefined) throw new Error("no socket was made");
   return socket;
@@ -60,7 +60,7 @@ beforeEach(() => {
   link = new Link(
     () => {
       sockets.push(new FakeSocket());
-      return newest();
+      return latestSocket();
     },
     "secret",
     {
@@ -83,31 +83,31 @@ beforeEach(() => {
 
 describe("Link", () => {
   it("It sends the token first, and no other message before the server has accepted the phone.", () => {
-    newest().opens();
-    expect(newest().sent.map((text) => JSON.parse(text).token)).toEqual(["secret"]);
+    latestSocket().opens();
+    expect(latestSocket().sent.map((text) => JSON.parse(text).token)).toEqual(["secret"]);
     expect(link.send({ type: "phone_act", action: "recenter" })).toBe(false);
-    newest().receives(STATE);
+    latestSocket().receives(STATE);
     expect(statuses.at(-1)).toBe("open");
     expect(link.send({ type: "phone_act", action: "recenter" })).toBe(true);
   });
 
   it("It reconnects with doubled delays, and with the first delay after a successful connection.", () => {
-    newest().ends(1006);
+    latestSocket().ends(1006);
     expect(timers.map((timer) => timer.ms)).toEqual([500]);
     timers[0]?.call();
-    newest().ends(1006);
+    latestSocket().ends(1006);
     expect(timers.map((timer) => timer.ms)).toEqual([1000]);
     timers[0]?.call();
     expect(sockets.length).toBe(3);
-    newest().opens();
-    newest().receives(STATE);
-    newest().ends(1006);
+    latestSocket().opens();
+    latestSocket().receives(STATE);
+    latestSocket().ends(1006);
     expect(timers.at(-1)?.ms).toBe(500);
     expect(statuses.at(-1)).toBe("lost");
   });
 
   it("After a second open() the messages and the end of the first socket are ignored.", () => {
-    const old = newest();
+    const old = latestSocket();
     old.opens();
     link.open();
     expect([sockets.length, old.closed]).toEqual([2, true]);
@@ -115,16 +115,16 @@ describe("Link", () => {
     expect(statuses.at(-1)).toBe("connecting");
     old.ends(1006);
     expect([statuses.at(-1), timers.length]).toEqual(["connecting", 0]);
-    newest().opens();
-    newest().receives(STATE);
+    latestSocket().opens();
+    latestSocket().receives(STATE);
     expect(statuses.at(-1)).toBe("open");
   });
 
   it.each(["protocol.not-authorised", "protocol.taken-over", "protocol.version", "protocol.malformed"] as const)(
     "It does not reconnect after the close code %s.",
     (code) => {
-      newest().opens();
-      newest().ends(CLOSE_CODES[code]);
+      latestSocket().opens();
+      latestSocket().ends(CLOSE_CODES[code]);
       expect(statuses.at(-1)).toBe("refused");
       expect(words.length).toBeGreaterThan(20);
       expect(timers).toEqual([]);
@@ -132,17 +132,17 @@ describe("Link", () => {
   );
 
   it("A message is discarded while the browser holds too many unsent bytes.", () => {
-    newest().opens();
-    newest().receives(STATE);
-    newest().bufferedAmount = 5000;
+    latestSocket().opens();
+    latestSocket().receives(STATE);
+    latestSocket().bufferedAmount = 5000;
     expect(link.send({ type: "phone_act", action: "recenter" })).toBe(false);
-    newest().bufferedAmount = 0;
+    latestSocket().bufferedAmount = 0;
     expect(link.send({ type: "phone_act", action: "recenter" })).toBe(true);
   });
 
   it("An invalid message of the server closes the connection, and the status is refused.", () => {
-    newest().opens();
-    const socket = newest();
+    latestSocket().opens();
+    const socket = latestSocket();
     socket.receives({ type: "phone_state", case_open: "yes" });
     expect(statuses.at(-1)).toBe("refused");
     expect(socket.closed).toBe(true);

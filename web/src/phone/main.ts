@@ -4,7 +4,7 @@ import "./phone.css";
 import { Hand, type Held } from "./hand";
 import { Link } from "./link";
 import { penOrientation } from "./orientation";
-import { NO_SENSOR, SENSOR_REFUSED, SENSOR_WITHIN_MS, stateText } from "./words";
+import { NO_SENSOR, SENSOR_REFUSED, SENSOR_WITHIN_MS, stateText } from "./texts";
 
 function element<T extends HTMLElement>(id: string): T {
   const found = document.getElementById(id);
@@ -34,7 +34,7 @@ const link = new Link(
       if (status !== "open") say(words, status === "refused" ? "bad" : "wait");
       // Release all buttons when the connection is lost, so that a button held at that time does not move the tip after
       // the reconnection.
-      if (status !== "open") letGo();
+      if (status !== "open") release();
     },
     state: (received) => say(stateText(received), "good"),
   },
@@ -50,8 +50,8 @@ const holders: [HTMLElement, Held][] = [
   [element("back"), "back"],
 ];
 
-function letGo(): void {
-  hand.letGo();
+function release(): void {
+  hand.release();
   for (const [button] of holders) delete button.dataset.held;
 }
 
@@ -139,7 +139,7 @@ element("use").addEventListener("click", () => {
 
 document.addEventListener("visibilitychange", () => {
   if (document.visibilityState === "hidden") {
-    letGo();
+    release();
     hand.tick(performance.now() / 1000);
   } else if (!element("control").hidden) void stayAwake();
 });

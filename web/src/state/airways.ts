@@ -108,7 +108,7 @@ export function buildTree(given: TreeDocument, extras: TreeExtras = {}): BranchT
  */
 function giveRows(node: BranchNode, row: BranchNode[]): void {
   node.row = row;
-  const onward = node.children.filter((child) => goesOn(node, child));
+  const onward = node.children.filter((child) => continuesIn(node, child));
   for (const child of node.children) {
     if (onward.length === 1 && child === onward[0]) {
       row.push(child);
@@ -117,7 +117,7 @@ function giveRows(node: BranchNode, row: BranchNode[]): void {
   }
 }
 
-const goesOn = ({ branch: above }: BranchNode, { branch }: BranchNode): boolean =>
+const continuesIn = ({ branch: above }: BranchNode, { branch }: BranchNode): boolean =>
   above.name !== null &&
   branch.name === above.name &&
   branch.name_from === above.name_from &&
@@ -164,7 +164,7 @@ export function mainLeaf(node: BranchNode): BranchNode {
 }
 
 /** A branch that continues from a fork, with the position of its opening in the airway view. */
-export interface WayOn {
+export interface OnwardBranch {
   node: BranchNode;
   /** Whether the branch is on the selected route. */
   chosen: boolean;
@@ -198,14 +198,14 @@ const MIDDLE = { tangent: 0.12, times: 4 };
 const LEAST_DEPTH_MM = 1;
 
 /** A branch at a fork of the planned route, with its opening in the list of turns. */
-export interface ListedWay {
+export interface TurnBranch {
   node: BranchNode;
   opening: TurnOpening;
 }
 
 /** The openings of a turn in the list of turns. */
-export interface ListedWays {
-  ways: readonly ListedWay[];
+export interface TurnBranches {
+  ways: readonly TurnBranch[];
   /** Whether the hour of the first opening is not reliable. */
   doubtful: boolean;
   /** Whether the camera is at the viewpoint of the turn, where the listed directions are valid. */
@@ -218,12 +218,12 @@ export interface ListedWays {
  * The branches and the middles of their openings are those of the list of turns (`listed`). Without a list, the opening
  * of a child is represented by a point of its centreline.
  */
-export function waysOn(
+export function onwardBranches(
   node: BranchNode,
   camera: Camera,
   route: Pick<RouteInfo, "spans"> | null,
-  listed: ListedWays | null = null,
-): WayOn[] {
+  listed: TurnBranches | null = null,
+): OnwardBranch[] {
   const fork = tip(node.branch);
   if (fork === null) return [];
   const onRoute = new Set(route?.spans.map((span) => span.branch_id) ?? []);
@@ -247,7 +247,7 @@ export function waysOn(
   return openings
     .map(({ node: child, opening, x }, index) => {
       const inMiddle = listed?.atViewpoint ? opening?.straight_ahead === true : ahead && index === middle;
-      const noHour: WayOn["noHour"] =
+      const noHour: OnwardBranch["noHour"] =
         opening?.in_view === false
           ? "not in view"
           : index === 0 && listed?.doubtful
@@ -285,7 +285,7 @@ function openingOf(child: BranchNode, fork: Vec3): Vec3 {
 /**
  * Return the branch to the left (-1) or right (+1) of the branch on the route; null if that branch is the outermost.
  */
-export function neighbourWay(ways: readonly WayOn[], step: -1 | 1): WayOn | null {
+export function neighbourBranch(ways: readonly OnwardBranch[], step: -1 | 1): OnwardBranch | null {
   const chosen = ways.findIndex((way) => way.chosen);
   if (chosen < 0) return (step < 0 ? ways[0] : ways.at(-1)) ?? null;
   return ways[chosen + step] ?? null;

@@ -376,7 +376,7 @@ export function reduce(state: AppState, event: AppEvent): AppState {
     case "doubt_answered":
       return { ...state, doubt: null };
     case "pace":
-      return samePace(event.pace, state.pace) ? state : { ...state, pace: event.pace };
+      return hasSameSpeed(event.pace, state.pace) ? state : { ...state, pace: event.pace };
     case "speed":
       return state.speedMmS === event.speedMmS ? state : { ...state, speedMmS: event.speedMmS };
     case "playing":
@@ -519,11 +519,11 @@ function handled(state: AppState, number: number): AppState {
     sight: allUnderWay(local.sight, number),
     pathMm: underWay(local.pathMm, number),
   };
-  const isAsBefore =
+  const isUnchanged =
     now.pathMm === local.pathMm &&
     numberOf(now.look) === numberOf(local.look) &&
     numberOf(now.sight) === numberOf(local.sight);
-  if (isAsBefore || session === null) return state;
+  if (isUnchanged || session === null) return state;
   return { ...state, local: now, look: shown(now.look, session.look), sight: shown(now.sight, session.sight) };
 }
 
@@ -627,7 +627,8 @@ function say(state: AppState, message: Omit<Message, "id">): AppState {
 
 const asPoint = (point: readonly number[] | null): Vec3 | null => (point === null ? null : asVec3(point));
 
-const samePace = (a: Pace, b: Pace): boolean => a.fps === b.fps && a.ageMs === b.ageMs && a.waitingMs === b.waitingMs;
+const hasSameSpeed = (a: Pace, b: Pace): boolean =>
+  a.fps === b.fps && a.ageMs === b.ageMs && a.waitingMs === b.waitingMs;
 
 /** Return the position of the tip in the latest pose, LPS mm; null without a pose. */
 export function tipLps(state: AppState): Vec3 | null {

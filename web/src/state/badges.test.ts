@@ -1,12 +1,12 @@
 import { expect, test } from "vitest";
-import { besideNotHu, findingsOf } from "./badges";
+import { findingsOf, withoutHuNote } from "./badges";
 
 const NOT_HU = { code: "import.not-hu", words: "not HU: 8 bits", badge: true };
 const CLIPPED = { code: "import.clipped", words: "9 voxels were clipped", badge: true };
 const STOPPED = { code: "track.search-stopped", words: "the search was stopped", badge: true };
 
-test("besideNotHu returns all notes except not HU, which has a separate badge.", () => {
-  expect(besideNotHu([NOT_HU, CLIPPED, STOPPED])).toEqual([CLIPPED, STOPPED]);
+test("withoutHuNote returns all notes except not HU, which has a separate badge.", () => {
+  expect(withoutHuNote([NOT_HU, CLIPPED, STOPPED])).toEqual([CLIPPED, STOPPED]);
 });
 
 test("findingsOf lists doubts first, including those of the airways, and no text twice.", () => {

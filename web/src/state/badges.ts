@@ -3,7 +3,7 @@
 import type { CaseNote } from "../wire/messages";
 
 /** Return the notes except "not HU", which has a separate badge and text. */
-export function besideNotHu(badges: readonly CaseNote[]): readonly CaseNote[] {
+export function withoutHuNote(badges: readonly CaseNote[]): readonly CaseNote[] {
   return badges.filter(({ code }) => code !== "import.not-hu");
 }
 
@@ -13,5 +13,5 @@ export function findingsOf(
   quality: readonly string[],
   warnings: readonly string[],
 ): readonly string[] {
-  return [...new Set([...besideNotHu(badges).map(({ words }) => words), ...quality, ...warnings])];
+  return [...new Set([...withoutHuNote(badges).map(({ words }) => words), ...quality, ...warnings])];
 }

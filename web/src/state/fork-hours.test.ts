@@ -2,7 +2,7 @@ import { readFileSync } from "node:fs";
 import { fileURLToPath } from "node:url";
 import { describe, expect, it } from "vitest";
 import type { TreeBranch, TurnOpening } from "../wire/messages";
-import { buildTree, waysOn } from "./airways";
+import { buildTree, onwardBranches } from "./airways";
 import { testBranch } from "./branches.testing";
 import { cameraFromMatrix } from "./vec";
 
@@ -37,7 +37,11 @@ describe("clock hours of branch openings", () => {
         return { node, opening };
       });
       const camera = cameraFromMatrix(made.lps_from_camera);
-      const ways = waysOn(tree.root, camera, null, { ways: listed, doubtful: made.doubtful, atViewpoint: true });
+      const ways = onwardBranches(tree.root, camera, null, {
+        ways: listed,
+        doubtful: made.doubtful,
+        atViewpoint: true,
+      });
       expect(Object.fromEntries(ways.map((way) => [`${way.node.branch.id}`, way.hour]))).toEqual(made.hours);
     },
   );

@@ -1,7 +1,7 @@
 /** The fork ahead of the tip: its distance, and the branches that continue from it as the airway view shows them. */
 
 import type { PlannedTurn, RouteInfo } from "../wire/messages";
-import { type BranchTree, type ListedWays, type WayOn, waysOn } from "./airways";
+import { type BranchTree, type OnwardBranch, onwardBranches, type TurnBranches } from "./airways";
 import { FORK_TOLERANCE_MM } from "./route";
 import type { Camera } from "./vec";
 
@@ -20,7 +20,7 @@ export interface ForkAhead {
   distanceMm: number;
   /** Whether the tip is near enough to the fork to show clock hours. */
   near: boolean;
-  ways: WayOn[];
+  ways: OnwardBranch[];
 }
 
 /** Return the fork ahead of the tip; null if no fork of the tree is ahead on the route. */
@@ -48,19 +48,19 @@ export function forkAhead(
     return {
       distanceMm: distanceMm < FORK_TOLERANCE_MM ? 0 : distanceMm,
       near: distanceMm <= HOURS_MM,
-      ways: waysOn(node, camera, route, listedWays(tree, turns, span.branch_id, forkBranchId !== null)),
+      ways: onwardBranches(node, camera, route, turnBranchesOf(tree, turns, span.branch_id, forkBranchId !== null)),
     };
   }
   return null;
 }
 
 /** Return the listed openings of the fork at the end of a branch; null if the fork is not in the list of turns. */
-function listedWays(
+function turnBranchesOf(
   tree: BranchTree,
   turns: readonly PlannedTurn[],
   branchId: number,
   atViewpoint: boolean,
-): ListedWays | null {
+): TurnBranches | null {
   const turn = turns.find((one) => one.fork_branch_id === branchId);
   if (turn === undefined || turn.openings.length === 0) return null;
   const ways = turn.openings.flatMap((opening) => {

@@ -2,7 +2,7 @@
 
 import type { AskLivePathMessage, LivePathMessage } from "../wire/messages";
 import { fixed, mm, sentence } from "./format";
-import { type Answered, LatestRequestQueue } from "./newest-asker";
+import { type Answered, LatestRequestQueue } from "./latest-request-queue";
 
 /** Point of a path request: a patient point, or a pixel of an airway picture. */
 export type LiveQuestion = Pick<AskLivePathMessage, "lps" | "frame_id" | "column" | "row">;

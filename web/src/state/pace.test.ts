@@ -61,7 +61,7 @@ describe("PaceMeter with a replacement picture", () => {
     }
     expect(meter.read(400).fps).toBe(50);
     meter.poseArrived(20, 400);
-    meter.standInDrawn(20);
+    meter.placeholderDrawn(20);
     expect(meter.read(900)).toEqual({ fps: null, ageMs: null, waitingMs: 0 });
   });
 });

@@ -62,7 +62,7 @@ export class PaceMeter {
    * Record that a replacement picture shows a pose: the pose no longer waits for a picture, and the measurement
    * restarts.
    */
-  standInDrawn(poseId: number): void {
+  placeholderDrawn(poseId: number): void {
     this.#shownPose = poseId;
     this.#lastDrawMs = null;
     this.#gapMs = null;

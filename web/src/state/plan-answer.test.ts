@@ -73,8 +73,8 @@ describe("answer of a plan", () => {
     expect(answeredPlan(at("target"))).toBe(plan);
     expect(answeredPlan(at("rehearse"))).toBeNull();
     expect(answeredPlan({ ...at("target"), watches: true })).toBeNull();
-    const asked = { targets: [{ ...plan, unconfirmed: ["target.tube"] }] } as unknown as typeof plans;
-    expect(answeredPlan({ ...at("target"), plans: asked })).toBeNull();
+    const unconfirmed = { targets: [{ ...plan, unconfirmed: ["target.tube"] }] } as unknown as typeof plans;
+    expect(answeredPlan({ ...at("target"), plans: unconfirmed })).toBeNull();
   });
 
   it("needleText and vesselText state the needle's path, and warn of vessels within the margin.", () => {

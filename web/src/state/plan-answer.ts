@@ -9,7 +9,7 @@ import { planOf, share } from "./plan";
 const ANSWER_STEPS: ReadonlySet<AppState["ui"]["step"]> = new Set(["target", "route", "share"]);
 
 /**
- * Return the plan whose answer is shown: that of the route's target, else that of the newest target. Null in other
+ * Return the plan whose answer is shown: that of the route's target, else that of the target added last. Null in other
  * steps, in a window that only watches, and while the user must confirm doubts about the target.
  */
 export function answeredPlan(state: AppState): TargetPlan | null {

@@ -7,7 +7,7 @@ import {
   type StationOnRoute,
   type TargetPlan,
 } from "../wire/messages";
-import { besideRouteMm, isCArmAt, ROUTE_ROWS, stationsShown, stationText, turnBefore, turnText } from "./plan";
+import { distanceToRouteMm, isCArmAt, ROUTE_ROWS, stationsShown, stationText, turnBefore, turnText } from "./plan";
 
 const turn = (at: [number, number, number] | null): PlannedTurn => ({
   head: "3 o'clock",
@@ -36,7 +36,7 @@ describe("list of turns", () => {
     expect(turnBefore([], [1, 2, 3])).toBeNull();
   });
 
-  it("besideRouteMm returns the nearest position on the route, and null for a tip outside the route's airways.", () => {
+  it("distanceToRouteMm returns the nearest position on the route, and null for a tip outside the route's airways.", () => {
     const route = {
       points_lps: [
         [0, 0, 0],
@@ -46,8 +46,8 @@ describe("list of turns", () => {
       cumulative_mm: [0, 10, 20],
       radius_mm: [5, 4, 3],
     } as unknown as RouteInfo;
-    expect(besideRouteMm(route, [3, 0, 11])).toBe(10);
-    expect(besideRouteMm(route, [5, 0, 20])).toBeNull();
+    expect(distanceToRouteMm(route, [3, 0, 11])).toBe(10);
+    expect(distanceToRouteMm(route, [5, 0, 20])).toBeNull();
   });
 });
 

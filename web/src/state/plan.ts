@@ -12,7 +12,7 @@ import type {
   StationOnRoute,
   TargetPlan,
 } from "../wire/messages";
-import { withError } from "./branch-words";
+import { withError } from "./branch-text";
 import { fixed, mm } from "./format";
 import { asVec3, sub, type Vec3 } from "./vec";
 
@@ -128,13 +128,13 @@ export const isCArmAt = (carm: Carm, position: CArmPosition): boolean =>
  * Distance of the tip from the viewpoint of a turn, mm, up to which the tip counts as being at the viewpoint; turning
  * the view moves the tip slightly.
  */
-const STANDS_MM = 0.3;
+const AT_VIEWPOINT_MM = 0.3;
 
 /** Return the list index of the turn at whose viewpoint the tip is; null if the tip is not at a viewpoint. */
 export function turnBefore(turns: readonly PlannedTurn[], tip: Vec3 | null): number | null {
   if (tip === null) return null;
   const at = turns.findIndex(
-    ({ seen_from_lps: from }) => from !== null && Math.hypot(...sub(asVec3(from), tip)) <= STANDS_MM,
+    ({ seen_from_lps: from }) => from !== null && Math.hypot(...sub(asVec3(from), tip)) <= AT_VIEWPOINT_MM,
   );
   return at < 0 ? null : at;
 }
@@ -143,7 +143,7 @@ export function turnBefore(turns: readonly PlannedTurn[], tip: Vec3 | null): num
  * Return the position along the route, mm, nearest to a freely moved tip; null if the tip is outside the route's
  * airways.
  */
-export function besideRouteMm(route: RouteInfo, tip: Vec3): number | null {
+export function distanceToRouteMm(route: RouteInfo, tip: Vec3): number | null {
   let best: { mm: number; away: number; radius: number } | null = null;
   route.points_lps.forEach((point, n) => {
     const away = Math.hypot(...sub(asVec3(point), tip));

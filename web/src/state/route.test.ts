@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { RouteInfo } from "../wire/messages";
-import { buildTree, lineage, mainLeaf, neighbourWay, waysOn } from "./airways";
+import { buildTree, lineage, mainLeaf, neighbourBranch, onwardBranches } from "./airways";
 import { testBranch } from "./branches.testing";
 import { forkAhead } from "./fork";
 import { coordinates, fixed, parseCoordinates, timeLeft } from "./format";
@@ -138,32 +138,32 @@ describe("airway tree", () => {
     expect(lineage(TREE, 3).map((node) => node.branch.id)).toEqual([0, 1, 3]);
   });
 
-  it("waysOn orders the branches from left to right in the picture, not in the patient.", () => {
-    const ways = waysOn(TREE.root, FROM_HEAD, ROUTE);
+  it("onwardBranches orders the branches from left to right in the picture, not in the patient.", () => {
+    const ways = onwardBranches(TREE.root, FROM_HEAD, ROUTE);
     expect(ways.map((way) => way.node.branch.id)).toEqual([2, 1]);
     expect(ways.map((way) => way.chosen)).toEqual([true, false]);
     expect(ways.map((way) => way.hour)).toEqual([9, 3]);
-    const facing = waysOn(TREE.root, { ...FROM_HEAD, right: [1, 0, 0], down: [0, -1, 0] }, ROUTE);
+    const facing = onwardBranches(TREE.root, { ...FROM_HEAD, right: [1, 0, 0], down: [0, -1, 0] }, ROUTE);
     expect(facing.map((way) => way.node.branch.id)).toEqual([1, 2]);
   });
 
   it("A branch in the middle of the picture has no clock hour, and the other branch has one.", () => {
     // The camera is at the entrance of the left branch and looks along the branch.
     const into: Camera = { right: [0, 0, -1], down: [0, 1, 0], forward: [1, 0, 0], position: [-20, 0, -31] };
-    const ways = waysOn(TREE.root, into, ROUTE);
+    const ways = onwardBranches(TREE.root, into, ROUTE);
     expect(ways.map((way) => [way.node.branch.id, way.hour])).toEqual([
       [2, null],
       [1, 3],
     ]);
   });
 
-  it("neighbourWay returns the next branch on that side, and null at the outermost branch.", () => {
-    const ways = waysOn(TREE.root, FROM_HEAD, ROUTE);
-    expect(neighbourWay(ways, 1)?.node.branch.id).toBe(1);
-    expect(neighbourWay(ways, -1)).toBeNull();
+  it("neighbourBranch returns the next branch on that side, and null at the outermost branch.", () => {
+    const ways = onwardBranches(TREE.root, FROM_HEAD, ROUTE);
+    expect(neighbourBranch(ways, 1)?.node.branch.id).toBe(1);
+    expect(neighbourBranch(ways, -1)).toBeNull();
   });
 
-  it("At the viewpoint of a turn, waysOn states the listed directions and hours that are not given.", () => {
+  it("At the viewpoint of a turn, onwardBranches states the listed directions and hours that are not given.", () => {
     const opening = { middle_lps: null, in_view: true, straight_ahead: false };
     const [one, other] = TREE.root.children;
     if (one === undefined || other === undefined) throw new Error("the root has two children");
@@ -172,7 +172,7 @@ describe("airway tree", () => {
       { node: other, opening: { ...opening, branch_id: other.branch.id, in_view: false } },
     ];
     const texts = (doubtful: boolean) =>
-      waysOn(TREE.root, FROM_HEAD, ROUTE, { ways, doubtful, atViewpoint: true })
+      onwardBranches(TREE.root, FROM_HEAD, ROUTE, { ways, doubtful, atViewpoint: true })
         .sort((a, b) => a.node.branch.id - b.node.branch.id)
         .map(({ hour, noHour }) => hour ?? noHour);
     expect(texts(false)).toEqual([3, "not in view"]);

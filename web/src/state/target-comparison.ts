@@ -1,7 +1,7 @@
 /** Columns of the table that compares the targets of a case. */
 
 import type { PlannedTargetRow } from "../wire/messages";
-import { withError } from "./branch-words";
+import { withError } from "./branch-text";
 import { mm } from "./format";
 import { figure, share } from "./plan";
 

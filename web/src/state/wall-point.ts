@@ -37,8 +37,8 @@ export function addPick(points: readonly WallPoint[], answer: PickedMessage): re
 
 /** Return the straight distance between the last two wall points, mm; null with fewer than two. */
 export function pointsApartMm(points: readonly WallPoint[]): number | null {
-  const [before, newest] = points.slice(-MAX_POINTS);
-  return before === undefined || newest === undefined ? null : distance(before.lps, newest.lps);
+  const [before, latest] = points.slice(-MAX_POINTS);
+  return before === undefined || latest === undefined ? null : distance(before.lps, latest.lps);
 }
 
 /**
@@ -46,17 +46,17 @@ export function pointsApartMm(points: readonly WallPoint[]): number | null {
  * a missing name.
  */
 export function wallPointLines(points: readonly WallPoint[], label: string | null, isHu: boolean): readonly string[] {
-  const newest = points.at(-1);
-  if (newest === undefined) return [];
+  const latest = points.at(-1);
+  if (latest === undefined) return [];
   // Put longer lines first, because the round picture leaves more space at the top of the corner.
-  const lines = [coordinates(newest.lps)];
-  const branch = newest.branchName ?? label;
+  const lines = [coordinates(latest.lps)];
+  const branch = latest.branchName ?? label;
   if (branch !== null) {
-    lines.push(newest.generation === null ? branch : `${branch}, generation ${newest.generation}`);
+    lines.push(latest.generation === null ? branch : `${branch}, generation ${latest.generation}`);
   }
   // State that the distance was measured at the click, because the tip moves on.
-  lines.push(`${mm(newest.depthMm)} away when clicked`);
-  if (newest.voxelValue !== null) lines.push(`${fixed(newest.voxelValue)}${isHu ? " HU" : " (not HU)"}`);
+  lines.push(`${mm(latest.depthMm)} away when clicked`);
+  if (latest.voxelValue !== null) lines.push(`${fixed(latest.voxelValue)}${isHu ? " HU" : " (not HU)"}`);
   const apart = pointsApartMm(points);
   if (apart !== null) lines.push(`${mm(apart)} apart`);
   return lines;

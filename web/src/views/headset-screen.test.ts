@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { XrSession, XrViewerPose } from "../input/devices/webxr";
-import { inFrontOf, type NewestPicture, PictureScreen, product } from "./headset-screen";
+import { inFrontOf, type LatestPicture, PictureScreen, product } from "./headset-screen";
 
 const IDENTITY = new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]);
 
@@ -76,13 +76,13 @@ function fakeGl(log: string[], linksWell: boolean, places: Float32Array[]): WebG
   });
 }
 
-function screenOf(log: string[], newest: () => NewestPicture | null, linksWell = true, shown = [true, true]) {
+function screenOf(log: string[], latest: () => LatestPicture | null, linksWell = true, shown = [true, true]) {
   let eye = 0;
   const states: object[] = [];
   const places: Float32Array[] = [];
   const gl = fakeGl(log, linksWell, places);
   const screen = new PictureScreen({
-    newest,
+    latest,
     canvas: () => ({ getContext: () => gl }) as unknown as HTMLCanvasElement,
     layer: () => ({
       framebuffer: null,
@@ -95,7 +95,7 @@ function screenOf(log: string[], newest: () => NewestPicture | null, linksWell =
 
 const VIEW = { projectionMatrix: IDENTITY, transform: { inverse: { matrix: IDENTITY } } };
 const VIEWER = { transform: { matrix: IDENTITY }, views: [VIEW, VIEW] } as unknown as XrViewerPose;
-const IMAGE = { width: 4, height: 4 } as unknown as NewestPicture["image"];
+const IMAGE = { width: 4, height: 4 } as unknown as LatestPicture["image"];
 
 describe("PictureScreen", () => {
   it("The picture is drawn for each eye at every refresh, and uploaded only when it is new.", async () => {
@@ -153,7 +153,7 @@ describe("PictureScreen", () => {
     const { screen, session, places } = screenOf([], () => ({ image, frameId, round: true }));
     await screen.open(session);
     screen.draw(VIEWER);
-    image = { width: 8, height: 4 } as unknown as NewestPicture["image"];
+    image = { width: 8, height: 4 } as unknown as LatestPicture["image"];
     frameId = 2;
     const gone = { transform: { matrix: head(5, 0, 0, 30) }, views: [VIEW] } as unknown as XrViewerPose;
     screen.draw(gone);

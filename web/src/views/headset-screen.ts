@@ -13,7 +13,7 @@ const AWAY_M = 1.5;
 const HALF_M = 0.8;
 
 /** The latest airway picture; `frameId` changes with each new picture. */
-export interface NewestPicture {
+export interface LatestPicture {
   readonly image: TexImageSource & { readonly width: number; readonly height: number };
   readonly frameId: number;
   readonly round: boolean;
@@ -27,7 +27,7 @@ export interface XrLayer {
 
 /** Page functions that {@link PictureScreen} uses; tests supply fakes. */
 export interface ScreenHooks {
-  newest(): NewestPicture | null;
+  latest(): LatestPicture | null;
   canvas(): HTMLCanvasElement;
   layer(session: XrSession, gl: WebGL2RenderingContext): XrLayer;
 }
@@ -105,22 +105,22 @@ export class PictureScreen implements HeadsetScreen {
     gl.bindFramebuffer(gl.FRAMEBUFFER, layer.framebuffer);
     gl.clearColor(0.055, 0.067, 0.075, 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    const newest = this.#hooks.newest();
-    if (newest === null || newest.image.width === 0 || newest.image.height === 0) return;
+    const latest = this.#hooks.latest();
+    if (latest === null || latest.image.width === 0 || latest.image.height === 0) return;
     // biome-ignore lint/correctness/useHookAtTopLevel: a method of WebGL, not a hook of React
     gl.useProgram(this.#program);
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, this.#texture);
-    if (this.#uploaded !== newest.frameId) {
-      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, newest.image);
-      this.#uploaded = newest.frameId;
+    if (this.#uploaded !== latest.frameId) {
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, latest.image);
+      this.#uploaded = latest.frameId;
     }
     // Copy the matrix, because WebXR may reuse the array of a frame.
     this.#head ??= { matrix: Float32Array.from(viewer.transform.matrix) };
     // Use the aspect ratio of the current picture, because the layout of the page may change it and a round lumen must
     // stay round.
-    const room = inFrontOf(this.#head, newest.image.width / newest.image.height);
-    gl.uniform1i(gl.getUniformLocation(this.#program as WebGLProgram, "is_round"), newest.round ? 1 : 0);
+    const room = inFrontOf(this.#head, latest.image.width / latest.image.height);
+    gl.uniform1i(gl.getUniformLocation(this.#program as WebGLProgram, "is_round"), latest.round ? 1 : 0);
     const place = gl.getUniformLocation(this.#program as WebGLProgram, "eye_from_screen");
     for (const view of viewer.views) {
       const viewport = layer.getViewport(view);

@@ -1,6 +1,6 @@
 /** Overlay of the curved pictures along the route: distance axis, names, lumen, targets, tip, letters and scale bar. */
 
-import { kindText } from "../state/branch-words";
+import { kindText } from "../state/branch-text";
 import { fixed } from "../state/format";
 import { axesAt, type LinesGeometry, linesOf, nearestPixel, pixelOfPath } from "../state/lines";
 import { radiusAt } from "../state/route";

@@ -1,7 +1,7 @@
 /** Overlay of the airways on slices and the cut-plane: the outline of the lumen, and the centrelines near the plane. */
 
 import type { BranchNode, BranchTree } from "../state/airways";
-import { isDoubtful } from "../state/branch-words";
+import { isDoubtful } from "../state/branch-text";
 import { type FlatGeometry, mmPerPixel, normalOf, pixelFromLps } from "../state/projection";
 import { sphereOf } from "../state/spheres";
 import { asVec3, column, dot, sub, type Vec3 } from "../state/vec";

@@ -4,7 +4,7 @@
  */
 
 import type { BranchNode } from "../state/airways";
-import { kindText } from "../state/branch-words";
+import { kindText } from "../state/branch-text";
 import { type Geometry, pixelFromLps, projectLine, type SeenPoint } from "../state/projection";
 import { openingOf } from "../state/tree-index";
 import { asVec3, type Vec3 } from "../state/vec";

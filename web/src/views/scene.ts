@@ -2,7 +2,7 @@
 
 import type { BranchNode, BranchTree } from "../state/airways";
 import { type AppState, type Cursor, crosshairLps, pathMm } from "../state/app-state";
-import { kindText, lumenMm } from "../state/branch-words";
+import { kindText, lumenMm } from "../state/branch-text";
 import { type PreviewRun, previewText, previewTool, runsOf } from "../state/edit-preview";
 import { forkOf } from "../state/fork-choice";
 import { mm, plural } from "../state/format";
@@ -226,22 +226,22 @@ function pointedAt(
     uncertain: tree?.uncertain ?? [],
     hovered,
     selected,
-    doomed: hovered === null ? [] : actedOn(ui.armed, hovered.node, hovered.place?.alongMm ?? 0),
+    doomed: hovered === null ? [] : branchesUnderTool(ui.armed, hovered.node, hovered.place?.alongMm ?? 0),
     heldFork: held === undefined ? null : asVec3(held),
     preview: previewRuns.length === 0 ? null : { runs: previewRuns, faint: doubt === null && preview?.stale === true },
     live,
-    note: noteOf(state, hovered?.node ?? null),
+    note: cursorNoteOf(state, hovered?.node ?? null),
     brush: isBrush(ui.armed) ? { radiusMm: ui.brushMm, erase: takesAway(ui.armed) } : null,
     stroke: ui.stroke,
   };
 }
 
-function actedOn(armed: Armed | null, node: BranchNode, alongMm: number): Vec3[][] {
+function branchesUnderTool(armed: Armed | null, node: BranchNode, alongMm: number): Vec3[][] {
   if (armed === "smooth") return [pointsFrom(node, 0)];
   return armed === "cut" ? below(node).map((member) => pointsFrom(member, member === node ? alongMm : 0)) : [];
 }
 
-function noteOf(state: AppState, hovered: BranchNode | null): Scene["note"] {
+function cursorNoteOf(state: AppState, hovered: BranchNode | null): Scene["note"] {
   const { ui, livePath, preview, doubt } = state;
   // The question about a branch without evidence is shown beside the tool, not at the cursor.
   if (doubt !== null) return null;
@@ -308,7 +308,7 @@ let last: Scene | null = null;
  * repainted.
  */
 export function sceneOf(state: AppState): Scene {
-  const made = madeOf(state);
+  const made = buildScene(state);
   const before = last;
   if (before !== null) {
     for (const key of MADE) if (isSame(before[key], made[key])) Object.assign(made, { [key]: before[key] });
@@ -359,7 +359,7 @@ function isSame(a: unknown, b: unknown, depth = 3): boolean {
  */
 const MOST_PARTS = 64;
 
-function madeOf(state: AppState): Scene {
+function buildScene(state: AppState): Scene {
   if (state.route !== cachedFor) {
     cachedFor = state.route;
     cachedRuns = shownRuns(state.route);

@@ -53,7 +53,7 @@ export function paintWallMarks(
 }
 
 /** Draw a mark: a cross with a free middle. The latest mark has a ring. */
-function wallMark(ink: Ink, at: ScreenPoint, alpha: number, newest: boolean, size: number): void {
+function wallMark(ink: Ink, at: ScreenPoint, alpha: number, latest: boolean, size: number): void {
   for (const [colour, width] of [
     [INK.halo, 4],
     [INK.text, 1.75],
@@ -67,7 +67,7 @@ function wallMark(ink: Ink, at: ScreenPoint, alpha: number, newest: boolean, siz
       const from = { x: at.x + dx * size * GAP_PX, y: at.y + dy * size * GAP_PX };
       line(ink, [from, { x: at.x + dx * size * ARM_PX, y: at.y + dy * size * ARM_PX }], colour, width, alpha);
     }
-    if (!newest) continue;
+    if (!latest) continue;
     ink.save();
     ink.globalAlpha = alpha;
     ink.strokeStyle = colour;

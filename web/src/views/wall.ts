@@ -106,7 +106,7 @@ export class Wall {
     this.#layoutDue = true;
     this.#hooks.nextRefresh(() => {
       this.#layoutDue = false;
-      this.tellLayout(false);
+      this.sendLayout(false);
     });
   }
 
@@ -114,7 +114,7 @@ export class Wall {
    * Report the visible views and their sizes to the server if they have changed; with `again` also without a change,
    * for a new connection.
    */
-  tellLayout(again: boolean): void {
+  sendLayout(again: boolean): void {
     const views: ViewSize[] = [];
     for (const viewport of this.#hooks.isSeen() ? this.#viewports : []) {
       const pixels = viewport.wantedPixels;

@@ -50,16 +50,16 @@ pub fn extend(
     limits: &ExtensionLimits,
     watch: &impl Watch,
 ) -> Result<Extension, TrackError> {
-    watch.go_on(0.0)?;
+    watch.report_share(0.0)?;
     let smooth = smoothed(values);
     let enclosure = Enclosure::new(values.grid(), REACH_MM);
-    watch.go_on(0.2)?;
+    watch.report_share(0.2)?;
     let levels = Levels::of_lung(&smooth, lumen, &enclosure, limits);
     let reached = reach(values, &smooth, &enclosure, lumen, levels, limits, watch)?;
     let ran_out = reached.len() > levels.most_reached;
-    let (mut kept, mut followed) = (Vec::new(), Vec::new());
+    let (mut added, mut followed) = (Vec::new(), Vec::new());
     if !ran_out {
-        watch.go_on(0.7)?;
+        watch.report_share(0.7)?;
         let view = VolumeView::new(&smooth, values.grid()).map_err(|e| TrackError::Argument {
             what: "volume",
             expected: "a full array".to_owned(),
@@ -68,12 +68,12 @@ pub fn extend(
         let open = open_from(values, &smooth, lumen, &reached, levels);
         let mut search = Search::new(values, view, lumen, &reached, &open, levels);
         followed = search.follow(limits, watch)?;
-        kept = search.filled(&smooth, &followed);
+        added = search.filled(&smooth, &followed);
     }
     for node in &reached {
         lumen[node.voxel as usize] = 0;
     }
-    for voxel in &kept {
+    for voxel in &added {
         lumen[*voxel as usize] = EXTENDED;
     }
     lumen.par_iter_mut().for_each(|v| {
@@ -83,7 +83,7 @@ pub fn extend(
     });
     Ok(Extension {
         ran_out,
-        num_voxels: kept.len(),
+        num_voxels: added.len(),
         enclosed: f64::from(levels.followed),
         followed: followed
             .into_iter()

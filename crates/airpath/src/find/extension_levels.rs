@@ -77,7 +77,7 @@ pub(crate) const REFUSED: u8 = 4;
 /// Share of the lung that is less enclosed than followed voxels.
 const FOLLOWED_SHARE: f64 = 0.98;
 /// Share of the lung that is less enclosed than the mean of an accepted path.
-const KEPT_SHARE: f64 = 0.995;
+const ACCEPTED_SHARE: f64 = 0.995;
 
 /// Largest fall of the values along a path, in thresholds.
 ///
@@ -97,7 +97,7 @@ const SURE_PROBABILITY: f64 = 0.8;
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Levels {
     pub(crate) followed: i16,
-    pub(crate) kept: f64,
+    pub(crate) accepted: f64,
     pub(crate) gap: i16,
     /// Largest fall of the values along a path after a rise; a path with a larger fall has crossed a wall.
     pub(crate) drop: f64,
@@ -123,7 +123,7 @@ impl Levels {
             drop: (DROP * pretended).max(LEAST_DROP * (f64::from(limits.brightest) - limits.air)),
             most_reached: sample.num_voxels(limits.most_reached),
             followed: followed.ceil() as i16,
-            kept: quantile(&rises, KEPT_SHARE).max(1.2 * followed),
+            accepted: quantile(&rises, ACCEPTED_SHARE).max(1.2 * followed),
             gap: (GAP_SHARE * followed) as i16,
         }
     }

@@ -83,7 +83,7 @@ pub(crate) fn log_odds(
         radius_of(section),
         section.walled,
         ((own - limits.air) / (f64::from(limits.brightest) - limits.air)).clamp(0.0, 0.9),
-        blur_ratio(section, own, along, limits.air, divided),
+        log_blur_ratio(section, own, along, limits.air, divided),
     ];
     WEIGHTS
         .iter()
@@ -123,7 +123,7 @@ fn radius_of(section: &Section) -> f64 {
 ///
 /// The blur that the section shows is the one that gives a lumen of its radius the brightness of its middle. `along` is
 /// the component of the path's direction across the slices.
-fn blur_ratio(section: &Section, own: f64, along: f64, air: f64, divided: Divided) -> f64 {
+fn log_blur_ratio(section: &Section, own: f64, along: f64, air: f64, divided: Divided) -> f64 {
     let blur_mm = radius_of(section) / (-2.0 * share_of_wall(section, own, air).ln()).sqrt();
     let across_mm = (divided.slice_mm / 12f64.sqrt()).hypot(LEAST_BLUR_ACROSS_MM);
     let up_mm = (BLUR_IN_SLICE_MM * along).hypot(across_mm * (1.0 - along * along).max(0.0).sqrt());
@@ -182,14 +182,14 @@ mod tests {
     }
 
     #[test]
-    fn the_blur_ratio_of_a_tube_blurred_by_its_slices_is_one() {
+    fn the_log_blur_ratio_of_a_tube_blurred_by_its_slices_is_one() {
         for along in [0.0, 0.4, 1.0] {
             let across: f64 = (3.0 / 12f64.sqrt()).hypot(LEAST_BLUR_ACROSS_MM);
             let up = (BLUR_IN_SLICE_MM * along).hypot(across * f64::sqrt(1.0 - along * along));
             let sigma = (BLUR_IN_SLICE_MM * up).sqrt();
             let left = (-0.5 * (1.2 / sigma).powi(2)).exp();
             let own = -1000.0 + left * 600.0;
-            let ratio = blur_ratio(
+            let ratio = log_blur_ratio(
                 &section(1.2, 1.0, -400.0 - own),
                 own,
                 along,

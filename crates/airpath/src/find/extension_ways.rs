@@ -84,7 +84,8 @@ pub(crate) struct Search<'a> {
     values: VolumeView<'a, i16>,
     smooth: VolumeView<'a, i16>,
     /// Lumen, with the marks that the search has set in it.
-    lumen: &'a [u8],
+    /// State of each voxel of the volume, such as [`LUMEN`] or [`PENDING`].
+    states: &'a [u8],
     faces: Faces,
     reached: &'a [Node],
     levels: Levels,
@@ -99,7 +100,7 @@ impl<'a> Search<'a> {
     pub(crate) fn new(
         values: VolumeView<'a, i16>,
         smooth: VolumeView<'a, i16>,
-        lumen: &'a [u8],
+        states: &'a [u8],
         reached: &'a [Node],
         is_open: &[bool],
         levels: Levels,
@@ -119,7 +120,7 @@ impl<'a> Search<'a> {
         for (n, node) in reached.iter().enumerate().filter(|(n, _)| is_open[*n]) {
             let mut touches = f32::INFINITY;
             faces.each(node.voxel as usize, |next, step_mm| {
-                if lumen[next] == LUMEN {
+                if states[next] == LUMEN {
                     touches = touches.min(step_mm);
                 }
             });
@@ -151,7 +152,7 @@ impl<'a> Search<'a> {
         Self {
             values,
             smooth,
-            lumen,
+            states,
             faces,
             reached,
             levels,
@@ -184,7 +185,7 @@ impl<'a> Search<'a> {
         let mut paths = Vec::new();
         for (n, &tip) in tips.iter().enumerate() {
             if n.is_multiple_of(1 << 12) {
-                watch.go_on(0.7 + 0.3 * n as f64 / tips.len() as f64)?;
+                watch.report_share(0.7 + 0.3 * n as f64 / tips.len() as f64)?;
             }
             if covered[tip as usize] {
                 continue;
@@ -294,7 +295,7 @@ impl<'a> Search<'a> {
         };
         let is_airway = is_long
             && probability >= limits.least_probability
-            && sum_at_best >= self.levels.kept * length_mm
+            && sum_at_best >= self.levels.accepted * length_mm
             && (limits.may_be_open(probability) || self.is_round(way));
         is_airway.then(|| Path {
             nodes: way.to_vec(),
@@ -348,7 +349,7 @@ impl<'a> Search<'a> {
     fn clearance_at(&self, voxel: [usize; 3]) -> f64 {
         let mut least = CLEAR_MM;
         self.each_within(voxel, CLEAR_MM, |at, off_mm| {
-            if self.lumen[at] == LUMEN {
+            if self.states[at] == LUMEN {
                 least = least.min(off_mm);
             }
         });
@@ -364,7 +365,7 @@ impl<'a> Search<'a> {
         self.each_within(voxel, AROUND_MM, |at, _| {
             if lung.contains(&self.values.data()[at]) {
                 num_lung += 1;
-                num_reached += usize::from(self.lumen[at] == PENDING);
+                num_reached += usize::from(self.states[at] == PENDING);
             }
         });
         num_reached as f64 / num_lung.max(1) as f64
@@ -398,7 +399,7 @@ impl<'a> Search<'a> {
             .iter()
             .map(|n| self.reached[*n as usize].voxel)
             .collect();
-        Profile::of(self.values, &voxels).is_none_or(|profile| profile.is_round())
+        Profile::of_path(self.values, &voxels).is_none_or(|profile| profile.is_round())
     }
 
     /// Return the length of a path in mm without its zigzag between voxels.

@@ -74,8 +74,8 @@ pub(crate) fn lungs_beside(
                 if !is_lung(ijk) || sides.iter().filter(|s| **s).count() < 3 {
                     continue;
                 }
-                let beside = [(u, p - 1), (u, p + 1), (v, q - 1), (v, q + 1)];
-                if !beside.iter().all(|(a, at)| {
+                let neighbours = [(u, p - 1), (u, p + 1), (v, q - 1), (v, q + 1)];
+                if !neighbours.iter().all(|(a, at)| {
                     let mut near = ijk;
                     near[*a] = *at;
                     is_lung(near)

@@ -1,6 +1,6 @@
 //! Segmentation of the airway lumen in a volume.
 
-pub mod evidence;
+pub mod evidence_path;
 pub mod extension;
 mod extension_levels;
 mod extension_reach;

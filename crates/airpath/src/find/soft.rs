@@ -99,7 +99,7 @@ pub struct CutOff {
 pub fn keep_cut_off_air(sharp: VolumeView<'_, i16>, soft: &mut [i16], cut: &CutOff) -> usize {
     let smooth = smoothed(sharp);
     let enclosure = Enclosure::new(sharp.grid(), REACH_MM);
-    let mut kept: Vec<u32> = soft
+    let mut clipped_air: Vec<u32> = soft
         .par_iter()
         .zip(sharp.data())
         .enumerate()
@@ -125,11 +125,13 @@ pub fn keep_cut_off_air(sharp: VolumeView<'_, i16>, soft: &mut [i16], cut: &CutO
     let mut wave: Vec<u32> = (0..soft.len() as u32)
         .into_par_iter()
         .filter(|at| {
-            let mut beside = false;
+            let mut touches_air = false;
             if is_cut(*at as usize, soft) {
-                faces.each(*at as usize, |next, _| beside = beside || is_air(next));
+                faces.each(*at as usize, |next, _| {
+                    touches_air = touches_air || is_air(next);
+                });
             }
-            beside
+            touches_air
         })
         .collect();
     let num_steps = (cut.seam_mm / sharp.grid().min_spacing_mm())
@@ -139,7 +141,7 @@ pub fn keep_cut_off_air(sharp: VolumeView<'_, i16>, soft: &mut [i16], cut: &CutO
         for at in &wave {
             soft[*at as usize] = cut.air;
         }
-        kept.extend_from_slice(&wave);
+        clipped_air.extend_from_slice(&wave);
         if step < num_steps {
             let mut next_wave = Vec::new();
             for at in &wave {
@@ -154,12 +156,12 @@ pub fn keep_cut_off_air(sharp: VolumeView<'_, i16>, soft: &mut [i16], cut: &CutO
             wave = next_wave;
         }
     }
-    for at in &kept {
+    for at in &clipped_air {
         soft[*at as usize] = soft[*at as usize].min(cut.air);
     }
-    kept.sort_unstable();
-    kept.dedup();
-    kept.len()
+    clipped_air.sort_unstable();
+    clipped_air.dedup();
+    clipped_air.len()
 }
 
 /// Buffers in which one thread blurs one slice.

@@ -89,7 +89,7 @@ pub fn extend_thin(
     limits: &ThinLimits,
     watch: &impl Watch,
 ) -> Result<Thin, TrackError> {
-    watch.go_on(0.0)?;
+    watch.report_share(0.0)?;
     let grid = values.grid();
     let data = values.data();
     let smooth = smoothed(values);
@@ -124,16 +124,16 @@ pub fn extend_thin(
         dip: limits.kept_dip,
         length_mm: limits.min_length_mm,
     };
-    let goes_on = |places: &[Place]| goes_on(grid, lumen, places);
+    let continues_airway = |places: &[Place]| continues_airway(grid, lumen, places);
     let requirements_at = |places: &[Place]| Requirements {
-        length_mm: if goes_on(places) {
+        length_mm: if continues_airway(places) {
             limits.min_length_mm
         } else {
             limits.min_side_mm
         },
         ..requirements
     };
-    let kept = kept_ways(
+    let accepted = accepted_paths(
         values,
         &reached,
         &ways,
@@ -142,10 +142,10 @@ pub fn extend_thin(
         requirements_at,
         watch,
     )?;
-    for way in &kept {
+    for way in &accepted {
         fill(values, lumen, way);
     }
-    let followed = kept
+    let followed = accepted
         .into_iter()
         .map(|way| Followed {
             length_mm: length_mm(way.places.len()),
@@ -172,14 +172,14 @@ fn median_lung(sample: &[usize], smooth: &[i16], limits: &ThinLimits) -> f64 {
 }
 
 /// Accepted path along a thin airway: its voxels, its positions and its mean dip.
-struct Kept {
+struct AcceptedPath {
     voxels: Vec<u32>,
     places: Vec<Place>,
     mean_dip: f64,
 }
 
 /// Examine the paths to all tips, the farthest first; return the accepted parts.
-fn kept_ways(
+fn accepted_paths(
     values: VolumeView<'_, i16>,
     reached: &Reached,
     ways: &Ways,
@@ -187,7 +187,7 @@ fn kept_ways(
     requirements: &Requirements,
     requirements_at: impl Fn(&[Place]) -> Requirements,
     watch: &impl Watch,
-) -> Result<Vec<Kept>, TrackError> {
+) -> Result<Vec<AcceptedPath>, TrackError> {
     let along_mm = |n: u32| ways.along_mm[n as usize];
     let mut tips: Vec<u32> = (0..reached.nodes.len() as u32)
         .filter(|n| {
@@ -199,10 +199,10 @@ fn kept_ways(
     tips.sort_by(|a, b| along_mm(*b).total_cmp(&along_mm(*a)).then(a.cmp(b)));
     let mut covered = vec![false; reached.nodes.len()];
     let mut is_kept = vec![false; reached.nodes.len()];
-    let mut kept = Vec::new();
+    let mut accepted = Vec::new();
     for (n, tip) in tips.iter().enumerate() {
         if n.is_multiple_of(1 << 10) {
-            watch.go_on(n as f64 / tips.len() as f64)?;
+            watch.report_share(n as f64 / tips.len() as f64)?;
         }
         if covered[*tip as usize] {
             continue;
@@ -221,12 +221,12 @@ fn kept_ways(
             .iter()
             .map(|node| reached.nodes[*node as usize].voxel)
             .collect();
-        let profile = is_worth_a_look(reached, &way, dip_threshold)
+        let profile = may_be_accepted(reached, &way, dip_threshold)
             .then(|| Profile::centred(values, &voxels))
             .flatten();
-        let num = profile
-            .as_ref()
-            .map_or(0, |profile| profile.kept(&requirements_at(&profile.places)));
+        let num = profile.as_ref().map_or(0, |profile| {
+            profile.accepted_length(&requirements_at(&profile.places))
+        });
         let Some(mut profile) = profile.filter(|_| num > 0) else {
             cover(reached, &way, COVER_REFUSED_MM, &mut covered);
             continue;
@@ -239,19 +239,19 @@ fn kept_ways(
         }
         let mean_dip = profile.mean_dip(num);
         profile.places.truncate(num);
-        kept.push(Kept {
+        accepted.push(AcceptedPath {
             voxels: voxels[..way.len()].to_vec(),
             places: profile.places,
             mean_dip,
         });
     }
-    Ok(kept)
+    Ok(accepted)
 }
 
 /// Return whether a path continues a thin airway from its end in the same direction.
 ///
-/// There must be lumen behind its start, and little lumen beside that.
-fn goes_on(grid: &Grid, lumen: &[u8], places: &[Place]) -> bool {
+/// There must be lumen behind the start of the path, and little lumen to the sides of the start.
+fn continues_airway(grid: &Grid, lumen: &[u8], places: &[Place]) -> bool {
     let far = &places[(NUM_START - 1).min(places.len() - 1)];
     let start = places[0].mm;
     let Some(along) = carina_grid::unit(std::array::from_fn(|a| far.mm[a] - start[a])) else {
@@ -266,19 +266,19 @@ fn goes_on(grid: &Grid, lumen: &[u8], places: &[Place]) -> bool {
     };
     let behind = |mm: f64| std::array::from_fn::<_, 3, _>(|a| start[a] - mm * along[a]);
     let (across, up) = across(along);
-    let beside = sides(across, up, spacing)
+    let num_lumen_sides = sides(across, up, spacing)
         .into_iter()
         .filter(|side| {
             let out = side.at(BESIDE_MM);
             is_lumen(std::array::from_fn(|a| behind(BEHIND_MM[0])[a] + out[a]))
         })
         .count();
-    BEHIND_MM.into_iter().all(|mm| is_lumen(behind(mm))) && beside <= MOST_BESIDE
+    BEHIND_MM.into_iter().all(|mm| is_lumen(behind(mm))) && num_lumen_sides <= MOST_BESIDE
 }
 
 /// Return whether the gains of the voxels of a path, summed from its start to any voxel, exceed the losses of voxels
 /// without a dip.
-fn is_worth_a_look(reached: &Reached, way: &[u32], dip_threshold: f64) -> bool {
+fn may_be_accepted(reached: &Reached, way: &[u32], dip_threshold: f64) -> bool {
     let mut gain = 0.0;
     way.iter().any(|node| {
         let dip = f64::from(reached.nodes[*node as usize].dip);
@@ -295,7 +295,7 @@ fn cover(reached: &Reached, way: &[u32], reach_mm: f32, covered: &mut [bool]) {
     while let Some(n) = open.pop() {
         covered[n as usize] = true;
         let here = left[&n];
-        reached.each_beside(n, |m, step_mm| {
+        reached.for_each_neighbour(n, |m, step_mm| {
             let there = here - step_mm;
             if there > 0.0 && left.get(&m).is_none_or(|l| there > *l + 1e-3) {
                 left.insert(m, there);
@@ -307,7 +307,7 @@ fn cover(reached: &Reached, way: &[u32], reach_mm: f32, covered: &mut [bool]) {
 
 /// Add a path's voxels to the lumen, connected by faces, and the voxels beside the path that are darker than half-way
 /// up the wall.
-fn fill(values: VolumeView<'_, i16>, lumen: &mut [u8], way: &Kept) {
+fn fill(values: VolumeView<'_, i16>, lumen: &mut [u8], way: &AcceptedPath) {
     let grid = values.grid();
     let shape = grid.shape_ijk();
     let spacing = grid.spacing_mm();
@@ -318,7 +318,7 @@ fn fill(values: VolumeView<'_, i16>, lumen: &mut [u8], way: &Kept) {
     };
     // The first voxel touches the lumen, or a previously accepted airway, perhaps only by a corner.
     let first = grid.voxel(way.voxels[0] as usize);
-    let mut last = beside(lumen, first, shape).unwrap_or(first);
+    let mut last = adjacent_lumen_voxel(lumen, first, shape).unwrap_or(first);
     for voxel in &way.voxels {
         let to = grid.voxel(*voxel as usize);
         while last != to {
@@ -366,7 +366,7 @@ fn fill(values: VolumeView<'_, i16>, lumen: &mut [u8], way: &Kept) {
 }
 
 /// Return a voxel of the lumen beside a voxel: first by faces, then by edges, then by corners.
-fn beside(lumen: &[u8], voxel: [usize; 3], shape: [usize; 3]) -> Option<[usize; 3]> {
+fn adjacent_lumen_voxel(lumen: &[u8], voxel: [usize; 3], shape: [usize; 3]) -> Option<[usize; 3]> {
     (0..27isize)
         .map(|n| [n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1])
         .filter_map(|step| {

@@ -31,9 +31,9 @@ const NUM_CRESTS: usize = 6;
 /// The limit prevents that one bright wall compensates for a long part without wall.
 const MOST_GAIN: f64 = 3.0;
 /// Smallest mean dip of an accepted path, in thresholds of the dip.
-const KEPT_MEAN: f64 = 1.2;
+const ACCEPTED_MEAN: f64 = 1.2;
 /// Smallest share of the positions of an accepted path that look like an airway.
-const KEPT_SHARE: f64 = 0.75;
+const ACCEPTED_SHARE: f64 = 0.75;
 /// Largest distance from the middle of a thin airway to the crest of its wall, mm.
 const FARTHEST_CREST_MM: f64 = 1.3;
 /// Smallest mean number of the 8 sides with lung behind the wall; an artery is behind the others.
@@ -87,7 +87,7 @@ pub(crate) struct Requirements {
 
 impl Profile {
     /// Compute the profile of a path through adjacent voxels; return `None` if the path has only one position.
-    pub(crate) fn of(values: VolumeView<'_, i16>, voxels: &[u32]) -> Option<Self> {
+    pub(crate) fn of_path(values: VolumeView<'_, i16>, voxels: &[u32]) -> Option<Self> {
         let curve = evenly(values, voxels);
         (curve.len() > 1).then(|| Self::along(values, &curve))
     }
@@ -103,11 +103,11 @@ impl Profile {
         let spacing = values.grid().spacing_mm();
         let at = |mm| value_at(values, mm);
         let last = curve.len() - 1;
-        let seen: Vec<Seen> = frames(curve)
+        let sections: Vec<SideValues> = frames(curve)
             .zip(curve)
             .map(|([first, second], middle)| {
                 let sides = sides(first, second, spacing);
-                Seen {
+                SideValues {
                     middle: at(*middle),
                     walls: DISTANCES_MM.map(|distance| {
                         sides.map(|side| {
@@ -120,8 +120,8 @@ impl Profile {
             .collect();
         let places = (0..curve.len())
             .map(|n| {
-                let near = &seen[n.saturating_sub(NUM_MEAN)..=(n + NUM_MEAN).min(last)];
-                Place::of_mean(curve[n], seen[n].middle, near)
+                let near = &sections[n.saturating_sub(NUM_MEAN)..=(n + NUM_MEAN).min(last)];
+                Place::of_mean(curve[n], sections[n].middle, near)
             })
             .collect();
         Self { places }
@@ -131,7 +131,7 @@ impl Profile {
     ///
     /// This first part of the path is the one with the largest sum of gains. The result is 0 if that part does not
     /// qualify.
-    pub(crate) fn kept(&self, requirements: &Requirements) -> usize {
+    pub(crate) fn accepted_length(&self, requirements: &Requirements) -> usize {
         let (mut gain, mut most, mut num) = (0.0, 0.0, 0);
         let looks: Vec<bool> = self
             .places
@@ -156,8 +156,8 @@ impl Profile {
             .map(|p| p.dip.min(MOST_GAIN * requirements.dip))
             .sum();
         let alike = looks[..num].iter().filter(|l| **l).count();
-        let is_kept = sum >= KEPT_MEAN * requirements.dip * num as f64
-            && alike as f64 >= KEPT_SHARE * num as f64;
+        let is_kept = sum >= ACCEPTED_MEAN * requirements.dip * num as f64
+            && alike as f64 >= ACCEPTED_SHARE * num as f64;
         if is_kept && self.is_open(num) && self.is_thin_and_steady(num, &requirements.section) {
             num
         } else {
@@ -224,19 +224,20 @@ fn value_at(values: VolumeView<'_, i16>, mm: [f64; 3]) -> f64 {
 }
 
 /// CT values at one position of a path: in the middle, and at several distances on each side.
-struct Seen {
+struct SideValues {
     middle: f64,
     walls: [[f64; NUM_SIDES]; DISTANCES_MM.len()],
 }
 
 impl Place {
-    fn of_mean(mm: [f64; 3], own: f64, near: &[Seen]) -> Self {
-        let mean =
-            |value: &dyn Fn(&Seen) -> f64| near.iter().map(value).sum::<f64>() / near.len() as f64;
-        let middle = mean(&|seen| seen.middle);
+    fn of_mean(mm: [f64; 3], own: f64, near: &[SideValues]) -> Self {
+        let mean = |value: &dyn Fn(&SideValues) -> f64| {
+            near.iter().map(value).sum::<f64>() / near.len() as f64
+        };
+        let middle = mean(&|sections| sections.middle);
         let (mut dip, mut rises) = (f64::NEG_INFINITY, [0.0; NUM_CRESTS]);
         let ring: [[f64; NUM_SIDES]; DISTANCES_MM.len()] = std::array::from_fn(|d| {
-            std::array::from_fn(|side| mean(&|seen| seen.walls[d][side]) - middle)
+            std::array::from_fn(|side| mean(&|sections| sections.walls[d][side]) - middle)
         });
         for (d, rise) in rises.iter_mut().enumerate() {
             let mut sides = ring[d];
@@ -323,12 +324,12 @@ fn centred(curve: &[[f64; 3]], at: impl Fn([f64; 3]) -> f64) -> Vec<[f64; 3]> {
         std::array::from_fn(|a| curve[n][a] + offset[0] * frame[0][a] + offset[1] * frame[1][a])
     };
     let frames: Vec<[[f64; 3]; 2]> = frames(curve).collect();
-    let seen: Vec<[f64; NUM_OFFSETS]> = (0..=last)
+    let sections: Vec<[f64; NUM_OFFSETS]> = (0..=last)
         .map(|n| std::array::from_fn(|o| at(moved(n, &frames[n], offset_mm(o)))))
         .collect();
     let darkest: Vec<[f64; 3]> = (0..=last)
         .map(|n| {
-            let near = &seen[n.saturating_sub(NUM_MEAN)..=(n + NUM_MEAN).min(last)];
+            let near = &sections[n.saturating_sub(NUM_MEAN)..=(n + NUM_MEAN).min(last)];
             let sum = |o: usize| near.iter().map(|values| values[o]).sum::<f64>();
             let best = (0..NUM_OFFSETS)
                 .min_by(|a, b| sum(*a).total_cmp(&sum(*b)))

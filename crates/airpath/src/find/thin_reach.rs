@@ -66,11 +66,13 @@ impl Reached {
             }
         }
         while !wave.is_empty() && nodes.len() <= most {
-            watch.go_on(0.0)?;
+            watch.report_share(0.0)?;
             let reached = wave.take();
             dips.measure(&reached);
             for (voxel, left_mm) in reached {
-                let Some(dip) = dips.of(voxel) else { continue };
+                let Some(dip) = dips.dip_at(voxel) else {
+                    continue;
+                };
                 if let Some(n) = at.get(voxel) {
                     let node = &mut nodes[n as usize];
                     if left_mm <= node.left_mm + BETTER_MM {
@@ -103,7 +105,7 @@ impl Reached {
     }
 
     /// Call `visit` with each reached neighbour of a node and its distance in mm.
-    pub(crate) fn each_beside(&self, node: u32, mut visit: impl FnMut(u32, f32)) {
+    pub(crate) fn for_each_neighbour(&self, node: u32, mut visit: impl FnMut(u32, f32)) {
         self.around
             .each(self.nodes[node as usize].voxel as usize, |next, step_mm| {
                 if let Some(n) = self.at.get(next as u32) {
@@ -151,15 +153,15 @@ impl Reached {
                 if here != cost {
                     continue;
                 }
-                self.each_beside(n, |m, step_mm| {
-                    let beside = &mut found[m as usize];
-                    if beside.cost <= here {
+                self.for_each_neighbour(n, |m, step_mm| {
+                    let neighbour = &mut found[m as usize];
+                    if neighbour.cost <= here {
                         return;
                     }
-                    let mean = 0.5 * (own + beside.weight);
+                    let mean = 0.5 * (own + neighbour.weight);
                     let there = here + (1e3 * f64::from(step_mm) * mean) as u64;
-                    if there < beside.cost {
-                        beside.cost = there;
+                    if there < neighbour.cost {
+                        neighbour.cost = there;
                         ways.before[m as usize] = Some(n);
                         ways.along_mm[m as usize] = ways.along_mm[n as usize] + step_mm;
                         open.push(there, m);
@@ -343,7 +345,7 @@ impl<'a> Dips<'a> {
     }
 
     /// Return the dip of a measured voxel; `None` if the voxel is too bright for a lumen.
-    fn of(&self, voxel: u32) -> Option<i16> {
+    fn dip_at(&self, voxel: u32) -> Option<i16> {
         let block = self.at.get(voxel / BLOCK as u32)?;
         (self.smooth[voxel as usize] <= self.brightest)
             .then(|| self.known[block as usize][voxel as usize % BLOCK])

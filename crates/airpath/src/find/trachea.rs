@@ -136,7 +136,7 @@ pub fn find_trachea(
     let slices: Vec<Vec<Spot>> = in_order
         .par_iter()
         .map(|&slice| {
-            watch.go_on(0.0)?;
+            watch.report_share(0.0)?;
             Ok(spots_of_air(values, levels, axis, slice))
         })
         .collect::<Result<_, TrackError>>()?;
@@ -427,7 +427,7 @@ impl Scene<'_> {
         let num_near = (6.0 / self.step_mm).ceil() as usize;
         let stop = chain.first + (ends_at + 1).saturating_sub(num_near);
         self.bronchi.iter().any(|other| {
-            let beside = (other.first.max(chain.first)..other.end().min(stop))
+            let num_adjacent = (other.first.max(chain.first)..other.end().min(stop))
                 .filter(|slice| {
                     let (Some(mine), Some(its)) = (
                         chain.at(&self.slices, *slice),
@@ -441,7 +441,7 @@ impl Scene<'_> {
                         && its.ringed >= 0.7
                 })
                 .count();
-            beside >= min_slices
+            num_adjacent >= min_slices
         })
     }
 }

@@ -127,7 +127,7 @@ pub fn cast_planes(
 ) -> Result<Vec<Cast>, TrackError> {
     let mut sections = Vec::with_capacity(planes.len());
     for (n, chunk) in planes.chunks(PLANES_PER_LOOK).enumerate() {
-        watch.go_on((n * PLANES_PER_LOOK) as f64 / planes.len() as f64)?;
+        watch.report_share((n * PLANES_PER_LOOK) as f64 / planes.len() as f64)?;
         let found: Vec<Cast> = chunk
             .par_iter()
             .map(|plane| cast_plane(values, *plane, levels))
@@ -215,7 +215,7 @@ impl Section {
     ///
     /// `voxel_mm` is the size of a voxel in the plane.
     #[must_use]
-    pub fn of(cast: &Cast, blur: Option<&Blur>, voxel_mm: f64, levels: SectionLevels) -> Self {
+    pub fn of_cast(cast: &Cast, blur: Option<&Blur>, voxel_mm: f64, levels: SectionLevels) -> Self {
         let noise = f64::from(levels.noise);
         let axes = plane_axes(cast.normal);
         let raw_mm = without_outliers(&cast.rays);

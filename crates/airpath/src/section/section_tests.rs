@@ -176,7 +176,7 @@ fn measure(grid: &Grid, tube: &Tube) -> Section {
         seen_sigma_mm(wide),
     );
     let voxel_mm = voxel_in_plane_mm(grid, plane_axes(tube.axis));
-    Section::of(&cast, Some(&blur), voxel_mm, LEVELS)
+    Section::of_cast(&cast, Some(&blur), voxel_mm, LEVELS)
 }
 
 proptest! {
@@ -235,7 +235,7 @@ fn without_the_blur_correction_a_thin_wall_is_too_thick_and_its_lumen_too_narrow
     let grid = grid([0.6; 3], 10.0);
     let values = draw(&grid, &tube);
     let cast = cut(&grid, &values, &tube);
-    let raw = Section::of(&cast, None, 0.6, LEVELS);
+    let raw = Section::of_cast(&cast, None, 0.6, LEVELS);
     assert!(raw.equivalent_mm < 5.8, "{}", raw.equivalent_mm);
     assert!(raw.wall_mm > 1.1, "{} {:?}", raw.wall_mm, &cast.rays[..4]);
     let section = measure(&grid, &tube);
@@ -265,7 +265,7 @@ fn the_blur_is_measured_from_edges_against_thick_tissue() {
     let blur = Blur::of_casts(&grid, &casts).unwrap();
     // The interpolation between voxels adds 0.03 mm to the blur.
     assert!((blur.in_plane_mm - SIGMA_MM).abs() < 0.04, "{blur:?}");
-    let section = Section::of(&casts[0], Some(&blur), 0.6, LEVELS);
+    let section = Section::of_cast(&casts[0], Some(&blur), 0.6, LEVELS);
     assert!(section.wall_mm.is_nan(), "no far side");
     assert!(
         (section.equivalent_mm - 12.0).abs() < 0.15,
@@ -311,7 +311,7 @@ fn a_plane_in_solid_tissue_or_in_open_air_has_no_section() {
             normal: [0.0, 0.0, 1.0],
             radius_mm: 2.0,
         };
-        let section = Section::of(&cast_plane(view, plane, LEVELS), None, 1.0, LEVELS);
+        let section = Section::of_cast(&cast_plane(view, plane, LEVELS), None, 1.0, LEVELS);
         assert!(!section.is_measured());
     }
 }

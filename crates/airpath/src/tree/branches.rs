@@ -66,7 +66,7 @@ pub fn find_branches(
     let mut cover = Cover::new(graph, limits);
     for (n, &tip) in candidates.iter().enumerate() {
         if n.is_multiple_of(1 << 12) {
-            watch.go_on(n as f64 / candidates.len() as f64)?;
+            watch.report_share(n as f64 / candidates.len() as f64)?;
         }
         if cover.holds(tip) {
             continue;
@@ -76,8 +76,8 @@ pub fn find_branches(
         let beyond_mm =
             tree.along_mm[tip as usize] - tree.along_mm[join as usize] - graph.wall_mm(join);
         if tree.is_empty() || beyond_mm >= limits.min_length_mm {
-            let kept = chain.len() - tree.blunt_end(&chain);
-            let chain = tree.forked_low(&chain[..kept], FORK_RADII);
+            let num_nodes = chain.len() - tree.num_blind_end_nodes(&chain);
+            let chain = tree.start_at_fork(&chain[..num_nodes], FORK_RADII);
             tree.add(&chain);
         }
         cover.add(&chain);
@@ -117,7 +117,7 @@ pub fn branches_to(
         }
         // A target at the wall is a whole radius away from the axis, so 1.5 radii are searched for the tube that it
         // belongs to.
-        let mut chain = whole.forked_low(&whole.chain_to_tree(target), 1.5);
+        let mut chain = whole.start_at_fork(&whole.chain_to_tree(target), 1.5);
         chain.reverse();
         while !used.in_tree[chain[chain.len() - 1] as usize]
             && let Some(node) = before.get(&chain[chain.len() - 1])
@@ -301,9 +301,9 @@ impl<'a> NodeTree<'a> {
     /// Move the start of a new chain to the point where the chain leaves the tube that it shares with the tree.
     ///
     /// Two least-cost paths separate well before their tubes do, because each cuts the corner. A node still belongs to
-    /// the shared tube while it sees a node of the tree below the present start at a distance of at most `radii` radii.
-    fn forked_low(&self, chain: &[u32], radii: f64) -> Vec<u32> {
-        // Nodes of the tree beyond the present start of the chain.
+    /// the shared tube while it sees a node of the tree below the current start at a distance of at most `radii` radii.
+    fn start_at_fork(&self, chain: &[u32], radii: f64) -> Vec<u32> {
+        // Nodes of the tree beyond the current start of the chain.
         let mut below = vec![chain[0]];
         let mut next = 0;
         while next < below.len() {
@@ -339,7 +339,7 @@ impl<'a> NodeTree<'a> {
     /// Return the number of nodes at a chain's tip that lead into the blind end of the tube.
     ///
     /// In the blind end the wall comes nearer with every step. The nodes are at most 4 mm and a third of the chain.
-    fn blunt_end(&self, chain: &[u32]) -> usize {
+    fn num_blind_end_nodes(&self, chain: &[u32]) -> usize {
         let tip = chain.len() - 1;
         let mut num_cut = 0;
         while num_cut < tip / 3 {

@@ -11,7 +11,7 @@ use carina_grid::{Grid, Lps, dot, length};
 use rayon::prelude::*;
 
 use crate::tree::branch::{self, Branch};
-use crate::tree::calibre;
+use crate::tree::branch_radii;
 use crate::tree::smooth::{self, Point, cumulative_mm};
 use crate::tree::tube::{BEFORE_FORK_RADII, CENTRED_PULL, PAST_CARINA_RADII, Tube, View, sub};
 use carina_leastcost::lumen::LumenGraph;
@@ -103,12 +103,12 @@ pub(crate) fn refine(graph: &LumenGraph, grid: &Grid, branches: &mut [Branch], s
         })
         .collect();
     let parents: Vec<Option<usize>> = branches.iter().map(|b| b.parent).collect();
-    let calibres = calibre::of_branches(graph, grid, &drawn, &parents, |_| true);
-    for ((branch, points), calibre) in branches.iter_mut().zip(drawn).zip(calibres) {
+    let radii = branch_radii::of_branches(graph, grid, &drawn, &parents, |_| true);
+    for ((branch, points), radii_of_branch) in branches.iter_mut().zip(drawn).zip(radii) {
         branch.points = points;
-        if let Some(calibre) = calibre {
-            branch.radius_mm = calibre.section_mm;
-            branch.wall_mm = calibre.wall_mm;
+        if let Some(radii_of_branch) = radii_of_branch {
+            branch.radius_mm = radii_of_branch.section_mm;
+            branch.wall_mm = radii_of_branch.wall_mm;
         }
     }
 }

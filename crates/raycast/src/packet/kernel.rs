@@ -9,8 +9,8 @@
 //! than fit in registers do not help.
 
 use super::{
-    ask::Pace,
     lanes::Lanes,
+    map_lookup::Pace,
     out::Out,
     pool::{Packet, Pool},
     scene::{BRUTE, CLASSES, Scene, TRANSPARENT},

@@ -3,7 +3,6 @@
 //! The scalar casters in [`crate::brute`] and [`crate::leap`] define the correct result. A lane performs their
 //! operations in their order, so pictures and statistics are equal bit for bit; only the grouping of rays differs.
 
-mod ask;
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 #[cfg(target_arch = "x86_64")]
@@ -17,6 +16,7 @@ mod lanes;
 mod lighting;
 #[cfg(target_arch = "x86_64")]
 mod loads;
+mod map_lookup;
 mod mist;
 mod out;
 #[cfg(target_arch = "x86_64")]

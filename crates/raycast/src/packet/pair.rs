@@ -183,7 +183,8 @@ impl<L: Lanes> Lanes for Pair<L> {
         base: Self::I,
         offsets: [i32; R],
     ) -> [[Self::I; 4]; R] {
-        // SAFETY: the caller guarantees for all lanes, and so for each half, that the numbers are in the data.
+        // SAFETY: the caller guarantees for every lane that the eight numbers of each offset are in the data; each half contains a part of the
+        // lanes.
         let (low, high) = unsafe {
             (
                 self.0.quadruples(data, base[0], offsets),

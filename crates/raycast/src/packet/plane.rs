@@ -32,8 +32,8 @@ const ROWS_AHEAD: usize = 8;
 pub(crate) struct PlaneTiles<'a> {
     voxels: Voxels<'a>,
     /// Voxel coordinates of the last voxel.
-    /// Voxel coordinates of the upper end of the box of the voxels.
     last: [f32; 3],
+    /// Voxel coordinates of the upper end of the box of the voxels.
     end: [f32; 3],
     along_row: [f32; 3],
     window: Window,

@@ -1,4 +1,4 @@
-//! Parameters that all packets of a picture share, and the kinds of leaps.
+//! Parameters that all packets of a picture share, and the choice of leaps.
 
 use carina_isoregion::SegmentTable;
 
@@ -8,11 +8,11 @@ use crate::{
     leap::{Price, Start},
 };
 
-/// Kind of leaps: none (brute force).
+/// Casting without leaps: every sample is read (brute force).
 pub(super) const BRUTE: u8 = 0;
-/// Kind of leaps: over transparent classes only.
+/// Casting with leaps over transparent classes only.
 pub(super) const TRANSPARENT: u8 = 1;
-/// Kind of leaps: over all classes by the step table.
+/// Casting with leaps over all classes; the step table gives the colour of a leap.
 pub(super) const CLASSES: u8 = 2;
 
 /// Parameters that all packets of a picture share.

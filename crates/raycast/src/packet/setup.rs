@@ -70,7 +70,7 @@ impl Directions {
 
     /// Return true if no lane has a ray.
     #[inline(always)]
-    pub(super) fn are_none(&self) -> bool {
+    pub(super) fn have_no_ray(&self) -> bool {
         self.0.iter().flatten().all(|&d| d == 0.0)
     }
 

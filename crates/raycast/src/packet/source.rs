@@ -84,7 +84,7 @@ impl Source {
                 *rows = self.first_row + rows.start..self.first_row + rows.end;
             }
             let directions = Directions::of(frame, in_picture.into_iter());
-            if directions.are_none() {
+            if directions.have_no_ray() {
                 for (columns, rows) in patches {
                     for row in rows {
                         let at = row * self.width;

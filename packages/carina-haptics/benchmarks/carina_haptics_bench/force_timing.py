@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from carina.cli.console import print_json, progress_printer, say
+from carina.cli.console import print_json, print_note, progress_printer
 from carina.disk import make_folder, write_whole
 from carina.navigate import FlightPath
 from carina.phantom import lumen_distance_at
@@ -38,7 +38,7 @@ def report(*, folder: Path, quick: bool, as_json: bool) -> int:
     """Measure, print, write ``haptics.json`` and return 0; a missed limit is a result, not a failure."""
     make_folder(folder, what="the measurements")
     facts = machine_facts()
-    say(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']}")
+    print_note(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']}")
     measured = measure(8.0 if quick else 60.0)
     rows = measured["rows"]
     gates = [gate for row in rows for gate in _gates(row)]

@@ -88,7 +88,7 @@ class FastrakStream:
                 continue
             numbers = [float(n.replace(b" ", b"")) for n in _NUMBER.findall(match[3] + match[4])]
             if len(numbers) == 7:
-                self._take(found, int(match[1]), match[2], numbers, match[5] == b"1")
+                self._add_record(found, int(match[1]), match[2], numbers, match[5] == b"1")
             else:
                 self.num_bad["bytes outside any record"] += len(line) + 1
         return found
@@ -108,13 +108,15 @@ class FastrakStream:
                 del buffer[0]
                 self.num_bad["bytes outside any record"] += 1
                 continue
-            self._take(
+            self._add_record(
                 found, buffer[1] - ord("0"), bytes(buffer[2:3]), list(_BINARY.unpack_from(buffer, 3)), tail[1] == b"1"
             )
             del buffer[: tail.end()]
         return found
 
-    def _take(self, found: list[FastrakRecord], station: int, error: bytes, numbers: list[float], button: bool) -> None:
+    def _add_record(
+        self, found: list[FastrakRecord], station: int, error: bytes, numbers: list[float], button: bool
+    ) -> None:
         if error != b" ":
             # Out of the transmitter's range, or another error: the record is complete, but its position is unreliable.
             self.num_bad["measurements outside the tracker's range"] += 1

@@ -77,11 +77,11 @@ class IgtlClient(Source):
         stream.num_bad = self.num_bad
         self._state, self._words = "live", "connected; no tracked tool yet"
         try:
-            while data := await self._heard(reader):
+            while data := await self._receive_bytes(reader):
                 for message in stream.feed(data):
                     if isinstance(message, IgtlPose) and self._tool in {None, message.name}:
                         self._words = ""
-                        self._receive_pose(message)
+                        self._pass_pose_on(message)
         except ProtocolError:
             self.num_bad["invalid headers"] += 1
             raise
@@ -91,20 +91,20 @@ class IgtlClient(Source):
                 self._listener.gone(device)
             self._devices.clear()
 
-    async def _heard(self, reader: asyncio.StreamReader) -> bytes:
+    async def _receive_bytes(self, reader: asyncio.StreamReader) -> bytes:
         try:
             async with asyncio.timeout(self._silence_s):
                 return await reader.read(CHUNK)
         except TimeoutError:
             raise TimeoutError(f"connected, but no data for {self._silence_s or 0.0:g} s") from None
 
-    def _receive_pose(self, pose: IgtlPose) -> None:
+    def _pass_pose_on(self, pose: IgtlPose) -> None:
         device = f"{self.address}/{pose.name}"
         self._devices.add(device)
         at_s = pose.time_s if pose.time_s > 0.0 else self._clock()
-        self._say(device, PoseSample(at_s, pose.position_mm, pose.orientation_wxyz))
+        self._publish_sample(device, PoseSample(at_s, pose.position_mm, pose.orientation_wxyz))
 
-    def _wake(self) -> None:
+    def _wake_reader(self) -> None:
         loop, task = self._loop, self._task
         if loop is not None and task is not None and not loop.is_closed():
             with contextlib.suppress(RuntimeError):
@@ -128,9 +128,9 @@ class IgtlServer:
     Parameters
     ----------
     pose
-        Function that returns the present pose ``lps_from_camera``; None if there is none.
+        Function that returns the current pose ``lps_from_camera``; None if there is none.
     picture
-        Function that returns the present airway picture ``(height, width, 3)`` uint8, or None; called in a thread.
+        Function that returns the current airway picture ``(height, width, 3)`` uint8, or None; called in a thread.
     host, port
         Address to listen on; port 0 selects a free port.
     rate_hz
@@ -153,7 +153,7 @@ class IgtlServer:
         self._pose, self._picture = pose, picture
         self._rate_hz, self._version = rate_hz, version
         self._turn = RAS_FROM_LPS if space == "RAS" else np.eye(4)
-        self._socket = _bound(host, port)
+        self._socket = _listening_socket(host, port)
         self.port: int = self._socket.getsockname()[1]
         self.num_sent = 0
         self.num_peers = 0
@@ -186,7 +186,7 @@ class IgtlServer:
         peers: set[asyncio.Task[None]] = set()
         ending = False
 
-        async def met(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        async def accept_client(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             task = asyncio.current_task()
             assert task is not None
             if ending or len(peers) >= MAX_PEERS:
@@ -195,7 +195,7 @@ class IgtlServer:
             peers.add(task)
             self.num_peers = len(peers)
             try:
-                await self._talk(reader, writer)
+                await self._serve_client(reader, writer)
                 # A peer that has stopped sending still receives the data that were packed for it.
                 writer.close()
                 async with asyncio.timeout(CLOSING_S):
@@ -208,7 +208,7 @@ class IgtlServer:
                 peers.discard(task)
                 self.num_peers = len(peers)
 
-        server = await asyncio.start_server(met, sock=self._socket)
+        server = await asyncio.start_server(accept_client, sock=self._socket)
         self._ready.set()
         async with server:
             try:
@@ -221,7 +221,7 @@ class IgtlServer:
                     peer.cancel()
                 await asyncio.gather(*peers, return_exceptions=True)
 
-    async def _talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _serve_client(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         sending = asyncio.Lock()
         poses = asyncio.create_task(self._send_poses(writer, sending))
         stream = IgtlStream()
@@ -262,7 +262,7 @@ class IgtlServer:
         return pack_image(PICTURE_NAME, np.ascontiguousarray(pixels), time_s=time.time(), version=self._version)
 
 
-def _bound(host: str, port: int) -> socket.socket:
+def _listening_socket(host: str, port: int) -> socket.socket:
     try:
         return socket.create_server((host, port), backlog=8)
     except OSError as trouble:

@@ -74,31 +74,31 @@ class _SerialSource(Source):
     def _connect_and_read(self) -> None:
         serial = _pyserial()
         with serial.Serial(self._port_name, self._baud, timeout=READ_S, write_timeout=1.0) as port:
-            port.write(self._greeting())
-            self._begin()
+            port.write(self._setup_bytes())
+            self._reset_stream()
             heard_s = self._clock()
             while not self._stopping.is_set():
                 # Read all available bytes, else wait for one byte, so that no sample waits for a full buffer.
                 data = port.read(port.in_waiting or 1)
                 if data:
                     heard_s = self._clock()
-                    self._heard(data)
+                    self._handle_bytes(data)
                 elif self._clock() - heard_s > SILENT_S:
                     self._words = "the port is open, but no data is arriving"
-                    port.write(self._greeting())
+                    port.write(self._setup_bytes())
                     heard_s = self._clock()
-            port.write(self._farewell())
+            port.write(self._stop_bytes())
 
-    def _greeting(self) -> bytes:
+    def _setup_bytes(self) -> bytes:
         raise NotImplementedError
 
-    def _farewell(self) -> bytes:
+    def _stop_bytes(self) -> bytes:
         return b""
 
-    def _begin(self) -> None:
+    def _reset_stream(self) -> None:
         raise NotImplementedError
 
-    def _heard(self, data: bytes) -> None:
+    def _handle_bytes(self, data: bytes) -> None:
         raise NotImplementedError
 
 
@@ -125,23 +125,23 @@ class FastrakSource(_SerialSource):
         super().__init__(f"fastrak:{port}", "Polhemus FASTRAK", listener, port=port, baud=baud, clock=clock)
         self._binary = binary
 
-    def _greeting(self) -> bytes:
+    def _setup_bytes(self) -> bytes:
         return setup_commands(binary=self._binary)
 
-    def _farewell(self) -> bytes:
+    def _stop_bytes(self) -> bytes:
         return b"c"
 
-    def _begin(self) -> None:
+    def _reset_stream(self) -> None:
         self._stream = FastrakStream(binary=self._binary)
         self._stream.num_bad = self.num_bad
         self._spread = StampSpreader(1.0 / RATE_HZ)
 
-    def _heard(self, data: bytes) -> None:
+    def _handle_bytes(self, data: bytes) -> None:
         records = [record for record in self._stream.feed(data) if record.station == 1]
         for record, at_s in zip(records, self._spread.stamps(len(records), self._clock()), strict=True):
-            self._live()
+            self._set_live()
             sample = PoseSample(at_s, record.position_mm, record.orientation_wxyz, int(record.button))
-            self._say(self.address, sample)
+            self._publish_sample(self.address, sample)
 
 
 class HandleSource(_SerialSource):
@@ -152,17 +152,17 @@ class HandleSource(_SerialSource):
     ) -> None:
         super().__init__(f"handle:{port}", "Scope handle", listener, port=port, baud=baud, clock=clock)
 
-    def _greeting(self) -> bytes:
+    def _setup_bytes(self) -> bytes:
         return b"?\nG\n"
 
-    def _farewell(self) -> bytes:
+    def _stop_bytes(self) -> bytes:
         return b"H\n"
 
-    def _begin(self) -> None:
+    def _reset_stream(self) -> None:
         self._stream = HandleStream()
         self._stream.num_bad = self.num_bad
 
-    def _heard(self, data: bytes) -> None:
+    def _handle_bytes(self, data: bytes) -> None:
         for sample in self._stream.feed(data):
-            self._live()
-            self._say(self.address, sample)
+            self._set_live()
+            self._publish_sample(self.address, sample)

@@ -76,7 +76,7 @@ class Source(ABC):
         self._clock = clock
         self._stopping = threading.Event()
         self._state: State = "connecting"
-        self._words = ""
+        self._reason_text = ""
         self._num_samples = 0
         self._recent: list[float] = []
         self.num_bad: Counter[str] = Counter()
@@ -89,7 +89,7 @@ class Source(ABC):
     def stop(self) -> None:
         """Stop the connection and wait for the end of its thread."""
         self._stopping.set()
-        self._wake()
+        self._wake_connection()
         if self._thread.is_alive():
             self._thread.join()
         self._state = "stopped"
@@ -103,7 +103,7 @@ class Source(ABC):
             self.address,
             self.title,
             self._state,
-            self._words,
+            self._reason_text,
             self._num_samples,
             dict(self.num_bad),
             float(len(lively)),
@@ -113,16 +113,16 @@ class Source(ABC):
     def _connect_and_read(self) -> None:
         """Connect to the device and read until the connection is lost; then raise OSError or ProtocolError."""
 
-    def _wake(self) -> None:  # noqa: B027 - most sources need none
+    def _wake_connection(self) -> None:  # noqa: B027 - most sources need none
         """Wake a waiting connection so that it checks ``_stopping``."""
 
-    def _say(self, device: str, sample: Sample) -> None:
+    def _publish_sample(self, device: str, sample: Sample) -> None:
         self._num_samples += 1
         self._recent = [*self._recent[-255:], self._clock()]
         self._listener.receive_sample(device, sample)
 
-    def _live(self, words: str = "") -> None:
-        self._state, self._words = "live", words
+    def _set_live(self, words: str = "") -> None:
+        self._state, self._reason_text = "live", words
 
     def _run(self) -> None:
         from carina.errors import CarinaError
@@ -133,18 +133,18 @@ class Source(ABC):
                 self._connect_and_read()
                 words = "the connection was closed"
             except (OSError, CarinaError) as trouble:
-                words = _words(trouble)
+                words = _reason_text(trouble)
             except Exception as trouble:
                 # After a programming error or an invalid name the source continues and shows the error in its state.
                 words = f"{type(trouble).__name__}: {trouble}"
             if self._stopping.is_set():
                 break
-            self._state, self._words = "lost", words
+            self._state, self._reason_text = "lost", words
             self._listener.gone(self.address)
             self._stopping.wait(self.RETRY_S)
 
 
-def _words(trouble: Exception) -> str:
+def _reason_text(trouble: Exception) -> str:
     """Return the reason of a lost connection, as text for the user."""
     if isinstance(trouble, socket.gaierror):
         return "no machine with this name was found; check the name"

@@ -11,7 +11,7 @@ from typing import Any
 
 from starlette.responses import JSONResponse, Response
 
-from carina.commands import AirwaysToTakeAway, FlightToTakeAway, KeyFramesToTakeAway
+from carina.commands import AirwaysQuery, FlightFileQuery, KeyFrameFileQuery
 from carina.errors import CarinaError
 from carina.export import EXPORT_SUFFIXES, export_airways
 from carina.server.files.one_shot_file import OneShotFileResponse, new_folder
@@ -55,7 +55,7 @@ class Downloads:
         if suffix not in EXPORT_SUFFIXES:
             msg = f"Carina can write {', '.join(EXPORT_SUFFIXES)}; found {suffix!r}"
             raise CarinaError(msg, code="export.suffix")
-        volume, airways = self._session.ask(AirwaysToTakeAway())
+        volume, airways = self._session.ask(AirwaysQuery())
         async with self._one_at_a_time:
             folder = new_folder()
             given_up = threading.Event()
@@ -76,7 +76,7 @@ class Downloads:
         CarinaError
             If the case has no key frames.
         """
-        document = await asyncio.to_thread(lambda: self._session.ask(KeyFramesToTakeAway()).to_json())
+        document = await asyncio.to_thread(lambda: self._session.ask(KeyFrameFileQuery()).to_json())
         disposition = f'attachment; filename="{KEYS_NAME}"'
         return JSONResponse(document, headers={"cache-control": "no-store", "content-disposition": disposition})
 
@@ -88,7 +88,7 @@ class Downloads:
         CarinaError
             If the case has no flight of this number, or the flight is not on the disk yet.
         """
-        text = await asyncio.to_thread(self._session.ask, FlightToTakeAway(number))
+        text = await asyncio.to_thread(self._session.ask, FlightFileQuery(number))
         disposition = f'attachment; filename="{FLIGHT_STEM}-{number}.jsonl"'
         headers = {"cache-control": "no-store", "content-disposition": disposition}
         return Response(text, media_type="application/x-ndjson", headers=headers)

@@ -99,7 +99,7 @@ class DroppedNames:
         self._uploads[tag], self._numbers[tag] = {}, {}
         return f"dropped-{tag}"
 
-    def neutral(self, tag: str, relative: PurePosixPath, name: str) -> PurePosixPath:
+    def neutral_path(self, tag: str, relative: PurePosixPath, name: str) -> PurePosixPath:
         """Return the neutral relative path of a file; equal folders and stems always get equal neutral names.
 
         Parameters
@@ -115,27 +115,29 @@ class DroppedNames:
         place = PurePosixPath()
         for depth, folder in enumerate(folders):
             # The slash separates a folder from a file of the same name beside it.
-            place /= self._named(tag, "/".join(folders[:depth]), f"{folder}/", folder, "")
-        return place / self._named(tag, "/".join(folders), last, _shown(name) or last, safe_suffix(last))
+            place /= self._neutral_part(tag, "/".join(folders[:depth]), f"{folder}/", folder, "")
+        return place / self._neutral_part(
+            tag, "/".join(folders), last, _shortened_name(name) or last, safe_suffix(last)
+        )
 
-    def another(self, tag: str, place: PurePosixPath) -> PurePosixPath:
+    def another_neutral_path(self, tag: str, place: PurePosixPath) -> PurePosixPath:
         """Return a new neutral path for a file whose neutral path ``place`` is taken.
 
         A path can be taken because two original names may have the same safe form.
         """
         known = self._uploads[tag]
         suffix = safe_suffix(place.name)
-        made = f"dropped-{tag}-{self._next(tag)}{suffix}"
+        made = f"dropped-{tag}-{self._next_number(tag)}{suffix}"
         known[made] = known[place.name]
         return place.with_name(made)
 
-    def restored(self, text: str) -> str:
+    def with_original_names(self, text: str) -> str:
         """Return a JSON text in which the original names replace the neutral names."""
         if "dropped-" not in text:
             return text
-        return _TOKEN.sub(self._own, text)
+        return _TOKEN.sub(self._original_name, text)
 
-    def _own(self, found: re.Match[str]) -> str:
+    def _original_name(self, found: re.Match[str]) -> str:
         token = found[0]
         known = self._uploads.get(token[8:16])
         if known is None:
@@ -149,7 +151,7 @@ class DroppedNames:
                 return found[0]
         return json.dumps(known[token])[1:-1] + found[0][len(token) :]
 
-    def _named(self, tag: str, above: str, part: str, own: str, suffix: str) -> str:
+    def _neutral_part(self, tag: str, above: str, part: str, own: str, suffix: str) -> str:
         """Return the neutral name of a folder or file of an upload, and store its own name for messages.
 
         Names that differ only in suffix get the same number.
@@ -171,20 +173,20 @@ class DroppedNames:
         stem = part[: len(part) - len(suffix)] if suffix else part
         number = numbers.get((above, stem))
         if number is None:
-            number = numbers[above, stem] = self._next(tag)
+            number = numbers[above, stem] = self._next_number(tag)
         made = f"dropped-{tag}-{number}{suffix}"
         known.setdefault(made, own)
         if suffix:
             known.setdefault(made[: len(made) - len(suffix)], stem)
         return made
 
-    def _next(self, tag: str) -> int:
+    def _next_number(self, tag: str) -> int:
         numbers = self._numbers[tag]
         numbers["", ""] = numbers.get(("", ""), 0) + 1
         return numbers["", ""]
 
 
-def _shown(name: str) -> str:
+def _shortened_name(name: str) -> str:
     """Return the last part of a name without control characters, at most 120 characters long."""
     last = re.split(r"[/\\]", name)[-1]
     return "".join(c for c in last if unicodedata.category(c)[0] != "C")[:120]

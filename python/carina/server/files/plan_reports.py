@@ -69,7 +69,7 @@ class Reports:
         folder = new_folder()
         try:
             place = folder / f"{STEM[kind]}{suffix}"
-            path = await asyncio.wrap_future(self._begin(materials, target_id, place, kind, archive))
+            path = await asyncio.wrap_future(self._start_job(materials, target_id, place, kind, archive))
         except BaseException:
             rmtree(folder, ignore_errors=True)
             raise
@@ -79,7 +79,7 @@ class Reports:
             return OneShotFileResponse(path, headers=headers | {"content-security-policy": SANDBOX})
         return OneShotFileResponse(path, filename=path.name, headers=headers)
 
-    def _begin(
+    def _start_job(
         self, materials: PlanMaterials, target_id: str, path: Path, kind: ReportKind, archive: _Archive | None
     ) -> Future[Path]:
         done: Future[Path] = Future()
@@ -108,10 +108,10 @@ class Reports:
                 if archive is not None:
                     made = archive.wrap(path, made.read_bytes(), materials, job)
             except CancelledError:
-                _settle(done, CarinaError("the report was stopped", code="plan.report-stopped"))
+                _set_failure(done, CarinaError("the report was stopped", code="plan.report-stopped"))
                 raise
             except BaseException as trouble:
-                _settle(done, trouble)
+                _set_failure(done, trouble)
                 raise
             if not done.cancelled():
                 done.set_result(made)
@@ -169,7 +169,7 @@ def _with_verdicts(session: Session, materials: PlanMaterials, target_id: str, j
     return session.ask(PlanToTakeAway(target_id)) if waited else materials
 
 
-def _settle(done: Future[Path], trouble: BaseException) -> None:
+def _set_failure(done: Future[Path], trouble: BaseException) -> None:
     """Set an exception as the result of a future, unless the caller that waits for the future has cancelled it."""
     if not done.cancelled():
         done.set_exception(trouble)

@@ -118,7 +118,7 @@ class Uploads:
         DiskError
             If the file cannot be written, for example because the disk is full; the file is then removed.
         """
-        upload = self._needed(upload_id)
+        upload = self._existing_upload(upload_id)
         if upload.num_files >= self._limits.num_files:
             msg = (
                 f"too many files: at most {self._limits.num_files} can be dropped at once; open the folder by "
@@ -147,14 +147,14 @@ class Uploads:
 
     def place(self, upload_id: str) -> Path:
         """Return the path of an upload to open: its only file, its only ``.mhd``/``.nhdr`` header, or its folder."""
-        upload = self._needed(upload_id)
+        upload = self._existing_upload(upload_id)
         files = sorted(p for p in upload.folder.rglob("*") if p.is_file())
         if not files:
             raise UsageError("nothing was dropped: the upload contains no files", code="upload.empty")
         if len(files) == 1:
             return files[0]
         headers = [p for p in files if p.suffix.lower() in {".mhd", ".nhdr"}]
-        return _joined(upload, headers[0]) if len(headers) == 1 else upload.folder
+        return _with_data_file_names(upload, headers[0]) if len(headers) == 1 else upload.folder
 
     def discard(self, upload_id: str) -> None:
         """Delete the files of an upload; do nothing if the upload does not exist."""
@@ -167,7 +167,7 @@ class Uploads:
         for upload_id in list(self._uploads):
             self.discard(upload_id)
 
-    def _needed(self, upload_id: str) -> _Upload:
+    def _existing_upload(self, upload_id: str) -> _Upload:
         upload = self._uploads.get(upload_id)
         if upload is None:
             raise UsageError("this upload has expired; drop the files again", code="upload.gone")
@@ -175,10 +175,10 @@ class Uploads:
 
     def _free_path(self, upload: _Upload, name: str) -> Path:
         relative = safe_relative_path(name)
-        place = self.names.neutral(upload.tag, PurePosixPath(relative.as_posix()), name)
+        place = self.names.neutral_path(upload.tag, PurePosixPath(relative.as_posix()), name)
         while (path := upload.folder / place).exists():
             # Two different names may have the same safe form; both files are stored.
-            place = self.names.another(upload.tag, place)
+            place = self.names.another_neutral_path(upload.tag, place)
         if not path.resolve().is_relative_to(upload.folder):
             raise UsageError("this file name cannot be used", code="upload.name")
         upload.own[path] = (relative, re.split(r"[/\\]", name)[-1])
@@ -195,7 +195,7 @@ def _open_new(path: Path) -> BinaryIO:
     return os.fdopen(os.open(path, flags, 0o600), "wb")
 
 
-def _joined(upload: _Upload, header: Path) -> Path:
+def _with_data_file_names(upload: _Upload, header: Path) -> Path:
     """Make a header refer to its data files as they are named on disk, and return the path of the header.
 
     If the header names one file of the upload, the neutral name of this file is written into the header. Otherwise

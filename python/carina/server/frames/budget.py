@@ -60,7 +60,7 @@ BESIDE_AMONG = 16
 The estimate is the lower quartile of their times outside the rays.
 """
 WAITS_AMONG = 5
-"""Number of last pictures whose median gives the present wait for cores that other programs use.
+"""Number of last pictures whose median gives the current wait for cores that other programs use.
 
 With fewer pictures, a single delay would count as a lasting load.
 """
@@ -152,9 +152,9 @@ class FrameBudget:
 
     def finest_within(self, seconds: float, pixels: int) -> int:
         """Return the index of the finest level predicted to take at most ``seconds``, or of the coarsest level."""
-        return self._first(lambda n: self.predicted_s(n, pixels) <= seconds)
+        return self._first_fitting_level(lambda n: self.predicted_s(n, pixels) <= seconds)
 
-    def _first(self, fits: Callable[[int], bool]) -> int:
+    def _first_fitting_level(self, fits: Callable[[int], bool]) -> int:
         levels = range(len(self.levels))
         return next((n for n in levels if fits(n)), len(self.levels) - 1)
 
@@ -164,7 +164,7 @@ class FrameBudget:
         return math.exp(self._speed + self._shape[level]) * self.levels[level].work * pixels
 
     def _wait_s(self) -> float:
-        """Return the present wait for cores per picture in seconds."""
+        """Return the current wait for cores per picture in seconds."""
         now_s = max(0.0, median(list(self._beside)[-WAITS_AMONG:]) - self._each_s)
         return min(now_s, WAITS_RISE * self._usual_wait_s())
 
@@ -188,7 +188,7 @@ class FrameBudget:
             Processor time of the rays divided by the threads; None if it was not measured.
         """
         self._learn(level, self.levels[level].work * pixels, seconds, rays_s)
-        self._look_for_finder(pixels)
+        self._update_view_finder(pixels)
 
     def _learn(self, index: int, work: float, seconds: float, rays_s: float | None) -> None:
         if rays_s is None:
@@ -227,18 +227,20 @@ class FrameBudget:
         pixels
             Number of pixels at full size.
         now_s
-            Present time in seconds.
+            Current time in seconds.
         begins
             Whether the picture is the first of a movement; a finer level then needs no waiting time.
         """
         if self._speed is None:
             return self.level
         if self.predicted_s(self.level, pixels) > OVER * budget_s:
-            wanted = self._less(budget_s, pixels)
+            wanted = self._coarser_level(budget_s, pixels)
         else:
             # The load of other programs may return, so a finer level must also fit with the usual wait.
             rest_s = self._each_s + max(self._wait_s(), self._usual_wait_s())
-            wanted = min(self.level, self._first(lambda n: rest_s + self._rays_s(n, pixels) <= FITS * budget_s))
+            wanted = min(
+                self.level, self._first_fitting_level(lambda n: rest_s + self._rays_s(n, pixels) <= FITS * budget_s)
+            )
         if wanted > self.level:
             if now_s - self._refined_s < REVOKED_WITHIN_S:
                 self._dwell_s = min(2.0 * self._dwell_s, MAX_DWELL_S)
@@ -249,19 +251,19 @@ class FrameBudget:
             self.level, self._changed_s, self._refined_s = wanted, now_s, now_s
         return self.level
 
-    def _less(self, budget_s: float, pixels: int) -> int:
+    def _coarser_level(self, budget_s: float, pixels: int) -> int:
         """Return the index of the coarser level that fits the budget, if waits for cores shrink with the ray time."""
         stretch = 1.0 + self._wait_s() / self._rays_s(self.level, pixels)
-        fits = self._first(lambda n: self._each_s + stretch * self._rays_s(n, pixels) <= FITS * budget_s)
+        fits = self._first_fitting_level(lambda n: self._each_s + stretch * self._rays_s(n, pixels) <= FITS * budget_s)
         fits = max(self.level, fits)
         # If the rays take a small share of the picture's time, fewer rays would only reduce the sharpness.
         matter_s = RAYS_MATTER * budget_s
-        enough = self._first(lambda n: self._rays_s(n, pixels) <= matter_s)
+        enough = self._first_fitting_level(lambda n: self._rays_s(n, pixels) <= matter_s)
         if enough >= self.level:
             return min(fits, enough)
-        return min(self.level, self._first(lambda n: self._rays_s(n, pixels) <= FITS * matter_s))
+        return min(self.level, self._first_fitting_level(lambda n: self._rays_s(n, pixels) <= FITS * matter_s))
 
-    def _look_for_finder(self, pixels: int) -> None:
+    def _update_view_finder(self, pixels: int) -> None:
         last = len(self.levels) - 1
         at_end = self.predicted_s(last, pixels)
         if not self._finding:
@@ -290,4 +292,4 @@ class FrameBudget:
         work = Level(scale, self.levels[-1].step_vox).work * pixels
         self._learn(len(self.levels), work, seconds, rays_s)
         self._probe_due_s = now_s + max(PROBE_EVERY_S, seconds / PROBE_SHARE)
-        self._look_for_finder(pixels)
+        self._update_view_finder(pixels)

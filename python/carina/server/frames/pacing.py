@@ -98,7 +98,7 @@ class _View:
         return self.changed_s + STILL_AFTER_S
 
     def is_size_of(self, order: RenderOrder) -> bool:
-        """Return whether an order has the present size of the view, which can change while a picture is rendered."""
+        """Return whether an order has the current size of the view, which can change while a picture is rendered."""
         return (order.full_width, order.full_height) == (self.width, self.height)
 
     def grade(self, now_s: float) -> int:
@@ -162,7 +162,7 @@ class FrameScheduler:
 
     def next_order(self, now_s: float) -> RenderOrder | None:
         """Return the order of the next picture, or None if no picture is due now."""
-        ready = [n for n in self._turn if self._wanted(n, now_s) and self._held_until_s(n, now_s) <= now_s]
+        ready = [n for n in self._turn if self._is_due(n, now_s) and self._held_until_s(n, now_s) <= now_s]
         others = [name for name in ready if name != LEAD_VIEW]
         if LEAD_VIEW in ready and not (others and self._credit_s > 0.0):
             return self._airway_order(now_s)
@@ -183,7 +183,7 @@ class FrameScheduler:
         for name, view in self._views.items():
             if view.seen_key is None:
                 continue
-            if self._is_news(view, now_s):
+            if self._has_new_content(view, now_s):
                 room_s = now_s if self._has_room(name, now_s) else min(view.in_flight.values()) + LOST_AFTER_S
                 times.append(max(room_s, self._held_until_s(name, now_s)))
             elif view.sent_grade < FULL:
@@ -201,7 +201,7 @@ class FrameScheduler:
         if self._views[name].grade(now_s) > MOVING and expected_s > OVER * self._other_budget_s(now_s):
             # A picture this long would be cancelled by every further movement.
             return airway.still_s
-        waits_s = self._due_s - now_s if self._wanted(LEAD_VIEW, now_s) else 0.0
+        waits_s = self._due_s - now_s if self._is_due(LEAD_VIEW, now_s) else 0.0
         # Without credit, another view is rendered only in the idle time before the next airway picture.
         return self._due_s if waits_s > 0.0 >= self._credit_s and expected_s > waits_s else now_s
 
@@ -214,7 +214,7 @@ class FrameScheduler:
         time; ``rays_s`` is the processor time of the rays divided by the threads, or None if it was not measured.
         """
         view = self._views.get(order.view)
-        self._account(order, seconds)
+        self._update_time_credit(order, seconds)
         if view is None:
             return False
         pixels = order.full_width * order.full_height
@@ -230,11 +230,11 @@ class FrameScheduler:
         view.in_flight[frame_id] = now_s
         return True
 
-    def given_up(self, order: RenderOrder, seconds: float) -> None:
+    def record_cancelled(self, order: RenderOrder, seconds: float) -> None:
         """Record that a picture was cancelled after ``seconds``; the scheduler orders it again if it is still due."""
-        self._account(order, seconds)
+        self._update_time_credit(order, seconds)
 
-    def _account(self, order: RenderOrder, seconds: float) -> None:
+    def _update_time_credit(self, order: RenderOrder, seconds: float) -> None:
         if order.view != LEAD_VIEW:
             self._credit_s = max(-MAX_CREDIT_S, self._credit_s - seconds)
             return
@@ -253,12 +253,12 @@ class FrameScheduler:
         for view in self._views.values():
             view.in_flight.pop(frame_id, None)
 
-    def gives_way(self, order: RenderOrder, keys: Mapping[str, Hashable], now_s: float) -> bool:
-        """Return whether the picture in progress should be cancelled, given the present content keys of the views."""
+    def should_cancel(self, order: RenderOrder, keys: Mapping[str, Hashable], now_s: float) -> bool:
+        """Return whether the picture in progress should be cancelled, given the current content keys of the views."""
         if order.grade <= MOVING:
             # Moving pictures are never cancelled: during a continuous movement none would be finished.
             return False
-        if keys.get(order.view) != order.key or keys.get(LEAD_VIEW) != self._seen(LEAD_VIEW):
+        if keys.get(order.view) != order.key or keys.get(LEAD_VIEW) != self._observed_key(LEAD_VIEW):
             return True
         # A long picture is also cancelled by a change in another view.
         others_wait = any(keys.get(name) != view.seen_key for name, view in self._views.items())
@@ -278,7 +278,7 @@ class FrameScheduler:
         """Return the number of pictures of a view that were sent and not acknowledged."""
         return len(self._views[view].in_flight) if view in self._views else 0
 
-    def _seen(self, name: str) -> Hashable:
+    def _observed_key(self, name: str) -> Hashable:
         view = self._views.get(name)
         return None if view is None else view.seen_key
 
@@ -288,24 +288,24 @@ class FrameScheduler:
             del in_flight[frame_id]
         return len(in_flight) < MAX_IN_FLIGHT.get(name, 1)
 
-    def _is_news(self, view: _View, now_s: float) -> bool:
+    def _has_new_content(self, view: _View, now_s: float) -> bool:
         return view.sent_key != view.seen_key or view.grade(now_s) > view.sent_grade
 
-    def _wanted(self, name: str, now_s: float) -> bool:
+    def _is_due(self, name: str, now_s: float) -> bool:
         view = self._views[name]
-        return view.seen_key is not None and self._has_room(name, now_s) and self._is_news(view, now_s)
+        return view.seen_key is not None and self._has_room(name, now_s) and self._has_new_content(view, now_s)
 
     def _expected_s(self, name: str, now_s: float) -> float:
         view = self._views[name]
         level = view.budget.level if view.grade(now_s) <= MOVING else 0
         return view.budget.predicted_s(level, view.pixels)
 
-    def _others_move(self, now_s: float) -> bool:
+    def _do_others_move(self, now_s: float) -> bool:
         return any(now_s < v.changed_s + OTHERS_MOVE_S for name, v in self._views.items() if name != LEAD_VIEW)
 
     def _airway_budget_s(self, now_s: float) -> float:
         """Return the time budget in s of a moving airway picture; the other views get their share of each period."""
-        return self._period_s * (GAP / (1.0 + OTHERS_SHARE) if self._others_move(now_s) else ALONE_FITS)
+        return self._period_s * (GAP / (1.0 + OTHERS_SHARE) if self._do_others_move(now_s) else ALONE_FITS)
 
     def _other_budget_s(self, now_s: float) -> float:
         if LEAD_VIEW not in self._views or not self._views[LEAD_VIEW].is_moving(now_s):
@@ -320,14 +320,14 @@ class FrameScheduler:
             # Start times follow a fixed grid, so that a delay is made up; two starts are at least gap_s / 2 apart.
             self._due_s = max(self._due_s + gap_s, now_s + gap_s / 2)
             if view.budget.probe_due(now_s):
-                return self._sized(LEAD_VIEW, now_s, view.budget.probe_scale(view.pixels), "probe")
+                return self._scaled_order(LEAD_VIEW, now_s, view.budget.probe_scale(view.pixels), "probe")
         return self._order(LEAD_VIEW, now_s)
 
     def _order(self, name: str, now_s: float) -> RenderOrder:
         view = self._views[name]
         grade = view.grade(now_s)
         if grade == FINDER:
-            return self._sized(name, now_s, 1.0, "finder")
+            return self._scaled_order(name, now_s, 1.0, "finder")
         if grade == MOVING:
             limit_s = self._airway_budget_s(now_s) if name == LEAD_VIEW else self._other_budget_s(now_s)
             level = view.budget.choose(limit_s, view.pixels, now_s, begins=view.was_still)
@@ -335,9 +335,9 @@ class FrameScheduler:
         else:
             level = 0 if grade == FULL else view.budget.finest_within(LONG_S, view.pixels)
             view.was_still = True
-        return self._sized(name, now_s, view.budget.levels[level].scale, "picture", level=level)
+        return self._scaled_order(name, now_s, view.budget.levels[level].scale, "picture", level=level)
 
-    def _sized(
+    def _scaled_order(
         self,
         name: str,
         now_s: float,

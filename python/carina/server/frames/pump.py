@@ -91,10 +91,10 @@ class FramePump:
     Parameters
     ----------
     scene
-        Returns the present content of the views, or None without a case. The pump calls it without holding its lock.
+        Returns the current content of the views, or None without a case. The pump calls it without holding its lock.
     deliver
         Sends one binary message; called in order, from the thread of the pump.
-    tell
+    report
         Sends a status message, or the code and message of an error; called from the thread of the pump.
     clock
         Monotonic clock of the session, in seconds.
@@ -108,7 +108,7 @@ class FramePump:
         self,
         scene: Callable[[], ShownCase | None],
         deliver: Callable[[bytes], None],
-        tell: Callable[[Status | tuple[str, str]], None],
+        report: Callable[[Status | tuple[str, str]], None],
         *,
         clock: Callable[[], float],
         threads: int = 1,
@@ -116,7 +116,7 @@ class FramePump:
     ) -> None:
         self._scene = scene
         self._deliver = deliver
-        self._tell = tell
+        self._report = report
         self._clock = clock
         self._threads = threads
         self._simd = simd
@@ -177,17 +177,17 @@ class FramePump:
         """Cancel the fine picture in progress if a change of content makes it obsolete, and wake the thread."""
         with self._lock:
             under_way = self._under_way
-        if under_way is not None and under_way[0].grade > MOVING and self._is_old(under_way[0]):
+        if under_way is not None and under_way[0].grade > MOVING and self._is_obsolete(under_way[0]):
             under_way[1].cancel()
         self.wake()
 
-    def _is_old(self, order: RenderOrder) -> bool:
+    def _is_obsolete(self, order: RenderOrder) -> bool:
         scene = self._scene()
         if scene is None:
             return True
         now_s = self._clock()
         with self._lock:
-            return self._scheduler.gives_way(order, _keys(scene, self._scheduler), now_s)
+            return self._scheduler.should_cancel(order, _content_keys(scene, self._scheduler), now_s)
 
     def stop(self) -> None:
         """End :meth:`run` after the picture in progress."""
@@ -225,14 +225,14 @@ class FramePump:
         began_s = self._clock()
         stop = CancelToken()
         with self._lock:
-            self._scheduler.observe(_keys(scene, self._scheduler), began_s)
+            self._scheduler.observe(_content_keys(scene, self._scheduler), began_s)
             order = self._scheduler.next_order(began_s)
             self._under_way = None if order is None else (order, stop)
         if order is None:
             return False
         try:
             # Checked again: a change before `_under_way` was set could not cancel this picture.
-            if order.grade > MOVING and self._is_old(order):
+            if order.grade > MOVING and self._is_obsolete(order):
                 return True
             self._render(scene, order, stop, began_s)
         except BaseException as trouble:
@@ -240,7 +240,7 @@ class FramePump:
             # otherwise a picture that cannot be sent would be rendered again and again.
             log_fault(logger, f"rendering failed: {order.view}", trouble)
             words = f"the {order.view} view could not be rendered: internal error in Carina ({type(trouble).__name__})"
-            self._failed(order, "carina.fault", words)
+            self._report_failure(order, "carina.fault", words)
         finally:
             with self._lock:
                 self._under_way = None
@@ -261,10 +261,10 @@ class FramePump:
                 view=cast(Any, shows),
                 stands_for=cast(Any, order.view) if shows != order.view else None,
                 pose_id=scene.pose_id,
-                lps_from_camera=_matrix(picture.lps_from_camera),
+                lps_from_camera=_matrix_message(picture.lps_from_camera),
                 fov_deg=None if picture.fov_deg is None else float(picture.fov_deg),
-                lens=_lens(picture.optics),
-                lps_from_pixel=_matrix(picture.lps_from_pixel),
+                lens=_lens_message(picture.optics),
+                lps_from_pixel=_matrix_message(picture.lps_from_pixel),
                 lines=picture_lines(picture.lines),
                 outline=None if outline is None else PictureOutline(len(outline.data), outline.complete),
                 width=int(picture.rgb.shape[1]),
@@ -277,16 +277,16 @@ class FramePump:
                 decorated=picture.decorated,
                 render_ms=round(rendered_s * 1e3, 2),
                 method=str(picture.stats.method),
-                layers=tuple(_layer(one) for one in layers),
+                layers=tuple(_layer_message(one) for one in layers),
             )
             parts = (payload, *(one.data for one in layers), b"" if outline is None else outline.data)
             data = encode_picture(header, b"".join(parts))
         except CarinaError as trouble:
             if isinstance(trouble, CancelledError) and stop.cancelled:
                 with self._lock:
-                    self._scheduler.given_up(order, self._clock() - began_s)
+                    self._scheduler.record_cancelled(order, self._clock() - began_s)
             else:
-                self._failed(order, trouble.code, str(trouble))
+                self._report_failure(order, trouble.code, str(trouble))
             return
         now_s = self._clock()
         with self._lock:
@@ -300,18 +300,18 @@ class FramePump:
         if wanted:
             self._deliver(data)
             if shows == LEAD_VIEW:
-                self._note_status(now_s, scene, header)
+                self._send_status(now_s, scene, header)
         self._last_words.pop(order.view, None)
 
-    def _failed(self, order: RenderOrder, code: str, words: str) -> None:
+    def _report_failure(self, order: RenderOrder, code: str, words: str) -> None:
         with self._lock:
             self._scheduler.failed(order)
         if words != self._last_words.get(order.view):
             # Send an error once, not for every frame.
             self._last_words[order.view] = words
-            self._tell((code, words))
+            self._report((code, words))
 
-    def _note_status(self, now_s: float, scene: ShownCase, header: PictureHeader) -> None:
+    def _send_status(self, now_s: float, scene: ShownCase, header: PictureHeader) -> None:
         """Send a status message: twice a second while the tip moves, and once after it stops."""
         first = header.pose_id != self._status_pose_id
         if first:
@@ -327,7 +327,7 @@ class FramePump:
         self._status_s, self._told_all = now_s, True
         ages_s = sorted(age_s for _, age_s in self._answers)
         spread_s = self._answers[-1][0] - self._answers[0][0]
-        self._tell(
+        self._report(
             Status(
                 fps=round((len(ages_s) - 1) / spread_s, 1) if spread_s > 0.0 else 0.0,
                 render_ms=header.render_ms,
@@ -339,7 +339,7 @@ class FramePump:
         )
 
 
-def _keys(scene: ShownCase, scheduler: FrameScheduler) -> dict[str, Hashable]:
+def _content_keys(scene: ShownCase, scheduler: FrameScheduler) -> dict[str, Hashable]:
     return {view: scene.key(view) for view in scheduler.visible}
 
 
@@ -348,16 +348,16 @@ def _is_empty(rgb: NDArray[np.uint8]) -> bool:
     return not rgb[::8, ::8].any()
 
 
-def _lens(optics: Optics | None) -> PictureLens | None:
+def _lens_message(optics: Optics | None) -> PictureLens | None:
     if optics is None:
         return None
     model, coefficients = optics.formula
     return PictureLens(cast(Any, model), coefficients, optics.focal_px, optics.centre_px, optics.limit_rad)
 
 
-def _layer(lines: LayerLines) -> PictureLayer:
+def _layer_message(lines: LayerLines) -> PictureLayer:
     return PictureLayer(len(lines.data), lines.complete, lines.layer, lines.part, lines.pixel_from_line)
 
 
-def _matrix(matrix: NDArray[np.float64] | None) -> tuple[float, ...] | None:
+def _matrix_message(matrix: NDArray[np.float64] | None) -> tuple[float, ...] | None:
     return None if matrix is None else tuple(float(v) for v in np.asarray(matrix).ravel())

@@ -13,7 +13,7 @@ from starlette.applications import Starlette
 
 from carina.server.network.certificate import Certificate
 from carina.server.network.connection_limits import ACCEPT_AT_ONCE, UnauthenticatedConnections
-from carina.server.network.request_timeouts import impatient
+from carina.server.network.request_timeouts import timeout_protocol
 from carina.server.network.shutdown import TimedShutdownServer
 from carina.server.sockets.rate_limits import bounded_websocket
 
@@ -51,10 +51,10 @@ class LanServer(TimedShutdownServer):
         on_started: Callable[[], None],
         max_bytes_per_s: float = float("inf"),
     ) -> None:
-        strangers = UnauthenticatedConnections(MAX_CONNECTIONS - 1)
+        unauthenticated = UnauthenticatedConnections(MAX_CONNECTIONS - 1)
         config = uvicorn.Config(
             app,
-            http=impatient(strangers),
+            http=timeout_protocol(unauthenticated),
             backlog=ACCEPT_AT_ONCE,
             ssl_context_factory=lambda _config, _default: certificate.context,
             ws=bounded_websocket(max_bytes_per_s),
@@ -70,7 +70,7 @@ class LanServer(TimedShutdownServer):
             limit_concurrency=MAX_CONNECTIONS,
             timeout_graceful_shutdown=GRACE_S,
         )
-        super().__init__(config, strangers)
+        super().__init__(config, unauthenticated)
         self._told_started = on_started
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:

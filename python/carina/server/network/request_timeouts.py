@@ -12,7 +12,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from carina.server.network.connection_limits import UnauthenticatedConnections
 
-__all__ = ["TimeoutProtocol", "impatient"]
+__all__ = ["TimeoutProtocol", "timeout_protocol"]
 
 FIRST_REQUEST_WITHIN_S = 10.0
 """Timeout in seconds for request headers, from the connection or the first byte of a later request to their end."""
@@ -26,8 +26,8 @@ class TimeoutProtocol(H11Protocol):
     Uvicorn itself has only a timeout between two requests of a connection.
     """
 
-    strangers: UnauthenticatedConnections
-    """Registry of unauthenticated connections; set by :func:`impatient`."""
+    unauthenticated: UnauthenticatedConnections
+    """Registry of unauthenticated connections; set by :func:`timeout_protocol`."""
     authorised: Callable[[Mapping[str, str]], bool] | None = None
     """Returns whether request headers are authorised; None if the WebSocket handler authenticates its client itself.
 
@@ -42,31 +42,31 @@ class TimeoutProtocol(H11Protocol):
     def connection_made(self, transport: Any) -> None:
         """Register the connection as unauthenticated and start the timeout of its first request."""
         super().connection_made(transport)
-        self.strangers.arrived(self, transport, self._is_idle)
-        self._wait()
+        self.unauthenticated.register(self, transport, self._is_idle)
+        self._update_timeout()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Cancel the timeout and remove the connection from the registry."""
-        self._stop_waiting()
-        self.strangers.left(self)
+        self._cancel_timeout()
+        self.unauthenticated.remove(self)
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
         """Process the bytes and set the timeout for the next part of the request."""
         super().data_received(data)
-        self._wait()
+        self._update_timeout()
 
     def handle_events(self) -> None:
         """Handle the parsed events and check the authorisation of a new request."""
         super().handle_events()
-        self._look()
+        self._check_authorisation()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
         """Check the authorisation, cancel the timeout and pass the connection to the WebSocket protocol."""
-        self._look()
-        self._stop_waiting()
+        self._check_authorisation()
+        self._cancel_timeout()
         if self.authorised is None:
-            self.strangers.left(self)
+            self.unauthenticated.remove(self)
         super().handle_websocket_upgrade(event)
 
     def on_response_complete(self) -> None:
@@ -74,68 +74,68 @@ class TimeoutProtocol(H11Protocol):
         super().on_response_complete()
         # Until the next byte, the keep-alive timeout of uvicorn applies, which closes the connection normally.
         if self._waits_for == "body":
-            self._stop_waiting()
+            self._cancel_timeout()
 
-    def _look(self) -> None:
+    def _check_authorisation(self) -> None:
         """Remove the connection from the unauthenticated ones if its latest request has valid credentials."""
         if self._is_known or self.authorised is None or self.headers is None or self.headers is self._looked_at:
             return
         self._looked_at = self.headers
         if self.authorised(Headers(raw=self.headers)):
             self._is_known = True
-            self.strangers.left(self)
+            self.unauthenticated.remove(self)
 
     def _is_idle(self) -> bool:
         """Return whether the connection has no request in progress."""
         return self.cycle is None or self.cycle.response_complete
 
-    def _wait(self) -> None:
+    def _update_timeout(self) -> None:
         """Start or cancel the timeout according to the state of the request: headers, body or neither."""
         if self.transport.get_protocol() is not self or self.transport.is_closing():
-            self._stop_waiting()
+            self._cancel_timeout()
         elif self._is_idle():
             if self._waits_for != "request":
-                self._wait_for("request", FIRST_REQUEST_WITHIN_S)
+                self._start_timeout("request", FIRST_REQUEST_WITHIN_S)
         elif self.cycle.more_body:
-            self._wait_for("body", BODY_WITHIN_S)
+            self._start_timeout("body", BODY_WITHIN_S)
         else:
-            self._stop_waiting()
+            self._cancel_timeout()
 
-    def _wait_for(self, what: str, within_s: float) -> None:
-        self._stop_waiting()
+    def _start_timeout(self, what: str, within_s: float) -> None:
+        self._cancel_timeout()
         self._waits_for = what
-        self._patience = self.loop.call_later(within_s, self._end)
+        self._patience = self.loop.call_later(within_s, self._close_after_timeout)
 
-    def _stop_waiting(self) -> None:
+    def _cancel_timeout(self) -> None:
         self._waits_for = ""
         if self._patience is not None:
             self._patience.cancel()
             self._patience = None
 
-    def _end(self) -> None:
+    def _close_after_timeout(self) -> None:
         # After an upgrade the transport belongs to a WebSocket protocol, and this object gets no connection_lost(). A
         # closed TLS transport no longer knows its protocol, so is_closing() is checked first.
         if self.transport.is_closing() or self.transport.get_protocol() is not self:
             return
         if self._waits_for == "body" and (self._is_idle() or self.flow.read_paused):
-            self._wait_for("body", BODY_WITHIN_S)  # the server, not the client, causes the delay
+            self._start_timeout("body", BODY_WITHIN_S)  # the server, not the client, causes the delay
             return
         # abort() and not close(): a TLS close waits for the answer of the peer.
-        self.strangers.ended()
+        self.unauthenticated.count_closed()
         self.transport.abort()
 
 
-def impatient(
-    strangers: UnauthenticatedConnections, authorised: Callable[[Mapping[str, str]], bool] | None = None
+def timeout_protocol(
+    unauthenticated: UnauthenticatedConnections, authorised: Callable[[Mapping[str, str]], bool] | None = None
 ) -> type[TimeoutProtocol]:
     """Return the HTTP protocol class for one server.
 
     Parameters
     ----------
-    strangers
+    unauthenticated
         Registry of the unauthenticated connections of this server.
     authorised
         Returns whether request headers are authorised; None if the WebSocket handler authenticates its client itself.
     """
     found = None if authorised is None else staticmethod(authorised)
-    return type("Impatient", (TimeoutProtocol,), {"strangers": strangers, "authorised": found})
+    return type("ServerTimeoutProtocol", (TimeoutProtocol,), {"unauthenticated": unauthenticated, "authorised": found})

@@ -29,17 +29,17 @@ class TimedShutdownServer(uvicorn.Server):
     ----------
     config
         Configuration of uvicorn; ``timeout_graceful_shutdown`` is the grace period in seconds.
-    strangers
+    unauthenticated
         Unauthenticated connections of this server; new ones are aborted during the shutdown.
     """
 
-    def __init__(self, config: uvicorn.Config, strangers: UnauthenticatedConnections) -> None:
+    def __init__(self, config: uvicorn.Config, unauthenticated: UnauthenticatedConnections) -> None:
         super().__init__(config)
-        self._strangers = strangers
+        self._unauthenticated = unauthenticated
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Install the handler for failed ``accept`` calls and open the listening sockets."""
-        self._strangers.watch(asyncio.get_running_loop())
+        self._unauthenticated.watch(asyncio.get_running_loop())
         await super().startup(sockets=sockets)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
@@ -48,7 +48,7 @@ class TimedShutdownServer(uvicorn.Server):
         for server in servers:
             server.close()
         # A connection may be accepted, or in its TLS handshake, and not yet be registered with the server.
-        self._strangers.turn_away()
+        self._unauthenticated.refuse_new()
         await self._end_connections()
         # From Python 3.12 on, wait_closed() of a listener waits for every TLS handshake that the listener began.
         for server in servers:
@@ -76,7 +76,7 @@ class TimedShutdownServer(uvicorn.Server):
                 if not transport.is_closing():
                     # The server is still sending a response on this connection: abort it only after the grace period.
                     if now_s >= end_s:
-                        self._strangers.cut(transport)
+                        self._unauthenticated.abort(transport)
                 elif now_s - closing_since.setdefault(connection, now_s) >= FAREWELL_S:
-                    self._strangers.cut(transport)
+                    self._unauthenticated.abort(transport)
             await asyncio.sleep(LOOK_EVERY_S)

@@ -31,7 +31,7 @@ from carina.server.network.lan_server import LanServer
 from carina.server.network.listening import bind, lan_address
 from carina.server.observers.window import WatchingWindow
 from carina.server.sockets.rate_limits import FLOOD
-from carina.server.windows.websocket_session import converse
+from carina.server.windows.websocket_session import serve_window
 from carina.server.windows.window import Window
 from carina.server.wire import messages as wire
 
@@ -146,7 +146,7 @@ class ObserverPageServer:
             sock = bind(address, 0)
             tokens, started = TokenGate(), asyncio.Event()
             port = sock.getsockname()[1]
-            app = self._app(Gate(host=address, port=port, scheme="https"), tokens)
+            app = self._create_app(Gate(host=address, port=port, scheme="https"), tokens)
             server = LanServer(
                 app,
                 certificate,
@@ -181,7 +181,7 @@ class ObserverPageServer:
             if opened.watchers:
                 opened.nobody.clear()
                 for window, _ in opened.watchers.values():
-                    window.send_away(words)
+                    window.disconnect(words)
                 # Observers that do not read the reason in time are disconnected.
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(FAREWELL_S):
@@ -191,7 +191,7 @@ class ObserverPageServer:
             self._open = None
         self._changed()
 
-    def send_away(self, number: int) -> None:
+    def disconnect(self, number: int) -> None:
         """Disconnect an observer, and replace the token, so that the previous link no longer works.
 
         Raises
@@ -203,17 +203,17 @@ class ObserverPageServer:
         if self._open is None or found is None:
             raise UsageError("this watcher has already left", code="watch.gone")
         self._open.tokens.renew()
-        found[0].send_away("the person at the workstation has disconnected you")
+        found[0].disconnect("the person at the workstation has disconnected you")
         self._changed()
 
     # ------------------------------------------------------------ requests
 
-    def _app(self, gate: Gate, tokens: TokenGate) -> Starlette:
+    def _create_app(self, gate: Gate, tokens: TokenGate) -> Starlette:
         async def index(_request: Request) -> Response:
-            return self._file("index.html")
+            return self._web_file("index.html")
 
         async def asset(request: Request) -> Response:
-            return self._file(request.path_params["path"])
+            return self._web_file(request.path_params["path"])
 
         async def socket(websocket: WebSocket) -> None:
             await websocket.accept()
@@ -222,12 +222,12 @@ class ObserverPageServer:
             address = websocket.client.host if websocket.client is not None else "unknown"
 
             async def attach(hello: wire.ClientHello) -> Window:
-                came.append(await self._admitted(hello, tokens, address))
+                came.append(await self._admit_observer(hello, tokens, address))
                 return came[0]
 
             code: int | None = None
             try:
-                code = await converse(websocket, attach)
+                code = await serve_window(websocket, attach)
             finally:
                 if opened is not None and came:
                     if code == wire.CLOSE_CODES[FLOOD]:
@@ -243,14 +243,14 @@ class ObserverPageServer:
         app.add_middleware(GateMiddleware, gate=gate)
         return app
 
-    def _file(self, name: str) -> Response:
+    def _web_file(self, name: str) -> Response:
         found = asset_path(self._web, name)
         # The phone page belongs to another server.
         if found is None or found.name == "phone.html":
             return page("Page not found", "This page does not exist.", 404)
         return FileResponse(found, headers={"cache-control": "no-store"})
 
-    async def _admitted(self, hello: wire.ClientHello, tokens: TokenGate, address: str) -> WatchingWindow:
+    async def _admit_observer(self, hello: wire.ClientHello, tokens: TokenGate, address: str) -> WatchingWindow:
         if not tokens.admits(hello.token or ""):
             # The delay slows down a client that guesses tokens.
             await asyncio.sleep(WRONG_TOKEN_WAIT_S)

@@ -39,10 +39,10 @@ ERRORS_WITHOUT_NAMES = frozenset({"session.watching", "session.pick", "session.n
 
 def observer_notes(notes: Sequence[wire.CaseNote]) -> tuple[wire.CaseNote, ...]:
     """Return the notes that are shown permanently, without file names in their texts."""
-    return tuple(replace(note, words=_words(note)) for note in notes if note.badge)
+    return tuple(replace(note, words=_note_text(note)) for note in notes if note.badge)
 
 
-def _words(note: wire.CaseNote) -> str:
+def _note_text(note: wire.CaseNote) -> str:
     if not note.code.startswith(ABOUT_THE_SCAN) or note.code in WITHOUT_NAMES:
         return note.words
     asks = f"the scan check found a problem ({note.code}): ask the person at the workstation for the details"
@@ -92,18 +92,18 @@ class WatchingWindow(Window):
         ProtocolError
             With code ``protocol.flood`` above the message limit; the queued messages are then dropped.
         """
-        if not self._limit.take():
-            self.inbox.drop()
+        if not self._limit.allow():
+            self.inbox.clear()
             raise ProtocolError(FLOOD_WORDS, code=FLOOD)
         await asyncio.sleep(0)
 
-    def send_away(self, words: str) -> None:
+    def disconnect(self, words: str) -> None:
         """Disconnect the observer, and send the reason ``words``; call this method in the event loop."""
         self._sent_away = words
         self.outbox.mark("state")
 
     @property
-    def ended(self) -> str | None:
+    def end_reason(self) -> str | None:
         """Reason why nothing more may be sent; None while the observed case is open.
 
         The sender reads this property after it has read a message and before it sends the message, so that no message
@@ -113,7 +113,7 @@ class WatchingWindow(Window):
             return "the case that you were watching was closed"
         return self._sent_away
 
-    def restored(self, text: str) -> str:
+    def with_original_names(self, text: str) -> str:
         """Return the text unchanged, because original file names are not sent to observers."""
         return text
 
@@ -160,13 +160,13 @@ class WatchingWindow(Window):
             mask_question=None,
         )
 
-    def _note(self, event: Event) -> None:
+    def _handle_event(self, event: Event) -> None:
         """Process session events about changes only.
 
         Messages and errors may name files and are not sent to observers.
         """
         if isinstance(event, Changed):
-            super()._note(event)
+            super()._handle_event(event)
 
     def push_error(self, error: wire.Error) -> None:
         """Send an error without its text where the text may name a file."""
@@ -177,10 +177,10 @@ class WatchingWindow(Window):
             raise UsageError(
                 "you are watching; only the person at the workstation can do this", code="session.watching"
             )
-        super()._do(_smaller(message) if isinstance(message, wire.Layout) else message)
+        super()._do(_limited_layout(message) if isinstance(message, wire.Layout) else message)
 
 
-def _smaller(layout: wire.Layout) -> wire.Layout:
+def _limited_layout(layout: wire.Layout) -> wire.Layout:
     """Return the layout with each picture limited to 1600 pixels per side; the page enlarges the pictures."""
     views = []
     for view in layout.views:

@@ -41,7 +41,7 @@ class RateLimit:
         self._left = burst
         self._filled_s = clock()
 
-    def take(self, amount: float = 1.0) -> bool:
+    def allow(self, amount: float = 1.0) -> bool:
         """Take an amount from the bucket, and return whether it was allowed; nothing is taken if it was not."""
         now_s = self._clock()
         self._left = min(self._burst, self._left + (now_s - self._filled_s) * self._per_s)
@@ -76,7 +76,7 @@ class BoundedWebSocket(WebSocketsSansIOProtocol):
                 self.transport.abort()
             else:
                 self._close_when_quiet()
-        elif self._limit.take(len(data)):
+        elif self._limit.allow(len(data)):
             super().data_received(data)
         elif self.close_sent or not self.handshake_complete:
             self.transport.abort()

@@ -54,7 +54,7 @@ def _turns(info: PlanningInfo, turns: TurnList) -> tuple[wire.PlannedTurn, ...]:
     value = turns.to_json()
     lines = zip(turns.turns, value["turns"], value["words"]["head"], value["words"]["facing"], strict=False)
     return tuple(
-        carried(
+        to_wire_value(
             wire.PlannedTurn,
             one
             | {
@@ -119,12 +119,14 @@ def _stations(planned: PlanOutcome | None, chosen: int | None) -> tuple[wire.Sta
     """Return the stations of the chosen route, or of the best one if none is chosen."""
     if planned is None or not planned.stations:
         return ()
-    return tuple(carried(wire.StationOnRoute, one.to_json()) for one in planned.stations[(chosen or 1) - 1])
+    return tuple(to_wire_value(wire.StationOnRoute, one.to_json()) for one in planned.stations[(chosen or 1) - 1])
 
 
 def _carm(found: CArmAngles) -> wire.CArmPositions:
     value = found.to_json()
-    return carried(wire.CArmPositions, value | {"angles": [carried(wire.CArmPosition, one) for one in value["angles"]]})
+    return to_wire_value(
+        wire.CArmPositions, value | {"angles": [to_wire_value(wire.CArmPosition, one) for one in value["angles"]]}
+    )
 
 
 def _comparison(info: PlanningInfo) -> wire.TargetComparison | None:
@@ -139,18 +141,18 @@ def _comparison(info: PlanningInfo) -> wire.TargetComparison | None:
         if outcome is not None and outcome.plan is not None:
             planned.append((target, outcome.plan))
         else:
-            why = _why_unplanned(target, outcome, info)
+            why = _unplanned_reason(target, outcome, info)
             unplanned.append(wire.UnplannedTarget(target.target_id, why))
     rows = []
     for row in compare_targets([plan for _, plan in planned], [target.name for target, _ in planned]):
         # Targets can have the same name, and targets with the same boundary have the same plan.
         place = next(n for n, one in enumerate(planned) if one[1] is row.plan and one[0].name == row.title)
         target, _ = planned.pop(place)
-        rows.append(carried(wire.PlannedTargetRow, row.to_json() | {"target_id": target.target_id}))
+        rows.append(to_wire_value(wire.PlannedTargetRow, row.to_json() | {"target_id": target.target_id}))
     return wire.TargetComparison(ORDER_RULE, tuple(rows), tuple(unplanned))
 
 
-def _why_unplanned(target: Target, outcome: PlanOutcome | None, info: PlanningInfo) -> str:
+def _unplanned_reason(target: Target, outcome: PlanOutcome | None, info: PlanningInfo) -> str:
     if target.lesion is None:
         return "not planned: the target has no size, so there is no needle to plan"
     if outcome is not None and outcome.problem is not None:
@@ -196,7 +198,7 @@ def _surface(nodule: Nodule) -> wire.TargetSurface:
     return wire.TargetSurface(vertices, tuple(int(n) for n in mesh.triangles.ravel()))
 
 
-def carried(kind: type[Value], value: Mapping[str, Any]) -> Value:
+def to_wire_value(kind: type[Value], value: Mapping[str, Any]) -> Value:
     """Return a wire value from the plain JSON types of a plan's value; keys that the wire does not carry are left out.
 
     Window and plan.json then state the same numbers, because both come from one ``to_json``.
@@ -206,22 +208,22 @@ def carried(kind: type[Value], value: Mapping[str, Any]) -> Value:
 
 def _route(route: PlannedRoute) -> wire.RouteOffer:
     value = route.to_json()
-    crossed = [carried(wire.NeedleTissue, one) for one in value["leg"]["crossed"]]
-    leg = carried(wire.NeedleLeg, value["leg"] | {"crossed": crossed})
-    origin = carried(wire.RouteOrigin, value["origin"])
-    predictors = None if route.predictors is None else carried(wire.FailurePredictors, value["predictors"])
-    return carried(wire.RouteOffer, value | {"leg": leg, "origin": origin, "predictors": predictors})
+    crossed = [to_wire_value(wire.NeedleTissue, one) for one in value["leg"]["crossed"]]
+    leg = to_wire_value(wire.NeedleLeg, value["leg"] | {"crossed": crossed})
+    origin = to_wire_value(wire.RouteOrigin, value["origin"])
+    predictors = None if route.predictors is None else to_wire_value(wire.FailurePredictors, value["predictors"])
+    return to_wire_value(wire.RouteOffer, value | {"leg": leg, "origin": origin, "predictors": predictors})
 
 
 def _verdict(verdict: Verdict) -> wire.ScopeVerdict:
     value = verdict.to_json()
-    checks = [carried(wire.ScopeCheck, check) for check in value["checks"]]
-    return carried(wire.ScopeVerdict, value | {"checks": checks, "was_driven": verdict.driven is not None})
+    checks = [to_wire_value(wire.ScopeCheck, check) for check in value["checks"]]
+    return to_wire_value(wire.ScopeVerdict, value | {"checks": checks, "was_driven": verdict.driven is not None})
 
 
 def _pair(verdict: Verdict, available: tuple[str, ...] | None) -> wire.RoutePair:
     is_available = available is None or verdict.scope.name in available
-    return carried(wire.RoutePair, verdict.to_json() | {"available": is_available})
+    return to_wire_value(wire.RoutePair, verdict.to_json() | {"available": is_available})
 
 
 def _point(values: Any) -> tuple[float, float, float]:

@@ -58,11 +58,14 @@ def start_message(
     storage: StorageInfo | None = None,
 ) -> wire.Start:
     """Return the contents of the start page; the message contains no file paths."""
-    cases = tuple(_listed(case) for case in recent)
+    cases = tuple(_case_list_entry(case) for case in recent)
     beside = None
     if storage is not None:
         beside = wire.Storage(
-            storage.num_cts, storage.ct_bytes, storage.keeps_cts, tuple(_listed(case) for case in storage.forgotten)
+            storage.num_cts,
+            storage.ct_bytes,
+            storage.keeps_cts,
+            tuple(_case_list_entry(case) for case in storage.forgotten),
         )
     scopes = tuple(
         wire.Scope(s.name, s.title, s.tip_mm, round(s.fit_mm, 2), s.channel_mm, s.fov_deg, s.view_up_deg)
@@ -71,7 +74,7 @@ def start_message(
     return wire.Start(notice_accepted, cases, demos(patient_citation), scopes, beside)
 
 
-def _listed(case: ListedCase) -> wire.CaseListEntry:
+def _case_list_entry(case: ListedCase) -> wire.CaseListEntry:
     """Return the list entry of a case; the URL of its thumbnail changes with the thumbnail, so browsers reload it."""
     made_s = case.pictured_s
     return wire.CaseListEntry(
@@ -117,7 +120,7 @@ def picture_lines(lines: PictureLines | None) -> wire.PictureLineRows | None:
     )
 
 
-def _case(snapshot: Snapshot, *, names_ct: bool) -> wire.CaseInfo | None:
+def _case_message(snapshot: Snapshot, *, names_ct: bool) -> wire.CaseInfo | None:
     case = snapshot.case
     if case is None:
         return None
@@ -130,10 +133,10 @@ def _case(snapshot: Snapshot, *, names_ct: bool) -> wire.CaseInfo | None:
         not_hu_reason=volume.not_hu_reason,
         shape_zyx=volume.shape_zyx,
         spacing_mm=volume.spacing_mm,
-        lps_from_ijk=_flat(volume.lps_from_ijk),
+        lps_from_ijk=_flat_matrix(volume.lps_from_ijk),
         value_range=(float(case.value_range[0]), float(case.value_range[1])),
         warnings=tuple(source.warnings),
-        notes=_notes(source.notes),
+        notes=_note_messages(source.notes),
         quality=case.quality,
         other_series=tuple(
             wire.OtherSeries(s.key, s.modality, s.description, s.num_slices, s.refused) for s in source.other_series
@@ -145,7 +148,7 @@ def _case(snapshot: Snapshot, *, names_ct: bool) -> wire.CaseInfo | None:
     )
 
 
-def _notes(notes: Sequence[Note]) -> tuple[wire.CaseNote, ...]:
+def _note_messages(notes: Sequence[Note]) -> tuple[wire.CaseNote, ...]:
     return tuple(wire.CaseNote(note.code, note.words, note.badge) for note in notes)
 
 
@@ -157,7 +160,7 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float, names_ct: bool = 
     document = snapshot.document
     airways = None if document is None else document.airways
     return wire.State(
-        case=_case(snapshot, names_ct=names_ct),
+        case=_case_message(snapshot, names_ct=names_ct),
         stage=snapshot.stage,
         airways=snapshot.airways,
         airways_words=snapshot.airways_words,
@@ -167,7 +170,7 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float, names_ct: bool = 
         transfer="" if document is None else document.transfer.name,
         transfer_document=None if document is None else document.transfer.to_json(),
         transfer_presets=snapshot.transfer_presets,
-        targets=() if document is None else tuple(_target(t) for t in document.targets),
+        targets=() if document is None else tuple(_target_message(t) for t in document.targets),
         route_id=None if document is None or document.route is None else document.route.route_id,
         can_undo=snapshot.undo_label,
         can_redo=snapshot.redo_label,
@@ -176,12 +179,12 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float, names_ct: bool = 
         frame_rate_hz=frame_rate_hz,
         airways_from=None if airways is None else "mask" if math.isnan(airways.threshold) else "search",
         mask_question=snapshot.mask_question,
-        badges=() if snapshot.case is None else _notes(badges_of(snapshot.case.volume, airways)),
+        badges=() if snapshot.case is None else _note_messages(badges_of(snapshot.case.volume, airways)),
         saving=snapshot.saving,
     )
 
 
-def _target(target: Any) -> wire.TargetInfo:
+def _target_message(target: Any) -> wire.TargetInfo:
     return wire.TargetInfo(
         target_id=target.target_id,
         name=target.name,
@@ -201,7 +204,7 @@ def _target(target: Any) -> wire.TargetInfo:
 
 
 def _threshold(document: Document | None) -> float | None:
-    """Return the lumen threshold of the present airways or, before a search, of the next search."""
+    """Return the lumen threshold of the current airways or, before a search, of the next search."""
     if document is None:
         return None
     if document.airways is None:
@@ -254,7 +257,7 @@ def route_message(
 
 
 def _narrowest(route: ChosenRoute, measures: Any) -> dict[str, float]:
-    """Return the fields of the narrowest diameter of a route; no fields without measures by the present method."""
+    """Return the fields of the narrowest diameter of a route; no fields without measures by the current method."""
     if measures is None or not route.lumen_known or any(one.is_by_earlier_method for one in measures.branches):
         return {}
     if not {span.branch_id for span in route.spans} <= {one.branch_id for one in measures.branches}:
@@ -274,10 +277,10 @@ def _narrowest(route: ChosenRoute, measures: Any) -> dict[str, float]:
 
 
 def pose_message(info: PoseInfo) -> wire.PoseMessage:
-    """Return the pose message of the present pose."""
+    """Return the pose message of the current pose."""
     return wire.PoseMessage(
         pose_id=info.pose_id,
-        lps_from_camera=_flat(info.pose.lps_from_camera),
+        lps_from_camera=_flat_matrix(info.pose.lps_from_camera),
         mode=info.mode,
         path_mm=info.path_mm,
         branch_id=None if info.branch is None else info.branch.id,
@@ -285,14 +288,14 @@ def pose_message(info: PoseInfo) -> wire.PoseMessage:
         generation=None if info.branch is None else info.branch.generation,
         lumen_mm=info.lumen_mm,
         inside=info.inside,
-        scope=_held(info),
+        scope=_held_scope(info),
         key_frames_s=info.key_frames_s,
         flight=info.flight,
         by_device=info.by_device,
     )
 
 
-def _held(info: PoseInfo) -> wire.HeldScope | None:
+def _held_scope(info: PoseInfo) -> wire.HeldScope | None:
     state = info.scope
     if state is None:
         return None
@@ -337,7 +340,7 @@ def picked_message(pick_id: int, wall: WallPoint | None, depth_mm: float | None)
     )
 
 
-def _flat(matrix: Any) -> tuple[float, ...]:
+def _flat_matrix(matrix: Any) -> tuple[float, ...]:
     return tuple(float(v) for v in np.asarray(matrix, dtype=np.float64).ravel())
 
 

@@ -32,14 +32,14 @@ class SharedTexts:
         Session whose state the messages describe.
     patient_citation
         Citation of the bundled patient, for the start page.
-    tell
+    send
         Sends an error message to all windows if a tree cannot be encoded.
     """
 
-    def __init__(self, session: Session, patient_citation: Citation | None, tell: Callable[[Any], None]) -> None:
+    def __init__(self, session: Session, patient_citation: Citation | None, send: Callable[[Any], None]) -> None:
         self._session = session
         self._patient_citation = patient_citation
-        self._tell = tell
+        self._send = send
         self._known: dict[str, tuple[tuple[object, ...], str]] = {}
         self._writing: asyncio.Task[None] | None = None
         self._waiting: dict[Outbox, set[str]] = {}
@@ -54,7 +54,7 @@ class SharedTexts:
         therefore marked after the encoding in a thread, while poses and pictures are sent without delay.
         """
         waits: set[str] = set()
-        if "tree" in topics and (self._writing is not None or not self._is_known("tree", *self._newest_tree())):
+        if "tree" in topics and (self._writing is not None or not self._is_cached("tree", *self._latest_tree())):
             # The route is included even if it is not marked, because route() returned None while the tree was missing.
             waits = {"tree", "route"}
         elif self._writing is not None:
@@ -85,7 +85,7 @@ class SharedTexts:
 
     def tree(self) -> str | None:
         """Return the encoded airway tree; None while the latest tree is not encoded, which marks the topic later."""
-        return self._tree_text() if self._is_known("tree", *self._newest_tree()) else None
+        return self._tree_text() if self._is_cached("tree", *self._latest_tree()) else None
 
     def route(self) -> str | None:
         """Return the encoded route of the document; None while the tree of the route is not encoded.
@@ -95,11 +95,11 @@ class SharedTexts:
         # One snapshot for tree and route: two snapshots could contain a route through another tree.
         snapshot = self._session.snapshot()
         newest, document = _tree_of(snapshot), snapshot.document
-        if not self._is_known("tree", *newest) and not _are_same(newest, self._unwritable):
+        if not self._is_cached("tree", *newest) and not _are_same(newest, self._unwritable):
             return None
         route = None if document is None else document.route
         scale = snapshot.route_scale
-        return self._cached("route", lambda: route_message(route, newest[1], scale), route, newest[1], scale)
+        return self._cached_text("route", lambda: route_message(route, newest[1], scale), route, newest[1], scale)
 
     def key_frames(self) -> str:
         """Return the encoded message of the key frames and their flight."""
@@ -119,7 +119,7 @@ class SharedTexts:
         named = (info.document.targets, info.document.airways is None)
         pairs = (info.pairs_standing, info.available, *info.pairs)
         state = (*shown, *carm, *named, info.dicom_problem, *pairs)
-        return self._cached("plan", lambda: plans_message(info), *state, *planned)
+        return self._cached_text("plan", lambda: plans_message(info), *state, *planned)
 
     def lungs(self) -> str:
         """Return the encoded lung map of the open case; an empty message without a case."""
@@ -129,7 +129,7 @@ class SharedTexts:
             return wire.encode_message(wire.Lungs("unwanted", "unwanted", (), (), (), "", (), False))
         made = (info.lungs, info.reach, info.stations, info.outdated)
         standing = (info.standing, info.problem, info.reach_standing, info.reach_problem)
-        return self._cached("lungs", lambda: lungs_message(info), *made, *standing)
+        return self._cached_text("lungs", lambda: lungs_message(info), *made, *standing)
 
     def flights(self) -> str:
         """Return the encoded list of flights recorded in the case."""
@@ -137,10 +137,10 @@ class SharedTexts:
 
     def _tree_text(self) -> str:
         """Return the encoded latest tree; may be called from any thread."""
-        airways, measures = self._newest_tree()
-        return self._cached("tree", lambda: tree_message(airways, measures), airways, measures)
+        airways, measures = self._latest_tree()
+        return self._cached_text("tree", lambda: tree_message(airways, measures), airways, measures)
 
-    def _newest_tree(self) -> tuple[Any, Any]:
+    def _latest_tree(self) -> tuple[Any, Any]:
         return _tree_of(self._session.snapshot())
 
     async def _write_tree(self) -> None:
@@ -152,10 +152,10 @@ class SharedTexts:
                 pass
             is_written = True
         except Exception as trouble:
-            self._unwritable = self._newest_tree()
+            self._unwritable = self._latest_tree()
             log_fault(logger, "the airway tree could not be prepared for the window", trouble)
             words = f"the airway tree cannot be shown: internal error in Carina ({type(trouble).__name__})"
-            self._tell(wire.Error("carina.fault", words, None))
+            self._send(wire.Error("carina.fault", words, None))
         finally:
             self._writing = None
             waiting, self._waiting = self._waiting, {}
@@ -166,19 +166,19 @@ class SharedTexts:
                 else:
                     outbox.mark(*topics)
 
-    def _cached(self, topic: str, message: Callable[[], Any], *values: object) -> str:
+    def _cached_text(self, topic: str, message: Callable[[], Any], *values: object) -> str:
         """Return the cached text of a topic, and encode it anew only if one of ``values`` is another object."""
-        if not self._is_known(topic, *values):
+        if not self._is_cached(topic, *values):
             self._known[topic] = (values, wire.encode_message(message()))
         return self._known[topic][1]
 
-    def _is_known(self, topic: str, *values: object) -> bool:
+    def _is_cached(self, topic: str, *values: object) -> bool:
         known = self._known.get(topic)
         return known is not None and _are_same(values, known[0])
 
 
 def _tree_of(snapshot: Any) -> tuple[Any, Any]:
-    """Return the present airways and their measures; None for each that is missing."""
+    """Return the current airways and their measures; None for each that is missing."""
     airways = None if snapshot.document is None else snapshot.document.airways
     return airways, getattr(snapshot, "measures", None)
 

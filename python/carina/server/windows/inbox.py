@@ -84,7 +84,7 @@ class Inbox:
         """Queue a message, or merge it into the last one; wait while the queue is full."""
         await self._room.wait()
         self._num_commands += isinstance(message, Command)
-        if self._waiting and (merged := _merged(self._waiting[-1][1], message)) is not None:
+        if self._waiting and (merged := _merge(self._waiting[-1][1], message)) is not None:
             self._waiting[-1] = self._num_commands, merged
             return
         self._waiting.append((self._num_commands, message))
@@ -92,15 +92,15 @@ class Inbox:
             self._room.clear()
         self._changed.set()
 
-    async def work(self) -> None:
+    async def run(self) -> None:
         """Handle messages until cancelled, and yield to the event loop after each message."""
         loop = asyncio.get_running_loop()
         try:
-            await self._work(loop)
+            await self._handle_messages(loop)
         finally:
             self._room.set()
 
-    async def _work(self, loop: asyncio.AbstractEventLoop) -> None:
+    async def _handle_messages(self, loop: asyncio.AbstractEventLoop) -> None:
         while True:
             await self._changed.wait()
             if len(self._waiting) == 1 and self._is_steer_next():
@@ -112,24 +112,24 @@ class Inbox:
             if self._is_steer_next():
                 self._steered_s = loop.time()
             begun_s = loop.time()
-            self._do_next()
+            self._handle_next()
             await asyncio.sleep(min(self._pause_per_s * (loop.time() - begun_s), LONGEST_PAUSE_S))
 
     def _is_steer_next(self) -> bool:
         return bool(self._waiting) and isinstance(self._waiting[0][1], wire.Steer)
 
-    def drop(self) -> None:
+    def clear(self) -> None:
         """Drop all queued messages, after a client has sent too many."""
         self._waiting.clear()
         self._changed.clear()
         self._room.set()
 
-    def finish(self) -> None:
+    def handle_all(self) -> None:
         """Handle all queued messages now, after the client has disconnected."""
         while self._waiting:
-            self._do_next()
+            self._handle_next()
 
-    def _do_next(self) -> None:
+    def _handle_next(self) -> None:
         if self._waiting:
             num_commands, message = self._waiting.popleft()
             self._room.set()
@@ -141,18 +141,18 @@ class Inbox:
                 self._handled(num_commands)
 
 
-def _merged(before: Any, after: Any) -> Any:
+def _merge(before: Any, after: Any) -> Any:
     """Return one message with the effect of two consecutive messages; None if they cannot be merged."""
     if type(before) is not type(after):
         return None
     if isinstance(after, wire.Steer):
-        return _sum(before, after)
+        return _sum_movements(before, after)
     if isinstance(after, NEWEST_ONLY) and getattr(before, "view", None) == getattr(after, "view", None):
         return after
     return None
 
 
-def _sum(a: wire.Steer, b: wire.Steer) -> wire.Steer | None:
+def _sum_movements(a: wire.Steer, b: wire.Steer) -> wire.Steer | None:
     """Return the sum of two movements; None if the sum exceeds the limits of one message."""
     summed = wire.Steer(
         a.advance_mm + b.advance_mm, a.yaw_rad + b.yaw_rad, a.pitch_rad + b.pitch_rad, a.roll_rad + b.roll_rad

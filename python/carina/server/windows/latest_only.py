@@ -25,7 +25,7 @@ class LatestTaskRunner:
         """Start the thread that runs the tasks."""
         self._thread.start()
 
-    def ask(self, kind: str, task: Callable[[], None]) -> None:
+    def submit(self, kind: str, task: Callable[[], None]) -> None:
         """Queue a task and drop the pending task of the same kind; the task must not raise."""
         with self._changed:
             # The task goes to the end of the queue, so that the kinds take turns.
@@ -33,7 +33,7 @@ class LatestTaskRunner:
             self._tasks[kind] = task
             self._changed.notify()
 
-    def end(self) -> None:
+    def stop_soon(self) -> None:
         """Drop all pending tasks and end the thread after the running task, without waiting for the thread."""
         with self._changed:
             self._stopped = True
@@ -42,7 +42,7 @@ class LatestTaskRunner:
 
     def stop(self) -> None:
         """Drop all pending tasks, end the thread and wait until the running task has finished."""
-        self.end()
+        self.stop_soon()
         if self._thread.is_alive():
             self._thread.join()
 

@@ -63,7 +63,7 @@ class Outbox:
         """Whether the queue is over its limit, because the window reads too slowly or not at all."""
         return len(self._texts) > MAX_TEXTS or len(self._pictures) > MAX_PICTURES
 
-    def is_news(self, topic: str, text: str) -> bool:
+    def record_if_changed(self, topic: str, text: str) -> bool:
         """Return whether the message of the topic differs from the last one sent, and record the message as sent."""
         if self._sent.get(topic) == text:
             return False
@@ -92,11 +92,11 @@ class Outbox:
         self._pictures.append(data)
         self._filled.set()
 
-    async def filled(self) -> None:
+    async def wait_until_filled(self) -> None:
         """Wait until at least one message, topic or picture is queued."""
         await self._filled.wait()
 
-    def take(self) -> tuple[list[str], list[str], list[bytes]]:
+    def take_all(self) -> tuple[list[str], list[str], list[bytes]]:
         """Remove and return the changed topics (in their order), the text messages and the pictures."""
         self._filled.clear()
         topics = [t for t in TOPICS if t in self._topics]

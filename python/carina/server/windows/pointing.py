@@ -15,7 +15,7 @@ from carina.server.to_wire.thin_points import thinned
 from carina.server.to_wire.tree import branch_detail_message
 from carina.server.windows.latest_only import LatestTaskRunner
 from carina.server.wire import messages as wire
-from carina.session import NotEvident, Session, log_fault
+from carina.session import EvidenceMissing, Session, log_fault
 from carina.track import AddBranch, BranchWay, Bridge, EditPreview, MoveFork, renaming_texts
 
 if TYPE_CHECKING:
@@ -48,60 +48,60 @@ class Pointing:
         self._session = session
         self._shown = shown
         self._push = push
-        self._newest = LatestTaskRunner("carina-pointing")
-        self._marking = LatestTaskRunner("carina-marking")
+        self._latest_task_runner = LatestTaskRunner("carina-pointing")
+        self._mark_task_runner = LatestTaskRunner("carina-marking")
         """Thread of the segmentation under the cursor, which takes longer than a path."""
 
     def start(self) -> None:
         """Start the threads that answer the requests."""
-        self._newest.start()
-        self._marking.start()
+        self._latest_task_runner.start()
+        self._mark_task_runner.start()
 
-    def end(self) -> None:
+    def stop_soon(self) -> None:
         """End the threads after the answers in progress, without waiting for the threads."""
-        self._newest.end()
-        self._marking.end()
+        self._latest_task_runner.stop_soon()
+        self._mark_task_runner.stop_soon()
 
     def stop(self) -> None:
         """End the threads and wait for the answers in progress."""
-        self._newest.stop()
-        self._marking.stop()
+        self._latest_task_runner.stop()
+        self._mark_task_runner.stop()
 
     @property
     def threads(self) -> tuple[threading.Thread, ...]:
         """Threads that answer the requests."""
-        return self._newest.thread, self._marking.thread
+        return self._latest_task_runner.thread, self._mark_task_runner.thread
 
-    def ask_live_path(self, message: wire.AskLivePath) -> None:
+    def request_live_path(self, message: wire.AskLivePath) -> None:
         """Queue a request for the live path to a position; the answer contains the message of any error."""
-        self._newest.ask("live_path", lambda: self._answer_live_path(message))
+        self._latest_task_runner.submit("live_path", lambda: self._answer_live_path(message))
 
-    def ask_target_mark(self, message: wire.AskTargetMark) -> None:
+    def request_target_mark(self, message: wire.AskTargetMark) -> None:
         """Queue a request for the target that a click would mark."""
-        self._marking.ask("target_mark", lambda: self._answer_target_mark(message))
+        self._mark_task_runner.submit("target_mark", lambda: self._answer_target_mark(message))
 
-    def ask_edit_preview(self, message: wire.AskEditPreview) -> None:
+    def request_edit_preview(self, message: wire.AskEditPreview) -> None:
         """Queue a request for the preview of an edit; the answer contains the message of any error."""
-        self._newest.ask("edit_preview", lambda: self._answer_edit_preview(message))
+        self._latest_task_runner.submit("edit_preview", lambda: self._answer_edit_preview(message))
 
-    def ask_branch_detail(self, message: wire.AskBranchDetail) -> None:
+    def request_branch_detail(self, message: wire.AskBranchDetail) -> None:
         """Queue a request for the measurements along a branch.
 
         Without measurements the fields of the answer are None.
         """
-        self._newest.ask("branch_detail", lambda: self._answer_branch_detail(message))
+        self._latest_task_runner.submit("branch_detail", lambda: self._answer_branch_detail(message))
 
     def _answer_live_path(self, message: wire.AskLivePath) -> None:
         lps = None
         try:
-            lps = self._place(message)
+            lps = self._place_of_request(message)
             path = self._session.ask(LivePathTo(lps))
             answer = live_path_message(message.request_id, lps, path)
         except CarinaError as trouble:
-            answer = _no_path(message.request_id, str(trouble), lps)
+            answer = _no_path_message(message.request_id, str(trouble), lps)
         except Exception as trouble:
             log_fault(logger, "could not calculate the live path", trouble)
-            answer = _no_path(
+            answer = _no_path_message(
                 message.request_id,
                 f"no path through the airways could be calculated: internal error in Carina ({type(trouble).__name__})",
             )
@@ -122,20 +122,22 @@ class Pointing:
     def _answer_edit_preview(self, message: wire.AskEditPreview) -> None:
         lps = None
         try:
-            lps = self._place(message)
+            lps = self._place_of_request(message)
             answer = edit_preview_message(
-                message, lps, self._session.ask(PreviewOf(_previewed(message, lps), with_names=message.with_names))
+                message,
+                lps,
+                self._session.ask(PreviewOf(_preview_of_message(message, lps), with_names=message.with_names)),
             )
         except CarinaError as trouble:
-            answer = _no_preview(message, lps, str(trouble))
+            answer = _no_preview_message(message, lps, str(trouble))
         except Exception as trouble:
             log_fault(logger, "the preview of an edit failed", trouble)
-            answer = _no_preview(
+            answer = _no_preview_message(
                 message, lps, (f"the preview could not be made: internal error in Carina ({type(trouble).__name__})")
             )
         self._push(answer)
 
-    def _place(self, message: wire.AskLivePath | wire.AskEditPreview) -> tuple[float, float, float]:
+    def _place_of_request(self, message: wire.AskLivePath | wire.AskEditPreview) -> tuple[float, float, float]:
         if message.lps is not None:
             x, y, z = message.lps
             return x, y, z
@@ -167,27 +169,29 @@ class Pointing:
 def live_path_message(request_id: int, lps: tuple[float, float, float], path: Any) -> wire.LivePathMessage:
     """Return a :class:`carina.track.LivePath` as a message, with fewer points."""
     if path.problem is not None:
-        return _no_path(request_id, path.problem, lps)
+        return _no_path_message(request_id, path.problem, lps)
     points = np.asarray(path.points_lps, dtype=np.float64).reshape(-1, 3)
     return wire.LivePathMessage(
         request_id=request_id,
         lps=lps,
         points_lps=tuple((float(x), float(y), float(z)) for x, y, z in np.round(thinned(points), 2)),
-        length_mm=_rounded(path.length_mm),
-        min_diameter_mm=None if path.min_radius_mm is None else _rounded(2.0 * path.min_radius_mm),
+        length_mm=_rounded_mm(path.length_mm),
+        min_diameter_mm=None if path.min_radius_mm is None else _rounded_mm(2.0 * path.min_radius_mm),
         confidence=None if path.confidence is None else round(min(1.0, max(0.0, float(path.confidence))), 3),
-        snapped_mm=_rounded(path.snapped_mm),
-        new_mm=_rounded(path.new_mm),
+        snapped_mm=_rounded_mm(path.snapped_mm),
+        new_mm=_rounded_mm(path.new_mm),
         joins_branch_id=path.joins_branch_id,
         problem=None,
     )
 
 
-def _no_path(request_id: int, problem: str, lps: tuple[float, float, float] | None = None) -> wire.LivePathMessage:
+def _no_path_message(
+    request_id: int, problem: str, lps: tuple[float, float, float] | None = None
+) -> wire.LivePathMessage:
     return wire.LivePathMessage(request_id, lps, (), None, None, None, None, None, None, problem)
 
 
-def _rounded(value: float | None) -> float | None:
+def _rounded_mm(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else round(float(value), 2)
 
 
@@ -196,14 +200,14 @@ def edit_preview_message(
 ) -> wire.EditPreviewMessage:
     """Return a :class:`carina.track.EditPreview` as a message, with every point that the edit would create."""
     if preview.problem is not None:
-        return _no_preview(message, lps, preview.problem)
+        return _no_preview_message(message, lps, preview.problem)
     return wire.EditPreviewMessage(
         request_id=message.request_id,
         tool=message.tool,
         lps=lps,
-        lines=tuple(_line(line.points_lps, line.doubtful, line.drawn) for line in preview.lines),
-        length_mm=_rounded(preview.length_mm),
-        doubtful_mm=_rounded(preview.doubtful_mm),
+        lines=tuple(_line_message(line.points_lps, line.doubtful, line.drawn) for line in preview.lines),
+        length_mm=_rounded_mm(preview.length_mm),
+        doubtful_mm=_rounded_mm(preview.doubtful_mm),
         has_evidence=preview.has_evidence,
         problem=None,
         origin=_origin_of(preview),
@@ -217,7 +221,7 @@ def _origin_of(preview: EditPreview) -> wire.BranchOrigin | None:
     return wire.BranchOrigin(preview.parent_title, preview.extends)
 
 
-def no_evidence_message(event: NotEvident) -> wire.NoEvidence:
+def no_evidence_message(event: EvidenceMissing) -> wire.NoEvidence:
     """Return the message that asks the user whether to draw a branch by hand."""
     error = event.error
     length_mm = float(np.linalg.norm(np.diff(error.way_lps, axis=0), axis=1).sum())
@@ -226,25 +230,27 @@ def no_evidence_message(event: NotEvident) -> wire.NoEvidence:
         code="track.no-evidence",
         message=str(error),
         lps=event.lps,
-        line=_line(error.way_lps, error.doubtful, np.ones(len(error.doubtful), dtype=bool)),
+        line=_line_message(error.way_lps, error.doubtful, np.ones(len(error.doubtful), dtype=bool)),
         length_mm=round(length_mm, 2),
         doubtful_mm=round(error.doubtful_mm, 2),
     )
 
 
-def _line(points_lps: NDArray[np.float64], doubtful: NDArray[np.bool_], drawn: NDArray[np.bool_]) -> wire.EditLine:
+def _line_message(
+    points_lps: NDArray[np.float64], doubtful: NDArray[np.bool_], drawn: NDArray[np.bool_]
+) -> wire.EditLine:
     # The points are not rounded, because the edit creates the branch with exactly these points.
     points = tuple((float(x), float(y), float(z)) for x, y, z in points_lps)
     return wire.EditLine(points, tuple(bool(d) for d in doubtful), tuple(bool(d) for d in drawn))
 
 
-def _no_preview(
+def _no_preview_message(
     message: wire.AskEditPreview, lps: tuple[float, float, float] | None, problem: str
 ) -> wire.EditPreviewMessage:
     return wire.EditPreviewMessage(message.request_id, message.tool, lps, (), None, None, False, problem, None, None)
 
 
-def _previewed(message: wire.AskEditPreview, lps: tuple[float, float, float]) -> AddBranch | Bridge | MoveFork:
+def _preview_of_message(message: wire.AskEditPreview, lps: tuple[float, float, float]) -> AddBranch | Bridge | MoveFork:
     match message.tool:
         case "add-branch":
             return AddBranch(lps)

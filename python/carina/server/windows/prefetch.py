@@ -27,22 +27,22 @@ class PathPrefetcher:
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._newest = LatestTaskRunner("carina-warming")
+        self._latest_task_runner = LatestTaskRunner("carina-warming")
         self._warmed: object = None
 
     def start(self) -> None:
         """Start the thread."""
-        self._newest.start()
+        self._latest_task_runner.start()
 
     def stop(self) -> None:
         """Stop the thread and wait for the computation in progress."""
-        self._newest.stop()
+        self._latest_task_runner.stop()
 
     def airways_changed(self) -> None:
         """Request a path if the airways differ from those of the last request; callable from any thread."""
-        self._newest.ask("root", self._ask_for_the_root)
+        self._latest_task_runner.submit("root", self._compute_root_path)
 
-    def _ask_for_the_root(self) -> None:
+    def _compute_root_path(self) -> None:
         document = self._session.snapshot().document
         if document is None or document.airways is None or document.airways is self._warmed:
             return

@@ -10,18 +10,18 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 import carina
 from carina.errors import ProtocolError
-from carina.server.sockets.closing import close_socket
+from carina.server.sockets.close_codes import close_socket
 from carina.server.sockets.rate_limits import FLOOD
 from carina.server.sockets.socket_io import receive_text, start_sender
 from carina.server.windows.window import Window
 from carina.server.wire import messages as wire
 
-__all__ = ["converse"]
+__all__ = ["serve_window"]
 
 HELLO_WITHIN_S = 20.0
 
 
-async def converse(websocket: WebSocket, attach: Callable[[wire.ClientHello], Awaitable[Window]]) -> int | None:
+async def serve_window(websocket: WebSocket, attach: Callable[[wire.ClientHello], Awaitable[Window]]) -> int | None:
     """Serve one window until its socket closes, and return the close code.
 
     Parameters
@@ -54,7 +54,7 @@ async def converse(websocket: WebSocket, attach: Callable[[wire.ClientHello], Aw
         greeting = wire.ServerHello(wire.WIRE_VERSION, carina.__version__, window.watches)
         await websocket.send_text(wire.encode_message(greeting))
         sender = start_sender(websocket, "the window", _send_all(websocket, window))
-        worker = asyncio.create_task(window.inbox.work())
+        worker = asyncio.create_task(window.inbox.run())
         while not worker.done():
             text = await receive_text(websocket, who="client")
             await window.admit()
@@ -67,7 +67,7 @@ async def converse(websocket: WebSocket, attach: Callable[[wire.ClientHello], Aw
         await close_socket(websocket, "protocol.order", "the client sent no hello message")
     except WebSocketDisconnect as ended:
         if window is not None and ended.code == wire.CLOSE_CODES[FLOOD]:
-            window.inbox.drop()
+            window.inbox.clear()
         return ended.code
     finally:
         if worker is not None:
@@ -75,7 +75,7 @@ async def converse(websocket: WebSocket, attach: Callable[[wire.ClientHello], Aw
             with contextlib.suppress(asyncio.CancelledError):
                 await worker
         if window is not None:
-            window.inbox.finish()
+            window.inbox.handle_all()
             window.leave()
         if sender is not None:
             sender.cancel()
@@ -87,22 +87,22 @@ async def converse(websocket: WebSocket, attach: Callable[[wire.ClientHello], Aw
 async def _send_all(websocket: WebSocket, window: Window) -> None:
     outbox = window.outbox
     while True:
-        await outbox.filled()
+        await outbox.wait_until_filled()
         if outbox.overflowed:
             await close_socket(websocket, "protocol.slow-client", "this window could not keep up with the data")
             return
-        topics, texts, pictures = outbox.take()
+        topics, texts, pictures = outbox.take_all()
         # All topics are encoded before the first await, so that "handled" never reports a command whose result is
         # missing from the other topics.
         reported = [(topic, window.topic_text(topic)) for topic in topics]
-        ended = window.ended
+        ended = window.end_reason
         if ended is not None:
             await close_socket(websocket, "protocol.watching-ended", ended)
             return
         for topic, text in reported:
-            if text is not None and outbox.is_news(topic, text):
-                await websocket.send_text(window.restored(text))
+            if text is not None and outbox.record_if_changed(topic, text):
+                await websocket.send_text(window.with_original_names(text))
         for text in texts:
-            await websocket.send_text(window.restored(text))
+            await websocket.send_text(window.with_original_names(text))
         for picture in pictures:
             await websocket.send_bytes(picture)

@@ -21,16 +21,16 @@ from carina.server.wire import messages as wire
 from carina.session import (
     LAYERS,
     Changed,
+    ErrorEvent,
     Event,
+    EvidenceMissing,
     JobEnded,
     JobProgress,
     LayerName,
-    NotEvident,
     Session,
     ShownCase,
     Snapshot,
     StartMarked,
-    Trouble,
     UserMessage,
     log_fault,
 )
@@ -62,7 +62,7 @@ class Host(Protocol):
     def watching_text(self) -> str:
         """Return the ``Watching`` message as JSON: the state of the viewing page and its observers."""
 
-    def restored(self, text: str) -> str:
+    def with_original_names(self, text: str) -> str:
         """Return a message in which dropped files have the names that the user knows."""
 
 
@@ -99,16 +99,16 @@ class Window:
         self.inbox = Inbox(self.handle, lambda number: host.in_loop(self._confirm, number), share=self.inbox_share)
         self._num_handled = 0
         self.pump = FramePump(
-            self._scene,
+            self._current_scene,
             lambda data: host.in_loop(self.outbox.push_picture, data),
-            self._tell_from_pump,
+            self._send_from_pump,
             clock=host.clock,
             threads=host.threads,
             simd=host.simd,
         )
         self.pump.set_rate(rate_hz)
         self._pictures = threading.Thread(target=self.pump.run, name=f"carina-frames-{number}", daemon=True)
-        self._pointing = Pointing(host.session, self.pump.shown, self.tell)
+        self._pointing = Pointing(host.session, self.pump.shown, self.send)
         self._unsubscribe: Callable[[], None] = lambda: None
         self._history_known: tuple[int, tuple[str, ...]] | None = None
 
@@ -125,20 +125,20 @@ class Window:
         self.mark(*topics)
         for job in self._session.jobs.running:
             if job.latest is not None:
-                self._note(job.latest)
+                self._handle_event(job.latest)
 
     def end(self) -> None:
         """Stop the window without waiting; the threads finish their present frame or answer, which is not sent."""
         self._unsubscribe()
         self.pump.stop()
-        self._pointing.end()
+        self._pointing.stop_soon()
 
     def leave(self) -> None:
         """Remove the window after its connection was closed; call this method in the event loop."""
         self._host.detach(self)
 
     @property
-    def ended(self) -> str | None:
+    def end_reason(self) -> str | None:
         """Reason, as a sentence, why nothing more may be sent to the window; None while sending is allowed."""
         return None
 
@@ -147,7 +147,7 @@ class Window:
         """The threads of the window, which finish soon after :meth:`end`."""
         return self._pictures, *self._pointing.threads
 
-    def _scene(self) -> ShownCase | None:
+    def _current_scene(self) -> ShownCase | None:
         scene = self._session.scene(self.number)
         return None if scene is None else replace(scene, wanted_layers=self.layers)
 
@@ -157,16 +157,16 @@ class Window:
         """Schedule the newest message of each topic for sending; call this method in the event loop."""
         self._host.texts.mark(self.outbox, *topics)
 
-    def tell(self, message: Any) -> None:
+    def send(self, message: Any) -> None:
         """Send a message to this window; callable from any thread."""
         if isinstance(message, wire.Error):
             self._host.in_loop(self.push_error, message)
         else:
             self._host.in_loop(self.outbox.push, message)
 
-    def restored(self, text: str) -> str:
+    def with_original_names(self, text: str) -> str:
         """Return a message with the original names of dropped files, if this window may read these names."""
-        return self._host.restored(text)
+        return self._host.with_original_names(text)
 
     def topic_text(self, topic: str) -> str | None:
         """Return the newest message of a topic as JSON; None if there is nothing to send."""
@@ -212,16 +212,16 @@ class Window:
         self._history_known = known
         return wire.encode_message(history_message(snapshot))
 
-    def _tell_from_pump(self, message: wire.Status | tuple[str, str]) -> None:
-        self.tell(wire.Error(*message, action=None) if isinstance(message, tuple) else message)
+    def _send_from_pump(self, message: wire.Status | tuple[str, str]) -> None:
+        self.send(wire.Error(*message, action=None) if isinstance(message, tuple) else message)
 
     def _on_event(self, event: Event) -> None:
         """Forward a session event to the event loop; the session calls this from any thread and holds its lock."""
         if isinstance(event, Changed) and event.topics & {"views", "pose"}:
             self.pump.content_changed()
-        self._host.in_loop(self._note, event)
+        self._host.in_loop(self._handle_event, event)
 
-    def _note(self, event: Event) -> None:
+    def _handle_event(self, event: Event) -> None:
         match event:
             case Changed():
                 self.mark(*event.topics)
@@ -229,9 +229,9 @@ class Window:
                 self.outbox.push(_progress(event))
             case JobEnded():
                 self.outbox.push(wire.Done(event.job_id, event.outcome))
-            case Trouble():
+            case ErrorEvent():
                 self.outbox.push(wire.Error(event.code, event.message, event.action))
-            case NotEvident():
+            case EvidenceMissing():
                 self.outbox.push(no_evidence_message(event))
             case StartMarked():
                 self.outbox.push(wire.StartMarkedMessage(event.lps))
@@ -297,13 +297,13 @@ class Window:
             case wire.Pick():
                 self._pick(message)
             case wire.AskLivePath():
-                self._pointing.ask_live_path(message)
+                self._pointing.request_live_path(message)
             case wire.AskTargetMark():
-                self._pointing.ask_target_mark(message)
+                self._pointing.request_target_mark(message)
             case wire.AskEditPreview():
-                self._pointing.ask_edit_preview(message)
+                self._pointing.request_edit_preview(message)
             case wire.AskBranchDetail():
-                self._pointing.ask_branch_detail(message)
+                self._pointing.request_branch_detail(message)
             case _:
                 self._host.do(message, self)
 
@@ -313,7 +313,7 @@ class Window:
         if shown is None:
             raise UsageError("the view has changed since you clicked; click again", code="session.pick")
         hit = shown.wall_at(message.column, message.row)
-        wall = None if hit is None else self._session.ask(WallAt(_three(hit.position_lps)))
+        wall = None if hit is None else self._session.ask(WallAt(_three_floats(hit.position_lps)))
         depth_mm = None if hit is None else round(float(hit.depth_mm), 2)
         self.outbox.push(picked_message(message.pick_id, wall, depth_mm))
 
@@ -323,6 +323,6 @@ def _progress(event: JobProgress) -> wire.Progress:
     return wire.Progress(event.job_id, event.title, event.what, event.fraction, left_s)
 
 
-def _three(values: Iterable[float]) -> tuple[float, float, float]:
+def _three_floats(values: Iterable[float]) -> tuple[float, float, float]:
     x, y, z = (float(v) for v in values)
     return x, y, z

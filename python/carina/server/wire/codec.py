@@ -14,7 +14,7 @@ from typing import Any, NoReturn, TypeVar
 
 import msgspec
 
-from carina.commands.value import Command, FrozenValue, LocalCommand, snake_case, subclasses, trouble
+from carina.commands.value import Command, FrozenValue, LocalCommand, describe_error, snake_case, subclasses
 from carina.errors import CarinaError, ProtocolError
 from carina.session.attach.messages import JoinMessage, ToJoinMessage
 from carina.typed_reading import read_plain
@@ -82,25 +82,25 @@ def by_type(*bases: type[FrozenValue]) -> dict[str, type[FrozenValue]]:
 MESSAGE_BASES = {Command, ClientMessage, ServerMessage, PhoneMessage, ToPhoneMessage, JoinMessage, ToJoinMessage}
 
 
-def _refuse(code: str, message: str) -> NoReturn:
+def _protocol_error(code: str, message: str) -> NoReturn:
     raise ProtocolError(message, code=f"protocol.{code}")
 
 
 def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     keys = dict(pairs)
     if len(keys) != len(pairs):
-        _refuse("json", "a message contains the same field twice")
+        _protocol_error("json", "a message contains the same field twice")
     return keys
 
 
-def _no_constant(text: str) -> NoReturn:
-    _refuse("number", f"a message contains {text}, which is not a finite number")
+def _refuse_constant(text: str) -> NoReturn:
+    _protocol_error("number", f"a message contains {text}, which is not a finite number")
 
 
-def _finite(text: str) -> float:
+def _finite_number(text: str) -> float:
     number = float(text)
     if not math.isfinite(number):
-        _refuse("range", "a message contains a number that is too large")
+        _protocol_error("range", "a message contains a number that is too large")
     return number
 
 
@@ -113,16 +113,18 @@ def load_json_object(text: str | bytes, *, max_bytes: int = MAX_TEXT_BYTES) -> d
         ``protocol.size``, ``protocol.json``, ``protocol.number`` or ``protocol.range``.
     """
     if len(text) > max_bytes:
-        _refuse("size", f"a message is too long: expected at most {max_bytes} bytes, found {len(text)}")
+        _protocol_error("size", f"a message is too long: expected at most {max_bytes} bytes, found {len(text)}")
     try:
-        value = json.loads(text, object_pairs_hook=_unique_keys, parse_constant=_no_constant, parse_float=_finite)
+        value = json.loads(
+            text, object_pairs_hook=_unique_keys, parse_constant=_refuse_constant, parse_float=_finite_number
+        )
     except ProtocolError:
         raise
     except (ValueError, RecursionError):
         # ValueError: JSONDecodeError, bad UTF-8, and integers of more digits than Python converts.
-        _refuse("json", "a message is not JSON")
+        _protocol_error("json", "a message is not JSON")
     if not isinstance(value, dict):
-        _refuse("json", "a message must be a JSON object")
+        _protocol_error("json", "a message must be a JSON object")
     return value
 
 
@@ -151,11 +153,11 @@ def decode(classes: dict[str, type[FrozenValue]], text: str | bytes, *, max_byte
         fields["type"] = name
     if not isinstance(name, str) or name not in classes:
         shown = repr(name)[:40] if isinstance(name, str) else "none"
-        _refuse("type", f"a message has an unknown type: {shown}")
+        _protocol_error("type", f"a message has an unknown type: {shown}")
     message = read_fields(classes[name], fields, name)
     problem = message.choice_problem()
     if problem is not None:
-        _refuse("choice", problem)
+        _protocol_error("choice", problem)
     return message
 
 
@@ -177,9 +179,9 @@ def read_fields(cls: type[V], fields: dict[str, Any], where: str) -> V:
     except msgspec.ValidationError as error:
         if isinstance(error.__cause__, CarinaError):
             raise error.__cause__ from None
-        _refuse(*trouble(error, fields, where, cls))
+        _protocol_error(*describe_error(error, fields, where, cls))
     except RecursionError:
-        _refuse("size", f"{where} is nested too deeply")
+        _protocol_error("size", f"{where} is nested too deeply")
 
 
 def _check_document(value: Any, where: str) -> None:
@@ -189,10 +191,10 @@ def _check_document(value: Any, where: str) -> None:
         inner, depth = waiting.pop()
         if isinstance(inner, dict | list):
             if depth > MAX_DEPTH:
-                _refuse("size", f"{where} is nested too deeply: expected at most {MAX_DEPTH} levels")
+                _protocol_error("size", f"{where} is nested too deeply: expected at most {MAX_DEPTH} levels")
             waiting += [(entry, depth + 1) for entry in (inner.values() if isinstance(inner, dict) else inner)]
         elif isinstance(inner, int | float) and not -1e15 <= inner <= 1e15:
-            _refuse("range", f"{where} contains a number that is too large")
+            _protocol_error("range", f"{where} contains a number that is too large")
 
 
 def encode(message: FrozenValue) -> str:
@@ -222,10 +224,10 @@ def split_picture(data: bytes) -> tuple[dict[str, Any], bytes]:
         If the stated length is wrong, the header is not a JSON object, or the payload is missing.
     """
     if len(data) < 4:
-        _refuse("picture", "an image message is truncated: it ends within its header")
+        _protocol_error("picture", "an image message is truncated: it ends within its header")
     (length,) = struct.unpack_from("<I", data)
     if length > MAX_HEADER_BYTES:
-        _refuse("size", f"the header of an image message is too long: {length} bytes")
+        _protocol_error("size", f"the header of an image message is too long: {length} bytes")
     if 4 + length >= len(data):
-        _refuse("picture", "an image message is truncated: it ends before the image data")
+        _protocol_error("picture", "an image message is truncated: it ends before the image data")
     return load_json_object(data[4 : 4 + length], max_bytes=MAX_HEADER_BYTES), data[4 + length :]

@@ -136,7 +136,7 @@ def _struct(cls: type[Any]) -> inspect.StructType:
     return found
 
 
-def _inner(kind: inspect.Type) -> tuple[inspect.Type, ...]:
+def _inner_types(kind: inspect.Type) -> tuple[inspect.Type, ...]:
     match kind:
         case inspect.UnionType():
             return kind.types
@@ -149,13 +149,13 @@ def _inner(kind: inspect.Type) -> tuple[inspect.Type, ...]:
     return ()
 
 
-def _classes_in(whole: Iterable[type[Any]]) -> dict[type[Any], None]:
+def _classes_within(whole: Iterable[type[Any]]) -> dict[type[Any], None]:
     """Return these classes and all classes in their fields, each once, inner classes first."""
     found: dict[type[Any], None] = {}
 
     def visit(kind: inspect.Type) -> None:
         if not isinstance(kind, inspect.StructType):
-            for inner in _inner(kind):
+            for inner in _inner_types(kind):
                 visit(inner)
         elif kind.cls not in found:
             for field in kind.fields:
@@ -170,22 +170,25 @@ def _classes_in(whole: Iterable[type[Any]]) -> dict[type[Any], None]:
 Groups = tuple[tuple[str, dict[str, type[Any]]], ...]
 
 
-def _all_classes(groups: Groups = GROUPS) -> list[type[Any]]:
+def _classes_of_groups(groups: Groups = GROUPS) -> list[type[Any]]:
     """Return all message classes and all classes in their fields, each once, inner classes first."""
-    return list(_classes_in([*(cls for _, classes in groups for cls in classes.values()), messages.PictureHeader]))
+    return list(_classes_within([*(cls for _, classes in groups for cls in classes.values()), messages.PictureHeader]))
 
 
 @functools.cache
-def _written() -> set[type[Any]]:
+def _classes_from_server() -> set[type[Any]]:
     """Return the classes that only the server sends; it writes every field, also fields with a default."""
-    told = (messages.SERVER_MESSAGES, messages.TO_PHONE_MESSAGES, messages.TO_JOIN_MESSAGES)
-    asked = (messages.CLIENT_MESSAGES, messages.PHONE_MESSAGES, messages.JOIN_MESSAGES)
-    said, heard = (_classes_in([cls for group in groups for cls in group.values()]) for groups in (told, asked))
-    return set(said) - set(heard)
+    server_groups = (messages.SERVER_MESSAGES, messages.TO_PHONE_MESSAGES, messages.TO_JOIN_MESSAGES)
+    client_groups = (messages.CLIENT_MESSAGES, messages.PHONE_MESSAGES, messages.JOIN_MESSAGES)
+    sent, received = (
+        _classes_within([cls for group in groups for cls in group.values()])
+        for groups in (server_groups, client_groups)
+    )
+    return set(sent) - set(received)
 
 
 def _is_required(cls: type[Any], field: inspect.Field) -> bool:
-    return field.required or cls in _written()
+    return field.required or cls in _classes_from_server()
 
 
 def _ts_name(cls: type[Any]) -> str:
@@ -252,7 +255,7 @@ def typescript() -> str:
         f"export type Outline = {_ts_type(inspect.type_info(Outline))};",
         "",
     ]
-    for cls in _all_classes():
+    for cls in _classes_of_groups():
         struct = _struct(cls)
         documentation = (cls.__doc__ or "").strip().replace("``", "`")
         lines.append(f"/** {documentation} */")
@@ -262,7 +265,7 @@ def typescript() -> str:
         for field in struct.fields:
             lines.append(f"  readonly {field.name}{'' if _is_required(cls, field) else '?'}: {_ts_type(field.type)};")
         lines += ["}", ""]
-    lines += _shown()
+    lines += _display_fields()
     for name, classes in GROUPS:
         lines += [f"export type {name} =", *(f"  | {_ts_name(cls)}" for cls in classes.values())]
         lines[-1] += ";"
@@ -270,7 +273,7 @@ def typescript() -> str:
     return "\n".join(lines)
 
 
-def _shown() -> list[str]:
+def _display_fields() -> list[str]:
     """Return the defaults of look and sight, and the commands that only set one of their fields."""
     lines = []
     commands = {type_name(cls) for cls in all_commands()}
@@ -351,7 +354,7 @@ def _bounds(kind: inspect.VarTupleType | inspect.StrType, what: str) -> dict[str
 def json_schema() -> dict[str, Any]:
     """Return the JSON Schema of the messages in both directions and of the frame header."""
     definitions: dict[str, Any] = {}
-    for cls in _all_classes(GROUPS + PROGRAM_GROUPS):
+    for cls in _classes_of_groups(GROUPS + PROGRAM_GROUPS):
         struct = _struct(cls)
         properties = {field.name: _schema_of(field.type) for field in struct.fields}
         required = [field.name for field in struct.fields if _is_required(cls, field)]

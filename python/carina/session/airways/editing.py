@@ -14,7 +14,7 @@ from carina.session.command_registry import CommandHandlers, does
 from carina.session.core import ALL_TOPICS, SessionCore
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase
-from carina.session.state.snapshot import NotEvident, UserMessage
+from carina.session.state.snapshot import EvidenceMissing, UserMessage
 from carina.session.targets.retrack import followed_route, renamed_route, tracked_target
 from carina.track import (
     AddBranch,
@@ -35,7 +35,7 @@ __all__ = ["MAX_AIRWAYS_KEPT", "TreeEditHandlers", "airway_words", "found_airway
 MAX_AIRWAYS_KEPT = 4
 """Number of segmented airways that undo can restore; a lumen and its tracker take some hundred megabytes."""
 NUM_EDITS_WHOLE = 6
-"""Number of edited airway trees around the present undo step that stay unpacked.
+"""Number of edited airway trees around the current undo step that stay unpacked.
 
 Other ones are packed to save memory.
 """
@@ -60,25 +60,25 @@ class TreeEditHandlers(CommandHandlers):
         The paths to targets are searched again. A route to a deleted branch or target is removed, and the user is
         notified. Edits that are requested during another edit follow it. If an edit is impossible, the job fails with a
         message and nothing changes. If a branch is to be added and the CT shows no wall along its path, the session
-        sends :class:`carina.session.NotEvident`, which asks the user.
+        sends :class:`carina.session.EvidenceMissing`, which asks the user.
         """
         edit = command.edit
         case = self.core.needed_case()
         for point in _points_of(edit):
             case.check_inside(point)
-        words = self._words(case, edit)
+        words = self._edit_label(case, edit)
         number = next(self._edit_numbers)
 
         def work(job: Job) -> None:
             while not self._one_edit.acquire(timeout=LOOK_S):
                 job.check()
             try:
-                self._edit_now(case, edit, job)
+                self._run_edit(case, edit, job)
             except NoEvidenceError as doubt:
                 if not isinstance(edit, AddBranch):
                     # Only a branch can be drawn by hand, so other edits end with an error and not with a question.
                     raise NoResultError(str(doubt), code=doubt.code) from doubt
-                self.core.answer(NotEvident(job.job_id, edit.lps, doubt))
+                self.core.answer(EvidenceMissing(job.job_id, edit.lps, doubt))
                 raise
             finally:
                 self._one_edit.release()
@@ -94,7 +94,7 @@ class TreeEditHandlers(CommandHandlers):
         if isinstance(airways, FoldedAirways):
             whole = airways.unfold()
             case.history.amend(lambda d: replace(d, airways=whole) if d.airways is airways else d)
-            case.measured.became(airways, whole)
+            case.measured.move_to(airways, whole)
 
     def fold(self, case: OpenCase) -> None:
         """Pack the airways of steps far from the present one; the caller holds the session's lock."""
@@ -106,16 +106,16 @@ class TreeEditHandlers(CommandHandlers):
                 return document
             if id(edited) not in folded:
                 folded[id(edited)] = fold_airways(edited)
-                case.measured.became(edited, folded[id(edited)])
+                case.measured.move_to(edited, folded[id(edited)])
             return replace(document, airways=folded[id(edited)])
 
         case.history.fold_far(lambda d: d.airways, NUM_EDITS_WHOLE, fold)
 
-    def _words(self, case: OpenCase, edit: TreeEdit) -> str:
+    def _edit_label(self, case: OpenCase, edit: TreeEdit) -> str:
         with self.core.lock:
             return edit_words(edit, _needed_airways(case.document))
 
-    def _edit_now(self, case: OpenCase, edit: TreeEdit, job: Job) -> None:
+    def _run_edit(self, case: OpenCase, edit: TreeEdit, job: Job) -> None:
         while True:
             with self.core.lock:
                 job.check()
@@ -144,10 +144,10 @@ class TreeEditHandlers(CommandHandlers):
                     self.core.emit(UserMessage(line))
 
     def _put_names(self, case: OpenCase, edited: Any, named: Any) -> None:
-        """Add the branch names to the step of their edit, even if undo has changed the present document meanwhile."""
+        """Add the branch names to the step of their edit, even if undo has changed the current document meanwhile."""
         case.history.amend(lambda document: _with_names(document, edited, named))
         # Measurements do not depend on names.
-        case.measured.became(edited, named)
+        case.measured.move_to(edited, named)
         if self.core.case is case:
             self.core.follow(case)
             self.core.changed(*ALL_TOPICS)
@@ -157,7 +157,7 @@ class TreeEditHandlers(CommandHandlers):
         case.search = replace(case.search, words=airway_words(document.airways))
         self.core.change(case, label, document)
         case.history.keep_distinct(found_airways, MAX_AIRWAYS_KEPT)
-        for line in _lost(before, document):
+        for line in _lost_messages(before, document):
             self.core.emit(UserMessage(line))
 
 
@@ -183,14 +183,14 @@ def airway_words(airways: Any) -> str | None:
     return "; ".join(str(note) for note in airways.report) or None
 
 
-def _lost(before: Document, after: Document) -> list[str]:
+def _lost_messages(before: Document, successor: Document) -> list[str]:
     """Return a message for the user for each target path and for the route that an edit removed from the document."""
     lines = [
         f"there is no longer a path to {new.name}: {new.problem}"
-        for old, new in zip(before.targets, after.targets, strict=True)
-        if _had_path(old) and not _had_path(new)
+        for old, new in zip(before.targets, successor.targets, strict=True)
+        if _has_path(old) and not _has_path(new)
     ]
-    if before.route is not None and after.route is None:
+    if before.route is not None and successor.route is None:
         lines.append(f"the edit removed the route to {before.route.title}; choose another one, or undo")
     return lines
 
@@ -206,7 +206,7 @@ def _renaming_message(before: Any, named: Any, edit: TreeEdit) -> list[str]:
     return [f"the edit also renamed branches: {listed}; undo restores the names"]
 
 
-def _had_path(target: Target) -> bool:
+def _has_path(target: Target) -> bool:
     return target.route is not None
 
 

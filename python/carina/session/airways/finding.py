@@ -19,7 +19,7 @@ from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.core import ALL_TOPICS
 from carina.session.flights.tip_commands import place_pose
 from carina.session.jobs.background_jobs import Job
-from carina.session.open_case.open_case import AirwaySearch, AskedMask, OpenCase, as_point
+from carina.session.open_case.open_case import AirwaySearch, OpenCase, PendingMask, as_point
 from carina.session.open_case.start_pose import pose_at_root
 from carina.session.state.snapshot import MaskQuestion
 from carina.session.targets.retrack import tracked_target
@@ -62,7 +62,7 @@ class AirwayHandlers(CommandHandlers):
     # ------------------------------------------------------------ imported segmentation
 
     @answers(c.MaskFileNeeded)
-    def mask_file_needed(self, _question: c.MaskFileNeeded) -> bool:
+    def mask_file_needed(self, _mask_question: c.MaskFileNeeded) -> bool:
         """Return whether the imported file is still needed, because a job reads it or a question about it is open."""
         with self.core.lock:
             is_open = self.core.case is not None and self.core.case.asked_mask is not None
@@ -77,7 +77,7 @@ class AirwayHandlers(CommandHandlers):
         path, label, resample = command.path, command.label, command.resample
         case = self.core.needed_case()
         with self.core.lock:
-            self._ask_about_mask(case, None)
+            self._request_mask_answer(case, None)
 
         def work(job: Job) -> None:
             job.check()
@@ -88,7 +88,7 @@ class AirwayHandlers(CommandHandlers):
             except (MaskLabelError, MaskGridError) as trouble:
                 with self.core.lock:
                     job.check()
-                    self._ask_about_mask(case, AskedMask(command, _question(Path(path).name, trouble)))
+                    self._request_mask_answer(case, PendingMask(command, _mask_question(Path(path).name, trouble)))
                 return
             with self.core.lock:
                 job.check()
@@ -111,7 +111,7 @@ class AirwayHandlers(CommandHandlers):
             raise UsageError(
                 "the imported segmentation is no longer available; choose its file again", code="session.mask"
             )
-        mask = open_question.asked
+        mask = open_question.command
         label = mask.label if command.label is None else command.label
         return self.take_mask(c.TakeMask(mask.path, label, command.resample))
 
@@ -121,9 +121,9 @@ class AirwayHandlers(CommandHandlers):
         case = self.core.needed_case()
         with self.core.lock:
             self.core.jobs.cancel_kinds("mask")
-            self._ask_about_mask(case, None)
+            self._request_mask_answer(case, None)
 
-    def _ask_about_mask(self, case: OpenCase, mask: AskedMask | None) -> None:
+    def _request_mask_answer(self, case: OpenCase, mask: PendingMask | None) -> None:
         if case.asked_mask is not mask:
             case.asked_mask = mask
             self.core.changed("state")
@@ -189,9 +189,9 @@ class AirwayHandlers(CommandHandlers):
                 job.check()
                 airways = find(job)
                 job.progress("building the tree", None)
-                self._take_airways(case, airways, threshold, label, job)
+                self._set_found_airways(case, airways, threshold, label, job)
             except BaseException as trouble:
-                self._keep_airways(case, trouble, job)
+                self._restore_search_status(case, trouble, job)
                 if case.document.airways is not None or not isinstance(trouble, TrackingError):
                     raise
                 # The airway panel shows this error, so a second message is not sent.
@@ -201,7 +201,7 @@ class AirwayHandlers(CommandHandlers):
             self.core.changed("state")
             return self.core.jobs.start("airways", title, work)
 
-    def _keep_airways(self, case: OpenCase, trouble: BaseException, job: Job) -> None:
+    def _restore_search_status(self, case: OpenCase, trouble: BaseException, job: Job) -> None:
         """Restore the search status after a search without result.
 
         If the case has no airways, the status shows the error.
@@ -217,7 +217,9 @@ class AirwayHandlers(CommandHandlers):
             if self.core.case is case:
                 self.core.changed("state")
 
-    def _take_airways(self, case: OpenCase, airways: Any, threshold: float | None, label: str | None, job: Job) -> None:
+    def _set_found_airways(
+        self, case: OpenCase, airways: Any, threshold: float | None, label: str | None, job: Job
+    ) -> None:
         """Set the found airways with paths to the targets; with a ``label`` the change can be undone."""
         branch_id = default_branch_id(airways.tree)
         default_route = None if branch_id is None else route_to_branch(airways.tree, branch_id)
@@ -260,16 +262,16 @@ class AirwayHandlers(CommandHandlers):
         self.core.changed(*ALL_TOPICS)
 
 
-def _question(name: str, trouble: MaskLabelError | MaskGridError) -> MaskQuestion:
+def _mask_question(name: str, trouble: MaskLabelError | MaskGridError) -> MaskQuestion:
     if isinstance(trouble, MaskGridError):
         return MaskQuestion(
             name, "grid", expected=trouble.expected, found=trouble.found, share_inside=trouble.share_inside
         )
     labels = tuple(structs.replace(label, volume_ml=round(label.volume_ml, 3)) for label in trouble.labels)
-    return MaskQuestion(name, "label", labels=labels, suggested=_suggested(trouble.labels))
+    return MaskQuestion(name, "label", labels=labels, suggested=_suggested_label(trouble.labels))
 
 
-def _suggested(labels: tuple[MaskLabel, ...]) -> int | None:
+def _suggested_label(labels: tuple[MaskLabel, ...]) -> int | None:
     """Return the number of the one mask label whose name denotes the airway; None if no name or several names do."""
     named = [label.number for label in labels if label.name and AIRWAY_NAMES.search(label.name)]
     return named[0] if len(named) == 1 else None

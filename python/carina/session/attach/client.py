@@ -16,7 +16,7 @@ import numpy as np
 from carina.commands import Command
 from carina.errors import CarinaError, NoEvidenceError, error_of
 from carina.session.attach.messages import Join, Joined, Problem, Settle, Settled
-from carina.session.store.attach_endpoint import Door
+from carina.session.store.attach_endpoint import AttachEndpoint
 from carina.typed_reading import read_json
 from carina.value import FrozenValue
 from carina.version import WIRE_VERSION
@@ -64,19 +64,19 @@ class OwnerConnection:
         threading.Thread(target=self._read, name="carina-owner", daemon=True).start()
 
     @classmethod
-    def connect(cls, door: Door, case_id: str) -> OwnerConnection | None:
+    def connect(cls, endpoint: AttachEndpoint, case_id: str) -> OwnerConnection | None:
         """Connect to the owner of a case; return None if no process replies or the case is no longer open there."""
         from websockets.exceptions import WebSocketException
         from websockets.sync.client import connect
 
-        if door.url is None:
+        if endpoint.url is None:
             return None
         with contextlib.ExitStack() as opened:
             try:
                 socket = opened.enter_context(
                     connect(
-                        door.url,
-                        additional_headers={"Authorization": f"Bearer {door.token}"},
+                        endpoint.url,
+                        additional_headers={"Authorization": f"Bearer {endpoint.token}"},
                         compression=None,
                         # The address is on this machine, so a proxy of the environment must not be used.
                         proxy=None,
@@ -85,7 +85,7 @@ class OwnerConnection:
                         max_size=MAX_ANSWER_BYTES,
                     )
                 )
-                socket.send(_text(Join(WIRE_VERSION, case_id)))
+                socket.send(_message_text(Join(WIRE_VERSION, case_id)))
                 read_json(socket.recv(timeout=ANSWERS_WITHIN_S), Joined)
             except (OSError, WebSocketException, msgspec.MsgspecError) as trouble:
                 logger.debug("no owner answers: %s", type(trouble).__name__)
@@ -104,7 +104,7 @@ class OwnerConnection:
         """
         settled = self.settle(command)
         if settled.problems:
-            raise raised(settled.problems[0])
+            raise error_of(settled.problems[0])
         return settled
 
     def settle(self, *commands: Command, all_jobs: bool = False) -> Settled:
@@ -124,7 +124,7 @@ class OwnerConnection:
         self._num_settled += 1
         try:
             for message in (*commands, Settle(self._num_settled, all_jobs)):
-                self._socket.send(_text(message))
+                self._socket.send(_message_text(message))
         except (OSError, ConnectionClosed) as trouble:
             raise LinkLostError("the program that had this case open has ended or closed it") from trouble
         while (settled := self._answers.get()) is not None:
@@ -161,7 +161,7 @@ class OwnerConnection:
             self._ended.set()
 
 
-def raised(problem: Problem) -> CarinaError:
+def error_from_problem(problem: Problem) -> CarinaError:
     """Return the Carina error of the class and text that the owner process stated in its problem message."""
     if problem.doubtful_mm is not None and problem.way_lps is not None and problem.doubtful is not None:
         return NoEvidenceError(
@@ -173,5 +173,5 @@ def raised(problem: Problem) -> CarinaError:
     return error_of(problem.kind, problem.message, code=problem.code)
 
 
-def _text(message: FrozenValue) -> str:
+def _message_text(message: FrozenValue) -> str:
     return json.dumps(msgspec.to_builtins(message), allow_nan=False, separators=(",", ":"))

@@ -26,7 +26,7 @@ from carina.session.engines import default_parts
 from carina.session.saving.unsaved_work import named_file_messages
 from carina.session.session import Session
 from carina.session.state.snapshot import SavingInfo
-from carina.session.store.attach_endpoint import Door
+from carina.session.store.attach_endpoint import AttachEndpoint
 from carina.session.store.disk_storage import case_files
 from carina.session.store.find_scan import CASE_SUFFIX, CaseScans, is_case_file
 from carina.session.store.registry import CaseRecord, CaseRecords
@@ -45,7 +45,7 @@ OTHER_CASES = (c.OpenPath, c.OpenDemo, c.OpenRecent, c.OpenFiles, c.OpenVolume, 
 
 
 @dataclass(slots=True)
-class _Followed:
+class _FollowedCase:
     """The follower of the owner's live file, and the state of the case that the session shows."""
 
     follower: CaseFollower
@@ -70,7 +70,7 @@ class RemoteCase:
     """
 
     def __init__(
-        self, records: CaseRecords, case_id: str, session: Session, link: OwnerConnection, followed: _Followed
+        self, records: CaseRecords, case_id: str, session: Session, link: OwnerConnection, followed: _FollowedCase
     ) -> None:
         self._records = records
         self._case_id = case_id
@@ -80,7 +80,7 @@ class RemoteCase:
         self._saving = SavingInfo()
         self._named: NamedCase | None = None
         """Named file for this program's changes if the owner has ended and this process could not become the owner."""
-        self._unsaid: str | None = None
+        self._pending_warning: str | None = None
         """Message that is shown to the user once, at the next call."""
         self._lock = threading.RLock()
         self._closed = False
@@ -110,8 +110,8 @@ class RemoteCase:
         """
         settings = load_settings()
         records = CaseRecords(settings.cases_dir, time.time)
-        for record in _possible_records(records, source):
-            link = _linked(records, record)
+        for record in _candidate_records(records, source):
+            link = _connect_to_owner(records, record)
             if link is None:
                 continue
             try:
@@ -122,7 +122,7 @@ class RemoteCase:
             except BaseException:
                 link.close()
                 raise
-            link.watch(joined._lost)
+            link.watch(joined._on_connection_lost)
             return joined
         return None
 
@@ -132,21 +132,21 @@ class RemoteCase:
     ) -> RemoteCase:
         settings = load_settings()
         # The owner replies after its running jobs, such as the airway search, have ended.
-        saving = _saved(link.settle(all_jobs=True))
+        saving = _checked_saving_info(link.settle(all_jobs=True))
         cache = VolumeCache(settings.cache_dir / "volumes", max_bytes=settings.volume_cache_bytes)
         scans = CaseScans(cache, records, default_parts().open_demo, advice="give its location as ct=PATH")
         path = records.path_of(record)
         with CaseFile.open(path, read_only=True) as file:
             volume = scans.open(file, ct=ct).volume
         follower = CaseFollower(path, volume)
-        moment = follower.newest()
+        moment = follower.latest_moment()
         session = program_session(records=records, files=case_files(cache, records))
         try:
             do_and_wait(session, c.OpenVolume(volume, moment, follows=True))
         except BaseException:
             session.close()
             raise
-        joined = cls(records, record.case_id, session, link, _Followed(follower, moment))
+        joined = cls(records, record.case_id, session, link, _FollowedCase(follower, moment))
         joined._saving = saving
         return joined
 
@@ -156,8 +156,8 @@ class RemoteCase:
     def session(self) -> Session:
         """The session with all changes to the case so far, by this program and by others."""
         with self._lock:
-            self._catch_up()
-            self._say()
+            self._wait_for_owner()
+            self._issue_warning()
             return self._session
 
     @property
@@ -166,7 +166,7 @@ class RemoteCase:
         session = self.session
         if self._named is not None:
             return self._named.path
-        return _copy_of(session.snapshot().saving if self._link is None else self._saving)
+        return _named_file_path(session.snapshot().saving if self._link is None else self._saving)
 
     @property
     def note(self) -> str | None:
@@ -196,20 +196,20 @@ class RemoteCase:
                         code="case.joined",
                     )
                 if isinstance(command, c.Undo | c.Redo):
-                    self._catch_up()
+                    self._wait_for_owner()
                 sent_s, position = self._records.now_s(), self._followed.moment.position
                 try:
                     self._saving = link.do(command).saving
                     break
                 except LinkLostError:
-                    self._go_on_without(link)
-                    if self._was_done(command, sent_s, position):
+                    self._continue_without_owner(link)
+                    if self._is_command_stored(command, sent_s, position):
                         break
             else:
                 do_and_wait(self._session, command)
         if isinstance(command, c.ShowPlace):
             do_and_wait(self.session, c.SetCrosshair(command.lps))
-        self._say()
+        self._issue_warning()
 
     def save(self, path: str | Path | None, *, replace: bool) -> Path:
         """Let the owner write the case to a file, which the owner updates from then on."""
@@ -218,7 +218,7 @@ class RemoteCase:
                 raise UsageError(self._named.note, code="case.read-only")
             state = self._session.snapshot()
             assert state.case is not None
-            return self._named.save(state.case.volume, self._session.ask(c.MomentToKeep()), path, replace=replace)
+            return self._named.save(state.case.volume, self._session.ask(c.CurrentMoment()), path, replace=replace)
         if path is not None:
             target = Path(path).expanduser().absolute()
             if target.suffix.lower() != CASE_SUFFIX:
@@ -252,7 +252,8 @@ class RemoteCase:
                 self._session.do(c.KeepNow())
             else:
                 live = self._records.live_path(self._case_id)
-                self._named.check_saved(self._session.ask(c.MomentToKeep()), kept=self._followed.moment, live=live)
+                moment = self._session.ask(c.CurrentMoment())
+                self._named.check_saved(moment, last_saved=self._followed.moment, live=live)
         finally:
             self._close_session()
             if self._named is not None:
@@ -267,39 +268,39 @@ class RemoteCase:
 
     # ------------------------------------------------------------ following
 
-    def _catch_up(self) -> None:
+    def _wait_for_owner(self) -> None:
         """Wait for the owner's changes so far and show them in the session; the caller holds this object's lock."""
         while (link := self._link) is not None:
             try:
-                self._saving = _saved(link.settle())
-                self._follow()
+                self._saving = _checked_saving_info(link.settle())
+                self._show_latest_state()
             except LinkLostError:
-                self._go_on_without(link)
+                self._continue_without_owner(link)
             else:
                 return
 
-    def _follow(self) -> None:
+    def _show_latest_state(self) -> None:
         """Show the newest state of the case in the live file; the caller holds the lock."""
-        moment = self._followed.follower.newest()
+        moment = self._followed.follower.latest_moment()
         if moment is not self._followed.moment:
             do_and_wait(self._session, c.FollowMoment(moment))
             self._followed.moment = moment
 
-    def _say(self) -> None:
+    def _issue_warning(self) -> None:
         """Issue the pending message to the user as a Python warning, and delete the message."""
-        words, self._unsaid = self._unsaid, None
+        words, self._pending_warning = self._pending_warning, None
         if words is not None:
             warnings.warn(words, stacklevel=4)
 
     # ------------------------------------------------------------ the end of the owner
 
-    def _lost(self, link: OwnerConnection) -> None:
+    def _on_connection_lost(self, link: OwnerConnection) -> None:
         """Start a thread that takes over the case after the connection to its owner has ended."""
         with self._lock:
             if not self._closed:
-                self._go_on_without(link)
+                self._continue_without_owner(link)
 
-    def _go_on_without(self, link: OwnerConnection) -> None:
+    def _continue_without_owner(self, link: OwnerConnection) -> None:
         """Become the owner, or join the new owner; after both fail, work on a named file.
 
         The caller holds this object's lock.
@@ -313,53 +314,53 @@ class RemoteCase:
             try:
                 self._session.do(c.TakeOver(self._case_id))
                 self._session.jobs.wait_idle(None)
-                self._unsaid = (
+                self._pending_warning = (
                     "the program that had this case open has ended or closed it; this program has taken over and "
                     "continues to save the case"
                 )
                 return
             except (CarinaError, OSError) as trouble:
                 if getattr(trouble, "code", "") != "case.open":
-                    self._be_alone(str(trouble))
+                    self._become_sole_process(str(trouble))
                     return
             record = self._records.find(self._case_id)
-            door = None if record is None else self._records.door_of(record)
-            if door is not None and self._join_again(door):
-                self._unsaid = (
+            endpoint = None if record is None else self._records.endpoint_of(record)
+            if endpoint is not None and self._join_new_owner(endpoint):
+                self._pending_warning = (
                     "the program that had this case open has ended or closed it; another program has opened it, and "
                     "this program has joined that one"
                 )
                 return
-            if (door is not None and door.url is None) or time.monotonic() >= end_s:
-                self._be_alone("another program has it open")
+            if (endpoint is not None and endpoint.url is None) or time.monotonic() >= end_s:
+                self._become_sole_process("another program has it open")
                 return
             time.sleep(LOOK_EVERY_S)
 
-    def _join_again(self, door: Door) -> bool:
-        link = OwnerConnection.connect(door, self._case_id)
+    def _join_new_owner(self, endpoint: AttachEndpoint) -> bool:
+        link = OwnerConnection.connect(endpoint, self._case_id)
         if link is None:
             return False
         try:
-            self._saving = _saved(link.settle())
-            self._follow()
+            self._saving = _checked_saving_info(link.settle())
+            self._show_latest_state()
         except LinkLostError:
             link.close()
             return False
         self._link = link
-        link.watch(self._lost)
+        link.watch(self._on_connection_lost)
         return True
 
-    def _be_alone(self, why: str) -> None:
+    def _become_sole_process(self, why: str) -> None:
         self._named = NamedCase()
-        self._named.path = _copy_of(self._saving)
-        self._named.note = self._unsaid = (
+        self._named.path = _named_file_path(self._saving)
+        self._named.note = self._pending_warning = (
             f"the program that had this case open has ended or closed it, and this one cannot take over: {why}. "
             "Changes made here can be saved under another name"
         )
 
-    def _was_done(self, command: c.Command, sent_s: float, position: int) -> bool:
+    def _is_command_stored(self, command: c.Command, sent_s: float, position: int) -> bool:
         """Return whether a command without confirmation is a step of the case that the former owner has stored."""
-        moment = self._session.ask(c.MomentToKeep())
+        moment = self._session.ask(c.CurrentMoment())
         if isinstance(command, c.Undo | c.Redo):
             return bool(moment.position != position)
         begun_s = self._saving.begun_s
@@ -368,7 +369,7 @@ class RemoteCase:
         )
 
 
-def _possible_records(records: CaseRecords, source: str | Path) -> list[CaseRecord]:
+def _candidate_records(records: CaseRecords, source: str | Path) -> list[CaseRecord]:
     """Return the records of the cases to which a case file or a CT may belong, the case used last first."""
     place = str(Path(source).expanduser().absolute())
     if is_case_file(place):
@@ -376,29 +377,29 @@ def _possible_records(records: CaseRecords, source: str | Path) -> list[CaseReco
     return [one for one in records.all() if one.place == place]
 
 
-def _linked(records: CaseRecords, record: CaseRecord) -> OwnerConnection | None:
+def _connect_to_owner(records: CaseRecords, record: CaseRecord) -> OwnerConnection | None:
     """Return a connection to the process that has a case open; None if the program cannot join a process.
 
     The owner writes its connection details once the case is on the disk, which takes a moment after the opening.
     """
     end_s = time.monotonic() + DOOR_WITHIN_S
     while True:
-        door = records.door_of(record)
-        if door is not None:
-            return OwnerConnection.connect(door, record.case_id)
+        endpoint = records.endpoint_of(record)
+        if endpoint is not None:
+            return OwnerConnection.connect(endpoint, record.case_id)
         if not records.is_held(record) or time.monotonic() >= end_s:
             return None
         time.sleep(LOOK_EVERY_S)
 
 
-def _saved(settled: Settled) -> SavingInfo:
+def _checked_saving_info(settled: Settled) -> SavingInfo:
     """Return the saving info in an owner's reply; raise CarinaError if the live file lacks the latest changes."""
     if settled.unsaved is not None:
         raise CarinaError(f"the latest changes to this case cannot be read: {settled.unsaved}", code="case.not-saved")
     return settled.saving
 
 
-def _copy_of(saving: SavingInfo) -> Path | None:
+def _named_file_path(saving: SavingInfo) -> Path | None:
     """Return the path of the named file that a saving info states; None if the case has no named file."""
     if saving.copy_name is None or saving.copy_folder is None:
         return None

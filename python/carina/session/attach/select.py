@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol
 
-from carina.commands import Command, FlightsToKeep, MomentToKeep, OpenPath, OpenVolume
+from carina.commands import Command, CurrentMoment, OpenPath, OpenVolume, UnstoredFlights
 from carina.session.attach.working_copy import NamedCase
 from carina.session.jobs.job_groups import JobGroup
 from carina.session.session import Session
@@ -20,7 +20,7 @@ class ProgramCase(Protocol):
 
     @property
     def session(self) -> Session:
-        """The session with the present state of the case."""
+        """The session with the current state of the case."""
 
     @property
     def path(self) -> Path | None:
@@ -61,7 +61,7 @@ class LocalCase:
             self.do(OpenVolume(*self._named.open(Path(source).expanduser(), ct)))
         else:
             self.do(OpenPath(str(source)))
-            self._named.came_from(source)
+            self._named.set_ct_path(source)
 
     @property
     def session(self) -> Session:
@@ -84,9 +84,9 @@ class LocalCase:
 
     def save(self, path: str | Path | None, *, replace: bool) -> Path:
         """Write the case to ``path``, or to its file if ``path`` is None."""
-        moment, case = self._session.ask(MomentToKeep()), self._session.snapshot().case
+        moment, case = self._session.ask(CurrentMoment()), self._session.snapshot().case
         assert case is not None
-        flights = self._session.ask(FlightsToKeep())
+        flights = self._session.ask(UnstoredFlights())
         return self._named.save(case.volume, moment, path, replace=replace, flights=flights)
 
     def close(self) -> None:
@@ -94,10 +94,10 @@ class LocalCase:
         try:
             case = self._session.snapshot().case
             if case is not None:
-                moment = self._session.ask(MomentToKeep())
+                moment = self._session.ask(CurrentMoment())
                 self._named.check_saved(moment)
-                if self._named.is_behind(moment):
-                    self._named.save_at_end(case.volume, moment, self._session.ask(FlightsToKeep()))
+                if self._named.lacks_changes(moment):
+                    self._named.save_at_end(case.volume, moment, self._session.ask(UnstoredFlights()))
         finally:
             self._session.close()
             self._named.close()

@@ -13,8 +13,8 @@ from carina.config import load_settings
 from carina.disk import Placement, ScratchFolder
 from carina.errors import UsageError
 from carina.session.saving.unsaved_work import check_saved
-from carina.session.store.find_scan import CASE_SUFFIX, CaseScans, FoundScan, way_between
-from carina.session.store.named_file import FileMark, NamedFile, NamedFileConflictError, open_marked, path_beside
+from carina.session.store.find_scan import CASE_SUFFIX, CaseScans, FoundScan, relative_path
+from carina.session.store.named_file import FileMark, NamedFile, NamedFileConflictError, free_path_beside, open_marked
 from carina.session.store.registry import CaseRecords
 from carina.volume import Volume, VolumeCache, ct_digest
 
@@ -63,7 +63,7 @@ class NamedCase:
         self.path = path.absolute()
         original, mark = open_marked(self.path)
         with original:
-            scan = _found(original, ct)
+            scan = _find_ct(original, ct)
             self._ct_place = scan.place
             if original.note is not None:
                 self.note = original.note
@@ -101,7 +101,7 @@ class NamedCase:
             )
             self._named.close()
 
-    def came_from(self, place: str | Path) -> None:
+    def set_ct_path(self, place: str | Path) -> None:
         """Remember the path of the CT from which a case without a file was opened, for the first save."""
         self._ct_place = str(Path(place).expanduser().absolute())
 
@@ -138,10 +138,10 @@ class NamedCase:
         named = before if is_before else NamedFile(target, ct_digest=file.digest, where_work_is=WHERE_WORK_IS)
         assert named is not None
         file.save(moment)
-        self._keep_flights(file, flights)
+        self._copy_flights(file, flights)
 
         def write(place: Path, mark: SaveMark, placement: Placement) -> None:
-            file.write_copy(place, ct_place=way_between(place, self._ct_place), save_mark=mark, placement=placement)
+            file.write_copy(place, ct_place=relative_path(place, self._ct_place), save_mark=mark, placement=placement)
 
         try:
             named.write(write, replace=replace, may_be_missing=True)
@@ -167,7 +167,7 @@ class NamedCase:
         try:
             self.save(volume, moment, None, replace=False, flights=flights)
         except NamedFileConflictError as conflict:
-            beside = self.save(volume, moment, path_beside(conflict.path), replace=False, flights=flights)
+            beside = self.save(volume, moment, free_path_beside(conflict.path), replace=False, flights=flights)
             raise NamedFileConflictError(
                 f"The file {conflict.path.name} was not written, because its content was changed elsewhere. The "
                 f"changes of this program are saved in {beside}",
@@ -187,14 +187,14 @@ class NamedCase:
         if named is not None:
             named.close()
 
-    def check_saved(self, moment: Moment, *, kept: Moment | None = None, live: Path | None = None) -> None:
+    def check_saved(self, moment: Moment, *, last_saved: Moment | None = None, live: Path | None = None) -> None:
         """Refuse to close a case whose file cannot be written and lacks changes.
 
         Parameters
         ----------
         moment
-            The present state of the case.
-        kept, live
+            The current state of the case.
+        last_saved, live
             State in the live file, and its path, for an object that has neither read nor written a named file.
 
         Raises
@@ -204,10 +204,10 @@ class NamedCase:
         """
         path = self.path or live
         if path is not None and self.note is not None:
-            check_saved(path, self.note, self._saved or kept, moment)
+            check_saved(path, self.note, self._saved or last_saved, moment)
 
-    def is_behind(self, moment: Moment) -> bool:
-        """Return whether the case has a writable file that lacks the present state of the case."""
+    def lacks_changes(self, moment: Moment) -> bool:
+        """Return whether the case has a writable file that lacks the current state of the case."""
         if self.path is None or self._named is None or self.note is not None:
             return False
         saved = self._saved
@@ -248,7 +248,7 @@ class NamedCase:
             )
         return target
 
-    def _keep_flights(self, file: CaseFile, flights: Sequence[WholeRecording]) -> None:
+    def _copy_flights(self, file: CaseFile, flights: Sequence[WholeRecording]) -> None:
         there = {one.recording_id for one in file.recordings()}
         for flight in flights:
             facts, writer = flight.facts, flight.writer()
@@ -272,7 +272,7 @@ class NamedCase:
         return self._file
 
 
-def _found(case: CaseFile, ct: str | Path | None) -> FoundScan:
+def _find_ct(case: CaseFile, ct: str | Path | None) -> FoundScan:
     from carina.session.engines import default_parts
 
     settings = load_settings()

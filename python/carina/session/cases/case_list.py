@@ -16,7 +16,7 @@ from carina.errors import UsageError
 from carina.session.command_registry import CommandHandlers, does
 from carina.session.core import SessionCore
 from carina.session.saving.unsaved_work import UnsavedWork
-from carina.session.state.snapshot import Trouble
+from carina.session.state.snapshot import ErrorEvent
 from carina.session.store.local_settings import RecentCase
 from carina.session.store.registry import CaseRecord, CaseRecords
 from carina.session.store.registry_repair import repair_records
@@ -80,9 +80,9 @@ class CaseList(CommandHandlers):
         cases = () if records is None else records.all()
         places = {record.place for record in cases}
         opened = () if self.core.store is None else self.core.store.recent()
-        opens = self._opens(cases)
-        stored = [_of_record(record, records, opens=opens(record)) for record in cases if records is not None]
-        only_opened = [_of_place(case) for case in opened if case.path not in places]
+        opens = self._can_open_ct(cases)
+        stored = [_entry_of_record(record, records, opens=opens(record)) for record in cases if records is not None]
+        only_opened = [_entry_of_recent_ct(case) for case in opened if case.path not in places]
         # Stored cases are in the order of their use numbers, which no clock changes; other entries follow by date.
         return tuple(heapq.merge(stored, only_opened, key=lambda one: one.used_s, reverse=True))
 
@@ -90,9 +90,9 @@ class CaseList(CommandHandlers):
         records, store = self._saving.records, self.core.store
         messages = () if records is None else repair_records(records)
         for message in (*messages, *(() if store is None else store.moved_aside())):
-            self.core.emit(Trouble("case.record", message))
+            self.core.emit(ErrorEvent("case.record", message))
 
-    def _opens(self, cases: Sequence[CaseRecord]) -> Callable[[CaseRecord], bool]:
+    def _can_open_ct(self, cases: Sequence[CaseRecord]) -> Callable[[CaseRecord], bool]:
         """Return a function that returns whether the CT of a case is at a known path, in a case file or cached."""
         if self._saving.scans is None:
             return lambda record: record.place is not None
@@ -107,7 +107,7 @@ class CaseList(CommandHandlers):
         records, cache = self._saving.records, self._saving.cache
         sizes = () if cache is None else cache.sizes()
         gone = () if records is None else records.forgotten()
-        forgotten = tuple(_of_record(one, records, opens=True) for one in gone if records is not None)
+        forgotten = tuple(_entry_of_record(one, records, opens=True) for one in gone if records is not None)
         keeps: Literal["on", "off", "never"] = "never"
         if cache is not None and cache.can_be_on:
             keeps = "on" if cache.is_on else "off"
@@ -149,18 +149,18 @@ class CaseList(CommandHandlers):
     @does(c.RenameCase)
     def rename(self, command: c.RenameCase) -> None:
         """Rename an open or closed case; a case that another window has open cannot be renamed."""
-        records, record = self._needed(command.recent_id)
+        records, record = self._existing_record(command.recent_id)
         title = None if command.title is None else command.title.strip() or None
         if not self._saving.rename(record.case_id, title) and not records.rename(record, title):
             raise UsageError("this case is open in another window of Carina; rename it there", code="case.open")
-        self._tell()
+        self._notify_listeners()
 
     @does(c.ForgetCase)
     def forget(self, command: c.ForgetCase) -> None:
         """Forget a case; its cached CT is deleted unless another case has the same CT."""
-        place = next((one.path for one in self._opened() if one.recent_id == command.recent_id), None)
+        place = next((one.path for one in self._recent_cts() if one.recent_id == command.recent_id), None)
         if place is None:
-            records, record = self._needed(command.recent_id)
+            records, record = self._existing_record(command.recent_id)
             try:
                 gone = records.forget(record)
             except OSError as trouble:
@@ -172,7 +172,7 @@ class CaseList(CommandHandlers):
                 self._saving.cache.forget(record.digest)
         if place is not None and self.core.store is not None:
             self.core.store.forget(place)
-        self._tell()
+        self._notify_listeners()
 
     @does(c.RestoreCase)
     def restore(self, command: c.RestoreCase) -> None:
@@ -184,21 +184,21 @@ class CaseList(CommandHandlers):
             raise disk_trouble(trouble, "cannot restore the case", None) from trouble
         if restored is None:
             raise UsageError("this case has been permanently deleted", code="session.recent")
-        self._tell()
+        self._notify_listeners()
 
     @does(c.EmptyForgotten)
     def empty_forgotten(self, _command: c.EmptyForgotten) -> None:
         """Delete all forgotten cases permanently."""
         if self._saving.records is not None:
             self._saving.records.empty_forgotten()
-        self._tell()
+        self._notify_listeners()
 
     @does(c.EmptyCtCache)
     def empty_ct_cache(self, _command: c.EmptyCtCache) -> None:
         """Delete all cached CTs, which contain no work of the user."""
         if self._saving.cache is not None:
             self._saving.cache.empty()
-        self._tell()
+        self._notify_listeners()
 
     @does(c.KeepCts)
     def keep_cts(self, command: c.KeepCts) -> None:
@@ -209,24 +209,24 @@ class CaseList(CommandHandlers):
         cache.switch(command.on)
         if self.core.store is not None:
             self.core.store.keep_cts(command.on)
-        self._tell()
+        self._notify_listeners()
 
-    def _opened(self) -> tuple[RecentCase, ...]:
+    def _recent_cts(self) -> tuple[RecentCase, ...]:
         return () if self.core.store is None else self.core.store.recent()
 
-    def _needed(self, case_id: str) -> tuple[CaseRecords, CaseRecord]:
+    def _existing_record(self, case_id: str) -> tuple[CaseRecords, CaseRecord]:
         records = self._saving.records
         record = None if records is None else records.find(case_id)
         if records is None or record is None:
             raise UsageError("this case is no longer in the list", code="session.recent")
         return records, record
 
-    def _tell(self) -> None:
+    def _notify_listeners(self) -> None:
         with self.core.lock:
             self.core.changed("start")
 
 
-def _of_record(record: CaseRecord, records: CaseRecords, *, opens: bool) -> ListedCase:
+def _entry_of_record(record: CaseRecord, records: CaseRecords, *, opens: bool) -> ListedCase:
     return ListedCase(
         recent_id=record.case_id,
         title=record.shown_title,
@@ -241,7 +241,7 @@ def _of_record(record: CaseRecord, records: CaseRecords, *, opens: bool) -> List
     )
 
 
-def _of_place(case: RecentCase) -> ListedCase:
+def _entry_of_recent_ct(case: RecentCase) -> ListedCase:
     try:
         used_s = time.mktime(time.strptime(case.date[:10], "%Y-%m-%d"))
     except (ValueError, OverflowError):

@@ -33,7 +33,7 @@ class ObserverHandlers(CommandHandlers):
         """Replace the state of the case by a newer one; objects that are identical in both are not computed again."""
         case, moment = self.core.needed_case(), command.moment
         with self.core.lock:
-            self._become(case, moment)
+            self._replace_state(case, moment)
             self.core.changed(*ALL_TOPICS)
         self._holding.resume(case)
 
@@ -50,30 +50,30 @@ class ObserverHandlers(CommandHandlers):
         record = None if records is None else records.find(command.case_id)
         if record is None:
             raise UsageError("this case is no longer in the list", code="session.recent")
-        between = ReplacementCase(self._saving)
-        reopened = between.take(record.digest, record.case_id)
+        while_opening = ReplacementCase(self._saving)
+        reopened = while_opening.take(record.digest, record.case_id)
         if reopened is None:
-            between.give_back()
+            while_opening.release()
             raise UsageError("another program has this case open", code="case.open")
         try:
             moment = reopened.file.load(case.info.volume)
         except BaseException:
-            between.give_back()
+            while_opening.release()
             raise
         with self.core.lock:
-            self._become(case, moment)
-            between.attach(case, record.place)
+            self._replace_state(case, moment)
+            while_opening.attach(case, record.place)
             self.core.changed(*ALL_TOPICS, "flights")
         self._holding.resume(case)
         if case.search.status == "waiting":
             # The owner ended before its search for the airways finished.
             self._finding.start(case, None, case.info.scale.threshold, label=None)
 
-    def _become(self, case: OpenCase, moment: Moment) -> None:
+    def _replace_state(self, case: OpenCase, moment: Moment) -> None:
         """Replace history, measurements and tip of the case by a stored state; the caller holds the session's lock."""
         before, mode = case.navigator.pose, case.navigator.mode
         case.history = moment.history()
-        case.measured.take(moment.measures)
+        case.measured.replace_all(moment.measures)
         case.scope.awaited = None
         restore(case, moment)
         self.core.follow(case)

@@ -43,14 +43,14 @@ class _OpenedFile:
 
 
 @dataclass(slots=True)
-class _Dropped:
+class _DroppedCt:
     """Results of the job that reads a CT from dropped files."""
 
     references: References | None = None
 
 
 class CaseOpener(CommandHandlers):
-    """Commands that open and close a case; the present case remains on screen until the new one has been read."""
+    """Commands that open and close a case; the current case remains on screen until the new one has been read."""
 
     def __init__(
         self,
@@ -78,7 +78,7 @@ class CaseOpener(CommandHandlers):
         if scans is not None and is_case_file(command.path):
             return self._open_case_file(Path(command.path), scans, dropped=True)
 
-        dropped = _Dropped()
+        dropped = _DroppedCt()
 
         def read(job: Job) -> Volume:
             volume = self.core.parts.open_volume(command.path, job.progress, job.cancel)
@@ -140,11 +140,11 @@ class CaseOpener(CommandHandlers):
             except CaseFileError as trouble:
                 if not dropped or trouble.code != "case.no-scan":
                     raise
-                raise self._asked_for_ct(file) from trouble
+                raise self._store_and_request_ct(file) from trouble
             except VolumeImportError as trouble:
                 if not dropped:
                     raise
-                raise self._asked_for_ct(file) from trouble
+                raise self._store_and_request_ct(file) from trouble
             found.place = scan.place
             return scan.volume
 
@@ -156,27 +156,31 @@ class CaseOpener(CommandHandlers):
         listed = None if dropped or self._saving.stores(path) else str(path)
         return self._open("opening the case", read, listed, found=found, ended=close)
 
-    def _asked_for_ct(self, file: CaseFile) -> UsageError:
+    def _store_and_request_ct(self, file: CaseFile) -> UsageError:
         """Store a dropped case without its CT, and return the error whose message asks the user to open the CT."""
-        waits = file.note is None and self._saving.waits(file)
-        if waits:
+        store_waiting_case = file.note is None and self._saving.store_waiting_case(file)
+        if store_waiting_case:
             with self.core.lock:
                 self.core.changed("start")
         return UsageError(
             "the CT of this case was not found on this computer: drop the CT here or choose it to continue"
-            + (". The case stays in the list of recent cases" if waits else ", then drop the case file again"),
+            + (
+                ". The case stays in the list of recent cases"
+                if store_waiting_case
+                else ", then drop the case file again"
+            ),
             code="case.no-ct",
         )
 
     def _open_record(self, record: CaseRecord) -> str:
         if record.place is None:
-            return self._open_without_place(record)
+            return self._open_with_unknown_ct_path(record)
         name = record.place.removeprefix("demo:")
         if name == record.place:
             return self._open_path(record.place, record.case_id)
         return self._open_demo(name, record.case_id)
 
-    def _open_without_place(self, record: CaseRecord) -> str:
+    def _open_with_unknown_ct_path(self, record: CaseRecord) -> str:
         """Open a stored case without a path of its CT, which was dropped or was in a dropped case file.
 
         The CT may be in the cache, in the case file, or at the path that another case states.
@@ -251,7 +255,7 @@ class CaseOpener(CommandHandlers):
             self._recording.stop()
             self.core.jobs.cancel_kinds()
         # let_go() may wait for the disk, so it is called without the lock, and images are still rendered.
-        self._saving.let_go()
+        self._saving.release_case()
         with self.core.lock:
             self._discard_case()
             self.core.case = None
@@ -295,7 +299,7 @@ class CaseOpener(CommandHandlers):
         finds: bool = True,
         found: _OpenedFile | None = None,
         ended: Callable[[], None] = lambda: None,
-        dropped: _Dropped | None = None,
+        dropped: _DroppedCt | None = None,
     ) -> str:
         """Open a CT with the stored case ``case_id``; without an id, with the case of this CT that was used last.
 
@@ -318,7 +322,7 @@ class CaseOpener(CommandHandlers):
             with self.core.lock:
                 # The end of the recording belongs to the case that is being closed.
                 self._recording.stop()
-            with self._saving.between() as keeping:
+            with self._saving.while_opening() as keeping:
                 stored = given
                 found_place = place if found is None else found.place
                 if found is not None and found.file is not None:
@@ -339,7 +343,7 @@ class CaseOpener(CommandHandlers):
                     lock=self.core.lock,
                     changed=self.core.changed,
                     say=lambda words: self.core.emit(UserMessage(words)),
-                    kept=stored,
+                    stored=stored,
                 )
                 case.planning.origin = CtOrigin(
                     None if found_place is None or found_place.startswith("demo:") else found_place,
@@ -349,7 +353,7 @@ class CaseOpener(CommandHandlers):
                     self.core.store.remember(path, self.core.today())
                 with self.core.lock:
                     job.check()
-                    self._show(job, case)
+                    self._show_case(job, case)
                     if given is not None and given.steps:
                         case.begun_s -= given.steps[-1].at_s
                     keeping.attach(case, found_place)
@@ -357,11 +361,11 @@ class CaseOpener(CommandHandlers):
             # Preparation takes a tenth of a second and makes rendering several times faster; the airway search takes
             # many seconds.
             case.content.prepare()
-            self._go_on(case, stored, finds)
+            self._find_or_restore_airways(case, stored, finds)
 
         return self.core.jobs.start("open", title, work)
 
-    def _show(self, job: Job, case: OpenCase) -> None:
+    def _show_case(self, job: Job, case: OpenCase) -> None:
         """Show a newly opened case, and discard the previous case with its jobs.
 
         The caller holds the session's lock.
@@ -376,7 +380,7 @@ class CaseOpener(CommandHandlers):
         self.core.case = case
         self.core.moved()
 
-    def _go_on(self, case: OpenCase, stored: Moment | None, finds: bool) -> None:
+    def _find_or_restore_airways(self, case: OpenCase, stored: Moment | None, finds: bool) -> None:
         """Start the airway search of a new case, or continue a stored case and restore its scope in the lumen."""
         if stored is not None:
             with self.core.lock:

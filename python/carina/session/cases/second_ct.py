@@ -48,7 +48,7 @@ class SecondCtHandlers(CommandHandlers):
             raise UsageError("find the airways of this CT first", code="track.no-airways")
 
         def work(job: Job) -> None:
-            volume, second_airways = self._opened(command.path, job)
+            volume, second_airways = self._open_second_ct(command.path, job)
             found = self.core.parts.measure_movement(
                 case.info.volume,
                 airways,
@@ -74,7 +74,7 @@ class SecondCtHandlers(CommandHandlers):
 
         return self.core.jobs.start(f"second ct {command.target_id}", "comparing with the second CT", work)
 
-    def _opened(self, path: str, job: Job) -> tuple[Volume, Airways | None]:
+    def _open_second_ct(self, path: str, job: Job) -> tuple[Volume, Airways | None]:
         """Return a second CT with the airways of its case; None if the airways must be found."""
         scans = self._saving.scans
         if scans is None or not is_case_file(path):

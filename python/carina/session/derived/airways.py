@@ -86,20 +86,20 @@ def derived_measures(
             stored = measured.of(airways)
         if stored is not None:
             try:
-                return _loaded(stored)
+                return _load_if_packed(stored)
             except CarinaError as trouble:
                 lost(trouble)
         # Branches that an edit did not change reuse their cross-sections.
         before = attempt.before
         made = parts.measure_tree(volume, airways, previous=before, progress=attempt.progress, cancel=attempt.cancel)
         with lock:
-            measured.put(airways, made)
+            measured.add(airways, made)
         return made
 
     return Derived(jobs, lock, kind="measures", title="measuring the airways", make=make, settled=changed)
 
 
-def _loaded(stored: TreeMeasures | StoredMeasures) -> TreeMeasures:
+def _load_if_packed(stored: TreeMeasures | StoredMeasures) -> TreeMeasures:
     return stored.load() if isinstance(stored, StoredMeasures) else stored
 
 

@@ -113,7 +113,7 @@ class Derived(Generic[Inputs, Value]):
         self._wanted: Inputs | None = None
         self._then: Callable[[Value], None] | None = None
         self._had: tuple[Inputs, Value] | None = None
-        self._came_to: Literal["open", "failed", "stopped"] = "open"
+        self._outcome: Literal["open", "failed", "stopped"] = "open"
         """Status of the requested inputs while no value was computed from them."""
         self._error: BaseException | None = None
         self._runs = False
@@ -134,7 +134,7 @@ class Derived(Generic[Inputs, Value]):
         """Return the value that was computed from these inputs; None if the newest computed value has other inputs."""
         with self._lock:
             had = self._had
-            return had[1] if had is not None and self._is(inputs, had[0]) else None
+            return had[1] if had is not None and self._are_same(inputs, had[0]) else None
 
     def standing(self, inputs: Inputs) -> Standing:
         """Return the status of the value of these inputs.
@@ -142,11 +142,11 @@ class Derived(Generic[Inputs, Value]):
         The status is *had* (available), *making*, *failed*, *stopped* or *unwanted* (not requested).
         """
         with self._lock:
-            if self._had is not None and self._is(inputs, self._had[0]):
+            if self._had is not None and self._are_same(inputs, self._had[0]):
                 return "had"
-            if not self._is(inputs, self._wanted):
+            if not self._are_same(inputs, self._wanted):
                 return "unwanted"
-            return "making" if self._came_to == "open" else self._came_to
+            return "making" if self._outcome == "open" else self._outcome
 
     @property
     def error(self) -> BaseException | None:
@@ -175,21 +175,21 @@ class Derived(Generic[Inputs, Value]):
         with self._lock:
             if self._discarded:
                 return
-            if not self._is(inputs, self._wanted):
+            if not self._are_same(inputs, self._wanted):
                 self._wanted_after_stop = self._is_stopping()
                 self._wanted, self._then = inputs, None
-                self._came_to, self._error = "open", None
+                self._outcome, self._error = "open", None
             had = self._had
-            if then is not None and had is not None and self._is(inputs, had[0]):
+            if then is not None and had is not None and self._are_same(inputs, had[0]):
                 then(had[1])
-            elif then is not None and self._came_to == "open":
+            elif then is not None and self._outcome == "open":
                 self._then = then
-            self._begin()
+            self._start_job()
 
     def again(self) -> None:
-        """Allow a failed or stopped computation to run again at the next request, because the user asked for it."""
+        """Allow a failed or stopped computation to run again at the next request, because the user requested it."""
         with self._lock:
-            self._came_to, self._error = "open", None
+            self._outcome, self._error = "open", None
             self._wanted_after_stop = self._wanted_after_stop or self._is_stopping()
 
     def discard(self) -> None:
@@ -200,7 +200,7 @@ class Derived(Generic[Inputs, Value]):
 
     # ------------------------------------------------------------ the job
 
-    def _is(self, a: Inputs | None, b: Inputs | None) -> bool:
+    def _are_same(self, a: Inputs | None, b: Inputs | None) -> bool:
         return a is b or (a is not None and b is not None and self._same(a, b))
 
     def _is_stale(self, inputs: Inputs) -> bool:
@@ -212,26 +212,26 @@ class Derived(Generic[Inputs, Value]):
 
     def _is_open(self) -> bool:
         """Return whether the requested value is still to be computed."""
-        had = self._had is not None and self._is(self._wanted, self._had[0])
-        return self._wanted is not None and not had and self._came_to == "open"
+        had = self._had is not None and self._are_same(self._wanted, self._had[0])
+        return self._wanted is not None and not had and self._outcome == "open"
 
     def _is_stopping(self) -> bool:
         return self._runs and self._jobs.is_stopping(self._job_id)
 
-    def _begin(self) -> None:
+    def _start_job(self) -> None:
         if self._runs or not self._is_open():
             return
         # The flag is set before the start, because a job that runs synchronously has ended when start() returns.
         self._runs, self._wanted_after_stop = True, False
         try:
-            job_id = self._jobs.start(self._kind, self._title, self._run)
+            job_id = self._jobs.start(self._kind, self._title, self._run_job)
         except BaseException:
             self._runs = False
             raise
         if self._runs:
             self._job_id = job_id
 
-    def _run(self, job: Job) -> None:
+    def _run_job(self, job: Job) -> None:
         attempt: Attempt[Value] | None = None
         ended = False
         try:
@@ -243,7 +243,7 @@ class Derived(Generic[Inputs, Value]):
                         raise CancelledError(f"{self._title}: no longer needed")
                     before = None if self._had is None else self._had[1]
                     attempt = Attempt(job, partial(self._is_stale, inputs), before)
-                job.begin_again()
+                job.restart_estimate()
                 try:
                     value = self._make(inputs, attempt)
                 except CancelledError:
@@ -263,10 +263,10 @@ class Derived(Generic[Inputs, Value]):
         except BaseException as trouble:
             with self._lock:
                 if not ended:
-                    self._give_up(job, attempt, trouble)
+                    self._end_without_value(job, attempt, trouble)
             raise
 
-    def _give_up(self, job: Job, attempt: Attempt[Value] | None, trouble: BaseException) -> None:
+    def _end_without_value(self, job: Job, attempt: Attempt[Value] | None, trouble: BaseException) -> None:
         """End the job without a value; the caller holds the session's lock."""
         self._runs = False
         if not self._is_open():
@@ -274,10 +274,10 @@ class Derived(Generic[Inputs, Value]):
         newer = self._wanted_after_stop if job.cancel() else attempt is not None and attempt.is_stale()
         if newer:
             # A request after the stop or during the failed computation gets its own attempt.
-            self._begin()
+            self._start_job()
             return
         stopped = isinstance(trouble, CancelledError)
-        self._came_to, self._error = ("stopped", None) if stopped else ("failed", trouble)
+        self._outcome, self._error = ("stopped", None) if stopped else ("failed", trouble)
         self._then = None
         self._settled()
 

@@ -80,7 +80,7 @@ class CaseLungs:
             kind="lungs", title="mapping the structures around the target", make=self._make_lungs
         )
         self._reach: Derived[ReachInputs, ReachAtlas] = derived(
-            kind="reach", title="mapping the reach of the instrument", make=self._make_reach, same=_same
+            kind="reach", title="mapping the reach of the instrument", make=self._make_reach, same=_are_same_inputs
         )
         self._early: tuple[Airways, LungMap] | None = None
         """Airways and their lung map with vessels only, shown while the job still segments the lobes."""
@@ -95,7 +95,7 @@ class CaseLungs:
     def info(self) -> LungsInfo:
         """Return the state of the maps; the caller holds the session's lock."""
         airways = None if self._document is None else self._document.airways
-        lungs, reach, inputs = self._lungs_of(airways), None, self._reach_inputs(airways)
+        lungs, reach, inputs = self._lung_inputs(airways), None, self._reach_inputs(airways)
         standing: Standing = "unwanted" if airways is None else self._lungs.standing(airways)
         reach_standing: Standing = "unwanted"
         if inputs is not None:
@@ -120,7 +120,7 @@ class CaseLungs:
         document = self._document
         if document is None or document.airways is None:
             return None
-        lungs, inputs = self._lungs_of(document.airways), self._reach_inputs(document.airways)
+        lungs, inputs = self._lung_inputs(document.airways), self._reach_inputs(document.airways)
         reach = None if inputs is None else self._reach.of(inputs)
         if lungs is None and reach is None:
             return None
@@ -158,7 +158,7 @@ class CaseLungs:
         self._early = self._document = None
         self._shown.forget()
 
-    def _lungs_of(self, airways: Airways | None) -> LungMap | None:
+    def _lung_inputs(self, airways: Airways | None) -> LungMap | None:
         made = self._lungs.of(airways)
         if made is None and self._early is not None and self._early[0] is airways:
             return self._early[1]
@@ -167,7 +167,7 @@ class CaseLungs:
     def _reach_inputs(self, airways: Airways | None) -> ReachInputs | None:
         return None if airways is None or self._asked_reach is None else (airways, *self._asked_reach)
 
-    def _wall(self, airways: Airways, attempt: Attempt[Any]) -> WallField:
+    def _wall_of(self, airways: Airways, attempt: Attempt[Any]) -> WallField:
         with self._lock:
             known = self._wall_at_hand(airways)
         if known is not None:
@@ -177,7 +177,7 @@ class CaseLungs:
         return made
 
     def _make_lungs(self, airways: Airways, attempt: Attempt[LungMap]) -> LungMap:
-        wall = self._wall(airways, attempt)
+        wall = self._wall_of(airways, attempt)
 
         def tell(early: LungMap) -> None:
             with self._lock:
@@ -192,7 +192,7 @@ class CaseLungs:
 
     def _make_reach(self, inputs: ReachInputs, attempt: Attempt[ReachAtlas]) -> ReachAtlas:
         airways, scope, tool = inputs
-        wall = self._wall(airways, attempt)
+        wall = self._wall_of(airways, attempt)
         return self._parts.reach_atlas(
             self._volume,
             airways,
@@ -210,5 +210,5 @@ def _stations(volume: Volume, parts: Parts, airways: Airways) -> tuple[Landmark,
     return ebus_landmarks(airways.tree, origin=parts.distance_origin(volume, airways))
 
 
-def _same(a: ReachInputs, b: ReachInputs) -> bool:
+def _are_same_inputs(a: ReachInputs, b: ReachInputs) -> bool:
     return a[0] is b[0] and a[1:] == b[1:]

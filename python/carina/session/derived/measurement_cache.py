@@ -13,22 +13,22 @@ class MeasuredAirways:
 
     Parameters
     ----------
-    kept
+    pairs
         Pairs of airways and their measurements, the initial content of the cache; the measurements may still be in a
         case file.
     """
 
-    def __init__(self, kept: Iterable[tuple[Any, Any]] = ()) -> None:
+    def __init__(self, pairs: Iterable[tuple[Any, Any]] = ()) -> None:
         self._found: dict[int, tuple[Any, Any]] = {}
-        self.take(kept)
+        self.replace_all(pairs)
 
     def __repr__(self) -> str:
         """Describe the cache by its number of measured airways."""
         return f"MeasuredAirways({len(self._found)})"
 
-    def take(self, kept: Iterable[tuple[Any, Any]]) -> None:
+    def replace_all(self, pairs: Iterable[tuple[Any, Any]]) -> None:
         """Replace all cached measurements by the given pairs of airways and measurements."""
-        self._found = {id(airways): (airways, measures) for airways, measures in kept}
+        self._found = {id(airways): (airways, measures) for airways, measures in pairs}
 
     def of(self, airways: Any) -> Any:
         """Return the measurements of airways; None if the airways were not measured.
@@ -41,17 +41,17 @@ class MeasuredAirways:
         found = self._found.get(id(airways))
         return None if found is None else found[1]
 
-    def put(self, airways: Any, measures: Any) -> None:
+    def add(self, airways: Any, measures: Any) -> None:
         """Add the measurements of airways to the cache."""
         self._found[id(airways)] = (airways, measures)
 
-    def became(self, before: Any, after: Any) -> None:
-        """Assign the measurements of ``before`` to ``after``, the packed or unpacked object of the same airways."""
+    def move_to(self, before: Any, successor: Any) -> None:
+        """Assign the measurements of ``before`` to ``successor``, the packed or unpacked object of the same airways."""
         found = self._found.pop(id(before), None)
         if found is not None:
-            self.put(after, found[1])
+            self.add(successor, found[1])
 
-    def among(self, held: Iterable[Any]) -> tuple[tuple[Any, Any], ...]:
+    def retain_only(self, held: Iterable[Any]) -> tuple[tuple[Any, Any], ...]:
         """Return the cached pairs whose airways are in ``held``, and delete all other pairs."""
         ids = {id(airways) for airways in held}
         self._found = {key: found for key, found in self._found.items() if key in ids}

@@ -72,7 +72,12 @@ class ShownContent:
         self._come_to = 0
         """Number of the last requested content that was shown, or whose update failed or was stopped."""
         self._ready: Derived[ContentRequest, bool] = Derived(
-            jobs, lock, kind="display", title="preparing fast rendering", make=self._make_ready, settled=self._settled
+            jobs,
+            lock,
+            kind="display",
+            title="preparing fast rendering",
+            make=self._build_content,
+            settled=self._update_status,
         )
 
     @property
@@ -105,7 +110,7 @@ class ShownContent:
         """Stop the job, because the case is being closed."""
         self._ready.discard()
 
-    def _make_ready(self, decided: ContentRequest, attempt: Attempt[bool]) -> bool:
+    def _build_content(self, decided: ContentRequest, attempt: Attempt[bool]) -> bool:
         given = self._given
         # Other names in a tree change only annotations; the data for fast rendering stay valid.
         if decided.transfer is not given.transfer or decided.lumen_zyx is not given.lumen_zyx:
@@ -116,17 +121,17 @@ class ShownContent:
             self.renderer.set_lumen(decided.lumen_zyx, decided.tree)
         with self._lock:
             self._given = decided
-            self._comes_to(decided)
+            self._on_update_end(decided)
         if not self._is_fast:
             self.renderer.prepare(attempt.progress, attempt.cancel)
             self._is_fast = True
         return True
 
-    def _settled(self) -> None:
+    def _update_status(self) -> None:
         # After a failure or a stop no further update follows, so the shown content is final.
-        self._comes_to(self._decided)
+        self._on_update_end(self._decided)
 
-    def _comes_to(self, decided: ContentRequest) -> None:
+    def _on_update_end(self, decided: ContentRequest) -> None:
         """Record that the update to the given content has ended; the caller holds the session's lock."""
         if self._come_to != decided.number:
             self._come_to = decided.number

@@ -17,7 +17,7 @@ from carina.session.command_registry import CommandHandlers, does
 from carina.session.core import SessionCore
 from carina.session.flights.recording import FlightRecorder
 from carina.session.open_case.open_case import OpenCase, as_point
-from carina.session.state.snapshot import DevicesInfo, StartMarked, Trouble, UserMessage
+from carina.session.state.snapshot import DevicesInfo, ErrorEvent, StartMarked, UserMessage
 
 __all__ = ["DeviceHandlers"]
 
@@ -73,7 +73,7 @@ class DeviceHandlers(CommandHandlers):
             now_s = self.core.clock()
             case.pilot.apply(moves.DeviceSaid(device, sample, now_s))
             for pen, tool in case.pilot.take_marks():
-                self._mark(case, pen, tool)
+                self._mark_point(case, pen, tool)
             words = case.pilot.take_message(now_s)
             if words is not None:
                 self.core.emit(UserMessage(words))
@@ -105,7 +105,7 @@ class DeviceHandlers(CommandHandlers):
                 case.last_move = replace(case.last_move, by="device")
             way = case.pilot.take_wanted_way()
             if way is not None:
-                self._take_way(case, way)
+                self._take_branch(case, way)
             return case.pilot.is_moving
 
     @does(c.Calibrate)
@@ -152,7 +152,7 @@ class DeviceHandlers(CommandHandlers):
         with self.core.lock:
             return None if self.core.case is None else self.core.case.pilot.pen()
 
-    def _mark(self, case: OpenCase, pen: str, tool: str) -> None:
+    def _mark_point(self, case: OpenCase, pen: str, tool: str) -> None:
         """Set the root, the path start or a target at the pen's position; the caller holds the session's lock."""
         own = case.pilot.pen_lps(pen)
         place = as_point(case.navigator.pose.position_lps if own is None else own)
@@ -164,9 +164,9 @@ class DeviceHandlers(CommandHandlers):
             else:
                 self._do(c.AddTarget(place, cost=case.armed_pen.cost, root_lps=case.armed_pen.root_lps))
         except CarinaError as trouble:
-            self.core.emit(Trouble(trouble.code, str(trouble)))
+            self.core.emit(ErrorEvent(trouble.code, str(trouble)))
 
-    def _take_way(self, case: OpenCase, branch_id: int) -> None:
+    def _take_branch(self, case: OpenCase, branch_id: int) -> None:
         """Replace the route by one through another branch, which the user chose at a fork with a device."""
         airways = case.document.airways
         if airways is None or all(branch.id != branch_id for branch in airways.tree.branches):

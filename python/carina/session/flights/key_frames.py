@@ -77,7 +77,7 @@ class KeyFrameHandlers(CommandHandlers):
         case = self.core.needed_case()
         with self.core.lock:
             frames = list(case.document.key_frames.frames)
-            at = _place(frames, key_id)
+            at = _index_of(frames, key_id)
             to = min(max(at + by, 0), len(frames) - 1)
             if to != at:
                 frames.insert(to, frames.pop(at))
@@ -87,7 +87,7 @@ class KeyFrameHandlers(CommandHandlers):
         case = self.core.needed_case()
         with self.core.lock:
             frames = list(case.document.key_frames.frames)
-            at = _place(frames, key_id)
+            at = _index_of(frames, key_id)
             del frames[at]
             self._set_key_frames(case, f"remove key frame {at + 1}", tuple(frames))
 
@@ -115,7 +115,7 @@ class KeyFrameHandlers(CommandHandlers):
         case = self.core.needed_case()
         with self.core.lock:
             frames = list(case.document.key_frames.frames)
-            at = _place(frames, key_id)
+            at = _index_of(frames, key_id)
             changed = replace(frames[at], **values)
             if any(getattr(frames[at], name) != value for name, value in values.items()):
                 frames[at] = changed
@@ -140,10 +140,10 @@ class KeyFrameHandlers(CommandHandlers):
         """Place the tip at a key frame, and set the time of the flight to this key frame."""
         case = self.core.needed_case()
         with self.core.lock:
-            at = _place(case.document.key_frames.frames, command.key_id)
+            at = _index_of(case.document.key_frames.frames, command.key_id)
             flight = self._key_flight(case).flight
             self.core.fly(place_pose(case.document.key_frames.frames[at].pose))
-            self._flown(case, 0.0 if flight is None else flight.key_times_s[at])
+            self._record_key_frame_move(case, 0.0 if flight is None else flight.key_times_s[at])
 
     @does(c.FlyKeyFrames)
     def fly_key_frames(self, command: c.FlyKeyFrames) -> None:
@@ -165,9 +165,9 @@ class KeyFrameHandlers(CommandHandlers):
                 raise NoResultError(found.problem or "a flight needs at least two key frames", code="session.keys")
             place_s = min(max(time_s, 0.0), flight.duration_s)
             self.core.fly(place_pose(flight.pose_at(place_s)))
-            self._flown(case, place_s)
+            self._record_key_frame_move(case, place_s)
 
-    def _flown(self, case: OpenCase, key_frames_s: float) -> None:
+    def _record_key_frame_move(self, case: OpenCase, key_frames_s: float) -> None:
         case.last_move = replace(case.last_move, by="key_frames", key_frames_s=key_frames_s)
 
     def info(self) -> KeyFramesInfo:
@@ -175,14 +175,14 @@ class KeyFrameHandlers(CommandHandlers):
         with self.core.lock:
             case = self.core.case
             if case is None:
-                return _as_shown(KeyFrames())
+                return _key_frames_info(KeyFrames())
             keys = case.document.key_frames
             found = self._key_flight(case)
             flight = found.flight
             shown = []
             for n, key in enumerate(keys.frames):
                 leg = None if flight is None or n == 0 else n - 1
-                words, branch_id = _branch_words(case, key)
+                words, branch_id = _branch_name_and_id(case, key)
                 shown.append(
                     ShownKeyFrame(
                         key.key_id,
@@ -195,7 +195,7 @@ class KeyFrameHandlers(CommandHandlers):
                         flight is not None and leg is not None and flight.through_airways[leg],
                     )
                 )
-            return _as_shown(keys, tuple(shown), 0.0 if flight is None else flight.duration_s, found.problem)
+            return _key_frames_info(keys, tuple(shown), 0.0 if flight is None else flight.duration_s, found.problem)
 
     def _key_flight(self, case: OpenCase) -> KeyFlight:
         """Return the flight through the key frames, or the reason why there is none.
@@ -206,8 +206,8 @@ class KeyFrameHandlers(CommandHandlers):
 
     # ------------------------------------------------------------ its file
 
-    @answers(c.KeyFramesToTakeAway)
-    def key_frames_to_take_away(self, _question: c.KeyFramesToTakeAway) -> KeyFrameFile:
+    @answers(c.KeyFrameFileQuery)
+    def key_frames_to_take_away(self, _question: c.KeyFrameFileQuery) -> KeyFrameFile:
         """Return the file content of the key frames, which ``carina fly`` renders."""
         case = self.core.needed_case()
         with self.core.lock:
@@ -216,7 +216,7 @@ class KeyFrameHandlers(CommandHandlers):
 
     @does(c.TakeKeyFrameFile)
     def take_key_frame_file(self, command: c.TakeKeyFrameFile) -> str:
-        """Open a file of key frames as a job; the paths between them are computed in the present airways."""
+        """Open a file of key frames as a job; the paths between them are computed in the current airways."""
         case = self.core.needed_case()
 
         def work(job: Job) -> None:
@@ -254,13 +254,13 @@ def key_file(volume: Volume, document: Document, sight: Sight) -> KeyFrameFile:
     return KeyFrameFile(frames, flying.speed_mm_s, flying.through, case_key(volume), view_words(document, sight))
 
 
-def _as_shown(
+def _key_frames_info(
     keys: KeyFrames, shown: tuple[ShownKeyFrame, ...] = (), duration_s: float = 0.0, problem: str | None = None
 ) -> KeyFramesInfo:
     return KeyFramesInfo(**msgspec.structs.asdict(keys.flying), frames=shown, duration_s=duration_s, problem=problem)
 
 
-def _branch_words(case: OpenCase, key: ChosenKeyFrame) -> tuple[str, int | None]:
+def _branch_name_and_id(case: OpenCase, key: ChosenKeyFrame) -> tuple[str, int | None]:
     """Return a key frame's default name, and the ID of the branch that contains its pose; the ID is None outside."""
     airways, index = case.document.airways, case.index
     if airways is None or index is None:
@@ -281,11 +281,11 @@ def _speeds(file: KeyFrameFile) -> list[float | None]:
     if times[0] is None:
         return [frame.speed_mm_s for frame in file.frames]
     legs = zip(file.flight().leg_mm, itertools.pairwise(t for t in times if t is not None), strict=True)
-    found = [min(max(mm / (after - before), MIN_SPEED_MM_S), MAX_SPEED_MM_S) for mm, (before, after) in legs]
+    found = [min(max(mm / (successor - before), MIN_SPEED_MM_S), MAX_SPEED_MM_S) for mm, (before, successor) in legs]
     return [None, *found]
 
 
-def _place(frames: Sequence[ChosenKeyFrame], key_id: str) -> int:
+def _index_of(frames: Sequence[ChosenKeyFrame], key_id: str) -> int:
     for n, key in enumerate(frames):
         if key.key_id == key_id:
             return n

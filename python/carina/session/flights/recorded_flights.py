@@ -19,7 +19,7 @@ from carina.navigate.recording import read_recording
 from carina.session.command_registry import CommandHandlers, does
 from carina.session.flights.tip_commands import place_pose
 from carina.session.jobs.background_jobs import Job
-from carina.session.open_case.open_case import FlownFlight, OpenCase
+from carina.session.open_case.open_case import LoadedFlight, OpenCase
 from carina.session.state.snapshot import FlightPlace
 
 if TYPE_CHECKING:
@@ -49,12 +49,12 @@ class FlightHandlers(CommandHandlers):
         name = command.name.strip()
         if not name:
             raise UsageError("a flight needs a name", code="session.flights")
-        self._change(command.number, name=name)
+        self._changed_flight(command.number, name=name)
 
     @does(c.DescribeFlight)
     def describe(self, command: c.DescribeFlight) -> None:
         """Set the description of a flight, also while it is being recorded."""
-        self._change(command.number, words=command.words.strip())
+        self._changed_flight(command.number, words=command.words.strip())
 
     @does(c.MoveFlight)
     def move(self, command: c.MoveFlight) -> None:
@@ -66,7 +66,7 @@ class FlightHandlers(CommandHandlers):
             to = min(max(at + command.by, 0), len(flights) - 1)
             if to != at:
                 flights.insert(to, flights.pop(at))
-                self._become(case, flights)
+                self._set_flights(case, flights)
 
     @does(c.RemoveFlight)
     def remove(self, command: c.RemoveFlight) -> None:
@@ -80,7 +80,7 @@ class FlightHandlers(CommandHandlers):
                 )
             case.flights.removed |= {command.number}
             case.flights.unwritten = tuple(one for one in case.flights.unwritten if one.number != command.number)
-            self._become(case, [one for one in case.flights.listed if one is not flight])
+            self._set_flights(case, [one for one in case.flights.listed if one is not flight])
 
     @does(c.FlyFlight)
     def fly(self, command: c.FlyFlight) -> str | None:
@@ -99,40 +99,40 @@ class FlightHandlers(CommandHandlers):
                     f"{flight.name} is still being recorded; stop the recording first", code="session.flights"
                 )
             if case.flights.flown is not None and case.flights.flown.number == number:
-                self._fly(case, case.flights.flown, command.time_s)
+                self._show_flight_pose(case, case.flights.flown, command.time_s)
                 return None
             before = case.last_move
             # A flight that is only in memory is played without the disk.
-            waiting = [one.waiting() for one in case.flights.unwritten if one.number == number]
+            waiting = [one.unsaved_part() for one in case.flights.unwritten if one.number == number]
 
         def work(job: Job) -> None:
             text = waiting[0][1] if waiting and waiting[0][0] == 0 else self._text(number)
             recording = read_recording(io.StringIO(text), Path(f"flight {number}"))
             job.check()
-            flown = FlownFlight(number, *recording.recorded_poses())
+            flown = LoadedFlight(number, *recording.recorded_poses())
             with self.core.lock:
                 job.check()
                 case.flights.flown = flown
                 if case.last_move is before:
-                    self._fly(case, flown, command.time_s)
+                    self._show_flight_pose(case, flown, command.time_s)
 
         return self.core.jobs.start("flight", "reading the flight", work)
 
-    def _fly(self, case: OpenCase, flown: FlownFlight, time_s: float) -> None:
+    def _show_flight_pose(self, case: OpenCase, flown: LoadedFlight, time_s: float) -> None:
         """Place the tip at a time of a flight in memory; the caller holds the session's lock."""
         place_s = min(time_s, needed_flight(case, flown.number).length_s)
         self.core.fly(place_pose(flown.pose_at(place_s)))
         case.last_move = replace(case.last_move, by="flight", flight=FlightPlace(flown.number, place_s))
 
-    def _change(self, number: int, **values: str) -> None:
+    def _changed_flight(self, number: int, **values: str) -> None:
         case = self.core.needed_case()
         with self.core.lock:
             flight = needed_flight(case, number)
             changed = replace(flight, **values)  # type: ignore[arg-type]
             if changed != flight:
-                self._become(case, [changed if one is flight else one for one in case.flights.listed])
+                self._set_flights(case, [changed if one is flight else one for one in case.flights.listed])
 
-    def _become(self, case: OpenCase, flights: list[RecordingFacts]) -> None:
+    def _set_flights(self, case: OpenCase, flights: list[RecordingFacts]) -> None:
         case.flights.listed = tuple(flights)
         self.core.changed("flights")
 

@@ -17,7 +17,7 @@ from carina.session.core import SessionCore
 from carina.session.flights.scope_contact import ScopeContactHandlers
 from carina.session.flights.tip_commands import view_words
 from carina.session.open_case.open_case import OpenCase
-from carina.session.state.snapshot import Trouble, UserMessage
+from carina.session.state.snapshot import ErrorEvent, UserMessage
 from carina.version import VERSION
 
 __all__ = ["FlightRecorder", "new_flight"]
@@ -65,7 +65,7 @@ class FlightRecorder(CommandHandlers):
 
     @does(c.RecordFlight)
     def start(self, command: c.RecordFlight) -> None:
-        """Start a recording in the present mode of movement.
+        """Start a recording in the current mode of movement.
 
         Raises
         ------
@@ -106,7 +106,7 @@ class FlightRecorder(CommandHandlers):
                     carina=VERSION,
                     now_s=self.core.clock(),
                     view=view_words(case.document, case.sight),
-                    on_end=self._ended,
+                    on_end=self._report_write_error,
                 )
             except OSError as trouble:
                 if path is not None:
@@ -142,19 +142,19 @@ class FlightRecorder(CommandHandlers):
                 if flight is None:
                     self.core.emit(UserMessage(f"{recorder.length_s:.0f} s recorded to {self._path}"))
                 else:
-                    self._end(flight, recorder.length_s)
+                    self._store_recording(flight, recorder.length_s)
                     self.core.emit(UserMessage(f"{recorder.length_s:.0f} s recorded in the case: {flight.name}"))
                 self.core.changed("state", "flights")
             return self._path
 
-    def _end(self, flight: RecordingFacts, length_s: float) -> None:
+    def _store_recording(self, flight: RecordingFacts, length_s: float) -> None:
         assert self._recorded_case is not None
         ended = replace(flight, length_s=round(length_s, 6), complete=True)
         self._recorded_case.flights.listed = tuple(
             ended if one is flight else one for one in self._recorded_case.flights.listed
         )
 
-    def _ended(self, trouble: OSError) -> None:
+    def _report_write_error(self, trouble: OSError) -> None:
         """Report that the recording's file can no longer be written; the tip can still be moved.
 
         The caller holds the lock.
@@ -162,11 +162,11 @@ class FlightRecorder(CommandHandlers):
         self._recorder = None
         unchanged = f"the recording so far is in {self._path}"
         error = disk_trouble(trouble, "the recording stopped: cannot write to", self._path, unchanged=unchanged)
-        self.core.emit(Trouble(error.code, str(error)))
+        self.core.emit(ErrorEvent(error.code, str(error)))
         self.core.changed("state")
 
     def tick(self, _case: OpenCase | None = None) -> None:
-        """Record the present time before the tip moves; the caller holds the session's lock."""
+        """Record the current time before the tip moves; the caller holds the session's lock."""
         if self._recorder is not None:
             self._recorder.tick(self.core.clock())
 

@@ -30,7 +30,7 @@ class ScopeContactHandlers(CommandHandlers):
         with self.core.lock:
             # A request by the user also repeats a job that was stopped before.
             case.wall.again()
-            case.wall.want(airways, then=lambda _: self._lay_in(case, airways))
+            case.wall.want(airways, then=lambda _: self._lay_if_same_airways(case, airways))
 
     def resume(self, case: OpenCase) -> None:
         """Restore the scope that was in the lumen when the case was closed, once the wall is computed."""
@@ -48,7 +48,7 @@ class ScopeContactHandlers(CommandHandlers):
             if case.scope.awaited is not None:
                 case.wall.want(case.scope.awaited.airways, then=lay)
 
-    def _lay_in(self, case: OpenCase, airways: Airways) -> None:
+    def _lay_if_same_airways(self, case: OpenCase, airways: Airways) -> None:
         """Lay the scope along the route if the document still has the airways of the wall.
 
         The caller holds the lock.

@@ -14,7 +14,7 @@ from carina.plan import Verdict, drive_flight
 from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.flights.recording import new_flight
 from carina.session.flights.tip_commands import place_pose, view_words
-from carina.session.open_case.open_case import FlownFlight, OpenCase
+from carina.session.open_case.open_case import LoadedFlight, OpenCase
 from carina.session.state.snapshot import UserMessage
 from carina.version import VERSION
 
@@ -39,7 +39,7 @@ class VerdictDriveHandlers(CommandHandlers):
         """
         case = self.core.needed_case()
         with self.core.lock:
-            verdict = _needed(case, command.scope)
+            verdict = _verdict_with_drive(case, command.scope)
         assert verdict.driven is not None
         times_s, poses = drive_flight(verdict.driven)
         # Recordings round times to 1 us; unrounded times could exceed the recorded length.
@@ -67,25 +67,27 @@ class VerdictDriveHandlers(CommandHandlers):
             case.flights.unwritten = (*case.flights.unwritten, into)
             case.flights.listed = (*case.flights.listed, facts)
             # The case can play the flight without reading it from a file.
-            case.flights.flown = FlownFlight(into.number, times_s, np.stack([one.lps_from_camera for one in poses]))
+            case.flights.flown = LoadedFlight(into.number, times_s, np.stack([one.lps_from_camera for one in poses]))
             self.core.emit(UserMessage(f"the drive was stored as a flight of {recorder.length_s:.0f} s: {name}"))
             self.core.changed("flights")
 
-    @answers(c.FlightsToKeep)
-    def flights_to_keep(self, _question: c.FlightsToKeep) -> tuple[WholeRecording, ...]:
+    @answers(c.UnstoredFlights)
+    def flights_to_keep(self, _question: c.UnstoredFlights) -> tuple[WholeRecording, ...]:
         """Return the finished flights, with their lines, of which the case file contains no line yet."""
         with self.core.lock:
             case = self.core.needed_case()
             writers = {one.number: one for one in case.flights.unwritten if one.closed}
             found = []
             for facts in case.flights.listed:
-                num_kept, text = writers[facts.recording_id].waiting() if facts.recording_id in writers else (1, "")
+                num_kept, text = (
+                    writers[facts.recording_id].unsaved_part() if facts.recording_id in writers else (1, "")
+                )
                 if num_kept == 0:
                     found.append(WholeRecording(facts, text))
             return tuple(found)
 
 
-def _needed(case: OpenCase, scope: str) -> Verdict:
+def _verdict_with_drive(case: OpenCase, scope: str) -> Verdict:
     """Return the verdict of an instrument with a simulated drive; the caller holds the session's lock."""
     verdict = next((one for one in case.planning.verdicts() if one.scope.name == scope), None)
     if verdict is None:

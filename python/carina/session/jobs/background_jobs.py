@@ -18,15 +18,15 @@ from typing import Literal
 from carina.disk import disk_trouble, is_disk_trouble
 from carina.display import one_line
 from carina.errors import CancelledError, CarinaError
-from carina.session.jobs.job_groups import current_errand
+from carina.session.jobs.job_groups import current_group
 
-__all__ = ["Job", "JobEnded", "JobProgress", "JobRunner", "give_freed_memory_back", "log_fault"]
+__all__ = ["Job", "JobEnded", "JobProgress", "JobRunner", "log_fault", "return_freed_memory"]
 
 logger = logging.getLogger(__name__)
 
 
 @cache
-def _trim() -> Callable[[int], int] | None:
+def _load_malloc_trim() -> Callable[[int], int] | None:
     if not sys.platform.startswith("linux"):
         return None
     try:
@@ -36,13 +36,13 @@ def _trim() -> Callable[[int], int] | None:
         return None
 
 
-def give_freed_memory_back() -> None:
+def return_freed_memory() -> None:
     """Return freed memory to the operating system (malloc_trim).
 
     After a large job glibc retains half a volume of freed memory, to which the next job would add. The call takes a
     few milliseconds.
     """
-    trim = _trim()
+    trim = _load_malloc_trim()
     if trim is not None:
         trim(0)
 
@@ -81,22 +81,22 @@ def log_fault(log: logging.Logger, words: str, trouble: BaseException) -> None:
     log.debug("%s", words, exc_info=trouble)
 
 
-def _fault(title: str, trouble: BaseException) -> CarinaError:
+def _fault_error(title: str, trouble: BaseException) -> CarinaError:
     log_fault(logger, f"a job failed: {title}", trouble)
     return CarinaError(f"{title} failed: internal error in Carina ({type(trouble).__name__})", code="carina.fault")
 
 
-def _of_machine(title: str, trouble: OSError) -> CarinaError:
+def _disk_or_memory_error(title: str, trouble: OSError) -> CarinaError:
     """Return a Carina error for an OSError of a job.
 
     Disk errors, such as a full disk, are no internal faults of Carina.
     """
     if is_disk_trouble(trouble):
         return disk_trouble(trouble, f"{title} failed", None)
-    return _fault(title, trouble)
+    return _fault_error(title, trouble)
 
 
-def _closing(title: str) -> CancelledError:
+def _closing_error(title: str) -> CancelledError:
     return CancelledError(f"{title}: Carina is closing")
 
 
@@ -111,7 +111,7 @@ class Job:
         self._cancelled = threading.Event()
         self._stage = ""
         self._began_s, self._began_at = 0.0, 0.0
-        """Time in s and finished fraction at the start of the present stage.
+        """Time in s and finished fraction at the start of the current stage.
 
         The time left is extrapolated from them.
         """
@@ -137,7 +137,7 @@ class Job:
         if self.cancel():
             raise CancelledError(f"{self.title}: stopped")
 
-    def begin_again(self) -> None:
+    def restart_estimate(self) -> None:
         """Restart the estimate of the time left, because the work starts again."""
         self._stage = ""
 
@@ -161,7 +161,7 @@ class Job:
         self.latest = JobProgress(self.job_id, self.title, what, fraction, left_s)
         if now_s - self._told_s >= 0.1:
             self._told_s = now_s
-            self._runner.tell(self.latest)
+            self._runner.notify(self.latest)
 
 
 class JobRunner:
@@ -173,7 +173,7 @@ class JobRunner:
     ----------
     submit
         Runs a function in the background, such as a thread pool does.
-    tell
+    notify
         Called with each report of progress or end.
     clock
         Returns time in seconds.
@@ -182,11 +182,11 @@ class JobRunner:
     def __init__(
         self,
         submit: Callable[[Callable[[], None]], object],
-        tell: Callable[[JobProgress | JobEnded], None],
+        notify: Callable[[JobProgress | JobEnded], None],
         clock: Callable[[], float],
     ) -> None:
         self._submit = submit
-        self.tell = tell
+        self.notify = notify
         self.clock = clock
         self._lock = threading.Lock()
         self._jobs: dict[str, Job] = {}
@@ -224,15 +224,15 @@ class JobRunner:
         """
         with self._lock:
             if self._closed:
-                raise _closing(title)
+                raise _closing_error(title)
             for other in self._jobs.values():
                 if other.kind == kind:
                     other.stop()
             job = Job(f"job-{next(self._numbers)}", title, kind, self)
             self._jobs[job.job_id] = job
-        # The job inherits the context of the caller, such as the present command.
+        # The job inherits the context of the caller, such as the current command.
         context = contextvars.copy_context()
-        errand = current_errand()
+        errand = current_group()
         if errand is not None:
             errand.job_began()
         try:
@@ -246,7 +246,7 @@ class JobRunner:
             with self._idle:
                 self._jobs.pop(job.job_id, None)
                 self._idle.notify_all()
-            raise _closing(title) from None
+            raise _closing_error(title) from None
         return job.job_id
 
     def close(self) -> None:
@@ -298,16 +298,16 @@ class JobRunner:
         except CarinaError as trouble:
             outcome, error = "failed", trouble
         except OSError as trouble:
-            outcome, error = "failed", _of_machine(job.title, trouble)
+            outcome, error = "failed", _disk_or_memory_error(job.title, trouble)
         except BaseException as trouble:
             # BaseException, because a panic of the compiled module is no Exception; every job must report its end.
-            outcome, error = "failed", _fault(job.title, trouble)
-        give_freed_memory_back()
-        errand = current_errand()
+            outcome, error = "failed", _fault_error(job.title, trouble)
+        return_freed_memory()
+        errand = current_group()
         if errand is not None:
             # The result is stored before the runner becomes idle, so that a thread that waits for idle finds it.
             errand.job_ended(error)
         with self._idle:
             self._jobs.pop(job.job_id, None)
             self._idle.notify_all()
-        self.tell(JobEnded(job.job_id, job.title, outcome, error))
+        self.notify(JobEnded(job.job_id, job.title, outcome, error))

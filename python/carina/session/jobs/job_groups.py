@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from carina.errors import CarinaError
 
-__all__ = ["JobGroup", "current_errand"]
+__all__ = ["JobGroup", "current_group"]
 
 # Jobs inherit this context, so jobs that a job starts belong to the same group.
 _current: contextvars.ContextVar[JobGroup | None] = contextvars.ContextVar("errand", default=None)
@@ -69,6 +69,6 @@ class JobGroup:
             return tuple(self._errors)
 
 
-def current_errand() -> JobGroup | None:
-    """Return the job group of the present context; None outside a group."""
+def current_group() -> JobGroup | None:
+    """Return the job group of the current context; None outside a group."""
     return _current.get()

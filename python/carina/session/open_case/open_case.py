@@ -46,10 +46,10 @@ if TYPE_CHECKING:
 __all__ = [
     "HISTOGRAM_PRESET",
     "AirwaySearch",
-    "AskedMask",
-    "AwaitedScope",
     "LastMove",
     "OpenCase",
+    "PendingMask",
+    "PendingScope",
     "as_point",
     "moment_of",
     "new_case",
@@ -59,10 +59,10 @@ __all__ = [
 
 
 @dataclass(frozen=True, slots=True)
-class AskedMask:
+class PendingMask:
     """An imported segmentation mask that waits for the user's answer to a question."""
 
-    asked: TakeMask
+    command: TakeMask
     """Import command of the mask, with the user's answers so far."""
     question: MaskQuestion
 
@@ -91,7 +91,7 @@ class LastMove:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FlownFlight:
+class LoadedFlight:
     """A recorded flight in memory, for playback."""
 
     number: int
@@ -107,7 +107,7 @@ class FlownFlight:
 
 
 @dataclass(frozen=True, slots=True)
-class AwaitedScope:
+class PendingScope:
     """A scope that was in the lumen when the case was closed, to be restored once the airway wall is computed."""
 
     scope: ScopeHold
@@ -128,7 +128,7 @@ class ScopeInLumen:
 
     laid: str | None = None
     """Name of the scope preset that was last laid into the lumen; None before the first one."""
-    awaited: AwaitedScope | None = None
+    awaited: PendingScope | None = None
     """Scope that is laid into the lumen as soon as the airway wall is computed."""
 
 
@@ -142,7 +142,7 @@ class CaseFlights:
     """Recordings that are not yet completely in the file."""
     removed: frozenset[int] = frozenset()
     """Numbers of the flights that the user deleted in this session."""
-    flown: FlownFlight | None = None
+    flown: LoadedFlight | None = None
     """The flight that was played last."""
 
 
@@ -173,7 +173,7 @@ class OpenCase:
     scope: ScopeInLumen = field(default_factory=ScopeInLumen)
     flown_route: ChosenRoute | None = None
     """The route whose path was last passed to the pilot."""
-    asked_mask: AskedMask | None = None
+    asked_mask: PendingMask | None = None
     armed_pen: ArmPen = field(default_factory=lambda: ArmPen(None))
     """The kind of mark that the button of the pen sets."""
     begun_s: float = 0.0
@@ -230,7 +230,7 @@ class OpenCase:
 
     @property
     def document(self) -> Document:
-        """The present document of the history."""
+        """The current document of the history."""
         return self.history.current
 
     def follow_route(self, route: ChosenRoute) -> None:
@@ -263,7 +263,7 @@ def new_case(
     lock: AbstractContextManager[Any],
     changed: Callable[..., None],
     say: Callable[[str], None] = lambda _words: None,
-    kept: Moment | None = None,
+    stored: Moment | None = None,
 ) -> OpenCase:
     """Create the case of a volume, either from its stored state or without airways.
 
@@ -279,7 +279,7 @@ def new_case(
         Called by jobs of the case with the topics that have changed.
     say
         Called with messages for the user.
-    kept
+    stored
         The stored state; None for a new case.
 
     Returns
@@ -288,13 +288,13 @@ def new_case(
         The case.
     """
 
-    def say_lost(trouble: CarinaError) -> None:
+    def report_lost(trouble: CarinaError) -> None:
         say(f"the saved measurements of the airways cannot be read, so the airways will be measured again: {trouble}")
 
     scale = grey_scale(volume, parts)
     document = Document(transfer=scale.transfer, lumen_threshold=scale.threshold)
-    history = History(document) if kept is None else kept.history()
-    measured = MeasuredAirways(() if kept is None else kept.measures)
+    history = History(document) if stored is None else stored.history()
+    measured = MeasuredAirways(() if stored is None else stored.measures)
     transfer = history.current.transfer
     planning = CasePlanning(volume, parts, jobs=jobs, lock=lock, changed=partial(changed, "plan"), measured=measured)
     planning.lungs = CaseLungs(
@@ -317,36 +317,36 @@ def new_case(
             lock=lock,
             changed=partial(changed, "state", "tree", "pose"),
             measured=measured,
-            lost=say_lost,
+            lost=report_lost,
         ),
         measured=measured,
         # Edits that do not change the lumen (a name, a smoother centreline) reuse its outline.
         outlined=Cached(partial(LumenOutline, volume), same=lambda a, b: a.lumen_zyx is b.lumen_zyx),
         indexed=Cached(AirwayIndex),
         key_flight=Cached(lambda keys_and_airways: key_flight(volume, *keys_and_airways)),
-        sights=Sights(Sight(window=scale.window) if kept is None else kept.sight),
+        sights=Sights(Sight(window=scale.window) if stored is None else stored.sight),
     )
-    if kept is not None:
-        restore(case, kept)
+    if stored is not None:
+        restore(case, stored)
     return case
 
 
-def restore(case: OpenCase, kept: Moment) -> None:
+def restore(case: OpenCase, stored: Moment) -> None:
     """Restore tip, search status and numbers of a stored case; a scope is laid in once the wall is computed."""
     document = case.document
     case.flown_route = document.route
     case.pilot.apply(path_move(None if document.airways is None else document.airways.tree, document.route))
-    if kept.tip:  # The stored tip of a repaired case may be missing.
-        case.navigator.restore(kept.tip, case.navigator.path)
+    if stored.tip:  # The stored tip of a repaired case may be missing.
+        case.navigator.restore(stored.tip, case.navigator.path)
     status: AirwayStatus = "found" if document.airways is not None else "waiting"
-    if document.airways is None and kept.search_status == "failed":
+    if document.airways is None and stored.search_status == "failed":
         status = "failed"
-    case.search = AirwaySearch(status, kept.search_words)
-    case.last_move = LastMove(person_moved=kept.person_moved)
-    case.numbers = dict(kept.numbers)
-    if kept.scope is not None and document.airways is not None and document.route is not None:
+    case.search = AirwaySearch(status, stored.search_words)
+    case.last_move = LastMove(person_moved=stored.person_moved)
+    case.numbers = dict(stored.numbers)
+    if stored.scope is not None and document.airways is not None and document.route is not None:
         tip = case.navigator
-        case.scope.awaited = AwaitedScope(kept.scope, document.airways, tip.mode, tip.pose)
+        case.scope.awaited = PendingScope(stored.scope, document.airways, tip.mode, tip.pose)
 
 
 def moment_of(case: OpenCase) -> Moment:
@@ -367,7 +367,7 @@ def moment_of(case: OpenCase) -> Moment:
         search_words=case.search.words,
         person_moved=case.last_move.person_moved,
         numbers=dict(case.numbers),
-        measures=case.measured.among(document.airways for document in history.documents()),
+        measures=case.measured.retain_only(document.airways for document in history.documents()),
     )
 
 

@@ -86,7 +86,7 @@ def pose_before_place(
         if along_mm < 0.0:
             continue
         stand = np.array([np.interp(along_mm, way.cumulative_mm, way.points_lps[:, axis]) for axis in range(3)])
-        if _in_view(airways.lumen_zyx, volume, stand, place):
+        if _is_in_view(airways.lumen_zyx, volume, stand, place):
             break
     if stand is None:
         stand = way.points_lps[0]
@@ -94,7 +94,7 @@ def pose_before_place(
     return None if float(np.linalg.norm(look)) < 1e-3 else Pose.looking(stand, look)
 
 
-def _in_view(
+def _is_in_view(
     lumen_zyx: NDArray[np.uint8], volume: Volume, stand: NDArray[np.float64], place: NDArray[np.float64]
 ) -> bool:
     length_mm = float(np.linalg.norm(place - stand))

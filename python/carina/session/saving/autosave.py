@@ -24,7 +24,7 @@ from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase, moment_of
 from carina.session.saving.unsaved_work import UnsavedWork
 from carina.session.saving.writer import NOT_RESPONDING, CaseSaver
-from carina.session.state.snapshot import Changed, SavingInfo, Trouble, UserMessage
+from carina.session.state.snapshot import Changed, ErrorEvent, SavingInfo, UserMessage
 from carina.session.store.case_names import suggested_file_name
 from carina.session.store.find_scan import CASE_SUFFIX, FoundScan
 from carina.session.store.flight_copies import flight_count
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from carina.session.store.find_scan import CaseScans
     from carina.volume import Volume
 
-__all__ = ["Autosave", "CachedCtSource", "CaseFileFunctions", "CtCache", "Reopened", "StoredCaseFile"]
+__all__ = ["Autosave", "CachedCtSource", "CaseFileFunctions", "CtCache", "ReopenedCase", "StoredCaseFile"]
 
 logger = logging.getLogger(__name__)
 
@@ -54,7 +54,7 @@ CLOSING_S = 60.0
 
 @one_line
 @dataclass(slots=True)
-class Reopened:
+class ReopenedCase:
     """A stored case that is being opened: its lock and record, its live file and its flights."""
 
     held: LockedCase
@@ -74,7 +74,7 @@ class ReplacementCase:
     def __init__(self, saving: Autosave) -> None:
         self._saving = saving
         self._digest: str | None = None
-        self._reopened: Reopened | None = None
+        self._reopened: ReopenedCase | None = None
         self._named: NamedFile | None = None
         self._claim: NamedLock | None = None
         self._is_new = False
@@ -99,7 +99,7 @@ class ReplacementCase:
             if is_new:
                 self._saving.core.emit(UserMessage(OPEN_ELSEWHERE))
 
-    def take(self, digest: str | None, case_id: str | None = None) -> Reopened | None:
+    def take(self, digest: str | None, case_id: str | None = None) -> ReopenedCase | None:
         """Lock and return a stored case of a CT, the given or the last used one.
 
         None if there is none or it cannot be opened.
@@ -125,7 +125,7 @@ class ReplacementCase:
     def reopened(self, volume: Volume, case_id: str | None = None) -> Moment | None:
         """Return the stored state of a CT's case, wherever the CT is now; None if no state is stored or readable."""
         reopened = self.take(self._saving.digest_of(volume), case_id)
-        self._saving.say_still_waits(self._digest)
+        self._saving.notify_still_waiting(self._digest)
         if reopened is None:
             return None
         try:
@@ -136,8 +136,8 @@ class ReplacementCase:
             if isinstance(trouble, CaseFileError) and trouble.code == "case.empty":
                 # After a crash right after the beginning of the case, the same file is used again.
                 return None
-            self._saving.say_unreadable(reopened.held, trouble)
-        self.give_back()
+            self._saving.report_unreadable(reopened.held, trouble)
+        self.release()
         return None
 
     def imported(self, volume: Volume, case: CaseFile, mark: FileMark | None) -> Moment | None:
@@ -172,7 +172,7 @@ class ReplacementCase:
         self._claim_ct(is_new=False)
         if self._reopened is None:
             self._is_new = True
-            self._reopened = self._saving.taken_over(case, mark)
+            self._reopened = self._saving.adopt_copy(case, mark)
         self._reopened.note_ct(volume)
         try:
             return self._reopened.file.load(volume)
@@ -192,7 +192,7 @@ class ReplacementCase:
         if self._digest is not None:
             self._saving.attach(case, place, self._digest, reopened=reopened, named=named, claim=claim)
 
-    def give_back(self) -> None:
+    def release(self) -> None:
         """Release the stored case, the named file and the claim, because the case is not shown after all."""
         reopened, self._reopened = self._reopened, None
         named, self._named = self._named, None
@@ -231,21 +231,21 @@ class Autosave(CommandHandlers):
         self._awaited: str | None = None
         """Digest of the CT that the user must open to continue a dropped case; None if no case waits."""
         if records is not None:
-            core.subscribe(self._hear)
+            core.subscribe(self._on_event)
 
     # ------------------------------------------------------------ opening and closing
 
     @contextmanager
-    def between(self) -> Iterator[ReplacementCase]:
+    def while_opening(self) -> Iterator[ReplacementCase]:
         """Release the open case while another case is opened; after a failure, store the open case again."""
         before = self._saver
         self.refuse_to_lose()
-        self.let_go()
-        between = ReplacementCase(self)
+        self.release_case()
+        while_opening = ReplacementCase(self)
         try:
-            yield between
+            yield while_opening
         except BaseException:
-            between.give_back()
+            while_opening.release()
             if before is not None:
                 again = ReplacementCase(self)
                 try:
@@ -257,7 +257,7 @@ class Autosave(CommandHandlers):
                     again.attach(before.case, before.place)
             raise
 
-    def opened(self, record: CaseRecord) -> Reopened | None:
+    def opened(self, record: CaseRecord) -> ReopenedCase | None:
         """Open a stored case and own it from now on; if this is impossible, notify the user and return None."""
         assert self.records is not None
         assert self._files is not None
@@ -276,9 +276,9 @@ class Autosave(CommandHandlers):
         try:
             if held.path.exists():
                 file = self._files.open(held.path)
-                return Reopened(held, file, self._flights_in(file))
+                return ReopenedCase(held, file, self._flights_in(file))
         except (OSError, sqlite3.Error, CarinaError) as trouble:
-            self.say_unreadable(held, trouble)
+            self.report_unreadable(held, trouble)
         held.release()
         return None
 
@@ -297,13 +297,13 @@ class Autosave(CommandHandlers):
         """Return whether a path is in the folder of the stored cases; False if no cases are stored."""
         return self.records is not None and self.records.stores(path)
 
-    def reopened_live(self, case: CaseFile) -> Reopened | None:
+    def reopened_live(self, case: CaseFile) -> ReopenedCase | None:
         """Own the stored case whose live file was opened; None if it is open elsewhere, or not in the list."""
         assert self.records is not None
         record = self.records.record_at(case.path)
         return None if record is None else self.opened(record)
 
-    def reopened_file(self, case: CaseFile, mark: FileMark | None) -> Reopened | None:
+    def reopened_file(self, case: CaseFile, mark: FileMark | None) -> ReopenedCase | None:
         """Own the stored case that wrote a case file, and return this case; None if there is no such case."""
         record = self._record_of(case, mark)
         reopened = None if record is None else self.opened(record)
@@ -321,7 +321,9 @@ class Autosave(CommandHandlers):
         records = [one for one in self.records.all() if one.digest == case.digest]
         if mark is None:
             steps = _labels_and_times(case)
-            return next((one for one in records if steps and self._told_here(one)[: len(steps)] == steps), None)
+            return next(
+                (one for one in records if steps and self._live_labels_and_times(one)[: len(steps)] == steps), None
+            )
         path = str(case.path.absolute())
         for record in records:
             is_same = mark.digest in {record.copy_digest, record.next_copy_digest}
@@ -337,7 +339,7 @@ class Autosave(CommandHandlers):
             )
         return None
 
-    def _told_here(self, record: CaseRecord) -> tuple[tuple[str, float], ...]:
+    def _live_labels_and_times(self, record: CaseRecord) -> tuple[tuple[str, float], ...]:
         assert self.records is not None
         try:
             with CaseFile.open(self.records.path_of(record), read_only=True) as live:
@@ -345,7 +347,7 @@ class Autosave(CommandHandlers):
         except (OSError, sqlite3.Error, CarinaError):
             return ()
 
-    def taken_over(self, case: CaseFile, mark: FileMark | None) -> Reopened:
+    def adopt_copy(self, case: CaseFile, mark: FileMark | None) -> ReopenedCase:
         """Store a copy of a case file as a new case; a file with a mark is updated with the case from now on."""
         assert self.records is not None
         assert self._files is not None
@@ -373,14 +375,14 @@ class Autosave(CommandHandlers):
             num_changes=sum(step.holds for step in steps),
             holds_ct=case.holds_ct,
         )
-        return Reopened(held, file, flights)
+        return ReopenedCase(held, file, flights)
 
     def _flights_in(self, file: StoredCaseFile) -> tuple[RecordingFacts, ...]:
         try:
             return file.recordings()
         except (OSError, sqlite3.Error, CarinaError) as trouble:
             self.core.emit(
-                Trouble("case.recording", f"the recorded flights of this case could not be listed: {trouble}")
+                ErrorEvent("case.write_recording", f"the recorded flights of this case could not be listed: {trouble}")
             )
             return ()
 
@@ -390,18 +392,18 @@ class Autosave(CommandHandlers):
         if self.records.forget(held.record):
             self.records.remove(held.record.case_id)
 
-    def waits(self, case: CaseFile) -> bool:
+    def store_waiting_case(self, case: CaseFile) -> bool:
         """Store a dropped case until its CT is opened; return False if no case is stored."""
         if self.records is None or self._files is None:
             return False
         if self._record_of(case, None) is None:
-            reopened = self.taken_over(case, None)
+            reopened = self.adopt_copy(case, None)
             reopened.file.close()
             reopened.held.release()
         self._awaited = case.digest
         return True
 
-    def say_still_waits(self, digest: str | None) -> None:
+    def notify_still_waiting(self, digest: str | None) -> None:
         """Notify the user if the opened CT is not that of the dropped case that waits for its CT."""
         awaited, self._awaited = self._awaited, None
         if awaited is not None and digest != awaited:
@@ -419,10 +421,10 @@ class Autosave(CommandHandlers):
         volume = saver.case.info.volume
         return FoundScan(volume, saver.place) if same_geometry(volume, case.source) else None
 
-    def say_unreadable(self, held: LockedCase, trouble: BaseException) -> None:
+    def report_unreadable(self, held: LockedCase, trouble: BaseException) -> None:
         """Report that a stored case is unreadable and unchanged, and that a new case was begun."""
         self.core.emit(
-            Trouble(
+            ErrorEvent(
                 "case.unreadable",
                 f"the saved case of this CT could not be read: {trouble}. Its file is unchanged: "
                 f"{held.path}. This is a new case of the same CT.",
@@ -445,7 +447,7 @@ class Autosave(CommandHandlers):
         place: str | None,
         digest: str,
         *,
-        reopened: Reopened | None,
+        reopened: ReopenedCase | None,
         named: NamedFile | None,
         claim: NamedLock | None,
     ) -> None:
@@ -454,7 +456,9 @@ class Autosave(CommandHandlers):
         assert self._files is not None
         stored = None if reopened is None else reopened.held.record
         suggested = (
-            self._suggested(None, case.case_id) if stored is None else self._suggested(stored.alias, stored.case_id)
+            self._suggested_path(None, case.case_id)
+            if stored is None
+            else self._suggested_path(stored.alias, stored.case_id)
         )
         begun_s = self.records.now_s() - (self.core.clock() - case.begun_s)
         info = SavingInfo(keeps=True, begun_s=begun_s, suggested=suggested)
@@ -492,7 +496,7 @@ class Autosave(CommandHandlers):
         self._saver = saver
         saver.start()
 
-    def _suggested(self, alias: str | None, case_id: str) -> str | None:
+    def _suggested_path(self, alias: str | None, case_id: str) -> str | None:
         """Return a path in the documents folder for the named file of a case; None without such a folder."""
         documents = None if self.records is None else self.records.documents
         return None if documents is None else str(documents / f"{suggested_file_name(alias, case_id)}{CASE_SUFFIX}")
@@ -514,7 +518,7 @@ class Autosave(CommandHandlers):
             code="case.not-saved",
         )
 
-    def let_go(self, within_s: float | None = None) -> None:
+    def release_case(self, within_s: float | None = None) -> None:
         """Write the remaining changes and release the case.
 
         The wait for a disk that does not respond is in the background, unless ``within_s`` is given.
@@ -540,7 +544,7 @@ class Autosave(CommandHandlers):
             self._saver.settle()
         for keeper in self._ending:
             keeper.end()
-        return tuple(work for keeper in self._keepers() if (work := keeper.unsaved()) is not None)
+        return tuple(work for keeper in self._savers() if (work := keeper.unsaved()) is not None)
 
     def save_elsewhere(self, case_number: int, path: Path) -> Path:
         """Save a case with unsaved work to another file, and return the file.
@@ -559,7 +563,7 @@ class Autosave(CommandHandlers):
         CarinaError
             If the case cannot be written to that path either.
         """
-        keeper = next(one for one in self._keepers() if one.case.number == case_number)
+        keeper = next(one for one in self._savers() if one.case.number == case_number)
         target = path.expanduser().absolute()
         if target.is_dir():
             target /= keeper.case.neutral_title.replace(" ", "-")
@@ -578,12 +582,12 @@ class Autosave(CommandHandlers):
             raise CarinaError(f"cannot save the case to {target}: {trouble}", code="case.not-saved") from trouble
         return target
 
-    def _keepers(self) -> tuple[CaseSaver, ...]:
+    def _savers(self) -> tuple[CaseSaver, ...]:
         return (*self._ending, *(() if self._saver is None else (self._saver,)))
 
     def close(self, within_s: float = CLOSING_S) -> None:
         """Write the remaining changes and end the threads; wait up to ``within_s`` for a disk that does not respond."""
-        self.let_go(within_s)
+        self.release_case(within_s)
         if self._files is not None:
             self._files.close()
 
@@ -593,7 +597,7 @@ class Autosave(CommandHandlers):
         saver = self._saver
         return SavingInfo() if saver is None else saver.info
 
-    def _hear(self, event: Event) -> None:
+    def _on_event(self, event: Event) -> None:
         """Notify the keeper of the open case of a change event, so that it writes the case.
 
         Called with the session locked.
@@ -617,7 +621,7 @@ class Autosave(CommandHandlers):
         saver = self._saver
         if saver is None or saver.held is None or saver.held.record.case_id != case_id:
             return False
-        saver.call(alias, self._suggested(alias, case_id))
+        saver.call(alias, self._suggested_path(alias, case_id))
         return True
 
     def place_of(self, case: OpenCase) -> str | None:
@@ -655,8 +659,8 @@ class Autosave(CommandHandlers):
         if not is_kept:
             raise CarinaError(saver.info.problem or NOT_RESPONDING, code="case.not-saved")
 
-    @answers(c.FlightToTakeAway)
-    def flight_to_take_away(self, question: c.FlightToTakeAway) -> str:
+    @answers(c.FlightFileQuery)
+    def flight_to_take_away(self, question: c.FlightFileQuery) -> str:
         """Return the lines of a recorded flight.
 
         The call waits for the disk, so the caller must not hold the session's lock.
@@ -676,9 +680,9 @@ class Autosave(CommandHandlers):
 
     # ------------------------------------------------------------ the named file
 
-    @answers(c.MomentToKeep)
-    def moment_to_keep(self, _question: c.MomentToKeep) -> Moment:
-        """Return the present state of the case, for a caller that stores the case in a separate file."""
+    @answers(c.CurrentMoment)
+    def moment_to_keep(self, _question: c.CurrentMoment) -> Moment:
+        """Return the current state of the case, for a caller that stores the case in a separate file."""
         case = self.core.needed_case()
         with self.core.lock:
             return moment_of(case)
@@ -720,7 +724,7 @@ class Autosave(CommandHandlers):
             # The record must be on the disk before a program that opens the file looks up whether the case is open.
             saver.settle()
             was_replaced = "" if saved.replaced is None else f"; the replaced file is stored as {saved.replaced.name}"
-            self.core.emit(UserMessage(f"saved as {path}{_without(saved.num_missing)}{was_replaced}"))
+            self.core.emit(UserMessage(f"saved as {path}{_without_flights(saved.num_missing)}{was_replaced}"))
 
         return self.core.jobs.start("save", "saving the case", work)
 
@@ -733,7 +737,7 @@ def _labels_and_times(case: CaseFile) -> tuple[tuple[str, float], ...]:
     return tuple((step.label, step.at_s) for step in case.history())
 
 
-def _without(num_flights: int) -> str:
+def _without_flights(num_flights: int) -> str:
     return f", without {flight_count(num_flights)} that could not be read from the faulty disk" if num_flights else ""
 
 

@@ -15,7 +15,7 @@ from carina.commands import Command
 from carina.display import one_line
 from carina.errors import UnsavedWorkError
 from carina.session.core import Event
-from carina.session.state.snapshot import Trouble
+from carina.session.state.snapshot import ErrorEvent
 
 __all__ = ["UnsavedWork", "check_saved", "named_file_messages", "unsaved_error", "unsaved_labels"]
 
@@ -41,7 +41,7 @@ def named_file_messages(subscribe: Subscribe) -> Iterator[list[str]]:
     messages: list[str] = []
 
     def note(event: Event) -> None:
-        if isinstance(event, Trouble) and event.code in NAMED_FILE_CODES:
+        if isinstance(event, ErrorEvent) and event.code in NAMED_FILE_CODES:
             messages.append(event.message)
 
     unsubscribe = subscribe(note)
@@ -85,7 +85,7 @@ class UnsavedWork:
     def shown_labels(self) -> str:
         """Labels of the last changes, the newest first, without control characters."""
         newest_first = tuple(reversed(self.labels))
-        shown = "; ".join(_printable(label) for label in newest_first[:SHOWN_LABELS])
+        shown = "; ".join(_printable_text(label) for label in newest_first[:SHOWN_LABELS])
         more = len(newest_first) - SHOWN_LABELS
         return shown if more <= 0 else f"{shown}; and {more} more"
 
@@ -106,7 +106,7 @@ def unsaved_labels(saved: Moment | None, moment: Moment, *, renamed: bool = Fals
     saved
         State of the case that was saved last; None if none was saved.
     moment
-        The present state of the case.
+        The current state of the case.
     renamed
         Whether the name of the case is unsaved as well.
     """
@@ -120,7 +120,7 @@ def unsaved_labels(saved: Moment | None, moment: Moment, *, renamed: bool = Fals
 def unsaved_error(lost: Sequence[UnsavedWork]) -> UnsavedWorkError:
     """Return the error that states the lost work, the reason, and the path of the last saved state."""
     sentences = [
-        f"{one.amount} of {_printable(one.title)} could not be saved"
+        f"{one.amount} of {_printable_text(one.title)} could not be saved"
         f"{f' ({one.shown_labels})' if one.labels else ''}: {one.problem}; {one.saved_state}"
         for one in lost
     ]
@@ -188,6 +188,6 @@ def _count(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
-def _printable(text: str) -> str:
+def _printable_text(text: str) -> str:
     shown = "".join(char if char.isprintable() else "\ufffd" for char in text)
     return shown if len(shown) <= MAX_LABEL_CHARS else f"{shown[: MAX_LABEL_CHARS - 1]}\u2026"

@@ -20,11 +20,11 @@ from carina.errors import CarinaError, DiskError
 from carina.session.jobs.background_jobs import log_fault
 from carina.session.open_case.open_case import OpenCase, moment_of
 from carina.session.saving.unsaved_work import UnsavedWork, unsaved_labels
-from carina.session.state.snapshot import SavingInfo, Topic, Trouble
-from carina.session.store.find_scan import way_between
+from carina.session.state.snapshot import ErrorEvent, SavingInfo, Topic
+from carina.session.store.find_scan import relative_path
 from carina.session.store.flight_copies import flight_count, whole_flights
 from carina.session.store.interfaces import WholeCase
-from carina.session.store.named_file import FileMark, NamedFile, NamedFileConflictError, path_beside
+from carina.session.store.named_file import FileMark, NamedFile, NamedFileConflictError, free_path_beside
 
 if TYPE_CHECKING:
     from carina.case.save_mark import SaveMark
@@ -68,7 +68,7 @@ class SavedAs:
 
 
 @dataclass(frozen=True, slots=True)
-class _SavedElsewhere:
+class _WorkInNamedFileOnly:
     """Work that a named file has and the live file does not, because the disk of the live file refuses it."""
 
     path: Path
@@ -136,7 +136,7 @@ class CaseSaver:
         self._notes: dict[str, Any] = {}
         """New values of fields of the case's record that are not written yet, by field name."""
         self._is_urgent = False
-        self._elsewhere: _SavedElsewhere | None = None
+        self._elsewhere: _WorkInNamedFileOnly | None = None
         """The newest work in a named file while the disk of the live file refuses it."""
         self._is_copy_current = False
         """Whether nothing was reported as changed since the named file was written from memory."""
@@ -293,7 +293,7 @@ class CaseSaver:
         with self._wake:
             self._notes["alias"] = alias
             self._wake.notify_all()
-        self._tell(title=alias, suggested=suggested)
+        self._set_info(title=alias, suggested=suggested)
 
     def flight_text(self, number: int) -> str:
         """Return the lines of a recorded flight, after :meth:`settle`; the call may wait for the disk."""
@@ -330,11 +330,11 @@ class CaseSaver:
             file, num_saved = self.file, self._num_saved
             is_whole = file is not None and self.info.problem is None
         num_missing = 0
-        elsewhere: _SavedElsewhere | None = None
+        elsewhere: _WorkInNamedFileOnly | None = None
 
         def write(place: Path, mark: SaveMark, placement: Placement) -> None:
             nonlocal num_missing, elsewhere
-            ct_place = way_between(place, self.place)
+            ct_place = relative_path(place, self.place)
             if is_whole:
                 assert file is not None
                 file.write_copy(place, ct_place=ct_place, save_mark=mark, placement=placement)
@@ -356,7 +356,7 @@ class CaseSaver:
             whole = WholeCase(self.case.info.volume, self.digest, moment, flights)
             self._files.write(place, whole, ct_place, mark, placement)
             written = {one.facts.recording_id for one in flights}
-            elsewhere = _SavedElsewhere(path, moment, frozenset(written & finished))
+            elsewhere = _WorkInNamedFileOnly(path, moment, frozenset(written & finished))
 
         # The live file has all of this content, so the record may state the digest before the named file is written.
         before_placing = self._note_next_copy if is_whole and named is before else None
@@ -427,9 +427,9 @@ class CaseSaver:
     def _run(self) -> None:
         try:
             while self._has_work():
-                self._attempt()
+                self._try_write()
             if self._is_ending:
-                self._give_back()
+                self._close_and_unlock()
         finally:
             with self._wake:
                 self._has_ended, self._is_slow = True, False
@@ -457,7 +457,7 @@ class CaseSaver:
             return None if not self._notes else 0.0 if self._is_urgent else max(self._retry_s - now_s, 0.0)
         return 0.0 if self._is_urgent else max(self._changed_s + self._within_s, self._retry_s) - now_s
 
-    def _attempt(self) -> None:
+    def _try_write(self) -> None:
         """Write the case's state, if it has changed, and changed record fields.
 
         A failed write is reported and tried again.
@@ -470,12 +470,12 @@ class CaseSaver:
             self._is_urgent = False
         written: dict[str, Any] = {}
         trouble: BaseException | None = None
-        with self._watched():
+        with self._shows_slow_disk():
             try:
                 written = self._write(notes, is_changed=changed_s is not None)
             except Exception as error:  # Otherwise the thread would end and store no further change.
                 trouble = error
-            with self._change_info(written | {"problem": None if trouble is None else _words(trouble)}):
+            with self._change_info(written | {"problem": None if trouble is None else _error_text(trouble)}):
                 if trouble is None:
                     self._num_kept = self._num_begun
                     if changed_s is not None:
@@ -490,7 +490,7 @@ class CaseSaver:
                 self._busy, self._is_slow = None, False
         if trouble is None and not self._pictured and self.held is not None and self.held.record.pictured_s is None:
             # The thumbnail is stored before the case is closed, so that a case of a killed process has one, too.
-            self._picture()
+            self._store_thumbnail()
 
     def _write(self, notes: dict[str, Any], *, is_changed: bool) -> dict[str, Any]:
         """Write the live case and its record, and return the changed fields of the saving info."""
@@ -534,7 +534,7 @@ class CaseSaver:
         self.held.note(**notes)
         return facts
 
-    def _picture(self) -> None:
+    def _store_thumbnail(self) -> None:
         """Store a thumbnail of the case; a failure is logged and stops nothing."""
         if self.held is None or self._files.picture is None:
             return
@@ -544,7 +544,7 @@ class CaseSaver:
         self._pictured = True
         try:
             picture = self._files.picture(scene)
-            with self._watched():
+            with self._shows_slow_disk():
                 self.held.put_picture(picture, self._records.now_s())
         except DiskError as trouble:
             # The next write of the case reports the disk; the thumbnail is created again when the case is closed.
@@ -552,28 +552,28 @@ class CaseSaver:
         except Exception as trouble:
             log_fault(logger, "the thumbnail of the case could not be created", trouble)
         if self.info.problem == ELSEWHERE:
-            self._tell(problem=None)
+            self._set_info(problem=None)
 
-    def _give_back(self) -> None:
+    def _close_and_unlock(self) -> None:
         """Write the remaining changes, then close the live file and release its lock."""
         if self._changed_s is not None or self._notes:
-            self._attempt()
+            self._try_write()
         # If the disk refuses writes, no thumbnail is stored: its error would replace the error about the case.
         if self.info.problem is None:
-            self._picture()
-        with self._watched():
+            self._store_thumbnail()
+        with self._shows_slow_disk():
             if self._copier is not None:
                 # A write of the named file that is in progress could otherwise replace newer content.
                 self._copier.join()
             if self._copy_is_behind():
-                self._refresh()
+                self._update_named_file()
             if self._copy_is_behind():
                 self._emit_copy_problem()
             if self._named is not None:
                 self._named.close()
             if self._changed_s is not None and self.info.problem is not None and not self.is_elsewhere:
                 self._core.emit(
-                    Trouble("case.not-saved", f"the latest changes have not been saved: {self.info.problem}")
+                    ErrorEvent("case.not-saved", f"the latest changes have not been saved: {self.info.problem}")
                 )
             try:
                 if self.file is not None:
@@ -590,10 +590,10 @@ class CaseSaver:
         """Report that the named file does not have the latest changes when the case is closed."""
         info = self.info
         if info.copy_conflict is not None:
-            self._core.emit(Trouble("case.changed", f"{info.copy_problem}"))
+            self._core.emit(ErrorEvent("case.changed", f"{info.copy_problem}"))
         elif info.copy_problem is not None and self._changed_s is None:
             words = f"the file {info.copy_name} does not have the latest changes: {info.copy_problem}"
-            self._core.emit(Trouble("case.copy", f"{words}. All changes are saved in the case on this computer"))
+            self._core.emit(ErrorEvent("case.copy", f"{words}. All changes are saved in the case on this computer"))
 
     # ------------------------------------------------------------ the thread that writes the named file
 
@@ -631,13 +631,13 @@ class CaseSaver:
                 is_behind = self._copy_is_behind() if self._is_named_checked else self._num_copied < self._num_saved
                 if not is_behind and not self._is_named_check_due():
                     continue
-            self._refresh(writes=is_behind)
+            self._update_named_file(writes=is_behind)
 
     def _is_named_check_due(self) -> bool:
         """Return whether the named file was not compared yet, or was open elsewhere when it was compared."""
         return self._named is not None and (not self._is_named_checked or self.info.copy_conflict == "open-elsewhere")
 
-    def _refresh(self, *, writes: bool = True) -> None:
+    def _update_named_file(self, *, writes: bool = True) -> None:
         """Write the named file, or only compare its content if ``writes`` is False.
 
         Called once a minute and at closing.
@@ -674,7 +674,7 @@ class CaseSaver:
             self.tell_conflict(conflict)
         except Exception as trouble:
             has_ended.set()
-            with self._change_info({"copy_problem": _words(trouble)}, unless=is_outdated):
+            with self._change_info({"copy_problem": _error_text(trouble)}, unless=is_outdated):
                 self._plan_copy(COPY_RETRY_S)
         finally:
             has_ended.set()
@@ -690,7 +690,7 @@ class CaseSaver:
         values = {
             "copy_problem": str(conflict),
             "copy_conflict": conflict.kind,
-            "beside": str(path_beside(conflict.path)),
+            "beside": str(free_path_beside(conflict.path)),
         }
         with self._change_info(values):
             self._is_named_checked = True
@@ -699,7 +699,7 @@ class CaseSaver:
     # ------------------------------------------------------------ changes of the saving info
 
     @contextmanager
-    def _watched(self) -> Iterator[None]:
+    def _shows_slow_disk(self) -> Iterator[None]:
         """Show a problem in the saving info if the block waits for the disk longer than :data:`SLOW_S`."""
         this = object()
 
@@ -722,7 +722,7 @@ class CaseSaver:
                     self._busy, self._is_slow = None, False
                     self._wake.notify_all()
 
-    def _tell(self, **values: object) -> None:
+    def _set_info(self, **values: object) -> None:
         with self._change_info(values):
             pass
 
@@ -753,7 +753,7 @@ def _recorded_file(record: CaseRecord) -> NamedFile:
     return NamedFile(Path(record.copy_path), mark, ct_digest=record.digest, next_digest=record.next_copy_digest)
 
 
-def _words(trouble: BaseException) -> str:
+def _error_text(trouble: BaseException) -> str:
     if isinstance(trouble, CarinaError):
         return str(trouble)
     if isinstance(trouble, OSError):

@@ -68,7 +68,7 @@ class _LayerMask:
 
     def lines(self, lps_from_pixel: NDArray[np.float64]) -> LayerLines | None:
         """Return the outline of the mask in an image; None if the plane of the image does not intersect the mask."""
-        right, down, normal = (_unit(lps_from_pixel[:3, n]) for n in range(3))
+        right, down, normal = (_unit_vector(lps_from_pixel[:3, n]) for n in range(3))
         depth = float(normal @ lps_from_pixel[:3, 3])
         depths = self._corners @ normal
         if not depths.min() < depth < depths.max():
@@ -80,13 +80,13 @@ class _LayerMask:
         # Right, down and normal are orthonormal, because the pixels of a planar image are rectangular.
         lps_from_line[:3, 3] = low[0] * right + low[1] * down + depth * normal
         width, height = (int(n) for n in np.ceil((high - low) / UNIT_MM))
-        data = self._cut(lps_from_line, width, height)
+        data = self._cut_mask(lps_from_line, width, height)
         to = np.linalg.inv(lps_from_pixel) @ lps_from_line
         place = (to[0, 0], to[1, 0], to[0, 1], to[1, 1], to[0, 3], to[1, 3])
         a, b, c, d, e, f = (float(v) for v in place)
         return LayerLines(data or b"", data is not None, self.layer, self.part, (a, b, c, d, e, f))
 
-    def _cut(self, lps_from_line: NDArray[np.float64], width: int, height: int) -> bytes | None:
+    def _cut_mask(self, lps_from_line: NDArray[np.float64], width: int, height: int) -> bytes | None:
         # Rounded to 0.01 mm, far below the voxel size of any mask.
         key = np.round(lps_from_line * 100.0).tobytes()
         with self._lock:
@@ -94,7 +94,7 @@ class _LayerMask:
                 self._cache.move_to_end(key)
                 return self._cache[key]
             if self._outline is None:
-                self._outline = MaskOutline(self._inside(), self._mask.lps_from_ijk)
+                self._outline = MaskOutline(self._mask_without_nodules(), self._mask.lps_from_ijk)
         data = self._outline.encoded(lps_from_line, width, height)
         with self._lock:
             self._cache[key] = data
@@ -102,7 +102,7 @@ class _LayerMask:
                 self._cache.popitem(last=False)
         return data
 
-    def _inside(self) -> NDArray[np.bool_]:
+    def _mask_without_nodules(self) -> NDArray[np.bool_]:
         """Return the mask without the voxels of nodules, because a target must not be drawn as a vessel."""
         inside, matrix = self._mask.inside_zyx, self._mask.lps_from_ijk
         for nodule in self._without:
@@ -121,7 +121,7 @@ class _LayerMask:
         return inside
 
 
-def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+def _unit_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:
     found: NDArray[np.float64] = vector / np.linalg.norm(vector)
     return found
 

@@ -30,18 +30,18 @@ __all__ = [
     "CaseSnapshot",
     "Changed",
     "DevicesInfo",
+    "ErrorEvent",
+    "EvidenceMissing",
     "FlightInfo",
     "FlightPlace",
     "KeyFramesInfo",
     "MaskQuestion",
-    "NotEvident",
     "PoseInfo",
     "SavingInfo",
     "ShownKeyFrame",
     "Snapshot",
     "Stage",
     "StartMarked",
-    "Trouble",
     "UserMessage",
     "WallPoint",
 ]
@@ -277,7 +277,7 @@ class Changed:
 
 @one_line
 @dataclass(frozen=True, slots=True)
-class Trouble:
+class ErrorEvent:
     """Report that an operation failed; the window shows it until the user dismisses it."""
 
     code: str
@@ -287,10 +287,10 @@ class Trouble:
 
 @one_line
 @dataclass(frozen=True, slots=True)
-class NotEvident:
+class EvidenceMissing:
     """Report that a branch was not added, because the CT does not show an airway along its whole path.
 
-    This event is sent instead of :class:`Trouble`. The user may request the branch again as drawn by hand.
+    This event is sent instead of :class:`ErrorEvent`. The user may request the branch again as drawn by hand.
     """
 
     job_id: str

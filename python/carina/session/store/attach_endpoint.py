@@ -18,16 +18,16 @@ from carina.display import as_words
 from carina.typed_reading import read_plain
 from carina.value import FrozenValue
 
-__all__ = ["DOOR", "Door", "close_door", "open_door", "read_door"]
+__all__ = ["ENDPOINT_FILE", "AttachEndpoint", "delete_endpoint", "read_endpoint", "write_endpoint"]
 
 logger = logging.getLogger(__name__)
 
-DOOR = "door.json"
+ENDPOINT_FILE = "door.json"
 FORMAT, VERSION = "carina-door", 1
 MAX_BYTES = 1 << 16
 
 
-class Door(FrozenValue, frozen=True):
+class AttachEndpoint(FrozenValue, frozen=True):
     """Address of a running Carina process on this machine and its access token; both are None if it has none."""
 
     url: str | None = None
@@ -36,15 +36,15 @@ class Door(FrozenValue, frozen=True):
 
     def __repr__(self) -> str:
         """Describe the address without the token."""
-        return f"Door({as_words(self.url)})"
+        return f"AttachEndpoint({as_words(self.url)})"
 
 
-def open_door(folder: Path, door: Door) -> None:
+def write_endpoint(folder: Path, endpoint: AttachEndpoint) -> None:
     """Write the address of a case's owner into the case's folder; if the disk refuses, no program can join."""
-    plain = {"format": FORMAT, "version": VERSION, **msgspec.structs.asdict(door)}
+    plain = {"format": FORMAT, "version": VERSION, **msgspec.structs.asdict(endpoint)}
     try:
         write_whole(
-            folder / DOOR,
+            folder / ENDPOINT_FILE,
             (json.dumps(plain, allow_nan=False) + "\n").encode(),
             what="the connection details of this case",
             private=True,
@@ -53,19 +53,19 @@ def open_door(folder: Path, door: Door) -> None:
         logger.warning("no program can join this case: %s", type(trouble).__name__)
 
 
-def close_door(folder: Path) -> None:
+def delete_endpoint(folder: Path) -> None:
     """Delete the address file of a case, or one that a crash left, before another process may own the case."""
     with contextlib.suppress(OSError):
-        (folder / DOOR).unlink()
+        (folder / ENDPOINT_FILE).unlink()
 
 
-def read_door(folder: Path) -> Door | None:
+def read_endpoint(folder: Path) -> AttachEndpoint | None:
     """Return the connection details in a case's folder; None without a readable file.
 
     The owner may have ended since.
     """
     with contextlib.suppress(OSError, ValueError, RecursionError, msgspec.ValidationError):
-        plain = json.loads(read_regular_text(folder / DOOR, max_bytes=MAX_BYTES))
+        plain = json.loads(read_regular_text(folder / ENDPOINT_FILE, max_bytes=MAX_BYTES))
         if isinstance(plain, dict) and plain.pop("format", None) == FORMAT and plain.pop("version", None) == VERSION:
-            return read_plain(plain, Door)
+            return read_plain(plain, AttachEndpoint)
     return None

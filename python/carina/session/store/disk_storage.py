@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from carina.session.store.registry import CaseRecords
     from carina.volume import VolumeCache
 
-__all__ = ["case_files", "small_picture"]
+__all__ = ["case_files", "thumbnail"]
 
 VIEW = "tree"
 """Name of the view in the thumbnail: the outside view, because the trees of two patients differ visibly."""
@@ -30,8 +30,8 @@ STEP_VOX = 1.0
 QUALITY = 82
 
 
-def small_picture(scene: ShownCase) -> bytes:
-    """Return a JPEG of the airways from outside, with the present view settings.
+def thumbnail(scene: ShownCase) -> bytes:
+    """Return a JPEG of the airways from outside, with the current view settings.
 
     Raises
     ------
@@ -74,9 +74,9 @@ def case_files(cache: VolumeCache | None = None, records: CaseRecords | None = N
         cache, records, default_parts().open_demo, advice="put it back, or open the scan from its current location"
     )
     if cache is None:
-        return CaseFileFunctions(create, reopen, write, ct_digest, picture=small_picture, scans=scans)
+        return CaseFileFunctions(create, reopen, write, ct_digest, picture=thumbnail, scans=scans)
 
     def open_ct(path: str, progress: Progress, cancel: Cancel) -> Volume:
         return cache.open_and_keep(path, progress=progress, cancel=cancel)
 
-    return CaseFileFunctions(create, reopen, write, ct_digest, open_ct, cache.close, small_picture, cache, scans)
+    return CaseFileFunctions(create, reopen, write, ct_digest, open_ct, cache.close, thumbnail, cache, scans)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from carina.session.store.registry import CaseRecords
     from carina.volume import VolumeCache
 
-__all__ = ["CASE_SUFFIX", "CaseScans", "FoundScan", "is_case_file", "way_between"]
+__all__ = ["CASE_SUFFIX", "CaseScans", "FoundScan", "is_case_file", "relative_path"]
 
 CASE_SUFFIX = ".carina"
 Cancel = Callable[[], bool] | None
@@ -128,7 +128,7 @@ class CaseScans:
                 assert self._open_demo is not None
                 volume = self._open_demo(place.removeprefix("demo:"), report or _no_progress, cancel or _no_cancel)
             else:
-                volume = self._opened(Path(place), series, report, cancel)
+                volume = self._open_scan(Path(place), series, report, cancel)
             refuse_other_ct(volume, source.digest, source)
             return FoundScan(volume, place)
 
@@ -136,7 +136,7 @@ class CaseScans:
             return opened(str(Path(ct).expanduser().absolute()))
         refusal: CarinaError | None = None
         path = None if dropped else source.path
-        for place in self._places(case, path, source.digest):
+        for place in self._candidate_places(case, path, source.digest):
             try:
                 return opened(place)
             except CancelledError:
@@ -158,7 +158,7 @@ class CaseScans:
             code="case.no-scan",
         )
 
-    def _places(self, case: CaseFile, path: str | None, digest: str) -> list[str]:
+    def _candidate_places(self, case: CaseFile, path: str | None, digest: str) -> list[str]:
         found: list[str] = []
         if path is not None:
             # The case file may come from another person, so its path may lead only to files and folders, not to a
@@ -175,7 +175,7 @@ class CaseScans:
                 found.append(place)
         return found
 
-    def _opened(self, place: Path, series: str | None, progress: Progress | None, cancel: Cancel) -> Volume:
+    def _open_scan(self, place: Path, series: str | None, progress: Progress | None, cancel: Cancel) -> Volume:
         from carina.volume import open_volume
 
         if is_case_file(place):
@@ -185,7 +185,7 @@ class CaseScans:
         return self._cache.open(place, series=series, progress=progress, cancel=cancel).volume
 
 
-def way_between(copy: Path, place: str | None) -> str | None:
+def relative_path(copy: Path, place: str | None) -> str | None:
     """Return the relative path from a case file to its CT; None if there is none, as between two Windows drives."""
     if place is None or place.startswith("demo:"):
         return None

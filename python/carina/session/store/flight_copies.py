@@ -49,9 +49,9 @@ def whole_flights(
     # Flights that are only in memory come first, because they need no disk.
     for facts in listed:
         writer = by_number.get(facts.recording_id)
-        num_kept, waiting = (1, "") if writer is None else writer.waiting()
+        num_kept, unsaved_part = (1, "") if writer is None else writer.unsaved_part()
         if num_kept == 0:
-            found[facts.recording_id] = WholeRecording(facts, waiting)
+            found[facts.recording_id] = WholeRecording(facts, unsaved_part)
     to_read = [one for one in listed if one.recording_id not in found]
     is_late = threading.Event()
 
@@ -60,7 +60,7 @@ def whole_flights(
             if is_late.is_set():
                 return
             try:
-                text = _text(file, facts.recording_id, by_number.get(facts.recording_id))
+                text = _flight_text(file, facts.recording_id, by_number.get(facts.recording_id))
             except (CarinaError, OSError, sqlite3.Error) as trouble:
                 logger.warning("a recorded flight cannot be read: %s", type(trouble).__name__)
             else:
@@ -74,15 +74,15 @@ def whole_flights(
     return tuple(in_time[one.recording_id] for one in listed if one.recording_id in in_time), len(listed) - len(in_time)
 
 
-def _text(file: StoredCaseFile | None, number: int, writer: RecordingWriter | None) -> str:
+def _flight_text(file: StoredCaseFile | None, number: int, writer: RecordingWriter | None) -> str:
     """Return all lines of a flight: those in the file, followed by those that are only in memory."""
     while True:
-        num_kept, waiting = (1, "") if writer is None else writer.waiting()
+        num_kept, unsaved_part = (1, "") if writer is None else writer.unsaved_part()
         if num_kept == 0:
-            return waiting
+            return unsaved_part
         if file is None:
             raise CarinaError("its file is not there", code="case.not-saved")
         text = file.recording_text(number)
         # The count differs if the file has taken lines meanwhile; `CaseFile.keep_recording` writes all of them or none.
-        if writer is None or writer.waiting()[0] == num_kept:
-            return text + waiting
+        if writer is None or writer.unsaved_part()[0] == num_kept:
+            return text + unsaved_part

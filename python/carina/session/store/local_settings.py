@@ -154,7 +154,7 @@ class LocalStore:
             self._move_aside(path)
             return {}
         try:
-            value = json.loads(text, parse_constant=_no_constant)
+            value = json.loads(text, parse_constant=_refuse_constant)
         except (ValueError, RecursionError):
             value = None
         if not isinstance(value, dict):
@@ -189,5 +189,5 @@ class LocalStore:
             logger.warning("could not write %s: %s", path.name, error.strerror)
 
 
-def _no_constant(name: str) -> None:
+def _refuse_constant(name: str) -> None:
     raise ValueError(f"{name} is not a number in JSON")

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Final, Literal
 
 from carina.case import CaseFile
-from carina.case.error_texts import refused
+from carina.case.error_texts import unusable_file_error
 from carina.case.save_mark import SaveMark
-from carina.case.sqlite_journals import JOURNALS, beside
+from carina.case.sqlite_journals import JOURNALS, companion_path
 from carina.disk import Placement
 from carina.disk.move_files import copy_to_new_name, move_to_new_name
 from carina.display import one_line
@@ -25,7 +25,15 @@ from carina.errors import CarinaError
 from carina.session.store.find_scan import CASE_SUFFIX
 from carina.session.store.named_file_lock import LockedElsewhereError, NamedLock
 
-__all__ = ["CopyWriter", "FileMark", "NamedFile", "NamedFileConflictError", "open_marked", "path_beside", "read_mark"]
+__all__ = [
+    "CopyWriter",
+    "FileMark",
+    "NamedFile",
+    "NamedFileConflictError",
+    "free_path_beside",
+    "open_marked",
+    "read_mark",
+]
 
 CopyWriter = Callable[[Path, SaveMark, Placement], None]
 """``write(path, mark, placement)`` writes a whole case with a save mark; the placement moves it to its path."""
@@ -70,7 +78,7 @@ class NamedFile:
     """A case file under a name that a user chose, as one window or program reads and writes it.
 
     The content is compared by its digest before each write, never by a time. The comparison and the replacement
-    happen under one lock. Where locks do not work, the present file is first moved aside and compared there.
+    happen under one lock. Where locks do not work, the current file is first moved aside and compared there.
 
     Parameters
     ----------
@@ -135,9 +143,9 @@ class NamedFile:
         OSError
             If the disk refuses to read the file.
         """
-        with self._exclusively():
+        with self._exclusive_access():
             self._take_lock()
-            self._refuse_other_content(_digest_of(self._place()), may_be_missing=False)
+            self._refuse_other_content(_digest_of(self._resolved_path()), may_be_missing=False)
 
     def write(
         self,
@@ -174,14 +182,14 @@ class NamedFile:
         DiskError, OSError
             If the disk refuses the write; the file is unchanged.
         """
-        with self._exclusively():
+        with self._exclusive_access():
             self._take_lock()
-            place = self._place()
+            place = self._resolved_path()
             if not replace:
                 # This early check avoids a useless draft; the deciding check follows when the draft is complete.
                 self._refuse_other_content(_digest_of(place), may_be_missing=may_be_missing)
-            parent = self._parent(place, replace=replace)
-            save = SaveMark.after(
+            parent = self._replaced_save(place, replace=replace)
+            save = SaveMark.successor(
                 None if parent is None else parent.save_id, 0 if parent is None else parent.generation
             )
             stored_paths: list[Path] = []
@@ -217,7 +225,7 @@ class NamedFile:
     # ------------------------------------------------------------ under the lock
 
     @contextlib.contextmanager
-    def _exclusively(self) -> Iterator[None]:
+    def _exclusive_access(self) -> Iterator[None]:
         """Exclude other threads while the block runs, and release the file's lock if the file cannot be written.
 
         A window that waits for the decision of its user must not block the other windows.
@@ -233,7 +241,7 @@ class NamedFile:
             if self._is_closed:
                 self.close()
 
-    def _place(self) -> Path:
+    def _resolved_path(self) -> Path:
         return self.path.resolve() if self.path.is_symlink() else self.path
 
     def _release(self) -> None:
@@ -245,7 +253,7 @@ class NamedFile:
         if self._lock is not None or self._is_closed:
             return
         try:
-            self._lock = NamedLock.take(self._place())
+            self._lock = NamedLock.take(self._resolved_path())
         except LockedElsewhereError as trouble:
             by = "" if trouble.owner is None else f" (by {trouble.owner})"
             raise NamedFileConflictError(
@@ -255,7 +263,7 @@ class NamedFile:
                 "open-elsewhere",
             ) from trouble
 
-    def _parent(self, place: Path, *, replace: bool) -> FileMark | None:
+    def _replaced_save(self, place: Path, *, replace: bool) -> FileMark | None:
         """Return the mark of the content that the next save replaces; the new save mark refers to this content."""
         if not replace:
             return self.mark
@@ -265,7 +273,7 @@ class NamedFile:
         return found
 
     def _refuse_other_content(self, found: str | None, *, may_be_missing: bool) -> None:
-        journal = _journal_of(self._place())
+        journal = _journal_of(self._resolved_path())
         if journal is not None:
             raise NamedFileConflictError(
                 f"The file {self.path.name} has changes of another program that are not written into it yet: they are "
@@ -286,10 +294,10 @@ class NamedFile:
         if self.mark is not None and found == self.mark.digest:
             return
         if found != self._next_digest:
-            raise self._conflict(self._place())
+            raise self._conflict(self._resolved_path())
         # The save that was interrupted has replaced the file.
         self.mark = FileMark(found)
-        marked = read_mark(self._place())
+        marked = read_mark(self._resolved_path())
         if marked is not None and marked.digest == found:
             self.mark = marked
 
@@ -314,7 +322,7 @@ class NamedFile:
             self._refuse_other_content(_digest_of(aside), may_be_missing=may_be_missing)
             self._move_or_refuse(draft, target)
         except BaseException:
-            _put_back(aside, target)
+            _restore_or_rename(aside, target)
             raise
         # A program that reads the moved file can prevent its deletion (Windows); the save is complete nevertheless.
         with contextlib.suppress(OSError):
@@ -327,7 +335,7 @@ class NamedFile:
             raise self._conflict(target) from trouble
 
     def _conflict(self, place: Path) -> NamedFileConflictError:
-        kind, found = _described(place, self._ct_digest)
+        kind, found = _describe_content(place, self._ct_digest)
         now = "already exists: it contains" if self.mark is None else "was changed elsewhere: it now contains"
         return NamedFileConflictError(
             f"The file {self.path.name} {now} {found}. Nothing was written to it. {self._where_work_is}: save as a "
@@ -377,16 +385,16 @@ def open_marked(path: Path) -> tuple[CaseFile, FileMark]:
             case.close()
             raise
         case.close()
-    raise refused(path, "another program keeps replacing it; try again in a moment", code="case.read-only")
+    raise unusable_file_error(path, "another program keeps replacing it; try again in a moment", code="case.read-only")
 
 
-def path_beside(path: Path) -> Path:
+def free_path_beside(path: Path) -> Path:
     """Return the first free name of the form ``NAME (2).carina`` in the folder of a case file."""
     for number in range(2, 10_000):
-        free = _with_note(path, str(number), CASE_SUFFIX)
+        free = _path_with_note(path, str(number), CASE_SUFFIX)
         if not os.path.lexists(free):
             return free
-    return _with_note(path, secrets.token_hex(4), CASE_SUFFIX)
+    return _path_with_note(path, secrets.token_hex(4), CASE_SUFFIX)
 
 
 def _digest_of(path: Path) -> str | None:
@@ -404,7 +412,7 @@ def _digest_of(path: Path) -> str | None:
 def _replace_and_keep(draft: Path, target: Path, *, is_locked: bool) -> list[Path]:
     """Replace a file, store the former file under a free name, and return the paths of the replaced content.
 
-    With the lock, the present file keeps its name until the new file replaces it. Without a lock, the present file is
+    With the lock, the current file keeps its name until the new file replaces it. Without a lock, the current file is
     moved first, so that a file which another window writes in between is detected and stored as well. Journals of the
     former file follow it, because they would be replayed on the new file. If the disk refuses, the former file gets its
     name back.
@@ -432,11 +440,11 @@ def _replace_and_keep(draft: Path, target: Path, *, is_locked: bool) -> list[Pat
     except BaseException:
         if stored_paths:
             with contextlib.suppress(OSError):
-                _take_back(stored_paths[-1], target)
+                _move_back(stored_paths[-1], target)
         raise
 
 
-def _take_back(stored_path: Path, target: Path) -> None:
+def _move_back(stored_path: Path, target: Path) -> None:
     """Move a replaced file and its journals back to the former name, unless another file has this name."""
     if not os.path.lexists(target):
         move_to_new_name(stored_path, target)
@@ -450,7 +458,7 @@ def _take_back(stored_path: Path, target: Path) -> None:
 def _journal_of(path: Path) -> Path | None:
     """Return a journal beside a file, with changes that are not in the file yet; None without one."""
     for tail in JOURNALS:
-        journal = beside(path, tail)
+        journal = companion_path(path, tail)
         with contextlib.suppress(OSError):
             if journal.lstat().st_size > 0:
                 return journal
@@ -460,10 +468,10 @@ def _journal_of(path: Path) -> Path | None:
 def _move_journals(path: Path, target: Path) -> None:
     for tail in JOURNALS:
         with contextlib.suppress(FileNotFoundError):
-            move_to_new_name(beside(path, tail), beside(target, tail))
+            move_to_new_name(companion_path(path, tail), companion_path(target, tail))
 
 
-def _put_back(aside: Path, target: Path) -> None:
+def _restore_or_rename(aside: Path, target: Path) -> None:
     """Move a file that was moved aside back to its name; if another file has the name by now, use a free name."""
     name = target
     while True:
@@ -476,13 +484,13 @@ def _put_back(aside: Path, target: Path) -> None:
 
 
 def _free_name(path: Path, note: str) -> Path:
-    free, number = _with_note(path, note, path.suffix), 2
-    while any(os.path.lexists(one) for one in (free, *(beside(free, tail) for tail in JOURNALS))):
-        free, number = _with_note(path, f"{note}, {number}", path.suffix), number + 1
+    free, number = _path_with_note(path, note, path.suffix), 2
+    while any(os.path.lexists(one) for one in (free, *(companion_path(free, tail) for tail in JOURNALS))):
+        free, number = _path_with_note(path, f"{note}, {number}", path.suffix), number + 1
     return free
 
 
-def _with_note(path: Path, note: str, suffix: str) -> Path:
+def _path_with_note(path: Path, note: str, suffix: str) -> Path:
     """Return the path ``NAME (note).carina`` in the folder of a file; a long name is shortened."""
     stem, tail = path.stem, f" ({note}){suffix}"
     while len(os.fsencode(stem + tail)) > MAX_NAME_BYTES and stem:
@@ -490,7 +498,7 @@ def _with_note(path: Path, note: str, suffix: str) -> Path:
     return path.with_name(stem + tail)
 
 
-def _described(path: Path, ct_digest: str | None) -> tuple[ConflictKind, str]:
+def _describe_content(path: Path, ct_digest: str | None) -> tuple[ConflictKind, str]:
     """Return the kind and a description of the content of a file, for a message."""
     by = _owner_of(path)
     try:
@@ -499,7 +507,7 @@ def _described(path: Path, ct_digest: str | None) -> tuple[ConflictKind, str]:
         with CaseFile.open(path, read_only=True) as case:
             steps = [step for step in case.history() if step.holds]
             changes = "no changes" if not steps else "1 change" if len(steps) == 1 else f"{len(steps)} changes"
-            last = "" if not steps else f", the last: “{_short(steps[-1].label)}”"
+            last = "" if not steps else f", the last: “{_shortened_label(steps[-1].label)}”"
             if ct_digest is not None and case.digest != ct_digest:
                 return "other-case", f"a case of another CT{by}, with {changes}{last}"
             return "changed", f"another version of this case{by}, with {changes}{last}"
@@ -507,7 +515,7 @@ def _described(path: Path, ct_digest: str | None) -> tuple[ConflictKind, str]:
         return "not-a-case", f"a file{by} that is not a Carina case, or cannot be read"
 
 
-def _short(label: str) -> str:
+def _shortened_label(label: str) -> str:
     shown = "".join(c if c.isprintable() else " " for c in label)
     return shown if len(shown) <= MAX_LABEL else shown[: MAX_LABEL - 1] + "…"
 

@@ -56,12 +56,12 @@ class NamedLock:
         """
         beside = lock_path(path)
         for _ in range(MAX_TRIES):
-            descriptor = _opened(beside)
+            descriptor = _open_lock_file(beside)
             if descriptor is None:
                 return None
             held = try_lock(descriptor)
             if held is not True:
-                owner = _owner_in(descriptor)
+                owner = _read_owner(descriptor)
                 os.close(descriptor)
                 if held is None:
                     return None
@@ -89,7 +89,7 @@ class NamedLock:
                 self._path.unlink()
 
 
-def _opened(beside: Path) -> int | None:
+def _open_lock_file(beside: Path) -> int | None:
     """Open the lock file so that the other users of a shared folder can read and lock it."""
     no_link = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     try:
@@ -111,7 +111,7 @@ def _write_owner(descriptor: int) -> None:
         os.pwrite(descriptor, text.encode(), 0)
 
 
-def _owner_in(descriptor: int) -> str | None:
+def _read_owner(descriptor: int) -> str | None:
     with contextlib.suppress(OSError, ValueError, RecursionError, AttributeError):
         stored = json.loads(os.pread(descriptor, MAX_OWNER_BYTES, 0))
         user, computer = stored.get("user"), stored.get("computer")

@@ -22,12 +22,12 @@ from typing import Annotated, Any, Final
 import msgspec
 from msgspec import Meta
 
-from carina.case.bounds import shortened
+from carina.case.bounds import shortened_text
 from carina.disk import make_folder, read_regular_text, write_whole
 from carina.disk.locks import Held, try_lock
 from carina.display import one_line
 from carina.errors import UsageError, VolumeImportError
-from carina.session.store.attach_endpoint import Door, close_door, open_door, read_door
+from carina.session.store.attach_endpoint import AttachEndpoint, delete_endpoint, read_endpoint, write_endpoint
 from carina.session.store.case_names import neutral_alias, new_case_id
 from carina.session.store.named_file_lock import NamedLock
 from carina.typed_reading import read_plain
@@ -109,11 +109,11 @@ class CaseRecord(FrozenValue, frozen=True):
 class LockedCase:
     """A stored case that this process owns until it releases the case."""
 
-    def __init__(self, folder: Path, record: CaseRecord, lock: int, door: Door) -> None:
+    def __init__(self, folder: Path, record: CaseRecord, lock: int, endpoint: AttachEndpoint) -> None:
         self.folder = folder
         self.record = record
         self._lock: int | None = lock
-        self._door = door
+        self._endpoint = endpoint
         self._noting = threading.Lock()
 
     @property
@@ -137,15 +137,15 @@ class LockedCase:
         write_whole(self.folder / PICTURE, jpeg, what="the thumbnail of the case", private=True)
         self.note(pictured_s=now_s)
 
-    def open_door(self) -> None:
+    def write_endpoint(self) -> None:
         """Write the address with which programs join this process into the case's folder, or that they cannot join."""
-        open_door(self.folder, self._door)
+        write_endpoint(self.folder, self._endpoint)
 
     def release(self) -> None:
         """Release the lock, so that another process may own the case."""
         lock, self._lock = self._lock, None
         if lock is not None:
-            close_door(self.folder)
+            delete_endpoint(self.folder)
             os.close(lock)
 
 
@@ -166,7 +166,7 @@ class CaseRecords:
         self._folder = folder
         self.documents = documents
         self.now_s = now_s
-        self.door = Door()
+        self.endpoint = AttachEndpoint()
         """Address and token with which programs join this process."""
 
     def __repr__(self) -> str:
@@ -251,7 +251,7 @@ class CaseRecords:
         make_folder(self._folder, what="the cases", private=True, lasting=True)
         make_folder(folder, what="the case", private=True, lasting=True)
         write_record(folder, record)
-        held = self._hold(folder, record)
+        held = self._lock_case(folder, record)
         assert held is not None
         return held
 
@@ -271,13 +271,13 @@ class CaseRecords:
     def hold(self, record: CaseRecord) -> LockedCase | None:
         """Own a case; return None if another process owns it."""
         folder = self._folder / record.case_id
-        held = self._hold(folder, record)
+        held = self._lock_case(folder, record)
         if held is not None:
             # The previous owner may have changed the record since.
             held.record = _read(folder / RECORD) or record
         return held
 
-    def _hold(self, folder: Path, record: CaseRecord) -> LockedCase | None:
+    def _lock_case(self, folder: Path, record: CaseRecord) -> LockedCase | None:
         descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o600)
         try:
             held: Held = try_lock(descriptor)
@@ -288,8 +288,8 @@ class CaseRecords:
             os.close(descriptor)
             return None
         # Deletes connection details that a crash left.
-        close_door(folder)
-        return LockedCase(folder, record, descriptor, self.door)
+        delete_endpoint(folder)
+        return LockedCase(folder, record, descriptor, self.endpoint)
 
     def is_held(self, record: CaseRecord) -> bool:
         """Return whether a process has a case open; the check takes the lock for a moment."""
@@ -351,19 +351,19 @@ class CaseRecords:
 
     def path_of(self, record: CaseRecord) -> Path:
         """Return the path of the live case file; another process may be writing it."""
-        return self._place(record) / FILE
+        return self._case_folder(record) / FILE
 
-    def door_of(self, record: CaseRecord) -> Door | None:
+    def endpoint_of(self, record: CaseRecord) -> AttachEndpoint | None:
         """Return the connection details of the process that has a case open; None without them.
 
         A crash may have left them.
         """
-        return read_door(self._place(record))
+        return read_endpoint(self._case_folder(record))
 
     def num_bytes(self, record: CaseRecord) -> int:
         """Return the number of bytes of a case on the disk."""
         total = 0
-        for path in self._place(record).glob("*"):
+        for path in self._case_folder(record).glob("*"):
             with contextlib.suppress(OSError):
                 total += path.stat().st_size
         return total
@@ -373,7 +373,7 @@ class CaseRecords:
         for record in (*self.all(), *self.forgotten()):
             if record.case_id == case_id:
                 with contextlib.suppress(OSError):
-                    return (self._place(record) / PICTURE).read_bytes()
+                    return (self._case_folder(record) / PICTURE).read_bytes()
         return None
 
     def rename(self, record: CaseRecord, alias: str | None) -> bool:
@@ -395,7 +395,7 @@ class CaseRecords:
             if not _holds_title(path) or (record := _read(path)) is None:
                 continue
             with contextlib.suppress(OSError):
-                held = self._hold(path.parent, record)
+                held = self._lock_case(path.parent, record)
                 if held is None:
                     continue
                 try:
@@ -445,7 +445,7 @@ class CaseRecords:
             return None
         restored = msgspec.structs.replace(record, forgotten_s=None)
         place = self._folder / record.case_id
-        self._place(record).rename(place)
+        self._case_folder(record).rename(place)
         write_record(place, restored)
         return restored
 
@@ -454,8 +454,8 @@ class CaseRecords:
         removed = 0
         for record in self.forgotten():
             if self.now_s() - (record.forgotten_s or 0.0) >= older_than_s:
-                shutil.rmtree(self._place(record), ignore_errors=True)
-                removed += not self._place(record).exists()
+                shutil.rmtree(self._case_folder(record), ignore_errors=True)
+                removed += not self._case_folder(record).exists()
         return removed
 
     def remove(self, case_id: str) -> bool:
@@ -463,10 +463,10 @@ class CaseRecords:
         record = next((one for one in self.forgotten() if one.case_id == case_id), None)
         if record is None:
             return False
-        shutil.rmtree(self._place(record), ignore_errors=True)
-        return not self._place(record).exists()
+        shutil.rmtree(self._case_folder(record), ignore_errors=True)
+        return not self._case_folder(record).exists()
 
-    def _place(self, record: CaseRecord) -> Path:
+    def _case_folder(self, record: CaseRecord) -> Path:
         return (self._folder if record.forgotten_s is None else self._folder / FORGOTTEN) / record.case_id
 
 
@@ -478,26 +478,26 @@ def write_record(folder: Path, record: CaseRecord) -> None:
     DiskError
         If the record cannot be written.
     """
-    plain = {name: _within_bounds(name, value) for name, value in msgspec.structs.asdict(record).items()}
+    plain = {name: _clamped_to_bounds(name, value) for name, value in msgspec.structs.asdict(record).items()}
     text = json.dumps({"format": FORMAT, "version": VERSION, **plain}, indent=1, allow_nan=False)
     write_whole(folder / RECORD, (text + "\n").encode(), what="the case's record", private=True)
 
 
-def _within_bounds(name: str, value: Any) -> Any:
+def _clamped_to_bounds(name: str, value: Any) -> Any:
     if isinstance(value, float):
         return min(max(value, 0.0), MAX_S) if math.isfinite(value) else 0.0
-    return shortened(value, MAX_TITLE_CHARS) if name == "alias" and value is not None else value
+    return shortened_text(value, MAX_TITLE_CHARS) if name == "alias" and value is not None else value
 
 
 def is_damaged_record(path: Path) -> bool:
     """Return whether the content of a record is damaged; a read error and a newer version are not damage."""
     try:
-        return _decoded(path) is None
+        return _decode_record(path) is None
     except OSError:
         return False
 
 
-def _decoded(path: Path) -> CaseRecord | None:
+def _decode_record(path: Path) -> CaseRecord | None:
     """Return the record in a file; None if the content is damaged.
 
     Raises
@@ -506,7 +506,7 @@ def _decoded(path: Path) -> CaseRecord | None:
         If the file cannot be read, or a newer Carina wrote it.
     """
     try:
-        plain = json.loads(read_regular_text(path, max_bytes=MAX_RECORD_BYTES), parse_constant=_no_constant)
+        plain = json.loads(read_regular_text(path, max_bytes=MAX_RECORD_BYTES), parse_constant=_refuse_constant)
         if not isinstance(plain, dict) or plain.pop("format", None) != FORMAT:
             return None
         version = plain.pop("version", None)
@@ -531,13 +531,13 @@ def _decoded(path: Path) -> CaseRecord | None:
     return record
 
 
-def _no_constant(name: str) -> None:
+def _refuse_constant(name: str) -> None:
     raise ValueError(f"{name} is not a number in JSON")
 
 
 def _read(path: Path) -> CaseRecord | None:
     with contextlib.suppress(OSError):
-        record = _decoded(path)
+        record = _decode_record(path)
         if record is not None:
             return record
     logger.warning("the record of a saved case could not be read")

@@ -38,7 +38,7 @@ def repair_records(records: CaseRecords) -> tuple[str, ...]:
     for path in sorted(records.folder.glob(f"*/{RECORD}")):
         if is_damaged_record(path):
             try:
-                message = _repaired(records, path.parent)
+                message = _repair(records, path.parent)
             except (OSError, CarinaError) as trouble:
                 # If the disk refuses, the case is missing from the list, and Carina starts.
                 logger.warning("an unreadable record could not be moved aside (%s)", type(trouble).__name__)
@@ -48,7 +48,7 @@ def repair_records(records: CaseRecords) -> tuple[str, ...]:
     return tuple(messages)
 
 
-def _repaired(records: CaseRecords, folder: Path) -> str | None:
+def _repair(records: CaseRecords, folder: Path) -> str | None:
     descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o600)
     try:
         # The owner of an open case writes its record again. The lock also excludes a repair by a second process.
@@ -56,7 +56,7 @@ def _repaired(records: CaseRecords, folder: Path) -> str | None:
             return None
         made = _record_of(folder)
         if made is not None:
-            _move(folder / RECORD, folder, "record.damaged", ".json")
+            _move_aside(folder / RECORD, folder, "record.damaged", ".json")
             write_record(folder, made)
             return (
                 f"The record of the saved case {made.case_id} was damaged. The case is in the list again, under the "
@@ -67,7 +67,7 @@ def _repaired(records: CaseRecords, folder: Path) -> str | None:
         os.close(descriptor)
     aside = records.folder / ASIDE
     aside.mkdir(mode=0o700, exist_ok=True)
-    moved = _move(folder, aside, folder.name, "")
+    moved = _move_aside(folder, aside, folder.name, "")
     command = carina_command("case", "rescue")
     return (
         f"The record of the saved case {folder.name} and its case file are damaged. Its files were moved to the folder "
@@ -100,7 +100,7 @@ def _record_of(folder: Path) -> CaseRecord | None:
     return None
 
 
-def _move(path: Path, folder: Path, stem: str, suffix: str) -> Path:
+def _move_aside(path: Path, folder: Path, stem: str, suffix: str) -> Path:
     """Move a file or folder into another folder, under a free name, and return the new path."""
     number = 1
     while (target := folder / f"{stem}-{number}{suffix}").exists():

@@ -37,7 +37,7 @@ class LookHandlers(CommandHandlers):
                 gesture = command.sets if isinstance(value, float) else None
                 self._change_look(case, command.undo_label, gesture, **{command.sets: value})
                 return
-            self.core.see(case, partial(_with_field, name=command.sets, view=view, value=value))
+            self.core.see(case, partial(_sight_with_field, name=command.sets, view=view, value=value))
 
     def _change_look(self, case: OpenCase, label: str | None, gesture: Hashable, **values: Any) -> None:
         self.core.edit(label, gesture, look=msgspec.structs.replace(case.document.look, **values))
@@ -84,10 +84,10 @@ class LookHandlers(CommandHandlers):
             case.check_inside(command.lps)
             self.set_field(command)
         else:
-            self.core.see(case, lambda sight: _with_field(sight.centred(sight.zoom), "crosshair_lps", None, None))
+            self.core.see(case, lambda sight: _sight_with_field(sight.centred(sight.zoom), "crosshair_lps", None, None))
 
 
-def _with_field(sight: Sight, name: str, view: str | None, value: Any) -> Sight:
+def _sight_with_field(sight: Sight, name: str, view: str | None, value: Any) -> Sight:
     """Return a copy of a sight with a new value in one field, or for one view in a field with a value per view."""
     if view is not None:
         value = {**getattr(sight, name), view: value}

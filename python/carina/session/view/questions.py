@@ -56,8 +56,8 @@ class CaseQuestions(CommandHandlers):
             volume, airways = self.core.needed_case().info.volume, self._airways()
         return self.core.parts.preview_edit(volume, airways, question.edit, with_names=question.with_names)
 
-    @answers(c.AirwaysToTakeAway)
-    def airways_to_take_away(self, _question: c.AirwaysToTakeAway) -> tuple[Any, Any]:
+    @answers(c.AirwaysQuery)
+    def airways_to_take_away(self, _question: c.AirwaysQuery) -> tuple[Any, Any]:
         """Return the volume and the airways for an export; both are immutable."""
         with self.core.lock:
             return self.core.needed_case().info.volume, self._airways()
@@ -81,7 +81,7 @@ class CaseQuestions(CommandHandlers):
 
     @answers(c.MeasuresOf)
     def measures_of(self, question: c.MeasuresOf) -> Any:
-        """Return the newest measurements of a branch; None if the present tree has not been measured."""
+        """Return the newest measurements of a branch; None if the current tree has not been measured."""
         airways = self._airways()
         if all(branch.id != question.branch_id for branch in airways.tree.branches):
             raise UsageError(f"the tree has no branch {question.branch_id}", code="session.branch")

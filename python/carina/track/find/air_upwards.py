@@ -15,7 +15,7 @@ from carina.volume.model import Volume
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
-__all__ = ["AirSection", "disc", "follow_up", "grown", "spread"]
+__all__ = ["AirSection", "connected_to", "dilate", "disc", "follow_up"]
 
 # Half the side length in mm of the square window that is examined in each slice.
 WINDOW_MM = 45.0
@@ -31,11 +31,13 @@ LOST_MM = 14.0
 AIR_HU = -930.0
 # Greatest distance in mm of air across the wall of a tube.
 BESIDE_MM = 3.2
+# Distance in mm round a section within which the peak of its surroundings is measured.
 ROUND_MM = 2.5
 # Least area in mm2 of a tube's material (plastic and its radiopaque line) between air and air.
 SEPTUM_MM2 = 12.0
 # Least peak value in HU of a tube's material between air and air.
 SEPTUM_HU = 150.0
+# Number of sections with such material after which the air counts as the lumen of a tube.
 IN_A_TUBE = 3
 
 
@@ -90,7 +92,7 @@ def disc(radius_mm: float, step_mm: tuple[float, float]) -> list[tuple[int, int]
     ]
 
 
-def spread(mask: NDArray[np.bool_], offsets: list[tuple[int, int]]) -> NDArray[np.bool_]:
+def dilate(mask: NDArray[np.bool_], offsets: list[tuple[int, int]]) -> NDArray[np.bool_]:
     """Return the union of a mask and copies of it moved by each offset (dilation)."""
     out = mask.copy()
     nj, ni = mask.shape
@@ -106,29 +108,29 @@ def spread(mask: NDArray[np.bool_], offsets: list[tuple[int, int]]) -> NDArray[n
 SIDES = [(-1, 0), (1, 0), (0, -1), (0, 1)]
 
 
-def grown(start: NDArray[np.bool_], within: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def connected_to(start: NDArray[np.bool_], within: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the pixels of a mask that are connected to start pixels through pixel sides."""
     out = start & within
     size = -1
     while size != (size := int(out.sum())):
         # Grow by several steps at once: counting costs as much as a step.
         for _ in range(4):
-            out = spread(out, SIDES) & within
+            out = dilate(out, SIDES) & within
     return out
 
 
-def filled(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def with_holes_filled(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a mask (ny, nx) with its holes filled."""
     outside = np.zeros_like(mask)
     outside[[0, -1], :] = outside[:, [0, -1]] = True
-    return ~grown(outside, ~mask)
+    return ~connected_to(outside, ~mask)
 
 
-def closed(mask: NDArray[np.bool_], offsets: list[tuple[int, int]]) -> NDArray[np.bool_]:
+def close_gaps(mask: NDArray[np.bool_], offsets: list[tuple[int, int]]) -> NDArray[np.bool_]:
     """Return a mask with gaps narrower than the disc of the offsets closed, and then its holes filled."""
-    wider = spread(np.pad(mask, 4), offsets)
-    tight = ~spread(~wider, offsets)
-    return filled(tight[4:-4, 4:-4] | mask)
+    wider = dilate(np.pad(mask, 4), offsets)
+    tight = ~dilate(~wider, offsets)
+    return with_holes_filled(tight[4:-4, 4:-4] | mask)
 
 
 def follow_up(
@@ -184,15 +186,15 @@ def follow_up(
             last[j - moved[0], i - moved[1]] = True
             seeds, allowed = last, np.ones_like(last)
         else:
-            last = _moved(below, moved[0] - corner[0], moved[1] - corner[1], values.shape)
-            seeds, allowed = last, spread(last, limit)
-        region = grown(seeds & is_air, is_air & allowed)
+            last = _move_mask(below, moved[0] - corner[0], moved[1] - corner[1], values.shape)
+            seeds, allowed = last, dilate(last, limit)
+        region = connected_to(seeds & is_air, is_air & allowed)
         if tubes >= IN_A_TUBE:
             # Add only air on the other side of the tube's wall. If connected air could also spread by ``beside`` in
             # each slice, the search would follow the air of a tracheostomy tube out of the neck in thin slices.
-            around = spread(last, beside)
-            connected = grown(region, is_air & around)
-            region |= grown(around & (values < strict) & ~connected, is_air & around)
+            around = dilate(last, beside)
+            connected = connected_to(region, is_air & around)
+            region |= connected_to(around & (values < strict) & ~connected, is_air & around)
         if not region.any():
             lost_mm += dz
             if lost_mm > LOST_MM or below is None:
@@ -200,7 +202,7 @@ def follow_up(
             continue
         lost_mm = 0.0
         corner = moved
-        whole = closed(region, bridge)
+        whole = close_gaps(region, bridge)
         septum = whole & ~is_air
         at = np.argwhere(whole)
         middle = at.mean(axis=0)
@@ -209,9 +211,9 @@ def follow_up(
         jj, ii = cells[int(np.argmin(off))] + moved
         j, i = (int(v) for v in np.rint(middle) + moved)
         extent = (np.ptp(at, axis=0) + 1) * step
-        more = spread(region, SIDES) & is_air & ~region
+        more = dilate(region, SIDES) & is_air & ~region
         front = np.argwhere(more)[:, 0]
-        near = spread(whole, close_by) & ~region
+        near = dilate(whole, close_by) & ~region
         septum_mm2 = float(septum.sum() * dx * dy)
         peak = (float(values[near].max()) - zero) * to_hu if near.any() else -1000.0
         own = values[region].astype(np.float64)
@@ -242,7 +244,7 @@ def follow_up(
     return found
 
 
-def _moved(mask: NDArray[np.bool_], dj: int, di: int, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def _move_mask(mask: NDArray[np.bool_], dj: int, di: int, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """Return a mask moved to a window of the given shape that begins ``dj`` and ``di`` voxels later."""
     out = np.zeros(shape, dtype=np.bool_)
     part = mask[max(dj, 0) : max(dj, 0) + shape[0] - max(-dj, 0), max(di, 0) : max(di, 0) + shape[1] - max(-di, 0)]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from carina.track.find.end_evidence import find_end_evidence, has_clips
 from carina.track.find.straight_ends import find_straight_end
-from carina.track.find.wall_profile import Across
+from carina.track.find.wall_profile import CrossSampler
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.uncertainty import FAINT, Uncertainty, UncertaintyKind, slice_from_feet
 from carina.volume.model import Volume
@@ -21,6 +21,7 @@ Points = NDArray[np.float64]
 
 # Diameter in mm below which an airway is at the limit of a CT; an airway that ends wider was lost.
 FINE_MM = 2.5
+# Diameter in voxels below which an airway is at the limit of a CT.
 FINE_VOX = 3.0
 # Radius in mm of the ball round a leak within which the flood was closed.
 NEAR_LEAK_MM = 10.0
@@ -30,6 +31,7 @@ AT_END_MM = 4.0
 # Distance in mm from the tip at which the measurement of the calibre stops, because the last part runs into the blind
 # end; it starts CALIBRE_MM before the tip.
 BLUNT_MM = 2.0
+# Distance in mm from the tip at which the last part of a branch starts, in which the width of the end is measured.
 CALIBRE_MM = 8.0
 # Highest generation in which an end can be a stump of a lobar bronchus; the trachea is generation 0.
 LAST_LOBAR_GENERATION = 3
@@ -60,10 +62,10 @@ def find_uncertain(
     """
     voxel_mm = float(np.cbrt(np.prod(volume.spacing_mm)))
     fine_mm = max(FINE_MM, FINE_VOX * voxel_mm)
-    places = [place for one in filled if (place := _still_filled(tree, one)) is not None]
+    places = [place for one in filled if (place := _with_nearest_branch(tree, one)) is not None]
     listed: list[tuple[float, Uncertainty]] = [(one.calibre_mm or one.width_mm, one) for one in places]
     ends_mm = []
-    look: Across | None = None
+    look: CrossSampler | None = None
     for branch in tree.tips():
         calibre_mm = _calibre_mm(branch)
         if branch.parent is None or any(_ends_at(branch, one) for one in places):
@@ -77,54 +79,54 @@ def find_uncertain(
         elif _is_near(leaks_lps, branch.tip_lps):
             kind = "leak"
         else:
-            look = look or Across(volume)
-            listed.append((calibre_mm, _end(volume, look, branch, calibre_mm)))
+            look = look or CrossSampler(volume)
+            listed.append((calibre_mm, _end_of_branch(volume, look, branch, calibre_mm)))
             continue
-        listed.append((calibre_mm, _uncertain(branch.tip_lps, kind, branch.id, calibre_mm)))
+        listed.append((calibre_mm, _uncertain_place(branch.tip_lps, kind, branch.id, calibre_mm)))
     for branch in tree.branches:
         if branch.generation > LAST_LOBAR_GENERATION or branch.parent is None:
             continue
-        look = look or Across(volume)
+        look = look or CrossSampler(volume)
         straight = find_straight_end(look, branch)
         if straight is not None:
-            stump = _uncertain(straight.lps, "stump", branch.id, straight.width_mm)
+            stump = _uncertain_place(straight.lps, "stump", branch.id, straight.width_mm)
             clips = has_clips(volume, straight.lps + 0.5 * straight.width_mm * straight.axis)
             listed.append((straight.width_mm, msgspec.structs.replace(stump, has_clips=clips)))
     for branch in tree.branches:
         if branch.confidence is not None and branch.confidence < FAINT:
             middle = branch.points[len(branch.points) // 2]
             calibre_mm = _calibre_mm(branch)
-            faint = _uncertain(middle, "faint", branch.id, calibre_mm, confidence=branch.confidence)
+            faint = _uncertain_place(middle, "faint", branch.id, calibre_mm, confidence=branch.confidence)
             listed.append((calibre_mm, faint))
     listed.sort(key=lambda entry: (-entry[0], entry[1].branch_id))
     found = [entry for _, entry in listed]
     if ends_mm:
         median_mm = float(np.median(ends_mm))
         at = tree.root.points[0]
-        found.append(_uncertain(at, "fine", None, median_mm, num_ends=len(ends_mm), voxel_mm=voxel_mm))
-    return tuple(_with_slice(volume, place) for place in found)
+        found.append(_uncertain_place(at, "fine", None, median_mm, num_ends=len(ends_mm), voxel_mm=voxel_mm))
+    return tuple(_with_slice_number(volume, place) for place in found)
 
 
-def _with_slice(volume: Volume, place: Uncertainty) -> Uncertainty:
+def _with_slice_number(volume: Volume, place: Uncertainty) -> Uncertainty:
     if place.branch_id is None:
         return place
     number, count = slice_from_feet(volume, np.array(place.lps))
     return msgspec.structs.replace(place, slice_number=number, num_slices=count)
 
 
-def _end(volume: Volume, look: Across, branch: Branch, calibre_mm: float) -> Uncertainty:
+def _end_of_branch(volume: Volume, look: CrossSampler, branch: Branch, calibre_mm: float) -> Uncertainty:
     """Return the uncertain place at the end of a branch that is wide enough to continue: blocked, a stump, or lost."""
     evidence = find_end_evidence(volume, look, branch, calibre_mm)
     if evidence is None:
-        return _uncertain(branch.tip_lps, "lost", branch.id, calibre_mm)
+        return _uncertain_place(branch.tip_lps, "lost", branch.id, calibre_mm)
     if evidence.kind == "tissue":
-        blocked = _uncertain(branch.tip_lps, "blocked", branch.id, calibre_mm)
+        blocked = _uncertain_place(branch.tip_lps, "blocked", branch.id, calibre_mm)
         return msgspec.structs.replace(blocked, length_mm=evidence.length_mm)
-    stump = _uncertain(branch.tip_lps, "stump", branch.id, calibre_mm)
+    stump = _uncertain_place(branch.tip_lps, "stump", branch.id, calibre_mm)
     return msgspec.structs.replace(stump, has_clips=evidence.has_clips)
 
 
-def _uncertain(
+def _uncertain_place(
     at: Points,
     kind: UncertaintyKind,
     branch_id: int | None,
@@ -145,7 +147,7 @@ def _uncertain(
     )
 
 
-def _still_filled(tree: AirwayTree, place: Uncertainty) -> Uncertainty | None:
+def _with_nearest_branch(tree: AirwayTree, place: Uncertainty) -> Uncertainty | None:
     """Return a filled place with its nearest branch.
 
     None if the bronchus was removed or the tree continues beyond it.

@@ -56,7 +56,9 @@ __all__ = ["Airways", "doubt_of_totals", "find_airways"]
 # Upper limits of the length in mm, the number of branches and the generations of a tree; CTs show 1 to 4 m of airways
 # in 100 to 600 branches.
 MOST_LENGTH_MM = 12_000.0
+# Largest number of branches of a plausible tree.
 MOST_BRANCHES = 2_500
+# Largest generation of a plausible tree.
 MOST_GENERATION = 40
 # Least total length in mm of the airways beyond a trachea that divides: main bronchi and lobar bronchi are longer.
 LEAST_BEYOND_MM = 150.0
@@ -187,22 +189,22 @@ def find_airways(
         check_in_volume(volume, root, "the root")
     given = None if lumen_zyx is None else given_lumen(volume, lumen_zyx)
     order = CanonicalOrder.of(volume)
-    given = None if given is None else order.in_order(given)
+    given = None if given is None else order.in_canonical_order(given)
     grid = PathGrid.of(order.volume)
     given = None if given is None else grid.mask_in_parts(given)
     try:
-        found = _found(grid, root, lumen_threshold, given, stage)
+        found = _find_in_grid(grid, root, lumen_threshold, given, stage)
     except NoResultError:
         if not grid.is_divided or given is not None:
             raise
         # Noise may have opened the walls of the trachea only in the divided slices: repeat the search in the original
         # slices.
-        found = _found(PathGrid(order.volume), root, lumen_threshold, given, stage)
-    airways = order.put_back(found)
+        found = _find_in_grid(PathGrid(order.volume), root, lumen_threshold, given, stage)
+    airways = order.on_stored_grid(found)
     return dataclasses.replace(airways, notes=(*notes, *airways.notes))
 
 
-def _found(
+def _find_in_grid(
     grid: PathGrid,
     root: Point | None,
     lumen_threshold: float | None,
@@ -258,10 +260,10 @@ def _found(
     else:
         disturbed = find_disturbed(grid) if known is None else dataclasses.replace(known, grid=grid)
         grown = grow(disturbed, root, lumen_threshold, stage)
-        if grown.leaked and grid.is_divided:
+        if grown.has_leaked and grid.is_divided:
             # Interpolated noise and rims form rows and open walls that are intact in the original slices: search those
             # instead.
-            return _found(PathGrid(grid.ct), root, lumen_threshold, None, stage, known=disturbed)
+            return _find_in_grid(PathGrid(grid.ct), root, lumen_threshold, None, stage, known=disturbed)
         lumen, levels, end, root = grown.lumen, grown.levels, grown.end, grown.root
         searched = grown.searched
         noise, leaks, trachea_mm, top = grown.noise, grown.leaks_lps, grown.trachea_mm, grown.top
@@ -270,7 +272,7 @@ def _found(
         badges += grown.badges
         found_notes += grown.notes
     assert root is not None
-    tracker, rows, branches = _tracked(grid, lumen, levels, root, stage)
+    tracker, rows, branches = _track_lumen(grid, lumen, levels, root, stage)
     if not was_given_root or given_start is not None:
         try:
             refuse_a_root_below_the_carina(volume, branches)
@@ -281,16 +283,16 @@ def _found(
             if given_start is None:
                 raise
             # A lower bronchus was taken for the trachea: let the tree begin at the given start.
-            found_notes += given_start.notes_if_kept()
-            tracker, rows, branches = _tracked(grid, lumen, levels, given_start.point, stage)
+            found_notes += given_start.notes_if_unchanged()
+            tracker, rows, branches = _track_lumen(grid, lumen, levels, given_start.point, stage)
             trachea_mm = None
         else:
             found_notes += [] if given_start is None else given_start.notes_if_moved_to(root)
     removed_mm = 0.0
     # Streaks cross each other: after one path through them is removed, the tree may use another one.
-    while (ends_mm := disturbed.without_ends(lumen, tracker.core, rows)) > 0.0:
+    while (ends_mm := disturbed.remove_disturbed_ends(lumen, tracker.core, rows)) > 0.0:
         removed_mm += ends_mm
-        tracker, rows, branches = _tracked(grid, lumen, levels, as_point(branches[0].points[0]), stage)
+        tracker, rows, branches = _track_lumen(grid, lumen, levels, as_point(branches[0].points[0]), stage)
     badges += disturbed.notes(removed_mm)
     core = tracker.core
     badges += [] if top is None else notes_of(top, branches)
@@ -307,12 +309,12 @@ def _found(
             judged=beyond.judged,
             rims_hu=rims_hu,
         )
-        if not disturbed.is_closed and disturbed.leaked(tree):
+        if not disturbed.is_closed and disturbed.has_leaked(tree):
             closed = dataclasses.replace(disturbed, is_closed=True)
             # If closing the streaks also closes the trachea, keep the tree that leaked.
             with contextlib.suppress(NoResultError):
-                return _found(grid, given_root, lumen_threshold, None, stage, known=closed)
-        tree = disturbed.with_less_confidence(tree)
+                return _find_in_grid(grid, given_root, lumen_threshold, None, stage, known=closed)
+        tree = disturbed.with_limited_confidence(tree)
         filled = find_filled(searched, tree, lumen, noise, slice_mm=effective_slice_mm(grid.ct), cancel=stage.cancel)
         uncertain = find_uncertain(searched, tree, leaks, filled)
         total = doubt_of_totals(branches, splits=trachea_mm is not None)
@@ -324,7 +326,7 @@ def _found(
     if len(tree) >= MIN_GRAMMAR_BRANCHES:
         tree = name_tree(tree)
     else:
-        tree = dataclasses.replace(tree, branches=_named(tree.branches))
+        tree = dataclasses.replace(tree, branches=_name_main_airways(tree.branches))
     if given is not None:
         tree = unnamed_where_doubted(tree)
     tree = with_size_note(tree)
@@ -352,7 +354,7 @@ def _found(
     )
 
 
-def _tracked(
+def _track_lumen(
     grid: PathGrid,
     lumen: NDArray[np.uint8],
     levels: tuple[float, float, float] | None,
@@ -372,7 +374,7 @@ def _tracked(
     return tracker, rows, branches_from_rows(rows)
 
 
-def _named(branches: tuple[Branch, ...]) -> tuple[Branch, ...]:
+def _name_main_airways(branches: tuple[Branch, ...]) -> tuple[Branch, ...]:
     """Name the trachea and the main bronchi of a tree that is too small for further names.
 
     The trunk is the trachea if it runs downwards for at least 20 mm and divides into two. The child that leads to the

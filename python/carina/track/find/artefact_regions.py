@@ -37,7 +37,7 @@ MOST_DOUBTFUL = 0.3
 """Share of branches with a confidence below 0.5 above which a search counts as leaked."""
 SOME_IN_REGION = 0.2
 LEAST_BEYOND_MM = 10.0
-"""Least length in mm by which a branch must continue beyond a disturbed region to be kept.
+"""Least length in mm by which a branch must continue beyond a disturbed region to remain.
 
 The limit applies to branches with more than ``SOME_IN_REGION`` in the disturbed part; such branches must also
 continue by more than their length in that part.
@@ -59,15 +59,15 @@ class ArtefactRegions:
     is_closed: bool = False
     """Whether the search treats the streaks and steps as tissue, because an earlier search leaked there."""
 
-    def without_walls(self, volume: Volume, scale: AirScale) -> Volume:
+    def with_streaks_as_lung(self, volume: Volume, scale: AirScale) -> Volume:
         """Return a volume with uniform lung in place of the streaks; the given volume if there are no streaks."""
         if self.streaks_zyx is None:
             return volume
         values = volume.hu_zyx.copy()
-        values[self._in_grid(self.streaks_zyx)] = scale.level(LUNG_HU)
+        values[self._mask_in_grid(self.streaks_zyx)] = scale.level(LUNG_HU)
         return dataclasses.replace(volume, hu_zyx=values)
 
-    def _in_grid(self, ct_mask_zyx: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _mask_in_grid(self, ct_mask_zyx: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return a mask on the CT's grid converted to the grid of the search."""
         return self.grid.mask_in_parts(ct_mask_zyx.view(np.uint8)).view(np.bool_)
 
@@ -96,16 +96,18 @@ class ArtefactRegions:
             gone[k : k + 2][:, ~is_air] = True
         volume = self.grid.volume
         values = volume.hu_zyx.copy()
-        values[self._in_grid(gone)] = scale.level(TISSUE_HU)
+        values[self._mask_in_grid(gone)] = scale.level(TISSUE_HU)
         return dataclasses.replace(volume, hu_zyx=values)
 
-    def leaked(self, tree: AirwayTree) -> bool:
+    def has_leaked(self, tree: AirwayTree) -> bool:
         """Return whether the search leaked through streaks or a step; other chests have hardly any doubtful branch."""
         doubtful = [branch.confidence is not None and branch.confidence < FAINT for branch in tree.branches]
         is_changed = self.streaks_zyx is not None or bool(self.steps)
         return is_changed and sum(doubtful) > MOST_DOUBTFUL * len(doubtful)
 
-    def without_ends(self, lumen: NDArray[np.uint8], core: LumenTracker, rows: Sequence[dict[str, Any]]) -> float:
+    def remove_disturbed_ends(
+        self, lumen: NDArray[np.uint8], core: LumenTracker, rows: Sequence[dict[str, Any]]
+    ) -> float:
         """Remove from the lumen the branches that end in metal streaks or at a step; return their length in mm.
 
         An airway that passes through a disturbed part is visible again beyond it; a streak is not.
@@ -140,7 +142,7 @@ class ArtefactRegions:
         lumen.reshape(-1)[voxels] = 0
         return float(length_mm[gone].sum()) if len(voxels) else 0.0
 
-    def with_less_confidence(self, tree: AirwayTree) -> AirwayTree:
+    def with_limited_confidence(self, tree: AirwayTree) -> AirwayTree:
         """Return the tree with limited confidence of the branches in metal streaks or beside a step."""
         branches = tuple(
             dataclasses.replace(branch, confidence=MOST_CONFIDENCE)

@@ -49,17 +49,17 @@ class CanonicalOrder:
         """Whether the stored volume is already in canonical order."""
         return self.volume is self.stored
 
-    def in_order(self, lumen_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def in_canonical_order(self, lumen_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return a mask on the stored grid in canonical order."""
         return lumen_zyx if self.is_stored else np.ascontiguousarray(self._axes.view(lumen_zyx))
 
-    def _put_back(self, mask_zyx: NDArray[np.uint8], shape_zyx: tuple[int, int, int]) -> NDArray[np.uint8]:
+    def _mask_on_stored_grid(self, mask_zyx: NDArray[np.uint8], shape_zyx: tuple[int, int, int]) -> NDArray[np.uint8]:
         mask = empty_mask(shape_zyx)
         np.copyto(self._axes.view(mask), np.uint8(1), where=mask_zyx != 0)
         mask.flags.writeable = False
         return mask
 
-    def put_back(self, airways: Airways) -> Airways:
+    def on_stored_grid(self, airways: Airways) -> Airways:
         """Return airways that were found in canonical order on the stored grid.
 
         The paths on the stored grid are calculated at first use; the tree is the one that was found.
@@ -67,10 +67,10 @@ class CanonicalOrder:
         if self.is_stored:
             return airways
         grid = PathGrid(self.stored, airways.tracker.grid.parts)
-        lumen = self._put_back(airways.tracker.lumen_zyx, grid.shape_zyx)
-        on_ct = self._put_back(airways.lumen_zyx, self.stored.shape_zyx) if grid.is_divided else lumen
+        lumen = self._mask_on_stored_grid(airways.tracker.lumen_zyx, grid.shape_zyx)
+        on_ct = self._mask_on_stored_grid(airways.lumen_zyx, self.stored.shape_zyx) if grid.is_divided else lumen
         upper = airways.upper_airway_zyx
-        upper = None if upper is None else self._put_back(upper, self.stored.shape_zyx)
+        upper = None if upper is None else self._mask_on_stored_grid(upper, self.stored.shape_zyx)
         place = np.linalg.inv(grid.lps_from_ijk) @ airways.tracker.grid.lps_from_ijk
         i, j, k = (int(v) for v in np.rint(place[:3, :3] @ np.array(airways.tracker.root_ijk) + place[:3, 3]))
         recipe = CoreRecipe(airways.wall_levels, is_edited=True)

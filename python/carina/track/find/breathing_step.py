@@ -26,6 +26,7 @@ NUM_BESIDE = 2
 LEAST_DROP = 0.22
 # Least ratio of a drop to the fourth largest drop of the scan, because streaks make many slices dissimilar.
 LEAST_RATIO = 2.5
+# Largest number of breathing steps in a scan.
 MOST_STEPS = 3
 
 
@@ -41,7 +42,7 @@ def find_steps(volume: Volume, scale: AirScale, is_changed: NDArray[np.bool_] | 
     is_changed
         (nz,) True for slices that streaks change; these slices are not compared.
     """
-    drops = _drops(volume, scale, is_changed)
+    drops = _similarity_drops(volume, scale, is_changed)
     order = np.argsort(-drops, kind="stable")
     if len(order) <= MOST_STEPS:
         return ()
@@ -50,7 +51,7 @@ def find_steps(volume: Volume, scale: AirScale, is_changed: NDArray[np.bool_] | 
     return tuple(sorted(found))
 
 
-def _drops(volume: Volume, scale: AirScale, is_changed: NDArray[np.bool_] | None) -> Floats:
+def _similarity_drops(volume: Volume, scale: AirScale, is_changed: NDArray[np.bool_] | None) -> Floats:
     """Return, for each pair of neighbouring slices, how much less similar they are than the pairs beside them."""
     dx, dy, _ = volume.spacing_mm
     size = (max(round(BLOCK_MM / dy), 1), max(round(BLOCK_MM / dx), 1))

@@ -19,14 +19,17 @@ WIDE_PART = 75.0
 EDGE_VOXELS = 0.5
 # Smallest size of a chest relative to an adult's: a trachea of 4 mm is that of a newborn.
 LEAST_SIZE = 0.25
-# Longest and usual length in mm of an adult's trachea; both grow with a trachea that is wider than usual, up to the
-# factor ``MOST_LONGER``.
+# Longest and usual length in mm of an adult's trachea; both are larger for a trachea that is wider than usual, by at
+# most the factor ``MOST_LONGER``.
 LONGEST_TRACHEA_MM, USUAL_TRACHEA_MM = 150.0, 110.0
+# Usual diameter of an adult's trachea, mm.
 USUAL_DIAMETER_MM = 17.3
+# Largest factor by which a wide trachea may be longer than usual.
 MOST_LONGER = 1.2
 # Reduction of the size over which the confidence of the thinnest airways falls, because they were verified in adults
 # only.
 THREAD_FALL = 0.04
+# Confidence of the thinnest airways in chests smaller than those for which it was measured.
 UNPROVEN_THREAD = 0.5
 
 
@@ -50,7 +53,7 @@ def search_size(volume: Volume, diameters_mm: NDArray[np.float64]) -> float:
     return float(np.clip(wide_mm / ADULT_MM, LEAST_SIZE, 1.0))
 
 
-def _longer(diameter_mm: float) -> float:
+def _lower_diameter(diameter_mm: float) -> float:
     return float(np.clip(diameter_mm / USUAL_DIAMETER_MM, 1.0, MOST_LONGER))
 
 
@@ -62,12 +65,12 @@ def longest_trachea_mm(diameter_mm: float) -> float:
     >>> longest_trachea_mm(16.0), longest_trachea_mm(25.0)
     (150.0, 180.0)
     """
-    return LONGEST_TRACHEA_MM * _longer(diameter_mm)
+    return LONGEST_TRACHEA_MM * _lower_diameter(diameter_mm)
 
 
 def usual_trachea_mm(diameter_mm: float) -> float:
     """Return the height above the carina at which most tracheas of this diameter begin, mm."""
-    return USUAL_TRACHEA_MM * _longer(diameter_mm)
+    return USUAL_TRACHEA_MM * _lower_diameter(diameter_mm)
 
 
 def thread_confidence(size: float) -> float:

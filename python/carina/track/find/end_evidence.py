@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.track.find.wall_profile import Across
+from carina.track.find.wall_profile import CrossSampler
 from carina.track.tree.airway_tree import Branch
 from carina.volume.model import Volume
 
@@ -19,7 +19,9 @@ Floats = NDArray[np.float64]
 
 # Distances in mm from the tip of a branch between which its direction is measured, before the blunt end.
 BLUNT_MM, AXIS_MM = 2.0, 10.0
+# Distance in mm between samples on a line beyond a tip.
 STEP_MM = 0.5
+# Length in mm of the sampled line beyond a tip.
 FARTHEST_MM = 20.0
 BEYOND_END_MM = 3.0
 """Largest distance in mm of the wall of an end beyond the last centreline point, in addition to the radius."""
@@ -81,7 +83,7 @@ class EndEvidence:
     """Whether surgical clips are near the end of the airway."""
 
 
-def find_end_evidence(volume: Volume, look: Across, branch: Branch, width_mm: float) -> EndEvidence | None:
+def find_end_evidence(volume: Volume, look: CrossSampler, branch: Branch, width_mm: float) -> EndEvidence | None:
     """Return the evidence in the CT beyond the end of a branch, or None if it proves neither a filling nor a blind end.
 
     Parameters
@@ -138,7 +140,7 @@ def _wall_at(values: Floats, half: float, width_mm: float) -> int | None:
     return int(wall[0]) if len(wall) and wall[0] * STEP_MM <= most else None
 
 
-def _filled_mm(volume: Volume, look: Across, tip: Points, axis: Points, width_mm: float) -> float | None:
+def _filled_mm(volume: Volume, look: CrossSampler, tip: Points, axis: Points, width_mm: float) -> float | None:
     """Return the length (mm) of soft tissue that continues a bronchus with its outer width; None without evidence."""
     low, high = (float(look.scale.level(hu)) for hu in TISSUE_HU)
     at = np.arange(0.0, FARTHEST_MM, STEP_MM)
@@ -168,7 +170,7 @@ def _filled_mm(volume: Volume, look: Across, tip: Points, axis: Points, width_mm
     return best
 
 
-def _lung_level(look: Across, tip: Points, width_mm: float) -> float:
+def _lung_level(look: CrossSampler, tip: Points, width_mm: float) -> float:
     """Return the median value of the lung beside an end, in the units of the volume; NaN if there is no lung."""
     offsets = np.array([o for o in np.ndindex(3, 3, 3) if o != (1, 1, 1)], dtype=np.float64) - 1.0
     directions = offsets / np.linalg.norm(offsets, axis=1)[:, None]
@@ -178,7 +180,7 @@ def _lung_level(look: Across, tip: Points, width_mm: float) -> float:
     return float(np.median(lung)) if len(lung) else float("nan")
 
 
-def closed_level(look: Across, tip: Points, width_mm: float) -> float:
+def closed_level(look: CrossSampler, tip: Points, width_mm: float) -> float:
     """Return the lowest value that a wall which closes an end of this width may have, in the units of the volume."""
     usual = float(look.scale.level(CLOSED_HU))
     if width_mm < WIDE_MM:
@@ -190,7 +192,7 @@ def closed_level(look: Across, tip: Points, width_mm: float) -> float:
 
 
 def is_closed(
-    look: Across, tip: Points, axis: Points, width_mm: float, *, beside: tuple[Points, Floats] | None = None
+    look: CrossSampler, tip: Points, axis: Points, width_mm: float, *, beside: tuple[Points, Floats] | None = None
 ) -> bool:
     """Return whether there is a wall in every direction beyond an end, so that no open airway leaves it.
 

@@ -21,11 +21,14 @@ __all__ = ["Flood", "flood"]
 MIN_WALL_CONTRAST_HU = 60.0
 # Volume in mm3 above which an air space that the flood enters counts as a leak; a trachea has 20 to 40 ml.
 LEAK_MM3 = 60_000.0
+# Volume in mm3 above which a basin without a wall counts as a leak.
 SMALL_LEAK_MM3 = 3_000.0
+# Radius in mm of the ball that is closed round the entry of a leak.
 CLOSED_RADIUS_MM = 10.0
 # Volume in mm3 of a lumen above which, together with its share of lung and lumen, the lumen contains lung; trachea and
 # bronchi have 40 to 100 ml.
 MOST_LUMEN_MM3 = 150_000.0
+# Largest share of the lung that a lumen without leaks can fill.
 MOST_OF_LUNG = 0.1
 # Sigmas in mm of the smoothed copies in which a flood that leaked is repeated.
 SMOOTHED_MM = (0.7, 1.0, 1.5)
@@ -87,7 +90,7 @@ def flood(
             f"would count as lumen; choose at least {round(air + 2.5 * noise)}"
         )
         raise UsageError(msg)
-    soft.keep_cut_off_lumen(scale, noise)
+    soft.restore_clipped_lumen(scale, noise)
     noise_hu, min_contrast = noise / scale.span(1.0), scale.span(MIN_WALL_CONTRAST_HU)
     for sigma_mm in (0.0, *SMOOTHED_MM):
         searched = soft
@@ -96,7 +99,7 @@ def flood(
             air, noise = _air_and_noise(searched.volume, seeds, scale)
             if end < air:
                 break
-        found = _flooded(searched, seeds, stage, end=end, air=air, noise=noise, min_contrast=min_contrast)
+        found = _flood_with_noise(searched, seeds, stage, end=end, air=air, noise=noise, min_contrast=min_contrast)
         if not is_default or not _is_lung(soft.volume, found.lumen, scale):
             return found
     msg = (
@@ -106,7 +109,7 @@ def flood(
     raise NoResultError(msg)
 
 
-def _flooded(
+def _flood_with_noise(
     searched: SoftenedCt,
     seeds: Sequence[tuple[int, int, int]],
     stage: Stages,

@@ -18,7 +18,7 @@ from carina.track.intensity_levels import AirScale
 from carina.track.progress import Stages
 from carina.volume.model import Note, Volume
 
-__all__ = ["NOTHING_BEYOND", "STOPPED", "FollowedTips", "follow_beyond"]
+__all__ = ["NOTHING_BEYOND", "STOPPED", "FollowedTips", "follow_small_airways"]
 
 STOPPED = "track.search-stopped"
 """Code of the permanent note on a search that leaked out of the airways."""
@@ -29,9 +29,12 @@ LEAST_RISE_HU = 15.0
 GAP_MM = 2.0
 # Shortest branch in mm that is followed.
 MIN_FOLLOWED_MM = 2.0
+# Slice thickness in mm up to which the shortest followed branch has :data:`MIN_FOLLOWED_MM`.
 THIN_SLICE_MM = 1.0
-# Slices thicker than the smallest lumen show its wall only as partial volume, so more sections must agree.
+# Increase of the shortest followed length per mm of slice thickness: slices thicker than the smallest lumen show its
+# wall only as partial volume, so more sections must agree.
 THICK_SECTIONS = 5.0
+# Largest value in HU of a followed voxel: half of the rise from air to wall.
 HALF_WALL_HU = -500.0
 
 # Least probability that a followed path, and each path from which it continues, is an airway (docs/decisions/0112).
@@ -42,31 +45,38 @@ LEAST_ODDS = 0.3
 # Undershoot in HU beside edges above which a kernel counts as sharp; dark rims look like airways
 # (docs/decisions/0113).
 SHARP_HU = 4.0
+# Increase of that undershoot per HU of noise.
 NOISE_SHARE = 0.15
 # Least rise of a wall in CTs with a sharp kernel, as a multiple of the undershoot.
 SHARP_BAR = 1.5
 # Factors on the least enclosure by walls that a path needs, relative to the lung of the CT; the search is repeated
 # with the next factor after a leak.
 BARS = (1.0, 2.0, 4.0)
+# The same factors for CTs with a sharp kernel.
 SHARP_BARS = (3.0, 5.0)
 # Largest share of the lung that a search reaches without a leak (intact searches: at most 0.4 %).
 MOST_REACHED = 0.02
 # Largest length in mm that a search follows without a leak (at most 0.35 m in eight CTs).
 MOST_FOLLOWED_MM = 2500.0
+# Largest length in mm that a search follows without a leak in CTs with a sharp kernel.
 SHARP_FOLLOWED_MM = 400.0
 
-# The thinnest airways are bright threads with a dark middle (docs/decisions/0112).
+# Largest value in HU of the dark middle of the thinnest airways, which are bright threads with a dark middle
+# (docs/decisions/0112).
 THIN_BRIGHTEST_HU = -400.0
 # Least value in HU of the wall of such an airway, which is brighter than lung.
 THIN_LEAST_WALL_HU = -700.0
 # Least depth in HU of the dark middle, averaged over 5 mm; no such depth occurs in lung.
 THIN_LEAST_DIP_HU = 22.0
-THIN_KEPT_DIP_HU = 20.0
+# Least mean depth in HU of the dark middle over an accepted path.
+THIN_ACCEPTED_DIP_HU = 20.0
 # Largest sigma in mm of the blur of a CT, without the blur by its voxels.
 THIN_BLUR_MM = 0.85
 # Shortest of the thinnest airways, in mm, slices and voxels: the noise of one voxel also appears in its neighbours.
 THIN_MIN_MM, THIN_MIN_SLICES, THIN_MIN_VOXELS = 2.0, 2.5, 3.0
+# Shortest of the thinnest airways that leave an airway sideways, in mm, slices and voxels.
 THIN_SIDE_MM, THIN_SIDE_SLICES, THIN_SIDE_VOXELS = 5.0, 3.3, 6.0
+# Largest share of the lung that the search for the thinnest airways reaches without a leak.
 MOST_REACHED_THIN = 0.1
 
 SOFT_KERNEL = "If available, open a reconstruction with a soft kernel"
@@ -84,14 +94,14 @@ class FollowedTips:
     """Points (n, 3) along the thinnest airways, LPS in mm; each airway was judged by the CT along 5 mm of it."""
     judged: NDArray[np.float64]
     """Points along the airways that were followed beyond the flood, (n, 4): LPS in mm, and probability."""
-    leaked: bool
+    has_leaked: bool
     """Whether the search leaked into the lung, or would have leaked along the rims of a sharp kernel."""
 
 
-NOTHING_BEYOND = FollowedTips((), None, np.empty((0, 3)), np.empty((0, 4)), leaked=False)
+NOTHING_BEYOND = FollowedTips((), None, np.empty((0, 3)), np.empty((0, 4)), has_leaked=False)
 
 
-def follow_beyond(
+def follow_small_airways(
     searched: SoftenedCt,
     lumen: NDArray[np.uint8],
     scale: AirScale,
@@ -122,7 +132,7 @@ def follow_beyond(
     """
     stage.begin("tracing the small airways")
     disturbed = searched.disturbed
-    clean = searched.volume if disturbed is None else disturbed.without_walls(searched.volume, scale)
+    clean = searched.volume if disturbed is None else disturbed.with_streaks_as_lung(searched.volume, scale)
     volume = _in_adult_mm(clean, size)
     most_hu = SHARP_HU + NOISE_SHARE * noise / scale.span(1.0)
     is_softened = searched.raised > 0.0
@@ -139,7 +149,7 @@ def follow_beyond(
         axis, slice_mm = searched.divided
         divided = (axis, slice_mm / size, LEAST_ODDS)
 
-    def extended(raised: float) -> dict[str, Any]:
+    def extend_with(raised: float) -> dict[str, Any]:
         return extend_lumen(
             volume.hu_zyx,
             volume.lps_from_ijk,
@@ -159,11 +169,11 @@ def follow_beyond(
         )
 
     if is_sharp and searched.can_be_softened:
-        return FollowedTips((), None, np.empty((0, 3)), np.empty((0, 4)), leaked=True)
+        return FollowedTips((), None, np.empty((0, 3)), np.empty((0, 4)), has_leaked=True)
     followed: list[dict[str, Any]] = []
     ran_out = False
     for raised in SHARP_BARS if is_sharp else BARS:
-        found = extended(raised)
+        found = extend_with(raised)
         if not found["ran_out"] and _length_mm(found["followed"]) <= (
             SHARP_FOLLOWED_MM if is_sharp else MOST_FOLLOWED_MM
         ):
@@ -174,10 +184,10 @@ def follow_beyond(
         ran_out = searched.divided is None or is_sharp or raised > BARS[0]
         lumen[lumen > 1] = 0
     np.minimum(lumen, 1, out=lumen)
-    leaked = is_sharp or ran_out
-    threads = [] if is_sharp or is_softened or ran_out else _thin(volume, lumen, scale, stage, air=air)
+    has_leaked = is_sharp or ran_out
+    threads = [] if is_sharp or is_softened or ran_out else _follow_thin_airways(volume, lumen, scale, stage, air=air)
     threads_lps = size * np.concatenate([np.empty((0, 3)), *(way["points_lps"] for way in threads)])
-    judged = _judged(followed, size)
+    judged = _path_probabilities(followed, size)
     followed = followed + threads
     notes = []
     if followed:
@@ -193,19 +203,19 @@ def follow_beyond(
             "noise hides the walls of the airways in this CT; they were searched for in a smoothed copy of it, and "
             f"small airways are missing. {SOFT_KERNEL}"
         )
-        return FollowedTips(tuple(notes), Note(STOPPED, words, badge=True), threads_lps, judged, leaked)
-    if not leaked:
+        return FollowedTips(tuple(notes), Note(STOPPED, words, badge=True), threads_lps, judged, has_leaked)
+    if not has_leaked:
         if rims_hu is None or not is_softened:
-            return FollowedTips(tuple(notes), None, threads_lps, judged, leaked)
+            return FollowedTips(tuple(notes), None, threads_lps, judged, has_leaked)
         words = f"{rims}; the airways were searched for in a softened copy of it"
         if rims_hu <= most_hu:
-            return FollowedTips((*notes, words), None, threads_lps, judged, leaked)
+            return FollowedTips((*notes, words), None, threads_lps, judged, has_leaked)
         note = Note(STOPPED, f"{words}, and some small airways are missing. {SOFT_KERNEL}", badge=True)
-        return FollowedTips(tuple(notes), note, threads_lps, judged, leaked)
+        return FollowedTips(tuple(notes), note, threads_lps, judged, has_leaked)
     what = f"{rims}, which look like airways" if is_sharp else "it leaked from the airways into the lung"
     limit_text = "only the clearest are included, and other small airways" if followed else "small airways"
     words = f"the search for small airways was limited because {what}; {limit_text} are missing. {SOFT_KERNEL}"
-    return FollowedTips(tuple(notes), Note(STOPPED, words, badge=True), threads_lps, judged, leaked)
+    return FollowedTips(tuple(notes), Note(STOPPED, words, badge=True), threads_lps, judged, has_leaked)
 
 
 def _in_adult_mm(volume: Volume, size: float) -> Volume:
@@ -220,7 +230,7 @@ def _in_adult_mm(volume: Volume, size: float) -> Volume:
     return dataclasses.replace(volume, lps_from_ijk=larger)
 
 
-def _thin(
+def _follow_thin_airways(
     volume: Volume, lumen: NDArray[np.uint8], scale: AirScale, stage: Stages, *, air: float
 ) -> list[dict[str, Any]]:
     """Return the thinnest airways that were followed from a lumen; the lumen (1 inside) is changed in place."""
@@ -234,7 +244,7 @@ def _thin(
         brightest=scale.level(THIN_BRIGHTEST_HU),
         least_wall=scale.level(THIN_LEAST_WALL_HU),
         least_dip=scale.span(THIN_LEAST_DIP_HU),
-        kept_dip=scale.span(THIN_KEPT_DIP_HU),
+        kept_dip=scale.span(THIN_ACCEPTED_DIP_HU),
         blur_mm=THIN_BLUR_MM,
         min_length_mm=max(THIN_MIN_MM, THIN_MIN_SLICES * slice_mm, THIN_MIN_VOXELS * voxel_mm),
         min_side_mm=max(THIN_SIDE_MM, THIN_SIDE_SLICES * slice_mm, THIN_SIDE_VOXELS * voxel_mm),
@@ -247,7 +257,7 @@ def _thin(
     return followed
 
 
-def _judged(followed: Sequence[dict[str, Any]], size: float) -> NDArray[np.float64]:
+def _path_probabilities(followed: Sequence[dict[str, Any]], size: float) -> NDArray[np.float64]:
     """Return the points of followed paths that were judged by odds, with their probabilities: (n, 4), LPS in mm."""
     points = [
         np.column_stack([size * way["points_lps"], np.full(len(way["points_lps"]), way["probability"])])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import NoResultError
-from carina.track.find.air_upwards import grown
+from carina.track.find.air_upwards import connected_to
 from carina.track.find.root_checks import SURE_TRACHEA_MM
 from carina.track.find.top_of_trachea import TopOfTrachea
 from carina.track.find.trachea_search import Trachea
@@ -18,10 +18,10 @@ from carina.volume.model import Volume
 
 __all__ = [
     "GivenStart",
-    "air_round",
+    "air_near",
     "is_in_trachea",
     "nearest_in",
-    "refuse_air_beside_the_airways",
+    "refuse_air_outside_the_airways",
     "refuse_open_air",
 ]
 
@@ -57,12 +57,12 @@ class GivenStart:
         where = words(self.given)
         return [f"the point {where} is in the trachea: the start was moved {moved_mm:.0f} mm to its upper end"]
 
-    def notes_if_kept(self) -> list[str]:
+    def notes_if_unchanged(self) -> list[str]:
         """Return the notes for a tree that begins at the point that the user gave."""
         return [f"the start was moved {self.snapped_mm:.1f} mm to the nearest lumen voxel"] if self.snapped_mm else []
 
 
-def air_round(volume: Volume, root: Point, scale: AirScale) -> list[tuple[int, int, int]]:
+def air_near(volume: Volume, root: Point, scale: AirScale) -> list[tuple[int, int, int]]:
     """Return the voxels of air near a given root: the nearest voxel, and those within 2 mm of this voxel."""
     centre = volume.to_ijk(np.array(root))
     shape = np.array(volume.shape_zyx[::-1])
@@ -135,7 +135,7 @@ def refuse_open_air(volume: Volume, scale: AirScale, root: Point, voxel: tuple[i
             break
         start = np.zeros(values.shape, dtype=np.bool_)
         start[j, i] = True
-        section = grown(start, values < scale.level(level))
+        section = connected_to(start, values < scale.level(level))
         if float(section.sum()) * dx * dy <= MOST_SECTION_MM2:
             return
     msg = (
@@ -145,7 +145,7 @@ def refuse_open_air(volume: Volume, scale: AirScale, root: Point, voxel: tuple[i
     raise NoResultError(msg, code="track.outside-lumen")
 
 
-def refuse_air_beside_the_airways(root: Point, trachea: Trachea, top: Point) -> None:
+def refuse_air_outside_the_airways(root: Point, trachea: Trachea, top: Point) -> None:
     """Raise an error for a root in air beside the airways: in the oesophagus, the bowel or a bulla.
 
     Parameters

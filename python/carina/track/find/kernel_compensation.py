@@ -17,7 +17,7 @@ from carina.track.intensity_levels import AirScale
 from carina.track.paths.path_grid import DividedSlices
 from carina.volume.model import Volume
 
-__all__ = ["SoftenedCt", "as_it_is", "softened"]
+__all__ = ["SoftenedCt", "soften", "unsoftened"]
 
 # Sigma in mm of the seam (the rim that a sharp kernel produces beside an edge) that is compensated; no seam is
 # narrower than the voxels.
@@ -30,12 +30,15 @@ SOFT_HU = 3.0
 SOFTEST_HU = -8.0
 # Largest factor by which a kernel in use enhances fine detail; a larger estimate comes from noise.
 MOST_RAISED = 3.2
+# Number of iterations in which the amount of softening is determined.
 STEPS = 5
 # Thickness in mm of the slab in the middle of the volume from which the amount of softening is determined.
 SLAB_MM = 40.0
+# Least number of slices of that slab.
 LEAST_SLAB = 24
 # Lowest value in HU of most files.
 FLOOR_HU = -1024.0
+# Value in HU of air.
 AIR_HU = -1000.0
 # Least rise in HU from a clipped lumen to its wall; a rim beside tissue has lung on its other sides.
 WALL_RISE_HU = 250.0
@@ -89,7 +92,7 @@ class SoftenedCt:
         volume = dataclasses.replace(self.volume, hu_zyx=values)
         return dataclasses.replace(self, volume=volume, smoothed_mm=sigma_mm, _values=None, left_hu=None)
 
-    def walled(self, wall: Callable[[NDArray[np.int16]], None]) -> SoftenedCt:
+    def with_wall(self, wall: Callable[[NDArray[np.int16]], None]) -> SoftenedCt:
         """Return a copy in which ``wall`` has replaced air by tissue; it changes the values (nz, ny, nx) in place."""
         values = self.volume.hu_zyx.copy()
         wall(values)
@@ -102,7 +105,7 @@ class SoftenedCt:
             self, volume=volume, _sharp=dataclasses.replace(self._sharp, hu_zyx=sharp), _values=values
         )
 
-    def keep_cut_off_lumen(self, scale: AirScale, noise: float) -> None:
+    def restore_clipped_lumen(self, scale: AirScale, noise: float) -> None:
         """Restore the lumen of airways that was clipped at the lowest value of the CT.
 
         The kernel made this lumen darker than air, so the values below the lowest value of the CT are missing, and the
@@ -130,7 +133,7 @@ class SoftenedCt:
         )
 
 
-def as_it_is(volume: Volume, undershoot_hu: float | None = None) -> SoftenedCt:
+def unsoftened(volume: Volume, undershoot_hu: float | None = None) -> SoftenedCt:
     """Return the original CT for a search, unchanged whatever its kernel is.
 
     Parameters
@@ -143,7 +146,7 @@ def as_it_is(volume: Volume, undershoot_hu: float | None = None) -> SoftenedCt:
     return SoftenedCt(volume, undershoot_hu, 0.0, 0.0, volume, None, can_be_softened=undershoot_hu is not None)
 
 
-def softened(volume: Volume, scale: AirScale, most_hu: float = SOFT_HU) -> SoftenedCt:
+def soften(volume: Volume, scale: AirScale, most_hu: float = SOFT_HU) -> SoftenedCt:
     """Return a CT with the enhancement of an edge-enhancing kernel reversed; the original if the kernel is soft.
 
     The kernel is modelled as ``1 + a (1 - g)``, where g is the transfer function of a Gaussian (its sigma:
@@ -153,14 +156,14 @@ def softened(volume: Volume, scale: AirScale, most_hu: float = SOFT_HU) -> Softe
     undershoot = edge_undershoot_hu(volume, scale)
     if undershoot is None or undershoot <= SOFT_HU:
         return SoftenedCt(volume, undershoot, 0.0, 0.0, volume, None)
-    slab = _middle_of(volume)
+    slab = _central_part(volume)
     x, y, z = (depth is not None and depth > SOFT_HU for depth in undershoots_hu(slab, scale))
     axes = (x, y, z)
     if not any(axes):
         return SoftenedCt(volume, undershoot, 0.0, 0.0, volume, None)
 
     def is_soft(raised: float) -> bool:
-        lowered = dataclasses.replace(slab, hu_zyx=_lowered(slab, raised, axes))
+        lowered = dataclasses.replace(slab, hu_zyx=_lower_detail(slab, raised, axes))
         left = undershoots_hu(lowered, scale)
         depths = [depth for depth, is_sharp in zip(left, axes, strict=True) if is_sharp and depth is not None]
         return not depths or float(np.mean(depths)) <= most_hu
@@ -170,18 +173,18 @@ def softened(volume: Volume, scale: AirScale, most_hu: float = SOFT_HU) -> Softe
         for _ in range(STEPS):
             middle = 0.5 * (low + high)
             low, high = (low, middle) if is_soft(middle) else (middle, high)
-    values = _lowered(volume, high, axes)
+    values = _lower_detail(volume, high, axes)
     copy = dataclasses.replace(volume, hu_zyx=values)
     return SoftenedCt(copy, undershoot, high, 0.0, volume, values, edge_undershoot_hu(copy, scale))
 
 
-def _middle_of(volume: Volume) -> Volume:
+def _central_part(volume: Volume) -> Volume:
     num = max(int(np.ceil(SLAB_MM / volume.spacing_mm[2])), LEAST_SLAB)
     first = max((volume.shape_zyx[0] - num) // 2, 0)
     return dataclasses.replace(volume, hu_zyx=volume.hu_zyx[first : first + num])
 
 
-def _lowered(volume: Volume, raised: float, axes: tuple[bool, bool, bool]) -> NDArray[np.int16]:
+def _lower_detail(volume: Volume, raised: float, axes: tuple[bool, bool, bool]) -> NDArray[np.int16]:
     blurs = inverse_of(round(raised, 6), _seam_mm(volume))
     return mix_with_blurs(
         volume.hu_zyx, volume.lps_from_ijk, own=1.0 / (1.0 + raised), blurs=list(blurs), axes_ijk=axes

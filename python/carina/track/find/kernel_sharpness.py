@@ -49,13 +49,13 @@ def undershoots_hu(volume: Volume, scale: AirScale) -> tuple[float | None, float
     A value is None if there are too few edges or the voxels are too long.
     """
     x, y, z = (
-        _along(volume.hu_zyx, 2 - axis, spacing_mm, scale) if spacing_mm <= MOST_VOXEL_MM else None
+        _undershoot_along(volume.hu_zyx, 2 - axis, spacing_mm, scale) if spacing_mm <= MOST_VOXEL_MM else None
         for axis, spacing_mm in enumerate(volume.spacing_mm)
     )
     return x, y, z
 
 
-def _along(values: NDArray[np.int16], axis: int, voxel_mm: float, scale: AirScale) -> float | None:
+def _undershoot_along(values: NDArray[np.int16], axis: int, voxel_mm: float, scale: AirScale) -> float | None:
     lines = np.moveaxis(values, axis, -1)
     every = max(int(np.sqrt(lines.size / NUM_VOXELS)), 1)
     lines = np.ascontiguousarray(lines[every // 2 :: every, every // 2 :: every])

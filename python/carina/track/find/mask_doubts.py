@@ -47,7 +47,7 @@ def mask_evidence(volume: Volume, branches: tuple[Branch, ...], noise_hu: float,
     """
     places, across_u, across_v, radii, counts = [], [], [], [], []
     for branch in branches:
-        at, along, radius = _places(branch)
+        at, along, radius = _sampled_points(branch)
         helper = np.eye(3)[np.argmin(np.abs(along), axis=1)]
         u = np.cross(along, helper)
         u /= np.maximum(np.linalg.norm(u, axis=1, keepdims=True), 1e-9)
@@ -68,12 +68,12 @@ def mask_evidence(volume: Volume, branches: tuple[Branch, ...], noise_hu: float,
     middle = (values.mean(axis=1) * is_middle).sum(axis=1) / is_middle.sum(axis=1)
     rise = values.max(axis=2) - middle[:, None]
     least = max(RISE_SIGMA * scale.span(noise_hu), scale.span(LEAST_RISE_HU))
-    walled = (rise > least).mean(axis=1)
-    walled[middle > scale.level(AIR_HU)] = 0.0
-    return list(np.split(walled, np.cumsum(counts)[:-1]))
+    with_wall = (rise > least).mean(axis=1)
+    with_wall[middle > scale.level(AIR_HU)] = 0.0
+    return list(np.split(with_wall, np.cumsum(counts)[:-1]))
 
 
-def _places(branch: Branch) -> tuple[Points, Points, NDArray[np.float64]]:
+def _sampled_points(branch: Branch) -> tuple[Points, Points, NDArray[np.float64]]:
     """Return points of a branch beyond the fork at its start, the unit direction there, and the radius in mm."""
     steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
@@ -81,13 +81,13 @@ def _places(branch: Branch) -> tuple[Points, Points, NDArray[np.float64]]:
     last = max(along[-1] - min(STEP_MM, 0.2 * along[-1]), first)
     at = np.linspace(first, last, max(int((last - first) / STEP_MM) + 1, 2))
 
-    def on(mm: NDArray[np.float64]) -> Points:
+    def point_at(mm: NDArray[np.float64]) -> Points:
         return np.stack([np.interp(mm, along, branch.points[:, axis]) for axis in range(3)], axis=1)
 
-    ahead = on(at + 1.5) - on(at - 1.5)
+    ahead = point_at(at + 1.5) - point_at(at - 1.5)
     length = np.linalg.norm(ahead, axis=1, keepdims=True)
     ahead = np.where(length > 0.0, ahead / np.maximum(length, 1e-9), np.array([0.0, 0.0, 1.0]))
-    return on(at), ahead, np.interp(at, along, branch.radius)
+    return point_at(at), ahead, np.interp(at, along, branch.radius)
 
 
 def with_mask_doubts(
@@ -117,7 +117,7 @@ def with_mask_doubts(
         The tree, and the permanent note on a mask that does not match the CT.
     """
     found = mask_evidence(volume, tree.branches, noise_hu, scale)
-    shares = [float((walled >= MIN_WALLED).mean()) for walled in found]
+    shares = [float((with_wall >= MIN_WALLED).mean()) for with_wall in found]
     doubts = [
         (branch.length_mm, share)
         for branch, share in zip(tree.branches, shares, strict=True)
@@ -143,10 +143,10 @@ def with_mask_doubts(
 
 def unnamed_where_doubted(tree: AirwayTree) -> AirwayTree:
     """Return a tree in which the confidence of each name is at most that of its branch."""
-    return dataclasses.replace(tree, branches=tuple(_less_sure(branch) for branch in tree.branches))
+    return dataclasses.replace(tree, branches=tuple(_with_branch_confidence(branch) for branch in tree.branches))
 
 
-def _less_sure(branch: Branch) -> Branch:
+def _with_branch_confidence(branch: Branch) -> Branch:
     sure, name_sure = branch.confidence, branch.name_confidence
     if sure is None or name_sure is None or name_sure <= sure:
         return branch

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from carina.track.find.partial_plugs import find_narrowed
 from carina.track.find.unreached_air import Island, IslandEnd, find_islands
-from carina.track.find.wall_profile import Across
+from carina.track.find.wall_profile import CrossSampler
 from carina.track.tree.airway_tree import AirwayTree
 from carina.track.tree.uncertainty import Uncertainty, filled_place
 from carina.volume.model import Volume
@@ -41,12 +41,16 @@ WIDER, WALL_REACH_MM = 1.6, 2.5
 EDGE_MM = 2.0
 """Least distance in mm of an examined island from the edge of the scan."""
 
-# Limits for the gap between an island and the airways.
 FARTHEST_MM = 45.0
+"""Largest length in mm of the gap between an island and the airways."""
 MOST_OFF_DEG = 60.0
+"""Largest angle in degrees between the axis of an island's end and the gap."""
 STEP_MM = 0.4
+"""Distance in mm between samples along a gap."""
 LEAST_GAP_MM = 2.5
+"""Least length in mm of a filled gap."""
 LEAST_GAP_VOX = 2.0
+"""Least length in voxels of a filled gap."""
 MOST_DARK = 0.25
 """Largest share of the gap between an island and the airways that may be as dark as lung."""
 MOST_LOOSE_MM = 2.5
@@ -54,12 +58,14 @@ MOST_LOOSE_MM = 2.5
 BRIGHTEST_HU = 250.0
 """Value in HU above which a voxel is bone, calcification or a vessel with contrast medium, and no filling."""
 NUM_TRIED = 60
+"""Approximate number of airway points that are tried for one end of an island."""
 UNFILLED = 4.0
 """Penalty for a gap without tissue: the gap's score (lower is better) is multiplied by up to 1 plus this value."""
 
-# Constants for the measurement of the calibre.
 USUAL_WALL_MM = 1.2
+"""Thickness in mm of the wall of a filled bronchus if it cannot be measured beyond the filling."""
 CROSS = (0.25, 0.4, 0.5, 0.6, 0.75)
+"""Positions of the sections across the filling, as fractions of its length."""
 MOST_OUTER_MM = 9.0
 """Largest distance in mm from the axis of a filled bronchus at which its border is searched."""
 LEAST_AIR = 0.15
@@ -122,21 +128,21 @@ def find_filled(
     tuple of Uncertainty
         Places of kind ``filled``, the widest first.
     """
-    look = Across(volume)
+    look = CrossSampler(volume)
     search = _GapSearch(volume, look, tree, lumen_zyx, noise, slice_mm=slice_mm)
     found = list(find_narrowed(look, tree, search.voxel_mm, search.fine_mm))
     centrelines = np.concatenate([branch.points for branch in tree.branches])
     for island in find_islands(volume, lumen_zyx, centrelines, float(look.scale.level(DARKEST_HU))):
         if cancel is not None and cancel():
             break
-        place = search.place_of(island)
+        place = search.filled_place_of(island)
         if place is not None:
             found.append(place)
     found.sort(key=lambda one: (-(one.calibre_mm or one.width_mm), one.lps))
-    return _each_once(found)
+    return _without_duplicates(found)
 
 
-def _each_once(found: Sequence[Uncertainty]) -> tuple[Uncertainty, ...]:
+def _without_duplicates(found: Sequence[Uncertainty]) -> tuple[Uncertainty, ...]:
     """Return the filled places with the narrower of two places in the same bronchus removed.
 
     Air that remains in a filled bronchus is traced as a separate thin airway.
@@ -158,7 +164,7 @@ class _GapSearch:
     def __init__(
         self,
         volume: Volume,
-        look: Across,
+        look: CrossSampler,
         tree: AirwayTree,
         lumen_zyx: NDArray[np.uint8],
         noise: float,
@@ -173,7 +179,7 @@ class _GapSearch:
         self._radius = np.concatenate([branch.radius for branch in tree.branches])
         self._owner = np.concatenate([np.full(len(branch.points), n) for n, branch in enumerate(tree.branches)])
 
-    def place_of(self, island: Island) -> Uncertainty | None:
+    def filled_place_of(self, island: Island) -> Uncertainty | None:
         """Return the filled place between the airways and an island of air, or None if the island is not an airway.
 
         The result is also None if the island reaches the edge of the scan: its connection to the airways may be
@@ -242,7 +248,7 @@ class _GapSearch:
         result: NDArray[np.bool_] = self._lumen[k, j, i] != 0
         return result
 
-    def _inner(self, end: IslandEnd, back_mm: float = 0.0) -> tuple[Floats, Floats]:
+    def _inner_rays(self, end: IslandEnd, back_mm: float = 0.0) -> tuple[Floats, Floats]:
         """Return rays across an island, ``back_mm`` inside the island's end, and the lumen's edge on each ray in mm."""
         reach = WIDER * end.radius_mm + WALL_REACH_MM
         rays = self._look.rays(end.axis_lps - back_mm * end.outward, end.outward, reach)
@@ -250,14 +256,14 @@ class _GapSearch:
 
     def _is_walled(self, end: IslandEnd) -> bool:
         """Return whether a wall surrounds the air at an end of an island."""
-        return bool(np.isfinite(self._inner(end)[1]).mean() >= LEAST_WALLED)
+        return bool(np.isfinite(self._inner_rays(end)[1]).mean() >= LEAST_WALLED)
 
     def _lies_in_lung(self, island: Island) -> bool:
         """Return whether some end of an island has a wall and, close outside the wall, lung on most sides."""
         return any(self._is_in_lung(end) for end in island.ends)
 
     def _is_in_lung(self, end: IslandEnd) -> bool:
-        _, inner = self._inner(end)
+        _, inner = self._inner_rays(end)
         rays = self._look.rays(end.axis_lps, end.outward, WIDER * end.radius_mm + 2.0 * WALL_REACH_MM + 2.0)
         at = np.arange(rays.shape[1]) * self._look.step_mm
         outside = (at > inner[:, None] + self._look.step_mm) & (at <= inner[:, None] + 4.0)
@@ -269,7 +275,7 @@ class _GapSearch:
     def _uncertainty(self, gap: _Gap) -> Uncertainty | None:
         branch, _, _ = self._tree.nearest_branch(gap.lumen_lps)
         after = self._calibre_after(gap.end)
-        axis, outer = self._followed(gap, after)
+        axis, outer = self._follow_axis(gap, after)
         calibre, error = self._calibre(outer, gap.end)
         if (calibre if calibre is not None else after if after is not None else 2.0 * gap.end.radius_mm) < self.fine_mm:
             return None
@@ -289,14 +295,14 @@ class _GapSearch:
         """Return the calibre in mm of the lumen beyond the filling, from its narrowest section; None if unknown."""
         widths = []
         for back_mm in (0.0, 1.5, 3.0, 4.5):
-            _, inner = self._inner(end, back_mm)
+            _, inner = self._inner_rays(end, back_mm)
             if np.isfinite(inner).mean() >= LEAST_WALLED:
                 widths.append(float(np.nanmedian(inner[:16] + inner[16:])))
         return min(widths) if len(widths) > 1 and max(widths) <= ALIKE * min(widths) else None
 
     def _wall_mm(self, end: IslandEnd) -> float | None:
         """Return the thickness in mm of the wall beyond the filling, up to the same outer border as across the gap."""
-        rays, inner = self._inner(end)
+        rays, inner = self._inner_rays(end)
         at = np.arange(rays.shape[1]) * self._look.step_mm
         thick = []
         for ray, edge in zip(rays, inner, strict=True):
@@ -306,7 +312,7 @@ class _GapSearch:
                     thick.append(float(at[outside[0]] - edge))
         return float(np.median(thick)) if len(thick) >= 8 else None
 
-    def _followed(self, gap: _Gap, after: float | None) -> tuple[Points, list[float]]:
+    def _follow_axis(self, gap: _Gap, after: float | None) -> tuple[Points, list[float]]:
         """Return the axis of the filled part, centred between its borders, and the outer widths (mm) along it."""
         direction = gap.near_lps - gap.far_lps
         reach = max(MOST_OUTER_MM, 0.9 * (after or 0.0) + 3.0)

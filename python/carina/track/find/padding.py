@@ -65,12 +65,12 @@ def padding_near(volume: Volume, trachea: list[tuple[int, int, int]]) -> NDArray
         return None
     if _share_of_equal_neighbours(volume, voxels[len(voxels) // 2 :]) > MOST_EQUAL:
         return None
-    padding = _spread(has_one_value, BLOCK_KJI, 0)
+    padding = _mark_blocks(has_one_value, BLOCK_KJI, 0)
     if padding.sum() * abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3]))) < LEAST_MM3:
         return None
     mask = np.zeros(volume.shape_zyx, dtype=np.bool_)
     mask[box] = padding
-    mask[box] = _spread(mask[box], (3, 3, 3), 1)
+    mask[box] = _mark_blocks(mask[box], (3, 3, 3), 1)
     return mask
 
 
@@ -84,7 +84,7 @@ def _share_of_equal_neighbours(volume: Volume, voxels: NDArray[np.int64]) -> flo
     return float(np.mean(along_i | along_j))
 
 
-def _spread(mask: NDArray[np.bool_], block: tuple[int, int, int], before: int) -> NDArray[np.bool_]:
+def _mark_blocks(mask: NDArray[np.bool_], block: tuple[int, int, int], before: int) -> NDArray[np.bool_]:
     """Return the union of the blocks that begin at, or a number of voxels before, each voxel of a mask.
 
     Parameters

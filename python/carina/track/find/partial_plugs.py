@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.track.find.wall_profile import Across, Plane
+from carina.track.find.wall_profile import CrossSampler, Plane
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.uncertainty import Uncertainty, filled_place
 
@@ -40,7 +40,7 @@ LEAST_TOLD = 4
 MOST_SHIFT = 0.9
 
 
-def find_narrowed(look: Across, tree: AirwayTree, voxel_mm: float, least_mm: float) -> list[Uncertainty]:
+def find_narrowed(look: CrossSampler, tree: AirwayTree, voxel_mm: float, least_mm: float) -> list[Uncertainty]:
     """Find the parts of branches that have material between the air and the wall.
 
     Parameters
@@ -54,10 +54,12 @@ def find_narrowed(look: Across, tree: AirwayTree, voxel_mm: float, least_mm: flo
     least_mm
         Calibre of the narrowest bronchi that are examined.
     """
-    return [place for branch in tree.branches for place in _of_branch(look, tree, branch, voxel_mm, least_mm)]
+    return [place for branch in tree.branches for place in _find_in_branch(look, tree, branch, voxel_mm, least_mm)]
 
 
-def _of_branch(look: Across, tree: AirwayTree, branch: Branch, voxel_mm: float, least_mm: float) -> list[Uncertainty]:
+def _find_in_branch(
+    look: CrossSampler, tree: AirwayTree, branch: Branch, voxel_mm: float, least_mm: float
+) -> list[Uncertainty]:
     if branch.parent is None or len(branch.points) < 4:
         return []
     at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
@@ -78,7 +80,11 @@ def _of_branch(look: Across, tree: AirwayTree, branch: Branch, voxel_mm: float, 
         if inside > NARROW * min(before_mm or after_mm, after_mm):
             continue
         sampled = np.linspace(start_mm, end_mm, max(3, round((end_mm - start_mm) / EACH_MM) + 1))
-        middles = [(mm, middle) for mm in sampled if (middle := _middle(look, branch, at, mm, calibre)) is not None]
+        middles = [
+            (mm, middle)
+            for mm in sampled
+            if (middle := _centre_between_walls(look, branch, at, mm, calibre)) is not None
+        ]
         if len(middles) < LEAST_TOLD or middles[-1][0] - middles[0][0] < LEAST_LONG_MM:
             continue
         # A calibre from the peripheral side alone may be measured in the flare of a fork.
@@ -121,21 +127,23 @@ def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
 
 
-def _middle(look: Across, branch: Branch, at: Floats, place_mm: float, calibre_mm: float) -> Points | None:
+def _centre_between_walls(
+    look: CrossSampler, branch: Branch, at: Floats, place_mm: float, calibre_mm: float
+) -> Points | None:
     """Return the centre between the walls of a section (LPS, mm); None if no material is between air and wall."""
 
-    def on_axis(mm: float) -> Points:
+    def axis_point(mm: float) -> Points:
         return np.array([np.interp(mm, at, branch.points[:, a]) for a in range(3)])
 
-    centre = on_axis(place_mm)
-    direction = on_axis(place_mm + 2.0) - on_axis(place_mm - 2.0)
+    centre = axis_point(place_mm)
+    direction = axis_point(place_mm + 2.0) - axis_point(place_mm - 2.0)
     if not direction.any():
         return None
     radius = 0.5 * calibre_mm
     plane = look.plane(centre, direction, (1.0 + MOST_SHIFT) * radius + 2.0 * look.step_mm)
     # Even thin walls that are darkened by blur separate air from lung at this level.
     dark = plane.values <= look.lung
-    air = _connected(dark, radius, plane)
+    air = _connected_to_centre(dark, radius, plane)
     lung = dark & ~air
     tissue = plane.values >= look.half
     best: tuple[float, Floats] | None = None
@@ -162,7 +170,7 @@ def _shifts(radius: float) -> list[Floats]:
     return sorted(pairs, key=lambda pair: float(np.hypot(*pair)))
 
 
-def _connected(dark: NDArray[np.bool_], radius: float, plane: Plane) -> NDArray[np.bool_]:
+def _connected_to_centre(dark: NDArray[np.bool_], radius: float, plane: Plane) -> NDArray[np.bool_]:
     """Return the dark pixels that are connected to the centre of a plane."""
     middle = len(dark) // 2
     near = np.hypot(plane.off_mm[..., 0], plane.off_mm[..., 1]) <= max(0.3 * radius, 1.5 * plane.step_mm)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.track.find.end_evidence import closed_level, is_closed
-from carina.track.find.wall_profile import Across
+from carina.track.find.wall_profile import CrossSampler
 from carina.track.tree.airway_tree import Branch
 
 __all__ = ["StraightEnd", "find_straight_end"]
@@ -47,7 +47,7 @@ class StraightEnd:
     """Unit direction (3,) of the wide airway, LPS."""
 
 
-def find_straight_end(look: Across, branch: Branch) -> StraightEnd | None:
+def find_straight_end(look: CrossSampler, branch: Branch) -> StraightEnd | None:
     """Return the closed end at which a branch turns into a much narrower airway; None without such evidence.
 
     Parameters
@@ -57,7 +57,7 @@ def find_straight_end(look: Across, branch: Branch) -> StraightEnd | None:
     branch
         Branch of the airway tree.
     """
-    step = _narrowing(branch)
+    step = _strongest_narrowing(branch)
     if step is None:
         return None
     index, radius_mm, axis = step
@@ -87,7 +87,7 @@ def _along_mm(branch: Branch) -> NDArray[np.float64]:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def _narrowing(branch: Branch) -> tuple[int, float, Points] | None:
+def _strongest_narrowing(branch: Branch) -> tuple[int, float, Points] | None:
     """Return the index of the strongest step to a narrow part that turns, and radius and axis of the wide part."""
     at = _along_mm(branch)
     best: tuple[float, int, float, Points] | None = None

@@ -8,18 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import flood_lumen
-from carina.track.find.air_upwards import SEPTUM_MM2, SIDES, AirSection, follow_up, spread
+from carina.track.find.air_upwards import SEPTUM_MM2, SIDES, AirSection, dilate, follow_up
 from carina.track.find.kernel_compensation import SoftenedCt
 from carina.track.find.padding import padding_near
 from carina.track.find.root_checks import SURE_TRACHEA_MM
 from carina.track.find.upper_airway import (
     Cords,
     Tube,
-    as_one_trachea,
     carina_of,
+    find_cords,
+    find_tube,
+    join_sections,
     opening_in_front,
-    the_cords,
-    tube_in,
 )
 from carina.track.intensity_levels import AirScale
 from carina.track.paths.tracker import Point, as_point
@@ -27,7 +27,7 @@ from carina.track.progress import Stages
 from carina.track.tree.airway_tree import Branch
 from carina.volume.model import Note, Volume
 
-__all__ = ["LARYNX", "TUBE", "TopOfTrachea", "notes_of", "top_of_trachea", "without_its_tube"]
+__all__ = ["LARYNX", "TUBE", "TopOfTrachea", "notes_of", "top_of_trachea", "without_tube"]
 
 LARYNX = "track.larynx"
 TUBE = "track.tube"
@@ -92,14 +92,14 @@ def top_of_trachea(
         sections = _below_padding(sections, padding)
     if len(sections) < 3:
         return None
-    tube = tube_in(sections)
-    cords = the_cords(sections, tube)
+    tube = find_tube(sections)
+    cords = find_cords(sections, tube)
     trachea = sections if cords is None else sections[: cords.begins_at + 1]
     opening = opening_in_front(volume, scale, trachea)
     if tube is None and cords is None and opening is None and padding is None:
         return _above_a_bronchus(soft, seeds, sections)
     is_open = opening is not None or _is_tracheostomy(trachea, tube)
-    trachea, cut = as_one_trachea(volume, sections, tube, len(trachea), is_open=is_open)
+    trachea, cut = join_sections(volume, sections, tube, len(trachea), is_open=is_open)
     top = trachea[-1]
     wall = round(scale.level(WALL_HU))
 
@@ -119,7 +119,7 @@ def top_of_trachea(
     return TopOfTrachea(
         seeds=[s.voxel for s in reversed(trachea)],
         start=as_point(volume.to_lps(np.array(top.voxel, dtype=np.float64))),
-        searched=soft.walled(wall_off) if is_walled else soft,
+        searched=soft.with_wall(wall_off) if is_walled else soft,
         upper_zyx=None if cords is None else _upper_airway(volume, scale, sections[cords.begins_at + 1 :], top.k),
         sections=in_tube,
         tip_lps=None if tube is None else sections[tube.first].centre_lps,
@@ -133,7 +133,7 @@ def top_of_trachea(
 def _below_padding(sections: list[AirSection], padding: NDArray[np.bool_]) -> list[AirSection]:
     """Return the sections below the lowest section that touches padding."""
     for n, section in enumerate(sections):
-        if (spread(section.air, SIDES) & section.window_of(padding)).any():
+        if (dilate(section.air, SIDES) & section.window_of(padding)).any():
             return sections[:n]
     return sections
 
@@ -164,9 +164,7 @@ def _above_a_bronchus(
     )
 
 
-def without_its_tube(
-    top: TopOfTrachea, lowest: tuple[int, int, int], scale: AirScale, stage: Stages
-) -> NDArray[np.int16]:
+def without_tube(top: TopOfTrachea, lowest: tuple[int, int, int], scale: AirScale, stage: Stages) -> NDArray[np.int16]:
     """Return a copy of the searched values (nz, ny, nx) with air in place of the tube wall.
 
     The tube is also removed below ``lowest`` (i, j, k).

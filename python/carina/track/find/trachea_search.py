@@ -17,10 +17,10 @@ from carina.track.find.root_checks import LUNG_HU, UP_FIRST_MM, has_lung
 from carina.track.find.whole_trachea import (
     AIR_END_HU,
     MISSED_MM,
-    begins_late,
+    begins_below_top,
     down_to_the_carina,
-    only_the_air_of,
-    sections_like_it,
+    trachea_sections,
+    with_tissue_beside,
 )
 from carina.track.intensity_levels import AirScale
 from carina.track.paths.tracker import Point, as_point
@@ -32,6 +32,7 @@ __all__ = ["NO_LUNGS", "Trachea", "found_trachea", "trachea_in", "trachea_round"
 # HU levels. AirScale converts each one to the values of the volume. The search uses the first level that shows a
 # trachea: a lower one if the wall between trachea and lung is thin, a higher one if the slices blur the trachea.
 TRACHEA_AIR_HU = (-800.0, -900.0, -700.0)
+# Least value in HU of the tissue round the trachea.
 TISSUE_HU = -450.0
 
 # Notes on a trachea that lacks one of its usual features.
@@ -178,11 +179,11 @@ def whole_trachea(volume: Volume, scale: AirScale, trachea: Trachea, stage: Stag
     if not ends_early and reaches_top:
         return trachea
     sections = follow_up(volume, scale, scale.level(AIR_END_HU), lowest, stage)
-    is_late = not reaches_top and begins_late(sections, top_k, area)
+    is_late = not reaches_top and begins_below_top(sections, top_k, area)
     if not ends_early and not is_late:
         return trachea
     try:
-        again = trachea_in(only_the_air_of(volume, scale, sections), volume, scale, stage)
+        again = trachea_in(with_tissue_beside(volume, scale, sections), volume, scale, stage)
     except NoResultError:
         again = None
     num_more = MISSED_MM / 2.0 / volume.spacing_mm[2]
@@ -193,7 +194,7 @@ def whole_trachea(volume: Volume, scale: AirScale, trachea: Trachea, stage: Stag
         and (not is_late or again.seeds[0][2] >= top_k + num_more)
     ):
         return again
-    return _along(volume, trachea, sections_like_it(sections, max(top_k, sections[0].k), area))
+    return _along(volume, trachea, trachea_sections(sections, max(top_k, sections[0].k), area))
 
 
 def trachea_round(volume: Volume, scale: AirScale, start: tuple[int, int, int], stage: Stages) -> Trachea | None:
@@ -211,7 +212,7 @@ def trachea_round(volume: Volume, scale: AirScale, start: tuple[int, int, int], 
     if not sections:
         return None
     try:
-        return trachea_in(only_the_air_of(volume, scale, sections), volume, scale, stage)
+        return trachea_in(with_tissue_beside(volume, scale, sections), volume, scale, stage)
     except NoResultError:
         return None
 

@@ -44,7 +44,7 @@ def without_twigs(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     while number < len(rows):
         siblings = [other for other, row in enumerate(rows) if row["parent"] == rows[number]["parent"]]
         if _is_cut_end(rows, number, siblings) or _is_bulge(rows, number, siblings):
-            rows = _without(rows, number)
+            rows = _without_leaf(rows, number)
             number = 1
         else:
             number += 1
@@ -93,7 +93,7 @@ def _length_mm(points: Points) -> float:
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
-def _without(rows: Sequence[dict[str, Any]], twig: int) -> list[dict[str, Any]]:
+def _without_leaf(rows: Sequence[dict[str, Any]], twig: int) -> list[dict[str, Any]]:
     """Return the rows without a leaf; if only one other child remains, the parent and this child are merged."""
     above = rows[twig]["parent"]
     remaining = [number for number, row in enumerate(rows) if row["parent"] == above and number != twig]
@@ -116,14 +116,14 @@ def _without(rows: Sequence[dict[str, Any]], twig: int) -> list[dict[str, Any]]:
             continue
         changed = {**row, "parent": None if row["parent"] is None else place[row["parent"]]}
         if merged is not None and number == above:
-            changed |= _joined(row, rows[merged])
+            changed |= _join_branches(row, rows[merged])
         elif number in below:
             changed["generation"] = row["generation"] - 1
         found.append(changed)
     return found
 
 
-def _joined(above: dict[str, Any], below: dict[str, Any]) -> dict[str, Any]:
+def _join_branches(above: dict[str, Any], below: dict[str, Any]) -> dict[str, Any]:
     """Return the fields of one branch made of two; the second one starts at the last point of the first one."""
     # The node of the fork may be in both lists.
     nodes = list(dict.fromkeys(int(node) for node in (*above["nodes"], *below["nodes"])))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.track.find.air_upwards import SEPTUM_HU, SEPTUM_MM2, AirSection, disc, spread
+from carina.track.find.air_upwards import SEPTUM_HU, SEPTUM_MM2, AirSection, dilate, disc
 from carina.track.find.chest_size import longest_trachea_mm, usual_trachea_mm
 from carina.track.intensity_levels import AirScale
 from carina.volume.model import Volume
@@ -17,13 +17,13 @@ __all__ = [
     "CORDS_ABOVE_CRICOID_MM",
     "Cords",
     "Tube",
-    "as_one_trachea",
     "carina_of",
+    "find_cords",
+    "find_tube",
+    "has_larynx",
+    "join_sections",
     "opening_in_front",
     "root_below_cords_mm",
-    "sees_a_larynx",
-    "the_cords",
-    "tube_in",
 ]
 
 # Least height above the carina at which the vocal cords are searched, in diameters of the trachea. The cords of an
@@ -42,11 +42,13 @@ NARROW_AREA = 0.6
 SLIT = 0.6
 # Least ratio of the throat's width to the trachea's width.
 THROAT_WIDTH = 1.3
-# Sections up to this height above a narrow place are examined; if they contain a trachea of this length, the narrow
+# Height in mm above a narrow place up to which sections are searched for more trachea, which shows that the narrow
 # place is a stenosis.
 ABOVE_MM = 45.0
-TRACHEA_AGAIN_MM = 20.0
-AGAIN_BY_A_TUBE_MM = 9.0
+# Least length in mm of trachea above a narrow place that shows that the place is a stenosis.
+TRACHEA_ABOVE_MM = 20.0
+# Least length in mm between two narrow places round a tube that shows that trachea follows above the fluid on its cuff.
+TRACHEA_ABOVE_TUBE_MM = 9.0
 # Greatest length in mm of a larynx, from the cone below the true cords to the wide part of the vestibule.
 LONGEST_MM = 40.0
 # Greatest length in mm of the part of the larynx above the cords.
@@ -54,16 +56,19 @@ ABOVE_CORDS_MM = 20.0
 # Range of heights in mm of an adult's cords above the lower border of the cricoid, scaled in smaller and larger
 # people.
 CORDS_ABOVE_CRICOID_MM = (18.0, 25.0)
-# The tree begins below the cricoid: this far below an adult's cords, scaled in smaller people. In larger people it
-# begins at the middle of the heights that are less than 9 mm below the cricoid for every position of the cords.
+# Distance in mm of the tree's start below an adult's cords, which is below the cricoid; scaled in smaller people.
 BELOW_THE_CORDS_MM = 26.5
+# Largest distance in mm of the tree's start below the cricoid in larger people: the tree begins at the middle of the
+# heights within this distance for every position of the cords.
 LESS_BELOW_CRICOID_MM = 9.0
 # Diameter of an adult's trachea, mm.
 ADULT_DIAMETER_MM = 17.3
 # Height in mm of an adult's cords above the lowest section, which is just below the carina.
 ADULT_CORDS_MM = 146.0
-# Between these relative sizes the larynx has an adult's size; outside them it scales with the trachea.
+# Range of relative sizes of the trachea in which the larynx has an adult's size; outside it the larynx scales with the
+# trachea.
 ADULT_SIZES = (0.92, 1.0)
+# Least and largest size of a larynx relative to an adult's.
 SIZES = (0.4, 1.2)
 # Smallest extent in mm (left-right and front-back) of a CT of a neck or a head, also of a child's.
 LEAST_NECK_MM = 90.0
@@ -80,27 +85,33 @@ LEAST_TUBE_MM = 12.0
 # Smallest median value in HU of plastic between air and air, also after blur by thick slices; noise is only just above
 # -800 HU.
 LEAST_PLASTIC_HU = -600.0
-# Limits for a tube whose wall touches the wall of the trachea all round: brightness, area and length.
+# Least peak value in HU of a tube whose wall touches the wall of the trachea all round.
 LINE_HU = 500.0
 LINE_NOISES = 8.0
 """Least brightness of a tube's radiopaque line above water, in standard deviations of the noise."""
+# Largest area of the air in such a tube, as a share of the trachea's area.
 TIGHT_AREA = 0.55
+# Least length in mm of such a tube.
 LEAST_TIGHT_MM = 25.0
-# Ratio of depths: a section beside an opening in the front of the neck is deeper than the trachea by at least this
-# factor.
+# Least ratio of the depth of a section beside an opening in the front of the neck to the depth of the trachea.
 DEEPER = 1.12
-WHOLE_AGAIN = 1.3
+# Largest ratio of a section's depth to the trachea's at which the trachea counts as complete again above an opening.
+COMPLETE_DEPTH = 1.3
+# Height in mm by which a tube dents the front of the trachea below and above an opening in the neck.
 DENT_MM = 8.0
 # Share of the trachea's area below which the air round a tube shows that fluid surrounds the tube.
 LITTLE_AREA = 0.8
-# Extent of the search for an opening in the front of the neck, and the highest value of the air in it.
+# Extent in mm of the search for an opening in the front of the neck, to the front.
 FORWARD_MM = 160.0
+# Extent in mm of the search for an opening in the neck, to each side.
 ASIDE_MM = 25.0
+# Extent in mm of the search for an opening in the neck, up and down.
 UP_DOWN_MM = 30.0
+# Highest value in HU of the air in an opening of the neck.
 OPEN_AIR_HU = -900.0
-# Air outside the body: the mean of a block of this size is below this value (that of lung is higher), at least this far
-# in front of the middle of the trachea.
+# Highest mean in HU of a block of air outside the body (that of lung is higher), and side of the block in mm.
 PURE_AIR_HU, PURE_AIR_MM = -940.0, 7.0
+# Least distance in mm of the air outside the body in front of the middle of the trachea.
 FRONT_MM = 25.0
 # Ratio of a section's area to the trachea's above which the section is lung: noise has opened the wall between them.
 LUNG_AREA = 5.0
@@ -127,7 +138,7 @@ class Cords:
     """Size of the larynx relative to an adult's larynx."""
 
     @property
-    def are_seen(self) -> bool:
+    def are_visible(self) -> bool:
         """Whether the cords were seen in the sections."""
         return self.root_above_carina_mm is None
 
@@ -150,7 +161,7 @@ def _heights(sections: list[AirSection]) -> NDArray[np.float64]:
     return np.array([section.centre_lps[2] for section in sections])
 
 
-def _typical(
+def _typical_size(
     sections: list[AirSection], heights: NDArray[np.float64], tube: Tube | None, *, within_mm: float = 60.0
 ) -> tuple[float, float, float]:
     """Return the median width, depth and area of the trachea's lower sections, below the tip of any tube."""
@@ -161,7 +172,7 @@ def _typical(
     return float(width), float(depth), float(area)
 
 
-def tube_in(sections: list[AirSection]) -> Tube | None:
+def find_tube(sections: list[AirSection]) -> Tube | None:
     """Return the tube among the sections, or None if there is no tube.
 
     A tube shows as plastic or metal between the air in it and the air round it. If it fills the trachea, it shows as a
@@ -212,7 +223,7 @@ def _runs(signs: NDArray[np.bool_], heights: NDArray[np.float64], *, gap_mm: flo
     return runs
 
 
-def the_cords(sections: list[AirSection], tube: Tube | None) -> Cords | None:
+def find_cords(sections: list[AirSection], tube: Tube | None) -> Cords | None:
     """Return the vocal cords among the sections, or None if the scan or its air ends below them.
 
     Upwards, the trachea narrows to a slit, or to nothing where the cords are closed, and no trachea follows. A
@@ -221,7 +232,7 @@ def the_cords(sections: list[AirSection], tube: Tube | None) -> Cords | None:
     a trachea.
     """
     heights = _heights(sections)
-    typical = _typical(sections, heights, tube)
+    typical = _typical_size(sections, heights, tube)
     diameter = 2.0 * float(np.sqrt(typical[2] / np.pi))
     least = LEAST_DIAMETERS_IN_A_TUBE if tube is not None and tube.first == 0 else LEAST_DIAMETERS
     for first, last in _larynges(sections, tube, typical, least * diameter):
@@ -246,7 +257,7 @@ def the_cords(sections: list[AirSection], tube: Tube | None) -> Cords | None:
     above = heights - heights[carina]
     usual_mm = 2.0 * float(np.sqrt(np.median([section.area_mm2 for section in sections]) / np.pi))
     if above[-1] > longest_trachea_mm(usual_mm):
-        _, _, area_mm2 = _typical(sections[carina:], heights[carina:], None)
+        _, _, area_mm2 = _typical_size(sections[carina:], heights[carina:], None)
         is_trachea = np.array([section.area_mm2 <= WIDEST * area_mm2 for section in sections])
         root = int(np.flatnonzero((above <= usual_trachea_mm(usual_mm)) & is_trachea)[-1])
         return Cords(len(sections) - 1, root, float(above[-1] - above[root]), float(above[root]))
@@ -289,7 +300,7 @@ def _larynx_size(diameter_mm: float, cords_mm: float | None) -> float:
     return min(max(size, SIZES[0]), SIZES[1])
 
 
-def sees_a_larynx(volume: Volume, sections: list[AirSection]) -> bool:
+def has_larynx(volume: Volume, sections: list[AirSection]) -> bool:
     """Return whether sections from the trachea upwards contain a larynx, even if the scan shows little of the trachea.
 
     A volume smaller than a neck contains no larynx: it is a part of a chest, a specimen or a model.
@@ -297,7 +308,7 @@ def sees_a_larynx(volume: Volume, sections: list[AirSection]) -> bool:
     width_mm, depth_mm = (n * mm for n, mm in zip(volume.shape_zyx[:0:-1], volume.spacing_mm[:2], strict=True))
     if len(sections) < 3 or min(width_mm, depth_mm) < LEAST_NECK_MM:
         return False
-    typical = _typical(sections, _heights(sections), None, within_mm=SHORT_MM)
+    typical = _typical_size(sections, _heights(sections), None, within_mm=SHORT_MM)
     return bool(_larynges(sections, None, typical, 0.0))
 
 
@@ -321,12 +332,12 @@ def _larynges(
             continue
         end = float(heights[last])
         above = [s for s, z in zip(sections[last + 1 :], heights[last + 1 :], strict=True) if z - end <= ABOVE_MM]
-        if _is_trachea_again(above, width, depth, area):
+        if _is_trachea(above, width, depth, area):
             continue
         # Fluid above the cuff of a tube leaves only the tube's own lumen; some trachea follows above the fluid.
         if tube is not None and number + 1 < len(runs):
             following = heights[runs[number + 1][0]] - end
-            if AGAIN_BY_A_TUBE_MM <= following <= ABOVE_MM:
+            if TRACHEA_ABOVE_TUBE_MM <= following <= ABOVE_MM:
                 continue
         is_slit = min(s.width_mm / s.depth_mm for s in sections[first : last + 1]) <= SLIT
         is_throat = any(s.width_mm >= THROAT_WIDTH * width for s in above)
@@ -336,7 +347,7 @@ def _larynges(
     return found
 
 
-def _is_trachea_again(above: list[AirSection], width: float, depth: float, area: float) -> bool:
+def _is_trachea(above: list[AirSection], width: float, depth: float, area: float) -> bool:
     like = np.array(
         [
             0.75 * width <= s.width_mm <= 1.25 * width
@@ -349,10 +360,10 @@ def _is_trachea_again(above: list[AirSection], width: float, depth: float, area:
     if not like.any():
         return False
     heights = _heights(above)
-    return any(heights[b] - heights[a] >= TRACHEA_AGAIN_MM for a, b in _runs(like, heights, gap_mm=1.5))
+    return any(heights[b] - heights[a] >= TRACHEA_ABOVE_MM for a, b in _runs(like, heights, gap_mm=1.5))
 
 
-def as_one_trachea(
+def join_sections(
     volume: Volume, sections: list[AirSection], tube: Tube | None, stop: int, *, is_open: bool
 ) -> tuple[list[AirSection], list[tuple[AirSection, NDArray[np.bool_]]]]:
     """Return the first ``stop`` sections, each reduced or completed to the air of the trachea alone.
@@ -366,7 +377,7 @@ def as_one_trachea(
         The sections, and each section that reached forward with the air that was cut off.
     """
     heights = _heights(sections)
-    _, depth, area = _typical(sections, heights, tube)
+    _, depth, area = _typical_size(sections, heights, tube)
     forward = np.array([is_open and (s.leaves_in_front or s.depth_mm > DEEPER * depth) for s in sections[:stop]])
     by_tube = np.arange(stop) <= (-1 if tube is None else tube.last + 3)
     little = np.array([s.area_mm2 < LITTLE_AREA * area for s in sections[:stop]]) & by_tube
@@ -383,16 +394,16 @@ def as_one_trachea(
         first = max(first, 1)
         low = sections[first - 1]
         # The tree may begin beside the opening, so the next complete section may be above ``stop``.
-        whole = (s for s in sections[last + 1 :] if not s.leaves_in_front and s.depth_mm <= WHOLE_AGAIN * depth)
+        whole = (s for s in sections[last + 1 :] if not s.leaves_in_front and s.depth_mm <= COMPLETE_DEPTH * depth)
         high = next(whole, None)
         for n in range(first, last + 1):
             section = sections[n]
             share = 0.0 if high is None else (section.k - low.k) / (high.k - low.k)
             middle = low.centre_lps + share * ((high or low).centre_lps - low.centre_lps)
             i, j, _ = volume.to_ijk(middle)
-            inside = _put(volume, low, (j, i), section)
+            inside = _move_section(volume, low, (j, i), section)
             if high is not None:
-                inside |= _put(volume, high, (j, i), section)
+                inside |= _move_section(volume, high, (j, i), section)
             air = section.air & inside if reaches else section.air
             if not air.any():
                 continue
@@ -411,7 +422,9 @@ def as_one_trachea(
     return own, cut
 
 
-def _put(volume: Volume, section: AirSection, middle: tuple[float, float], into: AirSection) -> NDArray[np.bool_]:
+def _move_section(
+    volume: Volume, section: AirSection, middle: tuple[float, float], into: AirSection
+) -> NDArray[np.bool_]:
     """Return the mask of a section with its centre moved to ``middle`` (j, i), in the window of another section."""
     i, j, _ = volume.to_ijk(section.centre_lps)
     shift = np.rint(np.subtract(middle, (j, i))).astype(int) + section.corner - into.corner
@@ -436,7 +449,7 @@ def opening_in_front(
     cut = [s for s in sections if s.leaves_in_front]
     if not cut:
         return None
-    _, _, usual_mm2 = _typical(sections, _heights(sections), None)
+    _, _, usual_mm2 = _typical_size(sections, _heights(sections), None)
     if max(s.area_mm2 for s in sections) > LUNG_AREA * usual_mm2:
         return None
     dx, dy, dz = volume.spacing_mm
@@ -461,7 +474,7 @@ def opening_in_front(
         inside = ((at >= 0) & (at < air.shape[1:])).all(axis=1)
         own[section.k - k0, at[inside, 0], at[inside, 1]] = True
         if section.leaves_in_front:
-            start[section.k - k0] = spread(own[section.k - k0], disc(1.5 * max(dx, dy), (dy, dx)))
+            start[section.k - k0] = dilate(own[section.k - k0], disc(1.5 * max(dx, dy), (dy, dx)))
     free = air & ~own
     reached = start & free
     size = -1

@@ -11,7 +11,7 @@ from carina._core import Enclosures
 from carina.track.intensity_levels import AirScale, air_scale
 from carina.volume.model import Volume
 
-__all__ = ["Across", "Plane"]
+__all__ = ["CrossSampler", "Plane"]
 
 Points = NDArray[np.float64]
 Floats = NDArray[np.float64]
@@ -46,7 +46,7 @@ class Plane:
     """(2, 3) unit vectors that span the plane, LPS."""
 
 
-class Across:
+class CrossSampler:
     """Sampler of a volume on rays and planes across an axis.
 
     Parameters
@@ -70,7 +70,7 @@ class Across:
 
     def along(self, points_lps: Points, direction: Points) -> Floats:
         """Return (n,) mean values over a small disc across the axis, at each of (n, 3) points (LPS, mm)."""
-        across = _across(direction)
+        across = _perpendicular_vectors(direction)
         ring = 2.0 * np.pi * np.arange(6) / 6
         off = CORE_MM * (np.cos(ring)[:, None] * across[0] + np.sin(ring)[:, None] * across[1])
         places = points_lps[:, None, :] + np.concatenate([np.zeros((1, 3)), off])[None]
@@ -79,7 +79,7 @@ class Across:
 
     def share_of_tissue(self, points_lps: Points, direction: Points, radius_mm: float) -> float:
         """Return the share of tissue in discs of the given radius round (n, 3) points (LPS, mm)."""
-        across = _across(direction)
+        across = _perpendicular_vectors(direction)
         ring = 2.0 * np.pi * np.arange(12) / 12
         sides = np.cos(ring)[:, None] * across[0] + np.sin(ring)[:, None] * across[1]
         off = np.concatenate([np.zeros((1, 3)), 0.6 * radius_mm * sides, radius_mm * sides])
@@ -87,7 +87,7 @@ class Across:
 
     def rays(self, centre_lps: Points, direction: Points, reach_mm: float) -> Floats:
         """Return (32, n) values on rays across an axis, one value per ``step_mm``; ray i is opposite to ray i + 16."""
-        across = _across(direction)
+        across = _perpendicular_vectors(direction)
         angle = 2.0 * np.pi * np.arange(NUM_RAYS) / NUM_RAYS
         sides = np.cos(angle)[:, None] * across[0] + np.sin(angle)[:, None] * across[1]
         off = np.arange(0.0, reach_mm + self.step_mm, self.step_mm)
@@ -101,7 +101,7 @@ class Across:
         own = float(rays[:, 0].mean())
         peak = rays.max(axis=1)
         half = 0.5 * (own + np.minimum(peak, self.scale.level(0.0)))
-        return np.where(peak - own >= least_rise, _first_mm(rays - half[:, None], self.step_mm), np.nan)
+        return np.where(peak - own >= least_rise, _first_crossing_mm(rays - half[:, None], self.step_mm), np.nan)
 
     def outer_mm(self, rays: Floats) -> Floats:
         """Return (32,) distances in mm at which each ray finally leaves tissue for the lung.
@@ -127,7 +127,7 @@ class Across:
         The result is a circle through the border of the cord against the lung; vessels beside the cord are left out.
         Returns None if too little of the border is visible, or if the border is not round.
         """
-        across = _across(direction)
+        across = _perpendicular_vectors(direction)
         angle = 2.0 * np.pi * np.arange(NUM_RAYS) / NUM_RAYS
         sides = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         centre = np.array(centre_lps, dtype=np.float64)
@@ -146,14 +146,14 @@ class Across:
 
     def plane(self, centre_lps: Points, direction: Points, reach_mm: float) -> Plane:
         """Return the values on a square across an axis that extends ``reach_mm`` to each side of the centre."""
-        across = _across(direction)
+        across = _perpendicular_vectors(direction)
         count = int(np.ceil(reach_mm / self.step_mm))
         at = np.arange(-count, count + 1) * self.step_mm
         off = np.stack(np.meshgrid(at, at, indexing="ij"), axis=-1)
         return Plane(self.values_at(centre_lps + off @ across), off, self.step_mm, across)
 
 
-def _across(direction: Points) -> Points:
+def _perpendicular_vectors(direction: Points) -> Points:
     """Return two unit vectors (2, 3) across a direction and perpendicular to each other."""
     along = direction / max(float(np.linalg.norm(direction)), 1e-9)
     one = np.cross(along, np.eye(3)[int(np.argmin(np.abs(along)))])
@@ -161,7 +161,7 @@ def _across(direction: Points) -> Points:
     return np.stack([one, np.cross(along, one)])
 
 
-def _first_mm(above: Floats, step_mm: float) -> Floats:
+def _first_crossing_mm(above: Floats, step_mm: float) -> Floats:
     """Return the distance in mm at which each row of values first reaches 0 from below; NaN where no value does."""
     reached = above >= 0.0
     first = np.maximum(reached.argmax(axis=1), 1)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.track.find.air_upwards import AirSection, disc, follow_up, grown, spread
+from carina.track.find.air_upwards import AirSection, connected_to, dilate, disc, follow_up
 from carina.track.find.chest_size import longest_trachea_mm
 from carina.track.intensity_levels import AirScale
 from carina.track.progress import Stages
@@ -17,10 +17,10 @@ __all__ = [
     "AIR_END_HU",
     "MISSED_MM",
     "DownToCarina",
-    "begins_late",
+    "begins_below_top",
     "down_to_the_carina",
-    "only_the_air_of",
-    "sections_like_it",
+    "trachea_sections",
+    "with_tissue_beside",
 ]
 
 AIR_END_HU = -800.0
@@ -38,9 +38,9 @@ LEAST_AREA = 0.7
 # Largest error in mm of the ends of the trachea in the search by anatomy.
 MISSED_MM = 10.0
 # Least and largest area of a section that counts as a section of the trachea, as shares of the trachea's area.
-LIKE_IT = (0.6, 1.5)
-# Least share of the sections above that are like the trachea, if the trachea continues there.
-MOSTLY = 0.65
+SIMILAR_AREA = (0.6, 1.5)
+# Least share of similar sections above the found trachea that shows that the trachea continues there.
+SIMILAR_SHARE = 0.65
 # Thickness in mm of the trachea's wall, in which values are not changed; air in oesophagus and lung is farther away.
 OWN_WALL_MM = 2.0
 
@@ -106,7 +106,7 @@ def _parts_apart_mm(volume: Volume, section: AirSection) -> float | None:
     while left.any():
         first = np.zeros_like(left)
         first[np.unravel_index(int(left.argmax()), left.shape)] = True
-        part = grown(first, left)
+        part = connected_to(first, left)
         left &= ~part
         area = float(part.sum() * dx * dy)
         if area >= LEAST_PART_MM2:
@@ -121,7 +121,7 @@ def _longest_mm(area_mm2: float) -> float:
     return longest_trachea_mm(2.0 * float(np.sqrt(area_mm2 / np.pi)))
 
 
-def begins_late(sections: list[AirSection], top_k: int, area_mm2: float) -> bool:
+def begins_below_top(sections: list[AirSection], top_k: int, area_mm2: float) -> bool:
     """Return whether sections like the trachea's continue above the slice in which the trachea was found to begin.
 
     Parameters
@@ -140,13 +140,13 @@ def begins_late(sections: list[AirSection], top_k: int, area_mm2: float) -> bool
     if not above or above[-1].centre_lps[2] - z < MISSED_MM:
         return False
     # A short stenosis, at which the search by anatomy stops, may be in between.
-    low, high = LIKE_IT[0] * area_mm2, LIKE_IT[1] * area_mm2
-    return sum(low <= section.area_mm2 <= high for section in above) >= MOSTLY * len(above)
+    low, high = SIMILAR_AREA[0] * area_mm2, SIMILAR_AREA[1] * area_mm2
+    return sum(low <= section.area_mm2 <= high for section in above) >= SIMILAR_SHARE * len(above)
 
 
-def sections_like_it(sections: list[AirSection], top_k: int, area_mm2: float) -> list[AirSection]:
+def trachea_sections(sections: list[AirSection], top_k: int, area_mm2: float) -> list[AirSection]:
     """Return the sections up to a slice, and the sections above it up to a long part unlike the trachea."""
-    low, high = LIKE_IT[0] * area_mm2, LIKE_IT[1] * area_mm2
+    low, high = SIMILAR_AREA[0] * area_mm2, SIMILAR_AREA[1] * area_mm2
     last = 0
     for n, section in enumerate(sections):
         if section.centre_lps[2] - sections[0].centre_lps[2] > _longest_mm(area_mm2):
@@ -158,7 +158,7 @@ def sections_like_it(sections: list[AirSection], top_k: int, area_mm2: float) ->
     return sections[: last + 1]
 
 
-def only_the_air_of(volume: Volume, scale: AirScale, sections: list[AirSection]) -> NDArray[np.int16]:
+def with_tissue_beside(volume: Volume, scale: AirScale, sections: list[AirSection]) -> NDArray[np.int16]:
     """Return the values (nz, ny, nx) with soft tissue in place of all air beside the sections.
 
     Air in the oesophagus, in the top of a lung or outside the body then cannot be mistaken for a part of the
@@ -169,7 +169,7 @@ def only_the_air_of(volume: Volume, scale: AirScale, sections: list[AirSection])
     own_wall = disc(OWN_WALL_MM + 0.5 * max(dx, dy), (dy, dx))
     wall = round(scale.level(WALL_HU))
     for section in sections:
-        inside = spread(section.whole, own_wall)
+        inside = dilate(section.whole, own_wall)
         selected = section.window_of(values)[inside]
         values[section.k] = wall
         section.window_of(values)[inside] = selected

@@ -19,7 +19,13 @@ from carina.display.tables import Columns, Tabular, columns_of
 from carina.errors import CancelledError, UsageError
 from carina.track.find.result import Airways
 from carina.track.intensity_levels import AirScale, air_scale
-from carina.track.measures.branch_summary import BranchSummary, Stenosis, diameter_by_neighbours, stenosis_of, summed_up
+from carina.track.measures.branch_summary import (
+    BranchSummary,
+    Stenosis,
+    diameter_by_neighbours,
+    stenosis_of,
+    summary_of,
+)
 from carina.track.measures.diameter import (
     Diameter,
     Passage,
@@ -460,7 +466,7 @@ def measure_tree(
     report = progress_function(progress)
     if report is not None:
         report("measuring the airways", 0.0)
-    _go_on(cancel)
+    _raise_if_cancelled(cancel)
     scale = air_scale(volume)
     noise = _noise_in_trunk(volume, tree.root, scale) if previous is None else previous.noise
     keys = tuple(_key(branch, tree) for branch in tree.branches)
@@ -478,7 +484,7 @@ def measure_tree(
     )
     blur = casts.blur() if previous is None else previous.blur_mm
     rows = casts.measure(blur)
-    _go_on(cancel)
+    _raise_if_cancelled(cancel)
     forks = find_forks(volume, airways.lumen_zyx, tree)
     fork_of = {fork.branch_id: fork for fork in forks}
     begins = np.cumsum([0, *(len(tree.branches[number].points) for number in fresh)])
@@ -508,7 +514,7 @@ def measure_tree(
         sections.append({**columns, "at_junction": flags})
     measured = tuple(
         known[key] if key in known and _is_same(known[key], one) else one
-        for key, one in zip(keys, _summed_up(tree, sections), strict=True)
+        for key, one in zip(keys, _summaries(tree, sections), strict=True)
     )
     notes = []
     if blur is None:
@@ -543,7 +549,7 @@ _COLUMNS = [
 _FIGURES = {name for name in _COLUMNS if name.endswith(("_mm", "_mm2"))}
 
 
-def _go_on(cancel: Cancel | None) -> None:
+def _raise_if_cancelled(cancel: Cancel | None) -> None:
     if cancel is not None and cancel():
         raise CancelledError("stopped while measuring the airways")
 
@@ -639,7 +645,7 @@ def _errors_with_scatter(columns: dict[str, Any], at_junction: NDArray[np.bool_]
     return {"equivalent_error_mm": error, "area_error_mm2": 0.5 * np.pi * diameter * error}
 
 
-def _summed_up(tree: AirwayTree, sections: list[dict[str, Any]]) -> tuple[BranchMeasures, ...]:
+def _summaries(tree: AirwayTree, sections: list[dict[str, Any]]) -> tuple[BranchMeasures, ...]:
     nothing = BranchSummary()
     plain = [
         BranchMeasures(branch_id=branch.id, summary=nothing, **columns)
@@ -660,7 +666,7 @@ def _summed_up(tree: AirwayTree, sections: list[dict[str, Any]]) -> tuple[Branch
             [means[sibling] for sibling in siblings],
             [means[child] for child in children],
         )
-        summary = summed_up(
+        summary = summary_of(
             own.at_mm,
             (own.equivalent_mm, own.equivalent_error_mm),
             (own.wall_mm, own.wall_error_mm),

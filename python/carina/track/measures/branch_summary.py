@@ -20,7 +20,7 @@ __all__ = [
     "Stenosis",
     "diameter_by_neighbours",
     "stenosis_of",
-    "summed_up",
+    "summary_of",
 ]
 
 Floats = NDArray[np.float64]
@@ -150,7 +150,7 @@ def _rounded(value: Any) -> Any:
     return round(value, 4) if isinstance(value, float) else value
 
 
-def summed_up(
+def summary_of(
     at_mm: Floats,
     equivalent: tuple[Floats, Floats],
     wall: tuple[Floats, Floats],

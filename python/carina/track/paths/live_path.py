@@ -23,6 +23,7 @@ WALL_REACH_MM = 2.0
 # Rises that count as no wall and as a certain wall, in standard deviations of the noise: the brightest of some noise
 # samples is about 2 above the mean.
 NOTHING_SIGMA, CERTAIN_SIGMA = 2.0, 6.0
+# Least rise in HU that counts as evidence of a wall, in CTs with little noise.
 LEAST_CONTRAST_HU = 60.0
 # A lumen below the first width (voxels) may be noise; from the second width on it is completely visible.
 FEW_VOXELS, ENOUGH_VOXELS = 0.5, 3.0
@@ -69,9 +70,9 @@ class LivePath:
     snapped_mm: float
     """Distance in mm of the given point from the lumen; 0 inside the lumen."""
     new_mm: float
-    """Length in mm of the path outside the present tree."""
+    """Length in mm of the path outside the current tree."""
     joins_branch_id: int | None
-    """Branch of the present tree from which the new part starts; None without a tree."""
+    """Branch of the current tree from which the new part starts; None without a tree."""
     problem: str | None
     """Text that states why there is no path and what to do; None if there is a path."""
 
@@ -103,7 +104,7 @@ def find_live_path(tracker: LumenPaths, volume: Volume, point: Point, *, reach_m
     inside = bool(tracker.core.inside([point])[0])
     # Check this before `snap`, whose error message searches within 60 mm: too slow while a pointer moves.
     if not inside and volume.contains_lps(np.array(point)) and tracker.core.nearest(point, reach_mm) is None:
-        return _no_path(_where(tracker, volume, point, reach_mm))
+        return _no_path(_place_text(tracker, volume, point, reach_mm))
     node, snapped_mm = tracker.snap(point, snap_mm=reach_mm)
     if not tracker.core.solve_to(node):
         return _no_path(
@@ -177,7 +178,7 @@ def wall_scores(
         Air and soft tissue in the numbers of the volume.
     """
     points = points_lps[np.linspace(0, len(points_lps) - 1, min(len(points_lps), MAX_POINTS)).round().astype(int)]
-    across_u, across_v = _across(points, path_lps)
+    across_u, across_v = _perpendicular_vectors(points, path_lps)
     angles = 2.0 * np.pi * np.arange(NUM_RAYS) / NUM_RAYS
     rays = np.cos(angles)[None, :, None] * across_u[:, None, :] + np.sin(angles)[None, :, None] * across_v[:, None, :]
     spacing = np.array(volume.spacing_mm)
@@ -203,7 +204,9 @@ def noise_hu(volume: Volume, points_lps: NDArray[np.float64], scale: AirScale) -
     return float(max((high - low) / 1.349, 1.0))
 
 
-def _across(points: NDArray[np.float64], path: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _perpendicular_vectors(
+    points: NDArray[np.float64], path: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return two unit vectors (n, 3) across a path at each of its points."""
     place = np.argmin(np.linalg.norm(path[None, :, :] - points[:, None, :], axis=2), axis=1)
     last = len(path) - 1
@@ -241,7 +244,7 @@ def _no_path(problem: str) -> LivePath:
     return LivePath(np.empty((0, 3)), 0.0, 0.0, None, 0.0, 0.0, None, problem)
 
 
-def _where(tracker: LumenPaths, volume: Volume, point: Point, reach_mm: float) -> str:
+def _place_text(tracker: LumenPaths, volume: Volume, point: Point, reach_mm: float) -> str:
     """Return a text for the user that states what is at a point outside the lumen, and what to do."""
     found = tracker.core.nearest(point, SEARCH_MM)
     far = f"more than {SEARCH_MM:g} mm" if found is None else f"{found[1]:.0f} mm"

@@ -169,7 +169,7 @@ class PathGrid:
         """
         if not self.is_divided:
             return mask_zyx
-        made = self._most_of(mask_zyx)
+        made = self._majority_mask(mask_zyx)
         made.flags.writeable = False
         return made
 
@@ -187,8 +187,8 @@ class PathGrid:
         """
         if not self.is_divided:
             return lumen_zyx
-        made = self._most_of(lumen_zyx)
-        points = np.concatenate([_dense(branch.points) for branch in branches])
+        made = self._majority_mask(lumen_zyx)
+        points = np.concatenate([_densified(branch.points) for branch in branches])
         place = np.linalg.inv(self.lps_from_ijk)
         finer = np.floor(points @ place[:3, :3].T + place[:3, 3] + 0.5).astype(np.int64)
         finer = finer[((finer >= 0) & (finer < np.array(self.shape_zyx[::-1]))).all(axis=1)]
@@ -198,7 +198,7 @@ class PathGrid:
         made.flags.writeable = False
         return made
 
-    def _most_of(self, mask_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def _majority_mask(self, mask_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
         made = empty_mask(self.ct.shape_zyx)
         stack = np.moveaxis(mask_zyx, 2 - self._axis, 0)
         slices = np.moveaxis(made, 2 - self._axis, 0)
@@ -213,7 +213,7 @@ class PathGrid:
         return made
 
 
-def _dense(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _densified(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the points of a line with four interpolated points between each pair."""
     if len(points) < 2:
         return points

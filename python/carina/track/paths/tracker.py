@@ -433,13 +433,13 @@ class PathTracker:
 
     def set_branches(self, branches: Sequence[Branch], nodes: Sequence[NDArray[np.uint32]]) -> None:
         """Set the branches and the voxels of their centrelines, so that paths know their branches; parents first."""
-        self._tell(branches, list(nodes))
+        self._set_branch_nodes(branches, list(nodes))
 
     def follow_branches(self, branches: Sequence[Branch]) -> None:
         """Set the branches like :meth:`set_branches`, but take the voxels from the centrelines at first use."""
-        self._tell(branches, None)
+        self._set_branch_nodes(branches, None)
 
-    def _tell(self, branches: Sequence[Branch], nodes: list[NDArray[np.uint32]] | None) -> None:
+    def _set_branch_nodes(self, branches: Sequence[Branch], nodes: list[NDArray[np.uint32]] | None) -> None:
         self._branches = tuple(branches)
         self._nodes = nodes
         self._follows = nodes is None
@@ -517,7 +517,7 @@ def _tracker_of(
 ) -> PathTracker:
     """Return the path tracker that the values in a pickle describe."""
     tracker = PathTracker(core=None, lumen_zyx=lumen.mask_zyx(), **values)
-    tracker._tell(branches, nodes)
+    tracker._set_branch_nodes(branches, nodes)
     return tracker
 
 

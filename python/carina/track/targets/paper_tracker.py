@@ -268,7 +268,7 @@ def track_on_graph(
         snapped = 0.0
         if cost == "lumen" and airways is not None and not bool(airways.tracker.inside(requested[None])[0]):
             snapped = float(np.linalg.norm(np.array(centre) - requested))
-        num_outside, outside_mm = (None, None) if airways is None else _outside(way, airways, volume)
+        num_outside, outside_mm = (None, None) if airways is None else _outside_lumen(way, airways, volume)
         used = np.array(centre) if snapped > 0.0 else requested
         results.append(TargetResult(requested, used, snapped, None, None))
         searches.append(
@@ -292,7 +292,7 @@ def track_on_graph(
     for number, search_of in enumerate(searches):
         if search_of is not None:
             assert tree is not None
-            path = _as_path(
+            path = _tracked_path(
                 next(waiting),
                 airways,
                 tree,
@@ -336,7 +336,7 @@ class _NodePath:
         return self.points if self.end is None else np.concatenate([self.points, self.end[None]])
 
 
-def _densely(points: Points, step_mm: float) -> Points:
+def _densified(points: Points, step_mm: float) -> Points:
     """Return evenly spaced points along a polyline, at most ``step_mm`` apart, including its ends."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
@@ -345,7 +345,7 @@ def _densely(points: Points, step_mm: float) -> Points:
     return np.stack([np.interp(places, along, points[:, axis]) for axis in range(3)], axis=1)
 
 
-def _outside(way: _NodePath, airways: Airways, volume: Volume) -> tuple[int, float]:
+def _outside_lumen(way: _NodePath, airways: Airways, volume: Volume) -> tuple[int, float]:
     """Return the number of nodes of a path outside the lumen, and the length (mm) of the path outside the lumen."""
     num = int((~airways.tracker.inside(way.points)).sum())
     whole = way.whole
@@ -356,7 +356,7 @@ def _outside(way: _NodePath, airways: Airways, volume: Volume) -> tuple[int, flo
 
 def outside_mm(points: Points, airways: Airways, volume: Volume) -> float:
     """Return the length (mm) of a polyline outside the lumen."""
-    dense = _densely(points, 0.25 * min(volume.spacing_mm))
+    dense = _densified(points, 0.25 * min(volume.spacing_mm))
     pieces = np.linalg.norm(np.diff(dense, axis=0), axis=1)
     return float(pieces[~airways.tracker.inside((dense[:-1] + dense[1:]) / 2)].sum())
 
@@ -380,7 +380,7 @@ def _root(
     return root
 
 
-def _as_path(
+def _tracked_path(
     way: _NodePath,
     airways: Airways | None,
     tracked: AirwayTree,
@@ -392,10 +392,10 @@ def _as_path(
 ) -> TrackedPath:
     if smooth and airways is not None:
         # An edge may be many voxels long: sample it as densely as the paths of the voxel graph.
-        dense = _densely(way.whole, min(volume.spacing_mm))
+        dense = _densified(way.whole, min(volume.spacing_mm))
         points = airways.tracker.core.smooth(dense, step_mm=STEP_MM, keep_end=True)
     else:
-        points = _densely(way.whole, STEP_MM)
+        points = _densified(way.whole, STEP_MM)
     branch_ids, generation = along_branches(points, tracked if airways is None else airways.tree)
     unknown = np.zeros(len(points))
     return TrackedPath(

@@ -126,7 +126,7 @@ def track_paths(
     if cost != "lumen":
         return track_on_graph(
             volume,
-            airways or _airways_at(volume, start, lumen_threshold, report, cancel),
+            airways or _airways_from_root(volume, start, lumen_threshold, report, cancel),
             points,
             cost=cost,
             graph=graph,
@@ -137,7 +137,7 @@ def track_paths(
     if airways is None or (start is not None and not np.array_equal(as_point(start), airways.root_lps)):
         airways = find_airways(volume, root_lps=start, lumen_threshold=lumen_threshold, progress=report, cancel=cancel)
         if start is not None:
-            airways = _starting_at(volume, airways, as_point(start), cancel)
+            airways = _with_start_at(volume, airways, as_point(start), cancel)
     if graph != "voxel":
         return track_on_graph(
             volume, airways, points, cost=cost, graph=graph, snap_mm=snap_mm, progress=report, cancel=cancel
@@ -161,7 +161,7 @@ def track_paths(
     return TrackResult(tree, tuple(results), airways)
 
 
-def _starting_at(volume: Volume, airways: Airways, start: Point, cancel: Cancel | None) -> Airways:
+def _with_start_at(volume: Volume, airways: Airways, start: Point, cancel: Cancel | None) -> Airways:
     """Return the airways with paths that begin at a start given in the trachea instead of at the trachea's top."""
     if np.linalg.norm(airways.root_lps - np.array(start)) <= SNAP_MM:
         return airways
@@ -172,7 +172,7 @@ def _starting_at(volume: Volume, airways: Airways, start: Point, cancel: Cancel 
         return airways
 
 
-def _airways_at(
+def _airways_from_root(
     volume: Volume,
     root: Sequence[float] | NDArray[np.float64] | None,
     lumen_threshold: float | None,

@@ -27,9 +27,9 @@ from carina.argument_checks import (
     whole_from,
 )
 from carina.display import as_words, one_line
+from carina.display.centreline_drawing import DRAWN_COLOUR, Way, generation_colour, ways_svg
 from carina.display.html import caption, figure, table
 from carina.display.tables import Columns, Tabular, columns_of
-from carina.display.ways import DRAWN_COLOUR, Way, generation_colour, ways_svg
 from carina.errors import TrackingError, UsageError
 from carina.volume.model import Note
 
@@ -403,7 +403,7 @@ class AirwayTree(Tabular):
             head_of[branch.id] = branch.id
             if branch.parent is not None:
                 parent = by_id[branch.parent]
-                if [child for child in parent.children if _goes_on(parent, by_id[child])] == [branch.id]:
+                if [child for child in parent.children if _continues_in_child(parent, by_id[child])] == [branch.id]:
                     head_of[branch.id] = head_of[parent.id]
             pieces.setdefault(head_of[branch.id], []).append(branch)
         depths: dict[int, int] = {}
@@ -523,7 +523,7 @@ class AirwayTree(Tabular):
         return cls(tuple(ordered), notes=_read_badges(document.get("badges", ())))
 
 
-def _goes_on(parent: Branch, child: Branch) -> bool:
+def _continues_in_child(parent: Branch, child: Branch) -> bool:
     return (
         parent.name is not None
         and (child.name, child.name_from) == (parent.name, parent.name_from)

@@ -70,15 +70,15 @@ def confidence_limit(tree: AirwayTree) -> float:
     calibrated range: a disease that narrows or widens the trachea alone has no effect.
     """
     sizes = _sizes_mm(tree)
-    return max(map(limit_at, sizes)) if sizes and _agree(sizes) else 1.0
+    return max(map(limit_at, sizes)) if sizes and _have_same_limit(sizes) else 1.0
 
 
-def _agree(sizes: tuple[float, ...]) -> bool:
+def _have_same_limit(sizes: tuple[float, ...]) -> bool:
     low, high = CALIBRATED_MM
     return all(size < low for size in sizes) or all(size > high for size in sizes)
 
 
-def _limited(branch: Branch, most: float) -> Branch:
+def _limit_confidence(branch: Branch, most: float) -> Branch:
     sure, name_sure = branch.confidence, branch.name_confidence
     return dataclasses.replace(
         branch,
@@ -93,7 +93,7 @@ def with_limited_confidence(tree: AirwayTree) -> AirwayTree:
         return tree
     # An edit may have removed the name of the trachea: its size is then unknown.
     most = round(confidence_limit(tree), 3) if _sizes_mm(tree) else UNPROVEN
-    return dataclasses.replace(tree, branches=tuple(_limited(branch, most) for branch in tree.branches))
+    return dataclasses.replace(tree, branches=tuple(_limit_confidence(branch, most) for branch in tree.branches))
 
 
 def with_size_note(tree: AirwayTree) -> AirwayTree:

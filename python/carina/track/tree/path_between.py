@@ -38,13 +38,13 @@ def way_between(
     down_to_a, down_to_b = tree.lineage(branch_a.id), tree.lineage(branch_b.id)
     shared = sum(one.id == other.id for one, other in zip(down_to_a, down_to_b, strict=False))
     trunk = down_to_a[shared - 1]
-    leave = _place(trunk, branch_a, index_a)
-    join = _place(trunk, branch_b, index_b)
+    leave = _trunk_index(trunk, branch_a, index_a)
+    join = _trunk_index(trunk, branch_b, index_b)
     # The path runs up or down along the shared branch; the parts before and after it belong to one lineage only.
     step = 1 if join >= leave else -1
     middle = trunk.points[np.arange(leave, join + step, step)]
-    up = _below(down_to_a[shared:], index_a)[::-1]
-    down = _below(down_to_b[shared:], index_b)
+    up = _centreline_below(down_to_a[shared:], index_a)[::-1]
+    down = _centreline_below(down_to_b[shared:], index_b)
     points = np.concatenate([up, middle, down])
     apex = len(up) + (len(middle) - 1 if step < 0 else 0)
     new = np.concatenate([[True], np.any(np.diff(points, axis=0) != 0.0, axis=1)])
@@ -52,12 +52,12 @@ def way_between(
     return None if len(remaining) < 2 else (remaining, int(np.count_nonzero(new[: apex + 1])) - 1)
 
 
-def _place(trunk: Branch, branch: Branch, index: int) -> int:
+def _trunk_index(trunk: Branch, branch: Branch, index: int) -> int:
     """Return the index on a trunk of a point, or of the fork at which the branch of the point leaves the trunk."""
     return index if branch.id == trunk.id else len(trunk.points) - 1
 
 
-def _below(branches: Sequence[Branch], index: int) -> Points:
+def _centreline_below(branches: Sequence[Branch], index: int) -> Points:
     """Return the centrelines (n, 3), LPS in mm, from a fork down to a point on the last of the given branches."""
     if not branches:
         return np.empty((0, 3))

@@ -75,7 +75,7 @@ class CalibreShare:
     """Least share among the CTs that were measured: 0 to 1, a multiple of 0.05 like :attr:`typical` and :attr:`most`.
     """
     typical: float | None
-    """Mean share of these CTs; None if the pixels of the present CT are wider than theirs."""
+    """Mean share of these CTs; None if the pixels of the current CT are wider than theirs."""
     most: float
     """Greatest share among the CTs that were measured."""
 
@@ -157,7 +157,7 @@ def shares_in(ct: Volume) -> CalibratedShares | None:
     distance_mm = round(max(ct.spacing_mm), 2)
     slice_mm = max(ct.source.slice_thickness_mm or 0.0, distance_mm)
     effective = effective_slice_mm(ct)
-    judged = _of_calibre(calibrated_shares(effective), JUDGED_MM).typical
+    judged = _share_of_diameter(calibrated_shares(effective), JUDGED_MM).typical
     if judged is not None and judged >= THIN_SHARE:
         return None
     known_mm = SLICES_MM[-1]
@@ -173,7 +173,7 @@ def shares_of(tree: AirwayTree, ct: Volume) -> CalibratedShares | None:
     return shares_in(ct) if has_note else None
 
 
-def _of_calibre(shares: Sequence[CalibreShare], diameter_mm: float) -> CalibreShare:
+def _share_of_diameter(shares: Sequence[CalibreShare], diameter_mm: float) -> CalibreShare:
     """Return the share of the calibre of a diameter; smaller diameters get the share of the narrowest calibre."""
     return next((share for share in shares if diameter_mm >= share.from_mm), shares[-1])
 
@@ -224,7 +224,7 @@ def miss_text(found: CalibratedShares, diameter_mm: float | None) -> str:
     diameter_mm
         Inner diameter of the airway that was lost; None if no airway was found.
     """
-    share = None if diameter_mm is None else _of_calibre(found.shares, diameter_mm)
+    share = None if diameter_mm is None else _share_of_diameter(found.shares, diameter_mm)
     if share is None or (share.least, share.most) == (0.0, 1.0):
         return f"; {found.slices} hide many airways, so it may still be there"
     if share.least == 1.0:

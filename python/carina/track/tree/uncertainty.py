@@ -39,9 +39,11 @@ AIRWAY_SHARE = (
     *((0.962, 0.675), (0.975, 0.817), (0.986, 0.944), (0.992, 0.969), (0.997, 0.981), (1.0, 0.999)),
 )
 # The walls of the thinnest airways rise by less than the noise of a voxel; they were judged along 5 mm (0112). Of 131
-# such paths in four CTs one was not an airway. A branch is thin if half of its points are this near to such a path.
+# such paths in four CTs one was not an airway.
 THREAD_SHARE = 0.95
+# Distance in mm from such a path within which half of a branch's points must be for the branch to count as thin.
 NEAR_THREAD_MM = 1.5
+# Distance in mm within which a point of a branch belongs to a followed path that was judged by odds.
 NEAR_JUDGED_MM = 2.0
 WALL_WEIGHT = 0.2
 """Weight of the log odds of a branch's walls relative to those of the path along the branch."""
@@ -51,15 +53,20 @@ MOST_OF_ONE = 0.94
 # Walls are means of three sections and of neighbouring steps, so their noise grows more slowly than that of a voxel. Up
 # to this noise, on which AIRWAY_SHARE was fitted, the noise of a voxel is used.
 USUAL_NOISE_HU = 25.0
+# Exponent by which the noise of a wall measurement grows above that noise.
 NOISE_POWER = 0.75
 # Limits for thin branches in a CT with deep rims: in painted CTs with a sharp kernel, one in ten of the best-scoring
 # lumens of this width is a rim that looks like a wall.
 SHARP_RIM_HU = 15.0
+# Radius in voxels below which a branch is thin.
 THIN_VOXELS = 2.0
+# Largest confidence of a thin branch in a CT with such rims.
 MOST_BESIDE_RIMS = 0.95
 # Length in mm of the last part of a branch, which runs into its blind end and is not judged.
 BLUNT_MM = 2.0
+# Number of sections at which the wall of a branch is judged.
 NUM_SECTIONS = 12
+# Number of sides of a section on which a wall is searched.
 NUM_SIDES = 16
 
 
@@ -269,16 +276,16 @@ def with_confidence(
     rims_hu
         Depth of the dark rims that the kernel leaves beside edges; None if there are none.
     """
-    branches = tuple(_judged_with(volume, branch, noise, threads_lps, thread_share) for branch in tree.branches)
+    branches = tuple(_branch_confidence(volume, branch, noise, threads_lps, thread_share) for branch in tree.branches)
     if judged is not None and len(judged):
-        branches = tuple(as_probable_as_its_way(branch, judged) for branch in branches)
+        branches = tuple(with_path_probability(branch, judged) for branch in branches)
     if rims_hu is not None and rims_hu >= SHARP_RIM_HU:
         voxel_mm = float(np.cbrt(np.prod(volume.spacing_mm)))
         branches = tuple(_beside_rims(branch, voxel_mm) for branch in branches)
     return dataclasses.replace(tree, branches=branches)
 
 
-def as_probable_as_its_way(branch: Branch, judged: NDArray[np.float64]) -> Branch:
+def with_path_probability(branch: Branch, judged: NDArray[np.float64]) -> Branch:
     """Combine the confidence of a branch's walls with the probability of the path along it.
 
     Only branches along a path that was judged by odds change. Above 0.94 the confidence is at most that of each: a
@@ -302,7 +309,7 @@ def _beside_rims(branch: Branch, voxel_mm: float) -> Branch:
     return dataclasses.replace(branch, confidence=min(branch.confidence, MOST_BESIDE_RIMS))
 
 
-def _judged_with(
+def _branch_confidence(
     volume: Volume, branch: Branch, noise: float, threads_lps: Points | None, thread_share: float
 ) -> Branch:
     own = judged(volume, branch, noise)

@@ -1,4 +1,4 @@
-import { routeDoubts, withError } from "../../state/branch-words";
+import { routeDoubts, withError } from "../../state/branch-text";
 import { mm } from "../../state/format";
 import { planOf } from "../../state/plan";
 import { placeText } from "../../state/route";

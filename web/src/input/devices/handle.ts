@@ -31,7 +31,7 @@ export class Handle extends FieldReader {
   readonly #send: (message: ClientMessage) => void;
   readonly #nowS: () => number;
   readonly #bad: () => void;
-  #newest: Values | null = null;
+  #latest: Values | null = null;
   #clockMs: number | null = null;
   #wraps = 0;
   numBad = 0;
@@ -51,18 +51,18 @@ export class Handle extends FieldReader {
   }
 
   tick(): void {
-    const newest = this.#newest;
-    this.#newest = null;
-    if (newest === null) return;
+    const latest = this.#latest;
+    this.#latest = null;
+    if (latest === null) return;
     this.#send({
       type: "device_sample",
       device: this.name,
-      time_s: newest.timeS,
+      time_s: latest.timeS,
       position_mm: null,
       orientation_wxyz: null,
       axes: null,
-      buttons: newest.buttons,
-      handle: newest.handle,
+      buttons: latest.buttons,
+      handle: latest.handle,
       advance: 0,
     });
   }
@@ -74,7 +74,7 @@ export class Handle extends FieldReader {
     if (values === null) {
       this.numBad += 1;
       if (this.numBad === 1) this.#bad();
-    } else this.#newest = values;
+    } else this.#latest = values;
   }
 
   #values(fields: readonly HidField[], data: DataView): Values | null {

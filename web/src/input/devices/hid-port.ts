@@ -78,7 +78,7 @@ export class HidPort {
       // Browsers list each interface of a device as a separate device; use the interface that the reader supports.
       const devices = await this.#hid.requestDevice({ filters: this.#filters });
       const device = devices.find((one) => this.#read(one).problem === null) ?? devices[0];
-      if (device !== undefined) await this.#take(device);
+      if (device !== undefined) await this.#open(device);
     } catch (trouble) {
       this.#fail(trouble);
     }
@@ -94,10 +94,10 @@ export class HidPort {
     this.#stopped = true;
     this.#device = null;
     this.#taking = null;
-    await this.#letGo();
+    await this.#release();
   }
 
-  async #take(device: HidDevice): Promise<void> {
+  async #open(device: HidDevice): Promise<void> {
     if (this.#stopped || this.#taking?.device === device) return;
     const reader = this.#read(device);
     if (reader.problem !== null) {
@@ -107,7 +107,7 @@ export class HidPort {
     const taking = { device };
     this.#taking = taking;
     try {
-      await this.#letGo();
+      await this.#release();
       await reader.open();
       if (this.#taking !== taking) {
         // Close the device again: another device was selected, or the port was stopped, while the device was being
@@ -122,7 +122,7 @@ export class HidPort {
     }
   }
 
-  async #letGo(): Promise<void> {
+  async #release(): Promise<void> {
     const reader = this.#reader;
     this.#reader = null;
     if (reader === null) return;
@@ -131,7 +131,7 @@ export class HidPort {
   }
 
   readonly #pulledOut = (event: Event): void => {
-    if (this.#device !== null && (event as Event & { device?: unknown }).device === this.#device) void this.#letGo();
+    if (this.#device !== null && (event as Event & { device?: unknown }).device === this.#device) void this.#release();
   };
 
   readonly #pluggedIn = (event: Event): void => {
@@ -142,7 +142,7 @@ export class HidPort {
     if (device.vendorId !== before.vendorId || device.productId !== before.productId) return;
     // The reader cannot use this object, which is another interface of the same device.
     if (this.#read(device).problem !== null) return;
-    this.#take(device).catch((trouble) => this.#fail(trouble));
+    this.#open(device).catch((trouble) => this.#fail(trouble));
   };
 
   #fail(trouble: unknown): void {

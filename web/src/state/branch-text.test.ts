@@ -13,7 +13,7 @@ import {
   routeDoubts,
   rowLengthMm,
   tooltipOf,
-} from "./branch-words";
+} from "./branch-text";
 import { testBranch } from "./branches.testing";
 
 function branch(id: number, parent: number | null, children: number[], change: Partial<TreeBranch> = {}): TreeBranch {

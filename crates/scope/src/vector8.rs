@@ -10,9 +10,11 @@ pub(crate) const LANES: usize = 8;
 /// Vector of eight f32, one per lane.
 ///
 /// No operation is fused or approximated, so all implementations give the same bits.
-pub(crate) trait Eight: Copy {
-    fn of(values: [f32; LANES]) -> Self;
-    fn out(self) -> [f32; LANES];
+pub(crate) trait Vector8: Copy {
+    /// Create a vector from the values of its lanes.
+    fn from_array(values: [f32; LANES]) -> Self;
+    /// Return the values of the lanes.
+    fn to_array(self) -> [f32; LANES];
     fn plus(self, other: Self) -> Self;
     fn minus(self, other: Self) -> Self;
     fn times(self, other: Self) -> Self;
@@ -28,13 +30,13 @@ pub(crate) trait Eight: Copy {
 
     #[inline(always)]
     fn all(value: f32) -> Self {
-        Self::of([value; LANES])
+        Self::from_array([value; LANES])
     }
 }
 
 /// Implementation by arrays, which the compiler translates to the instructions of the build's target.
 #[derive(Clone, Copy)]
-pub(crate) struct Plain([f32; LANES]);
+pub(crate) struct ArrayVector([f32; LANES]);
 
 /// Macro that defines operations as loops, not closures, so that each becomes one instruction on registers.
 macro_rules! each {
@@ -47,13 +49,13 @@ macro_rules! each {
     }};
 }
 
-impl Eight for Plain {
+impl Vector8 for ArrayVector {
     #[inline(always)]
-    fn of(values: [f32; LANES]) -> Self {
+    fn from_array(values: [f32; LANES]) -> Self {
         Self(values)
     }
     #[inline(always)]
-    fn out(self) -> [f32; LANES] {
+    fn to_array(self) -> [f32; LANES] {
         self.0
     }
     #[inline(always)]
@@ -115,7 +117,7 @@ pub(crate) use avx2::Avx2;
 mod avx2 {
     use std::arch::x86_64 as x86;
 
-    use super::{Eight, LANES};
+    use super::{LANES, Vector8};
 
     /// Implementation by AVX2 registers.
     ///
@@ -125,9 +127,9 @@ mod avx2 {
 
     // SAFETY of all operations: a value exists only on a machine with AVX2 (see the type). Loads and stores are of
     // arrays of eight f32 and need no alignment.
-    impl Eight for Avx2 {
+    impl Vector8 for Avx2 {
         #[inline(always)]
-        fn of(values: [f32; LANES]) -> Self {
+        fn from_array(values: [f32; LANES]) -> Self {
             // SAFETY: this code runs only on a machine with AVX2 (see the type), and the array has eight f32; the load
             // needs no alignment.
             Self(unsafe { x86::_mm256_loadu_ps(values.as_ptr()) })
@@ -138,7 +140,7 @@ mod avx2 {
             Self(unsafe { x86::_mm256_set1_ps(value) })
         }
         #[inline(always)]
-        fn out(self) -> [f32; LANES] {
+        fn to_array(self) -> [f32; LANES] {
             let mut out = [0.0; LANES];
             // SAFETY: this code runs only on a machine with AVX2 (see the type), and the array has eight f32; the store
             // needs no alignment.

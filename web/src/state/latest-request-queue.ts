@@ -23,8 +23,8 @@ export class LatestRequestQueue<Question, Answer extends { readonly request_id: 
   #underWay: { id: number; atMs: number } | null = null;
   #waiting: Question | null = null;
   /** Answers with a request identifier up to this value are discarded. */
-  #forgotten = 0;
-  #newest = 0;
+  #lastDropped = 0;
+  #latestAnswered = 0;
 
   constructor(send: (id: number, question: Question) => boolean, nowMs: () => number) {
     this.#send = send;
@@ -44,7 +44,7 @@ export class LatestRequestQueue<Question, Answer extends { readonly request_id: 
   /** Discard the answers to all requests, because the cursor has left. */
   forget(): void {
     this.#waiting = null;
-    this.#forgotten = this.#nextId - 1;
+    this.#lastDropped = this.#nextId - 1;
   }
 
   /** Return the answer with its response time; null if the answer is outdated or not expected. */
@@ -60,8 +60,8 @@ export class LatestRequestQueue<Question, Answer extends { readonly request_id: 
       this.#waiting = null;
       if (next !== null) this.#sendNow(next);
     }
-    if (answer.request_id <= this.#forgotten || answer.request_id < this.#newest) return null;
-    this.#newest = answer.request_id;
+    if (answer.request_id <= this.#lastDropped || answer.request_id < this.#latestAnswered) return null;
+    this.#latestAnswered = answer.request_id;
     return { answer, tookMs, overtaken: next !== null };
   }
 

@@ -12,7 +12,7 @@ pub const fn paying_leap(nearest: bool) -> u32 {
 
 /// Parameters of a [`Frame`] as the casters of this crate use them.
 #[derive(Debug, Clone, PartialEq)]
-pub struct FrameNumbers<'a> {
+pub struct FrameParameters<'a> {
     /// Transform from directions in camera space (mm) to voxels.
     pub ijk_from_camera: Affine,
     /// Position of the camera's centre, voxels.
@@ -46,8 +46,8 @@ pub struct FrameNumbers<'a> {
 impl Frame<'_> {
     /// Return the parameters of this frame.
     #[must_use]
-    pub fn numbers(&self) -> FrameNumbers<'_> {
-        FrameNumbers {
+    pub fn parameters(&self) -> FrameParameters<'_> {
+        FrameParameters {
             ijk_from_camera: self.ijk_from_camera,
             origin_ijk: self.origin_ijk,
             shape_ijk: self.grid.shape_ijk(),

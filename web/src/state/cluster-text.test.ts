@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { ClusterMessage, MemberStatus } from "../wire/messages";
-import { clusterText, memberText, needsLook } from "./cluster-words";
+import { clusterText, memberText, needsLook } from "./cluster-text";
 
 const member = (state: MemberStatus["state"]): MemberStatus => ({
   name: "10.0.0.6",

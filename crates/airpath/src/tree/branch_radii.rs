@@ -17,7 +17,7 @@ use carina_leastcost::lumen::LumenGraph;
 
 /// Radii of the cross-sections along a branch, and distances to its wall.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Calibre {
+pub struct BranchRadii {
     /// Radius at each point, in mm, of the circle with the area of the lumen's cross-section.
     pub section_mm: Vec<f64>,
     /// Distance from each point to the nearest wall, mm.
@@ -35,7 +35,7 @@ pub fn of_branches(
     lines: &[Vec<Point>],
     parents: &[Option<usize>],
     wanted: impl Fn(usize) -> bool + Sync,
-) -> Vec<Option<Calibre>> {
+) -> Vec<Option<BranchRadii>> {
     let view = View { graph, grid };
     let mut children: Vec<Vec<usize>> = vec![Vec::new(); lines.len()];
     for (b, parent) in parents.iter().enumerate() {
@@ -81,7 +81,7 @@ pub fn of_branches(
             } else {
                 0.0
             };
-            Some(Calibre {
+            Some(BranchRadii {
                 section_mm: sections(&view, tube, wall, from_mm, tube.length_mm() - before_end),
                 wall_mm: wall.clone(),
             })

@@ -2,7 +2,7 @@
 
 use carina_grid::{Affine, Grid, Ijk, VolumeView};
 
-use crate::tree::calibre::of_branches;
+use crate::tree::branch_radii::of_branches;
 use crate::tree::smooth::Point;
 use carina_leastcost::lumen::{LumenGraph, WallLevels};
 

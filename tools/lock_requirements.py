@@ -62,7 +62,7 @@ def export(uv: str, name: str) -> str:
         command += LOCKS[name]
         subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
         body = out.read_text(encoding="utf-8")
-    use = f"# Exported by tools/lock.py (make lock). Install with: uv pip sync --require-hashes {name}"
+    use = f"# Exported by tools/lock_requirements.py (make lock). Install with: uv pip sync --require-hashes {name}"
     return f"{use}\n{MARK}{_fingerprint(name)}\n{body}"
 
 

@@ -4,7 +4,7 @@
 //! The measure of wall is the enclosure of a voxel ([`crate::find::tubeness`]), which the extension of the lumen uses
 //! as well: the rise of the values on all but a fifth of the rays from the voxel. The cost of a step is low where the
 //! enclosure is high, and where the values are as dark as the air of a wide airway, which rays of 3 mm do not cross.
-//! The cost is high in plain lung and higher towards tissue. The enclosure of a voxel does not depend on the start of a
+//! The cost is high in lung without a wall and higher towards tissue. The enclosure of a voxel does not depend on the start of a
 //! search, so it is cached: while the pointer moves, successive searches visit mostly the same voxels.
 
 use std::cmp::Reverse;
@@ -31,13 +31,13 @@ pub struct WayLevels {
 }
 
 /// Weight of a voxel without any wall round it; the middle of an airway has the weight 1.
-const PLAIN: f64 = 25.0;
+const NO_WALL_WEIGHT: f64 = 25.0;
 /// Largest weight of a voxel that is as dark as the air of a wide airway, even if the rays meet no wall.
-const DARK: f64 = 1.5;
+const DARK_WEIGHT: f64 = 1.5;
 /// Additional weight of a voxel that is about as bright as tissue.
-const BRIGHT: f64 = 6.0;
+const BRIGHT_WEIGHT: f64 = 6.0;
 /// Number of voxels after which a search that has met no lumen heads straight for a given position in the lumen.
-const PATIENCE: usize = 25_000;
+const STRAIGHT_AFTER_VOXELS: usize = 25_000;
 /// Number of voxels after which a search stops without a result, because tissue separates its start from the lumen.
 const MOST_VOXELS: usize = 300_000;
 /// Edge length of a block of the cache, in voxels.
@@ -69,7 +69,7 @@ pub struct Enclosures {
 
 /// Least-cost path from the lumen to a position in the lung.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SeenWay {
+pub struct EvidencePath {
     /// Voxels of the path; the first is in the lumen.
     pub voxels: Vec<[usize; 3]>,
     /// Sum over the steps of the path: length in mm times weight.
@@ -123,9 +123,10 @@ impl Enclosures {
         }
         let seen = (0.5 * rise / levels.enclosed).clamp(0.0, 1.0);
         let bright = ((value - levels.bright) / (levels.closed - levels.bright)).clamp(0.0, 1.0);
-        let weight = 1.0 + (PLAIN - 1.0) * (1.0 - seen).powi(2) + BRIGHT * bright * bright;
+        let weight =
+            1.0 + (NO_WALL_WEIGHT - 1.0) * (1.0 - seen).powi(2) + BRIGHT_WEIGHT * bright * bright;
         if value <= levels.dark {
-            weight.min(DARK)
+            weight.min(DARK_WEIGHT)
         } else {
             weight
         }
@@ -136,7 +137,7 @@ impl Enclosures {
     /// A path to one of `tips` is preferred within their allowance, because a branch continues beyond its tip more
     /// often than a fork is missing on its wall.
     ///
-    /// If an airway leads to `start`, the search finds it quickly. If the search has met no lumen after `PATIENCE`
+    /// If an airway leads to `start`, the search finds it quickly. If the search has met no lumen after `STRAIGHT_AFTER_VOXELS`
     /// voxels, it heads for `toward`, a position in the lumen. The resulting path then follows no airway and need not
     /// be the cheapest of all.
     ///
@@ -154,7 +155,7 @@ impl Enclosures {
         is_lumen: impl Fn([usize; 3]) -> bool,
         tips: &PreferredTips,
         watch: &impl Watch,
-    ) -> Result<Option<SeenWay>, TrackError> {
+    ) -> Result<Option<EvidencePath>, TrackError> {
         let mut search = self.search.lock().unwrap_or_else(PoisonError::into_inner);
         self.cheapest(
             &mut search,
@@ -181,7 +182,7 @@ impl Enclosures {
         away_mm: f64,
         levels: WayLevels,
         watch: &impl Watch,
-    ) -> Result<Vec<Option<SeenWay>>, TrackError> {
+    ) -> Result<Vec<Option<EvidencePath>>, TrackError> {
         let spacing = self.grid.spacing_mm();
         starts
             .par_iter()
@@ -205,7 +206,7 @@ impl Enclosures {
         levels: WayLevels,
         is_lumen: impl Fn([usize; 3]) -> bool,
         watch: &impl Watch,
-    ) -> Result<Option<SeenWay>, TrackError> {
+    ) -> Result<Option<EvidencePath>, TrackError> {
         search.begin();
         let [nx, ny, nz] = self.grid.shape_ijk();
         let spacing = self.grid.spacing_mm();
@@ -234,7 +235,7 @@ impl Enclosures {
             aim.map_or(0.0, |aim| {
                 let off: [f64; 3] =
                     std::array::from_fn(|a| (aim[a] as f64 - voxel[a] as f64) * spacing[a]);
-                PLAIN * carina_grid::length(off)
+                NO_WALL_WEIGHT * carina_grid::length(off)
             })
         };
         open.push(Reverse((
@@ -256,12 +257,12 @@ impl Enclosures {
             }
             num_popped += 1;
             if num_popped.is_multiple_of(1 << 13) {
-                watch.go_on(0.5)?;
+                watch.report_share(0.5)?;
             }
             if num_popped > MOST_VOXELS {
                 break;
             }
-            if num_popped == PATIENCE && toward_and_tips.is_some() && best.is_none() {
+            if num_popped == STRAIGHT_AFTER_VOXELS && toward_and_tips.is_some() && best.is_none() {
                 aim = toward_and_tips.map(|(toward, _)| toward);
                 open = open
                     .drain()
@@ -314,7 +315,7 @@ impl Enclosures {
                 }
             }
         }
-        Ok(best.map(|(voxel, cost)| SeenWay {
+        Ok(best.map(|(voxel, cost)| EvidencePath {
             voxels: search.back(voxel, &steps),
             cost,
         }))

@@ -46,7 +46,7 @@ pub(crate) enum Walls<'a> {
 /// Cast and shade rows, in packets or with the scalar casters.
 ///
 /// The statistics exclude the rays of the rows beside the strip, because these rows belong to other strips.
-pub(crate) fn cast_lit(
+pub(crate) fn cast_shaded(
     frame: &Frame<'_>,
     method: Method<'_>,
     light: &Lighting,
