@@ -90,7 +90,16 @@ class ComparedTarget:
         }
 
 
-HEAD: Final = ("target", "outlook", "hits", "narrowest", "tip", "needle to target", "vessel", "doubts about target and airways")
+HEAD: Final = (
+    "target",
+    "outlook",
+    "hits",
+    "narrowest",
+    "tip",
+    "needle to target",
+    "vessel",
+    "doubts about target and airways",
+)
 
 
 @check_arguments(plans=each(instance(Plan, "get plans from carina.plan_route")), names=each(text_of(), optional=True))

@@ -35,9 +35,9 @@ PART_WORDS = {
 CHECKS = ("diameter", "bend", "length", "channel", "drive", "pointing")
 LEGEND = (
     "Slices through the middle of the target, lung window (width 1500, level \u2212600 HU); the patient's right is on "
-    "the left of axial and coronal slices. Yellow: outline of the target. Orange: last leg, dotted where it lies "
-    "outside the slice. Blue: airway lumen."
+    "the left of axial and coronal slices. Yellow: outline of the target. Blue: airway lumen."
 )
+LEGEND_OF_LEG = " Orange: last leg, dotted where it lies outside the slice."
 STILLS = (
     "The airway from a diameter before each fork, level, made from the CT without texture. The opening to enter is "
     "outlined."
@@ -103,7 +103,7 @@ def _target(sheet: PlanSheet) -> Section:
         ("Volume", f"{ml:.{digits}f} \u00b1 {nodule.volume_error_mm3 / 1000.0:.{digits}f} ml"),
         ("Diameters (axial)", diameters),
         ("Lobe", place.lobe or "not known"),
-        ("Nearest airway", place.nearest_branch or "an unnamed branch"),
+        ("Nearest airway", place.nearest_branch),
         ("To pleura or mediastinum", place.pleura_words),
         (
             "Bronchus sign",
@@ -119,7 +119,7 @@ def _target(sheet: PlanSheet) -> Section:
         Words(_lead(sheet), "lead"),
         Facts(tuple(rows)),
         Figures(figures, 3),
-        Words(LEGEND, "quiet"),
+        Words(LEGEND + (LEGEND_OF_LEG if sheet.route is not None else ""), "quiet"),
     )
     return Section("target", "Target", blocks)
 
@@ -159,9 +159,12 @@ def _instruments(num: int) -> str:
 
 
 def _way(sheet: PlanSheet) -> Section:
-    words = "Blue: the route, with its forks by number. Orange: last leg and target. Red: drawn by hand or bridged."
+    words, title = "Orange: target. Red: drawn by hand or bridged.", "Airways and target"
+    if sheet.route is not None:
+        words = "Blue: the route, with its forks by number. Orange: last leg and target. Red: drawn by hand or bridged."
+        title = "Airways and route"
     blocks = (Words(words, "quiet"), _tree_figures(sheet))
-    return Section("airways", "Airways and route", blocks, starts_page=_is_tree_after_page_one(sheet))
+    return Section("airways", title, blocks, starts_page=_is_tree_after_page_one(sheet))
 
 
 def _route(sheet: PlanSheet) -> list[Section]:

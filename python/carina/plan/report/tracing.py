@@ -170,11 +170,8 @@ def _head_lines(sheet: PlanSheet) -> tuple[tuple[str, str], ...]:
 
 def _title_lines(sheet: PlanSheet) -> list[str]:
     place = sheet.place
-    where = " ".join(
-        part for part in (place.lobe, f"near {place.nearest_branch}" if place.nearest_branch else "") if part
-    )
     words = sheet.plan.nodule.words
-    title = f"{words[0].upper()}{words[1:]}, {where or 'lobe not known'}"
+    title = f"{words[0].upper()}{words[1:]}, {place.lobe or 'lobe not known'}, near {place.nearest_branch}"
     return lines_of(title, BOLD * NAME, TRACING_SIZE[0])
 
 
@@ -380,9 +377,14 @@ def _end_row(sheet: PlanSheet, layout: _Layout) -> _Row:
 
 
 def _row(fork: Fork | None, title: str, right: str, texts: list[tuple[str, str]], layout: _Layout) -> _Row:
-    """Return a row with its texts in lines; a title that leaves no room for the text at its right is also wrapped."""
+    """Return a row with its texts in lines; a title that leaves no room for the text at its right is also wrapped.
+
+    The place of the tip is then below its title, so that the name of the branch stays in one line.
+    """
     width = TRACING_SIZE[0] - layout.text
     for_title = width - text_width(right, NAME, is_bold=True) - 8.0
+    if fork is None and len(lines_of(title, BOLD * NAME, for_title)) > 1:
+        texts, right, for_title = [(right, LEG), *texts], "", width
     name, *more = lines_of(title, BOLD * NAME, for_title) or [""]
     lines = [(line, INK) for line in more]
     lines += [(line, colour) for text, colour in texts for line in lines_of(text, SMALL, width)]
