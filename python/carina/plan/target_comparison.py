@@ -60,6 +60,7 @@ class ComparedTarget:
         if route is None:
             return (self.title, NO_ROUTE, "", "", "", "", "", doubts)
         vessel = "none seen" if route.leg.vessel_mm is None else f"{route.leg.vessel_mm:.1f} mm"
+        vessel = "on the way" if route.leg.crosses_vessel else vessel
         return (
             self.title,
             self.outlook,

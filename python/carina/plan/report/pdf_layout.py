@@ -116,7 +116,7 @@ class _Layout:
         found: list[Any] = [self._paragraph(TITLE, 20.0, is_bold=True), Spacer(1, 10)] if len(parts) > 1 else []
         for n, part in enumerate(parts):
             if n:
-                found.append(PageBreak() if part.starts_page else Spacer(1, 14))
+                found.append(PageBreak() if part.starts_page else Spacer(1, 14 + GAP))
             heading = self._paragraph(part.title, 13.0, is_bold=True)
             line = Table(
                 [[""]],
@@ -126,9 +126,10 @@ class _Layout:
             )
             content: list[Any] = [heading, Spacer(1, 3), line]
             used = HEADING
-            for block in part.blocks:
+            for k, block in enumerate(part.blocks):
                 made = self._block(block, used)
-                content += [*(made if isinstance(made, list) else [made]), Spacer(1, GAP)]
+                # A gap at the end of a section could begin an empty page.
+                content += [*([Spacer(1, GAP)] if k else []), *(made if isinstance(made, list) else [made])]
                 used += PARAGRAPH * isinstance(block, Words)
             if part.is_whole:
                 found.append(KeepTogether(content))

@@ -14,6 +14,7 @@ from carina.plan.report.tracing import tracing_drawings
 from carina.plan.report.uncertainty import doubt_words
 from carina.plan.report.wording import AGAINST, carina_cell, lines_of, per_cent
 from carina.plan.route_stations import STATION_NOTE
+from carina.plan.routes.last_leg import CROSSED_VESSEL_MM
 from carina.plan.routes.plan_route import PlannedRoute, ScoreWeights
 from carina.plan.routes.predictors import PREDICTOR_WORDS
 from carina.plan.turns.clips import TurnClip
@@ -186,6 +187,7 @@ def _route(sheet: PlanSheet) -> list[Section]:
     fits = f"{route.width.words}; the scope needs {plan.scope.fit_mm:.1f} mm"
     least = f"{leg.in_target_mm:.0f} mm as aimed, at least {leg.least_in_target_mm:.0f} mm within the needle's errors"
     vessel = "none seen nearby" if leg.vessel_mm is None else f"{leg.vessel_mm:.1f} mm from the needle's line"
+    vessel = "on the needle's line" if leg.crosses_vessel else vessel
     beyond = "more than 10 mm" if leg.beyond_mm is None else f"{leg.beyond_mm:.0f} mm"
     rows = (
         ("Tip of the scope", f"in {route.branch_name}"),
@@ -234,7 +236,14 @@ def _vessel_words(route: PlannedRoute) -> str:
     near = route.leg.vessels
     if not near:
         return "none seen"
-    return ", ".join(f"{one.distance_mm:.1f} mm off at {one.at_mm:.0f} mm" for one in near) + " from the tip"
+    off = ["crossed" if one.distance_mm < CROSSED_VESSEL_MM else f"{one.distance_mm:.1f} mm off" for one in near]
+    return ", ".join(f"{words} at {one.at_mm:.0f} mm" for words, one in zip(off, near, strict=True)) + " from the tip"
+
+
+def _vessel_cell(route: PlannedRoute) -> str:
+    if route.leg.vessel_mm is None:
+        return "none seen"
+    return "crossed" if route.leg.crosses_vessel else f"{route.leg.vessel_mm:.1f} mm"
 
 
 def _num_lines(sheet: PlanSheet) -> int:
@@ -417,7 +426,7 @@ _COMPARED: tuple[tuple[str, Callable[[PlanSheet, PlannedRoute], str]], ...] = (
     ("To the target's edge", lambda _, r: f"{r.leg.to_target_mm:.1f} mm"),
     ("Angle to the airway", lambda _, r: f"{r.leg.angle_deg:.0f}\u00b0"),
     ("Length in the target", lambda _, r: f"{r.leg.in_target_mm:.0f} mm"),
-    ("Nearest vessel", lambda _, r: "none seen" if r.leg.vessel_mm is None else f"{r.leg.vessel_mm:.1f} mm"),
+    ("Nearest vessel", lambda _, r: _vessel_cell(r)),
     ("Needle passes that hit", lambda _, r: per_cent(r.hit_share)),
     ("If the target has moved", lambda _, r: per_cent(r.hit_share_moved)),
     ("Tissue on the way", lambda _, r: _crossed_words(r)),

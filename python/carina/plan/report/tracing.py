@@ -366,10 +366,9 @@ def _end_row(sheet: PlanSheet, layout: _Layout) -> _Row:
     route = sheet.route
     assert route is not None
     leg = route.leg
-    vessel = "no vessel seen nearby" if leg.vessel_mm is None else f"nearest vessel {leg.vessel_mm:.1f} mm"
     text = (
         f"{sheet.plan.tool.title}: {leg.to_target_mm:.0f} mm to the target at {leg.angle_deg:.0f}\u00b0 to the airway, "
-        f"{leg.in_target_mm:.0f} mm within it; {vessel}"
+        f"{leg.in_target_mm:.0f} mm within it; {leg.vessel_words}"
     )
     parking = () if sheet.turns is None else sheet.turns.park_moves or ()
     texts = _with_moves(text, moves_words(parking), layout)
