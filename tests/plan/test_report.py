@@ -21,6 +21,7 @@ from carina.cli.plan import lines
 from carina.errors import CancelledError, CarinaError, UsageError
 from carina.export.plan_content import drawn_plans
 from carina.plan import STATION_NOTE, ScoreWeights, TargetDoubt, route_stations
+from carina.plan.hand_moves import Move
 from carina.plan.report import make_sheet, write_report
 from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, ReportTable, Words
 from carina.plan.report.drawing import Label
@@ -231,6 +232,18 @@ def test_sheet_leaves_out_the_diagram_before_it_continues_on_another_page(num, i
     assert all(f"branch {n:03}" in text for n in range(1, num + 1))
     assert text.count(fork.turn.direction("head")) >= num
     assert text.count("counterclockwise") >= num, "moves of the hand"
+
+
+def test_sheet_states_sums_of_moves_if_single_moves_need_more_than_a_page() -> None:
+    fork = sheet().forks[0]
+    moves = tuple(Move(50.0 * (-1) ** n, 15.0 + 5.0 * (n % 2), 2.0) for n in range(31))
+    turn = dataclasses.replace(fork.turn, moves=moves)
+    many = tuple(dataclasses.replace(fork, number=n, to_name=f"branch {n:03}", turn=turn) for n in range(1, 13))
+    (part,) = (one for one in sections(dataclasses.replace(sheet(), forks=many)) if one.name.startswith("tracing"))
+    text = " ".join(words for block in part.blocks for words in words_of(block))
+    sums = "rotate 50\u00b0 clockwise, flex up 15\u00b0, advance 62 mm"
+    assert "".join(text.split()).count("".join(sums.split())) == 12
+    assert "The moves of the hand are sums" in text and "report lists every move" in text
 
 
 def test_report_of_another_route_describes_this_route_in_full() -> None:

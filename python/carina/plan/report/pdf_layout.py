@@ -113,7 +113,9 @@ class _Layout:
 
     def flowables(self, parts: tuple[Section, ...]) -> list[Any]:
         """Return the flowables of all sections."""
-        found: list[Any] = [self._paragraph(TITLE, 20.0, is_bold=True), Spacer(1, 10)] if len(parts) > 1 else []
+        # A tracing sheet, of one page or several, fills its pages and has no title above it.
+        is_report = not parts[0].name.startswith("tracing")
+        found: list[Any] = [self._paragraph(TITLE, 20.0, is_bold=True), Spacer(1, 10)] if is_report else []
         for n, part in enumerate(parts):
             if n:
                 found.append(PageBreak() if part.starts_page else Spacer(1, 14 + GAP))

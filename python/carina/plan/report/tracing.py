@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
+from carina.plan.hand_moves import Move
 from carina.plan.report.colours import ACCENT, INK, LEG, PALE, QUIET, WARNING
 from carina.plan.report.drawing import Disc, Drawing, Label, LineStyle, Place, Shape, Stroke
 from carina.plan.report.plan_sheet import Fork, PlanSheet
 from carina.plan.report.wording import AGAINST, BOLD, lines_of, text_width
 from carina.plan.routes.main_carina import carina_words
-from carina.plan.turns.texts import joined, moves_words
+from carina.plan.turns.texts import joined, moves_sum_words, moves_words
 
 __all__ = ["TRACING_SIZE", "tracing_drawings"]
 
@@ -28,6 +30,7 @@ LABELS, GAP = 46.0, 6.0
 """Heights in points of the box with the lines to fill in, and of the space between two parts."""
 MOST_LINES = 7
 """Largest number of lines of the planner's notes."""
+SUMS = "The moves of the hand are sums up to each fork; the report lists every move."
 FREE_NOTES = 36.0
 """Height in points that is left for handwritten notes if the page has room."""
 MOST_ROW = 78.0
@@ -50,12 +53,18 @@ class _Layout:
     """Largest radius of a clock face, whose arrow is longer by a quarter."""
     is_short: bool = False
     """Whether a row leaves out facts that follow from others: distance from the last fork, sides, other openings."""
+    sums_moves: bool = False
+    """Whether a row states the sum of the hand's moves instead of each move."""
 
 
 DIAGRAM = _Layout(spine=78.0, clock=170.0, text=196.0, least_row=36.0, gap=6.0, face=15.0)
 COMPACT = _Layout(spine=None, clock=17.0, text=40.0, least_row=30.0, gap=4.0, face=13.5)
 TIGHT = _Layout(spine=None, clock=14.0, text=32.0, least_row=25.0, gap=3.0, face=11.5, is_short=True)
-"""Layouts of a page: with a diagram; without it; and without facts that follow from others, for long routes."""
+SUMMED = replace(TIGHT, sums_moves=True)
+"""Layouts of a page: with a diagram; without it; without facts that follow from others; and with sums of moves.
+
+The last ones are for long routes.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,13 +90,13 @@ class _Row:
 def tracing_drawings(sheet: PlanSheet) -> tuple[Drawing, ...]:
     """Return the tracing sheet on one page; empty if the plan has no route.
 
-    The diagram is left out if the text needs its room. Only text that does not fit on a page without diagram continues
-    on further pages: no text is left out or made smaller.
+    The diagram is left out if the text needs its room, then facts that follow from others, then the single moves of the
+    hand. Only text that still does not fit continues on further pages: no text is cut or made smaller.
     """
     if sheet.route is None:
         return ()
     against = _against_lines(sheet)
-    for layout in (DIAGRAM, COMPACT, TIGHT):
+    for layout in (DIAGRAM, COMPACT, TIGHT, SUMMED):
         rows = _rows(sheet, layout)
         used = sum(row.height(layout) for row in rows)
         if used + _against_height(against) <= _room(sheet):
@@ -348,11 +357,15 @@ def _fork_row(fork: Fork, sheet: PlanSheet, layout: _Layout) -> _Row:
             facts.append(f"just past {joined(turn.through)}")
         if turn.others and not layout.is_short:
             facts.append(f"not {joined([f'{one.name} ({one.direction(sheet.operator)})' for one in turn.others])}")
-    moves = "" if turn is None or turn.moves is None else moves_words(turn.moves)
+    moves = "" if turn is None or turn.moves is None else _moves(turn.moves, layout)
     texts = _with_moves(", ".join(facts), moves, layout)
     texts += [(words, WARNING) for words in fork.warnings]
     title = fork.to_name if layout.spine is not None else f"{fork.number}. {fork.to_name}"
     return _row(fork, title, "" if turn is None else turn.direction(sheet.operator), texts, layout)
+
+
+def _moves(moves: Sequence[Move], layout: _Layout) -> str:
+    return moves_sum_words(moves) if layout.sums_moves else moves_words(moves)
 
 
 def _with_moves(text: str, moves: str, layout: _Layout) -> list[tuple[str, str]]:
@@ -371,7 +384,9 @@ def _end_row(sheet: PlanSheet, layout: _Layout) -> _Row:
         f"{leg.in_target_mm:.0f} mm within it; {leg.vessel_words}"
     )
     parking = () if sheet.turns is None else sheet.turns.park_moves or ()
-    texts = _with_moves(text, moves_words(parking), layout)
+    texts = _with_moves(text, _moves(parking, layout), layout)
+    if layout.sums_moves:
+        texts.append((SUMS, WARNING))
     return _row(None, f"Tip in {route.branch_name}", route.place_words, texts, layout)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from carina.plan.hand_moves import Move
 from carina.plan.routes.main_carina import carina_words
 
-__all__ = ["hour_words", "joined", "moves_words", "place_words", "with_depth"]
+__all__ = ["hour_words", "joined", "moves_sum_words", "moves_words", "place_words", "with_depth"]
 
 STILL_DEG = 0.5
 STILL_MM = 0.5
@@ -74,6 +74,14 @@ def moves_words(moves: Sequence[Move]) -> str:
         if words:
             said.append(", ".join(words))
     return "; then ".join(said)
+
+
+def moves_sum_words(moves: Sequence[Move]) -> str:
+    """Return the sum of moves of the hand as text: the whole turn, the last flexion and the whole advance."""
+    if not moves:
+        return ""
+    turn_deg, advance_mm = (sum(getattr(move, name) for move in moves) for name in ("turn_deg", "advance_mm"))
+    return f"in all {moves_words([Move(turn_deg, moves[-1].flexion_deg, advance_mm)])}"
 
 
 def _steps(moves: Sequence[Move]) -> list[Move]:
