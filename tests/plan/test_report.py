@@ -246,6 +246,36 @@ def test_sheet_states_sums_of_moves_if_single_moves_need_more_than_a_page() -> N
     assert "The moves of the hand are sums" in text and "report lists every move" in text
 
 
+def test_tip_before_the_carina_has_no_negative_distances() -> None:
+    short = dataclasses.replace(sheet().turns, park_from_carina_mm=-4.4, park_from_fork_mm=-4.4)
+    (part,) = (one for one in sections(dataclasses.replace(sheet(), turns=short)) if one.name == "turns")
+    (table,) = (block for block in part.blocks if isinstance(block, ReportTable))
+    assert table.rows[-1][1:6] == ("stop: tip of the scope", "", "", "4 above", "4 before it")
+
+
+def test_plan_without_a_route_names_neither_route_nor_leg_in_its_legends() -> None:
+    told = sheet()
+    none = dataclasses.replace(told, route_number=None, plan=dataclasses.replace(told.plan, routes=(), why="none"))
+    for one, is_named in ((told, True), (none, False)):
+        parts = [part for part in sections(one) if part.name in {"target", "airways"}]
+        text = " ".join(words for part in parts for block in part.blocks for words in words_of(block))
+        assert ("last leg" in text) is is_named
+        assert ("the route, with its forks" in text) is is_named
+
+
+def test_crossed_vessel_is_stated_as_such_and_not_as_a_distance_of_zero() -> None:
+    told = sheet()
+    route = told.route
+    near = (NearVessel(4.0, 0.0, route.leg.tip_lps),)
+    leg = dataclasses.replace(route.leg, vessel_mm=0.0, vessels=near)
+    crossing = dataclasses.replace(route, leg=leg)
+    changed = dataclasses.replace(told, plan=dataclasses.replace(told.plan, routes=(crossing, *told.plan.routes[1:])))
+    text = " ".join(words for part in sections(changed) for block in part.blocks for words in words_of(block))
+    assert "0.0 mm from the needle" not in text and "nearest vessel 0.0" not in text
+    for words in ("crosses a vessel", "crossed at 4 mm from the tip", "on the needle's line"):
+        assert "".join(words.split()) in "".join(text.split())
+
+
 def test_report_of_another_route_describes_this_route_in_full() -> None:
     told = sheet(route_number=2)
     route = plan().routes[1]

@@ -299,7 +299,10 @@ def _turns(sheet: PlanSheet) -> list[Section]:
         )
     park = _rounded(sheet.turns.park_from_carina_mm)
     doing = moves_words(sheet.turns.park_moves or ())
-    rows.append(("", "stop: tip of the scope", "", "", park, f"{sheet.turns.park_from_fork_mm:.0f}", "", "", doing))
+    past = sheet.turns.park_from_fork_mm
+    # The tip may stop before a ridge that lies beyond the fork of the airways' axes.
+    behind = f"{past:.0f}" if past > -0.5 else f"{-past:.0f} before it"
+    rows.append(("", "stop: tip of the scope", "", "", park, behind, "", "", doing))
     first, second = (name.capitalize() for name in (sheet.operator, other_operator))
     head = ("", "Enter", first, second, "From carina, mm", "From last fork, mm", "Opening, mm", "Turn", "Hand")
     shares = (0.04, 0.18, 0.075, 0.075, 0.09, 0.095, 0.09, 0.065, 0.29)
@@ -341,7 +344,9 @@ def _hour(turn: Turn, operator: Operator) -> str:
 
 
 def _rounded(mm: float | None) -> str:
-    return "not known" if mm is None else f"{mm:.0f}"
+    if mm is None:
+        return "not known"
+    return f"{mm:.0f}" if mm > -0.5 else f"{-mm:.0f} above"
 
 
 def _still(one: TurnPicture) -> Drawing:
