@@ -264,6 +264,7 @@ def _diagram(
     # From each fork the route leads into the branch that is named there, so the fork's warnings colour the next piece.
     for n, piece in enumerate(itertools.pairwise(places)):
         warned = n > 0 and bool(forks[n - 1].warnings)
+        warned |= n == len(forks) and bool(_end_warnings(sheet))
         shapes.append(Stroke(piece, LineStyle(WARNING, 2.2, dash=(4.0, 3.5)) if warned else LineStyle(ACCENT, 2.2)))
     shapes += names
     for n, fork in enumerate(forks):
@@ -280,9 +281,11 @@ def _diagram(
 def _stub_name(end: Place, side: float, name: str, *, below: bool) -> Label:
     """Return the name of a branch that is not entered, beside the end of its stub.
 
-    A name that would reach the clock face is placed below or above the end of the stub instead.
+    A name that would reach the clock face or the edge of the page is placed below or above the end of the stub.
     """
     text, x = _short(name), end[0] + side * 7.0
+    if side < 0 and x < text_width(text, SMALL):
+        return Label((0.0, end[1] + (13.0 if below else -6.0)), text, SMALL, QUIET)
     most = DIAGRAM.clock - 1.3 * DIAGRAM.face
     if side > 0 and x + text_width(text, SMALL) > most:
         return Label((most, end[1] + (13.0 if below else -6.0)), text, SMALL, QUIET, "end")
@@ -375,6 +378,13 @@ def _with_moves(text: str, moves: str, layout: _Layout) -> list[tuple[str, str]]
     return [(text, INK), *([(moves, QUIET)] if moves else [])]
 
 
+def _end_warnings(sheet: PlanSheet) -> list[str]:
+    """Return doubts about the route's airways that belong to none of its forks: a drawn branch may extend a tip."""
+    assert sheet.route is not None
+    stated = {words for fork in sheet.forks for words in fork.warnings}
+    return [words for words in sheet.route.doubts if words not in stated]
+
+
 def _end_row(sheet: PlanSheet, layout: _Layout) -> _Row:
     route = sheet.route
     assert route is not None
@@ -385,6 +395,7 @@ def _end_row(sheet: PlanSheet, layout: _Layout) -> _Row:
     )
     parking = () if sheet.turns is None else sheet.turns.park_moves or ()
     texts = _with_moves(text, _moves(parking, layout), layout)
+    texts += [(words, WARNING) for words in _end_warnings(sheet)]
     if layout.sums_moves:
         texts.append((SUMS, WARNING))
     return _row(None, f"Tip in {route.branch_name}", route.place_words, texts, layout)
