@@ -100,9 +100,11 @@ def test_tracing_sheet_of_two_pages_begins_on_the_first_page(tmp_path) -> None:
         assert "branch001" in plain(first.extract_text())
 
 
-def test_section_that_fills_its_page_is_followed_by_no_empty_page() -> None:
-    end = Section("end", "End", (Words("the last words"),), starts_page=True)
-    for height in range(560, 640, 4):
+@pytest.mark.parametrize("starts_page", [True, False])
+def test_section_that_fills_its_page_is_followed_by_no_empty_page(starts_page) -> None:
+    page = Figure(Drawing(500.0, 610.0, (), "a drawing as tall as a page"))
+    end = Section("end", "End", (Words("the last words"), page), starts_page=starts_page)
+    for height in range(560, 640, 8):
         tall = Figure(Drawing(500.0, float(height), (), "a tall drawing"))
         content = pdf_pages(sheet(), (Section("tall", "Tall", (Words("first words"), tall)), end), paper="Letter")
         texts = [page.extract_text() for page in pypdf.PdfReader(io.BytesIO(content)).pages]

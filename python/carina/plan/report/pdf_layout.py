@@ -117,9 +117,11 @@ class _Layout:
         is_report = not parts[0].name.startswith("tracing")
         found: list[Any] = [self._paragraph(TITLE, 20.0, is_bold=True), Spacer(1, 10)] if is_report else []
         for n, part in enumerate(parts):
-            if n:
-                found.append(PageBreak() if part.starts_page else Spacer(1, 14 + GAP))
-            heading = self._paragraph(part.title, 13.0, is_bold=True)
+            if n and part.starts_page:
+                found.append(PageBreak())
+            # Space before a heading is left out at the top of a page; a spacer could begin an empty page.
+            above = 14 + GAP if n and not part.starts_page else 0.0
+            heading = self._paragraph(part.title, 13.0, is_bold=True, above=above)
             line = Table(
                 [[""]],
                 colWidths=[self._width],
@@ -173,6 +175,7 @@ class _Layout:
         is_bold: bool = False,
         is_right: bool = False,
         is_item: bool = False,
+        above: float = 0.0,
     ) -> Any:
         style = ParagraphStyle(
             "words",
@@ -186,6 +189,7 @@ class _Layout:
             bulletFontName=self._plain,
             bulletFontSize=size,
             bulletColor=HexColor(TONES[tone]),
+            spaceBefore=above,
             spaceAfter=3.0 if is_item else 0.0,
         )
         return Paragraph(escaped(text), style, bulletText="\u2022" if is_item else None)
