@@ -110,9 +110,7 @@ class BrushStroke:
 
     def applied(self, nodule: Nodule, volume: Volume) -> Nodule:
         """Return the nodule after the stroke."""
-        for point in self.points_lps:
-            nodule = brushed(nodule, volume, point, self.radius_mm, add=not self.takes_away)
-        return nodule
+        return brushed(nodule, volume, self.points_lps, self.radius_mm, add=not self.takes_away)
 
 
 def best_stroke(nodule: Nodule, volume: Volume, wanted_zyx: Mask) -> BrushStroke | None:

@@ -246,6 +246,19 @@ def test_sheet_states_sums_of_moves_if_single_moves_need_more_than_a_page() -> N
     assert "The moves of the hand are sums" in text and "report lists every move" in text
 
 
+def test_sheet_of_a_long_route_with_many_reasons_is_one_page_with_a_line_for_each_fork() -> None:
+    fork = sheet().forks[0]
+    turn = dataclasses.replace(fork.turn, moves=tuple(Move(50.0 * (-1) ** n, 15.0, 2.0) for n in range(31)))
+    many = tuple(dataclasses.replace(fork, number=n, to_name=f"branch {n:03}", turn=turn) for n in range(1, 14))
+    notes = tuple(f"note {n} about the CT, which is as long as two lines of the sheet. " * 2 for n in range(8))
+    long = dataclasses.replace(sheet(), forks=many, plan=dataclasses.replace(plan(), notes=notes))
+    (part,) = (one for one in sections(long) if one.name.startswith("tracing"))
+    text = " ".join(words for block in part.blocks for words in words_of(block))
+    assert all(f"{n}. branch {n:03}" in text and f"note {n - 1} about" in text for n in range(1, 9))
+    assert text.count(fork.turn.direction("head")) >= 13
+    assert "The moves of the hand are in the report." in text and "rotate" not in text
+
+
 def test_tip_before_the_carina_has_no_negative_distances() -> None:
     short = dataclasses.replace(sheet().turns, park_from_carina_mm=-4.4, park_from_fork_mm=-4.4)
     (part,) = (one for one in sections(dataclasses.replace(sheet(), turns=short)) if one.name == "turns")

@@ -31,6 +31,7 @@ LABELS, GAP = 46.0, 6.0
 MOST_LINES = 7
 """Largest number of lines of the planner's notes."""
 SUMS = "The moves of the hand are sums up to each fork; the report lists every move."
+NO_MOVES = "The moves of the hand are in the report."
 FREE_NOTES = 36.0
 """Height in points that is left for handwritten notes if the page has room."""
 MOST_ROW = 78.0
@@ -55,13 +56,16 @@ class _Layout:
     """Whether a row leaves out facts that follow from others: distance from the last fork, sides, other openings."""
     sums_moves: bool = False
     """Whether a row states the sum of the hand's moves instead of each move."""
+    is_list: bool = False
+    """Whether a row is one line without moves of the hand."""
 
 
 DIAGRAM = _Layout(spine=78.0, clock=170.0, text=196.0, least_row=36.0, gap=6.0, face=15.0)
 COMPACT = _Layout(spine=None, clock=17.0, text=40.0, least_row=30.0, gap=4.0, face=13.5)
 TIGHT = _Layout(spine=None, clock=14.0, text=32.0, least_row=25.0, gap=3.0, face=11.5, is_short=True)
 SUMMED = replace(TIGHT, sums_moves=True)
-"""Layouts of a page: with a diagram; without it; without facts that follow from others; and with sums of moves.
+LISTED = _Layout(spine=None, clock=14.0, text=32.0, least_row=19.0, gap=3.0, face=7.5, is_short=True, is_list=True)
+"""Layouts of a page: with a diagram; without it; without facts that follow from others; with sums of moves; as a list.
 
 The last ones are for long routes.
 """
@@ -77,6 +81,8 @@ class _Row:
     """Text at the right edge of the line of the title: clock hour, or place of the tip."""
     lines: tuple[tuple[str, str], ...]
     """Lines of text with their colours."""
+    beside: str = ""
+    """Text behind the title, in the same line."""
 
     @property
     def text_height(self) -> float:
@@ -90,13 +96,13 @@ class _Row:
 def tracing_drawings(sheet: PlanSheet) -> tuple[Drawing, ...]:
     """Return the tracing sheet on one page; empty if the plan has no route.
 
-    The diagram is left out if the text needs its room, then facts that follow from others, then the single moves of the
-    hand. Only text that still does not fit continues on further pages: no text is cut or made smaller.
+    The diagram is left out if the text needs its room, then facts that follow from others, then the moves of the hand,
+    which the report lists. Only text that still does not fit continues on further pages: no text is cut or reduced.
     """
     if sheet.route is None:
         return ()
     against = _against_lines(sheet)
-    for layout in (DIAGRAM, COMPACT, TIGHT, SUMMED):
+    for layout in (DIAGRAM, COMPACT, TIGHT, SUMMED, LISTED):
         rows = _rows(sheet, layout)
         used = sum(row.height(layout) for row in rows)
         if used + _against_height(against) <= _room(sheet):
@@ -361,6 +367,9 @@ def _fork_row(fork: Fork, sheet: PlanSheet, layout: _Layout) -> _Row:
         if turn.others and not layout.is_short:
             facts.append(f"not {joined([f'{one.name} ({one.direction(sheet.operator)})' for one in turn.others])}")
     moves = "" if turn is None or turn.moves is None else _moves(turn.moves, layout)
+    if layout.is_list:
+        right = "" if turn is None else turn.direction(sheet.operator)
+        return _listed_row(fork, right, ", ".join(facts), layout)
     texts = _with_moves(", ".join(facts), moves, layout)
     texts += [(words, WARNING) for words in fork.warnings]
     title = fork.to_name if layout.spine is not None else f"{fork.number}. {fork.to_name}"
@@ -368,7 +377,19 @@ def _fork_row(fork: Fork, sheet: PlanSheet, layout: _Layout) -> _Row:
 
 
 def _moves(moves: Sequence[Move], layout: _Layout) -> str:
+    if layout.is_list:
+        return ""
     return moves_sum_words(moves) if layout.sums_moves else moves_words(moves)
+
+
+def _listed_row(fork: Fork, right: str, facts: str, layout: _Layout) -> _Row:
+    """Return the row of a fork with its facts behind the title, or below the title if the line is too short."""
+    title = f"{fork.number}. {fork.to_name}"
+    texts = [(words, WARNING) for words in fork.warnings]
+    used = text_width(title, NAME, is_bold=True) + text_width(right, NAME, is_bold=True) + text_width(facts, SMALL)
+    if used + 20.0 > TRACING_SIZE[0] - layout.text:
+        return _row(fork, title, right, [(facts, INK), *texts], layout)
+    return replace(_row(fork, title, right, texts, layout), beside=facts)
 
 
 def _with_moves(text: str, moves: str, layout: _Layout) -> list[tuple[str, str]]:
@@ -396,8 +417,9 @@ def _end_row(sheet: PlanSheet, layout: _Layout) -> _Row:
     parking = () if sheet.turns is None else sheet.turns.park_moves or ()
     texts = _with_moves(text, _moves(parking, layout), layout)
     texts += [(words, WARNING) for words in _end_warnings(sheet)]
-    if layout.sums_moves:
-        texts.append((SUMS, WARNING))
+    has_moves = bool(parking) or any(fork.turn is not None and fork.turn.moves for fork in sheet.forks)
+    if has_moves and (layout.sums_moves or layout.is_list):
+        texts.append((SUMS if layout.sums_moves else NO_MOVES, WARNING))
     return _row(None, f"Tip in {route.branch_name}", route.place_words, texts, layout)
 
 
@@ -421,6 +443,9 @@ def _row_words(row: _Row, layout: _Layout, y: float) -> list[Shape]:
     top = y - 0.5 * row.text_height + 11.0
     colour = LEG if row.fork is None else ACCENT
     shapes: list[Shape] = [Label((layout.text, top), row.title, NAME, INK, bold=True)]
+    if row.beside:
+        after = layout.text + text_width(row.title, NAME, is_bold=True) + 8.0
+        shapes.append(Label((after, top), row.beside, SMALL, INK))
     if row.right:
         shapes.append(Label((width, top), row.right, NAME, colour, "end", bold=True))
     shapes += [
