@@ -2,7 +2,8 @@
 
 ``segmentations CT FOLDER`` clicks at the common centre of the DICOM SEG files of one lesion (every ``*.dcm`` below the
 folder), and prints volume and error beside the range of the segmentations. A volume is *in range* if it lies within
-the range widened by 15 % on each side; *covered* if the interval contains the median of the segmentations.
+the range widened by 15 % on each side; *covered* if the interval contains the median of the segmentations. Then up to
+three strokes of the brush correct the boundary towards the voxels that most segmentations contain (`best_stroke`).
 
 ``implanted CT`` paints lesions of exact shape (a ball with lobes and spicules, in the lung, on its surface or at the
 hilum) into a CT, and clicks at the centre of each. The lung of the CT itself states where the wall is.
@@ -15,7 +16,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import SimpleITK as sitk
@@ -23,10 +24,21 @@ from numpy.typing import NDArray
 
 import carina
 from carina.errors import NoResultError
-from carina.plan import Nodule, grow_nodule, nodule_from_mask, target_from_file
+from carina.plan import Nodule, brushed, grow_nodule, nodule_from_mask, target_from_file
 from carina.volume import Volume, open_mask
+from carina.volume.mask_distances import ball_distance, distance_from
 
-__all__ = ["Implanted", "Segmented", "depth_mm", "implanted_lesions", "lung_of", "segmented_lesion"]
+__all__ = [
+    "BrushStroke",
+    "Implanted",
+    "Segmented",
+    "best_stroke",
+    "depth_mm",
+    "implanted_lesions",
+    "lung_of",
+    "overlap",
+    "segmented_lesion",
+]
 
 Mask = NDArray[np.bool_]
 
@@ -37,6 +49,11 @@ LUNG_HU, CLOSING_MM, LEAST_LUNG_ML = -400.0, 5.0, 300.0
 RADII_MM = (6.0, 9.0, 13.0, 18.0, 22.0, 26.0)
 MOST_FREE_MM = 18.0
 """Largest radius in mm of a lesion without contact to the wall."""
+BRUSHES_MM: Final = (2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
+"""Radii in mm of the window's brush (``web/src/state/tools.ts``) that a stroke may use."""
+MOST_STROKES, MOST_POINTS = 3, 2000
+SLACK_MM = 1.0
+"""Distance in mm by which a stroke may cross the boundary that it follows."""
 HALF_MM = 78.0
 """Half side length in mm of the part of the CT round an implanted lesion."""
 
@@ -46,6 +63,8 @@ class Segmented:
     """Segmentations of one lesion, and the nodule from a click at their common centre."""
 
     volumes_mm3: tuple[float, ...]
+    agreed_zyx: Mask
+    """Voxels of the CT that at least half of the segmentations contain."""
     nodule: Nodule | None
     """Nodule from the click; None if the click was refused."""
     refusal: str
@@ -73,11 +92,97 @@ def segmented_lesion(volume: Volume, files: list[Path]) -> Segmented:
         mask = open_mask(file, volume, progress=False)
         num += mask.inside_zyx
         volumes.append(nodule_from_mask(volume, mask).volume_mm3)
-    middle = np.argwhere(num >= 0.5 * len(files)).mean(axis=0)[::-1]
+    agreed = num >= 0.5 * len(files)
+    middle = np.argwhere(agreed).mean(axis=0)[::-1]
     try:
-        return Segmented(tuple(volumes), grow_nodule(volume, volume.to_lps(middle), progress=False), "")
+        return Segmented(tuple(volumes), agreed, grow_nodule(volume, volume.to_lps(middle), progress=False), "")
     except NoResultError as error:
-        return Segmented(tuple(volumes), None, error.code)
+        return Segmented(tuple(volumes), agreed, None, error.code)
+
+
+@dataclass(frozen=True, slots=True)
+class BrushStroke:
+    """Stroke of the window's brush in one slice, axial, coronal or sagittal."""
+
+    points_lps: tuple[tuple[float, float, float], ...]
+    radius_mm: float
+    takes_away: bool
+
+    def applied(self, nodule: Nodule, volume: Volume) -> Nodule:
+        """Return the nodule after the stroke."""
+        return brushed(nodule, volume, self.points_lps, self.radius_mm, add=not self.takes_away)
+
+
+def best_stroke(nodule: Nodule, volume: Volume, wanted_zyx: Mask) -> BrushStroke | None:
+    """Return the stroke in one slice that corrects most voxels of a boundary; None if no stroke corrects any.
+
+    Parameters
+    ----------
+    nodule, volume
+        The nodule and its CT.
+    wanted_zyx
+        Voxels of the CT inside the boundary that the user wants.
+    """
+    step, inside, matrix, wanted = _on_one_grid(nodule, volume, wanted_zyx)
+    best, most = None, 0
+    for takes_away in (False, True):
+        # An added ball must lie in the boundary that the user wants, a removed ball outside.
+        room = ball_distance(~wanted if takes_away else wanted, step)
+        change, keep = (inside & ~wanted, inside & wanted) if takes_away else (wanted & ~inside, ~wanted & ~inside)
+        for radius_mm in BRUSHES_MM:
+            centres = room >= radius_mm - SLACK_MM
+            # Only balls near the error change anything, and an added ball must touch the nodule.
+            centres &= (distance_from(change, step, radius_mm + step) <= radius_mm) | change
+            if not takes_away:
+                centres &= (distance_from(inside, step, radius_mm + step) <= radius_mm) | inside
+            # The window sends points that are a quarter of the radius apart.
+            apart = max(int(0.25 * radius_mm / step), 1)
+            sent = (np.indices(centres.shape) % apart == 0).sum(axis=0) >= 2
+            centres &= sent
+            for axis in range(3):
+                for n in np.flatnonzero(centres.any(axis=tuple(k for k in range(3) if k != axis))):
+                    one = np.zeros_like(centres)
+                    there = tuple(slice(n, n + 1) if k == axis else slice(None) for k in range(3))
+                    one[there] = centres[there]
+                    balls = one | (distance_from(one, step, radius_mm) + 0.5 * step <= radius_mm)
+                    gain = int((balls & change).sum()) - int((balls & keep).sum())
+                    if gain > most:
+                        best, most = (one, radius_mm, takes_away), gain
+    if best is None:
+        return None
+    one, radius_mm, takes_away = best
+    places = np.argwhere(one)[:MOST_POINTS, ::-1]
+    points = places @ matrix[:3, :3].T + matrix[:3, 3]
+    return BrushStroke(tuple((float(x), float(y), float(z)) for x, y, z in points), radius_mm, takes_away)
+
+
+def overlap(nodule: Nodule, volume: Volume, wanted_zyx: Mask) -> float:
+    """Return the Dice coefficient of a nodule and a mask of the CT."""
+    _, inside, _, wanted = _on_one_grid(nodule, volume, wanted_zyx)
+    return float(2.0 * (inside & wanted).sum() / (inside.sum() + wanted.sum()))
+
+
+def _on_one_grid(nodule: Nodule, volume: Volume, wanted_zyx: Mask) -> tuple[float, Mask, NDArray[np.float64], Mask]:
+    """Return voxel size, mask and transform of a nodule on a grid that also contains a mask of the CT, and the mask."""
+    step = float(np.linalg.norm(nodule.lps_from_ijk[:3, 0]))
+    corners = np.argwhere(wanted_zyx)[:, ::-1]
+    corners = np.array(np.meshgrid(*zip(corners.min(axis=0), corners.max(axis=0), strict=True))).reshape(3, -1).T
+    placed = (volume.to_lps(corners.astype(float)) - nodule.lps_from_ijk[:3, 3]) @ np.linalg.inv(
+        nodule.lps_from_ijk[:3, :3]
+    ).T
+    size = np.array(nodule.inside_zyx.shape[::-1])
+    margin = 3
+    before = np.maximum(np.ceil(-placed.min(axis=0)), 0).astype(int) + margin
+    after = np.maximum(np.ceil(placed.max(axis=0) - size + 1), 0).astype(int) + margin
+    inside = np.pad(nodule.inside_zyx, [(int(before[a]), int(after[a])) for a in (2, 1, 0)])
+    matrix = nodule.lps_from_ijk.copy()
+    matrix[:3, 3] -= matrix[:3, :3] @ before
+    zyx = np.moveaxis(np.indices(inside.shape), 0, -1)
+    at = np.rint(volume.to_ijk(zyx[..., ::-1].reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3])).astype(int)
+    known = ((at >= 0) & (at < np.array(volume.shape_zyx[::-1]))).all(axis=1)
+    wanted = np.zeros(len(at), dtype=bool)
+    wanted[known] = wanted_zyx[at[known, 2], at[known, 1], at[known, 0]]
+    return step, inside, matrix, wanted.reshape(inside.shape)
 
 
 def lung_of(volume: Volume) -> Mask:
@@ -204,6 +309,26 @@ def _print_segmented(place: Path, folder: Path) -> None:
     )
     for note in nodule.notes:
         print(f"  note: {note}")
+    _print_strokes(volume, found)
+
+
+def _print_strokes(volume: Volume, found: Segmented) -> None:
+    """Print volume and overlap after each of at most `MOST_STROKES` strokes of the brush."""
+    nodule = found.nodule
+    assert nodule is not None
+    low, high = min(found.volumes_mm3), max(found.volumes_mm3)
+    for num in range(MOST_STROKES + 1):
+        ml, dice = nodule.volume_mm3 / 1000.0, overlap(nodule, volume, found.agreed_zyx)
+        is_in = low <= nodule.volume_mm3 <= high
+        print(
+            f"  {num} strokes: {ml:.2f} ml, {'in' if is_in else 'out of'} the range itself, Dice {dice:.3f}", flush=True
+        )
+        stroke = best_stroke(nodule, volume, found.agreed_zyx) if num < MOST_STROKES else None
+        if stroke is None:
+            return
+        what = "remove" if stroke.takes_away else "add"
+        print(f"    {what}, radius {stroke.radius_mm:g} mm, {len(stroke.points_lps)} points", flush=True)
+        nodule = stroke.applied(nodule, volume)
 
 
 def _print_implanted(place: Path, num: int, seed: int) -> None:

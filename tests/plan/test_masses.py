@@ -101,7 +101,7 @@ def test_note_states_the_volumes_of_a_drawn_boundary_and_of_a_click():
     off = np.linalg.norm(volume.to_lps(np.stack([i, j, k], axis=-1).astype(float)) - (-14.0, 0.0, 0.0), axis=-1)
     drawn = nodule_from_mask(volume, off < 13.0)
     note = click_note(volume, drawn)
-    assert note.startswith(f"for comparison: the file's boundary has {drawn.volume_mm3 / 1000.0:.2f} +- ")
+    assert note.startswith(f"for comparison: the file's boundary has {drawn.volume_mm3 / 1000.0:.2f} \u00b1 ")
     assert "a click at its middle gives " in note
     assert f"{drawn.long_mm:.1f} x {drawn.short_mm:.1f} mm" in note
     assert "exceeds" not in note

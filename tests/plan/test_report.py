@@ -21,6 +21,7 @@ from carina.cli.plan import lines
 from carina.errors import CancelledError, CarinaError, UsageError
 from carina.export.plan_content import drawn_plans
 from carina.plan import STATION_NOTE, ScoreWeights, TargetDoubt, route_stations
+from carina.plan.hand_moves import Move
 from carina.plan.report import make_sheet, write_report
 from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, ReportTable, Words
 from carina.plan.report.drawing import Label
@@ -231,6 +232,61 @@ def test_tracing_sheet_omits_the_diagram_before_it_continues_on_another_page(num
     assert all(f"branch {n:03}" in text for n in range(1, num + 1))
     assert text.count(fork.turn.direction("head")) >= num
     assert text.count("counterclockwise") >= num, "moves of the hand"
+
+
+def test_sheet_states_sums_of_moves_if_single_moves_need_more_than_a_page() -> None:
+    fork = sheet().forks[0]
+    moves = tuple(Move(50.0 * (-1) ** n, 15.0 + 5.0 * (n % 2), 2.0) for n in range(31))
+    turn = dataclasses.replace(fork.turn, moves=moves)
+    many = tuple(dataclasses.replace(fork, number=n, to_name=f"branch {n:03}", turn=turn) for n in range(1, 13))
+    (part,) = (one for one in sections(dataclasses.replace(sheet(), forks=many)) if one.name.startswith("tracing"))
+    text = " ".join(words for block in part.blocks for words in words_of(block))
+    sums = "rotate 50\u00b0 clockwise, flex up 15\u00b0, advance 62 mm"
+    assert "".join(text.split()).count("".join(sums.split())) == 12
+    assert "The moves of the hand are sums" in text and "report lists every move" in text
+
+
+def test_sheet_of_a_long_route_with_many_reasons_is_one_page_with_a_line_for_each_fork() -> None:
+    fork = sheet().forks[0]
+    turn = dataclasses.replace(fork.turn, moves=tuple(Move(50.0 * (-1) ** n, 15.0, 2.0) for n in range(31)))
+    many = tuple(dataclasses.replace(fork, number=n, to_name=f"branch {n:03}", turn=turn) for n in range(1, 14))
+    notes = tuple(f"note {n} about the CT, which is as long as two lines of the sheet. " * 2 for n in range(8))
+    long = dataclasses.replace(sheet(), forks=many, plan=dataclasses.replace(plan(), notes=notes))
+    (part,) = (one for one in sections(long) if one.name.startswith("tracing"))
+    text = " ".join(words for block in part.blocks for words in words_of(block))
+    assert all(f"{n}. branch {n:03}" in text and f"note {n - 1} about" in text for n in range(1, 9))
+    assert text.count(fork.turn.direction("head")) >= 13
+    assert "The moves of the hand are in the report." in text and "rotate" not in text
+
+
+def test_tip_before_the_carina_has_no_negative_distances() -> None:
+    short = dataclasses.replace(sheet().turns, park_from_carina_mm=-4.4, park_from_fork_mm=-4.4)
+    (part,) = (one for one in sections(dataclasses.replace(sheet(), turns=short)) if one.name == "turns")
+    (table,) = (block for block in part.blocks if isinstance(block, ReportTable))
+    assert table.rows[-1][1:6] == ("stop: tip of the scope", "", "", "4 above", "4 before it")
+
+
+def test_plan_without_a_route_names_neither_route_nor_leg_in_its_legends() -> None:
+    told = sheet()
+    none = dataclasses.replace(told, route_number=None, plan=dataclasses.replace(told.plan, routes=(), why="none"))
+    for one, is_named in ((told, True), (none, False)):
+        parts = [part for part in sections(one) if part.name in {"target", "airways"}]
+        text = " ".join(words for part in parts for block in part.blocks for words in words_of(block))
+        assert ("last leg" in text) is is_named
+        assert ("the route, with its forks" in text) is is_named
+
+
+def test_crossed_vessel_is_stated_as_such_and_not_as_a_distance_of_zero() -> None:
+    told = sheet()
+    route = told.route
+    near = (NearVessel(4.0, 0.0, route.leg.tip_lps),)
+    leg = dataclasses.replace(route.leg, vessel_mm=0.0, vessels=near)
+    crossing = dataclasses.replace(route, leg=leg)
+    changed = dataclasses.replace(told, plan=dataclasses.replace(told.plan, routes=(crossing, *told.plan.routes[1:])))
+    text = " ".join(words for part in sections(changed) for block in part.blocks for words in words_of(block))
+    assert "0.0 mm from the needle" not in text and "nearest vessel 0.0" not in text
+    for words in ("crosses a vessel", "crossed at 4 mm from the tip", "on the needle's line"):
+        assert "".join(words.split()) in "".join(text.split())
 
 
 def test_report_of_the_second_route_describes_that_route_completely() -> None:

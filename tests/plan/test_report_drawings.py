@@ -182,6 +182,32 @@ def test_clock_face_shows_the_opening_at_its_hour() -> None:
         assert hours == pytest.approx(fork.turn.clock_head % 12.0)
 
 
+@pytest.mark.parametrize("hour", [2.0, 9.0])
+def test_names_beside_the_diagram_stay_on_the_page(hour) -> None:
+    told = sheet()
+    turn = dataclasses.replace(told.forks[0].turn, clock_head=hour, straight_ahead=False, hour_doubt=None)
+    fork = dataclasses.replace(told.forks[0], turn=turn, others=("Upper division", "Right basal trunk"))
+    (drawing,) = tracing_drawings(dataclasses.replace(told, forks=(fork,) * 4))
+    labels = [s for s in drawing.shapes if isinstance(s, Label)]
+    assert sum(one.text.startswith(("Upper", "Right b")) for one in labels) >= 8
+    for one in labels:
+        width = text_width(one.text, one.size, is_bold=one.bold)
+        left = one.at[0] - {"start": 0.0, "middle": 0.5, "end": 1.0}[one.anchor] * width
+        assert left >= -0.5 and left + width <= drawing.width + 0.5, one.text
+
+
+def test_drawn_branch_that_extends_a_tip_is_red_in_the_row_of_the_tip() -> None:
+    told = sheet()
+    doubt = "branch 145 was drawn by hand"
+    route = dataclasses.replace(told.route, doubts=(doubt,))
+    changed = dataclasses.replace(told, plan=dataclasses.replace(told.plan, routes=(route, *told.plan.routes[1:])))
+    (drawing,) = tracing_drawings(changed)
+    (label,) = (s for s in drawing.shapes if isinstance(s, Label) and s.text == doubt)
+    assert label.colour == "#c1001f"
+    line = [s.pen.line for s in drawing.shapes if isinstance(s, Stroke) and s.pen.width == 2.2]
+    assert line[-1] == "#c1001f"
+
+
 @given(st.lists(st.text("abc", min_size=1, max_size=12), max_size=30), st.floats(80.0, 300.0))
 def test_wrapped_text_lines_contain_every_word_and_fit_the_width(words, width) -> None:
     lines = lines_of(" ".join(words), 9.0, width)

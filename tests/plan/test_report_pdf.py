@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import re
 from functools import cache
@@ -13,6 +14,9 @@ from test_report import SAFETY, everything
 
 from carina.errors import UsageError
 from carina.plan.report import write_report
+from carina.plan.report.blocks import Figure, Section, Words
+from carina.plan.report.drawing import Drawing
+from carina.plan.report.write import pdf_pages
 
 pytest.importorskip("reportlab", reason="needs the extra `report`")
 pypdf = pytest.importorskip("pypdf", reason="needs pypdf")
@@ -84,6 +88,27 @@ def test_tracing_sheet_of_the_pdf_report_is_one_page() -> None:
     (only,) = pages("Letter", "tracing")
     text = plain(only.extract_text())
     assert all(plain(fork.to_name) in text for fork in sheet().forks)
+
+
+def test_tracing_sheet_of_two_pages_begins_on_the_first_page(tmp_path) -> None:
+    fork = sheet().forks[0]
+    many = tuple(dataclasses.replace(fork, number=n, to_name=f"branch {n:03}") for n in range(1, 41))
+    long = dataclasses.replace(sheet(), forks=many)
+    for paper in ("A4", "Letter"):
+        path = write_report(tmp_path / f"{paper}.pdf", long, kind="tracing", paper=paper)
+        first, *_ = pypdf.PdfReader(path).pages
+        assert "branch001" in plain(first.extract_text())
+
+
+@pytest.mark.parametrize("starts_page", [True, False])
+def test_section_that_fills_its_page_is_followed_by_no_empty_page(starts_page) -> None:
+    page = Figure(Drawing(500.0, 610.0, (), "a drawing as tall as a page"))
+    end = Section("end", "End", (Words("the last words"), page), starts_page=starts_page)
+    for height in range(560, 640, 8):
+        tall = Figure(Drawing(500.0, float(height), (), "a tall drawing"))
+        content = pdf_pages(sheet(), (Section("tall", "Tall", (Words("first words"), tall)), end), paper="Letter")
+        texts = [page.extract_text() for page in pypdf.PdfReader(io.BytesIO(content)).pages]
+        assert [n for n, text in enumerate(texts) if "words" not in text.lower()] == []
 
 
 @pytest.mark.parametrize("paper", ["A4", "Letter"])

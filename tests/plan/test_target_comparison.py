@@ -50,3 +50,12 @@ def test_figures_in_the_target_comparison_are_those_of_each_plan() -> None:
 def test_target_comparison_with_a_missing_name_is_refused() -> None:
     with pytest.raises(UsageError, match="one for each plan"):
         compare_targets([plan(), plan()], ["one"])
+
+
+def test_column_of_doubts_states_what_it_is_about_because_vessel_and_outlook_have_their_own() -> None:
+    leg = dataclasses.replace(plan().routes[0].leg, vessel_mm=1.2)
+    poor = dataclasses.replace(changed(outlook="does not reach", doubts=(), leg=leg), doubts=())
+    (_, line) = comparison_lines(compare_targets([poor], ["one"]))
+    assert "outlook does not reach" in line
+    assert "vessel 1.2 mm" in line
+    assert line.endswith("doubts about target and airways none")

@@ -76,6 +76,23 @@ def test_brush_adds_a_ball_to_a_target_boundary_and_removes_it(off, radius_mm):
     assert less.notes == more.notes == ("boundary edited by hand",)
 
 
+def test_stroke_of_the_brush_equals_its_balls_one_after_another():
+    volume, nodule = scene()
+    stroke = np.array(nodule.centre_lps) + np.array([(x, 3.0, 1.0) for x in np.arange(-9.0, 9.1, 0.75)])
+    for add in (True, False):
+        one_by_one = nodule
+        for point in stroke[4:-4]:
+            one_by_one = brushed(one_by_one, volume, point, 3.0, add=add)
+        whole = brushed(nodule, volume, stroke[4:-4], 3.0, add=add)
+        assert whole.volume_mm3 == pytest.approx(one_by_one.volume_mm3, rel=1e-6)
+        assert whole.notes == one_by_one.notes
+    # A removal may begin and end outside the target; an added part must be connected to it.
+    far = np.array(nodule.centre_lps) + np.array([0.0, 18.0, 0.0])
+    assert brushed(nodule, volume, [*stroke, far], 3.0, add=False).volume_mm3 < nodule.volume_mm3
+    with pytest.raises(UsageError, match="a target is one piece"):
+        brushed(nodule, volume, [*stroke, far], 2.0)
+
+
 def test_boundary_edits_that_leave_no_target_are_refused():
     volume, nodule = scene()
     centre = np.array(nodule.centre_lps)

@@ -498,6 +498,22 @@ def test_text_of_hand_moves_matches_their_values() -> None:
     assert moves_words([]) == ""
 
 
+def test_small_steps_in_one_direction_are_one_gradual_move() -> None:
+    turning = [Move(5.0, 150.0, 2.0) for _ in range(4)]
+    bending = [Move(0.0, 150.0 + 10.0 * n, 1.0) for n in range(1, 4)]
+    assert moves_words([Move(50.0, 150.0, 2.0), *turning, *bending]) == (
+        "rotate 50\u00b0 clockwise, flex up 150\u00b0, advance 2 mm; "
+        "then gradually rotate 20\u00b0 clockwise, flex up 180\u00b0, advance 11 mm"
+    )
+    # A step that is large, or in the other direction, is a separate move.
+    other = [*turning, Move(-5.0, 150.0, 2.0), Move(-40.0, 150.0, 2.0)]
+    assert moves_words(other) == (
+        "rotate 5\u00b0 clockwise, flex up 150\u00b0, advance 2 mm; then gradually rotate 15\u00b0 clockwise, "
+        "advance 6 mm; then rotate 5\u00b0 counterclockwise, advance 2 mm; then rotate 40\u00b0 counterclockwise, "
+        "advance 2 mm"
+    )
+
+
 @pytest.mark.parametrize(
     ("change", "code"),
     [

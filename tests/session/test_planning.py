@@ -423,7 +423,7 @@ def test_targets_are_read_from_files_and_created_as_spheres(case: carina.Case, c
     drawn, ball = case.state.document.targets
     assert (drawn.lesion.target.source, ball.lesion.target.source) == ("mask", "sphere")
     assert drawn.lesion.nodule.volume_mm3 == pytest.approx(7**3 * 1.5**3, rel=0.02)
-    assert drawn.lesion.nodule.notes[-1].startswith("for comparison: the file's boundary has 1.16 +- ")
+    assert drawn.lesion.nodule.notes[-1].startswith("for comparison: the file's boundary has 1.16 \u00b1 ")
     assert "a click at its middle gives" in drawn.lesion.nodule.notes[-1]
     assert ball.lesion.nodule.long_mm == pytest.approx(12.0, abs=0.7)
     assert {one.target.name for one in case.ask(PlanningOf()).targets} == {drawn.name, ball.name}

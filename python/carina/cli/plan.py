@@ -357,10 +357,9 @@ def _route_words(plan: Plan, route: PlannedRoute) -> str:
     leg = route.leg
     needs = f" ({plan.scope.title} needs {plan.scope.fit_mm:.1f} mm)"
     fits = {"fits": "", "may fit": f"{needs}, may fit", "does not fit": f"{needs}, does not fit"}[route.fit]
-    vessel = "no vessel seen nearby" if leg.vessel_mm is None else f"nearest vessel {leg.vessel_mm:.1f} mm away"
     return (
         f"{route.branch_name}, {route.place_words}; narrowest {route.width.words}{fits}; needle path "
         f"{leg.to_target_mm:.1f} mm to the target at {leg.angle_deg:.0f} degrees to the airway, "
-        f"{leg.in_target_mm:.1f} mm within it; {vessel}; {route.hit_words}; "
+        f"{leg.in_target_mm:.1f} mm within it; {leg.vessel_words}; {route.hit_words}; "
         f"score {route.score:.2f}"
     )

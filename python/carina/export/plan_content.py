@@ -34,8 +34,6 @@ ONE_TARGET = "Target"
 """Name of a single target without a name."""
 NOT_A_DEVICE = "Not a medical device."
 CORNER_MM = 0.7
-VESSEL_MM = 0.25
-"""Distance in mm between needle and vessel below which the needle crosses the vessel (half a voxel)."""
 OFF_ROUTE_MM = 3.0
 """Largest accepted distance in mm between the scope's tip and the smoothed route.
 
@@ -223,7 +221,7 @@ def _route_words(route: PlannedRoute, plan: Plan) -> str:
     )
     if leg.vessel_mm is None:
         parts.append("no vessel seen near the needle")
-    elif leg.vessel_mm < VESSEL_MM:
+    elif leg.crosses_vessel:
         parts.append("the needle crosses a vessel that the CT shows")
     else:
         parts.append(f"nearest vessel seen {leg.vessel_mm:.1f} mm from the needle")

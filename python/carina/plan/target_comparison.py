@@ -16,7 +16,7 @@ __all__ = ["ORDER_RULE", "ComparedTarget", "compare_targets", "comparison_lines"
 
 ORDER_RULE = (
     "Order: the outlook of the first route (reaches, may reach, does not reach, no route), then fewer doubts about "
-    "target and route, then the larger expected share of needle passes that hit, then the shorter way past the main "
+    "target and airways, then the larger expected share of needle passes that hit, then the shorter way past the main "
     "carina."
 )
 NO_ROUTE = "no route"
@@ -43,7 +43,10 @@ class ComparedTarget:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Doubts about target and route; without a route also the reason."""
+        """Doubts about the target and the route's airways; without a route also the reason.
+
+        Outlook, needle and vessel have their own columns.
+        """
         found = tuple(doubt.words for doubt in self.plan.doubts)
         if self.route is not None:
             return (*found, *self.route.doubts)
@@ -57,6 +60,7 @@ class ComparedTarget:
         if route is None:
             return (self.title, NO_ROUTE, "", "", "", "", "", doubts)
         vessel = "none seen" if route.leg.vessel_mm is None else f"{route.leg.vessel_mm:.1f} mm"
+        vessel = "on the way" if route.leg.crosses_vessel else vessel
         return (
             self.title,
             self.outlook,
@@ -87,7 +91,16 @@ class ComparedTarget:
         }
 
 
-HEAD: Final = ("target", "outlook", "hits", "narrowest", "tip", "needle to target", "vessel", "doubts")
+HEAD: Final = (
+    "target",
+    "outlook",
+    "hits",
+    "narrowest",
+    "tip",
+    "needle to target",
+    "vessel",
+    "doubts about target and airways",
+)
 
 
 @check_arguments(plans=each(instance(Plan, "get plans from carina.plan_route")), names=each(text_of(), optional=True))

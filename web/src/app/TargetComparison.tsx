@@ -65,7 +65,9 @@ function Table({ comparison }: { comparison: TargetComparison }) {
                   {title}
                 </th>
               ))}
-              <th scope="col">Doubts</th>
+              <th scope="col" title="Outlook, hits, needle and vessel have columns beside this one">
+                Doubts about target and airways
+              </th>
             </tr>
           </thead>
           <tbody>

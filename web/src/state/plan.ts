@@ -27,6 +27,15 @@ export const share = (part: number): string => `${fixed(100 * part)}\u202f%`;
 export const figure = (value: number | null | undefined, text: (value: number) => string): string =>
   value === null || value === undefined ? "\u2013" : text(value);
 
+/** Distance of a vessel from the needle, mm, below which the needle crosses the vessel. */
+const CROSSED_VESSEL_MM = 0.05;
+
+/** Return the distance of the needle from the nearest vessel as the text of a table's cell. */
+export const vesselCell = (distanceMm: number | null): string => {
+  if (distanceMm === null) return "none seen";
+  return distanceMm < CROSSED_VESSEL_MM ? "on the way" : mm(distanceMm);
+};
+
 /** Rows of the table that compares routes, with the function that returns each row's text. */
 export const ROUTE_ROWS: readonly { title: string; words: string; of: (route: RouteOffer) => string }[] = [
   { title: "Airway", words: "The airway in which the scope is parked", of: (route) => route.branch_name },
@@ -78,7 +87,7 @@ export const ROUTE_ROWS: readonly { title: string; words: string; of: (route: Ro
   {
     title: "Vessel",
     words: "From the needle to the nearest visible vessel",
-    of: (route) => (route.leg.vessel_mm === null ? "none seen" : mm(route.leg.vessel_mm)),
+    of: (route) => vesselCell(route.leg.vessel_mm),
   },
   {
     title: "Hits",

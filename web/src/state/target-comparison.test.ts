@@ -30,6 +30,7 @@ describe("comparison of targets", () => {
       Vessel: "none seen",
     });
     expect(cells({ ...row, vessel_mm: 2.26 }).Vessel).toBe("2.3\u202fmm");
+    expect(cells({ ...row, vessel_mm: 0 }).Vessel).toBe("on the way");
   });
 
   it("COMPARED_COLUMNS have dashes for a target without a route, and never state that no vessel is seen.", () => {

@@ -3,7 +3,7 @@
 import type { PlannedTargetRow } from "../wire/messages";
 import { withError } from "./branch-text";
 import { mm } from "./format";
-import { figure, share } from "./plan";
+import { figure, share, vesselCell } from "./plan";
 
 /** Columns after the target's name, with the function that returns the text of each cell. */
 export const COMPARED_COLUMNS: readonly { title: string; words: string; of: (row: PlannedTargetRow) => string }[] = [
@@ -35,7 +35,6 @@ export const COMPARED_COLUMNS: readonly { title: string; words: string; of: (row
   {
     title: "Vessel",
     words: "From the needle to the nearest visible vessel",
-    of: (row) =>
-      row.route !== null && row.vessel_mm === null ? "none seen" : figure(row.vessel_mm, (value) => mm(value)),
+    of: (row) => (row.route === null ? figure(null, mm) : vesselCell(row.vessel_mm)),
   },
 ];

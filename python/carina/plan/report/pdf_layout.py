@@ -113,11 +113,15 @@ class _Layout:
 
     def flowables(self, parts: tuple[Section, ...]) -> list[Any]:
         """Return the flowables of all sections."""
-        found: list[Any] = [self._paragraph(TITLE, 20.0, is_bold=True), Spacer(1, 10)] if len(parts) > 1 else []
+        # A tracing sheet, of one page or several, fills its pages and has no title above it.
+        is_report = not parts[0].name.startswith("tracing")
+        found: list[Any] = [self._paragraph(TITLE, 20.0, is_bold=True), Spacer(1, 10)] if is_report else []
         for n, part in enumerate(parts):
-            if n:
-                found.append(PageBreak() if part.starts_page else Spacer(1, 14))
-            heading = self._paragraph(part.title, 13.0, is_bold=True)
+            if n and part.starts_page:
+                found.append(PageBreak())
+            # Space before a heading is left out at the top of a page; a spacer could begin an empty page.
+            above = 14 + GAP if n and not part.starts_page else 0.0
+            heading = self._paragraph(part.title, 13.0, is_bold=True, above=above)
             line = Table(
                 [[""]],
                 colWidths=[self._width],
@@ -126,9 +130,10 @@ class _Layout:
             )
             content: list[Any] = [heading, Spacer(1, 3), line]
             used = HEADING
-            for block in part.blocks:
+            for k, block in enumerate(part.blocks):
                 made = self._block(block, used)
-                content += [*(made if isinstance(made, list) else [made]), Spacer(1, GAP)]
+                # A gap at the end of a section could begin an empty page.
+                content += [*([Spacer(1, GAP)] if k else []), *(made if isinstance(made, list) else [made])]
                 used += PARAGRAPH * isinstance(block, Words)
             if part.is_whole:
                 found.append(KeepTogether(content))
@@ -170,6 +175,7 @@ class _Layout:
         is_bold: bool = False,
         is_right: bool = False,
         is_item: bool = False,
+        above: float = 0.0,
     ) -> Any:
         style = ParagraphStyle(
             "words",
@@ -183,6 +189,7 @@ class _Layout:
             bulletFontName=self._plain,
             bulletFontSize=size,
             bulletColor=HexColor(TONES[tone]),
+            spaceBefore=above,
             spaceAfter=3.0 if is_item else 0.0,
         )
         return Paragraph(escaped(text), style, bulletText="\u2022" if is_item else None)

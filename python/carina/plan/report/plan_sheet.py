@@ -50,7 +50,8 @@ class TargetPlace:
 
     lobe: str | None
     """Lobe of the nearest airway; None if it is not known."""
-    nearest_branch: str | None
+    nearest_branch: str
+    """Name of the nearest airway, or its number such as ``branch 17``."""
     pleura_mm: float | None
     """Distance in mm from the target's edge to the nearest tissue thicker than a vessel (pleura or mediastinum).
 
@@ -354,7 +355,7 @@ def _place(volume: Volume, airways: Airways, nodule: Nodule, wall: WallField) ->
     is_cut = _to_edge_mm(around, nodule) < min(nearest, AROUND_MM)
     return TargetPlace(
         lobe=lobe,
-        nearest_branch=branch.name,
+        nearest_branch=branch_title(branch),
         pleura_mm=nearest if math.isfinite(nearest) and not is_cut else None,
         looked_mm=AROUND_MM,
         is_cut=is_cut,

@@ -14,6 +14,7 @@ from carina.plan.report.tracing import tracing_drawings
 from carina.plan.report.uncertainty import doubt_words
 from carina.plan.report.wording import AGAINST, carina_cell, lines_of, per_cent
 from carina.plan.route_stations import STATION_NOTE
+from carina.plan.routes.last_leg import CROSSED_VESSEL_MM
 from carina.plan.routes.plan_route import PlannedRoute, ScoreWeights
 from carina.plan.routes.predictors import PREDICTOR_WORDS
 from carina.plan.turns.clips import TurnClip
@@ -35,9 +36,9 @@ PART_WORDS = {
 CHECKS = ("diameter", "bend", "length", "channel", "drive", "pointing")
 LEGEND = (
     "Slices through the middle of the target, lung window (width 1500, level \u2212600 HU); the patient's right is on "
-    "the left of axial and coronal slices. Yellow: outline of the target. Orange: last leg, dotted where it lies "
-    "outside the slice. Blue: airway lumen."
+    "the left of axial and coronal slices. Yellow: outline of the target. Blue: airway lumen."
 )
+LEGEND_OF_LEG = " Orange: last leg, dotted where it lies outside the slice."
 STILLS = (
     "The airway from a diameter before each fork, level, made from the CT without texture. The opening to enter is "
     "outlined."
@@ -103,7 +104,7 @@ def _target(sheet: PlanSheet) -> Section:
         ("Volume", f"{ml:.{digits}f} \u00b1 {nodule.volume_error_mm3 / 1000.0:.{digits}f} ml"),
         ("Diameters (axial)", diameters),
         ("Lobe", place.lobe or "not known"),
-        ("Nearest airway", place.nearest_branch or "an unnamed branch"),
+        ("Nearest airway", place.nearest_branch),
         ("To pleura or mediastinum", place.pleura_words),
         (
             "Bronchus sign",
@@ -119,7 +120,7 @@ def _target(sheet: PlanSheet) -> Section:
         Words(_lead(sheet), "lead"),
         Facts(tuple(rows)),
         Figures(figures, 3),
-        Words(LEGEND, "quiet"),
+        Words(LEGEND + (LEGEND_OF_LEG if sheet.route is not None else ""), "quiet"),
     )
     return Section("target", "Target", blocks)
 
@@ -159,9 +160,12 @@ def _instruments(num: int) -> str:
 
 
 def _way(sheet: PlanSheet) -> Section:
-    words = "Blue: the route, with its forks by number. Orange: last leg and target. Red: drawn by hand or bridged."
+    words, title = "Orange: target. Red: drawn by hand or bridged.", "Airways and target"
+    if sheet.route is not None:
+        words = "Blue: the route, with its forks by number. Orange: last leg and target. Red: drawn by hand or bridged."
+        title = "Airways and route"
     blocks = (Words(words, "quiet"), _tree_figures(sheet))
-    return Section("airways", "Airways and route", blocks, starts_page=_is_tree_after_page_one(sheet))
+    return Section("airways", title, blocks, starts_page=_is_tree_after_page_one(sheet))
 
 
 def _route(sheet: PlanSheet) -> list[Section]:
@@ -183,6 +187,7 @@ def _route(sheet: PlanSheet) -> list[Section]:
     fits = f"{route.width.words}; the scope needs {plan.scope.fit_mm:.1f} mm"
     least = f"{leg.in_target_mm:.0f} mm as aimed, at least {leg.least_in_target_mm:.0f} mm within the needle's errors"
     vessel = "none seen nearby" if leg.vessel_mm is None else f"{leg.vessel_mm:.1f} mm from the needle's line"
+    vessel = "on the needle's line" if leg.crosses_vessel else vessel
     beyond = "more than 10 mm" if leg.beyond_mm is None else f"{leg.beyond_mm:.0f} mm"
     rows = (
         ("Tip of the scope", f"in {route.branch_name}"),
@@ -231,7 +236,14 @@ def _vessel_words(route: PlannedRoute) -> str:
     near = route.leg.vessels
     if not near:
         return "none seen"
-    return ", ".join(f"{one.distance_mm:.1f} mm off at {one.at_mm:.0f} mm" for one in near) + " from the tip"
+    off = ["crossed" if one.distance_mm < CROSSED_VESSEL_MM else f"{one.distance_mm:.1f} mm off" for one in near]
+    return ", ".join(f"{words} at {one.at_mm:.0f} mm" for words, one in zip(off, near, strict=True)) + " from the tip"
+
+
+def _vessel_cell(route: PlannedRoute) -> str:
+    if route.leg.vessel_mm is None:
+        return "none seen"
+    return "crossed" if route.leg.crosses_vessel else f"{route.leg.vessel_mm:.1f} mm"
 
 
 def _num_lines(sheet: PlanSheet) -> int:
@@ -287,7 +299,10 @@ def _turns(sheet: PlanSheet) -> list[Section]:
         )
     park = _rounded(sheet.turns.park_from_carina_mm)
     doing = moves_words(sheet.turns.park_moves or ())
-    rows.append(("", "stop: tip of the scope", "", "", park, f"{sheet.turns.park_from_fork_mm:.0f}", "", "", doing))
+    past = sheet.turns.park_from_fork_mm
+    # The tip may stop before a ridge that lies beyond the fork of the airways' axes.
+    behind = f"{past:.0f}" if past > -0.5 else f"{-past:.0f} before it"
+    rows.append(("", "stop: tip of the scope", "", "", park, behind, "", "", doing))
     first, second = (name.capitalize() for name in (sheet.operator, other_operator))
     head = ("", "Enter", first, second, "From carina, mm", "From last fork, mm", "Opening, mm", "Turn", "Hand")
     shares = (0.04, 0.18, 0.075, 0.075, 0.09, 0.095, 0.09, 0.065, 0.29)
@@ -329,7 +344,9 @@ def _hour(turn: Turn, operator: Operator) -> str:
 
 
 def _rounded(mm: float | None) -> str:
-    return "not known" if mm is None else f"{mm:.0f}"
+    if mm is None:
+        return "not known"
+    return f"{mm:.0f}" if mm > -0.5 else f"{-mm:.0f} above"
 
 
 def _still(one: TurnPicture) -> Drawing:
@@ -414,7 +431,7 @@ _COMPARED: tuple[tuple[str, Callable[[PlanSheet, PlannedRoute], str]], ...] = (
     ("To the target's edge", lambda _, r: f"{r.leg.to_target_mm:.1f} mm"),
     ("Angle to the airway", lambda _, r: f"{r.leg.angle_deg:.0f}\u00b0"),
     ("Length in the target", lambda _, r: f"{r.leg.in_target_mm:.0f} mm"),
-    ("Nearest vessel", lambda _, r: "none seen" if r.leg.vessel_mm is None else f"{r.leg.vessel_mm:.1f} mm"),
+    ("Nearest vessel", lambda _, r: _vessel_cell(r)),
     ("Needle passes that hit", lambda _, r: per_cent(r.hit_share)),
     ("If the target has moved", lambda _, r: per_cent(r.hit_share_moved)),
     ("Tissue on the way", lambda _, r: _crossed_words(r)),

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
+from carina.plan.hand_moves import Move
 from carina.plan.report.colours import ACCENT, INK, LEG, PALE, QUIET, WARNING
 from carina.plan.report.drawing import Disc, Drawing, Label, LineStyle, Place, Shape, Stroke
 from carina.plan.report.plan_sheet import Fork, PlanSheet
 from carina.plan.report.wording import AGAINST, BOLD, lines_of, text_width
 from carina.plan.routes.main_carina import carina_words
-from carina.plan.turns.texts import joined, moves_words
+from carina.plan.turns.texts import joined, moves_sum_words, moves_words
 
 __all__ = ["TRACING_SIZE", "tracing_drawings"]
 
@@ -28,6 +30,8 @@ LABELS, GAP = 46.0, 6.0
 """Heights in points of the box with the lines to fill in, and of the space between two parts."""
 MOST_LINES = 7
 """Largest number of lines of the planner's notes."""
+SUMS = "The moves of the hand are sums up to each fork; the report lists every move."
+NO_MOVES = "The moves of the hand are in the report."
 FREE_NOTES = 36.0
 """Height in points that is left for handwritten notes if the page has room."""
 MOST_ROW = 78.0
@@ -50,12 +54,21 @@ class _Layout:
     """Largest radius of a clock face, whose arrow is longer by a quarter."""
     is_short: bool = False
     """Whether a row leaves out facts that follow from others: distance from the last fork, sides, other openings."""
+    sums_moves: bool = False
+    """Whether a row states the sum of the hand's moves instead of each move."""
+    is_list: bool = False
+    """Whether a row is one line without moves of the hand."""
 
 
 DIAGRAM = _Layout(spine=78.0, clock=170.0, text=196.0, least_row=36.0, gap=6.0, face=15.0)
 COMPACT = _Layout(spine=None, clock=17.0, text=40.0, least_row=30.0, gap=4.0, face=13.5)
 TIGHT = _Layout(spine=None, clock=14.0, text=32.0, least_row=25.0, gap=3.0, face=11.5, is_short=True)
-"""Layouts of a page: with a diagram; without it; and without facts that follow from others, for long routes."""
+SUMMED = replace(TIGHT, sums_moves=True)
+LISTED = _Layout(spine=None, clock=14.0, text=32.0, least_row=19.0, gap=3.0, face=7.5, is_short=True, is_list=True)
+"""Layouts of a page: with a diagram; without it; without facts that follow from others; with sums of moves; as a list.
+
+The last ones are for long routes.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +81,8 @@ class _Row:
     """Text at the right edge of the line of the title: clock hour, or place of the tip."""
     lines: tuple[tuple[str, str], ...]
     """Lines of text with their colours."""
+    beside: str = ""
+    """Text behind the title, in the same line."""
 
     @property
     def text_height(self) -> float:
@@ -81,13 +96,13 @@ class _Row:
 def tracing_drawings(sheet: PlanSheet) -> tuple[Drawing, ...]:
     """Return the tracing sheet on one page; empty if the plan has no route.
 
-    The diagram is left out if the text needs its room. Only text that does not fit on a page without diagram continues
-    on further pages: no text is left out or made smaller.
+    The diagram is left out if the text needs its room, then facts that follow from others, then the moves of the hand,
+    which the report lists. Only text that still does not fit continues on further pages: no text is cut or reduced.
     """
     if sheet.route is None:
         return ()
     against = _against_lines(sheet)
-    for layout in (DIAGRAM, COMPACT, TIGHT):
+    for layout in (DIAGRAM, COMPACT, TIGHT, SUMMED, LISTED):
         rows = _rows(sheet, layout)
         used = sum(row.height(layout) for row in rows)
         if used + _against_height(against) <= _room(sheet):
@@ -170,11 +185,8 @@ def _head_lines(sheet: PlanSheet) -> tuple[tuple[str, str], ...]:
 
 def _title_lines(sheet: PlanSheet) -> list[str]:
     place = sheet.place
-    where = " ".join(
-        part for part in (place.lobe, f"near {place.nearest_branch}" if place.nearest_branch else "") if part
-    )
     words = sheet.plan.nodule.words
-    title = f"{words[0].upper()}{words[1:]}, {where or 'lobe not known'}"
+    title = f"{words[0].upper()}{words[1:]}, {place.lobe or 'lobe not known'}, near {place.nearest_branch}"
     return lines_of(title, BOLD * NAME, TRACING_SIZE[0])
 
 
@@ -258,6 +270,7 @@ def _diagram(
     # From each fork the route leads into the branch that is named there, so the fork's warnings colour the next piece.
     for n, piece in enumerate(itertools.pairwise(places)):
         warned = n > 0 and bool(forks[n - 1].warnings)
+        warned |= n == len(forks) and bool(_end_warnings(sheet))
         shapes.append(Stroke(piece, LineStyle(WARNING, 2.2, dash=(4.0, 3.5)) if warned else LineStyle(ACCENT, 2.2)))
     shapes += names
     for n, fork in enumerate(forks):
@@ -274,9 +287,11 @@ def _diagram(
 def _stub_name(end: Place, side: float, name: str, *, below: bool) -> Label:
     """Return the name of a branch that is not entered, beside the end of its stub.
 
-    A name that would reach the clock face is placed below or above the end of the stub instead.
+    A name that would reach the clock face or the edge of the page is placed below or above the end of the stub.
     """
     text, x = _short(name), end[0] + side * 7.0
+    if side < 0 and x < text_width(text, SMALL):
+        return Label((0.0, end[1] + (13.0 if below else -6.0)), text, SMALL, QUIET)
     most = DIAGRAM.clock - 1.3 * DIAGRAM.face
     if side > 0 and x + text_width(text, SMALL) > most:
         return Label((most, end[1] + (13.0 if below else -6.0)), text, SMALL, QUIET, "end")
@@ -351,11 +366,30 @@ def _fork_row(fork: Fork, sheet: PlanSheet, layout: _Layout) -> _Row:
             facts.append(f"just past {joined(turn.through)}")
         if turn.others and not layout.is_short:
             facts.append(f"not {joined([f'{one.name} ({one.direction(sheet.operator)})' for one in turn.others])}")
-    moves = "" if turn is None or turn.moves is None else moves_words(turn.moves)
+    moves = "" if turn is None or turn.moves is None else _moves(turn.moves, layout)
+    if layout.is_list:
+        right = "" if turn is None else turn.direction(sheet.operator)
+        return _listed_row(fork, right, ", ".join(facts), layout)
     texts = _with_moves(", ".join(facts), moves, layout)
     texts += [(words, WARNING) for words in fork.warnings]
     title = fork.to_name if layout.spine is not None else f"{fork.number}. {fork.to_name}"
     return _row(fork, title, "" if turn is None else turn.direction(sheet.operator), texts, layout)
+
+
+def _moves(moves: Sequence[Move], layout: _Layout) -> str:
+    if layout.is_list:
+        return ""
+    return moves_sum_words(moves) if layout.sums_moves else moves_words(moves)
+
+
+def _listed_row(fork: Fork, right: str, facts: str, layout: _Layout) -> _Row:
+    """Return the row of a fork with its facts behind the title, or below the title if the line is too short."""
+    title = f"{fork.number}. {fork.to_name}"
+    texts = [(words, WARNING) for words in fork.warnings]
+    used = text_width(title, NAME, is_bold=True) + text_width(right, NAME, is_bold=True) + text_width(facts, SMALL)
+    if used + 20.0 > TRACING_SIZE[0] - layout.text:
+        return _row(fork, title, right, [(facts, INK), *texts], layout)
+    return replace(_row(fork, title, right, texts, layout), beside=facts)
 
 
 def _with_moves(text: str, moves: str, layout: _Layout) -> list[tuple[str, str]]:
@@ -365,24 +399,39 @@ def _with_moves(text: str, moves: str, layout: _Layout) -> list[tuple[str, str]]
     return [(text, INK), *([(moves, QUIET)] if moves else [])]
 
 
+def _end_warnings(sheet: PlanSheet) -> list[str]:
+    """Return doubts about the route's airways that belong to none of its forks: a drawn branch may extend a tip."""
+    assert sheet.route is not None
+    stated = {words for fork in sheet.forks for words in fork.warnings}
+    return [words for words in sheet.route.doubts if words not in stated]
+
+
 def _end_row(sheet: PlanSheet, layout: _Layout) -> _Row:
     route = sheet.route
     assert route is not None
     leg = route.leg
-    vessel = "no vessel seen nearby" if leg.vessel_mm is None else f"nearest vessel {leg.vessel_mm:.1f} mm"
     text = (
         f"{sheet.plan.tool.title}: {leg.to_target_mm:.0f} mm to the target at {leg.angle_deg:.0f}\u00b0 to the airway, "
-        f"{leg.in_target_mm:.0f} mm within it; {vessel}"
+        f"{leg.in_target_mm:.0f} mm within it; {leg.vessel_words}"
     )
     parking = () if sheet.turns is None else sheet.turns.park_moves or ()
-    texts = _with_moves(text, moves_words(parking), layout)
+    texts = _with_moves(text, _moves(parking, layout), layout)
+    texts += [(words, WARNING) for words in _end_warnings(sheet)]
+    has_moves = bool(parking) or any(fork.turn is not None and fork.turn.moves for fork in sheet.forks)
+    if has_moves and (layout.sums_moves or layout.is_list):
+        texts.append((SUMS if layout.sums_moves else NO_MOVES, WARNING))
     return _row(None, f"Tip in {route.branch_name}", route.place_words, texts, layout)
 
 
 def _row(fork: Fork | None, title: str, right: str, texts: list[tuple[str, str]], layout: _Layout) -> _Row:
-    """Return a row with its texts in lines; a title that leaves no room for the text at its right is also wrapped."""
+    """Return a row with its texts in lines; a title that leaves no room for the text at its right is also wrapped.
+
+    The place of the tip is then below its title, so that the name of the branch stays in one line.
+    """
     width = TRACING_SIZE[0] - layout.text
     for_title = width - text_width(right, NAME, is_bold=True) - 8.0
+    if fork is None and len(lines_of(title, BOLD * NAME, for_title)) > 1:
+        texts, right, for_title = [(right, LEG), *texts], "", width
     name, *more = lines_of(title, BOLD * NAME, for_title) or [""]
     lines = [(line, INK) for line in more]
     lines += [(line, colour) for text, colour in texts for line in lines_of(text, SMALL, width)]
@@ -394,6 +443,9 @@ def _row_words(row: _Row, layout: _Layout, y: float) -> list[Shape]:
     top = y - 0.5 * row.text_height + 11.0
     colour = LEG if row.fork is None else ACCENT
     shapes: list[Shape] = [Label((layout.text, top), row.title, NAME, INK, bold=True)]
+    if row.beside:
+        after = layout.text + text_width(row.title, NAME, is_bold=True) + 8.0
+        shapes.append(Label((after, top), row.beside, SMALL, INK))
     if row.right:
         shapes.append(Label((width, top), row.right, NAME, colour, "end", bold=True))
     shapes += [

@@ -45,6 +45,8 @@ SPREAD = 1.645
 """Multiple of the standard deviation of the needle's error within which nine of ten needles pass the planned line."""
 BEYOND_MM = 10.0
 """Distance in mm beyond the target up to which the tissues on the needle path are examined."""
+CROSSED_VESSEL_MM = 0.05
+"""Distance in mm below which the needle's line crosses a vessel, because the distance would be stated as 0.0."""
 OPEN_MM = 0.8
 """Largest distance in mm of a target from the lumen at which no wall has to be pierced."""
 
@@ -124,6 +126,18 @@ class LastLeg:
     """Distance in mm along the needle from the target's far edge to the first vessel; None if more than 10 mm."""
     mediastinum_mm: float = 0.0
     """Length of mediastinum or chest wall before the target's far edge, mm; vessels in it are not visible."""
+
+    @property
+    def crosses_vessel(self) -> bool:
+        """Whether the needle's line crosses a visible vessel before the target's far edge."""
+        return self.vessel_mm is not None and self.vessel_mm < CROSSED_VESSEL_MM
+
+    @property
+    def vessel_words(self) -> str:
+        """Nearest vessel as text: *nearest vessel 1.7 mm*, *crosses a vessel*, or *no vessel seen nearby*."""
+        if self.vessel_mm is None:
+            return "no vessel seen nearby"
+        return "crosses a vessel" if self.crosses_vessel else f"nearest vessel {self.vessel_mm:.1f} mm"
 
     @property
     def is_open(self) -> bool:

@@ -40,4 +40,4 @@ def click_note(
 def _size(nodule: Nodule) -> str:
     ml, error_ml = nodule.volume_mm3 / 1000.0, nodule.volume_error_mm3 / 1000.0
     digits = 1 if ml >= 10.0 else 2 if ml >= 0.1 else 3
-    return f"{ml:.{digits}f} +- {error_ml:.{digits}f} ml and {nodule.long_mm:.1f} x {nodule.short_mm:.1f} mm"
+    return f"{ml:.{digits}f} \u00b1 {error_ml:.{digits}f} ml and {nodule.long_mm:.1f} x {nodule.short_mm:.1f} mm"

@@ -81,7 +81,7 @@ def resized(nodule: Nodule, volume: Volume, diameter_mm: float) -> Nodule:
 
 
 def brushed(nodule: Nodule, volume: Volume, centre_lps: ArrayLike, radius_mm: float, *, add: bool = True) -> Nodule:
-    """Add a ball to a nodule, or remove a ball from it.
+    """Add the balls of a brush to a nodule, or remove them from it.
 
     After a removal only the largest connected part remains.
 
@@ -90,30 +90,31 @@ def brushed(nodule: Nodule, volume: Volume, centre_lps: ArrayLike, radius_mm: fl
     nodule, volume
         The nodule and its CT.
     centre_lps, radius_mm
-        Centre of the brush, (3,) LPS mm in the CT, and its radius, 0.5 to 40 mm.
+        Centre of the brush, (3,) LPS mm in the CT, or centres (n, 3) of a stroke, and its radius, 0.5 to 40 mm.
     add
-        Whether the ball is added or removed.
+        Whether the balls are added or removed.
 
     Raises
     ------
     UsageError
-        If the brush is outside the CT, does not touch the nodule, or leaves nothing of it (code ``plan.edit``).
+        If a centre is outside the CT, an added ball is not connected to the nodule, no removed ball touches the nodule,
+        or nothing of the nodule is left (code ``plan.edit``).
     """
     _check(volume, radius_mm, BRUSH_MM, "brush radius")
-    centre = _point_in(volume, centre_lps)
+    centres = _points_in(volume, centre_lps)
     step = float(np.linalg.norm(nodule.lps_from_ijk[:3, 0]))
-    inside, matrix = _padded(nodule, 2.0 * step, also=(centre, radius_mm) if add else None)
-    ball = _off(inside.shape, matrix, centre) <= radius_mm
+    inside, matrix = _padded(nodule, 2.0 * step, also=(centres, radius_mm) if add else None)
+    balls = _balls(inside.shape, matrix, centres, radius_mm)
     if not add:
-        if not (inside & ball).any():
+        if not (inside & balls).any():
             raise _refused("the brush does not touch the target")
-        left = inside & ~ball
+        left = inside & ~balls
         if not left.any():
             raise _refused("nothing of the target would be left; use a smaller brush, or remove the target")
         return _edited(nodule, volume, _main_piece(left), matrix, BRUSHED)
-    if not (inside & _near(ball, step)).any():
+    if not (inside & _near(balls, step)).any() or _adds_a_piece(inside, balls):
         raise _refused("the brush does not touch the target; a target is one piece")
-    return _edited(nodule, volume, _in_ct(volume, inside | ball, matrix), matrix, BRUSHED)
+    return _edited(nodule, volume, _in_ct(volume, inside | balls, matrix), matrix, BRUSHED)
 
 
 def sphere(volume: Volume, centre_lps: ArrayLike, diameter_mm: float) -> Nodule:
@@ -153,16 +154,46 @@ def _edited(nodule: Nodule, volume: Volume, inside: Mask, matrix: Place, note: s
     return replace(found, volume_mm3=found.volume_mm3 + hollow_mm3)
 
 
+def _balls(shape: tuple[int, ...], matrix: Place, centres: Place, radius_mm: float) -> Mask:
+    """Return the union of balls round centres (n, 3), LPS mm, on a grid of cubic voxels."""
+    found = np.zeros(shape, dtype=bool)
+    step = float(np.linalg.norm(matrix[:3, 0]))
+    reach = math.ceil(radius_mm / step) + 1
+    size = np.array(shape[::-1])
+    for ijk in (centres - matrix[:3, 3]) @ np.linalg.inv(matrix[:3, :3]).T:
+        low = np.clip(np.floor(ijk).astype(int) - reach, 0, size)
+        high = np.clip(np.ceil(ijk).astype(int) + reach + 1, 0, size)
+        i, j, k = (np.arange(a, b) - c for a, b, c in zip(low, high, ijk, strict=True))
+        near = k[:, None, None] ** 2 + j[None, :, None] ** 2 + i**2 <= (radius_mm / step) ** 2
+        found[low[2] : high[2], low[1] : high[1], low[0] : high[0]] |= near
+    return found
+
+
+def _adds_a_piece(inside: Mask, balls: Mask) -> bool:
+    """Return whether a part of balls is connected neither to a mask nor to the balls that are connected to it."""
+    left = balls & ~inside
+    while left.any():
+        first = np.unravel_index(int(left.argmax()), left.shape)
+        piece = component_at(inside | balls, (int(first[0]), int(first[1]), int(first[2])))
+        if not (piece & inside).any():
+            return True
+        left &= ~piece
+    return False
+
+
 def _padded(nodule: Nodule, margin_mm: float, also: tuple[Place, float] | None = None) -> tuple[Mask, Place]:
-    """Return a nodule's mask and transform, enlarged by a margin and, if given, by the extent of a ball."""
+    """Return a nodule's mask and transform, enlarged by a margin and, if given, by the extent of balls.
+
+    ``also`` contains the centres (n, 3), LPS mm, and the radius in mm of the balls.
+    """
     matrix = nodule.lps_from_ijk
     step = float(np.linalg.norm(matrix[:3, 0]))
     low = np.zeros(3, dtype=int)
     high = np.array(nodule.inside_zyx.shape[::-1]) - 1
     if also is not None:
-        ijk = np.linalg.inv(matrix[:3, :3]) @ (also[0] - matrix[:3, 3])
-        low = np.minimum(low, np.floor(ijk - also[1] / step).astype(int))
-        high = np.maximum(high, np.ceil(ijk + also[1] / step).astype(int))
+        ijk = (also[0] - matrix[:3, 3]) @ np.linalg.inv(matrix[:3, :3]).T
+        low = np.minimum(low, np.floor(ijk.min(axis=0) - also[1] / step).astype(int))
+        high = np.maximum(high, np.ceil(ijk.max(axis=0) + also[1] / step).astype(int))
     margin = math.ceil(margin_mm / step)
     before, after = margin - low, high - (np.array(nodule.inside_zyx.shape[::-1]) - 1) + margin
     if np.prod((high - low + 1 + 2 * margin).astype(float)) * step**3 > DIAMETERS_MM[1] ** 3 * 4.0:
@@ -220,6 +251,19 @@ def _point_in(volume: Volume, at_lps: ArrayLike) -> Place:
         raise UsageError(f"target: expected a point x,y,z in LPS mm; found {at_lps!r}", code="plan.point") from None
     check_in_volume(volume, point, "target: the point", code="plan.edit")
     return point
+
+
+def _points_in(volume: Volume, centres_lps: ArrayLike) -> Place:
+    """Return centres (n, 3) from one centre (3,) or several (n, 3); raise an error if one is outside the CT."""
+    try:
+        centres = np.asarray(centres_lps, dtype=np.float64).reshape(-1, 3)
+    except (TypeError, ValueError):
+        centres = np.zeros((0, 3))
+    if not len(centres):
+        raise UsageError(f"target: expected points x,y,z in LPS mm; found {centres_lps!r}", code="plan.point")
+    for centre in centres:
+        check_in_volume(volume, centre, "target: the point", code="plan.edit")
+    return centres
 
 
 def _refused(problem: str) -> UsageError:

@@ -7,11 +7,14 @@ from collections.abc import Sequence
 from carina.plan.hand_moves import Move
 from carina.plan.routes.main_carina import carina_words
 
-__all__ = ["hour_words", "joined", "moves_words", "place_words", "with_depth"]
+__all__ = ["hour_words", "joined", "moves_sum_words", "moves_words", "place_words", "with_depth"]
 
 STILL_DEG = 0.5
 STILL_MM = 0.5
 """Size of a turn in degrees, a flexion in degrees or an advance in mm below which the text omits it."""
+
+GRADUAL_MM, GRADUAL_DEG = 5.0, 20.0
+"""Largest advance in mm, and largest turn and change of flexion in degrees, of a step of a gradual move."""
 
 
 def hour_words(hour: int | None) -> str:
@@ -48,7 +51,41 @@ def with_depth(where: str, depth_mm: float | None) -> str:
 
 
 def moves_words(moves: Sequence[Move]) -> str:
-    """Return moves of the hand as text; consecutive advances with one roll and flexion are combined."""
+    """Return moves of the hand as text.
+
+    Consecutive advances with one roll and flexion are combined. Consecutive short advances between which roll and
+    flexion change a little, in one direction each, are one gradual move.
+    """
+    said = []
+    lever: float | None = None
+    for run in _gradual_runs(_steps(moves)):
+        turn_deg, flexion_deg = sum(step.turn_deg for step in run), run[-1].flexion_deg
+        advance_mm = sum(step.advance_mm for step in run)
+        words = []
+        if abs(turn_deg) >= STILL_DEG:
+            words.append(f"rotate {abs(turn_deg):.0f}\u00b0 {'clockwise' if turn_deg > 0.0 else 'counterclockwise'}")
+        if lever is None or abs(flexion_deg - lever) >= STILL_DEG:
+            words.append(_flexion_words(flexion_deg))
+        if words and len(run) > 1:
+            words[0] = f"gradually {words[0]}"
+        if abs(advance_mm) >= STILL_MM:
+            words.append(f"{'advance' if advance_mm > 0.0 else 'withdraw'} {abs(advance_mm):.0f} mm")
+        lever = flexion_deg
+        if words:
+            said.append(", ".join(words))
+    return "; then ".join(said)
+
+
+def moves_sum_words(moves: Sequence[Move]) -> str:
+    """Return the sum of moves of the hand as text: the whole turn, the last flexion and the whole advance."""
+    if not moves:
+        return ""
+    turn_deg, advance_mm = (sum(getattr(move, name) for move in moves) for name in ("turn_deg", "advance_mm"))
+    return f"in all {moves_words([Move(turn_deg, moves[-1].flexion_deg, advance_mm)])}"
+
+
+def _steps(moves: Sequence[Move]) -> list[Move]:
+    """Return moves in which consecutive advances with one roll and flexion are combined."""
     steps: list[Move] = []
     for move in moves:
         held = (
@@ -59,21 +96,27 @@ def moves_words(moves: Sequence[Move]) -> str:
             steps[-1] = Move(last.turn_deg + move.turn_deg, last.flexion_deg, last.advance_mm + move.advance_mm)
         else:
             steps.append(move)
-    said = []
-    lever: float | None = None
+    return steps
+
+
+def _gradual_runs(steps: Sequence[Move]) -> list[list[Move]]:
+    """Return consecutive steps in runs: a run of several is a gradual move, in one direction of roll and flexion."""
+    runs: list[list[Move]] = []
+    lever = turning = bending = 0.0
+    was_small = False
     for step in steps:
-        words = []
-        if abs(step.turn_deg) >= STILL_DEG:
-            way = "clockwise" if step.turn_deg > 0.0 else "counterclockwise"
-            words.append(f"rotate {abs(step.turn_deg):.0f}\u00b0 {way}")
-        if lever is None or abs(step.flexion_deg - lever) >= STILL_DEG:
-            words.append(_flexion_words(step.flexion_deg))
-        if abs(step.advance_mm) >= STILL_MM:
-            words.append(f"{'advance' if step.advance_mm > 0.0 else 'withdraw'} {abs(step.advance_mm):.0f} mm")
-        lever = step.flexion_deg
-        if words:
-            said.append(", ".join(words))
-    return "; then ".join(said)
+        change = step.flexion_deg - lever
+        is_small = (
+            0.0 < step.advance_mm <= GRADUAL_MM and abs(step.turn_deg) <= GRADUAL_DEG and abs(change) <= GRADUAL_DEG
+        )
+        if is_small and was_small and step.turn_deg * turning >= 0.0 and change * bending >= 0.0:
+            runs[-1].append(step)
+        else:
+            runs.append([step])
+            turning = bending = 0.0
+        turning, bending = step.turn_deg or turning, change or bending
+        lever, was_small = step.flexion_deg, is_small
+    return runs
 
 
 def _flexion_words(flexion_deg: float) -> str:

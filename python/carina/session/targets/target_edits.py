@@ -45,13 +45,13 @@ class TargetHandlers(CommandHandlers):
     @does(c.BrushTarget)
     def brush(self, command: c.BrushTarget) -> str:
         """Add or remove a ball at each point of a stroke."""
-
-        def stroke(nodule: Nodule, case: OpenCase) -> Nodule:
-            for point in command.stroke_lps:
-                nodule = brushed(nodule, case.info.volume, point, command.brush_mm, add=not command.takes_away)
-            return nodule
-
-        return self._edit(command.target_id, "erase from" if command.takes_away else "paint", stroke)
+        return self._edit(
+            command.target_id,
+            "erase from" if command.takes_away else "paint",
+            lambda nodule, case: brushed(
+                nodule, case.info.volume, command.stroke_lps, command.brush_mm, add=not command.takes_away
+            ),
+        )
 
     @does(c.AimTarget)
     def aim(self, command: c.AimTarget) -> None:

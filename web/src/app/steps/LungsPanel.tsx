@@ -23,10 +23,10 @@ export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
   const reaching = lungs?.reach_standing === "making";
   return (
     <div className="lungs" data-testid="lungs">
-      <h3>Round the target</h3>
+      <h3>Anatomy near the target</h3>
       {lungs?.outdated === true ? (
         <p className="warning-text" data-testid="lungs-outdated">
-          <Icon name="warning" /> The airways have changed. Look again to show it.
+          <Icon name="warning" /> The airways have changed. Map the anatomy again to update it.
         </p>
       ) : null}
       {(lungs?.problems ?? []).map((problem) => (
@@ -36,7 +36,7 @@ export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
       ))}
       {lungs?.standing === "had" ? null : (
         <Act
-          label={mapping ? "Looking\u2026" : "Show what lies round the target"}
+          label={mapping ? "Mapping\u2026" : "Show anatomy near the target"}
           words="Find vessels, fissures and lobes of both lungs, and place the EBUS stations (about a minute)"
           disabled={mapping}
           testId="map-lungs"
@@ -46,7 +46,7 @@ export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
       <Act
         kind="quiet"
         label={reaching ? "Mapping\u2026" : "Reach of this instrument"}
-        words={`Map where in the lungs ${title} and its tool get to`}
+        words={`Show which parts of the lungs ${title} and its tool reach`}
         disabled={reaching}
         testId="map-reach"
         onPress={() => station.send({ type: "map_reach", scope, tool })}
