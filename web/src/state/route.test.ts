@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import type { RouteInfo } from "../wire/messages";
+import { type RouteInfo, STRAIGHT_AHEAD } from "../wire/messages";
 import { buildTree, lineage, mainLeaf, neighbourWay, waysOn } from "./airways";
 import { testBranch } from "./branches.testing";
 import { forkAhead } from "./fork";
@@ -155,6 +155,35 @@ describe("airway tree", () => {
       [2, null],
       [1, 3],
     ]);
+  });
+
+  /** Return the openings of the root's children at angles in degrees to the line of sight, at clock hours. */
+  const listedAt = (...places: [number, number][]) => {
+    const ways = TREE.root.children.map((node, index) => {
+      const [deg, hour] = places[index] ?? [0, 0];
+      const [off, turn] = [(deg * Math.PI) / 180, (hour * Math.PI) / 6];
+      const across = 30 * Math.sin(off);
+      const at = [-across * Math.sin(turn), -across * Math.cos(turn), -30 * Math.cos(off)] as [number, number, number];
+      return {
+        node,
+        opening: { branch_id: node.branch.id, middle_lps: at, in_view: true, straight_ahead: false },
+      };
+    });
+    return waysOn(TREE.root, FROM_HEAD, ROUTE, { ways, doubtful: false, atViewpoint: false })
+      .sort((a, b) => a.node.branch.id - b.node.branch.id)
+      .map(({ hour, noHour }) => hour ?? noHour);
+  };
+
+  it("An opening is straight ahead by the server's limits of its angle and of the other openings' angles.", () => {
+    const { most_deg, times } = STRAIGHT_AHEAD;
+    expect(listedAt([most_deg - 0.1, 3], [times * most_deg, 9])).toEqual(["straight ahead", 9]);
+    expect(listedAt([most_deg + 0.1, 3], [40, 9])).toEqual([3, 9]);
+    expect(listedAt([most_deg - 0.1, 3], [times * (most_deg - 0.2), 9])).toEqual([3, 9]);
+  });
+
+  it("Openings with the same clock hour have no clock hour, unless one of them is straight ahead.", () => {
+    expect(listedAt([20, 3.2], [40, 2.8])).toEqual(["no clock hour", "no clock hour"]);
+    expect(listedAt([3, 3], [40, 3])).toEqual(["straight ahead", 3]);
   });
 
   it("neighbourWay returns the next branch on that side, and null at the outermost branch.", () => {

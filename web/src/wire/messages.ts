@@ -16,6 +16,9 @@ export const CLOSE_CODES = {
   "protocol.watching-ended": 4410,
 } as const;
 
+/** Largest angle of an opening straight ahead, degrees; least ratio of the other openings' angles to it. */
+export const STRAIGHT_AHEAD = { most_deg: 6.0, times: 2.0 } as const;
+
 /** 4x4, row-major. */
 export type Matrix4 = readonly number[];
 export type ViewName = "airway" | "axial" | "coronal" | "curved" | "cut-plane" | "drr" | "sagittal" | "straightened" | "tree" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal";

@@ -21,6 +21,8 @@ from carina.scopes import Lens, Pose
 from carina.track import Branch
 
 __all__ = [
+    "AHEAD_DEG",
+    "AHEAD_TIMES",
     "LEAST_SHARE",
     "LEAST_STAND_MM",
     "HourDoubt",
