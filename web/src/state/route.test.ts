@@ -6,6 +6,7 @@ import { forkAhead } from "./fork";
 import { coordinates, fixed, parseCoordinates, timeLeft } from "./format";
 import {
   directionAt,
+  multiplesBetween,
   nearestMm,
   nextStopMm,
   originText,
@@ -94,6 +95,11 @@ describe("positions along the route", () => {
       [0, 0, -30],
       [5, 0, -30],
     ]);
+  });
+
+  it("multiplesBetween returns the multiples of a step between two values, on both sides of 0.", () => {
+    expect(multiplesBetween(-25, 20, 10)).toEqual([-20, -10, 0, 10, 20]);
+    expect(multiplesBetween(3, 8, 10)).toEqual([]);
   });
 
   it("directionAt returns the direction of the route, and nearestMm the position nearest to a point.", () => {
