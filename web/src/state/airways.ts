@@ -230,7 +230,7 @@ export function waysOn(
   const others = offDeg.filter((_, index) => index !== middle);
   const ahead =
     others.length > 0 &&
-    nearest <= STRAIGHT_AHEAD.most_deg &&
+    nearest <= (openings[middle]?.opening?.ahead_deg ?? STRAIGHT_AHEAD.most_deg) &&
     others.every((off) => off >= STRAIGHT_AHEAD.times * nearest);
   // Openings with the same clock hour cannot be told apart by it.
   const isShared = (index: number): boolean =>

@@ -172,7 +172,13 @@ describe("airway tree", () => {
       const at = [-across * Math.sin(turn), -across * Math.cos(turn), -30 * Math.cos(off)] as [number, number, number];
       return {
         node,
-        opening: { branch_id: node.branch.id, middle_lps: at, in_view: true, straight_ahead: false },
+        opening: {
+          branch_id: node.branch.id,
+          middle_lps: at,
+          in_view: true,
+          straight_ahead: false,
+          ahead_deg: STRAIGHT_AHEAD.most_deg,
+        },
       };
     });
     return waysOn(TREE.root, FROM_HEAD, ROUTE, { ways, doubtful: false, atViewpoint: false })
@@ -199,7 +205,7 @@ describe("airway tree", () => {
   });
 
   it("At the viewpoint of a turn, waysOn states the listed directions and hours that are not given.", () => {
-    const opening = { middle_lps: null, in_view: true, straight_ahead: false };
+    const opening = { middle_lps: null, in_view: true, straight_ahead: false, ahead_deg: STRAIGHT_AHEAD.most_deg };
     const [one, other] = TREE.root.children;
     if (one === undefined || other === undefined) throw new Error("the root has two children");
     const ways = [

@@ -16,7 +16,7 @@ export const CLOSE_CODES = {
   "protocol.watching-ended": 4410,
 } as const;
 
-/** Largest angle of an opening straight ahead, degrees; least ratio of the other openings' angles to it. */
+/** Largest angle in degrees of an opening straight ahead; least ratio of the others' angles to it. */
 export const STRAIGHT_AHEAD = { most_deg: 6.0, times: 2.0 } as const;
 
 /** 4x4, row-major. */
@@ -1164,6 +1164,7 @@ export interface TurnOpening {
   readonly middle_lps: readonly [number, number, number] | null;
   readonly in_view: boolean;
   readonly straight_ahead: boolean;
+  readonly ahead_deg: number;
 }
 
 /** A turn at a fork of the chosen route. */
@@ -1178,6 +1179,7 @@ export interface PlannedTurn {
   readonly seen_from_lps: readonly [number, number, number] | null;
   readonly openings: readonly TurnOpening[];
   readonly hour_doubt: string | null;
+  readonly dots_lps: readonly (readonly [number, number, number])[];
 }
 
 /** Verdict on one pair of the best routes and all instruments; a pair in plan.json has the same keys. */

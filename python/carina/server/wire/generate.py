@@ -247,7 +247,7 @@ def typescript() -> str:
         *(f"  {json.dumps(name)}: {code}," for name, code in messages.CLOSE_CODES.items()),
         "} as const;",
         "",
-        "/** Largest angle of an opening straight ahead, degrees; least ratio of the other openings' angles to it. */",
+        "/** Largest angle in degrees of an opening straight ahead; least ratio of the others' angles to it. */",
         f"export const STRAIGHT_AHEAD = {{ most_deg: {AHEAD_DEG}, times: {AHEAD_TIMES} }} as const;",
         "",
         "/** 4x4, row-major. */",
