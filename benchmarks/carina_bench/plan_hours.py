@@ -34,14 +34,14 @@ from carina.plan.routes.last_leg import LastLeg
 from carina.plan.routes.main_carina import ROOT
 from carina.plan.routes.route_width import RouteWidth
 from carina.plan.turns.fork_view import hours_of, pixel_at, turn_view, whole_hour
-from carina.plan.turns.opening_walls import ForkWalls
+from carina.plan.turns.opening_walls import FOV_DEG
 from carina.plan.turns.pictures import turn_pictures
 from carina.render import Renderer
 from carina.scopes import Pose
 from carina.track import AirwayTree, Branch
 from carina_bench.plan_cases import PlanCase, TrueTree, found_case, patient_cases, phantom_case
 
-__all__ = ["case_of", "hour_rows", "run", "summary"]
+__all__ = ["case_of", "hour_rows", "run", "summary", "true_branch"]
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -97,31 +97,34 @@ def hour_rows(case: PlanCase, *, width_mm: float = WIDTH_MM) -> Iterator[Row]:
                 "shown": turn.hour("head"),
                 "straight_ahead": turn.straight_ahead,
                 "doubt": None if turn.hour_doubt is None else turn.hour_doubt.code,
+                "off_deg": _off_deg(turn),
+                "size_deg": math.sqrt(float(picture.outline.mean()) / math.pi) * FOV_DEG,
                 "outline": _hour(picture.outline),
-                "dots_in_outline": _dots_share(tree, turn, picture.outline),
+                "dots_in_outline": _dots_share(turn, picture.outline),
                 **_true_hours(case, renderer, turn),
             }
 
 
-def _dots_share(tree: AirwayTree, turn: Turn, outline: Mask) -> float | None:
-    """Return the share of the route's points in the first diameter of the branch that are drawn inside the outline."""
-    branch = tree.branch(turn.to_branch_id)
-    ways = (turn.to_branch_id, *(one.branch_id for one in turn.others))
-    mouth = ForkWalls(tree, np.array(turn.fork_lps), ways).mouths_lps[0]
-    near = np.linalg.norm(branch.points - mouth, axis=1) <= 2.0 * float(np.median(branch.radius))
-    first = int(np.argmin(np.linalg.norm(branch.points - mouth, axis=1)))
-    dots = branch.points[first:][near[first:]]
-    if not outline.any() or not len(dots):
+def _off_deg(turn: Turn) -> float:
+    """Return the angle in degrees between the line of sight and the middle of the opening."""
+    camera = turn.camera("head")
+    seen = np.array(turn.opening_lps) - camera.position_lps
+    return math.degrees(math.acos(float(np.clip(seen @ camera.forward_lps / np.linalg.norm(seen), -1.0, 1.0))))
+
+
+def _dots_share(turn: Turn, outline: Mask) -> float | None:
+    """Return the share of the route's dots at the opening that are inside the drawn outline, if there is one."""
+    if not outline.any() or not turn.dots_lps:
         return None
     camera, size = turn.camera("head"), outline.shape[0]
-    pixels = [pixel_at(camera, dot, size) for dot in dots]
+    pixels = [pixel_at(camera, np.array(dot), size) for dot in turn.dots_lps]
     return float(np.mean([outline[int(row), int(column)] for column, row in pixels]))
 
 
 def _true_hours(case: PlanCase, renderer: Renderer, turn: Turn) -> Row:
     assert case.airways is not None
     tree = case.airways.tree
-    branch = _true_branch(case.truth, tree, tree.branch(turn.to_branch_id))
+    branch = true_branch(case.truth, tree, tree.branch(turn.to_branch_id))
     camera = turn.camera("head")
     walls = renderer.surface(turn_view(renderer, camera, SIZE_PX)).position_lps
     ours = np.isin(case.truth.branch, list(_below(case.truth, branch)))
@@ -152,14 +155,14 @@ def _routes(tree: AirwayTree, width_mm: float) -> Iterator[PlannedRoute]:
         yield PlannedRoute(branch.id, name, along, ROOT, (0.0, 0.0, -1.0), width, "fits", leg, {}, 1.0, ())
 
 
-def _true_branch(truth: TrueTree, tree: AirwayTree, daughter: Branch) -> int:
+def true_branch(truth: TrueTree, tree: AirwayTree, daughter: Branch) -> int:
     """Return the true branch whose axis most points of the middle part of a found branch are nearest to.
 
     The points of a branch that is shorter than its diameter lie in the fork, where they can be nearest to a sibling.
     Such a branch is the true branch from which the true branches of its children arise.
     """
     if daughter.children and daughter.length_mm < 2.0 * float(np.median(daughter.radius)):
-        lineages = [truth.lineage(_true_branch(truth, tree, tree.branch(child))) for child in daughter.children]
+        lineages = [truth.lineage(true_branch(truth, tree, tree.branch(child))) for child in daughter.children]
         common = set.intersection(*map(set, lineages))
         return next(branch for branch in reversed(lineages[0]) if branch in common)
     away = np.linalg.norm(np.diff(daughter.points, axis=0), axis=1).cumsum()
@@ -280,6 +283,7 @@ def summary(rows: Sequence[Row]) -> Row:
         "given_without_true_opening": sum(row["true"] is None for row in given),
         "straight_but_centre_outside": sum(row["straight_ahead"] and not row["centre_in_true"] for row in rows),
         "dots_in_outline": float(np.mean([row["dots_in_outline"] or 0.0 for row in given])) if given else None,
+        "dots_mostly_outside": sum((row["dots_in_outline"] or 0.0) < 0.5 for row in given),
         "shown_is_rounded": all(row["shown"] == whole_hour(row["hour"]) for row in given),
     }
     for name in ("true", "true_by_rays", "outline"):

@@ -15,7 +15,7 @@ from cached_test_data import made_airways, made_phantom
 from carina.display.png import png_bytes
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import Turn, TurnList, TurnPicture, turn_list, turn_pictures
-from carina.plan.turns.fork_view import HourDoubt
+from carina.plan.turns.fork_view import AHEAD_DEG, AHEAD_SHARE, HourDoubt
 from carina.plan.turns.opening_walls import FOV_DEG, NO_BRANCH, OTHER_BRANCH, ForkWalls
 from carina.plan.turns.picture_marks import draw_edge
 from carina.plan.turns.pictures import DOUBTFUL_RGB, ROUTE_RGB
@@ -117,6 +117,33 @@ def test_middle_of_the_opening_is_inside_its_outline() -> None:
         assert made.turn.opening_lps is not None
         at = made.picture.pixel_of(made.turn.opening_lps)
         assert at is not None and made.outline[int(at[1]), int(at[0])], made.turn
+
+
+def test_dots_of_the_route_are_inside_the_outline_and_lead_away_from_the_camera() -> None:
+    assert max(len(made.turn.dots_lps) for made in pictures()) > 2
+    for made in pictures():
+        dots = np.array(made.turn.dots_lps)
+        assert dots[0] == pytest.approx(made.turn.opening_lps)
+        depths = np.linalg.norm(dots - made.camera.position_lps, axis=1)
+        assert (np.diff(depths) > 0.0).all()
+        pixels = [made.picture.pixel_of(dot) for dot in dots]
+        inside = [at is not None and bool(made.outline[int(at[1]), int(at[0])]) for at in pixels]
+        # The outline is smoothed, and the dots are selected in a coarser picture.
+        assert inside[0] and sum(not one for one in inside) <= 1, made.turn
+        # No wall is in front of a dot.
+        walls_mm = np.linalg.norm(walls(made) - made.camera.position_lps, axis=-1)
+        for depth, at in zip(depths[1:], pixels[1:], strict=True):
+            assert at is not None and not depth > walls_mm[int(at[1]), int(at[0])] + 2.0, made.turn
+
+
+def test_opening_within_half_its_radius_of_the_middle_is_straight_ahead() -> None:
+    views = [(made, np.array(made.turn.opening_lps) - made.camera.position_lps) for made in pictures()]
+    for made, seen in views:
+        off_deg = math.degrees(math.acos(float(seen @ made.camera.forward_lps / np.linalg.norm(seen))))
+        assert made.turn.ahead_deg >= AHEAD_DEG
+        assert not made.turn.straight_ahead or off_deg <= made.turn.ahead_deg
+        radius_deg = FOV_DEG * math.sqrt(float(made.outline.mean()) / math.pi)
+        assert made.turn.ahead_deg == pytest.approx(max(AHEAD_DEG, AHEAD_SHARE * radius_deg), abs=1.0)
 
 
 def test_openings_of_other_branches_are_outside_the_outline() -> None:

@@ -248,7 +248,12 @@ def golden_rows(name: str, tree: AirwayTree, turn: Turn) -> list[dict[str, Any]]
         }
         for branch in (mother, *(tree.branch(child) for child in mother.children))
     ]
-    taken = {"middle_lps": turn.opening_lps, "in_view": turn.in_view, "straight_ahead": turn.straight_ahead}
+    taken = {
+        "middle_lps": turn.opening_lps,
+        "in_view": turn.in_view,
+        "straight_ahead": turn.straight_ahead,
+        "ahead_deg": turn.ahead_deg,
+    }
     openings = [
         {"branch_id": turn.to_branch_id, **taken},
         *(
@@ -257,6 +262,7 @@ def golden_rows(name: str, tree: AirwayTree, turn: Turn) -> list[dict[str, Any]]
                 "middle_lps": one.opening_lps,
                 "in_view": one.in_view,
                 "straight_ahead": one.straight_ahead,
+                "ahead_deg": one.ahead_deg,
             }
             for one in turn.others
         ),

@@ -752,7 +752,7 @@ export class Workstation implements Station {
   /** Show a warning, once per selected route, about the parts of the route that the CT does not show. */
   #warnOfDoubts(): void {
     const { route } = this.state;
-    const words = route === null ? null : routeDoubts(route.spans);
+    const words = route === null ? null : routeDoubts(route);
     if (words !== null && words !== this.#warnedOf) this.notice(words);
     this.#warnedOf = words;
   }

@@ -1,14 +1,15 @@
 /** Airway tree for display: rows of the list, body side of each branch, and the branches that continue from a fork. */
 
-import type {
-  AbsentAirway,
-  BranchMeasures,
-  BranchTitle,
-  RouteInfo,
-  TreeBranch,
-  TreeDocument,
-  TurnOpening,
-  UncertainPlace,
+import {
+  type AbsentAirway,
+  type BranchMeasures,
+  type BranchTitle,
+  type RouteInfo,
+  STRAIGHT_AHEAD,
+  type TreeBranch,
+  type TreeDocument,
+  type TurnOpening,
+  type UncertainPlace,
 } from "../wire/messages";
 import type { BranchNode, BranchTree, Side } from "./branch-tree";
 import { clockHour } from "./letters";
@@ -173,8 +174,8 @@ export interface OnwardBranch {
   /** Text instead of an hour: the opening is in the middle of the view or hidden, or its hour is not reliable. */
   noHour: "straight ahead" | "not in view" | "no clock hour" | null;
   /**
-   * Horizontal position of the opening in the view, by which the branches are sorted: tangent of the angle, positive to
-   * the right.
+   * Horizontal position of the opening in the view, by which the branches are sorted: angle in rad, positive to the
+   * right.
    */
   across: number;
 }
@@ -186,17 +187,6 @@ export interface OnwardBranch {
 const OPENING_MM = { least: 4, most: 10 };
 /** Largest number of branches in a row in which the point of an opening is searched. */
 const OPENING_DEPTH = 4;
-/**
- * Limits for an opening that counts as straight ahead and has no clock hour: the tangent of its angle to the line of
- * sight is below `tangent` (7 degrees), and the other openings are at least `times` farther from the line of sight.
- */
-const MIDDLE = { tangent: 0.12, times: 4 };
-/**
- * Smallest depth, mm, used in the projection of an opening, because an opening beside or behind the lens would be
- * projected far from the middle.
- */
-const LEAST_DEPTH_MM = 1;
-
 /** A branch at a fork of the planned route, with its opening in the list of turns. */
 export interface TurnBranch {
   node: BranchNode;
@@ -231,30 +221,26 @@ export function onwardBranches(
   const openings = ways.map((way) => {
     const middle = way.opening?.middle_lps ?? null;
     const seen = sub(middle === null ? openingOf(way.node, fork) : asVec3(middle), camera.position);
-    const depth = Math.max(dot(seen, camera.forward), LEAST_DEPTH_MM);
-    // Position of the opening in the view, as tangents of its horizontal and vertical angle to the line of sight.
-    return { ...way, x: dot(seen, camera.right) / depth, y: dot(seen, camera.down) / depth };
+    return { ...way, ...anglesOf(seen, camera) };
   });
   const hours = openings.map(({ x, y }) => clockHour(Math.atan2(x, -y)));
-  const offsets = openings.map(({ x, y }) => Math.hypot(x, y));
-  const nearest = Math.min(...offsets);
-  const middle = offsets.indexOf(nearest);
-  const others = offsets.filter((_, index) => index !== middle);
-  const inMiddle = nearest < MIDDLE.tangent && Math.min(...others) > MIDDLE.times * nearest;
-  // If two openings have the same clock hour, the opening nearer to the middle counts as straight ahead.
-  const shared = hours.some((hour, index) => index !== middle && hour === hours[middle]);
-  const ahead = others.length > 0 && (inMiddle || shared);
+  const offDeg = openings.map(({ x, y }) => (Math.hypot(x, y) * 180) / Math.PI);
+  const nearest = Math.min(...offDeg);
+  const middle = offDeg.indexOf(nearest);
+  const others = offDeg.filter((_, index) => index !== middle);
+  const ahead =
+    others.length > 0 &&
+    nearest <= (openings[middle]?.opening?.ahead_deg ?? STRAIGHT_AHEAD.most_deg) &&
+    others.every((off) => off >= STRAIGHT_AHEAD.times * nearest);
+  // Openings with the same clock hour cannot be told apart by it.
+  const isShared = (index: number): boolean =>
+    hours.some((hour, other) => other !== index && !(ahead && other === middle) && hour === hours[index]);
   return openings
     .map(({ node: child, opening, x }, index) => {
       const inMiddle = listed?.atViewpoint ? opening?.straight_ahead === true : ahead && index === middle;
+      const isUnsure = (index === 0 && listed?.doubtful) || (!listed?.atViewpoint && !inMiddle && isShared(index));
       const noHour: OnwardBranch["noHour"] =
-        opening?.in_view === false
-          ? "not in view"
-          : index === 0 && listed?.doubtful
-            ? "no clock hour"
-            : inMiddle
-              ? "straight ahead"
-              : null;
+        opening?.in_view === false ? "not in view" : isUnsure ? "no clock hour" : inMiddle ? "straight ahead" : null;
       return {
         node: child,
         chosen: onRoute.has(child.branch.id),
@@ -264,6 +250,15 @@ export function onwardBranches(
       };
     })
     .sort((a, b) => a.across - b.across);
+}
+
+/** Return the angles in rad to the right and down of a direction, as in an equidistant picture of the camera. */
+function anglesOf(direction: Vec3, camera: Camera): { x: number; y: number } {
+  const right = dot(direction, camera.right);
+  const down = dot(direction, camera.down);
+  const across = Math.hypot(right, down);
+  const scale = across > 0 ? Math.atan2(across, dot(direction, camera.forward)) / across : 0;
+  return { x: right * scale, y: down * scale };
 }
 
 /** Return a point about one diameter beyond the fork, in a child or, if the child is shorter, in its widest child. */

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import type { BranchMeasures, TreeBranch, TreeDocument } from "../wire/messages";
+import type { BranchMeasures, RouteSpan, TreeBranch, TreeDocument } from "../wire/messages";
 import { type BranchTree, buildTree, headOf, rowChildren, type TreeExtras } from "./airways";
 import {
   calibreOf,
@@ -190,16 +190,25 @@ describe("filterTree", () => {
   });
 });
 
+/** Return a route with these parts that passes the main carina, 20 mm from its start. */
+const routeOf = (spans: readonly Pick<RouteSpan, "kind" | "from_mm" | "to_mm">[]) => ({
+  spans,
+  origin: { kind: "ridge", along_mm: 20 } as const,
+  lumen_known: true,
+  cumulative_mm: [0, 200],
+  centreline_mm: [0, 200],
+});
+
 describe("routeDoubts", () => {
   it("The text states the length and the start of a bridge on the route, and is null without a bridge.", () => {
     const spans = [
       { kind: "tracked", from_mm: 0, to_mm: 30 },
       { kind: "bridge", from_mm: 30, to_mm: 38.5 },
     ] as const;
-    expect(routeDoubts(spans)).toBe(
-      `8.5${NBSP}mm of this route is a bridge across an obstruction, starting at 30${NBSP}mm: the CT shows no airway there.`,
+    expect(routeDoubts(routeOf(spans))).toBe(
+      `8.5${NBSP}mm of this route is a bridge across an obstruction, starting 10${NBSP}mm past the main carina: the CT shows no airway there.`,
     );
-    expect(routeDoubts(spans.slice(0, 1))).toBeNull();
+    expect(routeDoubts(routeOf(spans.slice(0, 1)))).toBeNull();
   });
 });
 
@@ -262,7 +271,9 @@ describe("branch drawn by hand", () => {
       { kind: "tracked", from_mm: 0, to_mm: 159 },
       { kind: "manual", from_mm: 159, to_mm: 180 },
     ] as const;
-    expect(drawnShare(spans)).toBe(`21 of 180${NBSP}mm drawn by hand, starting 159${NBSP}mm along the route`);
-    expect(routeDoubts(spans.slice(0, 1))).toBeNull();
+    expect(drawnShare(routeOf(spans))).toBe(
+      `21 of 180${NBSP}mm drawn by hand, starting 139${NBSP}mm past the main carina`,
+    );
+    expect(routeDoubts(routeOf(spans.slice(0, 1)))).toBeNull();
   });
 });

@@ -3,6 +3,7 @@
 import type { BranchMeasures, RouteSpan } from "../wire/messages";
 import { type BranchNode, type BranchTree, headOf, rowChildren } from "./airways";
 import { fixed, mm, plural } from "./format";
+import { placeText, type WithOrigin } from "./route";
 
 /** Confidence below which the list marks a branch's name (first value) or the branch itself (second value) as doubtful. */
 const DOUBTFUL = { name: 0.6, airway: 0.5 } as const;
@@ -204,31 +205,33 @@ export function filterTree(tree: BranchTree, text: string): Filtered | null {
   return { shown, hits };
 }
 
-type Spans = readonly Pick<RouteSpan, "kind" | "from_mm" | "to_mm">[];
+/** The part of a route that its warnings need. */
+type WithSpans = WithOrigin & { readonly spans: readonly Pick<RouteSpan, "kind" | "from_mm" | "to_mm">[] };
 
 /** Return the warnings about parts of a route that the CT does not show, as text; null if there are none. */
-export function routeDoubts(spans: Spans): string | null {
-  const parts = [drawnShare(spans), bridgeText(spans)].filter((part) => part !== null);
+export function routeDoubts(route: WithSpans): string | null {
+  const parts = [drawnShare(route), bridgeText(route)].filter((part) => part !== null);
   return parts.length === 0 ? null : parts.map((part) => `${part}.`).join(" ");
 }
 
 /** Return the length of a route that was drawn by hand, as text; null if none was. */
-export function drawnShare(spans: Spans): string | null {
+export function drawnShare(route: WithSpans): string | null {
+  const { spans } = route;
   const drawn = spans.filter((span) => span.kind === "manual");
   const total = drawn.reduce((sum, span) => sum + span.to_mm - span.from_mm, 0);
   const first = drawn[0];
   const last = spans.at(-1);
   if (first === undefined || last === undefined) return null;
-  return `${fixed(total)} of ${mm(last.to_mm, 0)} drawn by hand, starting ${mm(first.from_mm, 0)} along the route`;
+  return `${fixed(total)} of ${mm(last.to_mm, 0)} drawn by hand, starting ${placeText(route, first.from_mm)}`;
 }
 
 /** Return the length of a route that is a bridge, as text; null if none is. */
-function bridgeText(spans: Spans): string | null {
-  const bridges = spans.filter((span) => span.kind === "bridge");
+function bridgeText(route: WithSpans): string | null {
+  const bridges = route.spans.filter((span) => span.kind === "bridge");
   if (bridges.length === 0) return null;
   const total = bridges.reduce((sum, span) => sum + span.to_mm - span.from_mm, 0);
   const first = bridges[0];
   return `${mm(total)} of this route ${bridges.length === 1 ? "is a bridge across an obstruction" : `are ${bridges.length} bridges across obstructions`}${
-    first === undefined ? "" : `, starting at ${mm(first.from_mm, 0)}`
+    first === undefined ? "" : `, starting ${placeText(route, first.from_mm)}`
   }: the CT shows no airway there`;
 }

@@ -20,6 +20,7 @@ const turn = (at: [number, number, number] | null): PlannedTurn => ({
   seen_from_lps: at,
   openings: [],
   hour_doubt: null,
+  dots_lps: [],
 });
 
 describe("list of turns", () => {

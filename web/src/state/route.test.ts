@@ -1,11 +1,12 @@
 import { describe, expect, it } from "vitest";
-import type { RouteInfo } from "../wire/messages";
+import { type RouteInfo, STRAIGHT_AHEAD } from "../wire/messages";
 import { buildTree, lineage, mainLeaf, neighbourBranch, onwardBranches } from "./airways";
 import { testBranch } from "./branches.testing";
 import { forkAhead } from "./fork";
 import { coordinates, fixed, parseCoordinates, timeLeft } from "./format";
 import {
   directionAt,
+  multiplesBetween,
   nearestMm,
   nextStopMm,
   originText,
@@ -96,6 +97,11 @@ describe("positions along the route", () => {
     ]);
   });
 
+  it("multiplesBetween returns the multiples of a step between two values, on both sides of 0.", () => {
+    expect(multiplesBetween(-25, 20, 10)).toEqual([-20, -10, 0, 10, 20]);
+    expect(multiplesBetween(3, 8, 10)).toEqual([]);
+  });
+
   it("directionAt returns the direction of the route, and nearestMm the position nearest to a point.", () => {
     expect(directionAt(ROUTE, 20)).toEqual([0, 0, -1]);
     expect(nearestMm(ROUTE, [3, 3, -9])).toBe(10);
@@ -157,6 +163,41 @@ describe("airway tree", () => {
     ]);
   });
 
+  /** Return the openings of the root's children at angles in degrees to the line of sight, at clock hours. */
+  const listedAt = (...places: [number, number][]) => {
+    const ways = TREE.root.children.map((node, index) => {
+      const [deg, hour] = places[index] ?? [0, 0];
+      const [off, turn] = [(deg * Math.PI) / 180, (hour * Math.PI) / 6];
+      const across = 30 * Math.sin(off);
+      const at = [-across * Math.sin(turn), -across * Math.cos(turn), -30 * Math.cos(off)] as [number, number, number];
+      return {
+        node,
+        opening: {
+          branch_id: node.branch.id,
+          middle_lps: at,
+          in_view: true,
+          straight_ahead: false,
+          ahead_deg: STRAIGHT_AHEAD.most_deg,
+        },
+      };
+    });
+    return onwardBranches(TREE.root, FROM_HEAD, ROUTE, { ways, doubtful: false, atViewpoint: false })
+      .sort((a, b) => a.node.branch.id - b.node.branch.id)
+      .map(({ hour, noHour }) => hour ?? noHour);
+  };
+
+  it("An opening is straight ahead by the server's limits of its angle and of the other openings' angles.", () => {
+    const { most_deg, times } = STRAIGHT_AHEAD;
+    expect(listedAt([most_deg - 0.1, 3], [times * most_deg, 9])).toEqual(["straight ahead", 9]);
+    expect(listedAt([most_deg + 0.1, 3], [40, 9])).toEqual([3, 9]);
+    expect(listedAt([most_deg - 0.1, 3], [times * (most_deg - 0.2), 9])).toEqual([3, 9]);
+  });
+
+  it("Openings with the same clock hour have no clock hour, unless one of them is straight ahead.", () => {
+    expect(listedAt([20, 3.2], [40, 2.8])).toEqual(["no clock hour", "no clock hour"]);
+    expect(listedAt([3, 3], [40, 3])).toEqual(["straight ahead", 3]);
+  });
+
   it("neighbourBranch returns the next branch on that side, and null at the outermost branch.", () => {
     const ways = onwardBranches(TREE.root, FROM_HEAD, ROUTE);
     expect(neighbourBranch(ways, 1)?.node.branch.id).toBe(1);
@@ -164,7 +205,7 @@ describe("airway tree", () => {
   });
 
   it("At the viewpoint of a turn, onwardBranches states the listed directions and hours that are not given.", () => {
-    const opening = { middle_lps: null, in_view: true, straight_ahead: false };
+    const opening = { middle_lps: null, in_view: true, straight_ahead: false, ahead_deg: STRAIGHT_AHEAD.most_deg };
     const [one, other] = TREE.root.children;
     if (one === undefined || other === undefined) throw new Error("the root has two children");
     const ways = [

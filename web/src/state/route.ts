@@ -24,7 +24,7 @@ export function clampToRoute(route: Pick<RouteInfo, "length_mm">, pathMm: number
 }
 
 /** The part of a route that defines its distances from the origin. */
-type WithOrigin = Pick<RouteInfo, "origin" | "lumen_known" | "cumulative_mm" | "centreline_mm">;
+export type WithOrigin = Pick<RouteInfo, "origin" | "lumen_known" | "cumulative_mm" | "centreline_mm">;
 
 /** Distance, mm, below which a place is described as at the origin. */
 const AT_ORIGIN_MM = 0.5;
@@ -72,9 +72,14 @@ export function sideText(route: WithOrigin, pathMm: number): string {
 
 /** Return the labelled distances of the ruler from the origin, mm: multiples of a step, on both sides of the origin. */
 export function scaleMm(route: WithOrigin, lengthMm: number, stepMm: number): number[] {
-  const first = Math.ceil(pastMm(route, 0) / stepMm);
   // The last label must not be under the flag at the end.
-  const last = Math.floor(pastMm(route, lengthMm) / stepMm - 0.35);
+  return multiplesBetween(pastMm(route, 0), pastMm(route, lengthMm) - 0.35 * stepMm, stepMm);
+}
+
+/** Return the multiples of a step from a first to a last value, both included. */
+export function multiplesBetween(firstMm: number, lastMm: number, stepMm: number): number[] {
+  const first = Math.ceil(firstMm / stepMm - 1e-6);
+  const last = Math.floor(lastMm / stepMm + 1e-6);
   return Array.from({ length: Math.max(last - first + 1, 0) }, (_, n) => (first + n) * stepMm);
 }
 

@@ -4,8 +4,10 @@
  */
 
 import { angleBetween, type RingMark, ringMarks } from "../state/letters";
+import { distanceToRouteMm, turnBefore } from "../state/plan";
 import { geometryOf, projectLine, type SeenGeometry } from "../state/projection";
 import { pointsBetween, radiusAt } from "../state/route";
+import { nextTurn } from "../state/route-dots";
 import { numInView } from "../state/section";
 import { asVec3, distance, type Vec3 } from "../state/vec";
 import type { RouteInfo } from "../wire/messages";
@@ -48,18 +50,11 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
   ink.save();
   traceOutline(ink, scene.airwayShape, frame);
   ink.clip();
-  if (scene.routeLineVisible && scene.route !== null && scene.pathMm !== null) {
-    const { route, pathMm } = scene;
-    // Draw only the tracked parts of the route; `paintDrawn` draws the other parts dashed, as branches.
-    const seenToMm = inViewTo(route, pathMm, geometry.camera.position);
-    const ahead = route.spans
-      .filter((span) => span.kind === "tracked")
-      .map((span) => [Math.max(span.from_mm, pathMm + LINE_FROM_MM), Math.min(span.to_mm, seenToMm)] as const)
-      .filter(([from, to]) => to > from)
-      .map(([from, to]) => pointsBetween(route, from, to));
+  const runs = routeLine(scene, geometry.camera.position);
+  if (runs.length > 0) {
     ink.save();
     ink.setLineDash([1, 7]);
-    for (const run of ahead.flatMap((part) => projectLine(geometry, part))) {
+    for (const run of runs.flatMap((part) => projectLine(geometry, part))) {
       const points = run.map((point) => viewport.screenAt(point));
       line(ink, points, INK.halo, 4.5, 0.5);
       line(ink, points, INK.accent, 3, 0.95);
@@ -81,6 +76,31 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
     label(ink, mark.text, at, { size: mark.strength > 0.8 ? 15 : 12, bold: true });
   }
   paintCursorNote(ink, viewport, scene);
+}
+
+/**
+ * Return the visible runs of the route ahead of the lens. At a listed turn, the line ends with the dots of the turn,
+ * which are inside the outlined opening: points of the route beyond the fork can be behind a wall.
+ */
+export function routeLine(scene: Scene, lens: Vec3): Vec3[][] {
+  const { route, turns } = scene;
+  if (!scene.routeLineVisible || route === null) return [];
+  const fromMm = scene.pathMm ?? (turnBefore(turns, lens) === null ? null : distanceToRouteMm(route, lens));
+  if (fromMm === null) return [];
+  const turn = nextTurn(route, turns, fromMm);
+  const seenToMm = inViewTo(route, fromMm, lens);
+  const endMm = Math.min(seenToMm, turn?.forkMm ?? seenToMm);
+  // Only the tracked parts of the route; `paintDrawn` draws the other parts dashed, as branches.
+  const ahead = route.spans
+    .filter((span) => span.kind === "tracked")
+    .map((span) => [Math.max(span.from_mm, fromMm + LINE_FROM_MM), Math.min(span.to_mm, endMm)] as const)
+    .filter(([from, to]) => to > from)
+    .map(([from, to]) => pointsBetween(route, from, to));
+  if (turn !== null && turn.forkMm <= seenToMm) {
+    const dots = turn.dots.filter((dot) => distance(dot, lens) < LINE_TO_MM);
+    if (dots.length > 0) ahead.push([...(ahead.pop() ?? pointsBetween(route, turn.forkMm, turn.forkMm)), ...dots]);
+  }
+  return ahead;
 }
 
 /** Return the position along the route, mm, up to which the lens sees the route before a wall hides the route. */

@@ -3,7 +3,7 @@
 import { kindText } from "../state/branch-text";
 import { fixed } from "../state/format";
 import { axesAt, type LinesGeometry, linesOf, nearestPixel, pixelOfPath } from "../state/lines";
-import { radiusAt } from "../state/route";
+import { multiplesBetween, pastMm, pathAtMm, radiusAt } from "../state/route";
 import type { RouteInfo } from "../wire/messages";
 import { VIEWS } from "../wire/views";
 import { INK, type Ink, label, line, NamePlaces, penMark, type ScreenPoint, targetMark, tipMark } from "./ink";
@@ -184,8 +184,9 @@ function paintAxis(
   const pxPerMm = (bottom - top) / Math.max(last - first, 1e-6);
   const stepMm = TICKS_MM.find((mm) => mm * pxPerMm >= TICKS_APART_PX) ?? 500;
   const { height } = viewport.size;
-  for (let mm = Math.ceil(first / stepMm - 1e-6) * stepMm; mm <= last + 1e-6; mm += stepMm) {
-    const y = yOf(mm);
+  const ticks = multiplesBetween(pastMm(route, first), pastMm(route, last), stepMm);
+  for (const past of ticks) {
+    const y = yOf(pathAtMm(route, past));
     if (y === null || y < 8 || y > height - 34) continue;
     line(
       ink,
@@ -196,7 +197,7 @@ function paintAxis(
       INK.accent,
       1.5,
     );
-    label(ink, `${fixed(mm)} mm`, { x: sides.left + TICK_PX + 4, y }, { size: 10, align: "left" });
+    label(ink, `${fixed(past)} mm`, { x: sides.left + TICK_PX + 4, y }, { size: 10, align: "left" });
   }
   let taken = Number.NEGATIVE_INFINITY;
   for (const span of route.spans) {

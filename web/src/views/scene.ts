@@ -18,7 +18,16 @@ import { type Armed, isBrush, takesAway, wantsPath } from "../state/tools";
 import { below, pointsFrom, type TreePlace } from "../state/tree-index";
 import { asVec3, type Camera, cameraFromMatrix, type Vec3 } from "../state/vec";
 import type { Grid } from "../state/volume";
-import type { Carm, EditLine, PlansMessage, RouteInfo, Slab, UncertainPlace, VesselLine } from "../wire/messages";
+import type {
+  Carm,
+  EditLine,
+  PlannedTurn,
+  PlansMessage,
+  RouteInfo,
+  Slab,
+  UncertainPlace,
+  VesselLine,
+} from "../wire/messages";
 import type { PlaneName } from "../wire/views";
 import { type Shape, shapeOf } from "./outline";
 
@@ -59,6 +68,8 @@ export interface Scene {
   vessels: readonly VesselLine[];
   tree: BranchTree | null;
   pathMm: number | null;
+  /** Turns of the planned route; empty without a plan. */
+  turns: readonly PlannedTurn[];
   targets: readonly SceneTarget[];
   lesions: readonly SceneLesion[];
   /**
@@ -301,6 +312,9 @@ function shownRuns(route: RouteInfo | null): readonly (readonly Vec3[])[] {
   return runs.map(({ fromMm, toMm }) => pointsBetween(route, fromMm, toMm));
 }
 
+/** The turns without a plan: one object, so that overlays are not repainted. */
+const NO_TURNS: readonly PlannedTurn[] = [];
+
 let last: Scene | null = null;
 
 /**
@@ -383,6 +397,7 @@ function buildScene(state: AppState): Scene {
     vessels: vesselsSeen(state.lungs, state.ui.hiddenLayers),
     tree: state.tree,
     pathMm: pathMm(state),
+    turns: state.plans?.turns ?? NO_TURNS,
     targets:
       state.session?.targets.map((target) => ({
         lps: asVec3(target.used_lps ?? target.lps),

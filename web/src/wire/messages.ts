@@ -16,6 +16,9 @@ export const CLOSE_CODES = {
   "protocol.watching-ended": 4410,
 } as const;
 
+/** Largest angle in degrees of an opening straight ahead; least ratio of the others' angles to it. */
+export const STRAIGHT_AHEAD = { most_deg: 6.0, times: 2.0 } as const;
+
 /** 4x4, row-major. */
 export type Matrix4 = readonly number[];
 export type ViewName = "airway" | "axial" | "coronal" | "curved" | "cut-plane" | "drr" | "sagittal" | "straightened" | "tree" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal";
@@ -1161,6 +1164,7 @@ export interface TurnOpening {
   readonly middle_lps: readonly [number, number, number] | null;
   readonly in_view: boolean;
   readonly straight_ahead: boolean;
+  readonly ahead_deg: number;
 }
 
 /** A turn at a fork of the chosen route. */
@@ -1175,6 +1179,7 @@ export interface PlannedTurn {
   readonly seen_from_lps: readonly [number, number, number] | null;
   readonly openings: readonly TurnOpening[];
   readonly hour_doubt: string | null;
+  readonly dots_lps: readonly (readonly [number, number, number])[];
 }
 
 /** Verdict on one pair of the best routes and all instruments; a pair in plan.json has the same keys. */

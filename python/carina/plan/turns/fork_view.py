@@ -21,6 +21,9 @@ from carina.scopes import Lens, Pose
 from carina.track import Branch
 
 __all__ = [
+    "AHEAD_DEG",
+    "AHEAD_SHARE",
+    "AHEAD_TIMES",
     "LEAST_SHARE",
     "LEAST_STAND_MM",
     "HourDoubt",
@@ -40,10 +43,12 @@ __all__ = [
 Points = NDArray[np.float64]
 Operator = Literal["head", "facing"]
 
-AHEAD_DEG, AHEAD_TIMES = 6.0, 2.0
-"""Largest angle in degrees of an opening straight ahead, and least ratio of the other openings' angles to this angle.
+AHEAD_DEG, AHEAD_SHARE, AHEAD_TIMES = 6.0, 0.5, 2.0
+"""Limits of the angle between the line of sight and the middle of an opening straight ahead.
 
-The centre of the picture is in the outline of an opening straight ahead, so the opening has no clock hour.
+The angle is at most the first number in degrees or, for a large opening, the second number times the opening's radius;
+the angles of the other openings are at least the third number times larger. The centre of the picture is in the outline
+of an opening straight ahead, so the opening has no clock hour.
 """
 LEAST_SHARE = 2e-3
 """Least share of the picture's pixels for an opening in view."""
@@ -102,12 +107,16 @@ class Opening:
 
     0 if the opening is not in view. A large angle means that most of the opening is hidden.
     """
+    ahead_deg: float
+    """Largest angle in degrees between the line of sight and the middle at which the opening is straight ahead."""
     straight_ahead: bool
     """Whether the opening is in the middle of the picture and so has no clock hour."""
     outline: NDArray[np.bool_] = field(repr=False)
     """(size, size) pixels of the opening."""
     walls_lps: Points = field(repr=False)
     """(n, 3) visible walls of the opening, LPS mm."""
+    dots_lps: Points = field(repr=False)
+    """(n, 3) points of the branch's centreline from its beginning on that are seen through the opening, LPS mm."""
 
 
 def levelled(eye_lps: Points, look_lps: Points, operator: Operator) -> Pose:
@@ -196,10 +205,11 @@ def openings_seen(camera: Pose, walls: ForkWalls, branches: Sequence[Branch], wa
     openings = []
     for n, (branch, outline, (x, y, in_view)) in enumerate(zip(branches, outlines, found, strict=True)):
         others = [size_rad for k, size_rad in enumerate(sizes) if k != n and found[k][2]]
+        ahead_deg = max(AHEAD_DEG, AHEAD_SHARE * FOV_DEG * math.sqrt(float(outline.mean()) / math.pi))
         ahead = (
             in_view
             and bool(outline[middle - 1 : middle + 1, middle - 1 : middle + 1].any())
-            and math.degrees(sizes[n]) <= AHEAD_DEG
+            and math.degrees(sizes[n]) <= ahead_deg
             and all(other >= AHEAD_TIMES * sizes[n] for other in others)
         )
         sine = math.sin(sizes[n]) / max(sizes[n], 1e-12)
@@ -214,12 +224,28 @@ def openings_seen(camera: Pose, walls: ForkWalls, branches: Sequence[Branch], wa
                 math.degrees(sizes[n]),
                 in_view,
                 _axis_hidden_deg(outline, pixel_at(camera, walls.mouths_lps[n], size)) if in_view else 0.0,
+                ahead_deg,
                 ahead,
                 outline if in_view else np.zeros_like(outline),
                 wall[np.isfinite(wall).all(axis=1)],
+                _seen_through(outline, camera, walls.axes_lps[n], walls_lps) if in_view else np.empty((0, 3)),
             )
         )
     return tuple(openings)
+
+
+def _seen_through(outline: NDArray[np.bool_], camera: Pose, axis_lps: Points, walls_lps: Points) -> Points:
+    """Return the first run of points of a centreline that are in an opening and in front of its wall."""
+    found: list[Points] = []
+    for point in axis_lps:
+        column, row = (int(v) for v in pixel_at(camera, point, outline.shape[0]))
+        depth = float(np.linalg.norm(walls_lps[row, column] - camera.position_lps))
+        # The depth is not a number where no wall is near.
+        if outline[row, column] and not float(np.linalg.norm(point - camera.position_lps)) > depth:
+            found.append(point)
+        elif found:
+            break
+    return np.array(found).reshape(-1, 3)
 
 
 def _axis_hidden_deg(outline: NDArray[np.bool_], axis_px: tuple[float, float]) -> float:

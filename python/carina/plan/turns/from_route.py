@@ -155,6 +155,8 @@ def turn_list(
                 opening_lps=_point(taken.middle_lps),
                 seen_from_lps=_point(view.eye),
                 hour_doubt=view.doubt,
+                ahead_deg=taken.ahead_deg,
+                dots_lps=_dots(taken, view.eye),
             )
         )
     last_mm = places_mm[-1] if places_mm else origin.past_mm(0.0)
@@ -334,6 +336,15 @@ def _enters_mm(mother: Branch, branch: Branch) -> float:
     return 2.0 * float(branch.wall_distance[along <= reach].min())
 
 
+def _dots(taken: Opening, eye: Points) -> tuple[Point, ...]:
+    """Return the middle of an opening and the dots beyond it, from near to far; none if the opening is not in view."""
+    if not taken.in_view:
+        return ()
+    away = float(np.linalg.norm(taken.middle_lps - eye))
+    beyond = [dot for dot in taken.dots_lps if float(np.linalg.norm(dot - eye)) > away]
+    return (_point(taken.middle_lps), *(_point(dot) for dot in beyond))
+
+
 def _sides(forward: Points, into: Points) -> tuple[str, ...]:
     """Return the patient's directions (such as anterior) of an opening, as seen along the parent branch."""
     ahead = forward / np.linalg.norm(forward)
@@ -353,6 +364,7 @@ def _clockwise(taken: Opening, others: Sequence[Opening], mothers: dict[int, Bra
             _enters_mm(mothers[one.branch.id], one.branch),
             in_view=one.in_view,
             opening_lps=_point(one.middle_lps),
+            ahead_deg=one.ahead_deg,
         )
         for one in ordered
     )

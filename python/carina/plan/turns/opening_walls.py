@@ -25,7 +25,7 @@ PLACES_MM = 0.7
 """Distance in mm between the centreline points from which the distance to a branch's surface is computed."""
 BESIDE_MM = 4.0
 """Largest distance in mm of a wall outside a branch's surface that still belongs to the branch."""
-BEYOND_RADII = 0.5
+BEYOND_RADII = 0.25
 """Distance of a branch's beginning from the lumens of all other branches, in radii of the branch.
 
 Nearer to them, the ball around the centreline is mostly in the other lumens.
@@ -156,6 +156,8 @@ class ForkWalls:
         self._others = list(parts[OTHER_BRANCH])
         self.mouths_lps: list[Points] = []
         """For each branch the point of its centreline at which it begins, (3,) LPS mm."""
+        self.axes_lps: list[Points] = []
+        """For each branch the points (n, 3) of its centreline from this beginning on, LPS mm."""
         for n, branch_id in enumerate(branch_ids):
             outside = [one for k, part in enumerate(parts) if k != n for one in part]
             others = _joined(outside)
@@ -172,6 +174,10 @@ class ForkWalls:
             end = tree.branch(branch_id).points[-1]
             nearest = beyond[int(np.argmin(np.linalg.norm(beyond - fork, axis=1)))] if len(beyond) else end
             self.mouths_lps.append(np.asarray(nearest, dtype=np.float64))
+            # Parts of a branch are those of its subtree; its own line is the first one.
+            axis = self._tubes[n][0][0] if self._tubes[n] else beyond[:0]
+            away = np.linalg.norm(axis - self.mouths_lps[n], axis=1)
+            self.axes_lps.append(axis[int(np.argmin(away)) :] if len(axis) else axis)
 
     def owners(self, walls_lps: Points) -> NDArray[np.int64]:
         """Return for walls (h, w, 3) the index (h, w) of the branch, `OTHER_BRANCH` or `NO_BRANCH`."""

@@ -11,7 +11,7 @@ from carina.display import one_line
 from carina.display.tables import ColumnKind, Columns, Tabular, columns_of
 from carina.errors import NoResultError
 from carina.plan.hand_moves import Move
-from carina.plan.turns.fork_view import HourDoubt, Operator, levelled, turned_hours, whole_hour
+from carina.plan.turns.fork_view import AHEAD_DEG, HourDoubt, Operator, levelled, turned_hours, whole_hour
 from carina.plan.turns.texts import hour_words, joined, moves_words, place_words
 from carina.scopes import Pose
 
@@ -35,6 +35,8 @@ class OtherWay:
     """Whether the opening is visible from the camera of the turn."""
     opening_lps: tuple[float, float, float] | None = None
     """Point in the direction of the middle of the opening's outline, at the distance of the opening, LPS mm."""
+    ahead_deg: float = AHEAD_DEG
+    """Largest angle in degrees of the opening to a line of sight at which it counts as straight ahead."""
 
     @property
     def straight_ahead(self) -> bool:
@@ -117,6 +119,14 @@ class Turn:
     """Position of the camera for the hours, LPS mm: about one diameter before the fork, looking at the fork."""
     hour_doubt: HourDoubt | None = None
     """Reason why no clock hour is given; None if an hour is given or the opening is straight ahead."""
+    ahead_deg: float = AHEAD_DEG
+    """Largest angle in degrees of the opening to a line of sight at which it counts as straight ahead."""
+    dots_lps: tuple[tuple[float, float, float], ...] = ()
+    """Dots of the route inside the opening as seen by the camera, LPS mm.
+
+    They are the middle of the opening and the points of the branch's centreline that are seen through it. Empty if the
+    opening is not in view.
+    """
 
     def clock(self, operator: Operator) -> float | None:
         """Return the unrounded clock hour of the opening; None if it is straight ahead or not reliable."""
@@ -211,6 +221,7 @@ class Turn:
             "at_main_carina": self.at_main_carina,
             "opening_lps": None if self.opening_lps is None else list(self.opening_lps),
             "seen_from_lps": None if self.seen_from_lps is None else list(self.seen_from_lps),
+            "dots_lps": [list(dot) for dot in self.dots_lps],
             "moves": None if self.moves is None else [move.to_json() for move in self.moves],
             "doubts": list(self.doubts),
             "words": {"head": self.words("head"), "facing": self.words("facing")},

@@ -64,7 +64,11 @@ def _turns(info: PlanningInfo, turns: TurnList) -> tuple[wire.PlannedTurn, ...]:
                 "fork_branch_id": ends.get(_point(turn.fork_lps), turn.to_branch_id),
                 "openings": [
                     wire.TurnOpening(
-                        turn.to_branch_id, turn.opening_lps, in_view=turn.in_view, straight_ahead=turn.straight_ahead
+                        turn.to_branch_id,
+                        turn.opening_lps,
+                        in_view=turn.in_view,
+                        straight_ahead=turn.straight_ahead,
+                        ahead_deg=turn.ahead_deg,
                     ),
                     *(
                         wire.TurnOpening(
@@ -72,6 +76,7 @@ def _turns(info: PlanningInfo, turns: TurnList) -> tuple[wire.PlannedTurn, ...]:
                             other.opening_lps,
                             in_view=other.in_view,
                             straight_ahead=other.straight_ahead,
+                            ahead_deg=other.ahead_deg,
                         )
                         for other in turn.others
                     ),

@@ -18,6 +18,7 @@ from msgspec import inspect
 from carina.commands import Look, all_commands
 from carina.commands.fields import Outline, ViewName
 from carina.export import EXPORT_FORMATS, EXPORT_TITLES
+from carina.plan.turns.fork_view import AHEAD_DEG, AHEAD_TIMES
 from carina.render import CELLS, FINDER_VIEW, LEAD_VIEW, VIEWS, Sight
 from carina.server.wire import messages
 from carina.server.wire.codec import type_name
@@ -248,6 +249,9 @@ def typescript() -> str:
         "export const CLOSE_CODES = {",
         *(f"  {json.dumps(name)}: {code}," for name, code in messages.CLOSE_CODES.items()),
         "} as const;",
+        "",
+        "/** Largest angle in degrees of an opening straight ahead; least ratio of the others' angles to it. */",
+        f"export const STRAIGHT_AHEAD = {{ most_deg: {AHEAD_DEG}, times: {AHEAD_TIMES} }} as const;",
         "",
         "/** 4x4, row-major. */",
         "export type Matrix4 = readonly number[];",

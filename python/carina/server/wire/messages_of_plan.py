@@ -310,6 +310,8 @@ class TurnOpening(FrozenValue, frozen=True):
     """Whether the opening is visible from the camera of the turn."""
     straight_ahead: bool
     """Whether the opening is in the middle of the picture of the turn and so has no clock hour."""
+    ahead_deg: float = 6.0
+    """Largest angle in degrees of the opening to a line of sight at which the opening counts as straight ahead."""
 
 
 class PlannedTurn(FrozenValue, frozen=True):
@@ -335,6 +337,8 @@ class PlannedTurn(FrozenValue, frozen=True):
     """Openings of the fork; the first one is the opening that the scope enters."""
     hour_doubt: Words | None = None
     """Reason why no clock hour is given for the opening that the scope enters; null if the hour is reliable."""
+    dots_lps: PointsLps = ()
+    """Dots of the route inside the opening that the scope enters, LPS mm: its middle, and centreline points beyond."""
 
 
 class MappedLayer(FrozenValue, frozen=True):

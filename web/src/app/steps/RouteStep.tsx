@@ -15,7 +15,7 @@ export function RouteStep() {
   const station = useStation();
   const route = useApp((state) => state.route);
   const targets = useApp((state) => state.session?.targets ?? null);
-  const doubts = route === null ? null : routeDoubts(route.spans);
+  const doubts = route === null ? null : routeDoubts(route);
   const known = route?.lumen_known ?? false;
   const plan = useApp((state) => planOf(state.plans, state.route?.target_id ?? null));
   const planned = targets?.find((target) => target.target_id === plan?.target_id) ?? null;
