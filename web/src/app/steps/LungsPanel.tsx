@@ -26,7 +26,7 @@ export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
       <h3>Anatomy near the target</h3>
       {lungs?.outdated === true ? (
         <p className="warning-text" data-testid="lungs-outdated">
-          <Icon name="warning" /> The airways have changed. Map the anatomy again to update it.
+          <Icon name="warning" /> The airways have changed. Compute these structures again.
         </p>
       ) : null}
       {(lungs?.problems ?? []).map((problem) => (
@@ -36,7 +36,7 @@ export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
       ))}
       {lungs?.standing === "had" ? null : (
         <Act
-          label={mapping ? "Mapping\u2026" : "Show anatomy near the target"}
+          label={mapping ? "Computing\u2026" : "Show vessels, lobes and stations"}
           words="Find vessels, fissures and lobes of both lungs, and place the EBUS stations (about a minute)"
           disabled={mapping}
           testId="map-lungs"
