@@ -470,7 +470,7 @@ def _halves(read: _Named, words: list[str | None], rule: LetterRule) -> None:
     halves = [number for number, word in enumerate(words) if word in {"LB1", "LB2"}]
     if len(halves) == 2 and not {"LB1+3", "LB2+3"} & set(words):
         lateral = np.array([-1.0 if read.mirrored else 1.0, 1.0, 1.0])
-        order, _ = letter_order([read.frame @ read.bronchi[n].middle * lateral for n in halves], rule)
+        order, _ = letter_order([read.frame @ read.bronchi[n].ahead * lateral for n in halves], rule)
         for sign, which in zip(LETTERS, order, strict=False):
             words[halves[which]] = "LB1+2" + sign
 
@@ -509,7 +509,7 @@ def _letters(read: _Named, words: list[str | None], sure: NDArray[np.float64], r
                 continue
             side = -1.0 if (base.startswith("R") != read.mirrored) else 1.0
             lateral = np.array([side, 1.0, 1.0])
-            order, order_sure = letter_order([read.frame @ bronchi[c].middle * lateral for c in group], rule)
+            order, order_sure = letter_order([read.frame @ bronchi[c].ahead * lateral for c in group], rule)
             signs = LETTERS if depth == 0 else ROMAN
             for sign, which in zip(signs, order, strict=False):
                 child = group[which]
