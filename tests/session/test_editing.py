@@ -17,11 +17,13 @@ from carina.track import (
     Bridge,
     CutBranch,
     FoldedAirways,
+    MoveFork,
     MoveRoot,
     PaintLumen,
     RenameBranch,
     SmoothBranch,
     edit_airways,
+    find_airways,
     rebuild_airways,
 )
 from small_case import small_bench
@@ -71,6 +73,46 @@ def test_edit_of_the_tree_is_one_labelled_undo_step(bench, case):
     assert 2 not in {b.id for b in document(bench).airways.tree.branches}
     bench.background.run_all()
     np.testing.assert_array_equal(bench.renderers[-1].lumen, document(bench).airways.lumen_zyx)
+
+
+def names_of(airways):
+    return {branch.id: (branch.name, branch.name_from, branch.name_confidence) for branch in airways.tree.branches}
+
+
+@pytest.mark.parametrize("is_mask", [False, True])
+@pytest.mark.parametrize("kind", ["add branch", "bridge", "move fork"])
+def test_one_undo_of_a_repair_restores_tree_and_names(case, kind, is_mask):
+    airways = case.airways
+    if is_mask:
+        airways = find_airways(case.volume, root_lps=airways.root_lps, lumen_zyx=airways.lumen_zyx)
+    leaf = airways.tree.nearest_branch(case.tips[3])[0]
+    fork = airways.tree.branch(leaf.parent)
+    if kind == "add branch":
+        airways = edit_airways(case.volume, airways, CutBranch(leaf.id))
+    airways = edit_airways(case.volume, airways, RenameBranch(fork.id, "LLL"))
+    made = small_bench(
+        open_volume=lambda _path, _progress, _cancel: case.volume,
+        find_airways=lambda _volume, **_options: airways,
+        edit_airways=edit_airways,
+    )
+    made.open()
+    before = names_of(airways)
+    edit(
+        made,
+        {
+            "add branch": AddBranch(point(leaf.points[-2])),
+            "bridge": Bridge(point(case.hidden)),
+            "move fork": MoveFork(fork.id, point(fork.points[-1] + np.array([0.0, 0.0, 1.2]))),
+        }[kind],
+    )
+    edited = document(made).airways
+    assert edited is not airways
+    assert names_of(edited)[fork.id] == before[fork.id]
+    if kind == "move fork":
+        assert names_of(edited) == before
+    made.session.undo()
+    assert document(made).airways is airways
+    assert names_of(airways) == before
 
 
 def test_opening_another_case_stops_edits_and_target_searches_of_the_first(bench, case):

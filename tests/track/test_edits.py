@@ -458,6 +458,26 @@ def test_airways_from_the_mask_of_another_tool_can_be_edited(case):
     assert_same(airways, rebuild_airways(case.volume, masked, airways.edits))
 
 
+def test_branch_added_in_another_tools_mask_joins_the_tree_at_the_same_place(case):
+    from carina.track import find_airways
+
+    joins = []
+    for airways in (
+        case.airways,
+        find_airways(case.volume, root_lps=case.airways.root_lps, lumen_zyx=case.airways.lumen_zyx),
+    ):
+        leaf = airways.tree.nearest_branch(case.tips[3])[0]
+        cut = edited(case, CutBranch(leaf.id, 0.4 * leaf.length_mm), start=airways)
+        stump = cut.tree.branch(leaf.id)
+        new = edited(case, AddBranch(point(leaf.points[-1])), start=cut)
+        grown = new.tree.branch(leaf.id)
+        assert len(new.tree) == len(cut.tree), "the tip is extended, and no branch is added"
+        assert abs(grown.length_mm - leaf.length_mm) < 2.0
+        np.testing.assert_allclose(grown.points[: len(stump.points) - 1], stump.points[:-1], atol=1.5)
+        joins.append(grown.points[-1])
+    np.testing.assert_allclose(joins[0], joins[1], atol=1.0)
+
+
 class EditSequences(RuleBasedStateMachine):
     """Random edits, undo and redo; after each step the tree equals the tree built from scratch."""
 

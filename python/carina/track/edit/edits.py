@@ -39,7 +39,7 @@ from carina.track.edit.steps import EditSteps
 from carina.track.edit.tree_changes import needed_branch
 from carina.track.find.airway_ends import find_uncertain
 from carina.track.find.result import TREE_EDITS, Airways
-from carina.track.names.renaming import RenamedBranch, name_edited_tree
+from carina.track.names.renaming import RenamedBranch, extends_tips_only, name_edited_tree
 from carina.track.names.without_drawn import carried_names, seen_part
 from carina.track.paths.rebuilt_tracker import CoreRecipe
 from carina.track.paths.tracker import PathTracker, lumen_voxels
@@ -259,7 +259,7 @@ def name_edited(before: Airways, edited: Airways) -> Airways:
     """
     (was, _), (seen, place_of) = seen_part(before.tree), seen_part(edited.tree)
     ways = [[(b.id, b.parent, b.name_from == "person", b.name) for b in tree.branches] for tree in (was, seen)]
-    if ways[0] == ways[1]:
+    if ways[0] == ways[1] and not extends_tips_only(was, seen):
         # Branches drawn without evidence must not change the names and confidences of their neighbours.
         if seen is edited.tree:
             return edited

@@ -389,6 +389,15 @@ class Solver:
         self._read(0, int(np.argmax(self.posts[0])))
         return Solution(self.readings)
 
+    def shares_of_states(self) -> Array:
+        """Return the share (n, states) of all readings in which each bronchus carries each state."""
+        self.solution()
+        shares = np.zeros((len(self.bronchi), len(self.grammar)))
+        for number, post in enumerate(self.posts):
+            if len(post) and len(self.own[number]) and post.sum() > 1e-9:
+                shares[number] = self._spread_shrink(post, self.sums[number], self.own[number])
+        return shares
+
     def ending(self, number: int) -> Array:
         """Return the log odds per state that a bronchus ends before it divides."""
         return self.model.stump if _is_stump(self.bronchi, number) else self.model.truncated

@@ -47,6 +47,12 @@ Situs inversus has a frequency of 1 in 10,000; files with left and right exchang
 """
 TURN_SPREAD_RAD = math.radians(15.0)
 """Standard deviation in radians of a patient's rotation on the table."""
+MOST_TURNS, LEAST_TURN_RAD = 12, math.radians(0.1)
+"""Largest number of rotations of the body frame, and the rotation (rad) below which the frame has converged."""
+LEAST_GAIN = 1.5
+"""Log evidence that fitting the three angles of the body frame to noise gains: half their number."""
+MIN_READ_FOR_FRAME = 6.0
+"""Least expected number of bronchi with a state from which the body frame is refined."""
 MIN_BRANCHES = 12
 """Least number of branches of a tree in which lobes are distinguished."""
 COARSE_FORKS = 5
@@ -263,26 +269,28 @@ def _read(tree: AirwayTree, *, judges_fit: bool = True) -> _Named:
         solver = Solver(
             rules, bronchi, lungs, frame, mirrored=mirrored, wishes=wishes, held=held, max_forks=COARSE_FORKS
         )
-        turn = math.acos(max(-1.0, min(1.0, (float(np.trace(frame)) - 1.0) / 2.0)))
-        return solver.log_evidence - 0.5 * (turn / TURN_SPREAD_RAD) ** 2 + (LOG_MIRRORED if mirrored else 0.0), solver
+        return solver.log_evidence - 0.5 * (_angle(frame) / TURN_SPREAD_RAD) ** 2 + (
+            LOG_MIRRORED if mirrored else 0.0
+        ), solver
 
     def refined(
         score: float, solver: Solver, frame: NDArray[np.float64], *, mirrored: bool = False
     ) -> tuple[float, NDArray[np.float64]]:
-        """Return the score and the frame after rotations towards the expected directions of the named branches."""
-        solution = solver.solution()
-        for _ in range(2):
-            closer = _closer_frame(rules, bronchi, solution, frame, mirrored=mirrored)
+        """Return the score and the frame after rotations towards the expected directions of the bronchi."""
+        for _ in range(MOST_TURNS):
+            closer = _closer_frame(rules, bronchi, solver, frame, mirrored=mirrored)
             if closer is None:
                 break
-            other, solver = attempt(closer, mirrored=mirrored)
-            if other <= score + 0.5:
+            change = _angle(closer @ frame.T)
+            score, solver = attempt(closer, mirrored=mirrored)
+            frame = closer
+            if change < LEAST_TURN_RAD:
                 break
-            score, solution, frame = other, solver.solution(), closer
         return score, frame
 
     frame = np.eye(3)
     score, best = attempt(frame)
+    straight = score
     guess = body_frame(bronchi, lungs)
     if float(np.trace(guess)) < 1.0 + 2.0 * math.cos(math.radians(6.0)):
         other, solver = attempt(guess)
@@ -295,27 +303,51 @@ def _read(tree: AirwayTree, *, judges_fit: bool = True) -> _Named:
         other, solver = attempt(first, mirrored=True)
         # A rotated patient may resemble a mirrored one until the frame is refined.
         if other > score:
+            straight = other if first is not guess else attempt(np.eye(3), mirrored=True)[0]
             score, frame = refined(other, solver, first, mirrored=True)
             mirrored = True
+    # A weakly supported rotation is mostly noise and would change with every tip, so the frame turns by a share of it.
+    frame = _part_of(frame, 1.0 - LEAST_GAIN / max(score - straight, LEAST_GAIN))
     final = Solver(rules, bronchi, lungs, frame, mirrored=mirrored, wishes=wishes, held=held)
     solution = final.solution()
     fit = fit_of(rules, bronchi, lungs, frame, mirrored=mirrored, max_forks=COARSE_FORKS) if judges_fit else None
     return _Named(bronchi, solution, rules, frame, mirrored, fit, final.log_evidence)
 
 
+def _part_of(rotation: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+    """Return the rotation about the axis of another rotation by a share (0..1) of its angle."""
+    angle = _angle(rotation)
+    skew = 0.5 * (rotation - rotation.T)
+    if share >= 1.0 or angle < 1e-6 or angle > math.pi - 1e-3:
+        return rotation if share > 0.0 else np.eye(3)
+    cross = skew / math.sin(angle)
+    turned: NDArray[np.float64] = (
+        np.eye(3) + math.sin(share * angle) * cross + (1.0 - math.cos(share * angle)) * cross @ cross
+    )
+    return turned
+
+
+def _angle(rotation: NDArray[np.float64]) -> float:
+    """Return the angle of a rotation in radians."""
+    return math.acos(max(-1.0, min(1.0, (float(np.trace(rotation)) - 1.0) / 2.0)))
+
+
 def _closer_frame(
-    rules: Grammar, bronchi: list[Bronchus], solution: Solution, frame: NDArray[np.float64], *, mirrored: bool
+    rules: Grammar, bronchi: list[Bronchus], solver: Solver, frame: NDArray[np.float64], *, mirrored: bool
 ) -> NDArray[np.float64] | None:
-    seen, expected, weights = [], [], []
-    flip = np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
-    for bronchus, reading in zip(bronchi, solution.readings, strict=True):
-        if reading.state is not None and reading.confidence > 0.5 and not reading.again:
-            seen.append(bronchus.direction)
-            expected.append(rules.direction[reading.state] * flip)
-            weights.append(reading.confidence)
-    if len(seen) < 6:
+    """Return the frame that turns the bronchi to the mean directions of their states, over all readings.
+
+    No state is chosen, so a small change of the tree turns the frame by a small angle.
+    """
+    shares = solver.shares_of_states()
+    if float(shares.sum()) < MIN_READ_FOR_FRAME:
         return None
-    return refined_frame(frame, np.array(seen), np.array(expected), np.array(weights))
+    flip = np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
+    expected = shares @ (rules.direction * flip)
+    weights = np.linalg.norm(expected, axis=1)
+    used = weights > 1e-6
+    seen = np.array([bronchus.direction for bronchus in bronchi])[used]
+    return refined_frame(frame, seen, expected[used] / weights[used, None], weights[used])
 
 
 def _constraints(
@@ -438,7 +470,7 @@ def _halves(read: _Named, words: list[str | None], rule: LetterRule) -> None:
     halves = [number for number, word in enumerate(words) if word in {"LB1", "LB2"}]
     if len(halves) == 2 and not {"LB1+3", "LB2+3"} & set(words):
         lateral = np.array([-1.0 if read.mirrored else 1.0, 1.0, 1.0])
-        order, _ = letter_order([read.frame @ read.bronchi[n].middle * lateral for n in halves], rule)
+        order, _ = letter_order([read.frame @ read.bronchi[n].ahead * lateral for n in halves], rule)
         for sign, which in zip(LETTERS, order, strict=False):
             words[halves[which]] = "LB1+2" + sign
 
@@ -477,7 +509,7 @@ def _letters(read: _Named, words: list[str | None], sure: NDArray[np.float64], r
                 continue
             side = -1.0 if (base.startswith("R") != read.mirrored) else 1.0
             lateral = np.array([side, 1.0, 1.0])
-            order, order_sure = letter_order([read.frame @ bronchi[c].middle * lateral for c in group], rule)
+            order, order_sure = letter_order([read.frame @ bronchi[c].ahead * lateral for c in group], rule)
             signs = LETTERS if depth == 0 else ROMAN
             for sign, which in zip(signs, order, strict=False):
                 child = group[which]

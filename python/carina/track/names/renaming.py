@@ -10,13 +10,15 @@ import dataclasses
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from carina.display import one_line
 from carina.track.names.name_texts import MIRRORED
 from carina.track.names.naming import SURE_ENOUGH, log_evidence_of, name_tree
 from carina.track.names.tree_fit import MISFIT
 from carina.track.tree.airway_tree import AirwayTree, Branch
 
-__all__ = ["RenamedBranch", "name_edited_tree", "renamed_branches"]
+__all__ = ["RenamedBranch", "extends_tips_only", "name_edited_tree", "renamed_branches"]
 
 MOST_ADDED = 2
 """Largest number of new branches with which the former names are kept: a new branch, and the lower part of its parent.
@@ -25,6 +27,8 @@ More branches, as beyond a bridge, are an airway without which the former names 
 """
 LEAST_LOG_PROBABILITY = math.log(0.05)
 """Logarithm of the probability of the former names in the edited tree below which branches are renamed."""
+LEAST_EXTENSION_MM = 2.0
+"""Least length by which an edit must extend a tip to be evidence for names, mm."""
 SURE_OF_NEW = 0.8
 """Least confidence of a name for a branch that had no name before the edit and is not itself new."""
 
@@ -77,6 +81,8 @@ def name_edited_tree(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
         confidence is at least 0.8.
     """
     former = {branch.id: branch for branch in before.branches}
+    if extends_tips_only(before, tree):
+        return _named_by_change(before, tree)
     anew = name_tree(tree)
     num_added = sum(branch.id not in former for branch in tree.branches)
     if num_added > MOST_ADDED or _badges(anew) != _badges(before) or _by_user(tree) != _by_user(before):
@@ -103,6 +109,53 @@ def name_edited_tree(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
         for branch in named.branches
     )
     return _with_former(dataclasses.replace(named, branches=released), former)
+
+
+def extends_tips_only(before: AirwayTree, after: AirwayTree) -> bool:
+    """Return whether an edit extended tips at their ends and added, removed and renamed no branch.
+
+    A moved fork can make a tip longer at its start, which is no new airway.
+    """
+    former = {branch.id: branch for branch in before.branches}
+    if len(after.branches) != len(former) or _by_user(before) != _by_user(after):
+        return False
+    if any(
+        b.id not in former or b.children != former[b.id].children or b.kind != former[b.id].kind for b in after.branches
+    ):
+        return False
+    return any(
+        not branch.children
+        and _length_mm(branch) > _length_mm(former[branch.id]) + LEAST_EXTENSION_MM
+        and float(np.linalg.norm(branch.points[0] - former[branch.id].points[0])) < LEAST_EXTENSION_MM
+        for branch in after.branches
+    )
+
+
+def _length_mm(branch: Branch) -> float:
+    return float(np.linalg.norm(np.diff(branch.points, axis=0), axis=1).sum())
+
+
+def _named_by_change(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
+    """Name an edited tree with the names of ``before``, changed only where the edit changes the result of naming.
+
+    ``before`` may have names from other sources, such as an older version. Where naming both trees gives one name, the
+    edit is no evidence against the present name.
+    """
+    former = {branch.id: branch for branch in before.branches}
+    without_edit = {branch.id: branch for branch in name_tree(before).branches}
+    anew = name_tree(tree)
+    if _badges(anew) != _badges(before):
+        return anew
+    made = []
+    for branch in anew.branches:
+        was = former[branch.id]
+        if was.name_from == "person" or branch.name != without_edit[branch.id].name or was.name == branch.name:
+            made.append(branch)
+        else:
+            made.append(
+                dataclasses.replace(branch, name=was.name, name_confidence=was.name_confidence, name_from=was.name_from)
+            )
+    return dataclasses.replace(anew, branches=tuple(made))
 
 
 def _is_renamed(former: Branch | None, branch: Branch) -> bool:

@@ -18,6 +18,14 @@ TWIG = 1.1
 STUB = 0.8
 """Largest distance of two forks, in radii of the airway before them, at which they are one fork into three."""
 MAX_AT_A_FORK = 5
+START_MM = 8.0
+"""Length from the start of a branch along which its radius decides its share of the flow at a fork, mm."""
+TIP_START_MM = 20.0
+"""Length from the start of a tip along which the radius of the tip is measured, mm."""
+TIP_END_MM = 6.0
+"""Length of the last part of a tip along whose direction a shorter tip is extended, mm."""
+AHEAD_MM = (10.0, 15.0, 20.0)
+"""Distances beyond a fork at which the directions of its bronchi are compared, mm."""
 LEAN = 0.22
 """Backward inclination of a trachea, in mm per mm of descent."""
 
@@ -40,11 +48,13 @@ class Bronchus:
     """Last point (3,) of the bronchus, LPS in mm."""
     length_mm: float
     radius_mm: float
-    """Mean of the median radii of its branches, weighted by their lengths."""
+    """Mean of the median radii of its branches, weighted by their lengths; of a tip, the radius of its first 20 mm."""
     direction: NDArray[np.float64]
     """Unit vector (3,) along the bronchus, LPS."""
     middle: NDArray[np.float64]
     """Centre (3,) of the tips of the tree beyond the bronchus, LPS in mm."""
+    ahead: NDArray[np.float64]
+    """Mean position (3,) of the airways 10 to 20 mm beyond the start of the bronchus, LPS in mm."""
     bulk_mm: float
     """Total length in mm of the airways from the start of the bronchus outwards."""
     below: tuple[int, ...]
@@ -88,7 +98,8 @@ def bronchi_of(tree: AirwayTree, keep: AbstractSet[int] = frozenset()) -> list[B
     place = {branch.id: number for number, branch in enumerate(branches)}
     children = [[place[child] for child in branch.children] for branch in branches]
     length = np.array([_arc(branch.points)[-1] if len(branch.points) > 1 else 0.0 for branch in branches])
-    radius = np.array([float(np.median(branch.radius)) for branch in branches])
+    # The radius of a tip must not depend on where the search lost the tip.
+    radius = np.array([float(np.median(b.radius) if b.children else _start_radius(b, TIP_START_MM)) for b in branches])
     end_radius = np.array([float(np.median(branch.radius[-max(len(branch.radius) // 3, 1) :])) for branch in branches])
     reach = length.copy()
     bulk = length.copy()
@@ -115,6 +126,7 @@ def bronchi_of(tree: AirwayTree, keep: AbstractSet[int] = frozenset()) -> list[B
                 found.append(child)
         return found
 
+    positions = _Positions(branches, children)
     made: list[Bronchus] = []
     waiting: list[tuple[int, int | None]] = [(0, None)]
     offspring: list[list[int]] = []
@@ -138,9 +150,57 @@ def bronchi_of(tree: AirwayTree, keep: AbstractSet[int] = frozenset()) -> list[B
             offspring[parent].append(number)
         waiting.extend((child, number) for child in onward)
         made.append(
-            _bronchus(branches, pieces, stubs=stubs, parent=parent, children=children, length=length, radius=radius)
+            _bronchus(
+                branches,
+                pieces,
+                stubs=stubs,
+                parent=parent,
+                children=children,
+                length=length,
+                radius=radius,
+                positions=positions,
+            )
         )
     return [dataclasses.replace(b, children=tuple(offspring[number])) for number, b in enumerate(made)]
+
+
+class _Positions:
+    """Positions of the airways at a distance beyond a fork, which hardly depend on the length of a tip."""
+
+    def __init__(self, branches: tuple[Branch, ...], children: list[list[int]]) -> None:
+        self._points = [branch.points for branch in branches]
+        self._along = [_arc(branch.points) for branch in branches]
+        self._children = children
+        self._shares: list[NDArray[np.float64]] = []
+        calibre = np.array([_start_radius(branch, START_MM) for branch in branches])
+        for inner in children:
+            area = np.maximum(calibre[inner], 1e-3) ** 2
+            self._shares.append(area / area.sum())
+
+    def position(self, number: int, distance_mm: float) -> NDArray[np.float64]:
+        """Return the mean position (3,) of the airways at a distance from the start of a branch along the tree.
+
+        A tip that ends before this distance counts as if it went on straight.
+        """
+        points, along = self._points[number], self._along[number]
+        length_mm = float(along[-1])
+        inner = self._children[number]
+        if distance_mm > length_mm and inner:
+            places = np.array([self.position(child, distance_mm - length_mm) for child in inner])
+            return np.asarray(self._shares[number] @ places)
+        if distance_mm > length_mm:
+            back = _at(points, along, max(length_mm - TIP_END_MM, 0.0))
+            return points[-1] + (distance_mm - length_mm) * _unit(points[-1] - back)
+        return _at(points, along, distance_mm)
+
+
+def _start_radius(branch: Branch, length_mm: float) -> float:
+    """Return the median radius of a branch within a length from its start, in mm."""
+    return float(np.median(branch.radius[_arc(branch.points) <= length_mm]))
+
+
+def _at(points: NDArray[np.float64], along: NDArray[np.float64], distance_mm: float) -> NDArray[np.float64]:
+    return np.array([np.interp(distance_mm, along, points[:, axis]) for axis in range(3)])
 
 
 def _bronchus(
@@ -152,6 +212,7 @@ def _bronchus(
     children: list[list[int]],
     length: NDArray[np.float64],
     radius: NDArray[np.float64],
+    positions: _Positions,
 ) -> Bronchus:
     points = np.concatenate([branches[pieces[0]].points, *(branches[p].points[1:] for p in pieces[1:])])
     along = _arc(points)
@@ -168,7 +229,7 @@ def _bronchus(
     shares = np.sqrt(np.array([max(length[t], 1e-3) for t in tips]))
     middle = np.average([branches[t].points[-1] for t in tips], axis=0, weights=shares)
     ahead = min(total, 5.0 * max(r, 0.5))
-    toward = np.array([np.interp(ahead, along, points[:, axis]) for axis in range(3)]) - points[0]
+    toward = _at(points, along, ahead) - points[0]
     if total < 2.5 * r:
         # A very short bronchus has too few points for a direction: half of it is the direction to its tips.
         toward = _unit(toward) + _unit(middle - points[0])
@@ -183,6 +244,7 @@ def _bronchus(
         radius_mm=r,
         direction=_unit(toward),
         middle=middle,
+        ahead=np.mean([positions.position(pieces[0], distance) for distance in AHEAD_MM], axis=0),
         bulk_mm=float(length[pieces].sum() + length[below].sum()),
         below=tuple(sorted(below)),
     )
