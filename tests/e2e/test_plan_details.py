@@ -6,12 +6,14 @@ import json
 
 import numpy as np
 import pytest
+import SimpleITK as sitk
 from test_plan import CHEST
 from workstation import PICTURE_MS
 
 import carina
 from cached_test_data import made_phantom
 from carina.render import DrrView
+from carina.render.radiograph import cast_drr
 
 pytestmark = pytest.mark.browser
 
@@ -21,10 +23,17 @@ NEEDLE, LESION, STATION = (255, 255, 255), (183, 156, 255), (255, 179, 199)
 
 
 @pytest.fixture
-def opens(tmp_path):
-    """Return a chest with a nodule, as the opened file."""
+def opens(tmp_path, request):
+    """Return a chest with a nodule, as the opened file; with the parameter *mirrored*, its columns are reversed."""
     carina.write_phantom(made_phantom(**CHEST), tmp_path)
-    return {"path": str(tmp_path / "ct.nii.gz")}
+    path = str(tmp_path / "ct.nii.gz")
+    if getattr(request, "param", None) == "mirrored":
+        image = sitk.ReadImage(path)
+        # A negative step reverses the voxels and their direction, so that the patient stays where it is.
+        mirrored = image[::-1, :, :]
+        assert np.linalg.det(np.reshape(mirrored.GetDirection(), (3, 3))) < 0.0
+        sitk.WriteImage(mirrored, path)
+    return {"path": path}
 
 
 def add_target(workstation, lps) -> None:
@@ -89,18 +98,21 @@ def place_in_radiograph(workstation, lps, centre_lps) -> tuple[float, float]:
     return float(x * scale), float(y * scale)
 
 
-@pytest.mark.parametrize("size", SIZES, ids=[str(width) for width, _ in SIZES])
-def test_c_arm_angles_are_listed_and_shown_in_the_x_ray_with_target_and_planned_tip(server, workstation, size):
+def plan_with_c_arm(server, workstation, size):
+    """Open the chest in a window of a size, choose the best route, and return the page and the C-arm angles."""
     workstation.page.set_viewport_size({"width": size[0], "height": size[1]})
     workstation.open(server)
     workstation.wait_ready()
-    page = workstation.page
     take_best_route(workstation)
     workstation.wait_while_working("window.__carina.state.plans.carm_standing === 'had'")
     angles = workstation.state("plans.carm.angles")
     assert angles
-    listed = page.get_by_test_id("carm-angles")
-    assert listed.locator("li > span").all_inner_texts() == [one["words"] for one in angles]
+    return workstation.page, angles
+
+
+def show_c_arm_angles(workstation, angles, name: str) -> None:
+    """Show each angle in the X-ray view, and compare the marks of target and planned tip with the geometry."""
+    page = workstation.page
     for number, one in enumerate(angles, 1):
         page.get_by_test_id(f"show-carm-{number}").click()
         workstation.wait_for(
@@ -119,7 +131,7 @@ def test_c_arm_angles_are_listed_and_shown_in_the_x_ray_with_target_and_planned_
             out,
         )
         workstation.refreshes(3)
-        workstation.picture(f"carm-{size[0]}-{number}")
+        workstation.picture(f"{name}-{number}")
         centre = made_phantom(**CHEST).volume.centre_lps
         leg = workstation.state("plans.targets[0].routes[0].leg")
         tip = place_in_radiograph(workstation, leg["tip_lps"], centre)
@@ -129,12 +141,41 @@ def test_c_arm_angles_are_listed_and_shown_in_the_x_ray_with_target_and_planned_
             # A thin line between two rows of pixels is not pure white.
             assert nearest_px(workstation, "drr", NEEDLE, (tip[0] + right, tip[1] + down), most_off=60) < 2.5
         assert nearest_px(workstation, "drr", LESION, target) < 12.0
+
+
+@pytest.mark.parametrize("size", SIZES, ids=[str(width) for width, _ in SIZES])
+def test_c_arm_angles_are_listed_and_shown_in_the_x_ray_with_target_and_planned_tip(server, workstation, size):
+    page, angles = plan_with_c_arm(server, workstation, size)
+    listed = page.get_by_test_id("carm-angles")
+    assert listed.locator("li > span").all_inner_texts() == [one["words"] for one in angles]
+    show_c_arm_angles(workstation, angles, f"carm-{size[0]}")
     if size[0] == 1440:
         with page.expect_download() as taken:
             page.get_by_test_id("take-plan.json").click()
         document = json.loads(taken.value.path().read_text())
         words = [one["words"] for one in document["c_arm"]["angles"]]
         assert words == [one["words"] for one in angles]
+    assert workstation.faults == []
+
+
+@pytest.mark.parametrize("opens", ["mirrored"], indirect=True)
+def test_c_arm_angles_of_a_ct_with_mirrored_columns_show_the_correct_side(server, workstation):
+    _, angles = plan_with_c_arm(server, workstation, SIZES[1])
+    show_c_arm_angles(workstation, angles[:1], "carm-mirrored")
+    # The picture equals that of the CT with columns in the usual order, and not its mirror image.
+    header, arm = workstation.state("frames.drr"), workstation.state("sight.carm")
+    view = DrrView(
+        primary_deg=arm["primary_deg"],
+        secondary_deg=arm["secondary_deg"],
+        width=header["width"],
+        height=header["height"],
+    )
+    expected = cast_drr(made_phantom(**CHEST).volume, view).rgb[..., 0].astype(float)
+    rows, columns = (np.arange(32) * side // 32 for side in expected.shape)
+    expected = np.add.reduceat(np.add.reduceat(expected, rows, axis=0), columns, axis=1)
+    shown = np.reshape(workstation.pixels("drr"), (32, 32, 4))[..., 0].astype(float)
+    right, wrong = (np.corrcoef(shown.ravel(), one.ravel())[0, 1] for one in (expected, expected[:, ::-1]))
+    assert abs(right) > 0.8 and abs(right) > abs(wrong) + 0.05
     assert workstation.faults == []
 
 

@@ -50,7 +50,10 @@ window.WebSocket = class extends WebSocket {
 };
 window.__settled = async (limitMs) => {
   const end = performance.now() + limitMs;
-  const refresh = () => new Promise((done) => requestAnimationFrame(done));
+  const refresh = () => new Promise((done, fail) => {
+    const late = setTimeout(() => fail(new Error('the browser does not draw the page')), end - performance.now());
+    requestAnimationFrame(() => { clearTimeout(late); done(); });
+  });
   const answer = () => new Promise((done, fail) => {
     // The answer to a cursor that moves may take this one's place: asked again.
     const again = setInterval(() => window.__ask(), 1000);
@@ -343,10 +346,13 @@ class Workstation:
     def refreshes(self, number: int) -> None:
         """Wait until the page was drawn ``number`` times, so that code of a refresh has run."""
         self.page.evaluate(
-            """async (number) => {
-                for (let n = 0; n < number; n += 1) await new Promise((done) => requestAnimationFrame(done));
+            """async ([number, limitMs]) => {
+                const late = new Promise((_, fail) =>
+                    setTimeout(() => fail(new Error('the browser does not draw the page')), limitMs));
+                for (let n = 0; n < number; n += 1)
+                    await Promise.race([late, new Promise((done) => requestAnimationFrame(done))]);
             }""",
-            number,
+            [number, PICTURE_MS],
         )
 
     def hold_until(self, key: str, condition: str, arg: Any = None) -> None:

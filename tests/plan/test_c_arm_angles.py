@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from fork_trees import moved
 from phantom_plan import airways, plan, volume
 
 from carina.plan import carm
@@ -157,3 +158,69 @@ def test_c_arm_angles_are_named_as_in_fluoroscopy() -> None:
     assert carm_words(-45, -20) == "RAO 45\u00b0, caudal 20\u00b0"
     assert "usual limits without a published source" in CARM_LIMITS
     assert angles().to_json()["limits"] == CARM_LIMITS
+
+
+def stored_otherwise(made: Volume, turn_deg: float, *, is_flipped: bool) -> Volume:
+    """Return the same patient on another grid: turned about the long axis, or with the columns in reverse order."""
+    (nz, ny, nx), centre = made.shape_zyx, made.centre_lps
+    turn = np.radians(turn_deg)
+    rotation = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    axes = rotation @ made.lps_from_ijk[:3, :3] @ np.diag([-1.0 if is_flipped else 1.0, 1.0, 1.0])
+    matrix = np.eye(4)
+    matrix[:3, :3] = axes
+    matrix[:3, 3] = centre - axes @ ((np.array([nx, ny, nz]) - 1.0) / 2.0)
+    k, j, i = np.meshgrid(np.arange(nz), np.arange(ny), np.arange(nx), indexing="ij")
+    lps = np.stack([i, j, k], axis=-1).reshape(-1, 3) @ axes.T + matrix[:3, 3]
+    ijk = np.rint((lps - made.lps_from_ijk[:3, 3]) @ np.linalg.inv(made.lps_from_ijk[:3, :3]).T).astype(int)
+    inside = ((ijk >= 0) & (ijk < [nx, ny, nz])).all(axis=1)
+    at = np.clip(ijk, 0, [nx - 1, ny - 1, nz - 1])
+    hu = np.where(inside, made.hu_zyx[at[:, 2], at[:, 1], at[:, 0]], -1000).reshape(nz, ny, nx)
+    return Volume(hu.astype(np.int16), matrix)
+
+
+@pytest.mark.parametrize(("turn_deg", "is_flipped"), [(0.0, True), (12.0, False)], ids=["mirrored", "oblique"])
+def test_grid_of_the_ct_does_not_change_the_side_of_the_angles(turn_deg: float, is_flipped: bool) -> None:
+    made = stored_otherwise(chest(), turn_deg, is_flipped=is_flipped)
+    assert (np.linalg.det(made.lps_from_ijk[:3, :3]) < 0.0) == is_flipped
+    found = carm_angles(made, airways(), plan())
+    assert found.angles
+    first, expected = found.angles[0], angles().angles[0]
+    assert overlap(first.primary_deg, first.secondary_deg) == (0, 0)
+    assert abs(first.primary_deg - expected.primary_deg) <= 10.0
+    assert abs(first.secondary_deg - expected.secondary_deg) <= 10.0
+    assert max(abs(one.primary_deg) for one in found.angles) >= 20.0
+    # The radiograph of a marker on the patient's left has it on the right.
+    view = DrrView(width=128, height=128, mm_per_px=2.5, window_mm=(4.0, 2.0))
+    hu = np.full(made.hu_zyx.shape, -1000, dtype=np.int16)
+    i, j, k = np.rint(made.to_ijk((made.centre_lps + np.array([60.0, 0.0, 0.0]))[None])[0]).astype(int)
+    hu[k - 2 : k + 3, j - 2 : j + 3, i - 2 : i + 3] = 1000
+    shown = np.asarray(cast_drr(Volume(hu, made.lps_from_ijk), view).rgb[:, :, 0] > 100)
+    assert np.argwhere(shown)[:, 1].mean() > 74.0
+
+
+def test_angles_in_a_mirrored_patient_are_on_the_other_side() -> None:
+    made = chest()
+    middle = float(made.centre_lps[0])
+    hu = np.ascontiguousarray(made.hu_zyx[:, :, ::-1])
+    flip = np.diag([-1.0, 1.0, 1.0])
+    tree = moved(airways().tree, flip, np.array([2.0 * middle, 0.0, 0.0]))
+    names = {"RML": "LML"}
+    branches = tuple(
+        dataclasses.replace(one, name=None if one.name is None else names.get(one.name, one.name))
+        for one in tree.branches
+    )
+    tree = dataclasses.replace(tree, branches=branches)
+    assert any(one.name == "LML" for one in tree.branches)
+
+    def mirrored(point: tuple[float, float, float]) -> tuple[float, float, float]:
+        return 2.0 * middle - point[0], point[1], point[2]
+
+    route = plan().routes[0]
+    leg = dataclasses.replace(route.leg, tip_lps=mirrored(route.leg.tip_lps))
+    nodule = dataclasses.replace(plan().nodule, centre_lps=mirrored(plan().nodule.centre_lps))
+    planned = dataclasses.replace(plan(), nodule=nodule, routes=(dataclasses.replace(route, leg=leg),))
+    found = carm_angles(dataclasses.replace(made, hu_zyx=hu), dataclasses.replace(airways(), tree=tree), planned)
+    first, expected = found.angles[0], angles().angles[0]
+    assert abs(expected.primary_deg) >= 15.0
+    assert first.primary_deg == pytest.approx(-expected.primary_deg, abs=10.0)
+    assert first.secondary_deg == pytest.approx(expected.secondary_deg, abs=10.0)

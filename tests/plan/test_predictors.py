@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
-from fork_trees import Points, made_tree
+from fork_trees import made_tree, random_tree
 from phantom_plan import airways, plan, volume, wall
 
 from carina.cli.plan import lines
@@ -16,7 +16,7 @@ from carina.plan.routes.predictors import mean_curvature
 from carina.plan.routes.route_width import width_of_section
 from carina.server.to_wire.plan import _route
 from carina.track import AirwayTree, measure_tree
-from carina.track.measures.diameter import Passage
+from carina_bench.plan_predictors import LIMITS, angle_by_definition, curvature_by_definition, predictor_rows
 
 
 def arc_tree(angle_deg: float, curvature: float) -> AirwayTree:
@@ -34,10 +34,12 @@ def arc_tree(angle_deg: float, curvature: float) -> AirwayTree:
     else:
         side, down = math.sin(start) * along, math.cos(start) * along
     child = np.stack([side, 0.0 * along, -60.0 - down], axis=1)
+    other = np.array([[0.0, -y, -60.0] for y in np.arange(0.0, 20.1, 0.5)])
     return made_tree(
         [
-            {"id": 0, "parent": None, "children": [1], "points": parent, "radius": np.full(len(parent), 2.5)},
+            {"id": 0, "parent": None, "children": [1, 2], "points": parent, "radius": np.full(len(parent), 2.5)},
             {"id": 1, "parent": 0, "children": [], "points": child, "radius": np.linspace(2.0, 1.0, len(child))},
+            {"id": 2, "parent": 0, "children": [], "points": other, "radius": np.full(len(other), 1.0)},
         ]
     )
 
@@ -56,72 +58,44 @@ def test_predictors_of_analytic_tubes_are_their_true_angle_diameter_and_curvatur
         assert found.section_mm == 20.0
 
 
-def between(points: Points, from_mm: float, to_mm: float) -> Points:
-    """Return points every 0.02 mm of a polyline between two distances, by a walk along its segments."""
-    found = []
-    wanted, walked = from_mm, 0.0
-    for start, end in itertools.pairwise(points):
-        length = math.dist(start, end)
-        while wanted <= min(walked + length, to_mm) and length > 0.0:
-            found.append(start + (end - start) * (wanted - walked) / length)
-            wanted += 0.02
-        walked += length
-    return np.array(found)
-
-
-def second_angle_deg(tree: AirwayTree, branch_id: int) -> float:
-    """Return the angle between two chords of two diameters on both sides of a fork."""
-    parent, child = tree.lineage(branch_id)[-2:]
-    ahead = []
-    for branch, is_end in ((parent, True), (child, False)):
-        reach = 4.0 * sorted(branch.radius)[len(branch.radius) // 2]
-        length = sum(math.dist(*pair) for pair in itertools.pairwise(branch.points))
-        part = between(branch.points, max(length - reach, 0.0), length) if is_end else between(branch.points, 0, reach)
-        ahead.append(part[-1] - part[0])
-    one, other = ahead
-    return math.degrees(math.atan2(float(np.linalg.norm(np.cross(one, other))), float(one @ other)))
-
-
-def second_curvature(points: Points, from_mm: float, to_mm: float) -> float:
-    """Return the mean of the turns between the chords before and after each place, per mm, in steps of 0.1 mm."""
-    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-    low, high = max(from_mm, 3.0), min(to_mm, length - 3.0)
-    fine = between(points, low - 3.0, high + 3.0)
-    chords = fine[300:] - fine[:-300]
-    total = 0.0
-    for n in range(0, len(chords) - 5, 5):
-        one, other = chords[n], chords[n + 5]
-        total += math.atan2(float(np.linalg.norm(np.cross(one, other))), float(one @ other))
-    return total / (high - low)
-
-
 def test_predictors_of_phantom_routes_equal_an_independent_calculation() -> None:
     measures = measure_tree(volume(), airways())
-    assert len(plan().routes) >= 2
-    for route in plan().routes:
-        found = route.predictors
-        assert found is not None
-        assert found.bifurcation_deg == pytest.approx(second_angle_deg(airways().tree, route.branch_id), abs=1.0)
-        lineage = airways().tree.lineage(route.branch_id)
-        points = np.concatenate([lineage[0].points, *(branch.points[1:] for branch in lineage[1:])])
-        slow = second_curvature(points, route.along_mm - 20.0, route.along_mm)
-        assert found.curvature_per_mm == pytest.approx(slow, abs=0.005)
-        diameters = []
-        before_mm = 0.0
-        for branch in lineage:
-            for at, mm in zip(*_passage(measures.passage(branch.id)), strict=True):
-                if route.along_mm - 20.0 <= before_mm + at <= route.along_mm:
-                    diameters.append(mm)
-            before_mm += branch.length_mm
-        if diameters and found.width.source == "sections":
-            assert found.width.mm <= min(diameters) + 0.1
-            assert found.width.mm >= route.narrowest_mm - 1e-9
-        if found.width.source == "sections" and len(diameters) > 5:
-            assert found.width.mm == pytest.approx(min(diameters), abs=0.1)
+    rows = list(predictor_rows(airways().tree, measures, max(volume().spacing_mm)))
+    assert len(rows) > 20
+    for name, limit in LIMITS.items():
+        pairs = [row[name] for row in rows if row[name][1] is not None]
+        assert len(pairs) > 20
+        for found, slow in pairs:
+            assert found == pytest.approx(slow, abs=limit), name
 
 
-def _passage(passage: Passage) -> tuple[list[float], list[float]]:
-    return passage.at_mm.tolist(), passage.diameter_mm.tolist()
+@pytest.mark.parametrize("seed", range(12))
+def test_angle_and_curvature_in_random_trees_equal_an_independent_calculation(seed: int) -> None:
+    tree = random_tree(seed, curl=0.4)
+    for branch in tree.branches[1:]:
+        along = sum(one.length_mm for one in tree.lineage(branch.id))
+        for end in (along, along - 0.37 * branch.length_mm):
+            found = route_predictors(tree, branch.id, end)
+            assert found.bifurcation_deg == pytest.approx(angle_by_definition(tree, branch.id), abs=1.0)
+            slow = curvature_by_definition(tree, branch.id, end)
+            assert found.curvature_per_mm == (None if slow is None else pytest.approx(slow, abs=0.005))
+
+
+def test_bifurcation_angle_of_an_extension_is_that_of_the_last_fork() -> None:
+    def row(number: int, parent: int | None, children: list[int], *ends: list[float]) -> dict[str, Any]:
+        points = np.linspace(*(np.array(end, dtype=float) for end in ends), 21)
+        return {"id": number, "parent": parent, "children": children, "points": points, "radius": np.full(21, 1.0)}
+
+    tree = made_tree(
+        [
+            row(0, None, [1, 2], [0, 0, 0], [0, 0, -40]),
+            row(1, 0, [3], [0, 0, -40], [20, 0, -60]),
+            row(2, 0, [], [0, 0, -40], [-20, 0, -40]),
+            row(3, 1, [], [20, 0, -60], [40, 0, -60]),
+        ]
+    )
+    assert route_predictors(tree, 3, 80.0).bifurcation_deg == pytest.approx(45.0, abs=0.1)
+    assert route_predictors(tree, 0, 30.0).bifurcation_deg is None
 
 
 def test_least_diameter_predictor_of_the_complete_route_is_the_narrowest_diameter_of_the_route() -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +16,7 @@ from carina.display import one_line
 from carina.plan.routes.main_carina import ROOT, DistanceOrigin
 from carina.plan.routes.route_width import RouteWidth, width_of_section
 from carina.scopes import WallField
-from carina.track import AirwayTree, TreeMeasures
+from carina.track import AirwayTree, Branch, TreeMeasures
 from carina.track.measures.forks import angle_deg, point_at, run_mm
 
 __all__ = ["PREDICTOR_SOURCE", "PREDICTOR_WORDS", "SECTION_MM", "RoutePredictors", "mean_curvature", "route_predictors"]
@@ -25,7 +27,7 @@ SECTION_MM = 20.0
 """Length in mm of the last section of a route, on which diameter and curvature are measured."""
 CHORD_MM = 3.0
 """Half the length in mm of the chords that give the direction of the axis."""
-STEP_MM = 1.0
+STEP_MM = 0.25
 """Distance in mm between the places at which the direction of the axis is measured."""
 PREDICTOR_SOURCE = "Cancer Imaging 2024, doi 10.1186/s40644-024-00730-7"
 """Source of the predictors, of which the abstract was read."""
@@ -42,9 +44,10 @@ class RoutePredictors:
     """Predictors of a failed navigation for one route; the source publishes no limits."""
 
     bifurcation_deg: float | None
-    """Angle in degrees between the axes of the branch of the scope's tip and of its parent; 0 for straight on.
+    """Angle in degrees between the axes before and after the last fork of the route; 0 for straight on.
 
-    None if the tip is in the first branch of the tree.
+    A branch that is the only one from its parent, such as an extension drawn by hand, begins at no fork. None if the
+    route passes no fork.
     """
     width: RouteWidth
     """Least diameter of the last section, with its error and place."""
@@ -125,11 +128,16 @@ def route_predictors(
     points = np.concatenate([lineage[0].points, *(branch.points[1:] for branch in lineage[1:])])
     begins_mm = max(along_mm - SECTION_MM, 0.0)
     return RoutePredictors(
-        bifurcation_deg=angle_deg(lineage[-2], lineage[-1]) if len(lineage) > 1 else None,
+        bifurcation_deg=_bifurcation_deg(lineage),
         width=width_of_section(lineage, wall, measures, spacing_mm, section_mm=(begins_mm, along_mm), origin=origin),
         curvature_per_mm=mean_curvature(points, begins_mm, along_mm),
         section_mm=min(along_mm - begins_mm, SECTION_MM),
     )
+
+
+def _bifurcation_deg(lineage: Sequence[Branch]) -> float | None:
+    forks = [(mother, daughter) for mother, daughter in itertools.pairwise(lineage) if len(mother.children) > 1]
+    return angle_deg(*forks[-1]) if forks else None
 
 
 def mean_curvature(points: Points, begins_mm: float, ends_mm: float) -> float | None:

@@ -236,12 +236,15 @@ def openings_seen(camera: Pose, walls: ForkWalls, branches: Sequence[Branch], wa
 
 def _seen_through(outline: NDArray[np.bool_], camera: Pose, axis_lps: Points, walls_lps: Points) -> Points:
     """Return the first run of points of a centreline that are in an opening and in front of its wall."""
+    inner = np.pad(outline, 1)
+    # A dot on the edge could be outside the outline of a finer picture.
+    inner = inner[:-2, 1:-1] & inner[2:, 1:-1] & inner[1:-1, :-2] & inner[1:-1, 2:] & outline
     found: list[Points] = []
     for point in axis_lps:
         column, row = (int(v) for v in pixel_at(camera, point, outline.shape[0]))
         depth = float(np.linalg.norm(walls_lps[row, column] - camera.position_lps))
         # The depth is not a number where no wall is near.
-        if outline[row, column] and not float(np.linalg.norm(point - camera.position_lps)) > depth:
+        if inner[row, column] and not float(np.linalg.norm(point - camera.position_lps)) > depth:
             found.append(point)
         elif found:
             break
