@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from carina.plan.hand_moves import Move
 from carina.plan.report.colours import ACCENT, INK, LEG, PALE, QUIET, WARNING
 from carina.plan.report.drawing import Disc, Drawing, Label, LineStyle, Place, Shape, Stroke
 from carina.plan.report.plan_sheet import Fork, PlanSheet
@@ -366,7 +365,7 @@ def _fork_row(fork: Fork, sheet: PlanSheet, layout: _Layout) -> _Row:
             facts.append(f"just past {joined(turn.through)}")
         if turn.others and not layout.is_short:
             facts.append(f"not {joined([f'{one.name} ({one.direction(sheet.operator)})' for one in turn.others])}")
-    moves = "" if turn is None or turn.moves is None else _moves(turn.moves, layout)
+    moves = "" if turn is None or turn.moves is None else _moves(layout)(turn.moves)
     if layout.is_list:
         right = "" if turn is None else turn.direction(sheet.operator)
         return _listed_row(fork, right, ", ".join(facts), layout)
@@ -376,10 +375,11 @@ def _fork_row(fork: Fork, sheet: PlanSheet, layout: _Layout) -> _Row:
     return _row(fork, title, "" if turn is None else turn.direction(sheet.operator), texts, layout)
 
 
-def _moves(moves: Sequence[Move], layout: _Layout) -> str:
+def _moves(layout: _Layout) -> Callable[..., str]:
+    """Return the function that converts moves of the hand to the text of a layout."""
     if layout.is_list:
-        return ""
-    return moves_sum_words(moves) if layout.sums_moves else moves_words(moves)
+        return lambda _moves: ""
+    return moves_sum_words if layout.sums_moves else moves_words
 
 
 def _listed_row(fork: Fork, right: str, facts: str, layout: _Layout) -> _Row:
@@ -415,7 +415,7 @@ def _end_row(sheet: PlanSheet, layout: _Layout) -> _Row:
         f"{leg.in_target_mm:.0f} mm within it; {leg.vessel_words}"
     )
     parking = () if sheet.turns is None else sheet.turns.park_moves or ()
-    texts = _with_moves(text, _moves(parking, layout), layout)
+    texts = _with_moves(text, _moves(layout)(parking), layout)
     texts += [(words, WARNING) for words in _end_warnings(sheet)]
     has_moves = bool(parking) or any(fork.turn is not None and fork.turn.moves for fork in sheet.forks)
     if has_moves and (layout.sums_moves or layout.is_list):
