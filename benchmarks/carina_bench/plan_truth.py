@@ -18,11 +18,18 @@ outlook states that the scope reaches the target.
 These rules ignore whether the scope can point there. Therefore each row also has ``points``: whether a drive of the
 scope along the first route *in the wall of the true airways* arrives and at least half of the needles with random
 errors, from the tip and in the direction of the drive, meet the true nodule.
-The old figure (``arrives``) and the new one (``arrives`` and ``points``) are reported beside each other. With
-``--holds`` (slow), places and holds of the scope in the true wall are searched for one from which at least half of the
-needles with random errors hit each target (``could``), and the share of these targets with such a route is reported.
-The search shares no code with the drive but the scope's mechanics. It lays the scope to each place without a drive, and
-so misses poses that only a drive takes: a target that the drive in the true wall hits counts as hit too.
+The old figure (``arrives``) and the new one (``arrives`` and ``points``) are reported beside each other.
+
+Two searches in the true airways look for holds of the scope from which at least half of the needles with random errors
+hit each target:
+
+- ``could`` (``--holds``, seconds for a target): the exhaustive geometric search of `carina_bench.plan_holds`, which
+  shares no code with the plan, the drive or the mechanics. It ignores whether a drive leads to the hold.
+- ``laid`` (``--laid``, half a minute for a target): holds of the elastic model, laid to places of the true airways
+  without a drive. It shares the scope's mechanics with the drive and misses poses that only a drive takes.
+
+A first route is ``accepted`` if the geometric search also finds such a hold with the tip near the end of the route's
+drive. The doubts about a target are listed and confirmed, because the target is known to be a nodule.
 """
 
 from __future__ import annotations
@@ -51,6 +58,7 @@ from carina.scopes import ScopeDrive, ScopePreset, WallField, scope_preset
 from carina.track import AirwayTree
 from carina_bench import plan_cases
 from carina_bench.plan_cases import PlanCase, Target, TrueTree, found_case, patient_cases, phantom_case, true_wall
+from carina_bench.plan_holds import find_hold
 
 __all__ = ["Flight", "flown", "is_reachable", "run"]
 
@@ -67,6 +75,8 @@ LAID_MM, NUM_FINER, FINER_DEG, NEARLY_DEG = 3.0, 3, (-20.0, -10.0, 0.0, 10.0, 20
 
 Holds of a place are refined if one points past the target's edge by less than the last angle.
 """
+NEAR_TIP_MM = 5.0
+"""Distance in mm from the tip after a route's drive within which the geometric search must find a hold."""
 LEAST_HITS, NUM_NEEDLES = 0.5, 400
 """Least share of needles that hit from a hold, and number of simulated needles."""
 LEAST_POINTS, MOST_TOLD_WRONG = 0.9, 0.01
@@ -208,6 +218,13 @@ def points(case: PlanCase, target: Target, plan: Plan, wall: WallField) -> bool:
     return _strikes(verdict.driven.lps_from_camera[-1], target, plan.tool.reach_mm)
 
 
+def accepted(case: PlanCase, target: Target, plan: Plan) -> bool:
+    """Return whether the geometric search finds a hold that hits, near the tip after the first route's drive."""
+    tip = np.array(plan.routes[0].leg.tip_lps)
+    found = find_hold(case.truth, target, plan.scope, plan.tool.reach_mm, near_lps=tip, near_mm=NEAR_TIP_MM)
+    return found is not None
+
+
 def held(case: PlanCase, target: Target, scope: ScopePreset, reach_mm: float, wall: WallField) -> bool:
     """Return whether a hold of the scope, laid to some place of the true airways, hits the true nodule.
 
@@ -285,7 +302,7 @@ def _hits(lps_from_tip: Floats, target: Target, reach_mm: float) -> float:
     return float((np.linalg.norm(along[:, None] * ways - off, axis=1) <= target.radius_mm).mean())
 
 
-def judged(case: PlanCase, say: Say, *, with_holds: bool = False) -> Iterator[Row]:
+def judged(case: PlanCase, say: Say, *, with_holds: bool = False, with_laid: bool = False) -> Iterator[Row]:
     """Yield a row for each target: whether it is reachable, the stated outlook, and whether the first route arrives."""
     scope, wall = SCOPE, true_wall(case.truth)
     assert case.airways is not None and case.wall is not None
@@ -294,11 +311,25 @@ def judged(case: PlanCase, say: Say, *, with_holds: bool = False) -> Iterator[Ro
         try:
             nodule = grow_nodule(case.volume, target.centre_lps)
             start = time.perf_counter()
-            plan = plan_route(case.volume, case.airways, nodule, scope=scope, tool=TOOL, wall=case.wall, moved_mm=0.0)
+            cpu = time.process_time()
+            plan = plan_route(
+                case.volume,
+                case.airways,
+                nodule,
+                scope=scope,
+                tool=TOOL,
+                wall=case.wall,
+                moved_mm=0.0,
+                confirmed=True,
+            )
             row["seconds"] = round(time.perf_counter() - start, 2)
+            row["cpu_seconds"] = round(time.process_time() - cpu, 2)
+            row["doubts"] = [doubt.code for doubt in plan.doubts]
         except CarinaError as error:
             row |= {"reachable": is_reachable(case.truth, target, scope, 15.0), "told": "refused", "arrives": False}
             row["why"] = str(error)[:100]
+            if with_holds:
+                row["could"] = find_hold(case.truth, target, scope, 15.0) is not None
             yield row
             continue
         reach_mm = plan.tool.reach_mm
@@ -308,28 +339,39 @@ def judged(case: PlanCase, say: Say, *, with_holds: bool = False) -> Iterator[Ro
         if plan.routes:
             flight = flown(case, target, plan.routes[0], scope, reach_mm)
             row["points"] = points(case, target, plan, wall)
-        if with_holds:
-            row["could"] = row.get("points", False) or held(case, target, scope, reach_mm, wall)
         row |= {"arrives": flight.arrives, "why": flight.why}
-        if (row["reachable"] and not flight.arrives) or (row["told"] == "reaches" and not flight.arrives):
+        if with_holds:
+            row["could"] = find_hold(case.truth, target, scope, reach_mm) is not None
+            if with_laid:
+                row["laid"] = held(case, target, scope, reach_mm, wall)
+            if row["told"] == "reaches":
+                row["accepted"] = accepted(case, target, plan)
+            say(json.dumps(row))
+        elif (row["reachable"] and not flight.arrives) or (row["told"] == "reaches" and not flight.arrives):
             say(json.dumps(row))
         yield row
 
 
 def kept_rows(
-    folder: Path | None, name: str, make: Callable[[], PlanCase], say: Say, *, with_holds: bool = False
+    folder: Path | None,
+    name: str,
+    make: Callable[[], PlanCase],
+    say: Say,
+    *,
+    with_holds: bool = False,
+    with_laid: bool = False,
 ) -> list[Row]:
     """Return the rows of the case ``name`` that the same code has stored in ``folder``; else judge and store them."""
     kept = None if folder is None else folder / "rows" / f"{name}.json"
     if kept is not None and kept.exists():
         found = json.loads(kept.read_text())
-        if found["code"] == CODE and (not with_holds or all("could" in row for row in found["rows"])):
+        if found["code"] == CODE and _is_searched(found["rows"], with_holds, with_laid):
             rows: list[Row] = found["rows"]
             return rows
     start = time.process_time()
     case = found_case(folder, name, make, say)
     found_s = time.process_time() - start
-    rows = list(judged(case, say, with_holds=with_holds))
+    rows = list(judged(case, say, with_holds=with_holds, with_laid=with_laid))
     arrived, reachable = sum(row["reachable"] and row["arrives"] for row in rows), sum(row["reachable"] for row in rows)
     planned_s = time.process_time() - start - found_s
     say(
@@ -342,6 +384,14 @@ def kept_rows(
         draft.write_text(json.dumps({"code": CODE, "rows": rows}, indent=0))
         draft.rename(kept)
     return rows
+
+
+def _is_searched(rows: Sequence[Row], with_holds: bool, with_laid: bool) -> bool:
+    planned = [row for row in rows if row["told"] != "refused"]
+    return all(
+        not wanted or all(name in row for row in planned)
+        for name, wanted in (("could", with_holds), ("laid", with_laid))
+    )
 
 
 def _told(plan: Plan) -> Row:
@@ -388,53 +438,72 @@ def summary(rows: Sequence[Row], what: str) -> list[Row]:
 def _pointing(rows: Sequence[Row], what: str) -> list[Row]:
     """Return the summary rows about the drives' pointing; without told routes or holds, their figures are None."""
     told = [row for row in rows if row["told"] == "reaches"]
-    right = [row for row in told if row["arrives"] and row.get("points", False)]
-    searched = [row for row in rows if "could" in row]
-    could = [row for row in searched if row["could"]]
-    cannot = [row for row in searched if not row["could"]]
-    wrong = sum(row["told"] == "reaches" and not row.get("points", False) for row in cannot)
+    right = [row for row in told if row["arrives"] and row.get("points", False) and row.get("accepted", True)]
+    is_searched = any("could" in row for row in told)
 
     def row(text: str, of: str, part: int, whole: int, limit: float, better: str) -> Row:
         figure = part / whole if whole else None
-        return {"what": text, "case": f"{what}, {of}", "figure": figure, "limit": limit, "better": better}
+        return {
+            "what": text,
+            "case": f"{what}, {part} of {whole} {of}",
+            "figure": figure,
+            "limit": limit,
+            "better": better,
+        }
 
-    got = sum(one["told"] == "reaches" and one.get("points", False) for one in could)
-    return [
-        row(
-            "first routes told reachable that arrive and point",
-            f"{len(told)} told",
-            len(right),
-            len(told),
-            LEAST_POINTS,
-            "higher",
-        ),
-        row("targets that a hold hits with such a route", f"{len(could)} hit", got, len(could), LEAST_POINTS, "higher"),
-        row(
-            "targets that no hold hits told reachable",
-            f"{len(cannot)} not hit",
-            wrong,
-            len(cannot),
-            MOST_TOLD_WRONG,
-            "lower",
-        ),
-    ]
+    checks = "arrive, point and are accepted" if is_searched else "arrive and point"
+    found = [row(f"first routes told reachable that {checks}", "told", len(right), len(told), LEAST_POINTS, "higher")]
+    for name, words in (("could", "geometric"), ("laid", "elastic")):
+        searched = [one for one in rows if name in one]
+        # A drive in the true wall that hits shows that the target can be hit, although a search has missed the hold.
+        hit = [one for one in searched if one[name] or one.get("points", False)]
+        missed = [one for one in searched if not (one[name] or one.get("points", False))]
+        got = sum(one["told"] == "reaches" and one.get("points", False) for one in hit)
+        wrong = sum(one["told"] == "reaches" for one in missed)
+        found += [
+            row(f"targets that a {words} hold hits with such a route", "hit", got, len(hit), LEAST_POINTS, "higher"),
+            row(
+                f"targets that no {words} hold hits told reachable",
+                "not hit",
+                wrong,
+                len(missed),
+                MOST_TOLD_WRONG,
+                "lower",
+            ),
+        ]
+    return found
 
 
-def run(quick: bool, say: Say, folder: Path | None = None, *, with_holds: bool = False) -> list[Row]:
-    """Return the summary rows of painted patients, of phantoms, and of both together."""
+def run(
+    quick: bool,
+    say: Say,
+    folder: Path | None = None,
+    *,
+    with_holds: bool = False,
+    with_laid: bool = False,
+    seeds: Sequence[int] | None = None,
+    patients: Sequence[str] | None = None,
+    nodules: int = NUM_PER_PHANTOM,
+) -> list[Row]:
+    """Return the summary rows of painted patients, of phantoms, and of both together.
+
+    Seeds of the phantoms and names of the patients replace the default ones.
+    """
     data = load_settings().data_dir
+    if seeds is None:
+        seeds = PHANTOM_SEEDS[:2] if quick else PHANTOM_SEEDS
+    rows_of = partial(kept_rows, folder, say=say, with_holds=with_holds, with_laid=with_laid)
     phantoms: list[Row] = []
-    for seed in PHANTOM_SEEDS[:2] if quick else PHANTOM_SEEDS:
-        phantoms += kept_rows(
-            folder, f"phantom-{seed}", partial(phantom_case, seed, num=NUM_PER_PHANTOM), say, with_holds=with_holds
-        )
-    patients: list[Row] = []
+    for seed in seeds:
+        phantoms += rows_of(f"phantom-{seed}", partial(phantom_case, seed, num=nodules))
+    painted: list[Row] = []
     if data is not None:
-        wanted = list(PATIENTS[:1] if quick else PATIENTS)
-        for name, make in patient_cases(data, wanted, CONDITION, NUM_PER_PATIENT, say):
-            patients += kept_rows(folder, name, make, say, with_holds=with_holds)
+        if patients is None:
+            patients = PATIENTS[:1] if quick else PATIENTS
+        for name, make in patient_cases(data, list(patients), CONDITION, NUM_PER_PATIENT, say):
+            painted += rows_of(name, make)
     rows = []
-    for what, part in (("painted", patients), ("phantoms", phantoms), ("all", [*patients, *phantoms])):
+    for what, part in (("painted", painted), ("phantoms", phantoms), ("all", [*painted, *phantoms])):
         if part:
             say(f"{what}: told {dict(Counter(row['told'] for row in part))}")
             rows += summary(part, what)
@@ -446,9 +515,23 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="Where the CTs with their airways are kept.")
     parser.add_argument("--quick", action="store_true", help="One patient and two phantoms.")
-    parser.add_argument("--holds", action="store_true", help="Search holds of the scope that hit each target (slow).")
+    parser.add_argument("--holds", action="store_true", help="Search holds that hit each target by geometry.")
+    parser.add_argument("--laid", action="store_true", help="Also search holds of the elastic model (slow).")
+    parser.add_argument("--phantoms", type=int, nargs="*", help="Seeds of the phantoms; none without a number.")
+    parser.add_argument("--patients", nargs="*", help="Names of the painted patients; none without a name.")
+    parser.add_argument("--nodules", type=int, default=NUM_PER_PHANTOM, help="Number of nodules in a phantom.")
     options = parser.parse_args()
-    for row in run(options.quick, print, options.folder, with_holds=options.holds):
+    say = partial(print, flush=True)
+    for row in run(
+        options.quick,
+        say,
+        options.folder,
+        with_holds=options.holds or options.laid,
+        with_laid=options.laid,
+        seeds=options.phantoms,
+        patients=options.patients,
+        nodules=options.nodules,
+    ):
         figure = "none" if row["figure"] is None else f"{row['figure']:.4f}"
         print(f"{row['what']} ({row['case']}): {figure}, limit {row['limit']:g}", row.get("of_told", ""))
 
