@@ -2,8 +2,8 @@
 
 ``python -m carina_bench.plan_surroundings vessels|lungs|fissures|lobes [CASE ...]`` prints a line of JSON per case.
 *vessels* compares the vessels around needle lines, *lungs* the vessels of complete lungs. Painting needs scipy and
-scikit-image; painted CTs are stored in the folder ``--keep``. Cases: ``phantom-SEED``, ``Patient1`` to ``Patient3`` (painted), and
-``lobes-Patient1`` to ``lobes-Patient3`` (masks of lobes).
+scikit-image; painted CTs are stored in the folder ``--keep``. Cases: ``phantom-SEED``, ``Patient1`` to ``Patient3``
+(painted), and ``lobes-Patient1`` to ``lobes-Patient3`` (masks of lobes).
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import pytest
 import SimpleITK as sitk
 from edit_case import edit_case, in_plain_lung, open_ended_volume
 
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.export import write_mask
 from carina.phantom import write_phantom
 from carina.track import find_airways, measure_tree
@@ -19,12 +19,12 @@ from carina.volume import open_volume
 @pytest.fixture(scope="module")
 def case(tmp_path_factory):
     folder = tmp_path_factory.mktemp("phantom")
-    write_phantom(made_phantom(seed=4, spacing_mm=1.5, generations=3), folder)
+    write_phantom(cached_phantom(seed=4, spacing_mm=1.5, generations=3), folder)
     return folder
 
 
 def test_airways_command_states_the_calibrated_detection_shares_for_thick_slices(carina, tmp_path):
-    chest = made_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=4)
+    chest = cached_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=4)
     write_phantom(chest, tmp_path)
     found = carina("airways", tmp_path / "ct.nii.gz", "--json")
     report = found.json()

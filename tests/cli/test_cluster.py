@@ -122,11 +122,11 @@ def test_join_command_exits_with_the_reason_if_the_machine_cannot_join_the_clust
 
 
 def test_local_cluster_warns_about_its_open_ports_before_it_opens_them(monkeypatch, tmp_path, capsys):
-    told = ""
+    warning = ""
 
     def node(*_: object, **__: object) -> None:
-        nonlocal told
-        told = capsys.readouterr().err
+        nonlocal warning
+        warning = capsys.readouterr().err
         raise ClusterError("enough", code="cluster.start")
 
     backend = types.ModuleType("carina.cluster.ray_backend")
@@ -139,8 +139,8 @@ def test_local_cluster_warns_about_its_open_ports_before_it_opens_them(monkeypat
     opened = cluster.opened_cluster("local", token=tmp_path / "token", mixed=False)
     with pytest.raises(ClusterError, match="enough"), opened:
         pass
-    assert "Ray listens on every address of this machine, not only on 127.0.0.2" in told
-    assert "docs/cluster.md" in told
+    assert "Ray listens on every address of this machine, not only on 127.0.0.2" in warning
+    assert "docs/cluster.md" in warning
 
 
 @needs_ray

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import carina
 import carina.track
-from cached_test_data import found_airways, made_phantom
+from cached_test_data import cached_phantom, found_airways
 from carina.cli.app import app
 from carina.config import load_settings
 from carina.plan import judge_pairs
@@ -23,7 +23,7 @@ from carina.volume import write_grid
 @pytest.fixture(scope="module")
 def chest(tmp_path_factory):
     """Return the file of a chest with a nodule, and a point in the nodule as an argument."""
-    made = made_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
+    made = cached_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
     folder = tmp_path_factory.mktemp("chest")
     carina.write_phantom(made, folder)
     return folder / "ct.nii.gz", made.truth["nodule"]["centre_lps"]
@@ -118,7 +118,7 @@ def test_airways_command_reports_a_mirrored_chest_in_the_terminal_and_as_a_badge
 @pytest.fixture(scope="module")
 def thick_chest(tmp_path_factory):
     """Return the file of a chest with a nodule in slices of 3 mm, and a point in the nodule as an argument."""
-    made = made_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=5, nodule=True)
+    made = cached_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=5, nodule=True)
     folder = tmp_path_factory.mktemp("thick")
     carina.write_phantom(made, folder)
     return folder / "ct.nii.gz", made.truth["nodule"]["centre_lps"]

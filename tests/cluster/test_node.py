@@ -70,9 +70,9 @@ def test_kuberay_manifest_sets_the_same_environment_as_a_node(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "starts", "told"), [(node.TIMED_OUT, 3, node.TIMED_OUT), ("no such option", 1, "no such option")]
+    ("words", "starts", "message"), [(node.TIMED_OUT, 3, node.TIMED_OUT), ("no such option", 1, "no such option")]
 )
-def test_node_start_is_repeated_after_a_timeout_and_not_after_a_refusal(tmp_path, monkeypatch, words, starts, told):
+def test_node_start_is_repeated_after_a_timeout_and_not_after_a_refusal(tmp_path, monkeypatch, words, starts, message):
     """Use a busy machine and an invalid argument.
 
     On a busy machine Ray's helper processes exceed a time limit; an invalid argument always fails.
@@ -84,7 +84,7 @@ def test_node_start_is_repeated_after_a_timeout_and_not_after_a_refusal(tmp_path
     made.stop()
     made._command, made._starts_left, made._log = [sys.executable, "-c", program], 3, log.open("ab")
     made.process = made._started()
-    with pytest.raises(ClusterError, match=told):
+    with pytest.raises(ClusterError, match=message):
         made.wait_ready(600.0)
     made.stop()
     assert began.read_text() == "x" * starts

@@ -8,7 +8,7 @@ from page_positions import place_in_slice, place_in_tri_plane, show_slices_at
 from playwright.sync_api import expect
 
 from carina.volume import write_grid
-from vessel_phantom import made_vessel
+from vessel_phantom import bent_vessel
 
 pytestmark = pytest.mark.browser
 
@@ -18,7 +18,7 @@ FAILED_SEARCH = "window.__carina.state.session?.airways === 'failed' && window._
 @pytest.fixture(scope="module")
 def vessel(tmp_path_factory):
     """Return the file of a scan with a bent vessel, and the start, the corner and the end of the vessel, LPS mm."""
-    volume, inside, root, corner, end = made_vessel()
+    volume, inside, root, corner, end = bent_vessel()
     scan = tmp_path_factory.mktemp("vessel") / "vessel.nii.gz"
     write_grid(scan, volume.hu_zyx, volume.lps_from_ijk, what="the scan")
     return scan, volume, inside, *(point.tolist() for point in (root, corner, end))

@@ -10,7 +10,7 @@ from test_plan import CHEST
 from workstation import PICTURE_MS
 
 import carina
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.render import DrrView
 
 pytestmark = pytest.mark.browser
@@ -23,7 +23,7 @@ NEEDLE, LESION, STATION = (255, 255, 255), (183, 156, 255), (255, 179, 199)
 @pytest.fixture
 def opens(tmp_path):
     """Return a chest with a nodule, as the opened file."""
-    carina.write_phantom(made_phantom(**CHEST), tmp_path)
+    carina.write_phantom(cached_phantom(**CHEST), tmp_path)
     return {"path": str(tmp_path / "ct.nii.gz")}
 
 
@@ -40,7 +40,7 @@ def add_target(workstation, lps) -> None:
 
 def take_best_route(workstation) -> None:
     """Add the nodule as a target, and choose its best route."""
-    add_target(workstation, made_phantom(**CHEST).truth["nodule"]["centre_lps"])
+    add_target(workstation, cached_phantom(**CHEST).truth["nodule"]["centre_lps"])
     workstation.wait_while_working("window.__carina.state.plans?.targets[0]?.routes.length > 0")
     page = workstation.page
     wide = page.viewport_size["width"] >= 1600
@@ -120,7 +120,7 @@ def test_c_arm_angles_are_listed_and_shown_in_the_x_ray_with_target_and_planned_
         )
         workstation.refreshes(3)
         workstation.picture(f"carm-{size[0]}-{number}")
-        centre = made_phantom(**CHEST).volume.centre_lps
+        centre = cached_phantom(**CHEST).volume.centre_lps
         leg = workstation.state("plans.targets[0].routes[0].leg")
         tip = place_in_radiograph(workstation, leg["tip_lps"], centre)
         target = place_in_radiograph(workstation, workstation.state("plans.targets[0].centre_lps"), centre)
@@ -190,7 +190,7 @@ def test_targets_are_compared_in_one_table_and_a_click_on_a_row_selects_its_targ
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page
-    x, y, z = made_phantom(**CHEST).truth["nodule"]["centre_lps"]
+    x, y, z = cached_phantom(**CHEST).truth["nodule"]["centre_lps"]
     add_target(workstation, (x, y, z))
     assert page.get_by_test_id("compare-targets").count() == 0
     add_target(workstation, (x + 1.0, y, z))

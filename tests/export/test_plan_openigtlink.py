@@ -175,20 +175,20 @@ def split(data: bytes) -> list[bytes]:
 
 
 def test_receiver_such_as_slicer_gets_all_messages_of_the_plan():
-    heard: list[bytes] = []
+    received_data: list[bytes] = []
     with socket.create_server(("127.0.0.1", 0)) as server:
 
         def listen() -> None:
             peer, _ = server.accept()
             with peer:
                 while data := peer.recv(1000):
-                    heard.append(data)
+                    received_data.append(data)
 
         thread = threading.Thread(target=listen)
         thread.start()
         num = send_plan(a_plan(), a_tree(), port=server.getsockname()[1])
         thread.join()
-    messages = split(b"".join(heard))
+    messages = split(b"".join(received_data))
     assert num == len(messages) == 8
     assert [content_of(one) for one in messages] == [content_of(one) for one in plan_messages(a_plan(), a_tree())]
 

@@ -144,16 +144,16 @@ def test_clicks_outside_nodules_are_refused_with_their_anatomical_region(at, cod
 
 
 def test_segmentation_of_a_nodule_can_be_cancelled_between_its_steps():
-    told = []
+    reported = []
 
     def stop(what, share):
-        told.append((what, share))
-        if len(told) == 3:
+        reported.append((what, share))
+        if len(reported) == 3:
             raise CancelledError("stopped")
 
     with pytest.raises(CancelledError):
         grow_nodule(chest(), (0.0, 0.0, 0.0), progress=stop)
-    assert told == 3 * [("looking for a nodule", None)]
+    assert reported == 3 * [("looking for a nodule", None)]
 
 
 def test_anatomical_region_of_a_target_is_stated_with_its_lobe_or_organ():

@@ -269,8 +269,8 @@ def test_two_lesions_with_sparse_outlines_stay_separate(tmp_path):
 
 def test_missing_outlines_of_a_structure_on_every_slice_are_interpolated_and_its_ends_not_extended():
     heights = slice_heights()
-    kept = heights[:5] + heights[6:]
+    drawn_heights = heights[:5] + heights[6:]
     whole, _, _ = measured([ellipse(h) for h in heights])
-    mm3, _, notes = measured([ellipse(h) for h in kept])
+    mm3, _, notes = measured([ellipse(h) for h in drawn_heights])
     assert mm3 == pytest.approx(whole, rel=0.005)
     assert notes[0].startswith("1 slice without an outline: interpolated")

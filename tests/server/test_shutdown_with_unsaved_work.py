@@ -14,7 +14,7 @@ import time
 import pytest
 from forked_workstations import WAIT_S, Window
 
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.case import CaseFile
 from carina.volume import write_grid
 from faulty_disk import FAULTS, FaultyDisk, has_compiler
@@ -72,7 +72,7 @@ class Station:
     def __init__(self, tmp_path, disk, *, terminal):
         self.home, self.disk = tmp_path / "home", disk
         self.home.mkdir()
-        volume = made_phantom(spacing_mm=3.0, generations=3).volume
+        volume = cached_phantom(spacing_mm=3.0, generations=3).volume
         ct = tmp_path / "SURNAME_FIRSTNAME_1951.nii.gz"
         write_grid(ct, volume.hu_zyx, volume.lps_from_ijk, what="the phantom")
         self.terminal = Terminal() if terminal else None

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import carina
 import carina.cli.plan
-from cached_test_data import found_airways, made_phantom
+from cached_test_data import cached_phantom, found_airways
 from carina.cli.app import app
 from carina.commands import AddTarget, ConfirmTarget, GrowTarget, PlanningOf
 from carina.errors import NoResultError, UnconfirmedTargetError, without_options
@@ -46,7 +46,7 @@ def as_point(values: object) -> Point:
 
 @pytest.fixture(scope="module")
 def chest(tmp_path_factory: pytest.TempPathFactory) -> Chest:
-    made: Phantom = made_phantom(seed=4, spacing_mm=1.5, generations=4, nodule=True)
+    made: Phantom = cached_phantom(seed=4, spacing_mm=1.5, generations=4, nodule=True)
     volume = made.volume
     airways = found_airways(volume)
     nodule = np.array(made.truth["nodule"]["centre_lps"])

@@ -9,7 +9,7 @@ import pytest
 from scaled_chest import ScaledTruth, scaled
 
 import carina
-from cached_test_data import MASKED_CHEST, made_airways, made_phantom
+from cached_test_data import MASKED_CHEST, cached_airways, cached_phantom
 from carina.errors import NoResultError
 from carina.phantom import generate_phantom
 from carina.track import AirwayTree, Branch, CutBranch, edit_airways, name_tree
@@ -31,13 +31,13 @@ def confidences_of(tree):
 @pytest.fixture(scope="module")
 def half():
     """Return a phantom at half size, whose trachea is 9 mm wide, and its airways."""
-    volume = scaled(made_phantom(**MASKED_CHEST).volume, 0.5)
+    volume = scaled(cached_phantom(**MASKED_CHEST).volume, 0.5)
     return volume, carina.find_airways(volume)
 
 
 def test_tree_of_a_chest_of_half_size_has_all_branches_and_no_confident_false_branch(half):
     _, airways = half
-    full = ScaledTruth.of(made_airways(**MASKED_CHEST).tree, seed=SEED, scale=1.0, voxel_mm=VOXEL_MM)
+    full = ScaledTruth.of(cached_airways(**MASKED_CHEST).tree, seed=SEED, scale=1.0, voxel_mm=VOXEL_MM)
     found = ScaledTruth.of(airways.tree, seed=SEED, scale=0.5, voxel_mm=VOXEL_MM)
     assert len(found.false) <= len(full.false) + 1
     assert found.most_confident_false <= 0.5
@@ -58,7 +58,7 @@ def test_tree_of_a_chest_of_half_size_has_limited_confidences_and_a_stored_note(
 
 
 def test_tree_of_a_chest_of_full_size_has_no_confidence_limit_and_no_note():
-    tree = made_airways(**MASKED_CHEST).tree
+    tree = cached_airways(**MASKED_CHEST).tree
     assert UNCALIBRATED_SIZE not in codes_of(tree)
     assert max(confidences_of(tree)) > 0.9
     assert with_size_note(tree) is tree

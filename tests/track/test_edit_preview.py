@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from edit_case import edit_case, open_ended_airways, open_ended_volume
 
-from cached_test_data import found_airways, made_phantom
+from cached_test_data import cached_phantom, found_airways
 from carina.errors import NoEvidenceError
 from carina.track import (
     AddBranch,
@@ -131,7 +131,7 @@ def test_computing_a_preview_leaves_the_airways_unchanged(case):
 
 
 def test_preview_equals_the_edit_of_a_wide_bronchus_whose_section_radii_differ_from_its_wall_distances():
-    volume = made_phantom(seed=1, spacing_mm=1.5, generations=4).volume
+    volume = cached_phantom(seed=1, spacing_mm=1.5, generations=4).volume
     airways = found_airways(volume)
     bronchus = airways.tree.named("LMB")
     x, y, z = (float(value) for value in bronchus.points[-1])
@@ -146,7 +146,7 @@ def test_preview_equals_the_edit_of_a_wide_bronchus_whose_section_radii_differ_f
 
 @pytest.mark.parametrize(("cut_off", "texts"), [("LB8", []), ("RB1", ["RB1+3 becomes RB3", "RB2 becomes RB1+2"])])
 def test_preview_lists_the_branches_that_the_edit_renames(cut_off, texts):
-    volume = made_phantom(seed=1, spacing_mm=1.5, generations=4).volume
+    volume = cached_phantom(seed=1, spacing_mm=1.5, generations=4).volume
     airways = found_airways(volume)
     leaf = airways.tree.named(cut_off)
     cut = edit_airways(volume, airways, CutBranch(leaf.id))
