@@ -27,17 +27,17 @@ class Cache:
     """Replacement of the cache of CTs that stores volumes in memory."""
 
     def __init__(self) -> None:
-        self.sizes = {"one CT": 1000, "another CT": 2000}
+        self.bytes_by_digest = {"one CT": 1000, "another CT": 2000}
         self.is_on, self.can_be_on = True, True
 
     def sizes(self) -> tuple[Size, ...]:
-        return tuple(Size(*item) for item in self.sizes.items())
+        return tuple(Size(*item) for item in self.bytes_by_digest.items())
 
     def forget(self, digest: str) -> int:
-        return self.sizes.pop(digest, 0)
+        return self.bytes_by_digest.pop(digest, 0)
 
     def empty(self) -> int:
-        self.sizes.clear()
+        self.bytes_by_digest.clear()
         return 0
 
     def switch(self, on: bool) -> None:
@@ -233,7 +233,7 @@ def test_deleted_case_that_is_restored_has_all_its_content(workstation):
     (listed,) = workstation.listed()
     workstation.session.do(c.ForgetCase(listed.recent_id))
     assert workstation.listed() == ()
-    assert set(workstation.cache.sizes) == {"another CT"}
+    assert set(workstation.cache.bytes_by_digest) == {"another CT"}
     (forgotten,) = workstation.session.cases.storage().forgotten
     assert forgotten.recent_id == listed.recent_id
     assert workstation.session.cases.picture(forgotten.recent_id) is not None
@@ -252,9 +252,9 @@ def test_ct_stays_cached_while_another_case_uses_it(workstation):
     workstation.work(80.0)
     workstation.session.do(c.CloseCase())
     for one in workstation.listed():
-        assert "one CT" in workstation.cache.sizes
+        assert "one CT" in workstation.cache.bytes_by_digest
         workstation.session.do(c.ForgetCase(one.recent_id))
-    assert "one CT" not in workstation.cache.sizes
+    assert "one CT" not in workstation.cache.bytes_by_digest
 
 
 def test_start_removes_only_cases_that_were_deleted_a_day_ago(workstation, tmp_path):
