@@ -58,8 +58,8 @@ def main() -> None:
         if child == 0:
             out = os.dup(1)
 
-            def report(words: str, out: int = out) -> None:
-                os.write(out, f"{words}\n".encode())
+            def report(text: str, out: int = out) -> None:
+                os.write(out, f"{text}\n".encode())
 
             report(f"pid {os.getpid()}")
             try:

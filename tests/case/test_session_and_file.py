@@ -194,8 +194,8 @@ def test_damaged_stored_measurements_are_computed_again_with_a_message(tmp_path)
     assert len(measuring.requested) == 1
     reported = [e.message for e in EVENTS[-1] if isinstance(e, UserMessage)]
     assert any(
-        "the saved measurements of the airways cannot be read, so the airways will be measured" in words
-        for words in reported
+        "the saved measurements of the airways cannot be read, so the airways will be measured" in text
+        for text in reported
     )
     # All branches were measured again, so only their IDs are compared.
     found = again.snapshot().measures

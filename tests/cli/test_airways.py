@@ -35,9 +35,9 @@ def test_airways_command_states_the_calibrated_detection_shares_for_thick_slices
     low, mean, high = (f"{100 * share[key]:.0f}" for key in ("least", "typical", "most"))
     assert f"{mean} % ({low} to {high} %) of those of 2 to 3 mm" in badge["words"]
     assert badge["words"] in report["notes"]
-    assert f"note: {badge['words']}" in found.err
-    words = carina("airways", tmp_path / "ct.nii.gz")
-    assert badge["words"] in words.out + words.err
+    assert f"note: {badge['text']}" in found.err
+    printed = carina("airways", tmp_path / "ct.nii.gz")
+    assert badge["words"] in printed.out + printed.err
 
 
 def test_airways_command_states_no_detection_shares_for_thin_slices(carina, case):
@@ -56,12 +56,12 @@ def test_airways_command_prints_its_result_and_writes_tree_and_lumen(carina, cas
     inside = sitk.GetArrayFromImage(sitk.ReadImage(str(lumen)))
     truth = sitk.GetArrayFromImage(sitk.ReadImage(str(case / "lumen.nii.gz")))
     assert 2.0 * (inside * truth).sum() / (inside.sum() + truth.sum()) > 0.85
-    words = carina("airways", case / "ct.nii.gz")
-    assert "Trachea" in words.out
-    assert "mm wide" in words.out
+    printed = carina("airways", case / "ct.nii.gz")
+    assert "Trachea" in printed.out
+    assert "mm wide" in printed.out
     # A bronchus that is divided by its side branches is one row.
     heads = {row["row"] for row in report["branches"]}
-    assert sum("mm long" in line for line in words.out.splitlines()) == len(heads)
+    assert sum("mm long" in line for line in printed.out.splitlines()) == len(heads)
     assert all(report["branches"][0].keys() == row.keys() for row in report["branches"])
 
 

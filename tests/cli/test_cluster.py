@@ -49,7 +49,7 @@ def _began(pid: int) -> str | None:
 
 @needs_ray
 @pytest.mark.parametrize(
-    ("arguments", "code", "words"),
+    ("arguments", "code", "text"),
     [
         (["cluster", "start"], 2, "start --head"),
         (["cluster", "join", "nowhere:door"], 1, "no token"),
@@ -59,10 +59,10 @@ def _began(pid: int) -> str | None:
         (["open", "--cluster", "127.0.0.2:1"], 1, "no token"),
     ],
 )
-def test_invalid_cluster_arguments_are_refused_before_any_process_starts(carina, arguments, code, words):
+def test_invalid_cluster_arguments_are_refused_before_any_process_starts(carina, arguments, code, text):
     done = carina(*arguments, "--json")
     assert done.code == code, done.err
-    assert words in done.json()["error"]["message"]
+    assert text in done.json()["error"]["message"]
 
 
 class StubNode:
@@ -176,8 +176,8 @@ def test_cluster_can_be_started_used_and_stopped_and_leaves_no_process(tmp_path)
             assert used.stdout.readline().startswith("{")
         finally:
             used.send_signal(signal.SIGINT)
-            _, words = used.communicate(timeout=240)
-        assert used.returncode == 0, words
+            _, message = used.communicate(timeout=240)
+        assert used.returncode == 0, message
         tree = descendants(head.pid)
         assert tree
     finally:

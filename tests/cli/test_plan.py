@@ -156,7 +156,7 @@ def test_plan_command_without_a_route_exits_with_code_4_and_the_reason(
 
 
 @pytest.mark.parametrize(
-    ("more", "code", "words"),
+    ("more", "code", "text"),
     [
         (["--tool", "saw"], 2, "no tool is called 'saw'"),
         (["--scope", "long"], 2, "long"),
@@ -171,11 +171,11 @@ def test_plan_command_without_a_route_exits_with_code_4_and_the_reason(
     ],
 )
 def test_plan_command_with_invalid_options_is_refused_with_a_message(
-    chest, found_once, more: list[str], code: int, words: str
+    chest, found_once, more: list[str], code: int, text: str
 ) -> None:
     path, place = chest
     result = run(path, place, *more)
-    assert result.exit_code == code and words in result.stderr
+    assert result.exit_code == code and text in result.stderr
 
 
 def test_plan_command_for_a_position_without_a_nodule_is_refused(chest) -> None:
@@ -235,15 +235,15 @@ def test_plan_for_a_mask_is_written_for_slicer_and_as_a_report(chest, found_once
 
 
 @pytest.mark.parametrize(
-    ("more", "words"),
+    ("more", "text"),
     [(["--send", "nowhere"], "expected HOST:PORT"), (["--send", "127.0.0.1:1"], "nothing listens there")],
 )
 def test_plan_command_with_an_invalid_receiver_address_is_refused(
-    chest, found_once, more: list[str], words: str
+    chest, found_once, more: list[str], text: str
 ) -> None:
     path, place = chest
     result = run(path, place, *more)
-    assert result.exit_code != 0 and words in result.stderr
+    assert result.exit_code != 0 and text in result.stderr
 
 
 def test_plan_with_a_second_ct_states_the_measured_movement_in_terminal_and_json(chest, found_once) -> None:

@@ -17,8 +17,8 @@ from network_flight import ADDRESSES, user_folders
 from ray_cluster import import_path, needs_ray
 
 
-def _ip(*words: str) -> bool:
-    return subprocess.run(["ip", *words], capture_output=True, timeout=20, check=False).returncode == 0
+def _ip(*arguments: str) -> bool:
+    return subprocess.run(["ip", *arguments], capture_output=True, timeout=20, check=False).returncode == 0
 
 
 @contextlib.contextmanager

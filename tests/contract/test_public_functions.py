@@ -23,7 +23,7 @@ POSE = carina.Pose.looking((5.5, 5.5, 5.5), (0, 0, -1))
 
 
 @pytest.mark.parametrize(
-    ("call", "words"),
+    ("call", "text"),
     [
         (lambda: carina.open_volume(3), "open_volume: path: expected str or Path; found int; name a folder or a file"),
         (
@@ -77,11 +77,11 @@ POSE = carina.Pose.looking((5.5, 5.5, 5.5), (0, 0, -1))
     ],
 )
 def test_argument_of_a_wrong_type_is_refused_with_expected_type_found_type_and_remedy(
-    call: Callable[[], object], words: str
+    call: Callable[[], object], text: str
 ) -> None:
     with pytest.raises(UsageError) as refused:
         call()
-    assert str(refused.value) == words
+    assert str(refused.value) == text
     assert refused.value.code in {"usage", "usage.type"}
 
 

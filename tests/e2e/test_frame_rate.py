@@ -36,9 +36,9 @@ def test_status_bar_shows_rate_and_resolution_in_flight_and_full_resolution_at_r
     workstation.page.keyboard.down("w")
     # The text follows the picture by one refresh of the screen.
     frame = "window.__carina.state.frames.airway"
-    words = f"{frame}.width < {workstation.wanted_width()} ? 'reduced: ' : 'full resolution'"
+    text = f"{frame}.width < {workstation.wanted_width()} ? 'reduced: ' : 'full resolution'"
     while_flying, frame = workstation.once(
-        f"/frames \\d/.test({STATUS_WORDS}) && !{frame}.full && {STATUS_WORDS}.includes({words})",
+        f"/frames \\d/.test({STATUS_WORDS}) && !{frame}.full && {STATUS_WORDS}.includes({text})",
         f"[{STATUS_WORDS}, window.__carina.state.frames.airway]",
     )
     workstation.picture("budget-flying")

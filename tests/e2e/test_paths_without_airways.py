@@ -56,9 +56,9 @@ def test_path_between_clicked_start_and_target_can_be_flown(opened, vessel):
     opened.wait_for("window.__carina.state.ui.pathStart !== null")
     mark(opened, "target", end)
     opened.wait_for("window.__carina.state.route !== null")
-    words = page.locator("[data-testid=target-words]")
-    expect(words).to_contain_text("cost walls")
-    expect(words).to_contain_text("not compared with a lumen")
+    text = page.locator("[data-testid=target-words]")
+    expect(text).to_contain_text("cost walls")
+    expect(text).to_contain_text("not compared with a lumen")
     route = opened.state("route")
     assert route["lumen_known"] is False
     points = np.array(route["points_lps"])

@@ -91,9 +91,9 @@ def test_plan_is_printed_six_clicks_after_opening_the_ct(server, workstation):
     report = opened.value
     report.wait_for_load_state("load")
     assert clicks <= MOST_CLICKS
-    words = report.locator("body").inner_text()
-    assert "Not a medical device" in words and "CT taken at inspiration" in words
-    assert "patient's name" not in words
+    text = report.locator("body").inner_text()
+    assert "Not a medical device" in text and "CT taken at inspiration" in text
+    assert "patient's name" not in text
     listed = report.locator("#against li").all_inner_texts()
     assert len(report.locator("img").all()) + len(report.locator("svg").all()) >= 3
     report.close()

@@ -133,8 +133,8 @@ def test_c_arm_angles_are_listed_and_shown_in_the_x_ray_with_target_and_planned_
         with page.expect_download() as taken:
             page.get_by_test_id("take-plan.json").click()
         document = json.loads(taken.value.path().read_text())
-        words = [one["words"] for one in document["c_arm"]["angles"]]
-        assert words == [one["words"] for one in angles]
+        text = [one["words"] for one in document["c_arm"]["angles"]]
+        assert text == [one["words"] for one in angles]
     assert workstation.faults == []
 
 

@@ -47,8 +47,8 @@ def test_second_ct_replaces_the_default_movement_and_a_ct_of_half_a_chest_is_ref
     page.keyboard.press("Enter")
     workstation.wait_while_working("window.__carina.state.plans.targets[0].options.movement !== null")
     workstation.wait_while_working("window.__carina.state.plans.standing === 'had'")
-    words = page.get_by_test_id("movement").inner_text()
-    assert words.startswith("Movement of the target measured from the second CT: ")
+    text = page.get_by_test_id("movement").inner_text()
+    assert text.startswith("Movement of the target measured from the second CT: ")
     workstation.picture("second-ct-measured")
 
     # One undo restores the default movement.

@@ -217,8 +217,8 @@ def test_text_at_the_cursor_states_what_a_click_would_mark_as_target(server, wor
     workstation.wait_for("window.__carina.state.targetMark?.sentences.length > 0")
     mark = page.get_by_test_id("target-mark")
     mark.wait_for()
-    words = mark.inner_text()
-    assert words.startswith("A click marks a solid nodule, ")
+    text = mark.inner_text()
+    assert text.startswith("A click marks a solid nodule, ")
     workstation.picture("mark-nodule")
     # The lung beside the nodule contains nothing that a click could measure.
     page.mouse.move(*place_in_slice(workstation, "axial", [centre[0] + 15.0, centre[1], centre[2]]))
@@ -229,7 +229,7 @@ def test_text_at_the_cursor_states_what_a_click_would_mark_as_target(server, wor
     page.mouse.click(*place)
     page.get_by_test_id("lesion").wait_for()
     # The click marks what the cursor has stated.
-    size = words.removeprefix("A click marks a ").split(", ")[1]
+    size = text.removeprefix("A click marks a ").split(", ")[1]
     assert size in workstation.state("messages.map((one) => one.message).join()")
     assert workstation.faults == []
 

@@ -62,14 +62,14 @@ def test_tip_of_a_registered_pen_is_shown_with_its_path_and_marked_by_its_button
     # Without a registration the pen marks the tip of the scope, which the tool's panel and the footer state.
     pen.hold(middle)
     page.keyboard.press("n")
-    words = page.locator("[data-testid=pen-words]")
-    expect(words).to_have_text("The pen is not registered: its button marks the position of the scope tip.")
+    text = page.locator("[data-testid=pen-words]")
+    expect(text).to_have_text("The pen is not registered: its button marks the position of the scope tip.")
     expect(page.locator("[data-testid=tool-hint]")).to_contain_text("its button marks the position of the scope tip")
     workstation.picture("pen-not-registered")
 
     before = {view: workstation.overlay(view) for view in ("axial", "coronal", "sagittal", "tree")}
     pen.register(middle)
-    expect(words).to_contain_text("pen tip")
+    expect(text).to_contain_text("pen tip")
     pen.hold(middle)
     workstation.wait_for("(x) => Math.abs(window.__carina.state.pen.lps[0] - x) < 0.01", middle[0])
     # The path to the pen is shown even while the mouse rests over a picture.

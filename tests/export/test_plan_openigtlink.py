@@ -133,10 +133,10 @@ def test_sent_trajectories_run_from_the_scope_tip_to_the_aim(messages):
 
 
 def test_sent_text_of_the_plan_includes_its_doubts(messages):
-    words = read_by_pyigtl(by_name(messages, "CarinaPlan")).string
-    assert f"{DOUBT}." in words
-    assert "CarinaRoute2, CarinaNeedle2: Route 2: branch 9 to Target." in words
-    assert "up to 15 mm from where it is shown here" in words
+    text = read_by_pyigtl(by_name(messages, "CarinaPlan")).string
+    assert f"{DOUBT}." in text
+    assert "CarinaRoute2, CarinaNeedle2: Route 2: branch 9 to Target." in text
+    assert "up to 15 mm from where it is shown here" in text
 
 
 def test_messages_in_lps_have_the_positions_of_the_plan():
@@ -199,7 +199,7 @@ def test_missing_receiver_is_reported_with_a_remedy(monkeypatch):
     with pytest.raises(CarinaError, match=r"nothing listens there.*OpenIGTLinkIF") as caught:
         send_plan(a_plan(), a_tree(), port=port)
     assert caught.value.code == "plan.igtl"
-    for trouble, words in (
+    for trouble, text in (
         (socket.gaierror(-2, "Name or service not known"), "Name or service not known; check the address"),
         (TimeoutError("timed out"), "no answer within 5 s; check the address and the firewall"),
     ):
@@ -208,7 +208,7 @@ def test_missing_receiver_is_reported_with_a_remedy(monkeypatch):
             raise trouble
 
         monkeypatch.setattr(socket, "create_connection", fails)
-        with pytest.raises(CarinaError, match=words):
+        with pytest.raises(CarinaError, match=text):
             send_plan(a_plan(), a_tree(), host="somewhere")
 
 

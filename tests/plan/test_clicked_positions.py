@@ -128,7 +128,7 @@ def chest() -> Volume:
 
 
 @pytest.mark.parametrize(
-    ("at", "code", "words"),
+    ("at", "code", "text"),
     [
         ((0.0, -104.0, 0.0), "plan.outside-body", "outside the body"),
         ((-150.0, -110.0, 5.0), "plan.outside-body", "outside the body"),
@@ -137,8 +137,8 @@ def chest() -> Volume:
         ((-60.0, -30.0, 0.0), "plan.no-nodule", "no nodule at this point"),
     ],
 )
-def test_clicks_outside_nodules_are_refused_with_their_anatomical_region(at, code, words):
-    with pytest.raises(NoResultError, match=words) as error:
+def test_clicks_outside_nodules_are_refused_with_their_anatomical_region(at, code, text):
+    with pytest.raises(NoResultError, match=text) as error:
         grow_nodule(chest(), at)
     assert error.value.code == code
 

@@ -218,19 +218,19 @@ def test_drive_and_plan_measure_the_same_distance_along_centrelines() -> None:
     assert way.told_mm(way.park_mm) == pytest.approx(planned.along_mm)
     assert [way.told_mm(mm) for mm in way.forks_mm] == pytest.approx([tree.root.length_mm])
     assert way.told_mm(way.length_mm) == pytest.approx(sum(branch.length_mm for branch in tree.branches))
-    words = length_check(way, slim, 150.0).words
-    assert words.startswith(f"needs a working length of {planned.along_mm + 150.0:.0f} mm")
-    words = length_check(way, slim, None).words
-    assert words.startswith(f"the tip stops {planned.along_mm:.0f} mm from the start of the airway tree")
+    text = length_check(way, slim, 150.0).words
+    assert text.startswith(f"needs a working length of {planned.along_mm + 150.0:.0f} mm")
+    text = length_check(way, slim, None).words
+    assert text.startswith(f"the tip stops {planned.along_mm:.0f} mm from the start of the airway tree")
     # Past a main carina, distances and depths are measured from the carina.
     past = dataclasses.replace(planned, origin=DistanceOrigin("ridge", along_mm=30.0, axes_mm=21.0))
     from_carina = DriveWay(tree, past, wall)
     assert from_carina.told_mm(way.park_mm) == pytest.approx(past.from_carina_mm)
-    words = length_check(from_carina, slim, 270.0).words
-    assert words.startswith(f"needs a working length of {past.from_carina_mm + 270.0:.0f} mm")
-    words = length_check(from_carina, slim, None).words
-    assert words.startswith(f"the tip stops {past.from_carina_mm:.0f} mm past the main carina; a working length of ")
-    assert words.endswith(f"leaves {slim.length_mm - past.from_carina_mm:.0f} mm from nose or mouth to the main carina")
+    text = length_check(from_carina, slim, 270.0).words
+    assert text.startswith(f"needs a working length of {past.from_carina_mm + 270.0:.0f} mm")
+    text = length_check(from_carina, slim, None).words
+    assert text.startswith(f"the tip stops {past.from_carina_mm:.0f} mm past the main carina; a working length of ")
+    assert text.endswith(f"leaves {slim.length_mm - past.from_carina_mm:.0f} mm from nose or mouth to the main carina")
     bend_mm = float(re.findall(r"the bend (\d+) mm", bend_check(way, slim, errors=True).words)[0])
     limit = Ways(tree).asks(_place_of(tree, planned), bending_mm(slim)).bend_deg
     assert bend_mm == pytest.approx(limit.at_mm, abs=2.0)

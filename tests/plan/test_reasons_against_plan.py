@@ -87,17 +87,17 @@ def on_sheet(report: PlanSheet) -> str:
 def test_report_sheet_and_json_list_the_same_reasons_against_a_plan_in_the_same_order(name, tmp_path) -> None:
     report = SHEETS[name]()
     reasons = reasons_against(report.plan, route=report.route, verdicts=report.verdicts, turns=report.turns)
-    words = [reason.words for reason in reasons]
-    assert words and [reason.to_json() for reason in reasons] == report.to_json()["report"]["reasons"]
+    reason_texts = [reason.words for reason in reasons]
+    assert reason_texts and [reason.to_json() for reason in reasons] == report.to_json()["report"]["reasons"]
     written = json.loads(write_report(tmp_path / "plan.json", report).read_text())
-    assert [one["words"] for one in written["report"]["reasons"]] == words
+    assert [one["words"] for one in written["report"]["reasons"]] == reason_texts
     text = write_report(tmp_path / "plan.html", report).read_text()
     part = re.search(r'<section id="against".*?</section>', text, re.DOTALL)[0]
-    assert [html.unescape(one) for one in re.findall(r"<li[^>]*>(.*?)</li>", part)] == words
+    assert [html.unescape(one) for one in re.findall(r"<li[^>]*>(.*?)</li>", part)] == reason_texts
     (against,) = [part for part in sections(report) if part.name == "against"]
-    assert against.blocks[0].items == tuple(words)
+    assert against.blocks[0].items == tuple(reason_texts)
     sheet_text = on_sheet(report)
-    places = [sheet_text.index(one) for one in words]
+    places = [sheet_text.index(one) for one in reason_texts]
     assert places == sorted(places)
 
 

@@ -155,8 +155,8 @@ def test_html_report_has_all_sections_in_order_with_all_their_text(tmp_path) -> 
     names = [part.name for part in sections(sheet())]
     assert names[:4] == ["against", "target", "airways", "route"] and names[-1] == "tracing"
     assert {"turns", "instruments", "routes", "by-hand", "uncertain", "score", "figures", "provenance"} <= set(names)
-    assert [words for words in everything() if words not in text] == []
-    assert all(text.count(words) >= 2 for words in SAFETY)
+    assert [message for message in everything() if message not in text] == []
+    assert all(text.count(message) >= 2 for message in SAFETY)
 
 
 def test_figures_of_the_report_are_those_of_the_plan() -> None:
@@ -218,7 +218,7 @@ def test_tracing_sheet_is_a_separate_page_without_a_script(tmp_path) -> None:
     assert text.count("<section") == 1 and "<script" not in text and "script-src 'none'" in html.unescape(text)
     for fork in sheet().forks:
         assert f">{fork.to_name}<" in text
-    assert all(words in html.unescape(text) for words in SAFETY)
+    assert all(message in html.unescape(text) for message in SAFETY)
 
 
 @pytest.mark.parametrize(("num", "is_one"), [(5, True), (9, True), (12, True), (40, False)])
@@ -227,7 +227,7 @@ def test_tracing_sheet_omits_the_diagram_before_it_continues_on_another_page(num
     many = tuple(dataclasses.replace(fork, number=n, to_name=f"branch {n:03}") for n in range(1, num + 1))
     parts = [part for part in sections(dataclasses.replace(sheet(), forks=many)) if part.name.startswith("tracing")]
     assert (len(parts) == 1) == is_one
-    text = " ".join(words for part in parts for block in part.blocks for words in words_of(block))
+    text = " ".join(message for part in parts for block in part.blocks for message in words_of(block))
     assert all(f"branch {n:03}" in text for n in range(1, num + 1))
     assert text.count(fork.turn.direction("head")) >= num
     assert text.count("counterclockwise") >= num, "moves of the hand"
@@ -259,14 +259,14 @@ DOUBT = HourDoubt("turns.neighbour", "no clock hour: RB9 opens in nearly the sam
 
 
 @pytest.mark.parametrize(
-    ("changes", "cell", "words", "mark"),
+    ("changes", "cell", "text", "mark"),
     [
         ({"straight_ahead": True, "hour_doubt": None}, "ahead", "straight ahead", None),
         ({"straight_ahead": False, "hour_doubt": DOUBT}, "not given", "no clock hour", "?"),
     ],
 )
 def test_opening_without_an_hour_is_reported_in_table_and_tracing_sheet(
-    changes: dict[str, Any], cell: str, words: str, mark: str | None
+    changes: dict[str, Any], cell: str, text: str, mark: str | None
 ) -> None:
     listed = sheet().turns
     changed_turn = dataclasses.replace(listed.turns[1], clock_head=None, clock_facing=None, sides=(), **changes)
@@ -279,7 +279,7 @@ def test_opening_without_an_hour_is_reported_in_table_and_tracing_sheet(
         b for part in sections(changed) for b in part.blocks if part.name == "tracing" and isinstance(b, Figure)
     ]
     drawn = list(words_of(figure))
-    assert words in drawn and (mark is None or mark in drawn)
+    assert text in drawn and (mark is None or mark in drawn)
     if changed_turn.hour_doubt is not None:
         assert changed_turn.hour_doubt.words in grid.rows[1][1] and 1 in grid.warned
         assert changed_turn.hour_doubt.words in changed.forks[1].warnings
@@ -380,16 +380,14 @@ def test_obstacles_on_a_route_are_red_in_the_report(tmp_path) -> None:
     assert "0.4 mm off at 9 mm from the tip" in part
 
 
-@pytest.mark.parametrize(
-    ("change", "words"), [({"route_number": 9}, "expected 1 to"), ({"route_number": 0}, "found 0")]
-)
-def test_report_with_an_invalid_route_number_or_option_is_refused(change, words) -> None:
-    with pytest.raises(UsageError, match=words):
+@pytest.mark.parametrize(("change", "text"), [({"route_number": 9}, "expected 1 to"), ({"route_number": 0}, "found 0")])
+def test_report_with_an_invalid_route_number_or_option_is_refused(change, text) -> None:
+    with pytest.raises(UsageError, match=text):
         sheet(**change)
 
 
 @pytest.mark.parametrize(
-    ("name", "choice", "words"),
+    ("name", "choice", "text"),
     [
         ("plan.docx", {}, r"found \.docx"),
         ("plan", {}, "found no suffix"),
@@ -397,8 +395,8 @@ def test_report_with_an_invalid_route_number_or_option_is_refused(change, words)
         ("plan.pdf", {"paper": "A5"}, "expected A4 or Letter; found 'A5'"),
     ],
 )
-def test_report_file_of_an_unknown_kind_is_refused_with_a_message(tmp_path, name, choice, words) -> None:
-    with pytest.raises(UsageError, match=words):
+def test_report_file_of_an_unknown_kind_is_refused_with_a_message(tmp_path, name, choice, text) -> None:
+    with pytest.raises(UsageError, match=text):
         write_report(tmp_path / name, sheet(), **choice)
     assert list(tmp_path.iterdir()) == []
 
@@ -443,13 +441,13 @@ def test_target_as_dense_as_contrast_medium_is_reported_in_red(tmp_path) -> None
 def test_tracing_sheet_refers_to_the_report_for_notes_that_do_not_fit() -> None:
     report = sheet(notes=tuple(f"Note number {n}" for n in range(12)))
     texts = {part.name: [w for b in part.blocks for w in words_of(b)] for part in sections(report)}
-    assert sum(words.startswith("Note number") for words in texts["tracing"]) == 6
+    assert sum(text.startswith("Note number") for text in texts["tracing"]) == 6
     assert "\u2026 all notes are in the report" in texts["tracing"]
-    assert sum(words.startswith("Note number") for words in texts["notes"]) == 12
+    assert sum(text.startswith("Note number") for text in texts["notes"]) == 12
 
 
 @pytest.mark.parametrize(
-    ("outcomes", "words"),
+    ("outcomes", "message"),
     [
         (("does not reach",) * 3, "Of 3 instruments none reaches on this route."),
         (("does not reach", "cannot say", "cannot say"), "none is known to reach on this route; 2 cannot be judged."),
@@ -459,13 +457,13 @@ def test_tracing_sheet_refers_to_the_report_for_notes_that_do_not_fit() -> None:
         ),
     ],
 )
-def test_first_sentence_of_the_report_summarises_the_verdicts_of_all_instruments(outcomes, words) -> None:
+def test_first_sentence_of_the_report_summarises_the_verdicts_of_all_instruments(outcomes, message) -> None:
     changed = tuple(
         dataclasses.replace(one, outcome=outcome) for one, outcome in zip(verdicts(), outcomes, strict=True)
     )
     (_, target, *_) = sections(dataclasses.replace(sheet(), verdicts=changed))
     (lead,) = [block.text for block in target.blocks if isinstance(block, Words) and block.tone == "lead"]
-    assert words in lead
+    assert message in lead
 
 
 @pytest.mark.parametrize(("tissue", "before"), [("vessel", True), ("fissure", True), ("vessel", False)])

@@ -183,9 +183,9 @@ def test_clock_face_shows_the_opening_at_its_hour() -> None:
 
 
 @given(st.lists(st.text("abc", min_size=1, max_size=12), max_size=30), st.floats(80.0, 300.0))
-def test_wrapped_text_lines_contain_every_word_and_fit_the_width(words, width) -> None:
-    lines = lines_of(" ".join(words), 9.0, width)
-    assert " ".join(lines).split() == words
+def test_wrapped_text_lines_contain_every_word_and_fit_the_width(message, width) -> None:
+    lines = lines_of(" ".join(message), 9.0, width)
+    assert " ".join(lines).split() == message
     assert all(text_width(line, 9.0) <= width or " " not in line for line in lines)
 
 

@@ -356,7 +356,7 @@ def test_route_along_a_drawn_bridged_or_doubtful_branch_has_a_doubt() -> None:
     airways, best = cached_airways(**CHEST), plan().routes[0]
     parent = airways.tree.branch(best.branch_id).parent
     name = airways.tree.branch(parent).name or f"branch {parent}"
-    for change, words in (
+    for change, text in (
         ({"kind": "manual"}, f"{name} was drawn by hand"),
         ({"kind": "bridge"}, f"{name} is a bridge across an obstruction"),
         ({"confidence": 0.31}, f"{name} is doubtful: 31 % confidence"),
@@ -365,7 +365,7 @@ def test_route_along_a_drawn_bridged_or_doubtful_branch_has_a_doubt() -> None:
             cached_phantom(**CHEST).volume, retreed(airways, parent, **change), plan().nodule, wall=wall()
         )
         route = next(one for one in changed.routes if one.branch_id == best.branch_id)
-        assert any(doubt.startswith(words) for doubt in route.doubts)
+        assert any(doubt.startswith(text) for doubt in route.doubts)
     assert best.doubts == ()
 
 

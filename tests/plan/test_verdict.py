@@ -186,7 +186,7 @@ def test_undecided_bend_check_is_settled_by_drives_with_less_flexion(monkeypatch
 
     # If flexion is needed, a drive with the share ``share`` of the scope's flexion arrives, and a drive with less does
     # not.
-    for needs_deg, share, words in (
+    for needs_deg, share, text in (
         (62.0, 0.62, "5 degrees less flexion, no drive"),
         (56.5, 0.85, "5 degrees less flexion, the drive"),
     ):
@@ -197,7 +197,7 @@ def test_undecided_bend_check_is_settled_by_drives_with_less_flexion(monkeypatch
         monkeypatch.setattr(lever, "arrives_by", lambda *given, arrives=arrives: arrives(*given).arrived)
         monkeypatch.setattr(lever, "search_drive", arrives)
         bend = lever_check(way, field, near, figures, found.driven, effort=1.0)
-        assert (bend.answer, bend.share) == ("perhaps", share) and words in bend.words
+        assert (bend.answer, bend.share) == ("perhaps", share) and text in bend.words
     held_up = dataclasses.replace(found.driven, arrived=False)
     assert lever_check(way, field, near, figures, held_up, effort=1.0) is figures
 

@@ -77,11 +77,11 @@ def small_process(tmp_path, *, reserved=64):
             process.stdout.close()
 
 
-def tcp_connection(base, words=b""):
+def tcp_connection(base, data=b""):
     host, port = base.removeprefix("http://").split(":")
     sock = socket.create_connection((host, int(port)), timeout=WAIT_S)
     with contextlib.suppress(OSError):
-        sock.sendall(words)
+        sock.sendall(data)
     return sock
 
 
@@ -195,9 +195,9 @@ def hasty(tmp_path, monkeypatch):
         yield live
 
 
-@pytest.mark.parametrize("words", [WORDS[0], WORDS[1], b"GET / HTTP/1.1\r\nHost: a\r\n" + b"X: y\r\n" * 20])
-def test_connection_without_a_complete_request_is_closed_after_the_time_limit(hasty, words):
-    with tcp_connection(hasty.origin, words) as sock:
+@pytest.mark.parametrize("data", [WORDS[0], WORDS[1], b"GET / HTTP/1.1\r\nHost: a\r\n" + b"X: y\r\n" * 20])
+def test_connection_without_a_complete_request_is_closed_after_the_time_limit(hasty, data):
+    with tcp_connection(hasty.origin, data) as sock:
         assert not stays_open(sock)
 
 

@@ -130,16 +130,16 @@ def test_pixel_in_the_airway_picture_selects_the_lumen_in_front_of_the_wall_for_
 
 
 @pytest.mark.parametrize(
-    ("place", "words"),
+    ("place", "text"),
     [
         ({"frame_id": 99, "column": 1.0, "row": 1.0}, "view has changed"),
         ({"frame_id": 5, "column": 1.0, "row": 1.0}, "no airway wall"),
         ({"lps": (0.0, 0.0, 9000.0)}, "outside the scan"),
     ],
 )
-def test_pixel_or_point_without_a_possible_edit_is_answered_with_the_reason(pointing, place, words):
+def test_pixel_or_point_without_a_possible_edit_is_answered_with_the_reason(pointing, place, text):
     preview = ask(pointing, 6, **place)
-    assert words in preview.problem
+    assert text in preview.problem
     assert (preview.lines, preview.length_mm, preview.has_evidence) == ((), None, False)
 
 

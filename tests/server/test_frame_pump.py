@@ -195,7 +195,7 @@ def test_picture_pump_continues_after_a_panic_and_after_a_picture_that_cannot_be
     renderer.render = broken
     screen.drain()
     assert screen.headers == []
-    assert {words.partition(" could")[0] for _, words in screen.reported} == {"the airway view", "the axial view"}
+    assert {text.partition(" could")[0] for _, text in screen.reported} == {"the airway view", "the axial view"}
     renderer.render = whole
     screen.fixture.clock.advance(1 / 60)
     screen.fixture.session.do(SetFov(101.0))

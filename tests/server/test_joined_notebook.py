@@ -331,12 +331,12 @@ class Workstations:
         self._process = None
 
     def start(self):
-        words = (
+        message = (
             "from carina.server import serve; import sys; "
             "serve(sys.argv[1], open_browser=False, on_ready=lambda url, token: print('ready', flush=True))"
         )
         self._process = subprocess.Popen(
-            [sys.executable, "-c", words, str(self._ct)],
+            [sys.executable, "-c", message, str(self._ct)],
             stdout=subprocess.PIPE,
             text=True,
             env=environment_in(self._home / "home"),

@@ -88,9 +88,9 @@ def test_messages_to_an_observer_contain_no_file_name_after_any_command_or_error
         shown = watcher.until_state(lambda s: s.case is not None and s.airways == "failed")
         assert shown.case.title == live.session.snapshot().neutral_title
         assert shown.case.ct_name is None
-        words = {note.code: note.words for note in shown.case.notes}
-        assert words["import.lossy"] == "the slices were compressed with loss"
-        assert "ask the person at the workstation" in words["import.files-unread"]
+        texts = {note.code: note.words for note in shown.case.notes}
+        assert texts["import.lossy"] == "the slices were compressed with loss"
+        assert "ask the person at the workstation" in texts["import.files-unread"]
         watcher.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "axial")
         # These commands of the user fail with messages that contain the file's name.
         window.send(wire.OpenPath("/scans/SURNAME/refused"))

@@ -66,7 +66,7 @@ def test_lung_maps_are_sent_only_after_a_change() -> None:
 
 
 @pytest.mark.parametrize(
-    ("shares", "words"),
+    ("shares", "text"),
     [
         ((0.79, 0.68), "seen along about 80 % of the borders on the right and 70 % of the borders on the left"),
         ((0.0, 0.02), "hardly any seen"),
@@ -75,8 +75,8 @@ def test_lung_maps_are_sent_only_after_a_change() -> None:
         (None, "as far as the CT shows them"),
     ],
 )
-def test_text_about_visible_fissures_names_each_side_with_lobe_borders(shares, words) -> None:
-    assert _fissures_seen(shares) == words
+def test_text_about_visible_fissures_names_each_side_with_lobe_borders(shares, text) -> None:
+    assert _fissures_seen(shares) == text
 
 
 def test_lung_vessels_are_sent_as_lines_without_short_side_branches() -> None:

@@ -83,16 +83,16 @@ def test_pixel_in_the_airway_picture_selects_the_lumen_in_front_of_the_wall_for_
 
 
 @pytest.mark.parametrize(
-    ("place", "words"),
+    ("place", "text"),
     [
         ({"frame_id": 99, "column": 1.0, "row": 1.0}, "view has changed"),
         ({"frame_id": 5, "column": 1.0, "row": 1.0}, "no airway wall"),
     ],
 )
-def test_pixel_without_a_visible_wall_is_answered_with_the_reason(pointing, place, words):
+def test_pixel_without_a_visible_wall_is_answered_with_the_reason(pointing, place, text):
     answer = ask(pointing, 6, **place)
     assert answer.lps is None
-    assert words in answer.problem
+    assert text in answer.problem
 
 
 def test_live_path_request_without_airways_is_answered_with_the_step_still_needed():

@@ -31,7 +31,7 @@ def test_movement_command_that_needs_preparation_is_executed_by_its_handler(comm
 
 
 @pytest.mark.parametrize(
-    ("command", "words"),
+    ("command", "text"),
     [
         (c.SetFov(30.0), "set_fov.fov_deg must be at least 60; found 30"),
         (c.SetFov(float("nan")), "fov_deg must be"),
@@ -43,13 +43,13 @@ def test_movement_command_that_needs_preparation_is_executed_by_its_handler(comm
         (c.OpenPath(object()), "open_path contains a value that no command accepts"),
     ],
 )
-def test_command_value_out_of_bounds_is_refused_with_its_field_and_changes_nothing(command, words):
+def test_command_value_out_of_bounds_is_refused_with_its_field_and_changes_nothing(command, text):
     fixture = session_fixture()
     fixture.open()
     before = fixture.session.snapshot()
     with pytest.raises(UsageError) as refused:
         fixture.session.do(command)
-    assert words in str(refused.value)
+    assert text in str(refused.value)
     assert fixture.session.snapshot() == before
 
 

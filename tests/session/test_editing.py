@@ -95,8 +95,8 @@ def test_route_to_a_cut_branch_is_removed_with_a_message_and_restored_by_undo(fi
     fixture.session.do(ChooseRoute(branch_id=2))
     edit(fixture, CutBranch(2))
     assert document(fixture).route is None
-    words = [e.message for e in fixture.of_type(UserMessage)]
-    assert words == ["the edit removed the route to branch 2, generation 2; choose another one, or undo"]
+    messages = [e.message for e in fixture.of_type(UserMessage)]
+    assert messages == ["the edit removed the route to branch 2, generation 2; choose another one, or undo"]
     fixture.session.undo()
     assert document(fixture).route.branch_id == gone.id
 
@@ -161,10 +161,10 @@ def test_impossible_edits_leave_the_tree_unchanged_and_state_the_reason(fixture,
     edit(fixture, CutBranch(0), CutBranch(77), Bridge(point(case.plug)))
     assert document(fixture) is before
     assert [e.outcome for e in fixture.of_type(JobEnded)] == ["failed"] * 3
-    words = [e.message for e in fixture.of_type(Trouble)]
-    assert "contains the start" in words[0]
-    assert "branch 77 is not in the tree" in words[1]
-    assert "this point is not in air" in words[2]
+    messages = [e.message for e in fixture.of_type(Trouble)]
+    assert "contains the start" in messages[0]
+    assert "branch 77 is not in the tree" in messages[1]
+    assert "this point is not in air" in messages[2]
     assert fixture.session.snapshot().undo_label is None
 
 

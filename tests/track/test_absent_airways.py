@@ -310,7 +310,7 @@ def test_reasons_for_missed_segments_in_coarse_scans_of_a_healthy_chest_name_no_
     assert len(airways.tree) < 120, "the search misses airways that the phantom has"
     texts = [*(absence.words for absence in airways.absent), *(place.reason for place in airways.uncertain)]
     assert texts
-    assert [words for words in texts if DISEASE.search(words)] == []
+    assert [text for text in texts if DISEASE.search(text)] == []
 
 
 def test_stump_beside_a_branch_is_not_the_reason_for_segments_beyond_the_branch():

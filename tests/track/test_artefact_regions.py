@@ -33,9 +33,9 @@ def made(seed: int) -> Phantom:
     return cached_phantom(**CHEST, seed=seed)
 
 
-def slices_in(words: str) -> tuple[int, int, int]:
+def slices_in(text: str) -> tuple[int, int, int]:
     """Return the first slice number, the last slice number and the number of slices that a note of streaks states."""
-    first, rest = words.split("in slices ")[1].split(" to ", 1)
+    first, rest = text.split("in slices ")[1].split(" to ", 1)
     last, count = rest.split(" from the feet")[0].split(" of ")
     return int(first), int(last), int(count)
 

@@ -48,11 +48,11 @@ def test_tree_of_a_chest_of_half_size_has_limited_confidences_and_a_stored_note(
     _, airways = half
     assert max(confidences_of(airways.tree)) == 0.5
     assert UNCALIBRATED_SIZE in codes_of(airways.tree)
-    (words,) = [note.words for note in airways.badges if note.code == UNCALIBRATED_SIZE]
-    assert "9.5 mm across" in words
-    assert "12 to 27 mm" in words
-    assert "limited to 50 %" in words
-    assert words in airways.notes
+    (text,) = [note.words for note in airways.badges if note.code == UNCALIBRATED_SIZE]
+    assert "9.5 mm across" in text
+    assert "12 to 27 mm" in text
+    assert "limited to 50 %" in text
+    assert text in airways.notes
     again = AirwayTree.from_json(airways.tree.to_json())
     assert codes_of(again) == codes_of(airways.tree)
 

@@ -111,13 +111,13 @@ def test_moved_fork_has_the_previewed_lines_exactly(case):
 def test_preview_of_an_impossible_edit_gives_a_reason_and_no_lines(case):
     tree = case.airways.tree
     leaf = tree.tips()[0]
-    for edit, words in (
+    for edit, text in (
         (MoveFork(leaf.id, tuple(leaf.tip_lps)), "without a fork"),
         (Bridge(tuple(leaf.tip_lps)), "nothing to bridge"),
         (AddBranch(tuple(leaf.points[len(leaf.points) // 2])), "already reaches"),
     ):
         preview = preview_edit(case.volume, case.airways, edit)
-        assert words in str(preview.problem)
+        assert text in str(preview.problem)
         assert (preview.lines, preview.has_evidence, preview.length_mm) == ((), False, 0.0)
 
 

@@ -360,8 +360,8 @@ def test_anatomical_variants_of_phantoms_are_named_correctly():
     for seed in SEEDS:
         tree, named = true_tree(seed), name_tree(true_tree(seed))
         variants = " ".join(b.variant or "" for b in named.branches)
-        for stem, words in (("RB1+2", "RB1 and RB2 share a stem"), ("RB2+3", "RB2 and RB3 share a stem")):
-            assert (stem in tree.names) == (words in variants), seed
+        for stem, text in (("RB1+2", "RB1 and RB2 share a stem"), ("RB2+3", "RB2 and RB3 share a stem")):
+            assert (stem in tree.names) == (text in variants), seed
 
 
 def regrafted(tree: AirwayTree, name: str, host_name: str, share: float) -> tuple[AirwayTree, int]:
@@ -402,18 +402,18 @@ def regrafted(tree: AirwayTree, name: str, host_name: str, share: float) -> tupl
 
 
 @pytest.mark.parametrize(
-    ("name", "host", "share", "words"),
+    ("name", "host", "share", "text"),
     [
         ("RUL", "Trachea", 0.9, "tracheal bronchus"),
         ("RB1", "Trachea", 0.85, "tracheal bronchus"),
         ("RB6", "BI", 0.5, "at or above the middle lobe bronchus"),
     ],
 )
-def test_bronchus_with_an_unusually_high_origin_is_reported_as_variant(name, host, share, words):
+def test_bronchus_with_an_unusually_high_origin_is_reported_as_variant(name, host, share, text):
     changed, which = regrafted(true_tree(4), name, host, share)
     named = name_tree(changed)
     assert named.branch(which).name == name
-    assert words in (named.branch(which).variant or "")
+    assert text in (named.branch(which).variant or "")
     right, wrong, total = score(true_tree(4), named)
     assert right >= total - 1
     assert wrong == 0
@@ -422,9 +422,9 @@ def test_bronchus_with_an_unusually_high_origin_is_reported_as_variant(name, hos
 def test_every_branch_name_has_a_full_text():
     for keys in LOBES.values():
         for key in keys:
-            words = name_words(key)
-            assert words is not None
-            assert words.side == ("right" if key.startswith("R") else "left")
+            full_name = name_words(key)
+            assert full_name is not None
+            assert full_name.side == ("right" if key.startswith("R") else "left")
     for name in grammar().names:
         assert name_words(name) is not None, name
     assert name_words("RB6").full == "RB6 (superior segment, RLL)"  # type: ignore[union-attr]

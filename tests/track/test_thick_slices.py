@@ -123,22 +123,22 @@ def test_pixels_wider_than_calibrated_give_only_limits_of_the_detection_shares(c
     coarse = shares_in(ct_of(3.0, pixel_mm=0.98))
     assert coarse is not None
     assert all(share.least == 0.0 and share.typical is None for share in coarse.shares)
-    words = note_of(with_slice_note(dataclasses.replace(chest.tree, notes=()), ct_of(3.0, pixel_mm=0.98))) or ""
+    text = note_of(with_slice_note(dataclasses.replace(chest.tree, notes=()), ct_of(3.0, pixel_mm=0.98))) or ""
     limits = "at most 90 % of the length of airways of 3 to 4 mm, at most 75 % of those of 2 to 3 mm and at most 25 %"
-    assert f"Carina finds {limits} of those of 1 to 2 mm." in words
+    assert f"Carina finds {limits} of those of 1 to 2 mm." in text
 
 
 def test_note_of_a_search_in_thick_slices_states_the_detection_share_of_each_diameter(chest):
-    words = note_of(chest.tree)
-    assert words is not None
-    assert words in chest.notes
-    assert words.startswith(
+    text = note_of(chest.tree)
+    assert text is not None
+    assert text in chest.notes
+    assert text.startswith(
         "slices of 3 mm: in such CTs, Carina finds 95 % (90 to 100 %) of the length of airways wider than 6 mm"
     )
-    assert "40 % (20 to 75 %) of those of 2 to 3 mm and 5 % (at most 25 %) of those of 1 to 2 mm." in words
-    assert "An airway that is not in the tree may still be there." in words
+    assert "40 % (20 to 75 %) of those of 2 to 3 mm and 5 % (at most 25 %) of those of 1 to 2 mm." in text
+    assert "An airway that is not in the tree may still be there." in text
     assert [note.words for note in badges_of(cached_phantom(**THICK).volume, chest) if note.code == THICK_SLICES] == [
-        words
+        text
     ]
 
 
@@ -149,16 +149,16 @@ def test_tree_from_thin_slices_has_no_note_and_no_detection_shares():
 
 
 def test_note_of_thick_slices_is_preserved_by_files_edits_and_undo_storage(chest, tmp_path):
-    words = note_of(chest.tree)
-    assert note_of(AirwayTree.from_json(json.loads(json.dumps(chest.tree.to_json())))) == words
+    text = note_of(chest.tree)
+    assert note_of(AirwayTree.from_json(json.loads(json.dumps(chest.tree.to_json())))) == text
     path = tmp_path / "t.json"
     carina.write_tree(path, chest.tree)
-    assert note_of(carina.read_tree(path)) == words
+    assert note_of(carina.read_tree(path)) == text
     tip = max(chest.tree.tips(), key=lambda branch: branch.generation)
     edited = edit_airways(cached_phantom(**THICK).volume, chest, CutBranch(tip.id))
-    assert note_of(edited.tree) == words
+    assert note_of(edited.tree) == text
     assert edited.calibrated_shares == chest.calibrated_shares
-    assert note_of(fold_airways(edited).unfold().tree) == words
+    assert note_of(fold_airways(edited).unfold().tree) == text
 
 
 def test_mask_of_another_tool_has_no_note_of_thick_slices(chest):
