@@ -274,7 +274,7 @@ def assert_same_airways(found: Airways, expected: Airways) -> None:
 
 
 def write_sample_file(path: Any) -> None:
-    """Write a case with all kinds of content; the permanent files in the folder ``kept`` are made by this function."""
+    """Write a case with all kinds of content; this function makes the files in the folder ``sample_files``."""
     active_case = ActiveCase()
     rng = np.random.default_rng(7)
     acts = "measure target key cut measure look rename paint measure key undo redo add measure target gaze undo"

@@ -446,7 +446,7 @@ def test_flight_is_replayed_from_the_selected_time_until_a_manual_move_of_the_ti
     session.do(StopRecording())
     last = session.pose_info().pose
     session.do(FlyFlight(1, 0.5, goes_on=True))
-    assert session.pose_info().pose is last, "nothing is under way that could go on"
+    assert session.pose_info().pose is last, "there is no flight that could continue"
     session.do(FlyFlight(1, 0.0))
     background.run_all()
     assert session.pose_info().flight == FlightPlace(1, 0.0)

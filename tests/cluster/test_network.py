@@ -71,7 +71,7 @@ def test_interrupted_network_link_delays_pictures_briefly_and_the_machine_rejoin
         found = json.loads(done.stdout.splitlines()[-1])
         print(found)
         assert found["median_ms"] < 400
-        assert found["left"], "Ray gave the machine up, so that it had to join anew"
+        assert found["left"], "Ray removed the machine, which must join again"
         assert found["serves_again"]
         assert sum("has left" in notice for notice in found["notices"]) == 1
     finally:

@@ -62,7 +62,7 @@ def test_requested_frame_rate_limits_the_pictures_per_second(server, workstation
     workstation.watch_pose_ids("airway")
     held_s = workstation.hold("w", 1500)
     shown = len(workstation.watched_pose_ids())
-    assert shown <= held_s * 15 * 1.2 + 3, "no more than what was asked for"
+    assert shown <= held_s * 15 * 1.2 + 3, "at most the requested rate"
     workstation.page.locator(".status-bar .pace button").click()
     workstation.page.get_by_role("option", name="60 frames/s").click()
     workstation.page.wait_for_function("() => window.__carina.state.frame_rate_hz === 60")

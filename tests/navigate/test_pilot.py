@@ -71,7 +71,7 @@ def test_relative_mode_moves_the_tip_by_the_movement_of_the_hand():
     hand = Hand()
     start = hand.pose
     hand.pen((100.0, 50.0, 25.0), (0.3, 0.2, 0.1))
-    assert moved(hand.pose, start) == 0.0, "the first sample only says where the hand is"
+    assert moved(hand.pose, start) == 0.0, "the first sample only sets the position of the hand"
     turn = rotation_from_vector(np.array([0.3, 0.2, 0.1]))
     forward_4mm = np.array([100.0, 50.0, 25.0]) + turn @ [0.0, 0.0, 4.0]
     hand.pen(forward_4mm, (0.3, 0.2, 0.1))
@@ -154,7 +154,7 @@ def test_stick_direction_at_a_fork_requests_the_branch_on_that_side():
         assert [way for way in calls if way is not None] == ([] if wanted is None else [wanted]), yaw
         if wanted is not None:
             at = calls.index(wanted)
-            assert at > 0, "it is asked at the fork and not before"
+            assert at > 0, "the branch is requested at the fork and not before"
     # The tip waits one frame at the fork, in which the route may change.
     hand = Hand(path=True)
     hand.pilot.apply(c.SetControl("path"))
@@ -456,7 +456,7 @@ def test_unregistered_pen_or_pen_without_position_data_has_no_position():
 def test_distance_between_pen_and_tip_is_reported_in_absolute_mode_until_it_is_zero():
     hand = registered(path=True)
     hand.pen(in_tracker((30.0, 0.0, -20.0)))
-    assert hand.pilot.pen().off_mm is None, "elsewhere the pen says no place of the tip"
+    assert hand.pilot.pen().off_mm is None, "in other modes no distance is reported"
     hand.pilot.apply(c.SetControl("absolute"))
     assert hand.pilot.pen().off_mm == pytest.approx(moved(hand.pose, hand.pilot.pen_pose("pen")))
     assert hand.pilot.pen().off_mm > 30.0

@@ -66,7 +66,7 @@ def test_cached_demo_with_american_field_names_is_read_with_british_names(tmp_pa
     (file.parent / "sums.json").write_text(json.dumps(sums), encoding="utf-8")
     reported: list[str] = []
     read = demo_phantom(cache_dir=tmp_path, progress=lambda what, _: reported.append(what))
-    assert reported == [], "it is read, not made anew"
+    assert reported == [], "the demo is read from the cache and not generated"
     assert read.truth["nodule"]["centre_lps"] == made.truth["nodule"]["centre_lps"]
     assert "center_lps" not in read.truth["nodule"]
 

@@ -57,7 +57,7 @@ def test_clock_offset_of_a_phone_is_that_of_the_message_with_the_least_delay():
     clock = ClockMap()
     delays_s = [0.080, 0.004, 0.250, 0.020]
     ours = [clock.ours(1000.0 + n / 60, 5.0 + n / 60 + delay_s) for n, delay_s in enumerate(delays_s)]
-    # From the second message on all times are mapped as if each message had been under way for 4 ms.
+    # From the second message on all times are mapped as if each message had a delay of 4 ms.
     np.testing.assert_allclose(ours[1:], [5.004 + n / 60 for n in (1, 2, 3)], atol=1e-9)
     assert ours[0] <= 5.080
 
@@ -278,7 +278,7 @@ def test_phone_certificate_has_the_shown_fingerprint_and_names_the_address(phone
     from cryptography import x509
 
     constraints = x509.load_der_x509_certificate(der).extensions.get_extension_for_class(x509.BasicConstraints)
-    assert not constraints.value.ca, "whoever trusts it trusts no other page by it"
+    assert not constraints.value.ca, "a leaf certificate: trust in it does not extend to other pages"
 
 
 def test_phone_server_serves_only_the_page_and_its_files_and_none_contains_the_token(phone):

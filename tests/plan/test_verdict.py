@@ -216,7 +216,7 @@ def test_tool_that_does_not_pass_the_channel_is_reported() -> None:
     assert found.outcome == "does not reach"
     assert found.words.endswith("21 G has a diameter of 1.8 mm; the working channel has 1.7 mm")
     assert found.would is not None and found.would.startswith("no needle of the library passes its channel")
-    assert found.driven is not None and found.driven.arrived, "that nothing else hinders it is said of a drive"
+    assert found.driven is not None and found.driven.arrived, "only a drive shows that there is no other obstacle"
 
 
 def test_thinner_needle_is_proposed_only_if_the_library_has_one() -> None:

@@ -334,7 +334,7 @@ def test_click_refers_to_the_picture_that_was_on_the_screen_and_not_to_a_newer_o
     for _ in range(100):
         screen.steer()
         screen.drain()
-    assert screen.pump.shown(shown.frame_id) is None, "only the newest are kept"
+    assert screen.pump.shown(shown.frame_id) is None, "only the newest pictures are stored"
 
 
 class Network:

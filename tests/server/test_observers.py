@@ -47,7 +47,7 @@ def test_observer_sees_the_case_and_the_flight_with_separate_view_settings(share
         before = live.session.snapshot().sight
         watcher.send(wire.SetCrosshair(LEFT_TIP), wire.SetTexture(on=False))
         assert watcher.until_state(lambda s: not s.sight.texture).sight.crosshair_lps == LEFT_TIP
-        assert live.session.snapshot().sight is before, "what is kept is the person's own"
+        assert live.session.snapshot().sight is before, "the stored view settings are those of the user"
         page_state = page_of(window, lambda page: page is not None and page.watchers)
         assert [w.address for w in page_state.watchers] == ["127.0.0.1"]
     assert page_of(window, lambda page: page is not None and not page.watchers).url == page.url

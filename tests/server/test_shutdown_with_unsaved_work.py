@@ -210,7 +210,7 @@ def test_second_signal_during_the_question_about_unsaved_work_ends_with_exit_cod
     code, out, text = mine.ended()
     assert code == 5, text
     assert json.loads(out)["error"]["code"] == "case.not-saved"
-    assert "5 changes" in text.strip().splitlines()[-1], "the last line says what is lost"
+    assert "5 changes" in text.strip().splitlines()[-1], "the last line states the lost changes"
 
 
 def test_shutdown_with_unsaved_work_and_without_a_terminal_has_exit_code_5(station):

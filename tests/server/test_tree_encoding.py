@@ -122,7 +122,7 @@ def test_tree_that_cannot_be_encoded_is_reported_and_delays_no_other_message(mon
         await writing.end()
         assert outbox.take()[0] == [*TREE_AND_ROUTE]
         assert writing.texts.tree() is None
-        assert writing.texts.route() is not None, "it says where the pose is on the path, with a tree or without"
+        assert writing.texts.route() is not None, "the route is sent with or without a tree"
 
     asyncio.run(run())
     (error,) = writing.errors

@@ -66,7 +66,7 @@ def test_copy_of_a_case_contains_no_name_of_ct_folder_or_mask_and_no_date(tmp_pa
     session.jobs.wait_idle(None)
     assert session.snapshot().saving.copy_name == "given.carina"
     (listed,) = session.cases.listed()
-    assert listed.scanned_on == SCANNED_ON, "its own person is told"
+    assert listed.scanned_on == SCANNED_ON, "the list of its user shows the date"
     session.close()
     with CaseFile.open(tmp_path / "given.carina", read_only=True) as case:
         case.write_copy(tmp_path / "packed.carina", volume=volume)

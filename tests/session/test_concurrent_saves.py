@@ -300,7 +300,7 @@ class Ward:
             assert author.saved <= places, (
                 f"{author.name} has lost {len(author.saved - places)} steps: {author.messages}"
             )
-            assert author.num_warnings == author.refusals, f"{author.name} was not told: {author.messages}"
+            assert author.num_warnings == author.refusals, f"{author.name} got no warning: {author.messages}"
         assert not list(self.path.parent.glob("*being replaced*"))
         assert not list(self.path.parent.glob(".*.draft"))
 

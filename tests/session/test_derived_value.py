@@ -173,7 +173,7 @@ def test_failed_derived_value_states_its_reason_and_is_retried_on_request_only()
     )
     fixture.while_making = lambda *_: None
     fixture.value.again()
-    assert fixture.background.waiting == [], "whoever wants it says of what"
+    assert fixture.background.waiting == [], "a new computation needs a request with inputs"
     fixture.value.want(A)
     fixture.background.run_all()
     assert (fixture.value.standing(A), fixture.value.error) == ("had", None)

@@ -70,7 +70,7 @@ def test_claim_on_a_ct_can_be_obtained_after_a_refused_takeover_of_its_case(pair
     with pytest.raises(UsageError):
         do_and_wait(other, c.TakeOver(case_id))
     claim = owner._saving.records.claim(saver.digest)
-    assert claim is not None, "another window is not told that the CT is open in this one"
+    assert claim is not None, "the claim is free, so no window is warned of an open CT"
     claim.release()
 
 

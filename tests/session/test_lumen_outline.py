@@ -147,7 +147,7 @@ def test_show_place_command_looks_at_the_point_from_the_lumen_in_front_of_it(fix
     forward = info.pose.lps_from_camera[:3, 2]
     assert float(forward @ to_place) / away > 0.999, "it looks at the place"
     i, j, k = np.rint(case.volume.to_ijk(info.pose.position_lps)).astype(int)
-    assert case.airways.lumen_zyx[k, j, i], "it stands in the lumen"
+    assert case.airways.lumen_zyx[k, j, i], "the camera is in the lumen"
     # All slices contain the crosshair, so each of them shows the place.
     assert scene.shown_lps == place
     # If the branch no longer exists, the nearest branch is used.

@@ -322,7 +322,7 @@ def test_simulated_drive_of_a_verdict_is_stored_as_a_flight_and_flown(chest: Pha
     before = case.pose.lps_from_camera.copy()
     for name in (driven.scope.name, driven.scope.name):
         case.do(KeepDrive(name))
-    assert np.array_equal(case.pose.lps_from_camera, before), "keeping a drive moves nothing"
+    assert np.array_equal(case.pose.lps_from_camera, before), "storing a drive does not move the tip"
     first, second = case.state.flights
     assert first.name == f"Simulated drive to {target.name}, {driven.scope.title}"
     assert (first.state, first.length_s) == ("complete", second.length_s)

@@ -373,7 +373,7 @@ def test_airway_view_and_plans_of_all_targets_have_the_same_scope():
         document = fixture.session.snapshot().document
         return document.look.scope, *(target.lesion.options.scope for target in document.targets)
 
-    # The generic scope stands for no instrument, so the first plan replaces it by the scope that plans use by default.
+    # The generic scope represents no instrument, so the first plan replaces it by the scope that plans use by default.
     fixture.session.do(MarkSphere(small_lps((4.0, 4.0, 4.0)), 6.0))
     assert scopes() == ("thin", "thin")
     assert fixture.session.snapshot().document.look.fov_deg == scope_preset("thin").usual_fov_deg

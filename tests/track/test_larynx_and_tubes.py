@@ -47,7 +47,7 @@ def test_tree_begins_below_the_cricoid_if_the_scan_includes_the_larynx(seed: int
     assert upper is not None
     true = made.upper_airway_zyx
     assert true is not None
-    assert (upper & true).sum() > 0.8 * true.sum(), "larynx and throat are kept apart"
+    assert (upper & true).sum() > 0.8 * true.sum(), "larynx and throat are stored separately from the lumen"
     assert not (upper & found.lumen_zyx).any()
 
 

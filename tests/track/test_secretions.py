@@ -56,7 +56,7 @@ def test_fluid_level_or_mucus_plug_is_reported_with_the_bronchial_diameter_from_
     assert place.calibre_mm == pytest.approx(made.calibre_mm, abs=max(0.15 * made.calibre_mm, VOXEL_MM))
     assert abs(place.calibre_mm - made.calibre_mm) <= 2.0 * place.calibre_error_mm
     assert place.width_mm == pytest.approx(made.air_mm, abs=VOXEL_MM)
-    assert (place.width_mm == 0.0) == (share == 1.0), "no air is said to be visible only where there is none"
+    assert (place.width_mm == 0.0) == (share == 1.0), "no air is reported exactly if there is none"
     assert "a CT cannot distinguish these from a tumour or a collapsed airway" in place.reason
     assert f"{place.calibre_mm:.1f} \u00b1 {place.calibre_error_mm:.1f} mm wide from wall to wall" in place.reason
 
