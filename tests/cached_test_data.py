@@ -58,7 +58,7 @@ def digest_of_the_code() -> str:
     return found.hexdigest()[:16]
 
 
-def made_phantom(**options: Any) -> Phantom:
+def cached_phantom(**options: Any) -> Phantom:
     """Return :func:`carina.phantom.generate_phantom` with these options, from the cache if it is stored there."""
     return _phantom(json.dumps(options, sort_keys=True))
 
@@ -70,7 +70,7 @@ def _phantom(options: str) -> Phantom:
     try:
         with alone(name):
             if not folder.exists():
-                keep(phantom.generate_phantom(**json.loads(options)), folder)
+                store_phantom(phantom.generate_phantom(**json.loads(options)), folder)
     except OSError:  # The checkout cannot be written, so the phantom is generated each time.
         return phantom.generate_phantom(**json.loads(options))
     # The arrays are memory-mapped, so that workers share the memory.
@@ -82,7 +82,7 @@ def _phantom(options: str) -> Phantom:
     return Phantom(volume=volume, lumen_zyx=lumen, truth=rest["truth"], upper_airway_zyx=upper)
 
 
-def keep(made: Phantom, folder: Path) -> None:
+def store_phantom(made: Phantom, folder: Path) -> None:
     """Write a phantom to a draft folder and rename it, so that an interrupted run leaves no incomplete phantom."""
     assert made.lumen_distance_mm is None
     for other in CACHE.iterdir():
@@ -109,7 +109,7 @@ def digest_of_the_package() -> str:
     return found.hexdigest()[:16]
 
 
-def made_value(name: str, make: Callable[[], Any]) -> Any:
+def cached_value(name: str, make: Callable[[], Any]) -> Any:
     """Return the result of ``make``, pickled under this name until the code of the package changes."""
     folder = CACHE / digest_of_the_code()
     path = folder / f"{name}, {digest_of_the_package()}.pickle"
@@ -141,7 +141,7 @@ def alone(name: str) -> Iterator[None]:
         yield
 
 
-def kept_airways(name: str, volume: Volume) -> Airways:
+def stored_airways(name: str, volume: Volume) -> Airways:
     """Return the airways of a volume from the cache; the first process that needs them searches for them.
 
     The path tracker is not stored. It is computed again when the first path is requested, as for an opened case.
@@ -159,7 +159,7 @@ def kept_airways(name: str, volume: Volume) -> Airways:
         paths_zyx = tracker.lumen_zyx if grid.is_divided else None
         return fields, (grid.parts, paths_zyx, tracker.root_ijk, tracker.given_nodes)
 
-    fields, (parts, paths_zyx, root_ijk, nodes) = made_value(name, search)
+    fields, (parts, paths_zyx, root_ijk, nodes) = cached_value(name, search)
     if searched:
         return searched[0]
     (branches, notes), lumen, levels = fields.pop("tree"), fields["lumen_zyx"], fields["wall_levels"]
@@ -186,17 +186,17 @@ def found_airways(volume: Volume) -> Airways:
     place = hashlib.sha256(volume.lps_from_ijk.tobytes() + repr((volume.shape_zyx, volume.is_hu)).encode()).hexdigest()
     name = f"airways of {ct_digest(volume)[:16]}-{place[:8]}"
     if name not in _FOUND:
-        _FOUND[name] = kept_airways(name, volume)
+        _FOUND[name] = stored_airways(name, volume)
     return _FOUND[name]
 
 
 @lru_cache(maxsize=4)
 def _airways(options: str) -> Airways:
     name = hashlib.sha256(options.encode()).hexdigest()[:16]
-    return kept_airways(f"airways of {name}", _phantom(options).volume)
+    return stored_airways(f"airways of {name}", _phantom(options).volume)
 
 
-def made_airways(**options: Any) -> Airways:
+def cached_airways(**options: Any) -> Airways:
     """Return the airways of :func:`made_phantom`, searched once for all workers."""
     return _airways(json.dumps(options, sort_keys=True))
 
@@ -205,4 +205,4 @@ def made_airways(**options: Any) -> Airways:
 def patient() -> tuple[Volume, Airways]:
     """Return the bundled CT and its airways, searched once for all workers."""
     volume = carina.demo_patient()
-    return volume, kept_airways("airways of the patient", volume)
+    return volume, stored_airways("airways of the patient", volume)

@@ -35,7 +35,7 @@ def put_text(path: Path, text: str, placement: Any) -> None:
 class MemoryFile:
     """Case file that is stored in memory under its path."""
 
-    kept: dict[str, tuple[str, Any]] = {}  # noqa: RUF012 - one disk
+    contents: dict[str, tuple[str, Any]] = {}  # noqa: RUF012 - one disk
 
     def __init__(self, path: Path, digest: str) -> None:
         self.path, self.digest = path, digest
@@ -46,11 +46,11 @@ class MemoryFile:
         if self.refuses is not None:
             raise self.refuses
         self.num_saved += 1
-        self.kept[str(self.path)] = (self.digest, moment)
+        self.contents[str(self.path)] = (self.digest, moment)
         self.path.write_text("kept")
 
     def load(self, volume: Any) -> Any:
-        moment = self.kept[str(self.path)][1]
+        moment = self.contents[str(self.path)][1]
         if moment is None:
             raise CarinaError("the file is damaged", code="case.damaged")
         return moment
@@ -80,7 +80,7 @@ class MemoryFile:
         self.closed = True
 
 
-class Desk:
+class RestartableWorkstation:
     """Workstation that is started, killed and started again with the same stored cases."""
 
     def __init__(self, folder: Path) -> None:
@@ -100,7 +100,7 @@ class Desk:
             return self.files[-1]
 
         def reopen(path: Path) -> MemoryFile:
-            return create(path, None, MemoryFile.kept[str(path)][0])
+            return create(path, None, MemoryFile.contents[str(path)][0])
 
         def write(path: Path, case: Any, ct_place: str | None, save_mark: Any, placement: Any) -> None:
             put_text(path, f"{case.digest} whole, {ct_place}, {save_mark}", placement)
@@ -112,13 +112,13 @@ class Desk:
             submit=self.background,
             clock=self.clock,
             records=CaseRecords(self.folder / "cases", self.wall),
-            files=self.kept_files(CaseFileFunctions(create, reopen, write, lambda _volume: self.digest)),
+            files=self.file_functions(CaseFileFunctions(create, reopen, write, lambda _volume: self.digest)),
             store=self.store,
         )
         self.session.subscribe(self.events.append)
         return self.session
 
-    def kept_files(self, files: CaseFileFunctions) -> CaseFileFunctions:
+    def file_functions(self, files: CaseFileFunctions) -> CaseFileFunctions:
         """Return the functions that open case files; subclasses replace them."""
         return files
 

@@ -25,7 +25,7 @@ class PseudoPort:
     def send(self, data: bytes) -> None:
         os.write(self.master, data)
 
-    def heard(self) -> bytes:
+    def received(self) -> bytes:
         """Return the bytes that the host program has sent to the device so far."""
         os.set_blocking(self.master, False)
         with contextlib.suppress(BlockingIOError, OSError):

@@ -98,7 +98,7 @@ class Simulation:
             times = [end_s, *(due_s for due_s, _ in self._acks)]
             wake_s = self.scheduler.wake_s(self.now_s)
             if wake_s is not None:
-                assert wake_s > self.now_s, "asked to wake at once, and there was nothing to do"
+                assert wake_s > self.now_s, "an immediate wake-up was requested without a picture to render"
                 times.append(wake_s)
             if moves:
                 times.append(start_s + (self.pose - start_pose) / self.hand_per_s)

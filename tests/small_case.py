@@ -317,7 +317,7 @@ def small_parts(**replaced: Any) -> Parts:
 
 
 @dataclass
-class Bench:
+class SessionFixture:
     """Session with a background and a clock that the test controls, and all events of the session."""
 
     session: Session
@@ -334,7 +334,7 @@ class Bench:
         return [e for e in self.events if isinstance(e, kind)]
 
 
-def small_bench(*, store: Any = None, **replaced: Any) -> Bench:
+def session_fixture(*, store: Any = None, **replaced: Any) -> SessionFixture:
     """Return a session over the replacements of the slow parts, with its background and clock."""
     background, clock = Background(), Clock()
     renderers: list[SmallRenderer] = []
@@ -353,4 +353,4 @@ def small_bench(*, store: Any = None, **replaced: Any) -> Bench:
     )
     events: list[Any] = []
     session.subscribe(events.append)
-    return Bench(session, background, clock, events, renderers)
+    return SessionFixture(session, background, clock, events, renderers)

@@ -7,7 +7,7 @@ import numpy as np
 from carina.volume.model import Volume
 
 
-def made_vessel():
+def bent_vessel():
     """Return a bright vessel with a bend of 90 degrees in darker tissue with noise, as in MR.
 
     The results are the volume, the voxels of the vessel, and the vessel's start, corner and end (LPS mm).

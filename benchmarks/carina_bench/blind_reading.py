@@ -2,8 +2,7 @@
 
 ``python -m carina_bench.blind_reading draw FOLDER CASE ...`` writes pictures, half of them without decoration, and
 their answers in ``key.json``, which readers must not see. A reader writes hours into a file, ``{"00": 4.5, ...}``: 12
-for the top of the picture. ``python -m carina_bench.blind_reading score FOLDER/key.json HOURS.json`` prints their
-errors.
+for the top of the picture. ``python -m carina_bench.blind_reading score FOLDER/key.json HOURS.json`` prints the errors.
 """
 
 from __future__ import annotations

@@ -80,7 +80,8 @@ NEAR_TIP_MM = 5.0
 LEAST_HITS, NUM_NEEDLES = 0.5, 400
 """Least share of needles that hit from a hold, and number of simulated needles."""
 LEAST_POINTS, MOST_TOLD_WRONG = 0.9, 0.01
-"""Least share of routes told reachable that point, and of targets that holds hit; largest share of wrong statements."""
+"""Least share of routes stated as reachable that point, and of targets that holds hit, and largest share of wrong
+statements."""
 PATIENTS = ("Patient1", "Patient2", "Patient3", "lobes-Patient1", "lobes-Patient2")
 """Names of the patients whose CTs are painted with nodules."""
 CONDITION = "medium-25"
@@ -151,7 +152,7 @@ def flown(case: PlanCase, target: Target, route: PlannedRoute, scope: ScopePrese
     if strayed is not None and _room_mm(truth, way[~in_trachea]) < scope.fit_mm:
         return Flight(False, strayed)
     if truth.narrowest_mm[at] < scope.fit_mm:
-        return Flight(False, f"truly {truth.narrowest_mm[at]:.2f} mm wide, told {route.narrowest_mm:.2f}")
+        return Flight(False, f"truly {truth.narrowest_mm[at]:.2f} mm wide, stated {route.narrowest_mm:.2f}")
     along = np.array(route.leg.aim_lps) - tip
     along /= max(float(np.linalg.norm(along)), 1e-9)
     line = tip + np.arange(0.0, reach_mm + 1e-9, EDGE_MM)[:, None] * along
@@ -436,7 +437,7 @@ def summary(rows: Sequence[Row], what: str) -> list[Row]:
 
 
 def _pointing(rows: Sequence[Row], what: str) -> list[Row]:
-    """Return the summary rows about the drives' pointing; without told routes or holds, their figures are None."""
+    """Return the summary rows about the drives' pointing; without stated routes or holds, their figures are None."""
     told = [row for row in rows if row["told"] == "reaches"]
     right = [row for row in told if row["arrives"] and row.get("points", False) and row.get("accepted", True)]
     is_searched = any("could" in row for row in told)

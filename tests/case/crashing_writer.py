@@ -23,23 +23,23 @@ def acts_of(seed):
         yield ACTS[rng.integers(len(ACTS))], lambda n: int(rng.integers(n))
 
 
-def work(seed: int, path: Path, volume, say) -> None:
+def work(seed: int, path: Path, volume, report) -> None:
     from edit_case import EditCase
-    from sample_case import Doing, act
+    from sample_case import ActiveCase, act
 
     from carina.case import CaseFile
 
     with CaseFile.open(path) as file:
         moment = file.load(volume)
-        doing = Doing.of(moment, EditCase(volume, moment.first.airways, [], np.zeros(3), np.zeros(3)))
+        active_case = ActiveCase.of(moment, EditCase(volume, moment.first.airways, [], np.zeros(3), np.zeros(3)))
         acts = acts_of(seed)
         for done in range(1, NUM_ACTS):
             name, number = next(acts)
-            act(doing, name, number)
-            doing.numbers["acts"] = done
-            say(f"saving {done}")
-            file.save(doing.moment())
-            say(f"saved {done}")
+            act(active_case, name, number)
+            active_case.numbers["acts"] = done
+            report(f"saving {done}")
+            file.save(active_case.moment())
+            report(f"saved {done}")
             if done % 25 == 0:
                 file.write_copy(path.with_name("named.carina"))
 
@@ -58,14 +58,14 @@ def main() -> None:
         if child == 0:
             out = os.dup(1)
 
-            def say(words: str, out: int = out) -> None:
-                os.write(out, f"{words}\n".encode())
+            def report(text: str, out: int = out) -> None:
+                os.write(out, f"{text}\n".encode())
 
-            say(f"pid {os.getpid()}")
+            report(f"pid {os.getpid()}")
             try:
-                work(int(seed), Path(path), volume, say)
+                work(int(seed), Path(path), volume, report)
             except BaseException as trouble:  # the test must receive any exception
-                say(f"failed {type(trouble).__name__} {trouble}")
+                report(f"failed {type(trouble).__name__} {trouble}")
             os._exit(0)
         os.waitpid(child, 0)
         print("gone", flush=True)

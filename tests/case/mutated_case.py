@@ -34,12 +34,12 @@ JSON_COLUMNS = (
 
 
 class Mutator:
-    """Random change of one value of a case file; ``said`` describes the change for the message of a failing test."""
+    """Random change of one value of a case file; ``description`` states it for the message of a failing test."""
 
     def __init__(self, connection: sqlite3.Connection, seed: int) -> None:
         self._connection = connection
         self._random = random.Random(seed)
-        self.said = ""
+        self.description = ""
 
     def mutate(self) -> None:
         """Change one column, one JSON field, one array, one list of numbers, one recording or the order of rows."""
@@ -98,7 +98,7 @@ class Mutator:
         made = made if mark is None else made.replace('"MARK"', mark)
         if made == text:
             return False
-        self.said = f"JSON {how} at {key!r}: "
+        self.description = f"JSON {how} at {key!r}: "
         if table == "tree":
             self._connection.execute("UPDATE tree SET size = ? WHERE rowid = ?", (len(made.encode()), rowid))
             return self._set(table, rowid, column, deflate(made.encode()))
@@ -126,7 +126,7 @@ class Mutator:
             numbers = numbers[: across * (max(count - 1, 0) if how == "shorter" else 0)]
             count = len(numbers) // across
         self._connection.execute("UPDATE array SET count = ? WHERE rowid = ?", (count, rowid))
-        self.said = f"numbers {how} {value}: "
+        self.description = f"numbers {how} {value}: "
         return self._set("array", rowid, "data", deflate(numbers.tobytes()))
 
     def _figures(self) -> bool:
@@ -137,7 +137,7 @@ class Mutator:
         numbers = np.frombuffer(zlib.decompress(data), dtype="<f8").copy()
         value = self._random.choice((np.inf, -np.inf, np.nan, 1e300, -1e12))
         numbers[self._random.randrange(len(numbers))] = value
-        self.said = f"figure {value}: "
+        self.description = f"figure {value}: "
         return self._set("sections", rowid, "figures", deflate(numbers.tobytes()))
 
     def _recording(self) -> bool:
@@ -153,7 +153,7 @@ class Mutator:
         mark = self._random.choice((*RAW, '"text"', "null", "-1", "[]"))
         lines[place] = json.dumps(line).replace('"MARK"', mark)
         content = "".join(f"{one}\n" for one in lines).encode()
-        self.said = f"recording {key!r} {mark[:20]}"
+        self.description = f"recording {key!r} {mark[:20]}"
         self._connection.execute(
             "UPDATE recording_chunk SET size = ?, digest = ?, data = ? WHERE rowid = ?",
             (len(content), content_digest(content), deflate(content), rowid),
@@ -166,7 +166,7 @@ class Mutator:
         self._random.shuffle(order)
         for (n, _), document in zip(rows, order, strict=True):
             self._connection.execute("UPDATE step SET document = ? WHERE n = ?", (document, n))
-        self.said = "steps shuffled"
+        self.description = "steps shuffled"
         return order != [document for _, document in rows]
 
     # Helper functions
@@ -181,7 +181,7 @@ class Mutator:
             self._connection.execute(f"UPDATE {table} SET {column} = CAST(? AS TEXT) WHERE rowid = ?", (value, rowid))
         else:
             self._connection.execute(f"UPDATE {table} SET {column} = ? WHERE rowid = ?", (value, rowid))
-        self.said += f"{table}.{column} row {rowid} = {value!r}"[:200]
+        self.description += f"{table}.{column} row {rowid} = {value!r}"[:200]
         if table in CONTENT:
             cursor = self._connection.execute(f"SELECT * FROM {table} WHERE rowid = ?", (rowid,))
             row = dict(zip((one[0] for one in cursor.description), cursor.fetchone(), strict=True))

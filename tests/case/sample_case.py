@@ -38,7 +38,7 @@ def source_of(case: EditCase) -> SourceFacts:
     return SourceFacts.of(case.volume, SOURCE_DIGEST, path="ct/series", choices={"series": "1"})
 
 
-class Doing:
+class ActiveCase:
     """Simulated user who edits a case without a session."""
 
     def __init__(self, case: EditCase | None = None) -> None:
@@ -59,7 +59,7 @@ class Doing:
         self.measured = MeasuredAirways()
 
     @classmethod
-    def of(cls, moment: Moment, case: EditCase) -> Doing:
+    def of(cls, moment: Moment, case: EditCase) -> ActiveCase:
         """Return a simulated user who continues from the saved content of a case."""
         made = cls.__new__(cls)
         made.case, made.history, made.sight = case, moment.history(), moment.sight
@@ -209,14 +209,14 @@ ACTS = (
 )
 
 
-def act(doing: Doing, name: str, number: Any) -> None:
+def act(active_case: ActiveCase, name: str, number: Any) -> None:
     """Let the simulated user perform the action ``name``; ``number(n)`` chooses one of n values."""
     if name in {"undo", "redo", "fold", "measure"}:
-        getattr(doing, name)()
+        getattr(active_case, name)()
     elif name in {"target", "key", "look", "gaze"}:
-        getattr(doing, name)(number)
+        getattr(active_case, name)(number)
     else:
-        doing.edit(name, number)
+        active_case.edit(name, number)
 
 
 def assert_same_route(found: ChosenRoute | None, expected: ChosenRoute | None) -> None:
@@ -273,15 +273,15 @@ def assert_same_airways(found: Airways, expected: Airways) -> None:
         np.testing.assert_array_equal(found.base.lumen_zyx, expected.base.lumen_zyx)
 
 
-def kept_file(path: Any) -> None:
-    """Write a case with all kinds of content; the permanent files in the folder ``kept`` are made by this function."""
-    doing = Doing()
+def write_sample_file(path: Any) -> None:
+    """Write a case with all kinds of content; this function makes the files in the folder ``sample_files``."""
+    active_case = ActiveCase()
     rng = np.random.default_rng(7)
     acts = "measure target key cut measure look rename paint measure key undo redo add measure target gaze undo"
-    with CaseFile.create(path, source_of(doing.case)) as file:
+    with CaseFile.create(path, source_of(active_case.case)) as file:
         for name in acts.split():
-            act(doing, name, lambda n: int(rng.integers(n)))
-            file.save(doing.moment())
+            act(active_case, name, lambda n: int(rng.integers(n)))
+            file.save(active_case.moment())
         with file.record("first flight", begun_s=5.0) as recording:
             recording.write('{"format":"carina-recording","version":1}\n{"t":2.0,"view":{}}\n{"end":2.0}\n')
         file.set_extra("plan", ({"words": "größer"},))

@@ -7,7 +7,7 @@ import stat
 
 import numpy as np
 import pytest
-from sample_case import Doing, act, assert_same_moment, source_of, whole
+from sample_case import ActiveCase, act, assert_same_moment, source_of, whole
 
 from carina.case import CaseFile, CaseFileError, SourceFacts
 from carina.commands import Steer
@@ -18,55 +18,55 @@ from carina.volume import Volume, ct_digest
 
 
 def some_case(num_acts=6, seed=5):
-    doing = Doing()
+    active_case = ActiveCase()
     rng = np.random.default_rng(seed)
     for name in ("cut", "target", "key", "look", "paint", "undo", "target", "rename")[:num_acts]:
-        act(doing, name, lambda n: int(rng.integers(n)))
-    return doing
+        act(active_case, name, lambda n: int(rng.integers(n)))
+    return active_case
 
 
 @pytest.fixture
-def doing():
+def active_case():
     return some_case()
 
 
 @pytest.fixture
-def file(doing, tmp_path):
-    with CaseFile.create(tmp_path / "one.carina", source_of(doing.case)) as file:
-        file.save(doing.moment())
+def file(active_case, tmp_path):
+    with CaseFile.create(tmp_path / "one.carina", source_of(active_case.case)) as file:
+        file.save(active_case.moment())
         yield file
 
 
 # Copies of a case file
 
 
-def test_copy_of_a_case_file_is_one_file_with_equal_content(file, doing, tmp_path):
+def test_copy_of_a_case_file_is_one_file_with_equal_content(file, active_case, tmp_path):
     target = tmp_path / "named.carina"
     file.write_copy(target, ct_place="../ct")
     assert sorted(p.name for p in tmp_path.iterdir() if "named" in p.name) == ["named.carina"]
     # This version of the file format states that no WAL journal is used.
     assert target.read_bytes()[18:20] == b"\x01\x01"
     with CaseFile.open(target, read_only=True) as copy:
-        assert_same_moment(copy.load(doing.case.volume), doing.moment(), doing.case)
+        assert_same_moment(copy.load(active_case.case.volume), active_case.moment(), active_case.case)
         assert copy.source.path == "../ct"
         with pytest.raises(CaseFileError, match="open for reading only"):
-            copy.save(doing.moment())
+            copy.save(active_case.moment())
     # The original stays writable, and the copy can be overwritten.
-    file.save(doing.moment())
+    file.save(active_case.moment())
     file.write_copy(target)
     with CaseFile.open(target) as copy:
         assert copy.source.path is None
 
 
-def test_copy_of_a_case_file_contains_no_deleted_undo_steps(tmp_path, doing):
-    with CaseFile.create(tmp_path / "one.carina", source_of(doing.case)) as file:
+def test_copy_of_a_case_file_contains_no_deleted_undo_steps(tmp_path, active_case):
+    with CaseFile.create(tmp_path / "one.carina", source_of(active_case.case)) as file:
         other = some_case(8, seed=9)
         file.save(other.moment())
         # The steps are replaced, so that the values used only by the first content become unreachable.
-        file.save(doing.moment())
+        file.save(active_case.moment())
         file.write_copy(tmp_path / "copy.carina")
-    with CaseFile.create(tmp_path / "fresh.carina", source_of(doing.case)) as fresh:
-        fresh.save(doing.moment())
+    with CaseFile.create(tmp_path / "fresh.carina", source_of(active_case.case)) as fresh:
+        fresh.save(active_case.moment())
     tables = ("value", "array", "branch", "tree", "tile", "lumen", "tracker", "airways", "route", "document", "step")
     counts = []
     for name in ("one", "copy", "fresh"):
@@ -75,7 +75,7 @@ def test_copy_of_a_case_file_contains_no_deleted_undo_steps(tmp_path, doing):
         connection.close()
     assert counts[0] == counts[1] == counts[2]
     with CaseFile.open(tmp_path / "one.carina") as file:
-        assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
+        assert_same_moment(file.load(active_case.case.volume), active_case.moment(), active_case.case)
 
 
 def test_failed_copy_of_a_case_leaves_the_existing_file_unchanged(file, tmp_path):
@@ -101,10 +101,10 @@ def test_private_copy_of_a_case_is_readable_by_its_owner_only(file, tmp_path):
     assert stat.S_IMODE((tmp_path / "live.carina").stat().st_mode) == 0o600
 
 
-def test_path_of_the_scan_is_stored_relative_to_the_case_file(file, doing):
+def test_path_of_the_scan_is_stored_relative_to_the_case_file(file, active_case):
     for absolute in ("/data/ct", "C:\\data\\ct", "\\\\share\\ct"):
         with pytest.raises(UsageError, match="relative"):
-            SourceFacts.of(doing.case.volume, "00", path=absolute)
+            SourceFacts.of(active_case.case.volume, "00", path=absolute)
     file.set_source_path("elsewhere/ct")
     assert file.source.path == "elsewhere/ct"
     assert file.source.choices == {"series": "1"}
@@ -113,9 +113,9 @@ def test_path_of_the_scan_is_stored_relative_to_the_case_file(file, doing):
 # Recordings
 
 
-def flown(file, doing, *, num_seconds=5, closes=True):
+def flown(file, active_case, *, num_seconds=5, closes=True):
     """Record a flight with ten moves per second in the case file; ``closes`` ends the recording."""
-    pilot = Pilot(Navigator(Pose.looking((0.0, 0.0, 0.0), (0.0, 0.0, -1.0)), volume=doing.case.volume))
+    pilot = Pilot(Navigator(Pose.looking((0.0, 0.0, 0.0), (0.0, 0.0, -1.0)), volume=active_case.case.volume))
     sink = file.record("first flight", begun_s=12.0)
     recorder = Recorder(pilot, sink, case={"digest": "00"}, carina="1", now_s=100.0, view={"shading": True})
     for n in range(10 * num_seconds):
@@ -128,14 +128,14 @@ def flown(file, doing, *, num_seconds=5, closes=True):
     return recorder
 
 
-def test_recording_is_stored_in_parts_of_one_second_and_can_be_replayed(file, doing, tmp_path):
-    flown(file, doing)
+def test_recording_is_stored_in_parts_of_one_second_and_can_be_replayed(file, active_case, tmp_path):
+    flown(file, active_case)
     (facts,) = file.recordings()
     assert (facts.name, facts.begun_s, facts.complete) == ("first flight", 12.0, True)
     assert facts.length_s == pytest.approx(4.9)
     recording = file.recording(facts.recording_id)
     assert recording.complete
-    replayed = list(recording.replay(doing.case.volume))
+    replayed = list(recording.replay(active_case.case.volume))
     assert all(same for _, same in replayed)
     assert len(replayed) > 40
     connection = sqlite3.connect(file.path)
@@ -143,8 +143,8 @@ def test_recording_is_stored_in_parts_of_one_second_and_can_be_replayed(file, do
     connection.close()
 
 
-def test_interrupted_recording_contains_all_moves_up_to_its_last_stored_part(file, doing):
-    flown(file, doing, closes=False)
+def test_interrupted_recording_contains_all_moves_up_to_its_last_stored_part(file, active_case):
+    flown(file, active_case, closes=False)
     (facts,) = file.recordings()
     assert not facts.complete
     recording = file.recording(facts.recording_id)
@@ -152,9 +152,9 @@ def test_interrupted_recording_contains_all_moves_up_to_its_last_stored_part(fil
     assert recording.length_s >= 3.9
 
 
-def test_recordings_can_be_renamed_ordered_and_deleted(file, doing):
-    flown(file, doing, num_seconds=1)
-    flown(file, doing, num_seconds=1)
+def test_recordings_can_be_renamed_ordered_and_deleted(file, active_case):
+    flown(file, active_case, num_seconds=1)
+    flown(file, active_case, num_seconds=1)
     one, two = file.recordings()
     file.change_recording(one.recording_id, name="RB3, second try")
     file.change_recording(one.recording_id, words="the lens was fogged")
@@ -190,8 +190,8 @@ def test_plans_and_reports_are_read_back_from_the_case_file(file):
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1), (1, 0, 2)])
-def test_case_opened_with_permuted_axes_of_its_scan_has_equal_airways(file, doing, order):
-    volume = doing.case.volume
+def test_case_opened_with_permuted_axes_of_its_scan_has_equal_airways(file, active_case, order):
+    volume = active_case.case.volume
     # The axes i, j, k of the new volume are permuted axes of the old one; the first is reversed.
     shape = volume.shape_zyx[::-1]
     columns = [volume.lps_from_ijk[:3, axis].copy() for axis in order]
@@ -202,8 +202,8 @@ def test_case_opened_with_permuted_axes_of_its_scan_has_equal_airways(file, doin
     values = volume.hu_zyx.transpose(tuple(2 - axis for axis in order[::-1]))[:, :, ::-1]
     turned = Volume(np.ascontiguousarray(values), matrix)
     moment = file.load(turned)
-    found, expected = moment.history().current, doing.document
-    one, other = whole(found.airways, doing.case), doing.airways
+    found, expected = moment.history().current, active_case.document
+    one, other = whole(found.airways, active_case.case), active_case.airways
     lumen_lps = [
         {tuple(p) for p in np.round(v.to_lps(np.argwhere(a.lumen_zyx)[:, ::-1].astype(float)), 3).tolist()}
         for v, a in ((turned, one), (volume, other))
@@ -218,8 +218,8 @@ def test_case_opened_with_permuted_axes_of_its_scan_has_equal_airways(file, doin
     assert ways[0].length_mm == pytest.approx(ways[1].length_mm, rel=0.02)
 
 
-def test_case_opened_with_another_scan_is_refused(file, doing):
-    volume = doing.case.volume
+def test_case_opened_with_another_scan_is_refused(file, active_case):
+    volume = active_case.case.volume
     moved = volume.lps_from_ijk.copy()
     moved[0, 3] += 0.5
     for other in (Volume(volume.hu_zyx, moved), Volume(np.ascontiguousarray(volume.hu_zyx[:-1]), volume.lps_from_ijk)):
@@ -233,26 +233,26 @@ def test_case_opened_with_another_scan_is_refused(file, doing):
 # Packed scan
 
 
-def packed(doing, folder, volume):
+def packed(active_case, folder, volume):
     source = SourceFacts.of(volume, ct_digest(volume))
     with CaseFile.create(folder / "live.carina", source) as file:
-        file.save(doing.moment())
+        file.save(active_case.moment())
         assert file.packed_volume() is None
         file.write_copy(folder / "packed.carina", volume=volume)
     return folder / "packed.carina"
 
 
-def test_scan_stored_inside_a_case_file_is_restored_voxel_by_voxel(doing, tmp_path, monkeypatch):
+def test_scan_stored_inside_a_case_file_is_restored_voxel_by_voxel(active_case, tmp_path, monkeypatch):
     monkeypatch.setattr("carina.case.packed_ct.CHUNK_BYTES", 5000)
-    values = doing.case.volume.hu_zyx.copy()
+    values = active_case.case.volume.hu_zyx.copy()
     values[0, 0, :4] = (-32768, 32767, -32768, 32767)  # The differences of these values exceed 16 bits.
-    volume = Volume(values, doing.case.volume.lps_from_ijk)
-    with CaseFile.open(packed(doing, tmp_path, volume), read_only=True) as file:
+    volume = Volume(values, active_case.case.volume.lps_from_ijk)
+    with CaseFile.open(packed(active_case, tmp_path, volume), read_only=True) as file:
         found = file.packed_volume()
         np.testing.assert_array_equal(found.hu_zyx, volume.hu_zyx)
         np.testing.assert_array_equal(found.lps_from_ijk, volume.lps_from_ijk)
         assert found.is_hu
-        assert_same_moment(file.load(found), doing.moment(), doing.case, deep=False)
+        assert_same_moment(file.load(found), active_case.moment(), active_case.case, deep=False)
     connection = sqlite3.connect(tmp_path / "packed.carina")
     assert connection.execute("SELECT count(*) FROM ct").fetchone()[0] == 12
     connection.close()
@@ -269,8 +269,8 @@ def test_scan_stored_inside_a_case_file_is_restored_voxel_by_voxel(doing, tmp_pa
         "UPDATE source SET nx = 60000, ny = 60000",
     ],
 )
-def test_damaged_scan_inside_a_case_file_is_reported_before_memory_is_allocated(doing, tmp_path, statement):
-    path = packed(doing, tmp_path, doing.case.volume)
+def test_damaged_scan_inside_a_case_file_is_reported_before_memory_is_allocated(active_case, tmp_path, statement):
+    path = packed(active_case, tmp_path, active_case.case.volume)
     connection = sqlite3.connect(path)
     connection.execute(statement)
     connection.commit()
@@ -279,7 +279,7 @@ def test_damaged_scan_inside_a_case_file_is_reported_before_memory_is_allocated(
         file.packed_volume()
 
 
-def test_case_file_stores_no_other_scan_than_that_of_the_case(file, doing, tmp_path):
+def test_case_file_stores_no_other_scan_than_that_of_the_case(file, active_case, tmp_path):
     with pytest.raises(UsageError, match="only the scan"):
-        file.write_copy(tmp_path / "packed.carina", volume=doing.case.volume)  # this volume has another digest
+        file.write_copy(tmp_path / "packed.carina", volume=active_case.case.volume)  # this volume has another digest
     assert not (tmp_path / "packed.carina").exists()

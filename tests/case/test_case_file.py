@@ -7,7 +7,7 @@ import pytest
 from edit_case import edit_case
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from sample_case import ACTS, Doing, act, assert_same_airways, assert_same_moment, source_of, whole
+from sample_case import ACTS, ActiveCase, act, assert_same_airways, assert_same_moment, source_of, whole
 
 from carina.case import CaseFile, CaseFileError
 from carina.track import AddBranch, edit_airways
@@ -21,40 +21,40 @@ def worked_on(acts, path, case=None):
 
     One is only in memory, the other is saved and reopened before each action.
     """
-    doing = again = Doing(case)
-    with CaseFile.create(path, source_of(doing.case)) as file:
-        file.save(doing.moment())
+    active_case = again = ActiveCase(case)
+    with CaseFile.create(path, source_of(active_case.case)) as file:
+        file.save(active_case.moment())
     for place, (name, seed) in enumerate(acts):
         with CaseFile.open(path) as file:
-            found = file.load(doing.case.volume)
-            assert_same_moment(found, doing.moment(), doing.case, deep=False)
-            again = Doing.of(found, doing.case)
-            again.at_s = doing.at_s
-            for one in (doing, again):
+            found = file.load(active_case.case.volume)
+            assert_same_moment(found, active_case.moment(), active_case.case, deep=False)
+            again = ActiveCase.of(found, active_case.case)
+            again.at_s = active_case.at_s
+            for one in (active_case, again):
                 rng = np.random.default_rng(seed)
                 act(one, name, lambda n, rng=rng: int(rng.integers(n)))
             file.save(again.moment())
             if place % 3 == 0:
                 file.save(again.moment())  # The second save has no change.
-    assert_same_moment(again.moment(), doing.moment(), doing.case)
+    assert_same_moment(again.moment(), active_case.moment(), active_case.case)
     with CaseFile.open(path, read_only=True) as file:
-        assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
+        assert_same_moment(file.load(active_case.case.volume), active_case.moment(), active_case.case)
 
 
 @pytest.fixture
-def doing():
-    return Doing()
+def active_case():
+    return ActiveCase()
 
 
-def test_case_without_any_edit_is_restored(doing, tmp_path):
-    moment = doing.moment()
-    with CaseFile.create(tmp_path / "one.carina", source_of(doing.case)) as file:
-        assert file.digest == source_of(doing.case).digest
+def test_case_without_any_edit_is_restored(active_case, tmp_path):
+    moment = active_case.moment()
+    with CaseFile.create(tmp_path / "one.carina", source_of(active_case.case)) as file:
+        assert file.digest == source_of(active_case.case).digest
         with pytest.raises(CaseFileError, match="nothing has been saved"):
-            file.load(doing.case.volume)
+            file.load(active_case.case.volume)
         file.save(moment)
     with CaseFile.open(tmp_path / "one.carina") as file:
-        assert_same_moment(file.load(doing.case.volume), moment, doing.case)
+        assert_same_moment(file.load(active_case.case.volume), moment, active_case.case)
 
 
 @settings(max_examples=6, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
@@ -88,7 +88,7 @@ def test_case_with_divided_slices_reopened_before_each_action_equals_one_that_st
 
 def test_lumen_searched_in_divided_slices_is_restored_from_the_case_file(divided_case, tmp_path):
     with CaseFile.create(tmp_path / "one.carina", source_of(divided_case)) as file:
-        file.save(Doing(divided_case).moment())
+        file.save(ActiveCase(divided_case).moment())
     with CaseFile.open(tmp_path / "one.carina") as file:
         airways = whole(file.load(divided_case.volume).first.airways, divided_case)
     assert airways.tracker.grid.parts == 2
@@ -104,15 +104,15 @@ def test_case_reopened_before_each_action_equals_one_that_stayed_open_in_300_seq
     worked_on(acts, tmp_path_factory.mktemp("case") / "one.carina")
 
 
-def test_reopened_airways_give_the_live_path_and_the_edit_of_the_original(doing, tmp_path):
-    with CaseFile.create(tmp_path / "one.carina", source_of(doing.case)) as file:
-        file.save(doing.moment())
+def test_reopened_airways_give_the_live_path_and_the_edit_of_the_original(active_case, tmp_path):
+    with CaseFile.create(tmp_path / "one.carina", source_of(active_case.case)) as file:
+        file.save(active_case.moment())
     with CaseFile.open(tmp_path / "one.carina") as file:
-        airways = whole(file.load(doing.case.volume).first.airways, doing.case)
+        airways = whole(file.load(active_case.case.volume).first.airways, active_case.case)
     assert "not built yet" in repr(airways.tracker)
-    point = tuple(float(v) for v in doing.case.tips[0])
-    one, other = (a.tracker.live_path(point) for a in (airways, doing.case.airways))
+    point = tuple(float(v) for v in active_case.case.tips[0])
+    one, other = (a.tracker.live_path(point) for a in (airways, active_case.case.airways))
     np.testing.assert_array_equal(one.points_lps, other.points_lps)
     assert (one.confidence, one.joins_branch_id) == (other.confidence, other.joins_branch_id)
-    edit = AddBranch(tuple(float(v) for v in doing.case.hidden), even_without_evidence=True)
-    assert_same_airways(*(edit_airways(doing.case.volume, a, edit) for a in (airways, doing.case.airways)))
+    edit = AddBranch(tuple(float(v) for v in active_case.case.hidden), even_without_evidence=True)
+    assert_same_airways(*(edit_airways(active_case.case.volume, a, edit) for a in (airways, active_case.case.airways)))

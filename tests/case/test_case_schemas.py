@@ -23,7 +23,7 @@ SAMPLE_FILES = Path(__file__).parent / "sample_files"
 NAMES = sorted(path.stem for path in SAMPLE_FILES.glob("*.carina"))
 
 
-def told(path, volume):
+def content_of(path, volume):
     """Return the content of a case file as JSON values that no change of the code may change."""
     with CaseFile.open(path, read_only=True) as file:
         moment = file.load(volume)
@@ -95,11 +95,11 @@ def test_each_schema_version_has_a_sample_case_file():
 def test_sample_case_file_of_each_schema_opens_with_all_its_content(name, tmp_path):
     path = shutil.copy(SAMPLE_FILES / f"{name}.carina", tmp_path / "kept.carina")
     case = edit_case()
-    assert told(path, case.volume) == json.loads((SAMPLE_FILES / f"{name}.json").read_text())
+    assert content_of(path, case.volume) == json.loads((SAMPLE_FILES / f"{name}.json").read_text())
     if name != f"schema-{SCHEMA}":
         migrate(path, tmp_path / "now.carina")
         path = tmp_path / "now.carina"
-        assert told(path, case.volume) == json.loads((SAMPLE_FILES / f"{name}.json").read_text())
+        assert content_of(path, case.volume) == json.loads((SAMPLE_FILES / f"{name}.json").read_text())
     with CaseFile.open(path) as file:
         airways = whole(file.load(case.volume).history().current.airways, case)
     tip = airways.tree.tips()[0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 
 import pytest
-from sample_case import Doing, assert_same_moment
+from sample_case import ActiveCase, assert_same_moment
 from test_case_contents import flown
 
 from carina.case import CaseFile, SourceFacts
@@ -33,15 +33,15 @@ class Refusing:
 
 
 @pytest.fixture
-def doing():
-    return Doing()
+def active_case():
+    return ActiveCase()
 
 
 @pytest.fixture
-def file(doing, tmp_path):
-    source = SourceFacts.of(doing.case.volume, ct_digest(doing.case.volume))
+def file(active_case, tmp_path):
+    source = SourceFacts.of(active_case.case.volume, ct_digest(active_case.case.volume))
     with CaseFile.create(tmp_path / "live.carina", source) as file:
-        file.save(doing.moment())
+        file.save(active_case.moment())
         yield file
 
 
@@ -49,8 +49,8 @@ def facts_of(writer, number):
     return RecordingFacts(number, writer.name, "", writer.begun_s, 4.9, complete=writer.closed)
 
 
-def test_flights_in_the_file_and_flights_in_memory_are_written_to_another_file(file, doing, tmp_path):
-    flown(file, doing)
+def test_flights_in_the_file_and_flights_in_memory_are_written_to_another_file(file, active_case, tmp_path):
+    flown(file, active_case)
     (recording,) = file.recordings()
     lines = file.recording_text(recording.recording_id).splitlines(keepends=True)
     # The file has half of the second flight; the rest of it, and all of the third, are in memory.
@@ -67,10 +67,10 @@ def test_flights_in_the_file_and_flights_in_memory_are_written_to_another_file(f
     flights, num_missing = whole_flights(Refusing(file), listed, [half, waiting], WITHIN_S)
     assert num_missing == 0
     place = tmp_path / "elsewhere.carina"
-    whole = WholeCase(doing.case.volume, file.source.digest, doing.moment(), flights)
+    whole = WholeCase(active_case.case.volume, file.source.digest, active_case.moment(), flights)
     case_files().write(place, whole, None, None, None)
     with CaseFile.open(place, read_only=True) as copy:
-        assert_same_moment(copy.load(doing.case.volume), doing.moment(), doing.case, deep=False)
+        assert_same_moment(copy.load(active_case.case.volume), active_case.moment(), active_case.case, deep=False)
         assert [(one.recording_id, one.name, one.complete) for one in copy.recordings()] == [
             (3, "waiting", True),
             (1, "first flight", True),
@@ -81,8 +81,8 @@ def test_flights_in_the_file_and_flights_in_memory_are_written_to_another_file(f
             assert copy.recording(number).complete
 
 
-def test_flights_on_an_unresponsive_disk_are_counted_as_missing_without_waiting(file, doing):
-    flown(file, doing)
+def test_flights_on_an_unresponsive_disk_are_counted_as_missing_without_waiting(file, active_case):
+    flown(file, active_case)
     (recording,) = file.recordings()
     waiting = RecordingWriter("waiting", 30.0, number=2)
     waiting.write("a line\n")
@@ -94,7 +94,7 @@ def test_flights_on_an_unresponsive_disk_are_counted_as_missing_without_waiting(
     assert num_missing == 1
 
 
-def test_flight_parts_written_to_the_disk_during_the_copy_are_not_duplicated(file, doing):
+def test_flight_parts_written_to_the_disk_during_the_copy_are_not_duplicated(file, active_case):
     writer = RecordingWriter("flight", 1.0, number=1)
     writer.write('{"t": 0.0}\n')
     file.keep_recording(writer)
@@ -111,7 +111,7 @@ def test_flight_parts_written_to_the_disk_during_the_copy_are_not_duplicated(fil
     assert num_missing == 0
 
 
-def test_readable_flights_are_copied_despite_an_unreadable_flight(file, doing):
+def test_readable_flights_are_copied_despite_an_unreadable_flight(file, active_case):
     class Damaged(Refusing):
         def recording_text(self, recording_id):
             raise DiskError("cannot read the case", code="disk.error")

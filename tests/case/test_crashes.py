@@ -12,7 +12,7 @@ from pathlib import Path
 import crashing_writer
 import numpy as np
 import pytest
-from sample_case import Doing, act, assert_same_moment, source_of
+from sample_case import ActiveCase, act, assert_same_moment, source_of
 
 from carina.case import CaseFile, CaseFileError
 from carina.errors import DiskError
@@ -21,28 +21,28 @@ HERE = Path(__file__).parent
 
 
 @pytest.fixture
-def doing():
-    doing = Doing()
+def active_case():
+    active_case = ActiveCase()
     rng = np.random.default_rng(21)
     for name in ("target", "cut", "key"):
-        act(doing, name, lambda n: int(rng.integers(n)))
-    return doing
+        act(active_case, name, lambda n: int(rng.integers(n)))
+    return active_case
 
 
 @pytest.fixture
-def begun(doing, tmp_path):
-    with CaseFile.create(tmp_path / "one.carina", source_of(doing.case)) as file:
-        file.save(doing.moment())
+def begun(active_case, tmp_path):
+    with CaseFile.create(tmp_path / "one.carina", source_of(active_case.case)) as file:
+        file.save(active_case.moment())
     return tmp_path / "one.carina"
 
 
 class Killing:
     """Process that writes to a case and is killed repeatedly."""
 
-    def __init__(self, doing, folder):
-        self.doing, self.path = doing, folder / "one.carina"
-        np.save(folder / "ct.npy", doing.case.volume.hu_zyx)
-        np.save(folder / "lps_from_ijk.npy", doing.case.volume.lps_from_ijk)
+    def __init__(self, active_case, folder):
+        self.active_case, self.path = active_case, folder / "one.carina"
+        np.save(folder / "ct.npy", active_case.case.volume.hu_zyx)
+        np.save(folder / "lps_from_ijk.npy", active_case.case.volume.lps_from_ijk)
         paths = [str(HERE), str(HERE.parent / "track"), str(HERE.parent)]
         self.process = subprocess.Popen(
             [sys.executable, str(HERE / "crashing_writer.py"), str(folder), *paths],
@@ -58,7 +58,7 @@ class Killing:
         the last action whose save began.
         """
         with CaseFile.open(self.path, read_only=True) as file:
-            before = file.load(self.doing.case.volume)
+            before = file.load(self.active_case.case.volume)
         self.process.stdin.write(f"{seed} {self.path}\n")
         self.process.stdin.flush()
         pid, saved, saving = None, 0, 0
@@ -80,16 +80,16 @@ class Killing:
     def check(self, before, seed, saved, saving):
         """Assert that the file contains each confirmed save and no other action, and that it is writable."""
         with CaseFile.open(self.path) as file:
-            found = file.load(self.doing.case.volume)
+            found = file.load(self.active_case.case.volume)
             done = found.numbers.get("acts", 0)
             assert saved <= done <= saving
-            again = Doing.of(before, self.doing.case)
+            again = ActiveCase.of(before, self.active_case.case)
             acts = crashing_writer.acts_of(seed)
             for n in range(done):
                 name, number = next(acts)
                 act(again, name, number)
                 again.numbers["acts"] = n + 1
-            assert_same_moment(found, again.moment(), self.doing.case, deep=False)
+            assert_same_moment(found, again.moment(), self.active_case.case, deep=False)
             again.numbers["acts"] = 0
             file.save(again.moment())
         assert not list(self.path.parent.glob("*.carina-*"))
@@ -100,8 +100,8 @@ class Killing:
         self.process.stdout.close()
 
 
-def kill_often(doing, begun, times):
-    killing = Killing(doing, begun.parent)
+def kill_often(active_case, begun, times):
+    killing = Killing(active_case, begun.parent)
     rng = np.random.default_rng(5)
     try:
         for seed in range(times):
@@ -113,31 +113,31 @@ def kill_often(doing, begun, times):
     named = begun.with_name("named.carina")
     if named.exists():
         with CaseFile.open(named, read_only=True) as copy:
-            copy.load(doing.case.volume)
+            copy.load(active_case.case.volume)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
-def test_writer_process_killed_a_dozen_times_loses_no_saved_action(doing, begun):
-    kill_often(doing, begun, 12)
+def test_writer_process_killed_a_dozen_times_loses_no_saved_action(active_case, begun):
+    kill_often(active_case, begun, 12)
 
 
 @pytest.mark.soak
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
-def test_writer_process_killed_two_hundred_times_loses_no_saved_action(doing, begun):
-    kill_often(doing, begun, 200)
+def test_writer_process_killed_two_hundred_times_loses_no_saved_action(active_case, begun):
+    kill_often(active_case, begun, 200)
 
 
-def test_power_failure_at_any_byte_of_the_journal_restores_one_of_the_saved_states(doing, begun, tmp_path):
+def test_power_failure_at_any_byte_of_the_journal_restores_one_of_the_saved_states(active_case, begun, tmp_path):
     rng = np.random.default_rng(8)
-    moments = [doing.moment()]
+    moments = [active_case.moment()]
     with CaseFile.open(begun) as file:
-        file.load(doing.case.volume)
+        file.load(active_case.case.volume)
         whole = begun.read_bytes()
         lengths = []
         for name in ("key", "look", "rename", "undo"):
-            act(doing, name, lambda n: int(rng.integers(n)))
-            file.save(doing.moment())
-            moments.append(doing.moment())
+            act(active_case, name, lambda n: int(rng.integers(n)))
+            file.save(active_case.moment())
+            moments.append(active_case.moment())
             lengths.append(begun.with_name("one.carina-wal").stat().st_size)
         journal = begun.with_name("one.carina-wal").read_bytes()
         assert begun.read_bytes() == whole, "all of it is still in the journal"
@@ -148,28 +148,28 @@ def test_power_failure_at_any_byte_of_the_journal_restores_one_of_the_saved_stat
         rest = bytes(rng.integers(0, 256, 5000, dtype=np.uint8))
         taken.with_name("taken.carina-wal").write_bytes(journal[:cut] + rest)
         with CaseFile.open(taken) as file:
-            found = file.load(doing.case.volume)
+            found = file.load(active_case.case.volume)
         expected = moments[sum(length <= cut for length in lengths)]
-        assert_same_moment(found, expected, doing.case, deep=False)
+        assert_same_moment(found, expected, active_case.case, deep=False)
 
 
-def test_full_disk_is_reported_and_the_last_saved_state_remains_readable(doing, begun, tmp_path):
+def test_full_disk_is_reported_and_the_last_saved_state_remains_readable(active_case, begun, tmp_path):
     import resource
 
     rng = np.random.default_rng(9)
-    before = doing.moment()
+    before = active_case.moment()
     with CaseFile.open(begun) as file:
-        file.load(doing.case.volume)
+        file.load(active_case.case.volume)
         file.save(before)
         limits = resource.getrlimit(resource.RLIMIT_FSIZE)
         for name in ("paint", "target", "key"):
-            act(doing, name, lambda n: int(rng.integers(n)))
+            act(active_case, name, lambda n: int(rng.integers(n)))
         journal = begun.with_name("one.carina-wal")
         resource.setrlimit(resource.RLIMIT_FSIZE, (journal.stat().st_size + 6000, limits[1]))
         try:
             for _ in range(3):
                 with pytest.raises(DiskError) as trouble:
-                    file.save(doing.moment())
+                    file.save(active_case.moment())
                 assert trouble.value.code in {"disk.full", "disk.failed"}
             with pytest.raises(DiskError):
                 file.write_copy(tmp_path / "copy.carina")
@@ -177,17 +177,17 @@ def test_full_disk_is_reported_and_the_last_saved_state_remains_readable(doing, 
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         assert not (tmp_path / "copy.carina").exists()
         with CaseFile.open(begun, read_only=True) as seen:
-            assert_same_moment(seen.load(doing.case.volume), before, doing.case, deep=False)
+            assert_same_moment(seen.load(active_case.case.volume), before, active_case.case, deep=False)
         # The disk has free space again.
-        file.save(doing.moment())
+        file.save(active_case.moment())
     with CaseFile.open(begun) as file:
-        assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
+        assert_same_moment(file.load(active_case.case.volume), active_case.moment(), active_case.case)
 
 
-def test_save_to_a_read_only_case_file_is_reported(doing, begun):
+def test_save_to_a_read_only_case_file_is_reported(active_case, begun):
     begun.chmod(0o400)
     with CaseFile.open(begun, read_only=True) as file:
-        file.load(doing.case.volume)
+        file.load(active_case.case.volume)
         with pytest.raises(CaseFileError, match="open for reading only"):
             file.set_extra("plan", ())
     if os.geteuid() != 0:

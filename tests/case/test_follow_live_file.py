@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina import commands as c
 from carina.case import CaseFile, CaseFileError, CaseFollower, SourceFacts
 from carina.session.attach.select import do_and_wait, program_session
@@ -21,7 +21,7 @@ from carina.volume import Volume
 @pytest.fixture
 def live(tmp_path):
     """Return a volume, a session and the case file to which its moments are saved."""
-    volume = made_phantom(spacing_mm=3.0, generations=3).volume
+    volume = cached_phantom(spacing_mm=3.0, generations=3).volume
     session = program_session()
     with CaseFile.create(tmp_path / "case.carina", SourceFacts.of(volume, "ab" * 32)) as file:
         yield volume, session, file

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mutated_case import Mutator
-from sample_case import Doing, act, assert_same_moment, source_of, whole
+from sample_case import ActiveCase, act, assert_same_moment, source_of, whole
 
 from carina.case import CaseFile, StoredMeasures, Target
 from carina.case.bounds import MAX_LABEL_CHARS, MAX_S
@@ -42,45 +42,45 @@ NUM_MUTATIONS, NUM_IN_SOAK = 60, 2000
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def saved_case(tmp_path_factory):
     """Return a case with all kinds of content, and its file."""
     path = tmp_path_factory.mktemp("made") / "one.carina"
-    doing = Doing()
+    active_case = ActiveCase()
     rng = np.random.default_rng(11)
-    with CaseFile.create(path, source_of(doing.case)) as file:
+    with CaseFile.create(path, source_of(active_case.case)) as file:
         for name in ("target", "measure", "cut", "measure", "key", "paint", "look", "undo", "redo", "gaze"):
-            act(doing, name, lambda n: int(rng.integers(n)))
-            file.save(doing.moment())
-        middle = tuple(float(v) for v in doing.case.volume.centre_lps)
-        nodule = sphere(doing.case.volume, middle, 8.0)
+            act(active_case, name, lambda n: int(rng.integers(n)))
+            file.save(active_case.moment())
+        middle = tuple(float(v) for v in active_case.case.volume.centre_lps)
+        nodule = sphere(active_case.case.volume, middle, 8.0)
         lesion = Lesion(PlanTarget("target-2", "nodule", nodule, middle, "sphere", "lung"))
         target = Target("target-2", "nodule", middle, lesion=lesion, note="größer", problem="no path")
-        document = replace(doing.document, targets=(*doing.document.targets, target))
-        doing.change("mark a ball", document, AddTarget(middle))
-        file.save(doing.moment())
+        document = replace(active_case.document, targets=(*active_case.document.targets, target))
+        active_case.change("mark a ball", document, AddTarget(middle))
+        file.save(active_case.moment())
         file.set_extra("plan", ({"words": "größer", "score": [1.5, 2]},))
-        header = {"format": "carina-recording", "version": 1, "tip": doing.moment().tip, "begin": []}
+        header = {"format": "carina-recording", "version": 1, "tip": active_case.moment().tip, "begin": []}
         pose = np.eye(4).ravel().tolist()
         lines = [header, {"t": 0.5, "view": {}}, {"t": 0.75, "move": {"move": "Stop"}, "pose": pose}, {"end": 1.0}]
         with file.record("flight", begun_s=1.0) as recording:
             for line in lines:
                 recording.write(json.dumps(line) + "\n")
-    return doing, path
+    return active_case, path
 
 
-def mutated(made, path, seed):
+def mutated(saved_case, path, seed):
     """Return a copy with one mutation, and the description of the mutation."""
-    shutil.copy(made[1], path)
+    shutil.copy(saved_case[1], path)
     with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as connection:
         connection.execute("PRAGMA foreign_keys=OFF")
         mutator = Mutator(connection, seed)
         mutator.mutate()
-    return mutator.said
+    return mutator.description
 
 
-def opened(path, doing, again):
+def opened(path, active_case, again):
     """Assert that a case file can be read completely, and that its content is equal after saving and reopening."""
-    volume = doing.case.volume
+    volume = active_case.case.volume
     with CaseFile.open(path, read_only=True) as file:
         history, recordings = file.history(), file.recordings()
         file.summary()
@@ -93,7 +93,7 @@ def opened(path, doing, again):
     assert all(math.isfinite(one.begun_s + one.length_s) for one in recordings)
     document = moment.history().current
     if document.airways is not None:
-        whole(document.airways, doing.case)
+        whole(document.airways, active_case.case)
     for route in (document.route, *(target.route for target in document.targets)):
         if route is not None:
             _ = route.frames
@@ -111,7 +111,7 @@ def opened(path, doing, again):
     with CaseFile.open(again) as file:
         found = file.load(volume)
     assert lesions(found) == lesions(moment)
-    assert_same_moment(without_lesions(found), without_lesions(moment), doing.case, deep=False)
+    assert_same_moment(without_lesions(found), without_lesions(moment), active_case.case, deep=False)
 
 
 def lesions(moment):
@@ -152,17 +152,17 @@ def where(trouble):
     return "; ".join(f"{frame.filename.rpartition('/')[2]}:{frame.lineno}" for frame in frames)
 
 
-def run(made, folder, seeds):
+def run(saved_case, folder, seeds):
     """Return the numbers of cases that open, are refused (by code) and are listed, and a list of all other errors."""
     found, wrong = Counter(), []
     for seed in seeds:
         place = folder / str(seed)
         place.mkdir()
         path = place / "mutated.carina"
-        change = mutated(made, path, seed)
+        change = mutated(saved_case, path, seed)
         before = path.read_bytes()
         try:
-            opened(path, made[0], place / "again.carina")
+            opened(path, saved_case[0], place / "again.carina")
             found["opened"] += 1
         except CarinaError as refusal:
             found[refusal.code] += 1
@@ -181,13 +181,13 @@ def run(made, folder, seeds):
     return found, wrong
 
 
-def test_case_without_random_damage_opens_and_is_listed(made, tmp_path):
-    opened(made[1], made[0], tmp_path / "again.carina")
-    assert start_page(made[1], tmp_path) == 1
+def test_case_without_random_damage_opens_and_is_listed(saved_case, tmp_path):
+    opened(saved_case[1], saved_case[0], tmp_path / "again.carina")
+    assert start_page(saved_case[1], tmp_path) == 1
 
 
-def test_randomly_damaged_case_opens_or_is_refused_and_the_start_page_opens(made, tmp_path):
-    found, wrong = run(made, tmp_path, range(NUM_MUTATIONS))
+def test_randomly_damaged_case_opens_or_is_refused_and_the_start_page_opens(saved_case, tmp_path):
+    found, wrong = run(saved_case, tmp_path, range(NUM_MUTATIONS))
     assert wrong == [], "\n".join(wrong)
     # Some mutations must be harmless and some must be fatal.
     assert found["opened"] >= 5
@@ -195,7 +195,7 @@ def test_randomly_damaged_case_opens_or_is_refused_and_the_start_page_opens(made
 
 
 @pytest.mark.soak
-def test_2000_randomly_damaged_cases_open_or_are_refused_and_the_start_page_opens(made, tmp_path):
-    found, wrong = run(made, tmp_path, range(1000, 1000 + NUM_IN_SOAK))
+def test_2000_randomly_damaged_cases_open_or_are_refused_and_the_start_page_opens(saved_case, tmp_path):
+    found, wrong = run(saved_case, tmp_path, range(1000, 1000 + NUM_IN_SOAK))
     print(dict(found))
     assert wrong == [], "\n".join(wrong)

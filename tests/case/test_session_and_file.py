@@ -132,10 +132,10 @@ class Measuring:
     """Wrapper of ``measure_tree`` that records its calls."""
 
     def __init__(self):
-        self.asked = []
+        self.requested = []
 
     def __call__(self, volume, airways, **options):
-        self.asked.append(airways)
+        self.requested.append(airways)
         return measure_tree(volume, airways, **options)
 
 
@@ -155,23 +155,23 @@ def test_undo_and_reopening_do_not_repeat_the_measurement_of_branches(tmp_path):
     worked(session, background)
     num_edits = NUM_EDITS_WHOLE + 4
     # Renaming a branch needs no measurement.
-    assert num_edits // 2 < len(measuring.asked) <= 1 + num_edits
-    measuring.asked.clear()
+    assert num_edits // 2 < len(measuring.requested) <= 1 + num_edits
+    measuring.requested.clear()
     session.close()
     again, background = started(tmp_path, measuring)
     found = measures_of_steps(again, background)
-    assert measuring.asked == []
+    assert measuring.requested == []
     assert all(measures is not None for measures in found)
     for _ in range(num_edits):
         again.redo()
         background.run_all()
-    assert measuring.asked == []
+    assert measuring.requested == []
     assert_same_measures(again.snapshot().measures, found[2])
     # An edit reuses the measures of all branches that it does not change.
     again.do(EditTree(CutBranch(again.snapshot().document.airways.tree.tips()[0].id)))
     background.run_all()
     newest, before = again.snapshot().measures, found[2]
-    assert len(measuring.asked) == 1
+    assert len(measuring.requested) == 1
     left = {b.branch_id for b in newest.branches}
     edges = {b.branch_id: b.edge_mm for b in before.branches}
     assert sum(np.array_equal(b.edge_mm, edges[b.branch_id], equal_nan=True) for b in newest.branches) == len(left)
@@ -184,27 +184,27 @@ def test_damaged_stored_measurements_are_computed_again_with_a_message(tmp_path)
     worked(session, background)
     expected = session.snapshot().measures
     session.close()
-    measuring.asked.clear()
+    measuring.requested.clear()
     (live,) = tmp_path.glob("cases/*/case.carina")
     connection = sqlite3.connect(live)
     connection.execute("UPDATE measures SET facts = '{}'")
     connection.commit()
     connection.close()
     again, background = started(tmp_path, measuring)
-    assert len(measuring.asked) == 1
+    assert len(measuring.requested) == 1
     reported = [e.message for e in EVENTS[-1] if isinstance(e, UserMessage)]
     assert any(
-        "the saved measurements of the airways cannot be read, so the airways will be measured" in words
-        for words in reported
+        "the saved measurements of the airways cannot be read, so the airways will be measured" in text
+        for text in reported
     )
     # All branches were measured again, so only their IDs are compared.
     found = again.snapshot().measures
     assert [b.branch_id for b in found.branches] == [b.branch_id for b in expected.branches]
     assert again._saving.write_now()
     again.close()
-    measuring.asked.clear()
+    measuring.requested.clear()
     again, background = started(tmp_path, measuring)
-    assert measuring.asked == []
+    assert measuring.requested == []
     again.close()
 
 
@@ -220,16 +220,16 @@ def test_live_case_of_an_older_version_is_migrated_and_the_original_file_is_reta
         connection.execute(statement)
     connection.execute("PRAGMA user_version=1")
     connection.close()
-    measuring.asked.clear()
+    measuring.requested.clear()
     again, background = started(tmp_path, measuring)
     assert again.snapshot().undo_label == label
     assert_same_document(document(again), before, edit_case())
-    assert len(measuring.asked) == 1
+    assert len(measuring.requested) == 1
     assert (live.parent / "case-schema-1.carina").exists()
     again.close()
-    measuring.asked.clear()
+    measuring.requested.clear()
     again, background = started(tmp_path, measuring)
-    assert measuring.asked == []
+    assert measuring.requested == []
     again.close()
 
 
@@ -446,7 +446,7 @@ def test_flight_is_replayed_from_the_selected_time_until_a_manual_move_of_the_ti
     session.do(StopRecording())
     last = session.pose_info().pose
     session.do(FlyFlight(1, 0.5, goes_on=True))
-    assert session.pose_info().pose is last, "nothing is under way that could go on"
+    assert session.pose_info().pose is last, "there is no flight that could continue"
     session.do(FlyFlight(1, 0.0))
     background.run_all()
     assert session.pose_info().flight == FlightPlace(1, 0.0)

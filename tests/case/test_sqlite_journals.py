@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from sample_case import Doing, assert_same_moment, source_of
+from sample_case import ActiveCase, assert_same_moment, source_of
 
 from carina.case import CaseFile, CaseFileError, migrate, rescued, sqlite_journals
 from carina.errors import DiskError
@@ -21,29 +21,29 @@ SPARSE_BYTES = 50 << 30
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def saved_case(tmp_path_factory):
     """Return the edited case, and a folder with its file closed and its file after a kill (with a journal)."""
     folder = tmp_path_factory.mktemp("made")
-    doing = Doing()
-    with CaseFile.create(folder / "live.carina", source_of(doing.case)) as file:
-        file.save(doing.moment())
+    active_case = ActiveCase()
+    with CaseFile.create(folder / "live.carina", source_of(active_case.case)) as file:
+        file.save(active_case.moment())
         for tail in ("", "-wal"):
             shutil.copy(folder / f"live.carina{tail}", folder / f"killed.carina{tail}")
     shutil.copy(folder / "live.carina", folder / "closed.carina")
-    return doing, folder
+    return active_case, folder
 
 
 @pytest.fixture
-def closed(made, tmp_path):
+def closed(saved_case, tmp_path):
     """Return the path of a closed case, without a journal."""
-    return Path(shutil.copy(made[1] / "closed.carina", tmp_path / "x.carina"))
+    return Path(shutil.copy(saved_case[1] / "closed.carina", tmp_path / "x.carina"))
 
 
 @pytest.fixture
-def killed(made, tmp_path):
+def killed(saved_case, tmp_path):
     """Return the path of a case file with the journal that a killed writer has left."""
-    shutil.copy(made[1] / "killed.carina-wal", tmp_path / "x.carina-wal")
-    return Path(shutil.copy(made[1] / "killed.carina", tmp_path / "x.carina"))
+    shutil.copy(saved_case[1] / "killed.carina-wal", tmp_path / "x.carina-wal")
+    return Path(shutil.copy(saved_case[1] / "killed.carina", tmp_path / "x.carina"))
 
 
 @pytest.fixture(autouse=True)
@@ -99,7 +99,7 @@ def test_journal_file_of_50_gb_is_refused_before_anything_is_copied(closed, tail
         assert "move that file" in str(error)
 
 
-def test_only_the_valid_frames_of_an_oversized_journal_are_copied(made, killed, monkeypatch):
+def test_only_the_valid_frames_of_an_oversized_journal_are_copied(saved_case, killed, monkeypatch):
     journal = killed.with_name("x.carina-wal")
     used = journal.stat().st_size
     os.truncate(journal, 8 << 30)
@@ -112,32 +112,32 @@ def test_only_the_valid_frames_of_an_oversized_journal_are_copied(made, killed, 
 
     monkeypatch.setattr(sqlite_journals, "_copy", measured)
     with CaseFile.open(killed, read_only=True) as file:
-        assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
+        assert_same_moment(file.load(saved_case[0].case.volume), saved_case[0].moment(), saved_case[0].case)
     assert 0 < copied["x.carina-wal"] <= used
 
 
 @pytest.mark.parametrize("tail", ["-wal", "-journal"])
 @pytest.mark.parametrize("content", [b"a letter", b"a letter" * 100, b"\x7fELF" + bytes(5000)])
-def test_invalid_journal_is_not_replayed_and_is_renamed(made, closed, tail, content):
+def test_invalid_journal_is_not_replayed_and_is_renamed(saved_case, closed, tail, content):
     other = closed.with_name(closed.name + tail)
     other.write_bytes(content)
     with CaseFile.open(closed, read_only=True) as file:
-        assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
+        assert_same_moment(file.load(saved_case[0].case.volume), saved_case[0].moment(), saved_case[0].case)
     assert other.read_bytes() == content
     for number in (1, 2):
         other.write_bytes(content)
         with CaseFile.open(closed) as file:
-            assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
+            assert_same_moment(file.load(saved_case[0].case.volume), saved_case[0].moment(), saved_case[0].case)
         assert other.with_name(f"{other.name}.not-a-journal-{number}").read_bytes() == content
 
 
 @pytest.mark.parametrize("tail", ["-wal", "-journal"])
 @pytest.mark.parametrize("size", [0, 512, 5000])
-def test_case_with_an_empty_journal_or_a_journal_of_zeros_opens_with_all_its_content(made, closed, tail, size):
+def test_case_with_an_empty_journal_or_a_journal_of_zeros_opens_with_all_its_content(saved_case, closed, tail, size):
     closed.with_name(closed.name + tail).write_bytes(bytes(size))
     for read_only in (True, False):
         with CaseFile.open(closed, read_only=read_only) as file:
-            assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
+            assert_same_moment(file.load(saved_case[0].case.volume), saved_case[0].moment(), saved_case[0].case)
 
 
 def test_journal_that_names_the_file_of_another_database_is_refused(closed, tmp_path):
@@ -203,7 +203,7 @@ def test_case_file_that_is_too_large_to_copy_is_refused(killed, monkeypatch):
         assert "expected at most 10 kB with its journal" in str(error)
 
 
-def test_rollback_journal_of_sqlite_is_accepted(made, closed, tmp_path):
+def test_rollback_journal_of_sqlite_is_accepted(saved_case, closed, tmp_path):
     # A killed writer leaves such a hot rollback journal.
     connection = sqlite3.connect(closed, isolation_level=None)
     connection.execute("PRAGMA journal_mode=DELETE")
@@ -220,4 +220,4 @@ def test_rollback_journal_of_sqlite_is_accepted(made, closed, tmp_path):
     connection.close()
     for read_only in (True, False):
         with CaseFile.open(hot / "x.carina", read_only=read_only) as file:
-            assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
+            assert_same_moment(file.load(saved_case[0].case.volume), saved_case[0].moment(), saved_case[0].case)

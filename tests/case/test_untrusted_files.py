@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from sample_case import Doing, act, assert_same_moment, source_of, whole
+from sample_case import ActiveCase, act, assert_same_moment, source_of, whole
 
 from carina.case import CaseFile, CaseFileError, StoredMeasures, migrate, rescued
 from carina.case.file import migrate_live
@@ -21,24 +21,24 @@ from carina.errors import CarinaError
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def saved_case(tmp_path_factory):
     """Return a case with all kinds of content, and its file."""
     path = tmp_path_factory.mktemp("made") / "one.carina"
-    doing = Doing()
+    active_case = ActiveCase()
     rng = np.random.default_rng(11)
-    with CaseFile.create(path, source_of(doing.case)) as file:
+    with CaseFile.create(path, source_of(active_case.case)) as file:
         for name in ("target", "measure", "cut", "measure", "key", "paint", "look", "undo"):
-            act(doing, name, lambda n: int(rng.integers(n)))
-            file.save(doing.moment())
+            act(active_case, name, lambda n: int(rng.integers(n)))
+            file.save(active_case.moment())
         with file.record("flight", begun_s=1.0) as recording:
             recording.write('{"format":"carina-recording","version":1}\n{"t":0.5,"view":{}}\n{"end":0.5}\n')
-    return doing, path
+    return active_case, path
 
 
 @pytest.fixture
-def stranger(made, tmp_path):
+def stranger(saved_case, tmp_path):
     """Return a copy of the case file that the test may damage."""
-    return shutil.copy(made[1], tmp_path / "stranger.carina")
+    return shutil.copy(saved_case[1], tmp_path / "stranger.carina")
 
 
 def changed(path, *statements):
@@ -48,14 +48,14 @@ def changed(path, *statements):
     connection.close()
 
 
-def looked_through(path, doing):
+def looked_through(path, active_case):
     """Read everything that the opening of a case, loading it and undo read."""
     with CaseFile.open(path, read_only=True) as file:
         file.history()
-        moment = file.load(doing.case.volume)
+        moment = file.load(active_case.case.volume)
         for document in moment.history().documents():
             if document.airways is not None:
-                whole(document.airways, doing.case)
+                whole(document.airways, active_case.case)
             for route in (document.route, *(target.route for target in document.targets)):
                 if route is not None:
                     _ = route.frames
@@ -108,7 +108,7 @@ def test_file_that_is_not_a_case_file_is_refused(tmp_path):
         CaseFile.open(tmp_path / "missing.carina")
 
 
-def test_case_of_a_newer_version_opens_for_reading_and_is_not_changed(made, stranger):
+def test_case_of_a_newer_version_opens_for_reading_and_is_not_changed(saved_case, stranger):
     changed(
         stranger, "CREATE TABLE scores (id INTEGER PRIMARY KEY, json TEXT NOT NULL) STRICT", "PRAGMA user_version=3"
     )
@@ -116,7 +116,7 @@ def test_case_of_a_newer_version_opens_for_reading_and_is_not_changed(made, stra
     with CaseFile.open(stranger) as file:
         assert file.read_only
         assert "newer version of Carina saved this case" in file.note
-        assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
+        assert_same_moment(file.load(saved_case[0].case.volume), saved_case[0].moment(), saved_case[0].case)
     assert stranger.read_bytes() == before
     changed(stranger, "CREATE VIEW more AS SELECT 1")
     with pytest.raises(CaseFileError, match="update Carina"):
@@ -132,22 +132,22 @@ def as_before_measures(path):
     return path
 
 
-def test_case_of_an_older_version_is_migrated_in_a_copy(made, stranger, tmp_path):
+def test_case_of_an_older_version_is_migrated_in_a_copy(saved_case, stranger, tmp_path):
     as_before_measures(stranger)
     before = stranger.read_bytes()
     with pytest.raises(CaseFileError, match="an older version of Carina saved it") as refusal:
         CaseFile.open(stranger)
     assert refusal.value.code == "case.older"
-    moment = replace(made[0].moment(), measures=())
+    moment = replace(saved_case[0].moment(), measures=())
     with CaseFile.open(stranger, read_only=True) as file:
-        assert_same_moment(file.load(made[0].case.volume), moment, made[0].case)
+        assert_same_moment(file.load(saved_case[0].case.volume), moment, saved_case[0].case)
     migrate(stranger, tmp_path / "now.carina")
     assert stranger.read_bytes() == before
     with CaseFile.open(tmp_path / "now.carina") as file:
-        assert_same_moment(file.load(made[0].case.volume), moment, made[0].case)
-        file.save(made[0].moment())
+        assert_same_moment(file.load(saved_case[0].case.volume), moment, saved_case[0].case)
+        file.save(saved_case[0].moment())
     with CaseFile.open(tmp_path / "now.carina") as file:
-        assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
+        assert_same_moment(file.load(saved_case[0].case.volume), saved_case[0].moment(), saved_case[0].case)
     # The rescue of a schema 1 file does not report missing measures.
     assert rescued(stranger, tmp_path / "rescued.carina") == ()
 
@@ -171,7 +171,7 @@ def test_older_file_with_tables_unlike_its_schema_is_refused(stranger, statement
 
 
 @pytest.mark.parametrize("has_journal", [False, True])
-def test_live_case_of_an_older_version_is_migrated_beside_its_original(made, stranger, tmp_path, has_journal):
+def test_live_case_of_an_older_version_is_migrated_beside_its_original(saved_case, stranger, tmp_path, has_journal):
     as_before_measures(stranger)
     with contextlib.closing(sqlite3.connect(stranger)) as connection:
         before = connection.execute("SELECT n, label FROM step").fetchall()
@@ -193,7 +193,7 @@ def test_live_case_of_an_older_version_is_migrated_beside_its_original(made, str
     connection.close()
     with CaseFile.open(stranger) as file:
         labels = [step.label for step in file.history()]
-        file.load(made[0].case.volume)
+        file.load(saved_case[0].case.volume)
     assert [label for _, label in stored[1:]] == labels
     assert stored == before or ("cut, in the journal" in labels and has_journal)
 
@@ -201,11 +201,11 @@ def test_live_case_of_an_older_version_is_migrated_beside_its_original(made, str
 # Journals beside the case file
 
 
-def test_case_with_a_journal_opened_read_only_is_restored_in_a_copy(made, tmp_path):
+def test_case_with_a_journal_opened_read_only_is_restored_in_a_copy(saved_case, tmp_path):
     live = tmp_path / "live.carina"
-    doing = made[0]
-    with CaseFile.create(live, source_of(doing.case)) as file:
-        file.save(doing.moment())
+    active_case = saved_case[0]
+    with CaseFile.create(live, source_of(active_case.case)) as file:
+        file.save(active_case.moment())
         names = sorted(p.name for p in tmp_path.iterdir())
         assert names == ["live.carina", "live.carina-shm", "live.carina-wal"]
         taken = tmp_path / "taken"
@@ -214,28 +214,28 @@ def test_case_with_a_journal_opened_read_only_is_restored_in_a_copy(made, tmp_pa
             shutil.copy(tmp_path / name, taken / name)
     before = {p.name: p.read_bytes() for p in taken.iterdir()}
     with CaseFile.open(taken / "live.carina", read_only=True) as file:
-        assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
+        assert_same_moment(file.load(active_case.case.volume), active_case.moment(), active_case.case)
         assert {p.name: p.read_bytes() for p in taken.iterdir()} == before
     # Opened for writing, the case continues from the content of the journal.
     with CaseFile.open(taken / "live.carina") as file:
-        assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
+        assert_same_moment(file.load(active_case.case.volume), active_case.moment(), active_case.case)
     assert [p.name for p in taken.iterdir()] == ["live.carina"]
 
 
-def test_damaged_journal_loses_only_the_changes_that_it_contained(made, tmp_path):
-    doing = made[0]
+def test_damaged_journal_loses_only_the_changes_that_it_contained(saved_case, tmp_path):
+    active_case = saved_case[0]
     live, taken = tmp_path / "live.carina", tmp_path / "taken.carina"
-    with CaseFile.create(live, source_of(doing.case)) as file:
-        file.save(doing.moment())
+    with CaseFile.create(live, source_of(active_case.case)) as file:
+        file.save(active_case.moment())
     with CaseFile.open(live) as file:
-        file.load(doing.case.volume)
+        file.load(active_case.case.volume)
         file.set_extra("plan", ("later",))
         shutil.copy(live, taken)
         journal = bytearray(live.with_name("live.carina-wal").read_bytes())
         journal[60] ^= 0xFF
         taken.with_name("taken.carina-wal").write_bytes(journal)
     with CaseFile.open(taken) as file:
-        assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
+        assert_same_moment(file.load(active_case.case.volume), active_case.moment(), active_case.case)
         assert file.extra("plan") == ()
 
 
@@ -283,26 +283,26 @@ def test_damaged_journal_loses_only_the_changes_that_it_contained(made, tmp_path
         ("UPDATE recording_chunk SET n = 7", "recording"),
     ],
 )
-def test_stored_content_with_a_wrong_digest_or_value_is_reported(made, stranger, statement, where):
+def test_stored_content_with_a_wrong_digest_or_value_is_reported(saved_case, stranger, statement, where):
     changed(stranger, "PRAGMA foreign_keys=OFF", statement)
     with pytest.raises(CaseFileError, match=where) as refusal:
-        looked_through(stranger, made[0])
+        looked_through(stranger, saved_case[0])
     assert refusal.value.code == "case.damaged"
     assert "expected" in str(refusal.value)
 
 
-def test_compressed_array_of_enormous_size_is_refused_before_decompression(made, stranger):
+def test_compressed_array_of_enormous_size_is_refused_before_decompression(saved_case, stranger):
     bomb = zlib.compress(bytes(60 << 20), 9)
     changed(stranger, "PRAGMA foreign_keys=OFF", ("UPDATE array SET count = 7864320, width = 0, data = ?", (bomb,)))
     with pytest.raises(CaseFileError, match=r"expected content that matches|f8"):
-        looked_through(stranger, made[0])
+        looked_through(stranger, saved_case[0])
     changed(stranger, ("UPDATE tile SET data = ?", (bomb,)))
     with pytest.raises(CaseFileError, match="expected"):
-        looked_through(stranger, made[0])
+        looked_through(stranger, saved_case[0])
 
 
-def _spoilt(path, made, draw):
-    content = bytearray(made[1].read_bytes())
+def _spoilt(path, saved_case, draw):
+    content = bytearray(saved_case[1].read_bytes())
     for place, value in draw["flips"]:
         content[place % len(content)] ^= value
     if draw["cut"] is not None:
@@ -318,48 +318,50 @@ spoils = st.fixed_dictionaries(
 )
 
 
-def spoil(made, tmp_path_factory, draw):
+def spoil(saved_case, tmp_path_factory, draw):
     """Damage a case file at random; assert that it is refused or whole, stays unchanged, and its rescue opens."""
-    doing = made[0]
+    active_case = saved_case[0]
     folder = tmp_path_factory.mktemp("spoilt")
     path = folder / "spoilt.carina"
-    _spoilt(path, made, draw)
+    _spoilt(path, saved_case, draw)
     before = path.read_bytes()
     with contextlib.suppress(CarinaError):
-        looked_through(path, doing)
+        looked_through(path, active_case)
     with contextlib.suppress(CaseFileError):
         rescued(path, folder / "rescued.carina")
     if (folder / "rescued.carina").exists():
-        looked_through(folder / "rescued.carina", doing)
+        looked_through(folder / "rescued.carina", active_case)
     assert path.read_bytes() == before
     shutil.rmtree(folder)
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(draw=spoils)
-def test_case_file_with_flipped_bits_or_truncation_is_refused_or_read_completely(made, tmp_path_factory, draw):
-    spoil(made, tmp_path_factory, draw)
+def test_case_file_with_flipped_bits_or_truncation_is_refused_or_read_completely(saved_case, tmp_path_factory, draw):
+    spoil(saved_case, tmp_path_factory, draw)
 
 
 @pytest.mark.soak
 @settings(max_examples=2000, deadline=None, suppress_health_check=list(HealthCheck))
 @given(draw=spoils)
-def test_2000_case_files_with_flipped_bits_or_truncation_are_refused_or_read_completely(made, tmp_path_factory, draw):
-    spoil(made, tmp_path_factory, draw)
+def test_2000_case_files_with_flipped_bits_or_truncation_are_refused_or_read_completely(
+    saved_case, tmp_path_factory, draw
+):
+    spoil(saved_case, tmp_path_factory, draw)
 
 
 # Rescue of a case file
 
 
-def test_rescue_of_an_undamaged_case_restores_all_content(made, stranger, tmp_path):
+def test_rescue_of_an_undamaged_case_restores_all_content(saved_case, stranger, tmp_path):
     assert rescued(stranger, tmp_path / "rescued.carina") == ()
     with CaseFile.open(tmp_path / "rescued.carina") as file:
-        assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
+        assert_same_moment(file.load(saved_case[0].case.volume), saved_case[0].moment(), saved_case[0].case)
         assert file.recordings()[0].name == "flight"
 
 
-def test_rescue_of_a_damaged_case_lists_lost_parts_and_restores_the_rest(made, stranger, tmp_path):
-    doing = made[0]
+def test_rescue_of_a_damaged_case_lists_lost_parts_and_restores_the_rest(saved_case, stranger, tmp_path):
+    active_case = saved_case[0]
     changed(
         stranger,
         "PRAGMA foreign_keys=OFF",
@@ -374,9 +376,9 @@ def test_rescue_of_a_damaged_case_lists_lost_parts_and_restores_the_rest(made, s
     assert any("the airways" in line for line in lost), lost
     assert "step 0 (the start): the measurements of the airways" in lost
     with CaseFile.open(tmp_path / "rescued.carina") as file:
-        moment = file.load(doing.case.volume)
-        assert [s.label for s in moment.steps] == [s.label for s in doing.history.steps]
-        documents = list(zip(moment.history().documents(), doing.history.documents(), strict=True))
+        moment = file.load(active_case.case.volume)
+        assert [s.label for s in moment.steps] == [s.label for s in active_case.history.steps]
+        documents = list(zip(moment.history().documents(), active_case.history.documents(), strict=True))
         assert any(found.airways is None for found, _ in documents)
         for found, expected in documents:
             assert [t.lps for t in found.targets] == [t.lps for t in expected.targets]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.cli import main
 from carina.phantom import write_phantom
 from user_folders import user_folders
@@ -52,7 +52,7 @@ def carina(monkeypatch, capfd, tmp_path):
 def phantom_folder(tmp_path_factory):
     """Return the folder of a phantom with voxels of 2.5 mm, which every test can search, with the main airways."""
     folder = tmp_path_factory.mktemp("phantom")
-    write_phantom(made_phantom(spacing_mm=2.5, generations=4), folder)
+    write_phantom(cached_phantom(spacing_mm=2.5, generations=4), folder)
     return folder
 
 

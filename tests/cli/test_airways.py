@@ -9,7 +9,7 @@ import pytest
 import SimpleITK as sitk
 from edit_case import edit_case, in_plain_lung, open_ended_volume
 
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.export import write_mask
 from carina.phantom import write_phantom
 from carina.track import find_airways, measure_tree
@@ -19,12 +19,12 @@ from carina.volume import open_volume
 @pytest.fixture(scope="module")
 def case(tmp_path_factory):
     folder = tmp_path_factory.mktemp("phantom")
-    write_phantom(made_phantom(seed=4, spacing_mm=1.5, generations=3), folder)
+    write_phantom(cached_phantom(seed=4, spacing_mm=1.5, generations=3), folder)
     return folder
 
 
 def test_airways_command_states_the_calibrated_detection_shares_for_thick_slices(carina, tmp_path):
-    chest = made_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=4)
+    chest = cached_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=4)
     write_phantom(chest, tmp_path)
     found = carina("airways", tmp_path / "ct.nii.gz", "--json")
     report = found.json()
@@ -35,9 +35,9 @@ def test_airways_command_states_the_calibrated_detection_shares_for_thick_slices
     low, mean, high = (f"{100 * share[key]:.0f}" for key in ("least", "typical", "most"))
     assert f"{mean} % ({low} to {high} %) of those of 2 to 3 mm" in badge["words"]
     assert badge["words"] in report["notes"]
-    assert f"note: {badge['words']}" in found.err
-    words = carina("airways", tmp_path / "ct.nii.gz")
-    assert badge["words"] in words.out + words.err
+    assert f"note: {badge['text']}" in found.err
+    printed = carina("airways", tmp_path / "ct.nii.gz")
+    assert badge["words"] in printed.out + printed.err
 
 
 def test_airways_command_states_no_detection_shares_for_thin_slices(carina, case):
@@ -56,12 +56,12 @@ def test_airways_command_prints_its_result_and_writes_tree_and_lumen(carina, cas
     inside = sitk.GetArrayFromImage(sitk.ReadImage(str(lumen)))
     truth = sitk.GetArrayFromImage(sitk.ReadImage(str(case / "lumen.nii.gz")))
     assert 2.0 * (inside * truth).sum() / (inside.sum() + truth.sum()) > 0.85
-    words = carina("airways", case / "ct.nii.gz")
-    assert "Trachea" in words.out
-    assert "mm wide" in words.out
+    printed = carina("airways", case / "ct.nii.gz")
+    assert "Trachea" in printed.out
+    assert "mm wide" in printed.out
     # A bronchus that is divided by its side branches is one row.
     heads = {row["row"] for row in report["branches"]}
-    assert sum("mm long" in line for line in words.out.splitlines()) == len(heads)
+    assert sum("mm long" in line for line in printed.out.splitlines()) == len(heads)
     assert all(report["branches"][0].keys() == row.keys() for row in report["branches"])
 
 

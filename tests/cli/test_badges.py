@@ -39,7 +39,7 @@ def tree(phantom_folder, tmp_path_factory):
     return file
 
 
-def told(ended, codes=CODES):
+def check_badges(ended, codes=CODES):
     """Assert that a command reports each badge once on stderr and in its JSON, and return the badges."""
     assert ended.code == 0, ended.err
     badges = ended.json()["badges"]
@@ -64,10 +64,10 @@ def test_info_command_prints_the_quality_badge_and_strict_exits_with_code_3(cari
 
 def test_airways_and_export_commands_print_the_quality_badge_and_exit_with_code_3_if_strict(carina, doubted, tmp_path):
     file = tmp_path / "t.json"
-    told(carina("airways", doubted, "-o", file, "--mask", tmp_path / "m.nrrd", "--json"), FOUND_CODES)
+    check_badges(carina("airways", doubted, "-o", file, "--mask", tmp_path / "m.nrrd", "--json"), FOUND_CODES)
     assert [note.code for note in read_badges(file)] == FOUND_CODES
     assert CODES[0] in sitk.ReadImage(str(tmp_path / "m.nrrd")).GetMetaData("note")
-    told(carina("export", doubted, "--tree", file, "-o", tmp_path / "t.swc", "--json"), FOUND_CODES)
+    check_badges(carina("export", doubted, "--tree", file, "-o", tmp_path / "t.swc", "--json"), FOUND_CODES)
     assert CODES[0] in (tmp_path / "t.swc").read_text()
     for verb in (("airways",), ("export", "-o", tmp_path / "never.swc")):
         ended = carina(verb[0], doubted, *verb[1:], "--strict", "--json")
@@ -77,24 +77,26 @@ def test_airways_and_export_commands_print_the_quality_badge_and_exit_with_code_
 
 
 def test_quality_badge_of_a_tree_is_copied_to_its_exports(carina, ct, doubted, tree, tmp_path):
-    told(carina("export", ct, "--tree", tree, "-o", tmp_path / "t.vtp", "--json"), ["track.search-stopped"])
+    check_badges(carina("export", ct, "--tree", tree, "-o", tmp_path / "t.vtp", "--json"), ["track.search-stopped"])
     both = carina("export", doubted, "--tree", tree, "-o", tmp_path / "t.json", "--json")
-    told(both, [*CODES, "track.search-stopped"])
+    check_badges(both, [*CODES, "track.search-stopped"])
     assert [note.code for note in read_badges(tmp_path / "t.json")] == [*CODES, "track.search-stopped"]
 
 
 def test_picture_surface_and_tracked_path_contain_the_quality_badges(carina, doubted, phantom_folder, tmp_path):
     picture = tmp_path / "a.png"
-    told(carina("render", doubted, "--view", "axial", "--at", "0,0,0", "--size", "64x48", "-o", picture, "--json"))
+    check_badges(
+        carina("render", doubted, "--view", "axial", "--at", "0,0,0", "--size", "64x48", "-o", picture, "--json")
+    )
     assert [note.code for note in read_png_badges(picture)] == CODES
     surface = tmp_path / "s.npz"
     at = ("--at", "0,0,0", "--size", "32x32", "--step-vox", "2")
-    told(carina("render", doubted, "--surface", surface, *at, "-o", picture, "--json"), FOUND_CODES)
+    check_badges(carina("render", doubted, "--surface", surface, *at, "-o", picture, "--json"), FOUND_CODES)
     with np.load(surface) as walls:
         assert walls["badges"][0].startswith("import.not-numbers: 3 voxels")
     tip = json.loads((phantom_folder / "truth.json").read_text())["branches"][1]["points"][-1]
     file = tmp_path / "t.json"
-    told(carina("track", doubted, "--target", ",".join(map(str, tip)), "-o", file, "--json"), FOUND_CODES)
+    check_badges(carina("track", doubted, "--target", ",".join(map(str, tip)), "-o", file, "--json"), FOUND_CODES)
     assert [note.code for note in read_badges(file)] == FOUND_CODES
 
 
@@ -104,4 +106,4 @@ def test_video_contains_the_quality_badges(carina, doubted, tree, tmp_path):
         "fly", doubted, "--tree", tree, "--to", "1", "-o", tmp_path / "a.mp4", "--size", "32x32", "--rate", "4",
         "--speed", "200", "--pause", "0", "--step-vox", "1", "--json",
     )  # fmt: skip
-    told(ended, [*CODES, "track.search-stopped", "track.thick-slices"])
+    check_badges(ended, [*CODES, "track.search-stopped", "track.thick-slices"])

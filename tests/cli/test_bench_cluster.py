@@ -43,8 +43,8 @@ def test_cluster_simulation_prints_and_draws_its_tables_beside_those_of_the_pape
     assert all(rates["all"] > rates[name] for name in schemes - {"all"})
     assert rates["none of them"] < 0.8 * rates["all"]
     for name in ("frame-rate.svg", "speed-up.svg"):
-        words = "".join(ET.parse(tmp_path / name).getroot().itertext())
-        assert "head, paper" in words and "lung, simulated" in words
+        text = "".join(ET.parse(tmp_path / name).getroot().itertext())
+        assert "head, paper" in text and "lung, simulated" in text
 
 
 def test_unknown_section_of_the_cluster_benchmark_is_refused(carina, tmp_path):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import SimpleITK as sitk
 
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.errors import CarinaError
 from carina.track import AirwayTree, branch_side_and_lobe, find_airways, name_tree
 from carina_bench import track, track_names, track_quality
@@ -53,7 +53,7 @@ def test_unknown_case_of_the_track_benchmark_exits_with_code_2_and_lists_the_kno
 
 def test_found_branch_outside_every_true_lumen_counts_as_false():
     pytest.importorskip("scipy")
-    phantom = made_phantom(seed=1, spacing_mm=1.5, generations=4, noise_hu=0.0)
+    phantom = cached_phantom(seed=1, spacing_mm=1.5, generations=4, noise_hu=0.0)
     truth = truth_of_phantom(phantom.truth, phantom.lumen_zyx, phantom.volume)
     airways = find_airways(phantom.volume, progress=False)
     whole = track_quality.figures(phantom.volume, truth, airways)
@@ -111,7 +111,7 @@ def test_benchmark_part_without_its_peer_library_is_omitted_unless_named(carina,
 
 
 def test_benchmark_compares_lobes_with_mask_files_including_compressed_nifti(tmp_path):
-    phantom = made_phantom(seed=1, spacing_mm=1.5, generations=4, noise_hu=0.0)
+    phantom = cached_phantom(seed=1, spacing_mm=1.5, generations=4, noise_hu=0.0)
     lumen, truth = phantom.lumen_zyx, AirwayTree.from_json(phantom.truth)
     lobes = branch_side_and_lobe(name_tree(truth))
     points = np.concatenate([branch.points for branch in truth.branches])

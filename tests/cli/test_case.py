@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import carina as package
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina import commands as c
 from carina.case import CaseFile, SourceFacts
 from carina.commands import Steer
@@ -35,7 +35,7 @@ def made_case(tmp_path_factory):
     The case has a renamed and a removed branch, a target, two key frames and view settings.
     """
     folder = tmp_path_factory.mktemp("case")
-    write_phantom(made_phantom(spacing_mm=3.0, generations=3), folder / "scans")
+    write_phantom(cached_phantom(spacing_mm=3.0, generations=3), folder / "scans")
     with package.Case.open(folder / "scans" / "ct.nii.gz") as case:
         first, other = case.airways.tree.tips()[:2]
         case.do(c.EditTree(c.RenameBranch(first.id, "near the tumour")))
@@ -157,7 +157,7 @@ def test_case_with_a_moved_scan_is_refused_until_the_new_path_is_given(carina, c
 
 
 def test_case_with_another_scan_is_refused_at_any_path(carina, case, tmp_path):
-    write_phantom(made_phantom(seed=3, spacing_mm=3.0, generations=3), tmp_path / "other")
+    write_phantom(cached_phantom(seed=3, spacing_mm=3.0, generations=3), tmp_path / "other")
     given = carina("airways", case, "--ct", tmp_path / "other" / "ct.nii.gz")
     assert given.code == 3
     assert "a different CT" in given.err

@@ -9,7 +9,7 @@ import pytest
 from typer.main import get_command
 
 import carina as package
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina import commands as c
 from carina.case import CaseFile, SourceFacts
 from carina.cli.app import app
@@ -30,7 +30,7 @@ ID = "abcd1234ef567890"
 def worked(tmp_path_factory):
     """Return a folder with a scan, its volume, and the content of a case with a target and a key frame."""
     folder = tmp_path_factory.mktemp("worked")
-    write_phantom(made_phantom(spacing_mm=3.0, generations=3), folder)
+    write_phantom(cached_phantom(spacing_mm=3.0, generations=3), folder)
     with package.Case.open(folder / "ct.nii.gz") as case:
         first = case.airways.tree.tips()[0]
         case.do(c.EditTree(c.RenameBranch(first.id, "near the tumour")))
@@ -151,7 +151,7 @@ def test_unknown_case_id_is_refused_with_a_reason(carina, stored):
 
 
 def test_ambiguous_prefix_of_a_case_id_is_refused_and_the_complete_id_accepted(stored, monkeypatch):
-    volume = made_phantom(spacing_mm=3.0, generations=3).volume
+    volume = cached_phantom(spacing_mm=3.0, generations=3).volume
     for other in ("abcd1234ffffffff", ID[:12]):
         held = stored.begin("cd" * 32, None, case_id=other)
         CaseFile.create(held.path, SourceFacts.of(volume, "cd" * 32)).close()

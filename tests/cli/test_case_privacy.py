@@ -14,7 +14,7 @@ from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
 
 import carina as package
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina import commands as c
 from carina.volume import write_grid
 
@@ -111,7 +111,7 @@ def saved(tmp_path_factory):
     """Return a case of a patient's CT, saved beside the folder of the CT and in another folder."""
     root = tmp_path_factory.mktemp("privacy")
     person = root / "Müller, Gudrun 1961-04-05"
-    chest = made_phantom(spacing_mm=3.0, generations=3)
+    chest = cached_phantom(spacing_mm=3.0, generations=3)
     write_ct(person / "ct", chest)
     mask = person / "Mueller_geheim_airways.nii.gz"
     write_grid(mask, chest.lumen_zyx, chest.volume.lps_from_ijk, what="the mask")

@@ -49,7 +49,7 @@ def _began(pid: int) -> str | None:
 
 @needs_ray
 @pytest.mark.parametrize(
-    ("arguments", "code", "words"),
+    ("arguments", "code", "text"),
     [
         (["cluster", "start"], 2, "start --head"),
         (["cluster", "join", "nowhere:door"], 1, "no token"),
@@ -59,10 +59,10 @@ def _began(pid: int) -> str | None:
         (["open", "--cluster", "127.0.0.2:1"], 1, "no token"),
     ],
 )
-def test_invalid_cluster_arguments_are_refused_before_any_process_starts(carina, arguments, code, words):
+def test_invalid_cluster_arguments_are_refused_before_any_process_starts(carina, arguments, code, text):
     done = carina(*arguments, "--json")
     assert done.code == code, done.err
-    assert words in done.json()["error"]["message"]
+    assert text in done.json()["error"]["message"]
 
 
 class StubNode:
@@ -122,11 +122,11 @@ def test_join_command_exits_with_the_reason_if_the_machine_cannot_join_the_clust
 
 
 def test_local_cluster_warns_about_its_open_ports_before_it_opens_them(monkeypatch, tmp_path, capsys):
-    told = ""
+    warning = ""
 
     def node(*_: object, **__: object) -> None:
-        nonlocal told
-        told = capsys.readouterr().err
+        nonlocal warning
+        warning = capsys.readouterr().err
         raise ClusterError("enough", code="cluster.start")
 
     backend = types.ModuleType("carina.cluster.ray_backend")
@@ -139,8 +139,8 @@ def test_local_cluster_warns_about_its_open_ports_before_it_opens_them(monkeypat
     opened = cluster.opened_cluster("local", token=tmp_path / "token", mixed=False)
     with pytest.raises(ClusterError, match="enough"), opened:
         pass
-    assert "Ray listens on every address of this machine, not only on 127.0.0.2" in told
-    assert "docs/cluster.md" in told
+    assert "Ray listens on every address of this machine, not only on 127.0.0.2" in warning
+    assert "docs/cluster.md" in warning
 
 
 @needs_ray
@@ -176,8 +176,8 @@ def test_cluster_can_be_started_used_and_stopped_and_leaves_no_process(tmp_path)
             assert used.stdout.readline().startswith("{")
         finally:
             used.send_signal(signal.SIGINT)
-            _, words = used.communicate(timeout=240)
-        assert used.returncode == 0, words
+            _, message = used.communicate(timeout=240)
+        assert used.returncode == 0, message
         tree = descendants(head.pid)
         assert tree
     finally:

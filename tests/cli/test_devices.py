@@ -35,18 +35,18 @@ def test_devices_command_shows_live_values_of_a_scope_handle(capsys):
 
 
 @pytest.mark.parametrize(
-    ("address", "words"),
+    ("address", "text"),
     [
         ("handle:/dev/there-is-none", "no such port"),
         ("openigtlink:127.0.0.1:1", "no response"),
         ("openigtlink:no-such-machine.invalid:18944", "no machine with this name was found"),
     ],
 )
-def test_devices_command_exits_with_the_reason_if_a_device_sends_nothing(capsys, address, words):
+def test_devices_command_exits_with_the_reason_if_a_device_sends_nothing(capsys, address, text):
     assert report([address], seconds=1.0, as_json=True) == 4
     result = json.loads(capsys.readouterr().out)["devices"][0]
     assert result["address"] == address
-    assert words in result["words"] and "Errno" not in result["words"]
+    assert text in result["words"] and "Errno" not in result["words"]
 
 
 def test_unchanged_value_of_a_device_is_printed_only_once(capsys):

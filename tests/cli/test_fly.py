@@ -19,7 +19,7 @@ from carina.navigate.rotation import rotation_from_vector
 from carina.render import AirwayView, read_png_pose
 from carina.scopes import DEFAULT_SCOPE, ImageField
 from carina.session.flights.tip_commands import place_pose
-from small_case import small_bench
+from small_case import session_fixture
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
 
@@ -156,11 +156,11 @@ def test_video_of_key_frames_from_the_window_has_their_speed_and_view_settings(c
 
 
 def test_recording_of_another_case_is_refused_and_writes_nothing(carina, ct, tmp_path):
-    bench = small_bench()
-    bench.open()
-    bench.session.do(RecordFlight(tmp_path / "r.jsonl"))
-    bench.session.do(Steer(1.0, 0.0, 0.0, 0.0))
-    bench.session.do(StopRecording())
+    fixture = session_fixture()
+    fixture.open()
+    fixture.session.do(RecordFlight(tmp_path / "r.jsonl"))
+    fixture.session.do(Steer(1.0, 0.0, 0.0, 0.0))
+    fixture.session.do(StopRecording())
     ended = carina("fly", ct, "--recording", tmp_path / "r.jsonl", "-o", tmp_path / "r.mp4")
     assert ended.code == 3
     assert "another scan" in ended.err
@@ -168,19 +168,19 @@ def test_recording_of_another_case_is_refused_and_writes_nothing(carina, ct, tmp
 
 
 def test_video_of_a_recording_has_the_length_of_the_recording(carina, ct, tmp_path):
-    bench = small_bench()
+    fixture = session_fixture()
     volume = api.open_volume(ct)
-    bench.session.do(OpenVolume(volume))
-    bench.background.run_next()
+    fixture.session.do(OpenVolume(volume))
+    fixture.background.run_next()
     root = json.loads((ct.parent / "truth.json").read_text())["branches"][0]["points"]
     began = api.Pose.looking(root[0], np.subtract(root[-1], root[0]))
-    bench.session.do(place_pose(began))
-    bench.session._core.case.history.amend_current(lambda d: d.__class__(transfer=api.transfer_preset("endoscopic")))
-    bench.session.do(RecordFlight(tmp_path / "r.jsonl"))
+    fixture.session.do(place_pose(began))
+    fixture.session._core.case.history.amend_current(lambda d: d.__class__(transfer=api.transfer_preset("endoscopic")))
+    fixture.session.do(RecordFlight(tmp_path / "r.jsonl"))
     for _ in range(25):
-        bench.clock.advance(0.1)
-        bench.session.do(Steer(1.0, 0.0, 0.0, 0.02))
-    bench.session.do(StopRecording())
+        fixture.clock.advance(0.1)
+        fixture.session.do(Steer(1.0, 0.0, 0.0, 0.02))
+    fixture.session.do(StopRecording())
     output = tmp_path / "r.webm"
     ended = carina(
         "fly", ct, "--recording", tmp_path / "r.jsonl", "-o", output, "--size", "72x72", "--rate", "8",
@@ -209,20 +209,20 @@ def test_video_of_a_recording_with_wall_contact_uses_the_recorded_airway_wall(ca
     def find_airways(volume, *, root_lps, lumen_threshold, progress, cancel):
         return api.find_airways(volume, root_lps=root_lps, progress=progress, cancel=cancel)
 
-    bench = small_bench(find_airways=find_airways)
-    session = bench.session
+    fixture = session_fixture(find_airways=find_airways)
+    session = fixture.session
     session.do(OpenVolume(api.open_volume(ct)))
-    bench.background.run_all()
+    fixture.background.run_all()
     session._core.case.history.amend_current(lambda d: replace(d, transfer=api.transfer_preset("endoscopic")))
     session.do(SetScope("ultrathin"))
     session.do(GoTo(30.0))
     session.do(SetMode("scope"))
-    bench.background.run_all()
+    fixture.background.run_all()
     assert session.snapshot().mode == "scope"
     began = session.pose_info().pose
     session.do(RecordFlight(tmp_path / "r.jsonl"))
     for _ in range(10):
-        bench.clock.advance(0.1)
+        fixture.clock.advance(0.1)
         session.do(Steer(2.0, 0.0, 0.2, 0.1))
     assert session.pose_info().scope.contact is not None, "the wall holds it"
     session.do(StopRecording())

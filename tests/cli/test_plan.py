@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import carina
 import carina.track
-from cached_test_data import found_airways, made_phantom
+from cached_test_data import cached_phantom, found_airways
 from carina.cli.app import app
 from carina.config import load_settings
 from carina.plan import judge_pairs
@@ -24,7 +24,7 @@ from second_scan import write_second_ct
 @pytest.fixture(scope="module")
 def chest(tmp_path_factory):
     """Return the file of a chest with a nodule, and a point in the nodule as an argument."""
-    made = made_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
+    made = cached_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
     folder = tmp_path_factory.mktemp("chest")
     carina.write_phantom(made, folder)
     return folder / "ct.nii.gz", made.truth["nodule"]["centre_lps"]
@@ -119,7 +119,7 @@ def test_airways_command_reports_a_mirrored_chest_in_the_terminal_and_as_a_badge
 @pytest.fixture(scope="module")
 def thick_chest(tmp_path_factory):
     """Return the file of a chest with a nodule in slices of 3 mm, and a point in the nodule as an argument."""
-    made = made_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=5, nodule=True)
+    made = cached_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=5, nodule=True)
     folder = tmp_path_factory.mktemp("thick")
     carina.write_phantom(made, folder)
     return folder / "ct.nii.gz", made.truth["nodule"]["centre_lps"]
@@ -157,7 +157,7 @@ def test_plan_command_without_a_route_exits_with_code_4_and_the_reason(
 
 
 @pytest.mark.parametrize(
-    ("more", "code", "words"),
+    ("more", "code", "text"),
     [
         (["--tool", "saw"], 2, "no tool is called 'saw'"),
         (["--scope", "long"], 2, "long"),
@@ -172,11 +172,11 @@ def test_plan_command_without_a_route_exits_with_code_4_and_the_reason(
     ],
 )
 def test_plan_command_with_invalid_options_is_refused_with_a_message(
-    chest, found_once, more: list[str], code: int, words: str
+    chest, found_once, more: list[str], code: int, text: str
 ) -> None:
     path, place = chest
     result = run(path, place, *more)
-    assert result.exit_code == code and words in result.stderr
+    assert result.exit_code == code and text in result.stderr
 
 
 def test_plan_command_for_a_position_without_a_nodule_is_refused(chest) -> None:
@@ -236,15 +236,15 @@ def test_plan_for_a_mask_is_written_for_slicer_and_as_a_report(chest, found_once
 
 
 @pytest.mark.parametrize(
-    ("more", "words"),
+    ("more", "text"),
     [(["--send", "nowhere"], "expected HOST:PORT"), (["--send", "127.0.0.1:1"], "nothing listens there")],
 )
 def test_plan_command_with_an_invalid_receiver_address_is_refused(
-    chest, found_once, more: list[str], words: str
+    chest, found_once, more: list[str], text: str
 ) -> None:
     path, place = chest
     result = run(path, place, *more)
-    assert result.exit_code != 0 and words in result.stderr
+    assert result.exit_code != 0 and text in result.stderr
 
 
 def test_plan_with_a_second_ct_states_the_measured_movement_in_terminal_and_json(chest, found_once, tmp_path) -> None:

@@ -8,13 +8,13 @@ import pytest
 
 from carina.session import Case
 from carina.volume import write_grid
-from vessel_phantom import made_vessel
+from vessel_phantom import bent_vessel
 
 
 @pytest.fixture(scope="module")
 def vessel(tmp_path_factory):
     """Return a scan, and a start and an end as command-line arguments."""
-    volume, _, root, _, end = made_vessel()
+    volume, _, root, _, end = bent_vessel()
     scan = tmp_path_factory.mktemp("vessel") / "vessel.nii.gz"
     write_grid(scan, volume.hu_zyx, volume.lps_from_ijk, what="the scan")
     return scan, *(",".join(f"{v:.3f}" for v in point) for point in (root, end))

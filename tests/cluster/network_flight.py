@@ -44,12 +44,12 @@ def join(folder: Path, prefix: str, host: int) -> subprocess.Popen[bytes]:
     """Start ``carina cluster join`` on a machine."""
     home = folder / f"home{host}"
     home.mkdir()
-    words = (folder / f"join{host}.log").open("wb")
+    text = (folder / f"join{host}.log").open("wb")
     command = ["ip", "netns", "exec", f"{prefix}{host}", *user_folders(folder), sys.executable, "-m", "carina.cli"]
     command += ["cluster", "join", f"{ADDRESSES[0]}:{PORT}", "--ip", ADDRESSES[host], "--dedicated"]
     command += ["--token-file", str(folder / "token")]
     environment = {**environment_in(home), "HOME": str(home)}
-    return subprocess.Popen(command, env=environment, stdout=words, stderr=subprocess.STDOUT)
+    return subprocess.Popen(command, env=environment, stdout=text, stderr=subprocess.STDOUT)
 
 
 def fly(flight, seconds: float, until=lambda: False) -> list[float]:

@@ -134,14 +134,14 @@ def wait_for(what, timeout_s: float = 240.0):
 
 def how_it_is() -> str:
     """Return the state of consoles, renderers and Ray's processes for the message of a timeout."""
-    words = ["nothing came of it"]
+    text = ["nothing came of it"]
     for flight in _flights:
         with contextlib.suppress(Exception):
             status = flight.console.status()
-            words += [f"member {member}" for member in status.members]
-            words += [f"notice: {notice}" for notice in status.notices]
+            text += [f"member {member}" for member in status.members]
+            text += [f"notice: {notice}" for notice in status.notices]
         with contextlib.suppress(Exception):
-            words += [f"asked for: {name} {renderer}" for name, renderer in flight.cluster._renderers.items()]
+            text += [f"asked for: {name} {renderer}" for name, renderer in flight.cluster._renderers.items()]
     if _running and "ray" in sys.modules:
         import ray
         from ray._private import state
@@ -157,15 +157,15 @@ def how_it_is() -> str:
             except Exception as trouble:
                 answer = trouble
             lines = [f"{key}: {value}" for key, value in answer.items()] if isinstance(answer, dict) else [str(answer)]
-            words += [f"{title}: {line}" for line in lines]
+            text += [f"{title}: {line}" for line in lines]
     for head in _running:
         for name in ("raylet.out", "gcs_server.out"):
             with contextlib.suppress(OSError):
                 path = head.folder / "ray" / "session_latest" / "logs" / name
                 lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-                words += [f"--- {name}", *[line for line in lines if "[state-dump]" not in line][-60:]]
-        words += [f"process {name}" for name in alive(descendants(head.node.process.pid))]
-    return "\n".join(words)
+                text += [f"--- {name}", *[line for line in lines if "[state-dump]" not in line][-60:]]
+        text += [f"process {name}" for name in alive(descendants(head.node.process.pid))]
+    return "\n".join(text)
 
 
 @dataclass

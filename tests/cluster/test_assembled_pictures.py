@@ -228,7 +228,7 @@ def test_strip_with_a_wrong_shape_frame_or_row_range_is_not_shown(case, cluster,
     _wait_ready(made)
     expected = made.truth.render(_airway(case)).rgb
     setattr(made.lanes[0].trouble, what, True)
-    words = {"wrong_shape": "of shape", "old_frame": "of frame", "other_rows": "from row"}[what]
+    expected_texts = {"wrong_shape": "of shape", "old_frame": "of frame", "other_rows": "from row"}[what]
 
     def shows_the_truth() -> None:
         assert np.array_equal(made.renderer.render(_airway(case)).rgb, expected)
@@ -238,7 +238,9 @@ def test_strip_with_a_wrong_shape_frame_or_row_range_is_not_shown(case, cluster,
         shows_the_truth()
     _wait(
         made,
-        lambda: any("lane-0 returned an invalid reply" in n and words in n for n in made.console.status().notices),
+        lambda: any(
+            "lane-0 returned an invalid reply" in n and expected_texts in n for n in made.console.status().notices
+        ),
         shows_the_truth,
     )
 
@@ -253,7 +255,7 @@ def test_frame_is_rendered_by_another_renderer_after_any_unusable_reply(case, cl
     _wait_ready(made)
     expected = made.truth.render(_airway(case)).rgb
     setattr(made.lanes[0].trouble, what, True)
-    words = {"twice": [], "refuses": ["is not responding"]}.get(what, ["an unusable strip"])
+    expected_texts = {"twice": [], "refuses": ["is not responding"]}.get(what, ["an unusable strip"])
 
     def shows_the_truth() -> None:
         _, future = made.renderer.request(_airway(case))
@@ -262,7 +264,9 @@ def test_frame_is_rendered_by_another_renderer_after_any_unusable_reply(case, cl
 
     def is_told() -> bool:
         reported = [n for n in made.console.status().notices if "lane-0" in n]
-        is_complete = len(reported) >= len(words) and all(any(w in n for n in reported) for w in words)
+        is_complete = len(reported) >= len(expected_texts) and all(
+            any(text in notice for notice in reported) for text in expected_texts
+        )
         return is_complete and made.lanes[0].trouble.num_orders > 0
 
     for _ in range(6):

@@ -182,7 +182,7 @@ def test_machine_with_another_carina_version_is_reported_once_and_released(ray, 
     assert ray.all_given_back()
     ray.nodes_there.append("b")
     wait_for(lambda: len(ray.actors) == 2)
-    assert ray.actors[1].node == "b", "it is not asked again"
+    assert ray.actors[1].node == "b", "no second renderer is requested on it"
 
 
 @pytest.mark.parametrize("answer", ["fails", "makes no sense"])
@@ -215,7 +215,7 @@ def test_renderer_that_starts_slowly_is_reported_and_used_once_it_has_started(ra
     assert "the renderer on a has not started after 30 s: another console" in notice
     ray.nodes_there.append("c")
     wait_for(lambda: len(ray.actors) == 3)
-    assert console.status().notices == (notice,), "told once, and of nobody else"
+    assert console.status().notices == (notice,), "the notice is reported once and there is no other"
     in_rays_thread(actor.says)
     wait_for(lambda: names(console) == ["a"])
 

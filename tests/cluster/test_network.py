@@ -17,8 +17,8 @@ from network_flight import ADDRESSES, user_folders
 from ray_cluster import import_path, needs_ray
 
 
-def _ip(*words: str) -> bool:
-    return subprocess.run(["ip", *words], capture_output=True, timeout=20, check=False).returncode == 0
+def _ip(*arguments: str) -> bool:
+    return subprocess.run(["ip", *arguments], capture_output=True, timeout=20, check=False).returncode == 0
 
 
 @contextlib.contextmanager
@@ -71,7 +71,7 @@ def test_interrupted_network_link_delays_pictures_briefly_and_the_machine_rejoin
         found = json.loads(done.stdout.splitlines()[-1])
         print(found)
         assert found["median_ms"] < 400
-        assert found["left"], "Ray gave the machine up, so that it had to join anew"
+        assert found["left"], "Ray removed the machine, which must join again"
         assert found["serves_again"]
         assert sum("has left" in notice for notice in found["notices"]) == 1
     finally:

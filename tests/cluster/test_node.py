@@ -70,21 +70,21 @@ def test_kuberay_manifest_sets_the_same_environment_as_a_node(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "starts", "told"), [(node.TIMED_OUT, 3, node.TIMED_OUT), ("no such option", 1, "no such option")]
+    ("text", "starts", "message"), [(node.TIMED_OUT, 3, node.TIMED_OUT), ("no such option", 1, "no such option")]
 )
-def test_node_start_is_repeated_after_a_timeout_and_not_after_a_refusal(tmp_path, monkeypatch, words, starts, told):
+def test_node_start_is_repeated_after_a_timeout_and_not_after_a_refusal(tmp_path, monkeypatch, text, starts, message):
     """Use a busy machine and an invalid argument.
 
     On a busy machine Ray's helper processes exceed a time limit; an invalid argument always fails.
     """
     monkeypatch.setattr(node, "check_available", lambda: None)
     log, began = tmp_path / "log", tmp_path / "began"
-    program = f"open({str(began)!r}, 'a').write('x'); print({words!r})"
+    program = f"open({str(began)!r}, 'a').write('x'); print({text!r})"
     made = node.Node(node.make_token(tmp_path / "token"), head=True, ip="127.0.0.2", port=1, log=log)
     made.stop()
     made._command, made._starts_left, made._log = [sys.executable, "-c", program], 3, log.open("ab")
     made.process = made._started()
-    with pytest.raises(ClusterError, match=told):
+    with pytest.raises(ClusterError, match=message):
         made.wait_ready(600.0)
     made.stop()
     assert began.read_text() == "x" * starts
@@ -102,18 +102,18 @@ FACTS = {"host": "m", "threads": 4, "simd": "avx2", "version": "0.1.0", "pid": 1
 
 
 @pytest.mark.parametrize(
-    ("store_bytes", "new_bytes", "free_bytes", "words"),
+    ("store_bytes", "new_bytes", "free_bytes", "text"),
     [
         (3 * 2**30, 0, None, "has only 3.0 GiB for volumes"),
         (8 * 2**30, 4 * 2**30, 4 * 2**30, "has only 4.0 GiB of free memory"),
     ],
 )
 def test_case_larger_than_the_memory_is_reported_with_available_and_needed_size(
-    store_bytes, new_bytes, free_bytes, words
+    store_bytes, new_bytes, free_bytes, text
 ):
     lane = RayLane("m", None, None, FACTS, store_bytes)
     big = types.SimpleNamespace(num_bytes=4 * 2**30)
-    with pytest.raises(ClusterError, match=words) as refused:
+    with pytest.raises(ClusterError, match=text) as refused:
         lane._check_memory(big, new_bytes, free_bytes)
     assert refused.value.code == "cluster.memory"
     assert "the renderer m is not used" in str(refused.value) and "the case needs 4.0 GiB" in str(refused.value)
@@ -126,6 +126,6 @@ def test_case_larger_than_the_memory_is_reported_with_available_and_needed_size(
     [("0.2.0", "0.1.9", "machine m"), ("0.2.0", "0.10.0", "this console"), ("1.0", "0.9.9", "machine m")],
 )
 def test_message_about_different_versions_names_the_older_computer(console, renderer, side):
-    words = version_words(console, renderer, "m")
-    assert words is not None and words.endswith(f"upgrade the {side}" if side != "this console" else f"upgrade {side}")
+    text = version_words(console, renderer, "m")
+    assert text is not None and text.endswith(f"upgrade the {side}" if side != "this console" else f"upgrade {side}")
     assert version_words("0.2.0", "0.2.0", "m") is None

@@ -165,8 +165,8 @@ def test_renderer_ten_times_slower_gets_a_small_share_of_the_rows(whole):
     flight.cluster.ray.get(flight.lane(name)._handle.misbehave.remote())
 
 
-@pytest.mark.parametrize(("trouble", "words"), [("size", "of shape"), ("frame", "of frame"), ("rows", "from row")])
-def test_wrong_replies_of_a_renderer_are_reported_and_not_shown(whole, trouble, words):
+@pytest.mark.parametrize(("trouble", "text"), [("size", "of shape"), ("frame", "of frame"), ("rows", "from row")])
+def test_wrong_replies_of_a_renderer_are_reported_and_not_shown(whole, trouble, text):
     flight = whole
     # Each fault uses a different renderer, because a renderer is excluded after five wrong replies.
     name = flight.ready()[["size", "frame", "rows"].index(trouble)]
@@ -175,7 +175,7 @@ def test_wrong_replies_of_a_renderer_are_reported_and_not_shown(whole, trouble, 
 
         def is_told() -> bool:
             notices = flight.console.status().notices
-            return any(f"{name} returned an invalid reply" in n and words in n for n in notices)
+            return any(f"{name} returned an invalid reply" in n and text in n for n in notices)
 
         _fly(flight, 0.5, is_told)
     finally:

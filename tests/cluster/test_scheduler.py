@@ -132,31 +132,31 @@ def test_slow_renderer_limits_the_frame_rate_without_load_balancing():
 
 def test_renderer_that_becomes_ten_times_slower_gets_a_smaller_share():
     """Let its replies arrive long after other lanes have completed the frame; they must still update its share."""
-    rig = _flying("a", "b", "c", "d", settings=ClusterSettings(open_frames=1), warm=20)
+    fixture = _flying("a", "b", "c", "d", settings=ClusterSettings(open_frames=1), warm=20)
     now_s, due = 1.0, []
     free_s = dict.fromkeys("abcd", 0.0)
     for frame_id in range(40):
-        rig.scheduler.request(frame_id, 512, now_s)
-        while FrameDone(frame_id) not in rig.rest:
-            rig.take_actions()
-            for task in [t for t in rig.issued if all(t is not known for _, known in due)]:
+        fixture.scheduler.request(frame_id, 512, now_s)
+        while FrameDone(frame_id) not in fixture.rest:
+            fixture.take_actions()
+            for task in [t for t in fixture.issued if all(t is not known for _, known in due)]:
                 row_s = 0.0001 * (10 if task.lane == "a" else 1)
                 free_s[task.lane] = max(free_s[task.lane], now_s) + row_s * (task.end_row - task.first_row)
                 due.append((free_s[task.lane], task))
             due.sort(key=lambda item: item[0])
-            deadline_s = rig.scheduler.deadline_s
+            deadline_s = fixture.scheduler.deadline_s
             if deadline_s is not None and deadline_s < due[0][0]:
                 now_s = deadline_s
-                rig.scheduler.mark_late_lanes(now_s)
-                rig.take_actions()
+                fixture.scheduler.mark_late_lanes(now_s)
+                fixture.take_actions()
             else:
                 now_s, task = due.pop(0)
-                rig.answer(task, now_s)
-    [view] = [view for view in rig.scheduler.lanes() if view.lane == "a"]
+                fixture.answer(task, now_s)
+    [view] = [view for view in fixture.scheduler.lanes() if view.lane == "a"]
     assert view.share < 0.05  # ideal: 1 / 31
 
 
-class Rig:
+class SchedulerFixture:
     """Scheduler with the lists of its unanswered strips and of its other actions."""
 
     def __init__(self, settings: ClusterSettings | None = None) -> None:
@@ -176,54 +176,54 @@ class Rig:
         self.take_actions()
         return accepted
 
-    def of(self, lane) -> list[Issue]:
+    def issued_to(self, lane) -> list[Issue]:
         return [task for task in self.issued if task.lane == lane]
 
 
-def _flying(*lanes, settings=None, warm=3) -> Rig:
+def _flying(*lanes, settings=None, warm=3) -> SchedulerFixture:
     """Return a scheduler whose lanes have rendered ``warm`` frames at 10 ms per strip."""
-    rig = Rig(settings or ClusterSettings(open_frames=1))
+    fixture = SchedulerFixture(settings or ClusterSettings(open_frames=1))
     for lane in lanes:
-        rig.scheduler.join(lane, 0.0)
+        fixture.scheduler.join(lane, 0.0)
     for frame_id in range(-warm, 0):
         now_s = frame_id * 0.01
-        rig.scheduler.request(frame_id, 100, now_s)
-        rig.take_actions()
-        for task in list(rig.issued):
-            rig.answer(task, now_s + 0.01)
-    rig.rest.clear()
-    return rig
+        fixture.scheduler.request(frame_id, 100, now_s)
+        fixture.take_actions()
+        for task in list(fixture.issued):
+            fixture.answer(task, now_s + 0.01)
+    fixture.rest.clear()
+    return fixture
 
 
 def test_late_strip_is_issued_to_another_lane_and_the_first_reply_to_it_is_used():
-    rig = _flying("a", "b")
-    rig.scheduler.request(1, 100, 0.0)
-    rig.take_actions()
-    [of_a], [of_b] = rig.of("a"), rig.of("b")
-    assert rig.answer(of_b, 0.01)
-    assert rig.scheduler.deadline_s == pytest.approx(0.05)  # three times 10 ms is below the minimum
-    rig.scheduler.mark_late_lanes(0.051)
-    rig.take_actions()
-    assert rig.rest == [LaneLate("a")]
-    [again] = rig.of("b")
+    fixture = _flying("a", "b")
+    fixture.scheduler.request(1, 100, 0.0)
+    fixture.take_actions()
+    [of_a], [of_b] = fixture.issued_to("a"), fixture.issued_to("b")
+    assert fixture.answer(of_b, 0.01)
+    assert fixture.scheduler.deadline_s == pytest.approx(0.05)  # three times 10 ms is below the minimum
+    fixture.scheduler.mark_late_lanes(0.051)
+    fixture.take_actions()
+    assert fixture.rest == [LaneLate("a")]
+    [again] = fixture.issued_to("b")
     assert (again.first_row, again.end_row, again.again) == (of_a.first_row, of_a.end_row, True)
-    assert rig.answer(again, 0.061)
-    assert rig.rest[-1] == FrameDone(1)
+    assert fixture.answer(again, 0.061)
+    assert fixture.rest[-1] == FrameDone(1)
     # The late reply is not used, but it shows that the lane works again.
-    assert not rig.answer(of_a, 0.3, seconds=0.3)
-    assert rig.rest[-1] == LaneBack("a")
+    assert not fixture.answer(of_a, 0.3, seconds=0.3)
+    assert fixture.rest[-1] == LaneBack("a")
 
 
 def test_reply_deadline_of_a_new_lane_follows_the_rate_of_the_other_lanes():
-    rig = _flying("a", "b", warm=20)
-    rig.scheduler.join("c", 0.0)
-    rig.scheduler.request(1, 99, 0.0)
-    rig.take_actions()
+    fixture = _flying("a", "b", warm=20)
+    fixture.scheduler.join("c", 0.0)
+    fixture.scheduler.request(1, 99, 0.0)
+    fixture.take_actions()
     for name in ("a", "b"):
-        rig.answer(rig.of(name)[0], 0.01)
+        fixture.answer(fixture.issued_to(name)[0], 0.01)
     # The other lanes take 7 ms for 33 rows; nine times 7 ms is less than four times the minimum.
-    assert rig.scheduler.deadline_s == pytest.approx(0.2)
-    alone = Rig(ClusterSettings(open_frames=1))
+    assert fixture.scheduler.deadline_s == pytest.approx(0.2)
+    alone = SchedulerFixture(ClusterSettings(open_frames=1))
     alone.scheduler.join("a", 0.0)
     alone.scheduler.request(1, 99, 0.0)
     alone.take_actions()
@@ -231,139 +231,139 @@ def test_reply_deadline_of_a_new_lane_follows_the_rate_of_the_other_lanes():
 
 
 def test_reply_with_a_strip_is_accepted_only_while_its_rows_are_missing():
-    rig = _flying("a", "b")
-    rig.scheduler.request(1, 100, 0.0)
-    rig.take_actions()
-    [of_a], [of_b] = rig.of("a"), rig.of("b")
-    assert rig.scheduler.expects("a", of_a.task_id)
-    assert not rig.scheduler.expects("b", of_a.task_id) and not rig.scheduler.expects("nobody", of_a.task_id)
-    rig.answer(of_b, 0.01)
-    rig.scheduler.mark_late_lanes(0.06)
-    rig.take_actions()
-    [again] = rig.of("b")
-    rig.answer(again, 0.07)
-    assert not rig.scheduler.expects("a", of_a.task_id)
+    fixture = _flying("a", "b")
+    fixture.scheduler.request(1, 100, 0.0)
+    fixture.take_actions()
+    [of_a], [of_b] = fixture.issued_to("a"), fixture.issued_to("b")
+    assert fixture.scheduler.expects("a", of_a.task_id)
+    assert not fixture.scheduler.expects("b", of_a.task_id) and not fixture.scheduler.expects("nobody", of_a.task_id)
+    fixture.answer(of_b, 0.01)
+    fixture.scheduler.mark_late_lanes(0.06)
+    fixture.take_actions()
+    [again] = fixture.issued_to("b")
+    fixture.answer(again, 0.07)
+    assert not fixture.scheduler.expects("a", of_a.task_id)
 
 
 def test_late_lane_gets_no_further_strip_until_it_replies():
-    rig = _flying("a", "b")
-    rig.scheduler.request(1, 100, 0.0)
-    rig.take_actions()
-    rig.answer(rig.of("b")[0], 0.01)
-    rig.scheduler.mark_late_lanes(0.06)
-    rig.take_actions()
-    rig.answer(rig.of("b")[0], 0.07)
-    rig.scheduler.request(2, 100, 0.07)
-    rig.take_actions()
-    [task] = rig.of("b")
+    fixture = _flying("a", "b")
+    fixture.scheduler.request(1, 100, 0.0)
+    fixture.take_actions()
+    fixture.answer(fixture.issued_to("b")[0], 0.01)
+    fixture.scheduler.mark_late_lanes(0.06)
+    fixture.take_actions()
+    fixture.answer(fixture.issued_to("b")[0], 0.07)
+    fixture.scheduler.request(2, 100, 0.07)
+    fixture.take_actions()
+    [task] = fixture.issued_to("b")
     assert (task.first_row, task.end_row) == (0, 100)
 
 
 def test_strip_overdue_on_two_lanes_is_issued_to_a_third():
-    rig = _flying("a", "b", "c")
-    rig.scheduler.request(1, 99, 0.0)
-    rig.take_actions()
-    rig.answer(rig.of("c")[0], 0.01)
-    rig.scheduler.mark_late_lanes(0.06)
-    rig.take_actions()
-    assert [task.lane for task in rig.issued if task.again] == ["c", "c"]
-    for task in rig.of("c"):
-        rig.answer(task, 0.07)
-    assert FrameDone(1) in rig.rest
+    fixture = _flying("a", "b", "c")
+    fixture.scheduler.request(1, 99, 0.0)
+    fixture.take_actions()
+    fixture.answer(fixture.issued_to("c")[0], 0.01)
+    fixture.scheduler.mark_late_lanes(0.06)
+    fixture.take_actions()
+    assert [task.lane for task in fixture.issued if task.again] == ["c", "c"]
+    for task in fixture.issued_to("c"):
+        fixture.answer(task, 0.07)
+    assert FrameDone(1) in fixture.rest
 
 
 def test_console_renders_while_no_lane_is_available_and_stops_when_one_returns():
-    rig = Rig(ClusterSettings(open_frames=1))
-    rig.scheduler.join("console", 0.0, reserve=True)
-    rig.scheduler.join("a", 0.0, content=1)
-    rig.scheduler.request(1, 100, 0.0, content=1)
-    rig.take_actions()
-    assert [t.lane for t in rig.issued] == ["a"]
-    [lost] = rig.issued
-    rig.scheduler.failed("a", lost.task_id, 0.1)
-    rig.issued.clear()
-    rig.take_actions()
-    assert [t.lane for t in rig.issued] == ["console"]
-    assert rig.answer(rig.issued[0], 0.5)
-    rig.scheduler.join("a", 0.6, content=2)
-    rig.scheduler.request(2, 100, 0.7, content=1)  # the lane has loaded another content
-    rig.take_actions()
-    assert [t.lane for t in rig.issued] == ["console"]
-    rig.answer(rig.issued[0], 0.8)
-    rig.scheduler.load("a", 1, 0.9)
-    rig.scheduler.request(3, 100, 1.0, content=1)
-    rig.take_actions()
-    assert [t.lane for t in rig.issued] == ["a"]
+    fixture = SchedulerFixture(ClusterSettings(open_frames=1))
+    fixture.scheduler.join("console", 0.0, reserve=True)
+    fixture.scheduler.join("a", 0.0, content=1)
+    fixture.scheduler.request(1, 100, 0.0, content=1)
+    fixture.take_actions()
+    assert [t.lane for t in fixture.issued] == ["a"]
+    [lost] = fixture.issued
+    fixture.scheduler.failed("a", lost.task_id, 0.1)
+    fixture.issued.clear()
+    fixture.take_actions()
+    assert [t.lane for t in fixture.issued] == ["console"]
+    assert fixture.answer(fixture.issued[0], 0.5)
+    fixture.scheduler.join("a", 0.6, content=2)
+    fixture.scheduler.request(2, 100, 0.7, content=1)  # the lane has loaded another content
+    fixture.take_actions()
+    assert [t.lane for t in fixture.issued] == ["console"]
+    fixture.answer(fixture.issued[0], 0.8)
+    fixture.scheduler.load("a", 1, 0.9)
+    fixture.scheduler.request(3, 100, 1.0, content=1)
+    fixture.take_actions()
+    assert [t.lane for t in fixture.issued] == ["a"]
 
 
 def test_frame_requested_without_an_available_lane_waits_for_a_lane():
-    rig = Rig()
-    rig.scheduler.request(1, 100, 0.0)
-    assert rig.take_actions() == []
-    rig.scheduler.join("a", 1.0)
-    rig.take_actions()
-    assert [t.lane for t in rig.issued] == ["a"]
+    fixture = SchedulerFixture()
+    fixture.scheduler.request(1, 100, 0.0)
+    assert fixture.take_actions() == []
+    fixture.scheduler.join("a", 1.0)
+    fixture.take_actions()
+    assert [t.lane for t in fixture.issued] == ["a"]
 
 
 def test_lane_that_joins_during_a_flight_gets_the_mean_share_of_the_next_frame():
-    rig = _flying("a", "b", "c")
-    rig.scheduler.request(1, 120, 0.0)
-    rig.scheduler.join("d", 0.001)
-    rig.take_actions()
-    assert not rig.of("d")
-    for task in list(rig.issued):
-        rig.answer(task, 0.01)
-    rig.scheduler.request(2, 120, 0.02)
-    rig.take_actions()
-    [task] = rig.of("d")
+    fixture = _flying("a", "b", "c")
+    fixture.scheduler.request(1, 120, 0.0)
+    fixture.scheduler.join("d", 0.001)
+    fixture.take_actions()
+    assert not fixture.issued_to("d")
+    for task in list(fixture.issued):
+        fixture.answer(task, 0.01)
+    fixture.scheduler.request(2, 120, 0.02)
+    fixture.take_actions()
+    [task] = fixture.issued_to("d")
     assert task.end_row - task.first_row == 30
 
 
 def test_only_the_newest_waiting_frame_of_a_stream_is_rendered():
-    rig = _flying("a", settings=ClusterSettings(in_flight=1, open_frames=1))
+    fixture = _flying("a", settings=ClusterSettings(in_flight=1, open_frames=1))
     for frame_id in (1, 2, 3):
-        rig.scheduler.request(frame_id, 10, 0.0, stream="airway")
-    rig.take_actions()
-    assert rig.rest == [FrameDropped(2)]
-    rig.answer(rig.issued[0], 0.01)
-    assert rig.issued[0].frame_id == 3
+        fixture.scheduler.request(frame_id, 10, 0.0, stream="airway")
+    fixture.take_actions()
+    assert fixture.rest == [FrameDropped(2)]
+    fixture.answer(fixture.issued[0], 0.01)
+    assert fixture.issued[0].frame_id == 3
 
 
 def test_complete_frame_drops_the_older_frames_of_its_stream():
-    rig = _flying("a", "b", settings=ClusterSettings(open_frames=2))
-    rig.scheduler.request(1, 10, 0.0, stream="airway")
-    rig.scheduler.request(2, 10, 0.0, stream="airway")
-    rig.take_actions()
-    for task in [t for t in rig.issued if t.frame_id == 2]:
-        rig.answer(task, 0.01)
-    assert rig.rest == [FrameDone(2), FrameDropped(1)]
-    assert not rig.answer(rig.issued[0], 0.02), "no row of a dropped frame is wanted"
+    fixture = _flying("a", "b", settings=ClusterSettings(open_frames=2))
+    fixture.scheduler.request(1, 10, 0.0, stream="airway")
+    fixture.scheduler.request(2, 10, 0.0, stream="airway")
+    fixture.take_actions()
+    for task in [t for t in fixture.issued if t.frame_id == 2]:
+        fixture.answer(task, 0.01)
+    assert fixture.rest == [FrameDone(2), FrameDropped(1)]
+    assert not fixture.answer(fixture.issued[0], 0.02), "no row of a dropped frame is wanted"
 
 
 def test_buffer_of_a_dropped_frame_is_used_by_the_next_frame():
-    rig = _flying("a", settings=ClusterSettings(in_flight=4, open_frames=1))
-    rig.scheduler.request(1, 10, 0.0)
-    rig.scheduler.request(2, 10, 0.0)
-    rig.scheduler.drop(1, 0.0)
-    rig.take_actions()
-    assert [t.frame_id for t in rig.issued] == [1, 2]
-    assert rig.rest == [FrameDropped(1)]
+    fixture = _flying("a", settings=ClusterSettings(in_flight=4, open_frames=1))
+    fixture.scheduler.request(1, 10, 0.0)
+    fixture.scheduler.request(2, 10, 0.0)
+    fixture.scheduler.drop(1, 0.0)
+    fixture.take_actions()
+    assert [t.frame_id for t in fixture.issued] == [1, 2]
+    assert fixture.rest == [FrameDropped(1)]
 
 
 def test_undivided_frames_are_issued_to_one_lane_each_up_to_the_capacity_of_the_lane():
-    rig = _flying("a", "b", settings=ClusterSettings(in_flight=2, open_frames=1))
+    fixture = _flying("a", "b", settings=ClusterSettings(in_flight=2, open_frames=1))
     for frame_id in range(10):
-        rig.scheduler.request(frame_id, 100, 0.0, whole=True)
-    rig.take_actions()
-    assert sorted((t.lane, t.frame_id) for t in rig.issued) == [("a", 0), ("a", 2), ("b", 1), ("b", 3)]
-    assert {(t.first_row, t.end_row) for t in rig.issued} == {(0, 100)}
+        fixture.scheduler.request(frame_id, 100, 0.0, whole=True)
+    fixture.take_actions()
+    assert sorted((t.lane, t.frame_id) for t in fixture.issued) == [("a", 0), ("a", 2), ("b", 1), ("b", 3)]
+    assert {(t.first_row, t.end_row) for t in fixture.issued} == {(0, 100)}
 
 
 def test_frame_that_is_being_rendered_cannot_be_requested_again():
-    rig = _flying("a")
-    rig.scheduler.request(1, 10, 0.0)
+    fixture = _flying("a")
+    fixture.scheduler.request(1, 10, 0.0)
     with pytest.raises(UsageError, match="already being rendered"):
-        rig.scheduler.request(1, 10, 0.0)
+        fixture.scheduler.request(1, 10, 0.0)
 
 
 EVENTS = st.lists(

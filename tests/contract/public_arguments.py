@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import carina
-from cached_test_data import found_airways, made_phantom
+from cached_test_data import cached_phantom, found_airways
 from carina.commands import RenameBranch, SetTexture
 from carina.commands.questions import VoxelAt
 from carina.errors import CarinaError
@@ -55,7 +55,7 @@ class Things:
 
     @cached_property
     def phantom(self) -> Any:
-        return made_phantom(seed=4, spacing_mm=2.5, generations=4, nodule=True)
+        return cached_phantom(seed=4, spacing_mm=2.5, generations=4, nodule=True)
 
     @property
     def volume(self) -> carina.Volume:

@@ -77,7 +77,7 @@ def test_package_without_a_licence_is_a_finding_until_it_is_reviewed(audit, allo
     lock = {"packages": {"": {}, "node_modules/a": {"license": "MIT"}, "node_modules/b": {}, "node_modules/x/c": {}}}
     (tmp_path / "web" / "package-lock.json").write_text(json.dumps(lock), encoding="utf-8")
     found = audit.npm_licences(tmp_path, allowed)
-    assert [words.split()[0] for words in found.bad] == ["b", "x/c"]
+    assert [text.split()[0] for text in found.bad] == ["b", "x/c"]
     known = audit.Allowed(allowed.licences, {"b": "MIT", "x/c": "MIT"}, {})
     assert audit.npm_licences(tmp_path, known).lines() == ["licences, npm: 3 looked at, all good"]
 
@@ -103,7 +103,7 @@ def test_python_licence_is_read_from_expression_classifier_or_text(audit, allowe
 
     found = audit.python_licences(tmp_path, allowed, about)
     assert found.num_seen == 4
-    assert [words.split()[0] for words in found.bad] == ["d"]
+    assert [text.split()[0] for text in found.bad] == ["d"]
     assert "1 packages that are not installed here (gone)" in found.unseen[0]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import carina
-from cached_test_data import made_airways, made_phantom
+from cached_test_data import cached_airways, cached_phantom
 from carina.display import progress as bars
 from carina.display.progress import shows_progress, without_bars
 from carina.errors import UsageError
@@ -56,7 +56,7 @@ def test_progress_argument_has_the_same_type_and_error_message_in_every_public_f
 def test_slow_functions_accept_every_value_of_the_progress_argument(choice: object) -> None:
     seen: list[tuple[str, float | None]] = []
     progress: Any = (lambda what, fraction: seen.append((what, fraction))) if choice == "function" else choice
-    volume, airways = made_phantom(**SMALL).volume, made_airways(**SMALL)
+    volume, airways = cached_phantom(**SMALL).volume, cached_airways(**SMALL)
     calls: list[Callable[[], object]] = [
         lambda: carina.generate_phantom(spacing_mm=6.0, generations=3, progress=progress),
         lambda: carina.track.measure_tree(volume, airways, progress=progress),
@@ -74,11 +74,11 @@ def test_slow_functions_accept_every_value_of_the_progress_argument(choice: obje
 @pytest.mark.parametrize("choice", [False, True, None, "function"])
 def test_plan_route_accepts_every_value_of_the_progress_argument(choice: object) -> None:
     chest = {"seed": 4, "spacing_mm": 1.2, "generations": 5, "nodule": True}
-    made = made_phantom(**chest)
+    made = cached_phantom(**chest)
     seen: list[tuple[str, float | None]] = []
     progress: Any = (lambda what, fraction: seen.append((what, fraction))) if choice == "function" else choice
     target = made.truth["nodule"]["centre_lps"]
-    assert carina.plan_route(made.volume, made_airways(**chest), target, progress=progress).routes
+    assert carina.plan_route(made.volume, cached_airways(**chest), target, progress=progress).routes
     assert {what for what, _ in seen} == ({"planning the routes"} if choice == "function" else set())
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import carina
-from cached_test_data import found_airways, made_phantom
+from cached_test_data import cached_phantom, found_airways
 from carina.errors import CarinaError
 
 
@@ -34,7 +34,7 @@ def test_examples_in_docstrings_print_the_stated_output(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     # The examples share phantoms and their airways, because equal arguments give equal voxels.
-    monkeypatch.setattr(carina, "generate_phantom", made_phantom, raising=False)
+    monkeypatch.setattr(carina, "generate_phantom", cached_phantom, raising=False)
     monkeypatch.setattr(carina, "find_airways", found_airways, raising=False)
     failed, tried = doctest.testmod(importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)
     assert tried

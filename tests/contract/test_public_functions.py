@@ -23,7 +23,7 @@ POSE = carina.Pose.looking((5.5, 5.5, 5.5), (0, 0, -1))
 
 
 @pytest.mark.parametrize(
-    ("call", "words"),
+    ("call", "text"),
     [
         (lambda: carina.open_volume(3), "open_volume: path: expected str or Path; found int; name a folder or a file"),
         (
@@ -77,11 +77,11 @@ POSE = carina.Pose.looking((5.5, 5.5, 5.5), (0, 0, -1))
     ],
 )
 def test_argument_of_a_wrong_type_is_refused_with_expected_type_found_type_and_remedy(
-    call: Callable[[], object], words: str
+    call: Callable[[], object], text: str
 ) -> None:
     with pytest.raises(UsageError) as refused:
         call()
-    assert str(refused.value) == words
+    assert str(refused.value) == text
     assert refused.value.code in {"usage", "usage.type"}
 
 
@@ -199,12 +199,12 @@ def test_terminal_progress_bar_is_one_line_and_removed_at_the_end(monkeypatch: p
 
 
 @pytest.mark.parametrize(
-    ("choice", "told", "bars_made"), [(None, True, 1), (True, True, 1), (False, False, 0), ("callback", True, 0)]
+    ("choice", "is_reported", "bars_made"), [(None, True, 1), (True, True, 1), (False, False, 0), ("callback", True, 0)]
 )
 def test_progress_bar_is_shown_unless_disabled_or_replaced_by_a_callback(
-    choice: object, told: bool, bars_made: int, monkeypatch: pytest.MonkeyPatch
+    choice: object, is_reported: bool, bars_made: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made, heard = [], []
+    made, reported = [], []
 
     def bar() -> NotedBar:
         made.append(NotedBar())
@@ -221,11 +221,11 @@ def test_progress_bar_is_shown_unless_disabled_or_replaced_by_a_callback(
             return True
         return False
 
-    listener = (lambda what, fraction: heard.append((what, fraction))) if choice == "callback" else choice
-    assert work(progress=listener) == told
+    listener = (lambda what, fraction: reported.append((what, fraction))) if choice == "callback" else choice
+    assert work(progress=listener) == is_reported
     assert len(made) == bars_made
     assert all(bar.closed for bar in made)
-    assert heard == ([("working", 0.5)] if choice == "callback" else [])
+    assert reported == ([("working", 0.5)] if choice == "callback" else [])
 
 
 def test_progress_bar_is_removed_if_the_work_raises_an_error(monkeypatch: pytest.MonkeyPatch) -> None:

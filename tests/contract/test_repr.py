@@ -348,10 +348,10 @@ def test_notebook_shows_a_tree_from_the_front_with_a_table_of_its_branches() -> 
         ["Trachea", "0", "80.2", "8.0"],
         ["<b>mine</b>", "1", "42.4", "6.0"],
     ]
-    words = "".join(root.itertext())
-    assert "2 branches (2 named), 1 tips, generations 0 to 1" in words
-    assert "1 branches drawn by hand" in words
-    assert "! the mask leaks" in words
+    message = "".join(root.itertext())
+    assert "2 branches (2 named), 1 tips, generations 0 to 1" in message
+    assert "1 branches drawn by hand" in message
+    assert "! the mask leaks" in message
 
 
 def test_notebook_table_of_a_large_tree_lists_only_its_first_branches(shown: Shown) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import carina
-from cached_test_data import made_airways, made_phantom
+from cached_test_data import cached_airways, cached_phantom
 from carina.track import measure_tree
 
 PACKAGE = Path(carina.__file__).parent
@@ -56,9 +56,9 @@ def keys_of(document: Any) -> Iterator[str]:
 
 def test_documents_of_a_phantom_and_of_its_measures_use_centre() -> None:
     options: dict[str, Any] = {"spacing_mm": 3.0, "generations": 4, "stenosis": True, "nodule": True}
-    made = made_phantom(**options)
+    made = cached_phantom(**options)
     truth = set(keys_of(made.truth))
-    measures = set(keys_of(measure_tree(made.volume, made_airways(**options)).to_json()))
+    measures = set(keys_of(measure_tree(made.volume, cached_airways(**options)).to_json()))
     assert "centre_lps" in truth & measures
     assert not [key for key in truth | measures if "center" in key]
     assert set(made.truth["nodule"]) >= {"centre_lps", "radius_mm"} and "centre_lps" in made.truth["stenosis"]

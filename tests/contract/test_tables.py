@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import carina
-from cached_test_data import made_airways, made_phantom
+from cached_test_data import cached_airways, cached_phantom
 from carina.display.tables import Tabular
 from carina.errors import CarinaError
 from carina.plan import turn_list
@@ -26,7 +26,7 @@ CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 5, "nodule
 
 @pytest.fixture(scope="module")
 def tables() -> dict[str, Tabular]:
-    made, airways = made_phantom(**CHEST), made_airways(**CHEST)
+    made, airways = cached_phantom(**CHEST), cached_airways(**CHEST)
     measures = carina.measure_tree(made.volume, airways)
     plan = carina.plan_route(made.volume, airways, made.truth["nodule"]["centre_lps"])
     tip = airways.tree.tips()[0]
@@ -77,7 +77,7 @@ def test_tables_of_a_tree_and_of_its_measurements_list_equal_branches(tables: di
 
 
 def test_measurements_reused_for_an_edited_tree_have_the_branch_names_of_that_tree(tables: dict[str, Tabular]) -> None:
-    made, airways = made_phantom(**CHEST), made_airways(**CHEST)
+    made, airways = cached_phantom(**CHEST), cached_airways(**CHEST)
     tip = airways.tree.tips()[0]
     renamed = carina.edit_airways(made.volume, airways, carina.track.RenameBranch(tip.id, "biopsy"))
     table = carina.measure_tree(made.volume, renamed, previous=tables["measures"]).to_columns()  # type: ignore[arg-type]
@@ -172,7 +172,7 @@ def test_table_of_branches_needs_only_three_calls_after_open_volume(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert set(looked_up(TABLE_OF_BRANCHES)) - {"open_volume"} == {"find_airways", "measure_tree", "to_columns"}
-    carina.write_phantom(made_phantom(spacing_mm=3.0, generations=3), tmp_path)
+    carina.write_phantom(cached_phantom(spacing_mm=3.0, generations=3), tmp_path)
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {"carina": carina}
     exec(TABLE_OF_BRANCHES, names)

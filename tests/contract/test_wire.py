@@ -50,10 +50,10 @@ def test_invalid_sample_messages_are_refused_with_a_code_and_a_message(path):
 
 
 @pytest.mark.parametrize(
-    ("data", "words"), [(b"\0\0\0", "ends within its header"), (b"\0\0\0\0", "before the image data")]
+    ("data", "message"), [(b"\0\0\0", "ends within its header"), (b"\0\0\0\0", "before the image data")]
 )
-def test_picture_message_that_ends_after_its_length_has_no_payload(data, words):
-    with pytest.raises(ProtocolError, match=words):
+def test_picture_message_that_ends_after_its_length_has_no_payload(data, message):
+    with pytest.raises(ProtocolError, match=message):
         wire.parse_picture(data)
 
 
@@ -61,8 +61,8 @@ def test_picture_message_that_ends_after_its_length_has_no_payload(data, words):
 def test_commands_with_names_of_version_1_equal_the_present_commands(path):
     old = json.loads(path.read_bytes())
     now = json.loads(wire.encode_message(PARSERS[path.parent.name](path.read_bytes())))
-    name, words = OLD_WORDS[old["type"]]
-    assert now == {words.get(field, field): value for field, value in old.items()} | {"type": name}
+    name, new_fields = OLD_WORDS[old["type"]]
+    assert now == {new_fields.get(field, field): value for field, value in old.items()} | {"type": name}
 
 
 def test_old_field_name_together_with_its_new_name_in_a_message_is_refused():

@@ -143,9 +143,9 @@ def call_problem(call: Callable[[], Any], *, refuse: bool, after: Callable[[], A
             result = call()
             state = None if after is None else after()
     except CarinaError as error:
-        words = str(error)
-        if not words or len(words) > 2000:
-            return f"refused with a message of {len(words)} characters"
+        text = str(error)
+        if not text or len(text) > 2000:
+            return f"refused with a message of {len(text)} characters"
         return None
     except CallTooLongError:
         return f"did not end within {LIMIT_S:g} s"

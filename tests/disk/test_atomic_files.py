@@ -242,14 +242,14 @@ TROUBLES = [
 ]
 
 
-@pytest.mark.parametrize(("number", "code", "words"), TROUBLES)
-def test_each_disk_error_has_a_code_and_a_message(tmp_path, number, code, words):
+@pytest.mark.parametrize(("number", "code", "text"), TROUBLES)
+def test_each_disk_error_has_a_code_and_a_message(tmp_path, number, code, text):
     error = disk_trouble(
         OSError(number, os.strerror(number)), "cannot write the tree to", tmp_path / "t", needed_bytes=9
     )
     assert (error.code, error.errno, error.exit_code) == (code, number, 1)
     assert str(error).startswith(f"cannot write the tree to {tmp_path / 't'}: ")
-    assert words in str(error)
+    assert text in str(error)
     assert isinstance(error, OSError)
     assert isinstance(error, CarinaError)
 

@@ -41,15 +41,15 @@ class Child:
         assert self.process.stderr is not None
         self.input, self.output, self._errors = self.process.stdin, self.process.stdout, self.process.stderr
         self.log: list[str] = []
-        self.said = threading.Condition()
+        self.log_changed = threading.Condition()
         self._reader = threading.Thread(target=self._read_log, daemon=True)
         self._reader.start()
 
     def _read_log(self) -> None:
         for line in self._errors:
-            with self.said:
+            with self.log_changed:
                 self.log.append(line.rstrip())
-                self.said.notify_all()
+                self.log_changed.notify_all()
 
     def wait(self) -> int:
         """Wait for the end of the process, and return its exit code; kill the process if it does not end in time."""
@@ -129,8 +129,8 @@ class Host:
         """Close a workstation, and wait for its last log line."""
         self._ask({"close": server.number})
         last = f"workstation {server.number} is closed"
-        with self._child.said:
-            assert self._child.said.wait_for(lambda: last in self._child.log, STOP_S), "its log does not end"
+        with self._child.log_changed:
+            assert self._child.log_changed.wait_for(lambda: last in self._child.log, STOP_S), "its log does not end"
 
     def end(self) -> int:
         """Close the input, so that the process ends, and return its exit code."""

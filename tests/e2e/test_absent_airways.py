@@ -7,7 +7,7 @@ import pytest
 from playwright.sync_api import expect
 from plugged_chest import CHEST, named, plugged
 
-from cached_test_data import made_airways, made_phantom
+from cached_test_data import cached_airways, cached_phantom
 from carina.volume import write_grid
 
 pytestmark = pytest.mark.browser
@@ -24,7 +24,7 @@ LOST = {
 @pytest.fixture
 def opens(tmp_path):
     """Return the opened file: a chest with mucus in the middle lobe bronchus and a segment of the left upper lobe."""
-    volume, whole = made_phantom(**CHEST).volume, made_airways(**CHEST)
+    volume, whole = cached_phantom(**CHEST).volume, cached_airways(**CHEST)
     for name in ("RML", "LB3"):
         volume = plugged(volume, named(whole, name), 6.0)
     # NIfTI rounds the spacing, which is enough to change the names of bronchi of the left upper lobe.

@@ -11,7 +11,7 @@ import pytest
 from server_process import start_server, stop_server
 from workstation import PICTURE_MS
 
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.case import CaseFile
 from carina.volume import write_grid
 from faulty_disk import FAULTS, FaultyDisk, has_compiler
@@ -280,7 +280,7 @@ def test_full_disk_is_reported_while_the_flight_continues_and_the_case_is_saved_
 
 def test_case_whose_ct_was_moved_requests_the_ct_and_refuses_a_different_ct(host, workstation, home, tmp_path):
     page = workstation.page
-    chest, other = (made_phantom(spacing_mm=3.0, generations=n).volume for n in (3, 4))
+    chest, other = (cached_phantom(spacing_mm=3.0, generations=n).volume for n in (3, 4))
     ct, moved = tmp_path / "ct.nii.gz", tmp_path / "moved.nii.gz"
     write_grid(ct, chest.hu_zyx, chest.lps_from_ijk, what="the phantom")
     server = host.open(path=str(ct), home=home)
@@ -316,7 +316,7 @@ def test_dropped_case_file_requests_its_ct_and_opens_when_the_ct_is_dropped_with
     host, workstation, home, tmp_path
 ):
     page = workstation.page
-    chest = made_phantom(spacing_mm=3.0, generations=3).volume
+    chest = cached_phantom(spacing_mm=3.0, generations=3).volume
     ct, given = tmp_path / "ct.nii.gz", tmp_path / "given.carina"
     write_grid(ct, chest.hu_zyx, chest.lps_from_ijk, what="the phantom")
     theirs = host.open(path=str(ct), home=str(tmp_path / "their home"))

@@ -189,7 +189,7 @@ def test_spacemouse_and_usb_handle_move_the_tip_and_work_after_reconnection(serv
             )
             workstation.wait_still()
             went_mm = workstation.state("pose.path_mm") - before_mm
-            assert -0.25 * by_mm < went_mm < 1.25 * by_mm, "from wherever it stands, and smoothed"
+            assert -0.25 * by_mm < went_mm < 1.25 * by_mm, "the movement is relative to the present tip and smoothed"
             if went_mm > 0.75 * by_mm:
                 return
         raise AssertionError("not in 30 pushes")

@@ -62,24 +62,26 @@ STAMP: dict[str, Any] = {
 
 
 def test_comparison_of_window_descriptions_lists_visible_changes_only():
-    def told(**change: Any) -> list[str]:
+    def changes_after(**change: Any) -> list[str]:
         return changes(STAMP, {**copy.deepcopy(STAMP), **change})
 
     path, name = STAMP["parts"]
-    assert told() == []
-    assert told(parts=[path, {**name, "box": [47, 122, 133, 16]}]) == []
-    assert told(colours={"airway": [104] * 48}) == []
-    assert told(parts=[path, {**name, "what": "span Branch 1"}]) == [
+    assert changes_after() == []
+    assert changes_after(parts=[path, {**name, "box": [47, 122, 133, 16]}]) == []
+    assert changes_after(colours={"airway": [104] * 48}) == []
+    assert changes_after(parts=[path, {**name, "what": "span Branch 1"}]) == [
         "gone: span RMB (rgb(1, 2, 3) 13px)",
         "new: span Branch 1 (rgb(1, 2, 3) 13px)",
     ]
-    assert len(told(parts=[path, {**name, "look": "rgb(9, 9, 9) 13px"}])) == 2
-    assert told(parts=[name, path]) != []
-    assert told(parts=[path, name, name]) != []
-    assert told(parts=[path, {**name, "box": [47, 220, 126, 16]}])[0].startswith("moved: span RMB")
-    assert told(font=1200, parts=[path, {**name, "box": [47, 220, 126, 16]}]) == [], "other fonts, other widths"
-    assert "'airway' differs by 60" in told(colours={"airway": [160] * 48})[0]
-    assert told(colours={"airway": [100] * 48, "drr": [0] * 48})[0].startswith("views:")
+    assert len(changes_after(parts=[path, {**name, "look": "rgb(9, 9, 9) 13px"}])) == 2
+    assert changes_after(parts=[name, path]) != []
+    assert changes_after(parts=[path, name, name]) != []
+    assert changes_after(parts=[path, {**name, "box": [47, 220, 126, 16]}])[0].startswith("moved: span RMB")
+    assert changes_after(font=1200, parts=[path, {**name, "box": [47, 220, 126, 16]}]) == [], (
+        "other fonts, other widths"
+    )
+    assert "'airway' differs by 60" in changes_after(colours={"airway": [160] * 48})[0]
+    assert changes_after(colours={"airway": [100] * 48, "drr": [0] * 48})[0].startswith("views:")
 
 
 def test_window_description_is_stored_in_the_jpeg_file_without_changing_its_pixels():

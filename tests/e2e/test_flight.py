@@ -122,11 +122,11 @@ def test_value_and_position_of_the_voxel_under_the_cursor_are_shown(server, work
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.locator("canvas[data-view=axial]").hover()
-    words = workstation.page.locator("[data-testid=cursor]")
+    text = workstation.page.locator("[data-testid=cursor]")
     workstation.page.wait_for_function(
         "() => / HU$/.test(document.querySelector('[data-testid=cursor]')?.textContent ?? '')"
     )
-    assert words.inner_text()[0] in "LR"
+    assert text.inner_text()[0] in "LR"
     assert workstation.faults == []
 
 
@@ -161,7 +161,7 @@ def test_long_error_message_can_be_scrolled_to_its_end(server, workstation):
     texts = page.locator(".message p")
     shown = texts.evaluate_all("(texts) => texts.every((p) => p.scrollHeight <= p.clientHeight + 1)")
     assert shown, "no sentence is cut"
-    assert any(path in words for words in texts.all_inner_texts())
+    assert any(path in text for text in texts.all_inner_texts())
     page.get_by_role("button", name="I have read this").first.wait_for()
     assert workstation.faults == []
 

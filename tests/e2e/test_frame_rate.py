@@ -36,9 +36,9 @@ def test_status_bar_shows_rate_and_resolution_in_flight_and_full_resolution_at_r
     workstation.page.keyboard.down("w")
     # The text follows the picture by one refresh of the screen.
     frame = "window.__carina.state.frames.airway"
-    words = f"{frame}.width < {workstation.wanted_width()} ? 'reduced: ' : 'full resolution'"
+    text = f"{frame}.width < {workstation.wanted_width()} ? 'reduced: ' : 'full resolution'"
     while_flying, frame = workstation.once(
-        f"/frames \\d/.test({STATUS_WORDS}) && !{frame}.full && {STATUS_WORDS}.includes({words})",
+        f"/frames \\d/.test({STATUS_WORDS}) && !{frame}.full && {STATUS_WORDS}.includes({text})",
         f"[{STATUS_WORDS}, window.__carina.state.frames.airway]",
     )
     workstation.picture("budget-flying")
@@ -62,7 +62,7 @@ def test_requested_frame_rate_limits_the_pictures_per_second(server, workstation
     workstation.watch_pose_ids("airway")
     held_s = workstation.hold("w", 1500)
     shown = len(workstation.watched_pose_ids())
-    assert shown <= held_s * 15 * 1.2 + 3, "no more than what was asked for"
+    assert shown <= held_s * 15 * 1.2 + 3, "at most the requested rate"
     workstation.page.locator(".status-bar .pace button").click()
     workstation.page.get_by_role("option", name="60 frames/s").click()
     workstation.page.wait_for_function("() => window.__carina.state.frame_rate_hz === 60")

@@ -149,9 +149,9 @@ def test_devices_that_the_browser_does_not_support_are_listed(server, workstatio
     workstation.open(server)
     workstation.wait_ready()
     page.keyboard.press(";")
-    words = page.get_by_text("Not supported by this browser").inner_text()
+    text = page.get_by_text("Not supported by this browser").inner_text()
     for missing in ("gamepads", "WebHID", "WebXR"):
-        assert missing in words
+        assert missing in text
     assert page.get_by_test_id("headset").count() == 0
     workstation.picture("devices-missing")
     assert workstation.faults == []

@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 
 import carina
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 
 pytestmark = pytest.mark.browser
 
@@ -21,13 +21,13 @@ LAYERS = ("vessels", "fissures", "lobes", "stations")
 @pytest.fixture
 def opens(tmp_path):
     """Return a chest with a nodule, as the opened file."""
-    carina.write_phantom(made_phantom(**CHEST), tmp_path)
+    carina.write_phantom(cached_phantom(**CHEST), tmp_path)
     return {"path": str(tmp_path / "ct.nii.gz")}
 
 
 def mark_the_nodule(workstation) -> None:
     """Set a target at the nodule by typing its coordinates, as a user reads them from a report."""
-    x, y, z = made_phantom(**CHEST).truth["nodule"]["centre_lps"]
+    x, y, z = cached_phantom(**CHEST).truth["nodule"]["centre_lps"]
     page = workstation.page
     page.get_by_role("button", name="Target", exact=True).first.click()
     page.get_by_placeholder("-17.6, 35.3, 12.1").fill(f"{x:.1f}, {y:.1f}, {z:.1f}")

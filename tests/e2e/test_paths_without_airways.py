@@ -8,7 +8,7 @@ from page_positions import place_in_slice, place_in_tri_plane, show_slices_at
 from playwright.sync_api import expect
 
 from carina.volume import write_grid
-from vessel_phantom import made_vessel
+from vessel_phantom import bent_vessel
 
 pytestmark = pytest.mark.browser
 
@@ -18,7 +18,7 @@ FAILED_SEARCH = "window.__carina.state.session?.airways === 'failed' && window._
 @pytest.fixture(scope="module")
 def vessel(tmp_path_factory):
     """Return the file of a scan with a bent vessel, and the start, the corner and the end of the vessel, LPS mm."""
-    volume, inside, root, corner, end = made_vessel()
+    volume, inside, root, corner, end = bent_vessel()
     scan = tmp_path_factory.mktemp("vessel") / "vessel.nii.gz"
     write_grid(scan, volume.hu_zyx, volume.lps_from_ijk, what="the scan")
     return scan, volume, inside, *(point.tolist() for point in (root, corner, end))
@@ -56,9 +56,9 @@ def test_path_between_clicked_start_and_target_can_be_flown(opened, vessel):
     opened.wait_for("window.__carina.state.ui.pathStart !== null")
     mark(opened, "target", end)
     opened.wait_for("window.__carina.state.route !== null")
-    words = page.locator("[data-testid=target-words]")
-    expect(words).to_contain_text("cost walls")
-    expect(words).to_contain_text("not compared with a lumen")
+    text = page.locator("[data-testid=target-words]")
+    expect(text).to_contain_text("cost walls")
+    expect(text).to_contain_text("not compared with a lumen")
     route = opened.state("route")
     assert route["lumen_known"] is False
     points = np.array(route["points_lps"])

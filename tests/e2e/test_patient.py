@@ -72,6 +72,6 @@ def test_flight_through_the_patient_shows_poses_in_order_and_reports_the_frame_r
         assert 0.3 < rate / seen_hz < 3.0
         assert re.search(r"latency \d+ ms|updating", status)
     else:
-        assert "viewfinder" in status, "a machine under such a load says so"
+        assert "viewfinder" in status, "the status bar reports the load"
     workstation.wait_still()
     assert workstation.faults == []

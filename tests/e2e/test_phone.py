@@ -43,10 +43,8 @@ class Phone:
         angles = {"alpha": alpha % 360.0, "beta": beta, "gamma": gamma}
         self._devtools.send("DeviceOrientation.setDeviceOrientationOverride", angles)
 
-    def says(self, words: str) -> None:
-        self.page.wait_for_function(
-            "(words) => document.getElementById('state').textContent.includes(words)", arg=words
-        )
+    def says(self, text: str) -> None:
+        self.page.wait_for_function("(words) => document.getElementById('state').textContent.includes(words)", arg=text)
 
     def press(self, what: str) -> None:
         box = self.page.locator(f"#{what}").bounding_box()

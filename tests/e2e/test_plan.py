@@ -7,7 +7,7 @@ import json
 import pytest
 
 import carina
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 
 pytestmark = pytest.mark.browser
 
@@ -18,7 +18,7 @@ MOST_CLICKS = 6
 @pytest.fixture
 def opens(tmp_path):
     """Return a chest with a nodule, as the opened file."""
-    carina.write_phantom(made_phantom(**CHEST), tmp_path)
+    carina.write_phantom(cached_phantom(**CHEST), tmp_path)
     return {"path": str(tmp_path / "ct.nii.gz")}
 
 
@@ -54,7 +54,7 @@ def place_in_slice(workstation, view: str, lps) -> list[float]:
 def test_plan_is_printed_six_clicks_after_opening_the_ct(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
-    page, truth = workstation.page, made_phantom(**CHEST).truth["nodule"]
+    page, truth = workstation.page, cached_phantom(**CHEST).truth["nodule"]
     pose = workstation.state("pose.lps_from_camera")
     clicks = 1  # The first click opens the CT.
     page.get_by_role("button", name="Target", exact=True).first.click()
@@ -91,9 +91,9 @@ def test_plan_is_printed_six_clicks_after_opening_the_ct(server, workstation):
     report = opened.value
     report.wait_for_load_state("load")
     assert clicks <= MOST_CLICKS
-    words = report.locator("body").inner_text()
-    assert "Not a medical device" in words and "CT taken at inspiration" in words
-    assert "patient's name" not in words
+    text = report.locator("body").inner_text()
+    assert "Not a medical device" in text and "CT taken at inspiration" in text
+    assert "patient's name" not in text
     listed = report.locator("#against li").all_inner_texts()
     assert len(report.locator("img").all()) + len(report.locator("svg").all()) >= 3
     report.close()
@@ -113,7 +113,7 @@ def test_plan_is_printed_six_clicks_after_opening_the_ct(server, workstation):
 def test_pair_of_route_and_instrument_is_selected_and_instruments_are_marked_as_available(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
-    page, truth = workstation.page, made_phantom(**CHEST).truth["nodule"]
+    page, truth = workstation.page, cached_phantom(**CHEST).truth["nodule"]
     page.get_by_role("button", name="Target", exact=True).first.click()
     page.get_by_test_id("arm-target").click()
     scroll_to(workstation, truth["centre_lps"])

@@ -11,7 +11,7 @@ from test_plan import CHEST
 from workstation import PICTURE_MS
 
 import carina
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.render import DrrView
 from carina.render.radiograph import cast_drr
 
@@ -25,7 +25,7 @@ NEEDLE, LESION, STATION = (255, 255, 255), (183, 156, 255), (255, 179, 199)
 @pytest.fixture
 def opens(tmp_path, request):
     """Return a chest with a nodule, as the opened file; with the parameter *mirrored*, its columns are reversed."""
-    carina.write_phantom(made_phantom(**CHEST), tmp_path)
+    carina.write_phantom(cached_phantom(**CHEST), tmp_path)
     path = str(tmp_path / "ct.nii.gz")
     if getattr(request, "param", None) == "mirrored":
         image = sitk.ReadImage(path)
@@ -49,7 +49,7 @@ def add_target(workstation, lps) -> None:
 
 def take_best_route(workstation) -> None:
     """Add the nodule as a target, and choose its best route."""
-    add_target(workstation, made_phantom(**CHEST).truth["nodule"]["centre_lps"])
+    add_target(workstation, cached_phantom(**CHEST).truth["nodule"]["centre_lps"])
     workstation.wait_while_working("window.__carina.state.plans?.targets[0]?.routes.length > 0")
     page = workstation.page
     wide = page.viewport_size["width"] >= 1600
@@ -132,7 +132,7 @@ def show_c_arm_angles(workstation, angles, name: str) -> None:
         )
         workstation.refreshes(3)
         workstation.picture(f"{name}-{number}")
-        centre = made_phantom(**CHEST).volume.centre_lps
+        centre = cached_phantom(**CHEST).volume.centre_lps
         leg = workstation.state("plans.targets[0].routes[0].leg")
         tip = place_in_radiograph(workstation, leg["tip_lps"], centre)
         target = place_in_radiograph(workstation, workstation.state("plans.targets[0].centre_lps"), centre)
@@ -153,8 +153,8 @@ def test_c_arm_angles_are_listed_and_shown_in_the_x_ray_with_target_and_planned_
         with page.expect_download() as taken:
             page.get_by_test_id("take-plan.json").click()
         document = json.loads(taken.value.path().read_text())
-        words = [one["words"] for one in document["c_arm"]["angles"]]
-        assert words == [one["words"] for one in angles]
+        text = [one["words"] for one in document["c_arm"]["angles"]]
+        assert text == [one["words"] for one in angles]
     assert workstation.faults == []
 
 
@@ -170,7 +170,7 @@ def test_c_arm_angles_of_a_ct_with_mirrored_columns_show_the_correct_side(server
         width=header["width"],
         height=header["height"],
     )
-    expected = cast_drr(made_phantom(**CHEST).volume, view).rgb[..., 0].astype(float)
+    expected = cast_drr(cached_phantom(**CHEST).volume, view).rgb[..., 0].astype(float)
     rows, columns = (np.arange(32) * side // 32 for side in expected.shape)
     expected = np.add.reduceat(np.add.reduceat(expected, rows, axis=0), columns, axis=1)
     shown = np.reshape(workstation.pixels("drr"), (32, 32, 4))[..., 0].astype(float)
@@ -231,7 +231,7 @@ def test_targets_are_compared_in_one_table_and_a_click_on_a_row_selects_its_targ
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page
-    x, y, z = made_phantom(**CHEST).truth["nodule"]["centre_lps"]
+    x, y, z = cached_phantom(**CHEST).truth["nodule"]["centre_lps"]
     add_target(workstation, (x, y, z))
     assert page.get_by_test_id("compare-targets").count() == 0
     add_target(workstation, (x + 1.0, y, z))

@@ -6,7 +6,7 @@ import pytest
 from page_positions import place_in_slice, show_slices_at
 
 import carina
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from second_scan import write_second_ct
 
 pytestmark = pytest.mark.browser
@@ -17,8 +17,8 @@ CHEST = {"seed": 4, "spacing_mm": 1.2, "generations": 5, "nodule": True}
 @pytest.fixture
 def opens(tmp_path):
     """Return a chest with a nodule, as the opened file; its second CT is beside it."""
-    volume = made_phantom(**CHEST).volume
-    carina.write_phantom(made_phantom(**CHEST), tmp_path)
+    volume = cached_phantom(**CHEST).volume
+    carina.write_phantom(cached_phantom(**CHEST), tmp_path)
     write_second_ct(volume, tmp_path / "second.nii.gz")
     half = volume.hu_zyx[: len(volume.hu_zyx) // 4]
     carina.volume.write_grid(tmp_path / "half.nii.gz", half, volume.lps_from_ijk, what="half a chest")
@@ -28,7 +28,7 @@ def opens(tmp_path):
 def test_second_ct_replaces_the_default_movement_and_a_ct_of_half_a_chest_is_refused(server, workstation, tmp_path):
     workstation.open(server)
     workstation.wait_ready()
-    page, place = workstation.page, made_phantom(**CHEST).truth["nodule"]["centre_lps"]
+    page, place = workstation.page, cached_phantom(**CHEST).truth["nodule"]["centre_lps"]
     show_slices_at(workstation, place)
     page.get_by_role("button", name="Target", exact=True).first.click()
     page.get_by_test_id("arm-target").click()

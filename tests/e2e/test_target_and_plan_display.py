@@ -6,7 +6,7 @@ import pytest
 from test_plan import CHEST, place_in_slice, scroll_to
 
 import carina
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 
 pytestmark = pytest.mark.browser
 
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.browser
 @pytest.fixture
 def opens(tmp_path):
     """Return a chest with a nodule, as the opened file."""
-    carina.write_phantom(made_phantom(**CHEST), tmp_path)
+    carina.write_phantom(cached_phantom(**CHEST), tmp_path)
     return {"path": str(tmp_path / "ct.nii.gz")}
 
 
@@ -69,7 +69,7 @@ def test_label_that_slices_follow_the_tip_covers_no_orientation_letter(server, w
 def test_voxel_value_under_a_still_pointer_is_updated_when_the_slice_moves(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
-    page, centre = workstation.page, made_phantom(**CHEST).truth["nodule"]["centre_lps"]
+    page, centre = workstation.page, cached_phantom(**CHEST).truth["nodule"]["centre_lps"]
     page.mouse.move(*place_in_slice(workstation, "axial", centre))
     workstation.wait_for("window.__carina.state.probed !== null")
     shown = page.get_by_test_id("cursor")
@@ -99,7 +99,7 @@ def open_at(server, workstation, size: tuple[int, int]) -> None:
 
 def mark_nodule(workstation) -> None:
     """Mark the nodule in the axial slice, and wait for its routes."""
-    page, centre = workstation.page, made_phantom(**CHEST).truth["nodule"]["centre_lps"]
+    page, centre = workstation.page, cached_phantom(**CHEST).truth["nodule"]["centre_lps"]
     page.get_by_role("button", name="Target", exact=True).first.click()
     page.get_by_test_id("arm-target").click()
     scroll_to(workstation, centre)
@@ -208,7 +208,7 @@ def test_flight_controls_measure_distances_from_the_same_origin_as_the_plan(serv
 
 def test_text_at_the_cursor_states_what_a_click_would_mark_as_target(server, workstation):
     open_at(server, workstation, SIZES[0])
-    page, centre = workstation.page, made_phantom(**CHEST).truth["nodule"]["centre_lps"]
+    page, centre = workstation.page, cached_phantom(**CHEST).truth["nodule"]["centre_lps"]
     page.get_by_role("button", name="Target", exact=True).first.click()
     page.get_by_test_id("arm-target").click()
     scroll_to(workstation, centre)
@@ -217,8 +217,8 @@ def test_text_at_the_cursor_states_what_a_click_would_mark_as_target(server, wor
     workstation.wait_for("window.__carina.state.targetMark?.sentences.length > 0")
     mark = page.get_by_test_id("target-mark")
     mark.wait_for()
-    words = mark.inner_text()
-    assert words.startswith("A click marks a solid nodule, ")
+    text = mark.inner_text()
+    assert text.startswith("A click marks a solid nodule, ")
     workstation.picture("mark-nodule")
     # The lung beside the nodule contains nothing that a click could measure.
     page.mouse.move(*place_in_slice(workstation, "axial", [centre[0] + 15.0, centre[1], centre[2]]))
@@ -229,7 +229,7 @@ def test_text_at_the_cursor_states_what_a_click_would_mark_as_target(server, wor
     page.mouse.click(*place)
     page.get_by_test_id("lesion").wait_for()
     # The click marks what the cursor has stated.
-    size = words.removeprefix("A click marks a ").split(", ")[1]
+    size = text.removeprefix("A click marks a ").split(", ")[1]
     assert size in workstation.state("messages.map((one) => one.message).join()")
     assert workstation.faults == []
 

@@ -7,7 +7,7 @@ import pytest
 from test_plan import place_in_slice, scroll_to
 
 import carina
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.volume import Volume
 
 pytestmark = pytest.mark.browser
@@ -19,7 +19,7 @@ DENSE_HU = 280
 @pytest.fixture
 def opens(tmp_path):
     """Return a chest whose nodule is as dense as bone, as the opened file."""
-    made = made_phantom(**CHEST)
+    made = cached_phantom(**CHEST)
     truth, volume = made.truth["nodule"], made.volume
     hu = np.array(volume.hu_zyx)
     k, j, i = np.indices(volume.shape_zyx)
@@ -34,7 +34,7 @@ def opens(tmp_path):
 def test_doubtful_target_is_planned_only_after_the_user_confirms_it(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
-    page, centre = workstation.page, made_phantom(**CHEST).truth["nodule"]["centre_lps"]
+    page, centre = workstation.page, cached_phantom(**CHEST).truth["nodule"]["centre_lps"]
     page.get_by_role("button", name="Target", exact=True).first.click()
     page.get_by_test_id("arm-target").click()
     scroll_to(workstation, centre)

@@ -24,11 +24,11 @@ class HeldPen:
     def __init__(self, workstation):
         self.workstation, self.now_s = workstation, itertools.count(1)
 
-    def say(self, **message) -> None:
+    def send(self, **message) -> None:
         self.workstation.page.evaluate("(message) => window.__speak(JSON.stringify(message))", message)
 
     def hold(self, lps, buttons=0) -> None:
-        self.say(
+        self.send(
             type="device_sample",
             device="test pen",
             time_s=0.05 * next(self.now_s),
@@ -43,7 +43,7 @@ class HeldPen:
     def register(self, at) -> None:
         patient = [[at[0] + x, at[1] + y, at[2] + z] for x, y, z in ((0, 0, 0), (50, 0, 0), (0, 50, 0))]
         tracker = [[p[0] - 100.0, p[1], p[2]] for p in patient]
-        self.say(type="calibrate", device="test pen", tracker_mm=tracker, patient_lps=patient)
+        self.send(type="calibrate", device="test pen", tracker_mm=tracker, patient_lps=patient)
         self.workstation.wait_for("() => window.__carina.state.devices?.devices.some((d) => d.registered)")
 
 
@@ -62,14 +62,14 @@ def test_tip_of_a_registered_pen_is_shown_with_its_path_and_marked_by_its_button
     # Without a registration the pen marks the tip of the scope, which the tool's panel and the footer state.
     pen.hold(middle)
     page.keyboard.press("n")
-    words = page.locator("[data-testid=pen-words]")
-    expect(words).to_have_text("The pen is not registered: its button marks the position of the scope tip.")
+    text = page.locator("[data-testid=pen-words]")
+    expect(text).to_have_text("The pen is not registered: its button marks the position of the scope tip.")
     expect(page.locator("[data-testid=tool-hint]")).to_contain_text("its button marks the position of the scope tip")
     workstation.picture("pen-not-registered")
 
     before = {view: workstation.overlay(view) for view in ("axial", "coronal", "sagittal", "tree")}
     pen.register(middle)
-    expect(words).to_contain_text("pen tip")
+    expect(text).to_contain_text("pen tip")
     pen.hold(middle)
     workstation.wait_for("(x) => Math.abs(window.__carina.state.pen.lps[0] - x) < 0.01", middle[0])
     # The path to the pen is shown even while the mouse rests over a picture.
@@ -91,7 +91,7 @@ def test_tip_of_a_registered_pen_is_shown_with_its_path_and_marked_by_its_button
     workstation.wait_for("() => window.__carina.state.ui.armed === null")
 
     # In absolute mode the remaining distance is shown until it is zero, and a key joins tip and pen.
-    pen.say(type="set_control", control="absolute")
+    pen.send(type="set_control", control="absolute")
     pen.hold([middle[0] + 1.0, middle[1], middle[2]])
     left = page.locator("[data-testid=pen-offset]")
     expect(left).to_contain_text("mm")

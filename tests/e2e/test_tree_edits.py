@@ -35,9 +35,9 @@ def tree_text(workstation):
 TREE_TEXT = "() => JSON.stringify([...window.__carina.state.tree.byId.values()].map((node) => node.branch))"
 
 
-def wait_for_edit(workstation, words, before):
+def wait_for_edit(workstation, text, before):
     """Wait until the edit is listed under Undo and complete, and the tree differs from ``before``."""
-    workstation.wait_for("(words) => (window.__carina.state.can_undo ?? '').startsWith(words)", words)
+    workstation.wait_for("(words) => (window.__carina.state.can_undo ?? '').startsWith(words)", text)
     workstation.wait_for("() => !window.__carina.state.jobs.some((job) => job.job_id.startsWith('edit'))")
     workstation.wait_for(f"(before) => ({TREE_TEXT})() !== before", before)
 

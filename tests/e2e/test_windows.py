@@ -8,7 +8,7 @@ import pytest
 from server_process import Child, start_server, stop_server
 from workstation import open_page, picture_of
 
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.volume import write_grid
 
 pytestmark = pytest.mark.browser
@@ -128,7 +128,7 @@ class Notebook:
 @pytest.mark.slow
 def test_changes_of_two_windows_and_a_notebook_appear_in_all(browser, workstation, tmp_path, request, has_failed):
     scan = tmp_path / "scan.nii.gz"
-    chest = made_phantom(spacing_mm=1.5, generations=3).volume
+    chest = cached_phantom(spacing_mm=1.5, generations=3).volume
     write_grid(scan, chest.hu_zyx, chest.lps_from_ijk, what="the phantom")
     running = start_server(["open", str(scan)], tmp_path / "home")
     second = open_page(browser, ())

@@ -43,7 +43,7 @@ from carina.session import CaseRecords, LocalStore, Session, case_files
 from carina.session.engines import Parts, default_parts
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from cached_test_data import found_airways, made_value
+from cached_test_data import cached_value, found_airways
 
 STARTS_S = 120.0
 OPENS_S = 600.0
@@ -144,7 +144,7 @@ class Kept:
         name = f"measures of the demo with {len(airways.tree)} branches"
         return self._kept(
             ("measures", id(airways)),
-            lambda: made_value(name, lambda: measure(volume, airways, **options)),
+            lambda: cached_value(name, lambda: measure(volume, airways, **options)),
         )
 
     def parts(self) -> Parts:
@@ -183,13 +183,15 @@ class Remembered:
         return made
 
 
-class KeptMaps(isoregion_cache.MapCache):
+class InMemoryMapCache(isoregion_cache.MapCache):
     """Map cache that does not read, check and unpack a file which it has just read."""
 
     maps = Remembered(4)
 
     def get_or_build(self, name: Any, build: Callable[[], Any]) -> Any:
-        return self.maps.get((name.values_zyx, name.classes), lambda: super(KeptMaps, self).get_or_build(name, build))
+        return self.maps.get(
+            (name.values_zyx, name.classes), lambda: super(InMemoryMapCache, self).get_or_build(name, build)
+        )
 
 
 def remember_scenes() -> None:
@@ -198,7 +200,7 @@ def remember_scenes() -> None:
         made: Callable[..., Any] = getattr(scene, name)
         last = Remembered(4)
         setattr(scene, name, lambda *given, made=made, last=last: last.get(given, lambda: made(*given)))
-    scene.MapCache = KeptMaps  # type: ignore[misc]
+    scene.MapCache = InMemoryMapCache  # type: ignore[misc]
 
 
 def remember_pieces() -> None:

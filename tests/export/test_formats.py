@@ -13,7 +13,7 @@ import pytest
 import SimpleITK as sitk
 
 import carina
-from cached_test_data import SMALL_CHEST, made_airways, made_phantom
+from cached_test_data import SMALL_CHEST, cached_airways, cached_phantom
 from carina.errors import GeometryError, UsageError
 from carina.export import (
     EXPORT_FORMATS,
@@ -34,7 +34,7 @@ from carina.volume import Volume, inspect_path, open_mask
 
 @pytest.fixture(scope="module")
 def case():
-    return made_phantom(**SMALL_CHEST).volume, made_airways(**SMALL_CHEST)
+    return cached_phantom(**SMALL_CHEST).volume, cached_airways(**SMALL_CHEST)
 
 
 @pytest.fixture
@@ -146,7 +146,7 @@ def test_exported_surface_is_closed_and_has_the_volume_of_the_lumen(case):
 
 
 def test_surface_of_a_known_tube_has_its_volume():
-    phantom, airways = made_phantom(**SMALL_CHEST), made_airways(**SMALL_CHEST)
+    phantom, airways = cached_phantom(**SMALL_CHEST), cached_airways(**SMALL_CHEST)
     truth_mm3 = np.count_nonzero(phantom.lumen_zyx) * np.prod(phantom.volume.spacing_mm)
     assert lumen_mesh(phantom.volume, airways).volume_mm3 == pytest.approx(truth_mm3, rel=0.06)
 

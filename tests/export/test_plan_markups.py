@@ -149,18 +149,18 @@ def test_exported_route_ends_at_a_tip_between_two_of_its_points_and_never_turns_
 
 
 @pytest.mark.parametrize(
-    ("vessel_mm", "words"),
+    ("vessel_mm", "text"),
     [
         (None, "No vessel seen near the needle."),
         (0.0, "The needle crosses a vessel that the CT shows."),
         (3.14, "Nearest vessel seen 3.1 mm from the needle."),
     ],
 )
-def test_exported_route_states_a_vessel_in_the_needle_path(vessel_mm, words):
+def test_exported_route_states_a_vessel_in_the_needle_path(vessel_mm, text):
     plan = a_plan()
     leg = dataclasses.replace(plan.routes[0].leg, vessel_mm=vessel_mm)
     met = dataclasses.replace(plan, routes=(dataclasses.replace(plan.routes[0], leg=leg),))
-    assert words in drawn_plans(met, a_tree())[0].routes[0].words
+    assert text in drawn_plans(met, a_tree())[0].routes[0].words
 
 
 def test_doubtful_route_is_marked_in_its_name_colour_and_points(written):
@@ -187,10 +187,10 @@ def test_best_route_is_red_if_it_is_doubtful(tmp_path):
 
 
 def test_target_in_markups_states_its_size_its_error_and_its_motion(written):
-    words = named(written, "Targets")["controlPoints"][0]["description"]
+    text = named(written, "Targets")["controlPoints"][0]["description"]
     for part in ("12.0 x 9.0 mm", "0.57 ml", "90 % within", "pleura", "LB3 lies against it", "up to 15 mm from"):
-        assert part in words
-    assert "Not a medical device." in words
+        assert part in text
+    assert "Not a medical device." in text
 
 
 def test_several_targets_have_different_names_in_markups_and_the_file_has_all_badges(tmp_path):

@@ -133,10 +133,10 @@ def test_sent_trajectories_run_from_the_scope_tip_to_the_aim(messages):
 
 
 def test_sent_text_of_the_plan_includes_its_doubts(messages):
-    words = read_by_pyigtl(by_name(messages, "CarinaPlan")).string
-    assert f"{DOUBT}." in words
-    assert "CarinaRoute2, CarinaNeedle2: Route 2: branch 9 to Target." in words
-    assert "up to 15 mm from where it is shown here" in words
+    text = read_by_pyigtl(by_name(messages, "CarinaPlan")).string
+    assert f"{DOUBT}." in text
+    assert "CarinaRoute2, CarinaNeedle2: Route 2: branch 9 to Target." in text
+    assert "up to 15 mm from where it is shown here" in text
 
 
 def test_messages_in_lps_have_the_positions_of_the_plan():
@@ -175,20 +175,20 @@ def split(data: bytes) -> list[bytes]:
 
 
 def test_receiver_such_as_slicer_gets_all_messages_of_the_plan():
-    heard: list[bytes] = []
+    received_data: list[bytes] = []
     with socket.create_server(("127.0.0.1", 0)) as server:
 
         def listen() -> None:
             peer, _ = server.accept()
             with peer:
                 while data := peer.recv(1000):
-                    heard.append(data)
+                    received_data.append(data)
 
         thread = threading.Thread(target=listen)
         thread.start()
         num = send_plan(a_plan(), a_tree(), port=server.getsockname()[1])
         thread.join()
-    messages = split(b"".join(heard))
+    messages = split(b"".join(received_data))
     assert num == len(messages) == 8
     assert [content_of(one) for one in messages] == [content_of(one) for one in plan_messages(a_plan(), a_tree())]
 
@@ -199,7 +199,7 @@ def test_missing_receiver_is_reported_with_a_remedy(monkeypatch):
     with pytest.raises(CarinaError, match=r"nothing listens there.*OpenIGTLinkIF") as caught:
         send_plan(a_plan(), a_tree(), port=port)
     assert caught.value.code == "plan.igtl"
-    for trouble, words in (
+    for trouble, text in (
         (socket.gaierror(-2, "Name or service not known"), "Name or service not known; check the address"),
         (TimeoutError("timed out"), "no answer within 5 s; check the address and the firewall"),
     ):
@@ -208,7 +208,7 @@ def test_missing_receiver_is_reported_with_a_remedy(monkeypatch):
             raise trouble
 
         monkeypatch.setattr(socket, "create_connection", fails)
-        with pytest.raises(CarinaError, match=words):
+        with pytest.raises(CarinaError, match=text):
             send_plan(a_plan(), a_tree(), host="somewhere")
 
 

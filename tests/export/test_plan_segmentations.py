@@ -14,7 +14,7 @@ import SimpleITK as sitk
 from dicom_writer import chest, series
 from nodules import ellipsoid
 
-from cached_test_data import SMALL_CHEST, made_airways, made_phantom
+from cached_test_data import SMALL_CHEST, cached_airways, cached_phantom
 from carina.errors import CancelledError, DiskError, NoResultError, UsageError, VolumeImportError
 from carina.export.plan_dicom_seg import inside_on_grid, write_target_seg
 from carina.export.plan_dicom_sr import write_target_report
@@ -240,7 +240,7 @@ def test_two_overlapping_targets_are_written_as_two_segments(ct, volume, tmp_pat
 
 
 def test_segmentation_contains_the_lumen_as_a_second_segment(tmp_path):
-    made, airways = made_phantom(**SMALL_CHEST), made_airways(**SMALL_CHEST)
+    made, airways = cached_phantom(**SMALL_CHEST), cached_airways(**SMALL_CHEST)
     # Write the same chest as a DICOM series.
     nz = made.volume.shape_zyx[0]
 

@@ -11,7 +11,7 @@ import pytest
 import SimpleITK as sitk
 
 import carina
-from cached_test_data import made_airways, made_phantom
+from cached_test_data import cached_airways, cached_phantom
 from carina.export import EXPORT_SUFFIXES, export_airways, export_tree, read_badges
 from carina.render import Picture, read_png_badges
 from carina.scopes import Pose
@@ -25,14 +25,14 @@ STOPPED = Note("track.search-stopped", "the search was stopped", badge=True)
 @pytest.fixture(scope="module")
 def case():
     options = {"seed": 4, "spacing_mm": 1.5, "generations": 3}
-    volume = made_phantom(**options).volume
+    volume = cached_phantom(**options).volume
     doubted = Volume(
         volume.hu_zyx, volume.lps_from_ijk, source=VolumeSource(format="array", title="t", notes=(PLAIN, CLIPPED))
     )
-    return doubted, made_airways(**options)
+    return doubted, cached_airways(**options)
 
 
-def said(path) -> str:
+def text_of(path) -> str:
     """Return all text of a file, which may be compressed."""
     if path.suffix == ".vtp":
         found = ET.parse(path).getroot().find(".//FieldData/Array[@Name='Badges']")
@@ -48,8 +48,8 @@ def test_every_export_of_a_case_with_a_quality_badge_contains_the_badge(case, tm
     volume, airways = case
     healthy = dataclasses.replace(volume, source=VolumeSource(format="array", title="t", notes=(PLAIN,)))
     wanted = "IN DOUBT" if suffix == ".stl" else "import.clipped"
-    assert wanted in said(export_airways(tmp_path / f"a{suffix}", volume, airways))
-    assert wanted not in said(export_airways(tmp_path / f"b{suffix}", healthy, airways))
+    assert wanted in text_of(export_airways(tmp_path / f"a{suffix}", volume, airways))
+    assert wanted not in text_of(export_airways(tmp_path / f"b{suffix}", healthy, airways))
 
 
 def test_exports_that_contain_a_quality_badge_are_valid_files(case, tmp_path):

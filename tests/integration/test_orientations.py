@@ -14,7 +14,7 @@ import pytest
 import SimpleITK as sitk
 
 import carina
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.render import AirwayView, Renderer, SliceView, XrayView
 from carina.scopes import Pose
 
@@ -23,7 +23,7 @@ SPACING_MM = (2.0, 2.0, 2.4)
 
 @pytest.fixture(scope="module")
 def phantom():
-    return made_phantom(spacing_mm=SPACING_MM, generations=4)
+    return cached_phantom(spacing_mm=SPACING_MM, generations=4)
 
 
 @pytest.fixture(scope="module")

@@ -160,7 +160,7 @@ def test_random_bytes_in_an_igtl_stream_are_refused_or_skipped(data, version):
         stream.feed(pack_message("TRANSFORM", "x", data, version=version))
 
 
-class Heard:
+class SampleRecorder:
     def __init__(self):
         self.samples: list[tuple[str, PoseSample]] = []
         self.gone: list[str] = []
@@ -168,11 +168,11 @@ class Heard:
 
 
 def test_igtl_source_loses_no_pose_at_120_hz_and_reconnects():
-    heard = Heard()
+    recorder = SampleRecorder()
     with socket.create_server(("127.0.0.1", 0)) as listening:
         listening.settimeout(10.0)
         port = listening.getsockname()[1]
-        client = IgtlClient("127.0.0.1", port, heard.listener)
+        client = IgtlClient("127.0.0.1", port, recorder.listener)
         client.RETRY_S = 0.05
         client.start()
         try:
@@ -184,29 +184,29 @@ def test_igtl_source_loses_no_pose_at_120_hz_and_reconnects():
                 matrix[0, 3] = n
                 peer.sendall(pack_transform("Pen", matrix, time_s=100.0 + n / 120.0))
                 threading.Event().wait(max(0.0, began + (n + 1) / 120.0 - time.monotonic()))
-            wait_for(lambda: len(heard.samples) == 240)
-            assert [s.position_mm[0] for _, s in heard.samples] == list(range(240))
+            wait_for(lambda: len(recorder.samples) == 240)
+            assert [s.position_mm[0] for _, s in recorder.samples] == list(range(240))
             device = f"openigtlink:127.0.0.1:{port}/Pen"
-            assert {d for d, _ in heard.samples} == {device}
+            assert {d for d, _ in recorder.samples} == {device}
             # At a header with a length of 4 GiB the source closes the connection and opens a new one.
             peer.sendall(HEADER.pack(1, b"TRANSFORM", b"x", 0, 4 << 30, 0))
             peer.close()
             again, _ = listening.accept()
-            assert device in heard.gone
+            assert device in recorder.gone
             assert client.status().num_bad == {"invalid headers": 1}
             again.sendall(pack_transform("Pen", np.eye(4), time_s=1.0))
-            wait_for(lambda: len(heard.samples) == 241)
+            wait_for(lambda: len(recorder.samples) == 241)
             again.close()
         finally:
             client.stop()
 
 
 def test_pyigtl_tracker_at_60_hz_moves_the_tip():
-    heard = Heard()
+    recorder = SampleRecorder()
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     server = pyigtl.OpenIGTLinkServer(port=port, local_server=True)
-    client = IgtlClient("127.0.0.1", port, heard.listener)
+    client = IgtlClient("127.0.0.1", port, recorder.listener)
     client.RETRY_S = 0.05
     client.start()
     try:
@@ -217,8 +217,8 @@ def test_pyigtl_tracker_at_60_hz_moves_the_tip():
             matrix[0, 3] = n
             server.send_message(pyigtl.TransformMessage(matrix, device_name="Pen"), wait=True)
             threading.Event().wait(max(0.0, began + (n + 1) / 60.0 - time.monotonic()))
-        wait_for(lambda: len(heard.samples) >= 119)
-        xs = [s.position_mm[0] for _, s in heard.samples]
+        wait_for(lambda: len(recorder.samples) >= 119)
+        xs = [s.position_mm[0] for _, s in recorder.samples]
         assert all(b > a for a, b in itertools.pairwise(xs))
     finally:
         client.stop()
@@ -333,21 +333,21 @@ def test_igtl_server_stops_while_a_client_is_connected(reads, monkeypatch):
 
 
 def test_igtl_source_reconnects_if_its_peer_sends_nothing():
-    heard = Heard()
+    recorder = SampleRecorder()
     with socket.create_server(("127.0.0.1", 0)) as listening:
         listening.settimeout(8.0)
-        client = IgtlClient("127.0.0.1", listening.getsockname()[1], heard.listener, silence_s=0.2)
+        client = IgtlClient("127.0.0.1", listening.getsockname()[1], recorder.listener, silence_s=0.2)
         client.RETRY_S = 0.05
         client.start()
         try:
             silent, _ = listening.accept()
             silent.sendall(pack_transform("Pen", np.eye(4), time_s=1.0))
-            wait_for(lambda: len(heard.samples) == 1)
+            wait_for(lambda: len(recorder.samples) == 1)
             # The peer disappears without closing the connection, as after a loss of power.
             again, _ = listening.accept()
-            assert heard.gone[0].endswith("/Pen")
+            assert recorder.gone[0].endswith("/Pen")
             again.sendall(pack_transform("Pen", np.eye(4), time_s=2.0))
-            wait_for(lambda: len(heard.samples) == 2)
+            wait_for(lambda: len(recorder.samples) == 2)
             wait_for(lambda: "no data for 0.2 s" in client.status().words)
             silent.close()
             again.close()
@@ -356,35 +356,35 @@ def test_igtl_source_reconnects_if_its_peer_sends_nothing():
 
 
 def test_invalid_device_name_in_a_message_does_not_stop_the_igtl_source():
-    heard = Heard()
-    client = IgtlClient("a" * 64 + "..b", 18944, heard.listener)
+    recorder = SampleRecorder()
+    client = IgtlClient("a" * 64 + "..b", 18944, recorder.listener)
     client.RETRY_S = 0.02
     client.start()
     try:
-        wait_for(lambda: len(heard.gone) >= 2)
+        wait_for(lambda: len(recorder.gone) >= 2)
         assert "UnicodeError" in wait_for(lambda: client.status().words)
     finally:
         client.stop()
 
 
 def test_idle_igtl_connection_stays_open_with_tcp_keepalive():
-    heard = Heard()
+    recorder = SampleRecorder()
     with socket.create_server(("127.0.0.1", 0)) as listening:
         listening.settimeout(0.6)
         address = f"openigtlink:127.0.0.1:{listening.getsockname()[1]}"
-        client = open_source(address, heard.listener)
+        client = open_source(address, recorder.listener)
         client.RETRY_S = 0.05
         client.start()
         try:
             idle, _ = listening.accept()
             idle.sendall(pack_transform("Pen", np.eye(4), time_s=1.0))
-            wait_for(lambda: len(heard.samples) == 1)
+            wait_for(lambda: len(recorder.samples) == 1)
             with pytest.raises(TimeoutError):
                 listening.accept()
             assert client.status().state == "live"
             idle.sendall(pack_transform("Pen", np.eye(4), time_s=2.0))
-            wait_for(lambda: len(heard.samples) == 2)
-            assert heard.gone == []
+            wait_for(lambda: len(recorder.samples) == 2)
+            assert recorder.gone == []
             idle.close()
         finally:
             client.stop()
@@ -399,9 +399,9 @@ def test_tcp_keepalive_detects_a_lost_idle_peer_within_10_seconds(monkeypatch):
         return reader, writer
 
     monkeypatch.setattr(asyncio, "open_connection", noted)
-    heard = Heard()
+    recorder = SampleRecorder()
     with socket.create_server(("127.0.0.1", 0)) as listening:
-        client = IgtlClient("127.0.0.1", listening.getsockname()[1], heard.listener)
+        client = IgtlClient("127.0.0.1", listening.getsockname()[1], recorder.listener)
         client.start()
         try:
             wait_for(lambda: client.status().state == "live")
@@ -416,10 +416,10 @@ def test_tcp_keepalive_detects_a_lost_idle_peer_within_10_seconds(monkeypatch):
 
 
 def test_time_after_which_a_silent_peer_is_reconnected_can_be_set_in_the_address():
-    heard = Heard()
+    recorder = SampleRecorder()
     with socket.create_server(("127.0.0.1", 0)) as listening:
         listening.settimeout(8.0)
-        client = open_source(f"openigtlink:127.0.0.1:{listening.getsockname()[1]}?silence=0.2", heard.listener)
+        client = open_source(f"openigtlink:127.0.0.1:{listening.getsockname()[1]}?silence=0.2", recorder.listener)
         client.RETRY_S = 0.05
         client.start()
         try:
@@ -431,4 +431,4 @@ def test_time_after_which_a_silent_peer_is_reconnected_can_be_set_in_the_address
             client.stop()
     for broken in ("silence=nan", "silence=0", "silent=5"):
         with pytest.raises(UsageError):
-            open_source(f"openigtlink:127.0.0.1:18944?{broken}", heard.listener)
+            open_source(f"openigtlink:127.0.0.1:18944?{broken}", recorder.listener)

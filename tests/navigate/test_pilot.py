@@ -49,7 +49,7 @@ class Hand:
     def pose(self) -> Pose:
         return self.pilot.navigator.pose
 
-    def say(self, sample, device: str = "pen") -> None:
+    def send(self, sample, device: str = "pen") -> None:
         self.now += 0.01
         sample = type(sample)(self.now, *[getattr(sample, f) for f in sample.__struct_fields__[1:]])
         self.pilot.apply(m.DeviceSaid(device, sample, self.now))
@@ -57,10 +57,10 @@ class Hand:
 
     def pen(self, at=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0), buttons: int = 0) -> None:
         wxyz = wxyz_from_rotation(rotation_from_vector(np.array(turn, dtype=float)))
-        self.say(PoseSample(0.0, tuple(float(v) for v in at), wxyz, buttons))
+        self.send(PoseSample(0.0, tuple(float(v) for v in at), wxyz, buttons))
 
     def stick(self, *axes: float) -> None:
-        self.say(AxesSample(0.0, (*axes, *(0.0,) * (6 - len(axes)))), "stick")
+        self.send(AxesSample(0.0, (*axes, *(0.0,) * (6 - len(axes)))), "stick")
 
 
 def moved(a: Pose, b: Pose) -> float:
@@ -71,7 +71,7 @@ def test_relative_mode_moves_the_tip_by_the_movement_of_the_hand():
     hand = Hand()
     start = hand.pose
     hand.pen((100.0, 50.0, 25.0), (0.3, 0.2, 0.1))
-    assert moved(hand.pose, start) == 0.0, "the first sample only says where the hand is"
+    assert moved(hand.pose, start) == 0.0, "the first sample only sets the position of the hand"
     turn = rotation_from_vector(np.array([0.3, 0.2, 0.1]))
     forward_4mm = np.array([100.0, 50.0, 25.0]) + turn @ [0.0, 0.0, 4.0]
     hand.pen(forward_4mm, (0.3, 0.2, 0.1))
@@ -154,7 +154,7 @@ def test_stick_direction_at_a_fork_requests_the_branch_on_that_side():
         assert [way for way in calls if way is not None] == ([] if wanted is None else [wanted]), yaw
         if wanted is not None:
             at = calls.index(wanted)
-            assert at > 0, "it is asked at the fork and not before"
+            assert at > 0, "the branch is requested at the fork and not before"
     # The tip waits one frame at the fork, in which the route may change.
     hand = Hand(path=True)
     hand.pilot.apply(c.SetControl("path"))
@@ -207,14 +207,14 @@ def test_pen_reconnected_at_another_position_causes_no_jump():
 
 def test_scope_handle_advances_and_rolls_and_lever_down_lifts_the_tip():
     hand = Hand()
-    hand.say(HandleSample(0.0, 100.0, 0.0, 0.0), "handle")
-    hand.say(HandleSample(0.0, 104.0, 0.0, 0.0), "handle")
+    hand.send(HandleSample(0.0, 100.0, 0.0, 0.0), "handle")
+    hand.send(HandleSample(0.0, 104.0, 0.0, 0.0), "handle")
     np.testing.assert_allclose(hand.pose.position_lps, [0.0, 0.0, -9.0], atol=1e-9)
-    hand.say(HandleSample(0.0, 104.0, 0.0, 0.5), "handle")
+    hand.send(HandleSample(0.0, 104.0, 0.0, 0.5), "handle")
     assert hand.pose.forward_lps[1] < -0.4, "up is anterior"
     inverted = Hand(controls=DeviceControls(lever_inverted=True, filter_on=False))
-    inverted.say(HandleSample(0.0, 0.0, 0.0, 0.0), "handle")
-    inverted.say(HandleSample(0.0, 0.0, 0.0, 0.5), "handle")
+    inverted.send(HandleSample(0.0, 0.0, 0.0, 0.0), "handle")
+    inverted.send(HandleSample(0.0, 0.0, 0.0, 0.5), "handle")
     assert inverted.pose.forward_lps[1] > 0.4
 
 
@@ -256,10 +256,10 @@ SAMPLE = st.one_of(
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(["a", "b"]), SAMPLE), max_size=40))
-def test_pose_matrix_stays_rigid_for_any_device_input(said):
+def test_pose_matrix_stays_rigid_for_any_device_input(samples):
     hand = Hand(path=True, controls=DeviceControls())
     hand.pilot.apply(m.Register("a", tuple(np.eye(4).ravel())))
-    for n, (device, sample) in enumerate(said):
+    for n, (device, sample) in enumerate(samples):
         hand.pilot.apply(m.DeviceSaid(device, sample, n * 0.1))
         hand.pilot.apply(m.Frame(n * 0.1))
     Pose(hand.pose.lps_from_camera)  # Pose refuses an invalid matrix.
@@ -371,13 +371,13 @@ def test_number_of_devices_that_the_pilot_stores_is_limited():
     sample = PoseSample(0.0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     for n in range(1000):
         hand.now += 1.0
-        hand.say(sample, f"pen {n}")
+        hand.send(sample, f"pen {n}")
     for n in range(1000):
         hand.pilot.apply(c.TakeDevice(f"stick {n}"))
     assert len(hand.pilot.devices()) <= 65
-    hand.say(sample, "pen")
+    hand.send(sample, "pen")
     hand.now += 1.0
-    hand.say(sample, "pen")
+    hand.send(sample, "pen")
     assert {"registered", "pen"} <= {device.device for device in hand.pilot.devices()}
     numbers = tuple(np.eye(4).ravel())
     for n in range(127 - len(hand.pilot.devices())):
@@ -393,7 +393,7 @@ def test_orientation_only_pen_advances_by_its_key_and_turns(path):
     start = hand.pose
     for n in range(50):
         turn = wxyz_from_rotation(rotation_from_vector(np.array([0.0, 0.01 * n, 0.0])))
-        hand.say(PoseSample(0.0, None, turn, 0, 1.0))
+        hand.send(PoseSample(0.0, None, turn, 0, 1.0))
     # The first frame starts the clock.
     went = moved(hand.pose, start)
     assert went == pytest.approx(25.0 * 0.49, rel=0.06), "free, the turn makes an arc of it"
@@ -406,9 +406,9 @@ def test_orientation_only_pen_advances_by_its_key_and_turns(path):
         hand.pilot.apply(m.Frame(hand.now))
     after = hand.pose
     assert moved(after, start) < went + 25.0 * 0.26
-    hand.say(PoseSample(0.0, None, (1.0, 0.0, 0.0, 0.0), 2, -1.0))
+    hand.send(PoseSample(0.0, None, (1.0, 0.0, 0.0, 0.0), 2, -1.0))
     assert (after.position_lps - hand.pose.position_lps) @ after.forward_lps > 0.2, "backwards, also with the clutch"
-    hand.say(PoseSample(0.0, None, (1.0, 0.0, 0.0, 0.0), 2, 0.0))
+    hand.send(PoseSample(0.0, None, (1.0, 0.0, 0.0, 0.0), 2, 0.0))
     assert not hand.pilot.is_moving
 
 
@@ -447,7 +447,7 @@ def test_unregistered_pen_or_pen_without_position_data_has_no_position():
     assert (hand.pilot.pen_lps("pen"), hand.pilot.pen().lps, hand.pilot.pen().is_tracked) == (None, None, True)
     hand.pilot.apply(m.Register("pen", tuple(STANDS.ravel())))
     assert hand.pilot.pen().lps is not None
-    hand.say(PoseSample(0.0, None, (1.0, 0.0, 0.0, 0.0)), "pen")
+    hand.send(PoseSample(0.0, None, (1.0, 0.0, 0.0, 0.0)), "pen")
     assert (hand.pilot.pen_lps("pen"), hand.pilot.pen().is_tracked) == (None, False)
     hand.pilot.apply(c.DeviceGone("pen"))
     assert hand.pilot.pen() is None
@@ -456,7 +456,7 @@ def test_unregistered_pen_or_pen_without_position_data_has_no_position():
 def test_distance_between_pen_and_tip_is_reported_in_absolute_mode_until_it_is_zero():
     hand = registered(path=True)
     hand.pen(in_tracker((30.0, 0.0, -20.0)))
-    assert hand.pilot.pen().off_mm is None, "elsewhere the pen says no place of the tip"
+    assert hand.pilot.pen().off_mm is None, "in other modes no distance is reported"
     hand.pilot.apply(c.SetControl("absolute"))
     assert hand.pilot.pen().off_mm == pytest.approx(moved(hand.pose, hand.pilot.pen_pose("pen")))
     assert hand.pilot.pen().off_mm > 30.0

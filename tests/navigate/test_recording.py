@@ -44,7 +44,7 @@ from carina.navigate.auto_flight import frame_times_s
 from carina.navigate.rotation import rotation_from_vector, wxyz_from_rotation
 from carina.scopes import Pose, WallField
 from carina.session import ErrorEvent, Session
-from small_case import Clock, small_bench, small_volume
+from small_case import Clock, session_fixture, small_volume
 
 VOLUME = small_volume()
 
@@ -52,10 +52,10 @@ VOLUME = small_volume()
 @pytest.fixture
 def flown():
     """Return a session with the small case open, and its clock."""
-    bench = small_bench()
-    bench.open()
-    yield bench.session, bench.clock
-    bench.session.close()
+    fixture = session_fixture()
+    fixture.open()
+    yield fixture.session, fixture.clock
+    fixture.session.close()
 
 
 def fly(session: Session, clock: Clock, *, seed: int = 1) -> None:
@@ -332,13 +332,13 @@ def test_full_disk_at_the_end_of_a_recording_is_reported_and_the_session_continu
 
 
 def test_case_opens_although_the_previous_recording_cannot_be_closed(tmp_path):
-    bench = small_bench()
-    bench.open()
-    before = bench.session.snapshot().case
-    recorded_to(bench.session, tmp_path / "a.jsonl", full_disk())
-    bench.open()
-    assert bench.session.snapshot().case is not before
-    bench.session.close()
+    fixture = session_fixture()
+    fixture.open()
+    before = fixture.session.snapshot().case
+    recorded_to(fixture.session, tmp_path / "a.jsonl", full_disk())
+    fixture.open()
+    assert fixture.session.snapshot().case is not before
+    fixture.session.close()
 
 
 def test_recording_that_cannot_start_is_refused_and_leaves_no_file(flown, tmp_path, monkeypatch):

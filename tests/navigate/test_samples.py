@@ -127,10 +127,10 @@ def test_number_of_stored_devices_is_limited_and_the_message_names_three():
     assert len(gate._seen) <= 64
     assert len(gate._unsaid) <= 66
     assert gate.holder == "pen"
-    words = gate.take_message(0.2)
-    assert words is not None
-    assert "10000 samples from other devices, stick 0, stick 1 and 62 more were ignored" in words
-    assert len(words) < 200
+    text = gate.take_message(0.2)
+    assert text is not None
+    assert "10000 samples from other devices, stick 0, stick 1 and 62 more were ignored" in text
+    assert len(text) < 200
 
 
 def test_device_beyond_the_limit_is_accepted_when_another_sends_nothing():

@@ -41,7 +41,7 @@ def binary_record(x_cm: float, wxyz=(1.0, 0.0, 0.0, 0.0), error: bytes = b" ", b
 FORMS = {False: ascii_record, True: binary_record}
 
 
-class Heard:
+class SampleRecorder:
     def __init__(self):
         self.samples: list = []
         self.gone: list[str] = []
@@ -109,51 +109,51 @@ def test_serial_records_that_arrive_together_get_increasing_times():
 
 @pytest.mark.parametrize("binary", [False, True])
 def test_fastrak_is_read_at_its_rate_and_reconnects_after_unplugging(binary, tmp_path):
-    record, port, heard = FORMS[binary], PseudoPort(), Heard()
+    record, port, recorder = FORMS[binary], PseudoPort(), SampleRecorder()
     link = tmp_path / "ttyPen"
     link.symlink_to(port.path)
-    source = FastrakSource(str(link), heard.listener, binary=binary)
+    source = FastrakSource(str(link), recorder.listener, binary=binary)
     source.RETRY_S = 0.05
     source.start()
     try:
-        asked = b""
+        requests = b""
 
         def all_asked() -> bool:
-            nonlocal asked
-            asked += port.heard()
-            return asked.endswith(b"C")
+            nonlocal requests
+            requests += port.received()
+            return requests.endswith(b"C")
 
         wait_for(all_asked)
-        assert asked == b"cuO1,2,11,16,1\r" + (b"f" if binary else b"F") + b"C"
+        assert requests == b"cuO1,2,11,16,1\r" + (b"f" if binary else b"F") + b"C"
         with sending(lambda n: record(n / 10.0, button=int(n == 60)), port):
-            wait_for(lambda: len(heard.samples) >= 100)
+            wait_for(lambda: len(recorder.samples) >= 100)
         assert source.status().state == "live"
         assert source.status().rate_hz > 60
-        xs = [s.position_mm[0] for s in heard.samples]
+        xs = [s.position_mm[0] for s in recorder.samples]
         np.testing.assert_allclose(np.diff(xs), 1.0, atol=1e-3)  # No record is lost or repeated.
-        assert sum(s.buttons for s in heard.samples) == 1
-        assert all(isinstance(s, PoseSample) for s in heard.samples)
+        assert sum(s.buttons for s in recorder.samples) == 1
+        assert all(isinstance(s, PoseSample) for s in recorder.samples)
         port.send(record(50.0)[:11] + b"\x00\xff noise \r\n" + record(51.0) + record(52.0))
-        wait_for(lambda: any(s.position_mm[0] == 520.0 for s in heard.samples))
+        wait_for(lambda: any(s.position_mm[0] == 520.0 for s in recorder.samples))
         assert source.num_bad["bytes outside any record"] > 0
         port.unplug()
-        wait_for(lambda: heard.gone == [source.address])
+        wait_for(lambda: recorder.gone == [source.address])
         assert source.status().state in {"lost", "connecting"}
         port = PseudoPort()
         link.unlink()
         link.symlink_to(port.path)
-        wait_for(port.heard)
+        wait_for(port.received)
         with sending(lambda n: record(float(n)), port):
-            before = len(heard.samples)
-            wait_for(lambda: len(heard.samples) > before + 10)
+            before = len(recorder.samples)
+            wait_for(lambda: len(recorder.samples) > before + 10)
     finally:
         source.stop()
         port.unplug()
 
 
 def test_missing_serial_port_is_reported_and_the_source_can_be_stopped_at_once():
-    heard = Heard()
-    source = FastrakSource("/dev/there-is-none", heard.listener)
+    recorder = SampleRecorder()
+    source = FastrakSource("/dev/there-is-none", recorder.listener)
     source.start()
     wait_for(lambda: source.status().state == "lost")
     assert source.status().words == "no such port; check that the device is plugged in and switched on"
@@ -192,15 +192,15 @@ def test_scope_handle_is_read_after_any_noise(noise):
 
 
 def test_scope_handle_on_a_serial_port_moves_the_tip():
-    port, heard = PseudoPort(), Heard()
-    source = HandleSource(port.path, heard.listener)
+    port, recorder = PseudoPort(), SampleRecorder()
+    source = HandleSource(port.path, recorder.listener)
     source.start()
     try:
-        wait_for(lambda: b"G\n" in port.heard())
+        wait_for(lambda: b"G\n" in port.received())
         with sending(lambda n: format_line(n, 10 * n, 0.5 * n), port, rate_hz=100.0):
-            wait_for(lambda: len(heard.samples) >= 50)
-        assert all(isinstance(s, HandleSample) for s in heard.samples)
-        np.testing.assert_allclose(np.diff([s.insertion_mm for s in heard.samples]), 0.5)
+            wait_for(lambda: len(recorder.samples) >= 50)
+        assert all(isinstance(s, HandleSample) for s in recorder.samples)
+        np.testing.assert_allclose(np.diff([s.insertion_mm for s in recorder.samples]), 0.5)
         assert source.status().num_bad.get("lost lines", 0) == 0
     finally:
         source.stop()
@@ -210,4 +210,4 @@ def test_scope_handle_on_a_serial_port_moves_the_tip():
 @pytest.mark.parametrize("address", ["", "pen", "fastrak:", "openigtlink:host:0", "openigtlink:host:x", "usb:1"])
 def test_invalid_device_address_is_refused(address):
     with pytest.raises(UsageError, match="expected a device address such as"):
-        open_source(address, Heard().listener)
+        open_source(address, SampleRecorder().listener)

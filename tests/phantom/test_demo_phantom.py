@@ -57,7 +57,7 @@ def test_demo_phantom_with_a_damaged_cache_file_is_generated_again(tmp_path: Pat
 
 
 @pytest.mark.usefixtures("small_demo")
-def test_cached_demo_with_the_field_name_center_lps_is_read_as_centre_lps(tmp_path: Path) -> None:
+def test_cached_demo_with_american_field_names_is_read_with_british_names(tmp_path: Path) -> None:
     made = demo_phantom(cache_dir=tmp_path)
     (file,) = tmp_path.glob("phantom-*/truth.json")
     file.write_text(file.read_text(encoding="utf-8").replace('"centre_lps"', '"center_lps"'), encoding="utf-8")
@@ -66,7 +66,7 @@ def test_cached_demo_with_the_field_name_center_lps_is_read_as_centre_lps(tmp_pa
     (file.parent / "sums.json").write_text(json.dumps(sums), encoding="utf-8")
     reported: list[str] = []
     read = demo_phantom(cache_dir=tmp_path, progress=lambda what, _: reported.append(what))
-    assert reported == [], "it is read, not made anew"
+    assert reported == [], "the demo is read from the cache and not generated"
     assert read.truth["nodule"]["centre_lps"] == made.truth["nodule"]["centre_lps"]
     assert "center_lps" not in read.truth["nodule"]
 

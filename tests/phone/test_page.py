@@ -33,7 +33,7 @@ from carina.server.network.lan_server import MAX_CONNECTIONS
 from carina.server.wire import messages as wire
 from encrypted_client import connected
 from simulated_serial import wait_for
-from small_case import small_bench
+from small_case import session_fixture
 
 WAIT_S = 120.0
 
@@ -57,7 +57,7 @@ def test_clock_offset_of_a_phone_is_that_of_the_message_with_the_least_delay():
     clock = ClockMap()
     delays_s = [0.080, 0.004, 0.250, 0.020]
     to_local_s = [clock.to_local_s(1000.0 + n / 60, 5.0 + n / 60 + delay_s) for n, delay_s in enumerate(delays_s)]
-    # From the second message on all times are mapped as if each message had been under way for 4 ms.
+    # From the second message on all times are mapped as if each message had a delay of 4 ms.
     np.testing.assert_allclose(to_local_s[1:], [5.004 + n / 60 for n in (1, 2, 3)], atol=1e-9)
     assert to_local_s[0] <= 5.080
 
@@ -92,54 +92,54 @@ def test_only_the_phone_token_is_accepted_and_wrong_tokens_do_not_block_it():
 
 
 def a_link(*, clutch="always"):
-    heard: list[PoseSample] = []
+    samples: list[PoseSample] = []
     acts: list[str] = []
-    link = PhoneLink(heard.append, acts.append, clutch_held_moves=lambda: clutch == "hold")
-    return link, heard, acts
+    link = PhoneLink(samples.append, acts.append, clutch_held_moves=lambda: clutch == "hold")
+    return link, samples, acts
 
 
 @pytest.mark.parametrize("clutch", ["always", "hold"])
 @pytest.mark.parametrize("held", [True, False])
 def test_tip_turns_only_while_the_phone_button_is_pressed_at_any_pen_setting(clutch, held):
-    link, heard, _ = a_link(clutch=clutch)
+    link, samples, _ = a_link(clutch=clutch)
     link.process_message(sample(1.0, held=held), 0.0)
-    engaged = bool(heard[0].buttons >> CLUTCH_BUTTON & 1) == (clutch == "hold")
+    engaged = bool(samples[0].buttons >> CLUTCH_BUTTON & 1) == (clutch == "hold")
     assert engaged == held
 
 
 def test_phone_without_a_sensor_advances_and_does_not_turn():
-    link, heard, _ = a_link()
+    link, samples, _ = a_link()
     link.process_message(sample(1.0, None, held=True, advance=1.0), 0.0)
-    assert (heard[0].advance, heard[0].buttons, heard[0].position_mm) == (1.0, 1 << CLUTCH_BUTTON, None)
+    assert (samples[0].advance, samples[0].buttons, samples[0].position_mm) == (1.0, 1 << CLUTCH_BUTTON, None)
 
 
 def test_invalid_phone_messages_are_counted_and_many_of_them_close_the_connection():
-    link, heard, acts = a_link()
+    link, samples, acts = a_link()
     bad = ["", "{", "[]", '{"type": "steer"}', sample(1.0).replace("true", "1"), "x" * 5000, None]
     bad.append(sample(1.0).replace("1.0", "NaN", 1))
     for n, text in enumerate(bad):
         link.process_message(text, 0.1 * n)
-    assert heard == []
+    assert samples == []
     assert sum(link.num_bad.values()) == len(bad)
     assert not link.is_broken
     link.process_message(wire.encode_message(wire.PhoneAct("recenter")), 1.0)
     link.process_message(sample(2.0), 1.1)
-    assert (acts, len(heard)) == (["recenter"], 1)
+    assert (acts, len(samples)) == (["recenter"], 1)
     for n in range(MAX_BAD):
         link.process_message("{", 2.0 + n)
     assert link.is_broken
 
 
 def test_phone_messages_above_the_rate_limit_are_dropped_unparsed_until_the_next_second():
-    link, heard, _ = a_link()
+    link, samples, _ = a_link()
     for n in range(5000):
         link.process_message(sample(n / 5000), n / 5000)
-    assert 150 <= len(heard) <= 200  # 120 messages a second, and a burst of 60
-    assert link.num_bad["too many samples"] == 5000 - len(heard)
+    assert 150 <= len(samples) <= 200  # 120 messages a second, and a burst of 60
+    assert link.num_bad["too many samples"] == 5000 - len(samples)
     assert not link.is_broken
-    before = len(heard)
+    before = len(samples)
     link.process_message(sample(3.0), 3.0)
-    assert len(heard) == before + 1
+    assert len(samples) == before + 1
 
 
 def test_qr_code_of_the_phone_link_has_three_finder_patterns_and_a_quiet_zone():
@@ -154,9 +154,9 @@ def test_qr_code_of_the_phone_link_has_three_finder_patterns_and_a_quiet_zone():
 
 def test_missing_phone_libraries_or_a_missing_page_are_reported_with_a_remedy(monkeypatch, tmp_path):
     with pytest.raises(CarinaError, match="make -C"):
-        PhoneSwitch(small_bench().session, tmp_path).start()
+        PhoneSwitch(session_fixture().session, tmp_path).start()
     (tmp_path / "phone.html").write_text("<!doctype html>")
-    switch = PhoneSwitch(small_bench().session, tmp_path)
+    switch = PhoneSwitch(session_fixture().session, tmp_path)
     assert switch.problem is None
     found = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "segno" else found(name))
@@ -211,18 +211,20 @@ def unhurried(monkeypatch):
 @pytest.fixture
 def phone(web, unhurried):
     """Return an open page over the small case, as in the workstation."""
-    bench = small_bench()
-    bench.session._core.clock = time.monotonic  # The thread of the device manager uses the real time.
-    bench.open()
-    page = PhoneSwitch(bench.session, web, address="127.0.0.1")
+    fixture = session_fixture()
+    fixture.session._core.clock = time.monotonic  # The thread of the device manager uses the real time.
+    fixture.open()
+    page = PhoneSwitch(fixture.session, web, address="127.0.0.1")
     sent: list[object] = []
-    desk = DeviceConnections(bench.session, sent.append, phone=page)
-    desk.start()
+    connections = DeviceConnections(fixture.session, sent.append, phone=page)
+    connections.start()
     page.start()
     url, _, token = page.info().url.partition("#")
-    yield SimpleNamespace(page=page, desk=desk, session=bench.session, url=url, token=token, sent=sent, bench=bench)
-    desk.stop()
-    bench.session.close()
+    yield SimpleNamespace(
+        page=page, connections=connections, session=fixture.session, url=url, token=token, sent=sent, fixture=fixture
+    )
+    connections.stop()
+    fixture.session.close()
 
 
 def trusting(fingerprint: str) -> ssl.SSLContext:
@@ -235,7 +237,7 @@ def trusting(fingerprint: str) -> ssl.SSLContext:
 
 
 @contextlib.contextmanager
-def dialled(phone, *, token=None, origin=None, hello=True):
+def phone_connection(phone, *, token=None, origin=None, hello=True):
     base = phone.url.rstrip("/")
     context = trusting(phone.page.info().sha256)
     with connected(f"wss{base[5:]}/phone", origin=origin or base, context=context, within_s=WAIT_S) as link:
@@ -276,7 +278,7 @@ def test_phone_certificate_has_the_shown_fingerprint_and_names_the_address(phone
     from cryptography import x509
 
     constraints = x509.load_der_x509_certificate(der).extensions.get_extension_for_class(x509.BasicConstraints)
-    assert not constraints.value.ca, "whoever trusts it trusts no other page by it"
+    assert not constraints.value.ca, "a leaf certificate: trust in it does not extend to other pages"
 
 
 def test_phone_server_serves_only_the_page_and_its_files_and_none_contains_the_token(phone):
@@ -302,21 +304,21 @@ def test_phone_page_with_another_host_or_origin_is_refused(phone):
     assert get(phone, "", Host="evil.example").status_code == 403
     from websockets.exceptions import InvalidStatus
 
-    with pytest.raises(InvalidStatus) as refused, dialled(phone, origin="https://evil.example"):
+    with pytest.raises(InvalidStatus) as refused, phone_connection(phone, origin="https://evil.example"):
         pass
     assert refused.value.response.status_code == 403
 
 
 def test_phone_with_a_wrong_token_without_a_token_or_without_a_message_is_refused_and_counted(phone, monkeypatch):
-    with dialled(phone, token="wrong") as link:
+    with phone_connection(phone, token="wrong") as link:
         code, reason = ended(link)
     assert code == wire.CLOSE_CODES["protocol.not-authorised"]
     assert "scan the code" in reason
-    with dialled(phone, hello=False) as link:
+    with phone_connection(phone, hello=False) as link:
         link.send(sample(1.0))
         assert ended(link)[0] == wire.CLOSE_CODES["protocol.order"]
     monkeypatch.setattr("carina.phone.page.HELLO_WITHIN_S", 0.2)
-    with dialled(phone, hello=False) as link:
+    with phone_connection(phone, hello=False) as link:
         assert ended(link)[0] == wire.CLOSE_CODES["protocol.order"]
     info = phone.page.info()
     assert (info.num_refused, info.connected) == (1, False)
@@ -326,7 +328,7 @@ def test_phone_with_a_wrong_token_without_a_token_or_without_a_message_is_refuse
 def test_idle_unauthenticated_connections_do_not_block_a_phone_and_are_closed(phone, monkeypatch):
     monkeypatch.setattr("carina.server.network.request_timeouts.FIRST_REQUEST_WITHIN_S", 1.0)
     host, port = phone.url[8:].rstrip("/").split(":")
-    with contextlib.ExitStack() as strangers, dialled(phone) as link:
+    with contextlib.ExitStack() as strangers, phone_connection(phone) as link:
         state(link)
         for n in range(MAX_CONNECTIONS):
             plain = strangers.enter_context(socket.create_connection((host, int(port)), timeout=WAIT_S))
@@ -344,12 +346,12 @@ def test_request_timeout_of_a_connection_that_was_closed_logs_no_error(phone, mo
     for token in (None, "wrong"):
         with contextlib.ExitStack() as stack:
 
-            def dial(stack=stack, token=token):
+            def connect(stack=stack, token=token):
                 # If the machine stalled for half a second, the connection was closed as unauthenticated.
                 with contextlib.suppress(InvalidMessage):
-                    return stack.enter_context(dialled(phone, token=token))
+                    return stack.enter_context(phone_connection(phone, token=token))
 
-            link = wait_for(dial)
+            link = wait_for(connect)
             _ = state(link) if token is None else ended(link)
     time.sleep(1.5)
     assert [r.getMessage() for r in caplog.records if r.levelname == "ERROR"] == []
@@ -358,7 +360,7 @@ def test_request_timeout_of_a_connection_that_was_closed_logs_no_error(phone, mo
 def test_phone_turns_the_tip_while_its_button_is_pressed_and_advances_it(phone):
     phone.session.do(SetMode("free"))
     start = phone.session.pose_info().pose
-    with dialled(phone) as link:
+    with phone_connection(phone) as link:
         assert state(link).case_open
         assert phone.page.info().connected
         turn = 0.0
@@ -405,7 +407,7 @@ def angle(a, b) -> float:
 
 def test_advance_ends_when_the_phone_disconnects_with_its_button_pressed(phone):
     began_s = time.monotonic()
-    with dialled(phone) as link:
+    with phone_connection(phone) as link:
         link.send(sample(1.0, None, held=False, advance=1.0))
         wait_for(lambda: phone.session.pose_info().path_mm > 0.5)
     wait_for(lambda: not phone.page.info().connected)
@@ -419,7 +421,7 @@ def test_advance_ends_when_the_phone_disconnects_with_its_button_pressed(phone):
 
 
 def test_invalid_times_and_numbers_of_a_phone_are_counted_and_the_tip_pose_stays_finite(phone):
-    with dialled(phone) as link:
+    with phone_connection(phone) as link:
         state(link)
         for bad in ("NaN", "1e999", "null"):
             link.send(sample(1.0).replace("1.0", bad, 1))
@@ -447,9 +449,9 @@ def test_invalid_times_and_numbers_of_a_phone_are_counted_and_the_tip_pose_stays
 
 
 def test_phone_that_lost_its_network_reconnects_and_its_old_connection_is_notified(phone):
-    with dialled(phone) as first:
+    with phone_connection(phone) as first:
         state(first)
-        with dialled(phone) as second:
+        with phone_connection(phone) as second:
             state(second)
             code, reason = ended(first)
             assert code == wire.CLOSE_CODES["protocol.taken-over"]
@@ -461,7 +463,7 @@ def test_phone_that_lost_its_network_reconnects_and_its_old_connection_is_notifi
 
 
 def test_phone_is_disconnected_if_the_state_cannot_be_encoded(phone, monkeypatch):
-    with dialled(phone) as link:
+    with phone_connection(phone) as link:
         state(link)
         link.send(sample(1.0))
         wait_for(lambda: phone.page.info().rate_hz > 0)
@@ -473,7 +475,7 @@ def test_phone_is_disconnected_if_the_state_cannot_be_encoded(phone, monkeypatch
 
 
 def test_phone_buttons_recentre_the_view_and_change_the_steering_mode(phone):
-    with dialled(phone) as link:
+    with phone_connection(phone) as link:
         assert state(link).control == "path"
         phone.session.do(Steer(0.0, 0.5, 0.0, 0.0))
         turned = phone.session.pose_info().pose
@@ -492,45 +494,45 @@ def test_phone_buttons_recentre_the_view_and_change_the_steering_mode(phone):
         for action in ("next_control", "recenter"):
             link.send(wire.encode_message(wire.PhoneAct(action)))
         link.send(sample(1.0))
-        phone.bench.open()
+        phone.fixture.open()
         assert state(link).case_open, "what cannot be done without a case ends nothing"
 
 
 def test_many_invalid_messages_disconnect_the_phone(phone):
-    with dialled(phone) as link:
+    with phone_connection(phone) as link:
         state(link)
         for _ in range(MAX_BAD + 1):
             link.send("{")
             time.sleep(0.01)
         assert ended(link)[0] == wire.CLOSE_CODES["protocol.malformed"]
     # The phone may connect again.
-    with dialled(phone) as link:
+    with phone_connection(phone) as link:
         assert state(link).case_open
 
 
 def test_link_of_a_phone_page_is_invalid_after_the_user_closes_the_page(phone):
     port = int(phone.url.rstrip("/").rpartition(":")[2])
     old = phone.page.info()
-    with dialled(phone) as link:
+    with phone_connection(phone) as link:
         state(link)
-        phone.desk.handle(wire.SetPhone(False))
+        phone.connections.handle(wire.SetPhone(False))
         ended(link)
     wait_for(lambda: phone.page.info() is None)
     wait_for(lambda: any(isinstance(m, wire.DevicesMessage) and m.phone is None for m in phone.sent))
     with pytest.raises(OSError, match=r"refused|reset"):
         socket.create_connection(("127.0.0.1", port), timeout=WAIT_S).close()
-    phone.desk.handle(wire.SetPhone(True))
+    phone.connections.handle(wire.SetPhone(True))
     wait_for(lambda: phone.page.info() is not None)
     new = phone.page.info()
     assert new.sha256 != old.sha256
     assert new.url.partition("#")[2] != phone.token
     phone.url = new.url.partition("#")[0]
-    with dialled(phone) as link:  # the old token
+    with phone_connection(phone) as link:  # the old token
         assert ended(link)[0] == wire.CLOSE_CODES["protocol.not-authorised"]
 
 
 def test_phone_page_is_open_or_closed_as_the_last_click_requested_in_any_order_of_threads(phone, monkeypatch):
-    phone.desk.handle(wire.SetPhone(False))
+    phone.connections.handle(wire.SetPhone(False))
     wait_for(lambda: phone.page.info() is None)
     waiting = []
 
@@ -540,7 +542,7 @@ def test_phone_page_is_open_or_closed_as_the_last_click_requested_in_any_order_o
     monkeypatch.setattr("carina.server.devices.threading", SimpleNamespace(Thread=thread))
     for clicks in ([True, False], [True, False, True], [False]):
         for on in clicks:
-            phone.desk.handle(wire.SetPhone(on))
+            phone.connections.handle(wire.SetPhone(on))
         # The last thread runs first.
         while waiting:
             target, args = waiting.pop()
@@ -549,19 +551,19 @@ def test_phone_page_is_open_or_closed_as_the_last_click_requested_in_any_order_o
 
 
 def test_phone_page_is_closed_until_enabled_and_a_failure_states_its_reason(web):
-    bench = small_bench()
-    bench.open()
+    fixture = session_fixture()
+    fixture.open()
     # This address is reserved for documentation, so no computer has it.
-    page = PhoneSwitch(bench.session, web, address="203.0.113.250")
+    page = PhoneSwitch(fixture.session, web, address="203.0.113.250")
     sent: list[object] = []
-    desk = DeviceConnections(bench.session, sent.append, phone=page)
+    connections = DeviceConnections(fixture.session, sent.append, phone=page)
     assert page.info() is None
-    message = desk.message()
+    message = connections.message()
     assert (message.phone, message.phone_problem) == (None, None)
-    desk.handle(wire.SetPhone(True))
+    connections.handle(wire.SetPhone(True))
     wait_for(lambda: any(isinstance(m, wire.Error) for m in sent))
     (trouble,) = [m for m in sent if isinstance(m, wire.Error)]
     assert trouble.code == "server.host"
     assert page.info() is None
-    json.loads(wire.encode_message(desk.message()))
-    bench.session.close()
+    json.loads(wire.encode_message(connections.message()))
+    fixture.session.close()

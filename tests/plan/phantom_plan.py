@@ -12,7 +12,7 @@ from unittest.mock import patch
 import numpy as np
 
 import carina
-from cached_test_data import made_airways, made_phantom
+from cached_test_data import cached_airways, cached_phantom
 from carina.plan import Plan, Verdict, judge_scopes, plan_route, turn_list
 from carina.plan.hand_moves import Move
 from carina.plan.report import PlanSheet, make_sheet
@@ -31,11 +31,11 @@ DAY = datetime.date(2026, 11, 25)
 
 
 def volume() -> Volume:
-    return made_phantom(**CHEST).volume
+    return cached_phantom(**CHEST).volume
 
 
 def airways() -> Airways:
-    return made_airways(**CHEST)
+    return cached_airways(**CHEST)
 
 
 @cache
@@ -45,7 +45,7 @@ def wall() -> WallField:
 
 @cache
 def plan() -> Plan:
-    return plan_route(volume(), airways(), made_phantom(**CHEST).truth["nodule"]["centre_lps"], wall=wall())
+    return plan_route(volume(), airways(), cached_phantom(**CHEST).truth["nodule"]["centre_lps"], wall=wall())
 
 
 @cache
@@ -98,10 +98,10 @@ def sheet(**more: Any) -> PlanSheet:
     """Return the sheet of the plan's report; ``more`` are options of the sheet."""
     if not more:
         return _usual()
-    told: dict[str, Any] = {"verdicts": verdicts(), "made_on": DAY, "wall": wall()} | more
+    options: dict[str, Any] = {"verdicts": verdicts(), "made_on": DAY, "wall": wall()} | more
     with patch.multiple("carina.plan.report.plan_sheet", **RENDERED):
         return make_sheet(
-            told.pop("volume", volume()), told.pop("airways", airways()), told.pop("plan", plan()), **told
+            options.pop("volume", volume()), options.pop("airways", airways()), options.pop("plan", plan()), **options
         )
 
 

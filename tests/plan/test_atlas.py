@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from nodules import ellipsoid
 
-from cached_test_data import made_airways, made_phantom
+from cached_test_data import cached_airways, cached_phantom
 from carina.errors import CancelledError
 from carina.plan import NeedleErrors, plan_route
 from carina.plan.reach_atlas import NOT, REACHES, STEP_MM, ReachAtlas, reach_atlas
@@ -23,7 +23,7 @@ CHEST = {"seed": 4, "spacing_mm": 1.5, "generations": 4}
 
 @pytest.fixture(scope="module")
 def chest():
-    volume, airways = made_phantom(**CHEST).volume, made_airways(**CHEST)
+    volume, airways = cached_phantom(**CHEST).volume, cached_airways(**CHEST)
     return volume, airways, wall_field(volume, airways)
 
 
@@ -43,7 +43,7 @@ def test_reach_of_lung_regions_agrees_with_estimated_plans_for_targets_in_them(c
     found = slim_atlas
     measures = measure_tree(volume, airways)
     rng = np.random.default_rng(3)
-    told: Counter[tuple[int, int]] = Counter()
+    counts: Counter[tuple[int, int]] = Counter()
     for value in (NOT, REACHES):
         points = np.concatenate([branch.points for branch in airways.tree.branches if branch.generation > 1])
         voxels = np.argwhere(found.lung_zyx & (found.reach_zyx == value))
@@ -64,11 +64,11 @@ def test_reach_of_lung_regions_agrees_with_estimated_plans_for_targets_in_them(c
                 confirmed=True,
             )
             best = max((REACHES - RANK[route.outlook] for route in plan.routes), default=NOT)
-            told[value, best] += 1
-    agreed = sum(num for (atlas, plan), num in told.items() if atlas == plan)
+            counts[value, best] += 1
+    agreed = sum(num for (atlas, plan), num in counts.items() if atlas == plan)
     # Both test directions and places at different distances, so voxels at a border may differ by one class.
-    assert agreed >= 0.85 * told.total(), told
-    assert told[REACHES, NOT] == told[NOT, REACHES] == 0, told
+    assert agreed >= 0.85 * counts.total(), counts
+    assert counts[REACHES, NOT] == counts[NOT, REACHES] == 0, counts
 
 
 def test_hit_shares_computed_for_a_ball_equal_those_of_a_ball_shaped_nodule() -> None:
@@ -114,8 +114,8 @@ def test_thinner_scope_or_longer_tool_reaches_at_least_as_much_of_the_lungs(ches
 
 def test_computation_of_the_reach_atlas_can_be_cancelled(chest) -> None:
     volume, airways, wall = chest
-    told: list[float] = []
-    reach_atlas(volume, airways, wall=wall, progress=lambda _what, share: told.append(share))
-    assert told[0] == 0.0 and told[-1] == 1.0 and told == sorted(told)
+    fractions: list[float] = []
+    reach_atlas(volume, airways, wall=wall, progress=lambda _what, share: fractions.append(share))
+    assert fractions[0] == 0.0 and fractions[-1] == 1.0 and fractions == sorted(fractions)
     with pytest.raises(CancelledError):
         reach_atlas(volume, airways, wall=wall, cancel=lambda: True)

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cached_test_data import made_airways, made_phantom
+from cached_test_data import cached_airways, cached_phantom
 from carina.plan.routes.attainable_directions import (
     BEHIND_MM,
     NUM_ON_ARC,
@@ -134,7 +134,7 @@ def bends_slowly(tree: AirwayTree, wall: WallField, preset: ScopePreset, place: 
 
 def test_bend_angles_computed_for_many_directions_equal_those_computed_one_by_one() -> None:
     made = {"seed": 4, "spacing_mm": 1.5, "generations": 4}
-    volume, airways = made_phantom(**made).volume, made_airways(**made)
+    volume, airways = cached_phantom(**made).volume, cached_airways(**made)
     wall, preset = wall_field(volume, airways), scope(2.0)
     directions, rng = TipDirections(airways.tree, wall, preset), np.random.default_rng(3)
     found, expected = [], []

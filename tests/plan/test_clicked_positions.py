@@ -128,7 +128,7 @@ def chest() -> Volume:
 
 
 @pytest.mark.parametrize(
-    ("at", "code", "words"),
+    ("at", "code", "text"),
     [
         ((0.0, -104.0, 0.0), "plan.outside-body", "outside the body"),
         ((-150.0, -110.0, 5.0), "plan.outside-body", "outside the body"),
@@ -137,23 +137,23 @@ def chest() -> Volume:
         ((-60.0, -30.0, 0.0), "plan.no-nodule", "no nodule at this point"),
     ],
 )
-def test_clicks_outside_nodules_are_refused_with_their_anatomical_region(at, code, words):
-    with pytest.raises(NoResultError, match=words) as error:
+def test_clicks_outside_nodules_are_refused_with_their_anatomical_region(at, code, text):
+    with pytest.raises(NoResultError, match=text) as error:
         grow_nodule(chest(), at)
     assert error.value.code == code
 
 
 def test_segmentation_of_a_nodule_can_be_cancelled_between_its_steps():
-    told = []
+    reported = []
 
     def stop(what, share):
-        told.append((what, share))
-        if len(told) == 3:
+        reported.append((what, share))
+        if len(reported) == 3:
             raise CancelledError("stopped")
 
     with pytest.raises(CancelledError):
         grow_nodule(chest(), (0.0, 0.0, 0.0), progress=stop)
-    assert told == 3 * [("looking for a nodule", None)]
+    assert reported == 3 * [("looking for a nodule", None)]
 
 
 def test_anatomical_region_of_a_target_is_stated_with_its_lobe_or_organ():

@@ -65,25 +65,29 @@ def test_json_wire_report_sheet_and_texts_of_a_plan_state_the_same_distances(tmp
     origin = distance_origin(volume(), airways())
     assert origin.kind == "ridge"
     expected: set[int] = set()
-    for route, told in zip(plan().routes, stored["routes"], strict=True):
-        assert told["origin"] == {"kind": "ridge", "along_mm": origin.along_mm}
-        assert told["from_carina_mm"] == told["past_carina_mm"] == told["along_mm"] - origin.along_mm
+    for route, listed_row in zip(plan().routes, stored["routes"], strict=True):
+        assert listed_row["origin"] == {"kind": "ridge", "along_mm": origin.along_mm}
+        assert listed_row["from_carina_mm"] == listed_row["past_carina_mm"] == listed_row["along_mm"] - origin.along_mm
         offer = _route(route)
         for name in ("from_carina_mm", "narrowest_mm", "narrowest_at_mm"):
-            assert getattr(offer, name) == told[name]
-        assert offer.leg.to_target_mm == told["leg"]["to_target_mm"]
-        expected |= {round(told["from_carina_mm"]), round(told["narrowest_at_mm"])}
-    for verdict, told in zip(verdicts(), stored["verdicts"], strict=True):
+            assert getattr(offer, name) == listed_row[name]
+        assert offer.leg.to_target_mm == listed_row["leg"]["to_target_mm"]
+        expected |= {round(listed_row["from_carina_mm"]), round(listed_row["narrowest_at_mm"])}
+    for verdict, listed_row in zip(verdicts(), stored["verdicts"], strict=True):
         sent = _verdict(verdict)
-        assert (sent.reached_mm, sent.words, sent.title) == (told["reached_mm"], told["words"], told["title"])
-        assert [check.words for check in sent.checks] == [check["words"] for check in told["checks"]]
-        expected |= set() if told["reached_mm"] is None else {round(told["reached_mm"])}
+        assert (sent.reached_mm, sent.words, sent.title) == (
+            listed_row["reached_mm"],
+            listed_row["words"],
+            listed_row["title"],
+        )
+        assert [check.words for check in sent.checks] == [check["words"] for check in listed_row["checks"]]
+        expected |= set() if listed_row["reached_mm"] is None else {round(listed_row["reached_mm"])}
     expected |= {round(station["from_carina_mm"]) for station in stored["ebus"]["stations"]}
     listed = stored["turns"]
     sent_turns = wire_turns(airways(), turns(airways(), plan()))
-    for sent, told in zip(sent_turns, listed["turns"], strict=True):
-        assert (sent.from_carina_mm, sent.from_fork_mm) == (told["from_carina_mm"], told["from_fork_mm"])
-        expected.add(round(told["from_carina_mm"]))
+    for sent, listed_row in zip(sent_turns, listed["turns"], strict=True):
+        assert (sent.from_carina_mm, sent.from_fork_mm) == (listed_row["from_carina_mm"], listed_row["from_fork_mm"])
+        expected.add(round(listed_row["from_carina_mm"]))
     assert listed["park_from_carina_mm"] == stored["routes"][0]["from_carina_mm"]
     tip = plan().routes[0].place_words
     assert tip == carina_words(listed["park_from_carina_mm"])
@@ -96,8 +100,8 @@ def test_json_wire_report_sheet_and_texts_of_a_plan_state_the_same_distances(tmp
         "report": texts(sheet()),
         "sheet": texts(sheet(), tracing=True),
     }
-    for output, said in outputs.items():
-        text = "\n".join(said)
+    for output, parts in outputs.items():
+        text = "\n".join(parts)
         assert spoken_mm(text) <= expected, output
         assert tip in text or output == "window", output
         assert not re.search(r"\d mm (along the route|beyond the (main )?carina|from the start)", text), output
@@ -105,14 +109,16 @@ def test_json_wire_report_sheet_and_texts_of_a_plan_state_the_same_distances(tmp
     (table,) = [
         block for part in sections(sheet()) if part.name == "turns" for block in part.blocks if hasattr(block, "rows")
     ]
-    later = [told["from_carina_mm"] for told in listed["turns"][1:]]
+    later = [listed_row["from_carina_mm"] for listed_row in listed["turns"][1:]]
     assert [row[4] for row in table.rows] == [
         "carina",
         *(f"{mm:.0f}" for mm in [*later, listed["park_from_carina_mm"]]),
     ]
-    for told in listed["turns"]:
-        assert carina_words(told["from_carina_mm"]) in "\n".join(outputs["sheet"])
-    assert list(plan().to_columns()["from_carina_mm"]) == [told["from_carina_mm"] for told in stored["routes"]]
+    for listed_row in listed["turns"]:
+        assert carina_words(listed_row["from_carina_mm"]) in "\n".join(outputs["sheet"])
+    assert list(plan().to_columns()["from_carina_mm"]) == [
+        listed_row["from_carina_mm"] for listed_row in stored["routes"]
+    ]
 
 
 def assert_consistent(found: Airways, made: Plan, judged: Any = ()) -> None:
@@ -121,15 +127,15 @@ def assert_consistent(found: Airways, made: Plan, judged: Any = ()) -> None:
         start_mm, tip_mm = route.origin.past_mm(0.0), route.origin.past_mm(route.along_mm)
         assert start_mm <= route.width.at_mm <= tip_mm, route.key
         assert route.width.origin == route.origin
-        told = turn_list(found.tree, route)
-        places = [start_mm, *(turn.from_carina_mm for turn in told.turns), tip_mm]
+        listed = turn_list(found.tree, route)
+        places = [start_mm, *(turn.from_carina_mm for turn in listed.turns), tip_mm]
         if route.origin.is_carina:
-            assert told.park_from_carina_mm == route.from_carina_mm == tip_mm
+            assert listed.park_from_carina_mm == route.from_carina_mm == tip_mm
             assert places == sorted(places)
             # Each turn is as far from the previous one as the text states.
-            steps = [*(turn.from_fork_mm for turn in told.turns), told.park_from_fork_mm]
+            steps = [*(turn.from_fork_mm for turn in listed.turns), listed.park_from_fork_mm]
             assert steps == pytest.approx(np.diff(places).tolist(), abs=1e-9)
-            for turn in told.turns:
+            for turn in listed.turns:
                 assert (turn.from_carina_mm == 0.0) or not turn.at_main_carina
     for verdict in judged:
         route = made.routes[0]
@@ -208,11 +214,11 @@ def test_distances_in_a_branch_above_the_carina_are_measured_from_the_start_of_t
     assert origins[1] == ROOT and all(origins[n] == origin for n in (0, 2, 3, 4))
     ways = Ways(tree, origin=origin)
     for n in range(len(ways.points)):
-        asked = ways.asks(n, 12.0)
+        required = ways.asks(n, 12.0)
         own = origins[int(ways.branch[n])]
-        assert asked.width.origin == own
+        assert required.width.origin == own
         start_mm, here_mm = own.past_mm(0.0), own.past_mm(float(ways.along_mm[n]))
-        assert start_mm <= asked.width.at_mm <= here_mm and start_mm <= asked.bend_deg.at_mm <= here_mm
+        assert start_mm <= required.width.at_mm <= here_mm and start_mm <= required.bend_deg.at_mm <= here_mm
     route = dataclasses.replace(route_in(tree, 1), origin=origins[1])
     assert route.from_carina_mm is None and route.place_words.endswith("mm from the start of the airway tree")
     assert turn_list(tree, route).zero is None
@@ -271,8 +277,8 @@ def test_distances_without_a_visible_ridge_are_measured_from_the_centreline_fork
     origin = distance_origin(volume(), solid)
     assert origin.kind == "axes" and origin.along_mm == origin.axes_mm
     route = dataclasses.replace(plan().routes[0], origin=origin)
-    told = turn_list(found.tree, route)
-    assert told.zero == "axes" and told.notes[0] == origin.note and told.turns[0].from_carina_mm == 0.0
+    listed = turn_list(found.tree, route)
+    assert listed.zero == "axes" and listed.notes[0] == origin.note and listed.turns[0].from_carina_mm == 0.0
     axes = dataclasses.replace(plan(), routes=(route,))
     (reason,) = [one.words for one in reasons_against(axes) if one.code == "route.origin"]
     assert origin.note is not None and reason.casefold() == f"{origin.note}.".casefold()

@@ -16,7 +16,7 @@ from phantom_plan import CHEST
 from phantom_plan import wall as chest_wall
 from test_verdict import plan_in, tube
 
-from cached_test_data import made_airways
+from cached_test_data import cached_airways
 from carina.errors import CancelledError, UsageError
 from carina.plan import Move
 from carina.plan.routes.last_leg import LastLeg
@@ -44,7 +44,7 @@ def thin() -> ScopePreset:
 @cache
 def chest_way(branch_id: int) -> DriveWay:
     """Return the route to a branch, up to the point where the airway is less than 0.5 mm wider than the scope."""
-    tree, wall = made_airways(**CHEST).tree, chest_wall()
+    tree, wall = cached_airways(**CHEST).tree, chest_wall()
     route = tree.route_to(branch_id)
     at = np.arange(20.0, route.length_mm - 4.0, 0.5)
     points = np.stack([np.interp(at, route.cumulative_mm, route.points_lps[:, a]) for a in range(3)], axis=1)
@@ -62,12 +62,12 @@ def chest_drive(branch_id: int) -> DrivenRoute:
     return search_drive(chest_way(branch_id), chest_wall(), thin(), effort=30_000.0)
 
 
-def carried_out(way: DriveWay, wall: WallField, told: dict[str, Any]) -> ScopeDrive:
+def carried_out(way: DriveWay, wall: WallField, document: dict[str, Any]) -> ScopeDrive:
     """Return a new scope after the listed moves: rotations, flexions, and advances in steps of 1 mm."""
     drive = ScopeDrive(wall, thin(), way.points)
-    state = drive.place(way.points, told["start_mm"])
+    state = drive.place(way.points, document["start_mm"])
     roll_deg = 0.0
-    for move in told["moves"]:
+    for move in document["moves"]:
         roll_deg += move["turn_deg"]
         state = drive.drive(state.insertion_mm, math.radians(roll_deg), state.flexion_rad, 0.1)
         flexion_rad = math.radians(move["flexion_deg"])
@@ -85,7 +85,7 @@ def test_replayed_hand_moves_of_a_drive_end_in_the_planned_branch(branch_id: int
     tip = drive.state.pose.position_lps
     assert np.array_equal(drive.state.pose.lps_from_camera, driven.lps_from_camera[-1])
     assert np.linalg.norm(tip - way.at(way.park_mm)) <= 1.5 + way.radius_mm(way.park_mm)
-    tree = made_airways(**CHEST).tree
+    tree = cached_airways(**CHEST).tree
     found, _, _ = tree.nearest_branch(tip)
     assert found.id in {branch.id for branch in tree.lineage(branch_id)}
     # The scope has passed the last fork that is more than 6 mm before its final position.
@@ -218,19 +218,19 @@ def test_drive_and_plan_measure_the_same_distance_along_centrelines() -> None:
     assert way.told_mm(way.park_mm) == pytest.approx(planned.along_mm)
     assert [way.told_mm(mm) for mm in way.forks_mm] == pytest.approx([tree.root.length_mm])
     assert way.told_mm(way.length_mm) == pytest.approx(sum(branch.length_mm for branch in tree.branches))
-    words = length_check(way, slim, 150.0).words
-    assert words.startswith(f"needs a working length of {planned.along_mm + 150.0:.0f} mm")
-    words = length_check(way, slim, None).words
-    assert words.startswith(f"the tip stops {planned.along_mm:.0f} mm from the start of the airway tree")
+    text = length_check(way, slim, 150.0).words
+    assert text.startswith(f"needs a working length of {planned.along_mm + 150.0:.0f} mm")
+    text = length_check(way, slim, None).words
+    assert text.startswith(f"the tip stops {planned.along_mm:.0f} mm from the start of the airway tree")
     # Past a main carina, distances and depths are measured from the carina.
     past = dataclasses.replace(planned, origin=DistanceOrigin("ridge", along_mm=30.0, axes_mm=21.0))
     from_carina = DriveWay(tree, past, wall)
     assert from_carina.told_mm(way.park_mm) == pytest.approx(past.from_carina_mm)
-    words = length_check(from_carina, slim, 270.0).words
-    assert words.startswith(f"needs a working length of {past.from_carina_mm + 270.0:.0f} mm")
-    words = length_check(from_carina, slim, None).words
-    assert words.startswith(f"the tip stops {past.from_carina_mm:.0f} mm past the main carina; a working length of ")
-    assert words.endswith(f"leaves {slim.length_mm - past.from_carina_mm:.0f} mm from nose or mouth to the main carina")
+    text = length_check(from_carina, slim, 270.0).words
+    assert text.startswith(f"needs a working length of {past.from_carina_mm + 270.0:.0f} mm")
+    text = length_check(from_carina, slim, None).words
+    assert text.startswith(f"the tip stops {past.from_carina_mm:.0f} mm past the main carina; a working length of ")
+    assert text.endswith(f"leaves {slim.length_mm - past.from_carina_mm:.0f} mm from nose or mouth to the main carina")
     bend_mm = float(re.findall(r"the bend (\d+) mm", bend_check(way, slim, errors=True).words)[0])
     limit = Ways(tree).asks(_place_of(tree, planned), bending_mm(slim)).bend_deg
     assert bend_mm == pytest.approx(limit.at_mm, abs=2.0)

@@ -26,15 +26,15 @@ def tree(seed: int = 2) -> AirwayTree:
 def changed(one: AirwayTree, *, drop: str | None = None, **names: str | None) -> AirwayTree:
     """Return the tree with other names of branches, and without the branch ``drop`` and its descendants."""
     gone = set()
-    kept: list[Branch] = []
+    branches: list[Branch] = []
     for branch in one.branches:
         if (branch.name == drop and drop is not None) or branch.parent in gone:
             gone.add(branch.id)
             continue
-        kept.append(dataclasses.replace(branch, name=names.get(branch.name or "", branch.name)))
-    ids = {branch.id for branch in kept}
+        branches.append(dataclasses.replace(branch, name=names.get(branch.name or "", branch.name)))
+    ids = {branch.id for branch in branches}
     return AirwayTree(
-        tuple(dataclasses.replace(b, children=tuple(child for child in b.children if child in ids)) for b in kept)
+        tuple(dataclasses.replace(b, children=tuple(child for child in b.children if child in ids)) for b in branches)
     )
 
 
@@ -51,7 +51,7 @@ def mirrored(one: AirwayTree) -> AirwayTree:
     return AirwayTree(tuple(branches))
 
 
-def of(one: AirwayTree, station: str) -> list[Landmark]:
+def landmarks_of(one: AirwayTree, station: str) -> list[Landmark]:
     return [mark for mark in ebus_landmarks(one) if mark.station == station]
 
 
@@ -79,7 +79,7 @@ def test_clock_hours_and_levels_of_lymph_node_stations_match_the_textbook(seed: 
 
 
 def test_station_7_is_seen_from_each_main_bronchus_in_the_direction_of_the_other() -> None:
-    right, left = of(tree(), "7")
+    right, left = landmarks_of(tree(), "7")
     assert right.point_lps is not None
     assert left.point_lps is not None
     assert right.direction_lps is not None
@@ -114,13 +114,13 @@ def test_lymph_node_station_is_on_its_branch_and_its_distance_is_along_the_tree(
 
 def test_lymph_node_stations_of_a_mirrored_chest_are_on_the_opposite_side_with_a_note() -> None:
     plain, other = ebus_landmarks(tree()), ebus_landmarks(mirrored(tree()))
-    told = {"4R": "4L", "4L": "4R", "10R": "10L", "10L": "10R", "11Rs": "11Ls", "11Ri": "11Li", "11L": "11R"}
+    mirrored_names = {"4R": "4L", "4L": "4R", "10R": "10L", "10L": "10R", "11Rs": "11Ls", "11Ri": "11Li", "11L": "11R"}
     by_place = {(mark.station, mark.point_lps): mark for mark in other}
     for mark in plain:
         assert mark.point_lps is not None
         assert mark.clock_head is not None
         x, y, z = mark.point_lps
-        twin = by_place[told.get(mark.station, mark.station), (-x, y, z)]
+        twin = by_place[mirrored_names.get(mark.station, mark.station), (-x, y, z)]
         assert twin.clock_head is not None
         assert twin.clock_head % 12.0 == pytest.approx(-mark.clock_head % 12.0, abs=1e-6)
         assert any("mirrored" in doubt for doubt in twin.doubts)
@@ -128,7 +128,7 @@ def test_lymph_node_stations_of_a_mirrored_chest_are_on_the_opposite_side_with_a
 
 
 def test_lymph_node_station_without_its_bronchus_in_the_tree_has_no_position() -> None:
-    (lost,) = of(changed(tree(), drop="RUL"), "11Rs")
+    (lost,) = landmarks_of(changed(tree(), drop="RUL"), "11Rs")
     assert lost.point_lps is None
     assert lost.clock_head is None
     assert "no bronchus of the upper lobe" in lost.words
@@ -138,22 +138,22 @@ def test_lymph_node_station_without_its_bronchus_in_the_tree_has_no_position() -
     assert {mark.station for mark in nameless if mark.point_lps is not None} == {"11Rs", "11Ri", "11L"}
     # Without a known carina, no distance from the carina is stated.
     assert all(mark.from_carina_mm is None for mark in nameless)
-    assert "not on the tree" in of(changed(tree(), drop="RML"), "11Ri")[0].words or (
-        "no bronchus of the middle lobe" in of(changed(tree(), drop="RML"), "11Ri")[0].words
+    assert "not on the tree" in landmarks_of(changed(tree(), drop="RML"), "11Ri")[0].words or (
+        "no bronchus of the middle lobe" in landmarks_of(changed(tree(), drop="RML"), "11Ri")[0].words
     )
 
 
 def test_short_trachea_has_no_paratracheal_lymph_node_station() -> None:
     short = dataclasses.replace(tree().root, points=np.array([[0.0, 0, 8.0], [0, 0, 0]]), radius=np.full(2, 8.0))
     cut = AirwayTree((short, *tree().branches[1:]))
-    assert of(cut, "4R")[0].point_lps is None
-    assert of(cut, "4L")[0].point_lps is not None
+    assert landmarks_of(cut, "4R")[0].point_lps is None
+    assert landmarks_of(cut, "4L")[0].point_lps is not None
 
 
 def test_lymph_node_station_at_a_bronchus_drawn_by_hand_has_a_doubt() -> None:
     drawn = AirwayTree(tuple(dataclasses.replace(b, kind="manual") if b.name == "RUL" else b for b in tree().branches))
-    assert of(drawn, "11Rs")[0].doubts == ("RUL was drawn by hand",)
-    assert of(drawn, "11L")[0].doubts == ()
+    assert landmarks_of(drawn, "11Rs")[0].doubts == ("RUL was drawn by hand",)
+    assert landmarks_of(drawn, "11L")[0].doubts == ()
 
 
 @settings(deadline=None, max_examples=60)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from nodules import ellipsoid
 
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.plan import FissureBox, NeedleErrors, NeedleScene, last_leg, lobes, surroundings, tool
 from carina.plan.cubic_box import Box
 from carina.scopes import WallField
@@ -50,7 +50,7 @@ def test_fissure_crossed_by_a_needle_path_is_listed_at_its_position() -> None:
 
 
 def test_lungs_without_visible_fissures_have_lobes_from_airways_and_almost_no_fissure_voxels() -> None:
-    made = made_phantom(**CHEST)
+    made = cached_phantom(**CHEST)
     found = lobes(made.volume, AirwayTree.from_json(made.truth))
     assert found.missing == ()
     assert found.fissure is not None

@@ -15,7 +15,7 @@ import pytest
 from nodules import ellipsoid
 from phantom_plan import CHEST, DAY, RENDERED, airways, volume, wall
 
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.cli.plan import lines
 from carina.export.plan_content import drawn_plans
 from carina.plan import Plan, Verdict, compare_targets, judge_pairs, plan_route
@@ -41,7 +41,7 @@ def per_cent(share: float | None) -> set[str]:
 def slim_plan() -> Plan:
     """Return a plan with several routes, of which a thin scope points well along the first one."""
     scope = dataclasses.replace(scope_preset("ultrathin"), tip_mm=1.5, channel_mm=2.0)
-    centre = made_phantom(**CHEST).truth["nodule"]["centre_lps"]
+    centre = cached_phantom(**CHEST).truth["nodule"]["centre_lps"]
     # There is a route to each aim. The plan drives the first one only, so a verdict is the first drive along the other.
     aims = np.array([centre, centre]) + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 3.0]])
     ball = ellipsoid((6.0, 6.0, 6.0), centre)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.errors import NoResultError
 from carina.plan import FissureBox, Lobes
 from carina.plan.cubic_box import Box, smoothed
@@ -25,7 +25,7 @@ LOW = np.array([-110.0, -90.0, -140.0])
 
 @cache
 def tree() -> AirwayTree:
-    return AirwayTree.from_json(made_phantom(**CHEST).truth)
+    return AirwayTree.from_json(cached_phantom(**CHEST).truth)
 
 
 @cache
@@ -121,12 +121,12 @@ def test_visible_fissure_moves_the_lobe_border_and_raises_the_probability() -> N
 def test_lobe_without_a_bronchus_is_reported_and_a_tree_without_lobes_is_refused() -> None:
     lobe_of = branch_side_and_lobe(tree())
     gone = {one.id for one in tree().branches if lobe_of[one.id] == "RML"}
-    kept = tuple(
+    remaining = tuple(
         dataclasses.replace(b, children=tuple(c for c in b.children if c not in gone))
         for b in tree().branches
         if b.id not in gone
     )
-    assert "RML" in nearest_lobe(*lungs(), AirwayTree(kept)).missing
+    assert "RML" in nearest_lobe(*lungs(), AirwayTree(remaining)).missing
     trunk = dataclasses.replace(tree().root, children=())
     with pytest.raises(NoResultError):
         nearest_lobe(*lungs(), AirwayTree((trunk,)))

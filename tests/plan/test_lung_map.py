@@ -74,7 +74,7 @@ def test_visible_share_of_fissures_is_stated_for_each_lung_along_the_lobe_border
         label[10:, :, part] = LOBE_NAMES.index(upper) + 1
         label[:10, :, part] = LOBE_NAMES.index(lower) + 1
         border[9:11, :, part] = 1.0
-    told = SimpleNamespace(label_zyx=label, border_mm=border, lps_from_ijk=np.diag([2.0, 2.0, 2.0, 1.0]))
+    lobes = SimpleNamespace(label_zyx=label, border_mm=border, lps_from_ijk=np.diag([2.0, 2.0, 2.0, 1.0]))
     # The fissures are on a finer grid with another origin: along the front half of the right border, and far from the
     # left one.
     place = np.eye(4)
@@ -83,9 +83,9 @@ def test_visible_share_of_fissures_is_stated_for_each_lung_along_the_lobe_border
     mask[23:25, 5:25, 5:41] = True
     mask[38:40, 5:45, 49:85] = True
     fissure = FissureBox(mask, Box(np.zeros(mask.shape, dtype=np.float32), np.ones(mask.shape, dtype=bool), 1.0, place))
-    right, left = _seen_shares(told, fissure)
+    right, left = _seen_shares(lobes, fissure)
     assert 0.5 <= right <= 0.6
     assert left == 0.0
     # If a lung is one lobe, its side has no border and no statement on fissures.
-    one = SimpleNamespace(**{**vars(told), "border_mm": np.where(np.arange(40) < 20, border, np.inf)})
+    one = SimpleNamespace(**{**vars(lobes), "border_mm": np.where(np.arange(40) < 20, border, np.inf)})
     assert _seen_shares(one, fissure) == (right, None)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from nodules import ellipsoid
 
-from cached_test_data import found_airways, made_phantom
+from cached_test_data import cached_phantom, found_airways
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.phantom import Phantom
 from carina.plan import (
@@ -41,7 +41,7 @@ from carina_bench.breathing import Breath, breathed, random_breath
 
 @cache
 def chest() -> Phantom:
-    return made_phantom(seed=3, spacing_mm=1.8, generations=5, nodule=True)
+    return cached_phantom(seed=3, spacing_mm=1.8, generations=5, nodule=True)
 
 
 @cache
@@ -139,7 +139,7 @@ def test_target_missing_in_the_second_ct_is_reported_and_its_shift_is_that_of_it
 
 
 def test_second_ct_of_another_patient_is_refused() -> None:
-    other = made_phantom(seed=2, spacing_mm=1.1)
+    other = cached_phantom(seed=2, spacing_mm=1.1)
     trouble = refusal(other.volume, found_airways(other.volume))
     assert trouble.code == "movement.other-patient" and "Choose another CT" in str(trouble)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from made import found_airways, made_phantom
+from cached_test_data import cached_phantom, found_airways
 
 from carina.errors import NoResultError
 from carina.plan import measure_movement
@@ -78,7 +78,7 @@ CHANGES: dict[str, tuple[Change, set[str]]] = {
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_unsuitable_second_cts_are_refused_with_their_cause(seed: int) -> None:
-    made = made_phantom(seed=seed, spacing_mm=1.8, generations=5, nodule=True)
+    made = cached_phantom(seed=seed, spacing_mm=1.8, generations=5, nodule=True)
     first, airways = made.volume, found_airways(made.volume)
     place = np.array(made.truth["nodule"]["centre_lps"])
     carina = airways.tree.branches[0].points[-1]
@@ -96,7 +96,7 @@ def test_unsuitable_second_cts_are_refused_with_their_cause(seed: int) -> None:
             off = float(np.linalg.norm(np.array(movement.shift_lps) - true))
             is_right = MEASURED in codes and off <= movement.error_mm
             found[name] = None if is_right else f"{off:.1f} mm from the truth, stated {movement.error_mm:.1f} mm"
-    other = made_phantom(seed=seed + 1, spacing_mm=1.8, generations=5, nodule=True).volume
+    other = cached_phantom(seed=seed + 1, spacing_mm=1.8, generations=5, nodule=True).volume
     with pytest.raises(NoResultError) as raised:
         measure_movement(first, airways, place, other, progress=False)
     assert raised.value.code == "movement.other-patient"

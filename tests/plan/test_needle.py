@@ -41,8 +41,8 @@ def test_hit_probability_is_within_two_percentage_points_of_a_monte_carlo_simula
     tip = aim - rng.uniform(9.0, 22.0) * way / np.linalg.norm(way)
     errors = NeedleErrors(rng.uniform(2.0, 9.0), rng.uniform(0.2, 1.5))
     reach_mm = rng.uniform(12.0, 30.0)
-    told = hit_share(nodule, tip, aim, reach_mm, errors, moved_mm=moved_mm)
-    assert told == pytest.approx(
+    computed = hit_share(nodule, tip, aim, reach_mm, errors, moved_mm=moved_mm)
+    assert computed == pytest.approx(
         drawn_share(nodule, tip, aim, reach_mm, errors, moved_mm=moved_mm, num=20_000, rng=rng), abs=0.02
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from nodules import ellipsoid
 
-from cached_test_data import made_airways, made_phantom
+from cached_test_data import cached_airways, cached_phantom
 from carina.errors import UsageError
 from carina.plan import plan_route
 from carina.plan.routes.standing_points import NearestPlace
@@ -27,11 +27,11 @@ def wall() -> WallField:
 
 
 def volume() -> Volume:
-    return made_phantom(**CHEST).volume
+    return cached_phantom(**CHEST).volume
 
 
 def airways() -> Airways:
-    return made_airways(**CHEST)
+    return cached_airways(**CHEST)
 
 
 def far_off() -> np.ndarray:

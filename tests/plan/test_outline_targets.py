@@ -125,17 +125,17 @@ def test_target_from_outlines_ends_at_the_end_of_the_ct():
 
 
 @pytest.mark.parametrize(
-    ("grow", "words"),
+    ("grow", "text"),
     [((1.0, 1.0), "identical"), ((1.0, 1.01), "mm apart"), ((1.0, 0.96, 1.02), "mm apart"), ((1.0,) * 5, "identical")],
 )
-def test_several_outlines_of_one_boundary_are_averaged_with_a_note(grow, words):
+def test_several_outlines_of_one_boundary_are_averaged_with_a_note(grow, text):
     heights = slice_heights()
     mm3, middle, notes = measured([ellipse(h, grow=part) for h in heights for part in grow])
     expected = sum(area_mm2(h) for h in heights) * SLICE_MM * np.mean(np.square(grow))
     assert mm3 == pytest.approx(expected, rel=0.005)
     assert np.linalg.norm(middle - CENTRE_LPS) < 0.1
     assert len(notes) == 1
-    assert words in notes[0]
+    assert text in notes[0]
     assert notes[0].startswith(f"on {len(heights)} slices the boundary was drawn more than once")
 
 
@@ -269,8 +269,8 @@ def test_two_lesions_with_sparse_outlines_stay_separate(tmp_path):
 
 def test_missing_outlines_of_a_structure_on_every_slice_are_interpolated_and_its_ends_not_extended():
     heights = slice_heights()
-    kept = heights[:5] + heights[6:]
+    drawn_heights = heights[:5] + heights[6:]
     whole, _, _ = measured([ellipse(h) for h in heights])
-    mm3, _, notes = measured([ellipse(h) for h in kept])
+    mm3, _, notes = measured([ellipse(h) for h in drawn_heights])
     assert mm3 == pytest.approx(whole, rel=0.005)
     assert notes[0].startswith("1 slice without an outline: interpolated")

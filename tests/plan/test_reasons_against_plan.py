@@ -49,14 +49,14 @@ def doubtful() -> PlanSheet:
         movement=TargetMovement.measured((1.0, 2.0, 9.0), 3.0, ("the target was not recognised in the second CT",)),
         notes=("the tree is lost 16 mm short of the target: lost here, 3.1 mm wide", "the CT has thick slices"),
     )
-    told = turns(airways(), plan())
+    listed = turns(airways(), plan())
     first = dataclasses.replace(
-        told.turns[1],
+        listed.turns[1],
         hour_doubt=HourDoubt("turns.hidden", "no clock hour: the opening is hidden before the fork"),
         clock_head=None,
     )
-    told = dataclasses.replace(told, turns=(told.turns[0], first, *told.turns[2:]))
-    return dataclasses.replace(sheet(), plan=changed_plan, turns=told)
+    listed = dataclasses.replace(listed, turns=(listed.turns[0], first, *listed.turns[2:]))
+    return dataclasses.replace(sheet(), plan=changed_plan, turns=listed)
 
 
 def drawn() -> PlanSheet:
@@ -76,27 +76,29 @@ def plain(text: str) -> str:
     return re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]*>", " ", text)))
 
 
-def on_sheet(told: PlanSheet) -> str:
+def on_sheet(report: PlanSheet) -> str:
     """Return the text of the tracing sheet, whose lines are joined."""
-    labels = [shape.text for drawing in tracing_drawings(told) for shape in drawing.shapes if isinstance(shape, Label)]
+    labels = [
+        shape.text for drawing in tracing_drawings(report) for shape in drawing.shapes if isinstance(shape, Label)
+    ]
     return " ".join(labels)
 
 
 @pytest.mark.parametrize("name", SHEETS)
 def test_report_sheet_and_json_list_the_same_reasons_against_a_plan_in_the_same_order(name, tmp_path) -> None:
-    told = SHEETS[name]()
-    reasons = reasons_against(told.plan, route=told.route, verdicts=told.verdicts, turns=told.turns)
-    words = [reason.words for reason in reasons]
-    assert words and [reason.to_json() for reason in reasons] == told.to_json()["report"]["reasons"]
-    written = json.loads(write_report(tmp_path / "plan.json", told).read_text())
-    assert [one["words"] for one in written["report"]["reasons"]] == words
-    text = write_report(tmp_path / "plan.html", told).read_text()
+    report = SHEETS[name]()
+    reasons = reasons_against(report.plan, route=report.route, verdicts=report.verdicts, turns=report.turns)
+    reason_texts = [reason.words for reason in reasons]
+    assert reason_texts and [reason.to_json() for reason in reasons] == report.to_json()["report"]["reasons"]
+    written = json.loads(write_report(tmp_path / "plan.json", report).read_text())
+    assert [one["words"] for one in written["report"]["reasons"]] == reason_texts
+    text = write_report(tmp_path / "plan.html", report).read_text()
     part = re.search(r'<section id="against".*?</section>', text, re.DOTALL)[0]
-    assert [html.unescape(one) for one in re.findall(r"<li[^>]*>(.*?)</li>", part)] == words
-    (against,) = [part for part in sections(told) if part.name == "against"]
-    assert against.blocks[0].items == tuple(words)
-    sheet_text = on_sheet(told)
-    places = [sheet_text.index(one) for one in words]
+    assert [html.unescape(one) for one in re.findall(r"<li[^>]*>(.*?)</li>", part)] == reason_texts
+    (against,) = [part for part in sections(report) if part.name == "against"]
+    assert against.blocks[0].items == tuple(reason_texts)
+    sheet_text = on_sheet(report)
+    places = [sheet_text.index(one) for one in reason_texts]
     assert places == sorted(places)
 
 

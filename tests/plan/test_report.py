@@ -65,8 +65,8 @@ def everything() -> list[str]:
 
 
 def test_json_report_contains_the_plan_and_the_case_data_of_the_report(tmp_path) -> None:
-    told = json.loads(write_report(tmp_path / "plan.json", sheet()).read_text())
-    own = told.pop("report")
+    document = json.loads(write_report(tmp_path / "plan.json", sheet()).read_text())
+    own = document.pop("report")
     made = plan().to_json() | {
         "verdicts": [one.to_json() for one in verdicts()],
         "turns": turns(airways(), plan()).to_json(),
@@ -78,7 +78,7 @@ def test_json_report_contains_the_plan_and_the_case_data_of_the_report(tmp_path)
             "note": STATION_NOTE,
         },
     }
-    assert told == json.loads(json.dumps(made, allow_nan=False))
+    assert document == json.loads(json.dumps(made, allow_nan=False))
     assert own["route"] == 1 and own["patient"] is None
     assert own["provenance"]["made_on"] == "2026-11-25" and own["provenance"]["spacing_mm"] == pytest.approx([1.1] * 3)
     assert own["place"]["lobe"] == "RML"
@@ -92,17 +92,17 @@ def test_all_outputs_state_the_same_narrowest_diameter_of_a_route() -> None:
     measured = measures.narrowest_of_route(branches, until_mm=inside)
     assert route.width.source == "sections"
     assert (route.width.mm, route.width.error_mm) == pytest.approx((measured.mm, measured.error_mm))
-    told = f"{route.width.mm:.1f} \u00b1 {route.width.error_mm:.1f} mm"
+    diameter_text = f"{route.width.mm:.1f} \u00b1 {route.width.error_mm:.1f} mm"
     stored = plan().to_json()["routes"][0]
     assert (stored["narrowest_mm"], stored["narrowest_error_mm"]) == (route.width.mm, route.width.error_mm)
-    assert f"narrowest {told}" in lines(plan())[1]
-    assert any(told in text for text in everything())
-    assert told in drawn_plans(plan(), airways().tree)[0].routes[0].words
+    assert f"narrowest {diameter_text}" in lines(plan())[1]
+    assert any(diameter_text in text for text in everything())
+    assert diameter_text in drawn_plans(plan(), airways().tree)[0].routes[0].words
     offer = _route(route)
     assert (offer.narrowest_mm, offer.narrowest_error_mm) == (route.width.mm, route.width.error_mm)
     for verdict in verdicts():
         check = next(one for one in verdict.checks if one.name == "diameter")
-        assert told in check.words and check.share == route.width.chance(verdict.scope)
+        assert diameter_text in check.words and check.share == route.width.chance(verdict.scope)
     assert (offer.fit == "fits") == stored["fits"] == (route.width.chance(plan().scope) >= 0.9)
 
 
@@ -156,8 +156,8 @@ def test_html_report_has_all_sections_in_order_with_all_their_text(tmp_path) -> 
     names = [part.name for part in sections(sheet())]
     assert names[:4] == ["against", "target", "airways", "route"] and names[-1] == "tracing"
     assert {"turns", "instruments", "routes", "by-hand", "uncertain", "score", "figures", "provenance"} <= set(names)
-    assert [words for words in everything() if words not in text] == []
-    assert all(text.count(words) >= 2 for words in SAFETY)
+    assert [message for message in everything() if message not in text] == []
+    assert all(text.count(message) >= 2 for message in SAFETY)
 
 
 def test_figures_of_the_report_are_those_of_the_plan() -> None:
@@ -179,8 +179,8 @@ def test_figures_of_the_report_are_those_of_the_plan() -> None:
 def test_parts_drawn_by_hand_are_red_wherever_the_report_describes_the_route(tmp_path) -> None:
     found, drawn_plan = with_drawn_branch()
     (doubt,) = drawn_plan.routes[0].doubts
-    told = sheet(airways=found, plan=drawn_plan, turns=turns(found, drawn_plan))
-    text = write_report(tmp_path / "plan.html", told).read_text()
+    report = sheet(airways=found, plan=drawn_plan, turns=turns(found, drawn_plan))
+    text = write_report(tmp_path / "plan.html", report).read_text()
     shown = re.search(r'<section id="tracing".*?</section>', text, re.DOTALL)[0]
     assert re.search(rf'fill="#c1001f"[^>]*>{re.escape(doubt[0].upper() + doubt[1:])}', shown)
     for name in ("target", "route", "turns"):
@@ -189,15 +189,15 @@ def test_parts_drawn_by_hand_are_red_wherever_the_report_describes_the_route(tmp
     by_hand = re.search(r'<section id="by-hand".*?</section>', text, re.DOTALL)[0]
     assert '<ul class="warning">' in by_hand and "This route leads through" in by_hand
     assert re.search(rf'<tr class="warning">.*?{re.escape(doubt)}', text)
-    assert any(one.pen.line == "#c1001f" for one in _strokes(told))
-    assert doubt[0].upper() + doubt[1:] + "." in told.uncertain
+    assert any(one.pen.line == "#c1001f" for one in _strokes(report))
+    assert doubt[0].upper() + doubt[1:] + "." in report.uncertain
 
 
-def _strokes(told) -> list:
+def _strokes(report) -> list:
     from carina.plan.report.drawing import Stroke
     from carina.plan.report.figures import tree_drawing
 
-    drawing = tree_drawing(told.shape, told.forks, "front", width=255.0, height=160.0)
+    drawing = tree_drawing(report.shape, report.forks, "front", width=255.0, height=160.0)
     return [shape for shape in drawing.shapes if isinstance(shape, Stroke)]
 
 
@@ -205,13 +205,13 @@ def test_report_of_a_plan_without_a_route_states_the_reason_and_has_no_tracing_s
     none = dataclasses.replace(
         plan(), routes=(), why="no route: the nearest airway found is RB4, 31 mm from the nodule"
     )
-    told = sheet(plan=none, verdicts=())
-    text = write_report(tmp_path / "plan.html", told).read_text()
+    report = sheet(plan=none, verdicts=())
+    text = write_report(tmp_path / "plan.html", report).read_text()
     assert "No route: the nearest airway found is RB4, 31 mm from the nodule." in text
-    assert 'id="tracing"' not in text and told.needle_slice is None
-    assert json.loads(write_report(tmp_path / "plan.json", told).read_text())["report"]["route"] is None
+    assert 'id="tracing"' not in text and report.needle_slice is None
+    assert json.loads(write_report(tmp_path / "plan.json", report).read_text())["report"]["route"] is None
     with pytest.raises(UsageError, match="no route to trace"):
-        write_report(tmp_path / "sheet.html", told, kind="tracing")
+        write_report(tmp_path / "sheet.html", report, kind="tracing")
 
 
 def test_tracing_sheet_is_a_separate_page_without_a_script(tmp_path) -> None:
@@ -219,7 +219,7 @@ def test_tracing_sheet_is_a_separate_page_without_a_script(tmp_path) -> None:
     assert text.count("<section") == 1 and "<script" not in text and "script-src 'none'" in html.unescape(text)
     for fork in sheet().forks:
         assert f">{fork.to_name}<" in text
-    assert all(words in html.unescape(text) for words in SAFETY)
+    assert all(message in html.unescape(text) for message in SAFETY)
 
 
 @pytest.mark.parametrize(("num", "is_one"), [(5, True), (9, True), (12, True), (40, False)])
@@ -228,7 +228,7 @@ def test_tracing_sheet_omits_the_diagram_before_it_continues_on_another_page(num
     many = tuple(dataclasses.replace(fork, number=n, to_name=f"branch {n:03}") for n in range(1, num + 1))
     parts = [part for part in sections(dataclasses.replace(sheet(), forks=many)) if part.name.startswith("tracing")]
     assert (len(parts) == 1) == is_one
-    text = " ".join(words for part in parts for block in part.blocks for words in words_of(block))
+    text = " ".join(message for part in parts for block in part.blocks for message in words_of(block))
     assert all(f"branch {n:03}" in text for n in range(1, num + 1))
     assert text.count(fork.turn.direction("head")) >= num
     assert text.count("counterclockwise") >= num, "moves of the hand"
@@ -290,20 +290,20 @@ def test_crossed_vessel_is_stated_as_such_and_not_as_a_distance_of_zero() -> Non
 
 
 def test_report_of_the_second_route_describes_that_route_completely() -> None:
-    told = sheet(route_number=2)
+    report = sheet(route_number=2)
     route = plan().routes[1]
-    assert told.route is route and told.forks[-1].to_branch_id == route.branch_id
-    assert all(fork.turn is None for fork in told.forks)
-    assert "Route 2 at a glance" in [part.title for part in sections(told)]
-    assert told.forks[0].carina_mm == pytest.approx(0.0, abs=0.5)
+    assert report.route is route and report.forks[-1].to_branch_id == route.branch_id
+    assert all(fork.turn is None for fork in report.forks)
+    assert "Route 2 at a glance" in [part.title for part in sections(report)]
+    assert report.forks[0].carina_mm == pytest.approx(0.0, abs=0.5)
 
 
 def test_forks_in_a_report_without_a_turn_list_have_the_distances_of_the_turns() -> None:
     ridge = plan().carina_ridge_mm
     assert ridge is not None and 3.0 < ridge < 20.0
-    told = [fork.carina_mm for fork in sheet().forks]
-    assert told[0] == 0.0 and told == [turn.from_carina_mm for turn in turns(airways(), plan()).turns]
-    assert [fork.carina_mm for fork in sheet(turns=None).forks] == pytest.approx(told, abs=1e-6)
+    distances_mm = [fork.carina_mm for fork in sheet().forks]
+    assert distances_mm[0] == 0.0 and distances_mm == [turn.from_carina_mm for turn in turns(airways(), plan()).turns]
+    assert [fork.carina_mm for fork in sheet(turns=None).forks] == pytest.approx(distances_mm, abs=1e-6)
 
 
 def test_report_refuses_a_turn_list_of_another_route() -> None:
@@ -315,18 +315,18 @@ DOUBT = HourDoubt("turns.neighbour", "no clock hour: RB9 opens in nearly the sam
 
 
 @pytest.mark.parametrize(
-    ("changes", "cell", "words", "mark"),
+    ("changes", "cell", "text", "mark"),
     [
         ({"straight_ahead": True, "hour_doubt": None}, "ahead", "straight ahead", None),
         ({"straight_ahead": False, "hour_doubt": DOUBT}, "not given", "no clock hour", "?"),
     ],
 )
 def test_opening_without_an_hour_is_reported_in_table_and_tracing_sheet(
-    changes: dict[str, Any], cell: str, words: str, mark: str | None
+    changes: dict[str, Any], cell: str, text: str, mark: str | None
 ) -> None:
-    told = sheet().turns
-    changed_turn = dataclasses.replace(told.turns[1], clock_head=None, clock_facing=None, sides=(), **changes)
-    changed = sheet(turns=dataclasses.replace(told, turns=(told.turns[0], changed_turn, *told.turns[2:])))
+    listed = sheet().turns
+    changed_turn = dataclasses.replace(listed.turns[1], clock_head=None, clock_facing=None, sides=(), **changes)
+    changed = sheet(turns=dataclasses.replace(listed, turns=(listed.turns[0], changed_turn, *listed.turns[2:])))
     grid = next(
         b for part in sections(changed) for b in part.blocks if part.name == "turns" and isinstance(b, ReportTable)
     )
@@ -335,47 +335,47 @@ def test_opening_without_an_hour_is_reported_in_table_and_tracing_sheet(
         b for part in sections(changed) for b in part.blocks if part.name == "tracing" and isinstance(b, Figure)
     ]
     drawn = list(words_of(figure))
-    assert words in drawn and (mark is None or mark in drawn)
+    assert text in drawn and (mark is None or mark in drawn)
     if changed_turn.hour_doubt is not None:
         assert changed_turn.hour_doubt.words in grid.rows[1][1] and 1 in grid.warned
         assert changed_turn.hour_doubt.words in changed.forks[1].warnings
 
 
 def test_clock_hours_in_the_report_depend_on_the_position_of_the_operator(tmp_path) -> None:
-    told = sheet(turns=sheet().turns, operator="facing")
+    report = sheet(turns=sheet().turns, operator="facing")
     grid = next(
-        b for part in sections(told) for b in part.blocks if part.name == "turns" and isinstance(b, ReportTable)
+        b for part in sections(report) for b in part.blocks if part.name == "turns" and isinstance(b, ReportTable)
     )
     assert grid.head[2:4] == ("Facing", "Head")
-    for row, turn in zip(grid.rows, told.turns.turns, strict=False):
+    for row, turn in zip(grid.rows, report.turns.turns, strict=False):
         expected = "ahead" if turn.straight_ahead else "not given" if turn.hour_doubt else str(turn.hour("facing"))
         assert row[2] == expected
-    assert "operator facing the patient: posterior at 12" in write_report(tmp_path / "p.html", told).read_text()
+    assert "operator facing the patient: posterior at 12" in write_report(tmp_path / "p.html", report).read_text()
 
 
 def test_pictures_of_turns_are_beside_their_turns_in_the_report(tmp_path) -> None:
-    told = turns(airways(), plan())
-    pictures = [still(turn, in_view=n != 1, shade=n) for n, turn in enumerate(told.turns)]
-    text = page(tmp_path, turns=told, turn_pictures=pictures)
+    listed = turns(airways(), plan())
+    pictures = [still(turn, in_view=n != 1, shade=n) for n, turn in enumerate(listed.turns)]
+    text = page(tmp_path, turns=listed, turn_pictures=pictures)
     part = re.search(r'<section id="turns".*?</section>', text, re.DOTALL)[0]
     data = [base64.b64decode(found) for found in re.findall(r"data:image/png;base64,([^\"]+)", part)]
     assert data == [one.png() for one in pictures]
     assert part.count('viewBox="0 0 12 8"') == len(pictures)
-    assert f"2. {told.turns[1].to_branch}" in part and part.count("not in view from here</figcaption>") == 1
+    assert f"2. {listed.turns[1].to_branch}" in part and part.count("not in view from here</figcaption>") == 1
     with pytest.raises(UsageError, match=f"a picture for each of {len(pictures)} turns, in their order; found 1"):
-        sheet(turns=told, turn_pictures=pictures[:1])
+        sheet(turns=listed, turn_pictures=pictures[:1])
     with pytest.raises(UsageError, match="in their order"):
-        sheet(turns=told, turn_pictures=pictures[::-1])
+        sheet(turns=listed, turn_pictures=pictures[::-1])
     with pytest.raises(UsageError, match="for an operator at 'facing', the report for one at 'head'"):
-        sheet(turns=told, turn_pictures=[still(turn, operator="facing") for turn in told.turns])
+        sheet(turns=listed, turn_pictures=[still(turn, operator="facing") for turn in listed.turns])
 
 
 def test_clips_of_turns_are_hidden_beside_their_pictures_and_not_printed(tmp_path) -> None:
-    told = turns(airways(), plan())
-    pictures = [still(turn) for turn in told.turns]
-    clips = [None if n == 1 else clip(turn) for n, turn in enumerate(told.turns)]
-    plain = sheet(turns=told, turn_pictures=pictures)
-    filmed = sheet(turns=told, turn_pictures=pictures, turn_clips=clips)
+    listed = turns(airways(), plan())
+    pictures = [still(turn) for turn in listed.turns]
+    clips = [None if n == 1 else clip(turn) for n, turn in enumerate(listed.turns)]
+    plain = sheet(turns=listed, turn_pictures=pictures)
+    filmed = sheet(turns=listed, turn_pictures=pictures, turn_clips=clips)
     text = write_report(tmp_path / "plan.html", filmed).read_text()
     figures = re.findall(r"<figure>.*?</figure>", re.search(r'<section id="turns".*?</section>', text, re.DOTALL)[0])
     assert ["data:image/jpeg" in one for one in figures] == [one is not None for one in clips]
@@ -391,20 +391,20 @@ def test_clips_of_turns_are_hidden_beside_their_pictures_and_not_printed(tmp_pat
     for suffix in (".pdf", ".json"):
         one, other = (write_report(tmp_path / f"{n}{suffix}", it) for n, it in enumerate((plain, filmed)))
         assert one.read_bytes() == other.read_bytes()
-    for wrong in (clips[:1], clips[::-1], [clip(turn, operator="facing") for turn in told.turns]):
+    for wrong in (clips[:1], clips[::-1], [clip(turn, operator="facing") for turn in listed.turns]):
         with pytest.raises(UsageError, match=f"a clip, or None, for each of {len(clips)} pictures"):
-            sheet(turns=told, turn_pictures=pictures, turn_clips=wrong)
+            sheet(turns=listed, turn_pictures=pictures, turn_clips=wrong)
     with pytest.raises(UsageError, match="each of 0 pictures"):
-        sheet(turns=told, turn_clips=clips)
+        sheet(turns=listed, turn_clips=clips)
 
 
 def test_slices_of_a_bronchus_sign_have_its_position_in_the_middle(tmp_path) -> None:
     place = plan().routes[0].leg.tip_lps
     signed = dataclasses.replace(plan(), bronchus_sign="into", sign_branch="RB4a", sign_lps=place)
-    told = sheet(plan=signed)
-    assert [one.title for one in told.sign_slices] == ["Axial", "Coronal", "Sagittal"]
-    assert all(one.cross == pytest.approx((one.width_px / 2, one.height_px / 2)) for one in told.sign_slices)
-    text = write_report(tmp_path / "plan.html", told).read_text()
+    report = sheet(plan=signed)
+    assert [one.title for one in report.sign_slices] == ["Axial", "Coronal", "Sagittal"]
+    assert all(one.cross == pytest.approx((one.width_px / 2, one.height_px / 2)) for one in report.sign_slices)
+    text = write_report(tmp_path / "plan.html", report).read_text()
     assert "Bronchus sign: an airway leads into the target (RB4a)." in text
 
 
@@ -418,34 +418,32 @@ def test_report_states_the_route_score_with_the_weights_of_the_plan() -> None:
 
 def test_report_states_that_a_boundary_was_drawn_by_hand() -> None:
     drawn = dataclasses.replace(plan().nodule, notes=(BRUSHED, "with a cavity of 0.2 ml"))
-    told = sheet(plan=dataclasses.replace(plan(), nodule=drawn))
-    assert told.by_hand[0] == "Target: boundary edited by hand."
-    assert "Target: with a cavity of 0.2 ml." in told.uncertain
-    assert "Target: with a cavity of 0.2 ml." not in told.by_hand
+    report = sheet(plan=dataclasses.replace(plan(), nodule=drawn))
+    assert report.by_hand[0] == "Target: boundary edited by hand."
+    assert "Target: with a cavity of 0.2 ml." in report.uncertain
+    assert "Target: with a cavity of 0.2 ml." not in report.by_hand
 
 
 def test_obstacles_on_a_route_are_red_in_the_report(tmp_path) -> None:
     route = plan().routes[0]
     leg = dataclasses.replace(route.leg, mediastinum_mm=6.0, vessels=(NearVessel(9.0, 0.4, route.leg.aim_lps),))
     limited = dataclasses.replace(route, limits=("the bend asks 190 degrees", "too narrow"), leg=leg)
-    told = sheet(plan=dataclasses.replace(plan(), routes=(limited, *plan().routes[1:])))
-    text = write_report(tmp_path / "p.html", told).read_text()
+    report = sheet(plan=dataclasses.replace(plan(), routes=(limited, *plan().routes[1:])))
+    text = write_report(tmp_path / "p.html", report).read_text()
     part = re.search(r'<section id="route".*?</section>', text, re.DOTALL)[0]
     assert '<p class="warning">The bend asks 190 degrees.</p><p class="warning">Too narrow.</p>' in part
     assert re.search(r'<p class="warning">The needle crosses 6 mm of mediastinum or chest wall', part)
     assert "0.4 mm off at 9 mm from the tip" in part
 
 
-@pytest.mark.parametrize(
-    ("change", "words"), [({"route_number": 9}, "expected 1 to"), ({"route_number": 0}, "found 0")]
-)
-def test_report_with_an_invalid_route_number_or_option_is_refused(change, words) -> None:
-    with pytest.raises(UsageError, match=words):
+@pytest.mark.parametrize(("change", "text"), [({"route_number": 9}, "expected 1 to"), ({"route_number": 0}, "found 0")])
+def test_report_with_an_invalid_route_number_or_option_is_refused(change, text) -> None:
+    with pytest.raises(UsageError, match=text):
         sheet(**change)
 
 
 @pytest.mark.parametrize(
-    ("name", "choice", "words"),
+    ("name", "choice", "text"),
     [
         ("plan.docx", {}, r"found \.docx"),
         ("plan", {}, "found no suffix"),
@@ -453,8 +451,8 @@ def test_report_with_an_invalid_route_number_or_option_is_refused(change, words)
         ("plan.pdf", {"paper": "A5"}, "expected A4 or Letter; found 'A5'"),
     ],
 )
-def test_report_file_of_an_unknown_kind_is_refused_with_a_message(tmp_path, name, choice, words) -> None:
-    with pytest.raises(UsageError, match=words):
+def test_report_file_of_an_unknown_kind_is_refused_with_a_message(tmp_path, name, choice, text) -> None:
+    with pytest.raises(UsageError, match=text):
         write_report(tmp_path / name, sheet(), **choice)
     assert list(tmp_path.iterdir()) == []
 
@@ -497,15 +495,15 @@ def test_target_as_dense_as_contrast_medium_is_reported_in_red(tmp_path) -> None
 
 
 def test_tracing_sheet_refers_to_the_report_for_notes_that_do_not_fit() -> None:
-    told = sheet(notes=tuple(f"Note number {n}" for n in range(12)))
-    texts = {part.name: [w for b in part.blocks for w in words_of(b)] for part in sections(told)}
-    assert sum(words.startswith("Note number") for words in texts["tracing"]) == 6
+    report = sheet(notes=tuple(f"Note number {n}" for n in range(12)))
+    texts = {part.name: [w for b in part.blocks for w in words_of(b)] for part in sections(report)}
+    assert sum(text.startswith("Note number") for text in texts["tracing"]) == 6
     assert "\u2026 all notes are in the report" in texts["tracing"]
-    assert sum(words.startswith("Note number") for words in texts["notes"]) == 12
+    assert sum(text.startswith("Note number") for text in texts["notes"]) == 12
 
 
 @pytest.mark.parametrize(
-    ("outcomes", "words"),
+    ("outcomes", "message"),
     [
         (("does not reach",) * 3, "Of 3 instruments none reaches on this route."),
         (("does not reach", "cannot say", "cannot say"), "none is known to reach on this route; 2 cannot be judged."),
@@ -515,11 +513,13 @@ def test_tracing_sheet_refers_to_the_report_for_notes_that_do_not_fit() -> None:
         ),
     ],
 )
-def test_first_sentence_of_the_report_summarises_the_verdicts_of_all_instruments(outcomes, words) -> None:
-    told = tuple(dataclasses.replace(one, outcome=outcome) for one, outcome in zip(verdicts(), outcomes, strict=True))
-    (_, target, *_) = sections(dataclasses.replace(sheet(), verdicts=told))
+def test_first_sentence_of_the_report_summarises_the_verdicts_of_all_instruments(outcomes, message) -> None:
+    changed = tuple(
+        dataclasses.replace(one, outcome=outcome) for one, outcome in zip(verdicts(), outcomes, strict=True)
+    )
+    (_, target, *_) = sections(dataclasses.replace(sheet(), verdicts=changed))
     (lead,) = [block.text for block in target.blocks if isinstance(block, Words) and block.tone == "lead"]
-    assert words in lead
+    assert message in lead
 
 
 @pytest.mark.parametrize(("tissue", "before"), [("vessel", True), ("fissure", True), ("vessel", False)])
@@ -529,8 +529,8 @@ def test_report_warns_of_vessel_or_fissure_on_the_needle_path_up_to_the_far_edge
     ends = np.cumsum([length for _, length in way])
     crossed = tuple(CrossedTissue(t, float(end - length), length) for (t, length), end in zip(way, ends, strict=True))
     changed = dataclasses.replace(route, leg=dataclasses.replace(route.leg, crossed=crossed))
-    told = dataclasses.replace(sheet(), plan=dataclasses.replace(plan(), routes=(changed, *plan().routes[1:])))
-    (part,) = [part for part in sections(told) if part.name == "route"]
+    report = dataclasses.replace(sheet(), plan=dataclasses.replace(plan(), routes=(changed, *plan().routes[1:])))
+    (part,) = [part for part in sections(report) if part.name == "route"]
     warnings = [block.text for block in part.blocks if isinstance(block, Words) and block.tone == "warning"]
     assert (f"The needle's way crosses a {tissue} 5 mm from the scope's tip." in warnings) == before
     assert sum("crosses a" in text for text in warnings) == before

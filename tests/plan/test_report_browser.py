@@ -69,10 +69,10 @@ def report(folder: Path) -> Path:
 
 @cache
 def filmed_report(folder: Path) -> Path:
-    told = sheet().turns
-    assert told is not None
-    pictures, clips = [still(turn, shade=250) for turn in told.turns], [clip(turn) for turn in told.turns]
-    return write_report(folder / "filmed.html", sheet(turns=told, turn_pictures=pictures, turn_clips=clips))
+    listed = sheet().turns
+    assert listed is not None
+    pictures, clips = [still(turn, shade=250) for turn in listed.turns], [clip(turn) for turn in listed.turns]
+    return write_report(folder / "filmed.html", sheet(turns=listed, turn_pictures=pictures, turn_clips=clips))
 
 
 @cache
@@ -106,10 +106,10 @@ def filmed(tab, tmp_path_factory) -> Iterator[Any]:
 @contextmanager
 def shown(page: Any, path: Path) -> Iterator[None]:
     """Load a file in the page, and assert that it makes no requests and causes no errors."""
-    asked: list[str] = []
+    requested: list[str] = []
     troubles: list[str] = []
     heard = {
-        "request": lambda request: asked.append(request.url),
+        "request": lambda request: requested.append(request.url),
         "console": lambda message: troubles.append(message.text),
         "pageerror": lambda error: troubles.append(str(error)),
     }
@@ -121,7 +121,7 @@ def shown(page: Any, path: Path) -> Iterator[None]:
     page.goto(path.as_uri())
     page.evaluate(DRAWN)
     yield
-    assert [url for url in asked if not url.startswith("data:")] == [path.as_uri()]
+    assert [url for url in requested if not url.startswith("data:")] == [path.as_uri()]
     assert troubles == []
     for name, hear in heard.items():
         page.remove_listener(name, hear)

@@ -73,17 +73,17 @@ def test_surface_of_an_ellipsoid_is_closed_and_has_its_volume(radii_mm) -> None:
 
 
 def test_slices_show_the_target_in_the_middle_with_correct_sides() -> None:
-    told = sheet()
-    letters = {one.title: one.letters for one in told.slices}
+    report = sheet()
+    letters = {one.title: one.letters for one in report.slices}
     assert letters == {
         "Axial": ("R", "L", "A", "P"),
         "Coronal": ("R", "L", "S", "I"),
         "Sagittal": ("A", "P", "S", "I"),
     }
-    nodule, leg = told.plan.nodule, told.plan.routes[0].leg
+    nodule, leg = report.plan.nodule, report.plan.routes[0].leg
     off = np.array(leg.tip_lps) - np.array(nodule.centre_lps)
     axes = {"Axial": (0, 1, 1), "Coronal": (0, 2, -1), "Sagittal": (1, 2, -1)}
-    for one in told.slices:
+    for one in report.slices:
         (outline,) = [np.array(line) for line in one.target]
         width_mm = np.ptp(outline, axis=0) * one.mm_per_px
         assert np.abs(outline.mean(axis=0) - one.width_px / 2).max() * one.mm_per_px < 1.5
@@ -107,12 +107,12 @@ def test_slice_along_the_needle_contains_tip_aim_and_target() -> None:
 
 
 def test_needle_outside_the_slice_is_dotted() -> None:
-    told = sheet()
-    leg = told.plan.routes[0].leg
-    centre, tip, aim = (np.array(place) for place in (told.plan.nodule.centre_lps, leg.tip_lps, leg.aim_lps))
+    report = sheet()
+    leg = report.plan.routes[0].leg
+    centre, tip, aim = (np.array(place) for place in (report.plan.nodule.centre_lps, leg.tip_lps, leg.aim_lps))
     share = np.linspace(0.0, 1.0, 2001)[:, None]
     off = np.abs(tip + share * (aim - tip) - centre)
-    for one, axis in zip(told.slices, (2, 1, 0), strict=True):
+    for one, axis in zip(report.slices, (2, 1, 0), strict=True):
         in_plane = sum(np.linalg.norm(np.subtract(*piece)) for piece, lies_in in one.needle if lies_in)
         whole = sum(np.linalg.norm(np.subtract(*piece)) for piece, _ in one.needle)
         near = float((off[:, axis] <= 1.5).mean())
@@ -146,34 +146,34 @@ def test_bar_of_tissues_along_the_needle_is_to_scale_without_overlapping_labels(
 
 
 def test_tree_from_the_front_has_the_patient_right_on_the_left() -> None:
-    told = sheet()
-    shapes = tree_drawing(told.shape, told.forks, "front", width=255.0, height=160.0).shapes
+    report = sheet()
+    shapes = tree_drawing(report.shape, report.forks, "front", width=255.0, height=160.0).shapes
     target = [s for s in shapes if isinstance(s, Stroke) and s.closed and s.pen.opacity < 1.0]
-    trachea = told.shape.route_lps[0]
+    trachea = report.shape.route_lps[0]
     left_of_trachea = np.mean([x for x, _ in target[0].places]) < 127.5
-    assert left_of_trachea == (told.plan.nodule.centre_lps[0] < trachea[0])
+    assert left_of_trachea == (report.plan.nodule.centre_lps[0] < trachea[0])
     forks = [s for s in shapes if isinstance(s, Disc)]
-    assert 1 <= len(forks) <= len(told.forks)
+    assert 1 <= len(forks) <= len(report.forks)
 
 
 def test_branch_drawn_by_hand_is_red_and_dashed_in_the_tree() -> None:
-    told = sheet()
-    first = told.shape.branches[-1]
+    report = sheet()
+    first = report.shape.branches[-1]
     changed = dataclasses.replace(first, is_found=False)
-    shape = dataclasses.replace(told.shape, branches=(*told.shape.branches[:-1], changed))
+    shape = dataclasses.replace(report.shape, branches=(*report.shape.branches[:-1], changed))
     strokes = [s for s in tree_drawing(shape, (), "left", width=255.0, height=160.0).shapes if isinstance(s, Stroke)]
     assert [s.pen.line for s in strokes].count("#c1001f") == 1
     assert all(s.pen.dash is not None for s in strokes if s.pen.line == "#c1001f")
 
 
 def test_clock_face_shows_the_opening_at_its_hour() -> None:
-    told = sheet()
-    (drawing,) = tracing_drawings(told)
+    report = sheet()
+    (drawing,) = tracing_drawings(report)
     faces = [s for s in drawing.shapes if isinstance(s, Disc) and s.middle[0] == 170.0 and s.pen.line == "#14181c"]
     filled = [s for s in drawing.shapes if isinstance(s, Disc) and s.pen.fill == "#0b5a8f"]
     openings = [s for s in filled if 150 < s.middle[0] < 190 and s.radius != 3.6]
-    assert len(faces) == len(openings) == len(told.forks)
-    for fork, face, opening in zip(told.forks, faces, openings, strict=True):
+    assert len(faces) == len(openings) == len(report.forks)
+    for fork, face, opening in zip(report.forks, faces, openings, strict=True):
         x, y = np.array(opening.middle) - np.array(face.middle)
         if fork.turn.straight_ahead:
             assert (x, y) == (0.0, 0.0)
@@ -209,30 +209,30 @@ def test_drawn_branch_that_extends_a_tip_is_red_in_the_row_of_the_tip() -> None:
 
 
 @given(st.lists(st.text("abc", min_size=1, max_size=12), max_size=30), st.floats(80.0, 300.0))
-def test_wrapped_text_lines_contain_every_word_and_fit_the_width(words, width) -> None:
-    lines = lines_of(" ".join(words), 9.0, width)
-    assert " ".join(lines).split() == words
+def test_wrapped_text_lines_contain_every_word_and_fit_the_width(message, width) -> None:
+    lines = lines_of(" ".join(message), 9.0, width)
+    assert " ".join(lines).split() == message
     assert all(text_width(line, 9.0) <= width or " " not in line for line in lines)
 
 
 def test_svg_escapes_text_and_has_no_style_attribute() -> None:
-    told = slice_drawing(sheet().slices[0])
-    nasty = dataclasses.replace(told, shapes=(*told.shapes, Label((1.0, 1.0), '<script>"&')), says='"><x>')
+    plain = slice_drawing(sheet().slices[0])
+    nasty = dataclasses.replace(plain, shapes=(*plain.shapes, Label((1.0, 1.0), '<script>"&')), says='"><x>')
     text = svg(nasty)
     assert "<script>" not in text and "<x>" not in text and " style=" not in text
-    assert sum(isinstance(shape, Raster) for shape in told.shapes) == text.count("<image")
+    assert sum(isinstance(shape, Raster) for shape in plain.shapes) == text.count("<image")
 
 
 def test_route_drawn_by_hand_is_red_in_tree_and_tracing_sheet() -> None:
-    told = sheet()
-    drawn = told.forks[2]
-    branches = tuple(dataclasses.replace(b, is_found=b.id != drawn.to_branch_id) for b in told.shape.branches)
-    tree = tree_drawing(dataclasses.replace(told.shape, branches=branches), (), "front", width=255.0, height=160.0)
+    report = sheet()
+    drawn = report.forks[2]
+    branches = tuple(dataclasses.replace(b, is_found=b.id != drawn.to_branch_id) for b in report.shape.branches)
+    tree = tree_drawing(dataclasses.replace(report.shape, branches=branches), (), "front", width=255.0, height=160.0)
     strokes = [s for s in tree.shapes if isinstance(s, Stroke)]
     blue = next(n for n, s in enumerate(strokes) if s.pen.line == "#0b5a8f")
     assert any(s.pen.line == "#c1001f" and s.pen.width == 2.4 for s in strokes[blue:]), "over the blue line"
     warned = dataclasses.replace(drawn, warnings=("RML was drawn by hand",))
-    changed = dataclasses.replace(told, forks=(*told.forks[:2], warned, *told.forks[3:]))
+    changed = dataclasses.replace(report, forks=(*report.forks[:2], warned, *report.forks[3:]))
     (page,) = tracing_drawings(changed)
     line = [s.pen.line for s in page.shapes if isinstance(s, Stroke) and s.pen.width == 2.2]
-    assert line == ["#0b5a8f"] * 3 + ["#c1001f"] + ["#0b5a8f"] * (len(told.forks) - 3)
+    assert line == ["#0b5a8f"] * 3 + ["#c1001f"] + ["#0b5a8f"] * (len(report.forks) - 3)

@@ -41,7 +41,7 @@ def plain(text: str) -> str:
 
 def test_pdf_report_contains_every_word_of_the_html_report() -> None:
     found = plain("".join(page.extract_text() for page in pages()))
-    assert [words for words in everything() if plain(words) not in found] == []
+    assert [text for text in everything() if plain(text) not in found] == []
 
 
 @pytest.mark.parametrize(("paper", "size"), [("A4", (595.3, 841.9)), ("Letter", (612.0, 792.0))])
@@ -50,7 +50,7 @@ def test_every_pdf_page_has_the_disclaimer_and_the_name_of_the_target(paper, siz
     for number, page in enumerate(read, 1):
         assert [float(v) for v in page.mediabox[2:]] == pytest.approx(size, abs=0.1)
         text = page.extract_text()
-        assert all(words in text for words in SAFETY)
+        assert all(message in text for message in SAFETY)
         assert plan().nodule.words in text and f"{number} / {len(read)}" in text
 
 

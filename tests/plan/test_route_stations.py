@@ -16,7 +16,7 @@ def test_stations_of_a_route_are_those_on_the_route_or_next_to_the_target() -> N
     found = route_stations(tree, plan(), route)
     assert found
     lineage = {branch.id for branch in tree.lineage(route.branch_id)}
-    told = {(one.landmark.station, one.landmark.branch_id) for one in found}
+    listed = {(one.landmark.station, one.landmark.branch_id) for one in found}
     for mark in ebus_landmarks(tree, origin=origin):
         if mark.point_lps is None:
             continue
@@ -24,7 +24,7 @@ def test_stations_of_a_route_are_those_on_the_route_or_next_to_the_target() -> N
         on_way = mark.branch_id in lineage and mark.from_carina_mm is not None
         on_way = on_way and mark.from_carina_mm <= route.from_carina_mm + 1.0
         if abs(gap - NEXT_TO_MM) > 6.0:
-            assert ((mark.station, mark.branch_id) in told) == (on_way or gap < NEXT_TO_MM), mark
+            assert ((mark.station, mark.branch_id) in listed) == (on_way or gap < NEXT_TO_MM), mark
 
 
 def test_distances_of_stations_are_measured_from_the_ridge_of_the_main_carina() -> None:

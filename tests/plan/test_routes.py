@@ -15,7 +15,7 @@ from nodules import ellipsoid
 from phantom_plan import CHEST, plan, wall
 
 import carina
-from cached_test_data import made_airways, made_phantom
+from cached_test_data import cached_airways, cached_phantom
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import (
     NeedleErrors,
@@ -43,7 +43,7 @@ from carina.volume import Volume
 
 
 def truth() -> dict[str, Any]:
-    found: dict[str, Any] = made_phantom(**CHEST).truth["nodule"]
+    found: dict[str, Any] = cached_phantom(**CHEST).truth["nodule"]
     return found
 
 
@@ -55,13 +55,13 @@ def slim() -> ScopePreset:
 @cache
 def plan_ahead() -> Plan:
     """Return the plan to a nodule straight ahead of the end of an airway, which a thin scope reaches."""
-    airways = made_airways(**CHEST)
-    return plan_route(made_phantom(**CHEST).volume, airways, nodule_ahead(), wall=wall(), scope=slim())
+    airways = cached_airways(**CHEST)
+    return plan_route(cached_phantom(**CHEST).volume, airways, nodule_ahead(), wall=wall(), scope=slim())
 
 
 @cache
 def nodule_ahead() -> Nodule:
-    end = made_airways(**CHEST).tree.named("LB3bii")
+    end = cached_airways(**CHEST).tree.named("LB3bii")
     ahead = end.points[-1] - end.points[-4]
     return ellipsoid((5.0, 5.0, 5.0), end.points[-1] + 8.0 * ahead / np.linalg.norm(ahead))
 
@@ -87,9 +87,9 @@ def test_route_to_a_nodule_beside_an_airway_arrives_there_in_the_ground_truth_ai
     to_edge = np.linalg.norm(aim - tip) - truth()["radius_mm"]
     assert best.leg.to_target_mm == pytest.approx(to_edge, abs=1.0)
     assert best.leg.reaches
-    branch = made_airways(**CHEST).tree.branch(best.branch_id)
+    branch = cached_airways(**CHEST).tree.branch(best.branch_id)
     assert off_line_mm(branch.points, tip) < float(branch.wall_distance.max()), "the tip is in the lumen"
-    route = made_airways(**CHEST).tree.route_to(best.branch_id)
+    route = cached_airways(**CHEST).tree.route_to(best.branch_id)
     assert 0.0 < best.from_carina_mm < best.along_mm < 1.02 * route.length_mm
 
 
@@ -109,7 +109,7 @@ def test_tissue_on_the_needle_path_is_listed_in_order_without_gaps() -> None:
 
 
 def test_first_route_has_the_best_score_of_all_evaluated_positions() -> None:
-    volume, airways, found = made_phantom(**CHEST).volume, made_airways(**CHEST), plan()
+    volume, airways, found = cached_phantom(**CHEST).volume, cached_airways(**CHEST), plan()
     nodule = found.nodule
     around = surroundings(volume, np.array(nodule.centre_lps), 50.0, nodule, wall())
     scene = NeedleScene(nodule, wall(), around, found.tool, NeedleErrors())
@@ -141,12 +141,12 @@ def test_first_route_has_the_best_score_of_all_evaluated_positions() -> None:
 
 
 def test_parking_position_of_the_first_route_is_best_also_between_evaluated_positions() -> None:
-    airways, found = made_airways(**CHEST), plan()
+    airways, found = cached_airways(**CHEST), plan()
     first, nodule = found.routes[0], found.nodule
-    around = surroundings(made_phantom(**CHEST).volume, np.array(nodule.centre_lps), 50.0, nodule, wall())
+    around = surroundings(cached_phantom(**CHEST).volume, np.array(nodule.centre_lps), 50.0, nodule, wall())
     scene = NeedleScene(nodule, wall(), around, found.tool, NeedleErrors())
     judge = Judge(found.scope, 3.0, ScoreWeights(), found.tool.reach_mm)
-    measures = measure_tree(made_phantom(**CHEST).volume, airways)
+    measures = measure_tree(cached_phantom(**CHEST).volume, airways)
     places = Places(airways.tree, nodule, wall(), measures=measures, spacing_mm=1.1)
     directions = TipDirections(airways.tree, wall(), found.scope)
     finer = places.beside((first.branch_id, first.along_mm + mm) for mm in np.arange(-8.0, 8.0, 0.6))
@@ -162,11 +162,11 @@ def test_parking_position_of_the_first_route_is_best_also_between_evaluated_posi
             leg = dataclasses.replace(leg, hit_share=0.0)
         else:
             leg = last_leg(scene, tip.tip_lps, forward, tip.tip_lps + np.linalg.norm(aim - tip.tip_lps) * tip.forward)
-        asked = finer.asks(n, bending_mm(found.scope))
-        outlook, chance, _ = judge.outlook(asked, leg)
+        required = finer.asks(n, bending_mm(found.scope))
+        outlook, chance, _ = judge.outlook(required, leg)
         assert RANK[outlook] >= RANK[first.outlook]
         if outlook == first.outlook:
-            score = judge.score(judge.parts(leg, asked.width.mm, nodule))
+            score = judge.score(judge.parts(leg, required.width.mm, nodule))
             scores.append(score * (chance if outlook == "may reach" else 1.0))
     assert len(scores) > 5
     lines = [(airways.tree.branch(route.branch_id).points, np.array(route.leg.tip_lps)) for route in found.routes]
@@ -204,7 +204,7 @@ def test_route_that_the_scope_reaches_is_listed_before_an_unreachable_route_with
 
 
 def test_limits_of_the_scope_are_reported_with_their_figures() -> None:
-    volume, airways, nodule = made_phantom(**CHEST).volume, made_airways(**CHEST), plan().nodule
+    volume, airways, nodule = cached_phantom(**CHEST).volume, cached_airways(**CHEST), plan().nodule
     rigid = dataclasses.replace(slim(), flexion_deg=(40.0, 40.0))
     (stiff, *_) = plan_route(volume, airways, nodule, wall=wall(), scope=rigid).routes
     assert stiff.outlook == "does not reach" and stiff.bend_deg > 60.0
@@ -223,7 +223,7 @@ def test_limits_of_the_scope_are_reported_with_their_figures() -> None:
 
 
 def test_route_along_a_doubtful_branch_may_reach_even_if_its_simulated_drive_arrives() -> None:
-    airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
+    airways, volume = cached_airways(**CHEST), cached_phantom(**CHEST).volume
     sure = plan_ahead().routes[0]
     doubted = plan_route(
         volume, retreed(airways, sure.branch_id, confidence=0.3), nodule_ahead(), wall=wall(), scope=slim()
@@ -236,21 +236,21 @@ def test_route_along_a_doubtful_branch_may_reach_even_if_its_simulated_drive_arr
 def test_figures_of_a_route_with_a_simulated_drive_equal_those_of_its_verdict() -> None:
     found = plan_ahead()
     first = found.routes[0]
-    verdict = judge_scope(made_airways(**CHEST).tree, found, wall(), found.scope)
+    verdict = judge_scope(cached_airways(**CHEST).tree, found, wall(), found.scope)
     assert verdict.outcome == first.outlook == "reaches" and verdict.route_key == first.key
     pointing = next(check for check in verdict.checks if check.name == "pointing")
     assert pointing.share == first.leg.hit_share > 0.5 and verdict.hold == first.hold
     # The same drive is found again without the stored one.
     again = dataclasses.replace(first)
     assert again is not first
-    repeated = judge_scope(made_airways(**CHEST).tree, found, wall(), found.scope, route=again)
+    repeated = judge_scope(cached_airways(**CHEST).tree, found, wall(), found.scope, route=again)
     assert repeated.to_json() == verdict.to_json()
 
 
 def test_first_route_is_simulated_even_if_no_attainable_direction_hits_the_target(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    volume, airways = made_phantom(**CHEST).volume, made_airways(**CHEST)
+    volume, airways = cached_phantom(**CHEST).volume, cached_airways(**CHEST)
     monkeypatch.setattr(TipDirections, "towards", lambda *_given: None)
     found = plan_route(volume, airways, nodule_ahead(), wall=wall(), scope=slim(), drives=1)
     first = found.routes[0]
@@ -260,14 +260,14 @@ def test_first_route_is_simulated_even_if_no_attainable_direction_hits_the_targe
 
 
 def test_route_with_an_estimated_outlook_has_no_tip_pose_of_a_simulated_drive() -> None:
-    volume, airways = made_phantom(**CHEST).volume, made_airways(**CHEST)
+    volume, airways = cached_phantom(**CHEST).volume, cached_airways(**CHEST)
     estimated = plan_route(volume, airways, nodule_ahead(), wall=wall(), scope=slim(), drives=0).routes[0]
     assert (estimated.outlook, estimated.hold) == ("reaches", None), "with drives=0 outlooks are estimated"
     assert plan_ahead().routes[0].hold is not None
 
 
 def test_outlook_of_a_needle_that_does_not_pass_the_channel_is_does_not_reach() -> None:
-    volume, airways = made_phantom(**CHEST).volume, made_airways(**CHEST)
+    volume, airways = cached_phantom(**CHEST).volume, cached_airways(**CHEST)
     narrow = dataclasses.replace(slim(), channel_mm=1.2)
     route = plan_route(volume, airways, nodule_ahead(), wall=wall(), scope=narrow).routes[0]
     assert route.outlook == "does not reach" and route.chance == 0.0
@@ -275,7 +275,7 @@ def test_outlook_of_a_needle_that_does_not_pass_the_channel_is_does_not_reach() 
 
 
 def test_best_route_to_each_aim_is_listed_and_states_its_aim() -> None:
-    volume, airways, nodule = made_phantom(**CHEST).volume, made_airways(**CHEST), plan().nodule
+    volume, airways, nodule = cached_phantom(**CHEST).volume, cached_airways(**CHEST), plan().nodule
     centre = np.array(nodule.centre_lps)
     aims = [centre, centre - [0.0, 5.0, 0.0], centre - [0.0, 0.0, 5.0]]
     found = plan_route(volume, airways, nodule, aims=aims, wall=wall())
@@ -304,7 +304,7 @@ def test_compared_tools_are_those_that_pass_the_channel_and_reach_the_target() -
         assert set(route.tools) == reach, "all needles pass 2.0 mm; no other tool leaves the lumen"
     narrow = dataclasses.replace(scope_preset("thin"), channel_mm=1.2)
     assert (
-        plan_route(made_phantom(**CHEST).volume, made_airways(**CHEST), plan().nodule, scope=narrow, wall=wall())
+        plan_route(cached_phantom(**CHEST).volume, cached_airways(**CHEST), plan().nodule, scope=narrow, wall=wall())
         .routes[0]
         .tools
         == ()
@@ -312,7 +312,7 @@ def test_compared_tools_are_those_that_pass_the_channel_and_reach_the_target() -
 
 
 def test_forceps_reach_a_target_in_the_lumen_and_not_one_outside_it() -> None:
-    volume, airways = made_phantom(**CHEST).volume, made_airways(**CHEST)
+    volume, airways = cached_phantom(**CHEST).volume, cached_airways(**CHEST)
     bronchus = airways.tree.named("LMB")
     middle = len(bronchus.points) // 2
     inside = ellipsoid((2.5, 2.5, 2.5), bronchus.points[middle])
@@ -327,7 +327,7 @@ def test_forceps_reach_a_target_in_the_lumen_and_not_one_outside_it() -> None:
 
 
 def test_target_in_the_trachea_is_reached_from_the_trachea() -> None:
-    volume, airways = made_phantom(**CHEST).volume, made_airways(**CHEST)
+    volume, airways = cached_phantom(**CHEST).volume, cached_airways(**CHEST)
     trachea = airways.tree.root
     inside = ellipsoid((3.0, 3.0, 3.0), trachea.points[int(0.7 * len(trachea.points))])
     best = plan_route(volume, airways, inside, tool="forceps", wall=wall()).routes[0]
@@ -338,47 +338,47 @@ def test_target_in_the_trachea_is_reached_from_the_trachea() -> None:
 
 
 def test_plan_is_plain_json_and_equal_for_a_click_and_for_the_nodule_segmented_from_it() -> None:
-    said = plan().to_json()
-    assert json.loads(json.dumps(said)) == said
-    assert said["weights"] == {name: getattr(ScoreWeights(), name) for name in ScoreWeights.__slots__}
-    assert (said["vessel_margin_mm"], said["aims"]) == (3.0, [list(plan().nodule.centre_lps)])
-    assert said["routes"][0]["parking"] == {
+    document = plan().to_json()
+    assert json.loads(json.dumps(document)) == document
+    assert document["weights"] == {name: getattr(ScoreWeights(), name) for name in ScoreWeights.__slots__}
+    assert (document["vessel_margin_mm"], document["aims"]) == (3.0, [list(plan().nodule.centre_lps)])
+    assert document["routes"][0]["parking"] == {
         "place_lps": list(plan().routes[0].leg.tip_lps),
         "roll_rad": None,
         "flexion_rad": None,
     }
-    volume = made_phantom(**CHEST).volume
-    again = plan_route(volume, made_airways(**CHEST), grow_nodule(volume, truth()["centre_lps"]), wall=wall())
-    assert again.to_json() == said
+    volume = cached_phantom(**CHEST).volume
+    again = plan_route(volume, cached_airways(**CHEST), grow_nodule(volume, truth()["centre_lps"]), wall=wall())
+    assert again.to_json() == document
 
 
 def test_route_along_a_drawn_bridged_or_doubtful_branch_has_a_doubt() -> None:
-    airways, best = made_airways(**CHEST), plan().routes[0]
+    airways, best = cached_airways(**CHEST), plan().routes[0]
     parent = airways.tree.branch(best.branch_id).parent
     name = airways.tree.branch(parent).name or f"branch {parent}"
-    for change, words in (
+    for change, text in (
         ({"kind": "manual"}, f"{name} was drawn by hand"),
         ({"kind": "bridge"}, f"{name} is a bridge across an obstruction"),
         ({"confidence": 0.31}, f"{name} is doubtful: 31 % confidence"),
     ):
         changed = plan_route(
-            made_phantom(**CHEST).volume, retreed(airways, parent, **change), plan().nodule, wall=wall()
+            cached_phantom(**CHEST).volume, retreed(airways, parent, **change), plan().nodule, wall=wall()
         )
         route = next(one for one in changed.routes if one.branch_id == best.branch_id)
-        assert any(doubt.startswith(words) for doubt in route.doubts)
+        assert any(doubt.startswith(text) for doubt in route.doubts)
     assert best.doubts == ()
 
 
 def test_plan_without_a_near_airway_reports_it_with_a_remedy() -> None:
     short = Tool("short", "A short needle", 1.8, 1.0, True, None, "k")
-    found = plan_route(made_phantom(**CHEST).volume, made_airways(**CHEST), plan().nodule, tool=short, wall=wall())
+    found = plan_route(cached_phantom(**CHEST).volume, cached_airways(**CHEST), plan().nodule, tool=short, wall=wall())
     assert found.routes == ()
     assert found.why.startswith("no route: the nearest airway found is ")
     assert "A short needle reaches 1 mm" in found.why and "percutaneous" in found.why
 
 
 def test_bronchus_sign_distinguishes_a_bronchus_that_enters_a_nodule_from_one_beside_it() -> None:
-    airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
+    airways, volume = cached_airways(**CHEST), cached_phantom(**CHEST).volume
     tip = next(one for one in airways.tree.tips() if one.generation >= 5 and one.length_mm > 8.0)
     ahead = tip.points[-1] - tip.points[-4]
     ahead /= np.linalg.norm(ahead)
@@ -398,14 +398,14 @@ def test_bronchus_sign_distinguishes_a_bronchus_that_enters_a_nodule_from_one_be
 
 
 def test_default_movement_of_a_plan_is_larger_in_the_lower_than_in_the_upper_lobe() -> None:
-    airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
+    airways, volume = cached_airways(**CHEST), cached_phantom(**CHEST).volume
     for name, moved_mm in (("RLL", 20.0), ("RUL", 15.0)):
         place = airways.tree.named(name).points[-1]
         assert plan_route(volume, airways, ellipsoid((3.0, 3.0, 3.0), place), wall=wall()).moved_mm == moved_mm
 
 
 def test_plan_with_an_invalid_argument_is_refused_with_a_message() -> None:
-    airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
+    airways, volume = cached_airways(**CHEST), cached_phantom(**CHEST).volume
     with pytest.raises(UsageError, match="no tool is called 'saw'; expected one of needle-21g"):
         plan_route(volume, airways, plan().nodule, tool="saw")
     with pytest.raises(UsageError, match="vessel_margin_mm: expected a number from 0 to 50 mm; found -1"):
@@ -419,15 +419,15 @@ def test_plan_with_an_invalid_argument_is_refused_with_a_message() -> None:
 
 
 def test_progress_of_route_planning_never_decreases_and_ends_at_one() -> None:
-    told: list[float] = []
+    fractions: list[float] = []
     plan_route(
-        made_phantom(**CHEST).volume,
-        made_airways(**CHEST),
+        cached_phantom(**CHEST).volume,
+        cached_airways(**CHEST),
         plan().nodule,
         wall=wall(),
-        progress=lambda _what, share: told.append(share),
+        progress=lambda _what, share: fractions.append(share),
     )
-    assert told == sorted(told) and told[-1] == 1.0
+    assert fractions == sorted(fractions) and fractions[-1] == 1.0
 
 
 @cache
@@ -534,7 +534,7 @@ def test_tissue_outside_the_examined_box_is_listed_neither_as_lung_nor_as_vessel
 
 
 def test_default_movement_of_a_plan_is_equal_in_left_and_right_lower_lobe() -> None:
-    airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
+    airways, volume = cached_airways(**CHEST), cached_phantom(**CHEST).volume
     place = airways.tree.named("LLL").points[-1]
     assert plan_route(volume, airways, ellipsoid((3.0, 3.0, 3.0), place), wall=wall()).moved_mm == 20.0
 

@@ -45,12 +45,12 @@ def test_required_bend_of_a_route_along_a_circular_arc_is_the_angle_of_the_arc(
     places = Places(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
     )
-    asked = places.asks(len(places.points) - 1, SECTION_MM)
+    required = places.asks(len(places.points) - 1, SECTION_MM)
     # The circle is shorter than the section over which bends are measured, so both ends of a section are on straight
     # parts.
     assert math.radians(bend_deg) * radius_mm < SECTION_MM - 8.0
-    assert asked.bend_deg.value == pytest.approx(bend_deg, abs=1.0)
-    assert 80.0 < asked.bend_deg.at_mm < 80.0 + math.radians(bend_deg) * radius_mm + SECTION_MM
+    assert required.bend_deg.value == pytest.approx(bend_deg, abs=1.0)
+    assert 80.0 < required.bend_deg.at_mm < 80.0 + math.radians(bend_deg) * radius_mm + SECTION_MM
     assert places.asks(len(tree.root.points) + 30, SECTION_MM).bend_deg.value < 1.0, "before the bend there is none"
 
 
@@ -70,10 +70,10 @@ def test_narrowest_position_of_a_route_is_where_the_lumen_is_narrow() -> None:
     narrowed = dataclasses.replace(tree.branches[1], radius=radius)
     tree = AirwayTree((tree.root, narrowed))
     places = Places(tree, ellipsoid((3.0, 3.0, 3.0), narrowed.points[-1]), measures=exact_measures(tree))
-    asked = places.asks(len(places.points) - 1, SECTION_MM)
+    required = places.asks(len(places.points) - 1, SECTION_MM)
     # The narrow part is shorter than a diameter, and the narrowing is larger than the error of a section.
-    assert asked.width.mm == pytest.approx(2.9) and asked.width.lower_mm < 2.8
-    assert asked.width.at_mm == pytest.approx(30.0 + 0.5 * 41.5, abs=1.1)
+    assert required.width.mm == pytest.approx(2.9) and required.width.lower_mm < 2.8
+    assert required.width.at_mm == pytest.approx(30.0 + 0.5 * 41.5, abs=1.1)
     before = places.asks(len(tree.root.points) + 20, SECTION_MM)
     assert before.width.mm == pytest.approx(6.0)
 
@@ -104,9 +104,9 @@ def test_further_positions_near_a_route_position_are_on_the_centreline_and_not_w
         assert np.linalg.norm(np.cross(found.points[n] - before, step)) < 1e-9
         assert found.width[n].mm == places.width[own][after].mm
         assert np.linalg.norm(found.forward[n]) == pytest.approx(1.0)
-    asked = found.asks(0, SECTION_MM)
-    assert asked.width.at_mm <= found.along_mm[0]
-    assert asked.bend_deg.value <= places.asks(len(places.points) - 1, SECTION_MM).bend_deg.value
+    required = found.asks(0, SECTION_MM)
+    assert required.width.at_mm <= found.along_mm[0]
+    assert required.bend_deg.value <= places.asks(len(places.points) - 1, SECTION_MM).bend_deg.value
     assert len(places.beside([]).points) == 0
 
 
@@ -117,10 +117,10 @@ def test_thicker_scope_never_has_a_higher_chance_to_arrive(tip_mm: float, more_m
     places = Places(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
     )
-    asked = places.asks(len(places.points) - 1, SECTION_MM)
+    required = places.asks(len(places.points) - 1, SECTION_MM)
     thin, thick = (
         Judge(dataclasses.replace(scope_preset("thin"), tip_mm=mm, tube_mm=None), 3.0, ScoreWeights(), 15.0).outlook(
-            asked
+            required
         )
         for mm in (tip_mm, tip_mm + more_mm)
     )

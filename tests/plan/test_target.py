@@ -16,7 +16,7 @@ from carina.plan import Nodule, PlanTarget, proposed_aims
 
 
 def a_target(**changed) -> PlanTarget:
-    told = {
+    options = {
         "target_id": "t1",
         "name": "nodule in RB3",
         "nodule": ellipsoid((8.0, 6.0, 5.0)),
@@ -24,7 +24,7 @@ def a_target(**changed) -> PlanTarget:
         "source": "click",
         "where": "lung",
     }
-    return PlanTarget(**{**told, **changed})
+    return PlanTarget(**{**options, **changed})
 
 
 def same(one: Nodule, other: Nodule) -> bool:

@@ -8,7 +8,7 @@ from painted_nodules import Scene, painted
 from test_clicked_positions import airway, chest
 
 import carina
-from cached_test_data import found_airways, made_phantom
+from cached_test_data import cached_phantom, found_airways
 from carina.errors import UnconfirmedTargetError, UsageError
 from carina.plan import PlanTarget, check_confirmed, grow_nodule, plan_route, sphere, target_doubts, target_from_click
 from carina.scopes import WallField
@@ -106,7 +106,7 @@ def test_target_record_contains_doubts_and_confirmations_and_an_older_record_wit
 @pytest.fixture(scope="module")
 def enhanced():
     """Return a chest with a vessel-dense nodule and dense great vessels, its airways, and the middle of the nodule."""
-    made = made_phantom(seed=4, spacing_mm=1.5, generations=4, nodule=True)
+    made = cached_phantom(seed=4, spacing_mm=1.5, generations=4, nodule=True)
     airways = found_airways(made.volume)
     volume = made.volume
     hu = np.array(volume.hu_zyx)
@@ -127,7 +127,7 @@ def test_target_as_dense_as_blood_with_contrast_medium_has_a_doubt(enhanced):
 
 
 def test_plan_of_a_doubtful_target_requires_a_confirmation_and_contains_the_doubts():
-    made = made_phantom(seed=4, spacing_mm=1.5, generations=4, nodule=True)
+    made = cached_phantom(seed=4, spacing_mm=1.5, generations=4, nodule=True)
     airways = found_airways(made.volume)
     hu = np.array(made.volume.hu_zyx)
     k, j, i = np.indices(made.volume.shape_zyx)

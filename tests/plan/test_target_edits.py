@@ -71,8 +71,8 @@ def test_brush_adds_a_ball_to_a_target_boundary_and_removes_it(off, radius_mm):
     assert more.volume_mm3 >= nodule.inside_zyx.sum() * np.linalg.norm(nodule.lps_from_ijk[:3, 0]) ** 3 - 1e-6
     less = brushed(nodule, volume, centre, radius_mm, add=False)
     assert not less.contains(points[in_ball]).any()
-    kept = points[less.contains(points)]
-    assert nodule.contains(kept).all()
+    inside = points[less.contains(points)]
+    assert nodule.contains(inside).all()
     assert less.notes == more.notes == ("boundary edited by hand",)
 
 

@@ -157,7 +157,7 @@ def _raised(outlines, mm):
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "text"),
     [
         (lambda outlines: {}, "its structure is empty"),
         (_tilted, "not parallel to the slices"),
@@ -171,12 +171,12 @@ def _raised(outlines, mm):
         (lambda outlines: {k: [np.repeat(p[:1], 5, axis=0) for p in one] for k, one in outlines.items()}, "no area"),
     ],
 )
-def test_invalid_outlines_for_this_ct_are_refused(tmp_path, change, words):
+def test_invalid_outlines_for_this_ct_are_refused(tmp_path, change, text):
     volume, centre, _ = scene()
     outlines = change(made.ball_outlines(volume, centre, RADIUS_MM))
     path = made.structure_set(tmp_path / "rs.dcm", [("GTV", outlines)])
     chosen = None if not outlines else 1
-    with pytest.raises((VolumeImportError, NoResultError), match=words):
+    with pytest.raises((VolumeImportError, NoResultError), match=text):
         target_from_file(path, volume, structure=chosen)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.errors import NoResultError
 from carina.plan.lungs.tissue_near_needle import lung_box, lung_surroundings
 from carina.scopes import WallField
@@ -26,7 +26,7 @@ def nowhere() -> WallField:
 
 
 def test_box_around_both_lungs_has_vessels_on_both_sides_and_the_values_of_the_ct() -> None:
-    volume = made_phantom(**SMALL_CHEST).volume
+    volume = cached_phantom(**SMALL_CHEST).volume
     found = lung_surroundings(volume, nowhere())
     assert 100.0 < found.vessels_ml < 500.0
     tree = found.vessel_tree()
@@ -49,7 +49,7 @@ def test_box_around_both_lungs_has_vessels_on_both_sides_and_the_values_of_the_c
 
 @pytest.mark.parametrize("turn", [np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, 1.0, -1.0])[[1, 0, 2]]])
 def test_ct_with_permuted_or_reversed_axes_gives_an_equal_box_around_the_lungs(turn: NDArray[np.float64]) -> None:
-    volume = made_phantom(**SMALL_CHEST).volume
+    volume = cached_phantom(**SMALL_CHEST).volume
     plain = lung_box(volume)
     order = np.argmax(np.abs(turn), axis=0)
     hu = np.transpose(
@@ -71,7 +71,7 @@ def test_ct_with_permuted_or_reversed_axes_gives_an_equal_box_around_the_lungs(t
 
 
 def test_vessels_are_found_in_a_ct_that_cuts_off_parts_of_both_lungs() -> None:
-    volume = made_phantom(**SMALL_CHEST).volume
+    volume = cached_phantom(**SMALL_CHEST).volume
     whole = lung_box(volume)
     nx = volume.shape_zyx[2]
     first = round(0.22 * nx)

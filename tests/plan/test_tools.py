@@ -52,7 +52,7 @@ def test_user_tool_is_read_from_a_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "text"),
     [
         ({"outer_mm": -1}, r"own\.json: outer_mm: expected a number above 0 up to 10 mm; found -1"),
         ({"outer_mm": None}, r"outer_mm: expected a number above 0 up to 10 mm; found None"),
@@ -68,9 +68,9 @@ def test_user_tool_is_read_from_a_file(tmp_path: Path) -> None:
     ],
 )
 def test_file_with_impossible_tool_figures_is_refused_with_a_message(
-    changes: dict[str, Any], words: str, tmp_path: Path
+    changes: dict[str, Any], text: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(UsageError, match=words):
+    with pytest.raises(UsageError, match=text):
         tool_from_file(written(tmp_path, {**OWN, **changes}))
 
 
@@ -104,7 +104,7 @@ def test_figures_missing_in_a_scope_file_are_read_as_none(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "text"),
     [
         ({"tip_mm": 0.5}, r"own\.json: tip_mm: expected 1\.4 to 7\.8 mm; found 0\.5"),
         ({"tip_mm": 9}, r"tip_mm: expected a number above 0 up to 7\.8 mm; found 9"),
@@ -116,8 +116,8 @@ def test_figures_missing_in_a_scope_file_are_read_as_none(tmp_path: Path) -> Non
     ],
 )
 def test_scope_file_with_impossible_figures_is_refused_with_a_message(
-    changes: dict[str, Any], words: str, tmp_path: Path
+    changes: dict[str, Any], text: str, tmp_path: Path
 ) -> None:
     document = {**scope_to_json(scope_preset("ultrathin")), **changes}
-    with pytest.raises(UsageError, match=words):
+    with pytest.raises(UsageError, match=text):
         scope_from_file(written(tmp_path, document))

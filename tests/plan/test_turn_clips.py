@@ -11,7 +11,7 @@ import pytest
 import simplejpeg
 from fork_trees import route_in
 
-from cached_test_data import made_airways, made_phantom
+from cached_test_data import cached_airways, cached_phantom
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import TurnClip, TurnList, turn_clips, turn_flight, turn_list, turn_pictures
 from carina.plan.routes.plan_route import PlannedRoute
@@ -23,25 +23,25 @@ SIZE, FRAMES = 64, 5
 
 @cache
 def renderer() -> Renderer:
-    made = Renderer(made_phantom(**CHEST).volume)
-    made.set_lumen(made_airways(**CHEST).lumen_zyx)
+    made = Renderer(cached_phantom(**CHEST).volume)
+    made.set_lumen(cached_airways(**CHEST).lumen_zyx)
     return made
 
 
 @cache
 def route() -> PlannedRoute:
-    tree = made_airways(**CHEST).tree
+    tree = cached_airways(**CHEST).tree
     return route_in(tree, min(tree.tips(), key=lambda tip: float(tip.tip_lps[0])).id)
 
 
 @cache
 def turns() -> TurnList:
-    return turn_list(made_airways(**CHEST).tree, route())
+    return turn_list(cached_airways(**CHEST).tree, route())
 
 
 def clips_of(found: TurnList, **options: Any) -> tuple[TurnClip | None, ...]:
     options = {"size_px": SIZE, "num_frames": FRAMES, "renderer": renderer(), **options}
-    return turn_clips(made_phantom(**CHEST).volume, made_airways(**CHEST), route(), found, **options)
+    return turn_clips(cached_phantom(**CHEST).volume, cached_airways(**CHEST), route(), found, **options)
 
 
 @cache
@@ -51,8 +51,8 @@ def clips() -> tuple[TurnClip | None, ...]:
 
 def test_video_of_a_turn_begins_at_the_previous_turn_and_ends_in_the_picture_of_its_turn() -> None:
     stills = turn_pictures(
-        made_phantom(**CHEST).volume,
-        made_airways(**CHEST),
+        cached_phantom(**CHEST).volume,
+        cached_airways(**CHEST),
         turns(),
         size_px=2 * SIZE,
         marked=False,
@@ -63,7 +63,7 @@ def test_video_of_a_turn_begins_at_the_previous_turn_and_ends_in_the_picture_of_
     for index, (clip, end, still) in enumerate(zip(clips(), large, stills, strict=True)):
         assert clip is not None and end is not None
         assert len(clip.frames) == len(clip.cameras) == FRAMES and clip.size_px == SIZE
-        times, poses = turn_flight(made_airways(**CHEST).tree, route(), turns(), index)
+        times, poses = turn_flight(cached_airways(**CHEST).tree, route(), turns(), index)
         assert clip.cameras[0] is not clip.cameras[-1]
         for camera, pose in ((clip.cameras[0], poses[0]), (clip.cameras[-1], poses[-1])):
             assert np.array_equal(camera.lps_from_camera, pose.lps_from_camera)

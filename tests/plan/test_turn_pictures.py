@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from fork_trees import made_tree, route_in
 
-from cached_test_data import made_airways, made_phantom
+from cached_test_data import cached_airways, cached_phantom
 from carina.display.png import png_bytes
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import Turn, TurnList, TurnPicture, turn_list, turn_pictures
@@ -29,15 +29,15 @@ SIZE = 256
 
 @cache
 def renderer() -> Renderer:
-    made = Renderer(made_phantom(**CHEST).volume)
-    made.set_lumen(made_airways(**CHEST).lumen_zyx)
+    made = Renderer(cached_phantom(**CHEST).volume)
+    made.set_lumen(cached_airways(**CHEST).lumen_zyx)
     return made
 
 
 @cache
 def turns() -> TurnList:
     """Return the turns to two tips of the phantom, one in each lung, in one list."""
-    tree = made_airways(**CHEST).tree
+    tree = cached_airways(**CHEST).tree
     ends = [max(tree.tips(), key=lambda tip: sign * float(tip.tip_lps[0])) for sign in (-1.0, 1.0)]
     lists = [turn_list(tree, route_in(tree, end.id), renderer=renderer()) for end in ends]
     return dataclasses.replace(lists[0], turns=lists[0].turns + lists[1].turns)
@@ -45,7 +45,7 @@ def turns() -> TurnList:
 
 def pictures_of(found: TurnList, **options: Any) -> tuple[TurnPicture, ...]:
     options = {"size_px": SIZE, "renderer": renderer(), **options}
-    return turn_pictures(made_phantom(**CHEST).volume, made_airways(**CHEST), found, **options)
+    return turn_pictures(cached_phantom(**CHEST).volume, cached_airways(**CHEST), found, **options)
 
 
 @cache
@@ -61,8 +61,8 @@ def walls(made: TurnPicture) -> np.ndarray:
 
 
 def test_outlined_pixels_of_a_turn_picture_are_wall_of_the_true_entered_branch() -> None:
-    tree = made_airways(**CHEST).tree
-    truth = made_phantom(**CHEST).truth["branches"]
+    tree = cached_airways(**CHEST).tree
+    truth = cached_phantom(**CHEST).truth["branches"]
     lines = [(np.array(row["points"]), np.array(row["radius"])) for row in truth]
     for made in pictures():
         assert made.in_view, made.turn
@@ -146,7 +146,7 @@ def test_opening_within_half_its_radius_of_the_middle_is_straight_ahead() -> Non
 
 
 def test_openings_of_other_branches_are_outside_the_outline() -> None:
-    tree = made_airways(**CHEST).tree
+    tree = cached_airways(**CHEST).tree
     for made in pictures():
         for other in made.turn.others:
             branch = tree.branch(other.branch_id)
@@ -188,7 +188,7 @@ def test_branch_begins_where_its_centreline_has_left_the_lumens_of_parent_and_si
 
 def hidden(turn: Turn) -> Turn:
     """Return the turn with its camera in the other lung, so that tissue covers the opening."""
-    tree = made_airways(**CHEST).tree
+    tree = cached_airways(**CHEST).tree
     away = max(tree.tips(), key=lambda tip: float(np.linalg.norm(tip.tip_lps - np.array(turn.fork_lps))))
     eye = away.points[len(away.points) // 2]
     return dataclasses.replace(turn, seen_from_lps=(float(eye[0]), float(eye[1]), float(eye[2])))

@@ -17,7 +17,7 @@ from fork_trees import bent, made_tree, moved, random_tree, route_in, unit
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from cached_test_data import made_airways, made_phantom
+from cached_test_data import cached_airways, cached_phantom
 from carina.case.routes import route_to_branch
 from carina.errors import UsageError
 from carina.navigate import Navigator
@@ -291,13 +291,13 @@ def test_clock_hours_of_the_golden_file_equal_those_computed_by_python() -> None
     made = json.loads(json.dumps(golden_cases()))
     if os.environ.get("CARINA_GOLDEN") == "rewrite":
         FILE.write_text(json.dumps(made) + "\n", encoding="utf-8")
-    kept = json.loads(FILE.read_text(encoding="utf-8"))
-    assert [case["name"] for case in kept] == [case["name"] for case in made]
-    for found, expected in zip(made, kept, strict=True):
+    golden = json.loads(FILE.read_text(encoding="utf-8"))
+    assert [case["name"] for case in golden] == [case["name"] for case in made]
+    for found, expected in zip(made, golden, strict=True):
         assert found["hours"] == expected["hours"]
         assert found["lps_from_camera"] == pytest.approx(expected["lps_from_camera"], abs=1e-9)
-    told = [hour for case in kept for hour in case["hours"].values()]
-    assert None in told and len(set(told)) == 13, "all hours and straight ahead are among them"
+    hours = [hour for case in golden for hour in case["hours"].values()]
+    assert None in hours and len(set(hours)) == 13, "all hours and straight ahead are among them"
 
 
 def straight(number: int, parent: int | None, children: list[int], a: Any, b: Any, **more: Any) -> dict[str, Any]:
@@ -470,8 +470,8 @@ def test_each_hand_move_of_a_drive_is_listed_once_and_in_order(seed: int, advanc
     moves = [Move(float(n), 1.0, mm) for n, mm in enumerate(advances)]
     ends = list(np.cumsum(advances)) if advances else []
     found = turn_list(tree, route, moves=moves, ends_along_mm=[route.origin.past_mm(mm) for mm in ends])
-    told = [move for turn in found.turns for move in turn.moves or ()]
-    assert [*told, *(found.park_moves or ())] == moves
+    listed = [move for turn in found.turns for move in turn.moves or ()]
+    assert [*listed, *(found.park_moves or ())] == moves
     # A move that begins before a fork is listed with this fork.
     places = np.cumsum([turn.from_fork_mm for turn in found.turns])
     for turn, place, before in zip(found.turns, places, [-1.0, *places], strict=False):
@@ -556,7 +556,7 @@ def test_branches_of_length_zero_are_accepted_in_the_turn_list() -> None:
 
 def test_origin_of_distances_is_the_visible_ridge_of_the_main_carina() -> None:
     options: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
-    airways, volume = made_airways(**options), made_phantom(**options).volume
+    airways, volume = cached_airways(**options), cached_phantom(**options).volume
     origin = distance_origin(volume, airways)
     assert origin.kind == "ridge"
     ridge = origin.ridge_beyond_axes_mm

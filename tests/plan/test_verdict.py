@@ -120,9 +120,9 @@ def test_without_errors_a_scope_passes_exactly_if_it_is_thinner_than_the_tube(ti
 def test_required_bend_angle_of_a_circular_tube_is_exact_to_two_degrees(bend_deg: float, bend_radius_mm: float) -> None:
     tree, field, points = tube(bend_deg, bend_radius_mm)
     section_mm = 40.0 + 10.0
-    asked = min(bend_deg, math.degrees(section_mm / bend_radius_mm))
+    required_deg = min(bend_deg, math.degrees(section_mm / bend_radius_mm))
     for spare, answer in ((2.0, "yes"), (-2.0, "no")):
-        bends = scope(flexion_deg=(asked + spare, 10.0), bending_mm=(40.0, 40.0), rigid_tip_mm=10.0)
+        bends = scope(flexion_deg=(required_deg + spare, 10.0), bending_mm=(40.0, 40.0), rigid_tip_mm=10.0)
         # This scope is so thin that its rigid tip passes the bend.
         bends = dataclasses.replace(bends, tip_mm=1.5)
         found = check(judged(tree, plan_in(points), field, bends, errors=False), "bend")
@@ -180,13 +180,13 @@ def test_undecided_bend_check_is_settled_by_drives_with_less_flexion(monkeypatch
     figures = bend_check(way, near, errors=True)
     assert figures.answer == "perhaps" and 0.5 < figures.share < 0.7
     found = judge_scope(tree, plan, field, near)
-    told = check(found, "bend")
-    assert (told.answer, told.share) == ("yes", 0.95) and found.driven is not None
-    assert told.words == f"{figures.words}; with 13 degrees less flexion, the drive still arrives"
+    bend = check(found, "bend")
+    assert (bend.answer, bend.share) == ("yes", 0.95) and found.driven is not None
+    assert bend.words == f"{figures.words}; with 13 degrees less flexion, the drive still arrives"
 
     # If flexion is needed, a drive with the share ``share`` of the scope's flexion arrives, and a drive with less does
     # not.
-    for needs_deg, share, words in (
+    for needs_deg, share, text in (
         (62.0, 0.62, "5 degrees less flexion, no drive"),
         (56.5, 0.85, "5 degrees less flexion, the drive"),
     ):
@@ -196,8 +196,8 @@ def test_undecided_bend_check_is_settled_by_drives_with_less_flexion(monkeypatch
 
         monkeypatch.setattr(lever, "arrives_by", lambda *given, arrives=arrives: arrives(*given).arrived)
         monkeypatch.setattr(lever, "search_drive", arrives)
-        told = lever_check(way, field, near, figures, found.driven, effort=1.0)
-        assert (told.answer, told.share) == ("perhaps", share) and words in told.words
+        bend = lever_check(way, field, near, figures, found.driven, effort=1.0)
+        assert (bend.answer, bend.share) == ("perhaps", share) and text in bend.words
     held_up = dataclasses.replace(found.driven, arrived=False)
     assert lever_check(way, field, near, figures, held_up, effort=1.0) is figures
 
@@ -216,7 +216,7 @@ def test_tool_that_does_not_pass_the_channel_is_reported() -> None:
     assert found.outcome == "does not reach"
     assert found.words.endswith("21 G has a diameter of 1.8 mm; the working channel has 1.7 mm")
     assert found.would is not None and found.would.startswith("no needle of the library passes its channel")
-    assert found.driven is not None and found.driven.arrived, "that nothing else hinders it is said of a drive"
+    assert found.driven is not None and found.driven.arrived, "only a drive shows that there is no other obstacle"
 
 
 def test_thinner_needle_is_proposed_only_if_the_library_has_one() -> None:
@@ -241,15 +241,15 @@ def test_every_pair_of_route_and_instrument_has_a_verdict_and_the_best_pair_is_f
     tree, field, plan = two_routes()
     narrow, good = plan.routes
     presets = [scope(name="wide", tip_mm=6.0), scope(name="fits")]
-    told: list[Verdict] = []
-    pairs = judge_pairs(tree, plan, field, scopes=presets, found=told.append)
+    reported: list[Verdict] = []
+    pairs = judge_pairs(tree, plan, field, scopes=presets, found=reported.append)
     assert [(one.scope.name, one.outcome, one.route_key) for one in pairs] == [
         ("fits", "reaches", good.key),
         ("fits", "does not reach", narrow.key),
         ("wide", "does not reach", narrow.key),
         ("wide", "does not reach", good.key),
     ]
-    assert {(one.scope.name, one.route_key) for one in told} == {(one.scope.name, one.route_key) for one in pairs}
+    assert {(one.scope.name, one.route_key) for one in reported} == {(one.scope.name, one.route_key) for one in pairs}
     # The other position was driven, so it may be named.
     assert [one.would for one in pairs[:2]] == [None, "reaches by route 2"]
     alone = judge_pairs(tree, plan, field, scopes=presets, routes=1)
@@ -312,27 +312,27 @@ def test_scope_that_may_not_fit_is_not_stated_to_reach_with_another_tool() -> No
 
 def test_failed_check_is_listed_first_with_the_position_where_the_scope_stops() -> None:
     tree, field, points = tube(60.0)
-    told: list[Verdict] = []
+    reported: list[Verdict] = []
     presets = [scope(name="fits"), scope(name="wide", title="wide")]
     presets[1] = dataclasses.replace(presets[1], tip_mm=3.6, tube_mm=5.0)
-    found = judge_scopes(tree, plan_in(points), field, scopes=presets, found=told.append)
+    found = judge_scopes(tree, plan_in(points), field, scopes=presets, found=reported.append)
     assert [one.scope.name for one in found] == ["fits", "wide"]
-    assert [one.scope.name for one in told] == ["wide", "fits"]
-    assert told[0].driven is None and told[0].words.startswith("stops 0 mm from the start of the airway tree: ")
-    assert told[0].would == "could reach only if the airway were wider or the scope thinner"
+    assert [one.scope.name for one in reported] == ["wide", "fits"]
+    assert reported[0].driven is None and reported[0].words.startswith("stops 0 mm from the start of the airway tree: ")
+    assert reported[0].would == "could reach only if the airway were wider or the scope thinner"
     # If the bending section of a scope is unknown, the position of the stop is unknown.
     unknown = dataclasses.replace(presets[1], flexion_deg=None, bending_mm=None)
     (told_of,) = judge_scopes(tree, plan_in(points), field, scopes=[unknown])
     assert told_of.outcome == "does not reach" and told_of.words.startswith("does not reach: needs ")
-    assert told[1].outcome == "reaches"
+    assert reported[1].outcome == "reaches"
 
 
 def test_all_scopes_of_the_library_are_judged_in_a_chest_with_progress_and_cancellation() -> None:
     tree, wall, plan = phantom_plan.airways().tree, phantom_plan.wall(), phantom_plan.plan()
-    told: list[float] = []
-    found = judge_scopes(tree, plan, wall, effort=4000.0, progress=lambda _what, share: told.append(share))
+    fractions: list[float] = []
+    found = judge_scopes(tree, plan, wall, effort=4000.0, progress=lambda _what, share: fractions.append(share))
     assert [one.scope for one in found] == list(scope_presets())
-    assert told == sorted(told) and told[-1] == 1.0
+    assert fractions == sorted(fractions) and fractions[-1] == 1.0
     for one in found:
         assert all(named.basis and named.words for named in one.checks)
         assert (one.outcome == "reaches") == all(named.answer == "yes" for named in one.checks)

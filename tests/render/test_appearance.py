@@ -180,7 +180,7 @@ def test_droplets_secretions_and_fog_are_listed_as_decorations_and_off_without_t
 def test_mucosal_vessels_are_few_and_faint_and_off_without_texture():
     assert ENDOSCOPIC.appearance.vessels == 0.5
     assert Appearance().vessels == 0.0
-    assert Appearance.from_json({"texture": 1.0}).vessels == 0.0, "a file from before they were a strength of their own"
+    assert Appearance.from_json({"texture": 1.0}).vessels == 0.0, "a file without the field ``vessels``"
     volume = tube(6.0)
     # Only the green channel without highlights is compared, because blood absorbs green.
     plain, red = (look(volume, gloss=0.0, texture=0.0, vessels=v, exposure=30.0) for v in (0.0, 1.0))

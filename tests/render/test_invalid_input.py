@@ -48,7 +48,7 @@ def refusal(make, error=CarinaError):
 
 
 @pytest.mark.parametrize(
-    ("at", "look", "up", "words"),
+    ("at", "look", "up", "text"),
     [
         ((NAN, 0, 0), (0, 0, 1), None, "finite.*nan"),
         ((0, INF, 0), (0, 0, 1), None, "finite.*inf"),
@@ -62,12 +62,12 @@ def refusal(make, error=CarinaError):
         ((0, 0, 0), (0, 0, 1), (0, 1), r"three.*\[0\.0, 1\.0\]"),
     ],
 )
-def test_argument_that_is_not_a_pose_is_refused_with_the_value_found(at, look, up, words):
-    assert re.search(words, refusal(lambda: Pose.looking(at, look, up), UsageError))
+def test_argument_that_is_not_a_pose_is_refused_with_the_value_found(at, look, up, text):
+    assert re.search(text, refusal(lambda: Pose.looking(at, look, up), UsageError))
 
 
 @pytest.mark.parametrize(
-    ("matrix", "words"),
+    ("matrix", "text"),
     [
         (np.full((4, 4), NAN), "finite.*nan"),
         (np.eye(3), r"4x4.*\(3, 3\)"),
@@ -77,8 +77,8 @@ def test_argument_that_is_not_a_pose_is_refused_with_the_value_found(at, look, u
         (np.array([[1, 0.1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]), "right angles"),
     ],
 )
-def test_matrix_that_is_not_a_rigid_pose_is_refused_with_the_value_found(matrix, words):
-    assert re.search(words, refusal(lambda: Pose(matrix), UsageError))
+def test_matrix_that_is_not_a_rigid_pose_is_refused_with_the_value_found(matrix, text):
+    assert re.search(text, refusal(lambda: Pose(matrix), UsageError))
 
 
 VIEWS = {
@@ -94,35 +94,35 @@ VIEWS = {
 @pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.parametrize("size", [{"width": 0}, {"height": 0}, {"width": -1}, {"height": 8193}, {"width": 10**9}])
 def test_picture_size_out_of_range_is_refused_with_the_value_found(view, size):
-    words = refusal(lambda: VIEWS[view](**size), RenderError)
-    assert "1 to 8192" in words
-    assert str(next(iter(size.values()))) in words
+    text = refusal(lambda: VIEWS[view](**size), RenderError)
+    assert "1 to 8192" in text
+    assert str(next(iter(size.values()))) in text
 
 
 @pytest.mark.parametrize("view", ["airway", "tri-plane", "tree"])
 @pytest.mark.parametrize("fov_deg", [0.0, 0.99, 170.01, 180.0, -90.0, NAN, INF])
 def test_field_of_view_out_of_range_is_refused_with_the_value_found(view, fov_deg):
-    words = refusal(lambda: VIEWS[view](fov_deg=fov_deg), RenderError)
-    assert "between 1 and 170" in words
-    assert f"{fov_deg:g}" in words
+    text = refusal(lambda: VIEWS[view](fov_deg=fov_deg), RenderError)
+    assert "between 1 and 170" in text
+    assert f"{fov_deg:g}" in text
 
 
 @pytest.mark.parametrize("step_vox", [0.0, -1.0, 0.009, 101.0, NAN])
 def test_ray_step_out_of_range_is_refused_with_the_value_found(step_vox):
-    words = refusal(lambda: AirwayView(pose(), step_vox=step_vox), RenderError)
-    assert "between 0.01 and 100" in words
-    assert str(step_vox) in words
+    text = refusal(lambda: AirwayView(pose(), step_vox=step_vox), RenderError)
+    assert "between 0.01 and 100" in text
+    assert str(step_vox) in text
 
 
 @pytest.mark.parametrize("transparency", [0.0, -1.0, 0.5, NAN])
 def test_stop_limit_out_of_range_is_refused_with_the_value_found(transparency):
-    words = refusal(lambda: AirwayView(pose(), stop_transparency=transparency), RenderError)
-    assert "between 1/65536 and 1/4" in words
-    assert str(transparency) in words
+    text = refusal(lambda: AirwayView(pose(), stop_transparency=transparency), RenderError)
+    assert "between 1/65536 and 1/4" in text
+    assert str(transparency) in text
 
 
 @pytest.mark.parametrize(
-    ("points", "words"),
+    ("points", "text"),
     [
         ([], r"at least one.*\(0,\)"),
         ([[0, 1, 1, 1]], r"hu, r, g, b, alpha.*\(1, 4\)"),
@@ -133,11 +133,11 @@ def test_stop_limit_out_of_range_is_refused_with_the_value_found(transparency):
         ([[5, 1, 1, 1, 0], [4, 1, 1, 1, 1]], "increasing order.*4.*after 5"),
     ],
 )
-def test_value_that_is_not_a_transfer_function_is_refused_with_the_value_found(points, words, tmp_path):
-    assert re.search(words, refusal(lambda: TransferFunction(points=np.array(points, dtype=float)), RenderError))
-    if not re.search("nan|inf", words):
+def test_value_that_is_not_a_transfer_function_is_refused_with_the_value_found(points, text, tmp_path):
+    assert re.search(text, refusal(lambda: TransferFunction(points=np.array(points, dtype=float)), RenderError))
+    if not re.search("nan|inf", text):
         document = {"format": "carina-transfer", "version": 1, "points": points}
-        assert re.search(words, refusal(lambda: TransferFunction.from_json_text(json.dumps(document)), RenderError))
+        assert re.search(text, refusal(lambda: TransferFunction.from_json_text(json.dumps(document)), RenderError))
 
 
 def test_picture_of_excessive_size_is_refused_before_it_is_rendered(ball):

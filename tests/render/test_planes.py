@@ -184,7 +184,7 @@ def test_planes_of_the_tri_plane_view_meet_at_the_given_point_and_the_nearest_pl
     # right.
     assert picture.rgb[30, 30, 0] < picture.rgb[30, 50, 0]
     side = renderer.render(TriPlaneView(MIDDLE, azimuth_deg=90.0, elevation_deg=0.0, width=81, height=81))
-    assert side.lps_from_camera[0, 3] > MIDDLE[0], "azimuth 90 stands on the patient's left"
+    assert side.lps_from_camera[0, 3] > MIDDLE[0], "azimuth 90 looks from the patient's left"
     above = renderer.render(TriPlaneView(MIDDLE, elevation_deg=90.0, width=81, height=81))
     assert above.lps_from_camera[2, 3] > MIDDLE[2]
 

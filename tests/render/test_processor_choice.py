@@ -21,7 +21,7 @@ LAVAPIPE = Adapter(1, "llvmpipe", "vulkan", "Mesa 22", "software")
 VIEW = AirwayView(Pose.looking((0.0, 0.0, 0.0), (0, 0, 1)), width=128, height=96)
 
 
-class StandIn:
+class SimulatedDevice:
     """Simulated device that offers both casters, counts calls and fails on request."""
 
     def __init__(self, *, gpu_ms=2.0, cpu_ms=10.0, off=0):
@@ -66,7 +66,7 @@ def a_scene(*, maps=True):
     )
 
 
-class Rig:
+class BackendFixture:
     """Caster with a simulated device, whose background work waits until the test calls ``run_work``."""
 
     def __init__(self, stand_in, mode, *, adapters=(CARD, LAVAPIPE), record=None):
@@ -108,117 +108,117 @@ def test_cpu_backend_is_the_default_and_calls_no_graphics_driver():
 
 
 def test_faster_graphics_card_is_used_after_the_first_pictures_without_delaying_a_picture():
-    rig = Rig(StandIn(), "auto")
+    fixture = BackendFixture(SimulatedDevice(), "auto")
     scene = a_scene()
     for _ in range(PICTURES_FIRST + 2):
-        assert rig.picture(scene) == "cpu"
-        assert not rig.device.uploads
-    assert len(rig.work) == 1, "measured once, in the background"
-    rig.run_work()
-    assert rig.device.casts.count("gpu") == NUM_PAIRS + 1
-    assert rig.fly(scene, 3) == ["gpu"] * 3
-    (measurement,) = rig.backend.measurements
+        assert fixture.picture(scene) == "cpu"
+        assert not fixture.device.uploads
+    assert len(fixture.work) == 1, "measured once, in the background"
+    fixture.run_work()
+    assert fixture.device.casts.count("gpu") == NUM_PAIRS + 1
+    assert fixture.fly(scene, 3) == ["gpu"] * 3
+    (measurement,) = fixture.backend.measurements
     assert (measurement.chosen, measurement.adapter, measurement.shape_zyx) == (True, "Card 9000", (4, 5, 6))
     assert (round(measurement.gpu_ms, 6), round(measurement.cpu_ms, 6)) == (2.0, 10.0)
 
 
 def test_graphics_card_slower_than_the_cpu_is_not_used():
-    rig = Rig(StandIn(gpu_ms=9.5), "auto")
-    assert set(rig.fly(a_scene())) == {"cpu"}
-    assert "no faster" in rig.backend.measurements[0].why
-    assert rig.caster._resident is None, "its memory is given back"
+    fixture = BackendFixture(SimulatedDevice(gpu_ms=9.5), "auto")
+    assert set(fixture.fly(a_scene())) == {"cpu"}
+    assert "no faster" in fixture.backend.measurements[0].why
+    assert fixture.caster._resident is None, "its memory is given back"
 
 
 def test_graphics_card_whose_picture_differs_from_that_of_the_cpu_is_not_used_at_any_speed():
     allowed = VIEW.width * VIEW.height // 1000
-    assert "gpu" in Rig(StandIn(gpu_ms=0.1, off=allowed), "auto").fly(a_scene())
-    rig = Rig(StandIn(gpu_ms=0.1, off=allowed + 1), "auto")
-    assert set(rig.fly(a_scene())) == {"cpu"}
-    assert "differs" in rig.backend.measurements[0].why
+    assert "gpu" in BackendFixture(SimulatedDevice(gpu_ms=0.1, off=allowed), "auto").fly(a_scene())
+    fixture = BackendFixture(SimulatedDevice(gpu_ms=0.1, off=allowed + 1), "auto")
+    assert set(fixture.fly(a_scene())) == {"cpu"}
+    assert "differs" in fixture.backend.measurements[0].why
 
 
 def test_software_adapter_is_used_only_on_request():
-    rig = Rig(StandIn(gpu_ms=0.1), "auto", adapters=(LAVAPIPE,))
-    assert set(rig.fly(a_scene())) == {"cpu"}
-    assert rig.device.casts.count("gpu") == 0
-    assert set(Rig(StandIn(), "gpu", adapters=(LAVAPIPE,)).fly(a_scene())) == {"gpu"}
+    fixture = BackendFixture(SimulatedDevice(gpu_ms=0.1), "auto", adapters=(LAVAPIPE,))
+    assert set(fixture.fly(a_scene())) == {"cpu"}
+    assert fixture.device.casts.count("gpu") == 0
+    assert set(BackendFixture(SimulatedDevice(), "gpu", adapters=(LAVAPIPE,)).fly(a_scene())) == {"gpu"}
 
 
 def test_graphics_card_is_measured_with_brute_force_after_a_while_if_no_isoregion_map_is_built():
-    rig = Rig(StandIn(), "auto")
-    who = rig.fly(a_scene(maps=False), PICTURES_WITHOUT_MAP + 2)
+    fixture = BackendFixture(SimulatedDevice(), "auto")
+    who = fixture.fly(a_scene(maps=False), PICTURES_WITHOUT_MAP + 2)
     assert who == ["cpu"] * PICTURES_WITHOUT_MAP + ["gpu"] * 2
 
 
 def test_speed_of_the_graphics_card_is_not_measured_with_small_or_dark_pictures():
-    rig = Rig(StandIn(), "auto")
+    fixture = BackendFixture(SimulatedDevice(), "auto")
     small = dataclasses.replace(VIEW, width=64, height=64)
-    assert set(rig.fly(a_scene(), view=small)) == {"cpu"}
-    rig.device.light = 10
-    assert set(rig.fly(a_scene())) == {"cpu"}
-    assert not rig.backend.measurements
-    rig.device.light = 200
-    assert rig.fly(a_scene())[-1] == "gpu"
+    assert set(fixture.fly(a_scene(), view=small)) == {"cpu"}
+    fixture.device.light = 10
+    assert set(fixture.fly(a_scene())) == {"cpu"}
+    assert not fixture.backend.measurements
+    fixture.device.light = 200
+    assert fixture.fly(a_scene())[-1] == "gpu"
 
 
 def test_changed_voxels_are_uploaded_in_the_background_and_a_new_map_without_the_volume():
-    rig = Rig(StandIn(), "auto")
+    fixture = BackendFixture(SimulatedDevice(), "auto")
     scene = a_scene()
-    rig.fly(scene)
+    fixture.fly(scene)
     walled = a_scene()
-    assert rig.picture(walled) == "cpu"
-    rig.run_work()
-    assert rig.picture(walled) == "gpu"
-    assert len(rig.device.uploads) == 2
+    assert fixture.picture(walled) == "cpu"
+    fixture.run_work()
+    assert fixture.picture(walled) == "gpu"
+    assert len(fixture.device.uploads) == 2
     other = SimpleNamespace(values=walled.values, maps=SimpleNamespace(radius=np.ones((4, 5, 6), dtype=np.uint8)))
-    assert rig.picture(other) == "cpu"
-    rig.run_work()
-    assert rig.picture(other) == "gpu"
-    assert len(rig.device.uploads) == 2
+    assert fixture.picture(other) == "cpu"
+    fixture.run_work()
+    assert fixture.picture(other) == "gpu"
+    assert len(fixture.device.uploads) == 2
 
 
 @pytest.mark.parametrize("mode", ["auto", "gpu"])
 def test_lost_graphics_device_loses_no_picture_and_logs_one_message(mode, caplog):
-    rig = Rig(StandIn(), mode, adapters=(CARD,))
+    fixture = BackendFixture(SimulatedDevice(), mode, adapters=(CARD,))
     scene = a_scene()
-    assert rig.fly(scene)[-1] == "gpu"
-    rig.device.error = RenderError("the graphics device Card 9000 cannot be used: lost", code="render.gpu")
-    assert set(rig.fly(scene)) == {"cpu"}
-    rig.device.error = None
-    assert set(rig.fly(a_scene())) == {"cpu"}, "not trusted again in this process"
+    assert fixture.fly(scene)[-1] == "gpu"
+    fixture.device.error = RenderError("the graphics device Card 9000 cannot be used: lost", code="render.gpu")
+    assert set(fixture.fly(scene)) == {"cpu"}
+    fixture.device.error = None
+    assert set(fixture.fly(a_scene())) == {"cpu"}, "not trusted again in this process"
     assert [record.levelname for record in caplog.records if record.levelno >= 30] == ["WARNING"]
     assert "lost" in caplog.text
 
 
 def test_graphics_device_is_used_for_other_volumes_after_a_volume_that_is_too_large(caplog):
-    rig = Rig(StandIn(), "gpu", adapters=(CARD,))
-    rig.device.upload_error = RenderError(
+    fixture = BackendFixture(SimulatedDevice(), "gpu", adapters=(CARD,))
+    fixture.device.upload_error = RenderError(
         "the volume does not fit in the memory of the graphics device", code="render.gpu-limit"
     )
     large = a_scene()
-    assert set(rig.fly(large)) == {"cpu"}
+    assert set(fixture.fly(large)) == {"cpu"}
     assert len([record for record in caplog.records if record.levelno >= 30]) == 1
-    rig.device.upload_error = None
-    assert set(rig.fly(large)) == {"cpu"}
-    assert set(rig.fly(a_scene())) == {"gpu"}
+    fixture.device.upload_error = None
+    assert set(fixture.fly(large)) == {"cpu"}
+    assert set(fixture.fly(a_scene())) == {"gpu"}
 
 
 def test_invalid_render_setting_raises_an_error_and_the_graphics_device_stays_in_use():
-    rig = Rig(StandIn(), "gpu")
-    rig.device.error = RenderError("rows: expected a range", code="render.setting")
+    fixture = BackendFixture(SimulatedDevice(), "gpu")
+    fixture.device.error = RenderError("rows: expected a range", code="render.setting")
     with pytest.raises(RenderError, match="rows"):
-        rig.picture(a_scene())
+        fixture.picture(a_scene())
 
 
 def test_stored_speed_measurement_is_reused_and_one_picture_is_compared_again(tmp_path):
     record = tmp_path / "cache" / "backend.json"
-    Rig(StandIn(), "auto", record=record).fly(a_scene())
-    again = Rig(StandIn(), "auto", record=record)
+    BackendFixture(SimulatedDevice(), "auto", record=record).fly(a_scene())
+    again = BackendFixture(SimulatedDevice(), "auto", record=record)
     assert again.fly(a_scene())[-1] == "gpu"
     assert again.device.casts[: PICTURES_FIRST + 2] == ["cpu"] * (PICTURES_FIRST + 1) + ["gpu"], "one picture each"
-    changed = Rig(StandIn(off=5000), "auto", record=record)
+    changed = BackendFixture(SimulatedDevice(off=5000), "auto", record=record)
     assert set(changed.fly(a_scene())) == {"cpu"}
-    slow = Rig(StandIn(), "auto", record=record)
+    slow = BackendFixture(SimulatedDevice(), "auto", record=record)
     assert set(slow.fly(a_scene())) == {"cpu"}
     assert slow.device.casts.count("gpu") == 0, "known to be wrong: not tried"
 
@@ -227,8 +227,8 @@ def test_stored_speed_measurement_is_reused_and_one_picture_is_compared_again(tm
 def test_graphics_device_with_a_damaged_stored_measurement_is_measured_again(tmp_path, text):
     record = tmp_path / "backend.json"
     record.write_text(text)
-    rig = Rig(StandIn(), "auto", record=record)
-    assert rig.fly(a_scene())[-1] == "gpu"
+    fixture = BackendFixture(SimulatedDevice(), "auto", record=record)
+    assert fixture.fly(a_scene())[-1] == "gpu"
     saved = json.loads(record.read_text())
     assert saved["measured"][0]["chosen"] is True
     saved["carina"] = "0.0.0"

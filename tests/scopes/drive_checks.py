@@ -45,7 +45,7 @@ class Seen:
 
     tips: Floats
     shaft: Shaft
-    told: str
+    description: str
 
 
 ShaftDepths = Callable[[Shaft], Floats]
@@ -69,13 +69,16 @@ class Worst:
     """Largest depth in the wall among the checked points of one kind, with a description of the point."""
 
     mm: float = -np.inf
-    told: str = ""
+    description: str = ""
 
     def take(self, depths: Floats, points: Floats, label: str) -> None:
         """Store the largest of these depths, with its point and description, if it exceeds the stored depth."""
         if len(depths) and not depths.max() <= self.mm:
             n = int(depths.argmax())
-            self.mm, self.told = float(depths[n]), f"{depths[n]:.3f} mm {label} at {np.round(points[n], 2).tolist()}"
+            self.mm, self.description = (
+                float(depths[n]),
+                f"{depths[n]:.3f} mm {label} at {np.round(points[n], 2).tolist()}",
+            )
 
 
 @dataclass
@@ -92,21 +95,21 @@ class Findings:
 
     def check(self) -> None:
         """Assert the limits of `docs/decisions/0125`, and that the drives led along walls."""
-        print(self.told())
-        assert self.tip.mm <= 0.1, self.tip.told
-        assert self.shaft.mm <= 0.5, self.shaft.told
+        print(self.summary())
+        assert self.tip.mm <= 0.1, self.tip.summary
+        assert self.shaft.mm <= 0.5, self.shaft.summary
         # These assertions show that the scopes moved, came near the walls and pressed against them.
         assert self.tip.mm > -1.0
         assert self.num_touched > 0.5 * self.num_drives
         assert np.median(self.travels_mm) > 5.0
         assert {"none", "wall", "narrow"} <= set(self.limits)
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """Return a summary of the results as text."""
         return "\n".join(
             [
                 f"{self.num_drives} drives, {self.num_looked_at} states looked at, {self.num_touched} drives touched",
-                f"deepest: tip {self.tip.told}; shaft {self.shaft.told}",
+                f"deepest: tip {self.tip.summary}; shaft {self.shaft.summary}",
                 f"median travel {np.median(self.travels_mm):.0f} mm, limits {dict(self.limits)}",
             ]
         )
@@ -127,8 +130,8 @@ def check_drives(lumen: Lumen, runs: Iterable[int], *, num_samples: int, every: 
         tips = lumen.cells.depths_mm(np.concatenate([s.tips for s in seen]))
         shafts = lumen.shaft_mm(joined([s.shaft for s in seen]))
         for s in seen:
-            found.tip.take(tips[: len(s.tips)], s.tips, s.told)
-            found.shaft.take(shafts[: len(s.shaft.points)], s.shaft.points, s.told)
+            found.tip.take(tips[: len(s.tips)], s.tips, s.description)
+            found.shaft.take(shafts[: len(s.shaft.points)], s.shaft.points, s.description)
             tips, shafts = tips[len(s.tips) :], shafts[len(s.shaft.points) :]
     return found
 

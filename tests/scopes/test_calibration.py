@@ -167,12 +167,12 @@ BROKEN = {
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_invalid_camera_calibration_is_refused_with_the_defect(name, tmp_path):
-    text, words = BROKEN[name]
+    text, message = BROKEN[name]
     path = tmp_path / "lens.yml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(VolumeImportError) as refusal:
         lens_from_file(path)
-    assert words in str(refusal.value) and str(path) in str(refusal.value)
+    assert message in str(refusal.value) and str(path) in str(refusal.value)
     assert refusal.value.exit_code == 3 and refusal.value.code == "render.lens"
 
 

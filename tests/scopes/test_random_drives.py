@@ -98,7 +98,7 @@ def test_tip_pressed_against_the_carina_edge_does_not_enter_it(chest: Lumen) -> 
     # Without the skin around the balls of the tip (decision 0125) the tip sank into the wall by 0.111 and 0.119 mm in
     # these runs.
     found = check_drives(chest, [52, 261], num_samples=PHANTOM_SAMPLES, every=1)
-    assert 0.0 < found.tip.mm <= 0.1, found.tip.told
+    assert 0.0 < found.tip.mm <= 0.1, found.tip.description
 
 
 @pytest.mark.soak

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from websockets.sync.client import connect
 
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.server.wire import messages as wire
 from carina.volume import write_grid
 from user_folders import environment_in
@@ -37,7 +37,7 @@ class Workstations:
 
     def __init__(self, folder: Path, environment: dict[str, str] | None = None, soon_s: float | None = None) -> None:
         self.ct = folder / "ct.nii.gz"
-        volume = made_phantom(spacing_mm=3.0, generations=3).volume
+        volume = cached_phantom(spacing_mm=3.0, generations=3).volume
         write_grid(self.ct, volume.hu_zyx, volume.lps_from_ijk, what="the phantom")
         self.process = subprocess.Popen(
             [sys.executable, str(HERE / "killed_workstation.py"), *([] if soon_s is None else [str(soon_s)])],
@@ -87,7 +87,7 @@ class Window:
         self.state: dict = {}
         self.history: dict = {"steps": [], "step": 0}
         self.pose: dict = {}
-        self.told: list[str] = []
+        self.messages: list[str] = []
         """Texts of the received notices and errors."""
         self._num_values = 0
         """Number of received answers to probes."""
@@ -109,7 +109,7 @@ class Window:
             if message["type"] in {"state", "history", "pose"}:
                 setattr(self, message["type"], message)
             elif message["type"] in {"notice", "error"}:
-                self.told.append(message["message"])
+                self.messages.append(message["message"])
             elif message["type"] == "value":
                 self._num_values += 1
         return True
@@ -133,7 +133,7 @@ class Window:
         # The total time is limited, because the messages of a running flight do not end.
         end_s = time.monotonic() + WAIT_S
         while not condition():
-            assert self.hear(WAIT_S) and time.monotonic() < end_s, (self.state, self.history, self.told)
+            assert self.hear(WAIT_S) and time.monotonic() < end_s, (self.state, self.history, self.messages)
 
     def wait_open(self) -> None:
         """Wait until the case is open, its airways are found and the case has been saved."""

@@ -14,11 +14,11 @@ import sys
 def work(path: str, out: int) -> None:
     from carina.server import serve
 
-    def say(words: str) -> None:
-        os.write(out, f"{words}\n".encode())
+    def report(text: str) -> None:
+        os.write(out, f"{text}\n".encode())
 
-    say(f"pid {os.getpid()}")
-    serve(path, open_browser=False, on_ready=lambda url, token: say(f"url {url} {token}"))
+    report(f"pid {os.getpid()}")
+    serve(path, open_browser=False, on_ready=lambda url, token: report(f"url {url} {token}"))
 
 
 def main() -> None:

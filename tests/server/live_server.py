@@ -95,7 +95,7 @@ class Window:
             if wanted(message):
                 return message
 
-    def had(self, wanted):
+    def received(self, wanted):
         """Return the first message that meets the condition ``wanted``, among those received before or later.
 
         The server writes a tree concurrently with answers and sends the route after it. Both may arrive before or long

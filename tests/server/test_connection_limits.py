@@ -77,11 +77,11 @@ def small_process(tmp_path, *, reserved=64):
             process.stdout.close()
 
 
-def dial(base, words=b""):
+def tcp_connection(base, data=b""):
     host, port = base.removeprefix("http://").split(":")
     sock = socket.create_connection((host, int(port)), timeout=WAIT_S)
     with contextlib.suppress(OSError):
-        sock.sendall(words)
+        sock.sendall(data)
     return sock
 
 
@@ -101,9 +101,9 @@ def besieged(base, token, *, rounds, strangers=300):
         window.send(wire.encode_message(wire.ClientHello(wire.WIRE_VERSION)))
         window.recv(timeout=WAIT_S)
         for n in range(strangers):
-            stack.callback(dial(base, WORDS[n % len(WORDS)]).close)
+            stack.callback(tcp_connection(base, WORDS[n % len(WORDS)]).close)
         for n in range(rounds):
-            stack.callback(dial(base, WORDS[n % len(WORDS)]).close)
+            stack.callback(tcp_connection(base, WORDS[n % len(WORDS)]).close)
             for ask in (client.get, httpx.get):
                 began = time.perf_counter()
                 while (status := answered(ask, f"{base}/api/airways.json", bearer)) is None:
@@ -165,7 +165,7 @@ def test_unauthenticated_clients_that_reconnect_for_a_minute_block_no_user(tmp_p
 
         def come_and_go():
             while not stop.is_set():
-                with contextlib.suppress(OSError), dial(base, WORDS[1]) as sock:
+                with contextlib.suppress(OSError), tcp_connection(base, WORDS[1]) as sock:
                     sock.settimeout(0.2)
                     sock.recv(1)
 
@@ -195,15 +195,15 @@ def hasty(tmp_path, monkeypatch):
         yield live
 
 
-@pytest.mark.parametrize("words", [WORDS[0], WORDS[1], b"GET / HTTP/1.1\r\nHost: a\r\n" + b"X: y\r\n" * 20])
-def test_connection_without_a_complete_request_is_closed_after_the_time_limit(hasty, words):
-    with dial(hasty.origin, words) as sock:
+@pytest.mark.parametrize("data", [WORDS[0], WORDS[1], b"GET / HTTP/1.1\r\nHost: a\r\n" + b"X: y\r\n" * 20])
+def test_connection_without_a_complete_request_is_closed_after_the_time_limit(hasty, data):
+    with tcp_connection(hasty.origin, data) as sock:
         assert not stays_open(sock)
 
 
 def test_headers_sent_byte_by_byte_do_not_extend_the_time_limit(hasty):
     began = time.monotonic()
-    with dial(hasty.origin) as sock:
+    with tcp_connection(hasty.origin) as sock:
         sock.settimeout(0.01)
         ended = False
         while not ended and time.monotonic() - began < WAIT_S:
@@ -223,7 +223,7 @@ def request(live, method="GET", path="/", *lines):
 
 
 def test_connection_with_an_incomplete_second_request_is_closed(hasty):
-    with dial(hasty.origin, request(hasty)) as sock:
+    with tcp_connection(hasty.origin, request(hasty)) as sock:
         assert sock.recv(100_000).startswith(b"HTTP/1.1 ")
         sock.sendall(b"GET / HTTP/1.1\r\n")
         assert not stays_open(sock)
@@ -233,9 +233,9 @@ def test_request_with_a_stalled_body_is_closed_and_a_slow_body_accepted(hasty):
     bearer = f"Authorization: Bearer {hasty.gate.secret}"
     upload_id = hasty.uploads.begin()
     begin = request(hasty, "PUT", f"/api/upload/{upload_id}?name=a.dcm", bearer, "Content-Length: 20")
-    with dial(hasty.origin, begin + b"half") as sock:
+    with tcp_connection(hasty.origin, begin + b"half") as sock:
         assert not stays_open(sock)
-    with dial(hasty.origin, begin) as sock:
+    with tcp_connection(hasty.origin, begin) as sock:
         for _ in range(20):
             sock.sendall(b"x")
             threading.Event().wait(0.05)  # The waits add up to twice the time limit.
@@ -252,9 +252,9 @@ def test_unauthenticated_websocket_is_closed_at_the_limit_and_an_authenticated_o
             "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
             f"Origin: {live.origin}",
         )
-        first = stack.enter_context(dial(live.origin, request(live, "GET", "/ws", *upgrade)))
+        first = stack.enter_context(tcp_connection(live.origin, request(live, "GET", "/ws", *upgrade)))
         for _ in range(20):
-            stack.enter_context(dial(live.origin))
+            stack.enter_context(tcp_connection(live.origin))
         assert not stays_open(first)
         window.send(wire.Undo())
         assert isinstance(window.until(lambda m: isinstance(m, wire.Error)), wire.Error)

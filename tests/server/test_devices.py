@@ -18,7 +18,7 @@ from carina.server.devices import DeviceConnections
 from carina.server.wire import messages as wire
 from carina.session import UserMessage
 from simulated_serial import WAIT_S, PseudoPort, sending, wait_for
-from small_case import small_bench
+from small_case import session_fixture
 
 if sys.platform == "win32":
     pytest.skip("there are no pseudo-terminals on Windows", allow_module_level=True)
@@ -60,50 +60,50 @@ def do(made: DeviceConnections, command: Command) -> None:
 
 
 @pytest.fixture
-def desk(tmp_path):
-    """Return the device manager (desk) over the small case, with its session and the messages that it sent."""
-    bench = small_bench()
-    bench.session._core.clock = time.monotonic  # The thread of the device manager uses the real time.
-    bench.open()
+def connections(tmp_path):
+    """Return the device connections over the small case, with its session and the messages that it sent."""
+    fixture = session_fixture()
+    fixture.session._core.clock = time.monotonic  # The thread of the device manager uses the real time.
+    fixture.open()
     sent: list[object] = []
-    made = DeviceConnections(bench.session, sent.append, recordings=tmp_path / "recordings")
+    made = DeviceConnections(fixture.session, sent.append, recordings=tmp_path / "recordings")
     made.start()
-    yield made, bench, sent
+    yield made, fixture, sent
     made.stop()
-    bench.session.close()
+    fixture.session.close()
 
 
-def test_stick_moves_the_tip_while_it_is_deflected(desk):
-    made, bench, _ = desk
+def test_stick_moves_the_tip_while_it_is_deflected(connections):
+    made, fixture, _ = connections
     began = time.monotonic()
 
     def pushed() -> bool:
         made.handle(stick(time.monotonic(), 1.0))
         time.sleep(0.016)  # Of a device with a higher rate the device manager ignores some samples.
-        return bench.session.pose_info().path_mm > 8.0
+        return fixture.session.pose_info().path_mm > 8.0
 
     wait_for(pushed)
     made.handle(stick(time.monotonic(), 0.0))
-    wait_for(lambda: not bench.session.devices.woken.is_set())
-    at = bench.session.pose_info().path_mm
+    wait_for(lambda: not fixture.session.devices.woken.is_set())
+    at = fixture.session.pose_info().path_mm
     assert at < 25.0 * (time.monotonic() - began + FIRST_S), "25 mm/s"
     time.sleep(0.1)
-    assert bench.session.pose_info().path_mm == at
+    assert fixture.session.pose_info().path_mm == at
 
 
-def test_flood_of_device_samples_gives_at_most_one_pose_per_frame(desk):
-    made, bench, _ = desk
-    first = bench.session.pose_info().pose_id
+def test_flood_of_device_samples_gives_at_most_one_pose_per_frame(connections):
+    made, fixture, _ = connections
+    first = fixture.session.pose_info().pose_id
     began, n = time.monotonic(), 0
     while n <= 500 or time.monotonic() - began < 0.5:
         made.handle(stick(time.monotonic(), 1.0))
         n += 1
-    poses = bench.session.pose_info().pose_id - first
+    poses = fixture.session.pose_info().pose_id - first
     assert poses <= 1.2 * 125 * (time.monotonic() - began) + 2
 
 
-def test_invalid_device_samples_are_counted_and_reported_once(desk):
-    made, bench, _ = desk
+def test_invalid_device_samples_are_counted_and_reported_once(connections):
+    made, fixture, _ = connections
     made.handle(pen(1.0, (0.0, 0.0, 0.0)))
     for n in range(50):
         made.handle(
@@ -123,16 +123,16 @@ def test_invalid_device_samples_are_counted_and_reported_once(desk):
     (device,) = message.devices
     assert (device.num_used, device.num_ignored) == (1, 50)
     assert "(50)" in device.ignored_words
-    assert sum("ignored" in getattr(e, "message", "") for e in bench.events) == 1
+    assert sum("ignored" in getattr(e, "message", "") for e in fixture.events) == 1
     wire.encode_message(message)
 
 
-def test_registration_returns_its_residual_and_refuses_unusable_pairs(desk):
-    made, bench, _ = desk
+def test_registration_returns_its_residual_and_refuses_unusable_pairs(connections):
+    made, fixture, _ = connections
     made.handle(pen(1.0, (0.0, 0.0, 0.0)))
     points = ((0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (0.0, 50.0, 0.0))
     do(made, wire.Calibrate("pen", points, points))
-    assert any("0.0 mm" in event.message for event in bench.of_type(UserMessage))
+    assert any("0.0 mm" in event.message for event in fixture.of_type(UserMessage))
     do(made, wire.SetControl("absolute"))
     assert made.message().control == "absolute"
     with pytest.raises(UsageError, match="line"):
@@ -140,24 +140,24 @@ def test_registration_returns_its_residual_and_refuses_unusable_pairs(desk):
     assert made.message().devices[0].registered
     do(made, wire.Calibrate("pen", (), ()))
     assert made.message().control == "relative"
-    assert bench.session.pose_info() is not None
+    assert fixture.session.pose_info() is not None
 
 
-def test_pen_button_without_an_active_tool_adds_a_target_at_the_tip(desk):
-    made, bench, _ = desk
-    bench.session.do(GoTo(20.0))
+def test_pen_button_without_an_active_tool_adds_a_target_at_the_tip(connections):
+    made, fixture, _ = connections
+    fixture.session.do(GoTo(20.0))
     do(made, wire.ArmPen("target"))
     made.handle(pen(1.0, (0.0, 0.0, 0.0)))
     made.handle(pen(1.1, (0.0, 0.0, 0.0), buttons=1))
-    bench.background.run_all()
-    (target,) = bench.session.snapshot().document.targets
-    np.testing.assert_allclose(target.lps, bench.session.pose_info().pose.position_lps, atol=1e-9)
+    fixture.background.run_all()
+    (target,) = fixture.session.snapshot().document.targets
+    np.testing.assert_allclose(target.lps, fixture.session.pose_info().pose.position_lps, atol=1e-9)
     do(made, wire.ArmPen(None))
 
 
-def test_stick_selects_the_branch_at_a_fork_and_changes_the_route(desk):
-    made, bench, _ = desk
-    session = bench.session
+def test_stick_selects_the_branch_at_a_fork_and_changes_the_route(connections):
+    made, fixture, _ = connections
+    session = fixture.session
     (trachea, *_) = session.snapshot().document.route.spans
     session.do(GoTo(trachea.to_mm - 3.0))
     assert session.snapshot().document.route.branch_id == 3
@@ -174,8 +174,8 @@ def test_stick_selects_the_branch_at_a_fork_and_changes_the_route(desk):
     assert session.snapshot().undo_label is None, "a flight is no change that undo takes back"
 
 
-def test_scope_handle_is_connected_listed_and_disconnected(desk):
-    made, bench, sent = desk
+def test_scope_handle_is_connected_listed_and_disconnected(connections):
+    made, fixture, sent = connections
     port = PseudoPort()
     address = f"handle:{port.path}"
     try:
@@ -183,9 +183,9 @@ def test_scope_handle_is_connected_listed_and_disconnected(desk):
         made.handle(wire.ConnectDevice(address))
         with pytest.raises(UsageError, match="already connected"):
             made.handle(wire.ConnectDevice(address))
-        before = bench.session.pose_info().path_mm
+        before = fixture.session.pose_info().path_mm
         with sending(lambda n: format_line(n, 10 * n, 0.2 * n), port, rate_hz=100.0):
-            wait_for(lambda: bench.session.pose_info().path_mm > before + 5.0)
+            wait_for(lambda: fixture.session.pose_info().path_mm > before + 5.0)
             wait_for(
                 lambda: any(
                     isinstance(m, wire.DevicesMessage) and m.sources and 50 < m.sources[0].rate_hz < 200 for m in sent
@@ -199,8 +199,8 @@ def test_scope_handle_is_connected_listed_and_disconnected(desk):
 
 
 @pytest.mark.parametrize("option", ["", "?silence=30"])
-def test_tracker_with_or_without_options_is_disconnected_by_its_displayed_name(desk, option):
-    made, _, _ = desk
+def test_tracker_with_or_without_options_is_disconnected_by_its_displayed_name(connections, option):
+    made, _, _ = connections
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         made.handle(wire.ConnectDevice(f"openigtlink:127.0.0.1:{port}{option}"))
@@ -211,19 +211,19 @@ def test_tracker_with_or_without_options_is_disconnected_by_its_displayed_name(d
         assert made.message().sources == ()
 
 
-def test_tracker_without_a_port_is_disconnected_by_its_displayed_name(desk):
-    made, _, _ = desk
+def test_tracker_without_a_port_is_disconnected_by_its_displayed_name(connections):
+    made, _, _ = connections
     made.handle(wire.ConnectDevice("openigtlink:127.0.0.1"))
     (shown,) = made.message().sources
     made.handle(wire.DisconnectDevice(shown.address))
     assert made.message().sources == ()
 
 
-def test_unmoved_scope_handle_that_sends_samples_makes_no_new_poses(desk):
-    made, bench, _ = desk
+def test_unmoved_scope_handle_that_sends_samples_makes_no_new_poses(connections):
+    made, fixture, _ = connections
     made.handle(wire.WatchDevices(True))  # While a window watches the devices, frames continue five times a second.
 
-    def say(n: int, insertion_mm: float) -> None:
+    def send_sample(n: int, insertion_mm: float) -> None:
         handle = (insertion_mm, 0.1, 0.2)
         made.handle(
             wire.DeviceSampleMessage(
@@ -237,20 +237,20 @@ def test_unmoved_scope_handle_that_sends_samples_makes_no_new_poses(desk):
                 advance=0.0,
             )
         )
-        wait_for(lambda: not bench.session.devices.woken.is_set())
+        wait_for(lambda: not fixture.session.devices.woken.is_set())
 
     for n in range(100):
-        say(n, 0.1 * n)
+        send_sample(n, 0.1 * n)
     # During these samples the filter comes to rest.
     for n in range(100, 180):
-        say(n, 9.9)
-    assert bench.session.pose_info().path_mm > 5.0
-    rests = bench.session.pose_info().pose_id
+        send_sample(n, 9.9)
+    assert fixture.session.pose_info().path_mm > 5.0
+    rests = fixture.session.pose_info().pose_id
     for n in range(180, 220):
-        say(n, 9.9)
-    assert bench.session.pose_info().pose_id == rests
-    say(220, 10.4)
-    wait_for(lambda: bench.session.pose_info().pose_id > rests)
+        send_sample(n, 9.9)
+    assert fixture.session.pose_info().pose_id == rests
+    send_sample(220, 10.4)
+    wait_for(lambda: fixture.session.pose_info().pose_id > rests)
 
 
 def published(port: int) -> IgtlPose:
@@ -265,13 +265,13 @@ def published(port: int) -> IgtlPose:
                 return found
 
 
-def test_tip_pose_is_published_and_recordings_are_written(desk, tmp_path):
-    made, bench, _ = desk
-    bench.session.do(GoTo(20.0))
+def test_tip_pose_is_published_and_recordings_are_written(connections, tmp_path):
+    made, fixture, _ = connections
+    fixture.session.do(GoTo(20.0))
     made.handle(wire.PublishTip(0))
     port = made.message().published_port
     assert port
-    tip = bench.session.pose_info().pose.lps_from_camera
+    tip = fixture.session.pose_info().pose.lps_from_camera
     # 3D Slicer uses RAS, so left and posterior change their signs; coordinates on the wire are f32.
     np.testing.assert_allclose(pose_matrix(published(port)), np.diag([-1.0, -1.0, 1.0, 1.0]) @ tip, atol=1e-4)
     made.handle(wire.PublishTip(None))
@@ -283,32 +283,32 @@ def test_tip_pose_is_published_and_recordings_are_written(desk, tmp_path):
     assert len(list((tmp_path / "recordings").glob("*.jsonl"))) == 1
 
 
-def test_reported_delay_of_the_device_filter_changes_with_its_smoothing(desk):
-    made, _, _ = desk
+def test_reported_delay_of_the_device_filter_changes_with_its_smoothing(connections):
+    made, _, _ = connections
     assert made.message().filter_latency_ms <= 10.0
     do(made, wire.SetControls(DeviceControls(min_cutoff_hz=5.0)))
     assert made.message().filter_latency_ms == pytest.approx(1000 / (2 * math.pi * 5.0), abs=0.01)
     assert made.handle(wire.Undo()) is False
 
 
-def test_failed_device_frame_is_logged_once_and_later_frames_run(desk, monkeypatch, caplog):
-    made, bench, _ = desk
-    frame, num_failed = bench.session.devices.frame, 0
+def test_failed_device_frame_is_logged_once_and_later_frames_run(connections, monkeypatch, caplog):
+    made, fixture, _ = connections
+    frame, num_failed = fixture.session.devices.frame, 0
 
     def failing():
         nonlocal num_failed
-        bench.session.devices.woken.clear()
+        fixture.session.devices.woken.clear()
         num_failed += 1
         raise RuntimeError("a fault of ours")
 
-    monkeypatch.setattr(bench.session.devices, "frame", failing)
+    monkeypatch.setattr(fixture.session.devices, "frame", failing)
     for n in range(1, 4):
-        bench.session.devices.woken.set()
+        fixture.session.devices.woken.set()
         wait_for(lambda n=n: num_failed >= n)
-    monkeypatch.setattr(bench.session.devices, "frame", frame)
-    before = bench.session.pose_info().pose
+    monkeypatch.setattr(fixture.session.devices, "frame", frame)
+    before = fixture.session.pose_info().pose
     made.handle(stick(time.monotonic(), 1.0))
-    wait_for(lambda: bench.session.pose_info().pose is not before)
+    wait_for(lambda: fixture.session.pose_info().pose is not before)
     assert [
         r.levelname for r in caplog.records if ("processing the device input of one frame failed") in r.message
     ] == ["ERROR"]

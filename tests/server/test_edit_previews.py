@@ -15,7 +15,7 @@ from carina.server.windows.pointing import Pointing, no_evidence_message
 from carina.server.wire import messages as wire
 from carina.session import EvidenceMissing
 from carina.track import edit_airways
-from small_case import small_bench
+from small_case import session_fixture
 
 WAIT_S = 120.0
 
@@ -24,21 +24,21 @@ WAIT_S = 120.0
 def pointing():
     """Return a session with real airways and real edits, the wall points of picture 5, and the received answers."""
     case = edit_case()
-    bench = small_bench(
+    fixture = session_fixture(
         open_volume=lambda _path, _progress, _cancel: open_ended_volume(),
         find_airways=lambda _volume, **_options: open_ended_airways(),
         edit_airways=edit_airways,
     )
-    bench.open()
+    fixture.open()
     picture = SimpleNamespace(hit=None)
     shown = SimpleNamespace(
         wall_at=lambda _column, _row: picture.hit,
         view=SimpleNamespace(pose=SimpleNamespace(position_lps=np.array(case.tips[0]) + np.array([0.0, 0.0, 8.0]))),
     )
     answers = queue.Queue()
-    made = Pointing(bench.session, {5: shown}.get, answers.put)
+    made = Pointing(fixture.session, {5: shown}.get, answers.put)
     made.start()
-    yield SimpleNamespace(pointing=made, session=bench.session, picture=picture, answers=answers, bench=bench)
+    yield SimpleNamespace(pointing=made, session=fixture.session, picture=picture, answers=answers, fixture=fixture)
     made.stop()
 
 
@@ -59,7 +59,7 @@ def ask(pointing, request_id, tool="add-branch", **place):
 def edit(pointing, message):
     text = wire.encode_message(wire.EditTree(message))
     pointing.session.do(EditTree(wire.parse_client_message(text).edit))
-    pointing.bench.background.run_all()
+    pointing.fixture.background.run_all()
 
 
 def test_points_of_a_preview_equal_those_of_the_added_branch(pointing):
@@ -71,7 +71,7 @@ def test_points_of_a_preview_equal_those_of_the_added_branch(pointing):
     assert len(line.doubtful) == len(line.points_lps) - 1
 
     edit(pointing, wire.AddBranch(lps))
-    (requested,) = pointing.bench.of_type(EvidenceMissing)
+    (requested,) = pointing.fixture.of_type(EvidenceMissing)
     question = wire.parse_server_message(wire.encode_message(no_evidence_message(requested)))
     assert (question.code, question.lps) == ("track.no-evidence", lps)
     assert question.line == line
@@ -130,16 +130,16 @@ def test_pixel_in_the_airway_picture_selects_the_lumen_in_front_of_the_wall_for_
 
 
 @pytest.mark.parametrize(
-    ("place", "words"),
+    ("place", "text"),
     [
         ({"frame_id": 99, "column": 1.0, "row": 1.0}, "view has changed"),
         ({"frame_id": 5, "column": 1.0, "row": 1.0}, "no airway wall"),
         ({"lps": (0.0, 0.0, 9000.0)}, "outside the scan"),
     ],
 )
-def test_pixel_or_point_without_a_possible_edit_is_answered_with_the_reason(pointing, place, words):
+def test_pixel_or_point_without_a_possible_edit_is_answered_with_the_reason(pointing, place, text):
     preview = ask(pointing, 6, **place)
-    assert words in preview.problem
+    assert text in preview.problem
     assert (preview.lines, preview.length_mm, preview.has_evidence) == ((), None, False)
 
 

@@ -111,9 +111,9 @@ def saved_elsewhere(faults: Faults, window: Window, name: str) -> None:
     """During the fault, save the case to a folder on another disk, and assert that the file contains all steps."""
     path = faults.elsewhere / f"{name}.carina"
     steps = [(step["label"], step["at_s"]) for step in window.history["steps"]]
-    window.told.clear()
+    window.messages.clear()
     window.send({"type": "save_case", "path": str(path), "replace": True})
-    window.until(lambda: any(words.startswith("saved as") for words in window.told))
+    window.until(lambda: any(text.startswith("saved as") for text in window.messages))
     with CaseFile.open(path, read_only=True) as case:
         assert_holds([(step.label, round(step.at_s, 3)) for step in case.history()], steps)
     path.unlink()
@@ -174,7 +174,7 @@ def loses_power(faults: Faults, rng: random.Random, *, any_part: bool) -> float:
     pid, window = faults.start()
     if [step for step in before if step[1] <= saved_s - ROUNDED_S]:
         window.until(lambda: window.history["steps"])
-    assert not [words for words in window.told if "could not be read" in words]
+    assert not [text for text in window.messages if "could not be read" in text]
     found = steps_of(window) if window.history["steps"] else []
     assert_holds(found, [step for step in before if step[1] <= saved_s - ROUNDED_S])
     faults.kill(pid, window)

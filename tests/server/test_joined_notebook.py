@@ -18,7 +18,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 import carina
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina import commands as c
 from carina.case import CaseFile, CaseFileError
 from carina.config import load_settings
@@ -42,7 +42,7 @@ WAIT_S = 120.0
 def made_folder(tmp_path_factory):
     """Return a folder with a CT, and with user folders in which a case of the CT was begun."""
     folder = tmp_path_factory.mktemp("join")
-    volume = made_phantom(spacing_mm=3.0, generations=3).volume
+    volume = cached_phantom(spacing_mm=3.0, generations=3).volume
     write_grid(folder / "ct.nii.gz", volume.hu_zyx, volume.lps_from_ijk, what="the phantom")
     with pytest.MonkeyPatch.context() as patch:
         for name, place in user_folders(folder / "home").items():
@@ -231,7 +231,7 @@ def test_window_and_notebook_show_each_other_s_changes_except_view_settings(wind
         case.do(c.EditTree(c.RenameBranch(tip.id, "from the notebook")))
         named = (tip.id, "from the notebook")
         page.until(lambda m: isinstance(m, wire.Tree) and named in {(one.id, one.name) for one in m.tree.branches})
-        page.had(lambda m: isinstance(m, wire.HistoryMessage) and len(m.steps) == 1)
+        page.received(lambda m: isinstance(m, wire.HistoryMessage) and len(m.steps) == 1)
         page.send(wire.SetOutline("none"))
         page.until_state(lambda state: state.look.outline == "none")
         assert case.state.document.look.outline == "none"
@@ -331,12 +331,12 @@ class Workstations:
         self._process = None
 
     def start(self):
-        words = (
+        message = (
             "from carina.server import serve; import sys; "
             "serve(sys.argv[1], open_browser=False, on_ready=lambda url, token: print('ready', flush=True))"
         )
         self._process = subprocess.Popen(
-            [sys.executable, "-c", words, str(self._ct)],
+            [sys.executable, "-c", message, str(self._ct)],
             stdout=subprocess.PIPE,
             text=True,
             env=environment_in(self._home / "home"),

@@ -68,4 +68,4 @@ def test_key_frames_are_edited_flown_downloaded_and_opened_again(live):
         assert opened.duration_s == lasts
         until(window, wire.Done)
         window.send(wire.OpenKeyFrames(upload_id))
-        assert "has expired" in until(window, wire.Error).message, "what was read is not kept"
+        assert "has expired" in until(window, wire.Error).message, "the read file is not stored"

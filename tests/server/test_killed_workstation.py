@@ -51,7 +51,7 @@ def killed_again_and_again(folder: Path, rounds: int) -> list[float]:
             if n:
                 # If the workstation was killed before anything was saved, there are no steps to wait for.
                 if any(at_s <= saved_s - ROUNDED_S for _, at_s in before):
-                    window.until(lambda told=window: told.history["steps"])
+                    window.until(lambda observed=window: observed.history["steps"])
                 found = steps_of(window)
                 # The history contains at most a thousand steps, so the oldest may be missing without a fault.
                 first_s = found[0][1] if found else float("-inf")

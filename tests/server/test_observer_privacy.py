@@ -44,7 +44,7 @@ def no_airways(*_arguments, **_options):
 
 
 @pytest.fixture
-def desk(tmp_path, monkeypatch):
+def shared_case(tmp_path, monkeypatch):
     """Provide a shared case without airways, whose CT has a patient's name."""
     with sharing(
         tmp_path, monkeypatch, path="/scans/SURNAME/case", open_volume=named_volume, find_airways=no_airways
@@ -77,9 +77,9 @@ def assert_nameless(received):
                 assert at < 0, text[max(0, at - 200) : at + 40]
 
 
-def test_messages_to_an_observer_contain_no_file_name_after_any_command_or_error(desk, tmp_path):
-    live, window, page = desk
-    own = window.had(lambda m: isinstance(m, wire.State) and m.case is not None)
+def test_messages_to_an_observer_contain_no_file_name_after_any_command_or_error(shared_case, tmp_path):
+    live, window, page = shared_case
+    own = window.received(lambda m: isinstance(m, wire.State) and m.case is not None)
     assert own.case.ct_name == NAME, "the user at this machine reads it"
     assert NAME in own.case.notes[0].words
     with watching(page.url) as watcher:
@@ -88,9 +88,9 @@ def test_messages_to_an_observer_contain_no_file_name_after_any_command_or_error
         shown = watcher.until_state(lambda s: s.case is not None and s.airways == "failed")
         assert shown.case.title == live.session.snapshot().neutral_title
         assert shown.case.ct_name is None
-        words = {note.code: note.words for note in shown.case.notes}
-        assert words["import.lossy"] == "the slices were compressed with loss"
-        assert "ask the person at the workstation" in words["import.files-unread"]
+        texts = {note.code: note.words for note in shown.case.notes}
+        assert texts["import.lossy"] == "the slices were compressed with loss"
+        assert "ask the person at the workstation" in texts["import.files-unread"]
         watcher.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "axial")
         # These commands of the user fail with messages that contain the file's name.
         window.send(wire.OpenPath("/scans/SURNAME/refused"))
@@ -113,8 +113,8 @@ def test_messages_to_an_observer_contain_no_file_name_after_any_command_or_error
     assert_nameless(recorder.received)
 
 
-def test_pages_and_headers_for_observers_contain_no_file_name(desk):
-    _live, _window, page = desk
+def test_pages_and_headers_for_observers_contain_no_file_name(shared_case):
+    _live, _window, page = shared_case
     origin = page.url.partition("/#")[0]
     with httpx.Client(base_url=origin, verify=insecure(), timeout=WAIT_S) as client:
         for path in ("/", "/api/airways.json", "/api/cases/1/picture.jpg", "/nothing"):
@@ -123,8 +123,8 @@ def test_pages_and_headers_for_observers_contain_no_file_name(desk):
             assert_nameless([answer.content + headers.encode()])
 
 
-def test_case_name_from_the_user_is_not_sent_to_observers(desk):
-    live, window, page = desk
+def test_case_name_from_the_user_is_not_sent_to_observers(shared_case):
+    live, window, page = shared_case
     # The name is free text and may be the patient's name.
     saving = replace_saving(live, title=NAME)
     with watching(page.url) as watcher:
@@ -144,8 +144,8 @@ def replace_saving(live, **values):
     return saving
 
 
-def test_messages_to_a_window_on_another_computer_contain_no_file_name(desk, monkeypatch):
-    live, _window, _page = desk
+def test_messages_to_a_window_on_another_computer_contain_no_file_name(shared_case, monkeypatch):
+    live, _window, _page = shared_case
     monkeypatch.setattr("carina.server.app.comes_from_this_machine", lambda _scope: False)
     with live.window() as far:
         assert far.until_state(lambda s: s.case is not None).case.ct_name is None

@@ -17,13 +17,13 @@ from carina.render import Sight
 from carina.server.observers.page import MAX_WATCHERS
 from carina.server.observers.window import READ_ONLY
 from carina.server.wire import messages as wire
-from small_case import LEFT_TIP, small_bench
+from small_case import LEFT_TIP, session_fixture
 
 pytest.importorskip("cryptography")
 
 
 @pytest.fixture
-def desk(tmp_path, monkeypatch):
+def shared_case(tmp_path, monkeypatch):
     """Provide the user's window of a workstation on which a case and the page for observers are open."""
     with sharing(tmp_path, monkeypatch) as shared:
         yield shared
@@ -34,27 +34,27 @@ def fields(value):
     return wire.encode_message(value)
 
 
-def test_observer_sees_the_case_and_the_flight_with_separate_view_settings(desk):
-    live, window, page = desk
+def test_observer_sees_the_case_and_the_flight_with_separate_view_settings(shared_case):
+    live, window, page = shared_case
     with watching(page.url) as watcher:
         watcher.send(SHOWN)
         watcher.until_state(lambda s: s.case is not None)
         for kind in (wire.Tree, wire.RouteMessage, wire.KeyFramesMessage, wire.PoseMessage):
-            watcher.had(lambda m, kind=kind: isinstance(m, kind))
+            watcher.received(lambda m, kind=kind: isinstance(m, kind))
         window.send(wire.GoTo(20.0))
         pose = watcher.until(lambda m: isinstance(m, wire.PoseMessage) and m.path_mm == 20.0)
         watcher.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "airway" and m.pose_id == pose.pose_id)
         before = live.session.snapshot().sight
         watcher.send(wire.SetCrosshair(LEFT_TIP), wire.SetTexture(on=False))
         assert watcher.until_state(lambda s: not s.sight.texture).sight.crosshair_lps == LEFT_TIP
-        assert live.session.snapshot().sight is before, "what is kept is the person's own"
+        assert live.session.snapshot().sight is before, "the stored view settings are those of the user"
         page_state = page_of(window, lambda page: page is not None and page.watchers)
         assert [w.address for w in page_state.watchers] == ["127.0.0.1"]
     assert page_of(window, lambda page: page is not None and not page.watchers).url == page.url
 
 
-def test_pictures_sent_to_an_observer_are_at_most_as_large_as_a_screen(desk):
-    _live, _window, page = desk
+def test_pictures_sent_to_an_observer_are_at_most_as_large_as_a_screen(shared_case):
+    _live, _window, page = shared_case
     with watching(page.url) as watcher:
         watcher.send(wire.Layout((wire.ViewSize("axial", 4096, 2048),)))
         picture = watcher.until(lambda m: isinstance(m, wire.PictureHeader) and m.full)
@@ -62,10 +62,10 @@ def test_pictures_sent_to_an_observer_are_at_most_as_large_as_a_screen(desk):
 
 
 def test_session_refuses_every_command_of_an_observer_except_view_settings():
-    bench = small_bench()
-    bench.open()
-    bench.session.subscribe(lambda _event: None, window=7, watches=True)
-    before = (bench.session.snapshot(), bench.session.history(), bench.session.pose_info())
+    fixture = session_fixture()
+    fixture.open()
+    fixture.session.subscribe(lambda _event: None, window=7, watches=True)
+    before = (fixture.session.snapshot(), fixture.session.history(), fixture.session.pose_info())
     refused = allowed = 0
     for cls in all_commands():
         if cls.sets in Sight.__struct_fields__:
@@ -74,30 +74,30 @@ def test_session_refuses_every_command_of_an_observer_except_view_settings():
         # The session checks the caller first, so the values of the fields do not matter.
         command = cls(**dict.fromkeys(cls.__struct_fields__))
         with pytest.raises(UsageError, match="you are watching") as refusal:
-            bench.session.do(command, window=7)
+            fixture.session.do(command, window=7)
         assert refusal.value.code == "session.watching"
         refused += 1
-    assert (bench.session.snapshot(), bench.session.history(), bench.session.pose_info()) == before
+    assert (fixture.session.snapshot(), fixture.session.history(), fixture.session.pose_info()) == before
     assert refused > 50 and allowed == 10
-    bench.session.do(commands.SetSlab(10.0, "max"), window=7)
-    assert bench.session.snapshot(7).sight.slab.thickness_mm == 10.0
-    assert bench.session.snapshot().sight == before[0].sight
+    fixture.session.do(commands.SetSlab(10.0, "max"), window=7)
+    assert fixture.session.snapshot(7).sight.slab.thickness_mm == 10.0
+    assert fixture.session.snapshot().sight == before[0].sight
 
 
 def test_observer_does_not_see_another_case_and_cannot_change_it():
-    bench = small_bench()
-    bench.open()
-    end = bench.session.subscribe(lambda _event: None, window=7, watches=True)
-    bench.session.do(commands.OpenPath("another"))
-    bench.background.run_all()
-    assert bench.session.snapshot().case_number == 2
-    assert bench.session.snapshot(7).case is None
-    assert bench.session.scene(7) is None
+    fixture = session_fixture()
+    fixture.open()
+    end = fixture.session.subscribe(lambda _event: None, window=7, watches=True)
+    fixture.session.do(commands.OpenPath("another"))
+    fixture.background.run_all()
+    assert fixture.session.snapshot().case_number == 2
+    assert fixture.session.snapshot(7).case is None
+    assert fixture.session.scene(7) is None
     end()
     with pytest.raises(UsageError, match="watching"):
-        bench.session.do(commands.SetTexture(on=False), window=7)
+        fixture.session.do(commands.SetTexture(on=False), window=7)
     with pytest.raises(UsageError, match="watching"):
-        bench.session.do(commands.Steer(1.0, 0.0, 0.0, 0.0), window=7)
+        fixture.session.do(commands.Steer(1.0, 0.0, 0.0, 0.0), window=7)
 
 
 def test_observer_page_requires_an_open_case(live):
@@ -105,7 +105,7 @@ def test_observer_page_requires_an_open_case(live):
         window.send(wire.SetWatchPage(on=True))
         assert window.until(lambda m: isinstance(m, wire.Error)).code in {"session.no-case", "watch.missing"}
     with pytest.raises(UsageError):
-        small_bench().session.subscribe(lambda _event: None, window=1, watches=True)
+        session_fixture().session.subscribe(lambda _event: None, window=1, watches=True)
 
 
 def sample(cls):
@@ -121,8 +121,8 @@ def sample(cls):
     raise AssertionError(f"no sample of {cls.__name__}")
 
 
-def test_observer_messages_that_open_save_list_or_use_devices_are_refused(desk):
-    live, _window, page = desk
+def test_observer_messages_that_open_save_list_or_use_devices_are_refused(shared_case):
+    live, _window, page = shared_case
     before = (live.session.snapshot(), live.session.pose_info())
     with watching(page.url) as watcher:
         watcher.send(SHOWN)
@@ -140,8 +140,8 @@ def test_observer_messages_that_open_save_list_or_use_devices_are_refused(desk):
     assert (live.session.snapshot(), live.session.pose_info()) == before
 
 
-def test_observer_receives_no_folder_name_no_other_case_and_no_link(desk):
-    live, window, page = desk
+def test_observer_receives_no_folder_name_no_other_case_and_no_link(shared_case):
+    live, window, page = shared_case
     live.session.store.remember("/scans/somebody/Miller^Anna/ct", "2026-01-01")
     with watching(page.url) as watcher:
         watcher.until_state(lambda s: s.case is not None)
@@ -149,7 +149,7 @@ def test_observer_receives_no_folder_name_no_other_case_and_no_link(desk):
         window.until(lambda m: isinstance(m, wire.DevicesMessage))
         window.send(wire.OpenPath("/scans/somebody/bad"), wire.SetFov(80.0))
         watcher.until_state(lambda s: s.look.fov_deg == 80.0)
-        start = watcher.had(lambda m: isinstance(m, wire.Start))
+        start = watcher.received(lambda m: isinstance(m, wire.Start))
         assert (start.recent, start.storage) == ((), None)
         state = [m for m in watcher.seen if isinstance(m, wire.State)][-1]
         assert state.saving.copy_folder is None and state.saving.title is None
@@ -160,8 +160,8 @@ def test_observer_receives_no_folder_name_no_other_case_and_no_link(desk):
         assert "somebody" not in text and "token" not in text and page.url.partition("#")[2] not in text
 
 
-def test_observer_with_a_wrong_token_is_refused_and_counted(desk):
-    _live, window, page = desk
+def test_observer_with_a_wrong_token_is_refused_and_counted(shared_case):
+    _live, window, page = shared_case
     with watching(page.url, token="guess", hello=False) as watcher:
         code, reason = watcher.close_code()
         assert code == wire.CLOSE_CODES["protocol.not-authorised"]
@@ -169,8 +169,8 @@ def test_observer_with_a_wrong_token_is_refused_and_counted(desk):
     assert page_of(window, lambda page: page is not None and page.num_refused == 1)
 
 
-def test_observer_page_refuses_plain_http_and_serves_only_the_web_client(desk):
-    _live, _window, page = desk
+def test_observer_page_refuses_plain_http_and_serves_only_the_web_client(shared_case):
+    _live, _window, page = shared_case
     origin = page.url.partition("/#")[0]
     with pytest.raises(httpx.TransportError):
         httpx.get(origin.replace("https", "http"), timeout=WAIT_S)
@@ -182,8 +182,8 @@ def test_observer_page_refuses_plain_http_and_serves_only_the_web_client(desk):
         assert client.get("/", headers={"host": "evil.example"}).status_code == 403
 
 
-def test_end_of_sharing_disconnects_all_observers_and_closes_the_port(desk):
-    _live, window, page = desk
+def test_end_of_sharing_disconnects_all_observers_and_closes_the_port(shared_case):
+    _live, window, page = shared_case
     with watching(page.url) as watcher:
         watcher.until_state(lambda s: s.case is not None)
         window.send(wire.SetWatchPage(on=False))
@@ -199,8 +199,8 @@ def test_end_of_sharing_disconnects_all_observers_and_closes_the_port(desk):
         assert watcher.close_code()[0] == 4401
 
 
-def test_removed_observer_cannot_reconnect_with_the_same_link(desk):
-    _live, window, page = desk
+def test_removed_observer_cannot_reconnect_with_the_same_link(shared_case):
+    _live, window, page = shared_case
     with watching(page.url) as first, watching(page.url) as second:
         page_state = page_of(window, lambda page: page is not None and len(page.watchers) == 2)
         window.send(wire.SendAway(page_state.watchers[0].number))
@@ -216,8 +216,8 @@ def test_removed_observer_cannot_reconnect_with_the_same_link(desk):
 
 
 @pytest.mark.parametrize("how", ["another", "closed"])
-def test_sharing_ends_when_another_case_is_opened_or_the_case_is_closed(desk, how):
-    _live, window, page = desk
+def test_sharing_ends_when_another_case_is_opened_or_the_case_is_closed(shared_case, how):
+    _live, window, page = shared_case
     with watching(page.url) as watcher:
         watcher.send(SHOWN)
         watcher.until_state(lambda s: s.case is not None)
@@ -227,8 +227,8 @@ def test_sharing_ends_when_another_case_is_opened_or_the_case_is_closed(desk, ho
     page_of(window, lambda page: page is None)
 
 
-def test_maximum_number_of_observers_does_not_prevent_further_windows_of_the_user(desk):
-    live, window, page = desk
+def test_maximum_number_of_observers_does_not_prevent_further_windows_of_the_user(shared_case):
+    live, window, page = shared_case
     with contextlib.ExitStack() as opened:
         for _ in range(MAX_WATCHERS):
             opened.enter_context(watching(page.url))

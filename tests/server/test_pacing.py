@@ -129,7 +129,7 @@ def test_level_adapts_to_a_slower_machine_within_a_few_pictures_and_recovers():
     hit = airway(simulation.fly(1.0))
     period_s = 1 / 60
     slow = [n for n, (time_s, o) in enumerate(hit) if simulation.machine.seconds(o, time_s) > 1.1 * period_s]
-    assert 1 <= len(slow) <= 4, "a few pictures come late, then the level has given way"
+    assert 1 <= len(slow) <= 4, "a few pictures are late, then the level is coarser"
     assert slow[-1] <= 4
     assert rate_hz(hit[5:]) == pytest.approx(60.0, rel=0.1)
     simulation.fly(2.0)
@@ -162,7 +162,7 @@ def test_level_becomes_coarser_under_sustained_load_and_recovers_after_it():
     before = simulation.fly(5.0)[-1][1].width
     hit = airway(simulation.fly(3.0))
     late = [n for n, (time_s, o) in enumerate(hit) if machine.seconds(o, time_s - 0.001) > 1.1 / 60]
-    assert late[-1] <= 10, "a few pictures come late, then the level has given way"
+    assert late[-1] <= 10, "a few pictures are late, then the level is coarser"
     assert rate_hz(hit[12:]) == pytest.approx(60.0, rel=0.05)
     assert airway(simulation.fly(3.0))[-1][1].width == before
 

@@ -15,58 +15,58 @@ from carina.server.to_wire.lungs import _fissures_seen
 from carina.server.windows.broadcast_cache import SharedTexts
 from carina.server.windows.outbox import TOPICS, Outbox
 from carina.session.state.snapshot import Topic
-from small_case import small_bench
+from small_case import session_fixture
 
 
 def test_plans_message_is_absent_without_a_case_and_empty_before_a_target() -> None:
-    bench = small_bench()
-    texts = SharedTexts(bench.session, None, print)
+    fixture = session_fixture()
+    texts = SharedTexts(fixture.session, None, print)
     nothing = texts.plans()
-    bench.open()
-    told = texts.plans()
-    assert texts.plans() is told
-    message = json.loads(told)
+    fixture.open()
+    text = texts.plans()
+    assert texts.plans() is text
+    message = json.loads(text)
     assert (message["type"], message["targets"], message["standing"]) == ("plans", [], "unwanted")
     assert message["tools"]
-    bench.session.do(CloseCase())
+    fixture.session.do(CloseCase())
     # A request while a case is being closed returns no plans and raises no error.
-    assert texts.plans() == nothing != told
+    assert texts.plans() == nothing != text
 
 
 def test_targets_without_a_plan_are_listed_in_the_comparison_message_after_each_change() -> None:
-    bench = small_bench()
-    texts = SharedTexts(bench.session, None, print)
-    bench.open()
-    bench.background.run_all()
+    fixture = session_fixture()
+    texts = SharedTexts(fixture.session, None, print)
+    fixture.open()
+    fixture.background.run_all()
     sent = [json.loads(texts.plans())["comparison"]]
-    lumen = bench.session.snapshot().document.airways.tree.tips()[0].points
+    lumen = fixture.session.snapshot().document.airways.tree.tips()[0].points
     for point in (lumen[0], lumen[-1]):
-        bench.session.do(AddTarget((float(point[0]), float(point[1]), float(point[2]))))
-        bench.background.run_all()
+        fixture.session.do(AddTarget((float(point[0]), float(point[1]), float(point[2]))))
+        fixture.background.run_all()
         sent.append(json.loads(texts.plans())["comparison"])
     assert sent[:2] == [None, None]
     assert sent[2]["targets"] == []
     assert [one["target_id"] for one in sent[2]["unplanned"]] == ["target-1", "target-2"]
     assert all(one["why"].startswith("not planned") for one in sent[2]["unplanned"])
-    bench.session.do(RemoveTarget("target-1"))
+    fixture.session.do(RemoveTarget("target-1"))
     assert json.loads(texts.plans())["comparison"] is None
 
 
 def test_lung_maps_are_sent_only_after_a_change() -> None:
-    bench = small_bench(
+    fixture = session_fixture(
         wall_field=lambda *_given, **_options: object(), map_lungs=lambda *_given, **_options: LungMap()
     )
-    texts = SharedTexts(bench.session, None, print)
-    bench.open()
-    told = [json.loads(texts.lungs())["standing"]]
-    for step in (lambda: bench.session.do(MapLungs()), bench.background.run_all):
+    texts = SharedTexts(fixture.session, None, print)
+    fixture.open()
+    states = [json.loads(texts.lungs())["standing"]]
+    for step in (lambda: fixture.session.do(MapLungs()), fixture.background.run_all):
         step()
-        told.append(json.loads(texts.lungs())["standing"])
-    assert told == ["unwanted", "making", "had"]
+        states.append(json.loads(texts.lungs())["standing"])
+    assert states == ["unwanted", "making", "had"]
 
 
 @pytest.mark.parametrize(
-    ("shares", "words"),
+    ("shares", "text"),
     [
         ((0.79, 0.68), "seen along about 80 % of the borders on the right and 70 % of the borders on the left"),
         ((0.0, 0.02), "hardly any seen"),
@@ -75,8 +75,8 @@ def test_lung_maps_are_sent_only_after_a_change() -> None:
         (None, "as far as the CT shows them"),
     ],
 )
-def test_text_about_visible_fissures_names_each_side_with_lobe_borders(shares, words) -> None:
-    assert _fissures_seen(shares) == words
+def test_text_about_visible_fissures_names_each_side_with_lobe_borders(shares, text) -> None:
+    assert _fissures_seen(shares) == text
 
 
 def test_lung_vessels_are_sent_as_lines_without_short_side_branches() -> None:
@@ -86,23 +86,23 @@ def test_lung_vessels_are_sent_as_lines_without_short_side_branches() -> None:
 
     # The tree has a trunk, a short piece between the trunk and another vessel, that vessel, and a short side branch.
     tree = VesselTree((line(40, 0.0, 1.0, None), line(4, 1.0, 1.0, 0), line(30, 2.0, 0.6, 1), line(4, 3.0, 1.0, 0)))
-    bench = small_bench(
+    fixture = session_fixture(
         wall_field=lambda *_given, **_options: object(), map_lungs=lambda *_given, **_options: LungMap(vessel_tree=tree)
     )
-    texts = SharedTexts(bench.session, None, print)
-    bench.open()
-    bench.session.do(MapLungs())
-    bench.background.run_all()
-    told = json.loads(texts.lungs())["vessels"]
-    assert [(one["points_lps"][0][0], one["sure"], one["diameter_mm"]) for one in told] == [
+    texts = SharedTexts(fixture.session, None, print)
+    fixture.open()
+    fixture.session.do(MapLungs())
+    fixture.background.run_all()
+    vessels = json.loads(texts.lungs())["vessels"]
+    assert [(one["points_lps"][0][0], one["sure"], one["diameter_mm"]) for one in vessels] == [
         (0.0, True, 2.4),
         (1.0, True, 2.4),
         (2.0, False, 2.4),
     ]
     # The line is thinned and has both ends of the vessel.
-    assert told[0]["points_lps"][0] == [0.0, 0.0, 0.0]
-    assert told[0]["points_lps"][-1] == [0.0, 0.0, 39.0]
-    assert len(told[0]["points_lps"]) == 17
+    assert vessels[0]["points_lps"][0] == [0.0, 0.0, 0.0]
+    assert vessels[0]["points_lps"][-1] == [0.0, 0.0, 39.0]
+    assert len(vessels[0]["points_lps"]) == 17
 
 
 def test_every_event_topic_of_a_session_has_a_message() -> None:

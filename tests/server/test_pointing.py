@@ -17,7 +17,7 @@ from carina.server.windows.prefetch import PathPrefetcher
 from carina.server.wire import messages as wire
 from carina.session.view.questions import lumen_before_wall
 from carina.track import AddBranch, CutBranch, MoveFork, PaintLumen, RenameBranch, TreeEdit
-from small_case import small_bench, small_lps
+from small_case import session_fixture, small_lps
 
 WAIT_S = 120.0
 
@@ -25,12 +25,12 @@ WAIT_S = 120.0
 @pytest.fixture
 def pointing():
     """Return a session with airways, a picture of number 5, and the received answers."""
-    bench = small_bench()
-    bench.open()
-    picture = SimpleNamespace(hit=None, asked=[])
+    fixture = session_fixture()
+    fixture.open()
+    picture = SimpleNamespace(hit=None, picked=[])
 
     def wall_at(column, row):
-        picture.asked.append((column, row))
+        picture.picked.append((column, row))
         return picture.hit
 
     shown = SimpleNamespace(
@@ -38,9 +38,9 @@ def pointing():
         view=SimpleNamespace(pose=SimpleNamespace(position_lps=np.array(small_lps((16.0, 14.0, 34.0))))),
     )
     answers = queue.Queue()
-    made = Pointing(bench.session, {5: shown}.get, answers.put)
+    made = Pointing(fixture.session, {5: shown}.get, answers.put)
     made.start()
-    yield SimpleNamespace(pointing=made, session=bench.session, picture=picture, answers=answers, bench=bench)
+    yield SimpleNamespace(pointing=made, session=fixture.session, picture=picture, answers=answers, fixture=fixture)
     made.stop()
 
 
@@ -72,7 +72,7 @@ def test_pixel_in_the_airway_picture_selects_the_lumen_in_front_of_the_wall_for_
     wall = np.array(small_lps((18.6, 14.0, 30.0)))
     pointing.picture.hit = SimpleNamespace(position_lps=wall)
     answer = ask(pointing, 5, frame_id=5, column=12.0, row=7.5)
-    assert pointing.picture.asked == [(12.0, 7.5)]
+    assert pointing.picture.picked == [(12.0, 7.5)]
     lens = np.array(small_lps((16.0, 14.0, 34.0)))
     back = np.linalg.norm(np.array(answer.lps) - wall)
     assert 0.5 < back < np.linalg.norm(lens - wall)
@@ -83,27 +83,27 @@ def test_pixel_in_the_airway_picture_selects_the_lumen_in_front_of_the_wall_for_
 
 
 @pytest.mark.parametrize(
-    ("place", "words"),
+    ("place", "text"),
     [
         ({"frame_id": 99, "column": 1.0, "row": 1.0}, "view has changed"),
         ({"frame_id": 5, "column": 1.0, "row": 1.0}, "no airway wall"),
     ],
 )
-def test_pixel_without_a_visible_wall_is_answered_with_the_reason(pointing, place, words):
+def test_pixel_without_a_visible_wall_is_answered_with_the_reason(pointing, place, text):
     answer = ask(pointing, 6, **place)
     assert answer.lps is None
-    assert words in answer.problem
+    assert text in answer.problem
 
 
 def test_live_path_request_without_airways_is_answered_with_the_step_still_needed():
-    bench = small_bench()
+    fixture = session_fixture()
     answers = queue.Queue()
-    made = Pointing(bench.session, lambda _frame: None, answers.put)
+    made = Pointing(fixture.session, lambda _frame: None, answers.put)
     made.start()
     made.request_live_path(wire.AskLivePath(1, (0.0, 0.0, 0.0), None, None, None))
     assert answers.get(timeout=WAIT_S).problem == "no case is open"
-    bench.session.do(OpenPath("case"))
-    bench.background.run_next()
+    fixture.session.do(OpenPath("case"))
+    fixture.background.run_next()
     made.request_live_path(wire.AskLivePath(2, (0.0, 0.0, 0.0), None, None, None))
     assert "not been segmented yet" in answers.get(timeout=WAIT_S).problem
     made.stop()

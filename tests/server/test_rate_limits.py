@@ -25,7 +25,7 @@ pytest.importorskip("cryptography")
 
 
 @pytest.fixture
-def desk(tmp_path, monkeypatch):
+def shared_case(tmp_path, monkeypatch):
     """Provide a workstation with a shared case; slow observers also have time to read the close reason."""
     monkeypatch.setattr(rate_limits, "DISCARDS_FOR_S", 60.0)
     monkeypatch.setattr(rate_limits, "MAX_DISCARDED_BYTES", 1 << 30)
@@ -164,9 +164,9 @@ def handled(monkeypatch):
 
 
 def test_observer_that_sends_a_flood_is_disconnected_and_all_messages_of_the_user_are_executed(
-    desk, handled, monkeypatch
+    shared_case, handled, monkeypatch
 ):
-    live, window, page = desk
+    live, window, page = shared_case
     monkeypatch.setattr(watching_window, "MESSAGES_PER_S", 0.0)
     monkeypatch.setattr(watching_window, "MESSAGES_AT_ONCE", 20.0)
     with watching(page.url) as other, watching(page.url) as watcher:
@@ -181,9 +181,9 @@ def test_observer_that_sends_a_flood_is_disconnected_and_all_messages_of_the_use
         window.until(lambda m: isinstance(m, wire.Handled) and m.number >= 300)
         assert live.session.pose_info().pose_id > before
         assert len(handled) <= 20, "no more than the limit was done of the observer's"
-        notice = window.had(lambda m: isinstance(m, wire.Notice))
+        notice = window.received(lambda m: isinstance(m, wire.Notice))
         assert "disconnected" in notice.message
-        left = window.had(
+        left = window.received(
             lambda m: (
                 isinstance(m, wire.Watching)
                 and m.page is not None
@@ -197,11 +197,11 @@ def test_observer_that_sends_a_flood_is_disconnected_and_all_messages_of_the_use
             assert again.close_code()[0] == wire.CLOSE_CODES["protocol.not-authorised"]
 
 
-def test_connection_with_a_flood_of_bytes_is_closed_before_parsing(desk, handled, monkeypatch):
+def test_connection_with_a_flood_of_bytes_is_closed_before_parsing(shared_case, handled, monkeypatch):
     # The allowance must not grow during the flood, which takes a part of a second on a busy machine, so its clock does
     # not advance.
     monkeypatch.setattr(rate_limits, "RateLimit", lambda per_s, burst, _clock: RateLimit(per_s, burst, Clock()))
-    live, window, page = desk
+    live, window, page = shared_case
     with watching(page.url) as watcher:
         watcher.until_state(lambda s: s.case is not None)
         text = wire.encode_message(wire.Layout(SHOWN.views))
@@ -213,8 +213,8 @@ def test_connection_with_a_flood_of_bytes_is_closed_before_parsing(desk, handled
     assert live.session.snapshot().case is not None
 
 
-def test_connection_with_a_flood_of_control_frames_is_closed(desk):
-    _live, _window, page = desk
+def test_connection_with_a_flood_of_control_frames_is_closed(shared_case):
+    _live, _window, page = shared_case
     with watching(page.url) as watcher:
         watcher.until_state(lambda s: s.case is not None)
 

@@ -34,9 +34,9 @@ def test_unreadable_path_is_refused_before_a_server_starts(tmp_path):
     (tmp_path / "holiday.pdf").write_bytes(b"%PDF-1.7\n%%EOF")
     ready = []
     with pytest.raises(VolumeImportError, match=r"holiday\.pdf"):
-        serve(str(tmp_path / "holiday.pdf"), open_browser=False, on_ready=lambda *told: ready.append(told))
+        serve(str(tmp_path / "holiday.pdf"), open_browser=False, on_ready=lambda *arguments: ready.append(arguments))
     with pytest.raises(VolumeImportError):
-        serve(str(tmp_path / "nothing-here"), open_browser=False, on_ready=lambda *told: ready.append(told))
+        serve(str(tmp_path / "nothing-here"), open_browser=False, on_ready=lambda *arguments: ready.append(arguments))
     assert ready == []
 
 

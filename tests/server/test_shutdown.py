@@ -19,7 +19,7 @@ from starlette.applications import Starlette
 from carina.phone.page import PhonePage
 from carina.server.network import shutdown as ending
 from carina.server.network.connection_limits import UnauthenticatedConnections
-from small_case import small_bench
+from small_case import session_fixture
 
 REQUEST = b"GET / HTTP/1.1\r\nHost: %s\r\n\r\n"
 
@@ -35,13 +35,13 @@ def log_records(caplog):
 def page(tmp_path):
     """Return the encrypted page for phones of a running workstation."""
     (tmp_path / "phone.html").write_text("<!doctype html><title>phone</title>" + "x" * 1000)
-    page = PhonePage(small_bench().session, web=tmp_path, address="127.0.0.1")
+    page = PhonePage(session_fixture().session, web=tmp_path, address="127.0.0.1")
     page.start()
     yield page
     page.stop()
 
 
-def dialled(page) -> ssl.SSLSocket:
+def tls_connection(page) -> ssl.SSLSocket:
     """Connect to the page with encryption, as a browser does; the test decides what the connection sends and reads."""
     context = ssl.create_default_context()
     context.check_hostname = False
@@ -72,7 +72,7 @@ def has_ended(sock) -> bool:
 
 
 def test_phone_server_stops_without_waiting_for_a_sleeping_browser(page, log_records):
-    with dialled(page) as idle, dialled(page) as quiet:
+    with tls_connection(page) as idle, tls_connection(page) as quiet:
         assert answer(idle, page).startswith(b"HTTP/1.1 200")
         page.stop()
         # Neither connection has read or sent anything since the response.
@@ -83,7 +83,7 @@ def test_phone_server_stops_without_waiting_for_a_sleeping_browser(page, log_rec
 
 def test_phone_server_stops_while_a_connected_phone_sleeps(page, log_records):
     host = "{}:{}".format(*place(page)).encode()
-    with dialled(page) as phone:
+    with tls_connection(page) as phone:
         phone.sendall(
             b"GET /phone HTTP/1.1\r\nHost: %s\r\nOrigin: https://%s\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
             b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n" % (host, host)

@@ -14,7 +14,7 @@ import time
 import pytest
 from forked_workstations import WAIT_S, Window
 
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.case import CaseFile
 from carina.volume import write_grid
 from faulty_disk import FAULTS, FaultyDisk, has_compiler
@@ -72,7 +72,7 @@ class Station:
     def __init__(self, tmp_path, disk, *, terminal):
         self.home, self.disk = tmp_path / "home", disk
         self.home.mkdir()
-        volume = made_phantom(spacing_mm=3.0, generations=3).volume
+        volume = cached_phantom(spacing_mm=3.0, generations=3).volume
         ct = tmp_path / "SURNAME_FIRSTNAME_1951.nii.gz"
         write_grid(ct, volume.hu_zyx, volume.lps_from_ijk, what="the phantom")
         self.terminal = Terminal() if terminal else None
@@ -210,7 +210,7 @@ def test_second_signal_during_the_question_about_unsaved_work_ends_with_exit_cod
     code, out, text = mine.ended()
     assert code == 5, text
     assert json.loads(out)["error"]["code"] == "case.not-saved"
-    assert "5 changes" in text.strip().splitlines()[-1], "the last line says what is lost"
+    assert "5 changes" in text.strip().splitlines()[-1], "the last line states the lost changes"
 
 
 def test_shutdown_with_unsaved_work_and_without_a_terminal_has_exit_code_5(station):

@@ -18,7 +18,7 @@ from carina.scopes import scope_preset
 from carina.server.to_wire.session import route_message, start_message, state_message
 from carina.track import AirwayTree, Branch
 from carina.volume import Note
-from small_case import small_bench
+from small_case import session_fixture
 
 
 def test_scope_list_message_has_the_required_lumen_and_nominal_tip_of_every_scope():
@@ -30,21 +30,21 @@ def test_scope_list_message_has_the_required_lumen_and_nominal_tip_of_every_scop
 
 
 def test_state_message_contains_the_badges_of_the_case_and_its_airways():
-    bench = small_bench()
-    assert state_message(bench.session.snapshot(), frame_rate_hz=60.0).badges == ()
-    bench.open()
-    shown = state_message(bench.session.snapshot(), frame_rate_hz=60.0)
+    fixture = session_fixture()
+    assert state_message(fixture.session.snapshot(), frame_rate_hz=60.0).badges == ()
+    fixture.open()
+    shown = state_message(fixture.session.snapshot(), frame_rate_hz=60.0)
     assert [(note.code, note.words, note.badge) for note in shown.badges] == [("import.lossy", "a test", True)]
     assert shown.case.notes == shown.badges
     thick = Note("track.thick-slices", "slices of 3 mm: a test", badge=True)
-    snapshot = bench.session.snapshot()
+    snapshot = fixture.session.snapshot()
     assert snapshot.document is not None
     airways: Any = snapshot.document.airways
     airways.badges = (thick,)
     shown = state_message(snapshot, frame_rate_hz=60.0)
     assert [(note.code, note.words) for note in shown.badges][1:] == [(thick.code, thick.words)]
-    bench.open("raw")
-    shown = state_message(bench.session.snapshot(), frame_rate_hz=60.0)
+    fixture.open("raw")
+    shown = state_message(fixture.session.snapshot(), frame_rate_hz=60.0)
     assert [note.code for note in shown.badges] == ["import.not-hu", "import.lossy"]
     assert [note.code for note in shown.case.notes] == ["import.lossy"]
 

@@ -19,7 +19,7 @@ class Writing:
     def __init__(self, monkeypatch) -> None:
         self.newest = "first"
         self.written: list[str] = []
-        self.told: list[object] = []
+        self.errors: list[object] = []
         self.meanwhile = lambda: None
         self.texts = SharedTexts(
             SimpleNamespace(
@@ -28,7 +28,7 @@ class Writing:
                 )
             ),
             None,
-            self.told.append,
+            self.errors.append,
         )
         monkeypatch.setattr(broadcast_cache, "tree_message", self.write)
 
@@ -122,8 +122,8 @@ def test_tree_that_cannot_be_encoded_is_reported_and_delays_no_other_message(mon
         await writing.end()
         assert outbox.take_all()[0] == [*TREE_AND_ROUTE]
         assert writing.texts.tree() is None
-        assert writing.texts.route() is not None, "it says where the pose is on the path, with a tree or without"
+        assert writing.texts.route() is not None, "the route is sent with or without a tree"
 
     asyncio.run(run())
-    (error,) = writing.told
+    (error,) = writing.errors
     assert "airway tree cannot be shown" in error.message

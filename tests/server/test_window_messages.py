@@ -184,9 +184,9 @@ def test_opening_a_case_sends_state_tree_route_pose_and_pictures_of_all_views(li
         assert state.case.ct_name == "Thorax 1.5", "the user at this machine may read it"
         assert state.case.other_series[0].refused == "too few slices"
         window.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "tree" and m.full)
-        tree = window.had(lambda m: isinstance(m, wire.Tree) and m.tree is not None).tree
+        tree = window.received(lambda m: isinstance(m, wire.Tree) and m.tree is not None).tree
         assert [b.name for b in tree.branches] == ["Trachea", "RMB", "LMB", None]
-        route = window.had(lambda m: isinstance(m, wire.RouteMessage) and m.route is not None).route
+        route = window.received(lambda m: isinstance(m, wire.RouteMessage) and m.route is not None).route
         assert route.branch_id == 3
         assert len(route.points_lps) == len(route.cumulative_mm) == len(route.generation) == len(route.radius_mm)
         assert {p.view for p in window.pictures} == {"airway", "axial", "tree"}
@@ -282,7 +282,7 @@ def test_targets_are_undone_and_redone_over_the_wire(live):
         window.send(wire.AddTarget(left))
         added = window.until_state(lambda s: len(s.targets) == 1)
         assert (added.can_undo, added.route_id) == ("add Target 1", "target-1")
-        window.had(
+        window.received(
             lambda m: isinstance(m, wire.RouteMessage) and m.route is not None and m.route.target_id == "target-1"
         )
         window.send(wire.Undo())
@@ -296,8 +296,8 @@ def test_tree_and_route_are_not_sent_again_after_a_change_of_other_state(live):
     with live.window() as window:
         open_case(window)
 
-        window.had(lambda m: isinstance(m, wire.Tree) and m.tree is not None)
-        window.had(lambda m: isinstance(m, wire.RouteMessage) and m.route is not None)
+        window.received(lambda m: isinstance(m, wire.Tree) and m.tree is not None)
+        window.received(lambda m: isinstance(m, wire.RouteMessage) and m.route is not None)
         # Answers come in order, so after this answer no message of the opening is pending.
         window.send(wire.SetFov(95.0))
         window.until_state(lambda s: s.look.fov_deg == 95.0)
@@ -340,9 +340,9 @@ def test_reloaded_window_receives_the_complete_state_and_new_pictures(live):
         pose = window.until(lambda m: isinstance(m, wire.PoseMessage) and m.path_mm == 20.0)
     with live.window() as window:
         assert window.until_state(lambda s: True).case == before.case
-        assert window.had(lambda m: isinstance(m, wire.Tree) and m.tree is not None)
-        assert window.had(lambda m: isinstance(m, wire.RouteMessage) and m.route is not None)
-        assert window.had(lambda m: isinstance(m, wire.PoseMessage)) == pose
+        assert window.received(lambda m: isinstance(m, wire.Tree) and m.tree is not None)
+        assert window.received(lambda m: isinstance(m, wire.RouteMessage) and m.route is not None)
+        assert window.received(lambda m: isinstance(m, wire.PoseMessage)) == pose
         window.send(SHOWN)
         for view in ("airway", "axial", "tree"):
             if view not in {p.view for p in window.pictures}:

@@ -58,7 +58,7 @@ def test_case_pose_route_and_history_are_equal_in_all_windows(two):
         settle(window)
     histories = [newest(window, wire.HistoryMessage) for window in two]
     assert histories[0] == histories[1]
-    trees = [window.had(lambda m: isinstance(m, wire.Tree) and m.tree is not None) for window in two]
+    trees = [window.received(lambda m: isinstance(m, wire.Tree) and m.tree is not None) for window in two]
     assert trees[0] == trees[1]
 
 

@@ -8,7 +8,7 @@ from carina.commands import EditTree, OpenPath
 from carina.errors import CancelledError
 from carina.session import Changed
 from carina.track import CutBranch
-from small_case import small_bench
+from small_case import session_fixture
 
 
 class Measures:
@@ -24,15 +24,15 @@ def measure(volume, airways, *, previous, progress, cancel):
 
 
 def test_airways_are_measured_after_each_change_and_a_tree_event_is_sent():
-    bench = small_bench(measure_tree=measure)
-    bench.session.do(OpenPath("case"))
-    bench.background.run_next()
-    assert bench.session.snapshot().measures is None
-    bench.background.run_all()
-    snapshot = bench.session.snapshot()
+    fixture = session_fixture(measure_tree=measure)
+    fixture.session.do(OpenPath("case"))
+    fixture.background.run_next()
+    assert fixture.session.snapshot().measures is None
+    fixture.background.run_all()
+    snapshot = fixture.session.snapshot()
     assert snapshot.measures.airways is snapshot.document.airways
     assert snapshot.measures.previous is None
-    assert "tree" in bench.of_type(Changed)[-1].topics
+    assert "tree" in fixture.of_type(Changed)[-1].topics
 
 
 def test_lumen_diameter_at_the_tip_is_known_after_the_airways_are_measured():
@@ -41,37 +41,37 @@ def test_lumen_diameter_at_the_tip_is_known_after_the_airways_are_measured():
         def of(branch_id):
             return SimpleNamespace(diameter_near=lambda lps: 10.0 + branch_id)
 
-    bench = small_bench(measure_tree=lambda volume, airways, **options: Sections)
-    bench.session.do(OpenPath("case"))
-    bench.background.run_next()
-    assert bench.session.pose_info().lumen_mm is None
-    bench.background.run_all()
-    pose = bench.session.pose_info()
+    fixture = session_fixture(measure_tree=lambda volume, airways, **options: Sections)
+    fixture.session.do(OpenPath("case"))
+    fixture.background.run_next()
+    assert fixture.session.pose_info().lumen_mm is None
+    fixture.background.run_all()
+    pose = fixture.session.pose_info()
     assert pose.lumen_mm == 10.0 + pose.branch.id
-    assert "pose" in bench.of_type(Changed)[-1].topics
+    assert "pose" in fixture.of_type(Changed)[-1].topics
 
 
 def test_edit_reuses_earlier_measurements_and_undo_shows_no_measurements_of_another_tree():
     def edit_airways(volume, airways, edit, **options):
         return SimpleNamespace(**vars(airways))
 
-    bench = small_bench(measure_tree=measure, edit_airways=edit_airways)
-    bench.open()
-    first = bench.session.snapshot()
-    bench.session.do(EditTree(CutBranch(first.document.airways.tree.tips()[0].id)))
-    bench.background.run_next()
-    edited = bench.session.snapshot()
+    fixture = session_fixture(measure_tree=measure, edit_airways=edit_airways)
+    fixture.open()
+    first = fixture.session.snapshot()
+    fixture.session.do(EditTree(CutBranch(first.document.airways.tree.tips()[0].id)))
+    fixture.background.run_next()
+    edited = fixture.session.snapshot()
     assert edited.document.airways is not first.document.airways
     # The measures of the earlier tree are not shown, because its branches may no longer exist.
     assert edited.measures is None
-    bench.background.run_all()
-    edited = bench.session.snapshot()
+    fixture.background.run_all()
+    edited = fixture.session.snapshot()
     assert edited.measures.airways is edited.document.airways
     assert edited.measures.previous is first.measures
-    bench.session.undo()
-    assert bench.session.snapshot().measures is None
-    bench.background.run_all()
-    assert bench.session.snapshot().measures.airways is first.document.airways
+    fixture.session.undo()
+    assert fixture.session.snapshot().measures is None
+    fixture.background.run_all()
+    assert fixture.session.snapshot().measures.airways is first.document.airways
 
 
 def test_case_stays_open_without_measurements_if_measuring_is_stopped_or_unavailable():
@@ -79,7 +79,7 @@ def test_case_stays_open_without_measurements_if_measuring_is_stopped_or_unavail
         raise CancelledError("stopped")
 
     for part in (stopped, None):
-        bench = small_bench(measure_tree=part)
-        bench.open()
-        snapshot = bench.session.snapshot()
+        fixture = session_fixture(measure_tree=part)
+        fixture.open()
+        snapshot = fixture.session.snapshot()
         assert (snapshot.airways, snapshot.measures) == ("found", None)

@@ -8,7 +8,7 @@ import os
 import sqlite3
 import zlib
 
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina import commands as c
 from carina.case import CaseFile
 from carina.render import Renderer
@@ -38,7 +38,7 @@ def texts_of(path):
 
 
 def test_copy_of_a_case_contains_no_name_of_ct_folder_or_mask_and_no_date(tmp_path, caplog):
-    chest = made_phantom(spacing_mm=3.0, generations=3)
+    chest = cached_phantom(spacing_mm=3.0, generations=3)
     folder = tmp_path / "MUELLER 19610405"
     folder.mkdir()
     mask = folder / "Mueller_airways.nii.gz"
@@ -66,7 +66,7 @@ def test_copy_of_a_case_contains_no_name_of_ct_folder_or_mask_and_no_date(tmp_pa
     session.jobs.wait_idle(None)
     assert session.snapshot().saving.copy_name == "given.carina"
     (listed,) = session.cases.listed()
-    assert listed.scanned_on == SCANNED_ON, "its own person is told"
+    assert listed.scanned_on == SCANNED_ON, "the list of its user shows the date"
     session.close()
     with CaseFile.open(tmp_path / "given.carina", read_only=True) as case:
         case.write_copy(tmp_path / "packed.carina", volume=volume)

@@ -10,28 +10,28 @@ from carina.commands.value import subclasses
 from carina.errors import UsageError
 from carina.render import Sight
 from carina.session import Session
-from small_case import small_bench
+from small_case import session_fixture
 
 
 def test_every_command_and_every_query_has_exactly_one_handler():
-    handlers = small_bench().session._handlers
+    handlers = session_fixture().session._handlers
     assert set(handlers) == {*c.all_commands(), *subclasses(c.Query)}
 
 
 @pytest.mark.parametrize("command", [c.Steer, c.GoTo, c.PlacePose, c.ResetLook, c.TakeDevice, c.SetControls, c.JoinPen])
 def test_command_that_only_moves_the_tip_is_executed_by_the_pilot(command):
-    session = small_bench().session
+    session = session_fixture().session
     assert session._handlers[command] == session._core.fly
 
 
 @pytest.mark.parametrize("command", [c.Place, c.SetMode, c.ToggleMode, c.DeviceGone, c.ArmPen, c.SetOperator])
 def test_movement_command_that_needs_preparation_is_executed_by_its_handler(command):
-    session = small_bench().session
+    session = session_fixture().session
     assert session._handlers[command] != session._core.fly
 
 
 @pytest.mark.parametrize(
-    ("command", "words"),
+    ("command", "text"),
     [
         (c.SetFov(30.0), "set_fov.fov_deg must be at least 60; found 30"),
         (c.SetFov(float("nan")), "fov_deg must be"),
@@ -43,32 +43,32 @@ def test_movement_command_that_needs_preparation_is_executed_by_its_handler(comm
         (c.OpenPath(object()), "open_path contains a value that no command accepts"),
     ],
 )
-def test_command_value_out_of_bounds_is_refused_with_its_field_and_changes_nothing(command, words):
-    bench = small_bench()
-    bench.open()
-    before = bench.session.snapshot()
+def test_command_value_out_of_bounds_is_refused_with_its_field_and_changes_nothing(command, text):
+    fixture = session_fixture()
+    fixture.open()
+    before = fixture.session.snapshot()
     with pytest.raises(UsageError) as refused:
-        bench.session.do(command)
-    assert words in str(refused.value)
-    assert bench.session.snapshot() == before
+        fixture.session.do(command)
+    assert text in str(refused.value)
+    assert fixture.session.snapshot() == before
 
 
 def test_numpy_numbers_and_points_are_accepted_in_commands():
-    bench = small_bench()
-    bench.open()
-    bench.session.do(c.SetFov(np.float32(75.0)))
-    bench.session.do(c.SetCrosshair(bench.session.pose_info().pose.position_lps))
-    assert bench.session.snapshot().document.look.fov_deg == 75.0
-    assert isinstance(bench.session.snapshot().sight.crosshair_lps, tuple)
+    fixture = session_fixture()
+    fixture.open()
+    fixture.session.do(c.SetFov(np.float32(75.0)))
+    fixture.session.do(c.SetCrosshair(fixture.session.pose_info().pose.position_lps))
+    assert fixture.session.snapshot().document.look.fov_deg == 75.0
+    assert isinstance(fixture.session.snapshot().sight.crosshair_lps, tuple)
 
 
 def test_objects_that_are_not_commands_or_queries_are_refused_by_the_session():
-    bench = small_bench()
+    fixture = session_fixture()
     for other in (c.VoxelAt((0.0, 0.0, 0.0)), "undo", None, c.KeyFrameAdd()):
         with pytest.raises(UsageError, match="expected a command"):
-            bench.session.do(other)
+            fixture.session.do(other)
     with pytest.raises(UsageError, match="expected a question"):
-        bench.session.ask(c.Undo())
+        fixture.session.ask(c.Undo())
 
 
 def test_repr_of_a_command_is_one_line():
@@ -84,11 +84,11 @@ def test_session_class_has_at_most_fifteen_public_names():
 
 
 def test_history_lists_the_steps_that_can_be_undone():
-    bench = small_bench()
-    bench.open()
-    bench.session.do(c.SetOutline("octagon"))
-    bench.session.do(c.SetFov(100.0))
-    assert bench.session.history()[-2:] == ("image outline", "field of view")
+    fixture = session_fixture()
+    fixture.open()
+    fixture.session.do(c.SetOutline("octagon"))
+    fixture.session.do(c.SetFov(100.0))
+    assert fixture.session.history()[-2:] == ("image outline", "field of view")
 
 
 def test_commands_that_set_a_field_name_an_existing_field_and_are_undone_if_it_is_in_look():

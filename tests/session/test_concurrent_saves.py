@@ -29,7 +29,7 @@ FAULTS = ("locks", "no locks", "no hard links")
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def saved_case(tmp_path_factory):
     """Return the path of a CT with a case file beside it."""
     folder = tmp_path_factory.mktemp("named")
     write_phantom(carina.generate_phantom(spacing_mm=4.0, generations=3), folder / "scan")
@@ -49,7 +49,7 @@ class Author:
     saved: set[tuple[str, float]] = field(default_factory=set)
     refusals: int = 0
     """Number of saves of this user that were refused."""
-    told: int = 0
+    num_warnings: int = 0
     """Number of messages about refused saves that the user received."""
 
     def now_s(self):
@@ -105,7 +105,9 @@ class Window(Author):
         self.saved |= self.steps()
         if self.keeper.info.copy_conflict is not None:
             self.refusals += 1
-            self.told += any("carina" in text for text in self.messages[before:]) or bool(self.keeper.info.copy_problem)
+            self.num_warnings += any("carina" in text for text in self.messages[before:]) or bool(
+                self.keeper.info.copy_problem
+            )
 
     def tick(self):
         """Advance the clock by one minute, after which the named file is written again."""
@@ -115,7 +117,7 @@ class Window(Author):
             self.keeper._refresh()
             if self.keeper.info.copy_conflict is not None:
                 self.refusals += 1
-                self.told += bool(self.keeper.info.copy_problem)
+                self.num_warnings += bool(self.keeper.info.copy_problem)
 
     def close(self):
         assert self.session._saving.write_now()
@@ -125,7 +127,7 @@ class Window(Author):
         self.end()
         if was_behind and keeper.info.copy_conflict is not None:
             self.refusals += 1
-            self.told += any(text == keeper.info.copy_problem for text in self.messages[before:])
+            self.num_warnings += any(text == keeper.info.copy_problem for text in self.messages[before:])
 
     def end(self):
         self.session.close()
@@ -176,7 +178,7 @@ class Notebook(Author):
                 self.saved |= self.steps()
             except CarinaError as refused:
                 self.refusals += 1
-                self.told += refused.code in {"case.changed", "case.read-only", "case.exists"}
+                self.num_warnings += refused.code in {"case.changed", "case.read-only", "case.exists"}
                 self.hear(str(refused))
 
     def close(self):
@@ -186,7 +188,7 @@ class Notebook(Author):
                 self.case.close()
             except CarinaError as refused:
                 self.refusals += 1
-                self.told += "are saved in" in str(refused) or refused.code == "case.not-saved"
+                self.num_warnings += "are saved in" in str(refused) or refused.code == "case.not-saved"
                 self.hear(str(refused))
         if not has_note:
             self.saved |= steps
@@ -212,9 +214,9 @@ def steps_in(path):
 class Ward:
     """Two windows and two notebooks of two users, with their case files in one folder."""
 
-    def __init__(self, folder, made, rng):
+    def __init__(self, folder, saved_case, rng):
         self.rng, self.path = rng, folder / "work" / "team.carina"
-        shutil.copytree(made, folder / "work")
+        shutil.copytree(saved_case, folder / "work")
         # The clock of the second user is two years behind.
         self.authors = [
             cls(name, folder / name.replace(" ", "-"), offset_s)
@@ -298,12 +300,12 @@ class Ward:
             assert author.saved <= places, (
                 f"{author.name} has lost {len(author.saved - places)} steps: {author.messages}"
             )
-            assert author.told == author.refusals, f"{author.name} was not told: {author.messages}"
+            assert author.num_warnings == author.refusals, f"{author.name} got no warning: {author.messages}"
         assert not list(self.path.parent.glob("*being replaced*"))
         assert not list(self.path.parent.glob(".*.draft"))
 
 
-def interleave(made, folder, monkeypatch, seed):
+def interleave(saved_case, folder, monkeypatch, seed):
     rng = random.Random(seed)
     fault = FAULTS[seed % len(FAULTS)]
     with monkeypatch.context() as patches:
@@ -315,7 +317,7 @@ def interleave(made, folder, monkeypatch, seed):
                 raise OSError(1, "Operation not permitted")
 
             patches.setattr(os, "link", link)
-        ward = Ward(folder, made, rng)
+        ward = Ward(folder, saved_case, rng)
         try:
             for _ in range(NUM_ACTS):
                 ward.act()
@@ -328,16 +330,16 @@ def interleave(made, folder, monkeypatch, seed):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_random_order_of_saves_by_two_programs_loses_no_saved_change(made, tmp_path, monkeypatch, seed):
-    interleave(made, tmp_path, monkeypatch, seed)
+def test_random_order_of_saves_by_two_programs_loses_no_saved_change(saved_case, tmp_path, monkeypatch, seed):
+    interleave(saved_case, tmp_path, monkeypatch, seed)
 
 
 @pytest.mark.soak
-def test_a_thousand_random_orders_of_saves_by_two_programs_lose_no_saved_change(made, tmp_path, monkeypatch):
+def test_a_thousand_random_orders_of_saves_by_two_programs_lose_no_saved_change(saved_case, tmp_path, monkeypatch):
     refusals = 0
     for seed in range(1000, 2000):
         folder = tmp_path / str(seed)
-        ward = interleave(made, folder, monkeypatch, seed)
+        ward = interleave(saved_case, folder, monkeypatch, seed)
         refusals += sum(author.refusals for author in ward.authors)
         shutil.rmtree(folder)
     print(f"1,000 interleavings: {refusals} saves refused, each with a message")

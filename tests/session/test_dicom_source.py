@@ -13,7 +13,7 @@ from carina.errors import UsageError, VolumeImportError
 from carina.session import ErrorEvent
 from carina.volume import dicom_structures
 from carina.volume.dicom_references import References
-from small_case import small_bench, small_volume
+from small_case import session_fixture, small_volume
 
 OURS = References(frozenset({"1.2.3"}), frozenset({"4.5"}), frozenset({"6"}), frozenset({"7"}))
 
@@ -36,21 +36,21 @@ def taken(monkeypatch):
     return found
 
 
-def take(bench):
-    bench.session.do(TakeTarget("nodule.dcm"))
-    bench.background.run_all()
-    return bench.of_type(ErrorEvent)[-1]
+def take(fixture):
+    fixture.session.do(TakeTarget("nodule.dcm"))
+    fixture.background.run_all()
+    return fixture.of_type(ErrorEvent)[-1]
 
 
 def test_target_file_drawn_on_another_ct_is_refused_by_comparison_with_the_folder_of_the_opened_ct(tmp_path, taken):
-    bench = small_bench(open_volume=dicom_volume)
-    bench.session.do(OpenPath(str(tmp_path)))
-    bench.background.run_all()
-    trouble = take(bench)
+    fixture = session_fixture(open_volume=dicom_volume)
+    fixture.session.do(OpenPath(str(tmp_path)))
+    fixture.background.run_all()
+    trouble = take(fixture)
     assert taken == [tmp_path]
     assert (trouble.code, "drawn on another CT" in trouble.message) == ("import.other-ct", True)
-    assert bench.session.ask(CtFolder()) == tmp_path
-    assert bench.session.ask(PlanningOf()).dicom_problem is None
+    assert fixture.session.ask(CtFolder()) == tmp_path
+    assert fixture.session.ask(PlanningOf()).dicom_problem is None
 
 
 def test_dicom_references_of_a_dropped_ct_are_available_while_its_case_is_open(monkeypatch, taken, tmp_path):
@@ -61,28 +61,28 @@ def test_dicom_references_of_a_dropped_ct_are_available_while_its_case_is_open(m
         return OURS
 
     monkeypatch.setattr(dicom_structures, "ct_references", references)
-    bench = small_bench(open_volume=dicom_volume)
-    bench.session.do(OpenFiles(str(tmp_path)))
-    bench.background.run_all()
-    take(bench)
+    fixture = session_fixture(open_volume=dicom_volume)
+    fixture.session.do(OpenFiles(str(tmp_path)))
+    fixture.background.run_all()
+    take(fixture)
     assert (read, taken) == ([tmp_path], [OURS])
     # A DICOM export needs the images of the CT; the message names the missing ones.
     with pytest.raises(UsageError, match="open the CT by its folder"):
-        bench.session.ask(CtFolder())
-    assert "was dropped" in bench.session.ask(PlanningOf()).dicom_problem
+        fixture.session.ask(CtFolder())
+    assert "was dropped" in fixture.session.ask(PlanningOf()).dicom_problem
     # Another case does not use the CT's path.
-    bench.session.do(OpenPath(str(tmp_path)))
-    bench.background.run_all()
-    take(bench)
+    fixture.session.do(OpenPath(str(tmp_path)))
+    fixture.background.run_all()
+    take(fixture)
     assert taken[-1] == tmp_path
 
 
 def test_source_path_without_dicom_files_and_missing_source_path_are_reported(tmp_path, taken):
-    bench = small_bench()
-    bench.session.do(OpenPath(str(tmp_path)))
-    bench.background.run_all()
-    assert "was not opened from DICOM" in bench.session.ask(PlanningOf()).dicom_problem
-    gone = small_bench(open_volume=dicom_volume)
+    fixture = session_fixture()
+    fixture.session.do(OpenPath(str(tmp_path)))
+    fixture.background.run_all()
+    assert "was not opened from DICOM" in fixture.session.ask(PlanningOf()).dicom_problem
+    gone = session_fixture(open_volume=dicom_volume)
     gone.session.do(OpenPath(str(tmp_path / "stick")))
     gone.background.run_all()
     assert "no longer there" in gone.session.ask(PlanningOf()).dicom_problem

@@ -7,7 +7,7 @@ import sqlite3
 
 import pytest
 
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina import commands as c
 from carina.case import CaseFile
 from carina.session import ErrorEvent, UserMessage, case_files
@@ -24,10 +24,10 @@ def write_ct(path, volume):
 
 @pytest.fixture(scope="module")
 def chest():
-    return made_phantom(spacing_mm=3.0, generations=3).volume
+    return cached_phantom(spacing_mm=3.0, generations=3).volume
 
 
-class Desk:
+class RestartableWorkstation:
     """Workstation of one user, started with the user's stored cases or without any."""
 
     def __init__(self, folder):
@@ -53,23 +53,23 @@ class Desk:
     def worked_on(self):
         return [record for record in self.records.all() if record.num_changes]
 
-    def said(self):
+    def messages(self):
         return " ".join(event.message for event in self.events if isinstance(event, UserMessage))
 
 
 @pytest.fixture
-def desks(tmp_path):
+def workstations(tmp_path):
     """Return two workstations, each with the stored cases of one user."""
-    made = [Desk(tmp_path / name) for name in ("mine", "theirs")]
+    made = [RestartableWorkstation(tmp_path / name) for name in ("mine", "theirs")]
     yield made
-    for desk in made:
-        desk.session.close()
+    for workstation in made:
+        workstation.session.close()
 
 
 @pytest.fixture
-def given(desks, chest, tmp_path):
+def given(workstations, chest, tmp_path):
     """Return a case file with two steps, which one user made for the other."""
-    mine, _ = desks
+    mine, _ = workstations
     mine.do(
         c.OpenPath(str(write_ct(tmp_path / "ct.nii.gz", chest))),
         c.SetFov(80.0),
@@ -80,43 +80,43 @@ def given(desks, chest, tmp_path):
     return tmp_path / "given.carina"
 
 
-def test_dropped_case_file_whose_ct_is_open_opens_as_a_copy_without_a_path(desks, given, chest, tmp_path):
-    _, desk = desks
-    desk.do(c.OpenPath(str(write_ct(tmp_path / "their ct.nii.gz", chest))))
+def test_dropped_case_file_whose_ct_is_open_opens_as_a_copy_without_a_path(workstations, given, chest, tmp_path):
+    _, workstation = workstations
+    workstation.do(c.OpenPath(str(write_ct(tmp_path / "their ct.nii.gz", chest))))
     before = given.read_bytes()
-    assert desk.drop(given) == []
-    assert len(desk.steps()) == 2
-    saving = desk.session.snapshot().saving
+    assert workstation.drop(given) == []
+    assert len(workstation.steps()) == 2
+    saving = workstation.session.snapshot().saving
     assert (saving.copy_name, saving.copied_s, saving.problem) == (None, None, None)
-    desk.do(c.SetFov(70.0), c.CloseCase())
+    workstation.do(c.SetFov(70.0), c.CloseCase())
     assert given.read_bytes() == before, "it is nobody's copy"
-    (record,) = desk.worked_on()
+    (record,) = workstation.worked_on()
     assert (record.copy_path, record.num_changes) == (None, 3)
 
 
-def test_dropped_case_file_without_its_ct_is_listed_and_requests_the_ct_once(desks, given, chest, tmp_path):
-    _, desk = desks
+def test_dropped_case_file_without_its_ct_is_listed_and_requests_the_ct_once(workstations, given, chest, tmp_path):
+    _, workstation = workstations
     (tmp_path / "ct.nii.gz").unlink()
     for _ in range(2):
-        assert desk.drop(given) == ["case.no-ct"]
+        assert workstation.drop(given) == ["case.no-ct"]
     given.unlink()
-    (waiting,) = desk.session.cases.listed()
+    (waiting,) = workstation.session.cases.listed()
     assert (waiting.opens, waiting.num_changes, waiting.title) == (False, 2, neutral_alias(waiting.recent_id))
-    other = made_phantom(spacing_mm=3.0, generations=4).volume
-    desk.events.clear()
-    desk.do(c.OpenPath(str(write_ct(tmp_path / "other.nii.gz", other))))
-    assert "not the CT of the case that you dropped" in desk.said()
-    assert desk.steps() == []
+    other = cached_phantom(spacing_mm=3.0, generations=4).volume
+    workstation.events.clear()
+    workstation.do(c.OpenPath(str(write_ct(tmp_path / "other.nii.gz", other))))
+    assert "not the CT of the case that you dropped" in workstation.messages()
+    assert workstation.steps() == []
     # The CT is also dropped, so it has no path.
-    desk.do(c.OpenFiles(str(write_ct(tmp_path / "their.nii.gz", chest))))
-    assert len(desk.steps()) == 2
-    desk.do(c.CloseCase())
-    (listed,) = (one for one in desk.session.cases.listed() if one.recent_id == waiting.recent_id)
+    workstation.do(c.OpenFiles(str(write_ct(tmp_path / "their.nii.gz", chest))))
+    assert len(workstation.steps()) == 2
+    workstation.do(c.CloseCase())
+    (listed,) = (one for one in workstation.session.cases.listed() if one.recent_id == waiting.recent_id)
     assert listed.title == waiting.title, "the name of the dropped file is not stored"
 
 
-def test_stored_case_that_contains_later_changes_of_the_dropped_case_file_is_shown(desks, given):
-    mine, _ = desks
+def test_stored_case_that_contains_later_changes_of_the_dropped_case_file_is_shown(workstations, given):
+    mine, _ = workstations
     mine.do(c.SetFov(70.0), c.CloseCase())
     assert mine.drop(given) == []
     assert len(mine.steps()) == 3
@@ -124,47 +124,49 @@ def test_stored_case_that_contains_later_changes_of_the_dropped_case_file_is_sho
     assert mine.session.snapshot().saving.copy_name == "given.carina", "where its person put it"
 
 
-def test_dropped_case_file_that_contains_its_ct_opens_and_opens_again_from_the_list(desks, given, chest, tmp_path):
-    _, desk = desks
+def test_dropped_case_file_that_contains_its_ct_opens_and_opens_again_from_the_list(
+    workstations, given, chest, tmp_path
+):
+    _, workstation = workstations
     (tmp_path / "ct.nii.gz").unlink()
     with CaseFile.open(given, read_only=True) as case:
         case.write_copy(tmp_path / "packed.carina", volume=chest)
-    assert desk.drop(tmp_path / "packed.carina") == []
-    assert len(desk.steps()) == 2
+    assert workstation.drop(tmp_path / "packed.carina") == []
+    assert len(workstation.steps()) == 2
     (tmp_path / "packed.carina").unlink()
-    desk.do(c.CloseCase())
-    (listed,) = desk.session.cases.listed()
+    workstation.do(c.CloseCase())
+    (listed,) = workstation.session.cases.listed()
     assert listed.opens
-    desk.do(c.OpenRecent(listed.recent_id))
-    assert len(desk.steps()) == 2
+    workstation.do(c.OpenRecent(listed.recent_id))
+    assert len(workstation.steps()) == 2
 
 
-def test_damaged_or_foreign_dropped_file_is_refused_and_leaves_no_file(desks, given, chest, tmp_path):
-    _, desk = desks
-    desk.do(c.OpenPath(str(write_ct(tmp_path / "their ct.nii.gz", chest))))
+def test_damaged_or_foreign_dropped_file_is_refused_and_leaves_no_file(workstations, given, chest, tmp_path):
+    _, workstation = workstations
+    workstation.do(c.OpenPath(str(write_ct(tmp_path / "their ct.nii.gz", chest))))
     strange = tmp_path / "strange.carina"
     strange.write_bytes(b"not a case" * 1000)
     with sqlite3.connect(given) as file:
         file.execute("UPDATE tile SET data = zeroblob(length(data))")
     file.close()
     for path in (strange, given):
-        (code,) = desk.drop(path)
+        (code,) = workstation.drop(path)
         assert code.startswith("case.")
         assert code != "case.no-ct"
-    assert desk.session.snapshot().case.volume.hu_zyx.shape == chest.hu_zyx.shape, "the case on screen stays"
-    assert desk.worked_on() == []
+    assert workstation.session.snapshot().case.volume.hu_zyx.shape == chest.hu_zyx.shape, "the case on screen stays"
+    assert workstation.worked_on() == []
 
 
-def test_dropped_case_file_of_a_newer_carina_is_shown_and_not_stored(desks, given, chest, tmp_path):
-    _, desk = desks
+def test_dropped_case_file_of_a_newer_carina_is_shown_and_not_stored(workstations, given, chest, tmp_path):
+    _, workstation = workstations
     with sqlite3.connect(given) as file:
         file.execute("PRAGMA user_version = 1000")
     file.close()
     (tmp_path / "ct.nii.gz").unlink()
-    assert desk.drop(given) == ["case.no-ct"]
-    assert desk.session.cases.listed() == ()
-    desk.do(c.OpenPath(str(write_ct(tmp_path / "their ct.nii.gz", chest))))
-    assert desk.drop(given) == []
-    assert len(desk.steps()) == 2
-    assert "newer" in desk.said()
-    assert desk.worked_on() == []
+    assert workstation.drop(given) == ["case.no-ct"]
+    assert workstation.session.cases.listed() == ()
+    workstation.do(c.OpenPath(str(write_ct(tmp_path / "their ct.nii.gz", chest))))
+    assert workstation.drop(given) == []
+    assert len(workstation.steps()) == 2
+    assert "newer" in workstation.messages()
+    assert workstation.worked_on() == []

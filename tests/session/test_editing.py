@@ -26,7 +26,7 @@ from carina.track import (
     find_airways,
     rebuild_airways,
 )
-from small_case import small_bench
+from small_case import session_fixture
 
 
 def point(values):
@@ -39,9 +39,9 @@ def case():
 
 
 @pytest.fixture
-def bench(case):
+def fixture(case):
     """Return a session with the small drawn tree, real airways and real edits, whose background the test runs."""
-    made = small_bench(
+    made = session_fixture(
         open_volume=lambda _path, _progress, _cancel: case.volume,
         find_airways=lambda _volume, **_options: case.airways,
         edit_airways=edit_airways,
@@ -51,28 +51,28 @@ def bench(case):
     return made
 
 
-def edit(bench, *edits):
+def edit(fixture, *edits):
     for one in edits:
-        bench.session.do(EditTree(one))
-        bench.background.run_all()
+        fixture.session.do(EditTree(one))
+        fixture.background.run_all()
 
 
-def document(bench):
-    return bench.session.snapshot().document
+def document(fixture):
+    return fixture.session.snapshot().document
 
 
-def test_edit_of_the_tree_is_one_labelled_undo_step(bench, case):
-    edit(bench, CutBranch(2))
-    assert 2 not in {b.id for b in document(bench).airways.tree.branches}
-    assert bench.session.snapshot().undo_label == "cut branch 2"
-    assert next(e.outcome for e in bench.of_type(JobEnded)) == "done"
-    bench.session.undo()
-    assert document(bench).airways is case.airways
-    assert bench.session.snapshot().redo_label == "cut branch 2"
-    bench.session.redo()
-    assert 2 not in {b.id for b in document(bench).airways.tree.branches}
-    bench.background.run_all()
-    np.testing.assert_array_equal(bench.renderers[-1].lumen, document(bench).airways.lumen_zyx)
+def test_edit_of_the_tree_is_one_labelled_undo_step(fixture, case):
+    edit(fixture, CutBranch(2))
+    assert 2 not in {b.id for b in document(fixture).airways.tree.branches}
+    assert fixture.session.snapshot().undo_label == "cut branch 2"
+    assert next(e.outcome for e in fixture.of_type(JobEnded)) == "done"
+    fixture.session.undo()
+    assert document(fixture).airways is case.airways
+    assert fixture.session.snapshot().redo_label == "cut branch 2"
+    fixture.session.redo()
+    assert 2 not in {b.id for b in document(fixture).airways.tree.branches}
+    fixture.background.run_all()
+    np.testing.assert_array_equal(fixture.renderers[-1].lumen, document(fixture).airways.lumen_zyx)
 
 
 def names_of(airways):
@@ -90,7 +90,7 @@ def test_one_undo_of_a_repair_restores_tree_and_names(case, kind, is_mask):
     if kind == "add branch":
         airways = edit_airways(case.volume, airways, CutBranch(leaf.id))
     airways = edit_airways(case.volume, airways, RenameBranch(fork.id, "LLL"))
-    made = small_bench(
+    made = session_fixture(
         open_volume=lambda _path, _progress, _cancel: case.volume,
         find_airways=lambda _volume, **_options: airways,
         edit_airways=edit_airways,
@@ -115,73 +115,73 @@ def test_one_undo_of_a_repair_restores_tree_and_names(case, kind, is_mask):
     assert names_of(airways) == before
 
 
-def test_opening_another_case_stops_edits_and_target_searches_of_the_first(bench, case):
-    edit_job = bench.session.do(EditTree(CutBranch(2)))
-    target_job = bench.session.do(AddTarget(point(case.airways.tree.branch(5).points[-2])))
-    left = tuple(bench.background.waiting)
-    bench.background.waiting.clear()
-    bench.open("other")
-    bench.events.clear()
+def test_opening_another_case_stops_edits_and_target_searches_of_the_first(fixture, case):
+    edit_job = fixture.session.do(EditTree(CutBranch(2)))
+    target_job = fixture.session.do(AddTarget(point(case.airways.tree.branch(5).points[-2])))
+    left = tuple(fixture.background.waiting)
+    fixture.background.waiting.clear()
+    fixture.open("other")
+    fixture.events.clear()
     for work in left:
         work()
-    assert [(e.job_id, e.outcome) for e in bench.of_type(JobEnded)] == [
+    assert [(e.job_id, e.outcome) for e in fixture.of_type(JobEnded)] == [
         (edit_job, "cancelled"),
         (target_job, "cancelled"),
     ]
-    assert not bench.of_type(UserMessage)
-    assert bench.session.snapshot().undo_label is None
+    assert not fixture.of_type(UserMessage)
+    assert fixture.session.snapshot().undo_label is None
 
 
-def test_route_to_a_cut_branch_is_removed_with_a_message_and_restored_by_undo(bench, case):
+def test_route_to_a_cut_branch_is_removed_with_a_message_and_restored_by_undo(fixture, case):
     gone = case.airways.tree.branch(2)
-    bench.session.do(ChooseRoute(branch_id=2))
-    edit(bench, CutBranch(2))
-    assert document(bench).route is None
-    words = [e.message for e in bench.of_type(UserMessage)]
-    assert words == ["the edit removed the route to branch 2, generation 2; choose another one, or undo"]
-    bench.session.undo()
-    assert document(bench).route.branch_id == gone.id
+    fixture.session.do(ChooseRoute(branch_id=2))
+    edit(fixture, CutBranch(2))
+    assert document(fixture).route is None
+    messages = [e.message for e in fixture.of_type(UserMessage)]
+    assert messages == ["the edit removed the route to branch 2, generation 2; choose another one, or undo"]
+    fixture.session.undo()
+    assert document(fixture).route.branch_id == gone.id
 
 
-def test_paths_to_targets_are_searched_again_in_the_edited_tree(bench, case):
-    bench.session.do(AddTarget(point(case.airways.tree.branch(2).points[-2])))
-    bench.session.do(AddTarget(point(case.airways.tree.branch(5).points[-2])))
-    bench.background.run_all()
-    assert all(target.route is not None for target in document(bench).targets)
-    edit(bench, CutBranch(2))
-    lost, remaining = document(bench).targets
+def test_paths_to_targets_are_searched_again_in_the_edited_tree(fixture, case):
+    fixture.session.do(AddTarget(point(case.airways.tree.branch(2).points[-2])))
+    fixture.session.do(AddTarget(point(case.airways.tree.branch(5).points[-2])))
+    fixture.background.run_all()
+    assert all(target.route is not None for target in document(fixture).targets)
+    edit(fixture, CutBranch(2))
+    lost, remaining = document(fixture).targets
     assert lost.route is None
     assert "mm from the segmented lumen" in lost.problem
     assert remaining.route is not None
-    assert any(e.message.startswith("there is no longer a path to Target 1") for e in bench.of_type(UserMessage))
-    edit(bench, AddBranch(point(case.tips[0])))
-    assert all(target.route is not None for target in document(bench).targets)
+    assert any(e.message.startswith("there is no longer a path to Target 1") for e in fixture.of_type(UserMessage))
+    edit(fixture, AddBranch(point(case.tips[0])))
+    assert all(target.route is not None for target in document(fixture).targets)
 
 
-def test_route_that_an_edit_does_not_touch_stays_active(bench):
-    bench.session.do(ChooseRoute(branch_id=5))
-    bench.session.do(GoTo(9.0))
-    before = document(bench).route
-    edit(bench, RenameBranch(5, "LB6"))
-    after = document(bench).route
+def test_route_that_an_edit_does_not_touch_stays_active(fixture):
+    fixture.session.do(ChooseRoute(branch_id=5))
+    fixture.session.do(GoTo(9.0))
+    before = document(fixture).route
+    edit(fixture, RenameBranch(5, "LB6"))
+    after = document(fixture).route
     assert after.path is before.path
     assert [s.name for s in after.spans][-1] == "LB6"
-    pose = bench.session.pose_info()
+    pose = fixture.session.pose_info()
     assert pose.path_mm == pytest.approx(9.0)
     assert pose.pose is not None
 
 
-def test_edit_that_leaves_the_lumen_unchanged_does_not_prepare_the_renderer_again(bench):
-    prepared = bench.renderers[-1].prepared
-    edit(bench, RenameBranch(5, "LB6"), SmoothBranch(5))
-    assert bench.renderers[-1].prepared == prepared
-    assert bench.session.pose_info() is not None
-    edit(bench, CutBranch(5))
-    assert bench.renderers[-1].prepared > prepared
+def test_edit_that_leaves_the_lumen_unchanged_does_not_prepare_the_renderer_again(fixture):
+    prepared = fixture.renderers[-1].prepared
+    edit(fixture, RenameBranch(5, "LB6"), SmoothBranch(5))
+    assert fixture.renderers[-1].prepared == prepared
+    assert fixture.session.pose_info() is not None
+    edit(fixture, CutBranch(5))
+    assert fixture.renderers[-1].prepared > prepared
 
 
-def test_renderer_is_prepared_again_for_a_lumen_whose_preparation_was_stopped(bench):
-    renderer = bench.renderers[-1]
+def test_renderer_is_prepared_again_for_a_lumen_whose_preparation_was_stopped(fixture):
+    renderer = fixture.renderers[-1]
     prepared = renderer.prepared
 
     def stopped():
@@ -189,75 +189,75 @@ def test_renderer_is_prepared_again_for_a_lumen_whose_preparation_was_stopped(be
         raise CancelledError("stopped")
 
     renderer.on_prepare = stopped
-    edit(bench, CutBranch(5))
+    edit(fixture, CutBranch(5))
     assert renderer.prepared == prepared
-    bench.session.do(Undo())
-    bench.background.run_all()
+    fixture.session.do(Undo())
+    fixture.background.run_all()
     assert renderer.prepared > prepared, "the maps of before went when the renderer was given another lumen"
 
 
-def test_impossible_edits_leave_the_tree_unchanged_and_state_the_reason(bench, case):
-    before = document(bench)
+def test_impossible_edits_leave_the_tree_unchanged_and_state_the_reason(fixture, case):
+    before = document(fixture)
     with pytest.raises(UsageError, match="lies outside the scan"):
-        bench.session.do(EditTree(AddBranch((900.0, 0.0, 0.0))))
-    edit(bench, CutBranch(0), CutBranch(77), Bridge(point(case.plug)))
-    assert document(bench) is before
-    assert [e.outcome for e in bench.of_type(JobEnded)] == ["failed"] * 3
-    words = [e.message for e in bench.of_type(ErrorEvent)]
-    assert "contains the start" in words[0]
-    assert "branch 77 is not in the tree" in words[1]
-    assert "this point is not in air" in words[2]
-    assert bench.session.snapshot().undo_label is None
+        fixture.session.do(EditTree(AddBranch((900.0, 0.0, 0.0))))
+    edit(fixture, CutBranch(0), CutBranch(77), Bridge(point(case.plug)))
+    assert document(fixture) is before
+    assert [e.outcome for e in fixture.of_type(JobEnded)] == ["failed"] * 3
+    messages = [e.message for e in fixture.of_type(ErrorEvent)]
+    assert "contains the start" in messages[0]
+    assert "branch 77 is not in the tree" in messages[1]
+    assert "this point is not in air" in messages[2]
+    assert fixture.session.snapshot().undo_label is None
 
 
 def test_edit_of_the_tree_without_airways_is_refused():
-    bench = small_bench()
+    fixture = session_fixture()
     with pytest.raises(UsageError, match="no case is open"):
-        bench.session.do(EditTree(CutBranch(1)))
-    bench.session.do(OpenPath("case"))
-    bench.background.run_next()
+        fixture.session.do(EditTree(CutBranch(1)))
+    fixture.session.do(OpenPath("case"))
+    fixture.background.run_next()
     with pytest.raises(NoResultError, match="no airway tree to edit yet"):
-        bench.session.do(EditTree(CutBranch(1)))
+        fixture.session.do(EditTree(CutBranch(1)))
 
 
-def test_stopped_edit_leaves_the_tree_unchanged(bench):
-    before = document(bench)
-    job_id = bench.session.do(EditTree(CutBranch(2)))
-    bench.session.do(Cancel(job_id))
-    bench.background.run_all()
-    assert document(bench) is before
-    assert [e.outcome for e in bench.of_type(JobEnded)] == ["cancelled"]
+def test_stopped_edit_leaves_the_tree_unchanged(fixture):
+    before = document(fixture)
+    job_id = fixture.session.do(EditTree(CutBranch(2)))
+    fixture.session.do(Cancel(job_id))
+    fixture.background.run_all()
+    assert document(fixture) is before
+    assert [e.outcome for e in fixture.of_type(JobEnded)] == ["cancelled"]
 
 
-def test_edit_requested_before_an_undo_applies_to_the_tree_after_it(bench):
-    edit(bench, CutBranch(2))
-    bench.session.do(EditTree(SmoothBranch(5)))
-    bench.session.undo()
-    bench.background.run_all()
-    assert [type(e) for e in document(bench).airways.edits] == [SmoothBranch]
+def test_edit_requested_before_an_undo_applies_to_the_tree_after_it(fixture):
+    edit(fixture, CutBranch(2))
+    fixture.session.do(EditTree(SmoothBranch(5)))
+    fixture.session.undo()
+    fixture.background.run_all()
+    assert [type(e) for e in document(fixture).airways.edits] == [SmoothBranch]
 
 
-def test_long_series_of_edits_is_undone_and_redone_bit_for_bit(bench, case):
+def test_long_series_of_edits_is_undone_and_redone_bit_for_bit(fixture, case):
     trunk = case.airways.tree.root.points
     edits = [PaintLumen((point(trunk[3 + n // 2]),), 3.6 + 0.2 * n, "ball") for n in range(NUM_EDITS_WHOLE + 4)]
-    edit(bench, *edits)
-    history: History = bench.session._core.case.history
+    edit(fixture, *edits)
+    history: History = fixture.session._core.case.history
     snapshots = [d.airways for d in history.documents()]
     assert sum(isinstance(a, FoldedAirways) for a in snapshots) > 0
     assert len({id(a) for a in snapshots if isinstance(a, Airways) and a.edits}) <= NUM_EDITS_WHOLE
-    last = document(bench).airways
+    last = document(fixture).airways
     assert last.edits == tuple(edits)
     for num_left in range(len(edits) - 1, -1, -1):
-        bench.session.undo()
-        airways = document(bench).airways
+        fixture.session.undo()
+        airways = document(fixture).airways
         assert isinstance(airways, Airways)
         assert airways.edits == tuple(edits[:num_left])
         if num_left in {1, 4}:
             assert_same(airways, rebuild_airways(case.volume, case.airways, edits[:num_left]))
-    assert document(bench).airways is case.airways
+    assert document(fixture).airways is case.airways
     for _ in edits:
-        bench.session.redo()
-    assert_same(document(bench).airways, last)
+        fixture.session.redo()
+    assert_same(document(fixture).airways, last)
 
 
 def test_undo_history_compresses_states_far_from_the_present_one():
@@ -271,9 +271,9 @@ def test_undo_history_compresses_states_far_from_the_present_one():
 
 
 @pytest.fixture
-def lung_bench():
-    """Return a bench whose volume allows paths through plain lung."""
-    made = small_bench(
+def lung_fixture():
+    """Return a session fixture whose volume allows paths through plain lung."""
+    made = session_fixture(
         open_volume=lambda _path, _progress, _cancel: open_ended_volume(),
         find_airways=lambda _volume, **_options: open_ended_airways(),
         edit_airways=edit_airways,
@@ -283,47 +283,47 @@ def lung_bench():
     return made
 
 
-def test_branch_without_evidence_is_added_only_after_the_user_confirms_it(lung_bench):
-    edit(lung_bench, AddBranch(in_plain_lung()))
-    (question,) = lung_bench.of_type(EvidenceMissing)
-    assert lung_bench.of_type(ErrorEvent) == []
-    (ended,) = lung_bench.of_type(JobEnded)
+def test_branch_without_evidence_is_added_only_after_the_user_confirms_it(lung_fixture):
+    edit(lung_fixture, AddBranch(in_plain_lung()))
+    (question,) = lung_fixture.of_type(EvidenceMissing)
+    assert lung_fixture.of_type(ErrorEvent) == []
+    (ended,) = lung_fixture.of_type(JobEnded)
     assert (ended.job_id, ended.outcome) == (question.job_id, "failed")
     assert isinstance(ended.error, NoEvidenceError)
-    assert lung_bench.events.index(question) < lung_bench.events.index(ended)
+    assert lung_fixture.events.index(question) < lung_fixture.events.index(ended)
     assert question.lps == in_plain_lung()
     assert question.error.doubtful_mm > 2.0
-    assert document(lung_bench).airways is open_ended_airways()
-    assert lung_bench.session.snapshot().undo_label is None
+    assert document(lung_fixture).airways is open_ended_airways()
+    assert lung_fixture.session.snapshot().undo_label is None
 
-    edit(lung_bench, AddBranch(question.lps, even_without_evidence=True))
-    drawn = [b for b in document(lung_bench).airways.tree.branches if b.kind == "manual"]
+    edit(lung_fixture, AddBranch(question.lps, even_without_evidence=True))
+    drawn = [b for b in document(lung_fixture).airways.tree.branches if b.kind == "manual"]
     assert sum(b.doubtful_mm for b in drawn) == pytest.approx(question.error.doubtful_mm)
     assert np.array_equal(drawn[-1].points[-1], question.error.way_lps[-1])
     assert all(b.name is None and b.confidence is None for b in drawn)
-    lung_bench.session.undo()
-    assert document(lung_bench).airways is open_ended_airways()
+    lung_fixture.session.undo()
+    assert document(lung_fixture).airways is open_ended_airways()
 
 
-def test_route_along_a_drawn_branch_states_its_drawn_length(lung_bench):
-    edit(lung_bench, AddBranch(in_plain_lung(), even_without_evidence=True))
-    drawn = next(b for b in document(lung_bench).airways.tree.branches if b.kind == "manual")
-    lung_bench.session.do(ChooseRoute(branch_id=drawn.id))
-    route = document(lung_bench).route
+def test_route_along_a_drawn_branch_states_its_drawn_length(lung_fixture):
+    edit(lung_fixture, AddBranch(in_plain_lung(), even_without_evidence=True))
+    drawn = next(b for b in document(lung_fixture).airways.tree.branches if b.kind == "manual")
+    lung_fixture.session.do(ChooseRoute(branch_id=drawn.id))
+    route = document(lung_fixture).route
     assert route.drawn.drawn_mm == pytest.approx(drawn.length_mm, rel=0.1)
     assert route.drawn.words.endswith("mm drawn by hand")
 
 
-def test_preview_of_an_edit_equals_the_edit(lung_bench):
-    preview = lung_bench.session.ask(PreviewOf(AddBranch(in_plain_lung())))
+def test_preview_of_an_edit_equals_the_edit(lung_fixture):
+    preview = lung_fixture.session.ask(PreviewOf(AddBranch(in_plain_lung())))
     assert not preview.has_evidence
-    edit(lung_bench, AddBranch(in_plain_lung()))
-    (question,) = lung_bench.of_type(EvidenceMissing)
+    edit(lung_fixture, AddBranch(in_plain_lung()))
+    (question,) = lung_fixture.of_type(EvidenceMissing)
     (line,) = preview.lines
     assert line.points_lps.tobytes() == question.error.way_lps.tobytes()
-    lung_bench.session.do(CloseCase())
+    lung_fixture.session.do(CloseCase())
     with pytest.raises(UsageError):
-        lung_bench.session.ask(PreviewOf(AddBranch(in_plain_lung())))
+        lung_fixture.session.ask(PreviewOf(AddBranch(in_plain_lung())))
 
 
 def test_bridge_without_an_airway_beyond_its_end_is_refused_and_confirmation_is_not_offered():
@@ -337,26 +337,26 @@ def test_bridge_without_an_airway_beyond_its_end_is_refused_and_confirmation_is_
     def refuse(*_arguments, **_options):
         raise doubt
 
-    bench = small_bench(
+    fixture = session_fixture(
         open_volume=lambda _path, _progress, _cancel: open_ended_volume(),
         find_airways=lambda _volume, **_options: edit_case().airways,
         edit_airways=refuse,
     )
-    bench.open()
-    edit(bench, Bridge(in_plain_lung()))
-    assert bench.of_type(EvidenceMissing) == []
-    assert [(trouble.code, trouble.message) for trouble in bench.of_type(ErrorEvent)] == [(doubt.code, str(doubt))]
+    fixture.open()
+    edit(fixture, Bridge(in_plain_lung()))
+    assert fixture.of_type(EvidenceMissing) == []
+    assert [(trouble.code, trouble.message) for trouble in fixture.of_type(ErrorEvent)] == [(doubt.code, str(doubt))]
 
 
-def test_target_at_the_new_root_stays_in_the_list_and_states_why_it_has_no_path(bench, case):
+def test_target_at_the_new_root_stays_in_the_list_and_states_why_it_has_no_path(fixture, case):
     there = MoveRoot(point(case.airways.tree.branch(5).points[-2]))
     tracker = edit_airways(case.volume, case.airways, there).tracker
     place = point(case.volume.to_lps(np.array(tracker.root_ijk, dtype=float)))
-    bench.session.do(AddTarget(place))
-    bench.background.run_all()
-    assert document(bench).targets[0].route is not None
-    edit(bench, there)
-    assert len(document(bench).airways.edits) == 1
-    (target,) = document(bench).targets
+    fixture.session.do(AddTarget(place))
+    fixture.background.run_all()
+    assert document(fixture).targets[0].route is not None
+    edit(fixture, there)
+    assert len(document(fixture).airways.edits) == 1
+    (target,) = document(fixture).targets
     assert (target.lps, target.route) == (place, None)
     assert "lies at the tracheal entry" in target.problem

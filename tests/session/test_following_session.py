@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina import commands as c
 from carina.case import CaseFollower
 from carina.errors import UsageError
@@ -19,7 +19,7 @@ from carina.volume import write_grid
 @pytest.fixture
 def pair(tmp_path):
     """Return an owner, a session that follows it, and the connection between them."""
-    volume = made_phantom(spacing_mm=3.0, generations=3).volume
+    volume = cached_phantom(spacing_mm=3.0, generations=3).volume
     write_grid(tmp_path / "ct.nii.gz", volume.hu_zyx, volume.lps_from_ijk, what="the phantom")
     records = CaseRecords(tmp_path / "cases", time.time)
     owner, other = (program_session(records=records, files=case_files(None, records)) for _ in range(2))
@@ -70,7 +70,7 @@ def test_claim_on_a_ct_can_be_obtained_after_a_refused_takeover_of_its_case(pair
     with pytest.raises(UsageError):
         do_and_wait(other, c.TakeOver(case_id))
     claim = owner._saving.records.claim(saver.digest)
-    assert claim is not None, "another window is not told that the CT is open in this one"
+    assert claim is not None, "the claim is free, so no window is warned of an open CT"
     claim.release()
 
 

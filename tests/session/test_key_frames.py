@@ -37,7 +37,7 @@ from carina.navigate import KeyFrame, KeyFrameFile, open_key_frames
 from carina.scopes import Pose
 from carina.session import Changed, ErrorEvent
 from carina.session.flights.tip_commands import place_pose
-from small_case import BRANCHES_IJK, small_bench, small_volume
+from small_case import BRANCHES_IJK, session_fixture, small_volume
 
 
 def lps(ijk):
@@ -53,27 +53,27 @@ def looking_down(at) -> Pose:
 
 
 @pytest.fixture
-def bench():
-    made = small_bench()
+def fixture():
+    made = session_fixture()
     made.open()
     return made
 
 
 @pytest.fixture
-def three(bench):
+def three(fixture):
     """Add three key frames: at the top of the trachea, in the left and in the right bronchus."""
     for at in (TOP, LEFT, RIGHT):
-        bench.session.do(place_pose(looking_down(at)))
-        bench.session.do(EditKeyFrames(KeyFrameAdd()))
-    return bench
+        fixture.session.do(place_pose(looking_down(at)))
+        fixture.session.do(EditKeyFrames(KeyFrameAdd()))
+    return fixture
 
 
-def names(bench):
-    return [key.name for key in bench.session.key_frames_info().frames]
+def names(fixture):
+    return [key.name for key in fixture.session.key_frames_info().frames]
 
 
-def pose(bench):
-    return bench.session.pose_info().pose.lps_from_camera
+def pose(fixture):
+    return fixture.session.pose_info().pose.lps_from_camera
 
 
 def test_key_frames_are_named_after_their_branch_until_renamed(three):
@@ -144,11 +144,11 @@ def test_flight_between_key_frames_in_airways_follows_the_airways(three):
     assert straight.duration_s < info.duration_s
 
 
-def test_flight_is_straight_without_airways_and_outside_airways(bench):
+def test_flight_is_straight_without_airways_and_outside_airways(fixture):
     for at in (TOP, OUTSIDE_LUMEN):
-        bench.session.do(place_pose(looking_down(at)))
-        bench.session.do(EditKeyFrames(KeyFrameAdd()))
-    assert [key.through_airways for key in bench.session.key_frames_info().frames] == [False, False]
+        fixture.session.do(place_pose(looking_down(at)))
+        fixture.session.do(EditKeyFrames(KeyFrameAdd()))
+    assert [key.through_airways for key in fixture.session.key_frames_info().frames] == [False, False]
 
 
 def test_key_frame_flight_moves_the_tip_and_reports_its_time_until_interrupted(three):
@@ -206,14 +206,14 @@ def test_movement_by_a_device_interrupts_the_flight_with_a_message(three):
     assert not session.pose_info().by_device
 
 
-def test_tip_moved_to_a_key_frame_has_exactly_the_pose_of_the_key_frame(bench):
-    bench.session.do(place_pose(looking_down(LEFT)))
-    key = bench.session.do(EditKeyFrames(KeyFrameAdd()))
-    bench.session.do(place_pose(looking_down(RIGHT)))
-    bench.session.do(ShowKeyFrame(key))
-    np.testing.assert_array_equal(pose(bench), looking_down(LEFT).lps_from_camera)
+def test_tip_moved_to_a_key_frame_has_exactly_the_pose_of_the_key_frame(fixture):
+    fixture.session.do(place_pose(looking_down(LEFT)))
+    key = fixture.session.do(EditKeyFrames(KeyFrameAdd()))
+    fixture.session.do(place_pose(looking_down(RIGHT)))
+    fixture.session.do(ShowKeyFrame(key))
+    np.testing.assert_array_equal(pose(fixture), looking_down(LEFT).lps_from_camera)
     with pytest.raises(NoResultError, match="at least two key frames"):
-        bench.session.do(FlyKeyFrames(0.0))
+        fixture.session.do(FlyKeyFrames(0.0))
 
 
 def test_commands_for_a_deleted_key_frame_are_refused(three):
@@ -231,18 +231,18 @@ def test_commands_for_a_deleted_key_frame_are_refused(three):
         session.do(SetKeyFrameFlight(speed_mm_s=1e4))
 
 
-def test_flight_longer_than_24_hours_is_reported_and_not_flown(bench):
+def test_flight_longer_than_24_hours_is_reported_and_not_flown(fixture):
     for n in range(200):
-        bench.session.do(place_pose(looking_down(LEFT if n % 2 else RIGHT)))
-        bench.session.do(EditKeyFrames(KeyFrameAdd()))
+        fixture.session.do(place_pose(looking_down(LEFT if n % 2 else RIGHT)))
+        fixture.session.do(EditKeyFrames(KeyFrameAdd()))
     with pytest.raises(UsageError, match="at most 200 key frames"):
-        bench.session.do(EditKeyFrames(KeyFrameAdd()))
-    bench.session.do(SetKeyFrameFlight(speed_mm_s=0.1))
-    info = bench.session.key_frames_info()
+        fixture.session.do(EditKeyFrames(KeyFrameAdd()))
+    fixture.session.do(SetKeyFrameFlight(speed_mm_s=0.1))
+    info = fixture.session.key_frames_info()
     assert "24 hours" in info.problem
     assert info.duration_s == 0.0
     with pytest.raises(NoResultError, match="24 hours"):
-        bench.session.do(FlyKeyFrames(1.0))
+        fixture.session.do(FlyKeyFrames(1.0))
 
 
 def test_new_airways_are_used_for_the_path_between_key_frames(three):
@@ -281,7 +281,7 @@ def test_saved_key_frame_flight_is_restored_in_one_undo_step(three, tmp_path):
 def test_key_frames_of_another_case_are_refused_and_change_nothing(three, tmp_path):
     path = tmp_path / "k.json"
     path.write_text(json.dumps(three.session.ask(KeyFrameFileQuery()).to_json()))
-    other = small_bench()
+    other = session_fixture()
     other.open("raw")
     other.session.do(TakeKeyFrameFile(path))
     other.background.run_all()
@@ -290,28 +290,29 @@ def test_key_frames_of_another_case_are_refused_and_change_nothing(three, tmp_pa
     assert other.session.key_frames_info().frames == ()
 
 
-def test_times_in_a_key_frame_file_are_converted_to_speeds(bench, tmp_path):
+def test_times_in_a_key_frame_file_are_converted_to_speeds(fixture, tmp_path):
     path = tmp_path / "k.json"
     keys = [
         {"time_s": t, "lps_from_camera": looking_down(at).lps_from_camera.tolist()} for t, at in ((0, TOP), (4, LEFT))
     ]
     path.write_text(json.dumps({"format": "carina-keys", "version": 1, "keys": keys}))
-    bench.session.do(TakeKeyFrameFile(path))
-    bench.background.run_all()
-    info = bench.session.key_frames_info()
+    fixture.session.do(TakeKeyFrameFile(path))
+    fixture.background.run_all()
+    info = fixture.session.key_frames_info()
     assert info.through == "space"
     assert info.frames[1].speed_mm_s == pytest.approx(np.linalg.norm(TOP - LEFT) / 4.0)
 
 
-def test_export_without_key_frames_and_too_many_key_frames_are_refused(bench, tmp_path):
+def test_export_without_key_frames_and_too_many_key_frames_are_refused(fixture, tmp_path):
     with pytest.raises(NoResultError, match="no key frames"):
-        bench.session.ask(KeyFrameFileQuery())
+        fixture.session.ask(KeyFrameFileQuery())
     frames = tuple(KeyFrame(None, looking_down(TOP - np.array([0, 0, 0.05 * n]))) for n in range(201))
     path = tmp_path / "k.json"
     path.write_text(json.dumps(KeyFrameFile(frames).to_json()))
-    bench.session.do(TakeKeyFrameFile(path))
-    bench.background.run_all()
-    assert [t.message for t in bench.of_type(ErrorEvent)] == ["the file has 201 key frames; at most 200 can be opened"]
+    fixture.session.do(TakeKeyFrameFile(path))
+    fixture.background.run_all()
+    (error,) = fixture.of_type(ErrorEvent)
+    assert error.message == "the file has 201 key frames; at most 200 can be opened"
 
 
 def test_recording_of_a_key_frame_flight_replays_with_equal_poses(three, tmp_path):

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import carina
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.commands import LungsOf, MapLungs, MapReach
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import Nodule
 from carina.plan.lungs.lung_map import LungMap, MappedMask, _within, map_lungs
 from carina.session.scene.layer_lines import ShownLayers
-from small_case import small_bench
+from small_case import session_fixture
 
 MATRIX = np.diag([2.0, 2.0, 2.0, 1.0])
 MATRIX[:3, 3] = (-10.0, 30.0, -200.0)
@@ -83,8 +83,8 @@ def test_target_voxels_are_omitted_from_the_vessel_layer():
     assert vessels.inside_zyx[10, 12, 14]
 
 
-def bench_with(**parts):
-    made = small_bench(wall_field=lambda *_given, **_options: object(), **parts)
+def fixture_with(**parts):
+    made = session_fixture(wall_field=lambda *_given, **_options: object(), **parts)
     made.open()
     return made
 
@@ -102,15 +102,15 @@ def test_layers_are_computed_on_request_and_vessels_are_shown_before_the_lobes()
         assert session.scene().layers.names == ("vessels",)
         return LungMap(vessels=BALL, lobes=(("RUL", BALL),))
 
-    bench = bench_with(map_lungs=slow)
-    session = bench.session
-    bench.background.run_all()
+    fixture = fixture_with(map_lungs=slow)
+    session = fixture.session
+    fixture.background.run_all()
     assert session.scene().layers is None
     assert session.ask(LungsOf()).standing == "unwanted"
     key = session.scene().key("axial")
     session.do(MapLungs())
     assert session.ask(LungsOf()).standing == "making"
-    bench.background.run_all()
+    fixture.background.run_all()
     assert seen[0].standing == "making"
     assert seen[0].lungs.vessels is BALL
     info = session.ask(LungsOf())
@@ -121,10 +121,10 @@ def test_layers_are_computed_on_request_and_vessels_are_shown_before_the_lobes()
 
 
 def test_layers_computed_for_other_airways_are_not_shown_and_reported_as_outdated():
-    bench = bench_with(map_lungs=lambda *_given, **_options: LungMap(vessels=BALL))
-    session = bench.session
+    fixture = fixture_with(map_lungs=lambda *_given, **_options: LungMap(vessels=BALL))
+    session = fixture.session
     session.do(MapLungs())
-    bench.background.run_all()
+    fixture.background.run_all()
     case = session._core.case
     airways = case.document.airways
     changed = replace(case.document, airways=type(airways)(**vars(airways)))
@@ -147,11 +147,11 @@ def test_failed_computation_of_layers_states_its_reason_and_can_be_retried():
             raise problem
         return LungMap(vessels=BALL)
 
-    bench = bench_with(map_lungs=make)
+    fixture = fixture_with(map_lungs=make)
     for standing, problem in (("failed", "no lung was found"), ("stopped", None), ("had", None)):
-        bench.session.do(MapLungs())
-        bench.background.run_all()
-        info = bench.session.ask(LungsOf())
+        fixture.session.do(MapLungs())
+        fixture.background.run_all()
+        info = fixture.session.ask(LungsOf())
         assert (info.standing, info.problem) == (standing, problem)
 
 
@@ -162,24 +162,24 @@ def test_reach_layer_is_that_of_the_last_requested_instrument():
         calls.append((scope, tool))
         raise NoResultError(f"nothing for {scope}")
 
-    bench = bench_with(reach_atlas=make)
+    fixture = fixture_with(reach_atlas=make)
     with pytest.raises(UsageError):
-        bench.session.do(MapReach("no-such-scope"))
-    bench.session.do(MapReach("ultrathin"))
-    bench.background.run_all()
-    bench.session.do(MapReach("thin", "forceps"))
-    bench.background.run_all()
+        fixture.session.do(MapReach("no-such-scope"))
+    fixture.session.do(MapReach("ultrathin"))
+    fixture.background.run_all()
+    fixture.session.do(MapReach("thin", "forceps"))
+    fixture.background.run_all()
     assert calls == [("ultrathin", "needle-21g"), ("thin", "forceps")]
-    assert bench.session.ask(LungsOf()).reach_problem == "nothing for thin"
+    assert fixture.session.ask(LungsOf()).reach_problem == "nothing for thin"
 
 
 def test_layers_are_not_computed_without_airways():
     def none(*_given, **_options):
         raise NoResultError("no trachea")
 
-    bench = bench_with(find_airways=none)
+    fixture = fixture_with(find_airways=none)
     with pytest.raises(NoResultError, match="segment the airways first"):
-        bench.session.do(MapLungs())
+        fixture.session.do(MapLungs())
 
 
 def test_voxels_at_the_rim_of_the_lungs_are_excluded_from_the_vessel_layer():
@@ -192,7 +192,7 @@ def test_voxels_at_the_rim_of_the_lungs_are_excluded_from_the_vessel_layer():
 
 @pytest.mark.slow
 def test_phantom_lungs_have_vessel_and_lobe_layers_and_every_stage_can_be_cancelled():
-    made = made_phantom(seed=4, spacing_mm=3.0, generations=4)
+    made = cached_phantom(seed=4, spacing_mm=3.0, generations=4)
     airways = carina.find_airways(made.volume)
     wall = carina.track.wall_field(made.volume, airways)
     reported, early = [], []

@@ -14,7 +14,7 @@ from carina.server.frames.pump import FramePump
 from carina.server.wire.messages import parse_picture, split_outline
 from carina.session.flights.tip_commands import place_pose
 from carina.track import LumenOutline, PaintLumen, RenameBranch, edit_airways
-from small_case import small_bench
+from small_case import session_fixture
 
 PLANES = ("axial", "coronal", "sagittal", "cut-plane")
 
@@ -25,9 +25,9 @@ def case():
 
 
 @pytest.fixture
-def bench(case):
+def fixture(case):
     """Return a session with the small drawn tree, real airways and real edits, whose background the test runs."""
-    made = small_bench(
+    made = session_fixture(
         open_volume=lambda _path, _progress, _cancel: case.volume,
         find_airways=lambda _volume, **_options: case.airways,
         edit_airways=edit_airways,
@@ -56,8 +56,8 @@ def painted_at_tip(session):
     return PaintLumen((at,), 6.0, "ball", erase=False)
 
 
-def test_only_slices_and_the_cut_plane_show_the_lumen_outline(bench, case):
-    session = bench.session
+def test_only_slices_and_the_cut_plane_show_the_lumen_outline(fixture, case):
+    session = fixture.session
     for view in PLANES:
         assert len(lines_of(session, view, case)) > 0, view
     scene = session.scene()
@@ -66,8 +66,8 @@ def test_only_slices_and_the_cut_plane_show_the_lumen_outline(bench, case):
         assert scene.outline_of(view, picture) is None
 
 
-def test_edit_undo_and_redo_request_slices_with_the_current_lumen_outline(bench, case):
-    session = bench.session
+def test_edit_undo_and_redo_request_slices_with_the_current_lumen_outline(fixture, case):
+    session = fixture.session
     keys = [{view: session.scene().key(view) for view in PLANES}]
     outlines = [{view: lines_of(session, view, case) for view in PLANES}]
 
@@ -81,7 +81,7 @@ def test_edit_undo_and_redo_request_slices_with_the_current_lumen_outline(bench,
     session.do(EditTree(painted_at_tip(session)))
     # Only the edit runs; the outline does not wait for the job that updates the wall in the renderer.
     while session.snapshot().document.airways is case.airways:
-        bench.background.run_next()
+        fixture.background.run_next()
     changed()
     assert all(outlines[1][view] != outlines[0][view] for view in PLANES)
     session.undo()
@@ -92,30 +92,30 @@ def test_edit_undo_and_redo_request_slices_with_the_current_lumen_outline(bench,
     assert outlines[3] == outlines[1]
 
 
-def test_edit_that_leaves_the_lumen_unchanged_requests_no_new_slices(bench, case):
-    session = bench.session
+def test_edit_that_leaves_the_lumen_unchanged_requests_no_new_slices(fixture, case):
+    session = fixture.session
     slices = ("axial", "coronal", "sagittal")
     before = {view: session.scene().key(view) for view in slices}
     lumen = session.scene().lumen
     leaf = case.airways.tree.tips()[-1].id
     session.do(EditTree(RenameBranch(leaf, "mine")))
-    bench.background.run_all()
+    fixture.background.run_all()
     assert session.snapshot().document.airways is not case.airways
     assert session.scene().lumen is lumen
     assert {view: session.scene().key(view) for view in slices} == before
 
 
-def test_lumen_outline_of_a_picture_is_computed_with_the_matrix_of_that_picture(bench, case):
-    session = bench.session
+def test_lumen_outline_of_a_picture_is_computed_with_the_matrix_of_that_picture(fixture, case):
+    session = fixture.session
     sent = []
     renderer = Renderer(case.volume)
     session.scene().renderer.render = lambda view, stop=None: renderer.render(view, stop=stop)
-    pump = FramePump(session.scene, sent.append, lambda _told: None, clock=bench.clock)
+    pump = FramePump(session.scene, sent.append, lambda _told: None, clock=fixture.clock)
     pump.set_layout({"axial": (120, 100), "cut-plane": (110, 90), "xray-axial": (80, 80)})
     # The poses are steps of a flight, and the sizes are those that the pump chooses during a movement.
     for _ in range(4):
         session.do(Steer(1.0, 0.05, 0.0, 0.1))
-        bench.clock.advance(1 / 60)
+        fixture.clock.advance(1 / 60)
         while pump.step():
             pump.acknowledge(parse_picture(sent[-1])[0].frame_id)
     num_points = 0
@@ -133,8 +133,8 @@ def test_lumen_outline_of_a_picture_is_computed_with_the_matrix_of_that_picture(
     assert num_points > 50
 
 
-def test_show_place_command_looks_at_the_point_from_the_lumen_in_front_of_it(bench, case):
-    session = bench.session
+def test_show_place_command_looks_at_the_point_from_the_lumen_in_front_of_it(fixture, case):
+    session = fixture.session
     leaf = max(case.airways.tree.tips(), key=lambda branch: branch.length_mm)
     place = tuple(float(v) for v in leaf.tip_lps)
     session.do(ShowPlace(place, leaf.id))
@@ -147,7 +147,7 @@ def test_show_place_command_looks_at_the_point_from_the_lumen_in_front_of_it(ben
     forward = info.pose.lps_from_camera[:3, 2]
     assert float(forward @ to_place) / away > 0.999, "it looks at the place"
     i, j, k = np.rint(case.volume.to_ijk(info.pose.position_lps)).astype(int)
-    assert case.airways.lumen_zyx[k, j, i], "it stands in the lumen"
+    assert case.airways.lumen_zyx[k, j, i], "the camera is in the lumen"
     # All slices contain the crosshair, so each of them shows the place.
     assert scene.shown_lps == place
     # If the branch no longer exists, the nearest branch is used.

@@ -227,7 +227,7 @@ def test_save_without_locks_does_not_overwrite_a_file_created_after_the_old_file
     refusal(named, "two")
     texts = {p.read_text() for p in path.parent.glob("*.carina")}
     assert path.read_text() == "theirs"
-    assert texts == {"theirs", "one"}, "the file that was moved is kept under a new name"
+    assert texts == {"theirs", "one"}, "the moved file is stored under a new name"
 
 
 def test_replace_without_locks_loses_no_file_created_meanwhile(path, monkeypatch):

@@ -12,7 +12,7 @@ from carina import commands as c
 from carina.session import LocalStore
 from carina.session.store.case_names import neutral_alias
 from carina.session.store.registry import CaseRecords
-from restartable_workstation import Desk
+from restartable_workstation import RestartableWorkstation
 
 NAME = "SURNAME_FIRSTNAME_1951.nii.gz"
 
@@ -123,12 +123,12 @@ def test_recent_ct_list_of_earlier_versions_is_rewritten_without_titles(tmp_path
 
 
 def test_no_stored_file_contains_the_title_of_the_ct(tmp_path):
-    desk = Desk(tmp_path)
-    desk.store = LocalStore(tmp_path / "config")
-    session = desk.start()
-    desk.open()
+    workstation = RestartableWorkstation(tmp_path)
+    workstation.store = LocalStore(tmp_path / "config")
+    session = workstation.start()
+    workstation.open()
     session.do(c.SetFov(80.0))
-    desk.saved()
+    workstation.saved()
     title = session.snapshot().case.volume.source.title
     assert title == "Thorax 1.5"
     shown = session.snapshot().neutral_title
@@ -141,14 +141,14 @@ def test_no_stored_file_contains_the_title_of_the_ct(tmp_path):
 
 
 def test_case_opened_again_has_the_name_of_its_first_opening(tmp_path):
-    desk = Desk(tmp_path)
-    session = desk.start()
-    desk.open()
+    workstation = RestartableWorkstation(tmp_path)
+    session = workstation.start()
+    workstation.open()
     session.do(c.SetFov(80.0))
-    desk.saved()
+    workstation.saved()
     shown = session.snapshot().neutral_title
     session.close()
-    again = desk.start()
-    desk.open()
+    again = workstation.start()
+    workstation.open()
     assert again.snapshot().neutral_title == shown
     again.close()

@@ -11,12 +11,12 @@ from carina.commands.tree import PathCost
 from carina.errors import NoResultError, UsageError
 from carina.track.targets.paper_tracker import COSTS
 from carina.volume import write_grid
-from vessel_phantom import made_vessel
+from vessel_phantom import bent_vessel
 
 
 @pytest.fixture(scope="module")
 def vessel():
-    volume, inside, *points = made_vessel()
+    volume, inside, *points = bent_vessel()
     return volume, inside, *(tuple(point.tolist()) for point in points)
 
 

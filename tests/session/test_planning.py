@@ -14,7 +14,7 @@ import pytest
 
 import carina
 import carina.plan
-from cached_test_data import found_airways, made_phantom
+from cached_test_data import cached_phantom, found_airways
 from carina.case import CaseFile, CaseFileError
 from carina.case.document import Lesion
 from carina.case.sized_targets import lesion_facts, made_lesion
@@ -55,7 +55,7 @@ from carina.session import JobEnded, JobProgress, LocalStore, Session, default_p
 from carina.session.derived.plans import shown_surface
 from carina.volume import write_grid
 from second_scan import write_second_ct
-from small_case import SmallRenderer, small_bench, small_lps
+from small_case import SmallRenderer, session_fixture, small_lps
 
 
 def judge_as_replaced(*given: object, **options: object) -> object:
@@ -102,7 +102,7 @@ def few_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def chest() -> Phantom:
-    return made_phantom(seed=4, spacing_mm=1.5, generations=4, nodule=True)
+    return cached_phantom(seed=4, spacing_mm=1.5, generations=4, nodule=True)
 
 
 @pytest.fixture(scope="module")
@@ -144,8 +144,8 @@ def test_click_on_a_nodule_outside_the_airways_adds_a_planned_target_without_mov
     assert np.array_equal(case.pose.lps_from_camera, before)
     # The plan of the session equals the plan of the Python function.
     alone = carina.plan_route(chest.volume, airways, target.lesion.nodule, drives=0)
-    said = case.ask(PlanToTakeAway(target.target_id))
-    assert json.dumps(said.plan.to_json()) == json.dumps(alone.to_json())
+    exported = case.ask(PlanToTakeAway(target.target_id))
+    assert json.dumps(exported.plan.to_json()) == json.dumps(alone.to_json())
 
 
 def test_hovering_over_a_point_states_the_target_that_a_click_there_adds(case: carina.Case, chest: Phantom) -> None:
@@ -295,19 +295,19 @@ def test_case_file_stores_targets_routes_and_notes(chest: Phantom, tmp_path: Pat
     case.do(SetMode("path"))
     (target,) = case.state.document.targets
     route = case.state.document.route
-    said = case.ask(PlanToTakeAway(target.target_id)).plan.to_json()
+    exported = case.ask(PlanToTakeAway(target.target_id)).plan.to_json()
     path = case.save(tmp_path / "plan.carina")
     case.close()
     with carina.Case.open(path) as again:
-        (kept,) = again.state.document.targets
-        assert (kept.name, kept.note, kept.priority) == ("Left", "second opinion", 3)
-        assert kept.lesion.options == PlanOptions(vessel_margin_mm=4.5)
-        assert np.array_equal(kept.lesion.nodule.inside_zyx, target.lesion.nodule.inside_zyx)
-        assert kept.lesion.nodule.to_json() == target.lesion.nodule.to_json()
+        (restored,) = again.state.document.targets
+        assert (restored.name, restored.note, restored.priority) == ("Left", "second opinion", 3)
+        assert restored.lesion.options == PlanOptions(vessel_margin_mm=4.5)
+        assert np.array_equal(restored.lesion.nodule.inside_zyx, target.lesion.nodule.inside_zyx)
+        assert restored.lesion.nodule.to_json() == target.lesion.nodule.to_json()
         assert again.state.document.route.needle == route.needle
         # The plan is computed again and equals the earlier one.
         again.do(SetMode("free"))
-        assert json.dumps(again.ask(PlanToTakeAway(kept.target_id)).plan.to_json()) == json.dumps(said)
+        assert json.dumps(again.ask(PlanToTakeAway(restored.target_id)).plan.to_json()) == json.dumps(exported)
 
 
 def test_simulated_drive_of_a_verdict_is_stored_as_a_flight_and_flown(chest: Phantom, tmp_path: Path) -> None:
@@ -323,7 +323,7 @@ def test_simulated_drive_of_a_verdict_is_stored_as_a_flight_and_flown(chest: Pha
     before = case.pose.lps_from_camera.copy()
     for name in (driven.scope.name, driven.scope.name):
         case.do(KeepDrive(name))
-    assert np.array_equal(case.pose.lps_from_camera, before), "keeping a drive moves nothing"
+    assert np.array_equal(case.pose.lps_from_camera, before), "storing a drive does not move the tip"
     first, second = case.state.flights
     assert first.name == f"Simulated drive to {target.name}, {driven.scope.title}"
     assert (first.state, first.length_s) == ("complete", second.length_s)
@@ -341,9 +341,9 @@ def test_simulated_drive_of_a_verdict_is_stored_as_a_flight_and_flown(chest: Pha
     path = case.save(tmp_path / "plan.carina")
     case.close()
     with CaseFile.open(path, read_only=True) as file:
-        kept = file.recordings()
-        assert [(one.name, one.words, one.complete) for one in kept] == [(first.name, first.words, True)] * 2
-        replayed = list(file.recording(kept[0].recording_id).replay(chest.volume))
+        recordings = file.recordings()
+        assert [(one.name, one.words, one.complete) for one in recordings] == [(first.name, first.words, True)] * 2
+        replayed = list(file.recording(recordings[0].recording_id).replay(chest.volume))
     assert all(same for _, same in replayed)
     assert np.allclose(replayed[-1][0].pose.lps_from_camera, driven.driven.lps_from_camera[-1], atol=1e-9)
     # The flight has at least ten poses a second, also while the operator rotates the scope.
@@ -501,10 +501,10 @@ def test_c_arm_angles_and_stations_of_the_selected_route_are_sent_unchanged(
     plan = info.targets[0].planned.plan
     expected = carina.plan.carm_angles(chest.volume, case.state.document.airways, plan).to_json()
     assert (info.carm_standing, message.carm_standing) == ("had", "had")
-    told = json.loads(msgspec.json.encode(message.carm))
-    assert [told["why"], told["limits"], told["notes"]] == [expected[key] for key in ("why", "limits", "notes")]
-    assert len(told["angles"]) == len(expected["angles"]) > 0
-    for one, of_python in zip(told["angles"], expected["angles"], strict=True):
+    sent = json.loads(msgspec.json.encode(message.carm))
+    assert [sent["why"], sent["limits"], sent["notes"]] == [expected[key] for key in ("why", "limits", "notes")]
+    assert len(sent["angles"]) == len(expected["angles"]) > 0
+    for one, of_python in zip(sent["angles"], expected["angles"], strict=True):
         assert one == {key: of_python[key] for key in one}
     # The report states the angles that the window shows.
     assert case.ask(PlanToTakeAway(target.target_id)).carm is info.carm
@@ -541,8 +541,8 @@ def test_compared_targets_have_the_order_of_the_python_function_and_unplanned_on
     assert [one.target_id for one in found.targets] == [second.target_id, first.target_id]
     for one, row in zip(found.targets, expected, strict=True):
         value = row.to_json()
-        told = json.loads(msgspec.json.encode(one))
-        assert {key: told[key] for key in value} == value
+        sent = json.loads(msgspec.json.encode(one))
+        assert {key: sent[key] for key in value} == value
     (rest,) = found.unplanned
     assert rest.target_id == case.state.document.targets[2].target_id and rest.why.startswith("not planned")
 
@@ -554,24 +554,24 @@ def test_growing_a_nodule_reports_progress_and_can_be_stopped():
         progress("looking for a nodule", None)
         began.append(True)
         if len(began) == 2:
-            job = next(e for e in reversed(bench.events) if isinstance(e, JobProgress))
-            bench.session.do(Cancel(job.job_id))
+            job = next(e for e in reversed(fixture.events) if isinstance(e, JobProgress))
+            fixture.session.do(Cancel(job.job_id))
             progress("looking for a nodule", None)
         raise NoResultError("there is no nodule at this point", code="plan.no-nodule")
 
-    bench = small_bench(target_from_click=grow)
-    bench.open()
-    bench.background.run_all()
+    fixture = session_fixture(target_from_click=grow)
+    fixture.open()
+    fixture.background.run_all()
     beside = small_lps((2.0, 25.0, 30.0))
-    bench.session.do(AddTarget(beside))
-    bench.background.run_all()
-    told = [e for e in bench.events if isinstance(e, JobProgress)]
-    assert (told[-1].title, told[-1].what) == ("finding the path to Target 1", "looking for a nodule")
-    assert len(bench.session._core.case.document.targets) == 1
-    bench.session.do(AddTarget(beside))
-    bench.background.run_all()
-    assert len(bench.session._core.case.document.targets) == 1
-    ended = [e for e in bench.events if isinstance(e, JobEnded)]
+    fixture.session.do(AddTarget(beside))
+    fixture.background.run_all()
+    events = [e for e in fixture.events if isinstance(e, JobProgress)]
+    assert (events[-1].title, events[-1].what) == ("finding the path to Target 1", "looking for a nodule")
+    assert len(fixture.session._core.case.document.targets) == 1
+    fixture.session.do(AddTarget(beside))
+    fixture.background.run_all()
+    assert len(fixture.session._core.case.document.targets) == 1
+    ended = [e for e in fixture.events if isinstance(e, JobEnded)]
     assert ended[-1].outcome == "cancelled"
 
 

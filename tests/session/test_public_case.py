@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import carina
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina import commands as c
 from carina.case import CaseFile
 from carina.config import load_settings
@@ -308,7 +308,7 @@ def test_window_opens_a_case_whose_scan_was_moved_if_the_new_path_is_given(saved
     (record,) = records.all()
     assert record.place == str(saved.parent / "moved" / "ct.nii.gz")
     # Another CT is refused, and nothing of the CT is stored in the case.
-    write_phantom(made_phantom(spacing_mm=4.0, generations=3), saved.parent / "other")
+    write_phantom(cached_phantom(spacing_mm=4.0, generations=3), saved.parent / "other")
     other = opened(saved.parent / "other" / "ct.nii.gz")
     assert other.snapshot().case is None
     assert len(records.all()) == 1

@@ -14,79 +14,79 @@ from carina.errors import TrackingError
 from carina.server.frames.pump import FramePump
 from carina.session import JobEnded, Session
 from carina.session.engines import default_parts
-from small_case import small_airways, small_bench, small_volume
+from small_case import session_fixture, small_airways, small_volume
 
 
-def names(bench):
-    return [job.title for job in bench.session.jobs.running]
+def names(fixture):
+    return [job.title for job in fixture.session.jobs.running]
 
 
 def test_many_display_changes_at_once_start_one_job_that_prepares_the_newest():
-    bench = small_bench()
-    bench.open()
-    renderer = bench.renderers[-1]
+    fixture = session_fixture()
+    fixture.open()
+    renderer = fixture.renderers[-1]
     before = renderer.prepared
     for n in range(20):
-        bench.session.do(SetTransfer(document={"n": n}))
-    newest = bench.session.snapshot().document.transfer
-    assert len(bench.background.waiting) == 1
-    bench.background.run_all()
+        fixture.session.do(SetTransfer(document={"n": n}))
+    newest = fixture.session.snapshot().document.transfer
+    assert len(fixture.background.waiting) == 1
+    fixture.background.run_all()
     assert renderer.transfer is newest
     assert renderer.prepared == before + 1
 
 
 def test_display_change_during_preparation_restarts_the_preparation_in_the_same_job():
-    bench = small_bench()
-    bench.open()
-    renderer = bench.renderers[-1]
-    bench.events.clear()
+    fixture = session_fixture()
+    fixture.open()
+    renderer = fixture.renderers[-1]
+    fixture.events.clear()
     before = renderer.prepared
     changes = iter(range(3))
 
     def change():
         if next(changes, None) is not None:
-            bench.session.do(SetTransfer(document={}))
+            fixture.session.do(SetTransfer(document={}))
 
     renderer.on_prepare = change
-    bench.session.do(SetTransfer(preset="ct-grey"))
-    bench.background.run_all()
-    assert renderer.transfer is bench.session.snapshot().document.transfer
+    fixture.session.do(SetTransfer(preset="ct-grey"))
+    fixture.background.run_all()
+    assert renderer.transfer is fixture.session.snapshot().document.transfer
     assert renderer.prepared == before + 1, "three builds were stale when they looked up"
-    assert [e.outcome for e in bench.of_type(JobEnded)] == ["done"]
-    assert not names(bench)
+    assert [e.outcome for e in fixture.of_type(JobEnded)] == ["done"]
+    assert not names(fixture)
 
 
 def test_display_change_after_the_user_stopped_the_preparation_is_prepared():
-    bench = small_bench()
-    bench.open()
-    renderer = bench.renderers[-1]
-    bench.session.do(SetTransfer(preset="ct-grey"))
-    (job,) = bench.session.jobs.running
-    bench.session.do(Cancel(job.job_id))
+    fixture = session_fixture()
+    fixture.open()
+    renderer = fixture.renderers[-1]
+    fixture.session.do(SetTransfer(preset="ct-grey"))
+    (job,) = fixture.session.jobs.running
+    fixture.session.do(Cancel(job.job_id))
     # The change arrives after the job was stopped, before the job has ended.
-    bench.session.do(SetTransfer(document={}))
-    bench.background.run_all()
-    assert renderer.transfer is bench.session.snapshot().document.transfer
-    bench.session.do(SetTransfer(preset="endoscopic"))
-    bench.background.run_all()
-    assert renderer.transfer is bench.session.snapshot().document.transfer
+    fixture.session.do(SetTransfer(document={}))
+    fixture.background.run_all()
+    assert renderer.transfer is fixture.session.snapshot().document.transfer
+    fixture.session.do(SetTransfer(preset="endoscopic"))
+    fixture.background.run_all()
+    assert renderer.transfer is fixture.session.snapshot().document.transfer
 
 
 def test_display_change_after_a_failed_preparation_is_prepared():
-    bench = small_bench()
-    bench.open()
-    renderer = bench.renderers[-1]
+    fixture = session_fixture()
+    fixture.open()
+    renderer = fixture.renderers[-1]
 
     def fail():
         raise MemoryError
 
     renderer.on_prepare = fail
-    bench.session.do(SetTransfer(preset="ct-grey"))
-    bench.background.run_all()
+    fixture.session.do(SetTransfer(preset="ct-grey"))
+    fixture.background.run_all()
     renderer.on_prepare = lambda: None
-    bench.session.do(SetTransfer(preset="endoscopic"))
-    bench.background.run_all()
-    assert renderer.transfer is bench.session.snapshot().document.transfer
+    fixture.session.do(SetTransfer(preset="endoscopic"))
+    fixture.background.run_all()
+    assert renderer.transfer is fixture.session.snapshot().document.transfer
 
 
 @pytest.mark.parametrize("lumen", [False, True])

@@ -14,103 +14,103 @@ from small_case import (
     LEFT_TIP,
     OUTSIDE_LUMEN,
     RIGHT_TIP,
-    small_bench,
+    session_fixture,
 )
 
 
 def test_adding_a_target_is_undone_and_redone_with_its_route():
-    bench = small_bench()
-    bench.open()
-    default_route = bench.session.snapshot().document.route
-    bench.session.do(AddTarget(LEFT_TIP))
-    bench.background.run_all()
-    snapshot = bench.session.snapshot()
+    fixture = session_fixture()
+    fixture.open()
+    default_route = fixture.session.snapshot().document.route
+    fixture.session.do(AddTarget(LEFT_TIP))
+    fixture.background.run_all()
+    snapshot = fixture.session.snapshot()
     (target,) = snapshot.document.targets
     assert target.problem is None
     assert target.length_mm == pytest.approx(snapshot.document.route.length_mm)
     assert snapshot.document.route.target_id == target.target_id
     assert snapshot.undo_label == "add Target 1"
 
-    bench.session.undo()
-    snapshot = bench.session.snapshot()
+    fixture.session.undo()
+    snapshot = fixture.session.snapshot()
     assert snapshot.document.targets == ()
     assert snapshot.document.route is default_route
     assert (snapshot.undo_label, snapshot.redo_label) == (None, "add Target 1")
 
-    bench.session.redo()
-    assert bench.session.snapshot().document.targets == (target,)
-    assert bench.session.snapshot().document.route.target_id == target.target_id
+    fixture.session.redo()
+    assert fixture.session.snapshot().document.targets == (target,)
+    assert fixture.session.snapshot().document.route.target_id == target.target_id
 
 
 def test_target_beside_the_lumen_gets_a_path_into_the_lumen_with_a_message():
-    bench = small_bench()
-    bench.open()
+    fixture = session_fixture()
+    fixture.open()
     beside = (LEFT_TIP[0], LEFT_TIP[1] + 2.0, LEFT_TIP[2])
-    bench.session.do(AddTarget(beside))
-    bench.background.run_all()
-    (target,) = bench.session.snapshot().document.targets
+    fixture.session.do(AddTarget(beside))
+    fixture.background.run_all()
+    (target,) = fixture.session.snapshot().document.targets
     assert target.snapped_mm == pytest.approx(2.0)
     assert target.lps == beside
-    assert UserMessage("Target 1 was moved 2.0 mm into the nearest lumen") in bench.events
+    assert UserMessage("Target 1 was moved 2.0 mm into the nearest lumen") in fixture.events
 
 
 def test_target_far_from_the_lumen_is_stored_without_a_path_and_with_the_reason():
-    bench = small_bench()
-    bench.open()
-    route = bench.session.snapshot().document.route
-    bench.session.do(AddTarget(OUTSIDE_LUMEN))
-    bench.background.run_all()
-    document = bench.session.snapshot().document
+    fixture = session_fixture()
+    fixture.open()
+    route = fixture.session.snapshot().document.route
+    fixture.session.do(AddTarget(OUTSIDE_LUMEN))
+    fixture.background.run_all()
+    document = fixture.session.snapshot().document
     (target,) = document.targets
     assert "nearest lumen is" in target.problem
     assert target.route is None
     assert target.used_lps is None
     assert document.route is route
     with pytest.raises(NoResultError, match="no path to Target 1"):
-        bench.session.do(ChooseRoute(target_id=target.target_id))
+        fixture.session.do(ChooseRoute(target_id=target.target_id))
 
 
 def test_target_outside_the_volume_is_refused():
-    bench = small_bench()
-    bench.open()
+    fixture = session_fixture()
+    fixture.open()
     with pytest.raises(UsageError, match=r"the point 5000,0,0 lies outside the scan, which lies within x"):
-        bench.session.do(AddTarget((5000.0, 0.0, 0.0)))
+        fixture.session.do(AddTarget((5000.0, 0.0, 0.0)))
 
 
 def test_removing_a_target_removes_its_route_and_undo_restores_both():
-    bench = small_bench()
-    bench.open()
-    bench.session.do(AddTarget(LEFT_TIP))
-    bench.background.run_all()
-    bench.session.do(RemoveTarget("target-1"))
-    document = bench.session.snapshot().document
+    fixture = session_fixture()
+    fixture.open()
+    fixture.session.do(AddTarget(LEFT_TIP))
+    fixture.background.run_all()
+    fixture.session.do(RemoveTarget("target-1"))
+    document = fixture.session.snapshot().document
     assert (document.targets, document.route) == ((), None)
-    assert bench.session.snapshot().mode == "free"
-    bench.session.undo()
-    assert bench.session.snapshot().document.route.target_id == "target-1"
+    assert fixture.session.snapshot().mode == "free"
+    fixture.session.undo()
+    assert fixture.session.snapshot().document.route.target_id == "target-1"
 
 
 def test_choosing_a_branch_makes_it_the_route_and_an_unknown_branch_is_refused():
-    bench = small_bench()
-    bench.open()
-    bench.session.do(ChooseRoute(branch_id=2))
-    route = bench.session.snapshot().document.route
+    fixture = session_fixture()
+    fixture.open()
+    fixture.session.do(ChooseRoute(branch_id=2))
+    route = fixture.session.snapshot().document.route
     assert route.title == "LMB"
-    bench.session.do(GoTo(route.length_mm))
-    np.testing.assert_allclose(bench.session.pose_info().pose.position_lps, LEFT_TIP, atol=0.6)
+    fixture.session.do(GoTo(route.length_mm))
+    np.testing.assert_allclose(fixture.session.pose_info().pose.position_lps, LEFT_TIP, atol=0.6)
     with pytest.raises(UsageError, match="no branch 77"):
-        bench.session.do(ChooseRoute(branch_id=77))
+        fixture.session.do(ChooseRoute(branch_id=77))
 
 
 def test_paths_to_targets_are_searched_again_in_new_airways():
-    bench = small_bench()
-    bench.open()
-    bench.session.do(AddTarget(LEFT_TIP))
-    bench.background.run_all()
-    old = bench.session.snapshot().document.targets[0]
-    bench.session.do(SetLumenThreshold(-850.0))
-    bench.background.run_all()
-    document = bench.session.snapshot().document
+    fixture = session_fixture()
+    fixture.open()
+    fixture.session.do(AddTarget(LEFT_TIP))
+    fixture.background.run_all()
+    old = fixture.session.snapshot().document.targets[0]
+    fixture.session.do(SetLumenThreshold(-850.0))
+    fixture.background.run_all()
+    document = fixture.session.snapshot().document
     assert document.lumen_threshold == -850.0
     assert document.targets[0].route is not old.route
     assert document.route is document.targets[0].route
@@ -121,9 +121,9 @@ def test_tip_of_a_right_branch_has_a_lower_lps_x_than_that_of_a_left_branch():
 
 
 def test_flight_stops_before_each_fork_in_both_directions():
-    bench = small_bench()
-    bench.open()
-    route = bench.session.snapshot().document.route
+    fixture = session_fixture()
+    fixture.open()
+    route = fixture.session.snapshot().document.route
     assert len(route.lookouts_mm) == len(route.forks_mm) == 2
     for stop_mm, fork_mm, span in zip(route.lookouts_mm, route.forks_mm, route.spans, strict=False):
         assert (span.from_mm + fork_mm) / 2.0 - 1e-9 <= stop_mm < fork_mm
@@ -131,12 +131,12 @@ def test_flight_stops_before_each_fork_in_both_directions():
     assert route.lookouts_mm[0] == pytest.approx(route.forks_mm[0] - 12.0)
     stops = []
     for _ in range(3):
-        bench.session.do(NextFork())
-        stops.append(bench.session.pose_info().path_mm)
+        fixture.session.do(NextFork())
+        stops.append(fixture.session.pose_info().path_mm)
     assert stops == pytest.approx([*route.lookouts_mm, route.length_mm])
-    bench.session.do(PreviousFork())
-    bench.session.do(PreviousFork())
-    assert bench.session.pose_info().path_mm == pytest.approx(route.lookouts_mm[0])
+    fixture.session.do(PreviousFork())
+    fixture.session.do(PreviousFork())
+    assert fixture.session.pose_info().path_mm == pytest.approx(route.lookouts_mm[0])
 
 
 def test_flight_stop_of_a_short_branch_is_in_its_middle_and_stops_are_in_order():
@@ -167,13 +167,13 @@ def test_route_states_the_wall_distance_besides_the_lumen_radius():
 
 
 def test_selecting_another_route_moves_the_tip_to_the_end_of_the_last_common_branch():
-    bench = small_bench()
-    bench.open()
-    session = bench.session
+    fixture = session_fixture()
+    fixture.open()
+    session = fixture.session
     session.do(AddTarget(RIGHT_TIP))
-    bench.background.run_all()
+    fixture.background.run_all()
     session.do(AddTarget(LEFT_TIP))
-    bench.background.run_all()
+    fixture.background.run_all()
     right, left = session.snapshot().document.targets
     session.do(ChooseRoute(target_id=right.target_id))
     session.do(GoTo(1e4))

@@ -26,7 +26,7 @@ from carina.navigate import HandleSample, open_recording
 from carina.render.picture_text import letters_of
 from carina.scopes import WallField
 from carina.session import JobEnded
-from small_case import SHAPE_ZYX, small_airways, small_bench
+from small_case import SHAPE_ZYX, session_fixture, small_airways
 
 RADIUS_MM = 5.0
 
@@ -46,25 +46,25 @@ def wall_field(volume, airways, *, progress, cancel):
 
 
 @pytest.fixture
-def bench():
-    made = small_bench(wall_field=wall_field)
+def fixture():
+    made = session_fixture(wall_field=wall_field)
     made.open()
     made.session.do(SetScope("ultrathin"))
     yield made
     made.session.close()
 
 
-def enter(bench) -> None:
-    bench.session.do(SetMode("scope"))
-    bench.background.run_all()
-    assert bench.session.snapshot().mode == "scope"
+def enter(fixture) -> None:
+    fixture.session.do(SetMode("scope"))
+    fixture.background.run_all()
+    assert fixture.session.snapshot().mode == "scope"
 
 
-def test_scope_mode_starts_at_the_tip_and_keys_drive_its_three_controls(bench):
-    session = bench.session
+def test_scope_mode_starts_at_the_tip_and_keys_drive_its_three_controls(fixture):
+    session = fixture.session
     session.do(GoTo(20.0))
     before = session.pose_info().pose
-    enter(bench)
+    enter(fixture)
     info = session.pose_info()
     assert info.scope is not None
     assert info.scope.insertion_mm == pytest.approx(20.0, abs=0.5)
@@ -82,28 +82,28 @@ def test_scope_mode_starts_at_the_tip_and_keys_drive_its_three_controls(bench):
     assert session.pose_info().scope.roll_rad == pytest.approx(state.roll_rad + 0.5), "sideways is a roll"
 
 
-def test_tip_in_scope_mode_stays_inside_the_lumen_and_wall_contacts_are_counted(bench):
-    session = bench.session
+def test_tip_in_scope_mode_stays_inside_the_lumen_and_wall_contacts_are_counted(fixture):
+    session = fixture.session
     session.do(GoTo(15.0))
-    enter(bench)
+    enter(fixture)
     session.do(Steer(0.0, 0.0, 1.5, 0.0))
     for _ in range(60):
-        bench.clock.advance(0.05)
+        fixture.clock.advance(0.05)
         session.do(Steer(1.0, 0.0, 0.0, 0.0))
     info = session.pose_info()
     assert info.scope.record.count >= 1
     assert info.scope.record.time_s > 0.1
     assert info.scope.contact is not None or info.scope.limit != "none"
-    wall = bench.session._core.case.pilot.wall
+    wall = fixture.session._core.case.pilot.wall
     # The flat face of the tip may be on the wall, so that the middle of the tip is at the wall.
     assert wall.distance_mm([info.pose.position_lps])[0] > -0.1
 
 
-def test_scope_too_thick_for_the_airway_reports_the_diameter_that_would_pass(bench):
-    session = bench.session
+def test_scope_too_thick_for_the_airway_reports_the_diameter_that_would_pass(fixture):
+    session = fixture.session
     session.do(SetScope("therapeutic"))
     session.do(GoTo(5.0))
-    enter(bench)
+    enter(fixture)
     for _ in range(120):
         session.do(Steer(1.0, 0.0, 0.0, 0.0))
     state = session.pose_info().scope
@@ -111,13 +111,13 @@ def test_scope_too_thick_for_the_airway_reports_the_diameter_that_would_pass(ben
     assert 0.0 < state.passable_mm < session.pose_info().scope_tip_mm
 
 
-def test_scope_handle_sets_insertion_directly_and_its_lever_sets_the_flexion(bench):
-    session = bench.session
+def test_scope_handle_sets_insertion_directly_and_its_lever_sets_the_flexion(fixture):
+    session = fixture.session
     session.do(GoTo(15.0))
-    enter(bench)
+    enter(fixture)
     insertion = session.pose_info().scope.insertion_mm
     for n in range(40):
-        bench.clock.advance(0.01)
+        fixture.clock.advance(0.01)
         session.devices.receive_sample("handle", HandleSample(n * 0.01, 100.0 + 0.1 * n, 0.0, 0.25))
         session.devices.frame()
     state = session.pose_info().scope
@@ -125,17 +125,17 @@ def test_scope_handle_sets_insertion_directly_and_its_lever_sets_the_flexion(ben
     assert state.flexion_rad > 0.5
 
 
-def test_scope_mode_continues_after_a_change_of_scope_and_ends_with_another_mode(bench):
-    session = bench.session
+def test_scope_mode_continues_after_a_change_of_scope_and_ends_with_another_mode(fixture):
+    session = fixture.session
     session.do(GoTo(20.0))
-    enter(bench)
+    enter(fixture)
     session.do(SetScope("standard"))
     assert session.snapshot().mode == "scope"
     assert session.pose_info().scope_tip_mm == pytest.approx(4.9)
     pose = session.pose_info().pose
     session.do(SetMode("free"))
     np.testing.assert_array_equal(session.pose_info().pose.lps_from_camera, pose.lps_from_camera)
-    enter(bench)
+    enter(fixture)
     session.do(ToggleMode())
     assert session.snapshot().mode == "path"
 
@@ -146,11 +146,11 @@ def letters(matrix) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize("scope", ["ultrathin", "ebus"])
-def test_picture_for_an_operator_facing_the_patient_is_rotated_and_the_simulated_scope_is_not(bench, scope):
-    session = bench.session
+def test_picture_for_an_operator_facing_the_patient_is_rotated_and_the_simulated_scope_is_not(fixture, scope):
+    session = fixture.session
     session.do(SetScope(scope))
     session.do(GoTo(20.0))
-    enter(bench)
+    enter(fixture)
     straight = session.pose_info().pose.lps_from_camera
     session.do(Steer(0.0, 0.0, 0.5, 0.3))
     before = session.pose_info()
@@ -182,14 +182,14 @@ def test_picture_for_an_operator_facing_the_patient_is_rotated_and_the_simulated
     assert letters(straight)[1] == "A"
 
 
-def test_scope_mode_starts_with_an_equal_scope_pose_for_both_operator_positions(bench):
-    session = bench.session
+def test_scope_mode_starts_with_an_equal_scope_pose_for_both_operator_positions(fixture):
+    session = fixture.session
     seen = {}
     for operator in ("head", "facing"):
         session.do(SetMode("free"))
         session.do(SetOperator(operator))
         session.do(GoTo(20.0))
-        enter(bench)
+        enter(fixture)
         seen[operator] = session.pose_info()
     head, facing = (seen[operator].pose.lps_from_camera for operator in ("head", "facing"))
     np.testing.assert_array_equal(facing[:3, 2:], head[:3, 2:])
@@ -213,19 +213,19 @@ def wanted_wall(session) -> str:
         return case.wall.standing(case.document.airways)
 
 
-def test_wall_field_is_computed_again_when_its_airways_are_restored_by_undo(bench):
-    session = bench.session
+def test_wall_field_is_computed_again_when_its_airways_are_restored_by_undo(fixture):
+    session = fixture.session
     session.do(SetRoot(tuple(float(v) for v in session.snapshot().document.airways.root_lps)))
-    bench.background.run_all()
+    fixture.background.run_all()
     assert wanted_wall(session) == "making"
     session.undo()
     # The wall of the other airways is requested; the job for it replaces the first job.
     assert wanted_wall(session) == "making"
-    bench.background.run_all()
+    fixture.background.run_all()
     assert wanted_wall(session) == "had"
     session.redo()
     assert wanted_wall(session) == "making"
-    bench.background.run_all()
+    fixture.background.run_all()
     assert wanted_wall(session) == "had"
 
 
@@ -241,14 +241,14 @@ def test_wall_field_is_computed_once_if_its_airways_are_undone_and_redone_during
         measured.append(airways)
         while steps:
             steps.pop(0)()
-            assert wanted_wall(bench.session) == "making"
+            assert wanted_wall(fixture.session) == "making"
         return wall_field(volume, airways, **options)
 
-    bench = small_bench(wall_field=measure)
-    bench.open()
-    session = bench.session
+    fixture = session_fixture(wall_field=measure)
+    fixture.open()
+    session = fixture.session
     session.do(SetRoot(tuple(float(v) for v in session.snapshot().document.airways.root_lps)))
-    bench.background.run_all()
+    fixture.background.run_all()
     newest = session.snapshot().document.airways
     assert wanted_wall(session) == "making"
     (job,) = session.jobs.running
@@ -258,41 +258,41 @@ def test_wall_field_is_computed_once_if_its_airways_are_undone_and_redone_during
         else:
             step()
             assert wanted_wall(session) == "making"
-    bench.events.clear()
-    bench.background.run_all()
+    fixture.events.clear()
+    fixture.background.run_all()
     assert wanted_wall(session) == "had"
     assert [airways is newest for airways in measured] == [True]
-    ends = [(e.job_id, e.outcome) for e in bench.of_type(JobEnded) if e.title == job.title]
+    ends = [(e.job_id, e.outcome) for e in fixture.of_type(JobEnded) if e.title == job.title]
     assert ends == [(job.job_id, "done")]
     session.close()
 
 
-def test_wall_field_whose_job_the_user_stopped_is_computed_only_on_request(bench):
-    session = bench.session
+def test_wall_field_whose_job_the_user_stopped_is_computed_only_on_request(fixture):
+    session = fixture.session
     assert wanted_wall(session) == "making"
     (job,) = session.jobs.running
     session.do(Cancel(job.job_id))
-    bench.background.run_all()
+    fixture.background.run_all()
     assert wanted_wall(session) == "stopped"
     session._core.case.wall.again()
     assert wanted_wall(session) == "making"
 
 
-def test_scope_mode_without_a_route_is_refused(bench):
-    bench.session.do(ChooseRoute())
+def test_scope_mode_without_a_route_is_refused(fixture):
+    fixture.session.do(ChooseRoute())
     with pytest.raises(NoResultError, match="a scope needs a route"):
-        bench.session.do(SetMode("scope"))
+        fixture.session.do(SetMode("scope"))
 
 
-def test_recording_in_scope_mode_replays_bit_for_bit(bench, tmp_path):
-    session = bench.session
+def test_recording_in_scope_mode_replays_bit_for_bit(fixture, tmp_path):
+    session = fixture.session
     session.do(GoTo(12.0))
-    enter(bench)
+    enter(fixture)
     session.do(Steer(4.0, 0.0, 0.6, 0.2))
     session.do(RecordFlight(tmp_path / "s.jsonl"))
     rng = np.random.default_rng(5)
     for n in range(80):
-        bench.clock.advance(0.02)
+        fixture.clock.advance(0.02)
         session.do(Steer(float(rng.uniform(-0.3, 1.0)), 0.0, float(rng.normal(0, 0.1)), float(rng.normal(0, 0.1))))
         session.devices.receive_sample("handle", HandleSample(0.02 * n, 0.05 * n, 0.01 * n, float(np.sin(n / 9.0))))
         session.devices.frame()
@@ -313,21 +313,21 @@ def test_recording_in_scope_mode_replays_bit_for_bit(bench, tmp_path):
 
 
 @pytest.mark.parametrize("mode", ["free", "path"])
-def test_airway_view_is_unchanged_when_scope_mode_ends_with_an_operator_facing_the_patient(bench, mode):
-    session = bench.session
+def test_airway_view_is_unchanged_when_scope_mode_ends_with_an_operator_facing_the_patient(fixture, mode):
+    session = fixture.session
     session.do(SetScope("ebus"))
     session.do(SetOperator("facing"))
     session.do(GoTo(20.0))
-    enter(bench)
+    enter(fixture)
     held = session.scene().spec("airway", 32, 32, 1.0).pose.lps_from_camera
     session.do(SetMode(mode))
     np.testing.assert_allclose(session.scene().spec("airway", 32, 32, 1.0).pose.lps_from_camera, held, atol=1e-9)
 
 
-def test_recording_in_scope_mode_stores_the_inputs_of_its_wall_field(bench, tmp_path):
-    session = bench.session
+def test_recording_in_scope_mode_stores_the_inputs_of_its_wall_field(fixture, tmp_path):
+    session = fixture.session
     session.do(GoTo(12.0))
-    enter(bench)
+    enter(fixture)
     session.do(RecordFlight(tmp_path / "w.jsonl"))
     session.do(Steer(2.0, 0.0, 0.3, 0.1))
     session.do(StopRecording())
@@ -346,12 +346,12 @@ def test_recording_in_scope_mode_stores_the_inputs_of_its_wall_field(bench, tmp_
     assert all(same for _, same in replayed)
 
 
-def test_scope_contact_of_a_reopened_case_is_restored_when_its_wall_field_is_computed(bench):
-    enter(bench)
-    bench.session.do(Steer(3.0, 0.0, 0.2, 0.1))
-    stored = bench.session.ask(CurrentMoment())
-    again = small_bench(wall_field=wall_field)
-    again.session.do(OpenVolume(bench.session.snapshot().case.volume, stored))
+def test_scope_contact_of_a_reopened_case_is_restored_when_its_wall_field_is_computed(fixture):
+    enter(fixture)
+    fixture.session.do(Steer(3.0, 0.0, 0.2, 0.1))
+    stored = fixture.session.ask(CurrentMoment())
+    again = session_fixture(wall_field=wall_field)
+    again.session.do(OpenVolume(fixture.session.snapshot().case.volume, stored))
     again.background.run_next()
     assert again.session.snapshot().mode != "scope"
     assert again.background.waiting, "the wall is not known"
@@ -362,11 +362,11 @@ def test_scope_contact_of_a_reopened_case_is_restored_when_its_wall_field_is_com
     again.session.close()
 
 
-def test_scope_contact_is_not_restored_if_the_tip_moves_before_the_wall_field_is_computed(bench):
-    enter(bench)
-    stored = bench.session.ask(CurrentMoment())
-    again = small_bench(wall_field=wall_field)
-    again.session.do(OpenVolume(bench.session.snapshot().case.volume, stored))
+def test_scope_contact_is_not_restored_if_the_tip_moves_before_the_wall_field_is_computed(fixture):
+    enter(fixture)
+    stored = fixture.session.ask(CurrentMoment())
+    again = session_fixture(wall_field=wall_field)
+    again.session.do(OpenVolume(fixture.session.snapshot().case.volume, stored))
     again.background.run_next()
     again.session.do(GoTo(5.0))
     assert again.session.ask(CurrentMoment()).scope is None

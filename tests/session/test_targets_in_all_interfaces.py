@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import carina
 import carina.cli.plan
-from cached_test_data import found_airways, made_phantom
+from cached_test_data import cached_phantom, found_airways
 from carina.cli.app import app
 from carina.commands import AddTarget, ConfirmTarget, GrowTarget, PlanningOf
 from carina.errors import NoResultError, UnconfirmedTargetError, without_options
@@ -46,7 +46,7 @@ def as_point(values: object) -> Point:
 
 @pytest.fixture(scope="module")
 def chest(tmp_path_factory: pytest.TempPathFactory) -> Chest:
-    made: Phantom = made_phantom(seed=4, spacing_mm=1.5, generations=4, nodule=True)
+    made: Phantom = cached_phantom(seed=4, spacing_mm=1.5, generations=4, nodule=True)
     volume = made.volume
     airways = found_airways(volume)
     nodule = np.array(made.truth["nodule"]["centre_lps"])
@@ -141,19 +141,19 @@ def of_wire(case: carina.Case, at: Point) -> tuple[str | None, list[str], bool]:
     if planned is None:
         return None, [], False
     assert target.lesion is not None
-    words = target.lesion.target.words.removeprefix(f"{target.name}: ")
-    return words, list(planned.unconfirmed), planned.moved_mm is not None
+    text = target.lesion.target.words.removeprefix(f"{target.name}: ")
+    return text, list(planned.unconfirmed), planned.moved_mm is not None
 
 
 def check_places(chest: Chest, case: carina.Case, places: tuple[Point, ...]) -> set[str]:
     """Compare the answers at places, and return the kinds of answers that occurred."""
     kinds = set()
     for at in places:
-        words, doubts = of_python(chest, at)
+        text, doubts = of_python(chest, at)
         shown, listed = of_command_line(chest, at)
         marked, question, is_planned = of_wire(case, at)
-        if words.startswith("plan."):
-            kinds.add(words)
+        if text.startswith("plan."):
+            kinds.add(text)
             assert not listed
             with pytest.raises(NoResultError) as error:
                 target_from_click(chest.volume, at, airways=chest.airways)
@@ -161,11 +161,11 @@ def check_places(chest: Chest, case: carina.Case, places: tuple[Point, ...]) -> 
             assert marked is None, at
             continue
         kinds.update(doubts or ["none"])
-        assert (shown, listed) == (words, doubts), at
+        assert (shown, listed) == (text, doubts), at
         if BESIDE_AIRWAY in doubts and marked is None:
             # The window selects the airway, and offers the target.
             continue
-        assert (marked, question) == (words, doubts), at
+        assert (marked, question) == (text, doubts), at
         assert is_planned == (not doubts), at
     return kinds
 

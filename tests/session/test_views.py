@@ -10,15 +10,15 @@ from carina.commands import ChooseRoute, GoTo, SetCarm, SetCrosshair, SetMode, S
 from carina.render import Carm, Renderer, Slab, XrayView
 from carina.server.to_wire.session import picture_lines
 from carina.server.wire.codec import MAX_HEADER_BYTES, encode
-from small_case import small_bench, small_volume
+from small_case import session_fixture, small_volume
 
 OVERVIEWS = ("xray-axial", "xray-coronal", "xray-sagittal", "drr", "straightened", "curved")
 
 
 def opened():
-    bench = small_bench()
-    bench.open()
-    return bench.session
+    fixture = session_fixture()
+    fixture.open()
+    return fixture.session
 
 
 def keys(session, views):

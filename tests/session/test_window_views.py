@@ -22,30 +22,30 @@ from carina.commands import (
 )
 from carina.errors import VolumeImportError
 from carina.session import Changed, ErrorEvent, JobEnded, UserMessage
-from small_case import LEFT_TIP, RIGHT_TIP, small_bench
+from small_case import LEFT_TIP, RIGHT_TIP, session_fixture
 
 
 class Windows:
     """Case with two windows, and the events that each window received."""
 
     def __init__(self, **replaced) -> None:
-        self.bench = small_bench(**replaced)
-        self.session = self.bench.session
-        self.told = {1: [], 2: []}
-        self.ends = {n: self.session.subscribe(self.told[n].append, window=n) for n in self.told}
+        self.fixture = session_fixture(**replaced)
+        self.session = self.fixture.session
+        self.events = {1: [], 2: []}
+        self.ends = {n: self.session.subscribe(self.events[n].append, window=n) for n in self.events}
 
     def sight(self, window=None):
         return self.session.snapshot(window).sight
 
     def of_type(self, window, kind):
-        return [event for event in self.told[window] if isinstance(event, kind)]
+        return [event for event in self.events[window] if isinstance(event, kind)]
 
 
 @pytest.fixture
 def windows():
     made = Windows()
-    made.bench.open()
-    for messages in made.told.values():
+    made.fixture.open()
+    for messages in made.events.values():
         messages.clear()
     return made
 
@@ -66,7 +66,7 @@ def test_view_settings_of_one_window_leave_others_unchanged_and_the_latest_are_s
 def test_only_the_window_whose_view_settings_change_is_notified(windows):
     windows.session.do(SetTexture(on=False), window=1)
     assert [event.topics for event in windows.of_type(1, Changed)] == [{"state", "views"}]
-    assert windows.told[2] == []
+    assert windows.events[2] == []
     windows.session.do(SetFov(90.0), window=1)
     assert windows.of_type(2, Changed)
 
@@ -114,7 +114,7 @@ def test_opening_another_case_resets_the_view_settings_of_all_windows(windows):
     begun = windows.sight()
     windows.session.do(SetTexture(on=False), window=1)
     windows.session.do(OpenPath("another"), window=2)
-    windows.bench.background.run_all()
+    windows.fixture.background.run_all()
     # The later sight of one window is not used for the new case.
     windows.session.do(SetWindow(400.0, 40.0), window=1)
     assert windows.sight(2) == begun
@@ -138,10 +138,10 @@ def test_failed_job_is_reported_to_the_window_that_started_it_or_to_all_windows_
 
     windows = Windows(open_volume=open_volume)
     windows.session.do(OpenPath("case"), window=1)
-    windows.bench.background.run_all()
+    windows.fixture.background.run_all()
     assert windows.of_type(2, JobEnded)
     assert [len(windows.of_type(n, ErrorEvent)) for n in (1, 2)] == [1, 0]
     windows.session.do(OpenPath("case"), window=1)
     windows.ends[1]()
-    windows.bench.background.run_all()
+    windows.fixture.background.run_all()
     assert len(windows.of_type(2, ErrorEvent)) == 1

@@ -11,7 +11,7 @@ import pytest
 from plugged_chest import CHEST, named, plugged
 
 import carina
-from cached_test_data import made_airways, made_phantom
+from cached_test_data import cached_airways, cached_phantom
 from cached_test_data import patient as the_patient
 from carina.track import AirwayTree, Branch, find_absent, name_tree
 from carina.track.tree.uncertainty import Uncertainty, filled_place, without_unproven_blocks
@@ -27,7 +27,7 @@ def off_mm(points, place):
 
 @pytest.fixture(scope="module")
 def chest():
-    return made_phantom(**CHEST), made_airways(**CHEST)
+    return cached_phantom(**CHEST), cached_airways(**CHEST)
 
 
 def without(tree, name):
@@ -36,12 +36,12 @@ def without(tree, name):
     for branch in tree.branches:
         if branch.parent in gone:
             gone.add(branch.id)
-    kept = tuple(
+    remaining = tuple(
         dataclasses.replace(branch, children=tuple(child for child in branch.children if child not in gone))
         for branch in tree.branches
         if branch.id not in gone
     )
-    return dataclasses.replace(tree, branches=kept)
+    return dataclasses.replace(tree, branches=remaining)
 
 
 def test_tree_with_all_segments_has_no_absent_segment(chest):
@@ -124,8 +124,10 @@ def resected(seed, lobe, stump_mm=4.0):
     lost = whole.named(lobe)
     cut = without(whole, lobe)
     left_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(lost.points, axis=0), axis=1))])
-    kept = max(int((left_mm <= stump_mm).sum()), 2)
-    stump = dataclasses.replace(lost, name=None, children=(), points=lost.points[:kept], radius=lost.radius[:kept])
+    num_points = max(int((left_mm <= stump_mm).sum()), 2)
+    stump = dataclasses.replace(
+        lost, name=None, children=(), points=lost.points[:num_points], radius=lost.radius[:num_points]
+    )
     siblings = whole.branch(lost.parent).children
     carrier = dataclasses.replace(cut.branch(lost.parent), children=siblings)
     branches = [carrier if b.id == carrier.id else b for b in cut.branches]
@@ -192,9 +194,9 @@ def test_reason_for_an_absent_segment_is_the_mucus_in_its_bronchus_and_not_anoth
     made, whole = chest
     airways = carina.find_airways(plugged(made.volume, named(whole, "LB3"), 6.0))
     assert {one.name for one in airways.absent} == {"LB1+2", "LB3"}
-    told = {absence.name: (absence.kind, absence.carrier) for absence in airways.absent}
+    reasons = {absence.name: (absence.kind, absence.carrier) for absence in airways.absent}
     # Without LB3 nothing distinguishes LB1+2 from a common stem of all three; its branches are present without a name.
-    assert told == {"LB1+2": ("unnamed", "Upper division"), "LB3": ("filled", "Upper division")}
+    assert reasons == {"LB1+2": ("unnamed", "Upper division"), "LB3": ("filled", "Upper division")}
 
 
 def test_segments_below_the_end_of_the_scan_are_reported_as_outside(chest):
@@ -304,11 +306,11 @@ def test_absent_segments_of_the_bundled_patient_are_only_those_with_unidentified
 
 @pytest.mark.parametrize("spacing_mm", [(1.0, 1.0, 4.0), 2.5, 3.0])
 def test_reasons_for_missed_segments_in_coarse_scans_of_a_healthy_chest_name_no_disease(spacing_mm):
-    airways = carina.find_airways(made_phantom(seed=3, spacing_mm=spacing_mm, noise_hu=25.0).volume)
+    airways = carina.find_airways(cached_phantom(seed=3, spacing_mm=spacing_mm, noise_hu=25.0).volume)
     assert len(airways.tree) < 120, "the search misses airways that the phantom has"
-    told = [*(absence.words for absence in airways.absent), *(place.reason for place in airways.uncertain)]
-    assert told
-    assert [words for words in told if DISEASE.search(words)] == []
+    texts = [*(absence.words for absence in airways.absent), *(place.reason for place in airways.uncertain)]
+    assert texts
+    assert [text for text in texts if DISEASE.search(text)] == []
 
 
 def test_stump_beside_a_branch_is_not_the_reason_for_segments_beyond_the_branch():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cached_test_data import made_airways, made_phantom
+from cached_test_data import cached_airways, cached_phantom
 from cached_test_data import patient as the_patient
 from carina.phantom import Phantom, lumen_distance_at
 from carina.track import Airways, find_airways
@@ -30,12 +30,12 @@ MOST_FALSE = 3
 
 
 def made(seed: int) -> Phantom:
-    return made_phantom(**CHEST, seed=seed)
+    return cached_phantom(**CHEST, seed=seed)
 
 
-def slices_in(words: str) -> tuple[int, int, int]:
+def slices_in(text: str) -> tuple[int, int, int]:
     """Return the first slice number, the last slice number and the number of slices that a note of streaks states."""
-    first, rest = words.split("in slices ")[1].split(" to ", 1)
+    first, rest = text.split("in slices ")[1].split(" to ", 1)
     last, count = rest.split(" from the feet")[0].split(" of ")
     return int(first), int(last), int(count)
 
@@ -164,7 +164,7 @@ def test_search_that_leaked_at_a_breathing_step_is_repeated_with_that_lung_exclu
 
 
 def test_metal_streaks_and_breathing_steps_of_the_ct_are_found_in_divided_slices() -> None:
-    phantom = made_phantom(**THICK, seed=1)
+    phantom = cached_phantom(**THICK, seed=1)
     volume = stepped(with_clips(phantom.volume, hilum(phantom), seed=1), Step(-60.0))
     scale = air_scale(volume)
     streaks = find_streaks(volume, scale)
@@ -192,7 +192,7 @@ def test_metal_streaks_and_breathing_steps_of_the_ct_are_found_in_divided_slices
 
 
 def test_metal_streaks_in_divided_slices_add_few_false_branches_and_leave_a_note() -> None:
-    phantom = made_phantom(**THICK, seed=1)
+    phantom = cached_phantom(**THICK, seed=1)
     volume = with_clips(phantom.volume, hilum(phantom), seed=1)
     found = find_airways(volume)
     assert found.tracker.lumen_zyx.shape[0] == 3 * volume.shape_zyx[0]
@@ -205,7 +205,7 @@ def test_metal_streaks_in_divided_slices_add_few_false_branches_and_leave_a_note
 
 
 def test_note_of_a_breathing_step_in_divided_slices_names_slices_of_the_ct() -> None:
-    volume = stepped(made_phantom(**THICK, seed=1).volume, Step(-30.0))
+    volume = stepped(cached_phantom(**THICK, seed=1).volume, Step(-30.0))
     found = find_airways(volume)
     assert found.tracker.lumen_zyx.shape[0] == 3 * volume.shape_zyx[0]
     (note,) = [note for note in found.badges if note.code == STEP]
@@ -256,7 +256,7 @@ def test_tracheal_tube_is_found_only_if_its_plastic_is_brighter_than_noise(plast
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_plain_chest_has_no_note_of_metal_or_a_breathing_step(seed: int) -> None:
-    assert not badges(made_airways(**CHEST, seed=seed)) & {METAL, STEP}
+    assert not badges(cached_airways(**CHEST, seed=seed)) & {METAL, STEP}
     volume, found = the_patient()
     assert find_steps(volume, air_scale(volume)) == ()
     assert not badges(found) & {METAL, STEP}

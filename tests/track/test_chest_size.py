@@ -9,7 +9,7 @@ import pytest
 from scaled_chest import ScaledTruth, scaled
 
 import carina
-from cached_test_data import MASKED_CHEST, made_airways, made_phantom
+from cached_test_data import MASKED_CHEST, cached_airways, cached_phantom
 from carina.errors import NoResultError
 from carina.phantom import generate_phantom
 from carina.track import AirwayTree, Branch, CutBranch, edit_airways, name_tree
@@ -31,13 +31,13 @@ def confidences_of(tree):
 @pytest.fixture(scope="module")
 def half():
     """Return a phantom at half size, whose trachea is 9 mm wide, and its airways."""
-    volume = scaled(made_phantom(**MASKED_CHEST).volume, 0.5)
+    volume = scaled(cached_phantom(**MASKED_CHEST).volume, 0.5)
     return volume, carina.find_airways(volume)
 
 
 def test_tree_of_a_chest_of_half_size_has_all_branches_and_no_confident_false_branch(half):
     _, airways = half
-    full = ScaledTruth.of(made_airways(**MASKED_CHEST).tree, seed=SEED, scale=1.0, voxel_mm=VOXEL_MM)
+    full = ScaledTruth.of(cached_airways(**MASKED_CHEST).tree, seed=SEED, scale=1.0, voxel_mm=VOXEL_MM)
     found = ScaledTruth.of(airways.tree, seed=SEED, scale=0.5, voxel_mm=VOXEL_MM)
     assert len(found.false) <= len(full.false) + 1
     assert found.most_confident_false <= 0.5
@@ -48,17 +48,17 @@ def test_tree_of_a_chest_of_half_size_has_limited_confidences_and_a_stored_note(
     _, airways = half
     assert max(confidences_of(airways.tree)) == 0.5
     assert UNCALIBRATED_SIZE in codes_of(airways.tree)
-    (words,) = [note.words for note in airways.badges if note.code == UNCALIBRATED_SIZE]
-    assert "9.5 mm across" in words
-    assert "12 to 27 mm" in words
-    assert "limited to 50 %" in words
-    assert words in airways.notes
+    (text,) = [note.words for note in airways.badges if note.code == UNCALIBRATED_SIZE]
+    assert "9.5 mm across" in text
+    assert "12 to 27 mm" in text
+    assert "limited to 50 %" in text
+    assert text in airways.notes
     again = AirwayTree.from_json(airways.tree.to_json())
     assert codes_of(again) == codes_of(airways.tree)
 
 
 def test_tree_of_a_chest_of_full_size_has_no_confidence_limit_and_no_note():
-    tree = made_airways(**MASKED_CHEST).tree
+    tree = cached_airways(**MASKED_CHEST).tree
     assert UNCALIBRATED_SIZE not in codes_of(tree)
     assert max(confidences_of(tree)) > 0.9
     assert with_size_note(tree) is tree

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from cached_test_data import SMALL_CHEST, made_airways, made_phantom
+from cached_test_data import SMALL_CHEST, cached_airways, cached_phantom
 from carina.case.routes import route_to_branch
 from carina.track import AirwayTree, DrawnPart, drawn_part, drawn_tree, measure_tree
 
@@ -15,9 +15,9 @@ from carina.track import AirwayTree, DrawnPart, drawn_part, drawn_tree, measure_
 @pytest.fixture(scope="module")
 def case():
     """Return a phantom, its airways, and a branch of the periphery that has no children."""
-    airways = made_airways(**SMALL_CHEST)
+    airways = cached_airways(**SMALL_CHEST)
     leaf = max(airways.tree.tips(), key=lambda branch: (branch.generation, branch.length_mm))
-    return made_phantom(**SMALL_CHEST).volume, airways, leaf
+    return cached_phantom(**SMALL_CHEST).volume, airways, leaf
 
 
 def of_kind(airways, branch_id: int, kind: str):

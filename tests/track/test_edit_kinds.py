@@ -53,7 +53,7 @@ def test_edits_are_restored_from_their_json(many):
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "text"),
     [
         (lambda: AddBranch((0.0, 1.0)), "the end of the branch: expected a point"),
         (lambda: Bridge((0.0, float("nan"), 1.0)), "expected finite numbers"),
@@ -68,13 +68,13 @@ def test_edits_are_restored_from_their_json(many):
         (lambda: RenameBranch(1, "  "), "branch name: expected 1 to 80 characters"),
     ],
 )
-def test_edit_with_an_invalid_value_is_refused_with_the_expected_value(make, words):
-    with pytest.raises(UsageError, match=words):
+def test_edit_with_an_invalid_value_is_refused_with_the_expected_value(make, text):
+    with pytest.raises(UsageError, match=text):
         make()
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "text"),
     [
         ({"version": 2}, "version must be 1, found 2"),
         ({"edits": [{"kind": "explode"}]}, "edit 0: kind must be one of add-branch"),
@@ -83,8 +83,8 @@ def test_edit_with_an_invalid_value_is_refused_with_the_expected_value(make, wor
         ({"edits": "cut"}, "edits must be a list"),
     ],
 )
-def test_invalid_list_of_edits_is_refused_with_the_position_of_the_invalid_edit(change, words):
-    with pytest.raises(TrackingError, match=words):
+def test_invalid_list_of_edits_is_refused_with_the_position_of_the_invalid_edit(change, text):
+    with pytest.raises(TrackingError, match=text):
         edits_from_json(edits_to_json([CutBranch(1)]) | change)
 
 

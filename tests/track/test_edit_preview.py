@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from edit_case import edit_case, open_ended_airways, open_ended_volume
 
-from cached_test_data import found_airways, made_phantom
+from cached_test_data import cached_phantom, found_airways
 from carina.errors import NoEvidenceError
 from carina.track import (
     AddBranch,
@@ -111,13 +111,13 @@ def test_moved_fork_has_the_previewed_lines_exactly(case):
 def test_preview_of_an_impossible_edit_gives_a_reason_and_no_lines(case):
     tree = case.airways.tree
     leaf = tree.tips()[0]
-    for edit, words in (
+    for edit, text in (
         (MoveFork(leaf.id, tuple(leaf.tip_lps)), "without a fork"),
         (Bridge(tuple(leaf.tip_lps)), "nothing to bridge"),
         (AddBranch(tuple(leaf.points[len(leaf.points) // 2])), "already reaches"),
     ):
         preview = preview_edit(case.volume, case.airways, edit)
-        assert words in str(preview.problem)
+        assert text in str(preview.problem)
         assert (preview.lines, preview.has_evidence, preview.length_mm) == ((), False, 0.0)
 
 
@@ -131,7 +131,7 @@ def test_computing_a_preview_leaves_the_airways_unchanged(case):
 
 
 def test_preview_equals_the_edit_of_a_wide_bronchus_whose_section_radii_differ_from_its_wall_distances():
-    volume = made_phantom(seed=1, spacing_mm=1.5, generations=4).volume
+    volume = cached_phantom(seed=1, spacing_mm=1.5, generations=4).volume
     airways = found_airways(volume)
     bronchus = airways.tree.named("LMB")
     x, y, z = (float(value) for value in bronchus.points[-1])
@@ -146,7 +146,7 @@ def test_preview_equals_the_edit_of_a_wide_bronchus_whose_section_radii_differ_f
 
 @pytest.mark.parametrize(("cut_off", "texts"), [("LB8", []), ("RB1", ["RB1+3 becomes RB3", "RB2 becomes RB1+2"])])
 def test_preview_lists_the_branches_that_the_edit_renames(cut_off, texts):
-    volume = made_phantom(seed=1, spacing_mm=1.5, generations=4).volume
+    volume = cached_phantom(seed=1, spacing_mm=1.5, generations=4).volume
     airways = found_airways(volume)
     leaf = airways.tree.named(cut_off)
     cut = edit_airways(volume, airways, CutBranch(leaf.id))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import carina
-from cached_test_data import MASKED_CHEST, SMALL_CHEST, made_airways, made_phantom
+from cached_test_data import MASKED_CHEST, SMALL_CHEST, cached_airways, cached_phantom
 from carina.track import lumen_mask, lumen_mesh
 
 
@@ -18,7 +18,7 @@ def dice(found, truth):
 
 @pytest.mark.parametrize("chest", [SMALL_CHEST, MASKED_CHEST], ids=["small", "masked"])
 def test_exported_mask_ends_at_the_true_wall_of_the_lumen(chest):
-    made, airways = made_phantom(**chest), made_airways(**chest)
+    made, airways = cached_phantom(**chest), cached_airways(**chest)
     truth, found, mask = made.lumen_zyx != 0, airways.lumen_zyx != 0, lumen_mask(made.volume, airways) != 0
     assert dice(mask, truth) > 0.96
     assert dice(mask, truth) > dice(found, truth) + 0.02
@@ -26,14 +26,14 @@ def test_exported_mask_ends_at_the_true_wall_of_the_lumen(chest):
 
 
 def test_exported_mask_has_the_volume_of_the_mesh():
-    made, airways = made_phantom(**MASKED_CHEST), made_airways(**MASKED_CHEST)
+    made, airways = cached_phantom(**MASKED_CHEST), cached_airways(**MASKED_CHEST)
     voxel_mm3 = float(np.prod(made.volume.spacing_mm))
     mask_mm3 = np.count_nonzero(lumen_mask(made.volume, airways)) * voxel_mm3
     assert mask_mm3 == pytest.approx(lumen_mesh(made.volume, airways).volume_mm3, rel=0.03)
 
 
 def test_mask_from_another_tool_is_exported_unchanged():
-    made = made_phantom(**SMALL_CHEST)
+    made = cached_phantom(**SMALL_CHEST)
     airways = carina.find_airways(made.volume, lumen_zyx=made.lumen_zyx)
     assert np.array_equal(lumen_mask(made.volume, airways), airways.lumen_zyx)
 
@@ -46,7 +46,7 @@ def tube(wall_hu, lung_hu):
 
 
 def in_tube(wall_hu, lung_hu):
-    made, airways = made_phantom(**SMALL_CHEST), made_airways(**SMALL_CHEST)
+    made, airways = cached_phantom(**SMALL_CHEST), cached_airways(**SMALL_CHEST)
     values, lumen = tube(wall_hu, lung_hu)
     volume = dataclasses.replace(made.volume, hu_zyx=values)
     return lumen, lumen_mask(volume, dataclasses.replace(airways, lumen_zyx=lumen.astype(np.uint8))) != 0

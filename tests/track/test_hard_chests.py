@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.errors import NoResultError
 from carina.phantom import Phantom
 from carina.track import find_airways
@@ -18,7 +18,7 @@ SPACING_MM = 1.3
 
 @pytest.fixture(scope="module")
 def made() -> Phantom:
-    return made_phantom(seed=5, spacing_mm=SPACING_MM, generations=4, noise_hu=20.0)
+    return cached_phantom(seed=5, spacing_mm=SPACING_MM, generations=4, noise_hu=20.0)
 
 
 def places(volume: Volume):
@@ -184,7 +184,7 @@ def test_part_of_the_trachea_is_sufficient_for_the_search_and_a_chest_without_ai
 
 @pytest.fixture(scope="module", params=[1, 2, 3])
 def any_made(request) -> Phantom:
-    return made_phantom(seed=request.param, spacing_mm=SPACING_MM, generations=4, noise_hu=20.0)
+    return cached_phantom(seed=request.param, spacing_mm=SPACING_MM, generations=4, noise_hu=20.0)
 
 
 def cut_above(made: Phantom, height_mm: float) -> Volume:

@@ -9,7 +9,7 @@ import pytest
 from sharp_kernel import grown, sharpened
 
 import carina
-from cached_test_data import MASKED_CHEST, made_airways, made_phantom
+from cached_test_data import MASKED_CHEST, cached_airways, cached_phantom
 from cached_test_data import patient as the_patient
 from carina.track.find.kernel_compensation import SEAM_MM, SOFT_HU, inverse_of, soften
 from carina.track.find.kernel_sharpness import edge_undershoot_hu
@@ -57,7 +57,7 @@ def test_sum_of_two_gaussians_inverts_the_sharp_kernel_at_every_frequency(raised
 
 
 def test_ct_with_a_soft_kernel_is_not_softened():
-    for volume in (the_patient()[0], made_phantom(**MASKED_CHEST).volume):
+    for volume in (the_patient()[0], cached_phantom(**MASKED_CHEST).volume):
         found = soften(volume, air_scale(volume))
         assert found.volume is volume
         assert found.raised == 0.0
@@ -90,11 +90,11 @@ def test_lumens_clipped_at_the_least_ct_value_stay_as_dark_as_air_in_the_softene
 
     Softened without a correction, these lumens would be as bright as lung.
     """
-    made = made_phantom(**MASKED_CHEST)
+    made = cached_phantom(**MASKED_CHEST)
     airways = carina.find_airways(sharpened(made.volume, 1.6, 30.0))
     found, truth = airways.lumen_zyx != 0, made.lumen_zyx != 0
     assert np.count_nonzero(found & truth) > 0.95 * np.count_nonzero(found)
-    soft = made_airways(**MASKED_CHEST)
+    soft = cached_airways(**MASKED_CHEST)
     at = np.concatenate([branch.points for branch in soft.tree.branches])
     i, j, k = np.rint(made.volume.to_ijk(at)).astype(int).T
     assert grown(found)[k, j, i].mean() > 0.9

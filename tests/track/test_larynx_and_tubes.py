@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cached_test_data import made_airways, made_phantom
+from cached_test_data import cached_airways, cached_phantom
 from carina.errors import UsageError
 from carina.phantom import Phantom, generate_phantom
 from carina.track import Airways, find_airways
@@ -19,7 +19,7 @@ FRONT_OF_NECK_LPS = ((-110.0, -130.0, -80.0), (110.0, 70.0, 190.0))
 
 
 def searched(options: dict[str, Any]) -> tuple[Phantom, Airways]:
-    return made_phantom(**options), made_airways(**options)
+    return cached_phantom(**options), cached_airways(**options)
 
 
 def codes(airways: Airways) -> set[str]:
@@ -47,7 +47,7 @@ def test_tree_begins_below_the_cricoid_if_the_scan_includes_the_larynx(seed: int
     assert upper is not None
     true = made.upper_airway_zyx
     assert true is not None
-    assert (upper & true).sum() > 0.8 * true.sum(), "larynx and throat are kept apart"
+    assert (upper & true).sum() > 0.8 * true.sum(), "larynx and throat are stored separately from the lumen"
     assert not (upper & found.lumen_zyx).any()
 
 
@@ -92,13 +92,13 @@ def names_the_tube(made: Phantom, found: Airways, name: str) -> None:
 
 
 def test_search_in_a_chest_without_larynx_and_tube_has_no_note_of_them() -> None:
-    found = made_airways(**CHEST, seed=1)
+    found = cached_airways(**CHEST, seed=1)
     assert not codes(found) & {"track.larynx", "track.tube"}
     assert found.upper_airway_zyx is None
 
 
 def test_phantom_with_a_neck_differs_only_above_the_cricoid() -> None:
-    made = made_phantom(**WITH_NECK, seed=1)
+    made = cached_phantom(**WITH_NECK, seed=1)
     volume, upper = made.volume, made.upper_airway_zyx
     assert upper is not None
     cricoid = made.truth["cricoid_lps"]

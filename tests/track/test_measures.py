@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cached_test_data import made_airways, made_phantom
+from cached_test_data import cached_airways, cached_phantom
 from carina._core import cast_sections, section_axes
 from carina.errors import CancelledError, UsageError
 from carina.track import AirwayTree, Branch, find_airways, measure_tree
@@ -351,13 +351,13 @@ def test_narrowing_that_an_unseen_fork_may_cause_is_no_stenosis():
 @pytest.mark.parametrize("seed", [1, 4])
 def test_stenosis_of_a_phantom_is_reported_and_no_other_beyond_chance(seed):
     options = {"seed": seed, "spacing_mm": 1.2, "noise_hu": 25.0}
-    healthy = measure_tree(made_phantom(**options).volume, made_airways(**options))
+    healthy = measure_tree(cached_phantom(**options).volume, cached_airways(**options))
     reported = [one.branch_id for one in healthy.branches if one.summary.stenosis is not None]
     # The error covers 97.5 % of healthy branches, so 2.5 % may be reported.
     assert len(reported) <= 0.025 * len(healthy.branches)
 
     options["stenosis"] = True
-    made, airways = made_phantom(**options), made_airways(**options)
+    made, airways = cached_phantom(**options), cached_airways(**options)
     measures = measure_tree(made.volume, airways)
     truth = made.truth["stenosis"]
     branch, _, _ = airways.tree.nearest_branch(truth["centre_lps"])

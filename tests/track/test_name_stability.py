@@ -126,8 +126,7 @@ def test_tip_that_a_moved_fork_lengthens_is_no_extension():
     back = branch.points[0] - 6.0 * (branch.points[1] - branch.points[0]) / np.linalg.norm(
         branch.points[1] - branch.points[0]
     )
-    longer = dataclasses.replace(
-        branch, points=np.concatenate([[back], branch.points]), radius=np.concatenate([branch.radius[:1], branch.radius])
-    )
+    radius = np.concatenate([branch.radius[:1], branch.radius])
+    longer = dataclasses.replace(branch, points=np.concatenate([[back], branch.points]), radius=radius)
     moved = dataclasses.replace(tree, branches=tuple(longer if b.id == tip else b for b in tree.branches))
     assert not extends_tips_only(tree, moved)

@@ -58,14 +58,14 @@ def turned(axis: tuple[float, float, float], deg: float) -> np.ndarray:
 def rooted_at(tree: AirwayTree, name: str) -> AirwayTree:
     """Return the branch ``name`` and its descendants as a separate tree."""
     root = tree.named(name)
-    kept = {root.id}
+    below = {root.id}
     for b in tree.branches:
-        if b.parent in kept:
-            kept.add(b.id)
+        if b.parent in below:
+            below.add(b.id)
     return AirwayTree(
         tuple(
             dataclasses.replace(b, parent=None if b is root else b.parent, generation=b.generation - root.generation)
-            for b in sorted((b for b in tree.branches if b.id in kept), key=lambda b: (b is not root, b.id))
+            for b in sorted((b for b in tree.branches if b.id in below), key=lambda b: (b is not root, b.id))
         )
     )
 
@@ -240,14 +240,14 @@ def test_tree_that_begins_in_the_right_main_bronchus_is_named_correctly():
 
 @pytest.mark.slow
 def test_tree_of_one_lung_is_named_correctly():
-    for lost, kept in (("LMB", "R"), ("RMB", "L")):
+    for lost, side in (("LMB", "R"), ("RMB", "L")):
         rows = []
         for seed in SEEDS:
             tree = true_tree(seed)
             branch = tree.named(lost)
             named = name_tree(without(tree, {branch.id}))
             rows.append(score(tree, named))
-            assert not any(b.name and b.name[1:2] == "B" and b.name[0] != kept for b in named.branches)
+            assert not any(b.name and b.name[1:2] == "B" and b.name[0] != side for b in named.branches)
         right, wrong, total = np.sum(rows, axis=0)
         assert right >= 0.80 * total, lost
         assert wrong <= 0.12 * total, lost
@@ -294,8 +294,8 @@ def test_branch_name_given_by_the_user_is_unchanged_and_used_for_other_names():
         )
 
     ours = give("RB2")
-    kept = ours.branch(segment.id)
-    assert (kept.name, kept.name_from, kept.name_confidence) == ("RB2", "person", None)
+    renamed = ours.branch(segment.id)
+    assert (renamed.name, renamed.name_from, renamed.name_confidence) == ("RB2", "person", None)
     # The automatic names do not contain the given RB2 again.
     assert [b.id for b in ours.branches if b.name == "RB2"] == [segment.id]
     free = give("the one with the stent")
@@ -359,9 +359,9 @@ def test_tree_without_forks_has_no_names():
 def test_anatomical_variants_of_phantoms_are_named_correctly():
     for seed in SEEDS:
         tree, named = true_tree(seed), name_tree(true_tree(seed))
-        said = " ".join(b.variant or "" for b in named.branches)
-        for stem, words in (("RB1+2", "RB1 and RB2 share a stem"), ("RB2+3", "RB2 and RB3 share a stem")):
-            assert (stem in tree.names) == (words in said), seed
+        variants = " ".join(b.variant or "" for b in named.branches)
+        for stem, text in (("RB1+2", "RB1 and RB2 share a stem"), ("RB2+3", "RB2 and RB3 share a stem")):
+            assert (stem in tree.names) == (text in variants), seed
 
 
 def regrafted(tree: AirwayTree, name: str, host_name: str, share: float) -> tuple[AirwayTree, int]:
@@ -402,18 +402,18 @@ def regrafted(tree: AirwayTree, name: str, host_name: str, share: float) -> tupl
 
 
 @pytest.mark.parametrize(
-    ("name", "host", "share", "words"),
+    ("name", "host", "share", "text"),
     [
         ("RUL", "Trachea", 0.9, "tracheal bronchus"),
         ("RB1", "Trachea", 0.85, "tracheal bronchus"),
         ("RB6", "BI", 0.5, "at or above the middle lobe bronchus"),
     ],
 )
-def test_bronchus_with_an_unusually_high_origin_is_reported_as_variant(name, host, share, words):
+def test_bronchus_with_an_unusually_high_origin_is_reported_as_variant(name, host, share, text):
     changed, which = regrafted(true_tree(4), name, host, share)
     named = name_tree(changed)
     assert named.branch(which).name == name
-    assert words in (named.branch(which).variant or "")
+    assert text in (named.branch(which).variant or "")
     right, wrong, total = score(true_tree(4), named)
     assert right >= total - 1
     assert wrong == 0
@@ -422,9 +422,9 @@ def test_bronchus_with_an_unusually_high_origin_is_reported_as_variant(name, hos
 def test_every_branch_name_has_a_full_text():
     for keys in LOBES.values():
         for key in keys:
-            words = name_words(key)
-            assert words is not None
-            assert words.side == ("right" if key.startswith("R") else "left")
+            full_name = name_words(key)
+            assert full_name is not None
+            assert full_name.side == ("right" if key.startswith("R") else "left")
     for name in grammar().names:
         assert name_words(name) is not None, name
     assert name_words("RB6").full == "RB6 (superior segment, RLL)"  # type: ignore[union-attr]

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import carina
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina._core import GraphTracker
 from carina.errors import CancelledError, UsageError
 from carina.track.targets.paper_tracker import BYTES_PER_VOXEL, COSTS, GRAPHS, search_box, track_on_graph
@@ -80,7 +80,7 @@ def test_paths_to_five_segments_cross_no_airway_wall(seed):
 
 
 def assert_no_wall_is_penetrated(seed):
-    made = made_phantom(seed=seed, spacing_mm=1.2, noise_hu=25.0)
+    made = cached_phantom(seed=seed, spacing_mm=1.2, noise_hu=25.0)
     airways = carina.find_airways(made.volume)
     segments = [branch for branch in airways.tree.branches if branch.generation == 4]
     ends = [branch.points[-1] for branch in segments[:: max(len(segments) // 5, 1)][:5]]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import carina
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.errors import NoResultError, UsageError
 from carina.track import edit_airways, rebuild_airways
 from carina.track.edit.edit_list import CutBranch, PaintLumen
@@ -101,7 +101,7 @@ def test_mask_on_the_ct_grid_includes_each_centreline_and_voxels_that_are_at_lea
 
 @pytest.fixture(scope="module")
 def thick():
-    made = made_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=5, noise_hu=15.0)
+    made = cached_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=5, noise_hu=15.0)
     return made.volume, carina.find_airways(made.volume)
 
 
@@ -200,7 +200,7 @@ def test_divided_slices_show_airways_not_visible_in_the_ct_slices(thick, monkeyp
     monkeypatch.setattr(PathGrid, "of", classmethod(lambda cls, volume: cls(volume)))
     whole = carina.find_airways(ct)
     lengths = [sum(branch.length_mm for branch in found.tree.branches) for found in (airways, whole)]
-    truth = made_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=5, noise_hu=15.0).truth
+    truth = cached_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=5, noise_hu=15.0).truth
     lines = [np.array(row["points"]) for row in truth["branches"]]
     total = sum(float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) for line in lines)
     assert total - lengths[0] < 0.7 * (total - lengths[1]), "less is missed"

@@ -8,14 +8,14 @@ import pytest
 import carina
 from carina.errors import NoResultError, UsageError
 from carina.track.targets.paper_tracker import NO_LUMEN, search_box, track_on_graph
-from vessel_phantom import made_vessel
+from vessel_phantom import bent_vessel
 
 HEAD_AND_LIDC2 = "ct/head_and_lidc2_8bit"
 
 
 @pytest.fixture(scope="module")
 def vessel():
-    return made_vessel()
+    return bent_vessel()
 
 
 def voxels_of(volume, points):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cached_test_data import MASKED_CHEST, OTHER_CHEST, made_airways, made_phantom
+from cached_test_data import MASKED_CHEST, OTHER_CHEST, cached_airways, cached_phantom
 from carina.errors import NoResultError
 from carina.phantom import generate_phantom
 from carina.track import AirwayTree, find_airways
@@ -14,7 +14,7 @@ from carina.track import AirwayTree, find_airways
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [MASKED_CHEST, OTHER_CHEST], ids=["1", "2"])
 def test_tree_of_a_phantom_has_the_true_branches(options):
-    same_as_its_truth(made_phantom(**options), made_airways(**options))
+    same_as_its_truth(cached_phantom(**options), cached_airways(**options))
 
 
 @pytest.mark.soak

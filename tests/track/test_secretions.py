@@ -9,7 +9,7 @@ import pytest
 from plugged_chest import CHEST
 
 import carina
-from cached_test_data import made_airways, made_phantom
+from cached_test_data import cached_airways, cached_phantom
 from cached_test_data import patient as the_patient
 from carina.track import AirwayTree, Branch, Bridge, find_absent
 from carina.track.find.airway_ends import find_uncertain
@@ -40,7 +40,7 @@ BRIDGED = sampled(
 @cache
 def wet(name, share):
     from_mm, length_mm = SEGMENTS.get(name, (4.0, 11.0))
-    made = with_secretions(made_phantom(**CHEST), name, share=share, from_mm=from_mm, length_mm=length_mm)
+    made = with_secretions(cached_phantom(**CHEST), name, share=share, from_mm=from_mm, length_mm=length_mm)
     return made, carina.find_airways(made.volume)
 
 
@@ -56,7 +56,7 @@ def test_fluid_level_or_mucus_plug_is_reported_with_the_bronchial_diameter_from_
     assert place.calibre_mm == pytest.approx(made.calibre_mm, abs=max(0.15 * made.calibre_mm, VOXEL_MM))
     assert abs(place.calibre_mm - made.calibre_mm) <= 2.0 * place.calibre_error_mm
     assert place.width_mm == pytest.approx(made.air_mm, abs=VOXEL_MM)
-    assert (place.width_mm == 0.0) == (share == 1.0), "no air is said to be visible only where there is none"
+    assert (place.width_mm == 0.0) == (share == 1.0), "no air is reported exactly if there is none"
     assert "a CT cannot distinguish these from a tumour or a collapsed airway" in place.reason
     assert f"{place.calibre_mm:.1f} \u00b1 {place.calibre_error_mm:.1f} mm wide from wall to wall" in place.reason
 
@@ -67,7 +67,7 @@ def test_bridge_offered_for_a_filled_bronchus_restores_the_airways_beyond(name, 
     (place,) = filled(airways)
     assert np.linalg.norm(np.array(place.beyond_lps) - made.axis_lps[-1]) < 6.0
     assert "there is an airway beyond it" in place.reason
-    whole = made_airways(**CHEST)
+    whole = cached_airways(**CHEST)
     assert len(airways.tree) <= len(whole.tree) - 6, "nothing was added by itself"
     bridged = carina.edit_airways(made.volume, airways, Bridge(place.beyond_lps))
     (bridge,) = [branch for branch in bridged.tree.branches if branch.kind == "bridge"]
@@ -114,7 +114,7 @@ def test_missing_lobe_beyond_a_filled_bronchus_has_the_filling_as_reason():
 
 @pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
 def test_healthy_airways_have_no_filled_bronchus(seed):
-    assert filled(made_airways(**{**CHEST, "seed": seed})) == []
+    assert filled(cached_airways(**{**CHEST, "seed": seed})) == []
 
 
 def test_bundled_patient_has_no_filled_bronchus():
@@ -147,7 +147,7 @@ def test_bronchus_narrower_than_two_slices_is_not_reported_as_filled(monkeypatch
 
 
 def test_stenosis_in_the_mediastinum_is_reported_as_narrowed_or_filled_without_a_bridge():
-    made = made_phantom(**CHEST, stenosis=True)
+    made = cached_phantom(**CHEST, stenosis=True)
     # In the mediastinum the wall has no visible border, so a thick wall cannot be distinguished from mucus on the wall.
     for place in filled(carina.find_airways(made.volume)):
         assert place.beyond_lps is None

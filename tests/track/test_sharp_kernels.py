@@ -10,7 +10,7 @@ import pytest
 from sharp_kernel import grown, sharpened
 
 import carina
-from cached_test_data import MASKED_CHEST, made_phantom
+from cached_test_data import MASKED_CHEST, cached_phantom
 from cached_test_data import patient as the_patient
 from carina.errors import NoResultError
 from carina.export import read_tree, write_tree
@@ -159,7 +159,7 @@ def test_ct_is_not_smoothed_if_the_user_gives_a_lumen_threshold(patient):
 
 @pytest.mark.slow
 def test_lumen_of_a_sharpened_phantom_has_no_leak():
-    made = made_phantom(**MASKED_CHEST)
+    made = cached_phantom(**MASKED_CHEST)
     airways = carina.find_airways(sharpened(made.volume, 0.8, 30.0))
     found, truth = airways.lumen_zyx != 0, made.lumen_zyx != 0
     assert spoilt(found, truth) < 0.05

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import carina
-from cached_test_data import made_phantom
+from cached_test_data import cached_phantom
 from carina.track import CutBranch, edit_airways
 
 CHEST = {"seed": 3, "spacing_mm": (1.3, 1.2, 1.5), "noise_hu": 25.0, "generations": 6}
@@ -38,7 +38,7 @@ def on_stored_grid(array, axes, flips):
 
 @pytest.fixture(scope="module")
 def chest():
-    volume = made_phantom(**CHEST).volume
+    volume = cached_phantom(**CHEST).volume
     return volume, carina.find_airways(volume)
 
 

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import carina
-from cached_test_data import made_airways, made_phantom
+from cached_test_data import cached_airways, cached_phantom
 from carina.commands.tree import CutBranch
 from carina.track import Airways, AirwayTree, edit_airways, find_absent, fold_airways
 from carina.track.tree.thick_slices import (
@@ -53,7 +53,7 @@ def note_of(tree: AirwayTree) -> str | None:
 
 @pytest.fixture(scope="module")
 def chest() -> Airways:
-    return made_airways(**THICK)
+    return cached_airways(**THICK)
 
 
 @given(st.floats(0.3, 12.0), st.floats(0.0, 3.0))
@@ -123,46 +123,46 @@ def test_pixels_wider_than_calibrated_give_only_limits_of_the_detection_shares(c
     coarse = shares_in(ct_of(3.0, pixel_mm=0.98))
     assert coarse is not None
     assert all(share.least == 0.0 and share.typical is None for share in coarse.shares)
-    words = note_of(with_slice_note(dataclasses.replace(chest.tree, notes=()), ct_of(3.0, pixel_mm=0.98))) or ""
+    text = note_of(with_slice_note(dataclasses.replace(chest.tree, notes=()), ct_of(3.0, pixel_mm=0.98))) or ""
     limits = "at most 90 % of the length of airways of 3 to 4 mm, at most 75 % of those of 2 to 3 mm and at most 25 %"
-    assert f"Carina finds {limits} of those of 1 to 2 mm." in words
+    assert f"Carina finds {limits} of those of 1 to 2 mm." in text
 
 
 def test_note_of_a_search_in_thick_slices_states_the_detection_share_of_each_diameter(chest):
-    words = note_of(chest.tree)
-    assert words is not None
-    assert words in chest.notes
-    assert words.startswith(
+    text = note_of(chest.tree)
+    assert text is not None
+    assert text in chest.notes
+    assert text.startswith(
         "slices of 3 mm: in such CTs, Carina finds 95 % (90 to 100 %) of the length of airways wider than 6 mm"
     )
-    assert "40 % (20 to 75 %) of those of 2 to 3 mm and 5 % (at most 25 %) of those of 1 to 2 mm." in words
-    assert "An airway that is not in the tree may still be there." in words
-    assert [note.words for note in badges_of(made_phantom(**THICK).volume, chest) if note.code == THICK_SLICES] == [
-        words
+    assert "40 % (20 to 75 %) of those of 2 to 3 mm and 5 % (at most 25 %) of those of 1 to 2 mm." in text
+    assert "An airway that is not in the tree may still be there." in text
+    assert [note.words for note in badges_of(cached_phantom(**THICK).volume, chest) if note.code == THICK_SLICES] == [
+        text
     ]
 
 
 def test_tree_from_thin_slices_has_no_note_and_no_detection_shares():
-    thin = made_airways(seed=1, spacing_mm=1.1, noise_hu=25.0)
+    thin = cached_airways(seed=1, spacing_mm=1.1, noise_hu=25.0)
     assert note_of(thin.tree) is None
     assert thin.calibrated_shares is None
 
 
 def test_note_of_thick_slices_is_preserved_by_files_edits_and_undo_storage(chest, tmp_path):
-    words = note_of(chest.tree)
-    assert note_of(AirwayTree.from_json(json.loads(json.dumps(chest.tree.to_json())))) == words
+    text = note_of(chest.tree)
+    assert note_of(AirwayTree.from_json(json.loads(json.dumps(chest.tree.to_json())))) == text
     path = tmp_path / "t.json"
     carina.write_tree(path, chest.tree)
-    assert note_of(carina.read_tree(path)) == words
+    assert note_of(carina.read_tree(path)) == text
     tip = max(chest.tree.tips(), key=lambda branch: branch.generation)
-    edited = edit_airways(made_phantom(**THICK).volume, chest, CutBranch(tip.id))
-    assert note_of(edited.tree) == words
+    edited = edit_airways(cached_phantom(**THICK).volume, chest, CutBranch(tip.id))
+    assert note_of(edited.tree) == text
     assert edited.calibrated_shares == chest.calibrated_shares
-    assert note_of(fold_airways(edited).unfold().tree) == words
+    assert note_of(fold_airways(edited).unfold().tree) == text
 
 
 def test_mask_of_another_tool_has_no_note_of_thick_slices(chest):
-    volume = made_phantom(**THICK).volume
+    volume = cached_phantom(**THICK).volume
     imported = carina.find_airways(volume, lumen_zyx=chest.lumen_zyx)
     assert note_of(imported.tree) is None
     assert imported.calibrated_shares is None
@@ -191,7 +191,7 @@ def without(tree: AirwayTree, name: str) -> AirwayTree:
 
 
 def test_reason_for_a_missed_segment_in_thick_slices_is_the_slice_thickness_not_a_disease(chest):
-    volume = made_phantom(**THICK).volume
+    volume = cached_phantom(**THICK).volume
     segment = next(b.name for b in chest.tree.branches if b.name is not None and re.fullmatch("[RL]B[0-9]+", b.name))
     tree = without(chest.tree, segment)
     (absence,) = [one for one in find_absent(tree, (), volume) if one.name == segment]
@@ -207,7 +207,7 @@ def test_reason_for_a_missed_segment_in_thick_slices_is_the_slice_thickness_not_
 
 
 def test_search_in_a_phantom_not_used_for_calibration_finds_the_stated_shares(chest, capsys):
-    made = made_phantom(**THICK)
+    made = cached_phantom(**THICK)
     truth = truth_of_phantom(made.truth, made.lumen_zyx, made.volume)
     found, whole = length_by_calibre(made.volume, truth, chest.lumen_zyx != 0)
     assert len(CALIBRES) == len(CALIBRE_ENDS_MM)

@@ -58,8 +58,8 @@ def is_misfit(tree: AirwayTree) -> bool:
 
 
 def surest_segment(tree: AirwayTree) -> float:
-    words = [(branch.name_confidence or 0.0, name_words(branch.name)) for branch in tree.branches if branch.name]
-    return max((sure for sure, known in words if known is not None and known.boyden is not None), default=0.0)
+    text = [(branch.name_confidence or 0.0, name_words(branch.name)) for branch in tree.branches if branch.name]
+    return max((sure for sure, known in text if known is not None and known.boyden is not None), default=0.0)
 
 
 @pytest.mark.parametrize("seed", range(1, 6))

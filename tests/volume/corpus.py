@@ -60,10 +60,10 @@ def all_inputs() -> tuple[Input, ...]:
 def _answer(entry: Input) -> str:
     if entry.expected != "opens":
         return f"refused, `{entry.expected}`"
-    words = "opens" if entry.is_hu else "opens, not in HU"
+    text = "opens" if entry.is_hu else "opens, not in HU"
     if entry.series is not None:
-        words += f", {entry.series} series"
-    return words + (f"; notes {', '.join(f'`{code}`' for code in entry.notes)}" if entry.notes else "")
+        text += f", {entry.series} series"
+    return text + (f"; notes {', '.join(f'`{code}`' for code in entry.notes)}" if entry.notes else "")
 
 
 REMEDIES = (

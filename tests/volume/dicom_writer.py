@@ -93,14 +93,14 @@ def series(
 
 def packed(dataset: Dataset, folder: Path, kind: str) -> None:
     """Compress the pixels of a slice without loss; ``kind`` is ``JPEG2000`` or ``JPEG``."""
-    words = np.frombuffer(dataset.PixelData, "<u2").reshape(1, dataset.Rows, dataset.Columns)
+    text = np.frombuffer(dataset.PixelData, "<u2").reshape(1, dataset.Rows, dataset.Columns)
     path = folder / "packed.tmp.dcm"
     writer = sitk.ImageFileWriter()
     writer.SetImageIO("GDCMImageIO")
     writer.SetFileName(str(path))
     writer.UseCompressionOn()
     writer.SetCompressor(kind)
-    writer.Execute(sitk.GetImageFromArray(words.astype(np.int16 if dataset.PixelRepresentation else np.uint16)))
+    writer.Execute(sitk.GetImageFromArray(text.astype(np.int16 if dataset.PixelRepresentation else np.uint16)))
     found = dcmread(path)
     path.unlink()
     dataset.file_meta.TransferSyntaxUID = found.file_meta.TransferSyntaxUID

@@ -79,7 +79,7 @@ def chest_file(folder: Path, seed: int = 0, name: str = "ct.nrrd") -> Path:
     return path
 
 
-def keep(volume_cache: VolumeCache, path: Path, series: str | None = None) -> str:
+def open_and_cache(volume_cache: VolumeCache, path: Path, series: str | None = None) -> str:
     """Open the CT from its files, store it in the cache and return its digest."""
     opened = volume_cache.open(path, series=series)
     assert not opened.from_cache
@@ -131,7 +131,7 @@ SOURCES: dict[str, Callable[[Path], Path]] = {
 @pytest.mark.parametrize("source", SOURCES)
 def test_ct_read_from_the_cache_equals_the_ct_from_its_files_in_every_field(source, volume_cache, tmp_path):
     path = SOURCES[source](tmp_path)
-    digest = keep(volume_cache, path)
+    digest = open_and_cache(volume_cache, path)
     opened = volume_cache.open(path)
     assert opened.from_cache
     assert ct_digest(opened.volume) == digest
@@ -151,7 +151,7 @@ def test_quality_range_and_digest_of_a_cached_ct_are_restored_and_not_computed_a
     volume_cache, tmp_path, monkeypatch
 ):
     path = chest_file(tmp_path)
-    keep(volume_cache, path)
+    open_and_cache(volume_cache, path)
     expected = open_volume(path)
     judged = quality.quality_gate(expected), expected.value_range, ct_digest(expected)
     monkeypatch.setattr(quality, "_judge", None)
@@ -163,9 +163,9 @@ def test_quality_range_and_digest_of_a_cached_ct_are_restored_and_not_computed_a
 
 def test_selected_series_is_cached_beside_the_default_series(volume_cache, tmp_path):
     path = two_series(tmp_path / "scan")
-    keep(volume_cache, path)
+    open_and_cache(volume_cache, path)
     assert volume_cache.get(path, series="4") is None
-    keep(volume_cache, path, series="4")
+    open_and_cache(volume_cache, path, series="4")
     assert_equal(volume_cache.get(path, series="4"), open_volume(path, series="4"))
     assert_equal(volume_cache.get(path), open_volume(path))
 
@@ -173,7 +173,7 @@ def test_selected_series_is_cached_beside_the_default_series(volume_cache, tmp_p
 @pytest.mark.skipif(os.name != "posix", reason="modes of POSIX")
 def test_cache_files_of_cts_are_private_and_their_names_contain_no_patient_data(volume_cache, folder, tmp_path):
     path = two_series(tmp_path / "DOE_JOHN")
-    keep(volume_cache, path)
+    open_and_cache(volume_cache, path)
     found = files(folder)
     assert len(found) == 2
     for file in found:
@@ -202,7 +202,7 @@ CHANGES: dict[str, Callable[[Path], object]] = {
 @pytest.mark.parametrize("change", CHANGES)
 def test_each_kind_of_change_in_the_folder_of_a_cached_ct_is_detected(change, volume_cache, tmp_path):
     path = two_series(tmp_path / "scan")
-    digest = keep(volume_cache, path)
+    digest = open_and_cache(volume_cache, path)
     assert volume_cache.find(path).state == "unchanged"
     CHANGES[change](path)
     found = volume_cache.find(path)
@@ -216,7 +216,7 @@ def test_each_kind_of_change_in_the_folder_of_a_cached_ct_is_detected(change, vo
 
 def test_changed_data_file_of_a_detached_header_is_detected(volume_cache, tmp_path):
     path = grid_writers.FORMS["nrrd detached"](tmp_path, grid_writers.chest())
-    keep(volume_cache, path)
+    open_and_cache(volume_cache, path)
     touch(tmp_path / "ct.raw")
     assert volume_cache.find(path).state == "changed"
 
@@ -224,14 +224,14 @@ def test_changed_data_file_of_a_detached_header_is_detected(volume_cache, tmp_pa
 def test_new_data_file_with_a_preferred_name_beside_a_cached_header_is_detected(volume_cache, tmp_path):
     path = grid_writers.FORMS["nifti pair"](tmp_path, grid_writers.chest())
     (tmp_path / "ct.img").rename(tmp_path / "ct.IMG")
-    keep(volume_cache, path)
+    open_and_cache(volume_cache, path)
     shutil.copy(tmp_path / "ct.IMG", tmp_path / "ct.img")
     assert volume_cache.find(path).state == "changed"
 
 
 def test_missing_source_of_a_cached_ct_is_reported_and_opening_it_fails(volume_cache, tmp_path):
     path = chest_file(tmp_path)
-    digest = keep(volume_cache, path)
+    digest = open_and_cache(volume_cache, path)
     path.unlink()
     assert volume_cache.find(path).state == "missing"
     assert volume_cache.find_digest(digest).load() is not None
@@ -242,10 +242,10 @@ def test_missing_source_of_a_cached_ct_is_reported_and_opening_it_fails(volume_c
 def test_file_written_less_than_two_seconds_ago_is_not_cached(volume_cache, clock, folder, tmp_path):
     path = chest_file(tmp_path)
     clock.now_s = path.stat().st_mtime + 1.5
-    keep(volume_cache, path)
+    open_and_cache(volume_cache, path)
     assert volume_cache.find(path) is None
     clock.now_s += 1.0
-    keep(volume_cache, path)
+    open_and_cache(volume_cache, path)
     assert volume_cache.find(path) is not None
 
 
@@ -259,18 +259,18 @@ def test_file_that_changes_while_it_is_read_is_not_cached(volume_cache, tmp_path
 
 def test_moved_ct_shares_its_cached_voxel_file_and_a_ct_with_other_axes_does_not(volume_cache, folder, clock, tmp_path):
     path = chest_file(tmp_path)
-    digest = keep(volume_cache, path)
+    digest = open_and_cache(volume_cache, path)
     moved = path.rename(tmp_path / "moved.nrrd")
     assert volume_cache.find(moved) is None
     clock.now_s += 10
-    assert keep(volume_cache, moved) == digest
+    assert open_and_cache(volume_cache, moved) == digest
     assert len(files(folder, SUFFIX)) == 1
     assert len(files(folder, ".source")) == 2
     assert volume_cache.find_digest(digest).source.path == moved
     read = open_volume(moved)
     back = Volume(np.ascontiguousarray(read.hu_zyx[::-1]), read.lps_from_ijk @ np.diag([1.0, 1.0, -1.0, 1.0]))
     exported = write_grid(tmp_path / "back.nii", back.hu_zyx, back.lps_from_ijk, what="the CT")
-    assert keep(volume_cache, exported) == digest
+    assert open_and_cache(volume_cache, exported) == digest
     assert len(files(folder, SUFFIX)) == 2
     assert_equal(volume_cache.get(exported), open_volume(exported))
 
@@ -302,7 +302,7 @@ def damage(file: Path, where: str) -> None:
 )
 def test_damaged_cached_voxel_file_is_removed_and_the_source_is_read(where, volume_cache, folder, tmp_path, caplog):
     path = chest_file(tmp_path)
-    expected = keep(volume_cache, path)
+    expected = open_and_cache(volume_cache, path)
     (voxels,) = files(folder, SUFFIX)
     damage(voxels, where)
     with caplog.at_level(logging.WARNING):
@@ -318,7 +318,7 @@ def test_damaged_cached_voxel_file_is_removed_and_the_source_is_read(where, volu
 
 def test_cached_voxel_file_truncated_while_it_is_read_is_not_used(volume_cache, folder, tmp_path, monkeypatch):
     path = chest_file(tmp_path)
-    keep(volume_cache, path)
+    open_and_cache(volume_cache, path)
     (voxels,) = files(folder, SUFFIX)
     fill = voxel_file._read_full
 
@@ -333,7 +333,7 @@ def test_cached_voxel_file_truncated_while_it_is_read_is_not_used(volume_cache, 
 @pytest.mark.parametrize("where", ["emptied", "first byte", "longer"])
 def test_damaged_cache_record_of_a_source_is_not_used_and_is_removed(where, volume_cache, folder, tmp_path):
     path = chest_file(tmp_path)
-    keep(volume_cache, path)
+    open_and_cache(volume_cache, path)
     (source,) = files(folder, ".source")
     damage(source, where)
     assert volume_cache.find(path) is None
@@ -343,7 +343,7 @@ def test_damaged_cache_record_of_a_source_is_not_used_and_is_removed(where, volu
 
 def test_change_of_a_byte_of_a_cache_record_is_detected(volume_cache, folder, tmp_path):
     path = chest_file(tmp_path)
-    keep(volume_cache, path)
+    open_and_cache(volume_cache, path)
     (source,) = files(folder, ".source")
     content = source.read_bytes()
     for at in range(0, len(content), 7):
@@ -355,10 +355,10 @@ def test_change_of_a_byte_of_a_cache_record_is_detected(volume_cache, folder, tm
 
 def test_cached_voxel_file_with_the_name_of_another_ct_is_not_used(volume_cache, folder, tmp_path):
     one, other = chest_file(tmp_path, 1, "a.nrrd"), chest_file(tmp_path, 2, "b.nrrd")
-    keep(volume_cache, one)
+    open_and_cache(volume_cache, one)
     (voxels,) = files(folder, SUFFIX)
     aside = voxels.rename(folder / "aside")
-    keep(volume_cache, other)
+    open_and_cache(volume_cache, other)
     (others,) = files(folder, SUFFIX)
     others.replace(voxels)
     aside.unlink()
@@ -369,13 +369,13 @@ def test_cache_record_of_another_carina_version_is_replaced_and_its_voxels_are_r
     volume_cache, folder, tmp_path, monkeypatch
 ):
     path = chest_file(tmp_path)
-    digest = keep(volume_cache, path)
+    digest = open_and_cache(volume_cache, path)
     (voxels,) = files(folder, SUFFIX)
     before = voxels.stat().st_ino
     monkeypatch.setattr(cache, "_made_by", lambda: "a newer one")
     assert volume_cache.find(path) is None
     assert volume_cache.find_digest(digest) is None
-    keep(volume_cache, path)
+    open_and_cache(volume_cache, path)
     assert volume_cache.find(path) is not None
     # The voxels are the same, so their file is not written again.
     assert voxels.stat().st_ino == before
@@ -392,11 +392,11 @@ def test_least_recently_used_ct_is_removed_when_the_cache_is_full(folder, clock,
     volume_cache = VolumeCache(folder, max_bytes=2 * one, clock=clock)
     for path in paths[:2]:
         clock.now_s += 10
-        keep(volume_cache, path)
+        open_and_cache(volume_cache, path)
     clock.now_s += 10
     assert volume_cache.get(paths[0]) is not None  # after this use the second CT is the least recently used one
     clock.now_s += 10
-    keep(volume_cache, paths[2])
+    open_and_cache(volume_cache, paths[2])
     assert [volume_cache.find(path) is not None for path in paths] == [True, False, True]
     assert len(files(folder, SUFFIX)) == len(files(folder, ".source")) == 2
     assert sum(size.num_bytes for size in volume_cache.sizes()) <= 2 * one
@@ -407,7 +407,7 @@ def test_least_recently_used_ct_is_removed_when_the_cache_is_full(folder, clock,
 
 def test_ct_larger_than_the_cache_limit_is_not_cached_and_removes_no_other(folder, clock, tmp_path):
     path = chest_file(tmp_path)
-    keep(VolumeCache(folder, max_bytes=1 << 30, clock=clock), path)
+    open_and_cache(VolumeCache(folder, max_bytes=1 << 30, clock=clock), path)
     small = VolumeCache(folder, max_bytes=2 * grid_writers.chest().size - 1, clock=clock)
     keep_too = chest_file(tmp_path, 1, "b.nrrd")
     small.keep(small.open(keep_too))
@@ -426,7 +426,7 @@ def test_default_cache_limit_is_a_tenth_of_free_space_and_cache_size_together(fo
 def test_ct_unused_for_a_long_time_is_removed_from_the_cache(volume_cache, folder, clock, tmp_path):
     paths = [chest_file(tmp_path, seed, f"{seed}.nrrd") for seed in range(2)]
     for path in paths:
-        keep(volume_cache, path)
+        open_and_cache(volume_cache, path)
     clock.now_s += 60 * DAY_S
     assert volume_cache.get(paths[1]) is not None
     clock.now_s += 60 * DAY_S
@@ -436,10 +436,10 @@ def test_ct_unused_for_a_long_time_is_removed_from_the_cache(volume_cache, folde
 
 def test_ct_cache_can_be_emptied_and_switched_off_and_on_while_in_use(volume_cache, folder, clock, tmp_path):
     path = chest_file(tmp_path)
-    keep(volume_cache, path)
+    open_and_cache(volume_cache, path)
     assert volume_cache.empty() > 0
     assert volume_cache.sizes() == ()
-    keep(volume_cache, path)
+    open_and_cache(volume_cache, path)
     volume_cache.switch(False)
     assert volume_cache.sizes() == ()
     assert not volume_cache.is_on
@@ -455,7 +455,7 @@ def test_ct_cache_can_be_emptied_and_switched_off_and_on_while_in_use(volume_cac
 
 def test_disabled_ct_cache_stores_nothing_and_its_cleanup_empties_it(volume_cache, folder, clock, tmp_path):
     path = chest_file(tmp_path)
-    keep(volume_cache, path)
+    open_and_cache(volume_cache, path)
     off = VolumeCache(folder, max_bytes=0, clock=clock)
     assert not off.is_on
     opened = off.open(path)
@@ -467,10 +467,10 @@ def test_disabled_ct_cache_stores_nothing_and_its_cleanup_empties_it(volume_cach
 
 def test_ct_deleted_from_the_cache_is_removed_with_the_records_of_all_its_sources(volume_cache, folder, tmp_path):
     path = chest_file(tmp_path)
-    digest = keep(volume_cache, path)
-    keep(volume_cache, Path(shutil.copy(path, tmp_path / "copy.nrrd")))
+    digest = open_and_cache(volume_cache, path)
+    open_and_cache(volume_cache, Path(shutil.copy(path, tmp_path / "copy.nrrd")))
     stays = chest_file(tmp_path, 1, "stays.nrrd")
-    keep(volume_cache, stays)
+    open_and_cache(volume_cache, stays)
     assert volume_cache.forget(digest) > 2 * grid_writers.chest().size
     assert len(files(folder)) == 2
     assert volume_cache.get(stays) is not None
@@ -499,7 +499,7 @@ def test_full_disk_of_the_cache_is_logged_and_the_ct_opens(volume_cache, folder,
 
     monkeypatch.setattr(cache, "draft_voxel_file", full)
     with caplog.at_level(logging.WARNING):
-        digest = keep(volume_cache, chest_file(tmp_path))
+        digest = open_and_cache(volume_cache, chest_file(tmp_path))
     assert len(digest) == 64
     assert "could not be cached" in caplog.text
     assert files(folder) == []
@@ -510,13 +510,13 @@ def test_read_only_cache_folder_does_not_prevent_opening_a_ct(tmp_path, clock):
     closed = tmp_path / "closed"
     closed.mkdir(mode=0o500)
     volume_cache = VolumeCache(closed / "volumes", clock=clock)
-    keep(volume_cache, chest_file(tmp_path))
+    open_and_cache(volume_cache, chest_file(tmp_path))
     assert volume_cache.sizes() == ()
 
 
 def test_opening_from_the_cache_reports_progress_and_can_be_cancelled(volume_cache, tmp_path):
     path = chest_file(tmp_path)
-    keep(volume_cache, path)
+    open_and_cache(volume_cache, path)
     reported: list[tuple[str, float | None]] = []
     assert volume_cache.open(path, progress=lambda *step: reported.append(step)).from_cache
     assert reported[0] == ("Reading the cached CT", 0)
@@ -528,7 +528,7 @@ def test_opening_from_the_cache_reports_progress_and_can_be_cancelled(volume_cac
 
 def test_cleanup_and_deletion_in_the_cache_leave_files_of_other_programs(volume_cache, folder, tmp_path):
     path = chest_file(tmp_path)
-    digest = keep(volume_cache, path)
+    digest = open_and_cache(volume_cache, path)
     for name in ("mine.txt", f"mine{SUFFIX}", f"{digest}{SUFFIX}.txt"):
         (folder / name).write_text("mine")
     (folder / f"link{SUFFIX}").symlink_to(path)
@@ -539,7 +539,7 @@ def test_cleanup_and_deletion_in_the_cache_leave_files_of_other_programs(volume_
 
 
 def test_cache_cleanup_does_nothing_while_another_process_cleans_up(volume_cache, folder, tmp_path):
-    keep(volume_cache, chest_file(tmp_path))
+    open_and_cache(volume_cache, chest_file(tmp_path))
     descriptor = os.open(folder / "lock", os.O_RDWR)
     try:
         assert try_lock(descriptor)
@@ -555,7 +555,7 @@ def test_cache_cleanup_removes_voxel_files_without_a_source_record_after_two_hou
     volume_cache, folder, clock, tmp_path
 ):
     path = chest_file(tmp_path)
-    keep(volume_cache, path)
+    open_and_cache(volume_cache, path)
     (source,) = files(folder, ".source")
     source.unlink()
     volume_cache.sweep()

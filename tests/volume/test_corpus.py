@@ -20,18 +20,18 @@ def test_each_input_of_the_import_corpus_opens_or_is_refused_as_expected(tmp_pat
             open_volume(path)
         assert caught.value.code == entry.expected, str(caught.value)
         assert caught.value.exit_code == 3
-        words = str(caught.value)
+        text = str(caught.value)
     else:
         volume = open_volume(path)
         assert [note.code for note in volume.source.notes] == list(entry.notes), volume.source.notes
         assert volume.is_hu is entry.is_hu, volume.not_hu_reason
-        words = " ".join([*volume.source.warnings, volume.not_hu_reason or ""])
+        text = " ".join([*volume.source.warnings, volume.not_hu_reason or ""])
         if entry.voxels is not None:
             np.testing.assert_array_equal(volume.hu_zyx, entry.voxels())
         if entry.series is not None:
             assert 1 + len(volume.source.other_series) == entry.series
     for name in entry.names:
-        assert name in words
+        assert name in text
     assert capfd.readouterr().err == ""  # messages of a decoder must not reach the user's terminal
 
 

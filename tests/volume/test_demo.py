@@ -11,8 +11,8 @@ def test_bundled_patient_opens_with_its_citation():
     assert volume.is_hu
     assert volume.shape_zyx == (97, 268, 432)
     assert volume.source.citation is not None
-    for words in ("10.7937/K9/TCIA.2015.NPGZYZBZ", "CC BY 3.0", "cropped"):
-        assert words in str(volume.source.citation)
+    for text in ("10.7937/K9/TCIA.2015.NPGZYZBZ", "CC BY 3.0", "cropped"):
+        assert text in str(volume.source.citation)
     assert CASE_PATH.stat().st_size <= 15_000_000
 
 
@@ -26,5 +26,5 @@ def test_citation_as_text_is_one_line():
 
 def test_bundled_patient_has_its_citation_as_a_file():
     text = (CASE_PATH.parent / "CITATION.txt").read_text(encoding="utf-8")
-    for words in ("QIN_LUNG_CT", "10.7937/K9/TCIA.2015.NPGZYZBZ", "CC BY 3.0", "cropped"):
-        assert words in text
+    for message in ("QIN_LUNG_CT", "10.7937/K9/TCIA.2015.NPGZYZBZ", "CC BY 3.0", "cropped"):
+        assert message in text

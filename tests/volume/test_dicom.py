@@ -124,8 +124,8 @@ def test_missing_slice_is_reported_with_its_gap(write_series):
     (folder / "IM004").unlink()
     error = refusal(folder)
     assert error.code == "import.geometry.irregular"
-    for words in ("expected 1.25 mm", "found 2.50 mm", "after slice 4 of 8", "IM003", "a slice may be missing"):
-        assert words in str(error)
+    for text in ("expected 1.25 mm", "found 2.50 mm", "after slice 4 of 8", "IM003", "a slice may be missing"):
+        assert text in str(error)
 
 
 def test_series_with_uneven_gaps_between_slices_is_refused(write_series):
@@ -218,17 +218,17 @@ def _other_orientation(dataset: Dataset, index: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("edit", "words"),
+    ("edit", "text"),
     [
         (_other_size, "mixed sizes"),
         (_other_spacing, "mixed pixel spacing"),
         (_other_orientation, "mixed orientation"),
     ],
 )
-def test_series_with_mixed_sizes_or_orientations_is_refused(write_series, edit, words):
+def test_series_with_mixed_sizes_or_orientations_is_refused(write_series, edit, text):
     error = refusal(write_series(edit=edit))
     assert error.code == "import.geometry.mixed"
-    assert words in str(error)
+    assert text in str(error)
     assert "IM005" in str(error)
 
 
@@ -237,7 +237,7 @@ def test_series_of_a_single_slice_is_refused(write_series):
 
 
 @pytest.mark.parametrize(
-    ("keyword", "value", "words"),
+    ("keyword", "value", "text"),
     [
         ("ImagePositionPatient", None, "ImagePositionPatient is missing"),
         ("ImagePositionPatient", [1, 2], "ImagePositionPatient should contain 3"),
@@ -248,7 +248,7 @@ def test_series_of_a_single_slice_is_refused(write_series):
         ("RescaleSlope", 0, "RescaleSlope is 0"),
     ],
 )
-def test_missing_and_invalid_dicom_tags_are_refused_by_name(write_series, keyword, value, words):
+def test_missing_and_invalid_dicom_tags_are_refused_by_name(write_series, keyword, value, text):
     def edit(dataset, index):
         if index == 3:
             if value is None:
@@ -258,7 +258,7 @@ def test_missing_and_invalid_dicom_tags_are_refused_by_name(write_series, keywor
 
     error = refusal(write_series(edit=edit))
     assert error.code == "import.tags"
-    assert words in str(error)
+    assert text in str(error)
     assert "IM003" in str(error)
 
 
@@ -342,7 +342,7 @@ def test_files_without_images_are_skipped_and_the_series_opens(write_series, exp
 
 
 @pytest.mark.parametrize(
-    ("name", "data", "words"),
+    ("name", "data", "text"),
     [
         ("report.pdf", b"%PDF-1.7" + b" " * 500, "PDF"),
         ("scan.zip", b"PK\x03\x04" + b" " * 500, "unpack"),
@@ -350,12 +350,12 @@ def test_files_without_images_are_skipped_and_the_series_opens(write_series, exp
         ("notes.txt", b"no image", "not an image volume"),
     ],
 )
-def test_file_of_another_type_is_refused_with_the_name_of_its_type(tmp_path, name, data, words):
+def test_file_of_another_type_is_refused_with_the_name_of_its_type(tmp_path, name, data, text):
     (tmp_path / name).write_bytes(data)
     error = refusal(tmp_path / name)
     assert error.code == "import.not-an-image"
     assert name in str(error)
-    assert words in str(error)
+    assert text in str(error)
 
 
 def test_folder_without_images_is_refused(tmp_path):

@@ -193,11 +193,11 @@ def test_series_of_one_slice_is_refused_and_one_of_two_slices_opens(count, expec
     assert answer(stack(heights(*[1.0] * (count - 1)))) == expected
 
 
-@pytest.mark.parametrize(("missing", "words"), [(1, "a slice may be missing"), (3, "3 slices may be missing")])
-def test_number_of_missing_slices_is_stated_in_the_refusal(missing, words):
+@pytest.mark.parametrize(("missing", "text"), [(1, "a slice may be missing"), (3, "3 slices may be missing")])
+def test_number_of_missing_slices_is_stated_in_the_refusal(missing, text):
     gaps = [1.0] * 20
     gaps[7] = 1.0 + missing
-    with pytest.raises(VolumeImportError, match=rf"found {gaps[7]:.2f} mm after slice 8 of 21 \(IM007\).*{words}"):
+    with pytest.raises(VolumeImportError, match=rf"found {gaps[7]:.2f} mm after slice 8 of 21 \(IM007\).*{text}"):
         grid_from_slices(stack(heights(*gaps)), what="reading a series")
 
 

@@ -177,7 +177,7 @@ def test_changed_byte_of_a_grid_header_causes_no_crash_and_no_library_message(tm
             opened += 1
         except VolumeImportError as error:
             refusals.append(str(error))
-    assert all(path.name in words for words in refusals)
+    assert all(path.name in text for text in refusals)
     assert len(refusals) + opened == 250
     assert refusals
     assert capfd.readouterr().err == ""

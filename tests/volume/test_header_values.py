@@ -77,7 +77,7 @@ def test_data_after_a_compressed_gzip_stream_are_refused_with_a_remedy(tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("pack", "words"),
+    ("pack", "text"),
     [
         (bz2.compress, "packed by bzip2"),
         (lzma.compress, "packed by xz"),
@@ -87,12 +87,12 @@ def test_data_after_a_compressed_gzip_stream_are_refused_with_a_remedy(tmp_path)
         (lambda _: gzip.compress(b"text, not an image"), "not an image volume"),
     ],
 )
-def test_file_of_an_unsupported_compression_is_refused_with_its_name_and_a_remedy(tmp_path, pack, words):
+def test_file_of_an_unsupported_compression_is_refused_with_its_name_and_a_remedy(tmp_path, pack, text):
     path = grids.nifti(tmp_path, grids.chest())
     path.write_bytes(pack(path.read_bytes()))
     error = refusal(path)
     assert error.code == "import.not-an-image"
-    assert words in str(error)
+    assert text in str(error)
 
 
 def test_compressed_archive_is_refused_with_its_kind(tmp_path):
@@ -112,7 +112,7 @@ def line(begin: str, new: str):
 
 
 @pytest.mark.parametrize(
-    ("write", "begin", "new", "words"),
+    ("write", "begin", "new", "text"),
     [
         (grids.metaimage, "ElementSpacing", "ElementSpacing = 0,7 0,9 1,25",
          "its ElementSpacing should be 3 numbers, with a decimal point (a comma is not accepted); found "
@@ -133,10 +133,10 @@ def line(begin: str, new: str):
         (grids.nrrd, "type", "xtype: short", "its nrrd header has no field 'type'"),
     ],
 )  # fmt: skip
-def test_grid_header_value_that_violates_the_format_is_shown_in_the_message(tmp_path, write, begin, new, words):
+def test_grid_header_value_that_violates_the_format_is_shown_in_the_message(tmp_path, write, begin, new, text):
     error = refusal(write(tmp_path, grids.chest(), edit=line(begin, new)))
     assert error.code == "import.header"
-    assert words in str(error)
+    assert text in str(error)
     assert "correct the header, or export it again" in str(error)
 
 
@@ -163,8 +163,8 @@ LONG = "x\x1b" * 5_000
     ],
 )
 def test_grid_header_value_of_ten_thousand_characters_is_shortened_in_the_message(tmp_path, write, begin, new):
-    words = str(refusal(write(tmp_path, grids.chest(), edit=line(begin, new))))
-    assert "x\\x1b" in words or "1" in words
+    text = str(refusal(write(tmp_path, grids.chest(), edit=line(begin, new))))
+    assert "x\\x1b" in text or "1" in text
 
 
 @pytest.mark.parametrize("form", ["nrrd", "metaimage"])

@@ -26,7 +26,7 @@ def test_crop_without_outside_air_and_with_padding_is_recognised_as_hu(rng):
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
+    ("name", "text"),
     [
         ("missing offset", "offset of 1024"),
         ("eight bits", "8 bits"),
@@ -35,7 +35,7 @@ def test_crop_without_outside_air_and_with_padding_is_recognised_as_hu(rng):
         ("mask", "8 bits"),
     ],
 )
-def test_values_on_another_scale_are_reported_as_no_hu_with_the_reason(rng, name, words):
+def test_values_on_another_scale_are_reported_as_no_hu_with_the_reason(rng, name, text):
     values = chest(rng)
     values = {
         "missing offset": np.clip(values, -1024, None) + 1024,
@@ -46,7 +46,7 @@ def test_values_on_another_scale_are_reported_as_no_hu_with_the_reason(rng, name
     }[name]
     verdict = judge_values(values)
     assert not verdict.is_hu
-    assert words in (verdict.reason or "")
+    assert text in (verdict.reason or "")
 
 
 def test_ct_without_air_is_hu_if_its_tags_state_it():

@@ -91,8 +91,8 @@ def test_probability_map_is_refused_as_mask_in_every_format(tmp_path, scan, form
 
 @pytest.mark.parametrize("kind", ["u1", "<i2"])
 def test_probability_map_stored_in_integer_steps_is_refused_as_mask(tmp_path, scan, kind):
-    words = refused(scaled(tmp_path, probabilities(), kind), scan)
-    assert "further from a whole number than half a step" in words
+    text = refused(scaled(tmp_path, probabilities(), kind), scan)
+    assert "further from a whole number than half a step" in text
 
 
 @pytest.mark.parametrize("step", [0.5, 0.25, 1 / 3])

@@ -41,8 +41,8 @@ def test_negative_voxel_spacing_is_refused_with_each_nifti_transform(tmp_path, a
     struct.pack_into("<2h", data, 252, *forms)
     path.write_bytes(bytes(data))
     open_volume(path)
-    words = refusal(patched(path, (76 + 4 * axis, -grids.SPACING_MM[axis - 1])))
-    assert f"its pixdim[{axis}] is -{grids.SPACING_MM[axis - 1]:g}, but a voxel spacing should be positive" in words
+    text = refusal(patched(path, (76 + 4 * axis, -grids.SPACING_MM[axis - 1])))
+    assert f"its pixdim[{axis}] is -{grids.SPACING_MM[axis - 1]:g}, but a voxel spacing should be positive" in text
 
 
 @pytest.mark.parametrize("qfac", [-2.0, -0.5, float("nan"), float("-inf")])

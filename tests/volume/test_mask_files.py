@@ -126,7 +126,7 @@ def test_mask_with_several_labels_needs_the_selection_of_one(volume, inside, tmp
 
 
 @pytest.mark.parametrize(
-    ("values", "words"),
+    ("values", "text"),
     [
         (np.zeros(SHAPE, np.uint8), "it is empty"),
         (np.linspace(0.0, 1.0, 480, dtype=np.float32).reshape(SHAPE), "probability map"),
@@ -136,9 +136,9 @@ def test_mask_with_several_labels_needs_the_selection_of_one(volume, inside, tmp
         (np.arange(480, dtype=np.uint32).reshape(SHAPE) % 3 * np.uint32(2**30), "not labels"),
     ],
 )
-def test_mask_files_with_other_values_than_labels_are_refused(tmp_path, values, words):
+def test_mask_files_with_other_values_than_labels_are_refused(tmp_path, values, text):
     volume = Volume(np.zeros(values.shape, dtype=np.int16), oblique())
-    with pytest.raises(VolumeImportError, match=words):
+    with pytest.raises(VolumeImportError, match=text):
         open_mask(write(tmp_path / "m.nrrd", values, oblique()), volume)
 
 
@@ -288,7 +288,7 @@ def _many(data):
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "text"),
     [
         (_tilt, "one regular grid"),
         (_unplaced, "lacks its position"),
@@ -300,7 +300,7 @@ def _many(data):
         (_segment_of_none, "refer to segments"),
     ],
 )
-def test_dicom_segmentation_with_a_defect_is_refused_with_the_reason(volume, inside, tmp_path, change, words):
+def test_dicom_segmentation_with_a_defect_is_refused_with_the_reason(volume, inside, tmp_path, change, text):
     path = segmentation(tmp_path / "seg.dcm", inside, oblique(), shuffled=False, change=change)
-    with pytest.raises(VolumeImportError, match=words):
+    with pytest.raises(VolumeImportError, match=text):
         open_mask(path, volume)

@@ -30,8 +30,8 @@ def test_patient_ct_has_the_values_of_the_reference_library(patient_dicom):
     np.testing.assert_allclose(volume.lps_from_ijk[:3, 3], image.GetOrigin(), rtol=0, atol=1e-6)
     np.testing.assert_allclose(volume.spacing_mm, image.GetSpacing(), rtol=0, atol=1e-6)
     assert volume.is_hu
-    words = [finding.words for finding in quality_gate(volume).findings]
-    assert "slices are 3.0 mm apart: beyond about generation 5, airways may be missed or measured inaccurately" in words
+    text = [finding.words for finding in quality_gate(volume).findings]
+    assert "slices are 3.0 mm apart: beyond about generation 5, airways may be missed or measured inaccurately" in text
 
 
 def test_bundled_patient_is_a_lossless_crop_at_the_same_position(patient_dicom):
@@ -72,7 +72,7 @@ def test_ct_of_the_second_patient_opens_with_its_geometry(data_dir, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("path", "code", "words"),
+    ("path", "code", "text"),
     [
         ("gantry_tilt", "import.geometry.tilt", "16.5 degrees"),
         ("gantry_tilt/Philips/S21610/S3010/I210", "import.geometry.tilt", "16.5 degrees"),
@@ -103,11 +103,11 @@ def test_ct_of_the_second_patient_opens_with_its_geometry(data_dir, tmp_path):
         ("PROVENANCE.txt", "import.not-an-image", "PROVENANCE.txt"),
     ],
 )
-def test_unusual_dicom_file_is_refused_with_its_reason(data_dir, capfd, path, code, words):
+def test_unusual_dicom_file_is_refused_with_its_reason(data_dir, capfd, path, code, text):
     with pytest.raises(VolumeImportError) as caught:
         open_volume(data_dir / "odd" / "dicom" / path)
     assert caught.value.code == code
-    assert words in str(caught.value)
+    assert text in str(caught.value)
     assert capfd.readouterr().err == ""
 
 

@@ -26,7 +26,7 @@ def test_scout_series_is_skipped_and_named(write_series, expected_hu_zyx):
     volume = open_volume(folder)
     np.testing.assert_array_equal(volume.hu_zyx, expected_hu_zyx)
     assert [info.description for info in volume.source.other_series] == ["Topogram"]
-    assert any("several series" in words and "Topogram" in words for words in volume.source.warnings)
+    assert any("several series" in text and "Topogram" in text for text in volume.source.warnings)
 
 
 def test_scout_in_the_same_series_is_skipped(write_series, expected_hu_zyx):
@@ -83,7 +83,7 @@ def test_complete_series_replaces_a_refused_one_with_a_warning(write_series):
     volume = open_volume(folder)
     assert volume.source.series is not None
     assert volume.source.series.key == "2"
-    assert any("the largest series was refused" in words and "irregular" in words for words in volume.source.warnings)
+    assert any("the largest series was refused" in text and "irregular" in text for text in volume.source.warnings)
 
 
 def test_info_about_a_folder_states_what_would_be_refused(write_series):
