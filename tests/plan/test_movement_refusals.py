@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from cached_test_data import cached_phantom, found_airways
 
+from cached_test_data import cached_phantom, found_airways
 from carina.errors import NoResultError
 from carina.plan import measure_movement
 from carina.volume import Volume
