@@ -248,7 +248,7 @@ def test_frame_is_completed_after_any_wrong_reply(case, cluster, monkeypatch, wh
     """Disable the check of replies; another renderer must render a strip that cannot be used."""
     from carina.cluster import console
 
-    monkeypatch.setattr(console, "what_is_wrong", lambda answer, order: None)
+    monkeypatch.setattr(console, "find_mismatch", lambda answer, order: None)
     made = cluster(settings=FAST)
     _wait_ready(made)
     expected = made.truth.render(_airway(case)).rgb
