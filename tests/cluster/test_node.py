@@ -83,7 +83,7 @@ def test_start_that_timed_out_is_repeated_and_a_refused_start_is_not(tmp_path, m
     made = node.Node(node.make_token(tmp_path / "token"), head=True, ip="127.0.0.2", port=1, log=log)
     made.stop()
     made._command, made._starts_left, made._log = [sys.executable, "-c", program], 3, log.open("ab")
-    made.process = made._started()
+    made.process = made._start_process()
     with pytest.raises(ClusterError, match=told):
         made.wait_ready(600.0)
     made.stop()
