@@ -483,7 +483,7 @@ def test_changes_of_flights_made_during_a_disk_failure_are_written_after_it(tmp_
     recorded(session)
     assert session._saving.write_now()
     with monkeypatch.context() as broken:
-        broken.setattr(RecordingTable, "become", refused)
+        broken.setattr(RecordingTable, "replace_list", refused)
         broken.setattr(RecordingTable, "add", refused)
         recorded(session)
         session.do(RemoveFlight(1))

@@ -106,7 +106,7 @@ def test_command_whose_disk_becomes_full_while_writing_reports_it_and_leaves_the
         file, place = plain(where, mode)
         return Full(file, 150), place
 
-    monkeypatch.setattr(atomic_files, "_begin", begin)
+    monkeypatch.setattr(atomic_files, "_create_draft", begin)
     message = check(run(verb, folder), "disk.full")
     assert "the disk is full" in message
     assert "free)" in message
@@ -125,7 +125,7 @@ def test_command_on_a_read_only_disk_exits_with_its_error_code(run, tmp_path, mo
     def begin(_folder, _mode):
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(atomic_files, "_begin", begin)
+    monkeypatch.setattr(atomic_files, "_create_draft", begin)
     check(run(("render", "CT", "--view", "axial", "--size", "64x64", "-o", "a.png"), tmp_path), code)
 
 
@@ -141,7 +141,7 @@ def test_phantom_command_on_a_full_disk_leaves_the_three_earlier_files(carina, t
         file, place = plain(where, mode)
         return Full(file, next(room)), place
 
-    monkeypatch.setattr(atomic_files, "_begin", begin)
+    monkeypatch.setattr(atomic_files, "_create_draft", begin)
     check(carina("phantom", "--spacing-mm", "4", "--generations", "3", "-o", folder, "--json"), "disk.full")
     assert {name: (folder / name).read_bytes() for name in names} == dict.fromkeys(names, b"old")
     assert sorted(p.name for p in folder.iterdir()) == sorted(names)

@@ -250,7 +250,7 @@ def test_frame_is_rendered_by_another_renderer_after_any_unusable_reply(case, cl
     """Disable the check of replies; another renderer must render a strip that cannot be used."""
     from carina.cluster import console
 
-    monkeypatch.setattr(console, "what_is_wrong", lambda answer, order: None)
+    monkeypatch.setattr(console, "find_mismatch", lambda answer, order: None)
     made = cluster(settings=FAST)
     _wait_ready(made)
     expected = made.truth.render(_airway(case)).rgb

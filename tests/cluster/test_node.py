@@ -83,7 +83,7 @@ def test_node_start_is_repeated_after_a_timeout_and_not_after_a_refusal(tmp_path
     made = node.Node(node.make_token(tmp_path / "token"), head=True, ip="127.0.0.2", port=1, log=log)
     made.stop()
     made._command, made._starts_left, made._log = [sys.executable, "-c", program], 3, log.open("ab")
-    made.process = made._started()
+    made.process = made._start_process()
     with pytest.raises(ClusterError, match=message):
         made.wait_ready(600.0)
     made.stop()

@@ -58,7 +58,7 @@ def test_cancelled_video_on_a_full_disk_leaves_no_draft_and_raises_the_original_
 
 
 def test_video_whose_encoder_cannot_start_leaves_no_draft(tmp_path, monkeypatch):
-    monkeypatch.setattr(VideoWriter, "_made_stream", lambda *_: 1 / 0)
+    monkeypatch.setattr(VideoWriter, "_create_stream", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         VideoWriter(tmp_path / "a.mp4", 48, 32)
     assert list(tmp_path.iterdir()) == []

@@ -85,7 +85,7 @@ def workstation():
         lambda volume, transfer: Renderer(volume, transfer=transfer), records=records, files=case_files(None, records)
     )
     with serving(session, Uploads(Limits(num_files=20, total_bytes=10_000, file_bytes=5000))) as gate:
-        records.door = endpoint_of(gate)
+        records.endpoint = endpoint_of(gate)
         yield Window(session, records, gate)
 
 
@@ -345,7 +345,7 @@ class Workstations:
         records = CaseRecords(load_settings().cases_dir, time.time)
         end_s = time.monotonic() + WAIT_S
         # The window opens while the workstation reads the CT.
-        while not any(records.door_of(one) for one in records.all()):
+        while not any(records.endpoint_of(one) for one in records.all()):
             assert time.monotonic() < end_s
             time.sleep(0.01)
 
@@ -398,7 +398,7 @@ def test_connection_details_left_by_a_crash_are_ignored(ct):
         assert case.note is None
         assert case.history() == ()
     held = records.hold(record)
-    assert records.door_of(record) is None
+    assert records.endpoint_of(record) is None
     held.release()
 
 

@@ -114,7 +114,7 @@ class Window(Author):
         assert self.session._saving.write_now()
         self.saved |= self.steps()
         if self.keeper.named is not None and self.keeper._copy_is_behind():
-            self.keeper._refresh()
+            self.keeper._update_named_file()
             if self.keeper.info.copy_conflict is not None:
                 self.refusals += 1
                 self.num_warnings += bool(self.keeper.info.copy_problem)

@@ -326,7 +326,7 @@ def test_cached_voxel_file_truncated_while_it_is_read_is_not_used(volume_cache, 
         fill(file, place)
         os.truncate(voxels, 4096)
 
-    monkeypatch.setattr(voxel_file, "_fill", cut_first)
+    monkeypatch.setattr(voxel_file, "_read_full", cut_first)
     assert volume_cache.get(path) is None
 
 
@@ -418,9 +418,9 @@ def test_ct_larger_than_the_cache_limit_is_not_cached_and_removes_no_other(folde
 def test_default_cache_limit_is_a_tenth_of_free_space_and_cache_size_together(folder, clock, monkeypatch):
     usage = shutil.disk_usage(".")
     monkeypatch.setattr(cache.shutil, "disk_usage", lambda _: usage._replace(free=900))
-    assert VolumeCache(folder)._bound(100) == 100
+    assert VolumeCache(folder)._size_limit(100) == 100
     monkeypatch.setattr(cache.shutil, "disk_usage", lambda _: usage._replace(free=10**15))
-    assert VolumeCache(folder)._bound(100) == cache.MAX_BYTES
+    assert VolumeCache(folder)._size_limit(100) == cache.MAX_BYTES
 
 
 def test_ct_unused_for_a_long_time_is_removed_from_the_cache(volume_cache, folder, clock, tmp_path):

@@ -14,13 +14,13 @@ fields, the constructors do not; a value out of its bounds raises an error with 
 
 from carina.commands.case import *  # noqa: F403
 from carina.commands.devices import *  # noqa: F403
+from carina.commands.flight_recordings import *  # noqa: F403
 from carina.commands.flying import *  # noqa: F403
 from carina.commands.key_frames import *  # noqa: F403
 from carina.commands.look import *  # noqa: F403
 from carina.commands.masks import *  # noqa: F403
 from carina.commands.plan import *  # noqa: F403
 from carina.commands.questions import *  # noqa: F403
-from carina.commands.recorded_flights import *  # noqa: F403
 from carina.commands.tree import *  # noqa: F403
 from carina.commands.value import Command as Command
 from carina.commands.value import FrozenValue, subclasses

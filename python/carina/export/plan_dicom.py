@@ -175,7 +175,7 @@ def _is_volume(series: FoundSeries, volume: Volume, watch: Watch) -> bool:
         watch.step("Comparing the CT")
         header = series.slices[k]
         numbers: NDArray[Any] = decode_slice(header).numbers
-        if not np.array_equal(clipping.take(header, np.rint(numbers)).astype(np.int16), volume.hu_zyx[k]):
+        if not np.array_equal(clipping.clip(header, np.rint(numbers)).astype(np.int16), volume.hu_zyx[k]):
             return False
     return True
 

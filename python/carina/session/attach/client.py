@@ -104,7 +104,7 @@ class OwnerConnection:
         """
         settled = self.settle(command)
         if settled.problems:
-            raise error_of(settled.problems[0])
+            raise error_from_problem(settled.problems[0])
         return settled
 
     def settle(self, *commands: Command, all_jobs: bool = False) -> Settled:

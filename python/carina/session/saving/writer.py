@@ -505,7 +505,7 @@ class CaseSaver:
             self.held.clear()
             self.file = self._files.create(self.held.path, volume, self.digest)
         if not self._is_told_of:
-            self.held.open_door()
+            self.held.write_endpoint()
             self._is_told_of = True
         facts: dict[str, Any] = {}
         if is_changed:
