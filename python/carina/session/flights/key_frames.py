@@ -130,7 +130,7 @@ class KeyFrameHandlers(CommandHandlers):
 
     def follow(self, case: OpenCase) -> None:
         """Delete the cached flight after a change of key frames or airways; the caller holds the session's lock."""
-        if case.key_flight.is_of_others((case.document.key_frames, case.document.airways)):
+        if case.key_flight.has_other_inputs((case.document.key_frames, case.document.airways)):
             # The pose of the tip was computed from the previous flight, so this pose has no time in the new flight.
             case.key_flight.forget()
             case.last_move = replace(case.last_move, key_frames_s=None)
