@@ -125,7 +125,7 @@ class CaseReader:
         All rows of the content tables.
     volume
         The CT, on the grid of the saved case.
-    know
+    register_row
         Callback that receives the kind, the object and the row number of each object that was read.
     turn
         Order and direction of the case's axes relative to those of the volume.

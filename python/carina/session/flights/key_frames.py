@@ -281,7 +281,7 @@ def _speeds(file: KeyFrameFile) -> list[float | None]:
     if times[0] is None:
         return [frame.speed_mm_s for frame in file.frames]
     legs = zip(file.flight().leg_mm, itertools.pairwise(t for t in times if t is not None), strict=True)
-    found = [min(max(mm / (successor - before), MIN_SPEED_MM_S), MAX_SPEED_MM_S) for mm, (before, successor) in legs]
+    found = [min(max(mm / (after - before), MIN_SPEED_MM_S), MAX_SPEED_MM_S) for mm, (before, after) in legs]
     return [None, *found]
 
 
