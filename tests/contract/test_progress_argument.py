@@ -97,7 +97,7 @@ class CountedBar:
 
 @pytest.fixture
 def counted(monkeypatch: pytest.MonkeyPatch) -> type[CountedBar]:
-    monkeypatch.setattr(bars, "bar_here", lambda: CountedBar)
+    monkeypatch.setattr(bars, "create_progress_bar", lambda: CountedBar)
     monkeypatch.setattr(bars, "BEGIN_S", 0.0)
     monkeypatch.setattr(bars, "EVERY_S", 0.0)
     monkeypatch.setattr(CountedBar, "made", 0)

@@ -13,7 +13,7 @@ import pytest
 
 import carina
 from carina.display import progress as bars
-from carina.display.progress import BarCallback, bar_here, shows_progress
+from carina.display.progress import BarCallback, create_progress_bar, shows_progress
 from carina.errors import UsageError
 from carina.render import VIEW_NAMES, AirwayView, CutPlaneView, SliceView
 from carina.volume import Volume
@@ -152,22 +152,22 @@ def test_progress_bar_is_shown_in_a_terminal_or_notebook_and_in_the_main_thread_
 ) -> None:
     monkeypatch.delitem(sys.modules, "IPython", raising=False)
     monkeypatch.setattr(sys, "stderr", io.StringIO())
-    assert bar_here() is None
+    assert create_progress_bar() is None
     monkeypatch.setattr(sys, "stderr", None)
-    assert bar_here() is None
+    assert create_progress_bar() is None
     monkeypatch.setattr(sys, "stderr", Terminal())
-    assert bar_here() is bars.TerminalBar
+    assert create_progress_bar() is bars.TerminalBar
     found = []
-    thread = threading.Thread(target=lambda: found.append(bar_here()))
+    thread = threading.Thread(target=lambda: found.append(create_progress_bar()))
     thread.start()
     thread.join()
     assert found == [None]
     shell = types.ModuleType("IPython")
     shell.get_ipython = lambda: None
     monkeypatch.setitem(sys.modules, "IPython", shell)
-    assert bar_here() is bars.TerminalBar, "IPython is loaded, and this is no notebook"
+    assert create_progress_bar() is bars.TerminalBar, "IPython is loaded, and this is no notebook"
     shell.get_ipython = lambda: types.SimpleNamespace(kernel=object())
-    assert bar_here() is bars.NotebookBar
+    assert create_progress_bar() is bars.NotebookBar
 
 
 def test_notebook_progress_bar_is_updated_in_place_and_removed_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,7 +210,7 @@ def test_progress_bar_is_shown_unless_disabled_or_replaced_by_a_callback(
         made.append(NotedBar())
         return made[-1]
 
-    monkeypatch.setattr(bars, "bar_here", lambda: bar)
+    monkeypatch.setattr(bars, "create_progress_bar", lambda: bar)
     monkeypatch.setattr(bars, "BEGIN_S", 0.0)
     monkeypatch.setattr(bars, "EVERY_S", 0.0)
 
@@ -230,7 +230,7 @@ def test_progress_bar_is_shown_unless_disabled_or_replaced_by_a_callback(
 
 def test_progress_bar_is_removed_if_the_work_raises_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     bar = NotedBar()
-    monkeypatch.setattr(bars, "bar_here", lambda: lambda: bar)
+    monkeypatch.setattr(bars, "create_progress_bar", lambda: lambda: bar)
     monkeypatch.setattr(bars, "BEGIN_S", 0.0)
     monkeypatch.setattr(bars, "EVERY_S", 0.0)
 

@@ -476,8 +476,8 @@ def test_cached_value_is_computed_again_only_for_other_input_objects():
 
     cached = Cached(make)
     first, second = ([1], None), ([1], None)
-    assert not cached.is_of_others(first)
+    assert not cached.has_other_inputs(first)
     assert [cached.of(first), cached.of((first[0], None)), cached.of(second), cached.of(first)] == [1, 1, 2, 3]
-    assert (cached.is_of_others(first), cached.is_of_others(second)) == (False, True)
+    assert (cached.has_other_inputs(first), cached.has_other_inputs(second)) == (False, True)
     cached.forget()
-    assert (cached.is_of_others(second), repr(cached)) == (False, "Cached(nothing)")
+    assert (cached.has_other_inputs(second), repr(cached)) == (False, "Cached(nothing)")

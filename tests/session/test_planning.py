@@ -17,7 +17,7 @@ import carina.plan
 from cached_test_data import cached_phantom, found_airways
 from carina.case import CaseFile, CaseFileError
 from carina.case.document import Lesion
-from carina.case.sized_targets import lesion_facts, made_lesion
+from carina.case.sized_targets import lesion_facts, lesion_from_facts
 from carina.commands import (
     AddTarget,
     AimTarget,
@@ -371,11 +371,11 @@ def test_case_file_with_a_damaged_target_boundary_is_refused(chest: Phantom) -> 
     nodule = carina.grow_nodule(chest.volume, centre_of(chest))
     target = PlanTarget("target-1", "Target 1", nodule, centre_of(chest), "click", "lung")
     facts = lesion_facts(Lesion(target))
-    assert made_lesion(facts).nodule.to_json() == nodule.to_json()
+    assert lesion_from_facts(facts).nodule.to_json() == nodule.to_json()
     record = facts.record
     for wrong in ({}, record | {"version": 99}, record | {"nodule": record["nodule"] | {"kind": "square"}}):
         with pytest.raises(CaseFileError):
-            made_lesion(msgspec.structs.replace(facts, record=wrong))
+            lesion_from_facts(msgspec.structs.replace(facts, record=wrong))
 
 
 def test_surface_of_a_target_is_on_the_boundary_of_its_nodule(chest: Phantom) -> None:

@@ -30,7 +30,7 @@ from carina.case.history import Step
 from carina.case.lumen_tiles import TILE_BYTES, from_tiles, num_tiles
 from carina.case.measures import branch_from, fork_from
 from carina.case.routes import ChosenRoute, RouteSpan
-from carina.case.sized_targets import made_lesion
+from carina.case.sized_targets import lesion_from_facts
 from carina.case.source import AxisPermutation
 from carina.case.stored_state import Moment
 from carina.commands.look import Look
@@ -125,7 +125,7 @@ class CaseReader:
         All rows of the content tables.
     volume
         The CT, on the grid of the saved case.
-    know
+    register_row
         Callback that receives the kind, the object and the row number of each object that was read.
     turn
         Order and direction of the case's axes relative to those of the volume.
@@ -299,7 +299,7 @@ class CaseReader:
                 root_lps=t.root_lps,
                 outside_mm=t.outside_mm,
                 value_range=t.value_range,
-                lesion=None if t.lesion is None else made_lesion(t.lesion),
+                lesion=None if t.lesion is None else lesion_from_facts(t.lesion),
                 note=t.note,
                 priority=t.priority,
             )

@@ -166,7 +166,7 @@ def path_move(tree: AirwayTree | None, route: ChosenRoute | None) -> SetPath:
     return SetPath(**route.path.made_from(), ways=() if tree is None else _path_forks(tree, route))
 
 
-def position_on_new_route_mm(before: ChosenRoute, before_mm: float, successor: ChosenRoute) -> float | None:
+def position_on_new_route_mm(before: ChosenRoute, before_mm: float, after: ChosenRoute) -> float | None:
     """Return the position in mm along a new route for a tip beyond its common part with the former route.
 
     The position is the end of the common part. None if the tip is in the common part; the nearest position is then
@@ -180,11 +180,11 @@ def position_on_new_route_mm(before: ChosenRoute, before_mm: float, successor: C
         The new route.
     """
     common_mm = 0.0
-    for old, new in zip(before.spans, successor.spans, strict=False):
+    for old, new in zip(before.spans, after.spans, strict=False):
         if old.branch_id != new.branch_id:
             break
         common_mm = min(old.to_mm, new.to_mm)
-    return None if before_mm <= common_mm else min(common_mm, successor.path.length_mm)
+    return None if before_mm <= common_mm else min(common_mm, after.path.length_mm)
 
 
 # Length in mm of the start of a branch that gives its direction at a fork: a bend farther on is not in view.
@@ -195,9 +195,9 @@ def _path_forks(tree: AirwayTree, route: ChosenRoute) -> tuple[PathFork, ...]:
     """Return the forks of a route, each with the directions of the branches that continue there."""
     branches = {branch.id: branch for branch in tree.branches}
     forks: list[PathFork] = []
-    for span, successor in itertools.pairwise(route.spans):
+    for span, after in itertools.pairwise(route.spans):
         here = branches.get(span.branch_id)
-        if here is None or successor.branch_id not in here.children or len(here.children) < 2:
+        if here is None or after.branch_id not in here.children or len(here.children) < 2:
             continue
         ways = []
         for child_id in here.children:
@@ -210,8 +210,8 @@ def _path_forks(tree: AirwayTree, route: ChosenRoute) -> tuple[PathFork, ...]:
                 x, y, z = (float(v) for v in toward / length)
                 ways.append(PathWay(child_id, (x, y, z)))
         place_mm = min(span.to_mm, route.path.length_mm)
-        if len(ways) > 1 and any(way.way_id == successor.branch_id for way in ways):
-            forks.append(PathFork(place_mm, tuple(ways), successor.branch_id))
+        if len(ways) > 1 and any(way.way_id == after.branch_id for way in ways):
+            forks.append(PathFork(place_mm, tuple(ways), after.branch_id))
     return tuple(forks)
 
 

@@ -13,7 +13,7 @@ from carina.commands.plan import PlanOptions
 from carina.errors import CarinaError
 from carina.plan import PlanTarget
 
-__all__ = ["LesionFacts", "lesion_facts", "made_lesion"]
+__all__ = ["LesionFacts", "lesion_facts", "lesion_from_facts"]
 
 
 class LesionFacts(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -28,7 +28,7 @@ def lesion_facts(lesion: Lesion) -> LesionFacts:
     return LesionFacts(lesion.target.to_record(), lesion.options)
 
 
-def made_lesion(facts: LesionFacts) -> Lesion:
+def lesion_from_facts(facts: LesionFacts) -> Lesion:
     """Return a lesion from its record in a case file.
 
     Raises

@@ -346,6 +346,6 @@ def _render_images(
             renderer.prepare()
             for n, picture in render_frames(renderer, views, first=max(0, first - start)):
                 if stored is not None:
-                    stored.keep(start + n, picture)
+                    stored.store_frame(start + n, picture)
                 yield start + n, picture.rgb
         start = end

@@ -68,7 +68,7 @@ class StoredFrames:
     def _file(self, number: int) -> Path:
         return self._folder / f"frame-{number:06}.png"
 
-    def keep(self, number: int, picture: Picture) -> None:
+    def store_frame(self, number: int, picture: Picture) -> None:
         """Write the next frame atomically."""
         picture.save(self._file(number))
 

@@ -100,7 +100,7 @@ class AddBranch(TreeEdit, frozen=True):
     """
 
     def __post_init__(self) -> None:
-        """Check for three finite numbers and a truth value."""
+        """Raise an error if ``lps`` is not three finite numbers or the flag is not a truth value."""
         force_setattr(self, "lps", _point("the end of the branch", self.lps))
         if not isinstance(self.even_without_evidence, bool):
             msg = f"even_without_evidence: expected true or false, found {self.even_without_evidence!r}"
@@ -115,7 +115,7 @@ class CutBranch(TreeEdit, frozen=True):
     """Position along the branch, mm; 0 removes the whole branch."""
 
     def __post_init__(self) -> None:
-        """Check for a branch's ID and a position."""
+        """Raise an error if the branch's ID or the position is not valid."""
         _whole("branch_id", self.branch_id)
         force_setattr(self, "at_mm", _number("at_mm", self.at_mm, 0.0, math.inf))
 
@@ -127,7 +127,7 @@ class Bridge(TreeEdit, frozen=True):
     """Point in the airway beyond the obstruction, LPS mm."""
 
     def __post_init__(self) -> None:
-        """Check for three finite numbers."""
+        """Raise an error if ``lps`` is not three finite numbers."""
         force_setattr(self, "lps", _point("the point beyond the obstruction", self.lps))
 
 
@@ -138,7 +138,7 @@ class MoveRoot(TreeEdit, frozen=True):
     """New root, LPS mm."""
 
     def __post_init__(self) -> None:
-        """Check for three finite numbers."""
+        """Raise an error if ``lps`` is not three finite numbers."""
         force_setattr(self, "lps", _point("the start", self.lps))
 
 
@@ -150,7 +150,7 @@ class MoveFork(TreeEdit, frozen=True):
     """New position of the fork, LPS mm."""
 
     def __post_init__(self) -> None:
-        """Check for a branch's ID and three finite numbers."""
+        """Raise an error if the branch's ID is not valid or the point is not three finite numbers."""
         _whole("branch_id", self.branch_id)
         force_setattr(self, "lps", _point("the fork", self.lps))
 
@@ -166,7 +166,7 @@ class PaintLumen(TreeEdit, frozen=True):
     erase: bool = False
 
     def __post_init__(self) -> None:
-        """Check for points, a radius and a plane."""
+        """Raise an error if the points, the radius or the plane are not valid."""
         points = self.points_lps
         if isinstance(points, str) or not 1 <= len(points) <= MAX_STROKE_POINTS:
             msg = f"stroke: expected 1 to {MAX_STROKE_POINTS} points, found {len(points)}"
@@ -187,7 +187,7 @@ class SmoothBranch(TreeEdit, frozen=True):
     branch_id: BranchId
 
     def __post_init__(self) -> None:
-        """Check for a branch's ID."""
+        """Raise an error if the branch's ID is not valid."""
         _whole("branch_id", self.branch_id)
 
 
@@ -199,7 +199,7 @@ class RenameBranch(TreeEdit, frozen=True):
     """New name; None restores the automatic name."""
 
     def __post_init__(self) -> None:
-        """Check for a branch's ID and a name with a letter."""
+        """Raise an error if the branch's ID is not valid or the name has no letter."""
         _whole("branch_id", self.branch_id)
         if self.name is None:
             return

@@ -90,7 +90,7 @@ class NotebookBar:
         self._handle.update(self._html(""))
 
 
-def bar_here() -> Callable[[], Bar] | None:
+def create_progress_bar() -> Callable[[], Bar] | None:
     """Return the bar that fits the terminal or notebook; None without a viewer and outside the main thread."""
     if threading.current_thread() is not threading.main_thread():
         return None
@@ -179,7 +179,7 @@ def shows_progress(function: Callable[P, T]) -> Callable[P, T]:
         bar: BarCallback | None = None
         if not callable(choice):
             is_wanted = choice is True or (choice is None and not _inside.get())
-            make = bar_here() if is_wanted else None
+            make = create_progress_bar() if is_wanted else None
             bar = choice = None if make is None else BarCallback(make, time.monotonic)
         changed: Any = (*args[:place], choice, *args[place + 1 :]) if is_positional else args
         if not is_positional:

@@ -114,7 +114,7 @@ def _read_packed(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[
     layers = 2 if header.file_is_gzipped else 1
     if header.data_offset + needed > _MAX_RATIO**layers * size:
         raise _truncated_error(path, header, f"the compressed file has only {size} bytes")
-    # The system provides memory page by page as it is filled, so a false claim alone takes none.
+    # The system commits memory when it is written, so a wrong size in a header takes no memory.
     out = np.empty(needed, dtype=np.uint8)
     most = header.data_offset + needed + max(needed, 1 << 26)  # much more data is a decompression bomb
     total = 0

@@ -183,14 +183,14 @@ def airway_words(airways: Any) -> str | None:
     return "; ".join(str(note) for note in airways.report) or None
 
 
-def _lost_messages(before: Document, successor: Document) -> list[str]:
+def _lost_messages(before: Document, after: Document) -> list[str]:
     """Return a message for the user for each target path and for the route that an edit removed from the document."""
     lines = [
         f"there is no longer a path to {new.name}: {new.problem}"
-        for old, new in zip(before.targets, successor.targets, strict=True)
+        for old, new in zip(before.targets, after.targets, strict=True)
         if _has_path(old) and not _has_path(new)
     ]
-    if before.route is not None and successor.route is None:
+    if before.route is not None and after.route is None:
         lines.append(f"the edit removed the route to {before.route.title}; choose another one, or undo")
     return lines
 

@@ -312,7 +312,7 @@ class Cached(Generic[Inputs, Value]):
         """Return the cached value if it was computed from these inputs; None otherwise."""
         return self._had[1] if self._had is not None and self._same(inputs, self._had[0]) else None
 
-    def is_of_others(self, inputs: Inputs) -> bool:
+    def has_other_inputs(self, inputs: Inputs) -> bool:
         """Return whether the cached value was computed from other inputs."""
         return self._had is not None and not self._same(inputs, self._had[0])
 

@@ -45,11 +45,11 @@ class MeasuredAirways:
         """Add the measurements of airways to the cache."""
         self._found[id(airways)] = (airways, measures)
 
-    def move_to(self, before: Any, successor: Any) -> None:
-        """Assign the measurements of ``before`` to ``successor``, the packed or unpacked object of the same airways."""
+    def move_to(self, before: Any, after: Any) -> None:
+        """Assign the measurements of ``before`` to ``after``, the packed or unpacked object of the same airways."""
         found = self._found.pop(id(before), None)
         if found is not None:
-            self.add(successor, found[1])
+            self.add(after, found[1])
 
     def retain_only(self, held: Iterable[Any]) -> tuple[tuple[Any, Any], ...]:
         """Return the cached pairs whose airways are in ``held``, and delete all other pairs."""

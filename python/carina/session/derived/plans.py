@@ -733,7 +733,7 @@ def shown_surface(nodule: Nodule) -> Mesh:
     step = -(-max(inside.shape) // MOST_SHOWN)
     if step > 1:
         room = [-(-size // step) * step for size in inside.shape]
-        padded = np.pad(inside, [(0, successor - size) for successor, size in zip(room, inside.shape, strict=True)])
+        padded = np.pad(inside, [(0, after - size) for after, size in zip(room, inside.shape, strict=True)])
         nz, ny, nx = (size // step for size in room)
         inside = padded.reshape(nz, step, ny, step, nx, step).mean(axis=(1, 3, 5)) >= 0.5
         lps_from_ijk[:3, 3] += lps_from_ijk[:3, :3] @ np.full(3, 0.5 * (step - 1))

@@ -130,7 +130,7 @@ class KeyFrameHandlers(CommandHandlers):
 
     def follow(self, case: OpenCase) -> None:
         """Delete the cached flight after a change of key frames or airways; the caller holds the session's lock."""
-        if case.key_flight.is_of_others((case.document.key_frames, case.document.airways)):
+        if case.key_flight.has_other_inputs((case.document.key_frames, case.document.airways)):
             # The pose of the tip was computed from the previous flight, so this pose has no time in the new flight.
             case.key_flight.forget()
             case.last_move = replace(case.last_move, key_frames_s=None)
@@ -281,7 +281,7 @@ def _speeds(file: KeyFrameFile) -> list[float | None]:
     if times[0] is None:
         return [frame.speed_mm_s for frame in file.frames]
     legs = zip(file.flight().leg_mm, itertools.pairwise(t for t in times if t is not None), strict=True)
-    found = [min(max(mm / (successor - before), MIN_SPEED_MM_S), MAX_SPEED_MM_S) for mm, (before, successor) in legs]
+    found = [min(max(mm / (after - before), MIN_SPEED_MM_S), MAX_SPEED_MM_S) for mm, (before, after) in legs]
     return [None, *found]
 
 

@@ -513,7 +513,7 @@ def measure_tree(
             columns |= _errors_with_scatter(columns, flags)
         sections.append({**columns, "at_junction": flags})
     measured = tuple(
-        known[key] if key in known and _is_same(known[key], one) else one
+        known[key] if key in known and _has_same_inputs(known[key], one) else one
         for key, one in zip(keys, _summaries(tree, sections), strict=True)
     )
     notes = []
@@ -562,7 +562,7 @@ def _key(branch: Branch, tree: AirwayTree) -> bytes:
     return np.int64(branch.id).tobytes() + branch.kind.encode() + branch.points.tobytes() + before
 
 
-def _is_same(old: BranchMeasures, new: BranchMeasures) -> bool:
+def _has_same_inputs(old: BranchMeasures, new: BranchMeasures) -> bool:
     """Return whether the inputs of a branch's summary and junctions are the same as before an edit."""
     return old.summary == new.summary and np.array_equal(old.at_junction, new.at_junction)
 
