@@ -141,17 +141,24 @@ def best_stroke(nodule: Nodule, volume: Volume, wanted_zyx: Mask) -> BrushStroke
             centres &= sent
             for axis in range(3):
                 for n in np.flatnonzero(centres.any(axis=tuple(k for k in range(3) if k != axis))):
-                    one = np.zeros_like(centres)
-                    there = tuple(slice(n, n + 1) if k == axis else slice(None) for k in range(3))
-                    one[there] = centres[there]
+                    reach = int(np.ceil(radius_mm / step)) + 1
+                    slab = tuple(
+                        slice(max(n - reach, 0), n + reach + 1) if k == axis else slice(None) for k in range(3)
+                    )
+                    at = tuple(slice(n, n + 1) if k == axis else slice(None) for k in range(3))
+                    one = np.zeros_like(centres[slab])
+                    own = n - max(n - reach, 0)
+                    one[tuple(slice(own, own + 1) if k == axis else slice(None) for k in range(3))] = centres[at]
                     balls = one | (distance_from(one, step, radius_mm) + 0.5 * step <= radius_mm)
-                    gain = int((balls & change).sum()) - int((balls & keep).sum())
+                    gain = int((balls & change[slab]).sum()) - int((balls & keep[slab]).sum())
                     if gain > most:
-                        best, most = (one, radius_mm, takes_away), gain
+                        best, most = (axis, int(n), radius_mm, takes_away, centres[at]), gain
     if best is None:
         return None
-    one, radius_mm, takes_away = best
-    places = np.argwhere(one)[:MOST_POINTS, ::-1]
+    axis, n, radius_mm, takes_away, one = best
+    places = np.argwhere(one)
+    places[:, axis] += n
+    places = places[:MOST_POINTS, ::-1]
     points = places @ matrix[:3, :3].T + matrix[:3, 3]
     return BrushStroke(tuple((float(x), float(y), float(z)) for x, y, z in points), radius_mm, takes_away)
 
