@@ -107,7 +107,7 @@ class Opening:
 
     0 if the opening is not in view. A large angle means that most of the opening is hidden.
     """
-    ahead_deg: float
+    ahead_limit_deg: float
     """Largest angle in degrees between the line of sight and the middle at which the opening is straight ahead."""
     straight_ahead: bool
     """Whether the opening is in the middle of the picture and so has no clock hour."""
@@ -205,11 +205,11 @@ def openings_seen(camera: Pose, walls: ForkWalls, branches: Sequence[Branch], wa
     openings = []
     for n, (branch, outline, (x, y, in_view)) in enumerate(zip(branches, outlines, found, strict=True)):
         others = [size_rad for k, size_rad in enumerate(sizes) if k != n and found[k][2]]
-        ahead_deg = max(AHEAD_DEG, AHEAD_SHARE * FOV_DEG * math.sqrt(float(outline.mean()) / math.pi))
+        ahead_limit_deg = max(AHEAD_DEG, AHEAD_SHARE * FOV_DEG * math.sqrt(float(outline.mean()) / math.pi))
         ahead = (
             in_view
             and bool(outline[middle - 1 : middle + 1, middle - 1 : middle + 1].any())
-            and math.degrees(sizes[n]) <= ahead_deg
+            and math.degrees(sizes[n]) <= ahead_limit_deg
             and all(other >= AHEAD_TIMES * sizes[n] for other in others)
         )
         sine = math.sin(sizes[n]) / max(sizes[n], 1e-12)
@@ -224,7 +224,7 @@ def openings_seen(camera: Pose, walls: ForkWalls, branches: Sequence[Branch], wa
                 math.degrees(sizes[n]),
                 in_view,
                 _axis_hidden_deg(outline, pixel_at(camera, walls.mouths_lps[n], size)) if in_view else 0.0,
-                ahead_deg,
+                ahead_limit_deg,
                 ahead,
                 outline if in_view else np.zeros_like(outline),
                 wall[np.isfinite(wall).all(axis=1)],

@@ -155,7 +155,7 @@ def turn_list(
                 opening_lps=_point(taken.middle_lps),
                 seen_from_lps=_point(view.eye),
                 hour_doubt=view.doubt,
-                ahead_deg=taken.ahead_deg,
+                ahead_deg=taken.ahead_limit_deg,
                 dots_lps=_dots(taken, view.eye),
             )
         )
@@ -364,7 +364,7 @@ def _clockwise(taken: Opening, others: Sequence[Opening], mothers: dict[int, Bra
             _enters_mm(mothers[one.branch.id], one.branch),
             in_view=one.in_view,
             opening_lps=_point(one.middle_lps),
-            ahead_deg=one.ahead_deg,
+            ahead_deg=one.ahead_limit_deg,
         )
         for one in ordered
     )
