@@ -36,7 +36,7 @@ def test_second_ct_replaces_the_default_movement_and_half_a_chest_is_refused(ser
     page.get_by_test_id("movement").wait_for()
     assert "CT taken at inspiration" in page.get_by_test_id("movement").inner_text()
 
-    page.get_by_text("Instruments and margins", exact=True).click()
+    page.get_by_text("Measure the movement from a second CT", exact=True).click()
     page.get_by_test_id("second-ct").fill(str(tmp_path / "half.nii.gz"))
     page.keyboard.press("Enter")
     workstation.wait_while_working("window.__carina.state.messages.some((one) => /half/.test(JSON.stringify(one)))")

@@ -21,7 +21,16 @@ from carina.plan import (
 )
 from carina.plan.movement.deformation import Affine, Deformation, affine_fit, rigid_fit, rotation_deg
 from carina.plan.movement.forks import named_forks
-from carina.plan.movement.same_patient import check_gravity, density_slope
+from carina.plan.movement.orientation import orientation_error
+from carina.plan.movement.same_patient import (
+    breath_notes,
+    check_breath,
+    check_gravity,
+    cut_lungs_error,
+    density_slope,
+    few_forks,
+    no_airways,
+)
 from carina.plan.movement.target_movement import shift_words
 from carina.plan.routes.needle_hits import NeedleErrors
 from carina.track import Airways
@@ -175,6 +184,72 @@ def test_patient_rotated_by_180_degrees_is_refused() -> None:
     airways = dataclasses.replace(second_airways(), tree=dataclasses.replace(tree, branches=branches))
     trouble = refusal(turned, airways)
     assert trouble.code == "movement.pose" and "rotated by 180 degrees" in str(trouble)
+
+
+def test_the_same_ct_and_a_ct_of_the_same_breath_measure_no_movement() -> None:
+    first = chest().volume
+    trouble = refusal(Volume(first.hu_zyx.copy(), first.lps_from_ijk), found_airways(first))
+    assert trouble.code == "movement.same-ct" and "Choose another CT" in str(trouble)
+    noise = np.random.default_rng(1).normal(0.0, 20.0, first.hu_zyx.shape)
+    again = Volume((first.hu_zyx + noise).astype(np.int16), first.lps_from_ijk)
+    trouble = refusal(again, found_airways(first))
+    assert trouble.code == "movement.same-breath" and "expiration" in str(trouble)
+
+
+def test_similar_breath_is_a_note_and_thick_slices_hide_a_small_movement() -> None:
+    check_breath(1.1, 1.0)
+    with pytest.raises(NoResultError, match="the same breath"):
+        check_breath(1.1, 3.0)
+    assert breath_notes(2.6) == []
+    assert "may move more" in breath_notes(1.5)[0]
+
+
+@pytest.mark.parametrize(
+    ("signs", "code", "words"),
+    [
+        ((-1.0, 1.0, 1.0), "movement.mirrored", "right and left are exchanged"),
+        ((1.0, 1.0, -1.0), "movement.mirrored", "head and feet are exchanged"),
+        ((-1.0, -1.0, 1.0), "movement.pose", "prone in one CT"),
+    ],
+)
+def test_wrong_orientation_is_recognised_without_names(signs, code, words) -> None:
+    first, tree = found_airways(chest().volume).tree, second_airways().tree
+    assert orientation_error(first, tree) is None
+    carina = next(one for one in tree.branches if one.name == "Trachea").points[-1]
+    branches = tuple(
+        dataclasses.replace(
+            one,
+            points=(one.points - carina) * signs + (10.0, 20.0, 300.0),
+            name=one.name if one.name == "Trachea" else None,
+            name_from=one.name_from if one.name == "Trachea" else None,
+            name_confidence=one.name_confidence if one.name == "Trachea" else None,
+        )
+        for one in tree.branches
+    )
+    trouble = orientation_error(first, dataclasses.replace(tree, branches=branches))
+    assert trouble is not None and trouble.code == code
+    assert words in str(trouble) and "orientation letters" in str(trouble)
+
+
+def test_lungs_that_the_second_ct_cuts_explain_few_forks() -> None:
+    whole = second()
+    cut = part_of(whole, 0, whole.shape_zyx[0] // 2, whole.shape_zyx[0])
+    trouble = cut_lungs_error(few_forks(3, cut), chest().volume, cut)
+    assert trouble is not None and trouble.code == "movement.half-chest" and "lower end cuts" in str(trouble)
+    assert cut_lungs_error(few_forks(3, whole), chest().volume, whole) is None
+    upright = cut.lps_from_ijk.copy()
+    upright[:3, 2] *= -1.0
+    turned = cut_lungs_error(few_forks(3, cut), chest().volume, Volume(cut.hu_zyx, upright))
+    assert turned is not None and "upper end cuts" in str(turned)
+
+
+def test_refusals_state_thick_slices_missing_lungs_and_a_lost_unit() -> None:
+    coarse = Volume(np.full((30, 90, 90), -850, dtype=np.int16), np.diag([4.0, 4.0, 5.0, 1.0]))
+    assert "slices of the second CT are 5.0 mm apart" in str(few_forks(1, coarse))
+    assert "apart" not in str(few_forks(1, second()))
+    head = Volume(np.full((30, 90, 90), 40, dtype=np.int16), coarse.lps_from_ijk)
+    assert "shows no lungs" in str(no_airways(head)) and "mark the trachea" in str(no_airways(coarse))
+    assert "not in Hounsfield units" in str(no_airways(dataclasses.replace(head, is_hu=False)))
 
 
 def sloped_lung(slope_hu_per_mm: float) -> Volume:

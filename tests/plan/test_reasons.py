@@ -10,7 +10,7 @@ import re
 import pytest
 from reported import airways, plan, sheet, turns, verdicts, with_drawn_branch
 
-from carina.plan import Check
+from carina.plan import Check, TargetMovement
 from carina.plan.reasons import reasons_against
 from carina.plan.report import write_report
 from carina.plan.report.drawing import Label
@@ -46,6 +46,7 @@ def doubtful() -> PlanSheet:
         routes=(changed, *plan().routes[1:]),
         doubts=(TargetDoubt("target.density", "at 189 HU it is denser than soft tissue"),),
         lost=LostAirway(16.2, "lost here, 3.1 mm wide"),
+        movement=TargetMovement.measured((1.0, 2.0, 9.0), 3.0, ("the target was not recognised in the second CT",)),
         notes=("the tree is lost 16 mm short of the target: lost here, 3.1 mm wide", "the CT has thick slices"),
     )
     told = turns(airways(), plan())
@@ -115,6 +116,7 @@ def test_list_contains_every_kind_of_reason_once_and_in_order() -> None:
         "route.doubt",
         "plan.lost",
         "plan.note",
+        "plan.movement",
         "turn.hour",
     ]
     words = [reason.words for reason in doubtful().reasons]

@@ -35,9 +35,10 @@ TOUCHED = {
 class Reason(Remark):
     """Reason against a plan; its words are a sentence with a capital letter and a full stop.
 
-    The codes are ``plan.no-route``, ``plan.verdict``, ``plan.limit``, ``plan.lost``, ``plan.note``, ``needle.vessel``,
-    ``needle.near-vessel``, ``needle.fissure``, ``needle.mediastinum``, ``needle.unexamined``, ``target.note``,
-    ``target.touches``, ``route.narrowest``, ``route.doubt``, ``turn.hour`` and those of the target's doubts.
+    The codes are ``plan.no-route``, ``plan.verdict``, ``plan.limit``, ``plan.lost``, ``plan.note``,
+    ``plan.movement``, ``needle.vessel``, ``needle.near-vessel``, ``needle.fissure``, ``needle.mediastinum``,
+    ``needle.unexamined``, ``target.note``, ``target.touches``, ``route.narrowest``, ``route.doubt``, ``turn.hour``
+    and those of the target's doubts.
     """
 
     severity: Severity
@@ -58,8 +59,8 @@ def reasons_against(
 
     The order is: no route; the verdict on the planned scope and the limits of the route; vessels and other tissue on
     the needle's way; doubts and notes of the target; the narrowest diameter with its error; doubtful and drawn
-    branches; the place where the tree is lost; other notes; turns without a clock hour. A reason whose text is part
-    of an earlier one is left out.
+    branches; the place where the tree is lost; other notes; notes on a measured movement; turns without a clock hour.
+    A reason whose text is part of an earlier one is left out.
 
     Parameters
     ----------
@@ -92,7 +93,7 @@ def route_reasons(plan: Plan, route: PlannedRoute) -> tuple[Reason, ...]:
 
 def plan_reasons(plan: Plan) -> tuple[Reason, ...]:
     """Return the reasons of `reasons_against` that concern neither the target nor a single route."""
-    return _distinct((*(() if plan.routes else _of_no_route(plan)), *_of_tree(plan)))
+    return _distinct((*(() if plan.routes else _of_no_route(plan)), *_of_tree(plan), *_of_movement(plan)))
 
 
 def _distinct(reasons: Iterable[tuple[str, str, Severity]]) -> tuple[Reason, ...]:
@@ -121,6 +122,7 @@ def _reasons(plan: Plan, route: PlannedRoute | None, verdicts: Sequence[Verdict]
     if route is not None:
         yield from _of_airways(route)
     yield from _of_tree(plan)
+    yield from _of_movement(plan)
     yield from _of_hours(turns)
 
 
@@ -155,6 +157,12 @@ def _of_tree(plan: Plan) -> _Parts:
         yield "plan.lost", plan.lost.words, "caution"
     for note in plan.notes:
         yield "plan.note", note, "caution"
+
+
+def _of_movement(plan: Plan) -> _Parts:
+    """Yield the warnings about a movement that was measured from a second CT."""
+    for note in plan.movement.notes:
+        yield "plan.movement", f"movement from the second CT: {note}", "caution"
 
 
 def _of_hours(turns: TurnList | None) -> _Parts:

@@ -34,44 +34,72 @@ const MARKS: Readonly<Record<ReachAnswer["kind"], string>> = {
   "cannot-say": "\u2013",
 };
 
-function Answer({ target, plan }: { target: Target; plan: TargetPlan }) {
-  const station = useStation();
+/**
+ * Render whether the target is reached, the needle and the nearest vessel at the head of a panel, in a window that is
+ * too narrow for the answer above the pictures. A list of reasons below it explains the answer, so that the answer
+ * itself has no explanation.
+ */
+export function PanelAnswer({ plan }: { plan: TargetPlan }) {
+  const answered = useAnswerShown();
+  return answered ? null : (
+    <div className="panel-answer" data-testid="panel-answer">
+      <Reach title="" plan={plan} explained={plan.reasons.length === 0} />
+      <Facts plan={plan} />
+    </div>
+  );
+}
+
+/** Render whether the planned scope reaches the target; `title` precedes the answer. */
+function Reach({ title, plan, explained }: { title: string; plan: TargetPlan; explained: boolean }) {
   const plans = useApp((state) => state.plans);
   const route = plan.routes[(plan.chosen ?? 1) - 1] ?? null;
   const scopes = useApp((state) => state.start?.scopes ?? null);
   const scope = scopes?.find((one) => one.name === plan.options.scope)?.title ?? plan.options.scope;
   const reach = answerOf(plan, plans?.verdicts ?? [], plans?.verdicts_standing ?? "unwanted");
-  const vessel = route === null ? null : vesselText(route.leg, plan.options.vessel_margin_mm);
+  return (
+    <div className={`reach ${reach.kind}`} role="status" data-testid="answer-reach">
+      <span className="mark" aria-hidden="true">
+        {MARKS[reach.kind]}
+      </span>
+      <div>
+        <strong>{title === "" ? sentence(reach.headline) : `${title}: ${reach.headline}`}</strong>
+        <span className="quiet">
+          {reach.words === null || !explained ? "" : `${sentence(reach.words)}. `}
+          {route === null ? "" : `${scope}, via ${route.branch_name}.`}
+        </span>
+      </div>
+    </div>
+  );
+}
+
+/** Render the needle's path and the nearest vessel of the chosen route, else of the best route. */
+function Facts({ plan }: { plan: TargetPlan }) {
+  const route = plan.routes[(plan.chosen ?? 1) - 1] ?? null;
+  if (route === null) return null;
+  const vessel = vesselText(route.leg, plan.options.vessel_margin_mm);
+  return (
+    <dl className="answer-facts numbers">
+      <div>
+        <dt>Needle</dt>
+        <dd data-testid="answer-needle">{needleText(route.leg)}</dd>
+      </div>
+      <div>
+        <dt>Vessel</dt>
+        <dd data-testid="answer-vessel" className={vessel.warns ? "error-text" : undefined}>
+          {vessel.text}
+        </dd>
+      </div>
+    </dl>
+  );
+}
+
+function Answer({ target, plan }: { target: Target; plan: TargetPlan }) {
+  const station = useStation();
+  const route = plan.routes[(plan.chosen ?? 1) - 1] ?? null;
   return (
     <section className="plan-answer" aria-label={`Answer for ${target.name}`} data-testid="plan-answer">
-      <div className={`reach ${reach.kind}`} role="status" data-testid="answer-reach">
-        <span className="mark" aria-hidden="true">
-          {MARKS[reach.kind]}
-        </span>
-        <div>
-          <strong>
-            {target.name}: {reach.headline}
-          </strong>
-          <span className="quiet">
-            {reach.words === null ? "" : `${sentence(reach.words)}. `}
-            {route === null ? "" : `${scope}, via ${route.branch_name}.`}
-          </span>
-        </div>
-      </div>
-      {route === null ? null : (
-        <dl className="answer-facts numbers">
-          <div>
-            <dt>Needle</dt>
-            <dd data-testid="answer-needle">{needleText(route.leg)}</dd>
-          </div>
-          <div>
-            <dt>Vessel</dt>
-            <dd data-testid="answer-vessel" className={vessel?.warns === true ? "error-text" : undefined}>
-              {vessel?.text}
-            </dd>
-          </div>
-        </dl>
-      )}
+      <Reach title={target.name} plan={plan} explained />
+      <Facts plan={plan} />
       {/* biome-ignore lint/a11y/noNoninteractiveTabindex: the keyboard scrolls a list that is longer than the card */}
       <section className="answer-doubts" data-testid="answer-doubts" aria-label="Doubts" tabIndex={0}>
         {route !== null && plan.reasons.length === 0 ? (

@@ -58,13 +58,13 @@ export const ROUTE_ROWS: readonly { title: string; words: string; of: (route: Ro
     of: ({ predictors }) => figure(predictors?.bifurcation_deg, (deg) => `${fixed(deg)}\u00b0`),
   },
   {
-    title: "Least, end*",
-    words: "Least diameter of the last 20\u00a0mm of the way, with half of its 90\u202f% interval",
+    title: "Narrowest, end*",
+    words: "Narrowest diameter of the last 20\u00a0mm of the way, with half of its 90\u202f% interval",
     of: ({ predictors }) =>
       figure(predictors?.least_mm, (least) => withError(least, predictors?.least_error_mm ?? 0) ?? ""),
   },
   {
-    title: "Curve, end*",
+    title: "Curvature, end*",
     words: "Mean curvature of the last 20\u00a0mm of the way, 1/mm",
     of: ({ predictors }) => figure(predictors?.curvature_per_mm, (value) => `${value.toFixed(3)}/mm`),
   },

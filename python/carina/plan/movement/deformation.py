@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Affine", "Deformation", "affine_fit", "rigid_fit", "rotation_deg"]
+__all__ = ["Affine", "Deformation", "affine_fit", "rigid_fit", "rigid_motion", "rotation_deg"]
 
 Points = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -114,7 +114,7 @@ def rigid_fit(first: Points, second: Points) -> tuple[Affine, Mask]:
     best: Mask = np.zeros(len(first), dtype=bool)
     least = np.inf
     for number in chosen:
-        motion = _rigid(first[list(triples[number])], second[list(triples[number])])
+        motion = rigid_motion(first[list(triples[number])], second[list(triples[number])])
         off = np.linalg.norm(first + motion.shifts(first) - second, axis=1)
         cost = float(np.minimum(off, RIGID_MM).sum())
         if cost < least:
@@ -122,9 +122,9 @@ def rigid_fit(first: Points, second: Points) -> tuple[Affine, Mask]:
     for _ in range(3):
         if best.sum() < 3:
             break
-        motion = _rigid(first[best], second[best])
+        motion = rigid_motion(first[best], second[best])
         best = np.linalg.norm(first + motion.shifts(first) - second, axis=1) <= RIGID_MM
-    return _rigid(first[best], second[best]) if best.sum() >= 3 else motion, best
+    return rigid_motion(first[best], second[best]) if best.sum() >= 3 else motion, best
 
 
 def affine_fit(first: Points, second: Points, rigid: Affine) -> Affine:
@@ -153,7 +153,8 @@ def rotation_deg(motion: Affine) -> float:
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-def _rigid(first: Points, second: Points) -> Affine:
+def rigid_motion(first: Points, second: Points) -> Affine:
+    """Return the rigid motion with the least squared distances of pairs (n, 3)."""
     here, there = first.mean(axis=0), second.mean(axis=0)
     left, _, right = np.linalg.svd((second - there).T @ (first - here))
     turn = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right

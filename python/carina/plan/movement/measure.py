@@ -20,20 +20,26 @@ from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, NoResultError, TrackingError
 from carina.plan.movement.block_matching import Block, averaged, landmarks, match_blocks
-from carina.plan.movement.deformation import Affine, Deformation, affine_fit, rigid_fit, rotation_deg
+from carina.plan.movement.deformation import Affine, Deformation, affine_fit, rigid_fit, rigid_motion, rotation_deg
 from carina.plan.movement.forks import ForkShift, fork_points, named_forks
+from carina.plan.movement.orientation import orientation_error
 from carina.plan.movement.same_patient import (
     LEAST_RIGID,
+    breath_notes,
     check_affine,
+    check_breath,
     check_extent,
     check_forks,
     check_gravity,
     check_inside,
     check_motion,
+    check_other_ct,
     check_places,
     check_size,
     check_structure,
+    cut_lungs_error,
     few_forks,
+    no_airways,
 )
 from carina.plan.movement.target_movement import MOST_MOVED_MM, TargetMovement
 from carina.plan.targets.nodule import Nodule
@@ -96,6 +102,8 @@ class MovementMeasurement:
     """Number of places at vessels near the target that were found in the second CT."""
     residual_mm: float
     """Median distance of places near the target from the prediction by their neighbours, mm."""
+    breath_mm: float
+    """Distance within which 90 % of the found places lie from one rigid motion, mm; small in CTs of one breath."""
     rotation_deg: float
     """Rotation between both CTs, degrees."""
     is_target_seen: bool
@@ -111,6 +119,7 @@ class MovementMeasurement:
             "forks": [fork.to_json() for fork in self.forks],
             "num_vessels": self.num_vessels,
             "residual_mm": self.residual_mm,
+            "breath_mm": self.breath_mm,
             "rotation_deg": self.rotation_deg,
             "is_target_seen": self.is_target_seen,
         }
@@ -157,9 +166,9 @@ def measure_movement(
     Raises
     ------
     NoResultError
-        If the second CT is not comparable: ``movement.few-forks``, ``movement.other-patient``, ``movement.pose``,
-        ``movement.half-chest``, ``movement.outside`` (the target), ``movement.no-airways`` or
-        ``movement.too-uncertain``.
+        If the second CT is not comparable: ``movement.same-ct``, ``movement.same-breath``, ``movement.few-forks``,
+        ``movement.other-patient``, ``movement.pose``, ``movement.mirrored``, ``movement.half-chest``,
+        ``movement.outside`` (the target), ``movement.no-airways`` or ``movement.too-uncertain``.
     CancelledError
         If ``cancel()`` returned True.
 
@@ -169,9 +178,10 @@ def measure_movement(
     >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
     >>> found = carina.find_airways(made.volume)
     >>> place = made.truth["nodule"]["centre_lps"]
-    >>> still = carina.plan.measure_movement(made.volume, found, place, made.volume, found)
-    >>> still.movement.length_mm < 0.5
-    True
+    >>> carina.plan.measure_movement(made.volume, found, place, made.volume, found)
+    Traceback (most recent call last):
+        ...
+    carina.errors.NoResultError: the second CT is the CT of this plan, in which nothing has moved...
     """
     on_progress = progress_function(progress)
 
@@ -185,18 +195,19 @@ def measure_movement(
             on_progress(what, share)
 
     report("comparing both CTs", 0.0)
+    check_other_ct(volume, second_volume)
     check_size(second_volume, fork_points(airways.tree))
     if second_airways is None:
         try:
             second_airways = find_airways(second_volume, progress=report, cancel=cancel)
         except TrackingError as trouble:
-            raise NoResultError(
-                f"no airways were found in the second CT ({trouble}); choose a CT that shows the whole chest",
-                code="movement.no-airways",
-            ) from trouble
+            raise no_airways(second_volume) from trouble
     place, radius_mm = _place(target)
-    forks = _named_forks(airways.tree, second_airways.tree)
-    motion, fits = _motion(volume, second_volume, airways, forks)
+    try:
+        forks = _named_forks((volume, second_volume), airways.tree, second_airways.tree)
+        motion, fits = _motion(volume, second_volume, airways, forks)
+    except NoResultError as trouble:
+        raise _explained(trouble, (volume, second_volume), (airways.tree, second_airways.tree)) from trouble
     check_gravity(volume, second_volume)
     guess = Deformation(forks.first_lps[fits], (forks.second_lps - forks.first_lps)[fits], motion)
     check_inside(second_volume, place + guess.at(place[None])[0], radius_mm)
@@ -240,10 +251,20 @@ class _Matches:
     """Number of vessels that were found."""
 
 
-def _named_forks(first: AirwayTree, second: AirwayTree) -> _Forks:
+def _explained(
+    trouble: NoResultError, volumes: tuple[Volume, Volume], trees: tuple[AirwayTree, AirwayTree]
+) -> NoResultError:
+    """Return the error that names the cause of a refusal, such as a wrong orientation; else the refusal itself."""
+    if trouble.code not in {"movement.other-patient", "movement.few-forks", "movement.pose"}:
+        return trouble
+    return orientation_error(*trees) or cut_lungs_error(trouble, *volumes) or trouble
+
+
+def _named_forks(volumes: tuple[Volume, Volume], first: AirwayTree, second: AirwayTree) -> _Forks:
+    """Return the forks that both trees name; raise an error for too few, or without the main carina."""
     forks = _Forks(*named_forks(first, second))
     if len(forks.names) < LEAST_RIGID:
-        raise few_forks(len(forks.names))
+        raise few_forks(len(forks.names), volumes[1])
     if CARINA not in forks.names:
         raise NoResultError(
             "the main carina is not named in both CTs, so that no shift relative to it can be measured; check the "
@@ -263,7 +284,7 @@ def _motion(volume: Volume, second: Volume, airways: Airways, forks: _Forks) -> 
     check_affine(motion, off)
     check_extent(volume, second, motion, fork_points(airways.tree))
     fits = off <= AFFINE_MM
-    check_forks(forks.names, fits)
+    check_forks(forks.names, fits, second)
     return motion, fits
 
 
@@ -321,6 +342,9 @@ def _measurement(matches: _Matches, place: Points, radius_mm: float) -> Movement
         )
     voxel_mm = 0.5 * max(max(volume.spacing_mm) for volume in matches.volumes)
     error = math.hypot(target_mm, voxel_mm, carina_mm, turned_mm)
+    breath_mm = _breath_mm(field)
+    check_breath(breath_mm, 2.0 * voxel_mm)
+    notes += breath_notes(breath_mm)
     moved = shift - carina_shift
     length = float(np.linalg.norm(moved))
     if length > MOST_MOVED_MM or error > MOST_ERROR_MM:
@@ -337,9 +361,17 @@ def _measurement(matches: _Matches, place: Points, radius_mm: float) -> Movement
         forks=_fork_shifts(matches),
         num_vessels=matches.num_vessels,
         residual_mm=float(np.median(off)),
+        breath_mm=breath_mm,
         rotation_deg=turn,
         is_target_seen=is_seen,
     )
+
+
+def _breath_mm(field: Deformation) -> float:
+    """Return the distance in mm within which 90 % of the places lie from the rigid motion that fits them best."""
+    second = field.places + field.shifts
+    off = np.linalg.norm(field.places + rigid_motion(field.places, second).shifts(field.places) - second, axis=1)
+    return float(np.quantile(off, SHARE_WITHIN))
 
 
 def _left_out_mm(field: Deformation, place: Points) -> Points:
@@ -368,7 +400,10 @@ def _target_shift(
             around,
             between_mm,
             False,
-            ["the target was not recognised in the second CT; its shift follows from vessels and forks around it"],
+            [
+                "the target was not recognised in the second CT; its shift follows from vessels and forks around it. "
+                "Check on the slices of the second CT whether the target is still there"
+            ],
         )
     if apart_mm <= max(between_mm, AGREE_MM):
         return own, max(between_mm, apart_mm), True, []

@@ -1,4 +1,7 @@
-"""Checks whether a second CT shows the same patient in the same pose, and the whole chest with the target."""
+"""Checks whether a second CT is another scan of the same patient in the same pose, with the whole chest.
+
+Each refusal states what is wrong, what was expected and found, and what the user can do.
+"""
 
 from __future__ import annotations
 
@@ -11,17 +14,22 @@ from carina.volume import Volume
 
 __all__ = [
     "LEAST_RIGID",
+    "breath_notes",
     "check_affine",
+    "check_breath",
     "check_extent",
     "check_forks",
     "check_gravity",
     "check_inside",
     "check_motion",
+    "check_other_ct",
     "check_places",
     "check_size",
     "check_structure",
+    "cut_lungs_error",
     "density_slope",
     "few_forks",
+    "no_airways",
 ]
 
 Points = NDArray[np.float64]
@@ -51,16 +59,121 @@ LEAST_NEAR, NEAR_MM = 8, 45.0
 LEAST_SLOPE = 0.15
 """Least increase of the lung's density in HU per mm to the lower side, from which the pose is known."""
 EVERY = 4
+THIN_MM = 2.5
+"""Distance of slices in mm above which few forks are found."""
+LUNG_HU = (-960, -600)
+"""Least and largest HU of lung in the checks of pose and extent."""
+LEAST_LUNG_VOXELS, LEAST_LUNG_ML = 5000, 300.0
+"""Least number of lung voxels for the pose, of every fourth one on each axis; least volume of lungs, ml."""
+SAME_BREATH_MM = 1.0
+"""Largest distance in mm of 90 % of the places from one rigid motion at which both CTs show the same breath."""
+SIMILAR_BREATH_MM = 2.5
+"""Distance in mm, as `SAME_BREATH_MM`, below which a note states that both CTs show a similar breath."""
+CUT_SHARE, CUT_TIMES = 0.1, 2.0
+"""Least share of lung in an end slice that cuts through the lungs, and least ratio to the share in the first CT."""
 
 
-def few_forks(num: int) -> NoResultError:
+def check_other_ct(first: Volume, second: Volume) -> None:
+    """Raise an error if the second CT is the first one."""
+    if first.shape_zyx == second.shape_zyx and np.array_equal(first.hu_zyx, second.hu_zyx):
+        raise NoResultError(
+            "the second CT is the CT of this plan, in which nothing has moved. Choose another CT of the patient, such "
+            "as one in expiration or an earlier one",
+            code="movement.same-ct",
+        )
+
+
+def check_breath(breath_mm: float, slice_mm: float) -> None:
+    """Raise an error if all places follow one rigid motion, so that the CTs show no movement by breathing.
+
+    Parameters
+    ----------
+    breath_mm
+        Distance within which 90 % of the matched places lie from one rigid motion, mm.
+    slice_mm
+        Largest voxel size of both CTs, mm.
+    """
+    if breath_mm < max(SAME_BREATH_MM, 0.5 * slice_mm):
+        raise NoResultError(
+            f"both CTs show the same breath: forks and vessels move by only {breath_mm:.1f} mm against each other. "
+            "How far breathing moves the target cannot be measured from them. Choose a CT in another breath, such as "
+            "one in expiration",
+            code="movement.same-breath",
+        )
+
+
+def breath_notes(breath_mm: float) -> list[str]:
+    """Return the note that both CTs show a similar breath; nothing for different ones."""
+    if breath_mm >= SIMILAR_BREATH_MM:
+        return []
+    return [
+        f"both CTs show a similar breath (forks and vessels move by {breath_mm:.1f} mm against each other); in the "
+        "procedure the target may move more than between these CTs"
+    ]
+
+
+def cut_lungs_error(trouble: NoResultError, first: Volume, second: Volume) -> NoResultError | None:
+    """Return the error for a second CT that cuts through the lungs, as the cause of another one; None if it does not.
+
+    A patient in another pose is not explained by cut lungs.
+    """
+    side = None if trouble.code == "movement.pose" else cut_side(first, second)
+    if side is None:
+        return None
+    return NoResultError(
+        f"the second CT shows only a part of the chest: its {side} end cuts through the lungs. Choose a CT of the "
+        "whole chest",
+        code="movement.half-chest",
+    )
+
+
+def cut_side(first: Volume, second: Volume) -> str | None:
+    """Return the end (*upper* or *lower*) at which the second CT cuts through the lungs more than the first CT."""
+    here, there = lung_shares(first), lung_shares(second)
+    cut = {side: share for side, share in there.items() if share >= max(CUT_SHARE, CUT_TIMES * here[side])}
+    return max(cut, key=lambda side: cut[side]) if cut else None
+
+
+def lung_shares(volume: Volume) -> dict[str, float]:
+    """Return the share of lung in the lowest and in the uppermost slice of a CT."""
+    ends = (0, -1) if volume.lps_from_ijk[2, 2] > 0.0 else (-1, 0)
+    found: dict[str, float] = {}
+    for side, index in zip(("lower", "upper"), ends, strict=True):
+        face = volume.hu_zyx[index]
+        found[side] = float(((face > LUNG_HU[0]) & (face < LUNG_HU[1])).mean())
+    return found
+
+
+def few_forks(num: int, second: Volume) -> NoResultError:
     """Return the error for too few forks that both trees name."""
     forks = "1 fork has" if num == 1 else f"{num} forks have"
+    slice_mm = max(second.spacing_mm)
+    thick = f"; the slices of the second CT are {slice_mm:.1f} mm apart" if slice_mm > THIN_MM else ""
     return NoResultError(
-        f"{forks} the same name in both CTs; at least {LEAST_FORKS} are needed. Choose a thin-slice CT of the whole "
-        "chest, or correct the airways of both CTs in their cases",
+        f"only {forks} the same name in both CTs; at least {LEAST_FORKS} are needed{thick}. Choose a thin-slice CT of "
+        "the whole chest, or correct the airways of both CTs in their cases",
         code="movement.few-forks",
     )
+
+
+def no_airways(second: Volume) -> NoResultError:
+    """Return the error for a second CT in which no airways were found."""
+    voxel_ml = float(np.prod(second.spacing_mm)) * EVERY**3 / 1000.0
+    if second.is_hu and voxel_ml * float(_lung(second).sum()) < LEAST_LUNG_ML:
+        words = "the second CT shows no lungs; it may show another part of the body. Choose a CT of the whole chest"
+    else:
+        unit = "" if second.is_hu else "; its values are not in Hounsfield units"
+        words = (
+            f"no airways were found in the second CT{unit}. Choose a CT of the whole chest, or open it as a case, mark "
+            "the trachea there, save the case and choose the case"
+        )
+    return NoResultError(words, code="movement.no-airways")
+
+
+def _lung(volume: Volume) -> Mask:
+    """Return the mask of lung in every fourth voxel of a CT; foam of the table and gas in the bowel count, too."""
+    values = volume.hu_zyx[::EVERY, ::EVERY, ::EVERY]
+    return np.asarray((values > LUNG_HU[0]) & (values < LUNG_HU[1]))
 
 
 def check_motion(rigid: Affine, fits: Mask) -> None:
@@ -68,12 +181,16 @@ def check_motion(rigid: Affine, fits: Mask) -> None:
     turn = rotation_deg(rigid)
     if turn > MOST_TURN_DEG and fits.sum() >= LEAST_RIGID:
         raise NoResultError(
-            f"the patient is rotated by {turn:.0f} degrees between the CTs; in another pose, such as prone, the target "
-            "moves differently. Choose a CT in the pose of the procedure",
+            f"the airways of the second CT are rotated by {turn:.0f} degrees (at most {MOST_TURN_DEG:.0f} expected): "
+            "the patient lies in another pose, such as prone, or the orientation in its file is wrong. Choose a CT in "
+            "the pose of the procedure, and check its orientation letters",
             code="movement.pose",
         )
     if fits.mean() < LEAST_RIGID_SHARE:
-        raise _other_patient(f"only {int(fits.sum())} of {len(fits)} forks of the airways fit to one motion")
+        raise _other_patient(
+            f"only {int(fits.sum())} of {len(fits)} forks of the airways fit to one motion "
+            f"(at least {100 * LEAST_RIGID_SHARE:.0f} % expected)"
+        )
 
 
 def check_affine(motion: Affine, off_mm: Points) -> None:
@@ -81,17 +198,26 @@ def check_affine(motion: Affine, off_mm: Points) -> None:
     median = float(np.median(off_mm))
     stretch = np.linalg.svd(motion.matrix)[1]
     if median > MOST_MEDIAN_MM:
-        raise _other_patient(f"the forks of the airways are {median:.0f} mm (median) from the best fit")
+        raise _other_patient(
+            f"the forks of the airways are {median:.0f} mm (median) from the best fit (at most {MOST_MEDIAN_MM:.0f} mm "
+            "expected)"
+        )
     if stretch.min() < STRETCH[0] or stretch.max() > STRETCH[1]:
-        raise _other_patient("the airways differ in size")
+        raise _other_patient(
+            f"its airways are {stretch.min():.1f} to {stretch.max():.1f} times as large ({STRETCH[0]} to {STRETCH[1]} "
+            "expected)"
+        )
 
 
-def check_forks(names: tuple[str, ...], fits: Mask) -> None:
+def check_forks(names: tuple[str, ...], fits: Mask, second: Volume) -> None:
     """Raise an error if too few named forks fit to the motion."""
     if fits.sum() < LEAST_FORKS:
-        raise few_forks(int(fits.sum()))
+        raise few_forks(int(fits.sum()), second)
     if fits.mean() < LEAST_RIGID_SHARE:
-        raise _other_patient(f"only {int(fits.sum())} of {len(names)} forks of the airways fit")
+        raise _other_patient(
+            f"only {int(fits.sum())} of {len(names)} forks of the airways fit "
+            f"(at least {100 * LEAST_RIGID_SHARE:.0f} % expected)"
+        )
 
 
 def check_extent(first: Volume, second: Volume, motion: Affine, forks: Points) -> None:
@@ -99,8 +225,8 @@ def check_extent(first: Volume, second: Volume, motion: Affine, forks: Points) -
     share = float(_inside(second, forks + motion.shifts(forks)).mean()) if len(forks) else 1.0
     if share < LEAST_INSIDE and _inside(first, forks).mean() > share:
         raise NoResultError(
-            f"the second CT shows only {100 * share:.0f} % of the airways' forks of the first CT; choose a CT of the "
-            "whole chest",
+            f"the second CT shows only {100 * share:.0f} % of the airways' forks of this CT "
+            f"(at least {100 * LEAST_INSIDE:.0f} % expected). Choose a CT of the whole chest",
             code="movement.half-chest",
         )
 
@@ -117,8 +243,8 @@ def check_size(second: Volume, forks: Points) -> None:
     for axis, what in enumerate(("wide", "deep", "high")):
         if sizes[axis] < needed[axis]:
             raise NoResultError(
-                f"the second CT is only {sizes[axis]:.0f} mm {what}, less than the airways of the first CT; choose a "
-                "CT of the whole chest",
+                f"the second CT is only {sizes[axis]:.0f} mm {what}; the airways of this CT need {needed[axis]:.0f} "
+                "mm. Choose a CT of the whole chest",
                 code="movement.half-chest",
             )
 
@@ -128,7 +254,7 @@ def check_inside(second: Volume, place: Points, radius_mm: float) -> None:
     rim = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * (radius_mm / np.sqrt(3.0) + 2.0)
     if not _inside(second, place + rim).all():
         raise NoResultError(
-            "the target is outside the second CT; choose a CT that includes the target", code="movement.outside"
+            "the second CT ends before the target. Choose a CT that includes the target", code="movement.outside"
         )
 
 
@@ -155,8 +281,8 @@ def density_slope(volume: Volume) -> float | None:
     The slope is fitted to the median density of thin layers.
     """
     values = volume.hu_zyx[::EVERY, ::EVERY, ::EVERY]
-    z, y, x = np.nonzero((values > -960) & (values < -600))
-    if len(z) < 5000:
+    z, y, x = np.nonzero(_lung(volume))
+    if len(z) < LEAST_LUNG_VOXELS:
         return None
     row = volume.lps_from_ijk[1]
     height = EVERY * (row[0] * x + row[1] * y + row[2] * z) + row[3]
@@ -180,7 +306,8 @@ def check_structure(score: Points, least: float) -> None:
     share = float((score >= least).mean())
     if share < LEAST_FORKS_FOUND:
         raise _other_patient(
-            f"the surroundings of only {100 * share:.0f} % of the named forks were found in the second CT"
+            f"the surroundings of only {100 * share:.0f} % of the named forks were found in the second CT "
+            f"(at least {100 * LEAST_FORKS_FOUND:.0f} % expected)"
         )
 
 
@@ -189,15 +316,17 @@ def check_places(places: Points, target: Points) -> None:
     num = int((np.linalg.norm(places - target, axis=1) <= NEAR_MM).sum())
     if num < LEAST_NEAR:
         raise NoResultError(
-            f"only {num} vessels and forks near the target were found in the second CT; the movement there is not "
-            "known. Choose a CT with thinner slices or less motion",
+            f"only {num} vessels and forks within {NEAR_MM:.0f} mm of the target were found in the second CT (at least "
+            f"{LEAST_NEAR} expected), so that the movement there is not known. Choose a CT with thinner slices or less "
+            "motion",
             code="movement.too-uncertain",
         )
 
 
 def _other_patient(why: str) -> NoResultError:
     return NoResultError(
-        f"the second CT does not seem to show the same patient: {why}. Choose another CT, or check the airways of both",
+        f"the second CT does not seem to show the same patient: {why}. Choose another CT, or check the airways "
+        "of both CTs",
         code="movement.other-patient",
     )
 

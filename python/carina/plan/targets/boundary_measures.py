@@ -175,8 +175,8 @@ def _doubts(grown: Boundary, error_share: float) -> tuple[str, ...]:
     listed = " and ".join(places)
     percent = 100.0 * min(error_share, 1.0)
     return (
-        f"the boundary is uncertain where the nodule touches {listed} (volume +- {percent:.0f} %); check it there, and "
-        "correct it with the brush",
+        f"the boundary is uncertain where the nodule touches {listed} (volume \u00b1 {percent:.0f} %); check it there, "
+        "and correct it with the brush",
     )
 
 

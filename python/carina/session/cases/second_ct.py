@@ -70,7 +70,7 @@ class SecondCtHandlers(CommandHandlers):
                 options = msgspec.structs.replace(now.lesion.options, moved_mm=None, movement=measured)
                 changed = replace(now, lesion=replace(now.lesion, options=options))
                 self.core.change(case, f"measure the movement of {now.name}", with_target(case.document, changed))
-                self.core.emit(UserMessage(f"{now.name}: {movement.words}"))
+                self.core.emit(UserMessage(". ".join((f"{now.name}: {movement.words}", *movement.notes))))
 
         return self.core.jobs.start(f"second ct {command.target_id}", "comparing with the second CT", work)
 

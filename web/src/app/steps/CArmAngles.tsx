@@ -21,7 +21,7 @@ export function CArmAngles({ plans }: { plans: PlansMessage }) {
             ? "The search for C-arm angles has stopped."
             : standing === "making"
               ? "Searching angles at which target and tip are clear\u2026"
-              : "The C-arm angles follow the verdict."}
+              : "The C-arm angles are computed after the verdict."}
         </p>
       ) : (
         <>

@@ -11,6 +11,7 @@ import type { Target, TargetPlan } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act, Choice, SwitchKey } from "../controls";
 import { Icon } from "../icons";
+import { PanelAnswer } from "../PlanAnswer";
 import { TargetDoubts } from "./TargetDoubts";
 
 /** Render the card of a target with a size. */
@@ -50,6 +51,7 @@ export function LesionCard({ target }: { target: Target }) {
         {target.note === "" || editing ? null : <span className="quiet lesion-note">{target.note}</span>}
         {plan?.bronchus_sign == null ? null : <span className="quiet">Bronchus sign: {plan.bronchus_sign}</span>}
         {plan === null ? null : <TargetDoubts target={target} plan={plan} />}
+        {plan === null || first === null || plan.unconfirmed.length > 0 ? null : <PanelAnswer plan={plan} />}
         {plan !== null && plan.unconfirmed.length > 0 ? null : plan !== null && plan.problem !== null ? (
           <span className="warning-text" data-testid="lesion-problem">
             <Icon name="warning" /> {sentence(plan.problem)}

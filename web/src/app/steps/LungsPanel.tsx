@@ -23,10 +23,10 @@ export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
   const reaching = lungs?.reach_standing === "making";
   return (
     <div className="lungs" data-testid="lungs">
-      <h3>Round the target</h3>
+      <h3>Around the target</h3>
       {lungs?.outdated === true ? (
         <p className="warning-text" data-testid="lungs-outdated">
-          <Icon name="warning" /> The airways have changed. Look again to show it.
+          <Icon name="warning" /> The airways have changed. Compute these structures again.
         </p>
       ) : null}
       {(lungs?.problems ?? []).map((problem) => (
@@ -36,7 +36,7 @@ export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
       ))}
       {lungs?.standing === "had" ? null : (
         <Act
-          label={mapping ? "Looking\u2026" : "Show what lies round the target"}
+          label={mapping ? "Computing\u2026" : "Show vessels, lobes and stations"}
           words="Find vessels, fissures and lobes of both lungs, and place the EBUS stations (about a minute)"
           disabled={mapping}
           testId="map-lungs"

@@ -12,7 +12,7 @@ import type { PlansMessage, ScopeVerdict, Target, TargetPlan } from "../../wire/
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 import { Icon } from "../icons";
-import { useAnswerShown } from "../PlanAnswer";
+import { PanelAnswer, useAnswerShown } from "../PlanAnswer";
 import type { PlanSuffix } from "../workstation";
 import { CArmAngles } from "./CArmAngles";
 import { OUTCOME_MARKS } from "./outcome-marks";
@@ -30,12 +30,14 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
       <p>
         To <strong>{target.name}</strong>
       </p>
+      {plan.routes.length === 0 ? null : <PanelAnswer plan={plan} />}
       {answered ? null : <ReasonsAgainst reasons={plan.reasons} />}
       {plan.problem === null || answered || plan.reasons.length > 0 ? null : (
         <p className="warning-text">
           <Icon name="warning" /> {sentence(plan.problem)}
         </p>
       )}
+      {chosen === null || answered ? null : <PrintButton target={target} />}
       {plan.routes.length === 0 ? null : <RouteTable target={target} plan={plan} />}
       {chosen === null ? null : (
         <p className="quiet">
@@ -47,6 +49,12 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
           .
         </p>
       )}
+      {plan.movement === null ? null : (
+        <p className="quiet" data-testid="movement">
+          {sentence(plan.movement)}.
+        </p>
+      )}
+      <SecondCt target={target} plan={plan} />
       {chosen === null || plans === null ? null : (
         <>
           <RoutePairs target={target} plan={plan} plans={plans} />
@@ -54,15 +62,10 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
           <Turns plans={plans} />
           <CArmAngles plans={plans} />
           <RouteStations plan={plan} note={plans.station_note} />
-          <Print target={target} answered={answered} />
+          <Exports target={target} />
         </>
       )}
       <Options target={target} plan={plan} />
-      {plan.movement === null ? null : (
-        <p className="quiet" data-testid="movement">
-          {sentence(plan.movement)}.
-        </p>
-      )}
     </div>
   );
 }
@@ -169,7 +172,6 @@ function Options({ target, plan }: { target: Target; plan: TargetPlan }) {
         placeholder={movedPlaceholder(plan)}
         onChange={(value) => change({ moved_mm: value, movement: null })}
       />
-      <SecondCt target={target} plan={plan} forget={() => change({ movement: null })} />
       <Millimetres
         title="Depth of the main carina at nose or mouth, mm"
         value={plan.options.carina_depth_mm}
@@ -191,7 +193,7 @@ function movedPlaceholder(plan: TargetPlan): string {
 }
 
 /** Render the field for a second CT of the patient, from which the movement of the target is measured. */
-function SecondCt({ target, plan, forget }: { target: Target; plan: TargetPlan; forget: () => void }) {
+function SecondCt({ target, plan }: { target: Target; plan: TargetPlan }) {
   const station = useStation();
   const [path, setPath] = useState("");
   const measure = () => {
@@ -199,9 +201,10 @@ function SecondCt({ target, plan, forget }: { target: Target; plan: TargetPlan; 
     station.send({ type: "measure_movement", target_id: target.target_id, path: path.trim() });
   };
   return (
-    <>
+    <details className="plan-options" data-testid="second-ct-options">
+      <summary>Measure the movement from a second CT</summary>
       <label>
-        Second CT of the patient
+        Second CT of this patient: in expiration, or an earlier one
         <input
           type="text"
           value={path}
@@ -216,9 +219,8 @@ function SecondCt({ target, plan, forget }: { target: Target; plan: TargetPlan; 
       </label>
       <div className="row">
         <Act
-          kind="quiet"
-          label="Measure the movement"
-          words="Compare forks and vessels with a second CT, such as one in expiration, and plan with the target's shift"
+          label="Measure"
+          words="Compare forks and vessels with the second CT, and plan with the target's shift (about a minute)"
           disabled={path.trim() === ""}
           testId="measure-movement"
           onPress={measure}
@@ -229,11 +231,18 @@ function SecondCt({ target, plan, forget }: { target: Target; plan: TargetPlan; 
             label="Use the default"
             words="Discard the measured movement and plan with the default of the target's lobe"
             testId="forget-movement"
-            onPress={forget}
+            onPress={() =>
+              station.send({
+                type: "set_plan_options",
+                target_id: target.target_id,
+                ...plan.options,
+                movement: null,
+              })
+            }
           />
         )}
       </div>
-    </>
+    </details>
   );
 }
 
@@ -391,22 +400,27 @@ function Turns({ plans }: { plans: PlansMessage }) {
   );
 }
 
-/** Render the exports of the plan; `answered` leaves out the print button, which is in the answer above the pictures. */
-function Print({ target, answered }: { target: Target; answered: boolean }) {
+/** Render the button that prints the plan. */
+function PrintButton({ target }: { target: Target }) {
+  const station = useStation();
+  return (
+    <Act
+      kind="primary"
+      icon="file"
+      label="Print the plan"
+      words="Make the report, and open it in a new tab to be printed"
+      testId="print-plan"
+      onPress={() => station.printPlan(target.target_id, "report")}
+    />
+  );
+}
+
+/** Render the exports of the plan. */
+function Exports({ target }: { target: Target }) {
   const station = useStation();
   const making = useApp((state) => state.ui.making);
   return (
     <>
-      {answered ? null : (
-        <Act
-          kind="primary"
-          icon="file"
-          label="Print the plan"
-          words="Make the report, and open it in a new tab to be printed"
-          testId="print-plan"
-          onPress={() => station.printPlan(target.target_id, "report")}
-        />
-      )}
       <div className="row">
         <Act
           kind="quiet"

@@ -21,10 +21,11 @@ export function TargetStep() {
   const station = useStation();
   const targets = useApp((state) => state.session?.targets ?? null);
   const armed = useApp((state) => state.ui.armed === "target");
+  const found = useApp((state) => state.session?.airways === "found");
   const reach = useReachOf();
   return (
     <>
-      <PathSearch />
+      {found ? null : <PathSearch />}
       <Act
         kind="primary"
         icon="target"
@@ -36,14 +37,15 @@ export function TargetStep() {
       />
       <PenText />
       <MarkText />
-      <Coordinates />
-      <FromFile />
-      <LungsPanel scope={reach.scope} tool={reach.tool} />
       {targets === null || targets.length === 0 ? (
         <p className="empty">Targets appear here, each with its path, or why no path leads there.</p>
       ) : (
         <TargetList targets={targets} />
       )}
+      <Coordinates />
+      <FromFile />
+      <LungsPanel scope={reach.scope} tool={reach.tool} />
+      {found ? <PathSearch /> : null}
     </>
   );
 }
