@@ -156,13 +156,15 @@ def _of_tree(plan: Plan) -> _Parts:
     if plan.lost is not None:
         yield "plan.lost", plan.lost.words, "caution"
     for note in plan.notes:
-        yield "plan.note", note, "caution"
+        if note not in plan.movement.notes:
+            yield "plan.note", note, "caution"
 
 
 def _of_movement(plan: Plan) -> _Parts:
-    """Yield the warnings about a movement that was measured from a second CT."""
+    """Yield the warnings about the movement of the target."""
+    origin = "movement from the second CT" if plan.movement.origin == "measured" else "movement"
     for note in plan.movement.notes:
-        yield "plan.movement", f"movement from the second CT: {note}", "caution"
+        yield "plan.movement", f"{origin}: {note}", "caution"
 
 
 def _of_hours(turns: TurnList | None) -> _Parts:

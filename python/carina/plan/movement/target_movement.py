@@ -45,7 +45,7 @@ class TargetMovement:
     error_mm: float | None = None
     """Length in mm within which the true shift lies round the measured one in 90 %; None unless measured."""
     notes: tuple[str, ...] = ()
-    """Warnings about the measurement, for the user."""
+    """Warnings about the movement, for the user."""
 
     def __post_init__(self) -> None:
         """Raise an error if a field of this `TargetMovement` has an invalid value."""

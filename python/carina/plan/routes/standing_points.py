@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -30,6 +31,10 @@ PLACES_MM = 0.7
 ON_BRANCH_MM = 0.001
 FINE_MM = 0.175
 """Distance in mm between the additional scope positions round the best ones."""
+LOWER_LOBES = {"RUL": "RLL", "RML": "RLL", "LUL": "LLL", "LML": "LLL"}
+"""Lower lobe of the same lung for each other lobe; a mirrored chest has LML."""
+EITHER_LOBE_MM = 5.0
+"""Distance in mm by which airways of a lower lobe may be farther from a target that may be in this lobe."""
 INTO_MM, BESIDE_MM = 0.8, 2.0
 """Largest distances in mm of a lumen from a nodule: for an airway that leads into the nodule, and for one beside it."""
 DOUBTFUL = 0.5
@@ -291,9 +296,26 @@ class Places(Ways):
         return "none", None, None
 
     def default_movement(self) -> TargetMovement:
-        """Return the movement that is assumed without a measurement, by the lobe of the nearest airway."""
+        """Return the movement that is assumed without a measurement, by the lobe of the nearest airway.
+
+        A target near a fissure may move with either lobe, so that the larger movement applies.
+        """
         branch, _, _ = self._tree.nearest_branch(self.nodule.centre_lps)
-        return default_movement(branch_side_and_lobe(self._tree)[branch.id])
+        lobes = branch_side_and_lobe(self._tree)
+        own = lobes[branch.id]
+        lower = LOWER_LOBES.get(own or "")
+        gap_mm: dict[str, float] = {}
+        for one in self._tree.branches if lower is not None else ():
+            lobe = lobes[one.id]
+            if lobe in {own, lower} and lobe is not None and len(one.points):
+                gap_mm[lobe] = min(gap_mm.get(lobe, math.inf), float(self.nodule.distance_mm(one.points).min()))
+        if lower is None or own is None or gap_mm.get(lower, math.inf) > gap_mm.get(own, 0.0) + EITHER_LOBE_MM:
+            return default_movement(own)
+        note = (
+            f"airways of {own} and {lower} are about equally near to the target, which may be in either lobe or across "
+            f"the fissure; the larger movement, that of {lower}, is used"
+        )
+        return replace(default_movement(lower), notes=(note,))
 
     def nearest(self) -> NearestPlace | None:
         """Return the place nearest to the nodule's edge; None for a tree without branches."""

@@ -91,7 +91,8 @@ class RouteHandlers(CommandHandlers):
                         raise NoResultError(msg)
                     if tracked_in is document.airways:
                         if tracked.problem is not None and why_none is not None:
-                            tracked = replace(tracked, problem=f"{tracked.problem}. Nor is it in a nodule: {why_none}")
+                            problem = f"no nodule was found here: {why_none}. No airway either: {tracked.problem}"
+                            tracked = replace(tracked, problem=problem)
                         route = tracked.route or document.route
                         changed = replace(document, targets=(*document.targets, tracked), route=route)
                         self.core.change(case, f"add {target.name}", changed)

@@ -41,7 +41,7 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
       {plan.routes.length === 0 ? null : <RouteTable target={target} plan={plan} />}
       {chosen === null ? null : (
         <p className="quiet">
-          Needle through{" "}
+          Along the needle’s line:{" "}
           {chosen.leg.crossed
             .filter((one) => one.tissue !== "lumen")
             .map((one) => `${one.tissue} ${(one.to_mm - one.from_mm).toFixed(0)}\u202fmm`)
