@@ -7,6 +7,7 @@ from places import place_in_slice, show_slices_at
 
 import carina
 from made import made_phantom
+from second_scan import write_second_ct
 
 pytestmark = pytest.mark.browser
 
@@ -18,6 +19,7 @@ def opens(tmp_path):
     """Return a chest with a nodule, as the opened file; its second CT is beside it."""
     volume = made_phantom(**CHEST).volume
     carina.write_phantom(made_phantom(**CHEST), tmp_path)
+    write_second_ct(volume, tmp_path / "second.nii.gz")
     half = volume.hu_zyx[: len(volume.hu_zyx) // 4]
     carina.volume.write_grid(tmp_path / "half.nii.gz", half, volume.lps_from_ijk, what="half a chest")
     return {"path": str(tmp_path / "ct.nii.gz")}
@@ -44,6 +46,11 @@ def test_second_ct_replaces_the_default_movement_and_half_a_chest_is_refused(ser
     assert workstation.state("plans.targets[0].options.movement") is None
 
     page.get_by_test_id("second-ct").fill(str(tmp_path / "ct.nii.gz"))
+    page.keyboard.press("Enter")
+    workstation.wait_while_working("window.__carina.state.messages.some((one) => one.code === 'movement.same-ct')")
+    assert workstation.state("plans.targets[0].options.movement") is None
+
+    page.get_by_test_id("second-ct").fill(str(tmp_path / "second.nii.gz"))
     page.keyboard.press("Enter")
     workstation.wait_while_working("window.__carina.state.plans.targets[0].options.movement !== null")
     workstation.wait_while_working("window.__carina.state.plans.standing === 'had'")

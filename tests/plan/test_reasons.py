@@ -138,7 +138,7 @@ def test_every_check_against_the_planned_scope_is_a_reason(answer) -> None:
 
 def test_drive_that_arrives_is_not_a_reason() -> None:
     own = next(one for one in verdicts() if one.scope.name == plan().scope.name)
-    drive = Check("drive", "perhaps", 0.5, "if it fits: arrives at the standing place by 18 moves", "mechanics")
+    drive = Check("drive", "perhaps", 0.5, "if it fits: arrives at the end of the route by 18 moves", "mechanics")
     changed = dataclasses.replace(own, outcome="may reach", checks=(*own.checks, drive))
     route = dataclasses.replace(plan().routes[0], limits=(drive.words,))
     text = " ".join(one.words for one in reasons_against(plan(), route=route, verdicts=(changed,)))

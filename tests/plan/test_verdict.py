@@ -163,7 +163,7 @@ def test_scope_that_fits_and_bends_reaches_and_points_straight_ahead() -> None:
     tree, field, points = tube(60.0)
     found = judge_scope(tree, plan_in(points), field, scope())
     assert found.outcome == "reaches", found.words
-    assert found.words == "reaches the standing place and can point at the target" and found.would is None
+    assert found.words == "reaches the end of the route and can point at the target" and found.would is None
     assert found.reached_mm == pytest.approx(plan_in(points).routes[0].along_mm, abs=1.5)
     assert check(found, "pointing").share > 0.8 and found.hold is not None
     assert found.driven is not None and found.driven.arrived

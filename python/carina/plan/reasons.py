@@ -177,11 +177,16 @@ def _of_hours(turns: TurnList | None) -> _Parts:
 def _of_reach(plan: Plan, route: PlannedRoute, verdicts: Sequence[Verdict]) -> _Parts:
     """Yield why the planned scope does not, or may not, reach the end of the route."""
     verdict = next((one for one in verdicts if one.scope.name == plan.scope.name), None)
-    if verdict is not None and verdict.outcome != "reaches":
-        yield "plan.verdict", f"{verdict.scope.title} {_continued(verdict.words)}", "stop"
-    for check in () if verdict is None else verdict.checks:
-        if check.answer != "yes" and not check.words.startswith(ARRIVES):
-            yield "plan.verdict", check.words, "stop" if check.answer == "no" else "caution"
+    if verdict is not None:
+        if verdict.outcome != "reaches":
+            yield "plan.verdict", f"{verdict.scope.title} {_continued(verdict.words)}", "stop"
+        for check in verdict.checks:
+            if check.answer == "yes" or check.words.startswith(ARRIVES):
+                continue
+            # The text of some checks continues a sentence that begins with the instrument's name.
+            is_part = check.words.startswith("needs ") and check.words not in verdict.words
+            words = f"{verdict.scope.title} {check.words}" if is_part else check.words
+            yield "plan.verdict", words, "stop" if check.answer == "no" else "caution"
     for words in route.limits:
         if not words.startswith(ARRIVES):
             yield "plan.limit", words, "stop"

@@ -199,7 +199,7 @@ def check_affine(motion: Affine, off_mm: Points) -> None:
     stretch = np.linalg.svd(motion.matrix)[1]
     if median > MOST_MEDIAN_MM:
         raise _other_patient(
-            f"the forks of the airways are {median:.1f} mm (median) from the best fit (at most {MOST_MEDIAN_MM:.0f} mm "
+            f"the forks of the airways are {median:.1f} mm (median) from the best fit (less than {MOST_MEDIAN_MM:.0f} mm "
             "expected)"
         )
     if stretch.min() < STRETCH[0] or stretch.max() > STRETCH[1]:

@@ -128,9 +128,9 @@ class Verdict:
 
     @property
     def words(self) -> str:
-        """Verdict as text, such as *reaches the standing place and can point at the target*."""
+        """Verdict as text, such as *reaches the end of the route and can point at the target*."""
         if self.outcome == "reaches":
-            return "reaches the standing place and can point at the target"
+            return "reaches the end of the route and can point at the target"
         worst = [check for check in self.checks if check.answer in {"no", "unknown", "perhaps"}]
         order = {"no": 0, "unknown": 1, "perhaps": 2}
         worst.sort(key=lambda check: order[check.answer])
@@ -653,7 +653,7 @@ class RouteJudge:
             return _Drive(None, (check,))
         if not route.arrived:
             lacks_mm = self._way.told_mm(self._way.park_mm) - route.stopped_mm
-            words = f"the drive stops {lacks_mm:.0f} mm before the standing place: {route.why}"
+            words = f"the drive stops {lacks_mm:.0f} mm before the end of the route: {route.why}"
             if self._laid_mm(scope) < self._way.park_mm - NEAR_MM:
                 return _Drive(route, (Check("drive", "no", 0.0, words, MECHANICS),))
             words += "; the scope fits along the whole route, and another way of driving it may get there"
@@ -677,7 +677,7 @@ class RouteJudge:
             )
             shorter = aim_drive(self._way, self._wall, scope, route, self._sure_share)
             aimed = shorter if shorter.share >= min(aimed.share, ENOUGH) else aimed
-        words = f"arrives at the standing place by {len(route.moves)} moves"
+        words = f"arrives at the end of the route by {len(route.moves)} moves"
         arrives = Check("drive", "yes", 1.0, words, MECHANICS)
         tip = aimed.lps_from_tip
         share = self._hit_share(tip[:3, 3], tip[:3, 2])
