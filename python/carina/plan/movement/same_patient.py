@@ -199,8 +199,8 @@ def check_affine(motion: Affine, off_mm: Points) -> None:
     stretch = np.linalg.svd(motion.matrix)[1]
     if median > MOST_MEDIAN_MM:
         raise _other_patient(
-            f"the forks of the airways are {median:.1f} mm (median) from the best fit (less than {MOST_MEDIAN_MM:.0f} mm "
-            "expected)"
+            f"the forks of the airways are {median:.1f} mm (median) from the best fit "
+            f"(less than {MOST_MEDIAN_MM:.0f} mm expected)"
         )
     if stretch.min() < STRETCH[0] or stretch.max() > STRETCH[1]:
         raise _other_patient(
