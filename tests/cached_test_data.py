@@ -197,7 +197,7 @@ def _airways(options: str) -> Airways:
 
 
 def cached_airways(**options: Any) -> Airways:
-    """Return the airways of :func:`made_phantom`, searched once for all workers."""
+    """Return the airways of :func:`cached_phantom`, searched once for all workers."""
     return _airways(json.dumps(options, sort_keys=True))
 
 
