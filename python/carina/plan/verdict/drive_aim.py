@@ -22,6 +22,8 @@ HitShare = Callable[[Points, Points], float]
 _Judged = tuple[float, float, MoveRecorder]
 """Share of hits, angle in degrees from the target, and the recorder of the moves that led there."""
 
+SEARCHED_MM = 5.5
+"""Distance in mm behind a place up to which `DriveWay.nearest` finds a tip."""
 GAIN, MOST_CHANGE_DEG, MOST_MOVES = 0.8, 30.0, 12
 FLEXION_MOST_DEG = 210.0
 GOOD, ENOUGH = 0.95, 0.5
@@ -31,9 +33,20 @@ Above the first share no more moves are tried. Below the second share a grid of 
 """
 WITHDRAWALS_MM = (3.0, 6.0, 10.0, 15.0)
 """Distances in mm by which the scope is withdrawn before it is aimed again, if fewer than half of the needles hit."""
-NUM_ROLLS, NUM_LEVERS = 12, 4
-BEST_HOLDS = 3
-"""Number of grid entries that are simulated: those that point nearest to the target."""
+NUM_ROLLS, NUM_LEVERS = 12, 6
+"""Number of rolls and of lever settings of a grid of holds; the lever goes up only, because the rolls go all round."""
+BEST_HOLDS = 4
+"""Number of holds of a grid that are executed as moves: those from which most needles hit."""
+GRIDS_BACK_MM = (0.0, 3.0)
+"""Distances in mm by which the scope is withdrawn before a grid of holds is tried."""
+REFINED_FROM, MOST_ROUNDS, NUM_REFINED = 0.1, 6, 3
+"""Least share of hits from which a hold is refined, largest number of rounds of small changes, and number of holds."""
+SMALL_CHANGES = (
+    *((turn_deg, 0.0, 0.0) for turn_deg in (-30.0, -10.0, 10.0, 30.0)),
+    *((0.0, lever_deg, 0.0) for lever_deg in (-30.0, -10.0, 10.0, 30.0)),
+    *((0.0, 0.0, advance_mm) for advance_mm in (-3.0, -1.0, 1.0, 2.0)),
+)
+"""Small changes of a hold that are tried in each round: turn and lever in degrees, advance in mm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +58,8 @@ class AimedDrive:
     """Share of the needles from the tip's final pose that hit the target, 0 to 1."""
     off_deg: float
     """Angle in degrees between the tip's direction and the direction to the middle of the target."""
+    before_mm: float
+    """Distance of the tip before the end of the route along the route, mm; 0 or less at or beyond its end."""
     lps_from_tip: NDArray[np.float64]
     """(4, 4) final pose of the tip."""
 
@@ -78,14 +93,26 @@ def aim_drive(
             recorder.repeat((Move(0.0, recorder.flexion_deg, -back_mm),))
         found += _turned_to_aim(recorder, way, hit_share)
     if max(found, key=_worth)[0] < ENOUGH:
-        for hold in _holds(arrived.copy(), way.aim):
-            recorder = arrived.copy()
-            recorder.repeat((hold,))
-            found.append((*_judged(recorder, way.aim, hit_share), recorder))
+        for back_mm in GRIDS_BACK_MM:
+            withdrawn = arrived.copy()
+            if back_mm > 0.0:
+                withdrawn.repeat((Move(0.0, arrived.flexion_deg, -back_mm),))
+            for hold in _holds(withdrawn, way.aim, hit_share):
+                recorder = withdrawn.copy()
+                recorder.repeat(hold)
+                found.append((*_judged(recorder, way.aim, hit_share), recorder))
+    found.sort(key=_worth, reverse=True)
+    for one in found[:NUM_REFINED]:
+        if max(found, key=_worth)[0] >= ENOUGH:
+            break
+        found.append(_refined(one, way, hit_share))
     share, off_deg, recorder = max(found, key=_worth)
     aimed = recorder.driven(way, stopped_mm=way.park_mm, why=None)
     tip = recorder.state.pose.lps_from_camera
-    return AimedDrive(replace(aimed, stopped_mm=driven.stopped_mm), share, off_deg, tip)
+    before_mm = way.park_mm - way.nearest(tip[:3, 3], way.park_mm)[0]
+    if before_mm > SEARCHED_MM:
+        before_mm = way.park_mm - way.nearest(tip[:3, 3], way.park_mm - 2.0 * SEARCHED_MM)[0]
+    return AimedDrive(replace(aimed, stopped_mm=driven.stopped_mm), share, off_deg, before_mm, tip)
 
 
 def _turned_to_aim(recorder: MoveRecorder, way: DriveWay, hit_share: HitShare) -> list[_Judged]:
@@ -111,6 +138,33 @@ def _turned_to_aim(recorder: MoveRecorder, way: DriveWay, hit_share: HitShare) -
     return found
 
 
+def _refined(best: _Judged, way: DriveWay, hit_share: HitShare) -> _Judged:
+    """Return a hold after small changes of roll, lever and advance that increase the share of hits.
+
+    Only a hold from which some, but fewer than half, of the needles hit is changed.
+    """
+    if not REFINED_FROM <= best[0] < ENOUGH:
+        return best
+    for _ in range(MOST_ROUNDS):
+        recorder = best[2]
+        tried = []
+        for turn_deg, lever_deg, advance_mm in SMALL_CHANGES:
+            changed = recorder.copy()
+            down_deg, up_deg = (math.degrees(rad) for rad in changed.drive.flexion_range_rad)
+            flexion_deg = min(max(changed.flexion_deg + lever_deg, down_deg), up_deg)
+            changed.repeat((Move(turn_deg, flexion_deg, advance_mm),))
+            if advance_mm > 0.0 and changed.state.insertion_mm < recorder.state.insertion_mm + 0.5 * advance_mm:
+                continue
+            tried.append((*_judged(changed, way.aim, hit_share), changed))
+        better = max(tried, key=_worth, default=best)
+        if better[0] <= best[0]:
+            break
+        best = better
+        if best[0] >= GOOD:
+            break
+    return best
+
+
 def _worth(one: _Judged) -> tuple[float, float]:
     return one[0], -one[1]
 
@@ -122,23 +176,21 @@ def _judged(recorder: MoveRecorder, aim: Points, hit_share: HitShare) -> tuple[f
     return hit_share(tip[:3, 3], tip[:3, 2]), math.degrees(math.acos(cosine))
 
 
-def _holds(recorder: MoveRecorder, aim: Points) -> list[Move]:
-    """Return the rolls and lever settings that point the tip nearest to the target, as moves from the present state."""
-    drive, roll_deg = recorder.drive, recorder.roll_deg
-    down, up = (math.degrees(rad) for rad in drive.flexion_range_rad)
-    levers = [*np.linspace(0.0, up, NUM_LEVERS + 1)[1:], 0.0, *np.linspace(0.0, down, NUM_LEVERS + 1)[1:]]
-    held: list[tuple[float, Move]] = []
-    insertion_mm = drive.state.insertion_mm
+def _holds(arrived: MoveRecorder, aim: Points, hit_share: HitShare) -> list[tuple[Move, ...]]:
+    """Return the best holds of a grid of rolls and lever settings, as moves from the present state.
+
+    The pose depends on the order of turn and flexion, so the moves have the order of the grid: turn, straighten, flex.
+    """
+    up_deg = math.degrees(arrived.drive.flexion_range_rad[1])
+    held: list[tuple[tuple[float, float], tuple[Move, ...]]] = []
     for turn in STEP_DEG * np.round(360.0 * np.arange(NUM_ROLLS) / NUM_ROLLS / STEP_DEG):
-        roll = math.radians(roll_deg + float(turn))
-        drive.drive(insertion_mm, roll, 0.0, 0.1)
-        for lever in levers:
-            flexion_deg = STEP_DEG * math.trunc(float(lever) / STEP_DEG)
-            state = drive.drive(insertion_mm, roll, math.radians(flexion_deg), 0.1)
-            tip = state.pose.lps_from_camera
-            off = aim - tip[:3, 3]
-            cosine = float(tip[:3, 2] @ off) / max(float(np.linalg.norm(off)), 1e-9)
-            back = (float(turn) + 180.0) % 360.0 - 180.0
-            held.append((-cosine, Move(back, flexion_deg, 0.0)))
+        turned = Move((float(turn) + 180.0) % 360.0 - 180.0, 0.0, 0.0)
+        recorder = arrived.copy()
+        recorder.repeat((turned,))
+        for lever in np.linspace(0.0, up_deg, NUM_LEVERS + 1)[1:]:
+            flexed = Move(0.0, STEP_DEG * math.trunc(float(lever) / STEP_DEG), 0.0)
+            recorder.repeat((flexed,))
+            share, off_deg = _judged(recorder, aim, hit_share)
+            held.append(((-share, off_deg), (turned, flexed)))
     held.sort(key=lambda one: one[0])
-    return [move for _, move in held[:BEST_HOLDS]]
+    return [moves for _, moves in held[:BEST_HOLDS]]

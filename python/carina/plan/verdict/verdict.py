@@ -72,6 +72,10 @@ The substitute is thinner than the airway's wall by the first size, and has at l
 wall is wider than the instrument by less than the third size. If the instrument fits by the measured diameter, the
 substitute has no more play than the instrument in an airway of this diameter.
 """
+BEFORE_MM = 2.0
+"""Least distance in mm of the tip before the end of the route that the check of the pointing states."""
+FIELD_LACK_MM = 0.5
+"""Width in mm by which the samples of the wall field make a narrow lumen narrower than its largest ball."""
 UNFOUND = 0.5
 """Probability reported if a scope fits along the route but no drive was found, as the search may have missed one.
 
@@ -586,7 +590,7 @@ class RouteJudge:
         if any(check.answer == "no" for check in checks[:3]) or checks[1].answer == "unknown":
             driven_as = None
         elif self._errors:
-            room_mm = min(float(self._way.room_mm.min()), self._way.wall_room_mm)
+            room_mm = float(self._way.room_mm.min()) - FIELD_LACK_MM
             if checks[0].answer == "perhaps" or max(scope.tip_mm, scope.tube_mm or 0.0) > room_mm - SPARE_MM:
                 # The scope is as wide as the airway within the errors: the drive of a thinner substitute is simulated.
                 play_mm = SLIMMER_MM
@@ -688,7 +692,9 @@ class RouteJudge:
         elif answer == "yes" and not self._flexes_with_tool(scope, aimed.driven, loss_deg):
             answer = "perhaps"
             basis += f"; {self._plan.tool.title} in the channel takes {loss_deg:g} degrees of the flexion that it needs"
-        words = f"points {aimed.off_deg:.0f} degrees from the target centre; {100 * share:.0f} % of needle passes hit"
+        place = f", {aimed.before_mm:.0f} mm before the standing place" if aimed.before_mm >= BEFORE_MM else ""
+        hits = f"{100 * share:.0f} % of needle passes hit"
+        words = f"points {aimed.off_deg:.0f} degrees from the target centre{place}; {hits}"
         if aimed.share < POINTS <= share:
             words += ", but fewer than half if the target is as small as its error allows"
         pointing = Check("pointing", answer, share, words, basis)
