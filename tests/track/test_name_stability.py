@@ -127,7 +127,9 @@ def test_tip_that_a_moved_fork_lengthens_is_no_extension():
         branch.points[1] - branch.points[0]
     )
     longer = dataclasses.replace(
-        branch, points=np.concatenate([[back], branch.points]), radius=np.concatenate([branch.radius[:1], branch.radius])
+        branch,
+        points=np.concatenate([[back], branch.points]),
+        radius=np.concatenate([branch.radius[:1], branch.radius]),
     )
     moved = dataclasses.replace(tree, branches=tuple(longer if b.id == tip else b for b in tree.branches))
     assert not extends_tips_only(tree, moved)
