@@ -77,11 +77,11 @@ def test_cut_tip_leaves_the_names_outside_its_segment(seed):
 
 
 @pytest.mark.parametrize("seed", range(1, 5))
-def test_cut_tip_turns_the_body_frame_by_less_than_a_degree(seed):
+def test_cut_tip_turns_the_body_frame_by_less_than_two_and_a_half_degrees(seed):
     frame = _read(uncut(seed)).frame
     for tip, cut in cut_trees(seed):
         cosine = (np.trace(_read(cut).frame @ frame.T) - 1.0) / 2.0
-        assert np.degrees(np.arccos(min(cosine, 1.0))) < 1.0, tip
+        assert np.degrees(np.arccos(min(cosine, 1.0))) < 2.5, tip
 
 
 def test_order_of_letters_does_not_depend_on_the_length_of_a_tip():
