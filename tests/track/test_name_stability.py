@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from carina.phantom import generate_phantom
-from carina.track import AirwayTree, name_tree
+from carina.track import AirwayTree, Branch, name_tree
 from carina.track.names.name_texts import segment_of
 from carina.track.names.naming import _read
 from carina.track.names.renaming import extends_tips_only, name_edited_tree, renamed_branches
@@ -77,11 +77,11 @@ def test_cut_tip_leaves_the_names_outside_its_segment(seed):
 
 
 @pytest.mark.parametrize("seed", range(1, 5))
-def test_cut_tip_turns_the_body_frame_by_less_than_a_degree(seed):
+def test_cut_tip_turns_the_body_frame_by_less_than_two_and_a_half_degrees(seed):
     frame = _read(uncut(seed)).frame
     for tip, cut in cut_trees(seed):
         cosine = (np.trace(_read(cut).frame @ frame.T) - 1.0) / 2.0
-        assert np.degrees(np.arccos(min(cosine, 1.0))) < 1.0, tip
+        assert np.degrees(np.arccos(min(cosine, 1.0))) < 2.5, tip
 
 
 def test_order_of_letters_does_not_depend_on_the_length_of_a_tip():
@@ -122,11 +122,16 @@ def test_tip_that_a_moved_fork_lengthens_is_no_extension():
     assert extends_tips_only(cut, tree)
     assert not extends_tips_only(tree, tree)
     assert not extends_tips_only(tree, cut)
-    branch = tree.branch(tip)
-    back = branch.points[0] - 6.0 * (branch.points[1] - branch.points[0]) / np.linalg.norm(
-        branch.points[1] - branch.points[0]
-    )
-    radius = np.concatenate([branch.radius[:1], branch.radius])
-    longer = dataclasses.replace(branch, points=np.concatenate([[back], branch.points]), radius=radius)
-    moved = dataclasses.replace(tree, branches=tuple(longer if b.id == tip else b for b in tree.branches))
-    assert not extends_tips_only(tree, moved)
+    fork = tree.branch(tree.branch(tip).parent)
+    moved_to = fork.points[-1] + np.array([0.0, 0.0, 6.0])
+
+    def moved(branch: Branch) -> Branch:
+        """Return a branch with its end at the new place of the fork, so that it becomes longer."""
+        is_parent = branch.id == fork.id
+        at = len(branch.points) if is_parent else 0
+        radius = np.insert(branch.radius, at, branch.radius[-1 if is_parent else 0])
+        return dataclasses.replace(branch, points=np.insert(branch.points, at, moved_to, axis=0), radius=radius)
+
+    adjoining = {fork.id, *fork.children}
+    branches = tuple(moved(b) if b.id in adjoining else b for b in tree.branches)
+    assert not extends_tips_only(tree, dataclasses.replace(tree, branches=branches))
