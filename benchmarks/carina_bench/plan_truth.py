@@ -70,7 +70,7 @@ Holds of a place are refined if one points past the target's edge by less than t
 LEAST_HITS, NUM_NEEDLES = 0.5, 400
 """Least share of needles that hit from a hold, and number of simulated needles."""
 LEAST_POINTS, MOST_TOLD_WRONG = 0.9, 0.01
-"""Least share of routes stated as reachable that point, and of targets that holds hit; largest share of wrong statements."""
+"""Least share of reachable routes that point, and of targets that holds hit; largest share of wrong statements."""
 PATIENTS = ("Patient1", "Patient2", "Patient3", "lobes-Patient1", "lobes-Patient2")
 """Names of the patients whose CTs are painted with nodules."""
 CONDITION = "medium-25"

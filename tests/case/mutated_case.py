@@ -34,7 +34,7 @@ JSON_COLUMNS = (
 
 
 class Mutator:
-    """Random change of one value of a case file; ``description`` states the change for the message of a failing test."""
+    """Random change of one value of a case file; ``description`` states it for the message of a failing test."""
 
     def __init__(self, connection: sqlite3.Connection, seed: int) -> None:
         self._connection = connection
