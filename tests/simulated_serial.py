@@ -67,6 +67,6 @@ WAIT_S = 120.0
 def wait_for(what: Callable[[], object], seconds: float = WAIT_S) -> object:
     end = time.monotonic() + seconds
     while not (found := what()):
-        assert time.monotonic() < end, "waited in vain"
+        assert time.monotonic() < end, "the condition was not met in time"
         threading.Event().wait(0.005)
     return found

@@ -80,7 +80,7 @@ NEAR_TIP_MM = 5.0
 LEAST_HITS, NUM_NEEDLES = 0.5, 400
 """Least share of needles that hit from a hold, and number of simulated needles."""
 LEAST_POINTS, MOST_TOLD_WRONG = 0.9, 0.01
-"""Least share of routes stated as reachable that point, and of targets that holds hit, and largest share of wrong
+"""Least share of reachable routes that point, and of targets that holds hit, and largest share of wrong
 statements."""
 PATIENTS = ("Patient1", "Patient2", "Patient3", "lobes-Patient1", "lobes-Patient2")
 """Names of the patients whose CTs are painted with nodules."""

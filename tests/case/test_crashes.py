@@ -140,7 +140,7 @@ def test_power_failure_at_any_byte_of_the_journal_restores_one_of_the_saved_stat
             moments.append(active_case.moment())
             lengths.append(begun.with_name("one.carina-wal").stat().st_size)
         journal = begun.with_name("one.carina-wal").read_bytes()
-        assert begun.read_bytes() == whole, "all of it is still in the journal"
+        assert begun.read_bytes() == whole, "all changes are still in the journal"
     taken = tmp_path / "taken.carina"
     for cut in [0, 31, *rng.integers(0, len(journal), 20), *lengths]:
         taken.write_bytes(whole)

@@ -36,7 +36,7 @@ def saved_case(tmp_path_factory):
 
 
 @pytest.fixture
-def stranger(saved_case, tmp_path):
+def foreign_file(saved_case, tmp_path):
     """Return a copy of the case file that the test may damage."""
     return shutil.copy(saved_case[1], tmp_path / "stranger.carina")
 
@@ -84,13 +84,13 @@ def looked_through(path, active_case):
     ],
 )
 @pytest.mark.parametrize("read_only", [True, False])
-def test_database_with_tables_unlike_the_schema_is_refused(stranger, statement, read_only):
-    changed(stranger, statement)
-    before = stranger.read_bytes()
+def test_database_with_tables_unlike_the_schema_is_refused(foreign_file, statement, read_only):
+    changed(foreign_file, statement)
+    before = foreign_file.read_bytes()
     with pytest.raises(CaseFileError, match="its tables are not those") as refusal:
-        CaseFile.open(stranger, read_only=read_only)
+        CaseFile.open(foreign_file, read_only=read_only)
     assert refusal.value.code == "case.damaged"
-    assert stranger.read_bytes() == before
+    assert foreign_file.read_bytes() == before
 
 
 def test_file_that_is_not_a_case_file_is_refused(tmp_path):
@@ -108,19 +108,19 @@ def test_file_that_is_not_a_case_file_is_refused(tmp_path):
         CaseFile.open(tmp_path / "missing.carina")
 
 
-def test_case_of_a_newer_version_opens_for_reading_and_is_not_changed(saved_case, stranger):
+def test_case_of_a_newer_version_opens_for_reading_and_is_not_changed(saved_case, foreign_file):
     changed(
-        stranger, "CREATE TABLE scores (id INTEGER PRIMARY KEY, json TEXT NOT NULL) STRICT", "PRAGMA user_version=3"
+        foreign_file, "CREATE TABLE scores (id INTEGER PRIMARY KEY, json TEXT NOT NULL) STRICT", "PRAGMA user_version=3"
     )
-    before = stranger.read_bytes()
-    with CaseFile.open(stranger) as file:
+    before = foreign_file.read_bytes()
+    with CaseFile.open(foreign_file) as file:
         assert file.read_only
         assert "newer version of Carina saved this case" in file.note
         assert_same_moment(file.load(saved_case[0].case.volume), saved_case[0].moment(), saved_case[0].case)
-    assert stranger.read_bytes() == before
-    changed(stranger, "CREATE VIEW more AS SELECT 1")
+    assert foreign_file.read_bytes() == before
+    changed(foreign_file, "CREATE VIEW more AS SELECT 1")
     with pytest.raises(CaseFileError, match="update Carina"):
-        CaseFile.open(stranger, read_only=True)
+        CaseFile.open(foreign_file, read_only=True)
 
 
 def as_before_measures(path):
@@ -132,24 +132,24 @@ def as_before_measures(path):
     return path
 
 
-def test_case_of_an_older_version_is_migrated_in_a_copy(saved_case, stranger, tmp_path):
-    as_before_measures(stranger)
-    before = stranger.read_bytes()
+def test_case_of_an_older_version_is_migrated_in_a_copy(saved_case, foreign_file, tmp_path):
+    as_before_measures(foreign_file)
+    before = foreign_file.read_bytes()
     with pytest.raises(CaseFileError, match="an older version of Carina saved it") as refusal:
-        CaseFile.open(stranger)
+        CaseFile.open(foreign_file)
     assert refusal.value.code == "case.older"
     moment = replace(saved_case[0].moment(), measures=())
-    with CaseFile.open(stranger, read_only=True) as file:
+    with CaseFile.open(foreign_file, read_only=True) as file:
         assert_same_moment(file.load(saved_case[0].case.volume), moment, saved_case[0].case)
-    migrate(stranger, tmp_path / "now.carina")
-    assert stranger.read_bytes() == before
+    migrate(foreign_file, tmp_path / "now.carina")
+    assert foreign_file.read_bytes() == before
     with CaseFile.open(tmp_path / "now.carina") as file:
         assert_same_moment(file.load(saved_case[0].case.volume), moment, saved_case[0].case)
         file.save(saved_case[0].moment())
     with CaseFile.open(tmp_path / "now.carina") as file:
         assert_same_moment(file.load(saved_case[0].case.volume), saved_case[0].moment(), saved_case[0].case)
     # The rescue of a schema 1 file does not report missing measures.
-    assert rescued(stranger, tmp_path / "rescued.carina") == ()
+    assert rescued(foreign_file, tmp_path / "rescued.carina") == ()
 
 
 @pytest.mark.parametrize(
@@ -162,36 +162,36 @@ def test_case_of_an_older_version_is_migrated_in_a_copy(saved_case, stranger, tm
     ],
 )
 @pytest.mark.parametrize("read_only", [True, False])
-def test_older_file_with_tables_unlike_its_schema_is_refused(stranger, statement, read_only):
-    changed(as_before_measures(stranger), statement)
-    before = stranger.read_bytes()
+def test_older_file_with_tables_unlike_its_schema_is_refused(foreign_file, statement, read_only):
+    changed(as_before_measures(foreign_file), statement)
+    before = foreign_file.read_bytes()
     with pytest.raises(CaseFileError, match="its tables are not those of schema 1"):
-        CaseFile.open(stranger, read_only=read_only)
-    assert stranger.read_bytes() == before
+        CaseFile.open(foreign_file, read_only=read_only)
+    assert foreign_file.read_bytes() == before
 
 
 @pytest.mark.parametrize("has_journal", [False, True])
-def test_live_case_of_an_older_version_is_migrated_beside_its_original(saved_case, stranger, tmp_path, has_journal):
-    as_before_measures(stranger)
-    with contextlib.closing(sqlite3.connect(stranger)) as connection:
+def test_live_case_of_an_older_version_is_migrated_beside_its_original(saved_case, foreign_file, tmp_path, has_journal):
+    as_before_measures(foreign_file)
+    with contextlib.closing(sqlite3.connect(foreign_file)) as connection:
         before = connection.execute("SELECT n, label FROM step").fetchall()
     if has_journal:
-        live = sqlite3.connect(stranger, isolation_level=None)
+        live = sqlite3.connect(foreign_file, isolation_level=None)
         live.execute("PRAGMA journal_mode=WAL")
         live.execute("UPDATE step SET label = 'cut, in the journal' WHERE n = 2")
-        for name in (stranger.name, f"{stranger.name}-wal"):
+        for name in (foreign_file.name, f"{foreign_file.name}-wal"):
             (tmp_path / "taken").mkdir(exist_ok=True)
-            shutil.copy(stranger.with_name(name), tmp_path / "taken" / name)
+            shutil.copy(foreign_file.with_name(name), tmp_path / "taken" / name)
         live.close()
-        stranger, before = tmp_path / "taken" / stranger.name, None
-    beside = migrate_live(stranger)
-    assert sorted(p.name for p in stranger.parent.iterdir()) == ["stranger-schema-1.carina", "stranger.carina"]
-    assert {stat.S_IMODE(p.stat().st_mode) for p in (beside, stranger)} == {0o600}
+        foreign_file, before = tmp_path / "taken" / foreign_file.name, None
+    beside = migrate_live(foreign_file)
+    assert sorted(p.name for p in foreign_file.parent.iterdir()) == ["stranger-schema-1.carina", "stranger.carina"]
+    assert {stat.S_IMODE(p.stat().st_mode) for p in (beside, foreign_file)} == {0o600}
     connection = sqlite3.connect(beside)
     assert connection.execute("PRAGMA user_version").fetchone() == (1,)
     stored = connection.execute("SELECT n, label FROM step").fetchall()
     connection.close()
-    with CaseFile.open(stranger) as file:
+    with CaseFile.open(foreign_file) as file:
         labels = [step.label for step in file.history()]
         file.load(saved_case[0].case.volume)
     assert [label for _, label in stored[1:]] == labels
@@ -283,22 +283,22 @@ def test_damaged_journal_loses_only_the_changes_that_it_contained(saved_case, tm
         ("UPDATE recording_chunk SET n = 7", "recording"),
     ],
 )
-def test_stored_content_with_a_wrong_digest_or_value_is_reported(saved_case, stranger, statement, where):
-    changed(stranger, "PRAGMA foreign_keys=OFF", statement)
+def test_stored_content_with_a_wrong_digest_or_value_is_reported(saved_case, foreign_file, statement, where):
+    changed(foreign_file, "PRAGMA foreign_keys=OFF", statement)
     with pytest.raises(CaseFileError, match=where) as refusal:
-        looked_through(stranger, saved_case[0])
+        looked_through(foreign_file, saved_case[0])
     assert refusal.value.code == "case.damaged"
     assert "expected" in str(refusal.value)
 
 
-def test_compressed_array_of_enormous_size_is_refused_before_decompression(saved_case, stranger):
+def test_compressed_array_of_enormous_size_is_refused_before_decompression(saved_case, foreign_file):
     bomb = zlib.compress(bytes(60 << 20), 9)
-    changed(stranger, "PRAGMA foreign_keys=OFF", ("UPDATE array SET count = 7864320, width = 0, data = ?", (bomb,)))
+    changed(foreign_file, "PRAGMA foreign_keys=OFF", ("UPDATE array SET count = 7864320, width = 0, data = ?", (bomb,)))
     with pytest.raises(CaseFileError, match=r"expected content that matches|f8"):
-        looked_through(stranger, saved_case[0])
-    changed(stranger, ("UPDATE tile SET data = ?", (bomb,)))
+        looked_through(foreign_file, saved_case[0])
+    changed(foreign_file, ("UPDATE tile SET data = ?", (bomb,)))
     with pytest.raises(CaseFileError, match="expected"):
-        looked_through(stranger, saved_case[0])
+        looked_through(foreign_file, saved_case[0])
 
 
 def _spoilt(path, saved_case, draw):
@@ -353,17 +353,17 @@ def test_2000_case_files_with_flipped_bits_or_truncation_are_refused_or_read_com
 # Rescue of a case file
 
 
-def test_rescue_of_an_undamaged_case_restores_all_content(saved_case, stranger, tmp_path):
-    assert rescued(stranger, tmp_path / "rescued.carina") == ()
+def test_rescue_of_an_undamaged_case_restores_all_content(saved_case, foreign_file, tmp_path):
+    assert rescued(foreign_file, tmp_path / "rescued.carina") == ()
     with CaseFile.open(tmp_path / "rescued.carina") as file:
         assert_same_moment(file.load(saved_case[0].case.volume), saved_case[0].moment(), saved_case[0].case)
         assert file.recordings()[0].name == "flight"
 
 
-def test_rescue_of_a_damaged_case_lists_lost_parts_and_restores_the_rest(saved_case, stranger, tmp_path):
+def test_rescue_of_a_damaged_case_lists_lost_parts_and_restores_the_rest(saved_case, foreign_file, tmp_path):
     active_case = saved_case[0]
     changed(
-        stranger,
+        foreign_file,
         "PRAGMA foreign_keys=OFF",
         "UPDATE airways SET facts = '{}' WHERE id = (SELECT max(id) FROM airways)",
         "UPDATE route SET facts = '{}' WHERE id = (SELECT max(id) FROM route)",
@@ -371,7 +371,7 @@ def test_rescue_of_a_damaged_case_lists_lost_parts_and_restores_the_rest(saved_c
         "DELETE FROM moment",
         "DELETE FROM recording_chunk",
     )
-    lost = rescued(stranger, tmp_path / "rescued.carina")
+    lost = rescued(foreign_file, tmp_path / "rescued.carina")
     assert "the displayed views and the tip position" in lost
     assert any("the airways" in line for line in lost), lost
     assert "step 0 (the start): the measurements of the airways" in lost

@@ -64,7 +64,7 @@ def test_stated_obstruction_in_a_real_ct_is_false_if_a_listed_airway_continues_b
     assert is_passed(statement("filled", 1, 0, -20), [LINE])
     assert not is_passed(statement("filled", 1, 0, -38), [LINE]), "2 mm of the airway are left"
     assert not is_passed(statement("filled", FAR, 0, -20), [LINE]), "the airway is elsewhere"
-    assert not is_passed(statement("filled"), [LINE]), "the statement has no place"
+    assert not is_passed(statement("filled"), [LINE]), "the statement has no position"
 
 
 def test_only_a_stump_without_a_lobe_counts_as_correct_at_a_blunt_end_of_the_phantom():

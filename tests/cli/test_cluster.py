@@ -183,4 +183,4 @@ def test_cluster_can_be_started_used_and_stopped_and_leaves_no_process(tmp_path)
     finally:
         head.send_signal(signal.SIGTERM)
         head.communicate(timeout=240)
-    assert not [pid for pid, began in tree.items() if _began(pid) == began], "processes were left behind"
+    assert not [pid for pid, began in tree.items() if _began(pid) == began], "processes still run"

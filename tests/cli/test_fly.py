@@ -224,7 +224,7 @@ def test_video_of_a_recording_with_wall_contact_uses_the_recorded_airway_wall(ca
     for _ in range(10):
         fixture.clock.advance(0.1)
         session.do(Steer(2.0, 0.0, 0.2, 0.1))
-    assert session.pose_info().scope.contact is not None, "the wall holds it"
+    assert session.pose_info().scope.contact is not None, "the wall stops the scope"
     session.do(StopRecording())
     session.close()
     output = tmp_path / "r.mp4"

@@ -210,7 +210,7 @@ def test_renderer_that_stops_replying_delays_only_one_picture_and_is_used_again_
         # The picture is complete although the strip of lane 1 is delayed until ``release`` below.
         future = made.renderer.request(_airway(case))[1]
         assert np.array_equal(future.result(timeout=WAIT_S).rgb, expected)
-        assert "away" not in [m.state for m in made.console.status().members], "it is not given up for it"
+        assert "away" not in [m.state for m in made.console.status().members], "the picture is not cancelled for it"
     _wait(made, lambda: [m.state for m in made.console.status().members if m.name == "lane-1"] == ["late"])
     _wait(made, lambda: any("lane-1 is late" in n for n in made.console.status().notices))
     assert sum("lane-1 is late" in n for n in made.console.status().notices) == 1
@@ -262,7 +262,7 @@ def test_frame_is_rendered_by_another_renderer_after_any_unusable_reply(case, cl
         assert np.array_equal(future.result(timeout=WAIT_S).rgb, expected)
         time.sleep(0.05)
 
-    def is_told() -> bool:
+    def is_reported() -> bool:
         reported = [n for n in made.console.status().notices if "lane-0" in n]
         is_complete = len(reported) >= len(expected_texts) and all(
             any(text in notice for notice in reported) for text in expected_texts
@@ -271,7 +271,7 @@ def test_frame_is_rendered_by_another_renderer_after_any_unusable_reply(case, cl
 
     for _ in range(6):
         shows_the_truth()
-    _wait(made, is_told, shows_the_truth)
+    _wait(made, is_reported, shows_the_truth)
 
 
 def test_error_while_strips_are_joined_is_raised_at_once(case, cluster, monkeypatch):

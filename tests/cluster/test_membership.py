@@ -81,7 +81,7 @@ class PlayedRay:
 
     def kill(self, actor: Actor, *, no_restart: bool) -> None:
         assert no_restart
-        assert not threading.current_thread().name.startswith("ray's own"), "Ray would wait for itself"
+        assert not threading.current_thread().name.startswith("ray's own"), "the call would wait for its own thread"
         actor.num_kills += 1
 
     def all_given_back(self) -> bool:
@@ -138,7 +138,7 @@ def test_renderer_still_starting_on_close_releases_its_machine(ray, join, versio
     console, cluster = join()
     [actor] = wait_for(lambda: list(ray.actors))
     cluster.close()
-    assert ray.all_given_back(), "the machine is taken as long as anybody holds the renderer"
+    assert ray.all_given_back(), "the machine is in use while the renderer exists"
     # A reply after the closing of the console is ignored.
     in_rays_thread(lambda: actor.says(version=version))
     assert names(console) == []

@@ -40,7 +40,7 @@ def head():
         ray.init(address=head.node.address, _node_ip_address=IP, log_to_driver=False, configure_logging=False)
         yield head
         ray.shutdown()
-    assert len(head.seen) > 4, "renderers were looked for where they are not"
+    assert len(head.seen) > 4, "the wrong renderers were listed"
     assert head.left == []
 
 

@@ -227,7 +227,7 @@ def test_reply_deadline_of_a_new_lane_follows_the_rate_of_the_other_lanes():
     alone.scheduler.join("a", 0.0)
     alone.scheduler.request(1, 99, 0.0)
     alone.take_actions()
-    assert alone.scheduler.deadline_s == pytest.approx(2.0), "nobody knows what such a picture takes"
+    assert alone.scheduler.deadline_s == pytest.approx(2.0), "the time of such a picture is unknown"
 
 
 def test_reply_with_a_strip_is_accepted_only_while_its_rows_are_missing():
@@ -337,7 +337,7 @@ def test_complete_frame_drops_the_older_frames_of_its_stream():
     for task in [t for t in fixture.issued if t.frame_id == 2]:
         fixture.answer(task, 0.01)
     assert fixture.rest == [FrameDone(2), FrameDropped(1)]
-    assert not fixture.answer(fixture.issued[0], 0.02), "no row of a dropped frame is wanted"
+    assert not fixture.answer(fixture.issued[0], 0.02), "no row of a dropped frame is requested"
 
 
 def test_buffer_of_a_dropped_frame_is_used_by_the_next_frame():

@@ -60,7 +60,7 @@ def test_frames_continue_for_ten_minutes_while_a_member_is_killed_every_20_secon
         assert stood_in > 0.9 * frames
         assert sum(theirs) > 0.9 * frames
         assert max(settled) - min(settled) < 50 * 2**20
-    assert len(head.seen) > 4 + killed, "renderers were looked for where they are not"
+    assert len(head.seen) > 4 + killed, "the wrong renderers were listed"
     assert head.left == []
 
 

@@ -195,7 +195,7 @@ def test_terminal_progress_bar_is_one_line_and_removed_at_the_end(monkeypatch: p
     bar.draw("segmenting the airways", 0.5)
     bar.close()
     assert "segmenting the airways" in screen.getvalue()
-    assert screen.getvalue().rstrip().endswith("\x1b[2K"), "the line is wiped"
+    assert screen.getvalue().rstrip().endswith("\x1b[2K"), "the line is removed"
 
 
 @pytest.mark.parametrize(

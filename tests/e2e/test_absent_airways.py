@@ -52,7 +52,7 @@ def test_missing_airway_is_listed_with_its_reason_and_a_click_shows_where_the_ai
         expect(row.get_by_role("button")).to_have_count(int(one["lps"] is not None))
     expect(rows).to_have_count(len({one["reason"] for one in absent}))
     lefts = {row.locator(".quiet").bounding_box()["x"] for row in rows.all()}
-    assert len(lefts) == 1, "the rows stand below each other, whether there is a place to look at or not"
+    assert len(lefts) == 1, "the rows are below each other, with or without a position"
     workstation.picture("absent-airways")
 
     listed.get_by_role("button").first.click()
@@ -62,6 +62,6 @@ def test_missing_airway_is_listed_with_its_reason_and_a_click_shows_where_the_ai
     workstation.wait_still()
     pose = np.reshape(workstation.state("pose.lps_from_camera"), (4, 4))
     look = lost - pose[:3, 3]
-    assert pose[:3, 2] @ look / np.linalg.norm(look) > 0.999, "the airway view looks at it"
+    assert pose[:3, 2] @ look / np.linalg.norm(look) > 0.999, "the airway view looks at the point"
     workstation.picture("absent-airways-looked-at")
     assert workstation.faults == []

@@ -70,7 +70,7 @@ def test_path_to_the_cursor_is_drawn_with_its_length_and_a_click_sets_a_target(s
     # The path ends in the left main bronchus, near the bronchus's end.
     assert max(abs(a - b) for a, b in zip(answer["points_lps"][-1], lmb, strict=True)) < 40.0
     workstation.picture("live-path")
-    assert workstation.overlay("coronal") != before, "the way is drawn in the slices, too"
+    assert workstation.overlay("coronal") != before, "the path is drawn in the slices, too"
 
     workstation.page.mouse.click(x, y)
     workstation.wait_for("() => window.__carina.state.targets.length === 1")
@@ -140,7 +140,7 @@ def test_branch_is_cut_and_restored_by_undo_and_added_by_a_click_after_another_c
         end,
     )
     assert workstation.state("tree.byId.size") == cut
-    assert {str(p) for p in line["points_lps"]} <= all_points(workstation), "what was shown is what was made"
+    assert {str(p) for p in line["points_lps"]} <= all_points(workstation), "the added line equals the preview"
     assert workstation.state("can_undo").startswith("add a branch")
     workstation.page.keyboard.press("Escape")
     for _ in range(2):
@@ -171,7 +171,7 @@ def test_branch_without_evidence_is_dashed_and_added_as_drawn_by_hand_after_conf
     question = workstation.page.locator("[data-testid=doubt]")
     expect(question).to_contain_text("The CT shows no airway wall along")
     requested = workstation.state("doubt")
-    assert requested["line"] == shown["lines"][0], "the question is about the way that was shown"
+    assert requested["line"] == shown["lines"][0], "the question shows the previewed path"
     assert workstation.state("messages.length") == 0, "a question is no error"
     workstation.picture("without-evidence-the-question")
     # Esc leaves the tree unchanged and the tool active.

@@ -200,7 +200,7 @@ def test_case_is_continued_from_the_list_restarted_deleted_and_restored_from_del
     continued = page.get_by_test_id("continued")
     assert "1 change" in continued.inner_text()
     assert "this work stays in the list" in continued.inner_text()
-    assert continued.evaluate("(card) => card.scrollWidth <= card.clientWidth"), "all of it can be read"
+    assert continued.evaluate("(card) => card.scrollWidth <= card.clientWidth"), "the complete text can be read"
     workstation.picture("continued-or-new")
     page.get_by_test_id("begin-anew").click()
     workstation.wait_for("window.__carina.state.session.saving.continued_s === null")
@@ -261,7 +261,7 @@ def test_full_disk_is_reported_while_the_flight_continues_and_the_case_is_saved_
     saved.click()
     dialog = page.get_by_test_id("save-dialog")
     assert "the disk is full" in dialog.inner_text()
-    assert dialog.evaluate("(dialog) => dialog.scrollWidth <= dialog.clientWidth"), "all of it can be read"
+    assert dialog.evaluate("(dialog) => dialog.scrollWidth <= dialog.clientWidth"), "the complete text can be read"
     workstation.picture("disk-full-dialog")
     page.get_by_test_id("save-path").fill(str(stick / "mine"))
     page.get_by_test_id("save-now").click()

@@ -232,7 +232,7 @@ def test_double_click_with_an_active_tool_applies_it_once_and_does_not_enlarge_t
         assert len(done) <= 1, (tool, done)
         if tool == "fork" and view in {"axial", "tree"}:
             assert done == []
-            assert undone.state("ui.forkHeld") is not None, "the second click must not put the fork down again"
+            assert undone.state("ui.forkHeld") is not None, "the second click must not move the fork again"
         if view.startswith("xray") or view == "drr":
             assert done == [], "an X-ray knows no depth"
         put_away(undone)

@@ -163,13 +163,13 @@ def test_click_on_an_uncertain_airway_end_shows_it_in_the_airway_view_and_all_sl
     workstation.wait_for("window.__carina.state.session.sight.crosshair_lps !== null")
     crosshair = workstation.state("session.sight.crosshair_lps")
     known = workstation.state("tree.uncertain.map((place) => place.lps)")
-    assert min(np.linalg.norm(np.subtract(known, crosshair), axis=1)) < 1e-6, "a place of the list"
+    assert min(np.linalg.norm(np.subtract(known, crosshair), axis=1)) < 1e-6, "the position is in the list"
     assert place is not None
     workstation.wait_still()
     pose = np.reshape(workstation.state("pose.lps_from_camera"), (4, 4))
     look = crosshair - pose[:3, 3]
     assert 1.0 < np.linalg.norm(look) < 13.0
-    assert pose[:3, 2] @ look / np.linalg.norm(look) > 0.999, "the airway view looks at it"
+    assert pose[:3, 2] @ look / np.linalg.norm(look) > 0.999, "the airway view looks at the point"
     for view in ("axial", "coronal", "sagittal"):
         workstation.wait_for(
             f"((h) => h.full && Math.hypot(h.lps_from_pixel[0], h.lps_from_pixel[4], h.lps_from_pixel[8])"

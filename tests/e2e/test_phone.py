@@ -77,7 +77,7 @@ def switch_on(workstation) -> str:
     page.keyboard.press(";")
     page.wait_for_selector("[data-testid=device-panel]")
     page.wait_for_function("() => window.__carina.state.devices !== null")
-    assert workstation.state("devices.phone") is None, "off until a person switches it on"
+    assert workstation.state("devices.phone") is None, "off until the user switches it on"
     page.get_by_test_id("phone-switch").click()
     page.wait_for_selector("[data-testid=phone-qr]")
     return str(workstation.state("devices.phone.url"))
@@ -183,9 +183,9 @@ def test_phone_page_with_a_wrong_token_is_refused_with_a_message_and_counted(ser
     workstation.open(server)
     workstation.wait_ready()
     url = switch_on(workstation)
-    stranger = phone_of(url.partition("#")[0] + "#guessed")
-    stranger.says("Scan the code")
-    picture_of(stranger.page, "phone-refused")
+    unauthenticated = phone_of(url.partition("#")[0] + "#guessed")
+    unauthenticated.says("Scan the code")
+    picture_of(unauthenticated.page, "phone-refused")
     workstation.page.wait_for_function("() => window.__carina.state.devices.phone.num_refused === 1")
     assert workstation.state("devices.phone.connected") is False
     workstation.page.get_by_test_id("phone-switch").click()

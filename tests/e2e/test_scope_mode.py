@@ -33,7 +33,7 @@ def test_simulated_scope_in_the_lumen_bends_and_is_stopped_by_the_wall_until_sco
             "(lines) => lines.map((line) => line.offsetHeight)"
         )
         assert len(heights) == 2
-        assert max(heights) < 25, "each reading in one line"
+        assert max(heights) < 25, "each reading is one line"
     assert workstation.state("pose.scope.num_contacts") == 0
     assert workstation.state("pose.inside") is True
 

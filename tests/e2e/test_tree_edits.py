@@ -73,7 +73,7 @@ def test_lumen_erased_with_the_brush_removes_branches_and_painting_restores_them
     ready.page.mouse.up()
     wait_for_edit(ready, "erase", before)
     erased = tree_text(ready)
-    assert len(erased) < 0.8 * len(before), "what hung on the bronchus is cut off"
+    assert len(erased) < 0.8 * len(before), "the branches beyond the bronchus are removed"
     ready.picture("after-erasing")
 
     # Painting over the gap is a second edit, not an undo.
@@ -125,11 +125,11 @@ def test_fork_is_moved_by_two_clicks_and_restored_by_undo(ready):
     ready.page.mouse.move(x, y)
     ready.wait_for(PREVIEWED)
     lines = ready.state("preview.answer.lines")
-    assert len(lines) >= 3, "the branch and those that begin at its fork"
+    assert len(lines) >= 3, "the branch and the branches that begin at its fork"
     ready.page.mouse.click(x, y)
     wait_for_edit(ready, "move the fork", before)
     assert {str(p) for line in lines for p in line["points_lps"]} <= all_points(ready), (
-        "what was shown is what was made"
+        "the added line equals the preview"
     )
     moved = points_of(ready, lmb)[-1]
     assert sum((a - b) ** 2 for a, b in zip(moved, points[-1], strict=True)) ** 0.5 > 1.0

@@ -87,7 +87,7 @@ def test_reloading_or_closing_a_window_leaves_the_other_window_unchanged(two):
     first.wait_for("window.__carina.state.session.sight.window.width_hu === 2000")
     second.page.reload()
     second.wait_ready()
-    assert second.state("session.sight.window.width_hu") == 2000, "a window begins with what was looked at last"
+    assert second.state("session.sight.window.width_hu") == 2000, "a new window has the latest view settings"
     second.page.goto("about:blank")
     first.hold_until("w", "() => window.__carina.state.pose.path_mm > 5")
     first.wait_still()

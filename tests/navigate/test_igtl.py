@@ -44,7 +44,7 @@ POSE = IgtlPose("Pen", 12.5, (1.5, -20.25, 300.0), wxyz_from_rotation(TURN))
 def wait_for(what, seconds=120.0):
     end = time.monotonic() + seconds
     while not (found := what()):
-        assert time.monotonic() < end, "waited in vain"
+        assert time.monotonic() < end, "the condition was not met in time"
         threading.Event().wait(0.005)
     return found
 
@@ -410,7 +410,7 @@ def test_tcp_keepalive_detects_a_lost_idle_peer_within_10_seconds(monkeypatch):
             if sys.platform.startswith("linux"):
                 options = (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_KEEPCNT)
                 idle_s, between_s, times = (connection.getsockopt(socket.IPPROTO_TCP, option) for option in options)
-                assert idle_s + between_s * times <= 10, "found to be gone within 10 s"
+                assert idle_s + between_s * times <= 10, "the lost peer is detected within 10 s"
         finally:
             client.stop()
 

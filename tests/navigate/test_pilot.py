@@ -396,7 +396,7 @@ def test_orientation_only_pen_advances_by_its_key_and_turns(path):
         hand.send(PoseSample(0.0, None, turn, 0, 1.0))
     # The first frame starts the clock.
     went = moved(hand.pose, start)
-    assert went == pytest.approx(25.0 * 0.49, rel=0.06), "free, the turn makes an arc of it"
+    assert went == pytest.approx(25.0 * 0.49, rel=0.06), "in free mode the rotation gives an arc"
     assert hand.pilot.is_moving
     cosine = float(hand.pose.forward_lps @ start.forward_lps)
     assert cosine == pytest.approx(math.cos(0.49), abs=1e-6)
@@ -464,7 +464,7 @@ def test_distance_between_pen_and_tip_is_reported_in_absolute_mode_until_it_is_z
     for n in range(300):
         hand.pen(in_tracker((30.0 + 0.5 * n, 0.0, -20.0)))
         left.append(hand.pilot.pen().off_mm)
-    assert all(b <= a + 1e-9 for a, b in itertools.pairwise(left)), "it never grows"
+    assert all(b <= a + 1e-9 for a, b in itertools.pairwise(left)), "the value never increases"
     assert left[-1] < 0.05
 
 

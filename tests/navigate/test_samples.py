@@ -87,7 +87,7 @@ def test_first_of_two_devices_controls_the_scope_until_it_sends_nothing():
     assert gate.admit("pen", pen(0.0), 0.0) is not None
     assert gate.admit("stick", AxesSample(0.0, (1.0, *REST[1:])), 0.1) is None
     assert gate.num_ignored("stick") == {"another device is moving the scope": 1}
-    assert gate.admit("stick", AxesSample(0.1, REST), 0.1) is not None, "a stick at rest asks for nothing"
+    assert gate.admit("stick", AxesSample(0.1, REST), 0.1) is not None, "a released stick requests no control"
     assert gate.holder == "pen"
     assert gate.admit("stick", AxesSample(0.7, (1.0, *REST[1:])), 0.7) is not None
     assert gate.holder == "stick"
@@ -115,7 +115,7 @@ def test_sample_of_a_released_stick_is_accepted_at_any_rate_but_not_in_a_flood()
     used = sum(
         gate.admit("stick", AxesSample(0.001 + 1e-6 * n, (REST, full)[n % 2]), 0.0) is not None for n in range(10_000)
     )
-    assert used <= 2 * 20 + 2, "two in half a millisecond at most"
+    assert used <= 2 * 20 + 2, "at most two samples in half a millisecond"
 
 
 def test_number_of_stored_devices_is_limited_and_the_message_names_three():

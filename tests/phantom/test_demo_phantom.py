@@ -50,7 +50,7 @@ def test_demo_phantom_with_a_damaged_cache_file_is_generated_again(tmp_path: Pat
     again = demo_phantom(cache_dir=tmp_path, progress=lambda what, _: reported.append(what))
     assert reported
     np.testing.assert_array_equal(again.volume.hu_zyx, made.volume.hu_zyx)
-    assert [p.name for p in tmp_path.iterdir()] == [file.parent.name], "nothing is left lying about"
+    assert [p.name for p in tmp_path.iterdir()] == [file.parent.name], "no other file remains"
     reported.clear()
     demo_phantom(cache_dir=tmp_path, progress=lambda what, _: reported.append(what))
     assert reported == []

@@ -322,17 +322,17 @@ def test_phone_with_a_wrong_token_without_a_token_or_without_a_message_is_refuse
         assert ended(link)[0] == wire.CLOSE_CODES["protocol.order"]
     info = phone.page.info()
     assert (info.num_refused, info.connected) == (1, False)
-    assert phone.session.devices.info().devices == (), "nothing of them reached the tip"
+    assert phone.session.devices.info().devices == (), "no sample moved the tip"
 
 
 def test_idle_unauthenticated_connections_do_not_block_a_phone_and_are_closed(phone, monkeypatch):
     monkeypatch.setattr("carina.server.network.request_timeouts.FIRST_REQUEST_WITHIN_S", 1.0)
     host, port = phone.url[8:].rstrip("/").split(":")
-    with contextlib.ExitStack() as strangers, phone_connection(phone) as link:
+    with contextlib.ExitStack() as idle_connections, phone_connection(phone) as link:
         state(link)
         for n in range(MAX_CONNECTIONS):
-            plain = strangers.enter_context(socket.create_connection((host, int(port)), timeout=WAIT_S))
-            secure = strangers.enter_context(trusting("any").wrap_socket(plain))
+            plain = idle_connections.enter_context(socket.create_connection((host, int(port)), timeout=WAIT_S))
+            secure = idle_connections.enter_context(trusting("any").wrap_socket(plain))
             if n % 2:
                 secure.sendall(b"GET / HTTP/1.1\r\nHost: never")
         wait_for(lambda: get(phone, "").status_code == 200, 60.0)
@@ -495,7 +495,7 @@ def test_phone_buttons_recentre_the_view_and_change_the_steering_mode(phone):
             link.send(wire.encode_message(wire.PhoneAct(action)))
         link.send(sample(1.0))
         phone.fixture.open()
-        assert state(link).case_open, "what cannot be done without a case ends nothing"
+        assert state(link).case_open, "a command that needs a case changes nothing without one"
 
 
 def test_many_invalid_messages_disconnect_the_phone(phone):

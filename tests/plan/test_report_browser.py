@@ -214,7 +214,7 @@ def test_every_printed_page_of_the_report_has_header_and_footer_and_no_cut_eleme
     )
     assert all(sheet().plan.nodule.words in text for text in texts)
     assert "Tracing sheet" in texts[-1] and "Notes" in texts[-1], "the tracing sheet is one page"
-    assert "Airways and route" in texts[0], "target and way stand on the first page"
+    assert "Airways and route" in texts[0], "target and route are on the first page"
     # Printing lays the page out at paper width; no element may be wider.
     opened.emulate_media(media="print")
     mm = {"A4": 210.0, "Letter": 215.9}[paper] - 24.0

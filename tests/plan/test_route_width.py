@@ -144,7 +144,7 @@ def test_start_of_a_branch_has_the_diameter_of_its_first_valid_cross_section() -
     plain = end_of(tree, widths_mm={0: np.full(60, 14.0), 1: np.full(60, 3.0)})
     assert found[1][-1].error_mm > plain.error_mm, "no section shows the mouth of the branch"
     for n in (1, 5, 19, 20, 40):
-        assert found[1][n].mm == pytest.approx(3.0), "sections across the parent's lumen do not make it wide"
+        assert found[1][n].mm == pytest.approx(3.0), "cross-sections in the parent's lumen do not widen the branch"
         until = float(measures.branches[1].at_mm[n])
         assert measures.narrowest_of_route([0, 1], until_mm=until).mm == pytest.approx(3.0)
 

@@ -51,7 +51,9 @@ def test_required_bend_of_a_route_along_a_circular_arc_is_the_angle_of_the_arc(
     assert math.radians(bend_deg) * radius_mm < SECTION_MM - 8.0
     assert required.bend_deg.value == pytest.approx(bend_deg, abs=1.0)
     assert 80.0 < required.bend_deg.at_mm < 80.0 + math.radians(bend_deg) * radius_mm + SECTION_MM
-    assert places.asks(len(tree.root.points) + 30, SECTION_MM).bend_deg.value < 1.0, "before the bend there is none"
+    assert places.asks(len(tree.root.points) + 30, SECTION_MM).bend_deg.value < 1.0, (
+        "the route before the bend requires no bend"
+    )
 
 
 def test_required_bend_does_not_decrease_along_a_route() -> None:

@@ -327,7 +327,7 @@ def test_forks_two_millimetres_apart_are_one_turn_that_names_the_branch_between_
     assert (turn.from_branch, turn.to_branch, turn.through) == ("RMB", "RB3", ("RUL",))
     assert turn.hour("head") == 3 and turn.sides == ("right",)
     assert {one.name: one.hour("head") for one in turn.others} == {"BI": 9, "RB1": 12}
-    assert [one.name for one in turn.others] == ["BI", "RB1"], "clockwise from the one that is taken"
+    assert [one.name for one in turn.others] == ["BI", "RB1"], "clockwise from the selected opening"
     assert turn.from_fork_mm == pytest.approx(40.0)
     assert turn.words("head").startswith(
         "At 40 mm past the previous fork, enter RB3 just past RUL (3 o\u2019clock, right, 4.0 mm, "

@@ -40,7 +40,7 @@ def test_near_wall_is_bright_and_the_distant_lumen_is_dark_at_any_airway_width(r
     bright = picture.max(axis=2)
     edge = np.concatenate([bright[:8].ravel(), bright[-8:].ravel()])
     assert 0.35 < np.median(edge) < 0.97
-    assert (picture.min(axis=2) > 0.98).mean() < 0.02, "the near wall burns out"
+    assert (picture.min(axis=2) > 0.98).mean() < 0.02, "the near wall is overexposed"
     assert bright[44:46, 44:46].max() < 0.2
     # Mucosa has more red than green, and more green than blue.
     lit = picture[bright > 0.4]
@@ -91,7 +91,7 @@ def test_gloss_setting_adds_few_small_highlights_that_the_wall_relief_divides():
     broken = look(volume, direction=direction, exposure=60.0, specks=0.0)
     highlight = (glossy - dull).max(axis=2) > 0.1
     assert 0.002 < highlight.mean() < 0.25
-    assert (glossy >= dull - 1 / 255).all(), "gloss adds light and takes none"
+    assert (glossy >= dull - 1 / 255).all(), "gloss only adds light"
 
     def edges(mask):
         # Edges are counted along both axes, because the highlight of a smooth tube is a long column.
@@ -136,7 +136,7 @@ def test_droplets_on_the_wall_reflect_light_at_a_distance_where_a_smooth_film_do
     wet, _ = render(12.0, specks=1.0)
     far = (depth > 20.0) & (depth < 40.0)
     glints = (wet - plain).max(axis=2) > 0.1
-    assert (wet >= plain - 1 / 255).all(), "a glint adds light and takes none"
+    assert (wet >= plain - 1 / 255).all(), "highlights only add light"
     assert ((plain - dull).max(axis=2)[far] > 0.1).mean() < 0.002, "the film alone is matt there"
     assert 0.002 < glints[far].mean() < 0.2, "broken specks"
 

@@ -126,7 +126,7 @@ def test_graphics_card_slower_than_the_cpu_is_not_used():
     fixture = BackendFixture(SimulatedDevice(gpu_ms=9.5), "auto")
     assert set(fixture.fly(a_scene())) == {"cpu"}
     assert "no faster" in fixture.backend.measurements[0].why
-    assert fixture.caster._resident is None, "its memory is given back"
+    assert fixture.caster._resident is None, "the memory of the device is released"
 
 
 def test_graphics_card_whose_picture_differs_from_that_of_the_cpu_is_not_used_at_any_speed():
@@ -220,7 +220,7 @@ def test_stored_speed_measurement_is_reused_and_one_picture_is_compared_again(tm
     assert set(changed.fly(a_scene())) == {"cpu"}
     slow = BackendFixture(SimulatedDevice(), "auto", record=record)
     assert set(slow.fly(a_scene())) == {"cpu"}
-    assert slow.device.casts.count("gpu") == 0, "known to be wrong: not tried"
+    assert slow.device.casts.count("gpu") == 0, "the device is known to differ and is not used"
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"format": "carina-backend", "version": 1}', '{"format": 3}'])
@@ -233,7 +233,7 @@ def test_graphics_device_with_a_damaged_stored_measurement_is_measured_again(tmp
     assert saved["measured"][0]["chosen"] is True
     saved["carina"] = "0.0.0"
     record.write_text(json.dumps(saved))
-    assert not Backend("auto", record=record).measurements, "another version's casters"
+    assert not Backend("auto", record=record).measurements, "renderers of another version"
 
 
 def test_share_of_different_pixels_of_two_pictures_counts_pixels_and_not_channels():

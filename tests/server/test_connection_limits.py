@@ -85,7 +85,7 @@ def tcp_connection(base, data=b""):
     return sock
 
 
-def besieged(base, token, *, rounds, strangers=300):
+def besieged(base, token, *, rounds, idle_clients=300):
     """Return the sorted durations (ms) of a user's requests and socket answers.
 
     Meanwhile unauthenticated clients connect.
@@ -100,7 +100,7 @@ def besieged(base, token, *, rounds, strangers=300):
     ):
         window.send(wire.encode_message(wire.ClientHello(wire.WIRE_VERSION)))
         window.recv(timeout=WAIT_S)
-        for n in range(strangers):
+        for n in range(idle_clients):
             stack.callback(tcp_connection(base, WORDS[n % len(WORDS)]).close)
         for n in range(rounds):
             stack.callback(tcp_connection(base, WORDS[n % len(WORDS)]).close)

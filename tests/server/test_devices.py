@@ -171,7 +171,7 @@ def test_stick_selects_the_branch_at_a_fork_and_changes_the_route(connections):
     wait_for(has_turned)
     assert session.snapshot().document.route.branch_id == 2
     assert session.snapshot().mode == "path"
-    assert session.snapshot().undo_label is None, "a flight is no change that undo takes back"
+    assert session.snapshot().undo_label is None, "a flight is no undo step"
 
 
 def test_scope_handle_is_connected_listed_and_disconnected(connections):

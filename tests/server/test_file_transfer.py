@@ -40,8 +40,8 @@ def test_export_of_airways_needs_the_cookie_and_leaves_no_file_on_the_server(liv
 
     monkeypatch.setattr(Downloads.__init__, "__defaults__", (export,))
     with running(tmp_path / "own") as own, own.window() as window:
-        with own.http() as stranger:
-            assert stranger.get("/api/airways.stl").status_code == 401
+        with own.http() as unauthenticated:
+            assert unauthenticated.get("/api/airways.stl").status_code == 401
         with own.http(cookie=own.cookie) as http:
             early = http.get("/api/airways.stl")
             assert early.status_code == 409
@@ -241,8 +241,8 @@ def test_uploads_require_the_cookie_and_the_origin_and_are_limited_in_size(live)
 def test_thumbnail_of_a_case_requires_the_cookie_and_is_not_cached_by_browsers(live, monkeypatch):
     pictures = {"00ff00ff00ff00ff": b"\xff\xd8\xff and more"}
     monkeypatch.setattr(live.session.cases, "picture", pictures.get)
-    with live.http() as stranger:
-        assert stranger.get("/api/cases/00ff00ff00ff00ff/picture.jpg").status_code == 401
+    with live.http() as unauthenticated:
+        assert unauthenticated.get("/api/cases/00ff00ff00ff00ff/picture.jpg").status_code == 401
     with live.http(cookie=live.cookie) as http:
         answer = http.get("/api/cases/00ff00ff00ff00ff/picture.jpg?made=1.000")
         assert answer.content == pictures["00ff00ff00ff00ff"]

@@ -173,7 +173,9 @@ def test_level_is_as_fine_as_possible_if_no_level_reaches_the_frame_rate():
     simulation.fly(4.0)
     sent = airway(simulation.fly(4.0))
     rays_s = [simulation.machine.cost(order, 0.0)[1] for _, order in sent]
-    assert all(0.25 / 60 < seconds <= 0.4 / 60 for seconds in rays_s), "neither coarser for nothing, nor slower yet"
+    assert all(0.25 / 60 < seconds <= 0.4 / 60 for seconds in rays_s), (
+        "the level is neither coarser nor slower than necessary"
+    )
     assert num_changes(sent) <= 1
 
 
@@ -248,7 +250,7 @@ def test_below_five_pictures_a_second_the_cut_plane_replaces_the_airway_view_unt
     assert rate_hz(flown) > 20.0, "the view finder follows the hand"
     probes_s = sum(seconds for _, seconds in simulation.probes)
     assert 3 <= len(simulation.probes) <= 20
-    assert probes_s < 0.1 * 8.0, "looking whether the airway view is quick enough again holds up nothing"
+    assert probes_s < 0.1 * 8.0, "measuring the airway view again delays no other picture"
     rested = simulation.rest(60.0)
     assert {order.purpose for _, order in rested} == {"picture"}
     assert rested[-1][1].full

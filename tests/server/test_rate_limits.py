@@ -180,7 +180,7 @@ def test_observer_that_sends_a_flood_is_disconnected_and_all_messages_of_the_use
         sending.join()
         window.until(lambda m: isinstance(m, wire.Handled) and m.number >= 300)
         assert live.session.pose_info().pose_id > before
-        assert len(handled) <= 20, "no more than the limit was done of the observer's"
+        assert len(handled) <= 20, "at most the limit of messages of the observer was executed"
         notice = window.received(lambda m: isinstance(m, wire.Notice))
         assert "disconnected" in notice.message
         left = window.received(
@@ -191,7 +191,7 @@ def test_observer_that_sends_a_flood_is_disconnected_and_all_messages_of_the_use
                 and len(m.page.watchers) == 1
             )
         ).page
-        assert left.url != page_state.url, "nobody comes back by the same link"
+        assert left.url != page_state.url, "the same link admits no observer again"
         assert other.until(lambda m: isinstance(m, wire.State)), "another observer stays"
         with watching(page.url, hello=False) as again:
             assert again.close_code()[0] == wire.CLOSE_CODES["protocol.not-authorised"]

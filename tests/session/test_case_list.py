@@ -194,13 +194,13 @@ def test_case_list_shows_the_scan_date_and_adds_it_to_records_without_one(workst
     workstation.open()
     workstation.work(90.0)
     workstation.session.do(c.CloseCase())
-    assert [one.scanned_on for one in workstation.listed()] == ["2021-05-03"], "the same CT in a file without a date"
+    assert [one.scanned_on for one in workstation.listed()] == ["2021-05-03"], "an equal CT in a file without a date"
     workstation.digest = "another CT"
     workstation.session.do(c.OpenVolume(dated))
     workstation.background.run_all()
     workstation.work(100.0)
     workstation.session.do(c.CloseCase())
-    assert [one.scanned_on for one in workstation.listed()] == ["2021-05-03"] * 2, "a new one has it from the beginning"
+    assert [one.scanned_on for one in workstation.listed()] == ["2021-05-03"] * 2, "a new record contains the date"
 
 
 def test_case_is_renamed_while_open_and_after_closing(workstation):

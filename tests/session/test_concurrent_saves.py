@@ -291,7 +291,7 @@ class Ward:
         files = sorted(self.path.parent.glob("*.carina"))
         in_files = set().union(*(steps_in(path) for path in files))
         contents = {path.read_bytes() for path in files}
-        assert self.foreign <= contents, "a letter was overwritten"
+        assert self.foreign <= contents, "a file of the user was overwritten"
         for author in self.authors:
             places = set(in_files)
             if isinstance(author, Window):

@@ -335,7 +335,7 @@ def test_discarding_a_derived_value_ends_its_job_and_removes_value_and_request()
     fixture.background.run_all()
     assert (fixture.made, fixture.ends(), fixture.settled) == ([A, B], ["done", "cancelled"], ["Derived('word', had)"])
     assert [fixture.value.of(inputs) for inputs in (A, B, C)] == [None, None, None]
-    assert fixture.value._had is None, "it keeps no volume alive"
+    assert fixture.value._had is None, "the object does not prevent the release of the volume"
 
 
 def test_derived_value_discarded_before_its_job_begins_is_not_computed():
@@ -356,7 +356,7 @@ def test_callback_of_a_request_runs_once_when_the_derived_value_is_available():
     fixture.background.run_all()
     assert done == ["a after None"]
     fixture.value.want(A, then=done.append)
-    assert len(done) == 2, "at once where it is had"
+    assert len(done) == 2, "at once if it is available"
 
 
 def test_callback_is_dropped_if_the_computation_fails_or_other_inputs_are_requested():

@@ -89,7 +89,7 @@ def test_dropped_case_file_whose_ct_is_open_opens_as_a_copy_without_a_path(works
     saving = workstation.session.snapshot().saving
     assert (saving.copy_name, saving.copied_s, saving.problem) == (None, None, None)
     workstation.do(c.SetFov(70.0), c.CloseCase())
-    assert given.read_bytes() == before, "it is nobody's copy"
+    assert given.read_bytes() == before, "no file is recorded as a copy"
     (record,) = workstation.worked_on()
     assert (record.copy_path, record.num_changes) == (None, 3)
 
@@ -121,7 +121,7 @@ def test_stored_case_that_contains_later_changes_of_the_dropped_case_file_is_sho
     assert mine.drop(given) == []
     assert len(mine.steps()) == 3
     assert len(mine.records.all()) == 1
-    assert mine.session.snapshot().saving.copy_name == "given.carina", "where its person put it"
+    assert mine.session.snapshot().saving.copy_name == "given.carina", "at the path that the user selected"
 
 
 def test_dropped_case_file_that_contains_its_ct_opens_and_opens_again_from_the_list(

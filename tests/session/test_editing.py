@@ -193,7 +193,7 @@ def test_renderer_is_prepared_again_for_a_lumen_whose_preparation_was_stopped(fi
     assert renderer.prepared == prepared
     fixture.session.do(Undo())
     fixture.background.run_all()
-    assert renderer.prepared > prepared, "the maps of before went when the renderer was given another lumen"
+    assert renderer.prepared > prepared, "the earlier maps are deleted after a change of the lumen"
 
 
 def test_impossible_edits_leave_the_tree_unchanged_and_state_the_reason(fixture, case):

@@ -47,7 +47,7 @@ def test_following_session_shows_changes_of_the_owner_and_reuses_its_renderer_co
     follow()
     assert other.history() == owner.history()
     assert other.pose_info().path_mm == pytest.approx(40.0)
-    assert other.scene().content_number == content, "the lumen is the same: nothing was given to the renderer again"
+    assert other.scene().content_number == content, "the lumen is the same and is not sent to the renderer again"
     do_and_wait(owner, c.Undo())
     follow()
     assert other.history() == ()

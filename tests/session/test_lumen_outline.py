@@ -145,7 +145,7 @@ def test_show_place_command_looks_at_the_point_from_the_lumen_in_front_of_it(fix
     away = float(np.linalg.norm(to_place))
     assert 1.5 < away < 13.0
     forward = info.pose.lps_from_camera[:3, 2]
-    assert float(forward @ to_place) / away > 0.999, "it looks at the place"
+    assert float(forward @ to_place) / away > 0.999, "the camera looks at the position"
     i, j, k = np.rint(case.volume.to_ijk(info.pose.position_lps)).astype(int)
     assert case.airways.lumen_zyx[k, j, i], "the camera is in the lumen"
     # All slices contain the crosshair, so each of them shows the place.

@@ -322,7 +322,7 @@ def test_named_file_is_closed_while_its_network_share_does_not_respond(path):
     writer.start()
     assert has_begun.wait(WAIT_S)
     named.close()
-    assert lock_path(path).exists(), "the writer needs it"
+    assert lock_path(path).exists(), "the writer still uses the lock"
     goes_on.set()
     writer.join(WAIT_S)
     assert not lock_path(path).exists()

@@ -273,7 +273,7 @@ def test_window_does_not_write_a_file_that_is_open_in_a_program(saved, window):
     session.do(c.SaveCase())
     session.jobs.wait_idle(None)
     with CaseFile.open(saved, read_only=True) as file:
-        assert len(file.history()) == 2, "the label and the target that was taken back"
+        assert len(file.history()) == 2, "the label and the undone target"
     lock.release()
     session.do(c.SaveCase())
     session.jobs.wait_idle(None)

@@ -51,7 +51,7 @@ def test_display_change_during_preparation_restarts_the_preparation_in_the_same_
     fixture.session.do(SetTransfer(preset="ct-grey"))
     fixture.background.run_all()
     assert renderer.transfer is fixture.session.snapshot().document.transfer
-    assert renderer.prepared == before + 1, "three builds were stale when they looked up"
+    assert renderer.prepared == before + 1, "three builds were stale at the lookup"
     assert [e.outcome for e in fixture.of_type(JobEnded)] == ["done"]
     assert not names(fixture)
 

@@ -440,7 +440,7 @@ def test_fine_texture_can_be_switched_off_and_on():
     fixture.session.do(SetTexture(False))
     assert not texture()
     fixture.session.do(SetScope(None))
-    assert not texture(), "without a scope too"
+    assert not texture(), "also without a scope"
     fixture.session.do(SetTexture(True))
     assert texture()
 

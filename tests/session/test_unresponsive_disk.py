@@ -236,7 +236,7 @@ def test_case_saved_to_another_file_is_updated_while_the_former_share_does_not_r
     assert stick.read_text() != before
     workstation.session.do(c.SetFov(70.0))
     workstation.session.do(c.CloseCase())
-    assert not lock_path(stick).exists(), "the case was given back"
+    assert not lock_path(stick).exists(), "the case was released"
 
 
 def test_save_that_ends_after_its_case_was_closed_releases_its_file(workstation, tmp_path):

@@ -129,7 +129,7 @@ def test_all_windows_share_one_undo_history(windows):
     assert windows.session.snapshot().redo_label == "field of view"
     assert windows.of_type(1, UserMessage) == windows.of_type(2, UserMessage) != []
     windows.session.do(Undo(), window=2)
-    assert [len(windows.of_type(n, UserMessage)) for n in (1, 2)] == [1, 2], "nothing to undo is the matter of one"
+    assert [len(windows.of_type(n, UserMessage)) for n in (1, 2)] == [1, 2], "only the requesting window is notified"
 
 
 def test_failed_job_is_reported_to_the_window_that_started_it_or_to_all_windows_if_it_is_closed():

@@ -203,7 +203,7 @@ def test_divided_slices_show_airways_not_visible_in_the_ct_slices(thick, monkeyp
     truth = cached_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=5, noise_hu=15.0).truth
     lines = [np.array(row["points"]) for row in truth["branches"]]
     total = sum(float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) for line in lines)
-    assert total - lengths[0] < 0.7 * (total - lengths[1]), "less is missed"
+    assert total - lengths[0] < 0.7 * (total - lengths[1]), "a smaller share is missed"
     axes = np.concatenate([np.array(row["points"]) for row in truth["branches"]])
     for branch in airways.tree.branches:
         off_mm = np.linalg.norm(branch.points[:, None] - axes[None], axis=2).min(axis=1)
