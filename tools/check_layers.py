@@ -216,21 +216,21 @@ def view_names() -> frozenset[str]:
 
 
 VIEWS = view_names()
-MOST_FILES_PER_VIEW = 4
+MAX_FILES_PER_VIEW = 4
 """Largest number of files that may name one view.
 
 A view is one row of a table in each language (docs/decisions/0102).
 """
 REPEATED_SHARE = 0.6
 """Share of the fields of a record class which, if another class also has them, makes the class repeating."""
-MOST_REPEATING = 5
+MAX_REPEATING = 5
 """Largest number of repeating classes.
 
 A repeating class is a record class of two or more fields of which a share of REPEATED_SHARE is also in another class.
 """
-MOST_METHODS = {"Session": 15, "Case": 15}
+MAX_METHODS = {"Session": 15, "Case": 15}
 """Largest number of public methods and properties by class."""
-MOST_ATTRIBUTES = {"OpenCase": 22}
+MAX_ATTRIBUTES = {"OpenCase": 22}
 """Largest number of attributes of the named classes."""
 
 QUOTED = re.compile(r"""(["'`])([a-z][a-z-]*)\1""")
@@ -375,26 +375,26 @@ def check_limits(files: Mapping[str, str]) -> list[str]:
     classes = [(path, node) for path, tree in trees.items() for node in tree.body if isinstance(node, ast.ClassDef)]
     by_name = {node.name: node for _, node in classes}
     found = [
-        f"{len(named)} files name the view {view!r} (at most {MOST_FILES_PER_VIEW}): {', '.join(named)}"
+        f"{len(named)} files name the view {view!r} (at most {MAX_FILES_PER_VIEW}): {', '.join(named)}"
         for view, named in files_naming_views(files, trees).items()
-        if len(named) > MOST_FILES_PER_VIEW
+        if len(named) > MAX_FILES_PER_VIEW
     ]
     repeated = repeating(record_classes(classes))
-    if len(repeated) > MOST_REPEATING:
+    if len(repeated) > MAX_REPEATING:
         pairs = ", ".join(f"{name} {other}" for name, other in repeated.items())
-        found.append(f"{len(repeated)} classes repeat another (at most {MOST_REPEATING}): {pairs}")
+        found.append(f"{len(repeated)} classes repeat another (at most {MAX_REPEATING}): {pairs}")
     found += [
         f"class {name} is defined {len(paths)} times: {', '.join(paths)}; use one class, or name what differs"
         for name, paths in sorted(defined_twice(classes).items())
     ]
-    for name in (*MOST_METHODS, *MOST_ATTRIBUTES):
+    for name in (*MAX_METHODS, *MAX_ATTRIBUTES):
         if name not in by_name:
             found.append(f"no class {name} in python/carina: correct the limits in tools/check_layers.py")
-    for name, most in MOST_METHODS.items():
+    for name, most in MAX_METHODS.items():
         methods = public_methods(_lineage(by_name, name))
         if len(methods) > most:
             found.append(f"{name} has {len(methods)} public methods (at most {most})")
-    for name, most in MOST_ATTRIBUTES.items():
+    for name, most in MAX_ATTRIBUTES.items():
         kinds = attributes(_lineage(by_name, name))
         if len(kinds) > most:
             found.append(f"{name} has {len(kinds)} attributes (at most {most})")

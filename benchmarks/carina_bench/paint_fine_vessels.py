@@ -46,7 +46,7 @@ BESIDE_SHARE = 0.25
 """Share of the vessels that run along an airway, at most :data:`BESIDE_MM` from its wall."""
 BESIDE_MM = 1.2
 """Largest distance between an airway's wall and a vessel that runs along the airway, mm."""
-LEAST_POINTS = 4
+MIN_POINTS = 4
 """Least number of points of a vessel; shorter vessels are omitted."""
 NUM_AT_ONCE = 4000
 """Number of points that are added to the image in one step, which limits the memory."""
@@ -128,7 +128,7 @@ def fine_vessels(
     clear &= ((gap - outer[nearest]).min(axis=1) - np.repeat(radius, steps + 1)) > CLEAR_MM
     clear = clear.reshape(num, steps + 1) & (STEP_MM * np.arange(steps + 1) <= length[:, None])
     end = np.where(clear.all(axis=1), steps + 1, clear.argmin(axis=1))
-    return tuple(FineVessel(points[n, : end[n]], float(radius[n])) for n in np.flatnonzero(end >= LEAST_POINTS))
+    return tuple(FineVessel(points[n, : end[n]], float(radius[n])) for n in np.flatnonzero(end >= MIN_POINTS))
 
 
 def _begin_beside(

@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 from carina_bench.paint_fine_vessels import Space
 from carina_bench.paint_tubes import Tube
 
-__all__ = ["LEAST_RADIUS_MM", "terminal_airways"]
+__all__ = ["MIN_RADIUS_MM", "terminal_airways"]
 
 Floats = NDArray[np.float64]
 
-LEAST_RADIUS_MM = 0.45
+MIN_RADIUS_MM = 0.45
 """Least radius of the lumen of a terminal airway, mm."""
 FLOW_EXPONENT = 2.8
 """Exponent of Murray's rule: the flow through an airway is proportional to this power of the radius."""
-LEAST_FLOW = 0.3
+MIN_FLOW = 0.3
 """Least share of the parent's flow in the narrower airway of a fork."""
 LENGTH_RADII = (9.0, 16.0)
 """Least and largest length of an airway between two forks, in radii of its lumen."""
@@ -41,7 +41,7 @@ LUNG_MM = 1.5
 """Least distance of an airway from the lung's border, mm."""
 TRIALS = 8
 """Number of directions that are tried for each airway."""
-MOST_GENERATIONS = 8
+MAX_GENERATIONS = 8
 """Largest number of forks between a mask's tip and a terminal airway."""
 
 
@@ -67,7 +67,7 @@ def terminal_airways(tubes: Sequence[Tube], space: Space, share_per_mm2: float, 
         Masks in which the airways grow.
     share_per_mm2
         Share of the possible airways that grow, for each mm2 of the square of their lumen's radius. No airway below
-        :data:`LEAST_RADIUS_MM` grows.
+        :data:`MIN_RADIUS_MM` grows.
     rng
         Random generator.
     """
@@ -81,7 +81,7 @@ def terminal_airways(tubes: Sequence[Tube], space: Space, share_per_mm2: float, 
         for tube, plane in fork:
             found.append(tube)
             everything.append(tube)
-            if end.num_forks + 1 < MOST_GENERATIONS:
+            if end.num_forks + 1 < MAX_GENERATIONS:
                 ends.append(_End(tube, _course(tube), plane, end.num_forks + 1))
     return found
 
@@ -115,7 +115,7 @@ def _fork(
     """Return up to two airways that grow from an end, each with the direction perpendicular to their fork's plane."""
     start = end.tube.points[-1]
     before = float(end.tube.radius_mm[-1])
-    flow = rng.uniform(LEAST_FLOW, 0.5)
+    flow = rng.uniform(MIN_FLOW, 0.5)
     radii = [before * share ** (1.0 / FLOW_EXPONENT) for share in (1.0 - flow, flow)]
     near = [
         tube for tube in everything if tube is not end.tube and np.abs(tube.points - start).max(axis=1).min() < 25.0
@@ -126,7 +126,7 @@ def _fork(
     plane = np.cross(end.towards, end.plane)
     plane /= np.linalg.norm(plane)
     for radius, other, side in ((radii[0], radii[1], 1.0), (radii[1], radii[0], -1.0)):
-        if radius < LEAST_RADIUS_MM or rng.random() >= share_per_mm2 * radius**2:
+        if radius < MIN_RADIUS_MM or rng.random() >= share_per_mm2 * radius**2:
             continue
         thickness = float(rng.uniform(*WALL_MM)) * max(1.0, radius / 0.8)
         for _ in range(TRIALS):
@@ -143,7 +143,7 @@ def _fork(
             if clear.all():
                 tube = Tube(
                     points,
-                    np.linspace(radius, max(0.95 * radius, LEAST_RADIUS_MM), len(points)),
+                    np.linspace(radius, max(0.95 * radius, MIN_RADIUS_MM), len(points)),
                     id=first_id + len(found),
                     parent=end.tube.id,
                     generation=end.tube.generation + 1,

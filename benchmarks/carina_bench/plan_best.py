@@ -46,7 +46,7 @@ Floats = NDArray[np.float64]
 
 SCOPES = (scope_preset("thin"), replace(scope_preset("ultrathin"), channel_mm=2.0))
 """Scopes for which routes are compared; the channel is widened so that the needle passes."""
-LEAST_HITS, BARELY_HITS = 0.5, 0.1
+MIN_HITS, BARELY_HITS = 0.5, 0.1
 """Shares of needles that hit: below the first the outlook is *may reach*, below the second *does not reach*."""
 NUM_TARGETS = 2
 """Number of targets of each phantom for which routes are compared."""
@@ -58,7 +58,7 @@ SIGMA_ANGLE_DEG, SIGMA_TIP_MM = 4.0, 0.7
 """Standard deviations of the needle's direction, degrees, and of the scope's tip, mm."""
 TOLERANCE = 0.04
 """Largest difference by which the best score may exceed the first route's score."""
-LEAST_SHOWN = 0.003
+MIN_SHOWN = 0.003
 """Least contribution to a difference of scores that the report lists."""
 RANKS = ("reaches", "may reach", "does not reach")
 """Outlook of a route for each rank: index 0 is the best rank."""
@@ -89,7 +89,7 @@ def best_of_all(case: PlanCase, plan: Plan, around: NearbyTissue, rng: np.random
         hits = _drawn(nodule, one["tip"], one["aim"], reach_mm, rng) if one["points"] else 0.0
         one["parts"]["misses"] = 1.0 - hits
         lost = one["lost"] + plan.weights.misses * (1.0 - hits)
-        if hits < LEAST_HITS:
+        if hits < MIN_HITS:
             one["rank"] = max(one["rank"], 1 if hits >= BARELY_HITS else 2)
             one["chance"] *= hits
         if best is None or (one["rank"], -_worth(plan, one, lost)) < (best[0], -best[1]):
@@ -132,13 +132,13 @@ def _worth(plan: Plan, place: Row, lost: float) -> float:
 def _apart(plan: Plan, first: PlannedRoute, place: Row) -> str:
     """Return a text with the contributions of the parts of the score to the difference between two routes.
 
-    The probability (chance) counts as a part. Contributions below :data:`LEAST_SHOWN` are omitted.
+    The probability (chance) counts as a part. Contributions below :data:`MIN_SHOWN` are omitted.
     """
     weights = plan.weights.to_json()
     total = sum(weights.values())
     off = {name: weights[name] * (first.parts[name] - part) / total for name, part in place["parts"].items()}
     off["chance"] = place["chance"] - first.chance if first.outlook == "may reach" else 0.0
-    shown = [f"{name} {value:+.3f}" for name, value in off.items() if abs(value) >= LEAST_SHOWN]
+    shown = [f"{name} {value:+.3f}" for name, value in off.items() if abs(value) >= MIN_SHOWN]
     return f"of it {', '.join(shown)}" if shown else "alike in all parts"
 
 

@@ -43,7 +43,7 @@ YIELD_MM, NUM_RIM = 0.2, 8
 """Depth in mm to which the wall yields, and number of tested points on the rim of the tip's face."""
 GRID_MM, OUTSIDE_MM, OUTSIDE_BOX_MM = 0.5, -9.0, 2.0
 """Spacing of the sampled depth, its value far outside, and margin of the sampled cube, mm."""
-LEAST_HITS, NUM_NEEDLES = 0.5, 400
+MIN_HITS, NUM_NEEDLES = 0.5, 400
 """Least share of the needles with random errors that hit, and number of these needles."""
 SIGMA_DEG, SIGMA_MM = 4.0, 0.7
 """Standard deviations of the needle's direction in degrees, and of the tip in mm; equal to those of the plan."""
@@ -137,7 +137,7 @@ def find_hold(
         for k in np.flatnonzero(inside):
             tip, ahead = tips[base[k], shape[k]], forward[base[k], shape[k]]
             share = needle_hits(tip, ahead, target, reach_mm)
-            if share >= LEAST_HITS:
+            if share >= MIN_HITS:
                 return Hold(tip, ahead, share, int(truth.branch[n]), float(truth.narrowest_mm[n]))
     return None
 

@@ -59,12 +59,12 @@ STEP_MM = 0.5
 BEFORE_MM = 0.3
 FAR_MM = 40.0
 BESIDE_MM = 4.0
-LEAST_PX, MOST_SHARE = 4, 0.9
+MIN_PX, MAX_SHARE = 4, 0.9
 """Least number of pixels of a true opening that is compared, and largest share of the picture.
 
 If an opening fills the picture, the found fork is at another place than the true one: the camera is in the true branch.
 """
-LEAST_WITHIN, MOST_NOT_GIVEN = 0.98, 0.1
+MIN_WITHIN, MAX_NOT_GIVEN = 0.98, 0.1
 """Aims: share of hours within half an hour, and share of openings without an hour (a straight view is a statement)."""
 
 
@@ -259,7 +259,7 @@ def _largest(mask: Mask) -> Mask:
 
 def _hour(mask: Mask) -> float | None:
     rows, columns = np.nonzero(mask)
-    if rows.size < LEAST_PX or rows.size > MOST_SHARE * mask.size:
+    if rows.size < MIN_PX or rows.size > MAX_SHARE * mask.size:
         return None
     half = mask.shape[0] / 2
     return hours_of(float(columns.mean()) + 0.5 - half, float(rows.mean()) + 0.5 - half)
@@ -310,7 +310,7 @@ def run(folder: Path, names: Sequence[str], say: Say, *, width_mm: float = WIDTH
                     say(json.dumps(row))
             say(f"{stored}: {json.dumps(summary(found))}")
             rows += found
-    say(f"all: {json.dumps(summary(rows))}; aims {LEAST_WITHIN:g} within half an hour, {MOST_NOT_GIVEN:g} not given")
+    say(f"all: {json.dumps(summary(rows))}; aims {MIN_WITHIN:g} within half an hour, {MAX_NOT_GIVEN:g} not given")
     return rows
 
 

@@ -44,14 +44,14 @@ Mask = NDArray[np.bool_]
 
 WIDENED = 0.15
 """Share by which the range of the segmentations is widened on each side."""
-LUNG_HU, CLOSING_MM, LEAST_LUNG_ML = -400.0, 5.0, 300.0
+LUNG_HU, CLOSING_MM, MIN_LUNG_ML = -400.0, 5.0, 300.0
 """Threshold and closing that find the lung of a CT, and least volume of a lung."""
 RADII_MM = (6.0, 9.0, 13.0, 18.0, 22.0, 26.0)
-MOST_FREE_MM = 18.0
+MAX_FREE_MM = 18.0
 """Largest radius in mm of a lesion without contact to the wall."""
 BRUSHES_MM: Final = (2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
 """Radii in mm of the window's brush (``web/src/state/tools.ts``) that a stroke may use."""
-MOST_STROKES, MOST_POINTS = 3, 2000
+MAX_STROKES, MAX_POINTS = 3, 2000
 SLACK_MM = 1.0
 """Distance in mm by which a stroke may cross the boundary that it follows."""
 HALF_MM = 78.0
@@ -158,7 +158,7 @@ def best_stroke(nodule: Nodule, volume: Volume, wanted_zyx: Mask) -> BrushStroke
     axis, n, radius_mm, takes_away, one = best
     places = np.argwhere(one)
     places[:, axis] += n
-    places = places[:MOST_POINTS, ::-1]
+    places = places[:MAX_POINTS, ::-1]
     points = places @ matrix[:3, :3].T + matrix[:3, 3]
     return BrushStroke(tuple((float(x), float(y), float(z)) for x, y, z in points), radius_mm, takes_away)
 
@@ -200,7 +200,7 @@ def lung_of(volume: Volume) -> Mask:
     inside = air & ~np.isin(labels, np.unique(np.concatenate([side.reshape(-1) for side in sides])))
     labels = sitk.GetArrayFromImage(sitk.RelabelComponent(sitk.ConnectedComponent(_image(inside, volume))))
     ml = np.bincount(labels.reshape(-1)) * float(np.prod(volume.spacing_mm)) / 1000.0
-    lung = np.isin(labels, [n for n in range(1, len(ml)) if ml[n] >= LEAST_LUNG_ML])
+    lung = np.isin(labels, [n for n in range(1, len(ml)) if ml[n] >= MIN_LUNG_ML])
     grown = depth_mm(~lung, volume) <= CLOSING_MM
     return lung | (depth_mm(grown, volume) > CLOSING_MM)
 
@@ -237,7 +237,7 @@ def implanted_lesions(volume: Volume, kind: str, num: int, seed: int) -> Iterato
         rng = np.random.default_rng([seed + n, *kind.encode()])
         radius_mm = RADII_MM[n % len(RADII_MM)] * rng.uniform(0.9, 1.1)
         if kind == "free":
-            radius_mm = min(radius_mm, MOST_FREE_MM)
+            radius_mm = min(radius_mm, MAX_FREE_MM)
         yield _implanted(volume, lung, depth, kind, radius_mm, rng)
 
 
@@ -320,17 +320,17 @@ def _print_segmented(place: Path, folder: Path) -> None:
 
 
 def _print_strokes(volume: Volume, found: Segmented) -> None:
-    """Print volume and overlap after each of at most `MOST_STROKES` strokes of the brush."""
+    """Print volume and overlap after each of at most `MAX_STROKES` strokes of the brush."""
     nodule = found.nodule
     assert nodule is not None
     low, high = min(found.volumes_mm3), max(found.volumes_mm3)
-    for num in range(MOST_STROKES + 1):
+    for num in range(MAX_STROKES + 1):
         ml, dice = nodule.volume_mm3 / 1000.0, overlap(nodule, volume, found.agreed_zyx)
         is_in = low <= nodule.volume_mm3 <= high
         print(
             f"  {num} strokes: {ml:.2f} ml, {'in' if is_in else 'out of'} the range itself, Dice {dice:.3f}", flush=True
         )
-        stroke = best_stroke(nodule, volume, found.agreed_zyx) if num < MOST_STROKES else None
+        stroke = best_stroke(nodule, volume, found.agreed_zyx) if num < MAX_STROKES else None
         if stroke is None:
             return
         what = "remove" if stroke.takes_away else "add"

@@ -29,9 +29,9 @@ NEAR_RGB = 90
 """Largest sum of the differences of the channels from a colour of a mark."""
 RING = 0.8
 """Radius of the circle on which the arrow is widest, as a share of half the picture."""
-LEAST_ARROW, MOST_ARROW = 0.03, 0.11
+MIN_ARROW, MAX_ARROW = 0.03, 0.11
 """Least and largest width of the arrow on that circle, as a share of half the picture."""
-LEAST_AREA = 1e-3
+MIN_AREA = 1e-3
 """Least share of the picture that an outline encloses."""
 AGREE_HOURS = 0.25
 """Largest difference of arrow and opening in hours."""
@@ -86,7 +86,7 @@ def _enclosed(marked: Mask) -> Mask:
         return np.zeros_like(marked)
     areas[int(np.argmax(areas))] = 0
     found = int(np.argmax(areas))
-    if areas[found] < LEAST_AREA * size * size:
+    if areas[found] < MIN_AREA * size * size:
         return np.zeros_like(marked)
     inside: Mask = np.equal(parts, found)
     return inside
@@ -108,7 +108,7 @@ def _arrow(marked: Mask) -> float | None:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], on.astype(np.int8), [0]])))
     runs = edges.reshape(-1, 2)
     width = (runs[:, 1] - runs[:, 0]) / num * math.tau * RING
-    wide = runs[(width >= LEAST_ARROW) & (width <= MOST_ARROW)]
+    wide = runs[(width >= MIN_ARROW) & (width <= MAX_ARROW)]
     if len(wide) != 1:
         return None
     middle = (start + 0.5 * (wide[0].sum() - 1)) / num * 12.0

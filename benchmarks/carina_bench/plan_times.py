@@ -19,7 +19,7 @@ from carina.volume import Volume
 
 __all__ = ["run"]
 
-MOST_PLAN_S, MOST_VERDICTS_S = 10.0, 60.0
+MAX_PLAN_S, MAX_VERDICTS_S = 10.0, 60.0
 """Aims on two cores: seconds from the click to the plan with its first verdict, and of the verdicts."""
 
 
@@ -55,14 +55,14 @@ def run(case: str) -> None:
 
     target = timed("click", click)
     plan = timed(
-        f"plan with its first verdict (aim with the click: {MOST_PLAN_S:g} s)",
+        f"plan with its first verdict (aim with the click: {MAX_PLAN_S:g} s)",
         lambda: plan_route(volume, airways, target, wall=wall, measures=measures, confirmed=True, progress=False),
     )
     first = plan.routes[0] if plan.routes else None
     print(f"  {len(plan.routes)} routes, the first one {'none' if first is None else first.outlook}", flush=True)
     if first is not None:
         found = timed(
-            f"verdicts on the best three routes (aim: {MOST_VERDICTS_S:g} s)",
+            f"verdicts on the best three routes (aim: {MAX_VERDICTS_S:g} s)",
             lambda: judge_pairs(airways.tree, plan, wall, progress=False),
         )
         print(f"  {len(found)} verdicts, the best one {found[0].outcome}", flush=True)

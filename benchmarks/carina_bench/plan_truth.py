@@ -53,7 +53,7 @@ import carina.plan
 from carina.config import load_settings
 from carina.errors import CarinaError
 from carina.plan import NeedleErrors, Plan, grow_nodule, judge_scope, plan_route
-from carina.plan.routes.plan_route import MOST_ANGLE_DEG, PlannedRoute
+from carina.plan.routes.plan_route import MAX_ANGLE_DEG, PlannedRoute
 from carina.scopes import ScopeDrive, ScopePreset, WallField, scope_preset
 from carina.track import AirwayTree
 from carina_bench import plan_cases
@@ -77,9 +77,9 @@ Holds of a place are refined if one points past the target's edge by less than t
 """
 NEAR_TIP_MM = 5.0
 """Distance in mm from the tip after a route's drive within which the geometric search must find a hold."""
-LEAST_HITS, NUM_NEEDLES = 0.5, 400
+MIN_HITS, NUM_NEEDLES = 0.5, 400
 """Least share of needles that hit from a hold, and number of simulated needles."""
-LEAST_POINTS, MOST_TOLD_WRONG = 0.9, 0.01
+MIN_POINTS, MAX_STATED_WRONG = 0.9, 0.01
 """Least share of reachable routes that point, and of targets that holds hit, and largest share of wrong
 statements."""
 PATIENTS = ("Patient1", "Patient2", "Patient3", "lobes-Patient1", "lobes-Patient2")
@@ -90,7 +90,7 @@ NUM_PER_PATIENT, NUM_PER_PHANTOM = 36, 6
 """Number of nodules in a painted patient and in a phantom."""
 PHANTOM_SEEDS = range(1, 21)
 """Seeds of the phantoms with nodules."""
-LEAST_ARRIVE, MOST_WRONG = 0.94, 0.01
+MIN_ARRIVE, MAX_WRONG = 0.94, 0.01
 """Least share of reachable targets at which the route arrives; largest share of wrong statements "reachable"."""
 EDGE_MM = 0.05
 """Distance between two tested points along the needle, mm."""
@@ -127,7 +127,7 @@ def is_reachable(truth: TrueTree, target: Target, scope: ScopePreset, reach_mm: 
     cosine = (off * truth.forward).sum(axis=1) / np.maximum(distance, 1e-9)
     may = truth.narrowest_mm >= scope.fit_mm
     may &= distance - target.radius_mm <= reach_mm
-    may &= (np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))) <= MOST_ANGLE_DEG) | (distance <= target.radius_mm)
+    may &= (np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))) <= MAX_ANGLE_DEG) | (distance <= target.radius_mm)
     return bool(may.any())
 
 
@@ -283,7 +283,7 @@ def _holds_hit(drive: ScopeDrive, target: Target, reach_mm: float) -> bool:
 
 
 def _strikes(lps_from_tip: Floats, target: Target, reach_mm: float) -> bool:
-    return _meets(lps_from_tip, target, reach_mm) and _hits(lps_from_tip, target, reach_mm) >= LEAST_HITS
+    return _meets(lps_from_tip, target, reach_mm) and _hits(lps_from_tip, target, reach_mm) >= MIN_HITS
 
 
 def _meets(lps_from_tip: Floats, target: Target, reach_mm: float) -> bool:
@@ -420,7 +420,7 @@ def summary(rows: Sequence[Row], what: str) -> list[Row]:
             "what": "reachable targets whose first route arrives in the truth",
             "case": f"{what}, {len(reachable)} of {len(rows)} targets",
             "figure": float(np.mean([row["arrives"] for row in reachable])) if reachable else None,
-            "limit": LEAST_ARRIVE,
+            "limit": MIN_ARRIVE,
             "better": "higher",
         },
         {
@@ -429,7 +429,7 @@ def summary(rows: Sequence[Row], what: str) -> list[Row]:
             "figure": len(wrong) / max(len(rows), 1),
             "of_told": len(wrong) / max(len(told), 1),
             "of_reachable": len(silent),
-            "limit": MOST_WRONG,
+            "limit": MAX_WRONG,
             "better": "lower",
         },
         *_pointing(rows, what),
@@ -453,7 +453,7 @@ def _pointing(rows: Sequence[Row], what: str) -> list[Row]:
         }
 
     checks = "arrive, point and are accepted" if is_searched else "arrive and point"
-    found = [row(f"first routes told reachable that {checks}", "told", len(right), len(told), LEAST_POINTS, "higher")]
+    found = [row(f"first routes told reachable that {checks}", "told", len(right), len(told), MIN_POINTS, "higher")]
     for name, words in (("could", "geometric"), ("laid", "elastic")):
         searched = [one for one in rows if name in one]
         # A drive in the true wall that hits shows that the target can be hit, although a search has missed the hold.
@@ -462,13 +462,13 @@ def _pointing(rows: Sequence[Row], what: str) -> list[Row]:
         got = sum(one["told"] == "reaches" and one.get("points", False) for one in hit)
         wrong = sum(one["told"] == "reaches" for one in missed)
         found += [
-            row(f"targets that a {words} hold hits with such a route", "hit", got, len(hit), LEAST_POINTS, "higher"),
+            row(f"targets that a {words} hold hits with such a route", "hit", got, len(hit), MIN_POINTS, "higher"),
             row(
                 f"targets that no {words} hold hits told reachable",
                 "not hit",
                 wrong,
                 len(missed),
-                MOST_TOLD_WRONG,
+                MAX_STATED_WRONG,
                 "lower",
             ),
         ]

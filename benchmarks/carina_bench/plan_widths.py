@@ -75,14 +75,14 @@ SLICES = ("0.7mm", "1mm", "1.5mm", "2.5mm", "3mm")
 """Names of the slice thicknesses with which the CTs are painted."""
 NUM_PER_BRANCH = 3
 """Number of routes that end in each branch."""
-MOST_OUTSIDE = 0.1
+MAX_OUTSIDE = 0.1
 """Largest share of a route's points, without those in the trachea, that may be outside the true lumen."""
 FORMER_SHARE, FORMER_SIGMA_MM = 0.2, 0.15
 """Standard deviations that plans used before decision 0130.
 
 The first is that of the largest ball, as a share of the coarsest spacing; the second is that of a scope's size, mm.
 """
-LEAST_COVERAGE, MOST_COVERAGE, MOST_BIAS = 0.85, 0.95, 3.0
+MIN_COVERAGE, MAX_COVERAGE, MAX_BIAS = 0.85, 0.95, 3.0
 """Limits of the coverage, as shares, and of the bias, in %."""
 
 
@@ -125,7 +125,7 @@ def compared_routes(
         num = len(branch.points)
         for at in sorted({num * part // NUM_PER_BRANCH for part in range(1, NUM_PER_BRANCH)} | {num - 1}):
             way = np.concatenate([*(true[n] for n in before), true[branch.id][: at + 1]])
-            if not np.isfinite(way[-1]) or np.isnan(way).mean() > MOST_OUTSIDE:
+            if not np.isfinite(way[-1]) or np.isnan(way).mean() > MAX_OUTSIDE:
                 continue
             width = widths[branch.id][at]
             found.append(
@@ -251,7 +251,7 @@ def main() -> None:
         slices=options.slices[:1] if options.quick else options.slices,
     )
     for row in rows:
-        met = LEAST_COVERAGE <= row["coverage"] <= MOST_COVERAGE and abs(row["bias"]) <= MOST_BIAS
+        met = MIN_COVERAGE <= row["coverage"] <= MAX_COVERAGE and abs(row["bias"]) <= MAX_BIAS
         print(
             f"{row['case']:28} {row['measure']:14} {row['routes']:5} routes  bias {row['bias']:+5.1f} % "
             f"({row['bias_mm']:+.2f} mm)  error {row['error']:4.1f} %  coverage {row['coverage']:.2f}  "

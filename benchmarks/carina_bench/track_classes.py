@@ -51,7 +51,7 @@ PHANTOM_PIXEL_MM = 0.8
 """Spacing of the phantoms in the plane of the slices, mm."""
 PHANTOM_SLICES_MM = (0.8, 1.5, 2.0, 3.0)
 """Distances between slices of the phantoms, mm."""
-MOST_ERROR = 0.05
+MAX_ERROR = 0.05
 """Largest difference, and largest calibration error, that a class may have."""
 CASES = (*PATIENTS, "phantoms")
 """Values that ``--case`` accepts: painted patients, or all phantoms."""
@@ -116,7 +116,7 @@ def _rows(judged: Sequence[Judged]) -> Iterator[Row]:
             ("mean confidence beside the share that is true", abs(float(shares.mean() - hits.mean()))),
             ("expected calibration error", calibration_error(shares, hits)),
         ):
-            row: Row = {"what": what, "case": name, "figure": figure, "limit": MOST_ERROR, "better": "lower"}
+            row: Row = {"what": what, "case": name, "figure": figure, "limit": MAX_ERROR, "better": "lower"}
             yield row | {"aim": True, "note": note}
 
 

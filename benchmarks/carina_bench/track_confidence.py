@@ -42,7 +42,7 @@ QUICK_CTS, QUICK_TREES = 1, 6
 """Number of good and of poor CTs, and of trees, in a quick run."""
 NUM_BINS = 10
 """Number of bins of confidence from which the calibration error is computed."""
-MOST_ERROR, SURE, SURE_SHARE = 0.05, 0.9, 0.7
+MAX_ERROR, SURE, SURE_SHARE = 0.05, 0.9, 0.7
 """Largest calibration error; confidence that counts as sure; least share of right names that are sure."""
 EDGES = (0.0, 0.5, 0.75, 0.85, 0.9, 0.925, 0.95, 0.97, 0.98, 0.99, 0.995, 0.999, 1.001)
 """Edges of the bins of a branch's score (how well its wall is visible); most branches have a score near 1."""
@@ -82,7 +82,7 @@ def _rows(judged: Sequence[Judged], what: str) -> Iterator[Row]:
             "what": f"expected calibration error of {what}",
             "case": f"{kind}, {stated.sum()} told",
             "figure": calibration_error(shares[stated], hits[stated]),
-            "limit": MOST_ERROR if kind == "all" else None,
+            "limit": MAX_ERROR if kind == "all" else None,
             "better": "lower",
         }
         if what == "names":

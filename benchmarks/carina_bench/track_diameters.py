@@ -45,13 +45,13 @@ SIZES_MM = (0.0, 1.6, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 30.0)
 """Limits of the classes of true diameter in the report, mm."""
 SIZES_VOX = (0.0, 3.0, 4.0, 6.0, 10.0, 99.0)
 """Limits of the classes of true diameter, voxels."""
-LEAST_IN_CLASS = 8
+MIN_IN_CLASS = 8
 """Least number of branches or routes of a class in the report."""
-LEAST_SECTIONS = 3
+MIN_SECTIONS = 3
 """Least number of usable sections of a branch that is compared."""
-MOST_BIAS = 3.0
+MAX_BIAS = 3.0
 """Largest bias of a class of diameters, %."""
-LEAST_COVERAGE, MOST_COVERAGE = 0.85, 0.95
+MIN_COVERAGE, MAX_COVERAGE = 0.85, 0.95
 """Least and largest coverage of a class of diameters, as shares."""
 
 
@@ -102,7 +102,7 @@ def compared_diameters(case: DiameterCase, tree: AirwayTree, measures: TreeMeasu
         along = np.abs((own.normal_lps[used] * course[near]).sum(axis=1))
         is_same = (away < 0.8 * radius[near]) & (along > 0.8)
         used, true = used[is_same], 2.0 * radius[near[is_same]]
-        if len(used) < LEAST_SECTIONS:
+        if len(used) < MIN_SECTIONS:
             continue
         columns = (own.at_mm[used], own.equivalent_mm[used], own.equivalent_error_mm[used])
         found = 2.0 * branch.radius[used]
@@ -156,7 +156,7 @@ def _rows(subjects: str, cases: Iterator[DiameterCase], say: Say) -> list[Row]:
         for unit, sizes, limits in (("mm", branches[:, 0], SIZES_MM), ("voxels", voxels, SIZES_VOX)):
             for low, high in pairwise(limits):
                 part = branches[(sizes >= low) & (sizes < high)]
-                if len(part) >= LEAST_IN_CLASS:
+                if len(part) >= MIN_IN_CLASS:
                     rows += _judged(f"diameters of {low:g} to {high:g} {unit}", name, part)
     return rows
 
@@ -180,15 +180,15 @@ def _judged(what: str, name: str, table: Floats) -> list[Row]:
             "figure": bias,
             "size": abs(bias),
             "unit": "%",
-            "met": abs(bias) <= MOST_BIAS,
+            "met": abs(bias) <= MAX_BIAS,
             "note": note,
         },
         {
             "what": f"{what}: coverage",
             "case": name,
             "figure": inside,
-            "limit": LEAST_COVERAGE,
-            "most": MOST_COVERAGE,
+            "limit": MIN_COVERAGE,
+            "most": MAX_COVERAGE,
             "aim": True,
         },
     ]

@@ -31,7 +31,7 @@ NUM_BANDS = 72
 """Number of directions in a slice for which the amplitude of a clip's streaks is drawn at random."""
 SAME_STREAKS = 0.9
 """Correlation of the streaks of one piece of metal between two neighbouring slices."""
-LEAST_HU, MOST_HU = -1024, 3071
+MIN_HU, MAX_HU = -1024, 3071
 """Least and largest CT value of a volume, HU."""
 
 
@@ -195,4 +195,4 @@ def streaked(volume: Volume, streak_hu: float, *, seed: int, from_lps_z: float, 
 
 
 def _with_values(volume: Volume, values: NDArray[np.float32]) -> Volume:
-    return dataclasses.replace(volume, hu_zyx=np.clip(np.rint(values), LEAST_HU, MOST_HU).astype(np.int16))
+    return dataclasses.replace(volume, hu_zyx=np.clip(np.rint(values), MIN_HU, MAX_HU).astype(np.int16))

@@ -57,9 +57,9 @@ AIMS: dict[tuple[str, str], tuple[float, float]] = {
     **{(kernel, "3mm"): (0.75, 0.62) for kernel in KERNELS},
 }
 """Least TD and BD, as means of the patients, by kernel and slice thickness."""
-LEAST_PRECISION = 0.98
+MIN_PRECISION = 0.98
 """Limit of the precision within a voxel, as a share."""
-MOST_FALSE_MEDIAN, MOST_FALSE = 1, 3
+MAX_FALSE_MEDIAN, MAX_FALSE = 1, 3
 """Largest number of false branches of a case: median over the cases, and of any case."""
 RING_MM = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Distances of the rings from the true wall of a missed lumen, mm."""
@@ -261,11 +261,11 @@ def _means(rows: Sequence[Row]) -> list[Row]:
         precisions = [one["precision"] for one in own if one["precision"] is not None]
         if precisions:
             row = {"what": "precision within a voxel, least", "case": case, "figure": min(precisions)}
-            result.append(row | {"limit": LEAST_PRECISION, "aim": True})
+            result.append(row | {"limit": MIN_PRECISION, "aim": True})
         num_false = [one["false_branches"] for one in own]
         for what, figure, limit in (
-            ("false branches, median", float(np.median(num_false)), MOST_FALSE_MEDIAN),
-            ("false branches, most", max(num_false), MOST_FALSE),
+            ("false branches, median", float(np.median(num_false)), MAX_FALSE_MEDIAN),
+            ("false branches, most", max(num_false), MAX_FALSE),
         ):
             row = {"what": what, "case": case, "figure": figure, "limit": limit, "better": "lower", "aim": True}
             result.append(row)

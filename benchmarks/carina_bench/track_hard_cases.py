@@ -57,7 +57,7 @@ BESIDE_MM = 8.0
 """Margin around the lungs that is painted, mm."""
 HU_STEPS = 16.0
 """Number of steps per HU of stored values, which are multiples of 1/16 HU."""
-LEAST_BRONCHUS_MM2 = 25.0
+MIN_BRONCHUS_MM2 = 25.0
 """Least area of a main bronchus in a slice, mm2."""
 
 
@@ -177,7 +177,7 @@ def _carina_slice(airways: NDArray[np.bool_], pixel_mm2: float, *, is_upwards: b
     for k in used[::-1] if is_upwards else used:
         labels, num = ndimage.label(airways[k])
         areas = np.bincount(labels.ravel(), minlength=num + 1)[1:] * pixel_mm2
-        if (areas >= LEAST_BRONCHUS_MM2).sum() >= 2:
+        if (areas >= MIN_BRONCHUS_MM2).sum() >= 2:
             return int(k)
     message = "the mask of the airways does not show two main bronchi"
     raise ValueError(message)

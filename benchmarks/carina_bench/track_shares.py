@@ -44,9 +44,9 @@ PIXEL_MM, NOISE_HU = 0.7, 25.0
 """Spacing in plane (mm) and standard deviation of the noise (HU) of the phantoms."""
 OVERLAPPING = ("3mm-every-2mm", "5mm-every-2.5mm")
 """Names of overlapping slices: thickness and distance."""
-LEAST_LENGTH_MM = 30.0
+MIN_LENGTH_MM = 30.0
 """Least length of the true airways of a calibre in a case, mm; below it no share is measured."""
-MOST_OUTSIDE = 0.05
+MAX_OUTSIDE = 0.05
 """Largest distance of a measured share from the range of calibrated shares."""
 CASES = (*PATIENTS, HELD_PATIENT, "phantoms", "real")
 """Values that ``--case`` accepts: patients, phantoms, or real CTs."""
@@ -64,7 +64,7 @@ def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
             found_zyx = np.zeros(volume.shape_zyx, np.bool_)
         found, whole = length_by_calibre(volume, truth, found_zyx)
         say(f"{name}: " + ", ".join(f"{hit / max(all_mm, 1e-9):.2f}" for hit, all_mm in zip(found, whole, strict=True)))
-        for number in np.flatnonzero(whole >= LEAST_LENGTH_MM):
+        for number in np.flatnonzero(whole >= MIN_LENGTH_MM):
             share = float(found[number] / whole[number])
             if part == "fit":
                 fitted.setdefault((slices_mm, int(number)), []).append(share)
@@ -94,7 +94,7 @@ def _held_row(name: str, number: int, slices_mm: float, share: float) -> Row:
         "what": f"share outside the calibrated range, {_title(number)}",
         "case": name,
         "figure": max(known.least - share, share - known.most, 0.0),
-        "limit": MOST_OUTSIDE,
+        "limit": MAX_OUTSIDE,
         "better": "lower",
         "aim": True,
         "note": f"{share:.2f}; calibrated: {known.typical:.2f} ({known.least:.2f} to {known.most:.2f})",
@@ -117,7 +117,7 @@ def _real_rows(say: Say) -> Iterator[Row]:
         for share in known.shares:
             own = [one for one in listed if share.from_mm <= (one.calibre_mm or 0.0) < (share.to_mm or np.inf)]
             length = sum(len(one.points) for one in own)
-            if length * STEP_MM >= LEAST_LENGTH_MM:
+            if length * STEP_MM >= MIN_LENGTH_MM:
                 found = sum(found_share(one, airways.tree) * len(one.points) for one in own) / length
                 yield {
                     "what": f"share of the listed length found, {_title(CALIBRES.index((share.from_mm, share.to_mm)))}",

@@ -61,9 +61,9 @@ FLUID = ((1.0, 4.0, 9.0), (0.8, 4.0, 9.0))
 """Secretions: filled share of a section's height, and start and length along the bronchus, mm."""
 PAINTED = (("medium", "0.7mm"), ("medium", "2mm"), ("medium", "3mm"), ("sharp", "0.7mm"))
 """Kernels and slices of painted patients."""
-LEAST_TRUE = 0.95
+MIN_TRUE = 0.95
 """Least share of statements that are true."""
-LEAST_NAMED = 0.9
+MIN_NAMED = 0.9
 """Least share of missed segments that are in the list of absences."""
 CASES = (*PATIENTS, "healthy", "resected", "filled", "tubes", "necks", "crops", "real")
 """Values that ``--case`` accepts: painted patients, and kinds of phantoms or real CTs."""
@@ -250,7 +250,7 @@ def _rows(counts: dict[str, Counts]) -> Iterator[Row]:
         yield {"what": "false statements", "case": part, "figure": one.num_false, "note": note}
     share = num_true / max(num_true + num_false, 1)
     note = f"{num_true} of {num_true + num_false}"
-    yield {"what": "statements that are true", "figure": share, "limit": LEAST_TRUE, "note": note}
+    yield {"what": "statements that are true", "figure": share, "limit": MIN_TRUE, "note": note}
     facts: Counter[str] = Counter()
     named: Counter[str] = Counter()
     for one in counts.values():
@@ -259,7 +259,7 @@ def _rows(counts: dict[str, Counts]) -> Iterator[Row]:
     for kind, num in facts.items():
         note = f"{named[kind]} of {num}"
         row: Row = {"what": "generated findings that are stated", "case": kind, "figure": named[kind] / num}
-        yield row | {"limit": LEAST_NAMED, "note": note}
+        yield row | {"limit": MIN_NAMED, "note": note}
     num_missed = sum(one.num_missed for one in counts.values())
     unreported = sum(one.num_unreported for one in counts.values())
     note = f"{unreported} of {num_missed} missed"

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MOST_LEAN_DEG", "lean_chest", "moved_mm"]
+__all__ = ["MAX_LEAN_DEG", "lean_chest", "moved_mm"]
 
-MOST_LEAN_DEG = 35.0
+MAX_LEAN_DEG = 35.0
 # Height above and below the carina over which the trachea bends.
 BEND_MM = 10.0
 # Value of voxels that are shifted in from outside the volume: air, far from any airway.

@@ -35,7 +35,7 @@ from carina.config import load_settings
 from carina.disk import Draft, make_folder
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, UsageError
-from carina.leaning_phantom import MOST_LEAN_DEG, lean_chest, moved_mm
+from carina.leaning_phantom import MAX_LEAN_DEG, lean_chest, moved_mm
 from carina.volume import Volume, VolumeSource, write_grid_to
 
 __all__ = ["Phantom", "demo_phantom", "generate_phantom", "lumen_distance_at", "write_phantom"]
@@ -81,7 +81,7 @@ class Phantom:
 
 def _check_lean(where: str, name: str, value: object) -> None:
     """Reject anything but two angles within the limits of a leaning trachea."""
-    each(number_from(-MOST_LEAN_DEG, MOST_LEAN_DEG, unit="degrees"), least=2, most=2)(where, name, value)
+    each(number_from(-MAX_LEAN_DEG, MAX_LEAN_DEG, unit="degrees"), least=2, most=2)(where, name, value)
 
 
 def _check_spacing(where: str, name: str, value: object) -> None:

@@ -14,7 +14,7 @@ from carina_bench import track, track_hard
 from carina_bench.paint import PaintOptions, Scanned, Scene, _axes, paint, scanned
 from carina_bench.paint_fine_vessels import FineVessel, add_fine_vessels, fine_vessels
 from carina_bench.paint_slices import Slices, noisy_slices, slice_weights, sliced
-from carina_bench.paint_terminal import LEAST_RADIUS_MM, terminal_airways
+from carina_bench.paint_terminal import MIN_RADIUS_MM, terminal_airways
 from carina_bench.paint_tubes import Tube
 from carina_bench.track_hard_cases import KERNELS, OPTIONS, cached, imaged
 from carina_bench.track_truth import TrueBranch, Truth
@@ -166,7 +166,7 @@ def test_terminal_airways_taper_by_murrays_rule_without_touching():
     assert len(found) >= 8 and len(every) == len(found) + 1
     for tube in found:
         parent = every[tube.parent]
-        assert tube.radius_mm.min() >= LEAST_RADIUS_MM and tube.radius_mm.max() < parent.radius_mm.min()
+        assert tube.radius_mm.min() >= MIN_RADIUS_MM and tube.radius_mm.max() < parent.radius_mm.min()
         assert np.allclose(tube.points[0], parent.points[-1])
         assert 0.2 <= tube.thickness_mm <= 0.42
         assert tube.generation == parent.generation + 1

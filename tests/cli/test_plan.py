@@ -150,7 +150,7 @@ def test_plan_command_without_a_route_exits_with_code_4_and_the_reason(
     path, place = chest
     from carina.plan.routes import plan_route
 
-    monkeypatch.setattr(plan_route, "MOST_ANGLE_DEG", -1.0)
+    monkeypatch.setattr(plan_route, "MAX_ANGLE_DEG", -1.0)
     result = run(path, place)
     assert result.exit_code == 4
     assert "! No route: " in result.stderr and "another access" in result.stderr

@@ -49,7 +49,7 @@ STARTS_S = 120.0
 OPENS_S = 600.0
 PER_PIXEL_S = 0.4 / (150 * 150)
 """Rendering time of a slow airway view, seconds per pixel: 0.4 s for the coarsest picture in a cell of 600 px."""
-MOST_KEPT_BYTES = 1 << 20
+MAX_STORED_BYTES = 1 << 20
 
 # The package exports a function with the name of the module.
 serve_module: Any = importlib.import_module("carina.server.serve")
@@ -208,7 +208,7 @@ def remember_pieces() -> None:
     small = lru_cache(4096)(zlib.compress)
 
     def compress(content: bytes | memoryview, level: int) -> bytes:
-        return small(bytes(content), level) if len(content) < MOST_KEPT_BYTES else zlib.compress(content, level)
+        return small(bytes(content), level) if len(content) < MAX_STORED_BYTES else zlib.compress(content, level)
 
     compressor = types.SimpleNamespace(compress=compress, decompressobj=zlib.decompressobj, error=zlib.error)
     compression.zlib = compressor  # type: ignore[assignment]

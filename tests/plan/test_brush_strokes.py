@@ -8,7 +8,7 @@ from test_masses import WALL_X_MM, chest_part
 
 import carina
 from carina.commands import AddTarget, BrushTarget
-from carina_bench.plan_lesions import MOST_STROKES, best_stroke, overlap
+from carina_bench.plan_lesions import MAX_STROKES, best_stroke, overlap
 
 RADIUS_MM = 16.0
 
@@ -27,7 +27,7 @@ def test_three_strokes_add_the_part_of_a_lesion_that_lies_in_the_chest_wall() ->
         (target,) = case.state.document.targets
         clicked = target.lesion.nodule
         before = overlap(clicked, volume, wanted)
-        for _ in range(MOST_STROKES):
+        for _ in range(MAX_STROKES):
             stroke = best_stroke(case.state.document.targets[0].lesion.nodule, volume, wanted)
             assert stroke is not None
             case.do(BrushTarget(target.target_id, stroke.points_lps, stroke.radius_mm, stroke.takes_away))
@@ -35,6 +35,6 @@ def test_three_strokes_add_the_part_of_a_lesion_that_lies_in_the_chest_wall() ->
         assert nodule.volume_mm3 == pytest.approx(wanted_mm3, rel=0.1)
         assert overlap(nodule, volume, wanted) > max(0.92, before)
         # Each stroke is one undo step.
-        for _ in range(MOST_STROKES):
+        for _ in range(MAX_STROKES):
             case.undo()
         assert case.state.document.targets[0].lesion.nodule is clicked

@@ -14,7 +14,7 @@ from cached_test_data import patient as the_patient
 from carina.phantom import Phantom, lumen_distance_at
 from carina.track import Airways, find_airways
 from carina.track.find.air_upwards import AirSection
-from carina.track.find.artefact_regions import LUNG_HU, METAL, MOST_CONFIDENCE, STEP, ArtefactRegions, find_disturbed
+from carina.track.find.artefact_regions import LUNG_HU, MAX_CONFIDENCE, METAL, STEP, ArtefactRegions, find_disturbed
 from carina.track.find.breathing_step import find_steps
 from carina.track.find.metal_streaks import find_streaks
 from carina.track.find.upper_airway import find_tube
@@ -26,7 +26,7 @@ from carina_bench.track_disturbed_cases import Step, noisy, stepped, streaked, w
 CHEST: dict[str, Any] = {"spacing_mm": 1.1, "noise_hu": 25.0}
 THICK: dict[str, Any] = {"spacing_mm": (0.8, 0.8, 3.0), "noise_hu": 25.0}
 SEEDS = [1, pytest.param(2, marks=pytest.mark.soak)]
-MOST_FALSE = 3
+MAX_FALSE = 3
 
 
 def made(seed: int) -> Phantom:
@@ -65,7 +65,7 @@ def test_metal_streaks_of_surgical_clips_add_few_false_branches_and_leave_a_note
     phantom = made(seed)
     volume = with_clips(phantom.volume, hilum(phantom), seed=seed)
     found = find_airways(volume)
-    assert num_false(found, seed, volume) <= MOST_FALSE
+    assert num_false(found, seed, volume) <= MAX_FALSE
     (note,) = [note for note in found.badges if note.code == METAL]
     assert note.badge
     assert note.words in found.notes
@@ -88,7 +88,7 @@ def test_branches_in_metal_streaks_have_at_most_the_limit_of_confidence() -> Non
         i, j, k = np.clip(np.rint(volume.to_ijk(branch.points)).astype(int), 0, last).T
         if region[k, j, i].mean() > 0.5:
             assert branch.confidence is not None
-            assert branch.confidence <= MOST_CONFIDENCE
+            assert branch.confidence <= MAX_CONFIDENCE
 
 
 def test_metal_without_streaks_and_contrast_medium_leave_the_airways_unchanged() -> None:
@@ -196,7 +196,7 @@ def test_metal_streaks_in_divided_slices_add_few_false_branches_and_leave_a_note
     volume = with_clips(phantom.volume, hilum(phantom), seed=1)
     found = find_airways(volume)
     assert found.tracker.lumen_zyx.shape[0] == 3 * volume.shape_zyx[0]
-    assert num_false(found, 1, volume) <= MOST_FALSE
+    assert num_false(found, 1, volume) <= MAX_FALSE
     (note,) = [note for note in found.badges if note.code == METAL]
     region = find_streaks(volume, air_scale(volume))
     assert region is not None

@@ -80,7 +80,7 @@ def one_by_one(sections, lung, start):
         gain += verdict.CLOSED * between((sections.closed[n] + over) / lung.rise, *verdict.CLOSED_LIMITS)
         gain += verdict.FAR_CLOSED * between((sections.far_closed[n] + over) / lung.far_rise, *verdict.CLOSED_LIMITS)
         if is_beyond:
-            gain += verdict.DROP * between((max(sections.own[first : n + 1]) - own) / 100.0, 0.0, verdict.MOST_DROP)
+            gain += verdict.DROP * between((max(sections.own[first : n + 1]) - own) / 100.0, 0.0, verdict.MAX_DROP)
         if start is not None:
             mouth = [
                 radius
@@ -88,10 +88,10 @@ def one_by_one(sections, lung, start):
                 if mm > start.inside_mm - verdict.MOUTH_MM
             ]
             wide = max([start.branch_radius_mm, *mouth])
-            gain += verdict.WIDER * between(radii[n] / wide - verdict.AS_WIDE, 0.0, verdict.MOST_WIDER)
+            gain += verdict.WIDER * between(radii[n] / wide - verdict.AS_WIDE, 0.0, verdict.MAX_WIDER)
         gain += verdict.BEND * sections.bend[n]
         gain += verdict.UNEVEN * np.std(radii[max(0, n - 5) : n + 6])
-        gain += verdict.GAP * between((radii[n] - 1.0) * (own + 980.0) / 100.0, 0.0, verdict.MOST_GAP)
+        gain += verdict.GAP * between((radii[n] - 1.0) * (own + 980.0) / 100.0, 0.0, verdict.MAX_GAP)
         found.append(gain)
     return np.array(found)
 

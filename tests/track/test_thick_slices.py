@@ -30,7 +30,7 @@ from carina.track.tree.thick_slices import (
     with_slice_note,
 )
 from carina.volume import Volume, VolumeSource, badges_of
-from carina_bench.track_shares import CALIBRES, LEAST_LENGTH_MM, length_by_calibre
+from carina_bench.track_shares import CALIBRES, MIN_LENGTH_MM, length_by_calibre
 from carina_bench.track_truth import truth_of_phantom
 
 THICK: dict[str, Any] = {"spacing_mm": (0.8, 0.8, 3.0), "noise_hu": 25.0, "seed": 4}
@@ -212,7 +212,7 @@ def test_search_in_a_phantom_not_used_for_calibration_finds_the_stated_shares(ch
     found, whole = length_by_calibre(made.volume, truth, chest.lumen_zyx != 0)
     assert len(CALIBRES) == len(CALIBRE_ENDS_MM)
     for share, hit, length in zip(calibrated_shares(3.0), found, whole, strict=True):
-        if length >= LEAST_LENGTH_MM:
+        if length >= MIN_LENGTH_MM:
             with capsys.disabled():
                 print(f"\n{share.from_mm:g} to {share.to_mm or 99:g} mm: {hit / length:.2f}")
             assert share.least - ROUNDING <= hit / length <= share.most + ROUNDING

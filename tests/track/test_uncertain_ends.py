@@ -10,7 +10,7 @@ import pytest
 from carina.errors import NoResultError
 from carina.track import AirwayTree, Branch, find_airways
 from carina.track.find.airway_ends import find_uncertain
-from carina.track.tree.uncertainty import MOST_BESIDE_RIMS, wall_noise, with_confidence
+from carina.track.tree.uncertainty import MAX_BESIDE_RIMS, wall_noise, with_confidence
 from carina.volume.model import Volume
 
 
@@ -139,9 +139,9 @@ def test_thin_lumen_beside_dark_rims_has_low_confidence_and_a_wide_lumen_high_co
             confidence = with_confidence(volume, tree, 10.0, rims_hu=rims_hu).root.confidence
             assert confidence is not None
             if is_limited and rims_hu == 30.0:
-                assert confidence == MOST_BESIDE_RIMS
+                assert confidence == MAX_BESIDE_RIMS
             else:
-                assert confidence > MOST_BESIDE_RIMS
+                assert confidence > MAX_BESIDE_RIMS
 
 
 def test_assumed_noise_of_a_wall_increases_less_than_the_noise_of_a_voxel():

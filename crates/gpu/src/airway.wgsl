@@ -9,9 +9,9 @@ override LEAP: bool = true;
 override WALLS: bool = false;
 
 // Number of samples that a ray takes after its first look-up that saved nothing (schedule of look-ups: see leap.rs).
-const LEAST_PATIENCE: u32 = 2u;
+const MIN_PATIENCE: u32 = 2u;
 // Largest number of samples between two look-ups of a ray.
-const MOST_PATIENCE: u32 = 128u;
+const MAX_PATIENCE: u32 = 128u;
 // Number of samples before the first look-up, for rays that start in no region.
 const BLIND_SAMPLES: u32 = 8u;
 // Shortest leap, in samples, that resets the patience of a ray.
@@ -306,7 +306,7 @@ fn cast_airway(
         var skipped = 0u;
         var lit = 0u;
         var ask_at = ray.first;
-        var patience = LEAST_PATIENCE;
+        var patience = MIN_PATIENCE;
         if LEAP && !starts_in_region() {
             ask_at += BLIND_SAMPLES;
             patience = 2u * BLIND_SAMPLES;
@@ -326,13 +326,13 @@ fn cast_airway(
                         leaps += 1u;
                         skipped += passed;
                         if passed >= PAYING_LEAP {
-                            patience = LEAST_PATIENCE;
+                            patience = MIN_PATIENCE;
                         }
                         k += passed;
                         continue;
                     }
                     ask_at = k + patience;
-                    patience = min(2u * patience, MOST_PATIENCE);
+                    patience = min(2u * patience, MAX_PATIENCE);
                 }
             }
             k += 1u;

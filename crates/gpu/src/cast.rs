@@ -25,7 +25,7 @@ const BAND_PIXELS: usize = 1 << 21;
 /// samples a second.
 const BAND_SAMPLES: f64 = 5e8;
 /// Largest number of steps of a ray; f32 counts steps exactly to 2^24, and the ends of a ray are computed in f32 here.
-const MOST_STEPS: f64 = 4_194_304.0;
+const MAX_STEPS: f64 = 4_194_304.0;
 /// Number of 32-bit words per pixel in the output of walls.
 const WORDS_OF_A_WALL: usize = 5;
 /// Smallest number of pixels that one CPU thread converts after the read-back.
@@ -331,10 +331,10 @@ fn check(
                 .to_owned(),
         });
     }
-    if parameters.most_steps > MOST_STEPS {
+    if parameters.most_steps > MAX_STEPS {
         return Err(GpuError::Unsupported {
             reason: format!(
-                "a ray has {:.0} steps, at most {MOST_STEPS:.0} are counted exactly",
+                "a ray has {:.0} steps, at most {MAX_STEPS:.0} are counted exactly",
                 parameters.most_steps
             ),
         });

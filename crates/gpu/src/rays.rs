@@ -14,7 +14,7 @@ use crate::{
 /// Number of cached sets of ray directions, and of cached transfer tables.
 ///
 /// While a camera moves, the frame budget alternates between a few picture sizes and ray steps.
-const MOST_CACHED: usize = 6;
+const MAX_CACHED: usize = 6;
 
 /// Return the cached item of a key, or create and cache it; the least recently used item is removed if the cache is
 /// full.
@@ -27,7 +27,7 @@ fn cached<T, K: PartialEq + ?Sized>(
     let place = all.iter().position(|item| key_of(item) == key);
     let item = place.map_or_else(|| Arc::new(make()), |n| all.remove(n));
     all.insert(0, Arc::clone(&item));
-    all.truncate(MOST_CACHED);
+    all.truncate(MAX_CACHED);
     item
 }
 

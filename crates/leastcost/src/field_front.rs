@@ -7,7 +7,7 @@
 use crate::buckets::Block;
 use crate::field::{HERE, StepCost};
 use crate::field_layout::prefetch;
-use crate::field_state::{FieldTracker, MOST_QUANTA, Touch};
+use crate::field_state::{FieldTracker, MAX_QUANTA, Touch};
 
 /// Number of queue entries by which the prefetch of an entry's memory precedes its settling.
 const AHEAD: usize = 6;
@@ -184,10 +184,10 @@ impl<C: StepCost> FieldTracker<C> {
                     }
                     left[neighbour] = candidate;
                     step_here[neighbour] = cell;
-                    let cost = (MOST_QUANTA - candidate) as u64;
+                    let cost = (MAX_QUANTA - candidate) as u64;
                     // If the node's bucket stays the same, the existing queue entry suffices.
                     if old == 0
-                        || queue.bucket_of((MOST_QUANTA - old) as u64) != queue.bucket_of(cost)
+                        || queue.bucket_of((MAX_QUANTA - old) as u64) != queue.bucket_of(cost)
                     {
                         queue.push(cost, neighbour as u32);
                     }

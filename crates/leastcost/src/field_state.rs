@@ -8,7 +8,7 @@ use crate::field_layout::Layout;
 use crate::field_sweep::Sweep;
 
 /// Largest cost in quanta that the entry of a voxel in `left` can represent: 31 bits.
-pub(crate) const MOST_QUANTA: i32 = i32::MAX;
+pub(crate) const MAX_QUANTA: i32 = i32::MAX;
 
 /// Step by which a voxel was first reached: the voxel's node, the index of its weight, and the cell of the step.
 #[derive(Debug, Clone, Copy)]
@@ -31,7 +31,7 @@ pub struct FieldTracker<C: StepCost> {
     /// The value is 1 if a path may still change the voxel: the first path for costs by the entered voxel, a cheaper
     /// one for costs by both ends.
     pub(crate) open: Vec<u8>,
-    /// For costs by both ends: `MOST_QUANTA` minus the least cost so far of each voxel.
+    /// For costs by both ends: `MAX_QUANTA` minus the least cost so far of each voxel.
     ///
     /// The value is 0 for a voxel that no path has reached, so zeroed memory needs no initialisation.
     pub(crate) left: Vec<i32>,

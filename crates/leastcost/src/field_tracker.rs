@@ -14,7 +14,7 @@ use crate::buckets::Buckets;
 use crate::field::{HERE, Quanta, StepCost, VoxelField};
 use crate::field_layout::{Layout, fresh, open_bits};
 pub use crate::field_state::FieldTracker;
-use crate::field_state::{MOST_QUANTA, Touch};
+use crate::field_state::{MAX_QUANTA, Touch};
 use crate::field_sweep::Sweep;
 use crate::field_tile::SweepBuffer;
 use crate::{TrackError, Watch};
@@ -66,7 +66,7 @@ impl<C: StepCost> FieldTracker<C> {
             let bit = tracker.layout.bit_left_of(tracker.layout.ijk(root)) + 1;
             tracker.open[bit / 8] &= !(1 << (bit % 8));
         } else {
-            tracker.left[root as usize] = MOST_QUANTA;
+            tracker.left[root as usize] = MAX_QUANTA;
         }
         tracker.queue.push(0, root);
         Ok(tracker)
@@ -133,11 +133,11 @@ impl<C: StepCost> FieldTracker<C> {
 
     /// Start the sweep of all voxels: move the open nodes from the queue to the tiles.
     fn begin_sweep(&mut self, field: &VoxelField<'_>) {
-        let most = (MOST_QUANTA as u32).saturating_sub(2 * self.quanta.dearest as u32);
+        let most = (MAX_QUANTA as u32).saturating_sub(2 * self.quanta.dearest as u32);
         let mut sweep = Sweep::new(field.shape_ijk(), &self.quanta, most, self.simd);
         if C::BY_VOXEL {
             self.left = fresh::<i32>(field.num_nodes());
-            self.left[self.root as usize] = MOST_QUANTA;
+            self.left[self.root as usize] = MAX_QUANTA;
             sweep.mark_decreased(self.layout.ijk(self.root), 0);
         } else {
             while self.queue.advance() {
@@ -146,7 +146,7 @@ impl<C: StepCost> FieldTracker<C> {
                         let node = self.queue.entry(block, at);
                         let ijk = self.layout.ijk(node);
                         if self.layout.is_open(&self.open, ijk) {
-                            let cost = MOST_QUANTA - self.left[node as usize];
+                            let cost = MAX_QUANTA - self.left[node as usize];
                             sweep.mark_decreased(ijk, cost as u32);
                         }
                     }
@@ -207,7 +207,7 @@ impl<C: StepCost> FieldTracker<C> {
         watch: &impl Watch,
     ) -> Result<(), TrackError> {
         let overflow = TrackError::CostOverflow {
-            most: MOST_QUANTA as f64 * self.quanta.unit,
+            most: MAX_QUANTA as f64 * self.quanta.unit,
         };
         let mut looked_at = sweep.num_reached;
         let mut visits = 0;
@@ -215,7 +215,7 @@ impl<C: StepCost> FieldTracker<C> {
             if front > sweep.most() {
                 return Err(overflow);
             }
-            let known = |target: u32| self.left[target as usize] >= MOST_QUANTA - front as i32;
+            let known = |target: u32| self.left[target as usize] >= MAX_QUANTA - front as i32;
             if target.is_some_and(known) {
                 return Ok(());
             }
@@ -263,10 +263,10 @@ impl<C: StepCost> FieldTracker<C> {
         }
         if let Some(sweep) = &self.sweep {
             // Least costs are unique, so costs that the sweep has passed are final.
-            return self.left[node as usize] >= MOST_QUANTA - sweep.known_to() as i32;
+            return self.left[node as usize] >= MAX_QUANTA - sweep.known_to() as i32;
         }
         // An open node may become cheaper, but not below the front bucket.
-        let cost = (MOST_QUANTA - self.left[node as usize]) as u64;
+        let cost = (MAX_QUANTA - self.left[node as usize]) as u64;
         self.queue.bucket_of(cost) <= self.queue.bucket_of(self.queue.front_cost())
     }
 
@@ -283,9 +283,9 @@ impl<C: StepCost> FieldTracker<C> {
                 break;
             }
             let cost = self.queue.front_cost();
-            if !C::BY_VOXEL && cost + 2 * self.quanta.dearest as u64 > MOST_QUANTA as u64 {
+            if !C::BY_VOXEL && cost + 2 * self.quanta.dearest as u64 > MAX_QUANTA as u64 {
                 return Err(TrackError::CostOverflow {
-                    most: MOST_QUANTA as f64 * self.quanta.unit,
+                    most: MAX_QUANTA as f64 * self.quanta.unit,
                 });
             }
             // For costs by both ends all costs in the front bucket are final, so a target in that bucket is known.

@@ -27,7 +27,7 @@ pub const ZERO_CROSSING_WEIGHT: f64 = 0.3;
 /// Departure from paper 6.2: the printed weight can be 0, and then the integer costs have no smallest edge that would
 /// define an accuracy of 0.5 %. Only edges along which the mean gradient is above 99.4 % of the volume's largest are
 /// below this limit.
-pub const LEAST_WEIGHT: f64 = 1.0 / 256.0;
+pub const MIN_WEIGHT: f64 = 1.0 / 256.0;
 
 /// Return G(u), the length of the gradient at a voxel in units of the values per mm, by central differences.
 ///
@@ -73,13 +73,13 @@ pub fn weight(gradient_share: [f64; 2], laplacian: [i32; 2]) -> f64 {
     } else {
         1.0
     };
-    (GRADIENT_WEIGHT * f_g + ZERO_CROSSING_WEIGHT * f_z).max(LEAST_WEIGHT)
+    (GRADIENT_WEIGHT * f_g + ZERO_CROSSING_WEIGHT * f_z).max(MIN_WEIGHT)
 }
 
 /// Return the weight of an edge per mm with expensive gradients and zero crossings (paper 6.3).
 ///
 /// The arguments are those of [`weight`]. Departures: `f_g` is (G(u) + G(v)) / (2 max(G)); a Laplacian of 0 is no
-/// crossing, because nothing changes its sign in air without noise; no weight is below [`LEAST_WEIGHT`].
+/// crossing, because nothing changes its sign in air without noise; no weight is below [`MIN_WEIGHT`].
 #[must_use]
 pub fn wall_weight(gradient_share: [f64; 2], laplacian: [i32; 2]) -> f64 {
     let f_g = 0.5 * (gradient_share[0] + gradient_share[1]);
@@ -88,7 +88,7 @@ pub fn wall_weight(gradient_share: [f64; 2], laplacian: [i32; 2]) -> f64 {
     } else {
         0.0
     };
-    (GRADIENT_WEIGHT * f_g + ZERO_CROSSING_WEIGHT * f_z).max(LEAST_WEIGHT)
+    (GRADIENT_WEIGHT * f_g + ZERO_CROSSING_WEIGHT * f_z).max(MIN_WEIGHT)
 }
 
 /// Interpretation of the paper's cost: cheap or expensive walls.
@@ -292,7 +292,7 @@ impl Cost for PaperCost {
     }
 
     fn weight_range(&self) -> (f64, f64) {
-        (LEAST_WEIGHT, GRADIENT_WEIGHT + ZERO_CROSSING_WEIGHT)
+        (MIN_WEIGHT, GRADIENT_WEIGHT + ZERO_CROSSING_WEIGHT)
     }
 }
 

@@ -11,7 +11,7 @@ use crate::dijkstra::least_costs;
 use crate::distance::VoxelBox;
 use crate::graph::{Cost, Graph};
 use crate::paper_cost::{
-    LEAST_WEIGHT, PaperCost, Reading, gradient, greatest_gradient, laplacian, wall_weight, weight,
+    MIN_WEIGHT, PaperCost, Reading, gradient, greatest_gradient, laplacian, wall_weight, weight,
 };
 use crate::tracker::Tracker;
 
@@ -107,7 +107,7 @@ proptest! {
                 let printed = formula(share, [u, v].map(|at| laplacian(view, at)));
                 let table = cost.weight(node, other);
                 worst = worst.max((table - printed).abs());
-                range &= (LEAST_WEIGHT..=1.0).contains(&table) && table == cost.weight(other, node);
+                range &= (MIN_WEIGHT..=1.0).contains(&table) && table == cost.weight(other, node);
             });
             // The tolerance is needed because the table is in f32.
             prop_assert!(worst < 1e-6, "{worst}");
@@ -174,7 +174,7 @@ fn a_step_edge_gives_the_printed_numbers() {
     let cost = PaperCost::build(view, &graph, Reading::Printed, greatest, &Unwatched).unwrap();
     let node = |i| graph.node_of_voxel([i, 2, 2]).unwrap();
     // Across the step: largest gradient at both ends and a zero crossing, so the printed weight is 0.
-    assert!((cost.weight(node(3), node(4)) - LEAST_WEIGHT).abs() < 1e-9);
+    assert!((cost.weight(node(3), node(4)) - MIN_WEIGHT).abs() < 1e-9);
     // Into the step: half the gradient, and a Laplacian of 0 counts as a zero crossing.
     assert!((cost.weight(node(2), node(3)) - 0.35).abs() < 1e-6);
     // In uniform air: no gradient; 0 times 0 is a zero crossing as printed.
@@ -199,7 +199,7 @@ fn in_the_walls_cost_a_step_edge_is_expensive_and_uniform_values_are_cheap() {
     let node = |i| graph.node_of_voxel([i, 2, 2]).unwrap();
     assert!((cost.weight(node(3), node(4)) - 1.0).abs() < 1e-4);
     assert!((cost.weight(node(2), node(3)) - 0.35).abs() < 1e-4);
-    assert!((cost.weight(node(1), node(2)) - LEAST_WEIGHT).abs() < 1e-9);
+    assert!((cost.weight(node(1), node(2)) - MIN_WEIGHT).abs() < 1e-9);
     let beside = graph.node_of_voxel([3, 3, 2]).unwrap();
     assert!((cost.weight(node(3), beside) - 0.7).abs() < 1e-4);
 }

@@ -5,7 +5,7 @@
 //! A look-up that finds no region costs a read and saves nothing. In the open lumen nearly every look-up saves samples;
 //! in dense or noisy tissue none does, and leaping must not cost more than brute force there. Each ray therefore has a
 //! waiting length, called *patience*. After a look-up that saved nothing, the ray takes this number of samples before
-//! the next look-up, and then doubles it, up to [`MOST_PATIENCE`]. A leap that saves enough resets the patience.
+//! the next look-up, and then doubles it, up to [`MAX_PATIENCE`]. A leap that saves enough resets the patience.
 //! Directly after a sample with opacity a ray makes no look-up, because the next sample nearly always has opacity too.
 //! If the camera is in no region, or outside the volume (whose outermost voxels have radius 0), all rays start with
 //! [`BLIND_SAMPLES`] samples and a longer patience.
@@ -38,10 +38,10 @@ pub(crate) const CELL_REACH: f32 = -0.5;
 /// Number of samples that a ray takes after its first look-up that saved nothing.
 ///
 /// With steps of half a voxel, two samples share a voxel.
-pub(crate) const LEAST_PATIENCE: u32 = 2;
+pub(crate) const MIN_PATIENCE: u32 = 2;
 /// Largest number of samples between two look-ups of a ray; a look-up then costs less than 1 percent of the samples'
 /// reads.
-pub(crate) const MOST_PATIENCE: u32 = 128;
+pub(crate) const MAX_PATIENCE: u32 = 128;
 /// Number of samples before the first look-up, for rays that start in no region.
 const BLIND_SAMPLES: u32 = 8;
 
@@ -84,7 +84,7 @@ impl Start {
         if in_region {
             Self {
                 wait: 0,
-                patience: LEAST_PATIENCE,
+                patience: MIN_PATIENCE,
             }
         } else {
             Self {
@@ -114,7 +114,7 @@ impl LookupSchedule {
     #[inline(always)]
     fn failed(&mut self, k: u32) {
         self.at = k + self.patience;
-        self.patience = (2 * self.patience).min(MOST_PATIENCE);
+        self.patience = (2 * self.patience).min(MAX_PATIENCE);
     }
 
     /// Set the next look-up after a leap from sample `k` over `n` samples.
@@ -124,7 +124,7 @@ impl LookupSchedule {
             self.failed(k);
         }
         if n >= price.pays {
-            self.patience = LEAST_PATIENCE;
+            self.patience = MIN_PATIENCE;
         }
     }
 

@@ -14,7 +14,7 @@ use crate::{
 /// Number of trial rays along each side of the picture.
 const TRIAL_SIDE: usize = 8;
 /// Number of pixels below which a picture is cast with leaps without a trial.
-const LEAST_PIXELS: usize = 64 * TRIAL_SIDE * TRIAL_SIDE;
+const MIN_PIXELS: usize = 64 * TRIAL_SIDE * TRIAL_SIDE;
 
 /// Return the faster method for a picture: `method`, or brute force if a trial shows that leaps would take longer.
 pub(crate) fn faster_method<'a>(
@@ -23,7 +23,7 @@ pub(crate) fn faster_method<'a>(
     simd: InstructionSet,
 ) -> Method<'a> {
     let camera = frame.camera();
-    let small = camera.width() * camera.height() < LEAST_PIXELS;
+    let small = camera.width() * camera.height() < MIN_PIXELS;
     if small || frame.always_leap || matches!(method, Method::Brute) {
         return method;
     }

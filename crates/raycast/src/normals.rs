@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::{
     Frame, NormalBricks, RaycastError, TransferTable,
-    bricks::{AXIS_AT, AXIS_WEIGHT, CORNER_AT, CORNER_WEIGHT, MOST_BRICKS},
+    bricks::{AXIS_AT, AXIS_WEIGHT, CORNER_AT, CORNER_WEIGHT, MAX_BRICKS},
     frame::Ray,
     sampling::Lanes,
 };
@@ -119,7 +119,7 @@ impl NormalBricks {
     /// Create an empty cache of bricks for the volume and the transfer function of a frame.
     #[must_use]
     pub fn of(frame: &Frame<'_>) -> Self {
-        Self::with_capacity(frame, MOST_BRICKS)
+        Self::with_capacity(frame, MAX_BRICKS)
     }
 
     /// Create an empty cache with a capacity of `most` bricks, for the volume and the transfer function of a frame.

@@ -18,9 +18,9 @@ const TIP_TOLERANCE_MM: f64 = 0.02;
 /// Largest penetration of the wall by the shaft with which a movement is accepted, mm; the specified limit is 0.5 mm.
 const SHAFT_TOLERANCE_MM: f64 = 0.15;
 /// Smallest number of sweeps of one relaxation.
-const LEAST_SWEEPS: usize = 3;
+const MIN_SWEEPS: usize = 3;
 /// Largest number of sweeps of one relaxation.
-const MOST_SWEEPS: usize = 36;
+const MAX_SWEEPS: usize = 36;
 /// Number of sweeps within which the penetration must fall by half; otherwise the relaxation ends, as the scope does
 /// not fit.
 const PATIENCE: usize = 8;
@@ -352,7 +352,7 @@ impl Axis {
         let free = self.nodes.len() - 2;
         let is_free = free > body.rigid_nodes();
         let mut last_depth = f64::INFINITY;
-        for sweep in 0..MOST_SWEEPS {
+        for sweep in 0..MAX_SWEEPS {
             let num = if sweep == 0 {
                 free
             } else {
@@ -365,7 +365,7 @@ impl Axis {
                 self.push_off_wall(field, feelers, body, entry, ups[0], num);
                 self.stretch(body, num);
             }
-            if sweep + 1 < LEAST_SWEEPS {
+            if sweep + 1 < MIN_SWEEPS {
                 continue;
             }
             let (tip, shaft) = self.depths_mm(field, feelers, body, entry, ups[0], num);

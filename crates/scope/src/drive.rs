@@ -559,7 +559,7 @@ impl ScopeDrive {
 /// Distance between the points of a resampled path, mm.
 const PATH_STEP_MM: f64 = 0.25;
 /// Largest length of a path, mm: eight times the length of a scope. Points of a longer path would only use memory.
-const MOST_PATH_MM: f64 = 5_000.0;
+const MAX_PATH_MM: f64 = 5_000.0;
 
 /// Return points [`PATH_STEP_MM`] apart along a path.
 ///
@@ -573,10 +573,10 @@ fn evenly(path: &[Point]) -> Result<Vec<Point>, ScopeError> {
         });
     }
     let path_mm: f64 = path.windows(2).map(|w| distance(w[0], w[1])).sum();
-    if path_mm > MOST_PATH_MM {
+    if path_mm > MAX_PATH_MM {
         return Err(ScopeError::Scope {
             reason: format!(
-                "its path is {path_mm:.0} mm long, and no airway is longer than {MOST_PATH_MM} mm"
+                "its path is {path_mm:.0} mm long, and no airway is longer than {MAX_PATH_MM} mm"
             ),
         });
     }

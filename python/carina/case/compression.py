@@ -16,9 +16,9 @@ from carina.errors import UsageError
 
 __all__ = [
     "DTYPES",
+    "MAX_DEFLATED",
     "MAX_JSON_BYTES",
     "MAX_PIECE_BYTES",
-    "MOST_DEFLATED",
     "as_checked_json",
     "as_json",
     "content_digest",
@@ -31,7 +31,7 @@ __all__ = [
 MAX_PIECE_BYTES: Final = 64 << 20
 """Largest size of one compressed blob in bytes after decompression, far below the limits of SQLite."""
 MAX_JSON_BYTES: Final = 16 << 20
-MOST_DEFLATED = 1040
+MAX_DEFLATED = 1040
 """Largest compression ratio that Deflate reaches; a blob with a larger declared ratio is damaged."""
 DTYPES: Final = {"f8": "<f8", "f4": "<f4", "i8": "<i8", "i4": "<i4", "u4": "<u4"}
 
@@ -71,7 +71,7 @@ def inflate(data: object, size: object, where: str) -> bytes:
     """
     if not isinstance(data, bytes) or not isinstance(size, int):
         raise damage_error(where, "compressed bytes and their size", f"{type(data).__name__} and {type(size).__name__}")
-    most = min(MAX_PIECE_BYTES, MOST_DEFLATED * len(data))
+    most = min(MAX_PIECE_BYTES, MAX_DEFLATED * len(data))
     if not 0 <= size <= most:
         raise damage_error(where, f"a decompressed size of 0 to {most} bytes", f"{size}")
     inflater = zlib.decompressobj()

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.case.compression import MAX_PIECE_BYTES, MOST_DEFLATED, content_digest, deflate, inflate
+from carina.case.compression import MAX_DEFLATED, MAX_PIECE_BYTES, content_digest, deflate, inflate
 from carina.case.error_texts import damage_error
 from carina.case.source import SourceFacts, axis_permutation, read_source
 from carina.errors import UsageError
@@ -74,7 +74,7 @@ def packed_volume(connection: sqlite3.Connection) -> Volume | None:
     # All declared sizes are checked before memory is allocated.
     for n, first, count, length in pieces:
         size = count * slice_bytes if isinstance(count, int) and count > 0 else -1
-        if first != ahead or not 0 < size <= min(MAX_PIECE_BYTES, MOST_DEFLATED * length):
+        if first != ahead or not 0 < size <= min(MAX_PIECE_BYTES, MAX_DEFLATED * length):
             raise damage_error(
                 f"piece {n} of the scan",
                 f"slices inside the scan, from slice {ahead} on",

@@ -47,7 +47,7 @@ must go on. Other machines do end, and join again.
 """
 TIMED_OUT = "timed out during startup"
 """Text that Ray prints if its own processes took too long to start."""
-LEAST_STORE_BYTES = 80 * 1024 * 1024
+MIN_STORE_BYTES = 80 * 1024 * 1024
 
 
 def check_available() -> None:
@@ -332,7 +332,7 @@ def _usual_store_bytes() -> int:
         free = found.f_frsize * found.f_bavail
     wanted = max(512 * 1024 * 1024, min(total // 4, 8 * 1024**3))
     # Objects that exceed the shared memory would be written to the disk, which is slow.
-    return max(LEAST_STORE_BYTES, min(wanted, int(free * 0.9)) if free else wanted)
+    return max(MIN_STORE_BYTES, min(wanted, int(free * 0.9)) if free else wanted)
 
 
 def _parents() -> dict[int, tuple[int, str]]:

@@ -33,7 +33,7 @@ from carina.volume import Volume
 
 __all__ = ["ClusterRenderer", "render_frames"]
 
-LEAST_PIXELS = 128 * 128
+MIN_PIXELS = 128 * 128
 """Pictures with fewer pixels are rendered on this machine, because sending them takes longer than rendering them."""
 POLL_S = 0.02
 
@@ -119,7 +119,7 @@ class ClusterRenderer:
         """Return whether a view is rendered on other machines, if any are available."""
         if self._spread_all:
             return can_cut(view)
-        large = view.width * view.height >= LEAST_PIXELS
+        large = view.width * view.height >= MIN_PIXELS
         return large and isinstance(view, AirwayView | TreeView | DrrView) and can_cut(view)
 
     def render(

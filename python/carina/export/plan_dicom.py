@@ -69,7 +69,7 @@ _OF_THE_PATIENT: Final = frozenset({"PatientName", "PatientID", "IssuerOfPatient
 _FRAME_OF_REFERENCE = list(IDENTITY).index("FrameOfReferenceUID")
 _LOOKED_AT = 5
 """Number of slices whose pixels are compared with the volume, to distinguish reconstructions with equal geometry."""
-_MOST_CHARS = 64
+_MAX_CHARS = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -330,9 +330,9 @@ def check_text(text: str, what: str) -> str:
     UsageError
         If the text is empty, too long, of several lines, or contains a backslash, which separates values in DICOM.
     """
-    if not text.strip() or len(text) > _MOST_CHARS or not text.isprintable() or "\\" in text:
+    if not text.strip() or len(text) > _MAX_CHARS or not text.isprintable() or "\\" in text:
         raise UsageError(
-            f"{what}: expected one line of at most {_MOST_CHARS} characters without a backslash; found {text!r}",
+            f"{what}: expected one line of at most {_MAX_CHARS} characters without a backslash; found {text!r}",
             code="plan.name",
         )
     return text

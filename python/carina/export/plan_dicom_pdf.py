@@ -23,7 +23,7 @@ from carina.volume import Volume
 __all__ = ["write_plan_pdf"]
 
 _SUFFIX: Final = ".dcm"
-MOST_BYTES: Final = 500_000_000
+MAX_BYTES: Final = 500_000_000
 """Largest size of a PDF; a report of some pages has a few million bytes."""
 
 
@@ -84,9 +84,9 @@ def write_plan_pdf(
         )
     check_text(title, "the title of the report")
     # Line breaks may follow the end mark.
-    if not pdf.startswith(b"%PDF-") or b"%%EOF" not in pdf[-1024:] or len(pdf) > MOST_BYTES:
+    if not pdf.startswith(b"%PDF-") or b"%%EOF" not in pdf[-1024:] or len(pdf) > MAX_BYTES:
         raise UsageError(
-            f"saving the report for an archive: expected a whole PDF of at most {MOST_BYTES} bytes; found {len(pdf)} "
+            f"saving the report for an archive: expected a whole PDF of at most {MAX_BYTES} bytes; found {len(pdf)} "
             f"bytes that begin with {pdf[:5]!r}; make the report again",
             code="plan.pdf",
         )

@@ -48,7 +48,7 @@ _POINT = struct.Struct(">64s32s4B3ff20s")
 _TRAJECTORY = struct.Struct(">64s32sBB4B3f3ff20s")
 _ENTRY_AND_TARGET = 3
 _ASCII, _UTF8 = 3, 106
-_MOST_STRING_BYTES = 65_535
+_MAX_STRING_BYTES = 65_535
 # The same colours as in the markups for 3D Slicer.
 _TARGET_RGBA = (240, 228, 66, 255)
 _NEEDLE_RGBA = (204, 121, 167, 255)
@@ -399,7 +399,7 @@ def _plan_text(targets: Sequence[DrawnTarget]) -> str:
 
 def _string_content(text: str) -> bytes:
     content = text.encode()
-    if len(content) > _MOST_STRING_BYTES:
+    if len(content) > _MAX_STRING_BYTES:
         # The length field has 16 bits. The text is cut between characters.
-        content = content[: _MOST_STRING_BYTES - 4].decode(errors="ignore").encode() + b" ..."
+        content = content[: _MAX_STRING_BYTES - 4].decode(errors="ignore").encode() + b" ..."
     return struct.pack(">HH", _ASCII if content.isascii() else _UTF8, len(content)) + content

@@ -24,18 +24,18 @@ __all__ = ["CARM_LIMITS", "CArmAngle", "CArmAngles", "ShadowParts", "carm_angles
 Points = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-MOST_PRIMARY_DEG, MOST_SECONDARY_DEG = 60, 30
+MAX_PRIMARY_DEG, MAX_SECONDARY_DEG = 60, 30
 """Largest LAO or RAO, and cranial or caudal, angle that is searched, in degrees (common knowledge)."""
 STEP_DEG = 5
-LEAST_CLEAR_MM = 3.0
+MIN_CLEAR_MM = 3.0
 """Least distance in mm, at the scale of the isocentre, between target or tip and a shadow."""
-MOST_TILT_DEG = 30.0
+MAX_TILT_DEG = 30.0
 """Largest angle in degrees between the last branch and the picture; the branch then has 87 % of its length."""
 ENOUGH_MM = 15.0
 """Distance in mm from the shadows beyond which a larger one is not better."""
 APART_DEG = 15.0
 """Least distance in degrees between two proposed angles."""
-MOST_ANGLES = 3
+MAX_ANGLES = 3
 LAST_MM = 20.0
 """Length in mm of the last branch, before the tip, whose direction counts."""
 
@@ -50,8 +50,8 @@ AROUND_TARGET_MM = 4.0
 """Distance in mm from the target within which tissue belongs to the target and its blurred edge."""
 
 CARM_LIMITS = (
-    f"Searched from RAO {MOST_PRIMARY_DEG} to LAO {MOST_PRIMARY_DEG} and from caudal {MOST_SECONDARY_DEG} to cranial "
-    f"{MOST_SECONDARY_DEG} degrees (usual limits without a published source; check your C-arm and table). Supine "
+    f"Searched from RAO {MAX_PRIMARY_DEG} to LAO {MAX_PRIMARY_DEG} and from caudal {MAX_SECONDARY_DEG} to cranial "
+    f"{MAX_SECONDARY_DEG} degrees (usual limits without a published source; check your C-arm and table). Supine "
     "patient, as in the DRR view, with the C-arm centred on the middle of the CT. Spine and mediastinum (heart and "
     "great vessels, all tissue between the lungs) are estimated from the CT; the target's movement since the CT is not "
     "included."
@@ -90,7 +90,7 @@ class CArmAngle:
     @property
     def suits(self) -> bool:
         """Whether target and tip are clear and the last branch is seen lengthwise."""
-        return min(self.target_clear_mm, self.tip_clear_mm) >= LEAST_CLEAR_MM and self.tilt_deg <= MOST_TILT_DEG
+        return min(self.target_clear_mm, self.tip_clear_mm) >= MIN_CLEAR_MM and self.tilt_deg <= MAX_TILT_DEG
 
     def to_json(self) -> dict[str, Any]:
         """Return the position as plain JSON types."""
@@ -218,10 +218,10 @@ def carm_angles(
         return CArmAngles(route.key, (), "C-arm angles are not known: the CT shows neither spine nor mediastinum")
     last = _last_direction(airways.tree, route.branch_id, route.along_mm)
     found: list[CArmAngle] = []
-    for primary in range(-MOST_PRIMARY_DEG, MOST_PRIMARY_DEG + 1, STEP_DEG):
+    for primary in range(-MAX_PRIMARY_DEG, MAX_PRIMARY_DEG + 1, STEP_DEG):
         if cancel is not None and cancel():
             raise CancelledError("the search for C-arm angles was cancelled")
-        for secondary in range(-MOST_SECONDARY_DEG, MOST_SECONDARY_DEG + 1, STEP_DEG):
+        for secondary in range(-MAX_SECONDARY_DEG, MAX_SECONDARY_DEG + 1, STEP_DEG):
             view = DrrView(primary_deg=primary, secondary_deg=secondary)
             flat, scale = projected_mm(volume, view, points)
             (target_at, tip_at), (target_scale, _) = projected_mm(volume, view, np.stack([target, tip]))
@@ -241,7 +241,7 @@ def carm_angles(
         ):
             chosen.append(one)
     if chosen:
-        return CArmAngles(route.key, tuple(chosen[:MOST_ANGLES]), None, tuple(notes))
+        return CArmAngles(route.key, tuple(chosen[:MAX_ANGLES]), None, tuple(notes))
     return CArmAngles(route.key, (), _why_none(found), tuple(notes))
 
 
@@ -255,10 +255,10 @@ def _order(one: CArmAngle) -> tuple[float, ...]:
 def _why_none(found: list[CArmAngle]) -> str:
     nearest = max(found, key=lambda one: min(one.target_clear_mm, one.tip_clear_mm))
     clear = min(nearest.target_clear_mm, nearest.tip_clear_mm)
-    if clear < LEAST_CLEAR_MM:
+    if clear < MIN_CLEAR_MM:
         what = "target" if nearest.target_clear_mm <= nearest.tip_clear_mm else "tip"
         return (
-            f"no C-arm angle within the limits shows target and tip {LEAST_CLEAR_MM:.0f} mm clear of spine and "
+            f"no C-arm angle within the limits shows target and tip {MIN_CLEAR_MM:.0f} mm clear of spine and "
             f"mediastinum; at the best one, {nearest.name}, the {what} is "
             + (f"{clear:.0f} mm clear" if clear >= 0.0 else f"{-clear:.0f} mm within their shadow")
         )

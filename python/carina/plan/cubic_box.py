@@ -29,7 +29,7 @@ __all__ = [
 Mask = NDArray[np.bool_]
 Values = NDArray[np.float32]
 
-LEAST_STEP_MM, MOST_STEP_MM = 0.5, 1.0
+MIN_STEP_MM, MAX_STEP_MM = 0.5, 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +110,7 @@ class Box:
 
 def box_step_mm(volume: Volume) -> float:
     """Return the voxel size in mm of boxes in a CT: its finest spacing, limited to 0.5 to 1 mm."""
-    return float(np.clip(min(volume.spacing_mm), LEAST_STEP_MM, MOST_STEP_MM))
+    return float(np.clip(min(volume.spacing_mm), MIN_STEP_MM, MAX_STEP_MM))
 
 
 def trilinear(hu_zyx: NDArray[Any], ijk: NDArray[np.float64]) -> NDArray[np.float64]:

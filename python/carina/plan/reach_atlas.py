@@ -24,7 +24,7 @@ from carina.plan.lungs.tissue_near_needle import lung_box
 from carina.plan.routes.attainable_directions import StandingPlace, TipDirections
 from carina.plan.routes.last_leg import OPEN_MM
 from carina.plan.routes.needle_hits import NeedleErrors, ball_hit_shares, fibonacci_sphere
-from carina.plan.routes.plan_route import MOST_ANGLE_DEG
+from carina.plan.routes.plan_route import MAX_ANGLE_DEG
 from carina.plan.routes.ranking import (
     OUTLOOKS,
     RANK,
@@ -55,7 +55,7 @@ TARGET_MM = 10.0
 """Diameter in mm of the ball that stands for a target at each voxel."""
 NUM_WAYS = 300
 """Number of directions on the sphere that are tested at each place."""
-TABLE_STEP_MM, TABLE_STEP_DEG, TABLE_MOST_DEG = 0.5, 1.0, 60.0
+TABLE_STEP_MM, TABLE_STEP_DEG, TABLE_MAX_DEG = 0.5, 1.0, 60.0
 """Steps of the table of hit shares, and its largest angle; beyond that angle no needle hits."""
 NUM_ON_LINE = 12
 SIDE_DEG = 35.0
@@ -262,7 +262,7 @@ class _Marks:
         self._most_mm = tool.reach_mm + self._radius_mm
         self._sphere = fibonacci_sphere(NUM_WAYS)
         distances = np.arange(0.0, self._most_mm + TABLE_STEP_MM, TABLE_STEP_MM)
-        angles = np.radians(np.arange(0.0, TABLE_MOST_DEG + TABLE_STEP_DEG, TABLE_STEP_DEG))
+        angles = np.radians(np.arange(0.0, TABLE_MAX_DEG + TABLE_STEP_DEG, TABLE_STEP_DEG))
         mm, rad = (grid.ravel() for grid in np.meshgrid(distances, angles, indexing="ij"))
         shares = ball_hit_shares(mm, rad, self._radius_mm, tool.reach_mm, NeedleErrors())
         self._shares = shares.reshape(len(distances), len(angles))
@@ -281,7 +281,7 @@ class _Marks:
         if not self._directions.is_known:
             self._mark(voxels, centres, place.point_lps, None, rank)
             return
-        limit = math.cos(math.radians(min(MOST_ANGLE_DEG + MARGIN_DEG, 180.0)))
+        limit = math.cos(math.radians(min(MAX_ANGLE_DEG + MARGIN_DEG, 180.0)))
         ways = self._sphere[self._sphere @ place.forward >= limit]
         for tip, attained in self._directions.around(place, ways):
             # Voxels that an earlier tip has reached are not tested again.
@@ -308,7 +308,7 @@ class _Marks:
         off = centres - place
         away = np.linalg.norm(off, axis=1)
         near = (away <= self._most_mm) & (
-            (off @ forward >= away * math.cos(math.radians(MOST_ANGLE_DEG))) | (away <= self._radius_mm)
+            (off @ forward >= away * math.cos(math.radians(MAX_ANGLE_DEG))) | (away <= self._radius_mm)
         )
         return voxels[near], centres[near]
 

@@ -48,7 +48,7 @@ __all__ = ["plan_route"]
 
 NUM_DRIVEN = 3
 """Default of the largest number of routes that are driven."""
-MOST_SPARES = 2
+MAX_SPARES = 2
 """Largest number of second-best places of the same branches that are driven in addition."""
 NUM_THREADS = 2
 DRAFTED = 0.4
@@ -262,7 +262,7 @@ def _driven(
     # If a drive does not arrive or point, the second-best place of the same branch is driven.
     failed = {(route.branch_id, route.aim): n for n, route, verdict in judged if _is_place_at_fault(verdict)}
     spares = [(failed[key], one) for one in draft.spares if (key := (one.branch_id, one.aim)) in failed]
-    for n, route, _ in _judged(draft, tree, spares[:MOST_SPARES], report, cancel):
+    for n, route, _ in _judged(draft, tree, spares[:MAX_SPARES], report, cancel):
         if order(route) < order(found[n]):
             found[n] = route
     # The first route is driven in any case, because its attainable directions are only estimated before.

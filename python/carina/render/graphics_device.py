@@ -33,8 +33,8 @@ WORTH_IT = 0.9
 LIMIT = "render.gpu-limit"
 FAILED = "render.gpu"
 # Smallest number of pixels of a test picture: a smaller or darker picture shows neither speed nor agreement.
-LEAST_PIXELS = 96 * 96
-LEAST_LIGHT = 40
+MIN_PIXELS = 96 * 96
+MIN_LIGHT = 40
 
 Cast = Callable[[Scene, AirwayView, _core.GpuScene | None], Picture]
 Start = Callable[[Callable[[], None]], None]
@@ -116,7 +116,7 @@ class DeviceCaster:
 
         In ``auto``, start the measurement of the adapters after some pictures.
         """
-        if self._is_decided or view.width * view.height < LEAST_PIXELS:
+        if self._is_decided or view.width * view.height < MIN_PIXELS:
             return
         with self._lock:
             self._num_seen += 1
@@ -214,7 +214,7 @@ class DeviceCaster:
         if known is not None and not known.chosen:
             return True
         expected = self._cast(scene, view, None)
-        if int(expected.rgb.max(initial=0)) < LEAST_LIGHT:
+        if int(expected.rgb.max(initial=0)) < MIN_LIGHT:
             return False
         leaps = expected.stats.method == "leap" and scene.maps is not None
         radius = scene.maps.radius if leaps and scene.maps is not None else None

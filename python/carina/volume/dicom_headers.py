@@ -97,7 +97,7 @@ _TAGS = sorted({
 _DATES = ("AcquisitionDate", "AcquisitionDateTime", "StudyDate")
 _DATE_TAGS = [Tag(keyword) for keyword in _DATES]
 FIRST_CT_YEAR = 1971
-MOST_THICKNESS_MM = 20.0
+MAX_THICKNESS_MM = 20.0
 """Largest thickness in mm of a chest CT's slices; a larger value of the tag has another unit or is a default."""
 
 
@@ -388,7 +388,7 @@ def _thickness_mm(tags: _Tags) -> float | None:
         thickness_mm = float(tags.text("SliceThickness"))
     except ValueError:
         return None
-    return thickness_mm if 0.0 < thickness_mm <= MOST_THICKNESS_MM else None
+    return thickness_mm if 0.0 < thickness_mm <= MAX_THICKNESS_MM else None
 
 
 def _is_little_endian(dataset: Dataset) -> bool:

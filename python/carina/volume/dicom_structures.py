@@ -34,7 +34,7 @@ __all__ = [
 
 _STRUCTURE_SET_STORAGE = "1.2.840.10008.5.1.4.1.1.481.3"
 _CLOSED = {"CLOSED_PLANAR": False, "CLOSEDPLANAR_XOR": True}
-_MOST_POINTS = 5_000_000
+_MAX_POINTS = 5_000_000
 _LARGEST_LPS = 1e5
 # Tolerance in voxels: the first pixel of a slice coincides with a voxel centre of its own CT.
 _ON_GRID = 0.05
@@ -119,7 +119,7 @@ def _structure(path: Path, region: Dataset, items: list[Dataset], whole: Referen
         values = item.get("ContourData")
         points = np.array([] if values is None else values, dtype=np.float64).reshape(-1, 3)
         num_points += len(points)
-        if num_points > _MOST_POINTS:
+        if num_points > _MAX_POINTS:
             raise structures_refused(path, "a structure has implausibly many points", "export it again")
         if not np.isfinite(points).all() or (points.size and np.abs(points).max() > _LARGEST_LPS):
             raise ValueError(kind)

@@ -4,7 +4,7 @@ import type { PhoneMessage } from "../wire/messages";
 import type { Wxyz } from "./orientation";
 
 /** Shortest interval between two messages, s: further messages for a 120 Hz display would be useless. */
-const LEAST_S = 1 / 65;
+const MIN_S = 1 / 65;
 /**
  * Interval, s, at which held input is sent again, because the server releases the input of a phone that sends nothing.
  */
@@ -61,7 +61,7 @@ export class Hand {
     if (!changed) {
       if (this.#held.size === 0) return;
       const passedS = nowS - this.#sentS;
-      if (passedS < (this.#isNew && held ? LEAST_S : AGAIN_S)) return;
+      if (passedS < (this.#isNew && held ? MIN_S : AGAIN_S)) return;
     }
     const wasSent = this.#send({
       type: "phone_sample",

@@ -10,7 +10,7 @@ export const AUTO_SPEEDS_MM_S = [2, 5, 10, 20, 30, 50, 100] as const;
 /** Averaging window of the speed, ms: long enough for poses that arrive in bursts, short enough to follow the hand. */
 const WINDOW_MS = 600;
 /** Shortest time span of a measured speed, ms; a shorter span gives a noisy speed. */
-const LEAST_MS = 200;
+const MIN_MS = 200;
 /** Time without a pose, ms, after which the tip counts as resting. */
 const STILL_MS = 300;
 /**
@@ -53,7 +53,7 @@ export class SpeedMeter {
     const first = this.#steps[0] ?? last;
     // A step is stored with its end time, so the first stored step is before the measured time span.
     const span = last.atMs - first.atMs;
-    if (last.atMs - this.#beganMs < LEAST_MS || span <= 0) return null;
+    if (last.atMs - this.#beganMs < MIN_MS || span <= 0) return null;
     const mm = this.#steps.slice(1).reduce((sum, step) => sum + step.mm, 0);
     return (1000 * mm) / span;
   }

@@ -16,14 +16,14 @@ const ALPHAS = [0.22, 0.7] as const;
 /** Step of the line widths, px. Vessels whose widths round to the same step are stroked together. */
 const WIDTH_STEP_PX = 0.5;
 /** Smallest width of a vessel line, px. */
-const LEAST_PX = 0.75;
+const MIN_PX = 0.75;
 
 /** Collection of lines by depth level and width; lines of the same level and width are stroked together. */
 class Strokes {
   readonly #paths = new Map<string, { path: Path2D; depth: number; width: number; sure: boolean }>();
 
   at(depth: number, widthPx: number, sure = true): Path2D {
-    const width = Math.max(Math.round(widthPx / WIDTH_STEP_PX) * WIDTH_STEP_PX, LEAST_PX);
+    const width = Math.max(Math.round(widthPx / WIDTH_STEP_PX) * WIDTH_STEP_PX, MIN_PX);
     const key = `${depth} ${width} ${sure}`;
     const known = this.#paths.get(key);
     if (known !== undefined) return known.path;
@@ -84,7 +84,7 @@ function strokeVessels(ink: Ink, viewport: Viewport, geometry: SeenGeometry, sce
   const [vessels, airways] = [new Strokes(), new Strokes()];
   for (const [n, { points_lps: points, diameter_mm: diameter, sure }] of scene.vessels.entries()) {
     const depth = depths[n] ?? far;
-    const path = vessels.at(binOf(depth), sure ? px(diameter, depth) : LEAST_PX, sure);
+    const path = vessels.at(binOf(depth), sure ? px(diameter, depth) : MIN_PX, sure);
     let begun = false;
     for (const point of points) {
       const lps = asVec3(point);

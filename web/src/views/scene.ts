@@ -363,7 +363,7 @@ function isSame(a: unknown, b: unknown, depth = 3): boolean {
   if (depth === 0 || typeof a !== "object" || typeof b !== "object" || a === null || b === null) return false;
   if (Array.isArray(a) !== Array.isArray(b)) return false;
   const keys = Object.keys(a);
-  if (keys.length !== Object.keys(b).length || keys.length > MOST_PARTS) return false;
+  if (keys.length !== Object.keys(b).length || keys.length > MAX_PARTS) return false;
   return keys.every((key) => isSame(Reflect.get(a, key), Reflect.get(b, key), depth - 1));
 }
 
@@ -371,7 +371,7 @@ function isSame(a: unknown, b: unknown, depth = 3): boolean {
  * Number of elements above which lists are compared by identity, because long lists are slow to compare and rarely
  * change.
  */
-const MOST_PARTS = 64;
+const MAX_PARTS = 64;
 
 function buildScene(state: AppState): Scene {
   if (state.route !== cachedFor) {

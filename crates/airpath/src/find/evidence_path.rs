@@ -39,7 +39,7 @@ const BRIGHT_WEIGHT: f64 = 6.0;
 /// Number of voxels after which a search that has met no lumen heads straight for a given position in the lumen.
 const STRAIGHT_AFTER_VOXELS: usize = 25_000;
 /// Number of voxels after which a search stops without a result, because tissue separates its start from the lumen.
-const MOST_VOXELS: usize = 300_000;
+const MAX_VOXELS: usize = 300_000;
 /// Edge length of a block of the cache, in voxels.
 const BLOCK: usize = 8;
 /// Number of voxels of a block of the cache.
@@ -259,7 +259,7 @@ impl Enclosures {
             if num_popped.is_multiple_of(1 << 13) {
                 watch.report_share(0.5)?;
             }
-            if num_popped > MOST_VOXELS {
+            if num_popped > MAX_VOXELS {
                 break;
             }
             if num_popped == STRAIGHT_AFTER_VOXELS && toward_and_tips.is_some() && best.is_none() {

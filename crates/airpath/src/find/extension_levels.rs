@@ -85,7 +85,7 @@ const ACCEPTED_SHARE: f64 = 0.995;
 /// rise and fall again by more than this has crossed a wall into the lung.
 const DROP: f64 = 8.0;
 /// Lower limit of the largest fall, as a fraction of the step from air to half of a wall, for volumes with little noise.
-const LEAST_DROP: f64 = 0.4;
+const MIN_DROP: f64 = 0.4;
 
 /// Smallest enclosure of a voxel in a gap, as a fraction of the threshold.
 const GAP_SHARE: f64 = 0.3;
@@ -120,7 +120,7 @@ impl Levels {
         let pretended = quantile(&rises, FOLLOWED_SHARE).max(limits.least_rise);
         let followed = limits.raised * pretended;
         Self {
-            drop: (DROP * pretended).max(LEAST_DROP * (f64::from(limits.brightest) - limits.air)),
+            drop: (DROP * pretended).max(MIN_DROP * (f64::from(limits.brightest) - limits.air)),
             most_reached: sample.num_voxels(limits.most_reached),
             followed: followed.ceil() as i16,
             accepted: quantile(&rises, ACCEPTED_SHARE).max(1.2 * followed),

@@ -36,7 +36,7 @@ pub(crate) const WAY_WEIGHTS_DIVIDED: [f64; 5] = [-7.64, 1.03, 0.61, -2.82, 3.95
 /// Blur (sigma) within the slices, mm.
 const BLUR_IN_SLICE_MM: f64 = 0.65;
 /// Smallest blur (sigma) across the slices, mm.
-const LEAST_BLUR_ACROSS_MM: f64 = 0.5;
+const MIN_BLUR_ACROSS_MM: f64 = 0.5;
 
 /// Blur and noise by which the values of a lumen in the volume differ from its true values.
 #[derive(Debug, Clone, Copy)]
@@ -125,7 +125,7 @@ fn radius_of(section: &Section) -> f64 {
 /// the component of the path's direction across the slices.
 fn log_blur_ratio(section: &Section, own: f64, along: f64, air: f64, divided: Divided) -> f64 {
     let blur_mm = radius_of(section) / (-2.0 * share_of_wall(section, own, air).ln()).sqrt();
-    let across_mm = (divided.slice_mm / 12f64.sqrt()).hypot(LEAST_BLUR_ACROSS_MM);
+    let across_mm = (divided.slice_mm / 12f64.sqrt()).hypot(MIN_BLUR_ACROSS_MM);
     let up_mm = (BLUR_IN_SLICE_MM * along).hypot(across_mm * (1.0 - along * along).max(0.0).sqrt());
     (blur_mm / (BLUR_IN_SLICE_MM * up_mm).sqrt())
         .clamp(0.3, 4.0)
@@ -184,7 +184,7 @@ mod tests {
     #[test]
     fn the_log_blur_ratio_of_a_tube_blurred_by_its_slices_is_one() {
         for along in [0.0, 0.4, 1.0] {
-            let across: f64 = (3.0 / 12f64.sqrt()).hypot(LEAST_BLUR_ACROSS_MM);
+            let across: f64 = (3.0 / 12f64.sqrt()).hypot(MIN_BLUR_ACROSS_MM);
             let up = (BLUR_IN_SLICE_MM * along).hypot(across * f64::sqrt(1.0 - along * along));
             let sigma = (BLUR_IN_SLICE_MM * up).sqrt();
             let left = (-0.5 * (1.2 / sigma).powi(2)).exp();

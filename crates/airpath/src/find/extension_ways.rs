@@ -35,11 +35,11 @@ const AROUND_MM: f64 = 8.0;
 /// Largest gain of a path by one voxel, in thresholds of the enclosure.
 ///
 /// The limit prevents that one bright wall compensates for a long part without wall.
-const MOST_GAIN: f64 = 3.0;
+const MAX_GAIN: f64 = 3.0;
 /// Loss of gain after which a path in divided slices ends, in thresholds of the enclosure times mm.
 ///
 /// An airway farther on does not belong to this path (docs/decisions/0112).
-const MOST_LOSS_MM: f64 = 12.0;
+const MAX_LOSS_MM: f64 = 12.0;
 
 /// Accepted path of an airway; its nodes are indices in the list of reached voxels.
 #[derive(Debug, Clone)]
@@ -258,19 +258,19 @@ impl<'a> Search<'a> {
             }
             let section = &sections[n].section;
             let by_darkness = if looks_like_airway(section, own, limits.air, blur) {
-                (rise / threshold).min(MOST_GAIN) - 1.0
+                (rise / threshold).min(MAX_GAIN) - 1.0
             } else {
-                1.0 - MOST_GAIN
+                1.0 - MAX_GAIN
             };
-            let by_odds = divided.map_or(1.0 - MOST_GAIN, |divided| {
+            let by_odds = divided.map_or(1.0 - MAX_GAIN, |divided| {
                 let across = sections[n].along[divided.axis].abs();
                 let odds = log_odds(section, own, rise / threshold, across, limits, divided);
-                evidence += step * odds.clamp(1.0 - MOST_GAIN, MOST_GAIN - 1.0);
-                (odds - divided.least_odds).clamp(1.0 - MOST_GAIN, MOST_GAIN - 1.0)
+                evidence += step * odds.clamp(1.0 - MAX_GAIN, MAX_GAIN - 1.0);
+                (odds - divided.least_odds).clamp(1.0 - MAX_GAIN, MAX_GAIN - 1.0)
             });
             gain += step * by_darkness.max(by_odds);
-            sum += step * rise.min(MOST_GAIN * threshold);
-            if limits.divided.is_some() && best.0 - gain > MOST_LOSS_MM {
+            sum += step * rise.min(MAX_GAIN * threshold);
+            if limits.divided.is_some() && best.0 - gain > MAX_LOSS_MM {
                 break;
             }
             if gain > best.0 {

@@ -3,9 +3,9 @@
 use rayon::prelude::*;
 
 /// Number of sampled voxels that are measured at most.
-const MOST_MEASURED: usize = 20_000;
+const MAX_MEASURED: usize = 20_000;
 /// Least number of sampled voxels from which a quantile is read.
-const LEAST_SAMPLES: usize = 2_000;
+const MIN_SAMPLES: usize = 2_000;
 /// Strides of the sample, largest first. They are primes, so that they have no factor in common with rows and slices.
 const STRIDES: [usize; 6] = [1009, 499, 251, 127, 61, 31];
 
@@ -40,7 +40,7 @@ impl LungSample {
     }
 
     fn is_sufficient(&self) -> bool {
-        self.voxels.len() >= LEAST_SAMPLES
+        self.voxels.len() >= MIN_SAMPLES
     }
 
     /// Return the number of voxels that are a share of the lung; the largest number if the sample is too small.
@@ -57,7 +57,7 @@ impl LungSample {
         if !self.is_sufficient() {
             return Vec::new();
         }
-        let every = (self.voxels.len() / MOST_MEASURED).max(1);
+        let every = (self.voxels.len() / MAX_MEASURED).max(1);
         let mut results: Vec<i16> = self
             .voxels
             .par_iter()
@@ -89,7 +89,7 @@ mod tests {
         for (num_voxels, stride) in [(80_000_000, 1009), (3_500_000, 499), (1_000_000, 127)] {
             let sample = LungSample::new(num_voxels, every_third);
             assert_eq!(sample.stride, stride, "{num_voxels}");
-            assert!(sample.voxels.len() >= LEAST_SAMPLES);
+            assert!(sample.voxels.len() >= MIN_SAMPLES);
         }
         // The same array with less lung needs a denser sample.
         let little = LungSample::new(80_000_000, |at| at.is_multiple_of(200));
@@ -118,7 +118,7 @@ mod tests {
     fn results_are_in_ascending_order() {
         let sample = LungSample::new(80_000_000, every_third);
         let results = sample.measured(|at| (at % 1000) as i16);
-        assert!(results.len() >= MOST_MEASURED && results.is_sorted());
+        assert!(results.len() >= MAX_MEASURED && results.is_sorted());
         assert!((quantile(&results, 0.5) - 500.0).abs() < 20.0);
     }
 }

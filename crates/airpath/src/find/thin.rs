@@ -63,9 +63,9 @@ const COVER_REFUSED_MM: f32 = 1.0;
 /// Largest gain of a path by one voxel, in thresholds.
 ///
 /// A path without a positive gain is not examined further.
-const MOST_GAIN: f64 = 1.5;
+const MAX_GAIN: f64 = 1.5;
 /// Upper limit of the radius within which voxels beside a path are added to the lumen, mm.
-const MOST_RADIUS_MM: f64 = 1.0;
+const MAX_RADIUS_MM: f64 = 1.0;
 
 /// Number of positions at the start of a path that give its direction.
 ///
@@ -76,7 +76,7 @@ const BEHIND_MM: [f64; 2] = [1.2, 2.4];
 /// Distance to the side of the places behind the start at which voxels are examined for lumen, mm.
 const BESIDE_MM: f64 = 2.0;
 /// Largest number of the 8 examined sides that may be lumen.
-const MOST_BESIDE: usize = 3;
+const MAX_BESIDE: usize = 3;
 
 /// Follow thin airways from `lumen` (1 inside, 0 outside) in place: added voxels get [`EXTENDED`].
 ///
@@ -273,7 +273,7 @@ fn continues_airway(grid: &Grid, lumen: &[u8], places: &[Place]) -> bool {
             is_lumen(std::array::from_fn(|a| behind(BEHIND_MM[0])[a] + out[a]))
         })
         .count();
-    BEHIND_MM.into_iter().all(|mm| is_lumen(behind(mm))) && num_lumen_sides <= MOST_BESIDE
+    BEHIND_MM.into_iter().all(|mm| is_lumen(behind(mm))) && num_lumen_sides <= MAX_BESIDE
 }
 
 /// Return whether the gains of the voxels of a path, summed from its start to any voxel, exceed the losses of voxels
@@ -282,7 +282,7 @@ fn may_be_accepted(reached: &Reached, way: &[u32], dip_threshold: f64) -> bool {
     let mut gain = 0.0;
     way.iter().any(|node| {
         let dip = f64::from(reached.nodes[*node as usize].dip);
-        gain += (dip / dip_threshold - 1.0).min(MOST_GAIN);
+        gain += (dip / dip_threshold - 1.0).min(MAX_GAIN);
         gain > 0.0
     })
 }
@@ -342,7 +342,7 @@ fn fill(values: VolumeView<'_, i16>, lumen: &mut [u8], way: &AcceptedPath) {
         mark(lumen, grid.index(to));
     }
     for place in &way.places {
-        let radius_mm = place.radius_mm.min(MOST_RADIUS_MM);
+        let radius_mm = place.radius_mm.min(MAX_RADIUS_MM);
         let half = place.middle + 0.5 * place.rise;
         let range = |a: usize| {
             let low = ((place.mm[a] - radius_mm) / spacing[a]).ceil().max(0.0) as usize;

@@ -29,7 +29,7 @@ const NUM_CRESTS: usize = 6;
 /// Largest gain of a path by one position, in thresholds of the dip.
 ///
 /// The limit prevents that one bright wall compensates for a long part without wall.
-const MOST_GAIN: f64 = 3.0;
+const MAX_GAIN: f64 = 3.0;
 /// Smallest mean dip of an accepted path, in thresholds of the dip.
 const ACCEPTED_MEAN: f64 = 1.2;
 /// Smallest share of the positions of an accepted path that look like an airway.
@@ -37,7 +37,7 @@ const ACCEPTED_SHARE: f64 = 0.75;
 /// Largest distance from the middle of a thin airway to the crest of its wall, mm.
 const FARTHEST_CREST_MM: f64 = 1.3;
 /// Smallest mean number of the 8 sides with lung behind the wall; an artery is behind the others.
-const LEAST_THIN: f64 = 4.5;
+const MIN_THIN: f64 = 4.5;
 /// Largest standard deviation of the radius along a thin airway, mm.
 const STEADY_MM: f64 = 0.06;
 
@@ -140,7 +140,7 @@ impl Profile {
             .collect();
         for (n, (place, looks)) in self.places.iter().zip(&looks).enumerate() {
             gain += if *looks {
-                (place.dip / requirements.dip).min(MOST_GAIN) - 1.0
+                (place.dip / requirements.dip).min(MAX_GAIN) - 1.0
             } else {
                 -1.0
             };
@@ -153,7 +153,7 @@ impl Profile {
         }
         let sum: f64 = self.places[..num]
             .iter()
-            .map(|p| p.dip.min(MOST_GAIN * requirements.dip))
+            .map(|p| p.dip.min(MAX_GAIN * requirements.dip))
             .sum();
         let alike = looks[..num].iter().filter(|l| **l).count();
         let is_kept = sum >= ACCEPTED_MEAN * requirements.dip * num as f64
@@ -176,7 +176,7 @@ impl Profile {
         let radius_mm = mean(&|p| p.radius_mm);
         let varies_mm = mean(&|p| (p.radius_mm - radius_mm).powi(2)).sqrt();
         median(places, |p| p.crest_mm) <= FARTHEST_CREST_MM
-            && mean(&|p| p.num_thin(section)) >= LEAST_THIN
+            && mean(&|p| p.num_thin(section)) >= MIN_THIN
             && varies_mm <= STEADY_MM
     }
 

@@ -14,11 +14,11 @@ use crate::find::tube_filter::{BLOCK, TubeFilter};
 /// Allowance of a path that leaves the lumen, mm.
 const FIRST_MM: f32 = 1.0;
 /// Largest allowance of a path, mm; each mm without a dip uses up `PRICE` mm of the allowance.
-const MOST_MM: f32 = 4.0;
+const MAX_MM: f32 = 4.0;
 /// Change of the allowance per mm of path, as a factor of (dip divided by the threshold, minus 1).
 const PRICE: f32 = 2.0;
 /// Largest increase of the allowance per mm of path.
-const MOST_GAIN: f32 = 0.5;
+const MAX_GAIN: f32 = 0.5;
 /// Smallest increase of a voxel's allowance, in mm, for which the search visits the voxel again.
 const BETTER_MM: f32 = 0.05;
 
@@ -89,7 +89,7 @@ impl Reached {
                 }
                 let per_mm = PRICE * (f32::from(dip) / dip_threshold as f32 - 1.0);
                 around.each(voxel as usize, |next, step_mm| {
-                    let left_mm = (left_mm + step_mm * per_mm.min(MOST_GAIN)).min(MOST_MM);
+                    let left_mm = (left_mm + step_mm * per_mm.min(MAX_GAIN)).min(MAX_MM);
                     if left_mm >= 0.0
                         && lumen[next] != LUMEN
                         && at

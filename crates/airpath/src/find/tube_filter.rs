@@ -25,7 +25,7 @@ const CRESTS_MM: [f64; 3] = [0.65, 0.75, 1.1];
 /// Distance from the axis, behind a thin wall, at which there must be lung, mm.
 const BEYOND_MM: f64 = 2.4;
 /// Smallest number of sides with lung behind the wall; an artery is behind the others.
-const LEAST_BEYOND: usize = 4;
+const MIN_BEYOND: usize = 4;
 /// Distance from the axis at which a blurred lumen is half-way up its wall, as a fraction of the crest's distance.
 const HALF_WAY: f64 = 0.5;
 /// Smallest rise of the second darkest side, as a fraction of the mean rise.
@@ -341,7 +341,7 @@ fn risen_anywhere(
 /// Return whether enough sides of a piece are darker than `most` behind the wall.
 fn is_thin(sides: &[Steps; NUM_SIDES], sum: impl Fn(&Steps) -> i32, most: f64) -> bool {
     let dark = sides.iter().filter(|side| f64::from(sum(side)) < most);
-    dark.count() >= LEAST_BEYOND
+    dark.count() >= MIN_BEYOND
 }
 
 /// Return the measures of the sides of a piece; `None` if the sum of the second darkest side is not above `least`.

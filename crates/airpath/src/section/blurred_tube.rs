@@ -17,9 +17,9 @@ const NUM_DIRECTIONS: usize = 5;
 /// Number of tabulated lumen radii.
 const NUM_RADII: usize = 14;
 /// Smallest tabulated lumen radius, in blurs within the slices.
-const LEAST_RADIUS: f64 = 0.7;
+const MIN_RADIUS: f64 = 0.7;
 /// Largest tabulated lumen radius, in blurs within the slices.
-const MOST_RADIUS: f64 = 14.0;
+const MAX_RADIUS: f64 = 14.0;
 /// Tabulated wall thicknesses, in blurs within the slices.
 const WALLS: [f64; 8] = [0.25, 0.5, 0.8, 1.2, 1.7, 2.4, 3.4, 5.0];
 /// Tabulated ratios of the blur across the slices to the blur within them.
@@ -66,13 +66,13 @@ static TABLES: LazyLock<Tables> = LazyLock::new(|| {
 });
 
 fn radius_at(n: usize) -> f64 {
-    LEAST_RADIUS * (MOST_RADIUS / LEAST_RADIUS).powf(n as f64 / (NUM_RADII - 1) as f64)
+    MIN_RADIUS * (MAX_RADIUS / MIN_RADIUS).powf(n as f64 / (NUM_RADII - 1) as f64)
 }
 
 /// Limit a lumen radius to the range of the tables.
 #[must_use]
 pub fn within_tables(radius: f64) -> f64 {
-    radius.clamp(LEAST_RADIUS, MOST_RADIUS)
+    radius.clamp(MIN_RADIUS, MAX_RADIUS)
 }
 
 /// Edges and rises of blurred tubes of one lumen radius, for each tabulated wall thickness.
@@ -88,7 +88,7 @@ impl Tube {
     /// `ratio` is the blur across the slices divided by the blur within them.
     #[must_use]
     pub fn new(radius: f64, ratio: f64) -> Self {
-        let at = (within_tables(radius) / LEAST_RADIUS).ln() / (MOST_RADIUS / LEAST_RADIUS).ln()
+        let at = (within_tables(radius) / MIN_RADIUS).ln() / (MAX_RADIUS / MIN_RADIUS).ln()
             * (NUM_RADII - 1) as f64;
         let r = (at as usize).min(NUM_RADII - 2);
         let mut tube = Self {

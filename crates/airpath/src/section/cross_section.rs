@@ -24,7 +24,7 @@ use crate::tree::smooth::Point;
 use carina_leastcost::{TrackError, Watch};
 
 /// Smallest fraction of rays that must show the far side of the wall; with fewer, no wall thickness is reported.
-pub const LEAST_WALL_SHARE: f64 = 0.3;
+pub const MIN_WALL_SHARE: f64 = 0.3;
 /// Largest thickness of an airway's wall, mm; a larger measured thickness includes tissue that touches the wall.
 pub const THICKEST_WALL_MM: f64 = 3.0;
 /// Distance between the centre of the rays and that of the lumen found, in voxels, below which no further cast is
@@ -269,7 +269,7 @@ impl Section {
             voxel_mm,
             edge_error_mm(cast, &edge_mm, voxel_mm, noise),
         );
-        if section.wall_share >= LEAST_WALL_SHARE {
+        if section.wall_share >= MIN_WALL_SHARE {
             let half_maximum_mm = median(thick_mm.into_iter().filter(|t| t.is_finite()).collect());
             section.wall_mm = correction.as_ref().map_or(half_maximum_mm, |c| c.wall_mm);
             section.outer_mm = std::array::from_fn(|n| {

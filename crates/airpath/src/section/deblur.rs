@@ -22,7 +22,7 @@ use crate::section::rays::{Cast, NUM_RAYS, direction, median, plane_axes, withou
 use crate::tree::smooth::Point;
 
 /// Smallest number of edges from which the blur of a scan is measured.
-const LEAST_EDGES: usize = 200;
+const MIN_EDGES: usize = 200;
 /// Limits for rays that show the blur within the slices: the absolute cosine between ray and slice axis is below the
 /// limit.
 ///
@@ -40,7 +40,7 @@ const STEEP_SHARE: f64 = 0.3;
 /// Factor by which interpolation widens an edge across the slices, which contains few values.
 const WIDENED_ACROSS: f64 = 1.36;
 /// Smallest accepted ratio of the blur across the slices to the blur within them.
-const LEAST_ACROSS: f64 = 0.8;
+const MIN_ACROSS: f64 = 0.8;
 /// Wall thickness, in blurs, above which the wall's half-maximum edges contribute to the measured thickness.
 const EDGES_TELL_FROM: f64 = 2.2;
 /// Further wall thickness, in blurs, after which the half-maximum edges alone determine the measured thickness.
@@ -50,9 +50,9 @@ const CERTAIN: f64 = 0.6;
 /// Number of rays on each side of a ray over which the rise of the wall is averaged.
 const SMOOTHED_RAYS: usize = 2;
 /// Largest ratio of blur to radius for which the bias of the fitted tube is known.
-const MOST_BLURRED: f64 = 0.8;
+const MAX_BLURRED: f64 = 0.8;
 /// Largest ratio of the blur across the slices to that within them, for which the bias of the fitted tube is known.
-const MOST_ACROSS: f64 = 4.0;
+const MAX_ACROSS: f64 = 4.0;
 /// Blur in pixels of a kernel that does not overshoot at edges.
 const NO_RIM: f64 = 0.9;
 /// Difference of the blur from `NO_RIM`, in pixels, above which a kernel overshoots clearly and the error increases.
@@ -151,7 +151,7 @@ impl Blur {
                 }
             }
         }
-        if in_plane.len() < LEAST_EDGES {
+        if in_plane.len() < MIN_EDGES {
             return None;
         }
         let flat = |limit: f64| in_plane.iter().filter(move |edge| edge.0 < limit);
@@ -163,14 +163,14 @@ impl Blur {
         steep.sort_by(f64::total_cmp);
         let in_plane_mm = steep[(STEEP_SHARE * steep.len() as f64) as usize];
         let spacing = grid.spacing_mm();
-        let across_mm = if across.len() < LEAST_EDGES {
+        let across_mm = if across.len() < MIN_EDGES {
             // Without enough edges across the slices, their blur follows from their thickness: the variance of a box is
             // its width^2 / 12.
             let widest = spacing.into_iter().fold(0.0, f64::max);
             let wider = widest * widest - grid.min_spacing_mm().powi(2);
             (in_plane_mm.powi(2) + wider / 12.0).sqrt()
         } else {
-            (median(across) / WIDENED_ACROSS).max(LEAST_ACROSS * in_plane_mm)
+            (median(across) / WIDENED_ACROSS).max(MIN_ACROSS * in_plane_mm)
         };
         Some(Self::new(grid, in_plane_mm, across_mm))
     }
@@ -257,8 +257,8 @@ impl Blur {
         ) / sigma;
         let by_edges_share = ((by_edges - EDGES_TELL_FROM) / EDGES_TELL_OVER).clamp(0.0, 1.0);
         let size = Size {
-            blur_over_radius: radius.recip().min(MOST_BLURRED),
-            across: steepest * ((self.across_mm / sigma).min(MOST_ACROSS) - 1.0),
+            blur_over_radius: radius.recip().min(MAX_BLURRED),
+            across: steepest * ((self.across_mm / sigma).min(MAX_ACROSS) - 1.0),
             sharpness: (NO_RIM - sigma / self.pixel_mm).max(0.0),
         };
         let wider = radius * (size.rest().exp() - 1.0);

@@ -9,7 +9,7 @@ use crate::tree::smooth::Point;
 pub const NUM_RAYS: usize = 64;
 
 /// Smallest fraction of the rays that must meet a wall; with fewer, the section has no closed lumen.
-pub const LEAST_SHARE: f64 = 0.6;
+pub const MIN_SHARE: f64 = 0.6;
 
 /// Rays of one plane across an airway, with the edges found on them.
 #[derive(Debug, Clone, PartialEq)]
@@ -76,7 +76,7 @@ pub(crate) fn without_far(lengths: &[f64; NUM_RAYS]) -> [f64; NUM_RAYS] {
 
 /// Fill the gaps (NaN) of a contour from the nearest rays on both sides; return `None` if there are too many gaps.
 pub(crate) fn filled(met: &[f64; NUM_RAYS]) -> Option<[f64; NUM_RAYS]> {
-    if share_of(met) < LEAST_SHARE {
+    if share_of(met) < MIN_SHARE {
         return None;
     }
     Some(std::array::from_fn(|n| {

@@ -14,4 +14,4 @@ mod store;
 pub use samples::SampleBricks;
 pub use slopes::NormalBricks;
 pub(crate) use slopes::{AXIS_AT, AXIS_WEIGHT, CORNER_AT, CORNER_WEIGHT};
-pub(crate) use store::{CELLS, Fill, MOST_BRICKS, PER_BRICK, STRIDE};
+pub(crate) use store::{CELLS, Fill, MAX_BRICKS, PER_BRICK, STRIDE};

@@ -4,7 +4,7 @@
 //! them again. At a voxel, the gradient is an exact central difference of integers. Stored beside the value as four
 //! int16 per voxel, a sample needs four reads of two voxels each (docs/decisions/0132).
 
-use super::store::{CELLS, Fill, MOST_BRICKS, Numbers, PER_BRICK, STRIDE, Store, VOXELS};
+use super::store::{CELLS, Fill, MAX_BRICKS, Numbers, PER_BRICK, STRIDE, Store, VOXELS};
 use crate::Field;
 
 /// Cached bricks of the values and gradients of one volume.
@@ -19,7 +19,7 @@ impl SampleBricks {
     /// Create an empty cache for a volume of a given shape.
     #[must_use]
     pub fn of(shape_ijk: [usize; 3]) -> Self {
-        Self::with_capacity(shape_ijk, MOST_BRICKS)
+        Self::with_capacity(shape_ijk, MAX_BRICKS)
     }
 
     /// Create an empty cache with a capacity of `most` bricks, for a volume of a given shape.

@@ -18,7 +18,7 @@ pub(crate) const PER_BRICK: usize = 512;
 /// Difference in memory between neighbouring voxels of a brick along each axis, in numbers.
 pub(crate) const STRIDE: [usize; 3] = [PER_VOXEL, PER_VOXEL * VOXELS, PER_VOXEL * VOXELS * VOXELS];
 /// Largest number of stored bricks: 64 MB, enough for some fifty views of an airway.
-pub(crate) const MOST_BRICKS: usize = 1 << 16;
+pub(crate) const MAX_BRICKS: usize = 1 << 16;
 
 /// Stored numbers of one brick.
 pub(crate) type Numbers = Box<[i16; PER_BRICK]>;

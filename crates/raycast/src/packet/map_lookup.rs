@@ -7,7 +7,7 @@ use super::{
     pool::Packet,
     scene::Scene,
 };
-use crate::leap::{FAR, LEAST_PATIENCE, MAX_STEPS, MOST_PATIENCE, Price};
+use crate::leap::{FAR, MAX_PATIENCE, MAX_STEPS, MIN_PATIENCE, Price};
 
 /// Ray steps per voxel on each axis, with and without the sign of the direction, for each lane; see `leap::Pace`.
 #[derive(Clone, Copy)]
@@ -92,9 +92,9 @@ impl Scene<'_> {
         }
         packet.lookup_at = l.select_i(failed, l.add_i(packet.k, packet.patience), packet.lookup_at);
         let twice = l.add_i(packet.patience, packet.patience);
-        let more = l.min_i(twice, l.splat_i(MOST_PATIENCE as i32));
+        let more = l.min_i(twice, l.splat_i(MAX_PATIENCE as i32));
         let patience = l.select_i(failed, more, packet.patience);
-        packet.patience = l.select_i(paid, l.splat_i(LEAST_PATIENCE as i32), patience);
+        packet.patience = l.select_i(paid, l.splat_i(MIN_PATIENCE as i32), patience);
         packet.k = l.select_i(leaps, l.add_i(packet.k, n), packet.k);
     }
 

@@ -32,11 +32,11 @@ Point = tuple[float, float, float]
 # Short enough that a user does not notice the pause after the service restarts.
 _RETRY_S = 1.0
 _SILENCE_S = 1.0
-_MOST_BYTES = 65536
+_MAX_BYTES = 65536
 # Upper limits of a device's size and of a hand's speed.
-_MOST_M, _MOST_M_PER_S = 2.0, 20.0
+_MAX_M, _MAX_M_PER_S = 2.0, 20.0
 # A valid quaternion has unit length; the limit only keeps its square finite.
-_MOST_QUATERNION = 1e3
+_MAX_QUATERNION = 1e3
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +77,8 @@ def read_haply_message(text: str | bytes) -> HaplyState | None:
     held = grip.get("buttons") if isinstance(grip, dict) else None
     return HaplyState(
         device_id=device_id,
-        position_m=_vector(state.get("cursor_position"), _MOST_M),
-        velocity_m_s=_vector(state.get("cursor_velocity"), _MOST_M_PER_S),
+        position_m=_vector(state.get("cursor_position"), _MAX_M),
+        velocity_m_s=_vector(state.get("cursor_velocity"), _MAX_M_PER_S),
         orientation_wxyz=None if not isinstance(turn, dict) else _quaternion(turn),
         buttons=frozenset(name for name, down in held.items() if down is True)
         if isinstance(held, dict)
@@ -99,7 +99,7 @@ def _vector(found: object, most: float) -> Point:
 def _quaternion(found: dict[str, Any]) -> tuple[float, float, float, float] | None:
     values = [found.get(axis) for axis in "wxyz"]
     # An integer may be too large for a float, and a float for its square.
-    if not all(isinstance(v, int | float) and abs(v) <= _MOST_QUATERNION for v in values):
+    if not all(isinstance(v, int | float) and abs(v) <= _MAX_QUATERNION for v in values):
         raise ValueError("expected a quaternion w, x, y, z")
     length = math.sqrt(sum(float(v) ** 2 for v in values if v is not None))
     if length < 0.5:
@@ -184,7 +184,7 @@ class HaplyBridge:
             while True:
                 self._status = "connecting"
                 with contextlib.suppress(OSError, WebSocketException, TimeoutError):
-                    async with connect(self._url, max_size=_MOST_BYTES, compression=None, open_timeout=5) as link:
+                    async with connect(self._url, max_size=_MAX_BYTES, compression=None, open_timeout=5) as link:
                         await self._serve(link)
                 # The hand may have moved before the connection returns.
                 self._rest_m = None

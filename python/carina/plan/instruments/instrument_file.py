@@ -14,8 +14,8 @@ from carina.errors import CarinaError, UsageError, VolumeImportError
 
 __all__ = ["OwnFile"]
 
-MOST_BYTES = 100_000
-MOST_LETTERS = 300
+MAX_BYTES = 100_000
+MAX_LETTERS = 300
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,10 +36,10 @@ class OwnFile:
         """
         file = Path(path)
         try:
-            return cls(file.name, json.loads(read_regular_text(file, max_bytes=MOST_BYTES)))
+            return cls(file.name, json.loads(read_regular_text(file, max_bytes=MAX_BYTES)))
         except (OSError, ValueError, RecursionError) as error:
             if isinstance(error, VolumeImportError) and error.code == "disk.too-large":
-                raise UsageError(f"{file.name}: expected at most {MOST_BYTES} bytes", code="plan.own-file") from None
+                raise UsageError(f"{file.name}: expected at most {MAX_BYTES} bytes", code="plan.own-file") from None
             if isinstance(error, CarinaError):
                 raise
             words = f"{file.name}: expected a JSON file with one instrument; it could not be read ({error})"
@@ -82,8 +82,8 @@ class OwnFile:
     def text(self, name: str) -> str:
         """Return the value of the field ``name``, a text that is not empty."""
         found = self.document.get(name)
-        if not (isinstance(found, str) and 0 < len(found.strip()) <= MOST_LETTERS):
-            raise self.refusal(name, f"words, at most {MOST_LETTERS} letters", found)
+        if not (isinstance(found, str) and 0 < len(found.strip()) <= MAX_LETTERS):
+            raise self.refusal(name, f"words, at most {MAX_LETTERS} letters", found)
         return found
 
     def text_or_none(self, name: str) -> str | None:

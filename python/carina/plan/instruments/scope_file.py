@@ -30,8 +30,8 @@ NAMES = (
     "bend_radius_mm",
 )
 # Smallest and largest diameter in mm of a scope that the mechanical model accepts (crates/scope, body.rs).
-LEAST_TIP_MM, MOST_TIP_MM = 1.4, 7.8
-MOST_FLEXION_DEG = 229.0
+MIN_TIP_MM, MAX_TIP_MM = 1.4, 7.8
+MAX_FLEXION_DEG = 229.0
 BENDING_MM, RIGID_MM, LENGTH_MM = (10.0, 100.0), (2.0, 20.0), (100.0, 1000.0)
 
 
@@ -51,12 +51,12 @@ def scope_from_file(path: str | Path) -> ScopePreset:
     scope_class = file.text("scope_class")
     if scope_class not in get_args(ScopeClass):
         raise file.refusal("scope_class", f"one of {', '.join(get_args(ScopeClass))}", scope_class)
-    tip_mm = file.size("tip_mm", MOST_TIP_MM)
-    if tip_mm < LEAST_TIP_MM:
-        raise file.refusal("tip_mm", f"{LEAST_TIP_MM:g} to {MOST_TIP_MM:g} mm", tip_mm)
-    tube_mm, channel_mm = file.number_or_none("tube_mm", MOST_TIP_MM), file.number_or_none("channel_mm", MOST_TIP_MM)
-    if tube_mm is not None and tube_mm < LEAST_TIP_MM:
-        raise file.refusal("tube_mm", f"{LEAST_TIP_MM:g} to {MOST_TIP_MM:g} mm, or null", tube_mm)
+    tip_mm = file.size("tip_mm", MAX_TIP_MM)
+    if tip_mm < MIN_TIP_MM:
+        raise file.refusal("tip_mm", f"{MIN_TIP_MM:g} to {MAX_TIP_MM:g} mm", tip_mm)
+    tube_mm, channel_mm = file.number_or_none("tube_mm", MAX_TIP_MM), file.number_or_none("channel_mm", MAX_TIP_MM)
+    if tube_mm is not None and tube_mm < MIN_TIP_MM:
+        raise file.refusal("tube_mm", f"{MIN_TIP_MM:g} to {MAX_TIP_MM:g} mm, or null", tube_mm)
     if channel_mm is not None and channel_mm >= tip_mm:
         raise file.refusal("channel_mm", f"less than the tip's {tip_mm:g} mm", channel_mm)
     return ScopePreset(
@@ -68,7 +68,7 @@ def scope_from_file(path: str | Path) -> ScopePreset:
         channel_mm=channel_mm,
         fov_deg=file.number_or_none("fov_deg", 170.0),
         focus_mm=file.pair_or_none("focus_mm", 500.0),
-        flexion_deg=file.pair_or_none("flexion_deg", MOST_FLEXION_DEG),
+        flexion_deg=file.pair_or_none("flexion_deg", MAX_FLEXION_DEG),
         length_mm=_within(file, "length_mm", LENGTH_MM),
         basis=file.text("basis"),
         view_up_deg=file.number_or_none("view_up_deg", 90.0) or 0.0,

@@ -25,7 +25,7 @@ CLEARANCE_MM = 0.1
 ONLY_BRUSH = "no needle of the library passes its channel: the instrument can only brush, or take forceps in the lumen"
 """Text about a scope whose channel no needle passes."""
 FORMAT, VERSION = "carina-tool", 1
-_MOST = {"outer_mm": 10.0, "reach_mm": 100.0, "rigid_mm": 100.0, "flexion_loss_deg": 180.0}
+_MAX = {"outer_mm": 10.0, "reach_mm": 100.0, "rigid_mm": 100.0, "flexion_loss_deg": 180.0}
 
 
 @one_line
@@ -55,7 +55,7 @@ class Tool:
 
     def __post_init__(self) -> None:
         """Raise an error if a length of the tool or the loss of flexion is invalid."""
-        for what, most in _MOST.items():
+        for what, most in _MAX.items():
             value = getattr(self, what)
             needed = what in {"outer_mm", "reach_mm"}
             if value is None and not needed:
@@ -189,11 +189,11 @@ def _tool(file: OwnFile) -> Tool:
     return Tool(
         file.text("name"),
         file.text("title"),
-        file.size("outer_mm", _MOST["outer_mm"]),
-        file.size("reach_mm", _MOST["reach_mm"]),
+        file.size("outer_mm", _MAX["outer_mm"]),
+        file.size("reach_mm", _MAX["reach_mm"]),
         file.flag("pierces", "true for a needle, else false"),
-        file.number_or_none("rigid_mm", _MOST["rigid_mm"]),
+        file.number_or_none("rigid_mm", _MAX["rigid_mm"]),
         file.text("basis"),
         file.text_or_none("source"),
-        file.number_or_none("flexion_loss_deg", _MOST["flexion_loss_deg"]),
+        file.number_or_none("flexion_loss_deg", _MAX["flexion_loss_deg"]),
     )

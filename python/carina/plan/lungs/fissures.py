@@ -20,13 +20,13 @@ Mask = NDArray[np.bool_]
 Values = NDArray[np.float32]
 
 SIGMA_MM = 1.2
-LEAST_HU = 30.0
+MIN_HU = 30.0
 """Least curvature across a plate (fissure), in HU (second derivative times sigma squared)."""
 TIMES_NOISE = 7.0
 """Least curvature across a plate (fissure), as a multiple of the curvature that noise causes."""
 EVEN = 0.5
 """Largest ratio of each other curvature of a plate to the curvature across the plate."""
-LEAST_MM2 = 600.0
+MIN_MM2 = 600.0
 """Least area in mm2 of a connected piece of a fissure; smaller pieces may be texture of the lung."""
 FROM_BORDER_MM = 30.0
 """Largest distance in mm of a fissure from the estimated lobe border; a plate farther away is scar or pleura."""
@@ -106,7 +106,7 @@ def fissures(
     where = near & box.known & (bright > 1.5) & (soft < lung_hu + 300.0)
     say(0.8)
     strength, noise = _plate_strength(soft, where, SIGMA_MM / box.step_mm)
-    least = max(LEAST_HU, TIMES_NOISE * noise)
+    least = max(MIN_HU, TIMES_NOISE * noise)
     sheets = _large_sheets(strength > least, box.step_mm)
     return FissureBox(_with_faint_parts(sheets, strength > FAINT * least), box)
 
@@ -142,7 +142,7 @@ def _plate_strength(soft: Values, where: Mask, sigma_vox: float) -> tuple[Values
         noise.append(sigma_vox**2 * middle[::31])
     spread = np.concatenate(noise)
     if spread.size < 200:
-        return found, LEAST_HU / TIMES_NOISE
+        return found, MIN_HU / TIMES_NOISE
     return found, 1.4826 * float(np.median(np.abs(spread - np.median(spread))))
 
 
@@ -155,9 +155,7 @@ def _large_sheets(mask: Mask, step_mm: float) -> Mask:
 
     joined = sitk.BinaryDilate(sitk.GetImageFromArray(mask.astype(np.uint8)), [1, 1, 1], sitk.sitkCross)
     labels: Any = sitk.GetArrayFromImage(
-        sitk.RelabelComponent(
-            sitk.ConnectedComponent(joined, True), minimumObjectSize=int(3.0 * LEAST_MM2 / step_mm**2)
-        )
+        sitk.RelabelComponent(sitk.ConnectedComponent(joined, True), minimumObjectSize=int(3.0 * MIN_MM2 / step_mm**2))
     )
     found: Mask = mask & (labels > 0)
     return found

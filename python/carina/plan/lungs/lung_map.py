@@ -32,7 +32,7 @@ RIM_MM = 3.0
 """Width in mm of the layer at the outside of the lungs in which no vessels are searched (chest wall)."""
 LUNG_HU = 250.0
 """Rise above the median density of the lungs, in HU, up to which a voxel counts as lung."""
-ROUND_MM, LEAST_LUNG = 5.0, 0.35
+ROUND_MM, MIN_LUNG = 5.0, 0.35
 """Width in mm of the Gaussian that averages the share of lung round a vessel, and least share of lung.
 
 The share is a half beside the pleura and a fifth between trachea and spine. The closed lungs include hila and trachea,
@@ -40,7 +40,7 @@ where folds of the mediastinum look like vessels.
 """
 AIRWAY_GENERATIONS = 2
 """Highest generation of airways whose air is excluded from the lung; airways beyond it are too thin to matter."""
-DEEP_MM, LEAST_DEEP = 6.0, 0.25
+DEEP_MM, MIN_DEEP = 6.0, 0.25
 """Depth in mm below the surface of the lungs, and least share of a vessel's line that must be at this depth.
 
 Lines along the edge of the lungs are steps between slices that breathing has shifted.
@@ -211,7 +211,7 @@ def _amid_lung(seen: NearbyTissue, tree: AirwayTree) -> Mask:
             part = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
             lung[part] &= z[:, None, None] + y[None, :, None] + x[None, None, :] > far * far
     share = smoothed(lung[::2, ::2, ::2].astype(np.float32), 0.5 * ROUND_MM / step_mm)
-    amid = share >= LEAST_LUNG
+    amid = share >= MIN_LUNG
     for axis, num in enumerate(lung.shape):
         amid = amid.repeat(2, axis=axis).take(np.arange(num), axis=axis)
     return amid
@@ -227,7 +227,7 @@ def _deep_lines(tree: VesselTree, box: Box) -> VesselTree:
     kept: list[VesselBranch] = []
     for number, branch in enumerate(tree.branches):
         i, j, k = np.rint((branch.points_lps - box.lps_from_ijk[:3, 3]) / box.step_mm).astype(np.intp).T
-        if float(deep[k, j, i].mean()) < LEAST_DEEP:
+        if float(deep[k, j, i].mean()) < MIN_DEEP:
             continue
         places[number] = len(kept)
         parent = None if branch.parent is None else places.get(branch.parent)

@@ -36,7 +36,7 @@ BLUR_MM = 1.5
 """Distance in mm from the nodule within which tissue is the nodule's blurred edge."""
 THICKEST_VESSEL_MM = 14.0
 """Largest diameter in mm of a vessel; thicker tissue is mediastinum, chest wall or diaphragm."""
-LEAST_MM3 = 12.0
+MIN_MM3 = 12.0
 """Least volume in mm3 of a connected piece of tissue; smaller pieces are noise."""
 SLAB = 48
 """Number of slices for which wall distances are computed between two checks for cancellation."""
@@ -269,7 +269,7 @@ def _seen(box: Box, nodule: Nodule | None, wall: WallField, on_share: OnShare = 
         if core.any()
         else np.zeros_like(dense)
     )
-    wide = _large_pieces(dense & ~thick & box.known, LEAST_MM3 / box.step_mm**3)
+    wide = _large_pieces(dense & ~thick & box.known, MIN_MM3 / box.step_mm**3)
     on_share(0.6)
     thin, sure = thin_vessels(box, lung_hu, clear & ~thick, on_share=lambda share: on_share(0.6 + 0.2 * share))
     sure[wide] = 1.0

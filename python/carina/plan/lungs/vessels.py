@@ -22,17 +22,17 @@ THIN_SIGMA_MM = 0.7
 """Standard deviation in mm of the Gaussian that smooths the CT before the curvature is computed."""
 RISE_HU = 60.0
 """Least rise in HU of a vessel above the density of lung, after smoothing by 0.5 mm."""
-LEAST_HU = 40.0
+MIN_HU = 40.0
 """Least curvature across a vessel, in HU (second derivative times sigma squared)."""
 TIMES_NOISE = 5.0
 """Least curvature across a vessel, as a multiple of the curvature that noise causes."""
-LEAST_LENGTH_MM = 3.0
+MIN_LENGTH_MM = 3.0
 """Least length in mm of a connected piece of a thin vessel; shorter pieces are noise."""
 SLAB = 48
 """Number of slices processed together, which limits the memory for whole lungs."""
 SPUR_MM = 2.0
 """Least length in mm of a branch beyond the surface of its parent; a shorter one is a bump of the parent."""
-MOST_BRANCHES = 4000
+MAX_BRANCHES = 4000
 LOOK_EVERY = 20_000
 """Number of voxels that are processed between two progress reports."""
 
@@ -66,7 +66,7 @@ class VesselTree:
     branches: tuple[VesselBranch, ...] = field(repr=False)
     """Branches of the tree; parents precede their children."""
     is_whole: bool = True
-    """Whether all branches are included; False if there were more than `MOST_BRANCHES`."""
+    """Whether all branches are included; False if there were more than `MAX_BRANCHES`."""
 
     @property
     def length_mm(self) -> float:
@@ -105,7 +105,7 @@ def thin_vessels(
     if on_share is not None:
         on_share(0.3)
     curved, noise = _line_strength(box, rises, plain)
-    least = max(LEAST_HU, TIMES_NOISE * noise)
+    least = max(MIN_HU, TIMES_NOISE * noise)
     mask = _long_pieces(curved > least, box.step_mm)
     sure = np.where(mask, 1.0 - 0.5 * np.exp(-3.0 * (curved / least - 1.0)), 0.0).astype(np.float32)
     return mask, sure
@@ -131,7 +131,7 @@ def _line_strength(box: Box, rises: Mask, plain: Mask) -> tuple[Values, float]:
         noise.append(scale * middle)
     spread = np.concatenate(noise)
     if spread.size < 200:
-        return found, LEAST_HU / TIMES_NOISE
+        return found, MIN_HU / TIMES_NOISE
     return found, 1.4826 * float(np.median(np.abs(spread - np.median(spread))))
 
 
@@ -175,7 +175,7 @@ def eigenvalues(second: list[Values]) -> tuple[Values, Values, Values]:
 
 
 def _long_pieces(mask: Mask, step_mm: float) -> Mask:
-    """Return the pieces of a mask whose bounding box has a diagonal of at least `LEAST_LENGTH_MM`."""
+    """Return the pieces of a mask whose bounding box has a diagonal of at least `MIN_LENGTH_MM`."""
     import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     labels: Any = sitk.GetArrayFromImage(sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)), True))
@@ -188,7 +188,7 @@ def _long_pieces(mask: Mask, step_mm: float) -> Mask:
         np.minimum.at(low, of, axis)
         np.maximum.at(high, of, axis)
         square += np.maximum(high - low + 1, 0) ** 2.0 * (low <= high)
-    keep = np.sqrt(square) * step_mm >= LEAST_LENGTH_MM
+    keep = np.sqrt(square) * step_mm >= MIN_LENGTH_MM
     keep[0] = False
     found: Mask = keep[labels]
     return found
@@ -225,7 +225,7 @@ def grow_tree(box: Box, vessel: Mask, sure: Values, *, on_share: Callable[[float
             on_share(num / len(order))
         if owner.reshape(-1)[start] >= 0:
             continue
-        if len(branches) >= MOST_BRANCHES:
+        if len(branches) >= MAX_BRANCHES:
             whole = False
             break
         way, parent = _downhill(np.array(np.unravel_index(int(start), vessel.shape)), arrival, owner)

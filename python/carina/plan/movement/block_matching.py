@@ -18,15 +18,15 @@ Points = NDArray[np.float64]
 Values = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-LEAST_HU, MOST_HU = -1000.0, 100.0
+MIN_HU, MAX_HU = -1000.0, 100.0
 """HU range that is compared; denser tissue, such as bone and contrast, counts as soft tissue."""
 AVERAGED_MM = 1.3
 """Size of voxels that are compared, mm."""
-LEAST_CLEAR = 0.1
+MIN_CLEAR = 0.1
 """Least variation at a place as a share of that at the clearest places."""
-LEAST_SPREAD_HU = 40.0
+MIN_SPREAD_HU = 40.0
 """Least standard deviation of a cube's values, HU; a cube without structure has no place."""
-LUNG_HU, ROUND_MM, LEAST_LUNG = -500.0, 4.0, 0.45
+LUNG_HU, ROUND_MM, MIN_LUNG = -500.0, 4.0, 0.45
 """Largest HU of lung, and width in mm of the Gaussian over which at least this share is lung round a landmark."""
 SMOOTH_MM = 2.0
 """Width in mm of the Gaussian over which the structure round a landmark is measured."""
@@ -84,7 +84,7 @@ def landmarks(
         Least voxel size.
     """
     box = Box.around(volume, centre_lps, half_mm, least_step_mm=step_mm)
-    values = np.clip(smoothed(box.hu_zyx, 0.7 / box.step_mm), LEAST_HU, MOST_HU)
+    values = np.clip(smoothed(box.hu_zyx, 0.7 / box.step_mm), MIN_HU, MAX_HU)
     slopes = [np.gradient(values, axis=axis) for axis in range(3)]
     sigma = SMOOTH_MM / box.step_mm
     tensor = {
@@ -96,10 +96,8 @@ def landmarks(
     # The determinant over the sum of the minors approaches the least eigenvalue of the structure tensor.
     minors = (yy * zz - yz * yz) + (xx * zz - xz * xz) + (xx * yy - xy * xy)
     clear = np.where(minors > 0.0, least / np.maximum(minors, 1e-3), 0.0)
-    lung = smoothed(
-        ((box.hu_zyx < LUNG_HU) & (box.hu_zyx > LEAST_HU + 40.0)).astype(np.float32), ROUND_MM / box.step_mm
-    )
-    clear = np.where((lung >= LEAST_LUNG) & box.known, clear, 0.0)
+    lung = smoothed(((box.hu_zyx < LUNG_HU) & (box.hu_zyx > MIN_HU + 40.0)).astype(np.float32), ROUND_MM / box.step_mm)
+    clear = np.where((lung >= MIN_LUNG) & box.known, clear, 0.0)
     peak = clear > 0.0
     for axis in range(3):
         for way in (1, -1):
@@ -108,7 +106,7 @@ def landmarks(
     index = index[np.argsort(-clear[tuple(index.T)], kind="stable")][: 20 * most]
     if len(index):
         strength = clear[tuple(index.T)]
-        index = index[strength >= LEAST_CLEAR * strength[len(strength) // 50]]
+        index = index[strength >= MIN_CLEAR * strength[len(strength) // 50]]
     places = index[:, ::-1] * box.step_mm + box.lps_from_ijk[:3, 3]
     kept: list[Points] = []
     for place in places:
@@ -152,7 +150,7 @@ def match_blocks(
         if report is not None:
             report()
         here, known = _sampled(first, place + small)
-        if not known.all() or here.std() < LEAST_SPREAD_HU:
+        if not known.all() or here.std() < MIN_SPREAD_HU:
             continue
         gradient = expected.gradient(place)
         there, known = _sampled(second, place + guesses[n] + large @ gradient.T)
@@ -181,7 +179,7 @@ def _sampled(volume: Volume, places: Points) -> tuple[Points, Mask]:
     top = (np.array(volume.shape_zyx[::-1]) - 1.0)[:, None]
     known = np.asarray(((ijk >= -0.5) & (ijk <= top + 0.5)).all(axis=0))
     values = trilinear(volume.hu_zyx, np.clip(ijk, 0.0, top))
-    return np.clip(values, LEAST_HU, MOST_HU), known
+    return np.clip(values, MIN_HU, MAX_HU), known
 
 
 def _correlation(here: Points, there: Points) -> Points:

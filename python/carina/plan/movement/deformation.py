@@ -23,7 +23,7 @@ RIGID_MM = 15.0
 """Largest distance of a pair from a rigid motion, mm: breathing moves the bases by 10 to 20 mm against the apices."""
 NUM_NEAR = 10
 """Number of pairs within one standard deviation of the Gaussian weights."""
-LEAST_SIGMA_MM = 8.0
+MIN_SIGMA_MM = 8.0
 SLOPE_WEIGHT = 0.3
 """Weight that draws the local affine motion to a local translation, as a share of the pairs' weight."""
 MEAN_WEIGHT = 0.2
@@ -93,7 +93,7 @@ class Deformation:
         of_use = np.where(usable, distance, np.inf)
         near = min(NUM_NEAR, of_use.shape[1]) - 1
         sigma = np.partition(of_use, near, axis=1)[:, near]
-        sigma = np.clip(np.where(np.isfinite(sigma), sigma, 1e3), LEAST_SIGMA_MM, None)[:, None]
+        sigma = np.clip(np.where(np.isfinite(sigma), sigma, 1e3), MIN_SIGMA_MM, None)[:, None]
         weight = np.where(usable, np.exp(-0.5 * (distance / sigma) ** 2), 0.0)
         terms = np.concatenate([np.ones((*distance.shape, 1)), away], axis=2)
         normal = np.einsum("ab,abi,abj->aij", weight, terms, terms)

@@ -15,7 +15,7 @@ __all__ = ["ForkShift", "fork_points", "named_forks"]
 
 Points = NDArray[np.float64]
 
-LEAST_CONFIDENCE = 0.5
+MIN_CONFIDENCE = 0.5
 """Least confidence of a branch name in each tree from which the forks of the branch are compared."""
 
 
@@ -68,7 +68,7 @@ def _by_name(tree: AirwayTree) -> dict[str, Branch]:
     found: dict[str, Branch] = {}
     twice = set()
     for branch in tree.branches:
-        sure = branch.name_confidence is None or branch.name_confidence >= LEAST_CONFIDENCE
+        sure = branch.name_confidence is None or branch.name_confidence >= MIN_CONFIDENCE
         if branch.name is None or not sure or len(branch.children) < 2 or not len(branch.points):
             continue
         if branch.name in found:

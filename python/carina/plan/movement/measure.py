@@ -24,7 +24,7 @@ from carina.plan.movement.deformation import Affine, Deformation, affine_fit, ri
 from carina.plan.movement.forks import ForkShift, fork_points, named_forks
 from carina.plan.movement.orientation import orientation_error
 from carina.plan.movement.same_patient import (
-    LEAST_RIGID,
+    MIN_RIGID,
     breath_notes,
     check_affine,
     check_breath,
@@ -41,7 +41,7 @@ from carina.plan.movement.same_patient import (
     few_forks,
     no_airways,
 )
-from carina.plan.movement.target_movement import MOST_MOVED_MM, TargetMovement
+from carina.plan.movement.target_movement import MAX_MOVED_MM, TargetMovement
 from carina.plan.targets.nodule import Nodule
 from carina.plan.targets.target import PlanTarget
 from carina.track import Airways, AirwayTree, find_airways
@@ -55,27 +55,27 @@ CARINA = "Trachea"
 """Name of the branch that ends in the main carina."""
 AFFINE_MM = 8.0
 """Largest distance of a fork from the affine motion of all forks, mm."""
-NEAR_MM, APART_MM, MOST_PLACES = 60.0, 8.0, 160
+NEAR_MM, APART_MM, MAX_PLACES = 60.0, 8.0, 160
 """Half the side length of the cube round the target in which vessels are matched, least distance and largest number."""
 COARSE, FINE = Block(9.0, 1.5, 9.0), Block(7.5, 0.75, 3.0)
 WIDE = Block(18.0, 1.0, 4.0)
 """Cubes at the forks of wide airways, which contain the walls of the airways."""
 WIDE_NAMES = (CARINA, "RMB", "LMB", "BI")
-LEAST_RADIUS_MM, TARGET_RIM_MM = 3.0, 5.0
+MIN_RADIUS_MM, TARGET_RIM_MM = 3.0, 5.0
 """Least radius of a target, and width of the tissue round it that is compared with it, mm."""
 OUTSIDE_MM = 2.0
 """Distance of matched vessels from the target, mm."""
 SAME_MM = 1e-3
 """Distance in mm below which two places are the same."""
-LEAST_SCORE = 0.6
+MIN_SCORE = 0.6
 """Least correlation of a cube with the second CT from which its place counts as found."""
-MOST_RESIDUAL_MM = 4.0
+MAX_RESIDUAL_MM = 4.0
 """Largest distance of a place from the prediction by its neighbours, mm."""
 NUM_CHECKED = 20
 """Number of places nearest to the target at which the error is estimated."""
 SHARE_WITHIN = 0.9
 """Share of places whose distance from the prediction lies within the stated error."""
-MOST_ERROR_MM = 15.0
+MAX_ERROR_MM = 15.0
 """Largest error that is stated, mm; a larger one says no more than the default."""
 AGREE_MM = 2.0
 """Distance in mm within which the target's own place always agrees with its neighbours."""
@@ -263,7 +263,7 @@ def _explained(
 def _named_forks(volumes: tuple[Volume, Volume], first: AirwayTree, second: AirwayTree) -> _Forks:
     """Return the forks that both trees name; raise an error for too few, or without the main carina."""
     forks = _Forks(*named_forks(first, second))
-    if len(forks.names) < LEAST_RIGID:
+    if len(forks.names) < MIN_RIGID:
         raise few_forks(len(forks.names), volumes[1])
     if CARINA not in forks.names:
         raise NoResultError(
@@ -293,7 +293,7 @@ def _places(volume: Volume, airways: Airways, forks: _Forks, place: Points, radi
     every = fork_points(airways.tree)
     named = np.linalg.norm(every[:, None] - forks.first_lps[None], axis=2).min(axis=1) < SAME_MM
     step_mm = max(1.0, min(volume.spacing_mm))
-    vessels = landmarks(volume, place, NEAR_MM, apart_mm=APART_MM, most=MOST_PLACES, step_mm=step_mm)
+    vessels = landmarks(volume, place, NEAR_MM, apart_mm=APART_MM, most=MAX_PLACES, step_mm=step_mm)
     # A place in the target would not be independent of the target.
     vessels = vessels[np.linalg.norm(vessels - place, axis=1) > radius_mm + OUTSIDE_MM]
     return np.concatenate([forks.first_lps, every[~named]]), vessels
@@ -308,23 +308,23 @@ def _matched(
 ) -> _Matches:
     places = np.concatenate(searched)
     shifts, score = match_blocks(*volumes, places, guess, COARSE, report=check_cancelled)
-    check_structure(score[: len(forks.names)], LEAST_SCORE)
+    check_structure(score[: len(forks.names)], MIN_SCORE)
     kept = _consistent(places, shifts, score, guess.base)
     shifts, score = match_blocks(*volumes, places, kept, FINE, report=check_cancelled)
     for n in (n for n, name in enumerate(forks.names) if name in WIDE_NAMES):
         (shifts[n],), (score[n],) = match_blocks(*volumes, places[n][None], kept, WIDE)
     field = _consistent(places, shifts, score, guess.base)
-    num_vessels = int((score[len(searched[0]) :] >= LEAST_SCORE).sum())
+    num_vessels = int((score[len(searched[0]) :] >= MIN_SCORE).sum())
     return _Matches(volumes, forks, shifts, score, field, num_vessels)
 
 
 def _consistent(places: Points, shifts: Points, score: Points, motion: Affine) -> Deformation:
     """Return the deformation of the found places that agree with their neighbours."""
-    found = score >= LEAST_SCORE
-    for most_mm in (2.0 * MOST_RESIDUAL_MM, MOST_RESIDUAL_MM):
+    found = score >= MIN_SCORE
+    for most_mm in (2.0 * MAX_RESIDUAL_MM, MAX_RESIDUAL_MM):
         field = Deformation(places[found], shifts[found], motion)
         off = np.linalg.norm(field.at(places, beyond_mm=0.1) - shifts, axis=1)
-        found = (score >= LEAST_SCORE) & (off <= most_mm)
+        found = (score >= MIN_SCORE) & (off <= most_mm)
     return Deformation(places[found], shifts[found], motion)
 
 
@@ -347,7 +347,7 @@ def _measurement(matches: _Matches, place: Points, radius_mm: float) -> Movement
     notes += breath_notes(breath_mm)
     moved = shift - carina_shift
     length = float(np.linalg.norm(moved))
-    if length > MOST_MOVED_MM or error > MOST_ERROR_MM:
+    if length > MAX_MOVED_MM or error > MAX_ERROR_MM:
         raise NoResultError(
             f"the target seems to move by {length:.0f} \u00b1 {error:.0f} mm, which is not reliable; choose a CT in "
             "another breath or with thinner slices, or enter the movement by hand",
@@ -392,10 +392,10 @@ def _target_shift(
 ) -> tuple[Points, float, bool, list[str]]:
     """Return the shift (3,) of the target, its error in mm, whether the target itself was found, and notes."""
     around = matches.field.at(place[None])[0]
-    block = Block(max(radius_mm, LEAST_RADIUS_MM) + TARGET_RIM_MM, 1.0, max(4.0, between_mm + 2.0))
+    block = Block(max(radius_mm, MIN_RADIUS_MM) + TARGET_RIM_MM, 1.0, max(4.0, between_mm + 2.0))
     (own,), (score,) = match_blocks(*matches.volumes, place[None], matches.field, block)
     apart_mm = float(np.linalg.norm(own - around))
-    if score < LEAST_SCORE:
+    if score < MIN_SCORE:
         return (
             around,
             between_mm,
@@ -417,9 +417,9 @@ def _target_shift(
 def _carina_shift(matches: _Matches) -> tuple[Points, float]:
     """Return the shift (3,) of the main carina and its error in mm beyond that of a voxel."""
     n = matches.forks.carina
-    if matches.score[n] >= LEAST_SCORE:
+    if matches.score[n] >= MIN_SCORE:
         return matches.shifts[n], 0.0
-    return matches.field.at(matches.forks.first_lps[n][None], beyond_mm=0.1)[0], MOST_RESIDUAL_MM
+    return matches.field.at(matches.forks.first_lps[n][None], beyond_mm=0.1)[0], MAX_RESIDUAL_MM
 
 
 def _fork_shifts(matches: _Matches) -> tuple[ForkShift, ...]:

@@ -15,7 +15,7 @@ Points = NDArray[np.float64]
 
 NEAR_CARINA_MM = 90.0
 """Largest distance of compared forks from the main carina, mm: there breathing moves them little."""
-LEAST_FORKS = 8
+MIN_FORKS = 8
 BETTER = 0.75
 """Largest median distance of the forks in another orientation as a share of that in the stated orientation."""
 ORIENTATIONS = (
@@ -39,7 +39,7 @@ def orientation_error(first: AirwayTree, second: AirwayTree) -> NoResultError | 
     Names of branches are not used, because a tree in a wrong orientation is named wrongly.
     """
     here, there = _around_carina(first), _around_carina(second)
-    if min(len(here), len(there)) < LEAST_FORKS:
+    if min(len(here), len(there)) < MIN_FORKS:
         return None
     stated_mm = _apart_mm(here, there)
     fits = [(_apart_mm(here, there * signs), code, words) for signs, code, words in ORIENTATIONS]

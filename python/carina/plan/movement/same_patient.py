@@ -13,7 +13,7 @@ from carina.plan.movement.deformation import Affine, rotation_deg
 from carina.volume import Volume
 
 __all__ = [
-    "LEAST_RIGID",
+    "MIN_RIGID",
     "breath_notes",
     "check_affine",
     "check_breath",
@@ -35,35 +35,35 @@ __all__ = [
 Points = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LEAST_RIGID, LEAST_FORKS = 5, 8
+MIN_RIGID, MIN_FORKS = 5, 8
 """Least number of forks that both trees name, and least number that fit to one motion."""
-LEAST_RIGID_SHARE = 0.6
+MIN_RIGID_SHARE = 0.6
 """Least share of forks that follow one rigid motion within 15 mm."""
-MOST_TURN_DEG = 20.0
+MAX_TURN_DEG = 20.0
 """Largest rotation between both CTs in degrees; beyond it the patient is in another pose."""
-MOST_MEDIAN_MM = 5.0
+MAX_MEDIAN_MM = 5.0
 """Largest median distance of the forks from their affine motion, mm."""
 STRETCH = (0.7, 1.4)
 """Least and largest stretch of the chest from the first CT to the second."""
-LEAST_INSIDE = 0.85
+MIN_INSIDE = 0.85
 """Least share of the forks of the first CT whose expected places are inside the second CT."""
-LEAST_SIZE = 0.9
+MIN_SIZE = 0.9
 """Least size of the second CT on each axis as a share of the extent of the first CT's forks."""
-LEAST_FORKS_FOUND = 0.85
+MIN_FORKS_FOUND = 0.85
 """Least share of named forks whose surroundings are found in the second CT.
 
 It is at least 0.95 in two CTs of one patient, and at most 0.8 in phantoms of two patients.
 """
-LEAST_NEAR, NEAR_MM = 8, 45.0
+MIN_NEAR, NEAR_MM = 8, 45.0
 """Least number of found places within a distance in mm of the target."""
-LEAST_SLOPE = 0.15
+MIN_SLOPE = 0.15
 """Least increase of the lung's density in HU per mm to the lower side, from which the pose is known."""
 EVERY = 4
 THIN_MM = 2.5
 """Distance of slices in mm above which few forks are found."""
 LUNG_HU = (-960, -600)
 """Least and largest HU of lung in the checks of pose and extent."""
-LEAST_LUNG_VOXELS, LEAST_LUNG_ML = 5000, 300.0
+MIN_LUNG_VOXELS, MIN_LUNG_ML = 5000, 300.0
 """Least number of lung voxels for the pose, of every fourth one on each axis; least volume of lungs, ml."""
 SAME_BREATH_MM = 1.0
 """Largest distance in mm of 90 % of the places from one rigid motion at which both CTs show the same breath."""
@@ -150,7 +150,7 @@ def few_forks(num: int, second: Volume) -> NoResultError:
     slice_mm = max(second.spacing_mm)
     thick = f"; the slices of the second CT are {slice_mm:.1f} mm apart" if slice_mm > THIN_MM else ""
     return NoResultError(
-        f"only {forks} the same name in both CTs; at least {LEAST_FORKS} are needed{thick}. Choose a thin-slice CT of "
+        f"only {forks} the same name in both CTs; at least {MIN_FORKS} are needed{thick}. Choose a thin-slice CT of "
         "the whole chest, or correct the airways of both CTs in their cases",
         code="movement.few-forks",
     )
@@ -159,7 +159,7 @@ def few_forks(num: int, second: Volume) -> NoResultError:
 def no_airways(second: Volume) -> NoResultError:
     """Return the error for a second CT in which no airways were found."""
     voxel_ml = float(np.prod(second.spacing_mm)) * EVERY**3 / 1000.0
-    if second.is_hu and voxel_ml * float(_lung(second).sum()) < LEAST_LUNG_ML:
+    if second.is_hu and voxel_ml * float(_lung(second).sum()) < MIN_LUNG_ML:
         words = "the second CT shows no lungs; it may show another part of the body. Choose a CT of the whole chest"
     else:
         unit = "" if second.is_hu else "; its values are not in Hounsfield units"
@@ -179,17 +179,17 @@ def _lung(volume: Volume) -> Mask:
 def check_motion(rigid: Affine, fits: Mask) -> None:
     """Raise an error if the forks do not follow one rigid motion, or if it turns the patient."""
     turn = rotation_deg(rigid)
-    if turn > MOST_TURN_DEG and fits.sum() >= LEAST_RIGID:
+    if turn > MAX_TURN_DEG and fits.sum() >= MIN_RIGID:
         raise NoResultError(
-            f"the airways of the second CT are rotated by {turn:.0f} degrees (at most {MOST_TURN_DEG:.0f} expected): "
+            f"the airways of the second CT are rotated by {turn:.0f} degrees (at most {MAX_TURN_DEG:.0f} expected): "
             "the patient lies in another pose, such as prone, or the orientation in its file is wrong. Choose a CT in "
             "the pose of the procedure, and check its orientation letters",
             code="movement.pose",
         )
-    if fits.mean() < LEAST_RIGID_SHARE:
+    if fits.mean() < MIN_RIGID_SHARE:
         raise _other_patient(
             f"only {int(fits.sum())} of {len(fits)} forks of the airways fit to one motion "
-            f"(at least {100 * LEAST_RIGID_SHARE:.0f} % expected)"
+            f"(at least {100 * MIN_RIGID_SHARE:.0f} % expected)"
         )
 
 
@@ -197,10 +197,10 @@ def check_affine(motion: Affine, off_mm: Points) -> None:
     """Raise an error if the forks do not follow one affine motion, or if the motion stretches the chest too much."""
     median = float(np.median(off_mm))
     stretch = np.linalg.svd(motion.matrix)[1]
-    if median > MOST_MEDIAN_MM:
+    if median > MAX_MEDIAN_MM:
         raise _other_patient(
             f"the forks of the airways are {median:.1f} mm (median) from the best fit "
-            f"(less than {MOST_MEDIAN_MM:.0f} mm expected)"
+            f"(less than {MAX_MEDIAN_MM:.0f} mm expected)"
         )
     if stretch.min() < STRETCH[0] or stretch.max() > STRETCH[1]:
         raise _other_patient(
@@ -211,22 +211,22 @@ def check_affine(motion: Affine, off_mm: Points) -> None:
 
 def check_forks(names: tuple[str, ...], fits: Mask, second: Volume) -> None:
     """Raise an error if too few named forks fit to the motion."""
-    if fits.sum() < LEAST_FORKS:
+    if fits.sum() < MIN_FORKS:
         raise few_forks(int(fits.sum()), second)
-    if fits.mean() < LEAST_RIGID_SHARE:
+    if fits.mean() < MIN_RIGID_SHARE:
         raise _other_patient(
             f"only {int(fits.sum())} of {len(names)} forks of the airways fit "
-            f"(at least {100 * LEAST_RIGID_SHARE:.0f} % expected)"
+            f"(at least {100 * MIN_RIGID_SHARE:.0f} % expected)"
         )
 
 
 def check_extent(first: Volume, second: Volume, motion: Affine, forks: Points) -> None:
     """Raise an error if the second CT lacks a part of the airways of the first CT."""
     share = float(_inside(second, forks + motion.shifts(forks)).mean()) if len(forks) else 1.0
-    if share < LEAST_INSIDE and _inside(first, forks).mean() > share:
+    if share < MIN_INSIDE and _inside(first, forks).mean() > share:
         raise NoResultError(
             f"the second CT shows only {100 * share:.0f} % of the airways' forks of this CT "
-            f"(at least {100 * LEAST_INSIDE:.0f} % expected). Choose a CT of the whole chest",
+            f"(at least {100 * MIN_INSIDE:.0f} % expected). Choose a CT of the whole chest",
             code="movement.half-chest",
         )
 
@@ -239,7 +239,7 @@ def check_size(second: Volume, forks: Points) -> None:
         np.array(second.shape_zyx[::-1]) - 1.0
     )
     sizes = np.ptp(corners @ second.lps_from_ijk[:3, :3].T, axis=0)
-    needed = LEAST_SIZE * np.ptp(forks, axis=0)
+    needed = MIN_SIZE * np.ptp(forks, axis=0)
     for axis, what in enumerate(("wide", "deep", "high")):
         if sizes[axis] < needed[axis]:
             raise NoResultError(
@@ -266,7 +266,7 @@ def check_gravity(first: Volume, second: Volume) -> None:
     here, there = density_slope(first), density_slope(second)
     if here is None or there is None:
         return
-    if here * there < 0.0 and min(abs(here), abs(there)) >= LEAST_SLOPE:
+    if here * there < 0.0 and min(abs(here), abs(there)) >= MIN_SLOPE:
         prone = "second" if there < 0.0 else "first"
         raise NoResultError(
             f"in the {prone} CT the front of the lungs is denser than the back: the patient lies prone there but not "
@@ -282,7 +282,7 @@ def density_slope(volume: Volume) -> float | None:
     """
     values = volume.hu_zyx[::EVERY, ::EVERY, ::EVERY]
     z, y, x = np.nonzero(_lung(volume))
-    if len(z) < LEAST_LUNG_VOXELS:
+    if len(z) < MIN_LUNG_VOXELS:
         return None
     row = volume.lps_from_ijk[1]
     height = EVERY * (row[0] * x + row[1] * y + row[2] * z) + row[3]
@@ -304,20 +304,20 @@ def density_slope(volume: Volume) -> float | None:
 def check_structure(score: Points, least: float) -> None:
     """Raise an error if the surroundings of too few named forks were found in the second CT."""
     share = float((score >= least).mean())
-    if share < LEAST_FORKS_FOUND:
+    if share < MIN_FORKS_FOUND:
         raise _other_patient(
             f"the surroundings of only {100 * share:.0f} % of the named forks were found in the second CT "
-            f"(at least {100 * LEAST_FORKS_FOUND:.0f} % expected)"
+            f"(at least {100 * MIN_FORKS_FOUND:.0f} % expected)"
         )
 
 
 def check_places(places: Points, target: Points) -> None:
     """Raise an error if too few places near the target were found in the second CT."""
     num = int((np.linalg.norm(places - target, axis=1) <= NEAR_MM).sum())
-    if num < LEAST_NEAR:
+    if num < MIN_NEAR:
         raise NoResultError(
             f"only {num} vessels and forks within {NEAR_MM:.0f} mm of the target were found in the second CT (at least "
-            f"{LEAST_NEAR} expected), so that the movement there is not known. Choose a CT with thinner slices or less "
+            f"{MIN_NEAR} expected), so that the movement there is not known. Choose a CT with thinner slices or less "
             "motion",
             code="movement.too-uncertain",
         )

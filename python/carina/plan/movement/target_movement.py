@@ -10,7 +10,7 @@ from carina.argument_checks import check_fields, choice, each, lps_point, number
 from carina.display import one_line
 from carina.errors import UsageError
 
-__all__ = ["MOST_MOVED_MM", "MovementOrigin", "TargetMovement", "default_movement", "shift_words"]
+__all__ = ["MAX_MOVED_MM", "MovementOrigin", "TargetMovement", "default_movement", "shift_words"]
 
 MovementOrigin = Literal["default", "given", "measured"]
 
@@ -20,7 +20,7 @@ LOWER_LOBE_MM, ELSEWHERE_MM = 20.0, 15.0
 The movement is 17.6 mm on average and more than 20 mm in the lower lobes (85 lesions; source: Chen et al., Chest
 2015;147:1275). The value of 15 mm elsewhere is common knowledge.
 """
-MOST_MOVED_MM = 60.0
+MAX_MOVED_MM = 60.0
 """Largest movement that is accepted, mm."""
 NAMED_SHARE = 0.25
 """Least share of a direction in the length of a shift from which the text names the direction."""
@@ -52,9 +52,9 @@ class TargetMovement:
         check_fields(
             self,
             origin=choice(*get_args(MovementOrigin)),
-            most_mm=number_from(0.0, 2.0 * MOST_MOVED_MM, unit="mm"),
+            most_mm=number_from(0.0, 2.0 * MAX_MOVED_MM, unit="mm"),
             shift_lps=lps_point(optional=True),
-            error_mm=number_from(0.0, MOST_MOVED_MM, optional=True, unit="mm"),
+            error_mm=number_from(0.0, MAX_MOVED_MM, optional=True, unit="mm"),
             notes=each(text_of(20_000)),
         )
         is_measured = self.shift_lps is not None and self.error_mm is not None

@@ -10,7 +10,7 @@ from carina.plan.report.drawing import Drawing
 
 __all__ = ["Block", "Bullets", "Clip", "Facts", "Figure", "Figures", "ReportTable", "Section", "Tone", "Words"]
 
-MOST_ROWS = 14
+MAX_ROWS = 14
 """Largest number of rows of a table that is not divided between pages."""
 Tone = Literal["plain", "lead", "quiet", "warning"]
 """Tone of a text: ``lead`` is a summary; ``warning`` is red, for drawn airways and for limits that forbid something."""
@@ -103,4 +103,4 @@ class Section:
     @property
     def is_whole(self) -> bool:
         """Whether the section is not divided between pages, because it contains no long table."""
-        return not any(isinstance(block, ReportTable) and len(block.rows) > MOST_ROWS for block in self.blocks)
+        return not any(isinstance(block, ReportTable) and len(block.rows) > MAX_ROWS for block in self.blocks)

@@ -16,7 +16,7 @@ __all__ = ["boundary_in_plane", "surface_of"]
 
 Points = NDArray[np.float64]
 Values = NDArray[np.float64]
-MOST_CELLS = 24
+MAX_CELLS = 24
 """Largest number of cells of a surface along its longest side."""
 PAD = 3
 
@@ -86,7 +86,7 @@ def surface_of(nodule: Nodule) -> tuple[Points, NDArray[np.int64]]:
     The corners of a quad are anticlockwise as seen from outside.
     """
     shape = np.array(nodule.inside_zyx.shape[::-1]) + 2 * PAD
-    step = max(float(shape.max()) / MOST_CELLS, 1.0)
+    step = max(float(shape.max()) / MAX_CELLS, 1.0)
     num = np.ceil((shape - 1) / step).astype(int) + 1
     k, j, i = np.indices(tuple(num[::-1].tolist())).astype(np.float64) * step - PAD
     points = np.stack([i, j, k], axis=-1) @ nodule.lps_from_ijk[:3, :3].T + nodule.lps_from_ijk[:3, 3]

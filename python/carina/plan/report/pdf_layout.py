@@ -44,7 +44,7 @@ TITLE = "Bronchoscopy plan"
 SIDE, TOP, BOTTOM = 34.0, 50.0, 46.0
 """Side, top and bottom margins of a page in points; the last two contain the head and foot of each page."""
 GAP = 8.0
-LEAST_SIZE = 8.0
+MIN_SIZE = 8.0
 """Smallest font size on a page in points, also of text in drawings."""
 HEADING, PARAGRAPH = 48.0, 44.0
 """Largest heights in points of a heading and a paragraph on a page that a drawing fills."""
@@ -215,12 +215,12 @@ class _Layout:
         return Table(cells, colWidths=widths, style=[*_padding(0, 2.5), _TOP, *lines])
 
     def _grid(self, grid: ReportTable) -> Any:
-        rows = [[self._paragraph(name, LEAST_SIZE, is_bold=True) for name in grid.head]]
+        rows = [[self._paragraph(name, MIN_SIZE, is_bold=True) for name in grid.head]]
         for n, row in enumerate(grid.rows):
             tone = "warning" if n in grid.warned else "plain"
             rows.append(
                 [
-                    self._paragraph(cell, LEAST_SIZE, tone=tone, is_bold=k == 0 or n in grid.warned)
+                    self._paragraph(cell, MIN_SIZE, tone=tone, is_bold=k == 0 or n in grid.warned)
                     for k, cell in enumerate(row)
                 ]
             )
@@ -315,7 +315,7 @@ class _Drawn(Flowable):  # type: ignore[misc, unused-ignore]
     def _label(self, canvas: Any, label: Label) -> None:
         font = self._fonts[label.bold]
         # The PDF font is wider than the font of the HTML page.
-        size = max(0.9 * label.size, LEAST_SIZE / self._scale)
+        size = max(0.9 * label.size, MIN_SIZE / self._scale)
         x, y = label.at
         width = pdfmetrics.stringWidth(label.text, font, size)
         x -= {"start": 0.0, "middle": 0.5 * width, "end": width}[label.anchor]

@@ -45,7 +45,7 @@ STILLS = (
 )
 OF_ROUTE = ("plan.verdict", "plan.limit", "needle.", "route.narrowest")
 """Beginnings of the codes of reasons that the section of the route repeats."""
-MOST_LINES_BEFORE_TREE = 4
+MAX_LINES_BEFORE_TREE = 4
 """Largest number of lines of reasons with which the tree fits on the first page, also on Letter in a wide typeface."""
 TREE_BELOW_TARGET, TREE_ALONE = 110.0, 330.0
 """Height of the tree in points, on the first page and on a separate page."""
@@ -254,7 +254,7 @@ def _num_lines(sheet: PlanSheet) -> int:
 
 def _is_tree_after_page_one(sheet: PlanSheet) -> bool:
     """Return whether the tree is on a separate page, because the reasons leave no room on the first page."""
-    return _num_lines(sheet) > MOST_LINES_BEFORE_TREE
+    return _num_lines(sheet) > MAX_LINES_BEFORE_TREE
 
 
 def _tree_figures(sheet: PlanSheet) -> Figures:

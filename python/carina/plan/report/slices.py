@@ -29,7 +29,7 @@ Line = tuple[tuple[float, float], ...]
 LUNG_HU = (1500.0, -600.0)
 """Width and level of the lung window, HU."""
 WIDTH_PX = 440
-LEAST_MM, ROOM_MM = 70.0, 50.0
+MIN_MM, ROOM_MM = 70.0, 50.0
 """Least width of a slice in mm, and least excess in mm of the width over the length of the target."""
 PROOF_MM = 44.0
 THICK_MM = 1.5
@@ -85,7 +85,7 @@ def target_slices(
         Target, needle path (None without a route) and outline of the airways.
     """
     centre = np.array(nodule.centre_lps)
-    extent = max(LEAST_MM, nodule.long_mm + ROOM_MM)
+    extent = max(MIN_MM, nodule.long_mm + ROOM_MM)
     if leg is not None:
         extent = max(extent, 2.4 * float(np.abs(np.array(leg.tip_lps) - centre).max()))
     over = _Over(nodule, leg, lumen)

@@ -27,14 +27,14 @@ NAME, NAME_LINE = 12.0, 14.0
 """Font size of names of branches, and the height of their line, in points."""
 LABELS, GAP = 46.0, 6.0
 """Heights in points of the box with the lines to fill in, and of the space between two parts."""
-MOST_LINES = 7
+MAX_LINES = 7
 """Largest number of lines of the planner's notes."""
 SUMS = "The moves of the hand are sums up to each fork; the report lists every move."
 NO_MOVES = "The moves of the hand are in the report."
 FREE_NOTES = 36.0
 """Height in points that is left for handwritten notes if the page has room."""
-MOST_ROW = 78.0
-SWAY, SWAY_MOST = 22.0, 28.0
+MAX_ROW = 78.0
+SWAY, SWAY_MAX = 22.0, 28.0
 TUBE = 10.0
 
 
@@ -145,7 +145,7 @@ def _page(sheet: PlanSheet, layout: _Layout, against: tuple[tuple[str, str], ...
     top = head + _against_height(against)
     # The rows share the free height up to a limit; handwritten notes get the rest.
     spare = head + _room(sheet) - top - sum(natural) - FREE_NOTES
-    heights = [max(one, min(MOST_ROW, one + max(spare, 0.0) / len(rows))) for one in natural]
+    heights = [max(one, min(MAX_ROW, one + max(spare, 0.0) / len(rows))) for one in natural]
     tops = [top, *(top + sum(heights[: n + 1]) for n in range(len(heights)))]
     middles = [0.5 * (a + b) for a, b in itertools.pairwise(tops)]
     shapes: list[Shape] = [*_head(sheet), *_against(against, head)]
@@ -252,7 +252,7 @@ def _diagram(
     leans = [_lean(fork, sheet) for fork in forks]
     for n in range(len(rows)):
         if n:
-            x = spine + max(-SWAY_MOST, min(SWAY_MOST, 0.5 * (x - spine) + SWAY * leans[n - 1]))
+            x = spine + max(-SWAY_MAX, min(SWAY_MAX, 0.5 * (x - spine) + SWAY * leans[n - 1]))
         places.append((x, middles[n]))
     stubs, names = [], []
     for n in range(len(forks)):
@@ -456,8 +456,8 @@ def _row_words(row: _Row, layout: _Layout, y: float) -> list[Shape]:
 
 def _note_lines(sheet: PlanSheet) -> list[str]:
     lines = [line for note in sheet.notes for line in lines_of(note, SMALL, TRACING_SIZE[0] - 52.0)]
-    if len(lines) > MOST_LINES:
-        lines = [*lines[: MOST_LINES - 1], "\u2026 all notes are in the report"]
+    if len(lines) > MAX_LINES:
+        lines = [*lines[: MAX_LINES - 1], "\u2026 all notes are in the report"]
     return lines
 
 

@@ -30,7 +30,7 @@ CUT_MM = 10.0
 """Distance in mm from the beginning of the tree in which widths are ignored."""
 PATH_STEP_MM, WIDEST_MM = 0.5, 12.0
 """Step, and largest distance from the centreline, in mm of the search for the wall beside a place."""
-LEAST_SIDE_MM, NEAR_MM = 0.1, 0.5
+MIN_SIDE_MM, NEAR_MM = 0.1, 0.5
 """Distances in mm of the aim from the axis and from the tip, below which its direction is that of the airway."""
 RIGID_STEP_MM = 1.0
 ROUNDED_MM = 0.3
@@ -46,7 +46,7 @@ NUM_SIDES = 6
 """Number of sides of the centreline towards which the tip is moved if there is no aim."""
 RINGS = (1, 6, 12, 18)
 """Number of tested directions on each ring round the direction to the aim; the last ring touches the target's edge."""
-MOST_RING_DEG = 60.0
+MAX_RING_DEG = 60.0
 SPARE_MM, SLIMMER_MM, THINNEST_MM = 0.2, 0.8, 0.6
 """Sizes in mm of the substitute for a scope that is about as wide as the airway.
 
@@ -154,7 +154,7 @@ class TipDirections:
         off = aim - tip
         distance = float(np.linalg.norm(off))
         towards = off / distance if distance > NEAR_MM else place.forward
-        edge = math.radians(MOST_RING_DEG)
+        edge = math.radians(MAX_RING_DEG)
         if distance > radius_mm:
             edge = min(edge, math.asin(min(radius_mm / distance, 1.0)))
         ways, angles = _rings(towards, edge)
@@ -171,7 +171,7 @@ class TipDirections:
         side = aim - place.point_lps
         side = side - (side @ place.forward) * place.forward
         length = float(np.linalg.norm(side))
-        if length < LEAST_SIDE_MM:
+        if length < MIN_SIDE_MM:
             return [place.point_lps]
         at = np.arange(0.0, WIDEST_MM, PATH_STEP_MM)
         room = self._wall.distance_mm(place.point_lps + at[:, None] * side / length) - radius

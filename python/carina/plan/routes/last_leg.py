@@ -39,7 +39,7 @@ Tissue = Literal[
 """
 
 STEP_MM = 0.25
-LEAST_MM = 0.5
+MIN_MM = 0.5
 """Least length in mm of a stretch of one tissue; a shorter stretch is added to the tissue before it."""
 SPREAD = 1.645
 """Multiple of the standard deviation of the needle's error within which nine of ten needles pass the planned line."""
@@ -217,7 +217,7 @@ def with_errors(scene: NeedleScene, leg: LastLeg) -> LastLeg:
     tip, aim = np.array(leg.tip_lps), np.array(leg.aim_lps)
     distance = float(np.linalg.norm(aim - tip))
     least = leg.in_target_mm
-    if distance >= LEAST_MM:
+    if distance >= MIN_MM:
         sigma = math.hypot(math.radians(scene.errors.angle_deg), scene.errors.tip_mm / max(distance, 1.0))
         ring = _ring((aim - tip) / distance, SPREAD * sigma)
         least = min(least, _length_in(scene.nodule, tip, ring, scene.tool.reach_mm))
@@ -238,7 +238,7 @@ def leg_as_aimed(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: 
     off = aim - tip_lps
     distance = float(np.linalg.norm(off))
     # If the tip is at the aim, because an airway passes through the nodule, the needle goes along the airway.
-    along = off / distance if distance >= LEAST_MM else forward
+    along = off / distance if distance >= MIN_MM else forward
     at, points, in_target = _needle_points(nodule, tip_lps, along, distance, tool.reach_mm)
     to_wall = wall.distance_mm(points)
     in_lumen = (to_wall > 0.0) & (np.cumsum(to_wall <= 0.0) == 0)
@@ -298,7 +298,7 @@ def edge_on_needle_mm(nodule: Nodule, tip_lps: Points, end_lps: Points, reach_mm
         Distance that the needle reaches beyond the tip.
     """
     off = end_lps - tip_lps
-    distance = max(float(np.linalg.norm(off)), LEAST_MM)
+    distance = max(float(np.linalg.norm(off)), MIN_MM)
     at, _, inside = _needle_points(nodule, tip_lps, off / distance, distance, reach_mm)
     hits = np.flatnonzero(inside)
     return float(at[hits[0]]) if hits.size else distance
@@ -362,7 +362,7 @@ def _stretches(tissue: NDArray[Any]) -> tuple[CrossedTissue, ...]:
             continue
         name, start_mm, length_mm = tissue[start], STEP_MM * start, STEP_MM * (n - start)
         start = n
-        if found and (length_mm < LEAST_MM or found[-1].tissue == name):
+        if found and (length_mm < MIN_MM or found[-1].tissue == name):
             found[-1] = replace(found[-1], length_mm=found[-1].length_mm + length_mm)
         else:
             found.append(CrossedTissue(name, start_mm, length_mm))

@@ -76,17 +76,17 @@ RoutePlace = tuple[int, float, int]
 
 PLANNED_SCOPE = "thin"
 """Default scope: the thinnest one whose channel takes a needle of 1.8 mm."""
-MOST_ANGLE_DEG = 100.0
+MAX_ANGLE_DEG = 100.0
 """Largest angle in degrees between needle and airway's axis; a needle at a larger angle would hit the scope."""
-MOST_ROUTES = 5
-MOST_AIMS = 3
+MAX_ROUTES = 5
+MAX_AIMS = 3
 SAME_PLACE_MM = 0.01
 """Largest distance in mm along a branch of two equal positions."""
 APART_MM = 4.0
 """Least distance in mm between the scope positions of two routes to one aim."""
-BEYOND_MM, LEAST_MARGIN_MM, ROUND_MM = 10.0, 3.0, 6.0
+BEYOND_MM, MIN_MARGIN_MM, ROUND_MM = 10.0, 3.0, 6.0
 """Margins in mm of the examined box: beyond the target's far edge, beside the needle, and for the reach of filters."""
-MOST_BOX_MM = 60.0
+MAX_BOX_MM = 60.0
 
 
 @one_line
@@ -458,15 +458,15 @@ def draft_plan(
     moved = places.default_movement() if movement is None else movement
     sign, sign_branch, sign_lps = places.bronchus_sign()
     nearest = places.nearest()
-    candidates = [(n, aim) for aim in range(len(meant)) for n in places.within_reach(used, meant[aim], MOST_ANGLE_DEG)]
+    candidates = [(n, aim) for aim in range(len(meant)) for n in places.within_reach(used, meant[aim], MAX_ANGLE_DEG)]
     kept: tuple[PlannedRoute, ...] = ()
     spares: tuple[PlannedRoute, ...] = ()
     scene: NeedleScene | None = None
     if candidates:
         # The box extends from the farthest tip to beyond the target, with margins beside the needle.
         farthest = max(float(places.distance[n]) for n, _ in candidates)
-        half = max(farthest, 0.5 * nodule.long_mm + BEYOND_MM) + max(vessel_margin_mm, LEAST_MARGIN_MM) + ROUND_MM
-        around = surroundings(volume, np.array(nodule.centre_lps), min(half, MOST_BOX_MM), nodule, wall)
+        half = max(farthest, 0.5 * nodule.long_mm + BEYOND_MM) + max(vessel_margin_mm, MIN_MARGIN_MM) + ROUND_MM
+        around = surroundings(volume, np.array(nodule.centre_lps), min(half, MAX_BOX_MM), nodule, wall)
         scene = NeedleScene(nodule, wall, around, used, errors or NeedleErrors(), vessel_margin_mm)
         search = _PositionSearch(scene, judge, meant, TipDirections(airways.tree, wall, preset))
         drafts_of = search.drafts(places, candidates, report)
@@ -474,7 +474,7 @@ def draft_plan(
         # Each best place is refined, because the best place of a branch may be between two evaluated places.
         for aim, aim_lps in enumerate(meant):
             finer = places.beside((one.branch_id, one.along_mm) for one in best.values() if one.aim == aim)
-            near = [(n, aim) for n in finer.within_reach(used, aim_lps, MOST_ANGLE_DEG, apart_mm=0.0)]
+            near = [(n, aim) for n in finer.within_reach(used, aim_lps, MAX_ANGLE_DEG, apart_mm=0.0)]
             for key, drafts in search.drafts(finer, near).items():
                 best[key] = search.best(drafts, best[key])
         first = None
@@ -637,9 +637,9 @@ def _aims(nodule: Nodule, aims: ArrayLike | None) -> Points:
         found = np.asarray(aims, dtype=np.float64).reshape(-1, 3)
     except (TypeError, ValueError):
         raise UsageError(f"aims: expected points x,y,z in LPS mm; found {aims!r}", code="plan.aims") from None
-    if not (1 <= len(found) <= MOST_AIMS and np.isfinite(found).all()):
+    if not (1 <= len(found) <= MAX_AIMS and np.isfinite(found).all()):
         raise UsageError(
-            f"aims: expected 1 to {MOST_AIMS} points in LPS mm; found {len(found)}: {found.tolist()}", code="plan.aims"
+            f"aims: expected 1 to {MAX_AIMS} points in LPS mm; found {len(found)}: {found.tolist()}", code="plan.aims"
         )
     off = nodule.distance_mm(found)
     if (off > 0.0).any():
@@ -733,5 +733,5 @@ def standing_apart(routes: Sequence[PlannedRoute], *, first: PlannedRoute | None
             kept.append(route)
     firsts = {next(n for n, one in enumerate(kept) if one.aim == aim) for aim in {one.aim for one in kept}}
     others = [n for n in range(len(kept)) if n not in firsts]
-    told = sorted([*firsts, *others[: MOST_ROUTES - len(firsts)]])
+    told = sorted([*firsts, *others[: MAX_ROUTES - len(firsts)]])
     return tuple(sorted((kept[n] for n in told), key=order))

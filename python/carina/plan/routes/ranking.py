@@ -39,7 +39,7 @@ The second is small, because a needle pass can be repeated.
 """
 DEPTH_SIGMA_MM = 0.5
 """Standard deviation in mm of the position of the target's edge along the needle (common knowledge)."""
-LEAST_SPARE_MM = DEPTH_SIGMA_MM * NormalDist().inv_cdf(SURE)
+MIN_SPARE_MM = DEPTH_SIGMA_MM * NormalDist().inv_cdf(SURE)
 """Least planned length in mm of a tool beyond the target's edge with which the tool surely reaches the edge."""
 MEDIASTINUM_MM = 2.0
 """Largest length in mm of mediastinum on the needle path in which no hidden vessel is assumed."""
@@ -258,7 +258,7 @@ def depth_rank(spare_mm: ArrayLike) -> NDArray[np.int64]:
         Lengths in mm, of any shape; negative if the tool ends before the target.
     """
     spare = np.asarray(spare_mm)
-    found: NDArray[np.int64] = np.where(spare >= LEAST_SPARE_MM, 0, np.where(spare > -LEAST_SPARE_MM, 1, 2))
+    found: NDArray[np.int64] = np.where(spare >= MIN_SPARE_MM, 0, np.where(spare > -MIN_SPARE_MM, 1, 2))
     return found
 
 

@@ -64,11 +64,11 @@ RIM_DEEP_MM, RIM_BIN_MM, NUM_RIMS = (0.4, 2.8), 0.4, 2
 
 Each repetition measures the density inside the boundary of the previous one.
 """
-LEAST_RING = 20
+MIN_RING = 20
 """Least number of voxels from which a density is measured."""
 CAVITY_MM, SMALLEST_CAVITY_MM3 = 0.9, 10.0
 """Least radius in mm of the largest ball inside a cavity, and least volume of a cavity; smaller hollows are noise."""
-LEAST_RISE_HU = 110.0
+MIN_RISE_HU = 110.0
 """Least difference in HU between a nodule and the lung."""
 HALVES_MM = (22.0, 36.0, 60.0)
 """Half side lengths in mm of the boxes that are searched in turn.
@@ -76,7 +76,7 @@ HALVES_MM = (22.0, 36.0, 60.0)
 The next box is used if the nodule nears the faces.
 """
 EDGE_MM = 4.0
-MOST_CUT = 0.4
+MAX_CUT = 0.4
 """Largest share of a nodule's surface that the edge of the CT may cut off."""
 OPENINGS, OPENINGS_AT_WALL = (0.6, 0.7, 0.8), (0.4, 0.5, 0.6, 0.7, 0.8)
 """Radius of the ball of the opening that removes vessels, as a share of the largest ball in the nodule.
@@ -90,7 +90,7 @@ TAIL = 2.4
 """Largest distance of a part of a nodule from the nodule's middle, in radii; a part farther away is a vessel."""
 WIDE_OFF_MM = 0.5
 """Least uncertainty in mm of the wall behind a nodule with a wide contact."""
-LEAST_FREE = 0.35
+MIN_FREE = 0.35
 """Least share of the surface of a nodule with a wide contact that faces the lung."""
 RIM_MM = 1.6
 """Distance in mm over which blur spreads a boundary."""
@@ -196,7 +196,7 @@ class Boundary:
         if not near.any():
             near = off <= CLICK_MM
         densest = float(very[near].max())
-        if densest < self.lung_hu + LEAST_RISE_HU:
+        if densest < self.lung_hu + MIN_RISE_HU:
             raise NoResultError(
                 f"there is no nodule at this point: within {CLICK_MM:.0f} mm nothing is denser than {densest:.0f} HU, "
                 f"and the lung around it is {self.lung_hu:.0f} HU; click in the middle of the nodule",
@@ -367,7 +367,7 @@ class Boundary:
         at, level = [], []
         for first in np.arange(RIM_DEEP_MM[0], RIM_DEEP_MM[1], RIM_BIN_MM):
             ring = (depth >= first) & (depth < first + RIM_BIN_MM)
-            if ring.sum() >= LEAST_RING:
+            if ring.sum() >= MIN_RING:
                 at.append(float(depth[ring].mean()))
                 level.append(float(np.median(self.box.hu_zyx[ring])))
         if len(at) < 2:
@@ -380,7 +380,7 @@ class Boundary:
         """Whether a mass on the wall has too little surface towards the lung for a boundary."""
         edge = surface(self.inside)
         free = edge & beside(~(self.dense | self.wall | self.inside))
-        return self.wall_off_mm > WIDE_OFF_MM and float(free.sum()) < LEAST_FREE * float(edge.sum())
+        return self.wall_off_mm > WIDE_OFF_MM and float(free.sum()) < MIN_FREE * float(edge.sum())
 
     @property
     def is_film(self) -> bool:
@@ -395,9 +395,9 @@ class Boundary:
         inner[margin:-margin, margin:-margin, margin:-margin] = True
         if (self.inside & ~inner & self.box.known).any():
             return True
-        # The edge of the CT may cut off up to MOST_CUT of the nodule's surface.
+        # The edge of the CT may cut off up to MAX_CUT of the nodule's surface.
         ends = self.rim(~self.box.known, 1.1 * self.box.step_mm) & self.inside
-        return float(ends.sum()) > MOST_CUT * float(surface(self.inside).sum())
+        return float(ends.sum()) > MAX_CUT * float(surface(self.inside).sum())
 
 
 def _first(flat: Any, shape: tuple[int, ...]) -> tuple[int, ...]:

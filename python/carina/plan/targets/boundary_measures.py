@@ -31,7 +31,7 @@ RING_MM, RING_SHOWS, ALIKE = (0.8, 1.6), 0.97, 0.8
 
 A uniform nodule shows 0.84 to 0.93 of its rise at this depth; a nodule with a denser core shows less.
 """
-MOST_SHARE = 1.5
+MAX_SHARE = 1.5
 SMALL_MM, SMALL_OFF = 2.4, 0.2
 """Radius in mm of the largest ball in a small nodule, and boundary error of a small nodule in slice distances."""
 FAINT_SHARE, FAINT_HU, FAINT_MM, FAINT_SLICES_MM = 0.22, 80.0, 1.5, 1.5
@@ -97,7 +97,7 @@ def measured(grown: Boundary, coarsest_mm: float) -> Nodule:
     zone = (inside | (away <= RIM_MM)) & free
     share = (grown.box.hu_zyx - lung_hu) / ((core_hu if rim_hu is None else rim_hu) - lung_hu)
     if rim_hu is not None:
-        share = np.minimum(share, MOST_SHARE)
+        share = np.minimum(share, MAX_SHARE)
     # Deep voxels count fully: the density of core, calcification or bubbles does not show where the edge is.
     share = np.where(depth > CORE_MM, 1.0, share)
     if grown.cavity.any():

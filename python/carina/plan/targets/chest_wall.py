@@ -34,17 +34,17 @@ BEYOND_MM, WIDEST_MM = 12.0, 50.0
 """Width in mm of the ring of lung's surface round the contact of a mass, and largest radius in mm of the ring."""
 LUNGWARD_MM, DEEPEST_MM = 6.0, 14.0
 """Largest distance in mm of the fitted surface from the closing's, on the side of the lung and of the wall."""
-MOST_BEHIND = 0.15
+MAX_BEHIND = 0.15
 """Largest share of the lung near the wall that the fitted surface may cut off."""
 NARROW_MM, DARK_HU, LUNG_MM3 = 1.5, -945.0, 2000.0
 """Limits for a lung among the air of a box: half width in mm, least median density in HU, least volume in mm3."""
-LEAST_POINTS = 60
+MIN_POINTS = 60
 SHALLOW_MM = 3.0
 """Largest depth in mm inside the first estimate of the wall at which a voxel can still belong to a nodule."""
 DEEP_SEED_MM = 10.0
 """Largest depth in mm inside a wide closing's wall at which a voxel can still belong to a mass."""
 ROUNDS = 4
-LEAST_BULGE_MM = 2.0
+MIN_BULGE_MM = 2.0
 """Least depth in mm by which a closing bulges into a nodule for its surface to be a mere chord."""
 FIT_OFF = 0.04
 """Least uncertainty of the fitted surface in the middle of a contact, as a share of the contact's radius.
@@ -178,16 +178,16 @@ def _fitted(side: LungSide, whole: Mask, closing_mm: float) -> WallCut:
     # The part of the lung's surface that the closing did not change.
     ring = np.argwhere(dense & (from_wall <= 1.5 * step) & beside(lung) & (off <= ring_mm)).astype(float)
     beyond = None
-    if len(ring) >= LEAST_POINTS:
+    if len(ring) >= MIN_POINTS:
         beyond = _surface_side(ring, np.argwhere(lung & (off <= ring_mm)).mean(axis=0), box.hu_zyx.shape)
     # The paraboloid holds only as far as the points that it was fitted to.
     here = (off <= ring_mm) & (from_wall <= LUNGWARD_MM) & (ball_distance(wall, step, DEEPEST_MM) <= DEEPEST_MM)
     beside_wall = lung & here
     behind = 1.0 if beyond is None else float((beside_wall & (beyond > 1.0)).sum()) / max(float(beside_wall.sum()), 1.0)
     # The lung's surface may be bent too much for a paraboloid, as in the costophrenic angle.
-    if beyond is None or behind > MOST_BEHIND:
+    if beyond is None or behind > MAX_BEHIND:
         bulge_mm = closing_mm - float(np.sqrt(closing_mm**2 - min(contact_mm, 0.9 * closing_mm) ** 2))
-        return WallCut(inside, wall, off_mm=bulge_mm, is_chord=bulge_mm > LEAST_BULGE_MM)
+        return WallCut(inside, wall, off_mm=bulge_mm, is_chord=bulge_mm > MIN_BULGE_MM)
     fitted = np.where(here, beyond > 0.0, wall)
     return WallCut(whole & ~fitted, fitted, off_mm=(FIT_OFF + behind) * min(contact_mm, WIDEST_MM))
 
@@ -275,7 +275,7 @@ def _surface_side(
     fit = np.zeros(6)
     terms = np.stack([np.ones_like(a), a, b, a * a, a * b, b * b], axis=1)
     for _ in range(ROUNDS):
-        if keep.sum() < LEAST_POINTS:
+        if keep.sum() < MIN_POINTS:
             return None
         fit, *_ = np.linalg.lstsq(terms[keep], w[keep], rcond=None)
         miss = w - terms @ fit

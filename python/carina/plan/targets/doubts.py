@@ -66,12 +66,12 @@ Partial volumes lower the density of a narrow vessel.
 """
 BLOOD_BOX_MM = ((-40.0, 40.0), (-55.0, -8.0), (-30.0, 30.0))
 """Box round the end of the trachea, LPS mm, in which the great vessels are searched; it is in front of the spine."""
-BLOOD_RADIUS_MM, BLOOD_PERCENT, LEAST_BLOOD_MM3 = 5.0, 75.0, 2000.0
+BLOOD_RADIUS_MM, BLOOD_PERCENT, MIN_BLOOD_MM3 = 5.0, 75.0, 2000.0
 """Least radius in mm of a great vessel, percentile of the density in such tissue, and its least volume in mm3."""
 TUBE_STEP_MM = 0.5
 """Voxel size in mm with which a nodule of less than `TUBE_COARSE_MM` radius is examined."""
 TUBE_COARSE_MM = 4.0
-MOST_STEPS = 160
+MAX_STEPS = 160
 """Largest number of voxels along a side of the box round a target; a large mass gets larger voxels."""
 BEYOND_MM = 3.0
 """Least distance in mm from a target up to which a tube must continue; a target with a larger radius needs its radius.
@@ -262,7 +262,7 @@ class _Around:
         self._beyond_mm = max(BEYOND_MM, radius_mm)
         pad_mm = max(self._beyond_mm, SHELL_MM[1]) + max(4.0, 0.5 * radius_mm)
         sides_mm = np.array(nodule.inside_zyx.shape[::-1]) * own_mm + 2.0 * pad_mm
-        step = max(step, float(sides_mm.max()) / MOST_STEPS)
+        step = max(step, float(sides_mm.max()) / MAX_STEPS)
         num = np.ceil(sides_mm / step).astype(int) + 1
         axes = nodule.lps_from_ijk[:3, :3] / own_mm
         matrix = np.eye(4)
@@ -356,7 +356,7 @@ def _blood_hu(volume: Volume, airways: Airways) -> float | None:
     smooth = smoothed(box.hu_zyx, 1.0)
     tissue = (smooth > 0.0) & box.known
     core = ball_distance(tissue, step, BLOOD_RADIUS_MM) > BLOOD_RADIUS_MM
-    if float(core.sum()) * step**3 < LEAST_BLOOD_MM3:
+    if float(core.sum()) * step**3 < MIN_BLOOD_MM3:
         return None
     return float(np.percentile(smooth[core], BLOOD_PERCENT))
 

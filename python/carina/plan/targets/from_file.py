@@ -33,7 +33,7 @@ from carina.volume.progress import Watch
 
 __all__ = ["target_from_file"]
 
-LEAST_MM2 = 0.01
+MIN_MM2 = 0.01
 """Least area in mm2 of an outline; a smaller one is a point or a line."""
 UNCHECKED = "its file does not say on which CT it was drawn; only its position was checked"
 NO_DICOM = "whether it was drawn on this very CT could not be checked; only its position was"
@@ -191,7 +191,7 @@ def _from_structures(
         raise structures_refused(file, problem, "choose another structure, or click on the nodule")
     notes = _belonging(file, chosen.references, ours)
     watch.step("Placing the outlines", None)
-    closed = [contour for contour in chosen.contours if contour.area_mm2 >= LEAST_MM2]
+    closed = [contour for contour in chosen.contours if contour.area_mm2 >= MIN_MM2]
     if not closed:
         raise structures_refused(file, f"the structure {_number_and_name(chosen)} encloses no area", "export it again")
     same_frame = ours is not None and bool(chosen.references.frames & ours.frames)

@@ -83,7 +83,7 @@ def endobronchial_lesion(volume: Volume, wall: WallField, point_lps: NDArray[np.
     return measured_mask(volume, inside, box.lps_from_ijk, notes=(NOTE,), touches=("airway wall",), off_mm=BASE_OFF_MM)
 
 
-MOST_STEPS = 60
+MAX_STEPS = 60
 """Largest number of voxels from the centre of a box to its side; large masses get larger voxels."""
 
 
@@ -172,7 +172,7 @@ def grow_nodule(
     problem = no_boundary()
     chord: Boundary | None = None
     for half_mm in HALVES_MM:
-        box = Box.around(volume, point, half_mm, least_step_mm=half_mm / MOST_STEPS)
+        box = Box.around(volume, point, half_mm, least_step_mm=half_mm / MAX_STEPS)
         try:
             grown = Boundary(box, point, coarsest_mm, look)
         except NoResultError as error:

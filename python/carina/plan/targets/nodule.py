@@ -36,7 +36,7 @@ Mask = NDArray[np.bool_]
 NoduleKind = Literal["solid", "part-solid", "ground-glass"]
 
 RECORD_VERSION = 1
-MOST_VOXELS = 400**3
+MAX_VOXELS = 400**3
 """Largest number of voxels in a record: a box of 20 cm at 0.5 mm."""
 _NUMBERS = (
     "volume_mm3",
@@ -242,7 +242,7 @@ def _unpacked(text: str, shape: Any) -> Mask:
     """
     nz, ny, nx = (int(n) for n in shape)
     num = nz * ny * nx
-    if min(nz, ny, nx) < 1 or num > MOST_VOXELS:
+    if min(nz, ny, nx) < 1 or num > MAX_VOXELS:
         raise ValueError(f"a box of {nx} x {ny} x {nz} voxels")
     expected = (num + 7) // 8
     # A wrong size in a record must not exhaust the memory, so the decompression stops at the size of the shape.

@@ -24,7 +24,7 @@ Point = tuple[float, float, float]
 TargetSource = Literal["click", "mask", "seg", "rtstruct", "sphere", "edited"]
 """Origin of a target's boundary: ``sphere`` is set by hand where the CT shows none, ``edited`` is changed by hand."""
 
-MOST_AIMS = 3
+MAX_AIMS = 3
 AIM_OFF_MM = 1.0
 """Largest distance in mm of an aim outside the boundary (the edge of a voxel)."""
 PRIORITIES = (1, 9)
@@ -208,8 +208,8 @@ def _toward(
 def _checked_aims(aims: tuple[Point, ...], nodule: Nodule) -> tuple[Point, ...]:
     if not aims:
         return (nodule.middle_lps,)
-    if len(aims) > MOST_AIMS:
-        raise UsageError(f"target: expected at most {MOST_AIMS} aims; found {len(aims)}", code="plan.aims")
+    if len(aims) > MAX_AIMS:
+        raise UsageError(f"target: expected at most {MAX_AIMS} aims; found {len(aims)}", code="plan.aims")
     points = np.array(aims, dtype=np.float64).reshape(-1, 3)
     if not np.isfinite(points).all():
         raise UsageError("target: expected aims as points x,y,z in LPS mm", code="plan.aims")

@@ -25,9 +25,9 @@ from carina.scopes import Pose
 from carina.track import Airways
 from carina.volume import Volume
 
-__all__ = ["MOST_FRAMES", "TurnClip", "turn_clips"]
+__all__ = ["MAX_FRAMES", "TurnClip", "turn_clips"]
 
-MOST_FRAMES = 24
+MAX_FRAMES = 24
 """Largest number of frames of a clip."""
 SIZES_PX = (64, 512)
 LONGEST_S = 4.0
@@ -73,7 +73,7 @@ def turn_clips(
     *,
     operator: Operator = "head",
     size_px: int = 256,
-    num_frames: int = MOST_FRAMES,
+    num_frames: int = MAX_FRAMES,
     renderer: Renderer | None = None,
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
@@ -118,7 +118,7 @@ def turn_clips(
     check_type("turn_clips", "airways", airways, Airways, "get airways from carina.find_airways")
     check_type("turn_clips", "planned", planned, PlannedRoute, "it is one of the routes of carina.plan_route")
     check_type("turn_clips", "turns", turns, TurnList, "make it with carina.plan.turn_list")
-    for name, value, (least, most) in (("size_px", size_px, SIZES_PX), ("num_frames", num_frames, (2, MOST_FRAMES))):
+    for name, value, (least, most) in (("size_px", size_px, SIZES_PX), ("num_frames", num_frames, (2, MAX_FRAMES))):
         if not least <= value <= most:
             raise UsageError(f"{name}: expected {least} to {most}; found {value}", code="plan.range")
     if renderer is None and turns.turns:

@@ -24,8 +24,8 @@ __all__ = [
     "AHEAD_DEG",
     "AHEAD_SHARE",
     "AHEAD_TIMES",
-    "LEAST_SHARE",
-    "LEAST_STAND_MM",
+    "MIN_SHARE",
+    "MIN_STAND_MM",
     "HourDoubt",
     "Opening",
     "Operator",
@@ -50,17 +50,17 @@ The angle is at most the first number in degrees or, for a large opening, the se
 the angles of the other openings are at least the third number times larger. The centre of the picture is in the outline
 of an opening straight ahead, so the opening has no clock hour.
 """
-LEAST_SHARE = 2e-3
+MIN_SHARE = 2e-3
 """Least share of the picture's pixels for an opening in view."""
 HIDDEN_DEG = 2.0
 """Largest angle in degrees between the beginning of a branch's centreline and the visible part of its opening."""
-LEAST_STAND_MM = 3.0
+MIN_STAND_MM = 3.0
 """Least distance in mm of the camera from a fork; nearer, single points would determine the line of sight."""
 
 
 NEIGHBOUR_HOURS = 0.25
 """Margin in hours by which an opening must be nearer to the stated hour than every other opening."""
-MOST_HOURS = 2.0
+MAX_HOURS = 2.0
 """Largest change of an hour by a small movement of the scope, in hours."""
 SHIFT_SHARE, SHIFT_MM = 0.3, (0.5, 1.5)
 """Error of the eye's position to each side: share of the airway's radius, and limits in mm."""
@@ -166,14 +166,14 @@ def turned_hours(hours: float) -> float:
 def stand_mm(branch: Branch) -> float:
     """Return the distance in mm before a branch's end at which the camera looks at the fork.
 
-    The distance is one diameter, at most half the branch and at least `LEAST_STAND_MM`, as in
+    The distance is one diameter, at most half the branch and at least `MIN_STAND_MM`, as in
     `carina.case.routes.lookouts_mm`.
     """
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
     # The tolerance includes a point exactly in the middle, whatever its rounding.
     first_half = along <= 0.5 * along[-1] + 1e-9
     diameter = 2.0 * float(np.median(branch.radius[first_half]))
-    return max(min(diameter, 0.5 * float(along[-1])), LEAST_STAND_MM)
+    return max(min(diameter, 0.5 * float(along[-1])), MIN_STAND_MM)
 
 
 def openings_seen(camera: Pose, walls: ForkWalls, branches: Sequence[Branch], walls_lps: Points) -> tuple[Opening, ...]:
@@ -196,7 +196,7 @@ def openings_seen(camera: Pose, walls: ForkWalls, branches: Sequence[Branch], wa
     outlines = [opening_pixels(owners, n, pixel_at(camera, at, size)) for n, at in enumerate(walls.mouths_lps)]
     found: list[tuple[float, float, bool]] = []
     for outline, mouth in zip(outlines, walls.mouths_lps, strict=True):
-        if float(outline.mean()) >= LEAST_SHARE:
+        if float(outline.mean()) >= MIN_SHARE:
             found.append((float(right[outline].mean()), float(down[outline].mean()), True))
         else:
             found.append((*_angles(camera, mouth), False))
@@ -303,10 +303,10 @@ def hour_doubt(
                 "turns.neighbour",
                 f"no clock hour: {title(rivals[0].branch)} opens in nearly the same direction; compare the picture",
             )
-        if not taken.straight_ahead and _apart(hours, taken.hours) > MOST_HOURS:
+        if not taken.straight_ahead and _apart(hours, taken.hours) > MAX_HOURS:
             return HourDoubt(
                 "turns.eye",
-                f"no clock hour: a small movement of the scope changes it by more than {MOST_HOURS:.0f} hours; compare "
+                f"no clock hour: a small movement of the scope changes it by more than {MAX_HOURS:.0f} hours; compare "
                 "the picture",
             )
     return None

@@ -16,7 +16,7 @@ from carina.plan.routes.main_carina import AXES_NOTE, SAME_PLACE_MM, DistanceOri
 from carina.plan.routes.plan_route import PlannedRoute
 from carina.plan.routes.standing_points import branch_doubts, branch_title
 from carina.plan.turns.fork_view import (
-    LEAST_STAND_MM,
+    MIN_STAND_MM,
     HourDoubt,
     Opening,
     hour_doubt,
@@ -42,7 +42,7 @@ Point = tuple[float, float, float]
 
 TOGETHER_MM = 2.0
 """Distance in mm up to which forks always form one turn, because a tip of 3 mm cannot stop between them."""
-MOST_TOGETHER_MM = 5.0
+MAX_TOGETHER_MM = 5.0
 """Largest distance in mm between forks that form one turn.
 
 Forks form one turn if the branch between them is at most as long as its radius, because the openings of both are then
@@ -54,10 +54,10 @@ SMALL_SHARE = 0.02
 """Share of the picture below which an opening is small; coarse pixels would divide it into parts."""
 STANDS = (0.75, 0.6, 1.0, 1.5)
 """Distances of the camera before a fork, in diameters of the airway, that are tried after the usual one."""
-LEAST_MOVE_MM = 0.5
+MIN_MOVE_MM = 0.5
 CLEAR_DEG = 10.0
 """Least angle in degrees of an opening to the line of sight for a precise hour; nearer to the fork it is larger."""
-MOST_DEPTH_MM = 1000.0
+MAX_DEPTH_MM = 1000.0
 """Largest accepted depth of the main carina in mm: older cases may state 500 mm to the start of the tree."""
 SIDES = {"R": "right", "L": "left", "A": "anterior", "P": "posterior", "S": "superior", "I": "inferior"}
 
@@ -112,9 +112,9 @@ def turn_list(
     """
     check_type("turn_list", "tree", tree, AirwayTree, "it is the tree of carina.find_airways")
     check_type("turn_list", "planned", planned, PlannedRoute, "it is one of the routes of carina.plan_route")
-    if carina_depth_mm is not None and not (math.isfinite(carina_depth_mm) and 0.0 <= carina_depth_mm <= MOST_DEPTH_MM):
+    if carina_depth_mm is not None and not (math.isfinite(carina_depth_mm) and 0.0 <= carina_depth_mm <= MAX_DEPTH_MM):
         raise UsageError(
-            f"carina_depth_mm: expected 0 to {MOST_DEPTH_MM:g} mm; found {carina_depth_mm}", code="plan.range"
+            f"carina_depth_mm: expected 0 to {MAX_DEPTH_MM:g} mm; found {carina_depth_mm}", code="plan.range"
         )
     lineage = tree.lineage(planned.branch_id)
     by_id = {branch.id: branch for branch in tree.branches}
@@ -230,7 +230,7 @@ def _forks(lineage: Sequence[Branch], origin: DistanceOrigin) -> list[list[_Fork
         if len(mother.children) < 2:
             continue
         fork = _Fork(mother, daughter, at_mm, origin.fork_mm(at_mm), origin.is_main_carina(at_mm))
-        together_mm = min(max(TOGETHER_MM, _radius_mm(mother)), MOST_TOGETHER_MM)
+        together_mm = min(max(TOGETHER_MM, _radius_mm(mother)), MAX_TOGETHER_MM)
         if groups and at_mm - groups[-1][-1].at_mm <= together_mm:
             groups[-1].append(fork)
         else:
@@ -303,8 +303,8 @@ def _stands_mm(fork: _Fork) -> list[float]:
     diameter = 2.0 * _radius_mm(fork.mother)
     found = [usual]
     for share in STANDS:
-        other = max(share * diameter, LEAST_STAND_MM)
-        if all(abs(other - one) > LEAST_MOVE_MM for one in found):
+        other = max(share * diameter, MIN_STAND_MM)
+        if all(abs(other - one) > MIN_MOVE_MM for one in found):
             found.append(other)
     return found
 

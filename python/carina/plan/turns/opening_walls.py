@@ -34,9 +34,9 @@ FARTHEST_MM = 80.0
 """Largest distance in mm of a wall from the camera."""
 TOUCH_MM = 0.05
 """Distance in mm from the wall at which a ray has met the wall."""
-LEAST_STEP_MM = 0.15
+MIN_STEP_MM = 0.15
 """Least step in mm along a ray, so that a ray along a wall ends."""
-MOST_STEPS = 200
+MAX_STEPS = 200
 TUBES_REACH_MM = 40.0
 """Distance in mm from a place within which `TubeWall` considers the tubes of a tree."""
 NO_BRANCH, OTHER_BRANCH = -2, -1
@@ -107,10 +107,10 @@ def first_walls(camera: Pose, size_px: int, wall: TubeWall) -> Points:
     rays = rays @ camera.lps_from_camera[:3, :3].T
     depth = np.zeros(len(rays))
     going = np.arange(len(rays))
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         gap = wall.distance_mm(camera.position_lps + depth[going, None] * rays[going])
         going, gap = going[gap > TOUCH_MM], gap[gap > TOUCH_MM]
-        depth[going] += np.maximum(gap, LEAST_STEP_MM)
+        depth[going] += np.maximum(gap, MIN_STEP_MM)
         going = going[depth[going] < FARTHEST_MM]
         if not going.size:
             break

@@ -19,7 +19,7 @@ from carina.display import one_line
 from carina.display.png import png_bytes
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, UsageError, check_type
-from carina.plan.turns.fork_view import LEAST_SHARE, Operator, turn_view
+from carina.plan.turns.fork_view import MIN_SHARE, Operator, turn_view
 from carina.plan.turns.opening_walls import ForkWalls, opening_pixels
 from carina.plan.turns.picture_marks import draw_clock, draw_edge, text_size
 from carina.plan.turns.turn_list import Turn, TurnList
@@ -175,7 +175,7 @@ def _picture(
     fine = np.repeat(np.repeat(ours, COARSE, axis=0), COARSE, axis=1)[:size_px, :size_px]
     seen = _smoothed(fine.astype(np.float64), max(SMOOTH_PX * size_px / 512, 0.8 * COARSE))
     inside = seen > 0.5
-    in_view = float(inside.mean()) >= LEAST_SHARE
+    in_view = float(inside.mean()) >= MIN_SHARE
     if marked:
         rgb = picture.rgb.copy()
         colour = DOUBTFUL_RGB if turn.cautions else ROUTE_RGB

@@ -24,8 +24,8 @@ _Judged = tuple[float, float, MoveRecorder]
 
 SEARCHED_MM = 5.5
 """Distance in mm behind a place up to which `DriveWay.nearest` finds a tip."""
-GAIN, MOST_CHANGE_DEG, MOST_MOVES = 0.8, 30.0, 12
-FLEXION_MOST_DEG = 210.0
+GAIN, MAX_CHANGE_DEG, MAX_MOVES = 0.8, 30.0, 12
+FLEXION_MAX_DEG = 210.0
 GOOD, ENOUGH = 0.95, 0.5
 """Shares of needles that hit the target.
 
@@ -39,7 +39,7 @@ BEST_HOLDS = 4
 """Number of holds of a grid that are executed as moves: those from which most needles hit."""
 GRIDS_BACK_MM = (0.0, 3.0)
 """Distances in mm by which the scope is withdrawn before a grid of holds is tried."""
-REFINED_FROM, MOST_ROUNDS, NUM_REFINED = 0.1, 6, 3
+REFINED_FROM, MAX_ROUNDS, NUM_REFINED = 0.1, 6, 3
 """Least share of hits from which a hold is refined, largest number of rounds of small changes, and number of holds."""
 SMALL_CHANGES = (
     *((turn_deg, 0.0, 0.0) for turn_deg in (-30.0, -10.0, 10.0, 30.0)),
@@ -122,13 +122,13 @@ def _turned_to_aim(recorder: MoveRecorder, way: DriveWay, hit_share: HitShare) -
     """
     found = [(*_judged(recorder, way.aim, hit_share), recorder)]
     best, best_deg, gain = recorder, found[0][1], GAIN
-    for _ in range(MOST_MOVES):
+    for _ in range(MAX_MOVES):
         if found[-1][0] >= GOOD:
             break
         tried = best.copy()
         to = tried.seen_from_tip(way.aim)
         angle = math.degrees(math.atan2(math.hypot(to[0], to[1]), to[2]))
-        if not tried.bend_by(to, min(gain * angle, MOST_CHANGE_DEG), FLEXION_MOST_DEG):
+        if not tried.bend_by(to, min(gain * angle, MAX_CHANGE_DEG), FLEXION_MAX_DEG):
             break
         found.append((*_judged(tried, way.aim, hit_share), tried))
         if found[-1][1] < best_deg:
@@ -145,7 +145,7 @@ def _refined(best: _Judged, way: DriveWay, hit_share: HitShare) -> _Judged:
     """
     if not REFINED_FROM <= best[0] < ENOUGH:
         return best
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         recorder = best[2]
         tried = []
         for turn_deg, lever_deg, advance_mm in SMALL_CHANGES:

@@ -21,7 +21,7 @@ SMOOTH_MM = 4.0
 CUT_MM = 10.0
 """Distance in mm from the beginning of the tree in which widths are ignored."""
 FINE_MM = 0.5
-LEAST_AHEAD_MM = 4.0
+MIN_AHEAD_MM = 4.0
 NUM_ON_LINE = 14
 
 
@@ -142,7 +142,7 @@ class DriveWay:
         clear_mm
             Clearance to the wall; less is required in a narrow airway.
         """
-        ahead = np.arange(along_mm + farthest_mm, along_mm + LEAST_AHEAD_MM - 0.1, -1.0)
+        ahead = np.arange(along_mm + farthest_mm, along_mm + MIN_AHEAD_MM - 0.1, -1.0)
         places = self.at(np.minimum(ahead, self.length_mm))
         share = np.linspace(0.1, 1.0, NUM_ON_LINE)
         line = tip + share[None, :, None] * (places - tip)[:, None, :]

@@ -37,7 +37,7 @@ BLOCKED_STEPS = 7
 ASTRAY_MM = 2.5
 SLACK_MM = 25.0
 """Largest difference in mm between insertion and distance along the route; beyond it the scope buckles or strays."""
-MOST_STEPS = 700
+MAX_STEPS = 700
 ON_COURSE_COSINE = 0.64
 """Cosine of 50 degrees, the largest angle between the tip and the route for a tip that points along the route."""
 BEND_BEHIND_MM, BEND_AHEAD_MM = 45.0, 8.0
@@ -340,7 +340,7 @@ class _Attempt:
     def go(self, rule: _Rule) -> None:
         """Advance the scope by a steering rule until the tip arrives or leaves the route."""
         self._forget()
-        for _ in range(MOST_STEPS):
+        for _ in range(MAX_STEPS):
             self._steer(rule)
             self._advance()
             if self._is_lost():

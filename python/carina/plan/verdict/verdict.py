@@ -92,7 +92,7 @@ NUM_THREADS, NUM_ROUTES = 2, 3
 """Number of drives at the same time, and of the best routes on which all instruments are judged."""
 ERROR_SHARE = NormalDist().inv_cdf(SURE) / NormalDist().inv_cdf(0.95)
 """Share of the error of a diameter, which covers 90 % on both sides, below which 10 % of the true diameters are."""
-LEAST_SCALE = 0.1
+MIN_SCALE = 0.1
 IF_IT_FITS = "if it fits: "
 DRIVEN_THINNER = (
     "driven as a thinner scope with no more play than in the measured diameter, because the segmented lumen is narrower"
@@ -740,7 +740,7 @@ class RouteJudge:
 def _smaller(nodule: Nodule) -> Nodule:
     """Return a nodule that is smaller round its middle by the error of its boundary."""
     diameter_mm = 0.5 * (nodule.long_mm + nodule.short_mm)
-    scale = max(1.0 - ERROR_SHARE * nodule.diameter_error_mm / max(diameter_mm, 1e-6), LEAST_SCALE)
+    scale = max(1.0 - ERROR_SHARE * nodule.diameter_error_mm / max(diameter_mm, 1e-6), MIN_SCALE)
     centre = np.array(nodule.centre_lps)
     matrix = nodule.lps_from_ijk.copy()
     matrix[:3, :3] *= scale

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 __all__ = ["lungs_message"]
 
 NO_MEDIASTINUM = "Vessels of the mediastinum and the hila are not shown: without contrast the CT does not show them."
-LEAST_SHARE = 0.05
+MIN_SHARE = 0.05
 """Smallest visible share (0..1) of a fissure's lobe borders that is stated as a number; below: *hardly any seen*."""
-LEAST_LINE_MM = 6.0
+MIN_LINE_MM = 6.0
 """Minimum length in mm of a vessel branch without children; shorter ones are noise and are not sent."""
 VESSEL_POINT_EVERY_MM = 2.5
 NO_DRIVE = (
@@ -89,7 +89,7 @@ def _fissures_seen(shares: tuple[float | None, float | None] | None) -> str:
     known = [(side, share) for side, share in sides if share is not None]
     if not known:
         return "as far as the CT shows them"
-    if max(share for _, share in known) < LEAST_SHARE:
+    if max(share for _, share in known) < MIN_SHARE:
         return "hardly any seen"
     # The borders are estimated, so the shares are rounded to the nearest 10 %.
     texts = [f"{10.0 * round(10.0 * share):.0f} % of the borders on the {side}" for side, share in known]
@@ -103,7 +103,7 @@ def _vessel_lines(tree: VesselTree) -> Iterator[wire.VesselLine]:
     for number, branch in enumerate(tree.branches):
         points = branch.points_lps
         length_mm = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-        if length_mm < LEAST_LINE_MM and number not in left:
+        if length_mm < MIN_LINE_MM and number not in left:
             continue
         yield wire.VesselLine(
             points_lps=tuple(

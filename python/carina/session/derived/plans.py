@@ -53,7 +53,7 @@ __all__ = [
     "shown_surface",
 ]
 
-MOST_SHOWN = 36
+MAX_SHOWN = 36
 """Largest number of voxels along a side of a nodule's displayed surface; finer detail is not visible."""
 SAME_PLACE_MM = 0.05
 PAIRS_PER_MESSAGE = 6
@@ -730,7 +730,7 @@ def chosen_number(document: Document, plan: Plan) -> int | None:
 def shown_surface(nodule: Nodule) -> Mesh:
     """Return the boundary of a nodule as a mesh in LPS mm, reduced to a displayable resolution."""
     inside, lps_from_ijk = nodule.inside_zyx, np.array(nodule.lps_from_ijk, dtype=np.float64)
-    step = -(-max(inside.shape) // MOST_SHOWN)
+    step = -(-max(inside.shape) // MAX_SHOWN)
     if step > 1:
         room = [-(-size // step) * step for size in inside.shape]
         padded = np.pad(inside, [(0, after - size) for after, size in zip(room, inside.shape, strict=True)])

@@ -26,7 +26,7 @@ LAYERS: tuple[LayerName, ...] = get_args(LayerName)
 UNIT_MM = 0.25
 """Unit of the outlines, in mm: they are cut in the plane and not in the pixels of an image, so that zooming requires no
 new cut, and a line that leaves the image is still closed."""
-MOST_KEPT = 24
+MAX_STORED = 24
 """Number of planes of a mask whose outlines are cached: images are zoomed or resent more often than planes move."""
 
 
@@ -98,7 +98,7 @@ class _LayerMask:
         data = self._outline.encoded(lps_from_line, width, height)
         with self._lock:
             self._cache[key] = data
-            while len(self._cache) > MOST_KEPT:
+            while len(self._cache) > MAX_STORED:
                 self._cache.popitem(last=False)
         return data
 

@@ -29,12 +29,12 @@ MIN_ADDED_MM = 1.0
 """Least length in mm of a new branch beyond the tree; a shorter branch is already in the tree."""
 FORK_RADII = 1.0
 """Distance from a tube's centreline, in radii of the tube, beyond which a path has left the tube (as in the search)."""
-LEAST_LEFT_MM = 3.0
+MIN_REMAINING_MM = 3.0
 """Least length in mm of the remaining tip of a branch beyond a new fork.
 
 A tip shorter than this or 1.5 slices is removed.
 """
-LEAST_TOLD_MM = 5.0
+MIN_STATED_MM = 5.0
 """Least length in mm of a piece with evidence that the message mentions.
 
 A shorter piece is not worth adding separately.
@@ -163,7 +163,7 @@ def planned_way(lumen: EditedLumen, tree: AirwayTree, draft: TreeDraft, evidence
     left_before = draft[place.branch_id]
     # A rest that is shorter than the diameter of the tube is the end of the centreline, not another branch.
     diameter_mm = 2.0 * float(left_before.radius[place.index])
-    parent_id = draft.parent_at(place, max(LEAST_LEFT_MM, 1.5 * max(lumen.volume.spacing_mm), diameter_mm))
+    parent_id = draft.parent_at(place, max(MIN_REMAINING_MM, 1.5 * max(lumen.volume.spacing_mm), diameter_mm))
     points = _line(lumen, draft[parent_id], beyond, is_inside=not len(way))
     doubtful = _doubtful(lumen, evidence, points, draft[parent_id])
     is_shorter = not draft[parent_id].children and len(draft[parent_id].points) < len(left_before.points)
@@ -225,7 +225,7 @@ def no_evidence(plan: PlannedWay) -> NoEvidenceError:
         "Click where the wall is still visible, or, if the airway is obstructed, bridge the obstruction. You can also "
         "add the branch without evidence: it is then labelled as drawn by hand and has no anatomical name"
     )
-    if first_mm < LEAST_TOLD_MM:
+    if first_mm < MIN_STATED_MM:
         msg = (
             f"the CT shows no continuous airway wall along this path: {doubtful_mm:.0f} of {total_mm:.0f} mm are "
             f"uncertain. {do}"

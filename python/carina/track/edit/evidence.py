@@ -69,7 +69,7 @@ NEAREST_MM, FARTHEST_MM = 8.0, 25.0
 """Least and largest distance in mm of plain lung from the branches of the tree."""
 MIN_RUNS = 12
 BEST_RUNS = 0.9
-LEAST_RISE_HU = 15.0
+MIN_RISE_HU = 15.0
 NOISE_SHARE, FAR_SHARE = 1.25, 2.0
 """Factors of the least rises from the middle of a path to its wall, whatever the comparison with plain lung shows.
 
@@ -98,7 +98,7 @@ class Evidence:
         self.found_zyx = base.tracker.lumen_zyx
         """Lumen (nz, ny, nx) on the grid of the paths before any edit, found by the search or imported as a mask."""
         self.enclosures = _core.Enclosures(volume.hu_zyx, volume.lps_from_ijk)
-        least = self._scale.span(LEAST_RISE_HU)
+        least = self._scale.span(MIN_RISE_HU)
         lung = _plain_lung(volume, base, self._scale.level(LUNG_END_HU))
         enough = len(lung) >= MIN_RUNS
         rises = self.enclosures.at(lung) if enough else np.zeros(1)

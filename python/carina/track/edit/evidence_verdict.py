@@ -34,14 +34,14 @@ RISE, RISE_LIMITS = 0.9, (-0.5, 1.5)
 FAR_RISE, FAR_LIMITS = 1.2, (-0.5, 2.0)
 CLOSED, FAR_CLOSED, CLOSED_LIMITS = 1.0, 1.4, (0.0, 1.5)
 """Walls in units of plain lung, clipped so that one bright wall cannot compensate a long path without walls."""
-LEAST_WALLS = 0.6
+MIN_WALLS = 0.6
 """Least average of the sum of the four wall terms over a window of 5 mm, whatever the other terms are.
 
 Fewer than one in 100 paths to removed branches have a smaller average.
 """
-DROP, DROP_HU, MOST_DROP = -2.0, 100.0, 3.0
+DROP, DROP_HU, MAX_DROP = -2.0, 100.0, 3.0
 """Weight, unit in HU and upper limit of the penalty for a value that rises and falls along a path, as across a wall."""
-WIDER, AS_WIDE, MOST_WIDER = -1.6, 0.8, 1.0
+WIDER, AS_WIDE, MAX_WIDER = -1.6, 0.8, 1.0
 """Weight, free ratio and upper limit of the penalty for a path that is wider than the branch that it leaves.
 
 An airway is narrower than the branch that it leaves: up to 0.8 of the parent's radius costs nothing, 1.8 times costs
@@ -53,7 +53,7 @@ UNEVEN = -3.9
 """Weight of the penalty for a changing radius, per mm of the radius's standard deviation over 5 mm."""
 UNEVEN_OVER = 5
 """Number of sections before, and after, a section over which the radius's deviation is computed."""
-GAP, THREAD_MM, AIR_HU, GAP_HU, MOST_GAP = -1.1, 1.0, -980.0, 100.0, 3.0
+GAP, THREAD_MM, AIR_HU, GAP_HU, MAX_GAP = -1.1, 1.0, -980.0, 100.0, 3.0
 """Values of the penalty for gaps between vessels: wide places that are as bright as lung."""
 
 WALL_DROP_HU = 350.0
@@ -70,7 +70,7 @@ NO_LUMEN_HU, NO_LUMEN = -450.0, -100.0
 """Value in HU over 2.5 mm above which the middle of a section is no lumen, and the gain that such a section gets."""
 MOUTH_MM = 4.0
 """Length in mm inside the lumen that a path leaves, over which the widest section gives the width of that lumen."""
-MOST_TURN_DEG = 130.0
+MAX_TURN_DEG = 130.0
 """Largest angle in degrees between a branch that leaves the tree and the direction of its parent."""
 TURN_OVER_MM = 5.0
 
@@ -146,9 +146,9 @@ def doubtful_sections(
     gain, wall = gains(sections, lung, scale, start)[mine], _walls(sections, lung)[mine]
     num = min(round(WINDOW_MM / STEP_MM), len(mine))
     mean_gain, mean_wall = (np.convolve(one, np.full(num, 1.0 / num), mode="valid") for one in (gain, wall))
-    for first in np.flatnonzero((mean_gain < 0.0) | (mean_wall < LEAST_WALLS)):
+    for first in np.flatnonzero((mean_gain < 0.0) | (mean_wall < MIN_WALLS)):
         found[mine[first : first + num]] = True
-    sure = np.logical_and.accumulate(((gain >= SURE) & (wall >= LEAST_WALLS)) | ~found[mine])
+    sure = np.logical_and.accumulate(((gain >= SURE) & (wall >= MIN_WALLS)) | ~found[mine])
     found[mine] &= ~sure
     own = sections.own[mine]
     crossed = np.maximum.accumulate(own) - own > scale.span(WALL_DROP_HU)
@@ -165,15 +165,15 @@ def gains(sections: Sections, lung: LungBaseline, scale: AirScale, start: PathSt
     radius_mm = _radii(sections, lung, scale)
     own = np.where(mine, sections.own, -np.inf)
     drop = np.where(mine, np.maximum.accumulate(own) - sections.own, 0.0)
-    gain += DROP * np.clip(drop / scale.span(DROP_HU), 0.0, MOST_DROP)
+    gain += DROP * np.clip(drop / scale.span(DROP_HU), 0.0, MAX_DROP)
     if start is not None:
         mouth = ~mine & (sections.at_mm > start.inside_mm - MOUTH_MM)
         left_mm = max(start.branch_radius_mm, float(radius_mm[mouth].max(initial=0.0)), STEP_MM)
-        gain += WIDER * np.clip(radius_mm / left_mm - AS_WIDE, 0.0, MOST_WIDER)
+        gain += WIDER * np.clip(radius_mm / left_mm - AS_WIDE, 0.0, MAX_WIDER)
     gain += BEND * sections.bend
     gain += UNEVEN * _spread(radius_mm, UNEVEN_OVER)
     too_bright = (sections.own - scale.level(AIR_HU)) / scale.span(GAP_HU)
-    gain += GAP * np.clip((radius_mm - THREAD_MM) * too_bright, 0.0, MOST_GAP)
+    gain += GAP * np.clip((radius_mm - THREAD_MM) * too_bright, 0.0, MAX_GAP)
     return np.asarray(np.where(sections.own > scale.level(NO_LUMEN_HU), NO_LUMEN, gain))
 
 
@@ -182,7 +182,7 @@ def turns_back(points: Points, along: Values, start: PathStart) -> bool:
     reach_mm = min(start.inside_mm + TURN_OVER_MM, float(along[-1]))
     goes = points[min(int(np.searchsorted(along, reach_mm)), len(points) - 1)] - points[0]
     length = float(np.linalg.norm(goes) * np.linalg.norm(start.branch_direction))
-    return length > 0.0 and float(goes @ start.branch_direction) < np.cos(np.radians(MOST_TURN_DEG)) * length
+    return length > 0.0 and float(goes @ start.branch_direction) < np.cos(np.radians(MAX_TURN_DEG)) * length
 
 
 def along_mm(points: Points) -> Values:

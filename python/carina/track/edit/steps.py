@@ -55,9 +55,9 @@ __all__ = ["EditSteps"]
 
 NO_VOXELS = np.zeros((0, 3), dtype=np.uint16)
 SMOOTHING_ROUNDS = 3
-LEAST_BEYOND_MM = 4.0
+MIN_BEYOND_MM = 4.0
 """Least length in mm of visible airway beyond a bridge."""
-MOST_TURN_DEG = 120.0
+MAX_TURN_DEG = 120.0
 """Largest angle in degrees between an airway before a bridge and its continuation beyond the bridge."""
 COVER_REACH_MM = 30.0
 """Distance in mm from a centreline beyond which a point is not in its tube: more than the diameter of any trachea."""
@@ -229,17 +229,17 @@ class EditSteps:
             doubts.append(doubtful)
         steps = [np.linalg.norm(np.diff(line, axis=0), axis=1) for line in lines]
         evident_mm = sum(float(s[~d].sum()) for s, d in zip(steps, doubts, strict=True))
-        if evident_mm < LEAST_BEYOND_MM:
+        if evident_mm < MIN_BEYOND_MM:
             doubtful_mm = sum(float(s[d].sum()) for s, d in zip(steps, doubts, strict=True))
             msg = (
                 f"the CT shows too little airway wall beyond the bridge ({evident_mm:.0f} mm; at least "
-                f"{LEAST_BEYOND_MM:g} mm is needed). Click in the dark middle of the airway beyond the obstruction, "
+                f"{MIN_BEYOND_MM:g} mm is needed). Click in the dark middle of the airway beyond the obstruction, "
                 "or add a branch without evidence: it is then labelled as drawn by hand"
             )
             crossing = np.ones(len(bridge.points) - 1, dtype=bool)
             raise NoEvidenceError(msg, doubtful_mm=doubtful_mm, way_lps=bridge.points, doubtful=crossing)
         onward = [line for line in lines[1:] if np.array_equal(line[0], bridge.points[-1])]
-        if onward and all(turn_deg(bridge.points, line) > MOST_TURN_DEG for line in onward):
+        if onward and all(turn_deg(bridge.points, line) > MAX_TURN_DEG for line in onward):
             msg = (
                 "the airway beyond leads back towards the start of the bridge, so it is not the distal part of "
                 "an obstructed branch; click nearer to the end of the obstructed branch"

@@ -55,13 +55,13 @@ __all__ = ["Airways", "doubt_of_totals", "find_airways"]
 
 # Upper limits of the length in mm, the number of branches and the generations of a tree; CTs show 1 to 4 m of airways
 # in 100 to 600 branches.
-MOST_LENGTH_MM = 12_000.0
+MAX_LENGTH_MM = 12_000.0
 # Largest number of branches of a plausible tree.
-MOST_BRANCHES = 2_500
+MAX_BRANCHES = 2_500
 # Largest generation of a plausible tree.
-MOST_GENERATION = 40
+MAX_GENERATION = 40
 # Least total length in mm of the airways beyond a trachea that divides: main bronchi and lobar bronchi are longer.
-LEAST_BEYOND_MM = 150.0
+MIN_BEYOND_MM = 150.0
 
 
 def doubt_of_totals(branches: tuple[Branch, ...], *, splits: bool) -> Note | None:
@@ -78,14 +78,14 @@ def doubt_of_totals(branches: tuple[Branch, ...], *, splits: bool) -> Note | Non
     """
     length_mm = float(sum(branch.length_mm for branch in branches))
     deepest = max(branch.generation for branch in branches)
-    if length_mm > MOST_LENGTH_MM or len(branches) > MOST_BRANCHES or deepest > MOST_GENERATION:
+    if length_mm > MAX_LENGTH_MM or len(branches) > MAX_BRANCHES or deepest > MAX_GENERATION:
         words = (
             f"the segmentation leaked: {length_mm / 1000.0:.0f} m of airway in {len(branches)} branches of {deepest} "
             f"generations is more than any chest contains, so much of it is lung. {SOFT_KERNEL}"
         )
         return Note(STOPPED, words, badge=True)
     beyond_mm = length_mm - branches[0].length_mm
-    if splits and beyond_mm < LEAST_BEYOND_MM:
+    if splits and beyond_mm < MIN_BEYOND_MM:
         words = (
             f"the search was stopped near the trachea: only {beyond_mm:.0f} mm of airway was found beyond it, although "
             f"the scan contains both lungs. Nearly all airways are missing. {SOFT_KERNEL}"

@@ -33,16 +33,16 @@ IN_REGION = 0.5
 BESIDE_STEP_MM = 2.0
 TISSUE_HU = 40.0
 CERTAIN_AIR_HU = -940.0
-MOST_DOUBTFUL = 0.3
+MAX_DOUBTFUL = 0.3
 """Share of branches with a confidence below 0.5 above which a search counts as leaked."""
 SOME_IN_REGION = 0.2
-LEAST_BEYOND_MM = 10.0
+MIN_BEYOND_MM = 10.0
 """Least length in mm by which a branch must continue beyond a disturbed region to remain.
 
 The limit applies to branches with more than ``SOME_IN_REGION`` in the disturbed part; such branches must also
 continue by more than their length in that part.
 """
-MOST_CONFIDENCE = 0.8
+MAX_CONFIDENCE = 0.8
 """Highest confidence of a branch in metal streaks or beside a breathing step."""
 
 
@@ -103,7 +103,7 @@ class ArtefactRegions:
         """Return whether the search leaked through streaks or a step; other chests have hardly any doubtful branch."""
         doubtful = [branch.confidence is not None and branch.confidence < FAINT for branch in tree.branches]
         is_changed = self.streaks_zyx is not None or bool(self.steps)
-        return is_changed and sum(doubtful) > MOST_DOUBTFUL * len(doubtful)
+        return is_changed and sum(doubtful) > MAX_DOUBTFUL * len(doubtful)
 
     def remove_disturbed_ends(
         self, lumen: NDArray[np.uint8], core: LumenTracker, rows: Sequence[dict[str, Any]]
@@ -131,7 +131,7 @@ class ArtefactRegions:
                 beyond_mm[rows[number]["parent"]] += beyond_mm[number]
         gone: list[int] = []
         for number in range(1, len(rows)):
-            least_mm = max(LEAST_BEYOND_MM, share[number] * length_mm[number])
+            least_mm = max(MIN_BEYOND_MM, share[number] * length_mm[number])
             ends_there = share[number] >= SOME_IN_REGION and beyond_mm[number] < least_mm
             if ends_there or rows[number]["parent"] in gone:
                 gone.append(number)
@@ -145,9 +145,9 @@ class ArtefactRegions:
     def with_limited_confidence(self, tree: AirwayTree) -> AirwayTree:
         """Return the tree with limited confidence of the branches in metal streaks or beside a step."""
         branches = tuple(
-            dataclasses.replace(branch, confidence=MOST_CONFIDENCE)
+            dataclasses.replace(branch, confidence=MAX_CONFIDENCE)
             if branch.confidence is not None
-            and branch.confidence > MOST_CONFIDENCE
+            and branch.confidence > MAX_CONFIDENCE
             and self.share_of(branch.points) >= IN_REGION
             else branch
             for branch in tree.branches

@@ -17,17 +17,17 @@ BLOCK_MM = 2.0
 """Side length in mm of the blocks whose means are compared between two slices."""
 BESIDE_HU = 100.0
 """Brightness above lung in HU up to which blocks are compared: these blocks contain the vessels."""
-LEAST_AREA_MM2 = 2000.0
-LEAST_SHARE = 0.4
+MIN_AREA_MM2 = 2000.0
+MIN_SHARE = 0.4
 """Least lung area of a compared slice, as a share of the largest area in the scan."""
 NUM_BESIDE = 2
 # Least drop of similarity between two slices against the least similar neighbouring pair, as a difference of Fisher
 # transforms of correlations; without a step the drop is at most 0.21.
-LEAST_DROP = 0.22
+MIN_DROP = 0.22
 # Least ratio of a drop to the fourth largest drop of the scan, because streaks make many slices dissimilar.
-LEAST_RATIO = 2.5
+MIN_RATIO = 2.5
 # Largest number of breathing steps in a scan.
-MOST_STEPS = 3
+MAX_STEPS = 3
 
 
 def find_steps(volume: Volume, scale: AirScale, is_changed: NDArray[np.bool_] | None = None) -> tuple[int, ...]:
@@ -44,10 +44,10 @@ def find_steps(volume: Volume, scale: AirScale, is_changed: NDArray[np.bool_] | 
     """
     drops = _similarity_drops(volume, scale, is_changed)
     order = np.argsort(-drops, kind="stable")
-    if len(order) <= MOST_STEPS:
+    if len(order) <= MAX_STEPS:
         return ()
-    usual = max(float(drops[order[MOST_STEPS]]), 0.0)
-    found = [int(k) for k in order[:MOST_STEPS] if drops[k] >= max(LEAST_DROP, LEAST_RATIO * usual)]
+    usual = max(float(drops[order[MAX_STEPS]]), 0.0)
+    found = [int(k) for k in order[:MAX_STEPS] if drops[k] >= max(MIN_DROP, MIN_RATIO * usual)]
     return tuple(sorted(found))
 
 
@@ -65,14 +65,14 @@ def _similarity_drops(volume: Volume, scale: AirScale, is_changed: NDArray[np.bo
         if below is not None:
             lung = (above > low) & (above < high) & (below > low) & (below < high)
             area[k - 1] = lung.sum() * block_mm2
-            if area[k - 1] >= LEAST_AREA_MM2:
+            if area[k - 1] >= MIN_AREA_MM2:
                 one, two = above[lung] - above[lung].mean(), below[lung] - below[lung].mean()
                 power = float(np.sqrt((one * one).sum() * (two * two).sum()))
                 alike[k - 1] = np.arctanh(np.clip(float((one * two).sum()) / max(power, 1e-9), -0.99, 0.99))
         below = above
     if is_changed is not None:
         alike[is_changed[:-1] | is_changed[1:]] = np.nan
-    alike[area < LEAST_SHARE * area.max(initial=0.0)] = np.nan
+    alike[area < MIN_SHARE * area.max(initial=0.0)] = np.nan
     padded = np.pad(alike, NUM_BESIDE, constant_values=np.nan)
     places = [n for n in range(2 * NUM_BESIDE + 1) if n != NUM_BESIDE]
     # The minimum is NaN if any neighbouring pair is not compared.

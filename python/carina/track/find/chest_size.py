@@ -18,14 +18,14 @@ WIDE_PART = 75.0
 # mm).
 EDGE_VOXELS = 0.5
 # Smallest size of a chest relative to an adult's: a trachea of 4 mm is that of a newborn.
-LEAST_SIZE = 0.25
+MIN_SIZE = 0.25
 # Longest and usual length in mm of an adult's trachea; both are larger for a trachea that is wider than usual, by at
-# most the factor ``MOST_LONGER``.
+# most the factor ``MAX_LONGER``.
 LONGEST_TRACHEA_MM, USUAL_TRACHEA_MM = 150.0, 110.0
 # Usual diameter of an adult's trachea, mm.
 USUAL_DIAMETER_MM = 17.3
 # Largest factor by which a wide trachea may be longer than usual.
-MOST_LONGER = 1.2
+MAX_LONGER = 1.2
 # Reduction of the size over which the confidence of the thinnest airways falls, because they were verified in adults
 # only.
 THREAD_FALL = 0.04
@@ -50,11 +50,11 @@ def search_size(volume: Volume, diameters_mm: NDArray[np.float64]) -> float:
         return 1.0
     voxel_mm = sorted(volume.spacing_mm)[1]
     wide_mm = float(np.percentile(diameters_mm, WIDE_PART)) + EDGE_VOXELS * voxel_mm
-    return float(np.clip(wide_mm / ADULT_MM, LEAST_SIZE, 1.0))
+    return float(np.clip(wide_mm / ADULT_MM, MIN_SIZE, 1.0))
 
 
 def _lower_diameter(diameter_mm: float) -> float:
-    return float(np.clip(diameter_mm / USUAL_DIAMETER_MM, 1.0, MOST_LONGER))
+    return float(np.clip(diameter_mm / USUAL_DIAMETER_MM, 1.0, MAX_LONGER))
 
 
 def longest_trachea_mm(diameter_mm: float) -> float:

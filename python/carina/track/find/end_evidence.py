@@ -30,19 +30,19 @@ BEYOND_END_MM = 3.0
 TISSUE_HU = (-150.0, 200.0)
 BLUR_MM = 3.0
 """Largest distance in mm from the wall of the end at which the soft tissue of a filling begins."""
-LEAST_TISSUE_MM, LEAST_TISSUE_WIDTHS, LEAST_TISSUE_SLICES = 6.0, 1.2, 3.0
+MIN_TISSUE_MM, MIN_TISSUE_WIDTHS, MIN_TISSUE_SLICES = 6.0, 1.2, 3.0
 """Least length of soft tissue in mm, in lumen widths and in slices.
 
 Beyond a fork that the search missed, an artery continues in the direction of the bronchus for less than this.
 """
 TISSUE_CONE_DEG = (0.0, 10.0)
 USUAL_WALL_MM = 1.2
-LEAST_WIDTH, MOST_WIDTH = 0.75, 1.35
+MIN_WIDTH, MAX_WIDTH = 0.75, 1.35
 """Range of the outer width of the filled bronchus, relative to the outer width of its open part."""
 SECTIONS = (0.2, 0.4, 0.6, 0.8)
-LEAST_SECTIONS = 3
+MIN_SECTIONS = 3
 
-LEAST_STUMP_MM = 5.0
+MIN_STUMP_MM = 5.0
 """Least width in mm of an end that is judged as a stump.
 
 The branches beyond a narrower end may be too thin for the CT.
@@ -54,17 +54,17 @@ WIDE_MM, CLOSED_WIDE_HU = 7.0, -700.0
 An airway that continues a wide end is wide enough for its lumen to show in slices of 3 mm, so a faint wall proves that
 there is none.
 """
-LEAST_RISE_HU = 120.0
+MIN_RISE_HU = 120.0
 """Least rise in HU from the lung to the wall of a wide end, unless the wall reaches ``CLOSED_HU``."""
 LUNG_FROM_MM = 4.0
 """Distance in mm from the wall of an end at which the lung beside the end is measured."""
 CLOSED_CONE_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
 CLOSED_STEP_DEG = 15.0
-LEAST_JUDGED = 0.6
+MIN_JUDGED = 0.6
 CLIP_HU = 2000.0
 """Least value in HU of surgical clips: brighter than bone, calcified cartilage and calcified lymph nodes."""
 CLIP_REACH_MM = 12.0
-LEAST_CLIP_MM3 = 3.0
+MIN_CLIP_MM3 = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ def find_end_evidence(volume: Volume, look: CrossSampler, branch: Branch, width_
     tissue_mm = _filled_mm(volume, look, branch.tip_lps, axis, width_mm)
     if tissue_mm is not None:
         return EndEvidence("tissue", tissue_mm, has_clips=False)
-    if width_mm < LEAST_STUMP_MM:
+    if width_mm < MIN_STUMP_MM:
         return None
     if not is_closed(look, branch.tip_lps, axis, width_mm):
         return None
@@ -145,7 +145,7 @@ def _filled_mm(volume: Volume, look: CrossSampler, tip: Points, axis: Points, wi
     low, high = (float(look.scale.level(hu)) for hu in TISSUE_HU)
     at = np.arange(0.0, FARTHEST_MM, STEP_MM)
     outer_mm = width_mm + 2.0 * USUAL_WALL_MM
-    least_mm = max(LEAST_TISSUE_MM, LEAST_TISSUE_WIDTHS * width_mm, LEAST_TISSUE_SLICES * max(volume.spacing_mm))
+    least_mm = max(MIN_TISSUE_MM, MIN_TISSUE_WIDTHS * width_mm, MIN_TISSUE_SLICES * max(volume.spacing_mm))
     best: float | None = None
     for direction in _cone(axis, TISSUE_CONE_DEG):
         places = tip + at[:, None] * direction
@@ -164,8 +164,8 @@ def _filled_mm(volume: Volume, look: CrossSampler, tip: Points, axis: Points, wi
         seen = 0
         for share in SECTIONS:
             middle = look.middle(places[int(solid[0])] + share * length_mm * direction, direction, outer_mm + 4.0)
-            seen += middle is not None and LEAST_WIDTH * outer_mm <= middle[1] <= MOST_WIDTH * outer_mm
-        if seen >= LEAST_SECTIONS:
+            seen += middle is not None and MIN_WIDTH * outer_mm <= middle[1] <= MAX_WIDTH * outer_mm
+        if seen >= MIN_SECTIONS:
             best = length_mm
     return best
 
@@ -185,7 +185,7 @@ def closed_level(look: CrossSampler, tip: Points, width_mm: float) -> float:
     usual = float(look.scale.level(CLOSED_HU))
     if width_mm < WIDE_MM:
         return usual
-    rise = float(look.scale.level(LEAST_RISE_HU) - look.scale.level(0.0))
+    rise = float(look.scale.level(MIN_RISE_HU) - look.scale.level(0.0))
     lung = _lung_level(look, tip, width_mm)
     least = float(look.scale.level(CLOSED_WIDE_HU))
     return least if np.isnan(lung) else min(max(least, lung + rise), usual)
@@ -204,7 +204,7 @@ def is_closed(
         End of the airway, direction of the airway, and its diameter.
     beside
         Centreline and radii of an airway that leaves at the end: directions that meet this airway are not judged. At
-        least ``LEAST_JUDGED`` of all directions must be left.
+        least ``MIN_JUDGED`` of all directions must be left.
     """
     level = closed_level(look, tip, width_mm)
     at = np.arange(0.0, 0.65 * width_mm + BEYOND_END_MM, STEP_MM)
@@ -214,7 +214,7 @@ def is_closed(
         places = tip + at[None, at >= 0.5 * width_mm, None] * directions[:, None, :]
         off_mm = np.linalg.norm(places[:, :, None, :] - beside[0], axis=-1) - beside[1]
         judged = directions[off_mm.min(axis=(1, 2)) > 0.0]
-        if len(judged) < LEAST_JUDGED * len(directions):
+        if len(judged) < MIN_JUDGED * len(directions):
             return False
     return all(float(look.along(tip + at[:, None] * way, way).max()) >= level for way in judged)
 
@@ -229,4 +229,4 @@ def has_clips(volume: Volume, point: Points) -> bool:
     low = np.maximum(middle - reach, 0)
     high = np.minimum(middle + reach + 1, np.array(volume.shape_zyx[::-1]))
     box = volume.hu_zyx[low[2] : high[2], low[1] : high[1], low[0] : high[0]]
-    return bool((box >= CLIP_HU).sum() * float(np.prod(spacing)) >= LEAST_CLIP_MM3)
+    return bool((box >= CLIP_HU).sum() * float(np.prod(spacing)) >= MIN_CLIP_MM3)

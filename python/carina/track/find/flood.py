@@ -27,9 +27,9 @@ SMALL_LEAK_MM3 = 3_000.0
 CLOSED_RADIUS_MM = 10.0
 # Volume in mm3 of a lumen above which, together with its share of lung and lumen, the lumen contains lung; trachea and
 # bronchi have 40 to 100 ml.
-MOST_LUMEN_MM3 = 150_000.0
+MAX_LUMEN_MM3 = 150_000.0
 # Largest share of the lung that a lumen without leaks can fill.
-MOST_OF_LUNG = 0.1
+MAX_LUNG_SHARE = 0.1
 # Sigmas in mm of the smoothed copies in which a flood that leaked is repeated.
 SMOOTHED_MM = (0.7, 1.0, 1.5)
 
@@ -143,12 +143,12 @@ def _is_lung(volume: Volume, lumen: NDArray[np.uint8], scale: AirScale) -> bool:
     """Return whether a lumen is larger than airways can be, because it leaked through walls that noise had opened."""
     voxel_mm3 = abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3])))
     flooded = int(np.count_nonzero(lumen))
-    if flooded * voxel_mm3 <= MOST_LUMEN_MM3:
+    if flooded * voxel_mm3 <= MAX_LUMEN_MM3:
         return False
     low, high = (scale.level(hu) for hu in LUNG_HU)
     # Count slice by slice, to avoid a second volume, and include the flood, which may have filled the lung.
     lung = sum(int(np.count_nonzero((values >= low) & (values <= high))) for values in volume.hu_zyx)
-    return flooded > MOST_OF_LUNG * (lung + flooded)
+    return flooded > MAX_LUNG_SHARE * (lung + flooded)
 
 
 def _air_and_noise(volume: Volume, seeds: Sequence[tuple[int, int, int]], scale: AirScale) -> tuple[float, float]:

@@ -24,7 +24,7 @@ STOPPED = "track.search-stopped"
 """Code of the permanent note on a search that leaked out of the airways."""
 
 # Least rise in HU to the wall of an airway that is followed beyond the flood (docs/decisions/0112).
-LEAST_RISE_HU = 15.0
+MIN_RISE_HU = 15.0
 # Longest gap in mm in the wall of a followed airway: mucus or heart motion can hide a wall.
 GAP_MM = 2.0
 # Shortest branch in mm that is followed.
@@ -38,9 +38,9 @@ THICK_SECTIONS = 5.0
 HALF_WALL_HU = -500.0
 
 # Least probability that a followed path, and each path from which it continues, is an airway (docs/decisions/0112).
-LEAST_PROBABILITY = 0.7
+MIN_PROBABILITY = 0.7
 # Log odds that a section must exceed in divided slices; the excess supports the path (docs/decisions/0114).
-LEAST_ODDS = 0.3
+MIN_ODDS = 0.3
 
 # Undershoot in HU beside edges above which a kernel counts as sharp; dark rims look like airways
 # (docs/decisions/0113).
@@ -55,9 +55,9 @@ BARS = (1.0, 2.0, 4.0)
 # The same factors for CTs with a sharp kernel.
 SHARP_BARS = (3.0, 5.0)
 # Largest share of the lung that a search reaches without a leak (intact searches: at most 0.4 %).
-MOST_REACHED = 0.02
+MAX_REACHED = 0.02
 # Largest length in mm that a search follows without a leak (at most 0.35 m in eight CTs).
-MOST_FOLLOWED_MM = 2500.0
+MAX_FOLLOWED_MM = 2500.0
 # Largest length in mm that a search follows without a leak in CTs with a sharp kernel.
 SHARP_FOLLOWED_MM = 400.0
 
@@ -65,9 +65,9 @@ SHARP_FOLLOWED_MM = 400.0
 # (docs/decisions/0112).
 THIN_BRIGHTEST_HU = -400.0
 # Least value in HU of the wall of such an airway, which is brighter than lung.
-THIN_LEAST_WALL_HU = -700.0
+THIN_MIN_WALL_HU = -700.0
 # Least depth in HU of the dark middle, averaged over 5 mm; no such depth occurs in lung.
-THIN_LEAST_DIP_HU = 22.0
+THIN_MIN_DIP_HU = 22.0
 # Least mean depth in HU of the dark middle over an accepted path.
 THIN_ACCEPTED_DIP_HU = 20.0
 # Largest sigma in mm of the blur of a CT, without the blur by its voxels.
@@ -77,7 +77,7 @@ THIN_MIN_MM, THIN_MIN_SLICES, THIN_MIN_VOXELS = 2.0, 2.5, 3.0
 # Shortest of the thinnest airways that leave an airway sideways, in mm, slices and voxels.
 THIN_SIDE_MM, THIN_SIDE_SLICES, THIN_SIDE_VOXELS = 5.0, 3.3, 6.0
 # Largest share of the lung that the search for the thinnest airways reaches without a leak.
-MOST_REACHED_THIN = 0.1
+MAX_REACHED_THIN = 0.1
 
 SOFT_KERNEL = "If available, open a reconstruction with a soft kernel"
 
@@ -140,14 +140,14 @@ def follow_small_airways(
     if undershoot_hu is None:
         undershoot_hu = edge_undershoot_hu(searched.volume, scale)
     is_sharp = undershoot_hu is not None and undershoot_hu > most_hu
-    least_rise = scale.span(LEAST_RISE_HU)
+    least_rise = scale.span(MIN_RISE_HU)
     if undershoot_hu is not None and is_sharp:
         least_rise = max(least_rise, scale.span(SHARP_BAR * undershoot_hu))
 
     divided = None
     if searched.divided is not None:
         axis, slice_mm = searched.divided
-        divided = (axis, slice_mm / size, LEAST_ODDS)
+        divided = (axis, slice_mm / size, MIN_ODDS)
 
     def extend_with(raised: float) -> dict[str, Any]:
         return extend_lumen(
@@ -161,8 +161,8 @@ def follow_small_airways(
             gap_mm=GAP_MM,
             min_length_mm=MIN_FOLLOWED_MM + THICK_SECTIONS * max(max(volume.spacing_mm) - THIN_SLICE_MM, 0.0),
             raised=raised,
-            most_reached=MOST_REACHED,
-            least_probability=LEAST_PROBABILITY,
+            most_reached=MAX_REACHED,
+            least_probability=MIN_PROBABILITY,
             divided=divided,
             cancel=stage.cancel,
             progress=stage.share,
@@ -175,7 +175,7 @@ def follow_small_airways(
     for raised in SHARP_BARS if is_sharp else BARS:
         found = extend_with(raised)
         if not found["ran_out"] and _length_mm(found["followed"]) <= (
-            SHARP_FOLLOWED_MM if is_sharp else MOST_FOLLOWED_MM
+            SHARP_FOLLOWED_MM if is_sharp else MAX_FOLLOWED_MM
         ):
             followed = found["followed"]
             break
@@ -242,13 +242,13 @@ def _follow_thin_airways(
         air=air,
         lung=(scale.level(LUNG_HU[0]), scale.level(LUNG_HU[1])),
         brightest=scale.level(THIN_BRIGHTEST_HU),
-        least_wall=scale.level(THIN_LEAST_WALL_HU),
-        least_dip=scale.span(THIN_LEAST_DIP_HU),
+        least_wall=scale.level(THIN_MIN_WALL_HU),
+        least_dip=scale.span(THIN_MIN_DIP_HU),
         kept_dip=scale.span(THIN_ACCEPTED_DIP_HU),
         blur_mm=THIN_BLUR_MM,
         min_length_mm=max(THIN_MIN_MM, THIN_MIN_SLICES * slice_mm, THIN_MIN_VOXELS * voxel_mm),
         min_side_mm=max(THIN_SIDE_MM, THIN_SIDE_SLICES * slice_mm, THIN_SIDE_VOXELS * voxel_mm),
-        most_reached=MOST_REACHED_THIN,
+        most_reached=MAX_REACHED_THIN,
         cancel=stage.cancel,
         progress=stage.share,
     )

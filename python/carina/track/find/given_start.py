@@ -29,7 +29,7 @@ __all__ = [
 # brighter.
 ENCLOSED_HU = (-800.0, -900.0, -950.0)
 # Largest area in mm2 of an airway's section in a slice: a main bronchus that runs along the slice.
-MOST_SECTION_MM2 = 1500.0
+MAX_SECTION_MM2 = 1500.0
 # Largest distance in mm from the middle of the trachea to its wall.
 IN_TRACHEA_MM = 18.0
 # Distance in mm above the upper end of the found trachea beyond which a given point may be in the true trachea.
@@ -136,7 +136,7 @@ def refuse_open_air(volume: Volume, scale: AirScale, root: Point, voxel: tuple[i
         start = np.zeros(values.shape, dtype=np.bool_)
         start[j, i] = True
         section = connected_to(start, values < scale.level(level))
-        if float(section.sum()) * dx * dy <= MOST_SECTION_MM2:
+        if float(section.sum()) * dx * dy <= MAX_SECTION_MM2:
             return
     msg = (
         f"the root {words(root)} is not in an airway: the air there merges with the lung or lies outside the body; "

@@ -29,13 +29,13 @@ SOFT_HU = 3.0
 # Undershoot in HU of the more strongly softened copy, which is searched if the first softened copy leaks too.
 SOFTEST_HU = -8.0
 # Largest factor by which a kernel in use enhances fine detail; a larger estimate comes from noise.
-MOST_RAISED = 3.2
+MAX_RAISED = 3.2
 # Number of iterations in which the amount of softening is determined.
 STEPS = 5
 # Thickness in mm of the slab in the middle of the volume from which the amount of softening is determined.
 SLAB_MM = 40.0
 # Least number of slices of that slab.
-LEAST_SLAB = 24
+MIN_SLAB = 24
 # Lowest value in HU of most files.
 FLOOR_HU = -1024.0
 # Value in HU of air.
@@ -168,7 +168,7 @@ def soften(volume: Volume, scale: AirScale, most_hu: float = SOFT_HU) -> Softene
         depths = [depth for depth, is_sharp in zip(left, axes, strict=True) if is_sharp and depth is not None]
         return not depths or float(np.mean(depths)) <= most_hu
 
-    low, high = 0.0, MOST_RAISED
+    low, high = 0.0, MAX_RAISED
     if is_soft(high):
         for _ in range(STEPS):
             middle = 0.5 * (low + high)
@@ -179,7 +179,7 @@ def soften(volume: Volume, scale: AirScale, most_hu: float = SOFT_HU) -> Softene
 
 
 def _central_part(volume: Volume) -> Volume:
-    num = max(int(np.ceil(SLAB_MM / volume.spacing_mm[2])), LEAST_SLAB)
+    num = max(int(np.ceil(SLAB_MM / volume.spacing_mm[2])), MIN_SLAB)
     first = max((volume.shape_zyx[0] - num) // 2, 0)
     return dataclasses.replace(volume, hu_zyx=volume.hu_zyx[first : first + num])
 

@@ -17,7 +17,7 @@ RIM_MM = 2.3
 # Distances in mm from an edge between which undisturbed lung is measured.
 LUNG_FROM_MM, LUNG_TO_MM = 4.0, 7.0
 # Largest voxel size in mm at which undershoot is measured; longer voxels average it away.
-MOST_VOXEL_MM = 1.6
+MAX_VOXEL_MM = 1.6
 # Approximate number of voxels per axis in which edges are searched.
 NUM_VOXELS = 400_000
 # Least number of edges for a measurement.
@@ -49,7 +49,7 @@ def undershoots_hu(volume: Volume, scale: AirScale) -> tuple[float | None, float
     A value is None if there are too few edges or the voxels are too long.
     """
     x, y, z = (
-        _undershoot_along(volume.hu_zyx, 2 - axis, spacing_mm, scale) if spacing_mm <= MOST_VOXEL_MM else None
+        _undershoot_along(volume.hu_zyx, 2 - axis, spacing_mm, scale) if spacing_mm <= MAX_VOXEL_MM else None
         for axis, spacing_mm in enumerate(volume.spacing_mm)
     )
     return x, y, z

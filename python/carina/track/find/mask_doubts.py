@@ -27,7 +27,7 @@ MIDDLE = 0.35
 # Distance in mm beyond the radius up to which the wall is searched.
 WALL_REACH_MM = 2.0
 # Least rise from the lumen to a wall, in standard deviations of the noise and in HU.
-RISE_SIGMA, LEAST_RISE_HU = 4.0, 80.0
+RISE_SIGMA, MIN_RISE_HU = 4.0, 80.0
 # Least share of the sides on which the wall must be visible.
 MIN_WALLED = 0.6
 # Value in HU (half-way between air and soft tissue) above which a voxel is not air.
@@ -35,9 +35,9 @@ AIR_HU = -500.0
 # Least share of a branch's length with evidence; with less the branch is doubtful.
 MIN_EVIDENCE = 0.4
 # Largest share of the mask's length in doubtful branches; with more the mask is doubtful.
-MOST_DOUBTED = 0.2
+MAX_DOUBTED = 0.2
 # Largest radius in mm of a judged branch: wide airways stay dark under a mask that is displaced by some mm.
-MOST_RADIUS_MM = 7.0
+MAX_RADIUS_MM = 7.0
 
 
 def mask_evidence(volume: Volume, branches: tuple[Branch, ...], noise_hu: float, scale: AirScale) -> list[Points]:
@@ -67,7 +67,7 @@ def mask_evidence(volume: Volume, branches: tuple[Branch, ...], noise_hu: float,
     is_middle = off <= np.maximum(MIDDLE * radius, 1e-6)[:, None]
     middle = (values.mean(axis=1) * is_middle).sum(axis=1) / is_middle.sum(axis=1)
     rise = values.max(axis=2) - middle[:, None]
-    least = max(RISE_SIGMA * scale.span(noise_hu), scale.span(LEAST_RISE_HU))
+    least = max(RISE_SIGMA * scale.span(noise_hu), scale.span(MIN_RISE_HU))
     with_wall = (rise > least).mean(axis=1)
     with_wall[middle > scale.level(AIR_HU)] = 0.0
     return list(np.split(with_wall, np.cumsum(counts)[:-1]))
@@ -121,12 +121,12 @@ def with_mask_doubts(
     doubts = [
         (branch.length_mm, share)
         for branch, share in zip(tree.branches, shares, strict=True)
-        if float(np.median(branch.radius)) <= MOST_RADIUS_MM
+        if float(np.median(branch.radius)) <= MAX_RADIUS_MM
     ]
     total_mm = sum(length for length, _ in doubts)
     doubted = [length for length, share in doubts if share < MIN_EVIDENCE]
     note = None
-    if sum(doubted) > MOST_DOUBTED * total_mm:
+    if sum(doubted) > MAX_DOUBTED * total_mm:
         words = (
             f"the segmentation does not match this CT: {len(doubted)} of its {len(doubts)} smaller airways, "
             f"{100.0 * sum(doubted) / total_mm:.0f} % of their length, lie in tissue, or in lung without a wall "

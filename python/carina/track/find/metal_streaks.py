@@ -20,15 +20,15 @@ Floats = NDArray[np.float32]
 
 METAL_HU = 2000.0
 """Lowest value in HU of metal; surgical clips, dense contrast medium and tooth enamel are brighter."""
-LEAST_METAL_HU = 1000.0
+MIN_METAL_HU = 1000.0
 """Lowest value in HU of metal in a file whose values have a smaller range.
 
 Voxels at the highest value of such a file may be metal if that value is at least this.
 """
-LEAST_METAL_MM2 = 0.4
+MIN_METAL_MM2 = 0.4
 JOINED_MM = 4.0
 """Largest distance in mm between voxels of metal that belong to one piece."""
-MOST_PIECES = 5
+MAX_PIECES = 5
 """Largest number of pieces of metal that are examined per slice, the largest first."""
 
 NUM_DIRECTIONS = 180
@@ -44,10 +44,10 @@ STREAK_HU = 60.0
 BESIDE_MM = 18.0
 # Least share of directions with a streak within BESIDE_MM. In 552 slices of four CTs with dense contrast medium,
 # calcium and catheters at most 5 %, with noise of 180 HU 16 %; within this distance of most clips 20 % or more.
-LEAST_SHARE = 0.18
+MIN_SHARE = 0.18
 # Least share of directions with a streak at the end of the changed part. In the same slices at most 9 % from 18 to
 # 38 mm.
-LEAST_SHARE_FAR = 0.2
+MIN_SHARE_FAR = 0.2
 SAME_MM = 2.0
 """Distance in mm from a slice with streaks within which other slices contain a part of the streaks."""
 
@@ -63,7 +63,7 @@ def find_streaks(volume: Volume, scale: AirScale) -> Mask | None:
         Conversion from HU to the values of the volume.
     """
     metal = min(scale.level(METAL_HU), volume.value_range[1])
-    if metal < scale.level(LEAST_METAL_HU):
+    if metal < scale.level(MIN_METAL_HU):
         return None
     dx, dy, dz = volume.spacing_mm
     reach = max(round(SAME_MM / dz), 1)
@@ -100,9 +100,9 @@ def _pieces(metal: Mask, step_mm: tuple[float, float]) -> list[tuple[float, floa
                 if beside in cells:
                     waiting.append((beside, cells.pop(beside)))
         pieces.append(own)
-    pieces = [own for own in pieces if len(own) * step_mm[0] * step_mm[1] >= LEAST_METAL_MM2]
+    pieces = [own for own in pieces if len(own) * step_mm[0] * step_mm[1] >= MIN_METAL_MM2]
     pieces.sort(key=lambda own: (-len(own), min(own)))
-    centres = [voxels[own].mean(axis=0) for own in pieces[:MOST_PIECES]]
+    centres = [voxels[own].mean(axis=0) for own in pieces[:MAX_PIECES]]
     return [(float(j), float(i)) for j, i in centres]
 
 
@@ -113,11 +113,11 @@ def _radius_mm(
     # Most metal causes no streaks: test close to it first, to avoid sampling the rest of the slice.
     close = np.arange(FROM_MM, BESIDE_MM + ALONG_MM, STEP_MM)
     share = _share_of_streaks(plane, centre, close, step_mm, scale)
-    if share[close <= BESIDE_MM].mean() < LEAST_SHARE:
+    if share[close <= BESIDE_MM].mean() < MIN_SHARE:
         return None
     away = np.arange(FROM_MM, TO_MM, STEP_MM)
     share = _share_of_streaks(plane, centre, away, step_mm, scale)
-    ends = np.flatnonzero((share < LEAST_SHARE_FAR) & (away > BESIDE_MM))
+    ends = np.flatnonzero((share < MIN_SHARE_FAR) & (away > BESIDE_MM))
     return float(away[int(ends[0])]) if len(ends) else TO_MM
 
 

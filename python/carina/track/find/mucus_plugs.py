@@ -28,12 +28,12 @@ Floats = NDArray[np.float64]
 # Limits for air and lung.
 DARKEST_HU = -930.0
 """Upper limit in HU of air in an island (air that no path reaches): half-way between air and lung."""
-LEAST_RISE_HU = 150.0
+MIN_RISE_HU = 150.0
 """Least rise in HU of a wall above the lumen, if ``NOISE_RISE`` times the noise is less."""
 NOISE_RISE = 4.0
 """Least rise of a wall above the lumen, as a multiple of the noise."""
-LEAST_WALLED = 0.85
-LEAST_IN_LUNG = 0.5
+MIN_WALLED = 0.85
+MIN_IN_LUNG = 0.5
 """Least share of the sides of an airway island's end that touch lung; air in the oesophagus has no such end."""
 WIDER, WALL_REACH_MM = 1.6, 2.5
 """Largest distance of an airway island's wall from its axis: a multiple of its radius, plus a distance in mm."""
@@ -43,17 +43,17 @@ EDGE_MM = 2.0
 
 FARTHEST_MM = 45.0
 """Largest length in mm of the gap between an island and the airways."""
-MOST_OFF_DEG = 60.0
+MAX_OFF_DEG = 60.0
 """Largest angle in degrees between the axis of an island's end and the gap."""
 STEP_MM = 0.4
 """Distance in mm between samples along a gap."""
-LEAST_GAP_MM = 2.5
+MIN_GAP_MM = 2.5
 """Least length in mm of a filled gap."""
-LEAST_GAP_VOX = 2.0
+MIN_GAP_VOX = 2.0
 """Least length in voxels of a filled gap."""
-MOST_DARK = 0.25
+MAX_DARK = 0.25
 """Largest share of the gap between an island and the airways that may be as dark as lung."""
-MOST_LOOSE_MM = 2.5
+MAX_LOOSE_MM = 2.5
 """Largest distance in mm between the filling and the lumen on either side of the filling."""
 BRIGHTEST_HU = 250.0
 """Value in HU above which a voxel is bone, calcification or a vessel with contrast medium, and no filling."""
@@ -66,11 +66,11 @@ USUAL_WALL_MM = 1.2
 """Thickness in mm of the wall of a filled bronchus if it cannot be measured beyond the filling."""
 CROSS = (0.25, 0.4, 0.5, 0.6, 0.75)
 """Positions of the sections across the filling, as fractions of its length."""
-MOST_OUTER_MM = 9.0
+MAX_OUTER_MM = 9.0
 """Largest distance in mm from the axis of a filled bronchus at which its border is searched."""
-LEAST_AIR = 0.15
+MIN_AIR = 0.15
 """Least share of air in a filled bronchus that counts as air; less may be fat, noise, or blur."""
-LEAST_CROSS = 2
+MIN_CROSS = 2
 """Least number of sections across the filling in which the border of the bronchus must be visible."""
 ALIKE = 1.4
 """Largest ratio between the widths of sections of one lumen; with a larger ratio, a section cuts the end or a fork."""
@@ -174,7 +174,7 @@ class _GapSearch:
         self._volume, self._look, self._tree, self._lumen = volume, look, tree, lumen_zyx
         self.voxel_mm = float(np.cbrt(np.prod(volume.spacing_mm)))
         self.fine_mm = max(FINE_MM, FINE_VOX * self.voxel_mm, FINE_SLICES * slice_mm)
-        self._rise = max(look.scale.span(LEAST_RISE_HU), NOISE_RISE * noise)
+        self._rise = max(look.scale.span(MIN_RISE_HU), NOISE_RISE * noise)
         self._points = np.concatenate([branch.points for branch in tree.branches])
         self._radius = np.concatenate([branch.radius for branch in tree.branches])
         self._owner = np.concatenate([np.full(len(branch.points), n) for n, branch in enumerate(tree.branches)])
@@ -203,7 +203,7 @@ class _GapSearch:
         away = np.linalg.norm(off, axis=1)
         aligned = (off @ end.outward) / np.maximum(away, 1e-9)
         gap = away - self._radius
-        chosen = np.flatnonzero((gap <= FARTHEST_MM) & (gap > 0.0) & (aligned >= np.cos(np.radians(MOST_OFF_DEG))))
+        chosen = np.flatnonzero((gap <= FARTHEST_MM) & (gap > 0.0) & (aligned >= np.cos(np.radians(MAX_OFF_DEG))))
         if not len(chosen) or not self._is_walled(end):
             return []
         score = np.maximum(gap[chosen], 1.0) / aligned[chosen] ** 2
@@ -229,12 +229,12 @@ class _GapSearch:
         length_mm = (last - first) * STEP_MM
         inside = values[first : last + 1]
         if (
-            length_mm < max(LEAST_GAP_MM, LEAST_GAP_VOX * self.voxel_mm)
-            or (inside < self._look.half).mean() > MOST_DARK
+            length_mm < max(MIN_GAP_MM, MIN_GAP_VOX * self.voxel_mm)
+            or (inside < self._look.half).mean() > MAX_DARK
             or (inside > self._look.scale.level(BRIGHTEST_HU)).mean() > 0.5
             # The axis of an island ends just inside the island: tissue farther away is separated from it by lung.
-            or first * STEP_MM > MOST_LOOSE_MM + 2.0 * end.radius_mm
-            or (arrives - last) * STEP_MM > MOST_LOOSE_MM
+            or first * STEP_MM > MAX_LOOSE_MM + 2.0 * end.radius_mm
+            or (arrives - last) * STEP_MM > MAX_LOOSE_MM
         ):
             return None
         inside_lps = places[first : last + 1]
@@ -256,7 +256,7 @@ class _GapSearch:
 
     def _is_walled(self, end: IslandEnd) -> bool:
         """Return whether a wall surrounds the air at an end of an island."""
-        return bool(np.isfinite(self._inner_rays(end)[1]).mean() >= LEAST_WALLED)
+        return bool(np.isfinite(self._inner_rays(end)[1]).mean() >= MIN_WALLED)
 
     def _lies_in_lung(self, island: Island) -> bool:
         """Return whether some end of an island has a wall and, close outside the wall, lung on most sides."""
@@ -270,7 +270,7 @@ class _GapSearch:
         # Compare with the peak of the wall, not with the edge of the lumen.
         risen = np.maximum.accumulate(np.where(at >= inner[:, None], rays, -np.inf), axis=1)
         fallen = outside & (rays <= self._look.lung) & (risen - rays >= 0.5 * self._rise)
-        return bool(fallen.any(axis=1).mean() >= LEAST_IN_LUNG)
+        return bool(fallen.any(axis=1).mean() >= MIN_IN_LUNG)
 
     def _uncertainty(self, gap: _Gap) -> Uncertainty | None:
         branch, _, _ = self._tree.nearest_branch(gap.lumen_lps)
@@ -296,7 +296,7 @@ class _GapSearch:
         widths = []
         for back_mm in (0.0, 1.5, 3.0, 4.5):
             _, inner = self._inner_rays(end, back_mm)
-            if np.isfinite(inner).mean() >= LEAST_WALLED:
+            if np.isfinite(inner).mean() >= MIN_WALLED:
                 widths.append(float(np.nanmedian(inner[:16] + inner[16:])))
         return min(widths) if len(widths) > 1 and max(widths) <= ALIKE * min(widths) else None
 
@@ -315,7 +315,7 @@ class _GapSearch:
     def _follow_axis(self, gap: _Gap, after: float | None) -> tuple[Points, list[float]]:
         """Return the axis of the filled part, centred between its borders, and the outer widths (mm) along it."""
         direction = gap.near_lps - gap.far_lps
-        reach = max(MOST_OUTER_MM, 0.9 * (after or 0.0) + 3.0)
+        reach = max(MAX_OUTER_MM, 0.9 * (after or 0.0) + 3.0)
         axis = gap.far_lps + np.array(CROSS)[:, None] * direction
         outer: list[float] = []
         for n, start in enumerate(axis):
@@ -333,7 +333,7 @@ class _GapSearch:
         # Partial volume: a crescent of air thinner than a voxel is not as dark as air, but darkens in proportion.
         share = np.clip((scale.level(0.0) - plane.values) / scale.span(1000.0), 0.0, 1.0)
         share[np.hypot(*np.moveaxis(plane.off_mm, -1, 0)) > reach] = 0.0
-        share[share < LEAST_AIR] = 0.0
+        share[share < MIN_AIR] = 0.0
         area = float(share.sum()) * plane.step_mm**2
         return 2.0 * float(np.sqrt(area / np.pi)) if area >= self.voxel_mm**2 else 0.0
 
@@ -343,7 +343,7 @@ class _GapSearch:
         The lumen beyond the filling is not sufficient alone: the part before its next fork is short.
         """
         wall = self._wall_mm(end)
-        if len(outer) < LEAST_CROSS:
+        if len(outer) < MIN_CROSS:
             return None, None
         value = float(np.median(outer)) - 2.0 * (USUAL_WALL_MM if wall is None else wall)
         spread = 0.5 * float(np.ptp(np.quantile(outer, [0.2, 0.8])))

@@ -14,9 +14,9 @@ REACH_MM = 30.0
 """Largest distance in mm from the trachea at which padding is searched."""
 BLOCK_KJI = (3, 5, 5)
 """Size in voxels (k, j, i) of the smallest block of one value that counts as padding; noise produces no such block."""
-LEAST_MM3 = 60_000.0
+MIN_MM3 = 60_000.0
 """Least volume of padding in mm3: larger than a wide trachea, whose air values a scanner may have clipped."""
-MOST_EQUAL = 0.25
+MAX_EQUAL = 0.25
 """Share of equal neighbours in the lower trachea above which its air has no noise and looks like padding."""
 
 
@@ -63,10 +63,10 @@ def padding_near(volume: Volume, trachea: list[tuple[int, int, int]]) -> NDArray
     has_one_value = least == most
     if not has_one_value.any():
         return None
-    if _share_of_equal_neighbours(volume, voxels[len(voxels) // 2 :]) > MOST_EQUAL:
+    if _share_of_equal_neighbours(volume, voxels[len(voxels) // 2 :]) > MAX_EQUAL:
         return None
     padding = _mark_blocks(has_one_value, BLOCK_KJI, 0)
-    if padding.sum() * abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3]))) < LEAST_MM3:
+    if padding.sum() * abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3]))) < MIN_MM3:
         return None
     mask = np.zeros(volume.shape_zyx, dtype=np.bool_)
     mask[box] = padding

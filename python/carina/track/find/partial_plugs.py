@@ -24,20 +24,20 @@ NARROW = 0.88
 
 A bronchus that is filled to half its height has 0.71.
 """
-LEAST_LONG_MM = 4.0
+MIN_LONG_MM = 4.0
 NEAR_MM = 25.0
 """Largest distance in mm along a branch from narrow air to air that is wide again."""
-MOST_SHARE = 0.9
+MAX_SHARE = 0.9
 """Quantile of the width that counts as the widest part of a branch: forks flare."""
 INNER = 0.85
 """Share of the radius that is certainly inside the wall, despite blur and a bent axis."""
-LEAST_FILLED, MOST_LUNG = 0.1, 0.1
+MIN_FILLED, MAX_LUNG = 0.1, 0.1
 """Least share of filling, and largest share of lung, in the circle inside the wall of a filled bronchus."""
 ONE_SIDED = 0.15
 EACH_MM = 1.0
-LEAST_TOLD = 4
+MIN_STATED = 4
 """Smallest number of sections with material between air and wall for a reported place."""
-MOST_SHIFT = 0.9
+MAX_SHIFT = 0.9
 
 
 def find_narrowed(look: CrossSampler, tree: AirwayTree, voxel_mm: float, least_mm: float) -> list[Uncertainty]:
@@ -65,7 +65,7 @@ def _find_in_branch(
     at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
     width = 2.0 * branch.radius
     beyond_mm = [_usual_mm(tree.branch(child)) for child in branch.children]
-    widest = max([float(np.quantile(width, MOST_SHARE)), *beyond_mm])
+    widest = max([float(np.quantile(width, MAX_SHARE)), *beyond_mm])
     if widest < least_mm:
         return []
     found = []
@@ -73,7 +73,7 @@ def _find_in_branch(
         start_mm, end_mm = at[first], at[last]
         before_mm = _median(width[(at < start_mm) & (at >= start_mm - NEAR_MM)])
         after_mm = _median(width[(at > end_mm) & (at <= end_mm + NEAR_MM)]) or max(beyond_mm, default=None)
-        if after_mm is None or end_mm - start_mm < LEAST_LONG_MM:
+        if after_mm is None or end_mm - start_mm < MIN_LONG_MM:
             continue
         calibre = 0.5 * ((before_mm or after_mm) + after_mm)
         inside = float(np.median(width[first : last + 1]))
@@ -85,7 +85,7 @@ def _find_in_branch(
             for mm in sampled
             if (middle := _centre_between_walls(look, branch, at, mm, calibre)) is not None
         ]
-        if len(middles) < LEAST_TOLD or middles[-1][0] - middles[0][0] < LEAST_LONG_MM:
+        if len(middles) < MIN_STATED or middles[-1][0] - middles[0][0] < MIN_LONG_MM:
             continue
         # A calibre from the peripheral side alone may be measured in the flare of a fork.
         error = max(voxel_mm, ONE_SIDED * after_mm) if before_mm is None else 0.5 * abs(before_mm - after_mm)
@@ -140,7 +140,7 @@ def _centre_between_walls(
     if not direction.any():
         return None
     radius = 0.5 * calibre_mm
-    plane = look.plane(centre, direction, (1.0 + MOST_SHIFT) * radius + 2.0 * look.step_mm)
+    plane = look.plane(centre, direction, (1.0 + MAX_SHIFT) * radius + 2.0 * look.step_mm)
     # Even thin walls that are darkened by blur separate air from lung at this level.
     dark = plane.values <= look.lung
     air = _connected_to_centre(dark, radius, plane)
@@ -158,15 +158,15 @@ def _centre_between_walls(
     away = np.hypot(plane.off_mm[..., 0] - best[1][0], plane.off_mm[..., 1] - best[1][1])
     inside = away <= INNER * radius
     filled = float(tissue[inside].mean())
-    if filled < LEAST_FILLED or lung[inside].mean() > MOST_LUNG or (air & (away > radius)).sum() > 0.1 * air.sum():
+    if filled < MIN_FILLED or lung[inside].mean() > MAX_LUNG or (air & (away > radius)).sum() > 0.1 * air.sum():
         return None
     middle: Points = centre + best[1] @ plane.across
     return middle
 
 
 def _shifts(radius: float) -> list[Floats]:
-    steps = np.linspace(-MOST_SHIFT * radius, MOST_SHIFT * radius, 13)
-    pairs = [np.array([x, y]) for x in steps for y in steps if np.hypot(x, y) <= MOST_SHIFT * radius + 1e-9]
+    steps = np.linspace(-MAX_SHIFT * radius, MAX_SHIFT * radius, 13)
+    pairs = [np.array([x, y]) for x in steps for y in steps if np.hypot(x, y) <= MAX_SHIFT * radius + 1e-9]
     return sorted(pairs, key=lambda pair: float(np.hypot(*pair)))
 
 

@@ -30,13 +30,13 @@ SURE_TRACHEA_MM = 60.0
 # Distance in mm from the middle between the lungs within which the end of a branch belongs to neither side.
 MIDDLE_MM = 10.0
 # Least share of the lateral ends of branches on the side with fewer ends.
-LEAST_SIDE = 0.05
+MIN_SIDE = 0.05
 # Side length in mm of the blocks on which lung is distinguished from air outside the body.
 BLOCK_MM = 4.0
 # Highest standard deviation in HU in a block of lung; the blurred edge between air and skin has more.
 EVEN_HU = 150.0
 # Least volume in mm3 of lung; a smaller volume is mastoid air cells or bowel.
-LEAST_LUNG_MM3 = 40_000.0
+MIN_LUNG_MM3 = 40_000.0
 
 
 def refuse_a_root_below_the_carina(volume: Volume, branches: tuple[Branch, ...]) -> None:
@@ -100,7 +100,7 @@ def refuse_a_root_of_one_lung(volume: Volume, branches: tuple[Branch, ...], trac
     ends = np.array([branch.points[-1][0] for branch in branches if not branch.children])
     # In LPS, +x is the patient's left.
     right, left = int((ends < middle - MIDDLE_MM).sum()), int((ends > middle + MIDDLE_MM).sum())
-    if min(right, left) <= LEAST_SIDE * (right + left):
+    if min(right, left) <= MIN_SIDE * (right + left):
         side = "right" if right > left else "left"
         place = words(as_point(branches[0].points[0]))
         msg = (
@@ -145,7 +145,7 @@ def has_lung(volume: Volume, scale: AirScale) -> bool:
         means = blocks.mean(axis=(0, 2, 4))
         is_even = blocks.std(axis=(0, 2, 4)) <= scale.span(EVEN_HU)
         found += int(((means >= low) & (means <= high) & is_even).sum())
-    return found * block_mm3 >= LEAST_LUNG_MM3
+    return found * block_mm3 >= MIN_LUNG_MM3
 
 
 def _is_in_lung(volume: Volume, point: NDArray[np.float64], scale: AirScale) -> bool:

@@ -16,11 +16,11 @@ __all__ = ["StraightEnd", "find_straight_end"]
 Points = NDArray[np.float64]
 
 # The stump is too short for a branch of the tree: the wide airway and the narrow one are one branch without a fork.
-LEAST_WIDE_MM = 8.0
+MIN_WIDE_MM = 8.0
 """Least width in mm of the wide part of an airway that ends in a wall."""
-MOST_NARROWED = 0.65
+MAX_NARROWED = 0.65
 """Largest ratio between the radii of the narrow and the wide part."""
-LEAST_TURN_DEG = 25.0
+MIN_TURN_DEG = 25.0
 """Least angle between the narrow part and the wide part. An airway that tapers continues straight on."""
 FROM_START_MM = 10.0
 """Least distance from the start of the branch, whose first part is inside its parent."""
@@ -95,11 +95,11 @@ def _strongest_narrowing(branch: Branch) -> tuple[int, float, Points] | None:
         wide = branch.radius[(at >= at[index] - BEFORE_MM) & (at < at[index])]
         narrow = branch.radius[(at >= at[index] + FADE_MM) & (at <= at[index] + FADE_MM + AFTER_MM)]
         radius_mm, share = float(np.median(wide)), float(np.median(narrow) / np.median(wide))
-        if 2.0 * radius_mm < LEAST_WIDE_MM or share > MOST_NARROWED or (best is not None and share >= best[0]):
+        if 2.0 * radius_mm < MIN_WIDE_MM or share > MAX_NARROWED or (best is not None and share >= best[0]):
             continue
         axis = _direction(branch.points[(at >= at[index] - AXIS_FROM_MM) & (at <= at[index] - AXIS_TO_MM)])
         turned = _direction(branch.points[(at >= at[index]) & (at <= at[index] + AFTER_MM)])
-        if axis is None or turned is None or axis @ turned > np.cos(np.radians(LEAST_TURN_DEG)):
+        if axis is None or turned is None or axis @ turned > np.cos(np.radians(MIN_TURN_DEG)):
             continue
         best = (share, int(index), radius_mm, axis)
     return None if best is None else best[1:]

@@ -35,11 +35,11 @@ TUBE = "track.tube"
 AIR_END_HU = -800.0
 WALL_HU = 40.0
 AT_CARINA_MM = 10.0
-MOST_BELOW = 0.85
+MAX_BELOW = 0.85
 # The seeds are in a bronchus if the sections above them are larger by this factor and at least as long as a trachea.
 WIDER_ABOVE = 1.5
 # Volume in mm3 above which air above the trachea is not a throat but air outside the body.
-MOST_THROAT_MM3 = 150_000.0
+MAX_THROAT_MM3 = 150_000.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,8 +203,8 @@ def _upper_airway(volume: Volume, scale: AirScale, above: list[AirSection], top_
         first_level=level,
         core_level=level,
         last_level=level,
-        leak_mm3=MOST_THROAT_MM3,
-        small_leak_mm3=MOST_THROAT_MM3,
+        leak_mm3=MAX_THROAT_MM3,
+        small_leak_mm3=MAX_THROAT_MM3,
         closed_radius_mm=1.0,
         min_contrast=0.0,
     )
@@ -263,7 +263,7 @@ def _to_carina(branches: tuple[Branch, ...], point: NDArray[np.float64]) -> floa
     line = [branches[0]]
     while line[-1].children:
         largest = max(line[-1].children, key=lambda child: size[child])
-        if size[largest] < MOST_BELOW * (size[line[-1].id] - 1):
+        if size[largest] < MAX_BELOW * (size[line[-1].id] - 1):
             break
         line.append(branches[largest])
     points = np.concatenate([branch.points for branch in line])

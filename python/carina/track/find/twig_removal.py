@@ -16,9 +16,9 @@ NEAR_TOP = 3.0
 """Largest distance from the upper end of the trachea, in radii, at which a cut end can leave the trachea."""
 INSIDE = 1.5
 """Largest distance of a cut end from the trachea's axis, in radii; a bronchus leaves this range."""
-LEAST_FALL_MM = 2.0
+MIN_FALL_MM = 2.0
 """Descent of a branch in mm above which the branch is a bronchus and no cut end."""
-LEAST_BULGING_MM = 3.0
+MIN_BULGING_MM = 3.0
 """Least radius in mm of an airway whose bulges are removed; in a thinner airway a bulge may be a single voxel."""
 AXIS_MM = 15.0
 """Length in mm of the upper part of the trachea from which the axis above its upper end is extrapolated."""
@@ -58,7 +58,7 @@ def _is_bulge(rows: Sequence[dict[str, Any]], number: int, siblings: Sequence[in
         return False
     going_on = max((rows[other] for other in others), key=lambda row: float(np.median(row["radius_mm"])))
     radius = float(np.median(going_on["radius_mm"]))
-    if radius < LEAST_BULGING_MM:
+    if radius < MIN_BULGING_MM:
         return False
     axis = np.concatenate([np.asarray(rows[rows[number]["parent"]]["points"]), np.asarray(going_on["points"])[1:]])
     away = np.linalg.norm(np.asarray(rows[number]["points"])[:, None] - axis[None], axis=2).min(axis=1)
@@ -82,7 +82,7 @@ def _is_cut_end(rows: Sequence[dict[str, Any]], number: int, below: Sequence[int
     first = trunk[: max(int(np.searchsorted(at, AXIS_MM)), 2)]
     up = first[0] - first[-1]
     up /= max(float(np.linalg.norm(up)), 1e-9)
-    if float((line[-1] - line[0]) @ up) < -LEAST_FALL_MM:
+    if float((line[-1] - line[0]) @ up) < -MIN_FALL_MM:
         return False
     axis = np.concatenate([first[0] + up * np.arange(2.0 * radius, 0.0, -1.0)[:, None], trunk])
     away = np.linalg.norm(line[:, None] - axis[None], axis=2).min(axis=1)

@@ -19,19 +19,19 @@ Ints = NDArray[np.int64]
 
 ROUND_TREE_MM = 30.0
 """Largest distance in mm of an island of air from the bounding box of the tree."""
-LEAST_MM3 = 15.0
-LEAST_VOXELS = 8
-LEAST_LONG_MM = 6.0
-MOST_MM3 = 60_000.0
+MIN_MM3 = 15.0
+MIN_VOXELS = 8
+MIN_LONG_MM = 6.0
+MAX_MM3 = 60_000.0
 """Largest volume in mm3 of an island of air.
 
 All airways beyond a main bronchus are smaller; the stomach, air outside the body and large bullae are larger.
 """
-MOST_ISLANDS = 80
-MOST_ENDS = 12
+MAX_ISLANDS = 80
+MAX_ENDS = 12
 DARK_NEIGHBOURS = 3
 """Least number of air voxels among the six neighbours of an air voxel; a voxel with fewer counts as noise."""
-MOST_DARK = 4_000_000
+MAX_DARK = 4_000_000
 """Number of dark voxels above which they are emphysema, in which no island can be distinguished."""
 CELL_MM = 2.0
 """Least edge length of the cells between which paths inside an island run; at least one voxel."""
@@ -87,18 +87,18 @@ def find_islands(volume: Volume, lumen_zyx: NDArray[np.uint8], tree_lps: Points,
         darkest=math.floor(darkest),
         box_ijk=_box(volume, tree_lps),
         least_neighbours=DARK_NEIGHBOURS,
-        voxels=(math.ceil(max(LEAST_VOXELS, LEAST_MM3 / voxel_mm3)), math.floor(MOST_MM3 / voxel_mm3)),
-        most_air=MOST_DARK,
+        voxels=(math.ceil(max(MIN_VOXELS, MIN_MM3 / voxel_mm3)), math.floor(MAX_MM3 / voxel_mm3)),
+        most_air=MAX_DARK,
     )
     found: list[Island] = []
     for flat in pieces:
         k, j, i = np.unravel_index(flat, volume.shape_zyx)
         ijk = np.stack([i, j, k], axis=1)
         points = volume.to_lps(ijk.astype(np.float64))
-        if float(np.linalg.norm(np.ptp(points, axis=0))) < LEAST_LONG_MM:
+        if float(np.linalg.norm(np.ptp(points, axis=0))) < MIN_LONG_MM:
             continue
         found.append(Island(points, _ends(points, _edges(flat, ijk, volume), max(volume.spacing_mm), voxel_mm3)))
-        if len(found) == MOST_ISLANDS:
+        if len(found) == MAX_ISLANDS:
             break
     return found
 
@@ -144,7 +144,7 @@ def _ends(points: Points, edges: Ints, coarsest_mm: float, voxel_mm3: float) -> 
     chosen = [first]
     nearest = np.full(num, np.inf)
     ends: list[IslandEnd] = []
-    for _ in range(MOST_ENDS):
+    for _ in range(MAX_ENDS):
         away = _ways_mm(neighbours, chosen[-1])
         end = _end_at(points, away[cell], voxel_mm3)
         if end is not None:

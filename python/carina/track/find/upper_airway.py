@@ -28,10 +28,10 @@ __all__ = [
 
 # Least height above the carina at which the vocal cords are searched, in diameters of the trachea. The cords of an
 # adult are 7 diameters above the carina, those of a newborn 8.
-LEAST_DIAMETERS = 4.0
+MIN_DIAMETERS = 4.0
 # Least height at which the cords are searched if the sections start inside a tube, in diameters of the trachea: these
 # sections begin above the tip of the tube, some way above the carina.
-LEAST_DIAMETERS_IN_A_TUBE = 2.0
+MIN_DIAMETERS_IN_A_TUBE = 2.0
 # Length in mm of visible trachea below which only its lowest part is compared with the sections above.
 SHORT_MM = 15.0
 # Share of the trachea's width below which a section is the cone below the cords or a stenosis.
@@ -71,7 +71,7 @@ ADULT_SIZES = (0.92, 1.0)
 # Least and largest size of a larynx relative to an adult's.
 SIZES = (0.4, 1.2)
 # Smallest extent in mm (left-right and front-back) of a CT of a neck or a head, also of a child's.
-LEAST_NECK_MM = 90.0
+MIN_NECK_MM = 90.0
 # Largest distance in mm below the cords at which the cone below them begins to narrow.
 CONE_MM = 9.0
 # Range of areas of the trachea's sections above the carina, as shares of the median area.
@@ -81,10 +81,10 @@ CARINA_GAP_MM = 4.0
 # Ratio of a section's area to the trachea's above which the section is throat, or air outside the body.
 WIDEST = 2.5
 # Smallest length in mm of a tube in the trachea.
-LEAST_TUBE_MM = 12.0
+MIN_TUBE_MM = 12.0
 # Smallest median value in HU of plastic between air and air, also after blur by thick slices; noise is only just above
 # -800 HU.
-LEAST_PLASTIC_HU = -600.0
+MIN_PLASTIC_HU = -600.0
 # Least peak value in HU of a tube whose wall touches the wall of the trachea all round.
 LINE_HU = 500.0
 LINE_NOISES = 8.0
@@ -92,7 +92,7 @@ LINE_NOISES = 8.0
 # Largest area of the air in such a tube, as a share of the trachea's area.
 TIGHT_AREA = 0.55
 # Least length in mm of such a tube.
-LEAST_TIGHT_MM = 25.0
+MIN_TIGHT_MM = 25.0
 # Least ratio of the depth of a section beside an opening in the front of the neck to the depth of the trachea.
 DEEPER = 1.12
 # Largest ratio of a section's depth to the trachea's at which the trachea counts as complete again above an opening.
@@ -185,7 +185,7 @@ def find_tube(sections: list[AirSection]) -> Tube | None:
     line_hu = max(LINE_HU, LINE_NOISES * float(np.median([s.noise_hu for s in sections])))
     shows = np.array([s.septum_mm2 >= SEPTUM_MM2 for s in sections])
     tight = np.array([s.area_mm2 <= TIGHT_AREA * open_all and s.peak >= line_hu for s in sections])
-    for signs, least_mm in ((shows, LEAST_TUBE_MM), (shows | tight, LEAST_TIGHT_MM)):
+    for signs, least_mm in ((shows, MIN_TUBE_MM), (shows | tight, MIN_TIGHT_MM)):
         runs = [
             (first, last)
             for first, last in _runs(signs, heights, gap_mm=4.0)
@@ -200,7 +200,7 @@ def find_tube(sections: list[AirSection]) -> Tube | None:
 
 def _is_bright(peaks: NDArray[np.float64], length_mm: float) -> bool:
     """Return whether a tube shows as plastic or metal in most slices, or in some slices of a long tube."""
-    share = 0.9 if length_mm >= LEAST_TIGHT_MM else 0.6
+    share = 0.9 if length_mm >= MIN_TIGHT_MM else 0.6
     return bool(np.quantile(peaks, share) >= SEPTUM_HU)
 
 
@@ -209,7 +209,7 @@ def _is_plastic(septum_hu: NDArray[np.float64]) -> bool:
 
     Without such material the result is True: the wall of the tube then touches the wall of the trachea.
     """
-    return not len(septum_hu) or bool(np.median(septum_hu) >= LEAST_PLASTIC_HU)
+    return not len(septum_hu) or bool(np.median(septum_hu) >= MIN_PLASTIC_HU)
 
 
 def _runs(signs: NDArray[np.bool_], heights: NDArray[np.float64], *, gap_mm: float) -> list[tuple[int, int]]:
@@ -234,7 +234,7 @@ def find_cords(sections: list[AirSection], tube: Tube | None) -> Cords | None:
     heights = _heights(sections)
     typical = _typical_size(sections, heights, tube)
     diameter = 2.0 * float(np.sqrt(typical[2] / np.pi))
-    least = LEAST_DIAMETERS_IN_A_TUBE if tube is not None and tube.first == 0 else LEAST_DIAMETERS
+    least = MIN_DIAMETERS_IN_A_TUBE if tube is not None and tube.first == 0 else MIN_DIAMETERS
     for first, last in _larynges(sections, tube, typical, least * diameter):
         # The true cords have the first minimum of the area, since the false cords are above them, and are close above
         # the cone.
@@ -306,7 +306,7 @@ def has_larynx(volume: Volume, sections: list[AirSection]) -> bool:
     A volume smaller than a neck contains no larynx: it is a part of a chest, a specimen or a model.
     """
     width_mm, depth_mm = (n * mm for n, mm in zip(volume.shape_zyx[:0:-1], volume.spacing_mm[:2], strict=True))
-    if len(sections) < 3 or min(width_mm, depth_mm) < LEAST_NECK_MM:
+    if len(sections) < 3 or min(width_mm, depth_mm) < MIN_NECK_MM:
         return False
     typical = _typical_size(sections, _heights(sections), None, within_mm=SHORT_MM)
     return bool(_larynges(sections, None, typical, 0.0))

@@ -23,9 +23,9 @@ LUNG_HU = -650.0
 BORDER_MM = 1.5
 """Distance in mm beyond the outer border within which the values must fall to ``LUNG_HU``."""
 NUM_CENTRED = 5
-LEAST_SEEN = 0.4
+MIN_SEEN = 0.4
 """Smallest share of the sides of a bronchus on which its outer border must be visible."""
-LEAST_OCTANTS = 5
+MIN_OCTANTS = 5
 ROUND = 0.15
 """Largest distance of a border point from the fitted circle, as a share of the radius."""
 CORE_MM = 0.8
@@ -180,7 +180,7 @@ def _circle(points: Floats, step_mm: float) -> tuple[Floats, float] | None:
     for _ in range(4):
         own = points[remaining]
         octants = np.unique(np.floor(np.arctan2(own[:, 1], own[:, 0]) / (0.25 * np.pi)))
-        if len(own) < LEAST_SEEN * NUM_RAYS or len(octants) < LEAST_OCTANTS:
+        if len(own) < MIN_SEEN * NUM_RAYS or len(octants) < MIN_OCTANTS:
             return None
         design = np.column_stack([2.0 * own, np.ones(len(own))])
         (x, y, rest), *_ = np.linalg.lstsq(design, (own * own).sum(axis=1), rcond=None)
@@ -195,4 +195,4 @@ def _circle(points: Floats, step_mm: float) -> tuple[Floats, float] | None:
             break
         remaining = off <= limit
     is_round = np.abs(np.linalg.norm(points[remaining] - middle, axis=1) - radius) <= max(ROUND * radius, step_mm)
-    return (middle, radius) if is_round.sum() >= LEAST_SEEN * NUM_RAYS else None
+    return (middle, radius) if is_round.sum() >= MIN_SEEN * NUM_RAYS else None

@@ -26,15 +26,15 @@ __all__ = [
 AIR_END_HU = -800.0
 WALL_HU = 40.0
 # Least area in mm2 of the section of each main bronchus.
-LEAST_PART_MM2 = 12.0
+MIN_PART_MM2 = 12.0
 # Least distance in mm of the two main bronchi from side to side.
-LEAST_APART_MM = 7.0
+MIN_APART_MM = 7.0
 # Length in mm over which the divergence of the main bronchi is measured.
 FOLLOWED_MM = 6.0
 # Least divergence in mm of the main bronchi over FOLLOWED_MM.
 DIVERGE_MM = 2.0
 # Share of the trachea's area that a main bronchus has at most.
-LEAST_AREA = 0.7
+MIN_AREA = 0.7
 # Largest error in mm of the ends of the trachea in the search by anatomy.
 MISSED_MM = 10.0
 # Least and largest area of a section that counts as a section of the trachea, as shares of the trachea's area.
@@ -78,7 +78,7 @@ def down_to_the_carina(
     heights = np.array([section.centre_lps[2] for section in sections])
     end, divides = len(sections), False
     if area_mm2 is not None:
-        small = np.array([section.area_mm2 < LEAST_AREA * area_mm2 for section in sections])
+        small = np.array([section.area_mm2 < MIN_AREA * area_mm2 for section in sections])
         for n in range(end):
             if small[n : n + 1 + int(np.sum(heights[n] - heights[n:] < FOLLOWED_MM))].all():
                 end = n
@@ -86,7 +86,7 @@ def down_to_the_carina(
     for n in range(end):
         below = np.flatnonzero(heights[n] - heights >= FOLLOWED_MM)
         now = _parts_apart_mm(volume, sections[n]) if len(below) else None
-        if now is None or now < LEAST_APART_MM:
+        if now is None or now < MIN_APART_MM:
             continue
         then = _parts_apart_mm(volume, sections[int(below[0])])
         if then is not None and then - now >= DIVERGE_MM:
@@ -109,7 +109,7 @@ def _parts_apart_mm(volume: Volume, section: AirSection) -> float | None:
         part = connected_to(first, left)
         left &= ~part
         area = float(part.sum() * dx * dy)
-        if area >= LEAST_PART_MM2:
+        if area >= MIN_PART_MM2:
             parts.append((area, float(np.argwhere(part)[:, 1].mean() * dx)))
     if len(parts) < 2:
         return None

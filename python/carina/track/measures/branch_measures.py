@@ -89,7 +89,7 @@ WALL_RISE_HU = 1020.0
 USUAL_NOISE_HU = 25.0
 OPEN_SHARE = 0.9
 """Least share of the rays of a section that meet a wall; with fewer the lumen is open to another one, as at a fork."""
-LEAST_EDGE_SHARE = 0.5
+MIN_EDGE_SHARE = 0.5
 """Least share of the rays that must meet a wall in a section at the end of the CT, if a route uses its diameter."""
 RAYS_PER_MM = 1024.0
 """Number of steps per mm to which rays are rounded: a hundredth of their error, for a quarter of the stored size."""
@@ -203,7 +203,7 @@ class BranchMeasures(Tabular):
             self.at_mm,
             (self.equivalent_mm, self.equivalent_error_mm),
             (self.min_mm, self.min_error_mm),
-            is_measured=np.isfinite(self.equivalent_mm) & (~self.at_edge | (self.share >= LEAST_EDGE_SHARE)),
+            is_measured=np.isfinite(self.equivalent_mm) & (~self.at_edge | (self.share >= MIN_EDGE_SHARE)),
             at_junction=self.at_junction & ~is_cut,
             is_cut=is_cut,
             has_fork=has_fork,

@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 HEALTHY_SHARE = 0.9
 """Least diameter of a section that counts as healthy, as a share of the wide part of its branch."""
 WIDE_PERCENTILE = 80.0
-LEAST_HEALTHY_MM = 3.0
+MIN_HEALTHY_MM = 3.0
 """Least length in mm of healthy branch on one side of a narrowing that suffices as a reference."""
 MURRAY_POWER = 3.0
 """Exponent of Murray's law (1926): the cubes of the diameters of two branches add up to that of their parent."""
@@ -290,7 +290,7 @@ def _own_reference(at: Floats, diameter: Floats, error: Floats, least: int) -> R
         middle = float(np.median(rest)) + slope * float(place)
         scatter = DEVIATIONS_95 * float((rest - np.median(rest)).std()) / max(middle, 1e-9)
         return ReferenceDiameter(middle, float(np.hypot(own, scatter)), "branch")
-    if max(sides) >= LEAST_HEALTHY_MM:
+    if max(sides) >= MIN_HEALTHY_MM:
         side = before if sides[0] >= sides[1] else after
         middle = float(np.median(diameter[side]))
         scatter = DEVIATIONS_95 * float(diameter[side].std()) / middle

@@ -58,9 +58,9 @@ START_MM = 10.0
 """Length in mm at the start of the first branch that no route uses, because the CT may cut the trachea there."""
 MEDIAN_VARIANCE = 0.5 * np.pi
 """Variance of a median of many normal values, as a multiple of the variance of their mean."""
-MOST_CORRELATION = 0.9
+MAX_CORRELATION = 0.9
 """Largest correlation of neighbouring sections; a larger one cannot be estimated within a running median."""
-LEAST_FOR_SCATTER = 5
+MIN_FOR_SCATTER = 5
 """Least number of sections from which their scatter is estimated."""
 
 
@@ -300,7 +300,7 @@ def _with_true_spread(
     """
     own = np.flatnonzero(usable)
     rest = section_mm[own] - median_mm[own]
-    if len(own) < LEAST_FOR_SCATTER or np.ptp(at_mm[own]) <= 0.0 or not rest.any():
+    if len(own) < MIN_FOR_SCATTER or np.ptp(at_mm[own]) <= 0.0 or not rest.any():
         return median_mm
     num = float(np.median(near[np.ix_(own, own)].sum(axis=1)))
     if num < 2.0:
@@ -310,7 +310,7 @@ def _with_true_spread(
     variance = np.square(deviation) * num / (num - 1.0)
     scale = float(np.sqrt(np.sum(np.square(rest[:-1])) * np.sum(np.square(rest[1:]))))
     correlation = float(np.sum(rest[:-1] * rest[1:])) / scale if scale > 0.0 else 0.0
-    correlation = min(max(correlation, 0.0), MOST_CORRELATION)
+    correlation = min(max(correlation, 0.0), MAX_CORRELATION)
     num_independent = max(1.0, num * (1.0 - correlation) / (1.0 + correlation))
     noise = MEDIAN_VARIANCE * variance / num_independent
     line = np.polynomial.Polynomial.fit(at_mm[own], median_mm[own], 1)(at_mm[own])
@@ -334,7 +334,7 @@ def _robust_scatter_mm(at_mm: Floats, diameter_mm: Floats) -> float:
 
     0 for few sections.
     """
-    if len(at_mm) < LEAST_FOR_SCATTER or np.ptp(at_mm) <= 0.0:
+    if len(at_mm) < MIN_FOR_SCATTER or np.ptp(at_mm) <= 0.0:
         return 0.0
     one, other = np.triu_indices(len(at_mm), k=1)
     run = at_mm[other] - at_mm[one]

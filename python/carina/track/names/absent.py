@@ -50,7 +50,7 @@ LONG_MAIN_MM = 30.0
 FARTHEST_MM = 15.0
 USUAL_ORIGIN = 1.3
 """Ratio of the usual to the shortest distance of a bronchus from the carina."""
-LEAST_MATCH = 0.5
+MIN_MATCH = 0.5
 """Least cosine between the direction beyond a filled place and the usual direction of a bronchus."""
 # Largest distance between a filled place and the end of the airway before it.
 AT_END_MM = 4.0
@@ -380,7 +380,7 @@ class _NamedTree:
         for place in self._filled:
             if place.branch_id in ids and place.beyond_lps is not None:
                 match = self._match(one, place)
-                if match >= LEAST_MATCH and match >= max(self._match(other, place) for other in rivals):
+                if match >= MIN_MATCH and match >= max(self._match(other, place) for other in rivals):
                     return place
         return None
 

@@ -47,9 +47,9 @@ Situs inversus has a frequency of 1 in 10,000; files with left and right exchang
 """
 TURN_SPREAD_RAD = math.radians(15.0)
 """Standard deviation in radians of a patient's rotation on the table."""
-MOST_TURNS, LEAST_TURN_RAD = 12, math.radians(0.1)
+MAX_TURNS, MIN_TURN_RAD = 12, math.radians(0.1)
 """Largest number of rotations of the body frame, and the rotation (rad) below which the frame has converged."""
-LEAST_GAIN = 1.5
+MIN_GAIN = 1.5
 """Log evidence that fitting the three angles of the body frame to noise gains: half their number."""
 MIN_READ_FOR_FRAME = 6.0
 """Least expected number of bronchi with a state from which the body frame is refined."""
@@ -277,14 +277,14 @@ def _read(tree: AirwayTree, *, judges_fit: bool = True) -> _Named:
         score: float, solver: Solver, frame: NDArray[np.float64], *, mirrored: bool = False
     ) -> tuple[float, NDArray[np.float64]]:
         """Return the score and the frame after rotations towards the expected directions of the bronchi."""
-        for _ in range(MOST_TURNS):
+        for _ in range(MAX_TURNS):
             closer = _closer_frame(rules, bronchi, solver, frame, mirrored=mirrored)
             if closer is None:
                 break
             change = _angle(closer @ frame.T)
             score, solver = attempt(closer, mirrored=mirrored)
             frame = closer
-            if change < LEAST_TURN_RAD:
+            if change < MIN_TURN_RAD:
                 break
         return score, frame
 
@@ -307,7 +307,7 @@ def _read(tree: AirwayTree, *, judges_fit: bool = True) -> _Named:
             score, frame = refined(other, solver, first, mirrored=True)
             mirrored = True
     # A weakly supported rotation is mostly noise and would change with every tip, so the frame turns by a share of it.
-    frame = _part_of(frame, 1.0 - LEAST_GAIN / max(score - straight, LEAST_GAIN))
+    frame = _part_of(frame, 1.0 - MIN_GAIN / max(score - straight, MIN_GAIN))
     final = Solver(rules, bronchi, lungs, frame, mirrored=mirrored, wishes=wishes, held=held)
     solution = final.solution()
     fit = fit_of(rules, bronchi, lungs, frame, mirrored=mirrored, max_forks=COARSE_FORKS) if judges_fit else None

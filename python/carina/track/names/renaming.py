@@ -20,14 +20,14 @@ from carina.track.tree.airway_tree import AirwayTree, Branch
 
 __all__ = ["RenamedBranch", "extends_tips_only", "name_edited_tree", "renamed_branches"]
 
-MOST_ADDED = 2
+MAX_ADDED = 2
 """Largest number of new branches with which the former names are kept: a new branch, and the lower part of its parent.
 
 More branches, as beyond a bridge, are an airway without which the former names were chosen.
 """
-LEAST_LOG_PROBABILITY = math.log(0.05)
+MIN_LOG_PROBABILITY = math.log(0.05)
 """Logarithm of the probability of the former names in the edited tree below which branches are renamed."""
-LEAST_EXTENSION_MM = 2.0
+MIN_EXTENSION_MM = 2.0
 """Least length by which an edit must extend a tip to be evidence for names, mm."""
 SURE_OF_NEW = 0.8
 """Least confidence of a name for a branch that had no name before the edit and is not itself new."""
@@ -85,7 +85,7 @@ def name_edited_tree(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
         return _named_by_change(before, tree)
     anew = name_tree(tree)
     num_added = sum(branch.id not in former for branch in tree.branches)
-    if num_added > MOST_ADDED or _badges(anew) != _badges(before) or _by_user(tree) != _by_user(before):
+    if num_added > MAX_ADDED or _badges(anew) != _badges(before) or _by_user(tree) != _by_user(before):
         return anew
     changed = {branch.id for branch in anew.branches if _is_renamed(former.get(branch.id), branch)}
     if not changed:
@@ -99,7 +99,7 @@ def name_edited_tree(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
             for branch in tree.branches
         ),
     )
-    if log_evidence_of(held) - log_evidence_of(tree) < LEAST_LOG_PROBABILITY:
+    if log_evidence_of(held) - log_evidence_of(tree) < MIN_LOG_PROBABILITY:
         return _with_former(anew, former)
     named = name_tree(held)
     released = tuple(
@@ -125,8 +125,8 @@ def extends_tips_only(before: AirwayTree, after: AirwayTree) -> bool:
         return False
     return any(
         not branch.children
-        and _length_mm(branch) > _length_mm(former[branch.id]) + LEAST_EXTENSION_MM
-        and float(np.linalg.norm(branch.points[0] - former[branch.id].points[0])) < LEAST_EXTENSION_MM
+        and _length_mm(branch) > _length_mm(former[branch.id]) + MIN_EXTENSION_MM
+        and float(np.linalg.norm(branch.points[0] - former[branch.id].points[0])) < MIN_EXTENSION_MM
         for branch in after.branches
     )
 

@@ -24,7 +24,7 @@ WALL_REACH_MM = 2.0
 # samples is about 2 above the mean.
 NOTHING_SIGMA, CERTAIN_SIGMA = 2.0, 6.0
 # Least rise in HU that counts as evidence of a wall, in CTs with little noise.
-LEAST_CONTRAST_HU = 60.0
+MIN_CONTRAST_HU = 60.0
 # A lumen below the first width (voxels) may be noise; from the second width on it is completely visible.
 FEW_VOXELS, ENOUGH_VOXELS = 0.5, 3.0
 # Length in mm at the end of the path that is judged if the path contains no new part.
@@ -189,8 +189,8 @@ def wall_scores(
     # A ray passes the lumen first; the wall is the brightest value behind it.
     lumen = values[:, :, at_mm <= max(0.5 * radius_mm, at_mm[1])].mean(axis=(1, 2))
     rise = values.max(axis=2) - lumen[:, None]
-    nothing = max(NOTHING_SIGMA * sigma_hu, LEAST_CONTRAST_HU)
-    certain = max(CERTAIN_SIGMA * sigma_hu, 2.0 * LEAST_CONTRAST_HU)
+    nothing = max(NOTHING_SIGMA * sigma_hu, MIN_CONTRAST_HU)
+    certain = max(CERTAIN_SIGMA * sigma_hu, 2.0 * MIN_CONTRAST_HU)
     return np.asarray(np.clip((rise - nothing) / (certain - nothing), 0.0, 1.0).mean(axis=1))
 
 

@@ -15,7 +15,7 @@ from carina.track.tree.airway_tree import Branch
 from carina.volume.model import Volume
 from carina.volume.sparse_mask import empty_mask
 
-__all__ = ["MOST_PARTS", "DividedSlices", "PathGrid"]
+__all__ = ["MAX_PARTS", "DividedSlices", "PathGrid"]
 
 PART_MM = 1.0
 """Thickness in mm of the parts into which slices are divided; a slice up to a quarter thicker is not divided."""
@@ -23,9 +23,9 @@ THICK = 1.5
 """Ratio of a slice's thickness to the voxel width from which a slice counts as thick."""
 WIDEST_MM = 1.0
 """Largest voxel width in mm at which slices are divided."""
-LEAST_SLICES = 4
-MOST_PARTS = 16
-LEAST_PART_MM = 0.5
+MIN_SLICES = 4
+MAX_PARTS = 16
+MIN_PART_MM = 0.5
 """Least thickness in mm of a part; a case file with thinner parts is damaged."""
 
 
@@ -78,17 +78,17 @@ class PathGrid:
         """Return the grid for a search of a CT: a divided one if the slices are thick, otherwise that of the CT."""
         _, width_mm, thick_mm = sorted(ct.spacing_mm)
         num = ct.shape_zyx[2 - int(np.argmax(ct.spacing_mm))]
-        if width_mm > WIDEST_MM or thick_mm < THICK * width_mm or num < LEAST_SLICES:
+        if width_mm > WIDEST_MM or thick_mm < THICK * width_mm or num < MIN_SLICES:
             return cls(ct)
         parts = int(np.ceil(thick_mm / PART_MM - 0.26))
-        return cls(ct, min(max(parts, 1), MOST_PARTS))
+        return cls(ct, min(max(parts, 1), MAX_PARTS))
 
     @classmethod
     def parts_of(cls, ct: Volume, shape_zyx: tuple[int, int, int]) -> int | None:
         """Return the number of parts per slice for a grid of this shape; None if no division of the CT has it."""
         axis = 2 - int(np.argmax(ct.spacing_mm))
         parts = shape_zyx[axis] // ct.shape_zyx[axis]
-        is_possible = parts == 1 or (1 < parts <= MOST_PARTS and ct.spacing_mm[2 - axis] / parts >= LEAST_PART_MM)
+        is_possible = parts == 1 or (1 < parts <= MAX_PARTS and ct.spacing_mm[2 - axis] / parts >= MIN_PART_MM)
         return parts if is_possible and cls(ct, parts).shape_zyx == shape_zyx else None
 
     def __reduce__(self) -> tuple[Any, ...]:

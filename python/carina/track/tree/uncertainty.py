@@ -48,7 +48,7 @@ NEAR_JUDGED_MM = 2.0
 WALL_WEIGHT = 0.2
 """Weight of the log odds of a branch's walls relative to those of the path along the branch."""
 SUREST_WALLS, SUREST_WAY = 0.99, 0.995
-MOST_OF_ONE = 0.94
+MAX_OF_ONE = 0.94
 """Highest confidence of a branch of which only the path or only the walls are more certain."""
 # Walls are means of three sections and of neighbouring steps, so their noise grows more slowly than that of a voxel. Up
 # to this noise, on which AIRWAY_SHARE was fitted, the noise of a voxel is used.
@@ -61,7 +61,7 @@ SHARP_RIM_HU = 15.0
 # Radius in voxels below which a branch is thin.
 THIN_VOXELS = 2.0
 # Largest confidence of a thin branch in a CT with such rims.
-MOST_BESIDE_RIMS = 0.95
+MAX_BESIDE_RIMS = 0.95
 # Length in mm of the last part of a branch, which runs into its blind end and is not judged.
 BLUNT_MM = 2.0
 # Number of sections at which the wall of a branch is judged.
@@ -298,7 +298,7 @@ def with_path_probability(branch: Branch, judged: NDArray[np.float64]) -> Branch
     way = min(float(np.median(judged[off_mm.argmin(axis=1)[is_near], 3])), SUREST_WAY)
     walls = min(max(branch.confidence, 1.0 - SUREST_WALLS), SUREST_WALLS)
     odds = way / (1.0 - way) * (walls / (1.0 - walls)) ** WALL_WEIGHT
-    confidence = max(min(odds / (1.0 + odds), MOST_OF_ONE), min(way, branch.confidence))
+    confidence = max(min(odds / (1.0 + odds), MAX_OF_ONE), min(way, branch.confidence))
     return dataclasses.replace(branch, confidence=round(confidence, 3))
 
 
@@ -306,7 +306,7 @@ def _beside_rims(branch: Branch, voxel_mm: float) -> Branch:
     is_thin = float(np.median(branch.radius)) < THIN_VOXELS * voxel_mm
     if branch.confidence is None or not is_thin:
         return branch
-    return dataclasses.replace(branch, confidence=min(branch.confidence, MOST_BESIDE_RIMS))
+    return dataclasses.replace(branch, confidence=min(branch.confidence, MAX_BESIDE_RIMS))
 
 
 def _branch_confidence(

@@ -23,7 +23,7 @@ use crate::tick_statistics::{LoopCounts, LoopFigures, TickTimes};
 /// Length of a tick, ns.
 const TICK_NS: u64 = 1_000_000;
 /// Largest number of packets that one tick reads, so that a bridge that floods the port does not delay the loop.
-const MOST_PACKETS: usize = 16;
+const MAX_PACKETS: usize = 16;
 /// Number of ticks between updates of the statistics, whose histograms take some microseconds to read.
 const UPDATE_TICKS: u64 = 50;
 
@@ -279,7 +279,7 @@ impl Shared {
         if let Some(socket) = &self.socket {
             // The buffer has one byte more than a sample, so that a longer packet is detected.
             let mut bytes = [0; SAMPLE_BYTES + 1];
-            for _ in 0..MOST_PACKETS {
+            for _ in 0..MAX_PACKETS {
                 let Ok((num, from)) = socket.recv_from(&mut bytes) else {
                     break;
                 };
