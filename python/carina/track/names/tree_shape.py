@@ -190,7 +190,7 @@ class _Positions:
             return np.asarray(self._shares[number] @ places)
         if distance_mm > length_mm:
             back = _at(points, along, max(length_mm - TIP_END_MM, 0.0))
-            return points[-1] + (distance_mm - length_mm) * _unit(points[-1] - back)
+            return np.asarray(points[-1] + (distance_mm - length_mm) * _unit(points[-1] - back))
         return _at(points, along, distance_mm)
 
 
