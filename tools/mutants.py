@@ -296,12 +296,12 @@ class Bench:
             )
             try:
                 code = process.wait(self._limit_s)
-            except BaseException as trouble:
+            except BaseException as error:
                 # The process group includes the workers and their children, which would continue to run if the mutant
                 # hangs.
                 os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
-                if isinstance(trouble, subprocess.TimeoutExpired):
+                if isinstance(error, subprocess.TimeoutExpired):
                     return f"nothing: it hangs for {self._limit_s:g} s"
                 raise
             output.seek(0)

@@ -130,8 +130,8 @@ def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> 
         lines: list[str] = []
         try:
             result[name] = sections[name](lines)
-        except Exception as trouble:
-            words = f"{type(trouble).__name__}: {trouble}"
+        except Exception as error:
+            words = f"{type(error).__name__}: {error}"
             failed[name] = {"words": words, "trace": traceback.format_exc()}
             lines.append(f"{name}: failed ({words}); the other sections go on")
         if {"simulation", "sleeping"} & set(result):

@@ -140,7 +140,8 @@ def best_stroke(nodule: Nodule, volume: Volume, wanted_zyx: Mask) -> BrushStroke
             sent = (np.indices(centres.shape) % apart == 0).sum(axis=0) >= 2
             centres &= sent
             for axis in range(3):
-                for n in np.flatnonzero(centres.any(axis=tuple(k for k in range(3) if k != axis))):
+                occupied = np.flatnonzero(centres.any(axis=tuple(k for k in range(3) if k != axis)))
+                for n in map(int, occupied):
                     reach = int(np.ceil(radius_mm / step)) + 1
                     slab = tuple(
                         slice(max(n - reach, 0), n + reach + 1) if k == axis else slice(None) for k in range(3)
@@ -152,7 +153,7 @@ def best_stroke(nodule: Nodule, volume: Volume, wanted_zyx: Mask) -> BrushStroke
                     balls = one | (distance_from(one, step, radius_mm) + 0.5 * step <= radius_mm)
                     gain = int((balls & change[slab]).sum()) - int((balls & keep[slab]).sum())
                     if gain > most:
-                        best, most = (axis, int(n), radius_mm, takes_away, centres[at]), gain
+                        best, most = (axis, n, radius_mm, takes_away, centres[at]), gain
     if best is None:
         return None
     axis, n, radius_mm, takes_away, one = best

@@ -64,8 +64,8 @@ def main() -> None:
             report(f"pid {os.getpid()}")
             try:
                 work(int(seed), Path(path), volume, report)
-            except BaseException as trouble:  # the test must receive any exception
-                report(f"failed {type(trouble).__name__} {trouble}")
+            except BaseException as error:  # the test must receive any exception
+                report(f"failed {type(error).__name__} {error}")
             os._exit(0)
         os.waitpid(child, 0)
         print("gone", flush=True)

@@ -168,9 +168,9 @@ def test_full_disk_is_reported_and_the_last_saved_state_remains_readable(active_
         resource.setrlimit(resource.RLIMIT_FSIZE, (journal.stat().st_size + 6000, limits[1]))
         try:
             for _ in range(3):
-                with pytest.raises(DiskError) as trouble:
+                with pytest.raises(DiskError) as error:
                     file.save(active_case.moment())
-                assert trouble.value.code in {"disk.full", "disk.failed"}
+                assert error.value.code in {"disk.full", "disk.failed"}
             with pytest.raises(DiskError):
                 file.write_copy(tmp_path / "copy.carina")
         finally:

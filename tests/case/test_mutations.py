@@ -168,13 +168,13 @@ def run(saved_case, folder, seeds):
             found[refusal.code] += 1
             if len(str(refusal)) > 1000:
                 wrong.append(f"seed {seed}: {change}: a message of {len(str(refusal))} characters")
-        except Exception as trouble:
-            wrong.append(f"seed {seed}: {change}: {type(trouble).__name__}: {str(trouble)[:300]} at {where(trouble)}")
+        except Exception as error:
+            wrong.append(f"seed {seed}: {change}: {type(error).__name__}: {str(error)[:300]} at {where(error)}")
         try:
             found["listed"] += start_page(path, place)
-        except Exception as trouble:
+        except Exception as error:
             wrong.append(
-                f"seed {seed}, start page: {change}: {type(trouble).__name__}: {str(trouble)[:300]} at {where(trouble)}"
+                f"seed {seed}, start page: {change}: {type(error).__name__}: {str(error)[:300]} at {where(error)}"
             )
         assert path.read_bytes() == before
         shutil.rmtree(place)

@@ -93,30 +93,30 @@ class FaultyLane(LocalLane):
 
     def submit(self, order, done):
         """Render a strip and reply with the present faults."""
-        trouble = self.trouble
-        trouble.num_orders += 1
-        if trouble.refuses:
+        error = self.trouble
+        error.num_orders += 1
+        if error.refuses:
             raise ConnectionError("the order cannot be sent")
 
         def answered(answer):
-            if trouble.raises is not None:
-                done(trouble.raises)
-            elif trouble.garbles:
+            if error.raises is not None:
+                done(error.raises)
+            elif error.garbles:
                 done(("no", "answer"))
-            elif trouble.twice:
+            elif error.twice:
                 done(answer)
                 done(replace(answer, rgb=answer.rgb * 0))
-            elif trouble.wrong_shape:
+            elif error.wrong_shape:
                 done(replace(answer, rgb=answer.rgb[:-1]))
-            elif trouble.old_frame:
+            elif error.old_frame:
                 done(replace(answer, frame_id=answer.frame_id - 1, rgb=answer.rgb * 0))
-            elif trouble.other_rows:
+            elif error.other_rows:
                 # The frame number and the height are correct, but the rows are shifted by one.
                 shift = 1 if answer.first_row == 0 else -1
                 done(replace(answer, first_row=answer.first_row + shift, rgb=np.roll(answer.rgb, shift, axis=0)))
-            elif trouble.holds:
+            elif error.holds:
                 with self._guard:
-                    trouble.held.append(lambda: done(answer))
+                    error.held.append(lambda: done(answer))
             else:
                 done(answer)
 

@@ -154,8 +154,8 @@ def how_it_is() -> str:
         ):
             try:
                 answer = ask()
-            except Exception as trouble:
-                answer = trouble
+            except Exception as error:
+                answer = error
             lines = [f"{key}: {value}" for key, value in answer.items()] if isinstance(answer, dict) else [str(answer)]
             text += [f"{title}: {line}" for line in lines]
     for head in _running:

@@ -112,8 +112,8 @@ def test_extreme_values_in_a_message_raise_no_error_other_than_protocol_error(pa
     for text in evil_texts(json.loads(path.read_bytes())):
         try:
             parse(text)
-        except ProtocolError as trouble:
-            assert len(str(trouble)) < 500  # noqa: PT017, it may also be taken
+        except ProtocolError as error:
+            assert len(str(error)) < 500  # noqa: PT017, it may also be taken
 
 
 def test_huge_integer_in_the_hello_message_of_a_phone_is_refused_before_its_token_is_read():

@@ -471,8 +471,8 @@ class Workstation:
         save_page(self.page, f"{name}-failed")
         try:
             state = self.page.evaluate(STATE)
-        except PlaywrightError as trouble:
-            state = str(trouble)
+        except PlaywrightError as error:
+            state = str(error)
         print("faults of the page:", self.faults, "state:", state, sep="\n")
 
 

@@ -308,10 +308,10 @@ def test_full_disk_ends_the_recording_with_one_message_and_the_flight_continues(
     before = session.pose_info().pose
     fly(session, clock)
     assert session.pose_info().pose is not before
-    (trouble,) = reported
-    assert trouble.code == "disk.full"
-    assert "the recording stopped" in trouble.message
-    assert "the disk is full" in trouble.message
+    (error,) = reported
+    assert error.code == "disk.full"
+    assert "the recording stopped" in error.message
+    assert "the disk is full" in error.message
     assert session.devices.recording_path is None
     assert file.closed
     # Another recording can be started afterwards.
@@ -327,7 +327,7 @@ def test_full_disk_at_the_end_of_a_recording_is_reported_and_the_session_continu
     reported = troubles(session)
     recorded_to(session, tmp_path / "a.jsonl", full_disk())
     session.do(end)
-    assert ["the recording stopped" in trouble.message for trouble in reported] == [True]
+    assert ["the recording stopped" in error.message for error in reported] == [True]
     assert session.devices.recording_path is None
 
 

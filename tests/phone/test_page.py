@@ -562,8 +562,8 @@ def test_phone_page_is_closed_until_enabled_and_a_failure_states_its_reason(web)
     assert (message.phone, message.phone_problem) == (None, None)
     connections.handle(wire.SetPhone(True))
     wait_for(lambda: any(isinstance(m, wire.Error) for m in sent))
-    (trouble,) = [m for m in sent if isinstance(m, wire.Error)]
-    assert trouble.code == "server.host"
+    (error,) = [m for m in sent if isinstance(m, wire.Error)]
+    assert error.code == "server.host"
     assert page.info() is None
     json.loads(wire.encode_message(connections.message()))
     fixture.session.close()

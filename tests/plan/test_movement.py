@@ -140,23 +140,23 @@ def test_target_missing_in_the_second_ct_is_reported_and_its_shift_is_that_of_it
 
 def test_second_ct_of_another_patient_is_refused() -> None:
     other = cached_phantom(seed=2, spacing_mm=1.1)
-    trouble = refusal(other.volume, found_airways(other.volume))
-    assert trouble.code == "movement.other-patient" and "Choose another CT" in str(trouble)
+    error = refusal(other.volume, found_airways(other.volume))
+    assert error.code == "movement.other-patient" and "Choose another CT" in str(error)
 
 
 def test_second_ct_of_half_of_the_chest_is_refused() -> None:
     half = second().shape_zyx[0] // 2
     cut = part_of(second(), 0, half, second().shape_zyx[0])
-    trouble = refusal(cut, found_airways(cut))
-    assert trouble.code == "movement.half-chest" and "whole chest" in str(trouble)
+    error = refusal(cut, found_airways(cut))
+    assert error.code == "movement.half-chest" and "whole chest" in str(error)
     narrow = part_of(second(), 2, 0, second().shape_zyx[2] // 3)
     assert refusal(narrow).code == "movement.half-chest"
 
 
 def test_second_ct_without_airways_is_refused() -> None:
     empty = Volume(np.full((90, 90, 90), 40, dtype=np.int16), np.diag([4.0, 4.0, 4.0, 1.0]))
-    trouble = refusal(empty)
-    assert trouble.code == "movement.no-airways" and "whole chest" in str(trouble)
+    error = refusal(empty)
+    assert error.code == "movement.no-airways" and "whole chest" in str(error)
 
 
 def test_target_outside_the_second_ct_is_refused() -> None:
@@ -165,8 +165,8 @@ def test_target_outside_the_second_ct_is_refused() -> None:
     (k,) = volume.to_ijk(now[None])[:, 2].astype(int)
     below = now[2] < 0.0
     cut = part_of(volume, 0, k + 2, volume.shape_zyx[0]) if below else part_of(volume, 0, 0, k - 2)
-    trouble = refusal(cut, second_airways())
-    assert trouble.code in {"movement.outside", "movement.half-chest"}
+    error = refusal(cut, second_airways())
+    assert error.code in {"movement.outside", "movement.half-chest"}
 
 
 def test_second_ct_of_a_patient_rotated_by_180_degrees_is_refused() -> None:
@@ -182,18 +182,18 @@ def test_second_ct_of_a_patient_rotated_by_180_degrees_is_refused() -> None:
         for one in tree.branches
     )
     airways = dataclasses.replace(second_airways(), tree=dataclasses.replace(tree, branches=branches))
-    trouble = refusal(turned, airways)
-    assert trouble.code == "movement.pose" and "rotated by 180 degrees" in str(trouble)
+    error = refusal(turned, airways)
+    assert error.code == "movement.pose" and "rotated by 180 degrees" in str(error)
 
 
 def test_the_same_ct_and_a_ct_of_the_same_breath_measure_no_movement() -> None:
     first = chest().volume
-    trouble = refusal(Volume(first.hu_zyx.copy(), first.lps_from_ijk), found_airways(first))
-    assert trouble.code == "movement.same-ct" and "Choose another CT" in str(trouble)
+    error = refusal(Volume(first.hu_zyx.copy(), first.lps_from_ijk), found_airways(first))
+    assert error.code == "movement.same-ct" and "Choose another CT" in str(error)
     noise = np.random.default_rng(1).normal(0.0, 20.0, first.hu_zyx.shape)
     again = Volume((first.hu_zyx + noise).astype(np.int16), first.lps_from_ijk)
-    trouble = refusal(again, found_airways(first))
-    assert trouble.code == "movement.same-breath" and "expiration" in str(trouble)
+    error = refusal(again, found_airways(first))
+    assert error.code == "movement.same-breath" and "expiration" in str(error)
 
 
 def test_similar_breath_is_a_note_and_thick_slices_hide_a_small_movement() -> None:
@@ -226,16 +226,16 @@ def test_wrong_orientation_is_recognised_without_names(signs, code, words) -> No
         )
         for one in tree.branches
     )
-    trouble = orientation_error(first, dataclasses.replace(tree, branches=branches))
-    assert trouble is not None and trouble.code == code
-    assert words in str(trouble) and "orientation letters" in str(trouble)
+    error = orientation_error(first, dataclasses.replace(tree, branches=branches))
+    assert error is not None and error.code == code
+    assert words in str(error) and "orientation letters" in str(error)
 
 
 def test_lungs_that_the_second_ct_cuts_explain_few_forks() -> None:
     whole = second()
     cut = part_of(whole, 0, whole.shape_zyx[0] // 2, whole.shape_zyx[0])
-    trouble = cut_lungs_error(few_forks(3, cut), chest().volume, cut)
-    assert trouble is not None and trouble.code == "movement.half-chest" and "lower end cuts" in str(trouble)
+    error = cut_lungs_error(few_forks(3, cut), chest().volume, cut)
+    assert error is not None and error.code == "movement.half-chest" and "lower end cuts" in str(error)
     assert cut_lungs_error(few_forks(3, whole), chest().volume, whole) is None
     upright = cut.lps_from_ijk.copy()
     upright[:3, 2] *= -1.0
@@ -277,8 +277,8 @@ def test_cts_with_too_few_equally_named_forks_are_refused() -> None:
         for one in tree.branches
     )
     airways = dataclasses.replace(second_airways(), tree=dataclasses.replace(tree, branches=bare))
-    trouble = refusal(second(), airways)
-    assert trouble.code == "movement.few-forks" and "the same name in both CTs" in str(trouble)
+    error = refusal(second(), airways)
+    assert error.code == "movement.few-forks" and "the same name in both CTs" in str(error)
 
 
 def test_forks_with_doubtful_names_are_not_matched_between_two_cts() -> None:

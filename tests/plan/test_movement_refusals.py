@@ -89,8 +89,8 @@ def test_unsuitable_second_cts_are_refused_with_their_cause(seed: int) -> None:
     for name, (change, codes) in CHANGES.items():
         try:
             movement = measure_movement(first, airways, place, change(second), progress=False).movement
-        except NoResultError as trouble:
-            found[name] = None if trouble.code in codes else f"{trouble.code}: {trouble}"
+        except NoResultError as error:
+            found[name] = None if error.code in codes else f"{error.code}: {error}"
         else:
             assert movement.error_mm is not None
             off = float(np.linalg.norm(np.array(movement.shift_lps) - true))

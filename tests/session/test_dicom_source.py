@@ -46,9 +46,9 @@ def test_target_file_drawn_on_another_ct_is_refused_by_comparison_with_the_folde
     fixture = session_fixture(open_volume=dicom_volume)
     fixture.session.do(OpenPath(str(tmp_path)))
     fixture.background.run_all()
-    trouble = take(fixture)
+    error = take(fixture)
     assert taken == [tmp_path]
-    assert (trouble.code, "drawn on another CT" in trouble.message) == ("import.other-ct", True)
+    assert (error.code, "drawn on another CT" in error.message) == ("import.other-ct", True)
     assert fixture.session.ask(CtFolder()) == tmp_path
     assert fixture.session.ask(PlanningOf()).dicom_problem is None
 

@@ -345,7 +345,7 @@ def test_bridge_without_an_airway_beyond_its_end_is_refused_and_confirmation_is_
     fixture.open()
     edit(fixture, Bridge(in_plain_lung()))
     assert fixture.of_type(EvidenceMissing) == []
-    assert [(trouble.code, trouble.message) for trouble in fixture.of_type(ErrorEvent)] == [(doubt.code, str(doubt))]
+    assert [(error.code, error.message) for error in fixture.of_type(ErrorEvent)] == [(doubt.code, str(doubt))]
 
 
 def test_target_at_the_new_root_stays_in_the_list_and_states_why_it_has_no_path(fixture, case):

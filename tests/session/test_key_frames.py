@@ -285,8 +285,8 @@ def test_key_frames_of_another_case_are_refused_and_change_nothing(three, tmp_pa
     other.open("raw")
     other.session.do(TakeKeyFrameFile(path))
     other.background.run_all()
-    (trouble,) = other.of_type(ErrorEvent)
-    assert "another scan" in trouble.message
+    (error,) = other.of_type(ErrorEvent)
+    assert "another scan" in error.message
     assert other.session.key_frames_info().frames == ()
 
 

@@ -139,10 +139,10 @@ def test_layers_computed_for_other_airways_are_not_shown_and_reported_as_outdate
 
 
 def test_failed_computation_of_layers_states_its_reason_and_can_be_retried():
-    trouble = [NoResultError("no lung was found", code="plan.no_lung"), CancelledError("stopped"), None]
+    error = [NoResultError("no lung was found", code="plan.no_lung"), CancelledError("stopped"), None]
 
     def make(*_given, **_options):
-        problem = trouble.pop(0)
+        problem = error.pop(0)
         if problem is not None:
             raise problem
         return LungMap(vessels=BALL)

@@ -321,8 +321,8 @@ def test_named_file_is_not_replaced_by_one_without_a_recorded_flight(workstation
     session.do(c.SetFov(80.0))
     session.do(c.SaveCase(str(place)))
     workstation.background.run_all()
-    trouble = [event for event in workstation.events if isinstance(event, ErrorEvent)][-1]
-    assert "mine.carina was left as it is: 1 recorded flight cannot be read" in trouble.message
+    error = [event for event in workstation.events if isinstance(event, ErrorEvent)][-1]
+    assert "mine.carina was left as it is: 1 recorded flight cannot be read" in error.message
     assert (place.read_text(), workstation.written[str(place)]) == before
     session.close()
 
@@ -387,9 +387,9 @@ def test_window_does_not_write_a_named_file_changed_by_another_program_and_repor
     named.write_text("a letter")
     workstation.session.do(c.SaveCase())
     workstation.background.run_all()
-    trouble = [event for event in workstation.events if isinstance(event, ErrorEvent)]
-    assert [event.code for event in trouble] == ["case.changed"]
-    assert "not a Carina case" in trouble[0].message
+    error = [event for event in workstation.events if isinstance(event, ErrorEvent)]
+    assert [event.code for event in error] == ["case.changed"]
+    assert "not a Carina case" in error[0].message
     assert named.read_text() == "a letter"
     info = saving(workstation)
     assert (info.copy_conflict, info.copy_name, info.problem) == ("not-a-case", "team.carina", None)

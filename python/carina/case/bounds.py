@@ -228,8 +228,8 @@ def check_tip(tip: Mapping[str, Any], where: str, *, has_route: bool) -> None:
         mode, operator = tip["mode"], tip["operator"]
         path_mm = bounded_number(tip["path_mm"], where, -MAX_MM, MAX_MM)
         bounded_number(tip["base_roll_rad"], where, -MAX_NUMBER, MAX_NUMBER)
-    except (KeyError, TypeError, ValueError, OverflowError) as trouble:
-        raise damage_error(where, expected, f"other content ({str(trouble)[:100]})") from None
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise damage_error(where, expected, f"other content ({str(error)[:100]})") from None
     if [array.shape for array in arrays.values()] != [(3, 3), (3, 3), (3,)] or not math.isfinite(path_mm):
         raise damage_error(where, expected, "arrays of another shape")
     for turn in (arrays["entry"], arrays["look"]):

@@ -77,8 +77,8 @@ def inflate(data: object, size: object, where: str) -> bytes:
     inflater = zlib.decompressobj()
     try:
         content = inflater.decompress(data, size + 1)
-    except zlib.error as trouble:
-        raise damage_error(where, "valid compressed bytes", f"invalid ones ({trouble})") from None
+    except zlib.error as error:
+        raise damage_error(where, "valid compressed bytes", f"invalid ones ({error})") from None
     if len(content) != size or not inflater.eof or inflater.unused_data:
         raise damage_error(where, f"{size} bytes", "a different size")
     return content
@@ -142,8 +142,8 @@ def as_checked_json(value: object, decoder: msgspec.json.Decoder[Any], what: str
         if len(json_text) > MAX_JSON_BYTES:
             raise ValueError(f"expected at most {MAX_JSON_BYTES} bytes, found {len(json_text)}")
         return json_text.decode()
-    except (msgspec.MsgspecError, ValueError, TypeError, RecursionError, OverflowError) as trouble:
-        raise UsageError(f"{what} cannot be saved: {trouble}", code="case.value") from trouble
+    except (msgspec.MsgspecError, ValueError, TypeError, RecursionError, OverflowError) as error:
+        raise UsageError(f"{what} cannot be saved: {error}", code="case.value") from error
 
 
 def from_json(content: object, decoder: msgspec.json.Decoder[Any], where: str) -> Any:
@@ -167,8 +167,8 @@ def from_json(content: object, decoder: msgspec.json.Decoder[Any], where: str) -
         raise damage_error(where, f"JSON of at most {MAX_JSON_BYTES} bytes", type(content).__name__)
     try:
         return decoder.decode(content)
-    except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as trouble:
-        found = f"other content ({str(trouble)[:200]})"
+    except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as error:
+        found = f"other content ({str(error)[:200]})"
         raise damage_error(where, "values as described in docs/case-file.md", found) from None
 
 

@@ -172,9 +172,9 @@ def convert_value_errors() -> Iterator[None]:
         yield
     except CarinaError:
         raise
-    except (TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError, RecursionError) as trouble:
-        found = f"other content ({type(trouble).__name__})"
-        raise damage_error("content", "values as described in docs/case-file.md", found) from trouble
+    except (TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError, RecursionError) as error:
+        found = f"other content ({type(error).__name__})"
+        raise damage_error("content", "values as described in docs/case-file.md", found) from error
 
 
 def check_header(path: Path) -> None:

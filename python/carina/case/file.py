@@ -653,15 +653,15 @@ class CaseFile:
         """Replace a damage error, raised in the block, by an update notice if a newer Carina wrote the file."""
         try:
             yield
-        except CaseFileError as trouble:
-            if self.note is None or trouble.code != "case.damaged":
+        except CaseFileError as error:
+            if self.note is None or error.code != "case.damaged":
                 raise
             raise unusable_file_error(
                 self.path,
                 f"a newer version of Carina saved it, with content that this version cannot read; "
-                f"update Carina ({trouble})",
+                f"update Carina ({error})",
                 code="case.newer",
-            ) from trouble
+            ) from error
 
     def _checked_writer(self) -> CaseWriter:
         if self._writer is None:

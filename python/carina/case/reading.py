@@ -220,8 +220,8 @@ class CaseReader:
         """
         try:
             length_mm = route.path.length_mm
-        except CarinaError as trouble:
-            raise damage_error("route", "a flight path", f"points that make none ({str(trouble)[:200]})") from None
+        except CarinaError as error:
+            raise damage_error("route", "a flight path", f"points that make none ({str(error)[:200]})") from None
         bounded_number(length_mm, "route", *LENGTH_MM)
 
     def airways_of(self, document: int) -> int | None:
@@ -475,8 +475,8 @@ class CaseReader:
                 tuple(Note(note.code, note.words, note.badge) for note in facts.notes),
             )
             AirwayTree(made[0])
-        except CarinaError as trouble:
-            raise damage_error(where, "a valid airway tree", f"an invalid one ({trouble})") from None
+        except CarinaError as error:
+            raise damage_error(where, "a valid airway tree", f"an invalid one ({error})") from None
         while len(self._trees) >= NO_TREES:
             del self._trees[next(iter(self._trees))]
         self._trees[row] = made
@@ -636,12 +636,12 @@ class CaseReader:
             raise damage_error(where, "this kind", f"the kind {str(found)[:40]}")
         try:
             made = make(from_json(json_text, decoder, where))
-        except CarinaError as trouble:
-            if str(getattr(trouble, "code", "")).startswith("case."):
+        except CarinaError as error:
+            if str(getattr(error, "code", "")).startswith("case."):
                 raise
-            raise damage_error(where, f"valid {kind} data", f"invalid data ({trouble})") from None
-        except (TypeError, ValueError, KeyError, OverflowError) as trouble:
-            raise damage_error(where, f"valid {kind} data", f"invalid data ({str(trouble)[:200]})") from None
+            raise damage_error(where, f"valid {kind} data", f"invalid data ({error})") from None
+        except (TypeError, ValueError, KeyError, OverflowError) as error:
+            raise damage_error(where, f"valid {kind} data", f"invalid data ({str(error)[:200]})") from None
         self._values[kind, row] = made
         if kind != "edit":
             self._register_row(kind, made, row)

@@ -167,8 +167,8 @@ class RecordingTable:
             pieces.append(content)
         try:
             return b"".join(pieces).decode()
-        except UnicodeDecodeError as trouble:
-            raise damage_error(where, "UTF-8 text", "invalid bytes") from trouble
+        except UnicodeDecodeError as error:
+            raise damage_error(where, "UTF-8 text", "invalid bytes") from error
 
     def read(self, recording_id: int) -> Recording:
         """Return a recording for replay."""

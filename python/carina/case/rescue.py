@@ -85,12 +85,12 @@ class _Rescue:
                 )
         try:
             self._source = read_source(connection)
-        except TROUBLE as trouble:
+        except TROUBLE as error:
             raise unusable_file_error(
                 path,
-                f"nothing can be recovered, because the record of its scan is lost ({trouble})",
+                f"nothing can be recovered, because the record of its scan is lost ({error})",
                 code="case.damaged",
-            ) from trouble
+            ) from error
         if int(np.prod(np.array(self._source.shape_zyx, dtype=np.float64))) > MAX_VOXELS:
             raise unusable_file_error(
                 path,
@@ -133,8 +133,8 @@ class _Rescue:
                 last = row[0] if isinstance(row[0], int) else last
                 yield row
             return
-        except sqlite3.Error as trouble:
-            self._lost.append(f"part of the table {table} ({trouble})")
+        except sqlite3.Error as error:
+            self._lost.append(f"part of the table {table} ({error})")
         ahead = last or 0
         misses = 0
         while seen < MAX_ROWS and misses < 2000:
@@ -234,8 +234,8 @@ class _Rescue:
         try:
             with convert_value_errors():
                 return self._without_damage(row, what)
-        except TROUBLE as trouble:
-            self._lost.append(f"{what}: {trouble}")
+        except TROUBLE as error:
+            self._lost.append(f"{what}: {error}")
             return None
 
     def _is_whole(self, document: int) -> bool:

@@ -45,5 +45,5 @@ def lesion_from_facts(facts: LesionFacts) -> Lesion:
     )
     try:
         return Lesion(PlanTarget.from_record(facts.record), facts.options)
-    except CarinaError as trouble:
-        raise damage_error(where, "its record", str(trouble)[:200]) from None
+    except CarinaError as error:
+        raise damage_error(where, "its record", str(error)[:200]) from None

@@ -407,9 +407,9 @@ class CaseWriter:
         try:
             whole = measures.load() if isinstance(measures, StoredMeasures) else measures
             row = self._whole_measures(airways, whole)
-        except CarinaError as trouble:
+        except CarinaError as error:
             # Measures can be computed again, so the user's work is saved without them.
-            logger.warning("the measurements of the airways could not be saved (%s)", trouble.code)
+            logger.warning("the measurements of the airways could not be saved (%s)", error.code)
             row = 0
         self._register_row("measures", measures, row)
 

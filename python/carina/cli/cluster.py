@@ -130,11 +130,11 @@ def join(address: str, *, ip: str | None, dedicated: bool, token: Path | None, a
                 # After a lost connection the head declares this machine dead and its process ends.
                 attempts = 1 if time.monotonic() - began_s > 60.0 else attempts + 1
                 words = f"this machine was dropped from the cluster at {address}; rejoining"
-            except ClusterError as trouble:
+            except ClusterError as error:
                 if not has_joined:
                     raise
                 attempts += 1
-                words = f"{trouble}; trying again"
+                words = f"{error}; trying again"
             finally:
                 node.stop()
             pause_s = AGAIN_S[min(attempts, len(AGAIN_S)) - 1]

@@ -114,8 +114,8 @@ def interruptible(work: Callable[[], Result]) -> Result:
     def run() -> None:
         try:
             results.append(work())
-        except BaseException as trouble:
-            troubles.append(trouble)
+        except BaseException as error:
+            troubles.append(error)
 
     thread = threading.Thread(target=run, daemon=True)
     thread.start()

@@ -28,7 +28,7 @@ def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
     """List the devices; with addresses, connect and print their samples. Return 4 if a device sends nothing."""
     if not 0.0 < seconds <= 86_400.0:
         raise UsageError(f"--seconds: expected more than 0 and at most 86400; found {seconds:g}")
-    ports, trouble = found_ports()
+    ports, error = found_ports()
     live = _LatestSamples()
     sources = [open_source(address, live.listener) for address in addresses]
     statuses: list[SourceStatus] = []
@@ -53,7 +53,7 @@ def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
         print_json(
             {
                 "serial_ports": ports,
-                "serial_problem": trouble,
+                "serial_problem": error,
                 "window": IN_THE_WINDOW,
                 "filter_latency_ms": filter_latency_ms(DeviceControls()),
                 "devices": [
@@ -64,8 +64,8 @@ def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
     elif not sources:
         for port in ports:
             print_result(f"{port['port']}  {port['title']}")
-        if trouble is not None:
-            print_result(trouble)
+        if error is not None:
+            print_result(error)
         elif not ports:
             print_result("no serial port was found")
         print_result(IN_THE_WINDOW)

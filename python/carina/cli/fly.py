@@ -281,8 +281,8 @@ def _renderer(source: OpenedInput, progress: Any, make: RendererFactory | None) 
             airways = source.airways(progress)
             source.badges.add(getattr(airways, "badges", ()))
             renderer.set_lumen(airways.lumen_zyx, airways.tree)
-        except NoResultError as trouble:
-            print_note(f"note: {trouble}; thin walls are shown as they appear in the CT")
+        except NoResultError as error:
+            print_note(f"note: {error}; thin walls are shown as they appear in the CT")
     return renderer
 
 

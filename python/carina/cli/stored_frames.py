@@ -84,9 +84,9 @@ class StoredFrames:
         try:
             with library_path(file) as name:
                 rgb = sitk.GetArrayFromImage(sitk.ReadImage(name))
-        except RuntimeError as trouble:
+        except RuntimeError as error:
             msg = f"{file}: this frame cannot be read; delete it and all later frames, then start again"
-            raise VolumeImportError(msg, code="fly.kept") from trouble
+            raise VolumeImportError(msg, code="fly.kept") from error
         if rgb.shape != (size[1], size[0], 3) or rgb.dtype != np.uint8:
             height, width = rgb.shape[:2]
             msg = (

@@ -438,9 +438,9 @@ class Console:
 
         try:
             member.lane.submit(order, done)
-        except Exception as trouble:
+        except Exception as error:
             # Every order needs an answer: the console's own lane has no deadline that would detect a missing one.
-            done(trouble)
+            done(error)
 
     def _handle_answer(self, name: str, order: StripOrder, answer: StripAnswer | BaseException, at_s: float) -> None:
         """Handle a lane's answer: check it, copy its rows into the frame, and report it to the scheduler."""
@@ -458,8 +458,8 @@ class Console:
             if wrong is None and frame is not None and self._scheduler.expects(name, order.task_id):
                 # Copied before the scheduler counts the rows as done: if the copy fails, another lane must render them.
                 frame.copy_rows(answer, rows)
-        except Exception as trouble:
-            wrong = f"an unusable strip ({type(trouble).__name__}: {trouble})"
+        except Exception as error:
+            wrong = f"an unusable strip ({type(error).__name__}: {error})"
         if wrong is not None:
             self._handle_fault(name, order, wrong)
             return

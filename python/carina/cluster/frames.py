@@ -77,8 +77,8 @@ class PendingFrame:
         """
         try:
             picture = self._picture(now_s)
-        except Exception as trouble:
-            set_failure(self.future, trouble)
+        except Exception as error:
+            set_failure(self.future, error)
             return
         if self.future.set_running_or_notify_cancel():
             self.future.set_result(picture)

@@ -187,8 +187,8 @@ class LocalLane:
                     bare_picture(picture),
                     picture.rgb,
                 )
-            except BaseException as trouble:  # a panic of the compiled module is not a subclass of Exception
-                answer = trouble
+            except BaseException as error:  # a panic of the compiled module is not a subclass of Exception
+                answer = error
             done(answer)
 
 

@@ -81,10 +81,10 @@ def _connect(ray: Any, address: str, ip: str | None) -> None:
                 **options,
             )
             return
-        except Exception as trouble:
+        except Exception as error:
             ray.shutdown()
             if time.monotonic() > end_s:
-                raise ClusterError(_connection_error(address, trouble), code="cluster.refused") from trouble
+                raise ClusterError(_connection_error(address, error), code="cluster.refused") from error
         time.sleep(1.0)
 
 
@@ -154,8 +154,8 @@ class RayLane:
             self._check_memory(parcel, num_bytes, ping["memory_bytes"])
             refs = self._cluster.store.refs(parcel)
             self._send(parcel, {token: refs[token] for token in new}, done)
-        except BaseException as trouble:
-            done(_without_ray_wrapper(trouble))
+        except BaseException as error:
+            done(_without_ray_wrapper(error))
 
     def _check_memory(self, parcel: Parcel, num_bytes: int, free_bytes: int | None) -> None:
         """Raise an error if the machine has too little memory for the content."""
@@ -180,13 +180,13 @@ class RayLane:
         ref = self._handle.load.remote(parcel.content, parcel.skeleton, cached_tokens, tokens, *new.values())
 
         def loaded(future: Future[Any]) -> None:
-            trouble = future.exception()
-            if trouble is None:
+            error = future.exception()
+            if error is None:
                 self._held = set(parcel.arrays)
                 done(None)
             else:
                 self._held = None
-                done(_without_ray_wrapper(trouble))
+                done(_without_ray_wrapper(error))
 
         ref.future().add_done_callback(loaded)
 
@@ -194,10 +194,10 @@ class RayLane:
         """Render a strip on the other machine; see :meth:`carina.cluster.lanes.Lane.submit`."""
 
         def answered(future: Future[Any]) -> None:
-            trouble = future.exception()
-            if trouble is not None:
+            error = future.exception()
+            if error is not None:
                 self._held = None
-                done(_without_ray_wrapper(trouble))
+                done(_without_ray_wrapper(error))
                 return
             try:
                 done(StripAnswer.of(open_answer(future.result())))
@@ -207,8 +207,8 @@ class RayLane:
         try:
             ref = self._handle.answer.remote(pack_order(order.frame_id, order.content, order.view_bytes, order.rows))
             ref.future().add_done_callback(answered)
-        except Exception as trouble:
-            done(_without_ray_wrapper(trouble))
+        except Exception as error:
+            done(_without_ray_wrapper(error))
 
     def call(self, method: str, *arguments: Any, **options: Any) -> Any:
         """Call a method of the renderer and wait for its result, for tests and benchmarks."""
@@ -416,13 +416,13 @@ class RayCluster:
 
     def _add_started_lane(self, name: str, renderer: _StartedRenderer, ping: Future[Any]) -> None:
         """Add the lane of a renderer that has started, or report why it could not start."""
-        trouble: BaseException | None = None
+        error: BaseException | None = None
         try:
             answer = ping.result()
             words = version_words(VERSION, str(answer["version"]), name)
             lane = RayLane(name, renderer.handle, self, answer, renderer.store_bytes) if words is None else None
         except Exception as failure:
-            trouble, lane = failure, None
+            error, lane = failure, None
             words = f"the renderer on {name} could not be started: {_first_line(_without_ray_wrapper(failure))}"
         with self._lock:
             if self._renderers.get(name) is not renderer:
@@ -434,7 +434,7 @@ class RayCluster:
                 self._console.add_lane(lane)
                 return
             del self._renderers[name]
-            if trouble is None:
+            if error is None:
                 self._refused.add(renderer.node)
             else:
                 self._not_before[name] = self._clock() + WAIT_AFTER_FAILURE_S

@@ -27,8 +27,8 @@ if sys.platform == "win32":
             os.lseek(descriptor, _FAR, os.SEEK_SET)
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
             return True
-        except OSError as trouble:
-            return False if trouble.errno in {errno.EACCES, errno.EDEADLK} else None
+        except OSError as error:
+            return False if error.errno in {errno.EACCES, errno.EDEADLK} else None
         finally:
             os.lseek(descriptor, here, os.SEEK_SET)
 
@@ -40,5 +40,5 @@ else:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return True
-        except OSError as trouble:
-            return False if trouble.errno in {errno.EWOULDBLOCK, errno.EACCES} else None
+        except OSError as error:
+            return False if error.errno in {errno.EWOULDBLOCK, errno.EACCES} else None

@@ -121,15 +121,15 @@ class _ErrorRecordingFile(io.RawIOBase):
     def write(self, data: Any) -> int:
         try:
             return self._file.write(data)
-        except OSError as trouble:
-            self.trouble = self.trouble or trouble
+        except OSError as error:
+            self.trouble = self.trouble or error
             raise
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         try:
             return self._file.seek(offset, whence)
-        except OSError as trouble:
-            self.trouble = self.trouble or trouble
+        except OSError as error:
+            self.trouble = self.trouble or error
             raise
 
     def tell(self) -> int:

@@ -119,8 +119,8 @@ def open_key_frames(path: str | Path) -> KeyFrameFile:
     try:
         try:
             text = read_regular_text(place, max_bytes=MAX_BYTES)
-        except VolumeImportError as trouble:
-            if trouble.code != "disk.too-large":
+        except VolumeImportError as error:
+            if error.code != "disk.too-large":
                 raise
             raise VolumeImportError(f"{place.name}: too large for a key-frame file", code="navigate.keys") from None
         document = json.loads(text)
@@ -129,10 +129,10 @@ def open_key_frames(path: str | Path) -> KeyFrameFile:
         return _timed_key_frames(document) if document["version"] == 1 else _key_frames_with_speeds(document)
     except VolumeImportError:
         raise
-    except OSError as trouble:
-        raise VolumeImportError(f"{place.name}: cannot be read: {trouble.strerror}", code="navigate.keys") from trouble
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as trouble:
-        raise VolumeImportError(f"{place.name}: not a key-frame file: {trouble}", code="navigate.keys") from trouble
+    except OSError as error:
+        raise VolumeImportError(f"{place.name}: cannot be read: {error.strerror}", code="navigate.keys") from error
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise VolumeImportError(f"{place.name}: not a key-frame file: {error}", code="navigate.keys") from error
 
 
 def _timed_key_frames(document: dict[str, Any]) -> KeyFrameFile:

@@ -219,8 +219,6 @@ def move_from_json(value: dict[str, Any]) -> tuple[Move, float]:
             smoothing = dict(controls.pop("filter"))
             fields["controls"] = {**controls, "filter_on": smoothing.pop("on"), **smoothing}
         move: Move = read_plain(fields, cls)
-    except (TypeError, KeyError, AttributeError, ValueError) as trouble:
-        raise UsageError(
-            f"the movement command {name} cannot be read: {trouble}", code="navigate.recording"
-        ) from trouble
+    except (TypeError, KeyError, AttributeError, ValueError) as error:
+        raise UsageError(f"the movement command {name} cannot be read: {error}", code="navigate.recording") from error
     return move, dt_s

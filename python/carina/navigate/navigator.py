@@ -419,8 +419,8 @@ class Navigator:
             numbers = (float(state["path_mm"]), float(state["base_roll_rad"]))
             pose, operator = Pose(np.array(state["lps_from_camera"], dtype=np.float64)), state["operator"]
             mode = state["mode"]
-        except (KeyError, TypeError, ValueError) as trouble:
-            raise UsageError(f"not a valid navigator state: {trouble}", code="navigate.recording") from trouble
+        except (KeyError, TypeError, ValueError) as error:
+            raise UsageError(f"not a valid navigator state: {error}", code="navigate.recording") from error
         shapes = [array.shape for array in arrays.values()]
         finite = all(np.isfinite(array).all() for array in arrays.values()) and all(map(math.isfinite, numbers))
         if shapes != [(3, 3), (3, 3), (3,)] or not finite or mode not in {"free", "path"}:

@@ -112,8 +112,8 @@ class Recorder:
             try:
                 # Flush now, so that a full disk is reported at the start.
                 file.flush()
-            except OSError as trouble:
-                self._end(trouble)
+            except OSError as error:
+                self._end(error)
         if self.trouble is not None:
             raise self.trouble
         self._on_end = on_end
@@ -146,8 +146,8 @@ class Recorder:
         if self.trouble is None:
             try:
                 self._file.close()
-            except OSError as trouble:
-                self._end(trouble)
+            except OSError as error:
+                self._end(error)
 
     def _record_move(self, move: m.Move, dt_s: float) -> None:
         if isinstance(move, m.DeviceSaid | m.Frame):
@@ -175,8 +175,8 @@ class Recorder:
             return
         try:
             self._file.write(json.dumps(value, allow_nan=False, separators=(",", ":")) + "\n")
-        except OSError as trouble:
-            self._end(trouble)
+        except OSError as error:
+            self._end(error)
 
     def _end(self, trouble: OSError) -> None:
         """End the recording after a write error, without an exception in the code that moves the tip."""
@@ -269,10 +269,8 @@ class Recording:
             poses = np.stack([np.asarray(pose, dtype=np.float64).reshape(4, 4) for _, pose in moments])
             for pose in poses:
                 Pose(pose)
-        except (KeyError, TypeError, ValueError, OverflowError) as trouble:
-            raise VolumeImportError(
-                f"the recording cannot be replayed: {trouble}", code="navigate.recording"
-            ) from trouble
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise VolumeImportError(f"the recording cannot be replayed: {error}", code="navigate.recording") from error
         return np.array([time_s for time_s, _ in moments]), poses
 
     def replay(
@@ -316,10 +314,8 @@ class Recording:
                     if "pose" in line:
                         same = tip.pose.lps_from_camera.ravel().tolist() == line["pose"]
                         yield ReplayedPose(float(line["t"]), tip.pose, view, tip.picture_turned), same
-        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as trouble:
-            raise VolumeImportError(
-                f"the recording cannot be replayed: {trouble}", code="navigate.recording"
-            ) from trouble
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+            raise VolumeImportError(f"the recording cannot be replayed: {error}", code="navigate.recording") from error
 
 
 def open_recording(path: str | Path) -> Recording:
@@ -338,10 +334,10 @@ def open_recording(path: str | Path) -> Recording:
             return read_recording(file, place)
     except VolumeImportError:
         raise  # VolumeImportError is an OSError too, and must not be replaced.
-    except OSError as trouble:
-        raise _unusable_recording_error(place, trouble.strerror or "it cannot be read") from trouble
-    except UnicodeDecodeError as trouble:
-        raise _unusable_recording_error(place, "it is not a text file") from trouble
+    except OSError as error:
+        raise _unusable_recording_error(place, error.strerror or "it cannot be read") from error
+    except UnicodeDecodeError as error:
+        raise _unusable_recording_error(place, "it is not a text file") from error
 
 
 def read_recording(file: io.TextIOBase | TextIO, place: Path) -> Recording:

@@ -127,8 +127,8 @@ class PhoneLink:
             return
         try:
             message = wire.parse_phone_message(text)
-        except ProtocolError as trouble:
-            self.num_bad[trouble.code] += 1
+        except ProtocolError as error:
+            self.num_bad[error.code] += 1
             return
         match message:
             case wire.PhoneSample():

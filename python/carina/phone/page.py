@@ -225,14 +225,14 @@ class PhonePage:
                     return
                 if link.is_broken:
                     raise ProtocolError("too many messages could not be read", code="protocol.malformed")
-        except ProtocolError as trouble:
-            await close_socket(websocket, trouble.code, str(trouble))
+        except ProtocolError as error:
+            await close_socket(websocket, error.code, str(error))
         except TimeoutError:
             await close_socket(websocket, "protocol.order", "the client sent no hello message")
         except WebSocketDisconnect:
             pass
-        except Exception as trouble:
-            log_fault(logger, "the connection to a phone failed", trouble)
+        except Exception as error:
+            log_fault(logger, "the connection to a phone failed", error)
         finally:
             if teller is not None:
                 teller.cancel()
@@ -295,8 +295,8 @@ class PhonePage:
                 self._session.do(LevelHorizon())
             else:
                 self._session.do(ResetLook())
-        except CarinaError as trouble:
-            self._words = str(trouble)
+        except CarinaError as error:
+            self._words = str(error)
 
 
 async def _receive(websocket: WebSocket) -> str | None:

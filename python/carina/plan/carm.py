@@ -207,8 +207,8 @@ def carm_angles(
     target, radius_mm = np.array(nodule.centre_lps), 0.5 * nodule.long_mm
     try:
         parts = shadow_parts(volume, airways.tree) if shadows is None else shadows
-    except NoResultError as trouble:
-        return CArmAngles(route.key, (), f"C-arm angles are not known: {trouble}")
+    except NoResultError as error:
+        return CArmAngles(route.key, (), f"C-arm angles are not known: {error}")
     notes = []
     if not len(parts.spine_lps):
         notes.append("no spine was found in the CT; only the mediastinum was considered")

@@ -100,8 +100,8 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             return _not_authorised()
         try:
             return JSONResponse({"upload_id": uploads.begin()}, 201)
-        except CarinaError as trouble:
-            return _error(trouble, 507)
+        except CarinaError as error:
+            return _error(error, 507)
 
     async def one_upload(request: Request) -> Response:
         if not gate.authorised(request.headers):
@@ -112,8 +112,8 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             return Response(status_code=204)
         try:
             await uploads.add(upload_id, request.query_params.get("name", ""), request.stream())
-        except CarinaError as trouble:
-            return _error(trouble, _status(trouble, 404))
+        except CarinaError as error:
+            return _error(error, _status(error, 404))
         return JSONResponse({}, 201)
 
     async def download(request: Request) -> Response:
@@ -121,8 +121,8 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             return _not_authorised()
         try:
             return await downloads.answer(request.path_params["suffix"])
-        except CarinaError as trouble:
-            return _error(trouble, _status(trouble, 409))
+        except CarinaError as error:
+            return _error(error, _status(error, 409))
 
     async def plan(request: Request) -> Response:
         if not gate.authorised(request.headers):
@@ -132,24 +132,24 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             target_id, _, suffix = request.path_params["name"].partition(".")
             named = request.query_params.get("identity") == "ct"
             return await reports.answer(target_id, f".{suffix}", kind, "from the CT" if named else "none")
-        except CarinaError as trouble:
-            return _error(trouble, _status(trouble, 409))
+        except CarinaError as error:
+            return _error(error, _status(error, 409))
 
     async def key_frames(request: Request) -> Response:
         if not gate.authorised(request.headers):
             return _not_authorised()
         try:
             return await downloads.key_frames()
-        except CarinaError as trouble:
-            return _error(trouble, 409)
+        except CarinaError as error:
+            return _error(error, 409)
 
     async def flight(request: Request) -> Response:
         if not gate.authorised(request.headers):
             return _not_authorised()
         try:
             return await downloads.flight(request.path_params["number"])
-        except CarinaError as trouble:
-            return _error(trouble, _status(trouble, 409))
+        except CarinaError as error:
+            return _error(error, _status(error, 409))
 
     async def case_picture(request: Request) -> Response:
         if not gate.authorised(request.headers):

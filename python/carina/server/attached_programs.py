@@ -70,16 +70,16 @@ class JoinedProgram:
         with self._errand.doing():
             try:
                 self._session.do(message, window=self._window)
-            except CarinaError as trouble:
-                self._errand.failed(trouble)
-            except OSError as trouble:
+            except CarinaError as error:
+                self._errand.failed(error)
+            except OSError as error:
                 self._errand.failed(
-                    disk_trouble(trouble, "the command failed", None)
-                    if is_disk_trouble(trouble)
-                    else _internal_error(trouble)
+                    disk_trouble(error, "the command failed", None)
+                    if is_disk_trouble(error)
+                    else _internal_error(error)
                 )
-            except Exception as trouble:
-                self._errand.failed(_internal_error(trouble))
+            except Exception as error:
+                self._errand.failed(_internal_error(error))
         return None
 
     def _wait_for_jobs(self, message: wire.Settle) -> wire.Settled:
@@ -91,11 +91,11 @@ class JoinedProgram:
         with self._errand.doing():
             try:
                 self._session.do(KeepNow())
-            except CarinaError as trouble:
-                if trouble.code == "case.not-saved":
-                    unsaved = str(trouble)
+            except CarinaError as error:
+                if error.code == "case.not-saved":
+                    unsaved = str(error)
                 else:
-                    problems.append(trouble)
+                    problems.append(error)
         return wire.Settled(
             settle_id=message.settle_id,
             problems=tuple(map(problem_message, problems)),
@@ -143,8 +143,8 @@ async def serve_program(websocket: WebSocket, session: Session) -> None:
             raise ProtocolError("this case is not open here", code="protocol.case-closed")
         await websocket.send_text(wire.encode_message(wire.Joined(carina.__version__)))
         await _run_program(websocket, session, open_case[1])
-    except ProtocolError as trouble:
-        await close_socket(websocket, trouble.code, str(trouble))
+    except ProtocolError as error:
+        await close_socket(websocket, error.code, str(error))
     except TimeoutError:
         await close_socket(websocket, "protocol.order", "the program sent no join message")
     except WebSocketDisconnect:

@@ -195,11 +195,11 @@ class DeviceConnections:
                     self._phone.start()
                 else:
                     self._phone.stop()
-        except CarinaError as trouble:
-            self._push(wire.Error(trouble.code, str(trouble), None))
-        except Exception as trouble:
-            log_fault(logger, "the phone page could not be opened or closed", trouble)
-            words = f"the phone page failed: internal error in Carina ({type(trouble).__name__})"
+        except CarinaError as error:
+            self._push(wire.Error(error.code, str(error), None))
+        except Exception as error:
+            log_fault(logger, "the phone page could not be opened or closed", error)
+            words = f"the phone page failed: internal error in Carina ({type(error).__name__})"
             self._push(wire.Error("carina.fault", words, None))
 
     def _publish_tip(self, port: int | None) -> None:
@@ -277,19 +277,19 @@ class DeviceConnections:
                 if self._watching and began_s - self._shown_s >= SHOWN_EVERY_S:
                     self._shown_s = began_s
                     self._send_status()
-            except Exception as trouble:
+            except Exception as error:
                 # The thread continues after an error, because no other thread processes device input.
                 moving = False
                 if not self._fault_logged:
                     self._fault_logged = True
-                    log_fault(logger, "processing the device input of one frame failed; input continues", trouble)
+                    log_fault(logger, "processing the device input of one frame failed; input continues", error)
             # This wait limits the frame rate, however many samples arrive.
             self._ended.wait(max(0.0, FRAME_S - (time.monotonic() - began_s)))
 
 
 def _ports() -> tuple[tuple[str, ...], str | None]:
-    ports, trouble = found_ports()
-    return tuple(port["port"] for port in ports)[:200], trouble
+    ports, error = found_ports()
+    return tuple(port["port"] for port in ports)[:200], error
 
 
 def _sample_from_message(message: wire.DeviceSampleMessage) -> PoseSample | AxesSample | HandleSample:

@@ -279,11 +279,11 @@ class Hub:
             if self._watched_case == 0:
                 raise UsageError("open a case first; then others can watch it", code="session.no-case")
             await self._watch_page.start()
-        except CarinaError as trouble:
-            window.outbox.push(wire.Error(trouble.code, str(trouble), None))
-        except Exception as trouble:
-            log_fault(logger, "the page for watchers could not be opened", trouble)
-            words = f"the viewing page failed: internal error in Carina ({type(trouble).__name__})"
+        except CarinaError as error:
+            window.outbox.push(wire.Error(error.code, str(error), None))
+        except Exception as error:
+            log_fault(logger, "the page for watchers could not be opened", error)
+            words = f"the viewing page failed: internal error in Carina ({type(error).__name__})"
             window.outbox.push(wire.Error("carina.fault", words, None))
         if self.session.snapshot().case_number != self._watched_case:
             # Another case was opened while the viewing page was starting.

@@ -116,8 +116,8 @@ def _ask_until_saved(session: Session, terminal: Terminal) -> bool:
         if answer.lower() != RETRY:
             try:
                 terminal.say(f"saved as {session.cases.save_elsewhere(one.case_number, Path(answer))}")
-            except CarinaError as trouble:
-                terminal.say(f"carina: {trouble}")
+            except CarinaError as error:
+                terminal.say(f"carina: {error}")
     return True
 
 

@@ -265,8 +265,8 @@ class IgtlServer:
 def _listening_socket(host: str, port: int) -> socket.socket:
     try:
         return socket.create_server((host, port), backlog=8)
-    except OSError as trouble:
+    except OSError as error:
         raise CarinaError(
-            f"cannot listen on {host}:{port} for OpenIGTLink: {trouble.strerror}; choose another port",
+            f"cannot listen on {host}:{port} for OpenIGTLink: {error.strerror}; choose another port",
             code="server.port",
-        ) from trouble
+        ) from error

@@ -50,8 +50,8 @@ def found_ports() -> tuple[list[dict[str, str]], str | None]:
     """Return :func:`serial_ports` and None, or an empty list and the error text if the ports cannot be listed."""
     try:
         return serial_ports(), None
-    except CarinaError as trouble:
-        return [], str(trouble)
+    except CarinaError as error:
+        return [], str(error)
 
 
 class _SerialSource(Source):

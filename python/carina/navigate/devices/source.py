@@ -132,11 +132,11 @@ class Source(ABC):
             try:
                 self._connect_and_read()
                 words = "the connection was closed"
-            except (OSError, CarinaError) as trouble:
-                words = _reason_text(trouble)
-            except Exception as trouble:
+            except (OSError, CarinaError) as error:
+                words = _reason_text(error)
+            except Exception as error:
                 # After a programming error or an invalid name the source continues and shows the error in its state.
-                words = f"{type(trouble).__name__}: {trouble}"
+                words = f"{type(error).__name__}: {error}"
             if self._stopping.is_set():
                 break
             self._state, self._reason_text = "lost", words

@@ -177,8 +177,8 @@ def map_lungs(
         )
     except CancelledError:
         raise
-    except CarinaError as trouble:
-        return replace(made, problems=(str(trouble),))
+    except CarinaError as error:
+        return replace(made, problems=(str(error),))
     return _with_lobes(made, told)
 
 

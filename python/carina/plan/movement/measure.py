@@ -200,14 +200,14 @@ def measure_movement(
     if second_airways is None:
         try:
             second_airways = find_airways(second_volume, progress=report, cancel=cancel)
-        except TrackingError as trouble:
-            raise no_airways(second_volume) from trouble
+        except TrackingError as error:
+            raise no_airways(second_volume) from error
     place, radius_mm = _place(target)
     try:
         forks = _named_forks((volume, second_volume), airways.tree, second_airways.tree)
         motion, fits = _motion(volume, second_volume, airways, forks)
-    except NoResultError as trouble:
-        raise _explained(trouble, (volume, second_volume), (airways.tree, second_airways.tree)) from trouble
+    except NoResultError as error:
+        raise _explained(error, (volume, second_volume), (airways.tree, second_airways.tree)) from error
     check_gravity(volume, second_volume)
     guess = Deformation(forks.first_lps[fits], (forks.second_lps - forks.first_lps)[fits], motion)
     check_inside(second_volume, place + guess.at(place[None])[0], radius_mm)

@@ -37,5 +37,5 @@ def new_folder() -> Path:
     """
     try:
         return ScratchFolder().path
-    except OSError as trouble:
-        raise disk_trouble(trouble, "the file cannot be created on this machine", None) from trouble
+    except OSError as error:
+        raise disk_trouble(error, "the file cannot be created on this machine", None) from error

@@ -110,8 +110,8 @@ class Reports:
             except CancelledError:
                 _set_failure(done, CarinaError("the report was stopped", code="plan.report-stopped"))
                 raise
-            except BaseException as trouble:
-                _set_failure(done, trouble)
+            except BaseException as error:
+                _set_failure(done, error)
                 raise
             if not done.cancelled():
                 done.set_result(made)

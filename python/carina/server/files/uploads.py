@@ -91,19 +91,19 @@ class Uploads:
             while len(self._uploads) >= self._limits.num_uploads:
                 self.discard(next(iter(self._uploads)))
             scratch = ScratchFolder()
-        except OSError as trouble:
+        except OSError as error:
             raise disk_trouble(
-                trouble, "the files dropped on the window could not be stored", None, unchanged=_BY_PATH
-            ) from trouble
+                error, "the files dropped on the window could not be stored", None, unchanged=_BY_PATH
+            ) from error
         tag = secrets.token_hex(4)
         folder = scratch.path / self.names.begin(tag)
         try:
             folder.mkdir(mode=0o700)
-        except OSError as trouble:
+        except OSError as error:
             scratch.remove()
             raise disk_trouble(
-                trouble, "the files dropped on the window could not be stored", None, unchanged=_BY_PATH
-            ) from trouble
+                error, "the files dropped on the window could not be stored", None, unchanged=_BY_PATH
+            ) from error
         upload_id = secrets.token_hex(8)
         self._uploads[upload_id] = _Upload(scratch, tag, folder)
         return upload_id
@@ -138,9 +138,9 @@ class Uploads:
                         msg = "the dropped files are too large to upload; open the folder by its path instead"
                         raise UsageError(msg, code="upload.limit")
                     await run_in_threadpool(file.write, chunk)
-        except OSError as trouble:
+        except OSError as error:
             _remove(path)
-            raise disk_trouble(trouble, "a dropped file cannot be stored", None, unchanged=_BY_PATH) from trouble
+            raise disk_trouble(error, "a dropped file cannot be stored", None, unchanged=_BY_PATH) from error
         except BaseException:
             _remove(path)
             raise
@@ -226,6 +226,6 @@ def _with_data_file_names(upload: _Upload, header: Path) -> Path:
             if path.is_file() and not back.exists():
                 path.replace(back)
                 header = back if path == header else header
-    except OSError as trouble:
-        raise disk_trouble(trouble, "a dropped file cannot be stored", None, unchanged=_BY_PATH) from trouble
+    except OSError as error:
+        raise disk_trouble(error, "a dropped file cannot be stored", None, unchanged=_BY_PATH) from error
     return header

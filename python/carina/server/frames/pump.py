@@ -201,10 +201,10 @@ class FramePump:
             self._woken.clear()
             try:
                 rendered = self.step()
-            except BaseException as trouble:
+            except BaseException as error:
                 # BaseException: a panic of the compiled module is not an Exception. The thread continues with the next
                 # picture, because no other thread renders.
-                log_fault(logger, "sending one image failed", trouble)
+                log_fault(logger, "sending one image failed", error)
                 rendered = False
             if not rendered:
                 self._woken.wait(self.wait_s())
@@ -235,11 +235,11 @@ class FramePump:
             if order.grade > MOVING and self._is_obsolete(order):
                 return True
             self._render(scene, order, stop, began_s)
-        except BaseException as trouble:
+        except BaseException as error:
             # BaseException: a panic of the compiled module is not an Exception. Errors after the rendering count too:
             # otherwise a picture that cannot be sent would be rendered again and again.
-            log_fault(logger, f"rendering failed: {order.view}", trouble)
-            words = f"the {order.view} view could not be rendered: internal error in Carina ({type(trouble).__name__})"
+            log_fault(logger, f"rendering failed: {order.view}", error)
+            words = f"the {order.view} view could not be rendered: internal error in Carina ({type(error).__name__})"
             self._report_failure(order, "carina.fault", words)
         finally:
             with self._lock:
@@ -281,12 +281,12 @@ class FramePump:
             )
             parts = (payload, *(one.data for one in layers), b"" if outline is None else outline.data)
             data = encode_picture(header, b"".join(parts))
-        except CarinaError as trouble:
-            if isinstance(trouble, CancelledError) and stop.cancelled:
+        except CarinaError as error:
+            if isinstance(error, CancelledError) and stop.cancelled:
                 with self._lock:
                     self._scheduler.record_cancelled(order, self._clock() - began_s)
             else:
-                self._report_failure(order, trouble.code, str(trouble))
+                self._report_failure(order, error.code, str(error))
             return
         now_s = self._clock()
         with self._lock:

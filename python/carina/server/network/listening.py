@@ -22,10 +22,8 @@ def bind(host: str, port: int) -> socket.socket:
     """
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
-    except (OSError, UnicodeError) as trouble:
-        raise CarinaError(
-            f"cannot listen on {host!r}: this machine has no such address", code="server.host"
-        ) from trouble
+    except (OSError, UnicodeError) as error:
+        raise CarinaError(f"cannot listen on {host!r}: this machine has no such address", code="server.host") from error
     # IPPROTO_TCP is explicit because asyncio sets TCP_NODELAY only on such sockets. Without it, a frame can wait up to
     # 40 ms for the acknowledgement of the previous message (Nagle's algorithm, delayed acknowledgements).
     sock = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
@@ -35,16 +33,16 @@ def bind(host: str, port: int) -> socket.socket:
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         sock.bind(address)
         sock.listen(64)
-    except OSError as trouble:
+    except OSError as error:
         sock.close()
-        if trouble.errno == errno.EADDRINUSE:
+        if error.errno == errno.EADDRINUSE:
             msg = f"port {port} is in use by another program; choose another with --port, or omit it to use a free one"
-            raise CarinaError(msg, code="server.port") from trouble
-        if trouble.errno == errno.EACCES:
+            raise CarinaError(msg, code="server.port") from error
+        if error.errno == errno.EACCES:
             msg = f"port {port} is reserved; choose one above 1023, or omit it to use a free one"
-            raise CarinaError(msg, code="server.port") from trouble
-        msg = f"cannot listen on {host!r}: {trouble.strerror}"
-        raise CarinaError(msg, code="server.host") from trouble
+            raise CarinaError(msg, code="server.port") from error
+        msg = f"cannot listen on {host!r}: {error.strerror}"
+        raise CarinaError(msg, code="server.host") from error
     sock.set_inheritable(False)
     return sock
 

@@ -266,8 +266,8 @@ class ObserverPageServer:
             raise ProtocolError(msg, code="protocol.too-many-windows")
         try:
             window = self._attach()
-        except UsageError as trouble:
-            raise ProtocolError(str(trouble), code="protocol.watching-ended") from trouble
+        except UsageError as error:
+            raise ProtocolError(str(error), code="protocol.watching-ended") from error
         opened.watchers[window.number] = window, wire.Watcher(window.number, address, time.time())
         self._changed()
         return window

@@ -68,10 +68,10 @@ def start_sender(websocket: WebSocket, who: str, sending: Coroutine[None, None, 
             await sending
         except WebSocketDisconnect:
             pass
-        except Exception as trouble:
+        except Exception as error:
             if websocket.application_state is not WebSocketState.CONNECTED:
                 return  # another task closed the connection, so sending failed
-            log_fault(logger, f"sending to {who} failed; its connection is closed", trouble)
+            log_fault(logger, f"sending to {who} failed; its connection is closed", error)
             with contextlib.suppress(RuntimeError, WebSocketDisconnect):
                 await websocket.close(INTERNAL_ERROR, "this connection failed: internal error in Carina")
 

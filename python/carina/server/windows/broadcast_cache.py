@@ -151,10 +151,10 @@ class SharedTexts:
             while known != (known := await asyncio.to_thread(self._tree_text)):
                 pass
             is_written = True
-        except Exception as trouble:
+        except Exception as error:
             self._unwritable = self._latest_tree()
-            log_fault(logger, "the airway tree could not be prepared for the window", trouble)
-            words = f"the airway tree cannot be shown: internal error in Carina ({type(trouble).__name__})"
+            log_fault(logger, "the airway tree could not be prepared for the window", error)
+            words = f"the airway tree cannot be shown: internal error in Carina ({type(error).__name__})"
             self._send(wire.Error("carina.fault", words, None))
         finally:
             self._writing = None

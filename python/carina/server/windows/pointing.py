@@ -97,13 +97,13 @@ class Pointing:
             lps = self._place_of_request(message)
             path = self._session.ask(LivePathTo(lps))
             answer = live_path_message(message.request_id, lps, path)
-        except CarinaError as trouble:
-            answer = _no_path_message(message.request_id, str(trouble), lps)
-        except Exception as trouble:
-            log_fault(logger, "could not calculate the live path", trouble)
+        except CarinaError as error:
+            answer = _no_path_message(message.request_id, str(error), lps)
+        except Exception as error:
+            log_fault(logger, "could not calculate the live path", error)
             answer = _no_path_message(
                 message.request_id,
-                f"no path through the airways could be calculated: internal error in Carina ({type(trouble).__name__})",
+                f"no path through the airways could be calculated: internal error in Carina ({type(error).__name__})",
             )
         self._push(answer)
 
@@ -111,11 +111,11 @@ class Pointing:
         mark: Mark | None = None
         try:
             mark = self._session.ask(MarkAt(message.lps))
-        except CarinaError as trouble:
+        except CarinaError as error:
             # The cursor has moved, or the point is outside the scan.
-            logger.debug("no mark: %s", trouble)
-        except Exception as trouble:
-            log_fault(logger, "the preview of a target failed", trouble)
+            logger.debug("no mark: %s", error)
+        except Exception as error:
+            log_fault(logger, "the preview of a target failed", error)
         sentences, warns = ((), False) if mark is None else (mark.sentences, mark.warns)
         self._push(wire.TargetMark(message.request_id, message.lps, sentences, warns))
 
@@ -128,12 +128,12 @@ class Pointing:
                 lps,
                 self._session.ask(PreviewOf(_preview_of_message(message, lps), with_names=message.with_names)),
             )
-        except CarinaError as trouble:
-            answer = _no_preview_message(message, lps, str(trouble))
-        except Exception as trouble:
-            log_fault(logger, "the preview of an edit failed", trouble)
+        except CarinaError as error:
+            answer = _no_preview_message(message, lps, str(error))
+        except Exception as error:
+            log_fault(logger, "the preview of an edit failed", error)
             answer = _no_preview_message(
-                message, lps, (f"the preview could not be made: internal error in Carina ({type(trouble).__name__})")
+                message, lps, (f"the preview could not be made: internal error in Carina ({type(error).__name__})")
             )
         self._push(answer)
 
@@ -158,11 +158,11 @@ class Pointing:
         measures = None
         try:
             measures = self._session.ask(MeasuresOf(message.branch_id))
-        except CarinaError as trouble:
+        except CarinaError as error:
             # The tree has changed since the request; the page requests again after it receives the new tree.
-            logger.debug("no measures: %s", trouble)
-        except Exception as trouble:
-            log_fault(logger, "measuring a branch failed", trouble)
+            logger.debug("no measures: %s", error)
+        except Exception as error:
+            log_fault(logger, "measuring a branch failed", error)
         self._push(branch_detail_message(message, measures))
 
 

@@ -50,7 +50,7 @@ class PathPrefetcher:
         x, y, z = (float(v) for v in document.airways.root_lps)
         try:
             self._session.ask(LivePathTo((x, y, z)))
-        except CarinaError as trouble:
-            logger.debug("no path to the root: %s", trouble)
-        except Exception as trouble:
-            log_fault(logger, "could not calculate the live path", trouble)
+        except CarinaError as error:
+            logger.debug("no path to the root: %s", error)
+        except Exception as error:
+            log_fault(logger, "could not calculate the live path", error)

@@ -60,9 +60,9 @@ async def serve_window(websocket: WebSocket, attach: Callable[[wire.ClientHello]
             await window.admit()
             await window.inbox.put(wire.parse_client_message(text))
         worker.result()
-    except ProtocolError as trouble:
-        await close_socket(websocket, trouble.code, str(trouble))
-        return wire.CLOSE_CODES.get(trouble.code)
+    except ProtocolError as error:
+        await close_socket(websocket, error.code, str(error))
+        return wire.CLOSE_CODES.get(error.code)
     except TimeoutError:
         await close_socket(websocket, "protocol.order", "the client sent no hello message")
     except WebSocketDisconnect as ended:

@@ -255,15 +255,15 @@ class Window:
         """Execute a message of the window; an exception is sent to the window as an ``error`` message."""
         try:
             self._do(message)
-        except CarinaError as trouble:
-            self.push_error(wire.Error(trouble.code, str(trouble), None))
-        except Exception as trouble:
-            if isinstance(trouble, OSError) and is_disk_trouble(trouble):
-                error = disk_trouble(trouble, "the command failed", None)
+        except CarinaError as exc:
+            self.push_error(wire.Error(exc.code, str(exc), None))
+        except Exception as exc:
+            if isinstance(exc, OSError) and is_disk_trouble(exc):
+                error = disk_trouble(exc, "the command failed", None)
                 self.push_error(wire.Error(error.code, str(error), None))
             else:
-                log_fault(logger, f"a command failed: {type(message).__name__}", trouble)
-                words = f"the command failed: internal error in Carina ({type(trouble).__name__})"
+                log_fault(logger, f"a command failed: {type(message).__name__}", exc)
+                words = f"the command failed: internal error in Carina ({type(exc).__name__})"
                 self.push_error(wire.Error("carina.fault", words, None))
 
     def push_error(self, error: wire.Error) -> None:

@@ -85,10 +85,10 @@ class AirwayHandlers(CommandHandlers):
                 mask = self.core.parts.open_mask(
                     path, case.info.volume, label=label, resample=resample, progress=job.progress, cancel=job.cancel
                 )
-            except (MaskLabelError, MaskGridError) as trouble:
+            except (MaskLabelError, MaskGridError) as error:
                 with self.core.lock:
                     job.check()
-                    self._request_mask_answer(case, PendingMask(command, _mask_question(Path(path).name, trouble)))
+                    self._request_mask_answer(case, PendingMask(command, _mask_question(Path(path).name, error)))
                 return
             with self.core.lock:
                 job.check()
@@ -190,9 +190,9 @@ class AirwayHandlers(CommandHandlers):
                 airways = find(job)
                 job.progress("building the tree", None)
                 self._set_found_airways(case, airways, threshold, label, job)
-            except BaseException as trouble:
-                self._restore_search_status(case, trouble, job)
-                if case.document.airways is not None or not isinstance(trouble, TrackingError):
+            except BaseException as error:
+                self._restore_search_status(case, error, job)
+                if case.document.airways is not None or not isinstance(error, TrackingError):
                     raise
                 # The airway panel shows this error, so a second message is not sent.
 

@@ -87,8 +87,8 @@ class OwnerConnection:
                 )
                 socket.send(_message_text(Join(WIRE_VERSION, case_id)))
                 read_json(socket.recv(timeout=ANSWERS_WITHIN_S), Joined)
-            except (OSError, WebSocketException, msgspec.MsgspecError) as trouble:
-                logger.debug("no owner answers: %s", type(trouble).__name__)
+            except (OSError, WebSocketException, msgspec.MsgspecError) as error:
+                logger.debug("no owner answers: %s", type(error).__name__)
                 return None
             return cls(socket, opened.pop_all().close)
 
@@ -125,8 +125,8 @@ class OwnerConnection:
         try:
             for message in (*commands, Settle(self._num_settled, all_jobs)):
                 self._socket.send(_message_text(message))
-        except (OSError, ConnectionClosed) as trouble:
-            raise LinkLostError("the program that had this case open has ended or closed it") from trouble
+        except (OSError, ConnectionClosed) as error:
+            raise LinkLostError("the program that had this case open has ended or closed it") from error
         while (settled := self._answers.get()) is not None:
             if settled.settle_id == self._num_settled:
                 if any(problem.code in CLOSED_CODES for problem in settled.problems):
@@ -152,10 +152,10 @@ class OwnerConnection:
         try:
             for text in self._socket:
                 self._answers.put(read_json(text, Settled))
-        except (OSError, msgspec.MsgspecError) as trouble:
-            logger.warning("the program that has a case open sent an invalid message: %s", type(trouble).__name__)
-        except Exception as trouble:  # Any error of the library ends the connection.
-            logger.debug("the owner of a case has gone: %s", type(trouble).__name__)
+        except (OSError, msgspec.MsgspecError) as error:
+            logger.warning("the program that has a case open sent an invalid message: %s", type(error).__name__)
+        except Exception as error:  # Any error of the library ends the connection.
+            logger.debug("the owner of a case has gone: %s", type(error).__name__)
         finally:
             self._answers.put(None)
             self._ended.set()

@@ -319,9 +319,9 @@ class RemoteCase:
                     "continues to save the case"
                 )
                 return
-            except (CarinaError, OSError) as trouble:
-                if getattr(trouble, "code", "") != "case.open":
-                    self._become_sole_process(str(trouble))
+            except (CarinaError, OSError) as error:
+                if getattr(error, "code", "") != "case.open":
+                    self._become_sole_process(str(error))
                     return
             record = self._records.find(self._case_id)
             endpoint = None if record is None else self._records.endpoint_of(record)

@@ -81,8 +81,8 @@ class NamedCase:
         self._file = CaseFile.open(self._scratch.path / f"case{CASE_SUFFIX}")
         try:
             self._saved = self._file.load(scan.volume)
-        except CaseFileError as trouble:
-            if trouble.code != "case.empty":
+        except CaseFileError as error:
+            if error.code != "case.empty":
                 raise
         return scan.volume, self._saved
 

@@ -163,8 +163,8 @@ class CaseList(CommandHandlers):
             records, record = self._existing_record(command.recent_id)
             try:
                 gone = records.forget(record)
-            except OSError as trouble:
-                raise disk_trouble(trouble, "cannot forget the case", None) from trouble
+            except OSError as error:
+                raise disk_trouble(error, "cannot forget the case", None) from error
             if not gone:
                 raise UsageError("this case is open; close it before forgetting it", code="case.open")
             place = record.place
@@ -180,8 +180,8 @@ class CaseList(CommandHandlers):
         records = self._saving.records
         try:
             restored = None if records is None else records.restore(command.recent_id)
-        except OSError as trouble:
-            raise disk_trouble(trouble, "cannot restore the case", None) from trouble
+        except OSError as error:
+            raise disk_trouble(error, "cannot restore the case", None) from error
         if restored is None:
             raise UsageError("this case has been permanently deleted", code="session.recent")
         self._notify_listeners()

@@ -100,13 +100,13 @@ class CaseOpener(CommandHandlers):
         def read(job: Job) -> Volume:
             try:
                 return self._saving.open_ct(path, job.progress, job.cancel)
-            except VolumeImportError as trouble:
+            except VolumeImportError as error:
                 if case_id is None or Path(path).exists():
                     raise
                 raise UsageError(
                     f"the CT of this case is no longer at {path}: choose its current location to continue",
                     code="case.no-ct",
-                ) from trouble
+                ) from error
 
         return self._open("opening the case", read, path, case_id=case_id)
 
@@ -137,14 +137,14 @@ class CaseOpener(CommandHandlers):
             try:
                 if scan is None:
                     scan = scans.open(file, ct=ct, dropped=dropped, progress=job.progress, cancel=job.cancel)
-            except CaseFileError as trouble:
-                if not dropped or trouble.code != "case.no-scan":
+            except CaseFileError as error:
+                if not dropped or error.code != "case.no-scan":
                     raise
-                raise self._store_and_request_ct(file) from trouble
-            except VolumeImportError as trouble:
+                raise self._store_and_request_ct(file) from error
+            except VolumeImportError as error:
                 if not dropped:
                     raise
-                raise self._store_and_request_ct(file) from trouble
+                raise self._store_and_request_ct(file) from error
             found.place = scan.place
             return scan.volume
 
@@ -197,12 +197,12 @@ class CaseOpener(CommandHandlers):
             with CaseFile.open(records.path_of(record), read_only=True) as file:
                 try:
                     scan = scans.open(file, dropped=True, progress=job.progress, cancel=job.cancel)
-                except CaseFileError as trouble:
-                    if trouble.code != "case.no-scan":
+                except CaseFileError as error:
+                    if error.code != "case.no-scan":
                         raise
-                    raise no_ct from trouble
-                except VolumeImportError as trouble:
-                    raise no_ct from trouble
+                    raise no_ct from error
+                except VolumeImportError as error:
+                    raise no_ct from error
             found.place = scan.place
             return scan.volume
 

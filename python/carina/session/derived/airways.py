@@ -87,8 +87,8 @@ def derived_measures(
         if stored is not None:
             try:
                 return _load_if_packed(stored)
-            except CarinaError as trouble:
-                lost(trouble)
+            except CarinaError as error:
+                lost(error)
         # Branches that an edit did not change reuse their cross-sections.
         before = attempt.before
         made = parts.measure_tree(volume, airways, previous=before, progress=attempt.progress, cancel=attempt.cancel)

@@ -260,10 +260,10 @@ class Derived(Generic[Inputs, Value]):
                         if then is not None:
                             then(value)
                         return
-        except BaseException as trouble:
+        except BaseException as error:
             with self._lock:
                 if not ended:
-                    self._end_without_value(job, attempt, trouble)
+                    self._end_without_value(job, attempt, error)
             raise
 
     def _end_without_value(self, job: Job, attempt: Attempt[Value] | None, trouble: BaseException) -> None:

@@ -548,10 +548,10 @@ class CasePlanning:
                 plans.append(PlanOutcome(task, plan, plan.why, plan.doubts, stations))
             except CancelledError:
                 raise
-            except UnconfirmedTargetError as trouble:
-                plans.append(PlanOutcome(task, None, without_options(str(trouble)), trouble.doubts))
-            except CarinaError as trouble:
-                plans.append(PlanOutcome(task, None, str(trouble)))
+            except UnconfirmedTargetError as error:
+                plans.append(PlanOutcome(task, None, without_options(str(error)), error.doubts))
+            except CarinaError as error:
+                plans.append(PlanOutcome(task, None, str(error)))
         return MadePlans(airways, wall, measures, tuple(plans))
 
     def _measures_of(self, airways: Airways, attempt: Attempt[MadePlans]) -> TreeMeasures | None:

@@ -163,8 +163,8 @@ class DeviceHandlers(CommandHandlers):
                 self.core.emit(StartMarked(place))
             else:
                 self._do(c.AddTarget(place, cost=case.armed_pen.cost, root_lps=case.armed_pen.root_lps))
-        except CarinaError as trouble:
-            self.core.emit(ErrorEvent(trouble.code, str(trouble)))
+        except CarinaError as error:
+            self.core.emit(ErrorEvent(error.code, str(error)))
 
     def _take_branch(self, case: OpenCase, branch_id: int) -> None:
         """Replace the route by one through another branch, which the user chose at a fork with a device."""

@@ -95,8 +95,8 @@ class FlightRecorder(CommandHandlers):
             try:
                 make_folder(path.parent, what="the recording")
                 file = path.open("x", encoding="utf-8")
-            except OSError as trouble:
-                raise disk_trouble(trouble, "cannot write the recording to", path) from trouble
+            except OSError as error:
+                raise disk_trouble(error, "cannot write the recording to", path) from error
         with self.core.lock:
             try:
                 self._recorder = Recorder(
@@ -108,11 +108,11 @@ class FlightRecorder(CommandHandlers):
                     view=view_words(case.document, case.sight),
                     on_end=self._report_write_error,
                 )
-            except OSError as trouble:
+            except OSError as error:
                 if path is not None:
                     with contextlib.suppress(OSError):
                         path.unlink()
-                raise disk_trouble(trouble, "cannot write the recording to", path) from trouble
+                raise disk_trouble(error, "cannot write the recording to", path) from error
             self._path, self._name, self._recorded_case, self._into = path, name, case, into
             if into is not None:
                 assert into.number is not None

@@ -295,13 +295,13 @@ class JobRunner:
             work(job)
         except CancelledError:
             outcome = "cancelled"
-        except CarinaError as trouble:
-            outcome, error = "failed", trouble
-        except OSError as trouble:
-            outcome, error = "failed", _disk_or_memory_error(job.title, trouble)
-        except BaseException as trouble:
+        except CarinaError as exc:
+            outcome, error = "failed", exc
+        except OSError as exc:
+            outcome, error = "failed", _disk_or_memory_error(job.title, exc)
+        except BaseException as exc:
             # BaseException, because a panic of the compiled module is no Exception; every job must report its end.
-            outcome, error = "failed", _fault_error(job.title, trouble)
+            outcome, error = "failed", _fault_error(job.title, exc)
         return_freed_memory()
         errand = current_group()
         if errand is not None:

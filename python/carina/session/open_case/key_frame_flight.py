@@ -32,8 +32,8 @@ def key_flight(volume: Volume, keys: KeyFrames, airways: Airways | None) -> KeyF
         return KeyFlight()
     try:
         return KeyFlight(KeyFrameFlight(key_frames(keys, volume, airways), speed_mm_s=keys.flying.speed_mm_s))
-    except UsageError as trouble:
-        return KeyFlight(problem=str(trouble))
+    except UsageError as error:
+        return KeyFlight(problem=str(error))
 
 
 def key_frames(keys: KeyFrames, volume: Volume, airways: Airways | None) -> tuple[KeyFrame, ...]:

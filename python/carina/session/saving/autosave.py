@@ -132,11 +132,11 @@ class ReplacementCase:
             moment = reopened.file.load(volume)
             reopened.note_ct(volume)
             return moment
-        except (OSError, sqlite3.Error, CarinaError) as trouble:
-            if isinstance(trouble, CaseFileError) and trouble.code == "case.empty":
+        except (OSError, sqlite3.Error, CarinaError) as error:
+            if isinstance(error, CaseFileError) and error.code == "case.empty":
                 # After a crash right after the beginning of the case, the same file is used again.
                 return None
-            self._saving.report_unreadable(reopened.held, trouble)
+            self._saving.report_unreadable(reopened.held, error)
         self.release()
         return None
 
@@ -176,8 +176,8 @@ class ReplacementCase:
         self._reopened.note_ct(volume)
         try:
             return self._reopened.file.load(volume)
-        except CaseFileError as trouble:
-            if trouble.code != "case.empty":
+        except CaseFileError as error:
+            if error.code != "case.empty":
                 raise
             return None
 
@@ -250,9 +250,9 @@ class Autosave(CommandHandlers):
                 again = ReplacementCase(self)
                 try:
                     again.take(before.digest, None if before.held is None else before.held.record.case_id)
-                except (OSError, sqlite3.Error, CarinaError) as trouble:
+                except (OSError, sqlite3.Error, CarinaError) as error:
                     # The case remains on screen, so its changes are stored as a separate case.
-                    logger.warning("the open case could not be stored again (%s)", type(trouble).__name__)
+                    logger.warning("the open case could not be stored again (%s)", type(error).__name__)
                 with self.core.lock:
                     again.attach(before.case, before.place)
             raise
@@ -277,8 +277,8 @@ class Autosave(CommandHandlers):
             if held.path.exists():
                 file = self._files.open(held.path)
                 return ReopenedCase(held, file, self._flights_in(file))
-        except (OSError, sqlite3.Error, CarinaError) as trouble:
-            self.report_unreadable(held, trouble)
+        except (OSError, sqlite3.Error, CarinaError) as error:
+            self.report_unreadable(held, error)
         held.release()
         return None
 
@@ -380,9 +380,9 @@ class Autosave(CommandHandlers):
     def _flights_in(self, file: StoredCaseFile) -> tuple[RecordingFacts, ...]:
         try:
             return file.recordings()
-        except (OSError, sqlite3.Error, CarinaError) as trouble:
+        except (OSError, sqlite3.Error, CarinaError) as error:
             self.core.emit(
-                ErrorEvent("case.write_recording", f"the recorded flights of this case could not be listed: {trouble}")
+                ErrorEvent("case.write_recording", f"the recorded flights of this case could not be listed: {error}")
             )
             return ()
 
@@ -576,10 +576,10 @@ class Autosave(CommandHandlers):
         self.records.refuse_stored(target)
         try:
             keeper.save_to(target)
-        except OSError as trouble:
-            raise disk_trouble(trouble, "cannot save the case to", target) from trouble
-        except sqlite3.Error as trouble:
-            raise CarinaError(f"cannot save the case to {target}: {trouble}", code="case.not-saved") from trouble
+        except OSError as error:
+            raise disk_trouble(error, "cannot save the case to", target) from error
+        except sqlite3.Error as error:
+            raise CarinaError(f"cannot save the case to {target}: {error}", code="case.not-saved") from error
         return target
 
     def _savers(self) -> tuple[CaseSaver, ...]:
@@ -719,8 +719,8 @@ class Autosave(CommandHandlers):
             except NamedFileConflictError as conflict:
                 saver.tell_conflict(conflict)
                 raise
-            except OSError as trouble:
-                raise disk_trouble(trouble, "cannot save the case to", path) from trouble
+            except OSError as error:
+                raise disk_trouble(error, "cannot save the case to", path) from error
             # The record must be on the disk before a program that opens the file looks up whether the case is open.
             saver.settle()
             was_replaced = "" if saved.replaced is None else f"; the replaced file is stored as {saved.replaced.name}"

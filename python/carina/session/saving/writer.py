@@ -469,14 +469,14 @@ class CaseSaver:
             notes, self._notes = self._notes, {}
             self._is_urgent = False
         written: dict[str, Any] = {}
-        trouble: BaseException | None = None
+        exc: BaseException | None = None
         with self._shows_slow_disk():
             try:
                 written = self._write(notes, is_changed=changed_s is not None)
             except Exception as error:  # Otherwise the thread would end and store no further change.
-                trouble = error
-            with self._change_info(written | {"problem": None if trouble is None else _error_text(trouble)}):
-                if trouble is None:
+                exc = error
+            with self._change_info(written | {"problem": None if exc is None else _error_text(exc)}):
+                if exc is None:
                     self._num_kept = self._num_begun
                     if changed_s is not None:
                         self._num_saved = self._num_begun
@@ -488,7 +488,7 @@ class CaseSaver:
                     self._retry_s = self._core.clock() + RETRY_S
                 self._plan_copy(COPY_EVERY_S)
                 self._busy, self._is_slow = None, False
-        if trouble is None and not self._pictured and self.held is not None and self.held.record.pictured_s is None:
+        if exc is None and not self._pictured and self.held is not None and self.held.record.pictured_s is None:
             # The thumbnail is stored before the case is closed, so that a case of a killed process has one, too.
             self._store_thumbnail()
 
@@ -546,11 +546,11 @@ class CaseSaver:
             picture = self._files.picture(scene)
             with self._shows_slow_disk():
                 self.held.put_picture(picture, self._records.now_s())
-        except DiskError as trouble:
+        except DiskError as error:
             # The next write of the case reports the disk; the thumbnail is created again when the case is closed.
-            logger.info("the disk refused the thumbnail of the case (%s)", trouble.code)
-        except Exception as trouble:
-            log_fault(logger, "the thumbnail of the case could not be created", trouble)
+            logger.info("the disk refused the thumbnail of the case (%s)", error.code)
+        except Exception as error:
+            log_fault(logger, "the thumbnail of the case could not be created", error)
         if self.info.problem == ELSEWHERE:
             self._set_info(problem=None)
 
@@ -578,8 +578,8 @@ class CaseSaver:
             try:
                 if self.file is not None:
                     self.file.close()
-            except Exception as trouble:
-                log_fault(logger, "a case could not be closed", trouble)
+            except Exception as error:
+                log_fault(logger, "a case could not be closed", error)
             finally:
                 if self.held is not None:
                     self.held.release()
@@ -672,9 +672,9 @@ class CaseSaver:
         except NamedFileConflictError as conflict:
             has_ended.set()
             self.tell_conflict(conflict)
-        except Exception as trouble:
+        except Exception as error:
             has_ended.set()
-            with self._change_info({"copy_problem": _error_text(trouble)}, unless=is_outdated):
+            with self._change_info({"copy_problem": _error_text(error)}, unless=is_outdated):
                 self._plan_copy(COPY_RETRY_S)
         finally:
             has_ended.set()

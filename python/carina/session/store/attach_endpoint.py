@@ -49,8 +49,8 @@ def write_endpoint(folder: Path, endpoint: AttachEndpoint) -> None:
             what="the connection details of this case",
             private=True,
         )
-    except OSError as trouble:
-        logger.warning("no program can join this case: %s", type(trouble).__name__)
+    except OSError as error:
+        logger.warning("no program can join this case: %s", type(error).__name__)
 
 
 def delete_endpoint(folder: Path) -> None:

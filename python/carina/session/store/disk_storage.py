@@ -56,8 +56,8 @@ def case_files(cache: VolumeCache | None = None, records: CaseRecords | None = N
     def reopen(path: Path) -> StoredCaseFile:
         try:
             return CaseFile.open(path)
-        except CaseFileError as trouble:
-            if trouble.code != "case.older":
+        except CaseFileError as error:
+            if error.code != "case.older":
                 raise
         migrate_live(path)
         return CaseFile.open(path)

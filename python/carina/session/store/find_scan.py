@@ -141,9 +141,9 @@ class CaseScans:
                 return opened(place)
             except CancelledError:
                 raise
-            except (CarinaError, OSError) as trouble:
-                if refusal is None and isinstance(trouble, CarinaError):
-                    refusal = trouble
+            except (CarinaError, OSError) as error:
+                if refusal is None and isinstance(error, CarinaError):
+                    refusal = error
         cached = None if self._cache is None else self._cache.find_digest(source.digest)
         volume = None if cached is None else cached.load(progress=report, cancel=cancel)
         if volume is None:

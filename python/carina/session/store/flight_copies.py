@@ -61,8 +61,8 @@ def whole_flights(
                 return
             try:
                 text = _flight_text(file, facts.recording_id, by_number.get(facts.recording_id))
-            except (CarinaError, OSError, sqlite3.Error) as trouble:
-                logger.warning("a recorded flight cannot be read: %s", type(trouble).__name__)
+            except (CarinaError, OSError, sqlite3.Error) as error:
+                logger.warning("a recorded flight cannot be read: %s", type(error).__name__)
             else:
                 found[facts.recording_id] = WholeRecording(facts, text)
 

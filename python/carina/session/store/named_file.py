@@ -254,14 +254,14 @@ class NamedFile:
             return
         try:
             self._lock = NamedLock.take(self._resolved_path())
-        except LockedElsewhereError as trouble:
-            by = "" if trouble.owner is None else f" (by {trouble.owner})"
+        except LockedElsewhereError as error:
+            by = "" if error.owner is None else f" (by {error.owner})"
             raise NamedFileConflictError(
                 f"The file {self.path.name} is open for editing elsewhere{by}. {self._where_work_is}, and not in "
                 f"{self.path.name}: close it there, or save under another name",
                 self.path,
                 "open-elsewhere",
-            ) from trouble
+            ) from error
 
     def _replaced_save(self, place: Path, *, replace: bool) -> FileMark | None:
         """Return the mark of the content that the next save replaces; the new save mark refers to this content."""
@@ -331,8 +331,8 @@ class NamedFile:
     def _move_or_refuse(self, draft: Path, target: Path) -> None:
         try:
             move_to_new_name(draft, target)
-        except FileExistsError as trouble:
-            raise self._conflict(target) from trouble
+        except FileExistsError as error:
+            raise self._conflict(target) from error
 
     def _conflict(self, place: Path) -> NamedFileConflictError:
         kind, found = _describe_content(place, self._ct_digest)

@@ -514,8 +514,8 @@ def _decode_record(path: Path) -> CaseRecord | None:
             raise OSError("a newer version of Carina wrote this record")
         known = {name: value for name, value in plain.items() if name in CaseRecord.__struct_fields__}
         record = read_plain(known, CaseRecord)
-    except VolumeImportError as trouble:
-        if trouble.code != "disk.too-large":
+    except VolumeImportError as error:
+        if error.code != "disk.too-large":
             raise
         return None
     except (ValueError, RecursionError, msgspec.ValidationError):

@@ -39,9 +39,9 @@ def repair_records(records: CaseRecords) -> tuple[str, ...]:
         if is_damaged_record(path):
             try:
                 message = _repair(records, path.parent)
-            except (OSError, CarinaError) as trouble:
+            except (OSError, CarinaError) as error:
                 # If the disk refuses, the case is missing from the list, and Carina starts.
-                logger.warning("an unreadable record could not be moved aside (%s)", type(trouble).__name__)
+                logger.warning("an unreadable record could not be moved aside (%s)", type(error).__name__)
                 continue
             if message is not None:
                 messages.append(message)

@@ -63,8 +63,8 @@ def searched_target(
         if found.path is None:
             return replace(target, problem=found.problem)
         route = route_along_points(airways, found.path.points_lps, target.target_id, target.name)
-    except (TrackingError, UsageError) as trouble:
-        return replace(target, problem=str(trouble))
+    except (TrackingError, UsageError) as error:
+        return replace(target, problem=str(error))
     row = None if result.search is None else result.search.targets[0]
     return replace(
         target,
@@ -101,8 +101,8 @@ def tracked_target(airways: Airways | None, target: Target) -> Target:
     try:
         path = airways.tracker.path_to(target.lps, snap_mm=SNAP_MM)
         route = route_to_target(airways.tree, path, target.target_id, target.name)
-    except TrackingError as trouble:
-        return replace(bare, problem=str(trouble))
+    except TrackingError as error:
+        return replace(bare, problem=str(error))
     # Without a move the target itself is used; after a move, the last lumen voxel of the path.
     used = target.lps if path.snapped_mm == 0.0 else as_point(path.points_lps[-1])
     return replace(bare, used_lps=used, snapped_mm=path.snapped_mm, length_mm=path.length_mm, route=route)

@@ -189,8 +189,8 @@ class RouteHandlers(CommandHandlers):
                 progress=progress,
             )
             return Lesion(found), None
-        except NoResultError as trouble:
-            return None, None if trouble.code == "plan.in-airway" else str(trouble)
+        except NoResultError as error:
+            return None, None if error.code == "plan.in-airway" else str(error)
 
     def _search(self, case: OpenCase, target: Target, job: Job) -> None:
         """Add a target with a path that ignores the lumen; its values refer to the airways at the end of the search."""

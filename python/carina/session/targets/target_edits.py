@@ -111,8 +111,8 @@ class TargetHandlers(CommandHandlers):
                     progress=job.progress,
                     cancel=job.cancel,
                 )
-            except CarinaError as trouble:
-                trouble.args = (without_options(str(trouble)), *trouble.args[1:])
+            except CarinaError as error:
+                error.args = (without_options(str(error)), *error.args[1:])
                 raise
             with self.core.lock:
                 job.check()
