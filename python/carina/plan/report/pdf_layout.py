@@ -74,7 +74,7 @@ def _built(
     frame = Frame(SIDE, BOTTOM, *room, leftPadding=0, rightPadding=0, topPadding=0, bottomPadding=0)
     furniture = partial(_furniture, sheet=sheet, fonts=fonts, num_pages=num_pages)
     page.addPageTemplates([PageTemplate(frames=[frame], onPage=furniture)])
-    page.build(_Layout(fonts, room).flowables(parts))
+    page.build(_ReportFlow(fonts, room).flowables(parts))
     return out.getvalue(), int(page.page)
 
 
@@ -104,7 +104,7 @@ def _furniture(canvas: Any, page: Any, *, sheet: PlanSheet, fonts: tuple[str, st
     canvas.drawRightString(width - SIDE, 14, f"{page.page} / {num_pages}")
 
 
-class _Layout:
+class _ReportFlow:
     """Conversion of blocks to reportlab flowables for a frame of (width, height) points."""
 
     def __init__(self, fonts: tuple[str, str], room: tuple[float, float]) -> None:

@@ -39,7 +39,7 @@ TUBE = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class _Layout:
+class _SheetLayout:
     """Horizontal positions of diagram, clock faces and text from the left edge of the page, in points."""
 
     spine: float | None
@@ -59,11 +59,11 @@ class _Layout:
     """Whether a row is one line without moves of the hand."""
 
 
-DIAGRAM = _Layout(spine=78.0, clock=170.0, text=196.0, least_row=36.0, gap=6.0, face=15.0)
-COMPACT = _Layout(spine=None, clock=17.0, text=40.0, least_row=30.0, gap=4.0, face=13.5)
-TIGHT = _Layout(spine=None, clock=14.0, text=32.0, least_row=25.0, gap=3.0, face=11.5, is_short=True)
+DIAGRAM = _SheetLayout(spine=78.0, clock=170.0, text=196.0, least_row=36.0, gap=6.0, face=15.0)
+COMPACT = _SheetLayout(spine=None, clock=17.0, text=40.0, least_row=30.0, gap=4.0, face=13.5)
+TIGHT = _SheetLayout(spine=None, clock=14.0, text=32.0, least_row=25.0, gap=3.0, face=11.5, is_short=True)
 SUMMED = replace(TIGHT, sums_moves=True)
-LISTED = _Layout(spine=None, clock=14.0, text=32.0, least_row=19.0, gap=3.0, face=7.5, is_short=True, is_list=True)
+LISTED = _SheetLayout(spine=None, clock=14.0, text=32.0, least_row=19.0, gap=3.0, face=7.5, is_short=True, is_list=True)
 """Layouts of a page: with a diagram; without it; without facts that follow from others; with sums of moves; as a list.
 
 The last ones are for long routes.
@@ -87,7 +87,7 @@ class _Row:
     def text_height(self) -> float:
         return NAME_LINE + LINE * len(self.lines)
 
-    def height(self, layout: _Layout) -> float:
+    def height(self, layout: _SheetLayout) -> float:
         """Return the least height of the row, with the space below it."""
         return max(self.text_height + layout.gap, layout.least_row)
 
@@ -138,7 +138,9 @@ def _pages(
     return [(tuple(lines), tuple(some)) for lines, some in pages]
 
 
-def _page(sheet: PlanSheet, layout: _Layout, against: tuple[tuple[str, str], ...], rows: tuple[_Row, ...]) -> Drawing:
+def _page(
+    sheet: PlanSheet, layout: _SheetLayout, against: tuple[tuple[str, str], ...], rows: tuple[_Row, ...]
+) -> Drawing:
     width, height = TRACING_SIZE
     natural = [row.height(layout) for row in rows]
     head = _head_height(sheet)
@@ -237,7 +239,7 @@ def _against(against: tuple[tuple[str, str], ...], head: float) -> list[Shape]:
     return [*shapes, Stroke(((0, bottom), (TRACING_SIZE[0], bottom)), LineStyle(INK, 0.8))]
 
 
-def _rows(sheet: PlanSheet, layout: _Layout) -> tuple[_Row, ...]:
+def _rows(sheet: PlanSheet, layout: _SheetLayout) -> tuple[_Row, ...]:
     """Return the rows of all forks and of the place where the scope stops."""
     return (*(_fork_row(fork, sheet, layout) for fork in sheet.forks), _end_row(sheet, layout))
 
@@ -352,7 +354,7 @@ def _on_face(at: Place, radius: float, hours: float, share: float) -> Place:
     return at[0] + share * radius * math.sin(angle), at[1] - share * radius * math.cos(angle)
 
 
-def _fork_row(fork: Fork, sheet: PlanSheet, layout: _Layout) -> _Row:
+def _fork_row(fork: Fork, sheet: PlanSheet, layout: _SheetLayout) -> _Row:
     turn = fork.turn
     facts = [_from_carina(fork.carina_mm)]
     if turn is not None:
@@ -375,14 +377,14 @@ def _fork_row(fork: Fork, sheet: PlanSheet, layout: _Layout) -> _Row:
     return _row(fork, title, "" if turn is None else turn.direction(sheet.operator), texts, layout)
 
 
-def _moves(layout: _Layout) -> Callable[..., str]:
+def _moves(layout: _SheetLayout) -> Callable[..., str]:
     """Return the function that converts moves of the hand to the text of a layout."""
     if layout.is_list:
         return lambda _moves: ""
     return moves_sum_words if layout.sums_moves else moves_words
 
 
-def _listed_row(fork: Fork, right: str, facts: str, layout: _Layout) -> _Row:
+def _listed_row(fork: Fork, right: str, facts: str, layout: _SheetLayout) -> _Row:
     """Return the row of a fork with its facts behind the title, or below the title if the line is too short."""
     title = f"{fork.number}. {fork.to_name}"
     texts = [(words, WARNING) for words in fork.warnings]
@@ -392,7 +394,7 @@ def _listed_row(fork: Fork, right: str, facts: str, layout: _Layout) -> _Row:
     return replace(_row(fork, title, right, texts, layout), beside=facts)
 
 
-def _with_moves(text: str, moves: str, layout: _Layout) -> list[tuple[str, str]]:
+def _with_moves(text: str, moves: str, layout: _SheetLayout) -> list[tuple[str, str]]:
     """Return a text and the moves of the hand with their colours: in one paragraph if there is no diagram."""
     if layout.spine is None:
         return [(f"{text}. {moves[0].upper()}{moves[1:]}" if moves else text, INK)]
@@ -406,7 +408,7 @@ def _end_warnings(sheet: PlanSheet) -> list[str]:
     return [words for words in sheet.route.doubts if words not in stated]
 
 
-def _end_row(sheet: PlanSheet, layout: _Layout) -> _Row:
+def _end_row(sheet: PlanSheet, layout: _SheetLayout) -> _Row:
     route = sheet.route
     assert route is not None
     leg = route.leg
@@ -423,7 +425,7 @@ def _end_row(sheet: PlanSheet, layout: _Layout) -> _Row:
     return _row(None, f"Tip in {route.branch_name}", route.place_words, texts, layout)
 
 
-def _row(fork: Fork | None, title: str, right: str, texts: list[tuple[str, str]], layout: _Layout) -> _Row:
+def _row(fork: Fork | None, title: str, right: str, texts: list[tuple[str, str]], layout: _SheetLayout) -> _Row:
     """Return a row with its texts in lines; a title that leaves no room for the text at its right is also wrapped.
 
     The place of the tip is then below its title, so that the name of the branch stays in one line.
@@ -438,7 +440,7 @@ def _row(fork: Fork | None, title: str, right: str, texts: list[tuple[str, str]]
     return _Row(fork, name, right, tuple(lines))
 
 
-def _row_words(row: _Row, layout: _Layout, y: float) -> list[Shape]:
+def _row_words(row: _Row, layout: _SheetLayout, y: float) -> list[Shape]:
     width, _ = TRACING_SIZE
     top = y - 0.5 * row.text_height + 11.0
     colour = LEG if row.fork is None else ACCENT

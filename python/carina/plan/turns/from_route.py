@@ -239,7 +239,7 @@ def _forks(lineage: Sequence[Branch], origin: DistanceOrigin) -> list[list[_Fork
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _View:
+class _ForkPicture:
     """View of a fork: position of the camera, openings, and the reason why no hour is given."""
 
     eye: Points
@@ -262,14 +262,16 @@ class _View:
         return self.doubt is None and not self.openings[0].straight_ahead
 
 
-def _view(tree: AirwayTree, way: Points, fork: _Fork, branches: Sequence[Branch], renderer: Renderer | None) -> _View:
+def _view(
+    tree: AirwayTree, way: Points, fork: _Fork, branches: Sequence[Branch], renderer: Renderer | None
+) -> _ForkPicture:
     """Return the view of a fork from the first position that gives a precise hour, else a reliable hour.
 
     If no position gives an hour, the result is the first view with the opening straight ahead, else the usual view.
     """
     end = fork.mother.points[-1]
     walls = ForkWalls(tree, end, [branch.id for branch in branches])
-    views: list[_View] = []
+    views: list[_ForkPicture] = []
     for stand in _stands_mm(fork):
         eye = _eye(way, fork, stand, walls)
         camera = levelled(eye, end - eye, "head")
@@ -277,7 +279,7 @@ def _view(tree: AirwayTree, way: Points, fork: _Fork, branches: Sequence[Branch]
             openings = openings_seen(camera, walls, branches, first_walls(camera, TUBES_PX, TubeWall(tree, end)))
         else:
             openings = _openings(camera, walls, branches, renderer)
-        views.append(_View(eye, openings, hour_doubt(camera, openings, _radius_mm(fork.mother), branch_title)))
+        views.append(_ForkPicture(eye, openings, hour_doubt(camera, openings, _radius_mm(fork.mother), branch_title)))
         # A position from which fewer openings are visible only hides the opening that could be confused.
         if views[-1].num_in_view < views[0].num_in_view:
             views.pop()

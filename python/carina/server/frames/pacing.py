@@ -72,7 +72,7 @@ class RenderOrder:
 
 
 @dataclass(slots=True)
-class _View:
+class _PacedView:
     width: int
     height: int
     budget: FrameBudget
@@ -119,7 +119,7 @@ class FrameScheduler:
 
     def __init__(self, *, rate_hz: float = DEFAULT_RATE_HZ) -> None:
         self._period_s = 1.0 / rate_hz
-        self._views: dict[str, _View] = {}
+        self._views: dict[str, _PacedView] = {}
         self._budgets: dict[str, FrameBudget] = {}
         self._credit_s = 0.0
         self._turn: list[str] = []
@@ -143,7 +143,7 @@ class FrameScheduler:
                 if name not in self._budgets:
                     finder = name == LEAD_VIEW
                     self._budgets[name] = FrameBudget(AIRWAY_LEVELS if finder else PLANAR_LEVELS, finder=finder)
-                view = _View(width, height, self._budgets[name])
+                view = _PacedView(width, height, self._budgets[name])
             elif (view.width, view.height) != (width, height):
                 view.width, view.height, view.sent_key = width, height, None
             self._views[name] = view
@@ -288,7 +288,7 @@ class FrameScheduler:
             del in_flight[frame_id]
         return len(in_flight) < MAX_IN_FLIGHT.get(name, 1)
 
-    def _has_new_content(self, view: _View, now_s: float) -> bool:
+    def _has_new_content(self, view: _PacedView, now_s: float) -> bool:
         return view.sent_key != view.seen_key or view.grade(now_s) > view.sent_grade
 
     def _is_due(self, name: str, now_s: float) -> bool:
