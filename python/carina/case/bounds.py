@@ -19,26 +19,6 @@ from carina.errors import CarinaError
 from carina.scopes import Pose
 from carina.value import TEXT
 
-__all__ = [
-    "MAX_LABEL_CHARS",
-    "MAX_MESSAGE_CHARS",
-    "MAX_MM",
-    "MAX_NAME_CHARS",
-    "MAX_NUMBER",
-    "MAX_S",
-    "MAX_WHOLE",
-    "bounded_array",
-    "bounded_number",
-    "bounded_text",
-    "bounded_whole",
-    "check_ascending",
-    "check_plain",
-    "check_tip",
-    "is_readable_tip",
-    "shortened_text",
-    "with_shortened_texts",
-]
-
 MAX_S: Final = 1e10
 """Largest time since the creation of a case, in seconds: 317 years, so that a wrong system clock is accepted."""
 MAX_MM: Final = 1e6

@@ -14,20 +14,6 @@ from carina.case.bounds import MAX_NAME_CHARS, with_shortened_texts
 from carina.case.error_texts import damage_error
 from carina.errors import UsageError
 
-__all__ = [
-    "DTYPES",
-    "MAX_DEFLATED",
-    "MAX_JSON_BYTES",
-    "MAX_PIECE_BYTES",
-    "as_checked_json",
-    "as_json",
-    "content_digest",
-    "deflate",
-    "from_json",
-    "inflate",
-    "pack_ints",
-]
-
 MAX_PIECE_BYTES: Final = 64 << 20
 """Largest size of one compressed blob in bytes after decompression, far below the limits of SQLite."""
 MAX_JSON_BYTES: Final = 16 << 20

@@ -13,16 +13,6 @@ from carina.case.sqlite_journals import check_files
 from carina.disk import disk_trouble, open_regular
 from carina.errors import CarinaError, DiskError
 
-__all__ = [
-    "check_header",
-    "check_integrity",
-    "convert_disk_errors",
-    "convert_value_errors",
-    "open_connection",
-    "set_pragmas",
-    "transaction",
-]
-
 MAX_VALUE_BYTES: Final = 128 << 20
 """Largest size of one text or blob in bytes; a chunk of a packed CT has at most half of this size."""
 MAX_SQL_BYTES: Final = 20_000

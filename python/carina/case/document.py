@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from carina.render import TransferFunction
     from carina.track import Airways
 
-__all__ = ["ChosenKeyFrame", "Document", "KeyFrames", "Lesion", "Target"]
-
 Point = tuple[float, float, float]
 
 

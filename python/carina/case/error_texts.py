@@ -6,9 +6,6 @@ from pathlib import Path
 
 from carina.errors import VolumeImportError
 
-__all__ = ["CaseFileError", "damage_error", "unusable_file_error"]
-
-
 MAX_FOUND_CHARS = 120
 """Largest number of characters of a file's content that a message quotes."""
 

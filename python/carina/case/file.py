@@ -52,8 +52,6 @@ from carina.installation import carina_command
 from carina.navigate import Recording
 from carina.volume import Volume
 
-__all__ = ["CaseFile", "StepFacts", "all_content", "migrate", "migrate_live", "step_rows"]
-
 MAX_CONTENT_BYTES: Final = 2 << 30
 """Largest size of all rows of a case without its CT, in bytes."""
 MAX_IN_MEMORY_BYTES: Final = 256 << 20

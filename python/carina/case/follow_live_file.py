@@ -20,8 +20,6 @@ from carina.case.source import axis_permutation, grid_text, read_source
 from carina.case.stored_state import Moment
 from carina.volume import Volume
 
-__all__ = ["CaseFollower"]
-
 
 class CaseFollower:
     """Reader of the case states that another process saves in a live file; it never writes, and reads each row once.

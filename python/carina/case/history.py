@@ -10,8 +10,6 @@ from carina.case.bounds import MAX_LABEL_CHARS, shortened_text
 from carina.commands import Command
 from carina.display import one_line
 
-__all__ = ["MAX_STEPS", "History", "Step"]
-
 D = TypeVar("D")
 
 MERGE_WITHIN_S = 1.0

@@ -24,28 +24,6 @@ from carina.track import Uncertainty
 from carina.typed_reading import json_decoder
 from carina.value import TEXT
 
-__all__ = [
-    "EARLIER_NAMES",
-    "AirwaysFacts",
-    "BadgeFacts",
-    "BranchFacts",
-    "ForkFacts",
-    "KeyFrameFacts",
-    "KeyFramesFacts",
-    "MeasuredFacts",
-    "MeasuresFacts",
-    "MomentFacts",
-    "RouteFacts",
-    "ScopeFacts",
-    "SpanFacts",
-    "StenosisFacts",
-    "SummaryFacts",
-    "TargetFacts",
-    "TreeFacts",
-    "command_from_json",
-    "decoders",
-]
-
 MAX_BRANCHES = 100_000
 MAX_LIST = 1_000_000
 CtValue = Annotated[int, Meta(ge=-(2**31), le=2**31)]

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from carina.volume.sparse_mask import empty_mask
 
-__all__ = ["TILE", "TILE_BYTES", "from_tiles", "to_tiles"]
-
 TILE = 32
 TILE_BYTES = TILE**3 // 8
 

@@ -15,8 +15,6 @@ from carina.case.error_texts import damage_error
 from carina.track import BranchMeasures, BranchSummary, ForkMeasures, Stenosis
 from carina.track.measures.branch_measures import RAYS_PER_MM
 
-__all__ = ["branch_facts", "branch_from", "flags_of", "fork_from", "sections_of"]
-
 FIGURES: Final = {
     "at_mm": 1,
     "centre_lps": 3,

@@ -14,8 +14,6 @@ from carina.case.source import SourceFacts, axis_permutation, read_source
 from carina.errors import UsageError
 from carina.volume import Volume, VolumeSource, ct_digest
 
-__all__ = ["packed_volume", "write_ct"]
-
 CHUNK_BYTES: Final = 16 << 20
 """Largest size of the voxels in a chunk in bytes; a chunk has one slice if a slice is larger."""
 

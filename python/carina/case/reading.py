@@ -57,8 +57,6 @@ from carina.track.paths.tracker import PathTracker
 from carina.track.tree.uncertainty import without_unproven_blocks
 from carina.volume import Note, Volume
 
-__all__ = ["CaseReader", "Rows", "StoredAirways", "StoredMeasures"]
-
 Rows = dict[str, dict[int, tuple[Any, ...]]]
 """Columns of each content row except its id, by table name and row id."""
 BOUNDS: Final = {"f8": (-MAX_MM, MAX_MM), "i8": (-1, 2**31), "u4": (0, 2**32)}

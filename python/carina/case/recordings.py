@@ -30,8 +30,6 @@ from carina.errors import UsageError
 from carina.navigate import Recording
 from carina.navigate.recording import read_recording
 
-__all__ = ["CHUNK_S", "RecordingFacts", "RecordingTable", "RecordingWriter", "WholeRecording"]
-
 CHUNK_S: Final = 1.0
 """Largest duration of a chunk in seconds; a chunk stays in memory until the next :meth:`RecordingWriter.keep`."""
 MAX_CHUNK_CHARS: Final = 8 << 20

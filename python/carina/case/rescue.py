@@ -34,8 +34,6 @@ from carina.render import Sight, transfer_preset
 from carina.scopes import ScopeHold
 from carina.volume import Volume
 
-__all__ = ["rescued"]
-
 MAX_VOXELS: Final = 1 << 33
 TROUBLE: Final = (CaseFileError, sqlite3.Error)
 

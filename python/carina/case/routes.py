@@ -21,25 +21,6 @@ from carina.track import Airways, AirwayTree, Branch, DrawnPart, Route, TrackedP
 from carina.track.targets.paper_tracker import along_branches
 from carina.value import FrozenValue, PointLps, Words
 
-__all__ = [
-    "AirwayIndex",
-    "ChosenRoute",
-    "NeedleLine",
-    "RouteSpan",
-    "centreline_mm",
-    "default_branch_id",
-    "leaf_below",
-    "lookouts_mm",
-    "path_move",
-    "position_on_new_route_mm",
-    "route_along_points",
-    "route_to_branch",
-    "route_to_parking",
-    "route_to_point",
-    "route_to_target",
-]
-
-
 PARKED_MM = 2.0
 """Largest distance in mm that an edit may move a centreline while the scope's planned position stays valid."""
 AT_THE_ROOT = "the point lies at the tracheal entry, so there is no path to fly along"

@@ -12,8 +12,6 @@ from msgspec import Meta
 from carina.typed_reading import read_json
 from carina.value import FrozenValue
 
-__all__ = ["SaveMark", "read_save_mark", "write_save_mark"]
-
 KIND = "save"
 """Value of the column ``kind`` of the mark in the table ``extra``."""
 SaveId = Annotated[str, Meta(pattern=r"\A[0-9a-f]{16}\Z")]

@@ -10,18 +10,6 @@ from typing import Final, Literal
 
 from carina.case.error_texts import unusable_file_error
 
-__all__ = [
-    "APPLICATION_ID",
-    "CONTENT",
-    "MIGRATIONS",
-    "SCHEMA",
-    "SINCE",
-    "TABLES",
-    "check_schema",
-    "make_tables",
-    "write_migrated_copy",
-]
-
 APPLICATION_ID: Final = 0x43415249
 """Value of SQLite's ``application_id`` in a case file: the letters ``CARI``."""
 SCHEMA: Final = 2

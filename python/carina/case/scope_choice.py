@@ -9,8 +9,6 @@ import msgspec
 from carina.case.document import Document, Target
 from carina.scopes import DEFAULT_SCOPE, scope_preset
 
-__all__ = ["document_with_lesion", "document_with_scope"]
-
 
 def document_with_scope(document: Document, name: str, *, resets_view: bool = False) -> Document:
     """Return a document whose airway view and plans use a scope; the same object if they use it already.

@@ -13,8 +13,6 @@ from carina.commands.plan import PlanOptions
 from carina.errors import CarinaError
 from carina.plan import PlanTarget
 
-__all__ = ["LesionFacts", "lesion_facts", "lesion_from_facts"]
-
 
 class LesionFacts(msgspec.Struct, frozen=True, omit_defaults=True):
     """A lesion in a case file: the record of :meth:`carina.plan.PlanTarget.to_record`, and the planning options."""

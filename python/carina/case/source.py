@@ -18,8 +18,6 @@ from carina.display import one_line
 from carina.errors import UsageError
 from carina.volume import Geometry, Volume
 
-__all__ = ["AxisPermutation", "SourceFacts", "axis_permutation", "grid_text", "read_source", "write_source"]
-
 V = TypeVar("V", np.uint8, np.int16)
 GEOMETRY_MM: Final = 1e-3
 """Largest distance in mm between corresponding voxels of two grids that count as equal."""

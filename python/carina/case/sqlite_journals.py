@@ -14,17 +14,6 @@ from carina.case.error_texts import CaseFileError, unusable_file_error
 from carina.disk import check_regular, disk_trouble, open_regular, say_size, special_kind
 from carina.errors import VolumeImportError
 
-__all__ = [
-    "JOURNALS",
-    "MAX_CASE_BYTES",
-    "MAX_JOURNAL_BYTES",
-    "check_files",
-    "companion_path",
-    "copied_with_journal",
-    "has_journal",
-    "rename_foreign_file",
-]
-
 logger = logging.getLogger(__name__)
 
 JOURNALS: Final = ("-wal", "-journal")

@@ -11,8 +11,6 @@ from carina.display import one_line
 from carina.render import Sight
 from carina.scopes import ScopeHold
 
-__all__ = ["Moment"]
-
 
 @one_line
 @dataclass(frozen=True, slots=True)

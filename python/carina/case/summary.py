@@ -9,8 +9,6 @@ from carina.case import json_records as f
 from carina.case.compression import from_json
 from carina.display import one_line
 
-__all__ = ["CaseSummary", "read_summary"]
-
 
 @one_line
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,6 @@ from carina.case.schema import CONTENT
 if TYPE_CHECKING:
     from carina.case.reading import Rows
 
-__all__ = ["delete_unreferenced_rows", "referenced_rows"]
-
 
 def delete_unreferenced_rows(connection: sqlite3.Connection, rows: Rows) -> int:
     """Delete the rows that no step refers to, in a transaction that the caller opened; return their number.

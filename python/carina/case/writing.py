@@ -33,8 +33,6 @@ from carina.track.edit.undo_storage import FoldedAirways, PackedAirways
 from carina.track.paths.tracker import PathTracker
 from carina.version import VERSION
 
-__all__ = ["CaseWriter", "StepRow"]
-
 logger = logging.getLogger(__name__)
 
 StepRow = tuple[str, str | None, float, int]

@@ -15,8 +15,6 @@ from carina.track import AddBranch, Airways, branch_way, edit_airways, renamed_b
 from carina.track.progress import Progress
 from carina.volume import Volume
 
-__all__ = ["AddedBranches", "add_branches", "error_json"]
-
 
 @dataclass(frozen=True, slots=True)
 class AddedBranches:

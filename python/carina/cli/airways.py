@@ -31,8 +31,6 @@ from carina.export import (
 from carina.track import Absence, Airways, TreeMeasures, TreeRow, drawn_tree, kind_words, lumen_mask, measure_tree
 from carina.volume import open_mask
 
-__all__ = ["find", "write"]
-
 
 def find(
     path: Path,

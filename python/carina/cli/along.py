@@ -13,8 +13,6 @@ from carina.errors import NoResultError, UsageError
 from carina.export import read_tree
 from carina.track import AirwayTree
 
-__all__ = ["check_destination", "print_drawn_parts", "route_to"]
-
 MAX_NAMES_SAID = 12
 
 

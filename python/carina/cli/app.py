@@ -29,8 +29,6 @@ from carina.display.printable import printable
 from carina.display.progress import without_bars
 from carina.errors import UsageError
 
-__all__ = ["app", "main"]
-
 
 class CarinaCommands(TyperGroup):
     """The commands of ``carina``; an empty argument is refused for all of them."""

@@ -12,8 +12,6 @@ from carina.cli.arguments import parse_point
 from carina.cli.console import exit_codes
 from carina.cli.options import CtOption, JsonOption, PathArgument, SeriesOption
 
-__all__ = ["airways", "export", "plan", "track"]
-
 FromMaskOption = Annotated[
     Path | None,
     typer.Option(

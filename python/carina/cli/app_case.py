@@ -11,8 +11,6 @@ from carina.cli.case_ids import path_or_case
 from carina.cli.console import exit_codes
 from carina.cli.options import CtOption, JsonOption
 
-__all__ = ["case"]
-
 case = typer.Typer(
     help="Manage case files (NAME.carina) and the cases stored on this machine (docs/case-file.md).",
     no_args_is_help=True,

@@ -11,8 +11,6 @@ from carina.cli.console import exit_codes
 from carina.cli.options import JsonOption, TokenOption
 from carina.errors import UsageError
 
-__all__ = ["cluster"]
-
 cluster = typer.Typer(
     help="Render each image on several machines (docs/cluster.md). Needs Linux and Ray (see carina doctor).",
     no_args_is_help=True,

@@ -15,16 +15,6 @@ from carina.disk import disk_trouble
 from carina.display.printable import printable
 from carina.errors import UsageError, VolumeImportError
 
-__all__ = [
-    "check_needs",
-    "check_output_file",
-    "check_output_folder",
-    "check_range",
-    "check_window_path",
-    "parse_point",
-    "parse_size",
-]
-
 
 def parse_point(text: str, what: str) -> NDArray[np.float64]:
     """Parse ``x,y,z`` in mm (LPS), each with an optional sign."""

@@ -11,8 +11,6 @@ from typing import Any
 import carina
 from carina.errors import CarinaError
 
-__all__ = ["PACKAGE", "run_benchmarks"]
-
 PACKAGE = "carina_bench"
 
 

@@ -20,20 +20,6 @@ from carina.session import CASE_SUFFIX, CaseRecord, CaseRecords, LocalStore
 from carina.session.store.registry_repair import repair_records
 from carina.volume import VolumeCache
 
-__all__ = [
-    "case_json",
-    "case_lines",
-    "find_recording",
-    "forget",
-    "history",
-    "info",
-    "list_cases",
-    "migrate_case",
-    "pack_case",
-    "rescue",
-    "write_recording",
-]
-
 SHORT_ID = 6
 
 

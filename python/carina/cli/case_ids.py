@@ -15,8 +15,6 @@ from carina.errors import UsageError
 if TYPE_CHECKING:
     from carina.session import CaseRecord, CaseRecords
 
-__all__ = ["MIN_ID_CHARS", "path_or_case", "stored_case"]
-
 MIN_ID_CHARS: Final = 4
 """Minimum length of an ID prefix: shorter ones would match by accident. `carina case list` shows at least six."""
 _ID: Final = re.compile(rf"[0-9a-f]{{{MIN_ID_CHARS},64}}", re.IGNORECASE)

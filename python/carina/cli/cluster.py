@@ -29,8 +29,6 @@ from carina.render import ClusterStatus, Renderer, TransferFunction
 from carina.session import RendererFactory
 from carina.volume import Volume
 
-__all__ = ["OpenCluster", "join", "opened_cluster", "start", "status"]
-
 LOCAL_IP = "127.0.0.2"
 AGAIN_S = (1.0, 2.0, 5.0, 10.0)
 _OPEN_PORTS_WARNING = (

@@ -19,19 +19,6 @@ from carina.display.printable import printable, shortened_words
 from carina.display.terminal import as_line, as_terminal_text, escaped_json
 from carina.errors import CancelledError, CarinaError
 
-__all__ = [
-    "accept_any_text",
-    "end_with_error",
-    "exit_codes",
-    "interruptible",
-    "log_to_terminal",
-    "print_json",
-    "print_note",
-    "print_result",
-    "print_usage_error",
-    "progress_printer",
-]
-
 Result = TypeVar("Result")
 ProgressCallback = Callable[[str, float | None], None]
 

@@ -15,8 +15,6 @@ from carina.errors import UsageError
 from carina.navigate import HandleSample, PoseSample, Sample, SampleFilter, filter_latency_ms
 from carina.navigate.devices import KINDS, Listener, SourceStatus, found_ports, open_source
 
-__all__ = ["report"]
-
 IN_THE_WINDOW = (
     "mouse, keyboard, gamepads, SpaceMouse, USB scope handles (HID), headsets and phones connect through the window "
     "(`carina open`, Devices)"

@@ -18,8 +18,6 @@ from carina.installation import extra_command, install_command, rebuild
 from carina.render import Adapter, AdapterMeasurement, Backend, build_info, find_adapters
 from carina.render.processor_choice import RECORD_NAME
 
-__all__ = ["gpu_facts", "gpu_lines", "report"]
-
 
 def gpu_facts(settings: Settings) -> dict[str, Any]:
     """Return the adapters, their measurements, and which may be used, for ``--json``."""

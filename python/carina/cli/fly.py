@@ -37,8 +37,6 @@ from carina.session import RendererFactory, is_case_file, key_file, view_words
 from carina.track import edits_from_json, wall_field
 from carina.volume import Volume
 
-__all__ = ["PAUSE_S", "SPEED_MM_S", "report"]
-
 SPEED_MM_S = 20.0
 PAUSE_S = 1.0
 """Default values of the options."""

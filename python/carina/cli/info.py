@@ -11,8 +11,6 @@ from carina.cli.opened import check_case_options, open_input_volume
 from carina.session import is_case_file
 from carina.volume import badges_of, inspect_path, quality_gate
 
-__all__ = ["report"]
-
 
 def report(path: Path, *, strict: bool, series: str | None, as_json: bool, ct: Path | None = None) -> int:
     """Print the facts about a path; return 3 with ``strict`` if there is a badge or a finding of the quality gate."""

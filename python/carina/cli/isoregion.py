@@ -13,8 +13,6 @@ from carina.cli.opened import check_case_options, open_input
 from carina.cli.render import chosen_transfer
 from carina.volume import GRID_SUFFIXES, check_grid_fits, write_grid
 
-__all__ = ["write"]
-
 
 def write(path: Path, *, output: Path, transfer: str | None, series: str | None, ct: Path | None, as_json: bool) -> int:
     """Compute the isoregion map of a scan and write it to a file, on the grid of the scan."""

@@ -22,16 +22,6 @@ if TYPE_CHECKING:
     from carina.case import CaseFile, Document, KeyFrames, Moment
     from carina.track import Airways
 
-__all__ = [
-    "Badges",
-    "OpenedInput",
-    "case_scans",
-    "check_case_options",
-    "newest_case_file",
-    "open_input",
-    "open_input_volume",
-]
-
 
 class Badges:
     """Permanent notes about the input of a command; each is printed once on stderr."""

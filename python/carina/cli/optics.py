@@ -10,8 +10,6 @@ from carina.errors import UsageError
 from carina.render import LEAD_VIEW
 from carina.scopes import OUTLINES, DepthOfField, ImageField, Lens, lens_from_file, scope_preset
 
-__all__ = ["OpticsOptions"]
-
 CALIBRATION_SUFFIXES = (".yml", ".yaml", ".xml", ".json")
 
 

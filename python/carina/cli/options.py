@@ -9,8 +9,6 @@ import typer
 
 from carina.cli.case_ids import path_or_case
 
-__all__ = ["CtOption", "JsonOption", "PathArgument", "SeriesOption", "TokenOption"]
-
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; messages go to stderr.")]
 TokenOption = Annotated[
     Path | None,

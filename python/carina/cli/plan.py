@@ -49,8 +49,6 @@ if TYPE_CHECKING:
     from carina.track import Airways
     from carina.volume import Volume
 
-__all__ = ["report"]
-
 ARCHIVE_SUFFIX = ".pdf.dcm"
 REPORT_SUFFIXES = (".html", ".pdf", ".json")
 PAPERS: Final[dict[str, Paper]] = {"A4": "A4", "Letter": "Letter"}

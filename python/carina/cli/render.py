@@ -41,8 +41,6 @@ from carina.scopes import PathFrames, Pose
 from carina.track import kind_words
 from carina.volume.point_check import check_in_volume
 
-__all__ = ["chosen_transfer", "report"]
-
 MAX_TRANSFER_BYTES = 1_000_000
 STEP_VOX = 0.5
 # Placeholder for the route while the arguments are checked, before the route is known.

@@ -13,8 +13,6 @@ from carina.disk import library_path, make_folder, read_regular_text, write_whol
 from carina.errors import UsageError, VolumeImportError
 from carina.render import Picture
 
-__all__ = ["StoredFrames"]
-
 FORMAT = "carina-frames"
 JOB = "job.json"
 

@@ -19,8 +19,6 @@ from carina.track import Airways, DrawnPart, drawn_part
 from carina.track.targets.paper_tracker import check_choice, track_on_graph
 from carina.track.targets.results import GraphSearch
 
-__all__ = ["report"]
-
 
 def report(
     path: Path,

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from carina.errors import ClusterError
 from carina.render import Picture
 
-__all__ = ["Counts", "Strip", "open_answer", "open_order", "pack_answer", "pack_order"]
-
 Counts = tuple[int, int, int, int, int, int, int]
 """Type of the counts of a rendered strip: rays, samples, look-ups, leaps, skipped samples, shaded samples, loads."""
 Strip = tuple[int, int, int, int, float, str, Counts, Picture | None, NDArray[np.uint8]]

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 
-__all__ = ["RateMeter"]
-
 
 class RateMeter:
     """Meter of the event rate over the last ``over_s`` seconds, and of the median of the last ``keep`` durations."""

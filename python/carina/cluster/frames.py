@@ -14,8 +14,6 @@ from carina.render import AirwayView, CancelToken, Picture, Renderer, RenderStat
 from carina.render.scene import Scene
 from carina.scopes import PINHOLE
 
-__all__ = ["Content", "PendingFrame", "find_mismatch", "set_failure"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Content:

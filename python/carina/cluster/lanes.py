@@ -21,8 +21,6 @@ from carina.render import CancelToken, Machine, Picture, Renderer, View
 from carina.render.scene import Scene
 from carina.version import VERSION
 
-__all__ = ["Answered", "Lane", "LaneFacts", "Loaded", "LocalLane", "StripAnswer", "StripOrder"]
-
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)

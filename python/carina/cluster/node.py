@@ -23,18 +23,6 @@ from carina.disk import make_folder, open_regular, write_whole
 from carina.errors import ClusterError, UsageError
 from carina.installation import extra_command
 
-__all__ = [
-    "CONSOLE_ENVIRONMENT",
-    "DEFAULT_PORT",
-    "Node",
-    "check_available",
-    "check_token",
-    "make_token",
-    "own_address",
-    "ray_environment",
-    "token_file",
-]
-
 DEFAULT_PORT = 6379
 TOKEN_NAME = "cluster.token"
 STARTED = "Ray runtime started"

@@ -27,8 +27,6 @@ from carina.cluster.scene_data import Parcel
 from carina.errors import ClusterError
 from carina.version import VERSION
 
-__all__ = ["RayCluster", "RayLane", "read_cluster_machines"]
-
 logger = logging.getLogger(__name__)
 
 POLL_S = 1.0

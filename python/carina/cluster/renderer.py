@@ -31,8 +31,6 @@ from carina.render.scene import Cancel, Scene
 from carina.render.wall_texture import DecorationTree
 from carina.volume import Volume
 
-__all__ = ["ClusterRenderer", "render_frames"]
-
 MIN_PIXELS = 128 * 128
 """Pictures with fewer pixels are rendered on this machine, because sending them takes longer than rendering them."""
 POLL_S = 0.02

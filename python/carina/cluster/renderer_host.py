@@ -21,8 +21,6 @@ from carina.errors import ClusterError
 from carina.render import Backend, Picture, Renderer, RenderStats, build_info
 from carina.version import VERSION
 
-__all__ = ["RendererHost", "available_bytes", "bare_picture", "counts_of"]
-
 
 def available_bytes() -> int | None:
     """Return the memory available on this machine in bytes, limited by the container; None if it is not reported."""

@@ -16,8 +16,6 @@ import numpy as np
 from carina.render.scene import Scene
 from carina.volume import Volume
 
-__all__ = ["Parcel", "Parcels", "open_parcel"]
-
 Array = np.ndarray[Any, Any]
 # Size in bytes from which an array is sent apart; smaller arrays are sent within the skeleton (the pickled content).
 LARGE_BYTES = 1 << 16

@@ -21,8 +21,6 @@ from carina.cluster.shares import Shares
 from carina.cluster.strips import cut_rows
 from carina.errors import UsageError
 
-__all__ = ["Action", "FrameDone", "FrameDropped", "Issue", "LaneBack", "LaneLate", "LaneView", "StripScheduler"]
-
 Lane = Hashable
 LaneState = Literal["ready", "late", "away"]
 

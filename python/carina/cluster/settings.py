@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from carina.display import one_line
 from carina.errors import UsageError
 
-__all__ = ["ClusterSettings"]
-
 
 @one_line
 @dataclass(frozen=True, slots=True)

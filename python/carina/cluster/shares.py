@@ -6,8 +6,6 @@ from collections.abc import Hashable, Iterable
 
 from carina.cluster.settings import ClusterSettings
 
-__all__ = ["Shares"]
-
 
 class Shares:
     """The shares p_i of the lanes, which sum to one.

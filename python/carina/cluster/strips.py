@@ -7,8 +7,6 @@ from typing import TypeVar
 
 from carina.errors import UsageError
 
-__all__ = ["cut_rows"]
-
 Lane = TypeVar("Lane", bound=Hashable)
 
 

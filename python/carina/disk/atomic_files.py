@@ -24,18 +24,6 @@ from carina.disk.locks import try_lock
 from carina.display import as_words
 from carina.errors import CarinaError
 
-__all__ = [
-    "DRAFT",
-    "Draft",
-    "Placement",
-    "create_folders",
-    "drafted",
-    "make_folder",
-    "sweep_drafts",
-    "sync_folder",
-    "write_whole",
-]
-
 Placement = Callable[[Path, Path], None]
 """``placement(draft, target)`` moves a complete draft to its target, or raises and leaves the target unchanged."""
 DRAFT = re.compile(r"\.carina-[0-9a-f]{16}\.draft")

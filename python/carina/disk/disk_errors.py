@@ -10,8 +10,6 @@ from typing import NamedTuple
 
 from carina.errors import CarinaError, DiskError
 
-__all__ = ["disk_trouble", "is_disk_trouble", "say_size"]
-
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 _DENIED = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
 _MISSING = frozenset({errno.ENOENT, errno.ENOTDIR})

@@ -10,8 +10,6 @@ from pathlib import Path
 from carina.disk.temporary_folders import scratch_folder
 from carina.errors import DiskError
 
-__all__ = ["library_path"]
-
 
 @contextlib.contextmanager
 def library_path(path: Path) -> Iterator[str]:

@@ -10,8 +10,6 @@ from pathlib import Path
 
 from carina.disk.atomic_files import sync_folder
 
-__all__ = ["copy_to_new_name", "move_to_new_name"]
-
 _NO_HARD_LINKS = frozenset(
     {errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EXDEV, errno.EINVAL}
 )

@@ -10,8 +10,6 @@ from typing import BinaryIO, Final, TextIO
 
 from carina.errors import VolumeImportError
 
-__all__ = ["check_regular", "open_regular", "open_regular_text", "read_regular_text", "special_kind"]
-
 AnyPath = str | os.PathLike[str]
 NOT_A_FILE: Final = "disk.not-a-file"
 _KINDS: Final = (

@@ -24,8 +24,6 @@ from carina.disk.disk_errors import disk_trouble
 from carina.disk.locks import try_lock
 from carina.display import as_words
 
-__all__ = ["ScratchFolder", "scratch_folder", "sweep_scratch"]
-
 PREFIX = "carina-scratch-"
 LOCK = "lock"
 OLD_AFTER_S = 86_400.0

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from carina.display.html import escaped
 
-__all__ = ["DRAWN_COLOUR", "Way", "generation_colour", "ways_svg"]
-
 MARGIN_PX = 22
 MAX_POINTS = 40
 """Maximum number of points of a line in the drawing."""

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from carina.display.png import png_bytes
 
-__all__ = ["caption", "escaped", "figure", "picture", "table"]
-
 NOT_FOR_DIAGNOSIS = "not for diagnosis"
 
 

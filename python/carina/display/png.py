@@ -9,8 +9,6 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["SIGNATURE", "png_bytes"]
-
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 

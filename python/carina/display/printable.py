@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import re
 
-__all__ = ["MAX_VALUE_CHARS", "MAX_WORD_CHARS", "printable", "shortened_words", "shown_value"]
-
 MAX_VALUE_CHARS = 80
 """Longest part of a header value that a message quotes."""
 MAX_WORD_CHARS = 800

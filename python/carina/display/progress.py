@@ -15,8 +15,6 @@ from typing import Any, ParamSpec, Protocol, TypeVar
 
 from carina.argument_checks import progress_choice
 
-__all__ = ["Progress", "ProgressChoice", "progress_function", "share_function", "shows_progress", "without_bars"]
-
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -112,6 +110,7 @@ class BarCallback:
         self._bar: Bar | None = None
 
     def __call__(self, what: str, fraction: float | None) -> None:
+        """Show the progress of a task; the bar appears after BEGIN_S."""
         now = self._clock()
         if what != self._what:
             self._what, self._task_s = what, now

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["middle_slices"]
-
 # Right and down directions of the image as LPS axes with their signs, in radiological display: patient right on
 # screen left, and the sagittal slice with anterior on the left.
 PLANES = {"axial": ((0, 1), (1, 1)), "coronal": ((0, 1), (2, -1)), "sagittal": ((1, 1), (2, -1))}

@@ -10,8 +10,6 @@ from typing import Any, Literal
 from carina.errors import CarinaError
 from carina.installation import install_command
 
-__all__ = ["Column", "ColumnKind", "Columns", "Tabular", "columns_of"]
-
 ColumnKind = Literal["int", "float", "text", "flag"]
 Column = tuple[ColumnKind, Sequence[Any]]
 """The kind and the values of a column; None where there is no value."""

@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 from typing import Final
 
-__all__ = ["as_line", "as_terminal_text", "escaped_json"]
-
 # The pattern covers a whole escape sequence: without the escape character alone, the digits of a colour would stay.
 _SEQUENCE: Final = re.compile(
     r"(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]"  # CSI: colours, cursor

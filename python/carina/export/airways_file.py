@@ -13,8 +13,6 @@ from carina.export.mask_file import check_mask_file
 from carina.track import Airways, AirwayTree, drawn_tree, lumen_mask, lumen_mesh
 from carina.volume import Note, Volume, badges_of
 
-__all__ = ["check_export", "export_airways", "export_tree", "is_tree_file"]
-
 
 def is_tree_file(path: Path | str) -> bool:
     """Return whether the format of a file name stores only the airway tree, so that no lumen is needed.

@@ -24,8 +24,6 @@ from carina.render import AirwayView, Renderer
 from carina.track import AirwayTree
 from carina.volume import Volume
 
-__all__ = ["Film", "write_film"]
-
 MAX_EMBEDDED_BYTES = 20_000_000
 """Largest size of a video that is embedded in a notebook; of a larger one only the name is shown."""
 

@@ -18,8 +18,6 @@ from carina.export.mesh_file import write_mesh
 from carina.export.tree_file import write_tree
 from carina.export.tree_formats import write_markups, write_swc, write_vtp
 
-__all__ = ["EXPORT_FORMATS", "EXPORT_SUFFIXES", "EXPORT_TITLES", "ExportFormat", "ExportKind", "export_format"]
-
 ExportKind = Literal["surface", "lumen", "tree"]
 
 EXPORT_TITLES: dict[ExportKind, str] = {

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from carina.track.tree.airway_tree import AirwayTree
 from carina.volume import Note
 
-__all__ = ["badge_lines", "lasting"]
-
 
 def badge_lines(badges: Sequence[Note]) -> list[str]:
     """Return one line per note in ASCII, which every format can store."""

@@ -12,8 +12,6 @@ from carina.errors import GeometryError, UsageError
 from carina.export.header_notes import badge_lines
 from carina.volume import GRID_SUFFIXES, Note, Volume, check_grid_fits, write_grid
 
-__all__ = ["MASK_SUFFIXES", "check_mask_file", "write_mask"]
-
 MASK_SUFFIXES = GRID_SUFFIXES
 
 

@@ -22,8 +22,6 @@ from carina.export.header_notes import badge_lines
 from carina.track.surface.mesh import Mesh
 from carina.volume import Note
 
-__all__ = ["MESH_SUFFIXES", "write_mesh"]
-
 _WORDS = "Carina airway lumen, space LPS, unit mm"
 
 

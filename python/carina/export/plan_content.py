@@ -17,17 +17,6 @@ from carina.plan import Nodule, Plan, PlannedRoute
 from carina.plan.reasons import plan_reasons, route_reasons, target_reasons
 from carina.track import AirwayTree
 
-__all__ = [
-    "NOT_A_DEVICE",
-    "ONE_TARGET",
-    "DrawnRoute",
-    "DrawnTarget",
-    "drawn_plans",
-    "marked_nodules",
-    "named_plans",
-    "note_sentences",
-]
-
 Points = NDArray[np.float64]
 
 ONE_TARGET = "Target"

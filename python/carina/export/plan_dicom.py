@@ -39,18 +39,6 @@ from carina.volume.io_errors import guarded
 from carina.volume.opening import find_in, place_name
 from carina.volume.progress import Watch
 
-__all__ = [
-    "CtImages",
-    "Identity",
-    "check_text",
-    "code_item",
-    "ct_images",
-    "decimals",
-    "file_bytes",
-    "named_nodules",
-    "new_object",
-]
-
 Identity = Literal["from the CT", "none"]
 """Identity in a file: name, number, birth date and study of the CT, or none of them."""
 

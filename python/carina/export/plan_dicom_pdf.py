@@ -20,8 +20,6 @@ from carina.errors import UsageError
 from carina.export.plan_dicom import Identity, check_text, code_item, ct_images, file_bytes, new_object
 from carina.volume import Volume
 
-__all__ = ["write_plan_pdf"]
-
 _SUFFIX: Final = ".dcm"
 MAX_BYTES: Final = 500_000_000
 """Largest size of a PDF; a report of some pages has a few million bytes."""

@@ -39,8 +39,6 @@ from carina.track import Airways, drawn_tree, lumen_mask
 from carina.version import VERSION
 from carina.volume import Volume
 
-__all__ = ["TARGET_SEG_SUFFIX", "inside_on_grid", "write_target_seg"]
-
 TARGET_SEG_SUFFIX: Final = ".dcm"
 _HALF = 0.5
 LUMEN_NAME: Final = "Airway lumen"

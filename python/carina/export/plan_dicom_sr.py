@@ -36,8 +36,6 @@ from carina.plan import Nodule
 from carina.volume import Volume
 from carina.volume.dicom_headers import damaged_elements_refused, read_dataset
 
-__all__ = ["write_target_report"]
-
 _SUFFIX: Final = ".dcm"
 _Concept = tuple[str, str, str]
 _REPORT: _Concept = ("126000", "DCM", "Imaging Measurement Report")

@@ -18,8 +18,6 @@ from carina.volume import Note, Volume
 if TYPE_CHECKING:
     from carina.export.plan_dicom import Identity
 
-__all__ = ["PLAN_FORMATS", "check_plan_file", "export_plan"]
-
 _SEG, _SR, _PDF = ".seg.dcm", ".sr.dcm", ".pdf.dcm"
 
 PLAN_FORMATS: Final[dict[str, str]] = {

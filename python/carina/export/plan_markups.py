@@ -26,8 +26,6 @@ from carina.plan import Plan
 from carina.track import AirwayTree
 from carina.volume import Note
 
-__all__ = ["PLAN_MARKUPS_SUFFIX", "write_plan_markups"]
-
 PLAN_MARKUPS_SUFFIX: Final = ".mrk.json"
 _SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"

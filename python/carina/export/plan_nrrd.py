@@ -19,8 +19,6 @@ from carina.export.plan_content import note_sentences
 from carina.plan import Nodule
 from carina.volume import write_grid_to
 
-__all__ = ["TARGET_NRRD_SUFFIX", "write_target_nrrd"]
-
 TARGET_NRRD_SUFFIX: Final = ".seg.nrrd"
 _MARGIN_VOX = 2
 _RGB = "0.94 0.89 0.26"

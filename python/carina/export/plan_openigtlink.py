@@ -30,8 +30,6 @@ from carina.navigate.devices.igtl import IgtlRequest, IgtlStream, pack_message
 from carina.plan import Plan
 from carina.track import AirwayTree
 
-__all__ = ["DEFAULT_PORT", "PlanServer", "plan_messages", "send_plan"]
-
 DEFAULT_PORT: Final = 18944
 LOOPBACK: Final = "127.0.0.1"
 PATIENCE_S: Final = 5.0

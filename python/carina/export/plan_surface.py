@@ -8,8 +8,6 @@ from carina.errors import UsageError
 from carina.plan import Nodule
 from carina.track import Mesh, mask_mesh
 
-__all__ = ["nodule_surface"]
-
 
 def nodule_surface(nodule: Nodule) -> Mesh:
     """Return the closed surface between a nodule's voxels and the voxels outside, within half a voxel of the boundary.

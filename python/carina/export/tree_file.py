@@ -13,8 +13,6 @@ from carina.errors import TrackingError, VolumeImportError, check_type
 from carina.track.tree.airway_tree import AirwayTree
 from carina.volume import Note
 
-__all__ = ["read_badges", "read_tree", "write_tree"]
-
 # A tree of 1000 branches has less than 5 MB; a much larger file is not a tree.
 MAX_BYTES = 200_000_000
 

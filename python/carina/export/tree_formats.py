@@ -24,8 +24,6 @@ from carina.track import drawn_tree, kind_words
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume import Note
 
-__all__ = ["write_markups", "write_swc", "write_vtp"]
-
 _MARKUPS_SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
     "markups-schema-v1.0.3.json#"

@@ -18,8 +18,6 @@ from carina.disk import Draft
 from carina.errors import CarinaError, UsageError
 from carina.installation import extra_command
 
-__all__ = ["VIDEO_SUFFIXES", "VideoWriter", "even_size", "size_notes"]
-
 VIDEO_SUFFIXES = (".mp4", ".webm")
 # BT.709 is what players assume for a video without a label. The label is written too.
 _BT709 = 1

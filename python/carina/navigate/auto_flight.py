@@ -12,8 +12,6 @@ from carina.errors import UsageError
 from carina.navigate.flight_path import FlightPath
 from carina.scopes import Pose
 
-__all__ = ["AutoFlight", "check_duration", "frame_times_s"]
-
 MAX_DURATION_S = 86_400.0
 """Longest flight, one day: a longer one is an input error, and its frames do not fit in memory."""
 

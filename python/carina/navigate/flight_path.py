@@ -23,8 +23,6 @@ from carina.argument_checks import (
 from carina.errors import UsageError
 from carina.scopes import PathFrames, Pose
 
-__all__ = ["FlightPath", "PathPoints"]
-
 
 class PathPoints(Protocol):
     """Path from a search, such as :class:`carina.track.Route` or :class:`carina.track.TrackedPath`."""

@@ -16,8 +16,6 @@ from carina.navigate.rotation import orthonormal, rotation_from_vector, vector_f
 from carina.scopes import upright
 from carina.scopes.pose import ANTERIOR_LPS
 
-__all__ = ["AirwayWay", "Leg", "build_legs"]
-
 Points = NDArray[np.float64]
 
 STEP_MM = 0.5

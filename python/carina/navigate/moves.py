@@ -36,19 +36,6 @@ from carina.errors import UsageError
 from carina.navigate.samples import Sample
 from carina.typed_reading import read_plain
 
-__all__ = [
-    "DeviceSaid",
-    "Frame",
-    "LayScope",
-    "Move",
-    "PathFork",
-    "PathWay",
-    "Register",
-    "SetPath",
-    "move_from_json",
-    "move_to_json",
-]
-
 Vec3 = tuple[float, float, float]
 Sixteen = tuple[float, ...]
 

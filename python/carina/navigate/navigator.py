@@ -25,8 +25,6 @@ from carina.navigate.rotation import orthonormal, rotation_from_vector, vector_f
 from carina.scopes import Pose, ScopeDrive, ScopeState, upright
 from carina.volume import Volume
 
-__all__ = ["EASE_MM_PER_MM", "EASE_RAD_PER_MM", "Limit", "Mode", "Navigator", "OperatorPosition", "eased"]
-
 Mode = Literal["free", "path", "scope"]
 OperatorPosition = Literal["head", "facing"]
 Limit = Literal["none", "volume", "path start", "path end"]

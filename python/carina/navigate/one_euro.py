@@ -12,8 +12,6 @@ from carina.commands import DeviceControls, checked
 from carina.navigate.rotation import rotation_from_vector, rotation_from_wxyz, vector_from_rotation, wxyz_from_rotation
 from carina.navigate.samples import HandleSample, PoseSample, Sample
 
-__all__ = ["SampleFilter", "filter_latency_ms"]
-
 # Gap between two samples, in seconds, after which the filter starts again.
 MAX_GAP_S = 0.25
 # Weight of a radian of roll and of half the lever's range, in mm of shaft, so that hand movements have similar size.

@@ -30,8 +30,6 @@ from carina.navigate.rotation import (
 from carina.navigate.samples import MAX_DEVICES, AxesSample, HandleSample, PoseSample, Sample, SampleGate
 from carina.scopes import Pose, ScopeDrive, WallField, lever_flexion
 
-__all__ = ["CLUTCH_BUTTON", "CYCLE_BUTTON", "DeviceState", "PenState", "Pilot"]
-
 CYCLE_BUTTON = 0
 CLUTCH_BUTTON = 1
 # Time without samples after which a stick counts as released, also after a pause of the program.

@@ -28,8 +28,6 @@ from carina.navigate.pilot import Pilot
 from carina.scopes import Pose, WallField
 from carina.volume import Volume
 
-__all__ = ["Recorder", "Recording", "ReplayedPose", "case_key", "open_recording", "read_recording", "sampled"]
-
 FORMAT, VERSION = "carina-recording", 1
 MAX_BYTES = 1 << 30
 MAX_LINE = 64 << 20

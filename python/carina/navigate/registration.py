@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from carina.display import one_line
 from carina.errors import UsageError
 
-__all__ = ["Registration", "as_registration", "fit_registration"]
-
 MIN_PAIRS = 3
 # Points on one line leave the rotation about the line undefined, so their second-largest spread must exceed this.
 MIN_SPREAD_MM = 2.0

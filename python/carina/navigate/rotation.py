@@ -8,15 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "orthonormal",
-    "rotation_from_vector",
-    "rotation_from_wxyz",
-    "vector_from_rotation",
-    "wxyz_from_rotation",
-    "yaw_pitch_roll",
-]
-
 
 def rotation_from_vector(vector_rad: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the 3x3 rotation about a vector by its length in radians (Rodrigues)."""

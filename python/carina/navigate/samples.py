@@ -12,8 +12,6 @@ from msgspec.structs import replace
 from carina.commands.value import FrozenValue
 from carina.display import as_words
 
-__all__ = ["AxesSample", "HandleSample", "PoseSample", "Refusal", "Sample", "SampleGate"]
-
 Vec3 = tuple[float, float, float]
 Wxyz = tuple[float, float, float, float]
 Six = tuple[float, float, float, float, float, float]

@@ -10,8 +10,6 @@ from carina.navigate import PoseSample
 from carina.navigate.pilot import CLUTCH_BUTTON
 from carina.server.wire import messages as wire
 
-__all__ = ["DEVICE", "MAX_BAD", "ClockMap", "PhoneLink"]
-
 DEVICE = "phone"
 MAX_RATE_HZ = 120.0
 """Maximum message rate; the screens of phones refresh at most at this rate, in Hz."""

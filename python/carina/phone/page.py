@@ -39,8 +39,6 @@ from carina.server.wire import messages as wire
 from carina.session import Session
 from carina.session.jobs.background_jobs import log_fault
 
-__all__ = ["PhonePage", "qr_rows"]
-
 logger = logging.getLogger(__name__)
 
 HELLO_WITHIN_S = 5.0

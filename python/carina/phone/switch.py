@@ -15,8 +15,6 @@ from carina.session import Session
 if TYPE_CHECKING:
     from carina.phone.page import PhonePage
 
-__all__ = ["PhoneSwitch"]
-
 LIBRARIES = ("cryptography", "segno")
 
 

@@ -19,8 +19,6 @@ from carina.render import DrrView, geometry
 from carina.track import Airways, AirwayTree
 from carina.volume import Volume
 
-__all__ = ["CARM_LIMITS", "CArmAngle", "CArmAngles", "ShadowParts", "carm_angles", "carm_words", "shadow_parts"]
-
 Points = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

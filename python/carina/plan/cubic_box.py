@@ -11,21 +11,6 @@ from numpy.typing import NDArray
 from carina.volume import Volume
 from carina.volume.mask_distances import extent
 
-__all__ = [
-    "Box",
-    "beside",
-    "box_step_mm",
-    "component_at",
-    "components",
-    "enclosed",
-    "from_faces",
-    "lung_median_hu",
-    "smoothed",
-    "surface",
-    "trilinear",
-    "uphill",
-]
-
 Mask = NDArray[np.bool_]
 Values = NDArray[np.float32]
 

@@ -16,8 +16,6 @@ from carina.plan.turns.fork_view import hours_of, turned_hours
 from carina.scopes import upright
 from carina.track import AirwayTree, Branch, name_words
 
-__all__ = ["EBUS_LIMITS", "STATION_SOURCE", "Landmark", "clock_hours", "ebus_landmarks"]
-
 Points = NDArray[np.float64]
 Side = Literal["R", "L"]
 DirectionBasis = Literal["tree", "k"]

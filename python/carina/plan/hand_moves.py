@@ -7,8 +7,6 @@ from typing import Any
 
 from carina.display import one_line
 
-__all__ = ["Move"]
-
 
 @one_line
 @dataclass(frozen=True, slots=True)

@@ -41,8 +41,6 @@ from carina.scopes import ScopePreset, WallField, scope_preset
 from carina.track import Airways, TreeMeasures, measure_tree, wall_field
 from carina.volume import Volume
 
-__all__ = ["NOT", "REACHES", "ReachAtlas", "reach_atlas"]
-
 Points = NDArray[np.float64]
 
 NOT, MAY, REACHES = 0, 1, 2

@@ -14,8 +14,6 @@ from carina.plan.turns.turn_list import TurnList
 from carina.plan.verdict.verdict import Verdict
 from carina.volume.model import Remark
 
-__all__ = ["BY_HAND", "Reason", "Severity", "plan_reasons", "reasons_against", "route_reasons", "target_reasons"]
-
 Severity = Literal["stop", "caution"]
 """Severity of a reason: a ``stop`` speaks against the plan by itself and is shown in red; a ``caution`` limits it."""
 

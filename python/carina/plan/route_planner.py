@@ -44,8 +44,6 @@ from carina.scopes import ScopePreset, WallField, scope_preset
 from carina.track import Airways, AirwayTree, TreeMeasures
 from carina.volume import Volume
 
-__all__ = ["plan_route"]
-
 NUM_DRIVEN = 3
 """Default of the largest number of routes that are driven."""
 MAX_SPARES = 2

@@ -14,8 +14,6 @@ from carina.plan.routes.plan_route import Plan, PlannedRoute
 from carina.plan.turns.fork_view import Operator
 from carina.track import AirwayTree
 
-__all__ = ["NEXT_TO_MM", "STATION_NOTE", "RouteStation", "route_stations"]
-
 NEXT_TO_MM = 25.0
 """Largest distance in mm from the target's edge to the landmark of a station that is next to the target."""
 ON_ROUTE_MM = 1.0

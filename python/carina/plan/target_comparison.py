@@ -12,8 +12,6 @@ from carina.errors import UsageError
 from carina.plan.routes.plan_route import Plan, PlannedRoute
 from carina.plan.routes.ranking import RANK
 
-__all__ = ["ORDER_RULE", "ComparedTarget", "compare_targets", "comparison_lines"]
-
 ORDER_RULE = (
     "Order: the outlook of the first route (reaches, may reach, does not reach, no route), then fewer doubts about "
     "target and airways, then the larger expected share of needle passes that hit, then the shorter way past the main "

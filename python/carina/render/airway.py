@@ -21,8 +21,6 @@ from carina.render.views import AirwayView, Picture, RenderStats
 from carina.scopes import PINHOLE
 from carina.volume import Volume
 
-__all__ = ["AirwayCaster"]
-
 # Limit of cached transfer tables: one for each ray step of the current transfer function.
 TABLES_IN_MEMORY = 8
 

@@ -11,8 +11,6 @@ import numpy as np
 from carina.display import one_line
 from carina.errors import RenderError
 
-__all__ = ["DECORATIONS", "FROM_TREE", "Appearance", "DecorationName", "check_guides"]
-
 DecorationName = Literal["texture", "vessels", "rings", "membrane", "hue", "spurs", "specks", "secretions", "fog"]
 DECORATIONS: tuple[DecorationName, ...] = get_args(DecorationName)
 FROM_TREE: frozenset[DecorationName] = frozenset(("rings", "membrane", "hue", "spurs"))

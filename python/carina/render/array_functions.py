@@ -11,8 +11,6 @@ from carina.errors import GeometryError, check_type
 from carina.render.transfer_function import TransferFunction
 from carina.volume import Volume
 
-__all__ = ["build_isoregion_map", "isoregion_map", "project_maximum", "sample_plane"]
-
 
 def build_isoregion_map(labels_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Find, for every voxel, the largest cube of equal labels centred on it.

@@ -6,8 +6,6 @@ from typing import Literal
 
 from carina.value import Count, FrozenValue, Part, Words
 
-__all__ = ["ClusterState", "ClusterStatus", "Machine", "MemberStatus", "Processor"]
-
 
 class Processor(FrozenValue, frozen=True):
     """Processor that renders pictures: number of threads, and vector instructions."""

@@ -11,16 +11,6 @@ from carina.scopes import Pose
 from carina.volume import Volume
 from carina.volume.anatomical_planes import PLANES, Plane
 
-__all__ = [
-    "bounding_radius_mm",
-    "box_corners_lps",
-    "fit_mm_per_px",
-    "grid_axes",
-    "orbit_pose",
-    "plane_axes",
-    "plane_matrix",
-]
-
 Matrix = NDArray[np.float64]
 
 

@@ -17,8 +17,6 @@ from carina.render.processor_choice import MAX_PART_OFF, Adapter, AdapterMeasure
 from carina.render.scene import Scene
 from carina.render.views import AirwayView, Picture
 
-__all__ = ["DeviceCaster"]
-
 log = logging.getLogger(__name__)
 
 # Number of pictures that the CPU renders before any measurement, so that the first pictures are not delayed.

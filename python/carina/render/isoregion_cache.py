@@ -24,8 +24,6 @@ from numpy.typing import NDArray
 from carina import _core
 from carina.disk import drafted, make_folder
 
-__all__ = ["SLOW_NS_PER_VOXEL", "CachedMap", "MapCache", "MapName"]
-
 logger = logging.getLogger(__name__)
 
 # Increment this number if the map of the same input or the file's layout changes.

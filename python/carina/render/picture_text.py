@@ -14,8 +14,6 @@ from carina.errors import UsageError
 from carina.render.view_table import VIEWS
 from carina.render.views import Picture, PictureLines
 
-__all__ = ["PathSpan", "letter_edges", "letters_at_edges", "letters_of", "mark_path", "write_on"]
-
 # Dots of the letters, 5 x 8: one byte for each column, the lowest bit is the top row.
 _DOTS = {
     " '()+,-.": "0000000000 0008070300 001c224100 0041221c00 08083e0808 0080703000 0808080808 0000606000",

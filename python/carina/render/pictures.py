@@ -48,8 +48,6 @@ from carina.scopes import (
 )
 from carina.volume import Volume
 
-__all__ = ["ignored_settings", "mark_tip", "render_surface", "render_view", "view_spec"]
-
 MARK_RGB = (70, 220, 235)
 A_WORD = text_of(80, least=0)
 """Check of a text's length only; the view rejects unknown words and numbers out of range with a `RenderError`."""

@@ -13,8 +13,6 @@ from carina.render.views import CutPlaneView, Picture, RenderStats, SliceView, T
 from carina.volume import Volume
 from carina.volume.anatomical_planes import PLANES
 
-__all__ = ["PlaneCaster"]
-
 # Brightness of the sagittal, coronal and axial plane of the tri-plane view; the difference makes their edges visible.
 PLANE_BRIGHTNESS = (0.8, 0.9, 1.0)
 BEHIND_PLANES = (16, 18, 21)

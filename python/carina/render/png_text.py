@@ -13,8 +13,6 @@ from carina.display.png import SIGNATURE
 from carina.errors import RenderError
 from carina.volume import Note
 
-__all__ = ["BADGES_KEYWORD", "KEYWORD", "read_png_badges", "read_png_pose"]
-
 KEYWORD = "carina-pose"
 BADGES_KEYWORD = "carina-badges"
 _MAX_TEXT = 1 << 16

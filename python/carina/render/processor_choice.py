@@ -20,8 +20,6 @@ from carina.disk import read_regular_text, write_whole
 from carina.display import one_line
 from carina.errors import RenderError
 
-__all__ = ["RECORD_NAME", "Adapter", "AdapterMeasurement", "Backend", "find_adapters"]
-
 log = logging.getLogger(__name__)
 
 # File name of the record of measurements in the cache folder.

@@ -11,8 +11,6 @@ from carina.render import geometry
 from carina.render.views import DrrView, Picture, RenderStats
 from carina.volume import Volume
 
-__all__ = ["cast_drr"]
-
 # Attenuation of water for fluoroscopy of a chest, about 50 keV effective. Up to soft tissue HU are proportional to
 # attenuation; above it a CT of some 70 keV understates bone. Attenuation of cortical bone (1.92 g/cm3, about 1330 HU)
 # and water at 50 keV: Hubbell and Seltzer, NISTIR 5632 (1995), tables 3 and 4: 0.4242 * 1.92 = 0.8145 against 0.2269

@@ -9,8 +9,6 @@ from carina import _core
 from carina.render.views import PathView, Picture, PictureLines, RenderStats
 from carina.volume import Volume
 
-__all__ = ["HALF_WIDTH_MM", "cast_path_view"]
-
 Points = NDArray[np.float64]
 
 HALF_WIDTH_MM = 40.0

@@ -45,8 +45,6 @@ from carina.render.views import (
 from carina.render.wall_texture import DecorationTree
 from carina.volume import Volume
 
-__all__ = ["Renderer", "can_cut"]
-
 
 def can_cut(view: View) -> bool:
     """Return whether a strip of rows of a view's picture can be rendered without the other rows."""

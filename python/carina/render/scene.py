@@ -23,8 +23,6 @@ from carina.render.wall import wall_levels, with_wall
 from carina.render.wall_texture import Decoration, DecorationTree, decoration_of
 from carina.volume import Volume
 
-__all__ = ["Cancel", "ClassMaps", "Maps", "Progress", "Scene", "SceneBuilder"]
-
 Progress = Callable[[str, float | None], None]
 Cancel = Callable[[], bool]
 

@@ -17,8 +17,6 @@ from carina.errors import RenderError
 from carina.scopes import Pose
 from carina.volume import Note
 
-__all__ = ["Hit", "Surface"]
-
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)

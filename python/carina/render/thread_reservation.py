@@ -7,8 +7,6 @@ from contextlib import contextmanager
 
 from carina import _core
 
-__all__ = ["picture_threads", "reserved_thread"]
-
 
 def picture_threads() -> int:
     """Return the number of threads that render a picture; `reserved_thread` reduces the number by one.

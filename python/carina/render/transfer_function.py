@@ -25,8 +25,6 @@ from carina.errors import RenderError, UsageError
 from carina.render.appearance import Appearance
 from carina.volume import Volume
 
-__all__ = ["PRESETS", "Light", "TransferFunction", "transfer_from_histogram", "transfer_preset"]
-
 FORMAT = "carina-transfer"
 VERSION = 1
 PAPER_BIN_HU = 16

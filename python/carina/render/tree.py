@@ -13,8 +13,6 @@ from carina.render.transfer_function import Light
 from carina.render.views import Picture, RenderStats, TreeView
 from carina.render.wall import bounding_box
 
-__all__ = ["LeapedValues", "TreeField", "build_tree_field", "cast_tree"]
-
 # The field is 1024 deep inside. A threshold of 512 would give the mask's surface but lose branches one voxel thick,
 # whose field is only 256.
 SURFACE = np.array([[110.0, 0.86, 0.80, 0.72, 0.0], [190.0, 0.86, 0.80, 0.72, 0.999]])

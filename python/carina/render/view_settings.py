@@ -10,8 +10,6 @@ from carina.render.view_values import Sight, Slab
 from carina.scopes import FULL_FRAME, DepthOfField, ImageField, Lens, PathFrames, Pose, ScopePreset
 from carina.value import PointLps
 
-__all__ = ["ViewSettings"]
-
 
 @one_line
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

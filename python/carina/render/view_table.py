@@ -32,22 +32,6 @@ from carina.render.views import (
 )
 from carina.volume.anatomical_planes import PLANES, Plane
 
-__all__ = [
-    "CELLS",
-    "FINDER_VIEW",
-    "LEAD_VIEW",
-    "VIEWS",
-    "VIEW_NAMES",
-    "Cell",
-    "CellName",
-    "FlatViewName",
-    "Need",
-    "OrbitViewName",
-    "ViewName",
-    "ViewRow",
-    "view_row",
-]
-
 ViewName = Literal[
     "airway",
     "cut-plane",

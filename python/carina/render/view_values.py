@@ -15,22 +15,6 @@ from carina.argument_checks import any_number, check_fields, text_of
 from carina.errors import RenderError
 from carina.value import FrozenValue, PointLps
 
-__all__ = [
-    "THIN",
-    "Angle",
-    "Carm",
-    "FlatPlace",
-    "GreyWindow",
-    "Method",
-    "MmPerPixel",
-    "Orbit",
-    "Reformation",
-    "Sight",
-    "Slab",
-    "SlabKind",
-    "Tone",
-]
-
 Angle = Annotated[float, Meta(ge=-3600.0, le=3600.0)]
 MmPerPixel = Annotated[float, Meta(ge=0.01, le=20.0)]
 Tone = Literal["radiograph", "fluoroscopy"]

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from carina import _core
 from carina.render.transfer_function import TransferFunction
 
-__all__ = ["bounding_box", "grow_one_voxel", "wall_levels", "with_wall"]
-
 # Height of the cap as a function of the smoothed lumen (1 deep inside, 0 outside), in units of the ramp from clear (0)
 # to opaque (1). The flat side of a lumen has 3/4 in its last voxel and 1/4 in the first outside, so the cap becomes
 # opaque about one voxel outside.

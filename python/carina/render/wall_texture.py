@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from carina.display import one_line
 from carina.errors import GeometryError
 
-__all__ = ["CHANNELS", "Decoration", "DecorationBranch", "DecorationTree", "decoration_of"]
-
 Floats = NDArray[np.float64]
 
 CHANNELS = ("phase", "left", "back", "rings", "proximal", "spur", "membrane", "regular")

@@ -20,8 +20,6 @@ from carina.scopes.lens import Calibration, Lens
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-__all__ = ["lens_from_file", "lens_from_text"]
-
 MAX_BYTES = 1_000_000
 MATRIX_KEYS = ("camera_matrix", "cameramatrix", "intrinsic_matrix", "k", "mtx", "m1")
 COEFFICIENT_KEYS = (

@@ -28,8 +28,6 @@ from carina.scopes.pose import Pose
 from carina.scopes.wall_field import WallField
 from carina.value import FrozenValue
 
-__all__ = ["Contact", "ContactRecord", "ScopeDrive", "ScopeHold", "ScopeLimit", "ScopeState", "lever_flexion"]
-
 ScopeLimit = Literal["none", "entry", "wall", "narrow", "length", "flexion"]
 OperatorPosition = Literal["head", "facing"]
 Point = tuple[float, float, float]

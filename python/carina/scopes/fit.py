@@ -12,8 +12,6 @@ from dataclasses import dataclass
 
 from carina.display import one_line
 
-__all__ = ["FOV_DEG", "FittedOptics", "Residual", "fit_generic_optics"]
-
 FOV_DEG = 120.0
 """Usual field of view of adult scopes today (common knowledge); that of the measured scope is not published."""
 REFERENCE_MM = 100.0

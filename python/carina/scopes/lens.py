@@ -31,18 +31,6 @@ from carina.argument_checks import (
 from carina.display import one_line
 from carina.errors import RenderError
 
-__all__ = [
-    "FULL_FRAME",
-    "OUTLINES",
-    "PINHOLE",
-    "Calibration",
-    "DepthOfField",
-    "ImageField",
-    "Lens",
-    "Optics",
-    "Outline",
-]
-
 Outline = Literal["none", "round", "octagon"]
 Model = Literal["pinhole", "equidistant", "brown", "fisheye"]
 OUTLINES: tuple[Outline, ...] = ("none", "round", "octagon")

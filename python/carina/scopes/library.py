@@ -18,8 +18,6 @@ from carina.scopes.fit import FOV_DEG, fit_generic_optics
 from carina.scopes.lens import DepthOfField, ImageField, Lens, Outline
 from carina.scopes.pose import Pose
 
-__all__ = ["DEFAULT_SCOPE", "FIT_MARGIN_MM", "ScopePreset", "scope_preset", "scope_presets"]
-
 FIT_MARGIN_MM = 0.4
 """Margin in mm that is added to the stated tip diameter, because measured diameters exceed it by 0.19 to 0.66 mm.
 

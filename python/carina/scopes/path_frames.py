@@ -11,8 +11,6 @@ from carina.argument_checks import array_of, check_arguments, check_fields
 from carina.display import one_line
 from carina.errors import UsageError
 
-__all__ = ["PathFrames"]
-
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)

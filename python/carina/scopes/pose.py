@@ -11,8 +11,6 @@ from carina.argument_checks import check_arguments, check_fields, numbers_within
 from carina.display import as_words
 from carina.errors import UsageError
 
-__all__ = ["Pose", "upright"]
-
 ANTERIOR_LPS = np.array([0.0, -1.0, 0.0])
 SUPERIOR_LPS = np.array([0.0, 0.0, 1.0])
 FAR_MM = 1e40

@@ -25,8 +25,6 @@ from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import refuse_pickle
 
-__all__ = ["WallField"]
-
 STEP_MM = 0.6
 """Distance in mm from a point to its probes; larger than the diagonal of a square of grid samples."""
 BEYOND_MM = 0.3

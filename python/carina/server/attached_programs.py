@@ -20,8 +20,6 @@ from carina.server.sockets.socket_io import receive_text
 from carina.server.wire import messages as wire
 from carina.session import AttachEndpoint, Changed, Event, JobGroup, Session, log_fault
 
-__all__ = ["JOIN_PATH", "JoinedProgram", "endpoint_of", "problem_message", "serve_program"]
-
 logger = logging.getLogger(__name__)
 
 JOIN_PATH = "/join"

@@ -11,8 +11,6 @@ from msgspec.structs import replace
 from carina.render import ClusterStatus
 from carina.server.wire import messages as wire
 
-__all__ = ["ClusterWatch", "cluster_message"]
-
 logger = logging.getLogger(__name__)
 
 EVERY_S = 1.0

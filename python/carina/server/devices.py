@@ -23,8 +23,6 @@ from carina.server.wire import messages as wire
 from carina.session import Session
 from carina.session.jobs.background_jobs import log_fault
 
-__all__ = ["DeviceConnections", "Phone"]
-
 logger = logging.getLogger(__name__)
 
 # Minimum seconds between two device frames: twice the rate of screens, below the rate of trackers.

@@ -27,8 +27,6 @@ from carina.server.wire import messages as wire
 from carina.session import Changed, Event, JobEnded, Session, log_fault
 from carina.volume import Citation
 
-__all__ = ["MAX_WINDOWS", "Hub"]
-
 logger = logging.getLogger(__name__)
 
 MAX_WINDOWS = 8

@@ -13,8 +13,6 @@ from carina.errors import CarinaError
 from carina.session import Session
 from carina.session.saving.unsaved_work import UnsavedWork, named_file_messages, unsaved_error
 
-__all__ = ["ConsoleTerminal", "Terminal", "close_session"]
-
 RETRY, QUIT = "r", "q"
 HELP = (
     f"Type {RETRY} to try again, the path of another folder or file to save the case there, or {QUIT} to quit and lose "

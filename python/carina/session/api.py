@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from carina.session.session import Session
     from carina.track import Airways
 
-__all__ = ["Case"]
-
 A = TypeVar("A")
 
 

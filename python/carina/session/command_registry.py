@@ -11,8 +11,6 @@ from carina.commands.questions import Query
 if TYPE_CHECKING:
     from carina.session.core import SessionCore
 
-__all__ = ["CommandHandlers", "answers", "does", "handlers_of"]
-
 F = TypeVar("F", bound=Callable[..., Any])
 
 

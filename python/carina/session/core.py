@@ -40,8 +40,6 @@ from carina.session.state.snapshot import (
 )
 from carina.session.store.local_settings import LocalStore
 
-__all__ = ["Event", "SessionCore", "flight_list"]
-
 MAX_SHOWN_CHARS = 4000
 """Largest shown length of a name or a description, which another program may have written."""
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from carina.track import Airways, EditPreview, TreeMeasures
     from carina.volume import Mask, Volume
 
-__all__ = ["Cancel", "Parts", "Progress", "RendererFactory", "default_parts"]
-
 Progress = Callable[[str, float | None], None]
 Cancel = Callable[[], bool]
 

@@ -42,8 +42,6 @@ from carina.session.targets.target_edits import TargetHandlers
 from carina.session.view.look import LookHandlers
 from carina.session.view.questions import CaseQuestions
 
-__all__ = ["Session"]
-
 A = TypeVar("A")
 
 

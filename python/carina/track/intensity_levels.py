@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from carina.errors import NoResultError
 from carina.volume.model import Volume
 
-__all__ = ["AirScale", "air_scale", "lumen_threshold_from_histogram"]
-
 # Scanners write this or less outside the reconstructed circle; on the HU scale nothing is thinner than air.
 PADDING_HU = -1100
 

@@ -6,8 +6,6 @@ from collections.abc import Callable
 
 from carina.errors import CancelledError
 
-__all__ = ["Cancel", "Progress", "Stages"]
-
 Progress = Callable[[str, float | None], None]
 Cancel = Callable[[], bool]
 

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
-__all__ = ["PLANES", "Plane", "PlaneDisplay"]
-
 Plane = Literal["axial", "coronal", "sagittal"]
 
 

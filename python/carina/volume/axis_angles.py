@@ -7,8 +7,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MAX_LEAN_MM", "MAX_SKEW_DEG", "has_right_angles", "skew_deg", "with_orthogonal_axes"]
-
 MAX_SKEW_DEG = 0.2
 """Largest deviation of the angle between two axes from 90 degrees."""
 MAX_LEAN_MM = 0.1

@@ -45,8 +45,6 @@ from carina.volume.quality import Quality, quality_gate
 from carina.volume.source_files import CtSource, absolute
 from carina.volume.voxel_file import DamagedFileError, VoxelName, draft_voxel_file, read_voxel_file
 
-__all__ = ["MAX_AGE_S", "MAX_BYTES", "CachedCt", "CachedSize", "OpenedCt", "VolumeCache"]
-
 logger = logging.getLogger(__name__)
 
 MAX_BYTES = 20_000_000_000

@@ -20,8 +20,6 @@ from pydicom.dataset import Dataset
 from pydicom.sequence import Sequence
 from pydicom.tag import BaseTag, Tag
 
-__all__ = ["character_set_name", "doubtful_texts", "settle_character_set"]
-
 _UTF_8 = "ISO_IR 192"
 _SPECIFIC_CHARACTER_SET = Tag("SpecificCharacterSet")
 _TEXT = frozenset({"PN", "LO", "SH", "ST", "LT", "UC", "UT"})

@@ -31,9 +31,6 @@ from carina.volume.padding import PaddingCount
 from carina.volume.progress import Watch
 from carina.volume.read_limits import MAX_VOXELS
 
-__all__ = ["FoundSeries", "choose_series", "find_series", "open_series"]
-
-
 _CHEST = re.compile(r"chest|thora|lung|pulmo|bronch", re.IGNORECASE)
 # Many exporters use UIDs as file names. A volume contains no UID, not even in a message about another series.
 _UID = re.compile(r"[\w.-]*\d+(?:\.\d+){4,}[\w.-]*")

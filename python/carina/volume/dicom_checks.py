@@ -20,8 +20,6 @@ from carina.volume.dicom_pixels import Doubt
 from carina.volume.message_limits import bounded_name
 from carina.volume.model import Note
 
-__all__ = ["Clipping", "check_rescale_tags", "doubt_notes", "odd_slices", "refuse_contradicting_rescale"]
-
 
 def check_rescale_tags(slices: Sequence[SliceHeader], what: str) -> None:
     """Raise an error if only some slices of a series have a slope, an intercept or a Modality LUT.

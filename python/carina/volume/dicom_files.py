@@ -24,8 +24,6 @@ from carina.volume.message_limits import bounded_name
 from carina.volume.progress import Watch
 from carina.volume.read_limits import MAX_FILES
 
-__all__ = ["FolderContent", "LostFiles", "UnusedFile", "name_files", "read_folder", "read_headers", "shown_name"]
-
 _MAX_LOOKS = 1_000_000  # comparisons of lost files for all series; bounds the time
 _MAX_SAID = 100
 

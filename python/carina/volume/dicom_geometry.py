@@ -25,8 +25,6 @@ from carina.errors import VolumeImportError
 from carina.volume.axis_angles import MAX_LEAN_MM, MAX_SKEW_DEG
 from carina.volume.dicom_headers import SliceHeader
 
-__all__ = ["MAX_CORNER_SHIFT_MM", "grid_from_slices"]
-
 MAX_CORNER_SHIFT_MM = 0.1
 
 

@@ -32,18 +32,6 @@ from carina.volume.character_sets import settle_character_set
 from carina.volume.dicom_modality_lut import ModalityLut, read_modality_lut
 from carina.volume.padding import PaddingRange, padding_ranges
 
-__all__ = [
-    "IDENTITY",
-    "MAX_IMAGE_SIDE",
-    "SETTINGS",
-    "SliceHeader",
-    "acquisition_date",
-    "damaged_elements_refused",
-    "read_dataset",
-    "read_header",
-    "read_pixel_bytes",
-]
-
 # pydicom logs odd values, which may be a name; nothing of a header may be logged.
 logging.getLogger("pydicom").setLevel(logging.CRITICAL + 1)
 

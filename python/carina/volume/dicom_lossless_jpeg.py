@@ -15,8 +15,6 @@ import struct
 
 import numpy as np
 
-__all__ = ["lossless_jpeg_problem"]
-
 _LOSSLESS = 0xC3
 _RESTARTS = re.compile(rb"\xff[\xd0-\xd7]")
 _LEFT_OVER_BITS = 8  # the last byte is padded with bits

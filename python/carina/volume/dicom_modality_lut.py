@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ModalityLut", "read_modality_lut"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModalityLut:

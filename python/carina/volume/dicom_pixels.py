@@ -23,8 +23,6 @@ from carina.volume.dicom_streams import Stream, decoder_words, fragments, read_s
 from carina.volume.model import Remark
 from carina.volume.padding import PaddedPixels, find_padding
 
-__all__ = ["Doubt", "SlicePixels", "decode_slice", "is_compressed", "read_slice"]
-
 # Transfer syntaxes of uncompressed numbers, which this module reads and checks. GDCM decodes all others, through
 # SimpleITK.
 _IMPLICIT_LITTLE, _EXPLICIT_LITTLE = "1.2.840.10008.1.2", "1.2.840.10008.1.2.1"

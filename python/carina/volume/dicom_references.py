@@ -6,8 +6,6 @@ from dataclasses import dataclass, field
 
 from carina.display import one_line
 
-__all__ = ["References"]
-
 
 @one_line
 @dataclass(frozen=True, slots=True)

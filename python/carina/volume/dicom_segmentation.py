@@ -15,8 +15,6 @@ from carina.volume.model import Volume
 from carina.volume.progress import Watch
 from carina.volume.read_limits import MAX_VOXELS
 
-__all__ = ["Segmentation", "read_segmentation"]
-
 _SEGMENTATION_STORAGE = "1.2.840.10008.5.1.4.1.1.66.4"
 _LABEL_MAP_STORAGE = "1.2.840.10008.5.1.4.1.1.66.7"
 _TYPES = ("BINARY", "FRACTIONAL", "LABELMAP")

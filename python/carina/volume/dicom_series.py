@@ -31,8 +31,6 @@ from carina.volume.dicom_headers import IDENTITY, SETTINGS, SliceHeader
 from carina.volume.model import Note
 from carina.volume.progress import Watch
 
-__all__ = ["Group", "count_patients", "group_slices", "without_copies"]
-
 _MAX_GRIDS = 50
 """Largest number of grids in one series; bounds the time for a folder of images that are all different."""
 

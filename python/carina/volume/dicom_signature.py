@@ -6,8 +6,6 @@ from pathlib import Path
 
 from carina.disk import open_regular
 
-__all__ = ["looks_like_dicom", "starts_like_dicom"]
-
 
 def looks_like_dicom(path: Path) -> bool:
     """Return whether the first bytes are a DICOM preamble, or a bare data set as old archives write it."""

@@ -22,8 +22,6 @@ from dataclasses import dataclass
 
 from carina.volume.dicom_lossless_jpeg import lossless_jpeg_problem
 
-__all__ = ["Stream", "decoder_words", "fragments", "read_stream", "rle_problem"]
-
 _JPEG_START, _J2K_START = b"\xff\xd8\xff", b"\xff\x4f\xff\x51"
 _MAX_J2K_TILES = 4096  # one tile is usual; each tile costs the decoder kilobytes
 _LOSSY_JPEG = (0xC0, 0xC1, 0xC2)

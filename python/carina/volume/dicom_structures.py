@@ -21,17 +21,6 @@ from carina.volume.dicom_references import References
 from carina.volume.model import Volume
 from carina.volume.progress import Watch
 
-__all__ = [
-    "Contour",
-    "Structure",
-    "StructureSet",
-    "ct_references",
-    "is_structure_set",
-    "read_references",
-    "read_structures",
-    "structures_refused",
-]
-
 _STRUCTURE_SET_STORAGE = "1.2.840.10008.5.1.4.1.1.481.3"
 _CLOSED = {"CLOSED_PLANAR": False, "CLOSEDPLANAR_XOR": True}
 _MAX_POINTS = 5_000_000

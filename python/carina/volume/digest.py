@@ -22,18 +22,6 @@ from carina.errors import VolumeImportError
 from carina.volume.model import Volume
 from carina.volume.progress import Watch
 
-__all__ = [
-    "GEOMETRY_TOLERANCE_MM",
-    "CanonicalAxes",
-    "Geometry",
-    "Grid",
-    "canonical_axes",
-    "canonical_geometry",
-    "ct_digest",
-    "refuse_other_ct",
-    "same_geometry",
-]
-
 V = TypeVar("V", np.uint8, np.int16)
 
 GEOMETRY_TOLERANCE_MM = 1e-3

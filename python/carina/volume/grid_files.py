@@ -23,8 +23,6 @@ from carina.volume.model import Note, Volume, VolumeSource
 from carina.volume.padding import without_corner_padding
 from carina.volume.progress import Watch
 
-__all__ = ["open_grid_file", "read_grid_array"]
-
 _ITK_READERS = {"nifti": "NiftiImageIO", "nrrd": "NrrdImageIO", "metaimage": "MetaImageIO"}
 # Words in the messages that MetaIO, teem and the NIfTI library write to stderr.
 _LIBRARY = re.compile(

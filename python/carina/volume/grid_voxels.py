@@ -19,8 +19,6 @@ from carina.volume.model import Note
 from carina.volume.progress import Watch
 from carina.volume.read_limits import MAX_VOXELS
 
-__all__ = ["read_voxels"]
-
 _CHUNK_BYTES = 1 << 23
 _MAX_RATIO = 1100  # deflate compresses by at most 1032 to 1
 _READING = "Reading the voxels"

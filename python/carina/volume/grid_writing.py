@@ -27,8 +27,6 @@ from carina.disk import drafted
 from carina.errors import GeometryError, UsageError
 from carina.volume.axis_angles import has_right_angles, skew_deg, with_orthogonal_axes
 
-__all__ = ["GRID_SUFFIXES", "check_grid_fits", "write_grid", "write_grid_to"]
-
 Values = NDArray[Any]
 _CHUNK_BYTES = 8 << 20
 _NIFTI_TYPES = {"uint8": 2, "int16": 4}

@@ -6,8 +6,6 @@ import zlib
 from collections.abc import Iterator
 from typing import BinaryIO, Protocol
 
-__all__ = ["UnpackedFile", "Unpacker"]
-
 _CHUNK_BYTES = 1 << 20
 _GZIP = b"\x1f\x8b"
 

@@ -14,19 +14,6 @@ from carina.display.printable import printable, shown_value
 from carina.errors import VolumeImportError
 from carina.volume.model import Note
 
-__all__ = [
-    "AMBIGUOUS",
-    "GridHeader",
-    "HeaderValueError",
-    "beside",
-    "real",
-    "reals",
-    "refuse",
-    "take_once",
-    "whole",
-    "wholes",
-]
-
 AMBIGUOUS = (
     "open the DICOM series that it was made from, or convert that series again; saving this file again would only "
     "guess left and right"

@@ -13,8 +13,6 @@ from carina.volume.axis_angles import has_right_angles, with_orthogonal_axes
 from carina.volume.header_fields import AMBIGUOUS, GridHeader, HeaderValueError, refuse
 from carina.volume.model import Note
 
-__all__ = ["data_files", "head_with_orthogonal_sform", "read_nifti_header"]
-
 _RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 _KINDS = {
     2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8",

@@ -21,8 +21,6 @@ from carina.volume.header_fields import (
     wholes,
 )
 
-__all__ = ["read_nrrd_header"]
-
 _KINDS = {
     **dict.fromkeys(["signed char", "int8", "int8_t"], "i1"),
     **dict.fromkeys(["uchar", "unsigned char", "uint8", "uint8_t"], "u1"),

@@ -23,17 +23,6 @@ from numpy.typing import NDArray
 
 from carina.volume.model import Note
 
-__all__ = [
-    "HU_TYPES",
-    "MAX_DOUBTFUL_SHARE",
-    "HuVerdict",
-    "Int16Values",
-    "clipped_note",
-    "judge_dicom",
-    "judge_values",
-    "to_int16",
-]
-
 HU_TYPES = ("", "HU", "HU_MOD")
 """Values of RescaleType for Hounsfield units, including a missing tag."""
 

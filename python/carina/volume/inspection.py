@@ -26,8 +26,6 @@ from carina.volume.model import Note, SeriesInfo
 from carina.volume.opening import find_in, place_name, refuse_series
 from carina.volume.progress import Watch
 
-__all__ = ["Inspection", "inspect_path"]
-
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,8 +10,6 @@ from carina.disk import special_kind
 from carina.errors import CarinaError, GeometryError, VolumeImportError
 from carina.volume.message_limits import MAX_MESSAGE_CHARS, bounded_message
 
-__all__ = ["guarded"]
-
 T = TypeVar("T")
 
 

@@ -27,16 +27,6 @@ from carina.volume.dicom_headers import SliceHeader, read_pixel_bytes
 from carina.volume.dicom_streams import fragments
 from carina.volume.model import Note
 
-__all__ = [
-    "MAX_WORKERS",
-    "SecondDecoder",
-    "has_second_decoder",
-    "is_checkable",
-    "j2k_problem",
-    "not_checked_note",
-    "second_decoder",
-]
-
 _JPEG_2000 = ("1.2.840.10008.1.2.4.90", "1.2.840.10008.1.2.4.91")
 _REPORTS_DAMAGE = ("End mismatch", "Synthetic End of Stream")
 MAX_WORKERS = 4

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from carina.value import FrozenValue
 
-__all__ = ["Citation"]
-
 
 class Citation(FrozenValue, frozen=True):
     """Source and licence of a case; ``str()`` of a citation is one line of text."""

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from carina import _core
 
-__all__ = ["ball_distance", "distance_from", "extent"]
-
 Mask = NDArray[np.bool_]
 
 

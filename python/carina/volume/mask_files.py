@@ -23,8 +23,6 @@ from carina.volume.io_errors import guarded
 from carina.volume.model import Volume
 from carina.volume.progress import Watch
 
-__all__ = ["Mask", "MaskGridError", "MaskLabel", "MaskLabelError", "open_mask"]
-
 # Tools number structures from 1. A larger number would change in a browser, or by rounding to float32.
 _LARGEST_LABEL = 2**24
 _SAMPLED = 10_000

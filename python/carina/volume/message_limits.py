@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-__all__ = ["MAX_MESSAGE_CHARS", "MAX_NAME_CHARS", "bounded_list", "bounded_message", "bounded_name"]
-
 MAX_MESSAGE_CHARS = 600
 """Largest length of an error or a note; ``carina info --json`` lists every series completely."""
 MAX_NAME_CHARS = 60

@@ -16,8 +16,6 @@ from carina.display.slices import middle_slices
 from carina.errors import GeometryError
 from carina.volume.licence_notice import Citation
 
-__all__ = ["SPACING_MM", "Note", "Remark", "SeriesInfo", "Volume", "VolumeSource", "badges_of"]
-
 SPACING_MM = (0.01, 100.0)
 """Smallest and largest voxel spacing of any volume, in mm; values outside come from a lost unit or a false header."""
 LUNG_WINDOW_HU = (1500.0, -600.0)

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from carina.volume.dicom import FoundSeries
     from carina.volume.dicom_files import FolderContent
 
-__all__ = ["open_volume"]
-
 _KINDS = "a DICOM folder, NIfTI (.nii, .nii.gz), NRRD (.nrrd) or MetaImage (.mha, .mhd)"
 _GRID_SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
 

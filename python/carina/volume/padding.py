@@ -25,16 +25,6 @@ from numpy.typing import NDArray
 
 from carina.volume.model import Note
 
-__all__ = [
-    "AIR_HU",
-    "PaddedPixels",
-    "PaddingCount",
-    "PaddingRange",
-    "find_padding",
-    "padding_ranges",
-    "without_corner_padding",
-]
-
 AIR_HU = -1024
 """Lowest value, in HU, that replaces padding: the lowest number of 12-bit CTs."""
 _HARMLESS_HU = -1000

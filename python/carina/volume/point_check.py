@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from carina.errors import UsageError
 from carina.volume.model import Volume
 
-__all__ = ["check_in_volume"]
-
 
 def check_in_volume(
     volume: Volume, lps: Sequence[float] | NDArray[np.float64], what: str, *, code: str = "usage"

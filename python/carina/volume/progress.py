@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 from carina.errors import CancelledError
 
-__all__ = ["Watch"]
-
 
 @dataclass(frozen=True, slots=True)
 class Watch:

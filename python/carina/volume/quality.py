@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from carina.display import one_line
 from carina.volume.model import Remark, Volume
 
-__all__ = ["Finding", "Quality", "quality_gate", "trusted_generation"]
-
 # Mean lumen diameter in mm by generation, trachea first (Weibel, Morphometry of the Human Lung, 1963, model A).
 _WEIBEL_MM = (18.0, 12.2, 8.3, 5.6, 4.5, 3.5, 2.8, 2.3, 1.86, 1.54, 1.30, 1.09)
 # Blur and noise of clinical scans hide lumens below about 1.5 mm, independent of the voxel spacing.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["MAX_FILES", "MAX_VOXELS"]
-
 MAX_FILES = 200_000
 """Largest number of files in one folder; a folder with more is not that of one scan."""
 MAX_VOXELS = 1 << 31

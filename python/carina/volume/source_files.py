@@ -16,8 +16,6 @@ from carina.volume.grid_headers import read_grid_header, sniff_format
 from carina.volume.header_nifti import data_files
 from carina.volume.read_limits import MAX_FILES
 
-__all__ = ["CtSource", "SourceFiles"]
-
 Reads = Literal["tree", "folder", "files"]
 _UNSETTLED_S = 2.0
 """Resolution of file times on FAT, the coarsest file system; a later change within this time may be undetected."""

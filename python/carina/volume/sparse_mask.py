@@ -10,8 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["PackedMask", "empty_mask", "sparse_mask"]
-
 
 def empty_mask(shape_zyx: tuple[int, int, int]) -> NDArray[np.uint8]:
     """Return an array of zeros whose unwritten pages take no memory, also after reading.

@@ -27,8 +27,6 @@ from carina.disk import Draft
 from carina.typed_reading import read_json
 from carina.volume.progress import Watch
 
-__all__ = ["SUFFIX", "DamagedFileError", "VoxelName", "draft_voxel_file", "read_voxel_file"]
-
 SUFFIX = ".voxels"
 _MAGIC = b"CARINACT"
 _VERSION = 1

@@ -13,8 +13,6 @@ from carina.navigate.devices.igtl_peers import DEFAULT_PORT, IgtlClient
 from carina.navigate.devices.serial_source import FastrakSource, HandleSource
 from carina.navigate.devices.source import Listener, Source
 
-__all__ = ["KINDS", "open_source"]
-
 KINDS = ("fastrak:PORT", "fastrak-binary:PORT", "handle:PORT", "openigtlink:HOST[:PORT][?silence=S]")
 
 

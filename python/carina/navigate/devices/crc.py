@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["crc8", "crc64", "crc64_bitwise"]
-
 # ECMA-182 as in OpenIGTLink: no bit reflection, initial value 0, no final XOR.
 _POLYNOMIAL = 0x42F0E1EBA9EA3693
 _MASK = (1 << 64) - 1

@@ -16,8 +16,6 @@ import numpy as np
 
 from carina.navigate.rotation import rotation_from_wxyz, wxyz_from_rotation
 
-__all__ = ["RATE_HZ", "FastrakRecord", "FastrakStream", "setup_commands"]
-
 RATE_HZ = 120.0
 CM = 10.0
 MAX_WAITING = 4096

@@ -19,18 +19,6 @@ from carina.errors import ProtocolError
 from carina.navigate.devices.crc import crc64
 from carina.navigate.rotation import rotation_from_wxyz, wxyz_from_rotation
 
-__all__ = [
-    "IgtlPose",
-    "IgtlRequest",
-    "IgtlStream",
-    "pack_image",
-    "pack_message",
-    "pack_position",
-    "pack_qtdata",
-    "pack_transform",
-    "pose_matrix",
-]
-
 HEADER = struct.Struct(">H12s20sQQQ")
 EXTENDED = struct.Struct(">HHII")
 MAX_POSE_BYTES = 1 << 16

@@ -17,8 +17,6 @@ from carina.navigate.devices.igtl import IgtlPose, IgtlRequest, IgtlStream, pack
 from carina.navigate.devices.source import Listener, Source
 from carina.navigate.samples import PoseSample
 
-__all__ = ["DEFAULT_PORT", "IgtlClient", "IgtlServer"]
-
 DEFAULT_PORT = 18944
 CHUNK = 1 << 16
 # Options of TCP keep-alive, in seconds (KEEPCNT: number of probes), which detect a peer that lost its power.

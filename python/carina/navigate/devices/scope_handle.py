@@ -9,8 +9,6 @@ from collections import Counter
 from carina.navigate.devices.crc import crc8
 from carina.navigate.samples import HandleSample
 
-__all__ = ["HandleStream", "format_line"]
-
 MAX_LINE = 80
 _LINE = re.compile(
     rb"S,(\d{1,5}),(\d{1,10}),([+-]?\d{1,8}),([+-]?\d{1,8}),([+-]?\d{1,4}),([0-9A-Fa-f]{1,2})\*([0-9A-Fa-f]{2})"

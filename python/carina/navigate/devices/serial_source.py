@@ -13,8 +13,6 @@ from carina.navigate.devices.scope_handle import HandleStream
 from carina.navigate.devices.source import Listener, Source, StampSpreader
 from carina.navigate.samples import PoseSample
 
-__all__ = ["FastrakSource", "HandleSource", "found_ports", "serial_ports"]
-
 BAUD = 115_200
 # Timeout of a read in seconds; after a read without data the setup commands are sent again.
 READ_S = 0.05

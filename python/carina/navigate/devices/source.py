@@ -14,8 +14,6 @@ from typing import Literal
 
 from carina.navigate.samples import Sample
 
-__all__ = ["Listener", "Source", "SourceStatus", "StampSpreader"]
-
 State = Literal["connecting", "live", "lost", "stopped"]
 
 WORDS = {

@@ -12,8 +12,6 @@ from typing import Any
 from carina.disk import read_regular_text
 from carina.errors import CarinaError, UsageError, VolumeImportError
 
-__all__ = ["OwnFile"]
-
 MAX_BYTES = 100_000
 MAX_LETTERS = 300
 

@@ -9,8 +9,6 @@ from carina.plan.instruments.instrument_file import OwnFile
 from carina.scopes import ScopePreset
 from carina.scopes.library import ScopeClass
 
-__all__ = ["scope_from_file", "scope_to_json"]
-
 FORMAT, VERSION = "carina-scope", 1
 NAMES = (
     "name",

@@ -17,8 +17,6 @@ from carina.errors import UsageError
 from carina.plan.instruments.instrument_file import OwnFile
 from carina.scopes import ScopePreset
 
-__all__ = ["DEFAULT_TOOL", "Tool", "tool", "tool_from_file", "tool_from_json", "tools"]
-
 DEFAULT_TOOL = "needle-21g"
 CLEARANCE_MM = 0.1
 """Least difference in mm between the diameters of channel and tool (common knowledge)."""

@@ -14,8 +14,6 @@ from carina.plan.cubic_box import Box, lung_median_hu, smoothed
 from carina.plan.lungs.vessels import eigenvalues, second_differences
 from carina.volume.mask_distances import ball_distance
 
-__all__ = ["FissureBox", "fissures"]
-
 Mask = NDArray[np.bool_]
 Values = NDArray[np.float32]
 

@@ -21,8 +21,6 @@ from carina.track import AirwayTree, branch_side_and_lobe
 from carina.volume import Volume
 from carina.volume.mask_distances import ball_distance, extent
 
-__all__ = ["LOBE_NAMES", "Lobes", "lobes", "nearest_lobe"]
-
 Mask = NDArray[np.bool_]
 Values = NDArray[np.float32]
 

@@ -22,8 +22,6 @@ from carina.track import Airways, AirwayTree
 from carina.volume import Volume
 from carina.volume.mask_distances import ball_distance
 
-__all__ = ["LungMap", "MappedMask", "map_lungs"]
-
 Mask = NDArray[np.bool_]
 
 SURE = 0.8

@@ -21,8 +21,6 @@ from carina.scopes import WallField
 from carina.volume import Volume
 from carina.volume.mask_distances import ball_distance
 
-__all__ = ["NearbyTissue", "lung_box", "lung_surroundings", "surroundings"]
-
 Mask = NDArray[np.bool_]
 
 SMOOTH_MM = 0.7

@@ -13,8 +13,6 @@ from carina.display import one_line
 from carina.plan.cubic_box import Box, smoothed
 from carina.volume.mask_distances import ball_distance
 
-__all__ = ["VesselBranch", "VesselTree", "eigenvalues", "grow_tree", "thin_vessels"]
-
 Mask = NDArray[np.bool_]
 Values = NDArray[np.float32]
 

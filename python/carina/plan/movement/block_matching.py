@@ -12,8 +12,6 @@ from carina.plan.cubic_box import Box, smoothed, trilinear
 from carina.plan.movement.deformation import Deformation
 from carina.volume import Volume
 
-__all__ = ["Block", "averaged", "landmarks", "match_blocks"]
-
 Points = NDArray[np.float64]
 Values = NDArray[np.float32]
 Mask = NDArray[np.bool_]

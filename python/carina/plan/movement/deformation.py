@@ -12,8 +12,6 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Affine", "Deformation", "affine_fit", "rigid_fit", "rigid_motion", "rotation_deg"]
-
 Points = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from carina.display import one_line
 from carina.track import AirwayTree, Branch
 
-__all__ = ["ForkShift", "fork_points", "named_forks"]
-
 Points = NDArray[np.float64]
 
 MIN_CONFIDENCE = 0.5

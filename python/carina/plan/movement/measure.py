@@ -47,8 +47,6 @@ from carina.plan.targets.target import PlanTarget
 from carina.track import Airways, AirwayTree, find_airways
 from carina.volume import Volume
 
-__all__ = ["MovementMeasurement", "measure_movement"]
-
 Points = NDArray[np.float64]
 
 CARINA = "Trachea"

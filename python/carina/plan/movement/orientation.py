@@ -9,8 +9,6 @@ from carina.errors import NoResultError
 from carina.plan.movement.forks import fork_points
 from carina.track import AirwayTree
 
-__all__ = ["orientation_error"]
-
 Points = NDArray[np.float64]
 
 NEAR_CARINA_MM = 90.0

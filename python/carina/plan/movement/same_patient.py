@@ -12,26 +12,6 @@ from carina.errors import NoResultError
 from carina.plan.movement.deformation import Affine, rotation_deg
 from carina.volume import Volume
 
-__all__ = [
-    "MIN_RIGID",
-    "breath_notes",
-    "check_affine",
-    "check_breath",
-    "check_extent",
-    "check_forks",
-    "check_gravity",
-    "check_inside",
-    "check_motion",
-    "check_other_ct",
-    "check_places",
-    "check_size",
-    "check_structure",
-    "cut_lungs_error",
-    "density_slope",
-    "few_forks",
-    "no_airways",
-]
-
 Points = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

@@ -10,8 +10,6 @@ from carina.argument_checks import check_fields, choice, each, lps_point, number
 from carina.display import one_line
 from carina.errors import UsageError
 
-__all__ = ["MAX_MOVED_MM", "MovementOrigin", "TargetMovement", "default_movement", "shift_words"]
-
 MovementOrigin = Literal["default", "given", "measured"]
 
 LOWER_LOBE_MM, ELSEWHERE_MM = 20.0, 15.0

@@ -8,8 +8,6 @@ from typing import Literal
 from carina.display import one_line
 from carina.plan.report.drawing import Drawing
 
-__all__ = ["Block", "Bullets", "Clip", "Facts", "Figure", "Figures", "ReportTable", "Section", "Tone", "Words"]
-
 MAX_ROWS = 14
 """Largest number of rows of a table that is not divided between pages."""
 Tone = Literal["plain", "lead", "quiet", "warning"]

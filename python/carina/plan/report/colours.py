@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["ACCENT", "INK", "LEG", "ON_CT", "PALE", "QUIET", "TREE", "WARNING"]
-
 INK = "#14181c"
 QUIET = "#5a646e"
 PALE = "#dfe4e8"

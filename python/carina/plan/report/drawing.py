@@ -10,8 +10,6 @@ from typing import Literal
 from carina.display import one_line
 from carina.display.html import escaped
 
-__all__ = ["Disc", "Drawing", "Label", "LineStyle", "Place", "Raster", "Shape", "Stroke", "svg"]
-
 Place = tuple[float, float]
 """Type of a position in a drawing: right and down from the upper left corner, in the drawing's own unit."""
 Anchor = Literal["start", "middle", "end"]

@@ -17,8 +17,6 @@ from carina.plan.report.tree_shape import TreeShape
 from carina.plan.report.wording import text_width
 from carina.plan.routes.last_leg import CrossedTissue, LastLeg, Tissue
 
-__all__ = ["needle_bar", "slice_drawing", "tree_drawing"]
-
 Points = NDArray[np.float64]
 FILLS: dict[Tissue, str] = {
     "lumen": "#ffffff",

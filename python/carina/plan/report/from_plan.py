@@ -21,8 +21,6 @@ from carina.scopes import WallField
 from carina.track import Airways
 from carina.volume import Volume
 
-__all__ = ["PlanMaterials", "route_turns", "whole_sheet"]
-
 PICTURES_SHARE, CLIPS_SHARE = 0.35, 0.35
 """Shares of the report's progress that the pictures, and the clips, of turns take."""
 

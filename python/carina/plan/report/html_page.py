@@ -14,8 +14,6 @@ from carina.plan.report.plan_sheet import PlanSheet, target_words
 from carina.plan.report.uncertainty import movement_words
 from carina.plan.report.wording import NOT_A_DEVICE
 
-__all__ = ["html_page"]
-
 TITLE = "Bronchoscopy plan"
 VIEWS = ("front", "back", "left", "right", "above", "below")
 TREE_AFTER = "airways"

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from carina.plan.cubic_box import smoothed
 from carina.plan.targets.grow_nodule import Nodule
 
-__all__ = ["boundary_in_plane", "surface_of"]
-
 Points = NDArray[np.float64]
 Values = NDArray[np.float64]
 MAX_CELLS = 24

@@ -38,8 +38,6 @@ from carina.plan.report.plan_sheet import PlanSheet, target_words
 from carina.plan.report.uncertainty import movement_words
 from carina.plan.report.wording import NOT_A_DEVICE
 
-__all__ = ["laid_out"]
-
 TITLE = "Bronchoscopy plan"
 SIDE, TOP, BOTTOM = 34.0, 50.0, 46.0
 """Side, top and bottom margins of a page in points; the last two contain the head and foot of each page."""

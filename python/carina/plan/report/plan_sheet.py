@@ -35,8 +35,6 @@ from carina.track import Airways, CalibratedShares, LumenOutline, branch_side_an
 from carina.version import VERSION
 from carina.volume import Volume, ct_digest
 
-__all__ = ["Fork", "PlanSheet", "Provenance", "TargetPlace", "make_sheet", "target_words"]
-
 AROUND_MM = 30.0
 """Distance in mm round a target in which pleura is searched."""
 TOUCHES_MM = 2.0

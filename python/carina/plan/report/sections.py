@@ -23,8 +23,6 @@ from carina.plan.turns.pictures import TurnPicture
 from carina.plan.turns.texts import joined, moves_words
 from carina.plan.turns.turn_list import Turn
 
-__all__ = ["sections", "tracing_sections"]
-
 PART_WORDS = {
     "misses": "needle passes that miss",
     "way": "distance outside the lumen",

@@ -21,8 +21,6 @@ from carina.scopes import Pose
 from carina.track import LumenOutline
 from carina.volume.anatomical_planes import Plane
 
-__all__ = ["LUNG_HU", "SlicePicture", "needle_slice", "place_slices", "target_slices"]
-
 Points = NDArray[np.float64]
 Line = tuple[tuple[float, float], ...]
 

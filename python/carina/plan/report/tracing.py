@@ -14,8 +14,6 @@ from carina.plan.report.wording import AGAINST, BOLD, lines_of, text_width
 from carina.plan.routes.main_carina import carina_words
 from carina.plan.turns.texts import joined, moves_sum_words, moves_words
 
-__all__ = ["TRACING_SIZE", "tracing_drawings"]
-
 TRACING_SIZE = (520.0, 640.0)
 """Width and height of a page of the tracing sheet, in points; the size fits A4 and Letter without a change of scale."""
 SMALL, LINE = 9.0, 11.0

@@ -14,8 +14,6 @@ from carina.plan.routes.plan_route import PlannedRoute
 from carina.plan.targets.grow_nodule import Nodule
 from carina.track import AirwayTree, Branch
 
-__all__ = ["ShapedBranch", "TreeShape", "tree_shape"]
-
 Points = NDArray[np.float64]
 EVERY_MM = 2.5
 """Distance in mm between the points of a centreline that are kept for drawings."""

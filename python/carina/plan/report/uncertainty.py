@@ -14,8 +14,6 @@ from carina.plan.verdict.verdict import Verdict
 from carina.track import Airways, Branch, drawn_tree
 from carina.volume import Volume
 
-__all__ = ["by_hand", "doubt_words", "movement_words", "uncertain"]
-
 THICK_MM = 1.5
 """Distance in mm between slices above which small airways are hidden and boundaries blurred."""
 

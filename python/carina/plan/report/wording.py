@@ -2,15 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = [
-    "AGAINST",
-    "NOT_A_DEVICE",
-    "carina_cell",
-    "lines_of",
-    "per_cent",
-    "text_width",
-]
-
 NOT_A_DEVICE = "Not a medical device."
 AGAINST = "Against this plan, and its limits"
 """Heading of the list of reasons against a plan."""

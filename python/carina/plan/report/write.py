@@ -17,8 +17,6 @@ from carina.plan.report.html_page import html_page
 from carina.plan.report.plan_sheet import PlanSheet
 from carina.plan.report.sections import sections, tracing_sections
 
-__all__ = ["Paper", "ReportKind", "pdf_pages", "write_report"]
-
 Paper = Literal["A4", "Letter"]
 
 

@@ -20,8 +20,6 @@ from carina.plan.routes.needle_hits import axes_across
 from carina.scopes import ScopePreset, WallField
 from carina.track import AirwayTree
 
-__all__ = ["AttainableTip", "StandingPlace", "TipDirections"]
-
 Points = NDArray[np.float64]
 
 SMOOTH_MM = 4.0

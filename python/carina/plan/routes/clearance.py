@@ -14,8 +14,6 @@ from carina.plan.routes.needle_hits import axes_across
 from carina.scopes import WallField
 from carina.track import Branch
 
-__all__ = ["ball_diameters_mm"]
-
 Points = NDArray[np.float64]
 
 SHIFTS_MM = (0.5, 0.5, 0.5, 0.5, 0.5, 0.25, 0.12, 0.06)

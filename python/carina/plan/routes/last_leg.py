@@ -17,18 +17,6 @@ from carina.plan.routes.needle_hits import NeedleErrors, axes_across, hit_share
 from carina.plan.targets.grow_nodule import Nodule
 from carina.scopes import WallField
 
-__all__ = [
-    "CrossedTissue",
-    "LastLeg",
-    "NearVessel",
-    "NeedleScene",
-    "Tissue",
-    "last_leg",
-    "leg_as_aimed",
-    "where_it_may_have_moved",
-    "with_errors",
-]
-
 Points = NDArray[np.float64]
 Tissue = Literal[
     "lumen", "airway wall", "lung", "fissure", "vessel", "target", "mediastinum or chest wall", "not examined"
@@ -385,4 +373,5 @@ def _ring(along: Points, off_rad: float) -> Points:
 
 
 def as_point(values: Points) -> tuple[float, float, float]:
+    """Return the three coordinates as a tuple."""
     return float(values[0]), float(values[1]), float(values[2])

@@ -14,19 +14,6 @@ from carina.track import Airways, AirwayTree, Branch
 from carina.track.measures.forks import find_forks
 from carina.volume import Volume
 
-__all__ = [
-    "AXES_NOTE",
-    "ROOT",
-    "SAME_PLACE_MM",
-    "DistanceOrigin",
-    "OriginKind",
-    "RouteScale",
-    "axes_origin",
-    "carina_words",
-    "distance_origin",
-    "origins_of_branches",
-]
-
 OriginKind = Literal["ridge", "axes", "root"]
 
 SAME_PLACE_MM = 1e-6

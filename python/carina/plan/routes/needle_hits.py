@@ -14,8 +14,6 @@ from carina.display import one_line
 from carina.errors import UsageError
 from carina.plan.targets.grow_nodule import Nodule
 
-__all__ = ["NeedleErrors", "axes_across", "ball_hit_shares", "fibonacci_sphere", "hit_share"]
-
 Points = NDArray[np.float64]
 
 STEP_MM = 0.5

@@ -17,8 +17,6 @@ from carina.track import Airways
 from carina.volume import Volume
 from carina.volume.point_check import check_in_volume
 
-__all__ = ["LostAirway", "check_target", "lost_airway", "notes_of_target", "notes_of_tools", "why_none"]
-
 LOST_MM = 40.0
 """Largest distance in mm from the target at which an airway that the search lost may lead closer."""
 LOST_KINDS = {"lost", "blocked", "stump", "filled", "leak", "volume"}

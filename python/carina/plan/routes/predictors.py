@@ -19,8 +19,6 @@ from carina.scopes import WallField
 from carina.track import AirwayTree, Branch, TreeMeasures
 from carina.track.measures.forks import angle_deg, point_at, run_mm
 
-__all__ = ["PREDICTOR_SOURCE", "PREDICTOR_WORDS", "SECTION_MM", "RoutePredictors", "mean_curvature", "route_predictors"]
-
 Points = NDArray[np.float64]
 
 SECTION_MM = 20.0

@@ -19,8 +19,6 @@ from carina.plan.routes.route_width import RouteWidth
 from carina.plan.targets.grow_nodule import Nodule
 from carina.scopes import ScopePreset
 
-__all__ = ["Demands", "Judge", "Outlook", "ScoreWeights", "WorstValue"]
-
 Outlook = Literal["reaches", "may reach", "does not reach"]
 OUTLOOKS: tuple[Outlook, ...] = ("reaches", "may reach", "does not reach")
 """Outlooks, the best first."""

@@ -23,17 +23,6 @@ from carina.scopes import ScopePreset, WallField
 from carina.track import AirwayTree, Branch, TreeMeasures
 from carina.track.measures.diameter import least_with_error
 
-__all__ = [
-    "EXCESS_SIGMA_MM",
-    "Fit",
-    "RouteWidth",
-    "WidthSource",
-    "ball_error_mm",
-    "matches_tree",
-    "width_of_section",
-    "widths_on_the_way",
-]
-
 Points = NDArray[np.float64]
 Widths = NDArray[np.object_]
 WidthSource = Literal["sections", "ball"]

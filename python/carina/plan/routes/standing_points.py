@@ -21,8 +21,6 @@ from carina.plan.targets.grow_nodule import Nodule
 from carina.scopes import WallField
 from carina.track import AirwayTree, Branch, TreeMeasures, branch_side_and_lobe
 
-__all__ = ["BronchusSign", "NearestPlace", "Places", "Ways", "branch_doubts", "branch_title"]
-
 Points = NDArray[np.float64]
 BronchusSign = Literal["into", "beside", "none"]
 

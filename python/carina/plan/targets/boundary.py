@@ -28,8 +28,6 @@ from carina.plan.cubic_box import (
 from carina.plan.targets.chest_wall import SHALLOW_MM, LungSide, cut_at_wall
 from carina.volume.mask_distances import ball_distance, distance_from, extent
 
-__all__ = ["HALVES_MM", "SMOOTH_MM", "SOLID_HU", "WIDE_OFF_MM", "Boundary", "no_boundary"]
-
 Mask = NDArray[np.bool_]
 
 CLICK_MM = 4.0

@@ -16,8 +16,6 @@ from carina.plan.targets.boundary import RIM_MM, SOLID_HU, WIDE_OFF_MM, Boundary
 from carina.plan.targets.nodule import Nodule, NoduleKind
 from carina.volume.mask_distances import ball_distance, distance_from
 
-__all__ = ["cut_out", "diameters", "measured"]
-
 Mask = NDArray[np.bool_]
 
 SHELL_MM = 4.0

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from carina.plan.cubic_box import Box, beside, component_at, from_faces, uphill
 from carina.volume.mask_distances import ball_distance, distance_from
 
-__all__ = ["SHALLOW_MM", "LungSide", "WallCut", "cut_at_wall"]
-
 Mask = NDArray[np.bool_]
 
 WALL_HU = -400.0

@@ -9,8 +9,6 @@ from carina.plan.targets.nodule import Nodule
 from carina.scopes import WallField
 from carina.volume import Volume
 
-__all__ = ["click_note"]
-
 
 def click_note(
     volume: Volume, nodule: Nodule, *, wall: WallField | None = None, progress: Progress | None = None

@@ -27,20 +27,6 @@ from carina.volume.model import Remark
 if TYPE_CHECKING:
     from carina.track import Airways
 
-__all__ = [
-    "ALL_CODES",
-    "BESIDE_AIRWAY",
-    "CONTRAST",
-    "DENSITY",
-    "MEDIASTINUM",
-    "TUBE",
-    "Confirmed",
-    "TargetDoubt",
-    "check_confirmed",
-    "confirmed_codes",
-    "target_doubts",
-]
-
 Mask = NDArray[np.bool_]
 
 DENSITY = "target.density"

@@ -16,8 +16,6 @@ from carina.volume import Volume
 from carina.volume.mask_distances import ball_distance
 from carina.volume.point_check import check_in_volume
 
-__all__ = ["brushed", "resized", "sphere"]
-
 Mask = NDArray[np.bool_]
 Place = NDArray[np.float64]
 

@@ -15,8 +15,6 @@ from carina.scopes import WallField
 from carina.track import Airways, wall_field
 from carina.volume import Volume
 
-__all__ = ["target_from_click"]
-
 
 @shows_progress
 @check_arguments(

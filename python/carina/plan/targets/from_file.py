@@ -31,8 +31,6 @@ from carina.volume.dicom_structures import (
 from carina.volume.io_errors import guarded
 from carina.volume.progress import Watch
 
-__all__ = ["target_from_file"]
-
 MIN_MM2 = 0.01
 """Least area in mm2 of an outline; a smaller one is a point or a line."""
 UNCHECKED = "its file does not say on which CT it was drawn; only its position was checked"

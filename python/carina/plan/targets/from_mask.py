@@ -15,8 +15,6 @@ from carina.plan.targets.target import PlanTarget, TargetSource
 from carina.scopes import WallField
 from carina.volume import Mask, Volume
 
-__all__ = ["nodule_from_mask", "one_piece", "target_from_mask", "target_of"]
-
 CRUMB = 0.05
 """Share of the largest part's voxels below which another part of the mask is ignored as stray voxels."""
 PIECE_MM = 5.0

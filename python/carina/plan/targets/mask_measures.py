@@ -19,8 +19,6 @@ from carina.plan.targets.nodule import Nodule, NoduleKind
 from carina.volume import Volume
 from carina.volume.mask_distances import ball_distance
 
-__all__ = ["DrawnStructure", "drawn_nodule", "measured_mask"]
-
 Mask = NDArray[np.bool_]
 
 DRAWN_OFF = 0.5

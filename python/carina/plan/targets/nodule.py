@@ -30,8 +30,6 @@ from carina.errors import UsageError
 from carina.plan.cubic_box import surface
 from carina.volume.mask_distances import ball_distance
 
-__all__ = ["Nodule", "NoduleKind"]
-
 Mask = NDArray[np.bool_]
 NoduleKind = Literal["solid", "part-solid", "ground-glass"]
 

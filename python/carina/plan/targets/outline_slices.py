@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from carina.errors import VolumeImportError
 
-__all__ = ["OutlineError", "SliceOutline", "SliceShare", "coverage", "runs_through_centres", "slice_share"]
-
 LINES = 8
 """Number of lines per voxel on which an outline is sampled."""
 ON_CENTRE = 0.02

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["OutlineStack"]
-
 Share = NDArray[np.float32]
 
 SHORT_GAP = 3.0

@@ -15,8 +15,6 @@ from carina.volume import Volume, canonical_geometry
 from carina.volume.digest import canonical_axes
 from carina.volume.mask_distances import ball_distance
 
-__all__ = ["WHERE_WORDS", "Whereabouts", "is_outside_body", "whereabouts"]
-
 Whereabouts = Literal["lung", "beside pleura", "mediastinum or chest wall", "in an airway", "outside the body"]
 
 WHERE_WORDS: dict[Whereabouts, str] = {

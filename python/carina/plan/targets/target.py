@@ -17,8 +17,6 @@ from carina.plan.targets.nodule import Nodule
 from carina.plan.targets.region import WHERE_WORDS, Whereabouts
 from carina.volume.mask_distances import ball_distance
 
-__all__ = ["PlanTarget", "TargetSource", "proposed_aims"]
-
 Point = tuple[float, float, float]
 
 TargetSource = Literal["click", "mask", "seg", "rtstruct", "sphere", "edited"]

@@ -25,8 +25,6 @@ from carina.scopes import Pose
 from carina.track import Airways
 from carina.volume import Volume
 
-__all__ = ["MAX_FRAMES", "TurnClip", "turn_clips"]
-
 MAX_FRAMES = 24
 """Largest number of frames of a clip."""
 SIZES_PX = (64, 512)

@@ -17,8 +17,6 @@ from carina.plan.turns.turn_list import TurnList
 from carina.scopes import Pose
 from carina.track import AirwayTree
 
-__all__ = ["turn_flight"]
-
 Points = NDArray[np.float64]
 
 SPEEDS_MM_S = (1.0, 200.0)

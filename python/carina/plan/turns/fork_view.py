@@ -20,26 +20,6 @@ from carina.render import AirwayView, Renderer
 from carina.scopes import Lens, Pose
 from carina.track import Branch
 
-__all__ = [
-    "AHEAD_DEG",
-    "AHEAD_SHARE",
-    "AHEAD_TIMES",
-    "MIN_SHARE",
-    "MIN_STAND_MM",
-    "HourDoubt",
-    "Opening",
-    "Operator",
-    "hour_doubt",
-    "hours_of",
-    "levelled",
-    "openings_seen",
-    "pixel_at",
-    "stand_mm",
-    "turn_view",
-    "turned_hours",
-    "whole_hour",
-]
-
 Points = NDArray[np.float64]
 Operator = Literal["head", "facing"]
 

@@ -35,8 +35,6 @@ from carina.scopes import Pose
 from carina.track import AirwayTree, Branch
 from carina.track.measures.forks import angle_deg
 
-__all__ = ["turn_list", "turns_with_moves"]
-
 Points = NDArray[np.float64]
 Point = tuple[float, float, float]
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from carina.scopes import Pose
 from carina.track import AirwayTree, Branch
 
-__all__ = ["FOV_DEG", "ForkWalls", "TubeWall", "first_walls", "opening_pixels", "pixel_angles_rad"]
-
 Points = NDArray[np.float64]
 Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -11,8 +11,6 @@ from carina.plan.turns.fork_view import Operator
 from carina.plan.turns.turn_list import Turn
 from carina.render.picture_text import write_on
 
-__all__ = ["draw_clock", "draw_edge", "text_size"]
-
 Field = NDArray[np.float64]
 Rgb = NDArray[np.uint8]
 Colour = tuple[int, int, int]

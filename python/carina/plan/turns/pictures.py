@@ -30,8 +30,6 @@ from carina.scopes import Pose
 from carina.track import Airways, AirwayTree
 from carina.volume import Volume
 
-__all__ = ["TurnPicture", "turn_pictures"]
-
 Field = NDArray[np.float64]
 
 SIZES_PX = (128, 2048)

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from carina.plan.hand_moves import Move
 from carina.plan.routes.main_carina import carina_words
 
-__all__ = ["hour_words", "joined", "moves_sum_words", "moves_words", "place_words", "with_depth"]
-
 STILL_DEG = 0.5
 STILL_MM = 0.5
 """Size of a turn in degrees, a flexion in degrees or an advance in mm below which the text omits it."""

@@ -15,8 +15,6 @@ from carina.plan.turns.fork_view import AHEAD_DEG, HourDoubt, Operator, levelled
 from carina.plan.turns.texts import hour_words, joined, moves_words, place_words
 from carina.scopes import Pose
 
-__all__ = ["OtherWay", "Turn", "TurnList", "Zero"]
-
 Zero = Literal["ridge", "axes"]
 
 

@@ -17,8 +17,6 @@ from carina.plan.routes.route_width import RouteWidth
 from carina.plan.verdict.drive_route import DriveWay
 from carina.scopes import FIT_MARGIN_MM, ScopePreset
 
-__all__ = ["Answer", "Check", "bend_check", "channel_check", "diameter_check", "length_check"]
-
 Answer = Literal["yes", "perhaps", "no", "unknown"]
 
 SURE = 0.9
@@ -143,6 +141,7 @@ def channel_check(scope: ScopePreset, tool: Tool) -> Check:
 
 
 def answer_of(share: float) -> Answer:
+    """Return yes if the probability is at least SURE, no if it is at most 1 - SURE, else perhaps."""
     return "yes" if share >= SURE else "no" if share <= 1.0 - SURE else "perhaps"
 
 

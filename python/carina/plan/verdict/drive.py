@@ -21,8 +21,6 @@ from carina.plan.hand_moves import Move
 from carina.plan.verdict.drive_route import DriveWay
 from carina.scopes import Pose, ScopeDrive, ScopeState
 
-__all__ = ["DrivenRoute", "MoveRecorder", "moves_between", "replay_moves"]
-
 Points = NDArray[np.float64]
 
 STEP_DEG = 5.0

@@ -15,8 +15,6 @@ from carina.plan.verdict.drive_route import DriveWay
 from carina.plan.verdict.drive_search import place_at_start
 from carina.scopes import ScopePreset, WallField
 
-__all__ = ["AimedDrive", "aim_drive"]
-
 Points = NDArray[np.float64]
 HitShare = Callable[[Points, Points], float]
 _Judged = tuple[float, float, MoveRecorder]

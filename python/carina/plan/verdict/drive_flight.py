@@ -12,8 +12,6 @@ from carina.navigate.rotation import orthonormal, rotation_from_vector, vector_f
 from carina.plan.verdict.drive import DrivenRoute
 from carina.scopes import Pose
 
-__all__ = ["drive_flight"]
-
 RATES_HZ = (1.0, 120.0)
 
 

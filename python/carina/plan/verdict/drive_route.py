@@ -12,8 +12,6 @@ from carina.plan.routes.plan_route import PlannedRoute
 from carina.scopes import WallField
 from carina.track import AirwayTree, Route
 
-__all__ = ["DriveWay"]
-
 Points = NDArray[np.float64]
 
 SMOOTH_MM = 4.0

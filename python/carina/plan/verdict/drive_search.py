@@ -23,8 +23,6 @@ from carina.plan.verdict.drive import DrivenRoute, MoveRecorder
 from carina.plan.verdict.drive_route import DriveWay
 from carina.scopes import ScopeDrive, ScopePreset, WallField
 
-__all__ = ["arrives_by", "condense_drive", "place_at_start", "search_drive"]
-
 Points = NDArray[np.float64]
 
 EFFORT = 50_000.0

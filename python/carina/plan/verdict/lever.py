@@ -17,8 +17,6 @@ from carina.plan.verdict.drive_route import DriveWay
 from carina.plan.verdict.drive_search import arrives_by, search_drive
 from carina.scopes import ScopePreset, WallField
 
-__all__ = ["lever_check"]
-
 SHORTER = ((1.645, 0.95), (0.674, 0.85))
 """Reductions of the lever's range in standard errors, and the probability reported if a drive arrives with each.
 

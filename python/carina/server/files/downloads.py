@@ -17,8 +17,6 @@ from carina.export import EXPORT_SUFFIXES, export_airways
 from carina.server.files.one_shot_file import OneShotFileResponse, new_folder
 from carina.session import Session
 
-__all__ = ["FILE_STEM", "Downloads"]
-
 FILE_STEM = "airways"
 """Stem of every file name, which contains neither the patient nor the case."""
 KEYS_NAME = "key-frames.json"

@@ -12,8 +12,6 @@ import unicodedata
 from collections import OrderedDict
 from pathlib import PurePosixPath
 
-__all__ = ["DroppedNames", "safe_suffix"]
-
 _TOKEN = re.compile(r"dropped-[0-9a-f]{8}(?:-[0-9]+(?:\.[a-z0-9]+)*)?")
 _KEPT = 16
 """Number of uploads whose names are stored; messages on the screen refer only to recent uploads."""

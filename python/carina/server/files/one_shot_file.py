@@ -10,8 +10,6 @@ from starlette.types import Receive, Scope, Send
 
 from carina.disk import ScratchFolder, disk_trouble
 
-__all__ = ["OneShotFileResponse", "new_folder"]
-
 
 class OneShotFileResponse(FileResponse):
     """Response with a file from its own temporary folder; both are deleted after the response.

@@ -20,8 +20,6 @@ from carina.server.files.one_shot_file import OneShotFileResponse, new_folder
 from carina.session import Session
 from carina.session.jobs.background_jobs import Job
 
-__all__ = ["REPORT_SUFFIXES", "Reports"]
-
 REPORT_SUFFIXES = (".html", ".pdf", ".json")
 PLAN_SUFFIXES = (".mrk.json", ".seg.nrrd")
 """Suffixes of plan files for 3D Slicer."""

@@ -21,8 +21,6 @@ from carina.disk import ScratchFolder, create_folders, disk_trouble
 from carina.errors import UsageError
 from carina.server.files.dropped_names import DroppedNames
 
-__all__ = ["Limits", "Uploads", "safe_relative_path"]
-
 GIB = 1024**3
 
 

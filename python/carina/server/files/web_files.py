@@ -5,8 +5,6 @@ from __future__ import annotations
 from importlib.resources import files
 from pathlib import Path
 
-__all__ = ["asset_path", "web_folder"]
-
 
 def web_folder() -> Path | None:
     """Return the folder of the built web client, or None if it was not built."""

@@ -12,8 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median
 
-__all__ = ["AIRWAY_LEVELS", "FINDER_BELOW_PER_S", "FULL_STEP_VOX", "OVER", "PLANAR_LEVELS", "FrameBudget", "Level"]
-
 
 @dataclass(frozen=True, slots=True)
 class Level:

@@ -16,8 +16,6 @@ from typing import Literal
 from carina.render import LEAD_VIEW, VIEWS
 from carina.server.frames.budget import AIRWAY_LEVELS, OVER, PLANAR_LEVELS, FrameBudget
 
-__all__ = ["DEFAULT_RATE_HZ", "MOVING", "FrameScheduler", "RenderOrder"]
-
 DEFAULT_RATE_HZ = 60.0
 """Default target rate of airway pictures while moving, in pictures per second."""
 STILL_AFTER_S = 0.150

@@ -24,8 +24,6 @@ from carina.server.wire.codec import encode_picture
 from carina.server.wire.messages import PictureHeader, PictureLayer, PictureLens, PictureOutline, Status
 from carina.session import LayerLines, SessionRenderer, ShownCase, log_fault
 
-__all__ = ["FramePump", "ShownPicture", "encode_jpeg"]
-
 logger = logging.getLogger(__name__)
 
 MOVING_QUALITY = 85

@@ -16,8 +16,6 @@ from collections.abc import Mapping
 from http.cookies import CookieError, SimpleCookie
 from typing import Any, Literal
 
-__all__ = ["Gate", "TokenGate", "comes_from_this_machine", "host_allowed", "is_loopback"]
-
 SAFE_METHODS = frozenset({"GET", "HEAD"})
 MAX_COOKIE_BYTES = 8192
 

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 from carina.disk import scratch_folder
 
-__all__ = ["Certificate", "make_certificate"]
-
 # The phone's clock may be behind; no session lasts 30 days.
 VALID_BEFORE = datetime.timedelta(days=1)
 VALID_FOR = datetime.timedelta(days=30)

@@ -18,8 +18,6 @@ from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
 
-__all__ = ["ACCEPT_AT_ONCE", "WAITING_IN_LINE", "UnauthenticatedConnections", "limit_log_rate", "unauthenticated_limit"]
-
 logger = logging.getLogger(__name__)
 
 ACCEPT_AT_ONCE = 16

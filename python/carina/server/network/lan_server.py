@@ -17,8 +17,6 @@ from carina.server.network.request_timeouts import timeout_protocol
 from carina.server.network.shutdown import TimedShutdownServer
 from carina.server.sockets.rate_limits import bounded_websocket
 
-__all__ = ["LanServer"]
-
 HANDSHAKE_WITHIN_S = 10.0
 MAX_CONNECTIONS = 32
 PING_EVERY_S = 5.0

@@ -8,8 +8,6 @@ import socket
 
 from carina.errors import CarinaError
 
-__all__ = ["bind", "lan_address"]
-
 
 def bind(host: str, port: int) -> socket.socket:
     """Return a listening TCP socket.

@@ -12,8 +12,6 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from carina.server.network.connection_limits import UnauthenticatedConnections
 
-__all__ = ["TimeoutProtocol", "timeout_protocol"]
-
 FIRST_REQUEST_WITHIN_S = 10.0
 """Timeout in seconds for request headers, from the connection or the first byte of a later request to their end."""
 BODY_WITHIN_S = 30.0

@@ -11,8 +11,6 @@ import uvicorn
 
 from carina.server.network.connection_limits import UnauthenticatedConnections
 
-__all__ = ["FAREWELL_S", "TimedShutdownServer"]
-
 FAREWELL_S = 0.5
 """Seconds that a client has to read the remaining data and finish the closing handshake of a closed connection."""
 LOOK_EVERY_S = 0.02

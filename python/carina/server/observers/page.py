@@ -35,8 +35,6 @@ from carina.server.windows.websocket_session import serve_window
 from carina.server.windows.window import Window
 from carina.server.wire import messages as wire
 
-__all__ = ["MAX_WATCHERS", "ObserverPageServer"]
-
 MAX_WATCHERS = 4
 """Maximum number of observers; the windows of the workstation are not counted."""
 MAX_MESSAGE_BYTES = 8192

@@ -16,8 +16,6 @@ from carina.server.wire import messages as wire
 from carina.session import Changed, Event
 from carina.session.state.snapshot import SavingInfo
 
-__all__ = ["WATCHERS_RATE_HZ", "WatchingWindow", "observer_error", "observer_notes"]
-
 ABOUT_THE_SCAN = "import."
 WITHOUT_NAMES = frozenset(
     {

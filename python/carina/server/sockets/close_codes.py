@@ -8,8 +8,6 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from carina.server.wire import messages as wire
 
-__all__ = ["MAX_REASON_BYTES", "close_socket"]
-
 MAX_REASON_BYTES = 123
 """Maximum length of a close reason: a close frame has 125 bytes, two of them the code (RFC 6455, section 5.5)."""
 

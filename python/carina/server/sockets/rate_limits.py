@@ -9,8 +9,6 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 
 from carina.server.wire import messages as wire
 
-__all__ = ["FLOOD", "FLOOD_WORDS", "BoundedWebSocket", "RateLimit", "bounded_websocket"]
-
 FLOOD = "protocol.flood"
 FLOOD_WORDS = "this page sent too many messages and was disconnected; ask the person at the workstation for a new link"
 

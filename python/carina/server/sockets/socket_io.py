@@ -12,8 +12,6 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 from carina.errors import ProtocolError
 from carina.session.jobs.background_jobs import log_fault
 
-__all__ = ["receive_text", "start_sender"]
-
 logger = logging.getLogger(__name__)
 
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from carina.plan.lungs.lung_map import LungMap
     from carina.plan.lungs.vessels import VesselTree
 
-__all__ = ["lungs_message"]
-
 NO_MEDIASTINUM = "Vessels of the mediastinum and the hila are not shown: without contrast the CT does not show them."
 MIN_SHARE = 0.05
 """Smallest visible share (0..1) of a fissure's lobe borders that is stated as a number; below: *hardly any seen*."""

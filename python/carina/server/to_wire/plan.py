@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 Value = TypeVar("Value", bound=msgspec.Struct)
 
-__all__ = ["plans_message"]
-
 
 def plans_message(info: PlanningInfo) -> wire.Plans:
     """Return the wire message of the plans for the steps *Target* and *Route*."""

@@ -27,18 +27,6 @@ from carina.session import (
 )
 from carina.volume import Citation, Note, badges_of
 
-__all__ = [
-    "demos",
-    "history_message",
-    "key_frames_message",
-    "picked_message",
-    "picture_lines",
-    "pose_message",
-    "route_message",
-    "start_message",
-    "state_message",
-]
-
 
 def demos(patient_citation: Citation | None) -> tuple[wire.Demo, ...]:
     """Return the start-page entries of the bundled cases: the phantom, and the patient with its citation."""

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["thinned"]
-
 POINT_EVERY_MM = 0.8
 """Minimum distance in mm of the sent points of a live path; less than a pixel in any view of the whole path."""
 

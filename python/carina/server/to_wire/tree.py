@@ -12,8 +12,6 @@ from carina.server.wire import messages as wire
 from carina.server.wire.codec import read_fields
 from carina.track import Uncertainty, branch_side_and_lobe, name_words
 
-__all__ = ["branch_detail_message", "branch_measures", "tree_message"]
-
 
 def tree_message(airways: Any, measures: Any = None) -> wire.Tree:
     """Return the airway tree in the format of its files, with titles, measures once they are ready, and open ends.

@@ -18,8 +18,6 @@ from carina.server.wire import messages as wire
 from carina.session import Session, log_fault
 from carina.volume import Citation
 
-__all__ = ["SharedTexts"]
-
 logger = logging.getLogger(__name__)
 
 

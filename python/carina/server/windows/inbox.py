@@ -14,8 +14,6 @@ from typing import Any
 from carina.commands import Command
 from carina.server.wire import messages as wire
 
-__all__ = ["Inbox"]
-
 STEER_EVERY_S = 0.004
 """Seconds between two movements below which they are merged; a screen shows at most 240 pictures a second."""
 MAX_WAITING = 64

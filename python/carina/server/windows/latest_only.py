@@ -5,8 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-__all__ = ["LatestTaskRunner"]
-
 
 class LatestTaskRunner:
     """Thread that runs the latest task of each kind; a newer task replaces a pending task of the same kind.

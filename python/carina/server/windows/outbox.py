@@ -9,8 +9,6 @@ from typing import Any
 from carina.server.wire import messages as wire
 from carina.server.wire.codec import type_name
 
-__all__ = ["Outbox"]
-
 MAX_TEXTS = 2000
 """Maximum number of queued text messages; the server disconnects a window that exceeds it."""
 MAX_PICTURES = 200

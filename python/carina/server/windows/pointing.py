@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from carina.server.frames.pump import ShownPicture
     from carina.session.targets.routing import Mark
 
-__all__ = ["Pointing", "edit_preview_message", "live_path_message", "no_evidence_message"]
-
 logger = logging.getLogger(__name__)
 
 

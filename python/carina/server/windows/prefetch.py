@@ -9,8 +9,6 @@ from carina.errors import CarinaError
 from carina.server.windows.latest_only import LatestTaskRunner
 from carina.session import Session, log_fault
 
-__all__ = ["PathPrefetcher"]
-
 logger = logging.getLogger(__name__)
 
 

@@ -16,8 +16,6 @@ from carina.server.sockets.socket_io import receive_text, start_sender
 from carina.server.windows.window import Window
 from carina.server.wire import messages as wire
 
-__all__ = ["serve_window"]
-
 HELLO_WITHIN_S = 20.0
 
 

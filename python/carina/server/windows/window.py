@@ -35,8 +35,6 @@ from carina.session import (
     log_fault,
 )
 
-__all__ = ["Host", "Window"]
-
 logger = logging.getLogger(__name__)
 
 

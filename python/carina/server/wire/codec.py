@@ -19,23 +19,6 @@ from carina.errors import CarinaError, ProtocolError
 from carina.session.attach.messages import JoinMessage, ToJoinMessage
 from carina.typed_reading import read_plain
 
-__all__ = [
-    "MAX_HEADER_BYTES",
-    "MAX_TEXT_BYTES",
-    "ClientMessage",
-    "PhoneMessage",
-    "ServerMessage",
-    "ToPhoneMessage",
-    "by_type",
-    "decode",
-    "encode",
-    "encode_picture",
-    "load_json_object",
-    "read_fields",
-    "split_picture",
-    "type_name",
-]
-
 MAX_TEXT_BYTES = 262_144
 """Maximum size in bytes of a text message from a client, far above the size of a transfer function."""
 MAX_HEADER_BYTES = 65_536

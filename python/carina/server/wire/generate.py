@@ -24,8 +24,6 @@ from carina.server.wire import messages
 from carina.server.wire.codec import type_name
 from carina.volume.anatomical_planes import PLANES
 
-__all__ = ["exports_typescript", "generated_files", "json_schema", "main", "typescript", "views_typescript"]
-
 HEAD = "// Generated from python/carina/render/view_table.py by `python -m carina.server.wire.generate`. Do not edit."
 ROW_FIELDS = (
     "title",

@@ -30,8 +30,6 @@ from carina.track import (
 if TYPE_CHECKING:
     from carina.track import TreeEdit
 
-__all__ = ["MAX_AIRWAYS_KEPT", "TreeEditHandlers", "airway_words", "found_airways"]
-
 MAX_AIRWAYS_KEPT = 4
 """Number of segmented airways that undo can restore; a lumen and its tracker take some hundred megabytes."""
 NUM_EDITS_WHOLE = 6

@@ -25,8 +25,6 @@ from carina.session.state.snapshot import MaskQuestion
 from carina.session.targets.retrack import tracked_target
 from carina.volume import Mask, MaskGridError, MaskLabel, MaskLabelError
 
-__all__ = ["AirwayHandlers"]
-
 SET_THE_ROOT = "Mark the trachea: click inside it on a slice."
 AIRWAY_NAMES = re.compile(r"airway|bronch|trache|lumen|luftweg|luftröhre|voies a", re.IGNORECASE)
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from carina.session.command_registry import CommandHandlers
 from carina.session.open_case.open_case import OpenCase
 
-__all__ = ["MeasurementHandlers"]
-
 
 class MeasurementHandlers(CommandHandlers):
     """Starter of the background job that measures the document's airways for ``Snapshot.measures``."""

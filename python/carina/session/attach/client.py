@@ -24,8 +24,6 @@ from carina.version import WIRE_VERSION
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
 
-__all__ = ["LinkLostError", "OwnerConnection"]
-
 logger = logging.getLogger(__name__)
 
 ANSWERS_WITHIN_S = 20.0

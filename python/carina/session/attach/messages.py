@@ -15,8 +15,6 @@ from carina.commands.value import snake_case
 from carina.session.state.snapshot import SavingInfo
 from carina.value import Count, FrozenValue, Words
 
-__all__ = ["Join", "JoinMessage", "Joined", "Problem", "Settle", "Settled", "ToJoinMessage"]
-
 
 class JoinMessage(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
     """A message from a program to the owner; the other messages from a program are commands."""

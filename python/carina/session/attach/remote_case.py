@@ -32,8 +32,6 @@ from carina.session.store.find_scan import CASE_SUFFIX, CaseScans, is_case_file
 from carina.session.store.registry import CaseRecord, CaseRecords
 from carina.volume import VolumeCache
 
-__all__ = ["RemoteCase"]
-
 OWNED_WITHIN_S = 20.0
 """Longest time, in s, for taking over a case whose former owner may hold its lock while it writes the last changes."""
 DOOR_WITHIN_S = 3.0

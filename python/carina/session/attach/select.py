@@ -12,8 +12,6 @@ from carina.session.session import Session
 from carina.session.store.find_scan import is_case_file
 from carina.volume import Volume
 
-__all__ = ["LocalCase", "ProgramCase", "do_and_wait", "program_session"]
-
 
 class ProgramCase(Protocol):
     """Interface of the cases that :class:`carina.Case` uses: cases of this process and joined cases."""

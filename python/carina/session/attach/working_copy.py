@@ -18,8 +18,6 @@ from carina.session.store.named_file import FileMark, NamedFile, NamedFileConfli
 from carina.session.store.registry import CaseRecords
 from carina.volume import Volume, VolumeCache, ct_digest
 
-__all__ = ["NamedCase"]
-
 WHERE_WORK_IS = "Your changes are in this program only"
 
 

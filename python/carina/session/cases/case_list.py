@@ -24,8 +24,6 @@ from carina.session.store.registry_repair import repair_records
 if TYPE_CHECKING:
     from carina.session.saving.autosave import Autosave
 
-__all__ = ["CaseList", "ListedCase", "StorageInfo"]
-
 
 @one_line
 @dataclass(frozen=True, slots=True)

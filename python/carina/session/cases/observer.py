@@ -14,8 +14,6 @@ from carina.session.flights.scope_contact import ScopeContactHandlers
 from carina.session.open_case.open_case import LastMove, OpenCase, restore
 from carina.session.saving.autosave import Autosave, ReplacementCase
 
-__all__ = ["ObserverHandlers"]
-
 
 class ObserverHandlers(CommandHandlers):
     """Commands that mirror a case of another process: all but the sight of this session is copied from the owner."""

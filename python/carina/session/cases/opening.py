@@ -27,8 +27,6 @@ from carina.volume import Volume
 from carina.volume.dicom_references import References
 from carina.volume.progress import Watch
 
-__all__ = ["CaseOpener"]
-
 
 @dataclass(slots=True)
 class _OpenedFile:

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from carina.track import Airways
     from carina.volume import Volume
 
-__all__ = ["SecondCtHandlers"]
-
 
 class SecondCtHandlers(CommandHandlers):
     """Command that opens a second CT, compares it with the CT of the case, and plans with the measured movement."""

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from carina.track import Airways, TreeMeasures
     from carina.volume import Volume
 
-__all__ = ["LumenWall", "derived_measures", "derived_wall"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LumenWall:

@@ -10,8 +10,6 @@ from typing import Any, Generic, Literal, TypeVar
 from carina.errors import CancelledError
 from carina.session.jobs.background_jobs import Job, JobRunner
 
-__all__ = ["Attempt", "Cached", "Derived", "Standing", "identical"]
-
 Inputs = TypeVar("Inputs")
 Value = TypeVar("Value")
 

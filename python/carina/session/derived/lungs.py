@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from carina.track import Airways
     from carina.volume import Volume
 
-__all__ = ["CaseLungs", "LungsInfo"]
-
 ReachInputs = tuple[Any, str, str]
 """Inputs of a reach map: airways, name of the scope, and name of the tool."""
 

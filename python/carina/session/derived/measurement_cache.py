@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-__all__ = ["MeasuredAirways"]
-
 
 class MeasuredAirways:
     """Measurements of the airways in a history, unpacked or packed; the session's lock guards the object.

@@ -43,16 +43,6 @@ if TYPE_CHECKING:
     from carina.volume import Volume
     from carina.volume.dicom_references import References
 
-__all__ = [
-    "CasePlanning",
-    "PlanOutcome",
-    "PlannedTarget",
-    "PlanningInfo",
-    "carina_depth_mm",
-    "chosen_number",
-    "shown_surface",
-]
-
 MAX_SHOWN = 36
 """Largest number of voxels along a side of a nodule's displayed surface; finer detail is not visible."""
 SAME_PLACE_MM = 0.05

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from carina.render import TransferFunction
     from carina.track import AirwayTree
 
-__all__ = ["ShownContent"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContentRequest:

@@ -19,8 +19,6 @@ from carina.session.flights.recording import FlightRecorder
 from carina.session.open_case.open_case import OpenCase, as_point
 from carina.session.state.snapshot import DevicesInfo, ErrorEvent, StartMarked, UserMessage
 
-__all__ = ["DeviceHandlers"]
-
 
 class DeviceHandlers(CommandHandlers):
     """Interface for programs that connect input devices: samples, motion frames, and the state to show.

@@ -30,8 +30,6 @@ from carina.session.open_case.point_tests import in_airways
 from carina.session.state.snapshot import KeyFramesInfo, ShownKeyFrame, UserMessage
 from carina.volume import Volume
 
-__all__ = ["MAX_KEYS", "KeyFrameHandlers", "key_file"]
-
 MAX_KEYS = 200
 
 

@@ -25,8 +25,6 @@ from carina.session.state.snapshot import FlightPlace
 if TYPE_CHECKING:
     from carina.session.core import SessionCore
 
-__all__ = ["FlightHandlers", "needed_flight", "running_flight"]
-
 
 class FlightHandlers(CommandHandlers):
     """The list of the recorded flights of a case, and their playback.

@@ -20,8 +20,6 @@ from carina.session.open_case.open_case import OpenCase
 from carina.session.state.snapshot import ErrorEvent, UserMessage
 from carina.version import VERSION
 
-__all__ = ["FlightRecorder", "new_flight"]
-
 
 class FlightRecorder(CommandHandlers):
     """Recorder of every move of the tip, until the user stops it or the case is closed."""

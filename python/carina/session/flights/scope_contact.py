@@ -15,8 +15,6 @@ from carina.session.state.snapshot import UserMessage
 if TYPE_CHECKING:
     from carina.track import Airways
 
-__all__ = ["ScopeContactHandlers"]
-
 
 class ScopeContactHandlers(CommandHandlers):
     """Places the scope along the route, constrained by the airway wall, in mode *scope*."""

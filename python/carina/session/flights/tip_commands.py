@@ -15,8 +15,6 @@ from carina.session.core import SessionCore
 from carina.session.flights.scope_contact import ScopeContactHandlers
 from carina.session.open_case.start_pose import pose_before_place
 
-__all__ = ["TipHandlers", "place_pose", "view_words"]
-
 
 def place_pose(pose: Pose) -> c.PlacePose:
     """Return the command that places the tip at a pose."""

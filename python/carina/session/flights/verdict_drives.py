@@ -18,8 +18,6 @@ from carina.session.open_case.open_case import LoadedFlight, OpenCase
 from carina.session.state.snapshot import UserMessage
 from carina.version import VERSION
 
-__all__ = ["VerdictDriveHandlers"]
-
 MAX_NAME = 200
 
 

@@ -20,8 +20,6 @@ from carina.display import one_line
 from carina.errors import CancelledError, CarinaError
 from carina.session.jobs.job_groups import current_group
 
-__all__ = ["Job", "JobEnded", "JobProgress", "JobRunner", "log_fault", "return_freed_memory"]
-
 logger = logging.getLogger(__name__)
 
 

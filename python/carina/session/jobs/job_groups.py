@@ -9,8 +9,6 @@ from collections.abc import Iterator
 
 from carina.errors import CarinaError
 
-__all__ = ["JobGroup", "current_group"]
-
 # Jobs inherit this context, so jobs that a job starts belong to the same group.
 _current: contextvars.ContextVar[JobGroup | None] = contextvars.ContextVar("errand", default=None)
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from carina.track import Airways
     from carina.volume import Volume
 
-__all__ = ["KeyFlight", "key_flight", "key_frames"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyFlight:

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from carina.track import Airways
     from carina.volume import Volume
 
-__all__ = ["in_airways", "in_lumen"]
-
 
 def in_lumen(volume: Volume, lumen_zyx: Any, point_lps: Any) -> bool:
     """Return whether the voxel that contains a point is lumen.

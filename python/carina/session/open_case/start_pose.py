@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from carina.track import Airways
     from carina.volume import Volume
 
-__all__ = ["pose_at_root", "pose_before_airways", "pose_before_place"]
-
 CAUDAL_LPS = (0.0, 0.0, -1.0)
 # Distances, in mm, of the camera before a point; the largest one with a free line of sight is used.
 STAND_BACK_MM = (12.0, 10.0, 8.0, 6.0, 4.0, 3.0, 2.0)

@@ -17,8 +17,6 @@ from carina.errors import UnsavedWorkError
 from carina.session.core import Event
 from carina.session.state.snapshot import ErrorEvent
 
-__all__ = ["UnsavedWork", "check_saved", "named_file_messages", "unsaved_error", "unsaved_labels"]
-
 NAMED_FILE_CODES = frozenset({"case.changed", "case.copy"})
 """Codes of messages, at the end of a case, about a named file without the latest changes; the live file has them."""
 Subscribe = Callable[[Callable[[Event], None]], Callable[[], None]]

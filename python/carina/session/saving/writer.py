@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from carina.session.store.named_file_lock import NamedLock
     from carina.session.store.registry import CaseRecord, CaseRecords, LockedCase
 
-__all__ = ["NOT_RESPONDING", "CaseSaver", "SavedAs"]
-
 logger = logging.getLogger(__name__)
 
 DECIDED_WITHIN_S = 0.4

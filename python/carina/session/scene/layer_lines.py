@@ -18,8 +18,6 @@ from carina.track import MaskOutline
 if TYPE_CHECKING:
     from carina.plan import Nodule, ReachAtlas
 
-__all__ = ["LAYERS", "LayerLines", "LayerName", "OutlineLines", "ShownLayers"]
-
 LayerName = Literal["vessels", "fissures", "lobes", "reach"]
 LAYERS: tuple[LayerName, ...] = get_args(LayerName)
 

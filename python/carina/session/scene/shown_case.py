@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from carina.render import CancelToken, Hit, Picture, TransferFunction
     from carina.track import AirwayTree, LumenOutline
 
-__all__ = ["SessionRenderer", "ShownCase"]
-
 
 class SessionRenderer(Protocol):
     """Methods of a renderer, on one machine or on a cluster, that a session calls."""

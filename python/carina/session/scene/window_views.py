@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 
 from carina.render import VIEWS, Sight
 
-__all__ = ["Sights", "following_tip"]
-
 
 @dataclass(slots=True)
 class Sights:

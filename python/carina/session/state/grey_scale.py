@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from carina.session.engines import Parts
     from carina.volume import Volume
 
-__all__ = ["HISTOGRAM_PRESET", "FeatureOff", "GreyScale", "grey_scale"]
-
 LUNG_WINDOW = GreyWindow(1500.0, -600.0)
 HISTOGRAM_PRESET = "from histogram"
 

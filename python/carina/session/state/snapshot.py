@@ -25,27 +25,6 @@ if TYPE_CHECKING:
     from carina.track import Branch, TreeMeasures
     from carina.volume import Volume
 
-__all__ = [
-    "AirwayStatus",
-    "CaseSnapshot",
-    "Changed",
-    "DevicesInfo",
-    "ErrorEvent",
-    "EvidenceMissing",
-    "FlightInfo",
-    "FlightPlace",
-    "KeyFramesInfo",
-    "MaskQuestion",
-    "PoseInfo",
-    "SavingInfo",
-    "ShownKeyFrame",
-    "Snapshot",
-    "Stage",
-    "StartMarked",
-    "UserMessage",
-    "WallPoint",
-]
-
 Stage = Literal["empty", "opening", "ready"]
 AirwayStatus = Literal["none", "waiting", "finding", "found", "failed"]
 Topic = Literal["state", "tree", "route", "pose", "start", "views", "key_frames", "flights", "history", "plan", "lungs"]

@@ -18,8 +18,6 @@ from carina.display import as_words
 from carina.typed_reading import read_plain
 from carina.value import FrozenValue
 
-__all__ = ["ENDPOINT_FILE", "AttachEndpoint", "delete_endpoint", "read_endpoint", "write_endpoint"]
-
 logger = logging.getLogger(__name__)
 
 ENDPOINT_FILE = "door.json"

@@ -6,8 +6,6 @@ import hashlib
 import re
 import secrets
 
-__all__ = ["case_code", "neutral_alias", "new_case_id", "suggested_file_name"]
-
 CROCKFORD = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
 """Base32 without I, L, O and U (Crockford): the digits can be read aloud and typed."""
 CODE_DIGITS = 6

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from carina.session.store.registry import CaseRecords
     from carina.volume import VolumeCache
 
-__all__ = ["case_files", "thumbnail"]
-
 VIEW = "tree"
 """Name of the view in the thumbnail: the outside view, because the trees of two patients differ visibly."""
 WIDTH, HEIGHT = 320, 240

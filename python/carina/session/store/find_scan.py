@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from carina.session.store.registry import CaseRecords
     from carina.volume import VolumeCache
 
-__all__ = ["CASE_SUFFIX", "CaseScans", "FoundScan", "is_case_file", "relative_path"]
-
 CASE_SUFFIX = ".carina"
 Cancel = Callable[[], bool] | None
 

@@ -11,8 +11,6 @@ from carina.case.recordings import RecordingFacts, RecordingWriter, WholeRecordi
 from carina.errors import CarinaError
 from carina.session.store.interfaces import StoredCaseFile
 
-__all__ = ["flight_count", "whole_flights"]
-
 logger = logging.getLogger(__name__)
 
 

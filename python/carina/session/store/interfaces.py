@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from carina.session.store.find_scan import CaseScans
     from carina.volume import Volume
 
-__all__ = ["CachedCtSource", "CaseFileFunctions", "CtCache", "StoredCaseFile", "WholeCase"]
-
 
 class StoredCaseFile(Protocol):
     """Interface of a case file, as :class:`carina.case.CaseFile` implements it."""

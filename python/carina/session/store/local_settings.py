@@ -16,8 +16,6 @@ from carina.display import as_words, one_line
 from carina.errors import VolumeImportError
 from carina.session.store.case_names import neutral_alias, new_case_id
 
-__all__ = ["LocalStore", "RecentCase"]
-
 logger = logging.getLogger(__name__)
 
 MAX_RECENT = 12

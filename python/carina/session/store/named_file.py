@@ -25,16 +25,6 @@ from carina.errors import CarinaError
 from carina.session.store.find_scan import CASE_SUFFIX
 from carina.session.store.named_file_lock import LockedElsewhereError, NamedLock
 
-__all__ = [
-    "CopyWriter",
-    "FileMark",
-    "NamedFile",
-    "NamedFileConflictError",
-    "free_path_beside",
-    "open_marked",
-    "read_mark",
-]
-
 CopyWriter = Callable[[Path, SaveMark, Placement], None]
 """``write(path, mark, placement)`` writes a whole case with a save mark; the placement moves it to its path."""
 ConflictKind = Literal["changed", "other-case", "not-a-case", "missing", "open-elsewhere"]

@@ -11,8 +11,6 @@ from pathlib import Path
 
 from carina.disk.locks import try_lock
 
-__all__ = ["LockedElsewhereError", "NamedLock", "lock_path"]
-
 MAX_OWNER_BYTES = 400
 MAX_TRIES = 100
 

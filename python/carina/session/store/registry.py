@@ -33,8 +33,6 @@ from carina.session.store.named_file_lock import NamedLock
 from carina.typed_reading import read_plain
 from carina.value import TEXT, Count, FrozenValue
 
-__all__ = ["CaseRecord", "CaseRecords", "LockedCase", "is_damaged_record", "write_record"]
-
 logger = logging.getLogger(__name__)
 
 FORMAT, VERSION = "carina-record", 2

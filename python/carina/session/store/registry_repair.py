@@ -15,8 +15,6 @@ from carina.errors import CarinaError
 from carina.installation import carina_command
 from carina.session.store.registry import FILE, LOCK, RECORD, CaseRecord, CaseRecords, is_damaged_record, write_record
 
-__all__ = ["ASIDE", "repair_records"]
-
 logger = logging.getLogger(__name__)
 
 ASIDE: Final = ".damaged"

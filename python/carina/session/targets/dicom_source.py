@@ -7,8 +7,6 @@ from pathlib import Path
 from carina.session.open_case.open_case import OpenCase
 from carina.volume.dicom_references import References
 
-__all__ = ["ct_of", "dicom_problem"]
-
 DROPPED = (
     "the CT was dropped into the window, so the folder of its DICOM files is not known: open the CT by its folder to "
     "save DICOM files that refer to it"

@@ -27,8 +27,6 @@ from carina.session.targets.retrack import needed_target
 if TYPE_CHECKING:
     from carina.track import Airways
 
-__all__ = ["PlanHandlers", "with_target"]
-
 
 class PlanHandlers(CommandHandlers):
     """Commands of the steps *Target* and *Route* for targets outside the airways."""

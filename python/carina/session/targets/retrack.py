@@ -19,16 +19,6 @@ if TYPE_CHECKING:
     from carina.track import Airways, AirwayTree
     from carina.volume import Volume
 
-__all__ = [
-    "NO_START",
-    "SNAP_MM",
-    "followed_route",
-    "needed_target",
-    "renamed_route",
-    "searched_target",
-    "tracked_target",
-]
-
 NO_START = "mark the start point of the path first: there are no segmented airways to start from"
 SNAP_MM = 5.0
 """Largest distance, in mm, over which a target outside the lumen is moved into it; the user is notified."""

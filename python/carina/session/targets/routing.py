@@ -19,9 +19,6 @@ from carina.session.open_case.open_case import OpenCase
 from carina.session.state.snapshot import UserMessage
 from carina.session.targets.retrack import NO_START, needed_target, searched_target, tracked_target
 
-__all__ = ["Mark", "RouteHandlers"]
-
-
 IN_LUMEN_MM = 0.05
 """Largest distance in mm by which a point is moved into the lumen that counts as rounding."""
 

@@ -27,8 +27,6 @@ from carina.session.state.snapshot import UserMessage
 from carina.session.targets.dicom_source import ct_of
 from carina.session.targets.retrack import needed_target
 
-__all__ = ["TargetHandlers"]
-
 
 class TargetHandlers(CommandHandlers):
     """Commands that edit targets with a size; each forms one undo step, and the plan is then computed again."""

@@ -16,8 +16,6 @@ from carina.scopes import scope_preset
 from carina.session.command_registry import CommandHandlers, does
 from carina.session.open_case.open_case import HISTOGRAM_PRESET, OpenCase
 
-__all__ = ["LookHandlers"]
-
 PINHOLE_FOV_DEG = 90.0
 
 

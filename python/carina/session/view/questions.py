@@ -14,8 +14,6 @@ from carina.session.state.snapshot import WallPoint
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["CaseQuestions", "lumen_before_wall"]
-
 NO_AIRWAYS = "the airways have not been segmented yet: wait, or mark the trachea"
 
 

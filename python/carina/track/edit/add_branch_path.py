@@ -23,8 +23,6 @@ from carina.track.paths.tracker import as_point
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Volume
 
-__all__ = ["BranchWay", "PlannedWay", "branch_way", "join_of", "lumen_node", "no_evidence", "planned_way", "together"]
-
 MIN_ADDED_MM = 1.0
 """Least length in mm of a new branch beyond the tree; a shorter branch is already in the tree."""
 FORK_RADII = 1.0

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from carina.track.edit.lumen import BRIDGE_RADIUS_MM
 from carina.track.edit.tree_changes import Points, along_mm
 
-__all__ = ["Piece", "bridge_pieces", "kind_of_added", "painted_pieces"]
-
 Piece = tuple[Points, str]
 """Type of a piece of a centreline: points and kind; the last point of a piece is the first point of the next."""
 

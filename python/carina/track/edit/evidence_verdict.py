@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from carina.track.intensity_levels import AirScale
 
-__all__ = ["STEP_MM", "LungBaseline", "PathStart", "Sections", "along_mm", "doubtful_sections", "gains", "turns_back"]
-
 Points = NDArray[np.float64]
 Values = NDArray[np.float64]
 

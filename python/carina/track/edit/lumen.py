@@ -27,8 +27,6 @@ from carina.volume.anatomical_planes import PLANES
 from carina.volume.model import Volume
 from carina.volume.point_check import check_in_volume
 
-__all__ = ["EditedLumen", "bridge_way", "by_faces", "grown_beyond", "painted_voxels", "tissue_there", "tube_round"]
-
 Voxels = NDArray[np.uint16]
 """Type of an array of voxels (n, 3), as indices i, j, k."""
 

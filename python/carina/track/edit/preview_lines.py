@@ -11,8 +11,6 @@ from carina.display import one_line
 from carina.track.edit.tree_changes import Points
 from carina.track.names.renaming import RenamedBranch
 
-__all__ = ["EditPreview", "PreviewLine"]
-
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,8 +12,6 @@ from carina._core import LumenTracker
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Volume
 
-__all__ = ["Box", "with_sections", "with_walls"]
-
 Box = tuple[NDArray[np.int64], NDArray[np.int64]]
 """First and last voxel (i, j, k) of a box."""
 

@@ -51,8 +51,6 @@ from carina.track.edit.tree_changes import CentrelinePoint, Points, TreeDraft, a
 from carina.track.paths.tracker import SNAP_MM, STEP_MM
 from carina.track.tree.airway_tree import AirwayTree, Branch
 
-__all__ = ["EditSteps"]
-
 NO_VOXELS = np.zeros((0, 3), dtype=np.uint16)
 SMOOTHING_ROUNDS = 3
 MIN_BEYOND_MM = 4.0

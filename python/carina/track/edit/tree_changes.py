@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from carina.errors import UsageError
 from carina.track.tree.airway_tree import AirwayTree, Branch
 
-__all__ = ["CentrelinePoint", "TreeDraft", "along_mm", "needed_branch", "turn_deg"]
-
 Points = NDArray[np.float64]
 
 ONE_FORK_RADII = 0.9

@@ -21,8 +21,6 @@ from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.uncertainty import Uncertainty
 from carina.volume.sparse_mask import empty_mask
 
-__all__ = ["FoldedAirways", "PackedAirways", "fold_airways"]
-
 
 class FoldedAirways:
     """Compact form of edited airways, from which they are restored bit for bit."""

@@ -15,8 +15,6 @@ from carina.volume.model import Volume
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
-__all__ = ["AirSection", "connected_to", "dilate", "disc", "follow_up"]
-
 # Half the side length in mm of the square window that is examined in each slice.
 WINDOW_MM = 45.0
 # Largest movement in mm of a section's edge per mm of height, so that air that leaves the trachea sideways or forwards

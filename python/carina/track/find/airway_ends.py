@@ -15,8 +15,6 @@ from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.uncertainty import FAINT, Uncertainty, UncertaintyKind, slice_from_feet
 from carina.volume.model import Volume
 
-__all__ = ["find_uncertain"]
-
 Points = NDArray[np.float64]
 
 # Diameter in mm below which an airway is at the limit of a CT; an airway that ends wider was lost.

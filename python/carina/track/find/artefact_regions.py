@@ -19,8 +19,6 @@ from carina.track.tree.airway_tree import AirwayTree
 from carina.track.tree.uncertainty import FAINT, slice_from_feet
 from carina.volume.model import Note, Volume
 
-__all__ = ["METAL", "STEP", "ArtefactRegions", "find_disturbed"]
-
 METAL = "track.metal"
 """Code of the permanent note on metal streaks in the lungs."""
 STEP = "track.breathing-step"

@@ -17,8 +17,6 @@ from carina.volume.digest import CanonicalAxes, canonical_axes, canonical_geomet
 from carina.volume.model import Volume
 from carina.volume.sparse_mask import empty_mask
 
-__all__ = ["CanonicalOrder"]
-
 
 @dataclass(frozen=True, slots=True)
 class CanonicalOrder:

@@ -9,8 +9,6 @@ from carina.track.find.root_checks import LUNG_HU
 from carina.track.intensity_levels import AirScale
 from carina.volume.model import Volume
 
-__all__ = ["find_steps"]
-
 Floats = NDArray[np.float64]
 
 BLOCK_MM = 2.0

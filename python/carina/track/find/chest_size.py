@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from carina.track.tree.uncertainty import THREAD_SHARE
 from carina.volume.model import Volume
 
-__all__ = ["ADULT_MM", "WIDE_PART", "longest_trachea_mm", "search_size", "thread_confidence", "usual_trachea_mm"]
-
 ADULT_MM = 16.0
 """Smallest diameter in mm of the trachea for which the lengths of the search are those of an adult."""
 WIDE_PART = 75.0

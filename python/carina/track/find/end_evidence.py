@@ -12,8 +12,6 @@ from carina.track.find.wall_profile import CrossSampler
 from carina.track.tree.airway_tree import Branch
 from carina.volume.model import Volume
 
-__all__ = ["EndEvidence", "closed_level", "find_end_evidence", "has_clips", "is_closed"]
-
 Points = NDArray[np.float64]
 Floats = NDArray[np.float64]
 

@@ -16,8 +16,6 @@ from carina.track.intensity_levels import AirScale
 from carina.track.progress import Stages
 from carina.volume.model import Volume
 
-__all__ = ["Flood", "flood"]
-
 MIN_WALL_CONTRAST_HU = 60.0
 # Volume in mm3 above which an air space that the flood enters counts as a leak; a trachea has 20 to 40 ml.
 LEAK_MM3 = 60_000.0

@@ -18,8 +18,6 @@ from carina.track.intensity_levels import AirScale
 from carina.track.progress import Stages
 from carina.volume.model import Note, Volume
 
-__all__ = ["NOTHING_BEYOND", "STOPPED", "FollowedTips", "follow_small_airways"]
-
 STOPPED = "track.search-stopped"
 """Code of the permanent note on a search that leaked out of the airways."""
 

@@ -16,15 +16,6 @@ from carina.track.intensity_levels import AirScale
 from carina.track.paths.tracker import SNAP_MM, Point, as_point, words
 from carina.volume.model import Volume
 
-__all__ = [
-    "GivenStart",
-    "air_near",
-    "is_in_trachea",
-    "nearest_in",
-    "refuse_air_outside_the_airways",
-    "refuse_open_air",
-]
-
 # Levels in HU at one of which the air of an airway must be enclosed in a slice; lung with emphysema is hardly
 # brighter.
 ENCLOSED_HU = (-800.0, -900.0, -950.0)

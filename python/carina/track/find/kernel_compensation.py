@@ -17,8 +17,6 @@ from carina.track.intensity_levels import AirScale
 from carina.track.paths.path_grid import DividedSlices
 from carina.volume.model import Volume
 
-__all__ = ["SoftenedCt", "soften", "unsoftened"]
-
 # Sigma in mm of the seam (the rim that a sharp kernel produces beside an edge) that is compensated; no seam is
 # narrower than the voxels.
 SEAM_MM = 0.7

@@ -9,8 +9,6 @@ from carina.track.find.root_checks import LUNG_HU
 from carina.track.intensity_levels import AirScale
 from carina.volume.model import Volume
 
-__all__ = ["edge_undershoot_hu", "undershoots_hu"]
-
 TISSUE_HU, EDGE_HU = -300.0, -500.0
 # Distance in mm from an edge within which the undershoot is measured.
 RIM_MM = 2.3

@@ -12,8 +12,6 @@ from carina.track.paths.live_path import sampled
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Note, Volume
 
-__all__ = ["DOUBTED", "mask_evidence", "unnamed_where_doubted", "with_mask_doubts"]
-
 DOUBTED = "track.mask-doubted"
 """Code of the permanent note on a mask that does not match its CT."""
 

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from carina.track.intensity_levels import AirScale
 from carina.volume.model import Volume
 
-__all__ = ["find_streaks"]
-
 Plane = NDArray[np.int16]
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float32]

@@ -20,8 +20,6 @@ from carina.track.tree.airway_tree import AirwayTree
 from carina.track.tree.uncertainty import Uncertainty, filled_place
 from carina.volume.model import Volume
 
-__all__ = ["find_filled"]
-
 Points = NDArray[np.float64]
 Floats = NDArray[np.float64]
 

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from carina.volume.model import Volume
 
-__all__ = ["padding_near"]
-
 REACH_MM = 30.0
 """Largest distance in mm from the trachea at which padding is searched."""
 BLOCK_KJI = (3, 5, 5)

@@ -14,8 +14,6 @@ from carina.track.find.wall_profile import CrossSampler, Plane
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.uncertainty import Uncertainty, filled_place
 
-__all__ = ["find_narrowed"]
-
 Points = NDArray[np.float64]
 Floats = NDArray[np.float64]
 

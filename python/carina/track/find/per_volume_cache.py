@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from carina.volume.model import Volume
 
-__all__ = ["PerVolumeCache"]
-
 Found = TypeVar("Found")
 
 

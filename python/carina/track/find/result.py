@@ -32,9 +32,6 @@ from carina.track.tree.uncertainty import Uncertainty
 from carina.volume.model import Note
 from carina.volume.sparse_mask import PackedMask
 
-__all__ = ["Airways"]
-
-
 TREE_EDITS = get_args(TreeEdit)
 
 

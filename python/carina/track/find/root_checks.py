@@ -11,15 +11,6 @@ from carina.track.paths.tracker import as_point, words
 from carina.track.tree.airway_tree import Branch
 from carina.volume.model import Volume
 
-__all__ = [
-    "LUNG_HU",
-    "SURE_TRACHEA_MM",
-    "UP_FIRST_MM",
-    "has_lung",
-    "refuse_a_root_below_the_carina",
-    "refuse_a_root_of_one_lung",
-]
-
 # Range of values of lung from inspiration to expiration, partly with emphysema; there must be lung on both sides of the
 # trachea's division.
 LUNG_HU = (-950.0, -600.0)

@@ -11,8 +11,6 @@ from carina.track.find.end_evidence import closed_level, is_closed
 from carina.track.find.wall_profile import CrossSampler
 from carina.track.tree.airway_tree import Branch
 
-__all__ = ["StraightEnd", "find_straight_end"]
-
 Points = NDArray[np.float64]
 
 # The stump is too short for a branch of the tree: the wide airway and the narrow one are one branch without a fork.

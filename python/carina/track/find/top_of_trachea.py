@@ -27,8 +27,6 @@ from carina.track.progress import Stages
 from carina.track.tree.airway_tree import Branch
 from carina.volume.model import Note, Volume
 
-__all__ = ["LARYNX", "TUBE", "TopOfTrachea", "notes_of", "top_of_trachea", "without_tube"]
-
 LARYNX = "track.larynx"
 TUBE = "track.tube"
 

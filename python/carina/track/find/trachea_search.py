@@ -27,8 +27,6 @@ from carina.track.paths.tracker import Point, as_point
 from carina.track.progress import Stages
 from carina.volume.model import Volume
 
-__all__ = ["NO_LUNGS", "Trachea", "found_trachea", "trachea_in", "trachea_round", "whole_trachea"]
-
 # HU levels. AirScale converts each one to the values of the volume. The search uses the first level that shows a
 # trachea: a lower one if the wall between trachea and lung is thin, a higher one if the slices blur the trachea.
 TRACHEA_AIR_HU = (-800.0, -900.0, -700.0)

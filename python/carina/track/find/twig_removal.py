@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["without_twigs"]
-
 Points = NDArray[np.float64]
 
 NEAR_TOP = 3.0

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from carina._core import find_pieces_of_air
 from carina.volume.model import Volume
 
-__all__ = ["Island", "IslandEnd", "find_islands"]
-
 Points = NDArray[np.float64]
 Ints = NDArray[np.int64]
 

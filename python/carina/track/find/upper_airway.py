@@ -13,19 +13,6 @@ from carina.track.find.chest_size import longest_trachea_mm, usual_trachea_mm
 from carina.track.intensity_levels import AirScale
 from carina.volume.model import Volume
 
-__all__ = [
-    "CORDS_ABOVE_CRICOID_MM",
-    "Cords",
-    "Tube",
-    "carina_of",
-    "find_cords",
-    "find_tube",
-    "has_larynx",
-    "join_sections",
-    "opening_in_front",
-    "root_below_cords_mm",
-]
-
 # Least height above the carina at which the vocal cords are searched, in diameters of the trachea. The cords of an
 # adult are 7 diameters above the carina, those of a newborn 8.
 MIN_DIAMETERS = 4.0

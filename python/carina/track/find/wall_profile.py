@@ -11,8 +11,6 @@ from carina._core import Enclosures
 from carina.track.intensity_levels import AirScale, air_scale
 from carina.volume.model import Volume
 
-__all__ = ["CrossSampler", "Plane"]
-
 Points = NDArray[np.float64]
 Floats = NDArray[np.float64]
 

@@ -13,16 +13,6 @@ from carina.track.intensity_levels import AirScale
 from carina.track.progress import Stages
 from carina.volume.model import Volume
 
-__all__ = [
-    "AIR_END_HU",
-    "MISSED_MM",
-    "DownToCarina",
-    "begins_below_top",
-    "down_to_the_carina",
-    "trachea_sections",
-    "with_tissue_beside",
-]
-
 AIR_END_HU = -800.0
 WALL_HU = 40.0
 # Least area in mm2 of the section of each main bronchus.

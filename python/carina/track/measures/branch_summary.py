@@ -14,15 +14,6 @@ from numpy.typing import NDArray
 from carina.display import one_line
 from carina.track.measures.diameter import branch_diameter, narrowest_diameter
 
-__all__ = [
-    "BranchSummary",
-    "ReferenceDiameter",
-    "Stenosis",
-    "diameter_by_neighbours",
-    "stenosis_of",
-    "summary_of",
-]
-
 Floats = NDArray[np.float64]
 
 HEALTHY_SHARE = 0.9

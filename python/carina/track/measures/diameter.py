@@ -15,17 +15,6 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 
-__all__ = [
-    "Diameter",
-    "Passage",
-    "branch_diameter",
-    "least_with_error",
-    "narrowest_diameter",
-    "narrowest_of_passages",
-    "passage_of",
-    "with_scatter",
-]
-
 Floats = NDArray[np.float64]
 
 DEVIATIONS_95 = 1.96

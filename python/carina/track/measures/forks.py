@@ -13,8 +13,6 @@ from carina.display import one_line
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Volume
 
-__all__ = ["ForkMeasures", "angle_deg", "directions", "find_forks", "junction_flags", "point_at", "run_mm"]
-
 Points = NDArray[np.float64]
 
 CHORD_DIAMETERS = 2.0

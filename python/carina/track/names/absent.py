@@ -21,8 +21,6 @@ from carina.track.tree.thick_slices import CalibratedShares, miss_text, shares_o
 from carina.track.tree.uncertainty import Uncertainty, slice_from_feet, slice_text
 from carina.volume.model import Volume
 
-__all__ = ["Absence", "AbsenceKind", "find_absent"]
-
 AbsenceKind = Literal["outside", "resected", "blocked", "filled", "leak", "lost", "unnamed", "fine", "nothing"]
 
 # Airways from which a lobe, or its segments, may arise, the nearest first; names of an unmirrored chest.

@@ -23,8 +23,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LOBES", "Division", "Grammar", "Segment", "grammar"]
-
 Vector = tuple[float, float, float]
 
 

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from carina.track.names.anatomy_model import DOUBLE, TRUNCATED, TRUNCATED_MORE, Grammar
 from carina.track.names.tree_shape import Bronchus, Lung
 
-__all__ = ["Reading", "Solution", "Solver"]
-
 Array = NDArray[np.float64]
 
 # Concentrations of the directions (von Mises-Fisher): 3 is a spread of about 35 degrees, as between different

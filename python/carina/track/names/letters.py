@@ -9,8 +9,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LetterRule", "letter_order"]
-
 
 class LetterRule(enum.StrEnum):
     """Rule for the order in which the subsegments of a segment get their letters."""

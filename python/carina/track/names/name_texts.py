@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 from carina.display import one_line
 
-__all__ = ["MIRRORED", "MIRRORED_CHEST", "NameWords", "bare_name", "name_words", "segment_of"]
-
 MIRRORED = "track.mirrored"
 """Code of the permanent note on a tree whose three-lobed lung is on the left."""
 MIRRORED_CHEST = "mirrored"

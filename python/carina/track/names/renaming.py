@@ -18,8 +18,6 @@ from carina.track.names.naming import SURE_ENOUGH, log_evidence_of, name_tree
 from carina.track.names.tree_fit import MISFIT
 from carina.track.tree.airway_tree import AirwayTree, Branch
 
-__all__ = ["RenamedBranch", "extends_tips_only", "name_edited_tree", "renamed_branches"]
-
 MAX_ADDED = 2
 """Largest number of new branches with which the former names are kept: a new branch, and the lower part of its parent.
 

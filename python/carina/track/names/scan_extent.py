@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from carina.track.tree.airway_tree import AirwayTree
 from carina.volume.model import Volume
 
-__all__ = ["ScanExtent"]
-
 Points = NDArray[np.float64]
 
 # Start of each bronchus relative to the carina (lateral, posterior, up), in mm: the nearest position in four patients

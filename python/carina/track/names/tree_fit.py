@@ -13,8 +13,6 @@ from carina.track.names.assignment import Solver
 from carina.track.names.tree_shape import Bronchus, Lung
 from carina.volume.model import Note
 
-__all__ = ["MISFIT", "POOR_FIT", "calibrated", "fit_of", "misfit_note"]
-
 Frame = NDArray[np.float64]
 
 MISFIT = "track.tree-unlike-human"

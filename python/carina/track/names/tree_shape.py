@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from carina.track.tree.airway_tree import AirwayTree, Branch
 
-__all__ = ["Bronchus", "Lung", "body_frame", "bronchi_of", "find_lungs"]
-
 TWIG = 1.1
 """Largest distance of a twig's tip from the parent's axis, in radii: such a tip stays in the parent's lumen."""
 STUB = 0.8

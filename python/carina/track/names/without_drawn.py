@@ -8,8 +8,6 @@ import numpy as np
 
 from carina.track.tree.airway_tree import AirwayTree, Branch
 
-__all__ = ["carried_names", "seen_part"]
-
 
 def seen_part(tree: AirwayTree) -> tuple[AirwayTree, dict[int, int]]:
     """Return the tree without its ``manual`` branches and everything below them, and a map of branch IDs.

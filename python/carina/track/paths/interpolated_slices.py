@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["with_divided_slices"]
-
 POLE = np.sqrt(3.0) - 2.0
 """Pole of the filter that converts values to the coefficients of a cubic B-spline."""
 NUM_TERMS = 24

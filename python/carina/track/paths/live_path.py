@@ -13,8 +13,6 @@ from carina.display import one_line
 from carina.track.intensity_levels import AirScale
 from carina.volume.model import Volume
 
-__all__ = ["LivePath", "find_live_path", "noise_hu", "sampled", "wall_scores"]
-
 # Number of rays round a point of the path, and largest number of points that are judged.
 NUM_RAYS = 8
 MAX_POINTS = 48
@@ -42,14 +40,31 @@ class LumenPaths(Protocol):
     """Interface of a tracker that live paths need (:class:`carina.track.PathTracker`)."""
 
     @property
-    def core(self) -> LumenTracker: ...
+    def core(self) -> LumenTracker:
+        """Compiled tracker."""
+        ...
+
     @property
-    def air_scale(self) -> AirScale: ...
+    def air_scale(self) -> AirScale:
+        """Values of air and soft tissue in the numbers of the volume."""
+        ...
+
     @property
-    def noise_hu(self) -> float: ...
-    def snap(self, point: Point, *, snap_mm: float) -> tuple[int, float]: ...
-    def middle_to(self, node: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
-    def new_share(self, node: int) -> tuple[float, int | None]: ...
+    def noise_hu(self) -> float:
+        """Standard deviation of the values deep inside the first airway, HU."""
+        ...
+
+    def snap(self, point: Point, *, snap_mm: float) -> tuple[int, float]:
+        """Return the lumen voxel (as a node) nearest to a point, and the distance in mm."""
+        ...
+
+    def middle_to(self, node: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return smooth (n, 3) points of the path to a node (LPS, mm), and their (n,) distances to the wall in mm."""
+        ...
+
+    def new_share(self, node: int) -> tuple[float, int | None]:
+        """Return the share of the path to a node that is outside the tree, and the branch where this part starts."""
+        ...
 
 
 @one_line

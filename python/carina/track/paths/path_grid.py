@@ -15,8 +15,6 @@ from carina.track.tree.airway_tree import Branch
 from carina.volume.model import Volume
 from carina.volume.sparse_mask import empty_mask
 
-__all__ = ["MAX_PARTS", "DividedSlices", "PathGrid"]
-
 PART_MM = 1.0
 """Thickness in mm of the parts into which slices are divided; a slice up to a quarter thicker is not divided."""
 THICK = 1.5

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from carina._core import LumenTracker, reroot_lumen
 from carina.volume.model import Volume
 
-__all__ = ["CoreRecipe", "Levels", "edited_core", "found_core"]
-
 Levels = tuple[float, float, float] | None
 """Type of the wall levels of a lumen, as in :attr:`carina.track.Airways.wall_levels`."""
 

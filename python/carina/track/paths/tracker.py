@@ -24,8 +24,6 @@ from carina.volume.model import Volume
 from carina.volume.point_check import check_in_volume
 from carina.volume.sparse_mask import PackedMask
 
-__all__ = ["PathTracker", "TrackedPath"]
-
 SNAP_MM = 5.0
 STEP_MM = 1.0
 

@@ -18,8 +18,6 @@ from carina.track.progress import Cancel
 from carina.volume.model import Volume
 from carina.volume.point_check import check_in_volume
 
-__all__ = ["FieldPath", "FieldPaths", "aimed_path"]
-
 Box = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
 CALCULATING = "calculating the paths"
 

@@ -16,8 +16,6 @@ from carina.track.intensity_levels import air_scale
 from carina.track.progress import Cancel
 from carina.volume.model import Volume
 
-__all__ = ["Mesh", "lumen_mask", "lumen_mesh", "mask_mesh"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:

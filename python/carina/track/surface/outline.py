@@ -11,8 +11,6 @@ from carina import _core
 from carina.track.find.result import Airways
 from carina.volume.model import Volume
 
-__all__ = ["LumenOutline", "MaskOutline"]
-
 
 class LumenOutline:
     """Outline of one lumen in arbitrary planes; docs/decisions/0111 defines the position of its lines.

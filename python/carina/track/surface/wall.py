@@ -11,8 +11,6 @@ from carina.track.progress import Cancel
 from carina.track.surface.mesh import lumen_mesh
 from carina.volume.model import Volume
 
-__all__ = ["wall_field"]
-
 
 @shows_progress
 @check_arguments(

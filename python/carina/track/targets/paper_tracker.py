@@ -22,17 +22,6 @@ from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Note, Volume
 from carina.volume.point_check import check_in_volume
 
-__all__ = [
-    "COSTS",
-    "GRAPHS",
-    "NO_LUMEN",
-    "along_branches",
-    "check_choice",
-    "outside_mm",
-    "search_box",
-    "track_on_graph",
-]
-
 COSTS = ("lumen", "paper", "walls")
 GRAPHS = ("voxel", "isoregion")
 

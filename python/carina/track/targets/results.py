@@ -13,8 +13,6 @@ from carina.track.find.result import Airways
 from carina.track.paths.tracker import TrackedPath
 from carina.track.tree.airway_tree import AirwayTree
 
-__all__ = ["GraphSearch", "TargetResult", "TargetSearch", "TrackResult"]
-
 Points = NDArray[np.float64]
 
 

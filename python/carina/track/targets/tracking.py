@@ -22,8 +22,6 @@ from carina.track.targets.results import TargetResult, TrackResult
 from carina.volume.model import Volume
 from carina.volume.point_check import check_in_volume
 
-__all__ = ["track_paths"]
-
 
 def _check_root(where: str, name: str, value: object) -> None:
     """Raise an error unless a root is "auto" or a point."""

@@ -33,8 +33,6 @@ from carina.display.tables import Columns, Tabular, columns_of
 from carina.errors import TrackingError, UsageError
 from carina.volume.model import Note
 
-__all__ = ["AirwayTree", "Branch", "Route", "TreeRow"]
-
 FORMAT = "carina-tree"
 VERSION = 1
 KINDS = ("tracked", "bridge", "manual")

@@ -10,15 +10,6 @@ import numpy as np
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Note
 
-__all__ = [
-    "CALIBRATED_MM",
-    "UNCALIBRATED_SIZE",
-    "confidence_limit",
-    "limit_at",
-    "with_limited_confidence",
-    "with_size_note",
-]
-
 UNCALIBRATED_SIZE = "track.size-not-calibrated"
 """Code of the permanent note on a tree whose trachea is outside the calibrated range."""
 CALIBRATED_MM = (12.0, 27.0)

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.value import FrozenValue
 
-__all__ = ["DrawnPart", "drawn_part", "drawn_tree", "kind_words"]
-
 SHOWN_MM = 0.05
 """Length in mm below which a drawn or bridged length is a rounding error."""
 

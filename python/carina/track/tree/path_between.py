@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from carina.track.tree.airway_tree import AirwayTree, Branch
 
-__all__ = ["way_between"]
-
 Points = NDArray[np.float64]
 
 

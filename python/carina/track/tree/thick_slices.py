@@ -14,17 +14,6 @@ from carina.display import one_line
 from carina.track.tree.airway_tree import AirwayTree
 from carina.volume.model import Note, Volume
 
-__all__ = [
-    "THICK_SLICES",
-    "CalibratedShares",
-    "CalibreShare",
-    "calibrated_shares",
-    "effective_mm",
-    "miss_text",
-    "shares_of",
-    "with_slice_note",
-]
-
 THICK_SLICES = "track.thick-slices"
 """Code of the permanent note on a search in slices that hide airways visible in thin slices."""
 

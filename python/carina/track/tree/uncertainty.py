@@ -14,18 +14,6 @@ from carina.commands.fields import AirwayPlace, Count, Part, PointLps
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Volume
 
-__all__ = [
-    "FAINT",
-    "THREAD_SHARE",
-    "Uncertainty",
-    "UncertaintyKind",
-    "filled_place",
-    "slice_from_feet",
-    "slice_text",
-    "with_confidence",
-    "without_unproven_blocks",
-]
-
 UncertaintyKind = Literal["lost", "blocked", "stump", "filled", "leak", "volume", "faint", "fine"]
 Points = NDArray[np.float64]
 
