@@ -124,7 +124,7 @@ def test_video_rendered_on_three_machines_one_of_which_dies_equals_that_of_one_m
 def test_interrupted_video_resumes_after_its_last_stored_frame(film, tmp_path, whole, machines, monkeypatch):
     folder, output = tmp_path / "kept", tmp_path / "v.mp4"
     arguments = [output, *HOW, "--keep", folder]
-    keep = StoredFrames.keep
+    keep = StoredFrames.store_frame
     made = []
 
     def stopped(self, number, picture):
@@ -133,7 +133,7 @@ def test_interrupted_video_resumes_after_its_last_stored_frame(film, tmp_path, w
         made.append(number)
         keep(self, number, picture)
 
-    monkeypatch.setattr(StoredFrames, "keep", stopped)
+    monkeypatch.setattr(StoredFrames, "store_frame", stopped)
     assert film(*arguments, "--cluster", "10.0.0.5").code == 130
     assert not output.exists() and made == [0, 1, 2, 3, 4]
 
@@ -141,7 +141,7 @@ def test_interrupted_video_resumes_after_its_last_stored_frame(film, tmp_path, w
         made.append(number)
         keep(self, number, picture)
 
-    monkeypatch.setattr(StoredFrames, "keep", noted)
+    monkeypatch.setattr(StoredFrames, "store_frame", noted)
     # The pictures are equal with and without the cluster.
     ended = film(*arguments)
     assert ended.code == 0, ended.err

@@ -91,7 +91,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
         raise WorkBeganError("the work began")
 
     for name in ("airways", "plan", "track", "render", "isoregion", "fly"):
-        monkeypatch.setattr(f"carina.cli.{name}.opened", begin)
+        monkeypatch.setattr(f"carina.cli.{name}.open_input", begin)
     monkeypatch.setattr("carina.cli.info.inspect_path", begin)
     monkeypatch.setattr("carina.server.serve", begin)
     monkeypatch.setattr("carina._core.generate_chest", begin)

@@ -372,7 +372,7 @@ def test_cache_record_of_another_carina_version_is_replaced_and_its_voxels_are_r
     digest = open_and_cache(volume_cache, path)
     (voxels,) = files(folder, SUFFIX)
     before = voxels.stat().st_ino
-    monkeypatch.setattr(cache, "_made_by", lambda: "a newer one")
+    monkeypatch.setattr(cache, "_reader_digest", lambda: "a newer one")
     assert volume_cache.find(path) is None
     assert volume_cache.find_digest(digest) is None
     open_and_cache(volume_cache, path)
@@ -382,8 +382,8 @@ def test_cache_record_of_another_carina_version_is_replaced_and_its_voxels_are_r
 
 
 def test_fingerprint_of_the_import_code_is_equal_at_each_computation():
-    assert cache._made_by() == cache._made_by()
-    assert len(cache._made_by()) == 32
+    assert cache._reader_digest() == cache._reader_digest()
+    assert len(cache._reader_digest()) == 32
 
 
 def test_least_recently_used_ct_is_removed_when_the_cache_is_full(folder, clock, tmp_path):

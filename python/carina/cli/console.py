@@ -36,7 +36,7 @@ def print_result(*lines: object, flush: bool = False) -> None:
 def print_usage_error(error: Any) -> None:
     """Print an error of the argument parser with its usage line on stderr, without control characters of file names."""
     text = io.StringIO()
-    error.print_result(file=text)
+    error.show(file=text)
     for line in shortened_words(text.getvalue().rstrip()).splitlines():
         print_note(line)
 

@@ -172,14 +172,20 @@ def measure_movement(
 
     Examples
     --------
+    The second CT of this example is stretched by 6 % along the body, like a deeper breath.
+
+    >>> import dataclasses
     >>> import carina
-    >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
-    >>> found = carina.find_airways(made.volume)
+    >>> options = {"seed": 4, "spacing_mm": 1.2, "generations": 5, "nodule": True}
+    >>> made = carina.generate_phantom(**options)
+    >>> second = carina.generate_phantom(**options, noise_hu=10).volume
+    >>> matrix = second.lps_from_ijk.copy()
+    >>> matrix[:, 2] *= 1.06
+    >>> second = dataclasses.replace(second, lps_from_ijk=matrix)
+    >>> airways, airways_of_second = carina.find_airways(made.volume), carina.find_airways(second)
     >>> place = made.truth["nodule"]["centre_lps"]
-    >>> carina.plan.measure_movement(made.volume, found, place, made.volume, found)
-    Traceback (most recent call last):
-        ...
-    carina.errors.NoResultError: the second CT is the CT of this plan, in which nothing has moved...
+    >>> print(carina.plan.measure_movement(made.volume, airways, place, second, airways_of_second).movement.words)
+    Movement of the target measured from the second CT: less than 1 mm, ± 1 mm relative to the main carina
     """
     on_progress = progress_function(progress)
 
