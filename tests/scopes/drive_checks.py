@@ -96,8 +96,8 @@ class Findings:
     def check(self) -> None:
         """Assert the limits of `docs/decisions/0125`, and that the drives led along walls."""
         print(self.summary())
-        assert self.tip.mm <= 0.1, self.tip.summary
-        assert self.shaft.mm <= 0.5, self.shaft.summary
+        assert self.tip.mm <= 0.1, self.tip.description
+        assert self.shaft.mm <= 0.5, self.shaft.description
         # These assertions show that the scopes moved, came near the walls and pressed against them.
         assert self.tip.mm > -1.0
         assert self.num_touched > 0.5 * self.num_drives
@@ -109,7 +109,7 @@ class Findings:
         return "\n".join(
             [
                 f"{self.num_drives} drives, {self.num_looked_at} states looked at, {self.num_touched} drives touched",
-                f"deepest: tip {self.tip.summary}; shaft {self.shaft.summary}",
+                f"deepest: tip {self.tip.description}; shaft {self.shaft.description}",
                 f"median travel {np.median(self.travels_mm):.0f} mm, limits {dict(self.limits)}",
             ]
         )

@@ -29,7 +29,7 @@ from carina.server.files.uploads import Limits, Uploads
 from carina.server.network.access_checks import Gate
 from carina.server.wire import messages as wire
 from carina.session import ErrorEvent, EvidenceMissing, Session, case_files
-from carina.session.attach.client import error_of
+from carina.session.attach.client import error_from_problem
 from carina.session.store.attach_endpoint import ENDPOINT_FILE, AttachEndpoint, read_endpoint, write_endpoint
 from carina.session.store.registry import CaseRecords
 from carina.volume import write_grid
@@ -453,9 +453,9 @@ def test_error_sent_over_the_wire_is_restored_with_class_code_and_data():
         DiskError("three", code="disk.full"),
         NoEvidenceError("four", doubtful_mm=3.0, way_lps=way, doubtful=np.array([True])),
     )
-    again = [error_of(problem_message(error)) for error in errors]
+    again = [error_from_problem(problem_message(error)) for error in errors]
     assert [type(one) for one in again] == [UsageError, carina.VolumeImportError, DiskError, NoEvidenceError]
     assert [(str(one), one.code) for one in again] == [(str(one), one.code) for one in errors]
     assert np.array_equal(again[-1].way_lps, way)
     assert again[-1].doubtful.tolist() == [True]
-    assert type(error_of(wire.Problem("NoSuchError", "x", "five"))) is CarinaError
+    assert type(error_from_problem(wire.Problem("NoSuchError", "x", "five"))) is CarinaError

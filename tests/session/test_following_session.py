@@ -28,11 +28,11 @@ def pair(tmp_path):
     case_id, _ = owner.cases.open_case
     volume = owner.snapshot().case.volume
     follower = CaseFollower(records.path_of(records.find(case_id)), volume)
-    do_and_wait(other, c.OpenVolume(volume, follower.newest(), follows=True))
+    do_and_wait(other, c.OpenVolume(volume, follower.latest_moment(), follows=True))
 
     def follow():
         do_and_wait(owner, c.KeepNow())
-        do_and_wait(other, c.FollowMoment(follower.newest()))
+        do_and_wait(other, c.FollowMoment(follower.latest_moment()))
 
     yield owner, other, follow, case_id
     owner.close()

@@ -689,16 +689,16 @@ def test_job_that_starts_another_job_while_carina_closes_ends_without_an_error()
 def test_jobs_that_wait_for_a_thread_end_when_carina_closes():
     """Check that a thread that waits for a job, such as that of a joined program, does not keep the process alive."""
     session = Session(SmallRenderer, parts=small_parts())
-    jobs, errand = session.jobs, JobGroup()
+    jobs, job_group = session.jobs, JobGroup()
 
     def work(job):
         job._cancelled.wait(60.0)
         job.check()
 
-    with errand.active_case():
+    with job_group.doing():
         for number in range(12):
             jobs.start(f"job {number}", "a long job", work)
-    waiter = threading.Thread(target=errand.wait, daemon=True)
+    waiter = threading.Thread(target=job_group.wait, daemon=True)
     waiter.start()
     session.close()
     assert jobs.running == ()

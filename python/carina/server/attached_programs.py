@@ -59,34 +59,34 @@ class JoinedProgram:
         self._session = session
         self._case_number = case_number
         self._window = window
-        self._errand = JobGroup(case_number)
+        self._job_group = JobGroup(case_number)
 
     def execute(self, message: Command | wire.Settle) -> wire.Settled | None:
         """Execute a command and return None, or wait for the jobs of the earlier commands and return their result."""
         if isinstance(message, wire.Settle):
             return self._wait_for_jobs(message)
-        with self._errand.doing():
+        with self._job_group.doing():
             try:
                 self._session.do(message, window=self._window)
             except CarinaError as error:
-                self._errand.failed(error)
+                self._job_group.failed(error)
             except OSError as error:
-                self._errand.failed(
+                self._job_group.failed(
                     disk_trouble(error, "the command failed", None)
                     if is_disk_trouble(error)
                     else _internal_error(error)
                 )
             except Exception as error:
-                self._errand.failed(_internal_error(error))
+                self._job_group.failed(_internal_error(error))
         return None
 
     def _wait_for_jobs(self, message: wire.Settle) -> wire.Settled:
-        errand, self._errand = self._errand, JobGroup(self._case_number)
-        problems = list(errand.wait())
+        job_group, self._job_group = self._job_group, JobGroup(self._case_number)
+        problems = list(job_group.wait())
         if message.all_jobs:
             self._session.jobs.wait_idle(None)
         unsaved: str | None = None
-        with self._errand.doing():
+        with self._job_group.doing():
             try:
                 self._session.do(KeepNow())
             except CarinaError as error:

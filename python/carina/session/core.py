@@ -215,10 +215,10 @@ class SessionCore:
         UsageError
             If no case is open, or the current job group belongs to another case.
         """
-        case, errand = self.case, current_group()
+        case, job_group = self.case, current_group()
         if case is None:
             raise UsageError("no case is open", code="session.no-case")
-        if errand is not None and errand.case_number not in {None, case.number}:
+        if job_group is not None and job_group.case_number not in {None, case.number}:
             raise UsageError("this case is no longer open here", code="case.closed")
         return case
 

@@ -116,9 +116,9 @@ def do_and_wait(session: Session, command: Command) -> None:
     CarinaError
         The error of the command, or of the first of its jobs that failed.
     """
-    errand = JobGroup()
-    with errand.doing():
+    job_group = JobGroup()
+    with job_group.doing():
         session.do(command)
     session.jobs.wait_idle(None)
-    for error in errand.wait():
+    for error in job_group.wait():
         raise error

@@ -230,15 +230,15 @@ class JobRunner:
             self._jobs[job.job_id] = job
         # The job inherits the context of the caller, such as the current command.
         context = contextvars.copy_context()
-        errand = current_group()
-        if errand is not None:
-            errand.job_began()
+        job_group = current_group()
+        if job_group is not None:
+            job_group.job_began()
         try:
             self._submit(lambda: context.run(self._run, job, work))
         except RuntimeError:
             # The worker threads have ended since the check of _closed.
-            if errand is not None:
-                errand.job_ended(None)
+            if job_group is not None:
+                job_group.job_ended(None)
             if not self._closed:
                 raise
             with self._idle:
@@ -301,10 +301,10 @@ class JobRunner:
             # BaseException, because a panic of the compiled module is no Exception; every job must report its end.
             outcome, error = "failed", _fault_error(job.title, exc)
         return_freed_memory()
-        errand = current_group()
-        if errand is not None:
+        job_group = current_group()
+        if job_group is not None:
             # The result is stored before the runner becomes idle, so that a thread that waits for idle finds it.
-            errand.job_ended(error)
+            job_group.job_ended(error)
         with self._idle:
             self._jobs.pop(job.job_id, None)
             self._idle.notify_all()

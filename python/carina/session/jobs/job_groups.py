@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from carina.errors import CarinaError
 
 # Jobs inherit this context, so jobs that a job starts belong to the same group.
-_current: contextvars.ContextVar[JobGroup | None] = contextvars.ContextVar("errand", default=None)
+_current: contextvars.ContextVar[JobGroup | None] = contextvars.ContextVar("job_group", default=None)
 
 
 class JobGroup:
