@@ -509,7 +509,7 @@ TestEditSequences.settings = settings(max_examples=80, stateful_step_count=8, de
 @pytest.mark.soak
 def test_airways_after_ten_thousand_random_edit_sequences_equal_trees_built_from_scratch(monkeypatch):
     # Naming depends on the tree alone and would take half of the time.
-    monkeypatch.setattr("carina.track.edit.edits.named_anew", lambda tree: tree)
+    monkeypatch.setattr("carina.track.edit.edits.name_edited_tree", lambda _before, tree: tree)
     for seed in range(10_000):
         editing = run_sequence(seed)
         editing.check(editing.airways)
