@@ -50,7 +50,7 @@ def test_computation_of_vessel_and_lobe_layers_is_stopped_and_repeated_and_layer
     workstation.wait_ready()
     page = workstation.page
     mark_the_nodule(workstation)
-    plain = workstation.overlay("coronal")
+    plain, plain_tree = workstation.overlay("coronal"), workstation.overlay("tree")
     ask = page.get_by_test_id("map-lungs")
 
     ask.click()
@@ -79,8 +79,9 @@ def test_computation_of_vessel_and_lobe_layers_is_stopped_and_repeated_and_layer
     assert [row.get_attribute("data-testid") for row in rows.all()] == [f"layer-{layer}" for layer in LAYERS]
     assert page.get_by_test_id("parts-lobes").locator("li").all_inner_texts() == ["RUL", "RML", "RLL", "LUL", "LLL"]
     assert "Dashed: less sure" in page.get_by_test_id("lungs-limit").inner_text()
-    # The same vessels are drawn as lines in the view of the tree.
+    # The same vessels are drawn as lines in the view of the tree, after the message with the layers.
     assert len(workstation.state("lungs.vessels")) > 20
+    workstation.wait_for("(plain) => document.querySelector('[data-overlay=tree]').toDataURL() !== plain", plain_tree)
     bushy = workstation.overlay("tree")
     page.get_by_test_id("show-vessels").click()
     workstation.wait_for("(bushy) => document.querySelector('[data-overlay=tree]').toDataURL() !== bushy", bushy)
