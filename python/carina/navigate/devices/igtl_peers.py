@@ -102,7 +102,7 @@ class IgtlClient(Source):
         at_s = pose.time_s if pose.time_s > 0.0 else self._clock()
         self._publish_sample(device, PoseSample(at_s, pose.position_mm, pose.orientation_wxyz))
 
-    def _wake_reader(self) -> None:
+    def _wake_connection(self) -> None:
         loop, task = self._loop, self._task
         if loop is not None and task is not None and not loop.is_closed():
             with contextlib.suppress(RuntimeError):
