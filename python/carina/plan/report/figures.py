@@ -94,7 +94,7 @@ def needle_bar(leg: LastLeg, tool: Tool, *, width: float = 520.0) -> Drawing:
     """
     total = max(leg.crossed[-1].end_mm, tool.reach_mm) if leg.crossed else tool.reach_mm
     scale = (width - 20.0) / total
-    rows = _label_rows(leg.crossed, scale)
+    rows = _label_rows(leg.crossed, scale, width)
     top = 14.0 * (max(rows, default=0) + 1) + 6.0
     bar, left = 22.0, 10.0
     shapes: list[Shape] = []
@@ -134,14 +134,14 @@ def _bar_words(one: CrossedTissue) -> str:
     return f"{one.tissue} {one.length_mm:.1f}"
 
 
-def _label_rows(crossed: Sequence[CrossedTissue], scale: float) -> list[int]:
+def _label_rows(crossed: Sequence[CrossedTissue], scale: float, width: float) -> list[int]:
     """Return for each label of a needle bar the row above the bar, so that labels do not overlap."""
     ends: list[float] = []
     rows = []
     for one in crossed:
         half = 0.5 * text_width(_bar_words(one), 8.5)
         middle = 10.0 + (one.start_mm + 0.5 * one.length_mm) * scale
-        start = max(middle - half, 10.0)
+        start = min(max(middle - half, 10.0), width - 2.0 * half)
         row = next((n for n, end in enumerate(ends) if end + 5.0 <= start), len(ends))
         if row == len(ends):
             ends.append(0.0)
