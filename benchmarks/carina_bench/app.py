@@ -29,7 +29,7 @@ BenchCases = Annotated[
 ]
 BenchOnly = Annotated[list[str] | None, typer.Option("--only", help="Only this section; may be given several times.")]
 BenchQuick = Annotated[bool, typer.Option("--quick", help="A minute or two: small cases, fewer poses and repeats.")]
-BenchRepeats = Annotated[int | None, typer.Option("--repeats", help="Rounds; 7 unless told.", min=1, max=1000)]
+BenchRepeats = Annotated[int | None, typer.Option("--repeats", help="Rounds (default: 7).", min=1, max=1000)]
 
 
 def _bench(

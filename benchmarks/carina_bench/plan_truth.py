@@ -12,7 +12,7 @@ nodule's true centre at no more than 100 degrees from the airway, meets the nodu
 The first route *arrives* if in the truth the scope fits along the whole path to its parking point, and the needle,
 aimed as planned, meets the true nodule within its reach. All of the found path must lie in true lumen (within half a
 voxel): along the true branches that lead to its end, or with the scope's width of true lumen around it (overlapping
-branches are one lumen). No part of it may be a branch that was drawn by hand. A route is *told reachable* if its
+branches are one lumen). No part of it may be a branch that was drawn by hand. A route is *stated as reachable* if its
 outlook states that the scope reaches the target.
 
 These rules ignore whether the scope can point there. Therefore each row also has ``points``: whether a drive of the
@@ -327,7 +327,7 @@ def judged(case: PlanCase, say: Say, *, with_holds: bool = False, with_laid: boo
             row["cpu_seconds"] = round(time.process_time() - cpu, 2)
             row["doubts"] = [doubt.code for doubt in plan.doubts]
         except CarinaError as error:
-            row |= {"reachable": is_reachable(case.truth, target, scope, 15.0), "told": "refused", "arrives": False}
+            row |= {"reachable": is_reachable(case.truth, target, scope, 15.0), "outlook": "refused", "arrives": False}
             row["why"] = str(error)[:100]
             if with_holds:
                 row["could"] = find_hold(case.truth, target, scope, 15.0) is not None
@@ -345,10 +345,10 @@ def judged(case: PlanCase, say: Say, *, with_holds: bool = False, with_laid: boo
             row["could"] = find_hold(case.truth, target, scope, reach_mm) is not None
             if with_laid:
                 row["laid"] = held(case, target, scope, reach_mm, wall)
-            if row["told"] == "reaches":
+            if row["outlook"] == "reaches":
                 row["accepted"] = accepted(case, target, plan)
             say(json.dumps(row))
-        elif (row["reachable"] and not flight.arrives) or (row["told"] == "reaches" and not flight.arrives):
+        elif (row["reachable"] and not flight.arrives) or (row["outlook"] == "reaches" and not flight.arrives):
             say(json.dumps(row))
         yield row
 
@@ -388,7 +388,7 @@ def kept_rows(
 
 
 def _is_searched(rows: Sequence[Row], with_holds: bool, with_laid: bool) -> bool:
-    planned = [row for row in rows if row["told"] != "refused"]
+    planned = [row for row in rows if row["outlook"] != "refused"]
     return all(
         not wanted or all(name in row for row in planned)
         for name, wanted in (("could", with_holds), ("laid", with_laid))
@@ -397,10 +397,10 @@ def _is_searched(rows: Sequence[Row], with_holds: bool, with_laid: bool) -> bool
 
 def _told(plan: Plan) -> Row:
     if not plan.routes:
-        return {"told": "no route"}
+        return {"outlook": "no route"}
     first = plan.routes[0]
     return {
-        "told": first.outlook,
+        "outlook": first.outlook,
         "branch": first.branch_name,
         "score": round(first.score, 3),
         "narrowest_mm": round(first.narrowest_mm, 2),
@@ -412,9 +412,9 @@ def _told(plan: Plan) -> Row:
 def summary(rows: Sequence[Row], what: str) -> list[Row]:
     """Return the summary rows over the rows of all targets; ``what`` names the cases."""
     reachable = [row for row in rows if row["reachable"]]
-    told = [row for row in rows if row["told"] == "reaches"]
-    wrong = [row for row in told if not row["arrives"]]
-    silent = [row for row in reachable if not row["arrives"] and row["told"] == "reaches"]
+    reaching = [row for row in rows if row["outlook"] == "reaches"]
+    wrong = [row for row in reaching if not row["arrives"]]
+    silent = [row for row in reachable if not row["arrives"] and row["outlook"] == "reaches"]
     return [
         {
             "what": "reachable targets whose first route arrives in the truth",
@@ -424,10 +424,10 @@ def summary(rows: Sequence[Row], what: str) -> list[Row]:
             "better": "higher",
         },
         {
-            "what": "targets told reachable by a first route that does not arrive",
-            "case": f"{what}, {len(told)} told reachable",
+            "what": "targets stated as reachable by a first route that does not arrive",
+            "case": f"{what}, {len(reaching)} stated as reachable",
             "figure": len(wrong) / max(len(rows), 1),
-            "of_told": len(wrong) / max(len(told), 1),
+            "of_stated": len(wrong) / max(len(reaching), 1),
             "of_reachable": len(silent),
             "limit": MAX_WRONG,
             "better": "lower",
@@ -438,9 +438,9 @@ def summary(rows: Sequence[Row], what: str) -> list[Row]:
 
 def _pointing(rows: Sequence[Row], what: str) -> list[Row]:
     """Return the summary rows about the drives' pointing; without stated routes or holds, their figures are None."""
-    told = [row for row in rows if row["told"] == "reaches"]
-    right = [row for row in told if row["arrives"] and row.get("points", False) and row.get("accepted", True)]
-    is_searched = any("could" in row for row in told)
+    reaching = [row for row in rows if row["outlook"] == "reaches"]
+    right = [row for row in reaching if row["arrives"] and row.get("points", False) and row.get("accepted", True)]
+    is_searched = any("could" in row for row in reaching)
 
     def row(text: str, of: str, part: int, whole: int, limit: float, better: str) -> Row:
         figure = part / whole if whole else None
@@ -453,18 +453,27 @@ def _pointing(rows: Sequence[Row], what: str) -> list[Row]:
         }
 
     checks = "arrive, point and are accepted" if is_searched else "arrive and point"
-    found = [row(f"first routes told reachable that {checks}", "told", len(right), len(told), MIN_POINTS, "higher")]
+    found = [
+        row(
+            f"first routes stated as reachable that {checks}",
+            "outlook",
+            len(right),
+            len(reaching),
+            MIN_POINTS,
+            "higher",
+        )
+    ]
     for name, words in (("could", "geometric"), ("laid", "elastic")):
         searched = [one for one in rows if name in one]
         # A drive in the true wall that hits shows that the target can be hit, although a search has missed the hold.
         hit = [one for one in searched if one[name] or one.get("points", False)]
         missed = [one for one in searched if not (one[name] or one.get("points", False))]
-        got = sum(one["told"] == "reaches" and one.get("points", False) for one in hit)
-        wrong = sum(one["told"] == "reaches" for one in missed)
+        got = sum(one["outlook"] == "reaches" and one.get("points", False) for one in hit)
+        wrong = sum(one["outlook"] == "reaches" for one in missed)
         found += [
             row(f"targets that a {words} hold hits with such a route", "hit", got, len(hit), MIN_POINTS, "higher"),
             row(
-                f"targets that no {words} hold hits told reachable",
+                f"targets that no {words} hold hits stated as reachable",
                 "not hit",
                 wrong,
                 len(missed),
@@ -506,7 +515,7 @@ def run(
     rows = []
     for what, part in (("painted", painted), ("phantoms", phantoms), ("all", [*painted, *phantoms])):
         if part:
-            say(f"{what}: told {dict(Counter(row['told'] for row in part))}")
+            say(f"{what}: outlook {dict(Counter(row['outlook'] for row in part))}")
             rows += summary(part, what)
     return rows
 
@@ -534,7 +543,7 @@ def main() -> None:
         nodules=options.nodules,
     ):
         figure = "none" if row["figure"] is None else f"{row['figure']:.4f}"
-        print(f"{row['what']} ({row['case']}): {figure}, limit {row['limit']:g}", row.get("of_told", ""))
+        print(f"{row['what']} ({row['case']}): {figure}, limit {row['limit']:g}", row.get("of_stated", ""))
 
 
 if __name__ == "__main__":

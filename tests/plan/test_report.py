@@ -267,9 +267,9 @@ def test_tip_before_the_carina_has_no_negative_distances() -> None:
 
 
 def test_plan_without_a_route_names_neither_route_nor_leg_in_its_legends() -> None:
-    told = sheet()
-    none = dataclasses.replace(told, route_number=None, plan=dataclasses.replace(told.plan, routes=(), why="none"))
-    for one, is_named in ((told, True), (none, False)):
+    report = sheet()
+    none = dataclasses.replace(report, route_number=None, plan=dataclasses.replace(report.plan, routes=(), why="none"))
+    for one, is_named in ((report, True), (none, False)):
         parts = [part for part in sections(one) if part.name in {"target", "airways"}]
         text = " ".join(words for part in parts for block in part.blocks for words in words_of(block))
         assert ("last leg" in text) is is_named
@@ -277,12 +277,14 @@ def test_plan_without_a_route_names_neither_route_nor_leg_in_its_legends() -> No
 
 
 def test_crossed_vessel_is_stated_as_such_and_not_as_a_distance_of_zero() -> None:
-    told = sheet()
-    route = told.route
+    report = sheet()
+    route = report.route
     near = (NearVessel(4.0, 0.0, route.leg.tip_lps),)
     leg = dataclasses.replace(route.leg, vessel_mm=0.0, vessels=near)
     crossing = dataclasses.replace(route, leg=leg)
-    changed = dataclasses.replace(told, plan=dataclasses.replace(told.plan, routes=(crossing, *told.plan.routes[1:])))
+    changed = dataclasses.replace(
+        report, plan=dataclasses.replace(report.plan, routes=(crossing, *report.plan.routes[1:]))
+    )
     text = " ".join(words for part in sections(changed) for block in part.blocks for words in words_of(block))
     assert "0.0 mm from the needle" not in text and "nearest vessel 0.0" not in text
     for words in ("crosses a vessel", "crossed at 4 mm from the tip", "on the needle's line"):

@@ -184,10 +184,10 @@ def test_clock_face_shows_the_opening_at_its_hour() -> None:
 
 @pytest.mark.parametrize("hour", [2.0, 9.0])
 def test_names_beside_the_diagram_stay_on_the_page(hour) -> None:
-    told = sheet()
-    turn = dataclasses.replace(told.forks[0].turn, clock_head=hour, straight_ahead=False, hour_doubt=None)
-    fork = dataclasses.replace(told.forks[0], turn=turn, others=("Upper division", "Right basal trunk"))
-    (drawing,) = tracing_drawings(dataclasses.replace(told, forks=(fork,) * 4))
+    report = sheet()
+    turn = dataclasses.replace(report.forks[0].turn, clock_head=hour, straight_ahead=False, hour_doubt=None)
+    fork = dataclasses.replace(report.forks[0], turn=turn, others=("Upper division", "Right basal trunk"))
+    (drawing,) = tracing_drawings(dataclasses.replace(report, forks=(fork,) * 4))
     labels = [s for s in drawing.shapes if isinstance(s, Label)]
     assert sum(one.text.startswith(("Upper", "Right b")) for one in labels) >= 8
     for one in labels:
@@ -197,10 +197,12 @@ def test_names_beside_the_diagram_stay_on_the_page(hour) -> None:
 
 
 def test_drawn_branch_that_extends_a_tip_is_red_in_the_row_of_the_tip() -> None:
-    told = sheet()
+    report = sheet()
     doubt = "branch 145 was drawn by hand"
-    route = dataclasses.replace(told.route, doubts=(doubt,))
-    changed = dataclasses.replace(told, plan=dataclasses.replace(told.plan, routes=(route, *told.plan.routes[1:])))
+    route = dataclasses.replace(report.route, doubts=(doubt,))
+    changed = dataclasses.replace(
+        report, plan=dataclasses.replace(report.plan, routes=(route, *report.plan.routes[1:]))
+    )
     (drawing,) = tracing_drawings(changed)
     (label,) = (s for s in drawing.shapes if isinstance(s, Label) and s.text == doubt)
     assert label.colour == "#c1001f"

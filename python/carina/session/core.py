@@ -77,7 +77,9 @@ class _RunningCommand:
 
 _NO_COMMAND = _RunningCommand()
 # Jobs inherit this context, so a change by a job is attributed to the command that started the job.
-_running_command: contextvars.ContextVar[_RunningCommand] = contextvars.ContextVar("asked", default=_NO_COMMAND)
+_running_command: contextvars.ContextVar[_RunningCommand] = contextvars.ContextVar(
+    "running_command", default=_NO_COMMAND
+)
 
 
 class SessionCore:

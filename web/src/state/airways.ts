@@ -232,7 +232,7 @@ export function onwardBranches(
     others.length > 0 &&
     nearest <= (openings[middle]?.opening?.ahead_deg ?? STRAIGHT_AHEAD.most_deg) &&
     others.every((off) => off >= STRAIGHT_AHEAD.times * nearest);
-  // Openings with the same clock hour cannot be told apart by it.
+  // The clock hour does not distinguish openings with the same hour.
   const isShared = (index: number): boolean =>
     hours.some((hour, other) => other !== index && !(ahead && other === middle) && hour === hours[index]);
   return openings

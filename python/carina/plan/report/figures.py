@@ -118,8 +118,8 @@ def needle_bar(leg: LastLeg, tool: Tool, *, width: float = 520.0) -> Drawing:
         x = left + mm * scale
         shapes.append(Stroke(((x, top + bar), (x, top + bar + 4)), LineStyle(INK, 0.7)))
         shapes.append(Label((x, top + bar + 13), f"{mm}", 8.0, QUIET, "middle"))
-    said = ", ".join(f"{one.tissue} {one.length_mm:.1f} mm" for one in leg.crossed)
-    return Drawing(width, top + bar + 31.0, tuple(shapes), f"Needle path from the tip: {said}")
+    text = ", ".join(f"{one.tissue} {one.length_mm:.1f} mm" for one in leg.crossed)
+    return Drawing(width, top + bar + 31.0, tuple(shapes), f"Needle path from the tip: {text}")
 
 
 def _bar_label(one: CrossedTissue, middle: float, base: float, left: float, width: float) -> Label:

@@ -131,9 +131,9 @@ def _lead(sheet: PlanSheet) -> str:
     if route is None:
         return f"{nodule}. No route with {plan.tool.title} was found."
     tip = f"Tip in {route.branch_name}, {route.place_words}"
-    said = f"{nodule}. {tip}, then {route.leg.to_target_mm:.0f} mm with the needle."
+    text = f"{nodule}. {tip}, then {route.leg.to_target_mm:.0f} mm with the needle."
     if not sheet.verdicts:
-        return said
+        return text
     num = {name: sum(one.outcome == name for one in sheet.verdicts) for name in ("reaches", "may reach", "cannot say")}
     best = next((one for name in num for one in sheet.verdicts if one.outcome == name), None)
     of = _instruments(len(sheet.verdicts))
@@ -150,7 +150,7 @@ def _lead(sheet: PlanSheet) -> str:
         assert best is not None
         said_of = ", ".join(counts + [unknown] * bool(num["cannot say"]))
         judged = f"Of {of}: {said_of}. First of them: {best.scope.title}, which {best.outcome}."
-    return f"{said} {judged}"
+    return f"{text} {judged}"
 
 
 def _instruments(num: int) -> str:
@@ -304,10 +304,10 @@ def _turns(sheet: PlanSheet) -> list[Section]:
     first, second = (name.capitalize() for name in (sheet.operator, other_operator))
     head = ("", "Enter", first, second, "From carina, mm", "From last fork, mm", "Opening, mm", "Turn", "Hand")
     shares = (0.04, 0.18, 0.075, 0.075, 0.09, 0.095, 0.09, 0.065, 0.29)
-    said = (
+    text = (
         "Clock hours as seen by an operator at the patient's head, and facing the patient. Distances along the route."
     )
-    blocks: list[Block] = [*_red(sheet), Words(said, "quiet"), ReportTable(head, tuple(rows), shares, tuple(warned))]
+    blocks: list[Block] = [*_red(sheet), Words(text, "quiet"), ReportTable(head, tuple(rows), shares, tuple(warned))]
     if sheet.turns.carina_depth_mm is not None:
         deep = sheet.turns.park_depth_estimate_mm
         stop = "" if deep is None else f"; the tip stops at about {deep / 10.0:.0f} cm"
@@ -325,13 +325,13 @@ def _turns(sheet: PlanSheet) -> list[Section]:
 
 def _enter_words(turn: Turn, operator: Operator) -> str:
     """Return the branch to enter in words, such as *RB4a, just past RB4, not RB4b (9 o'clock)*."""
-    said = [turn.to_branch]
+    text = [turn.to_branch]
     if turn.through:
-        said.append(f"just past {joined(turn.through)}")
+        text.append(f"just past {joined(turn.through)}")
     if turn.others:
-        said.append(f"not {joined([f'{one.name} ({one.direction(operator)})' for one in turn.others])}")
+        text.append(f"not {joined([f'{one.name} ({one.direction(operator)})' for one in turn.others])}")
     doubts = f" ({'; '.join(turn.cautions)})" if turn.cautions else ""
-    return ", ".join(said) + doubts
+    return ", ".join(text) + doubts
 
 
 def _hour(turn: Turn, operator: Operator) -> str:
@@ -376,7 +376,7 @@ def _verdicts(sheet: PlanSheet) -> list[Section]:
         )
     head = ("Instrument", "Verdict", "Width", "Bend", "Length", "Channel", "Drive", "Aim", "What decides")
     shares = (0.17, 0.11, 0.075, 0.075, 0.07, 0.085, 0.075, 0.075, 0.265)
-    said = (
+    text = (
         f"On this route, with {sheet.plan.tool.title}. ?: not known; {NOT_ASKED}: not examined, since another check "
         "decides. The figures behind each answer, and what they rest on, are listed at the end."
     )
@@ -384,7 +384,7 @@ def _verdicts(sheet: PlanSheet) -> list[Section]:
         Section(
             "instruments",
             "Instruments",
-            (Words(said, "quiet"), ReportTable(head, tuple(rows), shares)),
+            (Words(text, "quiet"), ReportTable(head, tuple(rows), shares)),
             starts_page=True,
         )
     ]
@@ -516,12 +516,12 @@ def _score(sheet: PlanSheet) -> list[Section]:
         weight = getattr(weights, name) / total
         rows.append((PART_WORDS.get(name, name), f"{part:.2f}", f"{100 * weight:.0f} %", f"{weight * part:.3f}"))
     rows.append(("score: 1 less the sum", "", "", f"{sheet.route.score:.2f}"))
-    said = (
+    text = (
         "Each part is 0 at its best and 1 at its worst. The weights are a choice, not fitted to outcomes; they can be "
         "changed when planning."
     )
     grid = ReportTable(("Part", "Value", "Weight", "Costs"), tuple(rows), (0.49, 0.17, 0.17, 0.17))
-    return [Section("score", "How the route was scored", (Words(said, "quiet"), grid))]
+    return [Section("score", "How the route was scored", (Words(text, "quiet"), grid))]
 
 
 def _figures_behind(sheet: PlanSheet) -> list[Section]:
@@ -534,10 +534,10 @@ def _figures_behind(sheet: PlanSheet) -> list[Section]:
             rows.append((name, check.name, ANSWERS[check.answer], check.words, check.basis))
         if one.would is not None:
             rows.append(("", "", "", one.would, ""))
-    said = "Basis of a figure: s, read in a published source; k, common knowledge that was not checked with the maker."
+    text = "Basis of a figure: s, read in a published source; k, common knowledge that was not checked with the maker."
     head = ("Instrument", "Check", "Answer", "What was found", "Rests on")
     grid = ReportTable(head, tuple(rows), (0.17, 0.09, 0.09, 0.36, 0.29))
-    return [Section("figures", "Figures behind the verdicts", (Words(said, "quiet"), grid))]
+    return [Section("figures", "Figures behind the verdicts", (Words(text, "quiet"), grid))]
 
 
 def _provenance(sheet: PlanSheet) -> Section:

@@ -733,5 +733,5 @@ def standing_apart(routes: Sequence[PlannedRoute], *, first: PlannedRoute | None
             kept.append(route)
     firsts = {next(n for n, one in enumerate(kept) if one.aim == aim) for aim in {one.aim for one in kept}}
     others = [n for n in range(len(kept)) if n not in firsts]
-    told = sorted([*firsts, *others[: MAX_ROUTES - len(firsts)]])
-    return tuple(sorted((kept[n] for n in told), key=order))
+    chosen = sorted([*firsts, *others[: MAX_ROUTES - len(firsts)]])
+    return tuple(sorted((kept[n] for n in chosen), key=order))

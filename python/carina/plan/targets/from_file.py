@@ -127,8 +127,8 @@ def target_from_file(
         nodule = replace(nodule, notes=(*told, *notes))
     given = named[:NAME_CHARS] if name is None else name
     if compare_click:
-        said = click_note(volume, nodule, wall=wall, progress=watch.step)
-        nodule = replace(nodule, notes=(*nodule.notes, said))
+        text = click_note(volume, nodule, wall=wall, progress=watch.step)
+        nodule = replace(nodule, notes=(*nodule.notes, text))
     return target_of(volume, nodule, source, target_id=target_id, name=given, wall=wall)
 
 
@@ -194,13 +194,13 @@ def _from_structures(
         raise structures_refused(file, f"the structure {_number_and_name(chosen)} encloses no area", "export it again")
     same_frame = ours is not None and bool(chosen.references.frames & ours.frames)
     try:
-        drawn, said, off_mm = drawn_in(volume, closed, may_be_between=same_frame)
+        drawn, drawn_notes, off_mm = drawn_in(volume, closed, may_be_between=same_frame)
     except OutlineError as error:
         raise structures_refused(file, str(error), error.way_out, code=error.code) from None
     drawn, left = one_piece(volume, drawn, at_lps)
     if chosen.num_open:
         left = (*left, f"{chosen.num_open} of its points or open lines left out")
-    return drawn_nodule(volume, drawn, notes=(*notes, *said, *left), off_mm=off_mm), chosen.name
+    return drawn_nodule(volume, drawn, notes=(*notes, *drawn_notes, *left), off_mm=off_mm), chosen.name
 
 
 def _chosen(file: Path, structures: tuple[Structure, ...], wanted: int | str | None, volume: Volume) -> Structure:

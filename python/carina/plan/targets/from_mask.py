@@ -72,8 +72,8 @@ def nodule_from_mask(volume: Volume, mask: Mask | NDArray[np.bool_], *, at_lps: 
         low.append(int(filled[0]))
         high.append(int(filled[-1]) + 1)
     part = inside[low[0] : high[0], low[1] : high[1], low[2] : high[2]].astype(np.float32)
-    drawn, said = one_piece(volume, DrawnStructure(part, (low[0], low[1], low[2])), at_lps)
-    return drawn_nodule(volume, drawn, notes=(*notes, *said))
+    drawn, piece_notes = one_piece(volume, DrawnStructure(part, (low[0], low[1], low[2])), at_lps)
+    return drawn_nodule(volume, drawn, notes=(*notes, *piece_notes))
 
 
 def target_from_mask(

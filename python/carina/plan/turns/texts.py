@@ -54,7 +54,7 @@ def moves_words(moves: Sequence[Move]) -> str:
     Consecutive advances with one roll and flexion are combined. Consecutive short advances between which roll and
     flexion change a little, in one direction each, are one gradual move.
     """
-    said = []
+    text = []
     lever: float | None = None
     for run in _gradual_runs(_steps(moves)):
         turn_deg, flexion_deg = sum(step.turn_deg for step in run), run[-1].flexion_deg
@@ -70,8 +70,8 @@ def moves_words(moves: Sequence[Move]) -> str:
             words.append(f"{'advance' if advance_mm > 0.0 else 'withdraw'} {abs(advance_mm):.0f} mm")
         lever = flexion_deg
         if words:
-            said.append(", ".join(words))
-    return "; then ".join(said)
+            text.append(", ".join(words))
+    return "; then ".join(text)
 
 
 def moves_sum_words(moves: Sequence[Move]) -> str:
