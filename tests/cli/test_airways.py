@@ -35,7 +35,7 @@ def test_airways_command_states_the_calibrated_detection_shares_for_thick_slices
     low, mean, high = (f"{100 * share[key]:.0f}" for key in ("least", "typical", "most"))
     assert f"{mean} % ({low} to {high} %) of those of 2 to 3 mm" in badge["words"]
     assert badge["words"] in report["notes"]
-    assert f"note: {badge['text']}" in found.err
+    assert f"note: {badge['words']}" in found.err
     printed = carina("airways", tmp_path / "ct.nii.gz")
     assert badge["words"] in printed.out + printed.err
 
