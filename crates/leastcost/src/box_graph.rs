@@ -2,6 +2,8 @@
 //!
 //! The edges are computed when they are needed and not stored.
 
+use std::ops::RangeInclusive;
+
 use carina_grid::{Grid, length};
 
 use crate::TrackError;
@@ -18,6 +20,20 @@ pub trait VoxelGraph: Graph {
 
     /// Return the voxel of the volume that a node stands for.
     fn voxel_of_node(&self, node: u32) -> [usize; 3];
+
+    /// Call `visit(i, node)` for the nodes of a row of voxels along i, whose j and k are in the box of the graph.
+    fn for_each_node_in_row(
+        &self,
+        i: RangeInclusive<isize>,
+        jk: [isize; 2],
+        mut visit: impl FnMut(isize, u32),
+    ) {
+        for i in i {
+            if let Some(node) = self.node_of_voxel([i, jk[0], jk[1]]) {
+                visit(i, node);
+            }
+        }
+    }
 }
 
 /// Return the offsets of the 26 neighbours of a voxel in array order: offset `25 - s` is the opposite of offset `s`.
@@ -84,6 +100,24 @@ impl VoxelGraph for BoxGraph {
 
     fn voxel_of_node(&self, node: u32) -> [usize; 3] {
         self.voxel_box.voxel(node as usize)
+    }
+
+    fn for_each_node_in_row(
+        &self,
+        i: RangeInclusive<isize>,
+        jk: [isize; 2],
+        mut visit: impl FnMut(isize, u32),
+    ) {
+        let first = self.voxel_box.first_ijk[0] as isize;
+        let last = first + self.voxel_box.shape_ijk[0] as isize - 1;
+        let (from, to) = ((*i.start()).max(first), (*i.end()).min(last));
+        if from <= to
+            && let Some(node) = self.node_of_voxel([from, jk[0], jk[1]])
+        {
+            for i in from..=to {
+                visit(i, node + (i - from) as u32);
+            }
+        }
     }
 }
 

@@ -205,7 +205,12 @@ impl GraphTracker {
     /// Count the undirected edges of the graph, including the links of pruned regions, one by one.
     #[must_use]
     pub fn num_edges(&self) -> u64 {
-        with_walk!(&self.walk, |graph, _cost| count_edges(graph))
+        match &self.walk {
+            Walk::Paper(graph, _) => count_edges(graph),
+            Walk::Lumen(graph) => count_edges(graph),
+            Walk::PaperPruned(graph, _) => graph.num_edges(),
+            Walk::LumenPruned(graph, _) => graph.num_edges(),
+        }
     }
 
     /// Return the number of centres of `IsoRegion`s; 0 for a graph without pruning.

@@ -3,15 +3,23 @@
 //! A voxel with an `IsoRegion` (radius of 1 or more) is pruned if a neighbour's region is larger. The remaining voxels
 //! of a region are its centre, or several centres of equal radius, and its voxels at the border to other labels (radius
 //! 0). This rule gives the printed Figure 12(b) exactly; a rule that takes the largest region first and prunes the
-//! voxels inside it does not. Each centre is linked to every remaining voxel on the boundary of its cube; remaining
-//! voxels that are neighbours keep their edge.
+//! voxels inside it does not.
 //!
-//! The rule preserves connectivity. Radii are chessboard distances to the nearest voxel of radius 0, so they differ by
-//! at most 1 between neighbours, and from a pruned voxel the radii increase, by 1 a step, up to a centre. The voxel h
-//! of radius 0 nearest to the pruned voxel is on the boundary of that centre's cube, so it is linked to the centre. So
-//! a voxel's centres and its nearest h are connected, as are those of two neighbours with different radii. For
-//! neighbours of equal radius that share neither centre nor h there is no such proof; tests with random volumes cover
-//! this case instead.
+//! Remaining voxels that are neighbours keep their edge. Each remaining border voxel on the boundary of a cube has one
+//! link: to the centre of the largest cube that contains it, and of equal cubes to the nearest centre. The paper links
+//! only *some* boundary voxels to a centre, because a link from each would be too many (6.1). So a graph has at most as
+//! many links as nodes, and stores one number for each node.
+//!
+//! One link for each border voxel does not always connect two regions that touch in it. Where the components of the
+//! pruned graph differ from those of the unpruned graph, links between centres and the boundaries of their cubes are
+//! added, as few as possible. Links from each centre to all remaining voxels on its cube's boundary preserve
+//! connectivity: radii are chessboard distances to the nearest voxel of radius 0, so they differ by at most 1 between
+//! neighbours, and from a pruned voxel the radii increase, by 1 a step, up to a centre. The voxel h of radius 0 nearest
+//! to the pruned voxel is on the boundary of that centre's cube. So a voxel's centres and its nearest h are connected, as
+//! are those of two neighbours with different radii. For neighbours of equal radius that share neither centre nor h
+//! there is no such proof; tests with random volumes cover this case instead.
+
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use carina_grid::{Grid, length};
 use carina_isoregion::MapBuilder;
@@ -23,11 +31,6 @@ use crate::graph::{Cost, Graph, NO_NODE};
 use crate::lumen::{LumenCost, LumenGraph};
 use crate::paper_cost::PaperCost;
 use crate::{TrackError, Watch};
-
-/// Largest number of links of a pruned graph, 4 bytes each.
-///
-/// More links occur only with regions whose centres form a whole slab of equal radius.
-pub const MAX_LINKS: u64 = 1 << 26;
 
 /// Compute the `IsoRegion` radii of the voxels of a box, without regard to the voxels beyond the box.
 ///
@@ -85,11 +88,10 @@ pub struct IsoRegionGraph<B> {
     /// For each node of the unpruned graph, its node in this graph; [`NO_NODE`] for a pruned node.
     node_of: Vec<u32>,
     radius: Vec<u8>,
-    /// Start of the centres of each node in `centres`.
-    ///
-    /// The centres with node n on the boundary of their cube are `centres[first_centre[n]..first_centre[n + 1]]`.
-    first_centre: Vec<u32>,
-    centres: Vec<u32>,
+    /// For each node, the centre to which it is linked; [`NO_NODE`] for centres and for nodes without a link.
+    centre_of: Vec<u32>,
+    /// Pairs of nodes with an additional link that keeps the graph connected, in both directions, sorted.
+    additional_links: Vec<(u32, u32)>,
     num_centres: usize,
     longest_mm: f64,
 }
@@ -102,8 +104,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
     ///
     /// # Errors
     ///
-    /// Returns an error if the radius map has the wrong size, if there are too many links, or if `watch` stops the
-    /// computation.
+    /// Returns an error if the radius map has the wrong size or if `watch` stops the computation.
     pub fn build(
         base: B,
         grid: &Grid,
@@ -146,94 +147,148 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
             whole_of,
             node_of,
             radius,
-            first_centre: Vec::new(),
-            centres: Vec::new(),
+            centre_of: Vec::new(),
+            additional_links: Vec::new(),
             longest_mm: 0.0,
         };
-        graph.link(watch)?;
+        graph.centre_of = graph.nearest_of_largest(watch)?;
+        graph.additional_links = graph.missing_links(watch)?;
+        graph.longest_mm = graph.base.edge_length_range_mm().1;
+        let mut longest_mm = graph.longest_mm;
+        graph.for_each_link(|_, _, mm| longest_mm = longest_mm.max(mm));
+        graph.longest_mm = longest_mm;
         Ok(graph)
     }
 
-    /// Record at each node the centres that have this node on the boundary of their cube.
+    /// Return for each node the nearest centre of the largest cube with this node on its boundary.
     ///
-    /// The opposite direction needs no table, because it follows from the centre's cube.
-    fn link(&mut self, watch: &impl Watch) -> Result<(), TrackError> {
-        let num_nodes = self.whole_of.len();
-        let mut first = vec![0u32; num_nodes + 1];
-        let (mut num_links, mut longest_mm) = (0u64, 0.0f64);
-        let centres: Vec<u32> = (0..num_nodes as u32)
-            .filter(|n| self.radius[*n as usize] > 1)
-            .collect();
-        for (number, &centre) in centres.iter().enumerate() {
-            self.for_each_boundary_node(centre, |node, length_mm| {
-                longest_mm = longest_mm.max(length_mm);
-                if !self.has_link_to(node, centre) {
-                    first[node as usize + 1] += 1;
-                    num_links += 1;
-                }
-            });
-            if num_links > MAX_LINKS {
-                return Err(TrackError::Argument {
-                    what: "IsoRegion graph",
-                    expected: format!("at most {MAX_LINKS} links between centres and boundaries"),
-                    found: format!(
-                        "more, after {number} of {} centres; large uniform regions have too many centres: track in a \
-                         smaller region, or on the voxel graph",
-                        centres.len()
-                    ),
+    /// Centres themselves have none. Of equally near centres the first in array order is taken.
+    fn nearest_of_largest(&self, watch: &impl Watch) -> Result<Vec<u32>, TrackError> {
+        let best: Vec<AtomicU64> = self.whole_of.iter().map(|_| AtomicU64::new(0)).collect();
+        let centres = self.linked_centres();
+        let num_done = AtomicU64::new(0);
+        centres.par_chunks(256).try_for_each(|chunk| {
+            for &centre in chunk {
+                let radius = u64::from(self.radius[centre as usize]);
+                self.for_each_boundary_node(centre, |node, offset| {
+                    let best = &best[node as usize];
+                    // A larger radius counts first, then a shorter link, then a smaller node number.
+                    if self.radius[node as usize] == 0
+                        && best.load(Ordering::Relaxed) >> 56 <= radius
+                    {
+                        let mm = self.length_mm(offset) as f32;
+                        let nearness = u64::from(!mm.to_bits() >> 8);
+                        let key = radius << 56 | nearness << 32 | u64::from(!centre);
+                        best.fetch_max(key, Ordering::Relaxed);
+                    }
                 });
             }
-            if number % 256 == 0 {
-                watch.report_share(0.3 + 0.4 * number as f64 / centres.len() as f64)?;
-            }
-        }
-        for n in 0..num_nodes {
-            first[n + 1] += first[n];
-        }
-        let mut next = first.clone();
-        let mut list = vec![0u32; num_links as usize];
-        for (number, &centre) in centres.iter().enumerate() {
-            self.for_each_boundary_node(centre, |node, _| {
-                if !self.has_link_to(node, centre) {
-                    let at = &mut next[node as usize];
-                    list[*at as usize] = centre;
-                    *at += 1;
-                }
-            });
-            if number % 256 == 0 {
-                watch.report_share(0.7 + 0.3 * number as f64 / centres.len() as f64)?;
-            }
-        }
-        self.first_centre = first;
-        self.centres = list;
-        self.longest_mm = self.base.edge_length_range_mm().1.max(longest_mm);
-        Ok(())
+            let done = num_done.fetch_add(chunk.len() as u64, Ordering::Relaxed);
+            watch.report_share(0.3 + 0.4 * done as f64 / centres.len() as f64)
+        })?;
+        Ok(best
+            .into_iter()
+            .map(|key| match key.into_inner() {
+                0 => NO_NODE,
+                key => !(key as u32),
+            })
+            .collect())
     }
 
-    /// Return true if `node` is a centre with `other` on the boundary of the cube round `node`.
-    ///
-    /// The link between the two nodes is then found from `node`.
-    fn has_link_to(&self, node: u32, other: u32) -> bool {
-        let radius = isize::from(self.radius[node as usize]);
-        radius > 1 && chessboard(self.voxel(node), self.voxel(other)) == radius
+    /// Return the centres whose cubes have more than 27 voxels, so that their boundary is not next to the centre.
+    fn linked_centres(&self) -> Vec<u32> {
+        (0..self.whole_of.len() as u32)
+            .filter(|node| self.radius[*node as usize] > 1)
+            .collect()
     }
 
-    /// Call `visit(node, length_mm)` for the remaining voxels on the boundary of a centre's cube.
+    /// Return the links that are missing for the components of the unpruned graph, in both directions, sorted.
+    fn missing_links(&self, watch: &impl Watch) -> Result<Vec<(u32, u32)>, TrackError> {
+        let mut components = Components::of(self, watch)?;
+        let mut links = Vec::new();
+        if components.num == 1 || components.num == Components::of(&self.base, watch)?.num {
+            return Ok(links);
+        }
+        // A copy of the roots lets the threads read them; each pair that they find is tested again when it is joined.
+        let root_of: Vec<u32> = (0..self.whole_of.len() as u32)
+            .map(|node| components.root(node))
+            .collect();
+        let separate: Vec<(u32, u32)> = self
+            .linked_centres()
+            .par_iter()
+            .flat_map_iter(|&centre| {
+                let mut found: Vec<(u32, u32)> = Vec::new();
+                self.for_each_boundary_node(centre, |node, _| {
+                    let root = root_of[node as usize];
+                    if root != root_of[centre as usize]
+                        && found
+                            .iter()
+                            .all(|(_, other)| root_of[*other as usize] != root)
+                    {
+                        found.push((centre, node));
+                    }
+                });
+                found
+            })
+            .collect();
+        for (centre, node) in separate {
+            if components.join(centre, node) {
+                links.extend([(centre, node), (node, centre)]);
+            }
+        }
+        links.sort_unstable();
+        Ok(links)
+    }
+
+    /// Call `visit(centre, node, length_mm)` for each link.
+    fn for_each_link(&self, mut visit: impl FnMut(u32, u32, f64)) {
+        for (node, &centre) in self.centre_of.iter().enumerate() {
+            if centre != NO_NODE {
+                visit(centre, node as u32, self.distance_mm(node as u32, centre));
+            }
+        }
+        for &(u, v) in self.additional_links.iter().filter(|(u, v)| u < v) {
+            visit(u, v, self.distance_mm(u, v));
+        }
+    }
+
+    fn distance_mm(&self, u: u32, v: u32) -> f64 {
+        let (from, to) = (self.voxel(u), self.voxel(v));
+        self.length_mm(std::array::from_fn(|a| to[a] as isize - from[a] as isize))
+    }
+
+    /// Call `visit(node, offset)` for the remaining voxels on the boundary of a centre's cube, in array order.
     ///
-    /// Cubes of 27 voxels are left out, because edges to neighbours already cover their boundary.
-    fn for_each_boundary_node(&self, centre: u32, mut visit: impl FnMut(u32, f64)) {
+    /// The cube must have more than 27 voxels; edges to neighbours already cover the boundary of smaller ones.
+    fn for_each_boundary_node(&self, centre: u32, mut visit: impl FnMut(u32, [isize; 3])) {
         let r = isize::from(self.radius[centre as usize]);
         let at = self.voxel(centre).map(|v| v as isize);
-        let visit_node = |offset: [isize; 3]| {
-            let to = std::array::from_fn(|a| at[a] + offset[a]);
-            if let Some(whole) = self.base.node_of_voxel(to) {
-                let node = self.node_of[whole as usize];
-                if node != NO_NODE {
-                    visit(node, self.length_mm(offset));
+        let voxel_box = self.base.voxel_box();
+        let range = |a: usize| {
+            let first = voxel_box.first_ijk[a] as isize;
+            let last = first + voxel_box.shape_ijk[a] as isize - 1;
+            (at[a] - r).max(first)..=(at[a] + r).min(last)
+        };
+        for k in range(2) {
+            for j in range(1) {
+                let mut visit_node = |i: isize, whole: u32| {
+                    let node = self.node_of[whole as usize];
+                    if node != NO_NODE {
+                        visit(node, [i - at[0], j - at[1], k - at[2]]);
+                    }
+                };
+                if (k - at[2]).abs() == r || (j - at[1]).abs() == r {
+                    let row = at[0] - r..=at[0] + r;
+                    self.base.for_each_node_in_row(row, [j, k], visit_node);
+                } else {
+                    for i in [at[0] - r, at[0] + r] {
+                        if let Some(whole) = self.base.node_of_voxel([i, j, k]) {
+                            visit_node(i, whole);
+                        }
+                    }
                 }
             }
-        };
-        for_each_on_cube(r, visit_node);
+        }
     }
 
     fn length_mm(&self, offset: [isize; 3]) -> f64 {
@@ -267,6 +322,30 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
     #[must_use]
     pub const fn num_centres(&self) -> usize {
         self.num_centres
+    }
+
+    /// Count the undirected edges and links.
+    #[must_use]
+    pub fn num_edges(&self) -> u64 {
+        let ends: u64 = self
+            .whole_of
+            .par_iter()
+            .map(|&whole| {
+                let mut degree = 0u64;
+                self.base.for_each_edge(whole, |other, _| {
+                    degree += u64::from(self.node_of[other as usize] != NO_NODE);
+                });
+                degree
+            })
+            .sum();
+        let linked = self.centre_of.iter().filter(|c| **c != NO_NODE).count();
+        ends / 2 + (linked + self.additional_links.len() / 2) as u64
+    }
+
+    /// Return the pairs of nodes with an additional link that keeps the graph connected, in both directions, sorted.
+    #[cfg(test)]
+    pub(crate) fn additional_links(&self) -> &[(u32, u32)] {
+        &self.additional_links
     }
 
     /// Return the node of a voxel, or the centre that represents a pruned voxel; `None` outside the graph.
@@ -337,15 +416,22 @@ impl<B: VoxelGraph + Sync> Graph for IsoRegionGraph<B> {
             }
         });
         if self.radius(node) > 1 {
-            self.for_each_boundary_node(node, &mut visit);
+            self.for_each_boundary_node(node, |other, _| {
+                if self.centre_of[other as usize] == node {
+                    visit(other, self.distance_mm(node, other));
+                }
+            });
         }
-        let range = self.first_centre[node as usize]..self.first_centre[node as usize + 1];
-        for &centre in &self.centres[range.start as usize..range.end as usize] {
-            let (from, to) = (self.voxel(node), self.voxel(centre));
-            visit(
-                centre,
-                self.length_mm(std::array::from_fn(|a| to[a] as isize - from[a] as isize)),
-            );
+        let centre = self.centre_of[node as usize];
+        if centre != NO_NODE {
+            visit(centre, self.distance_mm(node, centre));
+        }
+        let first = self.additional_links.partition_point(|(u, _)| *u < node);
+        for &(_, other) in self.additional_links[first..]
+            .iter()
+            .take_while(|(u, _)| *u == node)
+        {
+            visit(other, self.distance_mm(node, other));
         }
     }
 
@@ -406,12 +492,10 @@ impl LinkCost<LumenGraph> for LumenCost<'_> {
     fn link_weight_range(&self, graph: &IsoRegionGraph<LumenGraph>) -> (f64, f64) {
         let (least, greatest) = self.weight_range();
         let mut dearest = graph.base.edge_length_range_mm().1 * greatest;
-        for centre in (0..graph.whole_of.len() as u32).filter(|n| graph.radius(*n) > 1) {
-            graph.for_each_boundary_node(centre, |node, mm| {
-                let weight = self.link_weight(&graph.base, graph.whole(centre), graph.whole(node));
-                dearest = dearest.max(mm * weight);
-            });
-        }
+        graph.for_each_link(|centre, node, mm| {
+            let weight = self.link_weight(&graph.base, graph.whole(centre), graph.whole(node));
+            dearest = dearest.max(mm * weight);
+        });
         (least, dearest / graph.longest_mm)
     }
 }
@@ -471,6 +555,52 @@ impl VoxelGraph for LumenGraph {
 
     fn voxel_of_node(&self, node: u32) -> [usize; 3] {
         self.voxel(node)
+    }
+}
+
+/// Connected components of a graph, as a forest in which each node leads to a node of its component.
+struct Components {
+    next: Vec<u32>,
+    num: usize,
+}
+
+impl Components {
+    fn of(graph: &impl Graph, watch: &impl Watch) -> Result<Self, TrackError> {
+        let num = graph.num_nodes();
+        let mut components = Self {
+            next: (0..num as u32).collect(),
+            num,
+        };
+        for node in 0..num as u32 {
+            if node.is_multiple_of(1 << 16) {
+                watch.report_share(0.7 + 0.3 * f64::from(node) / num as f64)?;
+            }
+            graph.for_each_edge(node, |other, _| {
+                if other < node {
+                    components.join(node, other);
+                }
+            });
+        }
+        Ok(components)
+    }
+
+    /// Return the node that represents the component of a node.
+    fn root(&mut self, mut node: u32) -> u32 {
+        while self.next[node as usize] != node {
+            let skipped = self.next[self.next[node as usize] as usize];
+            self.next[node as usize] = skipped;
+            node = skipped;
+        }
+        node
+    }
+
+    /// Join the components of two nodes; return false if they were one already.
+    fn join(&mut self, u: u32, v: u32) -> bool {
+        let (u, v) = (self.root(u), self.root(v));
+        // The smaller number becomes the root, so that the result does not depend on the order of the nodes.
+        self.next[u.max(v) as usize] = u.min(v);
+        self.num -= usize::from(u != v);
+        u != v
     }
 }
 

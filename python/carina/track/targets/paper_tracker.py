@@ -34,7 +34,7 @@ MAX_BYTES = 1 << 30
 BYTES_PER_VOXEL = {"voxel": 22, "isoregion": 38}
 """Memory in bytes per voxel of the searched box, by graph.
 
-5 bytes for the cost and 17 for the tree; on the IsoRegion graph 16 more for pruned voxels.
+5 bytes for the cost and 17 for the tree; on the IsoRegion graph at most 16 more while it is built.
 """
 MARGINS_MM = (20.0, 10.0, 5.0, 2.0)
 NO_LUMEN = Note(
