@@ -18,6 +18,7 @@ Scans (``carina.volume``, ``carina.phantom``)
     inspect_path        List the series in a path without opening them
     demo_patient        Open the CT that comes with Carina
     generate_phantom    Generate a chest CT with known airways; write_phantom writes one to a folder
+    generate_mr_phantom Generate an MR picture of such a chest
     Volume              A CT in HU with its geometry
 
 Airways (``carina.track``)

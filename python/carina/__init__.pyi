@@ -25,6 +25,9 @@ from .export import (
     write_film as write_film,
     write_tree as write_tree,
 )
+from .mr_phantom import (
+    generate_mr_phantom as generate_mr_phantom,
+)
 from .navigate import (
     FlightPath as FlightPath,
     Navigator as Navigator,

@@ -314,7 +314,8 @@ def lumen_distance_at(
 def write_phantom(phantom: Phantom, directory: str | os.PathLike[str]) -> list[Path]:
     """Write ``ct.nii.gz``, ``lumen.nii.gz`` and ``truth.json`` into a folder, which is created if missing.
 
-    A phantom with a neck also gives ``upper-airway.nii.gz``: the air above the cricoid.
+    A phantom with a neck also gives ``upper-airway.nii.gz``: the air above the cricoid. An MR picture is
+    ``mr.nii.gz`` instead of the CT.
 
     Parameters
     ----------
@@ -337,9 +338,10 @@ def write_phantom(phantom: Phantom, directory: str | os.PathLike[str]) -> list[P
     """
     folder = make_folder(directory, what="the phantom")
     matrix = phantom.volume.lps_from_ijk
+    scan, about = ("ct.nii.gz", "the CT") if phantom.volume.is_hu else ("mr.nii.gz", "the MR picture")
     # Compression level 1: a higher level takes longer and does not make noise smaller.
     parts: tuple[tuple[str, str, Callable[[BinaryIO], object]], ...] = (
-        ("ct.nii.gz", "the CT", lambda file: _write_nifti(file, phantom.volume.hu_zyx, matrix, "the CT")),
+        (scan, about, lambda file: _write_nifti(file, phantom.volume.hu_zyx, matrix, about)),
         ("lumen.nii.gz", "the lumen", lambda file: _write_nifti(file, phantom.lumen_zyx, matrix, "the lumen")),
         ("truth.json", "the ground truth", lambda file: file.write(_json(phantom.truth).encode())),
     )

@@ -247,6 +247,7 @@ GOOD: dict[str, Good] = {
     ),
     "export_airways": Good(lambda t: {"path": t.new_path(".stl"), "volume": t.volume, "airways": t.airways}),
     "find_airways": Good(lambda t: {"volume": t.volume}),
+    "generate_mr_phantom": Good(lambda _: {"spacing_mm": 5.0, "generations": 3}),
     "generate_phantom": Good(lambda _: {"spacing_mm": 8.0, "generations": 3, "box_lps": BOX}),
     "grow_nodule": Good(lambda t: {"volume": t.volume, "at_lps": t.nodule.centre_lps}),
     "inspect_path": Good(lambda t: {"path": t.ct_file}),

@@ -503,6 +503,9 @@ def phantom(
     resected: Annotated[
         str | None, typer.Option(help="Remove a lobe, as after a lobectomy: RUL, RML, RLL, LUL or LLL.")
     ] = None,
+    mr: Annotated[
+        bool, typer.Option("--mr", help="Write an MR picture of the chest, mr.nii.gz (not in HU), instead of a CT.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Generate a synthetic chest CT with exact ground truth: ct.nii.gz, lumen.nii.gz, truth.json.
@@ -510,20 +513,32 @@ def phantom(
     Example: carina phantom -o case --seed 7 --nodule
     """
     with exit_codes(as_json):
+        from carina.errors import UsageError
+        from carina.mr_phantom import generate_mr_phantom
         from carina.phantom import generate_phantom, write_phantom
 
         check_output_folder(output)
-        made = generate_phantom(
-            seed=seed,
-            spacing_mm=spacing_mm,
-            generations=generations,
-            stenosis=stenosis,
-            nodule=nodule,
-            neck=neck,
-            tube=tube,
-            resected=resected,
-            progress=progress_printer(),
-        )
+        changes = {"stenosis": stenosis, "nodule": nodule, "neck": neck, "tube": tube, "resected": resected}
+        chosen = [f"--{name}" for name, value in changes.items() if value]
+        if mr and chosen:
+            msg = f"--mr: expected a chest without {', '.join(chosen)}; leave one of the two out"
+            raise UsageError(msg, code="phantom.option")
+        if mr:
+            made = generate_mr_phantom(
+                seed=seed, spacing_mm=spacing_mm, generations=generations, progress=progress_printer()
+            )
+        else:
+            made = generate_phantom(
+                seed=seed,
+                spacing_mm=spacing_mm,
+                generations=generations,
+                stenosis=stenosis,
+                nodule=nodule,
+                neck=neck,
+                tube=tube,
+                resected=resected,
+                progress=progress_printer(),
+            )
         written = write_phantom(made, output)
         summary: dict[str, Any] = {
             "files": [str(file) for file in written],
