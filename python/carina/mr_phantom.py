@@ -142,7 +142,8 @@ def _signal(hu_zyx: NDArray[np.int16]) -> NDArray[np.float32]:
     # A signal for each number of the CT, which has few numbers.
     numbers = np.arange(np.iinfo(np.int16).min, np.iinfo(np.int16).max + 1)
     echo = protons * np.array([lung, lung, soft, soft, bone]) / soft
-    signal = np.interp(numbers, hu, echo).astype(np.float32)[hu_zyx.astype(np.int64) - numbers[0]]
+    table = np.interp(numbers, hu, echo).astype(np.float32)
+    signal: NDArray[np.float32] = table[hu_zyx.astype(np.int64) - numbers[0]]
     # Between lung and a wall there are voxels with the HU of fat: only voxels all of whose neighbours are fat are fat.
     is_fat = (hu_zyx > FAT_HU[0]) & (hu_zyx < FAT_HU[1])
     for axis in range(3):
