@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from painted_nodules import Scene, painted
 
+import carina
 from carina.errors import CancelledError, NoResultError
 from carina.plan import PlanTarget, grow_nodule, sphere, whereabouts
 from carina.scopes import WallField
@@ -141,6 +142,32 @@ def test_clicks_outside_nodules_are_refused_with_their_anatomical_region(at, cod
     with pytest.raises(NoResultError, match=text) as error:
         grow_nodule(chest(), at)
     assert error.value.code == code
+
+
+@pytest.mark.parametrize("at", [(-79.0, -170.9, 351.5), (-81.0, -102.5, 402.5), (100.9, -121.1, 204.5)])
+def test_click_in_air_beside_faint_tissue_of_the_bundled_ct_is_refused(at):
+    with pytest.raises(NoResultError, match=r"it is in (air|lung) \(-9..? HU\), and the nearest tissue is") as error:
+        grow_nodule(carina.demo_patient(), at)
+    assert error.value.code == "plan.no-nodule"
+
+
+def test_click_beside_a_dense_nodule_selects_it_in_lung_and_is_refused_in_emphysema():
+    volume, _, middle = painted(Scene(radii_mm=(5.0, 5.0, 5.0), noise_hu=45.0))
+    at = middle + np.array([7.5, 0.0, 0.0])
+    assert grow_nodule(volume, at).contains([middle])[0]
+    hu = volume.hu_zyx
+    emphysema = Volume(np.where(hu < -700, hu - 105, hu).astype(np.int16), volume.lps_from_ijk)
+    assert grow_nodule(emphysema, middle + np.array([5.0, 0.0, 0.0])).contains([middle])[0]
+    with pytest.raises(NoResultError, match="it is in air") as error:
+        grow_nodule(emphysema, at)
+    assert error.value.code == "plan.no-nodule"
+
+
+def test_click_in_lung_beside_ground_glass_is_refused():
+    volume, _, middle = painted(Scene(radii_mm=(5.0, 5.0, 5.0), level_hu=-600.0))
+    assert grow_nodule(volume, middle + np.array([4.5, 0.0, 0.0])).kind == "ground-glass"
+    with pytest.raises(NoResultError, match="it is in lung"):
+        grow_nodule(volume, middle + np.array([7.5, 0.0, 0.0]))
 
 
 def test_segmentation_of_a_nodule_can_be_cancelled_between_its_steps():

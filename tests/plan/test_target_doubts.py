@@ -54,6 +54,28 @@ def test_target_denser_than_soft_tissue_has_a_density_doubt():
     assert "denser than soft tissue" in doubt.words
 
 
+@pytest.mark.parametrize("level_hu", [-20.0, 40.0])
+def test_dense_ball_that_thick_slices_show_as_ground_glass_has_a_density_doubt(level_hu):
+    volume, _, middle = painted(Scene(radii_mm=(1.2, 1.2, 1.2), level_hu=level_hu, spacing_mm=(0.7, 0.7, 3.0)))
+    nodule = grow_nodule(volume, middle)
+    assert nodule.kind == "ground-glass"
+    (doubt,) = target_doubts(volume, nodule)
+    assert doubt.code == "target.density"
+    assert "too small for slices of 3 mm" in doubt.words
+
+
+@pytest.mark.parametrize("core_mm", [0.0, 3.0])
+@pytest.mark.parametrize(
+    ("radius_mm", "slice_mm"), [(3.0, 0.8), (4.0, 1.5), (4.5, 3.0), (7.0, 3.0)], ids=lambda value: f"{value:g}"
+)
+def test_ground_glass_larger_than_the_blur_of_its_slices_has_no_doubt(radius_mm, slice_mm, core_mm):
+    scene = Scene((radius_mm,) * 3, -600.0, core_mm if radius_mm > 5.0 else 0.0, spacing_mm=(0.7, 0.7, slice_mm))
+    volume, _, middle = painted(scene)
+    nodule = grow_nodule(volume, middle + np.array([0.5 * radius_mm, 0.0, 0.0]))
+    assert nodule.kind == ("part-solid" if scene.core_mm > 0.0 else "ground-glass")
+    assert target_doubts(volume, nodule) == ()
+
+
 def test_target_without_lung_around_it_has_a_doubt():
     volume = chest()
     assert codes(target_doubts(volume, sphere(volume, (0.0, 20.0, 0.0), 12.0))) == ["target.mediastinum"]

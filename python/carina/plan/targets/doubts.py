@@ -45,6 +45,13 @@ DENSE_HU = 110.0
 By common knowledge soft tissue without contrast medium is 20 to 60 HU and vessels with it are 150 to 400 HU; tumours
 take up 20 to 60 HU.
 """
+UNRESOLVED_MM, UNRESOLVED_SLICES = 1.0, 0.5
+"""Radius of the largest ball in a faint target below which its density is uncertain: a length in mm, and a share of
+the slice distance in addition.
+
+The blur of the CT and of its slices makes a vessel, an airway's wall or a dense nodule of this size as faint as ground
+glass.
+"""
 LIKE_BLOOD = (0.6, 1.5)
 """Range of the target's density, as a share of the blood's, in which the target may be a vessel with contrast medium.
 
@@ -200,6 +207,15 @@ def target_doubts(
                     f"({blood_hu:.0f} HU)",
                 )
             )
+    elif nodule.kind != "solid" and around.radius_mm < _unresolved_mm(volume):
+        found.append(
+            TargetDoubt(
+                DENSITY,
+                f"at {hu:.0f} HU and {2.0 * around.radius_mm:.0f} mm across it is too small for slices of "
+                f"{max(volume.spacing_mm):.3g} mm to show whether it is ground glass, or a part of a vessel or of an "
+                "airway's wall",
+            )
+        )
     share = around.tube_share()
     if share is not None:
         found.append(
@@ -232,6 +248,11 @@ def target_doubts(
     return tuple(found)
 
 
+def _unresolved_mm(volume: Volume) -> float:
+    """Return the radius in mm below which a target in a CT may be faint because of its size only."""
+    return UNRESOLVED_MM + UNRESOLVED_SLICES * max(volume.spacing_mm)
+
+
 def _is_centre_in_lumen(nodule: Nodule, wall: WallField) -> bool:
     """Return whether the centre of a target lies in an airway; the air round such a target is that of the airway."""
     return float(wall.distance_mm(np.array([nodule.centre_lps]))[0]) > 0.0
@@ -245,6 +266,8 @@ class _Around:
         own_mm = float(np.linalg.norm(nodule.lps_from_ijk[:3, 0]))
         radius_mm = float(ball_distance(np.pad(nodule.inside_zyx, 1), own_mm).max())
         step = own_mm if radius_mm > TUBE_COARSE_MM else min(own_mm, TUBE_STEP_MM)
+        self.radius_mm = radius_mm
+        """Radius of the largest ball in the target, mm."""
         self._beyond_mm = max(BEYOND_MM, radius_mm)
         pad_mm = max(self._beyond_mm, SHELL_MM[1]) + max(4.0, 0.5 * radius_mm)
         sides_mm = np.array(nodule.inside_zyx.shape[::-1]) * own_mm + 2.0 * pad_mm

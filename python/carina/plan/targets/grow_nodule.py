@@ -83,6 +83,10 @@ def endobronchial_lesion(volume: Volume, wall: WallField, point_lps: NDArray[np.
     return measured_mask(volume, inside, box.lps_from_ijk, notes=(NOTE,), touches=("airway wall",), off_mm=BASE_OFF_MM)
 
 
+ASIDE_MM = 1.0
+"""Largest distance in mm of a click from a faint nodule, or of a click in air from any nodule."""
+CLEAR_AIR_HU = -950.0
+"""Density in HU below which a point is in air: emphysema (the usual limit), a cyst or an airway."""
 MAX_STEPS = 60
 """Largest number of voxels from the centre of a box to its side; large masses get larger voxels."""
 
@@ -125,7 +129,8 @@ def grow_nodule(
     UsageError
         If ``at_lps`` is not a point, or is outside the CT.
     NoResultError
-        If nothing there is denser than the lung (code ``plan.no-nodule``); if the dense part does not end within 5 cm,
+        If nothing there is denser than the lung, or the point is in air beside the nodule, or in lung beside a faint
+        nodule (code ``plan.no-nodule``); if the dense part does not end within 5 cm,
         as in a consolidation, the chest wall or the heart (``plan.no-boundary``); if the point is in an airway and
         nothing protrudes into it there (``plan.in-airway``); or if it is outside the body (``plan.outside-body``).
     CancelledError
@@ -184,14 +189,41 @@ def grow_nodule(
         if grown.is_near_faces or grown.is_film or grown.is_embedded:
             continue
         if not grown.is_chord:
-            return _inside_body(volume, measured(grown, coarsest_mm))
+            return _selected(volume, grown, point, coarsest_mm)
         if chord is not None:
             break
         # A larger box may show enough of the lung's surface to continue it behind the mass.
         chord = grown
     if chord is None:
         raise problem
-    return _inside_body(volume, measured(chord, coarsest_mm))
+    return _selected(volume, chord, point, coarsest_mm)
+
+
+def _selected(volume: Volume, grown: Boundary, point: NDArray[np.float64], coarsest_mm: float) -> Nodule:
+    """Return the nodule inside a boundary; raise an error if it is outside the body, or the point in air beside it.
+
+    Parameters
+    ----------
+    volume, grown
+        The CT, and the boundary in it.
+    point
+        (3,) clicked point, LPS mm.
+    coarsest_mm
+        Largest spacing of the CT.
+    """
+    nodule = _inside_body(volume, measured(grown, coarsest_mm))
+    off = grown.box.offsets_mm(point)
+    aside_mm = float(off[grown.inside].min()) - 0.5 * grown.box.step_mm
+    hu = float(grown.smooth.reshape(-1)[int(off.argmin())])
+    # A click beside a dense nodule can only select this nodule; faint tissue beside a click may be any vessel or wall.
+    if aside_mm > ASIDE_MM and hu < (CLEAR_AIR_HU if nodule.kind == "solid" else grown.bar_hu):
+        what = "in air" if hu < CLEAR_AIR_HU else "in lung"
+        raise NoResultError(
+            f"there is no nodule at this point: it is {what} ({hu:.0f} HU), and the nearest tissue is "
+            f"{aside_mm:.1f} mm away; click in the middle of the nodule",
+            code="plan.no-nodule",
+        )
+    return nodule
 
 
 def _inside_body(volume: Volume, nodule: Nodule) -> Nodule:
