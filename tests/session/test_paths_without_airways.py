@@ -80,7 +80,7 @@ def test_path_without_a_start_or_to_an_invalid_target_is_reported(vessel):
         assert targets_of(case)[0].route is None
 
 
-def test_path_that_ignores_the_airways_states_its_length_outside_them_and_stays_after_an_edit(phantom):
+def test_path_that_ignores_the_airways_states_its_length_outside_them_and_stays_after_an_edit(phantom, tmp_path):
     with carina.Case.open(phantom.volume) as case:
         tree = case.airways.tree
         tip = tree.tips()[0]
@@ -97,3 +97,8 @@ def test_path_that_ignores_the_airways_states_its_length_outside_them_and_stays_
         np.testing.assert_array_equal(after.route.points_lps, target.route.points_lps)
         assert tip.id not in after.route.branch_ids
         assert after.outside_mm > target.outside_mm
+        assert len(after.crossings_mm) > len(target.crossings_mm)
+        assert list(after.crossings_mm) == sorted(after.crossings_mm)
+        saved = case.save(tmp_path / "crossing.carina")
+    with carina.Case.open(saved) as again:
+        assert targets_of(again)[0].crossings_mm == pytest.approx(after.crossings_mm)

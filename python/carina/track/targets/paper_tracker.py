@@ -303,11 +303,12 @@ def track_on_graph(
                 volume=volume,
             )
             results[number] = dataclasses.replace(results[number], path=path)
-            if is_relaxed and airways is not None:
+            if is_relaxed:
                 searches[number] = dataclasses.replace(
                     search_of,
-                    outside_mm=outside_mm(path.points_lps, airways, volume),
-                    crossings=wall_crossings(path.points_lps, airways),
+                    outside_mm=None if airways is None else outside_mm(path.points_lps, airways, volume),
+                    crossings=None if airways is None else wall_crossings(path.points_lps, airways),
+                    value_range=_value_range(volume, path.points_lps),
                 )
     search = GraphSearch(
         cost=cost,
