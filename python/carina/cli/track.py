@@ -157,6 +157,7 @@ def _search_row(search: GraphSearch) -> dict[str, Any]:
     """Return size and computing times of the graph; the search time of each target is in the row of that target."""
     return {
         "labels": search.labels,
+        "equal_by": None if search.labels is None else {"bins": "bins of 16", "lumen": "lumen"}[search.labels],
         "num_nodes": search.num_nodes,
         "relaxed": search.is_relaxed,
         "num_edges": search.num_edges,

@@ -41,7 +41,7 @@ CHECKED_SHARES = (0.25, 0.5, 0.75, 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tube:
+class SearchTube:
     """Set of voxels to which the relaxation of a path is confined, in the box around the path."""
 
     mask_zyx: Mask
@@ -72,7 +72,7 @@ def relaxed_path(volume: Volume, airways: Airways | None, nodes_lps: Points) -> 
     Returns
     -------
     ndarray
-        Points at equal distances of at most 1 mm, LPS in mm. The path is not longer than that of the search, and
+        Points about 1 mm apart, LPS in mm. The path is not longer than that of the search, and
         leaves the lumen only where the search left it.
     """
     points = evenly_spaced(nodes_lps, STEP_MM)
@@ -81,10 +81,16 @@ def relaxed_path(volume: Volume, airways: Airways | None, nodes_lps: Points) -> 
     tube = tube_around(volume, airways, nodes_lps)
     relaxed = relaxed_in_tube(points, tube)
     resampled = evenly_spaced(relaxed, STEP_MM)
-    return resampled if bool(tube.inside(resampled).all()) else relaxed
+    # Between two points in the tube a segment may touch the corner of another voxel: use the nearest point there.
+    outside = np.flatnonzero(~tube.inside(resampled))
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(relaxed, axis=0), axis=1))])
+    places = np.linspace(0.0, along[-1], len(resampled))[outside]
+    resampled[outside] = relaxed[np.abs(along[None, :] - places[:, None]).argmin(axis=1)]
+    is_new = np.append(True, (resampled[1:] != resampled[:-1]).any(axis=1))
+    return resampled[is_new]
 
 
-def relaxed_in_tube(points: Points, tube: Tube) -> Points:
+def relaxed_in_tube(points: Points, tube: SearchTube) -> Points:
     """Move each inner point repeatedly to the middle of its neighbours where the path then remains in the tube.
 
     No move makes the path longer.
@@ -111,7 +117,7 @@ def relaxed_in_tube(points: Points, tube: Tube) -> Points:
     return points
 
 
-def tube_around(volume: Volume, airways: Airways | None, nodes_lps: Points) -> Tube:
+def tube_around(volume: Volume, airways: Airways | None, nodes_lps: Points) -> SearchTube:
     """Return the union of balls of the medium around the path of a search, and the voxels of that path.
 
     The radius of a ball is the distance to the end of the medium: for a point in a known lumen, the distance to its
@@ -154,7 +160,7 @@ def tube_around(volume: Volume, airways: Airways | None, nodes_lps: Points) -> T
     mask[k, j, i] = True
     ijk_from_lps = whole_from_lps.copy()
     ijk_from_lps[:3, 3] -= first
-    return Tube(mask, ijk_from_lps)
+    return SearchTube(mask, ijk_from_lps)
 
 
 def medium_radii(volume: Volume, points: Points) -> NDArray[np.float64]:
