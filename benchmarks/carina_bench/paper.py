@@ -12,6 +12,7 @@ import numpy as np
 import carina
 from carina.cli.console import print_note
 from carina.render import AirwayView, Renderer, TransferFunction
+from carina.render.value_labels import equal_by_name
 from carina.scopes import Pose
 from carina.volume import Volume
 from carina_bench.alternating_timer import median_ratio, take_turns
@@ -85,6 +86,7 @@ def paper_mode(request: Request) -> list[dict[str, Any]]:
     for name, file in FILES.items():
         volume = _eight_bit(carina.open_volume(Path(request["data_dir"]) / FOLDER / file))
         poses = _poses(volume)
+        equal_by = equal_by_name(volume.hu_zyx)
         for transfer in _transfers().values():
             renderer = Renderer(volume, transfer=transfer)
             renderer.prepare()
@@ -110,6 +112,7 @@ def paper_mode(request: Request) -> list[dict[str, Any]]:
                         "transfer": transfer.name,
                         "view": where,
                         "method": b.stats.method,
+                        "equal_by": equal_by,
                         "speed_up_time": round(median_ratio(times["brute"], times["leap"]), 3),
                         "speed_up_time_always": round(median_ratio(times["brute"], times["always"]), 3),
                         "speed_up_steps": round(a.stats.num_samples / max(steps_leap, 1), 3),

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
+from carina.phantom import generate_phantom
 from carina.session import Case
 from carina.volume import write_grid
 from vessel_phantom import bent_vessel
@@ -37,6 +39,27 @@ def test_path_through_a_vessel_is_written_with_null_for_its_unknown_figures(cari
     assert "values along the path from 11" in output
     assert "without an airway lumen" in output
     assert "generation" not in output
+
+
+def test_track_command_lists_the_wall_crossings_of_a_path_beside_the_airways(carina, tmp_path):
+    phantom = generate_phantom(spacing_mm=3.0, generations=3)
+    scan = tmp_path / "phantom.nii.gz"
+    write_grid(scan, phantom.volume.hu_zyx, phantom.volume.lps_from_ijk, what="the scan")
+    trachea = np.array(phantom.truth["branches"][0]["points"])
+    beside = ",".join(f"{v:.2f}" for v in trachea[len(trachea) // 2] + np.array([25.0, 0.0, 0.0]))
+    ended = carina("track", scan, "--cost", "walls", f"--target={beside}", "--json")
+    assert ended.code == 0, ended.err
+    result = ended.json()
+    assert result["search"]["relaxed"] is True
+    (row,) = result["targets"]
+    crossings = row["search"]["crossings"]
+    assert len(crossings) % 2 == 1
+    assert crossings[0]["enters"] is False
+    assert row["length_mm"] <= row["search"]["search_length_mm"]
+    assert f"out at {crossings[0]['along_mm']:.1f} mm" in ended.err
+    plain = carina("track", scan, "--cost", "walls", f"--target={beside}", "--no-relax", "--json").json()
+    assert plain["search"]["relaxed"] is False
+    assert plain["targets"][0]["length_mm"] > row["length_mm"]
 
 
 def test_track_command_without_airways_and_without_a_start_is_refused(carina, vessel):

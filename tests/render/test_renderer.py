@@ -12,6 +12,7 @@ import pytest
 from carina import _core
 from carina.errors import CancelledError, GeometryError, RenderError, UsageError
 from carina.render import AirwayView, CancelToken, Light, Renderer, SliceView, TransferFunction, transfer_preset
+from carina.render.value_labels import bin_width, equal_by_name, value_labels
 from carina.render.wall import grow_one_voxel, wall_levels, with_wall
 from carina.scopes import Pose
 from carina.volume import Volume
@@ -70,6 +71,43 @@ def test_paper_mode_samples_nearest_voxels_in_steps_of_one_and_leaps_over_all_bi
     # The paper mode always has steps of one voxel, so about as many samples as another transfer function with such
     # steps.
     assert brute.stats.num_samples < 1.5 * whole_steps.stats.num_samples
+
+
+def test_paper_mode_compares_and_shows_the_values_of_8_bit_data(airway):
+    values = np.clip((airway.volume.hu_zyx.astype(np.int32) + 1000) // 5, 0, 255).astype(np.int16)
+    # Noise in the lumen would leave no equal neighbours to leap over.
+    values[values < 60] = 5
+    volume = Volume(values, airway.volume.lps_from_ijk)
+    ramp = TransferFunction(
+        points=np.array([[0.0, 0, 0, 0, 0.0], [20.0, 0, 0, 0, 0.0], [255.0, 1, 1, 1, 0.9]]),
+        sampling="nearest",
+        unit="raw",
+    )
+    renderer = Renderer(volume, transfer=ramp)
+    renderer.prepare()
+    leap = renderer.render(view(airway, method="leap-always", shading=False))
+    brute = renderer.render(view(airway, method="brute", shading=False))
+    assert leap.stats.method == "leap-all"
+    assert leap.stats.num_leaps > 0
+    assert np.abs(leap.rgb.astype(int) - brute.rgb).max() <= 1
+    assert len(np.unique(brute.rgb)) > 16
+
+
+def test_value_labels_are_values_up_to_256_and_bins_of_16_beyond(rng):
+    few = rng.choice(rng.choice(60_000, 256, replace=False) - 30_000, (30, 20, 25)).astype(np.int16)
+    for values in (few, few // 300):
+        labels, lowest = value_labels(values)
+        assert equal_by_name(values) == "values"
+        known = labels > 0
+        assert np.array_equal(lowest[labels[known].astype(int) - 1], values[known])
+        # Labels have 8 bits: with 256 values the rarest one has none.
+        assert len(np.unique(values[~known])) == max(len(np.unique(values)) - 255, 0)
+    many = np.arange(257, dtype=np.int16).repeat(27).reshape(257, 3, 9)
+    labels, lowest = value_labels(many)
+    assert (equal_by_name(many), bin_width(many)) == ("bins of 16", 16)
+    assert np.array_equal(lowest[labels.astype(int) - 1], many // 16 * 16)
+    with pytest.raises(UsageError, match="at most 256 different values"):
+        value_labels(many, "values")
 
 
 def test_joined_strips_equal_the_undivided_picture(airway):

@@ -80,8 +80,10 @@ def test_path_without_a_start_or_to_an_invalid_target_is_reported(vessel):
         assert targets_of(case)[0].route is None
 
 
-def test_path_that_ignores_the_airways_states_its_length_outside_them_and_stays_after_an_edit(phantom):
-    with carina.Case.open(phantom.volume) as case:
+def test_path_that_ignores_the_airways_states_its_length_outside_them_and_stays_after_an_edit(phantom, tmp_path):
+    scan = tmp_path / "phantom.nii.gz"
+    write_grid(scan, phantom.volume.hu_zyx, phantom.volume.lps_from_ijk, what="the scan")
+    with carina.Case.open(scan) as case:
         tree = case.airways.tree
         tip = tree.tips()[0]
         case.do(c.AddTarget(tuple(tip.points[-1]), cost="walls"))
@@ -97,3 +99,10 @@ def test_path_that_ignores_the_airways_states_its_length_outside_them_and_stays_
         np.testing.assert_array_equal(after.route.points_lps, target.route.points_lps)
         assert tip.id not in after.route.branch_ids
         assert after.outside_mm > target.outside_mm
+        # The end of the path is now outside the lumen, so the path leaves it once more than it returns.
+        assert len(target.crossings_mm) % 2 == 0
+        assert len(after.crossings_mm) % 2 == 1
+        assert list(after.crossings_mm) == sorted(after.crossings_mm)
+        saved = case.save(tmp_path / "crossing.carina")
+    with carina.Case.open(saved) as again:
+        assert targets_of(again)[0].crossings_mm == pytest.approx(after.crossings_mm)

@@ -60,6 +60,8 @@ class Target:
     """Start of the path for the costs ``walls`` and ``paper``; None selects the root of the airways."""
     outside_mm: float | None = None
     """Length of the path outside the lumen in mm; None if no lumen is known."""
+    crossings_mm: tuple[float, ...] | None = None
+    """Distances from the start in mm at which the path leaves the lumen or returns into it; None without a lumen."""
     value_range: tuple[int, int] | None = None
     """Smallest and largest value of the scan along the path, in the scan's own values."""
     lesion: Lesion | None = None

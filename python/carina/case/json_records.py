@@ -194,6 +194,7 @@ class TargetFacts(_Facts, AskedPath, frozen=True, forbid_unknown_fields=False):
     problem: Message | None
     route: RowId | None
     outside_mm: Mm | None = None
+    crossings_mm: Numbers | None = None
     value_range: tuple[CtValue, CtValue] | None = None
     lesion: LesionFacts | None = None
     note: TargetNote = ""

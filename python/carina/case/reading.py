@@ -296,6 +296,7 @@ class CaseReader:
                 cost=t.cost,
                 root_lps=t.root_lps,
                 outside_mm=t.outside_mm,
+                crossings_mm=t.crossings_mm,
                 value_range=t.value_range,
                 lesion=None if t.lesion is None else lesion_from_facts(t.lesion),
                 note=t.note,

@@ -213,6 +213,7 @@ class CaseWriter:
             cost=target.cost,
             root_lps=None if target.root_lps is None else _three_floats(target.root_lps),
             outside_mm=target.outside_mm,
+            crossings_mm=target.crossings_mm,
             value_range=target.value_range,
             lesion=None if target.lesion is None else lesion_facts(target.lesion),
             note=target.note,

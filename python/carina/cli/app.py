@@ -466,10 +466,20 @@ def isoregion(
         typer.Option(
             help=(
                 "Compare voxels as this transfer function shows them: a preset (endoscopic, paper, ct-grey, "
-                "see-through) or a JSON file (default: by 16 HU, as in the paper)."
+                "see-through) or a JSON file (default: by value, see --equal-by)."
             )
         ),
     ] = None,
+    equal_by: Annotated[
+        str,
+        typer.Option(
+            "--equal-by",
+            help=(
+                "Without --transfer: values compares voxels by value, as in the paper (at most 256 different values); "
+                "bins compares bins of 16; auto takes values if there are at most 256, else bins."
+            ),
+        ),
+    ] = "auto",
     series: SeriesOption = None,
     ct: CtOption = None,
     as_json: JsonOption = False,
@@ -483,7 +493,9 @@ def isoregion(
     with exit_codes(as_json):
         from carina.cli.isoregion import write
 
-        raise SystemExit(write(path, output=output, transfer=transfer, series=series, ct=ct, as_json=as_json))
+        raise SystemExit(
+            write(path, output=output, transfer=transfer, equal_by=equal_by, series=series, ct=ct, as_json=as_json)
+        )
 
 
 @app.command()

@@ -171,6 +171,16 @@ def track(
             )
         ),
     ] = "voxel",
+    relax: Annotated[
+        bool,
+        typer.Option(
+            "--relax/--no-relax",
+            help=(
+                "With --cost walls, shorten and smooth each path after the search, in the tube that the search "
+                "followed; --no-relax writes the path of the search, as in the paper."
+            ),
+        ),
+    ] = True,
     series: SeriesOption = None,
     ct: CtOption = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Path tree file to write: .json.")] = None,
@@ -180,7 +190,7 @@ def track(
 
     A target outside the lumen is snapped to it if it is within 5 mm. If a target has no path, the exit code is 4; the
     other targets are still written. With --cost walls or paper, the search ignores the lumen, and any volume will do if
-    --root is a point; any part of a path outside a segmented lumen is reported, and so are the values along the path.
+    --root is a point; each crossing of the wall of a segmented lumen is reported, and so are the values along the path.
 
     Example: carina track scan.nii.gz --root auto --target -41,12,-180 --target 38,20,-176 -o tree.json
     """
@@ -196,6 +206,7 @@ def track(
                 targets=targets,
                 cost=cost,
                 graph=graph,
+                relax=relax,
                 series=series,
                 ct=ct,
                 output=output,

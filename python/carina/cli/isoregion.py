@@ -11,31 +11,51 @@ from carina.cli.arguments import check_output_file
 from carina.cli.console import print_json, print_note, progress_printer
 from carina.cli.opened import check_case_options, open_input
 from carina.cli.render import chosen_transfer
+from carina.errors import UsageError
+from carina.render.value_labels import EQUAL_BY, EqualBy, equal_by_name
 from carina.volume import GRID_SUFFIXES, check_grid_fits, write_grid
 
 
-def write(path: Path, *, output: Path, transfer: str | None, series: str | None, ct: Path | None, as_json: bool) -> int:
+def write(
+    path: Path, *, output: Path, transfer: str | None, equal_by: str, series: str | None, ct: Path | None, as_json: bool
+) -> int:
     """Compute the isoregion map of a scan and write it to a file, on the grid of the scan."""
     check_output_file(output, *GRID_SUFFIXES)
+    comparison = _comparison(equal_by, transfer)
     chosen = chosen_transfer(transfer)
     check_case_options(path, ct)
     source = open_input(path, series=series, progress=progress_printer(), ct=ct)
     check_grid_fits(output, source.volume.shape_zyx, source.volume.lps_from_ijk, what="the IsoRegion map")
-    radii = carina.isoregion_map(source.volume, chosen)
-    what = "16 HU" if transfer is None else f"the transfer function {transfer}"
+    radii = carina.isoregion_map(source.volume, chosen, equal_by=comparison)
+    compared = "classes" if chosen is not None else equal_by_name(source.volume.hu_zyx, comparison)
+    what = compared if chosen is None else f"the transfer function {transfer}"
     note = f"IsoRegion radii in voxels, equal by {what}; the cube of a voxel has 2 r + 1 voxels on each side"
     write_grid(output, radii, source.volume.lps_from_ijk, what="the IsoRegion map", note=note)
     share = float(np.count_nonzero(radii)) / radii.size
     largest = int(radii.max())
+    print_note(f"voxels were compared by {what}")
     print_note(f"wrote {output}: {100.0 * share:.1f} % of the voxels have equal neighbours; largest radius {largest}")
     if as_json:
         print_json(
             {
                 "file": str(output),
-                "equal_by": "values" if transfer is None else "classes",
+                "equal_by": compared,
                 "share_with_equal_neighbours": share,
                 "largest_radius": largest,
                 "badges": source.badges.to_json(),
             }
         )
     return 0
+
+
+def _comparison(equal_by: str, transfer: str | None) -> EqualBy:
+    """Return the value of ``--equal-by``, or raise an error if it is unknown or beside a transfer function."""
+    if equal_by != "auto" and transfer is not None:
+        raise UsageError("--equal-by compares values; omit it, or omit --transfer")
+    if equal_by == "values":
+        return "values"
+    if equal_by == "bins":
+        return "bins"
+    if equal_by != "auto":
+        raise UsageError(f"--equal-by: expected {', '.join(EQUAL_BY)}; found {equal_by}")
+    return "auto"

@@ -17,7 +17,7 @@ from carina.errors import NoResultError
 from carina.export import write_tree
 from carina.track import Airways, DrawnPart, drawn_part
 from carina.track.targets.paper_tracker import check_choice, track_on_graph
-from carina.track.targets.results import GraphSearch
+from carina.track.targets.results import GraphSearch, TargetSearch
 
 
 def report(
@@ -30,6 +30,7 @@ def report(
     series: str | None,
     output: Path | None,
     as_json: bool,
+    relax: bool = True,
     ct: Path | None = None,
 ) -> int:
     """Track all targets and write the tree; return 4 if a target has no path (the other paths are written)."""
@@ -47,6 +48,7 @@ def report(
         targets=targets,
         cost=cost,
         graph=graph,
+        relax=relax,
         airways=None if source.moment is None else _airways_of_case(source, progress, cost, root),
         progress=progress,
     )
@@ -87,11 +89,13 @@ def report(
                     low, high = outside.value_range
                     unit = " HU" if volume.is_hu else ""
                     print_note(f"target {number}: values along the path from {low} to {high}{unit}")
-                if outside.num_outside:
+                if search is not None and search.is_relaxed:
                     print_note(
-                        f"target {number}: {outside.outside_mm:.1f} mm of the path ({outside.num_outside} points) lie "
-                        "outside the airway lumen"
+                        f"target {number}: the path of the search was {outside.search_length_mm:.1f} mm long before it "
+                        "was shortened and smoothed"
                     )
+                if outside.crossings:
+                    print_note(f"target {number}: {crossing_text(outside)}")
             snapped = f", snapped {target.snapped_mm:.1f} mm to the lumen" if target.snapped_mm else ""
             depth = "" if result.airways is None else f", generation {row['generation']}"
             print_note(f"target {number}: {target.path.length_mm:.1f} mm{depth}{snapped}")
@@ -122,6 +126,18 @@ def report(
     return NoResultError.exit_code
 
 
+def crossing_text(search: TargetSearch) -> str:
+    """Return the length of a path outside the lumen, and where the path crosses its wall, as text."""
+    places = ", ".join(
+        f"{'back in' if crossing.enters else 'out'} at {crossing.along_mm:.1f} mm"
+        for crossing in search.crossings or ()
+    )
+    return (
+        f"{search.outside_mm:.1f} mm of the path are outside the airway lumen; distances from the start to each "
+        f"crossing of the wall: {places}"
+    )
+
+
 def _airways_of_case(
     source: OpenedInput, progress: ProgressCallback, cost: str, root: NDArray[np.float64] | None
 ) -> Airways | None:
@@ -141,7 +157,9 @@ def _search_row(search: GraphSearch) -> dict[str, Any]:
     """Return size and computing times of the graph; the search time of each target is in the row of that target."""
     return {
         "labels": search.labels,
+        "equal_by": None if search.labels is None else {"bins": "bins of 16", "lumen": "lumen"}[search.labels],
         "num_nodes": search.num_nodes,
+        "relaxed": search.is_relaxed,
         "num_edges": search.num_edges,
         "num_centres": search.num_centres,
         "build_s": search.build_s,

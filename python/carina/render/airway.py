@@ -36,7 +36,7 @@ class AirwayCaster:
         )
         self._swap = threading.Lock()
         self._bricks: tuple[NDArray[np.int16], _core.Bricks] | None = None
-        self._tables: dict[tuple[int, int, float], tuple[TransferFunction, _core.TransferTable]] = {}
+        self._tables: dict[tuple[int, int, float, int], tuple[TransferFunction, _core.TransferTable]] = {}
 
     def cast(
         self,
@@ -170,7 +170,7 @@ class AirwayCaster:
             return self._bricks[1]
 
     def _transfer_table(self, scene: Scene, step_mm: float) -> _core.TransferTable:
-        key = (*scene.range, step_mm)
+        key = (*scene.range, step_mm, scene.bin_width)
         with self._swap:
             cached = self._tables.get(key)
         # The entry holds a reference to its transfer function, so no other object can have its identity.
@@ -182,7 +182,7 @@ class AirwayCaster:
             step_mm=step_mm,
             lo=scene.range[0],
             hi=scene.range[1],
-            bin_hu=scene.transfer.bin_hu,
+            bin_hu=scene.bin_width,
         )
         with self._swap:
             if len(self._tables) >= TABLES_IN_MEMORY:

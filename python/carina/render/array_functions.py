@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina import _core
-from carina.argument_checks import check_arguments, instance
-from carina.errors import GeometryError, check_type
+from carina.argument_checks import check_arguments, choice, instance
+from carina.errors import GeometryError, UsageError, check_type
 from carina.render.transfer_function import TransferFunction
+from carina.render.value_labels import EQUAL_BY, EqualBy, value_labels
 from carina.volume import Volume
 
 
@@ -50,8 +51,11 @@ def build_isoregion_map(labels_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
 @check_arguments(
     volume=instance(Volume, "open a volume with carina.open_volume"),
     transfer=instance(TransferFunction, "get one from carina.transfer_preset", optional=True),
+    equal_by=choice(*EQUAL_BY),
 )
-def isoregion_map(volume: Volume, transfer: TransferFunction | None = None) -> NDArray[np.uint8]:
+def isoregion_map(
+    volume: Volume, transfer: TransferFunction | None = None, *, equal_by: EqualBy = "auto"
+) -> NDArray[np.uint8]:
     """Return the IsoRegion map of a volume: for every voxel the largest cube of equal voxels centred on it.
 
     Parameters
@@ -60,13 +64,22 @@ def isoregion_map(volume: Volume, transfer: TransferFunction | None = None) -> N
         The scan.
     transfer
         Voxels count as equal if this transfer function shows them in the same colour and opacity, as for leaps of
-        pictures. With None, voxels count as equal if their values lie in the same bin of 16 HU, as in the paper.
+        pictures. With None, voxels count as equal if their values or bins do.
+    equal_by
+        Comparison without a transfer function. ``auto``: by value, as in the paper, if the volume has at most 256
+        different values, else by bins of 16. ``values`` or ``bins``: always by values, or by bins of 16.
 
     Returns
     -------
     numpy.ndarray
         (nz, ny, nx) uint8, chessboard radii: see :func:`build_isoregion_map`. In a noisy CT few voxels have equal
         neighbours within 16 HU.
+
+    Raises
+    ------
+    UsageError
+        If values are requested and the volume has more than 256 different ones, or if a transfer function and a
+        comparison are given.
 
     References
     ----------
@@ -82,9 +95,15 @@ def isoregion_map(volume: Volume, transfer: TransferFunction | None = None) -> N
     """
     check_type("isoregion_map", "volume", volume, Volume, "open a volume with carina.open_volume")
     if transfer is None:
-        labels, _ = _core.label_values(volume.hu_zyx)
-    else:
-        labels, _ = _core.label_classes(volume.hu_zyx, transfer.points, reference_mm=transfer.reference_mm)
+        labels, _ = value_labels(volume.hu_zyx, equal_by)
+        radii = _core.build_radius_map(labels)
+        if len(found := np.unique(volume.hu_zyx[labels == 0])) == 1:
+            # With 256 values the rarest one has no label, because labels have 8 bits.
+            radii = np.maximum(radii, _core.build_radius_map((volume.hu_zyx == found[0]).astype(np.uint8)))
+        return radii
+    if equal_by != "auto":
+        raise UsageError("equal_by: expected auto beside a transfer function, whose classes are compared")
+    labels, _ = _core.label_classes(volume.hu_zyx, transfer.points, reference_mm=transfer.reference_mm)
     return _core.build_radius_map(labels)
 
 

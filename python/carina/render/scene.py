@@ -19,6 +19,7 @@ from carina.errors import CancelledError, GeometryError
 from carina.render.isoregion_cache import CachedMap, MapCache, MapName
 from carina.render.transfer_function import TransferFunction, transfer_from_histogram, transfer_preset
 from carina.render.tree import LeapedValues, TreeField, build_tree_field
+from carina.render.value_labels import bin_width, value_labels
 from carina.render.wall import wall_levels, with_wall
 from carina.render.wall_texture import Decoration, DecorationTree, decoration_of
 from carina.volume import Volume
@@ -56,6 +57,8 @@ class Scene:
     maps: Maps | None
     class_maps: ClassMaps | None
     decoration: Decoration | None = None
+    bin_width: int = 1
+    """Width of the bins of values that have one colour; 1 if each value has its own."""
 
 
 class SceneBuilder:
@@ -67,7 +70,8 @@ class SceneBuilder:
         self._volume = volume
         self._cache = None if cache_dir is None else MapCache(cache_dir)
         self._range = volume.value_range
-        self._scene = Scene(transfer, None, volume.hu_zyx, self._range, None, None, None)
+        width = _bin_width(transfer, volume.hu_zyx)
+        self._scene = Scene(transfer, None, volume.hu_zyx, self._range, None, None, None, bin_width=width)
         self._swap = threading.Lock()
         self._change = threading.Lock()
 
@@ -131,10 +135,12 @@ class SceneBuilder:
             value_range = (self._range[0], max(self._range[1], _core.value_range(values)[1]))
         # A map that no longer fits is dropped: building it again is fast, and a map takes half the memory of the
         # volume.
-        can_reuse = old.maps is not None and old.maps.values is values and old.maps.runs == _transparent_runs(transfer)
+        width = _bin_width(transfer, values)
+        runs = _transparent_runs(transfer, width)
+        can_reuse = old.maps is not None and old.maps.values is values and old.maps.runs == runs
         with self._swap:
             maps = old.maps if can_reuse else None
-            self._scene = Scene(transfer, lumen, values, value_range, tree, maps, None, decoration)
+            self._scene = Scene(transfer, lumen, values, value_range, tree, maps, None, decoration, width)
 
     def prepare(
         self, progress: Progress | None = None, cancel: Cancel | None = None, *, all_classes: bool | None = None
@@ -172,7 +178,7 @@ class SceneBuilder:
         return build() if self._cache is None else self._cache.get_or_build(name, build)
 
     def _build_maps(self, scene: Scene, cancel: Cancel | None) -> Maps:
-        runs = _transparent_runs(scene.transfer)
+        runs = _transparent_runs(scene.transfer, scene.bin_width)
         found = self._get_or_build(
             MapName(scene.values, ("clear-cells", runs)),
             lambda: CachedMap((_core.build_cell_map(scene.values, runs, cancel=cancel),)),
@@ -185,13 +191,17 @@ class SceneBuilder:
 
         def build() -> CachedMap:
             if by_value:
-                labels, classes = _core.label_values(scene.values)
+                labels, lowest = value_labels(scene.values, "values" if scene.bin_width == 1 else "bins")
+                class_values = [int(value) for value in lowest]
             else:
                 labels, classes = _core.label_classes(scene.values, transfer.points, reference_mm=transfer.reference_mm)
+                class_values = [lo for lo, _, _, _ in classes]
             radius = _core.build_radius_map(labels, cancel=cancel)
-            return CachedMap((labels, radius), [lo for lo, _, _, _ in classes])
+            return CachedMap((labels, radius), class_values)
 
-        classes = ("values",) if by_value else ("classes", transfer.points.tolist(), transfer.reference_mm)
+        classes = (
+            ("values", scene.bin_width) if by_value else ("classes", transfer.points.tolist(), transfer.reference_mm)
+        )
         found = self._get_or_build(MapName(scene.values, classes), build)
         labels, radius = found.arrays
         return ClassMaps(
@@ -204,6 +214,11 @@ class SceneBuilder:
             self._cache.wait_stored()
 
 
-def _transparent_runs(transfer: TransferFunction) -> tuple[tuple[int, int], ...]:
-    runs = _core.transparent_runs(transfer.points, reference_mm=transfer.reference_mm, bin_hu=transfer.bin_hu)
+def _bin_width(transfer: TransferFunction, values: NDArray[np.int16]) -> int:
+    """Return the width of the bins of one colour: the paper's transfer functions show up to 256 values as they are."""
+    return 1 if transfer.bin_hu == 1 else bin_width(values)
+
+
+def _transparent_runs(transfer: TransferFunction, width: int) -> tuple[tuple[int, int], ...]:
+    runs = _core.transparent_runs(transfer.points, reference_mm=transfer.reference_mm, bin_hu=width)
     return tuple(runs)

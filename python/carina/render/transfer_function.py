@@ -175,7 +175,7 @@ class TransferFunction:
 
     @property
     def bin_hu(self) -> int:
-        """Width in HU of the bins of equal colour; 1 if values are not binned."""
+        """Width of the bins of equal colour in a volume of more than 256 values; 1 if values are not binned."""
         return PAPER_BIN_HU if self.sampling == "nearest" else 1
 
     def to_json(self) -> dict[str, Any]:

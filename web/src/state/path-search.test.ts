@@ -13,6 +13,7 @@ const TARGET: Target = {
   cost: "walls",
   root_lps: [4, 5, 6],
   outside_mm: null,
+  crossings_mm: null,
   note: "",
   priority: 1,
   has_size: false,
@@ -71,6 +72,13 @@ describe("pathText", () => {
     expect(pathText({ ...TARGET, outside_mm: 12.4, value_range: [-990, 40] }, true)).toBe(
       "139\u202fmm from the start, cost walls, 12\u202fmm outside the lumen, values -990 to 40 HU",
     );
+    expect(pathText({ ...TARGET, outside_mm: 12.4, crossings_mm: [100.2, 112.6] }, false)).toContain(
+      "12\u202fmm outside the lumen, crosses the wall 2 times, at 100\u202fmm, 113\u202fmm from the start, values",
+    );
+    const many = pathText({ ...TARGET, outside_mm: 30, crossings_mm: [1, 2, 3, 4, 5, 6, 7, 8] }, false);
+    expect(many).toContain("crosses the wall 8 times, at 1\u202fmm, 2\u202fmm");
+    expect(many).toContain("6\u202fmm, ... from the start");
+    expect(pathText({ ...TARGET, outside_mm: 0, crossings_mm: [] }, false)).not.toContain("crosses");
     expect(pathText({ ...TARGET, outside_mm: 0 }, false)).toContain("all in the lumen");
   });
 

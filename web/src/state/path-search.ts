@@ -66,6 +66,16 @@ export function isSamePen(one: ArmPenMessage, other: ArmPenMessage): boolean {
   return one.tool === other.tool && one.cost === other.cost && start(one) === start(other);
 }
 
+const MOST_CROSSINGS = 6;
+
+/** Return where a path crosses the wall of the lumen as text; only the first crossings are listed. */
+function crossingsText(crossings: readonly number[]): string {
+  const listed = crossings.slice(0, MOST_CROSSINGS).map((along) => mm(along, 0));
+  const more = crossings.length > MOST_CROSSINGS ? ", ..." : "";
+  const times = crossings.length === 1 ? "once" : `${crossings.length} times`;
+  return `crosses the wall ${times}, at ${listed.join(", ")}${more} from the start`;
+}
+
 /** Return the facts about a target's path as text. */
 export function pathText(target: Target, isHu: boolean): string {
   if (target.length_mm === null) return "";
@@ -77,6 +87,7 @@ export function pathText(target: Target, isHu: boolean): string {
   const parts = [`${mm(target.length_mm, 0)} from the start`, `cost ${target.cost}`];
   if (target.outside_mm !== null) {
     parts.push(target.outside_mm < 0.05 ? "all in the lumen" : `${mm(target.outside_mm, 0)} outside the lumen`);
+    if (target.crossings_mm?.length) parts.push(crossingsText(target.crossings_mm));
   } else parts.push("not compared with a lumen");
   if (target.value_range !== null) {
     const [low, high] = target.value_range;

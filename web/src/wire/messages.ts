@@ -1449,6 +1449,7 @@ export interface Target {
   readonly length_mm: number | null;
   readonly problem: string | null;
   readonly outside_mm: number | null;
+  readonly crossings_mm: readonly number[] | null;
   readonly value_range: readonly [number, number] | null;
   readonly note: string;
   readonly priority: number;

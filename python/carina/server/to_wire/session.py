@@ -184,6 +184,7 @@ def _target_message(target: Any) -> wire.TargetInfo:
         cost=target.cost,
         root_lps=target.root_lps,
         outside_mm=target.outside_mm,
+        crossings_mm=target.crossings_mm,
         value_range=target.value_range,
         note=target.note,
         priority=target.priority,

@@ -191,6 +191,8 @@ class TargetInfo(AskedPath, frozen=True):
     """Reason why there is no path; null if there is one."""
     outside_mm: float | None = None
     """Length in mm of the path outside the lumen; null without a lumen."""
+    crossings_mm: tuple[float, ...] | None = None
+    """Distances in mm from the start at which the path leaves the lumen or returns into it; null without a lumen."""
     value_range: tuple[VoxelValue, VoxelValue] | None = None
     """Smallest and largest voxel value along the path, in the units of the scan's file."""
     note: TargetNote = ""

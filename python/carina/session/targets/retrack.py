@@ -13,6 +13,8 @@ from carina.case.routes import ChosenRoute, route_along_points, route_to_branch,
 from carina.errors import NoResultError, TrackingError, UsageError
 from carina.session.open_case.open_case import as_point
 from carina.track.targets.paper_tracker import outside_mm, track_on_graph
+from carina.track.targets.relaxed_path import wall_crossings
+from carina.track.targets.results import WallCrossing
 
 if TYPE_CHECKING:
     from carina.session.engines import Cancel, Progress
@@ -63,6 +65,7 @@ def searched_target(
         length_mm=route.length_mm,
         route=route,
         outside_mm=None if row is None else row.outside_mm,
+        crossings_mm=None if row is None or row.crossings is None else _along_mm(row.crossings),
         value_range=None if row is None else row.value_range,
     )
 
@@ -83,6 +86,7 @@ def tracked_target(airways: Airways | None, target: Target) -> Target:
             target,
             route=route_along_points(airways, points, target.target_id, target.name),
             outside_mm=None if airways is None else outside_mm(points, airways, airways.tracker.grid.ct),
+            crossings_mm=None if airways is None else _along_mm(wall_crossings(points, airways)),
         )
     assert airways is not None
     bare = Target(
@@ -96,6 +100,10 @@ def tracked_target(airways: Airways | None, target: Target) -> Target:
     # Without a move the target itself is used; after a move, the last lumen voxel of the path.
     used = target.lps if path.snapped_mm == 0.0 else as_point(path.points_lps[-1])
     return replace(bare, used_lps=used, snapped_mm=path.snapped_mm, length_mm=path.length_mm, route=route)
+
+
+def _along_mm(crossings: tuple[WallCrossing, ...]) -> tuple[float, ...]:
+    return tuple(crossing.along_mm for crossing in crossings)
 
 
 def needed_target(document: Document, target_id: str) -> Target:

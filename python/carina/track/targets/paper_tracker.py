@@ -17,6 +17,7 @@ from carina.errors import CancelledError, NoResultError, UsageError
 from carina.track.find.result import Airways
 from carina.track.paths.tracker import SNAP_MM, STEP_MM, TrackedPath, as_point, words
 from carina.track.progress import Cancel, Progress
+from carina.track.targets.relaxed_path import evenly_spaced, relaxed_path, wall_crossings
 from carina.track.targets.results import GraphSearch, TargetResult, TargetSearch, TrackResult
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Note, Volume
@@ -124,6 +125,7 @@ def track_on_graph(
     labels: Labels | None = None,
     box_ijk: Box | None = None,
     snap_mm: float = SNAP_MM,
+    relax: bool = True,
     progress: Progress | None = None,
     cancel: Cancel | None = None,
 ) -> TrackResult:
@@ -156,6 +158,9 @@ def track_on_graph(
         :func:`search_box`. The box must contain the root; a target outside the box has no path.
     snap_mm
         Largest distance by which a target is moved.
+    relax
+        Whether paths and branches of the cost ``walls`` are relaxed after the search (:func:`relaxed_path`); False for
+        the paths of the search, as in the paper. Other costs are not relaxed.
     progress
         Function that receives the name of the stage and the fraction.
     cancel
@@ -164,8 +169,8 @@ def track_on_graph(
     Returns
     -------
     TrackResult
-        Paths, their tree, and ``search`` with the effort. Points of the tree's branches are voxel centres, without
-        smoothing.
+        Paths, their tree, and ``search`` with the effort. Points of the tree's branches are voxel centres, except
+        with the cost ``walls``, where each branch is relaxed.
 
     Raises
     ------
@@ -257,7 +262,6 @@ def track_on_graph(
         snapped = 0.0
         if cost == "lumen" and airways is not None and not bool(airways.tracker.inside(requested[None])[0]):
             snapped = float(np.linalg.norm(np.array(centre) - requested))
-        num_outside, outside_mm = (None, None) if airways is None else _outside_lumen(way, airways, volume)
         used = np.array(centre) if snapped > 0.0 else requested
         results.append(TargetResult(requested, used, snapped, None, None))
         searches.append(
@@ -266,16 +270,23 @@ def track_on_graph(
                 search_s=seconds,
                 num_settled=core.num_settled - settled,
                 num_path_nodes=len(way.nodes),
-                num_outside=num_outside,
-                outside_mm=outside_mm,
+                num_outside=None if airways is None else int((~airways.tracker.inside(way.points)).sum()),
+                outside_mm=None if airways is None else outside_mm(way.whole, airways, volume),
                 value_range=_value_range(volume, way.points),
                 to_node_mm=to_node_mm,
+                search_length_mm=float(np.linalg.norm(np.diff(way.whole, axis=0), axis=1).sum()),
+                crossings=None if airways is None else wall_crossings(way.whole, airways),
             )
         )
         ways.append(way)
+    is_relaxed = relax and cost == "walls"
     tree, branch_nodes = None if airways is None else airways.tree, np.zeros((0, 3))
     if ways:
         branches, branch_nodes = _tree_of(ways, airways, core.cost)
+        if is_relaxed:
+            if progress is not None:
+                progress("relaxing the paths", None)
+            branches = tuple(_relaxed_branch(branch, airways, volume) for branch in branches)
         tree = AirwayTree(branches, notes=(NO_LUMEN,) if airways is None else airways.badges)
     waiting = iter(ways)
     for number, search_of in enumerate(searches):
@@ -288,9 +299,17 @@ def track_on_graph(
                 search_of.cost,
                 results[number].snapped_mm,
                 smooth=cost == "lumen",
+                relax=is_relaxed,
                 volume=volume,
             )
             results[number] = dataclasses.replace(results[number], path=path)
+            if is_relaxed:
+                searches[number] = dataclasses.replace(
+                    search_of,
+                    outside_mm=None if airways is None else outside_mm(path.points_lps, airways, volume),
+                    crossings=None if airways is None else wall_crossings(path.points_lps, airways),
+                    value_range=_value_range(volume, path.points_lps),
+                )
     search = GraphSearch(
         cost=cost,
         graph=graph,
@@ -306,6 +325,7 @@ def track_on_graph(
         branch_nodes_lps=branch_nodes,
         targets=tuple(searches),
         notes=tuple(notes),
+        is_relaxed=is_relaxed,
     )
     return TrackResult(tree, tuple(results), airways, search)
 
@@ -325,27 +345,9 @@ class _NodePath:
         return self.points if self.end is None else np.concatenate([self.points, self.end[None]])
 
 
-def _densified(points: Points, step_mm: float) -> Points:
-    """Return evenly spaced points along a polyline, at most ``step_mm`` apart, including its ends."""
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(steps)])
-    count = max(int(np.ceil(along[-1] / step_mm)), 1) + 1 if along[-1] > 0.0 else 1
-    places = np.linspace(0.0, along[-1], count)
-    return np.stack([np.interp(places, along, points[:, axis]) for axis in range(3)], axis=1)
-
-
-def _outside_lumen(way: _NodePath, airways: Airways, volume: Volume) -> tuple[int, float]:
-    """Return the number of nodes of a path outside the lumen, and the length (mm) of the path outside the lumen."""
-    num = int((~airways.tracker.inside(way.points)).sum())
-    whole = way.whole
-    if len(whole) < 2:
-        return num, 0.0
-    return num, outside_mm(whole, airways, volume)
-
-
 def outside_mm(points: Points, airways: Airways, volume: Volume) -> float:
     """Return the length (mm) of a polyline outside the lumen."""
-    dense = _densified(points, 0.25 * min(volume.spacing_mm))
+    dense = evenly_spaced(points, 0.25 * min(volume.spacing_mm))
     pieces = np.linalg.norm(np.diff(dense, axis=0), axis=1)
     return float(pieces[~airways.tracker.inside((dense[:-1] + dense[1:]) / 2)].sum())
 
@@ -377,14 +379,17 @@ def _tracked_path(
     snapped_mm: float,
     *,
     smooth: bool,
+    relax: bool,
     volume: Volume,
 ) -> TrackedPath:
     if smooth and airways is not None:
         # An edge may be many voxels long: sample it as densely as the paths of the voxel graph.
-        dense = _densified(way.whole, min(volume.spacing_mm))
+        dense = evenly_spaced(way.whole, min(volume.spacing_mm))
         points = airways.tracker.core.smooth(dense, step_mm=STEP_MM, keep_end=True)
+    elif relax:
+        points = relaxed_path(volume, airways, way.whole)
     else:
-        points = _densified(way.whole, STEP_MM)
+        points = evenly_spaced(way.whole, STEP_MM)
     branch_ids, generation = along_branches(points, tracked if airways is None else airways.tree)
     unknown = np.zeros(len(points))
     return TrackedPath(
@@ -399,6 +404,13 @@ def _tracked_path(
         target_node=int(way.nodes[-1]),
         snapped_mm=snapped_mm,
     )
+
+
+def _relaxed_branch(branch: Branch, airways: Airways | None, volume: Volume) -> Branch:
+    """Return a branch with a relaxed centreline between the same ends."""
+    points = relaxed_path(volume, airways, branch.points)
+    radius = np.zeros(len(points)) if airways is None else airways.tracker.core.radius_mm(points)
+    return dataclasses.replace(branch, points=points, radius=radius)
 
 
 def along_branches(points: Points, tree: AirwayTree) -> tuple[NDArray[np.int32], NDArray[np.int32]]:

@@ -17,6 +17,18 @@ Points = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
+class WallCrossing:
+    """Place where a path leaves the found lumen, or returns into it."""
+
+    along_mm: float
+    """Distance from the start of the path, mm."""
+    lps: tuple[float, float, float]
+    """First point behind the wall, LPS in mm."""
+    enters: bool
+    """Whether the path returns into the lumen here; False where it leaves the lumen."""
+
+
+@dataclass(frozen=True, slots=True)
 class TargetSearch:
     """Effort of the search for one target, and statistics of its path."""
 
@@ -29,13 +41,20 @@ class TargetSearch:
     num_path_nodes: int
     """Number of nodes of the path to the target."""
     num_outside: int | None
-    """Number of nodes of the path outside the found lumen; None if there is no lumen to compare with."""
+    """Number of nodes of the search's path outside the found lumen; None if there is no lumen to compare with."""
     outside_mm: float | None
-    """Length of the path outside the found lumen, in mm; None if there is no lumen to compare with."""
+    """Length of the path outside the found lumen, in mm; None if there is no lumen to compare with.
+
+    With the cost ``walls`` the path is the relaxed one, unless the search was made without relaxation.
+    """
     value_range: tuple[int, int]
     """Lowest and highest value of the path's voxels, in the numbers of the volume."""
     to_node_mm: float
     """Distance in mm from the voxel of the target to its node; above 0 if the voxel was pruned."""
+    search_length_mm: float = 0.0
+    """Length in mm of the path of the search, before relaxation or smoothing."""
+    crossings: tuple[WallCrossing, ...] | None = None
+    """Places where the path crosses the wall of the found lumen; None if there is no lumen to compare with."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,6 +89,8 @@ class GraphSearch:
     """Search of each target; None if there is no path to the target."""
     notes: tuple[str, ...] = ()
     """Texts for the user about limits of the search."""
+    is_relaxed: bool = False
+    """Whether the paths were relaxed after the search (cost ``walls`` only)."""
 
 
 @one_line
