@@ -151,7 +151,7 @@ class _Frame:
 # Weight of a new time in the smoothed time per row: near a wall, the cost of a row changes within a few frames.
 PACE_WEIGHT = 0.3
 KINDS_REMEMBERED = 32
-TRANSPORT_GROWTH = 1.05
+TRANSPORT_GROWTH, TRANSPORT_STEP_S = 1.05, 0.0001
 """Largest growth of a lane's transport time for each strip, so that a slow link is noticed after some strips."""
 SLOW_TRANSPORT = 2.0
 """Multiple of the median transport time above which a lane counts as slower."""
@@ -453,9 +453,9 @@ class StripScheduler:
         lane.render_pace[task.cost] = rendered + PACE_WEIGHT * (seconds / task.num_rows - rendered)
         # The smallest value excludes the time in which the console was busy with other answers.
         transport_s = max(0.0, service_s - seconds)
-        lane.transport_s = (
-            min(transport_s, TRANSPORT_GROWTH * lane.transport_s) if lane.num_answers > 1 else transport_s
-        )
+        if lane.num_answers > 1:
+            transport_s = min(transport_s, TRANSPORT_GROWTH * lane.transport_s + TRANSPORT_STEP_S)
+        lane.transport_s = transport_s
         row_s = service_s / task.num_rows
         old = lane.pace.pop(task.cost, None)
         # A larger time has more weight than a smaller one: otherwise a lane that became slow would be late again and

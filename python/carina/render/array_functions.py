@@ -81,11 +81,16 @@ def isoregion_map(volume: Volume, transfer: TransferFunction | None = None) -> N
     True
     """
     check_type("isoregion_map", "volume", volume, Volume, "open a volume with carina.open_volume")
+    return _core.build_radius_map(isoregion_labels(volume, transfer))
+
+
+def isoregion_labels(volume: Volume, transfer: TransferFunction | None) -> NDArray[np.uint8]:
+    """Return the labels (nz, ny, nx) uint8 that :func:`isoregion_map` compares; see there for ``transfer``."""
     if transfer is None:
         labels, _ = _core.label_values(volume.hu_zyx)
     else:
         labels, _ = _core.label_classes(volume.hu_zyx, transfer.points, reference_mm=transfer.reference_mm)
-    return _core.build_radius_map(labels)
+    return labels
 
 
 def project_maximum(volume: Volume) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.int16]]:

@@ -68,6 +68,8 @@ class SceneBuilder:
         self._cache = None if cache_dir is None else MapCache(cache_dir)
         self._range = volume.value_range
         self._scene = Scene(transfer, None, volume.hu_zyx, self._range, None, None, None)
+        self._class_radius: NDArray[np.uint8] | None = None
+        """IsoRegion map of the volume by values that a caller has read from a file."""
         self._swap = threading.Lock()
         self._change = threading.Lock()
 
@@ -86,6 +88,15 @@ class SceneBuilder:
             raise GeometryError(msg, code="geometry.shape")
         with self._change, self._swap:
             self._scene = scene
+
+    def use_isoregion_map(self, radius_zyx: NDArray[np.uint8] | None) -> None:
+        """Use a map of the volume by values, instead of building it; None builds it again."""
+        if radius_zyx is not None and radius_zyx.shape != self._volume.shape_zyx:
+            msg = (
+                f"the IsoRegion map has shape {radius_zyx.shape}; expected that of the volume, {self._volume.shape_zyx}"
+            )
+            raise GeometryError(msg, code="geometry.shape")
+        self._class_radius = None if radius_zyx is None else np.ascontiguousarray(radius_zyx, dtype=np.uint8)
 
     def set_transfer(self, transfer: TransferFunction) -> None:
         """Set the transfer function; the map stays if it fits the new transfer function."""
@@ -188,7 +199,8 @@ class SceneBuilder:
                 labels, classes = _core.label_values(scene.values)
             else:
                 labels, classes = _core.label_classes(scene.values, transfer.points, reference_mm=transfer.reference_mm)
-            radius = _core.build_radius_map(labels, cancel=cancel)
+            known = self._class_radius if by_value and scene.values is self._volume.hu_zyx else None
+            radius = _core.build_radius_map(labels, cancel=cancel) if known is None else known
             return CachedMap((labels, radius), [lo for lo, _, _, _ in classes])
 
         classes = ("values",) if by_value else ("classes", transfer.points.tolist(), transfer.reference_mm)
