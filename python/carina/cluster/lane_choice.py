@@ -47,7 +47,7 @@ CHANGED_WORK = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class LanePlan:
     """Number of lanes and of open frames."""
 
     num_lanes: int
@@ -56,7 +56,7 @@ class Plan:
 
 @dataclass(slots=True)
 class _Rejection:
-    """Plan that was slower than the plan in use."""
+    """LanePlan that was slower than the plan in use."""
 
     expires_s: float
     retry_s: float
@@ -77,11 +77,11 @@ class LaneChoice:
         """Number of the present plan; a frame is measured only if it was opened with the present plan."""
         self._able: tuple[Lane, ...] = ()
         self._used: list[Lane] = []
-        self._plan = Plan(1, max_open_frames)
+        self._plan = LanePlan(1, max_open_frames)
         self._num_tried = 0
         self._min_tried_s = math.inf
         """Number and shortest time of the frames of the trial, including those that are not measured."""
-        self._before: tuple[Plan, list[Lane], float] | None = None
+        self._before: tuple[LanePlan, list[Lane], float] | None = None
         """During a trial: the plan, the lanes and the time of a frame before the trial."""
         self._skip = SETTLING_FRAMES
         self._intervals: deque[float] = deque(maxlen=MEASURED_FRAMES)
@@ -89,7 +89,7 @@ class LaneChoice:
         self._work_s: float | None = None
         self._known_work_s: float | None = None
         self._slow = False
-        self._rejected: dict[Plan, _Rejection] = {}
+        self._rejected: dict[LanePlan, _Rejection] = {}
         self._since_s = -math.inf
         """Time since which the plan, except for trials, is used."""
         self._is_doubtful = False
@@ -185,7 +185,7 @@ class LaneChoice:
             self._slow = slow
             self._cancel_trial(now_s)
             self._rejected.clear()
-            self._set_plan(Plan(self._plan.num_lanes, min(2, self._max_open) if slow else self._max_open), now_s)
+            self._set_plan(LanePlan(self._plan.num_lanes, min(2, self._max_open) if slow else self._max_open), now_s)
 
     def _forget_other_work(self, work_s: float) -> None:
         """Delete former results if the frames have become much slower or faster."""
@@ -207,23 +207,23 @@ class LaneChoice:
         if new:
             self._rejected = {plan: found for plan, found in self._rejected.items() if plan.num_lanes < num}
         if new and measured:
-            self._start_trial(Plan(min(len(able), num + len(new)), self._plan.open_frames), now_s)
+            self._start_trial(LanePlan(min(len(able), num + len(new)), self._plan.open_frames), now_s)
         elif new and used_all:
-            self._set_plan(Plan(len(able), self._plan.open_frames), now_s)
+            self._set_plan(LanePlan(len(able), self._plan.open_frames), now_s)
         else:
-            self._set_plan(Plan(min(num, len(able)), self._plan.open_frames), now_s)
+            self._set_plan(LanePlan(min(num, len(able)), self._plan.open_frames), now_s)
 
-    def _next_trial(self, now_s: float) -> Plan | None:
+    def _next_trial(self, now_s: float) -> LanePlan | None:
         """Return the next plan to try; None if the present plan is better than all others that were tried lately."""
         plan, num = self._plan, self._plan.num_lanes
         options = [
-            Plan(count, plan.open_frames) for count in (self._fewer_lanes(now_s), self._more_lanes(now_s)) if count
+            LanePlan(count, plan.open_frames) for count in (self._fewer_lanes(now_s), self._more_lanes(now_s)) if count
         ]
         if self._slow and num > 1:
             if plan.open_frames > 1:
-                options.insert(0, Plan(num, plan.open_frames - 1))
+                options.insert(0, LanePlan(num, plan.open_frames - 1))
             if plan.open_frames < self._max_open:
-                options.append(Plan(num, plan.open_frames + 1))
+                options.append(LanePlan(num, plan.open_frames + 1))
         return next((option for option in options if not self._is_rejected(option, now_s)), None)
 
     def _fewer_lanes(self, now_s: float) -> int | None:
@@ -261,11 +261,11 @@ class LaneChoice:
             if plan.open_frames == self._plan.open_frames and now_s < found.expires_s
         ]
 
-    def _is_rejected(self, plan: Plan, now_s: float) -> bool:
+    def _is_rejected(self, plan: LanePlan, now_s: float) -> bool:
         found = self._rejected.get(plan)
         return found is not None and now_s < found.expires_s
 
-    def _start_trial(self, plan: Plan, now_s: float) -> None:
+    def _start_trial(self, plan: LanePlan, now_s: float) -> None:
         busy = sum(self._works) / max(sum(self._intervals), 1e-9)
         self._is_doubtful = plan.num_lanes < min(busy, self._plan.num_lanes)
         self._before = (self._plan, list(self._used), _typical(self._intervals))
@@ -296,7 +296,7 @@ class LaneChoice:
         self._before = (before, used, before_s)
         self._reject_trial(now_s)
 
-    def _is_clearly_slower(self, before: Plan, before_s: float) -> bool:
+    def _is_clearly_slower(self, before: LanePlan, before_s: float) -> bool:
         """Return whether the trial of fewer lanes or open frames is so slow that it ends early."""
         fewer = self._plan.num_lanes < before.num_lanes or self._plan.open_frames < before.open_frames
         return fewer and self._num_tried >= ABORT_FRAMES and self._min_tried_s > (1.0 + ABORT_LOSS) * before_s
@@ -309,7 +309,7 @@ class LaneChoice:
         self._reject(self._plan, now_s)
         self._set_plan(before, now_s, new=False)
 
-    def _reject(self, plan: Plan, now_s: float) -> None:
+    def _reject(self, plan: LanePlan, now_s: float) -> None:
         former = self._rejected.get(plan)
         first_s, max_s = (FULLY_BUSY_RETRY_S, MAX_FULLY_BUSY_RETRY_S) if self._is_doubtful else (RETRY_S, MAX_RETRY_S)
         retry_s = first_s if former is None else min(max(first_s, 2.0 * former.retry_s), max_s)
@@ -323,7 +323,7 @@ class LaneChoice:
             self._used = used
             self._set_plan(plan, now_s)
 
-    def _set_plan(self, plan: Plan, now_s: float, *, new: bool = True) -> None:
+    def _set_plan(self, plan: LanePlan, now_s: float, *, new: bool = True) -> None:
         """Set the plan of the next frames; measurements start again."""
         self._plan = plan
         self.number += 1
