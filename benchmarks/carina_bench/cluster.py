@@ -446,7 +446,7 @@ def _real(quick: bool, folder: Path, lines: list[str]) -> list[dict[str, Any]]:
                         renderer = ClusterRenderer(local, console, spread_all=True)
                         renderer.prepare()
                         wait_ready(console, n)
-                        fly(renderer, console, view_of, seconds=1.5 if n == 1 else 6.0, rate_hz=None)
+                        fly(renderer, console, view_of, seconds=1.5 if n == 1 else 15.0, rate_hz=None)
                         flown = fly(renderer, console, view_of, seconds=3.0 if quick else 8.0, rate_hz=None)
                     alone = alone or 1.0 / flown.rendering_s
                     row = _row(flown.fps, alone, n, flown.response_s, flown.num_lanes)

@@ -70,7 +70,8 @@ def test_lanes_that_make_fast_frames_slower_are_not_used(num, expected):
 
 def test_all_lanes_are_used_if_the_rendering_takes_most_of_the_time():
     flight = FakeFlight(16, _network(0.6, 0.0063, 0.001), lambda _: 0.6).fly(1000)
-    assert set(flight.used) == {16}
+    # One lane less is tried for a few frames, because lanes that share a processor are always busy.
+    assert flight.used.count(16) > 0.95 * len(flight.used) and set(flight.used) == {15, 16}
 
 
 @settings(max_examples=60, deadline=None)
@@ -178,13 +179,13 @@ def test_lanes_that_share_a_processor_are_reduced_to_one_although_all_are_busy()
     flight = FakeFlight(2, lambda _, __: 0.02, lambda lanes: 0.02 * len(lanes)).fly(8000)
     assert flight.usual == 1
     first = flight.used.index(1)
-    assert sum([0.02] * first) == pytest.approx(lane_choice.FULLY_BUSY_RETRY_S, abs=1.0)
+    assert sum([0.02] * first) == pytest.approx(lane_choice.FULLY_BUSY_S, abs=1.0)
 
 
 def test_trial_of_too_few_lanes_ends_after_three_frames():
-    # All lanes are busy, so one lane is tried only once a minute.
+    # All lanes are busy, so one lane is tried after 10 s and then after growing times from a minute on.
     flight = FakeFlight(2, lambda lanes, _: 0.6 / len(lanes), lambda _: 0.6).fly(600)
-    assert 0 < flight.used.count(1) <= 2 * (lane_choice.ABORT_FRAMES + 1)
+    assert 0 < flight.used.count(1) <= 3 * (lane_choice.ABORT_FRAMES + 1)
 
 
 @pytest.mark.parametrize(

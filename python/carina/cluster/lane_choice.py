@@ -29,8 +29,8 @@ GAIN_OF_MORE_FRAMES = 0.07
 RETRY_S = 4.0
 """Time in seconds after which a rejected number is tried again; it doubles with each rejection."""
 MAX_RETRY_S = 120.0
-FULLY_BUSY_RETRY_S = 60.0
-"""Time in seconds after which fewer lanes are tried although all lanes render all the time.
+FULLY_BUSY_S, FULLY_BUSY_RETRY_S = 10.0, 60.0
+"""Times in seconds after which fewer lanes are tried, and tried again, although all lanes render all the time.
 
 Lanes that share a processor are busy all the time and render no more than one of them.
 """
@@ -239,7 +239,7 @@ class LaneChoice:
         count = max(count, least)
         if too_few < count < num:
             return count
-        if too_few < num - 1 and now_s >= self._since_s + FULLY_BUSY_RETRY_S:
+        if too_few < num - 1 and now_s >= self._since_s + FULLY_BUSY_S:
             return num - 1
         return None
 
