@@ -136,6 +136,19 @@ class Flown:
         return (len(self.shown_s) - 1) / max(1e-9, max(self.shown_s) - min(self.shown_s))
 
     @property
+    def rendering_s(self) -> float:
+        """Mean time in which the renderers rendered one frame, all strips together, s."""
+        return sum(job.seconds for job in self.jobs if job.accepted) / max(1, len(self.shown_s))
+
+    @property
+    def num_lanes(self) -> int:
+        """Median number of renderers of a frame."""
+        lanes: dict[int, set[str]] = {}
+        for job in self.jobs:
+            lanes.setdefault(job.frame_id, set()).add(job.lane)
+        return round(statistics.median(len(names) for names in lanes.values()))
+
+    @property
     def gaps_s(self) -> list[float]:
         """Times between two displayed frames, s, in the order of display."""
         return [float(gap) for gap in np.diff(np.sort(self.shown_s))]
@@ -153,7 +166,8 @@ def fly(
 ) -> Flown:
     """Fly and return the times of the frames after the last frame has arrived.
 
-    Frames are requested at ``rate_hz``, or as fast as ``ahead`` open frames allow if it is None.
+    Frames are requested at ``rate_hz``. If it is None, they are requested as soon as fewer than ``ahead`` frames, and
+    fewer than the console renders at the same time, are open.
     """
     jobs = console.jobs
     assert jobs is not None
@@ -169,7 +183,7 @@ def fly(
         if rate_hz is not None:
             time.sleep(max(0.0, began_s + number / rate_hz - time.monotonic()))
         under_way = [item for item in under_way if not item[1].done()]
-        while len(under_way) >= ahead:
+        while len(under_way) >= min(ahead, console.max_open_frames):
             under_way[0][1].result(timeout=60.0)
             under_way = [item for item in under_way if not item[1].done()]
         asked_s = time.monotonic()

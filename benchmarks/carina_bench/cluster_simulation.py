@@ -44,20 +44,28 @@ class SimulationResult:
     """Times of the frames of a simulated run, and busy times and work shares of the machines."""
 
     seconds: float
+    settled_s: float
+    """Time at which the measured frames began, s from the start of the run; no frame was open then."""
     frame_s: tuple[float, ...]
-    """Time at which each frame was complete, s from the start of the run."""
+    """Time at which each measured frame was complete, s from the start of the run."""
     response_s: tuple[float, ...]
-    """Time from the start of each frame until it was complete, s."""
+    """Time from the start of each measured frame until it was complete, s."""
     busy: tuple[float, ...]
     """Fraction of the run in which each machine rendered, 0 to 1."""
     shares: tuple[dict[int, float], ...]
     """Share of the rows that the scheduler gave to each machine, by its number, after each frame."""
+    num_lanes: tuple[int, ...]
+    """Number of machines that rendered each measured frame."""
     jobs: tuple[Job, ...] = field(repr=False, default=())
 
-    def fps(self, skip: int = 0) -> float:
-        """Return the frames per second from frame number ``skip`` to the last frame."""
-        times = self.frame_s[skip:]
-        return (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 0.0
+    @property
+    def fps(self) -> float:
+        """Frames per second from the start of the first measured frame until the last was complete.
+
+        All work of the measured frames is done in this time, so that the rate cannot exceed that of the machines.
+        """
+        seconds = (max(self.frame_s) - self.settled_s) if self.frame_s else 0.0
+        return len(self.frame_s) / seconds if seconds > 0.0 else 0.0
 
 
 class SimulatedCluster:
@@ -96,10 +104,19 @@ class SimulatedCluster:
         self._events: list[tuple[float, int, Callable[[float], None]]] = []
         self._order = itertools.count()
 
-    def run(self, num_frames: int, num_rows: int, *, period_s: float = 0.0) -> SimulationResult:
-        """Simulate ``num_frames`` frames and return their times.
+    def run(self, num_frames: int, num_rows: int, *, period_s: float = 0.0, settle: int = 0) -> SimulationResult:
+        """Simulate frames and return their times.
 
-        A frame starts every ``period_s`` seconds, or as soon as a buffer is free if the period is 0.
+        Parameters
+        ----------
+        num_frames
+            Number of measured frames.
+        num_rows
+            Height of the frames.
+        period_s
+            Time between the starts of two measured frames, s; 0 starts a frame as soon as a buffer is free.
+        settle
+            Number of frames before the measured ones. The measured frames start when these are complete.
         """
         scheduler = self._scheduler
         free_s = [0.0] * len(self._renderers)
@@ -114,37 +131,54 @@ class SimulatedCluster:
         jobs: list[Job] = []
         console_free_s = 0.0
         next_frame = 0
+        num_done = 0
+        settled_s = 0.0 if settle == 0 else float("inf")
+        lanes_of: dict[int, set[int]] = {}
+        num_lanes: list[int] = []
 
         def half_call_s(renderer: SimulatedRenderer) -> float:
             jitter = renderer.call_jitter_seconds
             return max(0.0, renderer.call_seconds + self._random.uniform(-jitter, jitter)) / 2
 
         def request(now_s: float) -> None:
-            nonlocal next_frame
-            while next_frame < num_frames and scheduler.num_open + scheduler.num_waiting < (
-                scheduler.settings.open_frames
+            nonlocal next_frame, settled_s
+            while next_frame < settle + num_frames and scheduler.num_open + scheduler.num_waiting < (
+                scheduler.max_open_frames
             ):
-                if period_s and now_s < next_frame * period_s - 1e-12:
-                    return
+                if next_frame >= settle:
+                    if num_done < settle:
+                        return
+                    settled_s = min(settled_s, now_s)
+                    if period_s and now_s < settled_s + (next_frame - settle) * period_s - 1e-12:
+                        self._at(settled_s + (next_frame - settle) * period_s, lambda _: None)
+                        return
                 wanted.append(next_frame)
                 scheduler.request(next_frame, num_rows, now_s)
                 next_frame += 1
                 act(now_s)
 
         def act(now_s: float) -> None:
+            nonlocal num_done
             for frame in [n for n in wanted if scheduler.rows(n, 0) is not None]:
                 wanted.remove(frame)
                 opened[frame] = now_s
             for action in scheduler.take_actions():
                 if isinstance(action, FrameDone):
+                    num_done += 1
+                    began_s = opened.pop(action.frame_id)
+                    lanes = lanes_of.pop(action.frame_id)
+                    if action.frame_id < settle:
+                        continue
                     done.append(now_s)
-                    response.append(now_s - opened.pop(action.frame_id))
+                    response.append(now_s - began_s)
+                    num_lanes.append(len(lanes))
                     shares.append({int(str(view.lane)): view.share for view in scheduler.lanes()})
                 elif isinstance(action, Issue):
                     issue(action, now_s)
 
         def issue(task: Issue, now_s: float) -> None:
             lane = int(str(task.lane))
+            lanes_of.setdefault(task.frame_id, set()).add(lane)
             renderer = self._renderers[lane]
             rows = range(task.first_row, task.end_row)
             cost = float(len(rows)) if self._row_cost is None else sum(self._row_cost(row) for row in rows)
@@ -167,9 +201,6 @@ class SimulatedCluster:
 
         for lane in range(len(self._renderers)):
             scheduler.join(lane, 0.0)
-        if period_s:
-            for n in range(num_frames):
-                self._at(n * period_s, lambda _: None)
         now_s = 0.0
         request(now_s)
         while self._events:
@@ -184,7 +215,14 @@ class SimulatedCluster:
             request(now_s)
         total = max(now_s, 1e-12)
         return SimulationResult(
-            total, tuple(done), tuple(response), tuple(b / total for b in busy_s), tuple(shares), tuple(jobs)
+            total,
+            settled_s,
+            tuple(done),
+            tuple(response),
+            tuple(b / total for b in busy_s),
+            tuple(shares),
+            tuple(num_lanes),
+            tuple(jobs),
         )
 
     def _at(self, when_s: float, happen: Callable[[float], None]) -> None:

@@ -80,8 +80,7 @@ def sleeping_runs(
                 wait_ready(console, len(speeds), 240.0)
                 for grid, seconds in frame_s.items():
                     _set_pace(console, speeds, seconds / SIDE, tuple(row_costs[grid]))
-                    # One machine needs only one open frame, because a second frame would only wait.
-                    ahead = 1 if len(speeds) == 1 else settings.open_frames
+                    ahead = settings.open_frames
                     flown = _flown(renderer, console, seconds / sum(speeds), ahead, len(speeds), quick)
                     yield SleepingRun(grid, scheme, speeds, flown)
 

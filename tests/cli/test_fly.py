@@ -155,6 +155,15 @@ def test_video_of_key_frames_from_the_window_has_their_speed_and_view_settings(c
     assert not (tmp_path / "other.mp4").exists()
 
 
+@pytest.mark.parametrize("option", ["--recording", "--keys"])
+def test_missing_scan_is_named_as_the_cause_although_the_recording_is_missing_too(carina, tmp_path, option):
+    ended = carina("fly", tmp_path / "MISSING", option, tmp_path / "X", "-o", tmp_path / "r.mp4", "--json")
+    assert ended.code == 3
+    assert ended.json()["error"]["code"] == "import.not-found"
+    assert "reading MISSING: there is no such file or folder" in ended.json()["error"]["message"]
+    assert not (tmp_path / "r.mp4").exists()
+
+
 def test_recording_of_another_case_is_refused_and_writes_nothing(carina, ct, tmp_path):
     fixture = session_fixture()
     fixture.open()

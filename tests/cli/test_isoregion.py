@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import gzip
+import shutil
+
 import numpy as np
 import pytest
 import SimpleITK as sitk
 
 import carina as product
-from carina.render import build_isoregion_map, isoregion_map, transfer_preset
+from carina.errors import GeometryError, VolumeImportError
+from carina.render import AirwayView, build_isoregion_map, isoregion_map, open_isoregion_map, transfer_preset
+from carina.scopes import Pose
 from carina.volume import write_grid
 
 
@@ -89,3 +94,111 @@ def test_isoregion_file_has_labels_for_bins_of_16_hu(ct):
     labels = np.unique(bins, return_inverse=True)[1].reshape(bins.shape)
     assert labels.max() < 255
     assert np.array_equal(isoregion_map(volume), build_isoregion_map((labels + 1).astype(np.uint8)))
+
+
+@pytest.mark.parametrize("name", ["map.nrrd", "map.nii.gz", "map.nii", "map.mha"])
+@pytest.mark.parametrize("transfer", [None, "endoscopic"])
+def test_isoregion_file_is_read_back_with_the_volume_and_the_labels_from_which_it_was_made(
+    carina, ct, tmp_path, name, transfer
+):
+    file = tmp_path / name
+    options = [] if transfer is None else ["--transfer", transfer]
+    written = carina("isoregion", ct, "-o", file, *options, "--json")
+    assert written.code == 0, written.err
+    volume = product.open_volume(ct)
+    chosen = None if transfer is None else transfer_preset(transfer)
+    assert np.array_equal(open_isoregion_map(file, volume, chosen), isoregion_map(volume, chosen))
+    read = carina("isoregion", ct, "--map", file, *options, "--json")
+    assert read.code == 0, read.err
+    assert read.json() == written.json()
+    assert "is the map of this scan" in read.err
+
+
+@pytest.fixture
+def map_file(carina, ct, tmp_path):
+    """Return the IsoRegion map of the scan, compared by values."""
+    file = tmp_path / "map.nrrd"
+    assert carina("isoregion", ct, "-o", file).code == 0
+    return file
+
+
+def _refusal(file, volume, transfer=None) -> str:
+    with pytest.raises(VolumeImportError) as caught:
+        open_isoregion_map(file, volume, transfer)
+    assert caught.value.code == "import.isoregion-map"
+    assert str(caught.value).endswith(f"compute the map again with: carina isoregion SCAN -o {file.name}")
+    return str(caught.value)
+
+
+def test_isoregion_map_of_another_grid_volume_or_labelling_is_refused_with_the_reason(ct, map_file):
+    volume = product.open_volume(ct)
+    moved = volume.lps_from_ijk.copy()
+    moved[0, 3] += 1.0
+    assert "its grid differs from that of the scan" in _refusal(map_file, product.Volume(volume.hu_zyx, moved))
+    assert "its grid differs" in _refusal(map_file, product.Volume(volume.hu_zyx[1:], volume.lps_from_ijk))
+    other = volume.hu_zyx.copy()
+    other[2, 2, 2] += 1
+    assert "the IsoRegion map of another volume" in _refusal(map_file, product.Volume(other, volume.lps_from_ijk))
+    endoscopic = transfer_preset("endoscopic")
+    assert "equal by the transfer function endoscopic" in _refusal(map_file, volume, endoscopic)
+
+
+def test_file_that_is_not_an_isoregion_map_is_refused(carina, ct, tmp_path, map_file):
+    volume = product.open_volume(ct)
+    assert "its values are int16" in _refusal(ct, volume)
+    plain = tmp_path / "plain.nrrd"
+    write_grid(plain, isoregion_map(volume), volume.lps_from_ijk, what="a map")
+    assert "it is not an IsoRegion map of Carina" in _refusal(plain, volume)
+    text = tmp_path / "map.txt"
+    text.write_text("no map")
+    assert "it is not a NIfTI, NRRD or MetaImage file" in _refusal(text, volume)
+    assert "there is no such file" in _refusal(tmp_path / "missing.nrrd", volume)
+    newer = tmp_path / "newer.nrrd"
+    newer.write_bytes(map_file.read_bytes().replace(b"carina-isoregion 1 ", b"carina-isoregion 2 "))
+    assert "of format 2" in _refusal(newer, volume)
+    ended = carina("isoregion", ct, "--map", plain, "--json")
+    assert (ended.code, ended.json()["error"]["code"]) == (3, "import.isoregion-map")
+
+
+def test_damaged_isoregion_map_is_refused(ct, tmp_path, map_file):
+    volume = product.open_volume(ct)
+    radii = isoregion_map(volume)
+    file = tmp_path / "map.nii"
+    note = map_file.read_bytes().split(b"note:=", 1)[1].split(b"\n", 1)[0].decode()
+    radii[1, 1, 1] += 1
+    write_grid(file, radii, volume.lps_from_ijk, what="a map", note=note)
+    assert "the file is damaged" in _refusal(file, volume)
+    short = tmp_path / "short.nrrd"
+    short.write_bytes(map_file.read_bytes()[:-20])
+    with pytest.raises(VolumeImportError, match=r"short\.nrrd"):
+        open_isoregion_map(short, volume)
+    packed = tmp_path / "packed.nii.gz"
+    with gzip.open(packed, "wb") as out, file.open("rb") as source:
+        shutil.copyfileobj(source, out)
+    packed.write_bytes(packed.read_bytes()[:-30])
+    with pytest.raises(VolumeImportError, match=r"packed\.nii\.gz"):
+        open_isoregion_map(packed, volume)
+
+
+def test_isoregion_command_needs_exactly_one_of_output_and_map(carina, ct, tmp_path):
+    for options in ([], ["-o", tmp_path / "a.nrrd", "--map", tmp_path / "b.nrrd"]):
+        ended = carina("isoregion", ct, *options)
+        assert ended.code == 2
+        assert "-o writes the map, --map reads a map" in ended.err
+
+
+def test_picture_with_a_map_from_a_file_equals_that_with_a_built_map(ct, map_file, monkeypatch):
+    volume = product.open_volume(ct)
+    renderer = product.Renderer(volume, transfer=transfer_preset("paper"))
+    renderer.use_isoregion_map(open_isoregion_map(map_file, volume))
+    calls = []
+    monkeypatch.setattr("carina.render.scene._core.build_radius_map", lambda *_, **__: calls.append(1))
+    renderer.prepare(progress=False)
+    assert not calls
+    monkeypatch.undo()
+    built = product.Renderer(volume, transfer=transfer_preset("paper"))
+    built.prepare(progress=False)
+    view = AirwayView(Pose.looking(volume.centre_lps, (0.0, 0.1, -1.0)), width=64, height=64, shading=False)
+    assert np.array_equal(renderer.render(view).rgb, built.render(view).rgb)
+    with pytest.raises(GeometryError):
+        renderer.use_isoregion_map(np.zeros((2, 2, 2), np.uint8))

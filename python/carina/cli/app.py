@@ -459,8 +459,13 @@ def render(
 def isoregion(
     path: PathArgument,
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="Map to write, on the scan's grid: .nii.gz, .nii, .nrrd or .mha.")
-    ],
+        Path | None,
+        typer.Option("-o", "--output", help="Map to write, on the scan's grid: .nii.gz, .nii, .nrrd or .mha."),
+    ] = None,
+    map_file: Annotated[
+        Path | None,
+        typer.Option("--map", help="Map that was written earlier: check that it belongs to the scan, and describe it."),
+    ] = None,
     transfer: Annotated[
         str | None,
         typer.Option(
@@ -489,12 +494,23 @@ def isoregion(
     See section 4 of the paper.
 
     Example: carina isoregion ~/scans/thorax --transfer endoscopic -o map.nrrd
+
+    Example: carina isoregion ~/scans/thorax --transfer endoscopic --map map.nrrd
     """
     with exit_codes(as_json):
         from carina.cli.isoregion import write
 
         raise SystemExit(
-            write(path, output=output, transfer=transfer, equal_by=equal_by, series=series, ct=ct, as_json=as_json)
+            write(
+                path,
+                output=output,
+                map_file=map_file,
+                transfer=transfer,
+                equal_by=equal_by,
+                series=series,
+                ct=ct,
+                as_json=as_json,
+            )
         )
 
 

@@ -21,7 +21,7 @@ from carina.cli.arguments import check_needs, check_output_file, check_range
 from carina.cli.case import find_recording
 from carina.cli.cluster import opened_cluster
 from carina.cli.console import print_json, print_note, progress_printer
-from carina.cli.opened import OpenedInput, check_case_options, newest_case_file, open_input
+from carina.cli.opened import OpenedInput, check_case_options, check_scan_exists, newest_case_file, open_input
 from carina.cli.stored_frames import StoredFrames
 from carina.cluster import ClusterRenderer, render_frames
 from carina.config import load_settings
@@ -101,6 +101,8 @@ def report(
     if to is not None:
         check_destination(to, LEAD_VIEW)
         AutoFlight(carina.FlightPath([[0, 0, 1], [0, 0, 0]]), speed_mm_s=speed_mm_s, pause_s=pause_s)
+    # Otherwise the message would name the recording or the key frames, although the scan is missing.
+    check_scan_exists(path)
     recorded = None if recording is None else _recording(path, recording)
     # For a case, --keys contains names of key frames, unless a file of that name exists.
     of_case = keys is not None and is_case_file(path) and not keys.is_file()

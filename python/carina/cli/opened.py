@@ -176,6 +176,20 @@ def check_case_options(path: Path, ct: Path | None, **refused: object) -> None:
             )
 
 
+def check_scan_exists(path: Path) -> None:
+    """Raise the error of a missing scan before other files of a command are read; a case names its own scan.
+
+    Raises
+    ------
+    VolumeImportError
+        ``import.not-found``: if there is no file or folder at the path.
+    """
+    if not is_case_file(path):
+        from carina.volume.opening import check_exists
+
+        check_exists(path.expanduser())
+
+
 def open_input(
     path: Path,
     *,

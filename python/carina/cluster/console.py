@@ -105,6 +105,8 @@ class Console:
         """Source of the content numbers, which stay unique when another case is shown."""
         self.address = "local"
         self.mixed = False
+        self.max_open_frames = self._settings.open_frames
+        """Number of pictures that are rendered at the same time at most; see `StripScheduler.max_open_frames`."""
         self._closed = False
         self._closing = threading.Lock()
         # The local renderer takes over when all other machines fail, so the loss of a machine is not an error.
@@ -406,6 +408,7 @@ class Console:
                     self._later.append((self._clock() + TELL_AFTER_S, partial(self._notify_if_late, str(lane))))
                 case LaneBack():
                     pass
+        self.max_open_frames = self._scheduler.max_open_frames
 
     def _notify_if_late(self, name: str) -> None:
         if any(view.lane == name and view.state == "late" for view in self._scheduler.lanes()):

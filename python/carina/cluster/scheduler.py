@@ -11,11 +11,13 @@ waits for a lane.
 from __future__ import annotations
 
 import itertools
+import statistics
 from collections import deque
 from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Literal
 
+from carina.cluster.lane_choice import LaneChoice
 from carina.cluster.settings import ClusterSettings
 from carina.cluster.shares import Shares
 from carina.cluster.strips import cut_rows
@@ -111,6 +113,10 @@ class _Lane:
     answered_s: float = float("-inf")
     pace: dict[Hashable, float] = field(default_factory=dict)
     """Smoothed rendering time per row in seconds, by the frame's ``cost``; deadlines are estimated from it."""
+    render_pace: dict[Hashable, float] = field(default_factory=dict)
+    """Smoothed rendering time per row in seconds that the renderer reported, by the frame's ``cost``."""
+    transport_s: float = 0.0
+    """Smallest time in seconds, of the last strips, from the issue to the answer without the rendering."""
     measured: dict[Hashable, tuple[float, int]] = field(default_factory=dict)
     """Rendering time in seconds and number of rows since the last update of the shares, by the frame's ``cost``."""
     last_m: dict[Hashable, float] = field(default_factory=dict)
@@ -133,17 +139,22 @@ class _Frame:
     missing: set[int] = field(default_factory=set)
     holders: dict[int, set[Lane]] = field(default_factory=dict)
     """Lanes to which a strip is issued or queued, including late lanes."""
+    opened_s: float = 0.0
+    choice: LaneChoice | None = None
+    """Choice of the frame's lanes; None if the frame's time does not count for the choice."""
+    plan_number: int = 0
+    """Number of the choice's plan when the frame was opened."""
+    work_s: float = 0.0
+    """Sum of the rendering times of the accepted strips in seconds."""
 
 
 # Weight of a new time in the smoothed time per row: near a wall, the cost of a row changes within a few frames.
 PACE_WEIGHT = 0.3
 KINDS_REMEMBERED = 32
-ALONE_S = 0.05
-"""Rendering time of a frame in seconds from which a single lane has only one frame open.
-
-The rule halves the response time for less than a seventh of the frame rate. For faster frames the rule would cost up to
-half of the rate, because of the transport.
-"""
+TRANSPORT_GROWTH, TRANSPORT_STEP_S = 1.05, 0.0001
+"""Largest growth of a lane's transport time for each strip, so that a slow link is noticed after some strips."""
+SLOW_TRANSPORT = 2.0
+"""Multiple of the median transport time above which a lane counts as slower."""
 
 
 class StripScheduler:
@@ -161,6 +172,9 @@ class StripScheduler:
         self._task_ids = itertools.count(1)
         self._orders = itertools.count()
         self._actions: list[Action] = []
+        self._choices: dict[Hashable, LaneChoice] = {}
+        """Choice of the lanes, by the frame's ``cost`` and whether the lane is a reserve; the last used is the last."""
+        self._done_s = float("-inf")
 
     def take_actions(self) -> list[Action]:
         """Return the actions that were collected since the last call, in order, and clear them."""
@@ -179,6 +193,15 @@ class StripScheduler:
         return len(self._frames)
 
     @property
+    def max_open_frames(self) -> int:
+        """Number of frames of the latest kind that are open at most; further requests only wait.
+
+        A caller that requests frames as fast as possible has the shortest response time with this number of requests.
+        """
+        choice = next(reversed(self._choices.values()), None)
+        return self.settings.open_frames if choice is None else choice.open_frames
+
+    @property
     def num_waiting(self) -> int:
         """Number of requested frames that wait for an image buffer."""
         return len(self._waiting)
@@ -189,8 +212,11 @@ class StripScheduler:
         return None if frame is None else frame.strips[strip]
 
     def lanes(self) -> list[LaneView]:
-        """Return the states of all lanes, in the order in which they joined."""
+        """Return the states of all lanes, in the order in which they joined; unused lanes have the share 0."""
         able = [name for name, lane in self._lanes.items() if lane.state == "ready" and not lane.reserve]
+        choice = next(reversed(self._choices.values()), None)
+        if choice is not None and any(name in choice.used for name in able):
+            able = [name for name in able if name in choice.used]
         shares = self._shares.of(able)
         if not able:
             able = [name for name, lane in self._lanes.items() if lane.state == "ready"]
@@ -353,7 +379,7 @@ class StripScheduler:
         frame = self._frames.get(task.frame_id)
         # Measured also if other lanes completed the frame earlier; otherwise the slowest lane would never count as
         # slow.
-        self._update_pace(state, task, service_s)
+        self._update_pace(state, task, service_s, seconds)
         if state.state == "late":
             state.state = "ready"
             self._shares.use_small_inertia()
@@ -362,12 +388,13 @@ class StripScheduler:
         if accepted:
             assert frame is not None
             frame.missing.discard(task.strip)
+            frame.work_s += seconds
             for holder in frame.holders.pop(task.strip, set()):
                 other = self._lanes.get(holder)
                 if other is not None and (task.frame_id, task.strip) in other.queue:
                     other.queue.remove((task.frame_id, task.strip))
             if not frame.missing:
-                self._complete_frame(frame)
+                self._complete_frame(frame, now_s)
         self._assign_and_issue(now_s)
         return accepted
 
@@ -420,8 +447,15 @@ class StripScheduler:
         guess_s = settings.late_factor**2 * max(paces) * task.num_rows
         return min(settings.first_answer_s, max(guess_s, 4.0 * settings.late_floor_s))
 
-    def _update_pace(self, lane: _Lane, task: _Task, service_s: float) -> None:
+    def _update_pace(self, lane: _Lane, task: _Task, service_s: float, seconds: float) -> None:
         """Update the pace of a lane with the measured time of a strip."""
+        rendered = lane.render_pace.pop(task.cost, seconds / task.num_rows)
+        lane.render_pace[task.cost] = rendered + PACE_WEIGHT * (seconds / task.num_rows - rendered)
+        # The smallest value excludes the time in which the console was busy with other answers.
+        transport_s = max(0.0, service_s - seconds)
+        if lane.num_answers > 1:
+            transport_s = min(transport_s, TRANSPORT_GROWTH * lane.transport_s + TRANSPORT_STEP_S)
+        lane.transport_s = transport_s
         row_s = service_s / task.num_rows
         old = lane.pace.pop(task.cost, None)
         # A larger time has more weight than a smaller one: otherwise a lane that became slow would be late again and
@@ -430,12 +464,12 @@ class StripScheduler:
         lane.pace[task.cost] = row_s if old is None else old + weight * (row_s - old)
         seconds, rows = lane.measured.get(task.cost, (0.0, 0))
         lane.measured[task.cost] = (seconds + service_s, rows + task.num_rows)
-        for series in (lane.pace, lane.measured, lane.last_m):
+        for series in (lane.pace, lane.render_pace, lane.measured, lane.last_m):
             while len(series) > KINDS_REMEMBERED:
                 series.pop(next(iter(series)))
 
-    def _complete_frame(self, frame: _Frame) -> None:
-        """Complete a frame, drop older frames of its stream, and update the shares."""
+    def _complete_frame(self, frame: _Frame, now_s: float) -> None:
+        """Complete a frame, drop older frames of its stream, and update the shares and the choice of lanes."""
         self._delete_frame(frame.frame_id)
         self._actions.append(FrameDone(frame.frame_id))
         if frame.stream is not None:
@@ -454,6 +488,13 @@ class StripScheduler:
                 if not lane.reserve and lane.state == "ready" and frame.cost in lane.last_m
             }
         )
+        choice = frame.choice
+        if choice is not None:
+            former = choice.number
+            choice.record_frame(frame.plan_number, now_s - max(frame.opened_s, self._done_s), frame.work_s, now_s)
+            if choice.number != former:
+                self._shares.use_small_inertia()
+        self._done_s = now_s
 
     def _delete_frame(self, frame_id: int) -> None:
         del self._frames[frame_id]
@@ -483,7 +524,7 @@ class StripScheduler:
 
     def _assign_and_issue(self, now_s: float) -> None:
         self._adopt_orphans()
-        self._open_frames()
+        self._open_frames(now_s)
         self._issue_strips(now_s)
 
     def _adopt_orphans(self) -> None:
@@ -495,6 +536,8 @@ class StripScheduler:
                 able = self._able_lanes(frame)
                 if not able:
                     return
+                # The time of this frame depends on a lane that failed, so it does not count for the choice of lanes.
+                frame.choice = None
                 self._queue_strip(self._quickest_lane(able, frame), frame, strip)
 
     def _quickest_lane(self, able: list[Lane], frame: _Frame) -> Lane:
@@ -517,23 +560,42 @@ class StripScheduler:
         lane.queue.sort()
         frame.holders[strip].add(name)
 
-    def _max_open_frames(self, frame: _Frame, able: list[Lane]) -> int:
-        """Return the largest number of open frames, including this one.
+    def _choose_lanes(self, frame: _Frame, able: list[Lane], now_s: float) -> tuple[list[Lane], LaneChoice | None]:
+        """Return the lanes that a divided frame uses, and their choice; None if all lanes are used."""
+        if frame.whole or not self.settings.chooses_lanes:
+            return able, None
+        kind = (frame.cost, self._lanes[able[0]].reserve)
+        choice = self._choices.pop(kind, None) or LaneChoice(self.settings.open_frames)
+        self._choices[kind] = choice
+        while len(self._choices) > KINDS_REMEMBERED:
+            self._choices.pop(next(iter(self._choices)))
+        return list(choice.choose(able, self._frame_seconds(frame, able), now_s)), choice
 
-        If a single slow lane renders everything, a second frame would only wait in the lane and become outdated.
+    def _frame_seconds(self, frame: _Frame, able: list[Lane]) -> dict[Lane, float]:
+        """Return the time in seconds in which each measured lane would render a frame alone.
+
+        The transport counts only for lanes with a slow link: with many lanes it consists mostly of waiting for the
+        console, which is not a property of the lane.
         """
-        if len(able) == 1:
-            pace = self._lanes[able[0]].pace.get(frame.cost)
-            if pace is not None and pace * frame.num_rows >= ALONE_S:
-                return 1
-        return self.settings.open_frames
+        lanes = {name: self._lanes[name] for name in able if frame.cost in self._lanes[name].render_pace}
+        if not lanes:
+            return {}
+        usual_s = SLOW_TRANSPORT * statistics.median(lane.transport_s for lane in lanes.values())
+        return {
+            name: lane.render_pace[frame.cost] * frame.num_rows + max(0.0, lane.transport_s - usual_s)
+            for name, lane in lanes.items()
+        }
 
-    def _open_frames(self) -> None:
+    def _open_frames(self, now_s: float) -> None:
         """Open waiting frames while buffers are free, and divide them into strips."""
         for frame in list(self._waiting):
             able = self._able_lanes(frame)
             alike = sum(1 for other in self._frames.values() if other.whole == frame.whole)
-            limit = self.settings.in_flight * len(able) if frame.whole else self._max_open_frames(frame, able)
+            if frame.whole:
+                limit, choice = self.settings.in_flight * len(able), None
+            else:
+                able, choice = self._choose_lanes(frame, able, now_s) if able else (able, None)
+                limit = self.settings.open_frames if choice is None else choice.open_frames
             if not able or alike >= limit:
                 # Frames of one kind start in order: a frame that cannot start blocks the later ones.
                 if all(other.whole == frame.whole for other in self._waiting):
@@ -545,6 +607,8 @@ class StripScheduler:
             frame.strips = [(first, end) for _, first, end in pieces]
             frame.missing = set(range(len(pieces)))
             frame.holders = {strip: set() for strip in frame.missing}
+            frame.opened_s = now_s
+            frame.choice, frame.plan_number = choice, 0 if choice is None else choice.number
             self._frames[frame.frame_id] = frame
             for strip, (name, _, _) in enumerate(pieces):
                 self._queue_strip(name, frame, strip)

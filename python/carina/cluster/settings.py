@@ -31,6 +31,8 @@ class ClusterSettings:
     """
     settling_epochs: int = 10
     """Number of complete frames (epochs) for which ``settling_inertia`` applies."""
+    chooses_lanes: bool = True
+    """Whether only lanes are used that make pictures faster, by measured times; if False, all lanes are used."""
     min_rows: int = 4
     """Smallest height of a strip, so that a slow lane is still measured."""
     max_strip_bytes: int = 1_000_000

@@ -5,8 +5,15 @@ from typing import Any
 from carina import _core
 from carina._core import CancelToken
 from carina.render.appearance import Appearance, DecorationName
-from carina.render.array_functions import build_isoregion_map, isoregion_map, project_maximum, sample_plane
+from carina.render.array_functions import (
+    build_isoregion_map,
+    isoregion_labels,
+    isoregion_map,
+    project_maximum,
+    sample_plane,
+)
 from carina.render.cluster_machines import ClusterState, ClusterStatus, Machine, MemberStatus, Processor
+from carina.render.isoregion_file import isoregion_note, open_isoregion_map
 from carina.render.picture_text import PathSpan, letter_edges, mark_path
 from carina.render.pictures import ignored_settings, mark_tip, render_surface, render_view, view_spec
 from carina.render.png_text import read_png_badges, read_png_pose
@@ -101,10 +108,13 @@ __all__ = [
     "can_cut",
     "find_adapters",
     "ignored_settings",
+    "isoregion_labels",
     "isoregion_map",
+    "isoregion_note",
     "letter_edges",
     "mark_path",
     "mark_tip",
+    "open_isoregion_map",
     "picture_threads",
     "project_maximum",
     "read_png_badges",

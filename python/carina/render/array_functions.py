@@ -94,17 +94,23 @@ def isoregion_map(
     True
     """
     check_type("isoregion_map", "volume", volume, Volume, "open a volume with carina.open_volume")
+    labels = isoregion_labels(volume, transfer, equal_by=equal_by)
+    radii = _core.build_radius_map(labels)
+    if transfer is None and len(found := np.unique(volume.hu_zyx[labels == 0])) == 1:
+        # With 256 values the rarest one has no label, because labels have 8 bits.
+        radii = np.maximum(radii, _core.build_radius_map((volume.hu_zyx == found[0]).astype(np.uint8)))
+    return radii
+
+
+def isoregion_labels(
+    volume: Volume, transfer: TransferFunction | None, *, equal_by: EqualBy = "auto"
+) -> NDArray[np.uint8]:
+    """Return the labels (nz, ny, nx) uint8 that :func:`isoregion_map` compares; see there for the arguments."""
     if transfer is None:
-        labels, _ = value_labels(volume.hu_zyx, equal_by)
-        radii = _core.build_radius_map(labels)
-        if len(found := np.unique(volume.hu_zyx[labels == 0])) == 1:
-            # With 256 values the rarest one has no label, because labels have 8 bits.
-            radii = np.maximum(radii, _core.build_radius_map((volume.hu_zyx == found[0]).astype(np.uint8)))
-        return radii
+        return value_labels(volume.hu_zyx, equal_by)[0]
     if equal_by != "auto":
         raise UsageError("equal_by: expected auto beside a transfer function, whose classes are compared")
-    labels, _ = _core.label_classes(volume.hu_zyx, transfer.points, reference_mm=transfer.reference_mm)
-    return _core.build_radius_map(labels)
+    return _core.label_classes(volume.hu_zyx, transfer.points, reference_mm=transfer.reference_mm)[0]
 
 
 def project_maximum(volume: Volume) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.int16]]:

@@ -196,6 +196,24 @@ class Renderer:
         """
         self._scenes.prepare(progress_function(progress), cancel, all_classes=all_classes)
 
+    @check_arguments(radii_zyx=mask_array(optional=True))
+    def use_isoregion_map(self, radii_zyx: NDArray[np.uint8] | None) -> None:
+        """Use an IsoRegion map from a file for transfer functions of sampling ``nearest``, which are the paper's.
+
+        The next call of ``prepare`` then builds no map of equal values. The picture is the same.
+
+        Parameters
+        ----------
+        radii_zyx
+            The map of this volume, checked by :func:`carina.render.open_isoregion_map`; None builds maps again.
+
+        Raises
+        ------
+        GeometryError
+            If the shape of the map differs from the volume's.
+        """
+        self._scenes.use_isoregion_map(radii_zyx)
+
     def wait_stored(self) -> None:
         """Wait until the background thread has written the maps to the cache."""
         self._scenes.wait_stored()

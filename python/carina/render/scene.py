@@ -72,6 +72,8 @@ class SceneBuilder:
         self._range = volume.value_range
         width = _bin_width(transfer, volume.hu_zyx)
         self._scene = Scene(transfer, None, volume.hu_zyx, self._range, None, None, None, bin_width=width)
+        self._class_radius: NDArray[np.uint8] | None = None
+        """IsoRegion map of the volume by values that a caller has read from a file."""
         self._swap = threading.Lock()
         self._change = threading.Lock()
 
@@ -90,6 +92,15 @@ class SceneBuilder:
             raise GeometryError(msg, code="geometry.shape")
         with self._change, self._swap:
             self._scene = scene
+
+    def use_isoregion_map(self, radius_zyx: NDArray[np.uint8] | None) -> None:
+        """Use a map of the volume by values, instead of building it; None builds it again."""
+        if radius_zyx is not None and radius_zyx.shape != self._volume.shape_zyx:
+            msg = (
+                f"the IsoRegion map has shape {radius_zyx.shape}; expected that of the volume, {self._volume.shape_zyx}"
+            )
+            raise GeometryError(msg, code="geometry.shape")
+        self._class_radius = None if radius_zyx is None else np.ascontiguousarray(radius_zyx, dtype=np.uint8)
 
     def set_transfer(self, transfer: TransferFunction) -> None:
         """Set the transfer function; the map stays if it fits the new transfer function."""
@@ -196,7 +207,12 @@ class SceneBuilder:
             else:
                 labels, classes = _core.label_classes(scene.values, transfer.points, reference_mm=transfer.reference_mm)
                 class_values = [lo for lo, _, _, _ in classes]
-            radius = _core.build_radius_map(labels, cancel=cancel)
+            known = self._class_radius if by_value and scene.values is self._volume.hu_zyx else None
+            if known is None:
+                radius = _core.build_radius_map(labels, cancel=cancel)
+            else:
+                # Voxels without a label have no class to leap over.
+                radius = np.where(labels == 0, np.uint8(0), known)
             return CachedMap((labels, radius), class_values)
 
         classes = (

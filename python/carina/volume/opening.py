@@ -82,6 +82,13 @@ def open_volume(
     return guarded(Path(path).expanduser(), lambda where: _open(where, series, watch))
 
 
+def check_exists(path: Path) -> None:
+    """Raise the error of a missing scan if there is no file or folder at its path."""
+    if not path.exists():
+        msg = f"reading {path.name}: there is no such file or folder; expected {_KINDS}; check the path {path}"
+        raise VolumeImportError(msg, code="import.not-found")
+
+
 def find_in(path: Path, watch: Watch) -> list[FoundSeries] | str:
     """Return the DICOM series at a path, best first, or the format of the grid file at the path.
 
@@ -90,9 +97,7 @@ def find_in(path: Path, watch: Watch) -> list[FoundSeries] | str:
     VolumeImportError
         If the path contains neither.
     """
-    if not path.exists():
-        msg = f"reading {path.name}: there is no such file or folder; expected {_KINDS}; check the path {path}"
-        raise VolumeImportError(msg, code="import.not-found")
+    check_exists(path)
     if path.is_dir():
         from carina.volume.dicom import find_series
         from carina.volume.dicom_files import read_folder
