@@ -107,6 +107,8 @@ setup-tests: $(STAMP) $(CLUSTER_STAMP) $(HAPTICS_STAMP)
 
 test-python: $(STAMP) $(CLUSTER_STAMP) $(HAPTICS_STAMP)
 	$(PY) tools/find_browser.py --install
+	@# In a new clone the tests are compiled once, and not by each worker at the same time.
+	@test -d tests/plan/__pycache__ || $(PY) -m pytest --collect-only -qq >/dev/null || true
 	$(PY) -m pytest -m "not soak" -n $(WORKERS) --dist loadscope --no-loadscope-reorder -ra --durations=25
 
 # Not part of `make test`: wgpu is a large build, and most machines that test have no adapter. Here a missing one is a

@@ -31,12 +31,15 @@ def test_tests_of_one_file_run_in_one_worker_in_their_order():
         assert names == sorted(names, key=lambda name: text.index(f"def {name}("))
 
 
-def test_all_test_files_that_start_ray_are_in_one_group():
+@pytest.mark.parametrize(
+    ("group", "text", "least"),
+    [("ray", "mark." + "ray", 3), ("planned chest", "phantom" + "_plan", 10), ("shared chest", "shared" + "_chest", 4)],
+)
+def test_all_test_files_with_common_results_are_in_one_group(group: str, text: str, least: int) -> None:
     from conftest import group_of
 
-    mark = "mark." + "ray"
-    starts = [path for path in (ROOT / "tests").rglob("test_*.py") if mark in path.read_text(encoding="utf-8")]
-    paths = {path.relative_to(ROOT).as_posix() for path in starts}
-    assert len(paths) >= 3
-    assert {group_of(path) for path in paths} == {"ray"}
+    uses = [path for path in (ROOT / "tests").rglob("test_*.py") if text in path.read_text(encoding="utf-8")]
+    paths = {path.relative_to(ROOT).as_posix() for path in uses}
+    assert len(paths) >= least
+    assert {group_of(path) for path in paths} == {group}
     assert group_of(FILES[0]) == FILES[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import itertools
 import json
 
@@ -12,11 +13,14 @@ from exact_measures import exact_measures
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import carina
+from cached_test_data import cached_airways, cached_phantom
 from carina.errors import UsageError
-from carina.plan.routes.route_width import RouteWidth, ball_error_mm, matches_tree, widths_on_the_way
+from carina.plan.routes import route_width
+from carina.plan.routes.route_width import RouteWidth, ball_error_mm, matches_tree, measures_of, widths_on_the_way
 from carina.plan.verdict.checks import diameter_check
 from carina.scopes import scope_preset
-from carina.track import AirwayTree, Branch
+from carina.track import AirwayTree, Branch, measure_tree
 from carina.track.measures.diameter import SECTION_ERROR
 
 SPACING_MM = 1.5
@@ -252,3 +256,35 @@ def test_route_width_is_plain_json_and_invalid_widths_are_refused() -> None:
         RouteWidth(-1.0, 0.4, 91.0)
     with pytest.raises(UsageError):
         RouteWidth(3.0, float("nan"), 91.0)
+
+
+CHEST = {"spacing_mm": 3.0, "generations": 3}
+
+
+def test_measures_that_a_plan_computes_equal_those_of_measure_tree_and_are_computed_once_per_ct_and_tree() -> None:
+    volume, airways = cached_phantom(**CHEST).volume, cached_airways(**CHEST)
+    first = measures_of(volume, airways, None)
+    assert first.to_json() == measure_tree(volume, airways).to_json()
+    assert measures_of(volume, airways, None) is first
+    # Measures of another tree are not used, neither given nor cached ones.
+    root = dataclasses.replace(airways.tree.root, children=())
+    alone = dataclasses.replace(airways, tree=AirwayTree((root,)))
+    cut = measures_of(volume, alone, first)
+    assert len(cut.branches) == 1 and cut.to_json() == measure_tree(volume, alone).to_json()
+    assert measures_of(volume, airways, cut) is first
+    assert measures_of(volume, alone, None) is cut
+    same = dataclasses.replace(volume)
+    assert measures_of(same, airways, None) is not first
+    given_ones = measure_tree(volume, airways)
+    assert measures_of(volume, airways, given_ones) is given_ones
+
+
+def test_cached_measures_are_deleted_with_the_lumen() -> None:
+    volume = cached_phantom(**CHEST).volume
+    before = set(route_width._MEASURED)
+    airways = carina.find_airways(volume)
+    measures_of(volume, airways, None)
+    assert len(set(route_width._MEASURED) - before) == 1
+    del airways
+    gc.collect()
+    assert set(route_width._MEASURED) <= before

@@ -277,6 +277,19 @@ def test_lobe_is_correct_for_98_percent_of_the_tree_length():
     assert good >= 0.98 * length
 
 
+def test_cached_lobes_of_a_tree_are_not_changed_by_a_caller_and_not_used_for_a_renamed_tree():
+    tree = true_tree(3)
+    first = branch_side_and_lobe(tree)
+    first[tree.root.id] = "RUL"
+    again = branch_side_and_lobe(tree)
+    assert again[tree.root.id] is None
+    assert again == branch_side_and_lobe(AirwayTree(tuple(dataclasses.replace(branch) for branch in tree.branches)))
+    upper = next(branch for branch in tree.branches if again[branch.id] == "RUL")
+    renamed = dataclasses.replace(upper, name="LB9", name_from="person")
+    other = AirwayTree(tuple(renamed if branch is upper else branch for branch in tree.branches))
+    assert branch_side_and_lobe(other)[upper.id] == "LLL"
+
+
 def test_branch_name_given_by_the_user_is_unchanged_and_used_for_other_names():
     tree = true_tree(3)
     segment = tree.named("RB3")

@@ -35,10 +35,10 @@ from carina.plan.routes.ranking import (
     depth_rank,
     pointing_rank,
 )
-from carina.plan.routes.route_width import matches_tree
+from carina.plan.routes.route_width import measures_of
 from carina.plan.routes.standing_points import Ways
 from carina.scopes import ScopePreset, WallField, scope_preset
-from carina.track import Airways, TreeMeasures, measure_tree, wall_field
+from carina.track import Airways, TreeMeasures, wall_field
 from carina.volume import Volume
 
 Points = NDArray[np.float64]
@@ -207,8 +207,7 @@ def reach_atlas(
     matrix = np.array(box.lps_from_ijk, dtype=np.float64)
     matrix[:3, :3] *= STEP_MM / box.step_mm
     say(0.4)
-    if measures is None or not matches_tree(measures, airways.tree):
-        measures = measure_tree(volume, airways, cancel=cancel)
+    measures = measures_of(volume, airways, measures, cancel=cancel)
     ways = Ways(airways.tree, wall, measures=measures, spacing_mm=max(volume.spacing_mm))
     judge = Judge(preset, 0.0, ScoreWeights(), used.reach_mm, used)
     why = judge.channel_limit()

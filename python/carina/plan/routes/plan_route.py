@@ -43,14 +43,14 @@ from carina.plan.routes.no_route_reasons import (
 )
 from carina.plan.routes.predictors import RoutePredictors, route_predictors
 from carina.plan.routes.ranking import Demands, Judge, Outlook, ScoreWeights, bending_mm, order
-from carina.plan.routes.route_width import Fit, RouteWidth, matches_tree
+from carina.plan.routes.route_width import Fit, RouteWidth, measures_of
 from carina.plan.routes.standing_points import BronchusSign, NearestPlace, Places, branch_title
 from carina.plan.targets.doubts import Confirmed, TargetDoubt, check_confirmed, confirmed_codes, target_doubts
 from carina.plan.targets.from_click import target_from_click
 from carina.plan.targets.nodule import Nodule
 from carina.plan.targets.target import PlanTarget
 from carina.scopes import ScopeHold, ScopePreset, WallField
-from carina.track import Airways, TreeMeasures, measure_tree, wall_field
+from carina.track import Airways, TreeMeasures, wall_field
 from carina.volume import Volume
 
 __all__ = [
@@ -450,8 +450,7 @@ def draft_plan(
     doubts = target_doubts(volume, nodule, airways=airways, wall=wall, clicked_lps=clicked)
     check_confirmed(doubts, accepted)
     report(0.5)
-    if measures is None or not matches_tree(measures, airways.tree):
-        measures = measure_tree(volume, airways, cancel=cancel)
+    measures = measures_of(volume, airways, measures, cancel=cancel)
     origin = distance_origin(volume, airways)
     places = Places(airways.tree, nodule, wall, measures=measures, spacing_mm=max(volume.spacing_mm), origin=origin)
     judge = Judge(preset, vessel_margin_mm, weights or ScoreWeights(), used.reach_mm, used)

@@ -8,7 +8,8 @@ of the largest ball in the segmented lumen, whose error is several times larger.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import weakref
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -20,8 +21,9 @@ from carina.display import one_line
 from carina.plan.routes.clearance import ball_diameters_mm
 from carina.plan.routes.main_carina import ROOT, DistanceOrigin
 from carina.scopes import ScopePreset, WallField
-from carina.track import AirwayTree, Branch, TreeMeasures
+from carina.track import Airways, AirwayTree, Branch, TreeMeasures, measure_tree
 from carina.track.measures.diameter import least_with_error
+from carina.volume import Volume
 
 Points = NDArray[np.float64]
 Widths = NDArray[np.object_]
@@ -43,6 +45,11 @@ BALL_SHARE, BALL_SLICES = 0.3, 1.0
 91 % of 248 routes in painted CTs whose last part was taken as unmeasured have their true diameter within this error
 (``benchmarks/measurements/diameters.md``).
 """
+NUM_MEASURED = 3
+"""Largest number of trees in the same lumen, such as before and after an edit, whose measures are cached."""
+
+_MEASURED: dict[int, tuple[weakref.ref[Any], list[tuple[Volume, tuple[Branch, ...], TreeMeasures]]]] = {}
+"""Measures that plans have computed, by the identity of the lumen; deleted with the lumen."""
 
 
 @one_line
@@ -134,6 +141,36 @@ def matches_tree(measures: TreeMeasures, tree: AirwayTree) -> bool:
         own.branch_id == branch.id and len(own.at_mm) == len(branch.points) and not own.is_by_earlier_method
         for own, branch in zip(measures.branches, tree.branches, strict=True)
     )
+
+
+def measures_of(
+    volume: Volume, airways: Airways, given: TreeMeasures | None, *, cancel: Callable[[], bool] | None = None
+) -> TreeMeasures:
+    """Return measures of a tree: those that the caller has if they match the tree, else computed or cached ones.
+
+    Measuring takes seconds, so the measures of the same CT and tree are computed once while their lumen exists.
+
+    Parameters
+    ----------
+    volume, airways, cancel
+        As for `carina.measure_tree`.
+    given
+        Measures that the caller has; None if there are none.
+    """
+    if given is not None and matches_tree(given, airways.tree):
+        return given
+    key = id(airways.lumen_zyx)
+    known = _MEASURED.get(key)
+    for ct, branches, measures in [] if known is None else list(known[1]):
+        if ct is volume and branches is airways.tree.branches:
+            return measures
+    made = measure_tree(volume, airways, cancel=cancel)
+    # The identity of a lumen is unique only while the lumen exists.
+    alive = weakref.ref(airways.lumen_zyx, lambda _gone: _MEASURED.pop(key, None))
+    stored = _MEASURED.setdefault(key, (alive, []))[1]
+    stored.append((volume, airways.tree.branches, made))
+    del stored[:-NUM_MEASURED]
+    return made
 
 
 def widths_on_the_way(

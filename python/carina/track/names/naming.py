@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from carina.track.names.name_texts import MIRRORED, MIRRORED_CHEST, NameWords, b
 from carina.track.names.tree_fit import MISFIT, POOR_FIT, calibrated, fit_of, misfit_note
 from carina.track.names.tree_shape import Bronchus, body_frame, bronchi_of, find_lungs, refined_frame
 from carina.track.names.without_drawn import carried_names, seen_part
-from carina.track.tree.airway_tree import AirwayTree
+from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.calibrated_size import with_limited_confidence
 from carina.volume.model import Note
 
@@ -57,6 +58,8 @@ MIN_BRANCHES = 12
 """Least number of branches of a tree in which lobes are distinguished."""
 COARSE_FORKS = 5
 """Number of forks from the root up to which airways are used to choose the body frame and the side."""
+NUM_TREES = 4
+"""Number of trees whose lobes are cached."""
 LETTERS, ROMAN = "abcdefgh", ("i", "ii", "iii", "iv", "v", "vi", "vii", "viii")
 
 _VARIANT_STEMS = {
@@ -185,8 +188,14 @@ def branch_side_and_lobe(tree: AirwayTree) -> dict[int, str | None]:
     the user take precedence. In a mirrored chest (see :func:`name_tree`) the lobes of the three-lobed lung are LUL,
     LML and LLL.
     """
-    whole = tree
-    tree, place_of = seen_part(tree)
+    return dict(_side_and_lobe(tuple(tree.branches)))
+
+
+@lru_cache(maxsize=NUM_TREES)
+def _side_and_lobe(branches: tuple[Branch, ...]) -> dict[int, str | None]:
+    """Return the lobes of a tree's branches; cached, because plans, reports and windows need them repeatedly."""
+    whole = AirwayTree(branches)
+    tree, place_of = seen_part(whole)
     read = _read(tree)
     found: dict[int, str | None] = dict.fromkeys((branch.id for branch in tree.branches), None)
     by_place = {} if read.is_misfit else _lobes_of(read)
