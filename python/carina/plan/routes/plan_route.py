@@ -43,7 +43,13 @@ from carina.plan.routes.no_route_reasons import (
 )
 from carina.plan.routes.predictors import RoutePredictors, route_predictors
 from carina.plan.routes.ranking import Demands, Judge, Outlook, ScoreWeights, bending_mm, order
-from carina.plan.routes.route_width import Fit, RouteWidth, matches_tree
+from carina.plan.routes.route_width import (
+    Fit,
+    RouteOpening,
+    RouteWidth,
+    matches_tree,
+    openings_of_route,
+)
 from carina.plan.routes.standing_points import BronchusSign, NearestPlace, Places, branch_title
 from carina.plan.targets.doubts import Confirmed, TargetDoubt, check_confirmed, confirmed_codes, target_doubts
 from carina.plan.targets.from_click import target_from_click
@@ -135,6 +141,11 @@ class PlannedRoute:
     """Published predictors of a failed navigation; None for a route that was not made by `plan_route`."""
 
     @property
+    openings: dict[int, RouteOpening] = field(default_factory=dict)
+    """Openings at the forks of the route, by the ID of the branch that begins there.
+
+    No opening of the route is narrower than ``width``. Empty for a route that was not made by `plan_route`.
+    """
     def key(self) -> str:
         """Identifier of scope position and aim, independent of the rank: "17-204.5", or "17-204.5-2" for aim 2."""
         return f"{self.branch_id}-{self.along_mm:.1f}" + (f"-{self.aim + 1}" if self.aim else "")
@@ -494,20 +505,20 @@ def draft_plan(
             and (apart := search.apart_from(route, drafts_of.get((route.branch_id, route.aim), ())))
         )
 
-        def with_predictors(route: PlannedRoute) -> PlannedRoute:
-            found = route_predictors(
-                airways.tree,
-                route.branch_id,
-                route.along_mm,
-                wall=wall,
-                measures=measures,
-                spacing_mm=max(volume.spacing_mm),
-                origin=route.origin,
+        def with_figures(route: PlannedRoute) -> PlannedRoute:
+            """Return a route with its predictors and the widths of its openings."""
+            at = airways.tree, route.branch_id, route.along_mm
+            spacing_mm, start = max(volume.spacing_mm), route.origin
+            return replace(
+                route,
+                predictors=route_predictors(*at, wall=wall, measures=measures, spacing_mm=spacing_mm, origin=start),
+                openings=openings_of_route(
+                    *at, scope=preset, wall=wall, measures=measures, spacing_mm=spacing_mm, origin=start
+                ),
             )
-            return replace(route, predictors=found)
 
-        kept = tuple(with_predictors(route) for route in kept)
-        spares = tuple(with_predictors(route) for route in spares)
+        kept = tuple(with_figures(route) for route in kept)
+        spares = tuple(with_figures(route) for route in spares)
     report(1.0)
     plan = Plan(
         nodule=nodule,

@@ -28,7 +28,8 @@ from carina.plan.routes.last_leg import as_point, edge_on_needle_mm
 from carina.plan.routes.main_carina import ROOT, DistanceOrigin
 from carina.plan.routes.needle_hits import NeedleErrors, hit_share
 from carina.plan.routes.plan_route import Plan, PlannedRoute
-from carina.plan.routes.ranking import BARELY, POINTS, SURE
+from carina.plan.routes.ranking import BARELY, POINTS
+from carina.plan.routes.route_width import SURE
 from carina.plan.targets.grow_nodule import Nodule
 from carina.plan.verdict.checks import (
     Answer,
