@@ -137,15 +137,17 @@ class PlannedRoute:
     """Names of the tools that pass the scope's channel and reach the target from there."""
     hold: ScopeHold | None = None
     """Insertion, roll and lever with which the drive points at the target; None without a drive that arrives."""
+    withdrawn_mm: float = 0.0
+    """Distance in mm by which the drive withdraws the tip from the stated place to point at the target; 0 without."""
     predictors: RoutePredictors | None = None
     """Published predictors of a failed navigation; None for a route that was not made by `plan_route`."""
-
-    @property
     openings: dict[int, RouteOpening] = field(default_factory=dict)
     """Openings at the forks of the route, by the ID of the branch that begins there.
 
     No opening of the route is narrower than ``width``. Empty for a route that was not made by `plan_route`.
     """
+
+    @property
     def key(self) -> str:
         """Identifier of scope position and aim, independent of the rank: "17-204.5", or "17-204.5-2" for aim 2."""
         return f"{self.branch_id}-{self.along_mm:.1f}" + (f"-{self.aim + 1}" if self.aim else "")
@@ -159,6 +161,14 @@ class PlannedRoute:
     def place_words(self) -> str:
         """Place of the tip as text, such as *42 mm past the main carina*."""
         return self.origin.words(self.origin.past_mm(self.along_mm))
+
+    def withdrawn_words(self, withdrawn_mm: float) -> str:
+        """Return as text that a drive withdraws the tip, and the place from which the tip points at the target."""
+        place = self.origin.words(self.origin.past_mm(self.along_mm) - withdrawn_mm)
+        return (
+            f"the drive withdraws the tip by {withdrawn_mm:.0f} mm from the end of the route: it points at the target "
+            f"{place}, not {self.place_words}"
+        )
 
     @property
     def narrowest_mm(self) -> float:
@@ -207,6 +217,7 @@ class PlannedRoute:
                 "place_lps": list(self.leg.tip_lps),
                 "roll_rad": None if self.hold is None else self.hold.roll_rad,
                 "flexion_rad": None if self.hold is None else self.hold.flexion_rad,
+                "withdrawn_mm": self.withdrawn_mm,
             },
             "forward": list(self.forward),
             **self.width.to_json(),
