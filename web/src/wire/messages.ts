@@ -1453,6 +1453,7 @@ export interface Target {
   readonly note: string;
   readonly priority: number;
   readonly has_size: boolean;
+  readonly from_carina_mm: number | null;
   readonly cost: "lumen" | "paper" | "walls";
   readonly root_lps: readonly [number, number, number] | null;
 }
@@ -1905,6 +1906,7 @@ export interface LivePathMessage {
   readonly new_mm: number | null;
   readonly joins_branch_id: number | null;
   readonly problem: string | null;
+  readonly from_carina_mm: number | null;
 }
 
 /** Cross-sections of a branch from its start to its end: parallel lists; null marks a failed measurement. */
