@@ -33,6 +33,7 @@ from carina.commands import (
     MarkAt,
     MarkSphere,
     MeasureMovement,
+    MeasureMovementFromCase,
     OpenVolume,
     PlanningOf,
     PlanOptions,
@@ -599,6 +600,15 @@ def test_movement_measured_from_a_second_ct_replaces_the_default_and_is_stored(c
     case.close()
     with carina.Case.open(path) as again:
         assert again.state.document.targets[0].lesion.options.movement == movement
+
+
+def test_second_ct_of_a_case_that_is_not_in_the_list_is_refused(case: carina.Case, chest: Phantom) -> None:
+    case.do(AddTarget(centre_of(chest)))
+    (target,) = case.state.document.targets
+    before = case.state.document
+    with pytest.raises(UsageError, match="no longer in the list") as raised:
+        case.do(MeasureMovementFromCase(target.target_id, "unknown"))
+    assert raised.value.code == "session.recent" and case.state.document is before
 
 
 def test_second_ct_that_is_not_comparable_changes_nothing(case: carina.Case, chest: Phantom, tmp_path: Path) -> None:
