@@ -62,3 +62,39 @@ def test_second_ct_replaces_the_default_movement_and_a_ct_of_half_a_chest_is_ref
     page.evaluate("() => document.activeElement?.blur()")
     page.keyboard.press("Control+z")
     workstation.wait_for("window.__carina.state.plans.targets[0].options.movement === null")
+
+
+SIZES = [(1280, 720), (1440, 900), (1920, 1080)]
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_second_ct_is_chosen_as_a_file_or_from_the_recent_cases(server, workstation, tmp_path, size):
+    page, place = workstation.page, cached_phantom(**CHEST).truth["nodule"]["centre_lps"]
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    workstation.open(server)
+    workstation.wait_ready()
+    show_slices_at(workstation, place)
+    page.get_by_role("button", name="Target", exact=True).first.click()
+    page.get_by_test_id("arm-target").click()
+    page.mouse.click(*place_in_slice(workstation, "axial", place))
+    workstation.wait_while_working("window.__carina.state.plans?.targets[0]?.routes.length > 0")
+    page.get_by_test_id("answer-take-route" if size[0] >= 1600 else "take-route").click()
+    options = page.get_by_test_id("second-ct-options")
+    page.get_by_text("Measure the movement from a second CT", exact=True).click()
+    assert options.get_by_test_id("second-ct-recent").count() == 0, "the list omits the CT of the plan"
+    with page.expect_file_chooser() as chooser:
+        options.get_by_role("button", name="Choose file").click()
+    chooser.value.set_files(str(tmp_path / "half.nii.gz"))
+    workstation.wait_while_working("window.__carina.state.messages.some((one) => /half/.test(JSON.stringify(one)))")
+    assert workstation.state("plans.targets[0].options.movement") is None
+    options.scroll_into_view_if_needed()
+    workstation.picture(f"second-ct-choice-{size[0]}")
+    if size != SIZES[0]:
+        return
+    with page.expect_file_chooser() as chooser:
+        options.get_by_role("button", name="Choose file").click()
+    chooser.value.set_files(str(tmp_path / "second.nii.gz"))
+    workstation.wait_while_working("window.__carina.state.plans.targets[0].options.movement !== null")
+    page.evaluate("() => document.activeElement?.blur()")
+    page.keyboard.press("Control+z")
+    workstation.wait_for("window.__carina.state.plans.targets[0].options.movement === null")

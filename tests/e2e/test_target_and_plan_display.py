@@ -49,21 +49,45 @@ def test_slices_state_that_they_do_not_follow_the_tip_and_follow_it_again_after_
 
 
 @pytest.mark.parametrize("size", [(1440, 900), (1920, 1080), (1280, 720)])
-def test_label_that_slices_follow_the_tip_covers_no_orientation_letter(server, workstation, size):
+def test_label_that_slices_follow_the_tip_is_outside_the_pictures(server, workstation, size):
     width, height = size
-    workstation.page.set_viewport_size({"width": width, "height": height})
+    page = workstation.page
+    page.set_viewport_size({"width": width, "height": height})
     workstation.open(server)
     workstation.wait_ready()
-    workstation.page.keyboard.press("t")
+    page.keyboard.press("t")
+    for step in ("Check", "Target"):
+        page.get_by_role("button", name=step, exact=True).first.click()
+        page.keyboard.press("c")
+        workstation.wait_for("window.__carina.state.session.sight.crosshair_lps === null")
+        assert_chips_are_outside(workstation)
+        box = page.locator("canvas[data-view=coronal]").bounding_box()
+        page.mouse.click(box["x"] + 0.3 * box["width"], box["y"] + 0.7 * box["height"])
+        workstation.wait_for("window.__carina.state.session.sight.crosshair_lps !== null")
+        assert_chips_are_outside(workstation)
+        workstation.picture(f"follow-{step}-{width}")
+
+
+def assert_chips_are_outside(workstation) -> None:
+    """Check that the label of each slice is complete, beside its position, and covers no part of a picture."""
+    pictures = [one.bounding_box() for one in workstation.page.locator(".cell-picture").all()]
     for name in ("axial", "coronal", "sagittal"):
-        picture = cell(workstation, name).locator(".cell-picture").bounding_box()
-        chip = cell(workstation, name).get_by_test_id("follow-tip").bounding_box()
-        # One line above the letter of the lower edge, and below that of the right edge.
+        own = cell(workstation, name)
+        whole, chip = own.bounding_box(), own.get_by_test_id("follow-tip").bounding_box()
         assert chip["height"] < 22
-        assert chip["x"] > picture["x"]
-        assert chip["y"] + chip["height"] <= picture["y"] + picture["height"] - 17
-        assert chip["y"] > picture["y"] + picture["height"] / 2 + 8
-    workstation.picture(f"follow-{width}")
+        assert chip["x"] > whole["x"]
+        assert chip["x"] + chip["width"] <= whole["x"] + whole["width"]
+        assert chip["y"] + chip["height"] <= whole["y"] + whole["height"]
+        for picture in pictures:
+            assert (
+                chip["x"] >= picture["x"] + picture["width"]
+                or chip["x"] + chip["width"] <= picture["x"]
+                or chip["y"] >= picture["y"] + picture["height"]
+                or chip["y"] + chip["height"] <= picture["y"]
+            )
+        place = own.locator("footer .numbers")
+        shown_px, needed_px = place.evaluate("(one) => [one.clientWidth, one.scrollWidth]")
+        assert needed_px <= shown_px, "the position of the slice is complete"
 
 
 def test_voxel_value_under_a_still_pointer_is_updated_when_the_slice_moves(server, workstation):

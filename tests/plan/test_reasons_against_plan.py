@@ -11,7 +11,7 @@ import pytest
 from phantom_plan import airways, plan, sheet, turns, verdicts, with_drawn_branch
 
 from carina.plan import Check, TargetMovement
-from carina.plan.reasons import reasons_against
+from carina.plan.reasons import reasons_against, route_reasons
 from carina.plan.report import write_report
 from carina.plan.report.drawing import Label
 from carina.plan.report.plan_sheet import PlanSheet
@@ -64,7 +64,18 @@ def drawn() -> PlanSheet:
     return sheet(airways=found, plan=drawn_plan, turns=turns(found, drawn_plan))
 
 
+def withdrawn() -> PlanSheet:
+    """Return a sheet whose drive leaves the tip 5 mm before the end of the route, and points at the target."""
+    route = dataclasses.replace(plan().routes[0], withdrawn_mm=5.0)
+    own = [dataclasses.replace(one, withdrawn_mm=5.0) for one in verdicts() if one.scope.name == plan().scope.name]
+    others = [one for one in verdicts() if one.scope.name != plan().scope.name]
+    return dataclasses.replace(
+        sheet(), plan=dataclasses.replace(plan(), routes=(route, *plan().routes[1:])), verdicts=(*own, *others)
+    )
+
+
 SHEETS = {
+    "withdrawn": withdrawn,
     "usual": sheet,
     "doubtful": doubtful,
     "drawn": drawn,
@@ -136,6 +147,22 @@ def test_every_failed_check_of_the_planned_scope_is_a_reason_against_the_plan(an
     changed = dataclasses.replace(own, outcome="does not reach", checks=checks)
     text = " ".join(one.words.lower() for one in reasons_against(plan(), verdicts=(changed,)))
     assert checks and all(check.words in text for check in checks)
+
+
+@pytest.mark.parametrize("with_verdicts", [True, False])
+def test_withdrawn_tip_is_a_reason_that_states_both_distances_in_all_outputs(with_verdicts) -> None:
+    report = withdrawn()
+    planned, route = report.plan, report.plan.routes[0]
+    given = report.verdicts if with_verdicts else ()
+    (found,) = [one for one in reasons_against(planned, verdicts=given) if one.code == "route.withdrawn"]
+    past_mm = route.from_carina_mm
+    assert found.words == (
+        "The drive withdraws the tip by 5 mm from the end of the route: it points at the target "
+        f"{past_mm - 5.0:.0f} mm past the main carina, not {past_mm:.0f} mm past the main carina."
+    )
+    assert found.words in [one.words for one in route_reasons(planned, route)], "the exports list it"
+    assert not [one for one in reasons_against(plan(), verdicts=verdicts()) if one.code == "route.withdrawn"]
+    assert route.to_json()["parking"]["withdrawn_mm"] == 5.0
 
 
 def test_simulated_drive_that_arrives_is_not_a_reason_against_the_plan() -> None:

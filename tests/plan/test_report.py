@@ -26,6 +26,7 @@ from carina.plan.report import make_sheet, write_report
 from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, ReportTable, Words
 from carina.plan.report.drawing import Label
 from carina.plan.report.sections import sections
+from carina.plan.report.tracing import tracing_drawings
 from carina.plan.routes.last_leg import CrossedTissue, NearVessel
 from carina.plan.targets.edits import BRUSHED
 from carina.plan.turns.fork_view import HourDoubt
@@ -104,6 +105,31 @@ def test_all_outputs_state_the_same_narrowest_diameter_of_a_route() -> None:
         check = next(one for one in verdict.checks if one.name == "diameter")
         assert diameter_text in check.words and check.share == route.width.chance(verdict.scope)
     assert (offer.fit == "fits") == stored["fits"] == (route.width.chance(plan().scope) >= 0.9)
+
+
+def test_all_outputs_state_the_same_opening_of_a_turn_which_is_not_narrower_than_the_route() -> None:
+    route = plan().routes[0]
+    listed = turns(airways(), plan())
+    table = next(part for part in sections(sheet()) if part.name == "turns").blocks
+    rows = next(block for block in table if isinstance(block, ReportTable)).rows
+    drawings = tracing_drawings(sheet())
+    sheet_text = " ".join(one.text for drawing in drawings for one in drawing.shapes if isinstance(one, Label))
+    for number, turn in enumerate(listed.turns):
+        opening = turn.opening
+        assert opening.width.source == "sections"
+        assert opening.width.mm >= route.width.mm and opening.width.lower_mm >= route.width.lower_mm
+        assert opening.fit == opening.width.fit(plan().scope)
+        assert route.fit != "fits" or opening.fit == "fits"
+        mm = f"{opening.width.mm:.1f} \u00b1 {opening.width.error_mm:.1f}"
+        assert opening.words in turn.words("head") and mm in opening.words
+        assert mm in rows[number][6] and mm in sheet_text
+        stored = turn.to_json()["opening"]
+        assert stored == {
+            "mm": opening.width.mm,
+            "error_mm": opening.width.error_mm,
+            "by": "sections",
+            "fit": opening.fit,
+        }
 
 
 def test_html_report_makes_no_request_and_its_security_policy_allows_only_its_own_content(tmp_path) -> None:

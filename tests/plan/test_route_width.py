@@ -17,7 +17,15 @@ import carina
 from cached_test_data import cached_airways, cached_phantom
 from carina.errors import UsageError
 from carina.plan.routes import route_width
-from carina.plan.routes.route_width import RouteWidth, ball_error_mm, matches_tree, measures_of, widths_on_the_way
+from carina.plan.routes.route_width import (
+    RouteWidth,
+    ball_error_mm,
+    matches_tree,
+    measures_of,
+    narrowest_opening,
+    openings_of_route,
+    widths_on_the_way,
+)
 from carina.plan.verdict.checks import diameter_check
 from carina.scopes import scope_preset
 from carina.track import AirwayTree, Branch, measure_tree
@@ -288,3 +296,62 @@ def test_cached_measures_are_deleted_with_the_lumen() -> None:
     del airways
     gc.collect()
     assert set(route_width._MEASURED) <= before
+
+
+def forked(*, radius_mm: float = 1.0) -> AirwayTree:
+    """Return a trachea with two daughters, of which the first has two daughters too, all 42 mm long."""
+    rows = {0: (None, (1, 2), (0.0, -0.7)), 1: (0, (3, 4), (-0.5, -0.5)), 2: (0, (), (0.5, -0.5))}
+    rows |= {3: (1, (), (-0.7, 0.0)), 4: (1, (), (0.0, -0.7))}
+    branches: list[Branch] = []
+    for n, (parent, children, (x, z)) in rows.items():
+        start = np.zeros(3) if parent is None else branches[parent].points[-1]
+        points = start + np.arange(60)[:, None] * np.array([x, 0.0, z])
+        radius = np.full(60, 7.0 if parent is None else radius_mm)
+        branches.append(Branch(n, parent, children, n, None, "tracked", points, radius))
+    return AirwayTree(tuple(branches))
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    widths_mm=st.lists(st.floats(1.5, 9.0), min_size=4, max_size=4),
+    dip=st.tuples(st.integers(1, 4), st.integers(0, 52), st.floats(1.0, 3.0)),
+    share=st.floats(0.05, 1.0),
+)
+def test_no_opening_of_a_route_is_narrower_than_the_route(widths_mm, dip, share) -> None:
+    tree = forked()
+    widths = {n: np.full(60, mm) for n, mm in enumerate((14.0, *widths_mm))}
+    branch, at, narrow_mm = dip
+    widths[branch][at : at + 8] = narrow_mm
+    measures = exact_measures(tree, widths_mm=widths, error_mm=0.3)
+    way = widths_on_the_way(tree, None, measures, SPACING_MM)
+    index = max(1, round(share * 59))
+    last = tree.branches[3]
+    along = sum(tree.branches[n].length_mm for n in (0, 1)) + index * float(
+        np.linalg.norm(last.points[1] - last.points[0])
+    )
+    scope = scope_preset("thin")
+    found = openings_of_route(tree, 3, along, scope=scope, wall=None, measures=measures, spacing_mm=SPACING_MM)
+    assert set(found) == {1, 2, 3, 4}
+    route = way[3][index]
+    order = ("does not fit", "may fit", "fits")
+    for n in (1, 3):
+        assert found[n].width.mm >= route.mm and found[n].width.lower_mm >= route.lower_mm
+        assert order.index(found[n].fit) >= order.index(route.fit(scope))
+        assert found[n].width.source == "sections", "the ball of 2 mm in the lumen found does not count"
+    both = narrowest_opening([found[1], found[3]])
+    assert both.width.mm == min(found[1].width.mm, found[3].width.mm) and both.fit in {found[1].fit, found[3].fit}
+
+
+def test_opening_states_its_error_and_whether_the_scope_passes() -> None:
+    tree = forked()
+    widths = {0: np.full(60, 14.0), 1: np.full(60, 8.0), 3: np.full(60, 4.4), 4: np.full(60, 2.0)}
+    measures = exact_measures(tree, widths_mm=widths, error_mm=0.3)
+    scope = dataclasses.replace(scope_preset("thin"), tip_mm=4.0, tube_mm=None)
+    found = openings_of_route(tree, 3, 140.0, scope=scope, wall=None, measures=measures, spacing_mm=SPACING_MM)
+    assert found[1].fit == "fits" and "scope" not in found[1].words
+    assert found[3].fit == "may fit" and found[3].words.endswith("mm wide, the scope may pass")
+    assert found[4].fit == "does not fit" and found[4].cell.endswith(": the scope does not pass")
+    assert found[3].words.startswith(f"4.4 \u00b1 {found[3].width.error_mm:.1f} mm wide")
+    for opening in found.values():
+        check = diameter_check(opening.width, scope, errors=True)
+        assert check.answer == {"fits": "yes", "may fit": "perhaps", "does not fit": "no"}[opening.fit]

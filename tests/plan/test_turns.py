@@ -330,7 +330,7 @@ def test_forks_two_millimetres_apart_are_one_turn_that_names_the_branch_between_
     assert [one.name for one in turn.others] == ["BI", "RB1"], "clockwise from the selected opening"
     assert turn.from_fork_mm == pytest.approx(40.0)
     assert turn.words("head").startswith(
-        "At 40 mm past the previous fork, enter RB3 just past RUL (3 o\u2019clock, right, 4.0 mm, "
+        "At 40 mm past the previous fork, enter RB3 just past RUL (3 o\u2019clock, right, 4.0 ± 2.2 mm wide, "
     )
     # Forks that are farther apart than 2 mm are two turns.
     rows = [straight(1, 0, [3, 4], [0, 0, -40], [0, 0, -43.0], name="RUL")]

@@ -25,14 +25,17 @@ from carina.commands import (
     Cancel,
     ChoosePair,
     ChoosePlannedRoute,
+    ChooseRoute,
     ChosenPlace,
     DescribeTarget,
     FlyFlight,
     GrowTarget,
     KeepDrive,
+    LivePathTo,
     MarkAt,
     MarkSphere,
     MeasureMovement,
+    MeasureMovementFromCase,
     OpenVolume,
     PlanningOf,
     PlanOptions,
@@ -51,6 +54,7 @@ from carina.phantom import Phantom, write_phantom
 from carina.plan import PlanTarget
 from carina.scopes import scope_presets
 from carina.server.to_wire.plan import plans_message
+from carina.server.to_wire.session import state_message
 from carina.session import JobEnded, JobProgress, LocalStore, Session, default_parts
 from carina.session.derived.plans import shown_surface
 from carina.volume import write_grid
@@ -575,6 +579,30 @@ def test_growing_a_nodule_reports_progress_and_can_be_stopped():
     assert ended[-1].outcome == "cancelled"
 
 
+def test_target_in_an_airway_and_path_to_the_cursor_are_measured_from_the_main_carina(
+    case: carina.Case, airways: carina.Airways
+) -> None:
+    tree = airways.tree
+    deep = max(tree.tips(), key=lambda tip: sum(one.length_mm for one in tree.lineage(tip.id)))
+    trachea = next(branch for branch in tree.branches if branch.parent is None)
+    places = [deep.points[len(deep.points) // 2], trachea.points[len(trachea.points) // 2]]
+    for point in places:
+        lps = tuple(float(v) for v in point)
+        case.do(AddTarget(lps))
+        target = case.state.document.targets[-1]
+        assert target.lesion is None and target.route is not None
+        past_mm = case.state.target_places_mm[target.target_id]
+        case.do(ChooseRoute(target_id=target.target_id))
+        scale = case.state.route_scale
+        assert scale.origin.kind == "ridge"
+        assert past_mm == pytest.approx(scale.along_mm[-1] - scale.origin.along_mm), "as the path bar states it"
+        assert (past_mm > 0.0) == (point is places[0]) and past_mm < target.length_mm
+        pointed = case.ask(LivePathTo(lps))
+        assert pointed.from_carina_mm == pytest.approx(past_mm, abs=1.5)
+        message = state_message(case.state, frame_rate_hz=30.0)
+        assert message.targets[-1].from_carina_mm == pytest.approx(past_mm, abs=0.01)
+
+
 def test_movement_measured_from_a_second_ct_replaces_the_default_and_is_stored(chest: Phantom, tmp_path: Path) -> None:
     write_phantom(chest, tmp_path / "scan")
     second = write_second_ct(chest.volume, tmp_path / "second.nii.gz")
@@ -599,6 +627,15 @@ def test_movement_measured_from_a_second_ct_replaces_the_default_and_is_stored(c
     case.close()
     with carina.Case.open(path) as again:
         assert again.state.document.targets[0].lesion.options.movement == movement
+
+
+def test_second_ct_of_a_case_that_is_not_in_the_list_is_refused(case: carina.Case, chest: Phantom) -> None:
+    case.do(AddTarget(centre_of(chest)))
+    (target,) = case.state.document.targets
+    before = case.state.document
+    with pytest.raises(UsageError, match="no longer in the list") as raised:
+        case.do(MeasureMovementFromCase(target.target_id, "unknown"))
+    assert raised.value.code == "session.recent" and case.state.document is before
 
 
 def test_second_ct_that_is_not_comparable_changes_nothing(case: carina.Case, chest: Phantom, tmp_path: Path) -> None:

@@ -398,6 +398,22 @@ def _with_branches_and_path(
     )
 
 
+def place_on_tree_mm(tree: AirwayTree, branch_id: int, point: NDArray[np.float64]) -> float:
+    """Return the distance in mm of the place of a branch nearest to a point from the start of the tree.
+
+    Parameters
+    ----------
+    tree
+        The airway tree.
+    branch_id
+        A branch of the tree.
+    point
+        Point near the branch, (3,) LPS mm.
+    """
+    *before, branch = tree.lineage(branch_id)
+    return sum(one.length_mm for one in before) + _nearest_mm(branch.points, point)
+
+
 def centreline_mm(tree: AirwayTree, route: ChosenRoute) -> NDArray[np.float64]:
     """Return the distance in mm of each point of a route from the start of the tree along the centrelines, ``(n,)``.
 
@@ -411,13 +427,9 @@ def centreline_mm(tree: AirwayTree, route: ChosenRoute) -> NDArray[np.float64]:
     if any(branch_id not in branches for branch_id in ids):
         return at.copy()
 
-    def project_point(point: NDArray[np.float64], branch_id: int) -> float:
-        branch = branches[branch_id]
-        return ends[branch_id] - branch.length_mm + _nearest_mm(branch.points, point)
-
     inner = [(fork_mm, ends[branch_id]) for branch_id, fork_mm in zip(ids[:-1], route.forks_mm, strict=False)]
-    known = [(0.0, project_point(route.points_lps[0], ids[0]))]
-    for place in (*inner, (float(at[-1]), project_point(route.points_lps[-1], ids[-1]))):
+    known = [(0.0, place_on_tree_mm(tree, ids[0], route.points_lps[0]))]
+    for place in (*inner, (float(at[-1]), place_on_tree_mm(tree, ids[-1], route.points_lps[-1]))):
         if place[0] > known[-1][0] and place[1] > known[-1][1]:
             known.append(place)
     if len(known) < 2:

@@ -81,6 +81,13 @@ class MeasureMovement(Command, frozen=True):
     path: PathText
 
 
+class MeasureMovementFromCase(Command, frozen=True):
+    """Measure the movement of a target from the CT of a case of ``start.recent``, by its ID."""
+
+    target_id: Identifier
+    recent_id: Identifier
+
+
 class DescribeTarget(Command, frozen=True):
     """Set name, description and rank of a target."""
 

@@ -35,7 +35,8 @@ class Reason(Remark):
 
     The codes are ``plan.no-route``, ``plan.verdict``, ``plan.limit``, ``plan.lost``, ``plan.note``,
     ``plan.movement``, ``needle.vessel``, ``needle.near-vessel``, ``needle.fissure``, ``needle.mediastinum``,
-    ``needle.unexamined``, ``target.note``, ``target.touches``, ``route.narrowest``, ``route.doubt``, ``turn.hour``
+    ``needle.unexamined``, ``target.note``, ``target.touches``, ``route.narrowest``, ``route.doubt``,
+    ``route.withdrawn``, ``route.origin``, ``turn.hour``
     and those of the target's doubts.
     """
 
@@ -55,9 +56,10 @@ def reasons_against(
 ) -> tuple[Reason, ...]:
     """Return everything that speaks against a plan, in the order in which every output lists it.
 
-    The order is: no route; the verdict on the planned scope and the limits of the route; vessels and other tissue on
-    the needle's way; doubts and notes of the target; the narrowest diameter with its error; doubtful and drawn
-    branches; the place where the tree is lost; other notes; notes on a measured movement; turns without a clock hour.
+    The order is: no route; the verdict on the planned scope, the limits of the route and a withdrawn tip; vessels and
+    other tissue on the needle's way; doubts and notes of the target; the narrowest diameter with its error; doubtful
+    and drawn branches; the place where the tree is lost; other notes; notes on a measured movement; turns without a
+    clock hour.
     A reason whose text is part of an earlier one is left out.
 
     Parameters
@@ -188,6 +190,9 @@ def _of_reach(plan: Plan, route: PlannedRoute, verdicts: Sequence[Verdict]) -> _
     for words in route.limits:
         if not words.startswith(ARRIVES):
             yield "plan.limit", words, "stop"
+    withdrawn_mm = route.withdrawn_mm if verdict is None else verdict.withdrawn_mm
+    if withdrawn_mm > 0.0:
+        yield "route.withdrawn", route.withdrawn_words(withdrawn_mm), "caution"
 
 
 def _of_needle(plan: Plan, route: PlannedRoute) -> _Parts:

@@ -328,6 +328,7 @@ def _after_drive(draft: DraftPlan, route: PlannedRoute, judge: RouteJudge, verdi
         route,
         leg=leg,
         hold=verdict.hold,
+        withdrawn_mm=verdict.withdrawn_mm,
         outlook=outlook,
         chance=route.chance if verdict.share is None else min(route.chance, verdict.share),
         limits=limits,

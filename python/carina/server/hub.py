@@ -11,7 +11,7 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
-from carina.commands import Command, MaskFileNeeded, OpenFiles, TakeKeyFrameFile, TakeMask, TakeTarget
+from carina.commands import Command, MaskFileNeeded, MeasureMovement, OpenFiles, TakeKeyFrameFile, TakeMask, TakeTarget
 from carina.errors import CarinaError, ProtocolError, UsageError
 from carina.render import ClusterStatus
 from carina.server.cluster_status import ClusterWatch
@@ -248,6 +248,9 @@ class Hub:
             case wire.ImportTarget():
                 place = self._uploads.place(message.upload_id)
                 self._start_upload_job(TakeTarget(str(place), message.structure), message.upload_id, window)
+            case wire.MeasureUpload():
+                place = self._uploads.place(message.upload_id)
+                self._start_upload_job(MeasureMovement(message.target_id, str(place)), message.upload_id, window)
             case wire.AcceptNotice():
                 if self.session.store is not None:
                     self.session.store.accept_notice()

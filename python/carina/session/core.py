@@ -401,6 +401,7 @@ class SessionCore:
                 transfer_presets=case.info.scale.presets,
                 measures=case.measures.of(case.document.airways),
                 route_scale=case.planning.route_scale(case.document),
+                target_places_mm=case.planning.target_places_mm(case.document),
                 mask_question=None if case.asked_mask is None else case.asked_mask.question,
                 saving=(saving := self.saving()),
                 flights=flight_list(case, saving),

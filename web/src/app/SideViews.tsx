@@ -78,7 +78,6 @@ function Cell({ cell }: { cell: SideCell }) {
           <span className="plane" style={{ background: `var(--${plane})` }} aria-hidden="true" />
         )}
         <h2>{title}</h2>
-        {plane === null ? null : <SlicePlace view={view} />}
         <span className="space" />
         <CellTools cell={cell} view={view} />
         {outlined ? <OutlineSwitch /> : null}
@@ -95,9 +94,22 @@ function Cell({ cell }: { cell: SideCell }) {
         <PictureView view={view} shape="fill" name={title} onDoubleClick={toggleFull} />
         {shown ? null : <p className="empty centre">{emptyText(view, { route, airways })}</p>}
         <ToolTag view={view} />
-        {plane === null ? null : <FollowChip />}
       </div>
+      {plane === null ? null : <SliceLine view={view} />}
     </section>
+  );
+}
+
+/**
+ * Render the line below a slice: its position, and whether the slices follow the tip. The line is outside the picture,
+ * where it covers no label.
+ */
+function SliceLine({ view }: { view: ViewName }) {
+  return (
+    <footer>
+      <SlicePlace view={view} />
+      <FollowChip />
+    </footer>
   );
 }
 

@@ -2,7 +2,7 @@
 
 import { type DragEvent, useState } from "react";
 import { Button, FileTrigger, Form, Input, Label, TextField } from "react-aria-components";
-import { filesOfDrop, filesOfPicker } from "../net/upload";
+import { filesOfDrop, filesOfPicker, type UploadFile } from "../net/upload";
 import { Citation } from "./Citation";
 import { useApp, useStation } from "./context";
 import { Act, Tip } from "./controls";
@@ -73,11 +73,13 @@ function DropPlace() {
   );
 }
 
-/** Render the buttons that open the system's file and folder dialogs. */
-export function Pickers() {
+/** Render the buttons that open the system's file and folder dialogs; the files are opened as a case by default. */
+export function Pickers({ onFiles }: { onFiles?: (files: readonly UploadFile[]) => void }) {
   const station = useStation();
   const pick = (list: FileList | null) => {
-    if (list !== null && list.length > 0) void station.upload(filesOfPicker(list));
+    if (list === null || list.length === 0) return;
+    if (onFiles === undefined) void station.upload(filesOfPicker(list));
+    else onFiles(filesOfPicker(list));
   };
   return (
     <div className="row">

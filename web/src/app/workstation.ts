@@ -275,11 +275,14 @@ export class Workstation implements Station {
   openPath = (path: string): void => void this.send({ type: "open_path", path });
   openDemo = (name: Demo["name"]): void => void this.send({ type: "open_demo", name });
 
-  /** Upload files and open them: as another case, or as the airways or the key frames of the open case. */
+  /**
+   * Upload files and open them: as another case, or as the airways, a target, the key frames or the second CT of the
+   * open case.
+   */
   async upload(
     files: readonly UploadFile[],
     use: keyof typeof UPLOADED = "case",
-    structure: string | null = null,
+    { structure = null, targetId = null }: { structure?: string | null; targetId?: string | null } = {},
   ): Promise<void> {
     if (this.state.watches) return;
     this.#uploadStop?.abort();
@@ -299,7 +302,9 @@ export class Workstation implements Station {
         return;
       }
       const type = UPLOADED[use];
-      this.send(type === "import_target" ? { type, upload_id: id, structure } : { type, upload_id: id });
+      if (type === "import_target") this.send({ type, upload_id: id, structure });
+      else if (type !== "measure_upload") this.send({ type, upload_id: id });
+      else if (targetId !== null) this.send({ type, upload_id: id, target_id: targetId });
     } catch (error) {
       if (stop.signal.aborted) return;
       if (error instanceof UploadError) this.#showError(error.code, error.message, error.action);
@@ -839,6 +844,7 @@ const UPLOADED = {
   mask: "import_mask",
   keys: "open_key_frames",
   target: "import_target",
+  movement: "measure_upload",
 } as const;
 
 /** Timeout of a download, ms. */

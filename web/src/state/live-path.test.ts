@@ -14,6 +14,7 @@ function answer(requestId: number, change: Partial<LivePathMessage> = {}): LiveP
       [0, 0, -10],
     ],
     length_mm: 10,
+    from_carina_mm: 10,
     min_diameter_mm: 4.2,
     confidence: 0.86,
     snapped_mm: 0,
@@ -86,7 +87,7 @@ describe("LivePathQueue", () => {
 describe("livePathLines", () => {
   it("The lines state length, narrowest diameter and confidence, and what is new or was moved.", () => {
     expect(livePathLines(answer(1)).lines).toEqual([
-      "10\u202fmm from the tracheal entry",
+      "10\u202fmm past the main carina",
       "fits up to 4.2\u202fmm",
       "86 % confidence",
     ]);

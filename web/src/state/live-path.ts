@@ -3,6 +3,7 @@
 import type { AskLivePathMessage, LivePathMessage } from "../wire/messages";
 import { fixed, mm, sentence } from "./format";
 import { type Answered, LatestRequestQueue } from "./latest-request-queue";
+import { endText } from "./route";
 
 /** Point of a path request: a patient point, or a pixel of an airway picture. */
 export type LiveQuestion = Pick<AskLivePathMessage, "lps" | "frame_id" | "column" | "row">;
@@ -25,7 +26,7 @@ export function livePathLines(answer: LivePathMessage): { lines: readonly string
   if (answer.problem !== null || answer.length_mm === null) {
     return { lines: [firstSentences(sentence(answer.problem ?? "no path to this point"))], warns: true };
   }
-  const lines = [`${mm(answer.length_mm, 0)} from the tracheal entry`];
+  const lines = [endText({ length_mm: answer.length_mm, from_carina_mm: answer.from_carina_mm })];
   if (answer.min_diameter_mm !== null) lines.push(`fits up to ${mm(answer.min_diameter_mm)}`);
   if (answer.confidence !== null) lines.push(`${fixed(100 * answer.confidence)} % confidence`);
   if (answer.new_mm !== null && answer.new_mm > SMALL_MM) lines.push(`${mm(answer.new_mm)} beyond the tree`);

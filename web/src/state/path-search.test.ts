@@ -9,6 +9,7 @@ const TARGET: Target = {
   used_lps: [1, 2, 3],
   snapped_mm: 0,
   length_mm: 139.4,
+  from_carina_mm: null,
   problem: null,
   cost: "walls",
   root_lps: [4, 5, 6],
@@ -82,9 +83,14 @@ describe("pathText", () => {
     expect(pathText({ ...TARGET, outside_mm: 0 }, false)).toContain("all in the lumen");
   });
 
-  it("The text of a path through the lumen states its length from the tracheal entry, and is empty without a path.", () => {
-    const target = { ...TARGET, cost: "lumen" as const, root_lps: null, snapped_mm: 1.25 };
-    expect(pathText(target, true)).toMatch(/^139\u202fmm from the tracheal entry, moved 1\.3\u202fmm into the lumen$/);
+  it("The text of a path through the lumen states the distance of its end from the main carina, as plans do.", () => {
+    const target = { ...TARGET, cost: "lumen" as const, root_lps: null, snapped_mm: 1.25, from_carina_mm: 27.6 };
+    expect(pathText(target, true)).toBe("28\u202fmm past the main carina, moved 1.3\u202fmm into the lumen");
+    expect(pathText({ ...target, from_carina_mm: -12, snapped_mm: 0 }, true)).toBe("12\u202fmm above the main carina");
+    expect(pathText({ ...target, from_carina_mm: 0.2, snapped_mm: 0 }, true)).toBe("at the main carina");
+    expect(pathText({ ...target, from_carina_mm: null, snapped_mm: 0 }, true)).toBe(
+      "139\u202fmm from the start of the airway tree",
+    );
     expect(pathText({ ...target, length_mm: null }, true)).toBe("");
   });
 });

@@ -3,6 +3,7 @@
 import type { AddTargetMessage, ArmPenMessage, StateMessage, Target } from "../wire/messages";
 import { mm } from "./format";
 import { marksByPen } from "./pen";
+import { endText } from "./route";
 import type { Armed } from "./tools";
 import { asVec3, type Vec3 } from "./vec";
 
@@ -82,7 +83,7 @@ export function pathText(target: Target, isHu: boolean): string {
   if (target.cost === "lumen") {
     const moved =
       target.snapped_mm === null || target.snapped_mm < 0.05 ? "" : `, moved ${mm(target.snapped_mm)} into the lumen`;
-    return `${mm(target.length_mm, 0)} from the tracheal entry${moved}`;
+    return endText({ length_mm: target.length_mm, from_carina_mm: target.from_carina_mm }) + moved;
   }
   const parts = [`${mm(target.length_mm, 0)} from the start`, `cost ${target.cost}`];
   if (target.outside_mm !== null) {

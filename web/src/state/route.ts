@@ -58,10 +58,23 @@ export function originText(route: WithOrigin): string {
 /** Return a position along a route as text, with the same origin as in the plan: *42 mm past the main carina*. */
 export function placeText(route: WithOrigin, pathMm: number): string {
   const past = pastMm(route, pathMm);
-  const origin = originText(route);
-  if (route.origin.kind === "root") return `${mm(past, 0)} from ${origin}`;
-  if (Math.abs(past) < AT_ORIGIN_MM) return `at ${origin}`;
-  return `${mm(Math.abs(past), 0)} ${past > 0 ? "past" : "above"} ${origin}`;
+  return route.origin.kind === "root" ? `${mm(past, 0)} from ${originText(route)}` : carinaText(past);
+}
+
+/** Return a distance from the main carina as text: *42 mm past the main carina*. */
+export function carinaText(past: number): string {
+  if (Math.abs(past) < AT_ORIGIN_MM) return "at the main carina";
+  return `${mm(Math.abs(past), 0)} ${past > 0 ? "past" : "above"} the main carina`;
+}
+
+/**
+ * Return the end of a path through the airways as text, with the same origin as in plans. A path that does not pass the
+ * main carina is measured from the start of the airway tree.
+ */
+export function endText(path: { readonly length_mm: number; readonly from_carina_mm: number | null }): string {
+  return path.from_carina_mm === null
+    ? `${mm(path.length_mm, 0)} from the start of the airway tree`
+    : carinaText(path.from_carina_mm);
 }
 
 /** Return the word for the side of the origin on which a position is, for a short reading beside the distance. */

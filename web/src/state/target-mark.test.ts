@@ -18,6 +18,7 @@ const path = (problem: string | null): AppState["livePath"] => ({
     lps: [1, 2, 3],
     points_lps: [],
     length_mm: problem === null ? 120 : null,
+    from_carina_mm: problem === null ? 20 : null,
     min_diameter_mm: problem === null ? 4 : null,
     confidence: null,
     snapped_mm: null,
@@ -64,7 +65,7 @@ describe("what a click with Mark target would mark", () => {
     const airway = { ...NODULE, sentences: ["a click marks this place in the airway"] };
     expect(targetMarkLines(at({ targetMark: airway, livePath: path(null) }))?.lines).toEqual([
       "A click marks this place in the airway",
-      "120\u202fmm from the tracheal entry",
+      "20\u202fmm past the main carina",
       "fits up to 4.0\u202fmm",
     ]);
   });

@@ -2,7 +2,7 @@
 
 import { type Geometry, projectLine } from "../state/projection";
 import type { Vec3 } from "../state/vec";
-import { FONT, INK, type Ink, line, type ScreenPoint } from "./ink";
+import { FONT, INK, type Ink, line, type Rect, type ScreenPoint } from "./ink";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
@@ -119,37 +119,100 @@ const MAX_LINE_PX = 220;
 /** Space beside the text: its padding, and 2 px to each edge of the view, CSS px. */
 const MARGINS_PX = 16;
 
+/** Distance of the text from the cursor, CSS px. */
+const BESIDE_PX = { x: 16, y: 12 };
+/** Least distance of the text from the edges of the view and from elements over the picture, CSS px. */
+const APART_PX = 2;
+
 /** Draw the text at the cursor in the view under the cursor; nothing in other views. */
 export function paintCursorNote(ink: Ink, viewport: Viewport, scene: Scene): void {
   const { cursor } = scene;
   if (cursor === null || cursor.view !== viewport.view) return;
   // Read the text only in the view under the cursor, so that the other views are not repainted when the text changes.
   const { note } = scene;
-  if (note === null) return;
+  if (note === null || note.lines.length === 0) return;
   ink.save();
   ink.font = `12px ${FONT}`;
+  const { size } = viewport;
   // A view can be narrower than the widest line.
-  const widest = Math.min(MAX_LINE_PX, viewport.size.width - MARGINS_PX);
-  const lines = note.lines.flatMap((words) => wrapped(words, (text) => ink.measureText(text).width <= widest));
-  if (lines.length === 0) {
-    ink.restore();
-    return;
-  }
-  const width = Math.max(...lines.map((words) => ink.measureText(words).width)) + 12;
-  const height = lines.length * LINE_PX + 7;
-  const { width: right, height: bottom } = viewport.size;
-  // Place the text beside the cursor on the side with enough space, and never under the cursor.
-  const x = cursor.x + 16 + width <= right ? cursor.x + 16 : Math.max(cursor.x - 16 - width, 2);
-  const y = Math.min(Math.max(cursor.y + 12 + height <= bottom ? cursor.y + 12 : cursor.y - 12 - height, 2), bottom);
+  const widest = Math.min(MAX_LINE_PX, size.width - MARGINS_PX);
+  const { lines, box } = placedNote(note.lines, cursor, size, viewport.coveredParts(), {
+    fits: (text) => ink.measureText(text).width <= widest,
+    sizeOf: (lines) => ({
+      width: Math.max(...lines.map((words) => ink.measureText(words).width)) + 12,
+      height: lines.length * LINE_PX + 7,
+    }),
+  });
   ink.fillStyle = "rgba(8, 10, 12, 0.82)";
   ink.beginPath();
-  ink.roundRect(x, y, width, height, 4);
+  ink.roundRect(box.x, box.y, box.width, box.height, 4);
   ink.fill();
   ink.fillStyle = note.warns ? INK.warning : INK.text;
   ink.textAlign = "left";
   ink.textBaseline = "middle";
-  for (const [n, words] of lines.entries()) ink.fillText(words, x + 6, y + 4 + LINE_PX * (n + 0.5));
+  for (const [n, words] of lines.entries()) ink.fillText(words, box.x + 6, box.y + 4 + LINE_PX * (n + 0.5));
   ink.restore();
+}
+
+/** Size of a rectangle, CSS px. */
+type Size = Pick<Rect, "width" | "height">;
+
+/**
+ * Return the lines of the text at the cursor and their place. If the view has no space for all lines, the last ones are
+ * left out. `fits` states whether a line fits the width, `sizeOf` the size of lines with their margins.
+ */
+export function placedNote(
+  texts: readonly string[],
+  cursor: ScreenPoint,
+  view: Size,
+  covered: readonly Rect[],
+  { fits, sizeOf }: { fits: (line: string) => boolean; sizeOf: (lines: readonly string[]) => Size },
+): { lines: readonly string[]; box: Rect } {
+  for (let shown = texts.length; ; shown -= 1) {
+    const rest = shown < texts.length ? ["and more"] : [];
+    const lines = [...texts.slice(0, shown), ...rest].flatMap((words) => wrapped(words, fits));
+    const size = sizeOf(lines);
+    const box = notePlace(cursor, size, view, covered);
+    if (box !== null) return { lines, box };
+    if (shown <= 1) return { lines, box: { ...size, x: APART_PX, y: APART_PX } };
+  }
+}
+
+/**
+ * Return a place for the text beside the cursor in which neither an element over the picture nor the cursor covers it;
+ * null if there is none.
+ */
+export function notePlace(cursor: ScreenPoint, size: Size, view: Size, covered: readonly Rect[]): Rect | null {
+  const right = view.width - size.width - APART_PX;
+  const xs = [
+    cursor.x + BESIDE_PX.x,
+    cursor.x - BESIDE_PX.x - size.width,
+    Math.min(Math.max(cursor.x - size.width / 2, APART_PX), right),
+  ];
+  const ys = [
+    cursor.y + BESIDE_PX.y,
+    cursor.y - BESIDE_PX.y - size.height,
+    APART_PX,
+    view.height - size.height - APART_PX,
+    ...covered.flatMap((one) => [one.y + one.height + APART_PX, one.y - size.height - APART_PX]),
+  ];
+  const inside = xs
+    .flatMap((x) => ys.map((y) => ({ x, y, ...size })))
+    .filter((box) => box.x >= APART_PX && box.x <= right)
+    .filter((box) => box.y >= APART_PX && box.y <= view.height - size.height - APART_PX);
+  const free = inside.filter((box) => covered.every((one) => !overlap(box, one)));
+  const atCursor = { x: cursor.x - 4, y: cursor.y - 4, width: 8, height: 8 };
+  return free.find((box) => !overlap(box, atCursor)) ?? free[0] ?? null;
+}
+
+/** Return whether two rectangles overlap. */
+function overlap(one: Rect, other: Rect): boolean {
+  return (
+    one.x < other.x + other.width &&
+    other.x < one.x + one.width &&
+    one.y < other.y + other.height &&
+    other.y < one.y + one.height
+  );
 }
 
 /** Break a text between words into lines that fit; a word that does not fit alone has its own line. */

@@ -17,6 +17,9 @@ const MIN_SIDE_PX = 16;
 /** Space for the letters on each side of a round picture, CSS px. */
 export const RING_PX = 26;
 
+/** Elements over a picture that cover what the overlay draws below them. */
+const OVER_PICTURE = ".tool-tag, .reading, .finder-label, .empty";
+
 /** One view on the screen. */
 export class Viewport {
   readonly host: HTMLElement;
@@ -171,6 +174,16 @@ export class Viewport {
     ink.clearRect(0, 0, this.overlay.width, this.overlay.height);
     ink.setTransform(this.#ratio, 0, 0, this.#ratio, 0, 0);
     return ink;
+  }
+
+  /** Return the parts of the host element that other elements cover, CSS px. */
+  coveredParts(): readonly Rect[] {
+    const host = this.host.getBoundingClientRect();
+    const over = this.host.parentElement?.querySelectorAll(OVER_PICTURE) ?? [];
+    return [...over]
+      .map((element) => element.getBoundingClientRect())
+      .filter(({ width, height }) => width > 0 && height > 0)
+      .map(({ x, y, width, height }) => ({ x: x - host.x, y: y - host.y, width, height }));
   }
 
   remove(): void {

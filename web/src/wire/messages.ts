@@ -601,6 +601,13 @@ export interface MeasureMovementMessage {
   readonly path: string;
 }
 
+/** Measure the movement of a target from the CT of a case of `start.recent`, by its ID. */
+export interface MeasureMovementFromCaseMessage {
+  readonly type: "measure_movement_from_case";
+  readonly target_id: string;
+  readonly recent_id: string;
+}
+
 /** Set name, description and rank of a target. */
 export interface DescribeTargetMessage {
   readonly type: "describe_target";
@@ -723,6 +730,13 @@ export interface ImportTargetMessage {
   readonly type: "import_target";
   readonly upload_id: string;
   readonly structure?: string | null;
+}
+
+/** Measure the movement of a target from the second CT sent to `/api/upload`; undoable. */
+export interface MeasureUploadMessage {
+  readonly type: "measure_upload";
+  readonly target_id: string;
+  readonly upload_id: string;
 }
 
 /** A visible view and its size in device pixels. */
@@ -1454,6 +1468,7 @@ export interface Target {
   readonly note: string;
   readonly priority: number;
   readonly has_size: boolean;
+  readonly from_carina_mm: number | null;
   readonly cost: "lumen" | "paper" | "walls";
   readonly root_lps: readonly [number, number, number] | null;
 }
@@ -1906,6 +1921,7 @@ export interface LivePathMessage {
   readonly new_mm: number | null;
   readonly joins_branch_id: number | null;
   readonly problem: string | null;
+  readonly from_carina_mm: number | null;
 }
 
 /** Cross-sections of a branch from its start to its end: parallel lists; null marks a failed measurement. */
@@ -2085,7 +2101,7 @@ export const SETS = {
 } as const;
 
 /** What a client sends that is no command, and that `handled` does not count. */
-export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "import_target", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "set_layers", "ask_storage", "set_watch_page", "send_away", "accept_notice", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "target_mark", "preview_edit", "open_key_frames"];
+export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "import_target", "measure_upload", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "set_layers", "ask_storage", "set_watch_page", "send_away", "accept_notice", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "target_mark", "preview_edit", "open_key_frames"];
 
 export type ClientMessage =
   | OpenPathMessage
@@ -2156,6 +2172,7 @@ export type ClientMessage =
   | DismissMaskMessage
   | SetPlanOptionsMessage
   | MeasureMovementMessage
+  | MeasureMovementFromCaseMessage
   | DescribeTargetMessage
   | ChoosePlannedRouteMessage
   | ChoosePairMessage
@@ -2174,6 +2191,7 @@ export type ClientMessage =
   | OpenUploadMessage
   | ImportMaskMessage
   | ImportTargetMessage
+  | MeasureUploadMessage
   | LayoutMessage
   | AckMessage
   | ProbeMessage

@@ -290,7 +290,7 @@ def _turns(sheet: PlanSheet) -> list[Section]:
                 _hour(turn, other_operator),
                 "carina" if turn.at_main_carina else _rounded(turn.from_carina_mm),
                 f"{turn.from_fork_mm:.0f}",
-                f"{turn.diameter_mm:.1f}",
+                turn.opening.cell,
                 f"{turn.angle_deg:.0f}\u00b0",
                 "not calculated" if turn.moves is None else moves_words(turn.moves),
             )

@@ -358,7 +358,7 @@ def _fork_row(fork: Fork, sheet: PlanSheet, layout: _SheetLayout) -> _Row:
     if turn is not None:
         if not layout.is_short:
             facts.append(f"{turn.from_fork_mm:.0f} mm past {'the last fork' if fork.number > 1 else 'the start'}")
-        facts.append(f"{turn.diameter_mm:.1f} mm passes")
+        facts.append(turn.opening.words)
         if turn.sides and not layout.is_short:
             facts.append(f"opens {' and '.join(turn.sides)}")
         if turn.through:

@@ -43,7 +43,13 @@ from carina.plan.routes.no_route_reasons import (
 )
 from carina.plan.routes.predictors import RoutePredictors, route_predictors
 from carina.plan.routes.ranking import Demands, Judge, Outlook, ScoreWeights, bending_mm, order
-from carina.plan.routes.route_width import Fit, RouteWidth, measures_of
+from carina.plan.routes.route_width import (
+    Fit,
+    RouteOpening,
+    RouteWidth,
+    measures_of,
+    openings_of_route,
+)
 from carina.plan.routes.standing_points import BronchusSign, NearestPlace, Places, branch_title
 from carina.plan.targets.doubts import Confirmed, TargetDoubt, check_confirmed, confirmed_codes, target_doubts
 from carina.plan.targets.from_click import target_from_click
@@ -131,8 +137,15 @@ class PlannedRoute:
     """Names of the tools that pass the scope's channel and reach the target from there."""
     hold: ScopeHold | None = None
     """Insertion, roll and lever with which the drive points at the target; None without a drive that arrives."""
+    withdrawn_mm: float = 0.0
+    """Distance in mm by which the drive withdraws the tip from the stated place to point at the target; 0 without."""
     predictors: RoutePredictors | None = None
     """Published predictors of a failed navigation; None for a route that was not made by `plan_route`."""
+    openings: dict[int, RouteOpening] = field(default_factory=dict)
+    """Openings at the forks of the route, by the ID of the branch that begins there.
+
+    No opening of the route is narrower than ``width``. Empty for a route that was not made by `plan_route`.
+    """
 
     @property
     def key(self) -> str:
@@ -148,6 +161,14 @@ class PlannedRoute:
     def place_words(self) -> str:
         """Place of the tip as text, such as *42 mm past the main carina*."""
         return self.origin.words(self.origin.past_mm(self.along_mm))
+
+    def withdrawn_words(self, withdrawn_mm: float) -> str:
+        """Return as text that a drive withdraws the tip, and the place from which the tip points at the target."""
+        place = self.origin.words(self.origin.past_mm(self.along_mm) - withdrawn_mm)
+        return (
+            f"the drive withdraws the tip by {withdrawn_mm:.0f} mm from the end of the route: it points at the target "
+            f"{place}, not {self.place_words}"
+        )
 
     @property
     def narrowest_mm(self) -> float:
@@ -196,6 +217,7 @@ class PlannedRoute:
                 "place_lps": list(self.leg.tip_lps),
                 "roll_rad": None if self.hold is None else self.hold.roll_rad,
                 "flexion_rad": None if self.hold is None else self.hold.flexion_rad,
+                "withdrawn_mm": self.withdrawn_mm,
             },
             "forward": list(self.forward),
             **self.width.to_json(),
@@ -493,20 +515,20 @@ def draft_plan(
             and (apart := search.apart_from(route, drafts_of.get((route.branch_id, route.aim), ())))
         )
 
-        def with_predictors(route: PlannedRoute) -> PlannedRoute:
-            found = route_predictors(
-                airways.tree,
-                route.branch_id,
-                route.along_mm,
-                wall=wall,
-                measures=measures,
-                spacing_mm=max(volume.spacing_mm),
-                origin=route.origin,
+        def with_figures(route: PlannedRoute) -> PlannedRoute:
+            """Return a route with its predictors and the widths of its openings."""
+            at = airways.tree, route.branch_id, route.along_mm
+            spacing_mm, start = max(volume.spacing_mm), route.origin
+            return replace(
+                route,
+                predictors=route_predictors(*at, wall=wall, measures=measures, spacing_mm=spacing_mm, origin=start),
+                openings=openings_of_route(
+                    *at, scope=preset, wall=wall, measures=measures, spacing_mm=spacing_mm, origin=start
+                ),
             )
-            return replace(route, predictors=found)
 
-        kept = tuple(with_predictors(route) for route in kept)
-        spares = tuple(with_predictors(route) for route in spares)
+        kept = tuple(with_figures(route) for route in kept)
+        spares = tuple(with_figures(route) for route in spares)
     report(1.0)
     plan = Plan(
         nodule=nodule,

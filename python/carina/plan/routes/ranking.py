@@ -15,7 +15,7 @@ from carina.display import one_line
 from carina.errors import UsageError
 from carina.plan.instruments.tools import Tool
 from carina.plan.routes.last_leg import LastLeg
-from carina.plan.routes.route_width import RouteWidth
+from carina.plan.routes.route_width import SURE, RouteWidth
 from carina.plan.targets.grow_nodule import Nodule
 from carina.scopes import ScopePreset
 
@@ -26,8 +26,6 @@ RANK: dict[Outlook, int] = {outlook: rank for rank, outlook in enumerate(OUTLOOK
 
 DEEP_MM = 8.0
 """Length in mm of the needle in the target that suffices for a sample."""
-SURE = 0.9
-"""Least probability for the outlook *reaches*; at a probability of at most 1 less this value it is *does not reach*."""
 BEND_SIGMA_DEG = 8.0
 """Standard deviation in degrees of the angle that a route requires of the bending section (common knowledge)."""
 POINTS, BARELY = 0.5, 0.1

@@ -7,6 +7,7 @@ of the largest ball in the segmented lumen, whose error is several times larger.
 
 from __future__ import annotations
 
+import functools
 import math
 import weakref
 from collections.abc import Callable, Sequence
@@ -31,7 +32,10 @@ WidthSource = Literal["sections", "ball"]
 Fit = Literal["fits", "may fit", "does not fit"]
 
 SURE = 0.9
-"""Least chance at which a scope *fits*; at a chance of at most 1 less this value it *does not fit*."""
+"""Least chance at which a scope *fits*; at a chance of at most 1 less this value it *does not fit*.
+
+Checks and outlooks of routes use the same limits.
+"""
 EXCESS_SIGMA_MM = 0.15
 """Standard deviation in mm of a scope's true size.
 
@@ -39,6 +43,8 @@ Ten scopes exceed their stated tip by 0.19 to 0.66 mm, by a published source; th
 """
 DEVIATIONS_90 = 1.645
 """Number of standard deviations on each side of the mean that contain 90 % of a normal distribution."""
+PAST_FORK_MM = 1e-3
+"""Distance in mm beyond a fork at which an opening begins, so that the end of the parent does not belong to it."""
 BALL_SHARE, BALL_SLICES = 0.3, 1.0
 """Error of the diameter of the largest ball: share of the diameter, and multiple of the CT's largest spacing.
 
@@ -50,6 +56,12 @@ NUM_MEASURED = 3
 
 _MEASURED: dict[int, tuple[weakref.ref[Any], list[tuple[Volume, tuple[Branch, ...], TreeMeasures]]]] = {}
 """Measures that plans have computed, by the identity of the lumen; deleted with the lumen."""
+PASSES: dict[Fit, str | None] = {
+    "fits": None,
+    "may fit": "the scope may pass",
+    "does not fit": "the scope does not pass",
+}
+"""Text whether a scope passes an opening; None if it does."""
 
 
 @one_line
@@ -248,6 +260,103 @@ def width_of_section(
             found = _narrower(found, replace(width, at_mm=min(width.at_mm, high)))
     assert found is not None
     return found
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class RouteOpening:
+    """Opening at a fork of a route: its narrowest width, and whether the planned scope passes."""
+
+    width: RouteWidth
+    """Narrowest width of the opening, with its error."""
+    fit: Fit | None = None
+    """Whether the planned scope fits, as for the whole route; None if no scope is known."""
+
+    @property
+    def words(self) -> str:
+        """Width as text, with a doubt if the scope may not pass: *3.2 ± 0.3 mm wide, the scope may pass*."""
+        words = f"{self._mm} mm wide"
+        return words if self.doubt is None else f"{words}, {self.doubt}"
+
+    @property
+    def cell(self) -> str:
+        """Width for a table whose head states the unit: *3.2 ± 0.3: the scope may pass*."""
+        return self._mm if self.doubt is None else f"{self._mm}: {self.doubt}"
+
+    @property
+    def _mm(self) -> str:
+        return f"{self.width.mm:.1f} \u00b1 {self.width.error_mm:.1f}"
+
+    @property
+    def doubt(self) -> str | None:
+        """Text that the scope may not pass; None if it passes or is not known."""
+        return None if self.fit is None else PASSES[self.fit]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the opening as plain JSON types."""
+        return {"mm": self.width.mm, "error_mm": self.width.error_mm, "by": self.width.source, "fit": self.fit}
+
+
+def openings_of_route(
+    tree: AirwayTree,
+    branch_id: int,
+    along_mm: float,
+    *,
+    scope: ScopePreset,
+    wall: WallField | None,
+    measures: TreeMeasures | None,
+    spacing_mm: float,
+    origin: DistanceOrigin = ROOT,
+) -> dict[int, RouteOpening]:
+    """Return the openings at each fork of a route, by the ID of the branch that begins there.
+
+    An opening extends from the fork to one radius of the parent and one diameter of the branch beyond it, and on the
+    route not beyond the tip. It is measured by the diameters of `widths_on_the_way`, so no opening that the
+    route passes is narrower than the route.
+
+    Parameters
+    ----------
+    tree
+        The airways.
+    branch_id, along_mm
+        Branch of the scope's tip, and the distance of the tip from the root along the airways.
+    scope
+        The planned scope.
+    wall, measures, spacing_mm, origin
+        As for `widths_on_the_way`.
+    """
+    by_id = {branch.id: branch for branch in tree.branches}
+    lineage = tree.lineage(branch_id)
+    found: dict[int, RouteOpening] = {}
+    fork_mm = 0.0
+    for n, mother in enumerate(lineage):
+        fork_mm += mother.length_mm
+        taken = lineage[n + 1].id if n + 1 < len(lineage) else None
+        for child in () if taken is None else mother.children:
+            branch = by_id[child]
+            end_mm = fork_mm + opening_mm(mother, branch)
+            width = width_of_section(
+                (*lineage[: n + 1], branch),
+                wall,
+                measures,
+                spacing_mm,
+                section_mm=(fork_mm + PAST_FORK_MM, min(end_mm, along_mm) if child == taken else end_mm),
+                origin=origin,
+            )
+            found[child] = RouteOpening(width, width.fit(scope))
+    return found
+
+
+def opening_mm(mother: Branch, branch: Branch) -> float:
+    """Return the length in mm of the opening of a branch: one radius of its parent and one diameter of the branch."""
+    return float(np.median(mother.radius)) + 2.0 * float(np.median(branch.radius))
+
+
+def narrowest_opening(openings: Sequence[RouteOpening]) -> RouteOpening:
+    """Return the narrowest of several openings in a row, with an error that covers the lower end of each interval."""
+    fits = [one.fit for one in openings]
+    width = functools.reduce(_narrower, (one.width for one in openings))
+    return RouteOpening(width, next((fit for fit in reversed(PASSES) if fit in fits), None))
 
 
 @dataclass(slots=True, eq=False)

@@ -14,6 +14,7 @@ from carina.errors import UsageError, check_type
 from carina.plan.hand_moves import Move
 from carina.plan.routes.main_carina import AXES_NOTE, SAME_PLACE_MM, DistanceOrigin
 from carina.plan.routes.plan_route import PlannedRoute
+from carina.plan.routes.route_width import RouteOpening, RouteWidth, ball_error_mm, narrowest_opening, opening_mm
 from carina.plan.routes.standing_points import branch_doubts, branch_title
 from carina.plan.turns.fork_view import (
     MIN_STAND_MM,
@@ -52,6 +53,8 @@ SMALL_SHARE = 0.02
 """Share of the picture below which an opening is small; coarse pixels would divide it into parts."""
 STANDS = (0.75, 0.6, 1.0, 1.5)
 """Distances of the camera before a fork, in diameters of the airway, that are tried after the usual one."""
+BALL_SPACING_MM = 1.0
+"""Spacing of the CT in mm that is assumed for the error of an opening that was not measured."""
 MIN_MOVE_MM = 0.5
 CLEAR_DEG = 10.0
 """Least angle in degrees of an opening to the line of sight for a precise hour; nearer to the fork it is larger."""
@@ -140,13 +143,13 @@ def turn_list(
                 clock_head=taken.hours if shown else None,
                 clock_facing=turned_hours(taken.hours) if shown else None,
                 angle_deg=_angle_deg(fork - view.eye, taken.middle_lps - fork) if measured is None else measured,
-                diameter_mm=_enters_mm(last.mother, last.daughter),
+                opening=narrowest_opening([_opening(planned, one.mother, one.daughter) for one in group]),
                 moves=None,
                 doubts=tuple(words for one in group for words in branch_doubts(one.daughter)),
                 straight_ahead=view.doubt is None and taken.straight_ahead,
                 sides=_sides(fork - view.eye, taken.middle_lps - view.eye) if shown else (),
                 others=_clockwise(
-                    taken, view.openings[1:], {i: one.mother for one in group for i in one.mother.children}
+                    planned, taken, view.openings[1:], {i: one.mother for one in group for i in one.mother.children}
                 ),
                 through=tuple(branch_title(one.daughter) for one in group[:-1]),
                 at_main_carina=any(one.is_main_carina for one in group),
@@ -329,11 +332,15 @@ def _eye(way: Points, fork: _Fork, stand: float, walls: ForkWalls) -> Points:
     return found
 
 
-def _enters_mm(mother: Branch, branch: Branch) -> float:
-    """Return the diameter in mm of the largest ball that enters a branch, outside the parent's lumen."""
+def _opening(planned: PlannedRoute, mother: Branch, branch: Branch) -> RouteOpening:
+    """Return the opening of a branch as measured for the route, else by the ball in the lumen found."""
+    known = planned.openings.get(branch.id)
+    if known is not None:
+        return known
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
-    reach = float(np.median(mother.radius)) + 2.0 * float(np.median(branch.radius))
-    return 2.0 * float(branch.wall_distance[along <= reach].min())
+    mm = 2.0 * float(branch.wall_distance[along <= opening_mm(mother, branch)].min())
+    why = f"{branch_title(branch)} was not measured; there the diameter is that of the largest ball"
+    return RouteOpening(RouteWidth(mm, float(ball_error_mm(mm, BALL_SPACING_MM)), 0.0, "ball", why, planned.origin))
 
 
 def _dots(taken: Opening, eye: Points) -> tuple[Point, ...]:
@@ -354,14 +361,16 @@ def _sides(forward: Points, into: Points) -> tuple[str, ...]:
     return tuple(SIDES[letter] for letter in letters_of(across))
 
 
-def _clockwise(taken: Opening, others: Sequence[Opening], mothers: dict[int, Branch]) -> tuple[OtherWay, ...]:
+def _clockwise(
+    planned: PlannedRoute, taken: Opening, others: Sequence[Opening], mothers: dict[int, Branch]
+) -> tuple[OtherWay, ...]:
     ordered = sorted(others, key=lambda one: ((one.hours - taken.hours) % 12.0, one.branch.id))
     return tuple(
         OtherWay(
             branch_title(one.branch),
             one.branch.id,
             whole_hour(one.hours) if one.in_view and not one.straight_ahead else None,
-            _enters_mm(mothers[one.branch.id], one.branch),
+            _opening(planned, mothers[one.branch.id], one.branch),
             in_view=one.in_view,
             opening_lps=_point(one.middle_lps),
             ahead_deg=one.ahead_limit_deg,
@@ -389,7 +398,7 @@ def _moves_by_fork(
             code="plan.moves",
         )
     if not all(math.isfinite(mm) for mm in ends_along_mm):
-        raise UsageError("ends_along_mm: expected finite numbers in mm from the tracheal entry", code="plan.moves")
+        raise UsageError("ends_along_mm: expected finite numbers in mm from the origin of the route", code="plan.moves")
     parts: list[list[Move]] = [[] for _ in range(len(forks_mm) + 1)]
     turn = 0
     begins = ends_along_mm[0] - moves[0].advance_mm if moves else 0.0

@@ -11,6 +11,7 @@ from carina.display import one_line
 from carina.display.tables import ColumnKind, Columns, Tabular, columns_of
 from carina.errors import NoResultError
 from carina.plan.hand_moves import Move
+from carina.plan.routes.route_width import RouteOpening
 from carina.plan.turns.fork_view import AHEAD_DEG, HourDoubt, Operator, levelled, turned_hours, whole_hour
 from carina.plan.turns.texts import hour_words, joined, moves_words, place_words
 from carina.scopes import Pose
@@ -27,8 +28,8 @@ class OtherWay:
     branch_id: int
     hour_head: int | None
     """Whole clock hour of the opening for an operator at the head; None if it is straight ahead or not in view."""
-    opening_mm: float
-    """Diameter of the largest ball that enters the opening, mm."""
+    opening: RouteOpening
+    """Width of the opening, and whether the planned scope passes."""
     in_view: bool = True
     """Whether the opening is visible from the camera of the turn."""
     opening_lps: tuple[float, float, float] | None = None
@@ -61,7 +62,8 @@ class OtherWay:
             "branch_id": self.branch_id,
             "hour_head": self.hour("head"),
             "hour_facing": self.hour("facing"),
-            "opening_mm": self.opening_mm,
+            "opening_mm": self.opening.width.mm,
+            "opening": self.opening.to_json(),
             "in_view": self.in_view,
             "opening_lps": None if self.opening_lps is None else list(self.opening_lps),
         }
@@ -93,8 +95,8 @@ class Turn:
     """Clock hour of the opening for an operator who faces the patient; None as for ``clock_head``."""
     angle_deg: float
     """Angle in degrees between the branches before and after the fork."""
-    diameter_mm: float
-    """Diameter of the largest ball that enters the branch after the turn, mm."""
+    opening: RouteOpening
+    """Width of the opening, which is never below that of the whole route, and whether the planned scope passes."""
     moves: tuple[Move, ...] | None
     """Moves of the hand from the previous fork until the tip is past this fork, in the drive of a verdict.
 
@@ -138,6 +140,11 @@ class Turn:
     def direction(self, operator: Operator) -> str:
         """Return the direction of the opening as text: its clock hour, *straight ahead* or *no clock hour*."""
         return "no clock hour" if self.hour_doubt is not None else hour_words(self.hour(operator))
+
+    @property
+    def diameter_mm(self) -> float:
+        """Narrowest diameter of the opening, without its error, mm."""
+        return self.opening.width.mm
 
     @property
     def in_view(self) -> bool:
@@ -187,7 +194,7 @@ class Turn:
         passed = f" just past {joined(stems)}" if stems else ""
         sides = " and ".join(self.sides)
         seen = [self.direction(operator), *([sides] if sides else [])]
-        seen += [f"{self.diameter_mm:.1f} mm", f"{self.angle_deg:.0f}\u00b0"]
+        seen += [self.opening.words, f"{self.angle_deg:.0f}\u00b0"]
         line = f"{where}, {doing} {self.to_branch}{passed} ({', '.join(seen)})"
         if self.others:
             line += f", not {joined([f'{one.name} ({one.direction(operator)})' for one in self.others])}"
@@ -214,6 +221,7 @@ class Turn:
             "sides": list(self.sides),
             "angle_deg": self.angle_deg,
             "diameter_mm": self.diameter_mm,
+            "opening": self.opening.to_json(),
             "others": [other.to_json() for other in self.others],
             "through": list(self.through),
             "at_main_carina": self.at_main_carina,

@@ -13,16 +13,15 @@ import numpy as np
 
 from carina.display import one_line
 from carina.plan.instruments.tools import Tool
-from carina.plan.routes.route_width import RouteWidth
+from carina.plan.routes.ranking import BEND_SIGMA_DEG
+from carina.plan.routes.route_width import SURE, Fit, RouteWidth
 from carina.plan.verdict.drive_route import DriveWay
 from carina.scopes import FIT_MARGIN_MM, ScopePreset
 
 Answer = Literal["yes", "perhaps", "no", "unknown"]
 
-SURE = 0.9
-"""Least probability for the answer *yes*; at a probability of at most 1 less this value the answer is *no*."""
-BEND_SIGMA_DEG = 8.0
-"""Standard deviation in degrees of the angle that a route requires of the bending section (common knowledge)."""
+ANSWERS: dict[Fit, Answer] = {"fits": "yes", "may fit": "perhaps", "does not fit": "no"}
+"""Answer of the check of the diameter for the fit of a scope, which the table of routes states."""
 LONGEST_ENTRY_MM = 250.0
 """Largest distance in mm from the nose to the upper trachea in an adult (common knowledge)."""
 LONGEST_TO_CARINA_MM = 320.0
@@ -56,16 +55,17 @@ def diameter_check(width: RouteWidth, scope: ScopePreset, *, errors: bool) -> Ch
         Whether to consider the errors of measurement and instrument data.
     """
     if errors:
-        needs, share = scope.fit_mm, width.chance(scope)
+        needs, share, answer = scope.fit_mm, width.chance(scope), ANSWERS[width.fit(scope)]
         place, margin = width.place_words, f", and {FIT_MARGIN_MM:g} mm measured excess (s)"
     else:
         needs, margin = max(scope.tip_mm, scope.tube_mm or 0.0), ""
         share = passes(width.mm - needs, 0.0)
+        answer = answer_of(share)
         place = f"the narrowest place, {width.origin.words(width.at_mm)}, is {width.mm:.1f} mm wide"
     words = f"needs {needs:.1f} mm; {place}" + ("" if width.why is None else f"; {width.why}")
     lumen = "diameter from sections of the CT" if width.source == "sections" else "largest ball in the lumen found"
     basis = f"tip {scope.tip_mm:g} mm ({_basis(scope)}){margin}; {lumen}"
-    return Check("diameter", answer_of(share), share, words, basis)
+    return Check("diameter", answer, share, words, basis)
 
 
 def bend_check(way: DriveWay, scope: ScopePreset, *, errors: bool) -> Check:

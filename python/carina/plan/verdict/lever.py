@@ -11,7 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from carina.plan.verdict.checks import BEND_SIGMA_DEG, Check, answer_of
+from carina.plan.routes.ranking import BEND_SIGMA_DEG
+from carina.plan.verdict.checks import Check, answer_of
 from carina.plan.verdict.drive import DrivenRoute
 from carina.plan.verdict.drive_route import DriveWay
 from carina.plan.verdict.drive_search import arrives_by, search_drive

@@ -28,7 +28,8 @@ from carina.plan.routes.last_leg import as_point, edge_on_needle_mm
 from carina.plan.routes.main_carina import ROOT, DistanceOrigin
 from carina.plan.routes.needle_hits import NeedleErrors, hit_share
 from carina.plan.routes.plan_route import Plan, PlannedRoute
-from carina.plan.routes.ranking import BARELY, POINTS, SURE
+from carina.plan.routes.ranking import BARELY, POINTS
+from carina.plan.routes.route_width import SURE
 from carina.plan.targets.grow_nodule import Nodule
 from carina.plan.verdict.checks import (
     Answer,
@@ -73,7 +74,7 @@ wall is wider than the instrument by less than the third size. If the instrument
 substitute has no more play than the instrument in an airway of this diameter.
 """
 BEFORE_MM = 2.0
-"""Least distance in mm of the tip before the end of the route that the check of the pointing states."""
+"""Least distance in mm of the tip before the end of the route that counts as withdrawn."""
 FIELD_LACK_MM = 0.5
 """Width in mm by which the samples of the wall field make a narrow lumen narrower than its largest ball."""
 UNFOUND = 0.5
@@ -129,6 +130,11 @@ class Verdict:
 
     None if the drive did not arrive or no needle hits.
     """
+    withdrawn_mm: float = 0.0
+    """Distance in mm by which the drive withdraws the tip from the end of the route to point at the target.
+
+    0 if the tip stays within 2 mm of the end of the route.
+    """
 
     @property
     def words(self) -> str:
@@ -160,6 +166,7 @@ class Verdict:
                 for c in self.checks
             ],
             "reached_mm": self.reached_mm,
+            "withdrawn_mm": self.withdrawn_mm,
             "hold": None
             if self.hold is None
             else {
@@ -488,6 +495,8 @@ class _Drive:
     """(4, 4) final pose of the tip; None if the drive did not arrive."""
     longer: tuple[Tool, ...] = ()
     """Needles with a longer throw that hit from this pose, if that of the plan does not."""
+    withdrawn_mm: float = 0.0
+    """Distance in mm by which the tip is withdrawn from the end of the route (`Verdict.withdrawn_mm`)."""
 
 
 _DRIVES: WeakKeyDictionary[PlannedRoute, dict[tuple[Any, ...], tuple[Any, _Drive]]] = WeakKeyDictionary()
@@ -638,7 +647,14 @@ class RouteJudge:
         tool = self._plan.tool
         found = _verdict(scope, checks, reached_mm, route, would=_would(scope, tool, checks, drive))
         needle_lps = None if drive is None else self._needle_lps(drive)
-        return replace(found, origin=self._way.origin, route_key=self._key, tool=tool.name, needle_lps=needle_lps)
+        return replace(
+            found,
+            origin=self._way.origin,
+            route_key=self._key,
+            tool=tool.name,
+            needle_lps=needle_lps,
+            withdrawn_mm=0.0 if drive is None else drive.withdrawn_mm,
+        )
 
     def _needle_lps(self, drive: _Drive) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
         pointing = next((check for check in drive.checks if check.name == "pointing"), None)
@@ -692,7 +708,8 @@ class RouteJudge:
         elif answer == "yes" and not self._flexes_with_tool(scope, aimed.driven, loss_deg):
             answer = "perhaps"
             basis += f"; {self._plan.tool.title} in the channel takes {loss_deg:g} degrees of the flexion that it needs"
-        place = f", {aimed.before_mm:.0f} mm before the standing place" if aimed.before_mm >= BEFORE_MM else ""
+        withdrawn_mm = aimed.before_mm if aimed.before_mm >= BEFORE_MM else 0.0
+        place = f", {withdrawn_mm:.0f} mm before the standing place" if withdrawn_mm else ""
         hits = f"{100 * share:.0f} % of needle passes hit"
         words = f"points {aimed.off_deg:.0f} degrees from the target centre{place}; {hits}"
         if aimed.share < POINTS <= share:
@@ -708,7 +725,7 @@ class RouteJudge:
                 and one.reach_mm > reach_mm
                 and self._sure_share(tip[:3, 3], tip[:3, 2], reach_mm=one.reach_mm) >= POINTS
             )
-        return _Drive(aimed.driven, (arrives, pointing), bend, aimed.lps_from_tip, longer)
+        return _Drive(aimed.driven, (arrives, pointing), bend, aimed.lps_from_tip, longer, withdrawn_mm)
 
     @staticmethod
     def _flexes_with_tool(scope: ScopePreset, driven: DrivenRoute, loss_deg: float) -> bool:

@@ -158,7 +158,9 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float, names_ct: bool = 
         transfer="" if document is None else document.transfer.name,
         transfer_document=None if document is None else document.transfer.to_json(),
         transfer_presets=snapshot.transfer_presets,
-        targets=() if document is None else tuple(_target_message(t) for t in document.targets),
+        targets=()
+        if document is None
+        else tuple(_target_message(t, snapshot.target_places_mm.get(t.target_id)) for t in document.targets),
         route_id=None if document is None or document.route is None else document.route.route_id,
         can_undo=snapshot.undo_label,
         can_redo=snapshot.redo_label,
@@ -172,7 +174,7 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float, names_ct: bool = 
     )
 
 
-def _target_message(target: Any) -> wire.TargetInfo:
+def _target_message(target: Any, from_carina_mm: float | None) -> wire.TargetInfo:
     return wire.TargetInfo(
         target_id=target.target_id,
         name=target.name,
@@ -189,6 +191,7 @@ def _target_message(target: Any) -> wire.TargetInfo:
         note=target.note,
         priority=target.priority,
         has_size=target.lesion is not None,
+        from_carina_mm=None if from_carina_mm is None else round(from_carina_mm, 2),
     )
 
 

@@ -93,8 +93,8 @@ class Pointing:
         lps = None
         try:
             lps = self._place_of_request(message)
-            path = self._session.ask(LivePathTo(lps))
-            answer = live_path_message(message.request_id, lps, path)
+            found = self._session.ask(LivePathTo(lps))
+            answer = live_path_message(message.request_id, lps, found.path, found.from_carina_mm)
         except CarinaError as error:
             answer = _no_path_message(message.request_id, str(error), lps)
         except Exception as error:
@@ -164,8 +164,13 @@ class Pointing:
         self._push(branch_detail_message(message, measures))
 
 
-def live_path_message(request_id: int, lps: tuple[float, float, float], path: Any) -> wire.LivePathMessage:
-    """Return a :class:`carina.track.LivePath` as a message, with fewer points."""
+def live_path_message(
+    request_id: int, lps: tuple[float, float, float], path: Any, from_carina_mm: float | None = None
+) -> wire.LivePathMessage:
+    """Return a :class:`carina.track.LivePath` as a message, with fewer points.
+
+    ``from_carina_mm`` is the distance of its end from the main carina.
+    """
     if path.problem is not None:
         return _no_path_message(request_id, path.problem, lps)
     points = np.asarray(path.points_lps, dtype=np.float64).reshape(-1, 3)
@@ -180,6 +185,7 @@ def live_path_message(request_id: int, lps: tuple[float, float, float], path: An
         new_mm=_rounded_mm(path.new_mm),
         joins_branch_id=path.joins_branch_id,
         problem=None,
+        from_carina_mm=_rounded_mm(from_carina_mm),
     )
 
 

@@ -59,6 +59,13 @@ class ImportTarget(ClientMessage, frozen=True):
     """Name or number of the structure if the file contains several."""
 
 
+class MeasureUpload(ClientMessage, frozen=True):
+    """Measure the movement of a target from the second CT sent to ``/api/upload``; undoable."""
+
+    target_id: Identifier
+    upload_id: Identifier
+
+
 class ViewSize(FrozenValue, frozen=True):
     """A visible view and its size in device pixels."""
 

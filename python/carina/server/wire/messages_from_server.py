@@ -200,6 +200,11 @@ class TargetInfo(AskedPath, frozen=True):
     """Rank of the target; 1 is first."""
     has_size: bool = False
     """Whether the target is a lesion with a boundary; the message ``plans`` contains the boundary and the routes."""
+    from_carina_mm: float | None = None
+    """Distance in mm of the end of the path from the main carina along the centrelines, as in plans and the path bar.
+
+    Null if the path does not pass the main carina, or does not follow the airways.
+    """
 
 
 class State(ServerMessage, frozen=True):

@@ -145,6 +145,8 @@ class LivePathMessage(ServerMessage, frozen=True):
     """Branch of the present tree at which this part begins."""
     problem: Words | None
     """Reason why there is no path; null if there is one."""
+    from_carina_mm: float | None = None
+    """Distance in mm of the end from the main carina along the centrelines; null if the path does not pass it."""
 
 
 class BranchProfile(FrozenValue, frozen=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -35,9 +36,26 @@ class SecondCtHandlers(CommandHandlers):
     @does(c.MeasureMovement)
     def measure_movement(self, command: c.MeasureMovement) -> str:
         """Measure the movement of a target as a job; a second CT that is not comparable changes nothing."""
+        return self._measure(command.target_id, lambda job: self._open_second_ct(command.path, job))
+
+    @does(c.MeasureMovementFromCase)
+    def measure_movement_from_case(self, command: c.MeasureMovementFromCase) -> str:
+        """Measure the movement of a target from the CT of a case of the list, with the airways of that case."""
+        records, listed = self._saving.records, self.core.store.recent() if self.core.store else ()
+        record = None if records is None else records.find(command.recent_id)
+        if records is not None and record is not None:
+            path, has_place = str(records.path_of(record)), record.place is not None
+            return self._measure(command.target_id, lambda job: self._open_case(path, job, dropped=not has_place))
+        place = next((one.path for one in listed if one.recent_id == command.recent_id), None)
+        if place is None:
+            raise UsageError("this case is no longer in the list; choose its folder or file", code="session.recent")
+        return self._measure(command.target_id, lambda job: self._open_second_ct(place, job))
+
+    def _measure(self, target_id: str, open_second: Callable[[Job], tuple[Volume, Airways | None]]) -> str:
+        """Start the job that measures the movement of a target from the second CT that a function opens."""
         case = self.core.needed_case()
         with self.core.lock:
-            target = needed_target(case.document, command.target_id)
+            target = needed_target(case.document, target_id)
             if target.lesion is None:
                 raise UsageError(f"{target.name} lies in the airways: it has no boundary", code="plan.target")
             airways = case.document.airways
@@ -46,7 +64,7 @@ class SecondCtHandlers(CommandHandlers):
             raise UsageError("find the airways of this CT first", code="track.no-airways")
 
         def work(job: Job) -> None:
-            volume, second_airways = self._open_second_ct(command.path, job)
+            volume, second_airways = open_second(job)
             found = self.core.parts.measure_movement(
                 case.info.volume,
                 airways,
@@ -62,7 +80,7 @@ class SecondCtHandlers(CommandHandlers):
             measured = c.MeasuredMovement(movement.shift_lps, movement.error_mm, movement.notes)
             with self.core.lock:
                 job.check()
-                now = needed_target(case.document, command.target_id)
+                now = needed_target(case.document, target_id)
                 if now.lesion is None or now.lesion.nodule is not lesion.nodule:
                     raise UsageError(f"{now.name} was edited during the measurement; measure again", code="plan.target")
                 options = msgspec.structs.replace(now.lesion.options, moved_mm=None, movement=measured)
@@ -70,13 +88,22 @@ class SecondCtHandlers(CommandHandlers):
                 self.core.change(case, f"measure the movement of {now.name}", with_target(case.document, changed))
                 self.core.emit(UserMessage(". ".join((f"{now.name}: {movement.words}", *movement.notes))))
 
-        return self.core.jobs.start(f"second ct {command.target_id}", "comparing with the second CT", work)
+        return self.core.jobs.start(f"second ct {target_id}", "comparing with the second CT", work)
 
     def _open_second_ct(self, path: str, job: Job) -> tuple[Volume, Airways | None]:
         """Return a second CT with the airways of its case; None if the airways must be found."""
-        scans = self._saving.scans
-        if scans is None or not is_case_file(path):
+        if self._saving.scans is None or not is_case_file(path):
             return self._saving.open_ct(path, job.progress, job.cancel), None
+        return self._open_case(path, job)
+
+    def _open_case(self, path: str, job: Job, *, dropped: bool = False) -> tuple[Volume, Airways | None]:
+        """Return the CT of a case file and its airways; None if the case has none.
+
+        ``dropped`` is that of `CaseScans.open`: whether the file states no valid path of the CT.
+        """
+        scans = self._saving.scans
+        if scans is None:
+            raise UsageError("this session stores no cases; choose the folder or file of the CT", code="case.no-scan")
         with CaseFile.open(Path(path), read_only=True) as file:
-            volume = scans.open(file, progress=job.progress, cancel=job.cancel).volume
+            volume = scans.open(file, dropped=dropped, progress=job.progress, cancel=job.cancel).volume
             return volume, file.load(volume).history().current.airways

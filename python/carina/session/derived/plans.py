@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from carina.case.document import Document, Lesion, Target
-from carina.case.routes import ChosenRoute, centreline_mm
+from carina.case.routes import ChosenRoute, centreline_mm, place_on_tree_mm
 from carina.commands.plan import PlanOptions
 from carina.display import one_line
 from carina.errors import CancelledError, CarinaError, NoResultError, UnconfirmedTargetError, without_options
-from carina.plan.routes.main_carina import ROOT, RouteScale, origins_of_branches
+from carina.plan.routes.main_carina import ROOT, DistanceOrigin, RouteScale, origins_of_branches
 from carina.session.derived.derived_value import Attempt, Cached, Derived, Standing
 from carina.session.derived.measurement_cache import MeasuredAirways
 from carina.session.engines import Parts
@@ -23,9 +23,10 @@ from carina.session.jobs.background_jobs import JobRunner
 from carina.track import Mesh, TreeMeasures, mask_mesh
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from carina.plan import (
         CArmAngles,
-        DistanceOrigin,
         Nodule,
         Plan,
         PlannedRoute,
@@ -287,6 +288,10 @@ class CasePlanning:
         self._num_marks = 0
         self._wall: Cached[Airways, WallField] = Cached(partial(parts.wall_field, volume), same=_same_lumen)
         self._scales: Cached[tuple[Airways, ChosenRoute], RouteScale] = Cached(self._make_scale, same=_same_objects)
+        self._origins: Cached[Airways, dict[int, DistanceOrigin]] = Cached(self._make_origins)
+        self._target_places: Cached[tuple[Airways, tuple[Target, ...]], dict[str, float]] = Cached(
+            self._make_target_places, same=_same_objects
+        )
 
     # ------------------------------------------------------------ state
 
@@ -385,8 +390,56 @@ class CasePlanning:
 
     def _make_scale(self, inputs: tuple[Airways, ChosenRoute]) -> RouteScale:
         airways, route = inputs
-        origins = origins_of_branches(airways.tree, self._parts.distance_origin(self._volume, airways))
+        origins = self._origins.of(airways)
         return RouteScale(origins.get(route.spans[-1].branch_id, ROOT), centreline_mm(airways.tree, route))
+
+    def _make_origins(self, airways: Airways) -> dict[int, DistanceOrigin]:
+        return origins_of_branches(airways.tree, self._parts.distance_origin(self._volume, airways))
+
+    def target_places_mm(self, document: Document) -> dict[str, float]:
+        """Return the distance in mm of each target in the airways from the main carina, by target ID.
+
+        The distance is that of the end of the target's route (`route_scale`). Targets whose path does not pass the main
+        carina, or was searched without the lumen, are left out.
+        """
+        airways = document.airways
+        return {} if airways is None else self._target_places.of((airways, document.targets))
+
+    def _make_target_places(self, inputs: tuple[Airways, tuple[Target, ...]]) -> dict[str, float]:
+        airways, targets = inputs
+        found = {}
+        for target in targets:
+            route = target.route
+            if target.cost == "lumen" and route is not None and route.lumen_known:
+                scale = self._make_scale((airways, route))
+                past_mm = scale.origin.from_carina_mm(float(scale.along_mm[-1]))
+                if past_mm is not None:
+                    found[target.target_id] = past_mm
+        return found
+
+    def place_from_carina_mm(
+        self, airways: Airways, branch_id: int, point: NDArray[np.float64], beyond_mm: float
+    ) -> float | None:
+        """Return the distance in mm of a place from the main carina along the centrelines.
+
+        Parameters
+        ----------
+        airways
+            The airways.
+        branch_id, point
+            A branch, and a point near its centreline, LPS mm.
+        beyond_mm
+            Distance of the place beyond the point.
+
+        Returns
+        -------
+        float | None
+            None if the way to the branch does not pass the main carina, or the tree has no such branch.
+        """
+        origin = self._origins.of(airways).get(branch_id)
+        if origin is None:
+            return None
+        return origin.from_carina_mm(place_on_tree_mm(airways.tree, branch_id, point) + beyond_mm)
 
     def again(self) -> None:
         """Repeat planning and verdicts that were stopped or failed, because the user asked for it."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
@@ -22,7 +23,7 @@ from carina.volume.mask_files import MaskLabel
 
 if TYPE_CHECKING:
     from carina.plan.routes.main_carina import RouteScale
-    from carina.track import Branch, TreeMeasures
+    from carina.track import Branch, LivePath, TreeMeasures
     from carina.volume import Volume
 
 Stage = Literal["empty", "opening", "ready"]
@@ -200,10 +201,22 @@ class Snapshot:
     """Measurements of the document's airways; None until they are available."""
     route_scale: RouteScale | None = None
     """Distances along the document's route; None without a route."""
+    target_places_mm: Mapping[str, float] = field(default_factory=dict)
+    """Distance in mm of the targets in the airways from the main carina, by target ID."""
     mask_question: MaskQuestion | None = None
     saving: SavingInfo = SavingInfo()
     flights: tuple[FlightInfo, ...] = ()
     """Flights recorded into the case, in their order."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class PointedPath:
+    """Path to the point under the cursor, with the distance of its end as plans state it."""
+
+    path: LivePath
+    from_carina_mm: float | None
+    """Distance in mm of the end from the main carina along the centrelines; None if the path does not pass it."""
 
 
 @one_line

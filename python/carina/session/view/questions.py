@@ -9,7 +9,7 @@ import numpy as np
 from carina import commands as c
 from carina.errors import NoResultError, UsageError
 from carina.session.command_registry import CommandHandlers, answers
-from carina.session.state.snapshot import WallPoint
+from carina.session.state.snapshot import PointedPath, WallPoint
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -43,9 +43,19 @@ class CaseQuestions(CommandHandlers):
         return WallPoint(lps, value, branch)
 
     @answers(c.LivePathTo)
-    def live_path(self, question: c.LivePathTo) -> Any:
+    def live_path(self, question: c.LivePathTo) -> PointedPath:
         """Return the path from the root to a point, from the shortest paths that the tracker has already computed."""
-        return self._airways().tracker.live_path(question.lps)
+        with self.core.lock:
+            planning, airways = self.core.needed_case().planning, self._airways()
+        path = airways.tracker.live_path(question.lps)
+        if path.problem is not None or path.joins_branch_id is None:
+            return PointedPath(path, None)
+        points = np.asarray(path.points_lps, dtype=np.float64)
+        to_end = np.concatenate([np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)[::-1])[::-1], [0.0]])
+        leaves = points[int(np.argmin(np.abs(to_end - path.new_mm)))]
+        with self.core.lock:
+            past_mm = planning.place_from_carina_mm(airways, path.joins_branch_id, leaves, path.new_mm)
+        return PointedPath(path, past_mm)
 
     @answers(c.PreviewOf)
     def preview_of(self, question: c.PreviewOf) -> Any:

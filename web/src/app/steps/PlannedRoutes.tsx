@@ -6,13 +6,15 @@
 import { useState } from "react";
 import { Button } from "react-aria-components";
 import { tipLps } from "../../state/app-state";
+import { caseFacts } from "../../state/case-list";
 import { sentence } from "../../state/format";
 import { ROUTE_ROWS, turnBefore, turnText, verdictsInOrder } from "../../state/plan";
-import type { PlansMessage, ScopeVerdict, Target, TargetPlan } from "../../wire/messages";
+import type { PlansMessage, RecentCase, ScopeVerdict, Target, TargetPlan } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 import { Icon } from "../icons";
 import { PanelAnswer, useAnswerShown } from "../PlanAnswer";
+import { Pickers } from "../StartPage";
 import type { PlanSuffix } from "../workstation";
 import { CArmAngles } from "./CArmAngles";
 import { OUTCOME_MARKS } from "./outcome-marks";
@@ -187,6 +189,8 @@ function Options({ target, plan }: { target: Target; plan: TargetPlan }) {
   );
 }
 
+const NO_CASES: readonly RecentCase[] = [];
+
 function movedPlaceholder(plan: TargetPlan): string {
   if (plan.options.movement !== null) return "measured from the second CT";
   return plan.moved_mm === null ? "by lobe" : `by lobe: ${plan.moved_mm.toFixed(0)}`;
@@ -196,6 +200,10 @@ function movedPlaceholder(plan: TargetPlan): string {
 function SecondCt({ target, plan }: { target: Target; plan: TargetPlan }) {
   const station = useStation();
   const [path, setPath] = useState("");
+  const all = useApp((state) => state.start?.recent ?? NO_CASES);
+  const begun = useApp((state) => state.session?.saving.begun_s ?? null);
+  // The CT of the plan itself cannot show a movement.
+  const recent = all.filter((one) => one.opens && (begun === null || one.begun_s !== begun));
   const measure = () => {
     if (path.trim() === "") return;
     station.send({ type: "measure_movement", target_id: target.target_id, path: path.trim() });
@@ -203,12 +211,37 @@ function SecondCt({ target, plan }: { target: Target; plan: TargetPlan }) {
   return (
     <details className="plan-options" data-testid="second-ct-options">
       <summary>Measure the movement from a second CT</summary>
+      <p className="quiet">Choose a second CT of this patient: in expiration, or an earlier one.</p>
+      <Pickers onFiles={(files) => void station.upload(files, "movement", { targetId: target.target_id })} />
+      {recent.length === 0 ? null : (
+        <label>
+          or a recent case
+          <select
+            value=""
+            data-testid="second-ct-recent"
+            onChange={(event) =>
+              station.send({
+                type: "measure_movement_from_case",
+                target_id: target.target_id,
+                recent_id: event.target.value,
+              })
+            }
+          >
+            <option value="">{"Choose a case\u2026"}</option>
+            {recent.map((one) => (
+              <option key={one.recent_id} value={one.recent_id}>
+                {[one.title, ...caseFacts(one, recent, Date.now())].join(" \u00b7 ")}
+              </option>
+            ))}
+          </select>
+        </label>
+      )}
       <label>
-        Second CT of this patient: in expiration, or an earlier one
+        or type the path of a folder, file or case on this machine
         <input
           type="text"
           value={path}
-          placeholder="Path of a folder, file or case"
+          placeholder="/data/ct/series"
           data-testid="second-ct"
           onChange={(event) => setPath(event.target.value)}
           onKeyDown={(event) => {

@@ -206,7 +206,9 @@ function FromFile() {
         allowsMultiple
         onSelect={(list) => {
           if (list !== null && list.length > 0)
-            void station.upload(filesOfPicker(list), "target", structure.trim() === "" ? null : structure.trim());
+            void station.upload(filesOfPicker(list), "target", {
+              structure: structure.trim() === "" ? null : structure.trim(),
+            });
         }}
       >
         <Tip words="A mask of the target (NIfTI, NRRD, MetaImage), a DICOM SEG or an RTSTRUCT">
