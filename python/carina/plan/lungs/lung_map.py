@@ -25,23 +25,23 @@ from carina.volume.mask_distances import ball_distance
 Mask = NDArray[np.bool_]
 
 SURE = 0.8
-"""Mean confidence below which a stretch of vessel is displayed as doubtful."""
+"""Mean confidence below which a piece of a vessel is displayed as doubtful."""
 RIM_MM = 3.0
-"""Width in mm of the layer at the outside of the lungs in which no vessels are searched (chest wall)."""
+"""Width in mm of the outer layer of the lungs in which no vessels are searched, because it may be chest wall."""
 LUNG_HU = 250.0
 """Rise above the median density of the lungs, in HU, up to which a voxel counts as lung."""
 ROUND_MM, MIN_LUNG = 5.0, 0.35
 """Width in mm of the Gaussian that averages the share of lung round a vessel, and least share of lung.
 
-The share is a half beside the pleura and a fifth between trachea and spine. The closed lungs include hila and trachea,
-where folds of the mediastinum look like vessels.
+The share is one half beside the pleura and one fifth between trachea and spine. The limit removes folds of the
+mediastinum, which look like vessels.
 """
 AIRWAY_GENERATIONS = 2
 """Highest generation of airways whose air is excluded from the lung; airways beyond it are too thin to matter."""
 DEEP_MM, MIN_DEEP = 6.0, 0.25
-"""Depth in mm below the surface of the lungs, and least share of a vessel's line that must be at this depth.
+"""Depth in mm below the lungs' surface, and least share of a vessel's centreline that is at least this deep.
 
-Lines along the edge of the lungs are steps between slices that breathing has shifted.
+Breathing between slices causes steps along the surface that look like vessels.
 """
 NEAR_MM = 3.0
 """Largest distance in mm between a lobe border and a fissure that lies on this border."""
@@ -193,7 +193,7 @@ def _within(known: Mask, num_voxels: int) -> Mask:
 
 
 def _amid_lung(seen: NearbyTissue, tree: AirwayTree) -> Mask:
-    """Return the mask of the voxels of vessels that are surrounded by lung, and not by mediastinum or chest wall."""
+    """Return the mask of the vessel voxels that are surrounded by lung, not by mediastinum or chest wall."""
     lung = seen.box.known & (seen.box.hu_zyx < seen.lung_hu + LUNG_HU)
     step_mm, first = seen.box.step_mm, seen.box.lps_from_ijk[:3, 3]
     for branch in tree.branches:
@@ -234,7 +234,7 @@ def _deep_lines(tree: VesselTree, box: Box) -> VesselTree:
 
 
 def _standing_out(inside: Mask, seen: NearbyTissue) -> Mask:
-    """Return the parts of a vessel mask whose mean confidence over a stretch is high."""
+    """Return the parts of a vessel mask whose confidence, averaged along the vessel, is high."""
     sigma = STRETCH_MM / seen.box.step_mm
     weight = smoothed(inside.astype(np.float32), sigma)
     mean = smoothed(np.where(inside, seen.sure, 0.0).astype(np.float32), sigma)

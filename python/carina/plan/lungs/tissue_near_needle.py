@@ -29,7 +29,7 @@ RISE_HU = 250.0
 WALL_MM = 1.5
 """Distance in mm from a lumen within which tissue is the airway's wall."""
 LINE_WALL_MM = 1.0
-"""Distance in mm from a lumen beyond which a line-shaped structure counts as a vessel; a plate needs `WALL_MM`."""
+"""Least distance in mm from a lumen of a line-shaped vessel; plates may be wall up to `WALL_MM`."""
 BLUR_MM = 1.5
 """Distance in mm from the nodule within which tissue is the nodule's blurred edge."""
 THICKEST_VESSEL_MM = 14.0

@@ -59,7 +59,7 @@ def resized(nodule: Nodule, volume: Volume, diameter_mm: float) -> Nodule:
     step = float(np.linalg.norm(nodule.lps_from_ijk[:3, 0]))
     by_mm = 0.5 * (diameter_mm - nodule.long_mm)
     inside, matrix = _padded(nodule, max(by_mm, 0.0) + 3.0 * step)
-    # Hollows are not resized.
+    # Cavities are restored unchanged after the resizing.
     hollow = enclosed(inside)
     whole = inside | hollow
     # Signed distance, positive inside. It is smoothed, because distances between voxels have steps.
@@ -68,7 +68,7 @@ def resized(nodule: Nodule, volume: Volume, diameter_mm: float) -> Nodule:
     radii[2] = 3.0 * nodule.volume_mm3 / (4.0 * np.pi * radii[0] * radii[1])
     if float(radii.min()) + by_mm < 0.5 * step:
         raise _refused("nothing of the target would be left; choose a larger diameter")
-    # Voxel distances are biased by a part of a voxel, so the number of voxels follows from the ellipsoid of the radii.
+    # Voxel distances have a bias of a part of a voxel, so an ellipsoid gives the number of voxels of the result.
     num = round(nodule.volume_mm3 / step**3 * float(np.prod((radii + by_mm) / radii)))
     kept = np.zeros(depth.size, dtype=bool)
     kept[np.argsort(-depth, axis=None, kind="stable")[: max(num, 1)]] = True
@@ -180,9 +180,9 @@ def _adds_a_piece(inside: Mask, balls: Mask) -> bool:
 
 
 def _padded(nodule: Nodule, margin_mm: float, also: tuple[Place, float] | None = None) -> tuple[Mask, Place]:
-    """Return a nodule's mask and transform, enlarged by a margin and, if given, by the extent of balls.
+    """Return a nodule's mask and transform, enlarged by a margin in mm and by the extent of the balls in ``also``.
 
-    ``also`` contains the centres (n, 3), LPS mm, and the radius in mm of the balls.
+    ``also`` contains the centres (n, 3), LPS mm, and the radius in mm of the balls, or is None.
     """
     matrix = nodule.lps_from_ijk
     step = float(np.linalg.norm(matrix[:3, 0]))

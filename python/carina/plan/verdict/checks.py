@@ -24,7 +24,7 @@ SURE = 0.9
 BEND_SIGMA_DEG = 8.0
 """Standard deviation in degrees of the angle that a route requires of the bending section (common knowledge)."""
 LONGEST_ENTRY_MM = 250.0
-"""Largest distance in mm from the nose to the upper trachea in an adult (common knowledge)."""
+"""Largest distance in mm from the nose to the upper trachea of an adult (common knowledge)."""
 LONGEST_TO_CARINA_MM = 320.0
 """Largest distance in mm from the nose to the main carina in an adult (common knowledge)."""
 
@@ -69,7 +69,7 @@ def diameter_check(width: RouteWidth, scope: ScopePreset, *, errors: bool) -> Ch
 
 
 def bend_check(way: DriveWay, scope: ScopePreset, *, errors: bool) -> Check:
-    """Return whether the scope's lever bends as far as the route does over the length of its bending section.
+    """Return whether the scope's bending section can bend as far as the route does within the section's length.
 
     Parameters
     ----------

@@ -173,9 +173,9 @@ class MoveRecorder:
         return found
 
     def bend_by(self, to: Points, change_deg: float, most_deg: float) -> bool:
-        """Increase the flexion towards a point; return whether the roll or the lever changed.
+        """Bend the tip towards a point by a change of the flexion; return whether the roll or the lever changed.
 
-        Flexion is treated as a vector across the shaft, in axes that do not turn with the hand.
+        Flexion and its change are added as vectors across the shaft, in axes that do not turn with the hand.
 
         Parameters
         ----------

@@ -17,7 +17,7 @@ Points = NDArray[np.float64]
 SMOOTH_MM = 4.0
 """Half the length in mm over which a direction of the route is measured."""
 CUT_MM = 10.0
-"""Distance in mm from the beginning of the tree in which widths are ignored."""
+"""Length in mm at the start of the tree whose widths are ignored, because the CT may cut the trachea there."""
 FINE_MM = 0.5
 MIN_AHEAD_MM = 4.0
 NUM_ON_LINE = 14

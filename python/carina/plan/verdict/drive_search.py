@@ -34,7 +34,7 @@ BLOCKED_STEPS = 7
 """Number of consecutive advances blocked by the wall after which an attempt ends."""
 ASTRAY_MM = 2.5
 SLACK_MM = 25.0
-"""Largest difference in mm between insertion and distance along the route; beyond it the scope buckles or strays."""
+"""Largest difference in mm between insertion and progress along the route; beyond it the scope buckles or strays."""
 MAX_STEPS = 700
 ON_COURSE_COSINE = 0.64
 """Cosine of 50 degrees, the largest angle between the tip and the route for a tip that points along the route."""
@@ -43,12 +43,12 @@ BEND_BEHIND_MM, BEND_AHEAD_MM = 45.0, 8.0
 AT_FORK_MM = 12.0
 """Distance from a fork in mm within which a stop of the drive is reported as a stop at this fork."""
 HOOKING = 0.5
-"""Probability that a drawn rule pulls the lever at each fork."""
+"""Probability with which a drawn rule pulls the lever at each fork (`_Rule.hook`)."""
 HOOK_BLOCKED_STEPS = 4
 PAST_FORK_MM = 6.0
 """Distance in mm beyond a fork up to which the fork still counts as the next one."""
 CONDENSING = 60
-"""Largest number of shorter drives that are tried after a drive has arrived."""
+"""Largest number of shorter drives that are tried after a drive has arrived (`condense_drive`)."""
 STATION_MM = 2.0
 """Distance in mm along the route between stored copies of an attempt from which other attempts can start."""
 KEPT = 3
@@ -71,9 +71,9 @@ class _Rule:
     fork_within_mm: float = 20.0
     beyond_fork_mm: float = 6.0
     gain: float = 0.8
-    """Change of flexion divided by the angle between the tip's direction and the point that the tip turns to."""
+    """Change of flexion as a share of the angle between the tip's direction and the steering point."""
     dead_deg: float = 8.0
-    """Angle in degrees between the tip's direction and the point below which roll and lever are not changed."""
+    """Angle in degrees between the tip's direction and the steering point below which roll and lever stay unchanged."""
     hold_mm: float = 2.0
     """Least insertion in mm between two changes of roll or lever."""
     rate_deg: float = 15.0
@@ -274,7 +274,7 @@ def condense_drive(
             shorter = [*moves[: n - 1], replace(moves[n - 1], advance_mm=moves[n - 1].advance_mm + left_out)]
             rest = moves[n + num :]
             if rest:
-                # The turn of the first remaining move is corrected so that its roll stays the same.
+                # The turn of the first remaining move is changed so that the roll after it stays the same.
                 rest = [replace(rest[0], turn_deg=(rest[0].turn_deg + turned + 180.0) % 360.0 - 180.0), *rest[1:]]
             tries -= 1
             if n <= len(earlier):

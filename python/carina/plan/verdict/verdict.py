@@ -62,36 +62,36 @@ Points = NDArray[np.float64]
 Outcome = Literal["reaches", "may reach", "does not reach", "cannot say"]
 
 OUTCOMES: tuple[Outcome, ...] = ("reaches", "may reach", "cannot say", "does not reach")
-"""Outcomes, the best first."""
+"""Possible outcomes of a verdict, the best first."""
 NEAR_MM = 1.5
 """Largest distance in mm of the tip from the end of the route at which the tip counts as arrived."""
 SLIMMER_MM, THINNEST_MM, SPARE_MM = 0.8, 1.5, 0.2
 """Sizes in mm that choose a thinner substitute for an instrument about as wide as the airway.
 
-The substitute is thinner than the airway's wall by the first size, and has at least the second size. It is used if the
-wall is wider than the instrument by less than the third size. If the instrument fits by the measured diameter, the
-substitute has no more play than the instrument in an airway of this diameter.
+A substitute is used if the airway is wider than the instrument by less than the third size. The substitute is thinner
+than the airway by the first size, but not thinner than the second size. If the instrument fits by the measured
+diameter, the substitute has no more play in an airway of this diameter than the instrument.
 """
 BEFORE_MM = 2.0
-"""Least distance in mm of the tip before the end of the route that the check of the pointing states."""
+"""Least distance in mm between tip and end of the route that the check of pointing states in its text."""
 FIELD_LACK_MM = 0.5
-"""Width in mm by which the samples of the wall field make a narrow lumen narrower than its largest ball."""
+"""Width in mm by which a narrow lumen is narrower in the sampled wall field than its largest ball."""
 UNFOUND = 0.5
-"""Probability reported if a scope fits along the route but no drive was found, as the search may have missed one.
+"""Probability reported if a scope fits along the route but the search found no drive, which may exist.
 
 The value is common knowledge, not measured.
 """
-EFFORT_A_TRY = 1000.0
-"""Search effort for which one shorter drive is tried."""
+EFFORT_PER_TRY = 1000.0
+"""Search effort that is saved for each shorter drive that is tried."""
 LEVER_EFFORT = 0.3
-"""Effort of each search with a shorter lever, as a share of the effort of the search for a drive.
+"""Effort of each search with a reduced lever range, as a share of the effort of the first search.
 
-It is small, because the moves of a drive that arrived are tried first.
+A small share suffices, because the moves of the drive that arrived are tried first.
 """
 NUM_THREADS, NUM_ROUTES = 2, 3
 """Number of drives at the same time, and of the best routes on which all instruments are judged."""
 ERROR_SHARE = NormalDist().inv_cdf(SURE) / NormalDist().inv_cdf(0.95)
-"""Share of the error of a diameter, which covers 90 % on both sides, below which 10 % of the true diameters are."""
+"""Factor that converts the 90 % error of a diameter to the error that 10 % of true diameters exceed downwards."""
 MIN_SCALE = 0.1
 IF_IT_FITS = "if it fits: "
 DRIVEN_THINNER = (
@@ -491,9 +491,9 @@ class _Drive:
 
 
 _DRIVES: WeakKeyDictionary[PlannedRoute, dict[tuple[Any, ...], tuple[Any, _Drive]]] = WeakKeyDictionary()
-"""Completed drives along each route: by the inputs of the drive, the inputs' objects and the result.
+"""Cache of completed drives of each route: key of the inputs, the input objects, and the result.
 
-A plan and the verdicts on its routes thereby share their drives.
+A plan and the verdicts on its routes share their drives through this cache.
 """
 
 
@@ -550,14 +550,14 @@ class RouteJudge:
         return None if known is None else known[1].lps_from_tip
 
     def pass_on(self, route: PlannedRoute) -> None:
-        """Use the drives along this route also for another version of the route."""
+        """Copy the cached drives along this route to another version of the route."""
         _DRIVES[route] = dict(_DRIVES.get(self._route, {}))
 
     def drive(self, scope: ScopePreset) -> _Drive:
         """Return the simulated drive of an instrument, which is computed once for the same inputs."""
         inputs, known = self._inputs(scope), _DRIVES.setdefault(self._route, {})
         if inputs not in known:
-            # Airways, wall and nodule are stored beside the result, so that their identities stay theirs.
+            # The cache entry refers to airways, wall and nodule, so that their identities in the key stay valid.
             known[inputs] = (self._tree, self._wall, self._plan.nodule), self._drive(scope)
         return known[inputs][1]
 
@@ -667,7 +667,7 @@ class RouteJudge:
         if aimed.share >= BARELY:
             # Only a drive that points at the target is shortened, because shortening takes most of the time.
             self.stop_if_cancelled()
-            tries = round(self._effort / EFFORT_A_TRY)
+            tries = round(self._effort / EFFORT_PER_TRY)
             route = condense_drive(self._way, self._wall, scope, route, tries=tries, cancel=self._is_cancelled)
             self.stop_if_cancelled()
             bend = lever_check(
@@ -722,7 +722,7 @@ class RouteJudge:
         return self._way.nearest(state.pose.position_lps, state.insertion_mm)[0]
 
     def _sure_share(self, tip: Points, forward: Points, *, reach_mm: float | None = None) -> float:
-        """Return the share of needles that hit the target if it is as small as the error of its boundary allows."""
+        """Return the share of needles that hit a target reduced by the error of its boundary."""
         return self._hit_share(tip, forward, reach_mm=reach_mm, nodule=self._least_nodule)
 
     def _hit_share(
@@ -738,7 +738,7 @@ class RouteJudge:
 
 
 def _smaller(nodule: Nodule) -> Nodule:
-    """Return a nodule that is smaller round its middle by the error of its boundary."""
+    """Return a nodule that is scaled down about its middle by the error of its boundary."""
     diameter_mm = 0.5 * (nodule.long_mm + nodule.short_mm)
     scale = max(1.0 - ERROR_SHARE * nodule.diameter_error_mm / max(diameter_mm, 1e-6), MIN_SCALE)
     centre = np.array(nodule.centre_lps)
@@ -797,14 +797,14 @@ def _verdict(
 
 
 def _would(scope: ScopePreset, tool: Tool, checks: tuple[Check, ...], drive: _Drive | None) -> str | None:
-    """Return the changes with which an instrument would reach, as text.
+    """Return the changes with which an instrument would reach the target, as text.
 
-    *Would reach* is stated only of another tool after a drive that arrives and points at the target.
+    *Would reach* is stated only of another tool, and only after a drive that arrives and points at the target.
     """
     lacking = [check for check in checks if check.answer in {"no", "unknown"}]
     missed = next((check for check in checks if check.name == "pointing" and check.answer != "yes"), None)
     if missed is not None and not missed.words.startswith(IF_IT_FITS) and all(check is missed for check in lacking):
-        # The planner has tried other places, so only a longer throw is named, which hits from the pose of the drive.
+        # The planner has already tried other positions, so only a tool with a longer reach is named.
         takes = None if drive is None or scope.channel_mm is None else scope.channel_mm
         longer = [one for one in (drive.longer if drive is not None else ()) if takes is not None and one.passes(takes)]
         return f"would reach if {longer[0].title} were used" if longer else None
