@@ -227,7 +227,7 @@ class Autosave(CommandHandlers):
         self._files = files
         self._saver: CaseSaver | None = None
         self._ending: list[CaseSaver] = []
-        """Keepers whose disk did not respond when their case was closed."""
+        """Case savers whose disk did not respond when their case was closed."""
         self._awaited: str | None = None
         """Digest of the CT that the user must open to continue a dropped case; None if no case waits."""
         if records is not None:
@@ -598,7 +598,7 @@ class Autosave(CommandHandlers):
         return SavingInfo() if saver is None else saver.info
 
     def _on_event(self, event: Event) -> None:
-        """Notify the keeper of the open case of a change event, so that it writes the case.
+        """Notify the saver of the open case of a change event, so that the saver writes the case.
 
         Called with the session locked.
         """

@@ -125,7 +125,7 @@ class CaseSaver:
         self.file = file
         self.info = info
         self.is_telling = False
-        """Whether the session is reporting a change of the saving info alone, which needs no write."""
+        """Whether the session is reporting a change that concerns only the saving info and needs no write."""
         # Lock of the fields below; it is taken after the session's lock, and never held while waiting for a disk.
         self._wake = threading.Condition()
         self._changed_s: float | None = None
@@ -137,7 +137,7 @@ class CaseSaver:
         self._elsewhere: _WorkInNamedFileOnly | None = None
         """The newest work in a named file while the disk of the live file refuses it."""
         self._is_copy_current = False
-        """Whether nothing was reported as changed since the named file was written from memory."""
+        """Whether no change was reported since the named file was written from memory."""
         self._busy: object = None
         """Object that identifies the write in progress; None between writes."""
         self._is_slow = False
@@ -175,7 +175,7 @@ class CaseSaver:
         threading.Thread(target=self._run, name="carina-saving", daemon=True).start()
 
     def __repr__(self) -> str:
-        """Describe the keeper by its saving info."""
+        """Describe the saver by its saving info."""
         return f"CaseSaver({self.info!r})"
 
     # ------------------------------------------------------------ calls from other threads
@@ -601,7 +601,7 @@ class CaseSaver:
         return self._num_copied < self._num_saved or (self._changed_s is not None and not self._is_copy_current)
 
     def _plan_copy(self, within_s: float) -> None:
-        """Schedule the next check of the named file if it is outdated or not compared yet.
+        """Schedule the next check of the named file if the file is outdated or was not compared yet.
 
         The caller holds ``_wake``.
         """
@@ -625,7 +625,7 @@ class CaseSaver:
                     self._wake.wait(wait_s)
                 self._copy_s = None
                 # The first comparison follows the opening, which is reported as a change. Without this distinction,
-                # opening a case would rewrite the file that the user named, or not, depending on the thread's start.
+                # opening a case could rewrite the named file, depending on when the thread starts.
                 is_behind = self._copy_is_behind() if self._is_named_checked else self._num_copied < self._num_saved
                 if not is_behind and not self._is_named_check_due():
                     continue
