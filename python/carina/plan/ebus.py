@@ -272,7 +272,7 @@ class _Finder:
         )
 
     def _absent(self, blank: Landmark, why: str) -> Landmark:
-        return replace(blank, words=f"{blank.station}: no place told; {why}", doubts=self._doubts(()))
+        return replace(blank, words=f"{blank.station}: no landmark; {why}", doubts=self._doubts(()))
 
     def _doubts(self, rests_on: tuple[Branch, ...]) -> tuple[str, ...]:
         found = [_MIRRORED] if self._mirrored else []

@@ -39,7 +39,8 @@ from carina.plan.routes.ranking import Outlook, ScoreWeights, order, worst
 from carina.plan.targets.doubts import Confirmed
 from carina.plan.targets.nodule import Nodule
 from carina.plan.targets.target import PlanTarget
-from carina.plan.verdict.verdict import RouteJudge, Verdict
+from carina.plan.verdict.route_judge import RouteJudge
+from carina.plan.verdict.verdict import Verdict
 from carina.scopes import ScopePreset, WallField, scope_preset
 from carina.track import Airways, AirwayTree, TreeMeasures
 from carina.volume import Volume

@@ -222,10 +222,10 @@ def _seeds(inside: Mask, lps_from_ijk: NDArray[np.float64], tree: AirwayTree) ->
         if lobe not in LOBE_NAMES:
             continue
         ijk = np.rint((branch.points - lps_from_ijk[:3, 3]) / STEP_MM).astype(np.intp)
-        kept = ijk[((ijk >= 0) & (ijk < np.array(inside.shape[::-1]))).all(axis=1)][:, ::-1]
-        kept = kept[inside[tuple(kept.T)]]
-        if len(kept):
-            found.setdefault(str(lobe), []).append(kept)
+        voxels = ijk[((ijk >= 0) & (ijk < np.array(inside.shape[::-1]))).all(axis=1)][:, ::-1]
+        voxels = voxels[inside[tuple(voxels.T)]]
+        if len(voxels):
+            found.setdefault(str(lobe), []).append(voxels)
     return {lobe: np.unique(np.concatenate(parts), axis=0) for lobe, parts in found.items()}
 
 

@@ -167,7 +167,7 @@ def map_lungs(
     if found is not None:
         found(made)
     try:
-        told = lobes(
+        segmented = lobes(
             volume,
             airways.tree,
             box=box,
@@ -177,7 +177,7 @@ def map_lungs(
         raise
     except CarinaError as error:
         return replace(made, problems=(str(error),))
-    return _with_lobes(made, told)
+    return _with_lobes(made, segmented)
 
 
 def _within(known: Mask, num_voxels: int) -> Mask:
@@ -222,15 +222,15 @@ def _deep_lines(tree: VesselTree, box: Box) -> VesselTree:
     """
     deep = _within(box.known, round(DEEP_MM / box.step_mm))
     places: dict[int, int] = {}
-    kept: list[VesselBranch] = []
+    remaining: list[VesselBranch] = []
     for number, branch in enumerate(tree.branches):
         i, j, k = np.rint((branch.points_lps - box.lps_from_ijk[:3, 3]) / box.step_mm).astype(np.intp).T
         if float(deep[k, j, i].mean()) < MIN_DEEP:
             continue
-        places[number] = len(kept)
+        places[number] = len(remaining)
         parent = None if branch.parent is None else places.get(branch.parent)
-        kept.append(replace(branch, parent=parent))
-    return replace(tree, branches=tuple(kept))
+        remaining.append(replace(branch, parent=parent))
+    return replace(tree, branches=tuple(remaining))
 
 
 def _standing_out(inside: Mask, seen: NearbyTissue) -> Mask:
@@ -242,27 +242,27 @@ def _standing_out(inside: Mask, seen: NearbyTissue) -> Mask:
     return found
 
 
-def _with_lobes(made: LungMap, told: Lobes) -> LungMap:
-    named = [(name, told.label_zyx == number) for number, name in enumerate(LOBE_NAMES, 1)]
+def _with_lobes(made: LungMap, segmented: Lobes) -> LungMap:
+    named = [(name, segmented.label_zyx == number) for number, name in enumerate(LOBE_NAMES, 1)]
     return replace(
         made,
-        fissures=None if told.fissure is None else _cropped(told.fissure.mask, told.fissure.box),
-        fissure_shares=None if told.fissure is None else _seen_shares(told, told.fissure),
-        lobes=tuple((name, MappedMask.placed(mask, told.lps_from_ijk)) for name, mask in named if mask.any()),
-        missing_lobes=told.missing,
+        fissures=None if segmented.fissure is None else _cropped(segmented.fissure.mask, segmented.fissure.box),
+        fissure_shares=None if segmented.fissure is None else _seen_shares(segmented, segmented.fissure),
+        lobes=tuple((name, MappedMask.placed(mask, segmented.lps_from_ijk)) for name, mask in named if mask.any()),
+        missing_lobes=segmented.missing,
     )
 
 
-def _seen_shares(told: Lobes, fissure: FissureBox) -> tuple[float | None, float | None]:
-    step_mm = float(told.lps_from_ijk[0, 0])
-    first = fissure.box.lps_from_ijk[:3, 3] - told.lps_from_ijk[:3, 3]
-    seen = np.zeros(told.label_zyx.shape, dtype=bool)
+def _seen_shares(segmented: Lobes, fissure: FissureBox) -> tuple[float | None, float | None]:
+    step_mm = float(segmented.lps_from_ijk[0, 0])
+    first = fissure.box.lps_from_ijk[:3, 3] - segmented.lps_from_ijk[:3, 3]
+    seen = np.zeros(segmented.label_zyx.shape, dtype=bool)
     places = np.rint((np.argwhere(fissure.mask)[:, ::-1] * fissure.box.step_mm + first) / step_mm).astype(np.intp)
     i, j, k = places[((places >= 0) & (places < seen.shape[::-1])).all(axis=1)].T
     seen[k, j, i] = True
     near = ball_distance(~seen, step_mm) + 0.5 * step_mm <= NEAR_MM if seen.any() else seen
-    border = (told.label_zyx > 0) & (told.border_mm < step_mm)
-    right = np.isin(told.label_zyx, [n for n, name in enumerate(LOBE_NAMES, 1) if name.startswith("R")])
+    border = (segmented.label_zyx > 0) & (segmented.border_mm < step_mm)
+    right = np.isin(segmented.label_zyx, [n for n, name in enumerate(LOBE_NAMES, 1) if name.startswith("R")])
 
     def share(of: Mask) -> float | None:
         return float(near[of].mean()) if of.any() else None

@@ -305,6 +305,6 @@ def _large_pieces(mask: Mask, least_voxels: float) -> Mask:
     import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     pieces = sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)), True)
-    kept: Any = sitk.RelabelComponent(pieces, minimumObjectSize=max(int(least_voxels), 1))
-    found: Mask = sitk.GetArrayFromImage(kept) != 0
+    relabelled: Any = sitk.RelabelComponent(pieces, minimumObjectSize=max(int(least_voxels), 1))
+    found: Mask = sitk.GetArrayFromImage(relabelled) != 0
     return found

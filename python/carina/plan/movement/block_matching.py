@@ -106,13 +106,13 @@ def landmarks(
         strength = clear[tuple(index.T)]
         index = index[strength >= MIN_CLEAR * strength[len(strength) // 50]]
     places = index[:, ::-1] * box.step_mm + box.lps_from_ijk[:3, 3]
-    kept: list[Points] = []
+    chosen: list[Points] = []
     for place in places:
-        if len(kept) >= most:
+        if len(chosen) >= most:
             break
-        if not kept or np.linalg.norm(np.array(kept) - place, axis=1).min() >= apart_mm:
-            kept.append(place)
-    return np.array(kept, dtype=np.float64).reshape(-1, 3)
+        if not chosen or np.linalg.norm(np.array(chosen) - place, axis=1).min() >= apart_mm:
+            chosen.append(place)
+    return np.array(chosen, dtype=np.float64).reshape(-1, 3)
 
 
 def match_blocks(

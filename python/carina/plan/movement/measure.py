@@ -313,10 +313,10 @@ def _matched(
     places = np.concatenate(searched)
     shifts, score = match_blocks(*volumes, places, guess, COARSE, report=check_cancelled)
     check_structure(score[: len(forks.names)], MIN_SCORE)
-    kept = _consistent(places, shifts, score, guess.base)
-    shifts, score = match_blocks(*volumes, places, kept, FINE, report=check_cancelled)
+    agreeing = _consistent(places, shifts, score, guess.base)
+    shifts, score = match_blocks(*volumes, places, agreeing, FINE, report=check_cancelled)
     for n in (n for n, name in enumerate(forks.names) if name in WIDE_NAMES):
-        (shifts[n],), (score[n],) = match_blocks(*volumes, places[n][None], kept, WIDE)
+        (shifts[n],), (score[n],) = match_blocks(*volumes, places[n][None], agreeing, WIDE)
     field = _consistent(places, shifts, score, guess.base)
     num_vessels = int((score[len(searched[0]) :] >= MIN_SCORE).sum())
     return _Matches(volumes, forks, shifts, score, field, num_vessels)

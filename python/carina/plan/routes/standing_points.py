@@ -209,16 +209,16 @@ class Places(Ways):
             edge[near] = self.nodule.distance_mm(self.points[near])
         # If the airway passes through the nodule, the nodule is reached even if the aim is behind the tip.
         may = (edge <= tool.reach_mm) & ((self.angle_deg(aim_lps) <= most_angle_deg) | (edge <= 0.0))
-        kept: list[int] = []
+        chosen: list[int] = []
         for n in np.flatnonzero(may):
-            last = kept[-1] if kept else None
+            last = chosen[-1] if chosen else None
             if (
                 last is None
                 or self.branch[last] != self.branch[n]
                 or self.along_mm[n] - self.along_mm[last] >= apart_mm
             ):
-                kept.append(int(n))
-        return np.array(kept, dtype=np.intp)
+                chosen.append(int(n))
+        return np.array(chosen, dtype=np.intp)
 
     def beside(self, spots: Iterable[tuple[int, float]]) -> Places:
         """Return a copy with places `FINE_MM` apart round given places.

@@ -34,7 +34,7 @@ CLICK_MM = 4.0
 """Radius in mm around a click in which the nodule is searched."""
 SMOOTH_MM = 0.7
 SEED_SMOOTH_MM = 1.0
-MEANT = 0.75
+SEED_RISE_SHARE = 0.75
 """Least density of the seed voxel above lung, as a share of the greatest density above lung near the click.
 
 The seed is the voxel nearest to the click that meets this limit; segmentation starts from it.
@@ -79,12 +79,12 @@ MAX_CUT = 0.4
 OPENINGS, OPENINGS_AT_WALL = (0.6, 0.7, 0.8), (0.4, 0.5, 0.6, 0.7, 0.8)
 """Radii of the opening that removes vessels, as shares of the radius of the largest ball in the nodule.
 
-The radii are tried in turn, until the nodule contains no long tail (`TAIL`). A nodule at the wall begins with smaller
-shares, because large balls remove the edges of a nodule with a flat side.
+The radii are tried in turn, until the nodule contains no long tail (`MAX_TAIL_RADII`). A nodule at the wall begins with
+smaller shares, because large balls remove the edges of a nodule with a flat side.
 """
 WIDE_OPENINGS_MM = (4.0, 5.5, 7.5)
 """Radii in mm of the openings that are tried first in a large nodule; few vessels in the lung are wider."""
-TAIL = 2.4
+MAX_TAIL_RADII = 2.4
 """Largest distance of a part of a nodule from the nodule's middle, in radii; a part farther away is a vessel."""
 WIDE_OFF_MM = 0.5
 """Least uncertainty in mm of the wall's position behind a nodule with a wide contact."""
@@ -201,9 +201,9 @@ class Boundary:
                 f"and the lung around it is {self.lung_hu:.0f} HU; click in the middle of the nodule",
                 code="plan.no-nodule",
             )
-        meant = near & (very >= self.lung_hu + MEANT * (densest - self.lung_hu))
-        seed = _first(np.where(meant, off, np.inf).argmin(), off.shape)
-        level = float(very[meant & (box.steps_from(seed) * box.step_mm <= LEVEL_MM)].max())
+        candidates = near & (very >= self.lung_hu + SEED_RISE_SHARE * (densest - self.lung_hu))
+        seed = _first(np.where(candidates, off, np.inf).argmin(), off.shape)
+        level = float(very[candidates & (box.steps_from(seed) * box.step_mm <= LEVEL_MM)].max())
         return seed, level
 
     def _round_cavity(self, off: NDArray[np.float64]) -> Mask:
@@ -260,7 +260,7 @@ class Boundary:
             core = component_at(depth > opening_mm, peak)
             off = self.box.steps_from(peak)[core] * self.box.step_mm
             whole_mm = float(off.max()) + opening_mm
-            if whole_mm <= TAIL * radius:
+            if whole_mm <= MAX_TAIL_RADII * radius:
                 break
         back_mm = opening_mm + 0.5 * self.box.step_mm
         self.inside = core | (whole & (distance_from(core, self.box.step_mm, back_mm) <= back_mm))

@@ -70,10 +70,10 @@ def resized(nodule: Nodule, volume: Volume, diameter_mm: float) -> Nodule:
         raise _refused("nothing of the target would be left; choose a larger diameter")
     # Voxel distances have a bias of a part of a voxel, so an ellipsoid gives the number of voxels of the result.
     num = round(nodule.volume_mm3 / step**3 * float(np.prod((radii + by_mm) / radii)))
-    kept = np.zeros(depth.size, dtype=bool)
-    kept[np.argsort(-depth, axis=None, kind="stable")[: max(num, 1)]] = True
-    kept = kept.reshape(depth.shape) & ~hollow
-    found = _edited(nodule, volume, _in_ct(volume, _main_piece(kept), matrix), matrix, RESIZED)
+    retained = np.zeros(depth.size, dtype=bool)
+    retained[np.argsort(-depth, axis=None, kind="stable")[: max(num, 1)]] = True
+    retained = retained.reshape(depth.shape) & ~hollow
+    found = _edited(nodule, volume, _in_ct(volume, _main_piece(retained), matrix), matrix, RESIZED)
     # The diameter is stored exactly as it was set; voxels represent it to half a voxel.
     return replace(found, long_mm=float(diameter_mm), short_mm=min(found.short_mm, float(diameter_mm)))
 
@@ -205,10 +205,10 @@ def _padded(nodule: Nodule, margin_mm: float, also: tuple[Place, float] | None =
 def _in_ct(volume: Volume, inside: Mask, matrix: Place) -> Mask:
     """Return the part of a mask inside the CT; raise an error if less than half of the mask is inside."""
     known = Box.at(volume, matrix, inside.shape).known
-    kept = inside & known
-    if kept.sum() < 0.5 * inside.sum():
+    retained = inside & known
+    if retained.sum() < 0.5 * inside.sum():
         raise _refused("more than half of the target would lie outside the CT")
-    return kept
+    return retained
 
 
 def _main_piece(mask: Mask) -> Mask:

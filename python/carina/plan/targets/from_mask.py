@@ -158,8 +158,8 @@ def one_piece(
         chosen = large[0]
     left = num - 1
     share = np.where(labels == chosen, drawn.share_zyx, np.float32(0.0))
-    told = f"{left} other part{'s' if left > 1 else ''} of the mask ({sizes_ml.sum() - sizes_ml[chosen - 1]:.2g} ml)"
-    return DrawnStructure(share, drawn.first_zyx), (f"{told} left out",) if left else ()
+    note = f"{left} other part{'s' if left > 1 else ''} of the mask ({sizes_ml.sum() - sizes_ml[chosen - 1]:.2g} ml)"
+    return DrawnStructure(share, drawn.first_zyx), (f"{note} left out",) if left else ()
 
 
 def _piece_at(volume: Volume, drawn: DrawnStructure, labels: NDArray[Any], at_lps: ArrayLike) -> int:

@@ -94,16 +94,16 @@ class PlanTarget:
     @property
     def words(self) -> str:
         """Target as text, such as *nodule in RB3: solid nodule, 12.3 x 10.1 mm, 0.74 ml, beside the pleura*."""
-        told = ", ".join([self.nodule.words, WHERE_WORDS[self.where]])
-        return f"{self.name}: {told}" if self.name else told
+        description = ", ".join([self.nodule.words, WHERE_WORDS[self.where]])
+        return f"{self.name}: {description}" if self.name else description
 
     def with_nodule(self, nodule: Nodule, doubts: tuple[TargetDoubt, ...] = ()) -> PlanTarget:
         """Return the target with an edited nodule and its doubts; aims outside the new boundary are removed.
 
         If no aim is left, the middle of the nodule becomes the aim.
         """
-        kept = tuple(aim for aim in self.aims if nodule.distance_mm([aim])[0] <= AIM_OFF_MM)
-        return replace(self, nodule=nodule, source="edited", aims=kept, doubts=doubts)
+        candidates = tuple(aim for aim in self.aims if nodule.distance_mm([aim])[0] <= AIM_OFF_MM)
+        return replace(self, nodule=nodule, source="edited", aims=candidates, doubts=doubts)
 
     def to_json(self) -> dict[str, Any]:
         """Return the target as plain JSON types, without the mask."""
@@ -198,8 +198,8 @@ def _toward(
     goal = middle + EDGE_AIM * (points[int(np.argmax(along))] - middle)
     depth = ball_distance(nodule.inside_zyx, 1.0)[nodule.inside_zyx]
     allowed = (along > 0.0) & (depth >= 0.3 * depth.max())
-    kept = points[allowed] if allowed.any() else points
-    found: NDArray[np.float64] = kept[int(np.argmin(np.linalg.norm(kept - goal, axis=1)))]
+    candidates = points[allowed] if allowed.any() else points
+    found: NDArray[np.float64] = candidates[int(np.argmin(np.linalg.norm(candidates - goal, axis=1)))]
     return found
 
 

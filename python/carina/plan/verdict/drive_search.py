@@ -51,7 +51,7 @@ CONDENSING = 60
 """Largest number of shorter drives that are tried after a drive has arrived (`condense_drive`)."""
 STATION_MM = 2.0
 """Distance in mm along the route between stored copies of an attempt from which other attempts can start."""
-KEPT = 3
+MAX_STORED = 3
 """Number of stored attempts from which others start."""
 
 
@@ -115,7 +115,7 @@ class _Rule:
 
 
 @dataclass(frozen=True, slots=True)
-class _Kept:
+class _StoredAttempt:
     """Stored attempt, up to the last point at which the tip was on the route."""
 
     along_mm: float
@@ -195,7 +195,7 @@ def search_drive(
         raise UsageError(f"effort: expected above 0; found {effort}", code="plan.range")
     rng = np.random.default_rng(seed)
     start = _Attempt(way, place_at_start(way, wall, scope))
-    kept: list[_Kept] = []
+    stored: list[_StoredAttempt] = []
     in_vain, spent, num = 0, 0.0, 0
     farthest: _Attempt | None = None
     while spent < effort:
@@ -204,10 +204,10 @@ def search_drive(
         rule = _Rule() if num == 0 else _Rule.drawn(rng)
         begin = start
         known: tuple[_Attempt, ...] = ()
-        if kept and num > 1:
+        if stored and num > 1:
             # Attempts that got farther are chosen more often. The start moves back as attempts without progress
             # accumulate.
-            from_one = kept[min(int(rng.integers(len(kept))), int(rng.integers(len(kept))))]
+            from_one = stored[min(int(rng.integers(len(stored))), int(rng.integers(len(stored))))]
             back_mm = rng.uniform(2.0, 10.0 + 4.0 * min(in_vain, 15))
             begin = from_one.before(from_one.along_mm - back_mm)
             known = from_one.stations[: from_one.stations.index(begin)]
@@ -219,11 +219,11 @@ def search_drive(
             farthest = attempt
         if attempt.arrived:
             break
-        best_mm = kept[0].along_mm if kept else 0.0
+        best_mm = stored[0].along_mm if stored else 0.0
         in_vain = 0 if attempt.good_mm > best_mm + 1.0 else in_vain + 1
-        kept.append(_Kept(attempt.good_mm, (*known, begin, *attempt.stations)))
-        kept.sort(key=lambda one: -one.along_mm)
-        del kept[KEPT:]
+        stored.append(_StoredAttempt(attempt.good_mm, (*known, begin, *attempt.stations)))
+        stored.sort(key=lambda one: -one.along_mm)
+        del stored[MAX_STORED:]
     assert farthest is not None
     stopped_mm = farthest.along_mm if farthest.arrived else farthest.good_mm
     return farthest.recorder.driven(way, stopped_mm=stopped_mm, why=None if farthest.arrived else farthest.why())

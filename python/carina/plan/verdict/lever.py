@@ -58,14 +58,14 @@ def lever_check(
         return figures
     share, found = AS_IT_IS, "no drive was found"
     less_deg = SHORTER[-1][0] * BEND_SIGMA_DEG
-    for sigmas, told in SHORTER:
+    for sigmas, probability in SHORTER:
         shorter_deg = sigmas * BEND_SIGMA_DEG
         up_deg, down_deg = (max(deg - shorter_deg, 1.0) for deg in scope.flexion_deg)
         shorter = replace(scope, flexion_deg=(up_deg, down_deg))
         if arrives_by(way, wall, shorter, driven.moves) or (
             search_drive(way, wall, shorter, effort=effort, cancel=cancel).arrived
         ):
-            share, found, less_deg = told, "the drive still arrives", shorter_deg
+            share, found, less_deg = probability, "the drive still arrives", shorter_deg
             break
     words = f"{figures.words}; with {less_deg:.0f} degrees less flexion, {found}"
     basis = f"{figures.basis}; the scope's mechanics in the airways' wall (k)"

@@ -91,7 +91,7 @@ class Reading:
     settled: int | None = None
     """State that remains if a part of ``state`` is missing, such as RB5 for a middle lobe without RB4."""
     again: bool = False
-    """Whether the bronchus continues the state of its parent past a side branch."""
+    """Whether the bronchus is a further part of its parent's airway, with the same label, beyond a side branch."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -516,10 +516,10 @@ class Solver:
             rows = table.rows(one, two)[lo:hi]
             if len(rows) and rows.max() > best[0]:
                 best = (float(rows.max()), "divide", one, two, lo + int(np.argmax(rows)))
-            for kept, left in ((one, two), (two, one)):
-                value = float(table.sums[kept][state] + table.part[left].spur)
+            for followed, left in ((one, two), (two, one)):
+                value = float(table.sums[followed][state] + table.part[left].spur)
                 if value > best[0]:
-                    best = (value, "go on", kept, left, 0)
+                    best = (value, "go on", followed, left, 0)
         if subset != table.full and self.grammar.terminal[state]:
             value = DOUBLE + float(table.part[subset].interior[state])
             if value >= best[0]:

@@ -244,10 +244,10 @@ def segments_of_unnamed(tree: AirwayTree) -> dict[int, frozenset[str]]:
             continue
         keys = read.grammar.segments[state]
         names = {"LB1+2" if key in {"LB1", "LB2"} else key for key in keys if not key.endswith("*")}
-        told = frozenset(_on_patient_side(name, mirrored=read.mirrored) for name in names)
+        sided = frozenset(_on_patient_side(name, mirrored=read.mirrored) for name in names)
         for piece in bronchus.pieces:
             if tree.branches[piece].name is None:
-                found[tree.branches[piece].id] = told
+                found[tree.branches[piece].id] = sided
     return found
 
 
@@ -612,8 +612,8 @@ def _lobes_of(read: _Named) -> dict[int, str | None]:
         elif bronchus.parent is not None:
             own[number] = own[bronchus.parent]
         lobe = own[number]
-        told = None if lobe is None else _on_patient_side(lobe, mirrored=read.mirrored)
+        sided = None if lobe is None else _on_patient_side(lobe, mirrored=read.mirrored)
         # Twigs and stubs below get this lobe first; bronchi below come later and overwrite it.
         for piece in (*bronchus.pieces, *bronchus.below):
-            found[piece] = told
+            found[piece] = sided
     return found

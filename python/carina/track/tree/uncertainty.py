@@ -36,7 +36,7 @@ NEAR_JUDGED_MM = 2.0
 WALL_WEIGHT = 0.2
 """Weight of the log odds of a branch's walls relative to the log odds of the path along the branch."""
 SUREST_WALLS, SUREST_WAY = 0.99, 0.995
-MAX_OF_ONE = 0.94
+MAX_COMBINED = 0.94
 """Highest combined confidence of path and walls, unless both alone are more certain."""
 # Walls are means of three sections and of neighbouring steps, so their noise grows more slowly than that of a voxel. Up
 # to this noise, on which AIRWAY_SHARE was fitted, the noise of a voxel is used.
@@ -286,7 +286,7 @@ def with_path_probability(branch: Branch, judged: NDArray[np.float64]) -> Branch
     way = min(float(np.median(judged[off_mm.argmin(axis=1)[is_near], 3])), SUREST_WAY)
     walls = min(max(branch.confidence, 1.0 - SUREST_WALLS), SUREST_WALLS)
     odds = way / (1.0 - way) * (walls / (1.0 - walls)) ** WALL_WEIGHT
-    confidence = max(min(odds / (1.0 + odds), MAX_OF_ONE), min(way, branch.confidence))
+    confidence = max(min(odds / (1.0 + odds), MAX_COMBINED), min(way, branch.confidence))
     return dataclasses.replace(branch, confidence=round(confidence, 3))
 
 
