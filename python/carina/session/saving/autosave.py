@@ -603,7 +603,7 @@ class Autosave(CommandHandlers):
         Called with the session locked.
         """
         saver = self._saver
-        if saver is not None and isinstance(event, Changed) and self.core.case is saver.case and not saver.is_telling:
+        if saver is not None and isinstance(event, Changed) and self.core.case is saver.case and not saver.is_reporting:
             saver.changed(event.topics)
 
     def write_now(self) -> bool:
@@ -717,7 +717,7 @@ class Autosave(CommandHandlers):
             try:
                 saved = saver.save_to(path, replace=command.replace and (not is_known or saver.has_conflict))
             except NamedFileConflictError as conflict:
-                saver.tell_conflict(conflict)
+                saver.show_conflict(conflict)
                 raise
             except OSError as error:
                 raise disk_trouble(error, "cannot save the case to", path) from error

@@ -27,7 +27,7 @@ BEYOND_END_MM = 3.0
 # Range in HU of the soft tissue that fills a bronchus.
 TISSUE_HU = (-150.0, 200.0)
 BLUR_MM = 3.0
-"""Largest distance in mm from the wall of the end at which the soft tissue of a filling begins."""
+"""Largest distance in mm, caused by blur, between the end of the air and the first sample of soft tissue beyond it."""
 MIN_TISSUE_MM, MIN_TISSUE_WIDTHS, MIN_TISSUE_SLICES = 6.0, 1.2, 3.0
 """Least length of soft tissue that fills a bronchus, in mm, in lumen widths and in slices.
 

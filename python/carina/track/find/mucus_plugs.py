@@ -23,7 +23,6 @@ from carina.volume.model import Volume
 Points = NDArray[np.float64]
 Floats = NDArray[np.float64]
 
-# Limits for air and lung.
 DARKEST_HU = -930.0
 """Upper limit in HU of air in an island (air that no path reaches): half-way between air and lung."""
 MIN_RISE_HU = 150.0
