@@ -17,7 +17,7 @@ from carina.commands import OpenPath
 from carina.errors import CancelledError, NoResultError, VolumeImportError
 from carina.plan.routes.main_carina import axes_origin
 from carina.session import Parts, Session
-from carina.track import AirwayTree, Branch, TrackedPath
+from carina.track import Airways, AirwayTree, Branch, TrackedPath, edit_airways
 from carina.volume import Note, SeriesInfo, Volume, VolumeSource
 
 SPACING_MM = (1.5, 1.75, 2.0)
@@ -354,3 +354,14 @@ def session_fixture(*, store: Any = None, **replaced: Any) -> SessionFixture:
     events: list[Any] = []
     session.subscribe(events.append)
     return SessionFixture(session, background, clock, events, renderers)
+
+
+def edit_session_fixture(volume: Volume, airways: Airways) -> SessionFixture:
+    """Return a session that has opened a volume with these airways and makes real edits of them."""
+    made = session_fixture(
+        open_volume=lambda _path, _progress, _cancel: volume,
+        find_airways=lambda _volume, **_options: airways,
+        edit_airways=edit_airways,
+    )
+    made.open()
+    return made

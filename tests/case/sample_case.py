@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -217,6 +218,27 @@ def act(active_case: ActiveCase, name: str, number: Any) -> None:
         getattr(active_case, name)(number)
     else:
         active_case.edit(name, number)
+
+
+def save_steps(file: CaseFile, active_case: ActiveCase, names: Sequence[str]) -> None:
+    """Make the named changes, with numbers from a fixed seed, and save the case after each change."""
+    rng = np.random.default_rng(11)
+    for name in names:
+        act(active_case, name, lambda n: int(rng.integers(n)))
+        file.save(active_case.moment())
+
+
+def load_lazy_parts(moment: Moment, documents: Sequence[Document], case: EditCase) -> None:
+    """Load the parts of a case state that are read at first use: airways, frames of routes, and measures."""
+    for document in documents:
+        if document.airways is not None:
+            whole(document.airways, case)
+        for route in (document.route, *(target.route for target in document.targets)):
+            if route is not None:
+                _ = route.frames
+    for _, measures in moment.measures:
+        assert isinstance(measures, StoredMeasures)
+        measures.load()
 
 
 def assert_same_route(found: ChosenRoute | None, expected: ChosenRoute | None) -> None:

@@ -17,9 +17,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mutated_case import Mutator
-from sample_case import ActiveCase, act, assert_same_moment, source_of, whole
+from sample_case import ActiveCase, assert_same_moment, load_lazy_parts, save_steps, source_of
 
-from carina.case import CaseFile, StoredMeasures, Target
+from carina.case import CaseFile, Target
 from carina.case.bounds import MAX_LABEL_CHARS, MAX_S
 from carina.case.document import Lesion
 from carina.case.routes import path_move
@@ -46,11 +46,9 @@ def saved_case(tmp_path_factory):
     """Return a case with all kinds of content, and its file."""
     path = tmp_path_factory.mktemp("made") / "one.carina"
     active_case = ActiveCase()
-    rng = np.random.default_rng(11)
+    steps = ("target", "measure", "cut", "measure", "key", "paint", "look", "undo", "redo", "gaze")
     with CaseFile.create(path, source_of(active_case.case)) as file:
-        for name in ("target", "measure", "cut", "measure", "key", "paint", "look", "undo", "redo", "gaze"):
-            act(active_case, name, lambda n: int(rng.integers(n)))
-            file.save(active_case.moment())
+        save_steps(file, active_case, steps)
         middle = tuple(float(v) for v in active_case.case.volume.centre_lps)
         nodule = sphere(active_case.case.volume, middle, 8.0)
         lesion = Lesion(PlanTarget("target-2", "nodule", nodule, middle, "sphere", "lung"))
@@ -92,14 +90,7 @@ def opened(path, active_case, again):
     assert all(0.0 <= step.at_s <= MAX_S and len(step.label) <= MAX_LABEL_CHARS for step in history)
     assert all(math.isfinite(one.begun_s + one.length_s) for one in recordings)
     document = moment.history().current
-    if document.airways is not None:
-        whole(document.airways, active_case.case)
-    for route in (document.route, *(target.route for target in document.targets)):
-        if route is not None:
-            _ = route.frames
-    for _, measures in moment.measures:
-        assert isinstance(measures, StoredMeasures)
-        measures.load()
+    load_lazy_parts(moment, [document], active_case.case)
     # Set the pose and the path as a session does.
     pilot = Pilot(Navigator(Pose.looking((0.0, 0.0, 0.0), (0.0, 0.0, -1.0)), volume=volume))
     pilot.apply(path_move(None if document.airways is None else document.airways.tree, document.route))

@@ -9,13 +9,12 @@ import stat
 import zlib
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from sample_case import ActiveCase, act, assert_same_moment, source_of, whole
+from sample_case import ActiveCase, assert_same_moment, load_lazy_parts, save_steps, source_of
 
-from carina.case import CaseFile, CaseFileError, StoredMeasures, migrate, rescued
+from carina.case import CaseFile, CaseFileError, migrate, rescued
 from carina.case.file import migrate_live
 from carina.errors import CarinaError
 
@@ -25,11 +24,8 @@ def saved_case(tmp_path_factory):
     """Return a case with all kinds of content, and its file."""
     path = tmp_path_factory.mktemp("made") / "one.carina"
     active_case = ActiveCase()
-    rng = np.random.default_rng(11)
     with CaseFile.create(path, source_of(active_case.case)) as file:
-        for name in ("target", "measure", "cut", "measure", "key", "paint", "look", "undo"):
-            act(active_case, name, lambda n: int(rng.integers(n)))
-            file.save(active_case.moment())
+        save_steps(file, active_case, ("target", "measure", "cut", "measure", "key", "paint", "look", "undo"))
         with file.record("flight", begun_s=1.0) as recording:
             recording.write('{"format":"carina-recording","version":1}\n{"t":0.5,"view":{}}\n{"end":0.5}\n')
     return active_case, path
@@ -53,15 +49,7 @@ def looked_through(path, active_case):
     with CaseFile.open(path, read_only=True) as file:
         file.history()
         moment = file.load(active_case.case.volume)
-        for document in moment.history().documents():
-            if document.airways is not None:
-                whole(document.airways, active_case.case)
-            for route in (document.route, *(target.route for target in document.targets)):
-                if route is not None:
-                    _ = route.frames
-        for _, measures in moment.measures:
-            assert isinstance(measures, StoredMeasures)
-            measures.load()
+        load_lazy_parts(moment, moment.history().documents(), active_case.case)
         for facts in file.recordings():
             file.recording(facts.recording_id)
 

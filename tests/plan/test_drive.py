@@ -215,9 +215,9 @@ def test_drive_and_plan_measure_the_same_distance_along_centrelines() -> None:
     way = DriveWay(tree, planned, wall)
     # The smoothed route and the centreline must differ in length, or the test would pass without need.
     assert planned.along_mm - way.park_mm > 3.0
-    assert way.told_mm(way.park_mm) == pytest.approx(planned.along_mm)
-    assert [way.told_mm(mm) for mm in way.forks_mm] == pytest.approx([tree.root.length_mm])
-    assert way.told_mm(way.length_mm) == pytest.approx(sum(branch.length_mm for branch in tree.branches))
+    assert way.from_origin_mm(way.park_mm) == pytest.approx(planned.along_mm)
+    assert [way.from_origin_mm(mm) for mm in way.forks_mm] == pytest.approx([tree.root.length_mm])
+    assert way.from_origin_mm(way.length_mm) == pytest.approx(sum(branch.length_mm for branch in tree.branches))
     text = length_check(way, slim, 150.0).words
     assert text.startswith(f"needs a working length of {planned.along_mm + 150.0:.0f} mm")
     text = length_check(way, slim, None).words
@@ -225,7 +225,7 @@ def test_drive_and_plan_measure_the_same_distance_along_centrelines() -> None:
     # Past a main carina, distances and depths are measured from the carina.
     past = dataclasses.replace(planned, origin=DistanceOrigin("ridge", along_mm=30.0, axes_mm=21.0))
     from_carina = DriveWay(tree, past, wall)
-    assert from_carina.told_mm(way.park_mm) == pytest.approx(past.from_carina_mm)
+    assert from_carina.from_origin_mm(way.park_mm) == pytest.approx(past.from_carina_mm)
     text = length_check(from_carina, slim, 270.0).words
     assert text.startswith(f"needs a working length of {past.from_carina_mm + 270.0:.0f} mm")
     text = length_check(from_carina, slim, None).words

@@ -40,7 +40,7 @@ def page_of(window, wanted=lambda page: page is not None):
 def sharing(tmp_path, monkeypatch, *, path="case", **replaced):
     """Provide the user's window of a workstation on which a case and the page for observers are open."""
     # The time limit is long, so that observers read the close reason even on a busy machine.
-    monkeypatch.setattr("carina.server.observers.page.FAREWELL_S", 60.0)
+    monkeypatch.setattr("carina.server.observers.page.CLOSE_TIMEOUT_S", 60.0)
     # Server and client share one process, so a connection's first request may be late while a case is opened.
     monkeypatch.setattr("carina.server.network.request_timeouts.FIRST_REQUEST_WITHIN_S", 60.0)
     monkeypatch.setattr("carina.server.network.lan_server.HANDSHAKE_WITHIN_S", 60.0)

@@ -26,7 +26,7 @@ from carina.track import (
     find_airways,
     rebuild_airways,
 )
-from small_case import session_fixture
+from small_case import edit_session_fixture, session_fixture
 
 
 def point(values):
@@ -41,12 +41,7 @@ def case():
 @pytest.fixture
 def fixture(case):
     """Return a session with the small drawn tree, real airways and real edits, whose background the test runs."""
-    made = session_fixture(
-        open_volume=lambda _path, _progress, _cancel: case.volume,
-        find_airways=lambda _volume, **_options: case.airways,
-        edit_airways=edit_airways,
-    )
-    made.open()
+    made = edit_session_fixture(case.volume, case.airways)
     made.events.clear()
     return made
 

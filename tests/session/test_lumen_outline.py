@@ -13,8 +13,8 @@ from carina.scopes import Pose
 from carina.server.frames.pump import FramePump
 from carina.server.wire.messages import parse_picture, split_outline
 from carina.session.flights.tip_commands import place_pose
-from carina.track import LumenOutline, PaintLumen, RenameBranch, edit_airways
-from small_case import session_fixture
+from carina.track import LumenOutline, PaintLumen, RenameBranch
+from small_case import edit_session_fixture
 
 PLANES = ("axial", "coronal", "sagittal", "cut-plane")
 
@@ -27,13 +27,7 @@ def case():
 @pytest.fixture
 def fixture(case):
     """Return a session with the small drawn tree, real airways and real edits, whose background the test runs."""
-    made = session_fixture(
-        open_volume=lambda _path, _progress, _cancel: case.volume,
-        find_airways=lambda _volume, **_options: case.airways,
-        edit_airways=edit_airways,
-    )
-    made.open()
-    return made
+    return edit_session_fixture(case.volume, case.airways)
 
 
 def lines_of(session, view, case):

@@ -6,6 +6,7 @@ use std::collections::BinaryHeap;
 use carina_grid::length;
 
 use crate::graph::NO_NODE;
+use crate::ordered_cost::OrderedCost;
 use crate::{TrackError, Watch};
 
 /// Least-cost path through a box of voxels.
@@ -49,9 +50,9 @@ pub fn cheapest_way(
     let mut before = vec![NO_NODE; nx * ny * nz];
     let mut open = BinaryHeap::new();
     least[index(start)] = 0.0;
-    open.push(Reverse((Ordered(0.0), index(start) as u32)));
+    open.push(Reverse((OrderedCost(0.0), index(start) as u32)));
     let mut num_popped = 0usize;
-    while let Some(Reverse((Ordered(here), at))) = open.pop() {
+    while let Some(Reverse((OrderedCost(here), at))) = open.pop() {
         let at = at as usize;
         if here > least[at] {
             continue;
@@ -88,27 +89,9 @@ pub fn cheapest_way(
             if through < least[next] {
                 least[next] = through;
                 before[next] = at as u32;
-                open.push(Reverse((Ordered(through), next as u32)));
+                open.push(Reverse((OrderedCost(through), next as u32)));
             }
         }
     }
     Ok(None)
-}
-
-/// Finite path cost with a total order.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Ordered(f64);
-
-impl Eq for Ordered {}
-
-impl PartialOrd for Ordered {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for Ordered {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        self.0.total_cmp(&other.0)
-    }
 }

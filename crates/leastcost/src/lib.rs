@@ -6,8 +6,8 @@
 //! `isoregion_graph` are the graph and the cost as printed in the paper, for the same tracker; `graph_tracker` combines
 //! every cost with every graph. `field_tracker` grows the same kind of tree in a whole volume of weights, without a
 //! graph in memory; `field_aim` finds one path in such a volume, `field_sweep` the least costs of all its voxels.
-//! `cheapest_way` finds one path in a small box of weights. `distance` and `cubic_distance` are exact distance
-//! transforms.
+//! `cheapest_way` finds one path in a small box of weights. `ordered_cost` is the key of a queue of paths. `distance`
+//! and `cubic_distance` are exact distance transforms.
 //!
 //! This crate contains no anatomy; `carina-airpath` is based on it.
 
@@ -32,6 +32,7 @@ pub mod graph_tracker;
 pub mod isoregion_graph;
 pub mod lumen;
 pub mod lumen_edit;
+pub mod ordered_cost;
 pub mod paper_cost;
 pub mod tracker;
 mod voxel_set;

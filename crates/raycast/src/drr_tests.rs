@@ -107,8 +107,8 @@ fn a_box_of_water_gives_the_length_of_each_ray_in_it() {
 
 #[test]
 fn ellipsoids_of_water_and_bone_give_their_chords() {
-    // The object is water (0 HU) in air, with a kernel of 700 HU. The chords follow from the quadratic equation; above
-    // 100 HU bone attenuates twice as much per HU.
+    // The object is an ellipsoid of water (0 HU) in air that contains a smaller ellipsoid of bone (700 HU). The chords
+    // follow from the quadratic equation; above 100 HU bone attenuates twice as much per HU.
     let n = 96usize;
     let grid = Grid::new(
         [n, n, n],

@@ -13,7 +13,7 @@ MAX_FOUND_CHARS = 120
 class CaseFileError(VolumeImportError):
     """Error for a case file that cannot be opened; the message names the file and a remedy.
 
-    ``code`` is ``case.not-a-case``, ``case.newer``, ``case.older``, ``case.damage_error``, ``case.other-scan``,
+    ``code`` is ``case.not-a-case``, ``case.newer``, ``case.older``, ``case.damaged``, ``case.other-scan``,
     ``case.empty``, ``case.read-only``, ``case.closed`` or ``case.sqlite``.
     """
 

@@ -700,7 +700,7 @@ app.add_typer(case, name="case")
 app.add_typer(cluster, name="cluster")
 
 
-# Its verbs, options and help are the benchmarks' own: everything after ``bench`` is handed on, ``--help`` too.
+# The package of benchmarks parses all arguments after ``bench``, also ``--help``.
 @app.command(
     "bench",
     add_help_option=False,
@@ -714,7 +714,7 @@ def bench(context: typer.Context) -> None:
 
 
 USAGE_ERROR: Any = typer.BadParameter.__base__
-"""Root of what typer itself refuses: unknown options, missing arguments, values of the wrong type."""
+"""Base class of the errors that typer raises: unknown options, missing arguments, values of the wrong type."""
 
 
 def main() -> None:

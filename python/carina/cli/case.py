@@ -167,7 +167,7 @@ def forget(wanted: str, *, yes: bool, as_json: bool) -> int:
         raise DiskError("the case was removed from the list, but its folder could not be removed; try again later")
     if record.place is not None:
         LocalStore(load_settings().config_dir).forget(record.place)
-    # Another case of the same CT still needs the cached CT.
+    # The cached CT is not deleted while another case of the same CT needs it.
     freed = 0 if others else cache.forget(record.digest)
     if as_json:
         print_json({"id": record.case_id, "bytes": size, "cache_bytes": freed, "copy": record.copy_path})

@@ -31,6 +31,6 @@ class RateMeter:
 
     @property
     def median_s(self) -> float | None:
-        """Median of the last durations in seconds; None without any."""
+        """Median of the last durations in seconds; None before the first event."""
         spans = sorted(self._spans)
         return spans[len(spans) // 2] if spans else None

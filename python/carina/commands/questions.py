@@ -38,7 +38,7 @@ class LivePathTo(Query[Any], frozen=True):
 
 
 class MarkAt(Query[Any], frozen=True):
-    """What ``AddTarget`` with the cost ``lumen`` would mark at a point under the cursor.
+    """Result of ``AddTarget`` with the cost ``lumen`` at a point under the cursor, without adding a target.
 
     The answer is a :class:`carina.session.targets.routing.Mark`. A newer question of this kind ends the search for an
     earlier one, which then raises CancelledError.

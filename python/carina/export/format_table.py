@@ -38,7 +38,7 @@ class ExportFormat:
     kind: ExportKind
     """Contents of the file: the surface or the mask of the lumen, or the tree."""
     words: str
-    """Programs that read the format, for the user who selects one."""
+    """Description in the format list: the programs that read the format, or its contents."""
     write: Callable[..., Path]
     """Function that writes the file; its arguments are the path, then a mesh, a mask and its volume, or a tree."""
 

@@ -32,9 +32,9 @@ from carina.track import AirwayTree
 
 DEFAULT_PORT: Final = 18944
 LOOPBACK: Final = "127.0.0.1"
-PATIENCE_S: Final = 5.0
+SEND_TIMEOUT_S: Final = 5.0
 """Timeout in s for a connection, and for sending each message."""
-FAREWELL_S: Final = 2.0
+CLOSE_TIMEOUT_S: Final = 2.0
 """Time in s for a server to close the connection after the last message."""
 WAKE_S: Final = 0.1
 MAX_PEERS: Final = 8
@@ -155,13 +155,13 @@ def send_plan(
     messages = plan_messages(plan, tree, space=space, version=version, time_s=time.time())
     where = f"{host}:{port}"
     try:
-        with socket.create_connection((host, port), timeout=PATIENCE_S) as connection:
+        with socket.create_connection((host, port), timeout=SEND_TIMEOUT_S) as connection:
             for one in messages:
                 connection.sendall(one)
             # Messages in transit are lost if a connection is closed with unread data, so the server's data is read
             # first.
             connection.shutdown(socket.SHUT_WR)
-            connection.settimeout(FAREWELL_S)
+            connection.settimeout(CLOSE_TIMEOUT_S)
             with contextlib.suppress(TimeoutError):
                 while connection.recv(CHUNK):
                     pass
@@ -173,7 +173,7 @@ def send_plan(
         ) from error
     except TimeoutError as error:
         raise CarinaError(
-            f"sending the plan to {where}: no answer within {PATIENCE_S:g} s; check the address and the firewall",
+            f"sending the plan to {where}: no answer within {SEND_TIMEOUT_S:g} s; check the address and the firewall",
             code="plan.igtl",
         ) from error
     except OSError as error:
@@ -307,7 +307,7 @@ class PlanServer:
         stream = IgtlStream()
         try:
             with peer:
-                peer.settimeout(PATIENCE_S)
+                peer.settimeout(SEND_TIMEOUT_S)
                 for one in self._messages:
                     peer.sendall(one)
                 peer.settimeout(None)
@@ -324,7 +324,7 @@ class PlanServer:
 
     def _answer_request(self, peer: socket.socket, request: IgtlRequest) -> None:
         """Send the messages of the requested type, limited to the requested name if there is one."""
-        peer.settimeout(PATIENCE_S)
+        peer.settimeout(SEND_TIMEOUT_S)
         kind = request.what.removeprefix("GET_").encode()
         for one in self._messages:
             named = one[14:34].rstrip(b"\0").decode("ascii")

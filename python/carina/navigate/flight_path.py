@@ -247,7 +247,7 @@ class FlightPath:
 
         The path's end if there is none.
         """
-        # Tolerance 0.01 mm: from a look-out, the following look-out is returned in spite of rounding.
+        # The tolerance of 0.01 mm ensures that the following look-out is returned at a look-out, despite rounding.
         return next((f for f in self._lookouts_mm if f > path_mm + 0.01), self.length_mm)
 
     @check_arguments(path_mm=number_from(-COORDINATE_MM, COORDINATE_MM, unit="mm"))

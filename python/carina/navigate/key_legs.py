@@ -27,8 +27,7 @@ BEND_RAD = math.radians(40.0)
 # Half the length of the airway over which the direction of the camera is averaged, so that the camera turns smoothly
 # into a fork.
 LOOK_MM = 8.0
-# The path moves from a key frame beside the centreline to the centreline over four times their distance, and over at
-# least EASE_MM.
+# The path moves from a key frame to the centreline over four times their distance, and over at least EASE_MM.
 EASE, EASE_MM = 4.0, 4.0
 # Largest distance of the rounded path from the corner of the centrelines at a fork, where both lumens are one.
 ROUND_MM = 1.0
@@ -187,7 +186,11 @@ def _through_space(n: int, at: Points, poses: Sequence[Points], airways: Sequenc
     knot = math.sqrt(length)
 
     def slope(beyond: int, leg_beyond: int, tangent_at: int) -> Points:
-        """Return the slope of a leg at one end, per knot interval, from the next key frame or the adjoining airway."""
+        """Return the slope of the curve at one end of a leg, per knot interval.
+
+        ``beyond`` is the next key frame outside the leg, and ``leg_beyond`` the leg to it. If that leg follows an
+        airway, its tangent at index ``tangent_at`` gives the slope.
+        """
         if 0 <= leg_beyond < len(airways):
             airway = airways[leg_beyond]
             if airway is not None:
@@ -209,7 +212,7 @@ def _through_space(n: int, at: Points, poses: Sequence[Points], airways: Sequenc
 
 
 def _leg_along_airway(way: AirwayWay, start: Points, end: Points) -> Leg | None:
-    """Return the leg along the airways' centreline; None if there is hardly any airway between the key frames."""
+    """Return the leg along the airways' centreline; None if the airway between the key frames is too short."""
     given_mm = _cumulative(way.points_lps)
     if given_mm[-1] <= STAND_MM:
         return None

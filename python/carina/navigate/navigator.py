@@ -29,8 +29,8 @@ Mode = Literal["free", "path", "scope"]
 OperatorPosition = Literal["head", "facing"]
 Limit = Literal["none", "volume", "path start", "path end"]
 
-# Largest distance from the path at which the tip joins it without a jump and converges on it. The trachea's radius is
-# some 9 mm; from farther away the transition would pass through tissue.
+# Largest distance in mm at which the tip joins the path gradually. The trachea's radius is about 9 mm; from farther
+# away the transition would pass through tissue.
 JOIN_MM = 10.0
 MM = bounded(COORDINATE_MM, unit="mm")
 RAD = bounded(1e6, unit="rad")
@@ -154,7 +154,7 @@ class Navigator:
 
     @property
     def flexion_range_rad(self) -> tuple[float, float] | None:
-        """Flexion limits of the lever in radians, down (below 0) and up, in mode *scope*; None in the other modes."""
+        """Limits of the scope's flexion in radians, down (below 0) and up, in mode *scope*; None in other modes."""
         return self._drive.flexion_range_rad if self._mode == "scope" and self._drive is not None else None
 
     @property

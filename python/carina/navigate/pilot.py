@@ -37,7 +37,7 @@ STALE_S = 0.25
 MAX_FRAME_S = 0.1
 # A branch other than the route's is chosen only if it is nearer to the aim by this angle.
 FORK_MARGIN_RAD = math.radians(10.0)
-# Hand movement in mm that a radian of rotation counts for when an offset decreases: the length of a pen.
+# Hand movement in mm that counts as equal to a rotation by one radian, about the length of a pen.
 HAND_MM_PER_RAD = 100.0
 MM3 = NDArray[np.float64]
 Tool = Literal["root", "start", "target"]
@@ -138,8 +138,7 @@ class Pilot:
         self._marks: list[tuple[str, Tool]] = []
         self._frame_s: float | None = None
         self._passed_s = 0.0
-        # The sample that the tip followed in the last frame; after None the tip starts from the next sample without a
-        # jump.
+        # Sample that the tip followed in the last frame. After None the tip starts from the next sample without a jump.
         self._followed: tuple[str, Sample] | None = None
         # In absolute: pose = registered pen * turn, shifted.
         self._off_turn = np.eye(3)

@@ -19,7 +19,7 @@ LIBRARIES = ("cryptography", "segno")
 
 
 class PhoneSwitch:
-    """Switch for the phone page; implements the interface ``server.device_desk.Phone``.
+    """Switch for the phone page; implements the interface ``carina.server.devices.Phone``.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class PhoneSwitch:
 
     @property
     def problem(self) -> str | None:
-        """Message that says why the phone page cannot be started, or None."""
+        """Reason why the phone page cannot be started, as a message for the user; None if it can."""
         if self._web is None or not (self._web / "phone.html").is_file():
             return not_built("the phone page")
         if any(importlib.util.find_spec(name) is None for name in LIBRARIES):

@@ -40,19 +40,12 @@ from carina.plan.turns.flight import turn_flight
 from carina.plan.turns.from_route import turn_list
 from carina.plan.turns.pictures import TurnPicture, turn_pictures
 from carina.plan.turns.turn_list import OtherWay, Turn, TurnList
+from carina.plan.verdict.checks import Check
 from carina.plan.verdict.drive import DrivenRoute, moves_between, replay_moves
 from carina.plan.verdict.drive_flight import drive_flight
 from carina.plan.verdict.drive_search import condense_drive, place_at_start, search_drive
-from carina.plan.verdict.verdict import (
-    Check,
-    Outcome,
-    Verdict,
-    judge_pairs,
-    judge_scope,
-    judge_scopes,
-    needle_to_target_mm,
-    pairs_in_order,
-)
+from carina.plan.verdict.judge_scopes import judge_pairs, judge_scope, judge_scopes, pairs_in_order
+from carina.plan.verdict.verdict import Outcome, Verdict, needle_to_target_mm
 
 if TYPE_CHECKING:
     from carina.plan.targets.from_file import target_from_file

@@ -26,16 +26,16 @@ MAX_PRIMARY_DEG, MAX_SECONDARY_DEG = 60, 30
 """Largest LAO or RAO, and cranial or caudal, angle that is searched, in degrees (common knowledge)."""
 STEP_DEG = 5
 MIN_CLEAR_MM = 3.0
-"""Least distance in mm, at the scale of the isocentre, between target or tip and a shadow."""
+"""Least distance in mm, at the scale of the isocentre, between target or tip and the shadow of spine or mediastinum."""
 MAX_TILT_DEG = 30.0
-"""Largest angle in degrees between the last branch and the picture; the branch then has 87 % of its length."""
+"""Largest angle in degrees between the last branch and the image plane; at 30, 87 % of its length is visible."""
 ENOUGH_MM = 15.0
-"""Distance in mm from the shadows beyond which a larger one is not better."""
+"""Distance in mm from the shadows above which a larger distance does not improve the rank."""
 APART_DEG = 15.0
-"""Least distance in degrees between two proposed angles."""
+"""Least difference in degrees between two proposed positions of the C-arm."""
 MAX_ANGLES = 3
 LAST_MM = 20.0
-"""Length in mm of the last branch, before the tip, whose direction counts."""
+"""Length in mm before the tip over which the direction of the last branch is measured."""
 
 GRID_MM = 3.0
 HALF_DIAGONAL_MM = 0.5 * 3.0**0.5 * GRID_MM
@@ -43,7 +43,7 @@ BONE_HU = 150.0
 SPINE_HALF_MM = 35.0
 """Half the width in mm of the spine with its transverse processes."""
 LEFT_MM, RIGHT_MM = 95.0, 55.0
-"""Largest distances in mm of the heart's borders from the spine, so that the domes of the diaphragm do not count."""
+"""Largest distances in mm of mediastinum from the spine, left and right; tissue beyond may be diaphragm."""
 AROUND_TARGET_MM = 4.0
 """Distance in mm from the target within which tissue belongs to the target and its blurred edge."""
 
@@ -66,11 +66,11 @@ class CArmAngle:
     secondary_deg: float
     """Rotation of the detector towards the head (cranial, above 0) or the feet (caudal, below 0), degrees."""
     target_clear_mm: float
-    """Distance in mm from the target's outline to the nearest shadow, at the scale of the isocentre; below 0 inside."""
+    """Distance in mm at the isocentre from the target's outline to the nearest shadow; below 0 inside it."""
     tip_clear_mm: float
     """Distance in mm from the scope's tip to the nearest shadow; below 0 inside it."""
     tilt_deg: float
-    """Angle in degrees between the last branch and the picture; 0 if the branch is seen in its full length."""
+    """Angle in degrees between the last branch and the image plane; 0 if the branch is visible in its full length."""
 
     @property
     def name(self) -> str:
@@ -116,7 +116,7 @@ class CArmAngles:
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """Positions or the reason, and notes, a text for each."""
+        """Texts for the user: the positions, or the reason why none suits, then the notes."""
         return (*((self.why,) if self.why is not None else ()), *(one.words for one in self.angles), *self.notes)
 
     def to_json(self) -> dict[str, Any]:
@@ -144,7 +144,7 @@ class ShadowParts:
 
 
 def carm_words(primary_deg: float, secondary_deg: float) -> str:
-    """Return the position of a C-arm as text.
+    """Return the angles of a C-arm as text, such as *LAO 30°, cranial 10°*.
 
     Examples
     --------
@@ -244,7 +244,7 @@ def carm_angles(
 
 
 def _order(one: CArmAngle) -> tuple[float, ...]:
-    """Return the sort key of positions: clearance up to 15 mm times the visible length, then the smallest angles."""
+    """Return the sort key of a position: clearance up to 15 mm times visible share of the branch, then small angles."""
     clear = min(one.target_clear_mm, one.tip_clear_mm, ENOUGH_MM)
     value = clear * float(np.cos(np.radians(one.tilt_deg)))
     return -round(value, 1), abs(one.primary_deg) + abs(one.secondary_deg), one.primary_deg, one.secondary_deg
@@ -383,7 +383,7 @@ def _spine(box: Box, tree: AirwayTree) -> tuple[Mask, Points]:
     for k, flat in enumerate(bone):
         columns = flat.sum(axis=0).astype(np.float64)
         if columns.sum() >= 10:
-            # The median, so that a single rib does not shift the middle.
+            # The median is used, so that a single rib does not shift the middle.
             middles[k] = float(x[np.searchsorted(np.cumsum(columns), 0.5 * columns.sum())])
     for k in range(len(z)):
         around = middles[max(k - 8, 0) : k + 9]
@@ -395,7 +395,7 @@ def _spine(box: Box, tree: AirwayTree) -> tuple[Mask, Points]:
 
 
 def _places(box: Box, mask: Mask) -> Points:
-    """Return the voxels on the surface of a mask: their shadow is that of the whole mask."""
+    """Return the surface voxels of a mask as points; their shadow is that of the whole mask."""
     padded = np.pad(mask, 1)
     inside = mask.copy()
     for axis in range(3):

@@ -28,21 +28,21 @@ EBUS_LIMITS = (
 )
 
 TRACHEA_MM = 15.0
-"""Distance above the main carina for station 4R: second to fourth space between cartilages.
+"""Distance in mm above the main carina at which station 4R is examined (site 3 on Wang's map for needles).
 
-The place is Wang 3 on Wang's map for needles; the distance is common knowledge.
+It corresponds to the second to fourth space between cartilages; the distance is common knowledge.
 """
 TRACHEA_LEFT_MM = 6.0
-"""Distance above the main carina for station 4L: first or second space between cartilages (common knowledge).
+"""Distance in mm above the main carina at which station 4L is examined (site 4 on Wang's map for needles).
 
-The place is Wang 4 on Wang's map for needles.
+It corresponds to the first or second space between cartilages; the distance is common knowledge.
 """
 MAIN_SHARE = 0.6
 """Position at which stations 7 and 10 are examined, as a share of the length of a main bronchus."""
 BEYOND_MM = 4.0
 """Distance in mm beyond a fork, in the branch that goes on downwards, at which station 11 is examined."""
 ANGLE_MM = 10.0
-"""Distance in mm along both bronchi of a fork to two points; the point between them is in the angle of the fork."""
+"""Distance in mm along both bronchi of a fork to two points, between which the angle of the fork is aimed at."""
 AXIS_MM = 3.0
 """Distance in mm to both sides of a point over which the direction of a bronchus is measured."""
 
@@ -79,7 +79,7 @@ class Landmark:
     None if the tree lacks the airways that define the landmark.
     """
     point_lps: tuple[float, float, float] | None
-    """Point on the centreline of the airway from which the station is examined, LPS mm; None without a place."""
+    """Point on the centreline of the airway from which the station is examined, LPS mm; None without this airway."""
     from_carina_mm: float | None
     """Distance of the point from the main carina along the airways, mm; below 0 if the point is above the carina.
 
@@ -90,7 +90,7 @@ class Landmark:
     clock_head: float | None
     """Clock hour in the levelled picture of an operator at the patient's head, 0 < hours <= 12; error about 1 hour."""
     clock_facing: float | None
-    """Clock hour of the station for an operator who faces the patient, 0 < hours <= 12; None without a place."""
+    """Clock hour of the station for an operator who faces the patient, 0 < hours <= 12; None without this airway."""
     direction_basis: DirectionBasis
     borders: str
     """Anatomical borders of the station on the IASLC map, as text."""
@@ -120,7 +120,7 @@ class Landmark:
 def ebus_landmarks(tree: AirwayTree, *, origin: DistanceOrigin | None = None) -> tuple[Landmark, ...]:
     """Return the landmarks of the stations 4R, 4L, 7, 10 and 11 in the airways, from the trachea outwards.
 
-    A station whose airways are missing in the tree is returned without a place; the usual anatomy is never assumed.
+    A station whose airways are missing in the tree is returned without a point; the usual anatomy is never assumed.
     Station 7 has two landmarks, one in each main bronchus.
 
     Parameters
@@ -272,7 +272,7 @@ class _Finder:
         )
 
     def _absent(self, blank: Landmark, why: str) -> Landmark:
-        return replace(blank, words=f"{blank.station}: no place told; {why}", doubts=self._doubts(()))
+        return replace(blank, words=f"{blank.station}: no landmark; {why}", doubts=self._doubts(()))
 
     def _doubts(self, rests_on: tuple[Branch, ...]) -> tuple[str, ...]:
         found = [_MIRRORED] if self._mirrored else []

@@ -44,7 +44,7 @@ from carina.volume import Volume
 Points = NDArray[np.float64]
 
 NOT, MAY, REACHES = 0, 1, 2
-"""Values of :attr:`ReachAtlas.reach_zyx`: does not reach, may reach, reaches."""
+"""Values of :attr:`ReachAtlas.reach_zyx`: 0 does not reach, 1 may reach, 2 reaches."""
 STEP_MM = 2.0
 """Voxel size of the map in mm, on each axis."""
 APART_MM = 2.0
@@ -57,9 +57,9 @@ TABLE_STEP_MM, TABLE_STEP_DEG, TABLE_MAX_DEG = 0.5, 1.0, 60.0
 """Steps of the table of hit shares, and its largest angle; beyond that angle no needle hits."""
 NUM_ON_LINE = 12
 SIDE_DEG = 35.0
-"""Largest angle in degrees round the airway between the side of the tip and the side of the target."""
+"""Largest angle in degrees, round the airway's axis, between the tip's side and the target's side."""
 MARGIN_DEG = 30.0
-"""Angle by which a needle may be farther from the airway's axis than the direction to the target's centre."""
+"""Angle in degrees by which a needle's direction may exceed that of the target's centre, from the airway's axis."""
 
 
 @one_line
@@ -265,7 +265,7 @@ class _Marks:
         self._shares = shares.reshape(len(distances), len(angles))
 
     def add(self, place: StandingPlace, rank: int) -> None:
-        """Mark the voxels at which a target is reached from a place.
+        """Mark the voxels whose targets the scope reaches from a standing place.
 
         Parameters
         ----------
@@ -281,18 +281,21 @@ class _Marks:
         limit = math.cos(math.radians(min(MAX_ANGLE_DEG + MARGIN_DEG, 180.0)))
         ways = self._sphere[self._sphere @ place.forward >= limit]
         for tip, attained in self._directions.around(place, ways):
-            # Voxels that an earlier tip has reached are not tested again.
+            # Voxels with an equal or better value from an earlier tip are not tested again.
             left = self.reach_zyx[voxels[:, 2], voxels[:, 1], voxels[:, 0]] < REACHES - rank
             voxels, centres = voxels[left], centres[left]
             if not len(voxels):
                 return
             if attained.any():
-                # As in a plan, the tip stands on the side of the target.
+                # The tip is on the side of the airway that faces the target, as in a plan.
                 near = _on_side(centres - place.point_lps, tip - place.point_lps, place.forward)
                 self._mark(voxels[near], centres[near], tip, ways[attained], rank)
 
     def _near(self, place: Points, forward: Points, value: int) -> tuple[NDArray[np.int64], Points]:
-        """Return the lung voxels below ``value`` that a target's centre may have: indices (n, 3) and LPS mm (n, 3)."""
+        """Return the lung voxels with a value below ``value`` that may be centres of targets within reach.
+
+        The result is their indices (n, 3) and their centres (n, 3), LPS mm.
+        """
         middle = (place - self._first_lps) / STEP_MM
         half = self._most_mm / STEP_MM
         size = np.array(self.reach_zyx.shape[::-1])
@@ -348,7 +351,7 @@ class _Marks:
 
 
 def _on_side(off: Points, side: Points, forward: Points) -> NDArray[np.bool_]:
-    """Return whether targets (n, 3) are on the side of a tip; both are offsets from a place of the airway in mm."""
+    """Return whether targets (n, 3) are on a tip's side of the airway; both are offsets from a place in mm."""
     length = float(np.linalg.norm(side))
     if length < 1e-6:
         return np.ones(len(off), dtype=bool)

@@ -15,12 +15,15 @@ from carina.plan.verdict.verdict import Verdict
 from carina.volume.model import Remark
 
 Severity = Literal["stop", "caution"]
-"""Severity of a reason: a ``stop`` speaks against the plan by itself and is shown in red; a ``caution`` limits it."""
+"""Severity of a reason.
+
+A ``stop`` alone speaks against the plan and is shown in red; a ``caution`` is a limitation of the plan.
+"""
 
 BY_HAND = (BRUSHED, RESIZED, SPHERE)
 """Notes of a target whose boundary was drawn by hand."""
 ARRIVES = "if it fits: arrives"
-"""Beginning of the text of a drive that arrives with a thinner substitute: the width is the reason, not the drive."""
+"""Beginning of the text of a verdict whose drive arrives with a thinner substitute; the width is then the reason."""
 TOUCHED = {
     "pleura": "the pleura or mediastinum (the CT does not tell them apart)",
     "vessel": "a vessel",
@@ -141,7 +144,7 @@ def _of_target(plan: Plan) -> _Parts:
 
 
 def _of_airways(route: PlannedRoute) -> _Parts:
-    """Yield the narrowest diameter, doubtful and drawn branches, and a doubtful origin of the distances."""
+    """Yield the reasons of the airways: narrowest diameter, doubtful and drawn branches, doubtful origin."""
     yield "route.narrowest", route.width.place_words, "caution"
     if route.width.why is not None:
         yield "route.narrowest", route.width.why, "stop"
@@ -152,7 +155,7 @@ def _of_airways(route: PlannedRoute) -> _Parts:
 
 
 def _of_tree(plan: Plan) -> _Parts:
-    """Yield where the tree is lost, and the notes of CT and plan."""
+    """Yield the lost airway near the target, and the notes of CT and plan."""
     if plan.lost is not None:
         yield "plan.lost", plan.lost.words, "caution"
     for note in plan.notes:
@@ -175,7 +178,7 @@ def _of_hours(turns: TurnList | None) -> _Parts:
 
 
 def _of_reach(plan: Plan, route: PlannedRoute, verdicts: Sequence[Verdict]) -> _Parts:
-    """Yield why the planned scope does not, or may not, reach the end of the route."""
+    """Yield the reasons why the planned scope does not, or may not, reach the end of the route."""
     verdict = next((one for one in verdicts if one.scope.name == plan.scope.name), None)
     if verdict is not None:
         if verdict.outcome != "reaches":
@@ -196,7 +199,7 @@ def _of_reach(plan: Plan, route: PlannedRoute, verdicts: Sequence[Verdict]) -> _
 
 
 def _of_needle(plan: Plan, route: PlannedRoute) -> _Parts:
-    """Yield what the needle meets on its way to the far edge of the target."""
+    """Yield the reasons of the needle: what it crosses or passes up to the far edge of the target."""
     leg = route.leg
     # A needle that misses the target is examined up to the target's near edge.
     far_mm = max((one.end_mm for one in leg.crossed if one.tissue == "target"), default=leg.to_target_mm)

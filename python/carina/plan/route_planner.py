@@ -39,7 +39,8 @@ from carina.plan.routes.ranking import Outlook, ScoreWeights, order, worst
 from carina.plan.targets.doubts import Confirmed
 from carina.plan.targets.nodule import Nodule
 from carina.plan.targets.target import PlanTarget
-from carina.plan.verdict.verdict import RouteJudge, Verdict
+from carina.plan.verdict.route_judge import RouteJudge
+from carina.plan.verdict.verdict import Verdict
 from carina.scopes import ScopePreset, WallField, scope_preset
 from carina.track import Airways, AirwayTree, TreeMeasures
 from carina.volume import Volume
@@ -50,7 +51,7 @@ MAX_SPARES = 2
 """Largest number of second-best places of the same branches that are driven in addition."""
 NUM_THREADS = 2
 DRAFTED = 0.4
-"""Share of the work that is done when the drafts are known."""
+"""Progress at which the drafts of the routes are complete, as a share of the whole work."""
 NOT_DRIVEN = "the drive to this place was not simulated"
 OUTLOOKS: dict[str, Outlook] = {"reaches": "reaches", "does not reach": "does not reach"}
 """Outlook of a route for the outcome of its verdict; *may reach* for all other outcomes."""
@@ -263,7 +264,7 @@ def _driven(
     for n, route, _ in _judged(draft, tree, spares[:MAX_SPARES], report, cancel):
         if order(route) < order(found[n]):
             found[n] = route
-    # The first route is driven in any case, because its attainable directions are only estimated before.
+    # The first route is always driven, because its attainable directions were only estimated before the drive.
     done = {n for n, _, _ in judged}
     for _ in range(drives):
         first = min(range(len(found)), key=lambda n: order(found[n]))
@@ -276,7 +277,7 @@ def _driven(
 
 
 def _is_place_at_fault(verdict: Verdict) -> bool:
-    """Return whether drive or pointing is not sure although the scope fits through the route."""
+    """Return whether the drive or the pointing is uncertain although the scope fits through the route."""
     unsure = {check.name for check in verdict.checks if check.answer != "yes"}
     return bool(unsure & {"drive", "pointing"}) and "diameter" not in unsure
 
@@ -301,7 +302,7 @@ def _judged(
                 if verdict.outcome == "reaches":
                     break
         finally:
-            # Drives behind the first route that reaches are stopped, so that the result does not depend on their speed.
+            # Drives of routes ranked below the first that reaches are cancelled, so speed does not affect the result.
             for judge, job in zip(judges, jobs, strict=True):
                 judge.stopped = True
                 job.cancel()

@@ -41,9 +41,9 @@ class ComparedTarget:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Doubts about the target and the route's airways; without a route also the reason.
+        """Doubts about the target and the route's airways; also the reason why there is no route.
 
-        Outlook, needle and vessel have their own columns.
+        Doubts about outlook, needle and vessel are not included, because they have their own columns.
         """
         found = tuple(doubt.words for doubt in self.plan.doubts)
         if self.route is not None:
@@ -131,7 +131,7 @@ def _order(one: ComparedTarget) -> tuple[float, ...]:
 
 
 def comparison_lines(compared: Sequence[ComparedTarget]) -> tuple[str, ...]:
-    """Return the comparison as lines: the rule of the order, then each target with its figures and doubts."""
+    """Return the comparison as lines of text: the rule of the order, then each target with its figures and doubts."""
     rows = [
         f"{place}. " + "; ".join(f"{head} {cell}" if head != "target" else cell for head, cell in named if cell)
         for place, one in enumerate(compared, 1)

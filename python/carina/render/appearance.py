@@ -38,7 +38,7 @@ class Appearance:
     """
 
     guides_mm: tuple[tuple[float, float, float], ...] = TWO_GUIDES_MM
-    """Raise an error unless the light guides are one or two finite points in camera space."""
+    """Ends of the one or two light guides in camera space, mm."""
     exposure: float | None = None
     """Brightness of the guides; None for automatic exposure."""
     ambient: float = 0.12

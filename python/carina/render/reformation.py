@@ -47,9 +47,9 @@ def _straightened_lines(view: PathView) -> tuple[PictureLines, Points]:
     rows_mm = np.asarray(centre_mm + (np.arange(view.height) + 0.5 - view.height / 2) * mm_per_px, dtype=np.float64)
     points, axes = path.at(rows_mm)
     turn = np.deg2rad(view.turn_deg)
-    # A camera that looks down the airway with anterior up shows the patient's right on its right. The picture is
-    # mirrored: at 0 degrees its left side shows the patient's right, as in a coronal slice, and at 90 degrees its sides
-    # are those of a sagittal slice.
+    # At 0 degrees the left side of the picture shows the patient's right, as in a coronal slice; at 90 degrees the
+    # sides are those of a sagittal slice. The direction is therefore mirrored relative to a camera that looks down the
+    # airway with anterior up.
     across = np.sin(turn) * axes[:, :, 1] - np.cos(turn) * axes[:, :, 0]
     through = np.cos(turn) * axes[:, :, 1] + np.sin(turn) * axes[:, :, 0]
     step = across * mm_per_px

@@ -83,7 +83,7 @@ class SceneBuilder:
         return self._scene
 
     def adopt(self, scene: Scene) -> None:
-        """Replace the scene by one that another keeper of the same volume has built."""
+        """Replace the scene by one that another `SceneBuilder` of the same volume has built."""
         if scene.values.shape != self._volume.shape_zyx:
             msg = (
                 f"the scene's values have shape {scene.values.shape}; expected that of the volume, "

@@ -98,7 +98,7 @@ class ViewRow:
     words: str
     """Short description of the view, worded for use in the middle of a sentence."""
     empty: str = ON_ITS_WAY
-    """Text that the cell shows instead of a picture: what the view needs, or that the picture is being rendered."""
+    """Text that the cell shows instead of a picture: the view's missing input, or that rendering is in progress."""
     cell: CellName
     spec: Callable[[ViewSettings], View]
     """Function that returns the view definition for the renderer."""

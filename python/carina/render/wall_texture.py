@@ -331,7 +331,7 @@ def _add_tube(tube: _Tube, first: Floats, shape: tuple[int, ...]) -> tuple[_Box,
     values[:, 1] = np.einsum("ij,ij->i", away, left) / radius
     values[:, 2] = np.einsum("ij,ij->i", away, back) / radius
     values[:, [3, 4, 6, 7]] = tube.parts[nearest]
-    # Beyond the start of the trachea the decoration fades out; beyond other ends the cells are nearer to the children.
+    # Beyond the start of the trachea the decoration fades out. Cells beyond other ends belong to the child branches.
     beyond = np.where((nearest == 0) & (ahead < 0), -ahead, 0.0) if tube.parent is None else np.zeros(len(nearest))
     values[:, 3] *= 1.0 - _smoothstep(beyond, 2.0, 6.0)
     values[:, 6] *= 1.0 - _smoothstep(beyond, 2.0, 6.0)

@@ -171,7 +171,7 @@ class WallField:
 
         The distance has a ridge along the middle of a lumen, which interpolation between samples cuts off: by
         `distance_mm` a tube is 0.4 mm too narrow there, up to 0.56 mm, at any width. Beside the ridge the interpolated
-        distance is right. Therefore this method probes points around each point, and adds the way to them to the
+        distance is right. Therefore this method probes points around each point, and adds their distance to the
         smallest distance found. Tubes of 1 to 6 mm are then 0.06 mm too narrow, 0.1 mm at most (docs/decisions/0125).
         The method takes 65 times as long.
 

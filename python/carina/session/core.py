@@ -61,7 +61,7 @@ def flight_list(case: OpenCase, saving: SavingInfo) -> tuple[FlightInfo, ...]:
 
 
 Event = Changed | ErrorEvent | EvidenceMissing | UserMessage | StartMarked | JobProgress | JobEnded
-# Longest time between two moves, in s, that counts as contact with the wall.
+# Longest time in s between two moves that is counted as contact with the wall.
 MAX_CONTACT_S = 10.0
 WATCHING = "session.watching"
 ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "plan", "lungs", "key_frames", "history", "pose", "views")
@@ -351,7 +351,7 @@ class SessionCore:
     # ------------------------------------------------------------ moving the tip
 
     def fly(self, move: Move) -> None:
-        """Apply a move to the tip, and report it as a move by hand."""
+        """Apply a move to the tip, and record a hand as the cause of the move."""
         case = self.needed_case()
         with self.lock:
             mode = case.navigator.mode

@@ -24,7 +24,7 @@ from carina.volume.message_limits import bounded_name
 from carina.volume.progress import Watch
 from carina.volume.read_limits import MAX_FILES
 
-_MAX_LOOKS = 1_000_000  # comparisons of lost files for all series; bounds the time
+_MAX_LOOKS = 1_000_000  # Largest number of comparisons of lost files with slices, for all series; it limits the time.
 _MAX_SAID = 100
 
 # Many exporters use UIDs as file names. A volume contains no UID, not even in a message.

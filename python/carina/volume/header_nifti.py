@@ -220,7 +220,7 @@ def _qform(pixdim: tuple[float, ...], quaternion: tuple[float, ...]) -> NDArray[
     if not np.isfinite([b, c, d, *offsets]).all() or squared < -1e-3:
         raise ValueError
     a = np.sqrt(max(0.0, squared))
-    if squared < 1e-7:  # nifti1.h: a half turn; rounding may make the vector a little too long
+    if squared < 1e-7:  # nifti1.h: this is a half turn; rounding may make the vector a little too long.
         b, c, d = np.array([b, c, d]) / np.linalg.norm([b, c, d])
         a = 0.0
     rotation = np.array(

@@ -21,8 +21,8 @@ _PURE_AIR_HU = -980
 _MIN_REGION_L = 0.1
 # Both lungs of an adult contain 2 to 7 litres of air and tissue; half of one small lung is the minimum that is useful.
 _MIN_LUNG_L = 0.7
-_MAX_LUNG_ON_FACE_CM2 = 10.0  # more lung than this on a face of the grid means that the lung is cut off
-_PADDING_HU = -1100  # nothing in or around a patient is below air, -1000 HU
+_MAX_LUNG_ON_FACE_CM2 = 10.0  # Area in cm2 of lung on a face of the grid, above which the face cuts the lung off.
+_PADDING_HU = -1100  # HU below which values are padding; nothing in a patient is below air, -1000 HU
 _FACES = {(0, 1): "left", (0, -1): "right", (1, 1): "back", (1, -1): "front", (2, 1): "top", (2, -1): "bottom"}
 
 

@@ -141,7 +141,7 @@ def _file_state(path: Path, reads: Reads, names: tuple[str, ...]) -> SourceFiles
             seen = place.stat()
             size, time_ns = seen.st_size, seen.st_mtime_ns
         except OSError:
-            size = time_ns = -1  # a missing file or a broken link also counts as a state
+            size = time_ns = -1  # a missing file or broken link has this state
         found.update(os.fsencode(name) + f"\0{size}\0{time_ns}\n".encode())
         num_bytes += max(0, size)
         newest_ns = max(newest_ns, time_ns)

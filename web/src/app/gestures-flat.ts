@@ -32,7 +32,7 @@ export interface FlatPlacing {
    * release}, whatever pictures arrive.
    */
   pan(moved: { dx: number; dy: number }, drags?: boolean): void;
-  /** End the drag that `pan` with `drags` began. */
+  /** End a drag, during which each pan starts from the last requested position. */
   release(): void;
 }
 

@@ -752,7 +752,7 @@ export interface LayoutMessage {
   readonly views: readonly ViewSize[];
 }
 
-/** A picture was decoded; coalesced acks may be sent one after the other. */
+/** Report that a picture was decoded; acknowledgements that the page has delayed follow one another. */
 export interface AckMessage {
   readonly type: "ack";
   readonly frame_id: number;
@@ -773,9 +773,10 @@ export interface PickMessage {
   readonly row: number;
 }
 
-/** Ask for the path from the root to a place under the cursor; only the newest is answered, by `live_path`.
+/** Request the path from the root to a point under the cursor; only the newest is answered, by `live_path`.
 
-    Either a point, or a place in an airway picture, as in `pick`: then the lumen in front of the wall there is meant. */
+    The request contains either a point or a position in an airway picture, as in `pick`. For a position, the path
+    ends in the lumen in front of the wall at this position. */
 export interface AskLivePathMessage {
   readonly type: "live_path";
   readonly request_id: number;
@@ -877,7 +878,7 @@ export interface StartRecordingMessage {
   readonly type: "start_recording";
 }
 
-/** Ask what a click with the tool *Mark target* would mark; only the newest is answered, by `target_mark`. */
+/** Request the result of a click with the tool *Mark target*; only the newest is answered, by `target_mark`. */
 export interface AskTargetMarkMessage {
   readonly type: "target_mark";
   readonly request_id: number;
@@ -1960,7 +1961,7 @@ export interface PhoneSampleMessage {
   readonly advance: number;
 }
 
-/** A button of the page: look along the path again, or the next way to move. */
+/** Action of a button of the page: look along the path again, or change to the next control mode. */
 export interface PhoneActMessage {
   readonly type: "phone_act";
   readonly action: "next_control" | "recenter";

@@ -4,8 +4,8 @@
 //! The measure of wall is the enclosure of a voxel ([`crate::find::tubeness`]), which the extension of the lumen uses
 //! as well: the rise of the values on all but a fifth of the rays from the voxel. The cost of a step is low where the
 //! enclosure is high, and where the values are as dark as the air of a wide airway, which rays of 3 mm do not cross.
-//! The cost is high in lung without a wall and higher towards tissue. The enclosure of a voxel does not depend on the start of a
-//! search, so it is cached: while the pointer moves, successive searches visit mostly the same voxels.
+//! The cost is high in lung without a wall and higher towards tissue. The enclosure of a voxel does not depend on the
+//! start of a search, so it is cached: while the pointer moves, successive searches visit mostly the same voxels.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashSet};
@@ -15,6 +15,7 @@ use carina_grid::{Grid, VolumeView};
 use rayon::prelude::*;
 
 use crate::find::tubeness::{Enclosure, REACH_MM, smoothed};
+use carina_leastcost::ordered_cost::OrderedCost;
 use carina_leastcost::{TrackError, Watch};
 
 /// Value levels of a CT that determine the cost of a step of a path, in the volume's numbers.
@@ -239,13 +240,13 @@ impl Enclosures {
             })
         };
         open.push(Reverse((
-            Ordered(0.0),
+            OrderedCost(0.0),
             index(start, nx, ny) as u32,
-            Ordered(0.0),
+            OrderedCost(0.0),
         )));
         let mut num_popped = 0usize;
         let mut best: Option<([usize; 3], f64)> = None;
-        while let Some(Reverse((_, at, Ordered(here)))) = open.pop() {
+        while let Some(Reverse((_, at, OrderedCost(here)))) = open.pop() {
             let voxel = voxel_of(at);
             if here > search.cost(voxel) {
                 continue;
@@ -267,7 +268,7 @@ impl Enclosures {
                 open = open
                     .drain()
                     .map(|Reverse((_, at, cost))| {
-                        Reverse((Ordered(cost.0 + left(aim, voxel_of(at))), at, cost))
+                        Reverse((OrderedCost(cost.0 + left(aim, voxel_of(at))), at, cost))
                     })
                     .collect();
             }
@@ -308,9 +309,9 @@ impl Enclosures {
                 if through < known {
                     search.reach(to, through, n as u8);
                     open.push(Reverse((
-                        Ordered(through + left(aim, to)),
+                        OrderedCost(through + left(aim, to)),
                         index(to, nx, ny) as u32,
-                        Ordered(through),
+                        OrderedCost(through),
                     )));
                 }
             }
@@ -480,24 +481,6 @@ impl Search {
             voxel = std::array::from_fn(|a| (voxel[a] as isize - offset[a]) as usize);
             found.push(voxel);
         }
-    }
-}
-
-/// Finite path cost with a total order.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Ordered(f64);
-
-impl Eq for Ordered {}
-
-impl PartialOrd for Ordered {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for Ordered {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        self.0.total_cmp(&other.0)
     }
 }
 

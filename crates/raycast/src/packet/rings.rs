@@ -154,7 +154,7 @@ fn place<L: Lanes>(l: L, field: &Decoration<'_>, lps: [L::F; 3]) -> Option<Place
 /// Effect of the decoration on the shading of wall points.
 #[derive(Clone, Copy)]
 pub(super) struct Decorated<L: Lanes> {
-    /// Slope of rings and folds, LPS, which affects diffuse light and highlights.
+    /// Gradient of the height of rings and folds, LPS, which tilts the normal for diffuse light and highlights.
     pub form: [L::F; 3],
     /// Paleness of the mucosa, 0 to 1.
     pub pale: L::F,

@@ -156,7 +156,7 @@ class _Watch:
         pass
 
     def stolen_share(self) -> float | None:
-        """Return the share since entry; None if the system does not report the time."""
+        """Return the share of processor time taken since entry, 0 to 1; None if the system does not report it."""
         now_s, cores = stolen_s(), os.cpu_count() or 1
         if now_s is None or self._stolen_s is None:
             return None

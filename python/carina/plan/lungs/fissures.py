@@ -23,7 +23,7 @@ MIN_HU = 30.0
 TIMES_NOISE = 7.0
 """Least curvature across a plate (fissure), as a multiple of the curvature that noise causes."""
 EVEN = 0.5
-"""Largest ratio of each other curvature of a plate to the curvature across the plate."""
+"""Largest curvature along a plate, as a share of the curvature across it; a line or a ball has a larger share."""
 MIN_MM2 = 600.0
 """Least area in mm2 of a connected piece of a fissure; smaller pieces may be texture of the lung."""
 FROM_BORDER_MM = 30.0

@@ -28,20 +28,19 @@ LOBE_NAMES = ("RUL", "RML", "RLL", "LUL", "LML", "LLL")
 """Names of the labels 1 to 6; label 0 is outside the lungs."""
 STEP_MM = 2.0
 FISSURE_SLOWS = 12.0
-"""Factor by which a visible fissure slows the fast-marching front that assigns voxels to lobes."""
+"""Factor by which a visible fissure slows the front that assigns voxels to lobes (fast marching)."""
 UNSEEN_MM, SEEN_MM = 9.0, 3.0
-"""Standard deviations in mm of the position of a lobe border: without, and with, a visible fissure.
+"""Standard deviations in mm of a lobe border's position: estimated from airways alone, and at a visible fissure.
 
-The first is for a border from airways alone (measured on patients with masks of lobes,
-benchmarks/carina_bench/plan_surroundings.py), the second for a border at a visible fissure.
+The first was measured on patients with masks of lobes (benchmarks/carina_bench/plan_surroundings.py).
 """
 FAR_SHARE = 0.35
-"""Least ratio of a border's standard deviation without a fissure to the distance from the nearest airway.
+"""Least standard deviation of a border without a fissure, as a share of the distance to the nearest airway.
 
 The value is common knowledge, not measured.
 """
 RIM_MM, WALL_HU = 6.0, -400.0
-"""Width in mm, and least density in HU, of the tissue at the outside of the lungs that counts as wall.
+"""Width in mm of the layer at the lungs' surface that may be chest wall, and least density of this wall in HU.
 
 The density is half-way between lung and muscle.
 """
@@ -188,7 +187,7 @@ def nearest_lobe(
     reached = np.isfinite(times.min(axis=0)) & inside
     label = np.where(reached, best + 1, 0).astype(np.uint8)
     border = _border_mm(label)
-    # The border is less certain far from all airways that were found.
+    # The position of a border is less certain far from the airways that were found.
     way_mm = STEP_MM * np.where(reached, np.minimum(times.min(axis=0), 200.0), 0.0)
     spread: Values = np.maximum(UNSEEN_MM, FAR_SHARE * way_mm).astype(np.float32)
     if near_seen.any():
@@ -223,10 +222,10 @@ def _seeds(inside: Mask, lps_from_ijk: NDArray[np.float64], tree: AirwayTree) ->
         if lobe not in LOBE_NAMES:
             continue
         ijk = np.rint((branch.points - lps_from_ijk[:3, 3]) / STEP_MM).astype(np.intp)
-        kept = ijk[((ijk >= 0) & (ijk < np.array(inside.shape[::-1]))).all(axis=1)][:, ::-1]
-        kept = kept[inside[tuple(kept.T)]]
-        if len(kept):
-            found.setdefault(str(lobe), []).append(kept)
+        voxels = ijk[((ijk >= 0) & (ijk < np.array(inside.shape[::-1]))).all(axis=1)][:, ::-1]
+        voxels = voxels[inside[tuple(voxels.T)]]
+        if len(voxels):
+            found.setdefault(str(lobe), []).append(voxels)
     return {lobe: np.unique(np.concatenate(parts), axis=0) for lobe, parts in found.items()}
 
 

@@ -25,23 +25,23 @@ from carina.volume.mask_distances import ball_distance
 Mask = NDArray[np.bool_]
 
 SURE = 0.8
-"""Mean confidence below which a stretch of vessel is displayed as doubtful."""
+"""Mean confidence below which a piece of a vessel is displayed as doubtful."""
 RIM_MM = 3.0
-"""Width in mm of the layer at the outside of the lungs in which no vessels are searched (chest wall)."""
+"""Width in mm of the outer layer of the lungs in which no vessels are searched, because it may be chest wall."""
 LUNG_HU = 250.0
 """Rise above the median density of the lungs, in HU, up to which a voxel counts as lung."""
 ROUND_MM, MIN_LUNG = 5.0, 0.35
 """Width in mm of the Gaussian that averages the share of lung round a vessel, and least share of lung.
 
-The share is a half beside the pleura and a fifth between trachea and spine. The closed lungs include hila and trachea,
-where folds of the mediastinum look like vessels.
+The share is one half beside the pleura and one fifth between trachea and spine. The limit removes folds of the
+mediastinum, which look like vessels.
 """
 AIRWAY_GENERATIONS = 2
 """Highest generation of airways whose air is excluded from the lung; airways beyond it are too thin to matter."""
 DEEP_MM, MIN_DEEP = 6.0, 0.25
-"""Depth in mm below the surface of the lungs, and least share of a vessel's line that must be at this depth.
+"""Depth in mm below the lungs' surface, and least share of a vessel's centreline that is at least this deep.
 
-Lines along the edge of the lungs are steps between slices that breathing has shifted.
+Breathing between slices causes steps along the surface that look like vessels.
 """
 NEAR_MM = 3.0
 """Largest distance in mm between a lobe border and a fissure that lies on this border."""
@@ -167,7 +167,7 @@ def map_lungs(
     if found is not None:
         found(made)
     try:
-        told = lobes(
+        segmented = lobes(
             volume,
             airways.tree,
             box=box,
@@ -177,7 +177,7 @@ def map_lungs(
         raise
     except CarinaError as error:
         return replace(made, problems=(str(error),))
-    return _with_lobes(made, told)
+    return _with_lobes(made, segmented)
 
 
 def _within(known: Mask, num_voxels: int) -> Mask:
@@ -193,7 +193,7 @@ def _within(known: Mask, num_voxels: int) -> Mask:
 
 
 def _amid_lung(seen: NearbyTissue, tree: AirwayTree) -> Mask:
-    """Return the mask of the voxels of vessels that are surrounded by lung, and not by mediastinum or chest wall."""
+    """Return the mask of the vessel voxels that are surrounded by lung, not by mediastinum or chest wall."""
     lung = seen.box.known & (seen.box.hu_zyx < seen.lung_hu + LUNG_HU)
     step_mm, first = seen.box.step_mm, seen.box.lps_from_ijk[:3, 3]
     for branch in tree.branches:
@@ -222,19 +222,19 @@ def _deep_lines(tree: VesselTree, box: Box) -> VesselTree:
     """
     deep = _within(box.known, round(DEEP_MM / box.step_mm))
     places: dict[int, int] = {}
-    kept: list[VesselBranch] = []
+    remaining: list[VesselBranch] = []
     for number, branch in enumerate(tree.branches):
         i, j, k = np.rint((branch.points_lps - box.lps_from_ijk[:3, 3]) / box.step_mm).astype(np.intp).T
         if float(deep[k, j, i].mean()) < MIN_DEEP:
             continue
-        places[number] = len(kept)
+        places[number] = len(remaining)
         parent = None if branch.parent is None else places.get(branch.parent)
-        kept.append(replace(branch, parent=parent))
-    return replace(tree, branches=tuple(kept))
+        remaining.append(replace(branch, parent=parent))
+    return replace(tree, branches=tuple(remaining))
 
 
 def _standing_out(inside: Mask, seen: NearbyTissue) -> Mask:
-    """Return the parts of a vessel mask whose mean confidence over a stretch is high."""
+    """Return the parts of a vessel mask whose confidence, averaged along the vessel, is high."""
     sigma = STRETCH_MM / seen.box.step_mm
     weight = smoothed(inside.astype(np.float32), sigma)
     mean = smoothed(np.where(inside, seen.sure, 0.0).astype(np.float32), sigma)
@@ -242,27 +242,27 @@ def _standing_out(inside: Mask, seen: NearbyTissue) -> Mask:
     return found
 
 
-def _with_lobes(made: LungMap, told: Lobes) -> LungMap:
-    named = [(name, told.label_zyx == number) for number, name in enumerate(LOBE_NAMES, 1)]
+def _with_lobes(made: LungMap, segmented: Lobes) -> LungMap:
+    named = [(name, segmented.label_zyx == number) for number, name in enumerate(LOBE_NAMES, 1)]
     return replace(
         made,
-        fissures=None if told.fissure is None else _cropped(told.fissure.mask, told.fissure.box),
-        fissure_shares=None if told.fissure is None else _seen_shares(told, told.fissure),
-        lobes=tuple((name, MappedMask.placed(mask, told.lps_from_ijk)) for name, mask in named if mask.any()),
-        missing_lobes=told.missing,
+        fissures=None if segmented.fissure is None else _cropped(segmented.fissure.mask, segmented.fissure.box),
+        fissure_shares=None if segmented.fissure is None else _seen_shares(segmented, segmented.fissure),
+        lobes=tuple((name, MappedMask.placed(mask, segmented.lps_from_ijk)) for name, mask in named if mask.any()),
+        missing_lobes=segmented.missing,
     )
 
 
-def _seen_shares(told: Lobes, fissure: FissureBox) -> tuple[float | None, float | None]:
-    step_mm = float(told.lps_from_ijk[0, 0])
-    first = fissure.box.lps_from_ijk[:3, 3] - told.lps_from_ijk[:3, 3]
-    seen = np.zeros(told.label_zyx.shape, dtype=bool)
+def _seen_shares(segmented: Lobes, fissure: FissureBox) -> tuple[float | None, float | None]:
+    step_mm = float(segmented.lps_from_ijk[0, 0])
+    first = fissure.box.lps_from_ijk[:3, 3] - segmented.lps_from_ijk[:3, 3]
+    seen = np.zeros(segmented.label_zyx.shape, dtype=bool)
     places = np.rint((np.argwhere(fissure.mask)[:, ::-1] * fissure.box.step_mm + first) / step_mm).astype(np.intp)
     i, j, k = places[((places >= 0) & (places < seen.shape[::-1])).all(axis=1)].T
     seen[k, j, i] = True
     near = ball_distance(~seen, step_mm) + 0.5 * step_mm <= NEAR_MM if seen.any() else seen
-    border = (told.label_zyx > 0) & (told.border_mm < step_mm)
-    right = np.isin(told.label_zyx, [n for n, name in enumerate(LOBE_NAMES, 1) if name.startswith("R")])
+    border = (segmented.label_zyx > 0) & (segmented.border_mm < step_mm)
+    right = np.isin(segmented.label_zyx, [n for n, name in enumerate(LOBE_NAMES, 1) if name.startswith("R")])
 
     def share(of: Mask) -> float | None:
         return float(near[of].mean()) if of.any() else None

@@ -29,7 +29,7 @@ RISE_HU = 250.0
 WALL_MM = 1.5
 """Distance in mm from a lumen within which tissue is the airway's wall."""
 LINE_WALL_MM = 1.0
-"""Distance in mm from a lumen beyond which a line-shaped structure counts as a vessel; a plate needs `WALL_MM`."""
+"""Least distance in mm from a lumen of a line-shaped vessel; plates may be wall up to `WALL_MM`."""
 BLUR_MM = 1.5
 """Distance in mm from the nodule within which tissue is the nodule's blurred edge."""
 THICKEST_VESSEL_MM = 14.0
@@ -305,6 +305,6 @@ def _large_pieces(mask: Mask, least_voxels: float) -> Mask:
     import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
 
     pieces = sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)), True)
-    kept: Any = sitk.RelabelComponent(pieces, minimumObjectSize=max(int(least_voxels), 1))
-    found: Mask = sitk.GetArrayFromImage(kept) != 0
+    relabelled: Any = sitk.RelabelComponent(pieces, minimumObjectSize=max(int(least_voxels), 1))
+    found: Mask = sitk.GetArrayFromImage(relabelled) != 0
     return found

@@ -162,7 +162,7 @@ def eigenvalues(second: list[Values]) -> tuple[Values, Values, Values]:
     a, b, c, d, e, f = second
     mean = (a + b + c) / 3.0
     square = (a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2 + 2.0 * (d * d + e * e + f * f)
-    # An addend in place of the limit would move two equal eigenvalues apart by its root.
+    # Adding 1e-6 instead of taking the maximum would change equal eigenvalues by its square root.
     spread = np.maximum(np.sqrt(square / 6.0), 1e-6)
     a, b, c, d, e, f = (a - mean) / spread, (b - mean) / spread, (c - mean) / spread, d / spread, e / spread, f / spread
     half = 0.5 * (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e))
@@ -270,7 +270,10 @@ _AROUND = np.array([(z, y, x) for z in (-1, 0, 1) for y in (-1, 0, 1) for x in (
 
 
 def _downhill(at: NDArray[np.intp], arrival: Values, owner: NDArray[np.int32]) -> tuple[NDArray[np.intp], int | None]:
-    """Return the path to a voxel from a known branch or the front's start, and the index of that branch or None."""
+    """Return the path of voxels that leads to a voxel from a known branch, or from the start of the front.
+
+    The second value is the index of that branch, or None at the start of the front.
+    """
     way = [at]
     top = np.array(arrival.shape) - 1
     while True:
@@ -299,7 +302,7 @@ def _length(way: NDArray[np.intp]) -> float:
 def _cover(
     owner: NDArray[np.int32], way: NDArray[np.intp], reach: NDArray[np.float64], number: int, vessel: Mask
 ) -> None:
-    """Assign the free voxels round the path of a branch to this branch, in place."""
+    """Assign the voxels round the path of a branch that belong to no branch to this branch, in place."""
     shape = np.array(vessel.shape)
     for at, far in zip(way, reach, strict=True):
         whole = int(np.ceil(far))

@@ -1,4 +1,4 @@
-"""Places of one CT found in another one by normalised cross-correlation of small cubes."""
+"""Search of points of one CT in another CT by normalised cross-correlation of small cubes."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ MIN_HU, MAX_HU = -1000.0, 100.0
 AVERAGED_MM = 1.3
 """Size of voxels that are compared, mm."""
 MIN_CLEAR = 0.1
-"""Least variation at a place as a share of that at the clearest places."""
+"""Least variation of the CT at a landmark, as a share of the variation at the clearest landmarks."""
 MIN_SPREAD_HU = 40.0
-"""Least standard deviation of a cube's values, HU; a cube without structure has no place."""
+"""Least standard deviation of a cube's values, HU; a cube with less has too little structure to be found."""
 LUNG_HU, ROUND_MM, MIN_LUNG = -500.0, 4.0, 0.45
-"""Largest HU of lung, and width in mm of the Gaussian over which at least this share is lung round a landmark."""
+"""Limits for lung round a landmark: largest HU, width in mm of the averaging Gaussian, least share of lung."""
 SMOOTH_MM = 2.0
 """Width in mm of the Gaussian over which the structure round a landmark is measured."""
 
@@ -39,7 +39,7 @@ class Block:
     step_mm: float
     """Distance of two compared points, mm."""
     search_mm: float
-    """Largest distance from the expected place on each axis, mm."""
+    """Largest distance from the expected position on each axis, mm."""
 
 
 def averaged(volume: Volume) -> Volume:
@@ -64,9 +64,9 @@ def averaged(volume: Volume) -> Volume:
 def landmarks(
     volume: Volume, centre_lps: Points, half_mm: float, *, apart_mm: float, most: int, step_mm: float
 ) -> Points:
-    """Return places (n, 3) in the lung where vessels end, fork or bend, LPS mm, the clearest ones first.
+    """Return points (n, 3) in the lung where vessels end, fork or bend, LPS mm, the clearest ones first.
 
-    There the CT varies in all directions, so that each place can be found again.
+    At these points the CT varies in all directions, so that each point can be found again in another CT.
 
     Parameters
     ----------
@@ -106,13 +106,13 @@ def landmarks(
         strength = clear[tuple(index.T)]
         index = index[strength >= MIN_CLEAR * strength[len(strength) // 50]]
     places = index[:, ::-1] * box.step_mm + box.lps_from_ijk[:3, 3]
-    kept: list[Points] = []
+    chosen: list[Points] = []
     for place in places:
-        if len(kept) >= most:
+        if len(chosen) >= most:
             break
-        if not kept or np.linalg.norm(np.array(kept) - place, axis=1).min() >= apart_mm:
-            kept.append(place)
-    return np.array(kept, dtype=np.float64).reshape(-1, 3)
+        if not chosen or np.linalg.norm(np.array(chosen) - place, axis=1).min() >= apart_mm:
+            chosen.append(place)
+    return np.array(chosen, dtype=np.float64).reshape(-1, 3)
 
 
 def match_blocks(
@@ -124,7 +124,7 @@ def match_blocks(
     *,
     report: Callable[[], None] | None = None,
 ) -> tuple[Points, Points]:
-    """Return the shifts (n, 3) in mm of places (n, 3), and the correlation (n,) of each, 0 where there is none.
+    """Return the shifts (n, 3) in mm of places (n, 3) between two CTs, and the correlation (n,), 0 if not found.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def _correlation(here: Points, there: Points) -> Points:
 
 
 def _sums(values: Points, shape: tuple[int, ...]) -> Points:
-    """Return the sums over all cubes of a shape."""
+    """Return the sums of an array over all cubes of a shape, one sum for each position of the cube."""
     for axis, num in enumerate(shape):
         total = np.cumsum(np.insert(values, 0, 0.0, axis=axis), axis=axis)
         values = np.take(total, range(num, total.shape[axis]), axis=axis) - np.take(

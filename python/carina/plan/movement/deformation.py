@@ -18,14 +18,17 @@ Mask = NDArray[np.bool_]
 NUM_TRIALS = 600
 """Number of triples of forks from which a rigid motion is tried."""
 RIGID_MM = 15.0
-"""Largest distance of a pair from a rigid motion, mm: breathing moves the bases by 10 to 20 mm against the apices."""
+"""Largest distance in mm of a pair from the rigid motion.
+
+Breathing moves the bases of the lungs by 10 to 20 mm relative to the apices.
+"""
 NUM_NEAR = 10
-"""Number of pairs within one standard deviation of the Gaussian weights."""
+"""Number of pairs that determine the width of the Gaussian weights: so many are within one standard deviation."""
 MIN_SIGMA_MM = 8.0
 SLOPE_WEIGHT = 0.3
-"""Weight that draws the local affine motion to a local translation, as a share of the pairs' weight."""
+"""Weight that limits the slopes of the local affine motion, as a share of the pairs' weight."""
 MEAN_WEIGHT = 0.2
-"""Weight, in pairs, that draws the local motion to the affine motion of all pairs."""
+"""Weight, in pairs, by which the affine motion of all pairs counts in each local motion."""
 AT_ONCE = 2000
 
 
@@ -78,13 +81,13 @@ class Deformation:
         return found + self.base.shifts(places)
 
     def gradient(self, place: Points) -> Points:
-        """Return the (3, 3) derivative of the second CT's place by the first CT's place."""
+        """Return the (3, 3) derivative of the position in the second CT by the position in the first CT."""
         slopes = self._fit(place[None], -1.0)[0, 1:]
         found: Points = self.base.matrix + slopes.T
         return found
 
     def _fit(self, places: Points, beyond_mm: float | NDArray[np.float64]) -> Points:
-        """Return for each place the local shift and its slopes, (n, 4, 3), beyond the affine motion."""
+        """Return for each place the local shift and its slopes, (n, 4, 3), relative to the base affine motion."""
         away = self.places[None] - places[:, None]
         distance = np.sqrt((away * away).sum(axis=2))
         usable = distance > beyond_mm + 1e-6
@@ -106,7 +109,7 @@ class Deformation:
 
 
 def rigid_fit(first: Points, second: Points) -> tuple[Affine, Mask]:
-    """Return the rigid motion that most pairs follow, and the mask (n,) of these pairs; needs three pairs."""
+    """Return the rigid motion that most pairs follow, and the mask (n,) of these pairs; three pairs are needed."""
     triples = list(combinations(range(len(first)), 3))
     chosen = np.random.default_rng(0).permutation(len(triples))[:NUM_TRIALS]
     best: Mask = np.zeros(len(first), dtype=bool)
@@ -126,7 +129,7 @@ def rigid_fit(first: Points, second: Points) -> tuple[Affine, Mask]:
 
 
 def affine_fit(first: Points, second: Points, rigid: Affine) -> Affine:
-    """Return the affine motion of pairs, drawn slightly to a rigid motion; large residuals count less."""
+    """Return the affine motion of pairs, with a small weight of a rigid motion and of pairs with large residuals."""
     middle = first.mean(axis=0)
     terms = np.concatenate([np.ones((len(first), 1)), first - middle], axis=1)
     goal = second - first - rigid.shifts(first)

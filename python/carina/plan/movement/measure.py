@@ -54,7 +54,7 @@ CARINA = "Trachea"
 AFFINE_MM = 8.0
 """Largest distance of a fork from the affine motion of all forks, mm."""
 NEAR_MM, APART_MM, MAX_PLACES = 60.0, 8.0, 160
-"""Half the side length of the cube round the target in which vessels are matched, least distance and largest number."""
+"""Vessels that are matched near a target: half the side of the cube and least distance in mm; largest number."""
 COARSE, FINE = Block(9.0, 1.5, 9.0), Block(7.5, 0.75, 3.0)
 WIDE = Block(18.0, 1.0, 4.0)
 """Cubes at the forks of wide airways, which contain the walls of the airways."""
@@ -62,23 +62,23 @@ WIDE_NAMES = (CARINA, "RMB", "LMB", "BI")
 MIN_RADIUS_MM, TARGET_RIM_MM = 3.0, 5.0
 """Least radius of a target, and width of the tissue round it that is compared with it, mm."""
 OUTSIDE_MM = 2.0
-"""Distance of matched vessels from the target, mm."""
+"""Least distance in mm of matched vessels from the target."""
 SAME_MM = 1e-3
-"""Distance in mm below which two places are the same."""
+"""Distance in mm below which two points are the same."""
 MIN_SCORE = 0.6
-"""Least correlation of a cube with the second CT from which its place counts as found."""
+"""Least correlation of a cube with the second CT at which the point counts as found."""
 MAX_RESIDUAL_MM = 4.0
-"""Largest distance of a place from the prediction by its neighbours, mm."""
+"""Largest distance in mm of a point's shift from the shift that its neighbours predict."""
 NUM_CHECKED = 20
-"""Number of places nearest to the target at which the error is estimated."""
+"""Number of points nearest to the target from which the error is estimated."""
 SHARE_WITHIN = 0.9
-"""Share of places whose distance from the prediction lies within the stated error."""
+"""Share of the points whose prediction error is within the stated error."""
 MAX_ERROR_MM = 15.0
-"""Largest error that is stated, mm; a larger one says no more than the default."""
+"""Largest error in mm that is stated; a measurement with a larger error says no more than the default movement."""
 AGREE_MM = 2.0
-"""Distance in mm within which the target's own place always agrees with its neighbours."""
+"""Distance in mm up to which the target's own shift always counts as agreeing with its neighbours."""
 TURN_DEG = 4.0
-"""Rotation in degrees between both CTs above which it is not explained by breathing and enlarges the error."""
+"""Rotation in degrees between both CTs that breathing does not explain; above it the error is enlarged."""
 
 
 @one_line
@@ -101,7 +101,7 @@ class MovementMeasurement:
     residual_mm: float
     """Median distance of places near the target from the prediction by their neighbours, mm."""
     breath_mm: float
-    """Distance within which 90 % of the found places lie from one rigid motion, mm; small in CTs of one breath."""
+    """Distance in mm from one rigid motion within which 90 % of the points are; small if both CTs show one breath."""
     rotation_deg: float
     """Rotation between both CTs, degrees."""
     is_target_seen: bool
@@ -236,7 +236,7 @@ class _Forks:
 
     @property
     def carina(self) -> int:
-        """Number of the main carina."""
+        """Index of the main carina."""
         return self.names.index(CARINA)
 
 
@@ -298,7 +298,7 @@ def _places(volume: Volume, airways: Airways, forks: _Forks, place: Points, radi
     named = np.linalg.norm(every[:, None] - forks.first_lps[None], axis=2).min(axis=1) < SAME_MM
     step_mm = max(1.0, min(volume.spacing_mm))
     vessels = landmarks(volume, place, NEAR_MM, apart_mm=APART_MM, most=MAX_PLACES, step_mm=step_mm)
-    # A place in the target would not be independent of the target.
+    # A point inside the target would not be independent of the target.
     vessels = vessels[np.linalg.norm(vessels - place, axis=1) > radius_mm + OUTSIDE_MM]
     return np.concatenate([forks.first_lps, every[~named]]), vessels
 
@@ -313,10 +313,10 @@ def _matched(
     places = np.concatenate(searched)
     shifts, score = match_blocks(*volumes, places, guess, COARSE, report=check_cancelled)
     check_structure(score[: len(forks.names)], MIN_SCORE)
-    kept = _consistent(places, shifts, score, guess.base)
-    shifts, score = match_blocks(*volumes, places, kept, FINE, report=check_cancelled)
+    agreeing = _consistent(places, shifts, score, guess.base)
+    shifts, score = match_blocks(*volumes, places, agreeing, FINE, report=check_cancelled)
     for n in (n for n, name in enumerate(forks.names) if name in WIDE_NAMES):
-        (shifts[n],), (score[n],) = match_blocks(*volumes, places[n][None], kept, WIDE)
+        (shifts[n],), (score[n],) = match_blocks(*volumes, places[n][None], agreeing, WIDE)
     field = _consistent(places, shifts, score, guess.base)
     num_vessels = int((score[len(searched[0]) :] >= MIN_SCORE).sum())
     return _Matches(volumes, forks, shifts, score, field, num_vessels)
@@ -372,17 +372,17 @@ def _measurement(matches: _Matches, place: Points, radius_mm: float) -> Movement
 
 
 def _breath_mm(field: Deformation) -> float:
-    """Return the distance in mm within which 90 % of the places lie from the rigid motion that fits them best."""
+    """Return the distance in mm from the best rigid motion within which 90 % of the points are."""
     second = field.places + field.shifts
     off = np.linalg.norm(field.places + rigid_motion(field.places, second).shifts(field.places) - second, axis=1)
     return float(np.quantile(off, SHARE_WITHIN))
 
 
 def _left_out_mm(field: Deformation, place: Points) -> Points:
-    """Return the errors in mm of the deformation at the places nearest to the target, each left out in turn.
+    """Return the prediction errors in mm at the points nearest to the target, each left out in turn.
 
-    With a place, its neighbours are left out that are nearer to it than any place is to the target, so that the
-    errors are those of the target.
+    Together with a point, those of its neighbours are left out that are nearer to it than any point is to the target.
+    The errors then apply to the target.
     """
     away = np.linalg.norm(field.places - place, axis=1)
     order = np.argsort(away)[:NUM_CHECKED]

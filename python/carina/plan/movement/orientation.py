@@ -12,10 +12,10 @@ from carina.track import AirwayTree
 Points = NDArray[np.float64]
 
 NEAR_CARINA_MM = 90.0
-"""Largest distance of compared forks from the main carina, mm: there breathing moves them little."""
+"""Largest distance in mm of compared forks from the main carina; breathing moves nearer forks little."""
 MIN_FORKS = 8
 BETTER = 0.75
-"""Largest median distance of the forks in another orientation as a share of that in the stated orientation."""
+"""Largest ratio of the median fork distance in another orientation to that in the stated orientation."""
 ORIENTATIONS = (
     ((-1.0, 1.0, 1.0), "movement.mirrored", "a mirror image of this CT: right and left are exchanged"),
     ((1.0, -1.0, 1.0), "movement.mirrored", "a mirror image of this CT: front and back are exchanged"),
@@ -63,6 +63,6 @@ def _around_carina(tree: AirwayTree) -> Points:
 
 
 def _apart_mm(here: Points, there: Points) -> float:
-    """Return the median distance of forks from the nearest fork of the other tree, mm; the larger one of both ways."""
+    """Return the median distance in mm of forks from the other tree's nearest fork; the larger of both directions."""
     away = np.linalg.norm(here[:, None] - there[None], axis=2)
     return float(max(np.median(away.min(axis=0)), np.median(away.min(axis=1))))

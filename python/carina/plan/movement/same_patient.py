@@ -16,7 +16,7 @@ Points = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MIN_RIGID, MIN_FORKS = 5, 8
-"""Least number of forks that both trees name, and least number that fit to one motion."""
+"""Least number of forks that both trees name, and least number of them that follow one motion."""
 MIN_RIGID_SHARE = 0.6
 """Least share of forks that follow one rigid motion within 15 mm."""
 MAX_TURN_DEG = 20.0
@@ -37,20 +37,20 @@ It is at least 0.95 in two CTs of one patient, and at most 0.8 in phantoms of tw
 MIN_NEAR, NEAR_MM = 8, 45.0
 """Least number of found places within a distance in mm of the target."""
 MIN_SLOPE = 0.15
-"""Least increase of the lung's density in HU per mm to the lower side, from which the pose is known."""
+"""Least increase of the lung's density towards one side, HU per mm, at which the patient's pose is known."""
 EVERY = 4
 THIN_MM = 2.5
-"""Distance of slices in mm above which few forks are found."""
+"""Slice distance in mm above which few forks are found, as a message explains."""
 LUNG_HU = (-960, -600)
-"""Least and largest HU of lung in the checks of pose and extent."""
+"""Least and largest HU of lung in the checks of the patient's pose and of the CT's extent."""
 MIN_LUNG_VOXELS, MIN_LUNG_ML = 5000, 300.0
-"""Least number of lung voxels for the pose, of every fourth one on each axis; least volume of lungs, ml."""
+"""Least number of lung voxels (every fourth on each axis) for the check of the pose; least volume of lungs in ml."""
 SAME_BREATH_MM = 1.0
-"""Largest distance in mm of 90 % of the places from one rigid motion at which both CTs show the same breath."""
+"""Distance in mm from one rigid motion of 90 % of the points, up to which both CTs show the same breath."""
 SIMILAR_BREATH_MM = 2.5
-"""Distance in mm, as `SAME_BREATH_MM`, below which a note states that both CTs show a similar breath."""
+"""Limit in mm of the same distance, below which a note states that both CTs show a similar breath."""
 CUT_SHARE, CUT_TIMES = 0.1, 2.0
-"""Least share of lung in an end slice that cuts through the lungs, and least ratio to the share in the first CT."""
+"""Least share of lung in an end slice that cuts the lungs; least ratio of this share to that of the first CT."""
 
 
 def check_other_ct(first: Volume, second: Volume) -> None:
@@ -83,7 +83,7 @@ def check_breath(breath_mm: float, slice_mm: float) -> None:
 
 
 def breath_notes(breath_mm: float) -> list[str]:
-    """Return the note that both CTs show a similar breath; nothing for different ones."""
+    """Return the note that both CTs show a similar breath; an empty list if the breaths differ."""
     if breath_mm >= SIMILAR_BREATH_MM:
         return []
     return [
@@ -93,9 +93,9 @@ def breath_notes(breath_mm: float) -> list[str]:
 
 
 def cut_lungs_error(trouble: NoResultError, first: Volume, second: Volume) -> NoResultError | None:
-    """Return the error for a second CT that cuts through the lungs, as the cause of another one; None if it does not.
+    """Return the error for a second CT that cuts through the lungs, if this explains another error; else None.
 
-    A patient in another pose is not explained by cut lungs.
+    Cut lungs do not explain an error that reports another pose of the patient.
     """
     side = None if trouble.code == "movement.pose" else cut_side(first, second)
     if side is None:
@@ -108,7 +108,7 @@ def cut_lungs_error(trouble: NoResultError, first: Volume, second: Volume) -> No
 
 
 def cut_side(first: Volume, second: Volume) -> str | None:
-    """Return the end (*upper* or *lower*) at which the second CT cuts through the lungs more than the first CT."""
+    """Return the end (*upper* or *lower*) at which the second CT cuts off more lung than the first; None if neither."""
     here, there = lung_shares(first), lung_shares(second)
     cut = {side: share for side, share in there.items() if share >= max(CUT_SHARE, CUT_TIMES * here[side])}
     return max(cut, key=lambda side: cut[side]) if cut else None
@@ -151,13 +151,13 @@ def no_airways(second: Volume) -> NoResultError:
 
 
 def _lung(volume: Volume) -> Mask:
-    """Return the mask of lung in every fourth voxel of a CT; foam of the table and gas in the bowel count, too."""
+    """Return the mask of lung in every fourth voxel of a CT; it may include foam of the table and gas in the bowel."""
     values = volume.hu_zyx[::EVERY, ::EVERY, ::EVERY]
     return np.asarray((values > LUNG_HU[0]) & (values < LUNG_HU[1]))
 
 
 def check_motion(rigid: Affine, fits: Mask) -> None:
-    """Raise an error if the forks do not follow one rigid motion, or if it turns the patient."""
+    """Raise an error if the forks do not follow one rigid motion, or if the motion rotates the patient."""
     turn = rotation_deg(rigid)
     if turn > MAX_TURN_DEG and fits.sum() >= MIN_RIGID:
         raise NoResultError(
@@ -239,9 +239,10 @@ def check_inside(second: Volume, place: Points, radius_mm: float) -> None:
 
 
 def check_gravity(first: Volume, second: Volume) -> None:
-    """Raise an error if the lower side of the lungs, which is denser, is the back in one CT and the front in the other.
+    """Raise an error if the denser side of the lungs is the back in one CT and the front in the other.
 
-    Without a clear difference in density the pose is not known and nothing is raised.
+    Gravity makes the lower side denser, so the patient's pose differs. Without a clear difference in density the pose
+    is not known and no error is raised.
     """
     here, there = density_slope(first), density_slope(second)
     if here is None or there is None:

@@ -1,4 +1,4 @@
-"""Value that states how far a target may lie from its place in the CT, and the origin of that number."""
+"""Movement of a target: the largest distance from its position in the CT, and the origin of this number."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ The movement is 17.6 mm on average and more than 20 mm in the lower lobes (85 le
 MAX_MOVED_MM = 60.0
 """Largest movement that is accepted, mm."""
 NAMED_SHARE = 0.25
-"""Least share of a direction in the length of a shift from which the text names the direction."""
+"""Least component of a shift, as a share of the shift's length, at which the text names its direction."""
 DIRECTIONS = (
     ("towards the patient's left", "towards the patient's right"),
     ("to the back", "to the front"),
@@ -41,7 +41,7 @@ class TargetMovement:
     shift_lps: tuple[float, float, float] | None = None
     """Measured shift from this CT to the second CT relative to the main carina, LPS mm; None unless measured."""
     error_mm: float | None = None
-    """Length in mm within which the true shift lies round the measured one in 90 %; None unless measured."""
+    """Radius in mm round the measured shift that contains the true shift in 90 % of cases; None unless measured."""
     notes: tuple[str, ...] = ()
     """Warnings about the movement, for the user."""
 
@@ -69,7 +69,7 @@ class TargetMovement:
 
     @property
     def words(self) -> str:
-        """Sentence for reports and windows, without a full stop."""
+        """Movement as a sentence for reports and windows, without a full stop."""
         if self.shift_lps is None or self.error_mm is None:
             given = " (entered by the user)" if self.origin == "given" else ""
             return (
@@ -83,7 +83,7 @@ class TargetMovement:
 
     @property
     def region_words(self) -> str:
-        """Region in which the target may lie, such as *anywhere within 15 mm*."""
+        """Region that may contain the target as text, such as *anywhere within 15 mm*."""
         if self.error_mm is None:
             return f"anywhere within {self.most_mm:.0f} mm"
         return f"anywhere between its places in both CTs, \u00b1 {math.ceil(self.error_mm)} mm"

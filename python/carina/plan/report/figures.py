@@ -227,12 +227,12 @@ def _hull(places: Sequence[Place]) -> tuple[Place, ...]:
         return tuple(ordered)
 
     def half(row: Sequence[Place]) -> list[Place]:
-        kept: list[Place] = []
+        hull: list[Place] = []
         for x, y in row:
-            while len(kept) > 1 and _turn(kept[-2], kept[-1], (x, y)) <= 0.0:
-                kept.pop()
-            kept.append((x, y))
-        return kept[:-1]
+            while len(hull) > 1 and _turn(hull[-2], hull[-1], (x, y)) <= 0.0:
+                hull.pop()
+            hull.append((x, y))
+        return hull[:-1]
 
     return tuple(half(ordered) + half(ordered[::-1]))
 

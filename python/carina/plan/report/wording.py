@@ -15,7 +15,7 @@ ADVANCES = (
 # fmt: on
 """Widths of the characters from space to ``~`` in hundredths of the font size.
 
-Each is that of the wider one of Helvetica and Bitstream Vera Sans, the PDF's font, which is as wide as DejaVu Sans.
+Each width is the larger one of Helvetica and of the PDF's font, Bitstream Vera Sans, which is as wide as DejaVu Sans.
 """
 OTHER_ADVANCE, WIDE_ADVANCE = 0.7, 1.0
 """Widths of other characters as shares of the font size; the second one is that of East Asian characters."""

@@ -1,9 +1,9 @@
-"""Directions that the tip of a scope can take at a place of the airways, from the sizes of the scope and the wall.
+"""Directions that a scope's tip can take at a point of the airways, from the sizes of the scope and the wall.
 
 The distal part of a scope is a rigid cylinder with a bending section behind it. A direction is attainable if the rigid
 tip, in this direction, is inside the lumen, and if an arc that is no sharper than the bending section's sharpest bend
-leads from its rear end back into the direction of the airway without leaving the lumen. The tip may touch the wall. The
-simulated drive of `carina.plan.verdict` has the last word; this analysis selects the places that are driven.
+leads from its rear end back into the direction of the airway without leaving the lumen. The tip may touch the wall.
+This analysis selects the positions to which the scope is driven; the simulated drive of `carina.plan.verdict` decides.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ Points = NDArray[np.float64]
 SMOOTH_MM = 4.0
 """Half the length in mm over which a direction of the airway is measured."""
 CUT_MM = 10.0
-"""Distance in mm from the beginning of the tree in which widths are ignored."""
+"""Length in mm at the start of the tree whose widths are ignored, because the CT may cut the trachea there."""
 PATH_STEP_MM, WIDEST_MM = 0.5, 12.0
-"""Step, and largest distance from the centreline, in mm of the search for the wall beside a place."""
+"""Step, and largest distance from the centreline, in mm of the search for the wall beside a standing place."""
 MIN_SIDE_MM, NEAR_MM = 0.1, 0.5
-"""Distances in mm of the aim from the axis and from the tip, below which its direction is that of the airway."""
+"""Least distances in mm of an aim from the airway's axis and from the tip; nearer aims have the axis's direction."""
 RIGID_STEP_MM = 1.0
 ROUNDED_MM = 0.3
 """Radius in mm of the rounded edge of the tip's face."""
 TIP_LACK_MM, SHAFT_LACK_MM = 0.05, 0.2
-"""Depths in mm by which rigid tip and bending section may be inside the wall, as in the simulated drive."""
+"""Depths in mm by which the rigid tip and the bending section may enter the wall, as in the simulated drive."""
 RADII = (1.0, 1.6, 3.0, 8.0)
 """Radii of the tested arcs of the bending section, as multiples of the sharpest one."""
 NUM_ON_ARC, BEHIND_MM = 8, 4.0
@@ -46,9 +46,10 @@ RINGS = (1, 6, 12, 18)
 """Number of tested directions on each ring round the direction to the aim; the last ring touches the target's edge."""
 MAX_RING_DEG = 60.0
 SPARE_MM, SLIMMER_MM, THINNEST_MM = 0.2, 0.8, 0.6
-"""Sizes in mm of the substitute for a scope that is about as wide as the airway.
+"""Limits in mm for the thinner substitute of a scope: least play, reduction of the diameter, least diameter.
 
-The width itself is another criterion of a route (`carina.plan.routes.ranking`).
+The substitute represents a scope about as wide as the airway, because the width is a separate criterion of a route
+(`carina.plan.routes.ranking`).
 """
 
 
@@ -117,7 +118,7 @@ class TipDirections:
         return min((one for one in found if one is not None), key=lambda one: one.off_deg, default=None)
 
     def around(self, place: StandingPlace, ways: Points) -> Iterator[tuple[Points, NDArray[np.bool_]]]:
-        """Yield positions of the tip at a place, each with the directions that are attainable from the position.
+        """Yield positions of the tip at a standing place, each with the directions that are attainable there.
 
         Parameters
         ----------
@@ -192,7 +193,7 @@ class TipDirections:
         return found
 
     def _bends(self, place: StandingPlace, tip: Points, ways: Points, radius: float) -> NDArray[np.bool_]:
-        """Return for each direction (n, 3) whether the bending section leads from it back into the airway."""
+        """Return for each direction (n, 3) whether the bending section can lead from the tip into the airway's axis."""
         rear = tip - self._rigid_mm * ways
         behind_mm = place.along_mm - self._rigid_mm
         at_rear = self._direction(place.branch_id, np.full(len(ways), behind_mm))
@@ -222,7 +223,7 @@ class TipDirections:
         return found
 
     def _path(self, branch_id: int) -> tuple[Points, Points, Points]:
-        """Return the path to the end of a branch: distances, points, and the narrowest ball from the root on."""
+        """Return the path from the root to a branch's end: distances, points, least ball diameter up to each point."""
         if branch_id not in self._paths:
             lineage = self._tree.lineage(branch_id)
             points = np.concatenate([lineage[0].points, *(branch.points[1:] for branch in lineage[1:])])
@@ -240,7 +241,7 @@ class TipDirections:
         return found
 
     def _slim_mm(self, branch_id: int, along_mm: float) -> float:
-        """Return the diameter of the scope, or of its thinner substitute if the scope is about as wide as the way."""
+        """Return the diameter in mm of the scope, or of its thinner substitute in an airway about as wide."""
         along, _, room = self._path(branch_id)
         room_mm = float(room[max(int(np.searchsorted(along, along_mm, side="right")) - 1, 0)])
         if self._tip_mm <= room_mm - SPARE_MM:

@@ -23,10 +23,10 @@ At a fork the centreline cuts the corner up to 2 mm beside the middle.
 """
 NUM_ROUND = 8
 HALF_SAMPLE_MM = 0.2
-"""Half the distance in mm between the samples of the wall field.
+"""Distance in mm at which the wall field is read beside the middle line: half the spacing of its samples.
 
 The distance to the wall has its peak on the middle line of the lumen. A field with samples 0.4 mm apart cuts off some
-0.25 mm of the peak, so the distance is measured beside the line.
+0.25 mm of this peak, so the distance is measured beside the line.
 """
 INWARDS_MM = 0.19
 """Correction in mm of the radius, because the nearest wall of eight directions underestimates a round lumen's radius.

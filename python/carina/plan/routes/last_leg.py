@@ -21,7 +21,7 @@ Points = NDArray[np.float64]
 Tissue = Literal[
     "lumen", "airway wall", "lung", "fissure", "vessel", "target", "mediastinum or chest wall", "not examined"
 ]
-"""Type of the tissues on a needle path.
+"""Tissue on a needle path.
 
 ``fissure`` is used only for a visible fissure. ``not examined`` is outside the CT, or too far from the target.
 """
@@ -30,13 +30,13 @@ STEP_MM = 0.25
 MIN_MM = 0.5
 """Least length in mm of a stretch of one tissue; a shorter stretch is added to the tissue before it."""
 SPREAD = 1.645
-"""Multiple of the standard deviation of the needle's error within which nine of ten needles pass the planned line."""
+"""Number of standard deviations of the needle's error on each side that include 90 % of the needles."""
 BEYOND_MM = 10.0
 """Distance in mm beyond the target up to which the tissues on the needle path are examined."""
 CROSSED_VESSEL_MM = 0.05
-"""Distance in mm below which the needle's line crosses a vessel, because the distance would be stated as 0.0."""
+"""Distance in mm from the needle's line below which a vessel counts as crossed; it would be displayed as 0.0."""
 OPEN_MM = 0.8
-"""Largest distance in mm of a target from the lumen at which no wall has to be pierced."""
+"""Largest distance in mm of a target from the lumen at which the needle need not pierce the wall."""
 
 
 @one_line
@@ -99,10 +99,10 @@ class LastLeg:
     beyond_mm: float | None
     """Distance along the needle from the target's far edge to pleura or mediastinum, mm; None if more than 10 mm."""
     hit_share: float
-    """Share of needles within the assumed errors that hit the target at its place in the CT, 0 to 1.
+    """Share of needles within the assumed errors that hit the target at its position in the CT, 0 to 1.
 
     In a plan the needle has a direction that the scope can take; the share is 0 if no such direction hits. Before a
-    drive of the scope it is an estimate, which no output states (`PlannedRoute.hit_share`).
+    simulated drive it is an estimate, which outputs do not show (`PlannedRoute.hit_share`).
     """
     reaches: bool
     """Whether the tool reaches the edge of the target."""
@@ -214,7 +214,7 @@ def with_errors(scene: NeedleScene, leg: LastLeg) -> LastLeg:
 
 
 def leg_as_aimed(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: Points | None = None) -> LastLeg:
-    """Compute `last_leg` for a needle without errors; the share of hits is 1.
+    """Compute `last_leg` for a needle without errors, whose share of hits is 1.
 
     Parameters
     ----------
@@ -274,7 +274,7 @@ def leg_as_aimed(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: 
 
 
 def edge_on_needle_mm(nodule: Nodule, tip_lps: Points, end_lps: Points, reach_mm: float) -> float:
-    """Return the distance in mm from a tip to the edge of a nodule along a needle; to its end if the needle misses.
+    """Return the distance in mm from a tip to a nodule's edge along a needle; the needle's reach if the needle misses.
 
     Parameters
     ----------
@@ -302,7 +302,7 @@ def _needle_points(
 
 
 def where_it_may_have_moved(scene: NeedleScene, leg: LastLeg, movement: TargetMovement) -> LastLeg:
-    """Return a leg with the share of hits for a target that may be anywhere in the region of its movement.
+    """Return a leg with the share of hits for a target that may be anywhere within its possible movement.
 
     Parameters
     ----------
@@ -325,13 +325,13 @@ def where_it_may_have_moved(scene: NeedleScene, leg: LastLeg, movement: TargetMo
 
 
 def _first_mm(there: NDArray[np.bool_]) -> float | None:
-    """Return the distance in mm along the needle to the first true sample; None if there is none within `BEYOND_MM`."""
+    """Return the distance in mm of the first true sample along the needle; None if no sample is true."""
     first = np.flatnonzero(there[: int(BEYOND_MM / STEP_MM) + 1])
     return STEP_MM * float(first[0]) if first.size else None
 
 
 def _near_vessels(to_vessel: Points, at: Points, points: Points, margin_mm: float) -> tuple[NearVessel, ...]:
-    """Return for each stretch on which a vessel is nearer to the needle than the margin, the nearest point."""
+    """Return the nearest point for each stretch of the needle on which a vessel is nearer than the margin."""
     near = np.flatnonzero(to_vessel < margin_mm)
     if not near.size:
         return ()

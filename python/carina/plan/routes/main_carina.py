@@ -18,7 +18,7 @@ OriginKind = Literal["ridge", "axes", "root"]
 
 SAME_PLACE_MM = 1e-6
 AT_ORIGIN_MM = 0.5
-"""Distance in mm below which a place is described as at the origin."""
+"""Largest distance in mm from the origin at which a text calls a point *at the origin*."""
 MAIN_BRONCHI = ("RMB", "LMB")
 AXES_NOTE = (
     "no ridge of the main carina was found; distances are measured from the point where the axes of the main bronchi "
@@ -78,7 +78,7 @@ class DistanceOrigin:
         return self.along_mm - self.axes_mm if self.kind == "ridge" and self.axes_mm is not None else None
 
     def past_mm(self, along_mm: float) -> float:
-        """Return the distance in mm of a place from the origin.
+        """Return the distance in mm of a point from the origin.
 
         Parameters
         ----------
@@ -88,7 +88,7 @@ class DistanceOrigin:
         return along_mm - self.along_mm
 
     def from_carina_mm(self, along_mm: float) -> float | None:
-        """Return the distance in mm of a place from the main carina; None if the route passes no main carina.
+        """Return the distance in mm of a point from the main carina; None if the route passes no main carina.
 
         Parameters
         ----------
@@ -110,8 +110,7 @@ class DistanceOrigin:
     def fork_mm(self, along_mm: float) -> float:
         """Return the distance in mm of a fork of the centrelines from the origin.
 
-        The distance is 0 for the main carina itself, whose axes meet before its ridge, and for a fork between these
-        axes and the ridge.
+        The result is 0 for the main carina itself, and for a fork between the axes and the ridge of the main carina.
 
         Parameters
         ----------
@@ -189,9 +188,9 @@ def distance_origin(volume: Volume, airways: Airways) -> DistanceOrigin:
 
 
 def axes_origin(tree: AirwayTree) -> DistanceOrigin:
-    """Return the point where the axes of the main bronchi meet as origin of distances, from the tree alone.
+    """Return the point where the axes of the main bronchi meet as origin of distances; only the tree is used.
 
-    The root if the tree has no main bronchus.
+    The origin is the root if the tree has no main bronchus.
     """
     mother = _mother_of_main_bronchi(tree)
     if mother is None:
@@ -226,9 +225,10 @@ def origins_of_branches(tree: AirwayTree, origin: DistanceOrigin) -> dict[int, D
 
 
 def _mother_of_main_bronchi(tree: AirwayTree) -> Branch | None:
-    """Return the branch that ends in the main carina: the last one on the routes to both main bronchi.
+    """Return the branch that ends in the main carina: the last common branch of the routes to both main bronchi.
 
-    If only one main bronchus is known, the branch before it. None without a main bronchus, or if the tree begins in it.
+    If only one main bronchus is known, the result is the branch before it. It is None without a main bronchus, or if
+    the tree begins in one.
     """
     first: dict[str, Branch] = {}
     for branch in tree.branches:
@@ -252,6 +252,6 @@ def _ridge_beyond_axes_mm(volume: Volume, airways: Airways, mother: Branch) -> f
 
 
 def _without_rest(branch: Branch, ids: set[int]) -> Branch:
-    """Return a copy of a branch in which parent and children are limited to the given IDs."""
+    """Return a copy of a branch that keeps its parent and children only if they are among the given IDs."""
     parent = branch.parent if branch.parent in ids else None
     return replace(branch, parent=parent, children=tuple(i for i in branch.children if i in ids))

@@ -28,27 +28,27 @@ NUM_SAMPLES = 400
 @one_line
 @dataclass(frozen=True, slots=True)
 class LostAirway:
-    """Place near a target at which the search lost an airway that may lead to the target."""
+    """Point near a target at which the search lost an airway that may lead to the target."""
 
     gap_mm: float
-    """Distance in mm from the place to the target's edge."""
+    """Distance in mm from the point to the target's edge."""
     reason: str
-    """Reason why the search ended there."""
+    """Reason why the search ended at the point."""
 
     @property
     def words(self) -> str:
-        """Place as text, such as *the tree is lost 16 mm short of the target: lost here, 3.3 mm wide*."""
+        """Lost airway as text, such as *the tree is lost 16 mm short of the target: lost here, 3.3 mm wide*."""
         return f"{self.short_words}: {self.reason}"
 
     @property
     def short_words(self) -> str:
-        """Place as text without the reason."""
+        """Lost airway as text without the reason."""
         if self.gap_mm < 0.5:
             return "the tree is lost at the target"
         return f"the tree is lost {self.gap_mm:.0f} mm short of the target"
 
     def to_json(self) -> dict[str, Any]:
-        """Return the place as plain JSON types."""
+        """Return the lost airway as plain JSON types."""
         return {"gap_mm": self.gap_mm, "reason": self.reason, "words": self.words}
 
 
@@ -149,7 +149,9 @@ def why_none(airways: Airways, nodule: Nodule, nearest: NearestPlace | None, too
 
 
 def lost_airway(airways: Airways, nodule: Nodule, nearest: NearestPlace | None) -> LostAirway | None:
-    """Return the place nearest to a target at which the search lost an airway; None if no such place matters.
+    """Return the point nearest to a target at which the search lost an airway, or None.
+
+    The result is None if another airway comes more than 10 mm closer to the target, or if the point is too far away.
 
     Parameters
     ----------
@@ -170,7 +172,7 @@ def lost_airway(airways: Airways, nodule: Nodule, nearest: NearestPlace | None) 
 
 
 def _absent_lobes(airways: Airways, nodule: Nodule) -> list[str]:
-    """Return notes on the lobes of the target's side in which the search found no airway."""
+    """Return notes on the lobes of the target's side in which the search found no bronchus."""
     is_left = nodule.centre_lps[0] > float(airways.tree.root.points[-1][0])
     return [
         absence.words

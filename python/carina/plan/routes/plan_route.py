@@ -87,11 +87,11 @@ MAX_ANGLE_DEG = 100.0
 MAX_ROUTES = 5
 MAX_AIMS = 3
 SAME_PLACE_MM = 0.01
-"""Largest distance in mm along a branch of two equal positions."""
+"""Largest difference in mm along a branch between two positions that count as the same position."""
 APART_MM = 4.0
 """Least distance in mm between the scope positions of two routes to one aim."""
 BEYOND_MM, MIN_MARGIN_MM, ROUND_MM = 10.0, 3.0, 6.0
-"""Margins in mm of the examined box: beyond the target's far edge, beside the needle, and for the reach of filters."""
+"""Margins in mm of the examined box: beyond the target, beside the needle, and for the reach of image filters."""
 MAX_BOX_MM = 60.0
 
 

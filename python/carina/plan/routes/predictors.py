@@ -28,7 +28,7 @@ CHORD_MM = 3.0
 STEP_MM = 0.25
 """Distance in mm between the places at which the direction of the axis is measured."""
 PREDICTOR_SOURCE = "Cancer Imaging 2024, doi 10.1186/s40644-024-00730-7"
-"""Source of the predictors, of which the abstract was read."""
+"""Publication of the predictors; only its abstract was read."""
 PREDICTOR_WORDS = (
     "A large bifurcation angle at the target branch and a narrow, curved last section were associated with failed "
     f"navigation by radial EBUS (491 patients, 57 targets not reached; {PREDICTOR_SOURCE}). The source has no limits: "
@@ -139,10 +139,10 @@ def _bifurcation_deg(lineage: Sequence[Branch]) -> float | None:
 
 
 def mean_curvature(points: Points, begins_mm: float, ends_mm: float) -> float | None:
-    """Return the mean curvature of a section of a polyline in 1/mm; None if it is too short.
+    """Return the mean curvature of a section of a polyline in 1/mm; None if the section is too short.
 
-    The direction at a place is that of the chord from 3 mm before to 3 mm after it, which removes the steps of the
-    voxels. At an end of the polyline the section is shortened so that each chord lies on it.
+    The direction at a point is that of the chord from 3 mm before to 3 mm after it, which removes the steps of the
+    voxels. At an end of the polyline the section is shortened so that each chord is part of the polyline.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ from carina.scopes import ScopePreset
 
 Outlook = Literal["reaches", "may reach", "does not reach"]
 OUTLOOKS: tuple[Outlook, ...] = ("reaches", "may reach", "does not reach")
-"""Outlooks, the best first."""
+"""Possible outlooks of a route, the best first."""
 RANK: dict[Outlook, int] = {outlook: rank for rank, outlook in enumerate(OUTLOOKS)}
 
 DEEP_MM = 8.0
@@ -29,7 +29,7 @@ DEEP_MM = 8.0
 BEND_SIGMA_DEG = 8.0
 """Standard deviation in degrees of the angle that a route requires of the bending section (common knowledge)."""
 POINTS, BARELY = 0.5, 0.1
-"""Shares of needles that hit: from the first up the scope points at the target, below the second it does not.
+"""Limits of the share of hits: from the first on the scope can point at the target, below the second it cannot.
 
 The second is small, because a needle pass can be repeated.
 """
@@ -88,7 +88,7 @@ class WorstValue:
 
 @dataclass(frozen=True, slots=True)
 class Demands:
-    """Width, bend and doubts of a path from the root, which a scope must pass."""
+    """Requirements of a path for the scope that follows it: width, bend, and doubts about the airways."""
 
     width: RouteWidth
     """Narrowest diameter of the path, with its error."""
@@ -96,7 +96,7 @@ class Demands:
     """Sharpest turn in degrees over the length of rigid tip and bending section, and the place where it ends."""
     doubts: tuple[str, ...]
     trust: float
-    """Probability that the whole path is airway; 1 if no branch is doubtful."""
+    """Probability that every branch of the path is an airway; 1 if no branch is doubtful."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +185,7 @@ class Judge:
         )
 
     def aim_limit(self, leg: LastLeg) -> str:
-        """Return the reason against a place from which too few needles hit, as text."""
+        """Return the reason against a scope position from which too few needles hit, as text."""
         if leg.hit_share < BARELY:
             return (
                 f"{self.scope.title} cannot point at the target there: the needle would leave the airway at "
@@ -197,7 +197,7 @@ class Judge:
         )
 
     def depth_limit(self, leg: LastLeg) -> tuple[Outlook, tuple[str, ...]]:
-        """Return whether the tool reaches the target from a scope's tip, and the reason if this is not sure."""
+        """Return whether the tool is long enough to reach the target from a tip, and the reason if not surely."""
         _, words = self._depth(leg)
         rank = int(depth_rank(self.reach_mm - leg.to_target_mm))
         return OUTLOOKS[rank], (() if rank == RANK["reaches"] else (words,))
@@ -259,7 +259,7 @@ def depth_rank(spare_mm: ArrayLike) -> NDArray[np.int64]:
 
 
 def order(route: Any) -> tuple[Any, ...]:
-    """Return the sort key of a route: the outlook, then the score, multiplied by the probability for *may reach*."""
+    """Return the sort key of a route: the outlook, then the score, which *may reach* multiplies by the probability."""
     score = route.score * route.chance if route.outlook == "may reach" else route.score
     return RANK[route.outlook], -score, route.branch_id, route.aim
 
@@ -274,5 +274,5 @@ def _outlook_of(share: float) -> Outlook:
 
 
 def _share(sigmas: float) -> float:
-    """Return the probability that a standard normal variable is below a value."""
+    """Return the probability that a standard normal variable is below ``sigmas``."""
     return 0.5 * (1.0 + math.erf(sigmas / math.sqrt(2.0)))

@@ -32,23 +32,24 @@ WidthSource = Literal["sections", "ball"]
 Fit = Literal["fits", "may fit", "does not fit"]
 
 SURE = 0.9
-"""Least chance at which a scope *fits*; at a chance of at most 1 less this value it *does not fit*.
+"""Least probability at which a scope *fits*; at a probability of at most 1 less this value it *does not fit*.
 
 Checks and outlooks of routes use the same limits.
 """
 EXCESS_SIGMA_MM = 0.15
-"""Standard deviation in mm of a scope's true size.
+"""Standard deviation in mm of a scope's true size round its stated size.
 
-Ten scopes exceed their stated tip by 0.19 to 0.66 mm, by a published source; the deviation is our estimate.
+A published source measured ten scopes, whose tips exceed their stated size by 0.19 to 0.66 mm; the deviation is our
+estimate.
 """
 DEVIATIONS_90 = 1.645
 """Number of standard deviations on each side of the mean that contain 90 % of a normal distribution."""
 PAST_FORK_MM = 1e-3
 """Distance in mm beyond a fork at which an opening begins, so that the end of the parent does not belong to it."""
 BALL_SHARE, BALL_SLICES = 0.3, 1.0
-"""Error of the diameter of the largest ball: share of the diameter, and multiple of the CT's largest spacing.
+"""Error of the largest ball's diameter: share of the diameter, and multiple of the CT's largest spacing.
 
-91 % of 248 routes in painted CTs whose last part was taken as unmeasured have their true diameter within this error
+In painted CTs, 91 % of 248 routes whose last part was treated as unmeasured have their true diameter within this error
 (``benchmarks/measurements/diameters.md``).
 """
 NUM_MEASURED = 3
@@ -135,7 +136,7 @@ class RouteWidth:
 
 
 def ball_error_mm(diameter_mm: Points | float, spacing_mm: float) -> Any:
-    """Return the error of the largest ball, as `RouteWidth.error_mm`; ``spacing_mm`` is the largest of the CT.
+    """Return the half width in mm of the 90 % interval of a diameter that is measured by the largest ball.
 
     Parameters
     ----------
@@ -230,10 +231,10 @@ def width_of_section(
     section_mm: tuple[float, float],
     origin: DistanceOrigin = ROOT,
 ) -> RouteWidth:
-    """Return the narrowest width of one section of a route, by the diameters of `widths_on_the_way`.
+    """Return the narrowest width of one section of a route, from the diameters of `widths_on_the_way`.
 
-    As there, the first known diameter at or beyond the end of the section counts too. Without a diameter in the
-    section, the one nearest before it counts.
+    The first known diameter at or beyond the end of the section counts too, as in `widths_on_the_way`. Without a
+    diameter in the section, the nearest one before the section counts.
 
     Parameters
     ----------
@@ -361,7 +362,7 @@ def narrowest_opening(openings: Sequence[RouteOpening]) -> RouteOpening:
 
 @dataclass(slots=True, eq=False)
 class _KnownDiameters:
-    """Places along a branch at which a diameter is known, with the diameters."""
+    """Points of a branch at which the diameter is known, with the diameters."""
 
     at_mm: Points
     diameter_mm: Points

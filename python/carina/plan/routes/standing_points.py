@@ -32,9 +32,9 @@ FINE_MM = 0.175
 LOWER_LOBES = {"RUL": "RLL", "RML": "RLL", "LUL": "LLL", "LML": "LLL"}
 """Lower lobe of the same lung for each other lobe; a mirrored chest has LML."""
 EITHER_LOBE_MM = 5.0
-"""Distance in mm by which airways of a lower lobe may be farther from a target that may be in this lobe."""
+"""Distance in mm by which a lower lobe's airways may be farther from a target that may be in either lobe."""
 INTO_MM, BESIDE_MM = 0.8, 2.0
-"""Largest distances in mm of a lumen from a nodule: for an airway that leads into the nodule, and for one beside it."""
+"""Largest distances in mm between lumen and nodule for an airway that leads into the nodule, and for one beside it."""
 DOUBTFUL = 0.5
 """Confidence below which a branch counts as doubtful."""
 SMOOTH_MM = 4.0
@@ -59,7 +59,7 @@ class NearestPlace:
     gap_mm: float
     """Distance from the middle of the airway at the place to the edge of the target, mm."""
     from_carina_mm: float | None = None
-    """Distance of the place from the main carina, mm; None if the way to the place passes no main carina."""
+    """Distance of the place from the main carina, mm; None if the route to the place passes no main carina."""
 
     def to_json(self) -> dict[str, Any]:
         """Return the place as plain JSON types."""
@@ -131,7 +131,7 @@ class Ways:
         return self._origins[branch_id]
 
     def asks(self, n: int, section_mm: float | None) -> Demands:
-        """Return width, bend and doubts of the path to point ``n``, which a scope must pass.
+        """Return the requirements of the path to point ``n`` for a scope: width, bend and doubts.
 
         Parameters
         ----------
@@ -209,16 +209,16 @@ class Places(Ways):
             edge[near] = self.nodule.distance_mm(self.points[near])
         # If the airway passes through the nodule, the nodule is reached even if the aim is behind the tip.
         may = (edge <= tool.reach_mm) & ((self.angle_deg(aim_lps) <= most_angle_deg) | (edge <= 0.0))
-        kept: list[int] = []
+        chosen: list[int] = []
         for n in np.flatnonzero(may):
-            last = kept[-1] if kept else None
+            last = chosen[-1] if chosen else None
             if (
                 last is None
                 or self.branch[last] != self.branch[n]
                 or self.along_mm[n] - self.along_mm[last] >= apart_mm
             ):
-                kept.append(int(n))
-        return np.array(kept, dtype=np.intp)
+                chosen.append(int(n))
+        return np.array(chosen, dtype=np.intp)
 
     def beside(self, spots: Iterable[tuple[int, float]]) -> Places:
         """Return a copy with places `FINE_MM` apart round given places.
@@ -278,7 +278,10 @@ class Places(Ways):
         return finer
 
     def bronchus_sign(self) -> tuple[BronchusSign, str | None, tuple[float, float, float] | None]:
-        """Return whether an airway leads into the nodule or is beside it, the name of the airway, and the place."""
+        """Return the bronchus sign, and the name and the nearest point of the airway that shows it.
+
+        The sign is that an airway leads into the nodule, or is beside it.
+        """
         near = np.flatnonzero(self.distance <= self.nodule.long_mm + 6.0)
         if not near.size:
             return "none", None, None
@@ -363,7 +366,7 @@ def _along(tree: AirwayTree) -> dict[int, Points]:
 
 
 def _bends(lineage: tuple[Branch, ...] | list[Branch], section_mm: float) -> tuple[Points, Points, Points]:
-    """Return the sharpest turn of a path up to each place along the path.
+    """Return the sharpest turn up to each point of a path: distances, turns in degrees, and distances of these turns.
 
     Returns
     -------

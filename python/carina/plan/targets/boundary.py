@@ -34,10 +34,10 @@ CLICK_MM = 4.0
 """Radius in mm around a click in which the nodule is searched."""
 SMOOTH_MM = 0.7
 SEED_SMOOTH_MM = 1.0
-MEANT = 0.75
-"""Least rise of the seed over the lung, as a share of the greatest rise near the click.
+SEED_RISE_SHARE = 0.75
+"""Least density of the seed voxel above lung, as a share of the greatest density above lung near the click.
 
-The seed is the voxel nearest to the click with at least this rise.
+The seed is the voxel nearest to the click that meets this limit; segmentation starts from it.
 """
 LEVEL_MM = 2.0
 SOLID_HU = -250.0
@@ -45,25 +45,25 @@ SOLID_HU = -250.0
 GLASS_TOP_HU = -200.0
 """Density in HU of a nodule's edge above which the edge is soft tissue and not ground glass.
 
-The limit holds also round a dense, calcified core.
+A dense or calcified core does not change this limit.
 """
 BRIGHTER_HU = 90.0
 """Least difference in HU between a nodule and bone or a vessel with contrast medium beside it."""
 DENSEST_HU = 100.0
-"""Upper limit in HU of the density from which the threshold of a nodule follows.
+"""Upper limit in HU for the nodule's density; the segmentation threshold is half-way between it and lung.
 
-A denser nodule contains calcification, but its edge is soft tissue.
+Only calcification makes a nodule denser, and the edge of a calcified nodule is soft tissue.
 """
 TISSUE_HU = 40.0
 CAVITY_WALL_MM = 4.0
 """Distance in mm outside a cavity in which the cavity's wall is searched."""
 RIM_DEEP_MM, RIM_BIN_MM, NUM_RIMS = (0.4, 2.8), 0.4, 2
-"""Depth range and bin width in mm for the density of ground glass round a core, and the number of repetitions.
+"""Depth range and bin width in mm for measuring ground glass round a core, and the number of repetitions.
 
-Each repetition measures the density inside the boundary of the previous one.
+Each repetition measures the density inside the boundary that the previous repetition found.
 """
 MIN_RING = 20
-"""Least number of voxels from which a density is measured."""
+"""Least number of voxels of a region whose density is measured."""
 CAVITY_MM, SMALLEST_CAVITY_MM3 = 0.9, 10.0
 """Least radius in mm of the largest ball inside a cavity, and least volume of a cavity; smaller hollows are noise."""
 MIN_RISE_HU = 110.0
@@ -71,23 +71,23 @@ MIN_RISE_HU = 110.0
 HALVES_MM = (22.0, 36.0, 60.0)
 """Half side lengths in mm of the boxes that are searched in turn.
 
-The next box is used if the nodule nears the faces.
+The next larger box is used if the nodule comes near the faces of the present box.
 """
 EDGE_MM = 4.0
 MAX_CUT = 0.4
 """Largest share of a nodule's surface that the edge of the CT may cut off."""
 OPENINGS, OPENINGS_AT_WALL = (0.6, 0.7, 0.8), (0.4, 0.5, 0.6, 0.7, 0.8)
-"""Radius of the ball of the opening that removes vessels, as a share of the largest ball in the nodule.
+"""Radii of the opening that removes vessels, as shares of the radius of the largest ball in the nodule.
 
-The first share that suffices is used. A nodule at the wall begins with smaller shares, because large balls remove the
-edges of a nodule with a flat side.
+The radii are tried in turn, until the nodule contains no long tail (`MAX_TAIL_RADII`). A nodule at the wall begins with
+smaller shares, because large balls remove the edges of a nodule with a flat side.
 """
 WIDE_OPENINGS_MM = (4.0, 5.5, 7.5)
-"""Radii in mm of the openings that are tried first in a large nodule; hardly a vessel in the lung is wider."""
-TAIL = 2.4
+"""Radii in mm of the openings that are tried first in a large nodule; few vessels in the lung are wider."""
+MAX_TAIL_RADII = 2.4
 """Largest distance of a part of a nodule from the nodule's middle, in radii; a part farther away is a vessel."""
 WIDE_OFF_MM = 0.5
-"""Least uncertainty in mm of the wall behind a nodule with a wide contact."""
+"""Least uncertainty in mm of the wall's position behind a nodule with a wide contact."""
 MIN_FREE = 0.35
 """Least share of the surface of a nodule with a wide contact that faces the lung."""
 RIM_MM = 1.6
@@ -95,14 +95,14 @@ RIM_MM = 1.6
 STUB_MM = 2.0
 """Largest length in mm of a removed part that still belongs to the nodule; longer removed parts are vessels."""
 FILM_MM = 1.1
-"""Radius in mm of the largest ball in a nodule on the wall; a thinner one is unevenness of the wall."""
+"""Radius in mm of the largest ball below which tissue on the wall is unevenness of the wall, not a nodule."""
 FILLET_MM = 3.0
 """Distance in mm from a removed chest wall within which a remaining part is neither nodule nor vessel."""
 GLASS_RISE_HU, GLASS_MM, GLASS_SHARE = 120.0, (1.0, 1.7), 0.55
-"""Rise over the lung in HU for the first boundary, depth range in mm, and largest share of the core's rise.
+"""Limits that identify ground glass round a denser core: threshold in HU, depths in mm, share of the core.
 
-A nodule has ground glass round a denser core if the rise over the lung at this depth is at most this share of the
-core's rise.
+The first number is the rise over lung of the threshold for the outer boundary. Ground glass is present if, at these
+depths, the rise over lung is at most this share of the core's rise.
 """
 
 
@@ -166,7 +166,8 @@ class Boundary:
         self.rim_hu: float | None = None
         if glass is not None:
             for _ in range(NUM_RIMS):
-                # Each boundary is larger than the one before, and less of the core's density shows at its edge.
+                # Each repetition uses the density inside the previous boundary, which was larger, so the core affects
+                # it less.
                 self.rim_hu = self._rim_hu()
                 if self.rim_hu is None:
                     break
@@ -200,15 +201,16 @@ class Boundary:
                 f"and the lung around it is {self.lung_hu:.0f} HU; click in the middle of the nodule",
                 code="plan.no-nodule",
             )
-        meant = near & (very >= self.lung_hu + MEANT * (densest - self.lung_hu))
-        seed = _first(np.where(meant, off, np.inf).argmin(), off.shape)
-        level = float(very[meant & (box.steps_from(seed) * box.step_mm <= LEVEL_MM)].max())
+        candidates = near & (very >= self.lung_hu + SEED_RISE_SHARE * (densest - self.lung_hu))
+        seed = _first(np.where(candidates, off, np.inf).argmin(), off.shape)
+        level = float(very[candidates & (box.steps_from(seed) * box.step_mm <= LEVEL_MM)].max())
         return seed, level
 
     def _round_cavity(self, off: NDArray[np.float64]) -> Mask:
-        """Return the mask of the wall of the cavity that contains the clicked point.
+        """Return the mask of the wall round the cavity that contains the clicked point.
 
-        The mask is empty if the click is in lung or in an airway that reaches the faces of the box.
+        The mask is empty if the click is in lung, or in an airway that reaches the faces of the box. ``off`` is the
+        distance of each voxel from the click.
         """
         air = self.smooth <= 0.5 * (self.lung_hu + TISSUE_HU)
         at = _first(off.argmin(), off.shape)
@@ -258,7 +260,7 @@ class Boundary:
             core = component_at(depth > opening_mm, peak)
             off = self.box.steps_from(peak)[core] * self.box.step_mm
             whole_mm = float(off.max()) + opening_mm
-            if whole_mm <= TAIL * radius:
+            if whole_mm <= MAX_TAIL_RADII * radius:
                 break
         back_mm = opening_mm + 0.5 * self.box.step_mm
         self.inside = core | (whole & (distance_from(core, self.box.step_mm, back_mm) <= back_mm))
@@ -274,7 +276,7 @@ class Boundary:
             self.touches.append("vessel")
 
     def _openings_mm(self, radius_mm: float) -> list[float]:
-        """Return the radii in mm of the openings that are tried in turn, for a nodule with a largest ball."""
+        """Return the radii in mm of the openings that are tried in turn; ``radius_mm`` is that of the largest ball."""
         shares = OPENINGS_AT_WALL if self.wall.any() else OPENINGS
         usual = [share * radius_mm for share in shares]
         # The vessels of a mass are thin compared with it, but its lobes are not.
@@ -288,7 +290,7 @@ class Boundary:
         return hollow if float(deep.max()) >= CAVITY_MM else np.zeros_like(hollow)
 
     def _brighter(self, level: float) -> Mask:
-        """Return the mask of bone and of vessels with contrast medium: brighter than the nodule, and not only in it."""
+        """Return the mask of bone and contrast-filled vessels: voxels brighter than the nodule that go beyond it."""
         bright = self.smooth > max(level, float(self.smooth[self.seed])) + BRIGHTER_HU
         return from_faces(bright) if bright.any() else bright
 
@@ -306,7 +308,7 @@ class Boundary:
         self.seed = _first(off.argmin(), off.shape)
 
     def _parted(self, whole: Mask) -> tuple[Mask, Mask]:
-        """Divide the voxels that the opening removed into masks of vessels and of parts of the nodule."""
+        """Divide the voxels that the opening removed into a mask of vessels and a mask of parts of the nodule."""
         away = distance_from(self.inside, self.box.step_mm, STUB_MM)
         left = whole & ~self.inside
         cut, own = np.zeros_like(left), np.zeros_like(left)
@@ -357,9 +359,10 @@ class Boundary:
         return float(np.median(self.box.hu_zyx[ring]))
 
     def _rim_hu(self) -> float | None:
-        """Return the density in HU of ground glass where lung and core affect it least; None if the rim is too thin.
+        """Return the density in HU of ground glass at the depth where lung and core affect it least, or None.
 
-        At this depth the values change least with depth. A thin faint rim shows its own density at no other depth.
+        The depth is the one at which the density changes least with depth. The result is None if the layer of ground
+        glass is too thin.
         """
         depth = ball_distance(self.inside, self.box.step_mm)
         at, level = [], []

@@ -25,22 +25,22 @@ MOUTH_MM = 2.5
 CORE_MM = 1.5
 """Depth in mm below the boundary beyond which the blur of the edge has no effect."""
 RING_MM, RING_SHOWS, ALIKE = (0.8, 1.6), 0.97, 0.8
-"""Depth range in mm, and two shares of the nodule's rise over the lung at this depth.
+"""Depth range in mm below the boundary, and two shares of the nodule's rise over lung at this depth.
 
-A uniform nodule shows 0.84 to 0.93 of its rise at this depth; a nodule with a denser core shows less.
+A uniform nodule has 0.84 to 0.93 of its rise at this depth because of blur; a nodule with a denser core has less.
 """
 MAX_SHARE = 1.5
 SMALL_MM, SMALL_OFF = 2.4, 0.2
-"""Radius in mm of the largest ball in a small nodule, and boundary error of a small nodule in slice distances."""
+"""Largest radius in mm of a small nodule (its largest ball), and the error of its boundary in slice distances."""
 FAINT_SHARE, FAINT_HU, FAINT_MM, FAINT_SLICES_MM = 0.22, 80.0, 1.5, 1.5
-"""Limits for thin vessels beyond the rim: share of the nodule's rise, rise in HU, length in mm, largest spacing in mm.
+"""Limits for thin vessels that leave a nodule: share of the nodule's rise, rise in HU, length in mm, spacing in mm.
 
-The blur of the nodule itself has less than this share there, but not in thicker slices.
+In slices thinner than the last number, the blur of the nodule itself stays below the first limit.
 """
 THIN_OFF = 0.25
-"""Error of the boundary of a cavity's thin wall, in slice distances."""
+"""Error in slice distances of the boundary of a cavity's thin wall."""
 DOUBT_SHARE = 0.25
-"""Least error of the volume, as a share of it, with which a note states where the boundary is uncertain."""
+"""Least relative error of the volume at which a note names the places where the boundary is uncertain."""
 PLACES = {
     "pleura": "the chest wall, the mediastinum or the diaphragm",
     "vessel": "a vessel",
@@ -90,7 +90,8 @@ def measured(grown: Boundary, coarsest_mm: float) -> Nodule:
         is_part = solid_voxels.sum() * step**3 > SMALLEST_PART_MM3
         kind = "part-solid" if is_part else "ground-glass"
     counted = float(inside.sum()) * step**3
-    # Beside a cut each voxel counts fully or not at all; elsewhere each voxel counts by its share of nodule.
+    # Near a cut the nodule has no blurred edge, so a voxel counts fully or not at all; elsewhere by its share of
+    # nodule.
     rim_hu = _rim_hu(grown, np.where(from_cavity > RIM_MM, depth, 0.0), lung_hu, core_hu)
     zone = (inside | (away <= RIM_MM)) & free
     share = (grown.box.hu_zyx - lung_hu) / ((core_hu if rim_hu is None else rim_hu) - lung_hu)
@@ -102,7 +103,7 @@ def measured(grown: Boundary, coarsest_mm: float) -> Nodule:
         # The nodule's volume is the volume inside its outer surface.
         share = np.where((from_cavity <= RIM_MM) & (depth > 0.5 * RIM_MM), 1.0, share)
     edge = surface(inside)
-    # Distance by which the boundary of the smoothed CT lies too far inside, measured on the free surface.
+    # Smoothing moves the boundary inwards; this distance is measured on the surface that faces lung.
     open_air = ~(grown.dense | grown.wall)
     faces = edge & beside(open_air)
     gained = float(share[zone].sum() - (inside & free).sum())
@@ -166,7 +167,7 @@ def measured(grown: Boundary, coarsest_mm: float) -> Nodule:
 
 
 def _doubts(grown: Boundary, error_share: float) -> tuple[str, ...]:
-    """Return a note on the places where the boundary is uncertain; empty if none is."""
+    """Return a note that names the structures at which the boundary is uncertain; empty if there are none."""
     places = [text for touched, text in PLACES.items() if touched in grown.touches]
     if not places or (error_share < DOUBT_SHARE and grown.wall_off_mm < WIDE_OFF_MM):
         return ()
@@ -186,14 +187,17 @@ def _faint(grown: Boundary, away: NDArray[np.float32]) -> Mask:
 
 
 def _rim_hu(grown: Boundary, depth: NDArray[np.float32], lung_hu: float, core_hu: float) -> float | None:
-    """Return the density in HU near the edge of a nodule with a denser middle; None for a uniform nodule."""
+    """Return the density in HU near the edge of a nodule with a denser middle; None for a uniform nodule.
+
+    ``depth`` is the depth of each voxel below the boundary in mm.
+    """
     ring = (depth >= RING_MM[0]) & (depth <= RING_MM[1])
     if ring.sum() < 20:
         return None
     level = float(np.median(grown.smooth[ring]))
     if (level - lung_hu) / (core_hu - lung_hu) >= ALIKE:
         return None
-    # The unsmoothed values show less of the core.
+    # The unsmoothed voxels are used, because smoothing would add density of the core.
     return lung_hu + (float(np.median(grown.box.hu_zyx[ring])) - lung_hu) / RING_SHOWS
 
 

@@ -23,31 +23,31 @@ The opening removes vessels. A remaining part that reaches the faces of the box 
 CLOSING_MM = 14.0
 """Radius in mm of the closing of the lung; narrower hollows of the lung's surface (nodules, hila) are filled."""
 WIDE_CLOSINGS_MM, CLOSING_SHARE = (23.0, 36.0), 0.64
-"""Radii in mm of the closings for a mass with a wide contact, and their largest share of half the side of the box.
+"""Radii in mm of the closings that are tried for a mass with a wide contact; largest share of half the box's side.
 
-A closing is used if no surface can be fitted by the smaller ones.
+They are tried in turn if no surface of the wall can be fitted with smaller closings.
 """
 RING_MM = 16.0
 BEYOND_MM, WIDEST_MM = 12.0, 50.0
-"""Width in mm of the ring of lung's surface round the contact of a mass, and largest radius in mm of the ring."""
+"""Width in mm of the ring of lung surface that is fitted round a mass's contact, and the ring's largest radius."""
 LUNGWARD_MM, DEEPEST_MM = 6.0, 14.0
-"""Largest distance in mm of the fitted surface from the closing's, on the side of the lung and of the wall."""
+"""Largest distance in mm between the fitted and the closing's surface, towards the lung and towards the wall."""
 MAX_BEHIND = 0.15
 """Largest share of the lung near the wall that the fitted surface may cut off."""
 NARROW_MM, DARK_HU, LUNG_MM3 = 1.5, -945.0, 2000.0
-"""Limits for a lung among the air of a box: half width in mm, least median density in HU, least volume in mm3."""
+"""Limits for lung among the air of a box: half width in mm, least median density in HU, least volume in mm3."""
 MIN_POINTS = 60
 SHALLOW_MM = 3.0
-"""Largest depth in mm inside the first estimate of the wall at which a voxel can still belong to a nodule."""
+"""Largest depth in mm below the closing's surface at which a voxel can still belong to a nodule."""
 DEEP_SEED_MM = 10.0
-"""Largest depth in mm inside a wide closing's wall at which a voxel can still belong to a mass."""
+"""Largest depth in mm below a wide closing's surface at which a voxel can still belong to a mass."""
 ROUNDS = 4
 MIN_BULGE_MM = 2.0
-"""Least depth in mm by which a closing bulges into a nodule for its surface to be a mere chord."""
+"""Least depth in mm to which a closing enters a nodule if its surface is only a chord of the contact."""
 FIT_OFF = 0.04
-"""Least uncertainty of the fitted surface in the middle of a contact, as a share of the contact's radius.
+"""Least uncertainty of the fitted surface at the middle of a contact, as a share of the contact's radius.
 
-The share of the lung that the surface cuts off is added, because it shows how much the lung's surface is bent.
+The share of lung that the surface cuts off is added, because a large share shows that the real surface is curved.
 """
 
 
@@ -61,11 +61,11 @@ class WallCut:
     off_mm: float = 0.0
     """Uncertainty in mm of the surface behind the nodule, which grows with the width of the contact."""
     is_chord: bool = False
-    """Whether the surface behind the nodule is a chord of the contact, and does not continue the lung's surface."""
+    """Whether the surface behind the nodule is a flat chord of the contact instead of a continued lung surface."""
 
 
 class LungSide:
-    """Lung, tissue and wall of a box on the side of a nodule; they do not depend on the nodule's boundary.
+    """Lung, tissue and chest wall of a box; they are the same for every boundary of the nodule.
 
     Parameters
     ----------
@@ -93,13 +93,13 @@ class LungSide:
         return _LungAir(self.box, ~self.dense, self.seed)
 
     def wall(self, closing_mm: float) -> Mask:
-        """Return the wall by a closing of the lung; a wide closing is that of the nearest lung alone."""
+        """Return the wall as the tissue outside a closing of the lung; a wide closing uses only the nearest lung."""
         if closing_mm not in self._walls:
             self._walls[closing_mm] = _outside_closing(self.lung(closing_mm), closing_mm, self.box.step_mm)
         return self._walls[closing_mm]
 
     def lung(self, closing_mm: float) -> Mask:
-        """Return the lung that a closing of the given radius uses."""
+        """Return the mask of the lung that a closing with the given radius in mm uses."""
         nearest = self.air.nearest
         return self.air.lungs if closing_mm == CLOSING_MM or nearest is None else nearest
 
@@ -246,7 +246,7 @@ class _LungAir:
 def _reach_mm(
     part: Mask, from_wall: NDArray[np.float32], off: NDArray[np.float64], middle: tuple[int, ...], step: float
 ) -> float:
-    """Return the distance in mm from the middle of a mass to the rim of its contact with the wall."""
+    """Return the distance in mm from the middle of a mass to the edge of its contact with the wall."""
     contact = part & (from_wall <= 1.5 * step)
     if not part[middle] or not contact.any():
         return 0.0

@@ -17,11 +17,14 @@ from carina.volume.dicom_structures import Contour
 __all__ = ["OutlineError", "drawn_in"]
 
 PLANE = 0.1
-"""Largest distance of an outline from its slice, as a share of the slice distance; files round to 0.01 mm."""
+"""Largest distance of an outline from a slice on which it counts as drawn, as a share of the slice distance.
+
+Files round coordinates to 0.01 mm.
+"""
 PLANE_MM = 0.06
-"""Largest distance of an outline from its slice in thin slices: some programs round heights to 0.1 mm."""
+"""Least value in mm of the limit for the distance of an outline from its slice; some programs round to 0.1 mm."""
 SUB_SLICES = 8
-"""Heights per slice of the CT at which outlines between slices are sampled; the error of a slab is 1/16 slice."""
+"""Number of heights per CT slice at which outlines between slices are sampled; this limits the error to 1/16 slice."""
 OTHER_CT = "open the CT that it was drawn on"
 SAME_FRAME = (
     "open the DICOM series that it was drawn on, so that Carina can compare the frame of reference, or export it on "

@@ -53,43 +53,49 @@ The blur of the CT and of its slices makes a vessel, an airway's wall or a dense
 glass.
 """
 LIKE_BLOOD = (0.6, 1.5)
-"""Range of the target's density, as a share of the blood's, in which the target may be a vessel with contrast medium.
+"""Range of the target's density, relative to blood, in which the target may be a vessel with contrast medium.
 
 Partial volumes lower the density of a narrow vessel.
 """
 BLOOD_BOX_MM = ((-40.0, 40.0), (-55.0, -8.0), (-30.0, 30.0))
 """Box round the end of the trachea, LPS mm, in which the great vessels are searched; it is in front of the spine."""
 BLOOD_RADIUS_MM, BLOOD_PERCENT, MIN_BLOOD_MM3 = 5.0, 75.0, 2000.0
-"""Least radius in mm of a great vessel, percentile of the density in such tissue, and its least volume in mm3."""
+"""Limits for great vessels: least radius in mm, percentile that gives the blood's density, least volume in mm3."""
 TUBE_STEP_MM = 0.5
-"""Voxel size in mm with which a nodule of less than `TUBE_COARSE_MM` radius is examined."""
+"""Voxel size in mm for examining a target with a radius below `TUBE_COARSE_MM`."""
 TUBE_COARSE_MM = 4.0
 MAX_STEPS = 160
 """Largest number of voxels along a side of the box round a target; a large mass gets larger voxels."""
 BEYOND_MM = 3.0
-"""Least distance in mm from a target up to which a tube must continue; a target with a larger radius needs its radius.
+"""Least distance in mm from a target up to which a tube must continue to count as a vessel.
 
-The stump of a thin vessel is shorter.
+For a target with a larger radius, the tube must continue for that radius. The stump of a thin vessel is shorter.
 """
 TUBE_SHARE = 0.45
-"""Least width of a continuing tube, as a share of the target's width.
+"""Least width of a continuing tube, as a share of the target's width, at which the target may be a vessel.
 
-Chosen with vessels of three CTs with slices of 3 mm and with 25 balls painted into the lungs of two of them, of which
-one of 5 mm beside a vessel reached 0.4. Not verified with other CTs.
+The limit was chosen with vessels of three CTs with 3 mm slices and with 25 balls painted into two of them; it was not
+verified with other CTs.
 """
 TUBE_SHARE_IN_AIRWAY = 0.6
-"""Least width of a tube that leaves a lesion in an airway; the airway's own wall is narrower."""
+"""Least width of a continuing tube for a lesion in an airway, as a share of the lesion's width.
+
+The airway's own wall is narrower.
+"""
 TUBE_LEVEL = 0.4
-"""Threshold of a tube between lung and target; the boundary's own threshold of 0.5 loses a vessel that narrows."""
+"""Position of the threshold for tubes between the densities of lung (0) and target (1).
+
+The boundary's own threshold of 0.5 loses a vessel that narrows.
+"""
 TUBE_SHARES = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, TUBE_SHARE)
 SLENDER = 0.5
-"""Ratio of the second to the first main axis below which a target is a piece of a tube; balls painted have 0.58."""
+"""Largest ratio of the second to the first main axis of a target that is a piece of a tube; balls have 0.58 or more."""
 THICK_MM, THICK_SHARE = 6.0, 1.5
 """Least radius in mm of chest wall, mediastinum and diaphragm, and the same as a multiple of the target's radius."""
 SHELL_MM = (2.0, 4.0)
-"""Range of distances in mm from a target of the shell in which lung is searched; the target's blur ends before it."""
+"""Range of distances in mm from a target in which surrounding lung is measured; closer voxels are blurred."""
 LUNG_HU, LUNG_SHARE = -500.0, 0.25
-"""Largest density of lung in HU, and its share of the shell below which a target has no lung round it."""
+"""Largest density of lung in HU; least share of lung round a target, below which the target may be mediastinum."""
 LUMEN_EDGE_MM = 1.0
 """Distance in mm outside a lumen within which air belongs to the airway, because blur moves its edge."""
 
@@ -259,7 +265,7 @@ def _is_centre_in_lumen(nodule: Nodule, wall: WallField) -> bool:
 
 
 class _Around:
-    """Tissue of the CT round a target, on cubic voxels."""
+    """Tissue of the CT round a target, resampled to cubic voxels."""
 
     def __init__(self, volume: Volume, nodule: Nodule) -> None:
         self._nodule = nodule
@@ -385,7 +391,7 @@ def _may_be_airway(
     if any(doubt.code in {TUBE, MEDIASTINUM} for doubt in doubts):
         return True
     if IN_LUMEN in nodule.touches:
-        # A click in the lumen selects the airway: the spur of a fork stands into the lumen, too.
+        # A click in the lumen selects the airway, because the ridge between two branches also borders on the lumen.
         return gap_mm == 0.0
     if float(nodule.distance_mm([point])[0]) > OFF_MM:
         return True

@@ -59,7 +59,7 @@ def resized(nodule: Nodule, volume: Volume, diameter_mm: float) -> Nodule:
     step = float(np.linalg.norm(nodule.lps_from_ijk[:3, 0]))
     by_mm = 0.5 * (diameter_mm - nodule.long_mm)
     inside, matrix = _padded(nodule, max(by_mm, 0.0) + 3.0 * step)
-    # Hollows are not resized.
+    # Cavities are restored unchanged after the resizing.
     hollow = enclosed(inside)
     whole = inside | hollow
     # Signed distance, positive inside. It is smoothed, because distances between voxels have steps.
@@ -68,12 +68,12 @@ def resized(nodule: Nodule, volume: Volume, diameter_mm: float) -> Nodule:
     radii[2] = 3.0 * nodule.volume_mm3 / (4.0 * np.pi * radii[0] * radii[1])
     if float(radii.min()) + by_mm < 0.5 * step:
         raise _refused("nothing of the target would be left; choose a larger diameter")
-    # Voxel distances are biased by a part of a voxel, so the number of voxels follows from the ellipsoid of the radii.
+    # Voxel distances have a bias of a part of a voxel, so an ellipsoid gives the number of voxels of the result.
     num = round(nodule.volume_mm3 / step**3 * float(np.prod((radii + by_mm) / radii)))
-    kept = np.zeros(depth.size, dtype=bool)
-    kept[np.argsort(-depth, axis=None, kind="stable")[: max(num, 1)]] = True
-    kept = kept.reshape(depth.shape) & ~hollow
-    found = _edited(nodule, volume, _in_ct(volume, _main_piece(kept), matrix), matrix, RESIZED)
+    retained = np.zeros(depth.size, dtype=bool)
+    retained[np.argsort(-depth, axis=None, kind="stable")[: max(num, 1)]] = True
+    retained = retained.reshape(depth.shape) & ~hollow
+    found = _edited(nodule, volume, _in_ct(volume, _main_piece(retained), matrix), matrix, RESIZED)
     # The diameter is stored exactly as it was set; voxels represent it to half a voxel.
     return replace(found, long_mm=float(diameter_mm), short_mm=min(found.short_mm, float(diameter_mm)))
 
@@ -180,9 +180,9 @@ def _adds_a_piece(inside: Mask, balls: Mask) -> bool:
 
 
 def _padded(nodule: Nodule, margin_mm: float, also: tuple[Place, float] | None = None) -> tuple[Mask, Place]:
-    """Return a nodule's mask and transform, enlarged by a margin and, if given, by the extent of balls.
+    """Return a nodule's mask and transform, enlarged by a margin in mm and by the extent of the balls in ``also``.
 
-    ``also`` contains the centres (n, 3), LPS mm, and the radius in mm of the balls.
+    ``also`` contains the centres (n, 3), LPS mm, and the radius in mm of the balls, or is None.
     """
     matrix = nodule.lps_from_ijk
     step = float(np.linalg.norm(matrix[:3, 0]))
@@ -205,10 +205,10 @@ def _padded(nodule: Nodule, margin_mm: float, also: tuple[Place, float] | None =
 def _in_ct(volume: Volume, inside: Mask, matrix: Place) -> Mask:
     """Return the part of a mask inside the CT; raise an error if less than half of the mask is inside."""
     known = Box.at(volume, matrix, inside.shape).known
-    kept = inside & known
-    if kept.sum() < 0.5 * inside.sum():
+    retained = inside & known
+    if retained.sum() < 0.5 * inside.sum():
         raise _refused("more than half of the target would lie outside the CT")
-    return kept
+    return retained
 
 
 def _main_piece(mask: Mask) -> Mask:

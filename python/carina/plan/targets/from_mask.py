@@ -16,9 +16,9 @@ from carina.scopes import WallField
 from carina.volume import Mask, Volume
 
 CRUMB = 0.05
-"""Share of the largest part's voxels below which another part of the mask is ignored as stray voxels."""
+"""Largest size of a part of a mask that is ignored as stray voxels, as a share of the largest part's voxels."""
 PIECE_MM = 5.0
-"""Largest distance in mm of a point from the part of the mask that it selects."""
+"""Largest distance in mm between a point and the part of a mask that the point selects."""
 
 
 def nodule_from_mask(volume: Volume, mask: Mask | NDArray[np.bool_], *, at_lps: ArrayLike | None = None) -> Nodule:
@@ -103,7 +103,7 @@ def target_from_mask(
 def target_of(
     volume: Volume, nodule: Nodule, source: TargetSource, *, target_id: str, name: str, wall: WallField | None
 ) -> PlanTarget:
-    """Return a target with a nodule that was read from a file."""
+    """Return a target for a nodule that was read from a file, with its location and doubts."""
     return PlanTarget(
         target_id=target_id,
         name=name,
@@ -158,8 +158,8 @@ def one_piece(
         chosen = large[0]
     left = num - 1
     share = np.where(labels == chosen, drawn.share_zyx, np.float32(0.0))
-    told = f"{left} other part{'s' if left > 1 else ''} of the mask ({sizes_ml.sum() - sizes_ml[chosen - 1]:.2g} ml)"
-    return DrawnStructure(share, drawn.first_zyx), (f"{told} left out",) if left else ()
+    note = f"{left} other part{'s' if left > 1 else ''} of the mask ({sizes_ml.sum() - sizes_ml[chosen - 1]:.2g} ml)"
+    return DrawnStructure(share, drawn.first_zyx), (f"{note} left out",) if left else ()
 
 
 def _piece_at(volume: Volume, drawn: DrawnStructure, labels: NDArray[Any], at_lps: ArrayLike) -> int:

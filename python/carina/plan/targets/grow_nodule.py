@@ -24,14 +24,14 @@ __all__ = ["Nodule", "NoduleKind", "endobronchial_lesion", "grow_nodule"]
 HALF_MM = 26.0
 AIR_HU = -1000.0
 CLOSING_MM = 9.0
-"""Radius in mm of the closing of the lumen that reconstructs the lumen without a lesion."""
+"""Radius in mm of the closing of the lumen that estimates the lumen as it would be without a lesion."""
 THINNEST_MM = 1.0
-"""Radius in mm of the largest ball in a lesion; anything thinner is unevenness of the wall, or mucus."""
+"""Least radius in mm of the largest ball in a lesion; thinner tissue is unevenness of the wall, or mucus."""
 OWN_AIR = 0.9
-"""Least share of the airway's own air in the air beside a lesion; a nodule beside an airway touches lung."""
+"""Least share of airway lumen in the air beside a lesion; air beside a nodule outside the airway is partly lung."""
 NOTE = "it stands into an airway; where its base lies in the wall the CT does not show"
 BASE_OFF_MM = 0.5
-"""Additional uncertainty in mm of the boundary, because the base of the lesion is assumed at the wall.
+"""Additional uncertainty in mm of the boundary, because the lesion is assumed to begin at the reconstructed wall.
 
 The value is common knowledge, not measured.
 """
@@ -104,7 +104,7 @@ def grow_nodule(
     wall: WallField | None = None,
     progress: ProgressChoice = None,
 ) -> Nodule:
-    """Segment the nodule at a place in the lung, or the lesion at a place in an airway.
+    """Segment the nodule at a point in the lung, or the lesion at a point in an airway.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def grow_nodule(
             return _selected(volume, grown, point, coarsest_mm)
         if chord is not None:
             break
-        # A larger box may show enough of the lung's surface to continue it behind the mass.
+        # A larger box may show enough of the lung's surface to fit the wall behind the mass.
         chord = grown
     if chord is None:
         raise problem

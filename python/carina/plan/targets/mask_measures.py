@@ -24,7 +24,7 @@ Mask = NDArray[np.bool_]
 DRAWN_OFF = 0.5
 """Error of a drawn boundary in voxels of the CT, by common knowledge (a voxel is the cube of equal volume)."""
 SOLID_SHARE = 0.6
-"""Share of solid voxels away from the edge below which a nodule with a solid part is part-solid."""
+"""Least share of solid voxels away from the edge for a solid nodule; a nodule with fewer is part-solid."""
 MARGIN_MM = 4.0
 LARGEST_MM = 200.0
 

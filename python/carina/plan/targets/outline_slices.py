@@ -14,7 +14,7 @@ from carina.errors import VolumeImportError
 LINES = 8
 """Number of lines per voxel on which an outline is sampled."""
 ON_CENTRE = 0.02
-"""Largest distance in voxels between an outline's corners and voxel centres if the outline runs through the centres."""
+"""Largest distance in voxels between corners and voxel centres for an outline that runs through the centres."""
 ENCLOSED = 0.999
 """Least share of an outline's area inside another outline for which the first counts as nested."""
 SAME_OVERLAP = 0.9
@@ -25,7 +25,7 @@ SAME_APART_VOX, SAME_APART_OVERLAP = 1.0, 0.7
 A CT does not show a wall that is thinner than one voxel. The least overlap ensures that small hollows stay holes.
 """
 UNCLEAR_OVERLAP = 0.75
-"""Largest overlap of a hole: nested outlines that overlap more may be a thin wall or two observers, and are refused."""
+"""Overlap of nested outlines above which they are refused: they may be a thin wall, or drawings by two observers."""
 CLOSES_VOX = 0.005
 """Largest distance in voxels between the first corner of a loop and the corner that closes the loop."""
 
@@ -140,7 +140,11 @@ class _Shape:
 
 
 def _merged(shapes: Sequence[_Shape]) -> tuple[list[_Shape], int, float]:
-    """Merge outlines of one boundary; return the shapes, the number of merged outlines, and the largest distance."""
+    """Merge outlines of one boundary.
+
+    Return the remaining shapes, the number of merged outlines, and the largest distance in voxels between merged
+    outlines.
+    """
     groups: list[list[_Shape]] = []
     apart = 0.0
     for one in shapes:

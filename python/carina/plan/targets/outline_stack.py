@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 Share = NDArray[np.float32]
 
 SHORT_GAP = 3.0
-"""Largest gap between two outlines that is always filled, in slices of the CT, as in planning systems."""
+"""Gap between two outlines, in slices of the CT, up to which the gap is always filled, as in planning systems."""
 GAP_STEPS = 2.0
-"""Largest gap between two outlines that is filled, in typical distances of the outlines: one omitted outline."""
+"""Gap between two outlines, in typical distances of outlines, up to which it is filled: one omitted outline."""
 GAP_DIAMETERS = 1.5
 """Largest gap between two outlines of one structure, in diameters of the larger outline."""
 SHIFTS = 26
@@ -30,9 +30,9 @@ class _Link:
     """Signed distances in voxels to the boundaries of both shapes; None if one shape is smaller than a voxel."""
 
     def at(self, part: float) -> NDArray[np.float64]:
-        """Return the shape between two outlines, interpolated by signed distance; its area is interpolated linearly.
+        """Return the shape between two outlines, interpolated by signed distance; ``part`` is the position, 0 to 1.
 
-        Linear areas give each outline exactly the volume of its slab.
+        The area of the shape is interpolated linearly, so that each outline has exactly the volume of its slab.
         """
         area = (1.0 - part) * float(self.below.sum()) + part * float(self.above.sum())
         if self.distances is None:
@@ -117,14 +117,14 @@ class OutlineStack:
         return inside
 
     def _end(self, away: float, below: int, above: int) -> float:
-        """Return the share of an end slab at a distance from its outline: 1 inside, 0 beyond, 0.5 on its face."""
+        """Return the share of an end slab at a distance from the last outline: 1 inside, 0 beyond, 0.5 on its face."""
         reach = self.reach
         if below >= 0 and above < len(self.heights):
             reach = min(reach, 0.5 * float(self.heights[above] - self.heights[below]))
         return 0.5 if abs(away - reach) < 1e-6 else float(away < reach)
 
     def _is_near(self, gap: float, one: NDArray[np.float64], other: NDArray[np.float64], pixel: float) -> bool:
-        """Return whether two shapes at a distance belong to one structure."""
+        """Return whether two shapes in neighbouring planes are near enough to belong to one structure."""
         if gap <= 1.0:
             return True
         diameter = 2.0 * float(np.sqrt(max(one.sum(), other.sum()) / np.pi)) * pixel

@@ -24,13 +24,13 @@ TargetSource = Literal["click", "mask", "seg", "rtstruct", "sphere", "edited"]
 
 MAX_AIMS = 3
 AIM_OFF_MM = 1.0
-"""Largest distance in mm of an aim outside the boundary (the edge of a voxel)."""
+"""Largest distance in mm at which an aim may be outside the boundary, because of the size of a voxel."""
 PRIORITIES = (1, 9)
 NAME_CHARS, NOTE_CHARS, ID_CHARS = 80, 2000, 64
 EDGE_AIM = 0.65
-"""Distance of aims in the periphery from the middle, as a share of the distance to the boundary."""
+"""Position of an aim in the periphery of a nodule: 0 is the middle, 1 the boundary."""
 APART_MM = 3.0
-"""Least distance in mm between two aims; a needle cannot distinguish nearer ones."""
+"""Least distance in mm between two aims; needles are too inaccurate to distinguish nearer ones."""
 RECORD_VERSION = 1
 _PLAIN = re.compile(r"[^\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]*")
 
@@ -94,16 +94,16 @@ class PlanTarget:
     @property
     def words(self) -> str:
         """Target as text, such as *nodule in RB3: solid nodule, 12.3 x 10.1 mm, 0.74 ml, beside the pleura*."""
-        told = ", ".join([self.nodule.words, WHERE_WORDS[self.where]])
-        return f"{self.name}: {told}" if self.name else told
+        description = ", ".join([self.nodule.words, WHERE_WORDS[self.where]])
+        return f"{self.name}: {description}" if self.name else description
 
     def with_nodule(self, nodule: Nodule, doubts: tuple[TargetDoubt, ...] = ()) -> PlanTarget:
         """Return the target with an edited nodule and its doubts; aims outside the new boundary are removed.
 
         If no aim is left, the middle of the nodule becomes the aim.
         """
-        kept = tuple(aim for aim in self.aims if nodule.distance_mm([aim])[0] <= AIM_OFF_MM)
-        return replace(self, nodule=nodule, source="edited", aims=kept, doubts=doubts)
+        candidates = tuple(aim for aim in self.aims if nodule.distance_mm([aim])[0] <= AIM_OFF_MM)
+        return replace(self, nodule=nodule, source="edited", aims=candidates, doubts=doubts)
 
     def to_json(self) -> dict[str, Any]:
         """Return the target as plain JSON types, without the mask."""
@@ -194,12 +194,12 @@ def proposed_aims(nodule: Nodule, *, near_lps: ArrayLike | None = None) -> tuple
 def _toward(
     nodule: Nodule, points: NDArray[np.float64], along: NDArray[np.float64], middle: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return a point of the nodule towards the end of an axis, at some depth below the boundary if possible."""
+    """Return a point of the nodule from its middle towards an end of an axis, deep below the boundary if possible."""
     goal = middle + EDGE_AIM * (points[int(np.argmax(along))] - middle)
     depth = ball_distance(nodule.inside_zyx, 1.0)[nodule.inside_zyx]
     allowed = (along > 0.0) & (depth >= 0.3 * depth.max())
-    kept = points[allowed] if allowed.any() else points
-    found: NDArray[np.float64] = kept[int(np.argmin(np.linalg.norm(kept - goal, axis=1)))]
+    candidates = points[allowed] if allowed.any() else points
+    found: NDArray[np.float64] = candidates[int(np.argmin(np.linalg.norm(candidates - goal, axis=1)))]
     return found
 
 

@@ -126,7 +126,7 @@ def turn_clips(
     report = progress_function(progress)
     made: list[TurnClip | None] = []
     for index, turn in enumerate(turns.turns):
-        # raises if the turn has no camera position; the handler below is only for stretches without length
+        # raises if the turn has no camera position; the except clause handles only stretches without length
         turn.camera(operator)
         try:
             times, poses = turn_flight(airways.tree, planned, turns, index, operator=operator)

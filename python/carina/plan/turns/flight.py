@@ -80,7 +80,7 @@ def turn_flight(
     end_mm, beyond_mm, last = way.before(index, operator)
     if end_mm - begin_mm < SHORT_MM:
         raise NoResultError("the stretch to this turn has no length, so there is nothing to fly", code="plan.no-way")
-    # The path ends at the fork, so that the camera looks along the branch at the end, and not into the next one.
+    # The camera path ends at the fork, so that the camera finally looks along the branch and not into the next one.
     points = way.between(begin_mm, max(beyond_mm, ahead_mm))
     path = FlightPath(points, up_lps=None if first is None else _tuple(-first.down_lps))
     length_mm = end_mm - begin_mm
@@ -152,14 +152,14 @@ def _posed(path: FlightPath, at_mm: float, base: Points) -> Pose:
 
 
 def _off(pose: Pose, wanted: Pose | None, operator: Operator) -> tuple[Points, Points]:
-    """Return rotation and shift from a pose of the path to a wanted pose; a level pose is used if none is wanted."""
+    """Return the rotation and shift from a pose of the path to ``wanted``, or to a level pose if that is None."""
     there = levelled(pose.position_lps, pose.forward_lps, operator) if wanted is None else wanted
     turn = vector_from_rotation(orthonormal(pose.lps_from_camera[:3, :3].T @ there.lps_from_camera[:3, :3]))
     return turn, there.position_lps - pose.position_lps
 
 
 def _eased(path: FlightPath, base: Points, off: list[tuple[Points, Points]], at_mm: float, length_mm: float) -> Pose:
-    """Return the pose at a position of the stretch: the path's pose with the corrections of both ends blended."""
+    """Return the pose at a position of the stretch: the pose of the path with blended corrections of both ends."""
     share = at_mm / length_mm
     late = share * share * (3.0 - 2.0 * share)
     pose = _posed(path, at_mm, base).lps_from_camera.copy()

@@ -24,26 +24,26 @@ Points = NDArray[np.float64]
 Operator = Literal["head", "facing"]
 
 AHEAD_DEG, AHEAD_SHARE, AHEAD_TIMES = 6.0, 0.5, 2.0
-"""Limits of the angle between the line of sight and the middle of an opening straight ahead.
+"""Limits of the angle between the line of sight and the middle of an opening that counts as straight ahead.
 
-The angle is at most the first number in degrees or, for a large opening, the second number times the opening's radius;
-the angles of the other openings are at least the third number times larger. The centre of the picture is in the outline
-of an opening straight ahead, so the opening has no clock hour.
+The angle must be at most the first number in degrees or, for a large opening, the second number times the opening's
+radius. The angles of all other openings must be at least the third number times larger. The centre of the picture is
+then inside the opening's outline, so the opening has no clock hour.
 """
 MIN_SHARE = 2e-3
 """Least share of the picture's pixels for an opening in view."""
 HIDDEN_DEG = 2.0
-"""Largest angle in degrees between the beginning of a branch's centreline and the visible part of its opening."""
+"""Angle in degrees above which an opening counts as hidden: between its visible part and its branch's beginning."""
 MIN_STAND_MM = 3.0
 """Least distance in mm of the camera from a fork; nearer, single points would determine the line of sight."""
 
 
 NEIGHBOUR_HOURS = 0.25
-"""Margin in hours by which an opening must be nearer to the stated hour than every other opening."""
+"""Margin in hours by which the opening to enter must be nearest to the stated hour, compared with other openings."""
 MAX_HOURS = 2.0
-"""Largest change of an hour by a small movement of the scope, in hours."""
+"""Largest change of an hour, in hours, that a small movement of the scope may cause."""
 SHIFT_SHARE, SHIFT_MM = 0.3, (0.5, 1.5)
-"""Error of the eye's position to each side: share of the airway's radius, and limits in mm."""
+"""Error of the eye's position to each side: share of the airway's radius, with least and largest value in mm."""
 TILT_DEG = 5.0
 """Tilt of the line of sight to each side in degrees: error of its direction."""
 
@@ -144,9 +144,9 @@ def turned_hours(hours: float) -> float:
 
 
 def stand_mm(branch: Branch) -> float:
-    """Return the distance in mm before a branch's end at which the camera looks at the fork.
+    """Return the distance in mm before a branch's end from which the camera looks at the fork.
 
-    The distance is one diameter, at most half the branch and at least `MIN_STAND_MM`, as in
+    The distance is one diameter of the branch, at most half the branch and at least `MIN_STAND_MM`, as in
     `carina.case.routes.lookouts_mm`.
     """
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
@@ -215,7 +215,7 @@ def openings_seen(camera: Pose, walls: ForkWalls, branches: Sequence[Branch], wa
 
 
 def _seen_through(outline: NDArray[np.bool_], camera: Pose, axis_lps: Points, walls_lps: Points) -> Points:
-    """Return the first run of points of a centreline that are in an opening and in front of its wall."""
+    """Return the first consecutive points of a centreline that are seen in an opening and in front of its wall."""
     inner = np.pad(outline, 1)
     # A dot on the edge could be outside the outline of a finer picture.
     inner = inner[:-2, 1:-1] & inner[2:, 1:-1] & inner[1:-1, :-2] & inner[1:-1, 2:] & outline
@@ -242,7 +242,7 @@ def _axis_hidden_deg(outline: NDArray[np.bool_], axis_px: tuple[float, float]) -
 def hour_doubt(
     camera: Pose, openings: Sequence[Opening], radius_mm: float, title: Callable[[Branch], str]
 ) -> HourDoubt | None:
-    """Return the reason why the first of the openings cannot be found by its clock hour; None if the hour is reliable.
+    """Return the reason why the clock hour of the first opening is not reliable; None if it is reliable.
 
     The eye is moved to the sides and the line of sight is tilted by their errors. In each of these views the opening
     must be nearer to its stated direction than every other opening.
@@ -293,7 +293,7 @@ def hour_doubt(
 
 
 def _moved(camera: Pose, radius_mm: float) -> list[Pose]:
-    """Return the views with the eye shifted to each side, and with the line of sight tilted to each side, all level."""
+    """Return the level cameras with the eye shifted to each side, and with the line of sight tilted to each side."""
     right, down, forward = camera.lps_from_camera[:3, :3].T
     shift = min(max(SHIFT_SHARE * radius_mm, SHIFT_MM[0]), SHIFT_MM[1])
     tilt = math.tan(math.radians(TILT_DEG))

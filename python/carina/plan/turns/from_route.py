@@ -48,18 +48,24 @@ Forks form one turn if the branch between them is at most as long as its radius,
 in the same lumen.
 """
 VIEW_PX, FINE_PX, TUBES_PX = 64, 128, 32
-"""Width in pixels of the picture in which openings are located: of the CT, of a CT with a small opening, of tubes."""
+"""Widths in pixels of the pictures in which openings are located.
+
+They are for pictures of the CT, of the CT with a small opening, and of the tree's tubes without a CT.
+"""
 SMALL_SHARE = 0.02
-"""Share of the picture below which an opening is small; coarse pixels would divide it into parts."""
+"""Share of the picture below which an opening is small; a coarse picture would divide such an opening into parts."""
 STANDS = (0.75, 0.6, 1.0, 1.5)
-"""Distances of the camera before a fork, in diameters of the airway, that are tried after the usual one."""
+"""Distances of the camera before a fork, in airway diameters, that are tried if the usual distance gives no hour."""
 BALL_SPACING_MM = 1.0
 """Spacing of the CT in mm that is assumed for the error of an opening that was not measured."""
 MIN_MOVE_MM = 0.5
 CLEAR_DEG = 10.0
-"""Least angle in degrees of an opening to the line of sight for a precise hour; nearer to the fork it is larger."""
+"""Least angle in degrees between an opening and the line of sight at which the clock hour is precise."""
 MAX_DEPTH_MM = 1000.0
-"""Largest accepted depth of the main carina in mm: older cases may state 500 mm to the start of the tree."""
+"""Largest accepted insertion depth of the main carina in mm.
+
+Older cases measured from the start of the tree, with depths up to 500 mm.
+"""
 SIDES = {"R": "right", "L": "left", "A": "anterior", "P": "posterior", "S": "superior", "I": "inferior"}
 
 
@@ -254,12 +260,12 @@ class _ForkPicture:
 
     @property
     def is_clear(self) -> bool:
-        """Whether the hour is precise."""
+        """Whether the clock hour is precise."""
         return self.has_hour and self.openings[0].off_deg >= CLEAR_DEG
 
     @property
     def has_hour(self) -> bool:
-        """Whether the hour is reliable and the opening is not straight ahead."""
+        """Whether the clock hour is reliable and the opening is not straight ahead."""
         return self.doubt is None and not self.openings[0].straight_ahead
 
 
@@ -344,7 +350,10 @@ def _opening(planned: PlannedRoute, mother: Branch, branch: Branch) -> RouteOpen
 
 
 def _dots(taken: Opening, eye: Points) -> tuple[Point, ...]:
-    """Return the middle of an opening and the dots beyond it, from near to far; none if the opening is not in view."""
+    """Return the dots that mark an opening: its middle, then the points beyond, from near to far.
+
+    The result is empty if the opening is not in view.
+    """
     if not taken.in_view:
         return ()
     away = float(np.linalg.norm(taken.middle_lps - eye))

@@ -24,9 +24,9 @@ PLACES_MM = 0.7
 BESIDE_MM = 4.0
 """Largest distance in mm of a wall outside a branch's surface that still belongs to the branch."""
 BEYOND_RADII = 0.25
-"""Distance of a branch's beginning from the lumens of all other branches, in radii of the branch.
+"""Distance between the point at which a branch begins and all other lumens, in radii of the branch.
 
-Nearer to them, the ball around the centreline is mostly in the other lumens.
+Nearer to the other lumens, most of the ball round the centreline is inside them.
 """
 FARTHEST_MM = 80.0
 """Largest distance in mm of a wall from the camera."""
@@ -38,7 +38,7 @@ MAX_STEPS = 200
 TUBES_REACH_MM = 40.0
 """Distance in mm from a place within which `TubeWall` considers the tubes of a tree."""
 NO_BRANCH, OTHER_BRANCH = -2, -1
-"""Owners of a pixel: no branch, and a branch that is not among the listed ones."""
+"""Values of a pixel's owner besides branch indices: no branch, and a branch that is not listed."""
 
 
 class TubeWall:
@@ -172,7 +172,7 @@ class ForkWalls:
             end = tree.branch(branch_id).points[-1]
             nearest = beyond[int(np.argmin(np.linalg.norm(beyond - fork, axis=1)))] if len(beyond) else end
             self.mouths_lps.append(np.asarray(nearest, dtype=np.float64))
-            # Parts of a branch are those of its subtree; its own line is the first one.
+            # A branch includes its subtree; the first tube is the branch's own centreline.
             axis = self._tubes[n][0][0] if self._tubes[n] else beyond[:0]
             away = np.linalg.norm(axis - self.mouths_lps[n], axis=1)
             self.axes_lps.append(axis[int(np.argmin(away)) :] if len(axis) else axis)
@@ -256,7 +256,7 @@ def _connected(mask: NDArray[np.bool_], others: NDArray[np.bool_], seed: tuple[f
     patch = _filled_from(start, core)
     if core is not mask:
         patch = ~_shrunk(~patch) & mask
-    # A hole cannot be reached from the border. Far walls in the lumen belong to no branch and count as holes.
+    # A hole cannot be reached from the border of the picture. Far walls inside an opening belong to no branch.
     border = np.zeros_like(mask)
     border[[0, -1], :] = border[:, [0, -1]] = True
     hole = ~patch & ~_filled_from(border & ~patch, ~patch)
@@ -288,7 +288,7 @@ def _filled_from(start: NDArray[np.bool_], within: NDArray[np.bool_]) -> NDArray
 
 
 def _swept(found: NDArray[np.bool_], within: NDArray[np.bool_], *, axis: int, backwards: bool) -> NDArray[np.bool_]:
-    """Fill each run of ``within`` along an axis from its first found pixel onwards."""
+    """Fill each run of ``within`` along an axis from the run's first pixel in ``found`` onwards."""
     a = np.moveaxis(found, axis, 1)
     w = np.moveaxis(within, axis, 1)
     if backwards:

@@ -67,7 +67,7 @@ def draw_clock(rgb: Rgb, turn: Turn, operator: Operator, colour: Colour) -> None
 
 
 def text_size(rgb: Rgb) -> int:
-    """Return the pixels per dot of a glyph at which text in a third of the page's width is at least 8 pt high."""
+    """Return the size of a glyph's dot in pixels at which text is 8 pt high if the picture fills a third of a page."""
     height, width = rgb.shape[:2]
     return max(1, round(3.0 * float(min(height, width)) / 512.0))
 
@@ -83,7 +83,7 @@ class _Dial:
         right, up = columns - width / 2, height / 2 - rows
         self._radius = np.hypot(right, up)
         self._hours = (np.arctan2(right, up) / math.tau * 12.0) % 12.0
-        # Two letters of a direction at the edge of the picture are outside the ring.
+        # The outer 48 pixels are reserved for the letters of the patient's directions.
         self._outer = 0.5 * min(height, width) - 48.0 * self.scale
 
     def tick(self, hour: float, *, long: bool) -> None:
@@ -110,7 +110,7 @@ class _Dial:
         write_on(self._rgb, text, round(column), round(row), align=0.5, size=size, rgb_of=colour)
 
     def _off_px(self, hours: float) -> Field:
-        """Return the distance of each pixel from the line to an hour, in pixels along the pixel's circle."""
+        """Return the distance in pixels of each pixel from the line to an hour, along a circle round the middle."""
         off: Field = np.abs((self._hours - hours + 6.0) % 12.0 - 6.0) / 12.0 * math.tau * self._radius
         return off
 

@@ -9,10 +9,10 @@ from carina.plan.routes.main_carina import carina_words
 
 STILL_DEG = 0.5
 STILL_MM = 0.5
-"""Size of a turn in degrees, a flexion in degrees or an advance in mm below which the text omits it."""
+"""Limit in degrees or mm below which a text omits a turn, a flexion or an advance."""
 
 GRADUAL_MM, GRADUAL_DEG = 5.0, 20.0
-"""Largest advance in mm, and largest turn and change of flexion in degrees, of a step of a gradual move."""
+"""Limits of one step of a gradual move: advance in mm; turn and change of flexion in degrees."""
 
 
 def hour_words(hour: int | None) -> str:
@@ -21,7 +21,7 @@ def hour_words(hour: int | None) -> str:
 
 
 def place_words(from_carina_mm: float | None, from_fork_mm: float, depth_mm: float | None, first: bool) -> str:
-    """Return a distance along the route as the beginning of a line.
+    """Return a distance along the route as text for the beginning of a line.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def _steps(moves: Sequence[Move]) -> list[Move]:
 
 
 def _gradual_runs(steps: Sequence[Move]) -> list[list[Move]]:
-    """Return consecutive steps in runs: a run of several is a gradual move, in one direction of roll and flexion."""
+    """Return consecutive steps in runs; a run of several steps is one gradual move of roll and flexion."""
     runs: list[list[Move]] = []
     lever = turning = bending = 0.0
     was_small = False

@@ -35,7 +35,7 @@ class OtherWay:
     opening_lps: tuple[float, float, float] | None = None
     """Point in the direction of the middle of the opening's outline, at the distance of the opening, LPS mm."""
     ahead_deg: float = AHEAD_DEG
-    """Largest angle in degrees of the opening to a line of sight at which it counts as straight ahead."""
+    """Largest angle in degrees between opening and line of sight at which the opening counts as straight ahead."""
 
     @property
     def straight_ahead(self) -> bool:
@@ -88,8 +88,8 @@ class Turn:
     clock_head: float | None
     """Clock hour of the opening, 0 < hours <= 12, in the levelled picture of an operator at the patient's head.
 
-    It is the direction of the middle of the opening's visible pixels. None if the opening is straight ahead, or if the
-    hour is not reliable (``hour_doubt``).
+    The hour is the direction of the middle of the opening's visible pixels. None if the opening is straight ahead, or
+    if the hour is not reliable (``hour_doubt``).
     """
     clock_facing: float | None
     """Clock hour of the opening for an operator who faces the patient; None as for ``clock_head``."""
@@ -120,7 +120,7 @@ class Turn:
     hour_doubt: HourDoubt | None = None
     """Reason why no clock hour is given; None if an hour is given or the opening is straight ahead."""
     ahead_deg: float = AHEAD_DEG
-    """Largest angle in degrees of the opening to a line of sight at which it counts as straight ahead."""
+    """Largest angle in degrees between opening and line of sight at which the opening counts as straight ahead."""
     dots_lps: tuple[tuple[float, float, float], ...] = ()
     """Dots of the route inside the opening as seen by the camera, LPS mm.
 

@@ -69,7 +69,7 @@ def diameter_check(width: RouteWidth, scope: ScopePreset, *, errors: bool) -> Ch
 
 
 def bend_check(way: DriveWay, scope: ScopePreset, *, errors: bool) -> Check:
-    """Return whether the scope's lever bends as far as the route does over the length of its bending section.
+    """Return whether the scope's bending section can bend as far as the route does within the section's length.
 
     Parameters
     ----------
@@ -93,9 +93,8 @@ def bend_check(way: DriveWay, scope: ScopePreset, *, errors: bool) -> Check:
             worst, where = asked, float(mm)
     share = passes(most - worst, BEND_SIGMA_DEG if errors else 0.0)
     radius = f" at a radius of {section / math.radians(worst):.0f} mm" if worst >= 10.0 else ""
-    words = (
-        f"the bend {way.told_words(where)} requires {worst:.0f} degrees of flexion{radius}; this scope has {most:.0f}"
-    )
+    needs = f"the bend {way.position_words(where)} requires {worst:.0f} degrees of flexion{radius}"
+    words = f"{needs}; this scope has {most:.0f}"
     basis = f"flexion {most:g} degrees, bending section {np.mean(scope.bending_mm):g} mm ({_basis(scope)})"
     return Check("bend", answer_of(share), share, words, basis)
 
@@ -116,7 +115,7 @@ def length_check(way: DriveWay, scope: ScopePreset, origin_depth_mm: float | Non
     basis = f"working length ({_basis(scope)})"
     if scope.length_mm is None:
         return Check("length", "unknown", None, "its working length is not known", basis)
-    park_mm = way.told_mm(way.park_mm)
+    park_mm = way.from_origin_mm(way.park_mm)
     spare = scope.length_mm - park_mm
     if origin_depth_mm is None:
         at_origin = "the main carina" if way.origin.is_carina else "that start"

@@ -173,9 +173,9 @@ class MoveRecorder:
         return found
 
     def bend_by(self, to: Points, change_deg: float, most_deg: float) -> bool:
-        """Increase the flexion towards a point; return whether the roll or the lever changed.
+        """Bend the tip towards a point by a change of the flexion; return whether the roll or the lever changed.
 
-        Flexion is treated as a vector across the shaft, in axes that do not turn with the hand.
+        Flexion and its change are added as vectors across the shaft, in axes that do not turn with the hand.
 
         Parameters
         ----------
@@ -264,12 +264,12 @@ class MoveRecorder:
             start_mm=self._start_mm,
             moves=tuple(self.moves),
             ends_mm=tuple(self._ends_mm),
-            ends_along_mm=tuple(way.told_mm(farthest[n]) for n in self._end_states),
+            ends_along_mm=tuple(way.from_origin_mm(farthest[n]) for n in self._end_states),
             samples=np.array([[s.insertion_mm, s.roll_rad, s.flexion_rad] for s in self._states]),
             lps_from_camera=np.array(cameras),
             time_s=np.array(self._time_s),
             arrived=why is None,
-            stopped_mm=way.told_mm(stopped_mm),
+            stopped_mm=way.from_origin_mm(stopped_mm),
             why=why,
         )
 

@@ -18,27 +18,30 @@ from carina.scopes import ScopePreset, WallField
 Points = NDArray[np.float64]
 HitShare = Callable[[Points, Points], float]
 _Judged = tuple[float, float, MoveRecorder]
-"""Share of hits, angle in degrees from the target, and the recorder of the moves that led there."""
+"""Share of needles that hit, angle in degrees to the target, and the recorder of the moves with this result."""
 
 SEARCHED_MM = 5.5
-"""Distance in mm behind a place up to which `DriveWay.nearest` finds a tip."""
+"""Distance in mm before the end of the route above which the tip is searched again, from twice this distance."""
 GAIN, MAX_CHANGE_DEG, MAX_MOVES = 0.8, 30.0, 12
 FLEXION_MAX_DEG = 210.0
 GOOD, ENOUGH = 0.95, 0.5
-"""Shares of needles that hit the target.
+"""Shares of needles that hit at which the aiming stops, and below which a grid of holds is tried.
 
-Above the first share no more moves are tried. Below the second share a grid of rolls and lever settings is tried.
+A hold is a pair of roll and lever setting.
 """
 WITHDRAWALS_MM = (3.0, 6.0, 10.0, 15.0)
 """Distances in mm by which the scope is withdrawn before it is aimed again, if fewer than half of the needles hit."""
 NUM_ROLLS, NUM_LEVERS = 12, 6
-"""Number of rolls and of lever settings of a grid of holds; the lever goes up only, because the rolls go all round."""
+"""Number of rolls and of lever settings in the grid of holds.
+
+The lever goes up only, because the rolls cover the full circle.
+"""
 BEST_HOLDS = 4
-"""Number of holds of a grid that are executed as moves: those from which most needles hit."""
+"""Number of holds of the grid that are executed as moves: those from which most needles hit."""
 GRIDS_BACK_MM = (0.0, 3.0)
 """Distances in mm by which the scope is withdrawn before a grid of holds is tried."""
 REFINED_FROM, MAX_ROUNDS, NUM_REFINED = 0.1, 6, 3
-"""Least share of hits from which a hold is refined, largest number of rounds of small changes, and number of holds."""
+"""Limits of the refinement: least share of hits of a refined hold, number of rounds, number of refined holds."""
 SMALL_CHANGES = (
     *((turn_deg, 0.0, 0.0) for turn_deg in (-30.0, -10.0, 10.0, 30.0)),
     *((0.0, lever_deg, 0.0) for lever_deg in (-30.0, -10.0, 10.0, 30.0)),
@@ -57,7 +60,7 @@ class AimedDrive:
     off_deg: float
     """Angle in degrees between the tip's direction and the direction to the middle of the target."""
     before_mm: float
-    """Distance of the tip before the end of the route along the route, mm; 0 or less at or beyond its end."""
+    """Distance in mm along the route from the tip to the end of the route; 0 or less at or beyond the end."""
     lps_from_tip: NDArray[np.float64]
     """(4, 4) final pose of the tip."""
 
@@ -137,7 +140,7 @@ def _turned_to_aim(recorder: MoveRecorder, way: DriveWay, hit_share: HitShare) -
 
 
 def _refined(best: _Judged, way: DriveWay, hit_share: HitShare) -> _Judged:
-    """Return a hold after small changes of roll, lever and advance that increase the share of hits.
+    """Return the best hold after small changes of roll, lever and advance that increase the share of hits.
 
     Only a hold from which some, but fewer than half, of the needles hit is changed.
     """

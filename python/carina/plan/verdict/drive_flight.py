@@ -62,7 +62,7 @@ def drive_flight(driven: DrivenRoute, *, rate_hz: float = 25.0) -> tuple[NDArray
         before, after = driven.lps_from_camera[n - 1], driven.lps_from_camera[n]
         took_s = float(driven.time_s[n] - driven.time_s[n - 1])
         if took_s <= 0.0:
-            # A sample that took no time replaces the pose before it: nothing was set, and only the model settled.
+            # A sample without duration replaces the pose before it: it only records the settled state of the model.
             poses[-1] = after
             continue
         turned = vector_from_rotation(orthonormal(before[:3, :3].T @ after[:3, :3]))

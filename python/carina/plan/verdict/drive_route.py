@@ -17,7 +17,7 @@ Points = NDArray[np.float64]
 SMOOTH_MM = 4.0
 """Half the length in mm over which a direction of the route is measured."""
 CUT_MM = 10.0
-"""Distance in mm from the beginning of the tree in which widths are ignored."""
+"""Length in mm at the start of the tree whose widths are ignored, because the CT may cut the trachea there."""
 FINE_MM = 0.5
 MIN_AHEAD_MM = 4.0
 NUM_ON_LINE = 14
@@ -28,7 +28,7 @@ class DriveWay:
 
     Distances in a drive are measured along the smooth route, which is a few millimetres shorter than the branches'
     centrelines. Distances in results are measured along the centrelines, from the origin of the planned route as in the
-    list of turns; `told_mm` converts them.
+    list of turns; `from_origin_mm` converts them.
 
     Parameters
     ----------
@@ -82,13 +82,13 @@ class DriveWay:
         """Length in mm of the whole route, which may extend beyond the position of the scope."""
         return float(self.cumulative_mm[-1])
 
-    def told_mm(self, mm: float) -> float:
+    def from_origin_mm(self, mm: float) -> float:
         """Convert a distance along the smooth route to one along the centrelines from the route's origin, mm."""
         return self.origin.past_mm(float(np.interp(mm, self._knots[:, 0], self._knots[:, 1])))
 
-    def told_words(self, mm: float) -> str:
+    def position_words(self, mm: float) -> str:
         """Return a place of the smooth route as text, such as *42 mm past the main carina*."""
-        return self.origin.words(self.told_mm(mm))
+        return self.origin.words(self.from_origin_mm(mm))
 
     def at(self, mm: float | Points) -> Points:
         """Return the points (..., 3), LPS mm, at distances in mm along the route."""

@@ -34,7 +34,7 @@ BLOCKED_STEPS = 7
 """Number of consecutive advances blocked by the wall after which an attempt ends."""
 ASTRAY_MM = 2.5
 SLACK_MM = 25.0
-"""Largest difference in mm between insertion and distance along the route; beyond it the scope buckles or strays."""
+"""Largest difference in mm between insertion and progress along the route; beyond it the scope buckles or strays."""
 MAX_STEPS = 700
 ON_COURSE_COSINE = 0.64
 """Cosine of 50 degrees, the largest angle between the tip and the route for a tip that points along the route."""
@@ -43,15 +43,15 @@ BEND_BEHIND_MM, BEND_AHEAD_MM = 45.0, 8.0
 AT_FORK_MM = 12.0
 """Distance from a fork in mm within which a stop of the drive is reported as a stop at this fork."""
 HOOKING = 0.5
-"""Probability that a drawn rule pulls the lever at each fork."""
+"""Probability with which a drawn rule pulls the lever at each fork (`_Rule.hook`)."""
 HOOK_BLOCKED_STEPS = 4
 PAST_FORK_MM = 6.0
 """Distance in mm beyond a fork up to which the fork still counts as the next one."""
 CONDENSING = 60
-"""Largest number of shorter drives that are tried after a drive has arrived."""
+"""Largest number of shorter drives that are tried after a drive has arrived (`condense_drive`)."""
 STATION_MM = 2.0
 """Distance in mm along the route between stored copies of an attempt from which other attempts can start."""
-KEPT = 3
+MAX_STORED = 3
 """Number of stored attempts from which others start."""
 
 
@@ -71,9 +71,9 @@ class _Rule:
     fork_within_mm: float = 20.0
     beyond_fork_mm: float = 6.0
     gain: float = 0.8
-    """Change of flexion divided by the angle between the tip's direction and the point that the tip turns to."""
+    """Change of flexion as a share of the angle between the tip's direction and the steering point."""
     dead_deg: float = 8.0
-    """Angle in degrees between the tip's direction and the point below which roll and lever are not changed."""
+    """Angle in degrees between the tip's direction and the steering point below which roll and lever stay unchanged."""
     hold_mm: float = 2.0
     """Least insertion in mm between two changes of roll or lever."""
     rate_deg: float = 15.0
@@ -115,7 +115,7 @@ class _Rule:
 
 
 @dataclass(frozen=True, slots=True)
-class _Kept:
+class _StoredAttempt:
     """Stored attempt, up to the last point at which the tip was on the route."""
 
     along_mm: float
@@ -195,7 +195,7 @@ def search_drive(
         raise UsageError(f"effort: expected above 0; found {effort}", code="plan.range")
     rng = np.random.default_rng(seed)
     start = _Attempt(way, place_at_start(way, wall, scope))
-    kept: list[_Kept] = []
+    stored: list[_StoredAttempt] = []
     in_vain, spent, num = 0, 0.0, 0
     farthest: _Attempt | None = None
     while spent < effort:
@@ -204,10 +204,10 @@ def search_drive(
         rule = _Rule() if num == 0 else _Rule.drawn(rng)
         begin = start
         known: tuple[_Attempt, ...] = ()
-        if kept and num > 1:
+        if stored and num > 1:
             # Attempts that got farther are chosen more often. The start moves back as attempts without progress
             # accumulate.
-            from_one = kept[min(int(rng.integers(len(kept))), int(rng.integers(len(kept))))]
+            from_one = stored[min(int(rng.integers(len(stored))), int(rng.integers(len(stored))))]
             back_mm = rng.uniform(2.0, 10.0 + 4.0 * min(in_vain, 15))
             begin = from_one.before(from_one.along_mm - back_mm)
             known = from_one.stations[: from_one.stations.index(begin)]
@@ -219,11 +219,11 @@ def search_drive(
             farthest = attempt
         if attempt.arrived:
             break
-        best_mm = kept[0].along_mm if kept else 0.0
+        best_mm = stored[0].along_mm if stored else 0.0
         in_vain = 0 if attempt.good_mm > best_mm + 1.0 else in_vain + 1
-        kept.append(_Kept(attempt.good_mm, (*known, begin, *attempt.stations)))
-        kept.sort(key=lambda one: -one.along_mm)
-        del kept[KEPT:]
+        stored.append(_StoredAttempt(attempt.good_mm, (*known, begin, *attempt.stations)))
+        stored.sort(key=lambda one: -one.along_mm)
+        del stored[MAX_STORED:]
     assert farthest is not None
     stopped_mm = farthest.along_mm if farthest.arrived else farthest.good_mm
     return farthest.recorder.driven(way, stopped_mm=stopped_mm, why=None if farthest.arrived else farthest.why())
@@ -274,7 +274,7 @@ def condense_drive(
             shorter = [*moves[: n - 1], replace(moves[n - 1], advance_mm=moves[n - 1].advance_mm + left_out)]
             rest = moves[n + num :]
             if rest:
-                # The turn of the first remaining move is corrected so that its roll stays the same.
+                # The turn of the first remaining move is changed so that the roll after it stays the same.
                 rest = [replace(rest[0], turn_deg=(rest[0].turn_deg + turned + 180.0) % 360.0 - 180.0), *rest[1:]]
             tries -= 1
             if n <= len(earlier):

@@ -1,9 +1,9 @@
-"""Check of a bend by simulated drives with a lever of smaller range, if the comparison of angles is inconclusive.
+"""Check of a bend by simulated drives with a reduced lever range, if the comparison of angles is inconclusive.
 
-`bend_check` compares the angle that a route requires with the angle of the lever. If the errors leave the answer open,
-this comparison is stricter than reality, because the airway's wall bends a scope too. Therefore drives are simulated
-with a lever whose largest angle is smaller by the possible error. A scope that arrives with it also arrives with
-the full one, as far as a search can show.
+`bend_check` compares the angle that a route requires with the largest angle of the lever. This comparison is stricter
+than reality, because the airway's wall also bends a scope. If it is inconclusive within the errors, drives are
+simulated with a lever range that is smaller by the possible error. A scope that arrives with the reduced range also
+arrives with the full range.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from carina.scopes import ScopePreset, WallField
 SHORTER = ((1.645, 0.95), (0.674, 0.85))
 """Reductions of the lever's range in standard errors, and the probability reported if a drive arrives with each.
 
-Each share is the middle of the range between this reduction and the next.
+Each probability is the middle of the range between its reduction and the next one.
 """
 AS_IT_IS = 0.62
-"""Probability reported if a drive arrives only with the full lever."""
+"""Probability reported if a drive arrives with the full lever range but with no reduced range."""
 
 
 def lever_check(
@@ -59,14 +59,14 @@ def lever_check(
         return figures
     share, found = AS_IT_IS, "no drive was found"
     less_deg = SHORTER[-1][0] * BEND_SIGMA_DEG
-    for sigmas, told in SHORTER:
+    for sigmas, probability in SHORTER:
         shorter_deg = sigmas * BEND_SIGMA_DEG
         up_deg, down_deg = (max(deg - shorter_deg, 1.0) for deg in scope.flexion_deg)
         shorter = replace(scope, flexion_deg=(up_deg, down_deg))
         if arrives_by(way, wall, shorter, driven.moves) or (
             search_drive(way, wall, shorter, effort=effort, cancel=cancel).arrived
         ):
-            share, found, less_deg = told, "the drive still arrives", shorter_deg
+            share, found, less_deg = probability, "the drive still arrives", shorter_deg
             break
     words = f"{figures.words}; with {less_deg:.0f} degrees less flexion, {found}"
     basis = f"{figures.basis}; the scope's mechanics in the airways' wall (k)"

@@ -11,7 +11,7 @@ import uvicorn
 
 from carina.server.network.connection_limits import UnauthenticatedConnections
 
-FAREWELL_S = 0.5
+CLOSE_TIMEOUT_S = 0.5
 """Seconds that a client has to read the remaining data and finish the closing handshake of a closed connection."""
 LOOK_EVERY_S = 0.02
 
@@ -20,8 +20,8 @@ class TimedShutdownServer(uvicorn.Server):
     """Uvicorn server that aborts connections whose client does not finish the closing handshake in time.
 
     A busy or suspended browser can delay the closing handshake by half a minute. Uvicorn would wait for its grace
-    period and then log an error. This class aborts such a connection :data:`FAREWELL_S` seconds after it was closed.
-    Requests that are still being answered have the full grace period.
+    period and then log an error. This class aborts such a connection :data:`CLOSE_TIMEOUT_S` seconds after it was
+    closed. Requests that are still being answered have the full grace period.
 
     Parameters
     ----------
@@ -75,6 +75,6 @@ class TimedShutdownServer(uvicorn.Server):
                     # The server is still sending a response on this connection: abort it only after the grace period.
                     if now_s >= end_s:
                         self._unauthenticated.abort(transport)
-                elif now_s - closing_since.setdefault(connection, now_s) >= FAREWELL_S:
+                elif now_s - closing_since.setdefault(connection, now_s) >= CLOSE_TIMEOUT_S:
                     self._unauthenticated.abort(transport)
             await asyncio.sleep(LOOK_EVERY_S)

@@ -41,7 +41,7 @@ MAX_MESSAGE_BYTES = 8192
 MAX_BYTES_PER_S = 65_536
 """Largest number of bytes per s that one observer may send; 600 messages have about 50,000 bytes."""
 WRONG_TOKEN_WAIT_S = 0.5
-FAREWELL_S = 1.0
+CLOSE_TIMEOUT_S = 1.0
 """Time in s during which observers can receive the reason before the page closes."""
 
 
@@ -182,7 +182,7 @@ class ObserverPageServer:
                     window.disconnect(words)
                 # Observers that do not read the reason in time are disconnected.
                 with contextlib.suppress(TimeoutError):
-                    async with asyncio.timeout(FAREWELL_S):
+                    async with asyncio.timeout(CLOSE_TIMEOUT_S):
                         await opened.nobody.wait()
             opened.server.should_exit = True
             await opened.serving

@@ -89,7 +89,7 @@ class Layout(ClientMessage, frozen=True):
 
 
 class Ack(ClientMessage, frozen=True):
-    """A picture was decoded; coalesced acks may be sent one after the other."""
+    """Report that a picture was decoded; acknowledgements that the page has delayed follow one another."""
 
     frame_id: Count
 
@@ -113,9 +113,10 @@ class Pick(ClientMessage, frozen=True):
 
 
 class AskLivePath(AskAtPlace, ClientMessage, frozen=True, tag="live_path"):
-    """Ask for the path from the root to a place under the cursor; only the newest is answered, by ``live_path``.
+    """Request the path from the root to a point under the cursor; only the newest is answered, by ``live_path``.
 
-    Either a point, or a place in an airway picture, as in ``pick``: then the lumen in front of the wall there is meant.
+    The request contains either a point or a position in an airway picture, as in ``pick``. For a position, the path
+    ends in the lumen in front of the wall at this position.
     """
 
 

@@ -9,7 +9,7 @@ from msgspec import Meta
 from carina.commands.fields import Wide, Words
 from carina.server.wire.codec import PhoneMessage, ToPhoneMessage
 
-# Wide, as of every device: what a phone says too much is ignored and counted, and does not end the connection.
+# These bounds are wide, because invalid values of a phone are ignored and counted; they do not end the connection.
 Four = tuple[Wide, Wide, Wide, Wide]
 
 
@@ -26,7 +26,7 @@ class PhoneSample(PhoneMessage, frozen=True):
     time_s: Wide
     """Time stamp of the phone's clock."""
     orientation_wxyz: Four | None
-    """``earth_from_pen``: right, down, forward, which is where the phone's upper edge points. Null without a sensor."""
+    """``earth_from_pen``, with the axes right, down and forward (the phone's upper edge); null without a sensor."""
     held: bool
     """Whether the tip turns with the phone."""
     advance: Wide
@@ -34,7 +34,7 @@ class PhoneSample(PhoneMessage, frozen=True):
 
 
 class PhoneAct(PhoneMessage, frozen=True):
-    """A button of the page: look along the path again, or the next way to move."""
+    """Action of a button of the page: look along the path again, or change to the next control mode."""
 
     action: Literal["recenter", "next_control"]
 

@@ -63,14 +63,14 @@ class MarkQuestion(FrozenValue, frozen=True):
 
 
 class AskTargetMark(MarkQuestion, ClientMessage, frozen=True, tag="target_mark"):
-    """Ask what a click with the tool *Mark target* would mark; only the newest is answered, by ``target_mark``."""
+    """Request the result of a click with the tool *Mark target*; only the newest is answered, by ``target_mark``."""
 
 
 class TargetMark(MarkQuestion, ServerMessage, frozen=True, tag="target_mark"):
     """Answer to ``target_mark``."""
 
     sentences: tuple[Words, ...]
-    """What the click marks, and the reasons for which it may not be a nodule; empty if the search was ended."""
+    """Texts: the marked structure, and reasons why it may not be a nodule; empty if the search was stopped."""
     warns: bool
     """Whether there are such reasons, or no route and no plan can lead to the point."""
 

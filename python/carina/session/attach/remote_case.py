@@ -405,5 +405,5 @@ def _named_file_path(saving: SavingInfo) -> Path | None:
 
 
 def _is_sight(command: c.Command) -> bool:
-    """Return whether a command changes only the sight, of which each window and each program has its own."""
+    """Return whether a command changes only display settings (`Sight`), separate for each window and program."""
     return isinstance(command, c.SetCrosshair) or command.sets in Sight.__struct_fields__

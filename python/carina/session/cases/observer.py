@@ -16,7 +16,7 @@ from carina.session.saving.autosave import Autosave, ReplacementCase
 
 
 class ObserverHandlers(CommandHandlers):
-    """Commands that mirror a case of another process: all but the sight of this session is copied from the owner."""
+    """Commands that mirror a case of another process: all but display settings (`Sight`) is copied from the owner."""
 
     def __init__(
         self, core: SessionCore, finding: AirwayHandlers, holding: ScopeContactHandlers, saving: Autosave

@@ -252,7 +252,7 @@ class CaseOpener(CommandHandlers):
         with self.core.lock:
             self._recording.stop()
             self.core.jobs.cancel_kinds()
-        # let_go() may wait for the disk, so it is called without the lock, and images are still rendered.
+        # release_case() may wait for the disk, so it is called without the lock, and images are still rendered.
         self._saving.release_case()
         with self.core.lock:
             self._discard_case()

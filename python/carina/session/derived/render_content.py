@@ -133,6 +133,7 @@ class ShownContent:
         """Record that the update to the given content has ended; the caller holds the session's lock."""
         if self._come_to != decided.number:
             self._come_to = decided.number
-            # The number also increases if a change was undone meanwhile, because no image since was sent as final.
+            # The number increases even if the content is the former one again, because no picture since then was sent
+            # as final.
             self.number += 1
             self._changed()

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class ScopeContactHandlers(CommandHandlers):
-    """Places the scope along the route, constrained by the airway wall, in mode *scope*."""
+    """Handlers that place the scope along the route, constrained by the airway wall, in mode *scope*."""
 
     def enter(self, case: OpenCase) -> None:
         """Start the job that computes the airway wall, and lay the scope along the route when the wall is available."""
@@ -55,7 +55,7 @@ class ScopeContactHandlers(CommandHandlers):
             self.lay(case)
 
     def lay(self, case: OpenCase, insertion_mm: float | None = None) -> None:
-        """Lay the scope along the route to the position of the tip, or to the nearest position on the route."""
+        """Place the scope along the route at the position of the tip, or at the nearest position on the route."""
         route, wall = case.document.route, case.wall.of(case.document.airways)
         if route is None or wall is None:
             return

@@ -40,7 +40,7 @@ class VerdictDriveHandlers(CommandHandlers):
             verdict = _verdict_with_drive(case, command.scope)
         assert verdict.driven is not None
         times_s, poses = drive_flight(verdict.driven)
-        # Recordings round times to 1 us; unrounded times could exceed the recorded length.
+        # Recordings round times to 1 us, and an unrounded time could exceed the rounded length.
         times_s = np.round(times_s, 6)
         key = case_key(case.info.volume)
         with self.core.lock:

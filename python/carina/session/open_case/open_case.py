@@ -175,9 +175,9 @@ class OpenCase:
     """The route whose path was last passed to the pilot."""
     asked_mask: PendingMask | None = None
     armed_pen: ArmPen = field(default_factory=lambda: ArmPen(None))
-    """The kind of mark that the button of the pen sets."""
+    """Kind of point that the button of the pen marks."""
     begun_s: float = 0.0
-    """Session time of the first work on the case, in s; it precedes the session for a stored case."""
+    """Session time in s of the first work on the case; below 0 for a stored case that was begun earlier."""
     numbers: dict[str, int] = field(default_factory=dict)
     """The last number that was given to an object of each kind; targets and key frames count from 1 in each case."""
     flights: CaseFlights = field(default_factory=CaseFlights)

@@ -227,7 +227,7 @@ class Autosave(CommandHandlers):
         self._files = files
         self._saver: CaseSaver | None = None
         self._ending: list[CaseSaver] = []
-        """Keepers whose disk did not respond when their case was closed."""
+        """Case savers whose disk did not respond when their case was closed."""
         self._awaited: str | None = None
         """Digest of the CT that the user must open to continue a dropped case; None if no case waits."""
         if records is not None:
@@ -598,12 +598,12 @@ class Autosave(CommandHandlers):
         return SavingInfo() if saver is None else saver.info
 
     def _on_event(self, event: Event) -> None:
-        """Notify the keeper of the open case of a change event, so that it writes the case.
+        """Notify the saver of the open case of a change event, so that the saver writes the case.
 
         Called with the session locked.
         """
         saver = self._saver
-        if saver is not None and isinstance(event, Changed) and self.core.case is saver.case and not saver.is_telling:
+        if saver is not None and isinstance(event, Changed) and self.core.case is saver.case and not saver.is_reporting:
             saver.changed(event.topics)
 
     def write_now(self) -> bool:
@@ -717,7 +717,7 @@ class Autosave(CommandHandlers):
             try:
                 saved = saver.save_to(path, replace=command.replace and (not is_known or saver.has_conflict))
             except NamedFileConflictError as conflict:
-                saver.tell_conflict(conflict)
+                saver.show_conflict(conflict)
                 raise
             except OSError as error:
                 raise disk_trouble(error, "cannot save the case to", path) from error

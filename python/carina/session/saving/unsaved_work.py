@@ -18,7 +18,7 @@ from carina.session.core import Event
 from carina.session.state.snapshot import ErrorEvent
 
 NAMED_FILE_CODES = frozenset({"case.changed", "case.copy"})
-"""Codes of messages, at the end of a case, about a named file without the latest changes; the live file has them."""
+"""Codes of messages about a named file without the latest changes, which the live file has."""
 Subscribe = Callable[[Callable[[Event], None]], Callable[[], None]]
 """Adds a listener to a session, and returns the function that removes the listener."""
 

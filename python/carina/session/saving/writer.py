@@ -124,8 +124,8 @@ class CaseSaver:
         self.held = held
         self.file = file
         self.info = info
-        self.is_telling = False
-        """Whether the session is reporting a change of the saving info alone, which needs no write."""
+        self.is_reporting = False
+        """Whether the session is reporting a change that concerns only the saving info and needs no write."""
         # Lock of the fields below; it is taken after the session's lock, and never held while waiting for a disk.
         self._wake = threading.Condition()
         self._changed_s: float | None = None
@@ -137,7 +137,7 @@ class CaseSaver:
         self._elsewhere: _WorkInNamedFileOnly | None = None
         """The newest work in a named file while the disk of the live file refuses it."""
         self._is_copy_current = False
-        """Whether nothing was reported as changed since the named file was written from memory."""
+        """Whether no change was reported since the named file was written from memory."""
         self._busy: object = None
         """Object that identifies the write in progress; None between writes."""
         self._is_slow = False
@@ -164,7 +164,7 @@ class CaseSaver:
         self._is_ending = self._has_ended = False
         self._pictured = False
         self._is_use_numbered = False
-        self._is_told_of = False
+        self._is_endpoint_written = False
         """Whether the connection details with which programs join this case are on the disk."""
         self._copier: threading.Thread | None = None
 
@@ -175,7 +175,7 @@ class CaseSaver:
         threading.Thread(target=self._run, name="carina-saving", daemon=True).start()
 
     def __repr__(self) -> str:
-        """Describe the keeper by its saving info."""
+        """Describe the saver by its saving info."""
         return f"CaseSaver({self.info!r})"
 
     # ------------------------------------------------------------ calls from other threads
@@ -502,9 +502,9 @@ class CaseSaver:
         if self.file is None:
             self.held.clear()
             self.file = self._files.create(self.held.path, volume, self.digest)
-        if not self._is_told_of:
+        if not self._is_endpoint_written:
             self.held.write_endpoint()
-            self._is_told_of = True
+            self._is_endpoint_written = True
         facts: dict[str, Any] = {}
         if is_changed:
             with self._core.lock:
@@ -601,7 +601,7 @@ class CaseSaver:
         return self._num_copied < self._num_saved or (self._changed_s is not None and not self._is_copy_current)
 
     def _plan_copy(self, within_s: float) -> None:
-        """Schedule the next check of the named file if it is outdated or not compared yet.
+        """Schedule the next check of the named file if the file is outdated or was not compared yet.
 
         The caller holds ``_wake``.
         """
@@ -625,7 +625,7 @@ class CaseSaver:
                     self._wake.wait(wait_s)
                 self._copy_s = None
                 # The first comparison follows the opening, which is reported as a change. Without this distinction,
-                # opening a case would rewrite the file that the user named, or not, depending on the thread's start.
+                # opening a case could rewrite the named file, depending on when the thread starts.
                 is_behind = self._copy_is_behind() if self._is_named_checked else self._num_copied < self._num_saved
                 if not is_behind and not self._is_named_check_due():
                     continue
@@ -669,7 +669,7 @@ class CaseSaver:
                     self._plan_copy(COPY_EVERY_S)
         except NamedFileConflictError as conflict:
             has_ended.set()
-            self.tell_conflict(conflict)
+            self.show_conflict(conflict)
         except Exception as error:
             has_ended.set()
             with self._change_info({"copy_problem": _error_text(error)}, unless=is_outdated):
@@ -678,7 +678,7 @@ class CaseSaver:
             has_ended.set()
             watch.cancel()
 
-    def tell_conflict(self, conflict: NamedFileConflictError) -> None:
+    def show_conflict(self, conflict: NamedFileConflictError) -> None:
         """Show in the saving info that the named file was not written, and which choices the user has.
 
         A conflict of another path is not shown, because the named file of the case is not affected.
@@ -735,11 +735,11 @@ class CaseSaver:
                 yield
                 self._wake.notify_all()
             if self.info.shown != before.shown and self._core.case is self.case:
-                self.is_telling = True
+                self.is_reporting = True
                 try:
                     self._core.changed("state")
                 finally:
-                    self.is_telling = False
+                    self.is_reporting = False
 
 
 def _recorded_file(record: CaseRecord) -> NamedFile:

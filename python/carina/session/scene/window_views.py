@@ -10,7 +10,7 @@ from carina.render import VIEWS, Sight
 
 @dataclass(slots=True)
 class Sights:
-    """The sight of each window; guarded by the session's lock."""
+    """The display settings (`Sight`) of each window; guarded by the session's lock."""
 
     latest: Sight
     """Sight of the window that was used last; it is stored with the case, and new windows start with it."""

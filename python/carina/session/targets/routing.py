@@ -29,7 +29,7 @@ class Mark:
     """Result of a click with the tool *Mark target*, without the click."""
 
     sentences: tuple[str, ...]
-    """What the click marks, and the reasons for which it may not be a nodule."""
+    """Texts: the structure that the click marks, and the reasons for which it may not be a nodule."""
     warns: bool
     """Whether there are such reasons, or no route and no plan can lead to the point."""
 

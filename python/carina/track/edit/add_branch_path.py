@@ -28,15 +28,9 @@ MIN_ADDED_MM = 1.0
 FORK_RADII = 1.0
 """Distance from a tube's centreline, in radii of the tube, beyond which a path has left the tube (as in the search)."""
 MIN_REMAINING_MM = 3.0
-"""Least length in mm of the remaining tip of a branch beyond a new fork.
-
-A tip shorter than this or 1.5 slices is removed.
-"""
+"""Least length in mm of a tip that remains beyond a new fork; a tip shorter than this or 1.5 slices is removed."""
 MIN_STATED_MM = 5.0
-"""Least length in mm of a piece with evidence that the message mentions.
-
-A shorter piece is not worth adding separately.
-"""
+"""Least length in mm with evidence that a message offers to add; a shorter piece is not worth adding separately."""
 TIP_POINTS = 3
 """Number of the last points of a branch whose median radius is the radius at its tip."""
 SMOOTH_MM, STEP_MM = 1.0, 1.0
@@ -116,7 +110,7 @@ class PlannedWay:
     voxels: Voxels
     """Voxels (m, 3) of the path outside the lumen, as face neighbours; (0, 3) if the path is inside it."""
     parent_id: int
-    """ID of the branch of the draft at whose end the new branch begins; that branch may have been split for this."""
+    """ID of the draft's branch at whose end the new branch begins; an existing branch may have been split there."""
     leaves_id: int
     """ID of the branch that the new branch leaves in the tree before the edit."""
 
@@ -263,7 +257,7 @@ def _ended(points: Points, ends: Points) -> Points:
 
 
 def lumen_node(lumen: EditedLumen, voxel: NDArray[np.int64], reach_mm: float = 0.0) -> int:
-    """Return the tracker's node of a voxel that a path reaches; otherwise the nearest such node within ``reach_mm``.
+    """Return the tracker's node of a voxel that paths reach, or the nearest such node within ``reach_mm``.
 
     Raises
     ------

@@ -96,7 +96,7 @@ def _edit_from_row(row: object, number: int) -> TreeEdit:
 
 
 def branch_title(name: str | None, branch_id: int) -> str:
-    """Return the title of a branch for use in a sentence: its name, or a text with its ID."""
+    """Return a branch's name, or a text with its ID if it has none, for use in a sentence."""
     return name or f"branch {branch_id}"
 
 

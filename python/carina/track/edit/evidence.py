@@ -41,14 +41,14 @@ REACH_MM, FAR_MM = 3.2, 8.1
 OPEN_SIDES = 0.2
 """Share of the 16 sides of a section that may have no wall."""
 CLOSED_BUT = 1
-"""Number of sides of a section that may have no wall although the wall counts as closed."""
+"""Number of sides without a wall that a section may have and still count as closed."""
 BEND_MM = 3.0
 """Length in mm before and after a point of a path over which the two directions are measured that define the bend."""
 HALF_SECTIONS = 2
 """Number of sections before, and of sections after, a section that are averaged with it."""
 TANGENT_MM = 1.5
 AROUND = 0.25
-"""Quantile of the farther samples round a section that is taken as the value of the lung there."""
+"""Quantile of the outer samples of a section that gives the value of the lung there."""
 
 MAX_MISSED_MM = 120.0
 """Largest distance in mm from the tree at which a path to a new branch is searched.
@@ -57,9 +57,9 @@ The bronchi of the lower lobe extend this far from the intermediate bronchus.
 """
 
 TIP_ALLOWANCE = 20.0
-"""Cost, in mm along the middle of an airway, by which a path from a tip may exceed the best path from the lumen.
+"""Extra cost, in mm along an airway's middle, up to which a path from a tip is preferred to one from the lumen.
 
-A thin wall between two airways side by side costs less; 1 mm through plain lung costs 25.
+A thin wall between two airways side by side costs less than this; 1 mm through plain lung costs 25.
 """
 
 # Limits for the paths through plain lung with which a path is compared.
@@ -71,9 +71,9 @@ MIN_RUNS = 12
 BEST_RUNS = 0.9
 MIN_RISE_HU = 15.0
 NOISE_SHARE, FAR_SHARE = 1.25, 2.0
-"""Factors of the least rises from the middle of a path to its wall, whatever the comparison with plain lung shows.
+"""Least rises from the middle of a path to its wall, whatever the comparison with plain lung shows.
 
-NOISE_SHARE times the noise for near walls; FAR_SHARE times the near rise for far walls.
+NOISE_SHARE is the factor on the noise for near walls; FAR_SHARE is the factor on the near rise for far walls.
 """
 PLAIN_HU = -850.0
 ENCLOSED, DARK_SHARE = 0.98, 0.1
@@ -119,7 +119,7 @@ class Evidence:
         }
         usual = max(least, NOISE_SHARE * self.noise)
         self.compared_with = LungBaseline(usual, FAR_SHARE * usual, float(self._scale.level(PLAIN_HU)))
-        """Rises that a tenth of the sections on the best paths through plain lung exceed, and lung brightness."""
+        """Comparison values of plain lung: rises that a tenth of its best paths' sections exceed, and brightness."""
         if enough:
             self._compare(lung[:: max(1, len(lung) // NUM_RUNS)][:NUM_RUNS])
 
@@ -273,7 +273,7 @@ def _plain_lung(volume: Volume, base: Airways, brightest: float) -> Voxels:
 
 
 def _beside(tree: AirwayTree) -> Points:
-    """Return points round the branches beyond the main bronchi, evenly distributed and reproducible; LPS in mm."""
+    """Return points spread evenly round the branches beyond the main bronchi, the same at each call; LPS in mm."""
     branches = [branch for branch in tree.branches if branch.generation >= 2] or list(tree.branches)
     points = np.concatenate([branch.points for branch in branches])
     num = 12 * NUM_RUNS

@@ -21,9 +21,9 @@ STEP_MM = 0.5
 """Distance in mm between two sections of a path."""
 WINDOW_MM = 5.0
 SURE = 1.0
-"""Least gain of the first sections of a failed window of 5 mm that still count as evident.
+"""Gain from which a section counts as evident; evident sections at the start of a failed window still pass.
 
-Sections before a weaker one pass.
+The window is 5 mm long; its sections pass up to the first weaker one.
 """
 
 # Constant term of the gain of a section (a sum of weighted terms, in log odds).
@@ -31,7 +31,10 @@ BASE = 1.45
 RISE, RISE_LIMITS = 0.9, (-0.5, 1.5)
 FAR_RISE, FAR_LIMITS = 1.2, (-0.5, 2.0)
 CLOSED, FAR_CLOSED, CLOSED_LIMITS = 1.0, 1.4, (0.0, 1.5)
-"""Walls in units of plain lung, clipped so that one bright wall cannot compensate a long path without walls."""
+"""Weights of closed near and far walls, and limits of these walls in units of plain lung.
+
+The limits prevent one bright wall from compensating a long path without walls.
+"""
 MIN_WALLS = 0.6
 """Least average of the sum of the four wall terms over a window of 5 mm, whatever the other terms are.
 
@@ -40,10 +43,9 @@ Fewer than one in 100 paths to removed branches have a smaller average.
 DROP, DROP_HU, MAX_DROP = -2.0, 100.0, 3.0
 """Weight, unit in HU and upper limit of the penalty for a value that rises and falls along a path, as across a wall."""
 WIDER, AS_WIDE, MAX_WIDER = -1.6, 0.8, 1.0
-"""Weight, free ratio and upper limit of the penalty for a path that is wider than the branch that it leaves.
+"""Weight, free ratio and upper limit of the penalty for a path wider than the branch that it leaves.
 
-An airway is narrower than the branch that it leaves: up to 0.8 of the parent's radius costs nothing, 1.8 times costs
-all.
+A radius of up to 0.8 of the branch's radius has no penalty; a radius of 1.8 has the full penalty.
 """
 BEND = -2.6
 """Weight of the penalty for bends: a path between vessels turns within some millimetres, an airway does not."""
@@ -52,17 +54,20 @@ UNEVEN = -3.9
 UNEVEN_OVER = 5
 """Number of sections before, and after, a section over which the radius's deviation is computed."""
 GAP, THREAD_MM, AIR_HU, GAP_HU, MAX_GAP = -1.1, 1.0, -980.0, 100.0, 3.0
-"""Values of the penalty for gaps between vessels: wide places that are as bright as lung."""
+"""Values of the penalty for gaps between vessels, which are wide and as bright as lung.
+
+They are the weight, the least radius in mm, the HU without penalty, the unit in HU and the upper limit.
+"""
 
 WALL_DROP_HU = 350.0
 """Rise and fall in HU along a path above which the path has crossed a wall, so its end is not connected."""
 NEAR_MM = 3.0
 """Distance in mm from the middle of a section within which near walls, and the radius, are measured."""
 WIDE_HU = -930.0
-"""Upper limit in HU of the middle of a lumen that is too wide for ``NEAR_MM``.
+"""Largest HU in the middle of a lumen that is too wide for ``NEAR_MM``.
 
-A darker middle with walls all round but none within ``NEAR_MM`` is a lumen too wide for this distance: a rise within
-it is noise, and so is a radius measured from it.
+A darker middle with walls all round, but none within ``NEAR_MM``, is such a lumen. A rise within ``NEAR_MM`` is then
+noise, and so is the radius that follows from it.
 """
 NO_LUMEN_HU, NO_LUMEN = -450.0, -100.0
 """Value in HU over 2.5 mm above which the middle of a section is no lumen, and the gain that such a section gets."""

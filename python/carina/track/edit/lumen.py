@@ -195,7 +195,7 @@ def bridge_way(lumen: EditedLumen, start: NDArray[np.int64]) -> Voxels:
 
 
 def tissue_there(lumen: EditedLumen, start: NDArray[np.int64], wall: float) -> None:
-    """Raise an error that states why a voxel is refused, if the voxel is brighter than half-way to tissue.
+    """Raise an error that states why a voxel is refused, if it is brighter than half-way between air and tissue.
 
     Raises
     ------
@@ -213,7 +213,7 @@ def tissue_there(lumen: EditedLumen, start: NDArray[np.int64], wall: float) -> N
 
 
 def air_voxel(lumen: EditedLumen, start: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the voxel itself if it is as dark as lumen, otherwise the darkest voxel within 2 mm of it.
+    """Return a voxel that is as dark as lumen: the given one, or the darkest within 2 mm of it.
 
     Raises
     ------

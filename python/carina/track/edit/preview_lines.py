@@ -22,7 +22,7 @@ class PreviewLine:
     doubtful: NDArray[np.bool_]
     """Flags (n-1,): whether the CT shows no airway at each segment."""
     drawn: NDArray[np.bool_]
-    """Flags (n-1,): whether the branch of each segment will be drawn by hand; all segments, if any is doubtful."""
+    """Flags (n-1,): whether the branch of each segment counts as drawn by hand; all segments if any is doubtful."""
 
 
 @one_line

@@ -402,7 +402,7 @@ class EditSteps:
             self.draft.change(branch.id, radius=radius)
 
     def _mend(self, voxels: Voxels) -> Voxels:
-        """Move the centrelines back into a changed lumen; remove branches that paths no longer reach.
+        """Move the centrelines back into a changed lumen, and remove branches that paths no longer reach.
 
         Parameters
         ----------

@@ -17,17 +17,18 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 # Half the side length in mm of the square window that is examined in each slice.
 WINDOW_MM = 45.0
-# Largest movement in mm of a section's edge per mm of height, so that air that leaves the trachea sideways or forwards
-# is not followed.
+# Largest movement in mm of a section's edge per mm of height; it prevents following air that leaves the trachea
+# sideways or forwards.
 SPREAD_PER_MM = 1.0
 # Largest thickness in mm of a tube's wall across which air still belongs to the section; tube walls are up to 1.5 mm
 # thick.
 BRIDGED_MM = 1.2
-# Largest length in mm over which closed vocal cords hide the air between trachea and vestibule.
+# Largest height in mm over which the air between trachea and larynx may be invisible because the vocal cords are
+# closed.
 LOST_MM = 14.0
 # Upper limit in HU of air across the wall of a tube; lung is brighter.
 AIR_HU = -930.0
-# Greatest distance in mm of air across the wall of a tube.
+# Largest distance in mm across the wall of a tube at which air is still added.
 BESIDE_MM = 3.2
 # Distance in mm round a section within which the peak of its surroundings is measured.
 ROUND_MM = 2.5
@@ -35,7 +36,7 @@ ROUND_MM = 2.5
 SEPTUM_MM2 = 12.0
 # Least peak value in HU of a tube's material between air and air.
 SEPTUM_HU = 150.0
-# Number of sections with such material after which the air counts as the lumen of a tube.
+# Number of sections with a tube's material in the air, from which the air counts as the lumen of a tube.
 IN_A_TUBE = 3
 
 
@@ -111,7 +112,7 @@ def connected_to(start: NDArray[np.bool_], within: NDArray[np.bool_]) -> NDArray
     out = start & within
     size = -1
     while size != (size := int(out.sum())):
-        # Grow by several steps at once: counting costs as much as a step.
+        # Several steps are grown between two counts, because counting costs as much as a step.
         for _ in range(4):
             out = dilate(out, SIDES) & within
     return out
@@ -188,8 +189,8 @@ def follow_up(
             seeds, allowed = last, dilate(last, limit)
         region = connected_to(seeds & is_air, is_air & allowed)
         if tubes >= IN_A_TUBE:
-            # Add only air on the other side of the tube's wall. If connected air could also spread by ``beside`` in
-            # each slice, the search would follow the air of a tracheostomy tube out of the neck in thin slices.
+            # Only air across the tube's wall is added. If connected air could also spread by ``beside`` in each slice,
+            # the search would follow the air of a tracheostomy tube out of the neck in thin slices.
             around = dilate(last, beside)
             connected = connected_to(region, is_air & around)
             region |= connected_to(around & (values < strict) & ~connected, is_air & around)

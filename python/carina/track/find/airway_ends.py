@@ -17,7 +17,7 @@ from carina.volume.model import Volume
 
 Points = NDArray[np.float64]
 
-# Diameter in mm below which an airway is at the limit of a CT; an airway that ends wider was lost.
+# Diameter in mm below which an airway may simply end, because it is at the limit of a CT; a wider end counts as lost.
 FINE_MM = 2.5
 # Diameter in voxels below which an airway is at the limit of a CT.
 FINE_VOX = 3.0
@@ -26,8 +26,8 @@ NEAR_LEAK_MM = 10.0
 # Largest distance in mm between the end of the lumen and the filling (mucus or tissue in the lumen) at which the lumen
 # ends.
 AT_END_MM = 4.0
-# Distance in mm from the tip at which the measurement of the calibre stops, because the last part runs into the blind
-# end; it starts CALIBRE_MM before the tip.
+# Distance in mm from the tip at which the measurement of the calibre stops, because the lumen ends bluntly there; it
+# starts CALIBRE_MM before the tip.
 BLUNT_MM = 2.0
 # Distance in mm from the tip at which the last part of a branch starts, in which the width of the end is measured.
 CALIBRE_MM = 8.0

@@ -197,8 +197,7 @@ def find_airways(
     except NoResultError:
         if not grid.is_divided or given is not None:
             raise
-        # Noise may have opened the walls of the trachea only in the divided slices: repeat the search in the original
-        # slices.
+        # Interpolation may have opened the walls of the trachea: the search is repeated in the original slices.
         found = _find_in_grid(PathGrid(order.volume), root, lumen_threshold, given, stage)
     airways = order.on_stored_grid(found)
     return dataclasses.replace(airways, notes=(*notes, *airways.notes))
@@ -237,7 +236,7 @@ def _find_in_grid(
     was_given_root = root is not None
     found_notes: list[str] = []
     badges: list[Note] = []
-    # The noise is None for a lumen from another tool: that lumen need not agree with this CT and is not judged by it.
+    # The noise is None for a lumen from another tool, because that lumen is not judged by this CT.
     noise: float | None = None
     searched = volume
     leaks = np.empty((0, 3))
@@ -261,8 +260,8 @@ def _find_in_grid(
         disturbed = find_disturbed(grid) if known is None else dataclasses.replace(known, grid=grid)
         grown = grow(disturbed, root, lumen_threshold, stage)
         if grown.has_leaked and grid.is_divided:
-            # Interpolated noise and rims form rows and open walls that are intact in the original slices: search those
-            # instead.
+            # Interpolation turns noise into rows of dark voxels and opens walls that are intact in the original slices,
+            # so these are searched.
             return _find_in_grid(PathGrid(grid.ct), root, lumen_threshold, None, stage, known=disturbed)
         lumen, levels, end, root = grown.lumen, grown.levels, grown.end, grown.root
         searched = grown.searched
@@ -282,7 +281,7 @@ def _find_in_grid(
         except NoResultError:
             if given_start is None:
                 raise
-            # A lower bronchus was taken for the trachea: let the tree begin at the given start.
+            # The search took a lower bronchus for the trachea, so the tree begins at the given start.
             found_notes += given_start.notes_if_unchanged()
             tracker, rows, branches = _track_lumen(grid, lumen, levels, given_start.point, stage)
             trachea_mm = None
@@ -332,7 +331,8 @@ def _find_in_grid(
     tree = with_size_note(tree)
     if given is None:
         tree = with_slice_note(tree, grid.ct)
-    # Notes of the tree: unlike a human tree, size not calibrated, or airways hidden by thick slices.
+    # The notes of the tree state that it is unlike a human tree, its size is not calibrated, or thick slices hide
+    # airways.
     badges += tree.notes
     tree = dataclasses.replace(tree, notes=tuple(badges))
     tracker.set_branches(tree.branches, [row["nodes"] for row in rows])

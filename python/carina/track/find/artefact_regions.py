@@ -25,7 +25,7 @@ STEP = "track.breathing-step"
 """Code of the permanent note on a movement of the chest between two slices (breathing step)."""
 
 LUNG_HU = -860.0
-"""Usual value of lung in HU, written in place of metal streaks so that no small airway is followed there."""
+"""Usual HU of lung, which replaces the values in metal streaks so that no small airway is followed there."""
 IN_REGION = 0.5
 """Least share of a branch's points in a disturbed region for which the branch counts as in the region."""
 BESIDE_STEP_MM = 2.0
@@ -35,10 +35,10 @@ MAX_DOUBTFUL = 0.3
 """Share of branches with a confidence below 0.5 above which a search counts as leaked."""
 SOME_IN_REGION = 0.2
 MIN_BEYOND_MM = 10.0
-"""Least length in mm by which a branch must continue beyond a disturbed region to remain.
+"""Least length in mm beyond a disturbed region that proves a branch with points in the region.
 
-The limit applies to branches with more than ``SOME_IN_REGION`` in the disturbed part; such branches must also
-continue by more than their length in that part.
+The limit applies to branches with more than ``SOME_IN_REGION`` of their points in the region; they must also continue
+beyond it by more than their length in it.
 """
 MAX_CONFIDENCE = 0.8
 """Highest confidence of a branch in metal streaks or beside a breathing step."""

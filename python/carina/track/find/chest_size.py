@@ -24,10 +24,10 @@ LONGEST_TRACHEA_MM, USUAL_TRACHEA_MM = 150.0, 110.0
 USUAL_DIAMETER_MM = 17.3
 # Largest factor by which a wide trachea may be longer than usual.
 MAX_LONGER = 1.2
-# Reduction of the size over which the confidence of the thinnest airways falls, because they were verified in adults
-# only.
+# Reduction of the chest's size over which the confidence of the thinnest airways falls to UNPROVEN_THREAD; this
+# confidence was measured in adults only.
 THREAD_FALL = 0.04
-# Confidence of the thinnest airways in chests smaller than those for which it was measured.
+# Confidence of the thinnest airways in chests that are much smaller than an adult's.
 UNPROVEN_THREAD = 0.5
 
 

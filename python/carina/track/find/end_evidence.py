@@ -22,16 +22,16 @@ STEP_MM = 0.5
 # Length in mm of the sampled line beyond a tip.
 FARTHEST_MM = 20.0
 BEYOND_END_MM = 3.0
-"""Largest distance in mm of the wall of an end beyond the last centreline point, in addition to the radius."""
+"""Largest distance in mm from the last centreline point, beyond the radius, to the wall that closes an end."""
 
 # Range in HU of the soft tissue that fills a bronchus.
 TISSUE_HU = (-150.0, 200.0)
 BLUR_MM = 3.0
-"""Largest distance in mm from the wall of the end at which the soft tissue of a filling begins."""
+"""Largest distance in mm, caused by blur, between the end of the air and the first sample of soft tissue beyond it."""
 MIN_TISSUE_MM, MIN_TISSUE_WIDTHS, MIN_TISSUE_SLICES = 6.0, 1.2, 3.0
-"""Least length of soft tissue in mm, in lumen widths and in slices.
+"""Least length of soft tissue that fills a bronchus, in mm, in lumen widths and in slices.
 
-Beyond a fork that the search missed, an artery continues in the direction of the bronchus for less than this.
+Beyond a fork that the search missed, an artery continues in the direction of the bronchus for a shorter length.
 """
 TISSUE_CONE_DEG = (0.0, 10.0)
 USUAL_WALL_MM = 1.2
@@ -41,16 +41,12 @@ SECTIONS = (0.2, 0.4, 0.6, 0.8)
 MIN_SECTIONS = 3
 
 MIN_STUMP_MM = 5.0
-"""Least width in mm of an end that is judged as a stump.
-
-The branches beyond a narrower end may be too thin for the CT.
-"""
+"""Least width in mm of an end that may be a stump; branches beyond a narrower end may be too thin for the CT."""
 CLOSED_HU = -600.0
 WIDE_MM, CLOSED_WIDE_HU = 7.0, -700.0
-"""Least width in mm of a wide end, and lowest value in HU of a wall that closes a wide end.
+"""Least width in mm of a wide end, and least HU of a wall that closes such an end.
 
-An airway that continues a wide end is wide enough for its lumen to show in slices of 3 mm, so a faint wall proves that
-there is none.
+An airway that continues a wide end would show in slices of 3 mm. A faint wall therefore proves that there is none.
 """
 MIN_RISE_HU = 120.0
 """Least rise in HU from the lung to the wall of a wide end, unless the wall reaches ``CLOSED_HU``."""
@@ -179,7 +175,7 @@ def _lung_level(look: CrossSampler, tip: Points, width_mm: float) -> float:
 
 
 def closed_level(look: CrossSampler, tip: Points, width_mm: float) -> float:
-    """Return the lowest value that a wall which closes an end of this width may have, in the units of the volume."""
+    """Return the least value of a wall that closes an end of this width, in the units of the volume."""
     usual = float(look.scale.level(CLOSED_HU))
     if width_mm < WIDE_MM:
         return usual

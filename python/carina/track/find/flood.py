@@ -45,7 +45,7 @@ class Flood:
     num_voxels: int
     """Number of voxels of the lumen."""
     air: float
-    """Value of the air in the trachea, in the units of the volume; ``noise`` is the air's standard deviation."""
+    """Value of the air in the trachea, in the units of the volume; ``noise`` is its standard deviation."""
     noise: float
     core: int
     """Upper limit of air and its noise, in the units of the volume."""
@@ -144,7 +144,8 @@ def _is_lung(volume: Volume, lumen: NDArray[np.uint8], scale: AirScale) -> bool:
     if flooded * voxel_mm3 <= MAX_LUMEN_MM3:
         return False
     low, high = (scale.level(hu) for hu in LUNG_HU)
-    # Count slice by slice, to avoid a second volume, and include the flood, which may have filled the lung.
+    # Slices are counted one by one to avoid a second volume. The flood is included, because it may have filled the
+    # lung.
     lung = sum(int(np.count_nonzero((values >= low) & (values <= high))) for values in volume.hu_zyx)
     return flooded > MAX_LUNG_SHARE * (lung + flooded)
 
@@ -153,7 +154,7 @@ def _air_and_noise(volume: Volume, seeds: Sequence[tuple[int, int, int]], scale:
     """Return the median value of the air round the seeds and its standard deviation, in the units of the volume."""
     sample = _values_round(volume, seeds)
     middle = float(np.median(sample))
-    # Median deviation: a drop of mucus or the tube of a ventilator does not change it.
+    # A median deviation is used, so that mucus or a ventilator's tube does not change the result.
     return middle, max(1.4826 * float(np.median(np.abs(sample - middle))), scale.span(5.0), 0.7)
 
 

@@ -23,32 +23,33 @@ STOPPED = "track.search-stopped"
 
 # Least rise in HU to the wall of an airway that is followed beyond the flood (docs/decisions/0112).
 MIN_RISE_HU = 15.0
-# Longest gap in mm in the wall of a followed airway: mucus or heart motion can hide a wall.
+# Longest gap in mm in the wall of a followed airway; mucus or heart motion may cause a gap.
 GAP_MM = 2.0
 # Shortest branch in mm that is followed.
 MIN_FOLLOWED_MM = 2.0
 # Slice thickness in mm up to which the shortest followed branch has :data:`MIN_FOLLOWED_MM`.
 THIN_SLICE_MM = 1.0
-# Increase of the shortest followed length per mm of slice thickness: slices thicker than the smallest lumen show its
-# wall only as partial volume, so more sections must agree.
+# Increase of the shortest followed length per mm of slice thickness. Thick slices show a small wall only as partial
+# volume, so more sections must agree.
 THICK_SECTIONS = 5.0
 # Largest value in HU of a followed voxel: half of the rise from air to wall.
 HALF_WALL_HU = -500.0
 
 # Least probability that a followed path, and each path from which it continues, is an airway (docs/decisions/0112).
 MIN_PROBABILITY = 0.7
-# Log odds that a section must exceed in divided slices; the excess supports the path (docs/decisions/0114).
+# Log odds per section in divided slices, of which only the excess counts as evidence for the path
+# (docs/decisions/0114).
 MIN_ODDS = 0.3
 
-# Undershoot in HU beside edges above which a kernel counts as sharp; dark rims look like airways
+# Undershoot in HU beside edges above which a kernel counts as sharp; its dark rims look like airways
 # (docs/decisions/0113).
 SHARP_HU = 4.0
-# Increase of that undershoot per HU of noise.
+# Increase of SHARP_HU per HU of noise.
 NOISE_SHARE = 0.15
 # Least rise of a wall in CTs with a sharp kernel, as a multiple of the undershoot.
 SHARP_BAR = 1.5
-# Factors on the least enclosure by walls that a path needs, relative to the lung of the CT; the search is repeated
-# with the next factor after a leak.
+# Factors on the least enclosure by walls that a path needs, tried in order after each leak; 1 is the enclosure of this
+# CT's lung.
 BARS = (1.0, 2.0, 4.0)
 # The same factors for CTs with a sharp kernel.
 SHARP_BARS = (3.0, 5.0)
@@ -177,8 +178,8 @@ def follow_small_airways(
         ):
             followed = found["followed"]
             break
-        # In divided slices, interpolated noise forms rows; a search with the limit of undivided lung goes far along
-        # these rows.
+        # Interpolation turns noise in divided slices into rows of dark voxels, along which a search with the first
+        # factor goes far.
         ran_out = searched.divided is None or is_sharp or raised > BARS[0]
         lumen[lumen > 1] = 0
     np.minimum(lumen, 1, out=lumen)

@@ -34,17 +34,17 @@ FROM_MM, TO_MM, STEP_MM = 3.0, 120.0, 1.0
 LOWEST_HU, HIGHEST_HU = -1024.0, 300.0
 """Range in HU to which values are clipped, so that metal and bone do not dominate the comparison."""
 ROUND_DEG = 24.0
-"""Angle in degrees round a direction over which the median is taken with which the direction's value is compared."""
+"""Width in degrees of the range of directions whose median is compared with the direction in its middle."""
 ALONG_MM = 20.0
 """Distance in mm over which a streak must differ from its surroundings (in the median)."""
 STREAK_HU = 60.0
 # Distance in mm from metal within which the directions of streaks are counted first.
 BESIDE_MM = 18.0
-# Least share of directions with a streak within BESIDE_MM. In 552 slices of four CTs with dense contrast medium,
-# calcium and catheters at most 5 %, with noise of 180 HU 16 %; within this distance of most clips 20 % or more.
+# Least share of directions with a streak within BESIDE_MM. Most clips have 20 % or more. Dense contrast medium, calcium
+# and catheters have at most 5 % (552 slices of four CTs), noise of 180 HU has 16 %.
 MIN_SHARE = 0.18
-# Least share of directions with a streak at the end of the changed part. In the same slices at most 9 % from 18 to
-# 38 mm.
+# Least share of directions with a streak at the end of the changed part; slices without metal have at most 9 % from 18
+# to 38 mm.
 MIN_SHARE_FAR = 0.2
 SAME_MM = 2.0
 """Distance in mm from a slice with streaks within which other slices contain a part of the streaks."""

@@ -23,7 +23,6 @@ from carina.volume.model import Volume
 Points = NDArray[np.float64]
 Floats = NDArray[np.float64]
 
-# Limits for air and lung.
 DARKEST_HU = -930.0
 """Upper limit in HU of air in an island (air that no path reaches): half-way between air and lung."""
 MIN_RISE_HU = 150.0
@@ -32,9 +31,9 @@ NOISE_RISE = 4.0
 """Least rise of a wall above the lumen, as a multiple of the noise."""
 MIN_WALLED = 0.85
 MIN_IN_LUNG = 0.5
-"""Least share of the sides of an airway island's end that touch lung; air in the oesophagus has no such end."""
+"""Least share of the sides of an island's end that touch lung; air in the oesophagus has no such end."""
 WIDER, WALL_REACH_MM = 1.6, 2.5
-"""Largest distance of an airway island's wall from its axis: a multiple of its radius, plus a distance in mm."""
+"""Largest distance of an island's wall from its axis: a multiple of its radius, plus a distance in mm."""
 
 EDGE_MM = 2.0
 """Least distance in mm of an examined island from the edge of the scan."""
@@ -52,13 +51,13 @@ MIN_GAP_VOX = 2.0
 MAX_DARK = 0.25
 """Largest share of the gap between an island and the airways that may be as dark as lung."""
 MAX_LOOSE_MM = 2.5
-"""Largest distance in mm between the filling and the lumen on either side of the filling."""
+"""Largest length in mm without filling between the filling and the lumen, on either side."""
 BRIGHTEST_HU = 250.0
 """Value in HU above which a voxel is bone, calcification or a vessel with contrast medium, and no filling."""
 NUM_TRIED = 60
 """Approximate number of airway points that are tried for one end of an island."""
 UNFILLED = 4.0
-"""Penalty for a gap without tissue: the gap's score (lower is better) is multiplied by up to 1 plus this value."""
+"""Penalty for a gap without tissue: its score (lower is better) is multiplied by up to 1 plus this value."""
 
 USUAL_WALL_MM = 1.2
 """Thickness in mm of the wall of a filled bronchus if it cannot be measured beyond the filling."""
@@ -71,7 +70,7 @@ MIN_AIR = 0.15
 MIN_CROSS = 2
 """Least number of sections across the filling in which the border of the bronchus must be visible."""
 ALIKE = 1.4
-"""Largest ratio between the widths of sections of one lumen; with a larger ratio, a section cuts the end or a fork."""
+"""Largest ratio between the widths of sections of one lumen; beyond it, a section cuts the end or a fork."""
 FINE_MM, FINE_VOX, FINE_SLICES = 2.5, 3.0, 2.0
 """Limits of the calibre below which an airway is not reported as filled: mm, voxels and slices.
 

@@ -18,7 +18,7 @@ Points = NDArray[np.float64]
 Floats = NDArray[np.float64]
 
 NARROW = 0.88
-"""Width of the air as a share of the calibre before and beyond, below which a part of a branch is examined.
+"""Width of the air relative to the calibre before and beyond, below which a part of a branch is examined.
 
 A bronchus that is filled to half its height has 0.71.
 """
@@ -26,9 +26,9 @@ MIN_LONG_MM = 4.0
 NEAR_MM = 25.0
 """Largest distance in mm along a branch from narrow air to air that is wide again."""
 MAX_SHARE = 0.9
-"""Quantile of the width that counts as the widest part of a branch: forks flare."""
+"""Quantile of a branch's widths that counts as its largest width; the maximum may be the flare of a fork."""
 INNER = 0.85
-"""Share of the radius that is certainly inside the wall, despite blur and a bent axis."""
+"""Share of the calibre's radius within which a point is inside the wall despite blur and a bent axis."""
 MIN_FILLED, MAX_LUNG = 0.1, 0.1
 """Least share of filling, and largest share of lung, in the circle inside the wall of a filled bronchus."""
 ONE_SIDED = 0.15
@@ -85,7 +85,7 @@ def _find_in_branch(
         ]
         if len(middles) < MIN_STATED or middles[-1][0] - middles[0][0] < MIN_LONG_MM:
             continue
-        # A calibre from the peripheral side alone may be measured in the flare of a fork.
+        # A calibre from the peripheral side alone may include the flare of a fork, so its error is larger.
         error = max(voxel_mm, ONE_SIDED * after_mm) if before_mm is None else 0.5 * abs(before_mm - after_mm)
         error = max(error, 0.5 * voxel_mm)
         if calibre < least_mm or calibre - inside <= error:

@@ -13,7 +13,7 @@ from carina.track.tree.airway_tree import Branch
 
 Points = NDArray[np.float64]
 
-# The stump is too short for a branch of the tree: the wide airway and the narrow one are one branch without a fork.
+# The wide airway and the narrow one form one branch, because the stump is too short for a branch of its own.
 MIN_WIDE_MM = 8.0
 """Least width in mm of the wide part of an airway that ends in a wall."""
 MAX_NARROWED = 0.65
@@ -68,7 +68,7 @@ def find_straight_end(look: CrossSampler, branch: Branch) -> StraightEnd | None:
     peak = float(values.max())
     if peak < closed_level(look, branch.points[index], 2.0 * radius_mm):
         return None
-    # A thin wall across thick slices does not reach the half-way value: the peak is the place of this wall.
+    # A thin wall across thick slices does not reach the half-way value, so the peak gives its position.
     wall = int(np.flatnonzero(values >= min(look.half, peak))[0])
     if _off_tubes_mm(branch, ahead[wall]) < 0.0:
         return None

@@ -61,9 +61,9 @@ SIZES = (0.4, 1.2)
 MIN_NECK_MM = 90.0
 # Largest distance in mm below the cords at which the cone below them begins to narrow.
 CONE_MM = 9.0
-# Range of areas of the trachea's sections above the carina, as shares of the median area.
+# Range of areas of sections that belong to the trachea, as shares of the median area above the carina.
 AREAS_OF_TRACHEA = (0.6, 1.6)
-# Length in mm of a gap between such sections above which the trachea ends.
+# Length in mm of a gap between sections of the trachea, above which the trachea counts as ended.
 CARINA_GAP_MM = 4.0
 # Ratio of a section's area to the trachea's above which the section is throat, or air outside the body.
 WIDEST = 2.5
@@ -76,9 +76,9 @@ MIN_PLASTIC_HU = -600.0
 LINE_HU = 500.0
 LINE_NOISES = 8.0
 """Least brightness of a tube's radiopaque line above water, in standard deviations of the noise."""
-# Largest area of the air in such a tube, as a share of the trachea's area.
+# Largest area of the air in a tube that fills the trachea, as a share of the trachea's area.
 TIGHT_AREA = 0.55
-# Least length in mm of such a tube.
+# Least length in mm of a tube that fills the trachea.
 MIN_TIGHT_MM = 25.0
 # Least ratio of the depth of a section beside an opening in the front of the neck to the depth of the trachea.
 DEEPER = 1.12

@@ -88,11 +88,14 @@ WALL_RISE_HU = 1020.0
 """Rise in HU of an airway wall (soft tissue of 20 HU) above air; a thinner wall shows less in proportion."""
 USUAL_NOISE_HU = 25.0
 OPEN_SHARE = 0.9
-"""Least share of the rays of a section that meet a wall; with fewer the lumen is open to another one, as at a fork."""
+"""Share of a section's rays that meet a wall, below which the lumen is open to another one, as at a fork."""
 MIN_EDGE_SHARE = 0.5
-"""Least share of the rays that must meet a wall in a section at the end of the CT, if a route uses its diameter."""
+"""Least share of rays that meet a wall in a section at the edge of the CT, for use in a route's diameter."""
 RAYS_PER_MM = 1024.0
-"""Number of steps per mm to which rays are rounded: a hundredth of their error, for a quarter of the stored size."""
+"""Number of steps per mm to which ray lengths are rounded.
+
+A step is a hundredth of the rays' error, and rounding reduces the stored size to a quarter.
+"""
 
 
 @one_line
@@ -497,7 +500,8 @@ def measure_tree(
             first = begins[fresh.index(number)]
             columns = _columns(rows, slice(first, first + len(branch.points)), normals[number])
             if branch.kind != "tracked":
-                # A calibre without evidence in the CT would be invented, and so would a narrowing beside it.
+                # Where the CT shows no airway, sections are set to NaN, so that no calibre and no narrowing is reported
+                # there.
                 columns = {name: np.full_like(v, np.nan) if name in _FIGURES else v for name, v in columns.items()}
             columns |= {"at_mm": run_mm(branch.points), "found_by": CARINA_VERSION}
         parent = None if branch.parent is None else tree.branch(branch.parent)
@@ -573,7 +577,7 @@ def _normals(branch: Branch, tree: AirwayTree) -> Floats:
         points = tree.branch(branch.parent).points
         before = points[-2] if len(points) > 1 else None
     normals = directions(branch.points, branch.radius, before)
-    # A branch without a direction is cut along the slices; its length is 0, so no length can be wrong.
+    # A branch without a direction has no length; its section is parallel to the slices.
     normals[np.linalg.norm(normals, axis=1) < 0.5] = [0.0, 0.0, 1.0]
     return normals
 
@@ -659,7 +663,7 @@ def _summaries(tree: AirwayTree, sections: list[dict[str, Any]]) -> tuple[Branch
         own = by_id[branch.id]
         parent = None if branch.parent is None else tree.branch(branch.parent)
         siblings = [] if parent is None else [child for child in parent.children if child != branch.id]
-        # A drawn branch carries no air: its neighbours are judged as if it did not exist.
+        # Drawn branches contain no air in the CT, so their neighbours are judged as if they did not exist.
         siblings, children = ([n for n in ids if n not in drawn] for ids in (siblings, branch.children))
         expected = diameter_by_neighbours(
             None if parent is None else means[parent.id],

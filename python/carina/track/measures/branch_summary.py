@@ -17,18 +17,18 @@ from carina.track.measures.diameter import branch_diameter, narrowest_diameter
 Floats = NDArray[np.float64]
 
 HEALTHY_SHARE = 0.9
-"""Least diameter of a section that counts as healthy, as a share of the wide part of its branch."""
+"""Least diameter of a healthy section, as a share of the diameter of the branch's wide part."""
 WIDE_PERCENTILE = 80.0
 MIN_HEALTHY_MM = 3.0
 """Least length in mm of healthy branch on one side of a narrowing that suffices as a reference."""
 MURRAY_POWER = 3.0
 """Exponent of Murray's law (1926): the cubes of the diameters of two branches add up to that of their parent."""
 NEIGHBOURS_ERROR = 0.15
-"""Standard deviation of the deviation of airways from Murray's law, as a share of the diameter."""
+"""Standard deviation of airway diameters from Murray's law, as a share of the diameter."""
 EQUAL_DAUGHTER = 2.0 ** (-1.0 / MURRAY_POWER)
 """Ratio of the diameter of each of two equal daughter branches to their parent's, by Murray's law."""
 DIAMETERS_TO_FORK = 3.0
-"""Ratio of the mean length of an airway from fork to fork to its diameter (Weibel 1963)."""
+"""Mean length of an airway between two forks, in diameters (Weibel 1963)."""
 DEVIATIONS_95 = 1.96
 """Number of standard deviations on each side of a mean that contain 95 % of a normal distribution."""
 SECTION_REACH_MM = 1.5
@@ -213,7 +213,7 @@ def diameter_by_neighbours(
         rest = whole - sum(float(s or 0.0) ** MURRAY_POWER for s in siblings_mm)
         if rest > 0.0:
             logs.append(np.log(rest) / MURRAY_POWER)
-            # The difference of the cubes has the whole error of the parent's cube.
+            # The difference of cubes has the full error of the parent's cube.
             errors.append(NEIGHBOURS_ERROR * whole / rest)
     if all(child is not None for child in children_mm):
         logs.append(np.log(sum(float(c or 0.0) ** MURRAY_POWER for c in children_mm)) / MURRAY_POWER)
@@ -291,10 +291,10 @@ def _own_reference(at: Floats, diameter: Floats, error: Floats, least: int) -> R
 
 
 def _missed_forks(distance_mm: float, diameter_mm: float) -> float:
-    """Return the error of a reference, as a share, by forks that may have been missed between it and the stenosis.
+    """Return the error, as a share, of a reference diameter because of forks that the CT does not show.
 
-    One fork is assumed, and one more for each three diameters: in a CT that does not show the other daughter, a
-    healthy airway that divides looks like one that narrows.
+    The forks may be between the reference and the stenosis. One fork is assumed, and one more for each three diameters
+    of distance: an airway that divides, one branch of which the CT does not show, looks like an airway that narrows.
     """
     forks = 1.0 + distance_mm / (DIAMETERS_TO_FORK * diameter_mm)
     return float(EQUAL_DAUGHTER**-forks - 1.0)
@@ -303,8 +303,8 @@ def _missed_forks(distance_mm: float, diameter_mm: float) -> float:
 def _narrowest_error_mm(at: Floats, diameter: Floats, error: Floats, least: int) -> float:
     """Return half of the 95 % interval of the narrowest diameter, as the extreme of the branch's sections.
 
-    Sections one diameter apart count as independent (Bonferroni). A section also contains the wider airway beside
-    it, so the widening over that reach is part of the error.
+    Sections one diameter apart count as independent (Bonferroni). Blur mixes the wider airway beside it into a section,
+    so the widening over that distance is part of the error.
     """
     independent = max(1.0, float(np.ptp(at)) / float(np.median(diameter)))
     extreme = NormalDist().inv_cdf(1.0 - 0.025 / independent) / DEVIATIONS_95

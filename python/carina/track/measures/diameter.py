@@ -20,11 +20,11 @@ Floats = NDArray[np.float64]
 DEVIATIONS_95 = 1.96
 """Number of standard deviations on each side of a mean that contain 95 % of a normal distribution."""
 SCATTER_SHARE = 0.5
-"""Share of the 95 % interval of a branch's scatter that is added to its error; the model error contains the rest."""
+"""Share of the scatter (95 % interval) that is added to a branch's error; the model error includes the rest."""
 NARROW_REACH_DIAMETERS = 0.5
 """Length before and after a point that a running median covers, in diameters."""
 SECTION_ERROR = 1.645 / DEVIATIONS_95
-"""Half of the 90 % interval of a passage, as a share of half of the 95 % interval of its sections."""
+"""Factor from half of a 95 % interval to half of a 90 % interval: sections state the first, passages the second."""
 PASSAGE_ERROR = 0.03
 """Additional error of a passage, as a share of its diameter (calibrated: ``carina_bench.plan_widths``)."""
 FORK_ERROR = 0.05
@@ -34,21 +34,20 @@ A section through a fork contains both lumens and so hides a narrowing there. (C
 ``carina_bench.plan_widths``.)
 """
 MOUTH_ERROR = 0.06
-"""Additional error of the first passages of a branch after a fork, as a share of their diameter.
+"""Additional error of passages at the start of a branch after a fork, as a share of their diameter.
 
-They stand for the mouth of the branch, where sections contain the lumen of the parent too. (Calibrated:
-``carina_bench.plan_widths``.)
+Sections there also contain the parent's lumen. The value is calibrated: ``carina_bench.plan_widths``.
 """
 CUT_ERROR = 0.06
 """Additional error of a section that the end of the CT cuts, as a share of its diameter."""
 SHOWN_MM = 1.5
-"""Distance in mm on each side of a section in which the section shows the airway (docs/decisions/0117)."""
+"""Distance in mm on each side of a section over which the section describes the airway (docs/decisions/0117)."""
 START_MM = 10.0
 """Length in mm at the start of the first branch that no route uses, because the CT may cut the trachea there."""
 MEDIAN_VARIANCE = 0.5 * np.pi
 """Variance of a median of many normal values, as a multiple of the variance of their mean."""
 MAX_CORRELATION = 0.9
-"""Largest correlation of neighbouring sections; a larger one cannot be estimated within a running median."""
+"""Upper limit of the correlation of neighbouring sections, which a running median cannot estimate when larger."""
 MIN_FOR_SCATTER = 5
 """Least number of sections from which their scatter is estimated."""
 
@@ -87,7 +86,7 @@ class Passage:
     error_mm: Floats
     """Half (n,) of an interval that is to contain the true value in 90 of 100 cases."""
     unmeasured: NDArray[np.intp]
-    """Indices of centreline points that no section shows: drawn parts, bridges, the end of the CT, invisible walls."""
+    """Indices of centreline points without a section: drawn parts, bridges, the edge of the CT, invisible walls."""
     length_mm: float
     """Length of the branch, mm."""
 

@@ -18,11 +18,11 @@ Points = NDArray[np.float64]
 CHORD_DIAMETERS = 2.0
 """Length of the chords on both sides of a fork between which an angle is measured, in diameters."""
 LOOK_MM = 0.25
-"""Distance in mm between the points at which two branches of a fork are compared."""
+"""Step in mm along two branches of a fork at which their centrelines are compared."""
 BEYOND_CARINA_RADII = 0.5
-"""Distance beyond the carina, in radii, from which the lumen of a branch is a tube again."""
+"""Distance beyond the carina, in radii, beyond which a section contains only its own branch's lumen."""
 BEFORE_FORK_RADII = 1.0
-"""Distance before the fork of the axes, in radii, from which the lumen widens."""
+"""Distance before a fork, in radii, from which the lumen is wider than the branch."""
 
 
 @one_line

@@ -47,10 +47,10 @@ LONG_MAIN_MM = 30.0
 # An unnamed branch that begins farther than this beyond the end of a carrier belongs to another segment.
 FARTHEST_MM = 15.0
 USUAL_ORIGIN = 1.3
-"""Ratio of the usual to the shortest distance of a bronchus from the carina."""
+"""Usual distance of a bronchus from the carina, as a multiple of its shortest distance (:mod:`scan_extent`)."""
 MIN_MATCH = 0.5
 """Least cosine between the direction beyond a filled place and the usual direction of a bronchus."""
-# Largest distance between a filled place and the end of the airway before it.
+# Largest distance in mm between the filling of a bronchus and the end of the airway before it.
 AT_END_MM = 4.0
 # A tip up to this length may be the stump of a lobe's bronchus.
 STUMP_MM = 10.0
@@ -62,7 +62,7 @@ MAY_BE_HIDDEN = ("lost", "fine", "nothing")
 @one_line
 @dataclass(frozen=True, slots=True)
 class Absence:
-    """Lobe or segment of which no named bronchus was found."""
+    """Lobe or segment of which no named bronchus was found, with the reason."""
 
     name: str
     """Name of the missing lobe or segment, such as RML or RB4."""
@@ -78,13 +78,13 @@ class Absence:
     carrier: str
     """Name of the nearest found airway that leads to the missing lobe or segment (its carrier)."""
     beyond_mm: float | None
-    """Distance of ``lps`` from the start of ``carrier``, along the airway; None if no place is known."""
+    """Distance in mm along the airway from the start of ``carrier`` to ``lps``; None if no point is known."""
     lps: tuple[float, float, float] | None
-    """Place where the airway ends, or where the missing bronchus should arise, LPS in mm; None if no place is known."""
+    """Point where the airway ends, or where the missing bronchus should arise, LPS in mm; None if not known."""
     width_mm: float | None
     """Diameter in mm of the airway that ends at ``lps``; None if no airway ends there."""
     branch_id: int | None
-    """ID of the unnamed branch in place of the missing bronchus, or of the branch that leads there; None if unknown."""
+    """ID of the unnamed branch that may be the missing bronchus, or of the branch that leads to it; None if unknown."""
     slice_number: int | None = None
     """Slice of ``lps``, counted from the feet, from 1."""
     num_slices: int | None = None
@@ -300,7 +300,7 @@ class _NamedTree:
         return not branch.children and branch.length_mm - inside_mm <= STUMP_MM
 
     def has(self, segment: str) -> bool:
-        """Return whether a segment is in the tree; LB1+2 also counts if both of its halves are in the tree."""
+        """Return whether a segment is in the tree; LB1+2 is also in the tree if both of its halves are."""
         if segment in self._segments:
             return True
         halves = {f"{segment[:2]}1", f"{segment[:2]}2"}
@@ -361,8 +361,8 @@ class _NamedTree:
     ) -> Uncertainty | None:
         """Return the filled place that explains why a bronchus is missing, or None.
 
-        Either the airway that leads there ends at the place, or air that no path reaches is beyond the place, in the
-        direction of this bronchus rather than of another missing one.
+        A place explains it if the airway that leads to the missing bronchus ends at the place. A place with unreached
+        air beyond also explains it, if this air lies in the direction of the bronchus and not of another missing one.
         """
         if not last.children:
             near = [
@@ -413,7 +413,7 @@ class _NamedTree:
         return self._unnamed.get(branch_id, frozenset())
 
     def _holder(self, segments: frozenset[str], chain: Sequence[Branch], below: Sequence[Branch]) -> Branch | None:
-        """Return the unnamed branch nearest to the given segments that leads to them; None if there is none."""
+        """Return the unnamed branch nearest to the carrier's end that leads to the segments; None if there is none."""
         near = [
             branch
             for branch in below
@@ -427,7 +427,10 @@ class _NamedTree:
         return whole[0] if whole else None
 
     def _stump_on(self, chain: Sequence[Branch], lobe: str) -> Uncertainty | None:
-        """Return the place at which a lobe's bronchus ends in a stump: a short branch that has its name or no name."""
+        """Return the place at which a lobe's bronchus ends in a stump, or None.
+
+        A stump is a short branch that has the lobe's name or no name.
+        """
         near = [*chain, *(self._branches[child] for branch in chain for child in branch.children)]
         for branch in near:
             place = self._ends.get(branch.id)

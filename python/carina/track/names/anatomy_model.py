@@ -39,7 +39,7 @@ class Segment:
     place: Vector
     """Position of the territory in its lung, from the centre of the lung, in units of about half a lung height."""
     absent: float
-    """Probability that the segment is missing from the tree of a good CT because it is absent or was not found."""
+    """Probability that the segment is missing from the tree of a good CT, because it is absent or was not found."""
     bulk: float = 1.0
     """Size of the segment's part of the tree, relative to other segments."""
 
@@ -133,9 +133,9 @@ _TRUNKS: dict[str, Vector] = {
 }
 
 TRUNCATED = math.log(0.25)
-"""Log odds of a stem of two segments whose branch ends before it divides."""
+"""Log odds that the branch of a stem of two segments ends before the stem divides."""
 TRUNCATED_MORE = -0.5
-"""Log odds that are added for each further segment on the stem."""
+"""Log odds that are added to ``TRUNCATED`` for each segment of the stem beyond two."""
 GROUP_LOST = 0.02
 GROUPS_LOST = (
     frozenset({"LB1", "LB2", "LB3"}),
@@ -160,7 +160,7 @@ class Division:
     log_prior: NDArray[np.float64]
     """Log probability (n,) of the division, from anatomy alone."""
     place: NDArray[np.float64]
-    """Unit vector (n, 3) from the centre of ``two`` to that of ``one``."""
+    """Unit vector (n, 3) from the centre of the territory of ``two`` to that of ``one``."""
     direction: NDArray[np.float64]
     """Unit vector (n, 3) along the difference of the two directions, ``one`` minus ``two``."""
     log_bulk: NDArray[np.float64]
@@ -192,9 +192,9 @@ class Grammar:
     division: Division
     """All divisions of the states."""
     shrink: list[tuple[int, NDArray[np.intp], NDArray[np.float64]]]
-    """Rules for states that may replace other states: the state, the others, and their log odds.
+    """Rules for states that represent other states of which parts are missing: state, other states, log odds.
 
-    The order allows the sums to be computed in one pass.
+    The order of the rules allows the sums to be computed in one pass.
     """
     root_log_prior: NDArray[np.float64]
     """Log probability of each state at the root of a tree."""
@@ -206,7 +206,10 @@ class Grammar:
 
 
 def _stem_aptness(lobe: str, part: frozenset[str], seen: frozenset[str]) -> float:
-    """Return the weight of a stem that carries ``part`` of the ``seen`` segments; it may also carry unseen ones."""
+    """Return the weight of a common stem of the segments ``part``, if only the segments ``seen`` are visible.
+
+    The stem may also carry segments that are not visible.
+    """
     if len(part) == 1:
         return 1.0
     if "*" in part and ("8" in seen - part or len(part - {"6"}) < 3):
@@ -307,7 +310,7 @@ def _add_lobe(build: _Builder, lobe: str, segments: dict[str, Segment]) -> None:
         share = math.prod(1.0 - segments[k].absent if k in part else segments[k].absent for k in of)
         for group in GROUPS_LOST:
             if group <= set(of) and not group & part:
-                # All segments of one stem are lost at once if the search stopped on the stem.
+                # A search that stopped on the stem loses all segments of the stem at once.
                 rest = (k for k in of if k not in group)
                 share += GROUP_LOST * math.prod(
                     1.0 - segments[k].absent if k in part else segments[k].absent for k in rest
@@ -317,7 +320,8 @@ def _add_lobe(build: _Builder, lobe: str, segments: dict[str, Segment]) -> None:
     build.add(lobe, name=lobe, kind="lobe", keys=frozenset(keys), lobe=lobe, trunk=_TRUNKS[lobe])
     build.stands_for(lobe, [(_exact(part), odds(part, keys)) for part in sets])
     if lobe in {"RLL", "RUL"}:
-        # Lobe without RB6, which arose above it, or without RB1, which arises from the trachea or the main bronchus.
+        # A lobe without RB6, which then arises above it, or without RB1, which then arises from the trachea or main
+        # bronchus.
         gone = "RB6" if lobe == "RLL" else "RB1"
         rest = tuple(key for key in keys if key != gone)
         name = "Right basal trunk" if lobe == "RLL" else "RUL"
@@ -357,7 +361,7 @@ def grammar() -> Grammar:
     build.divide("Trachea", "RUL", "Trachea-RUL", 0.004)
     build.divide("Trachea-RB1", "RMB-RB1", "LMB", 1.0)
     build.divide("Trachea-RUL", "BI", "LMB", 1.0)
-    # A lobe or a lung that was removed, collapsed or cut off.
+    # A lobe or a lung may be removed, collapsed or cut off by the edge of the CT.
     build.stands_for("BI", [("RLL", 0.02), ("RML", 0.004)])
     build.stands_for("RMB", [("BI", 0.01), ("RUL", 0.004)])
     build.stands_for("LMB", [("LLL", 0.01), ("LUL", 0.01)])

@@ -1,4 +1,4 @@
-"""Assignment of segments to bronchi: all readings of a tree, weighted by the anatomical model.
+"""Assignment of segments to bronchi by a sum over all readings of a tree, weighted by the anatomical model.
 
 A reading assigns a state of the grammar to each bronchus. Sums over every derivation of the grammar, from the tips
 inwards (inside) and back (outside), give each bronchus the probability of each state, which is its confidence. The
@@ -33,9 +33,9 @@ WRONG_SIDE = -6.0
 CALIBRE_SPREAD = 0.3
 CALIBRE_ANY = 0.5
 CALIBRE_INSIDE = math.log(0.7)
-"""Log of the usual radius of airways inside a segment, relative to the segment's bronchus."""
+"""Log of the usual radius of an airway inside a segment, relative to the radius of the segment's bronchus."""
 MAX_FORKS = 11
-"""Largest number of forks from the root up to which bronchi are read; RB10 may be the eighth bronchus."""
+"""Largest number of forks from the root up to which states are assigned to bronchi; RB10 may be the eighth bronchus."""
 TEMPER = 0.6
 DIVISION = -0.8
 """Log penalty of each division of a set of segments at a fork.
@@ -73,7 +73,7 @@ class _ForkSide:
     bulk: float
     spur: float
     interior: Array
-    """Log odds per state that the whole part is inside the segment of that state."""
+    """Log odds per state that all bronchi of this side are inside the segment of that state."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class Reading:
     """Label that was assigned to one bronchus."""
 
     state: int | None
-    """State of the grammar; None for a bronchus that carries no segment (a twig, an accessory bronchus)."""
+    """State of the grammar; None for a bronchus that leads to no segment (a twig, an accessory bronchus)."""
     confidence: float
     """Probability of the label, 0 to 1."""
     inside: int | None = None
@@ -89,9 +89,9 @@ class Reading:
     twin: bool = False
     """Whether the bronchus is one of several bronchi of its segment that leave a fork side by side."""
     settled: int | None = None
-    """State that remains if a part of ``state`` is missing: RB5 of a middle lobe without RB4."""
+    """State that remains if a part of ``state`` is missing, such as RB5 for a middle lobe without RB4."""
     again: bool = False
-    """Whether the bronchus continues the state of its parent past a side branch."""
+    """Whether the bronchus is a further part of its parent's airway, with the same label, beyond a side branch."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,7 +135,10 @@ class _Tables:
         return found
 
     def rows(self, one: int, two: int) -> Array:
-        """Return the log weight of each division of the grammar at this split, without the weight of the whole part."""
+        """Return the log weight of each division of the grammar for a fork whose sides are ``one`` and ``two``.
+
+        The weight of the undivided airway before the fork is not included.
+        """
         division = self.model.grammar.division
         return (
             division.log_prior
@@ -227,7 +230,7 @@ class _Model:
         return total
 
     def apart(self, one: _ForkSide, two: _ForkSide) -> Array:
-        """Return the log evidence that ``one`` and ``two`` lie like the first and second part of each division."""
+        """Return the log evidence, for each division, that its parts are positioned like the two fork sides."""
         division = self.grammar.division
         offset = one.middle - two.middle
         turn = one.direction - two.direction
@@ -275,7 +278,7 @@ class _Model:
 
 
 def _spur(bronchi: list[Bronchus], number: int) -> float:
-    """Return the log odds that a bronchus carries no segment: high for twigs, low for a large part of the tree."""
+    """Return the log odds that a bronchus leads to no segment: high for twigs, low for a large part of the tree."""
     bronchus = bronchi[number]
     assert bronchus.parent is not None
     parent = bronchi[bronchus.parent]
@@ -414,7 +417,7 @@ class Solver:
         )
 
     def _spread_shrink(self, post: Array, sums: Array, own: Array) -> Array:
-        """Distribute the probability of states that replace others to those; the rest stays with each state."""
+        """Distribute the probability of states that represent other states to these; the rest stays with each state."""
         spread = post.copy()
         for state, others, odds in reversed(self.grammar.shrink):
             if spread[state] <= 0.0 or not np.isfinite(sums[state]):
@@ -484,7 +487,7 @@ class Solver:
         self._read_below(number, settled)
 
     def _settled(self, state: int, sums: Array, own: Array) -> int:
-        """Return the likeliest state that replaces the given state, or the state itself."""
+        """Return the likeliest state that a state represents, or the state itself if it is likelier."""
         while True:
             rule = next((r for r in self.grammar.shrink if r[0] == state), None)
             if rule is None:
@@ -513,10 +516,10 @@ class Solver:
             rows = table.rows(one, two)[lo:hi]
             if len(rows) and rows.max() > best[0]:
                 best = (float(rows.max()), "divide", one, two, lo + int(np.argmax(rows)))
-            for kept, left in ((one, two), (two, one)):
-                value = float(table.sums[kept][state] + table.part[left].spur)
+            for followed, left in ((one, two), (two, one)):
+                value = float(table.sums[followed][state] + table.part[left].spur)
                 if value > best[0]:
-                    best = (value, "go on", kept, left, 0)
+                    best = (value, "go on", followed, left, 0)
         if subset != table.full and self.grammar.terminal[state]:
             value = DOUBLE + float(table.part[subset].interior[state])
             if value >= best[0]:

@@ -1,8 +1,8 @@
 """Anatomical names for an airway tree, from trachea to subsegments, with confidence and variants.
 
-Naming uses no trained weights and no scans: a grammar of anatomy (``model``), the shape of the tree (``shape``), and
-the sum over all readings of the tree (``solve``). A reading assigns a state of the grammar, such as a segment or a
-lobe, to each bronchus. docs/decisions/0116.
+Naming uses no trained weights and no scans: a grammar of anatomy (``anatomy_model``), the shape of the tree
+(``tree_shape``), and the sum over all readings of the tree (``assignment``). A reading assigns a state of the grammar,
+such as a segment or a lobe, to each bronchus. See docs/decisions/0116.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ TURN_SPREAD_RAD = math.radians(15.0)
 MAX_TURNS, MIN_TURN_RAD = 12, math.radians(0.1)
 """Largest number of rotations of the body frame, and the rotation (rad) below which the frame has converged."""
 MIN_GAIN = 1.5
-"""Log evidence that fitting the three angles of the body frame to noise gains: half their number."""
+"""Gain of log evidence that a fit of the body frame's three angles reaches by noise alone: half their number."""
 MIN_READ_FOR_FRAME = 6.0
-"""Least expected number of bronchi with a state from which the body frame is refined."""
+"""Least expected number of bronchi with a state at which the body frame is refined by their directions."""
 MIN_BRANCHES = 12
 """Least number of branches of a tree in which lobes are distinguished."""
 COARSE_FORKS = 5
@@ -173,7 +173,7 @@ def _named_all(tree: AirwayTree, letter_rule: LetterRule) -> AirwayTree:
 
 
 def _kept_of_misfit(names: dict[int, tuple[str | None, float]]) -> dict[int, tuple[str | None, float]]:
-    """Remove the names of segments and limit the confidence to 0.5, for a tree that is not like a human one."""
+    """Remove the names of segments and limit the confidence of the others, for a tree unlike a human one."""
     return {
         number: (name, min(sure, SURE_ENOUGH))
         for number, (name, sure) in names.items()
@@ -253,10 +253,10 @@ def segments_of_unnamed(tree: AirwayTree) -> dict[int, frozenset[str]]:
             continue
         keys = read.grammar.segments[state]
         names = {"LB1+2" if key in {"LB1", "LB2"} else key for key in keys if not key.endswith("*")}
-        told = frozenset(_on_patient_side(name, mirrored=read.mirrored) for name in names)
+        sided = frozenset(_on_patient_side(name, mirrored=read.mirrored) for name in names)
         for piece in bronchus.pieces:
             if tree.branches[piece].name is None:
-                found[tree.branches[piece].id] = told
+                found[tree.branches[piece].id] = sided
     return found
 
 
@@ -442,8 +442,8 @@ def _names_of(read: _Named, rule: LetterRule) -> tuple[dict[int, tuple[str | Non
             names[piece] = (_on_patient_side(word, mirrored=read.mirrored), float(sure[number]))
         settled = readings[number].settled
         if len(bronchus.pieces) > 1 and settled is not None and segment_of(word) is None and rules.terminal[settled]:
-            # A lobe of which one segment remains, with a twig in between: beyond the twig the branch is the segment's
-            # bronchus.
+            # A lobe of which one segment remains, with a twig on its bronchus: beyond the twig the branch has the
+            # segment's name.
             last = _on_patient_side(_word(rules, settled, seen), mirrored=read.mirrored)
             names[bronchus.pieces[-1]] = (last, float(sure[number]))
     if len(bronchi[0].pieces) + len(bronchi[0].below) < MIN_BRANCHES:
@@ -591,7 +591,7 @@ def _variants(read: _Named, words: list[str | None], sure: NDArray[np.float64], 
         if word == "BI" and "RML" not in found and "RB4" not in found and "RB5" not in found and "RLL" in found:
             note(number, "the middle lobe bronchus was not found")
     for number, bronchus in enumerate(bronchi):
-        # A third bronchus at a fork without an assigned segment.
+        # This bronchus is the third one at a fork, and no segment was assigned to it.
         if number in carried or readings[number].inside is not None or bronchus.parent is None:
             continue
         above = words[bronchus.parent]
@@ -621,8 +621,8 @@ def _lobes_of(read: _Named) -> dict[int, str | None]:
         elif bronchus.parent is not None:
             own[number] = own[bronchus.parent]
         lobe = own[number]
-        told = None if lobe is None else _on_patient_side(lobe, mirrored=read.mirrored)
+        sided = None if lobe is None else _on_patient_side(lobe, mirrored=read.mirrored)
         # Twigs and stubs below get this lobe first; bronchi below come later and overwrite it.
         for piece in (*bronchus.pieces, *bronchus.below):
-            found[piece] = told
+            found[piece] = sided
     return found

@@ -19,14 +19,15 @@ from carina.track.names.tree_fit import MISFIT
 from carina.track.tree.airway_tree import AirwayTree, Branch
 
 MAX_ADDED = 2
-"""Largest number of new branches with which the former names are kept: a new branch, and the lower part of its parent.
+"""Largest number of new branches with which the former names are kept.
 
-More branches, as beyond a bridge, are an airway without which the former names were chosen.
+One added branch makes two: the branch, and the lower part of its divided parent. An edit that adds more, such as a
+bridge, adds airways that were unknown when the former names were chosen.
 """
 MIN_LOG_PROBABILITY = math.log(0.05)
-"""Logarithm of the probability of the former names in the edited tree below which branches are renamed."""
+"""Log probability of the former names in the edited tree, below which the branches are renamed."""
 MIN_EXTENSION_MM = 2.0
-"""Least length by which an edit must extend a tip to be evidence for names, mm."""
+"""Least length in mm by which an edit must extend a tip for the extension to affect the names."""
 SURE_OF_NEW = 0.8
 """Least confidence of a name for a branch that had no name before the edit and is not itself new."""
 

@@ -19,14 +19,14 @@ MISFIT = "track.tree-unlike-human"
 POOR_FIT = 1.5
 """Lowest goodness of fit of a human bronchial tree in the orientation of its file (docs/decisions/0137)."""
 AGAINST = 1.5
-"""Weight of a tree's advantage over other orientations, relative to the evidence itself."""
+"""Weight of the advantage over other orientations in the goodness of fit; the evidence itself has weight 1."""
 MIRRORED_FIT = 0.75
-"""Additional goodness of fit that a mirrored reading needs.
+"""Additional goodness of fit that is required for the reading as a mirrored chest.
 
-Situs inversus is rare, and a tree of any kind may fit a mirrored one.
+Situs inversus is rare, and a tree of any kind may fit a mirrored chest by chance.
 """
 MIN_READ = 10
-"""Least number of bronchi with an assigned state from which the goodness of fit is computed."""
+"""Least number of bronchi with an assigned state for which the goodness of fit is computed."""
 GOOD_FIT = 4.0
 """Goodness of fit above which a better fit no longer raises the confidence."""
 # Log odds of a correct name: constant, factor of the log odds of the reading, and change per nat below a good fit.
@@ -34,7 +34,7 @@ GOOD_FIT = 4.0
 # carina_bench.track_confidence).
 NAME_ODDS = (0.295, 1.073, 0.706)
 SUREST = 0.995
-"""Upper limit of the share of all readings that supports a name."""
+"""Upper limit of a reading's share before its log odds are computed."""
 
 
 def calibrated(reading: float, fit: float | None) -> float:
@@ -58,8 +58,7 @@ def calibrated(reading: float, fit: float | None) -> float:
     even, slope, per_nat = NAME_ODDS
     poor = min(GOOD_FIT if fit is None else fit, GOOD_FIT) - GOOD_FIT
     share = 1.0 / (1.0 + math.exp(-(even + slope * math.log(part / (1.0 - part)) + per_nat * poor)))
-    # If other readings have the larger share together, no name is given, even if the likeliest reading is usually
-    # right.
+    # If the other readings together have the larger share, the confidence stays below one half, so no name is given.
     return share if reading >= 0.5 else min(share, reading)
 
 

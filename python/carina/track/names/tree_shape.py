@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from carina.track.tree.airway_tree import AirwayTree, Branch
 
 TWIG = 1.1
-"""Largest distance of a twig's tip from the parent's axis, in radii: such a tip stays in the parent's lumen."""
+"""Largest distance of a twig's tip from the parent's axis, in parent radii; the twig stays in the parent's lumen."""
 STUB = 0.8
-"""Largest distance of two forks, in radii of the airway before them, at which they are one fork into three."""
+"""Largest distance of two forks that count as one fork, in radii of the airway before them."""
 MAX_AT_A_FORK = 5
 START_MM = 8.0
-"""Length from the start of a branch along which its radius decides its share of the flow at a fork, mm."""
+"""Length in mm from the start of a branch over which the radius that estimates its flow is measured."""
 TIP_START_MM = 20.0
-"""Length from the start of a tip along which the radius of the tip is measured, mm."""
+"""Length in mm from the start of a tip over which the tip's radius is measured."""
 TIP_END_MM = 6.0
-"""Length of the last part of a tip along whose direction a shorter tip is extended, mm."""
+"""Length in mm of the end of a tip that gives the direction in which a short tip is extended."""
 AHEAD_MM = (10.0, 15.0, 20.0)
 """Distances beyond a fork at which the directions of its bronchi are compared, mm."""
 LEAN = 0.22

@@ -78,7 +78,7 @@ def carried_names(tree: AirwayTree, named: AirwayTree, place_of: dict[int, int])
 
 
 def _is_same(upper: Branch, lower: Branch) -> bool:
-    """Return whether two pieces of a line are one bronchus: of one kind, without a user's name on the lower one."""
+    """Return whether two consecutive pieces are one bronchus: of one kind, and the user did not name the lower one."""
     return upper.kind == lower.kind and lower.name_from != "person"
 
 

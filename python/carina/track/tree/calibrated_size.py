@@ -15,13 +15,13 @@ UNCALIBRATED_SIZE = "track.size-not-calibrated"
 CALIBRATED_MM = (12.0, 27.0)
 """Range of diameters in mm of the trachea in the CTs on which confidence was calibrated (docs/decisions/0137)."""
 UNPROVEN = 0.5
-"""Highest confidence of a branch or a name in a tree whose trachea is far outside the calibrated range."""
+"""Lowest limit of confidence, for a trachea far outside the calibrated range of diameters."""
 # Share below or above the range over which the limit falls from 1 to UNPROVEN.
 FALL_SHARE = 0.15
 WIDE_PART = 75.0
-"""Percentile of the radius along a branch that counts as its radius, so that a narrow place has no effect."""
+"""Percentile of the radii along a branch that counts as its radius, so that a stenosis has no effect."""
 MAIN_OF_TRACHEA = 0.77
-"""Root mean square diameter of the main bronchi over the diameter of the trachea (34 phantoms: 0.73 to 0.80)."""
+"""Usual ratio of the main bronchi's root mean square diameter to the trachea's (34 phantoms: 0.73 to 0.80)."""
 
 
 def limit_at(trachea_mm: float) -> float:
@@ -38,13 +38,13 @@ def limit_at(trachea_mm: float) -> float:
 
 
 def _diameter_mm(tree: AirwayTree, name: str) -> float | None:
-    """Return the diameter that a quarter of the points with this name exceeds; None without such a branch."""
+    """Return the 75th percentile of a named airway's diameter, mm; None without such a branch."""
     radii = [branch.radius for branch in tree.branches if branch.name == name]
     return 2.0 * float(np.percentile(np.concatenate(radii), WIDE_PART)) if radii else None
 
 
 def _sizes_mm(tree: AirwayTree) -> tuple[float, ...]:
-    """Return the diameters in mm of the trachea: measured, and derived from the main bronchi; empty if unnamed."""
+    """Return two estimates of the trachea's diameter in mm: measured, and from the main bronchi; empty if unnamed."""
     trachea = _diameter_mm(tree, "Trachea")
     if trachea is None:
         return ()
@@ -79,7 +79,7 @@ def _limit_confidence(branch: Branch, most: float) -> Branch:
 
 
 def with_limited_confidence(tree: AirwayTree) -> AirwayTree:
-    """Return the tree with all confidences limited, if it has the note of :data:`UNCALIBRATED_SIZE`."""
+    """Return the tree with limited confidences if it has the note :data:`UNCALIBRATED_SIZE`; else unchanged."""
     if all(note.code != UNCALIBRATED_SIZE for note in tree.notes):
         return tree
     # An edit may have removed the name of the trachea: its size is then unknown.

@@ -51,7 +51,7 @@ def way_between(
 
 
 def _trunk_index(trunk: Branch, branch: Branch, index: int) -> int:
-    """Return the index on a trunk of a point, or of the fork at which the branch of the point leaves the trunk."""
+    """Return the index on a trunk of a point on it, or of the fork at which the point's branch leaves the trunk."""
     return index if branch.id == trunk.id else len(trunk.points) - 1
 
 

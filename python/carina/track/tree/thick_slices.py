@@ -34,11 +34,11 @@ SHARES: dict[tuple[float, float | None], tuple[tuple[int, int, int], ...]] = {
     ),
 }
 JUDGED_MM = 2.0
-"""Slices are judged by the airways of 2 to 3 mm: small segmental and subsegmental bronchi."""
+"""Inner diameter in mm from which airways (to 3 mm: segmental and subsegmental) decide whether slices are thick."""
 THIN_SHARE = 0.95
 """Least mean share of airways of 2 to 3 mm in thin slices; slices with a lower share count as thick."""
 PATIENT_FACTOR = 1.25
-"""Factor on the slice thickness for CTs of patients.
+"""Factor that converts the slice thickness of a patient's CT to that of painted CTs.
 
 Slices of patients hide as much as painted slices that are thicker by this factor (four CTs, lists of readers).
 """
@@ -113,7 +113,7 @@ def effective_slice_mm(ct: Volume) -> float:
 
 
 def effective_mm(slice_mm: float, distance_mm: float) -> float:
-    """Return the thickness of slices without overlap that show as much as the given slices."""
+    """Return the thickness of slices without gap or overlap that show as many airways as the given slices."""
     return 0.5 * (max(slice_mm, distance_mm) + distance_mm)
 
 
@@ -163,12 +163,12 @@ def shares_of(tree: AirwayTree, ct: Volume) -> CalibratedShares | None:
 
 
 def _share_of_diameter(shares: Sequence[CalibreShare], diameter_mm: float) -> CalibreShare:
-    """Return the share of the calibre of a diameter; smaller diameters get the share of the narrowest calibre."""
+    """Return the share for airways of a diameter; below the smallest calibre it is the share of that calibre."""
     return next((share for share in shares if diameter_mm >= share.from_mm), shares[-1])
 
 
 def with_slice_note(tree: AirwayTree, ct: Volume) -> AirwayTree:
-    """Return a tree found in a CT with a permanent note that states the shares, if the slices are thick."""
+    """Return the tree of a CT with a permanent note that states the shares, if the slices are thick."""
     found = shares_in(ct)
     if found is None:
         return tree

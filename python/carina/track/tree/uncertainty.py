@@ -26,31 +26,31 @@ AIRWAY_SHARE = (
     *((0.0, 0.0), (0.260, 0.001), (0.619, 0.010), (0.798, 0.066), (0.874, 0.161), (0.913, 0.275), (0.936, 0.620)),
     *((0.962, 0.675), (0.975, 0.817), (0.986, 0.944), (0.992, 0.969), (0.997, 0.981), (1.0, 0.999)),
 )
-# The walls of the thinnest airways rise by less than the noise of a voxel; they were judged along 5 mm (0112). Of 131
-# such paths in four CTs one was not an airway.
+# Confidence of the thinnest airways. Their walls rise by less than the noise of a voxel, so each was judged by values
+# averaged over 5 mm (0112). In four CTs, 1 of 131 such paths was not an airway.
 THREAD_SHARE = 0.95
-# Distance in mm from such a path within which half of a branch's points must be for the branch to count as thin.
+# Distance in mm from the path of a thinnest airway within which half of a branch's points must be for THREAD_SHARE.
 NEAR_THREAD_MM = 1.5
-# Distance in mm within which a point of a branch belongs to a followed path that was judged by odds.
+# Distance in mm within which a branch's point belongs to a path that was followed with a probability.
 NEAR_JUDGED_MM = 2.0
 WALL_WEIGHT = 0.2
-"""Weight of the log odds of a branch's walls relative to those of the path along the branch."""
+"""Weight of the log odds of a branch's walls relative to the log odds of the path along the branch."""
 SUREST_WALLS, SUREST_WAY = 0.99, 0.995
-MAX_OF_ONE = 0.94
-"""Highest confidence of a branch of which only the path or only the walls are more certain."""
+MAX_COMBINED = 0.94
+"""Highest combined confidence of path and walls, unless both alone are more certain."""
 # Walls are means of three sections and of neighbouring steps, so their noise grows more slowly than that of a voxel. Up
 # to this noise, on which AIRWAY_SHARE was fitted, the noise of a voxel is used.
 USUAL_NOISE_HU = 25.0
-# Exponent by which the noise of a wall measurement grows above that noise.
+# Exponent of the growth of a wall measurement's noise above USUAL_NOISE_HU.
 NOISE_POWER = 0.75
 # Limits for thin branches in a CT with deep rims: in painted CTs with a sharp kernel, one in ten of the best-scoring
 # lumens of this width is a rim that looks like a wall.
 SHARP_RIM_HU = 15.0
 # Radius in voxels below which a branch is thin.
 THIN_VOXELS = 2.0
-# Largest confidence of a thin branch in a CT with such rims.
+# Largest confidence of a thin branch in a CT with dark rims beside edges.
 MAX_BESIDE_RIMS = 0.95
-# Length in mm of the last part of a branch, which runs into its blind end and is not judged.
+# Length in mm of the end of a branch that is not judged, because it is the blind end of the lumen.
 BLUNT_MM = 2.0
 # Number of sections at which the wall of a branch is judged.
 NUM_SECTIONS = 12
@@ -191,7 +191,7 @@ def without_unproven_blocks(places: Sequence[Uncertainty]) -> tuple[Uncertainty,
 
 
 def _filled_statement(place: Uncertainty) -> str:
-    """Return the text of a place that is narrowed or filled, without its possible reasons."""
+    """Return the text about a narrowed or filled place, without its possible reasons."""
     if place.calibre_mm is None:
         bronchus = "; its calibre from wall to wall cannot be measured here"
     else:
@@ -276,8 +276,8 @@ def with_confidence(
 def with_path_probability(branch: Branch, judged: NDArray[np.float64]) -> Branch:
     """Combine the confidence of a branch's walls with the probability of the path along it.
 
-    Only branches along a path that was judged by odds change. Above 0.94 the confidence is at most that of each: a
-    branch is certain only if both the path and the walls are.
+    Branches away from a path with a probability stay unchanged. A confidence above 0.94 is at most that of the walls
+    and that of the path, because a branch is certain only if both are.
     """
     off_mm = np.linalg.norm(branch.points[:, None] - judged[None, :, :3], axis=2)
     is_near = off_mm.min(axis=1) <= NEAR_JUDGED_MM
@@ -286,7 +286,7 @@ def with_path_probability(branch: Branch, judged: NDArray[np.float64]) -> Branch
     way = min(float(np.median(judged[off_mm.argmin(axis=1)[is_near], 3])), SUREST_WAY)
     walls = min(max(branch.confidence, 1.0 - SUREST_WALLS), SUREST_WALLS)
     odds = way / (1.0 - way) * (walls / (1.0 - walls)) ** WALL_WEIGHT
-    confidence = max(min(odds / (1.0 + odds), MAX_OF_ONE), min(way, branch.confidence))
+    confidence = max(min(odds / (1.0 + odds), MAX_COMBINED), min(way, branch.confidence))
     return dataclasses.replace(branch, confidence=round(confidence, 3))
 
 
@@ -366,7 +366,7 @@ def _wall_score(volume: Volume, branch: Branch, noise: float) -> float:
 
 
 def _values_at(volume: Volume, points: Points) -> Points:
-    """Return the value of the nearest voxel at (n, 3) points (LPS, mm), clamped to the edge of the volume."""
+    """Return the values of the voxels nearest to (n, 3) points (LPS, mm), clamped to the edge of the volume."""
     shape = np.array(volume.shape_zyx[::-1])
     i, j, k = np.clip(np.floor(volume.to_ijk(points) + 0.5).astype(int), 0, shape - 1).T
     values: Points = volume.hu_zyx[k, j, i].astype(np.float64)

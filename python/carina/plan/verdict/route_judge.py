@@ -1,0 +1,462 @@
+"""Judgement of instruments on one route: checks without a simulation, then a simulated drive.
+
+The checks come first (`carina.plan.verdict.checks`). For an instrument that passes them, a drive along the route is
+simulated in the wall of the airways, from the trachea to the end of the route, where the tip is pointed at the target.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from statistics import NormalDist
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import CancelledError, UsageError
+from carina.plan.instruments.tools import ONLY_BRUSH, Tool, passing_needle, tools
+from carina.plan.routes.last_leg import as_point
+from carina.plan.routes.needle_hits import NeedleErrors, hit_share
+from carina.plan.routes.plan_route import Plan, PlannedRoute
+from carina.plan.routes.ranking import BARELY, POINTS
+from carina.plan.routes.route_width import SURE
+from carina.plan.targets.grow_nodule import Nodule
+from carina.plan.verdict.checks import (
+    Answer,
+    Check,
+    bend_check,
+    channel_check,
+    diameter_check,
+    length_check,
+)
+from carina.plan.verdict.drive import DrivenRoute
+from carina.plan.verdict.drive_aim import ENOUGH, aim_drive
+from carina.plan.verdict.drive_route import DriveWay
+from carina.plan.verdict.drive_search import EFFORT, condense_drive, search_drive
+from carina.plan.verdict.lever import lever_check
+from carina.plan.verdict.verdict import Outcome, Verdict
+from carina.scopes import ScopeDrive, ScopeHold, ScopePreset, WallField
+from carina.track import AirwayTree
+
+__all__ = ["RouteJudge"]
+
+Points = NDArray[np.float64]
+NEAR_MM = 1.5
+"""Largest distance in mm of the tip from the end of the route at which the tip counts as arrived."""
+SLIMMER_MM, THINNEST_MM, SPARE_MM = 0.8, 1.5, 0.2
+"""Sizes in mm that choose a thinner substitute for an instrument about as wide as the airway.
+
+A substitute is used if the airway is wider than the instrument by less than the third size. The substitute is thinner
+than the airway by the first size, but not thinner than the second size. If the instrument fits by the measured
+diameter, the substitute has no more play in an airway of this diameter than the instrument.
+"""
+BEFORE_MM = 2.0
+"""Least distance in mm of the tip before the end of the route that counts as withdrawn."""
+FIELD_LACK_MM = 0.5
+"""Width in mm by which a narrow lumen is narrower in the sampled wall field than its largest ball."""
+UNFOUND = 0.5
+"""Probability reported if a scope fits along the route but the search found no drive, which may exist.
+
+The value is common knowledge, not measured.
+"""
+EFFORT_PER_TRY = 1000.0
+"""Search effort that is saved for each shorter drive that is tried."""
+LEVER_EFFORT = 0.3
+"""Effort of each search with a reduced lever range, as a share of the effort of the first search.
+
+A small share suffices, because the moves of the drive that arrived are tried first.
+"""
+ERROR_SHARE = NormalDist().inv_cdf(SURE) / NormalDist().inv_cdf(0.95)
+"""Factor that converts the 90 % error of a diameter to the error that 10 % of true diameters exceed downwards."""
+MIN_SCALE = 0.1
+IF_IT_FITS = "if it fits: "
+DRIVEN_THINNER = (
+    "driven as a thinner scope with no more play than in the measured diameter, because the segmented lumen is narrower"
+)
+MECHANICS = "the scope's mechanics in the airways' wall; rigid tip and bending section are common knowledge (k)"
+
+
+def tool_for(scope: ScopePreset, wanted: Tool) -> Tool:
+    """Return the tool with which an instrument is judged: the wanted one, or a needle that passes its channel."""
+    if scope.channel_mm is None or not wanted.pierces or wanted.passes(scope.channel_mm):
+        return wanted
+    return passing_needle(scope, wanted) or wanted
+
+
+@dataclass(frozen=True, slots=True)
+class InstrumentChecks:
+    """Results of the checks of one instrument that need no simulated drive."""
+
+    checks: tuple[Check, ...]
+    driven_as: ScopePreset | None
+    """Instrument whose drive is simulated, or a thinner substitute; None if no drive is needed or possible."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedDrive:
+    """Results of a simulated drive."""
+
+    route: DrivenRoute | None
+    checks: tuple[Check, ...]
+    bend: Check | None = None
+    """Check of the bend by drives, which replaces the one by angles; None if the drive did not arrive or point."""
+    lps_from_tip: NDArray[np.float64] | None = None
+    """(4, 4) final pose of the tip; None if the drive did not arrive."""
+    longer: tuple[Tool, ...] = ()
+    """Needles with a longer throw that hit from this pose, if that of the plan does not."""
+    withdrawn_mm: float = 0.0
+    """Distance in mm by which the tip is withdrawn from the end of the route (`Verdict.withdrawn_mm`)."""
+
+
+_DRIVES: WeakKeyDictionary[PlannedRoute, dict[tuple[Any, ...], tuple[Any, SimulatedDrive]]] = WeakKeyDictionary()
+"""Cache of completed drives of each route: key of the inputs, the input objects, and the result.
+
+A plan and the verdicts on its routes share their drives through this cache.
+"""
+
+
+class RouteJudge:
+    """Judgement of instruments on one route: checks without a simulation, then a simulated drive.
+
+    Parameters
+    ----------
+    tree, plan, wall, route, entry_mm, errors, effort, cancel
+        As for `judge_scopes`.
+    """
+
+    def __init__(
+        self,
+        tree: AirwayTree,
+        plan: Plan,
+        wall: WallField,
+        *,
+        route: PlannedRoute | None = None,
+        origin_depth_mm: float | None = None,
+        errors: bool = True,
+        effort: float = EFFORT,
+        cancel: Callable[[], bool] | None = None,
+    ) -> None:
+        if route is None and not plan.routes:
+            raise UsageError("the plan has no route to judge", code="plan.no-route")
+        planned = plan.routes[0] if route is None else route
+        self._way = DriveWay(tree, planned, wall)
+        if plan.aims:
+            self._way.aim = np.array(plan.aims[planned.aim])
+        self._tree, self._route, self._key = tree, planned, planned.key
+        self._plan, self._wall = plan, wall
+        self._least_nodule = _smaller(plan.nodule) if errors else plan.nodule
+        self._origin_depth_mm, self._errors = origin_depth_mm, errors
+        self._effort, self._cancel = effort, cancel
+        self.stopped = False
+
+    @property
+    def aim(self) -> Points:
+        """Point in the target that the drive is aimed at, (3,) LPS mm."""
+        return self._way.aim
+
+    def verdict(self, scope: ScopePreset) -> Verdict:
+        """Return the verdict on an instrument."""
+        figures = self.figures(scope)
+        if figures.driven_as is None:
+            return self.undriven(scope, figures)
+        return self.driven(scope, figures, self.drive(figures.driven_as))
+
+    def tip_of(self, scope: ScopePreset) -> NDArray[np.float64] | None:
+        """Return the (4, 4) pose of an instrument's tip after its drive; None if no drive has arrived."""
+        driven_as = self.figures(scope).driven_as
+        known = None if driven_as is None else _DRIVES.get(self._route, {}).get(self._inputs(driven_as))
+        return None if known is None else known[1].lps_from_tip
+
+    def pass_on(self, route: PlannedRoute) -> None:
+        """Copy the cached drives along this route to another version of the route."""
+        _DRIVES[route] = dict(_DRIVES.get(self._route, {}))
+
+    def drive(self, scope: ScopePreset) -> SimulatedDrive:
+        """Return the simulated drive of an instrument, which is computed once for the same inputs."""
+        inputs, known = self._inputs(scope), _DRIVES.setdefault(self._route, {})
+        if inputs not in known:
+            # The cache entry refers to airways, wall and nodule, so that their identities in the key stay valid.
+            known[inputs] = (self._tree, self._wall, self._plan.nodule), self._drive(scope)
+        return known[inputs][1]
+
+    def _inputs(self, scope: ScopePreset) -> tuple[Any, ...]:
+        return (
+            id(self._tree),
+            id(self._wall),
+            id(self._plan.nodule),
+            tuple(self._way.aim.tolist()),
+            self._plan.tool,
+            self._plan.errors if self._errors else None,
+            self._effort,
+            mechanical_sizes(scope),
+        )
+
+    def stop_if_cancelled(self) -> None:
+        """Raise `CancelledError` if cancellation is requested."""
+        if self._is_cancelled():
+            raise CancelledError("the verdicts were cancelled")
+
+    def figures(self, scope: ScopePreset) -> InstrumentChecks:
+        """Return the results of the checks that need no drive, and the instrument whose drive is simulated."""
+        checks = (
+            diameter_check(self._way.width, scope, errors=self._errors),
+            bend_check(self._way, scope, errors=self._errors),
+            length_check(self._way, scope, self._origin_depth_mm),
+            channel_check(scope, self._plan.tool),
+        )
+        driven_as: ScopePreset | None = scope
+        if any(check.answer == "no" for check in checks[:3]) or checks[1].answer == "unknown":
+            driven_as = None
+        elif self._errors:
+            room_mm = float(self._way.room_mm.min()) - FIELD_LACK_MM
+            if checks[0].answer == "perhaps" or max(scope.tip_mm, scope.tube_mm or 0.0) > room_mm - SPARE_MM:
+                # The scope is as wide as the airway within the errors: the drive of a thinner substitute is simulated.
+                play_mm = SLIMMER_MM
+                if checks[0].answer == "yes":
+                    own_mm = self._way.width.mm - max(scope.tip_mm, scope.tube_mm or 0.0)
+                    play_mm = min(max(own_mm, SPARE_MM), SLIMMER_MM)
+                slim = min(max(room_mm - play_mm, THINNEST_MM), scope.tip_mm)
+                driven_as = replace(scope, tip_mm=slim, tube_mm=None)
+        return InstrumentChecks(checks, driven_as)
+
+    def undriven(self, scope: ScopePreset, figures: InstrumentChecks) -> Verdict:
+        """Return the verdict on an instrument without a simulated drive."""
+        reached_mm: float | None = None
+        if figures.checks[1].answer != "unknown":
+            # A scope that is too wide to enter stops at the start of the tree.
+            reached_mm = self._way.from_origin_mm(0.0)
+            with contextlib.suppress(UsageError):
+                reached_mm = self._way.from_origin_mm(min(self._laid_mm(scope), self._way.park_mm))
+        return self._verdict_of(scope, figures.checks, reached_mm, None)
+
+    def driven(self, scope: ScopePreset, figures: InstrumentChecks, drive: SimulatedDrive) -> Verdict:
+        """Return the verdict on an instrument from its checks and its simulated drive."""
+        checks = drive.checks
+        if figures.driven_as is not scope and figures.checks[0].answer == "yes":
+            checks = tuple(replace(one, basis=f"{one.basis}; {DRIVEN_THINNER}") for one in checks)
+        elif figures.driven_as is not scope:
+            checks = tuple(
+                replace(one, answer="perhaps", words=f"{IF_IT_FITS}{one.words}") if one.answer == "yes" else one
+                for one in checks
+            )
+        route = None if drive.route is None else replace(drive.route, scope_name=scope.name)
+        reached_mm = self._way.from_origin_mm(0.0) if route is None else route.stopped_mm
+        diameter, bend, *others = figures.checks
+        size_checks = (diameter, bend if drive.bend is None else drive.bend, *others)
+        return self._verdict_of(scope, (*size_checks, *checks), reached_mm, route, drive)
+
+    def _verdict_of(
+        self,
+        scope: ScopePreset,
+        checks: tuple[Check, ...],
+        reached_mm: float | None,
+        route: DrivenRoute | None,
+        drive: SimulatedDrive | None = None,
+    ) -> Verdict:
+        tool = self._plan.tool
+        found = _verdict(scope, checks, reached_mm, route, would=_would(scope, tool, checks, drive))
+        needle_lps = None if drive is None else self._needle_lps(drive)
+        return replace(
+            found,
+            origin=self._way.origin,
+            route_key=self._key,
+            tool=tool.name,
+            needle_lps=needle_lps,
+            withdrawn_mm=0.0 if drive is None else drive.withdrawn_mm,
+        )
+
+    def _needle_lps(
+        self, drive: SimulatedDrive
+    ) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
+        pointing = next((check for check in drive.checks if check.name == "pointing"), None)
+        if drive.lps_from_tip is None or pointing is None or not pointing.share:
+            return None
+        tip, forward = drive.lps_from_tip[:3, 3], drive.lps_from_tip[:3, 2]
+        end = tip + float(np.linalg.norm(self._way.aim - tip)) * forward
+        return as_point(tip), as_point(end)
+
+    def _drive(self, scope: ScopePreset) -> SimulatedDrive:
+        """Simulate the drive of an instrument, and point its tip at the target if it arrives."""
+        try:
+            route = search_drive(self._way, self._wall, scope, effort=self._effort, cancel=self._is_cancelled)
+        except UsageError as error:
+            check = Check("drive", "no", 0.0, f"the scope does not enter the airway: {error}", MECHANICS)
+            return SimulatedDrive(None, (check,))
+        if not route.arrived:
+            lacks_mm = self._way.from_origin_mm(self._way.park_mm) - route.stopped_mm
+            words = f"the drive stops {lacks_mm:.0f} mm before the end of the route: {route.why}"
+            if self._laid_mm(scope) < self._way.park_mm - NEAR_MM:
+                return SimulatedDrive(route, (Check("drive", "no", 0.0, words, MECHANICS),))
+            words += "; the scope fits along the whole route, and another way of driving it may get there"
+            return SimulatedDrive(route, (Check("drive", "perhaps", UNFOUND, words, MECHANICS),))
+        aimed = aim_drive(self._way, self._wall, scope, route, self._sure_share)
+        bend = None
+        if aimed.share >= BARELY:
+            # Only a drive that points at the target is shortened, because shortening takes most of the time.
+            self.stop_if_cancelled()
+            tries = round(self._effort / EFFORT_PER_TRY)
+            route = condense_drive(self._way, self._wall, scope, route, tries=tries, cancel=self._is_cancelled)
+            self.stop_if_cancelled()
+            bend = lever_check(
+                self._way,
+                self._wall,
+                scope,
+                bend_check(self._way, scope, errors=self._errors),
+                route,
+                effort=LEVER_EFFORT * self._effort,
+                cancel=self._is_cancelled,
+            )
+            shorter = aim_drive(self._way, self._wall, scope, route, self._sure_share)
+            aimed = shorter if shorter.share >= min(aimed.share, ENOUGH) else aimed
+        words = f"arrives at the end of the route by {len(route.moves)} moves"
+        arrives = Check("drive", "yes", 1.0, words, MECHANICS)
+        tip = aimed.lps_from_tip
+        share = self._hit_share(tip[:3, 3], tip[:3, 2])
+        answer: Answer = "yes" if aimed.share >= POINTS else "perhaps" if share >= BARELY else "no"
+        loss_deg, basis = self._plan.tool.flexion_loss_deg, MECHANICS
+        if loss_deg is None:
+            basis += f"; how much flexion is lost with {self._plan.tool.title} in the channel is not known"
+        elif answer == "yes" and not self._flexes_with_tool(scope, aimed.driven, loss_deg):
+            answer = "perhaps"
+            basis += f"; {self._plan.tool.title} in the channel takes {loss_deg:g} degrees of the flexion that it needs"
+        withdrawn_mm = aimed.before_mm if aimed.before_mm >= BEFORE_MM else 0.0
+        place = f", {withdrawn_mm:.0f} mm before the standing place" if withdrawn_mm else ""
+        hits = f"{100 * share:.0f} % of needle passes hit"
+        words = f"points {aimed.off_deg:.0f} degrees from the target centre{place}; {hits}"
+        if aimed.share < POINTS <= share:
+            words += ", but fewer than half if the target is as small as its error allows"
+        pointing = Check("pointing", answer, share, words, basis)
+        longer: tuple[Tool, ...] = ()
+        if answer != "yes" and self._plan.tool.pierces:
+            reach_mm = self._plan.tool.reach_mm
+            longer = tuple(
+                one
+                for one in tools()
+                if one.pierces
+                and one.reach_mm > reach_mm
+                and self._sure_share(tip[:3, 3], tip[:3, 2], reach_mm=one.reach_mm) >= POINTS
+            )
+        return SimulatedDrive(aimed.driven, (arrives, pointing), bend, aimed.lps_from_tip, longer, withdrawn_mm)
+
+    @staticmethod
+    def _flexes_with_tool(scope: ScopePreset, driven: DrivenRoute, loss_deg: float) -> bool:
+        flexion_deg = math.degrees(float(driven.samples[-1, 2]))
+        up_deg, down_deg = scope.flexion_deg or (0.0, 0.0)
+        return -(down_deg - loss_deg) <= flexion_deg <= up_deg - loss_deg
+
+    def _laid_mm(self, scope: ScopePreset) -> float:
+        drive = ScopeDrive(self._wall, scope, self._way.points)
+        state = drive.place(self._way.points, self._way.park_mm)
+        return self._way.nearest(state.pose.position_lps, state.insertion_mm)[0]
+
+    def _sure_share(self, tip: Points, forward: Points, *, reach_mm: float | None = None) -> float:
+        """Return the share of needles that hit a target reduced by the error of its boundary."""
+        return self._hit_share(tip, forward, reach_mm=reach_mm, nodule=self._least_nodule)
+
+    def _hit_share(
+        self, tip: Points, forward: Points, *, reach_mm: float | None = None, nodule: Nodule | None = None
+    ) -> float:
+        needle = self._plan.errors if self._errors else NeedleErrors(0.0, 0.0)
+        aimed_at = tip + forward * float(np.linalg.norm(self._way.aim - tip))
+        throw_mm = self._plan.tool.reach_mm if reach_mm is None else reach_mm
+        return hit_share(self._plan.nodule if nodule is None else nodule, tip, aimed_at, throw_mm, needle)
+
+    def _is_cancelled(self) -> bool:
+        return self.stopped or (self._cancel is not None and self._cancel())
+
+
+def _smaller(nodule: Nodule) -> Nodule:
+    """Return a nodule that is scaled down about its middle by the error of its boundary."""
+    diameter_mm = 0.5 * (nodule.long_mm + nodule.short_mm)
+    scale = max(1.0 - ERROR_SHARE * nodule.diameter_error_mm / max(diameter_mm, 1e-6), MIN_SCALE)
+    centre = np.array(nodule.centre_lps)
+    matrix = nodule.lps_from_ijk.copy()
+    matrix[:3, :3] *= scale
+    matrix[:3, 3] = centre + scale * (matrix[:3, 3] - centre)
+    return replace(nodule, lps_from_ijk=matrix)
+
+
+def mechanical_sizes(scope: ScopePreset) -> tuple[Any, ...]:
+    """Return the sizes of an instrument that determine its mechanics, as a key for shared drives."""
+    return (
+        scope.tip_mm,
+        scope.tube_mm or scope.tip_mm,
+        scope.rigid_tip_mm,
+        scope.bending_mm,
+        scope.flexion_deg,
+        scope.length_mm,
+        scope.view_up_deg,
+    )
+
+
+def _verdict(
+    scope: ScopePreset,
+    checks: tuple[Check, ...],
+    reached_mm: float | None,
+    route: DrivenRoute | None,
+    *,
+    would: str | None,
+) -> Verdict:
+    answers = {check.answer for check in checks}
+    outcome: Outcome = (
+        "does not reach"
+        if "no" in answers
+        else "cannot say"
+        if "unknown" in answers
+        else "may reach"
+        if "perhaps" in answers
+        else "reaches"
+    )
+    shares = [check.share for check in checks if check.share is not None]
+    hold = None
+    if route is not None and route.arrived:
+        insertion_mm, roll_rad, flexion_rad = (float(v) for v in route.samples[-1])
+        hold = ScopeHold(insertion_mm, roll_rad, flexion_rad)
+    return Verdict(
+        scope=scope,
+        outcome=outcome,
+        share=min(shares) if shares else None,
+        checks=checks,
+        reached_mm=reached_mm,
+        hold=hold,
+        driven=route,
+        would=would,
+    )
+
+
+def _would(scope: ScopePreset, tool: Tool, checks: tuple[Check, ...], drive: SimulatedDrive | None) -> str | None:
+    """Return the changes with which an instrument would reach the target, as text.
+
+    *Would reach* is stated only of another tool, and only after a drive that arrives and points at the target.
+    """
+    lacking = [check for check in checks if check.answer in {"no", "unknown"}]
+    missed = next((check for check in checks if check.name == "pointing" and check.answer != "yes"), None)
+    if missed is not None and not missed.words.startswith(IF_IT_FITS) and all(check is missed for check in lacking):
+        # The planner has already tried other positions, so only a tool with a longer reach is named.
+        takes = None if drive is None or scope.channel_mm is None else scope.channel_mm
+        longer = [one for one in (drive.longer if drive is not None else ()) if takes is not None and one.passes(takes)]
+        return f"would reach if {longer[0].title} were used" if longer else None
+    if not lacking or any(check.name == "pointing" for check in lacking):
+        return None
+    thinner = passing_needle(scope, tool)
+    if thinner is None and any((check.name, check.answer) == ("channel", "no") for check in lacking):
+        return ONLY_BRUSH if tool.pierces else None
+    ways = {
+        ("diameter", "no"): "the airway were wider or the scope thinner",
+        ("bend", "no"): "it could flex further",
+        ("bend", "unknown"): "it can flex far enough",
+        ("length", "no"): "it were longer",
+        ("length", "unknown"): "it is long enough",
+        ("channel", "no"): f"{'' if thinner is None else thinner.title} were used",
+        ("channel", "unknown"): "its channel takes the tool",
+        ("drive", "no"): "it could be steered past that place",
+    }
+    pointed = any((check.name, check.answer) == ("pointing", "yes") for check in checks)
+    start = "could reach only if "
+    if pointed:
+        start = "might reach if " if any(check.answer == "perhaps" for check in checks) else "would reach if "
+    return start + ", and if ".join(ways[check.name, check.answer] for check in lacking)
