@@ -386,7 +386,7 @@ def test_turn_without_a_clock_hour_states_the_reason_in_text_json_and_table() ->
     tree = forked([-20, 0, -62], [20, -2, -66], [12, 5, -70], radius=1.5)
     found = turn_list(tree, route_in(tree, 3, carina=False))
     line = found.words("facing")[0]
-    assert "enter branch 3 (no clock hour, 3.0 mm" in line
+    assert "enter branch 3 (no clock hour, 3.0 ± 1.9 mm wide" in line
     assert "Caution: no clock hour: branch 4 opens in nearly the same direction" in line
     row = found.to_json()["turns"][0]
     assert row["clock_head"] is None and row["hour_facing"] is None
