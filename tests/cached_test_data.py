@@ -181,10 +181,15 @@ def stored_airways(name: str, volume: Volume) -> Airways:
 _FOUND: dict[str, Airways] = {}
 
 
+def name_of(volume: Volume) -> str:
+    """Return a name of a volume's voxels and geometry, for stored results."""
+    place = hashlib.sha256(volume.lps_from_ijk.tobytes() + repr((volume.shape_zyx, volume.is_hu)).encode()).hexdigest()
+    return f"{ct_digest(volume)[:16]}-{place[:8]}"
+
+
 def found_airways(volume: Volume) -> Airways:
     """Return the airways of a volume; all volumes with equal voxels and geometry have the same object."""
-    place = hashlib.sha256(volume.lps_from_ijk.tobytes() + repr((volume.shape_zyx, volume.is_hu)).encode()).hexdigest()
-    name = f"airways of {ct_digest(volume)[:16]}-{place[:8]}"
+    name = f"airways of {name_of(volume)}"
     if name not in _FOUND:
         _FOUND[name] = stored_airways(name, volume)
     return _FOUND[name]

@@ -5,14 +5,18 @@ Every page records the errors that its scripts log.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from functools import cache
 from typing import Any
 
 import pytest
 from server_process import Host, Server
 from workstation import FLAGS, PICTURE_MS, Workstation, open_page
 
+import carina
+from cached_test_data import cached_phantom
 from find_browser import find_browser
 
 sync_api = pytest.importorskip("playwright.sync_api")
@@ -109,6 +113,22 @@ def browser() -> Any:
 def host(tmp_path_factory: pytest.TempPathFactory) -> Host:
     """Return the process in which the workstations of this worker run, one at a time."""
     return SHARED.host(tmp_path_factory)
+
+
+@pytest.fixture(scope="session")
+def shared_chest(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., dict[str, Any]]:
+    """Return a function that writes the CT of a phantom once per worker, and returns the arguments of ``Host.open``.
+
+    No test may change the file, because the host caches its volume and what is computed from the volume.
+    """
+
+    @cache
+    def write(options: str) -> str:
+        folder = tmp_path_factory.mktemp("chest")
+        carina.write_phantom(cached_phantom(**json.loads(options)), folder)
+        return str(folder / "ct.nii.gz")
+
+    return lambda **options: {"path": write(json.dumps(options, sort_keys=True)), "is_shared": True}
 
 
 @pytest.fixture

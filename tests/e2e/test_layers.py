@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import pytest
 
-import carina
 from cached_test_data import cached_phantom
 
 pytestmark = pytest.mark.browser
@@ -19,10 +18,9 @@ LAYERS = ("vessels", "fissures", "lobes", "stations")
 
 
 @pytest.fixture
-def opens(tmp_path):
+def opens(shared_chest):
     """Return a chest with a nodule, as the opened file."""
-    carina.write_phantom(cached_phantom(**CHEST), tmp_path)
-    return {"path": str(tmp_path / "ct.nii.gz")}
+    return shared_chest(**CHEST)
 
 
 def mark_the_nodule(workstation) -> None:

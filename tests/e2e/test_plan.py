@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 
 import pytest
+from page_positions import show_slices_at
 
-import carina
 from cached_test_data import cached_phantom
 
 pytestmark = pytest.mark.browser
@@ -16,10 +16,9 @@ MAX_CLICKS = 6
 
 
 @pytest.fixture
-def opens(tmp_path):
+def opens(shared_chest):
     """Return a chest with a nodule, as the opened file."""
-    carina.write_phantom(cached_phantom(**CHEST), tmp_path)
-    return {"path": str(tmp_path / "ct.nii.gz")}
+    return shared_chest(**CHEST)
 
 
 def scroll_to(workstation, lps) -> None:
@@ -114,9 +113,9 @@ def test_pair_of_route_and_instrument_is_selected_and_instruments_are_marked_as_
     workstation.open(server)
     workstation.wait_ready()
     page, truth = workstation.page, cached_phantom(**CHEST).truth["nodule"]
+    show_slices_at(workstation, truth["centre_lps"])
     page.get_by_role("button", name="Target", exact=True).first.click()
     page.get_by_test_id("arm-target").click()
-    scroll_to(workstation, truth["centre_lps"])
     page.mouse.click(*place_in_slice(workstation, "axial", truth["centre_lps"]))
     workstation.wait_for("window.__carina.state.plans.targets[0].routes.length > 0")
     page.get_by_test_id("take-route").click()

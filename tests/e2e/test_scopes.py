@@ -145,13 +145,15 @@ def test_fine_texture_is_switched_off_and_on_if_the_appearance_has_one(server, w
     assert workstation.faults == []
 
 
-@pytest.mark.parametrize("width", [1920, 1536, 1440, 1280])
-def test_toolbar_of_the_airway_view_is_not_clipped_at_any_window_width(server, workstation, width):
-    workstation.page.set_viewport_size({"width": width, "height": 900})
+def test_toolbar_of_the_airway_view_is_not_clipped_at_any_window_width(server, workstation):
+    workstation.page.set_viewport_size({"width": 1920, "height": 900})
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.get_by_test_id("texture").wait_for()
     tools = workstation.page.get_by_role("toolbar", name="Airway view")
-    shown_px, needed_px = tools.evaluate("(bar) => [bar.clientWidth, bar.scrollWidth]")
-    workstation.picture(f"tools-{width}")
-    assert needed_px <= shown_px
+    for width in (1920, 1536, 1440, 1280):
+        workstation.page.set_viewport_size({"width": width, "height": 900})
+        workstation.refreshes(3)
+        shown_px, needed_px = tools.evaluate("(bar) => [bar.clientWidth, bar.scrollWidth]")
+        workstation.picture(f"tools-{width}")
+        assert needed_px <= shown_px, width

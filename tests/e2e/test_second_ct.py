@@ -15,17 +15,18 @@ CHEST = {"seed": 4, "spacing_mm": 1.2, "generations": 5, "nodule": True}
 
 
 @pytest.fixture
-def opens(tmp_path):
-    """Return a chest with a nodule, as the opened file; its second CT is beside it."""
+def opens(tmp_path, shared_chest):
+    """Return a chest with a nodule, as the opened file; its second CT is in the folder of the test."""
     volume = cached_phantom(**CHEST).volume
-    carina.write_phantom(cached_phantom(**CHEST), tmp_path)
     write_second_ct(volume, tmp_path / "second.nii.gz")
     half = volume.hu_zyx[: len(volume.hu_zyx) // 4]
     carina.volume.write_grid(tmp_path / "half.nii.gz", half, volume.lps_from_ijk, what="half a chest")
-    return {"path": str(tmp_path / "ct.nii.gz")}
+    return shared_chest(**CHEST)
 
 
-def test_second_ct_replaces_the_default_movement_and_a_ct_of_half_a_chest_is_refused(server, workstation, tmp_path):
+def test_second_ct_replaces_the_default_movement_and_a_ct_of_half_a_chest_is_refused(
+    server, opens, workstation, tmp_path
+):
     workstation.open(server)
     workstation.wait_ready()
     page, place = workstation.page, cached_phantom(**CHEST).truth["nodule"]["centre_lps"]
@@ -45,7 +46,7 @@ def test_second_ct_replaces_the_default_movement_and_a_ct_of_half_a_chest_is_ref
     workstation.picture("second-ct-refused")
     assert workstation.state("plans.targets[0].options.movement") is None
 
-    page.get_by_test_id("second-ct").fill(str(tmp_path / "ct.nii.gz"))
+    page.get_by_test_id("second-ct").fill(opens["path"])
     page.keyboard.press("Enter")
     workstation.wait_while_working("window.__carina.state.messages.some((one) => one.code === 'movement.same-ct')")
     assert workstation.state("plans.targets[0].options.movement") is None

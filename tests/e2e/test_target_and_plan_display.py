@@ -3,19 +3,36 @@
 from __future__ import annotations
 
 import pytest
-from test_plan import CHEST, place_in_slice, scroll_to
+from page_positions import show_slices_at
+from test_plan import CHEST, place_in_slice
+from test_plan_details import add_target
 
-import carina
 from cached_test_data import cached_phantom
 
 pytestmark = pytest.mark.browser
 
 
 @pytest.fixture
-def opens(tmp_path):
+def opens(shared_chest):
     """Return a chest with a nodule, as the opened file."""
-    carina.write_phantom(cached_phantom(**CHEST), tmp_path)
-    return {"path": str(tmp_path / "ct.nii.gz")}
+    return shared_chest(**CHEST)
+
+
+SIZES = [(1440, 900), (1920, 1080), (1280, 720)]
+
+
+def resize(workstation, size: tuple[int, int]) -> None:
+    """Resize the window, and wait until the pictures have their new sizes."""
+    workstation.page.set_viewport_size({"width": size[0], "height": size[1]})
+    workstation.refreshes(3)
+    workstation.wait_still()
+
+
+def open_at(server, workstation, size: tuple[int, int]) -> None:
+    """Open the chest in a window of a size."""
+    workstation.page.set_viewport_size({"width": size[0], "height": size[1]})
+    workstation.open(server)
+    workstation.wait_ready()
 
 
 def cell(workstation, name: str):
@@ -48,24 +65,22 @@ def test_slices_state_that_they_do_not_follow_the_tip_and_follow_it_again_after_
     assert workstation.faults == []
 
 
-@pytest.mark.parametrize("size", [(1440, 900), (1920, 1080), (1280, 720)])
-def test_label_that_slices_follow_the_tip_is_outside_the_pictures(server, workstation, size):
-    width, height = size
+def test_label_that_slices_follow_the_tip_is_outside_the_pictures_in_any_window_size(server, workstation):
+    open_at(server, workstation, SIZES[0])
     page = workstation.page
-    page.set_viewport_size({"width": width, "height": height})
-    workstation.open(server)
-    workstation.wait_ready()
     page.keyboard.press("t")
-    for step in ("Check", "Target"):
-        page.get_by_role("button", name=step, exact=True).first.click()
-        page.keyboard.press("c")
-        workstation.wait_for("window.__carina.state.session.sight.crosshair_lps === null")
-        assert_chips_are_outside(workstation)
-        box = page.locator("canvas[data-view=coronal]").bounding_box()
-        page.mouse.click(box["x"] + 0.3 * box["width"], box["y"] + 0.7 * box["height"])
-        workstation.wait_for("window.__carina.state.session.sight.crosshair_lps !== null")
-        assert_chips_are_outside(workstation)
-        workstation.picture(f"follow-{step}-{width}")
+    for size in SIZES:
+        resize(workstation, size)
+        for step in ("Check", "Target"):
+            page.get_by_role("button", name=step, exact=True).first.click()
+            page.keyboard.press("c")
+            workstation.wait_for("window.__carina.state.session.sight.crosshair_lps === null")
+            assert_chips_are_outside(workstation)
+            box = page.locator("canvas[data-view=coronal]").bounding_box()
+            page.mouse.click(box["x"] + 0.3 * box["width"], box["y"] + 0.7 * box["height"])
+            workstation.wait_for("window.__carina.state.session.sight.crosshair_lps !== null")
+            assert_chips_are_outside(workstation)
+            workstation.picture(f"follow-{step}-{size[0]}")
 
 
 def assert_chips_are_outside(workstation) -> None:
@@ -94,6 +109,7 @@ def test_voxel_value_under_a_still_pointer_is_updated_when_the_slice_moves(serve
     workstation.open(server)
     workstation.wait_ready()
     page, centre = workstation.page, cached_phantom(**CHEST).truth["nodule"]["centre_lps"]
+    show_slices_at(workstation, [centre[0], centre[1], centre[2] + 12.0])
     page.mouse.move(*place_in_slice(workstation, "axial", centre))
     workstation.wait_for("window.__carina.state.probed !== null")
     shown = page.get_by_test_id("cursor")
@@ -111,24 +127,10 @@ def test_voxel_value_under_a_still_pointer_is_updated_when_the_slice_moves(serve
     assert workstation.faults == []
 
 
-SIZES = [(1440, 900), (1920, 1080), (1280, 720)]
-
-
-def open_at(server, workstation, size: tuple[int, int]) -> None:
-    """Open the chest in a window of a size."""
-    workstation.page.set_viewport_size({"width": size[0], "height": size[1]})
-    workstation.open(server)
-    workstation.wait_ready()
-
-
 def mark_nodule(workstation) -> None:
-    """Mark the nodule in the axial slice, and wait for its routes."""
-    page, centre = workstation.page, cached_phantom(**CHEST).truth["nodule"]["centre_lps"]
-    page.get_by_role("button", name="Target", exact=True).first.click()
-    page.get_by_test_id("arm-target").click()
-    scroll_to(workstation, centre)
-    page.mouse.click(*place_in_slice(workstation, "axial", centre))
-    workstation.wait_for("window.__carina.state.plans.targets[0].routes.length > 0")
+    """Add the nodule as a target by its coordinates, which give the same plan in all tests, and wait for its routes."""
+    add_target(workstation, cached_phantom(**CHEST).truth["nodule"]["centre_lps"])
+    workstation.wait_for("window.__carina.state.plans.targets[0]?.routes.length > 0")
 
 
 def area(workstation, view: str) -> float:
@@ -136,27 +138,29 @@ def area(workstation, view: str) -> float:
     return box["width"] * box["height"]
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_slices_are_enlarged_while_a_target_is_chosen(server, workstation, size):
-    open_at(server, workstation, size)
+def test_slices_are_enlarged_while_a_target_is_chosen_in_any_window_size(server, workstation):
+    open_at(server, workstation, SIZES[0])
     page = workstation.page
-    before = {view: area(workstation, view) for view in ("axial", "coronal", "sagittal", "airway")}
-    page.get_by_role("button", name="Target", exact=True).first.click()
-    workstation.refreshes(2)
-    for view, least in (("axial", 3.0), ("coronal", 1.05), ("sagittal", 1.05)):
-        assert area(workstation, view) > least * before[view], view
-    tools = page.get_by_role("toolbar", name="Airway view")
-    shown_px, needed_px = tools.evaluate("(bar) => [bar.clientWidth, bar.scrollWidth]")
-    assert needed_px <= shown_px
-    workstation.wait_still()
-    workstation.picture(f"target-slices-{size[0]}")
-    page.get_by_role("button", name="Airways", exact=True).first.click()
-    workstation.refreshes(2)
-    assert {view: area(workstation, view) for view in before} == before
+    for size in SIZES:
+        resize(workstation, size)
+        before = {view: area(workstation, view) for view in ("axial", "coronal", "sagittal", "airway")}
+        page.get_by_role("button", name="Target", exact=True).first.click()
+        workstation.refreshes(2)
+        for view, least in (("axial", 3.0), ("coronal", 1.05), ("sagittal", 1.05)):
+            assert area(workstation, view) > least * before[view], (size, view)
+        tools = page.get_by_role("toolbar", name="Airway view")
+        shown_px, needed_px = tools.evaluate("(bar) => [bar.clientWidth, bar.scrollWidth]")
+        assert needed_px <= shown_px, size
+        workstation.wait_still()
+        workstation.picture(f"target-slices-{size[0]}")
+        page.get_by_role("button", name="Airways", exact=True).first.click()
+        workstation.refreshes(2)
+        assert {view: area(workstation, view) for view in before} == before, size
     assert workstation.faults == []
 
 
-@pytest.mark.parametrize("size", SIZES)
+# The layout of the answer changes between 1280 and 1920 px; test_plan.py prints a plan at 1440 px.
+@pytest.mark.parametrize("size", [pytest.param(SIZES[0], marks=pytest.mark.soak), *SIZES[1:]])
 def test_verdict_of_a_plan_is_shown_above_its_details_and_printed(server, workstation, size):
     open_at(server, workstation, size)
     page, wide = workstation.page, size[0] >= 1600
@@ -233,9 +237,9 @@ def test_flight_controls_measure_distances_from_the_same_origin_as_the_plan(serv
 def test_text_at_the_cursor_states_what_a_click_would_mark_as_target(server, workstation):
     open_at(server, workstation, SIZES[0])
     page, centre = workstation.page, cached_phantom(**CHEST).truth["nodule"]["centre_lps"]
+    show_slices_at(workstation, centre)
     page.get_by_role("button", name="Target", exact=True).first.click()
     page.get_by_test_id("arm-target").click()
-    scroll_to(workstation, centre)
     place = place_in_slice(workstation, "axial", centre)
     page.mouse.move(*place)
     workstation.wait_for("window.__carina.state.targetMark?.sentences.length > 0")

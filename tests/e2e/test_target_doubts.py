@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_plan import place_in_slice, scroll_to
+from page_positions import show_slices_at
+from test_plan import place_in_slice
 
 import carina
 from cached_test_data import cached_phantom
@@ -35,9 +36,9 @@ def test_doubtful_target_is_planned_only_after_the_user_confirms_it(server, work
     workstation.open(server)
     workstation.wait_ready()
     page, centre = workstation.page, cached_phantom(**CHEST).truth["nodule"]["centre_lps"]
+    show_slices_at(workstation, centre)
     page.get_by_role("button", name="Target", exact=True).first.click()
     page.get_by_test_id("arm-target").click()
-    scroll_to(workstation, centre)
     page.mouse.click(*place_in_slice(workstation, "axial", centre))
     lesion = page.get_by_test_id("lesion")
     lesion.wait_for()

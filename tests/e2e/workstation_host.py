@@ -2,10 +2,12 @@
 
 Each workstation has a separate session, server and port, as new as after ``carina demo``, with the real volumes,
 renderers and parts. Only results that take seconds and never differ are cached between workstations: imports, the
-volume of the demo, the airways that are found in it on opening, and their measures.
+volumes of the demos and of shared files, and for these volumes the airways that are found on opening, their measures
+and wall, the plans of equal targets, and their C-arm angles.
 
 ``{"open": {"demo": "phantom"}}`` is answered by ``{"number": 1, "url": URL}``, ``{"close": 1}`` by ``{"closed": 1}``,
-and an error by ``{"error": TEXT}``. The process ends at the end of its input.
+and an error by ``{"error": TEXT}``. ``{"open": {"path": PATH, "is_shared": true}}`` opens a shared file, which never
+changes. The process ends at the end of its input.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ from __future__ import annotations
 import importlib
 import itertools
 import json
+import pickle
 import sys
 import threading
 import time
@@ -43,7 +46,7 @@ from carina.session import CaseRecords, LocalStore, Session, case_files
 from carina.session.engines import Parts, default_parts
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from cached_test_data import cached_value, found_airways
+from cached_test_data import cached_value, found_airways, name_of
 
 STARTS_S = 120.0
 OPENS_S = 600.0
@@ -94,10 +97,12 @@ class SteadyBudget(pacing.FrameBudget):
 
 
 class Kept:
-    """Parts of a real session, with a cache of the results that are computed for a demo."""
+    """Parts of a real session, with a cache of the results that are computed for a demo or a shared file."""
 
     def __init__(self) -> None:
         self._real = default_parts()
+        self.shared_paths: set[str] = set()
+        """Paths of files that never change, whose volumes are cached."""
         self._values: dict[tuple[object, ...], Any] = {}
         self._lock = threading.Lock()
         """Lock of the cache. Cached values are never released, so no other object can get the ID of a cached one."""
@@ -115,6 +120,11 @@ class Kept:
     def _holds(self, value: Any) -> bool:
         with self._lock:
             return any(stored is value for stored in self._values.values())
+
+    def open_volume(self, path: str, progress: Any, cancel: Any) -> Any:
+        if path not in self.shared_paths:
+            return self._real.open_volume(path, progress, cancel)
+        return self._kept(("file", path), lambda: self._real.open_volume(path, progress, cancel))
 
     def open_demo(self, name: str, progress: Any, cancel: Any) -> Any:
         return self._kept(("demo", name), lambda: self._real.open_demo(name, progress, cancel))
@@ -139,24 +149,53 @@ class Kept:
         measure = self._real.measure_tree
         if not self._holds(airways):
             return measure(volume, airways, **options)
-        # The measurement takes six seconds of processor time; the hosts of all workers share the result. There are two
-        # demos.
-        name = f"measures of the demo with {len(airways.tree)} branches"
+        # The measurement takes six seconds of processor time; the hosts of all workers share the result.
+        name = f"measures of {name_of(volume)}"
         return self._kept(
             ("measures", id(airways)),
             lambda: cached_value(name, lambda: measure(volume, airways, **options)),
         )
 
+    def wall_field(self, volume: Any, airways: Any, **options: Any) -> Any:
+        def make() -> Any:
+            return self._real.wall_field(volume, airways, **options)
+
+        return self._kept(("wall", id(airways)), make) if self._holds(airways) else make()
+
+    def plan_route(self, volume: Any, airways: Any, target: Any, **options: Any) -> Any:
+        def make() -> Any:
+            return self._real.plan_route(volume, airways, target, **options)
+
+        wall, measures = options.get("wall"), options.get("measures")
+        if not all(self._holds(one) for one in (airways, wall, measures)):
+            return make()
+        # A later plan of an equal target is the same object, and the product repeats no drive along its routes.
+        unused = {"wall", "measures", "progress", "cancel"}
+        rest = {name: value for name, value in options.items() if name not in unused}
+        return self._kept(("plan", id(airways), pickle.dumps((target, rest))), make)
+
+    def carm_angles(self, volume: Any, airways: Any, plan: Any, *, route_number: int, **options: Any) -> Any:
+        def make() -> Any:
+            return self._real.carm_angles(volume, airways, plan, route_number=route_number, **options)
+
+        is_held = self._holds(airways) and self._holds(plan)
+        return self._kept(("C-arm", id(airways), id(plan), route_number), make) if is_held else make()
+
     def parts(self) -> Parts:
         """Return the parts of a session, which use the cached results."""
         return replace(
             self._real,
+            open_volume=self.open_volume,
             open_demo=self.open_demo,
             quality_words=self.quality_words,
             find_airways=self.find_airways,
             measure_tree=self.measure_tree,
-            # Other tests check the results of the drives, so this search for all instruments is short.
+            wall_field=self.wall_field,
+            plan_route=self.plan_route,
+            carm_angles=self.carm_angles,
+            # Other tests check the results of the drives, so these searches for all instruments are short.
             judge_scopes=partial(self._real.judge_scopes, effort=2000.0),
+            judge_pairs=partial(self._real.judge_pairs, effort=2000.0),
         )
 
 
@@ -247,6 +286,9 @@ def open_workstation(
     cache: Kept, stack: ExitStack, home: str, demo: str | None, path: str | None, **options: Any
 ) -> str:
     """Assemble a workstation as ``carina.server.serve`` does, and return its start URL; ``stack`` closes it."""
+    if options.get("is_shared"):
+        assert path is not None
+        cache.shared_paths.add(path)
     sock = stack.enter_context(PORTS.bind())
     gate = Gate(host="127.0.0.1", port=sock.getsockname()[1])
     slow_file = options.get("slow_file")
