@@ -283,7 +283,8 @@ def render(
     view: Annotated[
         str | None,
         typer.Option(
-            help="View to render: airway (default), cut-plane, axial, tree, ...; any unknown name lists them all."
+            help="View to render: airway (default), cut-plane, axial, tree, ..., or xray-set for the three X-rays "
+            "side by side; any unknown name lists the others."
         ),
     ] = None,
     at: Annotated[

@@ -16,6 +16,7 @@ from carina.cli.arguments import check_needs, check_output_file, parse_point
 from carina.cli.console import interruptible, print_json, print_note, progress_printer
 from carina.cli.opened import OpenedInput, check_case_options, open_input
 from carina.cli.optics import OpticsOptions
+from carina.cli.xray_set import XRAY_SET, write_xray_set
 from carina.config import load_settings
 from carina.disk import open_regular_text
 from carina.errors import CarinaError, UsageError, VolumeImportError
@@ -168,6 +169,42 @@ def report(
     ct: Path | None = None,
 ) -> int:
     """Render one image and write it as PNG; with ``surface``, also write the wall points of its pixels."""
+    if view == XRAY_SET:
+        check_needs(
+            f"other views; the view is {view!r}",
+            look=look,
+            up=up,
+            fov=fov_deg,
+            method=method != "leap",
+            step_vox=step_vox != STEP_VOX,
+            transfer=transfer,
+            shading=shading is not None,
+            texture=texture is not None,
+            orbit=orbit,
+            surface=surface,
+            tree=tree,
+            to=to,
+            turn=turn_deg != 0.0,
+            carm_primary=carm_deg[0] != 0.0,
+            carm_secondary=carm_deg[1] != 0.0,
+            tone=tone != "radiograph",
+            slab=slab,
+            scope=seen.scope,
+            lens=seen.lens,
+            outline=seen.outline,
+            vignette=seen.vignette,
+            focus=seen.focus,
+        )
+        return write_xray_set(
+            path,
+            output=output,
+            at=at,
+            size=size,
+            window=_window(window),
+            series=series,
+            ct=ct,
+            as_json=as_json,
+        )
     check_output_file(output, ".png")
     if surface is not None:
         check_output_file(surface, ".npz", what="--surface")

@@ -52,6 +52,7 @@ from carina.render.views import (
     View,
     XrayView,
 )
+from carina.render.xray_set import XRAY_AXES, XraySet, render_xray_set
 
 __all__ = [
     "CELLS",
@@ -60,6 +61,7 @@ __all__ = [
     "PRESETS",
     "VIEWS",
     "VIEW_NAMES",
+    "XRAY_AXES",
     "Adapter",
     "AdapterMeasurement",
     "AirwayView",
@@ -102,6 +104,7 @@ __all__ = [
     "ViewName",
     "ViewRow",
     "ViewSettings",
+    "XraySet",
     "XrayView",
     "build_info",
     "build_isoregion_map",
@@ -121,6 +124,7 @@ __all__ = [
     "read_png_pose",
     "render_surface",
     "render_view",
+    "render_xray_set",
     "reserved_thread",
     "sample_plane",
     "transfer_from_histogram",
