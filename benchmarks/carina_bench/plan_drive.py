@@ -21,8 +21,9 @@ from carina.plan import place_at_start, replay_moves, search_drive
 from carina.plan.routes.last_leg import LastLeg
 from carina.plan.routes.main_carina import ROOT
 from carina.plan.routes.plan_route import PlannedRoute
+from carina.plan.routes.ranking import BEND_SIGMA_DEG
 from carina.plan.routes.route_width import DEVIATIONS_90, EXCESS_SIGMA_MM, RouteWidth
-from carina.plan.verdict.checks import BEND_SIGMA_DEG, bend_check, diameter_check
+from carina.plan.verdict.checks import bend_check, diameter_check
 from carina.plan.verdict.drive_route import DriveWay
 from carina.plan.verdict.lever import lever_check
 from carina.scopes import FIT_MARGIN_MM, ScopePreset, WallField, scope_preset

@@ -18,10 +18,10 @@ from carina.render.pictures import mark_tip
 from carina.render.renderer import Renderer
 from carina.render.views import Picture, XrayView
 from carina.volume import Note, Volume
-from carina.volume.anatomical_planes import PLANES, Plane
+from carina.volume.anatomical_planes import FRONT_LEFT_FEET, PLANES
 
-XRAY_AXES: tuple[Plane, ...] = ("coronal", "sagittal", "axial")
-"""Projections of the set, from left to right: from the front, from the patient's left, from the feet."""
+XRAY_AXES = FRONT_LEFT_FEET
+"""Projections of the set, from left to right."""
 _GAP = 4
 
 

@@ -52,9 +52,10 @@ class SearchTube:
     def inside(self, points_lps: Points) -> Mask:
         """Return (n,) whether the voxel of each (n, 3) point, LPS in mm, belongs to the tube."""
         ijk = np.rint(points_lps @ self.ijk_from_lps[:3, :3].T + self.ijk_from_lps[:3, 3]).astype(np.intp)
-        within = ((ijk >= 0) & (ijk < self.mask_zyx.shape[::-1])).all(axis=1)
+        within: Mask = np.all((ijk >= 0) & (ijk < np.array(self.mask_zyx.shape[::-1])), axis=1)
         i, j, k = np.where(within[:, None], ijk, 0).T
-        return within & self.mask_zyx[k, j, i]
+        found: Mask = within & self.mask_zyx[k, j, i]
+        return found
 
 
 def relaxed_path(volume: Volume, airways: Airways | None, nodes_lps: Points) -> Points:
@@ -87,7 +88,8 @@ def relaxed_path(volume: Volume, airways: Airways | None, nodes_lps: Points) -> 
     places = np.linspace(0.0, along[-1], len(resampled))[outside]
     resampled[outside] = relaxed[np.abs(along[None, :] - places[:, None]).argmin(axis=1)]
     is_new = np.append(True, (resampled[1:] != resampled[:-1]).any(axis=1))
-    return resampled[is_new]
+    distinct: Points = resampled[is_new]
+    return distinct
 
 
 def relaxed_in_tube(points: Points, tube: SearchTube) -> Points:
@@ -158,7 +160,7 @@ def tube_around(volume: Volume, airways: Airways | None, nodes_lps: Points) -> S
         mask |= inner & lumen
     i, j, k = np.rint(ijk - first).astype(int).T
     mask[k, j, i] = True
-    ijk_from_lps = whole_from_lps.copy()
+    ijk_from_lps = np.array(whole_from_lps, dtype=np.float64)
     ijk_from_lps[:3, 3] -= first
     return SearchTube(mask, ijk_from_lps)
 
@@ -220,7 +222,8 @@ def _values_at(volume: Volume, points: Points) -> NDArray[np.float64]:
     """Return the values of the voxels that contain points (..., 3), LPS in mm; outside the volume the nearest ones."""
     ijk = np.rint(volume.to_ijk(points.reshape(-1, 3))).astype(np.intp)
     i, j, k = np.clip(ijk, 0, np.array(volume.shape_zyx[::-1]) - 1).T
-    return volume.hu_zyx[k, j, i].astype(np.float64).reshape(points.shape[:-1])
+    values: NDArray[np.float64] = volume.hu_zyx[k, j, i].astype(np.float64)
+    return values.reshape(points.shape[:-1])
 
 
 def _directions(count: int) -> Points:
