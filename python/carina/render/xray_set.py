@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +17,14 @@ from carina.render import geometry
 from carina.render.picture_text import letter_edges
 from carina.render.pictures import mark_tip
 from carina.render.renderer import Renderer
+from carina.render.view_table import VIEWS
 from carina.render.views import Picture, XrayView
 from carina.volume import Note, Volume
-from carina.volume.anatomical_planes import FRONT_LEFT_FEET, PLANES
+from carina.volume.anatomical_planes import PLANES, Plane
 
-XRAY_AXES = FRONT_LEFT_FEET
-"""Projections of the set, from left to right."""
+_PREFIX = "xray-"
+XRAY_AXES = tuple(cast(Plane, name.removeprefix(_PREFIX)) for name in VIEWS if name.startswith(_PREFIX))
+"""Projections of the set, from left to right: from the front, from the patient's left, from the feet."""
 _GAP = 4
 
 

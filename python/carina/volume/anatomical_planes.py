@@ -8,8 +8,6 @@ from types import MappingProxyType
 from typing import Literal
 
 Plane = Literal["axial", "coronal", "sagittal"]
-FRONT_LEFT_FEET: tuple[Plane, ...] = ("coronal", "sagittal", "axial")
-"""Planes as seen from the front, from the patient's left and from the feet."""
 
 
 @dataclass(frozen=True, slots=True)
