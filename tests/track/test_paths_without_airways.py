@@ -92,7 +92,7 @@ def test_path_in_8_bit_data_follows_the_aorta_from_arch_to_abdomen(data_dir):
     assert "8 bits" in volume.not_hu_reason
     # Contrast medium is 115 to 140 of 255 in this CT, muscle below 60, lung 0: the path never leaves the vessel.
     assert [row.value_range[0] > 110 and row.value_range[1] < 150 for row in result.search.targets] == [True, True]
-    # The path of the search zigzags across the aorta; the relaxed one is nearly as short as lines between them.
+    # The path of the search zigzags across the aorta; the relaxed one is nearly as short as a line through the points.
     assert [round(row.search_length_mm) for row in result.search.targets] == pytest.approx([70, 145], abs=6)
     assert [round(target.path.length_mm) for target in result.targets] == pytest.approx([50, 106], abs=2)
 
