@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 from collections import Counter
+from collections.abc import Iterator
+from functools import cache
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -16,7 +20,7 @@ from carina.plan.reach_atlas import NOT, REACHES, STEP_MM, ReachAtlas, reach_atl
 from carina.plan.routes.needle_hits import ball_hit_shares, hit_share
 from carina.plan.routes.ranking import RANK
 from carina.scopes import ScopePreset, scope_preset
-from carina.track import measure_tree, wall_field
+from carina.track import TreeMeasures, measure_tree, wall_field
 
 CHEST = {"seed": 4, "spacing_mm": 1.5, "generations": 4}
 
@@ -28,9 +32,24 @@ def chest():
 
 
 @pytest.fixture(scope="module")
-def slim_atlas(chest) -> ReachAtlas:
+def measures(chest) -> TreeMeasures:
+    volume, airways, _ = chest
+    return measure_tree(volume, airways)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_lung_grid() -> Iterator[None]:
+    """Compute the grid of the lungs, with which every atlas of the chest begins, once."""
+    # The package exports a function with the name of the module.
+    module = importlib.import_module("carina.plan.reach_atlas")
+    with patch.object(module, "lung_box", cache(module.lung_box)):
+        yield
+
+
+@pytest.fixture(scope="module")
+def slim_atlas(chest, measures) -> ReachAtlas:
     volume, airways, wall = chest
-    return reach_atlas(volume, airways, scope=slim(), wall=wall)
+    return reach_atlas(volume, airways, scope=slim(), wall=wall, measures=measures)
 
 
 def slim() -> ScopePreset:
@@ -38,10 +57,9 @@ def slim() -> ScopePreset:
     return dataclasses.replace(scope_preset("ultrathin"), channel_mm=2.0)
 
 
-def test_reach_of_lung_regions_agrees_with_estimated_plans_for_targets_in_them(chest, slim_atlas) -> None:
+def test_reach_of_lung_regions_agrees_with_estimated_plans_for_targets_in_them(chest, measures, slim_atlas) -> None:
     volume, airways, wall = chest
     found = slim_atlas
-    measures = measure_tree(volume, airways)
     rng = np.random.default_rng(3)
     counts: Counter[tuple[int, int]] = Counter()
     for value in (NOT, REACHES):
@@ -81,27 +99,27 @@ def test_hit_shares_computed_for_a_ball_equal_those_of_a_ball_shaped_nodule() ->
         assert share == pytest.approx(hit_share(ball, tip, aim, reach_mm, NeedleErrors()), abs=0.04), (distance, angle)
 
 
-def test_scope_with_a_long_rigid_tip_reaches_less_of_the_lungs(chest, slim_atlas) -> None:
+def test_scope_with_a_long_rigid_tip_reaches_less_of_the_lungs(chest, measures, slim_atlas) -> None:
     volume, airways, wall = chest
     stiff = dataclasses.replace(slim(), rigid_tip_mm=30.0)
-    rigid = reach_atlas(volume, airways, scope=stiff, wall=wall)
+    rigid = reach_atlas(volume, airways, scope=stiff, wall=wall, measures=measures)
     assert 0.0 < rigid.reached_ml < 0.7 * slim_atlas.reached_ml
 
 
-def test_atlas_of_a_tool_that_does_not_pass_the_channel_is_empty_and_states_why(chest) -> None:
+def test_atlas_of_a_tool_that_does_not_pass_the_channel_is_empty_and_states_why(chest, measures) -> None:
     volume, airways, wall = chest
-    found = reach_atlas(volume, airways, scope="ultrathin", wall=wall)
+    found = reach_atlas(volume, airways, scope="ultrathin", wall=wall, measures=measures)
     assert found.why is not None and "does not fit the working channel" in found.why
     assert found.reached_ml == 0.0 and max(found.tip_mm.values()) > 0.0
-    brush = reach_atlas(volume, airways, scope="ultrathin", tool="brush", wall=wall)
+    brush = reach_atlas(volume, airways, scope="ultrathin", tool="brush", wall=wall, measures=measures)
     assert brush.why is None and 0.0 < brush.reached_ml < brush.lung_ml
 
 
-def test_thinner_scope_or_longer_tool_reaches_at_least_as_much_of_the_lungs(chest, slim_atlas) -> None:
+def test_thinner_scope_or_longer_tool_reaches_at_least_as_much_of_the_lungs(chest, measures, slim_atlas) -> None:
     volume, airways, wall = chest
     thin = slim_atlas
-    thick = reach_atlas(volume, airways, scope="therapeutic", wall=wall)
-    far = reach_atlas(volume, airways, scope=slim(), tool="needle-21g-long", wall=wall)
+    thick = reach_atlas(volume, airways, scope="therapeutic", wall=wall, measures=measures)
+    far = reach_atlas(volume, airways, scope=slim(), tool="needle-21g-long", wall=wall, measures=measures)
     assert all(thin.tip_mm[b] >= mm for b, mm in thick.tip_mm.items())
     assert thick.reached_ml < thin.reached_ml <= far.reached_ml <= far.lung_ml
     assert (far.reach_zyx >= thin.reach_zyx).all()

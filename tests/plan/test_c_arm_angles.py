@@ -181,9 +181,14 @@ def stored_otherwise(made: Volume, turn_deg: float, *, is_flipped: bool) -> Volu
     return Volume(hu.astype(np.int16), matrix)
 
 
+def coarse(made: Volume) -> Volume:
+    """Return every second voxel of a volume along each axis, because spine and mediastinum are found on a 3 mm grid."""
+    return Volume(np.ascontiguousarray(made.hu_zyx[::2, ::2, ::2]), made.lps_from_ijk @ np.diag([2.0, 2.0, 2.0, 1.0]))
+
+
 @pytest.mark.parametrize(("turn_deg", "is_flipped"), [(0.0, True), (12.0, False)], ids=["mirrored", "oblique"])
 def test_grid_of_the_ct_does_not_change_the_side_of_the_angles(turn_deg: float, is_flipped: bool) -> None:
-    made = stored_otherwise(chest(), turn_deg, is_flipped=is_flipped)
+    made = stored_otherwise(coarse(chest()), turn_deg, is_flipped=is_flipped)
     assert (np.linalg.det(made.lps_from_ijk[:3, :3]) < 0.0) == is_flipped
     found = carm_angles(made, airways(), plan())
     assert found.angles

@@ -90,10 +90,14 @@ def chest(tmp_path_factory: pytest.TempPathFactory) -> Chest:
     return Chest(opened, found_airways(opened), path, as_point(nodule), as_point(dense), tuple(found[:30]))
 
 
+@pytest.fixture(scope="module")
+def wall(chest: Chest) -> carina.WallField:
+    return carina.wall_field(chest.volume, chest.airways)
+
+
 @pytest.fixture(autouse=True)
-def quick(chest: Chest, monkeypatch: pytest.MonkeyPatch) -> None:
+def quick(chest: Chest, wall: carina.WallField, monkeypatch: pytest.MonkeyPatch) -> None:
     """Search for airways and their wall once, drive along no route, and judge no instrument."""
-    wall = carina.wall_field(chest.volume, chest.airways)
     monkeypatch.setattr(carina, "find_airways", lambda _volume, **_options: chest.airways)
     monkeypatch.setattr(carina, "wall_field", lambda _volume, _airways, **_options: wall)
     monkeypatch.setattr(carina, "plan_route", partial(carina.plan_route, drives=0))

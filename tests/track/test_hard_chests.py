@@ -182,7 +182,7 @@ def test_part_of_the_trachea_is_sufficient_for_the_search_and_a_chest_without_ai
     assert "root" in str(caught.value)
 
 
-@pytest.fixture(scope="module", params=[1, 2, 3])
+@pytest.fixture(scope="module", params=[1, *(pytest.param(seed, marks=pytest.mark.soak) for seed in (2, 3))])
 def any_made(request) -> Phantom:
     return cached_phantom(seed=request.param, spacing_mm=SPACING_MM, generations=4, noise_hu=20.0)
 
