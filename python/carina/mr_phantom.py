@@ -20,7 +20,7 @@ __all__ = ["generate_mr_phantom"]
 # Spoiled gradient echo with an ultrashort echo time, as for MR of the lung: repetition time and echo time in ms, flip
 # angle in degrees.
 REPETITION_MS, ECHO_MS, FLIP_DEG = 4.0, 0.05, 5.0
-# T1 and T2* in ms at 1.5 T. Lung: T2* of a full breath (Theilmann et al., J Magn Reson Imaging 2009). Muscle stands for
+# T1 and T2* in ms at 1.5 T. Lung: T2* of a full breath (PMC3354915). Muscle stands for
 # all soft tissue.
 SOFT_T1_MS, SOFT_T2_MS = 870.0, 30.0
 LUNG_T1_MS, LUNG_T2_MS = 1200.0, 1.2
