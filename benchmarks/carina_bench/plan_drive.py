@@ -128,8 +128,8 @@ def drive_in_a_tube(rng: np.random.Generator, kind: str) -> TubeDrive:
         true_room_mm = room_mm + rng.normal(0.0, ROOM_SHARE * SPACING_MM)
         driven = replace(scope, tip_mm=scope.tip_mm + FIT_MARGIN_MM + rng.normal(0.0, EXCESS_SIGMA_MM))
         radius_mm = 0.5 * true_room_mm
-        # The field gives the axis of a narrow tube up to 0.4 mm too narrow between its samples, so the tube is widened
-        # until the field has the drawn width.
+        # Between its samples, the wall field makes a narrow tube up to 0.4 mm too narrow, so the tube is widened
+        # until its width in the field is the drawn width.
         for _ in range(3):
             _, field, _ = _tube(radius_mm, bend_deg, bend_radius_mm)
             way = DriveWay(tree, _route(1, points[-16], 0.5 * (len(points) - 16)), field)

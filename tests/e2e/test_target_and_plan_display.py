@@ -190,7 +190,7 @@ def test_verdict_of_a_plan_is_shown_above_its_details_and_printed(server, workst
     with page.context.expect_page() as opened:
         page.get_by_test_id("print-plan").click()
     opened.value.close()
-    # A view in full size hides the answer.
+    # A view in full size hides the region with the answer for the target.
     page.keyboard.press("Escape")
     cell(workstation, "axial").get_by_role("button", name="Full view").click()
     assert answer.count() == 0

@@ -159,8 +159,8 @@ pub(crate) fn cell_rings() -> &'static [Vec<CellRing>] {
 
 /// Return the surface of the lumen voxels (`lumen` is not 0) as a closed mesh.
 ///
-/// `levels` is `None` for a lumen that was not found in these values (an imported mask); the surface is then half-way
-/// between voxels. At the volume's faces, beyond which no values exist, the mesh is closed half a voxel further out.
+/// `levels` are the values of air and wall with which the search found the lumen in `values`; with `None` (an imported
+/// mask) the surface is half-way between voxels. At the volume's faces, beyond which no values exist, the mesh is closed half a voxel further out.
 ///
 /// # Errors
 ///

@@ -24,7 +24,7 @@ static RESERVATIONS: Mutex<Reservations> = Mutex::new(Reservations {
     pool: None,
 });
 
-/// Clock of the pool with all threads of the machine, whose threads never end.
+/// Clock of processor time for the pool with all threads of the machine; the threads of this pool never end.
 static ALL: LazyLock<PoolClock> = LazyLock::new(|| {
     let clock = PoolClock::new(rayon::current_num_threads());
     let clock_of_thread = clock.clone();

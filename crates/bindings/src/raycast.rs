@@ -76,7 +76,7 @@ struct TransferTable {
 }
 
 impl TransferTable {
-    /// Return the step table for classes that are given by one value of each class.
+    /// Return the segment table of the classes; `class_values` contains one value of each class.
     fn segments(&self, class_values: &[i32]) -> Arc<SegmentTable> {
         let mut cached = self.segments.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((values, table)) = cached.as_ref()

@@ -86,7 +86,7 @@ impl<'a> Field<'a> {
         }
     }
 
-    /// Return the cell that contains a point, clamped to the volume.
+    /// Return the cell that contains a point in voxel coordinates (i, j, k), clamped to the volume.
     #[inline(always)]
     pub(crate) fn cell(&self, p: Lanes) -> Cell {
         let x = clamp(p, self.last);

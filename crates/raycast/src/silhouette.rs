@@ -75,9 +75,9 @@ impl<'a> DepthRows<'a> {
 
 /// Compute the inverse depth of each pixel of a row, in ray steps; 0 for a ray that meets no wall.
 ///
-/// A wall within the first step touches the lens. Pixels outside the outline of a scope's picture have no ray and are
+/// A depth below one step counts as one step, so the largest result is 1. Pixels outside the outline of a scope's picture have no ray and are
 /// not at a wall's edge: they get NaN, for which every comparison is false. This function and the functions that mark
-/// pixels have no closures and no branches, so that the compiler vectorises them with the caller's instructions.
+/// pixels have no closures and no branches, so that the compiler vectorises them with the instruction set of the caller.
 #[inline(always)]
 fn inverses(frame: &Frame<'_>, depths: &[f32], row: usize, out: &mut [f32]) {
     let count = out.len().min(depths.len());

@@ -237,7 +237,7 @@ def _rows(airways: Airways, measures: TreeMeasures) -> list[dict[str, Any]]:
 
 
 def _width(row: TreeRow, measures: TreeMeasures) -> str:
-    """Return the range of diameters of a row as text: "3.1 to 4.0", or one number if both ends round to the same."""
+    """Return the range of diameters of a row as text, such as "3.1 to 4.0 mm wide"; another text if none is known."""
     found = [measures.of(branch.id).summary.mean_mm for branch in row.branches]
     known = [f"{mm:.1f}" for mm in sorted(mm for mm in found if mm is not None)]
     if not known:

@@ -15,7 +15,7 @@ class Processor(FrozenValue, frozen=True):
 
 
 class Machine(Processor, frozen=True):
-    """Machine that renders pictures, as shown to the user."""
+    """Machine that renders pictures, with the host name that the user sees."""
 
     host: Words
 

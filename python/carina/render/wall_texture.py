@@ -155,7 +155,11 @@ class _Tube:
     parts: Floats
     """(n, 4) strengths of the decoration at each point: rings, proximal, membrane, regular."""
     end: Floats
-    """(4,) last row of ``parts``, before the reduction for doubtful branches; the child branches start with it."""
+    """Strengths (4,) of the decoration at the end of the branch, before doubtful branches are faded.
+
+    They are those of rings, of the central airways, of the membranous wall and of regular distances; the child branches
+    begin with them.
+    """
     id: int
     parent: int | None
 

@@ -273,5 +273,5 @@ def _modality_values(
 
 
 def read_slice(header: SliceHeader) -> NDArray[np.float64] | NDArray[np.int32]:
-    """Return only the values of a slice; see ``decode_slice``."""
+    """Return the rescaled values of a slice as `decode_slice` does, without the doubts about them."""
     return decode_slice(header).numbers

@@ -4,7 +4,7 @@ import { uploadProblem } from "./upload";
 const file = (name: string, size: number) => ({ name, file: { size } });
 
 describe("uploadProblem", () => {
-  it("It returns an error for no files, too many files, a file that is too large, and a total that is too large.", () => {
+  it("An upload of no files, of too many files, of a file that is too large, or with a total that is too large is refused.", () => {
     expect(uploadProblem([])?.code).toBe("upload.empty");
     expect(uploadProblem(Array.from({ length: 4097 }, (_, n) => file(`${n}`, 1)))?.code).toBe("upload.too-many");
     expect(uploadProblem([file("a", 3 * 2 ** 30)])?.message).toContain("a is 3.0 GiB");

@@ -66,7 +66,7 @@ describe("penMessage", () => {
 });
 
 describe("pathText", () => {
-  it("The text of a path with another cost states the values along it and the length outside the lumen.", () => {
+  it("The text of a path with a cost other than lumen states its range of values and its length outside the lumen.", () => {
     expect(pathText(TARGET, false)).toBe(
       "139\u202fmm from the start, cost walls, not compared with a lumen, values 116 to 140",
     );

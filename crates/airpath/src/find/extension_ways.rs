@@ -36,8 +36,9 @@ const AROUND_MM: f64 = 8.0;
 ///
 /// The limit prevents that one bright wall compensates for a long part without wall.
 const MAX_GAIN: f64 = 3.0;
-/// Loss of gain after which a path in divided slices ends, in thresholds of the enclosure times mm.
+/// Largest fall of a path's gain below its maximum in divided slices, in thresholds of the enclosure times mm.
 ///
+/// A path ends after a larger fall. The gain is the sum of the evidence of its voxels, which is negative in lung.
 /// An airway farther on does not belong to this path (docs/decisions/0112).
 const MAX_LOSS_MM: f64 = 12.0;
 

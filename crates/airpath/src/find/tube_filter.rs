@@ -14,9 +14,9 @@ use carina_grid::{Grid, InstructionSet};
 const NUM_DIRECTIONS: usize = 64;
 /// Number of sides round the axis of a piece.
 pub(crate) const NUM_SIDES: usize = 8;
-/// Number of positions along a piece.
+/// Number of sampled positions along a piece of tube.
 const NUM_ALONG: usize = 7;
-/// Distance between the positions along a piece, mm.
+/// Distance between the sampled positions along a piece of tube, mm.
 const STEP_MM: f64 = 0.75;
 /// Distances from the axis at which the crest of the wall is searched, mm: those of thin lumens, blurred.
 ///

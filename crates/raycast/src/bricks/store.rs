@@ -30,7 +30,7 @@ const BUSY: i32 = -1;
 /// Table entry of a brick that cannot be stored.
 const UNFIT: i32 = -2;
 
-/// Cache of bricks that can compute the contents of a brick.
+/// Interface of a cache of bricks (cubes of voxels that are stored together), which computes a brick at its first use.
 pub(crate) trait Fill {
     fn store(&self) -> &Store;
     /// Fill a brick if it is not yet filled; return false if it cannot be stored.

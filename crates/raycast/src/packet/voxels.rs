@@ -78,7 +78,7 @@ impl<'a> Voxels<'a> {
         })
     }
 
-    /// Return the volume with reads of values and gradients from the bricks of the frame's volume, if there are any.
+    /// Return a copy that reads values and gradients from the bricks of the frame, or from the volume without bricks.
     pub(super) fn reading(self, frame: &'a Frame<'a>) -> Self {
         let bricks = frame.samples.as_deref();
         let samples = bricks.map(|bricks| Reader::of(&frame.field, bricks));

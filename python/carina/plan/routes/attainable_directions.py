@@ -27,7 +27,7 @@ SMOOTH_MM = 4.0
 CUT_MM = 10.0
 """Length in mm at the start of the tree whose widths are ignored, because the CT may cut the trachea there."""
 PATH_STEP_MM, WIDEST_MM = 0.5, 12.0
-"""Step, and largest distance from the centreline, in mm of the search for the wall beside a standing place."""
+"""Step and largest distance from the centreline, both in mm, of the search for the wall beside the scope's tip."""
 MIN_SIDE_MM, NEAR_MM = 0.1, 0.5
 """Least distances in mm of an aim from the airway's axis and from the tip; nearer aims have the axis's direction."""
 RIGID_STEP_MM = 1.0

@@ -516,7 +516,7 @@ def draft_plan(
         )
 
         def with_figures(route: PlannedRoute) -> PlannedRoute:
-            """Return a route with its predictors and the widths of its openings."""
+            """Return a route with its predictors (such as the angle of its last fork) and the widths of openings."""
             at = airways.tree, route.branch_id, route.along_mm
             spacing_mm, start = max(volume.spacing_mm), route.origin
             return replace(

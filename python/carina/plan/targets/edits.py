@@ -252,7 +252,7 @@ def _point_in(volume: Volume, at_lps: ArrayLike) -> Place:
 
 
 def _points_in(volume: Volume, centres_lps: ArrayLike) -> Place:
-    """Return centres (n, 3) from one centre (3,) or several (n, 3); raise an error if one is outside the CT."""
+    """Return one point (3,) or several (n, 3), LPS mm, as an array (n, 3); reject points outside the CT."""
     try:
         centres = np.asarray(centres_lps, dtype=np.float64).reshape(-1, 3)
     except (TypeError, ValueError):

@@ -66,7 +66,7 @@ class SliceShare:
 
 
 def slice_share(outlines: Sequence[SliceOutline], shape: tuple[int, int], *, centred: bool) -> SliceShare:
-    """Compute the shares of the voxels of one slice.
+    """Compute the share of each voxel of a slice that is inside the outlines, 0 to 1.
 
     Outlines of the same boundary are averaged. A nested outline is a hole, an outline nested in a hole is an island,
     and other outlines are united.
@@ -76,7 +76,7 @@ def slice_share(outlines: Sequence[SliceOutline], shape: tuple[int, int], *, cen
     shape
         Rows and columns.
     centred
-        Whether the outlines run through the centres of voxels, whose voxels are then inside.
+        Whether the outlines run through the centres of the outermost voxels, which then count as inside.
 
     Raises
     ------

@@ -166,7 +166,7 @@ class RouteJudge:
         return self.driven(scope, figures, self.drive(figures.driven_as))
 
     def tip_of(self, scope: ScopePreset) -> NDArray[np.float64] | None:
-        """Return the (4, 4) pose of an instrument's tip after its drive; None if no drive has arrived."""
+        """Return the pose (4, 4), LPS mm, of an instrument's tip after its drive; None if no drive is cached."""
         driven_as = self.figures(scope).driven_as
         known = None if driven_as is None else _DRIVES.get(self._route, {}).get(self._inputs(driven_as))
         return None if known is None else known[1].lps_from_tip

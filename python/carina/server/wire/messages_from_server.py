@@ -501,7 +501,7 @@ class PictureOutline(FrozenValue, frozen=True):
 
     num_bytes: Annotated[int, Meta(ge=0, le=MAX_OUTLINE_BYTES)]
     complete: bool
-    """False if the shape is too ragged for an outline, which is then left out."""
+    """Whether the outline is sent; false if the lumen is too irregular for an outline."""
 
 
 class PictureLayer(PictureOutline, frozen=True):

@@ -660,7 +660,7 @@ class Autosave(CommandHandlers):
             raise CarinaError(saver.info.problem or NOT_RESPONDING, code="case.not-saved")
 
     @answers(c.FlightFileQuery)
-    def flight_to_take_away(self, question: c.FlightFileQuery) -> str:
+    def flight_file_text(self, question: c.FlightFileQuery) -> str:
         """Return the lines of a recorded flight.
 
         The call waits for the disk, so the caller must not hold the session's lock.

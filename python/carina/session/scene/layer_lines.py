@@ -36,7 +36,7 @@ class OutlineLines:
     data: bytes
     """Encoded outline (:meth:`carina.track.LumenOutline.encoded`)."""
     complete: bool
-    """Whether the outline is complete; False if the mask is too ragged for an outline."""
+    """Whether there is an outline; False if the mask is too irregular for one, and the message then contains none."""
 
 
 @one_line

@@ -56,7 +56,7 @@ class StoredCaseFile(Protocol):
 
 
 class CachedCtSource(Protocol):
-    """A cached CT, which opens faster."""
+    """Interface of an entry of the CT cache."""
 
     @property
     def digest(self) -> str:

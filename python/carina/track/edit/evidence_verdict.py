@@ -107,11 +107,11 @@ class LungBaseline:
     """Comparison values from the best paths through plain lung of the same CT, in the units of the volume."""
 
     rise: float
-    """Rise within 3 mm that a tenth of the sections through plain lung exceeds."""
+    """Rise within 3 mm that a tenth of the sections through plain lung exceeds, in units of the volume."""
     far_rise: float
-    """Rise within 8 mm that a tenth of the sections through plain lung exceeds."""
+    """Rise within 8 mm that a tenth of the sections through plain lung exceeds, in units of the volume."""
     bright: float
-    """Value that the middles of a quarter of the sections through plain lung exceed."""
+    """Value, in units of the volume, that the middles of a quarter of the sections through plain lung exceed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

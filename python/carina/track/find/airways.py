@@ -377,13 +377,13 @@ def _track_lumen(
 def _name_main_airways(branches: tuple[Branch, ...]) -> tuple[Branch, ...]:
     """Name the trachea and the main bronchi of a tree that is too small for further names.
 
-    The trunk is the trachea if it runs downwards for at least 20 mm and divides into two. The child that leads to the
-    patient's right (-x in LPS) is the right main bronchus.
+    The root branch is the trachea if it runs downwards for at least 20 mm and divides into two. The child that leads
+    to the patient's right (-x in LPS) is the right main bronchus.
     """
-    trunk = branches[0]
-    if len(trunk.children) != 2 or trunk.points[0][2] - trunk.points[-1][2] < 20.0:
+    root = branches[0]
+    if len(root.children) != 2 or root.points[0][2] - root.points[-1][2] < 20.0:
         return branches
-    one, two = (branches[child] for child in trunk.children)
+    one, two = (branches[child] for child in root.children)
 
     def side_mm(branch: Branch) -> float:
         # Mean position of the branch and everything below it: a main bronchus is short, but its lung is large.
@@ -391,13 +391,13 @@ def _name_main_airways(branches: tuple[Branch, ...]) -> tuple[Branch, ...]:
         for member in below:
             below.extend(branches[child] for child in member.children)
         points = np.concatenate([member.points for member in below])
-        return float(points[:, 0].mean() - trunk.points[-1][0])
+        return float(points[:, 0].mean() - root.points[-1][0])
 
     sides = {branch.id: side_mm(branch) for branch in (one, two)}
     right, left = sorted((one, two), key=lambda branch: sides[branch.id])
     if not sides[right.id] < -10.0 < 10.0 < sides[left.id] or min(len(right.children), len(left.children)) < 2:
         return branches
-    names = {trunk.id: "Trachea", right.id: "RMB", left.id: "LMB"}
+    names = {root.id: "Trachea", right.id: "RMB", left.id: "LMB"}
     return tuple(
         dataclasses.replace(branch, name=names[branch.id], name_from="anatomy") if branch.id in names else branch
         for branch in branches

@@ -14,7 +14,10 @@ Floats = NDArray[np.float64]
 BLOCK_MM = 2.0
 """Side length in mm of the blocks whose means are compared between two slices."""
 BESIDE_HU = 100.0
-"""Limit in HU above lung of compared blocks; these blocks contain vessels, but no thick tissue."""
+"""Largest mean of a compared block, in HU above the upper limit of lung.
+
+Blocks with vessels are below this value, blocks with thick tissue above.
+"""
 MIN_AREA_MM2 = 2000.0
 MIN_SHARE = 0.4
 """Least lung area of a compared slice, as a share of the largest area in the scan."""

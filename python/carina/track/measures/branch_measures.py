@@ -567,7 +567,7 @@ def _key(branch: Branch, tree: AirwayTree) -> bytes:
 
 
 def _has_same_inputs(old: BranchMeasures, new: BranchMeasures) -> bool:
-    """Return whether the inputs of a branch's summary and junctions are the same as before an edit."""
+    """Return whether a branch's summary and its sections at forks are the same before and after an edit."""
     return old.summary == new.summary and np.array_equal(old.at_junction, new.at_junction)
 
 

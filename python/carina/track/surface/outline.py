@@ -73,7 +73,7 @@ class LumenOutline:
         """Return the outline in the encoding of the wire (protocol/README.md, "Outlines").
 
         The lines are cut off at the edges of the picture, and points within a quarter of a pixel of one another are
-        merged. Returns None if the lumen is too ragged for an outline.
+        merged. Returns None if the lumen is too irregular for an outline.
         """
         return self._made().encoded(_matrix(lps_from_pixel), width=width, height=height)
 
