@@ -10,7 +10,7 @@ import pytest
 import SimpleITK as sitk
 
 import carina as product
-from carina.errors import GeometryError, VolumeImportError
+from carina.errors import VolumeImportError
 from carina.render import AirwayView, build_isoregion_map, isoregion_map, open_isoregion_map, transfer_preset
 from carina.scopes import Pose
 from carina.volume import write_grid
@@ -126,7 +126,8 @@ def _refusal(file, volume, transfer=None) -> str:
     with pytest.raises(VolumeImportError) as caught:
         open_isoregion_map(file, volume, transfer)
     assert caught.value.code == "import.isoregion-map"
-    assert str(caught.value).endswith(f"compute the map again with: carina isoregion SCAN -o {file.name}")
+    options = "" if transfer is None else f" --transfer {transfer.name}"
+    assert str(caught.value).endswith(f"compute the map again with: carina isoregion SCAN -o {file.name}{options}")
     return str(caught.value)
 
 
@@ -190,7 +191,7 @@ def test_isoregion_command_needs_exactly_one_of_output_and_map(carina, ct, tmp_p
 def test_picture_with_a_map_from_a_file_equals_that_with_a_built_map(ct, map_file, monkeypatch):
     volume = product.open_volume(ct)
     renderer = product.Renderer(volume, transfer=transfer_preset("paper"))
-    renderer.use_isoregion_map(open_isoregion_map(map_file, volume))
+    renderer.use_isoregion_map(map_file)
     calls = []
     monkeypatch.setattr("carina.render.scene._core.build_radius_map", lambda *_, **__: calls.append(1))
     renderer.prepare(progress=False)
@@ -200,5 +201,24 @@ def test_picture_with_a_map_from_a_file_equals_that_with_a_built_map(ct, map_fil
     built.prepare(progress=False)
     view = AirwayView(Pose.looking(volume.centre_lps, (0.0, 0.1, -1.0)), width=64, height=64, shading=False)
     assert np.array_equal(renderer.render(view).rgb, built.render(view).rgb)
-    with pytest.raises(GeometryError):
-        renderer.use_isoregion_map(np.zeros((2, 2, 2), np.uint8))
+    renderer.use_isoregion_map(None)
+
+
+def test_map_by_another_comparison_is_refused_for_a_picture_and_no_map_of_a_file_is_cached(carina, tmp_path):
+    grid = np.arange(6 * 24 * 24, dtype=np.int16).reshape(6, 24, 24) % 40
+    volume = product.Volume(np.ascontiguousarray(grid), np.diag([1.0, 1.0, 1.0, 1.0]))
+    scan, bins, values = (tmp_path / name for name in ("scan.nrrd", "bins.nrrd", "values.nrrd"))
+    write_grid(scan, volume.hu_zyx, volume.lps_from_ijk, what="a scan")
+    for file, comparison in ((bins, "bins"), (values, "values")):
+        assert carina("isoregion", scan, "-o", file, "--equal-by", comparison).code == 0
+    renderer = product.Renderer(volume, transfer=transfer_preset("paper"), cache_dir=tmp_path / "cache")
+    with pytest.raises(VolumeImportError, match="compared in another way"):
+        renderer.use_isoregion_map(bins)
+    renderer.use_isoregion_map(values)
+    renderer.prepare(progress=False)
+    renderer.wait_stored()
+    stored = [file.stat().st_size for file in (tmp_path / "cache").rglob("*") if file.is_file()]
+    again = product.Renderer(volume, transfer=transfer_preset("paper"), cache_dir=tmp_path / "cache2")
+    again.prepare(progress=False)
+    again.wait_stored()
+    assert len(stored) < len([file for file in (tmp_path / "cache2").rglob("*") if file.is_file()])

@@ -87,41 +87,47 @@ def open_isoregion_map(
     ----------
     Paper 4.2: "the results can be bundled with the volume".
     """
-    radii, head = guarded(Path(path).expanduser(), lambda where: _read(where, volume))
+    options = "" if equal_by == "auto" else f" --equal-by {equal_by}"
+    if transfer is not None:
+        options = f" --transfer {transfer.name}"
+    radii, head = guarded(Path(path).expanduser(), lambda where: _read(where, volume, options))
     where = Path(path)
     found = _NOTE.search(head)
     if found is None:
-        raise _refused(where, "it is not an IsoRegion map of Carina, or of a version that did not identify its maps")
+        raise _refused(
+            where, "it is not an IsoRegion map of Carina, or of a version that did not identify its maps", options
+        )
     version, *digests = (part.decode() if part else "" for part in found.groups())
     if version != _TAG.rpartition(" ")[2]:
-        raise _refused(where, f"it is an IsoRegion map of format {version}, which this version of Carina cannot read")
+        raise _refused(
+            where, f"it is an IsoRegion map of format {version}, which this version of Carina cannot read", options
+        )
     of_volume, of_labels, of_radii = digests
     if of_volume != _digest(volume.hu_zyx):
-        raise _refused(where, "it is the IsoRegion map of another volume with the same grid")
+        raise _refused(where, "it is the IsoRegion map of another volume with the same grid", options)
     if of_labels != _digest(isoregion_labels(volume, transfer, equal_by=equal_by)):
         equal = equal_by_name(volume.hu_zyx, equal_by) if transfer is None else f"the transfer function {transfer.name}"
-        raise _refused(
-            where, f"voxels were compared in another way; expected a map of voxels that are equal by {equal}"
-        )
+        problem = f"voxels were compared in another way; expected a map of voxels that are equal by {equal}"
+        raise _refused(where, problem, options)
     if of_radii != _digest(radii):
-        raise _refused(where, "its radii were changed after it was written, so the file is damaged")
+        raise _refused(where, "its radii were changed after it was written, so the file is damaged", options)
     return radii
 
 
-def _read(path: Path, volume: Volume) -> tuple[NDArray[np.uint8], bytes]:
+def _read(path: Path, volume: Volume, options: str) -> tuple[NDArray[np.uint8], bytes]:
     """Return the radii and the header of a file whose grid is that of the volume."""
     if not path.exists():
-        raise _refused(path, "there is no such file")
+        raise _refused(path, "there is no such file", options)
     form = sniff_format(path) if path.is_file() else None
     if form not in ("nifti", "nrrd", "metaimage"):
-        raise _refused(path, "it is not a NIfTI, NRRD or MetaImage file")
+        raise _refused(path, "it is not a NIfTI, NRRD or MetaImage file", options)
     values, header, _ = read_grid_array(path, form, watch=Watch(None, None))
     expected = _grid_text(volume.shape_zyx, volume.lps_from_ijk)
     if values.shape != volume.shape_zyx or _voxels_apart(volume, header.lps_from_ijk) > _SAME_VOXEL:
         found = _grid_text(values.shape, header.lps_from_ijk)
-        raise _refused(path, f"its grid differs from that of the scan: expected {expected}; found {found}")
+        raise _refused(path, f"its grid differs from that of the scan: expected {expected}; found {found}", options)
     if values.dtype != np.uint8:
-        raise _refused(path, f"its values are {values.dtype.name}; the radii of a map are uint8")
+        raise _refused(path, f"its values are {values.dtype.name}; the radii of a map are uint8", options)
     return np.ascontiguousarray(values, dtype=np.uint8), header.head
 
 
@@ -140,9 +146,9 @@ def _voxels_apart(volume: Volume, lps_from_ijk: NDArray[np.float64]) -> float:
     return float(apart_mm / np.linalg.norm(volume.lps_from_ijk[:3, :3], axis=0).min())
 
 
-def _refused(path: Path, problem: str) -> VolumeImportError:
+def _refused(path: Path, problem: str, options: str) -> VolumeImportError:
     return VolumeImportError(
-        f"reading {path.name}: {problem}; compute the map again with: carina isoregion SCAN -o {path.name}",
+        f"reading {path.name}: {problem}; compute the map again with: carina isoregion SCAN -o {path.name}{options}",
         code="import.isoregion-map",
     )
 

@@ -196,23 +196,24 @@ class Renderer:
         """
         self._scenes.prepare(progress_function(progress), cancel, all_classes=all_classes)
 
-    @check_arguments(radii_zyx=mask_array(optional=True))
-    def use_isoregion_map(self, radii_zyx: NDArray[np.uint8] | None) -> None:
+    @check_arguments(path=file_path(optional=True))
+    def use_isoregion_map(self, path: str | Path | None) -> None:
         """Use an IsoRegion map from a file for transfer functions of sampling ``nearest``, which are the paper's.
 
         The next call of ``prepare`` then builds no map of equal values. The picture is the same.
 
         Parameters
         ----------
-        radii_zyx
-            The map of this volume, checked by :func:`carina.render.open_isoregion_map`; None builds maps again.
+        path
+            File of ``carina isoregion`` for this volume without a transfer function; None builds maps again.
 
         Raises
         ------
-        GeometryError
-            If the shape of the map differs from the volume's.
+        VolumeImportError
+            If the file is damaged, or is the map of another volume or of another comparison of values
+            (``import.isoregion-map``).
         """
-        self._scenes.use_isoregion_map(radii_zyx)
+        self._scenes.use_isoregion_map(None if path is None else Path(path))
 
     def wait_stored(self) -> None:
         """Wait until the background thread has written the maps to the cache."""

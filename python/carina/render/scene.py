@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from carina import _core
 from carina.errors import CancelledError, GeometryError
 from carina.render.isoregion_cache import CachedMap, MapCache, MapName
+from carina.render.isoregion_file import open_isoregion_map
 from carina.render.transfer_function import TransferFunction, transfer_from_histogram, transfer_preset
 from carina.render.tree import LeapedValues, TreeField, build_tree_field
 from carina.render.value_labels import bin_width, value_labels
@@ -72,8 +73,8 @@ class SceneBuilder:
         self._range = volume.value_range
         width = _bin_width(transfer, volume.hu_zyx)
         self._scene = Scene(transfer, None, volume.hu_zyx, self._range, None, None, None, bin_width=width)
-        self._class_radius: NDArray[np.uint8] | None = None
-        """IsoRegion map of the volume by values that a caller has read from a file."""
+        self._known_radius: tuple[int, NDArray[np.uint8]] | None = None
+        """Width of the bins, and IsoRegion map of the volume by these bins, read from a file."""
         self._swap = threading.Lock()
         self._change = threading.Lock()
 
@@ -93,14 +94,16 @@ class SceneBuilder:
         with self._change, self._swap:
             self._scene = scene
 
-    def use_isoregion_map(self, radius_zyx: NDArray[np.uint8] | None) -> None:
-        """Use a map of the volume by values, instead of building it; None builds it again."""
-        if radius_zyx is not None and radius_zyx.shape != self._volume.shape_zyx:
-            msg = (
-                f"the IsoRegion map has shape {radius_zyx.shape}; expected that of the volume, {self._volume.shape_zyx}"
-            )
-            raise GeometryError(msg, code="geometry.shape")
-        self._class_radius = None if radius_zyx is None else np.ascontiguousarray(radius_zyx, dtype=np.uint8)
+    def use_isoregion_map(self, path: Path | None) -> None:
+        """Use the map of the volume by values from a file, instead of building it; None builds it again.
+
+        The map must compare values as the current transfer function does, and serves only for such functions.
+        """
+        width = self._scene.bin_width
+        radius = None
+        if path is not None:
+            radius = open_isoregion_map(path, self._volume, equal_by="values" if width == 1 else "bins")
+        self._known_radius = None if radius is None else (width, radius)
 
     def set_transfer(self, transfer: TransferFunction) -> None:
         """Set the transfer function; the map stays if it fits the new transfer function."""
@@ -199,6 +202,9 @@ class SceneBuilder:
     def _build_class_maps(self, scene: Scene, cancel: Cancel | None) -> ClassMaps:
         transfer = scene.transfer
         by_value = transfer.sampling == "nearest"
+        known = self._known_radius if by_value and scene.values is self._volume.hu_zyx else None
+        if known is not None and known[0] != scene.bin_width:
+            known = None
 
         def build() -> CachedMap:
             if by_value:
@@ -207,18 +213,18 @@ class SceneBuilder:
             else:
                 labels, classes = _core.label_classes(scene.values, transfer.points, reference_mm=transfer.reference_mm)
                 class_values = [lo for lo, _, _, _ in classes]
-            known = self._class_radius if by_value and scene.values is self._volume.hu_zyx else None
             if known is None:
                 radius = _core.build_radius_map(labels, cancel=cancel)
             else:
                 # Voxels without a label have no class to leap over.
-                radius = np.where(labels == 0, np.uint8(0), known)
+                radius = np.where(labels == 0, np.uint8(0), known[1])
             return CachedMap((labels, radius), class_values)
 
         classes = (
             ("values", scene.bin_width) if by_value else ("classes", transfer.points.tolist(), transfer.reference_mm)
         )
-        found = self._get_or_build(MapName(scene.values, classes), build)
+        # The cache stores only maps that were built here.
+        found = build() if known is not None else self._get_or_build(MapName(scene.values, classes), build)
         labels, radius = found.arrays
         return ClassMaps(
             values=scene.values, radius=radius, points=transfer.points, labels=labels, class_values=found.meaning
