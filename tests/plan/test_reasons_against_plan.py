@@ -157,7 +157,7 @@ def test_withdrawn_tip_is_a_reason_that_states_both_distances_in_all_outputs(wit
     (found,) = [one for one in reasons_against(planned, verdicts=given) if one.code == "route.withdrawn"]
     past_mm = route.from_carina_mm
     assert found.words == (
-        "The drive withdraws the tip by 5 mm from the end of the route: it points at the target "
+        "The drive withdraws the tip by 5 mm from the end of the route, and aims at the target "
         f"{past_mm - 5.0:.0f} mm past the main carina, not {past_mm:.0f} mm past the main carina."
     )
     assert found.words in [one.words for one in route_reasons(planned, route)], "the exports list it"

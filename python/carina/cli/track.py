@@ -94,7 +94,7 @@ def report(
                         f"target {number}: the path of the search was {outside.search_length_mm:.1f} mm long before it "
                         "was shortened and smoothed"
                     )
-                if outside.crossings:
+                if outside.outside_mm:
                     print_note(f"target {number}: {crossing_text(outside)}")
             snapped = f", snapped {target.snapped_mm:.1f} mm to the lumen" if target.snapped_mm else ""
             depth = "" if result.airways is None else f", generation {row['generation']}"
@@ -128,14 +128,13 @@ def report(
 
 def crossing_text(search: TargetSearch) -> str:
     """Return the length of a path outside the lumen, and where the path crosses its wall, as text."""
+    crossings = search.crossings or ()
     places = ", ".join(
-        f"{'back in' if crossing.enters else 'out'} at {crossing.along_mm:.1f} mm"
-        for crossing in search.crossings or ()
+        f"{('back in' if number else 'in') if crossing.enters else 'out'} at {crossing.along_mm:.1f} mm"
+        for number, crossing in enumerate(crossings)
     )
-    return (
-        f"{search.outside_mm:.1f} mm of the path are outside the airway lumen; distances from the start to each "
-        f"crossing of the wall: {places}"
-    )
+    words = f"{search.outside_mm:.1f} mm of the path are outside the airway lumen"
+    return f"{words}; distances from the start to each crossing of the wall: {places}" if places else words
 
 
 def _airways_of_case(

@@ -81,6 +81,13 @@ class MeasureMovement(Command, frozen=True):
     path: PathText
 
 
+class MeasureMovementFromFiles(LocalCommand, frozen=True):
+    """Measure the movement of a target from a second CT in a temporary folder, such as uploaded files."""
+
+    target_id: Identifier
+    path: PathText
+
+
 class MeasureMovementFromCase(Command, frozen=True):
     """Measure the movement of a target from the CT of a case of ``start.recent``, by its ID."""
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
-from carina.commands import Command, MaskFileNeeded, MeasureMovement, OpenFiles, TakeKeyFrameFile, TakeMask, TakeTarget
+from carina.commands import Command, MaskFileNeeded, MeasureMovementFromFiles, OpenFiles, TakeKeyFrameFile, TakeMask, TakeTarget
 from carina.errors import CarinaError, ProtocolError, UsageError
 from carina.render import ClusterStatus
 from carina.server.cluster_status import ClusterWatch
@@ -250,7 +250,8 @@ class Hub:
                 self._start_upload_job(TakeTarget(str(place), message.structure), message.upload_id, window)
             case wire.MeasureUpload():
                 place = self._uploads.place(message.upload_id)
-                self._start_upload_job(MeasureMovement(message.target_id, str(place)), message.upload_id, window)
+                command = MeasureMovementFromFiles(message.target_id, str(place))
+                self._start_upload_job(command, message.upload_id, window)
             case wire.AcceptNotice():
                 if self.session.store is not None:
                     self.session.store.accept_notice()
@@ -295,8 +296,12 @@ class Hub:
         await self._watch_page.stop(words)
 
     def _start_upload_job(self, command: Command, upload_id: str, window: Window) -> None:
-        """Start a job that reads dropped files, which are deleted after the job has ended."""
-        job_id = self.session.do(command, window=window.number)
+        """Start a job that reads dropped files, which are deleted after the job has ended or if it is refused."""
+        try:
+            job_id = self.session.do(command, window=window.number)
+        except CarinaError:
+            self._uploads.discard(upload_id)
+            raise
         assert job_id is not None
         self._upload_of_job[job_id] = upload_id
 

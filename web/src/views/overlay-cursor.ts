@@ -179,8 +179,8 @@ export function placedNote(
 }
 
 /**
- * Return a place for the text beside the cursor in which neither an element over the picture nor the cursor covers it;
- * null if there is none.
+ * Return a place for the text beside the cursor that no element over the picture covers; null if there is none. The text
+ * covers the point at the cursor only if there is no other place.
  */
 export function notePlace(cursor: ScreenPoint, size: Size, view: Size, covered: readonly Rect[]): Rect | null {
   const right = view.width - size.width - APART_PX;

@@ -138,7 +138,7 @@ class PlannedRoute:
     hold: ScopeHold | None = None
     """Insertion, roll and lever with which the drive points at the target; None without a drive that arrives."""
     withdrawn_mm: float = 0.0
-    """Distance in mm by which the drive withdraws the tip from the stated place to point at the target; 0 without."""
+    """Distance in mm by which the drive withdraws the tip from the stated place to aim at the target; 0 without."""
     predictors: RoutePredictors | None = None
     """Published predictors of a failed navigation; None for a route that was not made by `plan_route`."""
     openings: dict[int, RouteOpening] = field(default_factory=dict)
@@ -163,10 +163,13 @@ class PlannedRoute:
         return self.origin.words(self.origin.past_mm(self.along_mm))
 
     def withdrawn_words(self, withdrawn_mm: float) -> str:
-        """Return as text that a drive withdraws the tip, and the place from which the tip points at the target."""
+        """Return as text that a drive withdraws the tip, and the place from which it aims at the target.
+
+        The text does not state whether the tip points at the target; the check of the pointing does.
+        """
         place = self.origin.words(self.origin.past_mm(self.along_mm) - withdrawn_mm)
         return (
-            f"the drive withdraws the tip by {withdrawn_mm:.0f} mm from the end of the route: it points at the target "
+            f"the drive withdraws the tip by {withdrawn_mm:.0f} mm from the end of the route, and aims at the target "
             f"{place}, not {self.place_words}"
         )
 

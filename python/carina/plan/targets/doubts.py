@@ -217,7 +217,7 @@ def target_doubts(
         found.append(
             TargetDoubt(
                 DENSITY,
-                f"at {hu:.0f} HU and {2.0 * around.radius_mm:.0f} mm across it is too small for slices of "
+                f"at {hu:.0f} HU and {nodule.long_mm:.1f} x {nodule.short_mm:.1f} mm it is too small for slices of "
                 f"{max(volume.spacing_mm):.3g} mm to show whether it is ground glass, or a part of a vessel or of an "
                 "airway's wall",
             )

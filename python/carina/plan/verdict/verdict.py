@@ -55,7 +55,7 @@ class Verdict:
     None if the drive did not arrive or no needle hits.
     """
     withdrawn_mm: float = 0.0
-    """Distance in mm by which the drive withdraws the tip from the end of the route to point at the target.
+    """Distance in mm by which the drive withdraws the tip from the end of the route to aim at the target.
 
     0 if the tip stays within 2 mm of the end of the route.
     """

@@ -38,6 +38,11 @@ class SecondCtHandlers(CommandHandlers):
         """Measure the movement of a target as a job; a second CT that is not comparable changes nothing."""
         return self._measure(command.target_id, lambda job: self._open_second_ct(command.path, job))
 
+    @does(c.MeasureMovementFromFiles)
+    def measure_movement_from_files(self, command: c.MeasureMovementFromFiles) -> str:
+        """Measure the movement of a target from a temporary CT; the path of the CT in an uploaded case is not used."""
+        return self._measure(command.target_id, lambda job: self._open_second_ct(command.path, job, dropped=True))
+
     @does(c.MeasureMovementFromCase)
     def measure_movement_from_case(self, command: c.MeasureMovementFromCase) -> str:
         """Measure the movement of a target from the CT of a case of the list, with the airways of that case."""
@@ -45,14 +50,25 @@ class SecondCtHandlers(CommandHandlers):
         record = None if records is None else records.find(command.recent_id)
         if records is not None and record is not None:
             path, has_place = str(records.path_of(record)), record.place is not None
-            return self._measure(command.target_id, lambda job: self._open_case(path, job, dropped=not has_place))
-        place = next((one.path for one in listed if one.recent_id == command.recent_id), None)
-        if place is None:
+            return self._measure(
+                command.target_id,
+                lambda job: self._open_case(path, job, dropped=not has_place),
+                title=f"case {record.shown_title}",
+            )
+        known = next((one for one in listed if one.recent_id == command.recent_id), None)
+        if known is None:
             raise UsageError("this case is no longer in the list; choose its folder or file", code="session.recent")
-        return self._measure(command.target_id, lambda job: self._open_second_ct(place, job))
+        return self._measure(
+            command.target_id, lambda job: self._open_second_ct(known.path, job), title=f"case {known.title}"
+        )
 
-    def _measure(self, target_id: str, open_second: Callable[[Job], tuple[Volume, Airways | None]]) -> str:
-        """Start the job that measures the movement of a target from the second CT that a function opens."""
+    def _measure(
+        self, target_id: str, open_second: Callable[[Job], tuple[Volume, Airways | None]], *, title: str | None = None
+    ) -> str:
+        """Start the job that measures the movement of a target from the second CT that a function opens.
+
+        ``title`` names the second CT in the message; None for the title of its volume.
+        """
         case = self.core.needed_case()
         with self.core.lock:
             target = needed_target(case.document, target_id)
@@ -86,15 +102,16 @@ class SecondCtHandlers(CommandHandlers):
                 options = msgspec.structs.replace(now.lesion.options, moved_mm=None, movement=measured)
                 changed = replace(now, lesion=replace(now.lesion, options=options))
                 self.core.change(case, f"measure the movement of {now.name}", with_target(case.document, changed))
-                self.core.emit(UserMessage(". ".join((f"{now.name}: {movement.words}", *movement.notes))))
+                second = f"the second CT was {title or volume.source.title}"
+                self.core.emit(UserMessage(". ".join((f"{now.name}: {movement.words}", second, *movement.notes))))
 
         return self.core.jobs.start(f"second ct {target_id}", "comparing with the second CT", work)
 
-    def _open_second_ct(self, path: str, job: Job) -> tuple[Volume, Airways | None]:
+    def _open_second_ct(self, path: str, job: Job, *, dropped: bool = False) -> tuple[Volume, Airways | None]:
         """Return a second CT with the airways of its case; None if the airways must be found."""
         if self._saving.scans is None or not is_case_file(path):
             return self._saving.open_ct(path, job.progress, job.cancel), None
-        return self._open_case(path, job)
+        return self._open_case(path, job, dropped=dropped)
 
     def _open_case(self, path: str, job: Job, *, dropped: bool = False) -> tuple[Volume, Airways | None]:
         """Return the CT of a case file and its airways; None if the case has none.

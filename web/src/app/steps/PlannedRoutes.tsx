@@ -200,13 +200,17 @@ function movedPlaceholder(plan: TargetPlan): string {
 function SecondCt({ target, plan }: { target: Target; plan: TargetPlan }) {
   const station = useStation();
   const [path, setPath] = useState("");
+  const [recentId, setRecentId] = useState("");
   const all = useApp((state) => state.start?.recent ?? NO_CASES);
   const begun = useApp((state) => state.session?.saving.begun_s ?? null);
   // The CT of the plan itself cannot show a movement.
   const recent = all.filter((one) => one.opens && (begun === null || one.begun_s !== begun));
+  // A case that is no longer listed cannot be measured from.
+  const chosen = recent.some((one) => one.recent_id === recentId) ? recentId : "";
   const measure = () => {
-    if (path.trim() === "") return;
-    station.send({ type: "measure_movement", target_id: target.target_id, path: path.trim() });
+    const target_id = target.target_id;
+    if (path.trim() !== "") station.send({ type: "measure_movement", target_id, path: path.trim() });
+    else if (chosen !== "") station.send({ type: "measure_movement_from_case", target_id, recent_id: chosen });
   };
   return (
     <details className="plan-options" data-testid="second-ct-options">
@@ -217,15 +221,12 @@ function SecondCt({ target, plan }: { target: Target; plan: TargetPlan }) {
         <label>
           or a recent case
           <select
-            value=""
+            value={chosen}
             data-testid="second-ct-recent"
-            onChange={(event) =>
-              station.send({
-                type: "measure_movement_from_case",
-                target_id: target.target_id,
-                recent_id: event.target.value,
-              })
-            }
+            onChange={(event) => {
+              setRecentId(event.target.value);
+              setPath("");
+            }}
           >
             <option value="">{"Choose a case\u2026"}</option>
             {recent.map((one) => (
@@ -243,7 +244,10 @@ function SecondCt({ target, plan }: { target: Target; plan: TargetPlan }) {
           value={path}
           placeholder="/data/ct/series"
           data-testid="second-ct"
-          onChange={(event) => setPath(event.target.value)}
+          onChange={(event) => {
+            setPath(event.target.value);
+            setRecentId("");
+          }}
           onKeyDown={(event) => {
             event.stopPropagation();
             if (event.key === "Enter") measure();
@@ -254,7 +258,7 @@ function SecondCt({ target, plan }: { target: Target; plan: TargetPlan }) {
         <Act
           label="Measure"
           words="Compare forks and vessels with the second CT, and plan with the target's shift (about a minute)"
-          disabled={path.trim() === ""}
+          disabled={path.trim() === "" && chosen === ""}
           testId="measure-movement"
           onPress={measure}
         />
