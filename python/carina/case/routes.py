@@ -422,11 +422,11 @@ def centreline_mm(tree: AirwayTree, route: ChosenRoute) -> NDArray[np.float64]:
     same places on both; between them the distances are interpolated.
     """
     branches = {branch.id: branch for branch in tree.branches}
-    ends = {branch.id: sum(one.length_mm for one in tree.lineage(branch.id)) for branch in tree.branches}
     at, ids = route.cumulative_mm, [span.branch_id for span in route.spans]
     if any(branch_id not in branches for branch_id in ids):
         return at.copy()
 
+    ends = {branch_id: sum(one.length_mm for one in tree.lineage(branch_id)) for branch_id in ids[:-1]}
     inner = [(fork_mm, ends[branch_id]) for branch_id, fork_mm in zip(ids[:-1], route.forks_mm, strict=False)]
     known = [(0.0, place_on_tree_mm(tree, ids[0], route.points_lps[0]))]
     for place in (*inner, (float(at[-1]), place_on_tree_mm(tree, ids[-1], route.points_lps[-1]))):

@@ -85,7 +85,7 @@ class MeasureMovementFromFiles(LocalCommand, frozen=True):
     """Measure the movement of a target from a second CT in a temporary folder, such as uploaded files."""
 
     target_id: Identifier
-    path: PathText
+    folder: PathText
 
 
 class MeasureMovementFromCase(Command, frozen=True):

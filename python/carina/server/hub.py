@@ -11,7 +11,15 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
-from carina.commands import Command, MaskFileNeeded, MeasureMovementFromFiles, OpenFiles, TakeKeyFrameFile, TakeMask, TakeTarget
+from carina.commands import (
+    Command,
+    MaskFileNeeded,
+    MeasureMovementFromFiles,
+    OpenFiles,
+    TakeKeyFrameFile,
+    TakeMask,
+    TakeTarget,
+)
 from carina.errors import CarinaError, ProtocolError, UsageError
 from carina.render import ClusterStatus
 from carina.server.cluster_status import ClusterWatch

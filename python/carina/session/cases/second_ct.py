@@ -41,7 +41,7 @@ class SecondCtHandlers(CommandHandlers):
     @does(c.MeasureMovementFromFiles)
     def measure_movement_from_files(self, command: c.MeasureMovementFromFiles) -> str:
         """Measure the movement of a target from a temporary CT; the path of the CT in an uploaded case is not used."""
-        return self._measure(command.target_id, lambda job: self._open_second_ct(command.path, job, dropped=True))
+        return self._measure(command.target_id, lambda job: self._open_second_ct(command.folder, job, dropped=True))
 
     @does(c.MeasureMovementFromCase)
     def measure_movement_from_case(self, command: c.MeasureMovementFromCase) -> str:
