@@ -259,22 +259,22 @@ class CaseReader:
         return made
 
     def transfer(self, row: int) -> TransferFunction:
-        """Return the transfer function in a row of ``value``."""
+        """Return the transfer function in a row of the table ``value``."""
         made: TransferFunction = self._value("transfer", row, self._decoders.transfer, _transfer_from_json)
         return made
 
     def look(self, row: int) -> Look:
-        """Return the look in a row of ``value``."""
+        """Return the look (scope, lens, outline, operator) in a row of the table ``value``."""
         made: Look = self._value("look", row, self._decoders.look, lambda look: look)
         return made
 
     def keys(self, row: int) -> KeyFrames:
-        """Return the key frames in a row of ``value``."""
+        """Return the key frames in a row of the table ``value``."""
         made: KeyFrames = self._value("keys", row, self._decoders.keys, _key_frames_from_facts)
         return made
 
     def target_facts(self, row: int) -> tuple[f.TargetFacts, ...]:
-        """Return the facts of the targets in a row of ``value``, without their paths."""
+        """Return the facts of the targets in a row of the table ``value``, without their paths."""
         _, json_text = self.columns("value", row)
         found: tuple[f.TargetFacts, ...] = from_json(
             json_text, self._decoders.targets, f"row {row} of value, kind targets"

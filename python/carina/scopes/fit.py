@@ -2,7 +2,7 @@
 
 The measurements (Masters 2005, a bronchoscope in front of test charts): linear magnification, relative to 100 mm from
 the tip, of 9.55 at 10 mm and of 40 at 3 mm; at 15 mm the middle is enlarged 39 % more than the edge; at 3 mm the
-distortion reaches 30 %. They come from one scope and are not fully consistent; the residuals quantify this.
+distortion reaches 30 %. The figures of one scope are not fully consistent; the residuals quantify the contradictions.
 """
 
 from __future__ import annotations

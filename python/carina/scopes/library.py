@@ -86,7 +86,7 @@ class ScopePreset:
     def guides_mm(self) -> tuple[Point, ...]:
         """Ends of the light guides in camera space, mm: two on the face, left and right of the lens (basis k).
 
-        They are a little above the lens.
+        Both guides are a little above the lens.
         """
         across, up = 0.28 * self.tip_mm, 0.1 * self.tip_mm
         return ((-across, -up, self.face_mm), (across, -up, self.face_mm))

@@ -93,7 +93,7 @@ def breath_notes(breath_mm: float) -> list[str]:
 
 
 def cut_lungs_error(trouble: NoResultError, first: Volume, second: Volume) -> NoResultError | None:
-    """Return the error for a second CT that cuts through the lungs, if this explains another error; else None.
+    """Return an error for a second CT that cuts through the lungs, if the cut explains ``trouble``; else None.
 
     Cut lungs do not explain an error that reports another pose of the patient.
     """

@@ -254,8 +254,8 @@ class TurnList(Tabular):
     zero: Zero | None = None
     """Origin of distances: the visible ridge of the main carina, or the point where the axes of the main bronchi meet.
 
-    That point is about one radius of the trachea above the ridge, and is used if no ridge was found. None if the route
-    passes no main carina.
+    The point of the axes is about one radius of the trachea above the ridge, and is used if no ridge was found. None if
+    the route passes no main carina.
     """
     notes: tuple[str, ...] = ()
     """Notes on the distances and depths."""

@@ -273,7 +273,7 @@ class FrameBudget:
             self._finding = False
             self.level = last
 
-    # ------------------------------------------------------------ probes while the view finder stands in
+    # ------------------------------------------------------------ probes while the viewfinder replaces the view
 
     def probe_due(self, now_s: float) -> bool:
         """Return whether a probe should be rendered now to measure the speed."""

@@ -201,7 +201,7 @@ class TreeDraft:
         """Return the ID of the branch at whose end a new branch begins that leaves the tree at a place.
 
         The branch is split there if no fork is near. If the place is so close to a tip that less than ``least_mm``
-        would be left, the branch is shortened instead: such a rest is only the end of the centreline.
+        would be left, the branch is shortened instead: such a remainder is only the end of the centreline.
         """
         branch = self._branches[place.branch_id]
         along = along_mm(branch.points)
