@@ -170,7 +170,7 @@ class Pilot:
 
     @property
     def scope_flexion_range_rad(self) -> tuple[float, float] | None:
-        """Flexion limits of the scope in the lumen, down (below 0) and up, or None."""
+        """Flexion limits of the scope in the lumen, radians: down (below 0) and up, or None."""
         return self.navigator.flexion_range_rad
 
     @property

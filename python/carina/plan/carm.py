@@ -139,7 +139,7 @@ class ShadowParts:
 
     @property
     def points_lps(self) -> Points:
-        """Points (n, 3) of both structures."""
+        """Points (n, 3) of both structures, LPS mm."""
         return np.concatenate([self.spine_lps, self.mediastinum_lps])
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from carina.display import one_line
 
 FOV_DEG = 120.0
-"""Usual field of view of adult scopes today (common knowledge); that of the measured scope is not published."""
+"""Usual field of view of adult scopes today, degrees (common knowledge), because that of the scope is unpublished."""
 REFERENCE_MM = 100.0
 MAGNIFICATION_AT = ((10.0, 9.55), (3.0, 40.0))
 CENTRE_TO_EDGE = 1.39

@@ -197,7 +197,7 @@ class SessionCore:
     def answer(self, event: Event) -> None:
         """Send an event to the window of the current command and to listeners that are no window.
 
-        All listeners receive the event if the command has no window, or if its window is gone.
+        All listeners receive the event if the command has no window, or if its window is closed.
         """
         with self.lock:
             asking = _running_command.get().window

@@ -61,7 +61,7 @@ class NearbyTissue:
     sure: NDArray[np.float32]
     """Confidence that a voxel of ``vessel`` is a vessel, 0.5 to 1; 0 elsewhere.
 
-    It is 1 for vessels above the threshold of density.
+    The confidence is 1 for vessels above the threshold of density.
     """
 
     fissure: FissureBox | None = None

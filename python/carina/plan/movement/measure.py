@@ -75,7 +75,7 @@ NUM_CHECKED = 20
 SHARE_WITHIN = 0.9
 """Share of the points whose prediction error is within the stated error."""
 MAX_ERROR_MM = 15.0
-"""Largest error in mm that is stated; a measurement with a larger error says no more than the default movement."""
+"""Largest error in mm that is stated; a measurement with a larger error is no better than the default movement."""
 AGREE_MM = 2.0
 """Distance in mm up to which the target's own shift always counts as agreeing with its neighbours."""
 TURN_DEG = 4.0

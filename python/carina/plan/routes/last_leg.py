@@ -86,7 +86,7 @@ class LastLeg:
     crossed: tuple[CrossedTissue, ...]
     """Tissues along the needle in order, to the end of its reach or 10 mm beyond the target, whichever is farther."""
     in_target_mm: float
-    """Length of the needle in the target in mm, if the needle goes exactly as aimed."""
+    """Length of the needle in the target in mm, if the needle is exactly on its planned line."""
     least_in_target_mm: float
     """Least length in the target, in mm, of needles deviating by 1.6 standard deviations; 0 if one of them misses."""
     vessel_mm: float | None

@@ -204,7 +204,7 @@ class Evidence:
         return found
 
     def crosses_wall(self, points: Points, before: Points) -> bool:
-        """Return whether a line crosses brighter points than the former line, and than half-way to tissue."""
+        """Return whether a line crosses points brighter than any of the former line and than half-way to tissue."""
         new, old = (float(self.enclosures.values_at(_fine(line)).max()) for line in (points, before))
         return new > max(old, self._scale.level(WALL_HU)) + 3.0 * self.noise
 
