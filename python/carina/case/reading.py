@@ -186,8 +186,8 @@ class CaseReader:
             documents = [self.document(step[3]) for step in steps]
             measures = self._all_measures([step[3] for step in steps])
             if present is not None and self.columns("airways", present)[0] is not None:
-                # The document holds these airways. The reader must not hold them too, because it lives as long as any
-                # step.
+                # The document refers to these airways. A reference of the reader would hold them in memory as long
+                # as any step exists.
                 del self._whole[present]
             check_tip(facts.tip, "tip", has_route=documents[position].route is not None)
             route = documents[position].route

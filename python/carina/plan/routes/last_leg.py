@@ -102,7 +102,7 @@ class LastLeg:
     """Share of needles within the assumed errors that hit the target at its position in the CT, 0 to 1.
 
     In a plan the needle has a direction that the scope can take; the share is 0 if no such direction hits. Before a
-    simulated drive it is an estimate, which outputs do not show (`PlannedRoute.hit_share`).
+    simulated drive the share is an estimate, which outputs do not show (`PlannedRoute.hit_share`).
     """
     reaches: bool
     """Whether the tool reaches the edge of the target."""

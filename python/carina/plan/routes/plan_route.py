@@ -134,7 +134,7 @@ class PlannedRoute:
     bend_deg: float = 0.0
     """Sharpest turn of the route in degrees, over the length of the scope's rigid tip and bending section."""
     tools: tuple[str, ...] = ()
-    """Names of the tools that pass the scope's channel and reach the target from there."""
+    """Names of the tools that pass the scope's channel and reach the target from its tip."""
     hold: ScopeHold | None = None
     """Insertion, roll and lever with which the drive points at the target; None without a drive that arrives."""
     withdrawn_mm: float = 0.0

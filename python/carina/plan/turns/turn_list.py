@@ -124,7 +124,7 @@ class Turn:
     dots_lps: tuple[tuple[float, float, float], ...] = ()
     """Dots of the route inside the opening as seen by the camera, LPS mm.
 
-    They are the middle of the opening and the points of the branch's centreline that are seen through it. Empty if the
+    The dots are the middle of the opening and the visible points of the branch's centreline beyond it. Empty if the
     opening is not in view.
     """
 

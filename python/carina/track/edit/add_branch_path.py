@@ -153,7 +153,7 @@ def planned_way(lumen: EditedLumen, tree: AirwayTree, draft: TreeDraft, evidence
         )
         raise NoResultError(msg, code="track.edit-nothing")
     left_before = draft[place.branch_id]
-    # A rest that is shorter than the diameter of the tube is the end of the centreline, not another branch.
+    # A remainder that is shorter than the diameter of the tube is the end of the centreline, not another branch.
     diameter_mm = 2.0 * float(left_before.radius[place.index])
     parent_id = draft.parent_at(place, max(MIN_REMAINING_MM, 1.5 * max(lumen.volume.spacing_mm), diameter_mm))
     points = _line(lumen, draft[parent_id], beyond, is_inside=not len(way))
