@@ -116,7 +116,7 @@ def test_pixels_of_every_view_convert_to_points_and_back(axes):
         mm_per_px = np.linalg.norm(picture.lps_from_pixel[:3, 0])
         # The blob consists of whole voxels, at most 2.1 mm, so its drawn centre is within a voxel of the true centre.
         assert np.hypot(found[0] - expected[0], found[1] - expected[1]) * mm_per_px < 2.1, view
-        # The transform of the pixel gives the point except for its depth.
+        # The transform of the picture gives the position of the point within the plane, without the depth.
         column, row = expected
         back = picture.lps_from_pixel @ np.array([column, row, 0.0, 1.0])
         depth = picture.lps_from_pixel[:3, 2]

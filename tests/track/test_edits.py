@@ -212,7 +212,7 @@ def test_list_of_uncertain_airway_ends_is_updated_after_an_edit(case):
     assert cut.uncertain == find_uncertain(case.volume, cut.tree, np.zeros((0, 3)))
     rebuilt = rebuild_airways(case.volume, judged, cut.edits)
     assert rebuilt.uncertain == cut.uncertain
-    # A mask from another tool has no uncertain places, and an edit adds none.
+    # A mask from external software has no uncertain places, and an edit adds none.
     assert edited(case, CutBranch(tip.id), start=dataclasses.replace(whole, uncertain=())).uncertain == ()
 
 

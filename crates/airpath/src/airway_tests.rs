@@ -442,7 +442,7 @@ fn the_tree_has_the_drawn_branches_and_children_begin_where_their_parent_ends() 
         let tip = branch.nodes[branch.nodes.len() - 1];
         assert_eq!(of_node[tip as usize] as usize, b);
     }
-    // The tree to two tips on the right has the airway's bifurcations: trachea, right bronchus, and the two tips.
+    // The tree to two tips on the right has the airway's forks: trachea, right bronchus, and the two tips.
     let tips: Vec<u32> = branches
         .iter()
         .filter(|b| b.generation == 2 && b.points[0][0] < tubes[0].1[0])

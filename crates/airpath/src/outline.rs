@@ -28,7 +28,7 @@ const SIDE: usize = BRICK + 1;
 const APART_PX: f64 = 0.25;
 /// Largest number of pieces of an outline.
 ///
-/// A plane through any airways has fewer pieces; more indicate that noise was taken for lumen.
+/// A plane through any airways has fewer pieces; more indicate that noise was segmented as lumen.
 const MAX_PIECES: usize = 200_000;
 /// Number of coordinate steps per pixel in an encoded outline.
 pub const PARTS_PER_PX: f64 = 16.0;

@@ -18,7 +18,7 @@ pub trait VoxelGraph: Graph {
     /// Return the node of a voxel of the volume; `None` if the voxel is no node.
     fn node_of_voxel(&self, ijk: [isize; 3]) -> Option<u32>;
 
-    /// Return the voxel of the volume that a node stands for.
+    /// Return the voxel of the volume that a node represents.
     fn voxel_of_node(&self, node: u32) -> [usize; 3];
 
     /// Call `visit(i, node)` for the nodes of a row of voxels along i, whose j and k are in the box of the graph.

@@ -5,7 +5,7 @@
 //! themselves. Blocks keep the entries of one bucket together in memory, and the pool needs little more memory than the
 //! open entries.
 
-/// Block number that stands for no block.
+/// Block number that marks the absence of a block.
 const END: u32 = u32::MAX;
 
 /// Priority queue of nodes, sorted by cost into buckets.

@@ -49,7 +49,7 @@ impl VoxelBox {
     }
 }
 
-/// Index that stands for no voxel.
+/// Index that marks the absence of a voxel.
 pub const NOWHERE: u32 = u32::MAX;
 
 /// Return, for every voxel of a box, the index in the box of the nearest voxel for which `outside` is true.

@@ -252,7 +252,7 @@ impl<'a> VoxelField<'a> {
             .then(|| ((at[2] * self.shape_ijk[1] + at[1]) * self.shape_ijk[0] + at[0]) as u32)
     }
 
-    /// Return the voxel of the volume that a node stands for.
+    /// Return the voxel of the volume that a node represents.
     #[must_use]
     pub fn voxel(&self, node: u32) -> [usize; 3] {
         let n = node as usize;

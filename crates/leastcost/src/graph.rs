@@ -5,7 +5,7 @@
 
 use crate::TrackError;
 
-/// Node number that stands for no node.
+/// Node number that marks the absence of a node.
 pub const NO_NODE: u32 = u32::MAX;
 
 /// Undirected graph whose edges have a length in mm.

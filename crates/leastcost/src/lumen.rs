@@ -284,7 +284,7 @@ impl LumenGraph {
         self.lumen.place(ijk)
     }
 
-    /// Return the voxel of the volume that a node stands for.
+    /// Return the voxel of the volume that a node represents.
     #[must_use]
     pub fn voxel(&self, node: u32) -> [usize; 3] {
         self.voxels[node as usize].map(usize::from)

@@ -272,7 +272,7 @@ struct BucketQueue {
     front: u64,
 }
 
-/// Entry number that stands for no entry.
+/// Entry number that marks the absence of an entry.
 const END: u32 = u32::MAX;
 
 impl BucketQueue {

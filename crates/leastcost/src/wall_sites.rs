@@ -7,7 +7,7 @@
 
 use crate::voxel_set::VoxelSet;
 
-/// Value that stands for no voxel outside, if the lumen fills the volume.
+/// Value that marks the absence of a voxel outside the lumen, if the lumen fills the volume.
 pub(crate) const NO_SITE: [u16; 3] = [u16::MAX; 3];
 
 #[derive(Debug, Clone, Copy)]

@@ -14,7 +14,7 @@ pub struct Branch {
     pub parent: Option<usize>,
     /// Ids of the branches that start at the end of this branch.
     pub children: Vec<usize>,
-    /// Number of bifurcations from the trachea, whose generation is 0.
+    /// Number of forks from the trachea, whose generation is 0.
     pub generation: usize,
     /// Name of the branch; `None` beyond the segments.
     pub name: Option<&'static str>,

@@ -54,7 +54,7 @@ pub struct Appearance {
     pub membrane: f32,
     /// Strength of the colour differences by region (a paler trachea, redder bronchi); 0 for one colour.
     pub hue: f32,
-    /// Strength of the pale ridges at bifurcations; 0 for none.
+    /// Strength of the pale ridges at forks; 0 for none.
     pub spurs: f32,
 }
 

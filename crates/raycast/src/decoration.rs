@@ -8,7 +8,7 @@ use crate::RaycastError;
 /// Number of values in a cell of a decoration.
 ///
 /// The values are: phase of the rings; position across the airway, to the left and to the back, in radii; then, from 0
-/// to 1, strength of the rings, proximal colour, ridge of a bifurcation, membranous wall and evenness of the rings.
+/// to 1, strength of the rings, proximal colour, ridge of a fork, membranous wall and evenness of the rings.
 pub const CHANNELS: usize = 8;
 
 /// Anatomical data of airway walls on a coarse grid; zeros where there is no wall.

@@ -32,7 +32,7 @@ pub struct Nearest {
 
 /// Smooth curve with camera frames, computed from a polyline.
 ///
-/// Positions on the curve are in millimetres *of the polyline*, so that bifurcations and generations along the polyline
+/// Positions on the curve are in millimetres *of the polyline*, so that forks and generations along the polyline
 /// keep their positions; the curve itself is a little shorter. Every point of the curve is within `max_deviation_mm` of
 /// the polyline.
 #[derive(Debug, Clone, PartialEq)]

@@ -15,10 +15,10 @@ const SIDE: usize = CELLS + 1;
 pub(crate) const SAMPLES: usize = SIDE * SIDE * SIDE;
 /// Number of bytes of the transform and of the shape at the start of a serialised field.
 const HEAD_BYTES: usize = 8 * 15;
-/// Largest distance outside the lumen that is stored, mm; it also stands for larger distances.
+/// Largest distance outside the lumen that is stored, mm; larger distances are limited to this one.
 pub(crate) const OUTSIDE_MM: f64 = 2.5;
-/// Largest distance inside the lumen that is stored, mm, more than any scope's radius; it also stands for larger
-/// distances.
+/// Largest distance inside the lumen that is stored, mm, more than any scope's radius; larger distances are
+/// limited to this one.
 pub(crate) const INSIDE_MM: f64 = 4.5;
 /// Entry of a brick that is far outside the lumen.
 const FAR_OUTSIDE: u32 = u32::MAX;

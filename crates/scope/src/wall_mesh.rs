@@ -279,7 +279,7 @@ fn own_samples(packets: &Packets<'_>, lps: &Affine, first: [usize; 3], hint: usi
     found
 }
 
-/// Number that stands for no triangle.
+/// Number that marks the absence of a triangle.
 const NONE: u32 = u32::MAX;
 
 /// Return, for each brick, a triangle whose box is within [`OUTSIDE_MM`] of the brick.

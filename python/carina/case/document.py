@@ -48,7 +48,7 @@ class Target:
     name: str
     lps: Point
     used_lps: Point | None = None
-    """End of the path: the requested point, or the nearest lumen voxel within 5 mm."""
+    """End of the path, LPS in mm: the requested point, or the nearest lumen voxel within 5 mm."""
     snapped_mm: float | None = None
     length_mm: float | None = None
     problem: str | None = None
@@ -57,7 +57,7 @@ class Target:
     cost: PathCost = "lumen"
     """Name of the edge cost of the path search; see :class:`carina.commands.AddTarget`."""
     root_lps: Point | None = None
-    """Start of the path for the costs ``walls`` and ``paper``; None selects the root of the airways."""
+    """Start of the path for the costs ``walls`` and ``paper``, LPS in mm; None selects the root of the airways."""
     outside_mm: float | None = None
     """Length of the path outside the lumen in mm; None if no lumen is known."""
     crossings_mm: tuple[float, ...] | None = None

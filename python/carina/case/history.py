@@ -209,7 +209,7 @@ class History(Generic[D]):
         return label
 
     def go_to(self, position: int) -> None:
-        """Move to a position: so many steps are then in effect, and the later ones are undone.
+        """Move to a position, which is the number of steps that are then in effect; the later steps are undone.
 
         Parameters
         ----------

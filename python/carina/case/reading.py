@@ -186,8 +186,8 @@ class CaseReader:
             documents = [self.document(step[3]) for step in steps]
             measures = self._all_measures([step[3] for step in steps])
             if present is not None and self.columns("airways", present)[0] is not None:
-                # The document holds these airways. The reader must not hold them too, because it lives as long as any
-                # step.
+                # The document refers to these airways. A reference of the reader would hold them in memory as long
+                # as any step exists.
                 del self._whole[present]
             check_tip(facts.tip, "tip", has_route=documents[position].route is not None)
             route = documents[position].route
@@ -238,7 +238,7 @@ class CaseReader:
         return tuple(found)
 
     def document(self, row: int) -> Document:
-        """Return the document in a row of ``document``."""
+        """Return the document in a row of the table ``document``."""
         known = self._documents.get(row)
         if known is not None:
             return known
@@ -259,22 +259,22 @@ class CaseReader:
         return made
 
     def transfer(self, row: int) -> TransferFunction:
-        """Return the transfer function in a row of ``value``."""
+        """Return the transfer function in a row of the table ``value``."""
         made: TransferFunction = self._value("transfer", row, self._decoders.transfer, _transfer_from_json)
         return made
 
     def look(self, row: int) -> Look:
-        """Return the look in a row of ``value``."""
+        """Return the look (scope, lens, outline, operator) in a row of the table ``value``."""
         made: Look = self._value("look", row, self._decoders.look, lambda look: look)
         return made
 
     def keys(self, row: int) -> KeyFrames:
-        """Return the key frames in a row of ``value``."""
+        """Return the key frames in a row of the table ``value``."""
         made: KeyFrames = self._value("keys", row, self._decoders.keys, _key_frames_from_facts)
         return made
 
     def target_facts(self, row: int) -> tuple[f.TargetFacts, ...]:
-        """Return the facts of the targets in a row of ``value``, without their paths."""
+        """Return the facts of the targets in a row of the table ``value``, without their paths."""
         _, json_text = self.columns("value", row)
         found: tuple[f.TargetFacts, ...] = from_json(
             json_text, self._decoders.targets, f"row {row} of value, kind targets"
@@ -306,7 +306,7 @@ class CaseReader:
         )
 
     def route(self, row: int) -> ChosenRoute:
-        """Return the route in a row of ``route``."""
+        """Return the route in a row of the table ``route``."""
         known = self._routes.get(row)
         if known is not None:
             return known
@@ -372,7 +372,7 @@ class CaseReader:
         return known
 
     def _unedited_airways(self, row: int) -> Airways:
-        """Return the unedited airways in a row of ``airways``, in full, as the base of edited airways."""
+        """Return the unedited airways in a row of the table ``airways``, in full, as the base of edited airways."""
         if self.columns("airways", row)[0] is not None:
             raise damage_error(f"row {row} of airways", "unedited airways as their base", "edited airways")
         whole = self._whole.get(row)
@@ -381,7 +381,7 @@ class CaseReader:
         return whole
 
     def airways(self, row: int) -> Airways:
-        """Return the airways in a row of ``airways`` in full; their paths are computed at first use."""
+        """Return the airways in a row of the table ``airways`` in full; their paths are computed at first use."""
         with self._lock:
             known = self._whole.get(row)
             return self._build_airways(row) if known is None else known
@@ -416,7 +416,7 @@ class CaseReader:
         return made
 
     def _tracker(self, row: int) -> PathTracker:
-        """Return the path tracker in a row of ``tracker``, with its start point and its nodes."""
+        """Return the path tracker in a row of the table ``tracker``, with its start point and its nodes."""
         known = self._trackers.get(row)
         if known is not None:
             return known
@@ -482,7 +482,7 @@ class CaseReader:
         return made
 
     def _branch(self, row: int, facts: f.BranchFacts) -> Branch:
-        """Return the branch whose points are in a row of ``branch`` and whose other values are given."""
+        """Return the branch whose points are in a row of the table ``branch`` and whose other values are given."""
         points, radius, wall = self.columns("branch", row)
         line = self._array(points, "f8", width=3)
         return Branch(
@@ -504,7 +504,7 @@ class CaseReader:
         )
 
     def _lumen(self, row: int) -> NDArray[np.uint8]:
-        """Return the lumen in a row, put together from its tiles, in the axes of the volume."""
+        """Return the lumen in a row, joined from its tiles, in the axes of the volume."""
         known = self._lumens.get(row)
         if known is not None:
             return known
@@ -554,7 +554,7 @@ class CaseReader:
         return bits
 
     def measures_of(self, airways: int) -> StoredMeasures | None:
-        """Return the measures of a row of ``airways``; None if it was not measured."""
+        """Return the measures of the airways in a row of the table ``airways``; None if they were not measured."""
         row = self._measures.get(airways)
         if row is None:
             return None
@@ -563,7 +563,7 @@ class CaseReader:
         return stored
 
     def measures(self, row: int) -> TreeMeasures:
-        """Return the measures in a row of ``measures``."""
+        """Return the measures in a row of the table ``measures``."""
         with self._lock:
             where = f"row {row} of measures"
             airways, packed, record = self.columns("measures", row)
@@ -626,7 +626,7 @@ class CaseReader:
         return known
 
     def _value(self, kind: str, row: int, decoder: msgspec.json.Decoder[Any], make: Callable[[Any], Any]) -> Any:
-        """Return the value in a row of ``value``, decoded from JSON and converted by ``make``."""
+        """Return the value in a row of the table ``value``, decoded from JSON and converted by ``make``."""
         if (kind, row) in self._values:
             return self._values[kind, row]
         where = f"row {row} of value, kind {kind}"

@@ -399,7 +399,9 @@ def _with_branches_and_path(
 
 
 def place_on_tree_mm(tree: AirwayTree, branch_id: int, point: NDArray[np.float64]) -> float:
-    """Return the distance in mm of the place of a branch nearest to a point from the start of the tree.
+    """Return the distance along the centrelines, mm, from the start of the tree to the foot of a point on a branch.
+
+    The foot is the point of the branch's centreline that is nearest to the given point.
 
     Parameters
     ----------

@@ -339,7 +339,7 @@ def lines(plan: Plan) -> list[str]:
         if route.predictors is not None:
             reported.append(f"route {number}: {route.predictors.words}")
         if number == 1:
-            # The list of reasons contains the doubts of the first route.
+            # The doubts of the first route are already in the list of reasons.
             continue
         reported += [f"route {number}: ! {doubt}" for doubt in route.doubts]
         if route.width.why is not None:

@@ -67,7 +67,7 @@ class _Member:
 
 
 class Console:
-    """Scheduler thread that renders pictures on lanes.
+    """Thread that distributes the strips of pictures to lanes (connections to renderers) and assembles the answers.
 
     Parameters
     ----------

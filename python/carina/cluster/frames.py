@@ -108,7 +108,7 @@ def find_mismatch(answer: StripAnswer, order: StripOrder) -> str | None:
     if answer.content != order.content:
         return f"a strip with content {answer.content} instead of {order.content}"
     if (answer.first_row, answer.num_rows) != (first, end - first):
-        # The strips of a frame are divided anew when a renderer leaves, so a strip of the right height may have wrong
+        # The strips of a frame are divided again when a renderer leaves, so a strip of the right height may have wrong
         # rows.
         found = f"{answer.num_rows} rows from row {answer.first_row}"
         return f"a strip of {found} instead of {end - first} from row {first}"

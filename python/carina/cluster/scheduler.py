@@ -152,7 +152,10 @@ class _Frame:
 PACE_WEIGHT = 0.3
 KINDS_REMEMBERED = 32
 TRANSPORT_GROWTH, TRANSPORT_STEP_S = 1.05, 0.0001
-"""Largest growth of a lane's transport time for each strip, so that a slow link is noticed after some strips."""
+"""Largest growth of a lane's transport time for each strip: a factor, and seconds in addition.
+
+A slow link is therefore noticed after some strips.
+"""
 SLOW_TRANSPORT = 2.0
 """Multiple of the median transport time above which a lane counts as slower."""
 

@@ -189,7 +189,7 @@ def describe_error(error: msgspec.ValidationError, value: Any, where: str, cls: 
 
 
 def _value_at_path(value: Any, path: str) -> Any:
-    """Return the part of a value at a path such as ``.views[3].width``; the whole object for an unnamed key."""
+    """Return the part of a value at a path such as ``.views[3].width``, or the dictionary that contains the part."""
     for name, number in re.findall(r"\.(\w+)|\[(\d+)\]", path.split("[...]", maxsplit=1)[0]):
         value = value[name] if name else value[int(number)]
     return value

@@ -30,7 +30,7 @@ DRAFT = re.compile(r"\.carina-[0-9a-f]{16}\.draft")
 SWEEP_AGAIN_S = 60.0
 """Shortest time between two sweeps of one folder; a recorded flight writes thousands of pictures into one folder."""
 UNKNOWN_AFTER_S = 86_400.0
-"""Age in seconds from which a draft is considered abandoned if its lock gives no answer.
+"""Age in seconds from which a draft is considered abandoned if the state of its lock is unknown.
 
 The age decides on file systems without locks, and on Windows, where a draft has no lock shortly before its renaming.
 """

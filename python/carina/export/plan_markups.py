@@ -1,6 +1,6 @@
 """Export of a plan as 3D Slicer markups: one ``.mrk.json`` with all targets, routes, needles and scope positions.
 
-Slicer creates a node for each entry of the list ``markups``, so that one file shows the whole plan. It reads the
+Slicer creates a node for each entry of the list ``markups``, so that one file shows the whole plan. Slicer reads the
 descriptions of control points only, not of a markup, so the texts of the plan are attached to points.
 
 References

@@ -1,4 +1,4 @@
-"""Export of the airway tree to formats of other tools: VTP (VTK), SWC (neuron tracers), Slicer markups.
+"""Export of the airway tree to formats of external software: VTP (VTK), SWC (neuron tracers), Slicer markups.
 
 All coordinates are in LPS, mm, and the files state this if the format allows it.
 

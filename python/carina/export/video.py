@@ -259,7 +259,7 @@ class VideoWriter:
         self.num_frames += 1
 
     def close(self) -> None:
-        """Write the remaining frames and put the file in its place.
+        """Write the remaining frames, and move the complete file to its final name.
 
         Raises
         ------

@@ -52,7 +52,7 @@ class FlightPath:
         Direction that appears up at the start. Default: anterior (operator at the head end), or superior if the path
         starts along the antero-posterior axis. Later frames rotate as little as possible about the viewing direction.
     forks_mm
-        Positions of the bifurcations. Default: those of the route.
+        Positions of the forks. Default: those of the route.
     lookouts_mm
         Positions where :meth:`next_fork_mm` and :meth:`previous_fork_mm` stop: in front of the forks, with all openings
         in view. Default: the forks themselves.
@@ -183,12 +183,12 @@ class FlightPath:
 
     @property
     def forks_mm(self) -> tuple[float, ...]:
-        """Positions of the bifurcations along the path, mm, ascending."""
+        """Positions of the forks along the path, mm, ascending."""
         return self._forks_mm
 
     @property
     def lookouts_mm(self) -> tuple[float, ...]:
-        """Positions in front of the bifurcations along the path, mm, ascending."""
+        """Positions in front of the forks along the path, mm, ascending."""
         return self._lookouts_mm
 
     @property

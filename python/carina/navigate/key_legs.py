@@ -279,7 +279,7 @@ def _with_up_directions(looks: Points) -> Points:
     frames = np.empty((len(looks), 3, 3))
     up = upright(looks[0])
     for n, look in enumerate(looks):
-        # The up direction is transported without twist; where the horizon is level, it is computed anew.
+        # The up direction is transported without twist; where the horizon is level, it is computed again.
         up = upright(look) if level else up - float(up @ look) * look
         up = up / np.linalg.norm(up)
         frames[n] = np.column_stack([np.cross(-up, look), -up, look])

@@ -132,7 +132,7 @@ class Navigator:
 
     @property
     def look_offset_rad(self) -> tuple[float, float, float]:
-        """View direction relative to the path: yaw to the right, pitch up, roll clockwise; zeros in mode *free*."""
+        """View direction relative to the path, rad: yaw right, pitch up, roll clockwise; zeros in mode *free*."""
         r = self._look
         pitch = math.asin(max(-1.0, min(1.0, -float(r[1, 2]))))
         return math.atan2(r[0, 2], r[2, 2]), pitch, math.atan2(r[1, 0], r[1, 1])

@@ -140,7 +140,7 @@ class Pilot:
         self._passed_s = 0.0
         # Sample that the tip followed in the last frame. After None the tip starts from the next sample without a jump.
         self._followed: tuple[str, Sample] | None = None
-        # In absolute: pose = registered pen * turn, shifted.
+        # In absolute mode, the pose of the tip is the registered pose of the pen, rotated and shifted by these offsets.
         self._off_turn = np.eye(3)
         self._off_lps: MM3 = np.zeros(3)
 
@@ -170,7 +170,7 @@ class Pilot:
 
     @property
     def scope_flexion_range_rad(self) -> tuple[float, float] | None:
-        """Flexion limits of the scope in the lumen, down (below 0) and up, or None."""
+        """Flexion limits of the scope in the lumen, radians: down (below 0) and up, or None."""
         return self.navigator.flexion_range_rad
 
     @property
@@ -470,7 +470,7 @@ class Pilot:
         self._off_turn, self._off_lps = np.eye(3), np.zeros(3)
         self._followed = (holder, newest)
 
-    # ------------------------------------------------------------ one frame
+    # ------------------------------------------------------------ steps of one frame
 
     def _follow_samples(self, now_s: float) -> None:
         if not math.isfinite(now_s):

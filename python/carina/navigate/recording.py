@@ -48,7 +48,7 @@ def case_key(volume: Volume) -> dict[str, Any]:
 class Recorder:
     """Writer of a recording of a pilot's moves, until it is closed.
 
-    The pilot removes its devices when the recording starts (as if they were connected anew, without a jump), since a
+    The pilot removes its devices when the recording starts (as if they were connected again, without a jump), since a
     replay starts without devices.
 
     Parameters

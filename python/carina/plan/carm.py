@@ -66,9 +66,9 @@ class CArmAngle:
     secondary_deg: float
     """Rotation of the detector towards the head (cranial, above 0) or the feet (caudal, below 0), degrees."""
     target_clear_mm: float
-    """Distance in mm at the isocentre from the target's outline to the nearest shadow; below 0 inside it."""
+    """Distance from the target's outline to the nearest shadow, mm at the isocentre; below 0 inside the shadow."""
     tip_clear_mm: float
-    """Distance in mm from the scope's tip to the nearest shadow; below 0 inside it."""
+    """Distance from the scope's tip to the nearest shadow, mm at the isocentre; below 0 inside the shadow."""
     tilt_deg: float
     """Angle in degrees between the last branch and the image plane; 0 if the branch is visible in its full length."""
 
@@ -139,7 +139,7 @@ class ShadowParts:
 
     @property
     def points_lps(self) -> Points:
-        """Points (n, 3) of both structures."""
+        """Points (n, 3) of both structures, LPS mm."""
         return np.concatenate([self.spine_lps, self.mediastinum_lps])
 
 
@@ -395,7 +395,7 @@ def _spine(box: Box, tree: AirwayTree) -> tuple[Mask, Points]:
 
 
 def _places(box: Box, mask: Mask) -> Points:
-    """Return the surface voxels of a mask as points; their shadow is that of the whole mask."""
+    """Return the surface voxels of a mask as points (n, 3), LPS mm; their shadow is that of the whole mask."""
     padded = np.pad(mask, 1)
     inside = mask.copy()
     for axis in range(3):

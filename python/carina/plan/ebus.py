@@ -30,19 +30,19 @@ EBUS_LIMITS = (
 TRACHEA_MM = 15.0
 """Distance in mm above the main carina at which station 4R is examined (site 3 on Wang's map for needles).
 
-It corresponds to the second to fourth space between cartilages; the distance is common knowledge.
+The point is at the second to fourth space between cartilages; the distance is common knowledge.
 """
 TRACHEA_LEFT_MM = 6.0
 """Distance in mm above the main carina at which station 4L is examined (site 4 on Wang's map for needles).
 
-It corresponds to the first or second space between cartilages; the distance is common knowledge.
+The point is at the first or second space between cartilages; the distance is common knowledge.
 """
 MAIN_SHARE = 0.6
 """Position at which stations 7 and 10 are examined, as a share of the length of a main bronchus."""
 BEYOND_MM = 4.0
-"""Distance in mm beyond a fork, in the branch that goes on downwards, at which station 11 is examined."""
+"""Distance in mm beyond a fork, in its lower bronchus, at which station 11 is examined."""
 ANGLE_MM = 10.0
-"""Distance in mm along both bronchi of a fork to two points, between which the angle of the fork is aimed at."""
+"""Distance in mm from a fork to one point on each of its bronchi; the probe is aimed between the two points."""
 AXIS_MM = 3.0
 """Distance in mm to both sides of a point over which the direction of a bronchus is measured."""
 

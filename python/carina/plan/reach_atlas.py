@@ -50,7 +50,7 @@ STEP_MM = 2.0
 APART_MM = 2.0
 """Least distance in mm between the centreline points of one branch from which the tool's reach is computed."""
 TARGET_MM = 10.0
-"""Diameter in mm of the ball that stands for a target at each voxel."""
+"""Diameter in mm of the ball that represents a target at each voxel."""
 NUM_WAYS = 300
 """Number of directions on the sphere that are tested at each place."""
 TABLE_STEP_MM, TABLE_STEP_DEG, TABLE_MAX_DEG = 0.5, 1.0, 60.0
@@ -95,7 +95,7 @@ class ReachAtlas:
     why: str | None = None
     """Reason why the tool reaches nothing, such as a channel that is too thin; None if the tool passes the channel."""
     target_mm: float = TARGET_MM
-    """Diameter in mm of the ball at each voxel that stands for a target."""
+    """Diameter in mm of the ball that represents a target at each voxel."""
 
     @property
     def lung_ml(self) -> float:

@@ -48,7 +48,7 @@ from carina.volume import Volume
 NUM_DRIVEN = 3
 """Default of the largest number of routes that are driven."""
 MAX_SPARES = 2
-"""Largest number of second-best places of the same branches that are driven in addition."""
+"""Largest number of second-best standing places, in branches already driven to, whose drives are simulated too."""
 NUM_THREADS = 2
 DRAFTED = 0.4
 """Progress at which the drafts of the routes are complete, as a share of the whole work."""

@@ -77,12 +77,12 @@ class Appearance:
     rings: float = 0.0
     """Strength of the cartilage rings of trachea and main bronchi and the plates of lobar bronchi; 0 for none.
 
-    They are drawn from the airway tree.
+    Rings and plates are drawn from the airway tree.
     """
     membrane: float = 0.0
     """Strength of the flat, folded membranous wall at the back of trachea and main bronchi; 0 for none.
 
-    It is drawn from the airway tree.
+    The membranous wall is drawn from the airway tree.
     """
     hue: float = 0.0
     """Strength of the colour by region, from the airway tree: a pale trachea, redder bronchi; 0 for one colour."""

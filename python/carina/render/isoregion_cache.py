@@ -52,7 +52,7 @@ class MapName:
     def stem(self) -> str:
         """First part of the map's file name, from the classes and the shape.
 
-        It is computed without reading the voxels.
+        The first part is computed without reading the voxels.
         """
         text = repr((MAP_VERSION, self.values_zyx.shape, self.classes))
         return hashlib.blake2b(text.encode(), digest_size=10).hexdigest()
@@ -64,7 +64,7 @@ class MapName:
 
 @dataclass(frozen=True, slots=True)
 class CachedMap:
-    """IsoRegion map as arrays ``(nz, ny, nx)`` uint8 of the volume's shape, with describing JSON values."""
+    """IsoRegion map: arrays ``(nz, ny, nx)`` uint8 of the volume's shape, and JSON values that describe the map."""
 
     arrays: Arrays
     meaning: Any = None

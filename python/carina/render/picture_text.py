@@ -60,7 +60,7 @@ class PathSpan:
 def letters_of(direction_lps: NDArray[np.float64]) -> str:
     """Return the anatomical letters of a direction, dominant first.
 
-    Two letters if it is oblique by 12 degrees or more.
+    A direction that is oblique by 12 degrees or more has two letters.
     """
     unit = np.asarray(direction_lps, dtype=np.float64) / float(np.linalg.norm(direction_lps))
     order = np.argsort(-np.abs(unit), kind="stable")[:2]

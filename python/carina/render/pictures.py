@@ -367,7 +367,7 @@ _PROBES: dict[str, tuple[Any, Any]] = {
 
 @cache
 def ignored_settings(view: str) -> frozenset[str]:
-    """Return the settings of `render_view` that do not change a view; ``pose`` stands for the direction of the pose.
+    """Return the settings of `render_view` that do not change a view; ``pose`` means the direction of the pose.
 
     Examples
     --------

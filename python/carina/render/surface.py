@@ -51,8 +51,8 @@ class Surface:
     def save(self, path: str | os.PathLike[str], *, badges: Sequence[Note] = ()) -> Path:
         """Write a NumPy archive and return its path; an existing file is replaced completely or not at all.
 
-        It contains ``depth_mm``, ``position_lps``, ``normal_lps``, ``lps_from_camera`` (4, 4) and ``fov_deg``; if the
-        case has notes of doubt, also ``badges`` (n,), one text each.
+        The archive contains ``depth_mm``, ``position_lps``, ``normal_lps``, ``lps_from_camera`` (4, 4) and ``fov_deg``;
+        if the case has notes of doubt, also ``badges`` (n,), one text each.
 
         Raises
         ------

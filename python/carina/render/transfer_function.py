@@ -41,7 +41,7 @@ class Light:
     shininess_log2: int = 4
     """Base-2 logarithm of the highlight's exponent: the exponent is ``2 ** shininess_log2``."""
     reach_mm: float | None = None
-    """Distance at which half the light remains; None for light that does not decrease with distance."""
+    """Distance in mm at which half the light remains; None for light that does not decrease with distance."""
 
     def __post_init__(self) -> None:
         """Raise an error if a field of this `Light` has an invalid value."""
@@ -175,7 +175,7 @@ class TransferFunction:
 
     @property
     def bin_hu(self) -> int:
-        """Width of the bins of equal colour in a volume of more than 256 values; 1 if values are not binned."""
+        """Width in HU of the bins of equal colour in a volume of more than 256 values; 1 if values are not binned."""
         return PAPER_BIN_HU if self.sampling == "nearest" else 1
 
     def to_json(self) -> dict[str, Any]:

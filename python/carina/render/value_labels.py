@@ -40,7 +40,7 @@ def bin_width(values_zyx: NDArray[np.int16]) -> int:
 
 
 def equal_by_name(values_zyx: NDArray[np.int16], equal_by: EqualBy = "auto") -> str:
-    """Return what voxels are compared by: ``values`` or ``bins of 16``."""
+    """Return the name of the quantity by which voxels are compared: ``values`` or ``bins of 16``."""
     if equal_by == "auto":
         equal_by = "values" if bin_width(values_zyx) == 1 else "bins"
     return "values" if equal_by == "values" else BIN_NAME

@@ -668,8 +668,8 @@ class Picture:
     def save(self, path: str | os.PathLike[str], *, badges: Sequence[Note] = ()) -> Path:
         """Write the picture as PNG and return the path; an existing file is replaced completely or not at all.
 
-        The text chunk ``carina-pose`` holds :meth:`place`; :func:`carina.render.read_png_pose` reads it. The chunk
-        ``carina-badges`` holds the permanent notes of the case; :func:`carina.render.read_png_badges` reads it.
+        The text chunk ``carina-pose`` contains :meth:`place`; :func:`carina.render.read_png_pose` reads it. The chunk
+        ``carina-badges`` contains the permanent notes of the case; :func:`carina.render.read_png_badges` reads it.
 
         Raises
         ------

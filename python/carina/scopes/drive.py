@@ -62,7 +62,7 @@ class ContactRecord:
     time_s: float = 0.0
     """Total time of contact, s."""
     max_depth_mm: float = 0.0
-    """Largest `Contact.depth_mm`."""
+    """Largest depth in mm by which a contact is inside the wall (`Contact.depth_mm`)."""
 
 
 class ScopeHold(FrozenValue, frozen=True):

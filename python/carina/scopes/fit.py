@@ -2,7 +2,7 @@
 
 The measurements (Masters 2005, a bronchoscope in front of test charts): linear magnification, relative to 100 mm from
 the tip, of 9.55 at 10 mm and of 40 at 3 mm; at 15 mm the middle is enlarged 39 % more than the edge; at 3 mm the
-distortion reaches 30 %. They come from one scope and are not fully consistent; the residuals quantify this.
+distortion reaches 30 %. The figures of one scope are not fully consistent; the residuals quantify the contradictions.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from carina.display import one_line
 
 FOV_DEG = 120.0
-"""Usual field of view of adult scopes today (common knowledge); that of the measured scope is not published."""
+"""Usual field of view of adult scopes today, degrees (common knowledge), because that of the scope is unpublished."""
 REFERENCE_MM = 100.0
 MAGNIFICATION_AT = ((10.0, 9.55), (3.0, 40.0))
 CENTRE_TO_EDGE = 1.39

@@ -57,7 +57,7 @@ class ScopePreset:
     basis: str
     """Basis of the values: ``s`` or ``k`` (see the module), or a list of the values of each basis."""
     view_up_deg: float = 0.0
-    """Angle between the direction of view and the shaft's axis, upwards; 35 for a forward-oblique EBUS scope."""
+    """Angle in degrees from the shaft's axis up to the direction of view; 35 for a forward-oblique EBUS scope."""
     outline: Outline = "round"
     """Outline of the picture (basis k)."""
     lens: Lens = _LENS
@@ -86,7 +86,7 @@ class ScopePreset:
     def guides_mm(self) -> tuple[Point, ...]:
         """Ends of the light guides in camera space, mm: two on the face, left and right of the lens (basis k).
 
-        They are a little above the lens.
+        Both guides are a little above the lens.
         """
         across, up = 0.28 * self.tip_mm, 0.1 * self.tip_mm
         return ((-across, -up, self.face_mm), (across, -up, self.face_mm))

@@ -117,7 +117,7 @@ class DeviceConnections:
         if self._thread.is_alive():
             self._thread.join()
 
-    # ------------------------------------------------------------ in
+    # ------------------------------------------------------------ commands and connections of devices
 
     def handle(self, message: Any, window: int | None = None) -> bool:
         """Handle a message of a window about devices; return False if the message is not about devices."""
@@ -219,7 +219,7 @@ class DeviceConnections:
         scene = self._session.scene()
         return None if scene is None else scene.renderer.render(scene.spec(LEAD_VIEW, PICTURE_PX, PICTURE_PX, 1.0)).rgb
 
-    # ------------------------------------------------------------ out
+    # ------------------------------------------------------------ messages to the windows
 
     def message(self) -> wire.DevicesMessage | None:
         """Return the device status for the wire; None without a case."""

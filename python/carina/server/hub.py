@@ -103,7 +103,7 @@ class Hub:
         self._switching: set[asyncio.Task[None]] = set()
         self._unsubscribe: Callable[[], None] = lambda: None
 
-    # ------------------------------------------------------------ life
+    # ------------------------------------------------------------ start, stop, and connection of windows
 
     def start(self) -> None:
         """Subscribe to session events and start the shared services; call this method in the event loop."""
@@ -175,7 +175,7 @@ class Hub:
             self._rate_hz = window.pump.rate_hz
         self._leaving = [thread for thread in (*self._leaving, *window.threads) if thread.is_alive()]
 
-    # ------------------------------------------------------------ out
+    # ------------------------------------------------------------ messages to the windows
 
     @property
     def _command_windows(self) -> tuple[Window, ...]:
@@ -235,7 +235,7 @@ class Hub:
             self._uploads.discard(self._mask_upload)
             self._mask_upload = None
 
-    # ------------------------------------------------------------ in
+    # ------------------------------------------------------------ commands from the windows
 
     def do(self, message: Any, window: Window) -> None:
         """Pass a command to the session, or handle a message about the objects that the windows share."""

@@ -36,7 +36,7 @@ class Terminal(Protocol):
 
 
 class ConsoleTerminal:
-    """Standard input and standard error; standard output is left to ``--json``.
+    """Terminal that prints on standard error and reads standard input; standard output is reserved for ``--json``.
 
     Parameters
     ----------

@@ -114,11 +114,11 @@ class SessionCore:
         """Function that returns whether and where the open case is saved."""
         self.before_move: Callable[[], None] = lambda: None
         self.before_document: list[Callable[[OpenCase], None]] = []
-        """Functions called after a change of the document, before tip and renderer are updated; the lock is held."""
+        """Functions called with the session locked after a document change, before tip and renderer are updated."""
         self.after_document: list[Callable[[OpenCase], None]] = []
-        """Functions called after a change of the document, after tip and renderer are updated; the lock is held."""
+        """Functions called with the session locked, after the update of tip and renderer to a changed document."""
         self.after_sight: list[Callable[[OpenCase], None]] = []
-        """Functions called after a change of the sight; the lock is held."""
+        """Functions called with the session locked after a change of the sight."""
         self._pose_id = 0
         self._pose_s = clock()
         self._steered_s = 0.0
@@ -197,7 +197,7 @@ class SessionCore:
     def answer(self, event: Event) -> None:
         """Send an event to the window of the current command and to listeners that are no window.
 
-        All listeners receive the event if the command has no window, or if its window is gone.
+        All listeners receive the event if the command has no window, or if its window is closed.
         """
         with self.lock:
             asking = _running_command.get().window
@@ -312,7 +312,7 @@ class SessionCore:
             if any(getattr(case.document, name) != value for name, value in values.items()):
                 self.change(case, label or "change", replace(case.document, **values), gesture=gesture)
 
-    # ------------------------------------------------------------ following the document
+    # ------------------------------------------------------------ updates after a change of the document
 
     def follow(self, case: OpenCase) -> None:
         """Update the tip, the renderer and all other values that depend on the document; the caller holds the lock."""

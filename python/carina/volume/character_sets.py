@@ -1,7 +1,7 @@
 """Character sets of DICOM texts: finds the set of a text whose file names none or misspells it (PS3.5 6.1).
 
-Programs that write UTF-8 often omit SpecificCharacterSet, or write *UTF-8* instead of *ISO_IR 192*. A reader then takes
-each byte for a letter: ``MÃ¼ller`` for ``Müller``. UTF-8 is recognisable, because text in another set is rarely valid
+Programs that write UTF-8 often omit SpecificCharacterSet, or write *UTF-8* instead of *ISO_IR 192*. A reader then shows
+each byte as a letter: ``MÃ¼ller`` for ``Müller``. UTF-8 is recognisable, because text in another set is rarely valid
 UTF-8. Other unknown sets are not recognisable: a text in such a set is *doubtful* and is not copied into other files.
 """
 

@@ -49,7 +49,10 @@ class FoundSeries:
     lps_from_ijk: NDArray[np.float64] | None = None
     refusal: VolumeImportError | None = None
     score: float = 0.0
-    """Number of slices times covered height in mm, weighted by the texts; the largest score is opened."""
+    """Number of slices times covered height in mm, weighted by header texts (body part, description, image type).
+
+    The series with the largest score is opened.
+    """
     notes: tuple[Note, ...] = ()
     """Notes about the files of the series."""
     missing: tuple[UnusedFile, ...] = ()

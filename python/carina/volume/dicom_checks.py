@@ -176,8 +176,7 @@ def _fits_worst(below: NDArray[Any], middle: NDArray[Any], above: NDArray[Any], 
     """Return the largest excess in HU of the middle slice over what its two neighbours explain.
 
     The excess is the difference from the nearer neighbour minus a multiple of the neighbours' difference. With
-    ``tile``,
-    differences are means over square tiles of this side, otherwise over the whole slice.
+    ``tile``, differences are means over square tiles of this side, otherwise over the whole slice.
     """
     step = 4 if tile is None else 1
     three = [np.clip(part[::step, ::step], -1200, 1500).astype(np.int32) for part in (below, middle, above)]

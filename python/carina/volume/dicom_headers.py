@@ -109,9 +109,9 @@ class SliceHeader:
     column_lps: tuple[float, float, float]
     """Unit direction of increasing row index, LPS."""
     spacing_mm: tuple[float, float]
-    """Distance of columns and distance of rows: (x, y), the reverse order of PixelSpacing."""
+    """Distance of columns and distance of rows in mm: (x, y), the reverse order of PixelSpacing."""
     thickness_mm: float | None
-    """SliceThickness; None if the tag is missing or is not a possible thickness."""
+    """SliceThickness in mm; None if the tag is missing or is not a possible thickness."""
     slope: float
     intercept: float
     has_slope: bool
@@ -371,7 +371,7 @@ class _Tags:
 
 
 def _thickness_mm(tags: _Tags) -> float | None:
-    """Return SliceThickness; None if it is missing or impossible, for which a series is not refused."""
+    """Return SliceThickness in mm; None if the tag is missing or impossible, which is no reason to refuse a series."""
     try:
         thickness_mm = float(tags.text("SliceThickness"))
     except ValueError:

@@ -296,7 +296,7 @@ class _FramePositions:
 
 
 def _slice_mm(volume: Volume | None, normal: NDArray[np.float64]) -> float | None:
-    """Return the CT's voxel spacing along the normal of the segmentation's planes; None if no axis is parallel."""
+    """Return the CT's voxel spacing in mm along the normal of a segmentation's planes; None if no axis is parallel."""
     if volume is None:
         return None
     for axis in range(3):

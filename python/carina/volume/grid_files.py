@@ -30,7 +30,7 @@ _LIBRARY = re.compile(
 )
 _MAX_METAIO_LINE = 1000
 _LIBRARY_SKEW_DEG = 0.002
-"""Skew from which the header is straightened for ITK, which refuses an sform at about ten times this angle."""
+"""Skew in degrees from which the header is straightened for ITK, which refuses an sform at about ten times as much."""
 
 
 @contextmanager

@@ -44,7 +44,7 @@ def write_grid(
     note: str | None = None,
     level: int = 6,
 ) -> Path:
-    """Write values on a grid atomically, so that other tools place them exactly over the CT.
+    """Write values on a grid atomically, so that other software places them exactly over the CT.
 
     Parameters
     ----------

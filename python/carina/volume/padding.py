@@ -6,8 +6,8 @@ the mark to any number: 63536 becomes 62512 HU. The rules, in this order:
 1. A mark at or below -1000 HU, or at or below every other value of the slice, keeps its value, because it cannot be
 confused with tissue.
 2. A mark above 30,710 HU (the end of the extended CT scale) is not a value of tissue, so every such pixel is padding.
-3. Any other mark is also a possible value of tissue or metal. Only connected regions of it that touch the edge of the
-slice are padding; pixels within the image keep their values.
+3. Any other mark is also a possible value of tissue or metal. Only connected regions of the mark that touch the edge
+of the slice are padding; pixels within the image keep their values.
 4. Without a mark, a value of 2000 HU or more in all four corners of a slice is padding, and so is a value above 30,710
 HU in any corner, because no anatomy has this pattern. A note states that the file does not declare this padding.
 Files without padding tags (NIfTI, NRRD, MetaImage) follow this rule with the eight corners of the volume.

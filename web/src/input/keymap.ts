@@ -88,7 +88,7 @@ export function takesKey(focus: FocusKind, event: KeyPress): boolean {
   }
 }
 
-/** Return whether two places can apply at once. Only one view, list, button or field can have the focus. */
+/** Return whether keys of two places can be active together. Only one view, list, button or field can have focus. */
 export function holdTogether(a: KeyPlace, b: KeyPlace): boolean {
   if (a === b || isWithin(a, b) || isWithin(b, a)) return true;
   return !(takesFocus(a) && takesFocus(b));

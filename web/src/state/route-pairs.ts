@@ -1,4 +1,4 @@
-/** Rows of the table of routes and instruments, and the text about the best pair. */
+/** Rows of the table of instruments and routes, and the text about the best pair of an instrument and a route. */
 
 import type { PlansMessage, RouteOffer, RoutePair, TargetPlan } from "../wire/messages";
 
@@ -26,7 +26,7 @@ export function pairRows(plan: TargetPlan, pairs: readonly RoutePair[]): PairRow
   }));
 }
 
-/** Return the best pair of an available instrument that reaches or may reach the target; null if there is none. */
+/** Return the best pair of a route and an available instrument that (may) reach the target; null if there is none. */
 export const bestPair = (pairs: readonly RoutePair[]): RoutePair | null =>
   pairs.find((pair) => pair.available && ["reaches", "may reach"].includes(pair.outcome)) ?? null;
 

@@ -11,7 +11,7 @@ const SCANNER_BLUR_MM: f64 = 0.75;
 ///
 /// The required darkness of the lumen then cannot be computed.
 const BLURRED: f64 = 0.75;
-/// Smallest share of the sides of a section that must have a wall; a bifurcation leaves a quarter of the sides open.
+/// Smallest share of the sides of a section that must have a wall; a fork leaves a quarter of the sides open.
 const MIN_WALLED: f64 = 0.7;
 
 /// Weights of the products of pairs of the seven features of a section ([`log_odds`]), as a triangular matrix.

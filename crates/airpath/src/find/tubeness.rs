@@ -2,7 +2,7 @@
 //!
 //! The wall of a bronchus of a few voxels is blurred: its lumen may be as bright as lung, or brighter, and its wall no
 //! brighter than a vessel's rim. The shape remains visible: from the middle of the lumen the values rise in all
-//! directions but the two along the tube (three at a bifurcation). So rays start at the voxel, each gives the rise of
+//! directions but the two along the tube (three at a fork). So rays start at the voxel, each gives the rise of
 //! the values along it, and the *enclosure* is the rise that all but a fifth of the rays reach. The enclosure needs no
 //! estimate of direction or scale. A voxel beside one vessel, or between two, is enclosed on some sides only.
 
@@ -17,7 +17,7 @@ pub const REACH_MM: f64 = 3.0;
 
 /// Number of rays from a voxel, distributed evenly over all directions.
 const NUM_RAYS: usize = 48;
-/// Number of rays that may find no wall: both ends of the tube, or all three of a bifurcation.
+/// Number of rays that may find no wall: both ends of the tube, or all three of a fork.
 const NUM_OPEN: usize = 10;
 
 /// Return the volume without its finest noise: smoothed with a kernel of three voxels on each axis.

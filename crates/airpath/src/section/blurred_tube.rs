@@ -114,8 +114,8 @@ impl Tube {
         at_turn(&self.in_tissue.edge, turn)
     }
 
-    /// Find the wall thickness that gives a rise in a direction; return the thickness and the lumen's half-maximum
-    /// edge.
+    /// Find the wall thickness at which a blurred tube shows the measured `rise` in the direction `turn` (0 within the
+    /// slice, 1 across it); return the thickness and the lumen's half-maximum edge, both in blurs within the slices.
     #[must_use]
     pub fn wall_that_rises(&self, rise: f64, turn: f64) -> (f64, f64) {
         let of = |w: usize| {

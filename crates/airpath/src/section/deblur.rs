@@ -33,7 +33,7 @@ const IN_PLANE: [f64; 4] = [0.1, 0.15, 0.2, 0.35];
 const ENOUGH_EDGES: usize = 1000;
 /// Absolute cosine between ray and slice axis above which a ray counts for the blur across the slices.
 const ACROSS: f64 = 0.8;
-/// Quantile of the blurs of single edges that is taken as the blur within the slices.
+/// Quantile of the blurs of single edges that is used as the blur within the slices.
 ///
 /// Not all tissue has a sharp edge, so the steeper edges show the blur.
 const STEEP_SHARE: f64 = 0.3;

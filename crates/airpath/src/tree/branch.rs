@@ -5,14 +5,14 @@ use carina_grid::{Grid, Ijk, length};
 use crate::tree::smooth::{self, Point};
 use carina_leastcost::lumen::LumenGraph;
 
-/// Part of an airway between two bifurcations, or between a bifurcation and a tip.
+/// Part of an airway between two forks, or between a fork and a tip.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Branch {
     /// Index of the parent branch in the list of branches; `None` for the branch at the root.
     ///
     /// A parent comes before its children.
     pub parent: Option<usize>,
-    /// Number of bifurcations between the root and this branch.
+    /// Number of forks between the root and this branch.
     pub generation: u32,
     /// Voxel path from the root side to the tip side; the first node is the last node of the parent branch.
     pub nodes: Vec<u32>,

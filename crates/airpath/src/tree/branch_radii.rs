@@ -3,7 +3,7 @@
 //!
 //! The distance to the wall is smaller than this radius, because it is the minimum over all directions; the more wall
 //! is near, the more noise lowers it. The *own part* of a branch is where the branch is a separate tube. Near a
-//! bifurcation a section cuts more than one tube. The width at such a point is that of the nearest section in the own
+//! fork a section cuts more than one tube. The width at such a point is that of the nearest section in the own
 //! part, or of the section at the point itself if that is narrower (a stenosis at the branch's ostium).
 
 use carina_grid::{Grid, unit};
@@ -43,7 +43,7 @@ pub fn of_branches(
             children[*parent].push(b);
         }
     }
-    // The start of a branch's own part depends on its siblings at the same bifurcation, so they are needed as well.
+    // The start of a branch's own part depends on its siblings at the same fork, so they are needed as well.
     let needed: Vec<bool> = (0..lines.len())
         .map(|b| wanted(b) || parents[b].is_some_and(|p| children[p].iter().any(|c| wanted(*c))))
         .collect();

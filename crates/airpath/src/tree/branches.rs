@@ -88,7 +88,7 @@ pub fn find_branches(
 /// Return the branches of the automatic tree (the result of [`find_branches`]) that lead to `targets`.
 ///
 /// The least-cost path of a target joins the automatic tree. The piece of this path outside the tree belongs to the
-/// branch that it joins. Branches end at the bifurcations of the automatic tree, so they equal its branches except for
+/// branch that it joins. Branches end at the forks of the automatic tree, so they equal its branches except for
 /// the last ones, which may be shorter.
 #[must_use]
 pub fn branches_to(
@@ -240,7 +240,7 @@ impl<'a> Cover<'a> {
 /// Distance from a tube's axis, in radii of the tube, beyond which a path has left the tube.
 const FORK_RADII: f64 = 1.0;
 
-/// Distance in radii of the tube below which two bifurcations are merged.
+/// Distance in radii of the tube below which two forks are merged.
 const ONE_FORK_RADII: f64 = 0.9;
 
 /// Tree of paths from the root to which paths can be added.
@@ -379,7 +379,7 @@ impl<'a> NodeTree<'a> {
             .0
     }
 
-    /// Divide the paths of the tree into branches at their bifurcations and at the nodes `more_forks`.
+    /// Divide the paths of the tree into branches at their forks and at the nodes `more_forks`.
     fn branches(&self, limits: &BranchLimits, more_forks: &[u32]) -> Vec<Branch> {
         if self.chains.is_empty() {
             return Vec::new();
@@ -397,12 +397,12 @@ impl<'a> NodeTree<'a> {
         let mut open: Vec<(Option<usize>, Vec<u32>)> = vec![(None, vec![root])];
         while let Some((parent, mut nodes)) = open.pop() {
             let mut end = nodes[nodes.len() - 1];
-            // A bifurcation at the root itself would give an empty trunk, so it is skipped.
+            // A fork at the root itself would give an empty trunk, so such a fork is skipped.
             while below(end).len() == 1 && (nodes.len() == 1 || !is_fork(end)) {
                 end = below(end)[0];
                 nodes.push(end);
             }
-            // Two bifurcations near each other count as one with more children.
+            // Two forks near each other count as one fork with more children.
             let run_mm = self.along_mm[end as usize] - self.along_mm[nodes[0] as usize];
             let is_one_fork = parent.is_some()
                 && below(end).len() > 1
@@ -438,7 +438,7 @@ impl<'a> NodeTree<'a> {
     /// Compute the smooth centrelines of branches.
     ///
     /// Each path from the root is smoothed as a whole, the longest first, so that it runs evenly through its
-    /// bifurcations. A branch takes its part of the first such path that contains it. The start of that part is moved
+    /// forks. A branch takes its part of the first such path that contains it. The start of that part is moved
     /// gradually to the last point of the parent.
     fn draw(&self, branches: &mut [Branch], limits: &BranchLimits) {
         let mut leaves: Vec<usize> = (0..branches.len())

@@ -1,9 +1,9 @@
-//! Centrelines in the middle of the lumen, and bifurcations where the axes of the tubes meet.
+//! Centrelines in the middle of the lumen, and forks where the axes of the tubes meet.
 //!
 //! A least-cost path stays near the middle, but cuts the corner into a branch. In the *own part* of a branch, where it
 //! is a separate tube, its points move to the centre of the lumen's cross-section, with sub-voxel accuracy. Near a
-//! bifurcation the cross-section includes other branches. There the axes of parent and children continue as straight
-//! lines, and the bifurcation is the point nearest to all of these lines (least squares; Antiga and Steinman 2004
+//! fork the cross-section includes other branches. There the axes of parent and children continue as straight
+//! lines, and the fork is the point nearest to all of these lines (least squares; Antiga and Steinman 2004
 //! similarly place a bifurcation's origin from where its tubes begin to be separate). The centreline bends from one
 //! tube's axis to the other's with the least possible curvature.
 
@@ -18,16 +18,16 @@ use carina_leastcost::lumen::LumenGraph;
 
 /// Distance in radii before a tip at which the own part of the last branch ends, because the lumen closes at the tip.
 const BEFORE_TIP_RADII: f64 = 0.5;
-/// Weight of the bifurcation of the least-cost paths, relative to the weight of an axis, in the least-squares fit.
+/// Weight of the fork of the least-cost paths, relative to the weight of an axis, in the least-squares fit.
 ///
 /// This weight matters only if the axes are nearly parallel.
 const OLD_FORK_WEIGHT: f64 = 0.05;
-/// Largest displacement of a bifurcation, in radii of the parent tube; otherwise it stays in place.
+/// Largest displacement of a fork, in radii of the parent tube; otherwise it stays in place.
 const FARTHEST_RADII: f64 = 2.5;
-/// Weight in the smoothing of the points near a bifurcation, small because they only show where the lumen is.
+/// Weight in the smoothing of the points near a fork, small because they only show where the lumen is.
 const FORK_PULL: f64 = 1e-3;
 
-/// Move the centrelines of branches to the middle of the lumen, and their bifurcations to where the tubes' axes meet.
+/// Move the centrelines of branches to the middle of the lumen, and their forks to where the tubes' axes meet.
 ///
 /// Every point stays in the lumen, and each child still begins at its parent's last point, bit for bit.
 pub(crate) fn refine(graph: &LumenGraph, grid: &Grid, branches: &mut [Branch], step_mm: f64) {
@@ -79,7 +79,7 @@ pub(crate) fn refine(graph: &LumenGraph, grid: &Grid, branches: &mut [Branch], s
         let tube = &tubes[b];
         starts[b] = branches[b].parent.map_or(tube.points[0], |p| ends[p]);
         let old = tube.at(tube.length_mm());
-        // If the bifurcation would move behind the start of the branch, it keeps its previous position.
+        // If the fork would move behind the start of the branch, it keeps its previous position.
         ends[b] = match forks[b] {
             Some(fork)
                 if dot(sub(fork, starts[b]), sub(old, tube.points[0])) > 0.0
@@ -114,14 +114,14 @@ pub(crate) fn refine(graph: &LumenGraph, grid: &Grid, branches: &mut [Branch], s
 }
 
 impl View<'_> {
-    /// Return the new position of the bifurcation at the end of branch `parent`: the point nearest to the tubes' axes.
+    /// Return the new position of the fork at the end of branch `parent`: the point nearest to the tubes' axes.
     ///
     /// The result is the previous position if the new one is far away, outside the lumen, or not visible from the
     /// previous one.
     fn fork(&self, tubes: &[Tube], parent: usize, children: &[usize]) -> Point {
         let tube = &tubes[parent];
         let old = tube.at(tube.length_mm());
-        // Solve: sum of w (I - t t') F = sum of w (I - t t') p, with a small weight for the previous bifurcation.
+        // Solve: sum of w (I - t t') F = sum of w (I - t t') p, with a small weight for the previous fork.
         let mut matrix = [[0.0; 3]; 3];
         let mut right = [0.0; 3];
         let mut add = |p: Point, t: Option<Point>, w: f64| {
@@ -167,7 +167,7 @@ impl View<'_> {
         forks: bool,
         step_mm: f64,
     ) -> Vec<Point> {
-        // The bifurcations may have moved, so points of the own part that are not between the two ends are left out.
+        // The forks may have moved, so points of the own part that are not between the two ends are left out.
         let axis = sub(end, start);
         let on_way =
             |p: &&Point| dot(sub(**p, start), axis) > 0.0 && dot(sub(end, **p), axis) > 0.0;

@@ -1,4 +1,4 @@
-//! Tests of the centrelines and bifurcations of a Y of drawn tubes against the tubes' axes, on an oblique anisotropic
+//! Tests of the centrelines and forks of a Y of drawn tubes against the tubes' axes, on an oblique anisotropic
 //! grid.
 
 use carina_grid::{Affine, Grid, Ijk, Lps, VolumeView, dot, length};
@@ -112,7 +112,7 @@ fn centrelines_are_on_the_tubes_axes_and_the_bifurcation_is_at_their_intersectio
         let fork = branches[0].points[branches[0].points.len() - 1];
         let away = length([0, 1, 2].map(|a| fork[a] - tubes[0].end[a]));
         // The tolerance is one voxel: the axes are straight, so only the voxel size limits the distance between the
-        // bifurcation and the intersection of the axes.
+        // fork and the intersection of the axes.
         assert!(away < 1.0, "{with_levels} {away}");
         let (mut sum, mut radius_sum, mut num) = (0.0, 0.0, 0.0);
         for branch in &branches {
@@ -142,7 +142,7 @@ fn centrelines_are_on_the_tubes_axes_and_the_bifurcation_is_at_their_intersectio
                 }
             }
         }
-        // The tolerance is a third of the smallest voxel, including bifurcations and tips.
+        // The tolerance is a third of the smallest voxel, including forks and tips.
         assert!(sum / num < 0.28, "{with_levels} {}", sum / num);
         assert!(
             radius_sum / num < 0.15,

@@ -14,7 +14,7 @@ const LOOK_MM: f64 = 0.25;
 
 /// Distance in radii between the carina and the start of a branch's own part.
 pub(crate) const PAST_CARINA_RADII: f64 = 0.3;
-/// Distance in radii between the end of a branch's own part and the bifurcation at the branch's end.
+/// Distance in radii between the end of a branch's own part and the fork at the branch's end.
 pub(crate) const BEFORE_FORK_RADII: f64 = 1.0;
 
 /// Length of the own part, in radii, to which the axis of its end is fitted.
@@ -144,7 +144,7 @@ impl View<'_> {
         self.graph.holds(self.grid.to_ijk(Lps(p)).0)
     }
 
-    /// Return the distance in mm from their common bifurcation at which a wall separates two branches; `None` if no
+    /// Return the distance in mm from their common fork at which a wall separates two branches; `None` if no
     /// wall does.
     pub(crate) fn parting_mm(&self, one: &Tube, other: &Tube) -> Option<f64> {
         let shorter = one.length_mm().min(other.length_mm());

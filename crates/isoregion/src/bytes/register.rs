@@ -3,7 +3,7 @@
 /// Instruction set for the kernels of the maps.
 ///
 /// A value of the implementing type proves that the machine has the instruction set. A register has `N` voxels that are
-/// neighbours along x, one byte each. The bytes are distances; 255 stands for 255 or more.
+/// neighbours along x, one byte each. The bytes are distances; 255 means 255 or more.
 pub(crate) trait Bytes: Copy {
     /// Number of voxels in a register, a divisor of 64.
     const N: usize;

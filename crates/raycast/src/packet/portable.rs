@@ -137,7 +137,7 @@ impl Lanes for Portable {
         fn less_i(a: i32, b: i32) -> i32 { -i32::from(a < b) }
         fn select_i(mask: i32, yes: i32, no: i32) -> i32 { yes & mask | no & !mask }
 
-        // This cast saturates; the other sets return another number for such values, which no active ray has.
+        // `as i32` saturates; other instruction sets return another number for such values, which no active ray has.
         fn whole(a: f32) -> i32 { a as i32 }
         fn to_f(a: i32) -> f32 { a as f32 }
 

@@ -1,4 +1,4 @@
-//! Decoration that depends on anatomy: cartilage rings, the membranous wall, colour by region, ridges at bifurcations.
+//! Decoration that depends on anatomy: cartilage rings, the membranous wall, colour by region, ridges at forks.
 //!
 //! The decoration changes only the normal used for shading, and the colour. Every effect is a strength times a change,
 //! so a pixel with strength 0 keeps its bits, whichever pixels share its register.

@@ -20,7 +20,7 @@ _NUMBERS = 1 << 16
 def format_line(
     number: int, clock_ms: int, insertion_mm: float, *, roll_deg: float = 0.0, lever: float = 0.0, buttons: int = 0
 ) -> bytes:
-    """Return a line as a handle sends it; for simulated handles."""
+    """Return one sample as a line of the protocol, for simulated handles."""
     body = (
         f"S,{number % _NUMBERS},{clock_ms % _CLOCK},{round(100 * insertion_mm)},{round(100 * roll_deg)},"
         f"{round(1000 * lever)},{buttons:X}"

@@ -49,7 +49,7 @@ class SourceStatus:
 
 
 class Source(ABC):
-    """Connection that runs in its own thread and opens again after it was lost.
+    """Connection to a device, in its own thread, which opens again after a loss.
 
     Parameters
     ----------

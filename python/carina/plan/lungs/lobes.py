@@ -32,7 +32,7 @@ FISSURE_SLOWS = 12.0
 UNSEEN_MM, SEEN_MM = 9.0, 3.0
 """Standard deviations in mm of a lobe border's position: estimated from airways alone, and at a visible fissure.
 
-The first was measured on patients with masks of lobes (benchmarks/carina_bench/plan_surroundings.py).
+The value for airways alone was measured on patients with masks of lobes (benchmarks/carina_bench/plan_surroundings.py).
 """
 FAR_SHARE = 0.35
 """Least standard deviation of a border without a fissure, as a share of the distance to the nearest airway.

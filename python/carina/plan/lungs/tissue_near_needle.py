@@ -61,7 +61,7 @@ class NearbyTissue:
     sure: NDArray[np.float32]
     """Confidence that a voxel of ``vessel`` is a vessel, 0.5 to 1; 0 elsewhere.
 
-    It is 1 for vessels above the threshold of density.
+    The confidence is 1 for vessels above the threshold of density.
     """
 
     fissure: FissureBox | None = None
@@ -204,7 +204,7 @@ OUTSIDE_HU = -4096.0
 AIR_HU, SIDE_AIR_HU = -980.0, -950.0
 """Median densities in HU below which a dark region is gas or air outside the body.
 
-The second is for regions at the sides.
+The second density applies to regions at the sides of the body.
 """
 CLOSED_MM = 12.0
 """Radius in mm of the morphological closing that adds vessels and airways to the lungs."""

@@ -29,9 +29,9 @@ class ForkShift:
     shift_lps: tuple[float, float, float]
     """Shift in the coordinates of the CTs, mm."""
     residual_mm: float
-    """Distance between the shift and the one that the other forks and vessels predict, mm."""
+    """Distance in mm between the measured shift and the shift that the other forks and vessels predict."""
     is_used: bool
-    """Whether the shift fits to the other shifts, so that it was used."""
+    """Whether the shift agrees with the other shifts and was used."""
 
     def to_json(self) -> dict[str, Any]:
         """Return the shift as plain JSON types."""

@@ -1,8 +1,9 @@
 """Movement of a target measured from a second CT of the same patient, such as one in expiration.
 
-Forks of the airways are matched by the names of their branches. They give a first smooth deformation, which predicts
-where the surroundings of forks, vessels and target are in the second CT. Correlation of small cubes of both CTs then
-finds the places exactly. The error at the target follows from leave-one-out cross-validation at places near it.
+Forks of the airways are matched by the names of their branches. The matched forks give a first smooth deformation,
+which predicts where the surroundings of forks, vessels and target are in the second CT. Correlation of small cubes of
+both CTs then finds the places exactly. The error at the target follows from leave-one-out cross-validation at places
+near the target.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ WIDE = Block(18.0, 1.0, 4.0)
 """Cubes at the forks of wide airways, which contain the walls of the airways."""
 WIDE_NAMES = (CARINA, "RMB", "LMB", "BI")
 MIN_RADIUS_MM, TARGET_RIM_MM = 3.0, 5.0
-"""Least radius of a target, and width of the tissue round it that is compared with it, mm."""
+"""Least radius of a target, and width of the tissue round the target that is compared too, mm."""
 OUTSIDE_MM = 2.0
 """Least distance in mm of matched vessels from the target."""
 SAME_MM = 1e-3
@@ -70,11 +71,11 @@ MIN_SCORE = 0.6
 MAX_RESIDUAL_MM = 4.0
 """Largest distance in mm of a point's shift from the shift that its neighbours predict."""
 NUM_CHECKED = 20
-"""Number of points nearest to the target from which the error is estimated."""
+"""Number of matched points, nearest to the target, from which the error of the target's shift is estimated."""
 SHARE_WITHIN = 0.9
 """Share of the points whose prediction error is within the stated error."""
 MAX_ERROR_MM = 15.0
-"""Largest error in mm that is stated; a measurement with a larger error says no more than the default movement."""
+"""Largest error in mm that is stated; a measurement with a larger error is no better than the default movement."""
 AGREE_MM = 2.0
 """Distance in mm up to which the target's own shift always counts as agreeing with its neighbours."""
 TURN_DEG = 4.0

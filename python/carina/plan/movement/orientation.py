@@ -32,7 +32,7 @@ ORIENTATIONS = (
 
 
 def orientation_error(first: AirwayTree, second: AirwayTree) -> NoResultError | None:
-    """Return the error that names the orientation in which the airways of a second CT fit; None if the stated one does.
+    """Return the error that names the orientation in which the airways of a second CT fit; None for the stated one.
 
     Names of branches are not used, because a tree in a wrong orientation is named wrongly.
     """

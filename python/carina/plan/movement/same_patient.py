@@ -32,7 +32,7 @@ MIN_SIZE = 0.9
 MIN_FORKS_FOUND = 0.85
 """Least share of named forks whose surroundings are found in the second CT.
 
-It is at least 0.95 in two CTs of one patient, and at most 0.8 in phantoms of two patients.
+The share is at least 0.95 in two CTs of one patient, and at most 0.8 in phantoms of two patients.
 """
 MIN_NEAR, NEAR_MM = 8, 45.0
 """Least number of found places within a distance in mm of the target."""
@@ -93,7 +93,7 @@ def breath_notes(breath_mm: float) -> list[str]:
 
 
 def cut_lungs_error(trouble: NoResultError, first: Volume, second: Volume) -> NoResultError | None:
-    """Return the error for a second CT that cuts through the lungs, if this explains another error; else None.
+    """Return an error for a second CT that cuts through the lungs, if the cut explains ``trouble``; else None.
 
     Cut lungs do not explain an error that reports another pose of the patient.
     """

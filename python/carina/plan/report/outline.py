@@ -1,7 +1,7 @@
 """Boundary of a nodule in a plane, and its surface in space.
 
-Both use surface nets (Gibson, MICCAI 1998): each cell that the boundary crosses contains one point, the mean of the
-crossings with the cell's edges.
+Boundary and surface are computed by surface nets (Gibson, MICCAI 1998): each cell that the boundary crosses contains
+one point, the mean of the crossings with the cell's edges.
 """
 
 from __future__ import annotations

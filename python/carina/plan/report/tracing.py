@@ -64,7 +64,7 @@ SUMMED = replace(TIGHT, sums_moves=True)
 LISTED = _SheetLayout(spine=None, clock=14.0, text=32.0, least_row=19.0, gap=3.0, face=7.5, is_short=True, is_list=True)
 """Layouts of a page: with a diagram; without it; without facts that follow from others; with sums of moves; as a list.
 
-The last ones are for long routes.
+The last layouts are for long routes.
 """
 
 

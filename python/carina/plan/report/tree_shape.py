@@ -16,7 +16,7 @@ from carina.track import AirwayTree, Branch
 
 Points = NDArray[np.float64]
 EVERY_MM = 2.5
-"""Distance in mm between the points of a centreline that are kept for drawings."""
+"""Distance in mm between the points of a centreline that drawings use."""
 
 
 @one_line

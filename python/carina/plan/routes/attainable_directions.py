@@ -2,7 +2,7 @@
 
 The distal part of a scope is a rigid cylinder with a bending section behind it. A direction is attainable if the rigid
 tip, in this direction, is inside the lumen, and if an arc that is no sharper than the bending section's sharpest bend
-leads from its rear end back into the direction of the airway without leaving the lumen. The tip may touch the wall.
+leads from the tip's rear end into the direction of the airway without leaving the lumen. The tip may touch the wall.
 This analysis selects the positions to which the scope is driven; the simulated drive of `carina.plan.verdict` decides.
 """
 

@@ -86,7 +86,7 @@ class LastLeg:
     crossed: tuple[CrossedTissue, ...]
     """Tissues along the needle in order, to the end of its reach or 10 mm beyond the target, whichever is farther."""
     in_target_mm: float
-    """Length of the needle in the target in mm, if the needle goes exactly as aimed."""
+    """Length of the needle in the target in mm, if the needle is exactly on its planned line."""
     least_in_target_mm: float
     """Least length in the target, in mm, of needles deviating by 1.6 standard deviations; 0 if one of them misses."""
     vessel_mm: float | None
@@ -102,7 +102,7 @@ class LastLeg:
     """Share of needles within the assumed errors that hit the target at its position in the CT, 0 to 1.
 
     In a plan the needle has a direction that the scope can take; the share is 0 if no such direction hits. Before a
-    simulated drive it is an estimate, which outputs do not show (`PlannedRoute.hit_share`).
+    simulated drive the share is an estimate, which outputs do not show (`PlannedRoute.hit_share`).
     """
     reaches: bool
     """Whether the tool reaches the edge of the target."""

@@ -227,8 +227,8 @@ def origins_of_branches(tree: AirwayTree, origin: DistanceOrigin) -> dict[int, D
 def _mother_of_main_bronchi(tree: AirwayTree) -> Branch | None:
     """Return the branch that ends in the main carina: the last common branch of the routes to both main bronchi.
 
-    If only one main bronchus is known, the result is the branch before it. It is None without a main bronchus, or if
-    the tree begins in one.
+    If only one main bronchus is known, the result is the branch before it. The result is None without a main bronchus,
+    or if the tree begins in one.
     """
     first: dict[str, Branch] = {}
     for branch in tree.branches:

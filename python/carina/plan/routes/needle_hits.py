@@ -33,9 +33,9 @@ class NeedleErrors:
     """
 
     angle_deg: float = 4.0
-    """Error of the direction in degrees, on each of two axes."""
+    """Standard deviation of the needle's direction in degrees, on each of the two axes across the needle."""
     tip_mm: float = 0.7
-    """Error of the scope's tip in mm, on each of the two axes across the needle."""
+    """Standard deviation of the position of the scope's tip in mm, on each of the two axes across the needle."""
 
     def __post_init__(self) -> None:
         """Raise an error if a field of this `NeedleErrors` has an invalid value."""

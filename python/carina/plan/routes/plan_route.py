@@ -78,7 +78,7 @@ __all__ = [
 
 Points = NDArray[np.float64]
 RoutePlace = tuple[int, float, int]
-"""Branch in which a tip stands, its distance from the root in mm, and the index of the aim."""
+"""ID of the branch that contains a tip, the tip's distance from the root in mm, and the index of the aim."""
 
 PLANNED_SCOPE = "thin"
 """Default scope: the thinnest one whose channel takes a needle of 1.8 mm."""
@@ -101,7 +101,7 @@ class PlannedRoute:
     """Route along the airways to the position of the scope, and from there into the target."""
 
     branch_id: int
-    """ID of the branch in which the tip of the scope stands."""
+    """ID of the branch that contains the final tip of the scope."""
     branch_name: str
     along_mm: float
     """Distance of the tip from the root along the airways, mm."""
@@ -134,7 +134,7 @@ class PlannedRoute:
     bend_deg: float = 0.0
     """Sharpest turn of the route in degrees, over the length of the scope's rigid tip and bending section."""
     tools: tuple[str, ...] = ()
-    """Names of the tools that pass the scope's channel and reach the target from there."""
+    """Names of the tools that pass the scope's channel and reach the target from its tip."""
     hold: ScopeHold | None = None
     """Insertion, roll and lever with which the drive points at the target; None without a drive that arrives."""
     withdrawn_mm: float = 0.0

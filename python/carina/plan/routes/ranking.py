@@ -29,9 +29,9 @@ DEEP_MM = 8.0
 BEND_SIGMA_DEG = 8.0
 """Standard deviation in degrees of the angle that a route requires of the bending section (common knowledge)."""
 POINTS, BARELY = 0.5, 0.1
-"""Limits of the share of hits: from the first on the scope can point at the target, below the second it cannot.
+"""Shares of needles that hit: from the first on, the scope can point at the target; below the second, it cannot.
 
-The second is small, because a needle pass can be repeated.
+The second share is small, because a needle pass can be repeated.
 """
 DEPTH_SIGMA_MM = 0.5
 """Standard deviation in mm of the position of the target's edge along the needle (common knowledge)."""

@@ -312,7 +312,7 @@ def openings_of_route(
     """Return the openings at each fork of a route, by the ID of the branch that begins there.
 
     An opening extends from the fork to one radius of the parent and one diameter of the branch beyond it, and on the
-    route not beyond the tip. It is measured by the diameters of `widths_on_the_way`, so no opening that the
+    route not beyond the tip. An opening is measured by the diameters of `widths_on_the_way`, so no opening that the
     route passes is narrower than the route.
 
     Parameters

@@ -25,7 +25,7 @@ CLOSING_MM = 14.0
 WIDE_CLOSINGS_MM, CLOSING_SHARE = (23.0, 36.0), 0.64
 """Radii in mm of the closings that are tried for a mass with a wide contact; largest share of half the box's side.
 
-They are tried in turn if no surface of the wall can be fitted with smaller closings.
+The closings are tried in turn if no surface of the wall can be fitted with smaller closings.
 """
 RING_MM = 16.0
 BEYOND_MM, WIDEST_MM = 12.0, 50.0

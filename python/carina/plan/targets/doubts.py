@@ -42,8 +42,8 @@ Confirmed = bool | Collection[str]
 DENSE_HU = 110.0
 """Density in HU above which a target may be a vessel or calcified.
 
-By common knowledge soft tissue without contrast medium is 20 to 60 HU and vessels with it are 150 to 400 HU; tumours
-take up 20 to 60 HU.
+By common knowledge soft tissue without contrast medium is 20 to 60 HU and vessels with contrast medium are 150 to 400
+HU; contrast medium adds 20 to 60 HU to tumours.
 """
 UNRESOLVED_MM, UNRESOLVED_SLICES = 1.0, 0.5
 """Radius of the largest ball in a faint target below which its density is uncertain: a length in mm, and a share of

@@ -66,7 +66,7 @@ def endobronchial_lesion(volume: Volume, wall: WallField, point_lps: NDArray[np.
     off = np.where(core, box.offsets_mm(point_lps), np.inf)
     z, y, x = np.unravel_index(int(box.offsets_mm(point_lps).argmin()), off.shape)
     # A click in the lumen selects a near lesion. A click in tissue selects this tissue only, so that a lymph node
-    # below the carina is not taken for a lesion.
+    # below the carina is not treated as a lesion.
     if float(off.min()) > (CLICK_MM if lumen[z, y, x] else 2.0 * step) or not (lumen | lesion)[z, y, x]:
         return None
     z, y, x = np.unravel_index(int(off.argmin()), off.shape)

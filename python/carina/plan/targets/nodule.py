@@ -68,9 +68,9 @@ class Nodule:
     volume_error_mm3: float
     """Half width in mm3 of the interval that contains the true volume with 90 % probability."""
     long_mm: float
-    """Longest diameter in the axial plane with the largest cross-section."""
+    """Longest diameter in the axial plane with the largest cross-section, mm."""
     short_mm: float
-    """Longest diameter perpendicular to ``long_mm`` in the same plane."""
+    """Longest diameter perpendicular to ``long_mm`` in the same plane, mm."""
     diameter_error_mm: float
     """Half width in mm of the 90 % interval of both diameters."""
     solid_mm3: float
@@ -123,7 +123,7 @@ class Nodule:
 
     @property
     def middle_lps(self) -> tuple[float, float, float]:
-        """Centroid of the nodule, or the nearest deep point of its mask if the centroid is in a hollow."""
+        """Centroid of the nodule, LPS mm, or the nearest deep point of its mask if the centroid is in a hollow."""
         if self.contains([self.centre_lps])[0]:
             return self.centre_lps
         depth = ball_distance(self.inside_zyx, 1.0)

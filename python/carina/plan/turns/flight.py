@@ -37,7 +37,7 @@ def turn_flight(
     speed_mm_s: float = 20.0,
     rate_hz: float = 25.0,
 ) -> tuple[NDArray[np.float64], tuple[Pose, ...]]:
-    """Return the flight to a turn from the one before; it begins and ends with the pictures of these turns.
+    """Return the flight from the previous turn to a turn; the flight begins and ends with the pictures of both turns.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def _posed(path: FlightPath, at_mm: float, base: Points) -> Pose:
 
 
 def _off(pose: Pose, wanted: Pose | None, operator: Operator) -> tuple[Points, Points]:
-    """Return the rotation and shift from a pose of the path to ``wanted``, or to a level pose if that is None."""
+    """Return the rotation and shift from a pose of the path to ``wanted``, or to a level pose if ``wanted`` is None."""
     there = levelled(pose.position_lps, pose.forward_lps, operator) if wanted is None else wanted
     turn = vector_from_rotation(orthonormal(pose.lps_from_camera[:3, :3].T @ there.lps_from_camera[:3, :3]))
     return turn, there.position_lps - pose.position_lps

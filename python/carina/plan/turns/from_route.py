@@ -50,7 +50,8 @@ in the same lumen.
 VIEW_PX, FINE_PX, TUBES_PX = 64, 128, 32
 """Widths in pixels of the pictures in which openings are located.
 
-They are for pictures of the CT, of the CT with a small opening, and of the tree's tubes without a CT.
+The widths apply, in this order, to pictures of the CT, to pictures of the CT with a small opening, and to pictures of
+the tree's tubes without a CT.
 """
 SMALL_SHARE = 0.02
 """Share of the picture below which an opening is small; a coarse picture would divide such an opening into parts."""

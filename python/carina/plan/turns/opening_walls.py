@@ -212,7 +212,7 @@ def _joined(parts: Sequence[tuple[Points, Field]]) -> tuple[Points, Field]:
 
 
 def _least_gap_mm(points: Points, tubes: list[tuple[Points, Field]]) -> Field:
-    """Return the distance of points outside the nearest of several tubes; infinite if it exceeds :data:`BESIDE_MM`."""
+    """Return the distance in mm of points outside the nearest of several tubes; infinite above :data:`BESIDE_MM`."""
     found = np.full(len(points), np.inf)
     for line, radius in tubes:
         if not len(line):
@@ -234,7 +234,7 @@ def _places(branch: Branch) -> tuple[Points, Field]:
 
 
 def _to_surface_mm(points: Points, line: Points, radius: Field) -> Field:
-    """Return the least distance of points outside a tube: distance from a point of its line, less the radius there."""
+    """Return the least distance in mm of points outside a tube: distance from its line, less the radius there."""
     middle = line.mean(axis=0)
     away, line = points - middle, line - middle
     squared = (away**2).sum(axis=1)[:, None] + (line**2).sum(axis=1) - 2.0 * away @ line.T

@@ -124,7 +124,7 @@ class Turn:
     dots_lps: tuple[tuple[float, float, float], ...] = ()
     """Dots of the route inside the opening as seen by the camera, LPS mm.
 
-    They are the middle of the opening and the points of the branch's centreline that are seen through it. Empty if the
+    The dots are the middle of the opening and the visible points of the branch's centreline beyond it. Empty if the
     opening is not in view.
     """
 
@@ -254,8 +254,8 @@ class TurnList(Tabular):
     zero: Zero | None = None
     """Origin of distances: the visible ridge of the main carina, or the point where the axes of the main bronchi meet.
 
-    That point is about one radius of the trachea above the ridge, and is used if no ridge was found. None if the route
-    passes no main carina.
+    The point of the axes is about one radius of the trachea above the ridge, and is used if no ridge was found. None if
+    the route passes no main carina.
     """
     notes: tuple[str, ...] = ()
     """Notes on the distances and depths."""

@@ -145,7 +145,7 @@ def answer_of(share: float) -> Answer:
 
 
 def passes(spare: float, sigma: float) -> float:
-    """Return the probability that a difference (what is available less what is needed) is above 0.
+    """Return the probability that a difference (available size less required size) is above 0.
 
     Parameters
     ----------

@@ -119,7 +119,7 @@ def aim_drive(
 def _turned_to_aim(recorder: MoveRecorder, way: DriveWay, hit_share: HitShare) -> list[_Judged]:
     """Turn the tip step by step to the target, and return the result of each step.
 
-    A step that points farther off is taken back, and the next one is smaller.
+    A step that points farther off is undone, and the next step is smaller.
     """
     found = [(*_judged(recorder, way.aim, hit_share), recorder)]
     best, best_deg, gain = recorder, found[0][1], GAIN

@@ -167,7 +167,7 @@ class DriveWay:
 
 
 def _place_at(tree: AirwayTree, planned: PlannedRoute) -> Points:
-    """Return the point of the centrelines at which the scope stands."""
+    """Return the point of the centrelines that belongs to the final position of the scope."""
     points = np.concatenate([branch.points for branch in tree.lineage(planned.branch_id)])
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     return np.array([np.interp(planned.along_mm, along, points[:, axis]) for axis in range(3)])

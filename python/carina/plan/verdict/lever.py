@@ -1,8 +1,8 @@
 """Check of a bend by simulated drives with a reduced lever range, if the comparison of angles is inconclusive.
 
 `bend_check` compares the angle that a route requires with the largest angle of the lever. This comparison is stricter
-than reality, because the airway's wall also bends a scope. If it is inconclusive within the errors, drives are
-simulated with a lever range that is smaller by the possible error. A scope that arrives with the reduced range also
+than reality, because the airway's wall also bends a scope. If the comparison is inconclusive within the errors, drives
+are simulated with a lever range that is smaller by the possible error. A scope that arrives with the reduced range also
 arrives with the full range.
 """
 

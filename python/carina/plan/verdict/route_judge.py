@@ -81,7 +81,7 @@ MECHANICS = "the scope's mechanics in the airways' wall; rigid tip and bending s
 
 
 def tool_for(scope: ScopePreset, wanted: Tool) -> Tool:
-    """Return the tool with which an instrument is judged: the wanted one, or a needle that passes its channel."""
+    """Return the tool with which a scope is judged: the requested one, or a needle that passes the scope's channel."""
     if scope.channel_mm is None or not wanted.pierces or wanted.passes(scope.channel_mm):
         return wanted
     return passing_needle(scope, wanted) or wanted
@@ -103,11 +103,11 @@ class SimulatedDrive:
     route: DrivenRoute | None
     checks: tuple[Check, ...]
     bend: Check | None = None
-    """Check of the bend by drives, which replaces the one by angles; None if the drive did not arrive or point."""
+    """Check of the bend by drives, which replaces the check by angles; None if the drive missed its end or its aim."""
     lps_from_tip: NDArray[np.float64] | None = None
     """(4, 4) final pose of the tip; None if the drive did not arrive."""
     longer: tuple[Tool, ...] = ()
-    """Needles with a longer throw that hit from this pose, if that of the plan does not."""
+    """Needles with a longer throw that hit from the final pose, if the needle of the plan does not hit."""
     withdrawn_mm: float = 0.0
     """Distance in mm by which the tip is withdrawn from the end of the route (`Verdict.withdrawn_mm`)."""
 

@@ -81,9 +81,9 @@ FORGET = 0.998
 """Factor per picture by which the learned corrections of the levels decay, so that no error lasts."""
 
 FINDER_BELOW_PER_S = 5.0
-"""Pictures per second at the coarsest level below which the view finder replaces the view (paper 3.1)."""
+"""Pictures per second at the coarsest level below which the viewfinder replaces the view (paper 3.1)."""
 HOPELESS_AMONG = 4
-"""Minimum number of pictures before a large fixed time per picture alone switches to the view finder."""
+"""Minimum number of pictures before a large fixed time per picture alone switches to the viewfinder."""
 RECOVERED = 1.5
 """Ratio of the predicted rate at the coarsest level to :data:`FINDER_BELOW_PER_S` at which the view returns."""
 PROBE_S = 0.010
@@ -101,7 +101,7 @@ class FrameBudget:
     levels
         Levels from fine to coarse.
     finder
-        Whether the view finder may replace the view if the coarsest level is too slow.
+        Whether the viewfinder may replace the view if the coarsest level is too slow.
 
     Notes
     -----
@@ -136,7 +136,7 @@ class FrameBudget:
 
     @property
     def finding(self) -> bool:
-        """Whether the view finder replaces the view while moving."""
+        """Whether the viewfinder replaces the view while moving."""
         return self._finding
 
     def predicted_s(self, level: int, pixels: int) -> float:
@@ -273,7 +273,7 @@ class FrameBudget:
             self._finding = False
             self.level = last
 
-    # ------------------------------------------------------------ probes while the view finder stands in
+    # ------------------------------------------------------------ probes while the viewfinder replaces the view
 
     def probe_due(self, now_s: float) -> bool:
         """Return whether a probe should be rendered now to measure the speed."""

@@ -107,7 +107,7 @@ class _PacedView:
             return FULL
         if self.budget.predicted_s(0, self.pixels) <= LONG_S:
             return FULL
-        # A medium picture must be finer than the moving one; after the view finder, any airway picture is new.
+        # A medium picture must be finer than the moving one; after the viewfinder, any airway picture is new.
         finer = self.budget.finding or self.budget.finest_within(LONG_S, self.pixels) < self.budget.level
         return PAUSED if finer else FULL
 
@@ -269,7 +269,7 @@ class FrameScheduler:
 
     @property
     def finding(self) -> bool:
-        """Whether the view finder replaces the airway view while the airway view moves."""
+        """Whether the viewfinder replaces the airway view while the airway view moves."""
         return LEAD_VIEW in self._views and self._views[LEAD_VIEW].budget.finding
 
     def num_in_flight(self, view: str) -> int:

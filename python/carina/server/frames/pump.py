@@ -1,4 +1,4 @@
-"""Frame pump: a thread that renders, encodes and delivers one picture after the other."""
+"""Frame pump: a thread that renders, encodes and sends one picture after another."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ class FramePump:
         self._stopped = False
         self._frame_ids = itertools.count(1)
         self._answers: deque[tuple[float, float]] = deque()
-        """For each pose of the last second of movement: time of its first picture, and age of the pose, in seconds."""
+        """Time of the first picture of each pose of the last second, and age of the pose at that time, in seconds."""
         self._told_all = True
         self._status_s = float("-inf")
         self._status_pose_id = -1

@@ -14,9 +14,10 @@ FLOOD_WORDS = "this page sent too many messages and was disconnected; ask the pe
 
 
 MAX_DISCARDED_BYTES = 2 * 1024 * 1024
+"""Number of bytes received after the close frame above which the connection is aborted at once."""
 QUIET_S = 0.2
 DISCARDS_FOR_S = 1.0
-"""Time in s after which the connection of a disconnected client that still sends is aborted."""
+"""Time in s between the close frame and the abort of the connection; bytes received meanwhile are discarded."""
 
 
 class RateLimit:

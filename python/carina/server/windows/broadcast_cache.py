@@ -165,7 +165,7 @@ class SharedTexts:
                     outbox.mark(*topics)
 
     def _cached_text(self, topic: str, message: Callable[[], Any], *values: object) -> str:
-        """Return the cached text of a topic, and encode it anew only if one of ``values`` is another object."""
+        """Return the cached text of a topic, and encode it again only if one of ``values`` is another object."""
         if not self._is_cached(topic, *values):
             self._known[topic] = (values, wire.encode_message(message()))
         return self._known[topic][1]

@@ -110,7 +110,7 @@ class Window:
         self._unsubscribe: Callable[[], None] = lambda: None
         self._history_known: tuple[int, tuple[str, ...]] | None = None
 
-    # ------------------------------------------------------------ life
+    # ------------------------------------------------------------ start and end
 
     def start(self) -> None:
         """Start the threads, and send the complete state to the window; call this method in the event loop."""
@@ -149,7 +149,7 @@ class Window:
         scene = self._session.scene(self.number)
         return None if scene is None else replace(scene, wanted_layers=self.layers)
 
-    # ------------------------------------------------------------ out
+    # ------------------------------------------------------------ messages to the client
 
     def mark(self, *topics: str) -> None:
         """Schedule the newest message of each topic for sending; call this method in the event loop."""
@@ -238,7 +238,7 @@ class Window:
             case _:
                 assert_never(event)
 
-    # ------------------------------------------------------------ in
+    # ------------------------------------------------------------ messages from the client
 
     async def admit(self) -> None:
         """Check the client's message limit before its next message is parsed.

@@ -29,8 +29,7 @@ logger = logging.getLogger(__name__)
 ANSWERS_WITHIN_S = 20.0
 """Time limit, in s, for the reply of an owner. If no process listens, the system refuses the connection at once.
 
-An owner on a
-busy machine replies late."""
+An owner on a busy machine replies late."""
 MAX_ANSWER_BYTES = 64 << 20
 CLOSED_CODES = frozenset({"case.closed", "session.no-case"})
 """Error codes with which an owner process replies to a command after it has closed the case."""

@@ -264,7 +264,7 @@ class RemoteCase:
         for message in messages:
             warnings.warn(message, stacklevel=4)
 
-    # ------------------------------------------------------------ following
+    # ------------------------------------------------------------ following the state of the owner
 
     def _wait_for_owner(self) -> None:
         """Wait for the owner's changes so far and show them in the session; the caller holds this object's lock."""
@@ -290,7 +290,7 @@ class RemoteCase:
         if words is not None:
             warnings.warn(words, stacklevel=4)
 
-    # ------------------------------------------------------------ the end of the owner
+    # ------------------------------------------------------------ actions after the owner has ended
 
     def _on_connection_lost(self, link: OwnerConnection) -> None:
         """Start a thread that takes over the case after the connection to its owner has ended."""

@@ -112,7 +112,7 @@ class Derived(Generic[Inputs, Value]):
         self._then: Callable[[Value], None] | None = None
         self._had: tuple[Inputs, Value] | None = None
         self._outcome: Literal["open", "failed", "stopped"] = "open"
-        """Status of the requested inputs while no value was computed from them."""
+        """Status of the computation for the requested inputs while it has no result."""
         self._error: BaseException | None = None
         self._runs = False
         self._job_id = ""
@@ -121,7 +121,7 @@ class Derived(Generic[Inputs, Value]):
         self._discarded = False
 
     def __repr__(self) -> str:
-        """Describe the value by its kind and the status of the requested inputs."""
+        """Return the kind of the value and the status of its computation for the requested inputs."""
         with self._lock:
             standing = "unwanted" if self._wanted is None else self.standing(self._wanted)
             return f"Derived({self._kind!r}, {standing})"

@@ -60,7 +60,7 @@ class PlanTask(NamedTuple):
     confirmed: tuple[str, ...]
     """Codes of the confirmed doubts."""
     clicked_lps: tuple[float, float, float] | None
-    """Clicked point of a segmented boundary, which may be an airway's wall; None for another boundary."""
+    """Clicked point, LPS mm, of a segmented boundary, which may be an airway's wall; None for another boundary."""
 
 
 def task_of(lesion: Lesion) -> PlanTask:
@@ -442,7 +442,7 @@ class CasePlanning:
         return origin.from_carina_mm(place_on_tree_mm(airways.tree, branch_id, point) + beyond_mm)
 
     def again(self) -> None:
-        """Repeat planning and verdicts that were stopped or failed, because the user asked for it."""
+        """Repeat planning and verdicts that were stopped or failed, because the user requested the repetition."""
         self._plans.again()
         self._verdicts.again()
         self._pairs.again()

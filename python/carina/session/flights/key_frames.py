@@ -36,7 +36,7 @@ MAX_KEYS = 200
 class KeyFrameHandlers(CommandHandlers):
     """Commands for key frames, which are part of the document; every change is an undo step."""
 
-    # ------------------------------------------------------------ the list
+    # ------------------------------------------------------------ the list of key frames
 
     @does(c.EditKeyFrames)
     def edit_key_frames(self, command: c.EditKeyFrames) -> str | None:
@@ -124,7 +124,7 @@ class KeyFrameHandlers(CommandHandlers):
             case, label, replace(case.document, key_frames=replace(case.document.key_frames, frames=frames))
         )
 
-    # ------------------------------------------------------------ the flight
+    # ------------------------------------------------------------ the flight through the key frames
 
     def follow(self, case: OpenCase) -> None:
         """Delete the cached flight after a change of key frames or airways; the caller holds the session's lock."""
@@ -202,7 +202,7 @@ class KeyFrameHandlers(CommandHandlers):
         """
         return case.key_flight.of((case.document.key_frames, case.document.airways))
 
-    # ------------------------------------------------------------ its file
+    # ------------------------------------------------------------ the file of key frames
 
     @answers(c.KeyFrameFileQuery)
     def key_frames_to_take_away(self, _question: c.KeyFrameFileQuery) -> KeyFrameFile:

@@ -28,7 +28,7 @@ class VerdictDriveHandlers(CommandHandlers):
     def keep(self, command: c.KeepDrive) -> None:
         """Add the drive of an instrument's verdict to the flights of the case; the tip does not move.
 
-        A case without a file holds the flight in memory until the case is saved.
+        The flight of a case without a file stays in memory until the case is saved.
 
         Raises
         ------

@@ -348,7 +348,10 @@ class Autosave(CommandHandlers):
             return ()
 
     def adopt_copy(self, case: CaseFile, mark: FileMark | None) -> ReopenedCase:
-        """Store a copy of a case file as a new case; a file with a mark is updated with the case from now on."""
+        """Store a copy of a case file as a new case; with a ``mark``, the file becomes the named file of the new case.
+
+        The mark identifies the content of the file as read, so that a later change by another program is detected.
+        """
         assert self.records is not None
         assert self._files is not None
         held = self.records.begin(case.digest, None)
@@ -536,7 +539,7 @@ class Autosave(CommandHandlers):
             self._saver = None
 
     def unsaved(self) -> tuple[UnsavedWork, ...]:
-        """Return the work that could not be saved, of the open case and of cases closed before.
+        """Return the work of the open case and of earlier cases that could not be saved.
 
         The call waits for each disk, up to a time limit. The caller must not hold the session's lock.
         """

@@ -22,8 +22,11 @@ LayerName = Literal["vessels", "fissures", "lobes", "reach"]
 LAYERS: tuple[LayerName, ...] = get_args(LayerName)
 
 UNIT_MM = 0.25
-"""Unit of the outlines, in mm: they are cut in the plane and not in the pixels of an image, so that zooming requires no
-new cut, and a line that leaves the image is still closed."""
+"""Unit of the outlines, in mm.
+
+Outlines are cut in the plane and not in the pixels of an image, so that zooming requires no new cut, and a line that
+leaves the image is still closed.
+"""
 MAX_STORED = 24
 """Number of planes of a mask whose outlines are cached: images are zoomed or resent more often than planes move."""
 

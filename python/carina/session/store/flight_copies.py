@@ -81,6 +81,6 @@ def _flight_text(file: StoredCaseFile | None, number: int, writer: RecordingWrit
         if file is None:
             raise CarinaError("its file is not there", code="case.not-saved")
         text = file.recording_text(number)
-        # The count differs if the file has taken lines meanwhile; `CaseFile.keep_recording` writes all of them or none.
+        # The count differs if the file has grown meanwhile; `CaseFile.keep_recording` adds all or none of them.
         if writer is None or writer.unsaved_part()[0] == num_kept:
             return text + unsaved_part

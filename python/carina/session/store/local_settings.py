@@ -1,6 +1,6 @@
 """Private settings files: paths of CTs opened before, accepted safety notice, CT cache, available instruments.
 
-The path is needed to open a CT again. It is never sent to a client, which receives an id, a date and a neutral alias.
+A path is needed to open a CT again and is never sent to a client, which receives an id, a date and a neutral alias.
 """
 
 from __future__ import annotations

@@ -212,7 +212,7 @@ class NamedFile:
             finally:
                 self._writing.release()
 
-    # ------------------------------------------------------------ under the lock
+    # ------------------------------------------------------------ steps that need the lock
 
     @contextlib.contextmanager
     def _exclusive_access(self) -> Iterator[None]:

@@ -70,7 +70,7 @@ class CaseRecord(FrozenValue, frozen=True):
     place: PlaceText | None
     """Last path of the CT: an absolute path, or ``demo:NAME``; None if the CT cannot be found again."""
     begun_s: Seconds
-    """Time when the case was begun."""
+    """Time when the case was begun, in seconds since 1970."""
     used_s: Seconds
     copy_path: PlaceText | None = None
     """Path of the named file; None without a named file."""
@@ -93,9 +93,9 @@ class CaseRecord(FrozenValue, frozen=True):
     holds_ct: bool = False
     """Whether the CT is packed in the case file."""
     pictured_s: Seconds | None = None
-    """Time of the thumbnail; None without a thumbnail."""
+    """Time of the thumbnail in seconds since 1970; None without a thumbnail."""
     forgotten_s: Seconds | None = None
-    """Time when the case was forgotten; None while the case is in the list."""
+    """Time when the case was forgotten, in seconds since 1970; None while the case is in the list."""
 
     @property
     def shown_title(self) -> str:

@@ -45,9 +45,9 @@ class BranchWay(EditPreview):
     parent_id: int | None
     """ID of the branch that the new branch leaves; None if there is a problem."""
     parent_title: str | None
-    """Name of that branch, or a text with its ID, as used in sentences; None if there is a problem."""
+    """Name of the branch that the new branch leaves, or a text with its ID; None if there is a problem."""
     extends: bool
-    """Whether the new points begin at the tip of that branch, so that no fork is added."""
+    """Whether the new points begin at the tip of the branch that they leave, so that no fork is added."""
 
     @property
     def points_lps(self) -> NDArray[np.float64]:
@@ -108,7 +108,7 @@ class PlannedWay:
     doubtful: NDArray[np.bool_]
     """Flags (n-1,): True for each segment of the path round which the CT shows no wall."""
     voxels: Voxels
-    """Voxels (m, 3) of the path outside the lumen, as face neighbours; (0, 3) if the path is inside it."""
+    """Voxels (m, 3) i, j, k of the path outside the lumen; consecutive voxels share a face; m may be 0."""
     parent_id: int
     """ID of the draft's branch at whose end the new branch begins; an existing branch may have been split there."""
     leaves_id: int
@@ -153,7 +153,7 @@ def planned_way(lumen: EditedLumen, tree: AirwayTree, draft: TreeDraft, evidence
         )
         raise NoResultError(msg, code="track.edit-nothing")
     left_before = draft[place.branch_id]
-    # A rest that is shorter than the diameter of the tube is the end of the centreline, not another branch.
+    # A remainder that is shorter than the diameter of the tube is the end of the centreline, not another branch.
     diameter_mm = 2.0 * float(left_before.radius[place.index])
     parent_id = draft.parent_at(place, max(MIN_REMAINING_MM, 1.5 * max(lumen.volume.spacing_mm), diameter_mm))
     points = _line(lumen, draft[parent_id], beyond, is_inside=not len(way))

@@ -45,10 +45,10 @@ CLOSED_BUT = 1
 BEND_MM = 3.0
 """Length in mm before and after a point of a path over which the two directions are measured that define the bend."""
 HALF_SECTIONS = 2
-"""Number of sections before, and of sections after, a section that are averaged with it."""
+"""Number of sections on each side of a section that are averaged with the section."""
 TANGENT_MM = 1.5
 AROUND = 0.25
-"""Quantile of the outer samples of a section that gives the value of the lung there."""
+"""Quantile of the outer samples of a section that gives the value of the lung round the section."""
 
 MAX_MISSED_MM = 120.0
 """Largest distance in mm from the tree at which a path to a new branch is searched.
@@ -81,7 +81,7 @@ CLOSED_HU, BRIGHT_HU, LUNG_END_HU, WALL_HU = -400.0, -800.0, -600.0, -500.0
 
 
 class Evidence:
-    """Evidence in one volume for airways beyond the lumen that was found in it.
+    """Evidence in one volume for airways beyond the lumen that the search found.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ class Evidence:
         return found
 
     def crosses_wall(self, points: Points, before: Points) -> bool:
-        """Return whether a line crosses brighter points than the former line, and than half-way to tissue."""
+        """Return whether a line crosses points brighter than any of the former line and than half-way to tissue."""
         new, old = (float(self.enclosures.values_at(_fine(line)).max()) for line in (points, before))
         return new > max(old, self._scale.level(WALL_HU)) + 3.0 * self.noise
 

@@ -56,7 +56,7 @@ UNEVEN_OVER = 5
 GAP, THREAD_MM, AIR_HU, GAP_HU, MAX_GAP = -1.1, 1.0, -980.0, 100.0, 3.0
 """Values of the penalty for gaps between vessels, which are wide and as bright as lung.
 
-They are the weight, the least radius in mm, the HU without penalty, the unit in HU and the upper limit.
+The values are the weight, the least radius in mm, the HU without penalty, the unit in HU and the upper limit.
 """
 
 WALL_DROP_HU = 350.0
@@ -70,7 +70,7 @@ A darker middle with walls all round, but none within ``NEAR_MM``, is such a lum
 noise, and so is the radius that follows from it.
 """
 NO_LUMEN_HU, NO_LUMEN = -450.0, -100.0
-"""Value in HU over 2.5 mm above which the middle of a section is no lumen, and the gain that such a section gets."""
+"""Mean over 2.5 mm, in HU, above which the middle of a section is no lumen; gain (log odds) of such a section."""
 MOUTH_MM = 4.0
 """Length in mm inside the lumen that a path leaves, over which the widest section gives the width of that lumen."""
 MAX_TURN_DEG = 130.0

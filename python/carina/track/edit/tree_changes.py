@@ -30,13 +30,13 @@ class CentrelinePoint:
 
 
 def along_mm(points: Points) -> NDArray[np.float64]:
-    """Return the length along a centreline up to each of its points."""
+    """Return the length in mm along a centreline up to each of its points, (n,)."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def turn_deg(before: Points, after: Points) -> float:
-    """Return the angle between the last 5 mm of a line and the first 5 mm of the line that continues it."""
+    """Return the angle in degrees between the last 5 mm of a line and the first 5 mm of the line that continues it."""
     back, on = along_mm(before), along_mm(after)
     came = before[-1] - before[int(np.searchsorted(back, back[-1] - 5.0, side="right")) - 1 if back[-1] > 5.0 else 0]
     goes = after[min(int(np.searchsorted(on, 5.0)), len(after) - 1)] - after[0]
@@ -201,7 +201,7 @@ class TreeDraft:
         """Return the ID of the branch at whose end a new branch begins that leaves the tree at a place.
 
         The branch is split there if no fork is near. If the place is so close to a tip that less than ``least_mm``
-        would be left, the branch is shortened instead: such a rest is only the end of the centreline.
+        would be left, the branch is shortened instead: such a remainder is only the end of the centreline.
         """
         branch = self._branches[place.branch_id]
         along = along_mm(branch.points)

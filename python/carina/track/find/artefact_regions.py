@@ -37,8 +37,8 @@ SOME_IN_REGION = 0.2
 MIN_BEYOND_MM = 10.0
 """Least length in mm beyond a disturbed region that proves a branch with points in the region.
 
-The limit applies to branches with more than ``SOME_IN_REGION`` of their points in the region; they must also continue
-beyond it by more than their length in it.
+The limit applies to branches with more than ``SOME_IN_REGION`` of their points in the region; such branches must also
+continue beyond the region by more than their length in the region.
 """
 MAX_CONFIDENCE = 0.8
 """Highest confidence of a branch in metal streaks or beside a breathing step."""

@@ -65,7 +65,7 @@ class SoftenedCt:
     _values: NDArray[np.int16] | None
     """Values of ``volume``, writable; None if ``volume`` is the original CT."""
     left_hu: float | None = None
-    """Undershoot that remains in a softened ``volume``; None if ``volume`` was not softened.
+    """Undershoot in HU that remains in a softened ``volume``; None if ``volume`` was not softened.
 
     The undershoot is measured before clipped lumen is restored, because the measurement would take that lumen for
     rims.

@@ -1,4 +1,4 @@
-"""Check of a lumen from another tool against the CT, branch by branch along the whole length."""
+"""Check of a lumen from external software against the CT, branch by branch along the whole length."""
 
 from __future__ import annotations
 

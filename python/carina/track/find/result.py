@@ -175,7 +175,7 @@ class Airways:
     def calibrated_shares(self) -> CalibratedShares | None:
         """Shares of the airways that the search finds in slices of this thickness, by calibre; None in thin slices.
 
-        The shares are also None for a segmentation from another tool, and for a tree that was stored before the
+        The shares are also None for a segmentation from external software, and for a tree that was stored before the
         shares were introduced.
         """
         return shares_of(self.tree, self.tracker.grid.ct)

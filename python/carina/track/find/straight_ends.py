@@ -19,9 +19,9 @@ MIN_WIDE_MM = 8.0
 MAX_NARROWED = 0.65
 """Largest ratio between the radii of the narrow and the wide part."""
 MIN_TURN_DEG = 25.0
-"""Least angle between the narrow part and the wide part. An airway that tapers continues straight on."""
+"""Least angle in degrees between the narrow part and the wide part. An airway that tapers continues straight on."""
 FROM_START_MM = 10.0
-"""Least distance from the start of the branch, whose first part is inside its parent."""
+"""Least distance in mm from the start of the branch, whose first part is inside its parent."""
 BEFORE_MM, AFTER_MM, FADE_MM = 6.0, 8.0, 3.0
 """Lengths in mm of the parts before and after a step in radius over which radii are compared, and of the step."""
 AXIS_FROM_MM, AXIS_TO_MM = 12.0, 4.0

@@ -139,7 +139,7 @@ def _below_padding(sections: list[AirSection], padding: NDArray[np.bool_]) -> li
 def _above_a_bronchus(
     soft: SoftenedCt, seeds: list[tuple[int, int, int]], sections: list[AirSection]
 ) -> TopOfTrachea | None:
-    """Return the trachea above a bronchus that was taken for the trachea; None if the seeds are in the trachea."""
+    """Return the trachea above a bronchus that was treated as the trachea; None if the seeds are in the trachea."""
     trachea = sections[carina_of(sections) :]
     above = [section for section in trachea if section.k > seeds[0][2]]
     below = [section.area_mm2 for section in sections if section.k <= seeds[0][2]]

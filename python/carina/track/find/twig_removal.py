@@ -25,11 +25,10 @@ AXIS_MM = 15.0
 def without_twigs(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the compiled tracker's rows of branches without twigs of wide airways.
 
-    If the scan or the search cuts the trachea obliquely, the section of the trachea is longer than wide. The
-    centreline starts in one end of the section, and the other end looks like a branch. A bulge of the wall of a wide
-    airway looks like a short branch
-    that ends inside the airway's own section. The two parts of the airway at the fork become one branch, and the
-    generation of every branch below is lower by one.
+    If the scan or the search cuts the trachea obliquely, the section of the trachea is longer than wide. The centreline
+    starts in one end of the section, and the other end looks like a branch. A bulge of the wall of a wide airway looks
+    like a short branch that ends inside the airway's own section. The two parts of the airway at the fork become one
+    branch, and the generation of every branch below is lower by one.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ DARK_NEIGHBOURS = 3
 MAX_DARK = 4_000_000
 """Number of dark voxels above which they are emphysema, in which no island can be distinguished."""
 CELL_MM = 2.0
-"""Least edge length of the cells between which paths inside an island run; at least one voxel."""
+"""Least edge length in mm of the cells between which paths inside an island run; at least one voxel."""
 AXIS_MM, ONWARD_MM = 3.0, 9.0
 """Lengths of the first and second stretch of an end, in mm; its axis joins the centres of the two.
 

@@ -117,7 +117,7 @@ class Cords:
     above_root_mm: float
     """Height of the section ``at`` above the root, in mm."""
     root_above_carina_mm: float | None = None
-    """Height of the root above the carina if the cords were not seen; None if they were seen.
+    """Height of the root above the carina, mm, if the cords were not seen; None if they were seen.
 
     Without visible cords, only the length shows that more than the trachea was followed.
     """

@@ -250,7 +250,7 @@ class TreeMeasures(Tabular):
     forks: tuple[ForkMeasures, ...]
     """Measurements of the forks, in the order of the branches."""
     blur_mm: tuple[float, float] | None
-    """Blur of the scan within and across its slices, as standard deviations; None if it could not be measured.
+    """Blur of the scan within and across its slices, as standard deviations in mm; None if it could not be measured.
 
     Without it edges are placed at the half-maximum, and small lumens are underestimated.
     """

@@ -90,23 +90,23 @@ class BranchSummary:
     length_mm: float = 0.0
     """Length of the branch's centreline, mm."""
     angle_deg: float | None = None
-    """Angle to the parent (0: straight on), between the chords of two diameters on both sides of the fork."""
+    """Angle to the parent in degrees (0: straight on), between chords of two diameters on both sides of the fork."""
     num_sections: int = 0
     """Number of sections of the branch that the summary uses."""
     mean_mm: float | None = None
-    """Diameter of the branch (:mod:`carina.track.measures.diameter`): the median.
+    """Diameter of the branch (:mod:`carina.track.measures.diameter`), mm: the median.
 
     In measurements of earlier versions it is the mean.
     """
     mean_error_mm: float | None = None
-    """Error of ``mean_mm``: half of a 95 % interval."""
+    """Error of ``mean_mm``: half of a 95 % interval, mm."""
     min_mm: float | None = None
-    """Narrowest diameter: the smallest running median.
+    """Narrowest diameter, mm: the smallest running median.
 
     In measurements of earlier versions it is the smallest section.
     """
     min_error_mm: float | None = None
-    """Error of ``min_mm`` (half of a 95 % interval); None in measurements of earlier versions."""
+    """Error of ``min_mm`` (half of a 95 % interval), mm; None in measurements of earlier versions."""
     min_at_mm: float | None = None
     """Distance of the narrowest place along the branch, mm."""
     taper: float | None = None
@@ -114,7 +114,7 @@ class BranchSummary:
     wall_mm: float | None = None
     """Median thickness of the branch's wall, mm; None if not measured."""
     wall_error_mm: float | None = None
-    """Error of ``wall_mm``: half of a 95 % interval."""
+    """Error of ``wall_mm``: half of a 95 % interval, mm."""
     measured_stenosis: Stenosis | None = dataclasses.field(default=None, repr=False)
     """Stenosis as measured or read from a file; None if there is none.
 
@@ -301,7 +301,7 @@ def _missed_forks(distance_mm: float, diameter_mm: float) -> float:
 
 
 def _narrowest_error_mm(at: Floats, diameter: Floats, error: Floats, least: int) -> float:
-    """Return half of the 95 % interval of the narrowest diameter, as the extreme of the branch's sections.
+    """Return half of the 95 % interval of the narrowest diameter, mm, as the extreme of the branch's sections.
 
     Sections one diameter apart count as independent (Bonferroni). Blur mixes the wider airway beside it into a section,
     so the widening over that distance is part of the error.

@@ -84,7 +84,7 @@ class Passage:
     diameter_mm: Floats
     """Passable diameter (n,) in mm."""
     error_mm: Floats
-    """Half (n,) of an interval that is to contain the true value in 90 of 100 cases."""
+    """Half (n,) of an interval in mm that should contain the true value in 90 of 100 cases."""
     unmeasured: NDArray[np.intp]
     """Indices of centreline points without a section: drawn parts, bridges, the edge of the CT, invisible walls."""
     length_mm: float

@@ -90,7 +90,7 @@ def directions(points: Points, radius_mm: NDArray[np.float64], before: Points | 
 
 
 def angle_deg(parent: Branch, child: Branch) -> float | None:
-    """Return the angle between a branch and its parent; 0 for a straight continuation.
+    """Return the angle in degrees between a branch and its parent; 0 for a straight continuation.
 
     The angle is measured between the chord of the parent's last two diameters and that of the child's first two,
     with diameters from the median distance to the wall; shorter branches give shorter chords. Returns None if one of

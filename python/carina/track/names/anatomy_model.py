@@ -1,9 +1,9 @@
 """Anatomical model of a bronchial tree: segments, their positions, their common stems, and their frequencies.
 
 Directions and positions are those of anatomy atlases in words ("posterior and slightly up", "lowest, towards the
-back"), converted by hand to numbers with wide tolerances; they are not fitted to any scan. Frequencies of variants
-are those of the studies named beside them. All vectors are in a body frame: x away from the midline (lateral), y
-posterior, z superior.
+back"), converted by hand to numbers with wide tolerances; they are not fitted to any scan. Frequencies of variants are
+those of the studies named beside them. In the vectors of a :class:`Segment`, x is lateral (away from the midline), y
+posterior and z superior. In those of the :class:`Grammar`, which are in the body frame, x is the patient's left.
 
 The model is a grammar. A branch *carries* a set of segments; a fork divides the set between its two sides; a set of
 one segment is the bronchus of that segment. The states of the grammar are:
@@ -35,9 +35,9 @@ class Segment:
     lobe: str
     """Lobe of the segment, such as RUL."""
     direction: Vector
-    """Direction (3,) of the segment's bronchus, body frame."""
+    """Direction (3,) of the segment's bronchus: x lateral, y posterior, z superior."""
     place: Vector
-    """Position of the territory in its lung, from the centre of the lung, in units of about half a lung height."""
+    """Position of the territory from the centre of the lung, x lateral, in units of about half a lung height."""
     absent: float
     """Probability that the segment is missing from the tree of a good CT, because it is absent or was not found."""
     bulk: float = 1.0

@@ -28,8 +28,8 @@ def letter_order(middles: Sequence[NDArray[np.float64]], rule: LetterRule) -> tu
     Parameters
     ----------
     middles
-        Centre of the region that each sibling supplies, in the body frame: x lateral, y posterior, z superior, in
-        mm.
+        Centre of the region that each sibling supplies, mm: x lateral, y posterior, z superior along the axes of the
+        body.
     rule
         Rule for the order.
     """

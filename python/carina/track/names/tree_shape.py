@@ -314,7 +314,7 @@ def refined_frame(
     *,
     steadiness: float = 4.0,
 ) -> NDArray[np.float64]:
-    """Return the rotation near ``frame`` that best turns the seen directions to the expected ones.
+    """Return the rotation near ``frame`` that best turns the measured directions of bronchi to the expected directions.
 
     Parameters
     ----------

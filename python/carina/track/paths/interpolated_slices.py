@@ -17,8 +17,7 @@ def with_divided_slices(slices: NDArray[np.int16], parts: int) -> NDArray[np.int
     """Divide each slice of a stack into parts, with values by interpolating cubic B-splines along the stack.
 
     The parts cover the slices: the centre of part p of slice k is (p + 1/2) / parts - 1/2 slices from the centre of
-    slice k. The stack is
-    mirrored at its first and last slice.
+    slice k. The stack is mirrored at its first and last slice.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ class CoreRecipe:
     """Parameters from which the compiled tracker of a lumen is rebuilt, in another process or from a case file."""
 
     levels: Levels
-    """Wall levels of the lumen; None for a lumen from another tool."""
+    """Wall levels of the lumen; None for a lumen from external software."""
     is_edited: bool
     """Whether paths have the order of edits (`edited_core`) rather than that of a search (`found_core`)."""
 

@@ -38,9 +38,9 @@ class TrackedPath:
     points_lps: NDArray[np.float64]
     """Points (n, 3) from root to target, LPS in mm, about 1 mm apart; each one is in a lumen voxel."""
     radius_mm: NDArray[np.float64]
-    """Radius (n,) of the branch at its nearest point (:attr:`Branch.radius`); distance to the wall off the tree."""
+    """Radius (n,) in mm of the branch at its nearest point (:attr:`Branch.radius`); off the tree, wall distance."""
     wall_mm: NDArray[np.float64]
-    """Distance (n,) to the wall, which is the radius of the largest ball that fits.
+    """Distance (n,) to the wall in mm, which is the radius of the largest ball that fits.
 
     The distance is less than ``radius_mm`` if the lumen is not round.
     """

@@ -57,7 +57,7 @@ def lumen_mesh(
         The CT in which the airways were found.
     airways
         Airways with the lumen. If it was found in the CT, the vertices are at the half-maximum between air and wall;
-        for a lumen from another tool they are half-way between its voxels and their neighbours.
+        for a lumen from external software they are half-way between its voxels and their neighbours.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
@@ -130,7 +130,7 @@ def lumen_mask(volume: Volume, airways: Airways) -> NDArray[np.uint8]:
     volume
         The CT in which the airways were found.
     airways
-        Airways with the lumen. A lumen from another tool is returned as that tool made it.
+        Airways with the lumen. A lumen from external software is returned unchanged.
 
     Returns
     -------
@@ -151,7 +151,7 @@ def lumen_mask(volume: Volume, airways: Airways) -> NDArray[np.uint8]:
 def _levels(volume: Volume, airways: Airways) -> tuple[float, float, float] | None:
     """Return the threshold, the level of the wall and the least rise to the wall.
 
-    None for a lumen from another tool.
+    None for a lumen from external software.
     """
     if not np.isfinite(airways.threshold):
         return None

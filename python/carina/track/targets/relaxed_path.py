@@ -20,13 +20,13 @@ REACH_MM = 12.0
 RAY_STEP_MM = 0.5
 """Distance between the values that are compared along a ray, mm."""
 NUM_RAYS = 32
-"""Number of rays from each node that look for the end of the medium."""
+"""Number of rays from each node that search the end of the medium (the material in which the path runs)."""
 MEDIUM_NODES = 5
 """Number of nodes before and after a node whose values determine its medium."""
 NOISE_FACTOR = 4.0
-"""Multiple of the noise by which a value must differ from the medium to end it."""
+"""Least difference between a ray's value and the medium at which the medium ends, as a multiple of the noise."""
 RISE_SHARE = 0.3
-"""Share of the largest difference nearby by which a value must differ from the medium to end it."""
+"""Least difference at which the medium ends, as a share of the largest difference on a ray (median of all rays)."""
 LUMEN_SHARE = 0.85
 """Radius of the tube in a known lumen, relative to the distance to the wall."""
 BESIDE_LUMEN_MM = 4.0
@@ -168,8 +168,8 @@ def tube_around(volume: Volume, airways: Airways | None, nodes_lps: Points) -> S
 def medium_radii(volume: Volume, points: Points) -> NDArray[np.float64]:
     """Return the radii (n,) of the largest balls of the medium around the points of a path, mm, at most `REACH_MM`.
 
-    The medium of a point is the median of the values near it on the path. A ray leaves it at the first value that
-    differs by more than the noise and by a share of the largest difference nearby.
+    The medium of a point is the median of the values near it on the path. A ray leaves the medium at the first
+    value that differs by more than `NOISE_FACTOR` times the noise and `RISE_SHARE` of the largest difference nearby.
     """
     values = _values_at(volume, points)
     window = np.lib.stride_tricks.sliding_window_view(np.pad(values, MEDIUM_NODES, mode="edge"), 2 * MEDIUM_NODES + 1)

@@ -186,7 +186,7 @@ def _airways_from_root(
 ) -> Airways | None:
     """Find the airways from a root, for comparison with paths; return None if a given root is not in a lumen.
 
-    The result is also None for a given root in a volume that is not in HU, where anything may be taken for air.
+    The result is also None for a given root in a volume that is not in HU, where any value may look like air.
     """
     if root is not None:
         check_in_volume(volume, as_point(root), "the root")

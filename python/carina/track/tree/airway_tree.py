@@ -80,7 +80,7 @@ class Branch:
     variant: str | None = None
     """Text on uncommon anatomy of the branch, such as "RB1 and RB2 share a stem"; None if there is none."""
     doubtful_mm: float = 0.0
-    """Length along which the CT shows no wall; above 0 only in ``manual`` branches, which the user added nevertheless.
+    """Length in mm along which the CT shows no wall; above 0 only in ``manual`` branches, which a user added.
     """
     wall_mm: NDArray[np.float64] | None = field(default=None, repr=False)
     """Distance (n,) to the wall in mm; None for a tree that was read from a file. See ``wall_distance``."""
@@ -193,7 +193,7 @@ class Route:
     cumulative_mm: NDArray[np.float64]
     """Distance (n,) from the root along the path, in mm."""
     radius_mm: NDArray[np.float64]
-    """Radius (n,) of the branch at each point, see :attr:`Branch.radius`."""
+    """Radius (n,) in mm of the branch at each point, see :attr:`Branch.radius`."""
     generation: NDArray[np.int32]
     """Generation (n,) of the branch at each point."""
     branch_ids: NDArray[np.int32]

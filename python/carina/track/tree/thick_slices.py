@@ -85,9 +85,9 @@ class CalibratedShares:
     """Shares of airways that the search finds in CTs with slices of one thickness."""
 
     slice_mm: float
-    """Thickness of the slices; their distance if the thickness is smaller or unknown."""
+    """Thickness of the slices in mm; their distance if the thickness is smaller or unknown."""
     distance_mm: float
-    """Distance of the slices; smaller than the thickness if the slices overlap."""
+    """Distance of the slices in mm; smaller than the thickness if the slices overlap."""
     shares: tuple[CalibreShare, ...]
     """Shares, one for each calibre, the widest first."""
 
@@ -113,7 +113,7 @@ def effective_slice_mm(ct: Volume) -> float:
 
 
 def effective_mm(slice_mm: float, distance_mm: float) -> float:
-    """Return the thickness of slices without gap or overlap that show as many airways as the given slices."""
+    """Return the thickness in mm of slices without gap or overlap that show as many airways as the given slices."""
     return 0.5 * (max(slice_mm, distance_mm) + distance_mm)
 
 

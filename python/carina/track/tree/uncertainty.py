@@ -85,15 +85,15 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
     num_ends: Count | None
     """Number of thin ends, for ``fine``; None for other kinds."""
     voxel_mm: float | None
-    """Mean edge of a voxel, for ``fine``; None for other kinds."""
+    """Mean edge of a voxel in mm, for ``fine``; None for other kinds."""
     length_mm: float | None = None
-    """Length of the filled part for ``filled``, or of the soft tissue for ``blocked``."""
+    """Length in mm of the filled part for ``filled``, or of the soft tissue for ``blocked``."""
     calibre_mm: float | None = None
-    """Diameter between the inner walls through the filling, for ``filled``; None if it cannot be measured."""
+    """Diameter in mm between the inner walls through the filling, for ``filled``; None if it cannot be measured."""
     calibre_error_mm: float | None = None
-    """Half of the interval that should contain ``calibre_mm``."""
+    """Half of the interval in mm that should contain ``calibre_mm``."""
     beyond_lps: PointLps | None = None
-    """Point in the air beyond a ``filled`` place to which no path leads: the target of a bridge."""
+    """Point in the air beyond a ``filled`` place to which no path leads, LPS in mm: the target of a bridge."""
 
     slice_number: Count | None = None
     """Slice of the place, counted from the feet, from 1; None in cases of earlier versions."""
