@@ -113,6 +113,9 @@ class SmallTracker:
     """Tracker whose paths end at the tip of the nearest branch, within the distance up to which targets are moved."""
 
     tree: AirwayTree
+    grid: Any
+    """Grid with the CT, as far as paths without the lumen use it."""
+    lumen_zyx: Any
 
     def path_to(self, point_lps: Any, *, snap_mm: float = 5.0) -> Any:
         branch, _, distance = self.tree.nearest_branch(point_lps)
@@ -176,7 +179,11 @@ def small_airways(volume: Volume, *, root_lps: Any = None, note: str = "three br
         lumen_zyx=small_lumen(),
         root_lps=np.asarray(tree.branches[0].points[0] if root_lps is None else root_lps),
         tree=tree,
-        tracker=SmallTracker(tree),
+        tracker=SmallTracker(
+            tree,
+            SimpleNamespace(ct=volume, shape_zyx=volume.shape_zyx, lps_from_ijk=volume.lps_from_ijk),
+            small_lumen(),
+        ),
         report=[note],
         uncertain=(),
         absent=(),

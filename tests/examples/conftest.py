@@ -11,7 +11,7 @@ import carina
 from cached_test_data import found_airways
 
 
-@pytest.fixture(scope="package", autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def shared_airways() -> Iterator[None]:
     """Replace the search for airways by its cache, which gives equal trees for equal voxels and geometry."""
     with patch.object(carina, "find_airways", found_airways):

@@ -346,6 +346,7 @@ def test_plan_is_plain_json_and_equal_for_a_click_and_for_the_nodule_segmented_f
         "place_lps": list(plan().routes[0].leg.tip_lps),
         "roll_rad": None,
         "flexion_rad": None,
+        "withdrawn_mm": 0.0,
     }
     volume = cached_phantom(**CHEST).volume
     again = plan_route(volume, cached_airways(**CHEST), grow_nodule(volume, truth()["centre_lps"]), wall=wall())
