@@ -14,28 +14,28 @@ from carina.render.transfer_function import PAPER_BIN_HU
 EqualBy = Literal["auto", "values", "bins"]
 EQUAL_BY = ("auto", "values", "bins")
 
-MOST_VALUES = 256
+MAX_VALUES = 256
 """Largest number of different values that are compared as they are: those of 8 bits, as in the paper."""
 BIN_NAME = f"bins of {PAPER_BIN_HU}"
-PART = 1 << 22
+VOXELS_PER_PART = 1 << 22
 """Number of voxels whose values are counted at a time."""
 
 
 def values_in(values_zyx: NDArray[np.int16]) -> NDArray[np.int64] | None:
-    """Return the different values of a volume, most frequent first; None if there are more than `MOST_VALUES`."""
+    """Return the different values of a volume, most frequent first; None if there are more than `MAX_VALUES`."""
     low, high = _core.value_range(values_zyx)
     flat = values_zyx.reshape(-1)
     counts = np.zeros(high - low + 1, dtype=np.int64)
-    for first in range(0, flat.size, PART):
-        counts += np.bincount(flat[first : first + PART].astype(np.int64) - low, minlength=len(counts))
-        if np.count_nonzero(counts) > MOST_VALUES:
+    for first in range(0, flat.size, VOXELS_PER_PART):
+        counts += np.bincount(flat[first : first + VOXELS_PER_PART].astype(np.int64) - low, minlength=len(counts))
+        if np.count_nonzero(counts) > MAX_VALUES:
             return None
     used = np.flatnonzero(counts)
     return used[np.argsort(-counts[used], kind="stable")] + low
 
 
 def bin_width(values_zyx: NDArray[np.int16]) -> int:
-    """Return the width of the bins in which values are compared: 1 for at most `MOST_VALUES` values, else 16."""
+    """Return the width of the bins in which values are compared: 1 for at most `MAX_VALUES` values, else 16."""
     return PAPER_BIN_HU if values_in(values_zyx) is None else 1
 
 
@@ -71,13 +71,13 @@ def value_labels(
     if found is None:
         if equal_by == "values":
             msg = (
-                f"expected at most {MOST_VALUES} different values to compare voxels by value; found more in this "
+                f"expected at most {MAX_VALUES} different values to compare voxels by value; found more in this "
                 f"volume; compare {BIN_NAME} (equal_by=bins) or the classes of a transfer function"
             )
             raise UsageError(msg, code="usage.too-many-values")
         labels, classes = _core.label_values(values_zyx)
         return labels, np.array([low for low, _, _, _ in classes], dtype=np.int64)
-    found = found[: MOST_VALUES - 1]
+    found = found[: MAX_VALUES - 1]
     low = int(values_zyx.min())
     label_of = np.zeros(int(values_zyx.max()) - low + 1, dtype=np.uint8)
     label_of[found - low] = np.arange(1, len(found) + 1)

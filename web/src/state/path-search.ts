@@ -67,12 +67,12 @@ export function isSamePen(one: ArmPenMessage, other: ArmPenMessage): boolean {
   return one.tool === other.tool && one.cost === other.cost && start(one) === start(other);
 }
 
-const MOST_CROSSINGS = 6;
+const MAX_CROSSINGS = 6;
 
 /** Return where a path crosses the wall of the lumen as text; only the first crossings are listed. */
 function crossingsText(crossings: readonly number[]): string {
-  const listed = crossings.slice(0, MOST_CROSSINGS).map((along) => mm(along, 0));
-  const more = crossings.length > MOST_CROSSINGS ? ", ..." : "";
+  const listed = crossings.slice(0, MAX_CROSSINGS).map((along) => mm(along, 0));
+  const more = crossings.length > MAX_CROSSINGS ? ", ..." : "";
   const times = crossings.length === 1 ? "once" : `${crossings.length} times`;
   return `crosses the wall ${times}, at ${listed.join(", ")}${more} from the start`;
 }

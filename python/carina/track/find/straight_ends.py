@@ -13,7 +13,7 @@ from carina.track.tree.airway_tree import Branch
 
 Points = NDArray[np.float64]
 
-# The wide airway and the narrow one form one branch, because the stump is too short for a branch of its own.
+# The stump is too short to be a separate branch, so the wide and the narrow airway form one branch.
 MIN_WIDE_MM = 8.0
 """Least width in mm of the wide part of an airway that ends in a wall."""
 MAX_NARROWED = 0.65
