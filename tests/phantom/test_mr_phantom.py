@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 import carina
 from carina.errors import CancelledError, UsageError
-from carina.mr_phantom import SOFT_VALUE, generate_mr_phantom
+from carina.mr_phantom import SOFT_VALUE, _signal, generate_mr_phantom
 from carina.phantom import generate_phantom
 from carina.track.targets.paper_tracker import track_on_graph
 
@@ -44,6 +44,26 @@ def test_signal_of_soft_tissue_air_lung_and_fat_follows_their_protons(clean):
     # Water of lung at -850 HU is 15 % of that of tissue, and its signal decays faster and recovers more slowly.
     assert 0.08 * SOFT_VALUE < lung < 0.15 * SOFT_VALUE
     assert np.median(value[(hu > -110) & (hu < -90)]) > 1.4 * soft
+
+
+def test_edge_between_tissue_and_lung_has_no_bright_rim_of_fat():
+    edge = np.repeat(np.array([40, 40, -100, -500, -850, -850], dtype=np.int16), 2)
+    profile = _signal(np.broadcast_to(edge, (12, 12, len(edge))))[6, 6]
+    assert (np.diff(profile) <= 1e-6).all()
+    fat = _signal(np.full((5, 5, 5), -100, dtype=np.int16))
+    assert fat[2, 2, 2] > 1.4
+
+
+def test_lumen_of_the_picture_lies_where_that_of_the_ct_lies(picture):
+    fine = chest(picture, seed=2, generations=5)
+
+    def middle(made) -> np.ndarray:
+        """Return the centroid, LPS mm, of the lumen below the carina."""
+        k, j, i = np.nonzero(made.lumen_zyx)
+        points = made.volume.to_lps(np.stack([i, j, k], axis=1).astype(float))
+        return points[points[:, 2] < -10.0].mean(axis=0)
+
+    assert np.abs(middle(picture) - middle(fine)).max() < 0.3
 
 
 def test_bias_field_changes_the_sensitivity_within_its_limit(clean):
