@@ -10,9 +10,11 @@ import pytest
 
 from carina.phantom import generate_phantom
 from carina.track import AirwayTree, Branch, name_tree
+from carina.track.names import naming
 from carina.track.names.name_texts import segment_of
-from carina.track.names.naming import _read
+from carina.track.names.naming import _read, branch_side_and_lobe
 from carina.track.names.renaming import extends_tips_only, name_edited_tree, renamed_branches
+from carina.track.names.tree_fit import MISFIT
 from carina.track.names.tree_shape import bronchi_of
 from carina_bench.confidence_trees import degraded, turned
 
@@ -135,3 +137,33 @@ def test_tip_that_a_moved_fork_lengthens_is_no_extension():
     adjoining = {fork.id, *fork.children}
     branches = tuple(moved(b) if b.id in adjoining else b for b in tree.branches)
     assert not extends_tips_only(tree, dataclasses.replace(tree, branches=branches))
+
+
+def test_one_tip_does_not_make_a_human_tree_unlike_a_human_one(monkeypatch):
+    tree = uncut(1)
+    fit = {tip: (cut, _read(cut).fit, _read(tree).fit) for tip, cut in cut_trees(1)}
+    cut, before, after = max(fit.values(), key=lambda of_tip: of_tip[1] - of_tip[2])
+    assert after < before
+    monkeypatch.setattr(naming, "POOR_FIT", (before + after) / 2.0)
+    assert MISFIT in {note.code for note in name_tree(tree).notes}
+    edited = name_edited_tree(cut, tree)
+    assert MISFIT not in {note.code for note in edited.notes}
+    assert {b.id: b.name for b in edited.branches}.items() >= {
+        b.id: b.name for b in cut.branches if b.name is not None
+    }.items()
+    # The lobes follow the same decision as the names.
+    assert set(branch_side_and_lobe(edited).values()) > {None}
+
+
+def test_tip_can_make_a_tree_human(monkeypatch):
+    tree = uncut(1)
+    fit = {tip: (cut, _read(cut).fit, _read(tree).fit) for tip, cut in cut_trees(1)}
+    cut, before, after = min(fit.values(), key=lambda of_tip: of_tip[1] - of_tip[2])
+    assert before < after
+    monkeypatch.setattr(naming, "POOR_FIT", (before + after) / 2.0)
+    unlike = name_tree(cut)
+    assert MISFIT in {note.code for note in unlike.notes}
+    assert set(branch_side_and_lobe(unlike).values()) == {None}
+    edited = name_edited_tree(unlike, tree)
+    assert [b.name for b in edited.branches] == [b.name for b in tree.branches]
+    assert MISFIT not in {note.code for note in edited.notes}

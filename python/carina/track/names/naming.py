@@ -142,12 +142,22 @@ def name_tree(tree: AirwayTree, *, letter_rule: LetterRule = LetterRule.TOP_LATE
     return named if seen is tree else carried_names(tree, named, place_of)
 
 
-def _named_all(tree: AirwayTree, letter_rule: LetterRule) -> AirwayTree:
+def name_human_tree(tree: AirwayTree) -> AirwayTree:
+    """Name the branches of a tree that is known to be a human one, however poorly it fits.
+
+    Otherwise the same as :func:`name_tree`. The confidence of names still decreases with the goodness of fit.
+    """
+    seen, place_of = seen_part(tree)
+    named = with_limited_confidence(_named_all(seen, LetterRule.TOP_LATERAL_BACK, is_human=True))
+    return named if seen is tree else carried_names(tree, named, place_of)
+
+
+def _named_all(tree: AirwayTree, letter_rule: LetterRule, *, is_human: bool = False) -> AirwayTree:
     read = _read(tree)
     names, notes = _names_of(read, letter_rule)
     given = {bare_name(b.name) for b in tree.branches if b.name_from == "person" and b.name is not None}
     lasting = tuple(note for note in tree.notes if note.code not in (MISFIT, MIRRORED))
-    if read.is_misfit:
+    if read.is_misfit and not is_human:
         names, notes = _kept_of_misfit(names), {}
         lasting = (*lasting, misfit_note())
     elif read.mirrored:
@@ -188,17 +198,22 @@ def branch_side_and_lobe(tree: AirwayTree) -> dict[int, str | None]:
     the user take precedence. In a mirrored chest (see :func:`name_tree`) the lobes of the three-lobed lung are LUL,
     LML and LLL.
     """
-    return dict(_side_and_lobe(tuple(tree.branches)))
+    is_named = any(branch.name_from == "anatomy" for branch in tree.branches)
+    is_human = not any(note.code == MISFIT for note in tree.notes) if is_named else None
+    return dict(_side_and_lobe(tuple(tree.branches), is_human))
 
 
 @lru_cache(maxsize=NUM_TREES)
-def _side_and_lobe(branches: tuple[Branch, ...]) -> dict[int, str | None]:
-    """Return the lobes of a tree's branches; cached, because plans, reports and windows need them repeatedly."""
+def _side_and_lobe(branches: tuple[Branch, ...], is_human: bool | None) -> dict[int, str | None]:
+    """Return the lobes of a tree's branches; cached, because plans, reports and windows need them repeatedly.
+
+    A named tree was judged when it was named (``is_human``); other trees are judged here (None).
+    """
     whole = AirwayTree(branches)
     tree, place_of = seen_part(whole)
     read = _read(tree)
     found: dict[int, str | None] = dict.fromkeys((branch.id for branch in tree.branches), None)
-    by_place = {} if read.is_misfit else _lobes_of(read)
+    by_place = {} if (read.is_misfit if is_human is None else not is_human) else _lobes_of(read)
     for number, branch in enumerate(tree.branches):
         lobe = by_place.get(number)
         if branch.name_from == "person" and branch.name is not None:

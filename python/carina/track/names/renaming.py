@@ -14,7 +14,7 @@ import numpy as np
 
 from carina.display import one_line
 from carina.track.names.name_texts import MIRRORED
-from carina.track.names.naming import SURE_ENOUGH, log_evidence_of, name_tree
+from carina.track.names.naming import SURE_ENOUGH, log_evidence_of, name_human_tree, name_tree
 from carina.track.names.tree_fit import MISFIT
 from carina.track.tree.airway_tree import AirwayTree, Branch
 
@@ -78,13 +78,18 @@ def name_edited_tree(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
         change is below 0.05. Otherwise the former names are kept and constrain the names of the new branches. A former
         name that would only be lost is kept with a confidence of at most 0.5. A branch without a name gets one if its
         confidence is at least 0.8.
+
+        An edit of at most two branches does not make a human tree one that is unlike a human tree. The goodness of fit
+        of a part of the airways can cross its limit by one tip.
     """
     former = {branch.id: branch for branch in before.branches}
     if extends_tips_only(before, tree):
         return _named_by_change(before, tree)
-    anew = name_tree(tree)
     num_added = sum(branch.id not in former for branch in tree.branches)
-    if num_added > MAX_ADDED or _badges(anew) != _badges(before) or _by_user(tree) != _by_user(before):
+    if num_added > MAX_ADDED:
+        return name_tree(tree)
+    anew = _named_like(before, tree)
+    if _badges(anew) != _badges(before) or _by_user(tree) != _by_user(before):
         return anew
     changed = {branch.id for branch in anew.branches if _is_renamed(former.get(branch.id), branch)}
     if not changed:
@@ -100,7 +105,7 @@ def name_edited_tree(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
     )
     if log_evidence_of(held) - log_evidence_of(tree) < MIN_LOG_PROBABILITY:
         return _with_former(anew, former)
-    named = name_tree(held)
+    named = _named_like(before, held)
     released = tuple(
         dataclasses.replace(branch, name_from="anatomy", name_confidence=former[branch.id].name_confidence)
         if branch.id in changed
@@ -141,8 +146,8 @@ def _named_by_change(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
     edit is no evidence against the present name.
     """
     former = {branch.id: branch for branch in before.branches}
-    without_edit = {branch.id: branch for branch in name_tree(before).branches}
-    anew = name_tree(tree)
+    without_edit = {branch.id: branch for branch in _named_like(before, before).branches}
+    anew = _named_like(before, tree)
     if _badges(anew) != _badges(before):
         return anew
     made = []
@@ -155,6 +160,12 @@ def _named_by_change(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
                 dataclasses.replace(branch, name=was.name, name_confidence=was.name_confidence, name_from=was.name_from)
             )
     return dataclasses.replace(anew, branches=tuple(made))
+
+
+def _named_like(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
+    """Name an edited tree; it is a human one if it was before the edit, else its goodness of fit decides."""
+    was_human = any(branch.name_from == "anatomy" for branch in before.branches) and MISFIT not in _badges(before)
+    return name_human_tree(tree) if was_human else name_tree(tree)
 
 
 def _is_renamed(former: Branch | None, branch: Branch) -> bool:
