@@ -10,7 +10,7 @@ import pytest
 
 from carina.phantom import generate_phantom
 from carina.track import AirwayTree, Branch, name_tree
-from carina.track.names import naming
+from carina.track.names import naming, renaming
 from carina.track.names.name_texts import segment_of
 from carina.track.names.naming import _read, branch_side_and_lobe
 from carina.track.names.renaming import extends_tips_only, name_edited_tree, renamed_branches
@@ -167,3 +167,24 @@ def test_tip_can_make_a_tree_human(monkeypatch):
     edited = name_edited_tree(unlike, tree)
     assert [b.name for b in edited.branches] == [b.name for b in tree.branches]
     assert MISFIT not in {note.code for note in edited.notes}
+
+
+@pytest.mark.parametrize(("confidence", "stays"), [(0.9, True), (0.6, False)])
+def test_extension_does_not_remove_a_confident_name(monkeypatch, confidence, stays):
+    tree = uncut(2)
+    tip, cut = cut_trees(2)[0]
+    other = next(b for b in cut.branches if b.name is not None and b.name_from == "anatomy" and b.id != tip)
+    was = tuple(dataclasses.replace(b, name_confidence=confidence) if b.id == other.id else b for b in cut.branches)
+    usual = renaming.name_human_tree
+
+    def without_the_name(edited: AirwayTree) -> AirwayTree:
+        named = usual(edited)
+        if edited is not tree:
+            return named
+        lost = (dataclasses.replace(b, name=None) if b.id == other.id else b for b in named.branches)
+        return dataclasses.replace(named, branches=tuple(lost))
+
+    monkeypatch.setattr(renaming, "name_human_tree", without_the_name)
+    after = name_edited_tree(dataclasses.replace(cut, branches=was), tree).branch(other.id)
+    assert after.name == (other.name if stays else None)
+    assert not stays or after.name_confidence == 0.5

@@ -29,7 +29,10 @@ MIN_LOG_PROBABILITY = math.log(0.05)
 MIN_EXTENSION_MM = 2.0
 """Least length in mm by which an edit must extend a tip for the extension to affect the names."""
 SURE_OF_NEW = 0.8
-"""Least confidence of a name for a branch that had no name before the edit and is not itself new."""
+"""Least confidence of a name for a branch that had no name before the edit and is not itself new.
+
+A name of at least this confidence is not lost by the extension of a tip.
+"""
 
 
 @one_line
@@ -159,7 +162,7 @@ def _named_by_change(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
             made.append(
                 dataclasses.replace(branch, name=was.name, name_confidence=was.name_confidence, name_from=was.name_from)
             )
-    return dataclasses.replace(anew, branches=tuple(made))
+    return _with_lost(dataclasses.replace(anew, branches=tuple(made)), former, least=SURE_OF_NEW)
 
 
 def _named_like(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
@@ -188,18 +191,33 @@ def _badges(tree: AirwayTree) -> frozenset[str]:
 
 def _with_former(tree: AirwayTree, former: dict[int, Branch]) -> AirwayTree:
     """Restore names that were only lost, and remove uncertain names from branches that had none before."""
+
+    def without_uncertain(branch: Branch) -> Branch:
+        was = former.get(branch.id)
+        is_unsure = branch.name_from == "anatomy" and (branch.name_confidence or 0.0) < SURE_OF_NEW
+        if was is not None and was.name is None and is_unsure:
+            return dataclasses.replace(branch, name=None, name_confidence=None, name_from=None)
+        return branch
+
+    restored = _with_lost(tree, former)
+    return dataclasses.replace(restored, branches=tuple(without_uncertain(branch) for branch in restored.branches))
+
+
+def _with_lost(tree: AirwayTree, former: dict[int, Branch], least: float = 0.0) -> AirwayTree:
+    """Restore names that were lost and that no other branch has, with a confidence of at most 0.5.
+
+    Former names with a confidence below ``least`` stay lost.
+    """
     used = {branch.name for branch in tree.branches}
 
     def restored(branch: Branch) -> Branch:
         was = former.get(branch.id)
-        if was is None:
+        if was is None or branch.name is not None or was.name_from != "anatomy" or was.name in used:
             return branch
-        if branch.name is None and was.name_from == "anatomy" and was.name not in used:
-            sure = min(was.name_confidence or SURE_ENOUGH, SURE_ENOUGH)
-            return dataclasses.replace(branch, name=was.name, name_confidence=sure, name_from="anatomy")
-        is_unsure = branch.name_from == "anatomy" and (branch.name_confidence or 0.0) < SURE_OF_NEW
-        if was.name is None and is_unsure:
-            return dataclasses.replace(branch, name=None, name_confidence=None, name_from=None)
-        return branch
+        sure = was.name_confidence or SURE_ENOUGH
+        if sure < least:
+            return branch
+        sure = min(sure, SURE_ENOUGH)
+        return dataclasses.replace(branch, name=was.name, name_confidence=sure, name_from="anatomy")
 
     return dataclasses.replace(tree, branches=tuple(restored(branch) for branch in tree.branches))
