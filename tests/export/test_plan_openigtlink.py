@@ -13,8 +13,8 @@ import pytest
 from sample_plan import DOUBT, a_plan, a_tree
 
 from carina.errors import CarinaError, UsageError
+from carina.export.nodule_surface import nodule_surface
 from carina.export.plan_openigtlink import MAX_PEERS, PlanServer, plan_messages, send_plan
-from carina.export.plan_surface import nodule_surface
 
 pyigtl = pytest.importorskip("pyigtl", reason="pyigtl, the independent peer, is not installed")
 

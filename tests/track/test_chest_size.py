@@ -14,7 +14,7 @@ from carina.errors import NoResultError
 from carina.phantom import generate_phantom
 from carina.track import AirwayTree, Branch, CutBranch, edit_airways, name_tree
 from carina.track.find.chest_size import search_size, thread_confidence
-from carina.track.tree.calibrated_size import UNCALIBRATED_SIZE, limit_at, with_size_note
+from carina.track.tree.trachea_diameter_range import UNCALIBRATED_SIZE, limit_at, with_size_note
 from carina.volume import Volume
 
 SEED, VOXEL_MM = MASKED_CHEST["seed"], MASKED_CHEST["spacing_mm"]

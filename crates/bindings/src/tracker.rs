@@ -10,7 +10,7 @@ use std::time::Instant;
 use carina_grid::Grid;
 use carina_leastcost::TrackError;
 use carina_leastcost::field::{EnterCost, MeanCost, VoxelField};
-use carina_leastcost::field_aim::least_path;
+use carina_leastcost::field_a_star::least_path;
 use carina_leastcost::field_tracker::FieldTracker as Tracker;
 use numpy::ndarray::Array2;
 use numpy::{

@@ -9,7 +9,7 @@ use carina_grid::{Affine, Grid, InstructionSet};
 use proptest::prelude::*;
 
 use crate::field::{EnterCost, MeanCost, Quanta, StepCost, VoxelField, least_costs};
-use crate::field_aim::least_path;
+use crate::field_a_star::least_path;
 use crate::field_tracker::FieldTracker;
 use crate::{TrackError, Unwatched, Watch};
 

@@ -5,7 +5,7 @@
 //! after an edit, and `tracker` grows the tree of least-cost paths from one root. `box_graph`, `paper_cost` and
 //! `isoregion_graph` are the graph and the cost as printed in the paper, for the same tracker; `graph_tracker` combines
 //! every cost with every graph. `field_tracker` grows the same kind of tree in a whole volume of weights, without a
-//! graph in memory; `field_aim` finds one path in such a volume, `field_sweep` the least costs of all its voxels.
+//! graph in memory; `field_a_star` finds one path in such a volume, `field_sweep` the least costs of all its voxels.
 //! `cheapest_way` finds one path in a small box of weights. `ordered_cost` is the key of a queue of paths. `distance`
 //! and `cubic_distance` are exact distance transforms.
 //!
@@ -19,7 +19,7 @@ pub mod dijkstra;
 pub mod distance;
 mod error;
 pub mod field;
-pub mod field_aim;
+pub mod field_a_star;
 mod field_front;
 mod field_lanes;
 mod field_layout;

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import CarinaError, ProtocolError, UsageError
+from carina.export.nodule_surface import nodule_surface
 from carina.export.plan_content import DrawnRoute, DrawnTarget, drawn_plans
-from carina.export.plan_surface import nodule_surface
 from carina.navigate.devices.igtl import IgtlRequest, IgtlStream, pack_message
 from carina.plan import Plan
 from carina.track import AirwayTree

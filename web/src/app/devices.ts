@@ -10,7 +10,7 @@ import { type Hid, HidPort } from "../input/devices/hid-port";
 import { hasPointerLock, PointerLock } from "../input/devices/pointer-lock";
 import { SPACEMOUSE_FILTERS, SpaceMouse } from "../input/devices/spacemouse";
 import { Headset, headsetOffer, type Xr } from "../input/devices/webxr";
-import { WHEEL_MM_PER_PX } from "../input/flight";
+import { WHEEL_MM_PER_PX } from "../input/steering";
 import { isSamePen, penMessage } from "../state/path-search";
 import type { Vec3 } from "../state/vec";
 import { type LatestPicture, PictureScreen, type XrLayer } from "../views/headset-screen";

@@ -1,9 +1,9 @@
 /** Gestures of mouse, wheel and keys in a view, selected by the kind of the view. */
 
 import { clickAction } from "../input/clicks";
-import { WHEEL_MM_PER_PX } from "../input/flight";
 import { bindingOf, placesOf } from "../input/keymap";
 import { listenToPointer, type PointerPlace } from "../input/pointer";
+import { WHEEL_MM_PER_PX } from "../input/steering";
 import { type FlatGeometry, geometryOf, lpsFromPixel, mmPerPixel, normalOf } from "../state/projection";
 import { add, asVec3, cameraFromMatrix, distance, dot, scale, sub, type Vec3 } from "../state/vec";
 import { isOrbitView, type OrbitView } from "../state/view-table";

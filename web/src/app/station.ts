@@ -3,8 +3,8 @@
  * creates the parts.
  */
 
-import type { Flight } from "../input/flight";
 import type { Action } from "../input/keymap";
+import type { Flight } from "../input/steering";
 import type { AppState, Ui } from "../state/app-state";
 import type { Store } from "../state/store";
 import type { Vec3 } from "../state/vec";

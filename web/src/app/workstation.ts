@@ -3,10 +3,10 @@
  * depend on panels.
  */
 
-import { Flight } from "../input/flight";
 import { KeyPlayer, keyFrameHooks } from "../input/key-player";
 import { listenToKeys } from "../input/keyboard";
 import { type Action, WINDOWS } from "../input/keymap";
+import { Flight } from "../input/steering";
 import { WATCHERS_ACTIONS } from "../input/watchers-actions";
 import { DownloadError, fetchAirways, fetchFlight, fetchKeyFrames, fetchPlan, planAddress } from "../net/download";
 import { PictureBoard } from "../net/pictures";

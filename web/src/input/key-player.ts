@@ -6,7 +6,7 @@
 
 import { NOT_PLAYING, type Playing } from "../state/playing";
 import type { ClientMessage, KeyFramesMessage, PoseMessage } from "../wire/messages";
-import { MAX_TICK_S } from "./flight";
+import { MAX_TICK_S } from "./steering";
 
 /** Distance in time, s, below which a slider position counts as a key frame or as the end of the flight. */
 const AT_END_S = 0.02;

@@ -1,9 +1,9 @@
 /** Entry point of the phone page: connects the orientation sensor and the buttons of the phone to the server. */
 
 import "./phone.css";
-import { Hand, type Held } from "./hand";
 import { Link } from "./link";
 import { penOrientation } from "./orientation";
+import { Hand, type Held } from "./phone-input";
 import { NO_SENSOR, SENSOR_REFUSED, SENSOR_WITHIN_MS, stateText } from "./texts";
 
 function element<T extends HTMLElement>(id: string): T {

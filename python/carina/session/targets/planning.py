@@ -21,7 +21,7 @@ from carina.session.derived.lungs import LungsInfo
 from carina.session.derived.plans import PlannedTarget, PlanningInfo, carina_depth_mm, chosen_number
 from carina.session.flights.tip_commands import place_pose
 from carina.session.open_case.open_case import OpenCase, as_point
-from carina.session.targets.dicom_source import dicom_problem
+from carina.session.targets.ct_location import dicom_problem
 from carina.session.targets.retrack import needed_target
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from carina.session.command_registry import CommandHandlers, does
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase
 from carina.session.state.snapshot import UserMessage
-from carina.session.targets.dicom_source import ct_of
+from carina.session.targets.ct_location import ct_of
 from carina.session.targets.retrack import needed_target
 
 

@@ -45,7 +45,7 @@ from carina.track.paths.rebuilt_tracker import CoreRecipe
 from carina.track.paths.tracker import PathTracker, lumen_voxels
 from carina.track.progress import Cancel, Progress
 from carina.track.tree.airway_tree import AirwayTree, Branch
-from carina.track.tree.calibrated_size import with_limited_confidence
+from carina.track.tree.trachea_diameter_range import with_limited_confidence
 from carina.track.tree.uncertainty import Uncertainty, judged
 from carina.volume.model import Volume
 

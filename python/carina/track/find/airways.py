@@ -44,8 +44,8 @@ from carina.track.paths.rebuilt_tracker import CoreRecipe
 from carina.track.paths.tracker import SNAP_MM, PathTracker, Point, as_point, branches_from_rows
 from carina.track.progress import Cancel, Stages
 from carina.track.tree.airway_tree import AirwayTree, Branch
-from carina.track.tree.calibrated_size import with_size_note
 from carina.track.tree.thick_slices import effective_slice_mm, with_slice_note
+from carina.track.tree.trachea_diameter_range import with_size_note
 from carina.track.tree.uncertainty import Uncertainty, with_confidence
 from carina.volume.model import Note, Volume
 from carina.volume.point_check import check_in_volume

@@ -23,7 +23,7 @@ from carina.track.names.tree_fit import MISFIT, POOR_FIT, calibrated, fit_of, mi
 from carina.track.names.tree_shape import Bronchus, body_frame, bronchi_of, find_lungs, refined_frame
 from carina.track.names.without_drawn import carried_names, seen_part
 from carina.track.tree.airway_tree import AirwayTree, Branch
-from carina.track.tree.calibrated_size import with_limited_confidence
+from carina.track.tree.trachea_diameter_range import with_limited_confidence
 from carina.volume.model import Note
 
 __all__ = [

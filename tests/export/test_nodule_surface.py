@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from nodules import ellipsoid
 
 from carina.errors import UsageError
-from carina.export.plan_surface import nodule_surface
+from carina.export.nodule_surface import nodule_surface
 from carina.navigate.rotation import rotation_from_vector
 
 

@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { AUTO_SPEED_MM_S } from "../state/speed";
 import type { ClientMessage, RouteInfo } from "../wire/messages";
-import { Flight, SLOW, SPEED_MM_S } from "./flight";
+import { Flight, SLOW, SPEED_MM_S } from "./steering";
 
 const ROUTE: RouteInfo = {
   route_id: "r",

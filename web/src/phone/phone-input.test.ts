@@ -1,7 +1,7 @@
 import { beforeEach, describe, expect, it } from "vitest";
 import type { PhoneMessage } from "../wire/messages";
 import { checkPhoneMessage } from "../wire/parse";
-import { Hand } from "./hand";
+import { Hand } from "./phone-input";
 
 let sent: PhoneMessage[];
 let open: boolean;
