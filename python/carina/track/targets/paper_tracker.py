@@ -17,7 +17,8 @@ from carina.errors import CancelledError, NoResultError, UsageError
 from carina.track.find.result import Airways
 from carina.track.paths.tracker import SNAP_MM, STEP_MM, TrackedPath, as_point, words
 from carina.track.progress import Cancel, Progress
-from carina.track.targets.relaxed_path import evenly_spaced, relaxed_path, wall_crossings
+from carina.track.targets.excursions import flyable_path
+from carina.track.targets.relaxed_path import evenly_spaced, wall_crossings
 from carina.track.targets.results import GraphSearch, TargetResult, TargetSearch, TrackResult
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Note, Volume
@@ -159,7 +160,7 @@ def track_on_graph(
     snap_mm
         Largest distance by which a target is moved.
     relax
-        Whether paths and branches of the cost ``walls`` are relaxed after the search (:func:`relaxed_path`); False for
+        Whether paths and branches of the cost ``walls`` are relaxed after the search (:func:`flyable_path`); False for
         the paths of the search, as in the paper. Other costs are not relaxed.
     progress
         Function that receives the name of the stage and the fraction.
@@ -275,6 +276,7 @@ def track_on_graph(
                 value_range=_value_range(volume, way.points),
                 to_node_mm=to_node_mm,
                 search_length_mm=float(np.linalg.norm(np.diff(way.whole, axis=0), axis=1).sum()),
+                search_outside_mm=None if airways is None else outside_mm(way.whole, airways, volume),
                 crossings=None if airways is None else wall_crossings(way.whole, airways),
             )
         )
@@ -387,7 +389,7 @@ def _tracked_path(
         dense = evenly_spaced(way.whole, min(volume.spacing_mm))
         points = airways.tracker.core.smooth(dense, step_mm=STEP_MM, keep_end=True)
     elif relax:
-        points = relaxed_path(volume, airways, way.whole)
+        points = flyable_path(volume, airways, way.whole)
     else:
         points = evenly_spaced(way.whole, STEP_MM)
     branch_ids, generation = along_branches(points, tracked if airways is None else airways.tree)
@@ -408,7 +410,7 @@ def _tracked_path(
 
 def _relaxed_branch(branch: Branch, airways: Airways | None, volume: Volume) -> Branch:
     """Return a branch with a relaxed centreline between the same ends."""
-    points = relaxed_path(volume, airways, branch.points)
+    points = flyable_path(volume, airways, branch.points)
     radius = np.zeros(len(points)) if airways is None else airways.tracker.core.radius_mm(points)
     return dataclasses.replace(branch, points=points, radius=radius)
 
