@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import carina
+from carina.track.targets import paper_tracker
 from carina.track.targets.excursions import find_excursions, flyable_path, shortest_path, wide_lumen
 from carina.track.targets.paper_tracker import search_box, track_on_graph
 from carina.track.targets.relaxed_path import (
@@ -256,3 +257,25 @@ def test_the_shortest_path_of_a_matrix_equals_the_exhaustive_search():
         costs = [sum(lengths[a, b] for a, b in itertools.pairwise((0, *way, 5))) for way in inner]
         found = shortest_path(lengths, 5)
         assert sum(lengths[a, b] for a, b in itertools.pairwise(found)) == pytest.approx(min(costs))
+
+
+def test_tree_and_crossings_follow_a_path_whose_excursion_is_replaced(chest, results, monkeypatch):
+    volume, airways, ends = chest
+    box = search_box(volume, [airways.root_lps, *ends], max_bytes=22 * 600_000)
+
+    def with_excursion(volume, airways, nodes, **more):
+        path = relaxed_path(volume, airways, nodes, **more)
+        first, last = len(path) // 8, len(path) // 4
+        beside = path[[first, last]] + np.array([15.0, 0.0, 0.0])
+        return path if more else np.concatenate([path[: first + 1], evenly_spaced(beside, 1.0), path[last:]])
+
+    monkeypatch.setattr(paper_tracker, "relaxed_path", with_excursion)
+    result = track_on_graph(volume, airways, ends, cost="walls", graph="voxel", box_ijk=box)
+    every = np.concatenate([branch.points for branch in result.tree.branches])
+    assert airways.tracker.inside(every).all()
+    assert [branch.id for branch in result.tree.branches if branch.parent is None] == [0]
+    for target, row, plain in zip(result.targets, result.search.targets, results[1].targets, strict=True):
+        assert row.outside_mm < 0.8, "more than half a voxel"
+        assert row.crossings == ()
+        assert target.path.length_mm <= 1.02 * plain.path.length_mm
+        assert np.linalg.norm(target.path.points_lps[-1] - every, axis=1).min() < 0.1

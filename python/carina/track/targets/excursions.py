@@ -58,8 +58,11 @@ def flyable_path(volume: Volume, airways: Airways | None, nodes_lps: Points) -> 
         Points about 1 mm apart with the same ends, LPS in mm.
     """
     points = relaxed_path(volume, airways, nodes_lps)
-    if airways is None:
-        return points
+    return points if airways is None else replace_excursions(volume, airways, points)
+
+
+def replace_excursions(volume: Volume, airways: Airways, points: Points) -> Points:
+    """Return a relaxed path (n, 3) without needless excursions; the same array if no excursion is replaced."""
     excursions = find_excursions(volume, airways, points)
     chain, may_leave = _shortest_chain(airways, points, excursions) if excursions else (points, None)
     return points if may_leave is None else relaxed_path(volume, airways, chain, may_leave=may_leave)
