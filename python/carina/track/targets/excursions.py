@@ -79,17 +79,21 @@ def find_excursions(volume: Volume, airways: Airways, points: Points) -> list[Ex
         return []
     outside = np.flatnonzero(~inside)
     excursions: list[Excursion] = []
+    snap_mm = max(volume.spacing_mm)
+    # An excursion may be nearest to the lumen before the point where it leaves: use the whole path in the lumen.
+    whole = way_through_lumen(airways, points[0], points[-1], snap_mm) if len(outside) else None
     for run in np.split(outside, np.flatnonzero(np.diff(outside) > 1) + 1):
         if not len(run):
             continue
         first, last = int(run[0]) - 1, min(int(run[-1]) + 1, len(points) - 1)
-        nodes = way_through_lumen(airways, points[first], points[last], max(volume.spacing_mm))
+        nodes = way_through_lumen(airways, points[first], points[last], snap_mm)
         if nodes is None or last - first < 2:
             continue
         tube = tube_around(volume, airways, nodes, may_leave=np.zeros(len(nodes), dtype=bool))
         way = relaxed_in_tube(evenly_spaced(nodes, STEP_MM), tube)
-        nearest = np.linalg.norm(way[None] - points[run][:, None], axis=2).argmin(axis=1)
-        is_wide = in_wide_lumen(volume, airways, way)[nearest]
+        beside = nodes if whole is None else whole
+        nearest = np.linalg.norm(beside[None] - points[run][:, None], axis=2).argmin(axis=1)
+        is_wide = in_wide_lumen(volume, airways, beside)[nearest]
         excursions.append(Excursion(first, last, way, bool(is_wide.any())))
     return excursions
 
