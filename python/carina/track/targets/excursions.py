@@ -27,9 +27,9 @@ Mask = NDArray[np.bool_]
 class Excursion:
     """Part of a path outside the lumen, and the way through the lumen between the same ends."""
 
-    first: int
+    leaves_at: int
     """Index of the last point before the excursion."""
-    last: int
+    returns_at: int
     """Index of the first point after the excursion."""
     way: Points
     """Relaxed way (n, 3) through the lumen from the first to the last point, LPS in mm."""
@@ -160,20 +160,20 @@ def _shortest_chain(airways: Airways, points: Points, excursions: list[Excursion
     along_path = np.ones(len(points) - 1, dtype=bool)
     ways = len(points)
     for one in excursions:
-        along_path[one.first : one.last] = not one.is_beside_wide_lumen
+        along_path[one.leaves_at : one.returns_at] = not one.is_beside_wide_lumen
         end = ways + len(one.way) - 1
         is_linked[np.arange(ways, end), np.arange(ways + 1, end + 1)] = True
-        is_linked[one.first, ways] = is_linked[end, one.last] = True
+        is_linked[one.leaves_at, ways] = is_linked[end, one.returns_at] = True
         ways = end + 1
     before = np.flatnonzero(along_path)
     is_linked[before, before + 1] = True
     chain = shortest_path(np.where(is_linked | is_linked.T, distance, np.inf), len(points) - 1)
-    replaced = [one for one in excursions if one.first + 1 not in chain]
+    replaced = [one for one in excursions if one.leaves_at + 1 not in chain]
     if not replaced:
         return points, None
     may_leave = ~inside & (np.arange(len(every)) < len(points))
     for one in replaced:
-        may_leave[one.first : one.last + 1] = False
+        may_leave[one.leaves_at : one.returns_at + 1] = False
     return every[chain], may_leave[chain]
 
 
