@@ -91,7 +91,7 @@ def find_excursions(volume: Volume, airways: Airways, points: Points) -> list[Ex
             continue
         tube = tube_around(volume, airways, nodes, may_leave=np.zeros(len(nodes), dtype=bool))
         way = relaxed_in_tube(evenly_spaced(nodes, STEP_MM), tube)
-        beside = nodes if whole is None else whole
+        beside = airways.tracker.core.smooth((nodes if whole is None else whole)[1:-1], step_mm=STEP_MM, keep_end=True)
         nearest = np.linalg.norm(beside[None] - points[run][:, None], axis=2).argmin(axis=1)
         is_wide = in_wide_lumen(volume, airways, beside)[nearest]
         excursions.append(Excursion(first, last, way, bool(is_wide.any())))
