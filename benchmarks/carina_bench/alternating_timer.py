@@ -42,15 +42,18 @@ class Times:
         }
 
 
-def take_turns(functions: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, Times]:
+def take_turns(
+    functions: Mapping[str, Callable[[], object]], repeats: int, *, warms_up: bool = True
+) -> dict[str, Times]:
     """Run each function once in each round and return its times; a first round is not counted.
 
-    Each round starts with another function, so that no function always follows the same one.
+    Each round starts with another function, so that no function always follows the same one. Functions that run for
+    many seconds need no first round: ``warms_up`` is False.
     """
     names = list(functions)
     cpu: dict[str, list[float]] = {name: [] for name in names}
     wall: dict[str, list[float]] = {name: [] for name in names}
-    for function in functions.values():
+    for function in functions.values() if warms_up else ():
         function()
     collecting = gc.isenabled()
     gc.disable()

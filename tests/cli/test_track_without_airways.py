@@ -56,6 +56,7 @@ def test_track_command_lists_the_wall_crossings_of_a_path_beside_the_airways(car
     assert len(crossings) % 2 == 1
     assert crossings[0]["enters"] is False
     assert row["length_mm"] <= row["search"]["search_length_mm"]
+    assert row["search"]["search_outside_mm"] >= row["search"]["outside_mm"] - 2.0 > 0.0
     assert f"out at {crossings[0]['along_mm']:.1f} mm" in ended.err
     plain = carina("track", scan, "--cost", "walls", f"--target={beside}", "--no-relax", "--json").json()
     assert plain["search"]["relaxed"] is False

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import carina
+from carina.track.targets import paper_tracker
+from carina.track.targets.excursions import find_excursions, flyable_path, shortest_path, wide_lumen
 from carina.track.targets.paper_tracker import search_box, track_on_graph
 from carina.track.targets.relaxed_path import (
     CHECKED_SHARES,
@@ -21,7 +25,7 @@ from carina.track.targets.relaxed_path import (
     wall_crossings,
 )
 from carina.volume.model import Volume
-from carina_bench.track_walls import mean_turn_deg, wide_lumen
+from carina_bench.track_walls import mean_turn_deg
 
 SLOW = (HealthCheck.too_slow,)
 
@@ -179,3 +183,99 @@ def test_printed_cost_is_not_relaxed(chest):
     assert not result.search.is_relaxed
     path = result.targets[0].path
     assert np.allclose(path.points_lps, evenly_spaced(path.voxel_path_lps, 1.0))
+
+
+def test_a_path_that_leaves_a_wide_lumen_takes_the_way_through_the_lumen(chest):
+    volume, airways, _ = chest
+    trunk = airways.tree.branches[0].points
+    first, last = trunk[len(trunk) // 4], trunk[3 * len(trunk) // 4]
+    beside = np.array([15.0, 0.0, 0.0])
+    nodes = evenly_spaced(np.stack([first, first + beside, last + beside, last]), 1.0)
+    tube_only = relaxed_path(volume, airways, nodes)
+    assert wall_crossings(tube_only, airways)
+    (excursion,) = find_excursions(volume, airways, tube_only)
+    assert excursion.is_beside_wide_lumen
+    path = flyable_path(volume, airways, nodes)
+    assert np.allclose(path[[0, -1]], nodes[[0, -1]], atol=1e-9)
+    assert airways.tracker.inside(path).all()
+    assert length_mm(path) <= 1.05 * np.linalg.norm(last - first)
+    assert (np.linalg.norm(np.diff(path, axis=0), axis=1) < 2.0).all()
+
+
+def test_a_path_from_one_branch_through_the_lung_into_another_has_no_detour_in_the_wrong_branch(chest):
+    volume, airways, _ = chest
+    tree = airways.tree
+    fork = next(branch for branch in tree.branches if len(branch.children) > 1)
+    one, other = (tree.branch(child).points[-1] for child in fork.children[:2])
+    chain = [airways.tracker.path_to(one).points_lps, other[None]]
+    nodes = evenly_spaced(np.concatenate(chain), 1.0)
+    path = flyable_path(volume, airways, nodes)
+    lumen = airways.tracker.path_to(other).points_lps
+    assert airways.tracker.inside(path[:-1]).all()
+    assert length_mm(path) <= 1.05 * length_mm(lumen)
+    assert mean_turn_deg(path) <= 6.0
+
+
+def test_paths_that_begin_outside_the_lumen_or_stay_in_it_are_only_relaxed(chest, results):
+    volume, airways, _ = chest
+    trunk = airways.tree.branches[0].points
+    vessel = trunk + np.array([20.0, 8.0, 0.0])
+    assert find_excursions(volume, airways, evenly_spaced(vessel, 1.0)) == []
+    for nodes in (vessel, results[0].targets[0].path.voxel_path_lps):
+        assert np.array_equal(flyable_path(volume, airways, nodes), relaxed_path(volume, airways, nodes))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_excursions_remain_only_where_they_are_shorter_and_beside_narrow_lumen(seed, chest):
+    volume, airways, _ = chest
+    rng = np.random.default_rng(seed)
+    tips = [tip.points[-1] for tip in airways.tree.tips()]
+    one, other = rng.choice(len(tips), 2, replace=False)
+    there = airways.tracker.path_to(tips[one]).points_lps
+    leave = there[rng.integers(len(there) // 2, len(there))]
+    nodes = np.concatenate([there[: np.flatnonzero((there == leave).all(axis=1))[0] + 1], tips[other][None]])
+    tube_only = relaxed_path(volume, airways, nodes)
+    path = flyable_path(volume, airways, nodes)
+    assert np.allclose(path[[0, -1]], nodes[[0, -1]], atol=1e-9)
+    excursions = find_excursions(volume, airways, tube_only)
+    if any(excursion.is_beside_wide_lumen for excursion in excursions):
+        assert not np.array_equal(path, tube_only)
+    elif not np.array_equal(path, tube_only):
+        assert length_mm(path) <= length_mm(tube_only) + 1.0
+    remaining = find_excursions(volume, airways, path)
+    assert not any(excursion.is_beside_wide_lumen for excursion in remaining)
+    outside = path[~airways.tracker.inside(path)][:, None]
+    assert len(outside) == 0 or np.linalg.norm(outside - tube_only[None], axis=2).min(axis=1).max() < 5.0
+
+
+def test_the_shortest_path_of_a_matrix_equals_the_exhaustive_search():
+    for seed in range(20):
+        lengths = np.random.default_rng(seed).uniform(1.0, 9.0, (6, 6))
+        lengths[np.random.default_rng(seed).random((6, 6)) < 0.4] = np.inf
+        lengths[0, 1] = lengths[1, 5] = 50.0
+        inner = [way for count in range(5) for way in itertools.permutations(range(1, 5), count)]
+        costs = [sum(lengths[a, b] for a, b in itertools.pairwise((0, *way, 5))) for way in inner]
+        found = shortest_path(lengths, 5)
+        assert sum(lengths[a, b] for a, b in itertools.pairwise(found)) == pytest.approx(min(costs))
+
+
+def test_tree_and_crossings_follow_a_path_whose_excursion_is_replaced(chest, results, monkeypatch):
+    volume, airways, ends = chest
+    box = search_box(volume, [airways.root_lps, *ends], max_bytes=22 * 600_000)
+
+    def with_excursion(volume, airways, nodes, **more):
+        path = relaxed_path(volume, airways, nodes, **more)
+        first, last = len(path) // 8, len(path) // 4
+        beside = path[[first, last]] + np.array([15.0, 0.0, 0.0])
+        return path if more else np.concatenate([path[: first + 1], evenly_spaced(beside, 1.0), path[last:]])
+
+    monkeypatch.setattr(paper_tracker, "relaxed_path", with_excursion)
+    result = track_on_graph(volume, airways, ends, cost="walls", graph="voxel", box_ijk=box)
+    every = np.concatenate([branch.points for branch in result.tree.branches])
+    assert airways.tracker.inside(every).all()
+    assert [branch.id for branch in result.tree.branches if branch.parent is None] == [0]
+    for target, row, plain in zip(result.targets, result.search.targets, results[1].targets, strict=True):
+        assert row.outside_mm < 0.8, "more than half a voxel"
+        assert row.crossings == ()
+        assert target.path.length_mm <= 1.02 * plain.path.length_mm
+        assert np.linalg.norm(target.path.points_lps[-1] - every, axis=1).min() < 0.1

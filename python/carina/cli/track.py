@@ -90,10 +90,7 @@ def report(
                     unit = " HU" if volume.is_hu else ""
                     print_note(f"target {number}: values along the path from {low} to {high}{unit}")
                 if search is not None and search.is_relaxed:
-                    print_note(
-                        f"target {number}: the path of the search was {outside.search_length_mm:.1f} mm long before it "
-                        "was shortened and smoothed"
-                    )
+                    print_note(f"target {number}: {relaxation_text(outside)}")
                 if outside.outside_mm:
                     print_note(f"target {number}: {crossing_text(outside)}")
             snapped = f", snapped {target.snapped_mm:.1f} mm to the lumen" if target.snapped_mm else ""
@@ -124,6 +121,14 @@ def report(
     if not found:
         print_note("carina: no path was found to any target; nothing was written")
     return NoResultError.exit_code
+
+
+def relaxation_text(search: TargetSearch) -> str:
+    """Return the length of the path of the search as text, and how much of it was outside the lumen."""
+    text = f"the path of the search was {search.search_length_mm:.1f} mm long before it was shortened and smoothed"
+    if not search.search_outside_mm:
+        return text
+    return f"{text}; {search.search_outside_mm:.1f} mm of it were outside the airway lumen"
 
 
 def crossing_text(search: TargetSearch) -> str:

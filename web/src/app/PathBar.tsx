@@ -6,6 +6,7 @@ import { keyOf, keyOfHold } from "../input/keymap";
 import { pathMm, tipLps } from "../state/app-state";
 import { kindText } from "../state/branch-text";
 import { fixed, mm } from "../state/format";
+import { crossingsOf } from "../state/path-search";
 import { nearestMm, originText, pastMm, pathAtMm, scaleMm, sideText } from "../state/route";
 import { AUTO_SPEEDS_MM_S } from "../state/speed";
 import type { RouteInfo } from "../wire/messages";
@@ -193,6 +194,7 @@ function RulerSpans({ route, width }: { route: RouteInfo; width: number }) {
 function RulerSlider({ route }: { route: RouteInfo }) {
   const station = useStation();
   const at = useApp(pathMm);
+  const crossings = useApp((state) => crossingsOf(route.target_id, state.session?.targets ?? []));
   const length = Math.max(route.length_mm, 0.1);
   const percent = percentOf(length);
   return (
@@ -219,6 +221,15 @@ function RulerSlider({ route }: { route: RouteInfo }) {
           ))}
         {route.forks_mm.map((fork) => (
           <span key={fork} className="fork" style={{ left: percent(fork) }} />
+        ))}
+        {crossings.map((along) => (
+          <span
+            key={along}
+            className="wall-crossing"
+            data-testid="wall-crossing"
+            title={`The path crosses the wall of the airway here, ${mm(along)} from the start.`}
+            style={{ left: percent(along) }}
+          />
         ))}
         {at === null ? <Shadow route={route} percent={percent} /> : null}
         <span className="flag" />

@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { Target } from "../wire/messages";
-import { isSamePen, pathText, penMessage, startOf, targetMessage } from "./path-search";
+import { crossingsOf, isSamePen, pathText, penMessage, startOf, targetMessage } from "./path-search";
 
 const TARGET: Target = {
   target_id: "target-1",
@@ -21,6 +21,19 @@ const TARGET: Target = {
   value_range: [116, 140],
 };
 const NOTHING = { targets: [], root_lps: null };
+
+describe("crossingsOf", () => {
+  it("It returns every crossing of the route's target, and the same empty list for any other route.", () => {
+    const crossings_mm = [1, 2, 3, 4, 5, 6, 7, 8];
+    const targets = [
+      { ...TARGET, target_id: "target-2" },
+      { ...TARGET, crossings_mm },
+    ];
+    expect(crossingsOf("target-1", targets)).toBe(crossings_mm);
+    expect(crossingsOf("target-2", targets)).toEqual([]);
+    expect(crossingsOf(null, targets)).toBe(crossingsOf("target-9", []));
+  });
+});
 
 describe("startOf", () => {
   it("It returns the marked start, else the start of the latest target with this cost, else the root of the airways.", () => {

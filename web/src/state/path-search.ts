@@ -67,6 +67,17 @@ export function isSamePen(one: ArmPenMessage, other: ArmPenMessage): boolean {
   return one.tool === other.tool && one.cost === other.cost && start(one) === start(other);
 }
 
+const NO_CROSSINGS: readonly number[] = [];
+
+/** Return the places in mm from the start where the path of a route to a target crosses the wall of the lumen. */
+export function crossingsOf(
+  targetId: string | null,
+  targets: readonly Pick<Target, "target_id" | "crossings_mm">[],
+): readonly number[] {
+  return targets.find((target) => target.target_id === targetId)?.crossings_mm ?? NO_CROSSINGS;
+}
+
+/** Largest number of crossings in a text; the ruler of the route marks all of them. */
 const MAX_CROSSINGS = 6;
 
 /** Return where a path crosses the wall of the lumen as text; only the first crossings are listed. */

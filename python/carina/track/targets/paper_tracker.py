@@ -17,6 +17,8 @@ from carina.errors import CancelledError, NoResultError, UsageError
 from carina.track.find.result import Airways
 from carina.track.paths.tracker import SNAP_MM, STEP_MM, TrackedPath, as_point, words
 from carina.track.progress import Cancel, Progress
+from carina.track.targets.excursions import replace_excursions
+from carina.track.targets.path_union import tree_of_paths
 from carina.track.targets.relaxed_path import evenly_spaced, relaxed_path, wall_crossings
 from carina.track.targets.results import GraphSearch, TargetResult, TargetSearch, TrackResult
 from carina.track.tree.airway_tree import AirwayTree, Branch
@@ -159,8 +161,9 @@ def track_on_graph(
     snap_mm
         Largest distance by which a target is moved.
     relax
-        Whether paths and branches of the cost ``walls`` are relaxed after the search (:func:`relaxed_path`); False for
-        the paths of the search, as in the paper. Other costs are not relaxed.
+        Whether paths and branches of the cost ``walls`` are relaxed after the search (:func:`relaxed_path`), and the
+        way through the lumen replaces needless excursions (:func:`replace_excursions`); False for the paths of the
+        search, as in the paper. Other costs are not relaxed.
     progress
         Function that receives the name of the stage and the fraction.
     cancel
@@ -275,31 +278,40 @@ def track_on_graph(
                 value_range=_value_range(volume, way.points),
                 to_node_mm=to_node_mm,
                 search_length_mm=float(np.linalg.norm(np.diff(way.whole, axis=0), axis=1).sum()),
+                search_outside_mm=None if airways is None else outside_mm(way.whole, airways, volume),
                 crossings=None if airways is None else wall_crossings(way.whole, airways),
             )
         )
         ways.append(way)
     is_relaxed = relax and cost == "walls"
+    relaxed: list[Points] = []
     tree, branch_nodes = None if airways is None else airways.tree, np.zeros((0, 3))
     if ways:
         branches, branch_nodes = _tree_of(ways, airways, core.cost)
         if is_relaxed:
             if progress is not None:
                 progress("relaxing the paths", None)
-            branches = tuple(_relaxed_branch(branch, airways, volume) for branch in branches)
+            in_tubes = [relaxed_path(volume, airways, way.whole) for way in ways]
+            relaxed = in_tubes if airways is None else [replace_excursions(volume, airways, one) for one in in_tubes]
+            if airways is None or all(one is other for one, other in zip(relaxed, in_tubes, strict=True)):
+                branches = tuple(_relaxed_branch(branch, airways, volume) for branch in branches)
+            else:
+                # The nodes of the search are not on these paths, and the branches must follow the paths.
+                branches, branch_nodes = tree_of_paths(relaxed, airways)
         tree = AirwayTree(branches, notes=(NO_LUMEN,) if airways is None else airways.badges)
-    waiting = iter(ways)
+    waiting = itertools.zip_longest(ways, relaxed)
     for number, search_of in enumerate(searches):
         if search_of is not None:
             assert tree is not None
+            way, points_lps = next(waiting)
             path = _tracked_path(
-                next(waiting),
+                way,
                 airways,
                 tree,
                 search_of.cost,
                 results[number].snapped_mm,
                 smooth=cost == "lumen",
-                relax=is_relaxed,
+                relaxed=points_lps,
                 volume=volume,
             )
             results[number] = dataclasses.replace(results[number], path=path)
@@ -379,15 +391,15 @@ def _tracked_path(
     snapped_mm: float,
     *,
     smooth: bool,
-    relax: bool,
+    relaxed: Points | None,
     volume: Volume,
 ) -> TrackedPath:
     if smooth and airways is not None:
         # An edge may be many voxels long: sample it as densely as the paths of the voxel graph.
         dense = evenly_spaced(way.whole, min(volume.spacing_mm))
         points = airways.tracker.core.smooth(dense, step_mm=STEP_MM, keep_end=True)
-    elif relax:
-        points = relaxed_path(volume, airways, way.whole)
+    elif relaxed is not None:
+        points = relaxed
     else:
         points = evenly_spaced(way.whole, STEP_MM)
     branch_ids, generation = along_branches(points, tracked if airways is None else airways.tree)

@@ -58,7 +58,9 @@ class SearchTube:
         return found
 
 
-def relaxed_path(volume: Volume, airways: Airways | None, nodes_lps: Points) -> Points:
+def relaxed_path(
+    volume: Volume, airways: Airways | None, nodes_lps: Points, *, may_leave: Mask | None = None
+) -> Points:
     """Return a shorter and smoother path with the same ends in the tube around the path of a search.
 
     Parameters
@@ -69,6 +71,8 @@ def relaxed_path(volume: Volume, airways: Airways | None, nodes_lps: Points) -> 
         Airways whose lumen bounds the tube where the search was in it; None if there are none.
     nodes_lps
         Points (n, 3) of the path of the search, LPS in mm.
+    may_leave
+        Whether the path may leave the lumen at each of these points (n,); by default where they are outside it.
 
     Returns
     -------
@@ -79,17 +83,24 @@ def relaxed_path(volume: Volume, airways: Airways | None, nodes_lps: Points) -> 
     points = evenly_spaced(nodes_lps, STEP_MM)
     if len(points) < 3:
         return points
-    tube = tube_around(volume, airways, nodes_lps)
-    relaxed = relaxed_in_tube(points, tube)
-    resampled = evenly_spaced(relaxed, STEP_MM)
-    # Between two points in the tube a segment may touch the corner of another voxel: use the nearest point there.
-    outside = np.flatnonzero(~tube.inside(resampled))
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(relaxed, axis=0), axis=1))])
-    places = np.linspace(0.0, along[-1], len(resampled))[outside]
-    resampled[outside] = relaxed[np.abs(along[None, :] - places[:, None]).argmin(axis=1)]
+    tube = tube_around(volume, airways, nodes_lps, may_leave=may_leave)
+    relaxed = relaxed_in_tube(_in_tube(points, nodes_lps, tube), tube)
+    resampled = _in_tube(evenly_spaced(relaxed, STEP_MM), relaxed, tube)
     is_new = np.append(True, (resampled[1:] != resampled[:-1]).any(axis=1))
     distinct: Points = resampled[is_new]
     return distinct
+
+
+def _in_tube(points: Points, vertices: Points, tube: SearchTube) -> Points:
+    """Replace evenly spaced points of a polyline that are outside the tube by the nearest vertex along the polyline.
+
+    Between two vertices in the tube a segment may touch the corner of another voxel.
+    """
+    outside = np.flatnonzero(~tube.inside(points))
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(vertices, axis=0), axis=1))])
+    places = np.linspace(0.0, along[-1], len(points))[outside]
+    points[outside] = vertices[np.abs(along[None, :] - places[:, None]).argmin(axis=1)]
+    return points
 
 
 def relaxed_in_tube(points: Points, tube: SearchTube) -> Points:
@@ -119,11 +130,15 @@ def relaxed_in_tube(points: Points, tube: SearchTube) -> Points:
     return points
 
 
-def tube_around(volume: Volume, airways: Airways | None, nodes_lps: Points) -> SearchTube:
+def tube_around(
+    volume: Volume, airways: Airways | None, nodes_lps: Points, *, may_leave: Mask | None = None
+) -> SearchTube:
     """Return the union of balls of the medium around the path of a search, and the voxels of that path.
 
     The radius of a ball is the distance to the end of the medium: for a point in a known lumen, the distance to its
     wall; elsewhere the distance at which a ray reaches a value that differs from those of the path.
+    Where ``may_leave`` (n,) is False, the tube is in the lumen, also if a straight line between two of its voxels
+    touches the corner of another voxel.
     """
     if airways is None:
         shape_zyx, lps_from_ijk = volume.shape_zyx, volume.lps_from_ijk
@@ -145,6 +160,8 @@ def tube_around(volume: Volume, airways: Airways | None, nodes_lps: Points) -> S
     points = evenly_spaced(nodes_lps, STEP_MM)
     centres = to_ijk(points) - first
     in_lumen = np.zeros(len(points), dtype=bool) if airways is None else airways.tracker.inside(points)
+    if may_leave is not None:
+        in_lumen |= ~_spread_along(nodes_lps, may_leave, len(points))
     radius = np.zeros(len(points))
     if not in_lumen.all():
         radius[~in_lumen] = medium_radii(volume, points)[~in_lumen]
@@ -158,6 +175,8 @@ def tube_around(volume: Volume, airways: Airways | None, nodes_lps: Points) -> S
         inner = np.zeros_like(mask)
         _add_balls(inner, centres[in_lumen], np.maximum(wall, spacing.max()), spacing)
         mask |= inner & lumen
+    if airways is not None and may_leave is not None:
+        ijk = ijk[_spread_along(nodes_lps, may_leave, len(fine)) | airways.tracker.inside(fine)]
     i, j, k = np.rint(ijk - first).astype(int).T
     mask[k, j, i] = True
     ijk_from_lps = np.array(whole_from_lps, dtype=np.float64)
@@ -191,6 +210,13 @@ def evenly_spaced(points: Points, step_mm: float) -> Points:
     count = max(int(np.ceil(along[-1] / step_mm)), 1) + 1 if along[-1] > 0.0 else 1
     places = np.linspace(0.0, along[-1], count)
     return np.stack([np.interp(places, along, points[:, axis]) for axis in range(3)], axis=1)
+
+
+def _spread_along(points: Points, marks: Mask, count: int) -> Mask:
+    """Return (count,) whether evenly spaced places along a polyline have a marked point (n,) before or after them."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    found: Mask = np.interp(np.linspace(0.0, along[-1], count), along, marks.astype(np.float64)) > 0.0
+    return found
 
 
 def wall_crossings(points: Points, airways: Airways) -> tuple[WallCrossing, ...]:

@@ -53,6 +53,8 @@ class TargetSearch:
     """Distance in mm from the voxel of the target to its node; above 0 if the voxel was pruned."""
     search_length_mm: float = 0.0
     """Length in mm of the path of the search, before relaxation or smoothing."""
+    search_outside_mm: float | None = None
+    """Length in mm of the path of the search outside the found lumen; None if there is no lumen to compare with."""
     crossings: tuple[WallCrossing, ...] | None = None
     """Places where the path crosses the wall of the found lumen; None if there is no lumen to compare with."""
 
