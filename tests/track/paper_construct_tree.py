@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -16,98 +16,72 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 Node = tuple[int, int, int]
 
-STEPS = [step for step in itertools.product((-1, 0, 1), repeat=3) if step != (0, 0, 0)]
+STEPS: list[Node] = [step for step in itertools.product((-1, 0, 1), repeat=3) if step != (0, 0, 0)]
 
 # Section 6.2: "Experiments show that w_g = 0.7 and w_z = 0.3 give acceptable results."
 GRADIENT_WEIGHT = 0.7
 LAPLACIAN_WEIGHT = 0.3
 
+# The printed f_g has the divisor max(G) and reaches -1, but Dijkstra's algorithm needs costs of at least 0.
+DIVISOR = 2.0
+# Carina departs from the paper in edges that would cost less than this per mm.
+SMALLEST_WEIGHT = 1.0 / 256.0
+
+
+def beside(values: Floats, step: Node) -> Floats:
+    """Return for each voxel the value of its neighbour at ``step``.
+
+    The paper does not define the border of a volume; there the nearest voxel of the volume is used.
+    """
+    padded = np.pad(values, 1, mode="edge")
+    return padded[tuple(slice(1 + s, 1 + s + n) for s, n in zip(step, values.shape, strict=True))]
+
 
 def gradient_magnitude(values: Floats, spacing_zyx: Floats) -> Floats:
-    """Return G(u) of section 6.2: the length of the gradient vector, by central differences, one-sided at the border."""
-    return np.sqrt(sum(part**2 for part in np.gradient(values, *spacing_zyx)))  # type: ignore[no-any-return]
+    """Return G(u) of section 6.2: the length of the gradient vector (I_x, I_y, I_z), by central differences per mm."""
+    parts = [
+        (beside(values, ahead) - beside(values, behind)) / (2.0 * spacing)
+        for ahead, behind, spacing in zip(
+            [(1, 0, 0), (0, 1, 0), (0, 0, 1)], [(-1, 0, 0), (0, -1, 0), (0, 0, -1)], spacing_zyx, strict=True
+        )
+    ]
+    return np.sqrt(parts[0] ** 2 + parts[1] ** 2 + parts[2] ** 2)
 
 
 def laplacian(values: Floats) -> Floats:
-    """Return the discrete Laplacian of section 6.2: (27 V - sum of the 27 voxels round V) / 26.
-
-    The paper does not define the border; there the nearest voxel of the volume is used.
-    """
-    padded = np.pad(values, 1, mode="edge")
-    total = np.zeros(values.shape)
-    for step in itertools.product(range(3), repeat=3):
-        total += padded[tuple(slice(s, s + n) for s, n in zip(step, values.shape, strict=True))]
+    """Return the discrete Laplacian of section 6.2: (27 V - sum of the 27 voxels round V) / 26."""
+    total = sum((beside(values, step) for step in itertools.product((-1, 0, 1), repeat=3)), np.zeros(values.shape))
     return (27.0 * values - total) / 26.0
 
 
-@dataclass
-class PathGraph:
-    """The graph of section 6: each voxel is a node with 26 edges, whose costs are those of section 6.2."""
+def edge_costs(values: Floats, spacing_zyx: Floats) -> dict[Node, Floats]:
+    """Return cost(u, v) of section 6.2 for each of the 26 edges of each voxel u, by the step from u to v.
 
-    values: Floats
-    spacing_zyx: Floats
-    # The printed f_g reaches -1 with a divisor of max(G), and Dijkstra's algorithm needs costs of at least 0.
-    divisor: float = 2.0
-    smallest_weight: float = 0.0
-    gradient: Floats = field(init=False)
-    laplacian: Floats = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Compute gradient and Laplacian of each voxel."""
-        self.gradient = gradient_magnitude(self.values, self.spacing_zyx)
-        self.laplacian = laplacian(self.values)
-
-    def cost(self, u: Node, v: Node) -> float:
-        """Return the cost of the edge between two neighbours."""
-        length = float(np.linalg.norm((np.array(u) - v) * self.spacing_zyx))
-        f_g = 1.0 - (self.gradient[u] + self.gradient[v]) / (self.divisor * self.gradient.max())
-        f_z = 0.0 if self.laplacian[u] * self.laplacian[v] <= 0.0 else 1.0
-        weight = GRADIENT_WEIGHT * f_g + LAPLACIAN_WEIGHT * f_z
-        return length * max(float(weight), self.smallest_weight)
-
-    def neighbours(self, u: Node) -> list[Node]:
-        """Return the neighbours of a node that are inside the volume."""
-        near = []
-        for step in STEPS:
-            v = (u[0] + step[0], u[1] + step[1], u[2] + step[2])
-            if all(0 <= i < n for i, n in zip(v, self.values.shape, strict=True)):
-                near.append(v)
-        return near
+    An edge that leaves the volume has an infinite cost.
+    """
+    gradient = gradient_magnitude(values, spacing_zyx)
+    zero_crossing = laplacian(values)
+    largest = gradient.max()
+    costs = {}
+    for step in STEPS:
+        length = np.linalg.norm(np.array(step) * spacing_zyx)
+        f_g = 1.0 - (gradient + beside(gradient, step)) / (DIVISOR * largest)
+        f_z = np.where(zero_crossing * beside(zero_crossing, step) <= 0.0, 0.0, 1.0)
+        weight = np.maximum(GRADIENT_WEIGHT * f_g + LAPLACIAN_WEIGHT * f_z, SMALLEST_WEIGHT)
+        inside = beside(np.pad(np.ones(values.shape), 1), step)[1:-1, 1:-1, 1:-1] > 0.0
+        costs[step] = np.where(inside, length * weight, np.inf)
+    return costs
 
 
-class BackPointers:
-    """The result of Algorithm 1 (section 6.3): B(u) and the cost of each node that a search from the root has reached."""
+@dataclass(frozen=True)
+class ConstructedTree:
+    """Result of Algorithm 1: back pointers and costs of the nodes, and the nodes whose cost is final."""
 
-    def __init__(self, graph: PathGraph, root: Node, targets: list[Node]) -> None:
-        """Run Algorithm 1: search from the root for each target, and continue the earlier search where it stopped."""
-        self.graph = graph
-        self.root = root
-        self.pointer: dict[Node, Node] = {}
-        self.costs: dict[Node, float] = {root: 0.0}
-        self.final: set[Node] = set()
-        self.searches = 0
-        self._queue: list[tuple[float, Node]] = [(0.0, root)]
-        for target in targets:
-            # Line 6 compares B(u) with nil. The back pointer of a node that was reached but not removed from the queue
-            # may still change, so a path is known when its target has been removed from the queue.
-            if target not in self.final:
-                self._dijkstra(target)
-
-    def _dijkstra(self, target: Node) -> None:
-        self.searches += 1
-        while self._queue:
-            cost, u = heapq.heappop(self._queue)
-            if u in self.final:
-                continue
-            self.final.add(u)
-            for v in self.graph.neighbours(u):
-                longer = cost + self.graph.cost(u, v)
-                if longer < self.costs.get(v, np.inf):
-                    self.costs[v] = longer
-                    self.pointer[v] = u
-                    heapq.heappush(self._queue, (longer, v))
-            if u == target:
-                return
+    root: Node
+    pointer: dict[Node, Node]
+    cost: dict[Node, float]
+    final: set[Node]
+    num_searches: int
 
     def path(self, target: Node) -> list[Node]:
         """Return the path {v, B(v), B(B(v)), ..., r} from a target to the root."""
@@ -116,11 +90,48 @@ class BackPointers:
             path.append(self.pointer[path[-1]])
         return path
 
-    def branch_nodes(self, targets: list[Node]) -> set[Node]:
-        """Return the nodes of the tree that two or more other nodes of the tree point to (figure 13b)."""
-        children: dict[Node, set[Node]] = {}
-        for target in targets:
-            path = self.path(target)
-            for node, parent in itertools.pairwise(path):
-                children.setdefault(parent, set()).add(node)
-        return {node for node, pointing in children.items() if len(pointing) > 1}
+
+def construct_tree(costs: dict[Node, Floats], root: Node, targets: list[Node]) -> ConstructedTree:
+    """Run Algorithm 1: search from the root for each target, and continue the earlier search from where it stopped.
+
+    Line 6 compares B(u) with nil. Here a search starts if u was not yet removed from the queue, because the back pointer
+    of a node in the queue may still change.
+    """
+    shape = costs[STEPS[0]].shape
+    edges = [(step, cost.ravel().tolist()) for step, cost in costs.items()]
+    tree = ConstructedTree(root, {}, {root: 0.0}, set(), 0)
+    queue: list[tuple[float, Node]] = [(0.0, root)]
+    num_searches = 0
+    for target in targets:
+        num_searches += target not in tree.final
+        while queue and target not in tree.final:
+            cost, u = heapq.heappop(queue)
+            if u in tree.final:
+                continue
+            tree.final.add(u)
+            at = (u[0] * shape[1] + u[1]) * shape[2] + u[2]
+            for step, cost_of in edges:
+                longer = cost + cost_of[at]
+                v = (u[0] + step[0], u[1] + step[1], u[2] + step[2])
+                if longer < tree.cost.get(v, np.inf):
+                    tree.cost[v] = longer
+                    tree.pointer[v] = u
+                    heapq.heappush(queue, (longer, v))
+    return ConstructedTree(root, tree.pointer, tree.cost, tree.final, num_searches)
+
+
+def cost_of_path(costs: dict[Node, Floats], path: list[Node]) -> float:
+    """Return the sum of the edge costs of a path in the direction from its last node, the root, to its first."""
+    total = 0.0
+    for v, u in itertools.pairwise(path):
+        total += float(costs[v[0] - u[0], v[1] - u[1], v[2] - u[2]][u])
+    return total
+
+
+def branch_nodes(paths: list[list[Node]]) -> set[Node]:
+    """Return the branch nodes of figure 13(b): those to which two or more other nodes of the paths point."""
+    pointing: dict[Node, set[Node]] = {}
+    for path in paths:
+        for node, parent in itertools.pairwise(path):
+            pointing.setdefault(parent, set()).add(node)
+    return {node for node, others in pointing.items() if len(others) > 1}
