@@ -1,6 +1,7 @@
 """IsoRegions and their traversal, written from sections 4.1 to 4.3 of the paper alone, in NumPy.
 
-This module shares no code with the kernels and with Carina's reference implementations; tests compare the kernels with it.
+This module shares no code with the kernels and with Carina's reference implementations; tests compare the kernels with
+this module.
 Arrays are ``[z, y, x]``; points, directions and shapes are ``(x, y, z)``.
 """
 
@@ -42,17 +43,17 @@ def isoregions_by_definition(values: Values) -> Dimensions:
     return dimensions
 
 
-def moved(array: npt.NDArray[np.generic], step: tuple[int, int, int], outside: object) -> npt.NDArray[np.generic]:
-    """Return for each voxel the element of its neighbour at ``step``, and ``outside`` where the neighbour is outside."""
-    padded = np.pad(array, 1, constant_values=outside)  # type: ignore[call-overload]
-    return padded[tuple(slice(1 + s, 1 + s + n) for s, n in zip(step, array.shape, strict=True))]  # type: ignore[no-any-return]
+def moved(numbers: Values, step: tuple[int, ...], outside: int) -> Values:
+    """Return for each voxel the number of its neighbour at ``step``; a neighbour outside the volume has ``outside``."""
+    padded = np.pad(numbers, 1, constant_values=outside)
+    return padded[tuple(slice(1 + s, 1 + s + n) for s, n in zip(step, numbers.shape, strict=True))]
 
 
 def isoregions_by_iteration(values: Values) -> Dimensions:
     """Return the dimension d of the IsoRegion of each voxel by the construction of section 4.2.
 
-    The first iteration compares each voxel with its 26 neighbours. Each later iteration finds dimension d where all eight
-    diagonal neighbours are centres of IsoRegions of dimension d-1 from the iteration before.
+    The first iteration compares each voxel with its 26 neighbours. Each later iteration finds dimension d where all
+    eight diagonal neighbours are centres of IsoRegions of dimension d-1 from the iteration before.
     """
     numbers = np.unique(values, return_inverse=True)[1].reshape(values.shape)
     dimensions = np.ones(values.shape, np.int64)
@@ -70,9 +71,9 @@ def isoregions_by_iteration(values: Values) -> Dimensions:
 
 
 def irst(colours: Floats, opacities: Floats, steps: int) -> tuple[Floats, Floats]:
-    """Return the IsoRegion step table of section 4.3: colour ``[v, d, 3]`` and transparency ``[v, d]`` for d up to steps.
+    """Return the IsoRegion step table of section 4.3: colour ``[v, d, 3]`` and transparency ``[v, d]``.
 
-    A segment of d equal samples has the colour C(1 - beta^d) and the transparency beta^d.
+    The table has d from 0 to ``steps``. A segment of d equal samples has the colour C(1 - beta^d) and the transparency beta^d.
     """
     transparency = (1.0 - opacities)[:, None] ** np.arange(steps + 1)
     return colours[:, None, :] * (1.0 - transparency)[..., None], transparency
@@ -109,10 +110,10 @@ def cast(
     opacities: Floats,
     dimensions: Dimensions | None = None,
 ) -> CastImage:
-    """Return the image of the caster of section 4.3: by brute force, or with leaps over the IsoRegions of ``dimensions``.
+    """Return the image of the caster of section 4.3: by brute force, or with leaps if ``dimensions`` is given.
 
-    ``values`` are indices into ``colours`` and ``opacities``. From a voxel of dimension d, a leap covers as many samples as
-    fit into a chessboard distance of d, and at least one sample. A ray that misses the volume is black.
+    ``values`` are indices into ``colours`` and ``opacities``. From a voxel of dimension d, a leap covers as many
+    samples as fit into a chessboard distance of d, and at least one sample. A ray that misses the volume is black.
     """
     num_rays = len(rays.count)
     colour = np.zeros((num_rays, 3))

@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from paper_isoregions import CastImage, Rays, cast, isoregions_by_definition, isoregions_by_iteration
+from render_grids import place, rotation
 
 import carina
 from carina.render import AirwayView, Renderer, TransferFunction
 from carina.scopes import Pose
 from carina.volume import Volume
-from render_grids import place, rotation
 from volumes_of_the_paper import headsq, in_8_bits, lidc2, random_blocks
 
 BIN = 16
@@ -48,8 +48,7 @@ def test_map_of_a_real_volume_equals_definition_and_iteration_of_the_paper(real)
     numbers = numbers_of(real)
     built = carina.isoregion_map(real)
     assert np.array_equal(isoregions_by_iteration(numbers), built)
-    nz, ny, nx = numbers.shape
-    part = (slice(nz // 4, nz // 4 + 24), slice(ny // 4, ny // 4 + 24), slice(0, 24))
+    part = tuple(slice(n // 4, n // 4 + 24) for n in numbers.shape)
     cut = Volume(np.ascontiguousarray(real.hu_zyx[part]), real.lps_from_ijk)
     equal_by = "values" if len(np.unique(real.hu_zyx)) <= 256 else "bins"
     assert np.array_equal(isoregions_by_definition(numbers[part]), carina.isoregion_map(cut, equal_by=equal_by))
@@ -206,7 +205,7 @@ def test_pictures_of_a_real_volume_equal_those_of_the_paper(real, points, view):
     if view == "inside":
         # The camera is in the middle of the largest region, beside the centre of a voxel.
         radii = carina.isoregion_map(real)
-        middle = np.array(np.unravel_index(int(radii.argmax()), radii.shape)[::-1]) + (0.1, 0.2, -0.1)
+        middle = np.array(np.unravel_index(int(radii.argmax()), radii.shape)[::-1]) + np.array([0.1, 0.2, -0.1])
         away, towards = real.to_lps(middle) - real.centre_lps, tuple(real.centre_lps - real.to_lps(middle))
     brute, leaping = compare_pictures(real, transfer, view_of(real, tuple(away), towards))
     assert brute.colour.std() > 0.02

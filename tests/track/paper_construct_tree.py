@@ -1,6 +1,7 @@
 """Path tracking, written from sections 6 to 6.3 of the paper alone, in NumPy and plain Python.
 
-This module shares no code with the kernels and with Carina's reference implementations; tests compare the kernels with it.
+This module shares no code with the kernels and with Carina's reference implementations; tests compare the kernels with
+this module.
 Arrays are ``[z, y, x]``, and nodes are indices in the same order.
 """
 
@@ -28,12 +29,12 @@ DIVISOR = 2.0
 SMALLEST_WEIGHT = 1.0 / 256.0
 
 
-def beside(values: Floats, step: Node) -> Floats:
+def beside(values: Floats, step: tuple[int, ...]) -> Floats:
     """Return for each voxel the value of its neighbour at ``step``.
 
     The paper does not define the border of a volume; there the nearest voxel of the volume is used.
     """
-    padded = np.pad(values, 1, mode="edge")
+    padded: Floats = np.pad(values, 1, mode="edge")
     return padded[tuple(slice(1 + s, 1 + s + n) for s, n in zip(step, values.shape, strict=True))]
 
 
@@ -75,13 +76,16 @@ def edge_costs(values: Floats, spacing_zyx: Floats) -> dict[Node, Floats]:
 
 @dataclass(frozen=True)
 class ConstructedTree:
-    """Result of Algorithm 1: back pointers and costs of the nodes, and the nodes whose cost is final."""
+    """Result of Algorithm 1: back pointers and costs of the nodes, and the nodes whose cost is final.
+
+    ``num_settled`` is the number of nodes whose cost became final in the search for each target.
+    """
 
     root: Node
     pointer: dict[Node, Node]
     cost: dict[Node, float]
     final: set[Node]
-    num_searches: int
+    num_settled: list[int]
 
     def path(self, target: Node) -> list[Node]:
         """Return the path {v, B(v), B(B(v)), ..., r} from a target to the root."""
@@ -94,16 +98,15 @@ class ConstructedTree:
 def construct_tree(costs: dict[Node, Floats], root: Node, targets: list[Node]) -> ConstructedTree:
     """Run Algorithm 1: search from the root for each target, and continue the earlier search from where it stopped.
 
-    Line 6 compares B(u) with nil. Here a search starts if u was not yet removed from the queue, because the back pointer
-    of a node in the queue may still change.
+    Line 6 compares B(u) with nil. Here a search starts if u was not yet removed from the queue, because the back
+    pointer of a node in the queue may still change.
     """
     shape = costs[STEPS[0]].shape
     edges = [(step, cost.ravel().tolist()) for step, cost in costs.items()]
-    tree = ConstructedTree(root, {}, {root: 0.0}, set(), 0)
+    tree = ConstructedTree(root, {}, {root: 0.0}, set(), [])
     queue: list[tuple[float, Node]] = [(0.0, root)]
-    num_searches = 0
     for target in targets:
-        num_searches += target not in tree.final
+        before = len(tree.final)
         while queue and target not in tree.final:
             cost, u = heapq.heappop(queue)
             if u in tree.final:
@@ -117,7 +120,8 @@ def construct_tree(costs: dict[Node, Floats], root: Node, targets: list[Node]) -
                     tree.cost[v] = longer
                     tree.pointer[v] = u
                     heapq.heappush(queue, (longer, v))
-    return ConstructedTree(root, tree.pointer, tree.cost, tree.final, num_searches)
+        tree.num_settled.append(len(tree.final) - before)
+    return tree
 
 
 def cost_of_path(costs: dict[Node, Floats], path: list[Node]) -> float:
