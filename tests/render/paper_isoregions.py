@@ -73,7 +73,8 @@ def isoregions_by_iteration(values: Values) -> Dimensions:
 def irst(colours: Floats, opacities: Floats, steps: int) -> tuple[Floats, Floats]:
     """Return the IsoRegion step table of section 4.3: colour ``[v, d, 3]`` and transparency ``[v, d]``.
 
-    The table has d from 0 to ``steps``. A segment of d equal samples has the colour C(1 - beta^d) and the transparency beta^d.
+    The table has d from 0 to ``steps``. A segment of d equal samples has the colour C(1 - beta^d) and the transparency
+    beta^d.
     """
     transparency = (1.0 - opacities)[:, None] ** np.arange(steps + 1)
     return colours[:, None, :] * (1.0 - transparency)[..., None], transparency
