@@ -28,7 +28,8 @@ __all__ = ["SCENES", "Scene", "pictures_of", "tracked"]
 Voxel = tuple[float, float, float]
 Vector = NDArray[np.float64]
 
-SIZE = {"width": 320, "height": 360}
+WIDTH, HEIGHT = 320, 360
+"""Size of the pictures, pixels."""
 FOV_DEG = 20.0
 LIGHT = Light(ambient=0.4, diffuse=0.7)
 PATH_RGB, ROOT_RGB, TARGET_RGB = (60, 220, 255), (255, 255, 255), (255, 220, 60)
@@ -126,7 +127,7 @@ def pictures_of(scene: Scene, volume: Volume, paths: Sequence[Vector]) -> dict[s
         away = lps_from_step @ np.array(away_ijk)
         away /= np.linalg.norm(away)
         pose = Pose.looking(centre + scene.distance_mm * away, -away, lps_from_step @ np.array(scene.up_ijk))
-        picture = with_paths(renderer.render(AirwayView(pose, fov_deg=FOV_DEG, **SIZE)), paths)
+        picture = with_paths(renderer.render(AirwayView(pose, fov_deg=FOV_DEG, width=WIDTH, height=HEIGHT)), paths)
         made[name] = letter_edges(picture) if scene.has_letters else picture
     return made
 

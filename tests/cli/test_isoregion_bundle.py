@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import itertools
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import SimpleITK as sitk
 
 import carina as product
 from carina.errors import VolumeImportError
-from carina.render import isoregion_map, open_isoregion_map, transfer_preset
+from carina.render import isoregion_labels, isoregion_map, isoregion_note, open_isoregion_map, transfer_preset
 from carina.volume import write_grid
 
 
@@ -51,6 +52,22 @@ def test_scan_with_its_map_opens_as_the_scan(ct, bundle):
     assert np.array_equal(opened.lps_from_ijk, scan.lps_from_ijk)
     assert (opened.is_hu, opened.not_hu_reason) == (scan.is_hu, scan.not_hu_reason)
     assert opened.source.notes == ()
+
+
+def test_bright_corners_of_a_scan_with_its_map_stay(ct, tmp_path):
+    volume, file = product.open_volume(ct), tmp_path / "bundle.nrrd"
+    bright = volume.hu_zyx.copy()
+    ends = [slice(0, 8), slice(-8, None)]
+    for corner in itertools.product(ends, ends, ends):
+        bright[corner] = 3000
+    plain = write_grid(tmp_path / "plain.nrrd", bright, volume.lps_from_ijk, what="the scan")
+    # Without a map, such corners are padding that the file does not state.
+    assert not np.array_equal(product.open_volume(plain).hu_zyx, bright)
+    scan = product.Volume(bright, volume.lps_from_ijk)
+    radii = isoregion_map(scan)
+    note = isoregion_note(scan, isoregion_labels(scan), radii)
+    write_grid(file, bright, volume.lps_from_ijk, what="the scan", note=note, before=radii)
+    assert np.array_equal(product.open_volume(file).hu_zyx, bright)
 
 
 def test_other_programs_open_a_scan_with_its_map_as_the_scan(ct, bundle):
