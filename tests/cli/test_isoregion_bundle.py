@@ -192,6 +192,16 @@ def test_nrrd_with_skipped_bytes_and_no_map_opens_as_the_scan(ct, tmp_path):
     assert "values are int16" in _refusal(lambda: open_isoregion_map(file, volume))
 
 
+def test_map_does_not_replace_its_scan(carina, bundle):
+    before = bundle.read_bytes()
+    ended = carina("isoregion", bundle, "-o", bundle)
+    assert ended.code == 2
+    assert "a map would replace it" in ended.err
+    assert bundle.read_bytes() == before
+    assert carina("isoregion", bundle, "-o", bundle, "--with-scan").code == 0
+    assert bundle.read_bytes() == before
+
+
 def test_scan_with_its_map_needs_an_output_in_nrrd(carina, ct, bundle, tmp_path):
     for name in ("bundle.nii.gz", "bundle.mha"):
         ended = carina("isoregion", ct, "-o", tmp_path / name, "--with-scan")

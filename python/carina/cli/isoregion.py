@@ -35,6 +35,8 @@ def write(
         raise UsageError("choose one file: -o writes the map, --map reads a map that was written earlier")
     if output is not None:
         check_output_file(output, *((".nrrd",) if with_scan else GRID_SUFFIXES))
+        if not with_scan and output.exists() and path.exists() and output.samefile(path):
+            raise UsageError(f"{output.name} is the scan, and a map would replace it; choose another file for -o")
     elif with_scan:
         raise UsageError("--with-scan writes a file; give its name with -o FILE.nrrd")
     comparison = _comparison(equal_by, transfer)
