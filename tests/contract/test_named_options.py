@@ -54,6 +54,7 @@ PRINTED_BY: dict[str, tuple[str, ...]] = {
     "plan/targets/from_mask.py": ("plan",),
     "server/network/listening.py": ("open", "demo"),
     "server/serve.py": ("open", "demo"),
+    "volume/isoregion_bundle.py": ("isoregion",),
     "volume/mask_files.py --label": ("airways", "export"),
     "volume/mask_files.py --resample": ("airways", "export", "plan"),
 }

@@ -13,8 +13,8 @@ from make_pictures import COMMAND, ROOT, SHOTS, at_rest, changes, stamp_in, stam
 EMBEDDED = re.compile(r"!\[[^\]]*\]\((?!https?:)([^)]+)\)")
 PATIENT_DOI = "10.7937/K9/TCIA.2015.NPGZYZBZ"
 # These pictures have other checks: a golden test renders the first (tests/examples), `carina bench cluster` draws the
-# second, and `python -m carina_bench.track_confidence` the third.
-MADE_ELSEWHERE = ("docs/pictures/gallery/", "docs/pictures/cluster/", "docs/confidence.svg")
+# second, `python -m carina_bench.track_confidence` the third, and a golden test the pictures of the paper's volumes.
+MADE_ELSEWHERE = ("docs/pictures/gallery/", "docs/pictures/cluster/", "docs/confidence.svg", "docs/pictures/paper/")
 
 
 @pytest.fixture

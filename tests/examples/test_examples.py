@@ -15,10 +15,10 @@ import SimpleITK as sitk
 import carina
 from cached_test_data import patient
 from carina.render import AirwayView, Renderer
+from jpeg_comparison import same, write_jpeg
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 IN_DOCS = EXAMPLES.parent / "docs" / "pictures" / "gallery"
-JPEG_QUALITY = 88
 
 
 def load(path: Path):
@@ -86,22 +86,6 @@ def test_gallery_example_shows_every_camera_position_and_preset(gallery):
     radiograph = seen["radiograph"].mean(axis=2)
     assert radiograph[100:220, 140:180].mean() > radiograph[100:220, 70:110].mean() + 50, "spine white, lung dark"
     assert seen["straightened"][60:420, 155:165].mean() < 110, "the lumen runs straight down the middle"
-
-
-def write_jpeg(rgb: np.ndarray, path: Path) -> None:
-    writer = sitk.ImageFileWriter()
-    writer.SetFileName(str(path))
-    writer.UseCompressionOn()
-    writer.SetCompressionLevel(JPEG_QUALITY)
-    writer.Execute(sitk.GetImageFromArray(rgb, isVector=True))
-
-
-def same(expected: np.ndarray, found: np.ndarray) -> bool:
-    """Return whether two decoded JPEGs show one picture, with a tolerance for the rounding of encoders."""
-    if expected.shape != found.shape:
-        return False
-    off = np.abs(expected.astype(int) - found).max(axis=2)
-    return off.mean() <= 0.2 and (off <= 12).mean() >= 0.998
 
 
 @pytest.mark.slow

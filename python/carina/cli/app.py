@@ -463,6 +463,16 @@ def isoregion(
         Path | None,
         typer.Option("-o", "--output", help="Map to write, on the scan's grid: .nii.gz, .nii, .nrrd or .mha."),
     ] = None,
+    with_scan: Annotated[
+        bool,
+        typer.Option(
+            "--with-scan",
+            help=(
+                "Write the scan and its map to one file (.nrrd), which Carina and other programs open as the scan, and "
+                "from which --map reads the map."
+            ),
+        ),
+    ] = False,
     map_file: Annotated[
         Path | None,
         typer.Option("--map", help="Map that was written earlier: check that it belongs to the scan, and describe it."),
@@ -497,6 +507,8 @@ def isoregion(
     Example: carina isoregion ~/scans/thorax --transfer endoscopic -o map.nrrd
 
     Example: carina isoregion ~/scans/thorax --transfer endoscopic --map map.nrrd
+
+    Example: carina isoregion ~/scans/thorax -o thorax.nrrd --with-scan
     """
     with exit_codes(as_json):
         from carina.cli.isoregion import write
@@ -505,6 +517,7 @@ def isoregion(
             write(
                 path,
                 output=output,
+                with_scan=with_scan,
                 map_file=map_file,
                 transfer=transfer,
                 equal_by=equal_by,

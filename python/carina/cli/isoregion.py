@@ -22,6 +22,7 @@ def write(
     path: Path,
     *,
     output: Path | None,
+    with_scan: bool,
     map_file: Path | None,
     transfer: str | None,
     equal_by: str,
@@ -33,7 +34,11 @@ def write(
     if (output is None) == (map_file is None):
         raise UsageError("choose one file: -o writes the map, --map reads a map that was written earlier")
     if output is not None:
-        check_output_file(output, *GRID_SUFFIXES)
+        check_output_file(output, *((".nrrd",) if with_scan else GRID_SUFFIXES))
+        if not with_scan and output.exists() and path.exists() and output.samefile(path):
+            raise UsageError(f"{output.name} is the scan, and a map would replace it; choose another file for -o")
+    elif with_scan:
+        raise UsageError("--with-scan writes a file; give its name with -o FILE.nrrd")
     comparison = _comparison(equal_by, transfer)
     chosen = chosen_transfer(transfer)
     check_case_options(path, ct)
@@ -45,8 +50,8 @@ def write(
     else:
         assert output is not None
         what = compared if chosen is None else f"the transfer function {transfer}"
-        radii = _write_map(output, source.volume, chosen, comparison, what)
-        file, done = output, "written"
+        radii = _write_map(output, source.volume, chosen, comparison, what, with_scan=with_scan)
+        file, done = output, "scan and map written" if with_scan else "written"
         print_note(f"voxels were compared by {what}")
     share = float(np.count_nonzero(radii)) / radii.size
     largest = int(radii.max())
@@ -78,12 +83,18 @@ def _comparison(equal_by: str, transfer: str | None) -> EqualBy:
 
 
 def _write_map(
-    output: Path, volume: Volume, chosen: TransferFunction | None, comparison: EqualBy, what: str
+    output: Path, volume: Volume, chosen: TransferFunction | None, comparison: EqualBy, what: str, *, with_scan: bool
 ) -> NDArray[np.uint8]:
-    """Compute the map and write it on the grid of the scan, with a note that identifies the scan and the labels."""
+    """Compute the map and write it on the grid of the scan, with a note that identifies the scan and the labels.
+
+    With ``with_scan`` the file is the scan, and its map precedes the voxels.
+    """
     check_grid_fits(output, volume.shape_zyx, volume.lps_from_ijk, what="the IsoRegion map")
     radii = carina.isoregion_map(volume, chosen, equal_by=comparison)
     identity = isoregion_note(volume, isoregion_labels(volume, chosen, equal_by=comparison), radii)
     note = f"{identity} IsoRegion radii in voxels, equal by {what}; the cube of a voxel has 2 r + 1 voxels on each side"
-    write_grid(output, radii, volume.lps_from_ijk, what="the IsoRegion map", note=note)
+    if with_scan:
+        write_grid(output, volume.hu_zyx, volume.lps_from_ijk, what="the scan", note=note, before=radii)
+    else:
+        write_grid(output, radii, volume.lps_from_ijk, what="the IsoRegion map", note=note)
     return radii

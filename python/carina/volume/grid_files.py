@@ -19,6 +19,7 @@ from carina.volume.grid_headers import GridHeader, read_grid_header
 from carina.volume.grid_voxels import read_voxels
 from carina.volume.header_nifti import head_with_orthogonal_sform
 from carina.volume.hu import judge_values, to_int16
+from carina.volume.isoregion_bundle import check_bundle, contains_map
 from carina.volume.model import Note, Volume, VolumeSource
 from carina.volume.padding import without_corner_padding
 from carina.volume.progress import Watch
@@ -178,7 +179,12 @@ def open_grid_file(path: Path, format: str, *, watch: Watch) -> Volume:  # noqa:
         reason = f"its values are not Hounsfield units; {converted.stretched}"
     elif verdict.is_hu:
         reason = converted.doubt
-    hu, padding = without_corner_padding(converted.values) if verdict.is_hu else (converted.values, ())
+    is_bundle = contains_map(header)
+    if is_bundle:
+        check_bundle(path, header, converted.values, watch)
+    # A scan that was written with its map is stored without padding, and must stay the scan of the map.
+    finds_padding = verdict.is_hu and not is_bundle
+    hu, padding = without_corner_padding(converted.values) if finds_padding else (converted.values, ())
     watch.step("Converting the values", 1.0)
     return Volume(
         hu,

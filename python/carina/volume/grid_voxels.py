@@ -71,6 +71,44 @@ def read_voxels(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[n
     return (values if header.scaling is None else _scale_values(values, *header.scaling)), notes
 
 
+def read_bytes_before_voxels(path: Path, header: GridHeader, watch: Watch) -> NDArray[np.uint8]:
+    """Return the bytes that precede the values in a compressed stream and that other readers skip.
+
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    header
+        The checked header, with compressed values.
+    watch
+        Progress and cancellation.
+
+    Raises
+    ------
+    VolumeImportError
+        ``import.truncated``.
+    CancelledError
+        If the user cancels.
+    """
+    needed = header.data_offset
+    size = header.data_path.stat().st_size
+    if needed > _MAX_RATIO * size:
+        raise _truncated_error(path, header, f"the compressed file has only {size} bytes")
+    out, at = np.empty(needed, dtype=np.uint8), 0
+    with header.data_path.open("rb") as file:
+        try:
+            for piece in Unpacker(_open_at_stream(file, header), header.compression or ""):
+                part = np.frombuffer(piece, dtype=np.uint8)[: needed - at]
+                out[at : at + part.size] = part
+                at += part.size
+                watch.step(_READING, at / needed)
+                if at == needed:
+                    return out
+        except ValueError as error:
+            raise _truncated_error(path, header, str(error)) from None
+    raise _truncated_error(path, header, f"the data unpacks to {at} bytes")
+
+
 def _truncated_error(path: Path, header: GridHeader, found: str) -> VolumeImportError:
     msg = (
         f"reading {path.name}: its header claims {header.sizes} voxels ({header.num_bytes} bytes), but {found}; the "

@@ -43,6 +43,7 @@ def write_grid(
     what: str,
     note: str | None = None,
     level: int = 6,
+    before: NDArray[np.uint8] | None = None,
 ) -> Path:
     """Write values on a grid atomically, so that other software places them exactly over the CT.
 
@@ -62,6 +63,8 @@ def write_grid(
         formats as a field ``note``.
     level
         Compression level, 1 (fast) to 9 (small).
+    before
+        Bytes that are stored before the values, which other readers skip (``byte skip``); only in ``.nrrd``.
 
     Returns
     -------
@@ -77,7 +80,7 @@ def write_grid(
     """
     suffix = check_grid_fits(path, values_zyx.shape, lps_from_ijk, what=what)
     with drafted(path, what=what) as file:
-        write_grid_to(file, suffix, values_zyx, lps_from_ijk, what=what, note=note, level=level)
+        write_grid_to(file, suffix, values_zyx, lps_from_ijk, what=what, note=note, level=level, before=before)
     return Path(path)
 
 
@@ -137,6 +140,7 @@ def write_grid_to(
     what: str,
     note: str | None = None,
     level: int = 6,
+    before: NDArray[np.uint8] | None = None,
 ) -> None:
     """Write values on a grid to an open file; ``suffix`` of :data:`GRID_SUFFIXES` selects the format.
 
@@ -146,7 +150,7 @@ def write_grid_to(
         The open file.
     suffix
         One of :data:`GRID_SUFFIXES`.
-    values_zyx, lps_from_ijk, what, note, level
+    values_zyx, lps_from_ijk, what, note, level, before
         As in :func:`write_grid`.
 
     Raises
@@ -159,19 +163,26 @@ def write_grid_to(
     if values_zyx.dtype.name not in _NIFTI_TYPES:
         raise UsageError(f"{what} must contain uint8 or int16 values; found {values_zyx.dtype.name}")
     _check_format(suffix, values_zyx.shape, lps_from_ijk, what)
+    if before is not None and suffix != ".nrrd":
+        msg = f"{what} must be written as .nrrd, because {suffix} cannot store bytes before the values"
+        raise UsageError(msg)
     values = np.ascontiguousarray(values_zyx, dtype=values_zyx.dtype.newbyteorder("<"))
     # Joined to one line, because these headers consist of lines of text.
-    _WRITERS[suffix](file, _Grid(values, lps_from_ijk, " ".join((note or "").split()), level))
+    _WRITERS[suffix](file, _Grid(values, lps_from_ijk, " ".join((note or "").split()), level, before))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grid:
-    """Content of a grid file: little-endian values, their grid, a note of one line, and the compression level."""
+    """Content of a grid file: little-endian values, their grid, a note of one line, the compression level, and bytes.
+
+    The bytes in ``before`` precede the values.
+    """
 
     values: Values
     lps_from_ijk: NDArray[np.float64]
     note: str
     level: int
+    before: NDArray[np.uint8] | None = None
 
 
 def _chunks(values: Values) -> list[memoryview]:
@@ -264,11 +275,14 @@ def _nrrd(file: BinaryIO, grid: _Grid) -> None:
         f"sizes: {nx} {ny} {nz}\nspace directions: {steps}\nkinds: domain domain domain\n{endian}encoding: gzip\n"
         f"space origin: ({','.join(_shortest_decimal(v) for v in grid.lps_from_ijk[:3, 3])})\n"
     )
+    if grid.before is not None:
+        header += f"byte skip: {grid.before.size}\n"
     if grid.note:
         header += f"note:={grid.note}\n"
     file.write((header + "\n").encode())
     with gzip.GzipFile(filename="", mode="wb", compresslevel=grid.level, fileobj=file, mtime=0) as packed:
-        for chunk in _chunks(grid.values):
+        # A reader skips bytes of compressed data after it has decompressed them (the NRRD format, "byte skip").
+        for chunk in [*([] if grid.before is None else _chunks(grid.before)), *_chunks(grid.values)]:
             packed.write(chunk)
 
 

@@ -95,8 +95,8 @@ def read_nrrd_header(path: Path, text: bytes, *, gzipped: bool) -> GridHeader:
     if gzipped and byte_skip == -1:
         problem = "it is compressed as a whole, and its header counts the data from the end of the file"
         raise refuse(path, problem, "unpack it with gunzip and open the result", "import.not-supported")
-    if whole(fields.get("line skip", "0"), "line skip") != 0 or (byte_skip != 0 and compressed) or byte_skip < -1:
-        problem = "its header skips lines or bytes of the data, which is not supported"
+    if whole(fields.get("line skip", "0"), "line skip") != 0 or byte_skip < (0 if compressed else -1):
+        problem = "its header skips lines of the data, or a number of bytes below 0, which is not supported"
         raise refuse(path, problem, "save it again without skips", "import.not-supported")
     axis_kinds = fields.get("kinds", "").lower().split()
     if dimension == 3 and "none" in fields.get("space directions", "").lower():
@@ -111,7 +111,8 @@ def read_nrrd_header(path: Path, text: bytes, *, gzipped: bool) -> GridHeader:
         # The caller refuses other dimensions and names the sizes.
         lps_from_ijk=_transform(path, fields) if dimension == 3 else np.eye(4),
         data_path=data_path,
-        data_offset=0 if compressed else (-1 if byte_skip == -1 else offset + byte_skip),
+        # Bytes of compressed values are skipped after decompression.
+        data_offset=byte_skip if compressed or byte_skip == -1 else offset + byte_skip,
         compression="gzip" if compressed or gzipped else None,
         stream_offset=offset if compressed or not gzipped else 0,
         values_are_elsewhere=detached is not None,
