@@ -39,6 +39,10 @@ pub(crate) fn faster_method<'a>(
         #[cfg(not(target_arch = "x86_64"))]
         InstructionSet::Avx2 | InstructionSet::Avx512 => trial_counts(frame, method),
     };
+    if let Method::LeapValues(_) = method {
+        let samples = stats.num_samples + stats.num_skipped;
+        return if samples as f64 > 1.3 * stats.num_lookups as f64 { method } else { Method::Brute };
+    }
     // The start of a ray is a little slower with leaps, by about three samples.
     let num_rays = (TRIAL_SIDE * TRIAL_SIDE) as u64;
     if stats.num_skipped > lookup_price(frame, method) * stats.num_lookups + 3 * num_rays {
@@ -51,8 +55,7 @@ pub(crate) fn faster_method<'a>(
 /// Return the measured time of a look-up, in units of a brute-force sample (docs/decisions/0104).
 fn lookup_price(frame: &Frame<'_>, method: Method<'_>) -> u64 {
     match (method, frame.options.interpolation) {
-        (Method::LeapClasses(_), Interpolation::Nearest) => 7,
-        (Method::LeapClasses(_), Interpolation::Trilinear) => 12,
+        (Method::LeapClasses(_), _) => 12,
         _ => 2,
     }
 }
@@ -83,11 +86,11 @@ fn trial_counts(frame: &Frame<'_>, method: Method<'_>) -> CastStats {
                 (Method::LeapTransparent(radius), true) => {
                     leap::cast_transparent::<false, true, false>(frame, radius, start, ray, stats)
                 }
-                (Method::LeapClasses(map), false) => {
-                    leap::cast_classes::<false, false>(frame, map, start, ray, stats)
+                (Method::LeapClasses(map), _) => {
+                    leap::cast_classes::<false>(frame, map, start, ray, stats)
                 }
-                (Method::LeapClasses(map), true) => {
-                    leap::cast_classes::<true, false>(frame, map, start, ray, stats)
+                (Method::LeapValues(map), _) => {
+                    leap::cast_values::<false>(frame, map, ray, stats)
                 }
             };
         }

@@ -14,7 +14,7 @@ from carina.errors import RenderError
 from carina.render.appearance import FROM_TREE, Appearance, DecorationName
 from carina.render.graphics_device import DeviceCaster
 from carina.render.processor_choice import Backend
-from carina.render.scene import Scene
+from carina.render.scene import Scene, ValueMaps
 from carina.render.surface import Hit, Surface
 from carina.render.transfer_function import TransferFunction
 from carina.render.views import AirwayView, Picture, RenderStats
@@ -219,7 +219,13 @@ def _shown_decorations(scene: Scene, appearance: Appearance | None) -> tuple[Dec
 
 def _choose_method(
     scene: Scene, view: AirwayView, shading: bool
-) -> tuple[str, NDArray[np.uint8] | tuple[NDArray[np.uint8], NDArray[np.uint8], list[int]] | None]:
+) -> tuple[
+    str,
+    NDArray[np.uint8]
+    | tuple[NDArray[np.uint8], NDArray[np.uint8], list[int]]
+    | tuple[NDArray[np.uint16], list[int]]
+    | None,
+]:
     """Return the casting method that a scene's present maps allow, and the maps that the method reads.
 
     With shading only transparent classes are leaped, because shading varies inside the others.
@@ -228,6 +234,8 @@ def _choose_method(
         return "brute", None
     if not shading and scene.class_maps is not None:
         maps = scene.class_maps
+        if isinstance(maps, ValueMaps):
+            return "leap-all", (maps.words, maps.label_values)
         return "leap-all", (maps.labels, maps.radius, maps.class_values)
     if scene.maps is not None:
         return "leap", scene.maps.radius
