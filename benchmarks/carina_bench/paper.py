@@ -103,8 +103,8 @@ def paper_mode(request: Request) -> list[dict[str, Any]]:
                     "always": partial(renderer.render, always),
                 }
                 times = take_turns(turns, request["repeats"])
-                # Steps and pictures are compared for forced leaping. The time is also measured with the automatic choice,
-                # which does not leap where leaping is slower.
+                # Steps and pictures are compared for forced leaping. The time is also measured with the automatic
+                # choice, which does not leap where leaping is slower.
                 a, b, c = renderer.render(brute), renderer.render(always), renderer.render(leaping)
                 steps_leap = b.stats.num_leaps + b.stats.num_samples
                 better = min(times["brute"], times["always"], key=lambda measured: measured.median_ms)

@@ -74,9 +74,9 @@ def first_frame(rows: Rows) -> list[str]:
 def paper(rows: Rows) -> list[str]:
     """Return the lines of the section that compares leaping with brute force in the paper's setting."""
     lines = [
-        "  speed-up over brute force: automatic choice, forced leaping, steps saved; the paper: 1.7 to 3.0, error 0.0 %",
-        f"  {'volume':14} {'transfer':8} {'view':15} {'auto':>6} {'forced':>6} {'(wall)':>6} {'steps':>6} {'choice':>6} "
-        f"{'auto over better':>16} {'load':>5}  difference",
+        "  speed-up over brute force: automatic choice, forced leaps, steps; the paper: 1.7 to 3.0, error 0.0 %",
+        f"  {'volume':14} {'transfer':8} {'view':15} {'auto':>6} {'forced':>6} {'(wall)':>6} {'steps':>6} "
+        f"{'choice':>6} {'auto over better':>16} {'load':>5}  difference",
     ]
     lines += [
         f"  {row['volume'][:14]:14} {row['transfer']:8} {row['view']:15} {row['speed_up_time']:6.2f} "

@@ -14,8 +14,8 @@ use carina_isoregion::SegmentTable;
 use carina_raycast::{
     Appearance, ClassMap, DECORATION_CHANNELS, Decoration, Frame, FrameOptions, InstructionSet,
     Interpolation, Light, Method, NormalBricks, RaycastError, SampleBricks, Transfer, TriPlane,
-    ValueMap, WallHeights, Window, cast_rows, cast_rows_until, cast_tri_plane, maximum_projections_by, pick,
-    sample_plane_by, smoothed_mask,
+    ValueMap, WallHeights, Window, cast_rows, cast_rows_until, cast_tri_plane,
+    maximum_projections_by, pick, sample_plane_by, smoothed_mask,
 };
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,

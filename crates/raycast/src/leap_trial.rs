@@ -96,9 +96,7 @@ fn trial_counts(frame: &Frame<'_>, method: Method<'_>) -> CastStats {
                 (Method::LeapClasses(map), _) => {
                     leap::cast_classes::<false>(frame, map, start, ray, stats)
                 }
-                (Method::LeapValues(map), _) => {
-                    leap::cast_values::<false>(frame, map, ray, stats)
-                }
+                (Method::LeapValues(map), _) => leap::cast_values::<false>(frame, map, ray, stats),
             };
         }
     }

@@ -88,7 +88,7 @@ class AirwayCaster:
         gpu: _core.GpuScene | None = None,
         leaps: bool | None = None,
     ) -> Picture:
-        """Cast a picture; ``leaps`` selects leaps or brute force where both are possible, None lets trial rays decide."""
+        """Cast a picture; ``leaps`` selects leaps or brute force, None lets trial rays decide."""
         nearest = scene.transfer.sampling == "nearest"
         step_vox = 1.0 if nearest else view.step_vox
         shading = _needs_shading(scene, view)

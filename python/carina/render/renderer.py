@@ -296,9 +296,7 @@ class Renderer:
         rays_s = _mean_processor_s(counted_s, _core.picture_clock_s(), seconds) if counts else None
         return dataclasses.replace(picture, stats=dataclasses.replace(picture.stats, seconds=seconds, rays_s=rays_s))
 
-    @check_arguments(
-        view=AN_AIRWAY_VIEW, scene=instance(Scene, "take one from Renderer.scene", optional=True)
-    )
+    @check_arguments(view=AN_AIRWAY_VIEW, scene=instance(Scene, "take one from Renderer.scene", optional=True))
     def with_chosen_method(self, view: AirwayView, *, scene: Scene | None = None) -> AirwayView:
         """Return an airway view with the ray method that this renderer chooses by measured times.
 

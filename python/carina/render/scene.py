@@ -233,9 +233,7 @@ class SceneBuilder:
 
         def build() -> CachedMap:
             labels, classes = _core.label_classes(scene.values, transfer.points, reference_mm=transfer.reference_mm)
-            return CachedMap(
-                (labels, _core.build_radius_map(labels, cancel=cancel)), [lo for lo, _, _, _ in classes]
-            )
+            return CachedMap((labels, _core.build_radius_map(labels, cancel=cancel)), [lo for lo, _, _, _ in classes])
 
         classes = ("classes", transfer.points.tolist(), transfer.reference_mm)
         found = self._get_or_build(MapName(scene.values, classes), build)
@@ -261,7 +259,8 @@ class SceneBuilder:
         # The cache stores only maps that were built here.
         name = MapName(scene.values, ("values", scene.bin_width))
         found = build() if known is not None else self._get_or_build(name, build)
-        return value_maps(*found.arrays, found.meaning)
+        labels, radius = found.arrays
+        return value_maps(labels, radius, found.meaning)
 
     def wait_stored(self) -> None:
         """Wait until the cache has written its maps."""

@@ -151,7 +151,8 @@ impl Scene<'_> {
                 }
             }
             if LEAP == VALUES {
-                active &= self.step_over_values::<L, O>(l, &mut packet, &pace, active, &mut band.stats);
+                active &=
+                    self.step_over_values::<L, O>(l, &mut packet, &pace, active, &mut band.stats);
                 continue;
             }
             let mut walk = active;

@@ -220,7 +220,10 @@ impl Scene<'_> {
         let first_visible = l.splat_i(i32::from(self.segments.first_visible()));
         let visible = l.without(leaps, l.less_i(label, first_visible));
         if l.bits(visible) != 0 {
-            let row = l.mul_i(l.sub_i(label, one), l.splat_i(MAX_SEGMENT_SAMPLES as i32 + 1));
+            let row = l.mul_i(
+                l.sub_i(label, one),
+                l.splat_i(MAX_SEGMENT_SAMPLES as i32 + 1),
+            );
             self.add_segments(l, packet, visible, label, row, &mut n);
         }
         packet.k = l.select_i(leaps, l.add_i(packet.k, n), packet.k);

@@ -10,7 +10,8 @@ use crate::scene::{Scene, any_scene, options, step_table, words};
 use carina_grid::{VolumeView, clip_line_to_box};
 use carina_isoregion::{SegmentTable, cell_map, class_labels, radius_map, value_labels};
 use carina_raycast::{
-    CastStats, ClassMap, Frame, InstructionSet, Interpolation, Method, TransferTable, ValueMap, cast_rows,
+    CastStats, ClassMap, Frame, InstructionSet, Interpolation, Method, TransferTable, ValueMap,
+    cast_rows,
 };
 use proptest::prelude::*;
 

@@ -58,11 +58,7 @@ fn maps(scene: &Scene, case: &Case) -> Maps {
     } else {
         class_labels(&scene.hu, -1100, &entries, !by_radius).unwrap()
     };
-    let map = if by_radius {
-        radius_map
-    } else {
-        cell_map
-    };
+    let map = if by_radius { radius_map } else { cell_map };
     Maps {
         radius: map(&out.labels, scene.grid.shape_zyx()).unwrap(),
         labels: out.labels,

@@ -7,8 +7,8 @@
 use std::ops::AddAssign;
 
 use crate::anatomy::{Chest, Dice, looks};
-use crate::scene::{step_table, words};
 use crate::reference::{Matrix, Shares, View, World, to_8_bit};
+use crate::scene::{step_table, words};
 use carina_grid::{Affine, Camera, Grid, VolumeView};
 use carina_isoregion::{cell_map, class_labels, radius_map, value_labels};
 use carina_raycast::{
@@ -291,9 +291,7 @@ fn leaps_over_opaque_classes(num_poses: u64, seed: u64, nearest: bool) -> (Tally
                 let brute = cast_rows_scalar(&frame, Method::Brute, 0..30, best).unwrap();
                 let leap = cast_rows_scalar(&frame, leaps, 0..30, best).unwrap();
                 for simd in InstructionSet::available() {
-                    for (method, truth) in
-                        [(Method::Brute, &brute), (leaps, &leap)]
-                    {
+                    for (method, truth) in [(Method::Brute, &brute), (leaps, &leap)] {
                         let found = cast_rows(&frame, method, 0..30, simd).unwrap();
                         assert!(found == *truth, "{}", simd.name());
                     }
