@@ -306,7 +306,10 @@ def cast(
     light: tuple[float, float, float, int, float] | None = None,
     nearest: bool = False,
     background: tuple[float, float, float] = ...,
-    leap: NDArray[np.uint8] | tuple[NDArray[np.uint8], NDArray[np.uint8], list[int]] | None = None,
+    leap: NDArray[np.uint8]
+    | tuple[NDArray[np.uint8], NDArray[np.uint8], list[int]]
+    | tuple[NDArray[np.uint16], list[int]]
+    | None = None,
     simd: str | None = None,
     stop: CancelToken | None = None,
     lens: LensRays | None = None,

@@ -367,6 +367,7 @@ GOOD: dict[str, Good] = {
     "Renderer.set_transfer": Good(lambda t: {"transfer": t.transfer}, _renderer),
     "Renderer.surface": Good(lambda t: {"view": t.view}, _renderer),
     "Renderer.use_isoregion_map": Good(lambda _: {"path": None}, _renderer),
+    "Renderer.with_chosen_method": Good(lambda t: {"view": t.view}, _renderer),
     "Slab": Good(lambda _: {"thickness_mm": 5.0, "kind": "mean"}),
     "SliceView": Good(lambda _: {"plane": "axial", "centre_lps": (0.0, 0.0, 0.0), **SMALL}),
     "TransferFunction": Good(lambda t: {"points": t.transfer.points}),

@@ -14,8 +14,8 @@ use carina_isoregion::SegmentTable;
 use carina_raycast::{
     Appearance, ClassMap, DECORATION_CHANNELS, Decoration, Frame, FrameOptions, InstructionSet,
     Interpolation, Light, Method, NormalBricks, RaycastError, SampleBricks, Transfer, TriPlane,
-    WallHeights, Window, cast_rows, cast_rows_until, cast_tri_plane, maximum_projections_by, pick,
-    sample_plane_by, smoothed_mask,
+    ValueMap, WallHeights, Window, cast_rows, cast_rows_until, cast_tri_plane,
+    maximum_projections_by, pick, sample_plane_by, smoothed_mask,
 };
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,
@@ -257,7 +257,8 @@ type PyStats = (u64, u64, u64, u64, u64, u64, u64);
 
 /// Map for leaps as passed from Python.
 ///
-/// The variants are the radius map alone, or labels, radius map and one value of each class for leaps over all classes.
+/// The variants are the radius map alone; labels, radius map and one value of each class for leaps over all classes;
+/// words of labels and radii and one value of each label for leaps over values.
 #[derive(FromPyObject)]
 enum LeapMap<'py> {
     Classes(
@@ -265,6 +266,7 @@ enum LeapMap<'py> {
         PyReadonlyArray3<'py, u8>,
         Vec<i32>,
     ),
+    Values(PyReadonlyArray3<'py, u16>, Vec<i32>),
     Transparent(PyReadonlyArray3<'py, u8>),
 }
 
@@ -425,6 +427,13 @@ fn cast<'py>(
         None => Method::Brute,
         Some(LeapMap::Transparent(radius)) => {
             Method::LeapTransparent(values("radius_zyx", radius)?)
+        }
+        Some(LeapMap::Values(words, label_values)) => {
+            segments = tables.segments(label_values);
+            Method::LeapValues(ValueMap {
+                words: values("words_zyx", words)?,
+                segments: &segments,
+            })
         }
         Some(LeapMap::Classes(labels, radius, class_values)) => {
             let labels = values("labels_zyx", labels)?;

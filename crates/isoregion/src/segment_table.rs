@@ -13,12 +13,15 @@ pub const MAX_SEGMENT_SAMPLES: usize = 64;
 #[derive(Debug, Clone, PartialEq)]
 pub struct SegmentTable {
     entries: Vec<[f32; 4]>,
+    /// First label with opacity; the labels before it add nothing.
+    first_visible: u16,
 }
 
 impl SegmentTable {
     /// Table without classes.
     pub const EMPTY: Self = Self {
         entries: Vec::new(),
+        first_visible: 1,
     };
 
     /// Create the table from the premultiplied colour and opacity of *one* sample of each class (`label - 1`).
@@ -40,7 +43,25 @@ impl SegmentTable {
                 through *= beta;
             }
         }
-        Self { entries }
+        let first_visible = classes.iter().take_while(|class| class[3] <= 0.0).count() as u16 + 1;
+        Self {
+            entries,
+            first_visible,
+        }
+    }
+
+    /// Return the number of labels in the table.
+    #[inline]
+    #[must_use]
+    pub fn num_labels(&self) -> usize {
+        self.entries.len() / (MAX_SEGMENT_SAMPLES + 1)
+    }
+
+    /// Return the first label with opacity; all labels from 1 to the one before it are transparent.
+    #[inline]
+    #[must_use]
+    pub const fn first_visible(&self) -> u16 {
+        self.first_visible
     }
 
     /// Return all entries of the table: [`MAX_SEGMENT_SAMPLES`]` + 1` for each class, by number of samples.

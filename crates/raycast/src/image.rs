@@ -202,19 +202,19 @@ fn cast_row_body(
                 leap::cast_transparent::<false, true, false>(frame, radius, start, ray, stats)
             },
         ),
-        (Method::LeapClasses(map), _, false) => each_pixel(
+        (Method::LeapClasses(map), ..) => each_pixel(
             frame,
             row,
             out,
             #[inline(always)]
-            |frame, ray, stats| leap::cast_classes::<false, false>(frame, map, start, ray, stats),
+            |frame, ray, stats| leap::cast_classes::<false>(frame, map, start, ray, stats),
         ),
-        (Method::LeapClasses(map), _, true) => each_pixel(
+        (Method::LeapValues(map), ..) => each_pixel(
             frame,
             row,
             out,
             #[inline(always)]
-            |frame, ray, stats| leap::cast_classes::<true, false>(frame, map, start, ray, stats),
+            |frame, ray, stats| leap::cast_values::<false>(frame, map, ray, stats),
         ),
     }
 }

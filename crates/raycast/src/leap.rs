@@ -19,7 +19,7 @@ use carina_isoregion::{MAX_SEGMENT_SAMPLES, SegmentTable};
 use crate::{
     composite::Gathered,
     frame::{Frame, Ray},
-    method::{CastStats, ClassMap, Method},
+    method::{CastStats, ClassMap, Method, ValueMap},
     sampling::Lanes,
 };
 
@@ -80,6 +80,8 @@ impl Start {
             Method::Brute => false,
             Method::LeapTransparent(radius) => radius[frame.field.cell_of(p).0] > 0,
             Method::LeapClasses(map) => map.radius[frame.field.nearest(p).0] > 0,
+            // Every step looks up the map.
+            Method::LeapValues(_) => true,
         });
         if in_region {
             Self {
@@ -240,7 +242,7 @@ pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool, const HI
 /// The result is within one grey level of brute force: a segment's colour is rounded once, the colours of its samples
 /// one by one. A leap that crosses the stop limit ends at the sample where brute force stops.
 #[inline(always)]
-pub(crate) fn cast_classes<const NEAREST: bool, const HITS: bool>(
+pub(crate) fn cast_classes<const HITS: bool>(
     frame: &Frame<'_>,
     map: ClassMap<'_>,
     start: Start,
@@ -249,9 +251,7 @@ pub(crate) fn cast_classes<const NEAREST: bool, const HITS: bool>(
 ) -> Gathered {
     let mut gathered = Gathered::NOTHING;
     let pace = Pace::of(ray);
-    let price = const { Price::of(CastStats::sample_loads(NEAREST), 2) };
-    // A nearest-voxel sample needs only its own voxel in the cube, not eight corners: half a voxel more on each side.
-    let margin = class_margin(frame, NEAREST);
+    let price = const { Price::of(CastStats::sample_loads(false), 2) };
     let mut k = ray.first;
     let mut schedule = LookupSchedule::of(start, ray);
     while k < ray.end {
@@ -264,24 +264,15 @@ pub(crate) fn cast_classes<const NEAREST: bool, const HITS: bool>(
             let label = if r > 0 { map.labels[index] } else { 0 };
             if label != 0 {
                 let n = pace
-                    .steps(p, v, f32::from(r) + margin)
+                    .steps(p, v, f32::from(r) + class_margin(frame))
                     .saturating_add(1)
                     .min(ray.end - k)
                     .min(MAX_SEGMENT_SAMPLES as u32);
-                let n = map.segments.samples_until(
-                    label,
-                    n as usize,
-                    gathered.transparency,
-                    frame.stop,
-                );
-                if HITS {
-                    cross_segment(&mut gathered, map.segments, label, k, n);
-                }
-                gathered.add_segment(map.segments.segment(label, n));
+                let n = add_segment::<HITS>(frame, map.segments, &mut gathered, label, k, n);
                 stats.num_leaps += 1;
-                stats.num_skipped += n as u64;
-                schedule.leaped(k, n as u32, price);
-                k += n as u32;
+                stats.num_skipped += u64::from(n);
+                schedule.leaped(k, n, price);
+                k += n;
                 if gathered.transparency < frame.stop {
                     break;
                 }
@@ -289,7 +280,7 @@ pub(crate) fn cast_classes<const NEAREST: bool, const HITS: bool>(
             }
             schedule.failed(k);
         }
-        frame.add_sample::<false, NEAREST, HITS>(ray, k, p, &mut gathered);
+        frame.add_sample::<false, false, HITS>(ray, k, p, &mut gathered);
         stats.num_samples += 1;
         k += 1;
         if gathered.transparency < frame.stop {
@@ -299,13 +290,88 @@ pub(crate) fn cast_classes<const NEAREST: bool, const HITS: bool>(
     gathered
 }
 
-/// Return the distance in voxels by which a leap over a class may exceed the radius of its region.
-pub(crate) fn class_margin(frame: &Frame<'_>, nearest: bool) -> f32 {
-    if nearest {
-        0.5 - frame.guard_vox
-    } else {
-        -frame.guard_vox
+/// Cast a ray of nearest-voxel samples with leaps over equal values (paper 4.3).
+///
+/// Each step reads one word, which contains the label and the radius of the nearest voxel, and adds the segment of all
+/// samples within the cube of that voxel, at least one. There is no schedule of look-ups, because a step without a leap
+/// costs no additional read. Departure from paper 4.3: samples of one voxel are one segment also where the radius is 0,
+/// if the voxel is longer than a ray step.
+///
+/// The result is within one grey level of brute force, and a leap ends where brute force stops, as in
+/// [`cast_classes`].
+#[inline(always)]
+pub(crate) fn cast_values<const HITS: bool>(
+    frame: &Frame<'_>,
+    map: ValueMap<'_>,
+    ray: &Ray,
+    stats: &mut CastStats,
+) -> Gathered {
+    let mut gathered = Gathered::NOTHING;
+    let pace = Pace::of(ray);
+    let mut k = ray.first;
+    while k < ray.end {
+        let p = ray.at(k);
+        let (index, v) = frame.field.nearest(p);
+        let (label, r) = ValueMap::parts(map.words[index]);
+        stats.num_lookups += 1;
+        if label == 0 {
+            frame.add_sample::<false, true, HITS>(ray, k, p, &mut gathered);
+            stats.num_samples += 1;
+            stats.num_loads += 1;
+            k += 1;
+        } else {
+            let n = pace
+                .steps(p, v, f32::from(r) + value_margin(frame))
+                .saturating_add(1)
+                .min(ray.end - k)
+                .min(MAX_SEGMENT_SAMPLES as u32);
+            let n = add_segment::<HITS>(frame, map.segments, &mut gathered, label, k, n);
+            if n > 1 {
+                stats.num_leaps += 1;
+                stats.num_skipped += u64::from(n);
+            } else {
+                stats.num_samples += 1;
+            }
+            k += n;
+        }
+        if gathered.transparency < frame.stop {
+            break;
+        }
     }
+    gathered
+}
+
+/// Add the segment of at most `n` samples of a label from sample `k` on, and return its number of samples.
+///
+/// The segment ends at the sample where brute force stops.
+#[inline(always)]
+fn add_segment<const HITS: bool>(
+    frame: &Frame<'_>,
+    segments: &SegmentTable,
+    gathered: &mut Gathered,
+    label: u8,
+    k: u32,
+    n: u32,
+) -> u32 {
+    let n = segments.samples_until(label, n as usize, gathered.transparency, frame.stop);
+    if HITS {
+        cross_segment(gathered, segments, label, k, n);
+    }
+    gathered.add_segment(segments.segment(label, n));
+    n as u32
+}
+
+/// Return the distance in voxels by which a leap over a class may exceed the radius of its region.
+pub(crate) fn class_margin(frame: &Frame<'_>) -> f32 {
+    -frame.guard_vox
+}
+
+/// Return the distance in voxels by which a leap over a value may exceed the radius of its region.
+///
+/// A nearest-voxel sample needs only its own voxel in the cube, not eight corners: half a voxel more on each side than
+/// an interpolated sample.
+pub(crate) fn value_margin(frame: &Frame<'_>) -> f32 {
+    0.5 - frame.guard_vox
 }
 
 /// Store the first wall of a ray if it is within a leaped segment, by stepping through the segment's samples.

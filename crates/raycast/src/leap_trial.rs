@@ -39,20 +39,30 @@ pub(crate) fn faster_method<'a>(
         #[cfg(not(target_arch = "x86_64"))]
         InstructionSet::Avx2 | InstructionSet::Avx512 => trial_counts(frame, method),
     };
-    // The start of a ray is a little slower with leaps, by about three samples.
-    let num_rays = (TRIAL_SIDE * TRIAL_SIDE) as u64;
-    if stats.num_skipped > lookup_price(frame, method) * stats.num_lookups + 3 * num_rays {
+    if pays(frame, method, stats) {
         method
     } else {
         Method::Brute
     }
 }
 
+/// Return whether leaps are faster than brute force, by the counts of the trial rays and the measured times of a step.
+fn pays(frame: &Frame<'_>, method: Method<'_>, stats: CastStats) -> bool {
+    let num_rays = (TRIAL_SIDE * TRIAL_SIDE) as u64;
+    if let Method::LeapValues(_) = method {
+        // A step takes about as long as a sample in a volume that fits the caches; the start of a ray and its last
+        // segment, whose end is searched, take as long as 22 samples (benchmarks/measurements/rendering.md, 0104).
+        let num_samples = stats.num_samples + stats.num_skipped;
+        return 20 * num_samples > 19 * stats.num_lookups + 440 * num_rays;
+    }
+    // The start of a ray is a little slower with leaps, by about three samples.
+    stats.num_skipped > lookup_price(frame, method) * stats.num_lookups + 3 * num_rays
+}
+
 /// Return the measured time of a look-up, in units of a brute-force sample (docs/decisions/0104).
 fn lookup_price(frame: &Frame<'_>, method: Method<'_>) -> u64 {
     match (method, frame.options.interpolation) {
-        (Method::LeapClasses(_), Interpolation::Nearest) => 7,
-        (Method::LeapClasses(_), Interpolation::Trilinear) => 12,
+        (Method::LeapClasses(_), _) => 12,
         _ => 2,
     }
 }
@@ -83,12 +93,10 @@ fn trial_counts(frame: &Frame<'_>, method: Method<'_>) -> CastStats {
                 (Method::LeapTransparent(radius), true) => {
                     leap::cast_transparent::<false, true, false>(frame, radius, start, ray, stats)
                 }
-                (Method::LeapClasses(map), false) => {
-                    leap::cast_classes::<false, false>(frame, map, start, ray, stats)
+                (Method::LeapClasses(map), _) => {
+                    leap::cast_classes::<false>(frame, map, start, ray, stats)
                 }
-                (Method::LeapClasses(map), true) => {
-                    leap::cast_classes::<true, false>(frame, map, start, ray, stats)
-                }
+                (Method::LeapValues(map), _) => leap::cast_values::<false>(frame, map, ray, stats),
             };
         }
     }

@@ -75,7 +75,7 @@ pub use image::{cast_rows, cast_rows_scalar, cast_rows_until};
 pub use light::Light;
 pub use lines::{PixelLine, Slab, SlabKind, sample_lines};
 pub use mask::smoothed_mask;
-pub use method::{CastStats, ClassMap, Method};
+pub use method::{CastStats, ClassMap, Method, ValueMap};
 pub use plane::{PlaneImage, sample_plane, sample_plane_by};
 pub use projection::{Projections, maximum_projections, maximum_projections_by};
 pub use sampling::Field;

@@ -13,8 +13,10 @@ pub enum Method<'a> {
     ///
     /// The variant contains the map of cells between voxels of these classes ([`carina_isoregion::cell_map`]).
     LeapTransparent(&'a [u8]),
-    /// Leaps over all classes by the step table, only for pictures without shading.
+    /// Leaps over all classes by the step table, only for pictures without shading whose samples are interpolated.
     LeapClasses(ClassMap<'a>),
+    /// Leaps over equal values by the step table, as in the paper, only for samples of the nearest voxel.
+    LeapValues(ValueMap<'a>),
 }
 
 /// Labels, radii and step table for leaps over every class, only for pictures without shading.
@@ -26,6 +28,26 @@ pub struct ClassMap<'a> {
     pub radius: &'a [u8],
     /// Step table for the length of the ray steps of this picture.
     pub segments: &'a SegmentTable,
+}
+
+/// Label and radius of each voxel in one word, and step table, for leaps over equal values.
+///
+/// One read of a word replaces the reads of the voxel, its label and its radius.
+#[derive(Debug, Clone, Copy)]
+pub struct ValueMap<'a> {
+    /// Label of each voxel plus 256 times the radius of its region, `[z, y, x]`; a voxel with label 0 is never leaped.
+    pub words: &'a [u16],
+    /// Step table for the length of the ray steps of this picture.
+    pub segments: &'a SegmentTable,
+}
+
+impl ValueMap<'_> {
+    /// Return the label and the radius in a word.
+    #[inline(always)]
+    pub(crate) const fn parts(word: u16) -> (u8, u8) {
+        let [label, radius] = word.to_le_bytes();
+        (label, radius)
+    }
 }
 
 /// Counts of the work that a cast has done.
@@ -65,14 +87,22 @@ impl CastStats {
     /// Return the statistics with the number of reads, computed from the other counts.
     ///
     /// Counted are the reads of samples and their gradients, one radius for each look-up, and one label for each leap
-    /// over a class. Reads of the transfer and step tables are left out: the tables are small and stay in the nearest
-    /// cache, and a leap saves these reads as well.
+    /// over a class. With leaps over values a look-up is the only read of a sample, unless its voxel has no label. Reads
+    /// of the transfer and step tables are left out: the tables are small and stay in the nearest cache, and a leap saves
+    /// these reads as well.
     #[must_use]
     pub fn with_loads(self, frame: &Frame<'_>, method: Method<'_>) -> Self {
         let nearest = frame.options.interpolation == Interpolation::Nearest;
         let labels = match method {
             Method::LeapClasses(_) => self.num_leaps,
             Method::Brute | Method::LeapTransparent(_) => 0,
+            // The casters have counted the samples of voxels without a label.
+            Method::LeapValues(_) => {
+                return Self {
+                    num_loads: self.num_loads + self.num_lookups,
+                    ..self
+                };
+            }
         };
         let samples = u64::from(Self::sample_loads(nearest)) * self.num_samples;
         let gradients = Self::GRADIENT_LOADS * self.num_shaded;

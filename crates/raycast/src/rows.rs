@@ -7,7 +7,7 @@ use std::{
 
 use rayon::prelude::*;
 
-use crate::{CastStats, Frame, InstructionSet, Method, RaycastError};
+use crate::{CastStats, Frame, InstructionSet, Interpolation, Method, RaycastError};
 
 /// Fill rows of a picture in parallel, `num_rows` at a time, and return the items and the sum of the statistics.
 ///
@@ -83,6 +83,31 @@ fn check_maps(frame: &Frame<'_>, method: Method<'_>) -> Result<(), RaycastError>
                     what: "leaps over all classes",
                     expected: "shading off, since shading varies inside a class".to_owned(),
                     found: "shading on".to_owned(),
+                });
+            }
+            if frame.options.interpolation == Interpolation::Nearest {
+                return Err(RaycastError::Setting {
+                    what: "leaps over all classes",
+                    expected: "samples between voxels".to_owned(),
+                    found: "samples of the nearest voxel, whose leaps are over values".to_owned(),
+                });
+            }
+            Ok(())
+        }
+        Method::LeapValues(map) => {
+            check("map of values", map.words.len())?;
+            if map.segments.num_labels() < usize::from(u8::MAX) {
+                return Err(RaycastError::Setting {
+                    what: "step table of a map of values",
+                    expected: "an entry for each of 255 labels".to_owned(),
+                    found: map.segments.num_labels().to_string(),
+                });
+            }
+            if frame.options.interpolation == Interpolation::Trilinear {
+                return Err(RaycastError::Setting {
+                    what: "leaps over values",
+                    expected: "samples of the nearest voxel".to_owned(),
+                    found: "samples between voxels".to_owned(),
                 });
             }
             Ok(())

@@ -156,12 +156,8 @@ fn cast_wall(
         (Method::LeapTransparent(radius), true) => {
             leap::cast_transparent::<false, true, true>(frame, radius, start, ray, stats)
         }
-        (Method::LeapClasses(map), false) => {
-            leap::cast_classes::<false, true>(frame, map, start, ray, stats)
-        }
-        (Method::LeapClasses(map), true) => {
-            leap::cast_classes::<true, true>(frame, map, start, ray, stats)
-        }
+        (Method::LeapClasses(map), _) => leap::cast_classes::<true>(frame, map, start, ray, stats),
+        (Method::LeapValues(map), _) => leap::cast_values::<true>(frame, map, ray, stats),
     }
 }
 

@@ -178,6 +178,9 @@ class ClusterRenderer:
             As in :meth:`render`.
         """
         scene, content = self._send_scene()
+        # All machines cast the strips of a picture by one method, so that the strips fit together bit for bit.
+        if isinstance(view, AirwayView):
+            view = self._renderer.with_chosen_method(view, scene=scene)
         return self._console.render(view, Content(content, self._renderer, scene), whole=whole, stream=stream)
 
     def render_frames(

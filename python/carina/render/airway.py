@@ -13,8 +13,9 @@ from carina import _core
 from carina.errors import RenderError
 from carina.render.appearance import FROM_TREE, Appearance, DecorationName
 from carina.render.graphics_device import DeviceCaster
+from carina.render.leap_choice import LeapChoice, processor_time_of
 from carina.render.processor_choice import Backend
-from carina.render.scene import Scene
+from carina.render.scene import Scene, ValueMaps
 from carina.render.surface import Hit, Surface
 from carina.render.transfer_function import TransferFunction
 from carina.render.views import AirwayView, Picture, RenderStats
@@ -35,6 +36,8 @@ class AirwayCaster:
             Backend() if backend is None else backend, lambda scene, view, gpu: self._cast(scene, view, gpu=gpu)
         )
         self._swap = threading.Lock()
+        self._choice = LeapChoice()
+        self._diagonal_mm = float(np.linalg.norm(np.array(volume.shape_zyx[::-1]) * volume.spacing_mm))
         self._bricks: tuple[NDArray[np.int16], _core.Bricks] | None = None
         self._tables: dict[tuple[int, int, float, int], tuple[TransferFunction, _core.TransferTable]] = {}
 
@@ -49,7 +52,8 @@ class AirwayCaster:
         """Return the picture of an airway view, or only its rows ``rows[0]`` to ``rows[1]``."""
 
         def cast(scene: Scene, view: AirwayView, gpu: _core.GpuScene | None) -> Picture:
-            return self._cast(scene, view, rows=rows, stop=stop, gpu=gpu)
+            leaps = None if gpu is not None else self.leaps_are_faster(scene, view)
+            return self._cast(scene, view, rows=rows, stop=stop, gpu=gpu, leaps=leaps)
 
         method, _ = _choose_method(scene, view, _needs_shading(scene, view))
         # Method "leap-all" (leaps over all classes) exists on the CPU only.
@@ -63,6 +67,17 @@ class AirwayCaster:
                 self._device.count_cpu_picture(scene, view)
         return picture
 
+    def leaps_are_faster(self, scene: Scene, view: AirwayView) -> bool | None:
+        """Return whether leaps over values are faster in a view, by measurement; None if nothing is to be measured."""
+        maps = scene.class_maps
+        if view.method != "leap" or not isinstance(maps, ValueMaps):
+            return None
+
+        def cost_of(rows: tuple[int, int], leaps: bool) -> float:
+            return processor_time_of(lambda: self._cast(scene, view, rows=rows, leaps=leaps))
+
+        return self._choice.leaps((maps, scene.transfer), view, cost_of, diagonal_mm=self._diagonal_mm)
+
     def _cast(
         self,
         scene: Scene,
@@ -71,7 +86,9 @@ class AirwayCaster:
         rows: tuple[int, int] | None = None,
         stop: _core.CancelToken | None = None,
         gpu: _core.GpuScene | None = None,
+        leaps: bool | None = None,
     ) -> Picture:
+        """Cast a picture; ``leaps`` selects leaps or brute force, None lets trial rays decide."""
         nearest = scene.transfer.sampling == "nearest"
         step_vox = 1.0 if nearest else view.step_vox
         shading = _needs_shading(scene, view)
@@ -93,14 +110,14 @@ class AirwayCaster:
             appearance=appearance,
             decoration=None if appearance is None else scene.decoration,
             nearest=nearest,
-            leap=leap,
+            leap=None if leaps is False else leap,
             simd=self._simd,
             stop=stop,
             lens=lens,
             darken=view.depth_of_field is None,
             gpu=gpu,
             stop_transparency=view.stop_transparency,
-            always_leap=view.method == "leap-always",
+            always_leap=leaps is True or view.method == "leap-always",
             bricks=self._shared_bricks(scene),
         )
         method = method if gpu is None else f"gpu-{method}"
@@ -219,7 +236,13 @@ def _shown_decorations(scene: Scene, appearance: Appearance | None) -> tuple[Dec
 
 def _choose_method(
     scene: Scene, view: AirwayView, shading: bool
-) -> tuple[str, NDArray[np.uint8] | tuple[NDArray[np.uint8], NDArray[np.uint8], list[int]] | None]:
+) -> tuple[
+    str,
+    NDArray[np.uint8]
+    | tuple[NDArray[np.uint8], NDArray[np.uint8], list[int]]
+    | tuple[NDArray[np.uint16], list[int]]
+    | None,
+]:
     """Return the casting method that a scene's present maps allow, and the maps that the method reads.
 
     With shading only transparent classes are leaped, because shading varies inside the others.
@@ -228,6 +251,8 @@ def _choose_method(
         return "brute", None
     if not shading and scene.class_maps is not None:
         maps = scene.class_maps
+        if isinstance(maps, ValueMaps):
+            return "leap-all", (maps.words, maps.label_values)
         return "leap-all", (maps.labels, maps.radius, maps.class_values)
     if scene.maps is not None:
         return "leap", scene.maps.radius

@@ -296,6 +296,23 @@ class Renderer:
         rays_s = _mean_processor_s(counted_s, _core.picture_clock_s(), seconds) if counts else None
         return dataclasses.replace(picture, stats=dataclasses.replace(picture.stats, seconds=seconds, rays_s=rays_s))
 
+    @check_arguments(view=AN_AIRWAY_VIEW, scene=instance(Scene, "take one from Renderer.scene", optional=True))
+    def with_chosen_method(self, view: AirwayView, *, scene: Scene | None = None) -> AirwayView:
+        """Return an airway view with the ray method that this renderer chooses by measured times.
+
+        Other renderers then cast the rows of the view by the same method. A view whose method is not measured is
+        returned unchanged.
+
+        Parameters
+        ----------
+        view
+            Airway view.
+        scene
+            Scene of the picture. Default: the current scene.
+        """
+        leaps = self._airway.leaps_are_faster(self._scenes.scene if scene is None else scene, view)
+        return view if leaps is None else dataclasses.replace(view, method="leap-always" if leaps else "brute")
+
     @check_arguments(view=AN_AIRWAY_VIEW, rows=ROWS)
     def surface(self, view: AirwayView, *, rows: tuple[int, int] | None = None) -> Surface:
         """Return depth, position and normal of the first wall at every pixel of an airway view.

@@ -45,6 +45,18 @@ class ClassMaps(LeapedValues):
     class_values: list[int]
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ValueMaps:
+    """Labels and radii of equal values in one array, and one value of each label, for transfer functions of the paper.
+
+    Labels are in the order of their values.
+    """
+
+    words: NDArray[np.uint16]
+    """Label of each voxel plus 256 times the radius of its IsoRegion, (nz, ny, nx)."""
+    label_values: list[int]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
     """Immutable input of pictures: transfer function, lumen, values and maps."""
@@ -56,10 +68,25 @@ class Scene:
     range: tuple[int, int]
     tree: TreeField | None
     maps: Maps | None
-    class_maps: ClassMaps | None
+    class_maps: ClassMaps | ValueMaps | None
     decoration: Decoration | None = None
     bin_width: int = 1
     """Width of the bins of values that have one colour; 1 if each value has its own."""
+
+
+def value_maps(labels: NDArray[np.uint8], radius: NDArray[np.uint8], label_values: list[int]) -> ValueMaps:
+    """Return labels from 1 on, their values and their radii with the labels in the order of the values.
+
+    A ray skips the step table at labels before the first visible one, which are the most in this order.
+    """
+    order = np.argsort(label_values)
+    label_of = np.zeros(256, dtype=np.uint16)
+    label_of[order + 1] = np.arange(1, len(order) + 1)
+    words = np.empty(labels.shape, dtype=np.uint16)
+    # Slices are converted one by one, so that no second array of the volume's size is needed.
+    for word, label, reach in zip(words, labels, radius, strict=True):
+        word[:] = label_of[label] | (reach.astype(np.uint16) << 8)
+    return ValueMaps(words=words, label_values=[label_values[n] for n in order])
 
 
 class SceneBuilder:
@@ -199,36 +226,41 @@ class SceneBuilder:
         )
         return Maps(values=scene.values, radius=found.arrays[0], runs=runs)
 
-    def _build_class_maps(self, scene: Scene, cancel: Cancel | None) -> ClassMaps:
+    def _build_class_maps(self, scene: Scene, cancel: Cancel | None) -> ClassMaps | ValueMaps:
         transfer = scene.transfer
-        by_value = transfer.sampling == "nearest"
-        known = self._known_radius if by_value and scene.values is self._volume.hu_zyx else None
+        if transfer.sampling == "nearest":
+            return self._build_value_maps(scene, cancel)
+
+        def build() -> CachedMap:
+            labels, classes = _core.label_classes(scene.values, transfer.points, reference_mm=transfer.reference_mm)
+            return CachedMap((labels, _core.build_radius_map(labels, cancel=cancel)), [lo for lo, _, _, _ in classes])
+
+        classes = ("classes", transfer.points.tolist(), transfer.reference_mm)
+        found = self._get_or_build(MapName(scene.values, classes), build)
+        labels, radius = found.arrays
+        return ClassMaps(
+            values=scene.values, radius=radius, points=transfer.points, labels=labels, class_values=found.meaning
+        )
+
+    def _build_value_maps(self, scene: Scene, cancel: Cancel | None) -> ValueMaps:
+        known = self._known_radius if scene.values is self._volume.hu_zyx else None
         if known is not None and known[0] != scene.bin_width:
             known = None
 
         def build() -> CachedMap:
-            if by_value:
-                labels, lowest = value_labels(scene.values, "values" if scene.bin_width == 1 else "bins")
-                class_values = [int(value) for value in lowest]
-            else:
-                labels, classes = _core.label_classes(scene.values, transfer.points, reference_mm=transfer.reference_mm)
-                class_values = [lo for lo, _, _, _ in classes]
+            labels, lowest = value_labels(scene.values, "values" if scene.bin_width == 1 else "bins")
             if known is None:
                 radius = _core.build_radius_map(labels, cancel=cancel)
             else:
                 # Voxels without a label have no class to leap over.
                 radius = np.where(labels == 0, np.uint8(0), known[1])
-            return CachedMap((labels, radius), class_values)
+            return CachedMap((labels, radius), [int(value) for value in lowest])
 
-        classes = (
-            ("values", scene.bin_width) if by_value else ("classes", transfer.points.tolist(), transfer.reference_mm)
-        )
         # The cache stores only maps that were built here.
-        found = build() if known is not None else self._get_or_build(MapName(scene.values, classes), build)
+        name = MapName(scene.values, ("values", scene.bin_width))
+        found = build() if known is not None else self._get_or_build(name, build)
         labels, radius = found.arrays
-        return ClassMaps(
-            values=scene.values, radius=radius, points=transfer.points, labels=labels, class_values=found.meaning
-        )
+        return value_maps(labels, radius, found.meaning)
 
     def wait_stored(self) -> None:
         """Wait until the cache has written its maps."""

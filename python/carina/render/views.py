@@ -125,8 +125,9 @@ class AirwayView:
     shading
         Whether light and gloss are computed.
     method
-        ``leap`` leaps if a few trial rays show that leaping is faster; ``leap-always`` leaps in every picture, for
-        measurements; ``brute`` reads every sample. The pictures are the same.
+        ``leap`` leaps if that is faster: a few trial rays decide, or for transfer functions of sampling ``nearest``
+        (paper) the measured times of a few rows. ``leap-always`` leaps in every picture, for measurements; ``brute``
+        reads every sample. The pictures are the same; leaps over opaque values may move one channel by one level.
     lens
         Lens model.
     field
@@ -495,7 +496,7 @@ class RenderStats:
 
     ``num_loads`` counts the reads of volume and maps: four rows of two voxels for each sample (one voxel where sampling
     is ``nearest``), eight more rows for the gradient of each shaded sample, one radius for each look-up, and one label
-    for each leap over all classes. It is 0 for planes.
+    for each leap over all classes. With leaps over values one look-up reads value and radius. It is 0 for planes.
 
     ``rays_s`` is the processor time of the picture threads divided by their number: the time of the rays if no other
     program uses a core. It is None for planes, on a graphics device, in a cluster, and on systems other than Linux.

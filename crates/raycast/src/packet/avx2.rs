@@ -166,6 +166,11 @@ impl Lanes for Avx2 {
         fn quarters(a: __m256i) -> __m256i { _mm256_srli_epi32::<2>(a) }
         fn modulo_4(a: __m256i) -> __m256i { _mm256_and_si256(a, _mm256_set1_epi32(3)) }
 
+        fn low_byte(a: __m256i) -> __m256i { _mm256_and_si256(a, _mm256_set1_epi32(0xff)) }
+        fn second_byte(a: __m256i) -> __m256i {
+            _mm256_and_si256(_mm256_srli_epi32::<8>(a), _mm256_set1_epi32(0xff))
+        }
+
         // The products with 1, 0 and -1, added in pairs as i32, cannot overflow.
         fn first(pair: __m256i) -> __m256i { _mm256_madd_epi16(pair, _mm256_set1_epi32(1)) }
         fn second(pair: __m256i) -> __m256i { _mm256_srai_epi32::<16>(pair) }

@@ -112,6 +112,11 @@ impl Lanes for Avx512 {
         fn quarters(a: __m512i) -> __m512i { _mm512_srli_epi32::<2>(a) }
         fn modulo_4(a: __m512i) -> __m512i { _mm512_and_si512(a, _mm512_set1_epi32(3)) }
 
+        fn low_byte(a: __m512i) -> __m512i { _mm512_and_si512(a, _mm512_set1_epi32(0xff)) }
+        fn second_byte(a: __m512i) -> __m512i {
+            _mm512_and_si512(_mm512_srli_epi32::<8>(a), _mm512_set1_epi32(0xff))
+        }
+
         // The products with 1, 0 and -1, added in pairs as i32, cannot overflow.
         fn first(pair: __m512i) -> __m512i { _mm512_madd_epi16(pair, _mm512_set1_epi32(1)) }
         fn second(pair: __m512i) -> __m512i { _mm512_srai_epi32::<16>(pair) }

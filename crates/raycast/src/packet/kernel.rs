@@ -13,7 +13,7 @@ use super::{
     map_lookup::Pace,
     out::Out,
     pool::{Packet, Pool},
-    scene::{BRUTE, CLASSES, Scene, TRANSPARENT},
+    scene::{BRUTE, CLASSES, Scene, TRANSPARENT, VALUES},
     source::Source,
 };
 use crate::CastStats;
@@ -149,6 +149,11 @@ impl Scene<'_> {
                     }
                     continue;
                 }
+            }
+            if LEAP == VALUES {
+                active &=
+                    self.step_over_values::<L, O>(l, &mut packet, &pace, active, &mut band.stats);
+                continue;
             }
             let mut walk = active;
             if LEAP != BRUTE {

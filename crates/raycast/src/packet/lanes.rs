@@ -87,6 +87,11 @@ pub(crate) trait Lanes: Copy {
     /// Return the remainder of a number divided by 4; the number must not be negative.
     fn modulo_4(self, a: Self::I) -> Self::I;
 
+    /// Return the lowest byte of each lane, 0 to 255.
+    fn low_byte(self, a: Self::I) -> Self::I;
+    /// Return the second lowest byte of each lane, 0 to 255.
+    fn second_byte(self, a: Self::I) -> Self::I;
+
     /// Return the first of the two int16 in each lane, as an i32.
     fn first(self, pair: Self::I) -> Self::I;
     /// Return the second of the two int16 in each lane, as an i32.

@@ -4,10 +4,14 @@ use carina_isoregion::MAX_SEGMENT_SAMPLES;
 
 use super::{
     lanes::{Lanes, each_lane},
+    out::Out,
     pool::Packet,
     scene::Scene,
 };
-use crate::leap::{FAR, MAX_PATIENCE, MAX_STEPS, MIN_PATIENCE, Price};
+use crate::{
+    CastStats,
+    leap::{FAR, MAX_PATIENCE, MAX_STEPS, MIN_PATIENCE, Price},
+};
 
 /// Ray steps per voxel on each axis, with and without the sign of the direction, for each lane; see `leap::Pace`.
 #[derive(Clone, Copy)]
@@ -143,14 +147,33 @@ impl Scene<'_> {
             l.sub_i(label, l.splat_i(1)),
             l.splat_i(MAX_SEGMENT_SAMPLES as i32 + 1),
         );
+        self.add_segments(l, packet, leaps, label, row, &mut n);
+        self.settle(l, packet, looked_up, leaps, n);
         let limit = l.splat(self.frame.stop);
-        let mut segment = self.segments_at(l, row, n);
+        (leaps, l.and(leaps, l.less(packet.transparency, limit)))
+    }
+
+    /// Add the segments of `n` samples of a label in the lanes `leaps`; `row` is the label's row in the step table.
+    ///
+    /// `n` becomes smaller in the lanes whose ray ends within its segment.
+    #[inline(always)]
+    fn add_segments<L: Lanes>(
+        &self,
+        l: L,
+        packet: &mut Packet<L>,
+        leaps: L::M,
+        label: L::I,
+        row: L::I,
+        n: &mut L::I,
+    ) {
+        let limit = l.splat(self.frame.stop);
+        let mut segment = self.segments_at(l, row, *n);
         let faint = l.less(l.mul(packet.transparency, segment[3]), limit);
         let crossing = l.bits(l.and(leaps, faint));
         if crossing != 0 {
             // The sample where brute force would stop is searched; this happens once per ray.
             let (labels, transparency) = (l.store_i(label), l.store(packet.transparency));
-            let mut cut = l.store_i(n);
+            let mut cut = l.store_i(*n);
             each_lane(crossing, |lane| {
                 cut[lane] = self.segments.samples_until(
                     labels[lane] as u8,
@@ -159,8 +182,8 @@ impl Scene<'_> {
                     self.frame.stop,
                 ) as i32;
             });
-            n = l.load_i(&cut);
-            segment = self.segments_at(l, row, n);
+            *n = l.load_i(&cut);
+            segment = self.segments_at(l, row, *n);
         }
         for c in 0..3 {
             let sum = l.fma(packet.transparency, segment[c], packet.rgb[c]);
@@ -168,7 +191,53 @@ impl Scene<'_> {
         }
         let through = l.mul(packet.transparency, segment[3]);
         packet.transparency = l.select(leaps, through, packet.transparency);
-        self.settle(l, packet, looked_up, leaps, n);
-        (leaps, l.and(leaps, l.less(packet.transparency, limit)))
+    }
+
+    /// Take one step in the lanes `walks`: the segment within the cube round the nearest voxel; see
+    /// `leap::cast_values`. Return the lanes whose ray goes on.
+    #[inline(always)]
+    pub(super) fn step_over_values<L: Lanes, O: Out>(
+        &self,
+        l: L,
+        packet: &mut Packet<L>,
+        pace: &Pace<L>,
+        walks: u32,
+        stats: &mut CastStats,
+    ) -> u32 {
+        let p = packet.at(l, packet.k, self.frame.origin3());
+        let (index, v) = self.voxels.nearest(l, p);
+        // SAFETY: the map has as many words as the volume has voxels, and `nearest` clamps the index to them in all
+        // lanes. Benchmark: benchmarks/measurements/rendering.md.
+        let word = unsafe { l.voxels(self.words.as_ptr().cast(), index) };
+        let (label, r) = (l.low_byte(word), l.second_byte(word));
+        let n = pace.steps(l, p, v, l.add(l.to_f(r), l.splat(self.margin)));
+        let left = l.sub_i(packet.end, packet.k);
+        let n = l.min_i(l.add_i(n, l.splat_i(1)), left);
+        let mut n = l.min_i(n, l.splat_i(MAX_SEGMENT_SAMPLES as i32));
+        let one = l.splat_i(1);
+        let unlabelled = l.and(l.mask(walks), l.less_i(label, one));
+        let leaps = l.without(l.mask(walks), unlabelled);
+        let first_visible = l.splat_i(i32::from(self.segments.first_visible()));
+        let visible = l.without(leaps, l.less_i(label, first_visible));
+        if l.bits(visible) != 0 {
+            let row = l.mul_i(
+                l.sub_i(label, one),
+                l.splat_i(MAX_SEGMENT_SAMPLES as i32 + 1),
+            );
+            self.add_segments(l, packet, visible, label, row, &mut n);
+        }
+        packet.k = l.select_i(leaps, l.add_i(packet.k, n), packet.k);
+        let long = l.bits(l.and(leaps, l.less_i(one, n)));
+        stats.num_lookups += u64::from(walks.count_ones());
+        stats.num_leaps += u64::from(long.count_ones());
+        stats.num_samples += u64::from((walks & !long).count_ones());
+        let rare = l.bits(unlabelled);
+        if rare != 0 {
+            stats.num_loads += u64::from(rare.count_ones());
+            let at = packet.k;
+            self.take_samples::<L, O, false, true>(l, packet, at, unlabelled);
+        }
+        let faint = l.less(packet.transparency, l.splat(self.frame.stop));
+        l.bits(l.without(l.less_i(packet.k, packet.end), faint))
     }
 }

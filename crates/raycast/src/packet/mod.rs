@@ -39,7 +39,7 @@ use carina_isoregion::SegmentTable;
 use crate::{
     CastStats, ClassMap, Frame, InstructionSet, Interpolation, Method,
     composite::Gathered,
-    leap::{CELL_REACH, Price, Start, class_margin},
+    leap::{CELL_REACH, Price, Start, class_margin, value_margin},
 };
 #[cfg(target_arch = "x86_64")]
 use gathers::gathers_are_faster;
@@ -48,7 +48,7 @@ use out::{Out, Rgb8, Walls};
 #[cfg(target_arch = "x86_64")]
 use pair::Pair;
 pub(crate) use plane::{PlaneTiles, TILE_ROWS};
-use scene::{BRUTE, CLASSES, Scene, TRANSPARENT};
+use scene::{BRUTE, CLASSES, Scene, TRANSPARENT, VALUES};
 pub(crate) use source::BAND_ROWS;
 use source::Source;
 use voxels::Voxels;
@@ -97,7 +97,20 @@ impl<'a> Packets<'a> {
                 1,
             ),
             Method::LeapClasses(map) if map.segments.entries().is_empty() => return None,
-            Method::LeapClasses(map) => (CLASSES, map, class_margin(frame, nearest), 2),
+            Method::LeapClasses(map) => (CLASSES, map, class_margin(frame), 2),
+            Method::LeapValues(map) => (
+                VALUES,
+                ClassMap {
+                    segments: map.segments,
+                    ..none
+                },
+                value_margin(frame),
+                1,
+            ),
+        };
+        let words = match method {
+            Method::LeapValues(map) => map.words,
+            _ => &[],
         };
         let fits = frame.most_steps() < f64::from(1 << 30);
         let voxels = Voxels::of(&frame.field).filter(|_| fits)?;
@@ -108,6 +121,7 @@ impl<'a> Packets<'a> {
                 voxels,
                 radius: map.radius,
                 labels: map.labels,
+                words,
                 segments: map.segments,
                 margin,
                 start: Start::of(frame, method),
@@ -213,7 +227,7 @@ impl<'a> Packets<'a> {
             (false, true, TRANSPARENT) => {
                 scene.cast::<L, S, O, false, true, TRANSPARENT, false>(l, source, out)
             }
-            (false, true, _) => scene.cast::<L, S, O, false, true, CLASSES, false>(l, source, out),
+            (false, true, _) => scene.cast::<L, S, O, false, true, VALUES, false>(l, source, out),
         }
     }
 }

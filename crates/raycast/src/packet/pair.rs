@@ -119,6 +119,8 @@ impl<L: Lanes> Lanes for Pair<L> {
         fn without(a: M, b: M) -> M;
         fn quarters(a: I) -> I;
         fn modulo_4(a: I) -> I;
+        fn low_byte(a: I) -> I;
+        fn second_byte(a: I) -> I;
         fn first(pair: I) -> I;
         fn second(pair: I) -> I;
         fn rise(pair: I) -> I;

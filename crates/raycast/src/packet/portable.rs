@@ -148,6 +148,9 @@ impl Lanes for Portable {
         fn quarters(a: i32) -> i32 { a >> 2 }
         fn modulo_4(a: i32) -> i32 { a & 3 }
 
+        fn low_byte(a: i32) -> i32 { a & 0xff }
+        fn second_byte(a: i32) -> i32 { a >> 8 & 0xff }
+
         fn first(pair: i32) -> i32 { halves(pair).0 }
         fn second(pair: i32) -> i32 { halves(pair).1 }
         fn rise(pair: i32) -> i32 { halves(pair).1 - halves(pair).0 }

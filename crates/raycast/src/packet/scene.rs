@@ -14,6 +14,8 @@ pub(super) const BRUTE: u8 = 0;
 pub(super) const TRANSPARENT: u8 = 1;
 /// Casting with leaps over all classes; the step table gives the colour of a leap.
 pub(super) const CLASSES: u8 = 2;
+/// Casting of nearest-voxel samples with leaps over equal values; the step table gives the colour of a leap.
+pub(super) const VALUES: u8 = 3;
 
 /// Parameters that all packets of a picture share.
 #[derive(Clone, Copy)]
@@ -24,6 +26,8 @@ pub(super) struct Scene<'a> {
     pub radius: &'a [u8],
     /// Label of each voxel; empty, like the step table, unless all classes are leaped.
     pub labels: &'a [u8],
+    /// Label and radius of each voxel in one word; empty unless values are leaped.
+    pub words: &'a [u16],
     pub segments: &'a SegmentTable,
     /// Distance in voxels by which a leap may exceed the radius of its region.
     pub margin: f32,

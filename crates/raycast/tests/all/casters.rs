@@ -6,11 +6,12 @@
 //! stays within a bound, derived for each ray, of the effect of rounding at such a jump. `truth.rs` tests the accuracy
 //! with the volumes and transfer functions of a CT: at most one grey level.
 
-use crate::scene::{Scene, any_scene, options};
+use crate::scene::{Scene, any_scene, options, step_table, words};
 use carina_grid::{VolumeView, clip_line_to_box};
 use carina_isoregion::{SegmentTable, cell_map, class_labels, radius_map, value_labels};
 use carina_raycast::{
-    CastStats, ClassMap, Frame, InstructionSet, Interpolation, Method, TransferTable, cast_rows,
+    CastStats, ClassMap, Frame, InstructionSet, Interpolation, Method, TransferTable, ValueMap,
+    cast_rows,
 };
 use proptest::prelude::*;
 
@@ -72,9 +73,14 @@ proptest! {
             class_labels(&scene.hu, -1100, &scene.transfer(false).range(-1100, 3100), false).unwrap()
         };
         let radius = radius_map(&out.labels, scene.grid.shape_zyx()).unwrap();
-        let segments = SegmentTable::new(&class_colours(&table, &out.classes));
-        let map = ClassMap { labels: &out.labels, radius: &radius, segments: &segments };
-        let (leap, some) = cast(&scene, false, nearest, Method::LeapClasses(map));
+        let segments = step_table(class_colours(&table, &out.classes));
+        let words = words(&out.labels, &radius);
+        let method = if nearest {
+            Method::LeapValues(ValueMap { words: &words, segments: &segments })
+        } else {
+            Method::LeapClasses(ClassMap { labels: &out.labels, radius: &radius, segments: &segments })
+        };
+        let (leap, some) = cast(&scene, false, nearest, method);
         for (a, b) in brute.iter().zip(&leap) {
             // A segment is rounded once, its samples one by one; rounding to 8 bits can then differ by one level.
             prop_assert!(a.abs_diff(*b) <= 1, "{a} {b}");

@@ -4,11 +4,11 @@
 
 use std::ops::Range;
 
-use crate::scene::{Scene, any_scene, options};
+use crate::scene::{Scene, any_scene, options, step_table, words};
 use carina_grid::{Affine, Camera, Grid, VolumeView};
-use carina_isoregion::{SegmentTable, cell_map, class_labels, radius_map, value_labels};
+use carina_isoregion::{cell_map, class_labels, radius_map, value_labels};
 use carina_raycast::{
-    CastStats, ClassMap, Frame, InstructionSet, Method, cast_rows, cast_rows_scalar,
+    CastStats, ClassMap, Frame, InstructionSet, Method, ValueMap, cast_rows, cast_rows_scalar,
 };
 use proptest::prelude::*;
 
@@ -19,6 +19,8 @@ enum Kind {
     Transparent,
     /// Leaps over all classes, which are never shaded.
     Classes,
+    /// Leaps over equal values, only for samples of the nearest voxel.
+    Values,
 }
 
 #[derive(Debug, Clone)]
@@ -33,7 +35,8 @@ fn any_kind() -> impl Strategy<Value = (Kind, bool, bool)> {
     prop_oneof![
         (Just(Kind::Brute), any::<bool>(), any::<bool>()),
         (Just(Kind::Transparent), any::<bool>(), any::<bool>()),
-        (Just(Kind::Classes), Just(false), any::<bool>()),
+        (Just(Kind::Classes), Just(false), Just(false)),
+        (Just(Kind::Values), Just(false), Just(true)),
     ]
     .prop_map(|(kind, shaded, nearest)| (kind, shaded, nearest && !shaded))
 }
@@ -49,17 +52,13 @@ struct Maps {
 
 fn maps(scene: &Scene, case: &Case) -> Maps {
     let entries = scene.transfer(case.nearest).range(-1100, 3100);
-    let only_transparent = case.kind != Kind::Classes;
-    let out = if case.nearest && case.kind == Kind::Classes {
+    let by_radius = matches!(case.kind, Kind::Classes | Kind::Values);
+    let out = if case.kind == Kind::Values {
         value_labels(&scene.hu, |_, _| false)
     } else {
-        class_labels(&scene.hu, -1100, &entries, only_transparent).unwrap()
+        class_labels(&scene.hu, -1100, &entries, !by_radius).unwrap()
     };
-    let map = if case.kind == Kind::Classes {
-        radius_map
-    } else {
-        cell_map
-    };
+    let map = if by_radius { radius_map } else { cell_map };
     Maps {
         radius: map(&out.labels, scene.grid.shape_zyx()).unwrap(),
         labels: out.labels,
@@ -76,13 +75,18 @@ fn cast(scene: &Scene, maps: &Maps, case: &Case) -> (Cast, Vec<(InstructionSet, 
     let settings = options(case.shaded, case.nearest);
     let frame = Frame::new(volume, &table, scene.camera.clone(), settings).unwrap();
     let colours: Vec<_> = maps.values.iter().map(|&v| table.entry(v)).collect();
-    let segments = SegmentTable::new(&colours);
+    let segments = step_table(colours);
+    let words = words(&maps.labels, &maps.radius);
     let method = match case.kind {
         Kind::Brute => Method::Brute,
         Kind::Transparent => Method::LeapTransparent(&maps.radius),
         Kind::Classes => Method::LeapClasses(ClassMap {
             labels: &maps.labels,
             radius: &maps.radius,
+            segments: &segments,
+        }),
+        Kind::Values => Method::LeapValues(ValueMap {
+            words: &words,
             segments: &segments,
         }),
     };
@@ -197,7 +201,7 @@ const KINDS: [(Kind, bool, bool); 8] = [
     (Kind::Classes, false, false),
     (Kind::Brute, false, true),
     (Kind::Transparent, false, true),
-    (Kind::Classes, false, true),
+    (Kind::Values, false, true),
 ];
 
 #[test]

@@ -6,6 +6,7 @@
 )]
 
 use carina_grid::{Affine, Camera, Grid};
+use carina_isoregion::SegmentTable;
 use carina_raycast::{FrameOptions, Interpolation, Light, Transfer, TransferTable};
 use proptest::prelude::*;
 
@@ -187,4 +188,16 @@ pub(crate) fn any_scene() -> impl Strategy<Value = Scene> {
                 )
             },
         )
+}
+
+/// Return the words of a map of values: label plus 256 times radius.
+pub(crate) fn words(labels: &[u8], radius: &[u8]) -> Vec<u16> {
+    let word = |(&label, &radius)| u16::from_le_bytes([label, radius]);
+    labels.iter().zip(radius).map(word).collect()
+}
+
+/// Return the step table of all 255 labels; labels without a colour are transparent.
+pub(crate) fn step_table(mut colours: Vec<[f32; 4]>) -> SegmentTable {
+    colours.resize(255, [0.0; 4]);
+    SegmentTable::new(&colours)
 }

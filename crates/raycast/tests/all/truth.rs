@@ -8,11 +8,12 @@ use std::ops::AddAssign;
 
 use crate::anatomy::{Chest, Dice, looks};
 use crate::reference::{Matrix, Shares, View, World, to_8_bit};
+use crate::scene::{step_table, words};
 use carina_grid::{Affine, Camera, Grid, VolumeView};
-use carina_isoregion::{SegmentTable, cell_map, class_labels, radius_map, value_labels};
+use carina_isoregion::{cell_map, class_labels, radius_map, value_labels};
 use carina_raycast::{
     CastStats, ClassMap, Frame, FrameOptions, InstructionSet, Interpolation, Light, Method,
-    Transfer, TransferTable, cast_rows, cast_rows_scalar,
+    Transfer, TransferTable, ValueMap, cast_rows, cast_rows_scalar,
 };
 use rayon::prelude::*;
 
@@ -251,6 +252,7 @@ fn leaps_over_opaque_classes(num_poses: u64, seed: u64, nearest: bool) -> (Tally
                 class_labels(&chest.hu, LO, &transfer.range(LO, HI), false).unwrap()
             };
             let radius = radius_map(&out.labels, grid.shape_zyx()).unwrap();
+            let words = words(&out.labels, &radius);
             let (mut tally, mut skipped) = (Tally::default(), 0);
             for _ in 0..10u64.min(num_poses - 10 * n) {
                 let step_mm = if nearest {
@@ -260,11 +262,18 @@ fn leaps_over_opaque_classes(num_poses: u64, seed: u64, nearest: bool) -> (Tally
                 };
                 let table = TransferTable::new(&transfer, step_mm, LO as i16, HI as i16).unwrap();
                 let colours: Vec<_> = out.classes.iter().map(|c| table.entry(c.lo_hu)).collect();
-                let segments = SegmentTable::new(&colours);
-                let map = ClassMap {
-                    labels: &out.labels,
-                    radius: &radius,
-                    segments: &segments,
+                let segments = step_table(colours);
+                let leaps = if nearest {
+                    Method::LeapValues(ValueMap {
+                        words: &words,
+                        segments: &segments,
+                    })
+                } else {
+                    Method::LeapClasses(ClassMap {
+                        labels: &out.labels,
+                        radius: &radius,
+                        segments: &segments,
+                    })
                 };
                 let view = chest.view(&mut dice, 40, 30);
                 let options = FrameOptions {
@@ -280,11 +289,9 @@ fn leaps_over_opaque_classes(num_poses: u64, seed: u64, nearest: bool) -> (Tally
                 let frame = Frame::new(volume, &table, camera_of(&view), options).unwrap();
                 let best = InstructionSet::best();
                 let brute = cast_rows_scalar(&frame, Method::Brute, 0..30, best).unwrap();
-                let leap = cast_rows_scalar(&frame, Method::LeapClasses(map), 0..30, best).unwrap();
+                let leap = cast_rows_scalar(&frame, leaps, 0..30, best).unwrap();
                 for simd in InstructionSet::available() {
-                    for (method, truth) in
-                        [(Method::Brute, &brute), (Method::LeapClasses(map), &leap)]
-                    {
+                    for (method, truth) in [(Method::Brute, &brute), (leaps, &leap)] {
                         let found = cast_rows(&frame, method, 0..30, simd).unwrap();
                         assert!(found == *truth, "{}", simd.name());
                     }

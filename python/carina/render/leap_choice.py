@@ -1,0 +1,126 @@
+"""Choice between leaps over equal values and brute force, by the times of both in the view."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from carina import _core
+from carina.render.scene import ValueMaps
+from carina.render.transfer_function import TransferFunction
+from carina.render.views import AirwayView
+from carina.scopes import Pose
+
+MIN_PIXELS = 64 * 64
+"""Number of pixels below which a measurement takes longer than it saves; the trial rays decide there."""
+PICTURES_BETWEEN = 16
+"""Number of pictures along a flight for which one measurement serves."""
+NEAR_TURN_RAD = 0.25
+"""Turn of the camera beyond which a measurement does not serve."""
+NEAR_SHARE = 0.1
+"""Share of the volume's diagonal that the camera may move before a measurement does not serve."""
+STRIPS = 4
+"""Number of strips of a picture that are timed."""
+STRIP_ROWS = 4
+"""Number of rows of a strip: one band of the caster."""
+ROUNDS = 3
+"""Number of times that each strip is timed with each method; the least time counts."""
+MIN_GAIN = 0.02
+"""Share of the cost of brute force that leaps must save; a smaller gain is within the error of a measurement."""
+MAX_VIEWS = 64
+"""Number of views whose choice is stored."""
+
+CostOf = Callable[[tuple[int, int], bool], float]
+"""Function that returns the cost of rows with leaps (True) or by brute force (False)."""
+
+
+class LeapChoice:
+    """Choice of the faster method for views of one volume, measured once for views that are near each other.
+
+    All strips of a view and the whole picture have the same choice, so that they fit together bit for bit.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._scene: tuple[ValueMaps, TransferFunction] | None = None
+        self._chosen: dict[bytes, bool] = {}
+        self._measured: Pose | None = None
+        self._last = True
+        self._pictures = 0
+
+    def leaps(
+        self, scene: tuple[ValueMaps, TransferFunction], view: AirwayView, cost_of: CostOf, *, diagonal_mm: float
+    ) -> bool | None:
+        """Return whether leaps are faster in a view; None if the picture is too small for a measurement."""
+        if view.width * view.height < MIN_PIXELS or view.height < STRIPS * STRIP_ROWS:
+            return None
+        key = repr((view.width, view.height, view.fov_deg, view.lens)).encode() + view.pose.lps_from_camera.tobytes()
+        with self._lock:
+            if not self._is_for(scene):
+                self._scene, self._chosen, self._measured = scene, {}, None
+            chosen = self._chosen.get(key)
+            if chosen is None and self._serves(view.pose, diagonal_mm):
+                self._pictures += 1
+                chosen = self._choose(key, self._last)
+        if chosen is not None:
+            return chosen
+        faster = is_faster(view.height, cost_of)
+        with self._lock:
+            if not self._is_for(scene):
+                return faster
+            self._measured, self._last, self._pictures = view.pose, faster, 0
+            return self._choose(key, faster)
+
+    def _is_for(self, scene: tuple[ValueMaps, TransferFunction]) -> bool:
+        # The entry holds references to its maps and transfer function, so no others can have their identity.
+        return self._scene is not None and self._scene[0] is scene[0] and self._scene[1] is scene[1]
+
+    def _serves(self, pose: Pose, diagonal_mm: float) -> bool:
+        """Return whether the last measurement serves for a pose."""
+        if self._measured is None or self._pictures >= PICTURES_BETWEEN:
+            return False
+        before, now = self._measured.lps_from_camera, pose.lps_from_camera
+        moved_mm = float(np.linalg.norm(now[:3, 3] - before[:3, 3]))
+        turned_rad = float(np.arccos(np.clip(now[:3, 2] @ before[:3, 2], -1.0, 1.0)))
+        return moved_mm <= NEAR_SHARE * diagonal_mm and turned_rad <= NEAR_TURN_RAD
+
+    def _choose(self, key: bytes, leaps: bool) -> bool:
+        """Store the choice for a view unless another thread has stored one, and return the stored choice."""
+        if len(self._chosen) >= MAX_VIEWS:
+            del self._chosen[next(iter(self._chosen))]
+        return self._chosen.setdefault(key, leaps)
+
+
+def is_faster(height: int, cost_of: CostOf) -> bool:
+    """Return whether leaps cost less than brute force in strips that are spread over a picture of ``height`` rows.
+
+    Leaps must save `MIN_GAIN` of the cost.
+    """
+    total = {True: 0.0, False: 0.0}
+    for n in range(STRIPS):
+        first = min((2 * n + 1) * height // (2 * STRIPS), height - STRIP_ROWS)
+        rows = (first, first + STRIP_ROWS)
+        costs: dict[bool, list[float]] = {True: [], False: []}
+        for turn in range(ROUNDS):
+            # The first method of a round finds less of the volume in the caches, so the methods alternate.
+            for leaps in (turn % 2 == 0, turn % 2 == 1):
+                costs[leaps].append(cost_of(rows, leaps))
+        for leaps, values in costs.items():
+            total[leaps] += min(values)
+    return total[True] < (1.0 - MIN_GAIN) * total[False]
+
+
+def processor_time_of(cast: Callable[[], object]) -> float:
+    """Return the processor time of a cast in all its threads, s; the wall time if no thread has a fine clock.
+
+    The calling thread casts a single band of rows itself, without the picture threads.
+    """
+    pool, own, wall = _core.picture_clock_s(), time.thread_time(), time.perf_counter()
+    cast()
+    wall, own, pool_after = time.perf_counter() - wall, time.thread_time() - own, _core.picture_clock_s()
+    if pool is not None and pool_after is not None and pool_after > pool:
+        own += (pool_after - pool) * _core.picture_threads()
+    return own if own > 0.0 else wall

@@ -1,0 +1,152 @@
+"""Choice between leaps over equal values and brute force, with given costs in place of measured times."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from carina.render import AirwayView, Renderer, TransferFunction
+from carina.render.leap_choice import MAX_VIEWS, MIN_GAIN, PICTURES_BETWEEN, ROUNDS, STRIPS, LeapChoice, is_faster
+from carina.render.scene import ValueMaps
+from carina.scopes import Pose
+from carina.volume import Volume
+
+DIAGONAL_MM = 200.0
+
+
+class Costs:
+    """Costs of strips that do not depend on time, and the number of strips that were measured."""
+
+    def __init__(self, leap, brute):
+        self.leap, self.brute, self.calls = leap, brute, 0
+
+    def __call__(self, rows, leaps):
+        assert 0 <= rows[0] < rows[1]
+        self.calls += 1
+        return self.leap(rows) if leaps else self.brute(rows)
+
+
+def constant(leap, brute):
+    return Costs(lambda _rows: leap, lambda _rows: brute)
+
+
+@pytest.fixture
+def scene():
+    ramp = TransferFunction(points=np.array([[0.0, 0, 0, 0, 0.0], [255.0, 1, 1, 1, 0.9]]), unit="raw")
+    return ValueMaps(words=np.zeros((2, 2, 2), np.uint16), label_values=[0]), ramp
+
+
+def view_at(x_mm=0.0, direction=(0.0, 0.0, 1.0), size=64):
+    return AirwayView(Pose.looking((x_mm, 0.0, 0.0), direction), width=size, height=size)
+
+
+@pytest.mark.parametrize("leap", [0.5, 0.999 - MIN_GAIN, 1.001 - MIN_GAIN, 1.0, 2.0])
+def test_leaps_are_chosen_if_they_save_the_least_gain(scene, leap):
+    choice = LeapChoice().leaps(scene, view_at(), constant(leap, 1.0), diagonal_mm=DIAGONAL_MM)
+    assert choice is (leap < 1.0 - MIN_GAIN)
+
+
+def test_costs_are_summed_over_strips_of_the_whole_picture():
+    def leap(rows):
+        return 10.0 if rows[0] < 30 else 1.0
+
+    assert is_faster(120, Costs(leap, lambda _rows: 6.0))
+    assert not is_faster(120, Costs(leap, lambda _rows: 3.0))
+
+
+def test_interrupted_measurement_of_a_strip_does_not_change_the_choice():
+    spikes = iter([100.0] + [1.0] * 99)
+    assert is_faster(64, Costs(lambda _rows: next(spikes), lambda _rows: 2.0))
+
+
+def test_one_view_is_measured_once_and_its_choice_stays(scene):
+    choice, costs = LeapChoice(), constant(1.0, 2.0)
+    assert choice.leaps(scene, view_at(), costs, diagonal_mm=DIAGONAL_MM)
+    calls = costs.calls
+    assert calls == 2 * ROUNDS * STRIPS
+    later = constant(2.0, 1.0)
+    for _ in range(3 * PICTURES_BETWEEN):
+        assert choice.leaps(scene, view_at(), later, diagonal_mm=DIAGONAL_MM)
+    assert later.calls == 0
+
+
+def test_views_near_the_measured_one_are_measured_again_only_after_some_pictures(scene):
+    choice = LeapChoice()
+    choice.leaps(scene, view_at(), constant(1.0, 2.0), diagonal_mm=DIAGONAL_MM)
+    later = constant(2.0, 1.0)
+    chosen = [
+        choice.leaps(scene, view_at(0.1 * n), later, diagonal_mm=DIAGONAL_MM) for n in range(1, PICTURES_BETWEEN + 2)
+    ]
+    assert chosen == [True] * PICTURES_BETWEEN + [False]
+
+
+@pytest.mark.parametrize("view", [view_at(0.2 * DIAGONAL_MM), view_at(direction=(1.0, 0.0, 0.5))])
+def test_camera_that_has_moved_or_turned_far_is_measured_again(scene, view):
+    choice = LeapChoice()
+    assert choice.leaps(scene, view_at(), constant(1.0, 2.0), diagonal_mm=DIAGONAL_MM)
+    assert not choice.leaps(scene, view, constant(2.0, 1.0), diagonal_mm=DIAGONAL_MM)
+
+
+def test_another_transfer_function_or_map_is_measured_again(scene):
+    choice = LeapChoice()
+    maps, transfer = scene
+    assert choice.leaps(scene, view_at(), constant(1.0, 2.0), diagonal_mm=DIAGONAL_MM)
+    for other in ((maps, dataclasses.replace(transfer)), (dataclasses.replace(maps), transfer)):
+        assert not choice.leaps(other, view_at(), constant(2.0, 1.0), diagonal_mm=DIAGONAL_MM)
+
+
+def test_small_picture_is_not_measured(scene):
+    costs = constant(1.0, 2.0)
+    assert LeapChoice().leaps(scene, view_at(size=48), costs, diagonal_mm=DIAGONAL_MM) is None
+    assert costs.calls == 0
+
+
+def test_number_of_stored_choices_is_limited(scene):
+    choice = LeapChoice()
+    for n in range(2 * MAX_VIEWS):
+        choice.leaps(scene, view_at(100.0 * n), constant(1.0, 2.0), diagonal_mm=DIAGONAL_MM)
+    assert len(choice._chosen) == MAX_VIEWS
+
+
+@pytest.fixture
+def paper_renderer(airway):
+    values = np.clip((airway.volume.hu_zyx.astype(np.int32) + 1000) // 5, 0, 255).astype(np.int16)
+    # Noise in the lumen would leave no equal neighbours to leap over.
+    values[values < 60] = 5
+    ramp = TransferFunction(
+        points=np.array([[0.0, 0, 0, 0, 0.0], [20.0, 0, 0, 0, 0.0], [255.0, 1, 1, 1, 0.9]]),
+        sampling="nearest",
+        unit="raw",
+    )
+    renderer = Renderer(Volume(values, airway.volume.lps_from_ijk), transfer=ramp)
+    renderer.prepare()
+    return renderer
+
+
+@pytest.mark.parametrize("leaps", [True, False])
+def test_automatic_picture_is_that_of_the_chosen_method_also_in_strips(airway, paper_renderer, monkeypatch, leaps):
+    monkeypatch.setattr("carina.render.leap_choice.is_faster", lambda _height, _cost: leaps)
+    automatic = AirwayView(airway.pose, width=96, height=64)
+    forced = dataclasses.replace(automatic, method="leap-always" if leaps else "brute")
+    expected = paper_renderer.render(forced)
+    whole = paper_renderer.render(automatic)
+    np.testing.assert_array_equal(whole.rgb, expected.rgb)
+    assert whole.stats.num_leaps == expected.stats.num_leaps
+    assert (whole.stats.num_leaps > 0) is leaps
+    strips = [paper_renderer.render(automatic, rows=rows).rgb for rows in ((0, 10), (10, 64))]
+    np.testing.assert_array_equal(np.concatenate(strips), expected.rgb)
+    assert paper_renderer.with_chosen_method(automatic).method == forced.method
+
+
+def test_automatic_leaping_and_brute_pictures_differ_by_at_most_one_level(airway, paper_renderer):
+    pictures = [
+        paper_renderer.render(AirwayView(airway.pose, width=96, height=64, method=method)).rgb.astype(int)
+        for method in ("leap", "leap-always", "brute")
+    ]
+    for picture in pictures[:2]:
+        off = np.abs(picture - pictures[2])
+        assert off.max() <= 1
+        # One pixel in ten thousand may differ; a picture of 6144 pixels has at most one such pixel on average.
+        assert np.count_nonzero(off.any(axis=-1)) <= 3
