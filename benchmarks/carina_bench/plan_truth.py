@@ -16,8 +16,9 @@ branches are one lumen). No part of it may be a branch that was drawn by hand. A
 outlook states that the scope reaches the target.
 
 These rules ignore whether the scope can point there. Therefore each row also has ``points``: whether a drive of the
-scope along the first route *in the wall of the true airways* arrives and at least half of the needles with random
-errors, from the tip and in the direction of the drive, meet the true nodule.
+scope along the first route *in the wall of the true airways* (`carina_bench.plan_true_drive`) arrives and at least half
+of the needles with random errors, from the tip and in the direction of the drive, meet the true nodule. A route that
+does not arrive by the rules above, for example because its true airway is narrower than ``fit_mm``, does not point.
 The old figure (``arrives``) and the new one (``arrives`` and ``points``) are reported beside each other.
 
 Two searches in the true airways look for holds of the scope from which at least half of the needles with random errors
@@ -52,13 +53,14 @@ from numpy.typing import NDArray
 import carina.plan
 from carina.config import load_settings
 from carina.errors import CarinaError
-from carina.plan import NeedleErrors, Plan, grow_nodule, judge_scope, plan_route
+from carina.plan import Plan, grow_nodule, plan_route
 from carina.plan.routes.plan_route import MAX_ANGLE_DEG, PlannedRoute
 from carina.scopes import ScopeDrive, ScopePreset, WallField, scope_preset
 from carina.track import AirwayTree
 from carina_bench import plan_cases
 from carina_bench.plan_cases import PlanCase, Target, TrueTree, found_case, patient_cases, phantom_case, true_wall
 from carina_bench.plan_holds import find_hold
+from carina_bench.plan_true_drive import points_in_truth, strikes
 
 __all__ = ["Flight", "flown", "is_reachable", "run"]
 
@@ -210,15 +212,6 @@ def _strayed(truth: TrueTree, way: Floats, at: int) -> str | None:
     return None
 
 
-def points(case: PlanCase, target: Target, plan: Plan, wall: WallField) -> bool:
-    """Return whether a drive along the first route in the true wall ends with a pose that hits the true nodule."""
-    assert case.airways is not None
-    verdict = judge_scope(case.airways.tree, plan, wall, plan.scope)
-    if verdict.driven is None or not verdict.driven.arrived:
-        return False
-    return _strikes(verdict.driven.lps_from_camera[-1], target, plan.tool.reach_mm)
-
-
 def accepted(case: PlanCase, target: Target, plan: Plan) -> bool:
     """Return whether the geometric search finds a hold that hits, near the tip after the first route's drive."""
     tip = np.array(plan.routes[0].leg.tip_lps)
@@ -264,7 +257,7 @@ def _holds_hit(drive: ScopeDrive, target: Target, reach_mm: float) -> bool:
     for roll in np.linspace(0.0, 2.0 * np.pi, NUM_ROLLS, endpoint=False):
         for lever_deg in LEVERS_DEG:
             tip = tip_at(float(roll), lever_deg)
-            if _strikes(tip, target, reach_mm):
+            if strikes(tip, target, reach_mm):
                 return True
             off = centre - tip[:3, 3]
             distance = max(float(np.linalg.norm(off)), target.radius_mm)
@@ -275,32 +268,11 @@ def _holds_hit(drive: ScopeDrive, target: Target, reach_mm: float) -> bool:
     if found[0][0] > NEARLY_DEG:
         return False
     return any(
-        _strikes(tip_at(roll + math.radians(turn), min(max(lever_deg + more, 0.0), LEVERS_DEG[-1])), target, reach_mm)
+        strikes(tip_at(roll + math.radians(turn), min(max(lever_deg + more, 0.0), LEVERS_DEG[-1])), target, reach_mm)
         for _, roll, lever_deg in found[:NUM_FINER]
         for turn in FINER_DEG
         for more in FINER_DEG
     )
-
-
-def _strikes(lps_from_tip: Floats, target: Target, reach_mm: float) -> bool:
-    return _meets(lps_from_tip, target, reach_mm) and _hits(lps_from_tip, target, reach_mm) >= MIN_HITS
-
-
-def _meets(lps_from_tip: Floats, target: Target, reach_mm: float) -> bool:
-    line = lps_from_tip[:3, 3] + np.arange(0.0, reach_mm + 1e-9, EDGE_MM)[:, None] * lps_from_tip[:3, 2]
-    return bool((np.linalg.norm(line - np.array(target.centre_lps), axis=1) <= target.radius_mm).any())
-
-
-def _hits(lps_from_tip: Floats, target: Target, reach_mm: float) -> float:
-    """Return the share of needles with random errors that meet a target, from a tip in its direction."""
-    rng = np.random.default_rng(5)
-    off = np.array(target.centre_lps) - lps_from_tip[:3, 3]
-    distance = max(float(np.linalg.norm(off)), 1e-6)
-    sigma = math.hypot(math.radians(NeedleErrors().angle_deg), NeedleErrors().tip_mm / distance)
-    ways = lps_from_tip[:3, 2] + sigma * rng.normal(size=(NUM_NEEDLES, 2)) @ lps_from_tip[:3, :2].T
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    along = np.clip(ways @ off, 0.0, reach_mm)
-    return float((np.linalg.norm(along[:, None] * ways - off, axis=1) <= target.radius_mm).mean())
 
 
 def judged(case: PlanCase, say: Say, *, with_holds: bool = False, with_laid: bool = False) -> Iterator[Row]:
@@ -339,10 +311,13 @@ def judged(case: PlanCase, say: Say, *, with_holds: bool = False, with_laid: boo
         flight = Flight(False, plan.why or "")
         if plan.routes:
             flight = flown(case, target, plan.routes[0], scope, reach_mm)
-            row["points"] = points(case, target, plan, wall)
         row |= {"arrives": flight.arrives, "why": flight.why}
         if with_holds:
             row["could"] = find_hold(case.truth, target, scope, reach_mm) is not None
+        if plan.routes:
+            true_mm = float(case.truth.narrowest_mm[_true_place(case.truth, _way(case.airways.tree, plan.routes[0]))])
+            row["points"] = flight.arrives and points_in_truth(case, target, plan, true_mm)
+        if with_holds:
             if with_laid:
                 row["laid"] = held(case, target, scope, reach_mm, wall)
             if row["outlook"] == "reaches":
