@@ -628,8 +628,8 @@ export class Workstation implements Station {
     this.send({ type: "watch_devices", on: devicesOpen });
   }
 
-  /** Show a view in the cell of the window to which it belongs. */
-  show = (view: ViewName): void => this.ui({ shown: showing(view, this.state.ui.shown) });
+  /** Show a view in the cell of the window to which it belongs, alone. */
+  show = (view: ViewName): void => this.ui({ shown: showing(view, this.state.ui.shown), sideBySide: false });
 
   #showNext(cell: CellName): void {
     this.show(nextIn(cell, this.state.ui.shown));

@@ -445,7 +445,7 @@ const PAGE: readonly Binding[] = [
     place: "page",
     key: "t",
     label: "T",
-    words: "Switch between airway tree and tri-plane",
+    words: "Switch between airway tree and tri-plane (a wide window shows both)",
     group: "Views",
     command: press("swap_outside"),
   },

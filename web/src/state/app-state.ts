@@ -95,6 +95,8 @@ export interface Ui {
   readonly full: CellName | null;
   /** The view that each cell of the window shows. */
   readonly shown: ShownViews;
+  /** Whether a cell in full view shows its set of views side by side, if it has one. */
+  readonly sideBySide: boolean;
   /** The plane under the cursor in the tri-plane view, which a drag would move; null without one. */
   readonly overPlane: PlaneName | null;
   readonly armed: Armed | null;
@@ -275,6 +277,7 @@ export const INITIAL_STATE: AppState = {
     step: "open",
     full: null,
     shown: FIRST_SHOWN,
+    sideBySide: false,
     overPlane: null,
     armed: null,
     pathCost: "lumen",
