@@ -43,7 +43,9 @@ PALE = """(least) => {
         && one.closest('[data-disabled], [aria-disabled], [aria-hidden=true], .picture-host, option') === null);
     return texts.map((one) => {
         const layers = [];
-        for (let at = one; at !== null; at = at.parentElement) layers.unshift(colour(getComputedStyle(at).backgroundColor));
+        for (let at = one; at !== null; at = at.parentElement) {
+            layers.unshift(colour(getComputedStyle(at).backgroundColor));
+        }
         const below = layers.reduce(over, [0, 0, 0]);
         const shown = over(below, colour(getComputedStyle(one).color));
         const [light, dark] = [luminance(shown), luminance(below)].sort((a, b) => b - a);
@@ -91,6 +93,9 @@ def test_rows_and_buttons_are_24_px_high_and_texts_have_contrast_in_all_steps(se
         assert "other instrument" in label.inner_text()
         label.click()
         assert_controls(workstation, "all verdicts")
+    page.get_by_test_id("machine").click()
+    assert_controls(workstation, "details of the machine")
+    page.get_by_test_id("machine").click()
     page.get_by_test_id("open-devices").click()
     assert_controls(workstation, "devices")
     page.get_by_test_id("open-devices").click()

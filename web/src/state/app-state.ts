@@ -33,7 +33,7 @@ import {
   type ViewName,
   type WatchingMessage,
 } from "../wire/messages";
-import type { CellName, PlaneName } from "../wire/views";
+import { type CellName, LEAD_VIEW, type PlaneName } from "../wire/views";
 import { type BranchTree, buildTree } from "./airways";
 import { caseKey } from "./case-key";
 import type { Preview } from "./edit-preview";
@@ -671,6 +671,9 @@ export function greyWindow(state: AppState): GreyWindow {
 export function pathMm(state: AppState): number | null {
   return state.local.pathMm?.value ?? state.pose?.path_mm ?? null;
 }
+
+/** Return whether the airway view is on the screen: no other view is in full view. */
+export const isLeadShown = ({ ui }: Pick<AppState, "ui">): boolean => ui.full === null || ui.full === LEAD_VIEW;
 
 /** Return whether the user is choosing a target, for which the slices are enlarged; a view in full size stays. */
 export const choosesTargetIn = (ui: Ui): boolean => ui.step === "target" && ui.full === null;
