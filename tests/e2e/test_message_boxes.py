@@ -53,4 +53,17 @@ def test_messages_with_their_advice_cover_no_header_in_any_window_size(server, w
     for _ in range(3):
         page.get_by_role("button", name="I have read this").first.click()
     assert page.locator(".message").count() == 0
+
+    # A notice disappears after some seconds; until then clicks reach the picture below it.
+    page.keyboard.press("o")
+    page.keyboard.press("Control+z")
+    notice = page.locator(".message.notice").first
+    notice.wait_for()
+    below = notice.evaluate(
+        """(notice) => {
+            const { x, y, width, height } = notice.getBoundingClientRect();
+            return document.elementFromPoint(x + width / 2, y + height / 2).closest('.message') === null;
+        }"""
+    )
+    assert below
     assert workstation.faults == []
