@@ -381,7 +381,7 @@ const PAGE: readonly Binding[] = [
     place: "page",
     key: "/",
     label: "/",
-    words: "Search the list of branches",
+    words: "Search the list of branches; Enter chooses the first match",
     group: "Airways",
     command: press("find_branch"),
   },
