@@ -11,6 +11,7 @@ from playwright.sync_api import expect
 pytestmark = pytest.mark.browser
 
 STATUS_WORDS = "document.querySelector('.status-bar').innerText"
+DETAILS = "document.querySelector('[data-testid=machine-details]').innerText"
 STANDS_IN = "document.querySelector('[data-testid=view-finder]')"
 
 
@@ -30,32 +31,55 @@ def test_status_bar_shows_rate_and_resolution_in_flight_and_full_resolution_at_r
     workstation.open(server)
     workstation.wait_ready()
     workstation.wait_still()
-    status = workstation.page.locator(".status-bar")
-    expect(status).to_contain_text("full resolution")
+    assert "AVX" not in workstation.page.locator("body").inner_text(), "figures are in the details only"
+    workstation.page.get_by_test_id("machine").click()
+    details = workstation.page.get_by_test_id("machine-details")
+    expect(details).to_contain_text("full resolution")
     workstation.hold("w", 1500)
     workstation.page.keyboard.down("w")
     # The text follows the picture by one refresh of the screen.
     frame = "window.__carina.state.frames.airway"
     text = f"{frame}.width < {workstation.wanted_width()} ? 'reduced: ' : 'full resolution'"
     while_flying, frame = workstation.once(
-        f"/frames \\d/.test({STATUS_WORDS}) && !{frame}.full && {STATUS_WORDS}.includes({text})",
-        f"[{STATUS_WORDS}, window.__carina.state.frames.airway]",
+        f"/\\d\\/s\\s+of/.test({DETAILS}) && !{frame}.full && {DETAILS}.includes({text})",
+        f"[{DETAILS}, window.__carina.state.frames.airway]",
     )
     workstation.picture("budget-flying")
     workstation.page.keyboard.up("w")
-    rate = int(re.search(r"frames (\d+)/s", while_flying)[1])
+    rate = int(re.search(r"Frames\s+(\d+)/s", while_flying)[1])
     # Inputs of the hand come 60 times a second; below 60 the frame rate depends on the machine and its load.
     assert 1 <= rate <= 70
-    assert re.search(r"latency \d+ ms|updating", while_flying)
+    assert re.search(r"Latency\s+(\d+ ms|\u2013)", while_flying)
     assert not frame["full"]
     workstation.wait_still()
-    expect(status).to_contain_text("full resolution")
+    expect(details).to_contain_text("full resolution")
+    details.get_by_role("button", name="Close the details").click()
+    expect(details).to_have_count(0)
+    assert workstation.faults == []
+
+
+def test_airway_view_that_another_view_covers_raises_no_warning_in_the_status_bar(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    page = workstation.page
+    page.get_by_role("region", name="Axial").get_by_role("button", name="Full view").click()
+    workstation.wait_for("window.__carina.state.ui.full === 'axial'")
+    workstation.hold("w", 1200)
+    # Longer than the time after which the status bar warns of a late picture.
+    workstation.let_pass(1800)
+    assert page.locator(".status-bar .warning-text").count() == 0
+    assert page.get_by_test_id("machine").get_attribute("data-state") == "well"
+    workstation.picture("covered-airway-view")
+    page.keyboard.press("Escape")
+    workstation.wait_still()
+    assert page.get_by_test_id("machine").get_attribute("data-state") == "well"
     assert workstation.faults == []
 
 
 def test_requested_frame_rate_limits_the_pictures_per_second(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
+    workstation.page.get_by_test_id("machine").click()
     workstation.page.locator(".status-bar .pace button").click()
     workstation.page.get_by_role("option", name="15 frames/s").click()
     workstation.page.wait_for_function("() => window.__carina.state.frame_rate_hz === 15")

@@ -28,7 +28,7 @@ def mark_the_nodule(workstation) -> None:
     x, y, z = cached_phantom(**CHEST).truth["nodule"]["centre_lps"]
     page = workstation.page
     page.get_by_role("button", name="Target", exact=True).first.click()
-    page.get_by_placeholder("-17.6, 35.3, 12.1").fill(f"{x:.1f}, {y:.1f}, {z:.1f}")
+    page.get_by_test_id("coordinates").locator("input").fill(f"{x:.1f}, {y:.1f}, {z:.1f}")
     page.get_by_role("button", name="Add", exact=True).click()
     assert page.get_by_test_id("coordinates").locator("input").input_value() == ""
     workstation.wait_for("window.__carina.state.plans.targets[0].routes.length > 0")

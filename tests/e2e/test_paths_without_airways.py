@@ -83,7 +83,10 @@ def test_path_between_clicked_start_and_target_can_be_flown(opened, vessel):
 def test_missing_start_is_reported_and_undo_removes_a_path(opened, vessel):
     _, _, _, root, corner, _ = vessel
     page = opened.page
-    page.get_by_role("radio", name="Paper").click()
+    page.get_by_role("button", name="Target", exact=True).first.click()
+    assert page.get_by_text("Paper", exact=True).is_hidden(), "in the details only"
+    page.get_by_test_id("target-details").locator("summary").click()
+    page.get_by_test_id("cost-paper").click()
     page.keyboard.press("Escape")
     mark(opened, "target", corner)
     expect(page.get_by_text("Mark the start point first")).to_be_visible()

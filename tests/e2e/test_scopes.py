@@ -151,7 +151,7 @@ def test_toolbar_of_the_airway_view_is_not_clipped_at_any_window_width(server, w
     workstation.wait_ready()
     workstation.page.get_by_test_id("texture").wait_for()
     tools = workstation.page.get_by_role("toolbar", name="Airway view")
-    for width in (1920, 1536, 1440, 1280):
+    for width in (1920, 1760, 1600, 1536, 1440, 1280):
         workstation.page.set_viewport_size({"width": width, "height": 900})
         workstation.refreshes(3)
         shown_px, needed_px = tools.evaluate("(bar) => [bar.clientWidth, bar.scrollWidth]")

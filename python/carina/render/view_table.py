@@ -69,6 +69,10 @@ class Cell:
     next_action: str = ""
     """Keyboard action that switches the cell to its next view."""
     list_name: str = ""
+    all_when_wide: bool = False
+    """Whether a wide window shows all views of the cell, each in a cell of its own."""
+    side_by_side: tuple[ViewName, ...] = ()
+    """Views that the cell can show together in full view, from left to right; empty without such a set."""
 
 
 CELLS: Mapping[CellName, Cell] = MappingProxyType(
@@ -78,8 +82,14 @@ CELLS: Mapping[CellName, Cell] = MappingProxyType(
             Cell("airway"),
             *(Cell(plane) for plane in PLANES),
             Cell("cut-plane", "step", "next_cut"),
-            Cell("xray", "list", "next_xray", "X-ray projection"),
-            Cell("outside", "step", "swap_outside"),
+            Cell(
+                "xray",
+                "list",
+                "next_xray",
+                "X-ray projection",
+                side_by_side=("xray-coronal", "xray-sagittal", "xray-axial"),
+            ),
+            Cell("outside", "step", "swap_outside", all_when_wide=True),
         )
     }
 )

@@ -29,7 +29,7 @@ import { clipPathOf, shapeOf } from "../views/outline";
 import type { HeldScope, StateMessage } from "../wire/messages";
 import { LEAD_VIEW } from "../wire/views";
 import { useApp, useStation } from "./context";
-import { Act, Choice, SwitchKey, Tip } from "./controls";
+import { Act, Choice, SwitchKey, Tip, useKeysBack } from "./controls";
 import { Icon } from "./icons";
 import { PictureView } from "./PictureView";
 import { ScopeSelect } from "./ScopeSelect";
@@ -281,6 +281,7 @@ const transferText = (name: string): string => TRANSFER_TEXTS[name] ?? name;
 
 function TransferSelect() {
   const station = useStation();
+  const keysBack = useKeysBack();
   const presets = useApp((state) => state.session?.transfer_presets ?? null);
   const transfer = useApp((state) => state.session?.transfer ?? "");
   const names =
@@ -289,6 +290,7 @@ function TransferSelect() {
     <Select
       aria-label="Wall style"
       className="select"
+      onOpenChange={keysBack.onOpenChange}
       selectedKey={transfer}
       onSelectionChange={(key) => {
         if (key !== null && key !== transfer)
@@ -296,7 +298,7 @@ function TransferSelect() {
       }}
     >
       <Tip words="Wall colours in the airway view">
-        <Button className="button">
+        <Button className="button" onPressStart={keysBack.onPressStart}>
           <SelectValue>{() => transferText(transfer)}</SelectValue>
           <Icon name="down" />
         </Button>

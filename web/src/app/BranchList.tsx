@@ -10,7 +10,7 @@ import { keyOf } from "../input/keymap";
 import type { BranchNode, BranchTree } from "../state/airways";
 import { headOf, lineage, rowChildren } from "../state/airways";
 import { shownBranch } from "../state/app-state";
-import { calibreOf, filterTree, kindText, marksOfRow, tooltipOf } from "../state/branch-text";
+import { bestHit, calibreOf, filterTree, kindText, marksOfRow, tooltipOf } from "../state/branch-text";
 import { plural, sentence } from "../state/format";
 import { wantsBranch } from "../state/tools";
 import { below } from "../state/tree-index";
@@ -19,6 +19,7 @@ import { useApp, useStation } from "./context";
 import { Act, Tip } from "./controls";
 import { Icon } from "./icons";
 import { ListHead } from "./ListHead";
+import { movedFocus, wasMouse, wasPointer } from "./last-input";
 import { ListToolTag } from "./ToolTag";
 import { UncertainPlaces } from "./UncertainPlaces";
 
@@ -94,13 +95,28 @@ export function BranchList() {
       </section>
     );
   }
-  const count = filtered === null ? numRows(tree) : filtered.hits.length;
+  /** Choose the route to the end of the bronchus of a row, past its side branches. */
+  const chooseRow = (id: number) => {
+    const last = lastPiece(tree, id);
+    if (last === routeEnd) station.ui({ selected: last });
+    else station.chooseBranch(last);
+    giveKeysBackAfterClick();
+  };
+  /** Choose the best match of the search, and return the keys to the flight. */
+  const chooseHit = () => {
+    const hit = filtered === null || forTool ? null : bestHit(tree, filtered, search);
+    if (hit === null) return;
+    chooseRow(hit);
+    if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
+  };
+  const count =
+    filtered === null ? plural(tree.byId.size, "branch", "branches") : plural(filtered.hits.length, "match", "matches");
   return (
     <section className="branches" aria-label="Airways">
       <ListHead>
-        <ListToolTag /> <span className="quiet numbers">{plural(count, "branch", "branches")}</span>
+        <ListToolTag /> <span className="quiet numbers">{count}</span>
       </ListHead>
-      <BranchSearch value={search} onChange={setSearch} />
+      <BranchSearch value={search} onChange={setSearch} onSubmit={chooseHit} />
       <RowStyles tree={tree} />
       {filtered !== null && filtered.hits.length === 0 ? (
         <p className="empty">
@@ -129,7 +145,11 @@ export function BranchList() {
             className="branch-tree"
             selectionMode={forTool ? "none" : "single"}
             onAction={(key) => {
-              if (!forTool) return;
+              if (!forTool) {
+                // Enter and a tap are actions. The first click of a double click has already chosen the branch.
+                if (!wasMouse()) chooseRow(Number(key));
+                return;
+              }
               if (!isRepeated.current) station.pointing.clickRow(Number(key));
               giveKeysBackAfterClick();
             }}
@@ -137,11 +157,8 @@ export function BranchList() {
             selectedKeys={chosen === null ? [] : [String(chosen)]}
             onSelectionChange={(keys) => {
               const [key] = [...keys];
-              // Select the last branch of the row: the route leads to the end of the bronchus, past its side branches.
-              const last = key === undefined ? null : lastPiece(tree, Number(key));
-              if (last !== null && last !== routeEnd) station.chooseBranch(last);
-              else if (last !== null) station.ui({ selected: last });
-              giveKeysBackAfterClick();
+              // Tab and the arrow keys move the focus and choose no route.
+              if (key !== undefined && !movedFocus()) chooseRow(Number(key));
             }}
             expandedKeys={filtered === null ? expanded : new Set([...filtered.shown].map(String))}
             onExpandedChange={setExpanded}
@@ -156,13 +173,20 @@ export function BranchList() {
   );
 }
 
-function BranchSearch({ value, onChange }: { value: string; onChange: (text: string) => void }) {
+interface BranchSearchProps {
+  value: string;
+  onChange: (text: string) => void;
+  onSubmit: () => void;
+}
+
+function BranchSearch({ value, onChange, onSubmit }: BranchSearchProps) {
   return (
     <SearchField
       className="branch-filter"
       aria-label="Search branches"
       value={value}
       onChange={onChange}
+      onSubmit={onSubmit}
       onKeyDown={(event) => {
         // Escape in an empty field returns the keyboard focus to the flight.
         if (event.key === "Escape" && value === "" && document.activeElement instanceof HTMLElement) {
@@ -171,7 +195,10 @@ function BranchSearch({ value, onChange }: { value: string; onChange: (text: str
       }}
     >
       <Icon name="search" />
-      <Tip words="Search: name, lobe, g3 = generation 3, ? = uncertain" keys={keyOf("find_branch")}>
+      <Tip
+        words="Search: name, lobe, g3 = generation 3, ? = uncertain. Enter chooses the first match."
+        keys={keyOf("find_branch")}
+      >
         <Input placeholder="Search, e.g. RB1 or g3" spellCheck="false" autoComplete="off" />
       </Tip>
       {value === "" ? null : (
@@ -232,18 +259,12 @@ function branchOf(target: EventTarget): number | null {
   return id === undefined ? null : Number(id);
 }
 
-let lastInput: "pointer" | "key" = "pointer";
-if (typeof window !== "undefined") {
-  window.addEventListener("pointerdown", () => (lastInput = "pointer"), { capture: true });
-  window.addEventListener("keydown", () => (lastInput = "key"), { capture: true });
-}
-
 /**
  * Remove the focus from the list after a click, so that the keys move the tip again. A user who moves through the list
  * by keys keeps the focus in the list.
  */
 function giveKeysBackAfterClick(): void {
-  if (lastInput !== "pointer") return;
+  if (!wasPointer()) return;
   requestAnimationFrame(() => {
     if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
   });
@@ -308,8 +329,6 @@ function rowOf(tree: BranchTree | null, id: number | null): number | null {
 }
 
 const lastPiece = (tree: BranchTree, id: number): number => tree.byId.get(id)?.row.at(-1)?.branch.id ?? id;
-
-const numRows = (tree: BranchTree): number => [...tree.byId.values()].filter((node) => headOf(node) === node).length;
 
 function emptyText(airways: string | undefined, words: string | null): string {
   switch (airways) {

@@ -1,9 +1,8 @@
 /** Control for a number with a unit that the user selects from a list of values. */
 
-import { useRef } from "react";
 import { Button, Label, ListBox, ListBoxItem, Popover, Select, SelectValue } from "react-aria-components";
 import { fixed } from "../state/format";
-import { Tip } from "./controls";
+import { Tip, useKeysBack } from "./controls";
 import { Icon } from "./icons";
 
 interface FigureProps {
@@ -24,9 +23,6 @@ interface FigureProps {
 
 const NONE = "none";
 
-/** Time, ms, to wait after the list was closed, until it has returned the focus to its button. */
-const GONE_MS = 100;
-
 /** Render the selected number as a button that opens the list of values. */
 export function Figure({ label, quiet = false, words, unit, value, choices, none, testId, onChange }: FigureProps) {
   const known = value === null || choices.includes(value) ? choices : [...choices, value].sort((a, b) => a - b);
@@ -34,30 +30,16 @@ export function Figure({ label, quiet = false, words, unit, value, choices, none
     choice === null ? (none ?? "") : `${fixed(choice, Number.isInteger(choice) ? 0 : 1)}\u202f${unit}`;
   const all: readonly (number | null)[] = none === undefined ? known : [null, ...known];
   const keyOf = (choice: number | null): string => (choice === null ? NONE : String(choice));
-  const byPointer = useRef(false);
-  /** Remove the focus from the button after a choice by mouse; otherwise the space bar would open the list again. */
-  const giveKeysBack = (open: boolean) => {
-    if (open || !byPointer.current) return;
-    byPointer.current = false;
-    setTimeout(() => {
-      if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
-    }, GONE_MS);
-  };
+  const keysBack = useKeysBack();
   const button = (
-    <Button
-      className="button"
-      data-testid={testId}
-      onPressStart={(event) => {
-        byPointer.current = event.pointerType !== "keyboard" && event.pointerType !== "virtual";
-      }}
-    >
+    <Button className="button" data-testid={testId} onPressStart={keysBack.onPressStart}>
       <SelectValue>{() => text(value)}</SelectValue>
       <Icon name="down" />
     </Button>
   );
   return (
     <Select
-      onOpenChange={giveKeysBack}
+      onOpenChange={keysBack.onOpenChange}
       className="select"
       aria-label={quiet ? label : undefined}
       selectedKey={keyOf(value)}

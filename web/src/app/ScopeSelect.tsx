@@ -4,7 +4,7 @@ import { Button, ListBox, ListBoxItem, Popover, Select, SelectValue, Text } from
 import { fixed } from "../state/format";
 import type { Scope } from "../wire/messages";
 import { useApp, useStation } from "./context";
-import { Tip } from "./controls";
+import { Tip, useKeysBack } from "./controls";
 import { Icon } from "./icons";
 
 const NO_SCOPE = "no scope";
@@ -27,6 +27,7 @@ export function ScopeSelect() {
   const scopes = useApp((state) => state.start?.scopes ?? null);
   const name = useApp((state) => state.look.scope);
   const hasPlans = useApp((state) => state.session?.targets.some((target) => target.has_size) === true);
+  const keysBack = useKeysBack();
   if (scopes === null) return null;
   const chosen = scopes.find((scope) => scope.name === name);
   const plans = hasPlans ? "The plans use this scope as well." : "Plans for targets will use this scope as well.";
@@ -38,6 +39,7 @@ export function ScopeSelect() {
     <Select
       aria-label="Scope"
       className="select scope"
+      onOpenChange={keysBack.onOpenChange}
       selectedKey={name ?? NO_SCOPE}
       onSelectionChange={(key) => {
         const scope = key === NO_SCOPE ? null : String(key);
@@ -45,7 +47,7 @@ export function ScopeSelect() {
       }}
     >
       <Tip words={words}>
-        <Button className="button" data-testid="scope">
+        <Button className="button" data-testid="scope" onPressStart={keysBack.onPressStart}>
           <SelectValue>{() => (chosen === undefined ? "No scope" : shortTitle(chosen.title))}</SelectValue>
           <Icon name="down" />
         </Button>

@@ -6,7 +6,17 @@ import { fixed } from "../state/format";
 import { lettersOf } from "../state/letters";
 import { geometryOf, lpsFromPixel, normalOf } from "../state/projection";
 import { worksIn } from "../state/tools";
-import { type FlatView, isFlatView, nextIn, SIDE_CELLS, type SideCell, viewsOf } from "../state/view-table";
+import {
+  type FlatView,
+  isFlatView,
+  nextIn,
+  SIDE_CELLS,
+  type SideCell,
+  showing,
+  sideBySideOf,
+  viewsOf,
+  viewsShownIn,
+} from "../state/view-table";
 import type { PictureHeader, ViewName } from "../wire/messages";
 import { CELLS, VIEWS } from "../wire/views";
 import { useApp, useStation } from "./context";
@@ -14,21 +24,30 @@ import { Act, Choice, giveKeysBack, SwitchKey, Tip } from "./controls";
 import { fitPicture } from "./gestures-flat";
 import { PictureView } from "./PictureView";
 import { ToolTag } from "./ToolTag";
+import { useWideWindow } from "./wide-window";
 
 /** Render the views at the right of the airway view. */
 export function SideViews() {
+  const wide = useWideWindow();
+  const shown = useApp((state) => state.ui.shown);
   return (
     <section className="side-views" aria-label="Slices and overviews">
-      {SIDE_CELLS.map((cell) => (
-        <Cell key={cell} cell={cell} />
-      ))}
+      {SIDE_CELLS.flatMap((cell) =>
+        viewsShownIn(cell, shown, wide).map((view, _, { length }) => (
+          <Cell key={length === 1 ? cell : view} cell={cell} view={view} isAlone={length === 1} />
+        )),
+      )}
     </section>
   );
 }
 
+/** Value of the button that shows the views of a cell side by side, among the buttons that choose one view. */
+const SIDE_BY_SIDE = "side-by-side";
+
 /** Render the buttons that switch a cell of the window to another of its views; nothing if the cell has one view. */
-function CellTools({ cell, view }: { cell: SideCell; view: ViewName }) {
+function CellTools({ cell, view, isFull }: { cell: SideCell; view: ViewName; isFull: boolean }) {
   const station = useStation();
+  const sideBySide = useApp((state) => state.ui.sideBySide);
   const { chosen_by: chosenBy, next_action: action, list_name: name } = CELLS[cell];
   if (chosenBy === "step") {
     const next = VIEWS[nextIn(cell, station.state.ui.shown)];
@@ -43,13 +62,27 @@ function CellTools({ cell, view }: { cell: SideCell; view: ViewName }) {
     );
   }
   if (chosenBy === "none") return null;
-  const choices = viewsOf(cell).map((value) => ({
+  const set = sideBySideOf(cell);
+  const names = set.map((one) => VIEWS[one].short).join(", ");
+  const single = viewsOf(cell).map((value) => ({
     value,
     label: VIEWS[value].short,
     words: VIEWS[value].words,
     keys: keyOf(action),
   }));
-  return <Choice<ViewName> name={name} value={view} choices={choices} onChange={station.show} />;
+  // The set needs the space of the full view.
+  const together =
+    isFull && set.length > 0
+      ? [{ value: SIDE_BY_SIDE, label: "Side by side", words: `${names} side by side` } as const]
+      : [];
+  return (
+    <Choice<ViewName | typeof SIDE_BY_SIDE>
+      name={name}
+      value={isFull && sideBySide ? SIDE_BY_SIDE : view}
+      choices={[...single, ...together]}
+      onChange={(value) => (value === SIDE_BY_SIDE ? station.ui({ sideBySide: true }) : station.show(value))}
+    />
+  );
 }
 
 /** Return the text for a view without a picture: what it will show and how to get it, or that it is being rendered. */
@@ -60,17 +93,24 @@ function emptyText(view: ViewName, there: Readonly<Record<Need, boolean>>): stri
 
 type Need = (typeof VIEWS)[ViewName]["needs"][number];
 
-function Cell({ cell }: { cell: SideCell }) {
+interface CellProps {
+  cell: SideCell;
+  view: ViewName;
+  /** Whether the window shows only this view of the cell. */
+  isAlone: boolean;
+}
+
+/** Render a view with its header; in full view, a cell with a set of views may show all of them side by side. */
+function Cell({ cell, view, isAlone }: CellProps) {
   const station = useStation();
-  const view = useApp((state) => state.ui.shown[cell]);
-  const isFull = useApp((state) => state.ui.full === cell);
-  const shown = useApp((state) => state.frames[view] !== undefined);
+  const isFull = useApp((state) => state.ui.full === cell && state.ui.shown[cell] === view);
+  const sideBySide = useApp((state) => state.ui.sideBySide);
   const armed = useApp((state) => state.ui.armed);
-  const route = useApp((state) => state.route !== null);
-  const airways = useApp((state) => state.tree !== null);
   const markable = armed === null ? undefined : worksIn(armed, view) ? "yes" : "no";
-  const toggleFull = () => station.ui({ full: station.state.ui.full === cell ? null : cell });
+  const toggleFull = () =>
+    station.ui(isFull ? { full: null } : { full: cell, shown: showing(view, station.state.ui.shown) });
   const { title, plane, outlined } = VIEWS[view];
+  const set = isFull && sideBySide ? sideBySideOf(cell) : [];
   return (
     <section className="cell" data-cell={cell} data-full={isFull || undefined} data-armed={markable} aria-label={title}>
       <header>
@@ -79,7 +119,7 @@ function Cell({ cell }: { cell: SideCell }) {
         )}
         <h2>{title}</h2>
         <span className="space" />
-        <CellTools cell={cell} view={view} />
+        {isAlone || isFull ? <CellTools cell={cell} view={view} isFull={isFull} /> : null}
         {outlined ? <OutlineSwitch /> : null}
         {isFlatView(view) ? <Fit view={view} /> : null}
         <Act
@@ -90,13 +130,40 @@ function Cell({ cell }: { cell: SideCell }) {
           onPress={toggleFull}
         />
       </header>
-      <div className="cell-picture">
-        <PictureView view={view} shape="fill" name={title} onDoubleClick={toggleFull} />
-        {shown ? null : <p className="empty centre">{emptyText(view, { route, airways })}</p>}
-        <ToolTag view={view} />
-      </div>
+      {set.length === 0 ? (
+        <CellPicture view={view} onDoubleClick={toggleFull} />
+      ) : (
+        <div className="cell-set">
+          {set.map((one) => (
+            <figure key={one}>
+              <CellPicture view={one} onDoubleClick={toggleFull} />
+              <figcaption>{VIEWS[one].short}</figcaption>
+            </figure>
+          ))}
+        </div>
+      )}
       {plane === null ? null : <SliceLine view={view} />}
     </section>
+  );
+}
+
+/** Render the picture of a view, or the text why there is none. */
+function CellPicture({ view, onDoubleClick }: { view: ViewName; onDoubleClick: () => void }) {
+  const shown = useApp((state) => state.frames[view] !== undefined);
+  const route = useApp((state) => state.route !== null);
+  const airways = useApp((state) => state.tree !== null);
+  const { title, short } = VIEWS[view];
+  return (
+    <div className="cell-picture">
+      <PictureView
+        view={view}
+        shape="fill"
+        name={short === "" ? title : `${title}, ${short}`}
+        onDoubleClick={onDoubleClick}
+      />
+      {shown ? null : <p className="empty centre">{emptyText(view, { route, airways })}</p>}
+      <ToolTag view={view} />
+    </div>
   );
 }
 

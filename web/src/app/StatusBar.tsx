@@ -1,15 +1,13 @@
-/** Status bar: frame rate, latency and method of the rendering, and the permanent sentence *not a medical device*. */
+/** Status bar: state of the machine, mode, undo, the cursor, and the permanent sentence *not a medical device*. */
 
-import { memo, useEffect, useState } from "react";
-import { Button, ListBox, ListBoxItem, Popover, Select, SelectValue } from "react-aria-components";
+import { useEffect, useState } from "react";
 import { keyOf } from "../input/keymap";
 import { greyWindow } from "../state/app-state";
-import { coordinates, finenessText, fixed, methodText, plural, windowText } from "../state/format";
+import { coordinates, fixed, windowText } from "../state/format";
 import { asVec3 } from "../state/vec";
-import { LEAD_VIEW } from "../wire/views";
-import { ClusterPanel } from "./ClusterPanel";
 import { useApp, useStation } from "./context";
-import { Act, Tip } from "./controls";
+import { Act } from "./controls";
+import { MachineStatus } from "./MachineStatus";
 import { ToolHint } from "./ToolTag";
 
 /** Render the status bar. */
@@ -31,11 +29,8 @@ export function StatusBar() {
   const watches = useApp((state) => state.watches);
   return (
     <footer className="status-bar numbers">
+      <MachineStatus />
       <ConnectionText />
-      <PaceText />
-      {armed ? null : <FineText />}
-      {armed ? null : <MethodText />}
-      <ClusterPanel />
       <span data-testid="mode">mode: {control ?? mode} [M]</span>
       {recording === null ? null : <span className="warning-text">recording</span>}
       <span className="wide spare" hidden={armed}>
@@ -91,102 +86,6 @@ function CursorText() {
     </span>
   );
 }
-
-const RATES_HZ = [15, 30, 60] as const;
-
-/** Render the selection of the target frame rate, beside the measured frame rate. */
-const TargetRate = memo(function TargetRate() {
-  const station = useStation();
-  const rate = useApp((state) => state.session?.frame_rate_hz ?? 60);
-  const choices = RATES_HZ.some((known) => known === rate) ? RATES_HZ : [...RATES_HZ, rate];
-  return (
-    <Select
-      aria-label="Target frame rate while moving"
-      className="select small"
-      selectedKey={String(rate)}
-      onSelectionChange={(key) => {
-        if (key !== null && Number(key) !== rate) station.send({ type: "set_frame_rate", rate_hz: Number(key) });
-      }}
-    >
-      <Tip words="Target frame rate while moving (lower = sharper)">
-        <Button className="plain-text">
-          <SelectValue>{() => `of ${fixed(rate)}/s`}</SelectValue>
-        </Button>
-      </Tip>
-      <Popover className="popover" offset={4}>
-        <ListBox className="listbox">
-          {choices.map((hz) => (
-            <ListBoxItem key={hz} id={String(hz)} textValue={`${fixed(hz)} frames/s`} className="listbox-item">
-              {fixed(hz)} frames/s
-            </ListBoxItem>
-          ))}
-        </ListBox>
-      </Popover>
-    </Select>
-  );
-});
-
-/** Render the method of the displayed airway picture, which may differ from the selected method. */
-function MethodText() {
-  const requested = useApp((state) => state.sight.method);
-  const made = useApp((state) => state.frames[LEAD_VIEW]?.method ?? null);
-  const status = useApp((state) => state.status);
-  const byCard = made?.startsWith("gpu-") === true;
-  return (
-    <span className="wide">
-      {methodText(made, requested)}
-      {byCard ? ", graphics card" : status === null ? "" : `, ${plural(status.threads, "core")}`}
-      <span className="spare">{byCard || status === null ? "" : `, ${simdText(status.simd)}`}</span>
-    </span>
-  );
-}
-
-/** Render the resolution of the displayed airway picture, relative to the size of the view. */
-function FineText() {
-  const station = useStation();
-  const frame = useApp((state) => state.frames[LEAD_VIEW] ?? null);
-  if (frame === null) return null;
-  if (frame.stands_for !== null) return <span className="warning-text">viewfinder</span>;
-  const wanted = station.wall.find(LEAD_VIEW)?.wantedPixels?.width ?? frame.width;
-  const words = finenessText(frame, wanted);
-  return (
-    <span
-      className={frame.full ? "wide" : undefined}
-      title="Resolution of the airway view: reduced while moving, full at rest"
-    >
-      {words}
-    </span>
-  );
-}
-
-/** Waiting time for an airway picture, ms, above which the status bar warns. */
-const LATE_MS = 700;
-
-function PaceText() {
-  const { fps, ageMs, waitingMs } = useApp((state) => state.pace);
-  return (
-    <>
-      <span className="pace" title="Frame rate of the airway view during the last movement">
-        frames {fps === null ? "\u2013" : `${fps}/s`} <TargetRate />
-      </span>
-      {waitingMs > LATE_MS ? (
-        <span className="warning-text">{"updating\u2026"}</span>
-      ) : (
-        <span title="Latency: movement to displayed image">
-          latency {ageMs === null ? "\u2013" : `${fixed(ageMs)} ms`}
-        </span>
-      )}
-    </>
-  );
-}
-
-const SIMD_TEXTS: Readonly<Record<string, string>> = {
-  avx512: "AVX-512",
-  avx2: "AVX2",
-  neon: "NEON",
-  portable: "portable",
-};
-const simdText = (name: string): string => SIMD_TEXTS[name] ?? name;
 
 function ConnectionText() {
   const station = useStation();

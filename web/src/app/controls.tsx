@@ -1,6 +1,6 @@
 /** Basic controls of all panels: tooltip, button, toggle button, and choice. */
 
-import type { ReactElement, ReactNode } from "react";
+import { type ReactElement, type ReactNode, useRef } from "react";
 import { Button, ToggleButton, ToggleButtonGroup, Tooltip, TooltipTrigger } from "react-aria-components";
 import type { IconName } from "./icons";
 import { Icon } from "./icons";
@@ -28,6 +28,29 @@ export function Tip({ words, keys, children }: { words: string; keys?: string; c
 export function giveKeysBack(pointerType: string): void {
   if (pointerType === "keyboard" || pointerType === "virtual") return;
   if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
+}
+
+/** Time, ms, to wait after a list was closed, until it has returned the focus to its button. */
+const LIST_CLOSED_MS = 100;
+
+/**
+ * Return the handlers of the button and of the list of a selection that remove the focus from the button after a choice
+ * by mouse; otherwise the keys of the flight would change the selection or open the list again.
+ */
+export function useKeysBack() {
+  const byPointer = useRef(false);
+  return {
+    onPressStart: (event: { pointerType: string }) => {
+      byPointer.current = event.pointerType !== "keyboard" && event.pointerType !== "virtual";
+    },
+    onOpenChange: (open: boolean) => {
+      if (open || !byPointer.current) return;
+      byPointer.current = false;
+      setTimeout(() => {
+        if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
+      }, LIST_CLOSED_MS);
+    },
+  };
 }
 
 interface ActProps {

@@ -1,8 +1,8 @@
-/** Hook that returns whether the window is wide enough for the plan's answer above the pictures. */
+/** Hook that returns whether the window is wide: the plan's answer above the pictures, tri-plane beside the tree. */
 
 import { useSyncExternalStore } from "react";
 
-/** Least width of a window, CSS px, that shows the answer above the pictures; the style sheets use the same width. */
+/** Least width of a wide window, CSS px; the style sheets use the same width. */
 const WIDE_PX = 1600;
 
 const query = window.matchMedia(`(min-width: ${WIDE_PX}px)`);

@@ -13,7 +13,16 @@ import { PictureBoard } from "../net/pictures";
 import { Stream, type StreamStatus } from "../net/stream";
 import { sendUpload, UploadError, type UploadFile } from "../net/upload";
 import { mainLeaf, neighbourBranch } from "../state/airways";
-import { type AppState, crosshairLps, INITIAL_STATE, pathMm, shownBranch, tipLps, type Ui } from "../state/app-state";
+import {
+  type AppState,
+  crosshairLps,
+  INITIAL_STATE,
+  isLeadShown,
+  pathMm,
+  shownBranch,
+  tipLps,
+  type Ui,
+} from "../state/app-state";
 import { routeDoubts } from "../state/branch-text";
 import { caseKey } from "../state/case-key";
 import { forkAhead } from "../state/fork";
@@ -220,6 +229,8 @@ export class Workstation implements Station {
     this.#heart.start();
     const stopWaking = wakeOnInput(window, this.#heart.wake);
     const counter = setInterval(() => {
+      // The pictures of a covered airway view are not late.
+      if (!isLeadShown(this.state)) this.#pace.reset();
       this.store.dispatch({ kind: "pace", pace: this.#pace.read(performance.now()) });
     }, PACE_MS);
     const speed = setInterval(() => {
@@ -628,8 +639,8 @@ export class Workstation implements Station {
     this.send({ type: "watch_devices", on: devicesOpen });
   }
 
-  /** Show a view in the cell of the window to which it belongs. */
-  show = (view: ViewName): void => this.ui({ shown: showing(view, this.state.ui.shown) });
+  /** Show a view in the cell of the window to which it belongs, alone. */
+  show = (view: ViewName): void => this.ui({ shown: showing(view, this.state.ui.shown), sideBySide: false });
 
   #showNext(cell: CellName): void {
     this.show(nextIn(cell, this.state.ui.shown));

@@ -49,6 +49,19 @@ describe("listenToKeys", () => {
     expect(keys.calls).toEqual([]);
   });
 
+  it("Left and right arrow on the button of a closed list do not reach the list, which would change its value.", () => {
+    const keys = listening();
+    stop = keys.stop;
+    const button = document.createElement("button");
+    button.setAttribute("aria-haspopup", "listbox");
+    document.body.append(button);
+    const received: string[] = [];
+    button.addEventListener("keydown", ({ key }) => received.push(key));
+    for (const key of ["ArrowLeft", "ArrowRight", "ArrowDown", "Enter"]) type(key, button);
+    expect(received).toEqual(["ArrowDown", "Enter"]);
+    expect(keys.calls).toEqual([]);
+  });
+
   it("A focused slider receives the arrow keys, and a focused button the space bar.", () => {
     const keys = listening();
     stop = keys.stop;

@@ -44,6 +44,28 @@ function closesFirst(target: EventTarget | null): boolean {
   return target instanceof HTMLElement && target.closest(OVER_THE_PAGE) !== null;
 }
 
+/** Return whether the browser shows the list of a selection; true in a browser that does not report it. */
+function isOpen(select: HTMLSelectElement): boolean {
+  try {
+    return select.matches(":open");
+  } catch {
+    return true;
+  }
+}
+
+const ARROWS: readonly string[] = ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown"];
+
+/**
+ * Return whether a key would change the value of a closed list. The browser and the list would take each arrow key as a
+ * choice, and each choice is a command that undo lists.
+ */
+function changesClosedList({ key, target, altKey }: KeyboardEvent): boolean {
+  if (altKey || !(target instanceof HTMLElement)) return false;
+  // While a browser's own list is open, the arrow keys move in it.
+  if (target instanceof HTMLSelectElement) return ARROWS.includes(key) && !isOpen(target);
+  return (key === "ArrowLeft" || key === "ArrowRight") && target.closest("[aria-haspopup=listbox]") !== null;
+}
+
 /** Add the keyboard listener to a page; return a function that removes it. */
 export function listenToKeys(page: Window, handlers: KeyboardHandlers): () => void {
   /** Movements of the held keys by physical key, because the letter of a key changes with Shift. */
@@ -63,6 +85,12 @@ export function listenToKeys(page: Window, handlers: KeyboardHandlers): () => vo
   const down = (event: KeyboardEvent) => {
     handlers.slow(event.shiftKey);
     if (event.defaultPrevented || event.isComposing || !handlers.enabled()) return;
+    if (changesClosedList(event)) {
+      event.preventDefault();
+      event.stopPropagation();
+      if (event.target instanceof HTMLSelectElement) event.target.showPicker();
+      return;
+    }
     const binding = bindingOf(event);
     if (binding === null) return;
     const focus = focusKind(event.target);

@@ -33,7 +33,7 @@ import {
   type ViewName,
   type WatchingMessage,
 } from "../wire/messages";
-import type { CellName, PlaneName } from "../wire/views";
+import { type CellName, LEAD_VIEW, type PlaneName } from "../wire/views";
 import { type BranchTree, buildTree } from "./airways";
 import { caseKey } from "./case-key";
 import type { Preview } from "./edit-preview";
@@ -95,6 +95,8 @@ export interface Ui {
   readonly full: CellName | null;
   /** The view that each cell of the window shows. */
   readonly shown: ShownViews;
+  /** Whether a cell in full view shows its set of views side by side, if it has one. */
+  readonly sideBySide: boolean;
   /** The plane under the cursor in the tri-plane view, which a drag would move; null without one. */
   readonly overPlane: PlaneName | null;
   readonly armed: Armed | null;
@@ -275,6 +277,7 @@ export const INITIAL_STATE: AppState = {
     step: "open",
     full: null,
     shown: FIRST_SHOWN,
+    sideBySide: false,
     overPlane: null,
     armed: null,
     pathCost: "lumen",
@@ -668,6 +671,9 @@ export function greyWindow(state: AppState): GreyWindow {
 export function pathMm(state: AppState): number | null {
   return state.local.pathMm?.value ?? state.pose?.path_mm ?? null;
 }
+
+/** Return whether the airway view is on the screen: no other view is in full view. */
+export const isLeadShown = ({ ui }: Pick<AppState, "ui">): boolean => ui.full === null || ui.full === LEAD_VIEW;
 
 /** Return whether the user is choosing a target, for which the slices are enlarged; a view in full size stays. */
 export const choosesTargetIn = (ui: Ui): boolean => ui.step === "target" && ui.full === null;

@@ -2,6 +2,7 @@ import { describe, expect, it } from "vitest";
 import type { BranchMeasures, RouteSpan, TreeBranch, TreeDocument } from "../wire/messages";
 import { type BranchTree, buildTree, headOf, rowChildren, type TreeExtras } from "./airways";
 import {
+  bestHit,
   calibreOf,
   drawnShare,
   drawnText,
@@ -187,6 +188,28 @@ describe("filterTree", () => {
     expect(hits("bridge")).toEqual([3]);
     expect([...(filterTree(tree, "bridge")?.shown ?? [])].sort()).toEqual([0, 1, 3]);
     expect(hits("nothing of the kind")).toEqual([]);
+  });
+
+  it("The best match has exactly the searched name, or is the first in the list.", () => {
+    const document: TreeDocument = {
+      format: "carina-tree",
+      version: 1,
+      space: "LPS",
+      unit: "mm",
+      root: 0,
+      branches: [
+        branch(0, null, [1, 2]),
+        branch(1, 0, [], { name: "RB10", name_from: "anatomy", name_confidence: 0.9 }),
+        branch(2, 0, [], { name: "RB1", name_from: "anatomy", name_confidence: 0.9 }),
+      ],
+    };
+    const lungs = buildTree(document);
+    if (lungs === null) throw new Error("no tree");
+    const best = (text: string) => bestHit(lungs, filterTree(lungs, text) ?? { shown: new Set(), hits: [] }, text);
+    expect(filterTree(lungs, "rb1")?.hits).toEqual([1, 2]);
+    expect(best(" rb1 ")).toBe(2);
+    expect(best("rb")).toBe(1);
+    expect(best("LB3")).toBeNull();
   });
 });
 

@@ -205,6 +205,13 @@ export function filterTree(tree: BranchTree, text: string): Filtered | null {
   return { shown, hits };
 }
 
+/** Return the match that Enter chooses: a branch with exactly this name, else the first in the list; null without one. */
+export function bestHit(tree: BranchTree, { hits }: Filtered, text: string): number | null {
+  const wanted = text.trim().toLowerCase();
+  const exact = hits.find((id) => tree.byId.get(id)?.row.some((node) => node.label.toLowerCase() === wanted));
+  return exact ?? hits[0] ?? null;
+}
+
 /** The part of a route that its warnings need. */
 type WithSpans = WithOrigin & { readonly spans: readonly Pick<RouteSpan, "kind" | "from_mm" | "to_mm">[] };
 

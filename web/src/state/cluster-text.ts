@@ -3,7 +3,7 @@
 import type { ClusterMessage, MemberStatus } from "../wire/messages";
 import { plural } from "./format";
 
-/** Return the text of the status bar about the cluster. */
+/** Return the number of machines of the cluster that render, as text. */
 export function clusterText(cluster: ClusterMessage): string {
   const ready = cluster.members.filter((member) => member.state === "ready").length;
   const all = cluster.members.length;

@@ -7,7 +7,16 @@ import {
   type StationOnRoute,
   type TargetPlan,
 } from "../wire/messages";
-import { distanceToRouteMm, isCArmAt, ROUTE_ROWS, stationsShown, stationText, turnBefore, turnText } from "./plan";
+import {
+  distanceToRouteMm,
+  isCArmAt,
+  othersText,
+  ROUTE_ROWS,
+  stationsShown,
+  stationText,
+  turnBefore,
+  turnText,
+} from "./plan";
 
 const turn = (at: [number, number, number] | null): PlannedTurn => ({
   head: "3 o'clock",
@@ -94,5 +103,15 @@ describe("table of routes", () => {
     const row = ROUTE_ROWS[1];
     expect(row?.title).toBe("Outlook");
     expect(row?.of({ outlook: "may reach" } as unknown as RouteOffer)).toBe("may reach");
+  });
+});
+
+describe("other instruments", () => {
+  it("The text states in words how many of them reach the target.", () => {
+    expect(othersText(17, 0)).toBe("None of 17 other instruments reaches it");
+    expect(othersText(17, 1)).toBe("1 of 17 other instruments reaches it");
+    expect(othersText(17, 3)).toBe("3 of 17 other instruments reach it");
+    expect(othersText(17, 17)).toBe("All of 17 other instruments reach it");
+    expect(othersText(1, 0)).toBe("The other instrument does not reach it");
   });
 });

@@ -163,3 +163,10 @@ export function distanceToRouteMm(route: RouteInfo, tip: Vec3): number | null {
   const found = best as { mm: number; away: number; radius: number } | null;
   return found !== null && found.away <= Math.max(found.radius, 1) ? found.mm : null;
 }
+
+/** Return how many of the other instruments reach a target, as text. */
+export function othersText(count: number, reach: number): string {
+  if (count === 1) return `The other instrument ${reach === 1 ? "reaches" : "does not reach"} it`;
+  const share = reach === 0 ? "None" : reach === count ? "All" : String(reach);
+  return `${share} of ${count} other instruments ${reach > 1 ? "reach" : "reaches"} it`;
+}

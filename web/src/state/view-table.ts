@@ -33,6 +33,13 @@ export const FLAT_VIEWS = VIEW_NAMES.filter(isFlatView);
 /** Return the views that a cell of the window can show. */
 export const viewsOf = (cell: CellName): readonly ViewName[] => CELLS[cell].views;
 
+/** Return the views that a cell of the window shows now: all of its views if a wide window has space for them. */
+export const viewsShownIn = (cell: SideCell, shown: ShownViews, isWide: boolean): readonly ViewName[] =>
+  isWide && CELLS[cell].all_when_wide ? viewsOf(cell) : [shown[cell]];
+
+/** Return the views that a cell can show side by side in full view; empty for a cell without such a set. */
+export const sideBySideOf = (cell: CellName): readonly ViewName[] => CELLS[cell].side_by_side;
+
 const firstOf = (cell: CellName): ViewName => CELLS[cell].views[0];
 /** The view that each cell of the window shows at first. */
 export const FIRST_SHOWN: ShownViews = Object.fromEntries(

@@ -77,6 +77,8 @@ def views_typescript() -> str:
             "chosen_by": cell.chosen_by,
             "next_action": cell.next_action,
             "list_name": cell.list_name,
+            "all_when_wide": cell.all_when_wide,
+            "side_by_side": cell.side_by_side,
         }
         for cell in CELLS.values()
     }

@@ -8,7 +8,7 @@ import { Button } from "react-aria-components";
 import { tipLps } from "../../state/app-state";
 import { caseFacts } from "../../state/case-list";
 import { sentence } from "../../state/format";
-import { ROUTE_ROWS, turnBefore, turnText, verdictsInOrder } from "../../state/plan";
+import { othersText, ROUTE_ROWS, turnBefore, turnText, verdictsInOrder } from "../../state/plan";
 import type { PlansMessage, RecentCase, ScopeVerdict, Target, TargetPlan } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
@@ -344,7 +344,7 @@ function Verdicts({ plans, planned }: { plans: PlansMessage; planned: string }) 
         <>
           <Act
             kind="quiet"
-            label={all ? "Hide the others" : `${others.length} others, ${reach} of them reach it`}
+            label={all ? "Hide the other instruments" : othersText(others.length, reach)}
             words="What the other instruments of the library can do on this route"
             testId="all-verdicts"
             onPress={() => setAll(!all)}

@@ -33,9 +33,13 @@ export function ShareStep() {
         </div>
       ))}
       <p className="quiet">
-        In patient coordinates (LPS), mm. The files do not contain the patient's name, but the anatomy can identify the
-        patient: handle them as carefully as the CT.
+        The files do not contain the patient's name, but the anatomy can identify the patient: handle them as carefully
+        as the CT.
       </p>
+      <details className="part">
+        <summary>Details</summary>
+        <p>The files are in patient coordinates, LPS mm.</p>
+      </details>
       <Act
         icon="capture"
         label="Key frames"

@@ -25,7 +25,7 @@ export function TargetStep() {
   const reach = useReachOf();
   return (
     <>
-      {found ? null : <PathSearch />}
+      {found ? null : <PathSearch costs={USUAL_COSTS} />}
       <Act
         kind="primary"
         icon="target"
@@ -45,8 +45,32 @@ export function TargetStep() {
       <Coordinates />
       <FromFile />
       <LungsPanel scope={reach.scope} tool={reach.tool} />
-      {found ? <PathSearch /> : null}
+      <Details />
     </>
+  );
+}
+
+/** Render what few users need: how coordinates are typed as numbers, and the cost functions of the path search. */
+function Details() {
+  const station = useStation();
+  const found = useApp((state) => state.session?.airways === "found");
+  const paper = useApp((state) => state.ui.pathCost === "paper");
+  return (
+    <details className="part target-details" data-testid="target-details">
+      <summary>Details</summary>
+      <p className="quiet">A typed position may also be three numbers: x, y, z (LPS mm), such as −17.6, 35.3, 12.1.</p>
+      {found ? (
+        <PathSearch costs={ALL_COSTS} />
+      ) : (
+        <SwitchKey
+          label={COST_TEXTS.paper.label}
+          words={COST_TEXTS.paper.words}
+          on={paper}
+          testId="cost-paper"
+          onChange={() => station.choosePathCost(paper ? "lumen" : "paper")}
+        />
+      )}
+    </details>
   );
 }
 
@@ -63,12 +87,13 @@ function MarkText() {
   );
 }
 
-const COSTS: readonly PathCost[] = ["lumen", "walls", "paper"];
+const USUAL_COSTS: readonly PathCost[] = ["lumen", "walls"];
+const ALL_COSTS: readonly PathCost[] = [...USUAL_COSTS, "paper"];
 
 /**
  * Render the selection of the path search's cost function, and the start point for cost functions that need no airways.
  */
-function PathSearch() {
+function PathSearch({ costs }: { costs: readonly PathCost[] }) {
   const station = useStation();
   const cost = useApp((state) => state.ui.pathCost);
   const found = useApp((state) => state.session?.airways === "found");
@@ -85,7 +110,7 @@ function PathSearch() {
       <Choice<PathCost>
         name="Path search"
         value={cost}
-        choices={COSTS.map((value) => ({ value, ...COST_TEXTS[value] }))}
+        choices={costs.map((value) => ({ value, ...COST_TEXTS[value] }))}
         onChange={(chosen) => station.choosePathCost(chosen)}
       />
       {cost === "lumen" ? (
@@ -252,10 +277,10 @@ function Coordinates() {
         isInvalid={text.trim() !== "" && point === null}
         data-testid="coordinates"
       >
-        <Label>or type x, y, z (LPS mm)</Label>
-        <Input placeholder="-17.6, 35.3, 12.1" spellCheck="false" autoComplete="off" inputMode="text" />
+        <Label>or type a position, in mm</Label>
+        <Input placeholder="R 17.6 P 35.3 S 12.1" spellCheck="false" autoComplete="off" inputMode="text" />
         <FieldError>
-          Three numbers (left, posterior, superior), or the notation of the pictures: R 17.6 P 35.3 S 12.1
+          Type the notation of the pictures, such as R 17.6 P 35.3 S 12.1, or three numbers (see Details).
         </FieldError>
       </TextField>
       <span className="row">
