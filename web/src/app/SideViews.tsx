@@ -12,6 +12,7 @@ import { CELLS, VIEWS } from "../wire/views";
 import { useApp, useStation } from "./context";
 import { Act, Choice, giveKeysBack, SwitchKey, Tip } from "./controls";
 import { fitPicture } from "./gestures-flat";
+import { PictureMenu } from "./PictureMenu";
 import { PictureView } from "./PictureView";
 import { ToolTag } from "./ToolTag";
 
@@ -82,6 +83,7 @@ function Cell({ cell }: { cell: SideCell }) {
         <CellTools cell={cell} view={view} />
         {outlined ? <OutlineSwitch /> : null}
         {isFlatView(view) ? <Fit view={view} /> : null}
+        <PictureMenu view={view} />
         <Act
           kind="icon"
           icon={isFull ? "leaveFull" : "full"}
