@@ -7,7 +7,9 @@ import importlib.util
 import json
 import tempfile
 import threading
+import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from carina.errors import CarinaError, NoResultError, UsageError
 from carina.export import VideoWriter
 from carina.installation import extra_command
 from carina.server.files.films import Films
-from carina.session.flights.film_flights import flight_captions
+from carina.session.flights.film_flights import FilmHandlers, flight_captions
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
 
@@ -94,6 +96,30 @@ def test_video_of_key_frames_equals_the_file_of_carina_fly(carina, window_case, 
     assert ended.code == 0, ended.err
     assert saved.name == "key-frames.mp4"
     assert np.array_equal(frames_of(saved), frames_of(output))
+
+
+def test_video_of_a_recording_equals_the_file_of_carina_fly(carina, window_case, tmp_path, monkeypatch):
+    case, session = window_case.opened, window_case.session
+    case.do(c.RecordFlight(tmp_path / "flight.jsonl"))
+    for mm in (34.0, 40.0, 46.0, 30.0):
+        time.sleep(0.4)
+        case.do(c.GoTo(path_mm=mm))
+    case.do(c.StopRecording())
+    # A program's case stores no flights, so the text of the recorded file replaces that of a stored flight.
+    monkeypatch.setattr("carina.session.flights.film_flights.needed_flight", lambda _case, _number: None)
+    text = (tmp_path / "flight.jsonl").read_text()
+    handlers = FilmHandlers(session._core, lambda _number: text)
+    stored = SimpleNamespace(jobs=session.jobs, ask=handlers.flight_to_film)
+    saved = film(stored, tmp_path, flight="recording", number="1", captions="off", rate_hz="4")
+    output = tmp_path / "fly.mp4"
+    ct = window_case.path.parent / "ct.nii.gz"
+    how = ("--size", "64x48", "--rate", "4", "-o", output)
+    ended = carina("fly", window_case.path, "--ct", ct, "--recording", tmp_path / "flight.jsonl", *how)
+    assert ended.code == 0, ended.err
+    assert saved.name == "recording-1.mp4"
+    frames = frames_of(saved)
+    assert len(frames) >= 6
+    assert np.array_equal(frames, frames_of(output))
 
 
 def test_video_plays_in_old_players_and_its_index_is_before_its_frames(window_case, tmp_path):

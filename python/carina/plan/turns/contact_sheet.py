@@ -81,8 +81,9 @@ def _caption(number: int, picture: TurnPicture, width: int) -> list[Line]:
 def _lines(texts: Sequence[str], width: int, colour: tuple[int, int, int]) -> list[Line]:
     """Return texts as lines that fit into a width in pixels."""
     letters = max((width - 2 * LETTER_PX) // (text_width("nn", LETTER_PX) - text_width("n", LETTER_PX)), 8)
-    plain = [text.replace("\u2019", "'").replace("\u00b0", " deg") for text in texts]
-    return [(line, colour) for text in plain for line in textwrap.wrap(text, letters)]
+    # A no-break space keeps the hour and its unit in one line.
+    plain = [text.replace(" o\u2019clock", "\u00a0o'clock").replace("\u2019", "'") for text in texts]
+    return [(line.replace("\u00a0", " "), colour) for text in plain for line in textwrap.wrap(text, letters)]
 
 
 def _write(rgb: Rgb, lines: Sequence[Line], left: int, top: int) -> None:
