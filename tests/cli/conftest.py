@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import pytest
 
 from cached_test_data import cached_phantom
+from carina import Case
+from carina import commands as c
 from carina.cli import main
 from carina.phantom import write_phantom
 from user_folders import user_folders
@@ -60,3 +63,20 @@ def phantom_folder(tmp_path_factory):
 def ct(phantom_folder):
     """Return the path of the phantom's CT file."""
     return phantom_folder / "ct.nii.gz"
+
+
+@pytest.fixture(scope="session")
+def window_case(phantom_folder, tmp_path_factory):
+    """Return the session of an edited case as a window has it, and the file of the case beside its CT."""
+    folder = tmp_path_factory.mktemp("window-case")
+    ct = folder / "ct.nii.gz"
+    ct.write_bytes((phantom_folder / "ct.nii.gz").read_bytes())
+    with Case.open(ct) as opened:
+        tip = max(opened.airways.tree.tips(), key=lambda branch: branch.generation)
+        opened.do(c.ChooseRoute(branch_id=tip.id))
+        first = opened.airways.tree.lineage(tip.id)[1]
+        opened.do(c.EditTree(c.RenameBranch(first.id, "Own 1")))
+        opened.do(c.SetScope("ultrathin"))
+        opened.do(c.GoTo(path_mm=30.0))
+        path = opened.save(folder / "one")
+        yield SimpleNamespace(session=opened._session, path=path, opened=opened, to=str(tip.id))

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
-import carina
-from carina.cli import fly
+from carina import track
 from carina.errors import NoResultError, UsageError, VolumeImportError
+from carina.session.flights.film_flights import wall_builder
 from carina.track import CutBranch, edits_to_json
 
 
@@ -21,10 +21,10 @@ def searches(monkeypatch):
         seen.append((root_lps, lumen_threshold))
         return f"found {root_lps} {lumen_threshold}"
 
-    monkeypatch.setattr(carina, "find_airways", find)
-    monkeypatch.setattr(carina, "edit_airways", lambda volume, airways, edit, *, progress: f"{airways}, {edit}")
+    monkeypatch.setattr(track, "find_airways", find)
+    monkeypatch.setattr(track, "edit_airways", lambda volume, airways, edit, *, progress: f"{airways}, {edit}")
     monkeypatch.setattr(
-        fly, "wall_field", lambda volume, airways, *, progress: SimpleNamespace(digest=lambda: airways, of=airways)
+        track, "wall_field", lambda volume, airways, *, progress: SimpleNamespace(digest=lambda: airways, of=airways)
     )
     return seen
 
@@ -33,7 +33,7 @@ def test_replay_uses_the_wall_of_airways_found_with_the_stored_settings_and_edit
     edit = CutBranch(3)
     stored = {"digest": f"found [1.0, 2.0, 3.0] -800.0, {edit}", "root_lps": [1.0, 2.0, 3.0], "lumen_threshold": -800.0}
     stored["edits"] = edits_to_json([edit])
-    wall = fly._wall_builder(None, None)
+    wall = wall_builder(None, None)
     assert wall(stored).of == stored["digest"]
     assert searches == [(None, None), (None, -800.0), ([1.0, 2.0, 3.0], -800.0)]
     # The wall is computed only once for the same recording.
@@ -42,7 +42,7 @@ def test_replay_uses_the_wall_of_airways_found_with_the_stored_settings_and_edit
 
 
 def test_failed_automatic_search_does_not_prevent_a_search_from_the_recorded_root(searches, monkeypatch):
-    find = carina.find_airways
+    find = track.find_airways
 
     def by_root_alone(volume, *, root_lps=None, lumen_threshold=None, progress):
         found = find(volume, root_lps=root_lps, lumen_threshold=lumen_threshold, progress=progress)
@@ -55,25 +55,25 @@ def test_failed_automatic_search_does_not_prevent_a_search_from_the_recorded_roo
             raise UsageError("the tree has no branch 3")
         return f"{airways}, {edit}"
 
-    monkeypatch.setattr(carina, "find_airways", by_root_alone)
-    monkeypatch.setattr(carina, "edit_airways", no_such_branch)
+    monkeypatch.setattr(track, "find_airways", by_root_alone)
+    monkeypatch.setattr(track, "edit_airways", no_such_branch)
     edit = CutBranch(3)
     stored = {"digest": f"found [1.0, 2.0, 3.0] -800.0, {edit}", "root_lps": [1.0, 2.0, 3.0], "lumen_threshold": -800.0}
     stored["edits"] = edits_to_json([edit])
-    assert fly._wall_builder(None, None)(stored).of == stored["digest"]
+    assert wall_builder(None, None)(stored).of == stored["digest"]
     with pytest.raises(VolumeImportError, match="the airways that guided the scope in this recording differ"):
-        fly._wall_builder(None, None)({**stored, "root_lps": None})
+        wall_builder(None, None)({**stored, "root_lps": None})
     with pytest.raises(NoResultError, match="no trachea"):
-        fly._wall_builder(None, None)({})
+        wall_builder(None, None)({})
 
 
 def test_recording_whose_airways_differ_from_the_found_ones_is_refused_with_a_message(searches):
     with pytest.raises(
         VolumeImportError, match=("the airways that guided the scope in this recording differ")
     ) as refused:
-        fly._wall_builder(None, None)({"digest": "a mask", "root_lps": [0.0, 0.0, 0.0], "lumen_threshold": None})
+        wall_builder(None, None)({"digest": "a mask", "root_lps": [0.0, 0.0, 0.0], "lumen_threshold": None})
     assert refused.value.code == "navigate.recording"
 
 
 def test_recording_without_search_settings_uses_the_found_airways(searches):
-    assert fly._wall_builder(None, None)({}).of == "found None None"
+    assert wall_builder(None, None)({}).of == "found None None"

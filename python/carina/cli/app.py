@@ -283,8 +283,8 @@ def render(
     view: Annotated[
         str | None,
         typer.Option(
-            help="View to render: airway (default), cut-plane, axial, tree, ..., or xray-set for the three X-rays "
-            "side by side; any unknown name lists the others."
+            help="View to render: airway (default), cut-plane, axial, tree, ..., xray-set for the three X-rays "
+            "side by side, or forks for all forks of a route (--to); any unknown name lists the others."
         ),
     ] = None,
     at: Annotated[
@@ -406,6 +406,20 @@ def render(
         str | None,
         typer.Option(help="Slab thickness in mm and projection (min, max or mean); for example, 10,min shows airways."),
     ] = None,
+    letters: Annotated[
+        str | None,
+        typer.Option(
+            help="Orientation letters at the edges: on or off (default: on for views along a path and for drr)."
+        ),
+    ] = None,
+    scale_bar: Annotated[
+        str | None,
+        typer.Option(help="Scale in mm, or the axis of a path: on or off (default: on for views along a path)."),
+    ] = None,
+    names: Annotated[
+        str | None,
+        typer.Option(help="Names of the branches: on or off (default: on for views along a path)."),
+    ] = None,
     series: SeriesOption = None,
     ct: CtOption = None,
     as_json: JsonOption = False,
@@ -421,7 +435,14 @@ def render(
 
         if outline is not None:
             check_needs("images without --outline, its present name", mask=mask)
-        for what, switch in (("--shading", shading), ("--texture", texture)):
+        switches = {
+            "--shading": shading,
+            "--texture": texture,
+            "--letters": letters,
+            "--scale-bar": scale_bar,
+            "--names": names,
+        }
+        for what, switch in switches.items():
             if switch not in {None, "on", "off"}:
                 raise UsageError(f"{what}: expected on or off; found {switch!r}")
         raise SystemExit(
@@ -449,6 +470,9 @@ def render(
                 carm_deg=(carm_primary, carm_secondary),
                 tone=tone,
                 slab=slab,
+                letters=None if letters is None else letters == "on",
+                scale_bar=None if scale_bar is None else scale_bar == "on",
+                names=None if names is None else names == "on",
                 series=series,
                 ct=ct,
                 as_json=as_json,
@@ -640,6 +664,9 @@ def fly(
         str | None, typer.Option(help="Scope to simulate, or none. A recording contains its scope.")
     ] = None,
     step_vox: Annotated[float, typer.Option(help="Ray step, in multiples of the smallest voxel spacing.")] = 0.5,
+    captions: Annotated[
+        bool, typer.Option("--captions", help="Write time, branch, depth and the next turn with its clock hour.")
+    ] = False,
     keep: Annotated[
         Path | None,
         typer.Option(help="Folder that stores the frames, so that an interrupted video can be continued."),
@@ -683,6 +710,7 @@ def fly(
                 token=token_file,
                 mixed=mixed,
                 keep=keep,
+                captions=captions,
             )
         )
 

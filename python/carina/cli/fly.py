@@ -3,52 +3,47 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import carina
 from carina.case import CaseFile
+from carina.case.routes import ChosenRoute
 from carina.cli.along import check_destination, print_drawn_parts, route_to
 from carina.cli.arguments import check_needs, check_output_file, check_range
 from carina.cli.case import find_recording
 from carina.cli.cluster import opened_cluster
-from carina.cli.console import print_json, print_note, progress_printer
+from carina.cli.console import ProgressCallback, print_json, print_note, progress_printer
 from carina.cli.opened import OpenedInput, check_case_options, check_scan_exists, newest_case_file, open_input
 from carina.cli.stored_frames import StoredFrames
 from carina.cluster import ClusterRenderer, render_frames
 from carina.config import load_settings
-from carina.errors import NoResultError, TrackingError, UsageError, VolumeImportError
+from carina.errors import NoResultError, UsageError
 from carina.export import VIDEO_SUFFIXES, VideoWriter
+from carina.export.flight_film import FrameOptions, check_num_frames, distinct_images, write_frames
 from carina.export.video import even_size, size_notes
 from carina.navigate import AutoFlight, KeyFrameFile, KeyFrameFlight, Recording, open_key_frames, open_recording
 from carina.navigate.auto_flight import frame_times_s
 from carina.navigate.recording import ReplayedPose, case_key, sampled
-from carina.render import LEAD_VIEW, AirwayView, Backend, Renderer, TransferFunction, transfer_preset
-from carina.scopes import DEFAULT_SCOPE, ImageField, WallField, scope_preset
+from carina.render import LEAD_VIEW, Backend, Renderer, transfer_preset
+from carina.scopes import DEFAULT_SCOPE, scope_preset
 from carina.session import RendererFactory, is_case_file, key_file, view_words
-from carina.track import edits_from_json, wall_field
+from carina.session.flights.film_flights import (
+    flight_captions,
+    frames_of_flight,
+    replay_recording,
+    wall_builder,
+)
 from carina.volume import Volume
 
 SPEED_MM_S = 20.0
 PAUSE_S = 1.0
 """Default values of the options."""
-
-
-@dataclass(frozen=True, slots=True)
-class _RenderOptions:
-    """Options for the rendering of the frames."""
-
-    size: tuple[int, int]
-    scope: str | None
-    step_vox: float
 
 
 def report(
@@ -72,6 +67,7 @@ def report(
     mixed: bool = False,
     keep: Path | None = None,
     ct: Path | None = None,
+    captions: bool = False,
 ) -> int:
     """Render all frames and write the video, on a cluster if there is one, and continue from stored frames."""
     check_output_file(output, *VIDEO_SUFFIXES)
@@ -97,7 +93,7 @@ def report(
         print_note(f"note: {note}")
     size = even_size(*size)
     named = None if scope in {None, "none"} else scope_preset(str(scope)).name
-    shown = _RenderOptions(size, (DEFAULT_SCOPE if scope is None else named), step_vox)
+    shown = FrameOptions(size, (DEFAULT_SCOPE if scope is None else named), step_vox)
     if to is not None:
         check_destination(to, LEAD_VIEW)
         AutoFlight(carina.FlightPath([[0, 0, 1], [0, 0, 0]]), speed_mm_s=speed_mm_s, pause_s=pause_s)
@@ -119,9 +115,10 @@ def report(
         if of_case and source.moment is not None:
             given = key_file(volume, source.key_frames(str(keys)), source.moment.sight)
         facts: dict[str, Any] = {}
+        way: ChosenRoute | None = None
         if recorded is not None:
             recorded.check(volume, carina=carina.__version__)
-            moments, facts = _replay_poses(recorded, volume, progress)
+            moments, facts = replay_recording(recorded, wall_builder(volume, progress), volume, print_note)
             times = frame_times_s(recorded.length_s, rate_hz)
             frames = sampled(moments, times)
         else:
@@ -140,21 +137,26 @@ def report(
                     **way.drawn.to_json(),
                     "stops_mm": list(way.lookouts_mm),
                 }
-            times = frame_times_s(flight.duration_s, rate_hz)
             view = _chosen_view(_stored_view(source, given), shown, chosen=scope is not None)
-            turned = view.get("operator") == "facing"
-            frames = [ReplayedPose(float(t), flight.pose_at(float(t)), view, turned) for t in times]
-        shots, times_shown = _distinct_images(frames, shown)
+            frames = frames_of_flight(flight, view, rate_hz)
+        check_num_frames(len(frames))
         stored = None if keep is None else StoredFrames(keep, _job_digest(volume, frames, shown, mixed))
-        num_kept = 0 if stored is None else min(stored.num, len(shots))
+        num_images = len(distinct_images(frames, shown)[0])
+        num_kept = 0 if stored is None else min(stored.num, num_images)
         if num_kept:
-            print_note(f"continuing: {num_kept} of {len(shots)} frames are already in {keep}")
+            print_note(f"continuing: {num_kept} of {num_images} frames are already in {keep}")
         began_s = time.perf_counter()
         renderer = _renderer(source, progress, None if used is None else used.make_renderer)
-        for number, rgb in _render_images(renderer, shots, stored, size):
-            for _ in range(times_shown[number]):
-                video.add(rgb)
-            progress("rendering frames", video.num_frames / len(frames))
+        write_frames(
+            video,
+            renderer,
+            frames,
+            shown,
+            captions=_captions(source, way, renderer, progress) if captions else None,
+            stored=stored,
+            render_frames=render_frames,
+            progress=progress,
+        )
         seconds = time.perf_counter() - began_s
     print_note(f"wrote {output}: {len(frames)} frames, {len(frames) / rate_hz:.2f} s")
     if as_json:
@@ -175,70 +177,23 @@ def report(
     return 0
 
 
+def _captions(
+    source: OpenedInput, way: ChosenRoute | None, renderer: Renderer | ClusterRenderer, progress: ProgressCallback
+) -> Callable[[ReplayedPose, float], tuple[str, ...]]:
+    """Return the function that writes the captions of the frames; a case without airways has only the time."""
+    try:
+        airways = source.airways(progress)
+    except NoResultError:
+        airways = None
+    return flight_captions(source.volume, airways, way, renderer if isinstance(renderer, Renderer) else None).lines
+
+
 def _recording(path: Path, wanted: Path) -> Recording:
     """Return the recording in a file, or a recording of the case by its name or number."""
     if wanted.is_file() or not is_case_file(path):
         return open_recording(wanted)
     with CaseFile.open(newest_case_file(path), read_only=True) as case:
         return case.recording(find_recording(case, str(wanted)).recording_id)
-
-
-def _replay_poses(recorded: Recording, volume: Volume, progress: Any) -> tuple[list[ReplayedPose], dict[str, Any]]:
-    build_wall = _wall_builder(volume, progress) if recorded.needs_wall else None
-    moments, different = [], 0
-    for moment, same in recorded.replay(volume, wall=build_wall):
-        moments.append(moment)
-        different += not same
-    if not moments:
-        raise NoResultError("the recording contains no poses")
-    if different:
-        print_note(
-            f"note: {different} of {len(moments)} poses differ from the recorded ones; the recording was probably "
-            "made with another build of Carina"
-        )
-    if not recorded.complete:
-        print_note("note: the recording is incomplete; the replay stops where it ends")
-    return moments, {"num_moments": len(moments), "num_different": different, "complete": recorded.complete}
-
-
-def _wall_builder(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallField]:
-    """Return a function that rebuilds the airway wall of a recording by repeating its airway search and its edits."""
-    known: dict[str, WallField] = {}
-
-    def build_wall(stored: dict[str, Any]) -> WallField:
-        digest = str(stored.get("digest", ""))
-        if digest in known:
-            return known[digest]
-        searches: list[dict[str, Any]] = [{}]
-        if stored.get("root_lps") is not None:
-            # The recording does not state which of these the user gave: search with neither, threshold, both.
-            searches += [
-                {"lumen_threshold": stored.get("lumen_threshold")},
-                {"root_lps": stored["root_lps"], "lumen_threshold": stored.get("lumen_threshold")},
-            ]
-        edits = () if stored.get("edits") is None else edits_from_json(stored["edits"])
-        for search in searches:
-            try:
-                airways = carina.find_airways(volume, **search, progress=progress)
-                for edit in edits:
-                    airways = carina.edit_airways(volume, airways, edit, progress=progress)
-                made = wall_field(volume, airways, progress=progress)
-            except (TrackingError, UsageError):
-                # This search can fail (no root) or give airways without the edited branches; try the next one.
-                if search is searches[-1] and not digest:
-                    raise
-                continue
-            if digest in {"", made.digest()}:
-                known[digest] = made
-                return made
-        raise VolumeImportError(
-            "the airways that guided the scope in this recording differ from those found here, probably because they "
-            "came from an imported segmentation or from another build of Carina; replay the recording with the "
-            "segmentation and the build that it was made with",
-            code="navigate.recording",
-        )
-
-    return build_wall
 
 
 def _stored_view(source: OpenedInput, keys: KeyFrameFile | None) -> dict[str, Any]:
@@ -249,7 +204,7 @@ def _stored_view(source: OpenedInput, keys: KeyFrameFile | None) -> dict[str, An
     return {} if document is None or moment is None else view_words(document, moment.sight)
 
 
-def _chosen_view(own: dict[str, Any], shown: _RenderOptions, *, chosen: bool) -> dict[str, Any]:
+def _chosen_view(own: dict[str, Any], shown: FrameOptions, *, chosen: bool) -> dict[str, Any]:
     """Return the view of a recording; the instrument of the command, if any, replaces the recorded one."""
     view = dict(own)
     if chosen and view:
@@ -257,7 +212,7 @@ def _chosen_view(own: dict[str, Any], shown: _RenderOptions, *, chosen: bool) ->
     return view
 
 
-def _job_digest(volume: Volume, frames: list[ReplayedPose], shown: _RenderOptions, mixed: bool) -> str:
+def _job_digest(volume: Volume, frames: list[ReplayedPose], shown: FrameOptions, mixed: bool) -> str:
     """Return a digest of everything on which the frames of a flight depend, without patient data."""
     digest = hashlib.sha256()
     settings = load_settings()
@@ -284,68 +239,3 @@ def _renderer(source: OpenedInput, progress: Any, make: RendererFactory | None) 
         except NoResultError as error:
             print_note(f"note: {error}; thin walls are shown as they appear in the CT")
     return renderer
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _FrameImage:
-    """Description of one image to render."""
-
-    transfer: Any
-    """Transfer function as JSON; None for the default."""
-    view: AirwayView
-
-
-def _distinct_images(frames: list[ReplayedPose], shown: _RenderOptions) -> tuple[list[_FrameImage], list[int]]:
-    """Return the distinct images of a flight, with the number of frames for which each is shown."""
-    shots: list[_FrameImage] = []
-    times_shown: list[int] = []
-    last: tuple[int, int] | None = None
-    for frame in frames:
-        same = (id(frame.pose), id(frame.view))
-        if same == last:
-            times_shown[-1] += 1
-            continue
-        last = same
-        shots.append(_FrameImage(frame.view.get("transfer"), _view(frame, shown)))
-        times_shown.append(1)
-    return shots, times_shown
-
-
-def _view(frame: ReplayedPose, shown: _RenderOptions) -> AirwayView:
-    view = frame.view
-    settings: dict[str, Any] = {"width": shown.size[0], "height": shown.size[1], "step_vox": shown.step_vox}
-    settings |= {name: view[name] for name in ("shading", "texture", "fov_deg") if name in view}
-    scope = view.get("scope", shown.scope)
-    outline = view.get("mask")
-    if scope is None:
-        field = ImageField() if outline is None else ImageField(outline)
-        settings.setdefault("fov_deg", 90.0)
-        return AirwayView(frame.pose, field=field, **settings)
-    preset = scope_preset(scope)
-    if outline is not None:
-        settings["field"] = replace(preset.field, outline=outline)
-    return AirwayView.of_scope(preset, frame.pose, picture_turned=frame.picture_turned, **settings)
-
-
-def _render_images(
-    renderer: Renderer | ClusterRenderer, shots: list[_FrameImage], stored: StoredFrames | None, size: tuple[int, int]
-) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-    """Yield all images with their numbers, in order: first the stored images, then newly rendered images."""
-    first = 0 if stored is None else min(stored.num, len(shots))
-    for number in range(first):
-        assert stored is not None
-        yield number, stored.load(number, size)
-    start = 0
-    for transfer, run in itertools.groupby(shots, key=lambda shot: shot.transfer):
-        views = [shot.view for shot in run]
-        end = start + len(views)
-        if end > first:
-            renderer.set_transfer(
-                transfer_preset("endoscopic") if transfer is None else TransferFunction.from_json(transfer)
-            )
-            renderer.prepare()
-            for n, picture in render_frames(renderer, views, first=max(0, first - start)):
-                if stored is not None:
-                    stored.store_frame(start + n, picture)
-                yield start + n, picture.rgb
-        start = end

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import carina
-from carina.case.routes import ChosenRoute
 from carina.cli.along import check_destination, print_drawn_parts, route_to
 from carina.cli.arguments import check_needs, check_output_file, parse_point
 from carina.cli.console import interruptible, print_json, print_note, progress_printer
+from carina.cli.fork_sheet import FORK_SHEET, write_fork_sheet
 from carina.cli.opened import OpenedInput, check_case_options, open_input
 from carina.cli.optics import OpticsOptions
 from carina.cli.xray_set import XRAY_SET, write_xray_set
@@ -24,22 +24,18 @@ from carina.render import (
     LEAD_VIEW,
     VIEWS,
     Backend,
-    PathSpan,
-    Picture,
     Slab,
     TransferFunction,
     ignored_settings,
-    letter_edges,
-    mark_path,
-    mark_tip,
     render_surface,
     render_view,
     transfer_preset,
     view_row,
     view_spec,
 )
+from carina.render.saved_picture import PictureMarks, default_marks
 from carina.scopes import PathFrames, Pose
-from carina.track import kind_words
+from carina.session import finish_case_picture
 from carina.volume.point_check import check_in_volume
 
 MAX_TRANSFER_BYTES = 1_000_000
@@ -96,18 +92,20 @@ def _slab(text: str | None) -> Slab | None:
         ) from None
 
 
+def _chosen_marks(view: str, letters: bool | None, scale: bool | None, names: bool | None) -> PictureMarks:
+    """Return the marks of a picture: those of the options, else those that the view has by default."""
+    row = view_row(view)
+    if scale and not row.scaled:
+        raise UsageError(f"--scale-bar: the {view} view has no single scale in mm; omit the option")
+    if names and not row.named:
+        raise UsageError(f"--names: the {view} view shows no names of branches; omit the option")
+    usual = default_marks(view)
+    given = {"letters": letters, "scale": scale, "names": names}
+    return dataclasses.replace(usual, **{name: value for name, value in given.items() if value is not None})
+
+
 def _path_views() -> str:
     return " and ".join(sorted(row.name for row in VIEWS.values() if "route" in row.needs))
-
-
-def _with_path_marks(picture: Picture, way: ChosenRoute) -> Picture:
-    spans = [
-        PathSpan(
-            kind_words(s.kind) or s.name or f"generation {s.generation}", s.from_mm, s.to_mm, drawn=s.kind != "tracked"
-        )
-        for s in way.spans
-    ]
-    return mark_path(picture, spans=spans, radius_mm=(way.cumulative_mm, way.radius_mm))
 
 
 def _case_view_options(
@@ -164,12 +162,16 @@ def report(
     carm_deg: tuple[float, float],
     tone: str,
     slab: str | None,
+    letters: bool | None,
+    scale_bar: bool | None,
+    names: bool | None,
     series: str | None,
     as_json: bool,
     ct: Path | None = None,
 ) -> int:
     """Render one image and write it as PNG; with ``surface``, also write the wall points of its pixels."""
-    if view == XRAY_SET:
+    if view in {XRAY_SET, FORK_SHEET}:
+        sheet = view == XRAY_SET
         check_needs(
             f"other views; the view is {view!r}",
             look=look,
@@ -183,18 +185,25 @@ def report(
             orbit=orbit,
             surface=surface,
             tree=tree,
-            to=to,
+            to=to if sheet else None,
+            at=None if sheet else at,
+            window=None if sheet else window,
             turn=turn_deg != 0.0,
             carm_primary=carm_deg[0] != 0.0,
             carm_secondary=carm_deg[1] != 0.0,
             tone=tone != "radiograph",
             slab=slab,
+            letters=letters is not None,
+            scale_bar=scale_bar is not None,
+            names=names is not None,
             scope=seen.scope,
             lens=seen.lens,
             outline=seen.outline,
             vignette=seen.vignette,
             focus=seen.focus,
         )
+        if not sheet:
+            return write_fork_sheet(path, output=output, to=to, series=series, ct=ct, as_json=as_json)
         return write_xray_set(
             path,
             output=output,
@@ -258,15 +267,18 @@ def report(
         raise UsageError(f"--to and --tree only apply to the {_path_views()} views; the view is {view!r}")
     if slab is not None and row.slab is None:
         raise UsageError(f"--slab only applies to slices and views along a path; the view is {view!r}")
+    marks = _chosen_marks(view, letters, scale_bar, names)
     direction = (0.0, 0.0, -1.0) if look is None else look
     # Check the arguments now, before minutes of reading and tracking.
     view_spec(pose=Pose.looking((0.0, 0.0, 0.0) if at is None else at, direction, up), **options)
+    turned = False
     progress = progress_printer()
     source = open_input(path, series=series, progress=progress, ct=ct)
     volume, badges = source.volume, source.badges
     if source.moment is not None:
         options |= _case_view_options(source, view, seen, fov_deg, window, shading, texture)
         chosen = chosen or source.moment.history().current.transfer
+        turned = view == LEAD_VIEW and source.moment.history().current.look.operator == "facing"
     if at is not None:
         try:
             check_in_volume(volume, at, "--at")
@@ -284,7 +296,7 @@ def report(
         way = route_to(source, to, tree_file=tree, progress=progress)
         options["path"] = way.path.frames()
         print_drawn_parts(way)
-    wants_lumen = wants_pose or "airways" in row.needs
+    wants_lumen = wants_pose or "airways" in row.needs or (marks.names and row.named and way is None)
     if wants_lumen or wants_wall:
         try:
             airways = source.airways(progress)
@@ -293,7 +305,7 @@ def report(
             if wants_lumen:
                 raise
             print_note(f"note: {error}; thin walls are shown as they appear in the CT")
-    left = source.tip if wants_pose and look is None and up is None else None
+    left = source.tip if at is None and look is None and up is None else None
     if left is not None:
         at = left.position_lps
     if at is None and airways is not None:
@@ -301,19 +313,18 @@ def report(
     pose = left or Pose.looking(volume.centre_lps if at is None else at, direction, up)
     lumen_zyx, known = (None, None) if airways is None else (airways.lumen_zyx, airways.tree)
     backend = Backend(load_settings().backend)
+    spec = view_spec(pose=pose, picture_turned=turned, **options)
     picture = interruptible(
-        lambda: render_view(
-            volume, pose=pose, transfer=chosen, lumen_zyx=lumen_zyx, tree=known, backend=backend, **options
-        )
+        lambda: render_view(volume, view=spec, transfer=chosen, lumen_zyx=lumen_zyx, tree=known, backend=backend)
     )
-    if row.marks_tip and at is not None:
-        picture = mark_tip(picture, pose.position_lps)
-    if way is not None:
-        picture = _with_path_marks(picture, way)
-        if at is not None:
-            picture = mark_tip(picture, at)
-    if row.lettered:
-        picture = letter_edges(picture)
+    picture = finish_case_picture(
+        picture,
+        marks,
+        volume=volume,
+        airways=airways,
+        route=way,
+        tip_lps=None if at is None else pose.position_lps,
+    )
     picture.save(output, badges=badges.notes)
     print_note(f"wrote {output}")
     if surface is not None:

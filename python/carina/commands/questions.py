@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Generic, TypeVar
+from typing import Annotated, Any, Generic, Literal, TypeVar
+
+from msgspec import Meta
 
 from carina.commands.fields import BranchId, FlightNumber, Identifier, PointLps
 from carina.commands.tree import AddBranch, Bridge, MoveFork
@@ -105,6 +107,13 @@ class AirwaysQuery(Query[tuple[Any, Any]], frozen=True):
     """
 
 
+class PictureFacts(Query[tuple[Any, Any, Any, Literal["head", "facing"]]], frozen=True):
+    """Present volume, :class:`carina.track.Airways`, chosen route and position of the operator, for saved pictures.
+
+    Airways and route are None if there are none.
+    """
+
+
 class KeyFrameFileQuery(Query[Any], frozen=True):
     """Key frames with their airway paths, the view and the case, as a :class:`carina.navigate.KeyFrameFile`.
 
@@ -119,6 +128,25 @@ class FlightFileQuery(Query[str], frozen=True):
     """
 
     number: FlightNumber
+
+
+class FlightToFilm(Query[Any], frozen=True):
+    """A flight of the open case for a video: a :class:`carina.session.flights.film_flights.FilmFlight`.
+
+    NoResultError is raised if the case has no such flight.
+    """
+
+    flight: Literal["route", "key_frames", "recording"]
+    number: FlightNumber | None = None
+    """Number of a recording; None for a route and for key frames."""
+    speed_mm_s: Annotated[float, Meta(ge=0.1, le=500.0)] = 20.0
+    """Speed along a route; key frames and recordings have their own speeds."""
+    pause_s: Annotated[float, Meta(ge=0.0, le=60.0)] = 1.0
+    """Pause at each fork of a route and at its end."""
+    rate_hz: Annotated[float, Meta(ge=1.0, le=240.0)] = 30.0
+    """Frames per second."""
+    window: Annotated[int, Meta(ge=0, le=2**31)] | None = None
+    """Window whose light and decoration the video shows; None for the window that was used last."""
 
 
 class UnstoredFlights(Query[Any], frozen=True):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import io
 import os
 from collections.abc import Iterator
@@ -22,7 +23,8 @@ VIDEO_SUFFIXES = (".mp4", ".webm")
 # BT.709 is what players assume for a video without a label. The label is written too.
 _BT709 = 1
 _OPTIONS = {
-    ".mp4": ("libx264", {"crf": "18", "preset": "veryfast"}),
+    # QuickTime and old phones play the main profile; the default is the high profile.
+    ".mp4": ("libx264", {"crf": "18", "preset": "veryfast", "profile": "main"}),
     # "realtime" with cpu-used 6 encodes about ten times faster than the default, with a few percent more bytes.
     ".webm": ("libvpx-vp9", {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "6", "row-mt": "1"}),
 }
@@ -33,6 +35,13 @@ _LARGEST_LEVEL = (139_264, 16_711_680)
 _COMMON_LEVEL = (36_864, 2_073_600)
 """H.264 level 5.2 (4096 x 2304), commonly played by phones and browsers: macroblocks per frame, and per second."""
 COMMENT = "Made by Carina from a CT. Not a medical device; not for diagnosis."
+
+
+def video_problem() -> str | None:
+    """Return the reason why this installation writes no videos, with the command that changes it; None if it does."""
+    if importlib.util.find_spec("av") is not None:
+        return None
+    return f"videos need PyAV, which is not installed; install it with: {extra_command('video')}"
 
 
 def _pyav() -> Any:
@@ -232,6 +241,11 @@ class VideoWriter:
     def size_px(self) -> tuple[int, int]:
         """Width and height of the video, both even."""
         return even_size(*self._size)
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of the frames that were added so far, in seconds."""
+        return float(self.num_frames / self._rate)
 
     def _create_stream(self, suffix: str) -> Any:
         codec, options = _OPTIONS[suffix]

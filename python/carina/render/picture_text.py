@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from carina.render.views import Picture, PictureLines
 _DOTS = {
     " '()+,-.": "0000000000 0008070300 001c224100 0041221c00 08083e0808 0080703000 0808080808 0000606000",
     "/": "2010080402",
+    "%:;": "2313086462 0000660000 0056360000",
     "01234567": "3e5149453e 00427f4000 7249494946 2141494d33 1814127f10 2745454539 3c4a494931 4121110907",
     "89": "3649494936 464949291e",
     "ABCDEFGH": "7c1211127c 7f49494936 3e41414122 7f4141413e 7f49494941 7f09090901 3e41415173 7f0808087f",
@@ -35,8 +36,8 @@ _GLYPHS = {
     for letter, columns in zip(letters, dots.split(), strict=True)
 }
 _ADVANCE, _HEIGHT = 6, 8
-_TEXT_RGB, _QUIET_RGB, _AXIS_RGB, _RADIUS_RGB = (230, 232, 234), (169, 177, 184), (79, 211, 230), (79, 211, 230)
-_DRAWN_RGB = (244, 180, 76)
+TEXT_RGB, QUIET_RGB, _AXIS_RGB, _RADIUS_RGB = (230, 232, 234), (169, 177, 184), (79, 211, 230), (79, 211, 230)
+DRAWN_RGB = (244, 180, 76)
 _DASH_ROWS = 10
 
 # Number of picture rows over which the direction of the path at an end is measured.
@@ -77,7 +78,7 @@ def letter_edges(picture: Picture) -> Picture:
     UsageError
         If the picture has no geometry of its pixels.
     """
-    return letters_at_edges(picture, _glyph_size(picture.rgb))
+    return letters_at_edges(picture, glyph_size(picture.rgb))
 
 
 def letters_at_edges(picture: Picture, size: int) -> Picture:
@@ -125,6 +126,7 @@ def mark_path(
     *,
     spans: Sequence[PathSpan] = (),
     radius_mm: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
+    axis: bool = True,
 ) -> Picture:
     """Return a copy of a view along a path with its axis: distances in mm, names of the branches, outline of the lumen.
 
@@ -137,6 +139,8 @@ def mark_path(
     radius_mm
         Positions (n,) along the path and lumen radii (n,), mm. They are drawn as two dotted lines in the straightened
         picture, except along branches that were drawn by hand.
+    axis
+        Whether the axis with its distances is drawn.
 
     Raises
     ------
@@ -148,7 +152,7 @@ def mark_path(
         raise UsageError("only views along a path have a position axis")
     rgb = picture.rgb.copy()
     height, width = rgb.shape[:2]
-    size = _glyph_size(rgb)
+    size = glyph_size(rgb)
     known = np.isfinite(lines.path_mm)
     rows = np.flatnonzero(known)
     if rows.size == 0:
@@ -169,20 +173,8 @@ def mark_path(
             return None
         return round(float(np.interp(place_mm, lines.path_mm[rows], rows)))
 
-    axis = 3 * size
-    rgb[rows[0] : rows[-1] + 1, axis : axis + size] = _AXIS_RGB
-    gaps = rows[drawn] % (_DASH_ROWS * size) >= _DASH_ROWS * size // 2
-    rgb[rows[drawn], axis : axis + size] = np.where(
-        gaps[:, None, None], picture.rgb[rows[drawn], axis : axis + size], _DRAWN_RGB
-    )
-    per_px = (lines.path_mm[rows[-1]] - lines.path_mm[rows[0]]) / max(rows[-1] - rows[0], 1)
-    tick_mm = next(mm for mm in (1, 2, 5, 10, 20, 50, 100, 1000) if mm / max(per_px, 1e-6) >= 3 * _HEIGHT * size)
-    first = int(np.ceil(lines.path_mm[rows[0]] / tick_mm - 1e-3))
-    for place_mm in np.arange(first, lines.path_mm[rows[-1]] / tick_mm + 1e-3) * tick_mm:
-        row = row_of(float(np.clip(place_mm, lines.path_mm[rows[0]], lines.path_mm[rows[-1]])))
-        if row is not None:
-            rgb[row : row + size, axis : axis + 5 * size] = _AXIS_RGB
-            write_on(rgb, f"{place_mm:.0f} mm", axis + 7 * size, row, size=size)
+    if axis:
+        _draw_axis(rgb, picture, drawn, row_of)
     taken = -height
     for span in spans:
         start = row_of(span.from_mm) if span.from_mm > lines.path_mm[rows[0]] else int(rows[0])
@@ -190,16 +182,54 @@ def mark_path(
         if start is None or end is None:
             continue
         right = width - 3 * size
-        rgb[start : start + size, max(right - 5 * size, 0) : right] = _QUIET_RGB
+        rgb[start : start + size, max(right - 5 * size, 0) : right] = QUIET_RGB
         row = (start + end) // 2
         if row - taken > (_HEIGHT + 2) * size:
-            write_on(rgb, span.name, right, row, align=1.0, size=size, rgb_of=_DRAWN_RGB if span.drawn else _TEXT_RGB)
+            write_on(rgb, span.name, right, row, align=1.0, size=size, rgb_of=DRAWN_RGB if span.drawn else TEXT_RGB)
             taken = row
     return dataclasses.replace(picture, rgb=rgb)
 
 
-def _glyph_size(rgb: NDArray[np.uint8]) -> int:
-    return 1 if min(rgb.shape[:2]) < 400 else 2
+def _draw_axis(
+    rgb: NDArray[np.uint8],
+    picture: Picture,
+    drawn: NDArray[np.bool_],
+    row_of: Callable[[float], int | None],
+) -> None:
+    """Draw the axis of a path at the left edge, with distances in mm; a part that was drawn by hand is dashed."""
+    lines = picture.lines
+    assert lines is not None
+    rows = np.flatnonzero(np.isfinite(lines.path_mm))
+    size = glyph_size(rgb)
+    left = 3 * size
+    rgb[rows[0] : rows[-1] + 1, left : left + size] = _AXIS_RGB
+    gaps = rows[drawn] % (_DASH_ROWS * size) >= _DASH_ROWS * size // 2
+    rgb[rows[drawn], left : left + size] = np.where(
+        gaps[:, None, None], picture.rgb[rows[drawn], left : left + size], DRAWN_RGB
+    )
+    per_px = (lines.path_mm[rows[-1]] - lines.path_mm[rows[0]]) / max(rows[-1] - rows[0], 1)
+    tick_mm = next(mm for mm in (1, 2, 5, 10, 20, 50, 100, 1000) if mm / max(per_px, 1e-6) >= 3 * _HEIGHT * size)
+    first = int(np.ceil(lines.path_mm[rows[0]] / tick_mm - 1e-3))
+    for place_mm in np.arange(first, lines.path_mm[rows[-1]] / tick_mm + 1e-3) * tick_mm:
+        row = row_of(float(np.clip(place_mm, lines.path_mm[rows[0]], lines.path_mm[rows[-1]])))
+        if row is not None:
+            rgb[row : row + size, left : left + 5 * size] = _AXIS_RGB
+            write_on(rgb, f"{place_mm:.0f} mm", left + 7 * size, row, size=size)
+
+
+def glyph_size(rgb: NDArray[np.uint8]) -> int:
+    """Return the size of a dot of a letter in a picture, in pixels, so that text is readable in large pictures."""
+    return 1 if min(rgb.shape[:2]) < 400 else max(2, min(rgb.shape[:2]) // 500)
+
+
+def text_width(text: str, size: int) -> int:
+    """Return the width of a text in pixels, for dots of ``size`` pixels."""
+    return max(_ADVANCE * len(text) - 1, 1) * size
+
+
+def text_height(size: int) -> int:
+    """Return the height of a line of text in pixels, for dots of ``size`` pixels."""
+    return _HEIGHT * size
 
 
 def write_on(
@@ -210,7 +240,7 @@ def write_on(
     *,
     align: float = 0.0,
     size: int = 1,
-    rgb_of: tuple[int, int, int] = _TEXT_RGB,
+    rgb_of: tuple[int, int, int] = TEXT_RGB,
 ) -> None:
     """Draw text, light on a dark edge and vertically centred on ``row``; parts outside the picture are cut off."""
     dots = np.zeros((_HEIGHT, max(_ADVANCE * len(text) - 1, 1)), dtype=bool)

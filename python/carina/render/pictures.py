@@ -409,8 +409,13 @@ def view_spec(
     outline: Outline | None = None,
     vignette: float | None = None,
     depth_of_field: DepthOfField | None = None,
+    picture_turned: bool = False,
 ) -> View:
-    """Return the view that :func:`render_view` renders, checked without a volume, with the same parameters."""
+    """Return the view that :func:`render_view` renders, checked without a volume, with the same parameters.
+
+    With ``picture_turned`` an airway view through a scope is turned by 180 degrees, as the operator who faces the
+    patient sees it.
+    """
     _needed_pose("view_spec", pose)
     x, y, z = (float(v) for v in pose.position_lps)
     if orbit is not None and len(orbit) not in {2, 3}:
@@ -442,6 +447,7 @@ def view_spec(
             lens=lens,
             field=_picture_field(scope, outline, vignette),
             depth_of_field=depth_of_field,
+            picture_turned=picture_turned,
             step_vox=step_vox,
             sight=sight,
             path=path,
@@ -470,7 +476,7 @@ def mark_tip(picture: Picture, point_lps: NDArray[np.float64] | tuple[float, flo
     UsageError
         If the picture has no geometry of its pixels.
     """
-    if picture.lps_from_pixel is None and picture.lps_from_camera is None:
+    if picture.lps_from_pixel is None and picture.lps_from_camera is None and picture.lines is None:
         raise UsageError("this image has no pixel geometry, so no point can be marked in it")
     at = picture.pixel_of(point_lps)
     rgb = picture.rgb.copy()

@@ -152,6 +152,10 @@ class ViewRow:
     """Whether the command line marks the tip in pictures of this view."""
     lettered: bool = False
     """Whether the command line writes orientation letters at the edges of pictures of this view."""
+    scaled: bool = False
+    """Whether the picture has one scale in mm, which a scale bar or the axis of the path can show."""
+    named: bool = False
+    """Whether names of branches can be written into saved pictures of this view."""
     straight: bool = False
     """Whether the path is a straight vertical line, with the radius of the lumen marked on both sides."""
     orbit: Orbit | None = None
@@ -254,6 +258,8 @@ def _slice_row(plane: Plane) -> ViewRow:
         outlined=True,
         inside=True,
         marks_tip=True,
+        scaled=True,
+        named=True,
     )
 
 
@@ -273,6 +279,7 @@ def _xray_row(name: ViewName, axis: Plane, short: str, words: str) -> ViewRow:
         overlay="flat",
         wants_tip=False,
         marks_tip=True,
+        scaled=True,
     )
 
 
@@ -328,6 +335,8 @@ def _path_row(kind: Literal["straightened", "curved"], title: str, words: str, *
         windowed=True,
         wants_tip=False,
         lettered=True,
+        scaled=True,
+        named=True,
         straight=straight,
     )
 
@@ -355,6 +364,7 @@ VIEWS: Mapping[str, ViewRow] = MappingProxyType(
                 by_transfer=True,
                 costly=True,
                 at_tip=True,
+                named=True,
                 max_px=1024,
             ),
             *(_slice_row(plane) for plane in PLANES),
@@ -374,6 +384,8 @@ VIEWS: Mapping[str, ViewRow] = MappingProxyType(
                 outlined=True,
                 at_tip=True,
                 inside=True,
+                scaled=True,
+                named=True,
             ),
             _path_row("straightened", "Straightened", "straightened airway", straight=True),
             _path_row("curved", "Curved", "curved reformation", straight=False),
@@ -413,6 +425,7 @@ VIEWS: Mapping[str, ViewRow] = MappingProxyType(
                 by_transfer=True,
                 costly=True,
                 marks_tip=True,
+                named=True,
             ),
             ViewRow(
                 name="tri-plane",

@@ -682,8 +682,12 @@ class Picture:
         target = Path(path)
         if target.suffix.lower() != ".png":
             raise RenderError(f"saving an image: expected a file name that ends in .png; found {target.name!r}")
+        return write_whole(target, self.png(badges=badges), what="the image")
+
+    def png(self, *, badges: Sequence[Note] = ()) -> bytes:
+        """Return the picture as the bytes of the PNG file that :meth:`save` writes."""
         words = {KEYWORD: json.dumps(self.place(), allow_nan=False)}
         if badges:
             rows = [{"code": badge.code, "words": badge.words} for badge in badges]
             words[BADGES_KEYWORD] = json.dumps(rows)
-        return write_whole(target, png_bytes(np.ascontiguousarray(self.rgb), words), what="the image")
+        return png_bytes(np.ascontiguousarray(self.rgb), words)

@@ -18,6 +18,9 @@ from carina.errors import CarinaError, DiskError
 from carina.plan.report import ReportKind
 from carina.server.attached_programs import JOIN_PATH, serve_program
 from carina.server.files.downloads import Downloads
+from carina.server.files.films import Films
+from carina.server.files.fork_sheets import fork_sheet_answer
+from carina.server.files.pictures import Pictures
 from carina.server.files.plan_reports import Reports
 from carina.server.files.uploads import Uploads
 from carina.server.files.web_files import asset_path, web_folder
@@ -62,6 +65,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         Folder of the built client; None shows a page that says how to build it.
     """
     downloads, reports = Downloads(hub.session), Reports(hub.session)
+    pictures, films = Pictures(hub.session), Films(hub.session)
 
     async def index(request: Request) -> Response:
         token = request.query_params.get("token")
@@ -151,6 +155,38 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         except CarinaError as error:
             return _error(error, _status(error, 409))
 
+    async def picture(request: Request) -> Response:
+        if not gate.authorised(request.headers):
+            return _not_authorised()
+        try:
+            return await pictures.answer(request.path_params["view"], request.query_params)
+        except CarinaError as error:
+            return _error(error, _status(error, 409))
+
+    async def fork_sheet(request: Request) -> Response:
+        if not gate.authorised(request.headers):
+            return _not_authorised()
+        try:
+            return await fork_sheet_answer(hub.session)
+        except CarinaError as error:
+            return _error(error, _status(error, 409))
+
+    async def start_film(request: Request) -> Response:
+        if not gate.authorised(request.headers):
+            return _not_authorised()
+        try:
+            return await asyncio.to_thread(films.start, dict(request.query_params))
+        except CarinaError as error:
+            return _error(error, _status(error, 409))
+
+    async def film(request: Request) -> Response:
+        if not gate.authorised(request.headers):
+            return _not_authorised()
+        try:
+            return await films.answer(request.path_params["job_id"])
+        except CarinaError as error:
+            return _error(error, _status(error, 409))
+
     async def case_picture(request: Request) -> Response:
         if not gate.authorised(request.headers):
             return _not_authorised()
@@ -188,6 +224,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         finally:
             await hub.close_watch_page("Carina was closed")
             await asyncio.to_thread(hub.stop)
+            films.close()
 
     routes: list[Any] = [
         Route("/", index),
@@ -197,6 +234,10 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         Route("/api/plans/{name}", plan),
         Route("/api/key-frames.json", key_frames),
         Route("/api/flights/flight-{number:int}.jsonl", flight),
+        Route("/api/pictures/{view}.png", picture),
+        Route("/api/forks.png", fork_sheet),
+        Route("/api/films", start_film, methods=["POST"]),
+        Route("/api/films/{job_id}", film),
         Route("/api/cases/{case_id}/picture.jpg", case_picture),
         WebSocketRoute("/ws", socket),
         WebSocketRoute(JOIN_PATH, joined),

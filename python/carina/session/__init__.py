@@ -11,6 +11,7 @@ from carina.session.flights.key_frames import key_file
 from carina.session.flights.tip_commands import view_words
 from carina.session.jobs.background_jobs import JobEnded, JobProgress, log_fault
 from carina.session.jobs.job_groups import JobGroup
+from carina.session.scene.branch_names import finish_case_picture
 from carina.session.scene.layer_lines import LAYERS, LayerLines, LayerName
 from carina.session.scene.shown_case import SessionRenderer, ShownCase
 from carina.session.session import Session
@@ -78,6 +79,7 @@ __all__ = [
     "case_files",
     "chosen_number",
     "default_parts",
+    "finish_case_picture",
     "is_case_file",
     "key_file",
     "log_fault",

@@ -24,6 +24,7 @@ from carina.session.command_registry import handlers_of
 from carina.session.core import Event, SessionCore
 from carina.session.engines import Parts, RendererFactory
 from carina.session.flights.devices import DeviceHandlers
+from carina.session.flights.film_flights import FilmHandlers
 from carina.session.flights.key_frames import KeyFrameHandlers
 from carina.session.flights.recorded_flights import FlightHandlers
 from carina.session.flights.recording import FlightRecorder
@@ -108,7 +109,8 @@ class Session:
             opening, TipHandlers(core, holding), looking, RouteHandlers(core), planning, TargetHandlers(core),
             SecondCtHandlers(core, self._saving),
             finding, editing, keys, recording,
-            FlightHandlers(core, self._saving.flight_text), VerdictDriveHandlers(core),
+            FlightHandlers(core, self._saving.flight_text), FilmHandlers(core, self._saving.flight_text),
+            VerdictDriveHandlers(core),
             self._devices, holding, self._saving, self._cases, CaseQuestions(core),
             ObserverHandlers(core, finding, holding, self._saving),
         )  # fmt: skip

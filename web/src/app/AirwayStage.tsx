@@ -31,6 +31,7 @@ import { LEAD_VIEW } from "../wire/views";
 import { useApp, useStation } from "./context";
 import { Act, Choice, SwitchKey, Tip, useKeysBack } from "./controls";
 import { Icon } from "./icons";
+import { PictureMenu } from "./PictureMenu";
 import { PictureView } from "./PictureView";
 import { ScopeSelect } from "./ScopeSelect";
 import { ToolTag } from "./ToolTag";
@@ -265,6 +266,7 @@ function AirwayTools() {
         on={outline !== "none"}
         onChange={() => station.act("toggle_shape")}
       />
+      <PictureMenu view={LEAD_VIEW} />
     </div>
   );
 }

@@ -7,6 +7,7 @@ import { clock } from "../state/playing";
 import type { FlightInfo } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act, SwitchKey, Tip } from "./controls";
+import { SaveVideo } from "./FilmDialog";
 import { Icon } from "./icons";
 
 /** Render the switch that starts and stops the recording of a flight. */
@@ -19,7 +20,7 @@ export function RecordSwitch() {
       words={
         keeps
           ? "Record every movement of the tip. The flight is stored in this case."
-          : "Record to a file on this machine. Use carina fly to render it as a video, exactly as flown."
+          : "Record to a file on this machine. carina fly renders the file as a video, exactly as flown."
       }
       label={recording === null ? "Record" : "Stop recording"}
       on={recording !== null}
@@ -159,6 +160,9 @@ function FlightTools({ flight, first, last }: { flight: FlightInfo; first: boole
         value={flight.words}
         onChange={(words) => station.send({ type: "describe_flight", number, words })}
       />
+      <div className="row">
+        <SaveVideo flight={{ kind: "recording", number }} testId="flight-video" />
+      </div>
       {asking ? (
         <div
           role="alertdialog"
@@ -181,7 +185,7 @@ function FlightTools({ flight, first, last }: { flight: FlightInfo; first: boole
           <Act
             icon="file"
             label="Download"
-            words="Download this flight. Use carina fly to render it as a video."
+            words="Download this flight, to replay it elsewhere"
             disabled={isRecording}
             testId="flight-download"
             onPress={() => void station.takeFlight(number)}

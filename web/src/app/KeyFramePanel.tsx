@@ -6,7 +6,6 @@
 import { useState } from "react";
 import { Button, FileTrigger, Input, Slider, SliderThumb, SliderTrack, TextField } from "react-aria-components";
 import { keyOf } from "../input/keymap";
-import { KEYS_FILE } from "../net/download";
 import { filesOfPicker } from "../net/upload";
 import { mm, sentence } from "../state/format";
 import { clock, KEY_SPEEDS_MM_S, PLAY_RATES, passedKey } from "../state/playing";
@@ -14,6 +13,7 @@ import type { KeyFramesMessage, ShownKeyFrame } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act, Choice, Tip } from "./controls";
 import { Figure } from "./Figure";
+import { SaveVideo } from "./FilmDialog";
 import { Icon } from "./icons";
 
 /** Render the panel of key frames. */
@@ -340,7 +340,7 @@ function KeyFrameFile({ keyFrames }: { keyFrames: KeyFramesMessage }) {
         <Act
           icon="file"
           label="Save"
-          words="Save to a file. Open it again in this case, or render it as a video with carina fly."
+          words="Save to a file. Open it again in this case."
           disabled={keyFrames.frames.length === 0}
           testId="save-keys"
           onPress={() => void station.takeKeys()}
@@ -359,11 +359,7 @@ function KeyFrameFile({ keyFrames }: { keyFrames: KeyFramesMessage }) {
           </Tip>
         </FileTrigger>
       </div>
-      {keyFrames.frames.length > 1 ? (
-        <p className="quiet film">
-          Save as video: <code>carina fly SCAN --keys {KEYS_FILE} -o film.mp4</code>
-        </p>
-      ) : null}
+      <SaveVideo flight={{ kind: "key_frames" }} testId="keys-video" />
     </div>
   );
 }

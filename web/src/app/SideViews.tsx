@@ -22,6 +22,7 @@ import { CELLS, VIEWS } from "../wire/views";
 import { useApp, useStation } from "./context";
 import { Act, Choice, giveKeysBack, SwitchKey, Tip } from "./controls";
 import { fitPicture } from "./gestures-flat";
+import { PictureMenu } from "./PictureMenu";
 import { PictureView } from "./PictureView";
 import { ToolTag } from "./ToolTag";
 import { useWideWindow } from "./wide-window";
@@ -122,6 +123,7 @@ function Cell({ cell, view, isAlone }: CellProps) {
         {isAlone || isFull ? <CellTools cell={cell} view={view} isFull={isFull} /> : null}
         {outlined ? <OutlineSwitch /> : null}
         {isFlatView(view) ? <Fit view={view} /> : null}
+        <PictureMenu view={view} />
         <Act
           kind="icon"
           icon={isFull ? "leaveFull" : "full"}

@@ -8,6 +8,7 @@ import { BranchList } from "./BranchList";
 import { ContinuedBar } from "./ContinuedBar";
 import { useApp } from "./context";
 import { DevicePanel } from "./DevicePanel";
+import { FilmDialog } from "./FilmDialog";
 import { HistoryList } from "./HistoryList";
 import { KeyFramePanel } from "./KeyFramePanel";
 import { DropChoice, MaskDialog } from "./MaskImport";
@@ -59,6 +60,7 @@ export function WorkstationPage() {
       <DropChoice />
       <MaskDialog />
       <SaveDialog />
+      <FilmDialog />
       <TargetComparisonDialog />
     </div>
   );

@@ -45,6 +45,8 @@ const PATHS = {
   pause: "M5.5 3.5v9M10.5 3.5v9",
   up: "M3.5 10 8 5.5 12.5 10",
   capture: "M2 5.5V2.5h3M11 2.5h3v3M14 10.5v3h-3M5 13.5H2v-3M8 6a2 2 0 1 0 0 4 2 2 0 0 0 0-4",
+  picture: "M2 3h12v10H2zM2 11l3.5-3.5 2.5 2.5 2.5-3 3.5 4M5 5.7h.01",
+  film: "M2 3h12v10H2zM5 3v10M11 3v10M2 6.3h3M2 9.7h3M11 6.3h3M11 9.7h3",
   root: "M8 13.5V6M8 6 4.5 9M8 6l3.5 3M3 2.5h10",
 } as const;
 

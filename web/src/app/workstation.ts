@@ -56,6 +56,8 @@ import type {
 } from "../wire/messages";
 import { type CellName, LEAD_VIEW, VIEWS } from "../wire/views";
 import { BrowserDevices } from "./devices";
+import { FilmFiles } from "./film-files";
+import { PictureFiles } from "./picture-files";
 import { Pointing } from "./pointing";
 import { Previewing } from "./previewing";
 import { atNextRefresh } from "./refresh";
@@ -82,6 +84,8 @@ export class Workstation implements Station {
   readonly pointing: Pointing;
   readonly previewing: Previewing;
   readonly devices: BrowserDevices;
+  readonly pictures = new PictureFiles(this);
+  readonly films = new FilmFiles(this);
   readonly #stream: Stream;
   readonly #board: PictureBoard<ImageBitmap>;
   /**
@@ -700,6 +704,8 @@ export class Workstation implements Station {
     },
     toggle_shape: () => this.#toggleOutline(),
     toggle_outline: () => this.ui({ outlineVisible: !this.state.ui.outlineVisible }),
+    save_video: () => this.films.open({ kind: "route" }),
+    save_picture: () => this.pictures.saveFocused(),
     toggle_route_line: () => this.ui({ routeLineVisible: !this.state.ui.routeLineVisible }),
     arm_target: () => this.arm("target"),
     arm_root: () => this.arm("root"),

@@ -27,6 +27,8 @@ export type Action =
   | "toggle_shape"
   | "toggle_outline"
   | "toggle_route_line"
+  | "save_picture"
+  | "save_video"
   | "arm_target"
   | "arm_root"
   | "tool_add"
@@ -468,6 +470,16 @@ const PAGE: readonly Binding[] = [
   {
     place: "page",
     key: "v",
+    shift: true,
+    label: "Shift+V",
+    words: "Save the flight along the route as a video",
+    group: "Views",
+    command: press("save_video"),
+  },
+  {
+    place: "page",
+    key: "v",
+    shift: false,
     label: "V",
     words: "Switch between cut-plane, straightened airway and curved reformation",
     group: "Views",
@@ -502,10 +514,20 @@ const PAGE: readonly Binding[] = [
   {
     place: "page",
     key: "p",
+    shift: false,
     label: "P",
     words: "Show or hide the route line",
     group: "Views",
     command: press("toggle_route_line"),
+  },
+  {
+    place: "page",
+    key: "p",
+    shift: true,
+    label: "Shift+P",
+    words: "Save a picture of the focused view, or of the airway view",
+    group: "Views",
+    command: press("save_picture"),
   },
   {
     place: "page",

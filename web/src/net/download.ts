@@ -43,6 +43,37 @@ export function fetchFlight(number: number, signal: AbortSignal): Promise<{ name
   return fetchFile(`flight-${number}.jsonl`, signal, "flights/");
 }
 
+/** Download a view as PNG, with the size and marks of the query. */
+export function fetchPicture(view: string, query: string, signal: AbortSignal): Promise<{ name: string; blob: Blob }> {
+  return fetchFile(`${view}.png`, signal, "pictures/", `?${query}`);
+}
+
+/** Download the contact sheet of the route's forks as PNG. */
+export function fetchForks(signal: AbortSignal): Promise<{ name: string; blob: Blob }> {
+  return fetchFile("forks.png", signal);
+}
+
+/** Start the job that renders a video, and return the ID of the job. */
+export async function startFilm(query: string): Promise<string> {
+  const response = await fetch(`./api/films?${query}`, { method: "POST" });
+  if (!response.ok) throw await errorOf(response);
+  const body: unknown = await response.json();
+  const jobId = typeof body === "object" && body !== null ? (body as Record<string, unknown>).job_id : null;
+  if (typeof jobId !== "string") throw new DownloadError("download.failed", "Carina did not start the video.");
+  return jobId;
+}
+
+/** Wait until the job of a video has ended, and download the video. */
+export async function fetchFilm(jobId: string, name: string): Promise<{ name: string; blob: Blob }> {
+  for (;;) {
+    const response = await fetch(`./api/films/${encodeURIComponent(jobId)}`);
+    if (!response.ok) throw await errorOf(response);
+    // The status 202 means that the video is not finished; the server answers after some seconds.
+    if (response.status !== 202) return { name, blob: await response.blob() };
+    await response.body?.cancel();
+  }
+}
+
 /** Name of the downloaded file of key frames. */
 export const KEYS_FILE = "key-frames.json";
 
@@ -53,16 +84,19 @@ async function fetchFile(
   query = "",
 ): Promise<{ name: string; blob: Blob }> {
   const response = await fetch(`./api/${folder}${name}${query}`, { signal });
-  if (!response.ok) {
-    const body: unknown = await response.json().catch(() => null);
-    const field = (name: string): string | null => {
-      const value = typeof body === "object" && body !== null ? (body as Record<string, unknown>)[name] : null;
-      return typeof value === "string" ? value : null;
-    };
-    throw new DownloadError(
-      field("code") ?? "download.failed",
-      field("message") ?? `The file could not be made (${response.status}).`,
-    );
-  }
+  if (!response.ok) throw await errorOf(response);
   return { name, blob: await response.blob() };
+}
+
+/** Return the error of a response: its code and message, else its status. */
+async function errorOf(response: Response): Promise<DownloadError> {
+  const body: unknown = await response.json().catch(() => null);
+  const field = (name: string): string | null => {
+    const value = typeof body === "object" && body !== null ? (body as Record<string, unknown>)[name] : null;
+    return typeof value === "string" ? value : null;
+  };
+  return new DownloadError(
+    field("code") ?? "download.failed",
+    field("message") ?? `The file could not be made (${response.status}).`,
+  );
 }

@@ -58,7 +58,13 @@ function stream() {
   return { made, sockets, statuses, faults, messages, due };
 }
 
-const HELLO = JSON.stringify({ type: "hello", wire_version: WIRE_VERSION, carina_version: "0.1.0", watches: false });
+const HELLO = JSON.stringify({
+  type: "hello",
+  wire_version: WIRE_VERSION,
+  carina_version: "0.1.0",
+  watches: false,
+  window: 1,
+});
 
 describe("Stream", () => {
   it("It sends hello first, and its status is open after the server's hello.", () => {

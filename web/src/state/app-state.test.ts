@@ -256,7 +256,15 @@ describe("cases and jobs", () => {
   });
 
   it("The safety notice disappears when its acceptance is sent.", () => {
-    const start = from({ type: "start", notice_accepted: false, recent: [], demos: [], scopes: [], storage: null });
+    const start = from({
+      type: "start",
+      notice_accepted: false,
+      recent: [],
+      demos: [],
+      scopes: [],
+      storage: null,
+      no_video: null,
+    });
     expect(following(INITIAL_STATE, start, sent({ type: "accept_notice" })).start?.notice_accepted).toBe(true);
   });
 });

@@ -37,12 +37,14 @@ import { type CellName, LEAD_VIEW, type PlaneName } from "../wire/views";
 import { type BranchTree, buildTree } from "./airways";
 import { caseKey } from "./case-key";
 import type { Preview } from "./edit-preview";
+import { FIRST_FILM, type FilmChoice, type FilmFlight } from "./film";
 import type { LiveAnswer } from "./live-path";
 import type { ShownLayer } from "./lungs";
 import { allUnderWay, type Local, type Optimistic, shown, underWay } from "./optimistic";
 import { NO_PACE, type Pace } from "./pace";
 import type { PathCost } from "./path-search";
 import { NOT_PLAYING, type Playing } from "./playing";
+import { FIRST_PICTURE, type PictureChoice } from "./saved-picture";
 import { AUTO_SPEED_MM_S } from "./speed";
 import type { Step } from "./steps";
 import { type Armed, FIRST_BRUSH_MM } from "./tools";
@@ -146,6 +148,15 @@ export interface Ui {
   /** Availability of a VR headset in this browser; null until the browser has reported it. */
   readonly headset: "no-webxr" | "no-headset" | "ready" | "inside" | null;
   readonly routeLineVisible: boolean;
+  /** The flight for whose video the dialog is open; null if it is closed. */
+  readonly film: FilmFlight | null;
+  readonly filmChoice: FilmChoice;
+  /** Whether a video of this window is being rendered. */
+  readonly filming: boolean;
+  /** Whether the contact sheet of the route's forks is being rendered. */
+  readonly makingForks: boolean;
+  /** Size and marks of pictures that the user saves or copies. */
+  readonly picture: PictureChoice;
   /** Whether slices and the cut-plane show the lumen outline and the centrelines. */
   readonly outlineVisible: boolean;
   /** Layers around the targets that the user has hidden. */
@@ -162,6 +173,8 @@ export interface AppState {
   readonly version: string | null;
   /** Whether this window only watches another user's workstation. */
   readonly watches: boolean;
+  /** Number of this window at the server, with which it requests pictures of its views as files. */
+  readonly window: number;
   /** State of the watcher page and its current watchers; null in a window that itself watches. */
   readonly watching: WatchingMessage | null;
   readonly start: StartMessage | null;
@@ -241,6 +254,7 @@ export const INITIAL_STATE: AppState = {
   connection: { status: "connecting", reason: null, retryAtMs: null },
   version: null,
   watches: false,
+  window: 0,
   watching: null,
   start: null,
   session: null,
@@ -305,6 +319,11 @@ export const INITIAL_STATE: AppState = {
     mouseLocked: false,
     headset: null,
     routeLineVisible: true,
+    film: null,
+    filmChoice: FIRST_FILM,
+    filming: false,
+    makingForks: false,
+    picture: FIRST_PICTURE,
     outlineVisible: true,
     hiddenLayers: [],
     advancing: false,
@@ -405,7 +424,7 @@ export function reduce(state: AppState, event: AppEvent): AppState {
 function receive(state: AppState, message: ServerMessage): AppState {
   switch (message.type) {
     case "hello":
-      return { ...state, version: message.carina_version, watches: message.watches };
+      return { ...state, version: message.carina_version, watches: message.watches, window: message.window };
     case "start":
       return { ...state, start: message };
     case "state":

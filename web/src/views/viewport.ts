@@ -55,6 +55,11 @@ export class Viewport {
     this.#describe();
   }
 
+  /** Whether the host element has the keyboard focus. */
+  get hasFocus(): boolean {
+    return this.host.contains(document.activeElement);
+  }
+
   get view(): ViewName {
     return this.#view;
   }
@@ -117,6 +122,18 @@ export class Viewport {
     const scale = Math.min(this.#ratio, VIEWS[this.#view].max_px / Math.max(width, height, 1));
     const pixels = { width: Math.round(width * scale), height: Math.round(height * scale) };
     return Math.min(pixels.width, pixels.height) < MIN_SIDE_PX ? null : pixels;
+  }
+
+  /** Picture size on the screen for a saved picture, device pixels; null if the host element has no space for one. */
+  get screenPixels(): { width: number; height: number; fullWidth: number } | null {
+    const wanted = this.wantedPixels;
+    if (wanted === null) return null;
+    const { width, height } = this.frame;
+    return {
+      width: Math.round(width * this.#ratio),
+      height: Math.round(height * this.#ratio),
+      fullWidth: wanted.width,
+    };
   }
 
   draw(

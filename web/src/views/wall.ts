@@ -53,6 +53,12 @@ export class Wall {
     return null;
   }
 
+  /** Return the view that has the keyboard focus; null if none has. */
+  focused(): Viewport | null {
+    for (const viewport of this.#viewports) if (viewport.hasFocus) return viewport;
+    return null;
+  }
+
   draw(
     header: PictureHeader,
     image: CanvasImageSource,

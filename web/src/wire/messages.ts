@@ -1282,6 +1282,7 @@ export interface ServerHelloMessage {
   readonly wire_version: number;
   readonly carina_version: string;
   readonly watches: boolean;
+  readonly window: number;
 }
 
 /** An entry of the case list: a case that was opened before, without the name of its CT file. */
@@ -1346,6 +1347,7 @@ export interface StartMessage {
   readonly demos: readonly Demo[];
   readonly scopes: readonly Scope[];
   readonly storage: Storage | null;
+  readonly no_video: string | null;
 }
 
 /** A note to the user about the case, with a code that does not change between versions. */

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,19 +124,70 @@ def turn_list(
         raise UsageError(
             f"carina_depth_mm: expected 0 to {MAX_DEPTH_MM:g} mm; found {carina_depth_mm}", code="plan.range"
         )
-    lineage = tree.lineage(planned.branch_id)
+    found = _turns(
+        tree,
+        _Way(tree.lineage(planned.branch_id), planned.origin, planned.along_mm, planned.openings),
+        carina_depth_mm,
+        renderer,
+    )
+    return found if moves is None else turns_with_moves(tree, planned, found, moves, ends_along_mm)
+
+
+def branch_turns(
+    tree: AirwayTree, branch_id: int, origin: DistanceOrigin, *, renderer: Renderer | None = None
+) -> TurnList:
+    """Return the turns on the way to the end of a branch, without a plan: fork, opening and clock hour of each.
+
+    Parameters
+    ----------
+    tree
+        The airway tree.
+    branch_id
+        Branch at the end of the way.
+    origin
+        Origin of the distances (`carina.plan.distance_origin`).
+    renderer
+        Renderer of the CT with the lumen of its airways, as for `turn_list`.
+
+    Returns
+    -------
+    TurnList
+        One turn for each fork or group of close forks.
+
+    Raises
+    ------
+    UsageError
+        If the tree has no such branch.
+    """
+    lineage = tree.lineage(branch_id)
+    return _turns(tree, _Way(lineage, origin, sum(branch.length_mm for branch in lineage)), None, renderer)
+
+
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """The branches of a route, with its origin, its end in mm from the root, and its measured openings."""
+
+    lineage: list[Branch]
+    origin: DistanceOrigin
+    end_mm: float
+    openings: dict[int, RouteOpening] = field(default_factory=dict)
+
+
+def _turns(tree: AirwayTree, way: _Way, carina_depth_mm: float | None, renderer: Renderer | None) -> TurnList:
+    """Return the list of turns of a route without the moves of the hand."""
+    lineage = way.lineage
     by_id = {branch.id: branch for branch in tree.branches}
-    origin = planned.origin
+    origin = way.origin
     groups = _forks(lineage, origin)
     places_mm = [_place_mm(group) for group in groups]
-    way = np.concatenate([branch.points for branch in lineage])
+    points = np.concatenate([branch.points for branch in lineage])
     turns: list[Turn] = []
     for n, group in enumerate(groups):
         before_mm = places_mm[n - 1] if n else origin.past_mm(0.0)
         first, last = group[0], group[-1]
         fork = first.mother.points[-1]
         others = [by_id[i] for one in group for i in one.mother.children if i != one.daughter.id]
-        view = _view(tree, way, first, [last.daughter, *others], renderer)
+        view = _view(tree, points, first, [last.daughter, *others], renderer)
         taken, shown = view.openings[0], view.doubt is None and not view.openings[0].straight_ahead
         measured = angle_deg(first.mother, last.daughter)
         turns.append(
@@ -150,13 +201,13 @@ def turn_list(
                 clock_head=taken.hours if shown else None,
                 clock_facing=turned_hours(taken.hours) if shown else None,
                 angle_deg=_angle_deg(fork - view.eye, taken.middle_lps - fork) if measured is None else measured,
-                opening=narrowest_opening([_opening(planned, one.mother, one.daughter) for one in group]),
+                opening=narrowest_opening([_opening(way, one.mother, one.daughter) for one in group]),
                 moves=None,
                 doubts=tuple(words for one in group for words in branch_doubts(one.daughter)),
                 straight_ahead=view.doubt is None and taken.straight_ahead,
                 sides=_sides(fork - view.eye, taken.middle_lps - view.eye) if shown else (),
                 others=_clockwise(
-                    planned, taken, view.openings[1:], {i: one.mother for one in group for i in one.mother.children}
+                    way, taken, view.openings[1:], {i: one.mother for one in group for i in one.mother.children}
                 ),
                 through=tuple(branch_title(one.daughter) for one in group[:-1]),
                 at_main_carina=any(one.is_main_carina for one in group),
@@ -169,15 +220,14 @@ def turn_list(
         )
     last_mm = places_mm[-1] if places_mm else origin.past_mm(0.0)
     zero: Zero | None = None if origin.kind == "root" else origin.kind
-    found = TurnList(
+    return TurnList(
         turns=tuple(turns),
-        park_from_carina_mm=planned.from_carina_mm,
-        park_from_fork_mm=origin.past_mm(planned.along_mm) - last_mm,
+        park_from_carina_mm=way.origin.from_carina_mm(way.end_mm),
+        park_from_fork_mm=origin.past_mm(way.end_mm) - last_mm,
         carina_depth_mm=carina_depth_mm,
         zero=zero,
         notes=_notes(zero, carina_depth_mm),
     )
-    return found if moves is None else turns_with_moves(tree, planned, found, moves, ends_along_mm)
 
 
 def turns_with_moves(
@@ -339,15 +389,15 @@ def _eye(way: Points, fork: _Fork, stand: float, walls: ForkWalls) -> Points:
     return found
 
 
-def _opening(planned: PlannedRoute, mother: Branch, branch: Branch) -> RouteOpening:
+def _opening(way: _Way, mother: Branch, branch: Branch) -> RouteOpening:
     """Return the opening of a branch as measured for the route, else by the ball in the lumen found."""
-    known = planned.openings.get(branch.id)
+    known = way.openings.get(branch.id)
     if known is not None:
         return known
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
     mm = 2.0 * float(branch.wall_distance[along <= opening_mm(mother, branch)].min())
     why = f"{branch_title(branch)} was not measured; there the diameter is that of the largest ball"
-    return RouteOpening(RouteWidth(mm, float(ball_error_mm(mm, BALL_SPACING_MM)), 0.0, "ball", why, planned.origin))
+    return RouteOpening(RouteWidth(mm, float(ball_error_mm(mm, BALL_SPACING_MM)), 0.0, "ball", why, way.origin))
 
 
 def _dots(taken: Opening, eye: Points) -> tuple[Point, ...]:
@@ -372,7 +422,7 @@ def _sides(forward: Points, into: Points) -> tuple[str, ...]:
 
 
 def _clockwise(
-    planned: PlannedRoute, taken: Opening, others: Sequence[Opening], mothers: dict[int, Branch]
+    way: _Way, taken: Opening, others: Sequence[Opening], mothers: dict[int, Branch]
 ) -> tuple[OtherWay, ...]:
     ordered = sorted(others, key=lambda one: ((one.hours - taken.hours) % 12.0, one.branch.id))
     return tuple(
@@ -380,7 +430,7 @@ def _clockwise(
             branch_title(one.branch),
             one.branch.id,
             whole_hour(one.hours) if one.in_view and not one.straight_ahead else None,
-            _opening(planned, mothers[one.branch.id], one.branch),
+            _opening(way, mothers[one.branch.id], one.branch),
             in_view=one.in_view,
             opening_lps=_point(one.middle_lps),
             ahead_deg=one.ahead_limit_deg,

@@ -44,6 +44,7 @@ def start_message(
     recent: tuple[ListedCase, ...],
     patient_citation: Citation | None,
     storage: StorageInfo | None = None,
+    no_video: str | None = None,
 ) -> wire.Start:
     """Return the contents of the start page; the message contains no file paths."""
     cases = tuple(_case_list_entry(case) for case in recent)
@@ -59,7 +60,7 @@ def start_message(
         wire.Scope(s.name, s.title, s.tip_mm, round(s.fit_mm, 2), s.channel_mm, s.fov_deg, s.view_up_deg)
         for s in scope_presets()
     )
-    return wire.Start(notice_accepted, cases, demos(patient_citation), scopes, beside)
+    return wire.Start(notice_accepted, cases, demos(patient_citation), scopes, beside, no_video)
 
 
 def _case_list_entry(case: ListedCase) -> wire.CaseListEntry:

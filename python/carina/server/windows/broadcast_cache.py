@@ -9,6 +9,7 @@ from typing import Any
 
 from carina.commands import LungsOf, PlanningOf
 from carina.errors import UsageError
+from carina.export.video import video_problem
 from carina.server.to_wire.lungs import lungs_message
 from carina.server.to_wire.plan import plans_message
 from carina.server.to_wire.session import key_frames_message, route_message, start_message
@@ -72,6 +73,7 @@ class SharedTexts:
                 recent=cases.listed(),
                 patient_citation=self._patient_citation,
                 storage=cases.storage(),
+                no_video=video_problem(),
             )
         )
 

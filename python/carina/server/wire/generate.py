@@ -39,6 +39,8 @@ ROW_FIELDS = (
     "slab",
     "windowed",
     "outlined",
+    "scaled",
+    "named",
     "straight",
     "orbit",
     "max_px",

@@ -48,6 +48,8 @@ class ServerHello(ServerMessage, frozen=True, tag="hello"):
     carina_version: Words
     watches: bool = False
     """Whether the client is an observer: the server refuses all commands except those for the client's own view."""
+    window: Count = 0
+    """Number of the client's window, with which it requests pictures of its own views as files."""
 
 
 class CaseListEntry(FrozenValue, frozen=True):
@@ -125,6 +127,8 @@ class Start(ServerMessage, frozen=True):
     demos: tuple[Demo, ...]
     scopes: tuple[Scope, ...]
     storage: Storage | None = None
+    no_video: Words | None = None
+    """Reason why this installation saves no videos, with the command that changes it; None if it does."""
 
 
 class OtherSeries(FrozenValue, frozen=True):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -74,6 +74,14 @@ class CaseQuestions(CommandHandlers):
         """Return the volume and the airways for an export; both are immutable."""
         with self.core.lock:
             return self.core.needed_case().info.volume, self._airways()
+
+    @answers(c.PictureFacts)
+    def picture_facts(self, _question: c.PictureFacts) -> tuple[Any, Any, Any, Literal["head", "facing"]]:
+        """Return the volume, the airways, the chosen route and the position of the operator; all are immutable."""
+        with self.core.lock:
+            case = self.core.needed_case()
+            document = case.document
+            return case.info.volume, document.airways, document.route, document.look.operator
 
     @answers(c.LumenBeforeWall)
     def lumen_before_wall(self, question: c.LumenBeforeWall) -> tuple[float, float, float]:

@@ -4,6 +4,8 @@ import { planOf } from "../../state/plan";
 import { placeText } from "../../state/route";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
+import { SaveVideo } from "../FilmDialog";
+import { SaveForks } from "../ForkSheet";
 import { Icon } from "../icons";
 import { LungsPanel } from "./LungsPanel";
 import { PlannedRoutes } from "./PlannedRoutes";
@@ -87,6 +89,10 @@ export function RouteStep() {
           station.goTo(0);
         }}
       />
+      <div className="row">
+        <SaveVideo flight={{ kind: "route" }} testId="route-video" />
+        <SaveForks />
+      </div>
       {targets === null || targets.length === 0 ? null : <TargetList targets={targets} />}
     </>
   );

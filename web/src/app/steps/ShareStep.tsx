@@ -48,9 +48,7 @@ export function ShareStep() {
         testId="to-keys"
         onPress={() => station.act("key_frames")}
       />
-      <p className="quiet">
-        For a video, save key frames, or record a flight under Rehearse. <kbd>carina fly</kbd> renders either.
-      </p>
+      <p className="quiet">For a video, use Save video under Route, Key frames, or a flight recorded under Rehearse.</p>
     </>
   );
 }

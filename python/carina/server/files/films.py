@@ -1,0 +1,213 @@
+"""Videos of flights, rendered by a job that windows display and can stop, with the code of ``carina fly``."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass
+from pathlib import Path
+from shutil import rmtree
+from typing import Any, cast
+
+from starlette.responses import JSONResponse, Response
+
+from carina.commands import FlightToFilm
+from carina.errors import CancelledError, CarinaError, UsageError
+from carina.export import VIDEO_SUFFIXES, VideoWriter
+from carina.export.flight_film import FrameOptions, check_num_frames, write_frames
+from carina.export.video import even_size, size_notes, video_problem
+from carina.render import Renderer
+from carina.scopes import DEFAULT_SCOPE
+from carina.server.files.one_shot_file import OneShotFileResponse, new_folder
+from carina.session import Session
+from carina.session.flights.film_flights import FilmFlight, flight_captions
+from carina.session.jobs.background_jobs import Job
+
+STEP_VOX = 0.5
+"""Step along the rays of a frame, in voxels, as that of ``carina fly``."""
+WAIT_S = 15.0
+"""Time after which the answer to a request for an unfinished video states that the video is not ready."""
+MIN_SIDE_PX = 16
+STEMS = {"route": "flight", "key_frames": "key-frames", "recording": "recording"}
+"""Stem of the file name by kind of flight, which contains neither the patient nor the case."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilmOrder:
+    """A requested video: flight, format and size."""
+
+    flight: FlightToFilm
+    suffix: str
+    size: tuple[int, int]
+    captions: bool
+
+    @classmethod
+    def of_query(cls, query: Mapping[str, str]) -> FilmOrder:
+        """Return the order of the parameters of a request.
+
+        Raises
+        ------
+        UsageError
+            If a parameter is missing or out of range.
+        """
+        suffix = f".{query.get('format', 'mp4')}"
+        if suffix not in VIDEO_SUFFIXES:
+            raise UsageError(f"a video can be {' or '.join(VIDEO_SUFFIXES)}; found {suffix!r}", code="export.suffix")
+        kind = query.get("flight", "")
+        if kind not in STEMS:
+            raise UsageError(f"flight: expected {', '.join(STEMS)}; found {kind!r}", code="export.video")
+        number = query.get("number")
+        flight = FlightToFilm(
+            cast(Any, kind),
+            number=None if number is None else int(_number(query, "number")),
+            speed_mm_s=_number(query, "speed_mm_s", 20.0),
+            rate_hz=_number(query, "rate_hz", 30.0),
+            window=int(_number(query, "window", 0.0)),
+        )
+        size = even_size(int(_number(query, "width")), int(_number(query, "height")))
+        size_notes(f"video{suffix}", *size, rate_hz=flight.rate_hz)
+        return cls(flight=flight, suffix=suffix, size=size, captions=query.get("captions", "on") == "on")
+
+    @property
+    def file_name(self) -> str:
+        """Name of the file."""
+        number = "" if self.flight.number is None else f"-{self.flight.number}"
+        return f"{STEMS[self.flight.flight]}{number}{self.suffix}"
+
+
+def _number(query: Mapping[str, str], name: str, usual: float | None = None) -> float:
+    text = query.get(name)
+    if text is None and usual is not None:
+        return usual
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = float("nan")
+    if not abs(value) < 1e9:
+        raise UsageError(f"{name}: expected a number; found {text!r}", code="export.video")
+    return value
+
+
+def _reported(error: BaseException) -> CarinaError:
+    """Return the error of a job as the answer to the request for its video."""
+    if isinstance(error, CancelledError):
+        return CarinaError("the video was cancelled", code="export.video-stopped")
+    if isinstance(error, CarinaError):
+        return error
+    return CarinaError("the video could not be saved: internal error in Carina", code="carina.fault")
+
+
+class Films:
+    """Creator of videos of the open case's flights, one at a time.
+
+    A finished video is stored until a window has read it, another video is requested, or the server stops.
+
+    Parameters
+    ----------
+    session
+        Session with the open case.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._lock = threading.Lock()
+        self._jobs: dict[str, Future[Path]] = {}
+
+    def start(self, query: Mapping[str, str]) -> Response:
+        """Start the job of a video, and return a response with the ID of the job.
+
+        Raises
+        ------
+        CarinaError
+            If PyAV is missing, the case has no such flight, a parameter is out of range, or another video is being
+            rendered.
+        """
+        problem = video_problem()
+        if problem is not None:
+            raise CarinaError(problem, code="export.video")
+        order = FilmOrder.of_query(query)
+        with self._lock:
+            if any(not one.done() for one in self._jobs.values()):
+                raise CarinaError(
+                    "another video is being rendered: wait until it is complete, or cancel it", code="export.video-busy"
+                )
+            self._forget()
+            flight: FilmFlight = self._session.ask(order.flight)
+            done: Future[Path] = Future()
+            path = new_folder() / order.file_name
+            try:
+                job_id = self._session.jobs.start(
+                    "film", "saving the video", lambda job: self._work(job, path, order, flight, done)
+                )
+            except BaseException:
+                rmtree(path.parent, ignore_errors=True)
+                raise
+            self._jobs[job_id] = done
+        return JSONResponse({"job_id": job_id}, 201)
+
+    async def answer(self, job_id: str) -> Response:
+        """Return a response with a finished video, or with status 202 if it is not finished after :data:`WAIT_S`.
+
+        Raises
+        ------
+        CarinaError
+            If the job has failed or was stopped, or no such video exists.
+        """
+        done = self._jobs.get(job_id)
+        if done is None:
+            raise CarinaError("this video is no longer stored: save it again", code="export.video-gone")
+        try:
+            path = await asyncio.wait_for(asyncio.shield(asyncio.wrap_future(done)), WAIT_S)
+        except TimeoutError:
+            return JSONResponse({"job_id": job_id}, 202, headers={"cache-control": "no-store"})
+        except BaseException:
+            if done.done():
+                self._jobs.pop(job_id, None)
+            raise
+        self._jobs.pop(job_id, None)
+        return OneShotFileResponse(path, filename=path.name, headers={"cache-control": "no-store"})
+
+    def close(self) -> None:
+        """Delete all videos that no window has read; the session has stopped its jobs."""
+        with self._lock:
+            self._forget()
+
+    def _forget(self) -> None:
+        for done in self._jobs.values():
+            if done.done() and done.exception() is None:
+                rmtree(done.result().parent, ignore_errors=True)
+        self._jobs = {job_id: done for job_id, done in self._jobs.items() if not done.done()}
+
+    def _work(self, job: Job, path: Path, order: FilmOrder, flight: FilmFlight, done: Future[Path]) -> None:
+        try:
+            self._write(job, path, order, flight)
+        except BaseException as error:
+            rmtree(path.parent, ignore_errors=True)
+            done.set_exception(_reported(error))
+            raise
+        done.set_result(path)
+
+    def _write(self, job: Job, path: Path, order: FilmOrder, flight: FilmFlight) -> None:
+        job.check()
+        with VideoWriter(path, *order.size, rate_hz=order.flight.rate_hz) as video:
+            frames = flight.frames(job.progress, lambda _note: None)
+            check_num_frames(len(frames))
+            renderer = flight.make_renderer()
+            if flight.volume.is_hu and flight.airways is not None:
+                renderer.set_lumen(flight.airways.lumen_zyx, flight.airways.tree)
+            captions = None
+            if order.captions:
+                job.progress("finding the turns", None)
+                own = renderer if isinstance(renderer, Renderer) else None
+                captions = flight_captions(flight.volume, flight.airways, flight.route, own).lines
+            write_frames(
+                video,
+                renderer,
+                frames,
+                FrameOptions(order.size, DEFAULT_SCOPE, STEP_VOX),
+                captions=captions,
+                progress=job.progress,
+                cancel=job.cancel,
+            )

@@ -1,0 +1,58 @@
+"""Contact sheet of the forks of the chosen route as PNG, created by a job that windows display and can stop."""
+
+from __future__ import annotations
+
+import asyncio
+from concurrent.futures import Future
+
+from starlette.responses import Response
+
+from carina.commands import PictureFacts
+from carina.errors import CancelledError, CarinaError, NoResultError
+from carina.session import Session
+from carina.session.flights.fork_sheet import fork_sheet_png
+from carina.session.jobs.background_jobs import Job
+
+FILE_NAME = "forks.png"
+"""Name of the file, which contains neither the patient nor the case."""
+
+
+async def fork_sheet_answer(session: Session) -> Response:
+    """Return a response with the contact sheet of the chosen route.
+
+    Raises
+    ------
+    CarinaError
+        If there is no route, the route passes no fork, or the job was stopped.
+    """
+    volume, airways, route, operator = session.ask(PictureFacts())
+    if route is None or airways is None:
+        raise NoResultError("there is no route yet: choose a branch or mark a target", code="session.route")
+    done: Future[bytes] = Future()
+
+    def work(job: Job) -> None:
+        try:
+            png = fork_sheet_png(volume, airways, route, operator=operator, progress=job.progress, cancel=job.cancel)
+        except CancelledError:
+            _fail(done, CarinaError("the contact sheet was cancelled", code="plan.sheet-stopped"))
+            raise
+        except BaseException as error:
+            _fail(done, error if isinstance(error, CarinaError) else _fault())
+            raise
+        if not done.cancelled():
+            done.set_result(png)
+
+    session.jobs.start("fork-sheet", "rendering the forks", work)
+    png = await asyncio.wrap_future(done)
+    headers = {"cache-control": "no-store", "content-disposition": f'attachment; filename="{FILE_NAME}"'}
+    return Response(png, media_type="image/png", headers=headers)
+
+
+def _fault() -> CarinaError:
+    return CarinaError("the contact sheet could not be rendered: internal error in Carina", code="carina.fault")
+
+
+def _fail(done: Future[bytes], error: CarinaError) -> None:
+    """Set an error as the result of a future, unless the request that waits for the future has ended."""
+    if not done.cancelled():
+        done.set_exception(error)

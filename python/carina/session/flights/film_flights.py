@@ -1,0 +1,249 @@
+"""Flights for videos: the frames of a route, of key frames or of a recording, and the captions of the frames.
+
+``carina fly`` and the window's videos read their flights from this module.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from carina import commands as c
+from carina import plan, track
+from carina.case.routes import ChosenRoute
+from carina.display import one_line
+from carina.errors import NoResultError, TrackingError, UsageError, VolumeImportError
+from carina.export.film_captions import FilmCaptions
+from carina.navigate import AutoFlight, KeyFrameFlight, Recording
+from carina.navigate.auto_flight import frame_times_s
+from carina.navigate.recording import ReplayedPose, read_recording, sampled
+from carina.plan.turns.from_route import branch_turns
+from carina.render import Renderer, transfer_preset
+from carina.scopes import WallField
+from carina.session.command_registry import CommandHandlers, answers
+from carina.session.flights.key_frames import key_file
+from carina.session.flights.recorded_flights import needed_flight
+from carina.session.flights.tip_commands import view_words
+from carina.track import Airways, edits_from_json
+from carina.version import VERSION
+from carina.volume import Volume
+
+if TYPE_CHECKING:
+    from carina.session.core import SessionCore
+
+Progress = Callable[[str, float | None], None]
+Note = Callable[[str], None]
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class FilmFlight:
+    """A flight of a case for a video, independent of later changes of the case."""
+
+    volume: Volume
+    airways: Airways | None
+    route: ChosenRoute | None
+    """Route of the flight; None for key frames and recordings."""
+    make_renderer: Callable[[], Any]
+    """Function that creates a renderer of the volume, which is independent of those of the windows."""
+    frames: Callable[[Progress, Note], list[ReplayedPose]]
+    """Function that returns the frames; the replay of a recording can take minutes."""
+
+
+class FilmHandlers(CommandHandlers):
+    """Questions about the flights of a case for videos.
+
+    Parameters
+    ----------
+    core
+        Core of the session.
+    text
+        Returns the lines of a flight by its number; the call may wait for the disk.
+    """
+
+    def __init__(self, core: SessionCore, text: Callable[[int], str]) -> None:
+        super().__init__(core)
+        self._text = text
+
+    @answers(c.FlightToFilm)
+    def flight_to_film(self, question: c.FlightToFilm) -> FilmFlight:
+        """Return a flight for a video: along the chosen route, through the key frames, or of a recording."""
+        case = self.core.needed_case()
+        with self.core.lock:
+            document, volume, sight = case.document, case.info.volume, case.sights.of(question.window)
+            if question.flight == "recording":
+                if question.number is None:
+                    raise UsageError("choose a recorded flight for the video", code="session.flights")
+                needed_flight(case, question.number)
+        airways = document.airways
+
+        def make_renderer() -> Any:
+            return self.core.renderer_factory(volume, transfer_preset("endoscopic"))
+
+        if question.flight == "recording":
+            return FilmFlight(volume, airways, None, make_renderer, self._recorded(question, volume, airways))
+        view = view_words(document, sight)
+        flight: AutoFlight | KeyFrameFlight
+        if question.flight == "key_frames":
+            flight = key_file(volume, document, sight).flight()
+        elif document.route is None:
+            raise NoResultError("there is no route yet: choose a branch or mark a target", code="session.route")
+        else:
+            flight = AutoFlight(document.route.path, speed_mm_s=question.speed_mm_s, pause_s=question.pause_s)
+        route = document.route if question.flight == "route" else None
+        return FilmFlight(
+            volume,
+            airways,
+            route,
+            make_renderer,
+            lambda _progress, _note: frames_of_flight(flight, view, question.rate_hz),
+        )
+
+    def _recorded(
+        self, question: c.FlightToFilm, volume: Volume, airways: Airways | None
+    ) -> Callable[[Progress, Note], list[ReplayedPose]]:
+        number, rate_hz = question.number, question.rate_hz
+        assert number is not None
+
+        def frames(progress: Progress, note: Note) -> list[ReplayedPose]:
+            recorded = read_recording(io.StringIO(self._text(number)), Path(f"flight {number}"))
+            recorded.check(volume, carina=VERSION)
+            walls = wall_builder(volume, progress, known=airways)
+            moments, _ = replay_recording(recorded, walls, volume, note)
+            return sampled(moments, frame_times_s(recorded.length_s, rate_hz))
+
+        return frames
+
+
+def frames_of_flight(flight: AutoFlight | KeyFrameFlight, view: dict[str, Any], rate_hz: float) -> list[ReplayedPose]:
+    """Return the frames of a flight along a route or through key frames, all with the same view settings."""
+    turned = view.get("operator") == "facing"
+    times = frame_times_s(flight.duration_s, rate_hz)
+    return [ReplayedPose(float(t), flight.pose_at(float(t)), view, turned) for t in times]
+
+
+def flight_captions(
+    volume: Volume, airways: Airways | None, route: ChosenRoute | None, renderer: Renderer | None
+) -> FilmCaptions:
+    """Return the captions of a flight.
+
+    Parameters
+    ----------
+    volume, airways
+        The CT and its airways; None without airways.
+    route
+        Route of the flight, whose turns are named; None for key frames and recordings.
+    renderer
+        Renderer of the volume with the lumen of its airways, in whose pictures the clock hours are measured; its
+        transfer function is changed. None measures them on the tubes of the tree.
+    """
+    if airways is None:
+        return FilmCaptions(None, None)
+    origin = plan.distance_origin(volume, airways)
+    if route is None or not route.spans:
+        return FilmCaptions(airways.tree, origin)
+    if renderer is not None:
+        renderer.set_transfer(transfer_preset("endoscopic"))
+    turns = branch_turns(airways.tree, route.spans[-1].branch_id, origin, renderer=renderer)
+    return FilmCaptions(airways.tree, origin, path=route.path, turns=turns.turns)
+
+
+def replay_recording(
+    recorded: Recording,
+    build_wall: Callable[[dict[str, Any]], WallField],
+    volume: Volume,
+    note: Callable[[str], None],
+) -> tuple[list[ReplayedPose], dict[str, Any]]:
+    """Return the poses of a recording, and facts on the replay.
+
+    Parameters
+    ----------
+    recorded
+        The recording, which belongs to the volume.
+    build_wall
+        Builds the wall of a scope in the lumen (`wall_builder`).
+    volume
+        The CT.
+    note
+        Called with each note for the user.
+
+    Raises
+    ------
+    NoResultError
+        If the recording contains no poses.
+    """
+    moments: list[ReplayedPose] = []
+    different = 0
+    for moment, same in recorded.replay(volume, wall=build_wall if recorded.needs_wall else None):
+        moments.append(moment)
+        different += not same
+    if not moments:
+        raise NoResultError("the recording contains no poses")
+    if different:
+        note(
+            f"note: {different} of {len(moments)} poses differ from the recorded ones; the recording was probably "
+            "made with another build of Carina"
+        )
+    if not recorded.complete:
+        note("note: the recording is incomplete; the replay stops where it ends")
+    return moments, {"num_moments": len(moments), "num_different": different, "complete": recorded.complete}
+
+
+def wall_builder(
+    volume: Volume, progress: Progress, *, known: Airways | None = None
+) -> Callable[[dict[str, Any]], WallField]:
+    """Return a function that rebuilds the airway wall of a recording by repeating its airway search and its edits.
+
+    Parameters
+    ----------
+    volume
+        The CT of the recording.
+    progress
+        ``f(what, fraction)``.
+    known
+        Airways whose wall is tried before the search is repeated.
+    """
+    walls: dict[str, WallField] = {}
+
+    def build_wall(stored: dict[str, Any]) -> WallField:
+        digest = str(stored.get("digest", ""))
+        if digest in walls:
+            return walls[digest]
+        if known is not None and digest:
+            wall = track.wall_field(volume, known, progress=progress)
+            walls[wall.digest()] = wall
+            if digest in walls:
+                return wall
+        searches: list[dict[str, Any]] = [{}]
+        if stored.get("root_lps") is not None:
+            # The recording does not state which of these the user gave: search with neither, threshold, both.
+            searches += [
+                {"lumen_threshold": stored.get("lumen_threshold")},
+                {"root_lps": stored["root_lps"], "lumen_threshold": stored.get("lumen_threshold")},
+            ]
+        edits = () if stored.get("edits") is None else edits_from_json(stored["edits"])
+        for search in searches:
+            try:
+                airways = track.find_airways(volume, **search, progress=progress)
+                for edit in edits:
+                    airways = track.edit_airways(volume, airways, edit, progress=progress)
+                made = track.wall_field(volume, airways, progress=progress)
+            except (TrackingError, UsageError):
+                # This search can fail (no root) or give airways without the edited branches; try the next one.
+                if search is searches[-1] and not digest:
+                    raise
+                continue
+            if digest in {"", made.digest()}:
+                walls[digest] = made
+                return made
+        raise VolumeImportError(
+            "the airways that guided the scope in this recording differ from those found here, probably because they "
+            "came from an imported segmentation or from another build of Carina; replay the recording with the "
+            "segmentation and the build that it was made with",
+            code="navigate.recording",
+        )
+
+    return build_wall

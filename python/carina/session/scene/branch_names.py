@@ -1,0 +1,137 @@
+"""Names of branches in saved pictures: which names a view shows, and where."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.render import LEAD_VIEW, VIEWS, PathSpan, Picture
+from carina.render.saved_picture import NamedPlace, PictureMarks, finish_picture
+from carina.track import Airways, AirwayTree, Branch, kind_words
+
+if TYPE_CHECKING:
+    from carina.case.routes import ChosenRoute
+    from carina.volume import Volume
+
+AHEAD_MM = 45.0
+"""Distance ahead of the lens, mm, up to which names are written in the airway view."""
+ALONG_MM = 15.0
+"""Length of the beginning of a branch, mm, in which the place of its name in the airway view is searched."""
+STEP_MM = 0.5
+"""Step of the test whether a wall hides a point from the lens, mm."""
+NEAR_MM = 3.0
+"""Largest distance of the tip from a centreline, in addition to the branch's radius, for a title of the airway view."""
+
+Points = NDArray[np.float64]
+
+
+def finish_case_picture(
+    picture: Picture,
+    marks: PictureMarks,
+    *,
+    volume: Volume,
+    airways: Airways | None,
+    route: ChosenRoute | None,
+    tip_lps: Points | None,
+) -> Picture:
+    """Return a copy of a picture of a case with its marks, as the command line and the window save it.
+
+    Parameters
+    ----------
+    picture
+        The picture as rendered.
+    marks
+        Marks that the user selected.
+    volume, airways
+        The CT and its airways, with all edits; None without airways.
+    route
+        Route of a view along a path; None for other views.
+    tip_lps
+        Position of the tip, LPS mm; None if no position was selected.
+    """
+    row = VIEWS[picture.view]
+    extra: dict[str, Any] = {}
+    if route is not None and picture.lines is not None:
+        extra = {"spans": path_spans(route), "radius_mm": (route.cumulative_mm, route.radius_mm)}
+    elif marks.names and row.named and airways is not None:
+        title = _title(picture, airways.tree)
+        places = [place for place in _places(picture, volume, airways) if place.text != title]
+        extra = {"places": places, "title": title}
+    return finish_picture(picture, marks, tip_lps=tip_lps, **extra)
+
+
+def path_spans(route: ChosenRoute) -> list[PathSpan]:
+    """Return the branches along a route with the names that a view along the path shows."""
+    return [
+        PathSpan(
+            kind_words(s.kind) or s.name or f"generation {s.generation}", s.from_mm, s.to_mm, drawn=s.kind != "tracked"
+        )
+        for s in route.spans
+    ]
+
+
+def _places(picture: Picture, volume: Volume, airways: Airways) -> list[NamedPlace]:
+    """Return the names for a picture and their places, large branches first; each name once."""
+    named = sorted((b for b in airways.tree.branches if b.name), key=lambda b: -float(np.median(b.radius)))
+    found: dict[str, NamedPlace] = {}
+    for branch in named:
+        if branch.name in found:
+            continue
+        point = _place(picture, branch, volume, airways)
+        if point is not None:
+            x, y, z = (float(v) for v in point)
+            found[str(branch.name)] = NamedPlace(str(branch.name), (x, y, z), doubtful=branch.kind != "tracked")
+    return list(found.values())
+
+
+def _place(picture: Picture, branch: Branch, volume: Volume, airways: Airways) -> Points | None:
+    """Return the point of a branch at which a picture shows its name; None if the picture does not show the branch."""
+    points = np.asarray(branch.points, dtype=np.float64)
+    if picture.lps_from_pixel is not None:
+        return next(_crossings(points, picture.lps_from_pixel), None)
+    if picture.lps_from_camera is None:
+        return None
+    if picture.view != LEAD_VIEW:
+        middle: Points = points[len(points) // 2]
+        return middle
+    return _place_ahead(points, picture.lps_from_camera[:3, 3], volume, airways)
+
+
+def _crossings(points: Points, lps_from_pixel: Points) -> Iterator[Points]:
+    """Yield the points at which a centreline crosses the plane of a picture."""
+    depth = np.linalg.solve(lps_from_pixel[:3, :3], (points - lps_from_pixel[:3, 3]).T)[2]
+    for n in np.flatnonzero(np.diff(np.signbit(depth))):
+        part = depth[n] / (depth[n] - depth[n + 1])
+        yield points[n] + part * (points[n + 1] - points[n])
+
+
+def _place_ahead(points: Points, lens_lps: Points, volume: Volume, airways: Airways) -> Points | None:
+    """Return the farthest point of the beginning of a branch that the lens sees through the lumen."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    for n in np.flatnonzero(along <= ALONG_MM)[::-1]:
+        away_mm = float(np.linalg.norm(points[n] - lens_lps))
+        if away_mm <= AHEAD_MM and _is_seen(points[n], lens_lps, volume, airways):
+            return np.asarray(points[n])
+    return None
+
+
+def _is_seen(point: Points, lens_lps: Points, volume: Volume, airways: Airways) -> bool:
+    """Return whether the line from the lens to a point stays in the lumen."""
+    steps = max(int(np.linalg.norm(point - lens_lps) / STEP_MM), 2)
+    line = lens_lps + np.linspace(0.0, 1.0, steps + 1)[:, None] * (point - lens_lps)
+    ijk = np.rint(volume.to_ijk(line)).astype(int)
+    shape = np.array(volume.shape_zyx[::-1])
+    if (ijk < 0).any() or (ijk >= shape).any():
+        return False
+    return bool((airways.lumen_zyx[ijk[:, 2], ijk[:, 1], ijk[:, 0]] != 0).all())
+
+
+def _title(picture: Picture, tree: AirwayTree) -> str | None:
+    """Return the name of the branch that contains the lens of an airway view; None outside the airways."""
+    if picture.view != LEAD_VIEW or picture.lps_from_camera is None:
+        return None
+    branch, index, away_mm = tree.nearest_branch(picture.lps_from_camera[:3, 3])
+    return branch.name if away_mm <= float(branch.radius[index]) + NEAR_MM else None

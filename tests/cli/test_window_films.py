@@ -1,0 +1,219 @@
+"""Tests that videos saved in the window equal those of ``carina fly``, and that a cancelled one leaves no file."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib.util
+import json
+import tempfile
+import threading
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from carina import commands as c
+from carina.errors import CarinaError, NoResultError, UsageError
+from carina.export import VideoWriter
+from carina.installation import extra_command
+from carina.server.files.films import Films
+from carina.session.flights.film_flights import FilmHandlers, flight_captions
+
+av = pytest.importorskip("av", reason="PyAV is not installed")
+
+QUICK = {"width": "64", "height": "48", "rate_hz": "2", "speed_mm_s": "200"}
+
+
+def start(films, **query):
+    return json.loads(films.start(QUICK | query).body)["job_id"]
+
+
+def film(session, folder, **query):
+    """Save a video as the window does, and return its path."""
+    films = Films(session)
+    job_id = start(films, **query)
+    while (answer := asyncio.run(films.answer(job_id))).status_code == 202:
+        pass
+    assert answer.status_code == 200
+    path = folder / Path(answer.path).name
+    path.write_bytes(Path(answer.path).read_bytes())
+    return path
+
+
+@pytest.fixture
+def stored(tmp_path, monkeypatch):
+    """Return the folder in which the server creates the folder of each video."""
+    folder = tmp_path / "stored"
+    folder.mkdir()
+
+    def new_folder():
+        return Path(tempfile.mkdtemp(dir=folder))
+
+    monkeypatch.setattr("carina.server.files.films.new_folder", new_folder)
+    return folder
+
+
+def frames_of(path):
+    with av.open(str(path)) as container:
+        return np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)])
+
+
+@pytest.mark.parametrize("captions", ["on", "off"])
+def test_video_of_a_route_equals_the_file_of_carina_fly(carina, window_case, tmp_path, captions):
+    output = tmp_path / "fly.mp4"
+    ended = carina(
+        "fly", window_case.path, "--to", window_case.to, "--size", "64x48", "--rate", "2", "--speed", "200",
+        "-o", output,
+        *(["--captions"] if captions == "on" else []),
+    )  # fmt: skip
+    assert ended.code == 0, ended.err
+    saved = film(window_case.session, tmp_path, flight="route", captions=captions)
+    assert saved.name == "flight.mp4"
+    assert np.array_equal(frames_of(saved), frames_of(output))
+
+
+def test_video_of_key_frames_equals_the_file_of_carina_fly(carina, window_case, tmp_path):
+    case = window_case.opened
+    try:
+        for mm in (20.0, 60.0, 90.0):
+            case.do(c.GoTo(path_mm=mm))
+            case.do(c.EditKeyFrames(c.KeyFrameAdd()))
+        case.do(c.SetKeyFrameFlight(speed_mm_s=100.0))
+        path = case.save(tmp_path / "keys")
+        saved = film(window_case.session, tmp_path, flight="key_frames", captions="on")
+    finally:
+        while window_case.session.snapshot().document.key_frames.frames:
+            case.undo()
+        # The other tests compare the session with its file.
+        case.do(c.GoTo(path_mm=30.0))
+    output = tmp_path / "fly.mp4"
+    ct = window_case.path.parent / "ct.nii.gz"
+    ended = carina(
+        "fly", path, "--ct", ct, "--keys", "all", "--size", "64x48", "--rate", "2", "--captions", "-o", output
+    )
+    assert ended.code == 0, ended.err
+    assert saved.name == "key-frames.mp4"
+    assert np.array_equal(frames_of(saved), frames_of(output))
+
+
+def test_video_of_a_recording_equals_the_file_of_carina_fly(carina, window_case, tmp_path, monkeypatch):
+    case, session = window_case.opened, window_case.session
+    case.do(c.RecordFlight(tmp_path / "flight.jsonl"))
+    for mm in (34.0, 40.0, 46.0, 30.0):
+        time.sleep(0.4)
+        case.do(c.GoTo(path_mm=mm))
+    case.do(c.StopRecording())
+    # A program's case stores no flights, so the text of the recorded file replaces that of a stored flight.
+    monkeypatch.setattr("carina.session.flights.film_flights.needed_flight", lambda _case, _number: None)
+    text = (tmp_path / "flight.jsonl").read_text()
+    handlers = FilmHandlers(session._core, lambda _number: text)
+    stored = SimpleNamespace(jobs=session.jobs, ask=handlers.flight_to_film)
+    saved = film(stored, tmp_path, flight="recording", number="1", captions="off", rate_hz="4")
+    output = tmp_path / "fly.mp4"
+    ct = window_case.path.parent / "ct.nii.gz"
+    how = ("--size", "64x48", "--rate", "4", "-o", output)
+    ended = carina("fly", window_case.path, "--ct", ct, "--recording", tmp_path / "flight.jsonl", *how)
+    assert ended.code == 0, ended.err
+    assert saved.name == "recording-1.mp4"
+    frames = frames_of(saved)
+    assert len(frames) >= 6
+    assert np.array_equal(frames, frames_of(output))
+
+
+def test_video_plays_in_old_players_and_its_index_is_before_its_frames(window_case, tmp_path):
+    path = film(window_case.session, tmp_path, flight="route", captions="off")
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert stream.codec_context.name == "h264"
+        assert stream.codec_context.pix_fmt == "yuv420p"
+        assert stream.profile in {"Main", "Baseline", "Constrained Baseline"}
+    data = path.read_bytes()
+    assert 0 < data.index(b"moov") < data.index(b"mdat")
+    webm = film(window_case.session, tmp_path, flight="route", captions="off", format="webm")
+    with av.open(str(webm)) as container:
+        assert "vp9" in container.streams.video[0].codec_context.name
+    assert len(frames_of(webm)) == len(frames_of(path))
+
+
+def test_captions_change_the_frames_and_name_the_edited_branch(window_case):
+    materials = window_case.session.ask(c.FlightToFilm("route", rate_hz=2.0, speed_mm_s=200.0))
+    captions = flight_captions(materials.volume, materials.airways, materials.route, None)
+    frames = materials.frames(lambda *_: None, lambda _note: None)
+    lines = [captions.lines(frame, 3.0 * n) for n, frame in enumerate(frames)]
+    assert lines[0][0].startswith("0:00  ")
+    assert "the main carina" in lines[-1][0]
+    assert any("Own 1" in " ".join(line) for line in lines)
+    assert any(line[1].startswith("in ") for line in lines if len(line) > 1)
+
+
+def test_cancelled_video_leaves_no_file(window_case, tmp_path, stored, monkeypatch):
+    session, under_way, go_on = window_case.session, threading.Event(), threading.Event()
+    films = Films(session)
+    add = VideoWriter.add
+
+    def slow(self, rgb):
+        add(self, rgb)
+        under_way.set()
+        assert go_on.wait(120.0)
+
+    monkeypatch.setattr(VideoWriter, "add", slow)
+    job_id = start(films, flight="route")
+    assert under_way.wait(120.0)
+    assert list(stored.iterdir())
+    with pytest.raises(CarinaError, match="another video"):
+        start(films, flight="route")
+    assert session.jobs.cancel(job_id)
+    go_on.set()
+    with pytest.raises(CarinaError) as stopped:
+        asyncio.run(films.answer(job_id))
+    assert stopped.value.code == "export.video-stopped"
+    assert session.jobs.wait_idle(120.0)
+    assert not list(stored.iterdir())
+    monkeypatch.setattr(VideoWriter, "add", add)
+    assert len(frames_of(film(session, tmp_path, flight="route"))) > 1
+
+
+def test_failed_video_leaves_no_file_and_reports_the_reason(window_case, tmp_path, stored, monkeypatch):
+    monkeypatch.setattr("carina.export.flight_film.MAX_FRAMES", 3)
+    films = Films(window_case.session)
+    with pytest.raises(CarinaError, match="at most 3 are possible: fly faster"):
+        asyncio.run(films.answer(start(films, flight="route")))
+    assert window_case.session.jobs.wait_idle(120.0)
+    assert not list(stored.iterdir())
+
+
+def test_unread_video_is_deleted_when_the_server_stops(window_case, tmp_path, stored, monkeypatch):
+    films = Films(window_case.session)
+    job_id = start(films, flight="route")
+    assert window_case.session.jobs.wait_idle(300.0)
+    assert list(stored.rglob("flight.mp4"))
+    films.close()
+    assert not list(stored.iterdir())
+    with pytest.raises(CarinaError, match="no longer stored"):
+        asyncio.run(films.answer(job_id))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"format": "avi"}, {"width": "9000"}, {"width": "nan"}, {"rate_hz": "1000"}, {"speed_mm_s": "0"}, {"flight": "x"},
+     {"flight": "recording"}, {"flight": "recording", "number": "9"}],
+)  # fmt: skip
+def test_video_with_invalid_options_is_refused_before_its_job(window_case, wrong):
+    with pytest.raises(UsageError):
+        start(Films(window_case.session), **({"flight": "route"} | wrong))
+    assert not window_case.session.jobs.running
+
+
+def test_video_without_key_frames_is_refused(window_case):
+    with pytest.raises(NoResultError):
+        start(Films(window_case.session), flight="key_frames")
+
+
+def test_video_without_pyav_names_the_command_that_installs_it(window_case, monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda name, *more: None if name == "av" else find(name, *more))
+    with pytest.raises(CarinaError) as missing:
+        start(Films(window_case.session), flight="route")
+    assert extra_command("video") in str(missing.value)

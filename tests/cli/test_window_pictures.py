@@ -1,0 +1,137 @@
+"""Tests that pictures saved in the window equal those of ``carina render`` for the same case."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import carina as api
+from carina import commands as c
+from carina.errors import CarinaError, UsageError
+from carina.server.files.pictures import Pictures
+
+av = pytest.importorskip("av", reason="PyAV is not installed")
+
+
+def query(**changed):
+    """Return the parameters of a request for a picture with all marks."""
+    given = {"window": "0", "width": "96", "height": "80", "full_width": "96", "scale": "1"}
+    return given | {name: str(value) for name, value in changed.items()}
+
+
+def window_png(session, view, **changed):
+    """Return the bytes of the PNG that the window saves."""
+    return asyncio.run(Pictures(session).answer(view, query(**changed)))
+
+
+def pixels(png):
+    with av.open(io.BytesIO(png)) as container:
+        return next(container.decode(video=0)).to_ndarray(format="rgb24")
+
+
+@pytest.fixture
+def case(window_case):
+    return window_case
+
+
+VIEWS = ("airway", "axial", "cut-plane", "xray-coronal", "tree", "straightened")
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_picture_saved_in_the_window_equals_the_file_of_carina_render(carina, case, tmp_path, view):
+    row = api.render.view_row(view)
+    marks = ["--letters", "on"] + ["--scale-bar", "on"] * row.scaled + ["--names", "on"] * row.named
+    to = ["--to", case.to] if "route" in row.needs else []
+    output = tmp_path / "view.png"
+    ended = carina("render", case.path, "--view", view, "--size", "96x80", *marks, *to, "-o", output)
+    assert ended.code == 0, ended.err
+    answer = window_png(case.session, view)
+    assert np.array_equal(pixels(answer.body), pixels(output.read_bytes()))
+    (tmp_path / "window.png").write_bytes(answer.body)
+    assert api.render.read_png_pose(tmp_path / "window.png") == api.render.read_png_pose(output)
+    assert answer.headers["content-disposition"] == f'attachment; filename="{view}.png"'
+    assert answer.headers["cache-control"] == "no-store"
+
+
+def test_picture_of_an_operator_who_faces_the_patient_equals_the_file_of_carina_render(carina, case, tmp_path):
+    case.opened.do(c.SetOperator("facing"))
+    try:
+        path = case.opened.save(tmp_path / "facing")
+        ended = carina(
+            "render", path, "--ct", case.path.parent / "ct.nii.gz", "--size", "96x80", "-o", tmp_path / "a.png"
+        )
+        assert ended.code == 0, ended.err
+        answer = window_png(case.session, "airway", letters="off", names="off", scale_bar="off")
+        assert np.array_equal(pixels(answer.body), pixels((tmp_path / "a.png").read_bytes()))
+    finally:
+        case.opened.undo()
+        case.opened.save(case.path, replace=True)
+
+
+def test_marks_can_be_switched_off_and_the_size_doubled(case):
+    plain = pixels(window_png(case.session, "axial", letters="off", scale_bar="off", names="off").body)
+    assert plain.shape == (80, 96, 3)
+    for mark in ("letters", "scale_bar"):
+        others = {name: "off" for name in ("letters", "scale_bar", "names") if name != mark}
+        assert not np.array_equal(pixels(window_png(case.session, "axial", **others).body), plain), mark
+    assert pixels(window_png(case.session, "axial", scale=2).body).shape == (160, 192, 3)
+
+
+def test_names_of_the_edited_tree_are_written_where_the_branches_are(case):
+    off = {"letters": "off", "scale_bar": "off"}
+    for view, size in (("tree", 400), ("airway", 400), ("coronal", 400)):
+        named, plain = (
+            pixels(window_png(case.session, view, width=size, height=size, names=names, **off).body)
+            for names in ("on", "off")
+        )
+        assert (named != plain).any(), view
+
+
+def test_decorated_picture_contains_the_word_and_an_undecorated_one_does_not(case):
+    off = {"letters": "off", "scale_bar": "off", "names": "off"}
+    size = {"width": 240, "height": 200, "full_width": 240}
+    scene = case.session.scene(None)
+    spec = scene.spec("airway", 240, 200, 0.5)
+    rendered = scene.renderer.render(spec)
+    assert rendered.decorated
+    decorated = pixels(window_png(case.session, "airway", **size, **off).body)
+    changed = np.argwhere((decorated != rendered.rgb).any(axis=2))
+    assert changed[:, 0].min() > 180
+    assert changed[:, 1].min() > 170
+    case.opened.do(c.SetTexture(on=False))
+    try:
+        scene = case.session.scene(None)
+        rendered = scene.renderer.render(scene.spec("airway", 240, 200, 0.5))
+        assert np.array_equal(pixels(window_png(case.session, "airway", **size, **off).body), rendered.rgb)
+    finally:
+        case.opened.do(c.SetTexture(on=True))
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"width": 0}, {"width": "x"}, {"height": 9000}, {"scale": 3}, {"width": 8000, "scale": 2}, {"window": -1}]
+)
+def test_picture_with_an_invalid_size_is_refused(case, wrong):
+    with pytest.raises(UsageError):
+        window_png(case.session, "axial", **wrong)
+
+
+def test_unknown_view_and_view_without_its_input_are_refused(case):
+    with pytest.raises(UsageError, match="expected one of the views"):
+        window_png(case.session, "oblique")
+    scene = replace(case.session.scene(None), frames=None)
+    other = SimpleNamespace(ask=case.session.ask, scene=lambda _window: scene)
+    with pytest.raises(CarinaError, match="no image yet"):
+        window_png(other, "curved")
+
+
+def test_marks_that_a_view_cannot_show_are_refused_by_the_command(carina, ct, tmp_path):
+    for view, option in (("drr", "--scale-bar"), ("tri-plane", "--names")):
+        ended = carina("render", ct, "--view", view, option, "on", "-o", tmp_path / "a.png")
+        assert ended.code == 2
+        assert option in ended.err
+    assert not (tmp_path / "a.png").exists()
