@@ -210,6 +210,7 @@ def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt
         )
         raise VolumeImportError(msg, code="import.header")
     if stream is not None:
+        values = _signed_as_tagged(values, stream, header)
         doubts.extend(_stream_doubts(header, stream, values))
     if muttered and not any(doubt.code == "import.pixels-damaged" for doubt in doubts):
         doubts.append(Doubt("import.pixels-damaged", "the compressed data is corrupt"))
@@ -218,6 +219,16 @@ def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt
         kind = np.int16 if header.signed else np.uint16
         doubts.extend(_byte_order_doubts(words, lambda some: some.view(kind).astype(np.int32)))
     return values, tuple(doubts)
+
+
+def _signed_as_tagged(values: NDArray[np.int32], stream: Stream, header: SliceHeader) -> NDArray[np.int32]:
+    """Return decoded numbers of JPEG 2000 with the sign and the depth that the tags state if the stream contradicts."""
+    if stream.signed is None or stream.signed == header.signed:
+        return values
+    unused = 32 - header.bits_stored
+    word = values.astype(np.uint32) << np.uint32(unused)
+    kind = np.int32 if header.signed else np.uint32
+    return (word.view(kind) >> kind(unused)).astype(np.int32)
 
 
 def is_compressed(header: SliceHeader) -> bool:
