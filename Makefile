@@ -23,7 +23,7 @@ export MATURIN_NO_INSTALL_RUST := 1
 export UV_PYTHON_DOWNLOADS := never
 export PATH := $(PATH):$(CURDIR)/.rust/bin
 
-.PHONY: help run build setup setup-tests test test-rust test-web test-python test-gpu soak check check-rust check-python check-web fmt docs bench bench-setup golden lock wheel clean
+.PHONY: help run build setup setup-tests test test-rust test-web test-python test-gpu soak check check-rust check-python check-web fmt docs bench bench-setup golden lock wheel wheels test-wheels clean
 
 help: ## print this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -186,9 +186,23 @@ bench: bench-setup ## figures beside VTK, numba, scipy and dijkstra3d; pictures 
 lock: $(if $(findstring .uv/,$(UV)),.uv/bin/uv) ## export requirements*.lock from pyproject.toml
 	$(if $(wildcard $(PY)),$(PY),python3) tools/lock_requirements.py --uv $(UV)
 
-wheel: $(if $(findstring .uv/,$(UV)),.uv/bin/uv) ## a wheel with the web UI and GPU support inside, in dist/
+wheel: $(if $(findstring .uv/,$(UV)),.uv/bin/uv) ## a wheel for this machine with the web UI and GPU support inside, in dist/
 	$(UV) build --wheel -o dist
 
+# An environment with zig (300 MB) and maturin: nobody who develops or tests needs it.
+WHEELS_STAMP := .venv-wheels/.carina-wheels
+$(WHEELS_STAMP): requirements-wheels.lock | build-tools $(if $(findstring .uv/,$(UV)),.uv/bin/uv)
+	test -x .venv-wheels/bin/python || $(UV) venv -q .venv-wheels
+	$(UV) pip sync -q --python .venv-wheels/bin/python --require-hashes requirements-wheels.lock
+	@touch $@
+
+wheels: $(WHEELS_STAMP) ## the wheels to publish: Linux, glibc 2.17, x86-64 and 64-bit ARM, in dist/ (docs/releasing.md)
+	.venv-wheels/bin/python tools/build_wheels.py $(PROCESSORS)
+
+# The tests of the other processor need tools/unpack_arm64_python.sh once.
+test-wheels: $(STAMP) ## install the wheels of dist/ in empty environments and start them (docs/releasing.md)
+	CARINA_WHEELS_REQUIRED=1 $(PY) -m pytest -m soak -ra tests/installation
+
 clean: ## remove what was built (not the caches of cases)
-	rm -rf .venv .venv-docs .venv-gpu target dist web/node_modules python/carina/_web
+	rm -rf .venv .venv-docs .venv-gpu .venv-wheels target dist build web/node_modules python/carina/_web python/carina/_licences
 	find python packages -name '*.so' -delete

@@ -3,7 +3,7 @@
 ``requirements-run.lock`` lists the packages that Carina needs to run (``make run``), ``requirements.lock`` those for
 development. ``requirements-cluster.lock`` adds Ray and its dependencies for the tests of the cluster: 76 MB that other
 users need not download. ``requirements-docs.lock`` lists only the packages that build the documentation
-(``make docs``).
+(``make docs``), ``requirements-wheels.lock`` only those that build wheels (``make wheels``).
 
 ``uv.lock`` is not committed, because it contains the hosts of the registry. The exported files contain no hosts.
 """
@@ -20,6 +20,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = "requirements-docs.lock"
 """Lock file of the packages that build the documentation."""
+WHEELS = "requirements-wheels.lock"
+"""Lock file of the packages that build wheels for other machines."""
 RUN = "requirements-run.lock"
 """Lock file of the packages that Carina needs to run, without the development tools."""
 LOCKS: dict[str, tuple[str, ...]] = {
@@ -27,6 +29,7 @@ LOCKS: dict[str, tuple[str, ...]] = {
     "requirements.lock": (),
     "requirements-cluster.lock": ("--extra", "cluster"),
     DOCS: ("--only-group", "docs"),
+    WHEELS: ("--only-group", "wheels"),
 }
 """Arguments of `uv export` by lock file."""
 MARK = "# pyproject: "
@@ -50,6 +53,8 @@ def _fingerprint(name: str) -> str:
         relevant = [project["requires-python"], sorted(project["dependencies"])]
     if name == DOCS:
         relevant = [project["requires-python"], sorted(groups["docs"])]
+    if name == WHEELS:
+        relevant = [project["requires-python"], sorted(groups["wheels"])]
     return hashlib.sha256(repr(relevant).encode()).hexdigest()[:16]
 
 

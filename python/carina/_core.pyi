@@ -936,6 +936,25 @@ class FieldTracker:
 def ball_distances(inside_zyx: NDArray[np.bool_], *, step_mm: float, reach_mm: float) -> NDArray[np.float32]:
     """Return the distance in mm from each inside voxel to the nearest outside voxel, less half a voxel."""
 
+def squared_distances(inside_zyx: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the squared distance in voxels from each inside voxel to the nearest outside voxel."""
+
+def numbered_parts(mask_zyx: NDArray[np.bool_], *, corners: bool) -> tuple[NDArray[np.uint32], int]:
+    """Return the number of the connected part of each voxel, from 1 in the order of first voxels, and their number."""
+
+def arrival_times(speed_zyx: NDArray[np.float32], starts_ijk: Sequence[tuple[int, int, int]]) -> NDArray[np.float32]:
+    """Return the time at which a front from some voxels reaches each voxel; infinite where it does not."""
+
+def resampled(
+    hu_zyx: NDArray[np.int16],
+    lps_from_ijk: NDArray[np.float64],
+    *,
+    lps_from_voxel: NDArray[np.float64],
+    shape_zyx: tuple[int, int, int],
+    outside: float,
+) -> NDArray[np.float32]:
+    """Return the trilinear values of a volume on another grid, ``outside`` beyond the volume."""
+
 def aimed_field_path(
     field_zyx: NDArray[np.float32],
     lps_from_ijk: NDArray[np.float64],

@@ -160,13 +160,13 @@ def test_decoder_warning_for_a_slice_removes_the_hu_status(tmp_path, monkeypatch
     series(tmp_path, lambda dataset, index: packed(dataset, tmp_path, "JPEG2000"))
     import carina.volume.dicom_pixels as pixels
 
-    whole = pixels.sitk.ImageFileReader.Execute
+    whole = pixels.decode
 
-    def mutter(reader, *args):
+    def mutter(path):
         os.write(2, b"[WARNING] tile 0: segment too long\n")
-        return whole(reader, *args)
+        return whole(path)
 
-    monkeypatch.setattr(pixels.sitk.ImageFileReader, "Execute", mutter)
+    monkeypatch.setattr(pixels, "decode", mutter)
     volume = open_volume(tmp_path)
     assert not volume.is_hu
     assert [note.code for note in volume.source.notes] == ["import.pixels-damaged"]

@@ -271,3 +271,18 @@ def test_import_library_writes_nothing_to_the_terminal(tmp_path, capfd):
     captured = capfd.readouterr()
     assert captured.out == ""
     assert captured.err == ""
+
+
+def test_file_opens_with_a_note_where_the_second_reader_is_not_installed(tmp_path, monkeypatch):
+    values = np.arange(120, dtype=np.int16).reshape(4, 5, 6) * 10 - 1000
+    path = tmp_path / "scan.nii"
+    image = sitk.GetImageFromArray(values)
+    image.SetSpacing((0.7, 0.8, 2.5))
+    sitk.WriteImage(image, path)
+    checked = open_volume(path)
+    monkeypatch.setattr("carina.volume.grid_files.has_second_reader", lambda: False)
+    unchecked = open_volume(path)
+    np.testing.assert_array_equal(unchecked.hu_zyx, checked.hu_zyx)
+    np.testing.assert_array_equal(unchecked.lps_from_ijk, checked.lps_from_ijk)
+    assert "import.not-checked" not in [note.code for note in checked.source.notes]
+    assert "import.not-checked" in [note.code for note in unchecked.source.notes]

@@ -182,7 +182,7 @@ impl GpuScene {
         }
         let map = self.map.as_deref();
         let cast = || {
-            if frame.numbers().options.appearance.is_none() {
+            if !frame.lights_walls() {
                 return self.gpu.cast(frame, &self.volume, map, rows);
             }
             let (walls, stats) = self

@@ -8,7 +8,7 @@ use pyo3::prelude::*;
 mod airpath;
 mod arrays;
 mod cross_section;
-mod cubic_distance;
+mod cubic_grids;
 mod errors;
 mod evidence;
 #[cfg_attr(not(feature = "gpu"), path = "gpu_absent.rs")]
@@ -54,7 +54,7 @@ fn build_info(py: Python<'_>) -> PyResult<Bound<'_, pyo3::types::PyDict>> {
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(build_info, module)?)?;
-    cubic_distance::register(module)?;
+    cubic_grids::register(module)?;
     isoregion::register(module)?;
     optics::register(module)?;
     raycast::register(module)?;

@@ -16,6 +16,7 @@ mod lens;
 #[cfg(test)]
 mod lens_tests;
 mod rays;
+mod resample;
 mod simd;
 mod vector;
 mod volume;
@@ -27,6 +28,7 @@ pub use distortion::Distortion;
 pub use error::GridError;
 pub use lens::{Calibration, Lens, MAX_FOV_RAD, MIN_FOV_RAD, Optics};
 pub use rays::{FULL_GAIN, FieldShape, ImageField, LensRays};
+pub use resample::resampled;
 pub use simd::InstructionSet;
 pub use vector::{cross, dot, length, unit};
 pub use volume::{Grid, Ijk, Lps, VolumeView, ijk_from_zyx, zyx_from_ijk};

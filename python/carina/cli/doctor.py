@@ -93,9 +93,10 @@ OPTIONAL = {
     "vtk": ("the reference renderer in benchmarks", "bench"),
     "numba": ("a baseline in benchmarks", "bench"),
     "ray": ("rendering on several machines (Linux)", "cluster"),
+    "SimpleITK": ("the second reader of NIfTI, NRRD and MetaImage headers", "second-reader"),
     "scipy": ("the reference distance transform in benchmarks", "bench"),
 }
-NEEDED = ("numpy", "SimpleITK", "pydicom", "starlette", "uvicorn", "websockets", "simplejpeg")
+NEEDED = ("numpy", "pydicom", "python-gdcm", "starlette", "uvicorn", "websockets", "simplejpeg")
 
 
 def _version(package: str) -> str | None:

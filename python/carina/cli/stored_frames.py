@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 
 import numpy as np
-import SimpleITK as sitk
 from numpy.typing import NDArray
 
-from carina.disk import library_path, make_folder, read_regular_text, write_whole
+from carina.disk import make_folder, read_regular_text, write_whole
+from carina.display.png import png_pixels
 from carina.errors import UsageError, VolumeImportError
 from carina.render import Picture
 
@@ -80,16 +80,15 @@ class StoredFrames:
         """
         file = self._file(number)
         try:
-            with library_path(file) as name:
-                rgb = sitk.GetArrayFromImage(sitk.ReadImage(name))
-        except RuntimeError as error:
+            rgb = png_pixels(file.read_bytes())
+        except (OSError, ValueError) as error:
             msg = f"{file}: this frame cannot be read; delete it and all later frames, then start again"
             raise VolumeImportError(msg, code="fly.kept") from error
-        if rgb.shape != (size[1], size[0], 3) or rgb.dtype != np.uint8:
+        if rgb.shape != (size[1], size[0], 3):
             height, width = rgb.shape[:2]
             msg = (
                 f"{file}: expected a frame of {size[0]} x {size[1]} pixels in 8-bit colour, found {width} x {height}; "
                 f"delete the kept frames in {self._folder} and render them again"
             )
             raise VolumeImportError(msg, code="fly.kept")
-        return np.asarray(rgb, np.uint8)
+        return rgb

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from carina.volume import Volume
 from carina.volume.mask_distances import extent
+from carina.volume.mask_parts import numbered_parts
 
 Mask = NDArray[np.bool_]
 Values = NDArray[np.float32]
@@ -160,11 +161,8 @@ def component_at(mask: Mask, at: tuple[int, ...]) -> Mask:
     at
         Index (z, y, x) of the voxel.
     """
-    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
-
-    image: Any = sitk.GetImageFromArray(mask.astype(np.uint8))
-    seed = tuple(int(k) for k in reversed(at))
-    found: Mask = sitk.GetArrayFromImage(sitk.ConnectedThreshold(image, [seed], 1, 1)) != 0
+    parts = numbered_parts(mask)
+    found: Mask = (parts == parts[at]) & mask[at]
     return found
 
 
@@ -173,12 +171,7 @@ def components(mask: Mask) -> NDArray[np.uint32]:
 
     The number is 0 outside the mask.
     """
-    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
-
-    found: NDArray[np.uint32] = sitk.GetArrayFromImage(
-        sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)))
-    )
-    return found
+    return numbered_parts(mask)
 
 
 def enclosed(mask: Mask) -> Mask:
@@ -193,12 +186,8 @@ def enclosed(mask: Mask) -> Mask:
 
 def from_faces(mask: Mask) -> Mask:
     """Return the part of a mask that is connected to the faces of its box."""
-    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly.
-
-    padded = np.pad(mask, 1, constant_values=True)
-    image = sitk.GetImageFromArray(padded.astype(np.uint8))
-    found = sitk.GetArrayFromImage(sitk.ConnectedThreshold(image, [(0, 0, 0)], 1, 1)) != 0
-    inner: Mask = found[1:-1, 1:-1, 1:-1] & mask
+    # The margin of one voxel connects all parts that touch a face, and contains the first voxel.
+    inner: Mask = numbered_parts(np.pad(mask, 1, constant_values=True))[1:-1, 1:-1, 1:-1] == 1
     return inner
 
 

@@ -10,21 +10,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import SimpleITK as sitk
 from numpy.typing import NDArray
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.encaps import encapsulate
 from pydicom.uid import UID, CTImageStorage
 
-from carina.disk import library_path, scratch_folder
+from carina.disk import scratch_folder
 from carina.errors import VolumeImportError
 from carina.volume.dicom_headers import SliceHeader, read_pixel_bytes
 from carina.volume.dicom_streams import Stream, decoder_words, fragments, read_stream, rle_problem
+from carina.volume.gdcm_decoder import decode
 from carina.volume.model import Remark
 from carina.volume.padding import PaddedPixels, find_padding
 
-# Transfer syntaxes of uncompressed numbers, which this module reads and checks. GDCM decodes all others, through
-# SimpleITK.
+# Transfer syntaxes of uncompressed numbers, which this module reads and checks. GDCM decodes all others.
 _IMPLICIT_LITTLE, _EXPLICIT_LITTLE = "1.2.840.10008.1.2", "1.2.840.10008.1.2.1"
 _DEFLATED_LITTLE, _EXPLICIT_BIG = "1.2.840.10008.1.2.1.99", "1.2.840.10008.1.2.2"
 _RLE = "1.2.840.10008.1.2.5"
@@ -191,15 +190,12 @@ def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt
     pixels.PixelData = encapsulate([frame])
     pixels["PixelData"].VR = "OB"
     pixels["PixelData"].is_undefined_length = True
-    reader = sitk.ImageFileReader()
-    reader.SetImageIO("GDCMImageIO")
     with scratch_folder() as folder:
         path = folder / "pixels.dcm"
         try:
             pixels.save_as(path, enforce_file_format=True)
-            with library_path(path) as name, decoder_words() as muttered:
-                reader.SetFileName(name)
-                image = reader.Execute()
+            with decoder_words() as muttered:
+                values = decode(path)
         except (RuntimeError, ValueError, MemoryError, OverflowError, TypeError, AttributeError, LookupError):
             msg = (
                 f"reading {header.path.name}: its compressed pixel data cannot be decoded (transfer syntax "
@@ -207,14 +203,14 @@ def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt
                 "series uncompressed"
             )
             raise VolumeImportError(msg, code="import.truncated") from None
-    if image.GetSize() != (header.columns, header.rows, 1) or image.GetNumberOfComponentsPerPixel() != 1:
+    if values.shape != (header.rows, header.columns):
         msg = (
             f"reading {header.path.name}: expected {header.columns} x {header.rows} grey pixels, found "
-            f"an image of size {image.GetSize()}; export the series again"
+            f"an image of size {values.shape[::-1]}; export the series again"
         )
         raise VolumeImportError(msg, code="import.header")
-    values = np.array(sitk.GetArrayViewFromImage(image)[0], dtype=np.int32)
     if stream is not None:
+        values = _signed_as_tagged(values, stream, header)
         doubts.extend(_stream_doubts(header, stream, values))
     if muttered and not any(doubt.code == "import.pixels-damaged" for doubt in doubts):
         doubts.append(Doubt("import.pixels-damaged", "the compressed data is corrupt"))
@@ -223,6 +219,16 @@ def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt
         kind = np.int16 if header.signed else np.uint16
         doubts.extend(_byte_order_doubts(words, lambda some: some.view(kind).astype(np.int32)))
     return values, tuple(doubts)
+
+
+def _signed_as_tagged(values: NDArray[np.int32], stream: Stream, header: SliceHeader) -> NDArray[np.int32]:
+    """Return decoded numbers of JPEG 2000 with the sign and the depth that the tags state if the stream contradicts."""
+    if stream.signed is None or stream.signed == header.signed:
+        return values
+    unused = 32 - header.bits_stored
+    word = values.astype(np.uint32) << np.uint32(unused)
+    kind = np.int32 if header.signed else np.uint32
+    return (word.view(kind) >> kind(unused)).astype(np.int32)
 
 
 def is_compressed(header: SliceHeader) -> bool:

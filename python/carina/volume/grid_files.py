@@ -1,7 +1,9 @@
-"""Reader of NIfTI, NRRD and MetaImage files; SimpleITK must read the same geometry from the header."""
+"""Reader of NIfTI, NRRD and MetaImage files; SimpleITK, if installed, must read the same geometry from the header."""
 
 from __future__ import annotations
 
+import functools
+import importlib.util
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -95,8 +97,23 @@ def _library_grid(path: Path, header: GridHeader, head: bytes) -> NDArray[np.flo
     return theirs
 
 
-def _check_agreement(path: Path, header: GridHeader) -> None:
-    """Raise an error if a second library reads another geometry from the header."""
+@functools.cache
+def has_second_reader() -> bool:
+    """Return whether SimpleITK is installed (extra ``second-reader``)."""
+    return importlib.util.find_spec("SimpleITK") is not None
+
+
+_NOT_CHECKED = Note(
+    "import.not-checked",
+    "the geometry in the header was not checked by a second library; carina doctor prints the command that installs it "
+    "(SimpleITK)",
+)
+
+
+def _check_agreement(path: Path, header: GridHeader) -> tuple[Note, ...]:
+    """Raise an error if a second library reads another geometry from the header; return a note if it is missing."""
+    if not has_second_reader():
+        return (_NOT_CHECKED,)
     ours, head = header.lps_from_ijk, header.head
     if header.format == "nifti" and skew_deg(ours) > _LIBRARY_SKEW_DEG:
         # ITK reads only an sform with right angles, so it reads the straightened one, and the result is compared with
@@ -115,6 +132,7 @@ def _check_agreement(path: Path, header: GridHeader) -> None:
             f"than {allowed_mm:.2f} mm; save it again, for example from 3D Slicer"
         )
         raise VolumeImportError(msg, code="import.geometry.disagree")
+    return ()
 
 
 def read_grid_array(
@@ -149,8 +167,7 @@ def read_grid_array(
     watch.step("Reading the header")
     header = read_grid_header(path, format)
     values, notes = read_voxels(path, header, watch)
-    _check_agreement(path, header)
-    return values, header, header.notes + notes
+    return values, header, header.notes + notes + _check_agreement(path, header)
 
 
 def open_grid_file(path: Path, format: str, *, watch: Watch) -> Volume:  # noqa: A002 - the word of the field

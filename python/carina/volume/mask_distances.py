@@ -55,6 +55,29 @@ def distance_from(mask: Mask, step_mm: float, reach_mm: float) -> NDArray[np.flo
     return found
 
 
+def signed_distance(mask: Mask) -> NDArray[np.float64]:
+    """Return the distance in voxels of each voxel to the outermost voxels of a mask, positive inside, negative outside.
+
+    The outermost voxels, of distance 0, have one of their 26 (in a plane 8) neighbours outside the mask.
+
+    Parameters
+    ----------
+    mask
+        (nz, ny, nx) or (ny, nx) mask with at least one voxel inside and one outside.
+    """
+    whole = np.ascontiguousarray(mask.reshape((1,) * (3 - mask.ndim) + mask.shape))
+    deep = whole.copy()
+    for axis in range(3):
+        # A voxel beyond the faces of the grid does not count as outside.
+        padded = np.pad(deep, [(int(n == axis),) * 2 for n in range(3)], constant_values=True)
+        size = deep.shape[axis]
+        for first in (0, 2):
+            deep &= padded.take(range(first, first + size), axis)
+    away = np.sqrt(_core.squared_distances(~(whole & ~deep)).astype(np.float64))
+    found: NDArray[np.float64] = np.where(whole, away, -away).reshape(mask.shape)
+    return found
+
+
 def extent(mask: Mask, margin: int) -> tuple[slice, slice, slice]:
     """Return the slices of an array that contain a mask and a margin of ``margin`` voxels."""
     found = []

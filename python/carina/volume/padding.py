@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.volume.mask_parts import numbered_parts
 from carina.volume.model import Note
 
 AIR_HU = -1024
@@ -150,9 +151,7 @@ def _edge_regions(pixels: NDArray[np.bool_], smallest: int) -> NDArray[np.bool_]
     """Return the connected regions of at least ``smallest`` pixels that touch the edge of the slice."""
     if not pixels.any():
         return pixels
-    import SimpleITK as sitk  # slow to load, and few files have padding
-
-    labels = sitk.GetArrayFromImage(sitk.ConnectedComponent(sitk.GetImageFromArray(pixels.astype(np.uint8))))
+    labels = numbered_parts(pixels)
     at_edge = np.zeros(int(labels.max()) + 1, dtype=np.bool_)
     for line in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
         at_edge[np.unique(line)] = True
@@ -181,11 +180,9 @@ def without_corner_padding(hu: NDArray[np.int16]) -> tuple[NDArray[np.int16], tu
     value = int(corners.flat[0])
     if value < _CORNER_HU or corners.min() != corners.max():
         return hu, ()
-    import SimpleITK as sitk  # slow to load, and few files have padding
-
     marked = hu == value
     others = hu[~marked]
-    labels = sitk.GetArrayFromImage(sitk.ConnectedComponent(sitk.GetImageFromArray(marked.astype(np.uint8))))
+    labels = numbered_parts(marked)
     inside = np.isin(labels, np.unique(labels[at_corners]))
     count = int(np.count_nonzero(inside))
     if count < _SMALLEST_UNMARKED_SHARE * hu.size or not others.size:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
+from carina.volume.mask_parts import numbered_parts, opened
 from carina.volume.model import Remark, Volume
 
 # Mean lumen diameter in mm by generation, trachea first (Weibel, Morphometry of the Human Lung, 1963, model A).
@@ -148,14 +149,10 @@ def _find_lungs(volume: Volume) -> _Lungs:
     blankets are in it. The outside air also reaches the edges where two faces of the grid meet. A region that touches
     only a face may be lung, because cropped volumes cut the lungs too.
     """
-    import SimpleITK as sitk  # slow to load, and not needed by the types of a volume
-
     strides = [max(1, int(4.0 / spacing)) for spacing in volume.spacing_mm]
     coarse = _block_means(volume.hu_zyx, (strides[2], strides[1], strides[0]))
-    dark = sitk.GetImageFromArray((coarse < _DARK_HU).astype(np.uint8))
     # Opened by one voxel, because noise and the thin layer between skin and air would connect the lungs to the outside.
-    regions = sitk.ConnectedComponent(sitk.BinaryMorphologicalOpening(dark, [1, 1, 1]))
-    labels = sitk.GetArrayFromImage(regions)
+    labels = numbered_parts(opened(coarse < _DARK_HU))
     voxel_l = abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3]))) * 1e-6 * float(np.prod(strides))
     lung = np.zeros(labels.shape, dtype=np.bool_)
     kk, jj, ii = (np.isin(np.arange(n), (0, n - 1)).astype(np.uint8) for n in labels.shape)

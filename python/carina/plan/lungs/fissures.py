@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
-from carina.plan.cubic_box import Box, lung_median_hu, smoothed
+from carina.plan.cubic_box import Box, beside, lung_median_hu, smoothed
 from carina.plan.lungs.vessels import eigenvalues, second_differences
 from carina.volume.mask_distances import ball_distance
+from carina.volume.mask_parts import numbered_parts, parts_by_size
 
 Mask = NDArray[np.bool_]
 Values = NDArray[np.float32]
@@ -149,20 +149,13 @@ def _large_sheets(mask: Mask, step_mm: float) -> Mask:
 
     A gap of one voxel does not divide a piece.
     """
-    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
-
-    joined = sitk.BinaryDilate(sitk.GetImageFromArray(mask.astype(np.uint8)), [1, 1, 1], sitk.sitkCross)
-    labels: Any = sitk.GetArrayFromImage(
-        sitk.RelabelComponent(sitk.ConnectedComponent(joined, True), minimumObjectSize=int(3.0 * MIN_MM2 / step_mm**2))
-    )
+    labels = parts_by_size(mask | beside(mask), corners=True, least_voxels=int(3.0 * MIN_MM2 / step_mm**2))
     found: Mask = mask & (labels > 0)
     return found
 
 
 def _with_faint_parts(sheets: Mask, faint: Mask) -> Mask:
-    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
-
-    labels: Any = sitk.GetArrayFromImage(sitk.ConnectedComponent(sitk.GetImageFromArray(faint.astype(np.uint8)), True))
+    labels = numbered_parts(faint, corners=True)
     keep = np.zeros(int(labels.max()) + 1, dtype=bool)
     keep[np.unique(labels[sheets])] = True
     keep[0] = False

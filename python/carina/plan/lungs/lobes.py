@@ -19,7 +19,9 @@ from carina.plan.lungs.fissures import FissureBox, fissures
 from carina.plan.lungs.tissue_near_needle import lung_box
 from carina.track import AirwayTree, branch_side_and_lobe
 from carina.volume import Volume
+from carina.volume.front_times import arrival_times
 from carina.volume.mask_distances import ball_distance, extent
+from carina.volume.mask_parts import numbered_parts
 
 Mask = NDArray[np.bool_]
 Values = NDArray[np.float32]
@@ -231,23 +233,14 @@ def _seeds(inside: Mask, lps_from_ijk: NDArray[np.float64], tree: AirwayTree) ->
 
 def _pieces(mask: Mask) -> NDArray[np.uint32]:
     """Return the connected components (by faces) of a mask, numbered from 1."""
-    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
-
-    found: NDArray[np.uint32] = sitk.GetArrayFromImage(
-        sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)), False)
-    )
-    return found
+    return numbered_parts(mask)
 
 
 def _arrival(speed: Values, pieces: NDArray[np.uint32], at: NDArray[np.intp]) -> Values:
     """Return the arrival time of a fast-marching front from some voxels, in the bounding box of their components."""
-    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
-
     part = extent(np.isin(pieces, np.unique(pieces[tuple(at.T)])), 1)
     first = [axis.start for axis in part]
-    march = sitk.FastMarchingImageFilter()
-    march.SetTrialPoints([(int(i), int(j), int(k)) for k, j, i in at - first])
-    times: Values = sitk.GetArrayFromImage(march.Execute(sitk.GetImageFromArray(speed[part]))).astype(np.float64)
+    times = arrival_times(speed[part], at - first)
     found = np.full(speed.shape, np.inf, dtype=np.float32)
     found[part] = np.where(times < 1e6, times, np.inf)
     return found

@@ -20,6 +20,8 @@ from carina.plan.targets.grow_nodule import Nodule
 from carina.scopes import WallField
 from carina.volume import Volume
 from carina.volume.mask_distances import ball_distance
+from carina.volume.mask_parts import parts_by_size
+from carina.volume.resampling import resampled
 
 Mask = NDArray[np.bool_]
 
@@ -162,32 +164,16 @@ def lung_box(volume: Volume) -> Box:
     NoResultError
         If there is no lung in the CT (code ``plan.no_lung``).
     """
-    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
-
-    image: Any = sitk.GetImageFromArray(volume.hu_zyx)
-    image.SetSpacing([float(s) for s in volume.spacing_mm])
-    image.SetOrigin([float(k) for k in volume.lps_from_ijk[:3, 3]])
-    axes = volume.lps_from_ijk[:3, :3] / np.array(volume.spacing_mm)
-    is_mirrored = float(np.linalg.det(axes)) < 0.0
-    if is_mirrored:
-        # ITK axes must be right-handed, so the order of the slices is reversed.
-        image = sitk.GetImageFromArray(np.ascontiguousarray(volume.hu_zyx[::-1]))
-        image.SetSpacing([float(s) for s in volume.spacing_mm])
-        image.SetOrigin([float(k) for k in volume.to_lps(np.array([0.0, 0.0, volume.shape_zyx[0] - 1.0]))])
-        axes = axes * np.array([1.0, 1.0, -1.0])
-    image.SetDirection([float(k) for k in axes.reshape(-1)])
     corners = volume.to_lps(
         np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) * (np.array(volume.shape_zyx[::-1]) - 1.0)
     )
     whole_low, whole_high = corners.min(axis=0), corners.max(axis=0)
-    coarse = _cut(image, whole_low, whole_high, 4.0, -1024.0)
-    inside = _lung(sitk.GetArrayFromImage(coarse))
+    inside = _lung(_cut(volume, whole_low, whole_high, 4.0, -1024.0))
     if not inside.any():
         raise NoResultError("the lungs: no lung was found in this CT; it is needed round a target", code="plan.no_lung")
     at = np.argwhere(inside)[:, ::-1] * 4.0 + whole_low
     low, high = np.maximum(at.min(axis=0) - 5.0, whole_low), np.minimum(at.max(axis=0) + 5.0, whole_high)
-    fine = _cut(image, low, high, 1.0, OUTSIDE_HU)
-    values: NDArray[np.float32] = sitk.GetArrayFromImage(fine)
+    values = _cut(volume, low, high, 1.0, OUTSIDE_HU)
     matrix = np.eye(4)
     matrix[:3, 3] = low
     in_ct = values > OUTSIDE_HU + 1.0
@@ -210,26 +196,19 @@ CLOSED_MM = 12.0
 """Radius in mm of the morphological closing that adds vessels and airways to the lungs."""
 
 
-def _cut(image: Any, low: NDArray[np.float64], high: NDArray[np.float64], step_mm: float, outside_hu: float) -> Any:
-    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
-
-    to = sitk.ResampleImageFilter()
-    to.SetSize([int(n) for n in np.floor((high - low) / step_mm) + 1])
-    to.SetOutputSpacing([step_mm] * 3)
-    to.SetOutputOrigin([float(k) for k in low])
-    to.SetOutputDirection(np.eye(3).reshape(-1).tolist())
-    to.SetInterpolator(sitk.sitkLinear)
-    to.SetDefaultPixelValue(outside_hu)
-    to.SetOutputPixelType(sitk.sitkFloat32)
-    return to.Execute(image)
+def _cut(
+    volume: Volume, low: NDArray[np.float64], high: NDArray[np.float64], step_mm: float, outside_hu: float
+) -> NDArray[np.float32]:
+    """Return the values between two corners in LPS mm, on cubic voxels along the axes of LPS."""
+    nx, ny, nz = (int(n) for n in np.floor((high - low) / step_mm) + 1)
+    matrix = np.diag([step_mm, step_mm, step_mm, 1.0])
+    matrix[:3, 3] = low
+    return resampled(volume, matrix, (nz, ny, nx), outside=outside_hu)
 
 
 def _lung(coarse: NDArray[np.float32]) -> Mask:
     """Return the mask of the lungs: large dark regions other than gas and air outside the body."""
-    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
-
-    dark = sitk.GetImageFromArray((coarse < -500.0).astype(np.uint8))
-    labels: Any = sitk.GetArrayFromImage(sitk.RelabelComponent(sitk.ConnectedComponent(dark)))
+    labels = parts_by_size(coarse < -500.0)
     sides = np.unique(np.concatenate([labels[:, 0], labels[:, -1], labels[:, :, 0].T, labels[:, :, -1].T], axis=None))
     sizes = np.bincount(labels.reshape(-1))
     found = np.zeros(labels.shape, dtype=bool)
@@ -302,9 +281,5 @@ def _centres(box: Box, where: Mask, first: int = 0) -> NDArray[np.float64]:
 
 
 def _large_pieces(mask: Mask, least_voxels: float) -> Mask:
-    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
-
-    pieces = sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)), True)
-    relabelled: Any = sitk.RelabelComponent(pieces, minimumObjectSize=max(int(least_voxels), 1))
-    found: Mask = sitk.GetArrayFromImage(relabelled) != 0
+    found: Mask = parts_by_size(mask, corners=True, least_voxels=max(int(least_voxels), 1)) != 0
     return found

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.plan.cubic_box import Box, smoothed
+from carina.volume.front_times import arrival_times
 from carina.volume.mask_distances import ball_distance
+from carina.volume.mask_parts import numbered_parts
 
 Mask = NDArray[np.bool_]
 Values = NDArray[np.float32]
@@ -174,9 +176,7 @@ def eigenvalues(second: list[Values]) -> tuple[Values, Values, Values]:
 
 def _long_pieces(mask: Mask, step_mm: float) -> Mask:
     """Return the pieces of a mask whose bounding box has a diagonal of at least `MIN_LENGTH_MM`."""
-    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
-
-    labels: Any = sitk.GetArrayFromImage(sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)), True))
+    labels = numbered_parts(mask, corners=True)
     at = np.nonzero(labels)
     of = labels[at]
     num = int(labels.max()) + 1
@@ -204,13 +204,11 @@ def grow_tree(box: Box, vessel: Mask, sure: Values, *, on_share: Callable[[float
     on_share
         Receives the share done; it may raise CancelledError.
     """
-    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
-
     if not vessel.any():
         return VesselTree(())
     depth = ball_distance(vessel, box.step_mm)
     # Pieces are connected by faces, because the fast-marching front also spreads across faces.
-    labels: Any = sitk.GetArrayFromImage(sitk.ConnectedComponent(sitk.GetImageFromArray(vessel.astype(np.uint8))))
+    labels = numbered_parts(vessel)
     arrival = _arrival(vessel, depth, labels)
     owner = np.full(vessel.shape, -1, dtype=np.int32)
     order = np.flatnonzero(vessel)
@@ -251,19 +249,13 @@ def _arrival(vessel: Mask, depth: Values, labels: NDArray[Any]) -> Values:
 
     The front is faster in the middle of a vessel.
     """
-    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
-
     flat, of = depth.reshape(-1), labels.reshape(-1)
     inside = np.flatnonzero(of)
     widest = inside[np.lexsort((flat[inside], of[inside]))]
     last = np.flatnonzero(np.diff(of[widest], append=-1) != 0)
-    seeds = np.array(np.unravel_index(widest[last], vessel.shape)).T[:, ::-1]
+    seeds = np.array(np.unravel_index(widest[last], vessel.shape)).T
     speed = np.where(vessel, depth * depth, 0.0).astype(np.float32)
-    march = sitk.FastMarchingImageFilter()
-    march.SetTrialPoints([tuple(int(k) for k in seed) for seed in seeds])
-    time: Values = sitk.GetArrayFromImage(march.Execute(sitk.GetImageFromArray(speed)))
-    time[~vessel] = np.inf
-    return time
+    return arrival_times(speed, seeds)
 
 
 _AROUND = np.array([(z, y, x) for z in (-1, 0, 1) for y in (-1, 0, 1) for x in (-1, 0, 1) if z or y or x])

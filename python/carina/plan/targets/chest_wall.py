@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carina.plan.cubic_box import Box, beside, component_at, from_faces, uphill
 from carina.volume.mask_distances import ball_distance, distance_from
+from carina.volume.mask_parts import parts_by_size
 
 Mask = NDArray[np.bool_]
 
@@ -214,12 +214,9 @@ class _LungAir:
     """
 
     def __init__(self, box: Box, air: Mask, seed: tuple[int, ...]) -> None:
-        import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
-
         # Thin connections, as between the bronchi and the lung, do not count.
         cores = ball_distance(air, box.step_mm, NARROW_MM) > NARROW_MM
-        image = sitk.RelabelComponent(sitk.ConnectedComponent(sitk.GetImageFromArray(cores.astype(np.uint8))))
-        labels: NDArray[Any] = sitk.GetArrayFromImage(image)
+        labels = parts_by_size(cores)
         off = box.steps_from(seed)
         back_mm = NARROW_MM + 0.5 * box.step_mm
         self.nearest: Mask | None = None

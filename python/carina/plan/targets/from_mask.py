@@ -14,6 +14,7 @@ from carina.plan.targets.region import whereabouts
 from carina.plan.targets.target import PlanTarget, TargetSource
 from carina.scopes import WallField
 from carina.volume import Mask, Volume
+from carina.volume.mask_parts import parts_by_size
 
 CRUMB = 0.05
 """Largest size of a part of a mask that is ignored as stray voxels, as a share of the largest part's voxels."""
@@ -133,10 +134,7 @@ def one_piece(
     NoResultError
         If there are several parts and no point selects one, or no part is at the point.
     """
-    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
-
-    image = sitk.GetImageFromArray((drawn.share_zyx > 0.0).astype(np.uint8))
-    labels: NDArray[Any] = sitk.GetArrayFromImage(sitk.RelabelComponent(sitk.ConnectedComponent(image, True)))
+    labels = parts_by_size(drawn.share_zyx > 0.0, corners=True)
     num = int(labels.max())
     if num == 0:
         return drawn, ()

@@ -8,6 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.volume.mask_distances import signed_distance
+from carina.volume.mask_parts import numbered_parts
+
 Share = NDArray[np.float32]
 
 SHORT_GAP = 3.0
@@ -141,13 +144,9 @@ def _sum(parts: Sequence[Share], free: Sequence[bool], like: Share) -> NDArray[n
 
 def _parts(share: Share) -> list[Share]:
     """Return the connected parts of a shape."""
-    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
-
     if not (share > 0.0).any():
         return []
-    labels = sitk.GetArrayFromImage(
-        sitk.ConnectedComponent(sitk.GetImageFromArray((share > 0.0).astype(np.uint8)), True)
-    )
+    labels = numbered_parts(share > 0.0, corners=True)
     return [np.where(labels == n, share, np.float32(0.0)) for n in range(1, int(labels.max()) + 1)]
 
 
@@ -181,13 +180,9 @@ def _signed(share: NDArray[np.float64]) -> NDArray[np.float64] | None:
 
     None if no voxel is inside.
     """
-    import SimpleITK as sitk  # SimpleITK is imported on use, because it loads slowly and few functions need it.
-
     inside = share >= 0.5
     if not inside.any() or inside.all():
         return None
-    image = sitk.GetImageFromArray(inside.astype(np.uint8))
-    far = sitk.SignedMaurerDistanceMap(image, insideIsPositive=True, squaredDistance=False, useImageSpacing=False)
-    found: NDArray[np.float64] = sitk.GetArrayFromImage(far).astype(np.float64)
+    found = signed_distance(inside)
     # Distances are measured between voxel centres; the boundary is half a voxel beyond the last centre inside.
     return found + 0.5
