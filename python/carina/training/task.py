@@ -7,7 +7,7 @@ from typing import Literal
 
 from carina.argument_checks import check_fields, choice, each, flag, number_from, text_of
 from carina.display import one_line
-from carina.errors import UsageError
+from carina.errors import NoResultError, UsageError
 from carina.scopes import scope_presets
 from carina.track import AirwayTree
 from carina.training.segments import SEGMENTS, needed_branches
@@ -123,6 +123,31 @@ class Task:
         Raises
         ------
         NoResultError
-            ``training.no-branch``: if the tree lacks a branch; the message names it.
+            ``training.no-branch``: if the tree lacks a branch; the message names it. ``training.turns``: if the
+            branches of a list of turns are not on one way.
         """
         needed_branches(tree, self.needed_names, task=self.name)
+        if self.kind == "turns":
+            names_on_way(tree, self)
+
+
+def names_on_way(tree: AirwayTree, task: Task) -> list[str]:
+    """Return the names of the branches from the root to the last branch of a list of turns.
+
+    Raises
+    ------
+    NoResultError
+        ``training.no-branch``: if the tree lacks a branch. ``training.turns``: if a branch of the list is not on the
+        way, or not in the order of the list.
+    """
+    wanted = needed_branches(tree, task.branches, task=task.name)
+    lineage = tree.lineage(wanted[-1].id)
+    way = list(dict.fromkeys(branch.name or f"branch {branch.id}" for branch in lineage))
+    places = [way.index(name) if name in way else -1 for name in task.branches]
+    if -1 in places or places != sorted(places):
+        raise NoResultError(
+            f"task {task.name}: branches: expected branches in their order on the way {', '.join(way)}; found "
+            f"{', '.join(task.branches)}; correct the list",
+            code="training.turns",
+        )
+    return way

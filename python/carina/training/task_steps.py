@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.track import AirwayTree
@@ -15,9 +14,9 @@ from carina.training.events import FlightEvent
 from carina.training.flight_frames import FRAME_HZ
 from carina.training.handling import TipPlaces
 from carina.training.openings_in_sight import Sights
-from carina.training.segments import Segment, needed_branches
-from carina.training.task import Task
-from carina.training.visits import MIDDLE, SEEN_S, Visit, first_run, run_ends
+from carina.training.segments import Segment
+from carina.training.task import Task, names_on_way
+from carina.training.visits import MIDDLE, SEEN_S, Visit, first_run, frames_of, run_ends
 
 ENTERED_S = 0.5
 """Time in s for which the tip is in a branch without a break when the branch is entered."""
@@ -111,9 +110,7 @@ def _inspection(
     """Return the result of an inspection: the landmarks in their order, and all segments of the case visited."""
     events, done, after = [], [], -1
     for name, openings in landmarks:
-        frame = next(
-            (at for at, value in run_ends(_all_in_sight(sights, openings), SEEN_S) if value == 1 and at > after), None
-        )
+        frame = next((at for at in _frames_in_sight(sights, openings) if at > after), None)
         if frame is None:
             break
         after = frame
@@ -130,9 +127,13 @@ def _inspection(
     return TaskResult(frame, tuple(done), len(landmarks) + len(segments), 0, tuple(events))
 
 
-def _all_in_sight(sights: Sights, openings: Sequence[int]) -> NDArray[np.int64]:
-    together: NDArray[np.bool_] = np.all(sights.in_sight[:, list(openings)], axis=1)
-    return together.astype(np.int64)
+def _frames_in_sight(sights: Sights, openings: Sequence[int]) -> list[int]:
+    """Return the frames up to which all openings have been in sight together for :data:`SEEN_S` without a break."""
+    together = np.all(sights.in_sight[:, list(openings)], axis=1)
+    need = frames_of(SEEN_S)
+    num_before = np.concatenate([[0], np.cumsum(together)])
+    ends = np.arange(need, len(together) + 1)
+    return [int(end) - 1 for end in ends[num_before[ends] - num_before[ends - need] == need]]
 
 
 def _sequence(task: Task, visits: Sequence[Visit], segments: Sequence[Segment]) -> TaskResult:
@@ -156,27 +157,27 @@ def _sequence(task: Task, visits: Sequence[Visit], segments: Sequence[Segment]) 
 def _turns(task: Task, tree: AirwayTree, places: TipPlaces, first: int, last: int) -> TaskResult:
     """Return the result of a list of turns: the branches entered in their order.
 
-    Pieces of a bronchus between which only a twig leaves have one name and count as one branch. A branch is wrong if it
-    is not on the way to the last branch.
+    A branch is entered when the tip has been in it, or beyond it on the way to the last branch, for
+    :data:`ENTERED_S` without a break. A branch is wrong if it is not on this way. Pieces of a bronchus between which
+    only a twig leaves have one name and count as one branch.
     """
-    wanted = needed_branches(tree, task.branches, task=task.name)
-    on_way = {branch.id for branch in tree.lineage(wanted[-1].id)}
+    way = names_on_way(tree, task)
     names = {branch.id: branch.name or f"branch {branch.id}" for branch in tree.branches}
     numbers = {name: n for n, name in enumerate(dict.fromkeys(names.values()))}
     by_number = {n: name for name, n in numbers.items()}
-    way_names = {names[one] for one in on_way}
     at = np.array([numbers[names[int(one)]] for one in places.branch_ids[first : last + 1]], dtype=np.int64)
     events: list[FlightEvent] = []
     done: list[str] = []
     wrong = 0
     for frame, number in run_ends(at, ENTERED_S):
         name = by_number[number]
-        if name == task.branches[len(done)]:
-            done.append(name)
-            events.append(_event(first + frame, "entered", name))
-        elif name not in way_names:
+        if name not in way:
             wrong += 1
             events.append(_event(first + frame, "wrong-branch", name))
+            continue
+        while len(done) < len(task.branches) and way.index(task.branches[len(done)]) <= way.index(name):
+            events.append(_event(first + frame, "entered", task.branches[len(done)]))
+            done.append(task.branches[len(done)])
         if len(done) == len(task.branches):
             events.append(_event(first + frame, "completed", task.name))
             return TaskResult(first + frame, tuple(done), len(done), wrong, tuple(events))
