@@ -10,7 +10,7 @@ from carina.track import AirwayTree, Branch
 from carina.training.attempt_checks import attempt_doubts
 from carina.training.flight_frames import FlightFrames, FlightOptics
 from carina.training.handling import TipPlaces, tip_places, wall_contacts
-from carina.training.openings_in_sight import BranchOpening, Sights, openings_in_sight
+from carina.training.openings_in_sight import BranchOpening, OpeningSights, openings_in_sight
 from carina.training.task_file import find_task
 from carina.training.visits import Visit, places_seen, progress_steps, revisits_of, visits_of
 
@@ -118,7 +118,7 @@ def sights_of(*runs):
     for k, (start, num, place) in enumerate(runs):
         in_sight[start : start + num, k] = True
         off[start : start + num, k] = place
-    return Sights(in_sight, off)
+    return OpeningSights(in_sight, off)
 
 
 @pytest.mark.parametrize(("num_frames", "expected"), [(5, None), (6, 15)])

@@ -80,7 +80,7 @@ def branch_openings(tree: AirwayTree, branch_ids: Sequence[int]) -> tuple[Branch
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
-class Sights:
+class OpeningSights:
     """Openings in the frames of a flight."""
 
     in_sight: NDArray[np.bool_] = field(repr=False)
@@ -105,7 +105,7 @@ def openings_in_sight(
     first: int,
     last: int,
     report: Callable[[float], None] | None = None,
-) -> Sights:
+) -> OpeningSights:
     """Return which openings are in sight in the frames from ``first`` to ``last``; none are in sight in other frames.
 
     Parameters
@@ -125,7 +125,7 @@ def openings_in_sight(
     in_sight = np.zeros((num, len(openings)), dtype=bool)
     off_middle = np.full((num, len(openings)), np.inf)
     if not openings:
-        return Sights(in_sight, off_middle)
+        return OpeningSights(in_sight, off_middle)
     cameras = frames.cameras()
     tip_mm = np.array([one.scope.tip_mm / 2.0 for one in frames.optics])[frames.optics_number]
     clear_view = red_out(wall.distance_mm(frames.lps_from_tip[:, :3, 3]), tip_mm) < MAX_RED_OUT
@@ -149,7 +149,7 @@ def openings_in_sight(
             if found is not None:
                 in_sight[n, k] = True
                 off_middle[n, k] = float(np.linalg.norm(places[found].mean(axis=0)))
-    return Sights(in_sight, off_middle)
+    return OpeningSights(in_sight, off_middle)
 
 
 def _same(frames: FlightFrames, n: int) -> bool:
@@ -178,7 +178,7 @@ def _visible_pixels(
     hit, depth = near[on_disk], depth[on_disk]
     if len(hit) < least or not len(hit):
         return None
-    clear = hit[_lines_in_lumen(eye, rays[hit] @ lps_from_camera.T, depth, wall)]
+    clear: NDArray[np.int64] = hit[_lines_in_lumen(eye, rays[hit] @ lps_from_camera.T, depth, wall)]
     if len(clear) < least or len(clear) < MIN_CLEAR_SHARE * len(hit):
         return None
     return clear

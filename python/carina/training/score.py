@@ -29,7 +29,7 @@ from carina.training.handling import (
     wall_contacts,
 )
 from carina.training.openings_in_sight import branch_openings, openings_in_sight
-from carina.training.segments import LANDMARKS, SEGMENTS, Segment, branches_named, segments_of_case
+from carina.training.segments import LANDMARKS, SEGMENTS, CaseSegment, branches_named, segments_of_case
 from carina.training.task import Clock, Task
 from carina.training.task_file import DEFAULT_TASK, find_task
 from carina.training.task_steps import TaskResult, task_result
@@ -303,7 +303,7 @@ def score_flight(
 class _Openings:
     """Openings of the segments of a case and of the structures of a task."""
 
-    def __init__(self, tree: AirwayTree, task: Task, segments: tuple[Segment, ...]) -> None:
+    def __init__(self, tree: AirwayTree, task: Task, segments: tuple[CaseSegment, ...]) -> None:
         ids: list[int] = []
 
         def index_of(branch_id: int) -> int:
@@ -356,7 +356,7 @@ def clock_start(
 
 
 def _visit_events(
-    visits: list[Visit], steps: list[Visit], again: list[Visit], segments: tuple[Segment, ...]
+    visits: list[Visit], steps: list[Visit], again: list[Visit], segments: tuple[CaseSegment, ...]
 ) -> list[FlightEvent]:
     found = []
     for visit in visits:
@@ -377,7 +377,7 @@ def _scored_contact(contact: WallContact, names: dict[int, str]) -> ScoredContac
     )
 
 
-def _notes(frames: FlightFrames, segments: tuple[Segment, ...], task: Task) -> tuple[str, ...]:
+def _notes(frames: FlightFrames, segments: tuple[CaseSegment, ...], task: Task) -> tuple[str, ...]:
     found = []
     absent = [name for name in SEGMENTS if name not in {one.name for one in segments}]
     if absent:

@@ -32,7 +32,7 @@ _PARTS = {"LB1+2": ("LB1", "LB2")}
 
 @one_line
 @dataclass(frozen=True, slots=True)
-class Segment:
+class CaseSegment:
     """Segment of a case, with the branches that begin at its openings."""
 
     name: str
@@ -53,10 +53,10 @@ def branches_named(tree: AirwayTree, name: str) -> tuple[Branch, ...]:
     return parts if len(parts) == len(_PARTS.get(name, ())) else ()
 
 
-def segments_of_case(tree: AirwayTree) -> tuple[Segment, ...]:
+def segments_of_case(tree: AirwayTree) -> tuple[CaseSegment, ...]:
     """Return the segments of :data:`SEGMENTS` that a tree has, in ascending order."""
     found = ((name, branches_named(tree, name)) for name in SEGMENTS)
-    return tuple(Segment(name, tuple(one.id for one in branches)) for name, branches in found if branches)
+    return tuple(CaseSegment(name, tuple(one.id for one in branches)) for name, branches in found if branches)
 
 
 def needed_branches(tree: AirwayTree, names: Sequence[str], *, task: str) -> tuple[Branch, ...]:

@@ -14,7 +14,7 @@ FORMAT, VERSION = "carina-task", 1
 FIELDS = tuple(field.name for field in dataclasses.fields(Task))
 BUILT_IN = Path(__file__).parent / "tasks"
 DEFAULT_TASK = "inspect-all"
-ADVICE = "correct the file; docs/training.md describes its fields"
+REMEDY = "correct the file; docs/training.md describes its fields"
 
 
 def task_from_file(path: str | Path) -> Task:
@@ -26,7 +26,7 @@ def task_from_file(path: str | Path) -> Task:
         If the file cannot be read or contains impossible values. The message states the file, the field, the expected
         and the found value (code ``training.task``).
     """
-    file = OwnFile.read(path, content="one task", code="training.task", advice=ADVICE)
+    file = OwnFile.read(path, content="one task", code="training.task", remedy=REMEDY)
     file.check(FORMAT, VERSION, FIELDS)
     values = dict(file.document)
     del values["format"], values["version"]
@@ -40,7 +40,7 @@ def task_from_file(path: str | Path) -> Task:
     try:
         return Task(**values)
     except UsageError as error:
-        raise UsageError(f"{file.where}: {str(error).removeprefix('Task: ')}; {ADVICE}", code=file.code) from None
+        raise UsageError(f"{file.where}: {str(error).removeprefix('Task: ')}; {REMEDY}", code=file.code) from None
 
 
 def task_to_json(task: Task) -> dict[str, Any]:

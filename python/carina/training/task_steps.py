@@ -13,8 +13,8 @@ from carina.track import AirwayTree
 from carina.training.events import FlightEvent
 from carina.training.flight_frames import FRAME_HZ
 from carina.training.handling import TipPlaces
-from carina.training.openings_in_sight import Sights
-from carina.training.segments import Segment
+from carina.training.openings_in_sight import OpeningSights
+from carina.training.segments import CaseSegment
 from carina.training.task import Task, names_on_way
 from carina.training.visits import MIDDLE, SEEN_S, Visit, first_run, frames_of, run_ends
 
@@ -56,10 +56,10 @@ def task_result(
     task: Task,
     tree: AirwayTree,
     *,
-    sights: Sights,
+    sights: OpeningSights,
     task_openings: Sequence[tuple[str, list[int]]],
     visits: Sequence[Visit],
-    segments: Sequence[Segment],
+    segments: Sequence[CaseSegment],
     places: TipPlaces,
     first: int,
     last: int,
@@ -102,9 +102,9 @@ def _event(frame: int, kind: Any, name: str) -> FlightEvent:
 
 def _inspection(
     task: Task,
-    sights: Sights,
+    sights: OpeningSights,
     landmarks: Sequence[tuple[str, list[int]]],
-    segments: Sequence[Segment],
+    segments: Sequence[CaseSegment],
     visits: Sequence[Visit],
 ) -> TaskResult:
     """Return the result of an inspection: the landmarks in their order, and all segments of the case visited."""
@@ -127,7 +127,7 @@ def _inspection(
     return TaskResult(frame, tuple(done), len(landmarks) + len(segments), 0, tuple(events))
 
 
-def _frames_in_sight(sights: Sights, openings: Sequence[int]) -> list[int]:
+def _frames_in_sight(sights: OpeningSights, openings: Sequence[int]) -> list[int]:
     """Return the frames up to which all openings have been in sight together for :data:`SEEN_S` without a break."""
     together = np.all(sights.in_sight[:, list(openings)], axis=1)
     need = frames_of(SEEN_S)
@@ -136,7 +136,7 @@ def _frames_in_sight(sights: Sights, openings: Sequence[int]) -> list[int]:
     return [int(end) - 1 for end in ends[num_before[ends] - num_before[ends - need] == need]]
 
 
-def _sequence(task: Task, visits: Sequence[Visit], segments: Sequence[Segment]) -> TaskResult:
+def _sequence(task: Task, visits: Sequence[Visit], segments: Sequence[CaseSegment]) -> TaskResult:
     """Return the result of a search for one segment, or of a sequence: the segments visited in their order."""
     events: list[FlightEvent] = []
     done: list[str] = []

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.training.flight_frames import FRAME_HZ
-from carina.training.openings_in_sight import Sights
+from carina.training.openings_in_sight import OpeningSights
 from carina.training.task import RevisitRule
 
 SEEN_S = 0.5
@@ -60,7 +60,7 @@ def run_ends(values: NDArray[np.int64], seconds: float) -> list[tuple[int, int]]
     ]
 
 
-def places_seen(sights: Sights, places: Sequence[Sequence[int]]) -> list[int | None]:
+def places_seen(sights: OpeningSights, places: Sequence[Sequence[int]]) -> list[int | None]:
     """Return for each place the frame at which all its openings have been seen, or None.
 
     Parameters
@@ -78,7 +78,7 @@ def places_seen(sights: Sights, places: Sequence[Sequence[int]]) -> list[int | N
     return found
 
 
-def place_in_middle(sights: Sights, places: Sequence[Sequence[int]]) -> NDArray[np.int64]:
+def place_in_middle(sights: OpeningSights, places: Sequence[Sequence[int]]) -> NDArray[np.int64]:
     """Return (n,) index of the place whose opening is nearest to the middle of the picture, or -1.
 
     Only openings in sight within :data:`MIDDLE` count; of equally near openings the first one counts.
@@ -90,7 +90,7 @@ def place_in_middle(sights: Sights, places: Sequence[Sequence[int]]) -> NDArray[
     return np.where(off[np.arange(len(off)), best] <= MIDDLE, best, -1)
 
 
-def visits_of(sights: Sights, places: Sequence[Sequence[int]]) -> list[Visit]:
+def visits_of(sights: OpeningSights, places: Sequence[Sequence[int]]) -> list[Visit]:
     """Return the visits of places in their order; consecutive visits of one place are one visit."""
     visits: list[Visit] = []
     for frame, place in run_ends(place_in_middle(sights, places), VISIT_S):

@@ -24,12 +24,12 @@ class OwnFile:
     document: Any
     code: str = "plan.own-file"
     """Code of the errors."""
-    advice: str = ""
+    remedy: str = ""
     """End of each error message: what the user can do."""
 
     @classmethod
     def read(
-        cls, path: str | Path, *, content: str = "one instrument", code: str = "plan.own-file", advice: str = ""
+        cls, path: str | Path, *, content: str = "one instrument", code: str = "plan.own-file", remedy: str = ""
     ) -> OwnFile:
         """Read the document in a file.
 
@@ -39,7 +39,7 @@ class OwnFile:
             Path of the file.
         content
             Expected content, for error messages.
-        code, advice
+        code, remedy
             Code and end of the error messages.
 
         Raises
@@ -49,7 +49,7 @@ class OwnFile:
         """
         file = Path(path)
         try:
-            return cls(file.name, json.loads(read_regular_text(file, max_bytes=MAX_BYTES)), code, advice)
+            return cls(file.name, json.loads(read_regular_text(file, max_bytes=MAX_BYTES)), code, remedy)
         except (OSError, ValueError, RecursionError) as error:
             if isinstance(error, VolumeImportError) and error.code == "disk.too-large":
                 raise UsageError(f"{file.name}: expected at most {MAX_BYTES} bytes", code=code) from None
@@ -70,7 +70,7 @@ class OwnFile:
         found
             Value that the file contains.
         """
-        end = f"; {self.advice}" if self.advice else ""
+        end = f"; {self.remedy}" if self.remedy else ""
         return UsageError(f"{self.where}: {what}: expected {expected}; found {found!r}{end}", code=self.code)
 
     def check(self, form: str, version: int, names: Iterable[str]) -> None:
