@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -62,6 +63,18 @@ def test_file_that_is_no_task_is_refused(text, tmp_path):
     file.write_text(text)
     with pytest.raises(UsageError, match=r"own\.json"):
         task_from_file(file)
+
+
+def test_example_of_the_guide_is_a_valid_task(tmp_path):
+    guide = (Path(__file__).parents[2] / "docs" / "training.md").read_text()
+    file = tmp_path / "own.json"
+    file.write_text(guide.split("```json")[1].split("```")[0])
+    assert task_from_file(file).segments == ("RB6", "RB8", "LB6")
+
+
+def test_case_without_a_landmark_is_refused():
+    with pytest.raises(NoResultError, match="expected a branch named RMB"):
+        find_task("inspect-landmarks").check_case(tree_of("RB1"))
 
 
 def test_unknown_task_lists_the_built_in_tasks():

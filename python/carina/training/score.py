@@ -29,7 +29,7 @@ from carina.training.handling import (
     wall_contacts,
 )
 from carina.training.openings_in_sight import branch_openings, openings_in_sight
-from carina.training.segments import LANDMARKS, SEGMENTS, CaseSegment, branches_named, segments_of_case
+from carina.training.segments import LANDMARKS, SEGMENTS, CaseSegment, needed_branches, segments_of_case
 from carina.training.task import Clock, Task
 from carina.training.task_file import DEFAULT_TASK, find_task
 from carina.training.task_steps import TaskResult, task_result
@@ -319,9 +319,8 @@ class _Openings:
         if task.structure is not None:
             wanted = ((task.structure, (task.structure,)),)
         for title, names in wanted:
-            branches = [branches_named(tree, name) for name in names]
-            if all(branches):
-                self.task_openings.append((title, [index_of(one.id) for found in branches for one in found]))
+            branches = needed_branches(tree, names, task=task.name)
+            self.task_openings.append((title, [index_of(one.id) for one in branches]))
         self.openings = branch_openings(tree, ids)
 
 

@@ -10,7 +10,7 @@ from carina.display import one_line
 from carina.errors import NoResultError, UsageError
 from carina.scopes import scope_presets
 from carina.track import AirwayTree
-from carina.training.segments import SEGMENTS, needed_branches
+from carina.training.segments import LANDMARKS, SEGMENTS, needed_branches
 
 TaskKind = Literal["inspect", "find", "sequence", "turns", "hold"]
 TaskOrder = Literal["ascending", "landmarks"]
@@ -115,7 +115,13 @@ class Task:
     @property
     def needed_names(self) -> tuple[str, ...]:
         """Names of the branches without which a case cannot be used for the task."""
-        return (*self.segments, *self.branches, *(() if self.structure is None else (self.structure,)))
+        landmarks = LANDMARKS if self.order == "landmarks" else ()
+        return (
+            *self.segments,
+            *self.branches,
+            *(() if self.structure is None else (self.structure,)),
+            *(name for _, names in landmarks for name in names),
+        )
 
     def check_case(self, tree: AirwayTree) -> None:
         """Check that a case has all branches that the task names.
