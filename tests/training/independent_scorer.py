@@ -22,7 +22,7 @@ ORDER = [f"RB{n}" for n in range(1, 11)] + ["LB1+2"] + [f"LB{n}" for n in (3, 4,
 class Disk:
     """Opening of a branch."""
 
-    def __init__(self, tree: AirwayTree, branch: Any) -> None:
+    def __init__(self, tree: AirwayTree, wall: WallField, branch: Any) -> None:
         inside = {branch.id}
         for one in tree.branches:
             if one.parent in inside:
@@ -41,13 +41,12 @@ class Disk:
                 if gap >= 0.25 * radius and far < best:
                     mouth, best = point, far
             if best < math.inf:
-                break  # The opening of a branch that leaves the others is on its own centreline.
+                break  # A descendant is farther from the fork than the branch itself.
         self.mouth = mouth
-        line, _ = spaced(branch)
-        start = int(np.argmin(np.linalg.norm(line - mouth, axis=1)))
-        end = next((p for p in line[start:] if np.linalg.norm(p - mouth) >= 3.0), branch.points[-1])
-        self.into = (end - mouth) / np.linalg.norm(end - mouth)
-        self.radius = float(branch.radius[int(np.argmin(np.linalg.norm(branch.points - mouth, axis=1)))])
+        way = mouth - fork if np.linalg.norm(mouth - fork) >= 0.5 else branch.points[-1] - fork
+        self.into = way / np.linalg.norm(way)
+        nearest = min(range(len(branch.points)), key=lambda n: float(np.linalg.norm(branch.points[n] - mouth)))
+        self.radius = max(float(branch.radius[nearest]), float(wall.ball_mm(mouth)[0]))
 
 
 def spaced(branch: Any, step_mm: float = 0.7) -> tuple[np.ndarray, np.ndarray]:
@@ -89,7 +88,7 @@ class Judge:
             found = [one for one in tree.branches if one.name == name][:1]
             if found:
                 self.names.append(name)
-                self.disks.append(Disk(tree, found[0]))
+                self.disks.append(Disk(tree, wall, found[0]))
 
     def openings(self, pose: np.ndarray) -> dict[str, float]:
         """Return the distance from the middle of the picture of each opening in sight."""

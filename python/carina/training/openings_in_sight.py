@@ -31,9 +31,8 @@ LINE_STEP_MM = 0.5
 """Distance in mm between the points of a line of sight at which the lumen is checked."""
 BEFORE_OPENING_MM = 1.0
 """Length in mm of the end of a line of sight that is not checked, because the edge of an opening is in the wall."""
-ALONG_MM = 3.0
-"""Length in mm along a branch from its opening over which its direction is measured."""
-
+SHORT_MM = 0.5
+"""Distance in mm between a fork and an opening below which the direction of the opening is that of the whole branch."""
 SMALL_SINE = math.sin(math.radians(3.0))
 """Ratio of radius and distance of an opening below which it covers far less than :data:`MIN_PICTURE_SHARE`."""
 
@@ -50,29 +49,33 @@ class BranchOpening:
     middle_lps: Points = field(repr=False)
     """(3,) middle of the disk, LPS mm: where the centreline has left all other branches (`ForkWalls`)."""
     dir_lps: Points = field(repr=False)
-    """(3,) unit vector into the branch."""
+    """(3,) unit vector from the fork to the middle."""
     radius_mm: float
-    """Radius in mm of the found lumen there (`Branch.radius`)."""
+    """Radius in mm of the found lumen there (`Branch.radius`), or of the largest ball that fits, if that is larger."""
 
 
-def branch_openings(tree: AirwayTree, branch_ids: Sequence[int]) -> tuple[BranchOpening, ...]:
-    """Return the opening of each branch."""
+def branch_openings(
+    tree: AirwayTree, branch_ids: Sequence[int], wall: WallField | None = None
+) -> tuple[BranchOpening, ...]:
+    """Return the opening of each branch; without a wall the radius is that of the tree alone."""
     made = []
     for branch_id in branch_ids:
         branch = tree.branch(branch_id)
-        walls = ForkWalls(tree, branch.points[0], [branch_id])
-        middle, axis = walls.mouths_lps[0], walls.axes_lps[0]
-        beyond = axis[np.linalg.norm(axis - middle, axis=1) >= ALONG_MM] if len(axis) else axis
-        end = beyond[0] if len(beyond) else branch.points[-1]
-        along = end - middle if np.linalg.norm(end - middle) > 1e-6 else branch.points[-1] - branch.points[0]
+        fork = branch.points[0]
+        middle = ForkWalls(tree, fork, [branch_id]).mouths_lps[0]
+        along = middle - fork
+        if float(np.linalg.norm(along)) < SHORT_MM:
+            along = branch.points[-1] - fork
         nearest = int(np.argmin(np.linalg.norm(branch.points - middle, axis=1)))
+        # The radius of the search is too small in places where its threshold cuts a narrow lumen.
+        ball_mm = 0.0 if wall is None else float(wall.ball_mm(middle)[0])
         made.append(
             BranchOpening(
                 branch_id,
                 branch.name or f"branch {branch_id}",
                 middle,
                 along / max(float(np.linalg.norm(along)), 1e-9),
-                float(branch.radius[nearest]),
+                max(float(branch.radius[nearest]), ball_mm),
             )
         )
     return tuple(made)

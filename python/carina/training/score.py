@@ -227,7 +227,7 @@ def score_flight(
     timed_out = False
     if task.time_limit_s is not None and last - first > task.time_limit_s * FRAME_HZ:
         last, timed_out = first + int(task.time_limit_s * FRAME_HZ), True
-    openings_of = _Openings(tree, task, segments)
+    openings_of = _Openings(tree, wall, task, segments)
     sights = openings_in_sight(
         frames,
         openings_of.openings,
@@ -303,7 +303,7 @@ def score_flight(
 class _Openings:
     """Openings of the segments of a case and of the structures of a task."""
 
-    def __init__(self, tree: AirwayTree, task: Task, segments: tuple[CaseSegment, ...]) -> None:
+    def __init__(self, tree: AirwayTree, wall: WallField, task: Task, segments: tuple[CaseSegment, ...]) -> None:
         ids: list[int] = []
 
         def index_of(branch_id: int) -> int:
@@ -321,7 +321,7 @@ class _Openings:
         for title, names in wanted:
             branches = needed_branches(tree, names, task=task.name)
             self.task_openings.append((title, [index_of(one.id) for one in branches]))
-        self.openings = branch_openings(tree, ids)
+        self.openings = branch_openings(tree, ids, wall)
 
 
 def clock_start(
