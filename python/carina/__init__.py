@@ -41,6 +41,9 @@ Pictures and movement (``carina.render``, ``carina.navigate``, ``carina.scopes``
     transfer_preset     Return a transfer function by name
     Renderer, TransferFunction, Pose, FlightPath, Navigator, ScopeDrive
 
+Training (``carina.training``)
+    score_recording     Score a recorded flight by the published measures
+
 Files (``carina.export``)
     export_airways      Write the tree, the lumen or its surface
     write_tree          Write a tree; read_tree reads one

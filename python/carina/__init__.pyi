@@ -12,6 +12,7 @@ from . import render as render
 from . import scopes as scopes
 from . import session as session
 from . import track as track
+from . import training as training
 from . import volume as volume
 from .errors import (
     CarinaError as CarinaError,
@@ -66,6 +67,9 @@ from .track import (
     measure_tree as measure_tree,
     track_paths as track_paths,
     wall_field as wall_field,
+)
+from .training import (
+    score_recording as score_recording,
 )
 from .volume import (
     Volume as Volume,

@@ -17,7 +17,7 @@ from cached_test_data import cached_phantom, found_airways
 from carina.commands import RenameBranch, SetTexture
 from carina.commands.questions import VoxelAt
 from carina.errors import CarinaError
-from carina.navigate import AutoFlight
+from carina.navigate import AutoFlight, Recording, case_key
 from carina.plan import NeedleErrors, ScoreWeights
 from carina.render import (
     AirwayView,
@@ -118,6 +118,12 @@ class Things:
         made = self.free_tip()
         made.enter_scope(self.drive())
         return made
+
+    @cached_property
+    def recording(self) -> Recording:
+        """Recording of a tip that stays in the trachea."""
+        tip = {"lps_from_camera": self.pose.lps_from_camera.ravel().tolist()}
+        return Recording({"case": case_key(self.volume), "tip": tip}, ({"end": 0.5},), complete=True)
 
     @cached_property
     def renderer(self) -> carina.Renderer:
@@ -261,6 +267,9 @@ GOOD: dict[str, Good] = {
     "read_tree": Good(lambda t: {"path": t.tree_file}),
     "render_surface": Good(lambda t: {"volume": t.small_volume, "pose": POSE, **SMALL}),
     "render_view": Good(lambda t: {"volume": t.small_volume, "view": "airway", "pose": POSE, **SMALL}),
+    "score_recording": Good(
+        lambda t: {"volume": t.volume, "airways": t.airways, "recording": t.recording, "wall": t.wall}
+    ),
     "track_paths": Good(lambda t: {"volume": t.volume, "targets": [t.tip.tip_lps], "airways": t.airways}),
     "transfer_preset": Good(lambda _: {"name": "endoscopic"}),
     "wall_field": Good(lambda t: {"volume": t.volume, "airways": t.airways, "spacing_mm": 0.6}),

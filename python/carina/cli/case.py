@@ -16,7 +16,8 @@ from carina.config import load_settings
 from carina.disk import say_size, write_whole
 from carina.disk.move_files import move_to_new_name
 from carina.errors import DiskError, UsageError
-from carina.session import CASE_SUFFIX, CaseRecord, CaseRecords, LocalStore
+from carina.navigate import Recording, open_recording
+from carina.session import CASE_SUFFIX, CaseRecord, CaseRecords, LocalStore, is_case_file
 from carina.session.store.registry_repair import repair_records
 from carina.volume import VolumeCache
 
@@ -212,6 +213,14 @@ def write_recording(path: Path, wanted: str, *, output: Path, as_json: bool) -> 
         text = case.recording_text(find_recording(case, wanted).recording_id)
     write_whole(output, text.encode(), what="the recording", placement=move_to_new_name)
     return _print_written_file(output, as_json)
+
+
+def open_case_recording(path: Path, wanted: Path) -> Recording:
+    """Return the recording in a file, or a recording of the case by its name or number."""
+    if wanted.is_file() or not is_case_file(path):
+        return open_recording(wanted)
+    with CaseFile.open(newest_case_file(path), read_only=True) as case:
+        return case.recording(find_recording(case, str(wanted)).recording_id)
 
 
 def find_recording(case: CaseFile, wanted: str) -> RecordingFacts:

@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 
 import carina
-from carina.case import CaseFile
 from carina.case.routes import ChosenRoute
 from carina.cli.along import check_destination, print_drawn_parts, route_to
 from carina.cli.arguments import check_needs, check_output_file, check_range
-from carina.cli.case import find_recording
+from carina.cli.case import open_case_recording
 from carina.cli.cluster import opened_cluster
 from carina.cli.console import ProgressCallback, print_json, print_note, progress_printer
-from carina.cli.opened import OpenedInput, check_case_options, check_scan_exists, newest_case_file, open_input
+from carina.cli.opened import OpenedInput, check_case_options, check_scan_exists, open_input
 from carina.cli.stored_frames import StoredFrames
 from carina.cluster import ClusterRenderer, render_frames
 from carina.config import load_settings
@@ -27,7 +26,7 @@ from carina.errors import NoResultError, UsageError
 from carina.export import VIDEO_SUFFIXES, VideoWriter
 from carina.export.flight_film import FrameOptions, check_num_frames, distinct_images, write_frames
 from carina.export.video import even_size, size_notes
-from carina.navigate import AutoFlight, KeyFrameFile, KeyFrameFlight, Recording, open_key_frames, open_recording
+from carina.navigate import AutoFlight, KeyFrameFile, KeyFrameFlight, open_key_frames
 from carina.navigate.auto_flight import frame_times_s
 from carina.navigate.recording import ReplayedPose, case_key, sampled
 from carina.render import LEAD_VIEW, Backend, Renderer, transfer_preset
@@ -99,7 +98,7 @@ def report(
         AutoFlight(carina.FlightPath([[0, 0, 1], [0, 0, 0]]), speed_mm_s=speed_mm_s, pause_s=pause_s)
     # Otherwise the message would name the recording or the key frames, although the scan is missing.
     check_scan_exists(path)
-    recorded = None if recording is None else _recording(path, recording)
+    recorded = None if recording is None else open_case_recording(path, recording)
     # For a case, --keys contains names of key frames, unless a file of that name exists.
     of_case = keys is not None and is_case_file(path) and not keys.is_file()
     given = None if keys is None or of_case else open_key_frames(keys)
@@ -186,14 +185,6 @@ def _captions(
     except NoResultError:
         airways = None
     return flight_captions(source.volume, airways, way, renderer if isinstance(renderer, Renderer) else None).lines
-
-
-def _recording(path: Path, wanted: Path) -> Recording:
-    """Return the recording in a file, or a recording of the case by its name or number."""
-    if wanted.is_file() or not is_case_file(path):
-        return open_recording(wanted)
-    with CaseFile.open(newest_case_file(path), read_only=True) as case:
-        return case.recording(find_recording(case, str(wanted)).recording_id)
 
 
 def _stored_view(source: OpenedInput, keys: KeyFrameFile | None) -> dict[str, Any]:

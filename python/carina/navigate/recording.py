@@ -236,6 +236,16 @@ class Recording:
                 f"slightly; replay it with Carina {made_by}",
                 code="navigate.recording",
             )
+        self.check_scan(volume)
+
+    def check_scan(self, volume: Volume) -> None:
+        """Raise an error if the recording belongs to another scan; recorded poses are valid in any version of Carina.
+
+        Raises
+        ------
+        VolumeImportError
+            ``navigate.recording``.
+        """
         if self.header.get("case") != case_key(volume):
             raise VolumeImportError(
                 "this recording belongs to another scan, with a different grid or different voxel values; open that "

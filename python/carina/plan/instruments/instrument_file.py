@@ -1,4 +1,4 @@
-"""Reader of the user's own instrument files; each error states the field, the expected and the found value."""
+"""Reader of the user's own JSON files; each error states the field, the expected and the found value."""
 
 from __future__ import annotations
 
@@ -18,30 +18,45 @@ MAX_LETTERS = 300
 
 @dataclass(frozen=True, slots=True)
 class OwnFile:
-    """User's own instrument file: its JSON document and its name for error messages."""
+    """User's own file: its JSON document, and the texts and the code of its error messages."""
 
     where: str
     document: Any
+    code: str = "plan.own-file"
+    """Code of the errors."""
+    remedy: str = ""
+    """End of each error message: what the user can do."""
 
     @classmethod
-    def read(cls, path: str | Path) -> OwnFile:
+    def read(
+        cls, path: str | Path, *, content: str = "one instrument", code: str = "plan.own-file", remedy: str = ""
+    ) -> OwnFile:
         """Read the document in a file.
+
+        Parameters
+        ----------
+        path
+            Path of the file.
+        content
+            Expected content, for error messages.
+        code, remedy
+            Code and end of the error messages.
 
         Raises
         ------
         UsageError
-            If the file cannot be read (code ``plan.own-file``).
+            If the file cannot be read.
         """
         file = Path(path)
         try:
-            return cls(file.name, json.loads(read_regular_text(file, max_bytes=MAX_BYTES)))
+            return cls(file.name, json.loads(read_regular_text(file, max_bytes=MAX_BYTES)), code, remedy)
         except (OSError, ValueError, RecursionError) as error:
             if isinstance(error, VolumeImportError) and error.code == "disk.too-large":
-                raise UsageError(f"{file.name}: expected at most {MAX_BYTES} bytes", code="plan.own-file") from None
+                raise UsageError(f"{file.name}: expected at most {MAX_BYTES} bytes", code=code) from None
             if isinstance(error, CarinaError):
                 raise
-            words = f"{file.name}: expected a JSON file with one instrument; it could not be read ({error})"
-            raise UsageError(words, code="plan.own-file") from error
+            words = f"{file.name}: expected a JSON file with {content}; it could not be read ({error})"
+            raise UsageError(words, code=code) from error
 
     def refusal(self, what: str, expected: str, found: object) -> UsageError:
         """Return the error for a field with a wrong value.
@@ -55,7 +70,8 @@ class OwnFile:
         found
             Value that the file contains.
         """
-        return UsageError(f"{self.where}: {what}: expected {expected}; found {found!r}", code="plan.own-file")
+        end = f"; {self.remedy}" if self.remedy else ""
+        return UsageError(f"{self.where}: {what}: expected {expected}; found {found!r}{end}", code=self.code)
 
     def check(self, form: str, version: int, names: Iterable[str]) -> None:
         """Check that the document is an object of this format without unknown names.

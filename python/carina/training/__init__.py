@@ -1,0 +1,42 @@
+"""Training: tasks, and the published scores of recorded flights."""
+
+from carina.training.attempt_checks import AttemptDoubt
+from carina.training.events import FlightEvent
+from carina.training.flight_frames import FlightFrames, flight_frames
+from carina.training.log_files import events_csv, poses_csv, scores_csv, write_flight_log, xapi_statements
+from carina.training.mastery import REFERENCE_GROUPS, Mastery, ReferenceGroup, judge_mastery
+from carina.training.score import Score, ScoredContact, score_flight, score_recording
+from carina.training.segments import LANDMARKS, SEGMENTS, CaseSegment, segments_of_case
+from carina.training.task import Task
+from carina.training.task_file import find_task, task_from_file, task_names, task_to_json
+from carina.training.task_steps import TaskResult
+
+__all__ = [
+    "LANDMARKS",
+    "REFERENCE_GROUPS",
+    "SEGMENTS",
+    "AttemptDoubt",
+    "CaseSegment",
+    "FlightEvent",
+    "FlightFrames",
+    "Mastery",
+    "ReferenceGroup",
+    "Score",
+    "ScoredContact",
+    "Task",
+    "TaskResult",
+    "events_csv",
+    "find_task",
+    "flight_frames",
+    "judge_mastery",
+    "poses_csv",
+    "score_flight",
+    "score_recording",
+    "scores_csv",
+    "segments_of_case",
+    "task_from_file",
+    "task_names",
+    "task_to_json",
+    "write_flight_log",
+    "xapi_statements",
+]

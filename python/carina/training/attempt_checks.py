@@ -1,0 +1,74 @@
+"""Reasons why an attempt does not count in a verdict: incomplete, impossible or doubtful flights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.track import AirwayTree
+from carina.training.flight_frames import FRAME_HZ, FlightFrames
+from carina.training.handling import JUMP_MM_S, OUTSIDE_MM
+from carina.training.segments import doubtful_names
+from carina.training.task import Task
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class AttemptDoubt:
+    """Reason why an attempt does not count in a verdict."""
+
+    code: Literal["incomplete", "left-airways", "jump", "instrument", "wide-picture", "uncertain-names"]
+    words: str
+    """Reason as a text for the user."""
+    time_s: float | None = None
+    """Time of the first such moment from the start of the recording, s; None if the reason has no time."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the reason as plain JSON types."""
+        return {"code": self.code, "words": self.words, "time_s": self.time_s}
+
+
+def attempt_doubts(
+    frames: FlightFrames,
+    wall_mm: NDArray[np.float64],
+    task: Task,
+    tree: AirwayTree,
+    segment_ids: Sequence[int],
+    *,
+    first: int,
+    last: int,
+) -> tuple[AttemptDoubt, ...]:
+    """Return all reasons why an attempt does not count in a verdict."""
+    found = []
+    if not frames.complete:
+        found.append(AttemptDoubt("incomplete", "the recording was cut off before the attempt ended"))
+    outside = first + np.flatnonzero(wall_mm[first : last + 1] < OUTSIDE_MM)
+    if len(outside):
+        at_s = float(outside[0]) / FRAME_HZ
+        found.append(AttemptDoubt("left-airways", f"the tip left the airways after {at_s:.1f} s", at_s))
+    moved = np.linalg.norm(np.diff(frames.lps_from_tip[first : last + 1, :3, 3], axis=0), axis=1) * FRAME_HZ
+    jumps = first + 1 + np.flatnonzero(moved > JUMP_MM_S)
+    if len(jumps):
+        at_s = float(jumps[0]) / FRAME_HZ
+        words = f"the tip moved faster than {JUMP_MM_S:.0f} mm/s after {at_s:.1f} s, which no hand does"
+        found.append(AttemptDoubt("jump", words, at_s))
+    used = [frames.optics[n] for n in sorted(set(frames.optics_number[first : last + 1].tolist()))]
+    if task.scope is not None:
+        other = [one for one in used if one.is_free_camera or one.scope.name != task.scope]
+        if other:
+            name = "a camera without an instrument" if other[0].is_free_camera else other[0].scope.name
+            found.append(AttemptDoubt("instrument", f"the task requires the instrument {task.scope}; found {name}"))
+    wide = [one for one in used if one.is_wider]
+    if wide:
+        words = f"the picture was {wide[0].fov_deg:.0f} degrees wide, wider than that of the instrument"
+        found.append(AttemptDoubt("wide-picture", words))
+    names = doubtful_names(tree, segment_ids)
+    if names:
+        words = f"the names of these branches are uncertain: {', '.join(names)}; confirm them in the window"
+        found.append(AttemptDoubt("uncertain-names", words))
+    return tuple(found)

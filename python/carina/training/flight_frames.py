@@ -1,0 +1,144 @@
+"""Frames of a recorded flight at a fixed rate: the pose of the tip and the instrument of each frame."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.errors import NoResultError
+from carina.navigate import Recording
+from carina.scopes import DEFAULT_SCOPE, Pose, ScopePreset, scope_preset
+
+FRAME_HZ = 10.0
+"""Rate in Hz of the frames on which all scores are computed."""
+MAX_FLIGHT_S = 7200.0
+"""Longest flight in s that is scored."""
+
+REPEATED_SHARE = 0.5
+"""Share of poses that equal those of an earlier flight above which a flight is a replay of the earlier one."""
+
+Poses = NDArray[np.float64]
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class FlightOptics:
+    """Instrument and field of view of a part of a flight."""
+
+    scope: ScopePreset
+    """Instrument; the generic one if the flight used a free camera."""
+    is_free_camera: bool
+    """Whether the flight used a free camera without an instrument."""
+    fov_deg: float
+    """Field of view of the recorded picture, degrees."""
+    picture_turned: bool
+    """Whether the picture is turned by 180 degrees, for an operator who faces the patient."""
+
+    @property
+    def counted_fov_deg(self) -> float:
+        """Field of view in degrees that counts: that of the recorded picture, at most that of the instrument."""
+        return min(self.fov_deg, self.scope.usual_fov_deg)
+
+    @property
+    def is_wider(self) -> bool:
+        """Whether the recorded picture is wider than that of the instrument."""
+        return self.fov_deg > self.scope.usual_fov_deg + 0.5
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class FlightFrames:
+    """Frames of a flight: frame k is at k / :data:`FRAME_HZ` s and shows the latest pose that is not later."""
+
+    lps_from_tip: Poses = field(repr=False)
+    """(n, 4, 4) pose of the tip at each frame, mm."""
+    pose_number: NDArray[np.int64] = field(repr=False)
+    """(n,) number of the recorded pose of each frame; consecutive frames with one number show the same pose."""
+    optics_number: NDArray[np.int64] = field(repr=False)
+    """(n,) index into ``optics`` of each frame."""
+    optics: tuple[FlightOptics, ...]
+    complete: bool
+    """False if the recording was cut off."""
+    recorded_poses: Poses = field(repr=False)
+    """(m, 4, 4) all recorded poses, mm."""
+
+    @property
+    def times_s(self) -> NDArray[np.float64]:
+        """(n,) time of each frame from the start of the recording, s."""
+        return np.arange(len(self.lps_from_tip)) / FRAME_HZ
+
+    def pose_digest(self) -> str:
+        """Return a digest of all recorded poses."""
+        return hashlib.blake2b(np.ascontiguousarray(self.recorded_poses, "<f8").tobytes(), digest_size=16).hexdigest()
+
+    def repeats(self, earlier: FlightFrames) -> bool:
+        """Return whether most poses of this flight are equal, bit for bit, to poses of an earlier flight.
+
+        A replay of a recording repeats its poses at any speed; a hand never does.
+        """
+        own, other = ({pose.tobytes() for pose in one.recorded_poses} for one in (self, earlier))
+        return len(own) > 1 and len(own & other) > REPEATED_SHARE * len(own)
+
+    def cameras(self) -> Poses:
+        """Return the poses (n, 4, 4) of the camera, which differ from the tip's for a forward-oblique instrument."""
+        found = self.lps_from_tip
+        if all(one.scope.view_up_deg == 0.0 for one in self.optics):
+            return found
+        found = found.copy()
+        for n, number in enumerate(self.optics_number):
+            one = self.optics[number]
+            found[n] = one.scope.camera_pose(Pose(found[n]), picture_turned=one.picture_turned).lps_from_camera
+        return found
+
+
+def flight_frames(recording: Recording) -> FlightFrames:
+    """Return the frames of a recorded flight.
+
+    Raises
+    ------
+    VolumeImportError
+        ``navigate.recording``: if a recorded pose is invalid.
+    NoResultError
+        ``training.too-long``: if the recording is longer than :data:`MAX_FLIGHT_S`.
+    UsageError
+        ``scope.name``: if the library does not have the recorded instrument.
+    """
+    if recording.length_s > MAX_FLIGHT_S:
+        raise NoResultError(
+            f"score: the recording: expected at most {MAX_FLIGHT_S:.0f} s; found {recording.length_s:.0f} s; "
+            "record each attempt separately",
+            code="training.too-long",
+        )
+    pose_times_s, poses = recording.recorded_poses()
+    # The tolerance includes a last pose exactly at a frame, whatever its rounding.
+    num = math.floor(recording.length_s * FRAME_HZ + 1e-6) + 1
+    times_s = np.arange(num) / FRAME_HZ
+    views = [(float(line["t"]), dict(line["view"])) for line in recording.lines if "view" in line]
+    optics = (_optics({}), *(_optics(view) for _, view in views))
+    numbers = latest_before(pose_times_s, times_s)
+    # A view that is recorded at the start applies to frame 0.
+    view_numbers = np.searchsorted(np.array([at for at, _ in views]), times_s + 1e-9, side="right")
+    return FlightFrames(poses[numbers], numbers, view_numbers, optics, recording.complete, poses)
+
+
+def latest_before(known_s: NDArray[np.float64], times_s: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return for each time the index of the latest known time that is not later, or 0."""
+    return np.maximum(np.searchsorted(known_s, times_s + 1e-9, side="right") - 1, 0)
+
+
+def _optics(view: dict[str, Any]) -> FlightOptics:
+    name, fov_deg = view.get("scope"), view.get("fov_deg")
+    scope = scope_preset(name if isinstance(name, str) else DEFAULT_SCOPE)
+    is_number = isinstance(fov_deg, int | float) and 1.0 <= fov_deg <= 170.0
+    return FlightOptics(
+        scope,
+        not isinstance(name, str),
+        float(fov_deg) if is_number and fov_deg is not None else scope.usual_fov_deg,
+        view.get("operator") == "facing",
+    )

@@ -1,0 +1,184 @@
+"""Steps of a task in a flight: landmarks, segments in order, branches entered, a structure held in the middle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from carina.display import one_line
+from carina.track import AirwayTree
+from carina.training.events import FlightEvent
+from carina.training.flight_frames import FRAME_HZ
+from carina.training.handling import TipPlaces
+from carina.training.openings_in_sight import OpeningSights
+from carina.training.segments import CaseSegment
+from carina.training.task import Task, names_on_way
+from carina.training.visits import MIDDLE, SEEN_S, Visit, first_run, frames_of, run_ends
+
+ENTERED_S = 0.5
+"""Time in s for which the tip is in a branch without a break when the branch is entered."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class TaskResult:
+    """Result of a task."""
+
+    completed_frame: int | None
+    """Frame at which the task was completed; None if it was not."""
+    steps_done: tuple[str, ...]
+    """Steps of the task that were done, in their order."""
+    num_steps: int
+    num_wrong: int
+    """Number of other segments visited, or of other branches entered, before the task was completed."""
+    events: tuple[FlightEvent, ...]
+
+    @property
+    def completed(self) -> bool:
+        """Whether the task was completed."""
+        return self.completed_frame is not None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the result as plain JSON types."""
+        return {
+            "completed": self.completed,
+            "completed_s": None if self.completed_frame is None else self.completed_frame / FRAME_HZ,
+            "steps_done": list(self.steps_done),
+            "num_steps": self.num_steps,
+            "num_wrong": self.num_wrong,
+        }
+
+
+def task_result(
+    task: Task,
+    tree: AirwayTree,
+    *,
+    sights: OpeningSights,
+    task_openings: Sequence[tuple[str, list[int]]],
+    visits: Sequence[Visit],
+    segments: Sequence[CaseSegment],
+    places: TipPlaces,
+    first: int,
+    last: int,
+) -> TaskResult:
+    """Return the result of a task between two frames.
+
+    Parameters
+    ----------
+    task, tree
+        The task, and the airways of the case.
+    sights
+        Openings in the frames of the flight.
+    task_openings
+        Name and indices of the openings of each landmark, or of the structure to hold.
+    visits
+        Visits of the segments.
+    segments
+        Segments of the case.
+    places
+        Branch of the tip at each frame.
+    first, last
+        Frames at which the clock starts and ends.
+    """
+    if task.kind == "inspect":
+        return _inspection(task, sights, task_openings, segments, visits)
+    if task.kind == "turns":
+        return _turns(task, tree, places, first, last)
+    if task.kind == "hold":
+        name, openings = task_openings[0]
+        held = np.any(sights.off_middle[:, openings] <= MIDDLE, axis=1)
+        frame = first_run(held, task.hold_s or 0.0)
+        events = () if frame is None else (_event(frame, "held", name), _event(frame, "completed", task.name))
+        return TaskResult(frame, () if frame is None else (name,), 1, 0, events)
+    return _sequence(task, visits, segments)
+
+
+def _event(frame: int, kind: Any, name: str) -> FlightEvent:
+    return FlightEvent(frame / FRAME_HZ, kind, name)
+
+
+def _inspection(
+    task: Task,
+    sights: OpeningSights,
+    landmarks: Sequence[tuple[str, list[int]]],
+    segments: Sequence[CaseSegment],
+    visits: Sequence[Visit],
+) -> TaskResult:
+    """Return the result of an inspection: the landmarks in their order, and all segments of the case visited."""
+    events, done, after = [], [], -1
+    for name, openings in landmarks:
+        frame = next((at for at in _frames_in_sight(sights, openings) if at > after), None)
+        if frame is None:
+            break
+        after = frame
+        done.append(name)
+        events.append(_event(frame, "landmark", name))
+    visited: dict[int, int] = {}
+    for visit in visits:
+        visited.setdefault(visit.place, visit.frame)
+    done += [segments[place].name for place in visited]
+    complete = len(done) == len(landmarks) + len(segments)
+    frame = max([after, *visited.values()]) if complete else None
+    if frame is not None:
+        events.append(_event(frame, "completed", task.name))
+    return TaskResult(frame, tuple(done), len(landmarks) + len(segments), 0, tuple(events))
+
+
+def _frames_in_sight(sights: OpeningSights, openings: Sequence[int]) -> list[int]:
+    """Return the frames up to which all openings have been in sight together for :data:`SEEN_S` without a break."""
+    together = np.all(sights.in_sight[:, list(openings)], axis=1)
+    need = frames_of(SEEN_S)
+    num_before = np.concatenate([[0], np.cumsum(together)])
+    ends = np.arange(need, len(together) + 1)
+    return [int(end) - 1 for end in ends[num_before[ends] - num_before[ends - need] == need]]
+
+
+def _sequence(task: Task, visits: Sequence[Visit], segments: Sequence[CaseSegment]) -> TaskResult:
+    """Return the result of a search for one segment, or of a sequence: the segments visited in their order."""
+    events: list[FlightEvent] = []
+    done: list[str] = []
+    wrong = 0
+    for visit in visits:
+        name = segments[visit.place].name
+        if name == task.segments[len(done)]:
+            done.append(name)
+        elif name not in done:
+            wrong += 1
+            events.append(_event(visit.frame, "wrong-segment", name))
+        if len(done) == len(task.segments):
+            events.append(_event(visit.frame, "completed", task.name))
+            return TaskResult(visit.frame, tuple(done), len(done), wrong, tuple(events))
+    return TaskResult(None, tuple(done), len(task.segments), wrong, tuple(events))
+
+
+def _turns(task: Task, tree: AirwayTree, places: TipPlaces, first: int, last: int) -> TaskResult:
+    """Return the result of a list of turns: the branches entered in their order.
+
+    A branch is entered when the tip has been in it, or beyond it on the way to the last branch, for
+    :data:`ENTERED_S` without a break. A branch is wrong if it is not on this way. Pieces of a bronchus between which
+    only a twig leaves have one name and count as one branch.
+    """
+    way = names_on_way(tree, task)
+    names = {branch.id: branch.name or f"branch {branch.id}" for branch in tree.branches}
+    numbers = {name: n for n, name in enumerate(dict.fromkeys(names.values()))}
+    by_number = {n: name for name, n in numbers.items()}
+    at = np.array([numbers[names[int(one)]] for one in places.branch_ids[first : last + 1]], dtype=np.int64)
+    events: list[FlightEvent] = []
+    done: list[str] = []
+    wrong = 0
+    for frame, number in run_ends(at, ENTERED_S):
+        name = by_number[number]
+        if name not in way:
+            wrong += 1
+            events.append(_event(first + frame, "wrong-branch", name))
+            continue
+        while len(done) < len(task.branches) and way.index(task.branches[len(done)]) <= way.index(name):
+            events.append(_event(first + frame, "entered", task.branches[len(done)]))
+            done.append(task.branches[len(done)])
+        if len(done) == len(task.branches):
+            events.append(_event(first + frame, "completed", task.name))
+            return TaskResult(first + frame, tuple(done), len(done), wrong, tuple(events))
+    return TaskResult(None, tuple(done), len(task.branches), wrong, tuple(events))

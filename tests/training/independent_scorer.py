@@ -1,0 +1,249 @@
+"""Second scorer of flights, written from the definitions of docs/training.md alone, for comparison with the product.
+
+It steps through the flight frame by frame with counters; the product works on arrays of all frames. It shares only the
+inputs with the product: tree, distance to the wall, and the lens of the instrument.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from typing import Any
+
+import numpy as np
+
+from carina.scopes import WallField, scope_preset
+from carina.track import AirwayTree
+
+ORDER = [f"RB{n}" for n in range(1, 11)] + ["LB1+2"] + [f"LB{n}" for n in (3, 4, 5, 6, 8, 9, 10)]
+
+
+class Disk:
+    """Opening of a branch."""
+
+    def __init__(self, tree: AirwayTree, wall: WallField, branch: Any) -> None:
+        inside = {branch.id}
+        for one in tree.branches:
+            if one.parent in inside:
+                inside.add(one.id)
+        fork = branch.points[0]
+        others = [spaced(one) for one in tree.branches if one.id not in inside]
+        mouth, best = branch.points[-1], math.inf
+        for one in tree.branches:
+            if one.id not in inside:
+                continue
+            for point, radius in zip(*spaced(one), strict=True):
+                if np.linalg.norm(point - fork) > 80.0:
+                    continue
+                gap = min(float((np.linalg.norm(line - point, axis=1) - radii).min()) for line, radii in others)
+                far = float(np.linalg.norm(point - fork))
+                if gap >= 0.25 * radius and far < best:
+                    mouth, best = point, far
+            if best < math.inf:
+                break  # A descendant is farther from the fork than the branch itself.
+        self.mouth = mouth
+        way = mouth - fork if np.linalg.norm(mouth - fork) >= 0.5 else branch.points[-1] - fork
+        self.into = way / np.linalg.norm(way)
+        nearest = min(range(len(branch.points)), key=lambda n: float(np.linalg.norm(branch.points[n] - mouth)))
+        self.radius = max(float(branch.radius[nearest]), float(wall.ball_mm(mouth)[0]))
+
+
+def spaced(branch: Any, step_mm: float = 0.7) -> tuple[np.ndarray, np.ndarray]:
+    """Return evenly spaced points of a centreline, and the radii there."""
+    if (branch.id, step_mm, len(branch.points)) not in _SPACED:
+        _SPACED[branch.id, step_mm, len(branch.points)] = _spaced(branch, step_mm)
+    return _SPACED[branch.id, step_mm, len(branch.points)]
+
+
+_SPACED: dict[Any, tuple[np.ndarray, np.ndarray]] = {}
+
+
+def _spaced(branch: Any, step_mm: float) -> tuple[np.ndarray, np.ndarray]:
+    run = [0.0]
+    for a, b in zip(branch.points[:-1], branch.points[1:], strict=True):
+        run.append(run[-1] + float(np.linalg.norm(b - a)))
+    at = np.linspace(0.0, run[-1], max(2, math.ceil(run[-1] / step_mm) + 1))
+    line = np.column_stack([np.interp(at, run, branch.points[:, k]) for k in range(3)])
+    return line, np.interp(at, run, branch.radius)
+
+
+class Judge:
+    """Judgement of single frames."""
+
+    def __init__(self, tree: AirwayTree, wall: WallField, scope: str, fov_deg: float) -> None:
+        self.tree, self.wall = tree, wall
+        preset = scope_preset(scope)
+        self.tip_mm = preset.tip_mm / 2.0
+        self.fov_deg = preset.usual_fov_deg
+        pixels = [(c + 0.5, r + 0.5) for r in range(64) for c in range(64) if math.hypot(c - 31.5, r - 31.5) <= 32.0]
+        self.total = len(pixels)
+        rays = preset.lens.optics(64, 64, preset.usual_fov_deg).directions_of(np.array(pixels))
+        limit = min(fov_deg, preset.usual_fov_deg) / 2.0
+        angle = np.degrees(np.arccos(np.clip(rays[:, 2], -1.0, 1.0)))
+        kept = angle <= limit + 1e-6
+        self.rays, self.pixels = rays[kept], np.array(pixels)[kept]
+        self.names, self.disks = [], []
+        for name in ORDER:
+            found = [one for one in tree.branches if one.name == name][:1]
+            if found:
+                self.names.append(name)
+                self.disks.append(Disk(tree, wall, found[0]))
+
+    def openings(self, pose: np.ndarray) -> dict[str, float]:
+        """Return the distance from the middle of the picture of each opening in sight."""
+        eye = pose[:3, 3]
+        gap = float(self.wall.distance_mm(eye)[0])
+        if (0.6 * self.tip_mm - gap) / (0.45 * self.tip_mm) >= 0.5:
+            return {}
+        found = {}
+        rays = self.rays @ pose[:3, :3].T
+        for name, disk in zip(self.names, self.disks, strict=True):
+            towards = disk.mouth - eye
+            if towards @ disk.into <= 0.0 or np.linalg.norm(towards) > 60.0:
+                continue
+            slope = rays @ disk.into
+            with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+                far = (towards @ disk.into) / slope
+                points = eye + far[:, None] * rays
+                met = (slope > 1e-6) & (np.linalg.norm(points - disk.mouth, axis=1) <= disk.radius)
+            which = np.flatnonzero(met)
+            if len(which) < 0.01 * self.total:
+                continue
+            clear = np.ones(len(which), dtype=bool)
+            at_mm = 0.0
+            while at_mm <= far[which].max() - 1.0:
+                going = at_mm <= far[which] - 1.0
+                if going.any():
+                    clear[going] &= self.wall.distance_mm(eye + at_mm * rays[which[going]]) > 0.0
+                at_mm += 0.5
+            if clear.sum() >= 0.01 * self.total and clear.sum() >= 0.5 * len(which):
+                middle = self.pixels[which[clear]].mean(axis=0) - 32.0
+                found[name] = math.hypot(*middle) / 32.0
+        return found
+
+    def place(self, tip: np.ndarray) -> tuple[Any, float]:
+        """Return the branch of a point, and the position along it, mm."""
+        best = (math.inf, None, 0.0)
+        for branch in self.tree.branches:
+            line, radii = spaced(branch, 1.0)
+            gaps = np.linalg.norm(line - tip, axis=1) - radii
+            n = int(np.argmin(gaps))
+            if gaps[n] < best[0]:
+                best = (float(gaps[n]), branch, branch.length_mm * n / (len(line) - 1))
+        return best[1], best[2]
+
+    def lumen_is_in_middle(self, pose: np.ndarray, branch: Any, along_mm: float) -> bool:
+        """Return whether a centreline 10 mm ahead is within a quarter of the field of view."""
+        ends, todo = [], [(branch, along_mm + 10.0)]
+        while todo:
+            one, at_mm = todo.pop()
+            if at_mm > one.length_mm and one.children:
+                todo += [(self.tree.branch(child), at_mm - one.length_mm) for child in one.children]
+                continue
+            run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(one.points, axis=0), axis=1))])
+            ends.append([np.interp(at_mm, run, one.points[:, k]) for k in range(3)])
+        for end in ends:
+            way = np.array(end) - pose[:3, 3]
+            away = float(np.linalg.norm(way))
+            if away >= 1.0 and math.degrees(math.acos(min(1.0, float(way @ pose[:3, 2]) / away))) <= self.fov_deg / 4:
+                return True
+        return False
+
+
+_JUDGES: dict[Any, Judge] = {}
+
+
+def judge_of(tree: AirwayTree, wall: WallField, scope: str, fov_deg: float) -> Judge:
+    """Return the judge of a case and an instrument; its openings are computed once."""
+    key = (id(tree), id(wall), scope, fov_deg)
+    if key not in _JUDGES:
+        _JUDGES[key] = Judge(tree, wall, scope, fov_deg)
+    return _JUDGES[key]
+
+
+def independent_score(text: str, tree: AirwayTree, wall: WallField) -> dict[str, Any]:
+    """Return the scores and events of a recording of an inspection of all segments, clock from the cords."""
+    lines = [json.loads(one) for one in text.splitlines()]
+    view = next(one["view"] for one in lines if "view" in one)
+    judge = judge_of(tree, wall, view["scope"], view["fov_deg"])
+    moments = [(0.0, lines[0]["tip"]["lps_from_camera"])] + [(one["t"], one["pose"]) for one in lines if "pose" in one]
+    length_s = max(one.get("t", one.get("end", 0.0)) for one in lines[1:])
+    events: list[tuple[float, str, str]] = []
+    seen_for = dict.fromkeys(judge.names, 0)
+    seen: list[str] = []
+    middle, middle_for = "", 0
+    last_visit, visited, stepped, again = "", [], set(), 0
+    touched_at, contacts = -100, 0
+    tips, red, centred, num = [], 0, 0, 0
+    shown: Any = None
+    started = False
+    k, n = 0, 0
+    last = math.floor(length_s * 10 + 1e-6)
+    while k <= last:
+        while n + 1 < len(moments) and moments[n + 1][0] <= k / 10 + 1e-9:
+            n += 1
+        pose = np.array(moments[n][1], dtype=np.float64).reshape(4, 4)
+        gap = float(wall.distance_mm(pose[:3, 3])[0])
+        started = started or gap > -0.5
+        if not started:
+            k += 1
+            continue
+        if not tips:
+            events.append((k / 10, "clock-start", "cords"))
+        if shown is None or moments[shown[0]][1] != moments[n][1]:
+            branch, along_mm = judge.place(pose[:3, 3])
+            shown = (n, judge.openings(pose), branch, judge.lumen_is_in_middle(pose, branch, along_mm))
+        in_sight, branch = shown[1], shown[2]
+        for name in judge.names:
+            seen_for[name] = seen_for[name] + 1 if name in in_sight else 0
+            if seen_for[name] == 6 and name not in seen:
+                seen.append(name)
+                events.append((k / 10, "seen", name))
+        central = [(off, ORDER.index(name), name) for name, off in in_sight.items() if off <= 0.5]
+        now = min(central)[2] if central else ""
+        middle_for = middle_for + 1 if now == middle else 1
+        middle = now
+        if now and middle_for == 11 and now != last_visit:
+            place = judge.names.index(now)
+            before = judge.names.index(last_visit) if last_visit else -1
+            events.append((k / 10, "revisit" if now in visited else "visit", now))
+            again += now in visited
+            if place == before + 1 and now not in stepped:
+                stepped.add(now)
+                events.append((k / 10, "progress", now))
+            visited.append(now)
+            last_visit = now
+        if float(wall.ball_mm(pose[:3, 3])[0]) <= judge.tip_mm + 0.1:
+            if k - touched_at > 5:
+                contacts += 1
+                events.append((k / 10, "contact", branch.name or f"branch {branch.id}"))
+            touched_at = k
+        red += k < last and (0.6 * judge.tip_mm - gap) / (0.45 * judge.tip_mm) >= 0.5
+        centred += shown[3]
+        num += 1
+        tips.append(pose[:3, 3])
+        k += 1
+    events.append((last / 10, "clock-end", "end of the attempt"))
+    time_s = (num - 1) / 10
+    return {
+        "events": sorted(events),
+        "diagnostic_completeness": len(seen),
+        "structured_progress": len(stepped),
+        "procedure_time_s": time_s,
+        "mean_intersegmental_time_s": time_s / len(seen) if seen else None,
+        "segments_revisited": again,
+        "num_contacts": contacts,
+        "red_out_s": red / 10,
+        "lumen_in_middle": centred / num,
+        "path_length_mm": sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(tips)),
+        "smoothness": independent_smoothness(np.array(tips)),
+    }
+
+
+def independent_smoothness(tips: np.ndarray) -> float:
+    """Return minus the logarithm of the dimensionless jerk by third differences of the positions."""
+    third = tips[3:] - 3 * tips[2:-1] + 3 * tips[1:-2] - tips[:-3]
+    squared = float((third**2).sum()) * 1000.0**2 / 10
+    peak = max(float(np.linalg.norm(b - a)) * 10 for a, b in itertools.pairwise(tips))
+    return -math.log(squared * ((len(tips) - 1) / 10) ** 3 / peak**2)

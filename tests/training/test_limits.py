@@ -1,0 +1,235 @@
+"""Tests on both sides of each limit of *in sight*, *seen*, *visited*, contacts and flights that do not count."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carina.scopes import Pose, WallField, scope_preset
+from carina.track import AirwayTree, Branch
+from carina.training.attempt_checks import attempt_doubts
+from carina.training.flight_frames import FlightFrames, FlightOptics
+from carina.training.handling import TipPlaces, tip_places, wall_contacts
+from carina.training.openings_in_sight import BranchOpening, OpeningSights, openings_in_sight
+from carina.training.task_file import find_task
+from carina.training.visits import Visit, places_seen, progress_steps, revisits_of, visits_of
+
+GENERIC = scope_preset("generic")
+AHEAD_Z_MM = 20.0
+
+
+def field_of(distance):
+    """Return a wall field of a function of x, y, z in mm, 1 mm apart."""
+    z, y, x = np.mgrid[-10:61, -30:31, -30:31].astype(np.float32)
+    matrix = np.eye(4)
+    matrix[:3, 3] = (-30.0, -30.0, -10.0)
+    return WallField.from_distances(np.clip(distance(x, y, z), -2.5, 4.5).astype(np.float32), matrix)
+
+
+# A wide lumen whose walls are far from all lines of sight of these tests.
+WIDE = field_of(lambda x, _y, _z: 29.0 - np.abs(x))
+
+
+def frames_of(poses, *, fov_deg=120.0, free=False, complete=True):
+    poses = np.array(poses)
+    optics = FlightOptics(GENERIC, free, fov_deg, False)
+    return FlightFrames(
+        poses, np.arange(len(poses)), np.zeros(len(poses), dtype=np.int64), (optics,), complete, poses
+    )  # fmt: skip
+
+
+def camera(at=(0.0, 0.0, 0.0), look=(0.0, 0.0, 1.0)):
+    return Pose.looking(at, look, (0.0, -1.0, 0.0) if look[1] == 0.0 else None).lps_from_camera
+
+
+def disk(radius_mm, at=(0.0, 0.0, AHEAD_Z_MM), into=(0.0, 0.0, 1.0)):
+    return BranchOpening(1, "RB1", np.array(at), np.array(into), radius_mm)
+
+
+def is_in_sight(opening, pose, wall=WIDE, **options):
+    return bool(openings_in_sight(frames_of([pose], **options), [opening], wall, first=0, last=0).in_sight[0, 0])
+
+
+def pixels_of_disk(radius_mm):
+    """Return the numbers of pixels of a disk straight ahead, and of the whole round picture, by a pixel loop."""
+    optics = GENERIC.lens.optics(64, 64, GENERIC.usual_fov_deg)
+    found = total = 0
+    for row in range(64):
+        for column in range(64):
+            if (column - 31.5) ** 2 + (row - 31.5) ** 2 <= 32.0**2:
+                total += 1
+                x, y, z = optics.directions_of(np.array([[column + 0.5, row + 0.5]]))[0]
+                found += z > 0.0 and np.hypot(x, y) / z * AHEAD_Z_MM <= radius_mm
+    return found, total
+
+
+def test_opening_is_in_sight_from_one_percent_of_the_picture():
+    sizes = np.arange(1.0, 4.0, 0.05)
+    shares = [n / total for n, total in map(pixels_of_disk, sizes)]
+    first = int(np.argmax(np.array(shares) >= 0.01))
+    # By symmetry a growing disk covers eight more pixels at once, so both shares are near the limit, not at it.
+    assert 0.007 < shares[first - 1] < 0.01 <= shares[first] < 0.014
+    assert not is_in_sight(disk(float(sizes[first - 1])), camera())
+    assert is_in_sight(disk(float(sizes[first])), camera())
+
+
+@pytest.mark.parametrize(("edge_mm", "expected"), [(-1.0, True), (1.0, False)])
+def test_opening_is_in_sight_if_the_wall_hides_less_than_half_of_its_pixels(edge_mm, expected):
+    # A plate from z = 8 to 12 mm hides everything on the left of x = edge / 2 at the depth of the opening's lines.
+    wall = field_of(lambda x, _y, z: np.where(np.abs(z - 10.0) < 2.0, x - 0.5 * edge_mm, 4.0))
+    assert is_in_sight(disk(5.0), camera(), wall) is expected
+
+
+@pytest.mark.parametrize(("off_deg", "expected"), [(50.0, True), (75.0, False)])
+def test_opening_is_in_sight_only_inside_the_round_picture(off_deg, expected):
+    a = np.radians(off_deg)
+    assert is_in_sight(disk(3.5), camera(look=(np.sin(a), 0.0, np.cos(a)))) is expected
+
+
+def test_opening_is_not_in_sight_from_inside_its_branch():
+    assert is_in_sight(disk(4.0), camera())
+    assert not is_in_sight(disk(4.0, into=(0.0, 0.0, -1.0)), camera())
+
+
+@pytest.mark.parametrize(("gap_mm", "expected"), [(0.95, True), (0.85, False)])
+def test_nothing_is_in_sight_from_a_red_out_of_half(gap_mm, expected):
+    # The red-out is one half at 0.375 radii of the tip, 0.92 mm for the generic scope.
+    wall = field_of(lambda _x, y, _z: y + gap_mm)
+    assert is_in_sight(disk(4.0), camera(), wall) is expected
+
+
+@pytest.mark.parametrize(("fov_deg", "expected"), [(170.0, False), (120.0, False)])
+def test_wider_lens_shows_no_opening_that_the_instrument_does_not_show(fov_deg, expected):
+    a = np.radians(72.0)
+    assert is_in_sight(disk(3.5), camera(look=(np.sin(a), 0.0, np.cos(a))), fov_deg=fov_deg) is expected
+
+
+def test_narrow_recorded_picture_hides_what_is_outside_it():
+    a = np.radians(40.0)
+    pose = camera(look=(np.sin(a), 0.0, np.cos(a)))
+    assert is_in_sight(disk(3.5), pose)
+    assert not is_in_sight(disk(3.5), pose, fov_deg=50.0)
+
+
+def sights_of(*runs):
+    """Return sights of one opening for each run: first frame, number of frames, distance from the middle."""
+    in_sight = np.zeros((60, len(runs)), dtype=bool)
+    off = np.full((60, len(runs)), np.inf)
+    for k, (start, num, place) in enumerate(runs):
+        in_sight[start : start + num, k] = True
+        off[start : start + num, k] = place
+    return OpeningSights(in_sight, off)
+
+
+@pytest.mark.parametrize(("num_frames", "expected"), [(5, None), (6, 15)])
+def test_segment_is_seen_after_half_a_second_in_sight(num_frames, expected):
+    assert places_seen(sights_of((10, num_frames, 0.9)), [[0]]) == [expected]
+
+
+def test_half_a_second_with_a_break_is_not_seen():
+    sights = sights_of((10, 9, 0.9))
+    sights.in_sight[14] = False
+    assert places_seen(sights, [[0]]) == [None]
+
+
+def test_segment_with_two_openings_is_seen_when_both_are():
+    assert places_seen(sights_of((10, 6, 0.9), (30, 6, 0.9)), [[0, 1]]) == [35]
+    assert places_seen(sights_of((10, 6, 0.9), (30, 5, 0.9)), [[0, 1]]) == [None]
+
+
+@pytest.mark.parametrize(("num_frames", "expected"), [(10, []), (11, [Visit(20, 0)])])
+def test_segment_is_visited_after_one_second_in_the_middle(num_frames, expected):
+    assert visits_of(sights_of((10, num_frames, 0.3)), [[0]]) == expected
+
+
+@pytest.mark.parametrize(("off", "expected"), [(0.5, [Visit(20, 0)]), (0.51, [])])
+def test_middle_of_the_picture_is_half_its_radius(off, expected):
+    assert visits_of(sights_of((10, 20, off)), [[0]]) == expected
+
+
+def test_opening_nearest_to_the_middle_is_visited():
+    assert visits_of(sights_of((10, 20, 0.3), (10, 20, 0.2)), [[0], [1]]) == [Visit(20, 1)]
+
+
+def visits(*places):
+    return [Visit(10 * n, place) for n, place in enumerate(places)]
+
+
+@pytest.mark.parametrize(
+    ("flown", "breaks", "ignored"),
+    [
+        ((0, 1, 2), 3, 3),
+        ((1, 2, 3), 2, 2),  # The start is not the place before 1.
+        ((0, 1, 0, 2), 2, 3),  # The revisit of 0 is between 1 and 2.
+        ((0, 1, 0, 1, 2), 3, 3),  # The move from 0 to 1 counts once.
+        ((0, 2, 1), 1, 1),
+        ((2, 1, 0), 0, 0),
+        ((), 0, 0),
+    ],
+)
+def test_progress_by_both_rules_of_a_revisit(flown, breaks, ignored):
+    assert len(progress_steps(visits(*flown), "breaks")) == breaks
+    assert len(progress_steps(visits(*flown), "ignored")) == ignored
+
+
+def test_revisits_are_counted_each_time():
+    assert [visit.place for visit in revisits_of(visits(0, 1, 0, 2, 0, 1))] == [0, 0, 1]
+
+
+TUBE = field_of(lambda x, y, _z: 4.4 - np.hypot(x, y))
+
+
+def straight_tree():
+    points = np.array([[0.0, 0.0, z] for z in np.arange(0.0, 51.0)])
+    return AirwayTree((Branch(0, None, (), 0, "Trachea", "tracked", points, np.full(51, 4.4)),))
+
+
+def contacts_at(offsets_mm):
+    frames = frames_of([camera((x, 0.0, 20.0)) for x in offsets_mm])
+    places = TipPlaces(np.zeros(len(offsets_mm), dtype=np.int64), np.zeros(len(offsets_mm), dtype=bool))
+    return wall_contacts(frames, TUBE, places, first=0, last=len(offsets_mm) - 1)
+
+
+def test_tip_touches_the_wall_within_a_tenth_of_a_millimetre():
+    # Radius of the tube 4.4 mm, of the tip 2.45 mm: the tip touches from 1.85 mm beside the axis on.
+    clear_mm = float(TUBE.ball_mm([[1.6, 0.0, 20.0]])[0])
+    assert clear_mm > 2.55
+    assert contacts_at([1.6])[0] == []
+    assert len(contacts_at([2.2])[0]) == 1
+    assert contacts_at([2.2])[0][0].clock_hour == pytest.approx(3.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("num_clear", "expected"), [(4, 1), (5, 2)])
+def test_touches_within_half_a_second_are_one_contact(num_clear, expected):
+    assert len(contacts_at([2.2] * 3 + [0.0] * num_clear + [2.2] * 3)[0]) == expected
+
+
+@pytest.mark.parametrize(("off_deg", "expected"), [(29.0, True), (31.0, False)])
+def test_lumen_is_in_the_middle_within_a_quarter_of_the_field_of_view(off_deg, expected):
+    a = np.radians(off_deg)
+    frames = frames_of([camera((0.0, 0.0, 20.0), (np.sin(a), 0.0, np.cos(a)))])
+    assert tip_places(frames, straight_tree()).lumen_in_middle.tolist() == [expected]
+
+
+def doubts_of(poses, wall_mm=4.0, **options):
+    frames = frames_of(poses, **options)
+    walls = np.broadcast_to(np.asarray(wall_mm, dtype=np.float64), len(poses))
+    task = find_task("inspect-all")
+    found = attempt_doubts(frames, walls, task, straight_tree(), [0], first=0, last=len(poses) - 1)
+    return [one.code for one in found]
+
+
+@pytest.mark.parametrize(("step_mm", "expected"), [(19.9, []), (20.1, ["jump"])])
+def test_tip_that_moves_faster_than_a_hand_is_reported(step_mm, expected):
+    assert doubts_of([camera(), camera((0.0, 0.0, step_mm))]) == expected
+
+
+@pytest.mark.parametrize(("wall_mm", "expected"), [(-0.49, []), (-0.51, ["left-airways"])])
+def test_tip_outside_the_airways_is_reported(wall_mm, expected):
+    assert doubts_of([camera(), camera()], wall_mm) == expected
+
+
+def test_incomplete_recording_and_wide_picture_are_reported():
+    assert doubts_of([camera()], complete=False) == ["incomplete"]
+    assert doubts_of([camera()], fov_deg=120.4) == []
+    assert doubts_of([camera()], fov_deg=121.0) == ["wide-picture"]

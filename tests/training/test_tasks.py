@@ -1,0 +1,129 @@
+"""Tests of tasks: built-in files, errors of invalid files, and cases that lack a branch."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carina.errors import NoResultError, UsageError
+from carina.track import AirwayTree, Branch
+from carina.training import SEGMENTS, Task, find_task, segments_of_case, task_from_file, task_names, task_to_json
+from carina.training.segments import doubtful_names
+
+GOOD = {"format": "carina-task", "version": 1, "name": "own", "title": "Own task", "kind": "inspect"}
+
+
+@pytest.mark.parametrize("name", task_names())
+def test_built_in_task_has_the_name_of_its_file_and_survives_a_round_trip(name, tmp_path):
+    task = find_task(name)
+    assert task.name == name
+    file = tmp_path / "task.json"
+    file.write_text(json.dumps(task_to_json(task)))
+    assert task_from_file(file) == task
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"kind": "fly"}, "kind: expected one of inspect, find, sequence, turns, hold; found 'fly'"),
+        ({"kind": "find"}, "segments: expected one segment; found ()"),
+        ({"kind": "find", "segments": ["RB11"]}, "segments[0]: expected one of RB1, RB2"),
+        ({"kind": "find", "segments": "RB1"}, "segments: expected a list of texts; found 'RB1'"),
+        ({"kind": "sequence", "segments": ["RB1"]}, "segments: expected two segments or more"),
+        ({"kind": "sequence", "segments": ["RB1", "RB1"]}, "segments: expected each segment once"),
+        ({"kind": "turns"}, "branches: expected one branch or more; found ()"),
+        ({"kind": "hold", "structure": "RUL"}, "hold_s: expected a value; found None"),
+        ({"hold_s": 3.0}, "hold_s: expected null for the kind inspect; found 3.0"),
+        ({"time_limit_s": -1}, "time_limit_s: expected a number from 1 to 7200 s or None; found -1"),
+        ({"hints": ["map"]}, "hints[0]: expected one of tree, arrow, ghost; found 'map'"),
+        ({"scope": "telescope"}, "scope: expected one of generic"),
+        ({"version": 2}, 'format and version: expected "carina-task" and 1'),
+        ({"pass_mark": 80}, "names: expected only"),
+        ({"title": ""}, "title: expected words"),
+    ],
+)
+def test_invalid_file_states_file_field_expected_and_found_value(changed, message, tmp_path):
+    file = tmp_path / "own.json"
+    file.write_text(json.dumps(GOOD | changed))
+    with pytest.raises(UsageError) as refused:
+        task_from_file(file)
+    assert refused.value.code == "training.task"
+    assert str(refused.value).startswith("own.json: ")
+    assert message in str(refused.value)
+    assert str(refused.value).endswith("correct the file; docs/training.md describes its fields")
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "3"])
+def test_file_that_is_no_task_is_refused(text, tmp_path):
+    file = tmp_path / "own.json"
+    file.write_text(text)
+    with pytest.raises(UsageError, match=r"own\.json"):
+        task_from_file(file)
+
+
+def test_example_of_the_guide_is_a_valid_task(tmp_path):
+    guide = (Path(__file__).parents[2] / "docs" / "training.md").read_text()
+    file = tmp_path / "own.json"
+    file.write_text(guide.split("```json")[1].split("```")[0])
+    assert task_from_file(file).segments == ("RB6", "RB8", "LB6")
+
+
+def test_case_without_a_landmark_is_refused():
+    with pytest.raises(NoResultError, match="expected a branch named RMB"):
+        find_task("inspect-landmarks").check_case(tree_of("RB1"))
+
+
+def test_unknown_task_lists_the_built_in_tasks():
+    with pytest.raises(UsageError, match=r"expected one of find-lb6, .*; found 'inspect'"):
+        find_task("inspect")
+
+
+def tree_of(*names, confidence=0.95):
+    ids = tuple(range(1, len(names) + 1))
+    root_points = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
+    branches = [Branch(0, None, ids, 0, "Trachea", "tracked", root_points, np.ones(2))]
+    for n, name in zip(ids, names, strict=True):
+        points = np.array([[1.0, 1.0, 1.0], [2.0, n, 3.0]])
+        branch = Branch(n, 0, (), 1, name, "tracked", points, np.ones(2))
+        branches.append(replace(branch, name_confidence=confidence, name_from="anatomy"))
+    return AirwayTree(tuple(branches))
+
+
+def test_case_without_the_segment_is_refused_with_its_names():
+    with pytest.raises(NoResultError) as refused:
+        find_task("find-rb6").check_case(tree_of("RB1", "RB2"))
+    assert refused.value.code == "training.no-branch"
+    assert str(refused.value) == (
+        "task find-rb6: the airways of this case: expected a branch named RB6; found the names Trachea, RB1, RB2; "
+        "choose another case or task, or name the branch in the window"
+    )
+
+
+def test_case_denominator_counts_the_segments_of_the_tree():
+    assert len(SEGMENTS) == 18
+    assert [one.name for one in segments_of_case(tree_of("RB2", "LB3", "RB1", "RB6a"))] == ["RB1", "RB2", "LB3"]
+
+
+def test_separate_lb1_and_lb2_are_one_segment():
+    assert segments_of_case(tree_of("LB1", "LB2"))[0].branch_ids == (1, 2)
+    assert segments_of_case(tree_of("LB1")) == ()
+
+
+@pytest.mark.parametrize(("confidence", "expected"), [(0.79, 1), (0.8, 0)])
+def test_name_below_a_confidence_of_080_is_doubtful(confidence, expected):
+    assert len(doubtful_names(tree_of("RB1", confidence=confidence), [1])) == expected
+
+
+def test_name_of_a_person_is_certain():
+    tree = tree_of("RB1", confidence=0.1)
+    given = replace(tree.branches[1], name_confidence=None, name_from="person")
+    assert doubtful_names(AirwayTree((tree.branches[0], given)), [1]) == ()
+
+
+def test_task_in_python_is_checked_as_a_file_is():
+    with pytest.raises(UsageError, match="Task: segments: expected one segment"):
+        Task("own", "Own", "find")
