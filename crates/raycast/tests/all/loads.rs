@@ -161,7 +161,7 @@ fn views() -> Vec<View> {
     ]
 }
 
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 enum Reading {
     Shaded,
     Flat,
