@@ -160,6 +160,9 @@ function FlightTools({ flight, first, last }: { flight: FlightInfo; first: boole
         value={flight.words}
         onChange={(words) => station.send({ type: "describe_flight", number, words })}
       />
+      <div className="row">
+        <SaveVideo flight={{ kind: "recording", number }} testId="flight-video" />
+      </div>
       {asking ? (
         <div
           role="alertdialog"
@@ -187,7 +190,6 @@ function FlightTools({ flight, first, last }: { flight: FlightInfo; first: boole
             testId="flight-download"
             onPress={() => void station.takeFlight(number)}
           />
-          <SaveVideo flight={{ kind: "recording", number }} testId="flight-video" />
           <Act
             kind="icon"
             icon="up"
