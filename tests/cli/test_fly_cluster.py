@@ -20,6 +20,7 @@ from carina.cli import fly
 from carina.cli.cluster import OpenCluster
 from carina.cli.stored_frames import StoredFrames
 from carina.cluster import ClusterRenderer, Console, LocalLane
+from carina.export.flight_film import FrameOptions
 from carina.navigate import AutoFlight
 from carina.navigate.recording import ReplayedPose
 from carina.render import Renderer
@@ -177,7 +178,7 @@ def test_fingerprint_of_a_flight_includes_all_inputs_of_its_frames(ct, monkeypat
     volume = api.open_volume(ct)
     pose = AutoFlight(api.FlightPath([[0, 0, 1], [0, 0, 0]]), speed_mm_s=10.0, pause_s=0.0).pose_at(0.0)
     frames = [ReplayedPose(0.0, pose, {"shading": True})]
-    shown = fly._RenderOptions((64, 48), "generic", 0.5)
+    shown = FrameOptions((64, 48), "generic", 0.5)
     job = fly._job_digest(volume, frames, shown, False)
     assert fly._job_digest(api.open_volume(ct), [ReplayedPose(9.0, pose, {"shading": True})], shown, False) == job
 
