@@ -39,10 +39,8 @@ Pictures and movement (``carina.render``, ``carina.navigate``, ``carina.scopes``
     render_surface      Render a picture of a mesh
     isoregion_map       Compute the IsoRegion map of a scan
     transfer_preset     Return a transfer function by name
+    score_recording     Score a recorded flight (``carina.training``)
     Renderer, TransferFunction, Pose, FlightPath, Navigator, ScopeDrive
-
-Training (``carina.training``)
-    score_recording     Score a recorded flight by the published measures
 
 Files (``carina.export``)
     export_airways      Write the tree, the lumen or its surface

@@ -17,6 +17,7 @@ from carina.scopes import Pose
 from carina.track import AirwayTree
 from carina.training import (
     SEGMENTS,
+    AttemptDoubt,
     Task,
     events_csv,
     find_task,
@@ -327,6 +328,14 @@ def test_mastery_needs_two_in_a_row_and_a_verdict_six_attempts(best_score, times
     judged = judge_mastery(attempts(best_score, *times_s))
     assert judged.verdict is verdict
     assert ("no verdict" in judged.words) is (verdict is None)
+
+
+def test_attempt_that_does_not_count_breaks_the_row(best_score):
+    flown_attempts = attempts(best_score, 130, 130, 130, 130, 100, 100, 100)
+    flown_attempts[5] = replace(flown_attempts[5], doubts=(AttemptDoubt("incomplete", "cut off"),))
+    judged = judge_mastery(flown_attempts)
+    assert judged.num_counted == 6
+    assert judged.verdict is False
 
 
 def test_17_progressions_are_no_mastery(best_score):

@@ -71,9 +71,9 @@ class Mastery:
 
     @property
     def two_in_a_row(self) -> bool:
-        """Whether two attempts in a row passed; attempts that do not count are left out."""
-        kept = [passed for passed, counted in zip(self.passed, self.counted, strict=True) if counted]
-        return any(all(kept[n : n + MASTERY_IN_A_ROW]) for n in range(len(kept) - MASTERY_IN_A_ROW + 1))
+        """Whether two attempts in a row passed; an attempt that does not count breaks the row."""
+        starts = range(len(self.passed) - MASTERY_IN_A_ROW + 1)
+        return any(all(self.passed[n : n + MASTERY_IN_A_ROW]) for n in starts)
 
     @property
     def verdict(self) -> bool | None:

@@ -198,6 +198,15 @@ def score_recording(
     NoResultError
         ``training.no-branch``: if the case lacks a branch of the task. ``training.no-segments``: if no branch has the
         name of a segment. ``training.not-started``: if the tip is never in the airways.
+
+    Examples
+    --------
+    >>> import carina
+    >>> carina.training.find_task("find-rb6").segments
+    ('RB6',)
+    >>> score = carina.score_recording(volume, airways, "flight.jsonl", task="find-rb6")  # doctest: +SKIP
+    >>> score.procedure_time_s  # doctest: +SKIP
+    26.4
     """
     chosen = task if isinstance(task, Task) else find_task(task)
     flown = recording if isinstance(recording, Recording) else open_recording(recording)
