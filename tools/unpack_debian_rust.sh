@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Unpack Debian's rustc with its standard libraries for x86-64 and 64-bit ARM into build/rust (160 MB of downloads).
+# Unpack Debian's rustc with its standard libraries for x86-64 and 64-bit ARM into build/rust (134 MB of downloads).
 #
 #   tools/unpack_debian_rust.sh
 #
