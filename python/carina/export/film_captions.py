@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from carina.navigate import FlightPath
 from carina.navigate.recording import ReplayedPose
 from carina.plan import DistanceOrigin, Turn
-from carina.track import AirwayTree
+from carina.track import AirwayTree, caption_name
 
 AHEAD_MM = 40.0
 """Distance to the next turn, mm, up to which the caption names the turn."""
@@ -65,8 +65,7 @@ class FilmCaptions:
         *before, _ = self._tree.lineage(branch.id)
         steps = np.linalg.norm(np.diff(branch.points[: index + 1], axis=0), axis=1)
         along_mm = sum(one.length_mm for one in before) + float(steps.sum())
-        name = branch.name or f"generation {branch.generation}"
-        return [name, self._origin.words(self._origin.past_mm(along_mm))]
+        return [caption_name(branch), self._origin.words(self._origin.past_mm(along_mm))]
 
     def _turn(self, position: NDArray[np.float64], operator: str) -> str | None:
         """Return the text of the next turn on the path; None if it is far or there is none."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from carina.render import LEAD_VIEW, VIEWS, PathSpan, Picture
 from carina.render.saved_picture import NamedPlace, PictureMarks, finish_picture
-from carina.track import Airways, AirwayTree, Branch, kind_words
+from carina.track import Airways, AirwayTree, Branch, caption_name, kind_words
 
 if TYPE_CHECKING:
     from carina.case.routes import ChosenRoute
@@ -83,7 +83,8 @@ def _places(picture: Picture, volume: Volume, airways: Airways) -> list[NamedPla
         point = _place(picture, branch, volume, airways)
         if point is not None:
             x, y, z = (float(v) for v in point)
-            found[str(branch.name)] = NamedPlace(str(branch.name), (x, y, z), doubtful=branch.kind != "tracked")
+            text = caption_name(branch)
+            found[str(branch.name)] = NamedPlace(text, (x, y, z), doubtful=text != branch.name)
     return list(found.values())
 
 
@@ -130,8 +131,8 @@ def _is_seen(point: Points, lens_lps: Points, volume: Volume, airways: Airways) 
 
 
 def _title(picture: Picture, tree: AirwayTree) -> str | None:
-    """Return the name of the branch that contains the lens of an airway view; None outside the airways."""
+    """Return the name of the branch that contains the lens of an airway view, with its doubts; None outside."""
     if picture.view != LEAD_VIEW or picture.lps_from_camera is None:
         return None
     branch, index, away_mm = tree.nearest_branch(picture.lps_from_camera[:3, 3])
-    return branch.name if away_mm <= float(branch.radius[index]) + NEAR_MM else None
+    return caption_name(branch) if away_mm <= float(branch.radius[index]) + NEAR_MM else None
