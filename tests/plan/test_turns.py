@@ -575,3 +575,34 @@ def test_camera_distance_from_the_fork_is_three_to_four_millimetres_in_a_short_o
     assert stand_mm(short) == 3.0
     long = dataclasses.replace(short, points=bent(np.zeros(3), unit(np.ones(3)), unit(np.ones(3)), 60.0, 8))
     assert stand_mm(long) == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_direction_in_a_picture_follows_the_roll_of_its_camera(seed):
+    num = 0
+    for _, found in lists(seed):
+        for turn in found.turns:
+            if turn.clock_head is None or turn.opening_lps is None:
+                assert turn.hour_doubt is None or turn.direction_in(turn.camera("head")) == "no clock hour"
+                continue
+            for roll_hours in (0.0, 3.0, 6.0, 10.0):
+                camera = turn.camera("head").lps_from_camera.copy()
+                angle = math.tau * roll_hours / 12.0
+                # A camera that turns clockwise sees the opening turn anticlockwise.
+                right, down = camera[:3, 0].copy(), camera[:3, 1].copy()
+                camera[:3, 0] = math.cos(angle) * right + math.sin(angle) * down
+                camera[:3, 1] = math.cos(angle) * down - math.sin(angle) * right
+                for is_turned in (False, True):
+                    words = turn.direction_in(Pose(camera), picture_turned=is_turned)
+                    assert words is not None
+                    expected = (turn.clock_head - roll_hours + 6.0 * is_turned) % 12.0
+                    assert hours_apart(float(words.split()[0]), expected) <= 0.5 + 1e-6
+                num += 1
+    assert num > 10
+
+
+def test_opening_behind_the_camera_has_no_direction():
+    turn = next(t for _, found in lists(0) for t in found.turns if t.clock_head is not None)
+    camera = turn.camera("head").lps_from_camera.copy()
+    camera[:3, 0], camera[:3, 2] = -camera[:3, 0], -camera[:3, 2]
+    assert turn.direction_in(Pose(camera)) is None

@@ -14,6 +14,8 @@ from carina.track import AirwayTree, caption_name
 
 AHEAD_MM = 40.0
 """Distance to the next turn, mm, up to which the caption names the turn."""
+HOUR_MM = 20.0
+"""Distance to the next turn, mm, up to which the caption gives the direction of the opening; farther it is hidden."""
 NEAR_MM = 3.0
 """Largest distance of the tip from a centreline, in addition to the branch's radius, at which it is in the branch."""
 
@@ -52,7 +54,7 @@ class FilmCaptions:
         """Return the lines of a frame at a time of the video: time, branch and depth, then the next turn."""
         position = np.asarray(frame.pose.position_lps, dtype=np.float64)
         first = [f"{int(time_s) // 60}:{int(time_s) % 60:02}", *self._place(position)]
-        turn = self._turn(position, "facing" if frame.view.get("operator") == "facing" else "head")
+        turn = self._turn(frame, position)
         return ("  ".join(first), *([turn] if turn else []))
 
     def _place(self, position: NDArray[np.float64]) -> list[str]:
@@ -67,8 +69,8 @@ class FilmCaptions:
         along_mm = sum(one.length_mm for one in before) + float(steps.sum())
         return [caption_name(branch), self._origin.words(self._origin.past_mm(along_mm))]
 
-    def _turn(self, position: NDArray[np.float64], operator: str) -> str | None:
-        """Return the text of the next turn on the path; None if it is far or there is none."""
+    def _turn(self, frame: ReplayedPose, position: NDArray[np.float64]) -> str | None:
+        """Return the text of the next turn on the path, with its direction in the frame; None if it is far."""
         if self._path is None:
             return None
         at_mm = self._place_mm(position)
@@ -77,8 +79,11 @@ class FilmCaptions:
             if ahead_mm > 0.0:
                 if ahead_mm > AHEAD_MM:
                     return None
-                direction = turn.direction("facing" if operator == "facing" else "head").replace("\u2019", "'")
-                return f"in {ahead_mm:.0f} mm: {turn.to_branch}, {direction}"
+                text = f"in {ahead_mm:.0f} mm: {turn.to_branch}"
+                if ahead_mm > HOUR_MM:
+                    return text
+                direction = turn.direction_in(frame.pose, picture_turned=frame.picture_turned)
+                return text if direction is None else f"{text}, {direction}".replace("\u2019", "'")
         return None
 
     def _place_mm(self, point: NDArray[np.float64]) -> float:

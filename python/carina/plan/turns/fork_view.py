@@ -179,7 +179,7 @@ def openings_seen(camera: Pose, walls: ForkWalls, branches: Sequence[Branch], wa
         if float(outline.mean()) >= MIN_SHARE:
             found.append((float(right[outline].mean()), float(down[outline].mean()), True))
         else:
-            found.append((*_angles(camera, mouth), False))
+            found.append((*picture_angles(camera, mouth), False))
     sizes = [math.hypot(x, y) for x, y, _ in found]
     middle = size // 2
     openings = []
@@ -322,11 +322,11 @@ def _apart(one: float, other: float) -> float:
 def pixel_at(camera: Pose, point_lps: Points, size_px: int) -> tuple[float, float]:
     """Return the position (column, row) of a point in the picture of a turn, clamped to the picture."""
     half = size_px / 2.0
-    right, down = (half + angle / math.radians(FOV_DEG / 2) * half for angle in _angles(camera, point_lps))
+    right, down = (half + angle / math.radians(FOV_DEG / 2) * half for angle in picture_angles(camera, point_lps))
     return min(max(right, 0.0), size_px - 1.0), min(max(down, 0.0), size_px - 1.0)
 
 
-def _angles(camera: Pose, point_lps: Points) -> tuple[float, float]:
+def picture_angles(camera: Pose, point_lps: Points) -> tuple[float, float]:
     """Return the angles in rad to the right and down of a point, in the equidistant picture of a camera."""
     x, y, z = (float(v) for v in camera.lps_from_camera[:3, :3].T @ (point_lps - camera.position_lps))
     across = math.hypot(x, y)

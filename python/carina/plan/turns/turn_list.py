@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -12,7 +13,16 @@ from carina.display.tables import ColumnKind, Columns, Tabular, columns_of
 from carina.errors import NoResultError
 from carina.plan.hand_moves import Move
 from carina.plan.routes.route_width import RouteOpening
-from carina.plan.turns.fork_view import AHEAD_DEG, HourDoubt, Operator, levelled, turned_hours, whole_hour
+from carina.plan.turns.fork_view import (
+    AHEAD_DEG,
+    HourDoubt,
+    Operator,
+    hours_of,
+    levelled,
+    picture_angles,
+    turned_hours,
+    whole_hour,
+)
 from carina.plan.turns.texts import hour_words, joined, moves_words, place_words
 from carina.scopes import Pose
 
@@ -67,6 +77,10 @@ class OtherWay:
             "in_view": self.in_view,
             "opening_lps": None if self.opening_lps is None else list(self.opening_lps),
         }
+
+
+BEHIND_DEG = 90.0
+"""Least angle in degrees between an opening and the line of sight at which the camera has passed the opening."""
 
 
 @one_line
@@ -140,6 +154,35 @@ class Turn:
     def direction(self, operator: Operator) -> str:
         """Return the direction of the opening as text: its clock hour, *straight ahead* or *no clock hour*."""
         return "no clock hour" if self.hour_doubt is not None else hour_words(self.hour(operator))
+
+    def direction_in(self, camera: Pose, *, picture_turned: bool = False) -> str | None:
+        """Return the direction of the opening as text in the picture of another camera, such as a frame of a flight.
+
+        The hours of ``direction`` apply to the levelled camera of the turn alone; a camera that is rolled sees the same
+        opening at another hour.
+
+        Parameters
+        ----------
+        camera
+            Pose of the camera.
+        picture_turned
+            Whether the picture is turned by 180 degrees, for an operator who faces the patient.
+
+        Returns
+        -------
+        str or None
+            The clock hour in this picture, *straight ahead* or *no clock hour*; None if the opening is behind the camera.
+        """
+        if self.hour_doubt is not None or self.opening_lps is None:
+            return "no clock hour"
+        right, down = picture_angles(camera, np.array(self.opening_lps))
+        off_deg = math.degrees(math.hypot(right, down))
+        if off_deg >= BEHIND_DEG:
+            return None
+        if off_deg <= self.ahead_deg:
+            return hour_words(None)
+        hours = hours_of(right, down)
+        return hour_words(whole_hour(turned_hours(hours) if picture_turned else hours))
 
     @property
     def diameter_mm(self) -> float:
