@@ -196,10 +196,21 @@ def test_map_does_not_replace_its_scan(carina, bundle):
     before = bundle.read_bytes()
     ended = carina("isoregion", bundle, "-o", bundle)
     assert ended.code == 2
-    assert "a map would replace it" in ended.err
+    assert "would be replaced" in ended.err
     assert bundle.read_bytes() == before
     assert carina("isoregion", bundle, "-o", bundle, "--with-scan").code == 0
     assert bundle.read_bytes() == before
+
+
+def test_scan_with_its_map_does_not_replace_the_scan_alone(carina, ct, tmp_path):
+    scan = tmp_path / "scan.nrrd"
+    volume = product.open_volume(ct)
+    write_grid(scan, volume.hu_zyx, volume.lps_from_ijk, what="the scan", note="written by another program")
+    before = scan.read_bytes()
+    ended = carina("isoregion", scan, "-o", scan, "--with-scan")
+    assert ended.code == 2
+    assert "would be replaced" in ended.err
+    assert scan.read_bytes() == before
 
 
 def test_scan_with_its_map_needs_an_output_in_nrrd(carina, ct, bundle, tmp_path):

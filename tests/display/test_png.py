@@ -53,6 +53,8 @@ COLOUR = struct.pack(">IIBBBBB", 2, 1, 8, 2, 0, 0, 0)
         (bytes(6), COLOUR, "size"),
         (bytes(100_000), COLOUR, "size"),
         (b"\4" + bytes(6), COLOUR, "another program"),
+        (b"", struct.pack(">IIBBBBB", 0, 1, 8, 2, 0, 0, 0), "out of range"),
+        (b"", struct.pack(">IIBBBBB", 2**32 - 1, 2**32 - 1, 8, 2, 0, 0, 0), "out of range"),
     ],
 )
 def test_image_of_another_kind_or_size_is_refused(scanlines, header, reason):

@@ -10,7 +10,7 @@ import pytest
 from carina.render import AirwayView, Renderer, TransferFunction
 from carina.render.leap_choice import MAX_VIEWS, MIN_GAIN, PICTURES_BETWEEN, ROUNDS, STRIPS, LeapChoice, is_faster
 from carina.render.scene import ValueMaps
-from carina.scopes import Pose
+from carina.scopes import DepthOfField, Pose
 from carina.volume import Volume
 
 DIAGONAL_MM = 200.0
@@ -150,3 +150,10 @@ def test_automatic_leaping_and_brute_pictures_differ_by_at_most_one_level(airway
         assert off.max() <= 1
         # One pixel in ten thousand may differ; a picture of 6144 pixels has at most one such pixel on average.
         assert np.count_nonzero(off.any(axis=-1)) <= 3
+
+
+def test_picture_with_depth_of_field_is_that_of_a_method(airway, paper_renderer):
+    blurred = AirwayView(airway.pose, width=96, height=64, depth_of_field=DepthOfField(near_mm=3.0, far_mm=50.0))
+    automatic = paper_renderer.render(blurred)
+    methods = [dataclasses.replace(blurred, method=method) for method in ("leap-always", "brute")]
+    assert any(np.array_equal(automatic.rgb, paper_renderer.render(view).rgb) for view in methods)

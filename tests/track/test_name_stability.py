@@ -12,7 +12,7 @@ from carina.phantom import generate_phantom
 from carina.track import AirwayTree, Branch, name_tree
 from carina.track.names import naming, renaming
 from carina.track.names.name_texts import segment_of
-from carina.track.names.naming import _read, branch_side_and_lobe
+from carina.track.names.naming import _read, branch_side_and_lobe, name_human_tree
 from carina.track.names.renaming import extends_tips_only, name_edited_tree, renamed_branches
 from carina.track.names.tree_fit import MISFIT
 from carina.track.names.tree_shape import bronchi_of
@@ -155,6 +155,31 @@ def test_one_tip_does_not_make_a_human_tree_unlike_a_human_one(monkeypatch):
     assert set(branch_side_and_lobe(edited).values()) > {None}
 
 
+def test_poor_reading_with_another_laterality_needs_the_usual_fit(monkeypatch):
+    tree = uncut(1)
+    monkeypatch.setattr(naming, "POOR_FIT", _read(tree).fit + 0.1)
+    codes = [{note.code for note in name_human_tree(tree, is_mirrored=was).notes} for was in (False, True)]
+    assert [MISFIT in found for found in codes] == [False, True]
+
+
+def test_removal_of_many_branches_can_make_a_tree_unlike_a_human_one(monkeypatch):
+    tree = uncut(1)
+    top = max((b for b in tree.branches if b.parent == tree.root.id), key=lambda b: len(b.children))
+    gone, found = {top.id}, [top.id]
+    while found:
+        found = [child for one in found for child in tree.branch(one).children]
+        gone |= set(found)
+    rest = tuple(
+        dataclasses.replace(b, children=tuple(child for child in b.children if child not in gone))
+        for b in tree.branches
+        if b.id not in gone
+    )
+    monkeypatch.setattr(naming, "POOR_FIT", 100.0)
+    before = name_human_tree(tree, is_mirrored=False)
+    edited = name_edited_tree(before, dataclasses.replace(before, branches=rest))
+    assert MISFIT in {note.code for note in edited.notes}
+
+
 def test_tip_can_make_a_tree_human(monkeypatch):
     tree = uncut(1)
     fit = {tip: (cut, _read(cut).fit, _read(tree).fit) for tip, cut in cut_trees(1)}
@@ -177,8 +202,8 @@ def test_extension_does_not_remove_a_confident_name(monkeypatch, confidence, sta
     was = tuple(dataclasses.replace(b, name_confidence=confidence) if b.id == other.id else b for b in cut.branches)
     usual = renaming.name_human_tree
 
-    def without_the_name(edited: AirwayTree) -> AirwayTree:
-        named = usual(edited)
+    def without_the_name(edited: AirwayTree, *, is_mirrored: bool) -> AirwayTree:
+        named = usual(edited, is_mirrored=is_mirrored)
         if edited is not tree:
             return named
         lost = (dataclasses.replace(b, name=None) if b.id == other.id else b for b in named.branches)

@@ -16,6 +16,8 @@ from carina.errors import UsageError
 from carina.render import TransferFunction, isoregion_labels, isoregion_note, open_isoregion_map
 from carina.render.value_labels import EQUAL_BY, EqualBy, equal_by_name
 from carina.volume import GRID_SUFFIXES, Volume, check_grid_fits, write_grid
+from carina.volume.grid_headers import read_grid_header
+from carina.volume.isoregion_bundle import contains_map
 
 
 def write(
@@ -35,8 +37,8 @@ def write(
         raise UsageError("choose one file: -o writes the map, --map reads a map that was written earlier")
     if output is not None:
         check_output_file(output, *((".nrrd",) if with_scan else GRID_SUFFIXES))
-        if not with_scan and output.exists() and path.exists() and output.samefile(path):
-            raise UsageError(f"{output.name} is the scan, and a map would replace it; choose another file for -o")
+        if output.exists() and path.exists() and output.samefile(path) and not (with_scan and _is_bundle(path)):
+            raise UsageError(f"{output.name} is the scan, which would be replaced; choose another file for -o")
     elif with_scan:
         raise UsageError("--with-scan writes a file; give its name with -o FILE.nrrd")
     comparison = _comparison(equal_by, transfer)
@@ -67,6 +69,11 @@ def write(
             }
         )
     return 0
+
+
+def _is_bundle(path: Path) -> bool:
+    """Return whether a file of a scan was written with its map; it can be written again without a loss."""
+    return contains_map(read_grid_header(path, "nrrd"))
 
 
 def _comparison(equal_by: str, transfer: str | None) -> EqualBy:

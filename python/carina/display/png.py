@@ -9,6 +9,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+MAX_SIDE_PX = 16_384
+"""Greatest width and height of a PNG that is read, in pixels; more than Carina writes."""
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
@@ -69,6 +71,8 @@ def png_pixels(stored: bytes) -> NDArray[np.uint8]:
     if len(header) != 13 or header[8:] != bytes((8, 2, 0, 0, 0)):
         raise ValueError("expected 8-bit colour without transparency")
     width, height = struct.unpack_from(">II", header)
+    if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):
+        raise ValueError("the size is out of range")
     row_bytes = 3 * width + 1
     unpacker = zlib.decompressobj()
     try:

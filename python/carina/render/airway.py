@@ -68,13 +68,20 @@ class AirwayCaster:
         return picture
 
     def leaps_are_faster(self, scene: Scene, view: AirwayView) -> bool | None:
-        """Return whether leaps over values are faster in a view, by measurement; None if nothing is to be measured."""
+        """Return whether leaps over values are faster in a view, by measurement; None if nothing is to be measured.
+
+        The choice depends on the machine and its load. Pictures by both methods differ by at most one grey level in one
+        of 10,000 pixels; where equal bytes matter, choose the method ``leap-always`` or ``brute``.
+        """
         maps = scene.class_maps
         if view.method != "leap" or not isinstance(maps, ValueMaps):
             return None
 
+        # Depth of field is added to the whole picture after the cast, so it does not affect the choice.
+        sharp = dataclasses.replace(view, depth_of_field=None)
+
         def cost_of(rows: tuple[int, int], leaps: bool) -> float:
-            return processor_time_of(lambda: self._cast(scene, view, rows=rows, leaps=leaps))
+            return processor_time_of(lambda: self._cast(scene, sharp, rows=rows, leaps=leaps))
 
         return self._choice.leaps((maps, scene.transfer), view, cost_of, diagonal_mm=self._diagonal_mm)
 

@@ -171,7 +171,7 @@ class Turn:
         Returns
         -------
         str or None
-            The clock hour in this picture, *straight ahead* or *no clock hour*; None if the opening is behind the camera.
+            The clock hour in this picture, *straight ahead* or *no clock hour*; None for an opening behind the camera.
         """
         if self.hour_doubt is not None or self.opening_lps is None:
             return "no clock hour"

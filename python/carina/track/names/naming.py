@@ -142,22 +142,24 @@ def name_tree(tree: AirwayTree, *, letter_rule: LetterRule = LetterRule.TOP_LATE
     return named if seen is tree else carried_names(tree, named, place_of)
 
 
-def name_human_tree(tree: AirwayTree) -> AirwayTree:
+def name_human_tree(tree: AirwayTree, *, is_mirrored: bool) -> AirwayTree:
     """Name the branches of a tree that is known to be a human one, however poorly it fits.
 
-    Otherwise the same as :func:`name_tree`. The confidence of names still decreases with the goodness of fit.
+    Otherwise the same as :func:`name_tree`. The confidence of names still decreases with the goodness of fit. A reading
+    with another laterality than the known one, ``is_mirrored``, needs the usual goodness of fit.
     """
     seen, place_of = seen_part(tree)
-    named = with_limited_confidence(_named_all(seen, LetterRule.TOP_LATERAL_BACK, is_human=True))
+    named = with_limited_confidence(_named_all(seen, LetterRule.TOP_LATERAL_BACK, human_mirrored=is_mirrored))
     return named if seen is tree else carried_names(tree, named, place_of)
 
 
-def _named_all(tree: AirwayTree, letter_rule: LetterRule, *, is_human: bool = False) -> AirwayTree:
+def _named_all(tree: AirwayTree, letter_rule: LetterRule, *, human_mirrored: bool | None = None) -> AirwayTree:
+    """Name a tree; a known human tree has its laterality in ``human_mirrored``."""
     read = _read(tree)
     names, notes = _names_of(read, letter_rule)
     given = {bare_name(b.name) for b in tree.branches if b.name_from == "person" and b.name is not None}
     lasting = tuple(note for note in tree.notes if note.code not in (MISFIT, MIRRORED))
-    if read.is_misfit and not is_human:
+    if read.is_misfit and read.mirrored is not human_mirrored:
         names, notes = _kept_of_misfit(names), {}
         lasting = (*lasting, misfit_note())
     elif read.mirrored:

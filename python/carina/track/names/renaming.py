@@ -24,6 +24,8 @@ MAX_ADDED = 2
 One added branch makes two: the branch, and the lower part of its divided parent. An edit that adds more, such as a
 bridge, adds airways that were unknown when the former names were chosen.
 """
+MAX_CHANGED = 2
+"""Largest number of new and removed branches with which a human tree stays one, however poorly it fits."""
 MIN_LOG_PROBABILITY = math.log(0.05)
 """Log probability of the former names in the edited tree, below which the branches are renamed."""
 MIN_EXTENSION_MM = 2.0
@@ -82,14 +84,13 @@ def name_edited_tree(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
         name that would only be lost is kept with a confidence of at most 0.5. A branch without a name gets one if its
         confidence is at least 0.8.
 
-        An edit of at most two branches does not make a human tree one that is unlike a human tree. The goodness of fit
-        of a part of the airways can cross its limit by one tip.
+        An edit that adds and removes at most two branches does not make a human tree one that is unlike a human tree.
+        The goodness of fit of a part of the airways can cross its limit by one tip.
     """
     former = {branch.id: branch for branch in before.branches}
     if extends_tips_only(before, tree):
         return _named_by_change(before, tree)
-    num_added = sum(branch.id not in former for branch in tree.branches)
-    if num_added > MAX_ADDED:
+    if sum(branch.id not in former for branch in tree.branches) > MAX_ADDED:
         return name_tree(tree)
     anew = _named_like(before, tree)
     if _badges(anew) != _badges(before) or _by_user(tree) != _by_user(before):
@@ -166,9 +167,11 @@ def _named_by_change(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
 
 
 def _named_like(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
-    """Name an edited tree; it is a human one if it was before the edit, else its goodness of fit decides."""
-    was_human = any(branch.name_from == "anatomy" for branch in before.branches) and MISFIT not in _badges(before)
-    return name_human_tree(tree) if was_human else name_tree(tree)
+    """Name an edited tree; it is a human one if it was before a small edit, else its goodness of fit decides."""
+    num_changed = len({branch.id for branch in before.branches} ^ {branch.id for branch in tree.branches})
+    is_named = any(branch.name_from == "anatomy" for branch in before.branches)
+    was_human = num_changed <= MAX_CHANGED and is_named and MISFIT not in _badges(before)
+    return name_human_tree(tree, is_mirrored=MIRRORED in _badges(before)) if was_human else name_tree(tree)
 
 
 def _is_renamed(former: Branch | None, branch: Branch) -> bool:
