@@ -15,9 +15,11 @@ import numpy as np
 import pytest
 
 from carina import commands as c
+from carina.cluster import ClusterRenderer, Console, LocalLane
 from carina.errors import CarinaError, NoResultError, UsageError
 from carina.export import VideoWriter
 from carina.installation import extra_command
+from carina.render import AirwayView, Renderer
 from carina.server.files.films import Films
 from carina.session.flights.film_flights import FilmHandlers, flight_captions
 
@@ -217,3 +219,51 @@ def test_video_without_pyav_names_the_command_that_installs_it(window_case, monk
     with pytest.raises(CarinaError) as missing:
         start(Films(window_case.session), flight="route")
     assert extra_command("video") in str(missing.value)
+
+
+class CountingLane(LocalLane):
+    """Connection to a machine that counts its loads and its rendered strips."""
+
+    def __init__(self):
+        self.num_loads = self.num_strips = 0
+        super().__init__(name="other")
+
+    def load(self, *arguments, **options):
+        self.num_loads += 1
+        return super().load(*arguments, **options)
+
+    def submit(self, order, done):
+        self.num_strips += 1
+        super().submit(order, done)
+
+
+def test_views_are_rendered_on_the_cluster_during_and_after_a_video(window_case, tmp_path, monkeypatch):
+    console, lane, core = Console(), CountingLane(), window_case.session._core
+    try:
+        console.add_lane(lane)
+        volume, pose = window_case.opened.volume, window_case.session.scene(None).pose
+        live = ClusterRenderer(Renderer(volume), console, spread_all=True)
+        view = AirwayView(pose, width=64, height=48)
+
+        def num_rendered():
+            before = lane.num_strips
+            live.render(view)
+            return lane.num_strips - before
+
+        live.request(view)[1].result(timeout=120.0)
+        assert wait_for(lambda: console.has_renderers)
+        assert num_rendered() > 0
+        num_loads = lane.num_loads
+        monkeypatch.setattr(core, "renderer_factory", lambda v, _t: ClusterRenderer(Renderer(v), console))
+        film(window_case.session, tmp_path, flight="route", captions="off")
+        assert num_rendered() > 0
+        assert lane.num_loads == num_loads
+    finally:
+        console.close()
+
+
+def wait_for(reached):
+    end_s = time.monotonic() + 120.0
+    while not reached() and time.monotonic() < end_s:
+        time.sleep(0.01)
+    return reached()

@@ -48,7 +48,7 @@ class FilmFlight:
     route: ChosenRoute | None
     """Route of the flight; None for key frames and recordings."""
     make_renderer: Callable[[], Any]
-    """Function that creates a renderer of the volume, which is independent of those of the windows."""
+    """Function that creates a renderer of the volume on this machine, independent of those of the windows."""
     frames: Callable[[Progress, Note], list[ReplayedPose]]
     """Function that returns the frames; the replay of a recording can take minutes."""
 
@@ -81,7 +81,7 @@ class FilmHandlers(CommandHandlers):
         airways = document.airways
 
         def make_renderer() -> Any:
-            return self.core.renderer_factory(volume, transfer_preset("endoscopic"))
+            return self.core.job_renderer_factory(volume, transfer_preset("endoscopic"))
 
         if question.flight == "recording":
             return FilmFlight(volume, airways, None, make_renderer, self._recorded(question, volume, airways))
