@@ -16,12 +16,13 @@ import pytest
 
 from carina import commands as c
 from carina.cluster import ClusterRenderer, Console, LocalLane
-from carina.errors import CarinaError, NoResultError, UsageError
+from carina.errors import CancelledError, CarinaError, NoResultError, UsageError
 from carina.export import VideoWriter
 from carina.installation import extra_command
+from carina.navigate.recording import ReplayedPose
 from carina.render import AirwayView, Renderer
 from carina.server.files.films import Films
-from carina.session.flights.film_flights import FilmHandlers, flight_captions
+from carina.session.flights.film_flights import FilmHandlers, flight_captions, frames_of_flight, replay_recording
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
 
@@ -184,6 +185,49 @@ def test_failed_video_leaves_no_file_and_reports_the_reason(window_case, tmp_pat
         asyncio.run(films.answer(start(films, flight="route")))
     assert window_case.session.jobs.wait_idle(120.0)
     assert not list(stored.iterdir())
+
+
+class OverlongFlight:
+    """Flight whose poses must not be computed, because its video would have too many frames."""
+
+    duration_s = 80_000.0
+
+    def pose_at(self, _time_s):
+        raise AssertionError("a pose of a refused video was computed")
+
+
+def test_video_with_too_many_frames_is_refused_before_its_poses_are_computed(window_case, monkeypatch):
+    with pytest.raises(UsageError) as refused:
+        frames_of_flight(OverlongFlight(), {}, 240.0, progress=lambda *_: None)
+    assert refused.value.code == "export.video-length"
+    assert "19200000 frames" in str(refused.value)
+    monkeypatch.setattr("carina.navigate.auto_flight.AutoFlight.pose_at", OverlongFlight.pose_at)
+    materials = window_case.session.ask(c.FlightToFilm("route", rate_hz=240.0, speed_mm_s=0.1))
+    with pytest.raises(UsageError, match="at most 100000 are possible"):
+        materials.frames(lambda *_: None, lambda _note: None)
+
+
+def test_overlong_recording_is_refused_before_its_replay(monkeypatch):
+    recorded = SimpleNamespace(length_s=80_000.0, check=lambda *_, **__: None)
+    monkeypatch.setattr("carina.session.flights.film_flights.read_recording", lambda *_: recorded)
+    question = c.FlightToFilm("recording", number=1, rate_hz=30.0)
+    frames = FilmHandlers(None, lambda _number: "")._recorded(question, None, None)
+    with pytest.raises(UsageError, match="2400000 frames"):
+        frames(lambda *_: None, lambda _note: None)
+
+
+def test_computation_of_poses_and_replay_can_be_stopped(window_case):
+    def stop(_what, _fraction):
+        raise CancelledError("stopped")
+
+    materials = window_case.session.ask(c.FlightToFilm("route", rate_hz=2.0, speed_mm_s=200.0))
+    with pytest.raises(CancelledError):
+        materials.frames(stop, lambda _note: None)
+    recorded = SimpleNamespace(
+        length_s=1.0, needs_wall=False, replay=lambda *_, **__: iter([(ReplayedPose(0.0, None, {}), True)])
+    )
+    with pytest.raises(CancelledError):
+        replay_recording(recorded, None, None, lambda _note: None, progress=stop)
 
 
 def test_unread_video_is_deleted_when_the_server_stops(window_case, tmp_path, stored, monkeypatch):

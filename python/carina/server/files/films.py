@@ -16,7 +16,7 @@ from starlette.responses import JSONResponse, Response
 from carina.commands import FlightToFilm
 from carina.errors import CancelledError, CarinaError, UsageError
 from carina.export import VIDEO_SUFFIXES, VideoWriter
-from carina.export.flight_film import FrameOptions, check_num_frames, write_frames
+from carina.export.flight_film import FrameOptions, write_frames
 from carina.export.video import even_size, size_notes, video_problem
 from carina.render import Renderer
 from carina.scopes import DEFAULT_SCOPE
@@ -193,7 +193,6 @@ class Films:
         job.check()
         with VideoWriter(path, *order.size, rate_hz=order.flight.rate_hz) as video:
             frames = flight.frames(job.progress, lambda _note: None)
-            check_num_frames(len(frames))
             renderer = flight.make_renderer()
             if flight.volume.is_hu and flight.airways is not None:
                 renderer.set_lumen(flight.airways.lumen_zyx, flight.airways.tree)
