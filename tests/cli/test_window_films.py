@@ -37,12 +37,42 @@ def film(session, folder, **query):
     """Save a video as the window does, and return its path."""
     films = Films(session)
     job_id = start(films, **query)
-    while (answer := asyncio.run(films.answer(job_id))).status_code == 202:
-        pass
+    answer = finished(films, job_id)
     assert answer.status_code == 200
     path = folder / Path(answer.path).name
-    path.write_bytes(Path(answer.path).read_bytes())
+    path.write_bytes(received(answer))
     return path
+
+
+def received(answer, *, method="GET", headers=(), breaks_after=None):
+    """Send a response as a server does, and return the bytes that the client has received.
+
+    After ``breaks_after`` parts of the file the client disconnects.
+    """
+    parts = []
+    broken = asyncio.Event()
+
+    async def receive():
+        await broken.wait()
+        return {"type": "http.disconnect"}
+
+    async def send(message):
+        if message["type"] == "http.response.body":
+            if breaks_after is not None and len(parts) >= breaks_after:
+                broken.set()
+                await asyncio.sleep(3600.0)
+            parts.append(message["body"])
+
+    scope = {"type": "http", "method": method, "headers": list(headers), "asgi": {"spec_version": "2.3"}}
+    asyncio.run(answer(scope, receive, send))
+    return b"".join(parts)
+
+
+def finished(films, job_id):
+    """Return the response to a request for a video, after the video is finished."""
+    while (answer := asyncio.run(films.answer(job_id))).status_code == 202:
+        pass
+    return answer
 
 
 @pytest.fixture
@@ -228,6 +258,52 @@ def test_computation_of_poses_and_replay_can_be_stopped(window_case):
     )
     with pytest.raises(CancelledError):
         replay_recording(recorded, None, None, lambda _note: None, progress=stop)
+
+
+def test_video_is_stored_until_a_client_has_the_whole_file(window_case, stored):
+    films = Films(window_case.session)
+    job_id = start(films, flight="route", captions="off")
+    whole = Path(finished(films, job_id).path).read_bytes()
+    assert received(finished(films, job_id), method="HEAD") == b""
+    assert received(finished(films, job_id), headers=[(b"range", b"bytes=0-9")]) == whole[:10]
+    assert received(finished(films, job_id), breaks_after=0) == b""
+    assert received(finished(films, job_id)) == whole
+    assert not list(stored.iterdir())
+    with pytest.raises(CarinaError, match="no longer stored"):
+        finished(films, job_id)
+
+
+def test_new_video_replaces_one_whose_connection_broke_but_not_one_that_is_being_sent(window_case, stored):
+    films = Films(window_case.session)
+    job_id = start(films, flight="route", captions="off")
+    sending = finished(films, job_id)
+    second = start(films, flight="route", captions="off")
+    assert Path(sending.path).exists()
+    assert received(sending, breaks_after=0) == b""
+    finished(films, second)
+    third = start(films, flight="route", captions="off")
+    assert not Path(sending.path).exists()
+    finished(films, third)
+    films.close()
+    assert not list(stored.iterdir())
+
+
+def test_cancelled_request_for_a_finished_video_does_not_delete_it(window_case, stored):
+    films = Films(window_case.session)
+    job_id = start(films, flight="route", captions="off")
+    assert window_case.session.jobs.wait_idle(300.0)
+
+    async def cancelled():
+        request = asyncio.ensure_future(films.answer(job_id))
+        await asyncio.sleep(0)
+        request.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await request
+
+    asyncio.run(cancelled())
+    assert finished(films, job_id).status_code == 200
+    films.close()
+    assert not list(stored.iterdir())
 
 
 def test_unread_video_is_deleted_when_the_server_stops(window_case, tmp_path, stored, monkeypatch):
