@@ -123,10 +123,56 @@ def test_picture_with_an_invalid_size_is_refused(case, wrong):
 def test_unknown_view_and_view_without_its_input_are_refused(case):
     with pytest.raises(UsageError, match="expected one of the views"):
         window_png(case.session, "oblique")
-    scene = replace(case.session.scene(None), frames=None)
-    other = SimpleNamespace(ask=case.session.ask, scene=lambda _window: scene)
+    state = case.session.ask(c.PictureFacts())
+    without_route = replace(state, scene=replace(state.scene, frames=None))
     with pytest.raises(CarinaError, match="no image yet"):
-        window_png(other, "curved")
+        window_png(states(without_route), "curved")
+
+
+def states(*given):
+    """Return a session that answers each question for its state with the next of these; the last one repeats."""
+    left = list(given)
+    return SimpleNamespace(ask=lambda _question: left.pop(0) if len(left) > 1 else left[0])
+
+
+def changed(state, **fields):
+    """Return a state whose scene has other fields."""
+    return replace(state, scene=replace(state.scene, **fields))
+
+
+def test_picture_of_a_case_that_was_closed_before_its_turn_is_refused(case):
+    state = case.session.ask(c.PictureFacts())
+    other = changed(state, case_number=state.scene.case_number + 1)
+    with pytest.raises(CarinaError, match="another case was opened"):
+        window_png(states(state, other), "axial")
+
+
+def test_picture_waits_until_the_renderer_shows_the_newest_airways(case, monkeypatch):
+    state = case.session.ask(c.PictureFacts())
+    old = changed(state, content_is_newest=False)
+    fails = SimpleNamespace(render=lambda *_, **__: pytest.fail("the old wall was rendered"))
+    waiting = changed(old, renderer=fails)
+    assert window_png(states(old, waiting, waiting, state), "tree").status_code == 200
+    # A slice does not depend on the renderer's airways.
+    assert window_png(states(old), "axial").status_code == 200
+    monkeypatch.setattr("carina.server.files.pictures.UPDATE_S", 0.1)
+    with pytest.raises(CarinaError, match="is being updated"):
+        window_png(states(waiting), "tree")
+
+
+@pytest.mark.parametrize("change", [{"content_number": 99}, {"content_is_newest": False}, {"case_number": 99}])
+def test_picture_whose_airways_change_while_it_is_rendered_is_refused(case, change):
+    state = case.session.ask(c.PictureFacts())
+    with pytest.raises(CarinaError, match="changed while the image was rendered"):
+        window_png(states(state, state, changed(state, **change)), "tree")
+
+
+def test_state_of_a_picture_is_read_at_one_time(case):
+    state = case.session.ask(c.PictureFacts(window=0))
+    assert state.airways is case.opened.airways
+    assert state.scene.frames is state.route.frames
+    assert state.scene.lumen is not None
+    assert state.scene.case_number == case.session.scene(0).case_number
 
 
 def test_marks_that_a_view_cannot_show_are_refused_by_the_command(carina, ct, tmp_path):

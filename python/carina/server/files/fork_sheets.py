@@ -12,6 +12,7 @@ from carina.errors import CancelledError, CarinaError, NoResultError
 from carina.session import Session
 from carina.session.flights.fork_sheet import fork_sheet_png
 from carina.session.jobs.background_jobs import Job
+from carina.session.scene.picture_state import PictureState
 
 FILE_NAME = "forks.png"
 """Name of the file, which contains neither the patient nor the case."""
@@ -25,7 +26,8 @@ async def fork_sheet_answer(session: Session) -> Response:
     CarinaError
         If there is no route, the route passes no fork, or the job was stopped.
     """
-    volume, airways, route, operator = session.ask(PictureFacts())
+    state: PictureState = session.ask(PictureFacts())
+    volume, airways, route, operator = state.volume, state.airways, state.route, state.operator
     if route is None or airways is None:
         raise NoResultError("there is no route yet: choose a branch or mark a target", code="session.route")
     done: Future[bytes] = Future()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -14,11 +15,16 @@ from carina.errors import CarinaError, UsageError
 from carina.render.saved_picture import PictureMarks
 from carina.render.view_table import view_row
 from carina.session import Session, finish_case_picture
+from carina.session.scene.picture_state import PictureState
 from carina.volume import badges_of
 
 FULL_STEP_VOX = 0.5
 """Step along the rays of a final picture, in voxels, as that of ``carina render``."""
 SIDES_PX = (16, 8192)
+UPDATE_S = 20.0
+"""Longest wait for the renderer to show the newest airways and transfer function."""
+LOOK_S = 0.05
+"""Time between two checks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,28 +91,56 @@ class Pictures:
         Raises
         ------
         CarinaError
-            If no case is open, the view has no picture, or a parameter is out of range.
+            If no case is open, the view has no picture, a parameter is out of range, or the case changes meanwhile.
         """
         order = PictureOrder.of_query(query)
+        requested: PictureState = await asyncio.to_thread(self._session.ask, PictureFacts(order.window))
         async with self._one_at_a_time:
-            png = await asyncio.to_thread(self._png, view, order)
+            png = await asyncio.to_thread(self._png, view, order, requested)
         disposition = f'attachment; filename="{view}.png"'
         headers = {"cache-control": "no-store", "content-disposition": disposition}
         return Response(png, media_type="image/png", headers=headers)
 
-    def _png(self, view: str, order: PictureOrder) -> bytes:
+    def _png(self, view: str, order: PictureOrder, requested: PictureState) -> bytes:
         row = view_row(view)
-        volume, airways, route, _ = self._session.ask(PictureFacts())
-        scene = self._session.scene(order.window)
+        state = self._newest_state(view, order, requested)
+        scene = state.scene
         if scene is None or not scene.has(row.needs):
             raise CarinaError(f"this view has no image yet: {row.empty}", code="render.no-picture")
         spec = scene.spec(view, *order.size_px, FULL_STEP_VOX, full_width=order.screen_width)
+        picture = scene.renderer.render(spec)
+        # A job can give the renderer other content at any time; the names would then not fit the picture.
+        if not state.is_valid_for(view, self._session.ask(PictureFacts(order.window))):
+            raise CarinaError("the case changed while the image was rendered: save it again", code="render.changed")
         finished = finish_case_picture(
-            scene.renderer.render(spec),
+            picture,
             order.marks,
-            volume=volume,
-            airways=airways,
-            route=route,
+            volume=state.volume,
+            airways=state.airways,
+            route=state.route,
             tip_lps=np.asarray(scene.pose.position_lps),
         )
-        return finished.png(badges=tuple(dict.fromkeys((*badges_of(volume), *getattr(airways, "badges", ())))))
+        badges = (*badges_of(state.volume), *getattr(state.airways, "badges", ()))
+        return finished.png(badges=tuple(dict.fromkeys(badges)))
+
+    def _newest_state(self, view: str, order: PictureOrder, requested: PictureState) -> PictureState:
+        """Return the state of the case after the renderer shows the newest airways and transfer function.
+
+        Raises
+        ------
+        CarinaError
+            ``render.changed``: if another case was opened after the request, or the update takes too long.
+        """
+        end_s = time.monotonic() + UPDATE_S
+        while True:
+            state: PictureState = self._session.ask(PictureFacts(order.window))
+            scene = state.scene
+            if scene is None:
+                return state
+            if requested.scene is None or scene.case_number != requested.scene.case_number:
+                raise CarinaError("another case was opened: save the image again", code="render.changed")
+            if scene.can_be_final(view):
+                return state
+            if time.monotonic() > end_s:
+                raise CarinaError("this view is being updated: wait, and save the image again", code="render.changed")
+            time.sleep(LOOK_S)
