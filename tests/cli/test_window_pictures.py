@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import io
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -12,7 +13,7 @@ import pytest
 
 import carina as api
 from carina import commands as c
-from carina.errors import CarinaError, UsageError
+from carina.errors import CancelledError, CarinaError, UsageError
 from carina.server.files.pictures import Pictures
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
@@ -165,6 +166,79 @@ def test_picture_whose_airways_change_while_it_is_rendered_is_refused(case, chan
     state = case.session.ask(c.PictureFacts())
     with pytest.raises(CarinaError, match="changed while the image was rendered"):
         window_png(states(state, state, changed(state, **change)), "tree")
+
+
+class SlowRenderer:
+    """Renderer whose pictures end only when they are cancelled, and which counts its calls."""
+
+    def __init__(self):
+        self.stops = []
+
+    def render(self, _view, *, stop):
+        self.stops.append(stop)
+        end_s = time.monotonic() + 120.0
+        while not stop.cancelled and time.monotonic() < end_s:
+            time.sleep(0.01)
+        raise CancelledError("given up")
+
+
+async def until(reached):
+    async with asyncio.timeout(120.0):
+        while not reached():
+            await asyncio.sleep(0.01)
+
+
+def test_picture_stops_when_its_client_disconnects_and_a_waiting_one_is_not_rendered(case):
+    slow = SlowRenderer()
+    pictures = Pictures(states(changed(case.session.ask(c.PictureFacts()), renderer=slow)))
+    gone = set()
+
+    async def request(client, **given):
+        async def is_gone():
+            return client in gone
+
+        await pictures.answer("axial", query(**given), is_gone=is_gone)
+
+    async def run():
+        first = asyncio.ensure_future(request("first"))
+        await until(lambda: slow.stops)
+        second = asyncio.ensure_future(request("second"))
+        await until(lambda: pictures._waiting)
+        with pytest.raises(CarinaError) as refused:
+            await request("third")
+        assert refused.value.code == "render.busy"
+        other_window = asyncio.ensure_future(request("other", window=5))
+        await until(lambda: len(pictures._waiting) == 2)
+        gone.update({"second", "other"})
+        for waiting in (second, other_window):
+            with pytest.raises(CancelledError):
+                await waiting
+        await until(lambda: not pictures._waiting)
+        assert not slow.stops[0].cancelled
+        gone.add("first")
+        with pytest.raises(CancelledError):
+            await first
+        assert slow.stops[0].cancelled
+        await until(lambda: not pictures._one_at_a_time.locked())
+        assert len(slow.stops) == 1
+
+    asyncio.run(run())
+
+
+def test_cancelled_request_stops_its_picture(case):
+    slow = SlowRenderer()
+    pictures = Pictures(states(changed(case.session.ask(c.PictureFacts()), renderer=slow)))
+
+    async def run():
+        request = asyncio.ensure_future(pictures.answer("axial", query()))
+        await until(lambda: slow.stops)
+        request.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await request
+        await until(lambda: not pictures._one_at_a_time.locked())
+
+    asyncio.run(run())
+    assert slow.stops[0].cancelled
 
 
 def test_state_of_a_picture_is_read_at_one_time(case):

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from starlette.responses import Response
 
 from carina.commands import PictureFacts
-from carina.errors import CarinaError, UsageError
+from carina.errors import CancelledError, CarinaError, UsageError
+from carina.render import CancelToken
 from carina.render.saved_picture import PictureMarks
 from carina.render.view_table import view_row
 from carina.session import Session, finish_case_picture
@@ -25,6 +27,8 @@ UPDATE_S = 20.0
 """Longest wait for the renderer to show the newest airways and transfer function."""
 LOOK_S = 0.05
 """Time between two checks."""
+GONE_CHECK_S = 0.2
+"""Time between two checks whether the client has disconnected."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,6 +79,8 @@ def _whole(query: Mapping[str, str], name: str, least: int, most: int) -> int:
 class Pictures:
     """Renderer of saved pictures, one at a time, because a large picture takes all cores.
 
+    One further picture of each window can wait. A picture is stopped when its client disconnects.
+
     Parameters
     ----------
     session
@@ -84,31 +90,71 @@ class Pictures:
     def __init__(self, session: Session) -> None:
         self._session = session
         self._one_at_a_time = asyncio.Lock()
+        self._waiting: set[int] = set()
+        """Numbers of the windows of which a picture waits for its turn."""
 
-    async def answer(self, view: str, query: Mapping[str, str]) -> Response:
+    async def answer(
+        self, view: str, query: Mapping[str, str], *, is_gone: Callable[[], Awaitable[bool]] | None = None
+    ) -> Response:
         """Return a response with a view as PNG; the name of the file is the name of the view.
+
+        Parameters
+        ----------
+        view
+            Name of the view.
+        query
+            Parameters of the request.
+        is_gone
+            Returns whether the client has disconnected; None never stops the picture.
 
         Raises
         ------
         CarinaError
-            If no case is open, the view has no picture, a parameter is out of range, or the case changes meanwhile.
+            If no case is open, the view has no picture, a parameter is out of range, the case changes meanwhile, or
+            another picture of this window already waits.
+        CancelledError
+            If the client has disconnected.
         """
         order = PictureOrder.of_query(query)
-        requested: PictureState = await asyncio.to_thread(self._session.ask, PictureFacts(order.window))
-        async with self._one_at_a_time:
-            png = await asyncio.to_thread(self._png, view, order, requested)
+        if order.window in self._waiting:
+            raise CarinaError(
+                "another image of this window waits to be saved: wait until it is complete", code="render.busy"
+            )
+        stop = CancelToken()
+        work = asyncio.ensure_future(self._png_in_turn(view, order, stop))
+        try:
+            while not (await asyncio.wait({work}, timeout=GONE_CHECK_S))[0]:
+                if is_gone is not None and await is_gone():
+                    raise CancelledError("the image was cancelled")
+            png = work.result()
+        finally:
+            stop.cancel()
+            work.cancel()
         disposition = f'attachment; filename="{view}.png"'
         headers = {"cache-control": "no-store", "content-disposition": disposition}
         return Response(png, media_type="image/png", headers=headers)
 
-    def _png(self, view: str, order: PictureOrder, requested: PictureState) -> bytes:
+    async def _png_in_turn(self, view: str, order: PictureOrder, stop: CancelToken) -> bytes:
+        self._waiting.add(order.window)
+        try:
+            requested: PictureState = await asyncio.to_thread(self._session.ask, PictureFacts(order.window))
+            await self._one_at_a_time.acquire()
+        finally:
+            self._waiting.discard(order.window)
+        try:
+            return await _to_its_end(asyncio.to_thread(self._png, view, order, requested, stop))
+        finally:
+            self._one_at_a_time.release()
+
+    def _png(self, view: str, order: PictureOrder, requested: PictureState, stop: CancelToken) -> bytes:
         row = view_row(view)
-        state = self._newest_state(view, order, requested)
+        state = self._newest_state(view, order, requested, stop)
         scene = state.scene
         if scene is None or not scene.has(row.needs):
             raise CarinaError(f"this view has no image yet: {row.empty}", code="render.no-picture")
         spec = scene.spec(view, *order.size_px, FULL_STEP_VOX, full_width=order.screen_width)
-        picture = scene.renderer.render(spec)
+        picture = scene.renderer.render(spec, stop=stop)
+        _check(stop)
         # A job can give the renderer other content at any time; the names would then not fit the picture.
         if not state.is_valid_for(view, self._session.ask(PictureFacts(order.window))):
             raise CarinaError("the case changed while the image was rendered: save it again", code="render.changed")
@@ -123,7 +169,7 @@ class Pictures:
         badges = (*badges_of(state.volume), *getattr(state.airways, "badges", ()))
         return finished.png(badges=tuple(dict.fromkeys(badges)))
 
-    def _newest_state(self, view: str, order: PictureOrder, requested: PictureState) -> PictureState:
+    def _newest_state(self, view: str, order: PictureOrder, requested: PictureState, stop: CancelToken) -> PictureState:
         """Return the state of the case after the renderer shows the newest airways and transfer function.
 
         Raises
@@ -133,6 +179,7 @@ class Pictures:
         """
         end_s = time.monotonic() + UPDATE_S
         while True:
+            _check(stop)
             state: PictureState = self._session.ask(PictureFacts(order.window))
             scene = state.scene
             if scene is None:
@@ -144,3 +191,20 @@ class Pictures:
             if time.monotonic() > end_s:
                 raise CarinaError("this view is being updated: wait, and save the image again", code="render.changed")
             time.sleep(LOOK_S)
+
+
+def _check(stop: CancelToken) -> None:
+    if stop.cancelled:
+        raise CancelledError("the image was cancelled")
+
+
+async def _to_its_end(work: Coroutine[Any, Any, bytes]) -> bytes:
+    """Return the result of work that a cancellation of this coroutine does not abandon but waits for."""
+    task = asyncio.ensure_future(work)
+    try:
+        return await asyncio.shield(task)
+    except asyncio.CancelledError:
+        await asyncio.wait({task})
+        # The exception is read because asyncio would log an exception that nobody has read.
+        task.exception()
+        raise
