@@ -20,6 +20,7 @@ from carina.export.flight_film import FrameOptions, write_frames
 from carina.export.video import even_size, size_notes, video_problem
 from carina.render import Renderer
 from carina.scopes import DEFAULT_SCOPE
+from carina.server.files.job_results import set_failure, set_result
 from carina.server.files.one_shot_file import StoredFileResponse, new_folder
 from carina.session import Session
 from carina.session.flights.film_flights import FilmFlight, flight_captions
@@ -209,9 +210,9 @@ class Films:
             self._write(job, path, order, flight)
         except BaseException as error:
             rmtree(path.parent, ignore_errors=True)
-            done.set_exception(_reported(error))
+            set_failure(done, _reported(error))
             raise
-        done.set_result(path)
+        set_result(done, path)
 
     def _write(self, job: Job, path: Path, order: FilmOrder, flight: FilmFlight) -> None:
         job.check()

@@ -9,6 +9,7 @@ from starlette.responses import Response
 
 from carina.commands import PictureFacts
 from carina.errors import CancelledError, CarinaError, NoResultError
+from carina.server.files.job_results import set_failure, set_result
 from carina.session import Session
 from carina.session.flights.fork_sheet import fork_sheet_png
 from carina.session.jobs.background_jobs import Job
@@ -36,13 +37,12 @@ async def fork_sheet_answer(session: Session) -> Response:
         try:
             png = fork_sheet_png(volume, airways, route, operator=operator, progress=job.progress, cancel=job.cancel)
         except CancelledError:
-            _fail(done, CarinaError("the contact sheet was cancelled", code="plan.sheet-stopped"))
+            set_failure(done, CarinaError("the contact sheet was cancelled", code="plan.sheet-stopped"))
             raise
         except BaseException as error:
-            _fail(done, error if isinstance(error, CarinaError) else _fault())
+            set_failure(done, error if isinstance(error, CarinaError) else _fault())
             raise
-        if not done.cancelled():
-            done.set_result(png)
+        set_result(done, png)
 
     session.jobs.start("fork-sheet", "rendering the forks", work)
     png = await asyncio.wrap_future(done)
@@ -52,9 +52,3 @@ async def fork_sheet_answer(session: Session) -> Response:
 
 def _fault() -> CarinaError:
     return CarinaError("the contact sheet could not be rendered: internal error in Carina", code="carina.fault")
-
-
-def _fail(done: Future[bytes], error: CarinaError) -> None:
-    """Set an error as the result of a future, unless the request that waits for the future has ended."""
-    if not done.cancelled():
-        done.set_exception(error)
