@@ -26,15 +26,16 @@ def test_contact_sheet_of_the_window_equals_the_file_of_carina_render(carina, wi
 
 
 def test_route_without_a_fork_has_no_contact_sheet(window_case):
-    volume, airways, route, _ = window_case.session.ask(c.PictureFacts())
-    short = SimpleNamespace(spans=route.spans, forks_mm=())
+    state = window_case.session.ask(c.PictureFacts())
+    short = SimpleNamespace(spans=state.route.spans, forks_mm=())
     with pytest.raises(NoResultError, match="passes no fork"):
-        fork_sheet_png(volume, airways, short)
+        fork_sheet_png(state.volume, state.airways, short)
 
 
 def test_cancelled_contact_sheet_stops(window_case):
+    state = window_case.session.ask(c.PictureFacts())
     with pytest.raises(CancelledError):
-        fork_sheet_png(*window_case.session.ask(c.PictureFacts())[:3], cancel=lambda: True)
+        fork_sheet_png(state.volume, state.airways, state.route, cancel=lambda: True)
 
 
 def test_command_refuses_options_that_the_sheet_does_not_use(carina, window_case, tmp_path):

@@ -15,11 +15,14 @@ import numpy as np
 import pytest
 
 from carina import commands as c
-from carina.errors import CarinaError, NoResultError, UsageError
+from carina.cluster import ClusterRenderer, Console, LocalLane
+from carina.errors import CancelledError, CarinaError, NoResultError, UsageError
 from carina.export import VideoWriter
 from carina.installation import extra_command
+from carina.navigate.recording import ReplayedPose
+from carina.render import AirwayView, Renderer
 from carina.server.files.films import Films
-from carina.session.flights.film_flights import FilmHandlers, flight_captions
+from carina.session.flights.film_flights import FilmHandlers, flight_captions, frames_of_flight, replay_recording
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
 
@@ -34,12 +37,42 @@ def film(session, folder, **query):
     """Save a video as the window does, and return its path."""
     films = Films(session)
     job_id = start(films, **query)
-    while (answer := asyncio.run(films.answer(job_id))).status_code == 202:
-        pass
+    answer = finished(films, job_id)
     assert answer.status_code == 200
     path = folder / Path(answer.path).name
-    path.write_bytes(Path(answer.path).read_bytes())
+    path.write_bytes(received(answer))
     return path
+
+
+def received(answer, *, method="GET", headers=(), breaks_after=None):
+    """Send a response as a server does, and return the bytes that the client has received.
+
+    After ``breaks_after`` parts of the file the client disconnects.
+    """
+    parts = []
+    broken = asyncio.Event()
+
+    async def receive():
+        await broken.wait()
+        return {"type": "http.disconnect"}
+
+    async def send(message):
+        if message["type"] == "http.response.body":
+            if breaks_after is not None and len(parts) >= breaks_after:
+                broken.set()
+                await asyncio.sleep(3600.0)
+            parts.append(message["body"])
+
+    scope = {"type": "http", "method": method, "headers": list(headers), "asgi": {"spec_version": "2.3"}}
+    asyncio.run(answer(scope, receive, send))
+    return b"".join(parts)
+
+
+def finished(films, job_id):
+    """Return the response to a request for a video, after the video is finished."""
+    while (answer := asyncio.run(films.answer(job_id))).status_code == 202:
+        pass
+    return answer
 
 
 @pytest.fixture
@@ -184,6 +217,95 @@ def test_failed_video_leaves_no_file_and_reports_the_reason(window_case, tmp_pat
     assert not list(stored.iterdir())
 
 
+class OverlongFlight:
+    """Flight whose poses must not be computed, because its video would have too many frames."""
+
+    duration_s = 80_000.0
+
+    def pose_at(self, _time_s):
+        raise AssertionError("a pose of a refused video was computed")
+
+
+def test_video_with_too_many_frames_is_refused_before_its_poses_are_computed(window_case, monkeypatch):
+    with pytest.raises(UsageError) as refused:
+        frames_of_flight(OverlongFlight(), {}, 240.0, progress=lambda *_: None)
+    assert refused.value.code == "export.video-length"
+    assert "19200000 frames" in str(refused.value)
+    monkeypatch.setattr("carina.navigate.auto_flight.AutoFlight.pose_at", OverlongFlight.pose_at)
+    materials = window_case.session.ask(c.FlightToFilm("route", rate_hz=240.0, speed_mm_s=0.1))
+    with pytest.raises(UsageError, match="at most 100000 are possible"):
+        materials.frames(lambda *_: None, lambda _note: None)
+
+
+def test_overlong_recording_is_refused_before_its_replay(monkeypatch):
+    recorded = SimpleNamespace(length_s=80_000.0, check=lambda *_, **__: None)
+    monkeypatch.setattr("carina.session.flights.film_flights.read_recording", lambda *_: recorded)
+    question = c.FlightToFilm("recording", number=1, rate_hz=30.0)
+    frames = FilmHandlers(None, lambda _number: "")._recorded(question, None, None)
+    with pytest.raises(UsageError, match="2400000 frames"):
+        frames(lambda *_: None, lambda _note: None)
+
+
+def test_computation_of_poses_and_replay_can_be_stopped(window_case):
+    def stop(_what, _fraction):
+        raise CancelledError("stopped")
+
+    materials = window_case.session.ask(c.FlightToFilm("route", rate_hz=2.0, speed_mm_s=200.0))
+    with pytest.raises(CancelledError):
+        materials.frames(stop, lambda _note: None)
+    recorded = SimpleNamespace(
+        length_s=1.0, needs_wall=False, replay=lambda *_, **__: iter([(ReplayedPose(0.0, None, {}), True)])
+    )
+    with pytest.raises(CancelledError):
+        replay_recording(recorded, None, None, lambda _note: None, progress=stop)
+
+
+def test_video_is_stored_until_a_client_has_the_whole_file(window_case, stored):
+    films = Films(window_case.session)
+    job_id = start(films, flight="route", captions="off")
+    whole = Path(finished(films, job_id).path).read_bytes()
+    assert received(finished(films, job_id), method="HEAD") == b""
+    assert received(finished(films, job_id), headers=[(b"range", b"bytes=0-9")]) == whole[:10]
+    assert received(finished(films, job_id), breaks_after=0) == b""
+    assert received(finished(films, job_id)) == whole
+    assert not list(stored.iterdir())
+    with pytest.raises(CarinaError, match="no longer stored"):
+        finished(films, job_id)
+
+
+def test_new_video_replaces_one_whose_connection_broke_but_not_one_that_is_being_sent(window_case, stored):
+    films = Films(window_case.session)
+    job_id = start(films, flight="route", captions="off")
+    sending = finished(films, job_id)
+    second = start(films, flight="route", captions="off")
+    assert Path(sending.path).exists()
+    assert received(sending, breaks_after=0) == b""
+    finished(films, second)
+    third = start(films, flight="route", captions="off")
+    assert not Path(sending.path).exists()
+    finished(films, third)
+    films.close()
+    assert not list(stored.iterdir())
+
+
+def test_cancelled_request_for_a_finished_video_does_not_delete_it(window_case, stored):
+    films = Films(window_case.session)
+    job_id = start(films, flight="route", captions="off")
+    assert window_case.session.jobs.wait_idle(300.0)
+
+    async def cancelled():
+        request = asyncio.ensure_future(films.answer(job_id))
+        await asyncio.sleep(0)
+        request.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await request
+
+    asyncio.run(cancelled())
+    assert finished(films, job_id).status_code == 200
+    films.close()
+    assert not list(stored.iterdir())
+
+
 def test_unread_video_is_deleted_when_the_server_stops(window_case, tmp_path, stored, monkeypatch):
     films = Films(window_case.session)
     job_id = start(films, flight="route")
@@ -217,3 +339,51 @@ def test_video_without_pyav_names_the_command_that_installs_it(window_case, monk
     with pytest.raises(CarinaError) as missing:
         start(Films(window_case.session), flight="route")
     assert extra_command("video") in str(missing.value)
+
+
+class CountingLane(LocalLane):
+    """Connection to a machine that counts its loads and its rendered strips."""
+
+    def __init__(self):
+        self.num_loads = self.num_strips = 0
+        super().__init__(name="other")
+
+    def load(self, *arguments, **options):
+        self.num_loads += 1
+        return super().load(*arguments, **options)
+
+    def submit(self, order, done):
+        self.num_strips += 1
+        super().submit(order, done)
+
+
+def test_views_are_rendered_on_the_cluster_during_and_after_a_video(window_case, tmp_path, monkeypatch):
+    console, lane, core = Console(), CountingLane(), window_case.session._core
+    try:
+        console.add_lane(lane)
+        volume, pose = window_case.opened.volume, window_case.session.scene(None).pose
+        live = ClusterRenderer(Renderer(volume), console, spread_all=True)
+        view = AirwayView(pose, width=64, height=48)
+
+        def num_rendered():
+            before = lane.num_strips
+            live.render(view)
+            return lane.num_strips - before
+
+        live.request(view)[1].result(timeout=120.0)
+        assert wait_for(lambda: console.has_renderers)
+        assert num_rendered() > 0
+        num_loads = lane.num_loads
+        monkeypatch.setattr(core, "renderer_factory", lambda v, _t: ClusterRenderer(Renderer(v), console))
+        film(window_case.session, tmp_path, flight="route", captions="off")
+        assert num_rendered() > 0
+        assert lane.num_loads == num_loads
+    finally:
+        console.close()
+
+
+def wait_for(reached):
+    end_s = time.monotonic() + 120.0
+    while not reached() and time.monotonic() < end_s:
+        time.sleep(0.01)
+    return reached()

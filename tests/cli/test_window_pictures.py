@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import io
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -12,7 +13,7 @@ import pytest
 
 import carina as api
 from carina import commands as c
-from carina.errors import CarinaError, UsageError
+from carina.errors import CancelledError, CarinaError, UsageError
 from carina.server.files.pictures import Pictures
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
@@ -123,10 +124,129 @@ def test_picture_with_an_invalid_size_is_refused(case, wrong):
 def test_unknown_view_and_view_without_its_input_are_refused(case):
     with pytest.raises(UsageError, match="expected one of the views"):
         window_png(case.session, "oblique")
-    scene = replace(case.session.scene(None), frames=None)
-    other = SimpleNamespace(ask=case.session.ask, scene=lambda _window: scene)
+    state = case.session.ask(c.PictureFacts())
+    without_route = replace(state, scene=replace(state.scene, frames=None))
     with pytest.raises(CarinaError, match="no image yet"):
-        window_png(other, "curved")
+        window_png(states(without_route), "curved")
+
+
+def states(*given):
+    """Return a session that answers each question for its state with the next of these; the last one repeats."""
+    left = list(given)
+    return SimpleNamespace(ask=lambda _question: left.pop(0) if len(left) > 1 else left[0])
+
+
+def changed(state, **fields):
+    """Return a state whose scene has other fields."""
+    return replace(state, scene=replace(state.scene, **fields))
+
+
+def test_picture_of_a_case_that_was_closed_before_its_turn_is_refused(case):
+    state = case.session.ask(c.PictureFacts())
+    other = changed(state, case_number=state.scene.case_number + 1)
+    with pytest.raises(CarinaError, match="another case was opened"):
+        window_png(states(state, other), "axial")
+
+
+def test_picture_waits_until_the_renderer_shows_the_newest_airways(case, monkeypatch):
+    state = case.session.ask(c.PictureFacts())
+    old = changed(state, content_is_newest=False)
+    fails = SimpleNamespace(render=lambda *_, **__: pytest.fail("the old wall was rendered"))
+    waiting = changed(old, renderer=fails)
+    assert window_png(states(old, waiting, waiting, state), "tree").status_code == 200
+    # A slice does not depend on the renderer's airways.
+    assert window_png(states(old), "axial").status_code == 200
+    monkeypatch.setattr("carina.server.files.pictures.UPDATE_S", 0.1)
+    with pytest.raises(CarinaError, match="is being updated"):
+        window_png(states(waiting), "tree")
+
+
+@pytest.mark.parametrize("change", [{"content_number": 99}, {"content_is_newest": False}, {"case_number": 99}])
+def test_picture_whose_airways_change_while_it_is_rendered_is_refused(case, change):
+    state = case.session.ask(c.PictureFacts())
+    with pytest.raises(CarinaError, match="changed while the image was rendered"):
+        window_png(states(state, state, changed(state, **change)), "tree")
+
+
+class SlowRenderer:
+    """Renderer whose pictures end only when they are cancelled, and which counts its calls."""
+
+    def __init__(self):
+        self.stops = []
+
+    def render(self, _view, *, stop):
+        self.stops.append(stop)
+        end_s = time.monotonic() + 120.0
+        while not stop.cancelled and time.monotonic() < end_s:
+            time.sleep(0.01)
+        raise CancelledError("given up")
+
+
+async def until(reached):
+    async with asyncio.timeout(120.0):
+        while not reached():
+            await asyncio.sleep(0.01)
+
+
+def test_picture_stops_when_its_client_disconnects_and_a_waiting_one_is_not_rendered(case):
+    slow = SlowRenderer()
+    pictures = Pictures(states(changed(case.session.ask(c.PictureFacts()), renderer=slow)))
+    gone = set()
+
+    async def request(client, **given):
+        async def is_gone():
+            return client in gone
+
+        await pictures.answer("axial", query(**given), is_gone=is_gone)
+
+    async def run():
+        first = asyncio.ensure_future(request("first"))
+        await until(lambda: slow.stops)
+        second = asyncio.ensure_future(request("second"))
+        await until(lambda: pictures._waiting)
+        with pytest.raises(CarinaError) as refused:
+            await request("third")
+        assert refused.value.code == "render.busy"
+        other_window = asyncio.ensure_future(request("other", window=5))
+        await until(lambda: len(pictures._waiting) == 2)
+        gone.update({"second", "other"})
+        for waiting in (second, other_window):
+            with pytest.raises(CancelledError):
+                await waiting
+        await until(lambda: not pictures._waiting)
+        assert not slow.stops[0].cancelled
+        gone.add("first")
+        with pytest.raises(CancelledError):
+            await first
+        assert slow.stops[0].cancelled
+        await until(lambda: not pictures._one_at_a_time.locked())
+        assert len(slow.stops) == 1
+
+    asyncio.run(run())
+
+
+def test_cancelled_request_stops_its_picture(case):
+    slow = SlowRenderer()
+    pictures = Pictures(states(changed(case.session.ask(c.PictureFacts()), renderer=slow)))
+
+    async def run():
+        request = asyncio.ensure_future(pictures.answer("axial", query()))
+        await until(lambda: slow.stops)
+        request.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await request
+        await until(lambda: not pictures._one_at_a_time.locked())
+
+    asyncio.run(run())
+    assert slow.stops[0].cancelled
+
+
+def test_state_of_a_picture_is_read_at_one_time(case):
+    state = case.session.ask(c.PictureFacts(window=0))
+    assert state.airways is case.opened.airways
+    assert state.scene.frames is state.route.frames
+    assert state.scene.lumen is not None
+    assert state.scene.case_number == case.session.scene(0).case_number
 
 
 def test_marks_that_a_view_cannot_show_are_refused_by_the_command(carina, ct, tmp_path):

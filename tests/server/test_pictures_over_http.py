@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import socket
+import threading
+import time
 from types import SimpleNamespace
 
-from live_server import open_case
+from live_server import WAIT_S, open_case
 
+from carina.errors import CancelledError
 from carina.server.wire import messages as wire
 
 SIZE = {"width": 64, "height": 48, "full_width": 64, "scale": 1}
@@ -49,6 +53,27 @@ def test_picture_with_invalid_parameters_is_refused_with_a_message(live):
             answer = http.get(f"/api/pictures/{view}.png", params=SIZE | {"window": 1} | change)
             assert answer.status_code == 409
             assert answer.json()["message"]
+
+
+def test_picture_stops_when_the_browser_disconnects(live, monkeypatch):
+    started, stopped = threading.Event(), threading.Event()
+
+    def slow(_pictures, _view, _order, _requested, stop):
+        started.set()
+        while not stop.cancelled and not live.session.jobs._closed:
+            time.sleep(0.01)
+        stopped.set()
+        raise CancelledError("given up")
+
+    monkeypatch.setattr("carina.server.files.pictures.Pictures._png", slow)
+    with live.window() as window:
+        open_case(window)
+        host = f"127.0.0.1:{live.gate.port}"
+        with socket.create_connection(("127.0.0.1", live.gate.port)) as browser:
+            path = "/api/pictures/axial.png?window=1&width=64&height=48&full_width=64&scale=1"
+            browser.sendall(f"GET {path} HTTP/1.1\r\nHost: {host}\r\nCookie: {live.cookie}\r\n\r\n".encode())
+            assert started.wait(WAIT_S)
+        assert stopped.wait(WAIT_S)
 
 
 FILM = {"flight": "route", "width": 64, "height": 48, "window": 1}

@@ -14,10 +14,12 @@ import pytest
 from websockets.sync.client import connect
 
 from carina.errors import CarinaError, UsageError, VolumeImportError
+from carina.render import Renderer, transfer_preset
 from carina.server import serve
 from carina.server.serve import bind
 from carina.server.wire import messages as wire
-from user_folders import environment_in
+from small_case import small_volume
+from user_folders import environment_in, user_folders
 
 WAIT_S = 120.0
 """Upper limit of a wait, in seconds: the import of SimpleITK takes seconds on a busy machine."""
@@ -64,6 +66,28 @@ def test_websockets_send_small_messages_without_delay():
 def test_port_in_use_is_reported_before_a_case_is_opened():
     with bind("127.0.0.1", 0) as taken, pytest.raises(CarinaError, match="is in use"):
         serve(None, port=taken.getsockname()[1], open_browser=False)
+
+
+def test_workstation_with_a_cluster_renders_videos_on_this_machine(monkeypatch, tmp_path):
+    for name, folder in user_folders(tmp_path).items():
+        monkeypatch.setenv(name, folder)
+    given = {}
+
+    class StartedError(Exception):
+        pass
+
+    def session(renderer_factory, **options):
+        given.update(options, views=renderer_factory)
+        raise StartedError
+
+    def make_cluster_renderer(_volume, _transfer):
+        raise AssertionError("the cluster renders only views")
+
+    monkeypatch.setattr(sys.modules[serve.__module__], "Session", session)
+    with pytest.raises(StartedError):
+        serve(None, open_browser=False, make_renderer=make_cluster_renderer)
+    assert given["views"] is make_cluster_renderer
+    assert isinstance(given["job_renderer_factory"](small_volume(), transfer_preset("endoscopic")), Renderer)
 
 
 def test_external_program_connects_repeatedly_with_the_printed_token(tmp_path):

@@ -24,15 +24,15 @@ from carina.cluster import ClusterRenderer, render_frames
 from carina.config import load_settings
 from carina.errors import NoResultError, UsageError
 from carina.export import VIDEO_SUFFIXES, VideoWriter
-from carina.export.flight_film import FrameOptions, check_num_frames, distinct_images, write_frames
+from carina.export.flight_film import FrameOptions, distinct_images, write_frames
 from carina.export.video import even_size, size_notes
 from carina.navigate import AutoFlight, KeyFrameFile, KeyFrameFlight, open_key_frames
-from carina.navigate.auto_flight import frame_times_s
 from carina.navigate.recording import ReplayedPose, case_key, sampled
 from carina.render import LEAD_VIEW, Backend, Renderer, transfer_preset
 from carina.scopes import DEFAULT_SCOPE, scope_preset
 from carina.session import RendererFactory, is_case_file, key_file, view_words
 from carina.session.flights.film_flights import (
+    checked_times_s,
     flight_captions,
     frames_of_flight,
     replay_recording,
@@ -117,8 +117,9 @@ def report(
         way: ChosenRoute | None = None
         if recorded is not None:
             recorded.check(volume, carina=carina.__version__)
-            moments, facts = replay_recording(recorded, wall_builder(volume, progress), volume, print_note)
-            times = frame_times_s(recorded.length_s, rate_hz)
+            times = checked_times_s(recorded.length_s, rate_hz)
+            walls = wall_builder(volume, progress)
+            moments, facts = replay_recording(recorded, walls, volume, print_note, progress=progress)
             frames = sampled(moments, times)
         else:
             flight: AutoFlight | KeyFrameFlight
@@ -137,8 +138,7 @@ def report(
                     "stops_mm": list(way.lookouts_mm),
                 }
             view = _chosen_view(_stored_view(source, given), shown, chosen=scope is not None)
-            frames = frames_of_flight(flight, view, rate_hz)
-        check_num_frames(len(frames))
+            frames = frames_of_flight(flight, view, rate_hz, progress=progress)
         stored = None if keep is None else StoredFrames(keep, _job_digest(volume, frames, shown, mixed))
         num_images = len(distinct_images(frames, shown)[0])
         num_kept = 0 if stored is None else min(stored.num, num_images)

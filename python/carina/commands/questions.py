@@ -107,11 +107,11 @@ class AirwaysQuery(Query[tuple[Any, Any]], frozen=True):
     """
 
 
-class PictureFacts(Query[tuple[Any, Any, Any, Literal["head", "facing"]]], frozen=True):
-    """Present volume, :class:`carina.track.Airways`, chosen route and position of the operator, for saved pictures.
+class PictureFacts(Query[Any], frozen=True):
+    """Present state of the case for a saved picture: a :class:`carina.session.scene.picture_state.PictureState`."""
 
-    Airways and route are None if there are none.
-    """
+    window: Annotated[int, Meta(ge=0, le=2**31)] | None = None
+    """Window whose views are saved; None for the window that was used last."""
 
 
 class KeyFrameFileQuery(Query[Any], frozen=True):

@@ -92,8 +92,19 @@ def frame_times_s(duration_s: float, rate_hz: float) -> NDArray[np.float64]:
     UsageError
         If the flight lasts longer than a day.
     """
+    return np.arange(num_frames(duration_s, rate_hz)) / rate_hz
+
+
+def num_frames(duration_s: float, rate_hz: float) -> int:
+    """Return the number of frames of a video of a flight, at least one.
+
+    Raises
+    ------
+    UsageError
+        If the flight lasts longer than a day.
+    """
     check_duration(duration_s)
-    return np.arange(max(1, math.floor(duration_s * rate_hz + 0.5))) / rate_hz
+    return max(1, math.floor(duration_s * rate_hz + 0.5))
 
 
 def check_duration(duration_s: float) -> None:

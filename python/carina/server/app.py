@@ -159,7 +159,8 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         if not gate.authorised(request.headers):
             return _not_authorised()
         try:
-            return await pictures.answer(request.path_params["view"], request.query_params)
+            view, query = request.path_params["view"], request.query_params
+            return await pictures.answer(view, query, is_gone=request.is_disconnected)
         except CarinaError as error:
             return _error(error, _status(error, 409))
 

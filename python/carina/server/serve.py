@@ -230,7 +230,8 @@ def serve(
         Creates the switch of the phone page from session, folder of the built client, and address; None offers no phone
         page.
     make_renderer
-        Creates the renderer of a volume; None selects the renderer of this machine.
+        Creates the renderer of the views of a volume; None selects the renderer of this machine, which always renders
+        videos.
     cluster_status
         Returns the status of the machines that render together with this one, for the windows; None without a cluster.
 
@@ -277,8 +278,10 @@ def serve(
         records.endpoint = endpoint_of(gate)
         if not is_loopback(host):
             print(_NETWORK_WARNING.format(host=host), file=sys.stderr, flush=True)
+        local = _renderer_factory()
         session = Session(
-            make_renderer or _renderer_factory(),
+            make_renderer or local,
+            job_renderer_factory=local,
             store=store,
             records=records,
             files=case_files(cache, records),

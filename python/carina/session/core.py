@@ -89,6 +89,7 @@ class SessionCore:
         self,
         renderer_factory: RendererFactory,
         *,
+        job_renderer_factory: RendererFactory | None = None,
         parts: Parts | None = None,
         store: LocalStore | None = None,
         submit: Callable[[Callable[[], None]], object] | None = None,
@@ -96,6 +97,7 @@ class SessionCore:
         today: Callable[[], str] = lambda: time.strftime("%Y-%m-%d"),
     ) -> None:
         self.renderer_factory = renderer_factory
+        self.job_renderer_factory = job_renderer_factory or renderer_factory
         self.parts = parts or default_parts()
         self.store = store
         self.clock = clock

@@ -52,7 +52,10 @@ class Session:
     Parameters
     ----------
     renderer_factory
-        Creates the renderer of a volume.
+        Creates the renderer of a volume, for the views of the windows.
+    job_renderer_factory
+        Creates the renderer of a background job on this machine; None uses ``renderer_factory``. Two renderers of one
+        cluster would replace each other's content on its machines.
     parts
         The processing functions that the session calls; by default those of Carina.
     store
@@ -78,6 +81,7 @@ class Session:
         self,
         renderer_factory: RendererFactory,
         *,
+        job_renderer_factory: RendererFactory | None = None,
         parts: Parts | None = None,
         store: LocalStore | None = None,
         submit: Callable[[Callable[[], None]], object] | None = None,
@@ -86,7 +90,15 @@ class Session:
         records: CaseRecords | None = None,
         files: CaseFileFunctions | None = None,
     ) -> None:
-        core = SessionCore(renderer_factory, parts=parts, store=store, submit=submit, clock=clock, today=today)
+        core = SessionCore(
+            renderer_factory,
+            job_renderer_factory=job_renderer_factory,
+            parts=parts,
+            store=store,
+            submit=submit,
+            clock=clock,
+            today=today,
+        )
         holding, finding, editing = ScopeContactHandlers(core), AirwayHandlers(core), TreeEditHandlers(core)
         measuring, keys, planning = MeasurementHandlers(core), KeyFrameHandlers(core), PlanHandlers(core)
         recording = FlightRecorder(core, holding)

@@ -6,7 +6,7 @@ import asyncio
 import threading
 from collections.abc import Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from shutil import rmtree
 from typing import Any, cast
@@ -16,11 +16,12 @@ from starlette.responses import JSONResponse, Response
 from carina.commands import FlightToFilm
 from carina.errors import CancelledError, CarinaError, UsageError
 from carina.export import VIDEO_SUFFIXES, VideoWriter
-from carina.export.flight_film import FrameOptions, check_num_frames, write_frames
+from carina.export.flight_film import FrameOptions, write_frames
 from carina.export.video import even_size, size_notes, video_problem
 from carina.render import Renderer
 from carina.scopes import DEFAULT_SCOPE
-from carina.server.files.one_shot_file import OneShotFileResponse, new_folder
+from carina.server.files.job_results import set_failure, set_result
+from carina.server.files.one_shot_file import StoredFileResponse, new_folder
 from carina.session import Session
 from carina.session.flights.film_flights import FilmFlight, flight_captions
 from carina.session.jobs.background_jobs import Job
@@ -99,10 +100,20 @@ def _reported(error: BaseException) -> CarinaError:
     return CarinaError("the video could not be saved: internal error in Carina", code="carina.fault")
 
 
+@dataclass(slots=True)
+class _Film:
+    """A requested video."""
+
+    done: Future[Path] = field(default_factory=Future)
+    num_readers: int = 0
+    """Number of responses that are sending the file."""
+
+
 class Films:
     """Creator of videos of the open case's flights, one at a time.
 
-    A finished video is stored until a window has read it, another video is requested, or the server stops.
+    A finished video is stored until a window has the whole file, another video is requested, or the server stops.
+    After a broken connection a window can therefore request the file again.
 
     Parameters
     ----------
@@ -113,7 +124,8 @@ class Films:
     def __init__(self, session: Session) -> None:
         self._session = session
         self._lock = threading.Lock()
-        self._jobs: dict[str, Future[Path]] = {}
+        self._films: dict[str, _Film] = {}
+        """Requested videos by the ID of their job."""
 
     def start(self, query: Mapping[str, str]) -> Response:
         """Start the job of a video, and return a response with the ID of the job.
@@ -129,22 +141,22 @@ class Films:
             raise CarinaError(problem, code="export.video")
         order = FilmOrder.of_query(query)
         with self._lock:
-            if any(not one.done() for one in self._jobs.values()):
+            if any(not film.done.done() for film in self._films.values()):
                 raise CarinaError(
                     "another video is being rendered: wait until it is complete, or cancel it", code="export.video-busy"
                 )
             self._forget()
             flight: FilmFlight = self._session.ask(order.flight)
-            done: Future[Path] = Future()
+            film = _Film()
             path = new_folder() / order.file_name
             try:
                 job_id = self._session.jobs.start(
-                    "film", "saving the video", lambda job: self._work(job, path, order, flight, done)
+                    "film", "saving the video", lambda job: self._work(job, path, order, flight, film.done)
                 )
             except BaseException:
                 rmtree(path.parent, ignore_errors=True)
                 raise
-            self._jobs[job_id] = done
+            self._films[job_id] = film
         return JSONResponse({"job_id": job_id}, 201)
 
     async def answer(self, job_id: str) -> Response:
@@ -155,45 +167,57 @@ class Films:
         CarinaError
             If the job has failed or was stopped, or no such video exists.
         """
-        done = self._jobs.get(job_id)
-        if done is None:
+        film = self._films.get(job_id)
+        if film is None:
             raise CarinaError("this video is no longer stored: save it again", code="export.video-gone")
         try:
-            path = await asyncio.wait_for(asyncio.shield(asyncio.wrap_future(done)), WAIT_S)
+            path = await asyncio.wait_for(asyncio.shield(asyncio.wrap_future(film.done)), WAIT_S)
         except TimeoutError:
             return JSONResponse({"job_id": job_id}, 202, headers={"cache-control": "no-store"})
-        except BaseException:
-            if done.done():
-                self._jobs.pop(job_id, None)
+        except CarinaError:
+            self._films.pop(job_id, None)
             raise
-        self._jobs.pop(job_id, None)
-        return OneShotFileResponse(path, filename=path.name, headers={"cache-control": "no-store"})
+        film.num_readers += 1
+
+        def ended(complete: bool) -> None:
+            film.num_readers -= 1
+            if complete:
+                self._delete(job_id)
+
+        return StoredFileResponse(path, ended=ended, headers={"cache-control": "no-store"})
 
     def close(self) -> None:
         """Delete all videos that no window has read; the session has stopped its jobs."""
         with self._lock:
-            self._forget()
+            for job_id, film in list(self._films.items()):
+                if film.done.done():
+                    self._delete(job_id)
 
     def _forget(self) -> None:
-        for done in self._jobs.values():
-            if done.done() and done.exception() is None:
-                rmtree(done.result().parent, ignore_errors=True)
-        self._jobs = {job_id: done for job_id, done in self._jobs.items() if not done.done()}
+        """Delete the finished videos, except those that are being sent."""
+        for job_id, film in list(self._films.items()):
+            if film.done.done() and film.num_readers == 0:
+                self._delete(job_id)
+
+    def _delete(self, job_id: str) -> None:
+        """Delete a finished video; a video that is no longer stored is ignored."""
+        film = self._films.pop(job_id, None)
+        if film is not None and film.done.exception() is None:
+            rmtree(film.done.result().parent, ignore_errors=True)
 
     def _work(self, job: Job, path: Path, order: FilmOrder, flight: FilmFlight, done: Future[Path]) -> None:
         try:
             self._write(job, path, order, flight)
         except BaseException as error:
             rmtree(path.parent, ignore_errors=True)
-            done.set_exception(_reported(error))
+            set_failure(done, _reported(error))
             raise
-        done.set_result(path)
+        set_result(done, path)
 
     def _write(self, job: Job, path: Path, order: FilmOrder, flight: FilmFlight) -> None:
         job.check()
         with VideoWriter(path, *order.size, rate_hz=order.flight.rate_hz) as video:
             frames = flight.frames(job.progress, lambda _note: None)
-            check_num_frames(len(frames))
             renderer = flight.make_renderer()
             if flight.volume.is_hu and flight.airways is not None:
                 renderer.set_lumen(flight.airways.lumen_zyx, flight.airways.tree)

@@ -9,9 +9,11 @@ from starlette.responses import Response
 
 from carina.commands import PictureFacts
 from carina.errors import CancelledError, CarinaError, NoResultError
+from carina.server.files.job_results import set_failure, set_result
 from carina.session import Session
 from carina.session.flights.fork_sheet import fork_sheet_png
 from carina.session.jobs.background_jobs import Job
+from carina.session.scene.picture_state import PictureState
 
 FILE_NAME = "forks.png"
 """Name of the file, which contains neither the patient nor the case."""
@@ -25,7 +27,8 @@ async def fork_sheet_answer(session: Session) -> Response:
     CarinaError
         If there is no route, the route passes no fork, or the job was stopped.
     """
-    volume, airways, route, operator = session.ask(PictureFacts())
+    state: PictureState = session.ask(PictureFacts())
+    volume, airways, route, operator = state.volume, state.airways, state.route, state.operator
     if route is None or airways is None:
         raise NoResultError("there is no route yet: choose a branch or mark a target", code="session.route")
     done: Future[bytes] = Future()
@@ -34,13 +37,12 @@ async def fork_sheet_answer(session: Session) -> Response:
         try:
             png = fork_sheet_png(volume, airways, route, operator=operator, progress=job.progress, cancel=job.cancel)
         except CancelledError:
-            _fail(done, CarinaError("the contact sheet was cancelled", code="plan.sheet-stopped"))
+            set_failure(done, CarinaError("the contact sheet was cancelled", code="plan.sheet-stopped"))
             raise
         except BaseException as error:
-            _fail(done, error if isinstance(error, CarinaError) else _fault())
+            set_failure(done, error if isinstance(error, CarinaError) else _fault())
             raise
-        if not done.cancelled():
-            done.set_result(png)
+        set_result(done, png)
 
     session.jobs.start("fork-sheet", "rendering the forks", work)
     png = await asyncio.wrap_future(done)
@@ -50,9 +52,3 @@ async def fork_sheet_answer(session: Session) -> Response:
 
 def _fault() -> CarinaError:
     return CarinaError("the contact sheet could not be rendered: internal error in Carina", code="carina.fault")
-
-
-def _fail(done: Future[bytes], error: CarinaError) -> None:
-    """Set an error as the result of a future, unless the request that waits for the future has ended."""
-    if not done.cancelled():
-        done.set_exception(error)

@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+import time
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from starlette.responses import Response
 
 from carina.commands import PictureFacts
-from carina.errors import CarinaError, UsageError
+from carina.errors import CancelledError, CarinaError, UsageError
+from carina.render import CancelToken
 from carina.render.saved_picture import PictureMarks
 from carina.render.view_table import view_row
 from carina.session import Session, finish_case_picture
+from carina.session.scene.picture_state import PictureState
 from carina.volume import badges_of
 
 FULL_STEP_VOX = 0.5
 """Step along the rays of a final picture, in voxels, as that of ``carina render``."""
 SIDES_PX = (16, 8192)
+UPDATE_S = 20.0
+"""Longest wait for the renderer to show the newest airways and transfer function."""
+LOOK_S = 0.05
+"""Time between two checks."""
+GONE_CHECK_S = 0.2
+"""Time between two checks whether the client has disconnected."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,6 +79,8 @@ def _whole(query: Mapping[str, str], name: str, least: int, most: int) -> int:
 class Pictures:
     """Renderer of saved pictures, one at a time, because a large picture takes all cores.
 
+    One further picture of each window can wait. A picture is stopped when its client disconnects.
+
     Parameters
     ----------
     session
@@ -78,35 +90,121 @@ class Pictures:
     def __init__(self, session: Session) -> None:
         self._session = session
         self._one_at_a_time = asyncio.Lock()
+        self._waiting: set[int] = set()
+        """Numbers of the windows of which a picture waits for its turn."""
 
-    async def answer(self, view: str, query: Mapping[str, str]) -> Response:
+    async def answer(
+        self, view: str, query: Mapping[str, str], *, is_gone: Callable[[], Awaitable[bool]] | None = None
+    ) -> Response:
         """Return a response with a view as PNG; the name of the file is the name of the view.
+
+        Parameters
+        ----------
+        view
+            Name of the view.
+        query
+            Parameters of the request.
+        is_gone
+            Returns whether the client has disconnected; None never stops the picture.
 
         Raises
         ------
         CarinaError
-            If no case is open, the view has no picture, or a parameter is out of range.
+            If no case is open, the view has no picture, a parameter is out of range, the case changes meanwhile, or
+            another picture of this window already waits.
+        CancelledError
+            If the client has disconnected.
         """
         order = PictureOrder.of_query(query)
-        async with self._one_at_a_time:
-            png = await asyncio.to_thread(self._png, view, order)
+        if order.window in self._waiting:
+            raise CarinaError(
+                "another image of this window waits to be saved: wait until it is complete", code="render.busy"
+            )
+        stop = CancelToken()
+        work = asyncio.ensure_future(self._png_in_turn(view, order, stop))
+        try:
+            while not (await asyncio.wait({work}, timeout=GONE_CHECK_S))[0]:
+                if is_gone is not None and await is_gone():
+                    raise CancelledError("the image was cancelled")
+            png = work.result()
+        finally:
+            stop.cancel()
+            work.cancel()
         disposition = f'attachment; filename="{view}.png"'
         headers = {"cache-control": "no-store", "content-disposition": disposition}
         return Response(png, media_type="image/png", headers=headers)
 
-    def _png(self, view: str, order: PictureOrder) -> bytes:
+    async def _png_in_turn(self, view: str, order: PictureOrder, stop: CancelToken) -> bytes:
+        self._waiting.add(order.window)
+        try:
+            requested: PictureState = await asyncio.to_thread(self._session.ask, PictureFacts(order.window))
+            await self._one_at_a_time.acquire()
+        finally:
+            self._waiting.discard(order.window)
+        try:
+            return await _to_its_end(asyncio.to_thread(self._png, view, order, requested, stop))
+        finally:
+            self._one_at_a_time.release()
+
+    def _png(self, view: str, order: PictureOrder, requested: PictureState, stop: CancelToken) -> bytes:
         row = view_row(view)
-        volume, airways, route, _ = self._session.ask(PictureFacts())
-        scene = self._session.scene(order.window)
+        state = self._newest_state(view, order, requested, stop)
+        scene = state.scene
         if scene is None or not scene.has(row.needs):
             raise CarinaError(f"this view has no image yet: {row.empty}", code="render.no-picture")
         spec = scene.spec(view, *order.size_px, FULL_STEP_VOX, full_width=order.screen_width)
+        picture = scene.renderer.render(spec, stop=stop)
+        _check(stop)
+        # A job can give the renderer other content at any time; the names would then not fit the picture.
+        if not state.is_valid_for(view, self._session.ask(PictureFacts(order.window))):
+            raise CarinaError("the case changed while the image was rendered: save it again", code="render.changed")
         finished = finish_case_picture(
-            scene.renderer.render(spec),
+            picture,
             order.marks,
-            volume=volume,
-            airways=airways,
-            route=route,
+            volume=state.volume,
+            airways=state.airways,
+            route=state.route,
             tip_lps=np.asarray(scene.pose.position_lps),
         )
-        return finished.png(badges=tuple(dict.fromkeys((*badges_of(volume), *getattr(airways, "badges", ())))))
+        badges = (*badges_of(state.volume), *getattr(state.airways, "badges", ()))
+        return finished.png(badges=tuple(dict.fromkeys(badges)))
+
+    def _newest_state(self, view: str, order: PictureOrder, requested: PictureState, stop: CancelToken) -> PictureState:
+        """Return the state of the case after the renderer shows the newest airways and transfer function.
+
+        Raises
+        ------
+        CarinaError
+            ``render.changed``: if another case was opened after the request, or the update takes too long.
+        """
+        end_s = time.monotonic() + UPDATE_S
+        while True:
+            _check(stop)
+            state: PictureState = self._session.ask(PictureFacts(order.window))
+            scene = state.scene
+            if scene is None:
+                return state
+            if requested.scene is None or scene.case_number != requested.scene.case_number:
+                raise CarinaError("another case was opened: save the image again", code="render.changed")
+            if scene.can_be_final(view):
+                return state
+            if time.monotonic() > end_s:
+                raise CarinaError("this view is being updated: wait, and save the image again", code="render.changed")
+            time.sleep(LOOK_S)
+
+
+def _check(stop: CancelToken) -> None:
+    if stop.cancelled:
+        raise CancelledError("the image was cancelled")
+
+
+async def _to_its_end(work: Coroutine[Any, Any, bytes]) -> bytes:
+    """Return the result of work that a cancellation of this coroutine does not abandon but waits for."""
+    task = asyncio.ensure_future(work)
+    try:
+        return await asyncio.shield(task)
+    except asyncio.CancelledError:
+        await asyncio.wait({task})
+        # The exception is read because asyncio would log an exception that nobody has read.
+        task.exception()
+        raise

@@ -16,6 +16,7 @@ from carina.commands import CtFolder, PlanningOf, PlanToTakeAway
 from carina.errors import CancelledError, CarinaError
 from carina.export import export_plan
 from carina.plan.report import PlanMaterials, ReportKind, whole_sheet, write_report
+from carina.server.files.job_results import set_failure, set_result
 from carina.server.files.one_shot_file import OneShotFileResponse, new_folder
 from carina.session import Session
 from carina.session.jobs.background_jobs import Job
@@ -91,12 +92,11 @@ class Reports:
 
             try:
                 if path.name.endswith(PLAN_SUFFIXES):
-                    done.set_result(
-                        export_plan(path, materials.plan, materials.airways.tree, badges=materials.airways.badges)
-                    )
+                    airways = materials.airways
+                    set_result(done, export_plan(path, materials.plan, airways.tree, badges=airways.badges))
                     return
                 if archive is not None and not path.name.endswith(".pdf.dcm"):
-                    done.set_result(archive.export(path, materials, job))
+                    set_result(done, archive.export(path, materials, job))
                     return
                 with_verdicts = _with_verdicts(self._session, materials, target_id, job)
                 plays = path.suffix == ".html" and kind == "report"
@@ -106,13 +106,12 @@ class Reports:
                 if archive is not None:
                     made = archive.wrap(path, made.read_bytes(), materials, job)
             except CancelledError:
-                _set_failure(done, CarinaError("the report was stopped", code="plan.report-stopped"))
+                set_failure(done, CarinaError("the report was stopped", code="plan.report-stopped"))
                 raise
             except BaseException as error:
-                _set_failure(done, error)
+                set_failure(done, error)
                 raise
-            if not done.cancelled():
-                done.set_result(made)
+            set_result(done, made)
 
         self._session.jobs.start("report", "making the report", work)
         return done
@@ -165,9 +164,3 @@ def _with_verdicts(session: Session, materials: PlanMaterials, target_id: str, j
         job.progress("waiting for the verdicts on the instruments", None)
         time.sleep(LOOK_S)
     return session.ask(PlanToTakeAway(target_id)) if waited else materials
-
-
-def _set_failure(done: Future[Path], trouble: BaseException) -> None:
-    """Set an exception as the result of a future, unless the caller that waits for the future has cancelled it."""
-    if not done.cancelled():
-        done.set_exception(trouble)

@@ -11,14 +11,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from carina import commands as c
 from carina import plan, track
 from carina.case.routes import ChosenRoute
 from carina.display import one_line
 from carina.errors import NoResultError, TrackingError, UsageError, VolumeImportError
 from carina.export.film_captions import FilmCaptions
+from carina.export.flight_film import check_num_frames
 from carina.navigate import AutoFlight, KeyFrameFlight, Recording
-from carina.navigate.auto_flight import frame_times_s
+from carina.navigate.auto_flight import frame_times_s, num_frames
 from carina.navigate.recording import ReplayedPose, read_recording, sampled
 from carina.plan.turns.from_route import branch_turns
 from carina.render import Renderer, transfer_preset
@@ -36,6 +40,8 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, float | None], None]
 Note = Callable[[str], None]
+POSES_PER_REPORT = 100
+"""Number of computed poses between two reports of progress, at which a job can be stopped."""
 
 
 @one_line
@@ -48,9 +54,12 @@ class FilmFlight:
     route: ChosenRoute | None
     """Route of the flight; None for key frames and recordings."""
     make_renderer: Callable[[], Any]
-    """Function that creates a renderer of the volume, which is independent of those of the windows."""
+    """Function that creates a renderer of the volume on this machine, independent of those of the windows."""
     frames: Callable[[Progress, Note], list[ReplayedPose]]
-    """Function that returns the frames; the replay of a recording can take minutes."""
+    """Function that returns the frames; the replay of a recording can take minutes.
+
+    It raises UsageError (``export.video-length``) before the computation of poses if there are too many frames.
+    """
 
 
 class FilmHandlers(CommandHandlers):
@@ -81,7 +90,7 @@ class FilmHandlers(CommandHandlers):
         airways = document.airways
 
         def make_renderer() -> Any:
-            return self.core.renderer_factory(volume, transfer_preset("endoscopic"))
+            return self.core.job_renderer_factory(volume, transfer_preset("endoscopic"))
 
         if question.flight == "recording":
             return FilmFlight(volume, airways, None, make_renderer, self._recorded(question, volume, airways))
@@ -99,7 +108,7 @@ class FilmHandlers(CommandHandlers):
             airways,
             route,
             make_renderer,
-            lambda _progress, _note: frames_of_flight(flight, view, question.rate_hz),
+            lambda progress, _note: frames_of_flight(flight, view, question.rate_hz, progress=progress),
         )
 
     def _recorded(
@@ -111,18 +120,55 @@ class FilmHandlers(CommandHandlers):
         def frames(progress: Progress, note: Note) -> list[ReplayedPose]:
             recorded = read_recording(io.StringIO(self._text(number)), Path(f"flight {number}"))
             recorded.check(volume, carina=VERSION)
+            times = checked_times_s(recorded.length_s, rate_hz)
             walls = wall_builder(volume, progress, known=airways)
-            moments, _ = replay_recording(recorded, walls, volume, note)
-            return sampled(moments, frame_times_s(recorded.length_s, rate_hz))
+            moments, _ = replay_recording(recorded, walls, volume, note, progress=progress)
+            return sampled(moments, times)
 
         return frames
 
 
-def frames_of_flight(flight: AutoFlight | KeyFrameFlight, view: dict[str, Any], rate_hz: float) -> list[ReplayedPose]:
-    """Return the frames of a flight along a route or through key frames, all with the same view settings."""
+def checked_times_s(duration_s: float, rate_hz: float) -> NDArray[np.float64]:
+    """Return the times of the frames of a flight, s.
+
+    Raises
+    ------
+    UsageError
+        ``export.video-length``: if there are too many frames, before memory for the frames is used.
+    """
+    check_num_frames(num_frames(duration_s, rate_hz))
+    return frame_times_s(duration_s, rate_hz)
+
+
+def frames_of_flight(
+    flight: AutoFlight | KeyFrameFlight, view: dict[str, Any], rate_hz: float, *, progress: Progress
+) -> list[ReplayedPose]:
+    """Return the frames of a flight along a route or through key frames, all with the same view settings.
+
+    Parameters
+    ----------
+    flight
+        The flight.
+    view
+        View settings of all frames.
+    rate_hz
+        Frames per second.
+    progress
+        ``f(what, fraction)``; an exception that it raises stops the computation.
+
+    Raises
+    ------
+    UsageError
+        ``export.video-length``: if there are too many frames.
+    """
     turned = view.get("operator") == "facing"
-    times = frame_times_s(flight.duration_s, rate_hz)
-    return [ReplayedPose(float(t), flight.pose_at(float(t)), view, turned) for t in times]
+    times = checked_times_s(flight.duration_s, rate_hz)
+    frames: list[ReplayedPose] = []
+    for n, time_s in enumerate(times.tolist()):
+        if n % POSES_PER_REPORT == 0:
+            progress("computing the poses", n / len(times))
+        frames.append(ReplayedPose(time_s, flight.pose_at(time_s), view, turned))
+    return frames
 
 
 def flight_captions(
@@ -156,6 +202,8 @@ def replay_recording(
     build_wall: Callable[[dict[str, Any]], WallField],
     volume: Volume,
     note: Callable[[str], None],
+    *,
+    progress: Progress,
 ) -> tuple[list[ReplayedPose], dict[str, Any]]:
     """Return the poses of a recording, and facts on the replay.
 
@@ -169,6 +217,8 @@ def replay_recording(
         The CT.
     note
         Called with each note for the user.
+    progress
+        ``f(what, fraction)``; an exception that it raises stops the replay.
 
     Raises
     ------
@@ -177,7 +227,10 @@ def replay_recording(
     """
     moments: list[ReplayedPose] = []
     different = 0
+    length_s = recorded.length_s
     for moment, same in recorded.replay(volume, wall=build_wall if recorded.needs_wall else None):
+        if len(moments) % POSES_PER_REPORT == 0:
+            progress("replaying the recording", moment.time_s / length_s if length_s > 0.0 else None)
         moments.append(moment)
         different += not same
     if not moments:

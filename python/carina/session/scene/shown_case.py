@@ -128,7 +128,12 @@ class ShownCase:
 
     def can_be_final(self, view: str) -> bool:
         """Return whether an image of a view, rendered now, stays valid until the next change of the case."""
-        return self.content_is_newest or not VIEWS[view].by_transfer
+        return self.content_is_newest or not self.is_by_transfer(view)
+
+    @staticmethod
+    def is_by_transfer(view: str) -> bool:
+        """Return whether a view depends on the transfer function and the lumen of the renderer."""
+        return VIEWS[view].by_transfer
 
     def spec(self, view: str, width: int, height: int, step_vox: float, *, full_width: int | None = None) -> Any:
         """Return the definition of a view (camera, size, settings) with which the renderer renders this scene.

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from carina import commands as c
 from carina.errors import NoResultError, UsageError
 from carina.session.command_registry import CommandHandlers, answers
+from carina.session.scene.picture_state import PictureState
 from carina.session.state.snapshot import PointedPath, WallPoint
 
 if TYPE_CHECKING:
@@ -76,12 +77,18 @@ class CaseQuestions(CommandHandlers):
             return self.core.needed_case().info.volume, self._airways()
 
     @answers(c.PictureFacts)
-    def picture_facts(self, _question: c.PictureFacts) -> tuple[Any, Any, Any, Literal["head", "facing"]]:
-        """Return the volume, the airways, the chosen route and the position of the operator; all are immutable."""
+    def picture_facts(self, question: c.PictureFacts) -> PictureState:
+        """Return the state of the case for a saved picture."""
         with self.core.lock:
             case = self.core.needed_case()
             document = case.document
-            return case.info.volume, document.airways, document.route, document.look.operator
+            return PictureState(
+                volume=case.info.volume,
+                airways=document.airways,
+                route=document.route,
+                operator=document.look.operator,
+                scene=self.core.scene(question.window),
+            )
 
     @answers(c.LumenBeforeWall)
     def lumen_before_wall(self, question: c.LumenBeforeWall) -> tuple[float, float, float]:
