@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -26,15 +27,47 @@ def test_contact_sheet_of_the_window_equals_the_file_of_carina_render(carina, wi
 
 
 def test_route_without_a_fork_has_no_contact_sheet(window_case):
-    volume, airways, route, _ = window_case.session.ask(c.PictureFacts())
+    volume, airways, route, *_ = window_case.session.ask(c.PictureFacts())
     short = SimpleNamespace(spans=route.spans, forks_mm=())
     with pytest.raises(NoResultError, match="passes no fork"):
-        fork_sheet_png(volume, airways, short)
+        fork_sheet_png(volume, airways, short, cost="lumen")
+
+
+@pytest.fixture
+def searched_by_walls(window_case, tmp_path):
+    """Return a case file whose chosen route was searched with the cost walls, and which the session also shows."""
+    case = window_case.opened
+    _, airways, route, *_ = window_case.session.ask(c.PictureFacts())
+    end = tuple(float(v) for v in route.points_lps[len(route.points_lps) // 2])
+    root = tuple(float(v) for v in airways.tree.root.points[0])
+    try:
+        case.do(c.AddTarget(end, cost="walls", root_lps=root))
+        yield case.save(tmp_path / "walls"), case.state.document
+    finally:
+        case.undo()
+        # The other tests compare the session with its file.
+        case.do(c.GoTo(path_mm=30.0))
+
+
+def test_path_by_walls_has_no_contact_sheet_and_no_turns_in_its_captions(
+    carina, window_case, searched_by_walls, tmp_path
+):
+    path, document = searched_by_walls
+    assert document.cost_of(document.route) == "walls"
+    assert document.cost_of(dataclasses.replace(document.route, target_id=None)) == "lumen"
+    with pytest.raises(NoResultError, match="not searched in the airways"):
+        asyncio.run(fork_sheet_answer(window_case.session))
+    assert window_case.session.ask(c.FlightToFilm("route")).route is None
+    given = ("--to", document.targets[0].name, "--ct", window_case.path.parent / "ct.nii.gz")
+    refused = carina("render", path, "--view", "forks", *given, "-o", tmp_path / "forks.png")
+    assert refused.code == 4
+    assert "not searched in the airways" in refused.err
+    assert not (tmp_path / "forks.png").exists()
 
 
 def test_cancelled_contact_sheet_stops(window_case):
     with pytest.raises(CancelledError):
-        fork_sheet_png(*window_case.session.ask(c.PictureFacts())[:3], cancel=lambda: True)
+        fork_sheet_png(*window_case.session.ask(c.PictureFacts())[:3], cost="lumen", cancel=lambda: True)
 
 
 def test_command_refuses_options_that_the_sheet_does_not_use(carina, window_case, tmp_path):

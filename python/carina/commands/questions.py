@@ -7,7 +7,7 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 from msgspec import Meta
 
 from carina.commands.fields import BranchId, FlightNumber, Identifier, PointLps
-from carina.commands.tree import AddBranch, Bridge, MoveFork
+from carina.commands.tree import AddBranch, Bridge, MoveFork, PathCost
 from carina.commands.value import FrozenValue
 
 A = TypeVar("A")
@@ -107,10 +107,11 @@ class AirwaysQuery(Query[tuple[Any, Any]], frozen=True):
     """
 
 
-class PictureFacts(Query[tuple[Any, Any, Any, Literal["head", "facing"]]], frozen=True):
-    """Present volume, :class:`carina.track.Airways`, chosen route and position of the operator, for saved pictures.
+class PictureFacts(Query[tuple[Any, Any, Any, Literal["head", "facing"], PathCost]], frozen=True):
+    """Facts for saved pictures: volume, airways, chosen route, position of the operator, and cost of the route.
 
-    Airways and route are None if there are none.
+    Airways (:class:`carina.track.Airways`) and route are None if there are none. The cost is the edge cost by which the
+    path of the route was searched (:class:`carina.commands.AddTarget`).
     """
 
 

@@ -10,7 +10,7 @@ from starlette.responses import Response
 from carina.commands import PictureFacts
 from carina.errors import CancelledError, CarinaError, NoResultError
 from carina.session import Session
-from carina.session.flights.fork_sheet import fork_sheet_png
+from carina.session.flights.fork_sheet import check_forks, fork_sheet_png
 from carina.session.jobs.background_jobs import Job
 
 FILE_NAME = "forks.png"
@@ -23,16 +23,19 @@ async def fork_sheet_answer(session: Session) -> Response:
     Raises
     ------
     CarinaError
-        If there is no route, the route passes no fork, or the job was stopped.
+        If there is no route, the route passes no fork or was not searched in the airways, or the job was stopped.
     """
-    volume, airways, route, operator = session.ask(PictureFacts())
+    volume, airways, route, operator, cost = session.ask(PictureFacts())
     if route is None or airways is None:
         raise NoResultError("there is no route yet: choose a branch or mark a target", code="session.route")
+    check_forks(route, cost)
     done: Future[bytes] = Future()
 
     def work(job: Job) -> None:
         try:
-            png = fork_sheet_png(volume, airways, route, operator=operator, progress=job.progress, cancel=job.cancel)
+            png = fork_sheet_png(
+                volume, airways, route, cost=cost, operator=operator, progress=job.progress, cancel=job.cancel
+            )
         except CancelledError:
             _fail(done, CarinaError("the contact sheet was cancelled", code="plan.sheet-stopped"))
             raise

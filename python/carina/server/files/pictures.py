@@ -96,7 +96,7 @@ class Pictures:
 
     def _png(self, view: str, order: PictureOrder) -> bytes:
         row = view_row(view)
-        volume, airways, route, _ = self._session.ask(PictureFacts())
+        volume, airways, route, *_ = self._session.ask(PictureFacts())
         scene = self._session.scene(order.window)
         if scene is None or not scene.has(row.needs):
             raise CarinaError(f"this view has no image yet: {row.empty}", code="render.no-picture")

@@ -46,7 +46,7 @@ class FilmFlight:
     volume: Volume
     airways: Airways | None
     route: ChosenRoute | None
-    """Route of the flight; None for key frames and recordings."""
+    """Route whose turns the captions name; None without turns, as for a path that was not searched in the airways."""
     make_renderer: Callable[[], Any]
     """Function that creates a renderer of the volume, which is independent of those of the windows."""
     frames: Callable[[Progress, Note], list[ReplayedPose]]
@@ -93,11 +93,12 @@ class FilmHandlers(CommandHandlers):
             raise NoResultError("there is no route yet: choose a branch or mark a target", code="session.route")
         else:
             flight = AutoFlight(document.route.path, speed_mm_s=question.speed_mm_s, pause_s=question.pause_s)
-        route = document.route if question.flight == "route" else None
+        # The turns come from the airway tree, so they do not describe a path that was searched with another cost.
+        turns = question.flight == "route" and document.cost_of(document.route) == "lumen"
         return FilmFlight(
             volume,
             airways,
-            route,
+            document.route if turns else None,
             make_renderer,
             lambda _progress, _note: frames_of_flight(flight, view, question.rate_hz),
         )

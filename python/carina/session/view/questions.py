@@ -14,6 +14,8 @@ from carina.session.state.snapshot import PointedPath, WallPoint
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from carina.commands.tree import PathCost
+
 NO_AIRWAYS = "the airways have not been segmented yet: wait, or mark the trachea"
 
 
@@ -76,12 +78,13 @@ class CaseQuestions(CommandHandlers):
             return self.core.needed_case().info.volume, self._airways()
 
     @answers(c.PictureFacts)
-    def picture_facts(self, _question: c.PictureFacts) -> tuple[Any, Any, Any, Literal["head", "facing"]]:
-        """Return the volume, the airways, the chosen route and the position of the operator; all are immutable."""
+    def picture_facts(self, _question: c.PictureFacts) -> tuple[Any, Any, Any, Literal["head", "facing"], PathCost]:
+        """Return the volume, the airways, the chosen route, the operator's position and the cost of the route."""
         with self.core.lock:
             case = self.core.needed_case()
             document = case.document
-            return case.info.volume, document.airways, document.route, document.look.operator
+            operator, cost = document.look.operator, document.cost_of(document.route)
+            return case.info.volume, document.airways, document.route, operator, cost
 
     @answers(c.LumenBeforeWall)
     def lumen_before_wall(self, question: c.LumenBeforeWall) -> tuple[float, float, float]:
