@@ -11,6 +11,7 @@ from carina.navigate import FlightPath
 from carina.navigate.recording import ReplayedPose
 from carina.plan import DistanceOrigin, Turn
 from carina.track import AirwayTree
+from carina.track.tree.branch_labels import branch_label
 
 AHEAD_MM = 40.0
 """Distance to the next turn, mm, up to which the caption names the turn."""
@@ -65,8 +66,7 @@ class FilmCaptions:
         *before, _ = self._tree.lineage(branch.id)
         steps = np.linalg.norm(np.diff(branch.points[: index + 1], axis=0), axis=1)
         along_mm = sum(one.length_mm for one in before) + float(steps.sum())
-        name = branch.name or f"generation {branch.generation}"
-        return [name, self._origin.words(self._origin.past_mm(along_mm))]
+        return [branch_label(branch), self._origin.words(self._origin.past_mm(along_mm))]
 
     def _turn(self, position: NDArray[np.float64], operator: str) -> str | None:
         """Return the text of the next turn on the path; None if it is far or there is none."""
@@ -79,8 +79,14 @@ class FilmCaptions:
                 if ahead_mm > AHEAD_MM:
                     return None
                 direction = turn.direction("facing" if operator == "facing" else "head").replace("\u2019", "'")
-                return f"in {ahead_mm:.0f} mm: {turn.to_branch}, {direction}"
+                return f"in {ahead_mm:.0f} mm: {self._label(turn)}, {direction}"
         return None
+
+    def _label(self, turn: Turn) -> str:
+        """Return the label of the branch into which a turn leads."""
+        branches = () if self._tree is None else self._tree.branches
+        branch = next((one for one in branches if one.id == turn.to_branch_id), None)
+        return turn.to_branch if branch is None or branch.name != turn.to_branch else branch_label(branch)
 
     def _place_mm(self, point: NDArray[np.float64]) -> float:
         """Return the distance along the path of the path point that is nearest to a point, mm."""
