@@ -12,7 +12,7 @@ import { Figure } from "./Figure";
 export function SaveVideo({ flight, testId }: { flight: FilmFlight; testId: string }) {
   const station = useStation();
   const watches = useApp((state) => state.watches);
-  const problem = useApp((state) => filmProblem({ ...state, filming: state.ui.filming }, flight));
+  const problem = useApp((state) => filmProblem(state, flight));
   if (watches) return null;
   return (
     <Act

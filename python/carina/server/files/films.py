@@ -90,9 +90,11 @@ def _number(query: Mapping[str, str], name: str, usual: float | None = None) -> 
     return value
 
 
-def _reported(error: BaseException) -> CarinaError:
+def _reported(error: BaseException, job: Job) -> CarinaError:
     """Return the error of a job as the answer to the request for its video."""
     if isinstance(error, CancelledError):
+        if job.stop_reason is not None:
+            return CarinaError(f"the video was cancelled because {job.stop_reason}", code="export.video-lost")
         return CarinaError("the video was cancelled", code="export.video-stopped")
     if isinstance(error, CarinaError):
         return error
@@ -185,7 +187,7 @@ class Films:
             self._write(job, path, order, flight)
         except BaseException as error:
             rmtree(path.parent, ignore_errors=True)
-            done.set_exception(_reported(error))
+            done.set_exception(_reported(error, job))
             raise
         done.set_result(path)
 

@@ -37,7 +37,7 @@ async def fork_sheet_answer(session: Session) -> Response:
                 volume, airways, route, cost=cost, operator=operator, progress=job.progress, cancel=job.cancel
             )
         except CancelledError:
-            _fail(done, CarinaError("the contact sheet was cancelled", code="plan.sheet-stopped"))
+            _fail(done, _cancelled(job))
             raise
         except BaseException as error:
             _fail(done, error if isinstance(error, CarinaError) else _fault())
@@ -49,6 +49,12 @@ async def fork_sheet_answer(session: Session) -> Response:
     png = await asyncio.wrap_future(done)
     headers = {"cache-control": "no-store", "content-disposition": f'attachment; filename="{FILE_NAME}"'}
     return Response(png, media_type="image/png", headers=headers)
+
+
+def _cancelled(job: Job) -> CarinaError:
+    if job.stop_reason is None:
+        return CarinaError("the contact sheet was cancelled", code="plan.sheet-stopped")
+    return CarinaError(f"the contact sheet was cancelled because {job.stop_reason}", code="plan.sheet-lost")
 
 
 def _fault() -> CarinaError:
