@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -29,13 +30,46 @@ def test_route_without_a_fork_has_no_contact_sheet(window_case):
     state = window_case.session.ask(c.PictureFacts())
     short = SimpleNamespace(spans=state.route.spans, forks_mm=())
     with pytest.raises(NoResultError, match="passes no fork"):
-        fork_sheet_png(state.volume, state.airways, short)
+        fork_sheet_png(state.volume, state.airways, short, cost="lumen")
+
+
+@pytest.fixture
+def searched_by_walls(window_case, tmp_path):
+    """Return a case file whose chosen route was searched with the cost walls, and which the session also shows."""
+    case = window_case.opened
+    state = window_case.session.ask(c.PictureFacts())
+    airways, route = state.airways, state.route
+    end = tuple(float(v) for v in route.points_lps[len(route.points_lps) // 2])
+    root = tuple(float(v) for v in airways.tree.root.points[0])
+    try:
+        case.do(c.AddTarget(end, cost="walls", root_lps=root))
+        yield case.save(tmp_path / "walls"), case.state.document
+    finally:
+        case.undo()
+        # The other tests compare the session with its file.
+        case.do(c.GoTo(path_mm=30.0))
+
+
+def test_path_by_walls_has_no_contact_sheet_and_no_turns_in_its_captions(
+    carina, window_case, searched_by_walls, tmp_path
+):
+    path, document = searched_by_walls
+    assert document.cost_of(document.route) == "walls"
+    assert document.cost_of(dataclasses.replace(document.route, target_id=None)) == "lumen"
+    with pytest.raises(NoResultError, match="not searched in the airways"):
+        asyncio.run(fork_sheet_answer(window_case.session))
+    assert window_case.session.ask(c.FlightToFilm("route")).caption_route is None
+    given = ("--to", document.targets[0].name, "--ct", window_case.path.parent / "ct.nii.gz")
+    refused = carina("render", path, "--view", "forks", *given, "-o", tmp_path / "forks.png")
+    assert refused.code == 4
+    assert "not searched in the airways" in refused.err
+    assert not (tmp_path / "forks.png").exists()
 
 
 def test_cancelled_contact_sheet_stops(window_case):
     state = window_case.session.ask(c.PictureFacts())
     with pytest.raises(CancelledError):
-        fork_sheet_png(state.volume, state.airways, state.route, cancel=lambda: True)
+        fork_sheet_png(state.volume, state.airways, state.route, cost="lumen", cancel=lambda: True)
 
 
 def test_command_refuses_options_that_the_sheet_does_not_use(carina, window_case, tmp_path):

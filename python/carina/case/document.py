@@ -116,3 +116,12 @@ class Document:
     targets: tuple[Target, ...] = ()
     route: ChosenRoute | None = None
     key_frames: KeyFrames = KeyFrames()
+
+    def cost_of(self, route: ChosenRoute | None) -> PathCost:
+        """Return the name of the edge cost by which the path of a route was searched.
+
+        A route to a branch, and a planned route with a needle, follow the airways: their cost is ``lumen``.
+        """
+        if route is None or route.needle is not None:
+            return "lumen"
+        return next((target.cost for target in self.targets if target.target_id == route.target_id), "lumen")

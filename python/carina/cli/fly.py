@@ -184,6 +184,9 @@ def _captions(
         airways = source.airways(progress)
     except NoResultError:
         airways = None
+    if source.document is not None and source.document.cost_of(way) != "lumen":
+        print_note("note: this path was not searched in the airways, so the captions name no turns")
+        way = None
     return flight_captions(source.volume, airways, way, renderer if isinstance(renderer, Renderer) else None).lines
 
 

@@ -9,7 +9,7 @@ from carina.cli.arguments import check_output_file
 from carina.cli.console import interruptible, print_json, print_note, progress_printer
 from carina.cli.opened import check_case_options, open_input
 from carina.disk import write_whole
-from carina.session.flights.fork_sheet import fork_sheet_png
+from carina.session.flights.fork_sheet import check_forks, fork_sheet_png
 
 FORK_SHEET = "forks"
 """Name of the sheet as a view of the command; the window saves the sheet of the chosen route."""
@@ -25,11 +25,15 @@ def write_fork_sheet(
     progress = progress_printer()
     source = open_input(path, series=series, progress=progress, ct=ct)
     way = route_to(source, to, tree_file=None, progress=progress)
+    cost = "lumen" if source.document is None else source.document.cost_of(way)
+    check_forks(way, cost)
     print_drawn_parts(way)
     airways = source.airways(progress)
     source.badges.add(getattr(airways, "badges", ()))
     operator = "head" if source.document is None else source.document.look.operator
-    png = interruptible(lambda: fork_sheet_png(source.volume, airways, way, operator=operator, progress=progress))
+    png = interruptible(
+        lambda: fork_sheet_png(source.volume, airways, way, cost=cost, operator=operator, progress=progress)
+    )
     write_whole(output, png, what="the image")
     print_note(f"wrote {output}")
     if as_json:

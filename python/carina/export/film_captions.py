@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from carina.navigate import FlightPath
 from carina.navigate.recording import ReplayedPose
 from carina.plan import DistanceOrigin, Turn
-from carina.track import AirwayTree, caption_name
+from carina.track import AirwayTree
+from carina.track.tree.branch_labels import branch_label
 
 AHEAD_MM = 40.0
 """Distance to the next turn, mm, up to which the caption names the turn."""
@@ -67,7 +68,7 @@ class FilmCaptions:
         *before, _ = self._tree.lineage(branch.id)
         steps = np.linalg.norm(np.diff(branch.points[: index + 1], axis=0), axis=1)
         along_mm = sum(one.length_mm for one in before) + float(steps.sum())
-        return [caption_name(branch), self._origin.words(self._origin.past_mm(along_mm))]
+        return [branch_label(branch), self._origin.words(self._origin.past_mm(along_mm))]
 
     def _turn(self, frame: ReplayedPose, position: NDArray[np.float64]) -> str | None:
         """Return the text of the next turn on the path, with its direction in the frame; None if it is far."""
@@ -79,12 +80,18 @@ class FilmCaptions:
             if ahead_mm > 0.0:
                 if ahead_mm > AHEAD_MM:
                     return None
-                text = f"in {ahead_mm:.0f} mm: {turn.to_branch}"
+                text = f"in {ahead_mm:.0f} mm: {self._label(turn)}"
                 if ahead_mm > HOUR_MM:
                     return text
                 direction = turn.direction_in(frame.pose, picture_turned=frame.picture_turned)
                 return text if direction is None else f"{text}, {direction}".replace("\u2019", "'")
         return None
+
+    def _label(self, turn: Turn) -> str:
+        """Return the label of the branch into which a turn leads."""
+        branches = () if self._tree is None else self._tree.branches
+        branch = next((one for one in branches if one.id == turn.to_branch_id), None)
+        return turn.to_branch if branch is None or branch.name != turn.to_branch else branch_label(branch)
 
     def _place_mm(self, point: NDArray[np.float64]) -> float:
         """Return the distance along the path of the path point that is nearest to a point, mm."""

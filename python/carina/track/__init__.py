@@ -45,7 +45,7 @@ from carina.track.surface.wall import wall_field
 from carina.track.targets.results import TargetResult, TrackResult
 from carina.track.targets.tracking import track_paths
 from carina.track.tree.airway_tree import AirwayTree, Branch, Route, TreeRow
-from carina.track.tree.drawn_parts import DrawnPart, caption_name, drawn_part, drawn_tree, kind_words
+from carina.track.tree.drawn_parts import DrawnPart, drawn_part, drawn_tree, kind_words
 from carina.track.tree.path_between import way_between
 from carina.track.tree.thick_slices import CalibratedShares, CalibreShare
 from carina.track.tree.uncertainty import Uncertainty
@@ -95,7 +95,6 @@ __all__ = [
     "aimed_path",
     "branch_side_and_lobe",
     "branch_way",
-    "caption_name",
     "drawn_part",
     "drawn_tree",
     "edit_airways",

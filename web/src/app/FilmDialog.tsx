@@ -3,6 +3,7 @@
 import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import { FILM_SIZES, FILM_SPEEDS_MM_S, type FilmChoice, type FilmFlight, filmProblem } from "../state/film";
+import { isSearchedInAirways } from "../state/fork-sheet";
 import { useApp, useStation } from "./context";
 import { Act, Choice, SwitchKey } from "./controls";
 import { Figure } from "./Figure";
@@ -11,7 +12,7 @@ import { Figure } from "./Figure";
 export function SaveVideo({ flight, testId }: { flight: FilmFlight; testId: string }) {
   const station = useStation();
   const watches = useApp((state) => state.watches);
-  const problem = useApp((state) => filmProblem({ ...state, filming: state.ui.filming }, flight));
+  const problem = useApp((state) => filmProblem(state, flight));
   if (watches) return null;
   return (
     <Act
@@ -63,6 +64,7 @@ function Options({ flight }: { flight: FilmFlight }) {
   const choice = useApp((state) => state.ui.filmChoice);
   const noVideo = useApp((state) => state.start?.no_video ?? null);
   const title = useTitle(flight);
+  const namesTurns = useApp((state) => flight.kind === "route" && isSearchedInAirways(state));
   const change = (part: Partial<FilmChoice>) => station.ui({ filmChoice: { ...choice, ...part } });
   return (
     <>
@@ -106,11 +108,7 @@ function Options({ flight }: { flight: FilmFlight }) {
         <span className="film-label">Captions</span>
         <SwitchKey
           label={choice.captions ? "On" : "Off"}
-          words={
-            flight.kind === "route"
-              ? "Time, branch, depth, and the next turn with its clock hour"
-              : "Time, branch and depth"
-          }
+          words={namesTurns ? "Time, branch, depth, and the next turn with its clock hour" : "Time, branch and depth"}
           on={choice.captions}
           testId="film-captions"
           onChange={() => change({ captions: !choice.captions })}
@@ -121,7 +119,7 @@ function Options({ flight }: { flight: FilmFlight }) {
           {`${noVideo.charAt(0).toUpperCase()}${noVideo.slice(1)}`}
         </p>
       )}
-      <p className="quiet">The file contains no patient name. Not a medical device.</p>
+      <p className="quiet">The file contains no patient name. Carina is not a medical device.</p>
       <div className="dialog-actions">
         <Act
           kind="primary"

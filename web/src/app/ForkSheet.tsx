@@ -1,5 +1,6 @@
 /** Button that saves one image with all forks of the route. */
 
+import { forksProblem } from "../state/fork-sheet";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
@@ -7,12 +8,7 @@ import { Act } from "./controls";
 export function SaveForks() {
   const station = useStation();
   const watches = useApp((state) => state.watches);
-  const problem = useApp(({ route, tree, ui }) => {
-    if (route === null) return "There is no route yet. Choose a branch, or mark a target.";
-    if (tree === null) return "The airways have not been segmented yet.";
-    if (route.forks_mm.length === 0) return "This route passes no fork.";
-    return ui.makingForks ? "The forks are being rendered. Wait, or cancel." : null;
-  });
+  const problem = useApp(forksProblem);
   if (watches) return null;
   return (
     <Act

@@ -1,12 +1,10 @@
 /** Videos of flights: the server renders them in a job, and the browser saves the finished file. */
 
-import { DownloadError, fetchFilm, startFilm } from "../net/download";
-import { type FilmFlight, filmName, filmProblem, filmQuery } from "../state/film";
+import { fetchFilm, startFilm } from "../net/download";
+import { type FilmFlight, filmName, filmProblem, filmQuery, isFilming } from "../state/film";
+import { downloadMessage } from "./download-message";
 import type { Station } from "./station";
 import { saveAs } from "./station-parts";
-
-/** Code of the error of a video that the user has cancelled. */
-const CANCELLED = "export.video-stopped";
 
 /** Save videos of flights. */
 export class FilmFiles {
@@ -19,7 +17,7 @@ export class FilmFiles {
   /** Open the dialog for the video of a flight; show the reason if there is no such flight. */
   open(flight: FilmFlight): void {
     const { state } = this.#station;
-    const problem = filmProblem({ ...state, filming: state.ui.filming }, flight);
+    const problem = filmProblem(state, flight);
     if (problem === null) this.#station.ui({ film: flight });
     else this.#station.notice(problem);
   }
@@ -28,22 +26,20 @@ export class FilmFiles {
   async save(): Promise<void> {
     const { state } = this.#station;
     const { film: flight, filmChoice: choice } = state.ui;
-    if (flight === null || state.ui.filming) return;
+    if (flight === null || isFilming(state)) return;
     this.#station.ui({ film: null, filming: true });
+    let jobId: string | null = null;
     try {
-      const jobId = await startFilm(filmQuery(state.window, flight, choice));
+      jobId = await startFilm(filmQuery(state.window, flight, choice));
       const { name, blob } = await fetchFilm(jobId, filmName(flight, choice.format));
       saveAs(name, blob);
       this.#station.notice("Video saved.");
     } catch (error) {
-      if (!(error instanceof DownloadError)) this.#show("download.failed", "The video could not be downloaded.");
-      else if (error.code !== CANCELLED) this.#show(error.code, error.message);
+      const isCancelledHere = jobId !== null && this.#station.state.cancelledJobs.includes(jobId);
+      const message = downloadMessage(error, "The video", isCancelledHere);
+      if (message !== null) this.#station.store.dispatch({ kind: "say", message });
     } finally {
       this.#station.ui({ filming: false });
     }
-  }
-
-  #show(code: string, message: string): void {
-    this.#station.store.dispatch({ kind: "say", message: { kind: "error", code, message, action: null } });
   }
 }

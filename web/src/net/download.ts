@@ -63,14 +63,31 @@ export async function startFilm(query: string): Promise<string> {
   return jobId;
 }
 
-/** Wait until the job of a video has ended, and download the video. */
-export async function fetchFilm(jobId: string, name: string): Promise<{ name: string; blob: Blob }> {
+/** Pause before a failed request for a video is repeated, ms. */
+const RETRY_MS = 2000;
+/** Number of successive failed requests for a video after which the download fails. */
+const MAX_FAILURES = 30;
+
+/** Wait until the job of a video has ended, and download the video; requests that the network loses are repeated. */
+export async function fetchFilm(
+  jobId: string,
+  name: string,
+  pause: (ms: number) => Promise<void> = (ms) => new Promise((done) => setTimeout(done, ms)),
+): Promise<{ name: string; blob: Blob }> {
+  let failures = 0;
   for (;;) {
-    const response = await fetch(`./api/films/${encodeURIComponent(jobId)}`);
-    if (!response.ok) throw await errorOf(response);
-    // The status 202 means that the video is not finished; the server answers after some seconds.
-    if (response.status !== 202) return { name, blob: await response.blob() };
-    await response.body?.cancel();
+    try {
+      const response = await fetch(`./api/films/${encodeURIComponent(jobId)}`);
+      if (!response.ok) throw await errorOf(response);
+      // The status 202 means that the video is not finished; the server answers after some seconds.
+      if (response.status !== 202) return { name, blob: await response.blob() };
+      await response.body?.cancel();
+      failures = 0;
+    } catch (error) {
+      failures += 1;
+      if (error instanceof DownloadError || failures >= MAX_FAILURES) throw error;
+      await pause(RETRY_MS);
+    }
   }
 }
 

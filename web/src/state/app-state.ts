@@ -183,6 +183,8 @@ export interface AppState {
   readonly route: RouteInfo | null;
   readonly pose: PoseMessage | null;
   readonly jobs: readonly ProgressMessage[];
+  /** IDs of the jobs that this window has cancelled. */
+  readonly cancelledJobs: readonly string[];
   readonly messages: readonly Message[];
   readonly nextMessageId: number;
   readonly status: StatusMessage | null;
@@ -262,6 +264,7 @@ export const INITIAL_STATE: AppState = {
   route: null,
   pose: null,
   jobs: [],
+  cancelledJobs: [],
   messages: [],
   nextMessageId: 1,
   status: null,
@@ -516,6 +519,7 @@ function sessionChanged(state: AppState, session: StateMessage): AppState {
         ...NOTHING_HELD,
         ...FIRST_SEARCH,
         full: null,
+        film: null,
         advancing: false,
         keysOpen: false,
         saveOpen: false,
@@ -525,7 +529,13 @@ function sessionChanged(state: AppState, session: StateMessage): AppState {
     };
   } else if (now !== null && caseKey(state.session) !== caseKey(session)) {
     const hasFindings = now.quality.length + now.warnings.length > 0 || !now.is_hu;
-    const ui: Ui = { ...next.ui, ...NOTHING_HELD, ...FIRST_SEARCH, step: hasFindings ? "check" : "airways" };
+    const ui: Ui = {
+      ...next.ui,
+      ...NOTHING_HELD,
+      ...FIRST_SEARCH,
+      film: null,
+      step: hasFindings ? "check" : "airways",
+    };
     next = { ...next, ...NOTHING_SHOWN, frames: {}, picks: [], local: NOTHING_LOCAL, ui };
   }
   return { ...next, look: shown(next.local.look, session.look), sight: shown(next.local.sight, session.sight) };
@@ -602,6 +612,8 @@ function foresee(state: AppState, message: ClientMessage, number: number): AppSt
     case "previous_fork":
     case "place":
       return state.local.pathMm === null ? state : { ...state, local: { ...state.local, pathMm: null } };
+    case "cancel":
+      return { ...state, cancelledJobs: [...state.cancelledJobs, message.job_id] };
     case "accept_notice":
       return state.start === null ? state : { ...state, start: { ...state.start, notice_accepted: true } };
     default:

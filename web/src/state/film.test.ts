@@ -4,17 +4,22 @@ import { INITIAL_STATE } from "./app-state";
 import { FIRST_FILM, filmName, filmProblem, filmQuery } from "./film";
 
 const session = { case: {} } as unknown as NonNullable<typeof INITIAL_STATE.session>;
-const open = { ...INITIAL_STATE, session, filming: false };
+const open = { ...INITIAL_STATE, session };
 
 describe("videos", () => {
   it("A video without its flight, or beside another video, states the reason.", () => {
-    expect(filmProblem({ ...INITIAL_STATE, filming: false }, { kind: "route" })).toMatch(/Open a case/);
+    expect(filmProblem(INITIAL_STATE, { kind: "route" })).toMatch(/Open a case/);
     expect(filmProblem(open, { kind: "route" })).toMatch(/no route/);
     expect(filmProblem(open, { kind: "key_frames" })).toMatch(/two key frames/);
     expect(filmProblem(open, { kind: "recording", number: 1 })).toMatch(/removed/);
     const route = {} as RouteInfo;
     expect(filmProblem({ ...open, route }, { kind: "route" })).toBeNull();
-    expect(filmProblem({ ...open, route, filming: true }, { kind: "route" })).toMatch(/being saved/);
+    const filming = { ...open, route, ui: { ...open.ui, filming: true } };
+    expect(filmProblem(filming, { kind: "route" })).toMatch(/being saved/);
+    // Another window, or this page before a reload, has started a video.
+    expect(filmProblem({ ...open, route, jobs: [{ title: "saving the video" }] }, { kind: "route" })).toMatch(
+      /being saved/,
+    );
   });
 
   it("A recording that is not complete has no video.", () => {

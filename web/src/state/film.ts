@@ -1,6 +1,6 @@
 /** Choices for a video of a flight, and the reasons why a video cannot be saved. */
 
-import type { FlightInfo, KeyFramesMessage, RouteInfo, StateMessage } from "../wire/messages";
+import type { FlightInfo, KeyFramesMessage, ProgressMessage, RouteInfo, StateMessage } from "../wire/messages";
 
 /** The flight that a video shows. */
 export type FilmFlight =
@@ -38,17 +38,22 @@ interface FilmState {
   readonly keyFrames: KeyFramesMessage | null;
   readonly flights: readonly FlightInfo[];
   readonly session: StateMessage | null;
-  /** Whether a video is being rendered. */
-  readonly filming: boolean;
+  readonly jobs: readonly Pick<ProgressMessage, "title">[];
+  readonly ui: { readonly filming: boolean };
 }
 
+/** Title of the server's job that renders a video. */
+const FILM_JOB = "saving the video";
+
+/** Return whether a video is being rendered: for this window, for another one, or for this page before a reload. */
+export const isFilming = ({ jobs, ui }: Pick<FilmState, "jobs" | "ui">): boolean =>
+  ui.filming || jobs.some(({ title }) => title === FILM_JOB);
+
 /** Return the reason why no video of a flight can be saved now, as text for the user; null if one can be saved. */
-export function filmProblem(
-  { route, keyFrames, flights, session, filming }: FilmState,
-  flight: FilmFlight,
-): string | null {
+export function filmProblem(state: FilmState, flight: FilmFlight): string | null {
+  const { route, keyFrames, flights, session } = state;
   if (session?.case == null) return "Open a case first.";
-  if (filming) return "A video is being saved. Wait until it is complete, or cancel it.";
+  if (isFilming(state)) return "A video is being saved. Wait until it is complete, or cancel it.";
   switch (flight.kind) {
     case "route":
       return route === null ? "There is no route yet. Choose a branch, or mark a target." : null;

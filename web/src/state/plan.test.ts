@@ -4,6 +4,7 @@ import {
   type PlannedTurn,
   type RouteInfo,
   type RouteOffer,
+  type ScopeVerdict,
   type StationOnRoute,
   type TargetPlan,
 } from "../wire/messages";
@@ -107,11 +108,15 @@ describe("table of routes", () => {
 });
 
 describe("other instruments", () => {
-  it("The text states in words how many of them reach the target.", () => {
-    expect(othersText(17, 0)).toBe("None of 17 other instruments reaches it");
-    expect(othersText(17, 1)).toBe("1 of 17 other instruments reaches it");
-    expect(othersText(17, 3)).toBe("3 of 17 other instruments reach it");
-    expect(othersText(17, 17)).toBe("All of 17 other instruments reach it");
-    expect(othersText(1, 0)).toBe("The other instrument does not reach it");
+  const verdicts = (...outcomes: string[]) => outcomes.map((outcome) => ({ outcome })) as unknown as ScopeVerdict[];
+
+  it("The text counts those that reach the target apart from those that may reach it.", () => {
+    const others = verdicts("may reach", "reaches", "cannot say", "may reach", "does not reach");
+    expect(othersText(others, "had")).toBe("5 other instruments: 1 reach it, 2 may reach it");
+    expect(othersText(verdicts("cannot say"), "had")).toBe("1 other instruments: 0 reach it, 0 may reach it");
+  });
+
+  it("The text states that verdicts are incomplete.", () => {
+    expect(othersText(verdicts("reaches"), "making")).toBe("1 other instruments: 1 reach it, 0 may reach it so far");
   });
 });

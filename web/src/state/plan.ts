@@ -164,9 +164,9 @@ export function distanceToRouteMm(route: RouteInfo, tip: Vec3): number | null {
   return found !== null && found.away <= Math.max(found.radius, 1) ? found.mm : null;
 }
 
-/** Return how many of the other instruments reach a target, as text. */
-export function othersText(count: number, reach: number): string {
-  if (count === 1) return `The other instrument ${reach === 1 ? "reaches" : "does not reach"} it`;
-  const share = reach === 0 ? "None" : reach === count ? "All" : String(reach);
-  return `${share} of ${count} other instruments ${reach > 1 ? "reach" : "reaches"} it`;
+/** Return how many of the other instruments reach a target, and how many may reach the target, as text. */
+export function othersText(others: readonly ScopeVerdict[], standing: PlansMessage["verdicts_standing"]): string {
+  const count = (outcome: string): number => others.filter((verdict) => verdict.outcome === outcome).length;
+  const text = `${others.length} other instruments: ${count("reaches")} reach it, ${count("may reach")} may reach it`;
+  return standing === "making" ? `${text} so far` : text;
 }

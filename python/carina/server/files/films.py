@@ -91,9 +91,11 @@ def _number(query: Mapping[str, str], name: str, usual: float | None = None) -> 
     return value
 
 
-def _reported(error: BaseException) -> CarinaError:
+def _reported(error: BaseException, job: Job) -> CarinaError:
     """Return the error of a job as the answer to the request for its video."""
     if isinstance(error, CancelledError):
+        if job.stop_reason is not None:
+            return CarinaError(f"the video was cancelled because {job.stop_reason}", code="export.video-lost")
         return CarinaError("the video was cancelled", code="export.video-stopped")
     if isinstance(error, CarinaError):
         return error
@@ -210,7 +212,7 @@ class Films:
             self._write(job, path, order, flight)
         except BaseException as error:
             rmtree(path.parent, ignore_errors=True)
-            set_failure(done, _reported(error))
+            set_failure(done, _reported(error, job))
             raise
         set_result(done, path)
 
@@ -225,7 +227,7 @@ class Films:
             if order.captions:
                 job.progress("finding the turns", None)
                 own = renderer if isinstance(renderer, Renderer) else None
-                captions = flight_captions(flight.volume, flight.airways, flight.route, own).lines
+                captions = flight_captions(flight.volume, flight.airways, flight.caption_route, own).lines
             write_frames(
                 video,
                 renderer,

@@ -51,8 +51,8 @@ class FilmFlight:
 
     volume: Volume
     airways: Airways | None
-    route: ChosenRoute | None
-    """Route of the flight; None for key frames and recordings."""
+    caption_route: ChosenRoute | None
+    """Route whose turns the captions name; None without turns, as for a path that was not searched in the airways."""
     make_renderer: Callable[[], Any]
     """Function that creates a renderer of the volume on this machine, independent of those of the windows."""
     frames: Callable[[Progress, Note], list[ReplayedPose]]
@@ -102,11 +102,12 @@ class FilmHandlers(CommandHandlers):
             raise NoResultError("there is no route yet: choose a branch or mark a target", code="session.route")
         else:
             flight = AutoFlight(document.route.path, speed_mm_s=question.speed_mm_s, pause_s=question.pause_s)
-        route = document.route if question.flight == "route" else None
+        # The turns come from the airway tree, so they do not describe a path that was searched with another cost.
+        turns = question.flight == "route" and document.cost_of(document.route) == "lumen"
         return FilmFlight(
             volume,
             airways,
-            route,
+            document.route if turns else None,
             make_renderer,
             lambda progress, _note: frames_of_flight(flight, view, question.rate_hz, progress=progress),
         )

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from carina import plan
 from carina.case.routes import ChosenRoute
+from carina.commands.tree import PathCost
 from carina.display.png import png_bytes
 from carina.errors import NoResultError
 from carina.plan.turns.contact_sheet import contact_sheet
@@ -20,12 +21,37 @@ SIDE_PX = 384
 TURNS_SHARE = 0.3
 """Share of the work that the search of the openings takes."""
 
+NOT_IN_AIRWAYS = "this path was not searched in the airways; forks are shown for routes in the lumen"
+
+
+def check_forks(route: ChosenRoute, cost: PathCost) -> None:
+    """Raise an error if a route has no contact sheet.
+
+    Parameters
+    ----------
+    route
+        The route.
+    cost
+        Edge cost by which the path of the route was searched. The turns come from the airway tree, so they do not
+        describe a path that was searched with another cost than ``lumen``.
+
+    Raises
+    ------
+    NoResultError
+        ``plan.no-forks``: if the route passes no fork, or was not searched in the airways.
+    """
+    if cost != "lumen":
+        raise NoResultError(NOT_IN_AIRWAYS, code="plan.no-forks")
+    if not route.spans or not route.forks_mm:
+        raise NoResultError("this route passes no fork, so there is nothing to show", code="plan.no-forks")
+
 
 def fork_sheet_png(
     volume: Volume,
     airways: Airways,
     route: ChosenRoute,
     *,
+    cost: PathCost,
     operator: Operator = "head",
     progress: Callable[[str, float | None], None] | None = None,
     cancel: Callable[[], bool] | None = None,
@@ -38,6 +64,8 @@ def fork_sheet_png(
         The CT and its airways, with all edits.
     route
         The route.
+    cost
+        Edge cost by which the path of the route was searched.
     operator
         Position of the operator, for clock hours and the orientation of the pictures.
     progress
@@ -48,12 +76,11 @@ def fork_sheet_png(
     Raises
     ------
     NoResultError
-        ``plan.no-forks``: if the route passes no fork.
+        ``plan.no-forks``: if the route passes no fork, or was not searched in the airways.
     CancelledError
         If ``cancel()`` returned True.
     """
-    if not route.spans or not route.forks_mm:
-        raise NoResultError("this route passes no fork, so there is nothing to show", code="plan.no-forks")
+    check_forks(route, cost)
     if progress is not None:
         progress("finding the openings", 0.0)
     renderer = Renderer(volume)

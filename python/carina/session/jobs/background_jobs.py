@@ -22,6 +22,10 @@ from carina.session.jobs.job_groups import current_group
 
 logger = logging.getLogger(__name__)
 
+STARTED_AGAIN = "the same job was started again, for example in another window"
+CASE_CLOSED = "the case was closed"
+OTHER_CASE = "another case was opened"
+
 
 @cache
 def _load_malloc_trim() -> Callable[[int], int] | None:
@@ -107,6 +111,8 @@ class Job:
         self.kind = kind
         self._runner = runner
         self._cancelled = threading.Event()
+        self.stop_reason: str | None = None
+        """Reason why the job was stopped, as the end of a sentence; None for a running or cancelled job."""
         self._stage = ""
         self._began_s, self._began_at = 0.0, 0.0
         """Time in s and finished fraction at the start of the current stage.
@@ -120,8 +126,16 @@ class Job:
         """Return whether the job was stopped; passed to long functions as ``cancel``."""
         return self._cancelled.is_set()
 
-    def stop(self) -> None:
-        """Request the end of the job, which ends at its next check."""
+    def stop(self, reason: str | None = None) -> None:
+        """Request the end of the job, which ends at its next check.
+
+        Parameters
+        ----------
+        reason
+            Reason as the end of a sentence for the user; None if the user cancelled the job.
+        """
+        if not self.cancel():
+            self.stop_reason = reason
         self._cancelled.set()
 
     def check(self) -> None:
@@ -225,7 +239,7 @@ class JobRunner:
                 raise _closing_error(title)
             for other in self._jobs.values():
                 if other.kind == kind:
-                    other.stop()
+                    other.stop(STARTED_AGAIN)
             job = Job(f"job-{next(self._numbers)}", title, kind, self)
             self._jobs[job.job_id] = job
         # The job inherits the context of the caller, such as the current command.
@@ -268,16 +282,16 @@ class JobRunner:
         return job is not None and job.cancel()
 
     def cancel_kinds(self, *kinds: str) -> None:
-        """Stop the jobs of these kinds, or all jobs if no kind is given."""
+        """Stop the jobs of these kinds; without kinds stop all jobs, because the case is closed."""
         for job in self.running:
             if not kinds or job.kind in kinds:
-                job.stop()
+                job.stop(None if kinds else CASE_CLOSED)
 
     def cancel_others(self, than: Job) -> None:
-        """Request all running jobs except ``than`` to stop."""
+        """Request all running jobs except ``than``, which opens another case, to stop."""
         for job in self.running:
             if job is not than:
-                job.stop()
+                job.stop(OTHER_CASE)
 
     def wait_idle(self, timeout_s: float | None) -> bool:
         """Wait until no job runs; return False after ``timeout_s`` seconds. With None, wait without limit."""

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from carina.render import LEAD_VIEW, VIEWS, PathSpan, Picture
 from carina.render.saved_picture import NamedPlace, PictureMarks, finish_picture
-from carina.track import Airways, AirwayTree, Branch, caption_name, kind_words
+from carina.track import Airways, AirwayTree, Branch, kind_words
+from carina.track.tree.branch_labels import branch_label
 
 if TYPE_CHECKING:
-    from carina.case.routes import ChosenRoute
+    from carina.case.routes import ChosenRoute, RouteSpan
     from carina.volume import Volume
 
 AHEAD_MM = 45.0
@@ -55,27 +56,35 @@ def finish_case_picture(
     row = VIEWS[picture.view]
     extra: dict[str, Any] = {}
     if route is not None and picture.lines is not None:
-        extra = {"spans": path_spans(route), "radius_mm": (route.cumulative_mm, route.radius_mm)}
+        extra = {"spans": path_spans(route, airways), "radius_mm": (route.cumulative_mm, route.radius_mm)}
     elif marks.names and row.named and airways is not None:
-        title = _title(picture, airways.tree)
-        places = [place for place in _places(picture, volume, airways) if place.text != title]
-        extra = {"places": places, "title": title}
+        branch = _branch_at_lens(picture, airways.tree)
+        extra = {
+            "places": _places(picture, volume, airways, without=None if branch is None else branch.name),
+            "title": None if branch is None else branch_label(branch),
+        }
     return finish_picture(picture, marks, tip_lps=tip_lps, **extra)
 
 
-def path_spans(route: ChosenRoute) -> list[PathSpan]:
+def path_spans(route: ChosenRoute, airways: Airways | None) -> list[PathSpan]:
     """Return the branches along a route with the names that a view along the path shows."""
-    return [
-        PathSpan(
-            kind_words(s.kind) or s.name or f"generation {s.generation}", s.from_mm, s.to_mm, drawn=s.kind != "tracked"
+    branches = {} if airways is None else {branch.id: branch for branch in airways.tree.branches}
+
+    def name(span: RouteSpan) -> str:
+        branch = branches.get(span.branch_id)
+        own = span.name or f"generation {span.generation}"
+        return kind_words(span.kind) or (
+            branch_label(branch) if branch is not None and branch.name == span.name else own
         )
-        for s in route.spans
-    ]
+
+    return [PathSpan(name(s), s.from_mm, s.to_mm, drawn=s.kind != "tracked") for s in route.spans]
 
 
-def _places(picture: Picture, volume: Volume, airways: Airways) -> list[NamedPlace]:
-    """Return the names for a picture and their places, large branches first; each name once."""
-    named = sorted((b for b in airways.tree.branches if b.name), key=lambda b: -float(np.median(b.radius)))
+def _places(picture: Picture, volume: Volume, airways: Airways, *, without: str | None) -> list[NamedPlace]:
+    """Return the names for a picture except ``without``, and their places, large branches first; each name once."""
+    named = sorted(
+        (b for b in airways.tree.branches if b.name and b.name != without), key=lambda b: -float(np.median(b.radius))
+    )
     found: dict[str, NamedPlace] = {}
     for branch in named:
         if branch.name in found:
@@ -83,8 +92,7 @@ def _places(picture: Picture, volume: Volume, airways: Airways) -> list[NamedPla
         point = _place(picture, branch, volume, airways)
         if point is not None:
             x, y, z = (float(v) for v in point)
-            text = caption_name(branch)
-            found[str(branch.name)] = NamedPlace(text, (x, y, z), doubtful=text != branch.name)
+            found[str(branch.name)] = NamedPlace(branch_label(branch), (x, y, z), doubtful=branch.kind != "tracked")
     return list(found.values())
 
 
@@ -130,9 +138,11 @@ def _is_seen(point: Points, lens_lps: Points, volume: Volume, airways: Airways) 
     return bool((airways.lumen_zyx[ijk[:, 2], ijk[:, 1], ijk[:, 0]] != 0).all())
 
 
-def _title(picture: Picture, tree: AirwayTree) -> str | None:
-    """Return the name of the branch that contains the lens of an airway view, with its doubts; None outside."""
+def _branch_at_lens(picture: Picture, tree: AirwayTree) -> Branch | None:
+    """Return the named branch that contains the lens of an airway view; None without one."""
     if picture.view != LEAD_VIEW or picture.lps_from_camera is None:
         return None
     branch, index, away_mm = tree.nearest_branch(picture.lps_from_camera[:3, 3])
-    return caption_name(branch) if away_mm <= float(branch.radius[index]) + NEAR_MM else None
+    if branch.name is None or away_mm > float(branch.radius[index]) + NEAR_MM:
+        return None
+    return branch

@@ -9,6 +9,7 @@ from carina.display import one_line
 
 if TYPE_CHECKING:
     from carina.case.routes import ChosenRoute
+    from carina.commands.tree import PathCost
     from carina.session.scene.shown_case import ShownCase
     from carina.track import Airways
     from carina.volume import Volume
@@ -24,6 +25,8 @@ class PictureState:
     route: ChosenRoute | None
     operator: Literal["head", "facing"]
     """Position of the operator."""
+    cost: PathCost
+    """Edge cost by which the path of the route was searched (:class:`carina.commands.AddTarget`)."""
     scene: ShownCase | None
     """What the views of the window show; None if the window may not see this case."""
 

@@ -15,6 +15,7 @@ from carina.session.state.snapshot import PointedPath, WallPoint
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+
 NO_AIRWAYS = "the airways have not been segmented yet: wait, or mark the trachea"
 
 
@@ -87,6 +88,7 @@ class CaseQuestions(CommandHandlers):
                 airways=document.airways,
                 route=document.route,
                 operator=document.look.operator,
+                cost=document.cost_of(document.route),
                 scene=self.core.scene(question.window),
             )
 

@@ -78,30 +78,3 @@ def drawn_tree(tree: AirwayTree) -> DrawnPart:
 def kind_words(kind: str) -> str | None:
     """Return the text after a branch's name, ``drawn by hand`` or ``bridge``; None for a branch that was found."""
     return {"manual": "drawn by hand", "bridge": "bridge"}.get(kind)
-
-
-UNSURE_NAME = 0.6
-"""Confidence below which a name gets a question mark; also ``DOUBTFUL.name`` of the window's list of branches."""
-
-
-def caption_name(branch: Branch) -> str:
-    """Return the name of a branch for pictures and videos, with the doubts that the list of branches shows.
-
-    Returns
-    -------
-    str
-        The name, or *generation 3* without one; a question mark after a name with a confidence below 0.6; and how the
-        branch was made if the CT does not show it, such as *drawn by hand*.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from carina.track import Branch
-    >>> points, radius = np.array([[0.0, 0, 0], [0, 4, -30]]), np.array([3.0, 3])
-    >>> caption_name(Branch(0, None, (), 4, "LB6", "manual", points, radius, name_confidence=0.55))
-    'LB6?, drawn by hand'
-    """
-    is_unsure = branch.name is not None and branch.name_confidence is not None and branch.name_confidence < UNSURE_NAME
-    name = f"{branch.name or f'generation {branch.generation}'}{'?' if is_unsure else ''}"
-    kind = kind_words(branch.kind)
-    return name if kind is None else f"{name}, {kind}"

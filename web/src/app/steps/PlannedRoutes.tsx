@@ -329,7 +329,6 @@ function Verdicts({ plans, planned }: { plans: PlansMessage; planned: string }) 
   const [all, setAll] = useState(false);
   const own = plans.verdicts.find((verdict) => verdict.scope === planned) ?? null;
   const others = verdictsInOrder(plans.verdicts).filter((verdict) => verdict !== own);
-  const reach = others.filter((verdict) => verdict.outcome === "reaches").length;
   return (
     <div className="verdicts" data-testid="verdicts">
       <h3>Instruments</h3>
@@ -344,7 +343,7 @@ function Verdicts({ plans, planned }: { plans: PlansMessage; planned: string }) 
         <>
           <Act
             kind="quiet"
-            label={all ? "Hide the other instruments" : othersText(others.length, reach)}
+            label={all ? "Hide the other instruments" : othersText(others, plans.verdicts_standing)}
             words="What the other instruments of the library can do on this route"
             testId="all-verdicts"
             onPress={() => setAll(!all)}
