@@ -8,6 +8,7 @@ import pytest
 from carina.scopes import Pose, WallField, scope_preset
 from carina.track import AirwayTree, Branch
 from carina.training.attempt_checks import attempt_doubts
+from carina.training.entries import entries_of, openings_entered, openings_passed
 from carina.training.flight_frames import FlightFrames, FlightOptics
 from carina.training.handling import TipPlaces, tip_places, wall_contacts
 from carina.training.openings_in_sight import BranchOpening, OpeningSights, openings_in_sight
@@ -86,7 +87,7 @@ def test_opening_is_in_sight_only_inside_the_round_picture(off_deg, expected):
     assert is_in_sight(disk(3.5), camera(look=(np.sin(a), 0.0, np.cos(a)))) is expected
 
 
-def test_opening_is_not_in_sight_from_inside_its_branch():
+def test_opening_itself_is_not_in_sight_from_inside_its_branch():
     assert is_in_sight(disk(4.0), camera())
     assert not is_in_sight(disk(4.0, into=(0.0, 0.0, -1.0)), camera())
 
@@ -149,6 +150,53 @@ def test_middle_of_the_picture_is_half_its_radius(off, expected):
 
 def test_opening_nearest_to_the_middle_is_visited():
     assert visits_of(sights_of((10, 20, 0.3), (10, 20, 0.2)), [[0], [1]]) == [Visit(20, 1)]
+
+
+def runs_of(*runs):
+    """Return one array of the values of runs: value and number of frames of each."""
+    return np.concatenate([np.full(num, value) for value, num in runs])
+
+
+@pytest.mark.parametrize(("num_frames", "expected"), [(5, None), (6, 15)])
+def test_segment_is_seen_and_visited_after_half_a_second_inside(num_frames, expected):
+    passed = runs_of((-1, 10), (0, num_frames), (-1, 50 - num_frames))
+    clear = np.ones(60, dtype=bool)
+    entered = openings_entered(passed, clear, 1)
+    assert entered == [expected]
+    assert places_seen(sights_of((0, 0, 0.9)), [[0]], entered) == [expected]
+    entries = entries_of(passed, clear, [[0]])
+    assert [(one.frame, one.place) for one in entries] == ([] if expected is None else [(expected, 0)])
+    assert visits_of(sights_of((0, 0, 0.9)), [[0]], entries) == entries
+
+
+def test_red_out_inside_a_segment_does_not_count():
+    clear = np.ones(60, dtype=bool)
+    clear[14] = False
+    assert entries_of(runs_of((-1, 10), (0, 9), (-1, 41)), clear, [[0]]) == []
+
+
+@pytest.mark.parametrize(("num_outside", "expected"), [(5, 1), (6, 2)])
+def test_segment_is_entered_again_after_half_a_second_outside(num_outside, expected):
+    passed = runs_of((0, 10), (-1, num_outside), (0, 10))
+    assert len(entries_of(passed, np.ones(len(passed), dtype=bool), [[0]])) == expected
+
+
+def test_red_out_inside_a_segment_is_no_exit():
+    clear = runs_of((True, 10), (False, 20), (True, 10))
+    assert len(entries_of(np.zeros(40, dtype=np.int64), clear, [[0]])) == 1
+
+
+@pytest.mark.parametrize(("z_mm", "branch", "expected"), [(19.9, 1, -1), (20.1, 1, 0), (19.0, 2, 0), (30.0, 0, -1)])
+def test_tip_is_inside_past_the_plane_of_the_opening_or_in_a_descendant(z_mm, branch, expected):
+    points = np.array([[0.0, 0.0, 10.0], [0.0, 0.0, 40.0], [0.0, 0.0, 60.0], [0.0, 9.0, 60.0]])
+    lines = [points[[0, 1]], points[[1, 2]], points[[2, 3]]]
+    tree = AirwayTree(
+        tuple(
+            Branch(n, n - 1 if n else None, (n + 1,) if n < 2 else (), n, None, "tracked", line, np.full(2, 4.0))
+            for n, line in enumerate(lines)
+        )
+    )
+    assert openings_passed(np.array([[0.0, 0.0, z_mm]]), np.array([branch]), tree, [disk(4.0)]).tolist() == [expected]
 
 
 def visits(*places):

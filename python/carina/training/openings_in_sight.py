@@ -100,6 +100,13 @@ def red_out(wall_mm: Points, tip_radius_mm: Points | float) -> Points:
     return np.clip((0.6 * tip_radius_mm - wall_mm) / (0.45 * tip_radius_mm), 0.0, 1.0)
 
 
+def clear_views(frames: FlightFrames, wall: WallField) -> NDArray[np.bool_]:
+    """Return (n,) whether the red-out is below :data:`MAX_RED_OUT` at each frame."""
+    tip_mm = np.array([one.scope.tip_mm / 2.0 for one in frames.optics])[frames.optics_number]
+    clear: NDArray[np.bool_] = red_out(wall.distance_mm(frames.lps_from_tip[:, :3, 3]), tip_mm) < MAX_RED_OUT
+    return clear
+
+
 def openings_in_sight(
     frames: FlightFrames,
     openings: Sequence[BranchOpening],
@@ -130,8 +137,7 @@ def openings_in_sight(
     if not openings:
         return OpeningSights(in_sight, off_middle)
     cameras = frames.cameras()
-    tip_mm = np.array([one.scope.tip_mm / 2.0 for one in frames.optics])[frames.optics_number]
-    clear_view = red_out(wall.distance_mm(frames.lps_from_tip[:, :3, 3]), tip_mm) < MAX_RED_OUT
+    clear_view = clear_views(frames, wall)
     middles = np.stack([one.middle_lps for one in openings])
     directions = np.stack([one.dir_lps for one in openings])
     for n in range(first, last + 1):

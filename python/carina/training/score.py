@@ -17,6 +17,7 @@ from carina.navigate import Recording, open_recording
 from carina.scopes import WallField
 from carina.track import Airways, AirwayTree, wall_field
 from carina.training.attempt_checks import AttemptDoubt, attempt_doubts
+from carina.training.entries import entries_of, openings_entered, openings_passed
 from carina.training.events import FlightEvent
 from carina.training.flight_frames import FRAME_HZ, FlightFrames, flight_frames
 from carina.training.handling import (
@@ -28,7 +29,7 @@ from carina.training.handling import (
     tip_places,
     wall_contacts,
 )
-from carina.training.openings_in_sight import branch_openings, openings_in_sight
+from carina.training.openings_in_sight import branch_openings, clear_views, openings_in_sight
 from carina.training.segments import LANDMARKS, SEGMENTS, CaseSegment, needed_branches, segments_of_case
 from carina.training.task import Clock, Task
 from carina.training.task_file import DEFAULT_TASK, find_task
@@ -70,7 +71,7 @@ class Score:
     mean_intersegmental_time_s: float | None
     """MIT: procedure time divided by the number of segments seen, s; None if no segment was seen."""
     segments_revisited: int
-    """SR: number of visits of segments that were visited before."""
+    """SR: number of times that the tip entered a segment that it had entered and left before."""
     segments_seen: tuple[str, ...]
     """Seen segments, in the order in which they were seen."""
     path_length_mm: float
@@ -245,7 +246,12 @@ def score_flight(
         last=last,
         report=None if report is None else lambda share: report("scoring the flight", share),
     )
-    visits = visits_of(sights, openings_of.segments)
+    of_segments = openings_of.openings[: openings_of.num_of_segments]
+    passed = openings_passed(frames.lps_from_tip[:, :3, 3], places.branch_ids, tree, of_segments)
+    passed[:first] = passed[last + 1 :] = -1
+    clear = clear_views(frames, wall)
+    entries = entries_of(passed, clear, openings_of.segments)
+    visits = visits_of(sights, openings_of.segments, entries)
     result = task_result(
         task,
         tree,
@@ -260,16 +266,19 @@ def score_flight(
     if result.completed_frame is not None and task.kind != "inspect":
         last = result.completed_frame
         visits = [visit for visit in visits if visit.frame <= last]
+        entries = [entry for entry in entries if entry.frame <= last]
     contacts, red = wall_contacts(frames, wall, places, first=first, last=last)
     doubts = attempt_doubts(
         frames, wall_mm, task, tree, [one for part in segments for one in part.branch_ids], first=first, last=last
     )
     seen = [
         (frame, segments[n].name)
-        for n, frame in enumerate(places_seen(sights, openings_of.segments))
+        for n, frame in enumerate(
+            places_seen(sights, openings_of.segments, openings_entered(passed, clear, len(of_segments)))
+        )
         if frame is not None and frame <= last
     ]
-    steps, again = progress_steps(visits, task.revisit_rule), revisits_of(visits)
+    steps, again = progress_steps(visits, task.revisit_rule), revisits_of(entries)
     time_s = (last - first) / FRAME_HZ
     tips = frames.lps_from_tip[first : last + 1, :3, 3]
     names = {branch.id: branch.name or f"branch {branch.id}" for branch in tree.branches}
@@ -322,6 +331,8 @@ class _Openings:
 
         self.segments = [[index_of(one) for one in segment.branch_ids] for segment in segments]
         """Indices of the openings of each segment."""
+        self.num_of_segments = len(ids)
+        """Number of openings of segments, which are the first ones."""
         self.task_openings: list[tuple[str, list[int]]] = []
         """Name and indices of the openings of each landmark, or of the structure to hold."""
         wanted = LANDMARKS if task.kind == "inspect" and task.order == "landmarks" else ()
@@ -366,10 +377,12 @@ def clock_start(
 def _visit_events(
     visits: list[Visit], steps: list[Visit], again: list[Visit], segments: tuple[CaseSegment, ...]
 ) -> list[FlightEvent]:
+    """Return the events of visits, progressions and revisits; a visit that is a revisit has one event."""
     found = []
-    for visit in visits:
+    for visit in sorted({*visits, *again}, key=lambda one: one.frame):
         at_s, name = visit.frame / FRAME_HZ, segments[visit.place].name
-        found.append(FlightEvent(at_s, "revisit" if visit in again else "visit", name))
+        detail = "entered" if visit.entered else "opening in view"
+        found.append(FlightEvent(at_s, "revisit" if visit in again else "visit", name, detail))
         if visit in steps:
             found.append(FlightEvent(at_s, "progress", name))
     return found

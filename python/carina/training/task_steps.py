@@ -10,6 +10,7 @@ import numpy as np
 
 from carina.display import one_line
 from carina.track import AirwayTree
+from carina.training.entries import ENTERED_S
 from carina.training.events import FlightEvent
 from carina.training.flight_frames import FRAME_HZ
 from carina.training.handling import TipPlaces
@@ -17,9 +18,6 @@ from carina.training.openings_in_sight import OpeningSights
 from carina.training.segments import CaseSegment
 from carina.training.task import Task, names_on_way
 from carina.training.visits import MIDDLE, SEEN_S, Visit, first_run, frames_of, run_ends
-
-ENTERED_S = 0.5
-"""Time in s for which the tip is in a branch without a break when the branch is entered."""
 
 
 @one_line
