@@ -15,6 +15,7 @@ from scripted_flights import VIEW, Script, optimal, recording_of
 from carina.errors import NoResultError, VolumeImportError
 from carina.scopes import Pose
 from carina.track import AirwayTree
+from carina.track.names.name_texts import segment_of
 from carina.training import (
     SEGMENTS,
     AttemptDoubt,
@@ -31,8 +32,10 @@ from carina.training import (
     xapi_statements,
 )
 from carina.training.openings_in_sight import branch_openings
-from carina.training.segments import branches_named
+from carina.training.segments import MIRRORED_SEGMENTS, branches_named
+from carina.volume import Note
 
+MIRRORED_NAMES = dict(zip(SEGMENTS, MIRRORED_SEGMENTS, strict=True))
 pytestmark = pytest.mark.slow
 
 
@@ -317,7 +320,8 @@ def test_flight_that_is_never_in_the_airways_is_refused(chest):
 
 
 def without_segment(tree, name):
-    return AirwayTree(tuple(replace(one, name=None) if one.name == name else one for one in tree.branches))
+    ids = {branch.id for branch in tree.branches if branch.name and segment_of(branch.name) == name}
+    return AirwayTree(tuple(replace(one, name=None) if one.id in ids else one for one in tree.branches))
 
 
 def test_case_that_lacks_a_segment_shows_its_denominator_and_gives_no_mastery(chest):
@@ -328,6 +332,20 @@ def test_case_that_lacks_a_segment_shows_its_denominator_and_gives_no_mastery(ch
     assert score.diagnostic_completeness == score.structured_progress == 17
     assert score.notes == ("this case has 17 of the 18 segments; it lacks RB7",)
     assert judge_mastery([score]).reasons == (("the case has 17 of 18 segments",),)
+
+
+def test_note_of_a_mirrored_chest_is_part_of_the_score(chest, best):
+    swapped = tuple(
+        replace(one, name=one.name and MIRRORED_NAMES.get(one.name, one.name)) for one in chest.tree.branches
+    )
+    note = Note("track.mirrored", "the airways are mirrored: check the sides", badge=True)
+    tree = replace(chest.tree, branches=swapped, notes=(note,))
+    score = score_flight(
+        tree, chest.wall, flight_frames(recording_of(best[:40], chest.volume)), find_task("inspect-all")
+    )
+    assert score.num_case_segments == 18
+    assert score.notes[0] == note.words
+    assert "mirror image" in score.notes[1]
 
 
 def test_uncertain_names_are_reported(chest, best):

@@ -16,6 +16,7 @@ from carina.errors import NoResultError
 from carina.navigate import Recording, open_recording
 from carina.scopes import WallField
 from carina.track import Airways, AirwayTree, wall_field
+from carina.track.names.name_texts import MIRRORED
 from carina.training.attempt_checks import AttemptDoubt, attempt_doubts
 from carina.training.entries import entries_of, openings_entered, openings_passed
 from carina.training.events import FlightEvent
@@ -30,7 +31,15 @@ from carina.training.handling import (
     wall_contacts,
 )
 from carina.training.openings_in_sight import branch_openings, clear_views, openings_in_sight
-from carina.training.segments import LANDMARKS, SEGMENTS, CaseSegment, needed_branches, segments_of_case
+from carina.training.segments import (
+    LANDMARKS,
+    SEGMENTS,
+    CaseSegment,
+    is_mirrored,
+    needed_branches,
+    published_segments,
+    segments_of_case,
+)
 from carina.training.task import Clock, Task
 from carina.training.task_file import DEFAULT_TASK, find_task
 from carina.training.task_steps import TaskResult, task_result
@@ -64,6 +73,8 @@ class Score:
     """DC: number of segments seen, 0 to 18."""
     case_segments: tuple[str, ...]
     """Segments that the case has: the case's own denominator beside 18."""
+    segments_absent: tuple[str, ...]
+    """Segments of the 18 without a named branch in the case."""
     structured_progress: int
     """SP: number of moves from one segment to the next in ascending order, 0 to 18."""
     procedure_time_s: float
@@ -131,7 +142,7 @@ class Score:
             },
             "segments_seen": list(self.segments_seen),
             "segments_not_seen": [name for name in self.case_segments if name not in self.segments_seen],
-            "segments_absent": [name for name in SEGMENTS if name not in self.case_segments],
+            "segments_absent": list(self.segments_absent),
             "contacts": [
                 {
                     "time_s": one.time_s,
@@ -292,11 +303,13 @@ def score_flight(
         *(FlightEvent(one.time_s, "doubt", one.code) for one in doubts if one.time_s is not None),
         FlightEvent(last / FRAME_HZ, "clock-end", "time limit" if timed_out else "end of the attempt"),
     ]
+    absent = tuple(name for name in published_segments(tree) if name not in {one.name for one in segments})
     order = {"clock-start": 0, "clock-end": 2}
     return Score(
         task=task,
         diagnostic_completeness=len(seen),
         case_segments=tuple(one.name for one in segments),
+        segments_absent=absent,
         structured_progress=len(steps),
         procedure_time_s=time_s,
         mean_intersegmental_time_s=time_s / len(seen) if seen else None,
@@ -310,7 +323,7 @@ def score_flight(
         lumen_in_middle=float(places.lumen_in_middle[first : last + 1].mean()),
         result=result,
         doubts=doubts,
-        notes=_notes(frames, segments, task),
+        notes=(*_case_notes(tree, absent), *_flight_notes(frames, task)),
         events=tuple(sorted(events, key=lambda one: (one.time_s, order.get(one.kind, 1)))),
         frames=frames,
         clock_start_s=first / FRAME_HZ,
@@ -398,11 +411,21 @@ def _scored_contact(contact: WallContact, names: dict[int, str]) -> ScoredContac
     )
 
 
-def _notes(frames: FlightFrames, segments: tuple[CaseSegment, ...], task: Task) -> tuple[str, ...]:
+def _case_notes(tree: AirwayTree, absent: tuple[str, ...]) -> list[str]:
     found = []
-    absent = [name for name in SEGMENTS if name not in {one.name for one in segments}]
+    if is_mirrored(tree):
+        found += [note.words for note in tree.notes if note.code == MIRRORED]
+        found.append(
+            "the segments of the scores are the mirror image of the published list: LB1 to LB10, RB1+2 to RB10"
+        )
     if absent:
-        found.append(f"this case has {len(segments)} of the {len(SEGMENTS)} segments; it lacks {', '.join(absent)}")
+        num = len(SEGMENTS) - len(absent)
+        found.append(f"this case has {num} of the {len(SEGMENTS)} segments; it lacks {', '.join(absent)}")
+    return found
+
+
+def _flight_notes(frames: FlightFrames, task: Task) -> tuple[str, ...]:
+    found = []
     used = [frames.optics[n] for n in sorted(set(frames.optics_number.tolist()))]
     for one in used:
         if one.is_wider:
