@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -35,7 +37,8 @@ def frames_of(poses, *, fov_deg=120.0, free=False, complete=True):
     poses = np.array(poses)
     optics = FlightOptics(GENERIC, free, fov_deg, False)
     return FlightFrames(
-        poses, np.arange(len(poses)), np.zeros(len(poses), dtype=np.int64), (optics,), complete, poses
+        poses, np.arange(len(poses)), np.zeros(len(poses), dtype=np.int64), (optics,), complete, poses,
+        np.arange(len(poses)) / 10,
     )  # fmt: skip
 
 
@@ -259,25 +262,45 @@ def test_lumen_is_in_the_middle_within_a_quarter_of_the_field_of_view(off_deg, e
     assert tip_places(frames, straight_tree()).lumen_in_middle.tolist() == [expected]
 
 
-def doubts_of(poses, wall_mm=4.0, **options):
+def doubts_of(poses, wall=WIDE, **options):
     frames = frames_of(poses, **options)
-    walls = np.broadcast_to(np.asarray(wall_mm, dtype=np.float64), len(poses))
-    task = find_task("inspect-all")
-    found = attempt_doubts(frames, walls, task, straight_tree(), [0], first=0, last=len(poses) - 1)
-    return [one.code for one in found]
+    last = int(frames.pose_number.size) - 1
+    return attempt_doubts(frames, wall, find_task("inspect-all"), straight_tree(), [0], first=0, last=last)
+
+
+def codes_of(poses, wall=WIDE, **options):
+    return [one.code for one in doubts_of(poses, wall, **options)]
 
 
 @pytest.mark.parametrize(("step_mm", "expected"), [(19.9, []), (20.1, ["jump"])])
 def test_tip_that_moves_faster_than_a_hand_is_reported(step_mm, expected):
-    assert doubts_of([camera(), camera((0.0, 0.0, step_mm))]) == expected
+    assert codes_of([camera(), camera((0.0, 0.0, step_mm))]) == expected
 
 
-@pytest.mark.parametrize(("wall_mm", "expected"), [(-0.49, []), (-0.51, ["left-airways"])])
+@pytest.mark.parametrize(("wall_mm", "expected"), [(-0.45, []), (-0.55, ["left-airways"])])
 def test_tip_outside_the_airways_is_reported(wall_mm, expected):
-    assert doubts_of([camera(), camera()], wall_mm) == expected
+    assert codes_of([camera(), camera()], field_of(lambda x, _y, _z: wall_mm + 0.0 * x)) == expected
+
+
+@pytest.mark.parametrize(("thickness_mm", "expected"), [(0.8, []), (1.2, ["jump"])])
+def test_hop_through_a_wall_between_two_recorded_positions_is_reported(thickness_mm, expected):
+    # A plate across x: both ends of the hop are far inside, and only points between them are in the plate.
+    wall = field_of(lambda x, _y, _z: np.abs(x) - thickness_mm / 2.0)
+    found = doubts_of([camera((-3.0, 0.0, 0.0)), camera((3.0, 0.0, 0.0))], wall)
+    assert [one.code for one in found] == expected
+    assert all(one.time_s == 0.1 for one in found)
+
+
+def test_positions_between_two_frames_are_checked():
+    frames = frames_of([camera((-3.0, 0.0, 0.0)), camera(), camera((-3.0, 0.0, 0.0))])
+    # The frames show the first and the last pose; the second one was recorded between them.
+    shown = replace(frames, lps_from_tip=frames.lps_from_tip[[0, 2]], pose_number=np.array([0, 2]))
+    wall = field_of(lambda x, _y, _z: np.abs(x) - 1.0)
+    found = attempt_doubts(shown, wall, find_task("inspect-all"), straight_tree(), [0], first=0, last=1)
+    assert [one.code for one in found] == ["left-airways"]
 
 
 def test_incomplete_recording_and_wide_picture_are_reported():
-    assert doubts_of([camera()], complete=False) == ["incomplete"]
-    assert doubts_of([camera()], fov_deg=120.4) == []
-    assert doubts_of([camera()], fov_deg=121.0) == ["wide-picture"]
+    assert codes_of([camera()], complete=False) == ["incomplete"]
+    assert codes_of([camera()], fov_deg=120.4) == []
+    assert codes_of([camera()], fov_deg=121.0) == ["wide-picture"]

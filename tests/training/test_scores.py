@@ -109,6 +109,18 @@ def test_flight_through_walls_is_reported_and_sees_nothing_in_tissue(chest):
     assert score.diagnostic_completeness <= 3 + inside
 
 
+def test_hop_from_one_segment_into_the_next_through_the_wall_is_reported(chest):
+    script = Script(chest.tree)
+    script.start()
+    script.enter("RB1")
+    (branch,) = branches_named(chest.tree, "RB2")
+    (opening,) = branch_openings(chest.tree, [branch.id])
+    there = Pose.looking(opening.middle_lps + 2.0 * opening.dir_lps, opening.dir_lps).lps_from_camera
+    score = scored(chest, [*script.poses, *[there] * 8])
+    assert codes(score) == ["jump"]
+    assert "through the wall" in score.doubts[0].words
+
+
 def test_pinned_camera_sees_no_segment(chest):
     script = Script(chest.tree)
     script.start(float(chest.tree.root.length_mm) - 15.0)

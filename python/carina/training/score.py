@@ -280,7 +280,7 @@ def score_flight(
         entries = [entry for entry in entries if entry.frame <= last]
     contacts, red = wall_contacts(frames, wall, places, first=first, last=last)
     doubts = attempt_doubts(
-        frames, wall_mm, task, tree, [one for part in segments for one in part.branch_ids], first=first, last=last
+        frames, wall, task, tree, [one for part in segments for one in part.branch_ids], first=first, last=last
     )
     seen = [
         (frame, segments[n].name)
