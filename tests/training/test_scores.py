@@ -406,6 +406,39 @@ def test_attempt_that_does_not_count_breaks_the_row(best_score):
     assert judged.verdict is False
 
 
+@pytest.mark.parametrize(
+    ("changed", "reason"),
+    [
+        ({"clock": "carina"}, "the clock starts at the main carina, not below the cords"),
+        ({"revisit_rule": "ignored"}, "a return to a segment is ignored"),
+        ({"hints": ("arrow", "ghost")}, "the task gives hints (arrow, ghost)"),
+    ],
+)
+def test_attempt_under_other_conditions_does_not_count(best_score, changed, reason):
+    eased = replace(best_score, task=replace(best_score.task, **changed))
+    assert judge_mastery([eased]).reasons == ((f"the conditions differ: {reason}",),)
+
+
+def test_attempt_without_an_instrument_does_not_count(best_score):
+    free = tuple(replace(one, is_free_camera=True) for one in best_score.frames.optics)
+    flown_free = replace(best_score, frames=replace(best_score.frames, optics=free))
+    expected = "the conditions differ: the flight used a camera without an instrument"
+    assert judge_mastery([flown_free]).reasons == ((expected,),)
+
+
+def test_recordings_of_one_pose_do_not_count(chest, best, best_score):
+    empty = [scored(chest, [best[n]]) for n in range(4)]
+    assert all(one.doubts == () for one in empty)
+    judged = judge_mastery([*empty, *attempts(best_score, 100, 100)])
+    assert judged.counted == (False,) * 4 + (True, True)
+    assert judged.verdict is None
+    assert judged.reasons[0] == ("no segment was seen", "the tip did not move")
+
+
+def test_verdict_states_that_the_order_is_that_of_the_user(best_score):
+    assert "over the recordings that you gave, in your order" in judge_mastery(attempts(best_score, *(100,) * 6)).words
+
+
 def test_17_progressions_are_no_mastery(best_score):
     lower = [replace(one, structured_progress=17) for one in attempts(best_score, *(100,) * 6)]
     assert judge_mastery(lower).verdict is False

@@ -88,7 +88,8 @@ class Mastery:
                 f"no verdict: it needs {ATTEMPTS_FOR_VERDICT} attempts that count ({VERDICT_SOURCE}); "
                 f"found {self.num_counted}"
             )
-        return f"mastery {'reached' if self.verdict else 'not reached'} ({MASTERY_SOURCE})"
+        reached = "reached" if self.verdict else "not reached"
+        return f"mastery {reached} over the recordings that you gave, in your order ({MASTERY_SOURCE})"
 
     def to_json(self) -> dict[str, Any]:
         """Return the verdict as plain JSON types."""
@@ -112,8 +113,10 @@ class Mastery:
 def judge_mastery(scores: Sequence[Score]) -> Mastery:
     """Judge mastery over the attempts of one learner.
 
-    An attempt does not count if its score has doubts, if its task is not an inspection of all segments, if the case
-    lacks one of the 18 segments, or if its poses repeat those of an earlier attempt (a replay, at any speed).
+    An attempt does not count if its score has doubts, if no segment was seen or the tip did not move, if its task is
+    not an inspection of all segments under the standard conditions, if the case lacks one of the 18 segments, or if
+    its poses repeat those of an earlier attempt (a replay, at any speed). The standard conditions are Carina's: the
+    clock starts below the cords, a return breaks the sequence, no hints, and an instrument instead of a free camera.
 
     Parameters
     ----------
@@ -125,6 +128,11 @@ def judge_mastery(scores: Sequence[Score]) -> Mastery:
         why = [one.words for one in score.doubts]
         if score.task.kind != "inspect":
             why.append("mastery is defined for the inspection of all segments")
+        why += [f"the conditions differ: {one}" for one in _other_conditions(score)]
+        if score.diagnostic_completeness < 1:
+            why.append("no segment was seen")
+        if score.path_length_mm <= 0.0 or score.procedure_time_s <= 0.0:
+            why.append("the tip did not move")
         if score.num_case_segments < len(SEGMENTS):
             why.append(f"the case has {score.num_case_segments} of {len(SEGMENTS)} segments")
         same = next((n for n in range(number) if score.frames.repeats(scores[n].frames)), None)
@@ -134,6 +142,19 @@ def judge_mastery(scores: Sequence[Score]) -> Mastery:
         counted.append(not why)
         passed.append(not why and is_mastery_procedure(score))
     return Mastery(tuple(passed), tuple(counted), tuple(reasons))
+
+
+def _other_conditions(score: Score) -> list[str]:
+    """Return the conditions of an attempt that differ from the standard conditions, as texts for the user."""
+    task, frames = score.task, score.frames
+    used = {frames.optics[number].is_free_camera for number in set(frames.optics_number.tolist())}
+    differing = {
+        "the clock starts at the main carina, not below the cords": task.clock != "cords",
+        "a return to a segment is ignored": task.revisit_rule != "breaks",
+        f"the task gives hints ({', '.join(task.hints)})": bool(task.hints),
+        "the flight used a camera without an instrument": True in used,
+    }
+    return [text for text, differs in differing.items() if differs]
 
 
 def is_mastery_procedure(score: Score) -> bool:
