@@ -262,10 +262,19 @@ def test_lumen_is_in_the_middle_within_a_quarter_of_the_field_of_view(off_deg, e
     assert tip_places(frames, straight_tree()).lumen_in_middle.tolist() == [expected]
 
 
-def doubts_of(poses, wall=WIDE, **options):
+def doubts_of(poses, wall=WIDE, *, branch=0, **options):
     frames = frames_of(poses, **options)
     last = int(frames.pose_number.size) - 1
-    return attempt_doubts(frames, wall, find_task("inspect-all"), straight_tree(), [0], first=0, last=last)
+    return attempt_doubts(
+        frames,
+        wall,
+        find_task("inspect-all"),
+        straight_tree(),
+        [0],
+        branch_ids=[branch] * (last + 1),
+        first=0,
+        last=last,
+    )
 
 
 def codes_of(poses, wall=WIDE, **options):
@@ -296,8 +305,17 @@ def test_positions_between_two_frames_are_checked():
     # The frames show the first and the last pose; the second one was recorded between them.
     shown = replace(frames, lps_from_tip=frames.lps_from_tip[[0, 2]], pose_number=np.array([0, 2]))
     wall = field_of(lambda x, _y, _z: np.abs(x) - 1.0)
-    found = attempt_doubts(shown, wall, find_task("inspect-all"), straight_tree(), [0], first=0, last=1)
+    found = attempt_doubts(
+        shown, wall, find_task("inspect-all"), straight_tree(), [0], branch_ids=[0, 0], first=0, last=1
+    )
     assert [one.code for one in found] == ["left-airways"]
+
+
+@pytest.mark.parametrize(("branch", "expected"), [(0, []), (1, ["start"])])
+def test_recording_that_does_not_start_in_the_trachea_is_reported(branch, expected):
+    found = doubts_of([camera(), camera()], branch=branch)
+    assert [one.code for one in found] == expected
+    assert [one.words for one in found] == ["the recording does not start in the trachea"] * len(expected)
 
 
 def test_incomplete_recording_and_wide_picture_are_reported():

@@ -121,6 +121,15 @@ def test_hop_from_one_segment_into_the_next_through_the_wall_is_reported(chest):
     assert "through the wall" in score.doubts[0].words
 
 
+@pytest.mark.parametrize("clock", ["cords", "carina"])
+def test_recording_that_starts_inside_a_segment_is_reported(chest, clock):
+    script = Script(chest.tree)
+    script.start()
+    script.enter("RB1")
+    inside = [script.poses[-1]] * 8
+    assert codes(scored(chest, inside, task=replace(find_task("inspect-all"), clock=clock))) == ["start"]
+
+
 def test_pinned_camera_sees_no_segment(chest):
     script = Script(chest.tree)
     script.start(float(chest.tree.root.length_mm) - 15.0)

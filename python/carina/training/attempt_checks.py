@@ -28,7 +28,7 @@ MOVES_AT_ONCE = 4096
 class AttemptDoubt:
     """Reason why an attempt does not count in a verdict."""
 
-    code: Literal["incomplete", "left-airways", "jump", "instrument", "wide-picture", "uncertain-names"]
+    code: Literal["incomplete", "left-airways", "start", "jump", "instrument", "wide-picture", "uncertain-names"]
     words: str
     """Reason as a text for the user."""
     time_s: float | None = None
@@ -46,13 +46,34 @@ def attempt_doubts(
     tree: AirwayTree,
     segment_ids: Sequence[int],
     *,
+    branch_ids: Sequence[int] | NDArray[np.int64],
     first: int,
     last: int,
 ) -> tuple[AttemptDoubt, ...]:
-    """Return all reasons why an attempt does not count in a verdict."""
+    """Return all reasons why an attempt does not count in a verdict.
+
+    Parameters
+    ----------
+    frames
+        Frames of the flight.
+    wall
+        Wall of the airways.
+    task, tree
+        The task, and the airways of the case.
+    segment_ids
+        Branches of the segments.
+    branch_ids
+        (n,) branch of the tip at each frame.
+    first, last
+        Frames at which the clock starts and ends.
+    """
     found = []
     if not frames.complete:
         found.append(AttemptDoubt("incomplete", "the recording was cut off before the attempt ended"))
+    inside = np.flatnonzero(wall.distance_mm(frames.lps_from_tip[: last + 1, :3, 3]) > OUTSIDE_MM)
+    if len(inside) and branch_ids[inside[0]] != tree.root.id:
+        at_s = float(inside[0]) / FRAME_HZ
+        found.append(AttemptDoubt("start", "the recording does not start in the trachea", at_s))
     shown = slice(int(frames.pose_number[first]), int(frames.pose_number[last]) + 1)
     tips, times_s = frames.recorded_poses[shown, :3, 3], frames.recorded_times_s[shown]
     outside = wall.distance_mm(tips) < OUTSIDE_MM

@@ -279,9 +279,8 @@ def score_flight(
         visits = [visit for visit in visits if visit.frame <= last]
         entries = [entry for entry in entries if entry.frame <= last]
     contacts, red = wall_contacts(frames, wall, places, first=first, last=last)
-    doubts = attempt_doubts(
-        frames, wall, task, tree, [one for part in segments for one in part.branch_ids], first=first, last=last
-    )
+    segment_ids = [one for part in segments for one in part.branch_ids]
+    doubts = attempt_doubts(frames, wall, task, tree, segment_ids, branch_ids=places.branch_ids, first=first, last=last)
     seen = [
         (frame, segments[n].name)
         for n, frame in enumerate(
