@@ -17,6 +17,7 @@ from carina.scopes import Pose
 from carina.track import AirwayTree
 from carina.track.names.name_texts import segment_of
 from carina.training import (
+    REFERENCE_GROUPS,
     SEGMENTS,
     AttemptDoubt,
     Task,
@@ -442,6 +443,13 @@ def test_recordings_of_one_pose_do_not_count(chest, best, best_score):
     assert judged.counted == (False,) * 4 + (True, True)
     assert judged.verdict is None
     assert judged.reasons[0] == ("no segment was seen", "the tip did not move")
+
+
+def test_sources_state_only_what_they_contain(best_score):
+    document = judge_mastery([best_score]).to_json()
+    assert "in a row" not in document["definition"]
+    assert document["added_rule"] == "in a row: Carina's reading; the source states no order"
+    assert all("not directly comparable" in one.to_json()["remark"] for one in REFERENCE_GROUPS)
 
 
 def test_verdict_states_that_the_order_is_that_of_the_user(best_score):

@@ -22,7 +22,7 @@ from carina.training import (
     task_names,
     write_flight_log,
 )
-from carina.training.mastery import MASTERY_SOURCE
+from carina.training.mastery import IN_A_ROW_RULE, MASTERY_SOURCE, NOT_COMPARABLE
 
 
 def print_tasks() -> None:
@@ -120,10 +120,10 @@ def mastery_lines(score: Score, mastery: Mastery) -> list[str]:
     """Return the verdict and the published reference values as lines of text; none for other tasks."""
     if score.task.kind != "inspect":
         return []
-    lines = [mastery.words, f"definition: {mastery.to_json()['definition']} ({MASTERY_SOURCE})", ""]
+    lines = [mastery.words, f"definition: {mastery.to_json()['definition']} ({MASTERY_SOURCE}); {IN_A_ROW_RULE}", ""]
     lines += [
         f"{one.group:20} {one.diagnostic_completeness:2.0f} segments, {one.structured_progress:2.0f} progressions, "
         f"{one.procedure_time_s:3.0f} s, {one.mean_intersegmental_time_s:2.0f} s per segment"
         for one in REFERENCE_GROUPS
     ]
-    return [*lines, f"Source of these values: {REFERENCE_GROUPS[0].source}."]
+    return [*lines, f"Source of these values: {REFERENCE_GROUPS[0].source}; {NOT_COMPARABLE}."]

@@ -15,6 +15,8 @@ MASTERY_IN_A_ROW = 2
 MASTERY_SOURCE = "Cold 2024, Respiration, 10.1159/000542045"
 """Source: mastery is two procedures with 18 segments, 18 progressions and less than 120 s each."""
 ATTEMPTS_FOR_VERDICT = 6
+IN_A_ROW_RULE = "in a row: Carina's reading; the source states no order"
+NOT_COMPARABLE = "measured with another system; not directly comparable"
 VERDICT_SOURCE = "Konge 2011, Respiration 81:483"
 """Source: a single attempt supports no judgement; six give a generalisability coefficient above 0.80."""
 
@@ -40,6 +42,7 @@ class ReferenceGroup:
             "procedure_time_s": self.procedure_time_s,
             "mean_intersegmental_time_s": self.mean_intersegmental_time_s,
             "source": self.source,
+            "remark": NOT_COMPARABLE,
         }
 
 
@@ -103,9 +106,10 @@ class Mastery:
             "reasons": [list(one) for one in self.reasons],
             "two_in_a_row": self.two_in_a_row,
             "definition": (
-                f"{MASTERY_IN_A_ROW} procedures in a row with {len(SEGMENTS)} segments, {len(SEGMENTS)} progressions "
+                f"{MASTERY_IN_A_ROW} procedures with {len(SEGMENTS)} segments, {len(SEGMENTS)} progressions "
                 f"and less than {MASTERY_TIME_S:.0f} s each"
             ),
+            "added_rule": IN_A_ROW_RULE,
             "sources": [MASTERY_SOURCE, VERDICT_SOURCE],
         }
 
