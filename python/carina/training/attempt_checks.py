@@ -89,7 +89,7 @@ def attempt_doubts(
     jumps = first + 1 + np.flatnonzero(moved > JUMP_MM_S)
     if len(jumps):
         at_s = float(jumps[0]) / FRAME_HZ
-        words = f"the tip moved faster than {JUMP_MM_S:.0f} mm/s after {at_s:.1f} s, which no hand does"
+        words = f"the tip moved faster than Carina's limit of {JUMP_MM_S:.0f} mm/s after {at_s:.1f} s"
         found.append(AttemptDoubt("jump", words, at_s))
     used = [frames.optics[n] for n in sorted(set(frames.optics_number[first : last + 1].tolist()))]
     if task.scope is not None:
