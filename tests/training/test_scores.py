@@ -499,6 +499,29 @@ def test_xapi_statements_have_the_required_properties_and_no_verdict(best_score)
     assert statements[0]["verb"]["id"].endswith("/completed")
 
 
+def test_exports_state_that_an_attempt_does_not_count(best_score):
+    doubts = (AttemptDoubt("incomplete", "cut off"), AttemptDoubt("start", "at the fork"))
+    cut = replace(best_score, doubts=doubts, frames=replace(best_score.frames, complete=False))
+    values = dict(csv.reader(io.StringIO(scores_csv(cut))))
+    assert (values["counts_in_verdict"], values["doubts"]) == ("False", "incomplete start")
+    statement = xapi_statements(cut)[0]
+    assert statement["result"]["extensions"]["urn:carina:training:counts_in_verdict"] is False
+    assert statement["result"]["extensions"]["urn:carina:training:doubts"] == ["incomplete", "start"]
+    assert statement["result"]["completion"] is False
+    assert statement["verb"]["id"].endswith("/attempted")
+
+
+def test_xapi_score_of_a_search_counts_its_steps(best_score):
+    result = replace(best_score.result, steps_done=("RB6",), num_steps=1)
+    search = replace(best_score, task=find_task("find-rb6"), result=result, diagnostic_completeness=1)
+    assert xapi_statements(search)[0]["result"]["score"] == {"raw": 1, "min": 0, "max": 1, "scaled": 1.0}
+
+
+def test_xapi_identifiers_are_percent_encoded(best_score):
+    own = replace(best_score, task=replace(best_score.task, name="own task / 50 %"))
+    assert xapi_statements(own)[0]["object"]["id"] == "urn:carina:training:task:own%20task%20%2F%2050%20%25"
+
+
 def test_log_is_written_to_a_new_folder(best_score, tmp_path):
     paths = write_flight_log(tmp_path / "a" / "log", best_score)
     assert [path.name for path in paths] == ["events.csv", "poses.csv", "scores.csv", "xapi.json"]
