@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scripted_flights import VIEW, Script, optimal, recording_of
 
+from carina.cli.score import score_lines
 from carina.errors import NoResultError, VolumeImportError
 from carina.scopes import Pose
 from carina.track import AirwayTree
@@ -314,6 +315,13 @@ def test_landmarks_come_before_the_segments(chest, best):
     )
     assert not score.result.completed
     assert scored(chest, best, task="inspect-landmarks").structured_progress == 18
+
+
+def test_segments_that_were_seen_but_not_visited_are_named(best_score):
+    done = tuple(name for name in SEGMENTS if name != "RB2")
+    result = replace(best_score.result, completed_frame=None, steps_done=done)
+    line = score_lines(replace(best_score, result=result))[0]
+    assert line.endswith("not completed, 17 of 18 steps; seen but not visited: RB2")
 
 
 def test_time_limit_ends_the_attempt(chest, best):

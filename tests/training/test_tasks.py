@@ -13,7 +13,11 @@ from carina.errors import NoResultError, UsageError
 from carina.phantom import generate_phantom
 from carina.track import AirwayTree, Branch, name_tree
 from carina.training import SEGMENTS, Task, find_task, segments_of_case, task_from_file, task_names, task_to_json
+from carina.training.handling import TipPlaces
+from carina.training.openings_in_sight import OpeningSights
 from carina.training.segments import doubtful_names
+from carina.training.task_steps import task_result
+from carina.training.visits import Visit
 
 GOOD = {"format": "carina-task", "version": 1, "name": "own", "title": "Own task", "kind": "inspect"}
 
@@ -71,6 +75,32 @@ def test_example_of_the_guide_is_a_valid_task(tmp_path):
     file = tmp_path / "own.json"
     file.write_text(guide.split("```json")[1].split("```")[0])
     assert task_from_file(file).segments == ("RB6", "RB8", "LB6")
+
+
+def inspection(order, landmark_frame, *frames):
+    """Return the result of an inspection of two segments, with a landmark in sight up to a frame."""
+    in_sight = np.zeros((100, 1), dtype=bool)
+    in_sight[landmark_frame - 5 : landmark_frame + 1] = True
+    sights = OpeningSights(in_sight, np.full((100, 1), np.inf))
+    visits = [Visit(frame, place) for place, frame in enumerate(frames)]
+    places = TipPlaces(np.zeros(100, dtype=np.int64), np.zeros(100, dtype=bool))
+    return task_result(
+        replace(find_task("inspect-all"), order=order), tree_of("RB1", "RB2"), sights=sights,
+        task_openings=[("main carina", [0])] if order == "landmarks" else [], visits=visits,
+        segments=segments_of_case(tree_of("RB1", "RB2")), places=places, first=0, last=99,
+    )  # fmt: skip
+
+
+def test_landmarks_after_the_segments_do_not_complete_the_task():
+    assert inspection("landmarks", 10, 30, 50).completed
+    late = inspection("landmarks", 40, 30, 50)
+    assert not late.completed
+    assert late.steps_done == ("main carina", "RB2")
+
+
+def test_inspection_is_completed_in_any_order_as_its_title_states():
+    assert inspection("ascending", 90, 50, 30).completed
+    assert "in ascending order" not in find_task("inspect-all").title
 
 
 def test_case_without_a_landmark_is_refused():

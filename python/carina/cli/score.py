@@ -84,6 +84,8 @@ def score_lines(score: Score) -> list[str]:
     task, result = score.task, score.result
     mean = score.mean_intersegmental_time_s
     done = "completed" if result.completed else f"not completed, {len(result.steps_done)} of {result.num_steps} steps"
+    if task.kind == "inspect" and not result.completed:
+        done += _unvisited_text(score)
     missing = [name for name in score.case_segments if name not in score.segments_seen]
     lines = [
         f"task                      {task.title}: {done}",
@@ -114,6 +116,13 @@ def score_lines(score: Score) -> list[str]:
     lines += [f"note: {note}" for note in score.notes]
     lines += [f"this attempt does not count in a verdict: {one.words}" for one in score.doubts]
     return lines
+
+
+def _unvisited_text(score: Score) -> str:
+    """Return which segments were seen but not visited for the task; empty if there are none."""
+    names = [name for name in score.segments_seen if name not in score.result.steps_done]
+    after = " after the landmarks" if score.task.order == "landmarks" else ""
+    return f"; seen but not visited{after}: {', '.join(names)}" if names else ""
 
 
 def mastery_lines(score: Score, mastery: Mastery) -> list[str]:

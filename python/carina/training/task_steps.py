@@ -106,7 +106,10 @@ def _inspection(
     segments: Sequence[CaseSegment],
     visits: Sequence[Visit],
 ) -> TaskResult:
-    """Return the result of an inspection: the landmarks in their order, and all segments of the case visited."""
+    """Return the result of an inspection: the landmarks in their order, then all segments of the case visited.
+
+    Visits before the last landmark do not count. The order of the segments is free; structured progress scores it.
+    """
     events, done, after = [], [], -1
     for name, openings in landmarks:
         frame = next((at for at in _frames_in_sight(sights, openings) if at > after), None)
@@ -117,7 +120,8 @@ def _inspection(
         events.append(_event(frame, "landmark", name))
     visited: dict[int, int] = {}
     for visit in visits:
-        visited.setdefault(visit.place, visit.frame)
+        if len(done) == len(landmarks) and visit.frame > after:
+            visited.setdefault(visit.place, visit.frame)
     done += [segments[place].name for place in visited]
     complete = len(done) == len(landmarks) + len(segments)
     frame = max([after, *visited.values()]) if complete else None
