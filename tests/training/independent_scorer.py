@@ -77,6 +77,7 @@ class Judge:
         preset = scope_preset(scope)
         self.tip_mm = preset.tip_mm / 2.0
         self.fov_deg = preset.usual_fov_deg
+        self.asked_deg = fov_deg
         pixels = [(c + 0.5, r + 0.5) for r in range(64) for c in range(64) if math.hypot(c - 31.5, r - 31.5) <= 32.0]
         self.total = len(pixels)
         rays = preset.lens.optics(64, 64, preset.usual_fov_deg).directions_of(np.array(pixels))
@@ -118,10 +119,32 @@ class Judge:
                 if going.any():
                     clear[going] &= self.wall.distance_mm(eye + at_mm * rays[which[going]]) > 0.0
                 at_mm += 0.5
-            if clear.sum() >= 0.01 * self.total and clear.sum() >= 0.5 * len(which):
+            if clear.sum() >= 0.01 * self.total and self.visible_area(disk, pose) >= 0.5:
                 middle = self.pixels[which[clear]].mean(axis=0) - 32.0
                 found[name] = math.hypot(*middle) / 32.0
         return found
+
+    def visible_area(self, disk: Disk, pose: np.ndarray) -> float:
+        """Return the share of the disk in the picture and before the walls, by rings of equal area."""
+        eye, forward = pose[:3, 3], pose[:3, 2]
+        right = np.cross(disk.into, (1.0, 0.0, 0.0) if abs(disk.into[0]) < 0.9 else (0.0, 1.0, 0.0))
+        right /= np.linalg.norm(right)
+        up = np.cross(right, disk.into)
+        angles = 2 * np.pi * (np.arange(32) + 0.5) / 32
+        spokes = np.outer(np.cos(angles), right) + np.outer(np.sin(angles), up)
+        radii = disk.radius * np.sqrt((np.arange(12) + 0.5) / 12)
+        points = (disk.mouth + radii[:, None, None] * spokes).reshape(-1, 3)
+        far = np.linalg.norm(points - eye, axis=1)
+        rays = (points - eye) / far[:, None]
+        limit = math.radians(min(self.asked_deg, self.fov_deg) / 2.0)
+        good = np.arccos(np.clip(rays @ forward, -1.0, 1.0)) <= limit
+        at_mm = 0.0
+        while at_mm <= far.max() - 1.0:
+            going = good & (at_mm <= far - 1.0)
+            if going.any():
+                good[going] &= self.wall.distance_mm(eye + at_mm * rays[going]) > 0.0
+            at_mm += 0.5
+        return float(good.mean())
 
     def segment_around(self, tip: np.ndarray, branch: Any) -> str:
         """Return the segment in which the tip is, or an empty text."""

@@ -84,6 +84,14 @@ def test_opening_is_in_sight_if_the_wall_hides_less_than_half_of_its_pixels(edge
     assert is_in_sight(disk(5.0), camera(), wall) is expected
 
 
+@pytest.mark.parametrize(("off_deg", "expected"), [(58.5, True), (61.5, False), (66.0, False)])
+def test_opening_is_in_sight_if_half_of_its_area_is_in_the_picture(off_deg, expected):
+    # The edge of the picture is 60 degrees from the middle. 66 degrees leave more than 1 % of the picture.
+    a = np.radians(off_deg)
+    side = np.array([np.sin(a), 0.0, np.cos(a)])
+    assert is_in_sight(disk(8.0, at=AHEAD_Z_MM * side, into=side), camera()) is expected
+
+
 @pytest.mark.parametrize(("off_deg", "expected"), [(50.0, True), (75.0, False)])
 def test_opening_is_in_sight_only_inside_the_round_picture(off_deg, expected):
     a = np.radians(off_deg)
