@@ -21,6 +21,7 @@ from carina.training import (
     REFERENCE_GROUPS,
     SEGMENTS,
     AttemptDoubt,
+    ScoredContact,
     Task,
     events_csv,
     find_task,
@@ -332,6 +333,29 @@ def test_time_limit_ends_the_attempt(chest, best):
     assert not score.result.completed
 
 
+def test_search_that_is_completed_before_the_time_limit_ends_with_the_attempt(chest):
+    script = Script(chest.tree)
+    script.start()
+    script.inspect("RB6")
+    script.wait(20.0)
+    score = scored(chest, script.poses, task=replace(find_task("find-rb6"), time_limit_s=15.0))
+    assert score.result.completed
+    assert score.events[-1].name == "end of the attempt"
+
+
+def test_contacts_after_the_tenth_are_counted_in_the_text(best_score):
+    contact = ScoredContact(1.0, 0.2, "RB1", (0.0, 0.0, 0.0), 3.0)
+    assert "and 2 more contacts; --json lists all of them" in score_lines(replace(best_score, contacts=(contact,) * 12))
+    assert not any("more contacts" in one for one in score_lines(replace(best_score, contacts=(contact,) * 10)))
+
+
+def test_text_of_a_search_names_no_verdict(best_score):
+    search = replace(best_score, task=find_task("find-rb6"), doubts=(AttemptDoubt("incomplete", "cut off"),))
+    assert score_lines(search)[-1] == "doubt about this attempt: cut off"
+    inspection = replace(best_score, doubts=search.doubts)
+    assert score_lines(inspection)[-1] == "this attempt does not count in a verdict: cut off"
+
+
 def test_clock_at_the_carina_starts_later_and_keeps_the_segments(chest, best, best_score):
     score = scored(chest, best, task=replace(find_task("inspect-all"), clock="carina"))
     assert 0.0 < score.clock_start_s < 3.0
@@ -360,7 +384,10 @@ def test_case_that_lacks_a_segment_shows_its_denominator_and_gives_no_mastery(ch
     score = score_flight(without_segment(chest.tree, "RB7"), chest.wall, frames, find_task("inspect-all"))
     assert score.num_case_segments == 17
     assert score.diagnostic_completeness == score.structured_progress == 17
-    assert score.notes == ("this case has 17 of the 18 segments; it lacks RB7",)
+    assert score.notes == (
+        "this case has 17 of the 18 segments; no branch has the name RB7 (absent, not found or not named)",
+    )
+    assert "structured progress       17 of 17; " in "\n".join(score_lines(score))
     assert judge_mastery([score]).reasons == (("the case has 17 of 18 segments",),)
 
 

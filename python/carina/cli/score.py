@@ -24,6 +24,9 @@ from carina.training import (
 )
 from carina.training.mastery import IN_A_ROW_RULE, MASTERY_SOURCE, NOT_COMPARABLE
 
+MAX_CONTACT_LINES = 10
+"""Number of contacts that are printed."""
+
 
 def print_tasks() -> None:
     """Print the name and the title of each built-in task."""
@@ -91,7 +94,7 @@ def score_lines(score: Score) -> list[str]:
         f"task                      {task.title}: {done}",
         f"diagnostic completeness   {score.diagnostic_completeness} of {len(SEGMENTS)} segments; this case has "
         f"{score.num_case_segments}",
-        f"structured progress       {score.structured_progress} of {len(SEGMENTS)}; a revisit "
+        f"structured progress       {score.structured_progress} of {score.num_case_segments}; a return "
         f"{'breaks the sequence' if task.revisit_rule == 'breaks' else 'is ignored'}",
         f"procedure time            {score.procedure_time_s:.1f} s; the clock starts "
         f"{'below the cords' if task.clock == 'cords' else 'at the main carina'}",
@@ -111,10 +114,13 @@ def score_lines(score: Score) -> list[str]:
         lines.insert(1, f"wrong places              {result.num_wrong}")
     lines += [
         f"contact at {one.time_s:6.1f} s       {one.branch}, {one.clock_hour:.0f} o'clock, {one.duration_s:.1f} s"
-        for one in score.contacts[:10]
+        for one in score.contacts[:MAX_CONTACT_LINES]
     ]
+    if len(score.contacts) > MAX_CONTACT_LINES:
+        lines.append(f"and {len(score.contacts) - MAX_CONTACT_LINES} more contacts; --json lists all of them")
     lines += [f"note: {note}" for note in score.notes]
-    lines += [f"this attempt does not count in a verdict: {one.words}" for one in score.doubts]
+    doubt = "this attempt does not count in a verdict" if task.kind == "inspect" else "doubt about this attempt"
+    lines += [f"{doubt}: {one.words}" for one in score.doubts]
     return lines
 
 

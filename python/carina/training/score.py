@@ -275,7 +275,7 @@ def score_flight(
         last=last,
     )
     if result.completed_frame is not None and task.kind != "inspect":
-        last = result.completed_frame
+        last, timed_out = result.completed_frame, False
         visits = [visit for visit in visits if visit.frame <= last]
         entries = [entry for entry in entries if entry.frame <= last]
     contacts, red = wall_contacts(frames, wall, places, first=first, last=last)
@@ -419,7 +419,10 @@ def _case_notes(tree: AirwayTree, absent: tuple[str, ...]) -> list[str]:
         )
     if absent:
         num = len(SEGMENTS) - len(absent)
-        found.append(f"this case has {num} of the {len(SEGMENTS)} segments; it lacks {', '.join(absent)}")
+        found.append(
+            f"this case has {num} of the {len(SEGMENTS)} segments; no branch has the name {' or '.join(absent)} "
+            "(absent, not found or not named)"
+        )
     return found
 
 
